@@ -31,7 +31,7 @@ mod update;
 #[cfg(feature = "viewer")]
 mod view;
 
-pub(crate) use options::count;
+pub(crate) use options::parse_count;
 
 use crate::output::{SUCCESS, Verbosity};
 use clap::Subcommand;
@@ -105,7 +105,7 @@ impl Command {
         &self,
         threads: Option<usize>,
         verbosity: Verbosity,
-        program: impl FnOnce() -> clap::Command,
+        program: fn() -> clap::Command,
     ) -> Result<u8> {
         match self {
             Self::Run(run) => return run::run(run, verbosity),

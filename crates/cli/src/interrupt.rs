@@ -49,12 +49,12 @@ pub(crate) fn listen() -> Result<()> {
             if !received.swap(false, Ordering::Relaxed) {
                 continue;
             }
-            let Some(stop) = STOP.get() else { end("stopped") };
+            let Some(stop) = STOP.get() else { end_process("stopped") };
             if stop.swap(true, Ordering::Relaxed) {
-                end(AT_ONCE);
+                end_process(AT_ONCE);
             }
             output::note("stopping at the next resumable point; press Ctrl-C again to stop immediately");
-            std::thread::spawn(end_what_does_not_stop);
+            std::thread::spawn(end_after_grace);
         }
     });
     Ok(())
@@ -65,6 +65,7 @@ pub(crate) fn listen() -> Result<()> {
 pub(crate) struct InterruptibleRun(());
 
 impl InterruptibleRun {
+    /// Counts one more running training until it is dropped.
     pub(crate) fn begin() -> Self {
         TRAININGS.fetch_add(1, Ordering::Relaxed);
         Self(())
@@ -85,7 +86,7 @@ pub(crate) fn wait_if_ending() {
 }
 
 /// Ends the process after one second without running trainings.
-fn end_what_does_not_stop() {
+fn end_after_grace() {
     let mut last = Instant::now();
     while last.elapsed() < GRACE {
         std::thread::sleep(TICK);
@@ -93,10 +94,11 @@ fn end_what_does_not_stop() {
             last = Instant::now();
         }
     }
-    end(AT_ONCE)
+    end_process(AT_ONCE)
 }
 
-fn end(message: &str) -> ! {
+/// Ends the process after removing unfinished folders.
+fn end_process(message: &str) -> ! {
     ENDING.store(true, Ordering::Relaxed);
     NewFolder::abandon_all();
     output::note(message);

@@ -12,7 +12,7 @@ mod progress;
 mod reference;
 
 use clap::{ArgAction, CommandFactory as _, Parser};
-use commands::{Command, count};
+use commands::{Command, parse_count};
 use output::{FAILED, INTERRUPTED, INVALID, Verbosity};
 use pwrfgs_core::{Error, Result};
 use std::ffi::OsString;
@@ -37,7 +37,7 @@ struct Arguments {
     #[command(subcommand)]
     command: Command,
     /// Number of threads, without effect on results [default: all processors]
-    #[arg(long, global = true, value_name = "N", value_parser = count)]
+    #[arg(long, global = true, value_name = "N", value_parser = parse_count)]
     threads: Option<usize>,
     /// Print only errors, warnings and results
     #[arg(short, long, global = true, action = ArgAction::SetTrue, conflicts_with = "verbose")]
@@ -48,6 +48,7 @@ struct Arguments {
 }
 
 impl Arguments {
+    /// Returns the amount of output that `--quiet` and `--verbose` select.
     fn verbosity(&self) -> Verbosity {
         match (self.quiet, self.verbose) {
             (true, _) => Verbosity::Quiet,
@@ -62,8 +63,8 @@ pub fn main() -> ExitCode {
     ExitCode::from(run(&std::env::args_os().collect::<Vec<_>>()))
 }
 
-/// Same as [`main`] for these arguments, of which the first is the path of the program; returns the exit code. Invalid
-/// arguments and `--help` end the process.
+/// Runs the program as [`main`] does for these arguments, of which the first is the path of the program; returns the
+/// exit code. Invalid arguments and `--help` end the process.
 pub fn run(arguments: &[OsString]) -> u8 {
     keep_memory();
     if let Err(error) = check_utf8(arguments) {
@@ -93,9 +94,9 @@ pub fn run(arguments: &[OsString]) -> u8 {
 
 /// Rejects arguments and a current directory that are not UTF-8: pipelines and run folders store paths as text.
 fn check_utf8(arguments: &[OsString]) -> Result<()> {
-    let here = std::env::current_dir().unwrap_or_default().into_os_string();
-    let mut all = arguments.iter().skip(1).chain([&here]);
-    all.find(|text| text.to_str().is_none()).map_or(Ok(()), |text| {
+    let current = std::env::current_dir().unwrap_or_default().into_os_string();
+    let mut texts = arguments.iter().skip(1).chain([&current]);
+    texts.find(|text| text.to_str().is_none()).map_or(Ok(()), |text| {
         let text = text.to_string_lossy().into_owned();
         Err(Error::Config(format!("{text}: not UTF-8; rename the file or folder")))
     })

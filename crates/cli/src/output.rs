@@ -44,21 +44,21 @@ impl Verbosity {
 static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
 
 /// Sets the path by which the program was called, if it has a folder.
-pub(crate) fn set_program(called: Option<&OsString>) {
+pub(crate) fn set_program(path: Option<&OsString>) {
     let has_folder = |path: &PathBuf| path.parent().is_some_and(|folder| !folder.as_os_str().is_empty());
-    if let Some(path) = called.map(PathBuf::from).filter(has_folder) {
+    if let Some(path) = path.map(PathBuf::from).filter(has_folder) {
         _ = PROGRAM.set(path);
     }
 }
 
-/// Path of the program, for a command line that starts it again. The Python package is called by a script, and the
-/// executable of the process is then the interpreter.
+/// Returns the path of the program, for a command line that starts it again. The Python package is called by a script,
+/// and the executable of the process is then the interpreter.
 pub(crate) fn program() -> Result<PathBuf> {
     let failed = |e| Error::Config(format!("cannot find the path of this program: {e}"));
     PROGRAM.get().map_or_else(|| std::env::current_exe().map_err(failed), |called| Ok(called.clone()))
 }
 
-/// Progress bars of the process; lines are printed above them.
+/// Returns the progress bars of the process; lines are printed above them.
 pub(crate) fn bars() -> &'static MultiProgress {
     static BARS: OnceLock<MultiProgress> = OnceLock::new();
     BARS.get_or_init(MultiProgress::new)

@@ -43,6 +43,7 @@ pub(crate) struct RunProgress {
 }
 
 impl RunProgress {
+    /// Creates the observer of a single run.
     pub(crate) fn new(verbosity: Verbosity) -> Self {
         let (pace, now) = (VecDeque::new(), Instant::now());
         Self {
@@ -71,12 +72,12 @@ impl RunProgress {
         progress
     }
 
-    /// Interval between two plain lines.
+    /// Returns the interval between two plain lines.
     fn pause(&self) -> Duration {
         if self.name.is_some() { LINE_OF_SEVERAL } else { LINE }
     }
 
-    /// A plain line.
+    /// Prints a plain line.
     fn print_line(&self, line: &str) {
         match &self.name {
             Some(name) => note(&format!("{name}: {line}")),
@@ -104,15 +105,15 @@ impl RunProgress {
         }
     }
 
-    /// Steps per second over the last period.
+    /// Computes the steps per second over the last period.
     fn speed(&self) -> Option<f64> {
         let ((then, from), (now, to)) = (self.pace.front()?, self.pace.back()?);
         let seconds = (*now - *then).as_secs_f64();
         (seconds > 0.0).then(|| (to - from) as f64 / seconds)
     }
 
-    /// Phase, loss, N, speed and remaining time.
-    fn words(&self, report: &StepReport) -> String {
+    /// Describes phase, loss, N, speed and remaining time.
+    fn describe(&self, report: &StepReport) -> String {
         let mut words = format!("{:<8}  loss {:.4}", report.phase.name(), self.loss);
         if report.gaussians > 0 {
             _ = write!(words, "  N {}", grouped(report.gaussians as i64));
@@ -211,9 +212,9 @@ impl Observer for RunProgress {
         }
         if let Some(bar) = &self.bar {
             bar.set_position(report.step);
-            bar.set_message(self.words(report));
+            bar.set_message(self.describe(report));
         } else if self.verbosity != Verbosity::Quiet {
-            self.print_line(&format!("step {}/{}  {}", report.step, self.steps, self.words(report)));
+            self.print_line(&format!("step {}/{}  {}", report.step, self.steps, self.describe(report)));
         }
     }
 

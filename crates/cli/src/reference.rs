@@ -35,19 +35,19 @@ pub(crate) struct DocItem {
     pub(crate) value: Result<Value, String>,
 }
 
-/// All chapters, in the order of the fields of a pipeline.
+/// Lists all chapters, in the order of the fields of a pipeline.
 pub(crate) fn chapters() -> Vec<DocChapter> {
     let pipeline = example();
     let mut settings = Vec::new();
     let mut plugins = Vec::new();
     for field in Docs::of::<Pipeline>().fields() {
-        match inner(&field.kind) {
+        match inner_kind(&field.kind) {
             DocKind::Plugin(kind) => {
                 plugins.extend(PluginFamily::find(kind).map(|family| plugin_chapter(family, field)));
             }
             DocKind::Of(docs) => {
                 let value = pipeline.as_ref().ok().and_then(|p| p.part(field.name));
-                collect(docs, field.name, value.as_ref(), &mut settings);
+                collect_type(docs, field.name, value.as_ref(), &mut settings);
             }
             _ => {}
         }
@@ -65,13 +65,13 @@ pub(crate) fn chapters() -> Vec<DocChapter> {
         about: "Settings of a pipeline that are not plugins.".into(),
         topics: settings,
     };
-    let mut all = vec![whole, settings];
-    all.extend(plugins);
-    all.push(experiment());
-    all
+    let mut chapters = vec![whole, settings];
+    chapters.extend(plugins);
+    chapters.push(experiment_chapter());
+    chapters
 }
 
-/// Pipeline with only the required fields.
+/// Returns a pipeline with only the required fields.
 pub(crate) fn example() -> Result<Value, String> {
     let required = Pipeline::REQUIRED.map(|(field, value)| format!("{field}: {value}")).join(", ");
     let pipeline =
@@ -79,14 +79,14 @@ pub(crate) fn example() -> Result<Value, String> {
     Value::new(to_ron(&pipeline))
 }
 
-/// Chapter of all plugins of one kind and the types of their fields.
+/// Creates the chapter of all plugins of one kind and the types of their fields.
 fn plugin_chapter(family: &'static PluginFamily, field: &'static DocField) -> DocChapter {
     let mut topics = Vec::new();
     let mut types = Vec::new();
     for member in (family.members)() {
         let value = member.text.and_then(Value::new);
         if let Some(docs) = member.docs {
-            parts(docs.fields(), value.as_ref().ok(), &mut types);
+            collect_fields(docs.fields(), value.as_ref().ok(), &mut types);
         }
         topics.push(DocItem { name: member.name.into(), fields: Vec::new(), docs: member.docs, value });
     }
@@ -94,11 +94,11 @@ fn plugin_chapter(family: &'static PluginFamily, field: &'static DocField) -> Do
     DocChapter { name: family.kind.into(), field: Some(field.name), about: prose::line(field.text), topics }
 }
 
-/// Chapter of the experiment file.
-fn experiment() -> DocChapter {
+/// Creates the chapter of the experiment file.
+fn experiment_chapter() -> DocChapter {
     use pwrfgs::experiment::sweep::{Experiment, Slurm};
     let mut topics = Vec::new();
-    collect(Docs::of::<Experiment>(), EXPERIMENT, None, &mut topics);
+    collect_type(Docs::of::<Experiment>(), EXPERIMENT, None, &mut topics);
     if let Some(slurm) = topics.iter_mut().find(|topic| topic.name == "Slurm") {
         slurm.value = Value::new(to_ron(&Slurm::default()));
     }
@@ -107,10 +107,10 @@ fn experiment() -> DocChapter {
 }
 
 /// Collects the type of `field` and, recursively, the types of its fields, each once.
-fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topics: &mut Vec<DocItem>) {
-    if let Some(known) = topics.iter_mut().find(|t| t.docs.is_some_and(|d| d.name == docs.name)) {
-        if !known.fields.contains(&field) {
-            known.fields.push(field);
+fn collect_type(docs: &'static Docs, field: &'static str, value: Option<&Value>, topics: &mut Vec<DocItem>) {
+    if let Some(topic) = topics.iter_mut().find(|t| t.docs.is_some_and(|d| d.name == docs.name)) {
+        if !topic.fields.contains(&field) {
+            topic.fields.push(field);
         }
         return;
     }
@@ -121,24 +121,24 @@ fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topi
         value: value.cloned().ok_or_else(|| "a required field has no default".into()),
     });
     match docs.body {
-        DocBody::Fields(fields) => parts(fields, value, topics),
-        DocBody::Variants(variants) => variants.iter().for_each(|v| parts(v.fields, None, topics)),
+        DocBody::Fields(fields) => collect_fields(fields, value, topics),
+        DocBody::Variants(variants) => variants.iter().for_each(|v| collect_fields(v.fields, None, topics)),
     }
 }
 
-fn parts(fields: &'static [DocField], value: Option<&Value>, topics: &mut Vec<DocItem>) {
+fn collect_fields(fields: &'static [DocField], value: Option<&Value>, topics: &mut Vec<DocItem>) {
     for field in fields {
-        if let DocKind::Of(docs) = inner(&field.kind) {
+        if let DocKind::Of(docs) = inner_kind(&field.kind) {
             let inside = value.and_then(|v| v.part(field.name));
-            collect(docs, field.name, inside.as_ref(), topics);
+            collect_type(docs, field.name, inside.as_ref(), topics);
         }
     }
 }
 
-/// Kind inside options, lists and maps.
-fn inner(kind: &DocKind) -> DocKind {
+/// Returns the kind inside options, lists and maps.
+fn inner_kind(kind: &DocKind) -> DocKind {
     match kind {
-        DocKind::Optional(kind) | DocKind::List(kind) | DocKind::Map(kind) => inner(kind),
+        DocKind::Optional(kind) | DocKind::List(kind) | DocKind::Map(kind) => inner_kind(kind),
         other => other.clone(),
     }
 }

@@ -1,4 +1,4 @@
-//! `pwrfgs import`: what NumPy saves becomes data that train, and mistakes leave nothing behind.
+//! `pwrfgs import`: NumPy files become data for training, and failed imports write no files.
 
 use crate::common::{SMALL, call, python, refuse, stderr, stdout, succeed, write};
 use pwrfgs::data::npy_header;

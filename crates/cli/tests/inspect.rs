@@ -1,4 +1,4 @@
-//! `pwrfgs inspect` on a folder, on arrays and on a pipeline: what it prints and refuses.
+//! `pwrfgs inspect` on a folder, on arrays and on a pipeline: output and errors.
 use crate::common::{SMALL, refuse, stdout, succeed, write};
 use pwrfgs::data::npy_header;
 use pwrfgs_core::Number;

@@ -1,4 +1,4 @@
-//! Texts are plain and their links lead somewhere: pages, help, and doc comments of plugins and code.
+//! Style and links of pages, help texts, and doc comments of plugins and code.
 //!
 //! The rules are in CONTRIBUTING.md, chapter "Writing".
 

@@ -1,4 +1,4 @@
-//! `pwrfgs simulate`: a folder that the rest of the program reads, and mistakes that leave nothing behind.
+//! `pwrfgs simulate`: folders that the other commands read, and failed simulations, which write no files.
 use crate::common::{call, pwrfgs, stderr, stdout, succeed};
 use std::fs;
 use std::path::Path;

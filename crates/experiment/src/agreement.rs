@@ -1,12 +1,12 @@
 //! `Agreement`: distances of new measurements from the predictions of a model.
 
-use crate::findings::cloud::{extent, side};
+use crate::findings::cloud::{extent, longest_side};
 use crate::inspect::length;
 use crate::session::{Observer, staged};
 use crate::text::{grouped, number};
 use pwrfgs_core::statistics::{quantile, sorted};
 use pwrfgs_core::{Dataset, Image, Predict as _, Result, Task};
-use pwrfgs_model::{Ensemble, IntervalFactors};
+use pwrfgs_model::{Ensemble, Interval, IntervalFactors};
 use rayon::prelude::*;
 
 /// Number of links predicted together.
@@ -22,8 +22,8 @@ pub struct Agreement {
     scores: Vec<f64>,
     /// Level of the intervals, and number of links outside; `None` if the model has no calibration.
     intervals: Option<(f64, usize)>,
-    /// Numbers of transmitters that are extrapolations, and that are farther from the training positions than the length of
-    /// their site, and the limits in metres; `None` if the model has no training positions.
+    /// Numbers of transmitters that are extrapolations, and that are farther from the training positions than the
+    /// length of their site, and the limits in metres; `None` if the model has no training positions.
     positions: Option<[(usize, f64); 2]>,
     transmitters: usize,
 }
@@ -41,57 +41,61 @@ impl Agreement {
             calibration.factors(level).map(|factors| (level, factors))
         });
         let calibration = calibration.transpose()?;
-        let of = |i: &usize| {
+        let score_link = |i: &usize| {
             let (prediction, truth) = (task.shown(ready.predict(data.query(*i))), data.image(*i));
             let score = task.score(&prediction, &truth);
             let deviation = ready.deviation(data.query(*i)).unwrap_or(1.0);
             let is_out = |(_, factors): &(f64, IntervalFactors)| {
-                is_outside(factors, (task, &prediction, deviation), (&truth, score))
+                is_outside(&factors.interval(task, &prediction, deviation), &truth, score)
             };
             (score, calibration.as_ref().is_some_and(is_out))
         };
         let links: Vec<usize> = (0..data.len()).collect();
-        let found = staged(observer, "comparing with the model", |progress| {
-            let mut all = Vec::with_capacity(links.len());
+        let compared = staged(observer, "comparing with the model", |progress| {
+            let mut compared = Vec::with_capacity(links.len());
             for chunk in links.chunks(CHUNK) {
-                all.par_extend(chunk.par_iter().map(of));
-                progress(all.len(), links.len());
+                compared.par_extend(chunk.par_iter().map(score_link));
+                progress(compared.len(), links.len());
             }
-            all
+            compared
         });
         data.observations.check()?;
-        let outside = found.iter().filter(|(_, is_outside)| *is_outside).count();
-        let scores = sorted(found.into_iter().map(|(score, _)| score));
+        let outside = compared.iter().filter(|(_, is_outside)| *is_outside).count();
+        let scores = sorted(compared.into_iter().map(|(score, _)| score));
         Ok(Self {
             task,
             scores,
             intervals: calibration.map(|(level, _)| (level, outside)),
-            positions: distances(model, data),
+            positions: count_distant(model, data),
             transmitters: data.locations.len(),
         })
     }
 
-    /// Whether most links that should lie inside the intervals of the model lie outside, or most transmitters outside its
-    /// site, where intervals are wide. False for a model without calibration.
+    /// Whether most links that should lie inside the intervals of the model lie outside, or most transmitters outside
+    /// its site, where intervals are wide. False for a model without calibration.
     pub fn is_far(&self) -> bool {
         // With few calibration blocks, the level is low and many links of right data lie outside.
         let count = self.scores.len() as f64;
         let is_outside = |(level, outside): (f64, usize)| count - (outside as f64) < level * count / 2.0;
         let is_elsewhere = self.positions.is_some_and(|[_, (count, _)]| 2 * count > self.transmitters);
-        self.intervals.is_some_and(|own| is_outside(own) || is_elsewhere)
+        self.intervals.is_some_and(|interval| is_outside(interval) || is_elsewhere)
     }
 }
 
-/// Numbers of transmitters beyond the limit of extrapolations and beyond the length of the site, with these limits.
-fn distances(model: &Ensemble, data: &Dataset) -> Option<[(usize, f64); 2]> {
+/// Counts the transmitters beyond the limit of extrapolations and beyond the length of the site, with these limits in
+/// metres.
+fn count_distant(model: &Ensemble, data: &Dataset) -> Option<[(usize, f64); 2]> {
     let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
-    let found = model.training_distances(&positions)?;
-    let site = extent(model.training_positions()).map(side).filter(|site| *site > 0.0)?;
-    Some([found.limit, site].map(|limit| (found.metres.iter().filter(|metres| **metres > limit).count(), limit)))
+    let distances = model.training_distances(&positions)?;
+    let site = extent(model.training_positions()).map(longest_side).filter(|site| *site > 0.0)?;
+    Some(
+        [distances.limit, site].map(|limit| (distances.metres.iter().filter(|metres| **metres > limit).count(), limit)),
+    )
 }
 
 impl std::fmt::Display for Agreement {
-    /// `SSIM 0.931 (median; 0.902 to 0.957, 10 % to 90 %), 3 of 150 spectra outside the 99 % intervals of the model`.
+    /// Writes `SSIM 0.931 (median; 0.902 to 0.957, 10 % to 90 %), 3 of 150 spectra outside the 99 % intervals of the
+    /// model`.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let [low, middle, high] = [0.1, 0.5, 0.9].map(|q| number(quantile(&self.scores, q)));
         write!(f, "{} {middle} (median; {low} to {high}, 10 % to 90 %)", self.task.headline.name)?;
@@ -102,19 +106,14 @@ impl std::fmt::Display for Agreement {
         }
         let beyond = self.positions.into_iter().flatten().filter(|(count, _)| *count > 0);
         beyond.into_iter().try_for_each(|(count, limit)| {
-            let [count, all] = [count, self.transmitters].map(|count| grouped(count as i64));
-            write!(f, ", {count} of {all} transmitters more than {} from all training positions", length(limit))
+            let [count, total] = [count, self.transmitters].map(|count| grouped(count as i64));
+            write!(f, ", {count} of {total} transmitters more than {} from all training positions", length(limit))
         })
     }
 }
 
-/// Whether a measurement with the score of its prediction lies outside the interval: of the SSIM, or of its value.
-fn is_outside(
-    factors: &IntervalFactors,
-    (task, prediction, deviation): (Task, &Image, f64),
-    (truth, score): (&Image, f64),
-) -> bool {
-    let interval = factors.interval(task, prediction, deviation);
+/// Whether a measurement lies outside its interval; `score` is the SSIM of the prediction, if the interval bounds that.
+fn is_outside(interval: &Interval, truth: &Image, score: f64) -> bool {
     match interval.ssim {
         Some(bound) => score < bound,
         None => !(interval.lower.pixels[0]..=interval.upper.pixels[0]).contains(&truth.pixels[0]),

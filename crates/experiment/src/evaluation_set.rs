@@ -20,20 +20,23 @@ const MANY: usize = 4096;
 /// Largest number of pixels per prediction call for larger images; 8 bytes each with the measured ones.
 const PIXELS: usize = 1 << 21;
 
-/// Function that predicts some links and reports how many more are done.
+/// Function that predicts links and reports how many more are done.
 type Predictor<'a> = dyn Fn(&[Query<'_>], &(dyn Fn(usize) + Sync)) -> Vec<Image> + 'a;
 
-/// Receiver of predictions, observations and their links.
-type Show<'a> = dyn FnMut(Vec<Image>, Vec<Image>, &[Link]) -> Result<()> + 'a;
+/// Function that takes the predictions, observations and links of one chunk.
+type Visit<'a> = dyn FnMut(Vec<Image>, Vec<Image>, &[Link]) -> Result<()> + 'a;
 
-/// Model or baseline to score.
+/// Model or baseline, and the metrics to score it by.
 #[derive(Clone, Copy)]
 struct ScoredPredictor<'a> {
+    /// Name in messages.
+    name: &'a str,
+    metrics: &'a [Plugin<dyn Metric>],
     predict: &'a Predictor<'a>,
     /// Facts for model metrics; `None` for a baseline.
     facts: Option<ModelFacts<'a>>,
     /// Function that predicts one link and returns the time per stage; `None` without timing.
-    timed: Option<&'a dyn Fn(Query<'_>) -> StageTimes>,
+    time: Option<&'a dyn Fn(Query<'_>) -> StageTimes>,
 }
 
 /// Returns an error for predictions that are not finite, which would give invalid scores.
@@ -55,7 +58,7 @@ pub struct EvaluationSet<'a> {
 }
 
 impl<'a> EvaluationSet<'a> {
-    /// Creates a bench of the samples `part` on the pixels of `plane`.
+    /// Creates the set of the samples `part` on the pixels of `plane`.
     pub fn new(data: &'a Dataset, part: &[usize], plane: &'a ImagePlane) -> Self {
         Self { data, plane, part: part.to_vec(), links: part.iter().map(|&i| data.links[i]).collect() }
     }
@@ -73,17 +76,19 @@ impl<'a> EvaluationSet<'a> {
         metrics: &[Plugin<dyn Metric>],
         session: &mut Session<'_>,
     ) -> Result<Vec<Measurement>> {
-        let timed = |query: Query<'_>| model.predict_timed(query).1;
-        let scored = ScoredPredictor {
+        let time = |query: Query<'_>| model.predict_timed(query).1;
+        let predictor = ScoredPredictor {
+            name,
+            metrics,
             predict: &|queries, done| {
                 let images = model.predict_many(queries);
                 done(queries.len());
                 images
             },
             facts,
-            timed: facts.is_some().then_some(&timed),
+            time: facts.is_some().then_some(&time),
         };
-        self.measure(name, scored, metrics, session)
+        self.measure(predictor, session)
     }
 
     /// Measures the baseline called `name` by every metric.
@@ -97,70 +102,62 @@ impl<'a> EvaluationSet<'a> {
         metrics: &[Plugin<dyn Metric>],
         session: &mut Session<'_>,
     ) -> Result<Vec<Measurement>> {
-        let timed = |query: Query<'_>| {
+        let time = |query: Query<'_>| {
             let begun = Instant::now();
             std::hint::black_box(fitted.predict(query));
             StageTimes { total: begun.elapsed().as_secs_f64(), ..StageTimes::default() }
         };
         let predict = |queries: &[Query<'_>], done: &(dyn Fn(usize) + Sync)| {
-            let one = |query: &Query<'_>| {
+            let predict_one = |query: &Query<'_>| {
                 let image = fitted.predict(*query);
                 done(1);
                 image
             };
-            queries.par_iter().map(one).collect()
+            queries.par_iter().map(predict_one).collect()
         };
-        self.measure(name, ScoredPredictor { predict: &predict, facts: None, timed: Some(&timed) }, metrics, session)
+        let predictor = ScoredPredictor { name, metrics, predict: &predict, facts: None, time: Some(&time) };
+        self.measure(predictor, session)
     }
 
-    /// All measurements of the predictor `name`, in the order of `metrics`.
-    fn measure(
-        &self,
-        name: &str,
-        scored: ScoredPredictor<'_>,
-        metrics: &[Plugin<dyn Metric>],
-        session: &mut Session<'_>,
-    ) -> Result<Vec<Measurement>> {
-        let mut found: Vec<Vec<Measurement>> = vec![Vec::new(); metrics.len()];
-        let together = metrics.iter().any(|m| m.scope() == Scope::All);
+    /// Measures a predictor by all its metrics, in their order.
+    fn measure(&self, predictor: ScoredPredictor<'_>, session: &mut Session<'_>) -> Result<Vec<Measurement>> {
+        let (ScoredPredictor { name, metrics, .. }, stop) = (predictor, session.stop);
+        let evaluation = Evaluation { model: predictor.facts, ..Evaluation::of(self.data, self.plane) };
+        let mut measurements: Vec<Vec<Measurement>> = vec![Vec::new(); metrics.len()];
+        let needs_all = metrics.iter().any(|m| m.scope() == Scope::All);
         let (mut predictions, mut truths) = (Vec::new(), Vec::new());
-        let stop = session.stop;
         staged(session.observer, &format!("predicting with {name}"), |progress| {
-            self.chunks(scored, stop, progress, &mut |some, of_them, links| {
-                refuse_infinite(name, &some)?;
-                let inputs = self.inputs(&some, &of_them, links, scored.facts, None);
-                for (found, metric) in found.iter_mut().zip(metrics).filter(|(_, m)| m.scope() == Scope::Sample) {
-                    append_measurements(found, metric.evaluate(&inputs)?, some.len())?;
+            self.predict_chunks(predictor.predict, stop, progress, &mut |predicted, measured, links| {
+                refuse_infinite(name, &predicted)?;
+                let chunk = Evaluation { predictions: &predicted, truths: &measured, links, ..evaluation };
+                let per_sample = |(_, metric): &(_, &Plugin<dyn Metric>)| metric.scope() == Scope::Sample;
+                for (so_far, metric) in measurements.iter_mut().zip(metrics).filter(per_sample) {
+                    append_measurements(so_far, metric.evaluate(&chunk)?, predicted.len())?;
                 }
-                if together {
-                    predictions.extend(some);
-                    truths.extend(of_them);
+                if needs_all {
+                    predictions.extend(predicted);
+                    truths.extend(measured);
                 }
                 Ok(())
             })
         })?;
         session.check_stopped()?;
         if !self.part.is_empty() && metrics.iter().all(|m| m.scope() == Scope::Sample) {
-            return Ok(found.into_iter().flatten().collect());
+            return Ok(measurements.into_iter().flatten().collect());
         }
-        // Timed links are predicted one by one.
-        let next = Cell::new(0);
-        let timed = |one: &dyn Fn(Query<'_>) -> StageTimes| {
-            next.set(next.get() + 1);
-            one(self.data.query(self.part[(next.get() - 1) % self.part.len()]))
-        };
-        let timed = scored.timed.map(|one| move || timed(one));
-        let timed = timed.as_ref().map(|timed| timed as &dyn Fn() -> StageTimes);
+        // Latency is that of links predicted one by one.
+        let count = &Cell::new(0);
+        let timer = predictor.time.map(|time| move || self.time_next(time, count));
+        let timed_prediction = timer.as_ref().map(|timer| timer as &dyn Fn() -> StageTimes);
+        let whole = Evaluation { timed_prediction, ..evaluation };
+        let all = Evaluation { predictions: &predictions, truths: &truths, links: &self.links, ..whole };
         staged(session.observer, &format!("scoring {name}"), |progress| {
-            for (k, (found, metric)) in found.iter_mut().zip(metrics).enumerate() {
+            for (k, (measured, metric)) in measurements.iter_mut().zip(metrics).enumerate() {
                 match metric.scope() {
-                    Scope::All => {
-                        let all = self.inputs(&predictions, &truths, &self.links, scored.facts, timed);
-                        *found = metric.evaluate(&all)?;
-                    }
-                    Scope::Model => *found = metric.evaluate(&self.inputs(&[], &[], &[], scored.facts, timed))?,
+                    Scope::All => *measured = metric.evaluate(&all)?,
+                    Scope::Model => *measured = metric.evaluate(&whole)?,
                     Scope::Sample if self.part.is_empty() => {
-                        *found = metric.evaluate(&self.inputs(&[], &[], &[], None, None))?;
+                        *measured = metric.evaluate(&Evaluation { model: None, timed_prediction: None, ..whole })?;
                     }
                     Scope::Sample => {}
                 }
@@ -168,16 +165,23 @@ impl<'a> EvaluationSet<'a> {
             }
             Ok(())
         })?;
-        Ok(found.into_iter().flatten().collect())
+        Ok(measurements.into_iter().flatten().collect())
     }
 
-    /// Passes predictions and observations to `show`, chunk by chunk; `progress` counts samples.
-    fn chunks(
+    /// Times the prediction of the next sample in turn.
+    fn time_next(&self, time: &dyn Fn(Query<'_>) -> StageTimes, count: &Cell<usize>) -> StageTimes {
+        let next = count.replace(count.get() + 1) % self.part.len();
+        time(self.data.query(self.part[next]))
+    }
+
+    /// Predicts the samples chunk by chunk and passes predictions and observations to `visit`; `progress` counts
+    /// samples.
+    fn predict_chunks(
         &self,
-        scored: ScoredPredictor<'_>,
+        predict: &Predictor<'_>,
         stop: &AtomicBool,
         progress: Progress<'_>,
-        show: &mut Show<'_>,
+        visit: &mut Visit<'_>,
     ) -> Result<()> {
         let numbers = self.plane.width * self.plane.height;
         let size = (PIXELS / numbers.max(1)).clamp(1, if numbers == 1 { MANY } else { CHUNK });
@@ -186,23 +190,12 @@ impl<'a> EvaluationSet<'a> {
         for (part, links) in self.part.chunks(size).zip(self.links.chunks(size)) {
             check_stopped(stop)?;
             let queries: Vec<Query<'_>> = part.iter().map(|&i| self.data.query(i)).collect();
-            let predictions = (scored.predict)(&queries, &report_progress);
+            let predictions = predict(&queries, &report_progress);
             let truths = part.par_iter().map(|&i| self.data.image(i)).collect();
             self.data.observations.check()?;
-            show(predictions, truths, links)?;
+            visit(predictions, truths, links)?;
         }
         Ok(())
-    }
-
-    fn inputs<'b>(
-        &'b self,
-        predictions: &'b [Image],
-        truths: &'b [Image],
-        links: &'b [Link],
-        model: Option<ModelFacts<'b>>,
-        timed_prediction: Option<&'b dyn Fn() -> StageTimes>,
-    ) -> Evaluation<'b> {
-        Evaluation { predictions, truths, links, model, timed_prediction, ..Evaluation::of(self.data, self.plane) }
     }
 }
 
@@ -210,7 +203,7 @@ impl<'a> EvaluationSet<'a> {
 ///
 /// # Errors
 /// The metric does not give one number per sample.
-pub fn append_measurements(all: &mut Vec<Measurement>, more: Vec<Measurement>, count: usize) -> Result<()> {
+pub fn append_measurements(measured: &mut Vec<Measurement>, more: Vec<Measurement>, count: usize) -> Result<()> {
     let broken = |m: &Measurement| {
         Err(Error::Config(format!(
             "the metric `{}` says that it looks at one sample at a time, but does not give one number each; its \
@@ -225,18 +218,18 @@ pub fn append_measurements(all: &mut Vec<Measurement>, more: Vec<Measurement>, c
             return broken(m);
         }
     }
-    if all.is_empty() {
-        *all = more;
+    if measured.is_empty() {
+        *measured = more;
         return Ok(());
     }
-    if all.len() != more.len() {
-        return more.first().or(all.first()).map_or(Ok(()), broken);
+    if measured.len() != more.len() {
+        return more.first().or(measured.first()).map_or(Ok(()), broken);
     }
-    for (all, more) in all.iter_mut().zip(more) {
-        match (&mut all.values, more.values) {
-            (Values::PerSample(all), Values::PerSample(more)) => all.extend(more),
+    for (earlier, more) in measured.iter_mut().zip(more) {
+        match (&mut earlier.values, more.values) {
+            (Values::PerSample(values), Values::PerSample(more)) => values.extend(more),
             (Values::NotApplicable(_), Values::NotApplicable(_)) => {}
-            _ => return broken(all),
+            _ => return broken(earlier),
         }
     }
     Ok(())

@@ -49,6 +49,7 @@ impl Events {
         self.file.sync_data().map_err(|e| Error::write(&self.path, e))
     }
 
+    /// Appends the record of an encoded event.
     fn write(&mut self, event: &[u8]) -> Result<()> {
         self.file.write_all(&record(event)).map_err(|e| Error::write(&self.path, e))
     }
@@ -59,13 +60,13 @@ fn wall_time() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
 }
 
-/// A `TFRecord`.
+/// Frames `data` as a `TFRecord`.
 fn record(data: &[u8]) -> Vec<u8> {
     let length = (data.len() as u64).to_le_bytes();
     [&length[..], &checksum(&length), data, &checksum(data)].concat()
 }
 
-/// Masked CRC-32C of `TFRecord`: rotated and shifted, so that checksums over checksums work.
+/// Computes the masked CRC-32C of `TFRecord`: rotated and shifted, so that checksums over checksums work.
 fn checksum(bytes: &[u8]) -> [u8; 4] {
     let bit = |crc: u32, _| crc >> 1 ^ if crc & 1 == 1 { 0x82f6_3b78 } else { 0 };
     let crc = !bytes.iter().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), bit));
@@ -78,7 +79,7 @@ const DOUBLE: u8 = 1;
 const LENGTH: u8 = 2;
 const FLOAT: u8 = 5;
 
-/// Variable-length integer: seven bits per byte, lowest first.
+/// Encodes a variable-length integer: seven bits per byte, lowest first.
 fn varint(mut value: u64) -> Vec<u8> {
     let mut out = Vec::new();
     while value >= 0x80 {
@@ -89,12 +90,12 @@ fn varint(mut value: u64) -> Vec<u8> {
     out
 }
 
-/// Field of double precision.
+/// Encodes a field of double precision.
 fn number(key: u8, value: f64) -> Vec<u8> {
     [&[key << 3 | DOUBLE][..], &value.to_le_bytes()].concat()
 }
 
-/// Field of text or of a message.
+/// Encodes a field of text or of a message.
 fn bytes(key: u8, value: &[u8]) -> Vec<u8> {
     [&[key << 3 | LENGTH][..], &varint(value.len() as u64), value].concat()
 }

@@ -75,6 +75,7 @@ pub struct FileDigest {
 }
 
 impl FileDigest {
+    /// Computes size and checksum of the content of a file.
     pub(crate) fn of(bytes: &[u8]) -> Self {
         Self { bytes: bytes.len() as u64, sha256: digest(bytes) }
     }
@@ -111,7 +112,7 @@ impl Machine {
 }
 
 impl Facts {
-    /// Facts of a run that resumes in `folder`.
+    /// Opens the facts of a run that starts or resumes in `folder`.
     pub(crate) fn open(folder: &Path, seed: u64) -> Result<Self> {
         let old = Self::read(folder)?.unwrap_or_else(|| Self { started: now(), ..Self::default() });
         Ok(Self {
@@ -142,17 +143,17 @@ impl Facts {
         })
     }
 
-    /// Scores and facts of a finished run.
+    /// Reads scores and facts of a finished run.
     ///
     /// # Errors
     /// Same as [`Self::read`].
     pub fn finished(folder: &Path) -> Result<Option<(ScoreTable, Self)>> {
         let Some(facts) = Self::read(folder)? else { return Ok(None) };
-        let stands = |name: &str| folder.join(name).is_file();
-        let marked = |name: &&str| facts.files.contains_key(*name);
-        let complete = [MODEL_FILE, SCORES, SAMPLES].into_iter().all(stands)
-            && (!facts.report || stands(REPORT))
-            && REMADE.into_iter().filter(marked).all(stands);
+        let exists = |name: &str| folder.join(name).is_file();
+        let is_sealed = |name: &&str| facts.files.contains_key(*name);
+        let complete = [MODEL_FILE, SCORES, SAMPLES].into_iter().all(exists)
+            && (!facts.report || exists(REPORT))
+            && REMADE.into_iter().filter(is_sealed).all(exists);
         let scores = facts.scores.clone().filter(|_| complete && facts.finished.is_some());
         Ok(scores.map(|scores| (scores, facts)))
     }
@@ -181,12 +182,12 @@ impl Facts {
     /// # Errors
     /// The file is damaged or missing.
     pub fn verify_file(&self, folder: &Path, name: &str) -> Result<()> {
-        let Some(mark) = self.files.get(name) else { return Ok(()) };
+        let Some(expected) = self.files.get(name) else { return Ok(()) };
         let path = folder.join(name);
-        let found = match if_found(&path, files::read(&path))? {
-            Some(bytes) if FileDigest::of(&bytes) == *mark => return Ok(()),
-            Some(bytes) if bytes.len() as u64 == mark.bytes => "its content differs".to_owned(),
-            Some(bytes) => format!("it has {} bytes, expected {}", bytes.len(), mark.bytes),
+        let problem = match if_found(&path, files::read(&path))? {
+            Some(bytes) if FileDigest::of(&bytes) == *expected => return Ok(()),
+            Some(bytes) if bytes.len() as u64 == expected.bytes => "its content differs".to_owned(),
+            Some(bytes) => format!("it has {} bytes, expected {}", bytes.len(), expected.bytes),
             None => "it is missing".into(),
         };
         let advice = if REMADE.contains(&name) {
@@ -194,7 +195,7 @@ impl Facts {
         } else {
             "copy it again, or remove the folder and run again"
         };
-        Err(Error::input(&path, format!("does not match {FACTS}: {found}; {advice}")))
+        Err(Error::input(&path, format!("does not match {FACTS}: {problem}; {advice}")))
     }
 
     /// Updates the largest resident memory.
@@ -212,15 +213,15 @@ impl Facts {
 /// Version of the program, such as `0.1.0 (1f0a2b3c4d)` with the start of the git commit that it was built from.
 pub const VERSION: &str = env!("PWRFGS_VERSION");
 
-/// Current time, such as `2026-11-21T09:49:19Z`.
+/// Returns the current time, such as `2026-11-21T09:49:19Z`.
 pub(crate) fn now() -> String {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-    rfc3339(seconds)
+    format_time(seconds)
 }
 
 /// Formats seconds since 1970 as a Gregorian date.
-fn rfc3339(seconds: u64) -> String {
-    let (mut days, rest) = (seconds / 86_400, seconds % 86_400);
+fn format_time(seconds: u64) -> String {
+    let (mut days, second_of_day) = (seconds / 86_400, seconds % 86_400);
     let leap = |year: u64| year.is_multiple_of(4) && !year.is_multiple_of(100) || year.is_multiple_of(400);
     let mut year = 1970;
     while days >= 365 + u64::from(leap(year)) {
@@ -236,24 +237,25 @@ fn rfc3339(seconds: u64) -> String {
         days -= length;
         month += 1;
     }
-    let (hours, minutes, seconds) = (rest / 3600, rest / 60 % 60, rest % 60);
+    let (hours, minutes, seconds) = (second_of_day / 3600, second_of_day / 60 % 60, second_of_day % 60);
     format!("{year:04}-{month:02}-{:02}T{hours:02}:{minutes:02}:{seconds:02}Z", days + 1)
 }
 
-/// Largest resident memory of this process, bytes; 0 if unavailable.
+/// Returns the largest resident memory of this process, bytes; 0 if unavailable.
 pub(crate) fn peak_memory() -> u64 {
     let status = files::read_string("/proc/self/status").unwrap_or_default();
-    kib(&status, "VmHWM:").unwrap_or(0)
+    read_kib(&status, "VmHWM:").unwrap_or(0)
 }
 
-/// Memory available to this process, bytes: the minimum of free memory, the limit of the control group (a job of Slurm,
-/// a container) and `ulimit -v`; `None` if unavailable.
+/// Returns the memory available to this process, bytes: the minimum of free memory, the limit of the control group (a
+/// job of Slurm, a container) and `ulimit -v`; `None` if unavailable.
 pub(crate) fn free_memory() -> Option<u64> {
-    let machine = kib(&files::read_string("/proc/meminfo").unwrap_or_default(), "MemAvailable:");
-    [machine, control_group(), address_space()].into_iter().flatten().min()
+    let machine = read_kib(&files::read_string("/proc/meminfo").unwrap_or_default(), "MemAvailable:");
+    [machine, free_in_control_group(), free_address_space()].into_iter().flatten().min()
 }
 
-/// Load average of the machine over the last minute, and its number of cores; `None` if the system does not report it.
+/// Returns the load average of the machine over the last minute, and its number of cores; `None` if the system does
+/// not report it.
 pub(crate) fn load_average() -> Option<(f64, usize)> {
     let text = files::read_string("/proc/loadavg").ok()?;
     let load = text.split_whitespace().next()?.parse().ok()?;
@@ -263,27 +265,27 @@ pub(crate) fn load_average() -> Option<(f64, usize)> {
     (cores > 0).then_some((load, cores))
 }
 
-/// Number after `name` in a file of lines such as `VmHWM:  1234 kB`.
-fn kib(text: &str, name: &str) -> Option<u64> {
+/// Reads the number after `name` in a file of lines such as `VmHWM:  1234 kB`.
+fn read_kib(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
-/// Remaining memory of the control group (version 2), if limited.
-fn control_group() -> Option<u64> {
-    let own = files::read_string("/proc/self/cgroup").ok()?;
-    let path = own.lines().find_map(|line| line.strip_prefix("0::"))?.trim();
+/// Returns the remaining memory of the control group (version 2), if limited.
+fn free_in_control_group() -> Option<u64> {
+    let groups = files::read_string("/proc/self/cgroup").ok()?;
+    let path = groups.lines().find_map(|line| line.strip_prefix("0::"))?.trim();
     let number =
         |file: &str| files::read_string(format!("/sys/fs/cgroup{path}/{file}")).ok()?.trim().parse::<u64>().ok();
     Some(number("memory.max")?.saturating_sub(number("memory.current")?))
 }
 
-/// Remaining address space of `ulimit -v`, if limited.
-fn address_space() -> Option<u64> {
+/// Returns the remaining address space of `ulimit -v`, if limited.
+fn free_address_space() -> Option<u64> {
     let limits = files::read_string("/proc/self/limits").ok()?;
     let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
     let limit = line.split_whitespace().next()?.parse::<u64>().ok()?;
-    let used = kib(&files::read_string("/proc/self/status").ok()?, "VmSize:")?;
+    let used = read_kib(&files::read_string("/proc/self/status").ok()?, "VmSize:")?;
     Some(limit.saturating_sub(used))
 }
 
@@ -315,9 +317,9 @@ mod tests {
 
     #[test]
     fn dates_follow_the_calendar() {
-        assert_eq!(rfc3339(0), "1970-01-01T00:00:00Z");
-        assert_eq!(rfc3339(951_782_400), "2000-02-29T00:00:00Z");
-        assert_eq!(rfc3339(1_795_254_559), "2026-11-21T09:49:19Z");
+        assert_eq!(format_time(0), "1970-01-01T00:00:00Z");
+        assert_eq!(format_time(951_782_400), "2000-02-29T00:00:00Z");
+        assert_eq!(format_time(1_795_254_559), "2026-11-21T09:49:19Z");
     }
 
     #[test]
@@ -325,7 +327,7 @@ mod tests {
         if cfg!(target_os = "linux") {
             assert!(peak_memory() > 1_000_000 && free_memory().is_some_and(|bytes| bytes > 1_000_000));
         }
-        assert_eq!(kib("VmRSS:\t  12 kB\nVmHWM:\t    7 kB\n", "VmHWM:"), Some(7 * 1024));
-        assert_eq!(kib("VmHWM: unlimited\n", "VmHWM:"), None);
+        assert_eq!(read_kib("VmRSS:\t  12 kB\nVmHWM:\t    7 kB\n", "VmHWM:"), Some(7 * 1024));
+        assert_eq!(read_kib("VmHWM: unlimited\n", "VmHWM:"), None);
     }
 }

@@ -26,30 +26,30 @@ const CONSTANT: f64 = 0.05;
 /// Largest number of spectra that are read.
 const SAMPLED: usize = 1_000;
 
-/// Findings on data, and on their split if there is one. Reads at most 1,000 evenly chosen spectra.
+/// Checks data, and their split if there is one, for implausible properties. Reads at most 1,000 evenly chosen spectra.
 ///
 /// # Errors
 /// If a spectrum cannot be read.
 pub fn findings(data: &Dataset, partition: Option<&Partition>) -> Result<Vec<Finding>> {
-    let mut all = Vec::new();
+    let mut findings = Vec::new();
     if data.placed {
-        all.extend(of_positions(data));
+        findings.extend(check_positions(data));
         // The cloud of a camera is of the same reconstruction, without a unit, and cameras may stand around it.
-        all.extend(cloud::finding(data).filter(|_| data.camera().is_none()));
+        findings.extend(cloud::check_cloud(data).filter(|_| data.camera().is_none()));
     }
-    all.extend(data.observations.powers().and_then(of_powers));
-    all.extend(partition.and_then(|partition| of_split(data, partition)));
-    all.extend(of_equal_observations(data));
+    findings.extend(data.observations.powers().and_then(check_powers));
+    findings.extend(partition.and_then(|partition| check_split(data, partition)));
+    findings.extend(check_equal_observations(data));
     if data.task().has_pixels && data.camera().is_none() {
         let summaries = spectra::summarize(data, SAMPLED, &|_, _| {})?;
-        all.extend(of_constant_spectra(&summaries));
-        all.extend(pose::check_pose(data, &summaries).and_then(|pose| pose.finding(data)));
+        findings.extend(check_constant_spectra(&summaries));
+        findings.extend(pose::check_pose(data, &summaries).and_then(|pose| pose.finding(data)));
     }
-    Ok(all)
+    Ok(findings)
 }
 
-/// Positions that are not in metres, or all equal.
-fn of_positions(data: &Dataset) -> Option<Finding> {
+/// Finds positions that are not in metres, or all equal.
+fn check_positions(data: &Dataset) -> Option<Finding> {
     let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
     let (first, count) = (*positions.first()?, positions.len());
     if count > 1 && positions.iter().all(|position| *position == first) {
@@ -79,8 +79,8 @@ fn of_positions(data: &Dataset) -> Option<Finding> {
     if spacing > SPACING_M { unit(problem, "centimetres, millimetres or degrees") } else { None }
 }
 
-/// Powers that are not in dBm.
-fn of_powers(powers: &[Real]) -> Option<Finding> {
+/// Finds powers that are not in dBm.
+fn check_powers(powers: &[Real]) -> Option<Finding> {
     let powers: Vec<f64> = powers.iter().map(|dbm| *dbm as f64).collect();
     let (count, strong) = (powers.len(), powers.iter().filter(|dbm| **dbm > STRONG_DBM).count());
     let problem = if powers.iter().all(|dbm| dbm.abs() <= FAINT_MW) {
@@ -99,30 +99,30 @@ fn of_powers(powers: &[Real]) -> Option<Finding> {
     Some(Finding::new("power-unit", count, problem, "if these are milliwatts, give 10 * log10(mW)"))
 }
 
-/// Training and test sets that were probably swapped.
-fn of_split(data: &Dataset, partition: &Partition) -> Option<Finding> {
-    let (known, test) = (partition.train.len() + partition.validation.len(), partition.test.len());
+/// Finds training and test sets that were probably swapped.
+fn check_split(data: &Dataset, partition: &Partition) -> Option<Finding> {
+    let (training, test) = (partition.train.len() + partition.validation.len(), partition.test.len());
     let mend = if data.official.as_ref().is_some_and(|(_, official)| *official == partition.test) {
         "if the two are swapped, exchange train_index.txt and test_index.txt"
     } else {
         "if that is not meant, give the split a smaller test share"
     };
-    let problem = format!("{test} test {}, but only {known} to learn from", data.task().counted[1]);
-    (test > known).then(|| Finding::new("split", test, problem, mend))
+    let problem = format!("{test} test {}, but only {training} to learn from", data.task().counted[1]);
+    (test > training).then(|| Finding::new("split", test, problem, mend))
 }
 
-/// Observations that are all equal.
-fn of_equal_observations(data: &Dataset) -> Option<Finding> {
+/// Finds observations that are all equal.
+fn check_equal_observations(data: &Dataset) -> Option<Finding> {
     let (count, first) = (data.len(), data.observations.raw(0));
     let are_equal = count > 1 && (1..count).all(|i| data.observations.raw(i) == first);
     let problem = format!("all {count} {} are equal, so nothing depends on the transmitter", data.task().plural);
     are_equal.then(|| Finding::new("equal-observations", count, problem, "check the files they came from"))
 }
 
-/// Constant spectra, such as black ones, unless all are equal.
-fn of_constant_spectra(read: &[spectra::SpectrumSummary]) -> Option<Finding> {
-    let (count, all) = (read.iter().filter(|spectrum| spectrum.strongest.is_none()).count(), read.len());
-    let problem = format!("{count} of {all} spectra have no strongest direction");
-    let is_notable = count < all && count as f64 > CONSTANT * all as f64;
+/// Finds constant spectra, such as black ones, unless all are equal.
+fn check_constant_spectra(summaries: &[spectra::SpectrumSummary]) -> Option<Finding> {
+    let (count, total) = (summaries.iter().filter(|spectrum| spectrum.strongest.is_none()).count(), summaries.len());
+    let problem = format!("{count} of {total} spectra have no strongest direction");
+    let is_notable = count < total && count as f64 > CONSTANT * total as f64;
     is_notable.then(|| Finding::new("constant-spectra", count, problem, "leave out what was not measured"))
 }

@@ -45,24 +45,24 @@ pub const REPORT: &str = "report.html";
 /// Sealed files that a run recreates if they are missing.
 pub(crate) const REMADE: [&str; 5] = [MODEL_FILE, SCORES, SAMPLES, CONFIDENCE, REPORT];
 
-/// Files sealed in `run.json`. The TensorBoard file is excluded, since it grows and no command reads it.
+/// Lists the files sealed in `run.json`. The TensorBoard file is excluded, since it grows and no command reads it.
 pub(crate) fn sealed() -> impl Iterator<Item = &'static str> {
     let written_once = [CURVE, VALIDATION, START_SNAPSHOT, UNPRUNED_SNAPSHOT];
     REMADE.into_iter().chain(written_once).chain(PRUNED_SNAPSHOTS)
 }
 
-/// All possible snapshots of a training, in the order of their steps, with captions.
+/// Lists all possible snapshots of a training, in the order of their steps, with captions.
 pub fn snapshots() -> impl Iterator<Item = (&'static str, &'static str)> {
     let first = [(START_SNAPSHOT, "At the start"), (UNPRUNED_SNAPSHOT, "Before pruning")];
     first.into_iter().chain(PRUNED_SNAPSHOTS.map(|name| (name, "Pruned")))
 }
 
-/// Snapshot after prune step `round` of `rounds`, counted from 1; `None` if it is not saved.
+/// Returns the snapshot after prune step `round` of `rounds`, counted from 1; `None` if it is not saved.
 pub(crate) fn pruned_snapshot((round, rounds): (u64, u64)) -> Option<&'static str> {
     let most = rounds.min(PRUNED_SNAPSHOTS.len() as u64);
-    let place = |round: u64| (round * most).checked_div(rounds).unwrap_or(0);
-    let is_next = round > 0 && place(round) > place(round - 1);
-    is_next.then(|| PRUNED_SNAPSHOTS[place(round) as usize - 1])
+    let saved_until = |round: u64| (round * most).checked_div(rounds).unwrap_or(0);
+    let is_next = round > 0 && saved_until(round) > saved_until(round - 1);
+    is_next.then(|| PRUNED_SNAPSHOTS[saved_until(round) as usize - 1])
 }
 
 #[cfg(test)]
@@ -71,9 +71,9 @@ mod tests {
 
     #[test]
     fn prune_snapshots_are_spread_over_all_prune_steps() {
-        let all = |rounds: u64| (1..=rounds).filter_map(|k| pruned_snapshot((k, rounds))).collect::<Vec<_>>();
-        assert_eq!(all(3), PRUNED_SNAPSHOTS[..3]);
-        assert_eq!(all(100), PRUNED_SNAPSHOTS);
+        let saved = |rounds: u64| (1..=rounds).filter_map(|k| pruned_snapshot((k, rounds))).collect::<Vec<_>>();
+        assert_eq!(saved(3), PRUNED_SNAPSHOTS[..3]);
+        assert_eq!(saved(100), PRUNED_SNAPSHOTS);
         assert_eq!(pruned_snapshot((100, 100)), Some("pruned-12.safetensors"), "the last is always among them");
         assert_eq!(pruned_snapshot((0, 0)), None, "densification's are not");
     }

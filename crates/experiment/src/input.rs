@@ -13,7 +13,7 @@ pub fn read_pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
     parse(&pipeline_text(path)?, path, set)
 }
 
-/// Text of the pipeline in `path`, or of the shipped one of this name.
+/// Reads the text of the pipeline in `path`, or of the shipped one of this name.
 ///
 /// # Errors
 /// The file cannot be read.
@@ -21,55 +21,56 @@ pub fn pipeline_text(path: &Path) -> Result<String> {
     ShippedFile::read(ShippedFile::PIPELINES, path, MAX_TEXT)
 }
 
-/// Same as [`read_pipeline`], for text that was read from `path`.
+/// Parses a pipeline as [`read_pipeline`] does, from text that was read from `path`.
 pub(crate) fn parse(text: &str, path: &Path, set: &[String]) -> Result<Pipeline> {
     let mut draft = parse_base(text, path)?;
-    set_all(&mut draft, set)?;
+    apply_arguments(&mut draft, set)?;
     draft.finish().map_err(EditFault::in_arguments)?.resolved()
 }
 
-/// Reads the pipeline in `path`, relative to `here`, or the shipped one of this name; unchanged, with absolute paths.
-pub(crate) fn read_base(here: &Path, path: &Path) -> Result<PipelineEdit> {
-    if let Some(file) = ShippedFile::find(ShippedFile::PIPELINES, here, path) {
+/// Reads the pipeline in `path`, relative to `folder`, or the shipped one of this name; unchanged, with absolute paths.
+pub(crate) fn read_base(folder: &Path, path: &Path) -> Result<PipelineEdit> {
+    if let Some(file) = ShippedFile::find(ShippedFile::PIPELINES, folder, path) {
         return parse_base(&file.text(), path);
     }
-    let path = here.join(path);
+    let path = folder.join(path);
     parse_base(&pipeline_text(&path)?, &path)
 }
 
+/// Parses a pipeline without applying its scale; its paths become absolute.
 fn parse_base(text: &str, path: &Path) -> Result<PipelineEdit> {
     let mut draft = PipelineEdit::of(&Pipeline::parse(text, path)?)?;
-    change(&mut draft, &[], path.parent().unwrap_or(Path::new(""))).map_err(EditFault::in_arguments)?;
+    apply_changes(&mut draft, &[], path.parent().unwrap_or(Path::new(""))).map_err(EditFault::in_arguments)?;
     Ok(draft)
 }
 
-/// Applies changes of a file in the folder `here`, to which their paths are relative.
+/// Applies changes of a file in `folder`, to which their paths are relative.
 ///
 /// # Errors
 /// An invalid change.
-pub(crate) fn change(draft: &mut PipelineEdit, changes: &[Change], here: &Path) -> Result<(), EditFault> {
+pub(crate) fn apply_changes(draft: &mut PipelineEdit, changes: &[Change], folder: &Path) -> Result<(), EditFault> {
     changes.iter().try_for_each(|change| draft.set(change))?;
-    draft.rebase(&|path| absolute(here, path))
+    draft.rebase(&|path| absolute(folder, path))
 }
 
 /// Applies `--set` arguments; their paths are relative to the current directory.
 ///
 /// # Errors
 /// An invalid argument.
-pub(crate) fn set_all(draft: &mut PipelineEdit, set: &[String]) -> Result<()> {
+pub(crate) fn apply_arguments(draft: &mut PipelineEdit, set: &[String]) -> Result<()> {
     let changes: Vec<Change> = set.iter().map(|argument| Change::argument(argument)).collect::<Result<_>>()?;
-    change(draft, &changes, Path::new("")).map_err(EditFault::in_arguments)
+    apply_changes(draft, &changes, Path::new("")).map_err(EditFault::in_arguments)
 }
 
-/// Pipeline ready to run: paths relative to `base`, and the scale applied.
+/// Makes a pipeline ready to run: resolves its paths from `base` and applies the scale.
 ///
 /// # Errors
 /// Errors of [`Pipeline::rebased`] and [`Pipeline::resolved`].
-pub(crate) fn prepared(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
+pub(crate) fn resolve(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
     rebased(pipeline, base)?.resolved()
 }
 
-/// Pipeline with every relative path resolved from `base`.
+/// Returns the pipeline with every relative path resolved from `base`.
 ///
 /// # Errors
 /// Same as [`Pipeline::rebased`].
@@ -77,7 +78,7 @@ pub fn rebased(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
     pipeline.rebased(&|path| absolute(base, path))
 }
 
-/// Absolute form of `path`, relative to `base`; the name of a shipped scene stays as it is.
+/// Returns the absolute form of `path`, relative to `base`; the name of a shipped scene stays as it is.
 pub(crate) fn absolute(base: &Path, path: &Path) -> PathBuf {
     if ShippedFile::find(ShippedFile::SCENES, base, path).is_some() {
         return path.into();

@@ -6,7 +6,7 @@ pub use crate::findings::pose::{Correction, PoseCheck, PoseVerdict};
 use crate::evaluation_set::EvaluationSet;
 use crate::facts::{free_memory, load_average, peak_memory};
 use crate::findings::{cloud, pose, spectra};
-use crate::input::prepared;
+use crate::input::resolve;
 use crate::load::{SplitData, load, observed};
 use crate::repeatability::{ceiling, in_order};
 use crate::residuals::check_residuals;
@@ -15,7 +15,7 @@ use crate::scores::CEILING;
 use crate::session::{Observer, Session, staged};
 use crate::statistics::Summary;
 use crate::text::{aligned, grouped, number, wrapped};
-use crate::training::fitting;
+use crate::training::new_trainer;
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::statistics::{median, quantile, sorted};
@@ -77,13 +77,13 @@ pub struct Preview {
 /// All errors of [`crate::run`] before its first step.
 pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<Preview> {
     let load_before = load_average();
-    let pipeline = prepared(pipeline, base)?;
+    let pipeline = resolve(pipeline, base)?;
     let split = load(&pipeline, base, observer)?;
     let SplitData { data, partition } = &split;
     pipeline.check_data(data)?;
     check_residuals(&pipeline, &split, false)?;
     let mut loaded_bytes = 0;
-    let trainer = fitting(&pipeline, || {
+    let trainer = new_trainer(&pipeline, || {
         let trainer = Trainer::sketch(&pipeline.plan()?, data, partition)?;
         loaded_bytes = peak_memory(); // before a step is tried, which is counted by itself
         Ok(trainer)
@@ -124,16 +124,16 @@ impl DataSummary {
     pub fn of(data: &Dataset, most: usize, observer: &mut dyn Observer) -> Result<Self> {
         let mut summary = Self { facts: Vec::new(), pose: None };
         if data.placed {
-            summary.facts.extend(positions(data));
+            summary.facts.extend(describe_positions(data));
         }
-        summary.facts.push(fixed_ends(data));
-        summary.facts.push(("point cloud", points(data)));
+        summary.facts.push(describe_fixed_ends(data));
+        summary.facts.push(("point cloud", describe_points(data)));
         if !data.task().has_pixels {
-            summary.facts.push(levels(data));
+            summary.facts.push(describe_levels(data));
             return Ok(summary);
         }
         let spectra = staged(observer, "reading the spectra", |progress| spectra::summarize(data, most, progress))?;
-        summary.facts.extend(spectra::facts(data, &spectra));
+        summary.facts.extend(spectra::describe(data, &spectra));
         if data.unmatched != Unmatched::default() {
             let Unmatched { positions, pictures } = data.unmatched;
             let text = format!("{positions} positions without a spectrum, {pictures} spectra without a position");
@@ -147,7 +147,7 @@ impl DataSummary {
     }
 }
 
-/// Text of `pwrfgs inspect`: the summary of `data`, and all splits with their baselines.
+/// Writes the text of `pwrfgs inspect`: the summary of `data`, and all splits with their baselines.
 ///
 /// # Errors
 /// If a baseline or a metric refuses, or a spectrum cannot be read.
@@ -156,22 +156,22 @@ pub fn inspect(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer)
     let is_marked = !data.is_simulated() || data.title.to_lowercase().contains("simulated");
     let mut text = format!("{}{}\n\n", data.title, if is_marked { "" } else { " (simulated)" });
     let ids = [data.locations.first(), data.locations.last()].map(|t| t.map_or(0, |t| t.id));
-    text += &entry("samples", &format!("{}, ids {} to {}", observed(data), ids[0], ids[1]));
-    summary.facts.iter().for_each(|(name, words)| text += &entry(name, words));
+    text += &format_entry("samples", &format!("{}, ids {} to {}", observed(data), ids[0], ids[1]));
+    summary.facts.iter().for_each(|(name, words)| text += &format_entry(name, words));
     if let Some(pose) = &summary.pose {
-        text += &entry("pose", pose.verdict.title());
-        pose.sentences().iter().for_each(|sentence| text += &entry("", sentence));
+        text += &format_entry("pose", pose.verdict.title());
+        pose.sentences().iter().for_each(|sentence| text += &format_entry("", sentence));
     }
     Ok(text + "\n" + &splits_table(pipeline, data, observer)?)
 }
 
-/// Extent, step length between consecutive ids, and positions that occur twice.
-fn positions(data: &Dataset) -> Vec<(&'static str, String)> {
-    let places: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
-    let mut ordered = places.clone();
+/// Describes extent, step length between consecutive ids, and positions that occur twice.
+fn describe_positions(data: &Dataset) -> Vec<(&'static str, String)> {
+    let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
+    let mut ordered = positions.clone();
     ordered.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
     let shared: usize = ordered.chunk_by(|a, b| a == b).map(<[_]>::len).filter(|count| *count > 1).sum();
-    let mut text = cloud::extent(places).map_or_else(String::new, cloud::words);
+    let mut text = cloud::extent(positions).map_or_else(String::new, cloud::describe);
     if shared > 0 {
         _ = write!(text, "; {} at the position of another", grouped(shared as i64));
     }
@@ -191,47 +191,46 @@ fn positions(data: &Dataset) -> Vec<(&'static str, String)> {
     vec![(moving, text), ("steps", steps)]
 }
 
-/// Name and description of the ends that do not move.
-fn fixed_ends(data: &Dataset) -> (&'static str, String) {
+/// Describes the ends that do not move, after their name.
+fn describe_fixed_ends(data: &Dataset) -> (&'static str, String) {
     let list = |numbers: [f64; 3]| numbers.map(|v| format!("{}", v + 0.0)).join(", ");
     let pose = data.scene.origin.world_pose(data.scene.pose());
     if data.scene.moving.is_receiver() {
-        let known = data.scene.has_distances();
-        let position = if known { format!("at ({}) m", list(pose.position)) } else { "at an unknown position".into() };
-        return ("transmitter", position);
+        let position = data.scene.has_distances().then(|| format!("at ({}) m", list(pose.position)));
+        return ("transmitter", position.unwrap_or_else(|| "at an unknown position".into()));
     }
     let names: Vec<&str> = data.scene.receivers.iter().map(|receiver| receiver.name.as_str()).collect();
-    if let [first, second, rest @ ..] = &names[..] {
-        let more = if rest.is_empty() { "" } else { ", .." };
+    if let [first, second, others @ ..] = &names[..] {
+        let more = if others.is_empty() { "" } else { ", .." };
         return ("receiver", format!("{}: {first}, {second}{more}", names.len()));
     }
     let boresight = pose.world_from_receiver().z_axis.to_array().map(|v| (f64::from(v) * 1e3).round() / 1e3);
     ("receiver", format!("at ({}) m, boresight ({})", list(pose.position), list(boresight)))
 }
 
-/// Number and extent of the points of the room.
-fn points(data: &Dataset) -> String {
+/// Describes number and extent of the points of the room.
+fn describe_points(data: &Dataset) -> String {
     let points = &data.scene.points;
     let extent = cloud::extent(points.iter().map(|point| data.scene.origin.world(*point)));
     let count = grouped(points.len() as i64);
-    extent.map_or_else(|| "none".into(), |extent| format!("{count} points, {}", cloud::words(extent)))
+    extent.map_or_else(|| "none".into(), |extent| format!("{count} points, {}", cloud::describe(extent)))
 }
 
-/// Median and range of the levels of all links.
-fn levels(data: &Dataset) -> (&'static str, String) {
+/// Describes median and range of the levels of all links.
+fn describe_levels(data: &Dataset) -> (&'static str, String) {
     let [name, unit] = data.task().level_name;
     let level = |link: usize| data.task().level(&data.image(link));
-    let all = sorted((0..data.len()).map(level).filter(|level| level.is_finite()));
-    let [low, tenth, middle, last, high] = [0.0, 0.1, 0.5, 0.9, 1.0].map(|q| number(quantile(&all, q)));
+    let levels = sorted((0..data.len()).map(level).filter(|level| level.is_finite()));
+    let [low, tenth, middle, last, high] = [0.0, 0.1, 0.5, 0.9, 1.0].map(|q| number(quantile(&levels, q)));
     ("level", format!("{name} {middle} {unit} (median; {tenth} to {last}, 10 % to 90 %; {low} to {high} in all)"))
 }
 
 /// Wraps words into lines; `name` starts the first, and the others are indented.
-fn entry(name: &str, words: &str) -> String {
+fn format_entry(name: &str, words: &str) -> String {
     wrapped(words, [&format!("{name:<INDENT$}"), &" ".repeat(INDENT)], WIDTH)
 }
 
-/// Median distance from a test transmitter to the nearest training transmitter, metres.
+/// Returns the median distance from a test transmitter to the nearest training transmitter, metres.
 pub fn test_distance(data: &Dataset, partition: &Partition) -> f64 {
     let nearest = nearest_train(data, partition);
     median(partition.test.iter().map(|&i| nearest[i] as f64))
@@ -247,19 +246,20 @@ pub fn length(metres: f64) -> String {
     }
 }
 
-/// The split of `pipeline`, marked, and all other registered splits with their defaults.
-fn splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
-    let own = to_ron(&pipeline.split);
-    let name = own.split_whitespace().collect::<Vec<_>>().join(" ").replace("( ", "(").replace(", )", ")");
+/// Lists the split of `pipeline`, marked, and all other registered splits with their defaults.
+fn list_splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
+    let ron = to_ron(&pipeline.split);
+    let name = ron.split_whitespace().collect::<Vec<_>>().join(" ").replace("( ", "(").replace(", )", ")");
     // A fold has the test set of another split.
     let others = registered::<dyn Split>().into_iter().filter(|name| *name != "Fold").filter_map(|name| {
         let split = Plugin::<dyn Split>::parse(&format!("{name}()")).ok()?;
-        (split.ready().is_ok() && to_ron(&split) != own).then(|| (split, format!("{name}()")))
+        (split.ready().is_ok() && to_ron(&split) != ron).then(|| (split, format!("{name}()")))
     });
     [(pipeline.split.clone(), name + " *")].into_iter().chain(others).collect()
 }
 
-/// One line per split: sizes, distance and the mean of the first metric of every baseline, then the noise ceiling.
+/// Formats one line per split: sizes, distance and the mean of the first metric of every baseline, then the noise
+/// ceiling.
 ///
 /// # Errors
 /// If a baseline or a metric refuses, or a spectrum cannot be read.
@@ -271,7 +271,7 @@ fn splits_table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer
     let head = ["split", "train", "test", "nearest training"].map(str::to_owned).into_iter();
     let mut lines: Vec<Vec<String>> = vec![head.chain(names.clone()).chain([CEILING.to_owned()]).collect()];
     let (mut refused, mut key, plane) = (String::new(), String::new(), data.plane());
-    for (split, name) in splits(pipeline) {
+    for (split, name) in list_splits(pipeline) {
         let seed = pipeline.split_seed.unwrap_or(pipeline.seed);
         let partition = match split.split(data, &mut rng::stream(seed, "split", 0)) {
             Ok(partition) => partition,
@@ -282,18 +282,18 @@ fn splits_table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer
         };
         let mut line = vec![name, partition.train.len().to_string(), partition.test.len().to_string()];
         line.push(length(test_distance(data, &partition)));
-        let bench = EvaluationSet::new(data, &evenly(&partition.test, TESTED), &plane);
+        let test = EvaluationSet::new(data, &evenly(&partition.test, TESTED), &plane);
         for (baseline, name) in baselines().zip(&names) {
             let fitted = baseline.fit(data, partition.known())?;
-            let found = bench.baseline(name, &*fitted, &metrics, &mut Session::new(observer))?;
-            found.first().into_iter().for_each(|measurement| key.clone_from(&measurement.key));
-            line.push(match found.first().map(|measurement| &measurement.values) {
+            let measurements = test.baseline(name, &*fitted, &metrics, &mut Session::new(observer))?;
+            measurements.first().into_iter().for_each(|measurement| key.clone_from(&measurement.key));
+            line.push(match measurements.first().map(|measurement| &measurement.values) {
                 Some(Values::PerSample(values)) => number(Summary::of(values, true).mean),
                 _ => "n/a".into(),
             });
         }
-        let limit = ceiling(data, &partition, &metrics, &AtomicBool::new(false))?;
-        line.push(limit.of.first().map_or_else(|| "n/a".into(), |(_, at_zero)| number(at_zero.summary.mean)));
+        let noise_ceiling = ceiling(data, &partition, &metrics, &AtomicBool::new(false))?;
+        line.push(noise_ceiling.of.first().map_or_else(|| "n/a".into(), |(_, at_zero)| number(at_zero.summary.mean)));
         lines.push(line);
     }
     Ok(format!(

@@ -1,6 +1,6 @@
 //! Prediction intervals of a run: calibration on links that a predictor was not fitted to, coverage on the test set.
 
-use crate::load::SplitData;
+use crate::load::{ActiveRun, SplitData};
 use crate::residuals::left_out;
 use crate::scores::{IntervalScores, LEVEL, LevelScores};
 use crate::session::{Session, staged};
@@ -15,31 +15,32 @@ const CHUNK: usize = 64;
 /// Levels that are measured.
 const LEVELS: [f64; 10] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, LEVEL, 0.95];
 
-/// Returns the ensemble with a calibration, unless it has one, there are no links that its members did not train on, or
-/// intervals do not support the observations.
-///
-/// # Errors
-/// A prediction that is not finite, a spectrum that cannot be read, or [`Error::Stopped`].
-pub(crate) fn calibrated(
-    ensemble: Ensemble,
-    pipeline: &Pipeline,
-    split: &SplitData,
-    session: &mut Session<'_>,
-) -> Result<Ensemble> {
-    if ensemble.calibration().is_some() || split.data.task().is_complex {
-        return Ok(ensemble);
+/// Scores of links that a predictor was not fitted to, by link.
+type LinkScores = BTreeMap<usize, HeldOutScores>;
+
+impl ActiveRun<'_, '_> {
+    /// Returns the ensemble with a calibration, unless it has one, there are no links that its members did not train
+    /// on, or intervals do not support the observations.
+    ///
+    /// # Errors
+    /// A prediction that is not finite, a spectrum that cannot be read, or [`Error::Stopped`].
+    pub(crate) fn calibrate(&mut self, ensemble: Ensemble) -> Result<Ensemble> {
+        let split = self.split;
+        if ensemble.calibration().is_some() || split.data.task().is_complex {
+            return Ok(ensemble);
+        }
+        let count = ensemble.members().len();
+        let calibrator = Calibrator::new(self.pipeline, split, count)?;
+        let mut scores = LinkScores::new();
+        for (index, left_out) in calibrator.left_out.iter().enumerate().filter(|(_, links)| !links.is_empty()) {
+            let members = if calibrator.left_out.len() == count { index..index + 1 } else { 0..count };
+            let trained = calibrator.known_without(left_out);
+            let held_out = ensemble.held_out(&members.collect::<Vec<_>>(), &split.data, &trained)?;
+            scores.extend(calibrator.score(&held_out.prepare(), left_out, self.session)?);
+        }
+        let calibration = calibrator.calibration(scores);
+        Ok(ensemble.with_calibration(calibration))
     }
-    let count = ensemble.members().len();
-    let calibrator = Calibrator::new(pipeline, split, count)?;
-    let mut scores = BTreeMap::new();
-    for (index, left_out) in calibrator.left_out.iter().enumerate().filter(|(_, links)| !links.is_empty()) {
-        let members = if calibrator.left_out.len() == count { index..index + 1 } else { 0..count };
-        let trained = calibrator.known_without(left_out);
-        let held_out = ensemble.held_out(&members.collect::<Vec<_>>(), &split.data, &trained)?;
-        calibrator.score(&held_out.prepare(), left_out, &mut scores, session)?;
-    }
-    let calibration = calibrator.calibration(scores);
-    Ok(ensemble.with_calibration(calibration))
 }
 
 /// Links for the calibration of predictors, and for the measurement of their intervals.
@@ -69,36 +70,29 @@ impl<'a> Calibrator<'a> {
         fitted: &dyn Predict,
         session: &mut Session<'_>,
     ) -> Result<Option<IntervalCalibration>> {
-        let mut scores = BTreeMap::new();
+        let mut scores = LinkScores::new();
         for links in self.left_out.iter().filter(|links| !links.is_empty()) {
             let Some(held_out) = fitted.without(links) else { return Ok(None) };
-            self.score(&*held_out, links, &mut scores, session)?;
+            scores.extend(self.score(&*held_out, links, session)?);
         }
         Ok(self.calibration(scores))
     }
 
-    /// Known links without those of a list.
+    /// Lists the known links without `links`.
     fn known_without(&self, links: &[usize]) -> Vec<usize> {
         self.split.partition.known().all().into_iter().filter(|link| links.binary_search(link).is_err()).collect()
     }
 
-    /// Adds the scores of `links`, which `predictor` was not fitted to.
-    fn score(
-        &self,
-        predictor: &dyn Predict,
-        links: &[usize],
-        scores: &mut BTreeMap<usize, HeldOutScores>,
-        session: &mut Session<'_>,
-    ) -> Result<()> {
+    /// Scores `links`, which `predictor` was not fitted to.
+    fn score(&self, predictor: &dyn Predict, links: &[usize], session: &mut Session<'_>) -> Result<LinkScores> {
         let task = self.split.data.task();
-        let of = |shown: &Image, deviation: f64, truth: &Image| HeldOutScores::of(task, shown, deviation, truth);
-        let found = self.each("calibrating intervals", predictor, links, session, of)?;
-        scores.extend(links.iter().copied().zip(found));
-        Ok(())
+        let score = |shown: &Image, deviation: f64, truth: &Image| HeldOutScores::of(task, shown, deviation, truth);
+        let scores = self.score_links("calibrating intervals", predictor, links, session, score)?;
+        Ok(links.iter().copied().zip(scores).collect())
     }
 
-    /// Calibration of the scored links.
-    fn calibration(&self, mut scores: BTreeMap<usize, HeldOutScores>) -> Option<IntervalCalibration> {
+    /// Calibrates by the scored links; `None` with too few blocks.
+    fn calibration(&self, mut scores: LinkScores) -> Option<IntervalCalibration> {
         let links: Vec<usize> = scores.keys().copied().collect();
         let block = |links: Vec<usize>| links.iter().filter_map(|link| scores.remove(link)).collect();
         let blocks: Vec<Vec<HeldOutScores>> =
@@ -106,8 +100,8 @@ impl<'a> Calibrator<'a> {
         IntervalCalibration::new(&blocks)
     }
 
-    /// Measures the intervals of a predictor with its name on the test set. Also returns the columns of `samples.csv`, a row
-    /// per test link; empty with too few blocks.
+    /// Measures the intervals of a predictor with its name on the test set. Also returns the columns of `samples.csv`,
+    /// a row per test link; empty with too few blocks.
     ///
     /// # Errors
     /// As [`calibrated`].
@@ -120,68 +114,71 @@ impl<'a> Calibrator<'a> {
         let (task, test) = (self.split.data.task(), &self.split.partition.test);
         let factors: Vec<(f64, IntervalFactors)> =
             LEVELS.into_iter().filter_map(|level| Some((level, calibration.factors(level).ok()?))).collect();
-        let of = |prediction: &Image, deviation: f64, truth: &Image| {
+        let measure = |prediction: &Image, deviation: f64, truth: &Image| {
             let score = if task.has_pixels { ssim::evaluation(prediction, truth) } else { 0.0 };
-            let one = |(_, factors): &(f64, IntervalFactors)| {
-                Measured::of(&factors.interval(task, prediction, deviation), truth, score)
+            let of_level = |(_, factors): &(f64, IntervalFactors)| {
+                MeasuredInterval::of(&factors.interval(task, prediction, deviation), truth, score)
             };
-            factors.iter().map(one).collect::<Vec<_>>()
+            factors.iter().map(of_level).collect::<Vec<_>>()
         };
-        let found = self.each("measuring intervals", predictor, test, session, of)?;
+        let intervals = self.score_links("measuring intervals", predictor, test, session, measure)?;
         let blocks = self.pipeline.split.blocks(&self.split.data, test);
-        let weight = |own: &Vec<usize>| 1.0 / (blocks.len() * own.len()) as f64;
+        let weight = |block: &Vec<usize>| 1.0 / (blocks.len() * block.len()) as f64;
         let weights: BTreeMap<usize, f64> =
-            blocks.iter().flat_map(|own| own.iter().map(move |link| (*link, weight(own)))).collect();
+            blocks.iter().flat_map(|block| block.iter().map(move |link| (*link, weight(block)))).collect();
         let scores = |(k, (level, _)): (usize, &(f64, IntervalFactors))| {
-            let mean = |of: &dyn Fn(&Measured) -> f64| {
-                test.iter().zip(&found).map(|(link, own)| weights[link] * of(&own[k])).sum::<f64>()
+            let mean = |value: &dyn Fn(&MeasuredInterval) -> f64| {
+                test.iter().zip(&intervals).map(|(link, levels)| weights[link] * value(&levels[k])).sum::<f64>()
             };
-            let ssim = task.has_pixels.then(|| [mean(&|own| own.bound), mean(&|own| f64::from(own.is_above))]);
-            LevelScores { level: *level, coverage: mean(&|own| own.coverage), width: mean(&|own| own.width), ssim }
+            let ssim = task.has_pixels.then(|| [mean(&|interval| interval.bound), mean(&|i| f64::from(i.is_above))]);
+            let (coverage, width) = (mean(&|interval| interval.coverage), mean(&|interval| interval.width));
+            LevelScores { level: *level, coverage, width, ssim }
         };
         let levels = factors.iter().enumerate().map(scores).collect();
-        let place = factors.iter().position(|(level, _)| *level == LEVEL);
-        let columns =
-            |own: &Measured| if task.has_pixels { vec![own.coverage, own.width, own.bound] } else { own.ends.to_vec() };
-        let rows = found.iter().filter_map(|own| Some(columns(&own[place?]))).collect();
+        let shown = factors.iter().position(|(level, _)| *level == LEVEL);
+        let columns = |interval: &MeasuredInterval| {
+            let MeasuredInterval { coverage, width, bound, ends, .. } = *interval;
+            if task.has_pixels { vec![coverage, width, bound] } else { ends.to_vec() }
+        };
+        let rows = intervals.iter().filter_map(|levels| Some(columns(&levels[shown?]))).collect();
         let blocks = [calibration.blocks(), blocks.len()];
         Ok((IntervalScores { predictor: name.to_owned(), blocks, levels }, rows))
     }
 
-    /// Passes the prediction of each link, as it is shown, its deviation and the measurement to `of`, in parallel.
-    fn each<T: Send>(
+    /// Passes the prediction of each link, as it is shown, its deviation and the measurement to `score`, in parallel.
+    fn score_links<T: Send>(
         &self,
         stage: &str,
         predictor: &dyn Predict,
         links: &[usize],
         session: &mut Session<'_>,
-        of: impl Fn(&Image, f64, &Image) -> T + Sync,
+        score: impl Fn(&Image, f64, &Image) -> T + Sync,
     ) -> Result<Vec<T>> {
         let (data, stop) = (&self.split.data, session.stop);
-        let one = |&i: &usize| {
+        let score_link = |&i: &usize| {
             let prediction = data.task().shown(predictor.predict(data.query(i)));
             let deviation = predictor.deviation(data.query(i)).unwrap_or(1.0);
             if !(deviation.is_finite() && prediction.pixels.iter().all(|p| p.is_finite())) {
-                let what = "intervals: a prediction is not finite; train the model again with lower learning rates";
-                return Err(Error::Config(what.into()));
+                let problem = "intervals: a prediction is not finite; train the model again with lower learning rates";
+                return Err(Error::Config(problem.into()));
             }
-            Ok(of(&prediction, deviation, &data.image(i)))
+            Ok(score(&prediction, deviation, &data.image(i)))
         };
         staged(session.observer, stage, |progress| {
-            let mut all = Vec::with_capacity(links.len());
+            let mut scores = Vec::with_capacity(links.len());
             for chunk in links.chunks(CHUNK) {
                 check_stopped(stop)?;
-                all.extend(chunk.par_iter().map(one).collect::<Result<Vec<T>>>()?);
-                progress(all.len(), links.len());
+                scores.extend(chunk.par_iter().map(score_link).collect::<Result<Vec<T>>>()?);
+                progress(scores.len(), links.len());
             }
             data.observations.check()?;
-            Ok(all)
+            Ok(scores)
         })
     }
 }
 
 /// Interval of one link against its measurement.
-struct Measured {
+struct MeasuredInterval {
     /// Share of the values inside the interval.
     coverage: f64,
     /// Mean width.
@@ -194,7 +191,8 @@ struct Measured {
     ends: [f64; 2],
 }
 
-impl Measured {
+impl MeasuredInterval {
+    /// Compares an interval with its measurement; `score` is the SSIM of the prediction.
     fn of(interval: &Interval, truth: &Image, score: f64) -> Self {
         let Interval { lower, upper, ssim } = interval;
         let ends = || lower.pixels.iter().zip(&upper.pixels);

@@ -18,7 +18,7 @@ const DENSE_STEPS: u64 = 2_000;
 /// Header of `curve.csv`.
 const CURVE_HEADER: &str = "step,phase,loss,penalty,gaussians,seconds";
 /// Prefix of the tags of `validation.csv` in TensorBoard.
-const LOOK: &str = "validation/";
+const VALIDATION_PREFIX: &str = "validation/";
 
 /// The open files.
 #[derive(Debug)]
@@ -48,20 +48,21 @@ impl Journal {
     /// Rewrites the events of earlier rows, in their original order.
     fn replay(&mut self, rows: &[String], validations: &[String]) -> Result<()> {
         let of_curve = rows.iter().map(|row| (step_of(row), "", &self.curve.header, row));
-        let of_looks = validations.iter().map(|row| (step_of(row), LOOK, &self.validation_series.header, row));
-        let mut all: Vec<_> = of_curve.chain(of_looks).collect();
-        all.sort_by_key(|(step, ..)| *step);
+        let of_validations =
+            validations.iter().map(|row| (step_of(row), VALIDATION_PREFIX, &self.validation_series.header, row));
+        let mut events: Vec<_> = of_curve.chain(of_validations).collect();
+        events.sort_by_key(|(step, ..)| *step);
         let mut ago = 0.0;
-        for (step, prefix, header, row) in all {
+        for (step, prefix, header, row) in events {
             if prefix.is_empty() {
                 ago = self.seconds - seconds_of(row);
             }
-            self.events.as_mut().map_or(Ok(()), |events| events.push(step, &scalars(prefix, header, row), ago))?;
+            self.events.as_mut().map_or(Ok(()), |file| file.push(step, &scalars(prefix, header, row), ago))?;
         }
         Ok(())
     }
 
-    /// Seconds inside training steps, summed over all starts.
+    /// Returns the seconds inside training steps, summed over all starts.
     pub(crate) fn seconds(&self) -> f64 {
         self.seconds
     }
@@ -83,9 +84,9 @@ impl Journal {
         let Validation { step, values: [mean, median, third], .. } = validations;
         let row = format!("{step},{mean},{median},{third}");
         self.validation_series.push(&row)?;
-        self.events
-            .as_mut()
-            .map_or(Ok(()), |events| events.push(*step, &scalars(LOOK, &self.validation_series.header, &row), 0.0))
+        self.events.as_mut().map_or(Ok(()), |events| {
+            events.push(*step, &scalars(VALIDATION_PREFIX, &self.validation_series.header, &row), 0.0)
+        })
     }
 
     /// Records the mean of each metric on the test set at the last step, for TensorBoard.
@@ -107,17 +108,17 @@ impl Journal {
     }
 }
 
-/// First number of a row: the step.
+/// Reads the first number of a row: the step.
 fn step_of(row: &str) -> u64 {
     row.split(',').next().and_then(|step| step.parse().ok()).unwrap_or(0)
 }
 
-/// Last number of a row of `curve.csv`: seconds.
+/// Reads the last number of a row of `curve.csv`: seconds.
 fn seconds_of(row: &str) -> f64 {
     row.rsplit(',').next().and_then(|seconds| seconds.parse().ok()).unwrap_or(0.0)
 }
 
-/// Values of a row, by `prefix` and column names.
+/// Reads the values of a row, by `prefix` and column names.
 fn scalars(prefix: &str, header: &str, row: &str) -> Vec<(String, f64)> {
     let named = header.split(',').zip(row.split(',')).filter(|(name, _)| !["step", "phase", "seconds"].contains(name));
     named.filter_map(|(name, value)| Some((format!("{prefix}{name}"), value.parse().ok()?))).collect()
@@ -147,24 +148,24 @@ impl Series {
         let old = String::from_utf8_lossy(&old);
         let mut text = format!("{header}\n");
         let (mut rows, mut broken) = (Vec::new(), None);
-        let damaged = |line: usize, what: &str| {
-            Error::at(path, line, 1, format!("{what}; repair the file, or remove it to resume without its rows"))
+        let damaged = |line: usize, problem: &str| {
+            Error::at(path, line, 1, format!("{problem}; repair the file, or remove it to resume without its rows"))
         };
         let mut lines = old.split_inclusive('\n').zip(1..);
         if done > 0 && lines.next().is_some_and(|(first, _)| first != text) {
             return Err(damaged(1, &format!("the first line is not `{header}`")));
         }
-        for (line, place) in lines {
+        for (line, number) in lines {
             match line.split(',').next().and_then(|step| step.parse::<u64>().ok()) {
                 Some(step) if step <= done && line.ends_with('\n') => {
-                    if let Some(place) = broken {
-                        return Err(damaged(place, "this row does not begin with a step, but rows follow"));
+                    if let Some(number) = broken {
+                        return Err(damaged(number, "this row does not begin with a step, but rows follow"));
                     }
                     text.push_str(line);
                     rows.push(line.trim_end().to_owned());
                 }
                 Some(_) => {}
-                None => broken = broken.or(Some(place)),
+                None => broken = broken.or(Some(number)),
             }
         }
         write_atomically(path, text.as_bytes())?;

@@ -1,11 +1,12 @@
 //! Loads and splits the data of a pipeline, describes their size, and warns of [findings](crate::findings()).
 
 use crate::findings::{Finding, findings};
-use crate::session::{Observer, staged};
+use crate::session::{Observer, Session, staged};
 use crate::text::grouped;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
+use std::time::Instant;
 
 /// Data set with its split.
 #[derive(Clone, Debug)]
@@ -16,6 +17,16 @@ pub struct SplitData {
     pub partition: Partition,
 }
 
+/// Run in progress: its pipeline, data and session.
+pub(crate) struct ActiveRun<'a, 's> {
+    /// Pipeline with absolute paths, scaled.
+    pub(crate) pipeline: &'a Pipeline,
+    pub(crate) split: &'a SplitData,
+    pub(crate) session: &'a mut Session<'s>,
+    /// Start time of the run.
+    pub(crate) begun: Instant,
+}
+
 /// Loads the data of a pipeline and splits them.
 ///
 /// # Errors
@@ -24,7 +35,7 @@ pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Re
     load_with_findings(pipeline, base, observer).map(|(split, _)| split)
 }
 
-/// As [`load`], also with the findings on the data.
+/// Loads and splits the data as [`load`] does, also with the findings on them.
 ///
 /// # Errors
 /// As [`load`].
@@ -45,7 +56,7 @@ pub fn load_with_findings(
     Ok((SplitData { data, partition }, findings))
 }
 
-/// The [`findings`](crate::findings()), each also a warning.
+/// Checks the data as [`findings`](crate::findings()) does, and warns of each finding.
 ///
 /// # Errors
 /// As [`findings`](crate::findings()).
@@ -54,15 +65,16 @@ pub fn warn_of_findings(
     partition: Option<&Partition>,
     observer: &mut dyn Observer,
 ) -> Result<Vec<Finding>> {
-    let all = findings(data, partition)?;
-    all.iter().for_each(|finding| observer.on_warning(&finding.to_string()));
-    Ok(all)
+    let findings = findings(data, partition)?;
+    findings.iter().for_each(|finding| observer.on_warning(&finding.to_string()));
+    Ok(findings)
 }
 
-/// `33,600 received powers at 21 receivers`, `1,000 channels of 16 antennas x 16 subcarriers`, `980 spectra of 360 x 90 pixels`.
+/// Describes number and size of the observations: `33,600 received powers at 21 receivers`, `1,000 channels of 16
+/// antennas x 16 subcarriers`, `980 spectra of 360 x 90 pixels`.
 pub fn observed(data: &Dataset) -> String {
     let (task, receivers) = (data.task(), data.scene.receivers.len());
-    let of = task.size_text((data.width, data.height)).map_or_else(String::new, |size| format!(" of {size}"));
-    let at = if receivers > 1 { format!(" at {receivers} receivers") } else { String::new() };
-    format!("{} {}{of}{at}", grouped(data.len() as i64), task.plural)
+    let size = task.size_text((data.width, data.height)).map_or_else(String::new, |size| format!(" of {size}"));
+    let ends = if receivers > 1 { format!(" at {receivers} receivers") } else { String::new() };
+    format!("{} {}{size}{ends}", grouped(data.len() as i64), task.plural)
 }

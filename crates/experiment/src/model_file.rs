@@ -19,13 +19,13 @@ pub fn model_file(path: &Path) -> Result<PathBuf> {
     if let Some(listing) = Listing::read(path)? {
         let joined = if path.join(JOINED).join(MODEL_FILE).is_file() { format!("{JOINED}, ") } else { String::new() };
         let runs = listing.run_names();
-        let what = "folder of a sweep, expected a run folder or a model file; name one of its runs";
-        return Err(Error::input(path, format!("{what}: {joined}{runs}")));
+        let problem = "folder of a sweep, expected a run folder or a model file; name one of its runs";
+        return Err(Error::input(path, format!("{problem}: {joined}{runs}")));
     }
-    let what = if path.join(PIPELINE).is_file() {
+    let problem = if path.join(PIPELINE).is_file() {
         format!("this run has no {MODEL_FILE} yet; repeat `pwrfgs run` to finish it")
     } else {
         format!("not a run folder: no {MODEL_FILE}; name a run folder or a model file")
     };
-    Err(Error::input(path, what))
+    Err(Error::input(path, problem))
 }

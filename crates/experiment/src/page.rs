@@ -4,12 +4,12 @@ use crate::evaluate::EvaluationResult;
 use crate::facts::{Facts, FileDigest, now};
 use crate::folder::{CONFIDENCE, PIPELINE, REPORT, SAMPLES, SCORES};
 use crate::input::read_pipeline;
-use crate::load::{SplitData, load};
+use crate::load::{ActiveRun, SplitData, load};
 use crate::record::Record;
 use crate::run_folder::RunFolder;
 use crate::samples::to_csv;
 use crate::scores::ScoreTable;
-use crate::session::{LoadedRun, Observer, PageBuilder, Session};
+use crate::session::{LoadedRun, Observer, PageBuilder};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Dataset, Error, Result};
 use pwrfgs_model::Ensemble;
@@ -41,40 +41,40 @@ pub fn write_results(
     EvaluationResult { scores, confidence }: &EvaluationResult,
     page: Option<PageBuilder>,
 ) -> Result<()> {
-    let put = |name: &str, text: String| write_atomically(&folder.join(name), text.as_bytes());
-    put(SAMPLES, to_csv(data, partition, &scores.intervals))?;
-    put(SCORES, scores.to_csv())?;
-    confidence.as_ref().map_or(Ok(()), |confidence| put(CONFIDENCE, confidence.to_csv()))?;
+    let write = |name: &str, text: String| write_atomically(&folder.join(name), text.as_bytes());
+    write(SAMPLES, to_csv(data, partition, &scores.intervals))?;
+    write(SCORES, scores.to_csv())?;
+    confidence.as_ref().map_or(Ok(()), |confidence| write(CONFIDENCE, confidence.to_csv()))?;
     let Some(page) = page else { return Ok(()) };
     let record = Record::of(folder, pipeline, facts.clone())?;
-    put(REPORT, page(&LoadedRun { record: &record, data, partition, model })?)
+    write(REPORT, page(&LoadedRun { record: &record, data, partition, model })?)
 }
 
-/// Concludes the run of `pipeline` in `folder`: writes the scores, the report if the session has a `page`, the
-/// checksums and `run.json`.
-///
-/// # Errors
-/// [`Error::Write`]; a damaged training file.
-pub(crate) fn conclude(
-    folder: &RunFolder,
-    pipeline: &Pipeline,
-    facts: &mut Facts,
-    split: &SplitData,
-    model: &Ensemble,
-    result: EvaluationResult,
-    session: &mut Session<'_>,
-) -> Result<ScoreTable> {
-    let path = folder.path();
-    facts.gaussians = model.gaussians();
-    facts.scores = Some(result.scores.table.clone());
-    facts.finished = Some(now());
-    facts.report = session.page.is_some();
-    facts.note_memory(); // here, so that report and run.json agree
-    write_results(path, pipeline, facts, split, model, &result, session.page)?;
-    facts.seal(path)?;
-    facts.write(path)?;
-    session.observer.on_evaluation(&result.scores.table);
-    Ok(result.scores.table)
+impl ActiveRun<'_, '_> {
+    /// Concludes the run in `folder`: writes the scores, the report if the session has a `page`, the checksums and
+    /// `run.json`.
+    ///
+    /// # Errors
+    /// [`Error::Write`]; a damaged training file.
+    pub(crate) fn conclude(
+        &mut self,
+        folder: &RunFolder,
+        mut facts: Facts,
+        model: &Ensemble,
+        result: EvaluationResult,
+    ) -> Result<ScoreTable> {
+        let path = folder.path();
+        facts.gaussians = model.gaussians();
+        facts.scores = Some(result.scores.table.clone());
+        facts.finished = Some(now());
+        facts.report = self.session.page.is_some();
+        facts.note_memory(); // here, so that report and run.json agree
+        write_results(path, self.pipeline, &facts, self.split, model, &result, self.session.page)?;
+        facts.seal(path)?;
+        facts.write(path)?;
+        self.session.observer.on_evaluation(&result.scores.table);
+        Ok(result.scores.table)
+    }
 }
 
 /// Reads the finished run in `folder`, with its data, for `read`.
@@ -102,8 +102,10 @@ pub fn rebuild_page(folder: &Path, page: PageBuilder, observer: &mut dyn Observe
     let mut rebuild = || {
         let (text, facts) = with_run(held.path(), observer, |run| Ok((page(run)?, run.record.facts.clone())))?;
         let path = held.file(REPORT);
-        let mark = FileDigest::of(text.as_bytes());
-        if facts.files.get(REPORT) == Some(&mark) && files::read(&path).is_ok_and(|own| FileDigest::of(&own) == mark) {
+        let digest = FileDigest::of(text.as_bytes());
+        if facts.files.get(REPORT) == Some(&digest)
+            && files::read(&path).is_ok_and(|bytes| FileDigest::of(&bytes) == digest)
+        {
             return Ok(());
         }
         // The checksum always belongs to the current page.
@@ -111,7 +113,7 @@ pub fn rebuild_page(folder: &Path, page: PageBuilder, observer: &mut dyn Observe
         facts.files.remove(REPORT);
         facts.write(held.path())?;
         write_atomically(&path, text.as_bytes())?;
-        facts.files.insert(REPORT.into(), mark);
+        facts.files.insert(REPORT.into(), digest);
         facts.write(held.path())
     };
     let rebuilt = rebuild();

@@ -41,12 +41,12 @@ pub struct PairedRow {
 }
 
 impl Paired {
-    /// Difference from one baseline by one metric.
+    /// Returns the difference from one baseline by one metric.
     pub fn row(&self, baseline: &str, key: &str) -> Option<&PairedRow> {
         self.rows.iter().find(|row| row.baseline == baseline && row.metric == key)
     }
 
-    /// Table rows: a header, then one row per baseline with difference and verdict of each metric.
+    /// Formats table rows: a header, then one row per baseline with difference and verdict of each metric.
     pub fn lines(&self, oracles: &[String]) -> Vec<Vec<String>> {
         let mut metrics: Vec<(&str, bool)> = Vec::new();
         let mut baselines: Vec<&str> = Vec::new();
@@ -72,7 +72,7 @@ impl Paired {
         [head].into_iter().chain(baselines.iter().map(line)).collect()
     }
 
-    /// One sentence that explains the table.
+    /// Explains the table in one sentence.
     pub fn note(&self, task: Task) -> String {
         let (count, things) = (self.cubes, task.counted[1]);
         let (drawn, blocks) = match self.edge_m {
@@ -90,14 +90,14 @@ impl Paired {
 }
 
 impl PairedRow {
-    /// Mean and interval as text.
+    /// Formats mean and interval.
     pub fn number(&self) -> String {
         let interval =
             self.interval.map_or_else(String::new, |[low, high]| format!(" [{}, {}]", signed(low), signed(high)));
         signed(self.mean) + &interval
     }
 
-    /// Comparison in words: `level with Kriging: +0.0030 [−0.0030, +0.0080]`.
+    /// Describes the comparison in words: `level with Kriging: +0.0030 [−0.0030, +0.0080]`.
     pub fn sentence(&self) -> String {
         let relation = match self.verdict() {
             "better" => "ahead of",
@@ -108,7 +108,7 @@ impl PairedRow {
         format!("{relation} {}: {}", self.baseline, self.number())
     }
 
-    /// `better`, `worse`, or `level` if the interval contains 0; empty without an interval.
+    /// Returns `better`, `worse`, or `level` if the interval contains 0; empty without an interval.
     pub fn verdict(&self) -> &'static str {
         match self.interval {
             None => "",
@@ -144,21 +144,21 @@ mod tests {
 
     /// 64 test samples on a grid of 1 m; the model is `ahead` of the baseline, with noise of `noise`.
     fn paired(ahead: f64, noise: f64, goal: Goal) -> PairedRow {
-        let values = |of: &dyn Fn(u32) -> f64| {
-            let (key, values) = ("ssim".to_owned(), Values::PerSample((0..64).map(of).collect()));
+        let values = |value: &dyn Fn(u32) -> f64| {
+            let (key, values) = ("ssim".to_owned(), Values::PerSample((0..64).map(value).collect()));
             vec![Measurement { key, unit: String::new(), goal, values, note: None }]
         };
-        let place = |id: u32| f64::from(id * 37 % 64) / 64.0;
+        let base = |id: u32| f64::from(id * 37 % 64) / 64.0;
         let predictors = vec![
-            (MODEL.into(), values(&|id| place(id) + ahead + noise * (f64::from(id % 3) - 1.0))),
-            ("1-NN".into(), values(&place)),
+            (MODEL.into(), values(&|id| base(id) + ahead + noise * (f64::from(id % 3) - 1.0))),
+            ("1-NN".into(), values(&base)),
         ];
         let scores = Scores::new((0..64).collect(), predictors, crate::scores::ScoreTable::default());
-        let places = (0..64).map(|id| (id, Some([f64::from(id % 8), f64::from(id / 8), 0.0]))).collect();
-        let mut found = scores.paired(&places).unwrap();
-        assert!(found.cubes >= 30 && found.note(Task::Spectrum).contains("95 %"), "{found:?}");
-        assert_eq!(found.lines(&["1-NN".into()])[1][0], "1-NN †");
-        found.rows.remove(0)
+        let positions = (0..64).map(|id| (id, Some([f64::from(id % 8), f64::from(id / 8), 0.0]))).collect();
+        let mut paired = scores.paired(&positions).unwrap();
+        assert!(paired.cubes >= 30 && paired.note(Task::Spectrum).contains("95 %"), "{paired:?}");
+        assert_eq!(paired.lines(&["1-NN".into()])[1][0], "1-NN †");
+        paired.rows.remove(0)
     }
 
     #[test]

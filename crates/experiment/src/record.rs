@@ -66,7 +66,8 @@ impl Record {
         })
     }
 
-    /// Key that is equal for runs that differ only in names and training seed, and for copies of one joined model.
+    /// Returns a key that is equal for runs that differ only in names and training seed, and for copies of one joined
+    /// model.
     ///
     /// # Errors
     /// As [`Pipeline::to_ron`].
@@ -76,12 +77,12 @@ impl Record {
         Ok(nameless.to_ron()? + joined.map_or("", |mark| &mark.sha256))
     }
 
-    /// Steps and another column of `curve.csv`, such as 2, the loss, or 4, the number of Gaussians.
+    /// Returns steps and another column of `curve.csv`, such as 2, the loss, or 4, the number of Gaussians.
     pub fn curve_of(&self, column: usize) -> Vec<(f64, f64)> {
         self::column(&self.curve, column)
     }
 
-    /// Split of `data` in this run.
+    /// Splits `data` as in this run.
     ///
     /// # Errors
     /// The data have changed since the run.
@@ -93,7 +94,7 @@ impl Record {
         Ok(partition)
     }
 
-    /// Trained model of the run, for observations like those of `data`.
+    /// Reads the trained model of the run, for observations like those of `data`.
     ///
     /// # Errors
     /// The model file is damaged, or its observations have another size.
@@ -114,7 +115,7 @@ impl Record {
 /// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the damaged position.
 pub fn whole_series(path: &Path, last: u64) -> Result<Vec<Vec<Option<f64>>>> {
     let text = read_text(path)?;
-    let wrong = |line: usize, what: &str| Err(damaged(path, line, what));
+    let wrong = |line: usize, problem: &str| Err(damaged(path, line, problem));
     let names: Vec<&str> = text.lines().next().unwrap_or_default().split(',').collect();
     if !text.ends_with('\n') || names[0] != "step" {
         return wrong(text.lines().count().max(1), "the file ends before the end of a row, or begins without names");
@@ -138,7 +139,7 @@ pub fn whole_series(path: &Path, last: u64) -> Result<Vec<Vec<Option<f64>>>> {
     Ok(rows)
 }
 
-/// Steps and another column, for rows in which both are numbers.
+/// Returns steps and another column, for rows in which both are numbers.
 pub fn column(rows: &[Vec<Option<f64>>], column: usize) -> Vec<(f64, f64)> {
     rows.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(column)?)?))).collect()
 }
@@ -161,13 +162,13 @@ pub struct Confidence {
 }
 
 impl Confidence {
-    /// Spearman rank correlation of spread and error: 1 if both have the same order, 0 if they are unrelated; NaN if
-    /// all are equal.
+    /// Computes the Spearman rank correlation of spread and error: 1 if both have the same order, 0 if they are
+    /// unrelated; NaN if all are equal.
     pub fn rank_correlation(&self) -> f64 {
         correlation(&ranks(&self.spreads), &ranks(&self.errors))
     }
 
-    /// Groups of equal size, by spread: mean spread and sorted errors of each.
+    /// Forms `count` groups of equal size, by spread: mean spread and sorted errors of each.
     pub fn groups(&self, count: usize) -> Vec<(f64, Vec<f64>)> {
         let mut order: Vec<usize> = (0..self.spreads.len()).collect();
         order.sort_by(|&a, &b| self.spreads[a].total_cmp(&self.spreads[b]).then(a.cmp(&b)));
@@ -184,16 +185,16 @@ impl Confidence {
     /// # Errors
     /// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the line if the file is damaged.
     pub fn read(path: &Path) -> Result<Self> {
-        let mut all = Self::default();
+        let mut confidence = Self::default();
         for (id, spread, error) in csv_rows(path)? {
-            all.ids.push(id);
-            all.spreads.push(spread);
-            all.errors.push(error);
+            confidence.ids.push(id);
+            confidence.spreads.push(spread);
+            confidence.errors.push(error);
         }
-        Ok(all)
+        Ok(confidence)
     }
 
-    /// Content of `confidence.csv`: test id, spread and error.
+    /// Writes the content of `confidence.csv`: test id, spread and error.
     pub fn to_csv(&self) -> String {
         let mut lines = Lines::new(["sample", "spread", "error"]);
         for ((id, spread), error) in self.ids.iter().zip(&self.spreads).zip(&self.errors) {
@@ -203,7 +204,7 @@ impl Confidence {
     }
 }
 
-/// Rank of each value; equal values share their mean rank.
+/// Ranks each value; equal values share their mean rank.
 fn ranks(values: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
@@ -217,7 +218,7 @@ fn ranks(values: &[f64]) -> Vec<f64> {
     ranks
 }
 
-/// Pearson correlation.
+/// Computes the Pearson correlation.
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let (mean_a, mean_b) = (mean(a.iter().copied()), mean(b.iter().copied()));
     let product =

@@ -21,7 +21,7 @@ pub use pairs::{FAR_IDS, NEAR_IDS, PairLag, in_order};
 use crate::scores::CEILING;
 use crate::statistics::Summary;
 use crate::text::{grouped, number};
-use extrapolate::{MetricScale, at_zero};
+use extrapolate::MetricScale;
 use pairs::SamplePair;
 use pwrfgs_core::{
     Dataset, Evaluation, Goal, Image, ImagePlane, Measurement, Metric, Partition, Plugin, Result, Scope, Task, Values,
@@ -102,61 +102,110 @@ pub struct DistanceBin {
 /// # Errors
 /// A metric returns an error or a spectrum cannot be read; [`pwrfgs_core::Error::Stopped`] once `stop` is set.
 pub fn repeatability(data: &Dataset, metrics: &[Plugin<dyn Metric>], stop: &AtomicBool) -> Result<Repeatability> {
-    let of = |lag| similarity(data, lag, true, metrics, stop);
-    Ok(Repeatability { near: of(PairLag::Near)?, far: of(PairLag::Far)? })
+    let comparison = PairComparison::new(data, metrics, stop);
+    Ok(Repeatability {
+        near: comparison.similarity(PairLag::Near, true)?,
+        far: comparison.similarity(PairLag::Far, true)?,
+    })
 }
 
-/// Measures one kind of pairs: the closest, and, for the whole `curve`, some of the others.
-pub(crate) fn similarity(
-    data: &Dataset,
-    lag: PairLag,
-    curve: bool,
-    metrics: &[Plugin<dyn Metric>],
-    stop: &AtomicBool,
-) -> Result<PairSimilarity> {
-    let pairs = pairs::find(data, lag);
-    // Measured pairs: the closest, some of every range of distances, and unrelated ones.
-    let mut selected = closest(&pairs);
-    let closest = selected.len();
-    let mut ranges = Vec::new();
-    for (edges, range) in pairs::bins(&pairs).into_iter().filter(|_| curve) {
-        let first = selected.len();
-        selected.extend(evenly(&pairs[range], A_BIN));
-        ranges.push((edges, first..selected.len()));
+/// Comparison of the observations of sample pairs, by the per-sample metrics.
+struct PairComparison<'a> {
+    data: &'a Dataset,
+    plane: ImagePlane,
+    metrics: Vec<&'a Plugin<dyn Metric>>,
+    stop: &'a AtomicBool,
+}
+
+impl<'a> PairComparison<'a> {
+    /// Creates a comparison by those of `metrics` that score one sample at a time.
+    fn new(data: &'a Dataset, metrics: &'a [Plugin<dyn Metric>], stop: &'a AtomicBool) -> Self {
+        let metrics = metrics.iter().filter(|m| m.scope() == Scope::Sample).collect();
+        Self { data, plane: data.plane(), metrics, stop }
     }
-    let related = selected.len();
-    selected.extend(pairs::unrelated(data));
-    let similarity = |measured: PairMetric| {
-        let PairMetric { key, unit, goal, best, values } = measured;
-        let summary = |values: &[f64]| Summary::of(values, goal == Goal::Higher);
-        let bin = |([from_m, to_m], range): &([f64; 2], Range<usize>)| {
-            let Summary { mean, median, .. } = summary(&values[range.clone()]);
-            DistanceBin { from_m: *from_m, to_m: *to_m, pairs: range.len(), mean, median }
+
+    /// Measures one kind of pairs: the closest, and, for the whole `curve`, some of the others.
+    fn similarity(&self, lag: PairLag, curve: bool) -> Result<PairSimilarity> {
+        let data = self.data;
+        let pairs = pairs::find_pairs(data, lag);
+        // Measured pairs: the closest, some of every range of distances, and unrelated ones.
+        let mut selected = select_closest(&pairs);
+        let closest = selected.len();
+        let mut ranges = Vec::new();
+        for (edges, range) in pairs::distance_bins(&pairs).into_iter().filter(|_| curve) {
+            let first = selected.len();
+            selected.extend(evenly(&pairs[range], A_BIN));
+            ranges.push((edges, first..selected.len()));
+        }
+        let related = selected.len();
+        selected.extend(pairs::unrelated_pairs(data));
+        let similarity = |measured: PairMetric| {
+            let PairMetric { key, unit, goal, best, values } = measured;
+            let summary = |values: &[f64]| Summary::of(values, goal == Goal::Higher);
+            let bin = |([from_m, to_m], range): &([f64; 2], Range<usize>)| {
+                let Summary { mean, median, .. } = summary(&values[range.clone()]);
+                DistanceBin { from_m: *from_m, to_m: *to_m, pairs: range.len(), mean, median }
+            };
+            let unrelated = summary(&values[related..]).mean;
+            let scale = MetricScale { goal, best, unrelated };
+            let at_zero = if closest < LEAST {
+                let (words, cm) = (lag.words(), REACH_M * 100.0);
+                let requirement = format!("are within {cm:.0} cm of each other; at least {LEAST} are needed");
+                Err(format!("{closest} pairs of samples {words} {requirement}"))
+            } else {
+                scale.at_zero(&selected[..closest], &ceiling_scores(data.task(), &values[..closest]))
+            };
+            MetricSimilarity { key, unit, goal, bins: ranges.iter().map(bin).collect(), unrelated, at_zero }
         };
-        let unrelated = summary(&values[related..]).mean;
-        let scale = MetricScale { goal, best, unrelated };
-        let at_zero = if closest < LEAST {
-            let (words, cm) = (lag.words(), REACH_M * 100.0);
-            let what = format!("are within {cm:.0} cm of each other; at least {LEAST} are needed");
-            Err(format!("{closest} pairs of samples {words} {what}"))
-        } else {
-            at_zero(&selected[..closest], &single(data.task(), &values[..closest]), &scale)
+        let metrics = self.measure(&selected)?.into_iter().map(similarity).collect();
+        let reach_m = selected[..closest].last().map_or(0.0, |pair| pair.distance);
+        Ok(PairSimilarity { closest, reach_m, metrics })
+    }
+
+    /// Scores the earlier observation of each pair as a prediction of the later one.
+    fn measure(&self, pairs: &[SamplePair]) -> Result<Vec<PairMetric>> {
+        let itself = [self.data.image(0)];
+        let started = |m: Measurement| match m.values {
+            Values::PerSample(best) if best.len() == 1 => {
+                Some(PairMetric { key: m.key, unit: m.unit, goal: m.goal, best: best[0], values: Vec::new() })
+            }
+            _ => None,
         };
-        MetricSimilarity { key, unit, goal, bins: ranges.iter().map(bin).collect(), unrelated, at_zero }
-    };
-    let metrics = measure(data, &selected, metrics, stop)?.into_iter().map(similarity).collect();
-    let reach_m = selected[..closest].last().map_or(0.0, |pair| pair.distance);
-    Ok(PairSimilarity { closest, reach_m, metrics })
+        let mut metrics: Vec<PairMetric> = self.evaluate(&itself, &itself)?.into_iter().filter_map(started).collect();
+        let size = (PIXELS / (self.data.width * self.data.height).max(1)).clamp(1, CHUNK);
+        for chunk in pairs.chunks(size) {
+            check_stopped(self.stop)?;
+            let images =
+                |side: fn(&SamplePair) -> usize| chunk.par_iter().map(|pair| self.data.image(side(pair))).collect();
+            let (earlier, later): (Vec<Image>, Vec<Image>) = (images(|pair| pair.earlier), images(|pair| pair.later));
+            self.data.observations.check()?;
+            for Measurement { key, values, .. } in self.evaluate(&earlier, &later)? {
+                if let (Some(metric), Values::PerSample(values)) = (metrics.iter_mut().find(|m| m.key == key), values) {
+                    metric.values.extend(values);
+                }
+            }
+        }
+        // Metrics without one number per pair are skipped.
+        metrics.retain(|metric| metric.values.len() == pairs.len());
+        Ok(metrics)
+    }
+
+    /// Evaluates all metrics on a chunk of pairs.
+    fn evaluate(&self, predictions: &[Image], truths: &[Image]) -> Result<Vec<Measurement>> {
+        let evaluation = Evaluation { predictions, truths, ..Evaluation::of(self.data, &self.plane) };
+        let measurements: Result<Vec<_>> = self.metrics.iter().map(|metric| metric.evaluate(&evaluation)).collect();
+        Ok(measurements?.concat())
+    }
 }
 
-/// Scores of a perfect predictor of the mean reading, given `values` between two readings.
-fn single(task: Task, values: &[f64]) -> Vec<f64> {
+/// Returns the scores of a perfect predictor of the mean reading, given `values` between two readings.
+fn ceiling_scores(task: Task, values: &[f64]) -> Vec<f64> {
     values.iter().map(|v| task.ceiling.share * v).collect()
 }
 
-/// Pairs used for the extrapolation, out of `pairs` of ascending distances. If the closest pairs have nearly equal
-/// distances, such as steps of a walk, they show no slope: a subset of all close pairs is used instead.
-fn closest(pairs: &[SamplePair]) -> Vec<SamplePair> {
+/// Selects the pairs for the extrapolation, out of `pairs` of ascending distances. If the closest pairs have nearly
+/// equal distances, such as steps of a walk, they show no slope: a subset of all close pairs is used instead.
+fn select_closest(pairs: &[SamplePair]) -> Vec<SamplePair> {
     let within = &pairs[..pairs.partition_point(|pair| pair.distance <= REACH_M)];
     let first = &within[..within.len().min(CLOSEST)];
     match first {
@@ -175,58 +224,14 @@ struct PairMetric {
     values: Vec<f64>,
 }
 
-/// Scores the earlier spectrum of each pair as a prediction of the later one, by the per-sample metrics.
-fn measure(
-    data: &Dataset,
-    pairs: &[SamplePair],
-    metrics: &[Plugin<dyn Metric>],
-    stop: &AtomicBool,
-) -> Result<Vec<PairMetric>> {
-    let metrics: Vec<&Plugin<dyn Metric>> = metrics.iter().filter(|m| m.scope() == Scope::Sample).collect();
-    let plane = data.plane();
-    let itself = [data.image(0)];
-    let best = evaluate(data, &plane, &metrics, &itself, &itself)?;
-    let started = |m: Measurement| match m.values {
-        Values::PerSample(best) if best.len() == 1 => {
-            Some(PairMetric { key: m.key, unit: m.unit, goal: m.goal, best: best[0], values: Vec::new() })
-        }
-        _ => None,
-    };
-    let mut all: Vec<PairMetric> = best.into_iter().filter_map(started).collect();
-    let size = (PIXELS / (data.width * data.height).max(1)).clamp(1, CHUNK);
-    for some in pairs.chunks(size) {
-        check_stopped(stop)?;
-        let images = |side: fn(&SamplePair) -> usize| some.par_iter().map(|pair| data.image(side(pair))).collect();
-        let (earlier, later): (Vec<Image>, Vec<Image>) = (images(|pair| pair.earlier), images(|pair| pair.later));
-        data.observations.check()?;
-        for found in evaluate(data, &plane, &metrics, &earlier, &later)? {
-            if let (Some(of), Values::PerSample(values)) = (all.iter_mut().find(|m| m.key == found.key), found.values) {
-                of.values.extend(values);
-            }
-        }
-    }
-    // Metrics without one number per pair are skipped.
-    all.retain(|measured| measured.values.len() == pairs.len());
-    Ok(all)
-}
-
-fn evaluate(
-    data: &Dataset,
-    plane: &ImagePlane,
-    metrics: &[&Plugin<dyn Metric>],
-    predictions: &[Image],
-    truths: &[Image],
-) -> Result<Vec<Measurement>> {
-    let evaluation = Evaluation { predictions, truths, ..Evaluation::of(data, plane) };
-    let found: Result<Vec<_>> = metrics.iter().map(|metric| metric.evaluate(&evaluation)).collect();
-    Ok(found?.concat())
-}
+/// Key of a metric, and its noise ceiling.
+type MetricCeiling = (String, ZeroDistanceEstimate);
 
 /// Noise ceiling of a test set: best score to expect from a predictor.
 #[derive(Clone, Debug, Default)]
 pub struct NoiseCeiling {
     /// Metric keys with their ceiling; empty if it cannot be estimated.
-    pub of: Vec<(String, ZeroDistanceEstimate)>,
+    pub of: Vec<MetricCeiling>,
     /// Notes below the table: the pairs used, or why there is no ceiling.
     pub notes: Vec<String>,
 }
@@ -241,72 +246,66 @@ pub fn ceiling(
     metrics: &[Plugin<dyn Metric>],
     stop: &AtomicBool,
 ) -> Result<NoiseCeiling> {
-    let lags = lags(data, partition);
-    let (lag, why) = lag(data, &lags);
-    let found = similarity(data, lag, false, metrics, stop)?;
-    let known = |m: &MetricSimilarity| Some((m.key.clone(), m.at_zero.as_ref().ok().copied()?));
-    let of: Vec<(String, ZeroDistanceEstimate)> = found.metrics.iter().filter_map(known).collect();
-    let unknown = found.metrics.iter().filter_map(|m| Some((&m.key, m.at_zero.as_ref().err()?)));
-    let notes = match (of.is_empty(), found.metrics.first().map(|m| &m.at_zero)) {
+    let (lag, why) = choose_lag(data, &id_gaps(data, partition));
+    let similarity = PairComparison::new(data, metrics, stop).similarity(lag, false)?;
+    let estimate = |m: &MetricSimilarity| Some((m.key.clone(), m.at_zero.as_ref().ok().copied()?));
+    let ceilings: Vec<MetricCeiling> = similarity.metrics.iter().filter_map(estimate).collect();
+    let missing = similarity.metrics.iter().filter_map(|m| Some((&m.key, m.at_zero.as_ref().err()?)));
+    let notes = match (ceilings.is_empty(), similarity.metrics.first().map(|m| &m.at_zero)) {
         (false, _) => {
             let by = |(key, why): (&String, &String)| format!("no {CEILING} by {key}: {why}");
-            notes(data.task(), &found, lag, &why, &of).into_iter().chain(unknown.map(by)).collect()
+            pair_notes(data.task(), &similarity, lag, &why, &ceilings).into_iter().chain(missing.map(by)).collect()
         }
         (true, Some(Err(reason))) => vec![format!("no {CEILING}: {reason}")],
         (true, _) => Vec::new(),
     };
-    Ok(NoiseCeiling { of, notes })
+    Ok(NoiseCeiling { of: ceilings, notes })
 }
 
-/// Difference of ids between each test sample and the nearest training or validation sample.
-fn lags(data: &Dataset, partition: &Partition) -> Vec<u32> {
+/// Returns the difference of ids between each test sample and the nearest training or validation sample.
+fn id_gaps(data: &Dataset, partition: &Partition) -> Vec<u32> {
     let ids: Vec<u32> = partition.known().all().iter().map(|&i| data.sample(i).id).collect();
-    let lag = |&i: &usize| {
+    let gap = |&i: &usize| {
         let id = data.sample(i).id;
-        let next = ids.partition_point(|known| *known < id);
+        let next = ids.partition_point(|other| *other < id);
         let around = [next.checked_sub(1), Some(next)].into_iter().flatten().filter_map(|k| ids.get(k));
-        around.map(|known| known.abs_diff(id)).min().unwrap_or(u32::MAX)
+        around.map(|other| other.abs_diff(id)).min().unwrap_or(u32::MAX)
     };
-    partition.test.iter().map(lag).collect()
+    partition.test.iter().map(gap).collect()
 }
 
-/// Kind of pairs, and the reason.
-fn lag(data: &Dataset, lags: &[u32]) -> (PairLag, String) {
+/// Chooses the kind of pairs by the `gaps` of [`id_gaps`]; also returns the reason.
+fn choose_lag(data: &Dataset, gaps: &[u32]) -> (PairLag, String) {
     if !in_order(data) {
         return (PairLag::Far, "since samples with consecutive ids are not close in space".into());
     }
-    let near = lags.iter().filter(|lag| **lag <= FAR_IDS).count();
-    let percent = |count: usize| (100 * count + lags.len() / 2) / lags.len().max(1);
-    if 2 * near >= lags.len() {
+    let near = gaps.iter().filter(|gap| **gap <= FAR_IDS).count();
+    let percent = |count: usize| (100 * count + gaps.len() / 2) / gaps.len().max(1);
+    if 2 * near >= gaps.len() {
         let share = percent(near);
         (PairLag::Near, format!("since {share} % of the test samples have a known one at most {FAR_IDS} ids away"))
     } else {
-        let share = percent(lags.len() - near);
+        let share = percent(gaps.len() - near);
         (PairLag::Far, format!("since {share} % of the test samples have no known one within {FAR_IDS} ids"))
     }
 }
 
-fn notes(
-    task: Task,
-    found: &PairSimilarity,
-    lag: PairLag,
-    why: &str,
-    of: &[(String, ZeroDistanceEstimate)],
-) -> Vec<String> {
-    let what = task.ceiling.note;
+/// Describes the pairs that the ceilings were estimated from, and the intervals of the ceilings.
+fn pair_notes(task: Task, pairs: &PairSimilarity, lag: PairLag, why: &str, ceilings: &[MetricCeiling]) -> Vec<String> {
+    let meaning = task.ceiling.note;
     let is_perfect = task.ceiling.share < 1.0; // the row is that of the perfect predictor already
     let more = if is_perfect { "" } else { "; a perfect predictor of the mean could reach a little more" };
-    let (pairs, words) = (grouped(found.closest as i64), lag.words());
-    let interval = |(key, at_zero): &(String, ZeroDistanceEstimate)| {
+    let (count, words) = (grouped(pairs.closest as i64), lag.words());
+    let interval = |(key, at_zero): &MetricCeiling| {
         let [low, high] = at_zero.interval.map(number);
         format!("{key} {low} to {high}")
     };
-    let intervals: Vec<String> = of.iter().map(interval).collect();
+    let intervals: Vec<String> = ceilings.iter().map(interval).collect();
     vec![
         format!(
-            "{CEILING} is {what}: {pairs} pairs {words}, at most {:.0} mm between their transmitters, followed to distance \
+            "{CEILING} is {meaning}: {count} pairs {words}, at most {:.0} mm between their transmitters, followed to distance \
              zero; {why}",
-            (found.reach_m * 1e3).ceil()
+            (pairs.reach_m * 1e3).ceil()
         ),
         format!("{CEILING} is an estimate and not ranked{more}; 95 % intervals of its means: {}", intervals.join(", ")),
     ]
@@ -317,8 +316,8 @@ mod tests {
     use super::*;
     use pwrfgs_core::{Pose, Sample, Spectra};
 
-    fn data(place: impl Fn(u32) -> f64) -> Dataset {
-        let samples: Vec<Sample> = (0..400).map(|id| Sample::new(id, [place(id), 0.0, 0.0])).collect();
+    fn data(position: impl Fn(u32) -> f64) -> Dataset {
+        let samples: Vec<Sample> = (0..400).map(|id| Sample::new(id, [position(id), 0.0, 0.0])).collect();
         let spectra = Spectra::grey((1, 1), vec![0; samples.len()]).unwrap();
         Dataset::new("line", Pose::IDENTITY, vec![], samples, spectra).unwrap()
     }
@@ -331,22 +330,22 @@ mod tests {
     #[test]
     fn partition_selects_pairs_of_noise_ceiling() {
         let walk = data(|id| f64::from(id) * 0.01);
-        let of = |data: &Dataset, partition: &Partition| lag(data, &lags(data, partition));
-        let (near, why) = of(&walk, &partition(|i| i % 5 == 0));
+        let chosen = |data: &Dataset, partition: &Partition| choose_lag(data, &id_gaps(data, partition));
+        let (near, why) = chosen(&walk, &partition(|i| i % 5 == 0));
         assert_eq!(near, PairLag::Near);
         assert_eq!(why, "since 100 % of the test samples have a known one at most 30 ids away");
-        let (far, why) = of(&walk, &partition(|i| (100..300).contains(&i)));
+        let (far, why) = chosen(&walk, &partition(|i| (100..300).contains(&i)));
         assert_eq!(far, PairLag::Far);
         assert_eq!(why, "since 70 % of the test samples have no known one within 30 ids");
         let anywhere = data(|id| f64::from(id * 149 % 400));
-        assert_eq!(of(&anywhere, &partition(|i| i % 5 == 0)).0, PairLag::Far, "ids carry no time information");
+        assert_eq!(chosen(&anywhere, &partition(|i| i % 5 == 0)).0, PairLag::Far, "ids carry no time information");
     }
 
     #[test]
     fn lag_is_measured_to_nearest_training_sample() {
         let walk = data(f64::from);
-        let known = Partition { train: vec![3, 390], validation: vec![200], test: vec![0, 100, 399] };
-        assert_eq!(lags(&walk, &known), [3, 97, 9]);
-        assert_eq!(lags(&walk, &Partition { test: vec![1], ..Partition::default() }), [u32::MAX]);
+        let partition = Partition { train: vec![3, 390], validation: vec![200], test: vec![0, 100, 399] };
+        assert_eq!(id_gaps(&walk, &partition), [3, 97, 9]);
+        assert_eq!(id_gaps(&walk, &Partition { test: vec![1], ..Partition::default() }), [u32::MAX]);
     }
 }

@@ -1,7 +1,7 @@
 //! Fits the residual processes of a trained model, or of an ensemble.
 
-use crate::load::SplitData;
-use crate::session::{Session, staged};
+use crate::load::{ActiveRun, SplitData};
+use crate::session::staged;
 use pwrfgs_core::{Error, Result};
 use pwrfgs_model::{Ensemble, KnownLinks, LeftOutBy, Residuals};
 use pwrfgs_pipeline::Pipeline;
@@ -13,14 +13,14 @@ use pwrfgs_pipeline::Pipeline;
 pub(crate) fn check_residuals(pipeline: &Pipeline, split: &SplitData, joined: bool) -> Result<()> {
     let Some(residuals) = &pipeline.residuals else { return Ok(()) };
     if residuals.folds && !joined {
-        let what = "residuals: `folds` needs an experiment with `join: true`; write `Kriged()`, or join several models";
-        return Err(Error::Config(what.into()));
+        let advice = "write `Kriged()`, or join several models";
+        return Err(Error::Config(format!("residuals: `folds` needs an experiment with `join: true`; {advice}")));
     }
     residuals.check_data(&split.data, residuals.folds || !split.partition.validation.is_empty())
 }
 
-/// Links that members did not train on: one list per member if a sweep gave each of `folds` members a fold, otherwise one
-/// list, the validation set, for all members.
+/// Lists the links that members did not train on: one list per member if a sweep gave each of `folds` members a fold,
+/// otherwise one list, the validation set, for all members.
 ///
 /// # Errors
 /// As [`Pipeline::partition`].
@@ -31,34 +31,31 @@ pub(crate) fn left_out(pipeline: &Pipeline, split: &SplitData, folds: usize) -> 
     (0..folds).map(|index| Ok(pipeline.folded(index, folds).partition(&split.data)?.validation)).collect()
 }
 
-/// The trained ensemble with residual processes fitted to all known links, if the pipeline selects them and it has none.
-/// `folds` is the number of members of a joined sweep, 1 for a model of one run.
-///
-/// # Errors
-/// As [`Residuals::fit`].
-pub(crate) fn with_residuals(
-    ensemble: Ensemble,
-    pipeline: &Pipeline,
-    split: &SplitData,
-    folds: usize,
-    session: &mut Session<'_>,
-) -> Result<Ensemble> {
-    let (Some(settings), None) = (&pipeline.residuals, ensemble.residuals()) else { return Ok(ensemble) };
-    let links = split.partition.known().all();
-    let mut left_out_by = vec![LeftOutBy::NoMember; links.len()];
-    let lists = left_out(pipeline, split, folds)?;
-    for (member, left_out) in lists.iter().enumerate() {
-        for link in left_out {
-            let Ok(k) = links.binary_search(link) else {
-                return Err(Error::Config("residuals: a model left out a test sample; train it again".into()));
-            };
-            left_out_by[k] = if lists.len() == 1 { LeftOutBy::All } else { LeftOutBy::Member(member) };
+impl ActiveRun<'_, '_> {
+    /// Fits residual processes of the trained ensemble to all known links, if the pipeline selects them and it has
+    /// none.
+    /// `folds` is the number of members of a joined sweep, 1 for a model of one run.
+    ///
+    /// # Errors
+    /// As [`Residuals::fit`].
+    pub(crate) fn fit_residuals(&mut self, ensemble: Ensemble, folds: usize) -> Result<Ensemble> {
+        let (Some(settings), None) = (&self.pipeline.residuals, ensemble.residuals()) else { return Ok(ensemble) };
+        let links = self.split.partition.known().all();
+        let mut left_out_by = vec![LeftOutBy::NoMember; links.len()];
+        let lists = left_out(self.pipeline, self.split, folds)?;
+        for (member, left_out) in lists.iter().enumerate() {
+            for link in left_out {
+                let Ok(k) = links.binary_search(link) else {
+                    return Err(Error::Config("residuals: a model left out a test sample; train it again".into()));
+                };
+                left_out_by[k] = if lists.len() == 1 { LeftOutBy::All } else { LeftOutBy::Member(member) };
+            }
         }
+        let links = KnownLinks { data: &self.split.data, links: &links, left_out_by: &left_out_by };
+        let stop = self.session.stop;
+        let fitted = staged(self.session.observer, "fitting residuals", |progress| {
+            Residuals::fit(settings, &ensemble, links, stop, progress)
+        })?;
+        Ok(ensemble.with_residuals(Some(fitted)))
     }
-    let known = KnownLinks { data: &split.data, links: &links, left_out_by: &left_out_by };
-    let stop = session.stop;
-    let fitted = staged(session.observer, "fitting residuals", |progress| {
-        Residuals::fit(settings, &ensemble, known, stop, progress)
-    })?;
-    Ok(ensemble.with_residuals(Some(fitted)))
 }

@@ -1,7 +1,6 @@
 //! `RunFolder`: one folder per run, locked by one process at a time.
 
 use crate::facts::Facts;
-use crate::findings::Finding;
 use crate::folder::{CHECKPOINT, FACTS, PIPELINE, sealed};
 use crate::input;
 use crate::load::SplitData;
@@ -29,7 +28,7 @@ pub enum RunState {
 }
 
 impl RunState {
-    /// Scores and facts of the finished run in `path`, including its report if `reported`.
+    /// Reads scores and facts of the finished run in `path`, including its report if `reported`.
     ///
     /// # Errors
     /// Same as [`Facts::read`].
@@ -38,7 +37,7 @@ impl RunState {
         Ok(end.filter(|(_, facts)| facts.report || !reported))
     }
 
-    /// Same as `finished`, with all files verified.
+    /// Reads the scores as `finished` does, with all files verified.
     ///
     /// # Errors
     /// A damaged or missing file.
@@ -59,17 +58,17 @@ pub struct RunFolder {
 }
 
 impl RunFolder {
-    /// State of `path` for the run of this pipeline; read-only.
+    /// Determines the state of `path` for the run of this pipeline; read-only.
     ///
     /// # Errors
     /// It is not a folder, or it holds other files or a run of another pipeline.
     pub fn inspect(path: &Path, pipeline: &Pipeline) -> Result<RunState> {
-        let own = path.join(PIPELINE);
-        match files::if_found(&own, files::read_string(&own))? {
-            Some(text) => compare(path, &own, &text, pipeline),
+        let file = path.join(PIPELINE);
+        match files::if_found(&file, files::read_string(&file))? {
+            Some(text) => compare_pipelines(path, &file, &text, pipeline),
             None => match refuse_foreign(path, "a run folder") {
                 // Another process has created the run since.
-                Err(_) if own.is_file() => Self::inspect(path, pipeline),
+                Err(_) if file.is_file() => Self::inspect(path, pipeline),
                 foreign => foreign.map(|()| RunState::New),
             },
         }
@@ -84,32 +83,26 @@ impl RunFolder {
         Self::inspect(path, pipeline)?;
         std::fs::create_dir_all(path).map_err(|e| Error::write(path, e))?;
         let folder = HeldFolder::open(path)?;
-        let (lock, is_new, state) = locked(folder.path(), pipeline).map_err(|e| folder.named(e))?;
+        let (lock, is_new, state) = lock(folder.path(), pipeline).map_err(|e| folder.named(e))?;
         remove_leftovers(folder.path());
         Ok(Self { folder, lock, is_new, state })
     }
 
-    /// Opens `run.json` for another start on `data` with `findings`; for a joined model with the folders of its `members`. Replaces
-    /// `pipeline.ron` if its baselines or metrics changed. From now on the run counts as unfinished, since earlier
-    /// checksums and baselines may become invalid.
+    /// Opens `run.json` for another start on the data, with the findings and, for a joined model, the members of `new`.
+    /// Replaces `pipeline.ron` if its baselines or metrics changed. From now on the run counts as unfinished, since
+    /// earlier checksums and baselines may become invalid.
     ///
     /// The new `pipeline.ron` is locked before it is renamed, so that no other process can lock the folder in between.
     ///
     /// # Errors
     /// A damaged `run.json`; [`Error::Write`], the old file is then unchanged.
-    pub(crate) fn begin(
-        &mut self,
-        pipeline: &Pipeline,
-        SplitData { data, partition }: &SplitData,
-        findings: Vec<Finding>,
-        members: Vec<String>,
-    ) -> Result<Facts> {
+    pub(crate) fn begin(&mut self, pipeline: &Pipeline, split: &SplitData, new: Facts) -> Result<Facts> {
         let facts = Facts {
-            data: data.title.clone(),
-            simulated: data.is_simulated(),
-            samples: partition.sizes(),
-            findings,
-            members,
+            data: split.data.title.clone(),
+            simulated: split.data.is_simulated(),
+            samples: split.partition.sizes(),
+            findings: new.findings,
+            members: new.members,
             ..Facts::open(self.path(), pipeline.seed)?
         };
         facts.write(self.path())?;
@@ -121,7 +114,8 @@ impl RunFolder {
 
     /// Whether a process uses `path`.
     pub fn is_busy(path: &Path) -> bool {
-        files::open(path.join(PIPELINE)).is_ok_and(|own| matches!(own.try_lock_shared(), Err(TryLockError::WouldBlock)))
+        files::open(path.join(PIPELINE))
+            .is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
     /// Whether this claim created the run: the folder contains only `pipeline.ron`.
@@ -129,22 +123,22 @@ impl RunFolder {
         self.is_new
     }
 
-    /// State of the folder when it was claimed.
+    /// Returns the state of the folder when it was claimed.
     pub(crate) fn state(&self) -> RunState {
         self.state
     }
 
-    /// Path for file access, independent of later renames of the folder.
+    /// Returns the path for file access, independent of later renames of the folder.
     pub fn path(&self) -> &Path {
         self.folder.path()
     }
 
-    /// Path given by the user, for messages.
+    /// Returns the path given by the user, for messages.
     pub fn name(&self) -> &Path {
         self.folder.name()
     }
 
-    /// Path of a file in the folder.
+    /// Returns the path of a file in the folder.
     pub fn file(&self, name: &str) -> PathBuf {
         self.path().join(name)
     }
@@ -160,23 +154,23 @@ impl RunFolder {
 }
 
 /// Locks `pipeline.ron`, writing it if needed; returns whether it was written, and the state.
-fn locked(folder: &Path, pipeline: &Pipeline) -> Result<(File, bool, RunState)> {
-    let own = folder.join(PIPELINE);
+fn lock(folder: &Path, pipeline: &Pipeline) -> Result<(File, bool, RunState)> {
+    let file = folder.join(PIPELINE);
     loop {
-        let is_new = write_new(&own, pipeline.to_ron()?.as_bytes())?;
-        match files::try_lock(&own) {
+        let is_new = write_new(&file, pipeline.to_ron()?.as_bytes())?;
+        match files::try_lock(&file) {
             Ok(None) => return Err(Error::Busy(folder.into())),
             // The locked file may have been written by another process meanwhile.
             Ok(Some(lock)) => return RunFolder::inspect(folder, pipeline).map(|state| (lock, is_new, state)),
             Err(e) if e.kind() == ErrorKind::NotFound => {} // removed since it was written
-            Err(e) => return Err(Error::read(&own, e)),
+            Err(e) => return Err(Error::read(&file, e)),
         }
     }
 }
 
 /// Compares the pipeline `theirs` of `file` in `folder` with `ours`. A run is identified by its training settings; the
 /// error names the first difference.
-fn compare(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<RunState> {
+fn compare_pipelines(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<RunState> {
     let text = ours.to_ron()?;
     if theirs == text {
         return Ok(RunState::Begun);
@@ -191,13 +185,13 @@ fn compare(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<
     };
     let differ = theirs.lines().zip(ours.lines()).enumerate().find(|(_, (a, b))| a != b);
     match differ {
-        Some((line, (there, here))) => Err(Error::Config(format!(
+        Some((line, (their_line, our_line))) => Err(Error::Config(format!(
             "{} holds a run of another pipeline: its {PIPELINE}:{} has `{}`, this one has `{}`; \
              choose another --out or remove the folder",
             folder.display(),
             line + 1,
-            strip_control(there).trim_end_matches(','),
-            strip_control(here).trim_end_matches(',')
+            strip_control(their_line).trim_end_matches(','),
+            strip_control(our_line).trim_end_matches(',')
         ))),
         None if theirs.lines().count() == ours.lines().count() => {
             Ok(if alike { RunState::Begun } else { RunState::ScoredOtherwise })
@@ -209,7 +203,7 @@ fn compare(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<
     }
 }
 
-/// `pipeline` with the baselines and metrics of `other`, which do not affect training.
+/// Returns `pipeline` with the baselines and metrics of `other`, which do not affect training.
 fn scored_as(pipeline: &Pipeline, other: &Pipeline) -> Pipeline {
     Pipeline { baselines: other.baselines.clone(), metrics: other.metrics.clone(), ..pipeline.clone() }
 }

@@ -3,16 +3,13 @@
 use crate::evaluate::{check_alike, evaluate, validation_baselines};
 use crate::facts::Facts;
 use crate::folder::{CURVE, MODEL_FILE};
-use crate::input::prepared;
-use crate::intervals::calibrated;
+use crate::input::resolve;
 use crate::journal::Journal;
-use crate::load::{load, load_with_findings};
-use crate::page::conclude;
-use crate::residuals::{check_residuals, with_residuals};
+use crate::load::{ActiveRun, load, load_with_findings};
+use crate::residuals::check_residuals;
 use crate::run_folder::{RunFolder, RunState};
 use crate::scores::ScoreTable;
 use crate::session::Session;
-use crate::training::{Training, trainer};
 use pwrfgs_core::{Error, Result, files};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
@@ -48,14 +45,14 @@ pub enum RunOutcome {
 pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'_>) -> Result<RunOutcome> {
     let begun = Instant::now();
     loop {
-        if let Some(end) = attempt(pipeline, base, out, session, begun)? {
+        if let Some(end) = start_or_resume(pipeline, base, out, session, begun)? {
             return Ok(end);
         }
     }
 }
 
-/// Scores a `model` that no run has trained, as a run of `pipeline` in the new folder `out`: with scores and report, but
-/// without a training curve.
+/// Scores a `model` that no run has trained, as a run of `pipeline` in the new folder `out`: with scores and report,
+/// but without a training curve.
 ///
 /// # Errors
 /// As [`run`]; a folder that holds another run.
@@ -66,29 +63,29 @@ pub fn score_model(
     out: &Path,
     session: &mut Session<'_>,
 ) -> Result<RunOutcome> {
-    let resolved = prepared(pipeline, base)?;
+    let resolved = resolve(pipeline, base)?;
     check_alike(&model.prepare(), &load(&resolved, base, session.observer)?.data)?; // before files are written
     let folder = RunFolder::claim(out, &resolved)?;
     let (path, bytes) = (folder.file(MODEL_FILE), file::ensemble_to_bytes(model));
     let has_same = || files::if_found(&path, files::read(&path)).map(|held| held.is_some_and(|held| held == bytes));
     if !folder.is_new() && !folder.settle(has_same())? {
-        let what = "holds another run; choose another folder or remove it";
-        return Err(Error::input(out, what));
+        let problem = "holds another run; choose another folder or remove it";
+        return Err(Error::input(out, problem));
     }
     folder.settle(files::write_atomically(&path, &bytes))?;
     drop(folder);
     run(pipeline, base, out, session)
 }
 
-/// Result of the run; `None` if another process has claimed it meanwhile, and the state must be read again.
-fn attempt(
+/// Runs or resumes the pipeline; `None` if another process has claimed it meanwhile, and the state must be read again.
+fn start_or_resume(
     pipeline: &Pipeline,
     base: &Path,
     out: &Path,
     session: &mut Session<'_>,
     begun: Instant,
 ) -> Result<Option<RunOutcome>> {
-    let pipeline = &prepared(pipeline, base)?;
+    let pipeline = &resolve(pipeline, base)?;
     let already = |scores: ScoreTable| Some(RunOutcome::Finished { scores: scores.into(), already: true });
     let (state, reported) = (RunFolder::inspect(out, pipeline)?, session.page.is_some());
     if let Some(scores) = state.verified(out, reported)? {
@@ -101,21 +98,16 @@ fn attempt(
         if let Some(scores) = folder.settle(folder.state().verified(folder.path(), reported))? {
             return Ok(already(scores));
         }
-        let facts = Facts::read(folder.path())?.unwrap_or_default();
-        if !facts.members.is_empty() {
-            return Err(Error::input(out, "holds the joined model of a sweep; repeat `pwrfgs sweep` with its file"));
-        }
-        if folder.file(MODEL_FILE).is_file() {
-            folder.settle(facts.verify_file(folder.path(), MODEL_FILE))?;
-        }
+        check_resumable(folder, out)?;
     }
     let (split, findings) = load_with_findings(pipeline, base, session.observer)?;
     pipeline.check_data(&split.data)?;
     check_residuals(pipeline, &split, false)?;
+    let mut run = ActiveRun { pipeline, split: &split, session, begun };
     // Created before a new folder is claimed: invalid settings must not leave files.
     let trainer = match &held {
         Some(folder) if folder.file(MODEL_FILE).is_file() => None,
-        held => match trainer(pipeline, &split, held.as_ref(), session) {
+        held => match run.trainer(held.as_ref()) {
             Err(Error::Stopped) => return Ok(Some(RunOutcome::Interrupted { step: 0 })),
             trainer => Some(trainer?),
         },
@@ -127,63 +119,73 @@ fn attempt(
             _ => return Ok(None), // another process has begun this run since, and may have ended it
         },
     };
-    let facts = folder.begin(pipeline, &split, findings, Vec::new());
+    let facts = folder.begin(pipeline, &split, Facts { findings, ..Facts::default() });
     let facts = folder.settle(facts)?;
-    let training = Training { pipeline, split: &split, session, begun };
-    let ended = complete(training, trainer, &folder, facts);
+    let ended = run.complete(trainer, &folder, facts);
     folder.settle(ended).map(Some)
 }
 
-/// Completes training, unless the model exists (`None` as trainer), and scores the model.
-fn complete<'a>(
-    mut training: Training<'a, '_>,
-    trainer: Option<Trainer<'a>>,
-    folder: &RunFolder,
-    mut facts: Facts,
-) -> Result<RunOutcome> {
-    let Training { pipeline, split, .. } = training;
-    let task = split.data.task();
-    let mut model = match trainer {
-        None => file::read_ensemble(&folder.file(MODEL_FILE))?,
-        Some(mut trainer) => match training.train(&mut trainer, folder, &mut facts)? {
-            Some(model) => Ensemble::of(model),
-            None => return Ok(RunOutcome::Interrupted { step: trainer.done() }),
-        },
-    };
-    let (session, begun) = (training.session, Instant::now());
-    // The links that a model of `score_model` was trained on are unknown, so it is not calibrated.
-    let is_trained_here = folder.file(CURVE).is_file();
-    let parts = |model: &Ensemble| (model.residuals().is_some(), model.calibration().is_some());
-    let before = parts(&model);
-    let fitted = with_residuals(model, pipeline, split, 1, session);
-    let calibrate = |model| calibrated(model, pipeline, split, session);
-    model = match if is_trained_here { fitted.and_then(calibrate) } else { fitted } {
-        Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
-        fitted => fitted?,
-    };
-    if parts(&model) != before {
-        file::write_ensemble(&folder.file(MODEL_FILE), &model)?;
+/// Checks that a run can resume in the claimed `folder`, which messages call `out`.
+///
+/// # Errors
+/// A joined model, or a damaged model file.
+fn check_resumable(folder: &RunFolder, out: &Path) -> Result<()> {
+    let facts = Facts::read(folder.path())?.unwrap_or_default();
+    if !facts.members.is_empty() {
+        return Err(Error::input(out, "holds the joined model of a sweep; repeat `pwrfgs sweep` with its file"));
     }
-    session.observer.on_message(&format!("scoring {} test {}", split.partition.test.len(), task.counted[1]));
-    let scored = evaluate(&model, pipeline, split, session)
-        .and_then(|result| Ok((result, validation_baselines(model.plane(), pipeline, split, session)?)));
-    let (mut result, baselines) = match scored {
-        Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
-        scored => scored?,
-    };
-    facts.validation_baselines = baselines;
-    if is_trained_here {
-        facts.steps = pipeline.training.steps;
-    } else {
-        // `score_model`: nothing is known of the training.
-        let table = &mut result.scores.table;
-        (table.samples[0], table.trained_elsewhere) = (0, true);
-        table.notes.push("the model was trained outside of this run, not with the settings of its pipeline".into());
+    if folder.file(MODEL_FILE).is_file() {
+        folder.settle(facts.verify_file(folder.path(), MODEL_FILE))?;
     }
-    facts.wall_seconds += begun.elapsed().as_secs_f64();
-    if pipeline.tensorboard {
-        Journal::open(folder, pipeline, task, pipeline.training.steps)?.scores(&result.scores.table)?;
+    Ok(())
+}
+
+impl<'a> ActiveRun<'a, '_> {
+    /// Completes training, unless the model exists (`None` as trainer), and scores the model.
+    fn complete(mut self, trainer: Option<Trainer<'a>>, folder: &RunFolder, mut facts: Facts) -> Result<RunOutcome> {
+        let model = match trainer {
+            None => file::read_ensemble(&folder.file(MODEL_FILE))?,
+            Some(trainer) => match self.train(trainer, folder, &mut facts)? {
+                Some(model) => Ensemble::of(model),
+                None => return Ok(RunOutcome::Interrupted { step: facts.steps }),
+            },
+        };
+        match self.score(model, folder, facts) {
+            Err(Error::Stopped) => Ok(RunOutcome::Unscored),
+            scores => Ok(RunOutcome::Finished { scores: scores?.into(), already: false }),
+        }
     }
-    let scores = conclude(folder, pipeline, &mut facts, split, &model, result, session)?;
-    Ok(RunOutcome::Finished { scores: scores.into(), already: false })
+
+    /// Fits residuals and intervals to the model, scores it, and writes all results.
+    fn score(&mut self, mut model: Ensemble, folder: &RunFolder, mut facts: Facts) -> Result<ScoreTable> {
+        let (pipeline, split, begun) = (self.pipeline, self.split, Instant::now());
+        // The links that a model of `score_model` was trained on are unknown, so it is not calibrated.
+        let is_trained_here = folder.file(CURVE).is_file();
+        let parts = |model: &Ensemble| (model.residuals().is_some(), model.calibration().is_some());
+        let before = parts(&model);
+        model = self.fit_residuals(model, 1)?;
+        if is_trained_here {
+            model = self.calibrate(model)?;
+        }
+        if parts(&model) != before {
+            file::write_ensemble(&folder.file(MODEL_FILE), &model)?;
+        }
+        let (task, test) = (split.data.task(), split.partition.test.len());
+        self.session.observer.on_message(&format!("scoring {test} test {}", task.counted[1]));
+        let mut result = evaluate(&model, pipeline, split, self.session)?;
+        facts.validation_baselines = validation_baselines(model.plane(), pipeline, split, self.session)?;
+        if is_trained_here {
+            facts.steps = pipeline.training.steps;
+        } else {
+            // `score_model`: nothing is known of the training.
+            let table = &mut result.scores.table;
+            (table.samples[0], table.trained_elsewhere) = (0, true);
+            table.notes.push("the model was trained outside of this run, not with the settings of its pipeline".into());
+        }
+        facts.wall_seconds += begun.elapsed().as_secs_f64();
+        if pipeline.tensorboard {
+            Journal::open(folder, pipeline, task, pipeline.training.steps)?.scores(&result.scores.table)?;
+        }
+        self.conclude(folder, facts, &model, result)
+    }
 }

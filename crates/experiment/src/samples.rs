@@ -12,13 +12,14 @@ use std::path::Path;
 /// Header for data with one receiver.
 const HEADER: &str = "id,x,y,z,split,nearest_train_m";
 
-/// Key of the data and split of a pipeline: equal for pipelines with the same samples in each set.
+/// Returns a key of the data and split of a pipeline: equal for pipelines with the same samples in each set.
 pub fn data_key(pipeline: &Pipeline) -> String {
     format!("{:?} {:?} {}", pipeline.data, pipeline.split, pipeline.split_seed.unwrap_or(pipeline.seed))
 }
 
-/// Content of `samples.csv`: id, x, y, z in metres (empty if unknown), split, and the distance to the nearest other
-/// training transmitter in metres (empty if there is none). With several receivers a row is a link: its number, as in
+/// Writes the content of `samples.csv`: id, x, y, z in metres (empty if unknown), split, and the distance to the
+/// nearest other training transmitter in metres (empty if there is none). With several receivers a row is a link: its
+/// number, as in
 /// `scores.csv`, is the first column, and the receiver name follows the id.
 /// `intervals` are those of the test samples, which add columns; empty without intervals.
 pub fn to_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> String {
@@ -38,41 +39,41 @@ pub fn to_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> 
     let of_test: BTreeMap<usize, &Vec<f64>> = partition.test.iter().copied().zip(intervals).collect();
     for (i, ((sample, split), nearest)) in data.samples().zip(split).zip(nearest).enumerate() {
         let distance = if nearest.is_finite() && data.placed { nearest.to_string() } else { String::new() };
-        let place = if data.placed { sample.position().map(|v| v.to_string()) } else { Default::default() };
+        let position = if data.placed { sample.position().map(|v| v.to_string()) } else { Default::default() };
         if many {
             let receiver = &data.scene.receivers[sample.receiver].name;
             _ = write!(out, "{},{},{},", data.label(i), sample.id, field(receiver));
         } else {
             _ = write!(out, "{},", sample.id);
         }
-        _ = write!(out, "{},{split},{distance}", place.join(","));
+        _ = write!(out, "{},{split},{distance}", position.join(","));
         for k in 0..columns.len() {
-            _ = write!(out, ",{}", of_test.get(&i).map_or_else(String::new, |own| own[k].to_string()));
+            _ = write!(out, ",{}", of_test.get(&i).map_or_else(String::new, |interval| interval[k].to_string()));
         }
         out.push('\n');
     }
     out
 }
 
-/// Distance from the transmitter of each link to the nearest other transmitter with a training link, metres; infinity
-/// if there is none. Zero if the link is not a training link but another link of its transmitter is.
+/// Returns the distance from the transmitter of each link to the nearest other transmitter with a training link,
+/// metres; infinity if there is none. Zero if the link is not a training link but another link of its transmitter is.
 pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
-    let all: Vec<[Real; 3]> = data.locations.iter().map(|t| data.scene.origin.local(t.position())).collect();
+    let positions: Vec<[Real; 3]> = data.locations.iter().map(|t| data.scene.origin.local(t.position())).collect();
     let mut trained: Vec<usize> = partition.train.iter().map(|&i| data.links[i].location).collect();
     trained.sort_unstable();
     trained.dedup();
-    let train: Vec<[Real; 3]> = trained.iter().map(|&t| all[t]).collect();
-    let nearest = neighbours::nearest_squared(&all, &train);
+    let train: Vec<[Real; 3]> = trained.iter().map(|&t| positions[t]).collect();
+    let nearest = neighbours::nearest_squared(&positions, &train);
     let mut others = nearest.clone();
-    for (&t, own) in trained.iter().zip(neighbours::nearest_other_squared(&train)) {
-        others[t] = own;
+    for (&t, distance) in trained.iter().zip(neighbours::nearest_other_squared(&train)) {
+        others[t] = distance;
     }
-    let mut own = vec![false; data.len()];
-    partition.train.iter().for_each(|&i| own[i] = true);
-    let of = |(link, own): (&pwrfgs_core::Link, bool)| {
-        if own { others[link.location] } else { nearest[link.location] }
+    let mut is_training = vec![false; data.len()];
+    partition.train.iter().for_each(|&i| is_training[i] = true);
+    let squared = |(link, is_training): (&pwrfgs_core::Link, bool)| {
+        if is_training { others[link.location] } else { nearest[link.location] }
     };
-    data.links.iter().zip(own).map(of).map(Real::sqrt).collect()
+    data.links.iter().zip(is_training).map(squared).map(Real::sqrt).collect()
 }
 
 /// Test samples, by label as in `scores.csv`.
@@ -103,15 +104,15 @@ impl TestSamples {
     /// # Errors
     /// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the line if the file is damaged.
     pub fn read(path: &Path) -> Result<Self> {
-        let mut found = Self::default();
+        let mut samples = Self::default();
         for SampleRow { link, id, x, y, z, split, nearest_train_m } in csv_rows(path)? {
             if split == "test" {
                 let label = link.unwrap_or(id);
-                found.nearest_train_m.insert(label, nearest_train_m.unwrap_or(f64::INFINITY));
-                found.positions.insert(label, x.zip(y).zip(z).map(|((x, y), z)| [x, y, z]));
+                samples.nearest_train_m.insert(label, nearest_train_m.unwrap_or(f64::INFINITY));
+                samples.positions.insert(label, x.zip(y).zip(z).map(|((x, y), z)| [x, y, z]));
             }
         }
-        Ok(found)
+        Ok(samples)
     }
 }
 
@@ -139,8 +140,8 @@ mod tests {
         let path = folder.path().join("samples.csv");
         let text = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n5,2.5,0,1,test,0.5\n6,,,,test,\n";
         std::fs::write(&path, text).unwrap();
-        let found = TestSamples::read(&path).unwrap();
-        assert_eq!(found.nearest_train_m, BTreeMap::from([(5, 0.5), (6, f64::INFINITY)]));
-        assert_eq!(found.positions, BTreeMap::from([(5, Some([2.5, 0.0, 1.0])), (6, None)]));
+        let samples = TestSamples::read(&path).unwrap();
+        assert_eq!(samples.nearest_train_m, BTreeMap::from([(5, 0.5), (6, f64::INFINITY)]));
+        assert_eq!(samples.positions, BTreeMap::from([(5, Some([2.5, 0.0, 1.0])), (6, None)]));
     }
 }

@@ -4,31 +4,31 @@ use crate::scores::{CEILING, ScoreCell, ScoreTable};
 use crate::text::{aligned, grouped, number};
 
 impl ScoreTable {
-    /// Numbers of test samples and of training samples of the model and the baselines; empty if unknown.
+    /// Describes the numbers of test samples and of training samples of the model and the baselines; empty if unknown.
     pub fn heading(&self) -> String {
         let [model, baselines, test] = self.samples;
         if test == 0 {
             return String::new();
         }
         let has_baselines = self.predictors.iter().skip(1 + self.members.len()).any(|name| name != CEILING);
-        let [own, theirs, tested] = self.samples.map(|n| grouped(n as i64));
-        let own = if has_baselines && model == baselines && !self.trained_elsewhere {
-            vec![format!("model and baselines are trained on the same {own}")]
+        let [of_model, of_baselines, tested] = self.samples.map(|n| grouped(n as i64));
+        let trained = if has_baselines && model == baselines && !self.trained_elsewhere {
+            vec![format!("model and baselines are trained on the same {of_model}")]
         } else {
-            let own = (model > 0).then(|| format!("the model is trained on {own}"));
-            let theirs = format!("the baselines are trained on {theirs} (training and validation)");
-            own.into_iter().chain(has_baselines.then_some(theirs)).collect()
+            let of_model = (model > 0).then(|| format!("the model is trained on {of_model}"));
+            let of_baselines = format!("the baselines are trained on {of_baselines} (training and validation)");
+            of_model.into_iter().chain(has_baselines.then_some(of_baselines)).collect()
         };
-        [vec![format!("{tested} test {}", self.task.counted[1])], own].concat().join("; ")
+        [vec![format!("{tested} test {}", self.task.counted[1])], trained].concat().join("; ")
     }
 
-    /// Comparison of the model with the best ranked baseline by the first metric, from [`Self::paired`]:
+    /// Compares the model with the best ranked baseline by the first metric, from [`Self::paired`]:
     /// `level with Kriging: +0.0030 [−0.0030, +0.0080] (..)`. `None` without such a baseline.
     pub fn verdict(&self) -> Option<String> {
         let headline = self.task.headline;
         let metric = self.metrics.iter().find(|metric| metric.key == headline.key)?;
         let ranks = self.ranks(metric, 0);
-        let rank = |name: &str| ranks[self.predictors.iter().position(|known| known == name)?];
+        let rank = |name: &str| ranks[self.predictors.iter().position(|predictor| predictor == name)?];
         let ranked = self.baselines().filter_map(|name| Some((rank(name)?, name)));
         let (_, best) = ranked.min_by_key(|(rank, _)| *rank)?;
         let row = self.paired.as_ref()?.row(best, headline.key)?;
@@ -36,8 +36,8 @@ impl ScoreTable {
         Some(format!("{} (model minus baseline, mean {} {arrow})", row.sentence(), headline.name))
     }
 
-    /// Aligned text for a terminal: heading, one line per metric and statistic, one column per predictor. The best
-    /// value of a line is marked `*`, an oracle baseline `†`. Paired differences and notes follow.
+    /// Formats aligned text for a terminal: heading, one line per metric and statistic, one column per predictor. The
+    /// best value of a line is marked `*`, an oracle baseline `†`. Paired differences and notes follow.
     pub fn to_text(&self) -> String {
         let name = |name: &String| format!("{name}{}", if self.oracles.contains(name) { " †" } else { "" });
         let head = ["metric".to_owned(), String::new()].into_iter().chain(self.predictors.iter().map(name));
@@ -66,9 +66,9 @@ impl ScoreTable {
         let oracle = format!(
             "† oracle baseline: uses the scene of simulated {things}, or the time of measured ones; not ranked"
         );
-        let own = (!self.oracles.is_empty()).then_some(oracle);
+        let legend = (!self.oracles.is_empty()).then_some(oracle);
         let pairs = self.paired.as_ref().map(|paired| paired.note(self.task));
-        let notes = own.iter().chain(&pairs).chain(&self.notes);
+        let notes = legend.iter().chain(&pairs).chain(&self.notes);
         let heading = Some(self.heading() + "\n").filter(|text| text.len() > 1).unwrap_or_default();
         let differences =
             self.paired.as_ref().map_or_else(String::new, |pairs| aligned(&pairs.lines(&self.oracles), 1) + "\n");
@@ -108,11 +108,11 @@ mod tests {
             };
             table.verdict()
         };
-        let given = |interval| verdict(interval, &["RT exact"]).unwrap();
+        let verdict_of = |interval| verdict(interval, &["RT exact"]).unwrap();
         let end = " (model minus baseline, mean SSIM ↑)";
-        assert_eq!(given(Some([-0.003, 0.008])), format!("level with Kriging: +0.0030 [−0.0030, +0.0080]{end}"));
-        assert_eq!(given(Some([0.001, 0.008])), format!("ahead of Kriging: +0.0030 [+0.0010, +0.0080]{end}"));
-        assert_eq!(given(None), format!("not compared by an interval with Kriging: +0.0030{end}"));
+        assert_eq!(verdict_of(Some([-0.003, 0.008])), format!("level with Kriging: +0.0030 [−0.0030, +0.0080]{end}"));
+        assert_eq!(verdict_of(Some([0.001, 0.008])), format!("ahead of Kriging: +0.0030 [+0.0010, +0.0080]{end}"));
+        assert_eq!(verdict_of(None), format!("not compared by an interval with Kriging: +0.0030{end}"));
         assert_eq!(verdict(None, &["3-NN", "Kriging", "RT exact"]), None);
     }
 }

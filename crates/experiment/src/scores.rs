@@ -65,6 +65,7 @@ pub struct ScoreTable {
     pub task: Task,
 }
 
+/// Whether a task is omitted in `run.json`.
 fn is_default(task: &Task) -> bool {
     *task == Task::default()
 }
@@ -119,7 +120,7 @@ pub struct LevelScores {
 }
 
 impl IntervalScores {
-    /// Mean width at a measured coverage, interpolated between levels; `None` beyond them.
+    /// Returns the mean width at a measured coverage, interpolated between levels; `None` beyond them.
     pub fn width_at(&self, coverage: f64) -> Option<f64> {
         self.levels.windows(2).find_map(|ends| {
             let part = (coverage - ends[0].coverage) / (ends[1].coverage - ends[0].coverage);
@@ -130,15 +131,15 @@ impl IntervalScores {
     /// Describes the intervals of level 0.9, and compares their width with those of the `model`.
     pub(crate) fn note(&self, task: Task, model: &Self) -> String {
         let Self { predictor, blocks: [calibration, test], levels } = self;
-        let Some(LevelScores { coverage, width, ssim, .. }) = levels.iter().find(|own| own.level == LEVEL) else {
+        let Some(LevelScores { coverage, width, ssim, .. }) = levels.iter().find(|scores| scores.level == LEVEL) else {
             return format!("no 90 % intervals of {predictor}: {calibration} calibration blocks, expected 9 or more");
         };
         let (values, unit) = if task.has_pixels { ("pixels", "") } else { (task.counted[1], " dB") };
         let ssim = ssim.map_or_else(String::new, |[bound, share]| {
             format!("; {:.1} % of SSIM are at or above their bound, {bound:.3} in the mean", 100.0 * share)
         });
-        let other = model.levels.iter().find(|own| own.level == LEVEL && predictor != MODEL);
-        let equal = other.and_then(|own| self.width_at(own.coverage)).map_or_else(String::new, |width| {
+        let of_model = model.levels.iter().find(|scores| scores.level == LEVEL && predictor != MODEL);
+        let equal = of_model.and_then(|scores| self.width_at(scores.coverage)).map_or_else(String::new, |width| {
             format!(" ({}{unit} at the coverage of {})", number(width), model.predictor)
         });
         format!(
@@ -150,13 +151,13 @@ impl IntervalScores {
     }
 }
 
-/// Columns of `samples.csv` with the intervals of level 0.9.
+/// Returns the columns of `samples.csv` with the intervals of level 0.9.
 pub(crate) fn interval_columns(task: Task) -> &'static [&'static str] {
     if task.has_pixels { &["coverage_90", "width_90", "ssim_bound_90"] } else { &["lower_dbm_90", "upper_dbm_90"] }
 }
 
 impl ScoreCell {
-    /// Summary of a measurement.
+    /// Summarises a measurement.
     pub(crate) fn of(measurement: &Measurement) -> Self {
         match &measurement.values {
             Values::PerSample(values) => Self::Samples(Summary::of(values, measurement.goal == Goal::Higher)),
@@ -165,7 +166,7 @@ impl ScoreCell {
         }
     }
 
-    /// Mean, median and worse percentile of per-sample values; the value of a whole model; or nothing.
+    /// Returns mean, median and worse percentile of per-sample values; the value of a whole model; or nothing.
     pub fn numbers(&self) -> Vec<f64> {
         match self {
             Self::Samples(Summary { mean, median, tail10 }) => vec![*mean, *median, *tail10],
@@ -188,7 +189,7 @@ impl Scores {
         let mut metrics: Vec<MetricRow> = Vec::new();
         for (p, (_, measurements)) in predictors.iter().enumerate() {
             for m in measurements {
-                let place = metrics.iter().position(|row| row.key == m.key).unwrap_or_else(|| {
+                let index = metrics.iter().position(|row| row.key == m.key).unwrap_or_else(|| {
                     metrics.push(MetricRow {
                         key: m.key.clone(),
                         unit: m.unit.clone(),
@@ -197,14 +198,14 @@ impl Scores {
                     });
                     metrics.len() - 1
                 });
-                metrics[place].cells[p] = ScoreCell::of(m);
+                metrics[index].cells[p] = ScoreCell::of(m);
             }
         }
         let names = predictors.iter().map(|(name, _)| name.clone()).collect();
         Self { table: ScoreTable { predictors: names, metrics, ..table }, ids, predictors, intervals: Vec::new() }
     }
 
-    /// The values of one per-sample metric of one predictor.
+    /// Returns the values of one per-sample metric of one predictor.
     pub fn samples(&self, predictor: &str, key: &str) -> Option<&[f64]> {
         let (_, measurements) = self.predictors.iter().find(|(name, _)| name == predictor)?;
         match &measurements.iter().find(|m| m.key == key)?.values {
@@ -213,17 +214,17 @@ impl Scores {
         }
     }
 
-    /// The values of one per-sample metric of one predictor, by label of the test sample.
+    /// Returns the values of one per-sample metric of one predictor, by label of the test sample.
     pub fn by_id(&self, predictor: &str, key: &str) -> Option<BTreeMap<u32, f64>> {
         Some(self.ids.iter().copied().zip(self.samples(predictor, key)?.iter().copied()).collect())
     }
 
-    /// Paired differences between the model and each baseline, by the metrics that [`is_compared`] selects; `positions`
-    /// are those of the test transmitters, metres, by id. `None` if there is no baseline or no such metric.
+    /// Computes paired differences between the model and each baseline, by the metrics that [`is_compared`] selects;
+    /// `positions` are those of the test transmitters, metres, by id. `None` if there is no baseline or no such metric.
     pub(crate) fn paired(&self, positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Option<Paired> {
         let blocks = Blocks::new(positions);
-        let (_, own) = self.predictors.first()?;
-        let compared = own.iter().filter(|m| is_compared(&m.key, self.table.task));
+        let (_, measurements) = self.predictors.first()?;
+        let compared = measurements.iter().filter(|m| is_compared(&m.key, self.table.task));
         let row = |baseline: &str, key: &str, goal: Goal| {
             let pairs = self.samples(MODEL, key)?.iter().zip(self.samples(baseline, key)?);
             let differences = self.ids.iter().zip(pairs).map(|(id, (model, baseline))| (*id, model - baseline));
@@ -239,7 +240,7 @@ impl Scores {
         (!rows.is_empty()).then_some(Paired { edge_m: blocks.edge_m, cubes: blocks.count, rows })
     }
 
-    /// Value of one metric of one predictor: that of the whole model, or the mean over test samples.
+    /// Returns the value of one metric of one predictor: that of the whole model, or the mean over test samples.
     pub fn value(&self, predictor: &str, key: &str) -> Option<f64> {
         self.table.numbers(predictor, key)?.first().copied()
     }
@@ -247,36 +248,36 @@ impl Scores {
 
 impl ScoreTable {
     /// Adds the noise ceiling of each metric that has one, as the last predictor.
-    pub(crate) fn add_ceiling(&mut self, of: &[(String, Summary)]) {
-        if of.is_empty() {
+    pub(crate) fn add_ceiling(&mut self, ceilings: &[(String, Summary)]) {
+        if ceilings.is_empty() {
             return;
         }
         self.predictors.push(CEILING.into());
         for row in &mut self.metrics {
-            let found = of.iter().find(|(key, _)| *key == row.key);
+            let ceiling = ceilings.iter().find(|(key, _)| *key == row.key);
             let cell = |(_, summary): &(String, Summary)| ScoreCell::Samples(*summary);
-            row.cells.push(found.map_or_else(|| ScoreCell::NotApplicable("no estimate".into()), cell));
+            row.cells.push(ceiling.map_or_else(|| ScoreCell::NotApplicable("no estimate".into()), cell));
         }
     }
 
-    /// [`ScoreCell::numbers`] of one metric of one predictor or the noise ceiling.
+    /// Returns the [`ScoreCell::numbers`] of one metric of one predictor or the noise ceiling.
     pub fn numbers(&self, predictor: &str, key: &str) -> Option<Vec<f64>> {
-        let place = self.predictors.iter().position(|name| name == predictor)?;
-        Some(self.metrics.iter().find(|row| row.key == key)?.cells.get(place)?.numbers())
+        let index = self.predictors.iter().position(|name| name == predictor)?;
+        Some(self.metrics.iter().find(|row| row.key == key)?.cells.get(index)?.numbers())
     }
 
-    /// Baselines in the order of the pipeline, without ensemble members and ceiling.
+    /// Lists the baselines in the order of the pipeline, without ensemble members and ceiling.
     pub fn baselines(&self) -> impl Iterator<Item = &str> {
         let is_baseline = |name: &&String| *name != MODEL && *name != CEILING && !self.members.contains(name);
         self.predictors.iter().filter(is_baseline).map(String::as_str)
     }
 
-    /// Score of the model by one metric: the mean over test samples, or the value of the whole model.
+    /// Returns the score of the model by one metric: the mean over test samples, or the value of the whole model.
     pub fn of_model(&self, key: &str) -> Option<f64> {
         self.numbers(MODEL, key)?.first().copied()
     }
 
-    /// Rank (0 is best) of each predictor by statistic `k` of a metric (0 mean, 1 median, 2 percentile); `None` for
+    /// Ranks each predictor (0 is best) by statistic `k` of a metric (0 mean, 1 median, 2 percentile); `None` for
     /// oracle baselines, the ceiling, and missing values. Equal values share a rank.
     pub fn ranks(&self, metric: &MetricRow, k: usize) -> Vec<Option<usize>> {
         let value = |(name, cell): (&String, &ScoreCell)| {
@@ -295,7 +296,7 @@ impl ScoreTable {
 }
 
 impl Scores {
-    /// Content of `scores.csv`.
+    /// Writes the content of `scores.csv`.
     pub fn to_csv(&self) -> String {
         let mut lines = Lines::new(["predictor", "metric", "sample", "value"]);
         for (predictor, measurements) in &self.predictors {
@@ -319,29 +320,29 @@ impl Scores {
     /// # Errors
     /// [`pwrfgs_core::Error::Input`] with the line if the file is damaged, or `table` belongs to other scores.
     pub fn read(path: &Path, table: ScoreTable) -> Result<Self> {
-        let mut found = Self { table, ..Self::default() };
+        let mut scores = Self { table, ..Self::default() };
         let (rows, mut line) = (csv_rows::<ScoreRow>(path)?, 2);
         for group in rows.chunk_by(|a, b| (&a.predictor, &a.metric) == (&b.predictor, &b.metric)) {
             // A metric that is listed twice has its samples twice.
             let again = group[1..].iter().position(|row| row.sample == group[0].sample);
             for rows in group.chunks(again.map_or(group.len(), |k| k + 1)) {
-                found.take(rows).map_err(|what| damaged(path, line, &what))?;
+                scores.add_rows(rows).map_err(|problem| damaged(path, line, &problem))?;
                 line += rows.len();
             }
         }
-        Ok(found)
+        Ok(scores)
     }
 
     /// Adds the rows of one metric of one predictor.
-    fn take(&mut self, rows: &[ScoreRow]) -> Result<(), String> {
+    fn add_rows(&mut self, rows: &[ScoreRow]) -> Result<(), String> {
         let ScoreRow { predictor, metric, sample, value } = &rows[0];
         let (predictor, key) = (text_of(predictor), text_of(metric));
-        let place = self.table.predictors.iter().position(|name| name == predictor);
+        let index = self.table.predictors.iter().position(|name| name == predictor);
         let row = self.table.metrics.iter_mut().find(|row| row.key == key);
-        let (Some(place), Some(row)) = (place, row) else {
+        let (Some(index), Some(row)) = (index, row) else {
             return Err(format!("run.json has no {key} of {predictor}"));
         };
-        let values = match (sample, value, row.cells.get(place)) {
+        let values = match (sample, value, row.cells.get(index)) {
             (Some(_), Some(_), _) => {
                 let ids: Vec<u32> = rows.iter().filter_map(|row| row.sample).collect();
                 if self.ids.is_empty() {
@@ -360,7 +361,7 @@ impl Scores {
         let goal = if row.higher_is_better { Goal::Higher } else { Goal::Lower };
         let measurement = Measurement { key: key.to_owned(), unit: row.unit.clone(), goal, values, note: None };
         // JSON has neither infinity nor NaN: the summary is computed from the values.
-        if let Some(cell) = row.cells.get_mut(place) {
+        if let Some(cell) = row.cells.get_mut(index) {
             *cell = ScoreCell::of(&measurement);
         }
         match self.predictors.last_mut().filter(|(name, _)| name == predictor) {
@@ -383,14 +384,17 @@ struct ScoreRow {
     value: Option<f64>,
 }
 
+/// Reads a number; `None` if the field is empty.
 fn unless_empty<'de, D: Deserializer<'de>>(field: D) -> Result<Option<u32>, D::Error> {
     number_unless("", &String::deserialize(field)?)
 }
 
+/// Reads a number; `None` for `n/a`.
 fn unless_not_applicable<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f64>, D::Error> {
     number_unless("n/a", &String::deserialize(field)?)
 }
 
+/// Parses a number, unless the text is `none`.
 fn number_unless<T: FromStr, E: serde::de::Error>(none: &str, text: &str) -> Result<Option<T>, E> {
     (text != none).then(|| text.parse().ok().ok_or_else(|| E::custom(format!("`{text}` is not a number")))).transpose()
 }
@@ -518,7 +522,7 @@ mod tests {
         };
         let (model, kriging) =
             (scores(MODEL, [[0.75, 10.5], [0.85, 14.5]]), scores("Kriging", [[0.8, 11.5], [0.9, 15.5]]));
-        let note = |own: &IntervalScores| own.note(Task::Power, &model);
+        let note = |scores: &IntervalScores| scores.note(Task::Power, &model);
         let blocks = "blocks of equal weight: 40 calibration, 8 test";
         assert_eq!(
             note(&model),

@@ -70,7 +70,7 @@ pub trait Observer: Send {
     }
 }
 
-/// Observer that ignores all events, and board that ignores all runs.
+/// Observer that ignores all events, and sweep observer that ignores all runs.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoopObserver;
 
@@ -150,14 +150,14 @@ mod tests {
                 self.0.push((name.into(), done, total));
             }
         }
-        let mut ear = RecordingObserver::default();
-        let out = staged(&mut ear, "spectra", |progress| {
+        let mut observer = RecordingObserver::default();
+        let out = staged(&mut observer, "spectra", |progress| {
             [0, 1, 3, 2, 0, 3, 4].iter().for_each(|done| progress(*done, 4));
             "done"
         });
         assert_eq!(out, "done");
         assert_eq!(
-            ear.0,
+            observer.0,
             [(0, 0), (0, 4), (1, 4), (3, 4), (4, 4)].map(|(done, total)| ("spectra".to_owned(), done, total))
         );
     }

@@ -37,7 +37,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Summary of any number of values; NaN for none. Quantiles are interpolated linearly between order statistics.
+    /// Summarises any number of values; NaN for none. Quantiles are interpolated linearly between order statistics.
     pub fn of(values: &[f64], higher_is_better: bool) -> Self {
         let sorted = sorted(values.iter().copied());
         Self {
@@ -48,6 +48,7 @@ impl Summary {
     }
 }
 
+/// Reads a number that is stored as `null` if it is infinite, since JSON has no infinity.
 pub(crate) fn null_is_infinite<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
     Ok(Option::<f64>::deserialize(d)?.unwrap_or(f64::INFINITY))
 }
@@ -64,7 +65,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Mean and deviation of at least one value; `None` without values.
+    /// Computes mean and deviation of at least one value; `None` without values.
     pub fn of(values: &[f64]) -> Option<Self> {
         let (n, first) = (values.len(), *values.first()?);
         // Equal values have deviation 0, independent of rounding.
@@ -104,11 +105,12 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// Difference of `cells[seed][block]`, all seeds with the same blocks; `None` without any difference.
+    /// Computes the difference of `cells[seed][block]`, all seeds with the same blocks; `None` without any difference.
     pub fn of(cells: &[Vec<BlockSum>]) -> Option<Self> {
         Self::with_replicates(cells, REPLICATES)
     }
 
+    /// Computes the difference as [`Self::of`] does, with a number of bootstrap replicates.
     fn with_replicates(cells: &[Vec<BlockSum>], replicates: usize) -> Option<Self> {
         let cells: Vec<&[BlockSum]> =
             cells.iter().map(Vec::as_slice).filter(|c| c.iter().any(|c| c.count > 0)).collect();
@@ -120,7 +122,7 @@ impl Difference {
             // Same random stream for every difference, so that rows of a table are comparable.
             let mut random = rng::stream(0, "bootstrap", 0);
             let replicate = || {
-                let (seeds, blocks) = (drawn(&mut random, &seeds), drawn(&mut random, &blocks));
+                let (seeds, blocks) = (draw_indices(&mut random, &seeds), draw_indices(&mut random, &blocks));
                 self::mean(&cells, &seeds, &blocks).unwrap_or(mean)
             };
             let means = sorted(repeat_with(replicate).take(replicates));
@@ -136,13 +138,13 @@ impl Difference {
     }
 }
 
-/// Draws one fewer than there are, with replacement; a single one is returned.
-fn drawn(random: &mut Rng, all: &[usize]) -> Vec<usize> {
-    let count = all.len().saturating_sub(1).max(1);
-    repeat_with(|| all[rng::below(random, all.len())]).take(count).collect()
+/// Draws one index fewer than there are, with replacement; a single one is returned.
+fn draw_indices(random: &mut Rng, indices: &[usize]) -> Vec<usize> {
+    let count = indices.len().saturating_sub(1).max(1);
+    repeat_with(|| indices[rng::below(random, indices.len())]).take(count).collect()
 }
 
-/// Mean over `seeds` of the mean over `blocks`; seeds without differences in these blocks are skipped.
+/// Computes the mean over `seeds` of the mean over `blocks`; seeds without differences in these blocks are skipped.
 fn mean(cells: &[&[BlockSum]], seeds: &[usize], blocks: &[usize]) -> Option<f64> {
     let of_seed = |seed: &usize| {
         let (sum, count) = blocks
@@ -171,33 +173,35 @@ pub struct Blocks {
     /// Number of blocks that hold test transmitters.
     pub count: usize,
     /// Block of each test sample, by id.
-    of: BTreeMap<u32, usize>,
+    by_id: BTreeMap<u32, usize>,
 }
 
 impl Blocks {
-    /// Creates the blocks of test samples from their positions by id, metres. If any position is unknown, each sample is a
-    /// block.
+    /// Creates the blocks of test samples from their positions by id, metres. If any position is unknown, each sample
+    /// is a block.
     pub fn new(positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Self {
-        let known: Option<_> = positions.iter().map(|(id, position)| Some((*id, (*position)?))).collect();
-        let single = || Self { edge_m: None, count: positions.len(), of: positions.keys().copied().zip(0..).collect() };
-        known.map_or_else(single, |places| Self::cubes(&places))
+        let all_known: Option<_> = positions.iter().map(|(id, position)| Some((*id, (*position)?))).collect();
+        let single =
+            || Self { edge_m: None, count: positions.len(), by_id: positions.keys().copied().zip(0..).collect() };
+        all_known.map_or_else(single, |positions| Self::cubes(&positions))
     }
 
-    fn cubes(places: &BTreeMap<u32, [f64; 3]>) -> Self {
-        let ends = [0, 1, 2].map(|k| bounds(places.values().map(|place| place[k])));
+    /// Creates cubes with the largest edge that leaves [`WANTED`] cubes; all `positions` are known.
+    fn cubes(positions: &BTreeMap<u32, [f64; 3]>) -> Self {
+        let ends = [0, 1, 2].map(|k| bounds(positions.values().map(|position| position[k])));
         let extent = ends.iter().map(|(low, high)| high - low).fold(0.0, f64::max);
-        let cube = |place: &[f64; 3], edge: f64| [0, 1, 2].map(|k| ((place[k] - ends[k].0) / edge) as i64);
+        let cube = |position: &[f64; 3], edge: f64| [0, 1, 2].map(|k| ((position[k] - ends[k].0) / edge) as i64);
         let edge = |parts: u32| if extent > 0.0 { extent / f64::from(parts) } else { 1.0 };
-        let cubes = |edge: f64| places.values().map(|place| cube(place, edge)).collect::<BTreeSet<_>>();
+        let cubes = |edge: f64| positions.values().map(|position| cube(position, edge)).collect::<BTreeSet<_>>();
         let distinct = cubes(edge(FINEST)).len();
         let parts = (1..FINEST).find(|parts| cubes(edge(*parts)).len() >= WANTED.min(distinct)).unwrap_or(FINEST);
         let edge_m = edge(parts);
         let number: BTreeMap<_, usize> = cubes(edge_m).into_iter().zip(0..).collect();
-        let of = places.iter().map(|(id, place)| (*id, number[&cube(place, edge_m)])).collect();
-        Self { edge_m: Some(edge_m), count: number.len(), of }
+        let by_id = positions.iter().map(|(id, position)| (*id, number[&cube(position, edge_m)])).collect();
+        Self { edge_m: Some(edge_m), count: number.len(), by_id }
     }
 
-    /// Differences of test samples, by id, collected by block; values that are not finite are omitted.
+    /// Sums the differences of test samples, by id, in each block; values that are not finite are omitted.
     pub fn cells(&self, differences: impl IntoIterator<Item = (u32, f64)>) -> Vec<BlockSum> {
         let mut cells = vec![BlockSum::default(); self.count];
         for (id, difference) in differences.into_iter().filter(|(_, difference)| difference.is_finite()) {
@@ -208,9 +212,9 @@ impl Blocks {
         cells
     }
 
-    /// Block of a test sample.
+    /// Returns the block of a test sample.
     pub fn of(&self, id: u32) -> Option<usize> {
-        self.of.get(&id).copied()
+        self.by_id.get(&id).copied()
     }
 }
 
@@ -274,11 +278,11 @@ mod tests {
         let cells = Model { sample: 0.3, ..Model::default() }.draw(&mut rng::stream(1, "test", 0), [1, n, 1]);
         let values: Vec<f64> = cells[0].iter().map(|c| c.sum).collect();
         let s = Spread::of(&values).unwrap();
-        let found = Difference::of(&cells).unwrap();
-        assert!((found.mean - s.mean).abs() < 1e-12);
+        let difference = Difference::of(&cells).unwrap();
+        assert!((difference.mean - s.mean).abs() < 1e-12);
         let expected = 2.0 * 1.96 * s.deviation.unwrap() / (n as f64).sqrt();
-        assert!((width(&found) / expected - 1.0).abs() < 0.03, "{} against {expected}", width(&found));
-        let (low, high) = found.interval.unwrap();
+        assert!((width(&difference) / expected - 1.0).abs() < 0.03, "{} against {expected}", width(&difference));
+        let (low, high) = difference.interval.unwrap();
         assert!((f64::midpoint(low, high) - s.mean).abs() < 0.03 * expected);
     }
 
@@ -288,13 +292,13 @@ mod tests {
         let cells = model.draw(&mut rng::stream(2, "test", 0), [60, 40, 1]);
         let means: Vec<f64> = cells.iter().map(|c| c.iter().map(|c| c.sum).sum::<f64>() / 40.0).collect();
         let expected = 2.0 * 1.96 * Spread::of(&means).unwrap().deviation.unwrap() / 60f64.sqrt();
-        let found = width(&Difference::of(&cells).unwrap());
-        assert!((found / expected - 1.0).abs() < 0.03, "{found} against {expected}");
+        let measured = width(&Difference::of(&cells).unwrap());
+        assert!((measured / expected - 1.0).abs() < 0.03, "{measured} against {expected}");
     }
 
     #[test]
     fn bootstrap_interval_has_expected_coverage() {
-        let all = [
+        let cases = [
             // One seed; samples in a block are independent or strongly correlated.
             (Model { sample: 1.0, ..Model::default() }, [1, 40, 1], 0.92..0.97),
             (Model { block: 1.0, sample: 0.5, ..Model::default() }, [1, 40, 8], 0.92..0.97),
@@ -303,10 +307,10 @@ mod tests {
             // Three seeds with a dominant seed variance: the interval is too narrow, and the report notes it.
             (Model { seed: 1.0, block: 0.5, sample: 0.5 }, [3, 40, 4], 0.60..0.90),
         ];
-        for (model, shape, expected) in all {
-            let found = model.coverage(shape);
-            println!("seeds, blocks, samples {shape:?}, {model:?}: {found}");
-            assert!(expected.contains(&found), "{shape:?}: {found}");
+        for (model, shape, expected) in cases {
+            let coverage = model.coverage(shape);
+            println!("seeds, blocks, samples {shape:?}, {model:?}: {coverage}");
+            assert!(expected.contains(&coverage), "{shape:?}: {coverage}");
         }
     }
 
@@ -332,14 +336,14 @@ mod tests {
         assert_eq!(Difference::of(&[]), None);
         assert_eq!(Difference::of(&[vec![BlockSum::default(); 3]]), None);
         let one = |sum| BlockSum { sum, count: 1 };
-        let found =
+        let difference =
             Difference::of(&[vec![BlockSum::default(), one(0.5)], vec![BlockSum::default(), one(0.7)]]).unwrap();
-        assert_eq!((found.mean, found.interval, found.seeds), (0.6, None, 2));
-        assert!(!found.is_clear());
+        assert_eq!((difference.mean, difference.interval, difference.seeds), (0.6, None, 2));
+        assert!(!difference.is_clear());
         // Blocks with data of only one seed: the other seed is skipped there.
-        let found =
+        let difference =
             Difference::of(&[vec![one(1.0), BlockSum::default()], vec![BlockSum::default(), one(3.0)]]).unwrap();
-        assert_eq!((found.mean, found.interval, found.is_clear()), (2.0, Some((1.0, 3.0)), true));
+        assert_eq!((difference.mean, difference.interval, difference.is_clear()), (2.0, Some((1.0, 3.0)), true));
     }
 
     #[test]
@@ -365,9 +369,9 @@ mod tests {
 
     #[test]
     fn few_positions_get_one_cube_each() {
-        let places = BTreeMap::from([(1, [0.0; 3]), (5, [0.1, 0.0, 0.0]), (9, [3.0, 0.0, 1.0])]);
-        let places = places.into_iter().map(|(id, place)| (id, Some(place))).collect();
-        let blocks = Blocks::new(&places);
+        let positions = BTreeMap::from([(1, [0.0; 3]), (5, [0.1, 0.0, 0.0]), (9, [3.0, 0.0, 1.0])]);
+        let positions = positions.into_iter().map(|(id, position)| (id, Some(position))).collect();
+        let blocks = Blocks::new(&positions);
         assert_eq!(BTreeSet::from([1, 5, 9].map(|id| blocks.of(id).unwrap())).len(), 3);
         assert_eq!(Blocks::new(&BTreeMap::from([1, 2].map(|id| (id, Some([2.0; 3]))))).count, 1);
         assert_eq!(Blocks::new(&BTreeMap::new()).count, 0);

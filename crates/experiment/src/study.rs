@@ -14,7 +14,7 @@ use crate::Record;
 use crate::folder::PIPELINE;
 use crate::sweep::{JOINED, LISTING, Listing};
 use pwrfgs_core::{Error, Result};
-use setting::{Labels, listed, named, setting_key, settings};
+use setting::{Labels, group_by_setting, listed, name_single_runs, setting_key};
 use std::path::{Path, PathBuf};
 
 /// Runs to compare.
@@ -38,28 +38,28 @@ impl Study {
     pub fn read(folders: &[PathBuf]) -> Result<Self> {
         let (mut study, mut seen) = (Self::default(), Vec::new());
         let mut titles: Vec<String> = Vec::new();
-        let (mut records, mut alone) = (Vec::new(), Vec::new());
+        let (mut records, mut single_runs) = (Vec::new(), Vec::new());
         for folder in folders {
             let listing = if folder.is_dir() { Listing::read(folder)? } else { None };
             if let Some(listing) = listing {
                 // Two sweeps of the same name, such as of two days, are different.
-                let taken = titles.contains(&listing.name);
-                let name = if taken { folder.display().to_string() } else { listing.name };
+                let is_taken = titles.contains(&listing.name);
+                let name = if is_taken { folder.display().to_string() } else { listing.name };
                 let mut runs: Vec<(PathBuf, Labels)> =
                     listing.runs.into_iter().map(|run| (folder.join(run.folder), run.labels)).collect();
                 let joined = folder.join(JOINED);
                 if joined.join(PIPELINE).is_file() {
                     runs.push((joined, vec![(String::new(), JOINED.to_owned())]));
                 }
-                for (place, mut labels) in runs {
+                for (path, mut labels) in runs {
                     if folders.len() > 1 {
                         labels.insert(0, (String::new(), name.clone()));
                     }
-                    records.extend(study.take(&place, &mut seen)?.map(|record| (labels, record)));
+                    records.extend(study.read_run(&path, &mut seen)?.map(|record| (labels, record)));
                 }
                 titles.push(name);
             } else if folder.join(PIPELINE).is_file() {
-                alone.extend(study.take(folder, &mut seen)?);
+                single_runs.extend(study.read_run(folder, &mut seen)?);
             } else {
                 return Err(Error::Config(format!(
                     "{} holds neither a run ({PIPELINE}) nor a sweep ({LISTING}); name a folder that `pwrfgs run` or \
@@ -68,7 +68,7 @@ impl Study {
                 )));
             }
         }
-        for (name, record) in named(study.without_twins(alone)?)? {
+        for (name, record) in name_single_runs(study.without_twins(single_runs)?)? {
             titles.push(name.clone());
             records.push((vec![(String::new(), name)], record));
         }
@@ -77,18 +77,18 @@ impl Study {
             let missing = study.unfinished.len();
             return Err(Error::Config(format!("none of these {missing} runs has finished; run them first")));
         }
-        study.settings = settings(records)?;
+        study.settings = group_by_setting(records)?;
         Ok(study)
     }
 
     /// Reads one run folder, or records that it is unfinished or a duplicate.
-    fn take(&mut self, folder: &Path, seen: &mut Vec<PathBuf>) -> Result<Option<Record>> {
-        let place = folder.canonicalize().unwrap_or_else(|_| folder.into());
-        if seen.contains(&place) {
+    fn read_run(&mut self, folder: &Path, seen: &mut Vec<PathBuf>) -> Result<Option<Record>> {
+        let path = folder.canonicalize().unwrap_or_else(|_| folder.into());
+        if seen.contains(&path) {
             self.repeated.push(folder.into());
             return Ok(None);
         }
-        seen.push(place);
+        seen.push(path);
         let record = Record::read(folder)?;
         if record.is_none() {
             self.unfinished.push(folder.into());

@@ -19,10 +19,7 @@ pub use plan::{JOINED, PlannedRun, SweepPlan};
 use crate::evaluate::evaluate;
 use crate::facts::{Facts, FileDigest};
 use crate::folder::MODEL_FILE;
-use crate::intervals::calibrated;
-use crate::load::{SplitData, load_with_findings};
-use crate::page::conclude;
-use crate::residuals::with_residuals;
+use crate::load::{ActiveRun, load_with_findings};
 use crate::run_folder::RunFolder;
 use crate::runner::{RunOutcome, run};
 use crate::scores::ScoreTable;
@@ -96,7 +93,7 @@ pub fn execute(
                         Err(Error::Busy(folder))
                     } else {
                         let mut observer = board.starts(run);
-                        pool.install(|| one(plan, run, &mut Session { observer: &mut *observer, stop, page }))
+                        pool.install(|| perform(plan, run, &mut Session { observer: &mut *observer, stop, page }))
                     };
                     board.ends(run, &end);
                     ends.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((run, end));
@@ -109,7 +106,7 @@ pub fn execute(
     Ok(SweepEnd { runs: ends, joined: join(plan, session)? })
 }
 
-/// Thread pool of one of `jobs` runs that share the threads of the calling pool.
+/// Creates the thread pool of one of `jobs` runs that share the threads of the calling pool.
 ///
 /// # Errors
 /// Threads cannot be started.
@@ -119,10 +116,10 @@ pub fn pool(jobs: usize) -> Result<ThreadPool> {
     pool.map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}")))
 }
 
-/// Performs one run.
-fn one(plan: &SweepPlan, place: usize, session: &mut Session<'_>) -> Result<RunOutcome> {
-    let (folder, pipeline) = (plan.folder_of(place), &plan.runs[place].pipeline);
-    plan.forget_failure(place);
+/// Performs a run, an index in the plan, and stores the reason if it fails.
+fn perform(plan: &SweepPlan, index: usize, session: &mut Session<'_>) -> Result<RunOutcome> {
+    let (folder, pipeline) = (plan.folder_of(index), &plan.runs[index].pipeline);
+    plan.forget_failure(index);
     // A panic is a bug in one run, for example of a plugin; the other runs are unaffected.
     let work = || run(pipeline, Path::new(""), &folder, session);
     let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
@@ -135,7 +132,7 @@ fn one(plan: &SweepPlan, place: usize, session: &mut Session<'_>) -> Result<RunO
         && !matches!(error, Error::Busy(_))
     {
         // The failure is returned in any case.
-        _ = plan.note_failure(place, error);
+        _ = plan.note_failure(index, error);
     }
     outcome
 }
@@ -155,25 +152,18 @@ fn join(plan: &SweepPlan, session: &mut Session<'_>) -> Result<Option<RunOutcome
         Err(Error::Busy(_)) => return Ok(None),
         folder => folder?,
     };
-    let ended = Join { plan, pipeline, session, begun: Instant::now() }.end(&mut folder);
+    let ended = plan.join_in(pipeline, &mut folder, session);
     folder.settle(ended).map(Some)
 }
 
-/// Joining in a claimed folder.
-struct Join<'a, 's> {
-    plan: &'a SweepPlan,
-    pipeline: &'a Pipeline,
-    session: &'a mut Session<'s>,
-    begun: Instant,
-}
-
-impl Join<'_, '_> {
-    /// Writes and scores the model, unless the same model with these scores exists.
-    fn end(&mut self, folder: &mut RunFolder) -> Result<RunOutcome> {
-        let (mut ensemble, path) = (self.assemble()?, folder.file(MODEL_FILE));
+impl SweepPlan {
+    /// Joins the models in a claimed folder and scores the result, unless the same model with these scores exists.
+    fn join_in(&self, pipeline: &Pipeline, folder: &mut RunFolder, session: &mut Session<'_>) -> Result<RunOutcome> {
+        let begun = Instant::now();
+        let mut ensemble = self.assemble()?;
         let bytes = file::ensemble_to_bytes(&ensemble);
         // Residual processes and calibration of the same members are kept.
-        if let Ok(kept) = file::read_ensemble(&path)
+        if let Ok(kept) = file::read_ensemble(&folder.file(MODEL_FILE))
             && file::ensemble_to_bytes(&kept.clone().with_residuals(None)) == bytes
         {
             ensemble = kept;
@@ -181,59 +171,58 @@ impl Join<'_, '_> {
         let bytes = file::ensemble_to_bytes(&ensemble);
         let is_joined = |earlier: Facts| earlier.files.get(MODEL_FILE) == Some(&FileDigest::of(&bytes));
         if Facts::read(folder.path())?.is_some_and(is_joined)
-            && let Some(scores) = folder.state().verified(folder.path(), self.session.page.is_some())?
+            && let Some(scores) = folder.state().verified(folder.path(), session.page.is_some())?
         {
             return Ok(RunOutcome::Finished { scores: scores.into(), already: true });
         }
-        let (split, findings) = load_with_findings(self.pipeline, Path::new(""), self.session.observer)?;
-        self.pipeline.check_data(&split.data)?;
-        let members = self.plan.runs.iter().map(|run| run.folder.clone()).collect();
-        let facts = folder.begin(self.pipeline, &split, findings, members)?;
-        let fitted = with_residuals(ensemble, self.pipeline, &split, self.plan.runs.len(), self.session);
-        ensemble = match fitted.and_then(|fitted| calibrated(fitted, self.pipeline, &split, self.session)) {
-            Err(Error::Stopped) => return Ok(RunOutcome::Unscored),
-            fitted => fitted?,
-        };
-        write_atomically(&path, &file::ensemble_to_bytes(&ensemble))?;
-        match self.assess(&ensemble, &split, folder, facts) {
-            Ok(scores) => Ok(RunOutcome::Finished { scores: scores.into(), already: false }),
+        let (split, findings) = load_with_findings(pipeline, Path::new(""), session.observer)?;
+        pipeline.check_data(&split.data)?;
+        let members = self.runs.iter().map(|run| run.folder.clone()).collect();
+        let mut facts = folder.begin(pipeline, &split, Facts { findings, members, ..Facts::default() })?;
+        self.add_members(&mut facts)?;
+        let mut run = ActiveRun { pipeline, split: &split, session, begun };
+        match run.score_joined(ensemble, folder, facts) {
             Err(Error::Stopped) => Ok(RunOutcome::Unscored),
-            Err(error) => Err(error),
+            scores => Ok(RunOutcome::Finished { scores: scores?.into(), already: false }),
         }
     }
 
-    /// Trained models, in the order of the plan.
+    /// Reads the trained models, in the order of the plan.
     fn assemble(&self) -> Result<Ensemble> {
-        let member = |(place, run): (usize, &PlannedRun)| {
-            let folder = self.plan.folder_of(place);
+        let member = |(index, run): (usize, &PlannedRun)| {
+            let folder = self.folder_of(index);
             if let Some(facts) = Facts::read(&folder)? {
                 facts.verify_file(&folder, MODEL_FILE)?;
             }
             Ok((run.member_name(), file::read(&folder.join(MODEL_FILE))?))
         };
-        let members = self.plan.runs.iter().enumerate().map(member).collect::<Result<_>>()?;
+        let members = self.runs.iter().enumerate().map(member).collect::<Result<_>>()?;
         Ensemble::named(members).map_err(Error::Config)
     }
 
-    /// Scores the model on the test set and writes scores, samples, report and facts.
-    fn assess(
-        &mut self,
-        ensemble: &Ensemble,
-        split: &SplitData,
-        folder: &RunFolder,
-        mut facts: Facts,
-    ) -> Result<ScoreTable> {
-        let (counted, test) = (split.data.task().counted[1], split.partition.test.len());
-        self.session.observer.on_message(&format!("scoring {test} test {counted}"));
-        let result = evaluate(ensemble, self.pipeline, split, self.session)?;
+    /// Sums steps and training seconds of all runs into the facts of the joined model.
+    fn add_members(&self, facts: &mut Facts) -> Result<()> {
         (facts.steps, facts.training_seconds) = (0, 0.0);
-        for place in 0..self.plan.runs.len() {
-            let own = Facts::read(&self.plan.folder_of(place))?.unwrap_or_default();
-            facts.steps += own.steps;
-            facts.training_seconds += own.training_seconds;
-            facts.peak_memory_bytes = facts.peak_memory_bytes.max(own.peak_memory_bytes);
+        for index in 0..self.runs.len() {
+            let member = Facts::read(&self.folder_of(index))?.unwrap_or_default();
+            facts.steps += member.steps;
+            facts.training_seconds += member.training_seconds;
+            facts.peak_memory_bytes = facts.peak_memory_bytes.max(member.peak_memory_bytes);
         }
+        Ok(())
+    }
+}
+
+impl ActiveRun<'_, '_> {
+    /// Fits residuals and intervals to a joined model, scores it, and writes all results.
+    fn score_joined(&mut self, ensemble: Ensemble, folder: &RunFolder, mut facts: Facts) -> Result<ScoreTable> {
+        let fitted = self.fit_residuals(ensemble, facts.members.len())?;
+        let ensemble = self.calibrate(fitted)?;
+        write_atomically(&folder.file(MODEL_FILE), &file::ensemble_to_bytes(&ensemble))?;
+        let (counted, test) = (self.split.data.task().counted[1], self.split.partition.test.len());
+        self.session.observer.on_message(&format!("scoring {test} test {counted}"));
+        let result = evaluate(&ensemble, self.pipeline, self.split, self.session)?;
         facts.wall_seconds += self.begun.elapsed().as_secs_f64();
-        conclude(folder, self.pipeline, &mut facts, split, ensemble, result, self.session)
+        self.conclude(folder, facts, &ensemble, result)
     }
 }

@@ -33,6 +33,7 @@ pub fn duration(seconds: f64) -> String {
 /// Longest table cell, characters; longer cells are truncated, but not file names.
 const CELL: usize = 1_000;
 
+/// Truncates a cell that is too long.
 fn cut(cell: &str) -> String {
     match cell.char_indices().nth(CELL) {
         Some((end, _)) => format!("{}..", &cell[..end]),
@@ -95,7 +96,7 @@ impl<const K: usize> Lines<K> {
             .expect("memory takes every line, and all have K fields");
     }
 
-    /// Text of the whole file.
+    /// Returns the text of the whole file.
     pub fn text(self) -> String {
         String::from_utf8(self.0.into_inner().unwrap_or_default()).unwrap_or_default()
     }
@@ -111,19 +112,19 @@ pub(crate) fn csv_rows<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
         return Err(damaged(path, text.lines().count().max(1), "the file ends before the end of a row"));
     }
     let placed = |e: csv::Error| {
-        let what = match e.kind() {
+        let problem = match e.kind() {
             csv::ErrorKind::Deserialize { err, .. } => err.kind().to_string(),
             _ => "the row has another number of fields than the first line".into(),
         };
-        damaged(path, e.position().map_or(1, |p| p.line() as usize), &what)
+        damaged(path, e.position().map_or(1, |p| p.line() as usize), &problem)
     };
     csv::Reader::from_reader(text.as_bytes()).into_deserialize().map(|row| row.map_err(placed)).collect()
 }
 
-/// Error at a damaged line of a run file.
-pub(crate) fn damaged(path: &Path, line: usize, what: &str) -> Error {
+/// Creates the error of a damaged line of a run file.
+pub(crate) fn damaged(path: &Path, line: usize, problem: &str) -> Error {
     let advice = "run files must not be edited; restore it, or repeat the run in another folder";
-    Error::at(path, line, 1, format!("{what}; {advice}"))
+    Error::at(path, line, 1, format!("{problem}; {advice}"))
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //! training.
 
 use super::init::{is_table, name_of, suggested_split, unknown_folder};
-use super::options::{ChangeOptions, named};
+use super::options::{ChangeOptions, pipeline_path};
 use crate::output::{self, Verbosity};
 use crate::progress::{RunProgress, memory, pace};
 use clap::Args;
@@ -36,26 +36,27 @@ pub(crate) struct Check {
 
 /// Load average per core above which the machine is busy.
 const IDLE: f64 = 0.25;
-/// Upper over lower quartile of the times of equal steps above which the spread is printed; short steps spread on an idle
-/// machine too.
+/// Upper over lower quartile of the times of equal steps above which the spread is printed; short steps spread on an
+/// idle machine too.
 const STEADY: f64 = 1.25;
 
+/// Runs `pwrfgs check`.
 pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
-    let (file, _) = named(&arguments.pipeline)?;
+    let (file, _) = pipeline_path(&arguments.pipeline)?;
     let pipeline = read_pipeline(&file, &arguments.changes.all())?;
-    let found = RunProgress::during(verbosity, |progress| preview(&pipeline, Path::new(""), progress))?;
-    found.warnings.iter().for_each(|warning| RunProgress::new(verbosity).on_warning(warning));
-    output::result(&text(&found))
+    let preview = RunProgress::during(verbosity, |progress| preview(&pipeline, Path::new(""), progress))?;
+    preview.warnings.iter().for_each(|warning| RunProgress::new(verbosity).on_warning(warning));
+    output::result(&describe_run(&preview))
 }
 
-/// Table of the plan.
-fn text(p: &Preview) -> String {
+/// Formats size and cost of a run as a table.
+fn describe_run(p: &Preview) -> String {
     let (t, n) = (&p.pipeline.training, |count: usize| grouped(count as i64));
     let steps = |count: u64| grouped(count as i64);
     let [train, validation, test] = p.samples.map(n);
-    let names = |all: Vec<String>| if all.is_empty() { "none".to_owned() } else { all.join(", ") };
-    let phase = |from: u64, to: u64, what: &str| {
-        (from < to.min(t.steps)).then(|| format!("{what} from step {} to {}", steps(from + 1), steps(to.min(t.steps))))
+    let names = |names: Vec<String>| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+    let phase = |from: u64, to: u64, name: &str| {
+        (from < to.min(t.steps)).then(|| format!("{name} from step {} to {}", steps(from + 1), steps(to.min(t.steps))))
     };
     let phases = [
         phase(0, t.densify_until, "densify"),
@@ -86,8 +87,8 @@ fn text(p: &Preview) -> String {
         ),
         ("phases", names(phases.into_iter().flatten().collect())),
         ("memory", format!("about {}{free}", memory(p.loaded_bytes + p.step_bytes))),
-        ("time", time(&p.time, is_unlimited(t))),
-        ("machine", machine(p)),
+        ("time", describe_time(&p.time, is_unlimited(t))),
+        ("machine", describe_machine(p)),
     ];
     let pose = p.summary.pose.as_ref().map(|pose| ("pose", pose.verdict.title().to_owned()));
     rows.splice(1..1, p.summary.facts.iter().cloned().chain(pose));
@@ -100,8 +101,8 @@ fn is_unlimited(t: &Training) -> bool {
     t.densify.max_gaussians == 0 && t.densify.every > 0 && t.densify.from < t.densify_until.min(t.steps)
 }
 
-/// Expected training time with its range, and the timed steps.
-fn time(time: &TimeEstimate, grows: bool) -> String {
+/// Describes the expected training time with its range, and the timed steps.
+fn describe_time(time: &TimeEstimate, grows: bool) -> String {
     let range = |seconds: [f64; 2]| {
         let [shortest, longest] = seconds.map(duration);
         if shortest == longest { shortest } else { format!("{shortest} to {longest}") }
@@ -126,8 +127,8 @@ fn time(time: &TimeEstimate, grows: bool) -> String {
     format!("{total}{range} of training ({steps}){}", if grows { "; more if densification adds Gaussians" } else { "" })
 }
 
-/// Load of the machine, and whether it makes the time too long.
-fn machine(p: &Preview) -> String {
+/// Describes the load of the machine, and whether it makes the time too long.
+fn describe_machine(p: &Preview) -> String {
     let is_loaded = p.load.is_some_and(|(load, cores)| load > IDLE * cores as f64);
     let load = p
         .load
@@ -160,9 +161,10 @@ pub(crate) struct Inspect {
     pub(crate) set: Vec<String>,
 }
 
+/// Runs `pwrfgs inspect`.
 pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
     let text = RunProgress::during(verbosity, |progress| {
-        let (pipeline, data) = opened(&arguments.data, &arguments.set, progress)?;
+        let (pipeline, data) = open_data(&arguments.data, &arguments.set, progress)?;
         let partition = pipeline.partition(&data).ok().filter(|_| !pipeline.split.is_sparse());
         warn_of_findings(&data, partition.as_ref(), progress)?;
         summary(&pipeline, &data, progress)
@@ -170,8 +172,9 @@ pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
     output::result(&text?)
 }
 
-/// Pipeline that `path` names, or one with the split of `pwrfgs init` and defaults for the data in that folder; and its data.
-fn opened(path: &Path, set: &[String], observer: &mut RunProgress) -> Result<(Pipeline, Dataset)> {
+/// Opens the pipeline that `path` names, or one with the split of `pwrfgs init` and defaults for the data in that
+/// folder; also returns its data.
+fn open_data(path: &Path, set: &[String], observer: &mut RunProgress) -> Result<(Pipeline, Dataset)> {
     let mut load = |source: &Plugin<dyn DataSource>| staged(observer, "spectra", |bar| source.load(Path::new(""), bar));
     let Some(source) = recognise(path) else {
         let pipeline = read_pipeline(&pipeline_file(path)?, set)?;
@@ -190,17 +193,17 @@ fn opened(path: &Path, set: &[String], observer: &mut RunProgress) -> Result<(Pi
     Ok((pipeline, data))
 }
 
-/// Pipeline file that `path` names.
+/// Returns the pipeline file that `path` names.
 fn pipeline_file(path: &Path) -> Result<PathBuf> {
     if is_table(path) {
         return Err(unknown_folder(path));
     }
-    match named(path) {
+    match pipeline_path(path) {
         Err(_neither) if !path.join(LISTING).is_file() => {
-            let what = "neither data (spectra, received powers or channels) nor a run found; name a data folder, a pipeline \
+            let problem = "neither data (spectra, received powers or channels) nor a run path; name a data folder, a pipeline \
                         file or a run folder (layouts: docs/data.md)";
-            Err(Error::input(path, what))
+            Err(Error::input(path, problem))
         }
-        found => Ok(found?.0),
+        path => Ok(path?.0),
     }
 }

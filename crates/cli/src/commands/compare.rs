@@ -1,7 +1,7 @@
 //! `pwrfgs compare`: all methods, all baselines and the predictions of other programs on one data folder.
 
 use super::init::{DataSurvey, name_of, pipeline as pipeline_of};
-use super::options::{ChangeOptions, count};
+use super::options::{ChangeOptions, parse_count};
 use super::sweep;
 use crate::output::{self, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
@@ -37,7 +37,7 @@ pub(crate) struct Compare {
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(crate) methods: Vec<String>,
     /// Number of seeds per method
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = count)]
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = parse_count)]
     pub(crate) seeds: usize,
     #[command(flatten)]
     pub(crate) changes: ChangeOptions,
@@ -52,9 +52,10 @@ pub(crate) struct Compare {
     pub(crate) split_csv: Option<PathBuf>,
 }
 
+/// Runs `pwrfgs compare`.
 pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     let survey = RunProgress::during(verbosity, |progress| DataSurvey::of(&arguments.folder, progress))?;
-    let mut plan = plan(arguments, &survey, verbosity)?;
+    let mut plan = plan_methods(arguments, &survey, verbosity)?;
     let partition = plan.runs[0].pipeline.partition(&survey.data)?;
     if let Some(path) = &arguments.split_csv {
         check_new_file(path)?;
@@ -63,7 +64,7 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
         output::result(&format!("{}: {train} train, {validation} validation, {test} test\n", path.display()))?;
         return Ok(SUCCESS);
     }
-    let external = external(arguments, &plan, (&survey.data, &partition))?;
+    let external = arguments.read_predictions(&plan, (&survey.data, &partition))?;
     // Baselines and predictions are equal for all methods: the runs of the first method score them.
     let first = plan.runs[0].combination;
     for PlannedRun { combination, pipeline, .. } in &mut plan.runs {
@@ -75,40 +76,40 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     }
     let runs: Vec<usize> = (0..plan.runs.len()).collect();
     if arguments.dry_run {
-        return sweep::dry_run(&plan, &runs, 1, verbosity).map_err(unplaced);
+        return sweep::dry_run(&plan, &runs, 1, verbosity).map_err(without_position);
     }
     check_earlier_runs(&plan)?;
-    sweep::check_and_announce(&plan, &runs, 1, verbosity).map_err(unplaced)?;
-    sweep::here(&plan, &runs, 1, (external.first().map(|own| own.name()).as_deref(), verbosity))
+    sweep::check_and_announce(&plan, &runs, 1, verbosity).map_err(without_position)?;
+    sweep::run_here(&plan, &runs, 1, (external.first().map(|baseline| baseline.name()).as_deref(), verbosity))
 }
 
-/// Runs of the methods that support the data, all with the same split. A method that was not named and cannot predict the
-/// data is left out, with a note.
-fn plan(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) -> Result<SweepPlan> {
-    let experiment = experiment(arguments, &survey.data)?;
-    let known: Vec<&str> = experiment.axes[0].variants.iter().map(|variant| variant.label.as_str()).collect();
-    if let Some(name) = arguments.methods.iter().find(|name| !known.contains(&name.as_str())) {
-        let near = did_you_mean(name, known.iter().copied());
-        let why = format!("--methods {name}: no such method for these data{near} (methods: {})", known.join(", "));
+/// Plans the runs of the methods that support the data, all with the same split. A method that was not named and
+/// cannot predict the data is left out, with a note.
+fn plan_methods(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) -> Result<SweepPlan> {
+    let experiment = read_experiment(arguments, &survey.data)?;
+    let labels: Vec<&str> = experiment.axes[0].variants.iter().map(|variant| variant.label.as_str()).collect();
+    if let Some(name) = arguments.methods.iter().find(|name| !labels.contains(&name.as_str())) {
+        let near = did_you_mean(name, labels.iter().copied());
+        let why = format!("--methods {name}: no such method for these data{near} (methods: {})", labels.join(", "));
         return Err(Error::Config(why));
     }
     let folder = arguments.folder.canonicalize().map_err(|e| Error::read(&arguments.folder, e))?;
     let mut base = pipeline_of(survey, &folder, Path::new("compare.ron"))?;
-    (base.split_seed, base.baselines) = (Some(0), baselines(&survey.data));
-    let mut all: Option<SweepPlan> = None;
-    for method in known {
+    (base.split_seed, base.baselines) = (Some(0), applicable_baselines(&survey.data));
+    let mut whole: Option<SweepPlan> = None;
+    for method in labels {
         let is_named = arguments.methods.iter().any(|name| name == method);
         if !is_named && !arguments.methods.is_empty() {
             continue;
         }
-        match plan_of(method, &experiment, &base, (arguments, survey)) {
-            Ok(mut plan) => match &mut all {
-                Some(all) => {
-                    let combination = all.runs.last().map_or(0, |run| run.combination + 1);
+        match arguments.plan(method, &experiment, &base, survey) {
+            Ok(mut plan) => match &mut whole {
+                Some(whole) => {
+                    let combination = whole.runs.last().map_or(0, |run| run.combination + 1);
                     plan.runs.iter_mut().for_each(|run| run.combination = combination);
-                    all.runs.extend(plan.runs);
+                    whole.runs.extend(plan.runs);
                 }
-                None => all = Some(plan),
+                None => whole = Some(plan),
             },
             Err(error) if !is_named && error.is_input() => {
                 verbosity.note(&format!("note: {method} is left out, since it cannot predict these data: {error}"));
@@ -116,11 +117,11 @@ fn plan(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) -> Resul
             Err(error) => return Err(error),
         }
     }
-    all.ok_or_else(|| Error::input(&arguments.folder, "no method can predict these data; see docs/data.md"))
+    whole.ok_or_else(|| Error::input(&arguments.folder, "no method can predict these data; see docs/data.md"))
 }
 
-/// Shipped experiment with the methods for the task of `data`.
-fn experiment(arguments: &Compare, data: &Dataset) -> Result<Experiment> {
+/// Reads the shipped experiment with the methods for the task of `data`.
+fn read_experiment(arguments: &Compare, data: &Dataset) -> Result<Experiment> {
     let name = match &data.features {
         Some(_) => "methods-uplink",
         None => data.task().comparison,
@@ -133,35 +134,60 @@ fn experiment(arguments: &Compare, data: &Dataset) -> Result<Experiment> {
     Ok(experiment)
 }
 
-/// Runs of one method, checked with the data.
-fn plan_of(
-    method: &str,
-    experiment: &Experiment,
-    base: &Pipeline,
-    (arguments, survey): (&Compare, &DataSurvey),
-) -> Result<SweepPlan> {
-    let axis = &experiment.axes[0];
-    let variants = axis.variants.iter().filter(|variant| variant.label == method).cloned().collect();
-    let axis = Checked::new(Axis { variants, ..Axis::clone(axis) }).map_err(Error::Config)?;
-    let experiment = Experiment { axes: vec![axis], ..experiment.clone() };
-    let set = arguments.changes.all();
-    // No text: positions in it would be those of all methods.
-    let plan = SweepPlan::of(&experiment, (Path::new(""), "()"), Some(base), &set, arguments.out.as_deref());
-    let mut plan = plan.map_err(unplaced)?;
-    let data = &survey.data;
-    for PlannedRun { pipeline, .. } in &mut plan.runs {
-        let batch = format!("training.batch={}", survey.batch(pipeline.training.batch));
-        let is_rays = pipeline.method.as_ref().is_some_and(|method| plugin_name(method) == "Nerf2");
-        pipeline.set_all(&[vec![batch], if is_rays { rays(data, &pipeline.training) } else { Vec::new() }].concat())?;
+impl Compare {
+    /// Plans the runs of one method, checked with the data.
+    fn plan(&self, method: &str, experiment: &Experiment, base: &Pipeline, survey: &DataSurvey) -> Result<SweepPlan> {
+        let axis = &experiment.axes[0];
+        let variants = axis.variants.iter().filter(|variant| variant.label == method).cloned().collect();
+        let axis = Checked::new(Axis { variants, ..Axis::clone(axis) }).map_err(Error::Config)?;
+        let experiment = Experiment { axes: vec![axis], ..experiment.clone() };
+        let set = self.changes.all();
+        // No text: positions in it would be those of all methods.
+        let plan = SweepPlan::of(&experiment, (Path::new(""), "()"), Some(base), &set, self.out.as_deref());
+        let mut plan = plan.map_err(without_position)?;
+        let data = &survey.data;
+        for PlannedRun { pipeline, .. } in &mut plan.runs {
+            let batch = format!("training.batch={}", survey.batch(pipeline.training.batch));
+            let is_rays = pipeline.method.as_ref().is_some_and(|method| plugin_name(method) == "Nerf2");
+            let rays = if is_rays { ray_settings(data, &pipeline.training) } else { Vec::new() };
+            pipeline.set_all(&[vec![batch], rays].concat())?;
+        }
+        let pipeline = &plan.runs[0].pipeline;
+        pipeline.check_data(data)?;
+        Trainer::sketch(&pipeline.plan()?, data, &pipeline.partition(data)?)?;
+        Ok(plan)
     }
-    let pipeline = &plan.runs[0].pipeline;
-    pipeline.check_data(data)?;
-    Trainer::sketch(&pipeline.plan()?, data, &pipeline.partition(data)?)?;
-    Ok(plan)
+
+    /// Reads and checks the predictions of other programs.
+    fn read_predictions(&self, plan: &SweepPlan, split: (&Dataset, &Partition)) -> Result<Vec<Plugin<dyn Baseline>>> {
+        let (data, partition) = split;
+        let baselines = plan.runs[0].pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task()));
+        let labels = plan.runs.iter().map(|run| run.labels[0].1.clone());
+        let mut taken: Vec<String> = baselines.chain(labels).chain([MODEL, CEILING].map(str::to_owned)).collect();
+        let mut baselines = Vec::new();
+        for text in &self.predictions {
+            let refuse = |problem: &str| Error::Config(format!("--predictions {text}: {problem}"));
+            let (name, root) = text
+                .split_once('=')
+                .filter(|(name, root)| !name.trim().is_empty() && !root.is_empty())
+                .ok_or_else(|| refuse("expected NAME=FOLDER, such as U-Net=predicted"))?;
+            if taken.iter().any(|other| other == name) {
+                return Err(refuse(&format!("the table has another row `{name}`; choose another name")));
+            }
+            taken.push(name.to_owned());
+            let root = Path::new(root).canonicalize().ok().filter(|root| root.is_dir());
+            let root = root.ok_or_else(|| refuse("no such folder; correct its path"))?;
+            let mut predictions = Predictions { name: name.into(), root, ..Predictions::default() };
+            predictions.check_test(data, &partition.test)?;
+            predictions.seal(data)?;
+            baselines.push(Plugin::from(Box::new(predictions) as Box<dyn Baseline>));
+        }
+        Ok(baselines)
+    }
 }
 
-/// Error without a place in the experiment, whose file is inside the program and has no path.
-fn unplaced(error: Error) -> Error {
+/// Removes the position in the experiment from an error, whose file is inside the program and has no path.
+fn without_position(error: Error) -> Error {
     match error {
         Error::Input { path, message, .. } if path.as_os_str().is_empty() => Error::Config(message),
         other => other,
@@ -171,15 +197,15 @@ fn unplaced(error: Error) -> Error {
 /// Checks that the output folder has no other runs: their baselines and predictions would remain in the report.
 fn check_earlier_runs(plan: &SweepPlan) -> Result<()> {
     let (planned, earlier) = (plan.listing().runs, Listing::read(&plan.folder)?);
-    let other = earlier.iter().flat_map(|there| &there.runs).find(|run| !planned.contains(run));
+    let other = earlier.iter().flat_map(|listing| &listing.runs).find(|run| !planned.contains(run));
     let why =
         |run: &ListedRun| format!("holds the run `{}`; add its method and seed, or choose another --out", run.folder);
     other.map_or(Ok(()), |run| Err(Error::input(&plan.folder, why(run))))
 }
 
-/// Settings of NeRF2 for the size of the site and of small spectra: rays reach across the site; beyond a room, this length is
-/// the unit.
-fn rays(data: &Dataset, training: &Training) -> Vec<String> {
+/// Returns settings of NeRF2 for the size of the site and of small spectra: rays reach across the site; beyond a room,
+/// this length is the unit.
+fn ray_settings(data: &Dataset, training: &Training) -> Vec<String> {
     let (low, high) = data.scene.bounds;
     let far = (0..3).map(|k| (high[k] - low[k]).powi(2)).sum::<Real>().sqrt().max(5.0).ceil();
     let unit = if far > 20.0 { far } else { 1.0 };
@@ -191,39 +217,11 @@ fn rays(data: &Dataset, training: &Training) -> Vec<String> {
     [format!("method.Nerf2.far_m={far:?}"), format!("method.Nerf2.unit_m={unit:?}")].into_iter().chain(fewer).collect()
 }
 
-/// All registered baselines for the data, and further numbers of neighbours.
-fn baselines(data: &Dataset) -> Vec<Plugin<dyn Baseline>> {
+/// Lists all registered baselines for the data, and further numbers of neighbours.
+fn applicable_baselines(data: &Dataset) -> Vec<Plugin<dyn Baseline>> {
     let nearest = ["(k: 1)", "(k: Auto)"].map(|k| format!("NearestNeighbours{k}"));
     let texts = registered::<dyn Baseline>().into_iter().map(|name| format!("{name}()")).chain(nearest);
-    let is_applicable = |own: &Plugin<dyn Baseline>| {
-        own.tasks().contains(&data.task()) && !own.is_external() && own.check_data(data).is_ok()
-    };
-    texts.filter_map(|text| Plugin::parse(&text).ok()).filter(is_applicable).collect()
-}
-
-/// Checked predictions of other programs.
-fn external(arguments: &Compare, plan: &SweepPlan, known: (&Dataset, &Partition)) -> Result<Vec<Plugin<dyn Baseline>>> {
-    let (data, partition) = known;
-    let known = plan.runs[0].pipeline.baselines.iter().map(|own| own.name_for(data.task()));
-    let labels = plan.runs.iter().map(|run| run.labels[0].1.clone());
-    let mut taken: Vec<String> = known.chain(labels).chain([MODEL, CEILING].map(str::to_owned)).collect();
-    let mut all = Vec::new();
-    for text in &arguments.predictions {
-        let refuse = |what: &str| Error::Config(format!("--predictions {text}: {what}"));
-        let (name, root) = text
-            .split_once('=')
-            .filter(|(name, root)| !name.trim().is_empty() && !root.is_empty())
-            .ok_or_else(|| refuse("expected NAME=FOLDER, such as U-Net=predicted"))?;
-        if taken.iter().any(|other| other == name) {
-            return Err(refuse(&format!("the table has another row `{name}`; choose another name")));
-        }
-        taken.push(name.to_owned());
-        let root = Path::new(root).canonicalize().ok().filter(|root| root.is_dir());
-        let root = root.ok_or_else(|| refuse("no such folder; correct its path"))?;
-        let mut own = Predictions { name: name.into(), root, ..Predictions::default() };
-        own.check_test(data, &partition.test)?;
-        own.seal(data)?;
-        all.push(Plugin::from(Box::new(own) as Box<dyn Baseline>));
-    }
-    Ok(all)
+    let baselines = texts.filter_map(|text| Plugin::<dyn Baseline>::parse(&text).ok());
+    let baselines = baselines.filter(|baseline| baseline.tasks().contains(&data.task()) && !baseline.is_external());
+    baselines.filter(|baseline| baseline.check_data(data).is_ok()).collect()
 }

@@ -29,12 +29,14 @@ pub(crate) struct Man {
     pub(crate) out: Option<PathBuf>,
 }
 
+/// Runs `pwrfgs completions`.
 pub(crate) fn completions(arguments: &Completions, mut program: Command) -> Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut program, "pwrfgs", &mut script);
     output::result(&String::from_utf8_lossy(&script))
 }
 
+/// Runs `pwrfgs man`.
 pub(crate) fn man(arguments: &Man, mut command: Command) -> Result<()> {
     command.build();
     let failed = |path: &Path| {
@@ -62,10 +64,10 @@ pub(crate) fn man(arguments: &Man, mut command: Command) -> Result<()> {
 
 /// Rejects an existing file unless it is an earlier version of the same page, by its title.
 fn refuse_other_file(path: &Path) -> Result<()> {
-    let Ok(found) = path.symlink_metadata() else { return Ok(()) };
+    let Ok(metadata) = path.symlink_metadata() else { return Ok(()) };
     let title = format!(".TH {} ", path.file_stem().unwrap_or_default().display());
     let is_title = |text: String| text.lines().any(|line| line.starts_with(&title));
-    if found.is_file() && files::read_string(path).is_ok_and(is_title) {
+    if metadata.is_file() && files::read_string(path).is_ok_and(is_title) {
         return Ok(());
     }
     Err(Error::input(path, "not a manual page of pwrfgs, and not replaced; choose another --out or move the file"))

@@ -37,6 +37,7 @@ pub(crate) struct Compress {
     pub(crate) bits: Bits,
 }
 
+/// Runs `pwrfgs compress`.
 pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
@@ -57,25 +58,25 @@ pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()>
         kilobytes(before),
         arguments.out.display()
     ));
-    if let Some(difference) = difference(&model, &small.members()[0]) {
+    if let Some(difference) = describe_difference(&model, &small.members()[0]) {
         verbosity.note(&difference);
     }
     Ok(())
 }
 
-/// Returns a line on the mean difference of predicted values at training positions, over all receivers, if the model has
-/// any.
-fn difference(model: &Model, small: &Model) -> Option<String> {
+/// Describes the mean difference of predicted values at training positions, over all receivers;
+/// `None` without such positions.
+fn describe_difference(model: &Model, small: &Model) -> Option<String> {
     let (training, stages) = (model.training_positions.as_ref()?, &model.stages);
-    let places: Vec<[f64; 3]> =
+    let positions: Vec<[f64; 3]> =
         evenly(training.positions(), COMPARED).into_iter().map(|p| stages.origin.world(p)).collect();
     let receivers = 0..stages.receivers.len();
     let queries: Vec<Query<'_>> =
-        places.iter().flat_map(|&at| receivers.clone().map(move |r| stages.query(at, r))).collect();
+        positions.iter().flat_map(|&at| receivers.clone().map(move |r| stages.query(at, r))).collect();
     let [a, b] = [model, small].map(|model| model.prepare().predict_many(&queries));
     let pairs = a.iter().zip(&b).flat_map(|(a, b)| a.pixels.iter().zip(&b.pixels));
     let differences: Vec<f64> = pairs.map(|(a, b)| f64::from((a - b).abs() as f32)).collect();
     let mean = differences.iter().sum::<f64>() / differences.len().max(1) as f64;
     let unit = if stages.task == Task::Power { " dB" } else { "" };
-    Some(format!("mean difference of predictions at {} training positions: {mean:.2e}{unit}", places.len()))
+    Some(format!("mean difference of predictions at {} training positions: {mean:.2e}{unit}", positions.len()))
 }

@@ -123,16 +123,17 @@ const PUBLIC: [PublicData; 5] = [
     },
 ];
 
+/// Runs `pwrfgs data`.
 pub(crate) fn data(arguments: &Data, verbosity: Verbosity) -> Result<()> {
     let text = match &arguments.action {
-        None => listing(),
-        Some(DataAction::Check { folder }) => checked(folder, verbosity)?,
+        None => list_sets(),
+        Some(DataAction::Check { folder }) => check_folder(folder, verbosity)?,
     };
     output::result(&text)
 }
 
-/// Properties of each public data set.
-fn listing() -> String {
+/// Lists the properties of each public data set.
+fn list_sets() -> String {
     let entry = |set: &PublicData| {
         let rows = [
             ("  licence", set.licence),
@@ -149,12 +150,12 @@ fn listing() -> String {
         + "\nFormats and splits: docs/data.md. Check a downloaded folder: pwrfgs data check FOLDER\n"
 }
 
-/// Result of a check: content of the folder, and its digests next to known ones.
-fn checked(folder: &Path, verbosity: Verbosity) -> Result<String> {
+/// Describes the content of a folder, and compares its digests with those of public data.
+fn check_folder(folder: &Path, verbosity: Verbosity) -> Result<String> {
     if !folder.is_dir() {
         return Err(unknown_folder(folder));
     }
-    let digests = compared(folder)?;
+    let digests = compare_digests(folder)?;
     let Some(source) = recognise(folder) else {
         return digests.ok_or_else(|| unknown_folder(folder));
     };
@@ -165,15 +166,16 @@ fn checked(folder: &Path, verbosity: Verbosity) -> Result<String> {
     })?;
     let none = || "digests: no file of a known public data set; `pwrfgs data` lists them\n".to_owned();
     let layout = format!("layout: {}, {}, {}\n", name_of(&source), observed(&data), origin(&data));
-    Ok(layout + &split(&data) + &digests.unwrap_or_else(none))
+    Ok(layout + &split_sizes(&data) + &digests.unwrap_or_else(none))
 }
 
+/// Describes the origin of the data.
 fn origin(data: &Dataset) -> &'static str {
     if data.is_simulated() { "simulated" } else { "measured" }
 }
 
-/// Sizes of the split in the index files.
-fn split(data: &Dataset) -> String {
+/// Describes the sizes of the split in the index files.
+fn split_sizes(data: &Dataset) -> String {
     match &data.official {
         Some((train, test)) => {
             format!("index files: {} training, {} test\n", grouped(train.len() as i64), grouped(test.len() as i64))
@@ -183,25 +185,25 @@ fn split(data: &Dataset) -> String {
 }
 
 /// Compares the files of a folder with the public data set that has an equal file; `None` if there is no such set.
-fn compared(folder: &Path) -> Result<Option<String>> {
+fn compare_digests(folder: &Path) -> Result<Option<String>> {
     for set in &PUBLIC {
         let mut lines = Vec::new();
-        for (name, known) in set.digests {
+        for (name, expected) in set.digests {
             let path = folder.join(name);
-            let found = if_found(&path, read(&path))?.map(|bytes| digest(&bytes));
-            lines.push((name, found.as_deref() == Some(*known), found));
+            let actual = if_found(&path, read(&path))?.map(|bytes| digest(&bytes));
+            lines.push((name, actual.as_deref() == Some(*expected), actual));
         }
         if !lines.iter().any(|(_, is_equal, _)| *is_equal) {
             continue;
         }
-        let word = |is_equal: bool, found: Option<&String>| match (is_equal, found) {
+        let word = |is_equal: bool, actual: Option<&String>| match (is_equal, actual) {
             (true, _) => "equal".to_owned(),
             (false, Some(digest)) => format!("differs: {digest}"),
             (false, None) => "missing".into(),
         };
         let rows: Vec<Vec<String>> = lines
             .iter()
-            .map(|(name, is_equal, found)| vec![format!("  {name}"), word(*is_equal, found.as_ref())])
+            .map(|(name, is_equal, actual)| vec![format!("  {name}"), word(*is_equal, actual.as_ref())])
             .collect();
         let equal = lines.iter().filter(|(_, is_equal, _)| *is_equal).count();
         let head =

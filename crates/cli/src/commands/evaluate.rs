@@ -44,6 +44,7 @@ pub(crate) struct Evaluate {
     pub(crate) out: Option<PathBuf>,
 }
 
+/// Runs `pwrfgs evaluate`.
 pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()> {
     let models: Vec<PathBuf> = arguments.models.iter().map(|model| model_file(model)).collect::<Result<_>>()?;
     let ensemble = read_models(&models)?;
@@ -66,7 +67,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     progress.finish();
     let mut result = scored?;
     let scores = &mut result.scores;
-    scores.table.samples[0] = trained_on(&models);
+    scores.table.samples[0] = count_training(&models);
     scores.table.trained_elsewhere = !models.iter().all(|model| is_trained_by(model, &pipeline));
     let mut text = scores.table.to_text();
     if let Some(confidence) = &result.confidence {
@@ -92,37 +93,38 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     output::result(&text)
 }
 
-/// Number of training samples of the models, from their run folders; 0 if unknown or different.
-fn trained_on(models: &[PathBuf]) -> usize {
-    let of = |model: &PathBuf| {
+/// Counts the training samples of the models, from their run folders; 0 if unknown or different.
+fn count_training(models: &[PathBuf]) -> usize {
+    let samples_of = |model: &PathBuf| {
         let facts = Facts::read(model.parent().unwrap_or(Path::new(""))).ok().flatten();
         facts.map_or(0, |facts| facts.samples[0])
     };
-    let first = of(&models[0]);
-    if models.iter().all(|model| of(model) == first) { first } else { 0 }
+    let first = samples_of(&models[0]);
+    if models.iter().all(|model| samples_of(model) == first) { first } else { 0 }
 }
 
 /// Whether the pipeline next to a model has the data and split of `pipeline`.
 fn is_trained_by(model: &Path, pipeline: &Pipeline) -> bool {
-    let own = read_pipeline(&model.with_file_name(PIPELINE), &[]);
-    own.is_ok_and(|own| data_key(&own) == data_key(pipeline))
+    let trained = read_pipeline(&model.with_file_name(PIPELINE), &[]);
+    trained.is_ok_and(|trained| data_key(&trained) == data_key(pipeline))
 }
 
 /// Warns of receivers whose name or pose differs from those of the model.
 fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
     let setup = &ensemble.members()[0].stages.setup;
-    let (known, listening) = (&setup.receivers, &data.scene.receivers);
-    if let ([one], [other]) = (&known[..], &listening[..]) {
-        if setup.origin.world_pose(one.pose) != data.scene.origin.world_pose(other.pose) {
+    let (expected, measured) = (&setup.receivers, &data.scene.receivers);
+    if let ([receiver], [other]) = (&expected[..], &measured[..]) {
+        if setup.origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose) {
             output::warning("the receiver pose of the data differs from that of the model");
         }
         return;
     }
-    if known.len() != listening.len() {
+    if expected.len() != measured.len() {
         return; // reported as an error elsewhere
     }
-    let moved = known.iter().zip(listening).filter(|(own, other)| {
-        own.name != other.name || setup.origin.world_pose(own.pose) != data.scene.origin.world_pose(other.pose)
+    let moved = expected.iter().zip(measured).filter(|(receiver, other)| {
+        receiver.name != other.name
+            || setup.origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose)
     });
     let names: Vec<String> = moved.map(|(_, other)| strip_control(&other.name)).collect();
     if !names.is_empty() {

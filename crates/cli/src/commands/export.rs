@@ -1,6 +1,6 @@
 //! `pwrfgs export`: converts a trained model for splat viewers and Python.
 
-use super::options::{check_positions, position, read_models};
+use super::options::{check_positions, parse_position, read_models};
 use crate::output::Verbosity;
 use clap::Args;
 use pwrfgs::model::export::{npz, ply};
@@ -46,15 +46,16 @@ pub(crate) struct Export {
     pub(crate) tx: Option<String>,
 }
 
+/// Runs `pwrfgs export`.
 pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
-    let tx = arguments.tx.as_deref().map(|text| position("--tx", text)).transpose()?;
+    let tx = arguments.tx.as_deref().map(|text| parse_position("--tx", text)).transpose()?;
     let half: Writer = |model, _| file::to_bytes_half(model);
     let files: Vec<(&Path, Writer)> =
         [(&arguments.ply, ply as Writer), (&arguments.npz, npz as Writer), (&arguments.half, half)]
             .into_iter()
             .filter_map(|(path, writer)| path.as_deref().map(|path| (path, writer)))
             .collect();
-    let mut names: Vec<PathBuf> = files.iter().map(|(path, _)| spelt(path)).collect();
+    let mut names: Vec<PathBuf> = files.iter().map(|(path, _)| normalise(path)).collect();
     names.sort_unstable();
     names.dedup();
     if names.len() < files.len() {
@@ -66,11 +67,11 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
         check_positions(&model)?;
     }
     if arguments.ply.is_some() && model.gaussians() == 0 {
-        let what = "model without Gaussians cannot be exported as PLY; use --npz";
-        return Err(Error::input(&arguments.model, what));
+        let problem = "model without Gaussians cannot be exported as PLY; use --npz";
+        return Err(Error::input(&arguments.model, problem));
     }
     // All files are made before the first one is written: a failed export writes nothing.
-    let made: Vec<Vec<u8>> = files.iter().map(|(_, writer)| writer(&model, tx)).collect::<Result<_>>()?;
+    let contents: Vec<Vec<u8>> = files.iter().map(|(_, writer)| writer(&model, tx)).collect::<Result<_>>()?;
     let origin = model.members()[0].stages.origin;
     if arguments.ply.is_some() && !origin.is_zero() {
         let [x, y, z] = origin.0;
@@ -78,17 +79,17 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
             "positions in the PLY file are relative to {x}, {y}, {z}, because viewers compute in single precision"
         ));
     }
-    for ((path, _), bytes) in files.iter().zip(made) {
+    for ((path, _), bytes) in files.iter().zip(contents) {
         create(path, &bytes)?;
-        let what =
-            if model.gaussians() == 0 { "the network".into() } else { format!("{} Gaussians", model.gaussians()) };
-        verbosity.note(&format!("{what} in {}", path.display()));
+        let count = model.gaussians();
+        let content = if count == 0 { "the network".into() } else { format!("{count} Gaussians") };
+        verbosity.note(&format!("{content} in {}", path.display()));
     }
     Ok(())
 }
 
 /// Normalises the path of a file that does not exist yet, such as `./a.npz`.
-fn spelt(path: &Path) -> PathBuf {
+fn normalise(path: &Path) -> PathBuf {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     folder.canonicalize().unwrap_or_else(|_| folder.into()).join(path.file_name().unwrap_or_default())
 }

@@ -1,7 +1,7 @@
 //! `pwrfgs import`: converts spectra and positions, or a table of links, into a data folder.
 
 use super::init::unknown_folder;
-use super::options::{numbers, position};
+use super::options::{parse_numbers, parse_position};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
@@ -64,9 +64,11 @@ pub(crate) struct Import {
     pub(crate) simulated: bool,
 }
 
+/// Runs `pwrfgs import`.
 pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
-    let own_name = || arguments.out.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
-    let name = arguments.name.clone().unwrap_or_else(own_name);
+    let folder_name =
+        || arguments.out.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
+    let name = arguments.name.clone().unwrap_or_else(folder_name);
     if let Some(path) = &arguments.links {
         return import_links(arguments, path, &name, verbosity);
     }
@@ -74,10 +76,10 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         spectra: arguments.spectra.clone().unwrap_or_default(),
         tx: arguments.tx.clone(),
         receiver: Pose {
-            position: position("--receiver", arguments.receiver.as_deref().unwrap_or_default())?,
-            orientation: quaternion(arguments.orientation.as_deref().unwrap_or_default())?,
+            position: parse_position("--receiver", arguments.receiver.as_deref().unwrap_or_default())?,
+            orientation: parse_quaternion(arguments.orientation.as_deref().unwrap_or_default())?,
         },
-        elevation: arguments.elevation.as_deref().map(elevation).transpose()?,
+        elevation: arguments.elevation.as_deref().map(parse_elevation).transpose()?,
         name,
         scale: arguments.scale,
         simulated: arguments.simulated,
@@ -118,16 +120,16 @@ fn import_links(arguments: &Import, path: &Path, name: &str, verbosity: Verbosit
 }
 
 /// Parses `first,last`.
-fn elevation(text: &str) -> Result<Elevation> {
-    let [first, last] = numbers(text).ok_or_else(|| {
+fn parse_elevation(text: &str) -> Result<Elevation> {
+    let [first, last] = parse_numbers(text).ok_or_else(|| {
         Error::Config(format!("--elevation {text}: expected two numbers in degrees, such as -90,90 for a full sphere"))
     })?;
     Ok(Elevation { first, last })
 }
 
 /// Parses `x,y,z,w`.
-fn quaternion(text: &str) -> Result<[f64; 4]> {
-    numbers(text).ok_or_else(|| {
+fn parse_quaternion(text: &str) -> Result<[f64; 4]> {
+    parse_numbers(text).ok_or_else(|| {
         Error::Config(format!(
             "--orientation {text}: expected a unit quaternion x,y,z,w, such as 0,0,0,1 for no rotation"
         ))

@@ -54,8 +54,8 @@ const POWERS: &str = "ble";
 const CHANNELS: &str = "office-channel";
 const UPLINKS: &str = "uplink";
 
-/// Changes to `COARSE_SPECTRA` for lobes that move with the transmitter. The network takes the transmitter and the centre
-/// of a Gaussian together, so what it learns of a lobe in one direction holds for others.
+/// Changes to `COARSE_SPECTRA` for lobes that move with the transmitter. The network takes the transmitter and the
+/// centre of a Gaussian together, so what it learns of a lobe in one direction holds for others.
 const MOVING_LOBES: [&str; 4] = [
     "deformation=Mlp(depth: 4, width: 96, position_frequencies: 2, tx_frequencies: 2, tx_hidden: 64, tx_features: 32, \
      skip: None, outputs: Signals)",
@@ -85,6 +85,7 @@ const TURNING_ARRAY: [&str; 4] = [
 /// Number of trained pixels per image of a camera above which there is a stride.
 const PIXELS: usize = 40_000;
 
+/// Runs `pwrfgs init`.
 pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.ron", name_of(&arguments.folder))));
     let exists = || Error::input(&out, "file exists and is not overwritten; set another file with --out");
@@ -94,7 +95,7 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     check_place(&out)?;
     let survey = RunProgress::during(verbosity, |progress| DataSurvey::of(&arguments.folder, progress))?;
     let pipeline = pipeline(&survey, &arguments.folder, &out)?;
-    let text = written(&survey, &pipeline)?;
+    let text = pipeline_text(&survey, &pipeline)?;
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
         std::fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
     }
@@ -123,45 +124,15 @@ pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result
     ];
     let (start, batch, baselines) = match survey.data.features.as_ref().map(|features| features.width) {
         _ if survey.data.camera().is_some() => {
-            set.extend(of_camera(&survey.data));
+            set.extend(camera_settings(&survey.data));
             (COARSE_SPECTRA, 4, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto)")
         }
         _ if survey.data.task().has_pixels => {
-            let stride = survey.stride();
-            set.push(format!("training.stride={stride}"));
-            if stride == 1 {
-                set.push("projector=Mercator()".into());
-            }
-            match survey.clouds.first() {
-                Some((name, _)) => {
-                    set.push(format!("data.points={}", path(&root.join(name))?));
-                    set.push("initializer=PointCloud(max_points: 300)".into());
-                }
-                None => set.push("initializer=Grid(count: 220, overlap: 1.0, opacity: 0.12)".into()),
-            }
-            let (start, batch) = if survey.nearest < CLOSE_M {
-                // Correlations reach a few training positions.
-                set.push(format!("deformation.near.length_m={:.3}", (3.0 * survey.nearest).max(0.01)));
-                (FINE_SPECTRA, 32)
-            } else {
-                set.extend(MOVING_LOBES.map(str::to_owned));
-                (COARSE_SPECTRA, 16)
-            };
-            if survey.data.scene.receivers.len() == 1 {
-                (start, batch, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
-            } else {
-                set.push("deformation.carrier=2.0".into()); // several carriers
-                (start, batch, "MeanSpectrum(), NearestCarrier(), NearestNeighbours(k: Auto), Kriging()")
-            }
+            let cloud = survey.clouds.first().map(|(name, _)| path(&root.join(name))).transpose()?;
+            spectrum_settings(survey, cloud, &mut set)
         }
         _ if survey.data.task().is_scalar => {
-            // Wavelengths from the size of the site to 2 m, or to an eighth of a small site, in random directions: along
-            // the axes, maps have stripes.
-            let longest = extent(&survey.data).max(1.0).ceil();
-            let shortest = (longest / 8.0).min(2.0);
-            set.push(format!(
-                "deformation.tx_encoding=Wavelengths(count: 10, longest_m: {longest:?}, shortest_m: {shortest:?}, seed: 0)"
-            ));
+            set.push(tx_wavelengths(&survey.data));
             (POWERS, 128, "MeanSpectrum(), NearestNeighbours(k: Auto), Kriging()")
         }
         Some(width) => {
@@ -180,14 +151,55 @@ pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result
     };
     set.push(format!("training.batch={}", survey.batch(batch)));
     set.push(format!("baselines=[{baselines}]"));
-    let start = ShippedFile::all(ShippedFile::PIPELINES).into_iter().find(|file| file.name == start);
-    let mut pipeline = Pipeline::parse(start.expect("the facade registers its pipelines").source, out)?;
+    let shipped = ShippedFile::all(ShippedFile::PIPELINES).into_iter().find(|file| file.name == start);
+    let mut pipeline = Pipeline::parse(shipped.expect("the facade registers its pipelines").source, out)?;
     pipeline.set_all(&set)?;
     Ok(pipeline)
 }
 
-/// Settings for images of a camera.
-fn of_camera(data: &Dataset) -> Vec<String> {
+/// Shipped pipeline to start from, largest batch size, and baselines as RON.
+type Template = (&'static str, usize, &'static str);
+
+/// Adds the settings for spectra to `set`; `cloud` is the path of a point cloud, as RON.
+fn spectrum_settings(survey: &DataSurvey, cloud: Option<String>, set: &mut Vec<String>) -> Template {
+    let stride = survey.stride();
+    set.push(format!("training.stride={stride}"));
+    if stride == 1 {
+        set.push("projector=Mercator()".into());
+    }
+    match cloud {
+        Some(path) => {
+            set.push(format!("data.points={path}"));
+            set.push("initializer=PointCloud(max_points: 300)".into());
+        }
+        None => set.push("initializer=Grid(count: 220, overlap: 1.0, opacity: 0.12)".into()),
+    }
+    let (start, batch) = if survey.nearest < CLOSE_M {
+        // Correlations reach a few training positions.
+        set.push(format!("deformation.near.length_m={:.3}", (3.0 * survey.nearest).max(0.01)));
+        (FINE_SPECTRA, 32)
+    } else {
+        set.extend(MOVING_LOBES.map(str::to_owned));
+        (COARSE_SPECTRA, 16)
+    };
+    if survey.data.scene.receivers.len() == 1 {
+        (start, batch, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
+    } else {
+        set.push("deformation.carrier=2.0".into()); // several carriers
+        (start, batch, "MeanSpectrum(), NearestCarrier(), NearestNeighbours(k: Auto), Kriging()")
+    }
+}
+
+/// Returns the encoding of transmitter positions for received powers: wavelengths from the size of the site to 2 m, or to
+/// an eighth of a small site, in random directions, since maps have stripes if these are along the axes.
+fn tx_wavelengths(data: &Dataset) -> String {
+    let longest = extent(data).max(1.0).ceil();
+    let shortest = (longest / 8.0).min(2.0);
+    format!("deformation.tx_encoding=Wavelengths(count: 10, longest_m: {longest:?}, shortest_m: {shortest:?}, seed: 0)")
+}
+
+/// Returns settings for images of a camera.
+fn camera_settings(data: &Dataset) -> Vec<String> {
     let Dataset { width, height, .. } = *data;
     let divides = |stride: &usize| width.is_multiple_of(*stride) && height.is_multiple_of(*stride);
     let strides = || (1..=16).filter(divides);
@@ -205,8 +217,8 @@ fn of_camera(data: &Dataset) -> Vec<String> {
     set
 }
 
-/// Writes the text of the file.
-fn written(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
+/// Writes the text of the pipeline file, with comments.
+fn pipeline_text(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
     let default = example().map_err(Error::Config)?;
     let value = Value::new(pipeline.to_ron()?).map_err(Error::Config)?;
     let differs = |path: &[&str]| value.at(path) != default.at(path);
@@ -237,16 +249,16 @@ fn written(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
     Ok(text)
 }
 
-/// Longest side of the bounding box of the positions, metres.
+/// Returns the longest side of the bounding box of the positions, metres.
 fn extent(data: &Dataset) -> f64 {
     let ends = |k: usize| {
-        let all = data.samples().map(move |sample| sample.position()[k]);
-        all.clone().fold(f64::NEG_INFINITY, f64::max) - all.fold(f64::INFINITY, f64::min)
+        let coordinates = data.samples().map(move |sample| sample.position()[k]);
+        coordinates.clone().fold(f64::NEG_INFINITY, f64::max) - coordinates.fold(f64::INFINITY, f64::min)
     };
     (0..3).map(ends).fold(0.0, f64::max)
 }
 
-/// Name of the folder, as a valid name of a pipeline.
+/// Returns the name of the folder, as a valid name of a pipeline.
 pub(super) fn name_of(folder: &Path) -> String {
     let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let name = absolute.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());

@@ -15,7 +15,7 @@ use pwrfgs::localise::{Located, Locator, Region, SHARES};
 use pwrfgs::report::draw::location::LocationMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Dataset, Error, Partition, Result};
+use pwrfgs_core::{Dataset, Error, Partition, Receiver, Result};
 use rayon::prelude::*;
 use serde_json::json;
 use std::fmt::Write as _;
@@ -77,16 +77,25 @@ struct Row {
     truth: Option<[f64; 3]>,
 }
 
+impl Row {
+    /// Columns of `locations.csv` that need the true position, which is empty if unknown.
+    fn truth_columns(&self) -> String {
+        let Some(truth) = self.truth else { return ",,,,".into() };
+        let ([x, y, z], error) = (truth, distance(self.located.position, truth));
+        let holds = self.located.holds(truth).map_or("", |holds| if holds { "yes" } else { "no" });
+        format!("{x},{y},{z},{error:.4},{holds}")
+    }
+}
+
+/// Runs `pwrfgs locate`.
 pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     let prior = arguments.prior.as_deref().map(|text| PlaneBounds::parse("--prior", text, ["x", "y"])).transpose()?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
     check_positions(&ensemble)?;
     let path = model_file(&arguments.model)?.with_file_name(PIPELINE);
     if !path.is_file() {
-        return Err(Error::input(
-            &arguments.model,
-            format!("no {PIPELINE} next to this model; localisation needs its data"),
-        ));
+        let problem = format!("no {PIPELINE} next to this model; localisation needs its data");
+        return Err(Error::input(&arguments.model, problem));
     }
     let pipeline = read_pipeline(&path, &arguments.set)?;
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
@@ -101,46 +110,43 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     })?;
     match locator.missing_regions().filter(|_| locator.validation == 0) {
         Some(why) => output::warning(why),
-        None => verbosity.note(&summary(&locator)),
+        None => verbosity.note(&describe_locator(&locator)),
     }
-    let expected = arguments.observations.is_some().then(|| scores::on_validation(&locator, &data, partition.known()));
+    let expected =
+        arguments.observations.is_some().then(|| scores::describe_validation(&locator, &data, partition.known()));
     let locator = match prior {
         Some(bounds) => {
-            locator.within(move |place| bounds.holds(place)).map_err(|e| Error::Config(format!("--prior: {e}")))?
+            let inside = locator.within(move |position| bounds.holds(position));
+            inside.map_err(|e| Error::Config(format!("--prior: {e}")))?
         }
         None => locator,
     };
     let rows = match &arguments.observations {
-        Some(path) => {
-            let all = observations::read(path, locator.features(), &data.scene.receivers)?;
-            let located: Vec<Located> = all.par_iter().map(|own| locator.locate(own)).collect();
-            let named = |(k, located)| Row { name: format!("{:05}", k + 1), located, truth: None };
-            located.into_iter().enumerate().map(named).collect()
-        }
-        None => test_rows(&locator, &data, &partition, verbosity),
+        Some(path) => locate_observed(&locator, path, &data.scene.receivers)?,
+        None => locate_test(&locator, &data, &partition, verbosity),
     };
     if let (Some(folder), Some(out)) = (folder, &arguments.out) {
-        write(folder.path(), &rows, &locator, &data, arguments.pictures)?;
+        write_files(folder.path(), &rows, &locator, &data, arguments.pictures)?;
         folder.publish()?;
         verbosity.note(&format!("{} positions in {}", grouped(rows.len() as i64), out.display()));
     }
     let table = match expected {
-        Some(expected) => positions(&rows) + &expected,
+        Some(expected) => format_positions(&rows) + &expected,
         None => scores::table(&rows.iter().map(|row| &row.located).collect::<Vec<_>>(), &locator, &data, &partition)?,
     };
-    output::result(&(table + &region_notes(&rows, &locator)))
+    output::result(&(table + &describe_regions(&rows, &locator)))
 }
 
-/// Number of regions with several parts, and what the regions are calibrated on.
-fn region_notes(rows: &[Row], locator: &Locator<'_>) -> String {
+/// Describes the number of regions with several parts, and what the regions are calibrated on.
+fn describe_regions(rows: &[Row], locator: &Locator<'_>) -> String {
     let regions: Vec<&Region> = rows.iter().filter_map(|row| row.located.region.as_ref()).collect();
     let parts = regions.iter().map(|region| region.parts());
     let several = parts.clone().filter(|count| *count > 1).count();
     let mut text = String::new();
     if several > 0 {
-        let (all, most) = (regions.len(), parts.max().unwrap_or(0));
-        let what = format!("regions with several parts: {several} of {all}, up to {most} parts");
-        _ = writeln!(text, "{what}; an estimate is the mode of the most probable part");
+        let (count, most) = (regions.len(), parts.max().unwrap_or(0));
+        let counts = format!("regions with several parts: {several} of {count}, up to {most} parts");
+        _ = writeln!(text, "{counts}; an estimate is the mode of the most probable part");
     }
     if !regions.is_empty() && locator.validates_between_training() {
         text += "the validation samples lie between the training positions, and regions are calibrated on them: on another \
@@ -149,8 +155,8 @@ fn region_notes(rows: &[Row], locator: &Locator<'_>) -> String {
     text
 }
 
-/// What was chosen, in one line.
-fn summary(locator: &Locator<'_>) -> String {
+/// Describes the chosen settings in one line.
+fn describe_locator(locator: &Locator<'_>) -> String {
     let (choice, missing) = (locator.choice, locator.missing_regions());
     let descent = if choice.descends { "descent along the model" } else { "no descent" };
     format!(
@@ -163,17 +169,28 @@ fn summary(locator: &Locator<'_>) -> String {
     )
 }
 
+/// Locates the observations of a file, in its order.
+fn locate_observed(locator: &Locator<'_>, path: &Path, receivers: &[Receiver]) -> Result<Vec<Row>> {
+    let observed = observations::read(path, locator.features(), receivers)?;
+    let row = |(k, observation): (usize, &Vec<f32>)| Row {
+        name: format!("{:05}", k + 1),
+        located: locator.locate(observation),
+        truth: None,
+    };
+    Ok(observed.par_iter().enumerate().map(row).collect())
+}
+
 /// Locates the test samples.
-fn test_rows(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbosity: Verbosity) -> Vec<Row> {
+fn locate_test(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbosity: Verbosity) -> Vec<Row> {
     let test = data.locations_of(&partition.test);
-    let all = locator.observations(data, &test);
+    let observations = locator.observations(data, &test);
     RunProgress::during(verbosity, |progress| {
         let mut rows = Vec::with_capacity(test.len());
-        for (some, observations) in test.chunks(64).zip(all.chunks(64)) {
+        for (chunk, chunk_observations) in test.chunks(64).zip(observations.chunks(64)) {
             progress.on_stage("locating", rows.len(), test.len());
-            rows.par_extend(some.par_iter().zip(observations).map(|(t, own)| {
+            rows.par_extend(chunk.par_iter().zip(chunk_observations).map(|(t, observation)| {
                 let transmitter = data.locations[*t];
-                let (name, located) = (format!("{:05}", transmitter.id), locator.locate(own));
+                let (name, located) = (format!("{:05}", transmitter.id), locator.locate(observation));
                 Row { name, located, truth: Some(transmitter.position()) }
             }));
         }
@@ -181,8 +198,8 @@ fn test_rows(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbo
     })
 }
 
-/// Table of estimated positions.
-fn positions(rows: &[Row]) -> String {
+/// Formats the table of estimated positions.
+fn format_positions(rows: &[Row]) -> String {
     let mut lines =
         vec![["observation", "x (m)", "y (m)", "z (m)", "misfit", "region (m²)", "parts"].map(String::from).to_vec()];
     for Row { name, located, .. } in rows {
@@ -198,9 +215,9 @@ fn positions(rows: &[Row]) -> String {
     aligned(&lines, 1)
 }
 
-/// Writes list, outlines and pictures.
-fn write(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pictures: usize) -> Result<()> {
-    let put = |name: &str, bytes: &[u8]| {
+/// Writes list, outlines and images.
+fn write_files(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pictures: usize) -> Result<()> {
+    let write_file = |name: &str, bytes: &[u8]| {
         let path = folder.join(name);
         std::fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
     };
@@ -217,27 +234,16 @@ fn write(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pic
             .collect(),
         ..LocationMap::default()
     };
-    for (k, Row { name, located, truth }) in rows.iter().enumerate() {
+    for (k, row) in rows.iter().enumerate() {
+        let Row { name, located, truth } = row;
         let ([x, y, z], region) = (located.position, located.region.as_ref());
         let outlines = region.map(Region::outlines).unwrap_or_default();
-        let area = region.map_or_else(String::new, |region| format!("{:.6}", region.area()));
         let parts = region.map_or(0, Region::parts);
-        _ = write!(list, "{name},{x:.4},{y:.4},{z:.4},{:.4},{area},{parts}", located.misfit);
-        _ = match truth {
-            Some(t) => writeln!(
-                list,
-                ",{},{},{},{:.4},{}",
-                t[0],
-                t[1],
-                t[2],
-                distance(located.position, *t),
-                located.holds(*t).map_or("", |held| if held { "yes" } else { "no" })
-            ),
-            None => writeln!(list, ",,,,,"),
-        };
+        let area = region.map_or_else(String::new, |region| format!("{:.6}", region.area()));
+        _ = writeln!(list, "{name},{x:.4},{y:.4},{z:.4},{:.4},{area},{parts},{}", located.misfit, row.truth_columns());
         regions.push(json!({ "observation": name, "position": located.position, "outlines": outlines }));
         if let Some(region) = region.filter(|_| k < pictures) {
-            let one = LocationMap {
+            let image = LocationMap {
                 title: format!("{}: observation {name}", data.title),
                 grid: (region.first(), region.step),
                 columns: region.columns,
@@ -247,12 +253,12 @@ fn write(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pic
                 estimates: vec![(flat(located.position), truth.map(flat))],
                 ..map.clone()
             };
-            put(&format!("{name}.png"), &one.draw().png(WIDTH_MM))?;
+            write_file(&format!("{name}.png"), &image.draw().png(WIDTH_MM))?;
         }
     }
-    put("locations.csv", list.as_bytes())?;
-    put("regions.json", serde_json::to_string(&regions).unwrap_or_default().as_bytes())?;
+    write_file("locations.csv", list.as_bytes())?;
+    write_file("regions.json", serde_json::to_string(&regions).unwrap_or_default().as_bytes())?;
     let title = format!("{}: {} positions", data.title, grouped(rows.len() as i64));
     let estimates = rows.iter().map(|row| (flat(row.located.position), row.truth.map(flat))).collect();
-    put("errors.png", &LocationMap { title, estimates, ..map }.draw().png(WIDTH_MM))
+    write_file("errors.png", &LocationMap { title, estimates, ..map }.draw().png(WIDTH_MM))
 }

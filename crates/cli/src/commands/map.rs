@@ -3,7 +3,7 @@
 mod layers;
 mod plane;
 
-use super::options::{check_positions, chosen, read_models};
+use super::options::{check_positions, read_models, select_receivers};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
@@ -76,6 +76,7 @@ pub(crate) struct Map {
     pub(crate) out: PathBuf,
 }
 
+/// Runs `pwrfgs map`.
 pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let plane = MapPlane::parse(&arguments.plane)?;
     let bounds =
@@ -83,29 +84,27 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
     check_positions(&ensemble)?;
     let model = ensemble.prepare();
-    let of = quantities(&model, &arguments.of)?;
-    let receivers = chosen(model.receivers(), &arguments.receiver)?;
+    let quantities = quantities(&model, &arguments.of)?;
+    let receivers = select_receivers(model.receivers(), &arguments.receiver)?;
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
     let (bounds, note) = if let Some(bounds) = bounds {
         (bounds, None)
     } else {
-        let listening: Vec<[f64; 2]> = receivers.iter().map(|&r| plane.flat(poses[r].position)).collect();
-        let (bounds, source) = default_bounds(&ensemble, plane, listening)?;
+        let positions: Vec<[f64; 2]> = receivers.iter().map(|&r| plane.project(poses[r].position)).collect();
+        let (bounds, source) = default_bounds(&ensemble, plane, positions)?;
         let bounds = bounds.outwards(arguments.step);
-        (bounds, Some(message(plane, bounds, source)))
+        (bounds, Some(describe_bounds(plane, bounds, source)))
     };
     let grid = PlaneGrid::new(plane, bounds, arguments.step, receivers.len())?;
     note.iter().for_each(|note| verbosity.note(note));
     let folder = NewFolder::begin(&arguments.out)?;
     let mut layers = RunProgress::during(verbosity, |progress| {
-        layers(&model, &grid, &receivers, &of, |done| progress.on_stage("mapping", done, grid.len()))
+        layers(&model, &grid, &receivers, &quantities, |done| progress.on_stage("mapping", done, grid.len()))
     });
-    let training = training(&ensemble, &grid).map(|(layer, training)| {
-        layers.push(layer);
-        training
-    });
-    write(&folder, (&grid, training.as_ref()), &layers, model.receivers(), &poses, &receivers)?;
+    let (layer, training) = training_layer(&ensemble, &grid).unzip();
+    layers.extend(layer);
+    MapWriter { grid, training, receivers: model.receivers(), poses, mapped: receivers }.write(&folder, &layers)?;
     folder.publish()?;
     let missing = layers.iter().flat_map(|layer| &layer.values).filter(|v| !v.is_finite()).count();
     if missing > 0 {
@@ -120,33 +119,30 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-/// Bounds around all training positions and `receivers` (metres in the plane), and their description. A model of an earlier
-/// version has no training positions: the central 90 % of its Gaussians take their place.
+/// Returns bounds around all training positions and `receivers` (metres in the plane), and their description. A model
+/// of an earlier version has no training positions: the central 90 % of its Gaussians take their place.
 ///
 /// # Errors
 /// The model has neither training positions nor Gaussians.
-fn default_bounds(
-    ensemble: &Ensemble,
-    plane: MapPlane,
-    receivers: Vec<[f64; 2]>,
-) -> Result<(PlaneBounds, &'static str)> {
-    let training = ensemble.training_positions();
+fn default_bounds(model: &Ensemble, plane: MapPlane, receivers: Vec<[f64; 2]>) -> Result<(PlaneBounds, &'static str)> {
+    let training = model.training_positions();
     if !training.is_empty() {
-        let all: Vec<[f64; 2]> = training.into_iter().map(|position| plane.flat(position)).chain(receivers).collect();
-        return Ok((PlaneBounds::around(Vec::new(), &all), "all training positions and receivers"));
+        let points: Vec<[f64; 2]> =
+            training.into_iter().map(|position| plane.project(position)).chain(receivers).collect();
+        return Ok((PlaneBounds::around(Vec::new(), &points), "all training positions and receivers"));
     }
-    let origin = ensemble.members()[0].stages.origin;
-    let means = ensemble.means_from(origin).into_iter().map(|mean| plane.flat(origin.world(mean)));
+    let origin = model.members()[0].stages.origin;
+    let means = model.means_from(origin).into_iter().map(|mean| plane.project(origin.world(mean)));
     let means: Vec<[f64; 2]> = means.collect();
     if means.is_empty() {
-        let what = "--bounds: required for a model without training positions and Gaussians";
-        return Err(Error::Config(what.into()));
+        let problem = "--bounds: required for a model without training positions and Gaussians";
+        return Err(Error::Config(problem.into()));
     }
     Ok((PlaneBounds::around(means, &receivers), "central 90 % of the Gaussians, and all receivers"))
 }
 
 /// Describes the default bounds.
-fn message(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, source: &str) -> String {
+fn describe_bounds(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, source: &str) -> String {
     let ([a, b], short) = (plane.names(), |v: f64| (v * 100.0).round() / 100.0);
     format!(
         "{a} from {} to {} m, {b} from {} to {} m ({source}); set --bounds to change this",
@@ -157,12 +153,12 @@ fn message(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, source: &str
     )
 }
 
-/// Array of distances to the nearest training position; extrapolations, and the training positions within the limit of the
-/// plane. `None` if unknown.
-fn training(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, TrainingMap)> {
-    let places: Vec<[f64; 3]> = (0..grid.len()).map(|k| grid.place(k)).collect();
-    let distances = ensemble.training_distances(&places)?;
-    let (is_beyond, limit) = ((0..places.len()).map(|k| distances.is_beyond(k)).collect(), distances.limit);
+/// Computes the distances to the nearest training position; extrapolations, and the training positions within the
+/// limit of the plane. `None` if unknown.
+fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, TrainingMap)> {
+    let positions: Vec<[f64; 3]> = (0..grid.len()).map(|k| grid.position(k)).collect();
+    let distances = ensemble.training_distances(&positions)?;
+    let (is_beyond, limit) = ((0..positions.len()).map(|k| distances.is_beyond(k)).collect(), distances.limit);
     let layer = MapLayer {
         name: "training_distance",
         words: "distance to the nearest training position",
@@ -174,95 +170,90 @@ fn training(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, Training
     let plane = grid.plane;
     let near = |position: &[f64; 3]| (position[plane.axis] - plane.at).abs() <= limit;
     let positions =
-        ensemble.training_positions().into_iter().filter(near).map(|position| plane.flat(position)).collect();
+        ensemble.training_positions().into_iter().filter(near).map(|position| plane.project(position)).collect();
     Some((layer, TrainingMap { is_beyond, limit, positions }))
 }
 
-/// Writes all files into `folder`; `poses` are those of the receivers in the world frame.
-fn write(
-    folder: &NewFolder,
-    (grid, training): (&PlaneGrid, Option<&TrainingMap>),
-    layers: &[MapLayer],
-    receivers: &[Receiver],
-    poses: &[Pose],
-    mapped: &[usize],
-) -> Result<()> {
-    let extrapolated = training.map_or_else(
-        || ",".into(),
-        |TrainingMap { is_beyond, limit, .. }| {
-            format!("{limit:.4},{}", is_beyond.iter().filter(|is_beyond| **is_beyond).count())
-        },
-    );
-    let mut list = HEADER.to_owned();
-    let mut taken = BTreeSet::new();
-    for layer in layers {
-        let receiver = layer.receiver.map(|r| receivers[r].name.as_str());
-        let name = file_name(layer.name, receiver.filter(|_| receivers.len() > 1), &mut taken);
-        folder.put(&format!("{name}.npy"), array(grid, &layer.values))?;
-        let shown: Vec<usize> = layer.receiver.map_or_else(|| mapped.to_vec(), |r| vec![r]);
-        let image = image((grid, training), layer, receiver, shown.iter().map(|&r| poses[r].position));
-        folder.put(&format!("{name}.png"), image)?;
-        _ = writeln!(list, "{},{extrapolated}", line(grid, layer, &name, receiver.unwrap_or("")));
-    }
-    folder.put("map.csv", list)
+/// Writer of the files of a map.
+struct MapWriter<'a> {
+    grid: PlaneGrid,
+    training: Option<TrainingMap>,
+    receivers: &'a [Receiver],
+    /// Poses of all receivers, world frame.
+    poses: Vec<Pose>,
+    /// Indices of the mapped receivers.
+    mapped: Vec<usize>,
 }
 
-/// Unique file name of letters, digits, points and dashes; case is ignored.
+impl MapWriter<'_> {
+    /// Writes all files into `folder`.
+    fn write(&self, folder: &NewFolder, layers: &[MapLayer]) -> Result<()> {
+        let extrapolated = self.training.as_ref().map_or_else(
+            || ",".into(),
+            |TrainingMap { is_beyond, limit, .. }| {
+                format!("{limit:.4},{}", is_beyond.iter().filter(|is_beyond| **is_beyond).count())
+            },
+        );
+        let mut list = HEADER.to_owned();
+        let mut taken = BTreeSet::new();
+        for layer in layers {
+            let receiver = layer.receiver.map(|r| self.receivers[r].name.as_str());
+            let name = file_name(layer.name, receiver.filter(|_| self.receivers.len() > 1), &mut taken);
+            folder.put(&format!("{name}.npy"), self.npy(&layer.values))?;
+            folder.put(&format!("{name}.png"), self.png(layer, receiver))?;
+            _ = writeln!(list, "{},{extrapolated}", self.list_line(layer, &name, receiver.unwrap_or("")));
+        }
+        folder.put("map.csv", list)
+    }
+
+    /// Encodes `values` as NPY, float32 `[rows, columns]`, lowest row first.
+    fn npy(&self, values: &[f32]) -> Vec<u8> {
+        let mut npy = npy_header(Number::F32, &[self.grid.rows, self.grid.columns]);
+        npy.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+        npy
+    }
+
+    /// Draws a layer as PNG, with its `receiver`, or with all mapped receivers.
+    fn png(&self, layer: &MapLayer, receiver: Option<&str>) -> Vec<u8> {
+        let grid = &self.grid;
+        let suffix = receiver.map_or_else(String::new, |name| format!(" at {name}"));
+        let shown = layer.receiver.map_or_else(|| self.mapped.clone(), |r| vec![r]);
+        let heat = Heatmap {
+            title: format!("{}{suffix}, {}", layer.words, grid.plane.words()),
+            unit: layer.unit.into(),
+            names: grid.plane.names(),
+            first: grid.first,
+            step: grid.step,
+            columns: grid.columns,
+            values: &layer.values,
+            colours: if layer.name == "azimuth" { Palette::Cyclic } else { Palette::Sequential },
+            receivers: shown.iter().map(|&r| grid.plane.project(self.poses[r].position)).collect(),
+            arrows: &layer.arrows,
+            training: self.training.as_ref(),
+        };
+        heat.draw().png(WIDTH_MM)
+    }
+
+    /// Formats the line of a layer in `map.csv`, without its last two columns.
+    fn list_line(&self, layer: &MapLayer, name: &str, receiver: &str) -> String {
+        let PlaneGrid { plane, first, step, columns, rows } = &self.grid;
+        let [across, up] = plane.names();
+        let finite = || layer.values.iter().copied().filter(|v| v.is_finite());
+        let ends = [finite().reduce(f32::min), finite().reduce(f32::max)];
+        let [low, high] = ends.map(|end| end.map_or_else(String::new, |v| v.to_string()));
+        let quantity = format!("{name}.npy,{name}.png,{},{},{}", layer.words, layer.unit, field(receiver));
+        let grid = format!("{across},{},{columns},{up},{},{rows},{step},{}", first[0], first[1], plane.words());
+        format!("{quantity},{grid},{low},{high}")
+    }
+}
+
+/// Returns a unique file name of letters, digits, points and dashes; case is ignored.
 fn file_name(layer: &str, receiver: Option<&str>, taken: &mut BTreeSet<String>) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
-    let own = receiver.map(|name| name.chars().take(60).map(plain).collect::<String>());
-    let name = own.map_or_else(|| layer.to_owned(), |own| format!("{layer}-{own}"));
+    let suffix = receiver.map(|name| name.chars().take(60).map(plain).collect::<String>());
+    let name = suffix.map_or_else(|| layer.to_owned(), |suffix| format!("{layer}-{suffix}"));
     let numbered = (1..).map(|k| if k == 1 { name.clone() } else { format!("{name}-{k}") });
     numbered.into_iter().find(|name| taken.insert(name.to_lowercase())).unwrap_or(name)
-}
-
-/// NPY bytes of `values`, float32 `[rows, columns]`, lowest row first.
-fn array(grid: &PlaneGrid, values: &[f32]) -> Vec<u8> {
-    let mut npy = npy_header(Number::F32, &[grid.rows, grid.columns]);
-    npy.extend(values.iter().flat_map(|v| v.to_le_bytes()));
-    npy
-}
-
-fn image(
-    (grid, training): (&PlaneGrid, Option<&TrainingMap>),
-    layer: &MapLayer,
-    receiver: Option<&str>,
-    places: impl Iterator<Item = [f64; 3]>,
-) -> Vec<u8> {
-    let at = receiver.map_or_else(String::new, |name| format!(" at {name}"));
-    let heat = Heatmap {
-        title: format!("{}{at}, {}", layer.words, grid.plane.words()),
-        unit: layer.unit.into(),
-        names: grid.plane.names(),
-        first: grid.first,
-        step: grid.step,
-        columns: grid.columns,
-        values: &layer.values,
-        colours: if layer.name == "azimuth" { Palette::Cyclic } else { Palette::Sequential },
-        receivers: places.map(|place| grid.plane.flat(place)).collect(),
-        arrows: &layer.arrows,
-        training,
-    };
-    heat.draw().png(WIDTH_MM)
-}
-
-fn line(grid: &PlaneGrid, layer: &MapLayer, name: &str, receiver: &str) -> String {
-    let [across, up] = grid.plane.names();
-    let finite = || layer.values.iter().copied().filter(|v| v.is_finite());
-    let ends = [finite().reduce(f32::min), finite().reduce(f32::max)];
-    let [low, high] = ends.map(|end| end.map_or_else(String::new, |v| v.to_string()));
-    let mut line = format!("{name}.npy,{name}.png,{},{},{}", layer.words, layer.unit, field(receiver));
-    _ = write!(
-        line,
-        ",{across},{},{},{up},{},{},{},{},{low},{high}",
-        grid.first[0],
-        grid.columns,
-        grid.first[1],
-        grid.rows,
-        grid.step,
-        grid.plane.words()
-    );
-    line
 }
 
 #[cfg(test)]

@@ -33,32 +33,32 @@ pub(crate) struct ChangeOptions {
 }
 
 impl ChangeOptions {
-    /// All changes in the form of `--set`.
+    /// Lists all changes in the form of `--set`.
     pub(super) fn all(&self) -> Vec<String> {
         let scale = self.scale.map(|scale| format!("training.scale={scale:?}"));
         self.set.iter().cloned().chain(scale).collect()
     }
 }
 
-/// Pipeline file that `path` names, and the run folder if it is one.
-pub(super) fn named(path: &Path) -> Result<(PathBuf, Option<PathBuf>)> {
+/// Returns the pipeline file that `path` names, and the run folder if it is one.
+pub(super) fn pipeline_path(path: &Path) -> Result<(PathBuf, Option<PathBuf>)> {
     if !path.is_dir() {
         return Ok((path.into(), None));
     }
-    let own = path.join(PIPELINE);
-    if own.is_file() {
-        return Ok((own, Some(path.into())));
+    let file = path.join(PIPELINE);
+    if file.is_file() {
+        return Ok((file, Some(path.into())));
     }
     if let Some(listing) = Listing::read(path)? {
-        let what = "folder of a sweep, expected a pipeline or run folder; repeat `pwrfgs sweep` with the experiment, or name one of its runs";
-        return Err(Error::input(path, format!("{what}: {}", listing.run_names())));
+        let problem = "folder of a sweep, expected a pipeline or run folder; repeat `pwrfgs sweep` with the experiment, or name one of its runs";
+        return Err(Error::input(path, format!("{problem}: {}", listing.run_names())));
     }
     let why = format!("not a run folder: no {PIPELINE}; name a pipeline file or a run folder");
     Err(Error::input(path, why))
 }
 
 /// Parses a number of threads or jobs.
-pub(crate) fn count(text: &str) -> Result<usize, String> {
+pub(crate) fn parse_count(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(count) if COUNTS.contains(&count) => Ok(count),
         _ => Err(format!("expected a number from {} to {}", COUNTS.start(), COUNTS.end())),
@@ -66,16 +66,16 @@ pub(crate) fn count(text: &str) -> Result<usize, String> {
 }
 
 /// Parses `N` numbers separated by commas.
-pub(super) fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+pub(super) fn parse_numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
     numbers?.try_into().ok()
 }
 
 /// Parses `x,y,z`, the value of `option`.
-pub(super) fn position(option: &str, text: &str) -> Result<[f64; 3]> {
+pub(super) fn parse_position(option: &str, text: &str) -> Result<[f64; 3]> {
     let wrong =
         || Error::Config(format!("{option} {text}: expected x,y,z in metres, each at most 1e8, such as 3.5,2.2,1.2"));
-    numbers(text).filter(|place| place_fault(*place).is_none()).ok_or_else(wrong)
+    parse_numbers(text).filter(|position| place_fault(*position).is_none()).ok_or_else(wrong)
 }
 
 /// Reads all models, files or run folders, as one ensemble; a file may contain several. Members of several files get
@@ -86,32 +86,33 @@ pub(super) fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
         return read(path);
     }
     let files: Vec<Ensemble> = paths.iter().map(read).collect::<Result<_>>()?;
-    if let Some(place) = files.iter().position(|file| file.residuals().is_some()) {
-        let what = "has a residual process, which predicts for this model alone; give it as the only model";
-        return Err(Error::input(&paths[place], what));
+    if let Some(index) = files.iter().position(|file| file.residuals().is_some()) {
+        let problem = "has a residual process, which predicts for this model alone; give it as the only model";
+        return Err(Error::input(&paths[index], problem));
     }
     let members = files.iter().flat_map(|file| file.members().iter().cloned()).collect();
     Ensemble::new(members).and_then(Ensemble::distinct).map_err(Error::Config)
 }
 
-/// Indices of the named receivers, in the order of the model; all for no name or `all`.
-pub(super) fn chosen(known: &[Receiver], names: &[String]) -> Result<Vec<usize>> {
-    let place = |name: &str| known.iter().position(|receiver| receiver.name == name);
-    if names.iter().all(|name| name == "all" && place(name).is_none()) {
-        return Ok((0..known.len()).collect());
+/// Returns the indices of the named receivers, in the order of the model; all for no name or `all`.
+pub(super) fn select_receivers(receivers: &[Receiver], names: &[String]) -> Result<Vec<usize>> {
+    let index_of = |name: &str| receivers.iter().position(|receiver| receiver.name == name);
+    if names.iter().all(|name| name == "all" && index_of(name).is_none()) {
+        return Ok((0..receivers.len()).collect());
     }
     let mut chosen = Vec::new();
     for name in names {
-        chosen.push(place(name).ok_or_else(|| unknown(known, name))?);
+        chosen.push(index_of(name).ok_or_else(|| unknown_receiver(receivers, name))?);
     }
     chosen.sort_unstable();
     chosen.dedup();
     Ok(chosen)
 }
 
-fn unknown(known: &[Receiver], name: &str) -> Error {
-    let near = did_you_mean(name, known.iter().map(|receiver| receiver.name.as_str()));
-    let list = listed(known.iter().map(|r| strip_control(&r.name)), LISTED);
+/// Creates the error of an unknown receiver, with the nearest name.
+fn unknown_receiver(receivers: &[Receiver], name: &str) -> Error {
+    let near = did_you_mean(name, receivers.iter().map(|receiver| receiver.name.as_str()));
+    let list = listed(receivers.iter().map(|r| strip_control(&r.name)), LISTED);
     Error::Config(format!(
         "--receiver {}: no such receiver in the model{near} (receivers: {list})",
         strip_control(name)
@@ -136,20 +137,21 @@ mod tests {
 
     #[test]
     fn positions_are_three_finite_numbers() {
-        assert_eq!(position("--tx", "1, -2.5,3e0").unwrap(), [1.0, -2.5, 3.0]);
+        assert_eq!(parse_position("--tx", "1, -2.5,3e0").unwrap(), [1.0, -2.5, 3.0]);
         for wrong in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,NaN", "1,inf,2", "1,2,1e9"] {
-            assert!(position("--tx", wrong).unwrap_err().is_input(), "{wrong}");
+            assert!(parse_position("--tx", wrong).unwrap_err().is_input(), "{wrong}");
         }
     }
 
     #[test]
     fn finds_receivers_by_name_and_suggests_nearest_name() {
-        let known: Vec<Receiver> = (1..=21).map(|k| Receiver::new(format!("g{k:02}"), Pose::IDENTITY)).collect();
-        let chosen = |names: &[&str]| chosen(&known, &names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
-        assert_eq!(chosen(&["g03", "g01", "g03"]).unwrap(), [0, 2]);
-        assert_eq!(chosen(&[]).unwrap().len(), 21);
-        assert_eq!(chosen(&["all"]).unwrap().len(), 21);
-        let message = chosen(&["g3"]).unwrap_err().to_string();
+        let receivers: Vec<Receiver> = (1..=21).map(|k| Receiver::new(format!("g{k:02}"), Pose::IDENTITY)).collect();
+        let select =
+            |names: &[&str]| select_receivers(&receivers, &names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
+        assert_eq!(select(&["g03", "g01", "g03"]).unwrap(), [0, 2]);
+        assert_eq!(select(&[]).unwrap().len(), 21);
+        assert_eq!(select(&["all"]).unwrap().len(), 21);
+        let message = select(&["g3"]).unwrap_err().to_string();
         assert!(message.contains("did you mean `g03`?") && message.contains("and 9 more"), "{message}");
     }
 }

@@ -24,13 +24,14 @@ pub(crate) struct Pipelines {
     pub(crate) copy: Option<String>,
 }
 
+/// Runs `pwrfgs pipelines`.
 pub(crate) fn pipelines(arguments: &Pipelines) -> Result<()> {
     let [pipelines, experiments, scenes] =
         [ShippedFile::PIPELINES, ShippedFile::EXPERIMENTS, ShippedFile::SCENES].map(ShippedFile::all);
     if let Some(name) = &arguments.copy {
-        let all = || pipelines.iter().chain(&experiments);
-        let Some(file) = all().find(|file| file.name == name) else {
-            let near = did_you_mean(name, all().map(|file| file.name));
+        let files = || pipelines.iter().chain(&experiments);
+        let Some(file) = files().find(|file| file.name == name) else {
+            let near = did_you_mean(name, files().map(|file| file.name));
             return Err(Error::Config(format!(
                 "--copy {name}: no such pipeline or experiment{near}; `pwrfgs pipelines` lists all"
             )));

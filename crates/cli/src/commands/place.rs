@@ -58,13 +58,14 @@ pub(crate) struct Place {
     pub(crate) out: PathBuf,
 }
 
+/// Runs `pwrfgs place`.
 pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<()> {
     if arguments.count == 0 {
         return Err(Error::Config("--count 0: give at least 1".into()));
     }
     let (stop, folder) = (stop_flag(), NewFolder::begin(&arguments.out)?);
     let outcome = RunProgress::during(verbosity, |progress| match recognise(&arguments.source) {
-        Some(source) => measured::choose(arguments, &source, progress),
+        Some(source) => measured::choose(arguments, &*source, progress),
         None => simulated(arguments, &stop, progress),
     })?;
     outcome.write(&folder)?;
@@ -74,19 +75,21 @@ pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
+/// Chooses receivers in a scene.
 #[cfg(feature = "raytrace")]
 fn simulated(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Outcome> {
     if arguments.source.is_dir() {
-        let what = "no data found; name a data folder (layouts: docs/data.md), or a scene";
-        return Err(Error::input(&arguments.source, what));
+        let source = &arguments.source;
+        return Err(Error::input(source, "no data found; name a data folder (layouts: docs/data.md), or a scene"));
     }
     scene::choose(arguments, stop, progress)
 }
 
+/// Rejects scenes, which need the feature `raytrace`.
 #[cfg(not(feature = "raytrace"))]
 fn simulated(arguments: &Place, _: &AtomicBool, _: &mut RunProgress) -> Result<Outcome> {
-    let what = "no data found, and this build has no scenes; name a data folder, or build with the feature `raytrace`";
-    Err(Error::input(&arguments.source, what))
+    let advice = "name a data folder, or build with the feature `raytrace`";
+    Err(Error::input(&arguments.source, format!("no data found, and this build has no scenes; {advice}")))
 }
 
 /// Choice of receivers.
@@ -115,17 +118,12 @@ struct Outcome {
 }
 
 impl Outcome {
-    /// Table with notes.
+    /// Formats the table with notes.
     fn table(&self) -> String {
         let mut lines = vec![[&["choice".to_owned()], &self.header[..]].concat()];
-        lines
-            .extend(self.choices.iter().map(|choice| [std::slice::from_ref(&choice.name), &choice.cells[..]].concat()));
-        let mut text = aligned(&lines, 1) + "\n";
-        for note in &self.notes {
-            text.push_str(note);
-            text.push('\n');
-        }
-        text
+        let line = |choice: &Choice| [std::slice::from_ref(&choice.name), &choice.cells[..]].concat();
+        lines.extend(self.choices.iter().map(line));
+        self.notes.iter().fold(aligned(&lines, 1) + "\n", |text, note| text + note + "\n")
     }
 
     /// Writes `place.csv` and `place.png` into `folder`.

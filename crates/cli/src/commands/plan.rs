@@ -16,10 +16,10 @@ use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::statistics::{self, evenly, mean};
 use pwrfgs_core::{Dataset, Error, Result, check_stopped};
-use source::{PlaceOptions, Places, places};
+use source::{PlaceOptions, Places, read_places};
 use std::fmt::Write as _;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 /// Largest number of transmitters that a choice is scored on.
 const TESTED: usize = 500;
@@ -67,14 +67,15 @@ pub(crate) struct Plan {
     pub(crate) out: PathBuf,
 }
 
+/// Runs `pwrfgs plan`.
 pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     let stop = stop_flag();
-    let places = RunProgress::during(verbosity, |progress| places(&arguments.places, progress))?;
+    let places = RunProgress::during(verbosity, |progress| read_places(&arguments.places, progress))?;
     let total = places.candidates.len();
     check_count(arguments.count, total)?;
-    let region = region(arguments, &places)?;
-    let survey = Survey::new(&places.candidates, &region, &places.known);
-    let start = start(arguments, &places, &region)?;
+    let region = select_region(arguments, &places)?;
+    let survey = Survey::new(&places.candidates, &region, &places.measured);
+    let start = first_correlation(arguments, &places, &region)?;
     let folder = NewFolder::begin(&arguments.out)?;
     let learn =
         |order: &[usize]| places.data.as_ref().filter(|_| arguments.simulate).and_then(|data| learn(data, order));
@@ -87,34 +88,37 @@ pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
         })
     });
     check_stopped(&stop)?;
-    let (choices, gain) = choices(arguments, &places, &survey, &plan, (&stop, verbosity))?;
+    let mut choices = list_choices(&survey, &plan, arguments.seed);
+    let gain = RunProgress::during(verbosity, |progress| score(&mut choices, &places, progress))?;
     write(&folder, &places, &plan, &choices[0].variances)?;
     folder.publish()?;
-    output::result(&table(&choices, gain, &plan.correlation, &places))?;
+    output::result(&format_table(&choices, gain, &plan.correlation, &places))?;
     verbosity.note(&format!("{} positions in {}", grouped(plan.order.len() as i64), arguments.out.display()));
     Ok(())
 }
 
+/// Rejects a number of positions that is 0 or larger than that of the candidates.
 fn check_count(count: usize, total: usize) -> Result<()> {
     if (1..=total).contains(&count) {
         return Ok(());
     }
-    let what = if count == 0 {
+    let problem = if count == 0 {
         "give at least 1".to_owned()
     } else {
         format!("there are {} candidates; lower --count, or give more candidates", grouped(total as i64))
     };
-    Err(Error::Config(format!("--count {count}: {what}")))
+    Err(Error::Config(format!("--count {count}: {problem}")))
 }
 
-/// Candidates in the region to predict.
-fn region(arguments: &Plan, places: &Places) -> Result<Vec<[f64; 3]>> {
+/// Returns the candidates in the region to predict.
+fn select_region(arguments: &Plan, places: &Places) -> Result<Vec<[f64; 3]>> {
     let Some(text) = &arguments.region else { return Ok(places.region(|_| true)) };
     let bounds = PlaneBounds::parse("--region", text, ["x", "y"])?;
     let inside = |[x, y, _]: [f64; 3]| bounds.holds([x, y]);
     let region = places.region(inside);
     if region.is_empty() {
-        let [(x0, x1), (y0, y1)] = [0, 1].map(|k| statistics::bounds(places.candidates.iter().map(|place| place[k])));
+        let [(x0, x1), (y0, y1)] =
+            [0, 1].map(|k| statistics::bounds(places.candidates.iter().map(|position| position[k])));
         return Err(Error::Config(format!(
             "--region {text}: no candidate inside; candidates have x from {} to {} m and y from {} to {} m",
             number(x0),
@@ -126,8 +130,8 @@ fn region(arguments: &Plan, places: &Places) -> Result<Vec<[f64; 3]>> {
     Ok(region)
 }
 
-/// Correlation of the first step.
-fn start(arguments: &Plan, places: &Places, region: &[[f64; 3]]) -> Result<Correlation> {
+/// Returns the correlation of the first step.
+fn first_correlation(arguments: &Plan, places: &Places, region: &[[f64; 3]]) -> Result<Correlation> {
     let default = default_correlation(region);
     if let Some(length) = arguments.length_scale {
         if !(1e-6..=1e8).contains(&length) {
@@ -135,7 +139,7 @@ fn start(arguments: &Plan, places: &Places, region: &[[f64; 3]]) -> Result<Corre
         }
         return Ok(Correlation { scales: [length, length, length, f64::INFINITY], ..default });
     }
-    let measured = places.data.as_ref().filter(|_| !places.known.is_empty());
+    let measured = places.data.as_ref().filter(|_| !places.measured.is_empty());
     let learned = measured.and_then(|data| learn(data, &(0..data.locations.len()).collect::<Vec<_>>()));
     Ok(learned.unwrap_or(default))
 }
@@ -151,19 +155,14 @@ struct Choice {
 }
 
 impl Choice {
+    /// Returns the mean variance over the region after all positions.
     fn variance(&self) -> f64 {
         self.variances.last().copied().unwrap_or(f64::NAN)
     }
 }
 
-/// The plan, then choices of the same size to compare it with, and the gain of its scores over the regular choice.
-fn choices(
-    arguments: &Plan,
-    places: &Places,
-    survey: &Survey,
-    plan: &SurveyPlan,
-    (stop, verbosity): (&AtomicBool, Verbosity),
-) -> Result<(Vec<Choice>, Option<Difference>)> {
+/// Lists the plan, then choices of the same size to compare it with.
+fn list_choices(survey: &Survey, plan: &SurveyPlan, seed: u64) -> Vec<Choice> {
     let (count, correlation) = (plan.order.len(), plan.correlation);
     let choice = |(name, order): (String, Vec<usize>)| Choice {
         name,
@@ -174,41 +173,41 @@ fn choices(
     let orders = [
         ("plan: least integrated variance".to_owned(), plan.order.clone()),
         ("regular: every k-th candidate".into(), survey.regular(count)),
-        (format!("random (seed {})", arguments.seed), survey.random(count, arguments.seed)),
+        (format!("random (seed {seed})"), survey.random(count, seed)),
         ("largest variance".into(), survey.by_largest_variance(correlation, count)),
     ];
-    let mut choices: Vec<Choice> = orders.into_iter().map(choice).collect();
-    let Some(data) = places.data.as_ref().filter(|_| places.known.is_empty()) else {
-        return Ok((choices, None));
-    };
-    let test = test_links(data, &choices);
-    if test.is_empty() {
-        return Ok((choices, None));
-    }
-    RunProgress::during(verbosity, |progress| {
-        let total = choices.len();
-        for (k, choice) in choices.iter_mut().enumerate() {
-            check_stopped(stop)?;
-            progress.on_stage("scoring", k, total);
-            choice.scores = kriging_scores(data, &choice.order, &test)?;
-        }
-        progress.finish();
-        let gain = gain(data, &test, &choices[0], &choices[1]);
-        Ok((choices, gain))
-    })
+    orders.into_iter().map(choice).collect()
 }
 
-/// Mean gain of the scores of the plan over the regular choice, with an interval over blocks of positions; neighbours and the
-/// links of one transmitter are not independent.
-fn gain(data: &Dataset, test: &[usize], plan: &Choice, regular: &Choice) -> Option<Difference> {
+/// Scores Kriging from each choice, if the candidates are measured. Returns the gain of the plan over the regular
+/// choice.
+fn score(choices: &mut [Choice], places: &Places, progress: &mut RunProgress) -> Result<Option<Difference>> {
+    let Some(data) = places.data.as_ref().filter(|_| places.measured.is_empty()) else { return Ok(None) };
+    let test = test_links(data, choices);
+    if test.is_empty() {
+        return Ok(None);
+    }
+    let (stop, total) = (stop_flag(), choices.len());
+    for (k, choice) in choices.iter_mut().enumerate() {
+        check_stopped(&stop)?;
+        progress.on_stage("scoring", k, total);
+        choice.scores = kriging_scores(data, &choice.order, &test)?;
+    }
+    progress.finish();
+    Ok(mean_gain(data, &test, &choices[0], &choices[1]))
+}
+
+/// Computes the mean gain of the scores of the plan over the regular choice, with an interval over blocks of
+/// positions; neighbours and the links of one transmitter are not independent.
+fn mean_gain(data: &Dataset, test: &[usize], plan: &Choice, regular: &Choice) -> Option<Difference> {
     let sign = if data.task().headline.higher { 1.0 } else { -1.0 };
     let samples = || test.iter().map(|i| data.sample(*i));
-    let blocks = Blocks::new(&samples().map(|own| (own.id, data.placed.then_some(own.position()))).collect());
+    let blocks = Blocks::new(&samples().map(|sample| (sample.id, data.placed.then_some(sample.position()))).collect());
     let gains = plan.scores.iter().zip(&regular.scores).map(|(a, b)| sign * (a - b));
-    Difference::of(&[blocks.cells(samples().map(|own| own.id).zip(gains))])
+    Difference::of(&[blocks.cells(samples().map(|sample| sample.id).zip(gains))])
 }
 
-/// Links of transmitters that are in no choice, at most [`TESTED`] transmitters.
+/// Lists the links of transmitters that are in no choice, at most [`TESTED`] transmitters.
 fn test_links(data: &Dataset, choices: &[Choice]) -> Vec<usize> {
     let mut is_taken = vec![false; data.locations.len()];
     choices.iter().flat_map(|choice| &choice.order).for_each(|&j| is_taken[j] = true);
@@ -224,20 +223,20 @@ fn write(folder: &NewFolder, places: &Places, plan: &SurveyPlan, variances: &[f6
         let [order, candidate] = [k + 1, j + 1].map(|v| v.to_string());
         lines.put([&order, &candidate, &x, &y, &z, &format!("{:.6}", variances[k + 1])]);
     }
-    let above = |[x, y, _]: &[f64; 3]| [*x, *y];
+    let flat = |[x, y, _]: &[f64; 3]| [*x, *y];
     let map = SurveyMap {
         title: format!("{}: {} positions to measure", places.title, grouped(plan.order.len() as i64)),
-        candidates: places.candidates.iter().map(above).collect(),
-        known: places.known.iter().map(above).collect(),
-        selected: plan.order.iter().map(|&j| above(&places.candidates[j])).collect(),
-        receivers: places.receivers.iter().map(above).collect(),
+        candidates: places.candidates.iter().map(flat).collect(),
+        known: places.measured.iter().map(flat).collect(),
+        selected: plan.order.iter().map(|&j| flat(&places.candidates[j])).collect(),
+        receivers: places.receivers.iter().map(flat).collect(),
     };
     folder.put("plan.csv", lines.text())?;
     folder.put("plan.png", map.draw().png(WIDTH_MM))
 }
 
-/// Table of the choices, with the correlation and a comparison with the regular choice.
-fn table(choices: &[Choice], gain: Option<Difference>, correlation: &Correlation, places: &Places) -> String {
+/// Formats the table of the choices, with the correlation and a comparison with the regular choice.
+fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Correlation, places: &Places) -> String {
     let task = places.data.as_ref().map(Dataset::task).filter(|_| !choices[0].scores.is_empty());
     let mut header = vec!["choice".to_owned(), "mean variance".into()];
     header.extend(task.map(|task| format!("{} of Kriging", task.headline.name)));
@@ -253,7 +252,7 @@ fn table(choices: &[Choice], gain: Option<Difference>, correlation: &Correlation
         text,
         "\n{} candidates, {} known measurements; exponential correlation, length scale {} m, noise {} of the variance\n",
         grouped(places.candidates.len() as i64),
-        grouped(places.known.len() as i64),
+        grouped(places.measured.len() as i64),
         number(*length),
         number(*noise)
     );

@@ -42,19 +42,20 @@ const WIDTH: usize = 110;
 /// Characters per line of the list of all names.
 const NARROW: usize = 100;
 
+/// Runs `pwrfgs plugins`.
 pub(crate) fn plugins(arguments: &Plugins) -> Result<()> {
     let chapters = chapters();
     let text = match &arguments.name {
-        _ if arguments.schema => schema(),
+        _ if arguments.schema => file_schema(),
         _ if arguments.markdown => markdown::page(&chapters),
-        None => all_names(&chapters),
-        Some(name) => described(name, &chapters)?,
+        None => list_names(&chapters),
+        Some(name) => describe(name, &chapters)?,
     };
     output::result(&text)
 }
 
-/// Names of all kinds, plugins, settings and types.
-fn all_names(chapters: &[DocChapter]) -> String {
+/// Lists the names of all kinds, plugins, settings and types.
+fn list_names(chapters: &[DocChapter]) -> String {
     let heads: Vec<String> = chapters
         .iter()
         .map(|chapter| {
@@ -76,8 +77,8 @@ fn all_names(chapters: &[DocChapter]) -> String {
            pwrfgs plugins --markdown prints the complete reference\n"
 }
 
-/// The list of a kind, or everything about a plugin, settings or a type.
-fn described(name: &str, chapters: &[DocChapter]) -> Result<String> {
+/// Lists a kind, or describes a plugin, settings or a type.
+fn describe(name: &str, chapters: &[DocChapter]) -> Result<String> {
     let requested = name.to_lowercase();
     let mut out = String::new();
     for chapter in chapters {
@@ -91,17 +92,17 @@ fn described(name: &str, chapters: &[DocChapter]) -> Result<String> {
         let others = chapter.topics.iter().filter(|topic| is_kind && !topic.is_called(&requested));
         others.for_each(|topic| write_summary(&mut out, topic));
     }
-    if out.is_empty() { Err(unknown(name, chapters)) } else { Ok(out) }
+    if out.is_empty() { Err(unknown_name(name, chapters)) } else { Ok(out) }
 }
 
-/// The name of a topic and the first sentence of its comment.
+/// Writes the name of a topic and the first sentence of its comment.
 fn write_summary(out: &mut String, topic: &DocItem) {
     let summary = topic.docs.map_or_else(String::new, |docs| prose::summary(docs.text));
     let colon = if summary.is_empty() { "" } else { ": " };
     out.push_str(&wrapped(&format!("{}{colon}{summary}", markdown::title(topic)), ["  ", "      "], WIDTH));
 }
 
-/// A topic with its whole comment and all of its fields.
+/// Writes a topic with its whole comment and all of its fields.
 fn write_topic(out: &mut String, topic: &DocItem) {
     _ = writeln!(out, "  {}", markdown::title(topic));
     for paragraph in topic.docs.map_or_else(Vec::new, |docs| prose::paragraphs(docs.text)) {
@@ -128,8 +129,8 @@ fn write_topic(out: &mut String, topic: &DocItem) {
     }
 }
 
-/// The error for an unknown name, with the nearest one.
-fn unknown(name: &str, chapters: &[DocChapter]) -> Error {
+/// Creates the error of an unknown name, with the nearest one.
+fn unknown_name(name: &str, chapters: &[DocChapter]) -> Error {
     let names = chapters.iter().flat_map(|c| {
         let topics = c.topics.iter().flat_map(|t| t.fields.iter().copied().chain([t.name.as_str()]));
         topics.chain(c.field).chain([c.name.as_str()])
@@ -149,8 +150,8 @@ enum File {
     Experiment(Box<Experiment>),
 }
 
-/// JSON schema of pipeline and experiment files, for editors and programs.
-fn schema() -> String {
+/// Creates the JSON schema of pipeline and experiment files, for editors and programs.
+fn file_schema() -> String {
     let mut schema = schema_for!(File).to_value();
     shorten(&mut schema);
     format!("{schema:#}\n")

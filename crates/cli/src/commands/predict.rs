@@ -2,7 +2,7 @@
 
 mod writers;
 
-use super::options::{check_positions, chosen, numbers, position, read_models};
+use super::options::{check_positions, parse_numbers, parse_position, read_models, select_receivers};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
@@ -75,50 +75,51 @@ pub(crate) struct Predict {
     pub(crate) no_png: bool,
 }
 
+/// Runs `pwrfgs predict`.
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
     let setup = &ensemble.members()[0].stages.setup;
-    let poses = poses(arguments, setup.moving)?;
+    let poses = moving_poses(arguments, setup.moving)?;
     let positions: Vec<[f64; 3]> = poses.iter().map(|pose| pose.position).collect();
     check_positions(&ensemble)?;
     let distances = ensemble.training_distances(&positions);
     let model = ensemble.prepare();
     let task = model.task();
-    let listening = chosen(model.receivers(), &arguments.receiver)?;
-    let count = poses.len() * listening.len();
+    let receivers = select_receivers(model.receivers(), &arguments.receiver)?;
+    let count = poses.len() * receivers.len();
     if arguments.stacked && task.is_scalar {
         let why = "--stacked: not supported for received powers, which are all in predictions.csv; remove --stacked";
         return Err(Error::Config(why.into()));
     }
-    let factors = arguments.interval.map(|level| factors(&ensemble, level)).transpose()?;
-    let made = NewFolder::begin(&arguments.out)?;
-    let folder = OutputFolder { folder: &made, has_png: !arguments.no_png, stacked: arguments.stacked };
+    let factors = arguments.interval.map(|level| interval_factors(&ensemble, level)).transpose()?;
+    let new_folder = NewFolder::begin(&arguments.out)?;
+    let folder = OutputFolder { folder: &new_folder, has_png: !arguments.no_png, stacked: arguments.stacked };
     let mut writer = writer(&folder, &model, count, factors.is_some())?;
     let mut progress = RunProgress::new(verbosity);
     let mut list = writer.header();
     let is_named = !task.has_pixels || model.receivers().len() > 1;
     let row = |k: usize| {
-        let (pose, receiver) = (poses[k / listening.len()], listening[k % listening.len()]);
+        let (pose, receiver) = (poses[k / receivers.len()], receivers[k % receivers.len()]);
         PredictionRow {
             number: k + 1,
             pose,
             has_orientation: setup.moving.is_receiver(),
             receiver,
             name: is_named.then(|| model.receivers()[receiver].name.as_str()),
-            training_distance: distances.as_ref().map(|all| all.metres[k / listening.len()]),
+            training_distance: distances.as_ref().map(|distances| distances.metres[k / receivers.len()]),
         }
     };
     for first in (0..count).step_by(CHUNK) {
         progress.on_stage("predicting", first, count);
-        let rows = (first..(first + CHUNK).min(count)).map(row).map(|row| draw(&model, row, factors.as_ref()));
-        writer.take(&folder, &rows.collect::<Result<Vec<_>>>()?, &mut list)?;
+        let rows = (first..(first + CHUNK).min(count)).map(row).map(|row| predict_row(&model, row, factors.as_ref()));
+        writer.write(&folder, &rows.collect::<Result<Vec<_>>>()?, &mut list)?;
     }
     progress.finish();
     writer.finish()?;
     folder.put("predictions.csv", list.as_bytes())?;
-    made.publish()?;
+    new_folder.publish()?;
     match &distances {
-        Some(distances) => extrapolation(distances).iter().for_each(|warning| output::warning(warning)),
+        Some(distances) => extrapolation_warning(distances).iter().for_each(|warning| output::warning(warning)),
         None => verbosity.note("note: the model has no training positions, so extrapolations are not marked"),
     }
     let kind = if count == 1 { task.singular } else { task.plural };
@@ -126,24 +127,24 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-/// Positions or poses of the end that moves, at which to predict.
-fn poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
+/// Reads the positions or poses of the end that moves, at which to predict.
+fn moving_poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
     let Predict { tx, tx_csv, rx_pose, rx_pose_csv, .. } = arguments;
+    let refuse =
+        |end: &str, advice: &str| Err(Error::Config(format!("the {end} of this model moves; give its {advice}")));
     let of_transmitters = tx.is_some() || tx_csv.is_some();
     if of_transmitters && moving.is_receiver() {
-        let what = "the receiver of this model moves; give its poses with --rx-pose or --rx-pose-csv instead of --tx";
-        return Err(Error::Config(what.into()));
+        return refuse("receiver", "poses with --rx-pose or --rx-pose-csv instead of --tx");
     }
     if !of_transmitters && !moving.is_receiver() {
-        let what = "the transmitter of this model moves; give its positions with --tx or --tx-csv instead of --rx-pose";
-        return Err(Error::Config(what.into()));
+        return refuse("transmitter", "positions with --tx or --tx-csv instead of --rx-pose");
     }
     match (tx, tx_csv, rx_pose, rx_pose_csv) {
-        (Some(text), ..) => Ok(vec![position("--tx", text)?.into()]),
+        (Some(text), ..) => Ok(vec![parse_position("--tx", text)?.into()]),
         (_, Some(path), ..) => Ok(read_transmitters(path)?.into_iter().map(Pose::from).collect()),
         (.., Some(text), _) => {
             let refuse = |fault: &str| Err(Error::Config(format!("--rx-pose {text}: {fault}")));
-            let Some([x, y, z, orientation @ ..]) = numbers::<7>(text) else {
+            let Some([x, y, z, orientation @ ..]) = parse_numbers::<7>(text) else {
                 return refuse("expected x,y,z,qx,qy,qz,qw, such as 3.5,2.2,1.2,0,0,0,1 for no rotation");
             };
             let pose = Pose { position: [x, y, z], orientation };
@@ -154,9 +155,9 @@ fn poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
     }
 }
 
-/// Factors of prediction intervals of this level.
-fn factors(ensemble: &Ensemble, level: f64) -> Result<IntervalFactors> {
-    let refuse = |what: &str| Err(Error::Config(format!("--interval: {what}")));
+/// Returns the factors of prediction intervals of this level.
+fn interval_factors(ensemble: &Ensemble, level: f64) -> Result<IntervalFactors> {
+    let refuse = |problem: &str| Err(Error::Config(format!("--interval: {problem}")));
     if ensemble.members()[0].stages.task.is_complex {
         return refuse("not supported for channels; remove --interval");
     }
@@ -168,8 +169,8 @@ fn factors(ensemble: &Ensemble, level: f64) -> Result<IntervalFactors> {
     }
 }
 
-/// Warning about extrapolations.
-fn extrapolation(distances: &TrainingDistances) -> Option<String> {
+/// Describes the extrapolations; `None` without any.
+fn extrapolation_warning(distances: &TrainingDistances) -> Option<String> {
     let TrainingDistances { metres, limit } = distances;
     let beyond: Vec<f64> = (0..metres.len()).filter(|&k| distances.is_beyond(k)).map(|k| metres[k]).collect();
     let largest = beyond.iter().copied().reduce(f64::max)?;
@@ -182,7 +183,7 @@ fn extrapolation(distances: &TrainingDistances) -> Option<String> {
 }
 
 /// Predicts one row; rows are predicted one after another, so that each latency is measured without other load.
-fn draw<'a>(
+fn predict_row<'a>(
     model: &Prepared<'_>,
     row: PredictionRow<'a>,
     factors: Option<&IntervalFactors>,
@@ -205,10 +206,11 @@ fn draw<'a>(
     Ok((row, PredictionImage { image, spread, interval, milliseconds: 1e3 * times.total }))
 }
 
+/// Creates the error of a prediction that is not finite.
 fn not_finite(task: Task, row: &PredictionRow<'_>) -> Error {
-    let what = task.singular;
+    let observation = task.singular;
     Error::Config(format!(
-        "row {}: the {what} at {:?} is not finite: the model overflows there; remove the position if it \
+        "row {}: the {observation} at {:?} is not finite: the model overflows there; remove the position if it \
          is far from the training positions, or train again with lower learning rates",
         row.number, row.pose.position
     ))

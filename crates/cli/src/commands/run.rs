@@ -1,6 +1,6 @@
 //! `pwrfgs run`: runs a pipeline.
 
-use super::options::{ChangeOptions, named};
+use super::options::{ChangeOptions, pipeline_path};
 use crate::interrupt::stop_flag;
 use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
@@ -34,8 +34,9 @@ pub(crate) struct Run {
     pub(crate) out: Option<PathBuf>,
 }
 
+/// Runs `pwrfgs run`.
 pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<u8> {
-    let (file, folder) = named(&arguments.pipeline)?;
+    let (file, folder) = pipeline_path(&arguments.pipeline)?;
     let pipeline = read_pipeline(&file, &arguments.changes.all())?;
     let out = arguments.out.clone().or(folder).unwrap_or_else(|| Path::new("runs").join(&pipeline.name));
     let stop = stop_flag();
@@ -73,7 +74,7 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<u8> {
     }
 }
 
-/// Verdict on the model, and the commands that show more of its run.
+/// Writes the verdict on the model, and the commands that show more of its run.
 fn last_line(verdict: Option<String>, run: &Path) -> String {
     let commands = [(pwrfgs::PAGE.is_some(), "report"), (cfg!(feature = "viewer"), "view")];
     let commands = commands.iter().filter(|(is_built, _)| *is_built);

@@ -1,6 +1,6 @@
 //! `pwrfgs simulate` and `pwrfgs export-scene`: simulates a data set from a scene, and writes a scene for Sionna RT.
 
-use super::options::position;
+use super::options::parse_position;
 use crate::interrupt::stop_flag;
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
@@ -91,9 +91,9 @@ pub(crate) enum SimulateFormat {
 }
 
 impl Simulate {
-    /// Observation and layout of the files.
+    /// Returns observation and layout of the files.
     fn output_layout(&self) -> Result<(ObservationKind, OutputLayout)> {
-        let refuse = |what: &str| Err(Error::Config(what.into()));
+        let refuse = |problem: &str| Err(Error::Config(problem.into()));
         let is_channel = matches!(self.layout, SimulateFormat::Channels | SimulateFormat::Csi);
         if self.npy && self.layout != SimulateFormat::Spectra {
             return refuse("--npy: supported only for spectra; remove --npy or --layout");
@@ -140,6 +140,7 @@ pub(crate) struct ExportScene {
     pub(crate) out: PathBuf,
 }
 
+/// Runs `pwrfgs export-scene`.
 pub(crate) fn export_scene(arguments: &ExportScene, verbosity: Verbosity) -> Result<()> {
     let scene = SceneFile::read(&arguments.scene)?;
     let (meshes, out) = (mitsuba::export(&scene, &arguments.out)?, arguments.out.display());
@@ -148,11 +149,12 @@ pub(crate) fn export_scene(arguments: &ExportScene, verbosity: Verbosity) -> Res
     Ok(())
 }
 
+/// Runs `pwrfgs simulate`.
 pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()> {
     let begun = Instant::now();
     let stop = stop_flag();
     let (observe, layout) = arguments.output_layout()?;
-    let receiver = arguments.receiver.as_deref().map(|text| position("--receiver", text)).transpose()?;
+    let receiver = arguments.receiver.as_deref().map(|text| parse_position("--receiver", text)).transpose()?;
     let mut recipe = SimulationRecipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?;
     recipe.scene = recipe.scene.with(arguments.carrier_hz, receiver)?;
     let recipe = recipe.observing(observe)?;
@@ -167,15 +169,15 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()>
             folder::write_as(&recipe, layout, !arguments.no_paths, &arguments.out, progress, &stop)
         })
     })?;
-    verbosity.note(&summary(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
+    verbosity.note(&describe_data(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
     Ok(())
 }
 
 /// Describes the data set and the setting to train on it.
-fn summary(arguments: &Simulate, recipe: &SimulationRecipe, layout: OutputLayout, seconds: f64) -> String {
+fn describe_data(arguments: &Simulate, recipe: &SimulationRecipe, layout: OutputLayout, seconds: f64) -> String {
     let (scene, out) = (&recipe.scene, arguments.out.display());
     let receivers = scene.receivers().count();
-    let (things, source) = match layout {
+    let (things, plugin) = match layout {
         OutputLayout::Pictures => ("spectra", "Nerf2Spectrum"),
         OutputLayout::Array => ("spectra", "Arrays"),
         OutputLayout::Rssi => ("powers", "Nerf2Rssi"),
@@ -183,36 +185,36 @@ fn summary(arguments: &Simulate, recipe: &SimulationRecipe, layout: OutputLayout
         OutputLayout::Csi => ("channels", "Nerf2Csi"),
         OutputLayout::DeepMimo => ("users", ""),
     };
-    let one = receivers == 1 || layout == OutputLayout::Rssi;
+    let has_one_folder = receivers == 1 || layout == OutputLayout::Rssi;
     // Several receivers have a folder each; the first is shown.
-    let root = if one { arguments.out.clone() } else { arguments.out.join(&scene.receiver.name) };
+    let root = if has_one_folder { arguments.out.clone() } else { arguments.out.join(&scene.receiver.name) };
     let carriers = scene.carriers_hz.len().max(1);
     let count = recipe.samples * receivers * carriers;
-    let at = match (receivers, carriers) {
+    let ends = match (receivers, carriers) {
         (1, 1) => String::new(),
         (1, _) => format!(" at {carriers} carriers"),
         _ => format!(" at {receivers} receivers"),
     };
-    let how = match layout {
+    let plugin = match layout {
         OutputLayout::DeepMimo => {
             let pair = if receivers == 1 { "" } else { ", pair=(0, 0, 1)" };
             let (users, name) = (recipe.samples, &scene.name);
-            let text = format!("{users} simulated users of {name}{at} in {out} after {seconds:.1} s");
+            let text = format!("{users} simulated users of {name}{ends} in {out} after {seconds:.1} s");
             return format!("{text}; in Python: pwrfgs.convert.from_deepmimo(\"{out}\"{pair})");
         }
         OutputLayout::Pictures | OutputLayout::Array => {
             let points = root.join(folder::POINTS);
-            format!("{source}(root: \"{}\", points: \"{}\")", root.display(), points.display())
+            format!("{plugin}(root: \"{}\", points: \"{}\")", root.display(), points.display())
         }
         OutputLayout::Csi => {
             let spacing = scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz());
             let (root, carrier) = (root.display(), scene.carrier_hz);
-            format!("{source}(root: \"{root}\", carrier_hz: {carrier:?}, spacing_hz: {spacing:?}, together: true)")
+            format!("{plugin}(root: \"{root}\", carrier_hz: {carrier:?}, spacing_hz: {spacing:?}, together: true)")
         }
-        _ => format!("{source}(root: \"{}\")", root.display()),
+        _ => format!("{plugin}(root: \"{}\")", root.display()),
     };
     format!(
-        "{count} simulated {things} of {}{at} in {out} after {seconds:.1} s; in a pipeline: data: {how}",
+        "{count} simulated {things} of {}{ends} in {out} after {seconds:.1} s; in a pipeline: data: {plugin}",
         scene.name
     )
 }

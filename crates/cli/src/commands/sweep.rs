@@ -2,7 +2,7 @@
 
 mod table;
 
-use super::options::{ChangeOptions, count};
+use super::options::{ChangeOptions, parse_count};
 use crate::interrupt::stop_flag;
 use crate::output::{self, FAILED, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
@@ -48,10 +48,10 @@ pub(crate) struct Sweep {
     #[arg(long, conflicts_with = "dry_run")]
     pub(crate) status: bool,
     /// Number of parallel runs, which share the threads
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = count)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = parse_count)]
     pub(crate) jobs: usize,
     /// Run only part I of N, such as 2/5, for any scheduler
-    #[arg(long, value_name = "I/N", value_parser = shard)]
+    #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     pub(crate) shard: Option<Shard>,
     /// Run only this run, by the name of its folder
     #[arg(long, value_name = "RUN", conflicts_with = "shard")]
@@ -76,7 +76,7 @@ pub(crate) struct Shard {
 }
 
 /// Parses `2/5`.
-fn shard(text: &str) -> Result<Shard, String> {
+fn parse_shard(text: &str) -> Result<Shard, String> {
     let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
     match parts {
         Some((index, count)) if (1..=count).contains(&index) => Ok(Shard { index, count }),
@@ -84,17 +84,18 @@ fn shard(text: &str) -> Result<Shard, String> {
     }
 }
 
+/// Runs `pwrfgs sweep`.
 pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbosity) -> Result<u8> {
     let plan = SweepPlan::read(&arguments.experiment, &arguments.changes.all(), arguments.out.as_deref())?;
-    let runs = chosen(&plan, arguments)?;
+    let runs = select_runs(&plan, arguments)?;
     if arguments.status {
         output::result(&table::status(&plan, &runs, &queued_or_note(&plan)))?;
         return Ok(SUCCESS);
     }
-    let threads_there = rayon::current_num_threads();
-    if arguments.jobs > threads_there {
+    let available = rayon::current_num_threads();
+    if arguments.jobs > available {
         return Err(Error::Config(format!(
-            "--jobs {}: more than the {threads_there} available threads; set at most {threads_there}",
+            "--jobs {}: more than the {available} available threads; set at most {available}",
             arguments.jobs
         )));
     }
@@ -106,7 +107,7 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
         return submit(&plan, &open, arguments, threads);
     }
     check_and_announce(&plan, &runs, arguments.jobs, verbosity)?;
-    here(&plan, &runs, arguments.jobs, (None, verbosity))
+    run_here(&plan, &runs, arguments.jobs, (None, verbosity))
 }
 
 /// Least number of training steps per combination for an estimate, which takes up to 80 steps.
@@ -119,20 +120,20 @@ pub(super) fn check_and_announce(plan: &SweepPlan, runs: &[usize], jobs: usize, 
     if verbosity == Verbosity::Quiet || steps < WORTH_STEPS * combinations {
         return RunProgress::during(verbosity, |progress| check(plan, runs, progress)).map(drop);
     }
-    let seconds = estimated(plan, runs, jobs, verbosity)?;
-    if seconds.iter().any(|own| *own > 0.0) {
+    let seconds = estimate_seconds(plan, runs, jobs, verbosity)?;
+    if seconds.iter().any(|seconds| *seconds > 0.0) {
         output::note(table::total(plan, runs, &seconds, jobs).trim_end());
     }
     Ok(())
 }
 
-/// Estimated seconds of each run.
-fn estimated(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<Vec<f64>> {
+/// Estimates the seconds of each run.
+fn estimate_seconds(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<Vec<f64>> {
     let pool = pool(jobs)?;
     RunProgress::during(verbosity, |progress| pool.install(|| estimate(plan, runs, progress)))
 }
 
-/// Names of the runs in the Slurm queue, empty with a note if it cannot be read.
+/// Lists the names of the runs in the Slurm queue, empty with a note if it cannot be read.
 fn queued_or_note(plan: &SweepPlan) -> BTreeSet<String> {
     slurm::queued(plan).unwrap_or_else(|error| {
         output::note(&format!("note: {error}"));
@@ -140,8 +141,8 @@ fn queued_or_note(plan: &SweepPlan) -> BTreeSet<String> {
     })
 }
 
-/// Indices of the runs that `--shard` or `--only` select; all without them.
-fn chosen(plan: &SweepPlan, arguments: &Sweep) -> Result<Vec<usize>> {
+/// Returns the indices of the runs that `--shard` or `--only` select; all without them.
+fn select_runs(plan: &SweepPlan, arguments: &Sweep) -> Result<Vec<usize>> {
     if let Some(name) = &arguments.only {
         return Ok(vec![plan.find(name)?]);
     }
@@ -149,9 +150,10 @@ fn chosen(plan: &SweepPlan, arguments: &Sweep) -> Result<Vec<usize>> {
     Ok((0..plan.runs.len()).filter(|run| run % count == index - 1).collect())
 }
 
-/// Runs all runs in this process; the last report has this reference of paired differences.
-pub(super) fn here(plan: &SweepPlan, runs: &[usize], jobs: usize, to: (Option<&str>, Verbosity)) -> Result<u8> {
-    let (reference, verbosity) = to;
+/// Performs `runs` in this process; `report` is the reference of paired differences in the last report, and the
+/// verbosity.
+pub(super) fn run_here(plan: &SweepPlan, runs: &[usize], jobs: usize, report: (Option<&str>, Verbosity)) -> Result<u8> {
+    let (reference, verbosity) = report;
     let stop = stop_flag();
     let board = SweepTable::new(plan, runs.len(), verbosity);
     let end = RunProgress::during(verbosity, |progress| {
@@ -202,20 +204,20 @@ fn is_last(plan: &SweepPlan) -> bool {
 
 /// Lists all runs with estimated times.
 pub(super) fn dry_run(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<u8> {
-    let seconds = estimated(plan, runs, jobs, verbosity)?;
+    let seconds = estimate_seconds(plan, runs, jobs, verbosity)?;
     output::result(&table::plan(plan, runs, &seconds, jobs))?;
     Ok(SUCCESS)
 }
 
 /// Submits to Slurm the runs that are not finished, running or queued.
-fn submit(plan: &SweepPlan, open: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<u8> {
+fn submit(plan: &SweepPlan, unfinished: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<u8> {
     let _held = plan.claim()?; // no other process may submit the same runs meanwhile
     let queued = slurm::queued(plan)?;
-    let free = |run: &usize| {
+    let is_free = |run: &usize| {
         !queued.contains(&plan.runs[*run].folder) && !matches!(plan.state(*run), RunStage::Running { .. })
     };
-    let runs: Vec<usize> = open.iter().copied().filter(free).collect();
-    let waiting = open.len() - runs.len();
+    let runs: Vec<usize> = unfinished.iter().copied().filter(is_free).collect();
+    let waiting = unfinished.len() - runs.len();
     if runs.is_empty() {
         output::result(&format!("nothing to submit: {waiting} runs are queued or running, the others are finished\n"))?;
         return Ok(SUCCESS);
@@ -230,15 +232,16 @@ fn submit(plan: &SweepPlan, open: &[usize], arguments: &Sweep, threads: Option<u
     Ok(SUCCESS)
 }
 
-/// Command line of a task; the name of its run comes last.
+/// Creates the command line of a task; the name of its run comes last.
 fn task_command(plan: &SweepPlan, arguments: &Sweep, threads: usize) -> Result<Vec<String>> {
     let text = |path: &Path| {
         std::path::absolute(path).map(|path| path.display().to_string()).map_err(|e| Error::read(path, e))
     };
     let program = output::program()?;
-    let here = std::env::current_dir().map_err(|e| Error::Config(format!("cannot read the current directory: {e}")))?;
+    let current =
+        std::env::current_dir().map_err(|e| Error::Config(format!("cannot read the current directory: {e}")))?;
     // Paths in --set are relative to the current directory, also in a task.
-    let mut words = vec!["env".into(), format!("--chdir={}", text(&here)?), text(&program)?, "sweep".into()];
+    let mut words = vec!["env".into(), format!("--chdir={}", text(&current)?), text(&program)?, "sweep".into()];
     let shipped = ShippedFile::find(ShippedFile::EXPERIMENTS, Path::new(""), &arguments.experiment);
     let experiment = shipped.map_or_else(|| text(&arguments.experiment), |file| Ok(file.name.into()))?;
     words.extend([experiment, "--out".into(), text(&plan.folder)?]);
@@ -249,13 +252,13 @@ fn task_command(plan: &SweepPlan, arguments: &Sweep, threads: usize) -> Result<V
 
 #[cfg(test)]
 mod tests {
-    use super::{Shard, shard};
+    use super::{Shard, parse_shard};
 
     #[test]
     fn parses_shard_index_and_count() {
-        assert_eq!(shard("2/5"), Ok(Shard { index: 2, count: 5 }));
+        assert_eq!(parse_shard("2/5"), Ok(Shard { index: 2, count: 5 }));
         for wrong in ["0/5", "6/5", "2", "a/b", "1/0", "-1/2"] {
-            assert!(shard(wrong).is_err(), "{wrong}");
+            assert!(parse_shard(wrong).is_err(), "{wrong}");
         }
     }
 }

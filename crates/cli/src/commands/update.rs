@@ -41,12 +41,13 @@ pub(crate) struct Update {
 /// Name of the finding that most links lie outside the intervals of the model.
 const FAR: &str = "far-from-model";
 
+/// Runs `pwrfgs update`.
 pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let model = read_models(std::slice::from_ref(&arguments.model))?;
     let Some(residuals) = model.residuals() else {
-        let what = "has no residual process; set `residuals: Kriged()` in its pipeline and run it again";
-        return Err(Error::input(&arguments.model, what));
+        let problem = "has no residual process; set `residuals: Kriged()` in its pipeline and run it again";
+        return Err(Error::input(&arguments.model, problem));
     };
     let source = recognise(&arguments.data).ok_or_else(|| unknown_folder(&arguments.data))?;
     let mut progress = RunProgress::new(verbosity);
@@ -56,24 +57,24 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     if !data.placed || data.features.is_some() {
         return Err(Error::input(&arguments.data, "no transmitter positions; give data with positions"));
     }
-    let (known, origin) = (ready.receivers(), model.members()[0].stages.origin);
-    let moved = known
+    let (receivers, origin) = (ready.receivers(), model.members()[0].stages.origin);
+    let moved = receivers
         .iter()
         .zip(&data.scene.receivers)
-        .find(|(own, other)| origin.world_pose(own.pose) != data.scene.origin.world_pose(other.pose));
+        .find(|(receiver, other)| origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose));
     if let Some((_, receiver)) = moved {
         let name = strip_control(&receiver.name);
-        let what = format!("receiver `{name}` has another pose than in the model; give data of the same receivers");
-        return Err(Error::input(&arguments.data, what));
+        let problem = format!("receiver `{name}` has another pose than in the model; give data of the same receivers");
+        return Err(Error::input(&arguments.data, problem));
     }
     warn_of_findings(&data, None, &mut progress)?;
     let agreement = Agreement::measure(&model, &data, &mut progress)?;
     if agreement.is_far() && arguments.accept.is_empty() {
-        let what = format!(
+        let problem = format!(
             "new data are far from the model: {agreement}; check the order, units, axes and poses of the data, or add \
              `--accept {FAR}` if the room has changed"
         );
-        return Err(Error::input(&arguments.data, what));
+        return Err(Error::input(&arguments.data, problem));
     }
     verbosity.note(&format!("new data against the model: {agreement}"));
     let begun = Instant::now();

@@ -48,17 +48,18 @@ pub(crate) struct View {
     pub(crate) save: Option<PathBuf>,
 }
 
+/// Runs `pwrfgs view`.
 pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
     if let Some(file) = &arguments.save {
-        return save(&arguments.sides, file, verbosity);
+        return save_page(&arguments.sides, file, verbosity);
     }
-    let sides = RunProgress::during(verbosity, |progress| open(&arguments.sides, progress))?;
+    let sides = RunProgress::during(verbosity, |progress| open_panes(&arguments.sides, progress))?;
     let stop = stop_flag();
     let ready = |address: &str| {
         // Only the address on stdout, for pipes.
         _ = output::result(&format!("{address}\n"));
         verbosity.note("open this address in a browser; stop with Ctrl-C or by closing the page");
-        if arguments.open && !opened(address) {
+        if arguments.open && !open_browser(address) {
             output::note("cannot start a browser; open the address yourself");
         }
     };
@@ -66,7 +67,7 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
 }
 
 /// Writes the room of a finished run as a page.
-fn save(named: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
+fn save_page(named: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
     let [run] = named else { return Err(Error::Config("--save writes one run; name one run folder".into())) };
     if Path::new(run).is_file() {
         return Err(Error::input(Path::new(run), "model file, expected a run folder for --save"));
@@ -82,7 +83,8 @@ fn save(named: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-fn open(named: &[String], progress: &mut RunProgress) -> Result<Vec<ViewPane>> {
+/// Opens the models, or a model and a baseline, side by side.
+fn open_panes(named: &[String], progress: &mut RunProgress) -> Result<Vec<ViewPane>> {
     let mut first = ViewPane::open(Path::new(&named[0]), progress)?;
     show_walls(&mut first)?;
     let second = match named.get(1) {
@@ -102,6 +104,7 @@ fn show_walls(side: &mut ViewPane) -> Result<()> {
     Ok(())
 }
 
+/// Leaves the data as they are: surfaces need the feature `raytrace`.
 #[cfg(not(feature = "raytrace"))]
 #[allow(clippy::unnecessary_wraps)] // same signature as above
 fn show_walls(_side: &mut ViewPane) -> Result<()> {
@@ -120,7 +123,7 @@ fn parse_baseline(text: &str) -> Result<Plugin<dyn Baseline>> {
 }
 
 /// Opens `address` in the default browser; returns whether that succeeded.
-fn opened(address: &str) -> bool {
+fn open_browser(address: &str) -> bool {
     let program = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     let mut browser = Command::new(program);
     browser.arg(address).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());

@@ -23,18 +23,18 @@ impl Value {
         Ok(Self { tree: RonTree::parse(&text)?, text })
     }
 
-    /// RON text of the value at `path`.
+    /// Returns the RON text of the value at `path`.
     pub(crate) fn at(&self, path: &[&str]) -> Option<&str> {
         let inside = path.iter().try_fold(&self.tree, |tree, field| tree.field(field));
         inside.map(|tree| tree.of(&self.text))
     }
 
-    /// RON text of a field, in one line.
+    /// Returns the RON text of a field, in one line.
     pub(super) fn field(&self, field: &DocField) -> Option<String> {
-        self.tree.field(field.name).map(|tree| short(Some(&field.kind), tree, &self.text))
+        self.tree.field(field.name).map(|tree| short_text(Some(&field.kind), tree, &self.text))
     }
 
-    /// Value of a field.
+    /// Returns the value of a field.
     pub(super) fn part(&self, name: &str) -> Option<Self> {
         Self::new(self.tree.field(name)?.of(&self.text).to_owned()).ok()
     }
@@ -55,38 +55,39 @@ impl CommentStyle<'_> {
     /// Writes the value with the comments of `docs`. Each line starts with `indent`, except the first.
     pub(crate) fn write(&self, value: &Value, docs: Option<&'static Docs>, indent: &str) -> String {
         let mut out = String::new();
-        self.tree(&value.tree, &value.text, docs, indent, &mut out);
+        self.write_tree(&value.tree, &value.text, docs, indent, &mut out);
         out
     }
 
-    fn tree(&self, tree: &RonTree, text: &str, docs: Option<&'static Docs>, indent: &str, out: &mut String) {
+    /// Writes a tree of `text`; values that open get one line per inner field.
+    fn write_tree(&self, tree: &RonTree, text: &str, docs: Option<&'static Docs>, indent: &str, out: &mut String) {
         let RonBody::Fields(fields) = &tree.body else {
-            out.push_str(&compact(tree, text));
+            out.push_str(&compact_text(tree, text));
             return;
         };
         _ = writeln!(out, "{}(", tree.name.as_deref().unwrap_or_default());
         let inside = format!("{indent}    ");
-        let own = tree.name.as_deref().unwrap_or_default();
-        for (name, value) in fields.iter().filter(|(name, _)| (self.shows)(own, name)) {
+        let owner = tree.name.as_deref().unwrap_or_default();
+        for (name, value) in fields.iter().filter(|(name, _)| (self.shows)(owner, name)) {
             let field = docs.and_then(|d| d.field(tree.name.as_deref(), name));
             if let Some(field) = field {
-                out.push_str(&comment(field, &inside));
+                out.push_str(&field_comment(field, &inside));
             }
             _ = write!(out, "{inside}{name}: ");
             let kind = field.map(|f| &f.kind);
             match (&value.body, (self.opens)(name)) {
-                (RonBody::Fields(_), true) => self.tree(value, text, docs_at(kind, value), &inside, out),
+                (RonBody::Fields(_), true) => self.write_tree(value, text, docs_at(kind, value), &inside, out),
                 (RonBody::Items(items), true) if !items.is_empty() && value.of(text).starts_with('[') => {
                     out.push_str("[\n");
                     for item in items {
                         let deeper = format!("{inside}    ");
                         out.push_str(&deeper);
-                        self.tree(item, text, docs_at(kind, item), &deeper, out);
+                        self.write_tree(item, text, docs_at(kind, item), &deeper, out);
                         out.push_str(",\n");
                     }
                     _ = write!(out, "{inside}]");
                 }
-                _ => out.push_str(&short(kind, value, text)),
+                _ => out.push_str(&short_text(kind, value, text)),
             }
             out.push_str(",\n");
         }
@@ -94,13 +95,13 @@ impl CommentStyle<'_> {
     }
 }
 
-/// Comment of a field, with its type.
-fn comment(field: &DocField, indent: &str) -> String {
+/// Formats the comment of a field, with its type.
+fn field_comment(field: &DocField, indent: &str) -> String {
     let words = format!("{} [{}]", prose::line(field.text), takes(&field.kind));
     wrapped(&words, [&format!("{indent}// "); 2], WIDTH)
 }
 
-/// Comments on a value of this kind.
+/// Returns the comments on a value of this kind.
 fn docs_at(kind: Option<&DocKind>, value: &RonTree) -> Option<&'static Docs> {
     match kind? {
         DocKind::Of(docs) => Some(docs),
@@ -114,24 +115,24 @@ fn docs_at(kind: Option<&DocKind>, value: &RonTree) -> Option<&'static Docs> {
 }
 
 /// Writes a value in one line; settings whose fields are all optional become `Name()`.
-fn short(kind: Option<&DocKind>, tree: &RonTree, text: &str) -> String {
+fn short_text(kind: Option<&DocKind>, tree: &RonTree, text: &str) -> String {
     match kind {
         Some(DocKind::Of(docs)) if !docs.fields().is_empty() && docs.fields().iter().all(|f| f.optional) => {
             format!("{}()", docs.name)
         }
-        _ => compact(tree, text),
+        _ => compact_text(tree, text),
     }
 }
 
 /// Writes a value in one line, with all fields.
-fn compact(tree: &RonTree, text: &str) -> String {
+fn compact_text(tree: &RonTree, text: &str) -> String {
     let name = tree.name.as_deref().unwrap_or_default();
-    let list = |items: &[RonTree]| items.iter().map(|item| compact(item, text)).collect::<Vec<_>>().join(", ");
+    let list = |items: &[RonTree]| items.iter().map(|item| compact_text(item, text)).collect::<Vec<_>>().join(", ");
     match &tree.body {
         RonBody::Plain => tree.of(text).to_owned(),
         RonBody::Fields(fields) => {
             let fields: Vec<String> =
-                fields.iter().map(|(n, value)| format!("{n}: {}", compact(value, text))).collect();
+                fields.iter().map(|(n, value)| format!("{n}: {}", compact_text(value, text))).collect();
             format!("{name}({})", fields.join(", "))
         }
         RonBody::Items(items) if tree.of(text).starts_with('[') => format!("[{}]", list(items)),
@@ -139,7 +140,7 @@ fn compact(tree: &RonTree, text: &str) -> String {
     }
 }
 
-/// Type of a field in words; the variants of an enum.
+/// Describes the type of a field in words; the variants of an enum.
 pub(crate) fn takes(kind: &DocKind) -> String {
     match kind {
         DocKind::Of(Docs { name, body: Shape::Variants(variants), .. }) => {

@@ -6,7 +6,7 @@ use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::{DocBody, DocField, DocVariant, Docs};
 use std::fmt::Write as _;
 
-/// The complete reference.
+/// Writes the complete reference.
 pub(crate) fn page(chapters: &[DocChapter]) -> String {
     let mut out = String::from(
         "# Reference\n\nThis page lists all plugins, settings and types of pipelines and experiments, with defaults.\n`pwrfgs \
@@ -25,6 +25,7 @@ pub(crate) fn page(chapters: &[DocChapter]) -> String {
     out
 }
 
+/// Writes the section of a topic, with a table of its fields or variants.
 fn write_topic(out: &mut String, chapter: &DocChapter, topic: &DocItem) {
     if chapter.name != topic.name {
         _ = writeln!(out, "\n### {}", title(topic));
@@ -50,7 +51,7 @@ fn write_topic(out: &mut String, chapter: &DocChapter, topic: &DocItem) {
     write_body(out, docs, topic.value.as_ref().ok());
 }
 
-/// Name of a topic, with the fields of this type.
+/// Returns the name of a topic, with the fields of this type.
 pub(crate) fn title(topic: &DocItem) -> String {
     match &topic.fields[..] {
         [] => topic.name.clone(),
@@ -59,6 +60,7 @@ pub(crate) fn title(topic: &DocItem) -> String {
     }
 }
 
+/// Writes the table of fields or variants; `value` holds the defaults.
 fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
     match docs.body {
         DocBody::Fields([]) => _ = writeln!(out, "\nNo fields."),
@@ -71,19 +73,22 @@ fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
                     } else {
                         default(field, value)
                     };
-                row(out, &[&format!("`{}`", field.name), &takes(&field.kind), &default, &prose::line(field.text)]);
+                write_row(
+                    out,
+                    &[&format!("`{}`", field.name), &takes(&field.kind), &default, &prose::line(field.text)],
+                );
             }
         }
         DocBody::Variants(variants) => {
             _ = writeln!(out, "\n| variant | description |\n|---|---|");
             for variant in variants {
-                row(out, &[&format!("`{}`", form(variant)), &meaning(variant)]);
+                write_row(out, &[&format!("`{}`", form(variant)), &meaning(variant)]);
             }
         }
     }
 }
 
-/// Default of a field, in words if it has none.
+/// Describes the default of a field, in words if it has none.
 fn default(field: &DocField, value: Option<&Value>) -> String {
     match value.and_then(|v| v.field(field)) {
         Some(text) => format!("`{text}`"),
@@ -92,7 +97,7 @@ fn default(field: &DocField, value: Option<&Value>) -> String {
     }
 }
 
-/// Notation of a variant: `LogLinear(first: number, last: number, steps: whole number)`.
+/// Formats the notation of a variant: `LogLinear(first: number, last: number, steps: whole number)`.
 pub(crate) fn form(variant: &DocVariant) -> String {
     let field = |f: &DocField| {
         let words = f.kind.words();
@@ -102,7 +107,7 @@ pub(crate) fn form(variant: &DocVariant) -> String {
     if fields.is_empty() { variant.name.into() } else { format!("{}({})", variant.name, fields.join(", ")) }
 }
 
-/// Comment of a variant and of its fields.
+/// Joins the comments of a variant and of its fields.
 pub(crate) fn meaning(variant: &DocVariant) -> String {
     let field = |f: &DocField| {
         let optional = if f.optional { " (optional)" } else { "" };
@@ -112,7 +117,8 @@ pub(crate) fn meaning(variant: &DocVariant) -> String {
     prose::line(variant.text) + &fields
 }
 
-fn row(out: &mut String, cells: &[&str]) {
+/// Writes the row of a table; bars in cells are escaped.
+fn write_row(out: &mut String, cells: &[&str]) {
     let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
     _ = writeln!(out, "| {} |", cells.join(" | "));
 }

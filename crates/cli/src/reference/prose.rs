@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
-/// Paragraphs of a doc comment without code examples, each in one line; tables keep their lines.
+/// Splits a doc comment into paragraphs without code examples, each in one line; tables keep their lines.
 pub(crate) fn paragraphs(text: &str) -> Vec<String> {
-    let mut all: Vec<String> = Vec::new();
+    let mut paragraphs: Vec<String> = Vec::new();
     let (mut code, mut open) = (false, false);
     for line in text.lines() {
         if line.starts_with("```") {
@@ -13,21 +13,21 @@ pub(crate) fn paragraphs(text: &str) -> Vec<String> {
         } else if !code && line.is_empty() {
             open = false;
         } else if !code {
-            let own = ["|", "* ", "- ", "#"].iter().any(|start| line.starts_with(start));
-            match all.last_mut() {
-                Some(last) if open && !own => {
+            let is_block = ["|", "* ", "- ", "#"].iter().any(|start| line.starts_with(start));
+            match paragraphs.last_mut() {
+                Some(last) if open && !is_block => {
                     last.push(' ');
                     last.push_str(line.trim());
                 }
-                _ => all.push(line.trim().trim_start_matches("# ").to_owned()),
+                _ => paragraphs.push(line.trim().trim_start_matches("# ").to_owned()),
             }
             open = !line.starts_with('|');
         }
     }
-    all.iter().map(|paragraph| without_links(paragraph)).collect()
+    paragraphs.iter().map(|paragraph| without_links(paragraph)).collect()
 }
 
-/// First sentence of a doc comment, without full stop.
+/// Returns the first sentence of a doc comment, without full stop.
 pub(crate) fn summary(text: &str) -> String {
     let first = paragraphs(text).into_iter().next().unwrap_or_default();
     sentences(&first).lines().next().unwrap_or_default().trim_end_matches('.').to_owned()
@@ -60,17 +60,17 @@ pub(crate) fn sentences(text: &str) -> String {
 /// Replaces `` [`crate::TopK`](..) `` by `` `TopK` ``.
 fn without_links(text: &str) -> String {
     let mut plain = String::new();
-    let mut rest = text;
-    while let Some((before, link)) = rest.split_once("[`") {
+    let mut remaining = text;
+    while let Some((before, link)) = remaining.split_once("[`") {
         let Some((name, after)) = link.split_once("`]") else { break };
         let name = name.rsplit("::").next().unwrap_or(name);
         _ = write!(plain, "{before}`{name}`");
-        rest = match after.strip_prefix('(').and_then(|a| a.split_once(')')) {
+        remaining = match after.strip_prefix('(').and_then(|a| a.split_once(')')) {
             Some((_, after)) => after,
             None => after,
         };
     }
-    plain + rest
+    plain + remaining
 }
 
 #[cfg(test)]

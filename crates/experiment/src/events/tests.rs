@@ -3,7 +3,7 @@
 use super::*;
 use std::io::Read as _;
 
-/// CRC-32C by table, eight bits at a time, with reflected polynomial.
+/// Computes CRC-32C by table, eight bits at a time, with reflected polynomial.
 fn crc32c(bytes: &[u8]) -> u32 {
     let table: Vec<u32> = (0..=255_u8)
         .map(|byte| {
@@ -22,7 +22,7 @@ fn crc32c(bytes: &[u8]) -> u32 {
 /// Step and numbers of an event; the version has none.
 type EventNumbers = (u64, Vec<(String, f32)>);
 
-/// Every event of a whole file.
+/// Reads every event of a whole file.
 fn read(path: &Path) -> Vec<EventNumbers> {
     let mut file = std::io::Cursor::new(std::fs::read(path).unwrap());
     let mut take = |n: usize| {
@@ -71,6 +71,7 @@ impl Message {
     }
 }
 
+/// Parses an event; panics if a field is unexpected.
 fn event(data: &[u8]) -> EventNumbers {
     let mut event = Message(data.iter().copied().collect());
     assert_eq!(event.byte(), 0x09, "wall time, double");

@@ -25,40 +25,40 @@ const MEANINGS: [Meaning; 5] = [
 /// Smallest and largest corner.
 pub(crate) type Extent = [[f64; 3]; 2];
 
-/// Extent of points; `None` without a point.
+/// Returns the extent of points; `None` without a point.
 pub(crate) fn extent(points: impl IntoIterator<Item = [f64; 3]>) -> Option<Extent> {
     let corners = points.into_iter().map(|p| [p, p]);
     corners.reduce(|[a, b], [p, q]| [[0, 1, 2].map(|k| a[k].min(p[k])), [0, 1, 2].map(|k| b[k].max(q[k]))])
 }
 
-/// `x 0.10 to 4.90, y 0.00 to 5.00, z 0.00 to 2.98 m`.
-pub(crate) fn words([low, high]: Extent) -> String {
+/// Formats an extent: `x 0.10 to 4.90, y 0.00 to 5.00, z 0.00 to 2.98 m`.
+pub(crate) fn describe([low, high]: Extent) -> String {
     let axis = |k: usize| format!("{} {:.2} to {:.2}", ["x", "y", "z"][k], low[k] + 0.0, high[k] + 0.0);
     format!("{} m", [0, 1, 2].map(axis).join(", "))
 }
 
-/// Longest side.
-pub(crate) fn side([low, high]: Extent) -> f64 {
+/// Returns the longest side, metres.
+pub(crate) fn longest_side([low, high]: Extent) -> f64 {
     (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max)
 }
 
-/// The finding on the point cloud of `data`, if the transmitters are not in the room that it describes.
-pub(super) fn finding(data: &Dataset) -> Option<Finding> {
+/// Finds a point cloud whose room does not contain the transmitters.
+pub(super) fn check_cloud(data: &Dataset) -> Option<Finding> {
     let origin = data.scene.origin;
     let points: Vec<[f64; 3]> = data.scene.points.iter().map(|point| origin.world(*point)).collect();
     let transmitters: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
     let fixed = data.scene.fixed_ends().into_iter().map(|pose| origin.world_pose(pose).position);
     let positions: Vec<[f64; 3]> = transmitters.iter().copied().chain(fixed).collect();
     let (cloud, of_transmitters) = (extent(points.iter().copied())?, extent(transmitters.iter().copied())?);
-    let site = side(extent(positions.iter().copied())?);
+    let site = longest_side(extent(positions.iter().copied())?);
     // Number of transmitters outside; `None` if the units differ.
     let outside = |cloud: Extent| {
-        let (margin, ratio) = (MARGIN * side(cloud), side(cloud) / site);
+        let (margin, ratio) = (MARGIN * longest_side(cloud), longest_side(cloud) / site);
         let is_outside = |p: &&[f64; 3]| (0..3).any(|k| !(cloud[0][k] - margin..=cloud[1][k] + margin).contains(&p[k]));
         (site == 0.0 || (1.0 / RATIO..RATIO).contains(&ratio)).then(|| transmitters.iter().filter(is_outside).count())
     };
-    let now = outside(cloud);
-    if points.len() < FEWEST || now.is_some_and(|count| (count as f64) < OUTSIDE * transmitters.len() as f64) {
+    let recorded = outside(cloud);
+    if points.len() < FEWEST || recorded.is_some_and(|count| (count as f64) < OUTSIDE * transmitters.len() as f64) {
         return None;
     }
     let fits = |meaning: &&Meaning| {
@@ -68,12 +68,12 @@ pub(super) fn finding(data: &Dataset) -> Option<Finding> {
     let mend = match MEANINGS.iter().find(fits) {
         Some((name, advice, _)) => format!("if the cloud is {name}, {advice}"),
         // A cloud of a part of the room.
-        None if now.is_some_and(|count| count < transmitters.len()) => return None,
+        None if recorded.is_some_and(|count| count < transmitters.len()) => return None,
         None => "give both in metres, in one frame".into(),
     };
-    let count = now.unwrap_or(transmitters.len());
-    let who = if data.scene.moving.is_receiver() { "receiver" } else { "transmitters" };
-    let (cloud, of_transmitters) = (words(cloud), words(of_transmitters));
-    let problem = format!("cloud and {who} differ in unit or frame: cloud {cloud}; {who} {of_transmitters}");
+    let count = recorded.unwrap_or(transmitters.len());
+    let subject = if data.scene.moving.is_receiver() { "receiver" } else { "transmitters" };
+    let (cloud, of_transmitters) = (describe(cloud), describe(of_transmitters));
+    let problem = format!("cloud and {subject} differ in unit or frame: cloud {cloud}; {subject} {of_transmitters}");
     Some(Finding::new("point-cloud", count, problem, mend))
 }

@@ -17,6 +17,7 @@ pub struct Finding {
 }
 
 impl Finding {
+    /// Creates a finding that `count` transmitters, links or points show.
     pub(super) fn new(name: &str, count: usize, problem: impl Into<String>, mend: impl Into<String>) -> Self {
         Self { name: name.into(), count, problem: problem.into(), mend: mend.into() }
     }

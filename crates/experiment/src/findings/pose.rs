@@ -6,7 +6,7 @@
 //! spectrum: the rotation is then one of the array in the frame that moves, or one of the world.
 
 use super::finding::Finding;
-use super::rotation::{DirectionPair, angle, best, middle};
+use super::rotation::{DirectionPair, angle, best_rotation, median_direction};
 use super::spectra::SpectrumSummary;
 use glam::{DQuat, DVec3};
 use pwrfgs_core::{AngleAxis, Dataset, ImagePlane, evenly, statistics};
@@ -64,7 +64,7 @@ struct Sighting {
 }
 
 impl Sighting {
-    /// Line of sight by another meaning of the recorded orientation, and the strongest direction.
+    /// Returns the line of sight by another meaning of the recorded orientation, and the strongest direction.
     fn pair(self, meaning: Meaning) -> DirectionPair {
         (meaning(self.recorded).inverse() * self.sight, self.strongest)
     }
@@ -90,12 +90,12 @@ pub(crate) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
         let recorded = DQuat::from_array(receiver.orientation).normalize();
         (query.receiver == 0).then_some(Sighting { sight, recorded, strongest: spectrum.strongest? })
     };
-    let all: Vec<Sighting> = evenly(&spectra.iter().filter_map(sighting).collect::<Vec<_>>(), PAIRS);
-    if all.len() < FEWEST {
+    let sightings: Vec<Sighting> = evenly(&spectra.iter().filter_map(sighting).collect::<Vec<_>>(), PAIRS);
+    if sightings.len() < FEWEST {
         return None;
     }
-    let by = |meaning| all.iter().map(|one| one.pair(meaning)).collect::<Vec<DirectionPair>>();
-    let pairs = by(|recorded| recorded);
+    let pairs_by = |meaning| sightings.iter().map(|sighting| sighting.pair(meaning)).collect::<Vec<DirectionPair>>();
+    let pairs = pairs_by(|recorded| recorded);
     let readings: [(_, Meaning); 3] = [
         ("x, y, z, w, turned the other way (receiver from world)", |q| q.inverse()),
         ("w, x, y, z", W_FIRST),
@@ -103,13 +103,13 @@ pub(crate) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
     ];
     let (sights, strongest): (Vec<DVec3>, Vec<DVec3>) = pairs.iter().copied().unzip();
     let spread = |directions: &[DVec3]| {
-        let middle = middle(directions);
+        let middle = median_direction(directions);
         median_deg(directions.iter().map(|d| angle(middle, *d)))
     };
-    let (turned, rotation, correction) = best_correction(&pairs, moves.then_some(&all));
+    let (turned, rotation, correction) = best_correction(&pairs, moves.then_some(&sightings));
     let fits = rotation.inverse();
-    let orientation = if moves { fits } else { (all[0].recorded * fits).normalize() };
-    let mut found = PoseCheck {
+    let orientation = if moves { fits } else { (sightings[0].recorded * fits).normalize() };
+    let mut check = PoseCheck {
         pairs: pairs.len(),
         recorded: median(&pairs, DQuat::IDENTITY),
         turned,
@@ -118,29 +118,30 @@ pub(crate) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
         orientation: orientation.to_array(),
         correction,
         spread: spread(&sights),
-        readings: readings.map(|(name, meaning)| (name, median(&by(meaning), DQuat::IDENTITY))).into(),
-        flips: flips(&data.plane(), &pairs),
+        readings: readings.map(|(name, meaning)| (name, median(&pairs_by(meaning), DQuat::IDENTITY))).into(),
+        flips: score_flips(&data.plane(), &pairs),
         verdict: PoseVerdict::Right,
     };
-    found.verdict = PoseVerdict::of(&found);
-    Some(found)
+    check.verdict = PoseVerdict::of(&check);
+    Some(check)
 }
 
-/// Median angle after the rotation that fits best, that rotation, and its meaning; `moving` has the sightings of a moving
-/// receiver.
+/// Returns the median angle after the rotation that fits best, that rotation, and its meaning; `moving` has the
+/// sightings of a moving receiver.
 fn best_correction(pairs: &[DirectionPair], moving: Option<&Vec<Sighting>>) -> (f64, DQuat, Correction) {
     let turned = |pairs: &[DirectionPair], correction| {
-        let rotation = best(pairs);
+        let rotation = best_rotation(pairs);
         (median(pairs, rotation), rotation, correction)
     };
-    let Some(all) = moving else { return turned(pairs, Correction::Replaced) };
-    let in_world: Vec<DirectionPair> = all.iter().map(|one| (one.sight, one.recorded * one.strongest)).collect();
+    let Some(sightings) = moving else { return turned(pairs, Correction::Replaced) };
+    let in_world: Vec<DirectionPair> =
+        sightings.iter().map(|sighting| (sighting.sight, sighting.recorded * sighting.strongest)).collect();
     let (right, left) = (turned(pairs, Correction::Right), turned(&in_world, Correction::Left));
     if left.0 < right.0 { left } else { right }
 }
 
-/// Reversed columns and rows, with the best orientation.
-fn flips(plane: &ImagePlane, pairs: &[DirectionPair]) -> Vec<(Flip, f64)> {
+/// Returns reversed columns and rows, with the median angle after the best rotation, degrees.
+fn score_flips(plane: &ImagePlane, pairs: &[DirectionPair]) -> Vec<(Flip, f64)> {
     let Some((azimuth, elevation)) = plane.angles else { return Vec::new() };
     // The last pixel takes the position of the first.
     let ends = |axis: AngleAxis, count: usize| (2.0 * axis.first + axis.step * (count as f64 - 1.0)).to_radians();
@@ -150,19 +151,20 @@ fn flips(plane: &ImagePlane, pairs: &[DirectionPair]) -> Vec<(Flip, f64)> {
         let (a, e) = if is_rows { (a, up - e) } else { (across - a, e) };
         DVec3::new(e.cos() * a.cos(), e.cos() * a.sin(), e.sin())
     };
-    let angle = |which: Flip, is_rows: bool| {
+    let angle = |flip_name: Flip, is_rows: bool| {
         let pairs: Vec<DirectionPair> =
             pairs.iter().map(|(sight, strongest)| (*sight, flip(*strongest, is_rows))).collect();
-        (which, median(&pairs, best(&pairs)))
+        (flip_name, median(&pairs, best_rotation(&pairs)))
     };
     vec![angle(COLUMNS, false), angle(ROWS, true)]
 }
 
-/// Median angle of `pairs` after rotating the first direction of each, degrees.
+/// Returns the median angle of `pairs` after rotating the first direction of each, degrees.
 fn median(pairs: &[DirectionPair], turn: DQuat) -> f64 {
     median_deg(pairs.iter().map(|(a, b)| angle(turn * *a, *b)))
 }
 
+/// Returns the median of angles in radians, degrees.
 fn median_deg(angles: impl Iterator<Item = f64>) -> f64 {
     statistics::median(angles.map(f64::to_degrees))
 }
@@ -200,26 +202,27 @@ const ROWS: Flip = (
 );
 
 impl PoseVerdict {
-    fn of(found: &PoseCheck) -> Self {
-        if found.flip().is_some() {
+    /// Concludes from the angles: a flip first, then another reading of the numbers, then a rotation.
+    fn of(check: &PoseCheck) -> Self {
+        if check.flip().is_some() {
             return Self::Flipped;
         }
-        let agrees = found.turn <= SMALL_DEG || found.recorded <= 1.15 * found.turned + SMALL_DEG;
+        let agrees = check.turn <= SMALL_DEG || check.recorded <= 1.15 * check.turned + SMALL_DEG;
         // No single rotation mends the orientations of a moving receiver that were read in another way.
-        let is_misread = |(_, angle)| angle <= FOLLOWS * found.constant && found.recorded - angle > SMALL_DEG;
-        if found.better_reading().is_some_and(is_misread) {
+        let is_misread = |(_, angle)| angle <= FOLLOWS * check.constant && check.recorded - angle > SMALL_DEG;
+        if check.better_reading().is_some_and(is_misread) {
             return Self::Off;
         }
-        match (found.follows(), agrees) {
+        match (check.follows(), agrees) {
             (true, true) => Self::Right,
             (true, false) => Self::Off,
-            (false, true) if found.recorded <= SMALL_DEG => Self::Right,
-            (false, _) if found.turned.min(found.constant) > WIDE_DEG => Self::NotDirect,
+            (false, true) if check.recorded <= SMALL_DEG => Self::Right,
+            (false, _) if check.turned.min(check.constant) > WIDE_DEG => Self::NotDirect,
             (false, _) => Self::Unclear,
         }
     }
 
-    /// Verdict in one sentence.
+    /// Returns the verdict as one sentence.
     pub fn title(self) -> &'static str {
         match self {
             Self::Right => "The recorded orientation fits the spectra.",
@@ -235,31 +238,32 @@ impl PoseVerdict {
 }
 
 impl PoseCheck {
+    /// Whether the strongest direction follows the line of sight after the best rotation.
     fn follows(&self) -> bool {
         self.turned <= FOLLOWS * self.constant
     }
 
-    /// Angles and conclusion as sentences.
+    /// Describes angles and conclusion in sentences.
     pub fn sentences(&self) -> Vec<String> {
         let Self { recorded, turned, constant, turn, spread, pairs, .. } = self;
         let [x, y, z, w] = self.orientation;
-        let mut all = vec![format!(
+        let mut sentences = vec![format!(
             "The strongest direction is {recorded:.1}° from the geometric line of sight (median of {pairs} spectra). The best \
-             rotation turns the receiver by {turn:.1}° and leaves {turned:.1}°; one constant direction for all transmitters leaves {constant:.1}°."
+             rotation turns the receiver by {turn:.1}° and leaves {turned:.1}°; one constant direction for sentences transmitters leaves {constant:.1}°."
         )];
         match self.verdict {
             PoseVerdict::Off if self.follows() => {
-                let what = match self.correction {
+                let advice = match self.correction {
                     Correction::Replaced => "This orientation fits",
                     Correction::Right => "Orientations fit if each is multiplied from the right by",
                     Correction::Left => "Orientations fit if each is multiplied from the left by",
                 };
-                all.push(format!(
-                    "The recorded orientation is wrong or its numbers have another meaning. {what}: [{x:.6}, {y:.6}, \
+                sentences.push(format!(
+                    "The recorded orientation is wrong or its numbers have another meaning. {advice}: [{x:.6}, {y:.6}, \
                      {z:.6}, {w:.6}] (x, y, z, w)."
                 ));
             }
-            PoseVerdict::Right | PoseVerdict::Unclear if !self.follows() => all.push(format!(
+            PoseVerdict::Right | PoseVerdict::Unclear if !self.follows() => sentences.push(format!(
                 "Transmitters are seen within {spread:.1}° of one direction (median), so a wrong orientation and a strongest \
                  path that is not direct look alike. Spectra of transmitters at known positions, 30° or more apart and in \
                  line of sight, would tell."
@@ -267,15 +271,16 @@ impl PoseCheck {
             _ => {}
         }
         if let Some(((name, advice), angle)) = self.flip() {
-            all.push(format!("With {name} and the rotation that then fits best the angle is {angle:.1}°: {advice}."));
+            sentences
+                .push(format!("With {name} and the rotation that then fits best the angle is {angle:.1}°: {advice}."));
         }
         if let Some((name, angle)) = self.better_reading() {
-            all.push(format!("If the recorded numbers are {name}, the angle is {angle:.1}°."));
+            sentences.push(format!("If the recorded numbers are {name}, the angle is {angle:.1}°."));
         }
-        all
+        sentences
     }
 
-    /// The finding, unless the pose fits or the spectra cannot tell.
+    /// Returns the finding, unless the pose fits or the spectra cannot tell.
     pub(crate) fn finding(&self, data: &Dataset) -> Option<Finding> {
         let Self { pairs, recorded, turned, orientation: [x, y, z, w], .. } = self;
         let away =
@@ -284,8 +289,8 @@ impl PoseCheck {
         let (name, problem, mend) = match (self.verdict, self.correction, self.better_reading()) {
             (PoseVerdict::Off, Correction::Replaced, reading) => {
                 let order = reading.map_or(String::new(), |(name, _)| format!("; the recorded numbers may be {name}"));
-                let place = "give it to `import --orientation`, or as `orientation` in gateway_info.yml";
-                ("orientation", away, format!("with {factor} it is {turned:.1}°: {place}{order}"))
+                let option = "give it to `import --orientation`, or as `orientation` in gateway_info.yml";
+                ("orientation", away, format!("with {factor} it is {turned:.1}°: {option}{order}"))
             }
             (PoseVerdict::Off, _, Some((name, angle))) => {
                 let mend = format!("if the recorded numbers are {name}, it is {angle:.1}°: {POSES}");
@@ -312,13 +317,13 @@ impl PoseCheck {
         Some(Finding::new(name, *pairs, problem, mend))
     }
 
-    /// Interpretation of the recorded numbers that fits much better than the documented one.
+    /// Returns the interpretation of the recorded numbers that fits much better than the documented one.
     fn better_reading(&self) -> Option<(&'static str, f64)> {
         let limit = (0.5 * self.recorded).min(1.5 * self.turned);
         self.readings.iter().filter(|(_, angle)| *angle < limit).min_by(|a, b| a.1.total_cmp(&b.1)).copied()
     }
 
-    /// Best flip, if it fits much better than any rotation.
+    /// Returns the best flip, if it fits much better than any rotation.
     fn flip(&self) -> Option<&(Flip, f64)> {
         let limit = (0.5 * self.turned.min(self.recorded)).min(FOLLOWS * self.constant);
         self.flips.iter().filter(|(_, angle)| *angle < limit).min_by(|a, b| a.1.total_cmp(&b.1))

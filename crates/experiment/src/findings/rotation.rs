@@ -16,23 +16,24 @@ const SQUARINGS: usize = 36;
 /// Two directions that should coincide.
 pub(super) type DirectionPair = (DVec3, DVec3);
 
-/// Angle between two unit vectors, radians; accurate for small angles, unlike the arc cosine.
+/// Returns the angle between two unit vectors, radians; accurate for small angles, unlike the arc cosine.
 pub(super) fn angle(a: DVec3, b: DVec3) -> f64 {
     a.cross(b).length().atan2(a.dot(b))
 }
 
-/// Rotation R with the smallest Σ angle(R a, b).
-pub(super) fn best(pairs: &[DirectionPair]) -> DQuat {
+/// Finds the rotation R with the smallest Σ angle(R a, b).
+pub(super) fn best_rotation(pairs: &[DirectionPair]) -> DQuat {
     let cost = |r: &DQuat| pairs.iter().map(|(a, b)| angle(*r * *a, *b)).sum::<f64>();
     // Two starts: no rotation, and the least-squares rotation.
-    let [a, b] = [DQuat::IDENTITY, wahba(pairs, &vec![1.0; pairs.len()])].map(|start| refined(start, pairs));
+    let [a, b] = [DQuat::IDENTITY, solve_wahba(pairs, &vec![1.0; pairs.len()])].map(|start| refine(start, pairs));
     if cost(&b) < cost(&a) { b } else { a }
 }
 
-fn refined(mut rotation: DQuat, pairs: &[DirectionPair]) -> DQuat {
+/// Repeats the least-squares fit with weights 1/angle until the rotation stays the same.
+fn refine(mut rotation: DQuat, pairs: &[DirectionPair]) -> DQuat {
     for _ in 0..ROUNDS {
         let weights: Vec<f64> = pairs.iter().map(|(a, b)| 1.0 / angle(rotation * *a, *b).max(LEAST)).collect();
-        let next = wahba(pairs, &weights);
+        let next = solve_wahba(pairs, &weights);
         let change = next.angle_between(rotation);
         rotation = next;
         if change < 1e-6 {
@@ -42,8 +43,8 @@ fn refined(mut rotation: DQuat, pairs: &[DirectionPair]) -> DQuat {
     rotation
 }
 
-/// Rotation with the largest Σ w bᵀRa.
-fn wahba(pairs: &[DirectionPair], weights: &[f64]) -> DQuat {
+/// Solves Wahba's problem: the rotation with the largest Σ w bᵀRa.
+fn solve_wahba(pairs: &[DirectionPair], weights: &[f64]) -> DQuat {
     let (mut m, mut z) = (DMat3::ZERO, DVec3::ZERO);
     for ((a, b), w) in pairs.iter().zip(weights) {
         m += DMat3::from_cols(*b * a.x, *b * a.y, *b * a.z) * *w;
@@ -64,8 +65,8 @@ fn wahba(pairs: &[DirectionPair], weights: &[f64]) -> DQuat {
     DQuat::from_vec4(longest.unwrap_or_default().normalize_or(glam::DVec4::W))
 }
 
-/// Direction with the smallest sum of angles to all (spherical median).
-pub(super) fn middle(directions: &[DVec3]) -> DVec3 {
+/// Finds the direction with the smallest sum of angles to all (spherical median).
+pub(super) fn median_direction(directions: &[DVec3]) -> DVec3 {
     let mut middle = directions.iter().sum::<DVec3>().normalize_or(DVec3::Z);
     for _ in 0..ROUNDS {
         let pull: DVec3 = directions.iter().map(|d| *d / angle(*d, middle).max(LEAST)).sum();
@@ -94,8 +95,8 @@ mod tests {
                 (a, if i.is_multiple_of(3) { direction(random) } else { truth * a })
             };
             let pairs: Vec<DirectionPair> = (0..300).map(|i| pair(i, &mut random)).collect();
-            let found = best(&pairs);
-            assert!(found.angle_between(truth).to_degrees() < 0.1, "{k}: {found} is not {truth}");
+            let rotation = best_rotation(&pairs);
+            assert!(rotation.angle_between(truth).to_degrees() < 0.1, "{k}: {rotation} is not {truth}");
         }
     }
 
@@ -103,13 +104,13 @@ mod tests {
     fn least_squares_rotation_is_exact_without_outliers() {
         let truth = DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -1.2, 2.5);
         let pairs: Vec<DirectionPair> = [DVec3::X, DVec3::Y].map(|a| (a, truth * a)).into();
-        assert!(wahba(&pairs, &[1.0, 1.0]).angle_between(truth) < 1e-7);
+        assert!(solve_wahba(&pairs, &[1.0, 1.0]).angle_between(truth) < 1e-7);
     }
 
     #[test]
     fn median_direction_ignores_outliers() {
         let mut directions = vec![DVec3::Z; 7];
         directions.extend([DVec3::X; 3]);
-        assert!(angle(middle(&directions), DVec3::Z).to_degrees() < 0.5);
+        assert!(angle(median_direction(&directions), DVec3::Z).to_degrees() < 0.5);
     }
 }

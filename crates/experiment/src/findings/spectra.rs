@@ -27,7 +27,7 @@ pub(crate) struct SpectrumSummary {
     hash: u64,
 }
 
-/// Summaries of `most` evenly chosen spectra, in the order of samples.
+/// Summarises at most `most` evenly chosen spectra, in the order of samples.
 ///
 /// # Errors
 /// If a spectrum cannot be read.
@@ -42,22 +42,22 @@ pub(crate) fn summarize(data: &Dataset, most: usize, progress: Progress<'_>) -> 
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, chosen.len());
         SpectrumSummary { sample, range, strongest, hash: hasher.finish() }
     };
-    let all = chosen.par_iter().map(summary).collect();
+    let summaries = chosen.par_iter().map(summary).collect();
     data.observations.check()?;
-    Ok(all)
+    Ok(summaries)
 }
 
-/// Unit vectors of all pixels.
+/// Returns the unit vectors of all pixels, row by row.
 fn directions(plane: &ImagePlane) -> Vec<DVec3> {
     let pixels = (0..plane.height).flat_map(|y| (0..plane.width).map(move |x| (x, y)));
     let direction = |(x, y)| plane.direction(x as Real, y as Real).unwrap_or_default().map(|v| v as f64);
     pixels.map(|pixel| DVec3::from_array(direction(pixel)).normalize_or_zero()).collect()
 }
 
-/// Smallest and largest pixel, and the direction of the latter.
+/// Returns the smallest and largest pixel, and the direction of the latter.
 fn strongest(image: &Image, directions: &[DVec3]) -> ((f64, f64), Option<DVec3>) {
-    let ends = |(low, high): (Real, Real), p: &Real| (low.min(*p), high.max(*p));
-    let (low, high) = image.pixels.iter().fold((Real::INFINITY, Real::NEG_INFINITY), ends);
+    let widen = |(low, high): (Real, Real), p: &Real| (low.min(*p), high.max(*p));
+    let (low, high) = image.pixels.iter().fold((Real::INFINITY, Real::NEG_INFINITY), widen);
     // Rounding gives the strongest direction a plateau of equal pixels: its centre is used, not its first corner.
     let first = directions[image.argmax()];
     let cos = PLATEAU_DEG.to_radians().cos();
@@ -66,14 +66,14 @@ fn strongest(image: &Image, directions: &[DVec3]) -> ((f64, f64), Option<DVec3>)
     ((low as f64, high as f64), (low < high).then(|| middle.try_normalize().unwrap_or(first)))
 }
 
-/// Storage, normalisation and unusual spectra, as names and texts.
-pub(crate) fn facts(data: &Dataset, all: &[SpectrumSummary]) -> Vec<(&'static str, String)> {
-    let ends = |(low, high): (f64, f64), s: &SpectrumSummary| (low.min(s.range.0), high.max(s.range.1));
-    let (low, high) = all.iter().fold((f64::INFINITY, f64::NEG_INFINITY), ends);
+/// Describes storage, normalisation and unusual spectra as names and texts.
+pub(crate) fn describe(data: &Dataset, summaries: &[SpectrumSummary]) -> Vec<(&'static str, String)> {
+    let widen = |(low, high): (f64, f64), s: &SpectrumSummary| (low.min(s.range.0), high.max(s.range.1));
+    let (low, high) = summaries.iter().fold((f64::INFINITY, f64::NEG_INFINITY), widen);
     let id = |summary: &SpectrumSummary| data.sample(summary.sample).id;
-    let constant: Vec<u32> = all.iter().filter(|s| s.strongest.is_none()).map(id).collect();
+    let constant: Vec<u32> = summaries.iter().filter(|s| s.strongest.is_none()).map(id).collect();
     let mut groups: BTreeMap<u64, Vec<u32>> = BTreeMap::new();
-    all.iter().filter(|s| s.strongest.is_some()).for_each(|s| groups.entry(s.hash).or_default().push(id(s)));
+    summaries.iter().filter(|s| s.strongest.is_some()).for_each(|s| groups.entry(s.hash).or_default().push(id(s)));
     let mut equal: Vec<u32> = groups.into_values().filter(|ids| ids.len() > 1).flatten().collect();
     equal.sort_unstable();
     let pixels = match data.camera() {
@@ -85,17 +85,18 @@ pub(crate) fn facts(data: &Dataset, all: &[SpectrumSummary]) -> Vec<(&'static st
     vec![
         pixels,
         ("grey values", format!("{low:.3} to {high:.3}, stored as {:?}", data.observations.number())),
-        ("normalisation", normalization(all, constant.len()).into()),
-        ("unusual", [listed("constant", &constant), listed("equal to another", &equal)].join(", ")),
+        ("normalisation", normalization(summaries, constant.len()).into()),
+        ("unusual", [count_with_ids("constant", &constant), count_with_ids("equal to another", &equal)].join(", ")),
     ]
 }
 
-fn normalization(all: &[SpectrumSummary], constant: usize) -> &'static str {
+/// Describes the normalisation; the `constant` spectra have none.
+fn normalization(summaries: &[SpectrumSummary], constant: usize) -> &'static str {
     let is_zero = |s: &&SpectrumSummary| s.range.0.abs() < ROUNDING;
     let is_one = |s: &&SpectrumSummary| (s.range.1 - 1.0).abs() < ROUNDING;
-    if all.iter().filter(is_one).filter(is_zero).count() + constant >= all.len() {
+    if summaries.iter().filter(is_one).filter(is_zero).count() + constant >= summaries.len() {
         "each spectrum runs from 0 to 1: it was shifted and scaled, and absolute power is lost"
-    } else if all.iter().filter(is_one).count() + constant >= all.len() {
+    } else if summaries.iter().filter(is_one).count() + constant >= summaries.len() {
         "the largest value of each spectrum is 1: it was scaled, and absolute power is lost"
     } else {
         "spectra share one scale"
@@ -103,13 +104,13 @@ fn normalization(all: &[SpectrumSummary], constant: usize) -> &'static str {
 }
 
 /// Formats a count with ids, such as `3 constant (ids 4, 7, 9)`.
-fn listed(what: &str, ids: &[u32]) -> String {
+fn count_with_ids(kind: &str, ids: &[u32]) -> String {
     if ids.is_empty() {
-        return format!("none {what}");
+        return format!("none {kind}");
     }
     let shown = ids.iter().take(NAMED).map(u32::to_string).collect::<Vec<_>>().join(", ");
     let more = if ids.len() > NAMED { ", .." } else { "" };
-    format!("{} {what} ({} {shown}{more})", ids.len(), if ids.len() == 1 { "id" } else { "ids" })
+    format!("{} {kind} ({} {shown}{more})", ids.len(), if ids.len() == 1 { "id" } else { "ids" })
 }
 
 #[cfg(test)]
@@ -130,34 +131,34 @@ mod tests {
         for (row, column) in [(3, 35), (3, 0), (3, 1), (8, 18)] {
             pixels[row * width + column] = 200; // the last is another peak, equally strong
         }
-        let all = summarize(&data((width, height), pixels), 2, &|_, _| {}).unwrap();
-        let found = all[0].strongest.unwrap();
+        let summaries = summarize(&data((width, height), pixels), 2, &|_, _| {}).unwrap();
+        let direction = summaries[0].strongest.unwrap();
         let expected = DVec3::new(30f64.to_radians().cos(), 0.0, 0.5);
-        assert!(found.angle_between(expected).to_degrees() < 0.5, "{found}");
-        assert!(all[1].strongest.is_none(), "a constant spectrum has no strongest direction");
-        assert_eq!(all[0].range, (0.0, f64::from(200f32 / 255.0)));
+        assert!(direction.angle_between(expected).to_degrees() < 0.5, "{direction}");
+        assert!(summaries[1].strongest.is_none(), "a constant spectrum has no strongest direction");
+        assert_eq!(summaries[0].range, (0.0, f64::from(200f32 / 255.0)));
     }
 
     fn facts_of(pixels: Vec<u8>) -> Vec<String> {
         let data = data((8, 4), pixels);
-        facts(&data, &summarize(&data, 100, &|_, _| {}).unwrap()).into_iter().map(|(_, text)| text).collect()
+        describe(&data, &summarize(&data, 100, &|_, _| {}).unwrap()).into_iter().map(|(_, text)| text).collect()
     }
 
     #[test]
     fn finds_constant_and_equal_spectra() {
         let ramp = |top: u8| (0..32).map(move |k| if k == 31 { top } else { k });
-        let found = facts_of(ramp(255).chain(ramp(200)).chain([9; 32]).chain(ramp(255)).collect());
-        assert_eq!(found[3], "1 constant (id 3), 2 equal to another (ids 1, 4)");
+        let facts = facts_of(ramp(255).chain(ramp(200)).chain([9; 32]).chain(ramp(255)).collect());
+        assert_eq!(facts[3], "1 constant (id 3), 2 equal to another (ids 1, 4)");
     }
 
     #[test]
     fn detects_normalisation_of_spectra() {
-        let found = |tops: [u8; 3], low: u8| {
+        let normalisation = |tops: [u8; 3], low: u8| {
             let spectrum = |t: &u8| (0..32).map(|k| if k == 7 { *t } else { low + k }).collect::<Vec<_>>();
             facts_of(tops.iter().flat_map(spectrum).collect())[2].clone()
         };
-        assert!(found([255; 3], 0).starts_with("each spectrum runs from 0 to 1"));
-        assert!(found([255; 3], 3).starts_with("the largest value of each spectrum is 1"));
-        assert_eq!(found([200, 90, 250], 0), "spectra share one scale");
+        assert!(normalisation([255; 3], 0).starts_with("each spectrum runs from 0 to 1"));
+        assert!(normalisation([255; 3], 3).starts_with("the largest value of each spectrum is 1"));
+        assert_eq!(normalisation([200, 90, 250], 0), "spectra share one scale");
     }
 }

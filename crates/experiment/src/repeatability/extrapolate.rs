@@ -31,53 +31,49 @@ pub(super) struct MetricScale {
 }
 
 impl MetricScale {
-    /// Moves `value` of a pair from a mean of `there` to a mean of `here`: its deficit to the best value scales like
+    /// Moves `value` of a pair from a mean of `from` to a mean of `to`: its deficit to the best value scales like
     /// that of the mean. With an infinite best value it is shifted by the change of the mean.
-    fn moved(&self, value: f64, there: f64, here: f64) -> f64 {
-        match (self.best - here) / (self.best - there) {
+    fn moved(&self, value: f64, from: f64, to: f64) -> f64 {
+        match (self.best - to) / (self.best - from) {
             part if part.is_finite() => self.best - (self.best - value) * part,
             _ if self.best.is_finite() => value,
-            _ => value + here - there,
+            _ => value + to - from,
         }
     }
+
+    /// Fits a straight line of `values` over distance, weighted towards near pairs, for the mean at zero; values moved
+    /// along it to distance zero give median and tail percentile. There is at least one pair.
+    pub(super) fn at_zero(&self, pairs: &[SamplePair], values: &[f64]) -> Result<ZeroDistanceEstimate, String> {
+        if values.iter().any(|value| !value.is_finite()) {
+            return Err("some pairs have values that are not finite".into());
+        }
+        let reach = pairs.iter().fold(0.0, |reach: f64, pair| reach.max(pair.distance));
+        let weights: Vec<f64> = pairs.iter().map(|pair| tricube(pair.distance / (1.01 * reach))).collect();
+        let line = FittedLine::weighted_fit(pairs, values, &weights)
+            .ok_or_else(|| format!("all pairs are {:.1} mm apart, none is closer", reach * 1e3))?;
+        // A line extrapolated by more than half of the observed range towards unrelated spectra is unreliable.
+        if (line.at_zero - line.mean).abs() > 0.5 * (line.mean - self.unrelated).abs() {
+            let reason = "the closest pairs agree too little: they are up to";
+            return Err(format!("{reason} {:.1} mm apart", reach * 1e3));
+        }
+        let capped = |value: f64| match self.goal {
+            Goal::Higher => value.min(self.best),
+            Goal::Lower => value.max(self.best),
+        };
+        let mean = capped(line.at_zero);
+        let moved = |(pair, value): (&SamplePair, &f64)| {
+            let fitted = line.at_zero + line.slope * pair.distance;
+            self.moved(*value, capped(fitted), mean)
+        };
+        let moved: Vec<f64> = pairs.iter().zip(values).map(moved).collect();
+        let summary = Summary { mean, ..Summary::of(&moved, self.goal == Goal::Higher) };
+        let half = DEVIATIONS * line.deviation(pairs, values, &weights);
+        let interval = [line.at_zero - half, line.at_zero + half].map(capped);
+        Ok(ZeroDistanceEstimate { summary, interval })
+    }
 }
 
-/// Fits a straight line of `values` over distance, weighted towards near pairs, for the mean at zero; values moved
-/// along it to distance zero give median and tail percentile. There is at least one pair.
-pub(super) fn at_zero(
-    pairs: &[SamplePair],
-    values: &[f64],
-    scale: &MetricScale,
-) -> Result<ZeroDistanceEstimate, String> {
-    if values.iter().any(|value| !value.is_finite()) {
-        return Err("some pairs have values that are not finite".into());
-    }
-    let reach = pairs.iter().fold(0.0, |reach: f64, pair| reach.max(pair.distance));
-    let weights: Vec<f64> = pairs.iter().map(|pair| tricube(pair.distance / (1.01 * reach))).collect();
-    let line = FittedLine::weighted_fit(pairs, values, &weights)
-        .ok_or_else(|| format!("all pairs are {:.1} mm apart, none is closer", reach * 1e3))?;
-    // A line extrapolated by more than half of the observed range towards unrelated spectra is unreliable.
-    if (line.at_zero - line.mean).abs() > 0.5 * (line.mean - scale.unrelated).abs() {
-        let what = "the closest pairs agree too little: they are up to";
-        return Err(format!("{what} {:.1} mm apart", reach * 1e3));
-    }
-    let capped = |value: f64| match scale.goal {
-        Goal::Higher => value.min(scale.best),
-        Goal::Lower => value.max(scale.best),
-    };
-    let mean = capped(line.at_zero);
-    let moved = |(pair, value): (&SamplePair, &f64)| {
-        let there = line.at_zero + line.slope * pair.distance;
-        scale.moved(*value, capped(there), mean)
-    };
-    let moved: Vec<f64> = pairs.iter().zip(values).map(moved).collect();
-    let summary = Summary { mean, ..Summary::of(&moved, scale.goal == Goal::Higher) };
-    let half = DEVIATIONS * line.deviation(pairs, values, &weights);
-    let interval = [line.at_zero - half, line.at_zero + half].map(capped);
-    Ok(ZeroDistanceEstimate { summary, interval })
-}
-
-/// Tricube weight: 1 at zero, 0 at one; 1 for NaN, if all distances are zero.
+/// Returns the tricube weight: 1 at zero, 0 at one; 1 for NaN, if all distances are zero.
 fn tricube(part: f64) -> f64 {
     if part > 0.0 { (1.0 - part.powi(3)).powi(3) } else { 1.0 }
 }
@@ -96,7 +92,8 @@ impl FittedLine {
     /// Fits the line; `None` if all distances are equal and not zero.
     fn weighted_fit(pairs: &[SamplePair], values: &[f64], weights: &[f64]) -> Option<Self> {
         let total: f64 = weights.iter().sum();
-        let mean_of = |of: &dyn Fn(usize) -> f64| (0..pairs.len()).map(|k| weights[k] * of(k)).sum::<f64>() / total;
+        let mean_of =
+            |value: &dyn Fn(usize) -> f64| (0..pairs.len()).map(|k| weights[k] * value(k)).sum::<f64>() / total;
         let (mean, distance) = (mean_of(&|k| values[k]), mean_of(&|k| pairs[k].distance));
         let spread = mean_of(&|k| (pairs[k].distance - distance).powi(2));
         if distance == 0.0 {
@@ -110,8 +107,9 @@ impl FittedLine {
         Some(Self { at_zero: mean - slope * distance, slope, mean, distance, spread })
     }
 
-    /// Standard deviation of `at_zero`. Pairs that share a block of samples are dependent: the variance for dyads of
-    /// Aronow, Samii and Assenova (Political Analysis 23, 2015), with blocks of neighbouring samples as nodes.
+    /// Estimates the standard deviation of `at_zero`. Pairs that share a block of samples are dependent: it uses the
+    /// variance for dyads of Aronow, Samii and Assenova (Political Analysis 23, 2015), with blocks of neighbouring
+    /// samples as nodes.
     fn deviation(&self, pairs: &[SamplePair], values: &[f64], weights: &[f64]) -> f64 {
         let samples = pairs.iter().fold(0, |most, pair| most.max(pair.later)) + 1;
         let length = (samples / BLOCKS).clamp(1, BLOCK);
@@ -119,19 +117,19 @@ impl FittedLine {
         // Influence of the residual of each pair on the line at zero, summed by pairs of blocks, and by blocks.
         let (mut dyads, mut blocks): (BTreeMap<(usize, usize), f64>, BTreeMap<usize, f64>) = Default::default();
         for ((pair, value), weight) in pairs.iter().zip(values).zip(weights) {
-            let aside = pair.distance - self.distance;
-            let residual = value - self.mean - self.slope * aside;
-            let moves = weight / total * residual * (1.0 - self.distance * aside / self.spread);
+            let offset = pair.distance - self.distance;
+            let residual = value - self.mean - self.slope * offset;
+            let influence = weight / total * residual * (1.0 - self.distance * offset / self.spread);
             let (a, b) = (pair.earlier / length, pair.later / length);
-            *dyads.entry((a, b)).or_default() += moves;
-            *blocks.entry(a).or_default() += moves;
+            *dyads.entry((a, b)).or_default() += influence;
+            *blocks.entry(a).or_default() += influence;
             if a != b {
-                *blocks.entry(b).or_default() += moves;
+                *blocks.entry(b).or_default() += influence;
             }
         }
-        let squares = |moves: f64| moves * moves;
+        let squares = |influence: f64| influence * influence;
         // A pair of two blocks was counted with each of them.
-        let twice: f64 = dyads.iter().filter(|((a, b), _)| a != b).map(|(_, moves)| squares(*moves)).sum();
+        let twice: f64 = dyads.iter().filter(|((a, b), _)| a != b).map(|(_, influence)| squares(*influence)).sum();
         let single: f64 = dyads.values().copied().map(squares).sum();
         let shared = blocks.values().copied().map(squares).sum::<f64>() - twice;
         shared.max(single).sqrt()
@@ -152,18 +150,18 @@ mod tests {
     fn extrapolates_linear_trend_to_zero_distance() {
         let pairs: Vec<SamplePair> = (1..=30).map(|k| pair(k, k + 40, f64::from(k as u32) * 1e-3)).collect();
         let values: Vec<f64> = pairs.iter().map(|pair| 0.8 - 3.0 * pair.distance).collect();
-        let found = at_zero(&pairs, &values, &HIGHER).unwrap();
-        for (found, expected) in [
-            (found.summary.mean, 0.8),
-            (found.summary.median, 0.8),
-            (found.summary.tail10, 0.8),
-            (found.interval[1], 0.8),
+        let estimate = HIGHER.at_zero(&pairs, &values).unwrap();
+        for (value, expected) in [
+            (estimate.summary.mean, 0.8),
+            (estimate.summary.median, 0.8),
+            (estimate.summary.tail10, 0.8),
+            (estimate.interval[1], 0.8),
         ] {
-            assert!((found - expected).abs() < 1e-12, "{found}");
+            assert!((value - expected).abs() < 1e-12, "{value}");
         }
         let over: Vec<f64> = values.iter().map(|value| value + 0.25).collect();
         assert_eq!(
-            at_zero(&pairs, &over, &HIGHER).unwrap().summary.mean,
+            HIGHER.at_zero(&pairs, &over).unwrap().summary.mean,
             1.0,
             "no pair is more alike than a spectrum to itself"
         );
@@ -172,17 +170,19 @@ mod tests {
         assert_eq!((psnr.moved(30.0, 20.0, 25.0), HIGHER.moved(0.5, 1.0, 1.0)), (35.0, 0.5));
         let error = MetricScale { goal: Goal::Lower, best: 0.0, unrelated: 1.0 };
         let errors: Vec<f64> = pairs.iter().map(|pair| 0.1 + 2.0 * pair.distance).collect();
-        assert!((at_zero(&pairs, &errors, &error).unwrap().summary.mean - 0.1).abs() < 1e-12);
+        assert!((error.at_zero(&pairs, &errors).unwrap().summary.mean - 0.1).abs() < 1e-12);
     }
 
     #[test]
     fn coincident_pairs_need_no_extrapolation() {
         let pairs: Vec<SamplePair> = (0..40).map(|k| pair(k, k + 100, 0.0)).collect();
         let values: Vec<f64> = (0..40).map(|k| if k < 30 { 0.9 } else { 0.5 }).collect();
-        let found = at_zero(&pairs, &values, &HIGHER).unwrap();
+        let estimate = HIGHER.at_zero(&pairs, &values).unwrap();
         assert!(
-            (found.summary.mean - 0.8).abs() < 1e-12 && found.summary.median == 0.9 && found.summary.tail10 == 0.5,
-            "{found:?}"
+            (estimate.summary.mean - 0.8).abs() < 1e-12
+                && estimate.summary.median == 0.9
+                && estimate.summary.tail10 == 0.5,
+            "{estimate:?}"
         );
     }
 
@@ -190,9 +190,10 @@ mod tests {
     #[test]
     fn interval_accounts_for_pairs_with_shared_samples() {
         let values: Vec<f64> = (0..40).map(|k| 0.6 + 0.1 * f64::from(k % 2)).collect();
-        let width = |of: &dyn Fn(usize) -> (usize, usize)| {
-            let pairs: Vec<SamplePair> = (0..40).map(|k| (of(k).0, of(k).1)).map(|(a, b)| pair(a, b, 0.0)).collect();
-            let [low, high] = at_zero(&pairs, &values, &HIGHER).unwrap().interval;
+        let width = |ends: &dyn Fn(usize) -> (usize, usize)| {
+            let pairs: Vec<SamplePair> =
+                (0..40).map(|k| (ends(k).0, ends(k).1)).map(|(a, b)| pair(a, b, 0.0)).collect();
+            let [low, high] = HIGHER.at_zero(&pairs, &values).unwrap().interval;
             high - low
         };
         let apart = width(&|k| (k, 3000 + 64 * k));
@@ -205,13 +206,13 @@ mod tests {
     #[test]
     fn extrapolation_fails_with_reason() {
         let grid: Vec<SamplePair> = (0..40).map(|k| pair(k, k + 40, 0.01)).collect();
-        let why = at_zero(&grid, &[0.5; 40], &HIGHER).unwrap_err();
+        let why = HIGHER.at_zero(&grid, &[0.5; 40]).unwrap_err();
         assert_eq!(why, "all pairs are 10.0 mm apart, none is closer");
         let steep: Vec<SamplePair> = (0..40).map(|k| pair(k, k + 40, 0.01 + 1e-4 * f64::from(k as u32))).collect();
         let values: Vec<f64> = steep.iter().map(|pair| 0.9 - 60.0 * pair.distance).collect();
-        let why = at_zero(&steep, &values, &HIGHER).unwrap_err();
+        let why = HIGHER.at_zero(&steep, &values).unwrap_err();
         assert!(why.starts_with("the closest pairs agree too little"), "{why}");
-        let why = at_zero(&grid, &[f64::INFINITY; 40], &HIGHER).unwrap_err();
+        let why = HIGHER.at_zero(&grid, &[f64::INFINITY; 40]).unwrap_err();
         assert_eq!(why, "some pairs have values that are not finite");
     }
 }

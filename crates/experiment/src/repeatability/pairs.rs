@@ -28,7 +28,7 @@ pub enum PairLag {
 }
 
 impl PairLag {
-    /// Description of its pairs.
+    /// Describes its pairs.
     pub fn words(self) -> String {
         match self {
             Self::Near => format!("near in time (at most {NEAR_IDS} ids apart)"),
@@ -47,6 +47,7 @@ pub(super) struct SamplePair {
 }
 
 impl SamplePair {
+    /// Creates the pair of two samples in any order.
     fn of(data: &Dataset, a: usize, b: usize) -> Self {
         let (earlier, later) = (a.min(b), a.max(b));
         let coordinates = |i: usize| match data.scene.moving {
@@ -59,20 +60,21 @@ impl SamplePair {
         Self { earlier, later, distance: (distance * 1e9).round() / 1e9 }
     }
 
+    /// Returns the difference of their ids.
     fn ids_apart(&self, data: &Dataset) -> u32 {
         data.sample(self.later).id - data.sample(self.earlier).id
     }
 }
 
-/// Pairs of one kind, the closest first. Near in time: all pairs. Far apart in time: all close pairs (of 8,192 samples
-/// with any other), and a random part of the distant ones.
-pub(super) fn find(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
-    let rows = data.by_receiver(0..data.len());
-    let of = |own: &Vec<usize>| match lag {
-        PairLag::Near => near(data, own),
-        PairLag::Far => far(data, own, rows.len()),
+/// Finds the pairs of one kind, the closest first. Near in time: all pairs. Far apart in time: all close pairs (of
+/// 8,192 samples with any other), and a random part of the distant ones.
+pub(super) fn find_pairs(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
+    let receivers = data.by_receiver(0..data.len());
+    let pairs_of = |links: &Vec<usize>| match lag {
+        PairLag::Near => near_pairs(data, links),
+        PairLag::Far => far_pairs(data, links, receivers.len()),
     };
-    let mut pairs: Vec<SamplePair> = rows.iter().flat_map(of).collect();
+    let mut pairs: Vec<SamplePair> = receivers.iter().flat_map(pairs_of).collect();
     pairs.sort_by_key(|pair| (pair.earlier, pair.later));
     pairs.dedup();
     // Equal distances, common for positions in whole millimetres, are not ordered by id.
@@ -81,74 +83,75 @@ pub(super) fn find(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
     pairs
 }
 
-/// Pairs near in time among the links `rows` of one receiver.
-fn near(data: &Dataset, rows: &[usize]) -> Vec<SamplePair> {
-    let of = |(k, &i): (usize, &usize)| {
+/// Lists the pairs near in time among the `links` of one receiver.
+fn near_pairs(data: &Dataset, links: &[usize]) -> Vec<SamplePair> {
+    let later_pairs = |(k, &i): (usize, &usize)| {
         let last = data.sample(i).id.saturating_add(NEAR_IDS);
-        let next = rows[k + 1..].iter().copied().take_while(move |&j| data.sample(j).id <= last);
+        let next = links[k + 1..].iter().copied().take_while(move |&j| data.sample(j).id <= last);
         next.map(move |j| SamplePair::of(data, i, j))
     };
-    rows.iter().enumerate().flat_map(of).collect()
+    links.iter().enumerate().flat_map(later_pairs).collect()
 }
 
-/// Pairs far apart in time among the links `rows` of one receiver, out of `receivers` receivers.
-fn far(data: &Dataset, rows: &[usize], receivers: usize) -> Vec<SamplePair> {
-    let places: Vec<[Real; 3]> = rows.iter().map(|&i| data.scene.origin.local(data.sample(i).position())).collect();
-    let sampled = evenly(&(0..places.len()).collect::<Vec<_>>(), ASKED.div_ceil(receivers));
-    let from: Vec<[Real; 3]> = sampled.iter().map(|&i| places[i]).collect();
-    let found = neighbours::k_nearest(&from, &places, 2 * FAR_IDS as usize + 1 + NEIGHBOURS);
+/// Lists the pairs far apart in time among the `links` of one receiver, out of `receivers` receivers.
+fn far_pairs(data: &Dataset, links: &[usize], receivers: usize) -> Vec<SamplePair> {
+    let positions: Vec<[Real; 3]> = links.iter().map(|&i| data.scene.origin.local(data.sample(i).position())).collect();
+    let sampled = evenly(&(0..positions.len()).collect::<Vec<_>>(), ASKED.div_ceil(receivers));
+    let from: Vec<[Real; 3]> = sampled.iter().map(|&i| positions[i]).collect();
+    let neighbours = neighbours::k_nearest(&from, &positions, 2 * FAR_IDS as usize + 1 + NEIGHBOURS);
     // Beyond the horizon the lists of some samples end, and the others are not a fair sample.
-    let ends = sorted(found.iter().filter_map(|list| list.last()).map(|(_, d)| (*d as f64).sqrt()));
-    let complete = found.iter().any(|list| list.len() == places.len());
+    let ends = sorted(neighbours.iter().filter_map(|list| list.last()).map(|(_, d)| (*d as f64).sqrt()));
+    let complete = neighbours.iter().any(|list| list.len() == positions.len());
     let horizon = if complete { f64::INFINITY } else { ends.get(ends.len() / 10).copied().unwrap_or(0.0) };
     let is_far = |pair: &SamplePair| pair.ids_apart(data) > FAR_IDS;
-    let of = |(&k, list): (&usize, &Vec<(usize, Real)>)| -> Vec<SamplePair> {
-        list.iter().map(|(j, _)| SamplePair::of(data, rows[k], rows[*j])).collect()
+    let pairs = |(&k, list): (&usize, &Vec<(usize, Real)>)| -> Vec<SamplePair> {
+        list.iter().map(|(j, _)| SamplePair::of(data, links[k], links[*j])).collect()
     };
-    let listed = sampled.iter().zip(&found).flat_map(of);
+    let listed = sampled.iter().zip(&neighbours).flat_map(pairs);
     let listed = listed.filter(|pair| pair.distance <= horizon && is_far(pair));
-    let drawn = drawn(data, rows, DRAWN.div_ceil(receivers)).filter(|pair| pair.distance > horizon && is_far(pair));
+    let drawn =
+        draw_pairs(data, links, DRAWN.div_ceil(receivers)).filter(|pair| pair.distance > horizon && is_far(pair));
     listed.chain(drawn).collect()
 }
 
-/// Random pairs of the links `rows`.
-fn drawn(data: &Dataset, rows: &[usize], count: usize) -> impl Iterator<Item = SamplePair> {
-    let samples = rows.len();
+/// Draws random pairs of `links`.
+fn draw_pairs(data: &Dataset, links: &[usize], count: usize) -> impl Iterator<Item = SamplePair> {
+    let samples = links.len();
     let mut random = rng::stream(0, "repeatability pairs", 0);
-    let mut one = move || rows[rng::below(&mut random, samples)];
-    let mut draw = move || SamplePair::of(data, one(), one());
+    let mut draw_link = move || links[rng::below(&mut random, samples)];
+    let mut draw_pair = move || SamplePair::of(data, draw_link(), draw_link());
     let count = if samples < 2 { 0 } else { count };
-    (0..count).map(move |_| draw()).filter(|pair| pair.earlier != pair.later)
+    (0..count).map(move |_| draw_pair()).filter(|pair| pair.earlier != pair.later)
 }
 
 /// Whether samples with consecutive ids are closer in space than others: samples of a walk or scan are in order of
 /// time.
 pub fn in_order(data: &Dataset) -> bool {
     let median = |pairs: Vec<SamplePair>| median(pairs.iter().map(|pair| pair.distance));
-    let own = data.by_receiver(0..data.len()).into_iter().max_by_key(Vec::len).unwrap_or_default();
-    let next = own.windows(2).map(|two| SamplePair::of(data, two[0], two[1])).collect();
-    median(next) < 0.5 * median(unrelated(data))
+    let links = data.by_receiver(0..data.len()).into_iter().max_by_key(Vec::len).unwrap_or_default();
+    let next = links.windows(2).map(|pair| SamplePair::of(data, pair[0], pair[1])).collect();
+    median(next) < 0.5 * median(unrelated_pairs(data))
 }
 
-/// Random pairs of any two samples.
-pub(super) fn unrelated(data: &Dataset) -> Vec<SamplePair> {
-    let rows = data.by_receiver(0..data.len());
-    let each = UNRELATED.div_ceil(rows.len());
-    rows.iter().flat_map(|rows| drawn(data, rows, each)).collect()
+/// Draws random pairs of any two samples.
+pub(super) fn unrelated_pairs(data: &Dataset) -> Vec<SamplePair> {
+    let receivers = data.by_receiver(0..data.len());
+    let each = UNRELATED.div_ceil(receivers.len());
+    receivers.iter().flat_map(|links| draw_pairs(data, links, each)).collect()
 }
 
-/// Ranges of distances at one, two, three, five and seven times a power of ten, metres, with the indices of their pairs
-/// in a list of ascending distances. The first range is from 0 to a tenth of a millimetre.
-pub(super) fn bins(pairs: &[SamplePair]) -> Vec<([f64; 2], Range<usize>)> {
-    let edges = (-4..9).flat_map(|power| [1.0, 2.0, 3.0, 5.0, 7.0].map(|step| edge(step, power)));
+/// Returns ranges of distances at one, two, three, five and seven times a power of ten, metres, with the indices of
+/// their pairs in a list of ascending distances. The first range is from 0 to a tenth of a millimetre.
+pub(super) fn distance_bins(pairs: &[SamplePair]) -> Vec<([f64; 2], Range<usize>)> {
+    let edges = (-4..9).flat_map(|power| [1.0, 2.0, 3.0, 5.0, 7.0].map(|step| bin_edge(step, power)));
     let edges: Vec<f64> = [0.0].into_iter().chain(edges).collect();
-    let place = |edge: f64| pairs.partition_point(|pair| pair.distance < edge);
-    let bin = |edge: &[f64]| ([edge[0], edge[1]], place(edge[0])..place(edge[1]));
+    let first_pair = |edge: f64| pairs.partition_point(|pair| pair.distance < edge);
+    let bin = |edge: &[f64]| ([edge[0], edge[1]], first_pair(edge[0])..first_pair(edge[1]));
     edges.windows(2).map(bin).filter(|(_, range)| !range.is_empty()).collect()
 }
 
-/// `step` times ten to the `power`, rounded once.
-fn edge(step: f64, power: i32) -> f64 {
+/// Computes `step` times ten to the `power`, rounded once.
+fn bin_edge(step: f64, power: i32) -> f64 {
     if power < 0 { step / 10f64.powi(-power) } else { step * 10f64.powi(power) }
 }
 
@@ -168,12 +171,12 @@ mod tests {
     fn pairs_are_near_or_far_by_id_difference() {
         // There and back: ids 0 to 39 go out, 40 to 79 return over the same positions.
         let data = data((0..80).map(|id| (id, f64::from(id.min(79 - id)) * 0.01)));
-        let near = find(&data, PairLag::Near);
+        let near = find_pairs(&data, PairLag::Near);
         assert_eq!(near.len(), 79 + 78 + 77);
         assert!(near.iter().all(|pair| pair.later - pair.earlier <= 3));
         let turn = near.iter().filter(|pair| pair.distance == 0.0).map(|pair| pair.earlier);
         assert_eq!(turn.collect::<BTreeSet<_>>(), BTreeSet::from([38, 39]), "39 with 40, and 38 with 41");
-        let far = find(&data, PairLag::Far);
+        let far = find_pairs(&data, PairLag::Far);
         let zero: BTreeSet<_> = far.iter().filter(|pair| pair.distance == 0.0).map(|pair| pair.earlier).collect();
         assert_eq!(zero, (0..25).collect(), "79 - 2 i ids apart, more than 30");
         assert!(far.iter().all(|pair| pair.later - pair.earlier > 30) && far.is_sorted_by_key(|pair| pair.distance));
@@ -182,7 +185,7 @@ mod tests {
     #[test]
     fn missing_ids_count_as_elapsed_time() {
         let data = data([(1, 0.0), (2, 0.0), (50, 0.0), (53, 0.0)].into_iter());
-        let ends = |lag| find(&data, lag).iter().map(|pair| (pair.earlier, pair.later)).collect::<BTreeSet<_>>();
+        let ends = |lag| find_pairs(&data, lag).iter().map(|pair| (pair.earlier, pair.later)).collect::<BTreeSet<_>>();
         assert_eq!(ends(PairLag::Near), BTreeSet::from([(0, 1), (2, 3)]));
         assert_eq!(ends(PairLag::Far), BTreeSet::from([(0, 2), (0, 3), (1, 2), (1, 3)]));
     }
@@ -198,17 +201,18 @@ mod tests {
         }
         all.sort_by(|a, b| a.distance.total_cmp(&b.distance));
         let distances = |pairs: &[SamplePair]| pairs[..400].iter().map(|pair| pair.distance).collect::<Vec<_>>();
-        assert_eq!(distances(&find(&data, PairLag::Far)), distances(&all));
+        assert_eq!(distances(&find_pairs(&data, PairLag::Far)), distances(&all));
     }
 
     #[test]
     fn distance_bins_use_whole_millimetres() {
         let data = data([(0, 0.0), (40, 0.002), (80, 0.005), (120, 0.1), (160, 0.1)].into_iter());
-        let pairs = find(&data, PairLag::Far);
-        let found: Vec<_> = bins(&pairs).into_iter().map(|([low, high], range)| (low, high, range.len())).collect();
+        let pairs = find_pairs(&data, PairLag::Far);
+        let counts: Vec<_> =
+            distance_bins(&pairs).into_iter().map(|([low, high], range)| (low, high, range.len())).collect();
         let expected =
             [(0.0, 0.0001, 1), (0.002, 0.003, 1), (0.003, 0.005, 1), (0.005, 0.007, 1), (0.07, 0.1, 4), (0.1, 0.2, 2)];
-        assert_eq!(found, expected);
+        assert_eq!(counts, expected);
     }
 
     #[test]
@@ -216,9 +220,9 @@ mod tests {
         for count in 0..2 {
             let one = data((0..count).map(|id| (id, 0.0)).chain((count == 0).then_some((9, 1.0))));
             assert!(
-                find(&one, PairLag::Near).is_empty()
-                    && find(&one, PairLag::Far).is_empty()
-                    && unrelated(&one).is_empty()
+                find_pairs(&one, PairLag::Near).is_empty()
+                    && find_pairs(&one, PairLag::Far).is_empty()
+                    && unrelated_pairs(&one).is_empty()
             );
         }
     }

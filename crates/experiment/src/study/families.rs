@@ -32,16 +32,16 @@ pub struct VariantFamily<'a> {
 }
 
 impl<'a> VariantFamily<'a> {
-    /// Strategies of a setting, in the order of the plan, without places.
+    /// Groups the variants of a setting into strategies, in the order of the plan, without places.
     pub fn all(setting: &'a Setting) -> Vec<Self> {
         let mut families: Vec<Self> = Vec::new();
         for variant in &setting.variants {
-            let name = family(&variant.label);
-            let value = value(&variant.label, &name);
-            match families.iter_mut().find(|way| way.name == name) {
-                Some(way) => {
-                    way.variants.push(variant);
-                    way.values.push(value);
+            let name = family_name(&variant.label);
+            let value = family_value(&variant.label, &name);
+            match families.iter_mut().find(|family| family.name == name) {
+                Some(family) => {
+                    family.variants.push(variant);
+                    family.values.push(value);
                 }
                 None => families.push(Self {
                     name,
@@ -53,24 +53,24 @@ impl<'a> VariantFamily<'a> {
             }
         }
         let prefix = if families.len() > 1 { shorten(&mut families) } else { String::new() };
-        for way in &mut families {
-            way.title = match way.variants[..] {
+        for family in &mut families {
+            family.title = match family.variants[..] {
                 [only] => only.label.strip_prefix(&prefix).unwrap_or(&only.label).to_owned(),
-                _ => way.name.clone(),
+                _ => family.name.clone(),
             };
         }
         families
     }
 
-    /// Mean rank over the numbers that it reaches; infinite without any.
+    /// Computes the mean rank over the numbers that it reaches; infinite without any.
     pub fn mean_rank(&self) -> f64 {
         let ranks: Vec<f64> = self.places.iter().flatten().map(|(_, rank)| *rank as f64).collect();
         if ranks.is_empty() { f64::INFINITY } else { ranks.iter().sum::<f64>() / ranks.len() as f64 }
     }
 }
 
-/// Label without its numbers and what they number: `masks` for `masks, target 24` and for `masks λ = 0.02`.
-fn family(label: &str) -> String {
+/// Returns the label without its numbers and what they number: `masks` for `masks, target 24` and for `masks λ = 0.02`.
+fn family_name(label: &str) -> String {
     let is_number = |word: &str| word.rsplit(['=', ':']).next().is_some_and(|value| value.parse::<f64>().is_ok());
     let is_symbol = |word: &str| word.chars().count() == 1;
     let mut parts: Vec<Vec<&str>> = Vec::new();
@@ -97,15 +97,15 @@ fn family(label: &str) -> String {
     }
 }
 
-/// Label without the words of its family.
-fn value(label: &str, family: &str) -> String {
-    let is_common = |word: &&str| family.split_whitespace().any(|own| own.trim_matches(',') == word.trim_matches(','));
-    let words: Vec<&str> = label.split_whitespace().filter(|word| !is_common(word)).collect();
+/// Returns the label without the words of its family.
+fn family_value(label: &str, family: &str) -> String {
+    let common: Vec<&str> = family.split_whitespace().map(|word| word.trim_matches(',')).collect();
+    let words: Vec<&str> = label.split_whitespace().filter(|word| !common.contains(&word.trim_matches(','))).collect();
     words.join(" ").trim_matches([',', ' ']).to_owned()
 }
 
-/// N of a variant, if its seeds agree.
-fn count(variant: &StudyVariant) -> Option<usize> {
+/// Returns N of a variant, if its seeds agree.
+fn gaussians(variant: &StudyVariant) -> Option<usize> {
     let first = variant.runs.first()?.facts.gaussians;
     variant.runs.iter().all(|run| run.facts.gaussians == first).then_some(first)
 }
@@ -115,22 +115,22 @@ impl<'a> ParetoComparison<'a> {
     pub fn of(setting: &'a Setting) -> Option<Self> {
         let headline = setting.headline();
         let mut families = VariantFamily::all(setting);
-        let mut numbers: Vec<usize> = setting.variants.iter().filter_map(count).collect();
+        let mut numbers: Vec<usize> = setting.variants.iter().filter_map(gaussians).collect();
         numbers.sort_unstable();
         numbers.dedup();
-        let comes_to = |way: &VariantFamily<'_>, n: usize| way.variants.iter().any(|v| count(v) == Some(n));
-        numbers.retain(|&n| families.iter().filter(|way| comes_to(way, n)).count() * 2 > families.len());
+        let reaches = |family: &VariantFamily<'_>, n: usize| family.variants.iter().any(|v| gaussians(v) == Some(n));
+        numbers.retain(|&n| families.iter().filter(|family| reaches(family, n)).count() * 2 > families.len());
         if families.len() < LEAST[0] || numbers.len() < LEAST[1] {
             return None;
         }
         let score = |variant: &StudyVariant| variant.score(headline.key);
         for &n in &numbers {
-            let at = |way: &VariantFamily<'_>| way.variants.iter().find(|v| count(v) == Some(n)).and_then(|v| score(v));
-            let scores: Vec<Option<Spread>> = families.iter().map(at).collect();
+            let variants = families.iter().map(|family| family.variants.iter().find(|v| gaussians(v) == Some(n)));
+            let scores: Vec<Option<Spread>> = variants.map(|variant| score(variant?)).collect();
             let better = |a: f64, b: f64| if headline.higher { a > b } else { a < b };
-            for (way, own) in families.iter_mut().zip(&scores) {
-                let rank = |own: &Spread| 1 + scores.iter().flatten().filter(|s| better(s.mean, own.mean)).count();
-                way.places.push(own.map(|own| (own, rank(&own))));
+            for (family, score) in families.iter_mut().zip(&scores) {
+                let rank = |score: Spread| 1 + scores.iter().flatten().filter(|s| better(s.mean, score.mean)).count();
+                family.places.push(score.map(|score| (score, rank(score))));
             }
         }
         families.sort_by(|a, b| a.mean_rank().total_cmp(&b.mean_rank()));
@@ -140,36 +140,36 @@ impl<'a> ParetoComparison<'a> {
 
 /// Removes words that all names begin or end with. Returns what all names begin with.
 fn shorten(families: &mut [VariantFamily<'_>]) -> String {
-    let words = |way: &VariantFamily<'_>| way.name.split(' ').map(str::to_owned).collect::<Vec<_>>();
-    let all: Vec<Vec<String>> = families.iter().map(words).collect();
-    let least = all.iter().map(Vec::len).min().unwrap_or(0);
-    let same = |at: &dyn Fn(&Vec<String>) -> String| all.iter().all(|own| at(own) == at(&all[0]));
-    let first = (0..least).take_while(|&k| same(&|own| own[k].clone())).count();
+    let split_name = |family: &VariantFamily<'_>| family.name.split(' ').map(str::to_owned).collect::<Vec<_>>();
+    let names: Vec<Vec<String>> = families.iter().map(split_name).collect();
+    let least = names.iter().map(Vec::len).min().unwrap_or(0);
+    let same = |at: &dyn Fn(&Vec<String>) -> String| names.iter().all(|words| at(words) == at(&names[0]));
+    let first = (0..least).take_while(|&k| same(&|words| words[k].clone())).count();
     let last =
-        (0..least.saturating_sub(first + 1)).take_while(|&k| same(&|own| own[own.len() - 1 - k].clone())).count();
-    for (way, own) in families.iter_mut().zip(&all).filter(|(_, own)| own.len() > first + last) {
-        own[first..own.len() - last].join(" ").trim_end_matches(',').clone_into(&mut way.name);
+        (0..least.saturating_sub(first + 1)).take_while(|&k| same(&|words| words[words.len() - 1 - k].clone())).count();
+    for (family, words) in families.iter_mut().zip(&names).filter(|(_, words)| words.len() > first + last) {
+        words[first..words.len() - last].join(" ").trim_end_matches(',').clone_into(&mut family.name);
     }
-    all[0][..first].iter().flat_map(|word| [word.as_str(), " "]).collect()
+    names[0][..first].iter().flat_map(|word| [word.as_str(), " "]).collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{family, value};
+    use super::{family_name, family_value};
 
     #[test]
     fn family_ignores_numeric_settings() {
-        assert_eq!(family("lambda 0.02, cloud"), family("lambda 0.4, cloud"));
-        assert_ne!(family("lambda 0.02, cloud"), family("lambda 0.02, random"));
-        assert_ne!(family("method Pup3dgs, target 24"), family("method Pup2dgs, target 24"));
-        assert_eq!(family("method Pup3dgs, target 24"), "method Pup3dgs");
+        assert_eq!(family_name("lambda 0.02, cloud"), family_name("lambda 0.4, cloud"));
+        assert_ne!(family_name("lambda 0.02, cloud"), family_name("lambda 0.02, random"));
+        assert_ne!(family_name("method Pup3dgs, target 24"), family_name("method Pup2dgs, target 24"));
+        assert_eq!(family_name("method Pup3dgs, target 24"), "method Pup3dgs");
         for label in ["masks λ 0.02", "masks λ=0.02", "masks λ = 0.02", "masks, λ 0.02", "masks 0.02", "λ 0.02, masks"]
         {
-            assert_eq!(family(label), "masks", "{label}");
+            assert_eq!(family_name(label), "masks", "{label}");
         }
-        let single = ["λ 0.02", "a long name 8", "WRF-GS", "blending, N 250, equal time", "0.02"].map(family);
+        let single = ["λ 0.02", "a long name 8", "WRF-GS", "blending, N 250, equal time", "0.02"].map(family_name);
         let values = ["row masks on walls λ 0.02", "method Mlp, N 24", "λ 0.02, masks"]
-            .map(|label| value(label, &family(label)));
+            .map(|label| family_value(label, &family_name(label)));
         assert_eq!(values, ["λ 0.02", "N 24", "λ 0.02"]);
         assert_eq!(single, ["by λ", "a long name", "WRF-GS", "blending, equal time", ""]);
     }

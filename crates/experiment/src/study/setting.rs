@@ -30,45 +30,46 @@ pub struct StudyVariant {
 }
 
 impl Setting {
-    /// All runs.
+    /// Lists all runs.
     pub fn runs(&self) -> impl Iterator<Item = &Record> {
         self.variants.iter().flat_map(|v| &v.runs)
     }
 
-    /// Names of the baselines, without repetition.
+    /// Lists the names of the baselines, without repetition.
     pub fn baselines(&self) -> Vec<&str> {
         distinct(self.runs().flat_map(|run| run.scores.table.baselines()))
     }
 
     /// Whether a baseline has its predictions from another program.
     pub fn is_external(&self, name: &str) -> bool {
-        self.runs().any(|run| run.pipeline.baselines.iter().any(|own| own.is_external() && own.name() == name))
+        let mut baselines = self.runs().flat_map(|run| &run.pipeline.baselines);
+        baselines.any(|baseline| baseline.is_external() && baseline.name() == name)
     }
 
-    /// Score of a baseline by a metric, as the mean over all runs.
+    /// Returns the score of a baseline by a metric, as the mean over all runs.
     pub fn baseline(&self, name: &str, key: &str) -> Option<f64> {
         let values: Vec<f64> = self.runs().filter_map(|run| run.scores.value(name, key)).collect();
         Some(Spread::of(&values)?.mean)
     }
 
-    /// First variant before number `k` whose models are identical, seed by seed: the difference in settings has no
-    /// effect.
+    /// Finds the first variant before number `k` whose models are identical, seed by seed: the difference in settings
+    /// has no effect.
     pub fn twin(&self, k: usize) -> Option<&StudyVariant> {
-        let own = self.variants[k].models()?;
-        self.variants[..k].iter().find(|other| other.models().as_ref() == Some(&own))
+        let models = self.variants[k].models()?;
+        self.variants[..k].iter().find(|other| other.models().as_ref() == Some(&models))
     }
 
-    /// Task, common to all runs.
+    /// Returns the task, common to all runs.
     pub fn task(&self) -> Task {
         self.runs().next().map_or_else(Task::default, |run| run.scores.table.task)
     }
 
-    /// Headline metric of the task.
+    /// Returns the headline metric of the task.
     pub fn headline(&self) -> Headline {
         self.task().headline
     }
 
-    /// Smallest and largest number of seeds of a variant.
+    /// Returns the smallest and largest number of seeds of a variant.
     pub fn seeds(&self) -> (Option<usize>, Option<usize>) {
         let counts = self.variants.iter().map(|v| v.runs.len());
         (counts.clone().min(), counts.max())
@@ -76,17 +77,17 @@ impl Setting {
 }
 
 impl StudyVariant {
-    /// Mean and deviation of `of` over the runs.
-    pub fn spread(&self, of: impl Fn(&Record) -> Option<f64>) -> Option<Spread> {
-        Spread::of(&self.runs.iter().filter_map(of).collect::<Vec<_>>())
+    /// Computes mean and deviation of `value` over the runs.
+    pub fn spread(&self, value: impl Fn(&Record) -> Option<f64>) -> Option<Spread> {
+        Spread::of(&self.runs.iter().filter_map(value).collect::<Vec<_>>())
     }
 
-    /// Scores of the models by a metric.
+    /// Summarises the scores of the models by a metric.
     pub fn score(&self, key: &str) -> Option<Spread> {
         self.spread(|run| run.scores.value(MODEL, key))
     }
 
-    /// Seeds and model files of all runs; `None` if a run folder of an earlier version lacks them.
+    /// Lists seeds and model files of all runs; `None` if a run folder of an earlier version lacks them.
     fn models(&self) -> Option<Vec<(u64, &FileDigest)>> {
         self.runs.iter().map(|run| Some((run.pipeline.seed, run.facts.files.get(MODEL_FILE)?))).collect()
     }
@@ -100,39 +101,40 @@ pub(super) type Labels = Vec<(String, String)>;
 
 /// Joins names by commas, without repetition, up to the limit of a title.
 pub(super) fn listed(names: Vec<String>) -> String {
-    let all = distinct(names);
-    let more = all.len().saturating_sub(TITLES);
-    if more > 1 { format!("{} and {more} more", all[..TITLES].join(", ")) } else { all.join(", ") }
+    let unique = distinct(names);
+    let more = unique.len().saturating_sub(TITLES);
+    if more > 1 { format!("{} and {more} more", unique[..TITLES].join(", ")) } else { unique.join(", ") }
 }
 
 /// Names the variants of separately given runs: the common start of the folders of all seeds.
-pub(super) fn named(alone: Vec<Record>) -> Result<Vec<(String, Record)>> {
-    let keys: Vec<String> = alone.iter().map(Record::variant_key).collect::<Result<_>>()?;
+pub(super) fn name_single_runs(runs: Vec<Record>) -> Result<Vec<(String, Record)>> {
+    let keys: Vec<String> = runs.iter().map(Record::variant_key).collect::<Result<_>>()?;
     let folder = |record: &Record| {
         let whole = record.folder.canonicalize().unwrap_or_else(|_| record.folder.clone());
         whole.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned())
     };
     let mut names: Vec<(&String, String)> = Vec::new();
-    for (key, first) in keys.iter().zip(&alone) {
-        if names.iter().any(|(known, _)| *known == key) {
+    for (key, first) in keys.iter().zip(&runs) {
+        if names.iter().any(|(other, _)| *other == key) {
             continue;
         }
-        let all: Vec<String> = keys.iter().zip(&alone).filter(|(k, _)| *k == key).map(|(_, r)| folder(r)).collect();
-        let mut name = if all.len() > 1 { common_start(&all) } else { all[0].clone() };
+        let folders: Vec<String> = keys.iter().zip(&runs).filter(|(k, _)| *k == key).map(|(_, r)| folder(r)).collect();
+        let mut name = if folders.len() > 1 { common_start(&folders) } else { folders[0].clone() };
         if name.is_empty() {
             name.clone_from(&first.pipeline.name);
         }
-        if names.iter().any(|(_, known)| *known == name) {
+        if names.iter().any(|(_, other)| *other == name) {
             name = first.folder.display().to_string();
         }
         names.push((key, name));
     }
     let name = |key: &String| names.iter().find(|(k, _)| *k == key).map_or_else(String::new, |(_, name)| name.clone());
-    let all: Vec<String> = keys.iter().map(name).collect();
-    Ok(all.into_iter().zip(alone).collect())
+    let names: Vec<String> = keys.iter().map(name).collect();
+    Ok(names.into_iter().zip(runs).collect())
 }
 
-/// Common start of all names, without the separator or `seed` before the difference: `init` of `init-0` and `init-1`.
+/// Returns the common start of all names, without the separator or `seed` before the difference: `init` of `init-0`
+/// and `init-1`.
 fn common_start(names: &[String]) -> String {
     let mut start = names[0].clone();
     while !names.iter().all(|name| name.starts_with(&start)) {
@@ -150,8 +152,8 @@ fn common_start(names: &[String]) -> String {
     start.strip_suffix("seed").unwrap_or(start).trim_end_matches(is_separator).to_owned()
 }
 
-/// Key of data and split: equal for runs whose scores are comparable. The validation share of a split does not affect
-/// the test set.
+/// Returns a key of data and split: equal for runs whose scores are comparable. The validation share of a split does
+/// not affect the test set.
 pub(super) fn setting_key(record: &Record) -> Result<Value> {
     let failed = |e| Error::input(&record.folder, format!("data and split cannot be compared: {e}"));
     let Pipeline { data, split, .. } = &record.pipeline;
@@ -162,7 +164,7 @@ pub(super) fn setting_key(record: &Record) -> Result<Value> {
     Ok([data, split].into_iter().map(|(name, fields)| Value::from_iter([(name, fields)])).collect())
 }
 
-/// Name and fields of a plugin; JSON contains only the fields.
+/// Returns name and fields of a plugin; JSON contains only the fields.
 fn named_fields(plugin: &impl Serialize) -> serde_json::Result<(String, Value)> {
     let name = one_line(plugin).split('(').next().unwrap_or_default().to_owned();
     // Through text, so that single-precision numbers keep the digits of the file.
@@ -170,77 +172,78 @@ fn named_fields(plugin: &impl Serialize) -> serde_json::Result<(String, Value)> 
 }
 
 /// Groups runs by setting and variant.
-pub(super) fn settings(records: Vec<(Labels, Record)>) -> Result<Vec<Setting>> {
-    let mut found: Vec<(Value, Setting)> = Vec::new();
+pub(super) fn group_by_setting(records: Vec<(Labels, Record)>) -> Result<Vec<Setting>> {
+    let mut settings: Vec<(Value, Setting)> = Vec::new();
     let mut groups: Vec<Vec<(Labels, Record)>> = Vec::new();
     for (labels, record) in records {
         let key = setting_key(&record)?;
-        let place = found.iter().position(|(k, _)| *k == key).unwrap_or_else(|| {
+        let index = settings.iter().position(|(k, _)| *k == key).unwrap_or_else(|| {
             let (title, simulated) = (record.facts.data.clone(), record.facts.simulated);
-            found.push((key, Setting { title, simulated, variants: Vec::new() }));
+            settings.push((key, Setting { title, simulated, variants: Vec::new() }));
             groups.push(Vec::new());
-            found.len() - 1
+            settings.len() - 1
         });
-        groups[place].push((labels, record));
+        groups[index].push((labels, record));
     }
-    for ((_, setting), group) in found.iter_mut().zip(groups) {
+    for ((_, setting), group) in settings.iter_mut().zip(groups) {
         let splits = distinct(group.iter().map(|(_, record)| one_line(&record.pipeline.split)));
         setting.title = format!("{}; {}", setting.title, splits.join(" and "));
-        setting.variants = variants(group)?;
+        setting.variants = group_by_variant(group)?;
     }
-    tell_apart(&mut found);
-    Ok(found.into_iter().map(|(_, setting)| setting).collect())
+    distinguish_titles(&mut settings);
+    Ok(settings.into_iter().map(|(_, setting)| setting).collect())
 }
 
 /// Adds the differing fields of data and split to equal titles, such as `samples: 200`.
-fn tell_apart(found: &mut [(Value, Setting)]) {
-    let all: Vec<(String, Vec<String>)> = found.iter().map(|(key, s)| (s.title.clone(), fields(key))).collect();
-    for ((_, setting), (title, own)) in found.iter_mut().zip(&all) {
-        let twins = || all.iter().filter(|(other, _)| other == title);
+fn distinguish_titles(settings: &mut [(Value, Setting)]) {
+    let titles: Vec<(String, Vec<String>)> =
+        settings.iter().map(|(key, s)| (s.title.clone(), list_fields(key))).collect();
+    for ((_, setting), (title, fields)) in settings.iter_mut().zip(&titles) {
+        let twins = || titles.iter().filter(|(other, _)| other == title);
         let differ = |field: &&String| !twins().all(|(_, fields)| fields.contains(field));
-        let differ: Vec<&str> = own.iter().filter(differ).map(String::as_str).collect();
+        let differ: Vec<&str> = fields.iter().filter(differ).map(String::as_str).collect();
         if !differ.is_empty() {
             setting.title = format!("{title}; {}", differ.join(", "));
         }
     }
 }
 
-/// Fields of plugins with their values, including nested plugins; the name of a plugin is a separate field.
-fn fields(value: &Value) -> Vec<String> {
-    let one = |(name, value): (&String, &Value)| match value {
-        Value::Object(_) | Value::Array(_) => [vec![name.clone()], fields(value)].concat(),
+/// Lists the fields of plugins with their values, including nested plugins; the name of a plugin is a separate field.
+fn list_fields(value: &Value) -> Vec<String> {
+    let named = |(name, value): (&String, &Value)| match value {
+        Value::Object(_) | Value::Array(_) => [vec![name.clone()], list_fields(value)].concat(),
         plain => vec![format!("{name}: {plain}")],
     };
     match value {
-        Value::Object(map) => map.iter().flat_map(one).collect(),
-        Value::Array(items) => items.iter().flat_map(fields).collect(),
+        Value::Object(map) => map.iter().flat_map(named).collect(),
+        Value::Array(items) => items.iter().flat_map(list_fields).collect(),
         plain => vec![plain.to_string()],
     }
 }
 
 /// Groups the runs of one setting by pipeline, independent of names; a repeated seed is the same run.
-fn variants(group: Vec<(Labels, Record)>) -> Result<Vec<StudyVariant>> {
-    let mut all: Vec<(String, Labels, Vec<Record>)> = Vec::new();
+fn group_by_variant(group: Vec<(Labels, Record)>) -> Result<Vec<StudyVariant>> {
+    let mut variants: Vec<(String, Labels, Vec<Record>)> = Vec::new();
     for (labels, record) in group {
         let key = record.variant_key()?;
-        match all.iter_mut().find(|(known, ..)| *known == key) {
+        match variants.iter_mut().find(|(other, ..)| *other == key) {
             Some((.., runs)) if runs.iter().any(|r| r.pipeline.seed == record.pipeline.seed) => {}
             Some((.., runs)) => runs.push(record),
-            None => all.push((key, labels, vec![record])),
+            None => variants.push((key, labels, vec![record])),
         }
     }
-    let names = names(&all.iter().map(|(_, labels, _)| labels).collect::<Vec<_>>());
+    let names = variant_names(&variants.iter().map(|(_, labels, _)| labels).collect::<Vec<_>>());
     let variant = |((_, _, mut runs), label): ((String, Labels, Vec<Record>), String)| {
         runs.sort_by_key(|r| r.facts.seed);
         StudyVariant { label, runs }
     };
-    Ok(all.into_iter().zip(names).map(variant).collect())
+    Ok(variants.into_iter().zip(names).map(variant).collect())
 }
 
-/// Names of the variants: the axes on which they differ, and the sweep if needed.
-fn names(variants: &[&Labels]) -> Vec<String> {
-    let of = |labels: &Labels, axis: &str| labels.iter().find(|(a, _)| a == axis).map(|(_, label)| label.clone());
-    let differ = |axis: &str| variants.iter().any(|labels| of(labels, axis) != of(variants[0], axis));
+/// Names the variants by the axes on which they differ, and the sweep if needed.
+fn variant_names(variants: &[&Labels]) -> Vec<String> {
+    let label_on = |labels: &Labels, axis: &str| labels.iter().find(|(a, _)| a == axis).map(|(_, label)| label.clone());
+    let differ = |axis: &str| variants.iter().any(|labels| label_on(labels, axis) != label_on(variants[0], axis));
     let name = |labels: &Labels, is_wanted: &dyn Fn(&str) -> bool| {
         let words = labels.iter().filter(|(axis, _)| is_wanted(axis));
         words.map(|(axis, label)| format!("{axis} {label}").trim().to_owned()).collect::<Vec<_>>().join(", ")
@@ -252,17 +255,17 @@ fn names(variants: &[&Labels]) -> Vec<String> {
 }
 
 /// Removes repetitions, keeping the first.
-pub fn distinct<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
-    let mut found = Vec::new();
-    for one in all {
-        if !found.contains(&one) {
-            found.push(one);
+pub fn distinct<T: PartialEq>(items: impl IntoIterator<Item = T>) -> Vec<T> {
+    let mut kept = Vec::new();
+    for item in items {
+        if !kept.contains(&item) {
+            kept.push(item);
         }
     }
-    found
+    kept
 }
 
-/// Value as RON on one line.
+/// Formats a value as RON on one line.
 pub fn one_line(value: &impl serde::Serialize) -> String {
     let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(0);
     ron_options().to_string_pretty(value, config).unwrap_or_default()
@@ -280,49 +283,49 @@ mod tests {
             (key, Setting { title: title.into(), simulated: true, variants: Vec::new() })
         };
         let random = json!({"Random": {"test": 0.2, "place": {"inner": [1, 2]}}});
-        let mut found = [
+        let mut settings = [
             setting(200, json!({"Official": {}}), "office"),
             setting(1000, json!({"Official": {}}), "office"),
             setting(200, random, "office; Random(test: 0.2)"),
         ];
-        tell_apart(&mut found);
-        let titles = found.map(|(_, setting)| setting.title);
+        distinguish_titles(&mut settings);
+        let titles = settings.map(|(_, setting)| setting.title);
         assert_eq!(titles, ["office; samples: 200", "office; samples: 1000", "office; Random(test: 0.2)"]);
     }
 
     #[test]
     fn variant_labels_name_differing_settings() {
         let labels = |all: &[(&str, &str)]| all.iter().map(|(a, l)| ((*a).to_owned(), (*l).to_owned())).collect();
-        let of = |all: &[&[(&str, &str)]]| {
+        let names_of = |all: &[&[(&str, &str)]]| {
             let all: Vec<Labels> = all.iter().map(|l| labels(l)).collect();
-            names(&all.iter().collect::<Vec<_>>())
+            variant_names(&all.iter().collect::<Vec<_>>())
         };
         let (lambda, epsilon) = (("", "lambda"), ("", "epsilon"));
-        let two = of(&[&[lambda, ("lambda", "0")], &[lambda, ("lambda", "1")], &[epsilon, ("epsilon", "0.1")]]);
+        let two = names_of(&[&[lambda, ("lambda", "0")], &[lambda, ("lambda", "1")], &[epsilon, ("epsilon", "0.1")]]);
         assert_eq!(two, ["lambda 0", "lambda 1", "epsilon 0.1"]);
-        let axes = of(&[&[("a", "x"), ("b", "1"), ("c", "z")], &[("a", "y"), ("b", "1"), ("c", "z")]]);
+        let axes = names_of(&[&[("a", "x"), ("b", "1"), ("c", "z")], &[("a", "y"), ("b", "1"), ("c", "z")]]);
         assert_eq!(axes, ["a x", "a y"]);
-        let twins = of(&[&[("", "p"), ("a", "x")], &[("", "q"), ("a", "x")], &[("", "q"), ("a", "y")]]);
+        let twins = names_of(&[&[("", "p"), ("a", "x")], &[("", "q"), ("a", "x")], &[("", "q"), ("a", "y")]]);
         assert_eq!(twins, ["p, a x", "q, a x", "a y"]);
-        assert_eq!(of(&[&[("a", "x")]]), ["a x"]);
+        assert_eq!(names_of(&[&[("a", "x")]]), ["a x"]);
     }
 
     #[test]
     fn title_lists_unique_names_and_limits_count() {
-        let of = |names: &[&str]| listed(names.iter().map(|n| (*n).to_owned()).collect());
-        assert_eq!(of(&["a", "b", "a"]), "a, b");
-        assert_eq!(of(&["a", "b", "c", "d", "e"]), "a, b, c, d, e");
-        assert_eq!(of(&["a", "b", "c", "d", "e", "f"]), "a, b, c, d and 2 more");
+        let title = |names: &[&str]| listed(names.iter().map(|n| (*n).to_owned()).collect());
+        assert_eq!(title(&["a", "b", "a"]), "a, b");
+        assert_eq!(title(&["a", "b", "c", "d", "e"]), "a, b, c, d, e");
+        assert_eq!(title(&["a", "b", "c", "d", "e", "f"]), "a, b, c, d and 2 more");
     }
 
     #[test]
     fn runs_of_one_variant_share_name_prefix() {
-        let of = |names: &[&str]| common_start(&names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
-        assert_eq!(of(&["init-cloud-0", "init-cloud-1", "init-cloud-12"]), "init-cloud");
-        assert_eq!(of(&["random10-0", "random10-1"]), "random10");
-        assert_eq!(of(&["a10", "a11"]), "a");
-        assert_eq!(of(&["x_seed=1", "x_seed=2"]), "x");
-        assert_eq!(of(&["run7", "run7"]), "run7");
-        assert_eq!(of(&["0", "1"]), "");
+        let start = |names: &[&str]| common_start(&names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
+        assert_eq!(start(&["init-cloud-0", "init-cloud-1", "init-cloud-12"]), "init-cloud");
+        assert_eq!(start(&["random10-0", "random10-1"]), "random10");
+        assert_eq!(start(&["a10", "a11"]), "a");
+        assert_eq!(start(&["x_seed=1", "x_seed=2"]), "x");
+        assert_eq!(start(&["run7", "run7"]), "run7");
+        assert_eq!(start(&["0", "1"]), "");
     }
 }

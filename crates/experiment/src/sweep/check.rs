@@ -11,7 +11,7 @@ use crate::run_folder::RunFolder;
 use crate::samples::data_key;
 use crate::scores::ScoreTable;
 use crate::session::Observer;
-use crate::training::fitting;
+use crate::training::new_trainer;
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_train::Trainer;
@@ -24,22 +24,22 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// The first invalid run, by name; no files are written in that case.
 pub fn check(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
-    let open = open(plan, runs)?;
-    try_open(plan, &open, &|_| false, observer)?;
-    Ok(open)
+    let runs = unfinished_runs(plan, runs)?;
+    try_unfinished(plan, &runs, &|_| false, observer)?;
+    Ok(runs)
 }
 
-/// Estimated seconds of each of `runs` on this thread pool, from a few steps (see [`Trainer::time`]); densification makes
-/// later steps slower. Finished runs take none; if another seed has finished, its time is used. NaN, with a warning, if
-/// the steps fail.
+/// Estimates the seconds of each of `runs` on this thread pool, from a few steps (see [`Trainer::time`]);
+/// densification makes later steps slower. Finished runs take none; if another seed has finished, its time is used.
+/// NaN, with a warning, if the steps fail.
 ///
 /// # Errors
 /// Same as [`check`], whose checks it makes.
 pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<f64>> {
     let states = plan.states();
-    let known = |combination: usize| {
-        let same = plan.runs.iter().zip(&states).filter(|(r, _)| r.combination == combination);
-        let seconds: Vec<f64> = same
+    let finished_seconds = |combination: usize| {
+        let seeds = plan.runs.iter().zip(&states).filter(|(r, _)| r.combination == combination);
+        let seconds: Vec<f64> = seeds
             .filter_map(|(_, state)| match state {
                 RunStage::Finished(end) => Some(end.1.wall_seconds),
                 _ => None,
@@ -47,8 +47,8 @@ pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -
             .collect();
         (!seconds.is_empty()).then(|| seconds.iter().sum::<f64>() / seconds.len() as f64)
     };
-    let open = open(plan, runs)?;
-    let measured = try_open(plan, &open, &|combination| known(combination).is_none(), observer)?;
+    let open = unfinished_runs(plan, runs)?;
+    let measured = try_unfinished(plan, &open, &|combination| finished_seconds(combination).is_none(), observer)?;
     let seconds = |&run: &usize| {
         let PlannedRun { combination, pipeline, .. } = &plan.runs[run];
         let steps = pipeline.training.steps as f64;
@@ -57,14 +57,14 @@ pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -
             RunStage::Running { step } | RunStage::Stopped { step } => 1.0 - step as f64 / steps,
             RunStage::Waiting | RunStage::Failed(_) => 1.0,
         };
-        let whole = known(*combination).or_else(|| measured.get(combination).copied()).unwrap_or(f64::NAN);
+        let whole = finished_seconds(*combination).or_else(|| measured.get(combination).copied()).unwrap_or(f64::NAN);
         if left == 0.0 { 0.0 } else { left * whole }
     };
     Ok(runs.iter().map(seconds).collect())
 }
 
-/// Unfinished runs of `runs`, after the checks that need no data.
-fn open(plan: &SweepPlan, runs: &[usize]) -> Result<Vec<usize>> {
+/// Returns the unfinished runs of `runs`, after the checks that need no data.
+fn unfinished_runs(plan: &SweepPlan, runs: &[usize]) -> Result<Vec<usize>> {
     runs.iter().try_for_each(|&run| plan.runs[run].pipeline.to_ron().map(drop))?;
     // All runs, including those of other shards: runs of one folder are compared.
     for (run, planned) in plan.runs.iter().enumerate() {
@@ -79,14 +79,14 @@ fn open(plan: &SweepPlan, runs: &[usize]) -> Result<Vec<usize>> {
 
 /// Initialises the first of the `open` runs of each combination. Returns the estimated seconds by combination, if it
 /// `is_timed`.
-fn try_open(
+fn try_unfinished(
     plan: &SweepPlan,
     open: &[usize],
     is_timed: &dyn Fn(usize) -> bool,
     observer: &mut dyn Observer,
 ) -> Result<BTreeMap<usize, f64>> {
     let middle = |[shortest, longest]: [f64; 2]| (shortest * longest).sqrt();
-    let tried = try_each(plan, &representatives(plan, open), observer, |run, trainer| {
+    let tried = initialize_each(plan, &representatives(plan, open), observer, |run, trainer| {
         let (combination, warnings) = (plan.runs[run].combination, trainer.warnings());
         let time = is_timed(combination).then(|| trainer.time());
         Ok((run, warnings, time))
@@ -103,7 +103,7 @@ fn try_open(
     Ok(seconds)
 }
 
-/// First of `runs` of each combination: another seed cannot cause other errors.
+/// Selects the first of `runs` of each combination: another seed cannot cause other errors.
 fn representatives(plan: &SweepPlan, runs: &[usize]) -> Vec<usize> {
     let mut first = runs.to_vec();
     first.sort_by_key(|&run| (plan.runs[run].combination, run));
@@ -111,14 +111,14 @@ fn representatives(plan: &SweepPlan, runs: &[usize]) -> Vec<usize> {
     first
 }
 
-/// Initialises each of `runs`, loading data once for consecutive runs with the same data, and calls `then`.
-fn try_each<R>(
+/// Initialises each of `runs`, loading data once for consecutive runs with the same data, and calls `visit`.
+fn initialize_each<R>(
     plan: &SweepPlan,
     runs: &[usize],
     observer: &mut dyn Observer,
-    then: impl Fn(usize, Trainer<'_>) -> Result<R>,
+    visit: impl Fn(usize, Trainer<'_>) -> Result<R>,
 ) -> Result<Vec<R>> {
-    let mut all = Vec::new();
+    let mut results = Vec::new();
     let mut loaded: Option<(String, SplitData)> = None;
     for &run in runs {
         let pipeline = &plan.runs[run].pipeline;
@@ -131,14 +131,14 @@ fn try_each<R>(
         if let Some((_, split)) = &loaded {
             // Baselines are scored only with the joined model.
             let mut scored = std::iter::once(pipeline).chain(&plan.joined);
-            scored.try_for_each(|own| own.check_data(&split.data)).map_err(named)?;
-            plan.joined.iter().try_for_each(|own| check_residuals(own, split, true)).map_err(named)?;
+            scored.try_for_each(|pipeline| pipeline.check_data(&split.data)).map_err(named)?;
+            plan.joined.iter().try_for_each(|joined| check_residuals(joined, split, true)).map_err(named)?;
             let sketch = || Trainer::sketch(&pipeline.plan()?, &split.data, &split.partition);
-            let trainer = fitting(pipeline, sketch).map_err(named)?;
-            all.push(then(run, trainer).map_err(named)?);
+            let trainer = new_trainer(pipeline, sketch).map_err(named)?;
+            results.push(visit(run, trainer).map_err(named)?);
         }
     }
-    Ok(all)
+    Ok(results)
 }
 
 /// State of a run.
@@ -163,7 +163,7 @@ pub enum RunStage {
 }
 
 impl RunStage {
-    /// One-word name of the state.
+    /// Returns the one-word name of the state.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Waiting => "waiting",
@@ -179,12 +179,12 @@ impl RunStage {
 const FAILURES: &str = "failures";
 
 impl SweepPlan {
-    /// State of each run.
+    /// Determines the state of each run.
     pub fn states(&self) -> Vec<RunStage> {
         (0..self.runs.len()).map(|run| self.state(run)).collect()
     }
 
-    /// State of one run.
+    /// Determines the state of one run.
     pub fn state(&self, run: usize) -> RunStage {
         let folder = self.folder_of(run);
         match RunFolder::inspect(&folder, &self.runs[run].pipeline).and_then(|state| state.finished(&folder, false)) {
@@ -215,9 +215,10 @@ impl SweepPlan {
     /// Removes the stored failure.
     pub(super) fn forget_failure(&self, run: usize) {
         _ = std::fs::remove_file(self.failure_file(run));
-        _ = std::fs::remove_dir(self.folder.join(FAILURES)); // where it was the last
+        _ = std::fs::remove_dir(self.folder.join(FAILURES)); // succeeds after the last one
     }
 
+    /// Returns the path of the stored failure of a run.
     fn failure_file(&self, run: usize) -> PathBuf {
         self.folder.join(FAILURES).join(format!("{}.txt", self.runs[run].folder))
     }

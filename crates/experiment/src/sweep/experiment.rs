@@ -39,7 +39,7 @@ pub struct Experiment {
     #[schemars(extend("format" = "path"))]
     pub base: PathBuf,
     /// Random seeds; every combination runs with each seed.
-    #[serde(default = "zero")]
+    #[serde(default = "default_seeds")]
     pub seeds: Vec<u64>,
     /// Whether to combine the models of all runs into one ensemble that predicts their mean. All runs need the same
     /// data, split and projector.
@@ -120,7 +120,8 @@ impl Default for Slurm {
     }
 }
 
-fn zero() -> Vec<u64> {
+/// Returns the default seeds.
+fn default_seeds() -> Vec<u64> {
     vec![0]
 }
 
@@ -153,9 +154,9 @@ pub(super) fn slug(text: &str) -> String {
     let plain: String = text.chars().map(plain).collect();
     let words: Vec<&str> = plain.split('-').filter(|w| !w.is_empty()).collect();
     // A sign belongs to the following number.
-    let number =
-        |sign: &str| text.strip_prefix(sign).is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
-    format!("{}{}", if number("-") { "-" } else { "" }, words.join("-"))
+    let is_signed =
+        |sign: &str| text.strip_prefix(sign).is_some_and(|digits| digits.starts_with(|c: char| c.is_ascii_digit()));
+    format!("{}{}", if is_signed("-") { "-" } else { "" }, words.join("-"))
 }
 
 /// Returns an error for a name that is not valid as a folder name.
@@ -177,7 +178,7 @@ fn check_seeds(seeds: &[u64]) -> Result<(), String> {
     }
 }
 
-/// First repeated element of `names`.
+/// Returns the first repeated element of `names`.
 fn repeated(names: impl Iterator<Item = String>) -> Option<String> {
     let mut seen = std::collections::BTreeSet::new();
     names.into_iter().find(|name| !seen.insert(name.clone()))
@@ -241,7 +242,7 @@ mod tests {
 
     #[test]
     fn labels_become_folder_names() {
-        let all = ["0.01", "point cloud", "λ = 0.02", "-3 dB", "+3", "a/../b", "λ", "Voxel(0.3 m)"].map(slug);
-        assert_eq!(all, ["0.01", "point-cloud", "0.02", "-3-dB", "+3", "a-..-b", "", "Voxel-0.3-m"]);
+        let names = ["0.01", "point cloud", "λ = 0.02", "-3 dB", "+3", "a/../b", "λ", "Voxel(0.3 m)"].map(slug);
+        assert_eq!(names, ["0.01", "point-cloud", "0.02", "-3-dB", "+3", "a-..-b", "", "Voxel-0.3-m"]);
     }
 }

@@ -38,14 +38,14 @@ impl ListedRun {
     /// Whether the run folder is inside the sweep folder: a foreign listing must not lead elsewhere.
     fn lies_in(&self, sweep: &Path) -> bool {
         let below = Path::new(&self.folder);
-        let leads_on = below.components().all(|part| matches!(part, Component::Normal(_)));
+        let descends = below.components().all(|part| matches!(part, Component::Normal(_)));
         let real = |path: &Path| path.canonicalize().ok();
         // A run that has not started has no folder yet.
-        let stays = match (real(sweep), real(&sweep.join(below))) {
+        let is_inside = match (real(sweep), real(&sweep.join(below))) {
             (Some(sweep), Some(run)) => run.starts_with(sweep),
             _ => true,
         };
-        leads_on && stays
+        descends && is_inside
     }
 }
 
@@ -62,8 +62,8 @@ impl Listing {
         match listing.runs.iter().find(|run| !run.lies_in(folder)) {
             None => Ok(Some(listing)),
             Some(run) => {
-                let what = "is not inside the sweep folder; pass runs of other folders separately";
-                Err(Error::input(&path, format!("`{}` {what}", run.folder)))
+                let problem = "is not inside the sweep folder; pass runs of other folders separately";
+                Err(Error::input(&path, format!("`{}` {problem}", run.folder)))
             }
         }
     }
@@ -87,29 +87,29 @@ impl Listing {
     /// Other content, or runs of another experiment: two listings of one sweep must contain one another.
     pub(super) fn inspect(&self, folder: &Path) -> Result<Option<Self>> {
         let path = folder.join(LISTING);
-        let advised = |error| match error {
+        let with_advice = |error| match error {
             Error::Input { path, at, message } => {
                 Error::Input { path, at, message: format!("{message}; choose another --out") }
             }
             other => other,
         };
-        let Some(there) = Self::read(folder).map_err(advised)? else {
+        let Some(existing) = Self::read(folder).map_err(with_advice)? else {
             return match refuse_foreign(folder, "a sweep folder") {
                 // Another process has created it since.
                 Err(_) if path.is_file() => self.inspect(folder),
                 foreign => foreign.map(|()| None),
             };
         };
-        let refuse = |what: String| Err(Error::input(&path, format!("{what}; choose another --out")));
-        match (there.missing_in(self), self.missing_in(&there)) {
-            _ if there.name != self.name => {
-                refuse(format!("lists the runs of `{}`, not of `{}`", there.name, self.name))
+        let refuse = |problem: String| Err(Error::input(&path, format!("{problem}; choose another --out")));
+        match (existing.missing_in(self), self.missing_in(&existing)) {
+            _ if existing.name != self.name => {
+                refuse(format!("lists the runs of `{}`, not of `{}`", existing.name, self.name))
             }
             (Some(theirs), Some(ours)) => refuse(format!(
                 "lists the runs of another experiment called `{}`: it has `{}` and lacks `{}`",
                 self.name, theirs.folder, ours.folder
             )),
-            _ => Ok(Some(there)),
+            _ => Ok(Some(existing)),
         }
     }
 
@@ -130,7 +130,7 @@ impl Listing {
             };
             match self.inspect(folder)? {
                 // Replaced, and then locked again.
-                Some(there) if there != *self && there.missing_in(self).is_none() => self.write(folder)?,
+                Some(existing) if existing != *self && existing.missing_in(self).is_none() => self.write(folder)?,
                 Some(_) => {
                     files::remove_temporaries(folder, &[LISTING]);
                     return Ok(lock);
@@ -140,12 +140,13 @@ impl Listing {
         }
     }
 
-    /// First of its runs that is missing in `other`.
+    /// Returns the first of its runs that is missing in `other`.
     fn missing_in(&self, other: &Self) -> Option<&ListedRun> {
         let others: BTreeSet<&ListedRun> = other.runs.iter().collect();
         self.runs.iter().find(|run| !others.contains(run))
     }
 
+    /// Formats the content of `sweep.json`.
     fn to_json(&self) -> String {
         serde_json::to_string_pretty(self).expect("plain data") + "\n"
     }
@@ -165,9 +166,9 @@ mod tests {
             std::fs::write(sweep.path().join(name), "half").unwrap();
         }
         let _lock = listing.claim(sweep.path()).unwrap();
-        let found = std::fs::read_dir(sweep.path()).unwrap().map(|entry| entry.unwrap().file_name());
-        let found: BTreeSet<_> = found.map(|name| name.into_string().unwrap()).collect();
-        assert_eq!(found, others.into_iter().chain([LISTING]).map(String::from).collect());
+        let names = std::fs::read_dir(sweep.path()).unwrap().map(|entry| entry.unwrap().file_name());
+        let names: BTreeSet<_> = names.map(|name| name.into_string().unwrap()).collect();
+        assert_eq!(names, others.into_iter().chain([LISTING]).map(String::from).collect());
     }
 
     #[test]
@@ -190,10 +191,10 @@ mod tests {
             #[cfg(unix)]
             "link",
         ] {
-            let shown = read(folder).unwrap_err();
+            let error = read(folder).unwrap_err();
             assert!(
-                shown.is_input() && shown.to_string().contains("is not inside the sweep folder"),
-                "{folder}: {shown}"
+                error.is_input() && error.to_string().contains("is not inside the sweep folder"),
+                "{folder}: {error}"
             );
         }
     }

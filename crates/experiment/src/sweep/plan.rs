@@ -2,7 +2,7 @@
 
 use super::experiment::{Axis, Experiment, Slurm, slug};
 use super::listing::{ListedRun, Listing};
-use crate::input::{change, read_base, set_all};
+use crate::input::{apply_arguments, apply_changes, read_base};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{Error, Result, ShippedFile, did_you_mean};
@@ -74,7 +74,8 @@ impl SweepPlan {
         Self::of(&Experiment::parse(&text, path)?, (path, &text), None, set, out)
     }
 
-    /// As [`Self::read`], for an `experiment` of the file `path` with this `text`; `base` replaces its base pipeline.
+    /// Creates all runs as [`Self::read`] does, for an `experiment` of the file `path` with this `text`; `base`
+    /// replaces its base pipeline.
     ///
     /// # Errors
     /// As [`Self::read`].
@@ -85,11 +86,11 @@ impl SweepPlan {
         set: &[String],
         out: Option<&Path>,
     ) -> Result<Self> {
-        let here = path.parent().unwrap_or(Path::new(""));
+        let folder = path.parent().unwrap_or(Path::new(""));
         let tree = RonTree::parse(text).map_err(|why| Error::input(path, why))?;
-        let source = ExperimentSource { path, here, experiment, text, tree: &tree, set };
-        let own = || read_base(here, &experiment.base);
-        let draft = source.changed(base.map_or_else(own, PipelineEdit::of)?)?;
+        let source = ExperimentSource { path, folder, experiment, text, tree: &tree, set };
+        let read_own_base = || read_base(folder, &experiment.base);
+        let draft = source.apply_common(base.map_or_else(read_own_base, PipelineEdit::of)?)?;
         source.refuse_too_many()?;
         let mut combinations = vec![Combination { labels: Vec::new(), start: None, draft }];
         for axis in 0..experiment.axes.len() {
@@ -103,7 +104,7 @@ impl SweepPlan {
                 runs.push(source.run(k, combination, pipeline, seed)?);
             }
         }
-        let joined = experiment.join.then(|| align(&experiment.name, &mut runs)).transpose();
+        let joined = experiment.join.then(|| align_runs(&experiment.name, &mut runs)).transpose();
         Ok(Self {
             joined: joined.map_err(|why| Error::input(path, format!("join: {why}")))?,
             folder: out.map_or_else(|| Path::new("runs").join(&experiment.name), Path::to_path_buf),
@@ -114,7 +115,7 @@ impl SweepPlan {
         })
     }
 
-    /// Error of a run that cannot start, at the responsible variant.
+    /// Creates the error of a run that cannot start, at the responsible variant.
     pub(super) fn refuse(&self, run: usize, error: &Error) -> Error {
         let PlannedRun { folder, start, .. } = &self.runs[run];
         let message = format!("{folder}: {error}");
@@ -122,12 +123,12 @@ impl SweepPlan {
         Error::Input { path: self.source.clone(), at: *at, message: format!("{title}: {message}") }
     }
 
-    /// Folder of a run.
+    /// Returns the folder of a run.
     pub fn folder_of(&self, run: usize) -> PathBuf {
         self.folder.join(&self.runs[run].folder)
     }
 
-    /// Content of `sweep.json`.
+    /// Creates the content of `sweep.json`.
     pub fn listing(&self) -> Listing {
         let listed =
             |r: &PlannedRun| ListedRun { folder: r.folder.clone(), labels: r.labels.clone(), seed: r.pipeline.seed };
@@ -143,7 +144,7 @@ impl SweepPlan {
         self.listing().claim(&self.folder)
     }
 
-    /// Index of the run whose folder is `name`.
+    /// Finds the index of the run whose folder is `name`.
     ///
     /// # Errors
     /// Unknown name; the error suggests the nearest.
@@ -167,7 +168,8 @@ struct Combination {
 /// The experiment file.
 struct ExperimentSource<'a> {
     path: &'a Path,
-    here: &'a Path,
+    /// Folder of the file, to which its paths are relative.
+    folder: &'a Path,
     experiment: &'a Experiment,
     text: &'a str,
     tree: &'a RonTree,
@@ -177,48 +179,48 @@ struct ExperimentSource<'a> {
 
 impl ExperimentSource<'_> {
     /// Applies the settings of all runs to a base. Values are validated later, together with those of the axes.
-    fn changed(&self, mut draft: PipelineEdit) -> Result<PipelineEdit> {
+    fn apply_common(&self, mut draft: PipelineEdit) -> Result<PipelineEdit> {
         let set = self.experiment.set.located("set", self.tree.field("set"), self.text);
-        change(&mut draft, &set.0, self.here).map_err(|fault| fault.in_file(self.path))?;
-        set_all(&mut draft, self.set)?;
+        apply_changes(&mut draft, &set.0, self.folder).map_err(|fault| fault.in_file(self.path))?;
+        apply_arguments(&mut draft, self.set)?;
         let is_own = |change: Change| ["name", "seed"].contains(&change.field());
         if self.set.iter().any(|argument| Change::argument(argument).is_ok_and(is_own)) {
-            let what = "--set: a sweep sets `name` and `seed` itself; change them in the experiment file";
-            return Err(Error::Config(what.into()));
+            let problem = "--set: a sweep sets `name` and `seed` itself; change them in the experiment file";
+            return Err(Error::Config(problem.into()));
         }
         draft.finish().map_or(Ok(draft), |base| PipelineEdit::of(&base))
     }
 
-    /// Each of `combinations` with each variant of `axis`.
+    /// Combines each of `combinations` with each variant of `axis`.
     fn cross(&self, axis: usize, combinations: &[Combination]) -> Result<Vec<Combination>> {
         let Axis { name, variants } = &*self.experiment.axes[axis];
         let item = |tree: &RonTree, field: &str, k: usize| Some(tree.field(field)?.items().get(k)?.clone());
         let axis = item(self.tree, "axes", axis);
-        let mut all = Vec::new();
+        let mut crossed = Vec::new();
         for combination in combinations {
             for (k, variant) in variants.iter().enumerate() {
-                let title = title(name, &variant.label);
+                let title = variant_title(name, &variant.label);
                 let tree = axis.as_ref().and_then(|axis| item(axis, "variants", k));
                 let set = variant.set.located(&title, tree.as_ref().and_then(|tree| tree.field("set")), self.text);
                 let mut draft = match &variant.base {
-                    Some(file) => read_base(self.here, file)
-                        .and_then(|base| self.changed(base))
+                    Some(file) => read_base(self.folder, file)
+                        .and_then(|base| self.apply_common(base))
                         .map_err(|e| Error::input(self.path, format!("{title}: {e}")))?,
                     None => combination.draft.clone(),
                 };
-                change(&mut draft, &set.0, self.here).map_err(|fault| fault.in_file(self.path))?;
+                apply_changes(&mut draft, &set.0, self.folder).map_err(|fault| fault.in_file(self.path))?;
                 let starts = |change: &&Change| ["data", "split", "initializer"].contains(&change.field());
                 let start = match set.0.iter().rfind(starts) {
                     Some(change) => Some(VariantStart { title, at: change.at }),
                     None if variant.base.is_some() => Some(VariantStart { title, at: None }),
                     None => combination.start.clone(),
                 };
-                let own = (name.clone(), variant.label.clone());
-                let labels = combination.labels.iter().cloned().chain([own]).collect();
-                all.push(Combination { labels, start, draft });
+                let label = (name.clone(), variant.label.clone());
+                let labels = combination.labels.iter().cloned().chain([label]).collect();
+                crossed.push(Combination { labels, start, draft });
             }
         }
-        Ok(all)
+        Ok(crossed)
     }
 
     /// Returns an error for too many runs, since axes multiply.
@@ -235,7 +237,7 @@ impl ExperimentSource<'_> {
         Err(Error::input(self.path, why))
     }
 
-    /// Pipeline of a combination, scaled and validated after all axes.
+    /// Creates the pipeline of a combination, scaled and validated after all axes.
     fn finish(&self, combination: &Combination) -> Result<Pipeline> {
         let pipeline = combination.draft.finish().map_err(|fault| fault.in_file(self.path))?;
         let unscaled = |e: Error| combination.draft.fault("training", e.to_string()).in_file(self.path);
@@ -249,10 +251,10 @@ impl ExperimentSource<'_> {
             if let Some(earlier) = seen.insert(pipeline.to_ron()?, combination) {
                 let why = format!(
                     "`{}` is the same pipeline as `{}`; check whether a later axis overrides an earlier one",
-                    named(&combination.labels),
-                    named(&earlier.labels)
+                    join_labels(&combination.labels),
+                    join_labels(&earlier.labels)
                 );
-                let title = combination.labels.last().map(|(axis, label)| title(axis, label) + ": ");
+                let title = combination.labels.last().map(|(axis, label)| variant_title(axis, label) + ": ");
                 return Err(Error::input(self.path, title.unwrap_or_default() + &why));
             }
         }
@@ -286,18 +288,18 @@ impl ExperimentSource<'_> {
     }
 }
 
-/// Name of a variant in messages.
-fn title(axis: &str, label: &str) -> String {
+/// Names a variant in messages.
+fn variant_title(axis: &str, label: &str) -> String {
     format!("axis `{axis}`, variant `{label}`")
 }
 
 /// Joins labels, such as `lambda 0.02, init random`.
-fn named(labels: &[(String, String)]) -> String {
+fn join_labels(labels: &[(String, String)]) -> String {
     labels.iter().map(|(axis, label)| format!("{axis} {label}")).collect::<Vec<_>>().join(", ")
 }
 
 impl PlannedRun {
-    /// Name of its model in a joined model: labels and seed, such as `waves-0`.
+    /// Names its model in a joined model: labels and seed, such as `waves-0`.
     pub(super) fn member_name(&self) -> String {
         let labels = self.labels.iter().map(|(_, label)| slug(label).replace('+', "-"));
         let words: Vec<String> = labels.chain([self.pipeline.seed.to_string()]).collect();
@@ -305,29 +307,29 @@ impl PlannedRun {
     }
 }
 
-/// Gives all `runs` the same split, or each a fold of it for residuals with `folds`, and returns the pipeline that scores
-/// their joined model `name`. Only that model has residuals and is compared with baselines.
+/// Gives all `runs` the same split, or each a fold of it for residuals with `folds`, and returns the pipeline that
+/// scores their joined model `name`. Only that model has residuals and is compared with baselines.
 ///
 /// # Errors
 /// Runs whose models cannot be joined.
-fn align(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
+fn align_runs(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
     if !(2..=MOST_MEMBERS).contains(&runs.len()) {
         return Err(format!("there are {} runs; give variants and seeds that make 2 to {MOST_MEMBERS}", runs.len()));
     }
     let pipelines = || runs.iter().map(|run| &run.pipeline);
-    let split_seed = pipelines().find_map(|own| own.split_seed).unwrap_or(runs[0].pipeline.seed);
-    if pipelines().any(|own| own.split_seed.is_some_and(|own| own != split_seed)) {
+    let split_seed = pipelines().find_map(|pipeline| pipeline.split_seed).unwrap_or(runs[0].pipeline.seed);
+    if pipelines().any(|pipeline| pipeline.split_seed.is_some_and(|pipeline| pipeline != split_seed)) {
         return Err("the runs differ in `split_seed`; give all the same value, or none".into());
     }
     let first = &runs[0];
-    let trained: Vec<String> = pipelines().map(trained).collect();
-    for (place, run) in runs.iter().enumerate() {
+    let settings_of_models: Vec<String> = pipelines().map(model_settings).collect();
+    for (index, run) in runs.iter().enumerate() {
         let PlannedRun { folder, pipeline, .. } = run;
-        let called = run.member_name();
-        if runs[..place].iter().any(|other| other.member_name().eq_ignore_ascii_case(&called)) {
-            return Err(format!("two models have the name `{called}`; change a label"));
+        let model = run.member_name();
+        if runs[..index].iter().any(|other| other.member_name().eq_ignore_ascii_case(&model)) {
+            return Err(format!("two models have the name `{model}`; change a label"));
         }
-        if let Some(twin) = trained[..place].iter().position(|other| *other == trained[place]) {
+        if let Some(twin) = settings_of_models[..index].iter().position(|other| *other == settings_of_models[index]) {
             let twin = &runs[twin].folder;
             return Err(format!("`{twin}` and `{folder}` train the same model; change a setting of one"));
         }
@@ -359,8 +361,8 @@ fn align(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
     Ok(scored)
 }
 
-/// All settings of a pipeline that affect the model, given a common split.
-fn trained(pipeline: &Pipeline) -> String {
+/// Formats all settings of a pipeline that affect the model, given a common split.
+fn model_settings(pipeline: &Pipeline) -> String {
     let (name, baselines, metrics) = Default::default();
     to_ron(&Pipeline { name, split_seed: None, baselines, metrics, ..pipeline.essential() })
 }

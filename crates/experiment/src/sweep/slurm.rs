@@ -24,11 +24,11 @@ const JOB: &str = "job.txt";
 /// # Errors
 /// The folder cannot be written, or `sbatch` is missing or fails.
 pub fn submit(plan: &SweepPlan, runs: &[usize], command: &[String]) -> Result<(String, PathBuf)> {
-    let own = new_submission(plan)?;
+    let folder = new_submission(plan)?;
     let names: String = runs.iter().map(|&run| plan.runs[run].folder.clone() + "\n").collect();
-    write_atomically(&own.join(RUNS), names.as_bytes())?;
-    let path = own.join(SCRIPT);
-    write_atomically(&path, script(plan, runs.len(), command, &own)?.as_bytes())?;
+    write_atomically(&folder.join(RUNS), names.as_bytes())?;
+    let path = folder.join(SCRIPT);
+    write_atomically(&path, script_text(plan, runs.len(), command, &folder)?.as_bytes())?;
     let output = Command::new("sbatch").arg("--parsable").arg(&path).output().map_err(|e| {
         Error::Config(format!("cannot call sbatch ({e}); use a machine with Slurm, or omit --launcher"))
     })?;
@@ -42,32 +42,32 @@ pub fn submit(plan: &SweepPlan, runs: &[usize], command: &[String]) -> Result<(S
         )));
     }
     let job = message.split(';').next().unwrap_or_default().to_owned();
-    write_atomically(&own.join(JOB), format!("{job}\n").as_bytes())?;
+    write_atomically(&folder.join(JOB), format!("{job}\n").as_bytes())?;
     Ok((job, path))
 }
 
-/// Folders of the runs in Slurm's queue, waiting or running; empty without submissions.
+/// Lists the folders of the runs in Slurm's queue, waiting or running; empty without submissions.
 ///
 /// # Errors
 /// Slurm does not respond: waiting runs would be submitted twice.
 pub fn queued(plan: &SweepPlan) -> Result<BTreeSet<String>> {
-    let jobs: Vec<(String, Vec<String>)> = submissions(plan)
+    let jobs: Vec<(String, Vec<String>)> = list_submissions(plan)
         .into_iter()
-        .filter_map(|(_, own)| {
-            let read = |name: &str| files::read_string(own.join(name)).ok();
+        .filter_map(|(_, folder)| {
+            let read = |name: &str| files::read_string(folder.join(name)).ok();
             Some((read(JOB)?.trim().to_owned(), read(RUNS)?.lines().map(str::to_owned).collect()))
         })
         .collect();
     let mut names = BTreeSet::new();
     // One call per job: squeue fails for all jobs if one is unknown to it.
     for (job, runs) in &jobs {
-        names.extend(tasks(job)?.into_iter().filter_map(|task: usize| runs.get(task.wrapping_sub(1)).cloned()));
+        names.extend(queued_tasks(job)?.into_iter().filter_map(|task: usize| runs.get(task.wrapping_sub(1)).cloned()));
     }
     Ok(names)
 }
 
-/// Numbers, from 1, of the tasks of `job` that wait or run.
-fn tasks(job: &str) -> Result<Vec<usize>> {
+/// Lists the numbers, from 1, of the tasks of `job` that wait or run.
+fn queued_tasks(job: &str) -> Result<Vec<usize>> {
     // Without completing tasks: these have ended, and Slurm only removes their processes.
     let states = "--states=PENDING,CONFIGURING,RUNNING,SUSPENDED";
     let output = Command::new("squeue")
@@ -85,24 +85,24 @@ fn tasks(job: &str) -> Result<Vec<usize>> {
 
 /// Creates a folder for one more submission; the lock of the sweep folder prevents collisions.
 fn new_submission(plan: &SweepPlan) -> Result<PathBuf> {
-    let number = submissions(plan).last().map_or(1, |(number, _)| number + 1);
+    let number = list_submissions(plan).last().map_or(1, |(number, _)| number + 1);
     let folder = std::path::absolute(&plan.folder).map_err(|e| Error::read(&plan.folder, e))?;
-    let own = folder.join(FOLDER).join(number.to_string());
-    std::fs::create_dir_all(&own).map_err(|e| Error::write(&own, e))?;
-    Ok(own)
+    let submission = folder.join(FOLDER).join(number.to_string());
+    std::fs::create_dir_all(&submission).map_err(|e| Error::write(&submission, e))?;
+    Ok(submission)
 }
 
-/// Earlier submissions by number.
-fn submissions(plan: &SweepPlan) -> Vec<(u32, PathBuf)> {
+/// Lists the earlier submissions with their folders, by number.
+fn list_submissions(plan: &SweepPlan) -> Vec<(u32, PathBuf)> {
     let entries = std::fs::read_dir(plan.folder.join(FOLDER)).into_iter().flatten().flatten();
-    let mut all: Vec<(u32, PathBuf)> =
+    let mut submissions: Vec<(u32, PathBuf)> =
         entries.filter_map(|e| Some((e.file_name().to_str()?.parse().ok()?, e.path()))).collect();
-    all.sort();
-    all
+    submissions.sort();
+    submissions
 }
 
-/// Script of a job array of `tasks` tasks.
-fn script(plan: &SweepPlan, tasks: usize, command: &[String], own: &Path) -> Result<String> {
+/// Writes the script of a job array of `tasks` tasks, whose files are in `folder`.
+fn script_text(plan: &SweepPlan, tasks: usize, command: &[String], folder: &Path) -> Result<String> {
     let slurm = &plan.slurm;
     let mut text = format!("#!/bin/bash\n# {} runs of the sweep `{}`, one task per run.\n", tasks, plan.name);
     let at_once = slurm.at_once.map_or_else(String::new, |n| format!("%{n}"));
@@ -110,7 +110,7 @@ fn script(plan: &SweepPlan, tasks: usize, command: &[String], own: &Path) -> Res
         format!("--job-name={}", plan.name),
         format!("--array=1-{tasks}{at_once}"),
         // Slurm expands `%` in the whole path.
-        format!("--output={}/%a.log", own.display().to_string().replace('%', "%%")),
+        format!("--output={}/%a.log", folder.display().to_string().replace('%', "%%")),
         "--open-mode=append".into(),
         "--requeue".into(),
         // To the script only, a minute before the time limit; not the signal of scancel, which must not requeue.
@@ -124,13 +124,13 @@ fn script(plan: &SweepPlan, tasks: usize, command: &[String], own: &Path) -> Res
     options.extend(slurm.options.iter().cloned());
     for option in &options {
         if option.contains(['"', '\n', '\\']) {
-            let what = "contains a quote, newline or backslash; change the run folder or `slurm`";
-            return Err(Error::Config(format!("sbatch option `{option}` {what}")));
+            let problem = "contains a quote, newline or backslash; change the run folder or `slurm`";
+            return Err(Error::Config(format!("sbatch option `{option}` {problem}")));
         }
         _ = writeln!(text, "#SBATCH \"{option}\"");
     }
-    let command = command.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ");
-    let runs = quoted(&own.join(RUNS).display().to_string());
+    let command = command.iter().map(|word| quote(word)).collect::<Vec<_>>().join(" ");
+    let runs = quote(&folder.join(RUNS).display().to_string());
     _ = write!(
         text,
         "\n\
@@ -150,7 +150,7 @@ fn script(plan: &SweepPlan, tasks: usize, command: &[String], own: &Path) -> Res
     Ok(text)
 }
 
-/// A word for a shell.
-fn quoted(word: &str) -> String {
+/// Quotes a word for a shell.
+fn quote(word: &str) -> String {
     format!("'{}'", word.replace('\'', r"'\''"))
 }

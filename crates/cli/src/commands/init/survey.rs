@@ -19,18 +19,18 @@ const UNKNOWN: &str = "no known layout of data: expected spectrum/ and gateway_i
                        and gateway_position.yml (received powers); channel.npy and receiver.yml, or csidata.npy and \
                        base-station.yml (channels); sparse/0/images.txt and images/ (images of a camera); see docs/data.md";
 
-/// Error for a folder without data of a known layout.
+/// Creates the error of a folder without data of a known layout.
 pub(crate) fn unknown_folder(folder: &Path) -> Error {
-    let what = match folder.metadata() {
+    let problem = match folder.metadata() {
         Ok(entry) if entry.is_dir() => UNKNOWN.to_owned(),
-        Ok(_) => format!("is a file; {}", advice(folder)),
+        Ok(_) => format!("is a file; {}", advise_on_file(folder)),
         Err(_) => "no such folder".to_owned(),
     };
-    Error::input(folder, what)
+    Error::input(folder, problem)
 }
 
-/// Next step for a file that was given instead of a folder.
-fn advice(file: &Path) -> String {
+/// Suggests the next step for a file that was given instead of a folder.
+fn advise_on_file(file: &Path) -> String {
     let folder = file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if recognise(folder).is_some() {
         return format!("give the folder of the data, {}", folder.display());
@@ -48,6 +48,7 @@ pub(crate) fn is_table(path: &Path) -> bool {
     path.is_file() && ["csv", "npy", "npz"].contains(&extension(path).as_str())
 }
 
+/// Returns the extension in lower case, or an empty text.
 fn extension(path: &Path) -> String {
     path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_lowercase()
 }
@@ -72,7 +73,7 @@ impl DataSurvey {
         let source = recognise(folder).ok_or_else(|| unknown_folder(folder))?;
         let mut data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
         let (split, partition) = suggested_split(&data)?;
-        let clouds = clouds(folder);
+        let clouds = read_clouds(folder);
         if let Some((_, points)) = clouds.first().filter(|_| data.camera().is_none()) {
             data.scene.points = points.iter().map(|point| data.scene.origin.local(*point)).collect();
         }
@@ -82,13 +83,13 @@ impl DataSurvey {
         Ok(Self { source, data, split, partition, nearest, clouds })
     }
 
-    /// Stride of training pixels: spectra of a small array are smooth.
+    /// Chooses the stride of training pixels: spectra of a small array are smooth.
     pub(super) fn stride(&self) -> usize {
         let Dataset { width, height, .. } = self.data;
         if width >= 120 && width.is_multiple_of(3) && height.is_multiple_of(3) { 3 } else { 1 }
     }
 
-    /// Batch size: the number of training transmitters, at most `most`.
+    /// Chooses the batch size: the number of training transmitters, at most `most`.
     pub(crate) fn batch(&self, most: usize) -> usize {
         let train = self.partition.train.iter().map(|&i| self.data.links[i].location);
         train.collect::<BTreeSet<_>>().len().clamp(1, most)
@@ -101,7 +102,7 @@ impl DataSurvey {
         format!("{observations}: {train} training, {validation} validation, {test} test")
     }
 
-    /// Notes for the head of the pipeline file.
+    /// Writes notes for the head of the pipeline file.
     pub(super) fn notes(&self) -> Vec<String> {
         let mut notes = vec![format!("{}: {}. Written by `pwrfgs init`.", self.data.title, self.sentence())];
         let near = format!("the median distance from test to training transmitters is {:.3} m", self.nearest);
@@ -141,14 +142,15 @@ impl DataSurvey {
     }
 }
 
-/// Split without leakage, as RON and applied: index files of the data, else cells of space, else a block of time.
+/// Suggests a split without leakage, as RON and applied: index files of the data, else cells of space, else a block of
+/// time.
 pub(crate) fn suggested_split(data: &Dataset) -> Result<(String, Partition)> {
-    let try_out = |text: &str| -> Result<Partition> {
+    let split_by = |text: &str| -> Result<Partition> {
         let split = Plugin::<dyn Split>::parse(text).map_err(Error::Config)?;
         split.split(data, &mut rng::stream(0, "split", 0))
     };
     if data.official.is_some() {
-        return Ok(("Official()".into(), try_out("Official()")?));
+        return Ok(("Official()".into(), split_by("Official()")?));
     }
     let cells = |edge: f64| {
         let cell = |tx: [f64; 3]| tx.map(|v| (v / edge).floor() as i64);
@@ -158,15 +160,15 @@ pub(crate) fn suggested_split(data: &Dataset) -> Result<(String, Partition)> {
     let choices = edge.into_iter().chain(["TimeBlock()".into(), "Random()".into()]);
     let fits = |partition: &Partition| !partition.train.is_empty() && !partition.test.is_empty();
     for choice in choices {
-        if let Some(partition) = try_out(&choice).ok().filter(fits) {
+        if let Some(partition) = split_by(&choice).ok().filter(fits) {
             return Ok((choice, partition));
         }
     }
-    Ok(("Random()".into(), try_out("Random()")?))
+    Ok(("Random()".into(), split_by("Random()")?))
 }
 
-/// Readable point clouds in the folder, by name.
-fn clouds(folder: &Path) -> Vec<(PathBuf, Vec<[f64; 3]>)> {
+/// Reads the readable point clouds in the folder, by name.
+fn read_clouds(folder: &Path) -> Vec<(PathBuf, Vec<[f64; 3]>)> {
     let is_cloud = |path: &PathBuf| {
         let extension = extension(path);
         let points = path.file_stem().is_some_and(|name| name.to_string_lossy().to_lowercase().contains("point"));

@@ -9,74 +9,61 @@ use std::path::Path;
 /// Largest array that is read, bytes.
 const MOST: u64 = 1 << 30;
 
-/// Features `[receivers, count]` of every transmitter in a file; NaN for unknown values.
+/// File with the observations of unknown transmitters.
+struct ObservationFile<'a> {
+    path: &'a Path,
+    features: &'a FingerprintFeatures,
+    receivers: &'a [Receiver],
+}
+
+/// Reads the features `[receivers, count]` of every transmitter in a file; NaN for unknown values.
 pub(super) fn read(path: &Path, features: &FingerprintFeatures, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
-    let task = features.task();
+    let (file, task) = (ObservationFile { path, features, receivers }, features.task());
     match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
-        Some("npy") if task.is_scalar => powers(path, &real(path, &[receivers.len()], false)?, receivers.len()),
-        Some("npy") if task.is_complex => images(path, features, receivers, &complex(path, features)?),
+        Some("npy") if task.is_scalar => file.check_powers(&read_real(path, &[receivers.len()], false)?),
+        Some("npy") if task.is_complex => file.image_features(&file.read_complex()?),
         Some("npy") => {
             let (width, height) = features.size();
-            images(path, features, receivers, &real(path, &[height, width], true)?)
+            file.image_features(&read_real(path, &[height, width], true)?)
         }
         Some("csv") if task.is_scalar => {
             let names: Vec<String> = receivers.iter().map(|receiver| receiver.name.clone()).collect();
-            powers(path, &read_powers(path, &names)?.concat(), names.len())
+            file.check_powers(&read_powers(path, &names)?.concat())
         }
-        Some("png") if task.has_pixels => images(path, features, receivers, &picture(path, features)?),
+        Some("png") if task.has_pixels => file.image_features(&file.read_picture()?),
         _ => {
-            let what = match (task.has_pixels, task.is_scalar) {
+            let expected = match (task.has_pixels, task.is_scalar) {
                 (true, _) => "a PNG image, or an array [B, height, width] (.npy)",
                 (_, true) => "a CSV table with a column per receiver, or an array [B, receivers] (.npy)",
                 _ => "an array [B, antennas, subcarriers] of complex numbers (.npy)",
             };
-            Err(Error::input(path, format!("is no file of {}; give {what}", task.plural)))
+            Err(Error::input(path, format!("is no file of {}; give {expected}", task.plural)))
         }
     }
 }
 
-/// Numbers of a real array `[B, ..inner]`. Only pixels may be integers.
-fn real(path: &Path, inner: &[usize], has_pixels: bool) -> Result<Vec<Real>> {
-    let (header, bytes) = open(path)?;
+/// Reads the numbers of a real array `[B, ..inner]`. Only pixels may be integers.
+fn read_real(path: &Path, inner: &[usize], has_pixels: bool) -> Result<Vec<Real>> {
+    let (header, bytes) = read_array(path)?;
     let Some(number) = header.number().filter(|number| has_pixels || number.is_float()) else {
-        let what = format!("holds numbers of type `{}`; save real numbers, such as a.astype('<f4')", header.descr);
-        return Err(Error::input(path, what));
+        let problem = format!("holds numbers of type `{}`; save real numbers, such as a.astype('<f4')", header.descr);
+        return Err(Error::input(path, problem));
     };
     check_shape(path, &header, inner)?;
-    let bytes = numbers(path, &header, &bytes, header.bytes(number))?;
+    let bytes = array_numbers(path, &header, &bytes, header.bytes(number))?;
     let mut values = Vec::with_capacity(bytes.len() / number.bytes());
     number.each(bytes, |v| values.push((v / number.full_scale()) as Real));
     Ok(values)
 }
 
-/// Observations of a complex array `[B, A, F]`, as rows of real and imaginary parts.
-fn complex(path: &Path, features: &FingerprintFeatures) -> Result<Vec<Real>> {
-    let (width, height) = features.size();
-    let (header, bytes) = open(path)?;
-    check_shape(path, &header, &[height / 2, width])?;
-    let number = match header.descr.as_str() {
-        "<c8" => Number::F32,
-        "<c16" => Number::F64,
-        other => {
-            let what = format!("holds numbers of type `{other}`; channels are complex: save a.astype('<c8')");
-            return Err(Error::input(path, what));
-        }
-    };
-    let bytes = numbers(path, &header, &bytes, header.bytes(number).and_then(|half| half.checked_mul(2)))?;
-    let mut parts: Vec<Real> = Vec::with_capacity(bytes.len() / number.bytes());
-    number.each(bytes, |v| parts.push(v as Real));
-    let gains = parts.as_chunks::<2>().0;
-    Ok(gains.chunks_exact((height / 2 * width).max(1)).flat_map(|one| rows_of(one, width)).collect())
-}
-
-/// Header of an array file, and all its bytes.
-fn open(path: &Path) -> Result<(Header, Vec<u8>)> {
+/// Reads the header of an array file, and all its bytes.
+fn read_array(path: &Path) -> Result<(Header, Vec<u8>)> {
     let bytes = files::read_at_most(path, MOST).map_err(|e| Error::read(path, e))?;
     Ok((Header::read(path, &mut bytes.as_slice())?, bytes))
 }
 
-/// The numbers of an array file; an error if they are not as many bytes as `expected`.
-fn numbers<'b>(path: &Path, header: &Header, bytes: &'b [u8], expected: Option<u64>) -> Result<&'b [u8]> {
+/// Returns the numbers of an array file; an error if they are not as many bytes as `expected`.
+fn array_numbers<'b>(path: &Path, header: &Header, bytes: &'b [u8], expected: Option<u64>) -> Result<&'b [u8]> {
     let numbers = bytes.get(header.offset as usize..).unwrap_or_default();
     if expected == Some(numbers.len() as u64) {
         return Ok(numbers);
@@ -90,8 +77,8 @@ fn check_shape(path: &Path, header: &Header, inner: &[usize]) -> Result<()> {
     let expected = inner.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
     if header.shape.len() != inner.len() + 1 || header.shape[1..] != *inner || header.fortran {
         let order = if header.fortran { " in Fortran order" } else { "" };
-        let what = format!("has shape {}{order}; the model observes [B, {expected}] in C order", header.shape_text());
-        return Err(Error::input(path, what));
+        let shape = header.shape_text() + order;
+        return Err(Error::input(path, format!("has shape {shape}; the model observes [B, {expected}] in C order")));
     }
     if header.shape[0] == 0 {
         return Err(Error::input(path, "holds no observation; give one row or more"));
@@ -99,67 +86,89 @@ fn check_shape(path: &Path, header: &Header, inner: &[usize]) -> Result<()> {
     Ok(())
 }
 
-fn picture(path: &Path, features: &FingerprintFeatures) -> Result<Vec<Real>> {
-    let image = read_image(path)?;
-    let (width, height) = features.size();
-    if (image.width, image.height) != (width, height) {
-        let what = format!(
-            "has {} x {} pixels; the model observes {width} x {height} (width x height)",
-            image.width, image.height
-        );
-        return Err(Error::input(path, what));
+impl ObservationFile<'_> {
+    /// Reads a complex array `[B, A, F]` as rows of real and imaginary parts.
+    fn read_complex(&self) -> Result<Vec<Real>> {
+        let (width, height) = self.features.size();
+        let (header, bytes) = read_array(self.path)?;
+        check_shape(self.path, &header, &[height / 2, width])?;
+        let number = match header.descr.as_str() {
+            "<c8" => Number::F32,
+            "<c16" => Number::F64,
+            other => {
+                let problem = format!("holds numbers of type `{other}`; channels are complex: save a.astype('<c8')");
+                return Err(self.refuse(problem));
+            }
+        };
+        let bytes =
+            array_numbers(self.path, &header, &bytes, header.bytes(number).and_then(|half| half.checked_mul(2)))?;
+        let mut parts: Vec<Real> = Vec::with_capacity(bytes.len() / number.bytes());
+        number.each(bytes, |v| parts.push(v as Real));
+        let gains = parts.as_chunks::<2>().0;
+        Ok(gains.chunks_exact((height / 2 * width).max(1)).flat_map(|channel| rows_of(channel, width)).collect())
     }
-    Ok(image.pixels)
-}
 
-/// Features of spectra or channels at one receiver.
-fn images(
-    path: &Path,
-    features: &FingerprintFeatures,
-    receivers: &[Receiver],
-    values: &[Real],
-) -> Result<Vec<Vec<f32>>> {
-    if receivers.len() != 1 {
-        let what = format!(
-            "an array has the {} of one receiver, the model has {}; localise samples of its data set instead (leave out the file)",
-            features.task().plural,
-            receivers.len()
-        );
-        return Err(Error::input(path, what));
+    /// Reads the pixels of an image of the size that the model observes.
+    fn read_picture(&self) -> Result<Vec<Real>> {
+        let Image { width, height, pixels } = read_image(self.path)?;
+        let size = self.features.size();
+        if (width, height) != size {
+            return Err(self.refuse(format!(
+                "has {width} x {height} pixels; the model observes {} x {} (width x height)",
+                size.0, size.1
+            )));
+        }
+        Ok(pixels)
     }
-    let (width, height) = features.size();
-    let numbers = width * height;
-    if !values.len().is_multiple_of(numbers) || values.is_empty() {
-        return Err(Error::input(path, "is truncated or damaged; copy it again"));
-    }
-    if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-        let what = format!("observation {} has a value that is not finite; leave it out", at / numbers + 1);
-        return Err(Error::input(path, what));
-    }
-    let (has_pixels, range) = (features.task().has_pixels, ["up to 1e9", "linear, from 0 to 1"]);
-    let is_far = |v: &Real| if has_pixels { !is_linear(*v as f64) } else { gain_fault([*v as f64, 0.0]).is_some() };
-    if let Some(at) = values.iter().position(is_far) {
-        let what = format!("observation {} has the value {:e}", at / numbers + 1, values[at]);
-        return Err(Error::input(path, format!("{what}; give numbers {}", range[usize::from(has_pixels)])));
-    }
-    let of = |pixels: &[Real]| features.of(&Image { width, height, pixels: pixels.to_vec() });
-    Ok(values.chunks_exact(numbers).map(of).collect())
-}
 
-/// Rows of powers; NaN for receivers that are not known.
-fn powers(path: &Path, values: &[Real], receivers: usize) -> Result<Vec<Vec<f32>>> {
-    let rows: Vec<Vec<f32>> =
-        values.chunks_exact(receivers.max(1)).map(|row| row.iter().map(|v| *v as f32).collect()).collect();
-    for (k, row) in rows.iter().enumerate() {
-        if row.iter().all(|v| v.is_nan()) {
-            return Err(Error::input(path, format!("row {}: no receiver has a power; give at least one", k + 1)));
+    /// Computes the features of spectra or channels at one receiver.
+    fn image_features(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
+        if self.receivers.len() != 1 {
+            return Err(self.refuse(format!(
+                "an array has the {} of one receiver, the model has {}; localise samples of its data set instead (leave out the file)",
+                self.features.task().plural,
+                self.receivers.len()
+            )));
         }
-        // Not NaN, which is unknown; -100 is a level here, not a missing link.
-        let is_stated = |dbm: &&f32| !dbm.is_nan() && **dbm != -100.0;
-        if let Some(fault) = row.iter().filter(is_stated).find_map(|dbm| power_fault(f64::from(*dbm))) {
-            let what = format!("row {}: a power {fault}, or leave the value out (NaN or an empty cell)", k + 1);
-            return Err(Error::input(path, what));
+        let (width, height) = self.features.size();
+        let numbers = width * height;
+        if !values.len().is_multiple_of(numbers) || values.is_empty() {
+            return Err(self.refuse("is truncated or damaged; copy it again".into()));
         }
+        if let Some(at) = values.iter().position(|v| !v.is_finite()) {
+            let row = at / numbers + 1;
+            return Err(self.refuse(format!("observation {row} has a value that is not finite; leave it out")));
+        }
+        let (has_pixels, range) = (self.features.task().has_pixels, ["up to 1e9", "linear, from 0 to 1"]);
+        let is_far = |v: &Real| if has_pixels { !is_linear(*v as f64) } else { gain_fault([*v as f64, 0.0]).is_some() };
+        if let Some(at) = values.iter().position(is_far) {
+            let (row, range) = (at / numbers + 1, range[usize::from(has_pixels)]);
+            return Err(self.refuse(format!("observation {row} has the value {:e}; give numbers {range}", values[at])));
+        }
+        let features = |pixels: &[Real]| self.features.of(&Image { width, height, pixels: pixels.to_vec() });
+        Ok(values.chunks_exact(numbers).map(features).collect())
     }
-    Ok(rows)
+
+    /// Checks rows of powers, dBm; NaN for receivers that are not known.
+    fn check_powers(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
+        let rows = values.chunks_exact(self.receivers.len().max(1));
+        let rows: Vec<Vec<f32>> = rows.map(|row| row.iter().map(|v| *v as f32).collect()).collect();
+        for (row, number) in rows.iter().zip(1..) {
+            if row.iter().all(|v| v.is_nan()) {
+                return Err(self.refuse(format!("row {number}: no receiver has a power; give at least one")));
+            }
+            // Not NaN, which is unknown; -100 is a level here, not a missing link.
+            let is_stated = |dbm: &&f32| !dbm.is_nan() && **dbm != -100.0;
+            if let Some(fault) = row.iter().filter(is_stated).find_map(|dbm| power_fault(f64::from(*dbm))) {
+                let advice = "or leave the value out (NaN or an empty cell)";
+                return Err(self.refuse(format!("row {number}: a power {fault}, {advice}")));
+            }
+        }
+        Ok(rows)
+    }
+
+    /// Creates an error at the file.
+    fn refuse(&self, problem: String) -> Error {
+        Error::input(self.path, problem)
+    }
 }

@@ -14,21 +14,21 @@ use std::fmt::Write as _;
 const EXPECTED: usize = 200;
 const CENTRE: &str = "centre of the positions";
 
-/// Table of the errors of the located test samples and of the baselines, with a verdict.
+/// Formats the table of the errors of the located test samples and of the baselines, with a verdict.
 pub(super) fn table(
     located: &[&Located],
     locator: &Locator<'_>,
     data: &Dataset,
     partition: &Partition,
 ) -> Result<String> {
-    let known = partition.known();
+    let fitting = partition.known();
     let samples = Samples::new(locator, data, data.locations_of(&partition.test));
     let mut entries = vec![samples.entry("model", locator.choice, located)];
-    if let Some((choice, kriged)) = kriged(data, known, &samples.observations)? {
+    if let Some((choice, kriged)) = krige(data, fitting, &samples.observations)? {
         let entry = samples.entry("fingerprints of Kriging", choice, &kriged.iter().collect::<Vec<_>>());
         entries.extend((entry.name != entries[0].name).then_some(entry));
     }
-    let nearest = NearestFingerprints::fit(data, known, locator.features(), locator.floor());
+    let nearest = NearestFingerprints::fit(data, fitting, locator.features(), locator.floor());
     let name = format!("{} nearest fingerprint{}", nearest.k, if nearest.k == 1 { "" } else { "s" });
     entries.push(samples.baseline(name, |observation| nearest.locate(observation)));
     entries.push(samples.centre(locator));
@@ -39,17 +39,18 @@ pub(super) fn table(
     Ok(heading + &aligned(&lines, 1) + &samples.verdict(&entries))
 }
 
-/// Errors of the validation samples, with a verdict; empty without any.
-pub(super) fn on_validation(locator: &Locator<'_>, data: &Dataset, known: FittingSet<'_>) -> String {
-    let samples = Samples::new(locator, data, evenly(&data.locations_of(known.validation), EXPECTED));
+/// Describes the errors of the validation samples, with a verdict; empty without any.
+pub(super) fn describe_validation(locator: &Locator<'_>, data: &Dataset, fitting: FittingSet<'_>) -> String {
+    let samples = Samples::new(locator, data, evenly(&data.locations_of(fitting.validation), EXPECTED));
     if samples.transmitters.is_empty() {
         return String::new();
     }
-    let located: Vec<Located> = samples.observations.par_iter().map(|own| locator.locate(own)).collect();
-    let own = samples.entry("model", locator.choice, &located.iter().collect::<Vec<_>>());
-    let [mean, median] = mean_and_median(own.errors.clone());
+    let located = samples.observations.par_iter().map(|observation| locator.locate(observation));
+    let located: Vec<Located> = located.collect();
+    let model = samples.entry("model", locator.choice, &located.iter().collect::<Vec<_>>());
+    let [mean, median] = mean_and_median(model.errors.clone());
     let (count, median, mean) = (grouped(located.len() as i64), fixed(median, 3), fixed(mean, 3));
-    let verdict = samples.verdict(&[own, samples.centre(locator)]);
+    let verdict = samples.verdict(&[model, samples.centre(locator)]);
     format!("{count} validation samples: median error {median} m, mean {mean} m; {verdict}")
 }
 
@@ -72,36 +73,39 @@ struct Entry {
 }
 
 impl Samples<'_> {
+    /// Collects the observations of `transmitters`.
     fn new<'a>(locator: &Locator<'_>, data: &'a Dataset, transmitters: Vec<usize>) -> Samples<'a> {
         let observations = locator.observations(data, &transmitters);
         Samples { data, transmitters, observations }
     }
 
+    /// Returns the true position of sample `k`, metres.
     fn truth(&self, k: usize) -> [f64; 3] {
         self.data.locations[self.transmitters[k]].position()
     }
 
-    /// Samples located with fingerprints of `predictor`, unless the choice does not use it.
+    /// Creates the entry of samples located with fingerprints of `predictor`, unless the choice does not use it.
     fn entry(&self, predictor: &str, choice: Choice, located: &[&Located]) -> Entry {
         let name = match (choice.share > 0.0, choice.descends) {
             (true, _) => predictor.into(),
             (false, true) => format!("measured fingerprints, descent along the {predictor}"),
             (false, false) => "measured fingerprints".into(),
         };
-        let errors = located.iter().enumerate().map(|(k, own)| distance(own.position, self.truth(k))).collect();
-        let held = located.iter().enumerate().filter(|(k, own)| own.holds(self.truth(*k)) == Some(true)).count();
-        let areas: Vec<f64> = located.iter().filter_map(|own| own.region.as_ref()).map(Region::area).collect();
+        let errors = located.iter().enumerate().map(|(k, result)| distance(result.position, self.truth(k))).collect();
+        let held = located.iter().enumerate().filter(|(k, result)| result.holds(self.truth(*k)) == Some(true)).count();
+        let areas: Vec<f64> = located.iter().filter_map(|result| result.region.as_ref()).map(Region::area).collect();
         let region = (!areas.is_empty()).then(|| (held as f64 / located.len() as f64, mean_and_median(areas)[1]));
         Entry { name, share: Some(choice.share), errors, region }
     }
 
+    /// Creates the entry of a baseline that locates one observation at a time.
     fn baseline(&self, name: String, locate: impl Fn(&[f32]) -> [f64; 3] + Sync) -> Entry {
-        let error = |(k, own): (usize, &Vec<f32>)| distance(locate(own), self.truth(k));
+        let error = |(k, observation): (usize, &Vec<f32>)| distance(locate(observation), self.truth(k));
         let errors = self.observations.par_iter().enumerate().map(error).collect();
         Entry { name, share: None, errors, region: None }
     }
 
-    /// Mean of the training positions, for every sample.
+    /// Creates the entry of a baseline that locates all samples at the mean of the training positions.
     fn centre(&self, locator: &Locator<'_>) -> Entry {
         let centre = [0, 1, 2].map(|k| mean(locator.positions().iter().map(|p| p[k])));
         self.baseline(CENTRE.into(), |_| centre)
@@ -109,11 +113,11 @@ impl Samples<'_> {
 
     /// Compares the first entry with the best of the others, and with the centre if it is not better than that.
     fn verdict(&self, entries: &[Entry]) -> String {
-        let places = self.transmitters.iter().map(|t| self.data.locations[*t]);
-        let blocks = Blocks::new(&places.clone().map(|tx| (tx.id, Some(tx.position()))).collect());
+        let transmitters = self.transmitters.iter().map(|t| self.data.locations[*t]);
+        let blocks = Blocks::new(&transmitters.clone().map(|tx| (tx.id, Some(tx.position()))).collect());
         let compare = |other: &Entry| {
-            let differences = entries[0].errors.iter().zip(&other.errors).map(|(own, other)| own - other);
-            let differences = places.clone().map(|tx| tx.id).zip(differences);
+            let differences = entries[0].errors.iter().zip(&other.errors).map(|(model, baseline)| model - baseline);
+            let differences = transmitters.clone().map(|tx| tx.id).zip(differences);
             let Difference { mean, interval, .. } = Difference::of(&[blocks.cells(differences)])?;
             let (baseline, metric) = (other.name.clone(), "error_m".to_owned());
             let interval = interval.map(|(low, high)| [low, high]);
@@ -134,6 +138,7 @@ impl Samples<'_> {
 }
 
 impl Entry {
+    /// Formats the cells of the entry.
     fn line(&self) -> Vec<String> {
         let worst = quantile(&sorted(self.errors.iter().copied()), 0.9);
         let [mean, median] = mean_and_median(self.errors.clone());
@@ -144,13 +149,13 @@ impl Entry {
     }
 }
 
-/// Choice and results of Kriging in place of the model; none if it does not support the data.
-fn kriged(data: &Dataset, known: FittingSet<'_>, observations: &[Vec<f32>]) -> Result<Option<(Choice, Vec<Located>)>> {
+/// Locates with Kriging in place of the model; `None` if it does not support the data.
+fn krige(data: &Dataset, fitting: FittingSet<'_>, observations: &[Vec<f32>]) -> Result<Option<(Choice, Vec<Located>)>> {
     let kriging = Plugin::<dyn Baseline>::parse("Kriging()").map_err(Error::Config)?;
     if !kriging.tasks().contains(&data.task()) || kriging.check_data(data).is_err() {
         return Ok(None);
     }
-    let predictor = kriging.fit(data, known)?;
-    let locator = Locator::fit(data, known, predictor.as_ref(), &SHARES)?;
-    Ok(Some((locator.choice, observations.par_iter().map(|own| locator.locate(own)).collect())))
+    let predictor = kriging.fit(data, fitting)?;
+    let locator = Locator::fit(data, fitting, predictor.as_ref(), &SHARES)?;
+    Ok(Some((locator.choice, observations.par_iter().map(|observation| locator.locate(observation)).collect())))
 }

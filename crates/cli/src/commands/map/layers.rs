@@ -39,24 +39,24 @@ pub(super) struct MapLayer {
     pub(super) arrows: Vec<[f32; 2]>,
 }
 
-/// Quantities to map: `of`, or the default of the model.
-pub(super) fn quantities(model: &Prepared<'_>, of: &[MapQuantity]) -> Result<Vec<MapQuantity>> {
+/// Returns the quantities to map: those `requested`, or the default of the model.
+pub(super) fn quantities(model: &Prepared<'_>, requested: &[MapQuantity]) -> Result<Vec<MapQuantity>> {
     let has_angles = model.plane().angles.is_some();
     let task = model.task();
-    let (fitting, names): (&[MapQuantity], _) = match (task.has_pixels, has_angles) {
+    let (available, names): (&[MapQuantity], _) = match (task.has_pixels, has_angles) {
         (true, true) => (&[MapQuantity::Direction, MapQuantity::Level, MapQuantity::Mean], "direction, level or mean"),
         (true, false) => (&[MapQuantity::Level, MapQuantity::Mean], "level or mean (its pixels have no angles)"),
         (false, _) => (&[MapQuantity::Power], "power"),
     };
-    if let Some(wrong) = of.iter().find(|asked| !fitting.contains(asked)) {
+    if let Some(wrong) = requested.iter().find(|quantity| !available.contains(quantity)) {
         let name = wrong.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
         return Err(Error::Config(format!("--of {name}: not available for a model of {}; use {names}", task.plural)));
     }
-    let default = if task.has_pixels { &fitting[..fitting.len() - 1] } else { fitting };
-    Ok(fitting
+    let default = if task.has_pixels { &available[..available.len() - 1] } else { available };
+    Ok(available
         .iter()
         .copied()
-        .filter(|own| if of.is_empty() { default.contains(own) } else { of.contains(own) })
+        .filter(|quantity| if requested.is_empty() { default.contains(quantity) } else { requested.contains(quantity) })
         .collect())
 }
 
@@ -69,6 +69,7 @@ struct Summary {
 }
 
 impl Summary {
+    /// Summarises an observation of `task`.
     fn of(task: Task, image: &Image) -> Self {
         let strongest = image.argmax();
         let count = image.pixels.len().max(1) as f64;
@@ -82,17 +83,17 @@ pub(super) fn layers(
     model: &Prepared<'_>,
     grid: &PlaneGrid,
     receivers: &[usize],
-    of: &[MapQuantity],
+    quantities: &[MapQuantity],
     mut progress: impl FnMut(usize),
 ) -> Vec<MapLayer> {
-    let mut layers: Vec<MapLayer> = receivers.iter().flat_map(|&r| empty(model.task(), r, of)).collect();
+    let mut layers: Vec<MapLayer> = receivers.iter().flat_map(|&r| empty_layers(model.task(), r, quantities)).collect();
     let per_receiver = layers.len() / receivers.len().max(1);
     let setup = &model.models().next().expect("one or more").stages.setup;
-    let places: Vec<usize> = (0..grid.len()).collect();
-    for some in places.chunks((STEP / receivers.len().max(1)).max(1)) {
-        progress(some[0]);
+    let positions: Vec<usize> = (0..grid.len()).collect();
+    for chunk in positions.chunks((STEP / receivers.len().max(1)).max(1)) {
+        progress(chunk[0]);
         let queries: Vec<Query<'static>> =
-            some.iter().flat_map(|&k| receivers.iter().map(move |&r| setup.query(grid.place(k), r))).collect();
+            chunk.iter().flat_map(|&k| receivers.iter().map(move |&r| setup.query(grid.position(k), r))).collect();
         let summaries: Vec<Summary> = queries
             .par_chunks(CALL)
             .flat_map_iter(|queries| model.predict_many(queries))
@@ -100,15 +101,15 @@ pub(super) fn layers(
             .collect();
         for (k, summary) in summaries.into_iter().enumerate() {
             let slot = k % receivers.len();
-            put(model, grid, receivers[slot], summary, &mut layers[slot * per_receiver..][..per_receiver]);
+            add_position(model, grid, receivers[slot], summary, &mut layers[slot * per_receiver..][..per_receiver]);
         }
     }
-    layers.extend(strongest(model.task(), &layers, receivers.len()));
+    layers.extend(strongest_layer(model.task(), &layers, receivers.len()));
     layers
 }
 
-/// Empty arrays of a receiver.
-fn empty(task: Task, receiver: usize, of: &[MapQuantity]) -> Vec<MapLayer> {
+/// Creates the empty arrays of a receiver.
+fn empty_layers(task: Task, receiver: usize, quantities: &[MapQuantity]) -> Vec<MapLayer> {
     let layer = |(name, words, unit)| MapLayer {
         name,
         words,
@@ -118,7 +119,7 @@ fn empty(task: Task, receiver: usize, of: &[MapQuantity]) -> Vec<MapLayer> {
         arrows: Vec::new(),
     };
     let [level, unit] = task.level_name;
-    let names = |of: &MapQuantity| match of {
+    let names = |quantity: &MapQuantity| match quantity {
         MapQuantity::Power => vec![("power", level, unit)],
         MapQuantity::Level => vec![("level", level, unit)],
         MapQuantity::Mean => vec![("mean", "mean level of the spectrum", "")],
@@ -127,11 +128,11 @@ fn empty(task: Task, receiver: usize, of: &[MapQuantity]) -> Vec<MapLayer> {
             ("elevation", "elevation of the strongest direction", "degrees"),
         ],
     };
-    of.iter().flat_map(names).map(layer).collect()
+    quantities.iter().flat_map(names).map(layer).collect()
 }
 
 /// Adds a position to the arrays of its receiver.
-fn put(model: &Prepared<'_>, grid: &PlaneGrid, receiver: usize, summary: Summary, layers: &mut [MapLayer]) {
+fn add_position(model: &Prepared<'_>, grid: &PlaneGrid, receiver: usize, summary: Summary, layers: &mut [MapLayer]) {
     let plane = model.plane();
     let (column, row) = ((summary.strongest % plane.width) as Real, (summary.strongest / plane.width) as Real);
     for layer in layers {
@@ -146,14 +147,14 @@ fn put(model: &Prepared<'_>, grid: &PlaneGrid, receiver: usize, summary: Summary
         if layer.name == "azimuth" {
             let turn = model.receivers()[receiver].pose.world_from_receiver();
             let from = plane.direction(column, row).map(|direction| turn * Vec3::from_array(direction));
-            let flat = grid.plane.flat(from.unwrap_or(Vec3::ZERO).to_array().map(|v| v as f64));
-            layer.arrows.push(flat.map(|v| v as f32));
+            let projected = grid.plane.project(from.unwrap_or(Vec3::ZERO).to_array().map(|v| v as f64));
+            layer.arrows.push(projected.map(|v| v as f32));
         }
     }
 }
 
-/// Largest power of all receivers at each position, if there are several.
-fn strongest(task: Task, layers: &[MapLayer], receivers: usize) -> Option<MapLayer> {
+/// Computes the largest power of all receivers at each position, if there are several.
+fn strongest_layer(task: Task, layers: &[MapLayer], receivers: usize) -> Option<MapLayer> {
     let first = layers.first().filter(|_| task.is_scalar && receivers > 1)?;
     let largest = |k: usize| layers.iter().map(|layer| layer.values[k]).fold(f32::NAN, f32::max);
     let values = (0..first.values.len()).map(largest).collect();

@@ -1,6 +1,6 @@
 //! Axis-parallel plane of a map, and the grid of positions on it.
 
-use crate::commands::options::numbers;
+use crate::commands::options::parse_numbers;
 use pwrfgs_core::{Error, MAX_COORDINATE_M, Result, coordinate_fault};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -30,32 +30,32 @@ impl MapPlane {
         Ok(Self { axis, at })
     }
 
-    /// Indices of the two free coordinates, horizontal first.
+    /// Returns the indices of the two free coordinates, horizontal first.
     pub(super) fn axes(&self) -> [usize; 2] {
         [[1, 2], [0, 2], [0, 1]][self.axis]
     }
 
-    /// Names of the free coordinates.
+    /// Returns the names of the free coordinates.
     pub(super) fn names(&self) -> [&'static str; 2] {
         self.axes().map(|k| AXES[k])
     }
 
-    /// Description, such as `z = 1.2 m`.
+    /// Describes the plane, such as `z = 1.2 m`.
     pub(super) fn words(&self) -> String {
         format!("{} = {} m", AXES[self.axis], self.at)
     }
 
-    /// Position in space of a point on the plane.
-    fn place(&self, [a, b]: [f64; 2]) -> [f64; 3] {
-        let mut place = [self.at; 3];
+    /// Returns the position in space of a point on the plane.
+    fn position(&self, [a, b]: [f64; 2]) -> [f64; 3] {
+        let mut position = [self.at; 3];
         let [across, up] = self.axes();
-        (place[across], place[up]) = (a, b);
-        place
+        (position[across], position[up]) = (a, b);
+        position
     }
 
-    /// Components of a position or vector within the plane.
-    pub(super) fn flat(&self, place: [f64; 3]) -> [f64; 2] {
-        self.axes().map(|k| place[k])
+    /// Projects a position or vector onto the plane.
+    pub(super) fn project(&self, position: [f64; 3]) -> [f64; 2] {
+        self.axes().map(|k| position[k])
     }
 }
 
@@ -75,13 +75,13 @@ impl PlaneBounds {
         let fits = |ends: &[f64; 4]| {
             ends.iter().all(|v| coordinate_fault(*v).is_none()) && ends[0] <= ends[1] && ends[2] <= ends[3]
         };
-        let [x0, x1, y0, y1] = numbers(text).filter(fits).ok_or_else(wrong)?;
+        let [x0, x1, y0, y1] = parse_numbers(text).filter(fits).ok_or_else(wrong)?;
         Ok(Self([[x0, x1], [y0, y1]]))
     }
 
     /// Whether a point is inside or on the edge.
-    pub(in crate::commands) fn holds(&self, place: [f64; 2]) -> bool {
-        self.0.iter().zip(place).all(|([low, high], v)| (*low..=*high).contains(&v))
+    pub(in crate::commands) fn holds(&self, point: [f64; 2]) -> bool {
+        self.0.iter().zip(point).all(|([low, high], v)| (*low..=*high).contains(&v))
     }
 
     /// Extends the bounds to multiples of `step`.
@@ -91,18 +91,19 @@ impl PlaneBounds {
         if out.iter().flatten().all(|v| v.is_finite()) { Self(out) } else { self }
     }
 
-    /// Central 90 % of `cloud` and all `receivers`; two metres wide if that is a single position.
+    /// Returns bounds around the central 90 % of `cloud` and all `receivers`; two metres wide if that is a single
+    /// position.
     pub(super) fn around(mut cloud: Vec<[f64; 2]>, receivers: &[[f64; 2]]) -> Self {
-        cloud.retain(|place| place.iter().all(|v| v.is_finite()));
-        let of = |k: usize| {
-            let mut values: Vec<f64> = cloud.iter().map(|place| place[k]).collect();
+        cloud.retain(|point| point.iter().all(|v| v.is_finite()));
+        let ends_along = |k: usize| {
+            let mut values: Vec<f64> = cloud.iter().map(|point| point[k]).collect();
             values.sort_by(f64::total_cmp);
             let last = values.len().saturating_sub(1) as f64;
             let ends = [0.05, 0.95].map(|q| values.get((q * last).round() as usize).copied());
-            let all = || ends.iter().flatten().copied().chain(receivers.iter().map(|place| place[k]));
-            [all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max)]
+            let coordinates = || ends.iter().flatten().copied().chain(receivers.iter().map(|point| point[k]));
+            [coordinates().fold(f64::INFINITY, f64::min), coordinates().fold(f64::NEG_INFINITY, f64::max)]
         };
-        Self([of(0), of(1)].map(|[low, high]| match high - low {
+        Self([ends_along(0), ends_along(1)].map(|[low, high]| match high - low {
             gap if gap > 0.0 => [low, high],
             _ if low.is_finite() => [low - 1.0, low + 1.0],
             _ => [-1.0, 1.0],
@@ -122,12 +123,8 @@ pub(super) struct PlaneGrid {
 
 impl PlaneGrid {
     /// Creates the grid from the low ends of the bounds, with `layers` values per position.
-    pub(super) fn new(
-        plane: MapPlane,
-        PlaneBounds([across, up]): PlaneBounds,
-        step: f64,
-        layers: usize,
-    ) -> Result<Self> {
+    pub(super) fn new(plane: MapPlane, bounds: PlaneBounds, step: f64, layers: usize) -> Result<Self> {
+        let PlaneBounds([across, up]) = bounds;
         if !(1e-6..=MAX_COORDINATE_M).contains(&step) {
             return Err(Error::Config(format!(
                 "--step {step}: expected a grid spacing in metres, 1e-6 to {MAX_COORDINATE_M:e}, such as 0.1"
@@ -144,15 +141,15 @@ impl PlaneGrid {
         Ok(Self { plane, first: [across[0], up[0]], step, columns: columns as usize, rows: rows as usize })
     }
 
-    /// Number of positions.
+    /// Returns the number of positions.
     pub(super) fn len(&self) -> usize {
         self.columns * self.rows
     }
 
-    /// Position `k` in space.
-    pub(super) fn place(&self, k: usize) -> [f64; 3] {
-        let far = |n: usize, k: usize| self.first[k] + self.step * n as f64;
-        self.plane.place([far(k % self.columns, 0), far(k / self.columns, 1)])
+    /// Returns position `k` in space.
+    pub(super) fn position(&self, k: usize) -> [f64; 3] {
+        let coordinate = |n: usize, axis: usize| self.first[axis] + self.step * n as f64;
+        self.plane.position([coordinate(k % self.columns, 0), coordinate(k / self.columns, 1)])
     }
 }
 
@@ -177,7 +174,7 @@ mod tests {
         let plane = MapPlane { axis: 1, at: 9.0 };
         let grid = PlaneGrid::new(plane, PlaneBounds([[0.0, 0.3], [1.0, 1.2]]), 0.1, 1).unwrap();
         assert_eq!((grid.columns, grid.rows), (4, 3));
-        let last = grid.place(11);
+        let last = grid.position(11);
         assert!((last[0] - 0.3).abs() < 1e-12 && last[1] == 9.0 && (last[2] - 1.2).abs() < 1e-12, "{last:?}");
         for step in [0.0, -1.0, f64::NAN, 1e-5, 1e300] {
             assert!(PlaneGrid::new(plane, PlaneBounds([[0.0, 100.0]; 2]), step, 1).is_err(), "{step}");

@@ -6,61 +6,27 @@ use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped};
 use pwrfgs::planning::{Subset, best_subset, coverage_of, greedy_subset, random_subsets, strongest};
 use pwrfgs::report::draw::survey::CoverageMap;
-use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{DataSource, Dataset, Error, Result, rng, statistics::mean};
 use std::path::Path;
 
-/// One of so many transmitters is held out without an official split.
+/// Divisor of the number of transmitters that are held out without an official split.
 const HELD_OUT: usize = 5;
 
-pub(super) fn choose(
-    arguments: &Place,
-    source: &Plugin<dyn DataSource>,
-    progress: &mut RunProgress,
-) -> Result<Outcome> {
+/// Chooses receivers by an exhaustive and a greedy search, and scores them on held-out transmitters.
+pub(super) fn choose(arguments: &Place, source: &dyn DataSource, progress: &mut RunProgress) -> Result<Outcome> {
     let (count, path) = (arguments.count, &arguments.source);
     let data = staged(progress, "data", |progress| source.load(Path::new(""), progress))?;
     let total = data.scene.receivers.len();
     let Some(matrix) = Matrix::new(&data) else {
-        let what = "has no received powers; name data with received powers, or a scene";
-        return Err(Error::input(path, what));
+        return Err(Error::input(path, "has no received powers; name data with received powers, or a scene"));
     };
     if count > total {
         return Err(Error::Config(format!("--count {count}: the data have {total} receivers; lower --count")));
     }
-    let ([train, test], split) = split(&data, arguments.seed);
+    let ([train, test], split) = split_transmitters(&data, arguments.seed);
     if train.is_empty() || test.is_empty() {
         return Err(Error::input(path, "has fewer than two transmitters; name data with more"));
     }
-    let [fitting, held_out] = [&train, &test].map(|part| matrix.part(part));
-    let receiver = |&r: &usize| {
-        let receiver = &data.scene.receivers[r];
-        (receiver.name.clone(), data.scene.origin.world_pose(receiver.pose).position)
-    };
-    let line = |train: f64, test: f64, subsets: &str| vec![fixed(train, 2), fixed(test, 2), subsets.to_owned()];
-    let searched = |short: &'static str, subset: &Subset| {
-        let test = coverage_of(&held_out, &subset.receivers);
-        let cells = line(subset.coverage, test, &grouped(subset.evaluations as i64));
-        let receivers = subset.receivers.iter().map(receiver).collect();
-        Choice { short, name: short.into(), receivers, coverage: test, cells }
-    };
-    let [best, greedy] = staged(progress, "choosing receivers", |_| {
-        [best_subset(&fitting, count), Some(greedy_subset(&fitting, count))]
-    });
-    let found = [("exhaustive", best), ("greedy", greedy)];
-    let found: Vec<(&str, Subset)> = found.into_iter().filter_map(|(name, subset)| Some((name, subset?))).collect();
-    let mut choices: Vec<Choice> = found.iter().map(|(name, subset)| searched(name, subset)).collect();
-    let draws = random_subsets(total, count, RANDOM, arguments.seed);
-    let average = |powers: &[Vec<f64>]| mean(draws.iter().map(|subset| coverage_of(powers, subset)));
-    let all: Vec<usize> = (0..total).collect();
-    let further = [
-        (format!("random, mean of {RANDOM} (seed {})", arguments.seed), average(&fitting), average(&held_out)),
-        (format!("all {total} receivers"), coverage_of(&fitting, &all), coverage_of(&held_out, &all)),
-    ];
-    choices.extend(further.map(|(name, train, test)| {
-        let cells = line(train, test, "");
-        Choice { short: "", name, receivers: Vec::new(), coverage: test, cells }
-    }));
     let simulated = if data.is_simulated() { "simulated " } else { "" };
     let mut notes = vec![
         format!(
@@ -75,29 +41,83 @@ pub(super) fn choose(
             fixed(matrix.weakest, 1)
         ),
     ];
-    if found.len() == 1 {
+    let [fitting, held_out] = [&train, &test].map(|part| matrix.part(part));
+    let [best, greedy] = staged(progress, "choosing receivers", |_| {
+        [best_subset(&fitting, count), Some(greedy_subset(&fitting, count))]
+    });
+    if best.is_none() {
         notes.push("more than 100,000 subsets: greedy choice only".into());
     }
-    let chosen = &found[0].1.receivers;
-    let names: Vec<String> = chosen.iter().map(|r| receiver(r).0).collect();
-    notes.push(format!("{} choice: {}", found[0].0, names.join(", ")));
-    let above = |r: &usize| receiver(r).1;
-    let flat = |[x, y, _]: [f64; 3]| [x, y];
-    let powers: Vec<&[f64]> = chosen.iter().map(|&r| &held_out[r][..]).collect();
-    let transmitters = test.iter().filter(|_| data.placed).map(|&t| flat(data.locations[t].position())).collect();
-    let map = CoverageMap {
-        title: format!("{}: {simulated}coverage {} dBm", data.title, fixed(choices[0].coverage, 1)),
-        transmitters,
-        powers: strongest(&powers),
-        selected: chosen.iter().map(|r| flat(above(r))).collect(),
-        others: all.iter().filter(|r| !chosen.contains(r)).map(|r| flat(above(r))).collect(),
-    };
+    let subsets: Vec<(&str, Subset)> = [("exhaustive", best), ("greedy", greedy)]
+        .into_iter()
+        .filter_map(|(name, subset)| Some((name, subset?)))
+        .collect();
+    let powers = MeasuredPowers { data: &data, fitting: &fitting, held_out: &held_out };
+    let mut choices: Vec<Choice> = subsets.iter().map(|(name, subset)| powers.choice(name, subset)).collect();
+    choices.extend(powers.references(count, arguments.seed));
+    let (search, chosen) = (subsets[0].0, &subsets[0].1.receivers);
+    let names: Vec<String> = chosen.iter().map(|&r| powers.receiver(r).0).collect();
+    notes.push(format!("{search} choice: {}", names.join(", ")));
+    let title = format!("{}: {simulated}coverage {} dBm", data.title, fixed(choices[0].coverage, 1));
+    let map = powers.map(title, chosen, &test);
     let header = ["training (dBm)", "held-out (dBm)", "subsets"].map(str::to_owned).to_vec();
     Ok(Outcome { header, choices, notes, map })
 }
 
-/// Transmitters for the choice and for its score: the official split, otherwise a random fifth is held out.
-fn split(data: &Dataset, seed: u64) -> ([Vec<usize>; 2], String) {
+/// Data with their powers `[R][T]`, dBm, at the transmitters of the choice and at the held-out ones.
+struct MeasuredPowers<'a> {
+    data: &'a Dataset,
+    fitting: &'a [Vec<f64>],
+    held_out: &'a [Vec<f64>],
+}
+
+impl MeasuredPowers<'_> {
+    /// Returns name and position of a receiver, metres, world frame.
+    fn receiver(&self, r: usize) -> (String, [f64; 3]) {
+        let receiver = &self.data.scene.receivers[r];
+        (receiver.name.clone(), self.data.scene.origin.world_pose(receiver.pose).position)
+    }
+
+    /// Scores the subset of a search.
+    fn choice(&self, short: &'static str, subset: &Subset) -> Choice {
+        let coverage = coverage_of(self.held_out, &subset.receivers);
+        let cells = vec![fixed(subset.coverage, 2), fixed(coverage, 2), grouped(subset.evaluations as i64)];
+        let receivers = subset.receivers.iter().map(|&r| self.receiver(r)).collect();
+        Choice { short, name: short.into(), receivers, coverage, cells }
+    }
+
+    /// Scores random subsets of `count` receivers, and all receivers.
+    fn references(&self, count: usize, seed: u64) -> [Choice; 2] {
+        let all: Vec<usize> = (0..self.data.scene.receivers.len()).collect();
+        let draws = random_subsets(all.len(), count, RANDOM, seed);
+        let mean = |powers: &[Vec<f64>]| mean(draws.iter().map(|subset| coverage_of(powers, subset)));
+        let random = (format!("random, mean of {RANDOM} (seed {seed})"), mean(self.fitting), mean(self.held_out));
+        let whole = [self.fitting, self.held_out].map(|powers| coverage_of(powers, &all));
+        [random, (format!("all {} receivers", all.len()), whole[0], whole[1])].map(|(name, train, coverage)| {
+            let cells = vec![fixed(train, 2), fixed(coverage, 2), String::new()];
+            Choice { short: "", name, receivers: Vec::new(), coverage, cells }
+        })
+    }
+
+    /// Draws the strongest held-out powers of the `chosen` receivers at the transmitters `test`.
+    fn map(&self, title: String, chosen: &[usize], test: &[usize]) -> CoverageMap {
+        let flat = |[x, y, _]: [f64; 3]| [x, y];
+        let point = |&r: &usize| flat(self.receiver(r).1);
+        let powers: Vec<&[f64]> = chosen.iter().map(|&r| &self.held_out[r][..]).collect();
+        let placed = test.iter().filter(|_| self.data.placed);
+        CoverageMap {
+            title,
+            transmitters: placed.map(|&t| flat(self.data.locations[t].position())).collect(),
+            powers: strongest(&powers),
+            selected: chosen.iter().map(point).collect(),
+            others: (0..self.held_out.len()).filter(|r| !chosen.contains(r)).map(|r| point(&r)).collect(),
+        }
+    }
+}
+
+/// Splits transmitters into those of the choice and those of its score: the official split, otherwise a random fifth
+/// is held out.
+fn split_transmitters(data: &Dataset, seed: u64) -> ([Vec<usize>; 2], String) {
     if let Some((train, test)) = &data.official {
         let [train, test] = [train, test].map(|links| data.locations_of(links));
         let test: Vec<usize> = test.into_iter().filter(|t| train.binary_search(t).is_err()).collect();
@@ -105,10 +125,10 @@ fn split(data: &Dataset, seed: u64) -> ([Vec<usize>; 2], String) {
             return ([train, test], "official split".into());
         }
     }
-    let mut all: Vec<usize> = (0..data.locations.len()).collect();
-    rng::shuffle(&mut rng::stream(seed, "place split", 0), &mut all);
-    let train = all.split_off(all.len().div_ceil(HELD_OUT));
-    let parts = [train, all].map(|mut part| {
+    let mut shuffled: Vec<usize> = (0..data.locations.len()).collect();
+    rng::shuffle(&mut rng::stream(seed, "place split", 0), &mut shuffled);
+    let train = shuffled.split_off(shuffled.len().div_ceil(HELD_OUT));
+    let parts = [train, shuffled].map(|mut part| {
         part.sort_unstable();
         part
     });
@@ -138,8 +158,8 @@ impl Matrix {
         Some(Self { powers, weakest, missing: (receivers * transmitters).saturating_sub(data.links.len()) })
     }
 
-    /// Powers of these transmitters, per receiver.
+    /// Returns the powers of these transmitters, per receiver.
     fn part(&self, transmitters: &[usize]) -> Vec<Vec<f64>> {
-        self.powers.iter().map(|own| transmitters.iter().map(|&t| own[t]).collect()).collect()
+        self.powers.iter().map(|row| transmitters.iter().map(|&t| row[t]).collect()).collect()
     }
 }

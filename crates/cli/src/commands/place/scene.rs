@@ -13,6 +13,7 @@ use std::sync::atomic::AtomicBool;
 /// Largest number of receivers.
 const MOST: usize = 3;
 
+/// Chooses receivers by ascent over the floor of a scene, beside the best position on a grid.
 pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Outcome> {
     let count = arguments.count;
     if count > MOST {
@@ -24,21 +25,18 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
     if !arguments.no_grid {
         floor.check_grid()?;
         if candidates < count {
-            let what = format!("--count {count}: the grid has {candidates} receiver positions; give a smaller --step");
-            return Err(Error::Config(what));
+            return Err(Error::Config(format!(
+                "--count {count}: the grid has {candidates} receiver positions; give a smaller --step"
+            )));
         }
     }
-    let found = staged(progress, "ascent", |_| floor.ascend(count, arguments.seed, stop))?;
-    let at = |[x, y]: [f64; 2]| (String::new(), [x, y, floor.mount()]);
-    let line = |coverage: f64, positions: usize, links: usize| {
-        vec![fixed(coverage, 2), grouped(positions as i64), grouped(links as i64)]
-    };
+    let ascent = staged(progress, "ascent", |_| floor.ascend(count, arguments.seed, stop))?;
     let mut choices = vec![Choice {
         short: "ascent",
         name: "ascent".into(),
-        receivers: found.receivers.iter().map(|own| at(*own)).collect(),
-        coverage: found.coverage,
-        cells: line(found.coverage, found.positions, found.links),
+        receivers: ascent.receivers.iter().map(|[x, y]| (String::new(), [*x, *y, floor.mount()])).collect(),
+        coverage: ascent.coverage,
+        cells: cells(ascent.coverage, ascent.positions, ascent.links),
     }];
     let mut notes = vec![format!(
         "coverage: 10th percentile of the strongest simulated power over {} transmitters at {} m",
@@ -47,40 +45,54 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
     )];
     if !arguments.no_grid {
         let grid = staged(progress, "grid of receivers", |progress| floor.grid(stop, progress))?;
-        let best = greedy_subset(&grid, count);
-        let links = transmitters * candidates;
-        choices.push(Choice {
-            short: "grid",
-            name: if count == 1 { "grid, exhaustive" } else { "grid, greedy" }.into(),
-            receivers: best.receivers.iter().map(|&r| (String::new(), floor.candidates[r])).collect(),
-            coverage: best.coverage,
-            cells: line(best.coverage, candidates, links),
-        });
-        let of = |subset: &Vec<usize>| coverage_of(&grid, subset);
-        let random = mean(random_subsets(candidates, count, RANDOM, arguments.seed).iter().map(of));
-        choices.push(Choice {
-            short: "",
-            name: format!("random, mean of {RANDOM} (seed {})", arguments.seed),
-            receivers: Vec::new(),
-            coverage: random,
-            cells: line(random, count, count * transmitters),
-        });
+        let [best, random] = grid_choices(arguments, &floor, &grid);
         notes.push(format!(
             "the ascent minus the grid: {} dB, with {} links instead of {}",
-            fixed(found.coverage - best.coverage, 2),
-            grouped(found.links as i64),
-            grouped(links as i64)
+            fixed(ascent.coverage - best.coverage, 2),
+            grouped(ascent.links as i64),
+            grouped((transmitters * candidates) as i64)
         ));
+        choices.extend([best, random]);
     }
-    let above = |[x, y, _]: &[f64; 3]| [*x, *y];
-    let powers: Vec<&[f64]> = found.powers.iter().map(Vec::as_slice).collect();
+    let flat = |[x, y, _]: &[f64; 3]| [*x, *y];
+    let powers: Vec<&[f64]> = ascent.powers.iter().map(Vec::as_slice).collect();
     let map = CoverageMap {
-        title: format!("{}: simulated coverage {} dBm", scene.name, fixed(found.coverage, 1)),
-        transmitters: floor.transmitters.iter().map(above).collect(),
+        title: format!("{}: simulated coverage {} dBm", scene.name, fixed(ascent.coverage, 1)),
+        transmitters: floor.transmitters.iter().map(flat).collect(),
         powers: strongest(&powers),
-        selected: found.receivers,
+        selected: ascent.receivers,
         others: Vec::new(),
     };
     let header = ["coverage (dBm)", "positions traced", "links traced"].map(str::to_owned).to_vec();
     Ok(Outcome { header, choices, notes, map })
+}
+
+/// Returns the best subset of the receiver positions on the grid, and the mean of random subsets. `grid` holds the
+/// powers of all candidates, dBm `[C][T]`.
+fn grid_choices(arguments: &Place, floor: &SceneCoverage, grid: &[Vec<f64>]) -> [Choice; 2] {
+    let Place { count, seed, .. } = *arguments;
+    let (transmitters, candidates) = (floor.transmitters.len(), floor.candidates.len());
+    let best = greedy_subset(grid, count);
+    let subsets = random_subsets(candidates, count, RANDOM, seed);
+    let random = mean(subsets.iter().map(|subset| coverage_of(grid, subset)));
+    let best = Choice {
+        short: "grid",
+        name: if count == 1 { "grid, exhaustive" } else { "grid, greedy" }.into(),
+        receivers: best.receivers.iter().map(|&r| (String::new(), floor.candidates[r])).collect(),
+        coverage: best.coverage,
+        cells: cells(best.coverage, candidates, transmitters * candidates),
+    };
+    let random = Choice {
+        short: "",
+        name: format!("random, mean of {RANDOM} (seed {seed})"),
+        receivers: Vec::new(),
+        coverage: random,
+        cells: cells(random, count, count * transmitters),
+    };
+    [best, random]
+}
+
+/// Formats coverage in dBm, and the numbers of traced positions and links.
+fn cells(coverage: f64, positions: usize, links: usize) -> Vec<String> {
+    vec![fixed(coverage, 2), grouped(positions as i64), grouped(links as i64)]
 }

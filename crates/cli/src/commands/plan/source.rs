@@ -44,29 +44,31 @@ pub(crate) struct PlaceOptions {
 pub(super) struct Places {
     pub(super) title: String,
     pub(super) candidates: Vec<[f64; 3]>,
-    pub(super) known: Vec<[f64; 3]>,
+    /// Positions with measurements.
+    pub(super) measured: Vec<[f64; 3]>,
     pub(super) receivers: Vec<[f64; 3]>,
-    /// Observations of `known`, or of the candidates if nothing is known.
+    /// Observations at `measured`, or at the candidates if that is empty.
     pub(super) data: Option<Dataset>,
 }
 
 impl Places {
-    /// Candidates that are `inside`, evenly thinned so that their covariances with all candidates fit into memory.
+    /// Returns the candidates that are `inside`, evenly thinned so that their covariances with all candidates fit into
+    /// memory.
     pub(super) fn region(&self, inside: impl Fn([f64; 3]) -> bool) -> Vec<[f64; 3]> {
-        let all: Vec<[f64; 3]> = self.candidates.iter().copied().filter(|place| inside(*place)).collect();
-        evenly(&all, MOST_PAIRS / self.candidates.len().max(1))
+        let positions: Vec<[f64; 3]> = self.candidates.iter().copied().filter(|position| inside(*position)).collect();
+        evenly(&positions, MOST_PAIRS / self.candidates.len().max(1))
     }
 
-    /// `simulated ` if the observations are.
+    /// Returns `simulated ` if the observations are.
     pub(super) fn simulated(&self) -> &'static str {
         if self.data.as_ref().is_some_and(Dataset::is_simulated) { "simulated " } else { "" }
     }
 }
 
 /// Reads the positions that the arguments name.
-pub(super) fn places(arguments: &PlaceOptions, progress: &mut RunProgress) -> Result<Places> {
+pub(super) fn read_places(arguments: &PlaceOptions, progress: &mut RunProgress) -> Result<Places> {
     let mut places =
-        arguments.source.as_ref().map_or_else(|| Ok(Places::default()), |path| measured(path, progress))?;
+        arguments.source.as_ref().map_or_else(|| Ok(Places::default()), |path| read_measured(path, progress))?;
     let new = match (&arguments.candidates, &arguments.floor) {
         (Some(path), _) => Some((read_transmitters(path)?, path)),
         (_, Some(path)) => Some((floor(path, arguments.step, arguments.height)?, path)),
@@ -74,17 +76,17 @@ pub(super) fn places(arguments: &PlaceOptions, progress: &mut RunProgress) -> Re
     };
     match new {
         Some((candidates, path)) => {
-            check_near(&candidates, &places.known, path)?;
+            check_near(&candidates, &places.measured, path)?;
             places.candidates = candidates;
-            places.known = evenly(&places.known, MOST_KNOWN);
+            places.measured = evenly(&places.measured, MOST_KNOWN);
             if places.title.is_empty() {
                 places.title = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             }
         }
-        None if places.data.is_some() => places.candidates = std::mem::take(&mut places.known),
+        None if places.data.is_some() => places.candidates = std::mem::take(&mut places.measured),
         None => {
-            let what = "a model has no candidates; set --candidates FILE or --floor SCENE, or name a data folder";
-            return Err(Error::Config(what.into()));
+            let problem = "a model has no candidates; set --candidates FILE or --floor SCENE, or name a data folder";
+            return Err(Error::Config(problem.into()));
         }
     }
     if places.candidates.len() > MOST {
@@ -96,8 +98,8 @@ pub(super) fn places(arguments: &PlaceOptions, progress: &mut RunProgress) -> Re
     Ok(places)
 }
 
-/// Measured positions of a data folder, run folder or model.
-fn measured(path: &Path, progress: &mut RunProgress) -> Result<Places> {
+/// Reads the measured positions of a data folder, run folder or model.
+fn read_measured(path: &Path, progress: &mut RunProgress) -> Result<Places> {
     if let Some(source) = recognise(path) {
         let data = staged(progress, "data", |progress| source.load(Path::new(""), progress))?;
         if !data.placed || data.features.is_some() {
@@ -106,7 +108,7 @@ fn measured(path: &Path, progress: &mut RunProgress) -> Result<Places> {
         let pose = |receiver: &pwrfgs_core::Receiver| data.scene.origin.world_pose(receiver.pose).position;
         return Ok(Places {
             title: data.title.clone(),
-            known: data.locations.iter().map(pwrfgs_core::Location::position).collect(),
+            measured: data.locations.iter().map(pwrfgs_core::Location::position).collect(),
             receivers: data.scene.receivers.iter().map(pose).collect(),
             candidates: Vec::new(),
             data: Some(data),
@@ -114,27 +116,27 @@ fn measured(path: &Path, progress: &mut RunProgress) -> Result<Places> {
     }
     // Sweeps and unfinished runs have errors of their own.
     if path.is_dir() && ![MODEL_FILE, PIPELINE, LISTING].iter().any(|name| path.join(name).is_file()) {
-        let what =
-            "neither data nor a run found; name a data folder (layouts: docs/data.md), a run folder or a model file";
-        return Err(Error::input(path, what));
+        let advice = "name a data folder (layouts: docs/data.md), a run folder or a model file";
+        return Err(Error::input(path, format!("neither data nor a run found; {advice}")));
     }
     let model = model_file(path)?;
     let ensemble = file::read_ensemble(&model)?;
-    let known = ensemble.training_positions();
-    if known.is_empty() {
+    let measured = ensemble.training_positions();
+    if measured.is_empty() {
         return Err(Error::input(&model, "has no training positions; name the data folder of its training"));
     }
     let setup = &ensemble.members()[0].stages;
     let receivers = setup.setup.receivers.iter().map(|receiver| setup.origin.world_pose(receiver.pose).position);
     let title = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    Ok(Places { title, known, receivers: receivers.collect(), ..Places::default() })
+    Ok(Places { title, measured, receivers: receivers.collect(), ..Places::default() })
 }
 
 /// Rejects candidates that are far from all known measurements: probably another frame or unit.
-fn check_near(candidates: &[[f64; 3]], known: &[[f64; 3]], path: &Path) -> Result<()> {
-    let Some(first) = known.first() else { return Ok(()) };
-    let extent = known.iter().map(|place| distance(*place, *first)).fold(0.0, f64::max).max(1.0);
-    let gap = |place: &[f64; 3]| known.iter().map(|known| distance(*known, *place)).fold(f64::INFINITY, f64::min);
+fn check_near(candidates: &[[f64; 3]], measured: &[[f64; 3]], path: &Path) -> Result<()> {
+    let Some(first) = measured.first() else { return Ok(()) };
+    let extent = measured.iter().map(|position| distance(*position, *first)).fold(0.0, f64::max).max(1.0);
+    let gap =
+        |position: &[f64; 3]| measured.iter().map(|near| distance(*near, *position)).fold(f64::INFINITY, f64::min);
     let nearest = evenly(candidates, 100).iter().map(gap).fold(f64::INFINITY, f64::min);
     if nearest <= FAR * extent {
         return Ok(());
@@ -143,18 +145,19 @@ fn check_near(candidates: &[[f64; 3]], known: &[[f64; 3]], path: &Path) -> Resul
     Err(Error::input(
         path,
         format!(
-            "candidates are {gap} m from the nearest known measurement, and these extend over {extent} m; give both in metres \
+            "candidates are {gap} m from the nearest measured measurement, and these extend over {extent} m; give both in metres \
              in one frame"
         ),
     ))
 }
 
-/// Positions on a grid over the floor of a scene, outside its objects, in rows of alternating direction.
+/// Creates positions on a grid over the floor of a scene, outside its objects, in rows of alternating direction.
 #[cfg(feature = "raytrace")]
 fn floor(path: &Path, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
     pwrfgs::planning::floor_grid(&pwrfgs::raytrace::SceneFile::read(path)?, step, height)
 }
 
+/// Rejects scenes, which need the feature `raytrace`.
 #[cfg(not(feature = "raytrace"))]
 fn floor(_: &Path, _: f64, _: f64) -> Result<Vec<[f64; 3]>> {
     Err(Error::Config("--floor: this build has no scenes; build with the feature `raytrace`".into()))

@@ -33,21 +33,21 @@ pub(super) struct PredictionRow<'a> {
 /// Name of the last column of `predictions.csv`.
 const DISTANCE: &str = "training_distance_m";
 
-/// Names of the columns of the positions of a transmitter or the poses of a receiver.
+/// Returns the names of the columns of the positions of a transmitter or the poses of a receiver.
 fn pose_columns(moving: End) -> &'static str {
     if moving.is_receiver() { "x,y,z,qx,qy,qz,qw" } else { "x,y,z" }
 }
 
 impl PredictionRow<'_> {
-    /// First columns of the row.
-    fn begin(&self) -> String {
+    /// Formats the first columns of the row.
+    fn start(&self) -> String {
         let (Pose { position: [x, y, z], orientation }, number) = (self.pose, self.number);
         let name = self.name.map_or_else(String::new, |name| format!(",{}", field(name)));
         let turn = if self.has_orientation { orientation.map(|v| format!(",{v}")).concat() } else { String::new() };
         format!("{number},{x},{y},{z}{turn}{name}")
     }
 
-    /// Last columns of the row.
+    /// Formats the last columns of the row.
     fn end(&self, milliseconds: f64) -> String {
         let distance = self.training_distance.map_or_else(String::new, |metres| format!("{metres:.3}"));
         format!("{milliseconds:.3},{distance}\n")
@@ -68,11 +68,11 @@ pub(super) type PredictedRow<'a> = (PredictionRow<'a>, PredictionImage);
 
 /// Writer of predictions of one task.
 pub(super) trait Writer {
-    /// First line of `predictions.csv`.
+    /// Returns the first line of `predictions.csv`.
     fn header(&self) -> String;
 
     /// Writes the next rows and adds their lines to the list.
-    fn take(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()>;
+    fn write(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()>;
 
     /// Completes all files except the list.
     fn finish(self: Box<Self>) -> Result<()> {
@@ -107,6 +107,7 @@ struct Spectra<'a> {
 }
 
 impl<'a> Spectra<'a> {
+    /// Creates the writer, with files of all predictions if they are stacked.
     fn begin(folder: &OutputFolder<'_>, model: &Prepared<'a>, count: usize, has_interval: bool) -> Result<Self> {
         let plane = model.plane();
         let size = [count, plane.height, plane.width];
@@ -127,26 +128,26 @@ impl Writer for Spectra<'_> {
         format!("row,{pose},{receiver}azimuth_deg,elevation_deg,peak,{bound}milliseconds,{DISTANCE}\n")
     }
 
-    fn take(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
+    fn write(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
         let images: Vec<&Image> = rows.iter().map(|(_, drawn)| &drawn.image).collect();
         let spreads: Vec<&Image> = rows.iter().filter_map(|(_, drawn)| drawn.spread.as_ref()).collect();
         let intervals = || rows.iter().filter_map(|(_, drawn)| drawn.interval.as_ref());
-        let (lower, upper) = intervals().map(|own| (&own.lower, &own.upper)).unzip();
+        let (lower, upper) = intervals().map(|interval| (&interval.lower, &interval.upper)).unzip();
         let kinds = [("", 1.0, images), (SPREAD, 2.0, spreads), ("-lower", 1.0, lower), ("-upper", 1.0, upper)];
         for (k, (suffix, gain, images)) in kinds.iter().filter(|(.., images)| !images.is_empty()).enumerate() {
-            let one = |(image, (row, _)): (&&Image, &PredictedRow<'_>)| {
-                let name = name(row.number) + suffix;
+            let write_image = |(image, (row, _)): (&&Image, &PredictedRow<'_>)| {
+                let name = file_name(row.number) + suffix;
                 if self.stacks.is_empty() {
                     folder.array(&name, image)?;
                 }
                 folder.picture(&name, image, *gain as Real)
             };
-            images.par_iter().zip(rows).map(one).collect::<Result<Vec<()>>>()?;
+            images.par_iter().zip(rows).map(write_image).collect::<Result<Vec<()>>>()?;
             if let Some(stack) = self.stacks.get_mut(k) {
-                images.iter().try_for_each(|image| stack.add(&floats(image).collect::<Vec<u8>>()))?;
+                images.iter().try_for_each(|image| stack.add(&float_bytes(image).collect::<Vec<u8>>()))?;
             }
         }
-        list.extend(rows.iter().map(|(row, drawn)| line(self.plane, row, drawn)));
+        list.extend(rows.iter().map(|(row, drawn)| spectrum_line(self.plane, row, drawn)));
         Ok(())
     }
 
@@ -155,16 +156,16 @@ impl Writer for Spectra<'_> {
     }
 }
 
-/// Line of `predictions.csv`; without angles if the image plane has none.
-fn line(plane: &ImagePlane, row: &PredictionRow<'_>, drawn: &PredictionImage) -> String {
+/// Formats the line of a spectrum in `predictions.csv`; without angles if the image plane has none.
+fn spectrum_line(plane: &ImagePlane, row: &PredictionRow<'_>, drawn: &PredictionImage) -> String {
     let image = &drawn.image;
     let strongest = image.argmax();
     let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
     let angles = plane.azimuth_elevation_deg(column, line);
     let angles = angles.map_or_else(|| ",".into(), |(az, el)| format!("{az},{el}"));
-    let bound =
-        drawn.interval.as_ref().and_then(|own| own.ssim).map_or_else(String::new, |bound| format!("{bound:.4},"));
-    format!("{},{angles},{},{bound}{}", row.begin(), image.pixels[strongest], row.end(drawn.milliseconds))
+    let bound = drawn.interval.as_ref().and_then(|interval| interval.ssim);
+    let bound = bound.map_or_else(String::new, |bound| format!("{bound:.4},"));
+    format!("{},{angles},{},{bound}{}", row.start(), image.pixels[strongest], row.end(drawn.milliseconds))
 }
 
 /// Writer of received powers.
@@ -184,12 +185,12 @@ impl Writer for Powers {
         format!("row,{pose},receiver,dbm,{spread}{interval}ms,{DISTANCE}\n")
     }
 
-    fn take(&mut self, _: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
+    fn write(&mut self, _: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
         for (row, PredictionImage { image, spread, interval, milliseconds }) in rows {
-            let ends = interval.iter().flat_map(|own| [&own.lower, &own.upper]);
-            _ = write!(list, "{},", row.begin());
-            for own in std::iter::once(image).chain(spread).chain(ends) {
-                _ = write!(list, "{},", own.pixels[0]);
+            let ends = interval.iter().flat_map(|interval| [&interval.lower, &interval.upper]);
+            _ = write!(list, "{},", row.start());
+            for value in std::iter::once(image).chain(spread).chain(ends) {
+                _ = write!(list, "{},", value.pixels[0]);
             }
             *list += &row.end(*milliseconds);
         }
@@ -205,6 +206,7 @@ struct Channels {
 }
 
 impl Channels {
+    /// Creates the writer, with files of all predictions if they are stacked.
     fn begin(folder: &OutputFolder<'_>, model: &Prepared<'_>, count: usize) -> Result<Self> {
         let size = [count, model.plane().height / 2, model.plane().width];
         let mut stacks = Vec::new();
@@ -223,21 +225,21 @@ impl Writer for Channels {
         format!("row,{},receiver,db,ms,{DISTANCE}\n", pose_columns(self.moving))
     }
 
-    fn take(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
+    fn write(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
         for (row, PredictionImage { image, spread, milliseconds, .. }) in rows {
-            let (gains, name) = (gains_of(&image.pixels, image.width), name(row.number));
-            let spread = spread.as_ref().map(lengths);
+            let (gains, name) = (gains_of(&image.pixels, image.width), file_name(row.number));
+            let spread = spread.as_ref().map(complex_deviations);
             if let Some(stack) = self.stacks.first_mut() {
-                stack.add(&pairs(&gains).collect::<Vec<u8>>())?;
+                stack.add(&complex_bytes(&gains).collect::<Vec<u8>>())?;
             } else {
                 folder.gains(&name, [image.height / 2, image.width], &gains)?;
             }
             match (self.stacks.get_mut(1), &spread) {
-                (Some(stack), Some(spread)) => stack.add(&floats(spread).collect::<Vec<u8>>())?,
+                (Some(stack), Some(spread)) => stack.add(&float_bytes(spread).collect::<Vec<u8>>())?,
                 (None, Some(spread)) => folder.array(&(name + SPREAD), spread)?,
                 _ => {}
             }
-            _ = write!(list, "{},{:.4},{}", row.begin(), self.task.level(image), row.end(*milliseconds));
+            _ = write!(list, "{},{:.4},{}", row.start(), self.task.level(image), row.end(*milliseconds));
         }
         Ok(())
     }
@@ -247,8 +249,8 @@ impl Writer for Channels {
     }
 }
 
-/// Standard deviations of complex gains, from those of their real and imaginary parts.
-fn lengths(parts: &Image) -> Image {
+/// Computes the standard deviations of complex gains, from those of their real and imaginary parts.
+fn complex_deviations(parts: &Image) -> Image {
     let pixels: Vec<Real> = gains_of(&parts.pixels, parts.width).iter().map(|[re, im]| re.hypot(*im)).collect();
     Image { width: parts.width, height: parts.height / 2, pixels }
 }
@@ -265,14 +267,14 @@ impl OutputFolder<'_> {
     /// Writes `NAME.npy`.
     fn array(&self, name: &str, image: &Image) -> Result<()> {
         let mut npy = npy_header(Number::F32, &[image.height, image.width]);
-        npy.extend(floats(image));
+        npy.extend(float_bytes(image));
         self.put(&format!("{name}.npy"), &npy)
     }
 
     /// Writes complex gains as `NAME.npy`, `[A, F]`.
     fn gains(&self, name: &str, shape: [usize; 2], gains: &[[Real; 2]]) -> Result<()> {
         let mut npy = npy_header_as(COMPLEX, &shape);
-        npy.extend(pairs(gains));
+        npy.extend(complex_bytes(gains));
         self.put(&format!("{name}.npy"), &npy)
     }
 
@@ -300,16 +302,17 @@ impl OutputFolder<'_> {
     }
 }
 
-fn name(row: usize) -> String {
+/// Returns the start of the file names of a row, from 1.
+fn file_name(row: usize) -> String {
     format!("{row:05}")
 }
 
-/// Bytes of the pixels as 32-bit floats.
-fn floats(image: &Image) -> impl Iterator<Item = u8> {
+/// Returns the bytes of the pixels as 32-bit floats.
+fn float_bytes(image: &Image) -> impl Iterator<Item = u8> {
     image.pixels.iter().flat_map(|p| (*p as f32).to_le_bytes())
 }
 
-/// Bytes of complex numbers with 32-bit parts.
-fn pairs(gains: &[[Real; 2]]) -> impl Iterator<Item = u8> {
+/// Returns the bytes of complex numbers with 32-bit parts.
+fn complex_bytes(gains: &[[Real; 2]]) -> impl Iterator<Item = u8> {
     gains.as_flattened().iter().flat_map(|v| (*v as f32).to_le_bytes())
 }

@@ -20,6 +20,7 @@ pub(super) struct SweepTable<'a> {
 }
 
 impl<'a> SweepTable<'a> {
+    /// Creates the table with a bar over `runs` runs.
     pub(super) fn new(plan: &'a SweepPlan, runs: usize, verbosity: Verbosity) -> Self {
         let style = ProgressStyle::with_template("{bar:24.green/dim} {pos}/{len} runs  {msg}")
             .unwrap_or_else(|_| ProgressStyle::default_bar())
@@ -31,11 +32,12 @@ impl<'a> SweepTable<'a> {
         Self { plan, verbosity, bar, begun: Instant::now() }
     }
 
+    /// Removes the bar.
     pub(super) fn finish(&self) {
         self.bar.finish_and_clear();
     }
 
-    /// Line about the end of a run.
+    /// Formats the line about the end of a run.
     fn line(&self, run: usize, end: &Result<RunOutcome>) -> String {
         let name = &self.plan.runs[run].folder;
         match end {
@@ -67,8 +69,8 @@ impl SweepObserver for SweepTable<'_> {
 
     fn ends(&self, run: usize, end: &Result<RunOutcome>) {
         self.bar.inc(1);
-        let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0));
-        let left = self.begun.elapsed().as_secs_f64() / done.max(1) as f64 * all.saturating_sub(done) as f64;
+        let (done, total) = (self.bar.position(), self.bar.length().unwrap_or(0));
+        let left = self.begun.elapsed().as_secs_f64() / done.max(1) as f64 * total.saturating_sub(done) as f64;
         self.bar.set_message(format!("about {} left", duration(left)));
         let failed = end.as_ref().is_err_and(|error| !matches!(error, Error::Busy(_)));
         if self.verbosity != Verbosity::Quiet || failed {
@@ -77,7 +79,7 @@ impl SweepObserver for SweepTable<'_> {
     }
 }
 
-/// Table of the progress of `runs`; `queued` names the runs in the queue of a scheduler.
+/// Formats the table of the progress of `runs`; `queued` names the runs in the queue of a scheduler.
 pub(super) fn status(plan: &SweepPlan, runs: &[usize], queued: &BTreeSet<String>) -> String {
     let states: Vec<RunStage> = runs.iter().map(|&run| plan.state(run)).collect();
     let ends = states.iter().filter_map(|state| if let RunStage::Finished(end) = state { Some(end) } else { None });
@@ -87,7 +89,7 @@ pub(super) fn status(plan: &SweepPlan, runs: &[usize], queued: &BTreeSet<String>
     let finished = ends.count();
     for (&run, state) in runs.iter().zip(&states) {
         let (name, steps) = (&plan.runs[run].folder, plan.runs[run].pipeline.training.steps);
-        let of = |step: u64| format!("{}/{}", grouped(step as i64), grouped(steps as i64));
+        let progress = |step: u64| format!("{}/{}", grouped(step as i64), grouped(steps as i64));
         let mut line = vec![String::new(); lines[0].len()];
         line[0].clone_from(name);
         line[1] = state.name().into();
@@ -95,13 +97,13 @@ pub(super) fn status(plan: &SweepPlan, runs: &[usize], queued: &BTreeSet<String>
         match state {
             RunStage::Waiting if waits => line[1] = "queued".into(),
             RunStage::Waiting => {}
-            RunStage::Stopped { step } if waits => (line[1], line[2]) = ("queued again".into(), of(*step)),
-            RunStage::Running { step } | RunStage::Stopped { step } => line[2] = of(*step),
+            RunStage::Stopped { step } if waits => (line[1], line[2]) = ("queued again".into(), progress(*step)),
+            RunStage::Running { step } | RunStage::Stopped { step } => line[2] = progress(*step),
             RunStage::Failed(why) => line[1] = format!("failed: {why}"),
             RunStage::Finished(end) => {
                 let (scores, facts) = &**end;
                 let score = |key| scores.of_model(key).map_or_else(|| "n/a".into(), number);
-                (line[2], line[3]) = (of(facts.steps), grouped(facts.gaussians as i64));
+                (line[2], line[3]) = (progress(facts.steps), grouped(facts.gaussians as i64));
                 (line[4], line[5], line[6]) =
                     (score(scores.task.headline.key), score("eta_0db"), duration(facts.wall_seconds));
             }
@@ -116,7 +118,7 @@ pub(super) fn status(plan: &SweepPlan, runs: &[usize], queued: &BTreeSet<String>
     head + joined + &aligned(&lines, 2)
 }
 
-/// Table of all runs with estimated seconds.
+/// Formats the table of all runs with estimated seconds.
 pub(super) fn plan(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
     let mut lines = vec![["run", "state", "time"].map(str::to_owned).to_vec()];
     for (&run, seconds) in runs.iter().zip(seconds) {
@@ -135,22 +137,23 @@ pub(super) fn plan(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usiz
 const LONG_SECONDS: f64 = 12.0 * 3600.0;
 const SLOWEST: usize = 3;
 
-/// Estimated total time of `runs`; if it is long, also the slowest unfinished run of the slowest combinations.
+/// Describes the estimated total time of `runs`; if it is long, also the slowest unfinished run of the slowest
+/// combinations.
 pub(super) fn total(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
-    let all = seconds.iter().filter(|own| own.is_finite()).sum::<f64>() / jobs as f64;
+    let total = seconds.iter().filter(|seconds| seconds.is_finite()).sum::<f64>() / jobs as f64;
     let mut text = format!(
         "about {} in total on this machine with --jobs {jobs}, estimated from a few steps of each combination, before and after \
          pruning; densification lengthens later steps, and initialising, baselines and scoring are not included\n",
-        duration(all)
+        duration(total)
     );
-    if all > LONG_SECONDS {
+    if total > LONG_SECONDS {
         let mut slowest: Vec<(usize, f64)> = runs.iter().copied().zip(seconds.iter().copied()).collect();
         slowest.sort_by(|a, b| b.1.total_cmp(&a.1));
         let mut seen = BTreeSet::new();
-        slowest.retain(|(run, own)| own.is_finite() && seen.insert(plan.runs[*run].combination));
+        slowest.retain(|(run, seconds)| seconds.is_finite() && seen.insert(plan.runs[*run].combination));
         slowest.truncate(SLOWEST);
         text += "slowest runs; --only RUN runs one of the sweep\n";
-        let line = |&(run, own): &(usize, f64)| vec![plan.runs[run].folder.clone(), format!("about {}", duration(own))];
+        let line = |(run, s): &(usize, f64)| vec![plan.runs[*run].folder.clone(), format!("about {}", duration(*s))];
         text += &aligned(&slowest.iter().map(line).collect::<Vec<_>>(), 2);
     }
     text
