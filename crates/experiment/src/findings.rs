@@ -40,7 +40,7 @@ pub fn findings(data: &Dataset, partition: Option<&Partition>) -> Result<Vec<Fin
     findings.extend(data.observations.powers().and_then(check_powers));
     findings.extend(partition.and_then(|partition| check_split(data, partition)));
     findings.extend(check_equal_observations(data));
-    if data.task().has_pixels && data.camera().is_none() {
+    if data.observations.spectra().is_some() && data.camera().is_none() {
         let summaries = spectra::summarize(data, SAMPLED, &|_, _| {})?;
         findings.extend(check_constant_spectra(&summaries));
         findings.extend(pose::check_pose(data, &summaries).and_then(|pose| pose.finding(data)));

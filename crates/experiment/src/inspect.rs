@@ -128,7 +128,7 @@ impl DataSummary {
         }
         summary.facts.push(describe_fixed_ends(data));
         summary.facts.push(("point cloud", describe_points(data)));
-        if !data.task().has_pixels {
+        if data.observations.spectra().is_none() {
             summary.facts.push(describe_levels(data));
             return Ok(summary);
         }

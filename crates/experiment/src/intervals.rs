@@ -4,7 +4,7 @@ use crate::load::{ActiveRun, SplitData};
 use crate::residuals::left_out;
 use crate::scores::{IntervalScores, LEVEL, LevelScores};
 use crate::session::{Session, staged};
-use pwrfgs_core::{Error, Image, Predict, Result, check_stopped, ssim};
+use pwrfgs_core::{Error, Image, Predict, Result, check_stopped};
 use pwrfgs_model::{Ensemble, HeldOutScores, Interval, IntervalCalibration, IntervalFactors};
 use pwrfgs_pipeline::Pipeline;
 use rayon::prelude::*;
@@ -26,7 +26,7 @@ impl ActiveRun<'_, '_> {
     /// A prediction that is not finite, a spectrum that cannot be read, or [`Error::Stopped`].
     pub(crate) fn calibrate(&mut self, ensemble: Ensemble) -> Result<Ensemble> {
         let split = self.split;
-        if ensemble.calibration().is_some() || split.data.task().is_complex {
+        if ensemble.calibration().is_some() || split.data.task().intervals.is_none() {
             return Ok(ensemble);
         }
         let count = ensemble.members().len();
@@ -115,7 +115,7 @@ impl<'a> Calibrator<'a> {
         let factors: Vec<(f64, IntervalFactors)> =
             LEVELS.into_iter().filter_map(|level| Some((level, calibration.factors(level).ok()?))).collect();
         let measure = |prediction: &Image, deviation: f64, truth: &Image| {
-            let score = if task.has_pixels { ssim::evaluation(prediction, truth) } else { 0.0 };
+            let score = task.ssim(prediction, truth);
             let of_level = |(_, factors): &(f64, IntervalFactors)| {
                 MeasuredInterval::of(&factors.interval(task, prediction, deviation), truth, score)
             };
@@ -130,15 +130,16 @@ impl<'a> Calibrator<'a> {
             let mean = |value: &dyn Fn(&MeasuredInterval) -> f64| {
                 test.iter().zip(&intervals).map(|(link, levels)| weights[link] * value(&levels[k])).sum::<f64>()
             };
-            let ssim = task.has_pixels.then(|| [mean(&|interval| interval.bound), mean(&|i| f64::from(i.is_above))]);
+            let part = |c: usize| mean(&|interval| interval.ssim.map_or(0.0, |ssim| ssim[c]));
+            let ssim = intervals.iter().any(|levels| levels[k].ssim.is_some()).then(|| [part(0), part(1)]);
             let (coverage, width) = (mean(&|interval| interval.coverage), mean(&|interval| interval.width));
             LevelScores { level: *level, coverage, width, ssim }
         };
         let levels = factors.iter().enumerate().map(scores).collect();
         let shown = factors.iter().position(|(level, _)| *level == LEVEL);
-        let columns = |interval: &MeasuredInterval| {
-            let MeasuredInterval { coverage, width, bound, ends, .. } = *interval;
-            if task.has_pixels { vec![coverage, width, bound] } else { ends.to_vec() }
+        let columns = |interval: &MeasuredInterval| match *interval {
+            MeasuredInterval { coverage, width, ssim: Some([bound, _]), .. } => vec![coverage, width, bound],
+            MeasuredInterval { ends, .. } => ends.to_vec(),
         };
         let rows = intervals.iter().filter_map(|levels| Some(columns(&levels[shown?]))).collect();
         let blocks = [calibration.blocks(), blocks.len()];
@@ -183,23 +184,21 @@ struct MeasuredInterval {
     coverage: f64,
     /// Mean width.
     width: f64,
-    /// Lower bound of the SSIM; 0 without pixels.
-    bound: f64,
-    /// Whether the SSIM is at or above its bound.
-    is_above: bool,
+    /// Lower bound of the SSIM, and 1 if the SSIM is at or above it, otherwise 0; `None` without pixels.
+    ssim: Option<[f64; 2]>,
     /// Lower and upper end of the first value.
     ends: [f64; 2],
 }
 
 impl MeasuredInterval {
     /// Compares an interval with its measurement; `score` is the SSIM of the prediction.
-    fn of(interval: &Interval, truth: &Image, score: f64) -> Self {
+    fn of(interval: &Interval, truth: &Image, score: Option<f64>) -> Self {
         let Interval { lower, upper, ssim } = interval;
         let ends = || lower.pixels.iter().zip(&upper.pixels);
         let count = truth.pixels.len() as f64;
         let inside = ends().zip(&truth.pixels).filter(|((lower, upper), t)| (*lower..=*upper).contains(t)).count();
-        let (coverage, bound) = (inside as f64 / count, ssim.unwrap_or(0.0));
+        let ssim = ssim.zip(score).map(|(bound, score)| [bound, f64::from(score >= bound)]);
         let width = ends().map(|(lower, upper)| (*upper - *lower) as f64).sum::<f64>() / count;
-        Self { coverage, width, bound, is_above: score >= bound, ends: [lower, upper].map(|end| end.pixels[0] as f64) }
+        Self { coverage: inside as f64 / count, width, ssim, ends: [lower, upper].map(|end| end.pixels[0] as f64) }
     }
 }

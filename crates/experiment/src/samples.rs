@@ -1,6 +1,5 @@
 //! Samples of a data set: `samples.csv` (position and set of each sample, distance to the nearest training transmitter).
 
-use crate::scores::interval_columns;
 use crate::text::{csv_rows, field};
 use pwrfgs_core::{Dataset, Partition, Real, Result, neighbours};
 use pwrfgs_pipeline::Pipeline;
@@ -32,7 +31,8 @@ pub fn to_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> 
     }
     let nearest = nearest_train(data, partition);
     let many = data.scene.receivers.len() > 1;
-    let columns = interval_columns(data.task()).iter().filter(|_| !intervals.is_empty());
+    let task = data.task();
+    let columns = task.intervals.iter().flat_map(|words| words.columns).filter(|_| !intervals.is_empty());
     let columns: Vec<&str> = columns.copied().collect();
     let first = if many { "link,id,receiver,x,y,z,split,nearest_train_m" } else { HEADER };
     let mut out = std::iter::once(first).chain(columns.iter().copied()).collect::<Vec<_>>().join(",") + "\n";

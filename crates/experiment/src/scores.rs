@@ -134,7 +134,7 @@ impl IntervalScores {
         let Some(LevelScores { coverage, width, ssim, .. }) = levels.iter().find(|scores| scores.level == LEVEL) else {
             return format!("no 90 % intervals of {predictor}: {calibration} calibration blocks, expected 9 or more");
         };
-        let (values, unit) = if task.has_pixels { ("pixels", "") } else { (task.counted[1], " dB") };
+        let (values, unit) = task.intervals.as_ref().map_or(("", ""), |words| (words.values, words.unit));
         let ssim = ssim.map_or_else(String::new, |[bound, share]| {
             format!("; {:.1} % of SSIM are at or above their bound, {bound:.3} in the mean", 100.0 * share)
         });
@@ -149,11 +149,6 @@ impl IntervalScores {
             number(*width)
         )
     }
-}
-
-/// Returns the columns of `samples.csv` with the intervals of level 0.9.
-pub(crate) fn interval_columns(task: Task) -> &'static [&'static str] {
-    if task.has_pixels { &["coverage_90", "width_90", "ssim_bound_90"] } else { &["lower_dbm_90", "upper_dbm_90"] }
 }
 
 impl ScoreCell {

@@ -7,7 +7,7 @@
 //! block is inside its interval with at least the probability `level`.
 
 use crate::tensors::Tensors;
-use pwrfgs_core::{Error, Image, Real, Result, Task, ssim};
+use pwrfgs_core::{Error, Image, Real, Result, Task};
 
 /// Largest numbers of scores that are kept of a link, and of a calibration.
 const OF_LINK: usize = 256;
@@ -42,7 +42,7 @@ impl HeldOutScores {
         let deviation = deviation.max(LEAST);
         let score = |(p, t): (&Real, &Real)| ((*p as f64 - *t as f64).abs() / deviation, 1.0);
         let values = distribution(prediction.pixels.iter().zip(&truth.pixels).map(score).collect(), OF_LINK);
-        Self { values, ssim: task.has_pixels.then(|| (1.0 - ssim::evaluation(prediction, truth)).max(0.0) / deviation) }
+        Self { values, ssim: task.ssim(prediction, truth).map(|score| (1.0 - score).max(0.0) / deviation) }
     }
 }
 

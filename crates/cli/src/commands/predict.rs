@@ -87,7 +87,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let task = model.task();
     let receivers = select_receivers(model.receivers(), &arguments.receiver)?;
     let count = poses.len() * receivers.len();
-    if arguments.stacked && task.is_scalar {
+    if arguments.stacked && task.shape((1, 1)).is_empty() {
         let why = "--stacked: not supported for received powers, which are all in predictions.csv; remove --stacked";
         return Err(Error::Config(why.into()));
     }
@@ -158,7 +158,7 @@ fn moving_poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
 /// Returns the factors of prediction intervals of this level.
 fn interval_factors(ensemble: &Ensemble, level: f64) -> Result<IntervalFactors> {
     let refuse = |problem: &str| Err(Error::Config(format!("--interval: {problem}")));
-    if ensemble.members()[0].stages.task.is_complex {
+    if ensemble.members()[0].stages.task.intervals.is_none() {
         return refuse("not supported for channels; remove --interval");
     }
     match ensemble.calibration() {

@@ -7,7 +7,7 @@ mod channel;
 mod power;
 mod spectrum;
 
-use crate::{Elevation, Image, ImagePlane, JsonSchema, Number, Real, Result, Sampling, Spectra};
+use crate::{Elevation, Image, ImagePlane, JsonSchema, Number, Real, Result, Sampling, Spectra, ssim};
 pub use channel::{Channels, gain_at, gain_fault, gains_of, rows_of};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -138,6 +138,11 @@ impl Description {
     /// Returns the first metric of one prediction.
     pub fn score(&self, prediction: &Image, truth: &Image) -> f64 {
         (self.score)(prediction, truth)
+    }
+
+    /// Returns the SSIM of a prediction as it is shown; `None` without pixels.
+    pub fn ssim(&self, prediction: &Image, truth: &Image) -> Option<f64> {
+        self.has_pixels.then(|| ssim::evaluation(prediction, truth))
     }
 
     /// Returns the similarity of prediction and observation by which a baseline chooses its settings; higher is better.
