@@ -206,24 +206,27 @@ fn point_cloud_extends_scene_bounds() {
 
 #[test]
 fn reports_missing_file() {
-    let of = |name: &str| {
+    let fault_without = |name: &str| {
         let folder = Folder::new();
         folder.remove(name);
         folder.fault()
     };
-    assert_eq!(of("s/gateway_info.yml"), format!("cannot read DIR/s/gateway_info.yml: no such file; {LAYOUT}"));
-    let table = "write a table with the columns x, y and z, in metres";
-    assert_eq!(of("s/tx_pos.csv"), format!("cannot read DIR/s/tx_pos.csv: no such file; {table}"));
     assert_eq!(
-        of("s/train_index.txt"),
+        fault_without("s/gateway_info.yml"),
+        format!("cannot read DIR/s/gateway_info.yml: no such file; {LAYOUT}")
+    );
+    let table = "write a table with the columns x, y and z, in metres";
+    assert_eq!(fault_without("s/tx_pos.csv"), format!("cannot read DIR/s/tx_pos.csv: no such file; {table}"));
+    assert_eq!(
+        fault_without("s/train_index.txt"),
         "DIR/s/test_index.txt: this file comes without train_index.txt; give both or neither (then use a split such as Random())"
     );
     assert_eq!(
-        of("s/test_index.txt"),
+        fault_without("s/test_index.txt"),
         "DIR/s/train_index.txt: this file comes without test_index.txt; give both or neither (then use a split such as Random())"
     );
     assert_eq!(
-        of("s/spectrum/00003.png"),
+        fault_without("s/spectrum/00003.png"),
         "DIR/s/train_index.txt:1:1: id 3 has no image spectrum/00003.png; add the image or remove the id"
     );
     let folder = Folder::new();
@@ -421,16 +424,16 @@ fn voxel_split_of_measured_spectra_shares_no_cell() {
     let text = fs::read_to_string(root.join("tx_pos.csv")).unwrap();
     let tenths = |field: &str| field.trim().replace('.', "").parse::<i64>().unwrap();
     let places: Vec<Vec<i64>> = text.lines().skip(1).map(|row| row.split(',').map(tenths).collect()).collect();
-    let place = |i: &usize| &places[data.sample(*i).id as usize - 1];
-    let all: Vec<usize> = (0..data.len()).collect();
-    assert_eq!(all.iter().filter(|i| place(i).iter().any(|v| v % 2000 == 0)).count(), 81, "samples on a wall");
+    let position = |i: &usize| &places[data.sample(*i).id as usize - 1];
+    let samples: Vec<usize> = (0..data.len()).collect();
+    assert_eq!(samples.iter().filter(|i| position(i).iter().any(|v| v % 2000 == 0)).count(), 81, "samples on a wall");
     let cells = |part: &[usize]| -> BTreeSet<Vec<i64>> {
-        part.iter().map(|i| place(i).iter().map(|v| v.div_euclid(2000)).collect()).collect()
+        part.iter().map(|i| position(i).iter().map(|v| v.div_euclid(2000)).collect()).collect()
     };
     for seed in 0..3 {
         let partition = Voxel::default().split(&data, &mut rng::stream(seed, "split", 0)).unwrap();
         let [train, validation, test] =
             [partition.train, partition.validation, partition.test].map(|part| cells(&part));
-        assert_eq!(train.len() + validation.len() + test.len(), cells(&all).len());
+        assert_eq!(train.len() + validation.len() + test.len(), cells(&samples).len());
     }
 }

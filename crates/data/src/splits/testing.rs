@@ -31,9 +31,9 @@ fn keeps_the_laws(plugin: &dyn Split, data: &Dataset) -> Result<Partition, TestC
     for list in lists {
         prop_assert!(list.is_sorted_by(|a, b| a < b));
     }
-    let mut all: Vec<usize> = lists.into_iter().flatten().copied().collect();
-    all.sort_unstable();
-    prop_assert_eq!(all, (0..data.len()).collect::<Vec<_>>());
+    let mut sorted: Vec<usize> = lists.into_iter().flatten().copied().collect();
+    sorted.sort_unstable();
+    prop_assert_eq!(sorted, (0..data.len()).collect::<Vec<_>>());
     prop_assert!(!partition.train.is_empty() && !partition.test.is_empty());
     prop_assert_eq!(split(plugin, data).map_err(TestCaseError::fail)?, partition.clone());
     Ok(partition)

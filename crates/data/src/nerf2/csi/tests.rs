@@ -51,8 +51,8 @@ fn uplink_is_feature_and_downlink_is_observation() {
     // Snapshot 1 at antenna 2 begins at the number 24 of 48.
     // All are divided by the largest modulus of the training set: snapshots 0 and 2.
     let largest = 46f64.hypot(47.0);
-    let close = |found: &[Real], numbers: [f64; 4]| {
-        assert!(found.iter().zip(numbers).all(|(v, n)| (*v as f64 - n / largest).abs() < 1e-6), "{found:?}");
+    let close = |actual: &[Real], numbers: [f64; 4]| {
+        assert!(actual.iter().zip(numbers).all(|(v, n)| (*v as f64 - n / largest).abs() < 1e-6), "{actual:?}");
     };
     close(data.query(3).features.unwrap(), [24.0, 26.0, 25.0, 27.0]);
     close(&data.image(3).pixels, [28.0, 30.0, 29.0, 31.0]);
