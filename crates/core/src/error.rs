@@ -25,7 +25,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// The content of a file is invalid.
-    #[error("{}:{} {}", shown(path), place(*at), sanitize_message(message))]
+    #[error("{}:{} {}", shown(path), line_and_column(*at), sanitize_message(message))]
     Input {
         /// Path of the file.
         path: PathBuf,
@@ -106,22 +106,26 @@ pub fn check_stopped(stop: &AtomicBool) -> Result<()> {
     if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) }
 }
 
+/// Writes a path on one line.
 fn shown(path: &Path) -> String {
     sanitize_path(path).replace(['\n', '\t'], " ")
 }
 
-fn place(at: Option<(usize, usize)>) -> String {
+/// Writes a position in a file as `line:column:`; empty without one.
+fn line_and_column(at: Option<(usize, usize)>) -> String {
     at.map_or_else(String::new, |(line, column)| format!("{line}:{column}:"))
 }
 
-/// Returns `; did you mean `x`?` for a misspelt name; empty if none of the `known` names is similar.
-pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+/// Returns `; did you mean `x`?` for a misspelt name; empty if none of the valid `names` is similar.
+pub fn did_you_mean<'a>(wrong: &str, names: impl IntoIterator<Item = &'a str>) -> String {
     if wrong.len() > 100 {
         return String::new(); // not a name, and the time of the distance grows with the squared length
     }
     let wrong = wrong.to_lowercase();
-    let near = known.into_iter().map(|name| (strsim::damerau_levenshtein(&wrong, &name.to_lowercase()), name)).min();
-    near.filter(|(distance, name)| *distance <= 2 + name.len() / 3)
+    let distance = |name: &str| strsim::damerau_levenshtein(&wrong, &name.to_lowercase());
+    let nearest = names.into_iter().map(|name| (distance(name), name)).min();
+    nearest
+        .filter(|(distance, name)| *distance <= 2 + name.len() / 3)
         .map_or_else(String::new, |(_, name)| format!("; did you mean `{}`?", strip_control(name)))
 }
 

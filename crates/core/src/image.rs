@@ -97,9 +97,9 @@ impl Elevation {
         if fits && (self.last - self.first).abs() >= 1.0 {
             return None;
         }
-        let what =
+        let advice =
             "give the elevations where the top row begins and the bottom row ends, in degrees from -90 to 90, such as";
-        Some(format!("`elevation` is ({}, {}); {what} (0, 90) or (-90, 90)", self.first, self.last))
+        Some(format!("`elevation` is ({}, {}); {advice} (0, 90) or (-90, 90)", self.first, self.last))
     }
 
     /// Returns an error if the sides of a pixel differ by more than `factor`, for an image with `width` columns over
@@ -132,8 +132,8 @@ impl Camera {
     pub fn fault(&self) -> Option<String> {
         let Self { focal, centre } = self;
         let fits = focal.iter().all(|f| (1e-3..=1e8).contains(f)) && centre.iter().all(|c| c.abs() <= 1e8);
-        let what = "give focal lengths above 0 and a principal point, in pixels";
-        (!fits).then(|| format!("a camera with focal lengths {focal:?} and principal point {centre:?}; {what}"))
+        let advice = "give focal lengths above 0 and a principal point, in pixels";
+        (!fits).then(|| format!("a camera with focal lengths {focal:?} and principal point {centre:?}; {advice}"))
     }
 }
 
@@ -281,17 +281,17 @@ pub mod stretch {
         pulp::Arch::new().dispatch(
             #[inline(always)]
             || {
-                let (whole, rest) = values.as_chunks::<16>();
+                let (chunks, remainder) = values.as_chunks::<16>();
                 let mut widen = |lane: usize, v: Real| {
                     low[lane] = if v < low[lane] { v } else { low[lane] };
                     high[lane] = if v > high[lane] { v } else { high[lane] };
                 };
-                for chunk in whole {
+                for chunk in chunks {
                     for lane in 0..16 {
                         widen(lane, chunk[lane]);
                     }
                 }
-                for (lane, v) in rest.iter().enumerate() {
+                for (lane, v) in remainder.iter().enumerate() {
                     widen(lane, *v);
                 }
             },

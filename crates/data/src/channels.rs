@@ -107,7 +107,7 @@ impl Default for ReceiverPlace {
 }
 
 impl ReceiverPlace {
-    /// Receiver pose, world frame.
+    /// Returns the receiver pose, world frame.
     pub fn pose(&self) -> Pose {
         Pose { position: self.position, orientation: self.orientation }
     }

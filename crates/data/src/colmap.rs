@@ -159,7 +159,7 @@ struct View {
     pose: Pose,
 }
 
-/// Whether a line has data.
+/// Returns whether a line has data.
 fn is_data(line: &str) -> bool {
     !line.trim().is_empty() && !line.trim_start().starts_with('#')
 }

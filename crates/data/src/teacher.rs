@@ -87,7 +87,7 @@ impl Teacher {
 
     /// Returns the origin of the true positions.
     fn origin(&self) -> Origin {
-        Origin::of(self.receiver.position, [self.tx_box.0, self.tx_box.1])
+        Origin::for_receiver(self.receiver.position, [self.tx_box.0, self.tx_box.1])
     }
 
     /// Draws the true Gaussians and their signals.

@@ -173,7 +173,7 @@ pub(crate) fn luminance(path: &Path, advice: &str) -> Result<Picture> {
     Ok(Picture { width, height, number: Number::U8, bytes: image.into_luma8().into_raw() })
 }
 
-/// Whether a JPEG file has its end marker; the decoder fills missing pixels with grey.
+/// Returns whether a JPEG file has its end marker; the decoder fills missing pixels with grey.
 fn reaches_end(file: &[u8]) -> bool {
     // Not in coded pixels: a byte 0xff is followed by zero or a restart marker there.
     let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0 | 0xd0..=0xd7 | 0xff);
