@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[non_exhaustive]
 pub enum Error {
     /// A file could not be read.
-    #[error("cannot read {}: {source}", shown(path))]
+    #[error("cannot read {}: {source}", one_line(path))]
     Read {
         /// Path of the file.
         path: PathBuf,
@@ -17,7 +17,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file or folder could not be written.
-    #[error("cannot write {}: {source}", shown(path))]
+    #[error("cannot write {}: {source}", one_line(path))]
     Write {
         /// Path of the file.
         path: PathBuf,
@@ -25,7 +25,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// The content of a file is invalid.
-    #[error("{}:{} {}", shown(path), line_and_column(*at), sanitize_message(message))]
+    #[error("{}:{} {}", one_line(path), line_and_column(*at), sanitize_message(message))]
     Input {
         /// Path of the file.
         path: PathBuf,
@@ -58,7 +58,7 @@ pub enum Error {
         advice: &'static str,
     },
     /// Another process uses the folder.
-    #[error("{} is in use by another pwrfgs process; wait until it ends, or choose another --out", shown(.0))]
+    #[error("{} is in use by another pwrfgs process; wait until it ends, or choose another --out", one_line(.0))]
     Busy(PathBuf),
     /// The operation was cancelled.
     #[error("stopped before completion")]
@@ -107,7 +107,7 @@ pub fn check_stopped(stop: &AtomicBool) -> Result<()> {
 }
 
 /// Writes a path on one line.
-fn shown(path: &Path) -> String {
+fn one_line(path: &Path) -> String {
     sanitize_path(path).replace(['\n', '\t'], " ")
 }
 

@@ -249,7 +249,7 @@ impl ImagePlane {
 
     /// Returns whether it includes directions behind the receiver, below the plane of its array.
     pub fn looks_behind(&self) -> bool {
-        self.elevation().is_some_and(|shown| shown.first.min(shown.last) < -1e-9)
+        self.elevation().is_some_and(|elevation| elevation.first.min(elevation.last) < -1e-9)
     }
 
     /// Returns azimuth and elevation of a pixel in degrees, or `None` if the plane has no angles.

@@ -101,13 +101,13 @@ mod tests {
 
     #[test]
     fn long_numbers_have_exponents() {
-        for (text, shown) in [
+        for (text, expected) in [
             (format!("`test` is {}; give less", -1e300), "`test` is -1e300; give less"),
             (format!("{:.2} m and {:.1}", 1.5e300, 2.5), "1.5e300 m and 2.5"),
             (format!("{} of {}.", u64::MAX, 0.1), "18446744073709551615 of 0.1."),
             ("v1.2.3, é 5.".into(), "v1.2.3, é 5."),
         ] {
-            assert_eq!(sanitize_message(&text), shown);
+            assert_eq!(sanitize_message(&text), expected);
         }
         let name = format!("{}.png", "1".repeat(40));
         assert_eq!(sanitize_path(Path::new(&name)), name);

@@ -249,7 +249,7 @@ where
     }
 }
 
-/// Returns the names of all linked plugins of one kind, sorted.
+/// Returns the names of all linked plugins of one kind, sorted. typetag lists them only in its error for an unknown name.
 pub fn registered<T: ?Sized>() -> Vec<&'static str>
 where
     Box<T>: for<'de> Deserialize<'de>,

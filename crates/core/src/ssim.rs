@@ -209,25 +209,25 @@ impl pulp::WithSimd for Job<'_> {
         let (stride, (moments, slopes)) = (*stride, planes.split_at_mut(4));
         for y in 0..height {
             let row = y * width..(y + 1) * width;
-            products(padded, &prediction[row.clone()], &truth[row]);
+            write_products(padded, &prediction[row.clone()], &truth[row]);
             for (padded, plane) in padded.iter().zip(&mut *moments) {
-                blur(&mut plane[y * stride..][..stride], along(padded, stride), weights);
+                blur(&mut plane[y * stride..][..stride], row_taps(padded, stride), weights);
             }
         }
         let mut total = [0.0; LANES];
         for y in 0..height {
             for (row, plane) in blurred.iter_mut().zip(&*moments) {
-                blur(row, across(plane, y, stride, zeros), weights);
+                blur(row, column_taps(plane, y, stride, zeros), weights);
             }
-            similarity(blurred, width, &mut total, padded);
+            add_similarity(blurred, width, &mut total, padded);
             for (padded, plane) in padded.iter().zip(&mut *slopes) {
-                blur(&mut plane[y * stride..][..stride], along(padded, stride), weights);
+                blur(&mut plane[y * stride..][..stride], row_taps(padded, stride), weights);
             }
         }
         let pixels = (width * height) as f64;
         for (y, d) in d.chunks_exact_mut(width).enumerate() {
             for (row, plane) in blurred.iter_mut().zip(&*slopes) {
-                blur(row, across(plane, y, stride, zeros), weights);
+                blur(row, column_taps(plane, y, stride, zeros), weights);
             }
             let row = y * width..(y + 1) * width;
             write_derivative(d, &prediction[row.clone()], &truth[row], blurred, (1.0 / pixels) as Real);
@@ -238,7 +238,7 @@ impl pulp::WithSimd for Job<'_> {
 
 /// Returns eleven shifted views of one padded row.
 #[inline(always)]
-fn along(padded: &[Real], stride: usize) -> [&[Real]; TAPS] {
+fn row_taps(padded: &[Real], stride: usize) -> [&[Real]; TAPS] {
     let mut taps = [padded; TAPS];
     for k in 0..TAPS {
         taps[k] = &padded[k..k + stride];
@@ -248,7 +248,7 @@ fn along(padded: &[Real], stride: usize) -> [&[Real]; TAPS] {
 
 /// Returns eleven rows of a plane about row `y`, zeros beyond the border.
 #[inline(always)]
-fn across<'a>(plane: &'a [Real], y: usize, stride: usize, zeros: &'a [Real]) -> [&'a [Real]; TAPS] {
+fn column_taps<'a>(plane: &'a [Real], y: usize, stride: usize, zeros: &'a [Real]) -> [&'a [Real]; TAPS] {
     let mut taps = [zeros; TAPS];
     for k in 0..TAPS {
         match (y + k).checked_sub(REACH) {
@@ -276,7 +276,7 @@ fn blur(out: &mut [Real], taps: [&[Real]; TAPS], weights: &[Real; TAPS]) {
 
 /// Writes P, G, P² + G², PG of one row into the padded rows.
 #[inline(always)]
-fn products(padded: &mut [Vec<Real>; 4], p: &[Real], g: &[Real]) {
+fn write_products(padded: &mut [Vec<Real>; 4], p: &[Real], g: &[Real]) {
     let (n, [p1, g1, squares, pg]) = (p.len(), padded);
     p1[REACH..][..n].copy_from_slice(p);
     g1[REACH..][..n].copy_from_slice(g);
@@ -291,11 +291,11 @@ fn products(padded: &mut [Vec<Real>; 4], p: &[Real], g: &[Real]) {
 
 /// Adds the map of one row to `total` and writes ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ into the first three padded rows.
 #[inline(always)]
-fn similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANES], slopes: &mut [Vec<Real>; 4]) {
+fn add_similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANES], slopes: &mut [Vec<Real>; 4]) {
     for i in 0..width.div_ceil(LANES) {
         let (start, valid) = (i * LANES, LANES.min(width - i * LANES));
         let block = |k: usize| &moments[k].as_chunks::<LANES>().0[i];
-        let (map, d) = map_block([block(0), block(1), block(2), block(3)]);
+        let (map, d) = compute_map([block(0), block(1), block(2), block(3)]);
         for lane in 0..valid {
             total[lane] += map[lane] as f64;
         }
@@ -307,7 +307,7 @@ fn similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANES], 
 
 /// Returns the map m and ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ of [`LANES`] pixels, given the four blurred quantities.
 #[inline(always)]
-fn map_block([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
+fn compute_map([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
     let (mut map, mut d) = ([0.0; LANES], [[0.0; LANES]; 3]);
     let [d_mu, d_variance, d_covariance] = &mut d;
     for i in 0..LANES {

@@ -69,6 +69,7 @@ impl DataSource for Arrays {
         Some(pwrfgs_core::Task::Spectrum)
     }
 
+    /// Loads the folder. Files are checked in the order of their size, so that errors of small files come first.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Arrays", LAYOUT)?;
         let gateway = Gateway::read(&root.join("gateway_info.yml"), None, LAYOUT)?;

@@ -135,6 +135,7 @@ impl DataSource for Channels {
         Some(pwrfgs_core::Task::Channel)
     }
 
+    /// Loads all carriers as one array: rows of further carriers follow those of the first.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Channels", LAYOUT)?;
         let (path, table) = (root.join(&self.file), root.join(&self.positions));

@@ -82,6 +82,7 @@ pub fn power_fault(dbm: f64) -> Option<String> {
 /// Returns the problem with the elevations and the size of spectra; `setting` is an example of the setting for elevations
 /// that are not `stated`.
 pub fn shape_fault(elevation: Elevation, stated: bool, size: (usize, usize), setting: &str) -> Option<String> {
+    // Elongated pixels are plausible if stated; otherwise the rows probably cover another range of elevations.
     let factor = if stated { 4.0 } else { 1.75 };
     let misfit = elevation.misfit(size, factor)?;
     let (width, height) = size;

@@ -83,6 +83,7 @@ impl DataSource for Colmap {
         Some(Task::Spectrum)
     }
 
+    /// Loads the model before the images, so that errors of text files come before decoding.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Colmap", LAYOUT)?;
         let model = model_folder(&root)?;

@@ -204,8 +204,8 @@ mod tests {
     fn read_str(text: &str, rows: usize) -> Result<Option<Vec<f64>>, String> {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join(CARRIERS), text).unwrap();
-        let shown = |e: Error| e.to_string().replace(&folder.path().display().to_string(), "DIR");
-        carriers_in(folder.path(), "tx_pos.csv", rows).map_err(shown)
+        let message = |e: Error| e.to_string().replace(&folder.path().display().to_string(), "DIR");
+        carriers_in(folder.path(), "tx_pos.csv", rows).map_err(message)
     }
 
     #[test]
@@ -230,8 +230,8 @@ mod tests {
             ("", "DIR/freq.txt: has 0 lines, but tx_pos.csv has 2 rows; write one line per row".into()),
         ];
         for (text, message) in cases {
-            let shown = read_str(text, 2).unwrap_err();
-            assert!(shown.contains(&message), "{shown}");
+            let error = read_str(text, 2).unwrap_err();
+            assert!(error.contains(&message), "{error}");
         }
     }
 }

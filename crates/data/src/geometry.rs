@@ -43,8 +43,7 @@ const IGNORED: &str =
 /// Parses the statements `v` and `f` of an OBJ file; polygons are cut into triangles.
 fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     let text = String::from_utf8_lossy(bytes);
-    // Comments begin with `#`.
-    let rows = || lines(&text).map(|(line, s)| TextRow::at_blanks(path, (line, s.split('#').next().unwrap_or(s))));
+    let rows = || lines(&text).map(|(line, content)| TextRow::at_blanks(path, (line, strip_comment(content))));
     // A face may use a vertex defined after it.
     let count = rows().filter(|row| row.fields.first().is_some_and(|field| field.text == "v")).count();
     let (mut vertices, mut polygons) = (Vec::with_capacity(count), Polygons::default());
@@ -65,6 +64,11 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
         }
     }
     polygons.triangulate(path, vertices)
+}
+
+/// Removes the comment of a line, which begins with `#`.
+fn strip_comment(content: &str) -> &str {
+    content.split_once('#').map_or(content, |(statement, _)| statement)
 }
 
 /// Parses the vertex index of a corner such as `3`, `-1`, `3/1` or `3//2`, counted from 0. A negative index counts back

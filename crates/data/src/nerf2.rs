@@ -87,6 +87,7 @@ impl DataSource for Nerf2Spectrum {
         Some(pwrfgs_core::Task::Spectrum)
     }
 
+    /// Loads the ids that have a row and an image. Index files are checked before images are decoded.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Nerf2Spectrum", LAYOUT)?;
         let gateway = Gateway::read(&root.join("gateway_info.yml"), self.gateway.as_deref(), LAYOUT)?;

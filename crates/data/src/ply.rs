@@ -19,14 +19,14 @@ const INDEX_ADVICE: &str = "correct the index of the vertex";
 /// Reads the positions of all vertices.
 pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Vec<[f64; 3]>> {
     let header = PlyHeader::parse(path, bytes)?;
-    Ok(Contents::parse(path, &header, &bytes[header.bytes..], None)?.vertices)
+    Ok(BodyParser { path, header: &header, corners: None }.parse(&bytes[header.bytes..])?.vertices)
 }
 
 /// Reads the surface: vertices, and faces split into triangles.
 pub(crate) fn parse_mesh(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     let header = PlyHeader::parse(path, bytes)?;
-    let corners = header.corners(path)?;
-    let contents = Contents::parse(path, &header, &bytes[header.bytes..], Some(corners))?;
+    let corners = Some(header.corners(path)?);
+    let contents = BodyParser { path, header: &header, corners }.parse(&bytes[header.bytes..])?;
     contents.polygons.triangulate(path, contents.vertices)
 }
 
@@ -37,23 +37,44 @@ struct Contents {
     polygons: Polygons,
 }
 
-impl Contents {
-    /// Parses the body; `corners`: indices of the face element and of its corner property.
-    fn parse(path: &Path, header: &PlyHeader, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
-        match header.encoding {
-            PlyEncoding::Ascii => Self::parse_ascii(path, header, body, corners),
-            PlyEncoding::Little | PlyEncoding::Big => Self::parse_binary(path, header, body, corners),
+/// Parser of the body, which follows the header.
+struct BodyParser<'a> {
+    path: &'a Path,
+    header: &'a PlyHeader,
+    /// Indices of the face element and of its corner property, if faces are read.
+    corners: Option<(usize, usize)>,
+}
+
+impl BodyParser<'_> {
+    /// Parses the body after the header.
+    fn parse(&self, body: &[u8]) -> Result<Contents> {
+        match self.header.encoding {
+            PlyEncoding::Ascii => self.parse_ascii(body),
+            PlyEncoding::Little | PlyEncoding::Big => self.parse_binary(body),
         }
     }
 
+    /// Returns the elements that have properties, with their indices.
+    fn elements(&self) -> impl Iterator<Item = (usize, &PlyElement)> {
+        self.header.elements.iter().enumerate().filter(|(_, element)| !element.properties.is_empty())
+    }
+
+    /// Returns the error for a body that ends after `rows` rows of an element.
+    fn truncated(&self, element: &PlyElement, rows: usize) -> Error {
+        let PlyElement { count, name, .. } = element;
+        let problem = format!("ends after {rows} of {count} rows of element `{name}`");
+        Error::input(self.path, format!("{problem}; the file is cut short: copy it again"))
+    }
+
     /// Parses a body of text: one line per row.
-    fn parse_ascii(path: &Path, header: &PlyHeader, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
+    fn parse_ascii(&self, body: &[u8]) -> Result<Contents> {
+        let Self { path, header, corners } = self;
         let text = String::from_utf8_lossy(body);
         let mut rows = lines(&text).map(|(line, content)| (line + header.lines, content));
-        let mut contents = Self::default();
-        for (e, element) in header.elements.iter().enumerate().filter(|(_, element)| !element.properties.is_empty()) {
+        let mut contents = Contents::default();
+        for (e, element) in self.elements() {
             for i in 0..element.count {
-                let row = rows.next().ok_or_else(|| Error::input(path, truncated(element, i)))?;
+                let row = rows.next().ok_or_else(|| self.truncated(element, i))?;
                 let row = TextRow::at_blanks(path, row);
                 let starts = property_starts(&row, element)?;
                 if e == header.vertex {
@@ -63,7 +84,8 @@ impl Contents {
                 if let Some((_, property)) = corners.filter(|(face, _)| e == *face) {
                     let length = row.fields[starts[property]].text.parse().unwrap_or(0);
                     let listed = row.fields[starts[property] + 1..].iter().take(length);
-                    let corners = listed.map(|field| index(path, row.line, *field)).collect::<Result<Vec<i64>>>()?;
+                    let corners =
+                        listed.map(|field| parse_index(path, row.line, *field)).collect::<Result<Vec<i64>>>()?;
                     let vertices = header.elements[header.vertex].count;
                     contents.polygons.push(&corners, vertices).map_err(|fault| row.fault(1, fault))?;
                 }
@@ -76,38 +98,16 @@ impl Contents {
     }
 
     /// Parses a binary body.
-    fn parse_binary(path: &Path, header: &PlyHeader, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
-        let mut body = BinaryBody { unread: body, is_big: header.encoding == PlyEncoding::Big };
-        let mut contents = Self::default();
-        let mut row = Vec::new();
-        for (e, element) in header.elements.iter().enumerate().filter(|(_, element)| !element.properties.is_empty()) {
+    fn parse_binary(&self, body: &[u8]) -> Result<Contents> {
+        let mut body = BinaryBody { unread: body, is_big: self.header.encoding == PlyEncoding::Big };
+        let mut contents = Contents::default();
+        for (e, element) in self.elements() {
             for i in 0..element.count {
-                let mut point = [0.0; 3];
-                let truncated = || Error::input(path, truncated(element, i));
-                for (p, property) in element.properties.iter().enumerate() {
-                    match property.kind {
-                        PropertyKind::Scalar(scalar) => {
-                            let value = body.value(scalar).ok_or_else(truncated)?;
-                            if let Some(k) = header.xyz.iter().position(|&xyz| e == header.vertex && xyz == p) {
-                                point[k] = value;
-                            }
-                        }
-                        PropertyKind::List { length, item } => {
-                            let raw = body.list(length, item).ok_or_else(truncated)?;
-                            if corners == Some((e, p)) {
-                                let value = |raw| whole(item.value(raw, body.is_big)).unwrap_or(-1); // out of range
-                                row.clear();
-                                row.extend(raw.chunks_exact(item.size()).map(value));
-                                let fault = |fault| Error::input(path, format!("row {} of `face`: {fault}", i + 1));
-                                contents.polygons.push(&row, header.elements[header.vertex].count).map_err(fault)?;
-                            }
-                        }
-                    }
-                }
-                if e == header.vertex {
+                let point = self.parse_row(&mut body, (e, i), &mut contents.polygons)?;
+                if e == self.header.vertex {
                     if let Some(fault) = point_fault(point) {
                         let problem = format!("vertex {} of {} is {fault}; {POINT_ADVICE}", i + 1, element.count);
-                        return Err(Error::input(path, problem));
+                        return Err(Error::input(self.path, problem));
                     }
                     contents.vertices.push(point);
                 }
@@ -115,8 +115,38 @@ impl Contents {
         }
         match body.unread.len() {
             0 => Ok(contents),
-            more => Err(Error::input(path, format!("{more} bytes follow the last row; correct the header's counts"))),
+            surplus => {
+                let problem = format!("{surplus} bytes follow the last row; correct the header's counts");
+                Err(Error::input(self.path, problem))
+            }
         }
+    }
+
+    /// Parses row `i` of element `e`: returns its coordinates if it is a vertex, and adds it to `faces` if it is a face.
+    fn parse_row(&self, body: &mut BinaryBody<'_>, (e, i): (usize, usize), faces: &mut Polygons) -> Result<[f64; 3]> {
+        let Self { path, header, corners } = self;
+        let element = &header.elements[e];
+        let mut point = [0.0; 3];
+        for (p, property) in element.properties.iter().enumerate() {
+            match property.kind {
+                PropertyKind::Scalar(scalar) => {
+                    let value = body.value(scalar).ok_or_else(|| self.truncated(element, i))?;
+                    if let Some(k) = header.xyz.iter().position(|&xyz| e == header.vertex && xyz == p) {
+                        point[k] = value;
+                    }
+                }
+                PropertyKind::List { length, item } => {
+                    let bytes = body.list(length, item).ok_or_else(|| self.truncated(element, i))?;
+                    if *corners == Some((e, p)) {
+                        let index = |raw| to_integer(item.value(raw, body.is_big)).unwrap_or(-1); // out of range
+                        let indices: Vec<i64> = bytes.chunks_exact(item.size()).map(index).collect();
+                        let fault = |fault| Error::input(path, format!("row {} of `face`: {fault}", i + 1));
+                        faces.push(&indices, header.elements[header.vertex].count).map_err(fault)?;
+                    }
+                }
+            }
+        }
+        Ok(point)
     }
 }
 
@@ -165,21 +195,15 @@ fn property_starts(row: &TextRow<'_>, element: &PlyElement) -> Result<Vec<usize>
 }
 
 /// Parses a whole number in a list of corners.
-fn index(path: &Path, line: usize, field: TextField<'_>) -> Result<i64> {
+fn parse_index(path: &Path, line: usize, field: TextField<'_>) -> Result<i64> {
     let value = number(path, line, field, INDEX_ADVICE)?;
     let fault = || Error::at(path, line, field.column, format!("{} is not whole; {INDEX_ADVICE}", quoted(field.text)));
-    whole(value).ok_or_else(fault)
+    to_integer(value).ok_or_else(fault)
 }
 
 /// Converts a whole number to an integer; indices beyond 2^53 are out of range in any case.
-fn whole(value: f64) -> Option<i64> {
+fn to_integer(value: f64) -> Option<i64> {
     (value.fract() == 0.0).then_some(value as i64)
-}
-
-/// Returns the problem with a file that ends after `rows` rows of an element.
-fn truncated(element: &PlyElement, rows: usize) -> String {
-    let PlyElement { count, name, .. } = element;
-    format!("ends after {rows} of {count} rows of element `{name}`; the file is cut short: copy it again")
 }
 
 /// Remaining bytes of a binary body; reads return `None` at its end.

@@ -147,12 +147,12 @@ mod tests {
         for n in [8, 500, 60_000] {
             let (vertices, corners) = (dented(n), (0..n as u32).collect::<Vec<_>>());
             let apex = fan_apex(&vertices, &corners, 4 * n).unwrap();
-            let at = |k: usize| vertices[(apex + k) % n];
-            assert!((1..n - 1).all(|k| area(at(0), at(k), at(k + 1))[2] > 0.0), "{n} corners");
+            let corner = |k: usize| vertices[(apex + k) % n];
+            assert!((1..n - 1).all(|k| area(corner(0), corner(k), corner(k + 1))[2] > 0.0), "{n} corners");
         }
         let (vertices, corners) = (dented(500), (0..500).collect::<Vec<u32>>());
-        let shown = fan_apex(&vertices, &corners, 100).unwrap_err();
-        assert_eq!(shown, "is too intricate to be filled by a fan of triangles");
+        let error = fan_apex(&vertices, &corners, 100).unwrap_err();
+        assert_eq!(error, "is too intricate to be filled by a fan of triangles");
     }
 
     #[test]

@@ -160,7 +160,7 @@ impl FolderWriter<'_> {
     fn write_spectra(&self, spectra: &Spectra) -> Result<()> {
         match self.carriers() {
             Some(carriers) => {
-                self.put(CARRIERS, carriers.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat())?
+                self.put(CARRIERS, carriers.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat())?;
             }
             None if self.has_carriers() => {
                 return refuse(

@@ -60,13 +60,13 @@ fn random_lists(n: usize, test: usize, validation: f64, rng: &mut Rng) -> Partit
 
 /// Converts lists of transmitters to all links of each, sorted; an error without training or test samples.
 fn finish(data: &Dataset, lists: Partition) -> Result<Partition> {
-    let Partition { train, validation, test } = finish_links(lists)?;
+    let Partition { train, validation, test } = link_partition(lists)?;
     let links = |transmitters: Vec<usize>| data.links_of(&transmitters);
     Ok(Partition { train: links(train), validation: links(validation), test: links(test) })
 }
 
 /// Sorts lists of links; an error without training or test samples.
-fn finish_links(mut lists: Partition) -> Result<Partition> {
+fn link_partition(mut lists: Partition) -> Result<Partition> {
     let Partition { train, validation, test } = &mut lists;
     for (name, list) in [("training", &*train), ("test", &*test)] {
         if list.is_empty() {
@@ -133,7 +133,7 @@ impl Split for Official {
             )));
         };
         let (train, validation) = hold_out_links(data, train, self.validation, rng);
-        finish_links(Partition { train, validation, test })
+        link_partition(Partition { train, validation, test })
     }
 
     fn check(&self) -> Result<(), String> {
@@ -264,6 +264,7 @@ impl Default for Fold {
 
 #[typetag::serde]
 impl Split for Fold {
+    /// Divides the units of the outer split: in order for a trajectory, else at random.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         let outer = self.of.split(data, rng)?;
         let mut units = self.of.units(data, &outer.known().all());
@@ -280,7 +281,7 @@ impl Split for Fold {
         for (unit, links) in units.into_iter().enumerate() {
             if fold_of(unit) == self.index { &mut validation } else { &mut train }.extend(links);
         }
-        finish_links(Partition { train, validation, test: outer.test })
+        link_partition(Partition { train, validation, test: outer.test })
     }
 
     fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {

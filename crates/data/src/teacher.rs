@@ -130,6 +130,7 @@ impl DataSource for Teacher {
         Some(pwrfgs_core::Task::Spectrum)
     }
 
+    /// Renders the spectra, scaled so that the largest value of all becomes 255.
     fn load(&self, _: &Path, progress: Progress<'_>) -> Result<Dataset> {
         DataSource::check(self).map_err(|fault| Error::Config(format!("Teacher: {fault}")))?;
         let truth = self.truth();

@@ -194,16 +194,19 @@ mod tests {
             (fs::read(moved.join("x")).unwrap(), fs::read(moved.join("y")).unwrap()),
             (b"1".into(), b"2".into())
         );
-        let shown = held.check_name().unwrap_err().to_string();
-        assert!(shown.contains(moved.to_str().unwrap()) && shown.contains(name.to_str().unwrap()), "{shown}");
+        let error_text = held.check_name().unwrap_err().to_string();
+        assert!(
+            error_text.contains(moved.to_str().unwrap()) && error_text.contains(name.to_str().unwrap()),
+            "{error_text}"
+        );
         let errors = [
             Error::write(&held.path().join("x"), io::Error::other("no")),
             Error::Busy(held.path().into()),
             Error::Config(format!("{} holds something else", held.path().display())),
         ];
         for error in errors {
-            let shown = held.named(error).to_string();
-            assert!(shown.contains(name.to_str().unwrap()) && !shown.contains("/proc"), "{shown}");
+            let error_text = held.named(error).to_string();
+            assert!(error_text.contains(name.to_str().unwrap()) && !error_text.contains("/proc"), "{error_text}");
         }
     }
 }

@@ -71,6 +71,7 @@ impl DataSource for Nerf2Csi {
         Some(pwrfgs_core::Task::Channel)
     }
 
+    /// Loads uplinks as features and downlinks as observations, scaled by the training part of the index files.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Nerf2Csi", LAYOUT)?;
         let antennas = receivers::read_antennas(&root.join("base-station.yml"), LAYOUT)?;

@@ -201,8 +201,8 @@ mod tests {
             ),
         ];
         for (text, message) in cases {
-            let shown = read_str(&text).unwrap_err();
-            assert!(shown.starts_with(message), "{shown}");
+            let error = read_str(&text).unwrap_err();
+            assert!(error.starts_with(message), "{error}");
         }
         assert!(read_str(&file("[0, 0, 0, 1.0009]")).is_ok());
     }
@@ -222,8 +222,8 @@ mod tests {
             ("#".repeat(1 << 20) + "\n", "cannot read DIR/g.yml: the file is larger than the limit of 1048576 bytes"),
         ];
         for (text, message) in cases {
-            let shown = read_str(&text).unwrap_err();
-            assert!(shown.starts_with(message), "{shown}");
+            let error = read_str(&text).unwrap_err();
+            assert!(error.starts_with(message), "{error}");
         }
         assert!(start.elapsed().as_secs() < 5, "{:?}", start.elapsed());
     }
@@ -259,16 +259,16 @@ mod tests {
              Nerf2Spectrum(gateway: \"gateway1\", ..)"
         );
         assert_eq!((read(&two, Some("gateway1")), read(&two, Some("roof"))), (Ok(1.0), Ok(2.0)));
-        let shown = read(&two, Some("gateway3")).unwrap_err();
+        let error = read(&two, Some("gateway3")).unwrap_err();
         assert_eq!(
-            shown,
+            error,
             format!(
                 "DIR/g.yml:1:1: missing field `gateway3`; select `gateway1`, `roof`: Nerf2Spectrum(gateway: \"gateway1\", ..), or else {GATEWAY}"
             )
         );
         // Keys called gateway count, other keys are ignored, and recursive aliases are rejected.
-        let odd = format!("gateway1: {}\nGateway_2: 5\n", pose(1));
-        assert!(read(&odd, None).unwrap_err().contains("`Gateway_2`"));
+        let other_keys = format!("gateway1: {}\nGateway_2: 5\n", pose(1));
+        assert!(read(&other_keys, None).unwrap_err().contains("`Gateway_2`"));
         let nine = |i: u8| format!("b{}: &b{} [{}]\n", i + 1, i + 1, vec![format!("*b{i}"); 9].join(", "));
         let grows = (0..20).map(nine).collect::<Vec<_>>().concat();
         let other = format!("gateway1: {}\nb0: &b0 [1, 2]\n{grows}note: {{a: [1, {{b: 2}}]}}\n", pose(1));

@@ -71,6 +71,7 @@ impl DataSource for Nerf2Rssi {
         Some(pwrfgs_core::Task::Power)
     }
 
+    /// Loads one link per cell of the table of powers, except for cells without a signal.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Nerf2Rssi", LAYOUT)?;
         let gateways = read_gateways(&root.join("gateway_position.yml"), LAYOUT)?;

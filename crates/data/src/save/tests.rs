@@ -67,17 +67,18 @@ fn reads_saved_data_back() {
     renamed.scene.receivers[1].name = "high".into();
     assert!(refused(&renamed).contains("named such as 2400MHz"), "the reader would give another name");
 
-    let at = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });
+    let receiver = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });
     let samples = [(0, 0), (0, 1), (1, 1)]
         .map(|(id, receiver)| Sample { receiver, ..Sample::new(id, [f64::from(id), 2.0, 1.5]) });
     let powers = Observations::Powers(vec![-61.5, -70.25, -80.0]);
-    let data = Dataset::of_links("hall", vec![at("=n()", 0.0), at("s", 9.0)], vec![], &samples, powers).unwrap();
+    let data =
+        Dataset::of_links("hall", vec![receiver("=n()", 0.0), receiver("s", 9.0)], vec![], &samples, powers).unwrap();
     assert_same(&data, &read_back(&data));
     let mut stated = data.clone();
     stated.scene.receivers.iter_mut().for_each(|receiver| receiver.carrier_hz = Some(2.4e9));
     assert!(refused(&stated).contains("powers at stated carriers"));
 
-    let receiver = Receiver { antennas: vec![[0.0; 3], [0.0, 0.0625, 0.0]], ..at("array", 1.0) };
+    let receiver = Receiver { antennas: vec![[0.0; 3], [0.0, 0.0625, 0.0]], ..receiver("array", 1.0) };
     let samples: Vec<Sample> = (0..2).map(|i| Sample::new(i, [f64::from(i), 2.0, 1.5])).collect();
     let gains = (0..12).map(|v| [v as Real, -1.0]).collect();
     let channels = Gains { antennas: 2, frequencies_hz: vec![2.3e9, 2.4e9, 2.5e9], gains };
@@ -89,14 +90,14 @@ fn reads_saved_data_back() {
 }
 
 /// Small data of any kind, some invalid for every layout, drawn from `numbers`.
-fn small_data(kind: usize, odd: usize, names: &[String], title: &str, numbers: &[f64]) -> Result<Dataset> {
+fn small_data(kind: usize, variant: usize, names: &[String], title: &str, numbers: &[f64]) -> Result<Dataset> {
     let number = |i: usize| numbers[i % numbers.len()];
-    let far = if odd.is_multiple_of(2) { [0.0; 3] } else { [500_000.25, 5_400_000.5, 100.0] };
+    let far = if variant.is_multiple_of(2) { [0.0; 3] } else { [500_000.25, 5_400_000.5, 100.0] };
     let position = |i: usize| [0, 1, 2].map(|k| far[k] + number(3 * i + k));
     let turn: [f64; 4] = [0, 1, 2, 3].map(|k| number(k + 7) + 1.5);
     let length = turn.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let orientation = if odd.is_multiple_of(3) { Pose::IDENTITY.orientation } else { turn.map(|v| v / length) };
-    let antennas = if kind == 2 { 1 + odd % 3 } else { 1 };
+    let orientation = if variant.is_multiple_of(3) { Pose::IDENTITY.orientation } else { turn.map(|v| v / length) };
+    let antennas = if kind == 2 { 1 + variant % 3 } else { 1 };
     let receiver = |(i, name): (usize, &String)| Receiver {
         antennas: (0..antennas).map(|a| [0.06 * a as f64, 0.0, 0.0]).collect(),
         ..Receiver::new(name.clone(), Pose { position: position(40 + i), orientation })
@@ -109,25 +110,26 @@ fn small_data(kind: usize, odd: usize, names: &[String], title: &str, numbers: &
         .map(|(t, receiver)| Sample { receiver, ..Sample::new(t as u32 + 1, position(t)) })
         .collect();
     let count = samples.len();
-    let size = [(12, 6), (6, 12), (16, 4), (5, 5)][odd % 4];
+    let size = [(12, 6), (6, 12), (16, 4), (5, 5)][variant % 4];
     let pixels = size.0 * size.1;
     let observations = match kind {
-        0 if odd < 5 => {
+        0 if variant < 5 => {
             Spectra::grey(size, (0..4 * pixels).map(|i| (90.0 * (1.2 + number(i))) as u8).collect())?.into()
         }
         0 => Spectra::float(size, &(0..4 * pixels).map(|i| number(i).abs() as f32).collect::<Vec<_>>())?.into(),
         1 => Observations::Powers((0..count).map(|i| (number(i) * 100.0).round() as Real).collect()),
         _ => {
-            let frequencies_hz = (0..3).map(|i| 1e9 + 1e6 * (number(i) + if odd < 6 { 3.0 * i as f64 } else { 0.0 }));
-            let stated_antennas = if odd == 7 { 1 } else { antennas };
+            let frequencies_hz =
+                (0..3).map(|i| 1e9 + 1e6 * (number(i) + if variant < 6 { 3.0 * i as f64 } else { 0.0 }));
+            let stated_antennas = if variant == 7 { 1 } else { antennas };
             let gains = (0..4 * stated_antennas * 3).map(|i| [number(i) as Real, number(i + 9) as Real]).collect();
             Observations::Channels(Gains { antennas: stated_antennas, frequencies_hz: frequencies_hz.collect(), gains })
         }
     };
-    let points = (0..odd).map(|i| position(i + 20).map(|v| (v * 16.0).round() / 16.0)).collect();
+    let points = (0..variant).map(|i| position(i + 20).map(|v| (v * 16.0).round() / 16.0)).collect();
     let data = Dataset::of_links(title, receivers, points, &samples, observations)?;
-    let elevation = [(0.0, 90.0), (-90.0, 90.0), (90.0, 0.0), (0.0, 0.5)][if kind == 0 { odd / 2 } else { 0 }];
-    Ok(Dataset { elevation: elevation.into(), simulation: (odd > 3).then(Simulation::default), ..data })
+    let elevation = [(0.0, 90.0), (-90.0, 90.0), (90.0, 0.0), (0.0, 0.5)][if kind == 0 { variant / 2 } else { 0 }];
+    Ok(Dataset { elevation: elevation.into(), simulation: (variant > 3).then(Simulation::default), ..data })
 }
 
 proptest! {
@@ -135,10 +137,10 @@ proptest! {
 
     #[test]
     fn valid_data_round_trip_unchanged(
-        kind in 0..3usize, odd in 0..8usize, names in prop::collection::vec("[ab,\"\\[: é\u{2028}-]{1,4}", 1..4),
+        kind in 0..3usize, variant in 0..8usize, names in prop::collection::vec("[ab,\"\\[: é\u{2028}-]{1,4}", 1..4),
         title in "[a-z\\[{ :-]{0,9}", numbers in prop::collection::vec(-1.01..1.01f64, 3..90),
     ) {
-        let Ok(data) = small_data(kind, odd, &names, &title, &numbers) else { return Ok(()) };
+        let Ok(data) = small_data(kind, variant, &names, &title, &numbers) else { return Ok(()) };
         match check(&data) {
             Ok(()) => assert_same(&data, &read_back(&data)),
             Err(refused) => {
@@ -177,13 +179,14 @@ proptest! {
 
 #[test]
 fn rejects_receiver_name_that_cannot_be_saved() {
-    let at = |name: &str| Receiver::new(name, Pose::IDENTITY);
+    let receiver = |name: &str| Receiver::new(name, Pose::IDENTITY);
     let samples: Vec<Sample> = (1..3).map(|i| Sample::new(i, [f64::from(i), 0.5, 1.0])).collect();
     let spectra = Spectra::grey((12, 3), vec![7; 72]).unwrap();
     let spectra = Dataset::new("room", Pose::IDENTITY, vec![], samples.clone(), spectra).unwrap();
     let gains = Gains { antennas: 1, frequencies_hz: vec![1e9], gains: vec![[1.0, 0.0]; 2] };
     let channels =
-        Dataset::of_links("channels", vec![at("receiver")], vec![], &samples, Observations::Channels(gains)).unwrap();
+        Dataset::of_links("channels", vec![receiver("receiver")], vec![], &samples, Observations::Channels(gains))
+            .unwrap();
     for (data, place) in [(spectra, "gateway_info.yml:6:11"), (channels, "receiver.yml:1:7")] {
         let folder = tempfile::tempdir().unwrap();
         let source = save(&data, &folder.path().join("saved")).unwrap();

@@ -1,6 +1,6 @@
 //! `LeaveReceiverOut` and `RandomLinks`: split links instead of transmitters.
 
-use super::{DEFAULT_VALIDATION, check_test, check_validation, finish_links, hold_out_links, part, random_lists};
+use super::{DEFAULT_VALIDATION, check_test, check_validation, hold_out_links, link_partition, part, random_lists};
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split, did_you_mean};
@@ -42,6 +42,7 @@ impl Default for LeaveReceiverOut {
 
 #[typetag::serde]
 impl Split for LeaveReceiverOut {
+    /// Moves all links of the named receivers to the test set, except for `calibration` random links of each.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         let receivers = self.left_out(data)?;
         let is_left_out = |i: &usize| receivers.contains(&data.links[*i].receiver);
@@ -65,7 +66,7 @@ impl Split for LeaveReceiverOut {
         }
         let (mut train, validation) = hold_out_links(data, fitting, self.validation, rng);
         train.extend(calibration);
-        finish_links(Partition { train, validation, test })
+        link_partition(Partition { train, validation, test })
     }
 
     fn check(&self) -> Result<(), String> {
@@ -130,7 +131,7 @@ impl Default for RandomLinks {
 impl Split for RandomLinks {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         let test = part(self.test, data.len());
-        finish_links(random_lists(data.len(), test, self.validation, rng))
+        link_partition(random_lists(data.len(), test, self.validation, rng))
     }
 
     /// Returns one unit per link.

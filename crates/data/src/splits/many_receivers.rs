@@ -7,7 +7,7 @@ use pwrfgs_core::{Baseline, Features, FittingSet, Observations, Plugin, Pose, Re
 
 /// `count` transmitters a metre apart; receivers `a`, `b` and `c` receive each, except `c` for odd transmitters.
 fn three_receivers(count: u32) -> Dataset {
-    let at = |(name, x): (&str, f64)| Receiver::new(name, Pose { position: [x, 3.0, 0.0], ..Pose::IDENTITY });
+    let receiver = |(name, x): (&str, f64)| Receiver::new(name, Pose { position: [x, 3.0, 0.0], ..Pose::IDENTITY });
     let links_of = |id: u32| (0..if id.is_multiple_of(2) { 3 } else { 2 }).map(move |receiver| (id, receiver));
     let samples: Vec<Sample> = (0..count)
         .flat_map(links_of)
@@ -15,7 +15,7 @@ fn three_receivers(count: u32) -> Dataset {
         .collect();
     let powers =
         samples.iter().map(|s| -40.0 - 10.0 * s.receiver as pwrfgs_core::Real - s.id as pwrfgs_core::Real).collect();
-    let receivers = [("a", 0.0), ("b", 5.0), ("c", 9.0)].map(at).to_vec();
+    let receivers = [("a", 0.0), ("b", 5.0), ("c", 9.0)].map(receiver).to_vec();
     let data = Dataset::of_links("three", receivers, vec![], &samples, Observations::Powers(powers)).unwrap();
     let (test, train) = (0..data.len()).partition(|i| data.links[*i].location % 5 == 4);
     Dataset { official: Some((train, test)), ..data }
@@ -71,8 +71,8 @@ fn held_out_receiver_is_test_set() {
         ),
     ];
     for (text, message) in refused {
-        let shown = split(text, &data).unwrap_err();
-        assert!(shown.contains(message), "{shown}");
+        let error = split(text, &data).unwrap_err();
+        assert!(error.contains(message), "{error}");
     }
     assert!(Plugin::<dyn Split>::parse("RandomLinks(test: 1)").is_err());
     assert!(Plugin::<dyn Split>::parse("LeaveReceiverOut(validation: 1)").is_err());
