@@ -171,13 +171,13 @@ impl Reader<'_> {
             Some(variants) => DocBody::Variants(variants.leak()),
             None => DocBody::Fields(self.fields(schema)),
         };
-        Box::leak(Box::new(Docs { name: leaked(name), text: description(schema), body }))
+        Box::leak(Box::new(Docs { name: leak(name), text: description(schema), body }))
     }
 
     /// Returns the variants that one schema of an enum represents.
     fn variants(&self, schema: &Value) -> Vec<DocVariant> {
         let text = description(schema);
-        let plain = |name: &str| DocVariant { name: leaked(name), text, named: false, fields: &[] };
+        let plain = |name: &str| DocVariant { name: leak(name), text, named: false, fields: &[] };
         if let Some(names) = schema.get("enum").and_then(Value::as_array) {
             return names.iter().filter_map(Value::as_str).map(plain).collect();
         }
@@ -197,7 +197,7 @@ impl Reader<'_> {
             } else {
                 unnamed.iter().enumerate().map(field).collect::<Vec<_>>().leak()
             };
-            DocVariant { name: leaked(name), text, named, fields }
+            DocVariant { name: leak(name), text, named, fields }
         };
         variants.into_iter().flatten().map(with_fields).collect()
     }
@@ -213,7 +213,7 @@ impl Reader<'_> {
 
     /// Returns the documentation of one field.
     fn field(&self, name: &str, schema: &Value, optional: bool) -> DocField {
-        DocField { name: leaked(name), text: description(schema), optional, kind: self.kind(schema) }
+        DocField { name: leak(name), text: description(schema), optional, kind: self.kind(schema) }
     }
 
     /// Returns the type of a schema.
@@ -225,13 +225,13 @@ impl Reader<'_> {
     /// Returns the type of a schema without `None`.
     fn inner_kind(&self, schema: &Value) -> DocKind {
         if let Some(words) = schema.get("title").and_then(Value::as_str) {
-            return DocKind::Plain(leaked(words));
+            return DocKind::Plain(leak(words));
         }
         if let Some(name) = schema.get("$ref").and_then(Value::as_str) {
             let name = name.rsplit('/').next().unwrap_or_default();
             let referenced = &self.types[name];
             return if referenced.get(PLUGINS).is_some() {
-                DocKind::Plugin(leaked(name))
+                DocKind::Plugin(leak(name))
             } else {
                 DocKind::Of(self.docs(name, referenced))
             };
@@ -266,10 +266,10 @@ pub(crate) const PLUGINS: &str = "x-plugins";
 
 /// Returns the doc comment in a schema; empty without one.
 fn description(schema: &Value) -> &'static str {
-    leaked(schema.get("description").and_then(Value::as_str).unwrap_or_default().trim())
+    leak(schema.get("description").and_then(Value::as_str).unwrap_or_default().trim())
 }
 
 /// Copies a text that stays in memory.
-fn leaked(text: &str) -> &'static str {
+fn leak(text: &str) -> &'static str {
     Box::leak(text.into())
 }

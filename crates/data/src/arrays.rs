@@ -5,7 +5,8 @@ mod tests;
 
 use crate::checks::value_fault;
 use crate::folder::{
-    carriers_in, check_root, folder_name, open_root, point_cloud_in, read_point_cloud, root_with, simulation, title,
+    carriers_in, check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with,
+    title,
 };
 use crate::nerf2::{LocationTable, POSES, check_shape, index, receivers::Gateway};
 use crate::npy;
@@ -98,7 +99,7 @@ impl DataSource for Arrays {
         check_shape(&path, elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let samples: Vec<Sample> = ids.iter().zip(&locations.poses).map(|(&id, pose)| Sample::new(id, *pose)).collect();
         let name = gateway.name.clone().unwrap_or_else(|| folder_name(&root));
-        let simulation = simulation(&root, &name);
+        let simulation = read_simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "arrays");
         let ends = locations.ends(vec![gateway.receiver()], Some(gateway.pose.position));
         let data = Dataset::of_links(title, ends, points, &samples, spectra.into())?;

@@ -5,7 +5,7 @@ mod tests;
 
 use crate::checks::{check_frequencies, name_fault, subcarriers};
 use crate::folder::{
-    check_root, folder_name, open_root, point_cloud_in, read_point_cloud, root_with, simulation, title,
+    check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with, title,
 };
 use crate::nerf2::{LocationTable, index};
 use crate::npy::{ComplexArray, read_complex};
@@ -164,7 +164,7 @@ impl DataSource for Channels {
         let gains = array.values.into_iter().map(|gain| gain.map(|v| v as Real)).collect();
         let channels = ObservedChannels { antennas, frequencies_hz, gains };
         let name = folder_name(&root);
-        let simulation = simulation(&root, &name).or_else(|| self.simulated.then(Simulation::default));
+        let simulation = read_simulation(&root, &name).or_else(|| self.simulated.then(Simulation::default));
         let title = title(&name, simulation.as_ref(), "channels");
         let points = read_point_cloud(base, self.points.as_deref())?;
         let ends = locations.ends(vec![receiver], metadata.transmitter);

@@ -4,7 +4,7 @@
 mod tests;
 
 use crate::folder::{
-    check_root, folder_name, open_root, point_cloud_in, read_point_cloud, root_with, simulation, title,
+    check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with, title,
 };
 use crate::nerf2::{index, pictures};
 use crate::text::{TextField, TextRow, XyzColumns, coordinate, lines, number, position, read_text};
@@ -98,7 +98,8 @@ impl DataSource for Colmap {
         };
         let paths: Vec<PathBuf> = views.iter().map(|view| root.join(&self.images).join(&view.name)).collect();
         let paths: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
-        let decode = |path: &Path| pictures::luminance(path, "add the image, or remove its two lines from images.txt");
+        let decode =
+            |path: &Path| pictures::decode_luminance(path, "add the image, or remove its two lines from images.txt");
         let spectra = pictures::load(&paths, &decode, progress)?;
         let size = (spectra.width(), spectra.height());
         if size != shared.size {
@@ -111,7 +112,7 @@ impl DataSource for Colmap {
         let receiver = Receiver { camera: Some(shared.camera), ..Receiver::new("camera", views[0].pose) };
         let ends = Ends::of_moving_receivers(vec![receiver], self.transmitter);
         let name = folder_name(&root);
-        let simulation = simulation(&root, &name);
+        let simulation = read_simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "COLMAP");
         let data = Dataset::of_links(title, ends, points, &samples, spectra.into())?;
         Ok(Dataset { official, simulation, ..data })

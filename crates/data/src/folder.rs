@@ -73,8 +73,8 @@ struct Manifest {
     scene: Option<String>,
 }
 
-/// Returns the simulation of the data set `name` according to `manifest.json`, else according to its name.
-pub(crate) fn simulation(root: &Path, name: &str) -> Option<Simulation> {
+/// Reads the simulation of the data set `name` according to `manifest.json`, else according to its name.
+pub(crate) fn read_simulation(root: &Path, name: &str) -> Option<Simulation> {
     let manifest =
         files::read_string(root.join("manifest.json")).ok().and_then(|text| serde_json::from_str(&text).ok());
     let by_name = || Manifest { simulated: name.to_lowercase().contains("simulated"), scene: None };
@@ -91,26 +91,26 @@ pub(crate) fn title(name: &str, simulation: Option<&Simulation>, layout: &str) -
 pub fn gateway_yaml(name: &str, pose: &Pose) -> String {
     format!(
         "dataset_name: {}\ngateway1:\n  position: [{}]\n  orientation: [{}] # quaternion x, y, z, w\n",
-        yaml(name),
-        list(&pose.position),
-        list(&pose.orientation)
+        quote_yaml(name),
+        join_numbers(&pose.position),
+        join_numbers(&pose.orientation)
     )
 }
 
 /// Returns the content of `gateway_position.yml`: gateway names and positions, metres; orientations only if rotated.
 pub fn gateway_positions_yaml<'a>(gateways: impl IntoIterator<Item = (&'a str, Pose)>) -> String {
     let line = |(name, pose): (&str, Pose)| {
-        let (name, position) = (yaml(name), list(&pose.position));
+        let (name, position) = (quote_yaml(name), join_numbers(&pose.position));
         if pose.orientation == Pose::IDENTITY.orientation {
             return format!("{name}: [{position}]\n");
         }
-        format!("{name}: {{position: [{position}], orientation: [{}]}}\n", list(&pose.orientation))
+        format!("{name}: {{position: [{position}], orientation: [{}]}}\n", join_numbers(&pose.orientation))
     };
     gateways.into_iter().map(line).collect()
 }
 
 /// Quotes text for YAML. JSON strings are valid YAML, except for a few characters written as numbers.
-pub(crate) fn yaml(text: &str) -> String {
+pub(crate) fn quote_yaml(text: &str) -> String {
     let is_number = |c: char| c.is_control() || "\u{2028}\u{2029}\u{feff}\u{fffe}\u{ffff}".contains(c);
     let write = |c: char| if is_number(c) { format!("\\u{:04x}", u32::from(c)) } else { c.into() };
     serde_json::Value::from(text).to_string().chars().map(write).collect()
@@ -123,7 +123,7 @@ pub fn base_station_yaml(antennas: &[[f64; 3]]) -> String {
 
 /// Writes antenna positions as the items of a YAML list.
 fn position_list(antennas: &[[f64; 3]]) -> String {
-    antennas.iter().map(|position| format!("[{}]", list(position))).collect::<Vec<_>>().join(", ")
+    antennas.iter().map(|position| format!("[{}]", join_numbers(position))).collect::<Vec<_>>().join(", ")
 }
 
 /// Returns the content of `receiver.yml`: the `name` as a YAML scalar (quoted if it needs quotes), the pose in the world frame
@@ -139,20 +139,20 @@ pub fn receiver_yaml(
     format!(
         "name: {name}\nposition: [{}]\norientation: [{}] # quaternion x, y, z, w\ncarrier_hz: {carrier_hz:?}\n\
          spacing_hz: {spacing_hz:?}\nfrequencies_hz: [{}]\nantennas: [{}] # metres; in the world, or in the frame of a moving receiver\n",
-        list(&pose.position),
-        list(&pose.orientation),
-        list(frequencies_hz),
+        join_numbers(&pose.position),
+        join_numbers(&pose.orientation),
+        join_numbers(frequencies_hz),
         position_list(antennas)
     )
 }
 
 /// Returns the line of `receiver.yml` for the fixed transmitter of a moving receiver, metres; empty if it is unknown.
 pub fn transmitter_yaml(position: Option<[f64; 3]>) -> String {
-    position.map_or_else(String::new, |position| format!("transmitter: [{}]\n", list(&position)))
+    position.map_or_else(String::new, |position| format!("transmitter: [{}]\n", join_numbers(&position)))
 }
 
 /// Writes numbers as the items of a YAML list.
-fn list(values: &[f64]) -> String {
+fn join_numbers(values: &[f64]) -> String {
     values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", ")
 }
 

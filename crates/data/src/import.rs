@@ -207,12 +207,12 @@ impl Range {
         let refuse = |problem: String| Err(Error::input(path, problem));
         if let Some((index, value)) = self.not_finite {
             let advice = "a spectrum has a finite value in every direction; leave out what was not measured";
-            return refuse(format!("{} is {value}; {advice}", element(index)));
+            return refuse(format!("{} is {value}; {advice}", element_name(index)));
         }
         let (Some((low_index, low)), Some((high_index, high))) = (self.low, self.high) else { return Ok(()) };
         let suited = format!("--scale {}", scale.unwrap_or(1.0) / high);
         if low < -ROUNDING {
-            let problem = format!("values are from {low} ({}) to {high}", element(low_index));
+            let problem = format!("values are from {low} ({}) to {high}", element_name(low_index));
             return refuse(if low < -3.0 {
                 format!(
                     "{problem}, as decibels are; spectra are linear, 0 to 1: save 10 ** ((s - s.max()) / 20), the \
@@ -223,7 +223,8 @@ impl Range {
             });
         }
         if high > 1.0 + ROUNDING {
-            let problem = format!("the largest value is {high} ({}) and spectra are from 0 to 1", element(high_index));
+            let problem =
+                format!("the largest value is {high} ({}) and spectra are from 0 to 1", element_name(high_index));
             return refuse(format!("{problem}; give {suited}"));
         }
         if high <= 0.0 {
@@ -244,6 +245,6 @@ impl Range {
 }
 
 /// Writes the index of a value in Python notation.
-fn element([m, y, x]: [usize; 3]) -> String {
+fn element_name([m, y, x]: [usize; 3]) -> String {
     format!("spectra[{m}, {y}, {x}]")
 }

@@ -14,7 +14,8 @@ pub use rssi::{Nerf2Rssi, read_powers};
 
 use crate::checks::shape_fault;
 use crate::folder::{
-    carriers_in, check_root, folder_name, open_root, point_cloud_in, read_point_cloud, root_with, simulation, title,
+    carriers_in, check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with,
+    title,
 };
 use crate::text::{TextField, coordinate, position, read_text, table};
 use pwrfgs_core::{
@@ -118,7 +119,7 @@ impl DataSource for Nerf2Spectrum {
         let unmatched = Unmatched { positions: positions.len() - ids.len(), pictures: files.len() - ids.len() };
         let samples: Vec<Sample> = ids.iter().map(|&id| Sample::new(id, positions[id as usize - 1])).collect();
         let name = gateway.name.as_deref().map_or_else(|| folder_name(&root), strip_control);
-        let simulation = simulation(&root, &name);
+        let simulation = read_simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "NeRF2 layout");
         let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, unmatched, ..data };

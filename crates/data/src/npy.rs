@@ -152,7 +152,7 @@ pub(crate) fn read_complex(path: &Path, expected: &str) -> Result<ComplexArray> 
     let array = ComplexArray { shape, values: parts.as_chunks().0.to_vec() };
     if let Some(i) = parts.iter().position(|v| !(*v as Real).is_finite()) {
         let [re, im] = array.values[i / 2];
-        return Err(refuse(format!("{} is {:?}; give finite numbers", array.element(path, i / 2), (re, im))));
+        return Err(refuse(format!("{} is {:?}; give finite numbers", array.element_name(path, i / 2), (re, im))));
     }
     Ok(array)
 }
@@ -162,13 +162,13 @@ impl ComplexArray {
     pub(crate) fn check_size(&self, path: &Path) -> Result<()> {
         let mut faults = self.values.iter().map(|gain| gain_fault(*gain)).enumerate();
         match faults.find_map(|(i, fault)| Some((i, fault?))) {
-            Some((i, fault)) => Err(Error::input(path, format!("{} {fault}", self.element(path, i)))),
+            Some((i, fault)) => Err(Error::input(path, format!("{} {fault}", self.element_name(path, i)))),
             None => Ok(()),
         }
     }
 
     /// Writes the name and index of number `i` in Python notation.
-    fn element(&self, path: &Path, i: usize) -> String {
+    fn element_name(&self, path: &Path, i: usize) -> String {
         let [_, a, f] = self.shape;
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
         format!("{name}[{}, {}, {}]", i / (a * f), i / f % a, i % f)

@@ -41,7 +41,7 @@ impl Polygons {
         for (face, end) in self.ends.into_iter().enumerate() {
             let corners = &self.corners[start..end];
             start = end;
-            let apex = fan_apex(&vertices, corners, TESTS * corners.len()).map_err(|fault| {
+            let apex = find_fan_apex(&vertices, corners, TESTS * corners.len()).map_err(|fault| {
                 let advice = "triangulate the mesh where it was made";
                 Error::input(path, format!("face {} of {} corners {fault}; {advice}", face + 1, corners.len()))
             })?;
@@ -57,16 +57,18 @@ impl Polygons {
 /// The fan then covers a simple polygon once, convex or not: an L has such a corner, a U has none. The side that
 /// excluded the last corner is tested first, since it excludes most of its neighbours: about two tests per corner.
 /// Returns the problem if there is no such corner, or none within `most` tests.
-fn fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<usize, &'static str> {
+fn find_fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<usize, &'static str> {
     let n = corners.len();
     if n == 3 {
         return Ok(0);
     }
     let corner = |k: usize| vertices[corners[k % n] as usize];
-    let normal = (1..n - 1).fold(DVec3::ZERO, |sum, k| sum + area(corner(0), corner(k), corner(k + 1)));
+    let normal = (1..n - 1).fold(DVec3::ZERO, |sum, k| sum + double_area(corner(0), corner(k), corner(k + 1)));
     // Sides at the apex make no triangle.
     let rules_out = |side: usize, apex: usize| {
-        side != apex && (side + 1) % n != apex && normal.dot(area(corner(apex), corner(side), corner(side + 1))) <= 0.0
+        side != apex
+            && (side + 1) % n != apex
+            && normal.dot(double_area(corner(apex), corner(side), corner(side + 1))) <= 0.0
     };
     let (mut last, mut tests) = (0, 0);
     for apex in 0..n {
@@ -86,7 +88,7 @@ fn fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<usize
 }
 
 /// Computes twice the triangle area, as a vector along its normal.
-fn area(a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> DVec3 {
+fn double_area(a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> DVec3 {
     let [a, b, c] = [a, b, c].map(DVec3::from);
     (b - a).cross(c - a)
 }
@@ -106,7 +108,7 @@ mod tests {
     fn signed_area((vertices, triangles): &Triangles) -> f64 {
         triangles
             .iter()
-            .map(|t| area(vertices[t[0] as usize], vertices[t[1] as usize], vertices[t[2] as usize])[2])
+            .map(|t| double_area(vertices[t[0] as usize], vertices[t[1] as usize], vertices[t[2] as usize])[2])
             .sum::<f64>()
             / 2.0
     }
@@ -125,7 +127,8 @@ mod tests {
         // A corner in the middle of a side: a triangle of zero area.
         let five = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]];
         let (vertices, cut) = triangles(&five).unwrap();
-        let area_of = |t: &[u32; 3]| area(vertices[t[0] as usize], vertices[t[1] as usize], vertices[t[2] as usize])[2];
+        let area_of =
+            |t: &[u32; 3]| double_area(vertices[t[0] as usize], vertices[t[1] as usize], vertices[t[2] as usize])[2];
         assert!(cut.iter().all(|t| area_of(t) > 0.0));
         let mut clockwise = l;
         clockwise.reverse();
@@ -146,12 +149,12 @@ mod tests {
     fn finds_fan_with_few_tests_per_corner() {
         for n in [8, 500, 60_000] {
             let (vertices, corners) = (dented(n), (0..n as u32).collect::<Vec<_>>());
-            let apex = fan_apex(&vertices, &corners, 4 * n).unwrap();
+            let apex = find_fan_apex(&vertices, &corners, 4 * n).unwrap();
             let corner = |k: usize| vertices[(apex + k) % n];
-            assert!((1..n - 1).all(|k| area(corner(0), corner(k), corner(k + 1))[2] > 0.0), "{n} corners");
+            assert!((1..n - 1).all(|k| double_area(corner(0), corner(k), corner(k + 1))[2] > 0.0), "{n} corners");
         }
         let (vertices, corners) = (dented(500), (0..500).collect::<Vec<u32>>());
-        let error = fan_apex(&vertices, &corners, 100).unwrap_err();
+        let error = find_fan_apex(&vertices, &corners, 100).unwrap_err();
         assert_eq!(error, "is too intricate to be filled by a fan of triangles");
     }
 

@@ -4,7 +4,9 @@
 mod tests;
 
 use crate::checks::{NOT_RECEIVED, check};
-use crate::folder::{CARRIERS, POINTS, gateway_positions_yaml, gateway_yaml, receiver_yaml, transmitter_yaml, yaml};
+use crate::folder::{
+    CARRIERS, POINTS, gateway_positions_yaml, gateway_yaml, quote_yaml, receiver_yaml, transmitter_yaml,
+};
 use crate::nerf2::POSES;
 use crate::npy::{MAX_BYTES, MOST_POSITIONS};
 use crate::text::MAX_YAML;
@@ -174,7 +176,7 @@ impl FolderWriter<'_> {
         let Elevation { first, last } = self.data.elevation;
         let elevation = format!("elevation: [{first:?}, {last:?}]\n"); // stated, pixels need not be square either
         let name = match &scene.receivers[..] {
-            [only] => format!("receiver: {}\n", yaml(&only.name)),
+            [only] => format!("receiver: {}\n", quote_yaml(&only.name)),
             _ => String::new(), // the names of carriers follow from their frequencies
         };
         self.put("gateway_info.yml", gateway_yaml(&self.data.title, &pose) + &elevation + &name)?;
@@ -234,7 +236,8 @@ impl FolderWriter<'_> {
         let absolute = |antenna: [f64; 3]| [0, 1, 2].map(|k| pose.position[k] + antenna[k]);
         let antennas: Vec<[f64; 3]> = receiver.array().into_iter().map(absolute).collect();
         let transmitter = scene.transmitter.map(|position| scene.origin.world_pose(position.into()).position);
-        let text = receiver_yaml(&yaml(&receiver.name), &pose, band, hz, &antennas) + &transmitter_yaml(transmitter);
+        let text =
+            receiver_yaml(&quote_yaml(&receiver.name), &pose, band, hz, &antennas) + &transmitter_yaml(transmitter);
         self.put("receiver.yml", text)?;
         self.write_locations()?;
         let descr = if size_of::<Real>() == 8 { "<c16" } else { "<c8" };

@@ -224,15 +224,15 @@ impl Truth {
         let mut waves = Vec::with_capacity(count);
         let (world_from_receiver, origin) = (receiver.world_from_receiver(), receiver.origin());
         for _ in 0..count {
-            let (azimuth, elevation) = (TAU * rng::uniform(random), between(random, 10.0, 75.0) / DEG);
-            let distance = between(random, 2.0, 6.0);
+            let (azimuth, elevation) = (TAU * rng::uniform(random), uniform_between(random, 10.0, 75.0) / DEG);
+            let distance = uniform_between(random, 2.0, 6.0);
             let direction =
                 Vec3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
             cloud.means.push((origin + world_from_receiver * (direction * distance)).to_array());
-            let scale = distance * (between(random, 5.0, 12.0) / DEG).tan();
+            let scale = distance * (uniform_between(random, 5.0, 12.0) / DEG).tan();
             cloud.log_scales.push([0; 3].map(|_| scale.ln() + 0.2 * rng::normal(random)));
-            cloud.quats.push(unit([0; 4].map(|_| rng::normal(random))));
-            cloud.opacity_logits.push(logit(between(random, 0.5, 0.9)));
+            cloud.quats.push(normalised([0; 4].map(|_| rng::normal(random))));
+            cloud.opacity_logits.push(logit(uniform_between(random, 0.5, 0.9)));
             let wave = Wave::random(random);
             cloud.signals.push(wave.amplitude.map(|a| MEAN * a));
             waves.push(wave);
@@ -249,10 +249,10 @@ impl Truth {
 impl Wave {
     /// Draws amplitude, direction, wavelength and phase.
     fn random(random: &mut Rng) -> Self {
-        let strength = between(random, 0.4, 1.0);
-        let angle = between(random, 0.0, TAU / 4.0);
-        let direction = Vec3::from_array(unit([0; 3].map(|_| rng::normal(random))));
-        let wavelength = between(random, 1.0, 2.0);
+        let strength = uniform_between(random, 0.4, 1.0);
+        let angle = uniform_between(random, 0.0, TAU / 4.0);
+        let direction = Vec3::from_array(normalised([0; 3].map(|_| rng::normal(random))));
+        let wavelength = uniform_between(random, 1.0, 2.0);
         let phase = TAU * rng::uniform(random);
         Self {
             amplitude: [strength * angle.cos(), strength * angle.sin()],
@@ -269,12 +269,12 @@ impl Wave {
 }
 
 /// Draws a uniform number from `low` to `high`.
-fn between(random: &mut Rng, low: Real, high: Real) -> Real {
+fn uniform_between(random: &mut Rng, low: Real, high: Real) -> Real {
     low + (high - low) * rng::uniform(random)
 }
 
 /// Normalises a vector; a zero vector becomes the first axis.
-fn unit<const N: usize>(vector: [Real; N]) -> [Real; N] {
+fn normalised<const N: usize>(vector: [Real; N]) -> [Real; N] {
     let length = vector.iter().map(|v| v * v).sum::<Real>().sqrt();
     if length > 0.0 { vector.map(|v| v / length) } else { std::array::from_fn(|i| Real::from(u8::from(i == 0))) }
 }

@@ -47,7 +47,7 @@ impl HeldOutCases {
             HeldOutCase {
                 at: place(*sample),
                 places: neighbours.iter().map(|i| place(*i)).collect(),
-                products: products(&values, mean),
+                products: sum_products(&values, mean),
             }
         };
         let cases: Vec<HeldOutCase> = cases.par_iter().enumerate().map(case).collect();
@@ -82,7 +82,7 @@ fn process_variance(errors: &[(f64, f64)]) -> f64 {
 }
 
 /// Computes the sums of products of any two of the n observations, `[n, n]`.
-fn products(values: &[Vec<Real>], mean: Mean) -> Vec<f64> {
+fn sum_products(values: &[Vec<Real>], mean: Mean) -> Vec<f64> {
     let product = |a: &[Real], b: &[Real]| a.iter().zip(b).map(|(a, b)| *a as f64 * *b as f64).sum::<f64>();
     // Differences from the first observation avoid cancellation for bright spectra.
     let first = if mean == Mean::Zero { vec![0.0; values[0].len()] } else { values[0].clone() };

@@ -5,7 +5,7 @@ mod tests;
 
 use super::{index, read_transmitters, receivers};
 use crate::checks::{check_frequencies, subcarriers};
-use crate::folder::{check_root, folder_name, open_root, root_with, simulation, title};
+use crate::folder::{check_root, folder_name, open_root, read_simulation, root_with, title};
 use crate::npy::{ComplexArray, read_complex};
 use pwrfgs_core::{
     Channels, DataSource, Dataset, Error, Features, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample,
@@ -92,7 +92,7 @@ impl DataSource for Nerf2Csi {
         let per_receiver = antennas.len() / receivers.len();
         let channels = Channels { antennas: per_receiver, frequencies_hz, gains };
         let name = folder_name(&root);
-        let simulation = simulation(&root, &name);
+        let simulation = read_simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "NeRF2 layout");
         let data = Dataset::of_links(title, receivers, vec![], &samples, channels.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));

@@ -135,7 +135,7 @@ pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
             return Err(Error::input(path, problem));
         }
     };
-    let (width, height) = size(path, &decoder)?;
+    let (width, height) = checked_size(path, &decoder)?;
     let mut bytes = vec![0; width * height * number.bytes()];
     decoder.read_image(&mut bytes).map_err(damaged)?;
     if number == Number::U16 {
@@ -150,12 +150,12 @@ pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
 /// # Errors
 /// Another format, more than 2^24 pixels, or a file that is cut short or damaged.
 pub fn read_image(path: &Path) -> Result<Image> {
-    let Picture { width, height, bytes, .. } = luminance(path, "check the path")?;
+    let Picture { width, height, bytes, .. } = decode_luminance(path, "check the path")?;
     Ok(Image::from_bytes(width, height, &bytes))
 }
 
 /// Decodes a PNG or JPEG image like [`read_image`]; `advice` is the next step if it does not exist.
-pub(crate) fn luminance(path: &Path, advice: &str) -> Result<Picture> {
+pub(crate) fn decode_luminance(path: &Path, advice: &str) -> Result<Picture> {
     let file = read_bytes(path, MAX_BYTES, advice)?;
     let is_cut = file.starts_with(JPEG) && !reaches_end(&file);
     let guessed = ImageReader::new(Cursor::new(file)).with_guessed_format();
@@ -168,7 +168,7 @@ pub(crate) fn luminance(path: &Path, advice: &str) -> Result<Picture> {
     }
     reader.limits(limits());
     let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
-    let (width, height) = size(path, &decoder)?;
+    let (width, height) = checked_size(path, &decoder)?;
     let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(path, &e))?;
     Ok(Picture { width, height, number: Number::U8, bytes: image.into_luma8().into_raw() })
 }
@@ -191,7 +191,7 @@ fn reaches_end(file: &[u8]) -> bool {
 }
 
 /// Returns the size of an image that is not too large.
-fn size(path: &Path, decoder: &impl ImageDecoder) -> Result<(usize, usize)> {
+fn checked_size(path: &Path, decoder: &impl ImageDecoder) -> Result<(usize, usize)> {
     let (width, height) = decoder.dimensions();
     if u64::from(width) * u64::from(height) > MAX_PIXELS {
         let problem = format!("is {width} x {height} pixels, more than {MAX_PIXELS} in all; make it smaller");

@@ -7,7 +7,7 @@ use super::receivers::read_gateways;
 use super::{LocationTable, POSES, index};
 use crate::checks::{NOT_RECEIVED, UnlinkedNode, unlinked_node};
 use crate::folder::{
-    check_root, folder_name, open_root, point_cloud_in, read_point_cloud, root_with, simulation, title,
+    check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with, title,
 };
 use crate::text::{TextRow, dbm, lines, read_text};
 use pwrfgs_core::files::MAX_TEXT;
@@ -94,7 +94,7 @@ impl DataSource for Nerf2Rssi {
         let receivers = gateways.into_iter().map(|(name, pose)| Receiver::new(name, pose)).collect();
         let ends = locations.ends(receivers, Some(transmitter));
         let name = folder_name(&root);
-        let simulation = simulation(&root, &name);
+        let simulation = read_simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "NeRF2 layout");
         let data = Dataset::of_links(title, ends, points, &samples, powers.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
@@ -165,7 +165,7 @@ fn read_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Re
 /// Returns the column index of each gateway.
 fn gateway_columns(header: &TextRow<'_>, gateways: &[String]) -> Result<Vec<usize>> {
     let advice = ["has no position in gateway_position.yml", "add it there, or remove the column"];
-    let column_by_name = named_columns(header, gateways, advice)?;
+    let column_by_name = find_columns(header, gateways, advice)?;
     let column = |name: &String| {
         column_by_name.get(name.as_str()).copied().ok_or_else(|| {
             let problem = format!("no column `{}`, a gateway that has a position", strip_control(name));
@@ -177,7 +177,7 @@ fn gateway_columns(header: &TextRow<'_>, gateways: &[String]) -> Result<Vec<usiz
 
 /// Returns the columns by name, all of which must be in `names`; for another name, `unknown` is the problem and the next
 /// step.
-fn named_columns<'a>(header: &TextRow<'a>, names: &[String], unknown: [&str; 2]) -> Result<BTreeMap<&'a str, usize>> {
+fn find_columns<'a>(header: &TextRow<'a>, names: &[String], unknown: [&str; 2]) -> Result<BTreeMap<&'a str, usize>> {
     let valid: BTreeSet<&str> = names.iter().map(String::as_str).collect();
     let mut column_by_name = BTreeMap::new();
     for (k, field) in header.fields.iter().enumerate() {
@@ -209,7 +209,7 @@ pub fn read_powers(path: &Path, receivers: &[String]) -> Result<Vec<Vec<Real>>> 
     let header = rows.next().ok_or_else(|| Error::input(path, format!("is empty; {ADVICE}")))?;
     let header = TextRow::at_commas(path, header);
     let advice = ["is no receiver of the model", "name one, or remove the column"];
-    let column_by_name = named_columns(&header, receivers, advice)?;
+    let column_by_name = find_columns(&header, receivers, advice)?;
     let read = |row| {
         let row = TextRow::at_commas(path, row);
         row.check_length(header.fields.len())?;
