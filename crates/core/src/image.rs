@@ -97,9 +97,9 @@ impl Elevation {
         if fits && (self.last - self.first).abs() >= 1.0 {
             return None;
         }
-        let advice =
-            "give the elevations where the top row begins and the bottom row ends, in degrees from -90 to 90, such as";
-        Some(format!("`elevation` is ({}, {}); {advice} (0, 90) or (-90, 90)", self.first, self.last))
+        let problem = format!("`elevation` is ({}, {})", self.first, self.last);
+        let advice = "give the elevations where the top row begins and the bottom row ends, in degrees from -90 to 90";
+        Some(format!("{problem}; {advice}, such as (0, 90) or (-90, 90)"))
     }
 
     /// Returns an error if the sides of a pixel differ by more than `factor`, for an image with `width` columns over

@@ -207,6 +207,7 @@ impl pulp::WithSimd for Job<'_> {
         let Job { prediction, truth, width, height, window: Window(weights), d, scratch } = self;
         let Scratch { stride, padded, planes, blurred, zeros, .. } = scratch;
         let (stride, (moments, slopes)) = (*stride, planes.split_at_mut(4));
+        // Pass 1: P, G, P² + G² and PG, blurred along the rows.
         for y in 0..height {
             let row = y * width..(y + 1) * width;
             write_products(padded, &prediction[row.clone()], &truth[row]);
@@ -214,6 +215,7 @@ impl pulp::WithSimd for Job<'_> {
                 blur(&mut plane[y * stride..][..stride], row_taps(padded, stride), weights);
             }
         }
+        // Pass 2: the same along the columns, which gives the map; its derivatives, blurred along the rows.
         let mut total = [0.0; LANES];
         for y in 0..height {
             for (row, plane) in blurred.iter_mut().zip(&*moments) {
@@ -224,6 +226,7 @@ impl pulp::WithSimd for Job<'_> {
                 blur(&mut plane[y * stride..][..stride], row_taps(padded, stride), weights);
             }
         }
+        // Pass 3: the derivatives along the columns, which gives the derivative by P.
         let pixels = (width * height) as f64;
         for (y, d) in d.chunks_exact_mut(width).enumerate() {
             for (row, plane) in blurred.iter_mut().zip(&*slopes) {
@@ -326,7 +329,7 @@ fn compute_map([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
     (map, d)
 }
 
-/// Computes d = (f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂)) / pixels for one row.
+/// Computes d = scale · (f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂)) for one row; `scale` is 1 / number of pixels.
 #[inline(always)]
 fn write_derivative(d: &mut [Real], p: &[Real], g: &[Real], blurred: &[Vec<Real>; 4], scale: Real) {
     let (n, [mu, variance, covariance, ..]) = (d.len(), blurred);

@@ -94,15 +94,15 @@ impl CloudStats {
         Self { visible: zeros(), gradient: zeros(), radius: zeros(), weight: zeros(), ..Self::default() }
     }
 
-    /// Adds one of `drawings` with a common mean loss: the splats of the Gaussians `rows`, and the derivative `d` of
-    /// that loss. Each drawing counts with the gradient of its own loss.
-    pub fn observe(&mut self, rows: &[usize], splats: &Splats, d: &RenderVjp, plane: &ImagePlane, drawings: usize) {
-        let (half, drawings) = ([0.5 * plane.width as Real, 0.5 * plane.height as Real], drawings as Real);
+    /// Adds one of `renders` with a common mean loss: the splats of the Gaussians `rows`, and the derivative `d` of that
+    /// loss. Each render counts with the gradient of its own loss.
+    pub fn observe(&mut self, rows: &[usize], splats: &Splats, d: &RenderVjp, plane: &ImagePlane, renders: usize) {
+        let (half, renders) = ([0.5 * plane.width as Real, 0.5 * plane.height as Real], renders as Real);
         for (k, &i) in rows.iter().enumerate() {
             if splats.radii[k] > 0.0 {
                 let [dx, dy] = d.splats.means2d[k];
                 self.visible[i] += 1.0;
-                self.gradient[i] += drawings * (dx * half[0]).hypot(dy * half[1]);
+                self.gradient[i] += renders * (dx * half[0]).hypot(dy * half[1]);
                 self.radius[i] = self.radius[i].max(splats.radii[k]);
                 self.weight[i] += d.weights[k];
             }

@@ -76,7 +76,7 @@ impl<'a> TextRow<'a> {
     }
 
     /// Reads the power in the column of a receiver, dBm; -100 if no signal was received.
-    pub(crate) fn power(&self, column: (usize, &str)) -> Result<f64> {
+    pub(crate) fn read_power(&self, column: (usize, &str)) -> Result<f64> {
         dbm(self.path, self.line, self.cell(column, DBM_ADVICE)?)
     }
 

@@ -137,7 +137,7 @@ fn read_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Re
         let cells = TextRow::at_commas(path, content);
         cells.check_length(header.fields.len())?;
         for (gateway, &column) in columns.iter().enumerate() {
-            let dbm = cells.power((column, &gateways[gateway]))?;
+            let dbm = cells.read_power((column, &gateways[gateway]))?;
             received.extend((dbm != NOT_RECEIVED).then_some(PowerRow { row, gateway, dbm }));
         }
         line_numbers.push(cells.line);
