@@ -22,10 +22,7 @@ fn main() {
     let bare: Plugin<dyn Method> = Plugin::parse("Nerf2(cache_mb: 0)").expect("a plugin");
     let plane = Plugin::<dyn Projector>::parse("Mercator()").expect("a plugin").plane(360, 90);
     let setup = MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, plane);
-    let (weights, cloud) = (
-        method.layout(&setup).expect("a frame of spectra").init(&mut rng::stream(1, "weights", 0)),
-        GaussianCloud::zeros(0),
-    );
+    let (weights, cloud) = (method.layout(&setup).init(&mut rng::stream(1, "weights", 0)), GaussianCloud::zeros(0));
     let parameters = Parameters { cloud: &cloud, gate: None, existence: None, weights: &weights };
     let random = &mut rng::stream(2, "transmitters", 0);
     let conditions: Vec<Real> = (0..3 * RAYS).map(|_| rng::normal(random)).collect();

@@ -10,7 +10,8 @@ mod scene;
 use criterion::measurement::WallTime;
 use criterion::{BatchSize, BenchmarkGroup, BenchmarkId, Criterion};
 use pwrfgs::core::{
-    DeformationInputs, ImagePlane, MeasurementSetup, Origin, Pose, Query, Receiver, RenderVjp, Task, rng,
+    DeformationInputs, DeformationVjp, ImagePlane, MeasurementSetup, Origin, Pose, Query, Receiver, RenderVjp, Task,
+    rng,
 };
 use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::model::{Ensemble, Model, Stages};
@@ -90,7 +91,10 @@ fn network(criterion: &mut Criterion, name: &str, outputs: Outputs) {
         let mut d_weights = vec![0.0; model.weights.len()];
         let mut d_means = vec![[0.0; 3]; n];
         group.bench_function(BenchmarkId::new("backward", n), |b| {
-            b.iter(|| deformation.vjp(&inputs, &deltas, &mut d_weights, Some(&mut d_means), None));
+            b.iter(|| {
+                let sums = DeformationVjp { weights: &mut d_weights, means: Some(&mut d_means), positions: None };
+                deformation.vjp(&inputs, &deltas, sums);
+            });
         });
     }
 }

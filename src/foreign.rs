@@ -6,10 +6,10 @@
 
 use pwrfgs_core::tape::{TraceScalar, TracedCloud};
 use pwrfgs_core::{
-    Baseline, Cache, CloudStats, Conditions, Dataset, Deformation, DeformationInputs, DeformationTraits, Deltas, Error,
-    Evaluation, FittingSet, Gate, GaussianCloud, ImagePlane, Initializer, InitializerInput, JsonSchema, Layout,
-    Measurement, Metric, Needs, Partition, Predict, Pruner, PrunerTraits, Real, Result, Scene, Split, StepContext,
-    Task, rng::Rng,
+    Baseline, Cache, CloudStats, Conditions, Dataset, Deformation, DeformationInputs, DeformationTraits,
+    DeformationVjp, Deltas, Error, Evaluation, FittingSet, Gate, GaussianCloud, ImagePlane, Initializer,
+    InitializerInput, JsonSchema, Layout, Measurement, Metric, Needs, Partition, Predict, Pruner, PrunerTraits, Real,
+    Result, Scene, Split, StepContext, Task, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, OnceLock};
@@ -194,16 +194,9 @@ impl Deformation for Python {
         self.as_deformation().map(|own| own.forward(inputs, prepared)).unwrap_or_default()
     }
 
-    fn vjp(
-        &self,
-        inputs: &DeformationInputs<'_>,
-        d: &Deltas,
-        d_weights: &mut [Real],
-        d_means: Option<&mut [[Real; 3]]>,
-        d_txs: Option<&mut [[Real; 3]]>,
-    ) {
+    fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
         if let Ok(own) = self.as_deformation() {
-            own.vjp(inputs, d, d_weights, d_means, d_txs);
+            own.vjp(inputs, d, sums);
         }
     }
 

@@ -190,7 +190,7 @@ fn baselines_differentiate_except_nearest_neighbours() {
         let links: Vec<usize> = (0..LINKS).collect();
         for name in ["Kriging()", "Kriging(neighbours: 7)", "MeanSpectrum()", "LogDistance()", "NearestNeighbours()"] {
             let baseline: Plugin<dyn Baseline> = plugin(name);
-            if !baseline.supports(task) {
+            if !baseline.tasks().contains(&task) {
                 continue;
             }
             let fitted = baseline.fit(&data, FittingSet::train(&links)).unwrap();

@@ -79,12 +79,13 @@ fn rejects_elevations_that_model_cannot_draw() {
     let (ensemble, mut silent) = (Ensemble::of(model.clone()), NoopObserver);
     let session = &mut Session::new(&mut silent);
     let split = SplitData { data, partition };
-    let message = pwrfgs::experiment::evaluate(&ensemble, &pipeline, &split, session);
-    let message = message.unwrap_err().to_string();
-    assert!(
-        message.contains("draws elevations of 0 to 90 degrees and the spectra of the data are of -90 to 90"),
-        "{message}"
-    );
+    let evaluated = pwrfgs::experiment::evaluate(&ensemble, &pipeline, &split, session).err();
+    // As `locate` and `update` check it.
+    let compared = pwrfgs::experiment::check_alike(&ensemble.prepare(), &split.data).err();
+    for message in [evaluated, compared].map(|error| error.unwrap().to_string()) {
+        let words = "draws elevations of 0 to 90 degrees and the spectra of the data are of -90 to 90";
+        assert!(message.contains(words), "{message}");
+    }
     // A file whose plane is none of its projector's.
     let mut model = model;
     let angles = model.stages.plane.angles.as_mut().unwrap();

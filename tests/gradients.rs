@@ -5,8 +5,8 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    Cache, Call, ColumnSpec, DeformationInputs, DeformationTraits, GaussianCloud, ImagePlane, Link, LinkInputs,
-    MeasurementSetup, MethodVjp, Parameters, PixelSubset, Receiver, Task, WantedInputs, rng, sigmoid,
+    Cache, Call, ColumnSpec, DeformationInputs, DeformationTraits, DeformationVjp, GaussianCloud, ImagePlane, Link,
+    LinkInputs, MeasurementSetup, MethodVjp, Parameters, PixelSubset, Receiver, Task, WantedInputs, rng, sigmoid,
 };
 use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::model::Stages;
@@ -54,16 +54,9 @@ impl Deformation for Terms {
             signals: signals.as_chunks().0.to_vec(),
         }
     }
-    fn vjp(
-        &self,
-        _: &DeformationInputs<'_>,
-        d: &Deltas,
-        d_weights: &mut [Real],
-        _: Option<&mut [[Real; 3]]>,
-        _: Option<&mut [[Real; 3]]>,
-    ) {
+    fn vjp(&self, _: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
         let all = [d.scales.as_flattened(), d.quats.as_flattened(), d.signals.as_flattened()].concat();
-        d_weights.iter_mut().zip(all).for_each(|(sum, d)| *sum += d);
+        sums.weights.iter_mut().zip(all).for_each(|(sum, d)| *sum += d);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::common::{built_in, cloud, plugin, stages};
 use pwrfgs::core::plugin::PluginKind;
-use pwrfgs::core::{DeformationInputs, rng};
+use pwrfgs::core::{DeformationInputs, DeformationVjp, rng};
 use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::prelude::*;
 use std::path::Path;
@@ -86,7 +86,8 @@ fn deformations_return_declared_shapes() {
             }
             let (mut d_weights, mut d_means) = (vec![0.0; weights.len()], vec![[0.0; 3]; n]);
             let mut d_txs = deformation.traits().differentiates_positions.then(|| vec![[0.0; 3]; txs.len()]);
-            deformation.vjp(&inputs, &deltas, &mut d_weights, Some(&mut d_means), d_txs.as_deref_mut());
+            let (means, positions) = (Some(&mut d_means[..]), d_txs.as_deref_mut());
+            deformation.vjp(&inputs, &deltas, DeformationVjp { weights: &mut d_weights, means, positions });
             assert!(finite(&d_weights) && finite(d_means.as_flattened()), "{name}");
             assert!(d_txs.is_none_or(|d_txs| finite(d_txs.as_flattened())), "{name}");
         }

@@ -194,7 +194,7 @@ fn batch_predictions_equal_single_predictions_after_reload() {
             assert_eq!((image.width, image.height), (data.width, data.height));
             assert_eq!(*image, model.predict(data.query(i)), "{name}: link {i}");
             // The mean of two that are alike; spectra are clamped before.
-            let image = if data.task().has_pixels { image.clone().clamped() } else { image.clone() };
+            let image = data.task().shown(image.clone());
             assert_eq!(image.pixels, both.pixels, "{name}: link {i}");
         }
         for (ready, many) in [(ready, many), (ensemble.prepare(), both)] {
@@ -388,7 +388,7 @@ fn network_without_carrier_is_reported() {
     let ray = told(
         "data: Arrays(root: \"none\"), method: Nerf2(), training: (steps: 1, rays: Each(8), loss: (ssim_weight: 0.0))",
     );
-    assert!(ray.contains("Nerf2 has one carrier, but these data have several"), "{ray}");
+    assert!(ray.contains("`Nerf2` needs one carrier, but these data have several"), "{ray}");
     let array = "rasterizer: ArrayResponse(wavefront: Spherical(wavelength_m: 0.1)), readout: MinMax";
     let sphere = told(&CARRIERS.replace("readout: Magnitude", array));
     assert!(sphere.contains("Spherical has one wavelength"), "{sphere}");
@@ -448,13 +448,13 @@ fn reports_position_of_parts_for_other_task() {
     assert!(message(mixed).starts_with("a.ron:5:14: readout: it predicts spectra, but the data are received powers"));
     let metric = mixed.replace("readout: Magnitude", "metrics: [PowerError(), Ssim()]");
     assert!(
-        message(&metric).starts_with("a.ron:5:14: metrics: `Ssim` does not support received powers as metric"),
+        message(&metric).starts_with("a.ron:5:14: metrics: `Ssim` does not support received powers; use another"),
         "{}",
         message(&metric)
     );
     let floor = mixed.replace("readout: Magnitude", "baselines: [MeanSpectrum(), Zero()]");
     assert!(
-        message(&floor).starts_with("a.ron:5:16: baselines: `Zero` does not support received powers as baseline"),
+        message(&floor).starts_with("a.ron:5:16: baselines: `Zero` does not support received powers; use another"),
         "{}",
         message(&floor)
     );
@@ -463,6 +463,12 @@ fn reports_position_of_parts_for_other_task() {
         message(&search).starts_with("a.ron:4:18: initializer: `MatchingPursuit` does not support received powers"),
         "{}",
         message(&search)
+    );
+    let channels = "Channels(root: \"x\", carrier_hz: 3e8, spacing_hz: 1e7, receiver: ())";
+    let waves = message(&search.replace("Nerf2Rssi()", channels));
+    assert!(
+        waves.starts_with("a.ron:4:18: initializer: `MatchingPursuit` needs the method VirtualTransmitters"),
+        "{waves}"
     );
     let method = mixed.replace("readout: Magnitude", "method: VirtualTransmitters()");
     assert!(message(&method).starts_with("a.ron:5:13: method: it predicts channels"), "{}", message(&method));

@@ -26,8 +26,7 @@ fn data_of(pipeline: &Pipeline, shifted: bool) -> Dataset {
     let points = data.scene.points.iter().map(|p| place(p.map(f64::from))).collect();
     let samples = data.samples().map(|s| Sample { pose: place(s.position()).into(), ..s }).collect();
     let receiver = Pose { position: place(data.scene.pose().position), ..data.scene.pose() };
-    Dataset::new("shifted", receiver, points, samples, data.observations.pictures("this test").unwrap().clone())
-        .unwrap()
+    Dataset::new("shifted", receiver, points, samples, data.observations.spectra().unwrap().clone()).unwrap()
 }
 
 fn trained(pipeline: &Pipeline, data: &Dataset) -> Model {

@@ -49,7 +49,7 @@ impl Room {
             frequencies_hz,
             ..MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, plane)
         };
-        let weights = method.layout(&setup).unwrap().init(&mut rng::stream(3, "network", 0));
+        let weights = method.layout(&setup).init(&mut rng::stream(3, "network", 0));
         let random = &mut rng::stream(4, "transmitters", 0);
         let conditions = (0..3 * method.traits().inputs).map(|_| rng::normal(random)).collect();
         Self { method, setup, weights, conditions }
@@ -157,7 +157,7 @@ fn prepared_prediction_is_bit_identical() {
 fn darker(room: &Room, factor: Real) -> Vec<Real> {
     let mut weights = room.weights.clone();
     let mut from = 0;
-    for spec in room.method.layout(&room.setup).unwrap().weights {
+    for spec in room.method.layout(&room.setup).weights {
         let own = &mut weights[from..from + spec.len()];
         from += spec.len();
         if spec.name.starts_with("attenuation.") {

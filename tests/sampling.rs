@@ -25,7 +25,7 @@ fn every_way(mut check: impl FnMut(&str, &Stages)) {
             whole.setup.plane = whole.settings::<Splatting>().unwrap().projector.plane(90, 24);
             let coarse = whole.setup.plane.strided(STRIDE, [0, 0]);
             let setup = MeasurementSetup { plane: coarse, ..whole.setup.clone() };
-            if whole.method.layout(&setup).is_ok() {
+            if (Stages { setup, ..whole.clone() }).check().is_ok() {
                 check(&way, &whole);
                 checked.push(way);
             }
@@ -70,7 +70,7 @@ fn places(plane: &ImagePlane, width: usize) -> impl Iterator<Item = usize> {
 }
 
 #[test]
-fn strided_image_has_pixels_of_whole_image() {
+fn strided_image_keeps_pixels_of_whole_image() {
     let cloud = narrow_and_wide();
     let close = if size_of::<Real>() == 8 { 1e-11 } else { 2e-4 };
     every_way(|way, stages| {
@@ -176,9 +176,9 @@ fn whole_tiles_reject_stride() {
         splatting.rasterizer = plugin("AlphaBlending(support: TileSquares)");
     });
     whole.setup.plane = ImagePlane { wraps: false, angles: None, ..whole.setup.plane.clone() };
-    assert!(whole.method.layout(&whole.setup).is_ok());
+    whole.check().unwrap();
     whole.setup.plane = whole.setup.plane.strided(STRIDE, [0, 0]);
-    assert!(whole.method.layout(&whole.setup).unwrap_err().contains("training.stride: 1"));
+    assert!(whole.check().unwrap_err().contains("training.stride: 1"));
 }
 
 #[test]

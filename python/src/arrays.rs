@@ -209,7 +209,7 @@ pub(crate) fn room<T>(shape: &[usize]) -> PyResult<()> {
     Err(PyMemoryError::new_err(format!("not enough memory for numbers of shape {shape:?}; request fewer at a time")))
 }
 
-/// Observations of `task` as an array `[lead.., axes of one]`, complex if needed: `rows` holds them in order, each of
+/// Observations of `task` as an array `[lead.., axes of one]`, complex if needed, or as a number without axes: `rows` holds them in order, each of
 /// `size` (columns, rows).
 pub(crate) fn observations<'py>(
     py: Python<'py>,
@@ -219,6 +219,9 @@ pub(crate) fn observations<'py>(
     rows: Vec<Real>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let shape = [lead, &task.shape(size)].concat();
+    if shape.is_empty() {
+        return Ok(rows[0].into_pyobject(py)?.into_any());
+    }
     if task.is_complex {
         let gains = gains_of(&rows, size.0.max(1)).into_iter().map(|[re, im]| Gain::new(re, im)).collect();
         return array(py, gains, &shape).map(Bound::into_any);

@@ -51,8 +51,8 @@ impl View {
         let projector = plugin::<dyn Projector>(py, &text_of("Projector", projector, None)?)?;
         let rasterizer = plugin::<dyn Rasterizer>(py, &text_of("Rasterizer", rasterizer, None)?)?;
         let plane = projector.plane_of(width, height, elevation_of(py, elevation)?);
-        let plane = plane.map_err(|why| wrong(py, &format!("the projector {why}")))?;
-        rasterizer.check_plane(&plane).map_err(|why| wrong(py, &why))?;
+        let plane = plane.map_err(|why| wrong(py, &why.to_string()))?;
+        rasterizer.check_plane(&plane).map_err(|why| wrong(py, &why.to_string()))?;
         Ok(Self { projector, rasterizer, pose: pose_of(pose)?, plane })
     }
 }

@@ -1,45 +1,31 @@
 //! Metrics, baselines and repeatability for any arrays.
 
-use crate::arrays::{CHUNK, Gain, axes, input_array, observations, places, vector};
+use crate::arrays::{CHUNK, observation_rows, observations, places, shape_of, vector};
 use crate::border::{free, plugin, stoppable, text_of, wrong};
 use crate::data::Dataset;
-use numpy::PyUntypedArrayMethods as _;
 use pwrfgs::experiment::append_measurements;
 use pwrfgs::experiment::repeatability as work;
 use pwrfgs_core::{
     Baseline, Elevation, End, Evaluation, FittingSet, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin,
-    Plugin, Pose, Query, Real, Receiver, Scene, Scope, Task, Values, check_stopped, rows_of,
+    Plugin, Pose, Query, Real, Receiver, Scene, Scope, Task, Values, check_stopped,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
 
-/// Converts observations of `task`.
+/// Converts observations `[.., axes of one]` of `task`.
 fn images(what: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec<Image>> {
-    let (py, axes, of_one) = (value.py(), axes(value)?, task.shape((1, 2)).len());
-    if axes < of_one {
-        let what = format!("{what} has {axes} axes, but a {} has {of_one}", task.singular);
+    let (py, shape, axes) = (value.py(), shape_of(value)?, task.shape((1, 2)).len());
+    let Some(lead) = shape.len().checked_sub(axes) else {
+        let what = format!("{what} has {} axes, but a {} has {axes}", shape.len(), task.singular);
         return Err(wrong(py, &what));
-    }
-    let any = vec![None; axes];
-    let (ends, rows) = if task.is_complex {
-        let all = input_array::<Gain>(what, value, &any)?;
-        let gains = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
-        let pairs: Vec<[Real; 2]> = gains.iter().map(|gain| [gain.re, gain.im]).collect();
-        (all.shape()[axes - of_one..].to_vec(), rows_of(&pairs, all.shape()[axes - 1].max(1)))
-    } else {
-        let all = input_array::<Real>(what, value, &any)?;
-        let rows = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?.to_vec();
-        (all.shape()[axes - of_one..].to_vec(), rows)
     };
-    let [height, width] = *ends else {
-        return Ok(rows.into_iter().map(|v| Image { width: 1, height: 1, pixels: vec![v] }).collect());
-    };
-    if height * width == 0 {
+    let (width, height) = task.size(&shape[lead..]);
+    if width * height == 0 {
         return Err(wrong(py, &format!("{what} is empty")));
     }
-    let height = if task.is_complex { 2 * height } else { height };
+    let rows = observation_rows(what, value, task, (width, height), &shape[..lead])?;
     Ok(rows.chunks_exact(width * height).map(|rows| Image { width, height, pixels: rows.to_vec() }).collect())
 }
 

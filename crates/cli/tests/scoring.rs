@@ -36,7 +36,7 @@ fn rejects_unsuitable_baselines_before_first_step() {
     measured(here);
     let unsuitable: [(&str, &[&str]); 3] = [
         ("RayTracing()", &["baselines: RayTracing", "not simulated from a scene"]),
-        ("Ridge()", &["baselines: Ridge() needs link features", "use Kriging()"]),
+        ("Ridge()", &["baselines: `Ridge` needs link features", "use Kriging()"]),
         ("RayTracing(scene: \"missing.ron\")", &["baselines: cannot read", "missing.ron"]),
     ];
     for (baseline, words) in unsuitable {

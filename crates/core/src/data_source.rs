@@ -1,7 +1,9 @@
 //! `DataSource`, `Split`, `Baseline`: data, their division into sets, and reference predictors.
 
 use crate::plugin::{Plugin, registered};
-use crate::{Dataset, Image, Query, Real, Result, Task, plugin_kind, rng::Rng};
+use crate::{
+    Dataset, Demand, Image, Misfit, Parts, Query, Real, Requirement, Result, Task, compatible, plugin_kind, rng::Rng,
+};
 use std::path::Path;
 
 /// Progress callback (done, total) of a long operation, called from any thread and in any order.
@@ -97,18 +99,28 @@ pub trait Baseline: crate::plugin::PluginObject {
         self.name()
     }
 
-    /// Returns whether it predicts observations of `task`.
-    fn supports(&self, task: Task) -> bool {
-        true
+    /// Returns the measurement types that it predicts.
+    fn tasks(&self) -> &'static [Task] {
+        &Task::ALL
     }
 
-    /// Checks whether the baseline supports the observations of `data`. Commands call this before the first training
-    /// step. It must be cheap: sweeps call it once per combination.
+    /// Returns what it requires of the data beside the task.
+    fn requires(&self) -> &'static [Requirement] {
+        &[]
+    }
+
+    /// Returns its demands, for [`compatible`](crate::compatible()).
+    fn demand(&self) -> Demand {
+        Demand { field: "baselines", plugin: self.typetag_name(), tasks: self.tasks(), requires: self.requires() }
+    }
+
+    /// Checks whether the baseline supports the observations of `data`: its demands, by default. Commands call this before
+    /// the first training step. It must be cheap: sweeps call it once per combination.
     ///
     /// # Errors
     /// The baseline does not support `data`; the message names the setting to change.
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        Ok(())
+        compatible(&Parts { data: Some(data), demands: &[self.demand()], ..Parts::default() }).map_err(Misfit::error)
     }
 
     /// Fits to all `known` links. Choices use the validation set; if it is empty, samples held out of the training set.

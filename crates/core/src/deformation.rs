@@ -33,17 +33,8 @@ pub trait Deformation: crate::plugin::PluginObject {
         None
     }
 
-    /// Adds to `d_weights` (length of `weights`), and to `d_means` and the cotangents `d_txs` `[B, 3]` of the transmitter
-    /// positions if given, for the cotangents `d` of the output. `d_txs` is given only to a deformation that
-    /// [differentiates](DeformationTraits::differentiates_positions) them.
-    fn vjp(
-        &self,
-        inputs: &DeformationInputs<'_>,
-        d: &Deltas,
-        d_weights: &mut [Real],
-        d_means: Option<&mut [[Real; 3]]>,
-        d_txs: Option<&mut [[Real; 3]]>,
-    );
+    /// Adds the derivatives to `sums`, for the cotangents `d` of the output.
+    fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>);
 
     /// Returns the part of the signals that is linear in the transmitter inputs, for an initialisation in closed form;
     /// `None` without such a part.
@@ -154,6 +145,25 @@ impl<'a> DeformationInputs<'a> {
     /// Creates the inputs for some transmitters.
     pub fn new(weights: &'a [Real], means: &'a [[Real; 3]], txs: impl Into<Conditions<'a>>, pose: &'a Pose) -> Self {
         Self { weights, means, txs: txs.into(), pose, kept: &None }
+    }
+}
+
+/// Sums to which [`Deformation::vjp`] adds derivatives.
+#[derive(Debug)]
+pub struct DeformationVjp<'a> {
+    /// Derivatives by the weights.
+    pub weights: &'a mut [Real],
+    /// Derivatives by the centres `[N, 3]`, if wanted.
+    pub means: Option<&'a mut [[Real; 3]]>,
+    /// Derivatives by the transmitter positions `[B, 3]`, if wanted: only of a deformation that
+    /// [differentiates](DeformationTraits::differentiates_positions) them.
+    pub positions: Option<&'a mut [[Real; 3]]>,
+}
+
+impl<'a> DeformationVjp<'a> {
+    /// Creates the sums for the weights only.
+    pub fn of_weights(weights: &'a mut [Real]) -> Self {
+        Self { weights, means: None, positions: None }
     }
 }
 

@@ -1,6 +1,9 @@
 //! `Initializer`: initial Gaussians.
 
-use crate::{Dataset, GaussianCloud, ImagePlane, Method, Progress, Real, Result, Scene, Task, plugin_kind, rng::Rng};
+use crate::{
+    Dataset, Demand, GaussianCloud, ImagePlane, Method, Progress, Real, Requirement, Result, Scene, Task, plugin_kind,
+    rng::Rng,
+};
 use std::sync::atomic::AtomicBool;
 
 /// Inputs of an initialiser that reads observations.
@@ -73,10 +76,19 @@ pub trait Initializer: crate::plugin::PluginObject {
         None
     }
 
-    /// Returns whether it supports observations of `task`. An initialiser that reads no observations supports every
-    /// task.
-    fn supports(&self, task: Task) -> bool {
-        true
+    /// Returns the measurement types that it supports: all, if it reads no observations.
+    fn tasks(&self) -> &'static [Task] {
+        &Task::ALL
+    }
+
+    /// Returns what it requires of data and method beside the task.
+    fn requires(&self) -> &'static [Requirement] {
+        &[]
+    }
+
+    /// Returns its demands, for [`compatible`](crate::compatible()).
+    fn demand(&self) -> Demand {
+        Demand { field: "initializer", plugin: self.typetag_name(), tasks: self.tasks(), requires: self.requires() }
     }
 
     /// Rejects invalid settings when the pipeline is read.

@@ -10,6 +10,7 @@
 mod cholesky;
 mod cloud;
 pub mod colour;
+mod compatible;
 mod data_source;
 mod dataset;
 mod deformation;
@@ -23,6 +24,7 @@ mod layout;
 pub mod messages;
 mod method;
 mod metric;
+mod misfit;
 pub mod neighbours;
 pub mod npy;
 pub mod numbers;
@@ -32,6 +34,7 @@ mod rasterizer;
 mod real;
 pub mod rng;
 mod scene;
+mod setup;
 mod shipped;
 mod spectra;
 mod splats;
@@ -45,27 +48,32 @@ pub mod threads;
 
 pub use cholesky::Cholesky;
 pub use cloud::{COLUMN_NAMES, CloudEdit, ExtraColumn, GaussianCloud, RowOrigin};
+pub use compatible::{Parts, TrainingNumbers, compatible};
 pub use data_source::{Baseline, DataSource, FittingSet, LinkSet, Partition, Predict, Progress, Split, recognise};
 pub use dataset::{Dataset, Simulation, Unmatched, check_receivers};
-pub use deformation::{Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, KEPT_BYTES, LinearPart};
+pub use deformation::{
+    Conditions, Deformation, DeformationInputs, DeformationTraits, DeformationVjp, Deltas, KEPT_BYTES, LinearPart,
+};
 pub use docs::{JsonSchema, schemars};
 pub use error::{Error, Result, check_stopped, did_you_mean};
 pub use image::{AngleAxis, Camera, Elevation, Image, ImagePlane, Sampling, stretch};
 pub use initializer::{Initializer, InitializerInput};
 pub use layout::{Layout, WeightGroup, WeightSpec};
 pub use method::{
-    Activated, Appearance, Call, Cost, ForwardOutput, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp,
-    Parameters, PixelSubset, ReceiverState, WantedInputs,
+    Activated, Appearance, Call, Cost, ForwardOutput, Method, MethodTraits, MethodVjp, Parameters, PixelSubset,
+    WantedInputs,
 };
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
+pub use misfit::{Demand, Misfit, Requirement, SetupDifference};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};
-pub use pruner::{Budget, ColumnSpec, Pruner, PrunerTraits, best};
+pub use pruner::{Budget, ColumnSpec, PruneTarget, Pruner, PrunerTraits, best, contexts};
 pub use rasterizer::{Projector, Rasterizer, Render, RenderVjp, SplatStats, SurveyInputs};
 pub use real::{Lanes, Mat3, Real, Vec3, consts, logit, sigmoid, widest};
 pub use scene::{
     End, Ends, Features, Link, Location, MAX_COORDINATE_M, Origin, Pose, Query, Receiver, Sample, Scene, carrier_fault,
     coordinate_fault, place_fault,
 };
+pub use setup::{LinkInputs, MeasurementSetup, ReceiverState};
 pub use shipped::ShippedFile;
 pub use spectra::{Number, Spectra};
 pub use splats::{Primitives, Splats};

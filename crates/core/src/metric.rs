@@ -1,6 +1,6 @@
 //! `Metric`: quality of predictions.
 
-use crate::{Dataset, Image, ImagePlane, Link, Real, Result, Scene, Task, plugin_kind};
+use crate::{Dataset, Demand, Image, ImagePlane, Link, Real, Result, Scene, Task, plugin_kind};
 
 /// Scores predictions or a whole model.
 #[typetag::serde]
@@ -18,9 +18,14 @@ pub trait Metric: crate::plugin::PluginObject {
         Ok(())
     }
 
-    /// Returns whether it supports observations of `task`. Metrics of the model support every task.
-    fn supports(&self, task: Task) -> bool {
-        true
+    /// Returns the measurement types that it supports: all, for metrics of the model.
+    fn tasks(&self) -> &'static [Task] {
+        &Task::ALL
+    }
+
+    /// Returns its demands, for [`compatible`](crate::compatible()).
+    fn demand(&self) -> Demand {
+        Demand { field: "metrics", plugin: self.typetag_name(), tasks: self.tasks(), requires: &[] }
     }
 
     /// Returns the number of test samples that it needs at once, which determines the memory of an evaluation.

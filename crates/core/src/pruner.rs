@@ -1,7 +1,7 @@
 //! `Pruner`: selection of the Gaussians to keep.
 
 use crate::{
-    CloudEdit, CloudStats, Gate, GaussianCloud, Needs, Real, StepContext, plugin_kind,
+    CloudEdit, CloudStats, Gate, GaussianCloud, Needs, Plugin, Real, StepContext, plugin_kind,
     tape::{TraceScalar, TracedCloud},
 };
 
@@ -119,6 +119,43 @@ pub enum Budget {
     PrunerManaged,
     /// [`Pruner::keep`] leaves at most this number at each prune step; fewer are allowed.
     UpperBound,
+}
+
+/// `training.target_count` and the pruner that must reach it: the first that supports a target.
+#[derive(Clone, Copy, Debug)]
+pub struct PruneTarget {
+    /// Index of the pruner in the list.
+    pub pruner: usize,
+    /// Way in which the pruner reaches the target.
+    pub budget: Budget,
+    /// Number of Gaussians at the end of pruning.
+    pub target: usize,
+}
+
+impl PruneTarget {
+    /// Returns the goal of a training with a `target`, 0 for none; `None` also without a pruner that supports one.
+    pub fn of(pruners: &[Plugin<dyn Pruner>], target: usize) -> Option<Self> {
+        let mut budgets = pruners.iter().enumerate().filter_map(|(k, pruner)| Some((k, pruner.traits().budget?)));
+        let (pruner, budget) = budgets.next().filter(|_| target > 0)?;
+        Some(Self { pruner, budget, target })
+    }
+
+    /// Returns whether the target is exact rather than an upper limit.
+    pub fn is_exact(&self) -> bool {
+        self.budget != Budget::UpperBound
+    }
+
+    /// Returns whether its pruner, or a densification up to `densified` Gaussians, may reach `n` Gaussians.
+    pub fn grows(&self, pruners: &[Plugin<dyn Pruner>], densified: usize, n: usize) -> bool {
+        densified >= n || pruners[self.pruner].traits().grows
+    }
+}
+
+/// Returns `context` for each pruner: only the first that supports a target receives it.
+pub fn contexts(pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Vec<StepContext> {
+    let first = pruners.iter().position(|pruner| pruner.traits().budget.is_some());
+    let of = |k: usize| StepContext { target: context.target.filter(|_| first == Some(k)), ..*context };
+    (0..pruners.len()).map(of).collect()
 }
 
 /// Returns `true` for the `count` best by `scores`, `preferred` ones first; ties by index. NaN ranks last.

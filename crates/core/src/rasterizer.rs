@@ -1,7 +1,7 @@
 //! `Projector` and `Rasterizer`: from Gaussians in space to splats on the image plane, and from splats to an image of
 //! signals.
 
-use crate::{Cache, Camera, Elevation, ImagePlane, Pose, Primitives, Real, Splats, plugin_kind};
+use crate::{Cache, Camera, Elevation, ImagePlane, Misfit, Pose, Primitives, Real, Splats, plugin_kind};
 
 /// Projects Gaussians onto the image plane of a receiver.
 ///
@@ -15,23 +15,18 @@ pub trait Projector: crate::plugin::PluginObject {
     /// Returns the image plane for spectra with these elevations; [`Self::plane`] for those of the hemisphere in front.
     ///
     /// # Errors
-    /// The projector does not support them; the message names one that does.
-    fn plane_of(&self, width: usize, height: usize, elevation: Elevation) -> Result<ImagePlane, String> {
+    /// The projector does not support them.
+    fn plane_of(&self, width: usize, height: usize, elevation: Elevation) -> Result<ImagePlane, Misfit> {
         let Elevation { first, last } = elevation;
-        if elevation == Elevation::UPPER {
-            return Ok(self.plane(width, height));
-        }
-        Err(format!(
-            "does not support the elevations of these spectra, {first} to {last} degrees; use projector: Mercator()"
-        ))
+        if elevation == Elevation::UPPER { Ok(self.plane(width, height)) } else { Err(Misfit::Elevations(first, last)) }
     }
 
     /// Returns the image plane for the images of a camera.
     ///
     /// # Errors
-    /// The projector does not draw them; the message names one that does.
-    fn plane_of_camera(&self, width: usize, height: usize, camera: Camera) -> Result<ImagePlane, String> {
-        Err("draws angles, but the data are images of a camera; use projector: Pinhole()".into())
+    /// The projector does not draw them.
+    fn plane_of_camera(&self, width: usize, height: usize, camera: Camera) -> Result<ImagePlane, Misfit> {
+        Err(Misfit::CameraImages)
     }
 
     /// Returns splats `[N]`, row for row; a Gaussian out of view has radius 0. Opacities may be decreased but not
@@ -123,13 +118,16 @@ pub trait Rasterizer: crate::plugin::PluginObject {
     }
 
     /// Rejects unsupported image planes when the pipeline is checked.
-    fn check_plane(&self, plane: &ImagePlane) -> Result<(), String> {
+    ///
+    /// # Errors
+    /// The rasterizer does not support the plane.
+    fn check_plane(&self, plane: &ImagePlane) -> Result<(), Misfit> {
         Ok(())
     }
 
-    /// Rejects data of several carriers if it draws waves of one wavelength.
-    fn check_carriers(&self) -> Result<(), String> {
-        Ok(())
+    /// Returns whether it draws data of several carriers, rather than waves of one wavelength.
+    fn supports_carriers(&self) -> bool {
+        true
     }
 
     /// Returns the opacity below which a splat is not drawn; 0 if every splat is drawn.

@@ -42,7 +42,7 @@ impl Baseline for MeanSpectrum {
     }
 
     fn name_for(&self, task: Task) -> String {
-        if task.has_pixels { self.name() } else { "mean of the receiver".into() }
+        task.mean_name.into()
     }
 
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
@@ -211,21 +211,13 @@ impl Baseline for Zero {
         "zero".into()
     }
 
-    fn check_data(&self, data: &Dataset) -> Result<()> {
-        if self.supports(data.task()) {
-            return Ok(());
-        }
-        let what = format!("Zero() is a baseline for channels, but {} holds {}", data.title, data.task().plural);
-        Err(Error::Config(format!("{what}; use MeanSpectrum()")))
-    }
-
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
         all_of(known)?;
         Ok(Box::new(Constant(Image::zeros(data.width, data.height))))
     }
 
-    fn supports(&self, task: Task) -> bool {
-        task.is_complex
+    fn tasks(&self) -> &'static [Task] {
+        &[Task::Channel]
     }
 }

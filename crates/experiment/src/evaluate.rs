@@ -13,8 +13,8 @@ use crate::session::{Session, staged};
 use crate::text::number;
 use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::{
-    Dataset, Error, FittingSet, Image, ImagePlane, Metric, ModelFacts, Plugin, Result, Scope, check_stopped, evenly,
-    messages::strip_control,
+    Dataset, FittingSet, Image, ImagePlane, Metric, Misfit, ModelFacts, Parts, Plugin, Result, Scope, check_stopped,
+    compatible, evenly,
 };
 use pwrfgs_model::{Ensemble, Prepared, ProcessFit, ResidualProcess, Residuals, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
@@ -48,13 +48,6 @@ pub fn evaluate(
     let SplitData { data, partition } = split;
     let (ensemble, model, plane) = (model, &model.prepare(), model.plane());
     check_alike(model, data)?;
-    if let Some(drawn) = plane.elevation().filter(|drawn| *drawn != data.elevation) {
-        return Err(Error::Config(format!(
-            "the model draws elevations of {} to {} degrees and the spectra of the data are of {} to {}; evaluate it on \
-             data like those it was trained on",
-            drawn.first, drawn.last, data.elevation.first, data.elevation.last
-        )));
-    }
     let test = EvaluationSet::new(data, &partition.test, plane);
     let score = |ensemble: &Ensemble, ready: &Prepared<'_>, name: &str, session: &mut Session<'_>| {
         let facts = ModelFacts {
@@ -159,55 +152,12 @@ pub(crate) fn validation_baselines(
     Ok(all)
 }
 
-/// Checks that task, size, receivers and frequencies of the data match the model.
+/// Checks that a model predicts observations such as those of the data: task, size, directions, receivers and frequencies.
 ///
 /// # Errors
 /// The first difference.
 pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
-    let refuse = |what: String| Err(Error::Config(what + "; use data of the same kind as the training data"));
-    let (plane, task) = (model.plane(), data.task());
-    if model.task() != task {
-        return refuse(format!("the model predicts {}, but the data are {}", model.task().plural, task.plural));
-    }
-    if model.moving() != data.scene.moving {
-        return refuse("the receiver of the model or of the data moves, and that of the other is fixed".into());
-    }
-    let (drawn, have) = ((plane.width, plane.height), (data.width, data.height));
-    if drawn != have {
-        let size = |size| task.size_text(size).unwrap_or_default();
-        let what = format!("the model predicts {} of {}, but the data have {}", task.plural, size(drawn), size(have));
-        return refuse(what);
-    }
-    if plane.camera != data.camera() {
-        return refuse("the cameras of the model and of the data differ".into());
-    }
-    let (known, listening) = (model.receivers().len(), data.scene.receivers.len());
-    if known != listening {
-        return refuse(format!("the model has {known} receivers, but the data have {listening}"));
-    }
-    let near = |a: &f64, b: &f64| (a - b).abs() <= 1e-6 * a.abs();
-    for (known, measured) in model.receivers().iter().zip(&data.scene.receivers) {
-        if let (Some(known), Some(measured)) = (known.carrier_hz, measured.carrier_hz)
-            && !near(&known, &measured)
-        {
-            return refuse(format!("a carrier of the model is {known} Hz, but {measured} Hz in the data"));
-        }
-        // The name of a single receiver is a placeholder and is not compared.
-        if known.name != measured.name && !task.has_pixels && listening > 1 {
-            return refuse(format!(
-                "receiver `{}` of the model is called `{}` in the data",
-                strip_control(&known.name),
-                strip_control(&measured.name)
-            ));
-        }
-    }
-    let (known, measured) = (model.frequencies(), data.observations.frequencies_hz());
-    if !(known.len() == measured.len() && known.iter().zip(measured).all(|(a, b)| near(a, b))) {
-        let first = |all: &[f64]| all.first().copied().unwrap_or_default();
-        let (known, measured) = (first(known), first(measured));
-        return refuse(format!("subcarriers of the model begin at {known} Hz, but those of the data at {measured} Hz"));
-    }
-    Ok(())
+    compatible(&Parts { data: Some(data), trained: Some(model.setup()), ..Parts::default() }).map_err(Misfit::error)
 }
 
 impl Confidence {

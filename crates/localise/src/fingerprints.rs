@@ -63,7 +63,7 @@ impl Fingerprints {
         floor: f32,
         link_features: impl Fn(usize) -> Vec<f32> + Sync,
     ) -> Self {
-        let missing = if features.task().is_scalar { floor } else { f32::NAN };
+        let missing = if floor.is_finite() { floor } else { f32::NAN };
         let builder = RowBuilder { data, features, missing };
         let rows: Vec<Vec<f32>> = transmitters.par_iter().map(|&t| builder.build(t, &link_features)).collect();
         let positions = transmitters.iter().map(|&t| data.locations[t].position()).collect();

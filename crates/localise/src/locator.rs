@@ -218,8 +218,7 @@ impl<'a> Locator<'a> {
 
     /// Locates as [`Self::locate`], without the training samples at the position `left_out`.
     pub fn locate_without(&self, observation: &[f32], left_out: Option<[f64; 3]>) -> Located {
-        let is_scalar = self.features.task().is_scalar;
-        let raised = |v: &f32| if is_scalar && *v < self.floor { self.floor } else { *v };
+        let raised = |v: &f32| if *v < self.floor { self.floor } else { *v };
         let observation = &observation.iter().map(raised).collect::<Vec<f32>>()[..];
         let mut misfits = self.fingerprints.misfits(observation);
         let excluded =
@@ -269,8 +268,7 @@ impl<'a> Locator<'a> {
     /// Returns the misfit of the prediction for a transmitter at `at`, and its derivative.
     fn misfit(&self, observation: &[f32], at: [f64; 3]) -> Option<(f64, [f64; 3])> {
         let count = self.features.count();
-        let is_scalar = self.features.task().is_scalar;
-        let is_received = |v: &&f32| !v.is_nan() && (!is_scalar || **v > self.floor);
+        let is_received = |v: &&f32| **v > self.floor; // false for NaN
         let received = observation.iter().filter(is_received).count().max(1) as f64;
         let (mut sum, mut gradient) = (0.0, [0.0; 3]);
         for (receiver, features) in observation.chunks_exact(count).enumerate() {

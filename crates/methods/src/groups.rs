@@ -3,7 +3,7 @@
 
 use crate::{Activation, ActivationVjp};
 use pwrfgs_core::{
-    Activated, Cache, Call, Conditions, Dataset, Deformation, DeformationInputs, Deltas, End, GaussianCloud,
+    Activated, Cache, Call, Conditions, Dataset, Deformation, DeformationInputs, DeformationVjp, Deltas, GaussianCloud,
     LinkInputs, MeasurementSetup, Method, MethodVjp, Parameters, PixelSubset, Real, ReceiverState, Vec3,
 };
 use std::borrow::Cow;
@@ -26,9 +26,9 @@ impl ReceiverGroup {
     pub(crate) fn all(LinkInputs { receivers, pairs: links, .. }: &LinkInputs, share: bool) -> Vec<Self> {
         let mut groups: Vec<Self> = Vec::new();
         for (row, state) in receivers.iter().enumerate() {
-            let own: Vec<usize> = (0..links.len()).filter(|&i| links[i].receiver == row).collect();
-            let together = if share { own.len().max(1) } else { 1 };
-            groups.extend(own.chunks(together).map(|part| Self {
+            let of_receiver: Vec<usize> = (0..links.len()).filter(|&i| links[i].receiver == row).collect();
+            let together = if share { of_receiver.len().max(1) } else { 1 };
+            groups.extend(of_receiver.chunks(together).map(|part| Self {
                 state: *state,
                 row,
                 links: part.to_vec(),
@@ -89,9 +89,9 @@ impl ReceiverGroup {
     }
 
     /// Writes rows to the positions of its links.
-    pub(crate) fn scatter(&self, own: &[Real], numbers: usize, all: &mut [Real]) {
-        for (own, link) in own.chunks_exact(numbers).zip(&self.links) {
-            all[link * numbers..][..numbers].copy_from_slice(own);
+    pub(crate) fn scatter(&self, values: &[Real], numbers: usize, all: &mut [Real]) {
+        for (values, link) in values.chunks_exact(numbers).zip(&self.links) {
+            all[link * numbers..][..numbers].copy_from_slice(values);
         }
     }
 
@@ -110,27 +110,27 @@ impl ReceiverGroup {
         &self,
         deltas: &Deltas,
         n: usize,
-        own: &mut ActivationVjp,
+        grads: &mut ActivationVjp,
         vjp: impl FnOnce(&Deltas, Range<usize>, &mut ActivationVjp) -> T,
     ) -> T {
         let (terms, batch) = self.terms(deltas, n);
         // Copied terms have their own derivative, which is then added to the rows of origin.
         let copied = matches!(terms, Cow::Owned(_));
-        let all = copied.then(|| std::mem::replace(&mut own.deltas, terms.zeros_like()));
-        let gradients = vjp(&terms, batch, own);
+        let all = copied.then(|| std::mem::replace(&mut grads.deltas, terms.zeros_like()));
+        let gradients = vjp(&terms, batch, grads);
         if let Some(all) = all {
-            let part = std::mem::replace(&mut own.deltas, all);
-            self.add_back(&part, &mut own.deltas, n);
+            let part = std::mem::replace(&mut grads.deltas, all);
+            self.add_back(&part, &mut grads.deltas, n);
         }
         gradients
     }
 
     fn copy(&self, deltas: &Deltas, n: usize) -> Deltas {
-        fn rows<T: Copy>(of: &[T], rows: &[usize], n: usize) -> Vec<T> {
-            if of.is_empty() {
+        fn rows<T: Copy>(column: &[T], rows: &[usize], n: usize) -> Vec<T> {
+            if column.is_empty() {
                 Vec::new()
             } else {
-                rows.iter().flat_map(|b| of[b * n..][..n].iter().copied()).collect()
+                rows.iter().flat_map(|b| column[b * n..][..n].iter().copied()).collect()
             }
         }
         let Deltas { scales, quats, signals } = deltas;
@@ -142,12 +142,12 @@ impl ReceiverGroup {
     }
 
     /// Adds derivatives of copied terms to the rows of origin.
-    fn add_back(&self, own: &Deltas, all: &mut Deltas, n: usize) {
-        for (own, all) in own.columns().into_iter().zip(all.columns_mut()) {
-            let width = own.len() / (self.rows.len() * n).max(1);
+    fn add_back(&self, copied: &Deltas, all: &mut Deltas, n: usize) {
+        for (copied, all) in copied.columns().into_iter().zip(all.columns_mut()) {
+            let width = copied.len() / (self.rows.len() * n).max(1);
             for (k, b) in self.rows.iter().enumerate() {
                 let into = all.iter_mut().skip(b * n * width).take(n * width);
-                into.zip(&own[k * n * width..]).for_each(|(sum, d): (&mut Real, &Real)| *sum += d);
+                into.zip(&copied[k * n * width..]).for_each(|(sum, d): (&mut Real, &Real)| *sum += d);
             }
         }
     }
@@ -180,20 +180,20 @@ pub(crate) fn terms(
 pub(crate) fn vjp(
     deformation: &dyn Deformation,
     inputs: &DeformationInputs<'_>,
-    own: &ActivationVjp,
+    grads: &ActivationVjp,
     sums: &mut MethodVjp,
 ) {
     let mut d_means = vec![[0.0; 3]; inputs.means.len()];
-    if !own.deltas.is_empty() {
-        let d_network = &mut sums.weights[..inputs.weights.len()];
-        let d_txs = sums.positions.as_deref_mut();
-        deformation.vjp(inputs, &own.deltas, d_network, Some(&mut d_means), d_txs);
+    if !grads.deltas.is_empty() {
+        let weights = &mut sums.weights[..inputs.weights.len()];
+        let (means, positions) = (Some(&mut d_means[..]), sums.positions.as_deref_mut());
+        deformation.vjp(inputs, &grads.deltas, DeformationVjp { weights, means, positions });
     }
-    for ((_, _, sum), (_, _, own)) in sums.cloud.columns_mut().zip(own.cloud.columns()) {
-        sum.iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
+    for ((_, _, sum), (_, _, column)) in sums.cloud.columns_mut().zip(grads.cloud.columns()) {
+        sum.iter_mut().zip(column).for_each(|(sum, d)| *sum += d);
     }
     sums.cloud.means.as_flattened_mut().iter_mut().zip(d_means.as_flattened()).for_each(|(sum, d)| *sum += d);
-    sums.gate.iter_mut().zip(&own.gate).for_each(|(sum, d)| *sum += d);
+    sums.gate.iter_mut().zip(&grads.gate).for_each(|(sum, d)| *sum += d);
 }
 
 /// Returns the Gaussians as drawn for a transmitter at `tx`, or without transmitter; `p.weights` begin with those of
@@ -243,25 +243,4 @@ pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usiz
     locations.dedup(); // links are in the order of their locations
     let position = |i: usize| data.scene.origin.local(data.locations[i].position());
     deformation.start(Conditions::from(&locations.into_iter().map(position).collect::<Vec<_>>()), network);
-}
-
-/// Rejects several receivers if the network reads the receiver position, and several carriers if it reads none.
-pub(crate) fn check_receivers(deformation: &dyn Deformation, setup: &MeasurementSetup) -> Result<(), String> {
-    let carriers = setup.carriers().len();
-    if carriers > 0 && !deformation.traits().reads_carrier {
-        return Err(format!(
-            "the data have {carriers} carriers, but the deformation ignores them; use Factored(carrier: 2) or Mlp(carrier: 2)"
-        ));
-    }
-    let receivers = match (setup.moving, setup.receivers.len()) {
-        (End::Receiver, _) => "the receiver moves".into(),
-        (End::Transmitter, count @ 2..) => format!("the data have {count} receivers"),
-        (End::Transmitter, _) => return Ok(()),
-    };
-    if deformation.traits().reads_receiver {
-        return Err(format!(
-            "the deformation depends on the receiver position, but {receivers}; use Factored() or Mlp()"
-        ));
-    }
-    Ok(())
 }

@@ -16,5 +16,5 @@ pub use activate::{Activation, ActivationVjp, Calibration, normalise_quat, norma
 pub use nerf2::Nerf2;
 pub use readout::Readout;
 pub use splatted_channel::SplattedChannel;
-pub use splatting::{Geometry, ReceiverView, Splatting, check_together};
+pub use splatting::{Geometry, ReceiverView, Splatting};
 pub use virtual_transmitters::{MatchingPursuit, VirtualTransmitters};

@@ -98,9 +98,9 @@ impl SplattedChannel {
             let waves = ready.and_then(|ready| ready.waves.get(group.state.receiver).cloned()).unwrap_or_else(fresh);
             let (terms, batch) = group.terms(&deltas, p.cloud.len());
             let signals = self.activation().signals(p.cloud, &terms, batch);
-            let (mut own, level) = (waves.sum(&signals, group.links.len()), level(offsets, group.state.receiver));
-            own.iter_mut().for_each(|v| *v *= level);
-            group.scatter(&own, setup.numbers(), &mut numbers);
+            let (mut channels, level) = (waves.sum(&signals, group.links.len()), level(offsets, group.state.receiver));
+            channels.iter_mut().for_each(|v| *v *= level);
+            group.scatter(&channels, setup.numbers(), &mut numbers);
             received.extend(is_training.then_some((group, waves, signals)));
         }
         let blending = start.elapsed().as_secs_f64() - network;
@@ -143,12 +143,11 @@ impl Method for SplattedChannel {
     fn traits(&self) -> MethodTraits<'_> {
         let task = Some(Task::Channel);
         // `Points` are virtual transmitters in the viewer; these are Gaussians with their initial scales and rotations.
-        let deformation = Some(&self.deformation);
-        let (appearance, own) = (Appearance::Ellipsoids, self.deformation.traits());
-        let differentiates_positions = own.differentiates_positions;
+        let (appearance, deformation) = (Appearance::Ellipsoids, Some(&self.deformation));
+        let differentiates_positions = self.deformation.traits().differentiates_positions;
         MethodTraits {
             task,
-            inputs: own.inputs,
+            inputs: self.deformation.traits().inputs,
             appearance,
             deformation,
             differentiates_positions,
@@ -158,22 +157,15 @@ impl Method for SplattedChannel {
     }
 
     fn cost(&self, setup: &MeasurementSetup, _: usize, _: usize) -> Cost {
-        let own = self.deformation.traits();
-        let per_gaussian = own.kept_per_gaussian + PER_WAVE * setup.numbers() / 2;
-        Cost { per_gaussian, per_term: own.kept_per_term, pixels: setup.numbers(), ..Cost::default() }
+        let deformation = self.deformation.traits();
+        let per_gaussian = deformation.kept_per_gaussian + PER_WAVE * setup.numbers() / 2;
+        Cost { per_gaussian, per_term: deformation.kept_per_term, pixels: setup.numbers(), ..Cost::default() }
     }
 
-    fn layout(&self, setup: &MeasurementSetup) -> Result<Layout, String> {
-        if !setup.task.is_complex {
-            return Err(format!("method: SplattedChannel predicts channels, but the data are {}", setup.task.plural));
-        }
-        groups::check_receivers(&*self.deformation, setup)?;
-        if setup.receivers.iter().any(|own| own.antennas.len() != setup.receivers[0].antennas.len()) {
-            return Err("receivers have different numbers of antennas; give all of them the same number".into());
-        }
+    fn layout(&self, setup: &MeasurementSetup) -> Layout {
         let mut layout = self.deformation.layout();
         layout.weights.push(WeightSpec { decays: false, ..WeightSpec::zeros(OFFSETS, vec![setup.receivers.len()]) });
-        Ok(layout)
+        layout
     }
 
     fn drawable(&self, _: &MeasurementSetup, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
@@ -188,7 +180,7 @@ impl Method for SplattedChannel {
         let Call { setup, parameters: p, links, .. } = *call;
         let ForwardCache { terms: (deltas, kept), received } = cached(&observed.cache);
         let (n, activation) = (p.cloud.len(), self.activation());
-        let mut own = ActivationVjp::zeros(p.cloud, deltas);
+        let mut grads = ActivationVjp::zeros(p.cloud, deltas);
         let (network, offsets) = parts(setup, p.weights);
         for (group, waves, signals) in received {
             let links = group.links.len();
@@ -197,7 +189,7 @@ impl Method for SplattedChannel {
             let along: Real = waves.sum(signals, links).iter().zip(&d).map(|(v, d)| v * d).sum();
             sums.weights[network.len() + group.state.receiver] += consts::LN_10 * along;
             let (d_signals, d_waves) = waves.sum_vjp(signals, links, &d);
-            Waves::vjp(setup, group.state, p.cloud, p.gate, &d_waves, (&mut own.cloud.means, &mut own.gate));
+            Waves::vjp(setup, group.state, p.cloud, p.gate, &d_waves, (&mut grads.cloud.means, &mut grads.gate));
             if let (Some(positions), End::Receiver) = (&mut sums.positions, setup.moving) {
                 let (d_position, d_orientation) = Waves::pose_vjp(setup, group.state, p.cloud, p.gate, &d_waves);
                 (0..3).for_each(|k| positions[group.location()][k] += d_position[k] as Real);
@@ -205,8 +197,8 @@ impl Method for SplattedChannel {
                     (0..4).for_each(|k| orientations[group.row][k] += d_orientation[k]);
                 }
             }
-            group.terms_vjp(deltas, n, &mut own, |terms, batch, own| {
-                activation.signals_vjp(p.cloud, terms, batch, &d_signals, own);
+            group.terms_vjp(deltas, n, &mut grads, |terms, batch, grads| {
+                activation.signals_vjp(p.cloud, terms, batch, &d_signals, grads);
             });
             for (i, signals) in signals.chunks_exact((2 * links).max(1)).enumerate() {
                 let mean = signals.iter().map(|s| s * s).sum::<Real>() / links.max(1) as Real;
@@ -216,7 +208,7 @@ impl Method for SplattedChannel {
         }
         let (means, txs) = (&p.cloud.means, links.conditions());
         let inputs = DeformationInputs { weights: network, means, txs, pose: &setup.pose(), kept };
-        groups::vjp(&*self.deformation, &inputs, &own, sums);
+        groups::vjp(&*self.deformation, &inputs, &grads, sums);
     }
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {

@@ -13,8 +13,8 @@ mod survey;
 use crate::{Activation, ActivationVjp, Calibration, Readout};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Cache, Deformation, Deltas, Elevation, ImagePlane, JsonSchema, MeasurementSetup, Parameters, Pose, Primitives,
-    Projector, Rasterizer, Real, Render, RenderVjp, Splats, Task,
+    Cache, Deformation, Deltas, ImagePlane, JsonSchema, MeasurementSetup, Method, Parameters, Pose, Primitives,
+    Projector, Rasterizer, Real, Render, RenderVjp, Splats,
 };
 use pwrfgs_networks::Mlp;
 use pwrfgs_raster::{AlphaBlending, Mercator};
@@ -94,65 +94,10 @@ struct BlendedSignals {
     pub render: Render,
 }
 
-/// Checks the combination of rasterizer, readout, calibration and image plane, for pipelines and model files.
-///
-/// # Errors
-/// The message names the unsuitable part and the next step.
-pub fn check_together(
-    rasterizer: &dyn Rasterizer,
-    readout: Readout,
-    calibration: Calibration,
-    plane: &ImagePlane,
-) -> Result<(), String> {
-    rasterizer.check_plane(plane).map_err(|why| format!("rasterizer: {why}"))?;
-    if rasterizer.coherent() && readout.channels() < 2 {
-        return Err(
-            "readout: this rasterizer adds up waves, and Real takes one channel of each; use MinMax, Magnitude \
-                    or Power"
-                .into(),
-        );
-    }
-    if rasterizer.coherent() && calibration == Calibration::AsReleased {
-        return Err(
-            "calibration: AsReleased converts signals to colours, but this rasterizer adds waves; use Physical".into(),
-        );
-    }
-    Ok(())
-}
-
-/// Checks that a readout produces the measurement type of the data.
-///
-/// # Errors
-/// The message names the suitable readout.
-fn check_kind(readout: Readout, task: Task) -> Result<(), String> {
-    let own = readout.task();
-    if own == task {
-        return Ok(());
-    }
-    Err(format!("readout: predicts {}, but the data are {}; use {}", own.plural, task.plural, task.method))
-}
-
 impl Splatting {
     /// Returns the image plane of a receiver: the spectrum, or a coarse sky that is integrated to a power.
     pub fn sky(&self, setup: &MeasurementSetup) -> ImagePlane {
-        self.whole_sky(setup).expect("`layout` refuses what draws no whole sky")
-    }
-
-    /// Returns the image plane of a receiver.
-    ///
-    /// # Errors
-    /// The projector does not cover the whole sky.
-    fn whole_sky(&self, setup: &MeasurementSetup) -> Result<ImagePlane, String> {
-        let Readout::ReceivedPower { sky_deg, filter_deg2 } = self.readout else { return Ok(setup.plane.clone()) };
-        self.readout.check()?;
-        // Both poles have a row, so that the cells cover the sphere.
-        let (width, height, side) = (360 / sky_deg as usize, 180 / sky_deg as usize + 1, f64::from(sky_deg));
-        let whole = Elevation { first: -90.0, last: 90.0 + side };
-        let advice =
-            |why| format!("readout: ReceivedPower needs the whole sky, but the projector: {why}; use Mercator()");
-        let mut sky = self.projector.plane_of(width, height, whole).map_err(advice)?;
-        sky.sampling.filter = Some(filter_deg2 / (side * side) as Real);
-        Ok(sky)
+        self.plane(setup).expect("a compatible projector draws the whole sky").into_owned()
     }
 
     /// Returns the activation settings of this method.

@@ -23,8 +23,8 @@ use harmonics::{HIGHEST, terms};
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{
     Activated, Cache, Call, Deltas, Error, ForwardOutput, GaussianCloud, ImagePlane, Initializer, InitializerInput,
-    JsonSchema, Layout, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp, Parameters, Pose, Real,
-    Receiver, Result, Scene, Task, gains_of, rows_of,
+    JsonSchema, Layout, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp, Misfit, Parameters, Parts, Pose,
+    Real, Receiver, Requirement, Result, Scene, Task, compatible, gains_of, rows_of,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::Ordering;
@@ -65,11 +65,6 @@ pub(crate) fn order_of(columns: &[(&str, usize)]) -> usize {
     (0..HIGHEST).find(|order| 2 * (terms(*order) - 1) >= width).unwrap_or(HIGHEST)
 }
 
-/// Returns whether there is one receiver, or the carriers of one array.
-fn is_one_array(receivers: &[Receiver]) -> bool {
-    receivers.len() == 1 || Receiver::are_carriers(receivers)
-}
-
 /// Returns the antenna positions of a receiver relative to its position, along the axes of the room, metres.
 fn array(receiver: &Receiver, pose: Pose) -> Vec<[Real; 3]> {
     receiver.antennas.iter().map(|antenna| pose.turned(*antenna).map(|x| x as Real)).collect()
@@ -80,8 +75,8 @@ fn groups(links: &LinkInputs) -> Vec<(ReceiverGroup, Vec<[Real; 3]>)> {
     let txs = links.conditions().positions();
     let position = |i: &usize| txs.get(links.pairs[*i].location).copied();
     let with_positions = |group: ReceiverGroup| {
-        let own = group.links.iter().filter_map(position).collect();
-        (group, own)
+        let positions = group.links.iter().filter_map(position).collect();
+        (group, positions)
     };
     ReceiverGroup::all(links, true).into_iter().map(with_positions).collect()
 }
@@ -91,7 +86,8 @@ impl Method for VirtualTransmitters {
     fn traits(&self) -> MethodTraits<'_> {
         let more = 2 * (terms(self.order.min(HIGHEST)) - 1);
         let columns = if more == 0 { Vec::new() } else { vec![(HARMONICS, more)] };
-        MethodTraits { task: Some(Task::Channel), columns, differentiates_positions: true, ..MethodTraits::default() }
+        let (task, requires) = (Some(Task::Channel), &[Requirement::OneArray]);
+        MethodTraits { task, columns, requires, differentiates_positions: true, ..MethodTraits::default() }
     }
 
     /// The cloud is independent of the transmitter.
@@ -120,8 +116,8 @@ impl Method for VirtualTransmitters {
             let antennas = array(&setup.receivers[0], group.state.pose);
             let frequencies = setup.frequencies_of(group.state.receiver);
             let part = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &frequencies };
-            let own = rows_of(&field(p.cloud, p.gate, &part), frequencies.len());
-            group.scatter(&own, setup.numbers(), &mut numbers);
+            let channels = rows_of(&field(p.cloud, p.gate, &part), frequencies.len());
+            group.scatter(&channels, setup.numbers(), &mut numbers);
         }
         ForwardOutput { numbers, cache: None as Cache }
     }
@@ -131,22 +127,22 @@ impl Method for VirtualTransmitters {
         for (group, positions) in groups(links) {
             let antennas = array(&setup.receivers[0], group.state.pose);
             let frequencies = setup.frequencies_of(group.state.receiver);
-            let own = gains_of(&group.gather(d, setup.numbers()), frequencies.len());
+            let d_gains = gains_of(&group.gather(d, setup.numbers()), frequencies.len());
             // The field depends on distances and directions only: its derivative by a position is that by a common move
             // of all Gaussians the other way, link by link.
             let at_once = if sums.positions.is_none() { positions.len() } else { 1 };
             let of_each = at_once * antennas.len() * frequencies.len();
-            let parts = positions.chunks(at_once.max(1)).zip(own.chunks(of_each.max(1))).zip(&group.links);
+            let parts = positions.chunks(at_once.max(1)).zip(d_gains.chunks(of_each.max(1))).zip(&group.links);
             for ((positions, d), link) in parts {
                 let part = ChannelInputs { positions, antennas: &antennas, frequencies: &frequencies };
-                let found = field_vjp(p.cloud, p.gate, &part, d);
-                for ((_, _, sum), (_, _, d)) in sums.cloud.columns_mut().zip(found.cloud.columns()) {
+                let d_field = field_vjp(p.cloud, p.gate, &part, d);
+                for ((_, _, sum), (_, _, d)) in sums.cloud.columns_mut().zip(d_field.cloud.columns()) {
                     sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
                 }
-                sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
+                sums.gate.iter_mut().zip(&d_field.gate).for_each(|(sum, d)| *sum += d);
                 if let Some(d_positions) = &mut sums.positions {
                     let d_position = &mut d_positions[links.pairs[*link].location];
-                    found.cloud.means.iter().for_each(|d| (0..3).for_each(|k| d_position[k] -= d[k]));
+                    d_field.cloud.means.iter().for_each(|d| (0..3).for_each(|k| d_position[k] -= d[k]));
                 }
             }
         }
@@ -160,20 +156,8 @@ impl Method for VirtualTransmitters {
         }
     }
 
-    fn layout(&self, setup: &MeasurementSetup) -> Result<Layout, String> {
-        if !setup.task.is_complex {
-            return Err(format!(
-                "method: VirtualTransmitters predicts channels, but the data are {}",
-                setup.task.plural
-            ));
-        }
-        if !is_one_array(&setup.receivers) {
-            return Err(format!(
-                "method: VirtualTransmitters supports one receiver, but the data have {}; train one model per receiver",
-                setup.receivers.len()
-            ));
-        }
-        Ok(Layout::default())
+    fn layout(&self, _: &MeasurementSetup) -> Layout {
+        Layout::default()
     }
 }
 
@@ -255,28 +239,11 @@ impl MatchingPursuit {
     }
 
     /// Returns the training channels that the search reads.
-    fn observed(input: &InitializerInput<'_>) -> Result<ObservedChannels> {
-        let Some(channels) = input.data.observations.channels() else {
-            let what = input.data.task().plural;
-            return Err(Error::Config(format!("initializer: MatchingPursuit needs channels, but the data are {what}")));
-        };
-        let method: &dyn std::any::Any = input.method;
-        if !method.is::<VirtualTransmitters>() {
-            return Err(Error::Config(
-                "initializer: MatchingPursuit finds virtual transmitters; add `method: VirtualTransmitters()`".into(),
-            ));
-        }
-        let scene = &input.data.scene;
-        if !is_one_array(&scene.receivers) || !input.data.placed {
-            return Err(Error::Config("initializer: MatchingPursuit needs one receiver and all positions".into()));
-        }
-        if scene.moving.is_receiver() && scene.receivers[0].antennas != [[0.0; 3]] {
-            return Err(Error::Config(
-                "initializer: MatchingPursuit needs one antenna at the centre of a receiver that moves; use \
-                 method: SplattedChannel()"
-                    .into(),
-            ));
-        }
+    fn observed(&self, input: &InitializerInput<'_>) -> Result<ObservedChannels> {
+        let (data, demands) = (input.data, &[self.demand()]);
+        compatible(&Parts { data: Some(data), method: Some(input.method), demands, ..Parts::default() })
+            .map_err(Misfit::error)?;
+        let (channels, scene) = (data.observations.channels().expect("the method predicts channels"), &data.scene);
         // Carriers ascend; the longest wavelength has the fewest local maxima.
         let receiver_of = |i: &usize| input.data.links[*i].receiver;
         let lowest = input.train.iter().map(receiver_of).min().unwrap_or(0);
@@ -326,7 +293,7 @@ impl Initializer for MatchingPursuit {
     }
 
     fn search(&self, input: &InitializerInput<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
-        let observed = Self::observed(input)?;
+        let observed = self.observed(input)?;
         let mut all = VirtualSources::new(order_of(&input.method.traits().columns));
         // The last unit is the refinement after the last addition.
         let total = self.searches * self.most + 1;
@@ -336,24 +303,28 @@ impl Initializer for MatchingPursuit {
             let options = self.options(input, seed);
             let report_progress =
                 &mut |sources: usize| (input.progress)(search * self.most + sources.min(self.most), total);
-            let found = pursue(&observed.links(), &observed.channel, &options, input.stop, report_progress);
+            let sources = pursue(&observed.links(), &observed.channel, &options, input.stop, report_progress);
             if input.stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);
             }
-            all.extend(found.map_err(|why| Error::Config(format!("initializer: MatchingPursuit: {why}")))?);
+            all.extend(sources.map_err(|why| Error::Config(format!("initializer: MatchingPursuit: {why}")))?);
         }
         all.gains.as_flattened_mut().iter_mut().for_each(|x| *x /= self.searches as f64);
         Ok(all.to_cloud())
     }
 
     fn search_seconds(&self, input: &InitializerInput<'_>) -> Result<[f64; 2]> {
-        let observed = Self::observed(input)?;
+        let observed = self.observed(input)?;
         let one = expected_seconds(&observed.links(), &observed.channel, &self.options(input, 0));
         Ok(one.map(|seconds| seconds * self.searches as f64))
     }
 
-    fn supports(&self, task: Task) -> bool {
-        task.is_complex
+    fn tasks(&self) -> &'static [Task] {
+        &[Task::Channel]
+    }
+
+    fn requires(&self) -> &'static [Requirement] {
+        &[Requirement::Method("VirtualTransmitters"), Requirement::Positions, Requirement::CentredAntenna]
     }
 
     fn check(&self) -> Result<(), String> {

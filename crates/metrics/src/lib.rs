@@ -21,7 +21,7 @@ use rayon::prelude::*;
 /// Returns the reason why `metric` does not apply to these observations.
 fn not_for(metric: &dyn Metric, evaluation: &Evaluation<'_>) -> Option<Values> {
     let why = || format!("the metric does not support {}", evaluation.task.plural);
-    (!metric.supports(evaluation.task)).then(|| Values::NotApplicable(why()))
+    (!metric.tasks().contains(&evaluation.task)).then(|| Values::NotApplicable(why()))
 }
 
 /// Returns `score(prediction, truth)` of every sample, in order, if `metric` supports them; the prediction is not

@@ -26,8 +26,8 @@ impl Metric for PowerError {
         Ok(one("power_error_db", "dB", Goal::Lower, values))
     }
 
-    fn supports(&self, task: Task) -> bool {
-        task.is_scalar
+    fn tasks(&self) -> &'static [Task] {
+        &[Task::Power]
     }
 
     fn scope(&self) -> Scope {
@@ -111,8 +111,8 @@ impl Metric for ChannelSnr {
         Ok(vec![measured("snr_db", Values::PerSample(snapshots)), measured("snr_all_db", over_all)])
     }
 
-    fn supports(&self, task: Task) -> bool {
-        task.is_complex
+    fn tasks(&self) -> &'static [Task] {
+        &[Task::Channel]
     }
 }
 

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 /// Task and scope of a metric of spectra: one value per sample.
 macro_rules! of_spectra {
     () => {
-        fn supports(&self, task: Task) -> bool {
-            task.has_pixels
+        fn tasks(&self) -> &'static [Task] {
+            &[Task::Spectrum]
         }
 
         fn scope(&self) -> Scope {

@@ -101,8 +101,8 @@ fn distribution(mut scores: Vec<(f64, f64)>, most: usize) -> Distribution {
     let all: Vec<(f64, f64)> = scores.iter().map(share).collect();
     let quantile = |k: usize| {
         let share = k as f64 / most as f64;
-        let place = all.partition_point(|(_, reached)| *reached < share - ROUNDING);
-        (all[place.min(all.len() - 1)].0, share)
+        let index = all.partition_point(|(_, reached)| *reached < share - ROUNDING);
+        (all[index.min(all.len() - 1)].0, share)
     };
     let kept = if all.len() > most { (1..=most).map(quantile).collect() } else { all.clone() };
     let mut kept: Distribution =
@@ -115,7 +115,7 @@ impl IntervalCalibration {
     /// Creates the calibration of the blocks; `None` without a link.
     pub fn new(blocks: &[Vec<HeldOutScores>]) -> Option<Self> {
         let blocks: Vec<&Vec<HeldOutScores>> = blocks.iter().filter(|block| !block.is_empty()).collect();
-        let weighted = || blocks.iter().flat_map(|own| own.iter().map(|link| (link, 1.0 / own.len() as f64)));
+        let weighted = || blocks.iter().flat_map(|block| block.iter().map(|link| (link, 1.0 / block.len() as f64)));
         let of_link = |(link, weight): (&HeldOutScores, f64)| -> Vec<(f64, f64)> {
             let before = std::iter::once(0.0).chain(link.values.iter().map(|[_, share]| *share as f64));
             let scores = link.values.iter().zip(before);
@@ -138,8 +138,8 @@ impl IntervalCalibration {
     /// [`Error::Config`] if the level is not between 0 and 1, or has too few blocks.
     pub fn factors(&self, level: f64) -> Result<IntervalFactors> {
         if !(level > 0.0 && level < 1.0) {
-            let what = format!("interval level is {level}, expected a number above 0 and below 1, such as 0.9");
-            return Err(Error::Config(what));
+            let problem = format!("interval level is {level}, expected a number above 0 and below 1, such as 0.9");
+            return Err(Error::Config(problem));
         }
         let share = level * (self.blocks + 1) as f64 / self.blocks as f64;
         if share > 1.0 + ROUNDING {
@@ -150,9 +150,9 @@ impl IntervalCalibration {
                  to {largest} or less, or train with more validation samples"
             )));
         }
-        let factor = |of: &Distribution| {
-            let place = of.partition_point(|[_, reached]| (*reached as f64) < share - ROUNDING);
-            of[place.min(of.len() - 1)][0] as f64
+        let factor = |distribution: &Distribution| {
+            let index = distribution.partition_point(|[_, reached]| (*reached as f64) < share - ROUNDING);
+            distribution[index.min(distribution.len() - 1)][0] as f64
         };
         Ok(IntervalFactors { half_width: factor(&self.values), ssim: self.ssim.as_ref().map(factor) })
     }
@@ -160,8 +160,8 @@ impl IntervalCalibration {
     /// Adds the tensors.
     pub(crate) fn put(&self, file: &mut Tensors) {
         file.put(BLOCKS, vec![1], vec![self.blocks as Real]);
-        for (name, own) in [(VALUES, Some(&self.values)), (SSIM, self.ssim.as_ref())] {
-            own.into_iter().for_each(|own| file.put(name, vec![own.len(), 2], own.as_flattened().to_vec()));
+        for (name, scores) in [(VALUES, Some(&self.values)), (SSIM, self.ssim.as_ref())] {
+            scores.into_iter().for_each(|scores| file.put(name, vec![scores.len(), 2], scores.as_flattened().to_vec()));
         }
     }
 
@@ -179,12 +179,12 @@ impl IntervalCalibration {
         }
         let mut take = |name: &str| {
             let count = file.shape(name).and_then(|shape| shape.first().copied()).unwrap_or(0);
-            let own = file.take(name, &[count.max(1), 2])?.as_chunks().0.to_vec();
-            let is_ascending = own.is_sorted_by(|a: &[Real; 2], b| a[0] <= b[0] && a[1] <= b[1]);
-            if !is_ascending || own[0].iter().any(|v| *v < 0.0) || own[own.len() - 1][1] != 1.0 {
+            let scores = file.take(name, &[count.max(1), 2])?.as_chunks().0.to_vec();
+            let is_ascending = scores.is_sorted_by(|a: &[Real; 2], b| a[0] <= b[0] && a[1] <= b[1]);
+            if !is_ascending || scores[0].iter().any(|v| *v < 0.0) || scores[scores.len() - 1][1] != 1.0 {
                 return Err(format!("tensor `{name}` holds no ascending scores and shares from 0 to 1"));
             }
-            Ok(own)
+            Ok(scores)
         };
         let values = take(VALUES)?;
         let ssim = task.has_pixels.then(|| take(SSIM)).transpose()?;
@@ -204,7 +204,7 @@ mod tests {
     }
 
     fn calibration(blocks: &[Vec<f64>]) -> IntervalCalibration {
-        IntervalCalibration::new(&blocks.iter().map(|own| block(own)).collect::<Vec<_>>()).unwrap()
+        IntervalCalibration::new(&blocks.iter().map(|errors| block(errors)).collect::<Vec<_>>()).unwrap()
     }
 
     /// Scores stay finite and are never negative, so that every reader takes the file.
@@ -222,8 +222,9 @@ mod tests {
     #[test]
     fn factor_is_the_order_statistic_of_single_links() {
         for blocks in 1..60 {
-            let found = calibration(&(0..blocks).map(|k| vec![((k + 7) % blocks + 1) as f64]).collect::<Vec<_>>());
-            let factor = |level: f64| found.factors(level / (blocks + 1) as f64);
+            let calibration =
+                calibration(&(0..blocks).map(|k| vec![((k + 7) % blocks + 1) as f64]).collect::<Vec<_>>());
+            let factor = |level: f64| calibration.factors(level / (blocks + 1) as f64);
             for rank in (1..=blocks).map(|rank| rank as f64) {
                 let expected = IntervalFactors { half_width: rank, ssim: None };
                 assert_eq!([rank - 0.9, rank].map(|level| factor(level).unwrap()), [expected; 2], "{blocks} blocks");
@@ -263,22 +264,26 @@ mod tests {
         let scores: Vec<(f64, f64)> = (1..=100_000).map(|k| (f64::from(k), 1.0)).collect();
         let thinned = distribution(scores, MOST);
         assert_eq!(thinned.len(), MOST);
-        let found = IntervalCalibration { blocks: 1_000_000, values: thinned, ssim: None };
+        let calibration = IntervalCalibration { blocks: 1_000_000, values: thinned, ssim: None };
         for level in [0.001, 0.3333, 0.9, 0.99] {
-            let half = found.factors(level).unwrap().half_width;
+            let half = calibration.factors(level).unwrap().half_width;
             assert!((0.0..101.0).contains(&(half - 100_000.0 * level)), "{half} at {level}");
         }
     }
 
     #[test]
     fn invalid_levels_and_empty_blocks_are_refused() {
-        let found = calibration(&[vec![], vec![1.0, 2.0], vec![3.0]]);
-        assert_eq!((found.blocks(), found.factors(0.6).unwrap().half_width), (2, 3.0));
+        let calibration = calibration(&[vec![], vec![1.0, 2.0], vec![3.0]]);
+        assert_eq!((calibration.blocks(), calibration.factors(0.6).unwrap().half_width), (2, 3.0));
         for level in [0.0, 1.0, 1.5, -0.5, f64::NAN, f64::INFINITY] {
-            assert!(found.factors(level).unwrap_err().to_string().contains("expected a number above 0"));
+            assert!(calibration.factors(level).unwrap_err().to_string().contains("expected a number above 0"));
         }
         assert!(
-            found.factors(0.9).unwrap_err().to_string().contains("needs 9 calibration blocks, but the model has 2")
+            calibration
+                .factors(0.9)
+                .unwrap_err()
+                .to_string()
+                .contains("needs 9 calibration blocks, but the model has 2")
         );
         assert_eq!(IntervalCalibration::new(&[vec![]]), None);
     }

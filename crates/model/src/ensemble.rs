@@ -27,7 +27,7 @@ impl Ensemble {
     /// # Errors
     /// The message names the mismatch.
     pub fn new(members: Vec<Model>) -> Result<Self, String> {
-        Self::named((1..).map(|place: usize| place.to_string()).zip(members).collect())
+        Self::named((1..).map(|number: usize| number.to_string()).zip(members).collect())
     }
 
     /// Creates an ensemble of named models.
@@ -152,8 +152,8 @@ impl Ensemble {
         let mut metres = vec![0.0_f64; txs.len()];
         for Model { stages, training_positions, .. } in &self.members {
             let local: Vec<[Real; 3]> = txs.iter().map(|tx| stages.origin.local(*tx)).collect();
-            let own = training_positions.as_ref()?.distances(&local);
-            metres.iter_mut().zip(own).for_each(|(largest, own)| *largest = largest.max(own as f64));
+            let distances = training_positions.as_ref()?.distances(&local);
+            metres.iter_mut().zip(distances).for_each(|(largest, distances)| *largest = largest.max(distances as f64));
         }
         Some(TrainingDistances { metres, limit: self.training_limit()? })
     }
@@ -167,10 +167,11 @@ impl Ensemble {
 
     /// Returns the thinned training positions of all members `[K,3]`, metres, world frame; empty if unknown.
     pub fn training_positions(&self) -> Vec<[f64; 3]> {
-        let positions =
-            |model: &Model| model.training_positions.as_ref().map_or(Vec::new(), |own| own.positions().to_vec());
-        let of = |model| positions(model).into_iter().map(|position| model.stages.origin.world(position));
-        self.members.iter().flat_map(of).collect()
+        let positions = |model: &Model| {
+            model.training_positions.as_ref().map_or(Vec::new(), |training| training.positions().to_vec())
+        };
+        let in_world = |model| positions(model).into_iter().map(|position| model.stages.origin.world(position));
+        self.members.iter().flat_map(in_world).collect()
     }
 
     /// Prepares all members for predictions.

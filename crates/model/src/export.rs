@@ -58,8 +58,8 @@ impl Npz {
         }
         let mut rest = model.weights.as_slice();
         for spec in model.stages.layout().weights {
-            let (own, tail) = rest.split_at(spec.len());
-            self.put(&format!("network.{}", spec.name), &spec.shape, reals(own))?;
+            let (weights, tail) = rest.split_at(spec.len());
+            self.put(&format!("network.{}", spec.name), &spec.shape, reals(weights))?;
             rest = tail;
         }
         for (spec, values) in model.stages.layout().constants {

@@ -160,8 +160,8 @@ fn predictor_tensors(ensemble: &Ensemble) -> Tensors {
 }
 
 /// Returns the prefix of the tensor names of a member.
-fn prefix(place: usize) -> String {
-    format!("members.{place}.")
+fn prefix(member: usize) -> String {
+    format!("members.{member}.")
 }
 
 fn note(model: &Model) -> Note {
@@ -375,8 +375,8 @@ pub fn take_columns(
 pub fn put_weights(file: &mut Tensors, prefix: &str, weights: &[Real], stages: &Stages) {
     let mut rest = weights;
     for spec in stages.layout().weights {
-        let (own, tail) = rest.split_at(spec.len());
-        file.put(format!("{prefix}{}", spec.name), spec.shape.clone(), own.to_vec());
+        let (weights, tail) = rest.split_at(spec.len());
+        file.put(format!("{prefix}{}", spec.name), spec.shape.clone(), weights.to_vec());
         rest = tail;
     }
     assert!(rest.is_empty(), "the network is as long as its layout");

@@ -3,8 +3,8 @@
 use crate::TrainingPositions;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Activated, AngleAxis, Dataset, Deformation, Error, GaussianCloud, ImagePlane, Layout, MeasurementSetup, Method,
-    Origin, Parameters, Projector, Real, Result, check_receivers, place_fault,
+    Activated, Dataset, Deformation, GaussianCloud, ImagePlane, Layout, MeasurementSetup, Method, Misfit, Origin,
+    Parameters, Parts, Real, Result, check_receivers, compatible, place_fault,
 };
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
@@ -33,8 +33,8 @@ impl Model {
 
     /// Returns the centres `[N,3]`, metres from `origin`.
     pub fn means_from(&self, origin: Origin) -> Vec<[Real; 3]> {
-        let own = self.stages.origin;
-        let moved = |mean: &[Real; 3]| if own == origin { *mean } else { origin.local(own.world(*mean)) };
+        let from = self.stages.origin;
+        let moved = |mean: &[Real; 3]| if from == origin { *mean } else { origin.local(from.world(*mean)) };
         self.cloud.means.iter().map(moved).collect()
     }
 
@@ -86,15 +86,15 @@ impl Stages {
     /// Creates stages from a method for `data`, with the whole image as its plane.
     ///
     /// # Errors
-    /// [`Error::Config`] if splats cannot be drawn on an image of this size.
+    /// Splats cannot be drawn on an image of this size.
     pub fn of(method: Plugin<dyn Method>, data: &Dataset) -> Result<Self> {
         let mut plane = data.plane();
         if let (true, Some(projector)) = (data.task().has_pixels, method.traits().projector) {
-            let drawn = match data.camera() {
+            plane = match data.camera() {
                 Some(camera) => projector.plane_of_camera(data.width, data.height, camera),
                 None => projector.plane_of(data.width, data.height, data.elevation),
-            };
-            plane = drawn.map_err(|why| Error::Config(format!("the projector {why}")))?;
+            }
+            .map_err(Misfit::error)?;
         }
         Ok(Self { setup: MeasurementSetup::of(data, plane), method })
     }
@@ -131,9 +131,6 @@ impl Stages {
         if pixels.is_none() {
             return Err(format!("plane: {width} x {height} pixels, expected 1 to {MAX_PIXELS}"));
         }
-        if let (true, Some(projector)) = (self.task.has_pixels, self.method.traits().projector) {
-            check_plane(&self.setup.plane, &**projector)?;
-        }
         if self.moving.is_receiver() && self.receivers.iter().any(|receiver| receiver.pose.position != [0.0; 3]) {
             return Err("links: receivers that move have a position".into());
         }
@@ -144,48 +141,17 @@ impl Stages {
             return Err(format!("{} receivers, expected 1 to {MAX_RECEIVERS}", self.receivers.len()));
         }
         check_receivers(&self.receivers)?;
-        let gains = (self.frequencies_hz.len(), 2 * self.receivers[0].antennas.len());
-        let expected = if self.task.is_complex { gains } else { (1, 1) };
-        if !self.task.has_pixels && (width, height) != expected {
-            return Err(format!("plane: {width} x {height} numbers do not match a {}", self.task.singular));
-        }
-        self.method.layout(&self.setup).map(drop)
+        let (setup, method) = (Some(&self.setup), Some(self.method.get()));
+        compatible(&Parts { setup, method, ..Parts::default() }).map_err(|why| why.to_string())
     }
 
     /// Returns names, shapes and initial values of the weights.
-    ///
-    /// # Panics
-    /// If the method does not support the frame, which [`Self::check`] rejects.
     pub fn layout(&self) -> Layout {
-        self.method.layout(&self.setup).unwrap_or_else(|why| panic!("{why}"))
+        self.method.layout(&self.setup)
     }
 
     /// Returns the rows of `cloud` that can affect an observation.
     pub fn drawable(&self, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
         self.method.drawable(&self.setup, cloud, gate)
     }
-}
-
-/// Checks that the projector supports the image plane.
-fn check_plane(plane: &ImagePlane, projector: &dyn Projector) -> Result<(), String> {
-    let ImagePlane { width, height, .. } = *plane;
-    let near = |a: AngleAxis, b: AngleAxis| (a.first - b.first).abs() < 1e-9 && (a.step - b.step).abs() < 1e-9;
-    let is_own = |drawn: &ImagePlane| {
-        let alike = match (plane.angles, drawn.angles) {
-            (Some(a), Some(b)) => near(a.0, b.0) && near(a.1, b.1),
-            (a, b) => a == b,
-        };
-        alike && plane.wraps == drawn.wraps && plane.camera == drawn.camera
-    };
-    if let Some(camera) = plane.camera {
-        let drawn =
-            projector.plane_of_camera(width, height, camera).map_err(|why| format!("plane: the projector {why}"))?;
-        return if *plane == drawn { Ok(()) } else { Err("plane: has a camera and angles".into()) };
-    }
-    let elevation = plane.elevation().filter(|elevation| elevation.fault().is_none());
-    let stated = elevation.and_then(|elevation| projector.plane_of(width, height, elevation).ok());
-    if is_own(&projector.plane(width, height)) || stated.is_some_and(|drawn| is_own(&drawn)) {
-        return Ok(());
-    }
-    Err("plane: the projector does not support its angles".into())
 }

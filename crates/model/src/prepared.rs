@@ -4,8 +4,8 @@ mod derivative;
 
 use crate::{Model, Residuals, Stages};
 use pwrfgs_core::{
-    Cache, Call, End, GaussianCloud, Image, ImagePlane, Parameters, PixelSubset, Predict, Query, Real, Receiver,
-    StageTimes, Task,
+    Cache, Call, End, GaussianCloud, Image, ImagePlane, MeasurementSetup, Parameters, PixelSubset, Predict, Query,
+    Real, Receiver, StageTimes, Task,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -56,9 +56,14 @@ impl<'a> Prepared<'a> {
         self.members.iter().map(|member| member.model)
     }
 
+    /// Returns receivers and measurement type.
+    pub fn setup(&self) -> &'a MeasurementSetup {
+        &self.members[0].model.stages.setup
+    }
+
     /// Returns the image plane.
     pub fn plane(&self) -> &'a ImagePlane {
-        &self.members[0].model.stages.plane
+        &self.setup().plane
     }
 
     /// Returns the type of the observations.
@@ -74,11 +79,6 @@ impl<'a> Prepared<'a> {
     /// Returns the end that moves.
     pub fn moving(&self) -> End {
         self.members[0].model.stages.setup.moving
-    }
-
-    /// Returns the subcarrier frequencies, Hz; empty if the observations are not channels.
-    pub fn frequencies(&self) -> &'a [f64] {
-        &self.members[0].model.stages.setup.frequencies_hz
     }
 
     /// Predicts the observation of a link, such as the spectrum for a transmitter position (metres, world frame) at the
@@ -99,7 +99,7 @@ impl<'a> Prepared<'a> {
         let query = query.into();
         let (pictures, times) = self.pictures(query);
         let count = pictures.len() as Real;
-        let clamped: Vec<Image> = pictures.iter().map(|own| self.task().shown(own.clone())).collect();
+        let clamped: Vec<Image> = pictures.iter().map(|prediction| self.task().shown(prediction.clone())).collect();
         let mean = mean(pictures, self.task());
         let mut deviation = Image::zeros(mean.width, mean.height);
         if clamped.len() > 1 {
@@ -154,10 +154,10 @@ impl<'a> Prepared<'a> {
         assert_eq!(numbers.len(), queries.len() * of_each, "numbers of {} observations", queries.len());
         for (group, numbers) in queries.chunks(GROUP).zip(numbers.chunks_mut(GROUP * of_each)) {
             if let ([member], None) = (self.members.as_slice(), self.residuals) {
-                let (found, _) = member.numbers(group);
+                let (predictions, _) = member.numbers(group);
                 // If `numbers` is new memory, its first access takes longer than the copy.
                 let copy = |(to, from): (&mut [Real], &[Real])| to.copy_from_slice(from);
-                numbers.par_chunks_mut(of_each).zip(found.par_chunks(of_each)).for_each(copy);
+                numbers.par_chunks_mut(of_each).zip(predictions.par_chunks(of_each)).for_each(copy);
                 continue;
             }
             for (image, numbers) in self.predict_many(group).iter().zip(numbers.chunks_exact_mut(of_each)) {
@@ -201,7 +201,7 @@ impl Predict for Prepared<'_> {
 
     /// That of the residual process; `None` without residual processes.
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
-        self.residuals.map(|own| own.deviation(query, self.members[0].model.stages.origin))
+        self.residuals.map(|residuals| residuals.deviation(query, self.members[0].model.stages.origin))
     }
 }
 

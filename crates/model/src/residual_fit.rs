@@ -74,7 +74,7 @@ impl Residuals {
     ) -> Result<Self> {
         let data = known.data;
         settings.check_data(data, known.left_out_by.iter().any(|by| *by != LeftOutBy::NoMember))?;
-        let mut grid = CoarseGrid::new(ensemble.plane(), if data.task().has_pixels { settings.stride } else { 1 });
+        let mut grid = CoarseGrid::new(ensemble.plane(), data.task().stride(settings.stride));
         let examples: Vec<Vec<Real>> = evenly(known.links, EXAMPLES).iter().map(|&i| data.image(i).pixels).collect();
         while grid.stride > 1 && grid.lost(&examples) > LOST {
             grid = CoarseGrid::new(ensemble.plane(), grid.stride / 2);
@@ -84,7 +84,7 @@ impl Residuals {
         let mut of_each = vec![Vec::new(); data.scene.receivers.len()];
         (0..known.links.len()).for_each(|k| of_each[data.links[known.links[k]].receiver].push(k));
         let fit = samples.most_likely(&of_each);
-        let process = |own: &Vec<usize>| Some(samples.process(own, fit?)).filter(|process| !process.is_empty());
+        let process = |links: &Vec<usize>| Some(samples.process(links, fit?)).filter(|process| !process.is_empty());
         let processes = of_each.iter().map(process).collect();
         Ok(Self { grid, neighbours: settings.neighbours, processes })
     }
@@ -96,10 +96,13 @@ impl Residuals {
     /// As [`Self::updated`].
     fn of_links(&self, ensemble: &Ensemble, data: &Dataset, links: &[usize]) -> Result<Self> {
         let empty = |process: &ResidualProcess| ResidualProcess::new(process.fit, Vec::new(), process.values.emptied());
-        let processes = self.processes.iter().map(|own| own.as_ref().map(empty)).collect();
-        let (mut found, _) = Self { processes, ..self.clone() }.with_links(ensemble, data, links)?;
-        found.processes.iter_mut().for_each(|own| *own = own.take().filter(|process| !process.is_empty()));
-        Ok(found)
+        let processes = self.processes.iter().map(|process| process.as_ref().map(empty)).collect();
+        let (mut residuals, _) = Self { processes, ..self.clone() }.with_links(ensemble, data, links)?;
+        residuals
+            .processes
+            .iter_mut()
+            .for_each(|process| *process = process.take().filter(|process| !process.is_empty()));
+        Ok(residuals)
     }
 
     /// Returns the processes of `ensemble` with the links of new `data` added, and the number of added links. Share,
@@ -129,19 +132,19 @@ impl Residuals {
             let left = |(y, f): (&Real, &Real)| y - process.fit.trend.at(*f, at);
             let left: Vec<Real> = observed.pixels.iter().zip(&predicted.pixels).map(left).collect();
             if left.iter().any(|v| !v.is_finite()) {
-                let what = format!("the prediction at {:?} is not finite; leave this link out", query.position());
-                return Err(Error::Config(what));
+                let problem = format!("the prediction at {:?} is not finite; leave this link out", query.position());
+                return Err(Error::Config(problem));
             }
             places[query.receiver].push(at);
             values[query.receiver].extend(self.grid.sampled(&left));
         }
         data.observations.check()?;
         let added = places.iter().map(Vec::len).sum();
-        let more = |(receiver, own): (usize, &Option<ResidualProcess>)| {
-            let ResidualProcess { fit, places: known, values: held, .. } = own.as_ref()?;
+        let more = |(receiver, process): (usize, &Option<ResidualProcess>)| {
+            let ResidualProcess { fit, places: positions, values: held, .. } = process.as_ref()?;
             let mut held = held.clone();
             held.extend(&values[receiver], self.grid.len());
-            let places = [&known[..], &places[receiver]].concat();
+            let places = [&positions[..], &places[receiver]].concat();
             Some(ResidualProcess::new(*fit, places, held))
         };
         let processes = self.processes.iter().enumerate().map(more).collect();
@@ -158,7 +161,7 @@ impl Ensemble {
     pub fn held_out(&self, members: &[usize], data: &Dataset, links: &[usize]) -> Result<Self> {
         let member = |&k: &usize| (self.names()[k].clone(), self.members()[k].clone());
         let base = Self::named(members.iter().map(member).collect()).map_err(Error::Config)?;
-        let residuals = self.residuals().map(|own| own.of_links(&base, data, links)).transpose()?;
+        let residuals = self.residuals().map(|residuals| residuals.of_links(&base, data, links)).transpose()?;
         Ok(base.with_residuals(residuals))
     }
 
@@ -206,26 +209,28 @@ impl<'a> Samples<'a> {
         let (mut predicted, total) = (Vec::new(), links.len() * ensemble.members().len());
         for (member, model) in ensemble.members().iter().enumerate() {
             let ready = model.prepare();
-            let mut own = Vec::with_capacity(links.len() * grid.len());
+            let mut predictions = Vec::with_capacity(links.len() * grid.len());
             for (chunk, links) in links.chunks(CHUNK).enumerate() {
                 if stop.load(Ordering::Relaxed) {
                     return Err(Error::Stopped);
                 }
                 let queries: Vec<Query<'_>> = links.iter().map(|&i| data.query(i)).collect();
                 let shown = ready.predict_many(&queries).into_iter().map(|image| data.task().shown(image));
-                shown.for_each(|image| own.extend(grid.sampled(&image.pixels)));
+                shown.for_each(|image| predictions.extend(grid.sampled(&image.pixels)));
                 progress(member * known.links.len() + chunk * CHUNK + links.len(), total);
             }
-            predicted.push(own);
+            predicted.push(predictions);
         }
-        if let Some(member) = predicted.iter().position(|own: &Vec<Real>| own.iter().any(|v| !v.is_finite())) {
-            let what = "predicts numbers that are not finite; train it again with lower learning rates";
-            return Err(Error::Config(format!("residuals: model {} {what}", member + 1)));
+        if let Some(member) =
+            predicted.iter().position(|predictions: &Vec<Real>| predictions.iter().any(|v| !v.is_finite()))
+        {
+            let problem = "predicts numbers that are not finite; train it again with lower learning rates";
+            return Err(Error::Config(format!("residuals: model {} {problem}", member + 1)));
         }
         let MeasurementSetup { origin, receivers, .. } = &ensemble.members()[0].stages.setup;
         let places = links.iter().map(|&i| origin.local(data.sample(i).position())).collect();
         let mut mean = vec![0.0; observed.len()];
-        predicted.iter().for_each(|own| mean.iter_mut().zip(own).for_each(|(sum, v)| *sum += v));
+        predicted.iter().for_each(|predictions| mean.iter_mut().zip(predictions).for_each(|(sum, v)| *sum += v));
         mean.iter_mut().for_each(|v| *v /= predicted.len() as Real);
         let (of_each, is_exact) = (grid.len(), grid.stride == 1);
         Ok(Self { known, receivers, places, of_each, is_exact, observed, predicted, mean })
@@ -238,32 +243,33 @@ impl<'a> Samples<'a> {
 
     /// Residuals of known link `k` from the trend of `predicted` values of all links.
     fn residual(&self, k: usize, trend: &ResidualTrend, predicted: &[Real]) -> Vec<Real> {
-        let own = k * self.of_each..(k + 1) * self.of_each;
-        let pairs = self.observed[own.clone()].iter().zip(&predicted[own]);
+        let values = k * self.of_each..(k + 1) * self.of_each;
+        let pairs = self.observed[values.clone()].iter().zip(&predicted[values]);
         pairs.map(|(y, f)| y - trend.at(*f, self.places[k])).collect()
     }
 
     /// Path-loss model of the known links `own` of a receiver without those `left_out`, with its position: for received
     /// powers.
-    fn path_loss(&self, own: &[usize], left_out: Option<LeftOutBy>) -> Option<(PathLoss, [f64; 3])> {
+    fn path_loss(&self, links_of_receiver: &[usize], left_out: Option<LeftOutBy>) -> Option<(PathLoss, [f64; 3])> {
         let KnownLinks { data, links, left_out_by } = self.known;
-        let receiver = self.receivers[data.links[links[*own.first()?]].receiver].pose.position;
-        let own: Vec<usize> = own.iter().copied().filter(|&k| Some(left_out_by[k]) != left_out).collect();
+        let receiver = self.receivers[data.links[links[*links_of_receiver.first()?]].receiver].pose.position;
+        let links_of_receiver: Vec<usize> =
+            links_of_receiver.iter().copied().filter(|&k| Some(left_out_by[k]) != left_out).collect();
         let point = |&k: &usize| (log_distance(self.places[k].map(|v| v as f64), receiver), self.observed[k] as f64);
-        let is_fitted = data.task().is_scalar && own.len() >= LEAST_LINKS;
-        is_fitted.then(|| (PathLoss::fit(&own.iter().map(point).collect::<Vec<_>>()), receiver))
+        let is_fitted = data.task().has_path_loss && links_of_receiver.len() >= LEAST_LINKS;
+        is_fitted.then(|| (PathLoss::fit(&links_of_receiver.iter().map(point).collect::<Vec<_>>()), receiver))
     }
 
     /// Links to predict, evenly from those in `own` that a member left out, each with the nearest links that the same
     /// members trained on. If `is_observed`, all links of `own` with their nearest others.
-    fn cases(&self, own: &[usize], is_observed: bool) -> Vec<(usize, Vec<usize>)> {
+    fn cases(&self, links_of_receiver: &[usize], is_observed: bool) -> Vec<(usize, Vec<usize>)> {
         let by = |k: usize| if is_observed { LeftOutBy::NoMember } else { self.known.left_out_by[k] };
         let is_case = |k: &usize| is_observed || by(*k) != LeftOutBy::NoMember;
-        let held_out: Vec<usize> = own.iter().copied().filter(is_case).collect();
+        let held_out: Vec<usize> = links_of_receiver.iter().copied().filter(is_case).collect();
         let mut trained: BTreeMap<LeftOutBy, Nearest> = BTreeMap::new();
         for group in held_out.iter().map(|&k| by(k)) {
             trained.entry(group).or_insert_with(|| {
-                let others = own.iter().copied().filter(|&k| is_observed || by(k) != group).collect();
+                let others = links_of_receiver.iter().copied().filter(|&k| is_observed || by(k) != group).collect();
                 Nearest::new(others, 4, |k| place(self.places[k]))
             });
         }
@@ -279,10 +285,11 @@ impl<'a> Samples<'a> {
 
     /// Scale of the observations of a receiver with these known links: their root mean square about the path-loss model,
     /// or 1 if there is one receiver.
-    fn scale(&self, own: &[usize]) -> Real {
-        let trend = ResidualTrend { share: 0.0, path_loss: self.path_loss(own, None) };
+    fn scale(&self, links_of_receiver: &[usize]) -> Real {
+        let trend = ResidualTrend { share: 0.0, path_loss: self.path_loss(links_of_receiver, None) };
         let squares = |&k: &usize| self.residual(k, &trend, &self.mean).iter().map(|v| v * v).sum::<Real>();
-        let mean = own.iter().map(squares).sum::<Real>() / (own.len() * self.of_each).max(1) as Real;
+        let mean = links_of_receiver.iter().map(squares).sum::<Real>()
+            / (links_of_receiver.len() * self.of_each).max(1) as Real;
         if self.receivers.len() == 1 || mean == 0.0 { 1.0 } else { mean.sqrt() }
     }
 
@@ -294,7 +301,7 @@ impl<'a> Samples<'a> {
         values: impl Fn(usize, usize) -> Vec<Real> + Sync,
     ) -> HeldOutCases {
         let scaled = |c: usize, k: usize| values(c, k).into_iter().map(|v| v / scales[self.receiver_of(k)]).collect();
-        let mean = if self.known.data.task().is_scalar { Mean::Zero } else { Mean::Unknown };
+        let mean = if self.known.data.task().has_path_loss { Mean::Zero } else { Mean::Unknown };
         HeldOutCases::new(cases, mean, |k| place(self.places[k]), scaled)
     }
 
@@ -308,12 +315,13 @@ impl<'a> Samples<'a> {
     /// Kind and length scales of the correlation are those of the observations: of residuals of left-out links, there are
     /// too few.
     fn most_likely(&self, of_each: &[Vec<usize>]) -> Option<(f64, f64, Correlation)> {
-        let cases_of = |is_observed| of_each.iter().flat_map(|own| self.cases(own, is_observed)).collect::<Vec<_>>();
+        let cases_of =
+            |is_observed| of_each.iter().flat_map(|links| self.cases(links, is_observed)).collect::<Vec<_>>();
         let cases = cases_of(false);
         if cases.is_empty() {
             return None;
         }
-        let scales: Vec<Real> = of_each.iter().map(|own| self.scale(own)).collect();
+        let scales: Vec<Real> = of_each.iter().map(|links| self.scale(links)).collect();
         let law = |receiver: usize, by| self.path_loss(&of_each[receiver], by);
         let laws: Vec<_> = (0..of_each.len()).map(|receiver| law(receiver, None)).collect();
         let observed =
@@ -342,17 +350,22 @@ impl<'a> Samples<'a> {
     }
 
     /// Process of the known links `own` of a receiver, with this share, variance in units of the scale, and correlation.
-    fn process(&self, own: &[usize], (share, variance, correlation): (f64, f64, Correlation)) -> ResidualProcess {
-        let trend = ResidualTrend { share, path_loss: self.path_loss(own, None) };
-        let variance = variance * f64::from(self.scale(own) as f32).powi(2);
-        let residuals: Vec<Real> = own.iter().flat_map(|&k| self.residual(k, &trend, &self.mean)).collect();
+    fn process(
+        &self,
+        links_of_receiver: &[usize],
+        (share, variance, correlation): (f64, f64, Correlation),
+    ) -> ResidualProcess {
+        let trend = ResidualTrend { share, path_loss: self.path_loss(links_of_receiver, None) };
+        let variance = variance * f64::from(self.scale(links_of_receiver) as f32).powi(2);
+        let residuals: Vec<Real> =
+            links_of_receiver.iter().flat_map(|&k| self.residual(k, &trend, &self.mean)).collect();
         let values = if self.is_exact {
             ResidualValues::Exact(residuals)
         } else {
             let (short, units) = quantise(&residuals, self.of_each);
             ResidualValues::Short(short, units)
         };
-        let places = own.iter().map(|&k| self.places[k]).collect();
+        let places = links_of_receiver.iter().map(|&k| self.places[k]).collect();
         ResidualProcess::new(ProcessFit { trend, variance, correlation }, places, values)
     }
 }

@@ -198,7 +198,7 @@ impl Residuals {
     /// Standard deviation of a measurement of a link about the prediction, per value. Without a process, it is the largest
     /// of all receivers, far from their known links.
     pub(crate) fn deviation(&self, query: Query<'_>, origin: Origin) -> f64 {
-        let far = |own: &ResidualProcess| own.fit.variance * (1.0 + own.fit.correlation.noise);
+        let far = |process: &ResidualProcess| process.fit.variance * (1.0 + process.fit.correlation.noise);
         let variance = match self.process(query.receiver) {
             Some(own) => {
                 own.fit.variance * own.kriging.solve(place(origin.local(query.position())), self.neighbours).1.variance

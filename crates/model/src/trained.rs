@@ -1,8 +1,9 @@
 //! `Trained`: a model as the initial state of another training.
 
-use crate::file;
+use crate::{Model, file};
 use pwrfgs_core::{
-    Error, GaussianCloud, ImagePlane, Initializer, InitializerInput, JsonSchema, Real, Result, Scene, rng::Rng,
+    Error, GaussianCloud, ImagePlane, Initializer, InitializerInput, JsonSchema, MeasurementSetup, Parts, Real, Result,
+    Scene, compatible, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -35,29 +36,16 @@ impl Default for Trained {
 
 #[typetag::serde]
 impl Initializer for Trained {
-    fn initialize(&self, scene: &Scene, _: &ImagePlane, _: &mut Rng) -> Result<GaussianCloud> {
-        let model = file::read(&self.model)?;
-        if model.stages.setup.origin != scene.origin {
-            return Err(Error::input(
-                &self.model,
-                "the model has another origin than the data; give a model trained on these data",
-            ));
-        }
-        Ok(model.cloud)
+    fn initialize(&self, _: &Scene, _: &ImagePlane, _: &mut Rng) -> Result<GaussianCloud> {
+        Ok(file::read(&self.model)?.cloud)
     }
 
     fn weights(&self, input: &InitializerInput<'_>) -> Result<Option<Vec<Real>>> {
-        let model = file::read(&self.model)?;
-        let (own, expected) = (model.stages.method.get(), input.method);
-        let text = |method: &dyn pwrfgs_core::Method| serde_json::to_string(method).unwrap_or_default();
-        if text(own) != text(expected)
-            || model.stages.setup.receivers != input.data.scene.receivers
-            || model.stages.setup.moving != input.data.scene.moving
-        {
-            let what = "its method or its receivers are others than those of the pipeline; copy projector, rasterizer, \
-                        deformation, calibration and readout from the run that made it";
-            return Err(Error::input(&self.model, what));
-        }
-        Ok(Some(model.weights))
+        let Model { stages, weights, .. } = file::read(&self.model)?;
+        let setup = MeasurementSetup::of(input.data, input.plane.clone());
+        let (method, start) = (Some(input.method), Some((stages.method.get(), &stages.setup)));
+        compatible(&Parts { setup: Some(&setup), method, start, ..Parts::default() })
+            .map_err(|why| Error::input(&self.model, why))?;
+        Ok(Some(weights))
     }
 }

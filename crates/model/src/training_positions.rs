@@ -104,9 +104,9 @@ mod tests {
     fn few_positions_remain_and_repeated_ones_count_once() {
         let ten = grid(10);
         let repeated: Vec<_> = ten.iter().flat_map(|p| [*p, [p[0] + 0.01, p[1], p[2]], *p]).collect();
-        let found = TrainingPositions::thinned(&repeated).unwrap();
-        assert_eq!(found.positions().len(), 100);
-        assert!((found.limit() - 3.0).abs() < 0.1, "three spacings of a metre: {}", found.limit());
+        let thinned = TrainingPositions::thinned(&repeated).unwrap();
+        assert_eq!(thinned.positions().len(), 100);
+        assert!((thinned.limit() - 3.0).abs() < 0.1, "three spacings of a metre: {}", thinned.limit());
         let one = TrainingPositions::thinned(&[[1.0, 2.0, 3.0]; 5]).unwrap();
         assert_eq!((one.positions(), one.limit()), (&[[1.0, 2.0, 3.0]][..], 0.0));
         assert_eq!(TrainingPositions::thinned(&[]), None);
@@ -115,13 +115,13 @@ mod tests {
     #[test]
     fn thinning_leaves_no_hole_and_an_outlier_keeps_the_limit() {
         let mut all = grid(80);
-        let found = TrainingPositions::thinned(&all).unwrap();
-        assert_eq!(found.positions().len(), MOST);
-        let farthest = found.distances(&all).into_iter().fold(0.0, Real::max);
-        assert!(farthest < found.limit() / 2.0, "{farthest} of {}", found.limit());
-        assert_eq!(found.distances(&[[-22.0, 0.0, 1.0]]), [22.0]);
+        let thinned = TrainingPositions::thinned(&all).unwrap();
+        assert_eq!(thinned.positions().len(), MOST);
+        let farthest = thinned.distances(&all).into_iter().fold(0.0, Real::max);
+        assert!(farthest < thinned.limit() / 2.0, "{farthest} of {}", thinned.limit());
+        assert_eq!(thinned.distances(&[[-22.0, 0.0, 1.0]]), [22.0]);
         all.push([400.0, 0.0, 1.0]);
         let limit = TrainingPositions::thinned(&all).unwrap().limit();
-        assert!(limit < 5.0 * found.limit(), "{limit} m with an outlier, {} m without", found.limit());
+        assert!(limit < 5.0 * thinned.limit(), "{limit} m with an outlier, {} m without", thinned.limit());
     }
 }

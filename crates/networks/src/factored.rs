@@ -8,8 +8,8 @@ use crate::near::Near;
 use crate::trunk::check_stack;
 use crate::wave_mixture::Basis;
 use pwrfgs_core::{
-    Cache, Cholesky, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout,
-    LinearPart, Pose, Real, cached,
+    Cache, Cholesky, Conditions, Deformation, DeformationInputs, DeformationTraits, DeformationVjp, Deltas, JsonSchema,
+    Layout, LinearPart, Pose, Real, cached,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -126,15 +126,8 @@ impl Deformation for Factored {
         Some(Arc::new((network, basis)))
     }
 
-    fn vjp(
-        &self,
-        inputs: &DeformationInputs<'_>,
-        d: &Deltas,
-        d_weights: &mut [Real],
-        d_means: Option<&mut [[Real; 3]]>,
-        d_txs: Option<&mut [[Real; 3]]>,
-    ) {
-        laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, d_weights, d_means, d_txs);
+    fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
+        laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, sums);
     }
 
     fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], training: Conditions<'_>) -> Option<LinearPart> {

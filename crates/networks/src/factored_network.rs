@@ -14,7 +14,7 @@ use crate::encoding::{Encoder, Pseudo};
 use crate::linear::Linear;
 use crate::near::NearLayer;
 use crate::wave_mixture::{Basis, LANES, SignalKernel, WaveMixture};
-use pwrfgs_core::{Conditions, DeformationInputs, Deltas, LinearPart, Real, widest};
+use pwrfgs_core::{Conditions, DeformationInputs, DeformationVjp, Deltas, LinearPart, Real, widest};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -179,14 +179,7 @@ impl FactoredLayers {
         Deltas { signals, ..Deltas::default() }
     }
 
-    pub(super) fn vjp(
-        &self,
-        inputs: &DeformationInputs<'_>,
-        d: &Deltas,
-        d_weights: &mut [Real],
-        d_means: Option<&mut [[Real; 3]]>,
-        d_txs: Option<&mut [[Real; 3]]>,
-    ) {
+    pub(super) fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
         if means.is_empty() || txs.is_empty() {
             return;
@@ -196,15 +189,15 @@ impl FactoredLayers {
         let layers: Vec<Vec<Vec<Real>>> =
             groups.par_iter().map(|some| self.stack(weights, txs.rows(some.clone()))).collect();
         let mixed: Vec<WaveMixture> = layers.par_iter().map(|layers| self.mixed(weights, layers)).collect();
-        let d_mixed = self.tiles_vjp(&self.basis(means), &groups, &mixed, d, d_means);
-        let mut d_txs = d_txs.map(|d_txs| d_txs.chunks_mut(GROUP));
+        let d_mixed = self.tiles_vjp(&self.basis(means), &groups, &mixed, d, sums.means);
+        let mut d_txs = sums.positions.map(|d_txs| d_txs.chunks_mut(GROUP));
         let parts: Vec<Option<&mut [[Real; 3]]>> =
             groups.iter().map(|_| d_txs.as_mut().and_then(Iterator::next)).collect();
         let group = |(k, d_txs): (usize, Option<&mut [[Real; 3]]>)| {
             self.group_vjp(weights, txs.rows(groups[k].clone()), &layers[k], &d_mixed[k], d_txs)
         };
-        let sums: Vec<Vec<Real>> = parts.into_par_iter().enumerate().map(group).collect();
-        dense::add_in_order(d_weights, &sums.iter().map(Vec::as_slice).collect::<Vec<_>>());
+        let d_weights: Vec<Vec<Real>> = parts.into_par_iter().enumerate().map(group).collect();
+        dense::add_in_order(sums.weights, &d_weights.iter().map(Vec::as_slice).collect::<Vec<_>>());
     }
 
     /// Returns the derivatives of the wave coefficients of each group of transmitters; adds those of the centres to

@@ -30,7 +30,7 @@ pub use mlp::{Mlp, Outputs};
 pub use near::Near;
 pub use wrfgs::Wrfgs;
 
-use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Real};
+use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, DeformationVjp, Deltas, JsonSchema};
 use serde::{Deserialize, Serialize};
 
 /// Rejects invalid factors on the carrier.
@@ -65,13 +65,5 @@ impl Deformation for Fixed {
         Deltas::default()
     }
 
-    fn vjp(
-        &self,
-        _: &DeformationInputs<'_>,
-        _: &Deltas,
-        _: &mut [Real],
-        _: Option<&mut [[Real; 3]]>,
-        _: Option<&mut [[Real; 3]]>,
-    ) {
-    }
+    fn vjp(&self, _: &DeformationInputs<'_>, _: &Deltas, _: DeformationVjp<'_>) {}
 }

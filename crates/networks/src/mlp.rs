@@ -12,7 +12,8 @@ use crate::linear::{Item, LayoutBuilder, Linear, WIDEST, items, laid_out, planne
 use crate::mlp_branch::{TxBranch, TxSide};
 use crate::trunk::{Joints, Trunk, TrunkGradient, TrunkShape, check_stack};
 use pwrfgs_core::{
-    Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, KEPT_BYTES, Layout, Real, cached,
+    Cache, Deformation, DeformationInputs, DeformationTraits, DeformationVjp, Deltas, JsonSchema, KEPT_BYTES, Layout,
+    Real, cached,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -128,16 +129,9 @@ impl Deformation for Mlp {
         (deltas, Some(Arc::new(kept)))
     }
 
-    fn vjp(
-        &self,
-        inputs: &DeformationInputs<'_>,
-        d: &Deltas,
-        d_weights: &mut [Real],
-        _: Option<&mut [[Real; 3]]>,
-        d_txs: Option<&mut [[Real; 3]]>,
-    ) {
-        assert_eq!(d_weights.len(), inputs.weights.len(), "a derivative for each weight");
-        laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, d_weights, d_txs);
+    fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
+        assert_eq!(sums.weights.len(), inputs.weights.len(), "a derivative for each weight");
+        laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, sums);
     }
 
     fn check(&self) -> Result<(), String> {
@@ -263,14 +257,9 @@ impl MlpLayers {
         }
     }
 
-    pub(super) fn vjp(
-        &self,
-        inputs: &DeformationInputs<'_>,
-        d: &Deltas,
-        d_weights: &mut [Real],
-        d_txs: Option<&mut [[Real; 3]]>,
-    ) {
+    pub(super) fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
+        let DeformationVjp { weights: d_weights, positions: d_txs, .. } = sums;
         let sides = self.branch.sides(weights, &self.trunk, txs);
         let items = items(means.len(), txs.len(), self.trunk.width);
         let kept: &[Vec<Activations>] = if inputs.kept.is_some() { &cached::<Kept>(inputs.kept).0 } else { &[] };

@@ -3,7 +3,7 @@
 use super::Wrfgs;
 use crate::linear::LayoutBuilder;
 use pwrfgs_core::testing::{npy, shared};
-use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, rng};
+use pwrfgs_core::{Deformation, DeformationInputs, DeformationVjp, Deltas, Pose, Real, rng};
 use std::path::Path;
 
 fn array(folder: &Path, name: &str) -> Vec<Real> {
@@ -48,7 +48,7 @@ fn wrfgs_matches_reference_signals_and_derivatives() {
 
         let d = array(&folder, "grad_signal").into_iter().map(|d| [d, 0.0]).collect();
         let mut d_weights = vec![0.0; weights.len()];
-        wrfgs.vjp(&inputs, &Deltas { signals: d, ..Deltas::default() }, &mut d_weights, None, None);
+        wrfgs.vjp(&inputs, &Deltas { signals: d, ..Deltas::default() }, DeformationVjp::of_weights(&mut d_weights));
         let mut rest = d_weights.as_slice();
         for spec in layout {
             let (these, after) = rest.split_at(spec.len());

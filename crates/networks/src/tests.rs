@@ -2,7 +2,9 @@
 //! sizes.
 
 use super::{Encoding, Factored, Fixed, Mlp, Near, Outputs, Wrfgs};
-use pwrfgs_core::{Conditions, Deformation, DeformationInputs, Deltas, Plugin, Pose, Real, rng, testing::check_vjp};
+use pwrfgs_core::{
+    Conditions, Deformation, DeformationInputs, DeformationVjp, Deltas, Plugin, Pose, Real, rng, testing::check_vjp,
+};
 
 const POSE: Pose = Pose { position: [0.5, -0.3, 0.2], orientation: [0.0, 0.0, 0.0, 1.0] };
 
@@ -72,11 +74,13 @@ fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: 
         // Starts from ones to show that derivatives are added.
         let (mut d_weights, mut d_means) = (vec![1.0; w.len()], vec![[1.0; 3]; n]);
         let mut d_txs = vec![[1.0; 3]; if along_txs { batch } else { 0 }];
-        let of_txs = along_txs.then_some(&mut d_txs[..]);
-        deformation.vjp(&inputs, &d, &mut d_weights, along_means.then_some(&mut d_means), of_txs);
+        let (along_tx, along_mean) = (along_txs.then_some(&mut d_txs[..]), along_means.then_some(&mut d_means[..]));
+        let sums = DeformationVjp { weights: &mut d_weights, means: along_mean, positions: along_tx };
+        deformation.vjp(&inputs, &d, sums);
         // Derivatives that are not requested change no other.
         let (mut alone, mut alone_means) = (vec![1.0; w.len()], vec![[1.0; 3]; n]);
-        deformation.vjp(&inputs, &d, &mut alone, along_means.then_some(&mut alone_means), None);
+        let means = along_means.then_some(&mut alone_means[..]);
+        deformation.vjp(&inputs, &d, DeformationVjp { weights: &mut alone, means, positions: None });
         assert!(alone == d_weights && alone_means == d_means, "{name}");
         d_weights.extend(d_txs.as_flattened());
         if along_means {
@@ -168,10 +172,10 @@ fn networks_read_the_carrier_if_it_is_set() {
     let (means, txs) = (points(5, "means"), points(2, "txs"));
     for (deaf, hearing) in deaf.iter().zip(&hearing) {
         assert_eq!((deaf.traits().reads_carrier, hearing.traits().reads_carrier), (false, true));
-        let run = |own: &dyn Deformation, carriers: &[Real]| {
-            let weights = own.layout().init(&mut rng::stream(1, "init", 0));
+        let run = |deformation: &dyn Deformation, carriers: &[Real]| {
+            let weights = deformation.layout().init(&mut rng::stream(1, "init", 0));
             let txs = Conditions::from(&txs).at_carriers(carriers);
-            flat(&own.forward(&DeformationInputs::new(&weights, &means, txs, &POSE), &None))
+            flat(&deformation.forward(&DeformationInputs::new(&weights, &means, txs, &POSE), &None))
         };
         assert_eq!(run(&**deaf, &[-1.0, 1.0]), run(&**deaf, &[]));
         assert_ne!(run(&**hearing, &[-1.0, 1.0]), run(&**hearing, &[]));
@@ -221,10 +225,12 @@ fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: us
         let (deltas, kept) = deformation.forward_for_vjp(&inputs);
         assert!(deltas == deformation.forward(&inputs, &None));
         let (mut again, inputs) = (vec![0.0; weights.len()], DeformationInputs { kept: &kept, ..inputs });
-        deformation.vjp(&DeformationInputs { kept: &None, ..inputs }, &cotangent(&deltas), &mut again, None, None);
+        let without = DeformationInputs { kept: &None, ..inputs };
+        deformation.vjp(&without, &cotangent(&deltas), DeformationVjp::of_weights(&mut again));
         let (mut d_weights, mut d_means) = (vec![0.0; weights.len()], vec![[0.0; 3]; n]);
         let mut d_txs = vec![[0.0; 3]; batch];
-        deformation.vjp(&inputs, &cotangent(&deltas), &mut d_weights, Some(&mut d_means), Some(&mut d_txs));
+        let (means, positions) = (Some(&mut d_means[..]), Some(&mut d_txs[..]));
+        deformation.vjp(&inputs, &cotangent(&deltas), DeformationVjp { weights: &mut d_weights, means, positions });
         assert!(d_weights == again, "activations that are kept equal those computed again");
         d_weights.extend(d_txs.as_flattened());
         d_weights.extend_from_slice(d_means.as_flattened());
@@ -262,7 +268,7 @@ fn batch_is_bit_identical_to_single_calls() {
         let batch = deformation.forward(&inputs((&txs).into()), &None);
         let d = cotangent(&batch);
         let mut d_batch = vec![0.0; weights.len()];
-        deformation.vjp(&inputs((&txs).into()), &d, &mut d_batch, None, None);
+        deformation.vjp(&inputs((&txs).into()), &d, DeformationVjp::of_weights(&mut d_batch));
         let mut d_singles = vec![0.0; weights.len()];
         for (b, tx) in txs.chunks(1).enumerate() {
             let single = deformation.forward(&inputs(tx.into()), &None);
@@ -273,7 +279,7 @@ fn batch_is_bit_identical_to_single_calls() {
                 signals: d.signals[rows.clone()].to_vec(),
             };
             assert_eq!(single, part(&batch));
-            deformation.vjp(&inputs(tx.into()), &part(&d), &mut d_singles, None, None);
+            deformation.vjp(&inputs(tx.into()), &part(&d), DeformationVjp::of_weights(&mut d_singles));
         }
         let largest = d_batch.iter().fold(0.0, |m: Real, d| m.max(d.abs()));
         for (a, b) in d_batch.iter().zip(&d_singles) {

@@ -6,7 +6,8 @@ use crate::trunk::{Trunk, TrunkShape, check_stack};
 use crate::wrfgs_branch::Branch;
 use crate::wrfgs_network::{TrunkOutput, WrfgsLayers};
 use pwrfgs_core::{
-    Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Pose, Real, cached,
+    Cache, Deformation, DeformationInputs, DeformationTraits, DeformationVjp, Deltas, JsonSchema, Layout, Pose, Real,
+    cached,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -117,24 +118,17 @@ impl Deformation for Wrfgs {
         Some(Arc::new((network, trunk_output)))
     }
 
-    fn vjp(
-        &self,
-        inputs: &DeformationInputs<'_>,
-        d: &Deltas,
-        d_weights: &mut [Real],
-        mut d_means: Option<&mut [[Real; 3]]>,
-        d_txs: Option<&mut [[Real; 3]]>,
-    ) {
+    fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, mut sums: DeformationVjp<'_>) {
         if d.signals.is_empty() {
             return;
         }
         let network = self.network_of(inputs.weights);
-        assert_eq!(d_weights.len(), inputs.weights.len(), "a derivative for each weight");
+        assert_eq!(sums.weights.len(), inputs.weights.len(), "a derivative for each weight");
         let gain = self.gain(inputs.means, inputs.pose);
         let d_products: Vec<Real> = d.signals.iter().map(|d| gain as Real * d[0]).collect();
-        let along_gain = network.vjp(inputs, &d_products, d_weights, d_means.as_deref_mut(), d_txs);
+        let along_gain = network.vjp(inputs, &d_products, &mut sums);
         let norm = Self::norm(inputs.means, inputs.pose);
-        if let Some(d_means) = d_means.filter(|_| self.gain.is_none() && norm > 0.0) {
+        if let Some(d_means) = sums.means.filter(|_| self.gain.is_none() && norm > 0.0) {
             // g·∂L/∂g is available; with g = 40·F, ∂g/∂X = g·(X - r)/F².
             let scale = along_gain / (norm * norm);
             for (d, x) in d_means.iter_mut().zip(inputs.means) {

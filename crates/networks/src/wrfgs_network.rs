@@ -10,7 +10,7 @@ use crate::encoding::{self, encode, encode_vjp};
 use crate::linear::{Item, Linear, items, sum_groups};
 use crate::trunk::{Joints, Trunk, TrunkGradient};
 use crate::wrfgs_branch::{Branch, BranchScratch, TxSide};
-use pwrfgs_core::{DeformationInputs, Real};
+use pwrfgs_core::{DeformationInputs, DeformationVjp, Real};
 use rayon::prelude::*;
 
 /// Layers and the offsets of their weights.
@@ -153,21 +153,14 @@ impl WrfgsLayers {
         all
     }
 
-    /// Backward pass of [`Self::forward`] at the cotangents `d` `[B, N]`: adds to `d_weights`, and to `d_means` and
-    /// `d_txs` if given; returns Σ d·S·A.
-    pub(super) fn vjp(
-        &self,
-        inputs: &DeformationInputs<'_>,
-        d: &[Real],
-        d_weights: &mut [Real],
-        d_means: Option<&mut [[Real; 3]]>,
-        mut d_txs: Option<&mut [[Real; 3]]>,
-    ) -> f64 {
+    /// Backward pass of [`Self::forward`] at the cotangents `d` `[B, N]`: adds to `sums`; returns Σ d·S·A.
+    pub(super) fn vjp(&self, inputs: &DeformationInputs<'_>, d: &[Real], sums: &mut DeformationVjp<'_>) -> f64 {
         let DeformationInputs { weights, means, .. } = *inputs;
+        let DeformationVjp { weights: d_weights, means: d_means, positions: d_txs } = sums;
         let txs = inputs.txs.positions();
         let sides = self.branch.tx_sides(weights, txs);
         let items = items(means.len(), 1, self.trunk.width);
-        let sums = sum_groups(&items, d_weights, |items, d_weights| {
+        let parts = sum_groups(&items, d_weights, |items, d_weights| {
             let mut sum = GradientSum {
                 folded: vec![0.0; txs.len() * self.trunk.width],
                 trunk_biases: self.trunk.zero_joints(self.trunk.width),
@@ -182,18 +175,18 @@ impl WrfgsLayers {
             }
             sum
         });
-        for sum in &sums {
+        for sum in &parts {
             self.trunk.add_joint_biases(d_weights, &sum.trunk_biases);
             self.branch.tx_vjp(weights, &sides, &sum.folded, d_weights, d_txs.as_deref_mut());
-            if let (Some(d_txs), Some(own)) = (&mut d_txs, &sum.txs) {
-                dense::add(d_txs.as_flattened_mut(), own.as_flattened());
+            if let (Some(d_txs), Some(part)) = (&mut *d_txs, &sum.txs) {
+                dense::add(d_txs.as_flattened_mut(), part.as_flattened());
             }
         }
         if let Some(d_means) = d_means {
-            let of_items = sums.iter().flat_map(|s| s.means.iter().flatten().flatten()).copied();
+            let of_items = parts.iter().flat_map(|s| s.means.iter().flatten().flatten()).copied();
             dense::add(d_means.as_flattened_mut(), &of_items.collect::<Vec<_>>());
         }
-        sums.iter().map(|s| s.along_gain).sum()
+        parts.iter().map(|part| part.along_gain).sum()
     }
 
     /// Backward pass of one chunk for all transmitters; recomputes its forward pass first.

@@ -3,7 +3,7 @@
 
 use crate::changes::Change;
 use crate::pipeline::Pipeline;
-use crate::read::{Misfit, TypeHint};
+use crate::read::{TextFault, TypeHint};
 use crate::ron_tree::RonTree;
 use crate::setting::{Setting, TextEdit, paths, quoted};
 use pwrfgs_core::docs::{DocKind, Docs};
@@ -69,7 +69,7 @@ impl PipelineEdit {
             .into_iter()
             .map(|path| absolute_edit(path).map_err(|why: String| (path.span.start, why)))
             .collect();
-        let fault = |(at, message)| self.blame(Misfit { message, at: Some(at), hint: TypeHint::Never });
+        let fault = |(at, message)| self.blame(TextFault { message, at: Some(at), hint: TypeHint::Never });
         self.edit(edits.map_err(fault)?);
         Ok(())
     }
@@ -79,17 +79,17 @@ impl PipelineEdit {
     /// # Errors
     /// The first problem, with the changes that caused it.
     pub fn finish(&self) -> Result<Pipeline, EditFault> {
-        Pipeline::read(&self.text).map_err(|misfit| self.blame(misfit))
+        Pipeline::read(&self.text).map_err(|fault| self.blame(fault))
     }
 
     /// Returns the problem of `field`, with the changes that caused it.
     pub fn fault(&self, field: &str, message: String) -> EditFault {
-        self.blame(Misfit::of(field, message, &self.tree()))
+        self.blame(TextFault::of(field, message, &self.tree()))
     }
 
-    /// Returns the fault for `misfit`: blames the changes inside the smallest value at its position.
-    fn blame(&self, misfit: Misfit) -> EditFault {
-        let Misfit { mut message, at, hint } = misfit;
+    /// Returns the fault for `fault`: blames the changes inside the smallest value at its position.
+    fn blame(&self, fault: TextFault) -> EditFault {
+        let TextFault { mut message, at, hint } = fault;
         let tree = self.tree();
         let settings: Vec<Option<Setting<'_>>> =
             self.changes.iter().map(|c| Setting::at(&c.path, &tree).ok()).collect();

@@ -5,15 +5,14 @@ use crate::defaults;
 use crate::pipeline::Pipeline;
 use crate::ron_tree::RonTree;
 use pwrfgs_core::plugin::{explain, name_of, ron_options, to_ron};
-use pwrfgs_core::{Dataset, Error, Result, Task};
-use pwrfgs_methods::{Calibration, check_together};
-use pwrfgs_train::Rays;
+use pwrfgs_core::{Dataset, Demand, Error, Misfit, Parts, Result, Task, compatible};
+use pwrfgs_methods::Calibration;
 use ron::error::SpannedError;
 use std::path::Path;
 
 /// Problem of a pipeline text.
 #[derive(Debug)]
-pub(crate) struct Misfit {
+pub(crate) struct TextFault {
     pub(crate) message: String,
     /// Position, as a byte index of the text.
     pub(crate) at: Option<usize>,
@@ -31,8 +30,8 @@ pub(crate) enum TypeHint {
     Always,
 }
 
-impl Misfit {
-    /// Creates the misfit for a syntax or type error of the text.
+impl TextFault {
+    /// Creates the fault for a syntax or type error of the text.
     fn reading(error: &SpannedError, text: &str) -> Self {
         let hint = match error.code {
             ron::Error::Message(_) => TypeHint::AtLeaf,
@@ -47,10 +46,10 @@ impl Misfit {
         Self { message: explain(error), at: Some(line + column), hint }
     }
 
-    /// Creates the misfit for a `field` that does not fit the others; at the data if the field was omitted.
+    /// Creates the fault for a `field` that does not fit the others; at the data if the field was omitted.
     pub(crate) fn of(field: &str, message: String, tree: &RonTree) -> Self {
-        let place = tree.field(field).or_else(|| tree.field("data"));
-        Self { message, at: place.map(|place| place.span.start), hint: TypeHint::Never }
+        let value = tree.field(field).or_else(|| tree.field("data"));
+        Self { message, at: value.map(|value| value.span.start), hint: TypeHint::Never }
     }
 }
 
@@ -60,7 +59,7 @@ impl Pipeline {
     /// # Errors
     /// [`Error::Input`] with line and column.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
-        Self::read(text).map_err(|Misfit { message, at, .. }| Error::Input {
+        Self::read(text).map_err(|TextFault { message, at, .. }| Error::Input {
             path: path.into(),
             at: at.map(|at| line_and_column(text, at)),
             message,
@@ -68,15 +67,15 @@ impl Pipeline {
     }
 
     /// Same as [`Self::parse`], with byte positions.
-    pub(crate) fn read(text: &str) -> Result<Self, Misfit> {
-        let mut pipeline: Self = ron_options().from_str(text).map_err(|e| Misfit::reading(&e, text))?;
-        let tree = RonTree::parse(text).map_err(|message| Misfit { message, at: None, hint: TypeHint::Never })?;
-        pipeline.complete(&|field| tree.field(field).is_none()).map_err(|message| Misfit {
+    pub(crate) fn read(text: &str) -> Result<Self, TextFault> {
+        let mut pipeline: Self = ron_options().from_str(text).map_err(|e| TextFault::reading(&e, text))?;
+        let tree = RonTree::parse(text).map_err(|message| TextFault { message, at: None, hint: TypeHint::Never })?;
+        pipeline.complete(&|field| tree.field(field).is_none()).map_err(|message| TextFault {
             message,
             at: Some(tree.span.end),
             hint: TypeHint::Never,
         })?;
-        pipeline.check().map_err(|(field, message)| Misfit::of(field, message, &tree))?;
+        pipeline.check().map_err(|(field, message)| TextFault::of(&field, message, &tree))?;
         Ok(pipeline)
     }
 
@@ -98,15 +97,6 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Field and advice for the first baseline or metric that does not support `task`.
-    pub fn unsupported(&self, task: Task) -> Option<(&'static str, String)> {
-        let what = |name: String, role: &str| format!("`{name}` does not support {} as {role}; remove it", task.plural);
-        let baseline = self.baselines.iter().find(|baseline| !baseline.supports(task));
-        let metric = || self.metrics.iter().find(|metric| !metric.supports(task));
-        let of_baseline = baseline.map(|baseline| ("baselines", what(name_of(baseline), "baseline")));
-        of_baseline.or_else(|| Some(("metrics", what(name_of(metric()?), "metric"))))
-    }
-
     /// Returns an error if a baseline or metric does not support `data`.
     ///
     /// # Errors
@@ -116,19 +106,17 @@ impl Pipeline {
             Error::Config(_) | Error::Input { .. } | Error::Read { .. } => Error::Config(format!("{field}: {error}")),
             other => other, // an exception of Python's stays one
         };
+        compatible(&Parts { data: Some(data), demands: &self.scoring(), ..Parts::default() }).map_err(Misfit::error)?;
         for baseline in &self.baselines {
             baseline.check_data(data).map_err(|error| named("baselines", error))?;
         }
-        if self.baselines.iter().any(|own| own.is_external()) {
+        if self.baselines.iter().any(|baseline| baseline.is_external()) {
             self.check_external(data, &self.partition(data)?.test).map_err(|error| named("baselines", error))?;
         }
         for metric in &self.metrics {
             metric.check_data(data).map_err(|error| named("metrics", error))?;
         }
-        match self.unsupported(data.task()) {
-            Some((field, what)) => Err(Error::Config(format!("{field}: {what}"))),
-            None => Ok(()),
-        }
+        Ok(())
     }
 
     /// Checks the predictions of other programs for the links `test`.
@@ -136,79 +124,50 @@ impl Pipeline {
     /// # Errors
     /// Missing or invalid predictions, or two baselines of one name.
     pub fn check_external(&self, data: &Dataset, test: &[usize]) -> Result<(), Error> {
-        let count_of = |name: &str| self.baselines.iter().filter(|own| own.name_for(data.task()) == name).count();
-        for own in self.baselines.iter().filter(|own| own.is_external()) {
-            let twice = || Error::Config(format!("two baselines are called `{}`; rename the predictions", own.name()));
-            (count_of(&own.name()) == 1).then_some(()).ok_or_else(twice)?;
-            own.check_test(data, test)?;
+        let count_of =
+            |name: &str| self.baselines.iter().filter(|baseline| baseline.name_for(data.task()) == name).count();
+        for baseline in self.baselines.iter().filter(|baseline| baseline.is_external()) {
+            let twice =
+                || Error::Config(format!("two baselines are called `{}`; rename the predictions", baseline.name()));
+            (count_of(&baseline.name()) == 1).then_some(()).ok_or_else(twice)?;
+            baseline.check_test(data, test)?;
         }
         Ok(())
     }
 
-    /// Checks between plugins: the field and its problem.
-    pub(crate) fn check(&self) -> Result<(), (&'static str, String)> {
-        let pruners = || self.as_plan().check().err().map(|what| ("pruners", what));
-        if let Some((field, what)) = other_kinds(self).or_else(pruners).or_else(|| unable(self)) {
-            return Err((field, format!("{field}: {what}")));
-        }
+    /// Demands of baselines and metrics.
+    fn scoring(&self) -> Vec<Demand> {
+        let metrics = self.metrics.iter().map(|metric| metric.demand());
+        self.baselines.iter().map(|baseline| baseline.demand()).chain(metrics).collect()
+    }
+
+    /// Checks that all plugins fit together, as far as this is known before loading: the field and its problem.
+    pub(crate) fn check(&self) -> Result<(), (String, String)> {
+        let (task, plan) = (self.data.task(), self.as_plan());
+        let unused = task.and_then(|task| Some(Misfit::Unused(unused(self, task)?, task)));
+        let demands = &[vec![self.initializer.demand()], self.scoring()].concat();
+        let parts = Parts { task, demands, ..plan.parts(self.initializer.count(), None) };
+        let checked = unused.map_or_else(|| compatible(&parts), Err);
+        checked.map_err(|misfit| (misfit.field(), misfit.to_string()))?;
         let good = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
         if self.name.is_empty() || self.name.starts_with('.') || !self.name.chars().all(good) {
             let name = shortened(&self.name);
-            let what = format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`");
-            return Err(("name", what));
+            let problem = format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`");
+            return Err(("name".into(), problem));
         }
-        self.readout.check().map_err(|what| ("readout", what))?;
+        self.readout.check().map_err(|problem| ("readout".into(), problem))?;
         if self.method.as_ref().is_some_and(|method| name_of(method) == "Splatting") {
-            let what = "method: `Splatting` is what the fields projector, rasterizer, deformation, calibration and readout \
+            let problem = "method: `Splatting` is problem the fields projector, rasterizer, deformation, calibration and readout \
                         say; leave `method` out";
-            return Err(("method", what.into()));
+            return Err(("method".into(), problem.into()));
         }
-        let plane = self.projector.plane(360, 90);
-        let fits = check_together(&*self.rasterizer, self.readout, self.calibration, &plane);
-        fits.map_err(|what| ("rasterizer", what))
+        Ok(())
     }
-}
-
-/// Capability that the pipeline requires and the method lacks.
-fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
-    let method = pipeline.method();
-    let traits = method.traits();
-    let chooses = traits.supports_pixel_subset && pipeline.data.task().is_none_or(|task| task.has_pixels);
-    if pipeline.training.rays != Rays::All && !chooses {
-        let what = "`rays` needs a method that renders single pixels, such as Nerf2; remove it".to_owned();
-        return Some(("training", what));
-    }
-    let nobody_prunes = pipeline.pruners.is_empty() && pipeline.training.target_count == 0;
-    if !traits.has_gaussians() && !nobody_prunes {
-        let what = format!("{} has no Gaussians to prune; remove the pruners", name_of(&method));
-        return Some(("pruners", what));
-    }
-    None
-}
-
-/// First field that does not support the data, with advice; `None` if the task is unknown before loading.
-fn other_kinds(pipeline: &Pipeline) -> Option<(&'static str, String)> {
-    let task = pipeline.data.task()?;
-    let field = if pipeline.method.is_some() { "method" } else { "readout" };
-    if let Some(own) = pipeline.method().traits().task.filter(|own| *own != task) {
-        let what = format!("it predicts {}, but the data are {}; use {}", own.plural, task.plural, task.method);
-        return Some((field, what));
-    }
-    if let Some(field) = unused(pipeline, task) {
-        let what = format!("the method of {} does not use it; remove it", task.plural);
-        return Some((field, what));
-    }
-    if !pipeline.initializer.supports(task) {
-        let name = name_of(&pipeline.initializer);
-        let what = format!("`{name}` does not support {}; use another, such as Random()", task.plural);
-        return Some(("initializer", what));
-    }
-    pipeline.unsupported(task)
 }
 
 /// First field of splats with a value other than its default, although [`Pipeline::method`] does not use it.
 fn unused(pipeline: &Pipeline, task: Task) -> Option<&'static str> {
-    if pipeline.method.is_some() || !task.is_complex {
+    if pipeline.method.is_some() || pipeline.method().traits().rasterizer.is_some() {
         return None;
     }
     let Pipeline { projector, rasterizer, calibration, readout, .. } = pipeline;
@@ -267,7 +226,7 @@ mod tests {
                 assert!(text.contains(name), "{data}: {text}");
             }
             let given = parse(&format!("name: \"a\", data: {data}, initializer: Random(), baselines: [], metrics: []"));
-            assert!(given.is_ok_and(|own| own.baselines.is_empty() && own.metrics.is_empty()), "{data}");
+            assert!(given.is_ok_and(|pipeline| pipeline.baselines.is_empty() && pipeline.metrics.is_empty()), "{data}");
         }
     }
 

@@ -7,8 +7,8 @@ use crate::canvas::{gather, patches};
 use crate::survey::SurveyTile;
 use crate::tiles::{Support, TileLists};
 use pwrfgs_core::{
-    Cache, ImagePlane, JsonSchema, Rasterizer, Real, Render, RenderVjp, SplatStats, Splats, SurveyInputs, cached,
-    widest,
+    Cache, ImagePlane, JsonSchema, Misfit, Rasterizer, Real, Render, RenderVjp, SplatStats, Splats, SurveyInputs,
+    cached, widest,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -141,16 +141,12 @@ impl Rasterizer for AlphaBlending {
         ALPHA_MIN
     }
 
-    fn check_plane(&self, plane: &ImagePlane) -> Result<(), String> {
-        if self.support == Support::TileSquares && plane.wraps {
-            return Err("support: TileSquares cannot draw across the seam; use support: Exact, or WrfgsCompat()".into());
+    fn check_plane(&self, plane: &ImagePlane) -> Result<(), Misfit> {
+        match self.support {
+            Support::TileSquares if plane.wraps => Err(Misfit::TilesAtSeam),
+            Support::TileSquares if plane.sampling.stride > 1 => Err(Misfit::TilesOfStride),
+            _ => Ok(()),
         }
-        if self.support == Support::TileSquares && plane.sampling.stride > 1 {
-            return Err("support: TileSquares draws whole tiles, which a stride changes; use support: Exact, or \
-                        training.stride: 1"
-                .into());
-        }
-        Ok(())
     }
 }
 

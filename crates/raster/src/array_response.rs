@@ -4,7 +4,7 @@ mod beams;
 mod wave;
 
 use beams::Beams;
-use pwrfgs_core::{Cache, ImagePlane, JsonSchema, Rasterizer, Real, Render, RenderVjp, Splats, cached};
+use pwrfgs_core::{Cache, ImagePlane, JsonSchema, Misfit, Rasterizer, Real, Render, RenderVjp, Splats, cached};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -152,24 +152,12 @@ impl Rasterizer for ArrayResponse {
         true
     }
 
-    fn check_plane(&self, plane: &ImagePlane) -> Result<(), String> {
-        match plane.angles {
-            Some(_) => Ok(()),
-            None => {
-                Err("ArrayResponse must know the direction of every pixel, and this projector's pixels have none; \
-                         use projector: Mercator()"
-                    .into())
-            }
-        }
+    fn check_plane(&self, plane: &ImagePlane) -> Result<(), Misfit> {
+        if plane.angles.is_some() { Ok(()) } else { Err(Misfit::PixelsWithoutDirection) }
     }
 
-    fn check_carriers(&self) -> Result<(), String> {
-        match self.wavefront {
-            Wavefront::Plane => Ok(()),
-            Wavefront::Spherical { .. } => {
-                Err("rasterizer: Spherical has one wavelength, but the data have several; use wavefront: Plane".into())
-            }
-        }
+    fn supports_carriers(&self) -> bool {
+        matches!(self.wavefront, Wavefront::Plane)
     }
 
     fn check(&self) -> Result<(), String> {

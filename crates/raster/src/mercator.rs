@@ -1,7 +1,9 @@
 //! `Mercator`: the projector of the paper; azimuth and elevation are linear in the pixel.
 
 use crate::ewa::{self, CameraModel};
-use pwrfgs_core::{Elevation, ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Splats, Vec3, consts::DEG};
+use pwrfgs_core::{
+    Elevation, ImagePlane, JsonSchema, Misfit, Pose, Primitives, Projector, Real, Splats, Vec3, consts::DEG,
+};
 use serde::{Deserialize, Serialize};
 
 /// Lower limit of cos(elevation) in the Jacobian: cos 89.5°.
@@ -63,7 +65,7 @@ impl Projector for Mercator {
         ImagePlane::around(width, height, Elevation::UPPER)
     }
 
-    fn plane_of(&self, width: usize, height: usize, elevation: Elevation) -> Result<ImagePlane, String> {
+    fn plane_of(&self, width: usize, height: usize, elevation: Elevation) -> Result<ImagePlane, Misfit> {
         Ok(ImagePlane::around(width, height, elevation))
     }
 

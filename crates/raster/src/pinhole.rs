@@ -1,7 +1,7 @@
 //! `Pinhole`: the projector of camera images; slopes are linear in the pixel.
 
 use crate::ewa::{self, CameraModel};
-use pwrfgs_core::{Camera, Elevation, ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Splats, Vec3};
+use pwrfgs_core::{Camera, Elevation, ImagePlane, JsonSchema, Misfit, Pose, Primitives, Projector, Real, Splats, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Image of a pinhole camera, for data with a camera such as `Colmap(..)`.
@@ -48,13 +48,15 @@ impl Projector for Pinhole {
         ImagePlane { camera: Some(camera), ..ImagePlane::plain(width, height) }
     }
 
-    fn plane_of(&self, _: usize, _: usize, _: Elevation) -> Result<ImagePlane, String> {
-        Err("draws images of a camera, but the data have no camera; use projector: Mercator()".into())
+    fn plane_of(&self, _: usize, _: usize, _: Elevation) -> Result<ImagePlane, Misfit> {
+        Err(Misfit::NoCamera)
     }
 
-    fn plane_of_camera(&self, width: usize, height: usize, camera: Camera) -> Result<ImagePlane, String> {
+    fn plane_of_camera(&self, width: usize, height: usize, camera: Camera) -> Result<ImagePlane, Misfit> {
         let plane = ImagePlane { camera: Some(camera), ..ImagePlane::plain(width, height) };
-        camera.fault().map_or(Ok(plane), |why| Err(format!("does not support {why}")))
+        camera
+            .fault()
+            .map_or(Ok(plane), |why| Err(Misfit::Plugin(format!("plane: the projector does not support {why}"))))
     }
 
     fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats {
@@ -219,13 +221,10 @@ mod tests {
 
     #[test]
     fn invalid_cameras_and_data_without_camera_are_refused() {
-        let plane = |camera| Pinhole::default().plane_of_camera(96, 72, camera).unwrap_err();
+        let plane = |camera| Pinhole::default().plane_of_camera(96, 72, camera).unwrap_err().to_string();
         assert!(plane(Camera { focal: [0.0, 1.0], ..CAMERA }).contains("give focal lengths above 0"));
         assert!(plane(Camera { centre: [f64::NAN, 1.0], ..CAMERA }).contains("principal point [NaN, 1.0]"));
-        assert!(
-            Pinhole::default().plane_of(96, 72, Elevation::UPPER).unwrap_err().contains("use projector: Mercator()")
-        );
-        let other = crate::Mercator::default().plane_of_camera(96, 72, CAMERA).unwrap_err();
-        assert!(other.contains("use projector: Pinhole()"), "{other}");
+        assert_eq!(Pinhole::default().plane_of(96, 72, Elevation::UPPER), Err(Misfit::NoCamera));
+        assert_eq!(crate::Mercator::default().plane_of_camera(96, 72, CAMERA), Err(Misfit::CameraImages));
     }
 }

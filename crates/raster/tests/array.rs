@@ -319,5 +319,5 @@ fn rejects_unsupported_settings() {
     assert!(refused("ArrayResponse(spacing_wavelengths: -1)").contains("spacing"));
     assert!(refused("ArrayResponse(wavefront: Spherical(wavelength_m: 0))").contains("wavelength_m"));
     let compat = WrfgsCompat::default().plane(360, 90);
-    assert!(ArrayResponse::default().check_plane(&compat).unwrap_err().contains("Mercator"));
+    assert!(ArrayResponse::default().check_plane(&compat).unwrap_err().to_string().contains("Mercator"));
 }

@@ -170,7 +170,7 @@ fn required_observation(data: &Dataset, scene: &SceneFile) -> Result<Observation
         return refuse("the receiver of these data moves".into());
     }
     let Some(channels) = data.observations.channels() else {
-        if data.task().is_scalar {
+        if data.observations.powers().is_some() {
             return Ok(ObservationKind::Power { noise_db: 0.0 });
         }
         let (width, height) = (data.width, data.height);

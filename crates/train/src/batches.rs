@@ -4,8 +4,7 @@ use crate::graph::Batch;
 use crate::plan::TrainingPlan;
 use crate::settings::Rays;
 use pwrfgs_core::{
-    Dataset, Error, ImagePlane, LinkInputs, Needs, PixelSubset, Pose, Real, Result, StepContext, Task, rng,
-    stretch::stretch,
+    Dataset, ImagePlane, LinkInputs, Needs, PixelSubset, Pose, Real, Result, StepContext, Task, rng, stretch::stretch,
 };
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
@@ -183,8 +182,8 @@ pub(crate) fn plane_of_pass(
 /// Returns every `stride`-th row and column, from an offset drawn by the random stream of this name and number; all
 /// values if the data are not spectra.
 fn strided(whole: &ImagePlane, plan: &TrainingPlan, task: Task, stream: Option<(&str, u64)>) -> ImagePlane {
-    let stride = plan.training.stride;
-    if stride == 1 || !task.has_pixels {
+    let stride = task.stride(plan.training.stride);
+    if stride == 1 {
         return whole.clone();
     }
     let offset = stream.map_or([0, 0], |(name, number)| {
@@ -192,20 +191,4 @@ fn strided(whole: &ImagePlane, plan: &TrainingPlan, task: Task, stream: Option<(
         [(); 2].map(|()| rng::below(random, stride))
     });
     whole.strided(stride, offset)
-}
-
-/// Checks that the stride divides the image.
-pub(crate) fn check_stride(plane: &ImagePlane, plan: &TrainingPlan, task: Task) -> Result<()> {
-    let (width, height, stride) = (plane.width, plane.height, plan.training.stride);
-    if !task.has_pixels || width.is_multiple_of(stride) && height.is_multiple_of(stride) {
-        return Ok(());
-    }
-    let fits: Vec<String> = (1..=width.min(height))
-        .filter(|s| width.is_multiple_of(*s) && height.is_multiple_of(*s))
-        .map(|s| s.to_string())
-        .collect();
-    Err(Error::Config(format!(
-        "training.stride {stride} does not divide {width} columns and {height} rows of the spectra; use one of {}",
-        fits.join(", ")
-    )))
 }

@@ -96,7 +96,7 @@ fn remove(
     let is_large = |i: usize| too_large.is_some_and(|limit| largest(cloud, i) > limit);
     let is_faint = |i: usize| sigmoid(cloud.opacity_logits[i]) < settings.opacity_floor;
     let mut keep: Vec<bool> = (0..cloud.len()).map(|i| !is_faint(i) && !is_large(i)).collect();
-    let count = |of: &dyn Fn(usize) -> bool| (0..cloud.len()).filter(|i| of(*i)).count();
+    let count = |is_chosen: &dyn Fn(usize) -> bool| (0..cloud.len()).filter(|i| is_chosen(*i)).count();
     let rules = vec![
         (format!("{SIZE_RULE}, {:.2} m", too_large.unwrap_or_default()), count(&is_large)),
         (format!("`opacity_floor`, {}", settings.opacity_floor), count(&is_faint)),

@@ -9,14 +9,13 @@
 //! ones.
 
 use crate::loss::Objective;
-use crate::plan::contexts;
 use dfdx::prelude::{AsArray, Cpu, Tensor};
 use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::tape::{Trace, TraceScalar, TracedCloud, op, values};
 use pwrfgs_core::{
     Call, CloudStats, Error, Gate, GaussianCloud, LinkInputs, MeasurementSetup, MethodTraits, MethodVjp, Parameters,
-    PixelSubset, Pruner, Real, Result, StepContext, WantedInputs,
+    PixelSubset, Pruner, Real, Result, StepContext, WantedInputs, contexts,
 };
 use pwrfgs_model::Stages;
 use std::cell::RefCell;
@@ -132,10 +131,10 @@ pub fn loss_and_gradients(
     pruners: &[Plugin<dyn Pruner>],
     context: &StepContext,
 ) -> Result<LossAndGradients> {
-    let of = |part: &Batch| whole(stages, cloud, weights, part, objective, pruners, context);
+    let pass = |part: &Batch| whole(stages, cloud, weights, part, objective, pruners, context);
     let pixels = batch.pixels.of_link(stages.numbers());
     let at_once = stages.method.cost(&stages.setup, batch.inputs.pairs.len(), pixels).links_at_once;
-    let Some(parts) = batch.parts(at_once) else { return of(batch) };
+    let Some(parts) = batch.parts(at_once) else { return pass(batch) };
     let mut sum = LossAndGradients {
         loss: 0.0,
         penalty: 0.0,
@@ -144,7 +143,7 @@ pub fn loss_and_gradients(
         stats: CloudStats::zeros(cloud.len()),
     };
     for part in parts {
-        let (gradients, share) = (of(&part)?, part.inputs.pairs.len() as Real / batch.inputs.pairs.len() as Real);
+        let (gradients, share) = (pass(&part)?, part.inputs.pairs.len() as Real / batch.inputs.pairs.len() as Real);
         let add = |sum: &mut [Real], d: &[Real]| sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += share * d);
         sum.loss += share * gradients.loss;
         sum.penalty = gradients.penalty;
@@ -282,8 +281,8 @@ impl Graph {
             for ((_, all), (_, drawn)) in stats.columns_mut().into_iter().zip(sums.stats.columns()) {
                 *all = drawable.scatter(1, drawn);
             }
-            let of = |name: &&str| sums.cloud.columns().find(|column| column.0 == *name);
-            let columns = names.iter().filter_map(of).map(|(_, width, values)| drawable.scatter(width, values));
+            let column = |name: &&str| sums.cloud.columns().find(|column| column.0 == *name);
+            let columns = names.iter().filter_map(column).map(|(_, width, values)| drawable.scatter(width, values));
             let gate = drawable.gate.is_some().then(|| drawable.scatter(1, &sums.gate));
             let existence = drawable.existence.is_some().then(|| drawable.scatter(1, &sums.existence));
             columns.chain(gate).chain(existence).collect()

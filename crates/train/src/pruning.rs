@@ -4,12 +4,11 @@ use crate::batches::plane_of_pass;
 use crate::edit;
 use crate::graph::{Batch, open_gates};
 use crate::loss::Objective;
-use crate::plan::{PruneTarget, contexts};
 use crate::trainer::{StepStart, Trainer};
 use pwrfgs_core::plugin::{Plugin, name_of};
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, Needs, Parameters, PassStatistics, Phase, Pruner, Real, Result, RowOrigin,
-    Statistic, StepContext, best,
+    Budget, CloudStats, GaussianCloud, Needs, Parameters, PassStatistics, Phase, PruneTarget, Pruner, Real, Result,
+    RowOrigin, Statistic, StepContext, best, contexts,
 };
 use pwrfgs_model::Stages;
 use rayon::prelude::*;

@@ -306,7 +306,8 @@ impl Check for Training {
             "`prune_until` is below `densify_until`; raise it, because pruning follows densification",
         )?;
         need(self.stride >= 1, "`stride` is 0; give 1 for every pixel")?;
-        need(!matches!(self.rays, Rays::Same(0) | Rays::Each(0)), "`rays` is 0; give at least 1, or All")?;
+        let wrong = matches!(self.rays, Rays::Same(0) | Rays::Each(0 | 4_194_305..));
+        need(!wrong, "`rays` is 0, or more than 4194304 pairs; give at least 1, or All")?;
         need(
             self.rays == Rays::All || self.loss.ssim_weight == 0.0,
             "SSIM needs whole spectra, but `rays` selects single pixels; set loss.ssim_weight to 0, or rays to All",

@@ -1,16 +1,14 @@
 //! `Trainer` before its first step: checks of plan and data, Gaussians and weights.
 
 use crate::adam::Adam;
-use crate::batches::{Batches, check_stride, plane_of_step};
+use crate::batches::{Batches, plane_of_step};
 use crate::edit::GaussianIds;
 use crate::loss::objective;
-use crate::plan::{
-    PruneTarget, TrainingPlan, check_available, check_inputs, check_rays, specs_of, target_fault, too_many,
-};
+use crate::plan::{TrainingPlan, check_available, specs_of};
 use crate::trainer::Trainer;
 use pwrfgs_core::{
-    CloudStats, Dataset, Error, ExtraColumn, GaussianCloud, InitializerInput, Partition, Phase, Progress, Real, Result,
-    rng, rng::Rng,
+    CloudStats, Dataset, Error, ExtraColumn, GaussianCloud, InitializerInput, Misfit, Partition, Parts, Phase,
+    Progress, Real, Result, compatible, rng, rng::Rng,
 };
 use pwrfgs_model::Stages;
 use std::sync::atomic::AtomicBool;
@@ -76,29 +74,19 @@ impl<'a> Trainer<'a> {
     pub(crate) fn blank(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
         let plan = plan.clone();
         check_available(&plan.pruners)?;
-        if let Some(why) = target_fault(&plan) {
-            return Err(Error::Config(why));
-        }
         let whole = Stages::of(plan.method.clone(), data)?;
-        check_inputs(&whole, data)?;
         if partition.train.is_empty() {
             return Err(Error::Config("the training set is empty; use another split".into()));
         }
         let batches = Batches::new(data, partition.train.clone());
-        if plan.training.batch > batches.transmitters() {
-            return Err(Error::Config(format!(
-                "training.batch is {}, expected at most {} (transmitters of the training set); lower training.batch",
-                plan.training.batch,
-                batches.transmitters()
-            )));
-        }
-        let plane = whole.plane.clone();
-        check_stride(&plane, &plan, data.task())?;
-        let mut stages = whole.clone();
-        stages.setup.plane = plane_of_step(&plane, &plan, data.task(), 1);
-        check_rays(plan.training.rays, &stages)?;
-        let groups = stages.method.layout(&stages.setup).map_err(Error::Config)?.groups();
+        let (parts, demands) = (plan.parts(None, Some(batches.transmitters())), &[plan.initializer.demand()]);
+        let parts = Parts { setup: Some(&whole.setup), data: Some(data), demands, ..parts };
+        compatible(&parts).map_err(Misfit::error)?;
         whole.check().map_err(Error::Config)?;
+        let plane = whole.plane.clone();
+        let mut stages = whole;
+        stages.setup.plane = plane_of_step(&plane, &plan, data.task(), 1);
+        let groups = stages.layout().groups();
         let cloud = GaussianCloud::zeros(0);
         let blank = Self {
             adam: Adam::new(&cloud, &[]),
@@ -110,7 +98,7 @@ impl<'a> Trainer<'a> {
             stages: Arc::new(stages),
             plane,
             specs: specs_of(&plan),
-            goal: PruneTarget::of(&plan),
+            goal: plan.goal(),
             plan,
             cloud,
             weights: Arc::default(),
@@ -121,13 +109,6 @@ impl<'a> Trainer<'a> {
             fingerprint: OnceLock::new(),
             training_positions: OnceLock::new(),
         };
-        if blank.is_exact() && blank.context(1).rounds == 0 {
-            return Err(Error::Config(
-                "training.target_count needs a prune step, but there is none; set training.prune_until above densify_until, \
-                 or a larger scale"
-                    .into(),
-            ));
-        }
         Ok(blank)
     }
 
@@ -148,8 +129,8 @@ impl<'a> Trainer<'a> {
         if let Some((name, ..)) = cloud.columns().find(|(_, _, values)| !values.iter().all(|v| v.is_finite())) {
             return refuse(format!("column `{name}` has a number that is not finite; give finite numbers"));
         }
-        if let Some(why) = too_many(&self.plan, n).filter(|_| self.phase(self.done + 1) != Phase::Finetune) {
-            return refuse(why);
+        if self.phase(self.done + 1) != Phase::Finetune {
+            compatible(&self.plan.parts(Some(n), None)).map_err(Misfit::error)?;
         }
         for column in &cloud.extra {
             if self.cloud.extra(&column.name).is_none_or(|present| present.width != column.width) {
@@ -178,9 +159,7 @@ impl<'a> Trainer<'a> {
         if cloud.is_empty() && self.stages.method.traits().has_gaussians() {
             return Err(Error::Config("the initializer created no Gaussian; raise its count, or use Random()".into()));
         }
-        if let Some(why) = too_many(&self.plan, cloud.len()) {
-            return Err(Error::Config(format!("pruners: {why}")));
-        }
+        compatible(&self.plan.parts(Some(cloud.len()), None)).map_err(Misfit::error)?;
         let Stages { method, setup } = &*self.stages;
         cloud.complete(&method.traits().columns).map_err(Error::Config)?;
         for spec in &self.specs {

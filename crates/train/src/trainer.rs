@@ -6,10 +6,10 @@ use crate::densify;
 use crate::edit::{self, GaussianIds, PerGaussianState};
 use crate::graph::{drawn_gates, loss_and_gradients, open_gates};
 use crate::loss::Objective;
-use crate::plan::{PruneTarget, TrainingPlan, contexts};
+use crate::plan::TrainingPlan;
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Origin, Phase, Real, Result, StepContext,
-    WeightGroup, rng,
+    CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Origin, Phase, PruneTarget, Real, Result,
+    StepContext, WeightGroup, contexts, rng,
 };
 use pwrfgs_model::{Model, Stages, TrainingPositions};
 use std::sync::{Arc, OnceLock};

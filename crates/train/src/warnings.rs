@@ -2,7 +2,6 @@
 
 use crate::adam::BETAS;
 use crate::densify::{self, SIZE_RULE, SPLIT_SHRINK, extent_of, largest};
-use crate::plan::idle_target;
 use crate::settings::Densify;
 use crate::trainer::Trainer;
 use pwrfgs_core::plugin::name_of;
@@ -24,7 +23,7 @@ impl Trainer<'_> {
     /// Warns about a target that is met from the start.
     fn idle_target(&self) -> Option<String> {
         let n = self.cloud.len();
-        let target = idle_target(&self.plan, n)?;
+        let target = self.plan.idle_target(n)?;
         Some(format!(
             "pruners: training.target_count is {target}, but training starts with {n} Gaussians, so pruning removes none; \
              lower training.target_count or raise the initial count"

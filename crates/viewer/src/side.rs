@@ -110,7 +110,7 @@ impl ViewPane {
         };
         let task = loaded.data.task();
         let name = baseline.name_for(task);
-        if !baseline.supports(task) || baseline.is_external() {
+        if !baseline.tasks().contains(&task) || baseline.is_external() {
             let input = if baseline.is_external() { "positions outside its test set" } else { task.plural };
             return Err(Error::Config(format!("baseline {name}: not available for {input}")));
         }

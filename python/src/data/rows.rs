@@ -33,11 +33,7 @@ impl Dataset {
         let Sample { id, pose, receiver } = data.sample(place);
         let pixels = data.image(place).pixels;
         data.observations.check().map_err(|error| raised(py, error))?;
-        let observation = if data.task().is_scalar {
-            pixels[0].into_pyobject(py)?.into_any()
-        } else {
-            observations(py, data.task(), (data.width, data.height), &[], pixels)?
-        };
+        let observation = observations(py, data.task(), (data.width, data.height), &[], pixels)?;
         let (class, place) = match data.scene.moving {
             End::Transmitter => ("Sample", pose.position.to_vec()),
             End::Receiver => ("ReceiverSample", [&pose.position[..], &pose.orientation].concat()),

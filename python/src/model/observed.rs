@@ -26,9 +26,6 @@ impl Model {
             let mut all = vec![0.0; lead.iter().product::<usize>() * size.0 * size.1];
             self.fill(links, &mut all, work).map(|()| all)
         })?;
-        if lead.is_empty() && task.is_scalar {
-            return Ok(all[0].into_pyobject(py)?.into_any());
-        }
         observations(py, *task, size, lead, all)
     }
 

@@ -5,7 +5,8 @@ use crate::arrays::{array, check_finite, finite, observation_rows, observations,
 use crate::border::{call_strategy, throw, wrong};
 use pwrfgs::train::Objective;
 use pwrfgs_core::{
-    Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, Layout, Real, Task, WeightSpec,
+    Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, DeformationVjp, Deltas, Layout, Real, Task,
+    WeightSpec,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -99,14 +100,7 @@ impl Deformation for Strategy {
         })
     }
 
-    fn vjp(
-        &self,
-        inputs: &DeformationInputs<'_>,
-        d: &Deltas,
-        d_weights: &mut [Real],
-        d_means: Option<&mut [[Real; 3]]>,
-        _: Option<&mut [[Real; 3]]>,
-    ) {
+    fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
         self.with(|py, own| {
             let [weights, means, txs] = self.arguments(py, inputs)?;
             let cotangents = PyDict::new(py);
@@ -123,7 +117,7 @@ impl Deformation for Strategy {
             };
             let names = || self.object.weights.iter().map(|(spec, _)| spec.name.as_str());
             check_keys("vjp: unknown tensor", &of_weights, names())?;
-            let mut rest = d_weights;
+            let mut rest = sums.weights;
             for (spec, _) in &self.object.weights {
                 let (sum, tail) = rest.split_at_mut(spec.len());
                 let what = format!("vjp: `{}`", spec.name);
@@ -134,7 +128,7 @@ impl Deformation for Strategy {
                 sum.iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
                 rest = tail;
             }
-            if let Some(sums) = d_means.filter(|_| !of_means.is_none()) {
+            if let Some(sums) = sums.means.filter(|_| !of_means.is_none()) {
                 let own = finite("vjp: the derivative in the centres", &of_means, &[sums.len(), 3])?;
                 sums.as_flattened_mut().iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
             }

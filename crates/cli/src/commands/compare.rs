@@ -123,9 +123,7 @@ fn plan(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) -> Resul
 fn experiment(arguments: &Compare, data: &Dataset) -> Result<Experiment> {
     let name = match &data.features {
         Some(_) => "methods-uplink",
-        None if data.task().is_scalar => "methods-powers",
-        None if data.task().is_complex => "methods-channels",
-        None => "methods",
+        None => data.task().comparison,
     };
     let file = ShippedFile::all(ShippedFile::EXPERIMENTS).into_iter().find(|file| file.name == name);
     let text = file.expect("the facade registers its experiments").source;
@@ -197,8 +195,9 @@ fn rays(data: &Dataset, training: &Training) -> Vec<String> {
 fn baselines(data: &Dataset) -> Vec<Plugin<dyn Baseline>> {
     let nearest = ["(k: 1)", "(k: Auto)"].map(|k| format!("NearestNeighbours{k}"));
     let texts = registered::<dyn Baseline>().into_iter().map(|name| format!("{name}()")).chain(nearest);
-    let is_applicable =
-        |own: &Plugin<dyn Baseline>| own.supports(data.task()) && !own.is_external() && own.check_data(data).is_ok();
+    let is_applicable = |own: &Plugin<dyn Baseline>| {
+        own.tasks().contains(&data.task()) && !own.is_external() && own.check_data(data).is_ok()
+    };
     texts.filter_map(|text| Plugin::parse(&text).ok()).filter(is_applicable).collect()
 }
 

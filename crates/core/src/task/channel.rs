@@ -19,6 +19,10 @@ pub(super) static CHANNEL: Description = Description {
     ceiling: Ceiling { note: "repeatability of two measured channels at one position", share: 1.0 },
     method: "method: VirtualTransmitters() or SplattedChannel()",
     level_name: ["mean power of the channel", "dB"],
+    mean_name: "mean of the receiver",
+    comparison: "methods-channels",
+    intervals: None,
+    has_path_loss: false,
     has_pixels: false,
     is_scalar: false,
     is_complex: true,
@@ -28,7 +32,12 @@ pub(super) static CHANNEL: Description = Description {
         let error = energy(prediction.pixels.iter().zip(&truth.pixels).map(|(p, t)| p - t));
         10.0 * (energy(truth.pixels.iter().copied()) / error).log10()
     },
+    likeness: |prediction, truth| {
+        let pairs = prediction.pixels.iter().zip(&truth.pixels);
+        -pairs.map(|(p, t)| (*p as f64 - *t as f64).powi(2)).sum::<f64>()
+    },
     shape: |(width, height)| vec![height / 2, width],
+    size: |shape| (shape[1], 2 * shape[0]),
     size_text: |(width, height)| {
         let several = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
         Some(format!("{} x {}", several(height / 2, "antenna"), several(width, "subcarrier")))

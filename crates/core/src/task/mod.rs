@@ -7,7 +7,7 @@ mod channel;
 mod power;
 mod spectrum;
 
-use crate::{Elevation, Error, Image, ImagePlane, JsonSchema, Number, Real, Result, Sampling, Spectra};
+use crate::{Elevation, Image, ImagePlane, JsonSchema, Number, Real, Result, Sampling, Spectra};
 pub use channel::{Channels, gain_at, gain_fault, gains_of, rows_of};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -70,15 +70,25 @@ pub struct Description {
     pub method: &'static str,
     /// Name and unit of [`Self::level`].
     pub level_name: [&'static str; 2],
+    /// Name of the mean of the training observations as a predictor.
+    pub mean_name: &'static str,
+    /// Name of the shipped experiment that compares methods.
+    pub comparison: &'static str,
+    /// Columns and units of prediction intervals; `None` if these are not supported.
+    pub intervals: Option<Intervals>,
+    /// Whether observations fall with the logarithm of the distance.
+    pub has_path_loss: bool,
     /// Whether the values of an observation are pixels of an image of the sky, from 0 to 1.
     pub has_pixels: bool,
-    /// Whether an observation is one number in dB that falls with the logarithm of the distance.
+    /// Whether an observation is one number.
     pub is_scalar: bool,
     /// Whether an observation is complex: see [`gain_at`].
     pub is_complex: bool,
     level: fn(&Image) -> f64,
+    likeness: fn(&Image, &Image) -> f64,
     score: fn(&Image, &Image) -> f64,
     shape: fn((usize, usize)) -> Vec<usize>,
+    size: fn(&[usize]) -> (usize, usize),
     size_text: fn((usize, usize)) -> Option<String>,
 }
 
@@ -97,6 +107,17 @@ pub struct Headline {
     pub best: Option<f64>,
     /// Columns of `validation.csv` after the step: mean, median, and one further value.
     pub columns: [&'static str; 3],
+}
+
+/// Words of prediction intervals.
+#[derive(Debug)]
+pub struct Intervals {
+    /// Columns of the table of test samples at level 0.9.
+    pub columns: &'static [&'static str],
+    /// Plural of the values of which a share is inside.
+    pub values: &'static str,
+    /// Unit of the width, with a blank before it.
+    pub unit: &'static str,
 }
 
 /// Estimate of the noise ceiling from two readings at one position.
@@ -119,9 +140,22 @@ impl Description {
         (self.score)(prediction, truth)
     }
 
+    /// Returns the similarity of prediction and observation by which a baseline chooses its settings; higher is better.
+    pub fn likeness(&self, prediction: &Image, truth: &Image) -> f64 {
+        (self.likeness)(prediction, truth)
+    }
+
     /// Returns the shape of one observation of `size` (columns, rows) as an array: `[H, W]`, `[]` or `[A, F]`.
     pub fn shape(&self, size: (usize, usize)) -> Vec<usize> {
         (self.shape)(size)
+    }
+
+    /// Returns columns and rows of one observation of a [`Self::shape`].
+    ///
+    /// # Panics
+    /// If the number of axes is another.
+    pub fn size(&self, shape: &[usize]) -> (usize, usize) {
+        (self.size)(shape)
     }
 
     /// Returns the size of one observation in words, `360 x 90 pixels`; `None` for a single number.
@@ -132,6 +166,18 @@ impl Description {
     /// Returns a prediction as it is displayed and scored: pixels are clamped to [0, 1].
     pub fn shown(&self, prediction: Image) -> Image {
         if self.has_pixels { prediction.clamped() } else { prediction }
+    }
+
+    /// Replaces the derivative `d` by that before [`Self::shown`], given the values before it.
+    pub fn shown_vjp(&self, values: &[Real], d: &mut [Real]) {
+        if self.has_pixels {
+            d.iter_mut().zip(values).filter(|(_, v)| !(0.0..=1.0).contains(*v)).for_each(|(d, _)| *d = 0.0);
+        }
+    }
+
+    /// Returns the distance of the rows and columns that are read of an observation: `stride` for pixels, otherwise 1.
+    pub fn stride(&self, stride: usize) -> usize {
+        if self.has_pixels { stride } else { 1 }
     }
 
     /// Returns the grid of an observation of `size` (columns, rows): columns of pixels cover the full circle, rows are
@@ -295,16 +341,6 @@ impl Observations {
     pub fn channels(&self) -> Option<&Channels> {
         if let Self::Channels(channels) = self { Some(channels) } else { None }
     }
-
-    /// Returns the spectra, for code that supports no other type.
-    ///
-    /// # Errors
-    /// [`Error::Config`] with `who` for other types.
-    pub fn pictures(&self, subject: &str) -> Result<&Spectra> {
-        let have = self.task().plural;
-        self.spectra()
-            .ok_or_else(|| Error::Config(format!("{subject} needs spatial spectra, and these data are {have}")))
-    }
 }
 
 #[cfg(test)]
@@ -337,7 +373,7 @@ mod tests {
         assert!(channels.fault().unwrap().starts_with("channels[1, 1, 1] is"));
         channels.gains.pop();
         assert!(channels.fault().unwrap().contains("11 gains are not a multiple of 2 antennas"));
-        assert!(two().fault().is_none() && two().pictures("`inspect`").is_err());
+        assert!(two().fault().is_none() && two().spectra().is_none());
     }
 
     #[test]

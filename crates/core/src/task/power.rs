@@ -1,6 +1,6 @@
 //! Received powers `[L]`, dBm.
 
-use super::{Ceiling, Columns, Description, Headline};
+use super::{Ceiling, Columns, Description, Headline, Intervals};
 use crate::{Image, Real};
 
 pub(super) static POWER: Description = Description {
@@ -23,12 +23,18 @@ pub(super) static POWER: Description = Description {
     },
     method: "readout: ReceivedPower(sky_deg: 10)",
     level_name: ["received power", "dBm"],
+    mean_name: "mean of the receiver",
+    comparison: "methods-powers",
+    intervals: Some(Intervals { columns: &["lower_dbm_90", "upper_dbm_90"], values: "links", unit: " dB" }),
+    has_path_loss: true,
     has_pixels: false,
     is_scalar: true,
     is_complex: false,
     level: |image| image.pixels[0] as f64,
     score: |prediction, truth| f64::from((prediction.pixels[0] - truth.pixels[0]).abs() as f32),
+    likeness: |prediction, truth| -(prediction.pixels[0] as f64 - truth.pixels[0] as f64).abs(),
     shape: |_| Vec::new(),
+    size: |_| (1, 1),
     size_text: |_| None,
 };
 

@@ -1,6 +1,6 @@
 //! Spatial spectra `[L, H, W]`: images of the receiver's sky; 1 is the strongest direction.
 
-use super::{Ceiling, Columns, Description, Headline};
+use super::{Ceiling, Columns, Description, Headline, Intervals};
 use crate::{Image, Number, Real, Result, Sampling, Spectra, ssim};
 use std::borrow::Cow;
 
@@ -20,12 +20,18 @@ pub(super) static SPECTRUM: Description = Description {
     ceiling: Ceiling { note: "repeatability of two measured spectra at one position", share: 1.0 },
     method: "readout: Magnitude",
     level_name: ["strongest level of the spectrum", ""],
+    mean_name: "mean spectrum",
+    comparison: "methods",
+    intervals: Some(Intervals { columns: &["coverage_90", "width_90", "ssim_bound_90"], values: "pixels", unit: "" }),
+    has_path_loss: false,
     has_pixels: true,
     is_scalar: false,
     is_complex: false,
     level: |image| image.pixels[image.argmax()] as f64,
     score: |prediction, truth| ssim::evaluation(&prediction.clamped(), truth),
+    likeness: |prediction, truth| ssim::evaluation(&prediction.clamped(), truth),
     shape: |(width, height)| vec![height, width],
+    size: |shape| (shape[1], shape[0]),
     size_text: |(width, height)| Some(format!("{width} x {height} pixels")),
 };
 

@@ -8,8 +8,8 @@ use pwrfgs_core::kriging::{
 };
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
-    Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Pose, Predict, Query, Real, Result, Sample, Sampling,
-    evenly, rng,
+    Baseline, Dataset, FittingSet, Image, JsonSchema, Pose, Predict, Query, Real, Requirement, Result, Sample,
+    Sampling, evenly, rng,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -72,12 +72,8 @@ impl Baseline for Kriging {
         if self.time { "Kriging, space and time" } else { "Kriging" }.into()
     }
 
-    fn check_data(&self, data: &Dataset) -> Result<()> {
-        if data.placed && data.features.is_none() {
-            return Ok(());
-        }
-        let what = "has no transmitter positions, which Kriging needs";
-        Err(Error::Config(format!("{} {what}; use NearestNeighbours()", data.title)))
+    fn requires(&self) -> &'static [Requirement] {
+        &[Requirement::Positions, Requirement::NoFeatures]
     }
 
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
@@ -120,7 +116,7 @@ pub struct Trend<'a> {
 impl<'a> Trend<'a> {
     /// Fits the trend to these links by least squares.
     pub fn of(data: &'a Dataset, links: &[usize]) -> Self {
-        let has_distances = data.task().is_scalar && data.scene.has_distances();
+        let has_distances = data.task().has_path_loss && data.scene.has_distances();
         Self { data, law: has_distances.then(|| PathLoss::fit(&points(data, links))) }
     }
 

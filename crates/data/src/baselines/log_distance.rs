@@ -3,7 +3,7 @@
 use super::all_of;
 use pwrfgs_core::kriging::{self, PathLoss};
 use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, Task};
+use pwrfgs_core::{Baseline, Dataset, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result, Task};
 use serde::{Deserialize, Serialize};
 
 /// Links that a receiver needs for its own fit.
@@ -42,19 +42,8 @@ impl Baseline for LogDistance {
         }
     }
 
-    fn check_data(&self, data: &Dataset) -> Result<()> {
-        if data.task().is_scalar && data.placed && data.scene.has_distances() {
-            return Ok(());
-        }
-        if data.task().is_scalar && data.placed {
-            let what = "LogDistance() needs the position of the fixed transmitter, which is unknown; state it, or remove it from \
-                        `baselines`";
-            return Err(Error::Config(format!("{}: {what}", data.title)));
-        }
-        let holds = if data.placed { data.task().plural } else { "no transmitter positions" };
-        let what =
-            format!("LogDistance() needs received powers and transmitter positions, but {} holds {holds}", data.title);
-        Err(Error::Config(format!("{what}; remove it from `baselines`")))
+    fn requires(&self) -> &'static [Requirement] {
+        &[Requirement::Positions, Requirement::Distances]
     }
 
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
@@ -76,8 +65,8 @@ impl Baseline for LogDistance {
         Ok(Box::new(PathLosses { data, of_each, borrowed }))
     }
 
-    fn supports(&self, task: Task) -> bool {
-        task.is_scalar
+    fn tasks(&self) -> &'static [Task] {
+        &[Task::Power]
     }
 }
 

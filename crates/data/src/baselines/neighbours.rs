@@ -3,8 +3,7 @@
 use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
-    Baseline, Dataset, End, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Receiver, Result, Task, evenly,
-    ssim,
+    Baseline, Dataset, End, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result, evenly,
 };
 use rayon::prelude::*;
 use ron::value::RawValue;
@@ -95,12 +94,8 @@ impl Baseline for NearestNeighbours {
         }
     }
 
-    fn check_data(&self, data: &Dataset) -> Result<()> {
-        if data.placed || data.features.is_some() {
-            return Ok(());
-        }
-        let what = "has no transmitter positions, which NearestNeighbours needs";
-        Err(Error::Config(format!("{} {what}; remove it from `baselines`", data.title)))
+    fn requires(&self) -> &'static [Requirement] {
+        &[Requirement::Inputs]
     }
 
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
@@ -189,7 +184,7 @@ impl<'a> Lookup<'a> {
             taken = until;
             let scale = self.data.observations.full_scale() * total;
             let pixels = sum.iter().map(|s| (s / scale) as Real).collect();
-            likeness(self.data.task(), &Image { pixels, ..truth }, &truth)
+            self.data.task().likeness(&Image { pixels, ..truth }, &truth)
         };
         choices.iter().map(score).collect()
     }
@@ -202,16 +197,6 @@ fn coordinates(moving: End, query: Query<'_>) -> Vec<f64> {
         None if moving.is_receiver() => query.pose.coordinates().to_vec(),
         None => query.position().to_vec(),
     }
-}
-
-/// Similarity of prediction and observation; higher is better.
-fn likeness(task: Task, predicted: &Image, truth: &Image) -> f64 {
-    let errors = || predicted.pixels.iter().zip(&truth.pixels).map(|(p, t)| *p as f64 - *t as f64);
-    if task.has_pixels {
-        return ssim::evaluation(&predicted.clamped(), truth);
-    }
-    let size = |e: f64| if task.is_complex { e * e } else { e.abs() };
-    -errors().map(size).sum::<f64>()
 }
 
 impl Predict for Lookup<'_> {
@@ -252,12 +237,8 @@ impl Baseline for NearestCarrier {
         "nearest carrier".into()
     }
 
-    fn check_data(&self, data: &Dataset) -> Result<()> {
-        if data.scene.receivers.len() > 1 && Receiver::are_carriers(&data.scene.receivers) {
-            return Ok(());
-        }
-        let what = "has one carrier, but NearestCarrier needs several; use NearestNeighbours(k: 1)";
-        Err(Error::Config(format!("{} {what}", data.title)))
+    fn requires(&self) -> &'static [Requirement] {
+        &[Requirement::Carriers]
     }
 
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
@@ -303,7 +284,7 @@ mod tests {
         let carriers: Vec<f64> = rows.iter().map(|(_, c)| 2e9 + 1e8 * f64::from(*c)).collect();
         let samples = rows.iter().enumerate().map(sample).collect();
         let data = Dataset::new("room", Pose::IDENTITY, vec![], samples, Spectra::grey((1, 1), grey).unwrap()).unwrap();
-        assert!(NearestCarrier {}.check_data(&data).unwrap_err().to_string().contains("has one carrier"));
+        assert!(NearestCarrier {}.check_data(&data).unwrap_err().to_string().contains("needs several carriers"));
         let data = data.with_carriers(&carriers).unwrap();
         let predict = |train: &[usize], x: f64, receiver: usize| {
             let fitted = NearestCarrier {}.fit(&data, FittingSet::train(train)).unwrap();

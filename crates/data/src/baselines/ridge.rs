@@ -1,7 +1,9 @@
 //! `Ridge`: linear regression from features to observations.
 
 use super::{ByReceiver, ReceiverPredictor, all_of};
-use pwrfgs_core::{Baseline, Cholesky, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result};
+use pwrfgs_core::{
+    Baseline, Cholesky, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result,
+};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -36,12 +38,8 @@ impl Baseline for Ridge {
         "ridge".into()
     }
 
-    fn check_data(&self, data: &Dataset) -> Result<()> {
-        if data.features.is_some() {
-            return Ok(());
-        }
-        let what = format!("Ridge() needs link features, and {} has none", data.title);
-        Err(Error::Config(format!("{what}; use Kriging()")))
+    fn requires(&self) -> &'static [Requirement] {
+        &[Requirement::Features]
     }
 
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
@@ -139,7 +137,9 @@ mod tests {
         let samples: Vec<Sample> = (0..30).flat_map(|k| [at(k, 0), at(k, 1)]).collect();
         let powers = samples.iter().map(|s| power(s.id as usize, s.receiver)).collect();
         let data = Dataset::of_links("x", receivers, vec![], &samples, Observations::Powers(powers)).unwrap();
-        assert!(Ridge::default().fit(&data, FittingSet::train(&[0])).err().unwrap().to_string().contains("has none"));
+        assert!(
+            Ridge::default().fit(&data, FittingSet::train(&[0])).err().unwrap().to_string().contains("data have none")
+        );
         let values = samples.iter().flat_map(|s| x[s.id as usize]).collect();
         let features = Some(Features { width: 2, values });
         let data = Dataset { features, ..data };

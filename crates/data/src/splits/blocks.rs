@@ -2,7 +2,9 @@
 
 use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, part};
 use pwrfgs_core::rng::{self, Rng};
-use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split};
+use pwrfgs_core::{
+    Dataset, Demand, Error, JsonSchema, Misfit, Partition, Parts, Requirement, Result, Split, compatible,
+};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -149,10 +151,8 @@ fn decimal(v: f64) -> (i128, i32) {
 #[typetag::serde]
 impl Split for Voxel {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
-        if !data.placed {
-            let what = "has no transmitter positions, which Voxel needs; use Random() or Official()";
-            return Err(Error::Config(format!("{} {what}", data.title)));
-        }
+        let demands = &[Demand::of("split", "Voxel", &[Requirement::Positions])];
+        compatible(&Parts { data: Some(data), demands, ..Parts::default() }).map_err(Misfit::error)?;
         let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
         for (i, location) in data.locations.iter().enumerate() {
             cells.entry(self.cell(location.position())).or_default().push(i);

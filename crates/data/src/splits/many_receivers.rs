@@ -150,7 +150,7 @@ fn neighbours_use_features_if_positions_are_unknown() {
     let fault = |baseline: &dyn Baseline, data: &Dataset| {
         baseline.fit(data, FittingSet::train(&links)).err().unwrap().to_string()
     };
-    assert!(fault(&nearest, &data).contains("has no transmitter positions"));
+    assert!(fault(&nearest, &data).contains("needs positions or features"));
     // Similar features have distant ids: transmitter t is similar to 9 - t.
     let feature = |i: &usize| {
         let t = data.links[*i].location as pwrfgs_core::Real;

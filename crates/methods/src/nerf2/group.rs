@@ -117,14 +117,14 @@ impl RayGroup<'_> {
         };
         let (mut d_factors, mut d_hidden) = shared.zeros();
         for pass in 0..self.links.passes() {
-            let of = self.links.of_pass(pass, rays);
+            let locations = self.links.of_pass(pass, rays);
             if activations.is_none() {
-                walk.signal(shared, &of, signal);
+                walk.signal(shared, &locations, signal);
             }
             let signal = activations.map_or(&*signal, |activations| &activations.signals[pass]);
             let d: Vec<[Real; 2]> =
                 (0..rays.len() * bands).map(|i| d(pass, rays.start + i / bands, i % bands)).collect();
-            walk.signal_vjp((shared, signal, &of), &d, (&mut d_factors, &mut d_hidden), into);
+            walk.signal_vjp((shared, signal, &locations), &d, (&mut d_factors, &mut d_hidden), into);
         }
         walk.shared_vjp((shared, trunk_activations), (&d_factors, &d_hidden), into);
     }

@@ -7,7 +7,7 @@ use crate::nerf2::walk::{RayWalk, SharedActivations, Sums, TrunkActivations};
 use crate::nerf2::{Nerf2, RayBundle};
 use pwrfgs_core::{
     Appearance, Cache, Call, Cost, ForwardOutput, Layout, MeasurementSetup, Method, MethodTraits, MethodVjp,
-    Parameters, PixelSubset, Real, SPEED_OF_LIGHT, StageTimes, Task, cached,
+    Parameters, PixelSubset, Real, Requirement, SPEED_OF_LIGHT, StageTimes, Task, cached,
 };
 use pwrfgs_networks::dense::add_in_order;
 use pwrfgs_networks::linear::{LayoutBuilder, laid_out, planned, sum_groups};
@@ -73,7 +73,7 @@ impl Nerf2 {
         emission: &'a [Real],
     ) -> Vec<RayGroup<'a>> {
         let Call { setup, links: inputs, .. } = *call;
-        let of = |receiver: usize| {
+        let group = |receiver: usize| {
             let links = inputs.pairs.iter().enumerate().filter(|(_, link)| link.receiver == receiver);
             let links: Vec<(usize, usize)> = links.map(|(k, link)| (k, link.location)).collect();
             if links.is_empty() {
@@ -81,8 +81,8 @@ impl Nerf2 {
             }
             Some(match call.pixels {
                 PixelSubset::Each(places) => {
-                    let own = links.iter().map(|(k, _)| places[*k]).collect();
-                    let walk = self.walk(setup, network, (receiver, &PixelSubset::Each(own)), emission);
+                    let pixels = links.iter().map(|(k, _)| places[*k]).collect();
+                    let walk = self.walk(setup, network, (receiver, &PixelSubset::Each(pixels)), emission);
                     RayGroup { receiver, walk, links: GroupLinks::Own(links) }
                 }
                 pixels => RayGroup {
@@ -92,7 +92,7 @@ impl Nerf2 {
                 },
             })
         };
-        (0..setup.receivers.len()).filter_map(of).collect()
+        (0..setup.receivers.len()).filter_map(group).collect()
     }
 
     /// Converts sums `[L, pixels or bands]` to observations.
@@ -164,9 +164,11 @@ fn bands(setup: &MeasurementSetup) -> usize {
 #[typetag::serde]
 impl Method for Nerf2 {
     fn traits(&self) -> MethodTraits<'_> {
+        use Requirement::{Directions, FixedReceiver, OneAntenna, OneCarrier};
         MethodTraits {
             inputs: if self.features == 0 { 3 } else { self.features },
             appearance: Appearance::Nothing,
+            requires: &[OneAntenna, FixedReceiver, OneCarrier, Directions],
             supports_pixel_subset: true,
             differentiates_positions: self.features == 0,
             ..MethodTraits::default()
@@ -189,22 +191,8 @@ impl Method for Nerf2 {
         }
     }
 
-    fn layout(&self, setup: &MeasurementSetup) -> Result<Layout, String> {
-        if setup.task.is_complex && setup.receivers.iter().any(|receiver| receiver.antennas.len() > 1) {
-            return Err("method: Nerf2 hears one antenna at a time, and a receiver of these data has more; \
-                 make each antenna a receiver, as Nerf2Csi does with together: false"
-                .into());
-        }
-        if setup.moving.is_receiver() {
-            return Err("method: Nerf2 has a fixed receiver, but that of these data moves; use Splatting()".into());
-        }
-        if !setup.carriers().is_empty() {
-            return Err("method: Nerf2 has one carrier, but these data have several; use Splatting()".into());
-        }
-        if setup.task.has_pixels && setup.plane.direction(0.0, 0.0).is_none() {
-            return Err("method: Nerf2 needs the directions of pixels, which these data do not contain".into());
-        }
-        Ok(planned(|plan| self.network(setup, plan)).1.layout())
+    fn layout(&self, setup: &MeasurementSetup) -> Layout {
+        planned(|plan| self.network(setup, plan)).1.layout()
     }
 
     fn forward(&self, call: &Call<'_>, _: &Cache) -> ForwardOutput {
@@ -277,7 +265,7 @@ impl Method for Nerf2 {
         if bytes > MOST_CACHED {
             return None;
         }
-        let of = |receiver: usize| {
+        let chunks_of_sky = |receiver: usize| {
             let walk = self.walk(setup, (&network, p.weights), (receiver, &PixelSubset::All), &[]);
             let chunks: Vec<Range<usize>> = walk.chunks().collect();
             let shared = |trunk_activations: &mut TrunkActivations, rays: &Range<usize>| {
@@ -285,7 +273,7 @@ impl Method for Nerf2 {
             };
             chunks.par_iter().map_init(TrunkActivations::default, shared).collect()
         };
-        let ready: Ready = (0..setup.receivers.len()).map(of).collect();
+        let ready: Ready = (0..setup.receivers.len()).map(chunks_of_sky).collect();
         Some(Arc::new(ready))
     }
 

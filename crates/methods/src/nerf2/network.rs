@@ -118,8 +118,8 @@ impl Nerf2Network {
         let mut d_read = vec![0.0; read.len()];
         let w = self.signal[0].weight(weights).columns(self.of_transmitter());
         product(MatrixMut::new(&mut d_read, batch, self.emission_inputs), StoreMode::Set, d, w);
-        let own = read.chunks_exact(self.emission_inputs).zip(d_read.chunks_exact(self.emission_inputs));
-        for ((read, d), d_tx) in own.zip(d_positions) {
+        let rows = read.chunks_exact(self.emission_inputs).zip(d_read.chunks_exact(self.emission_inputs));
+        for ((read, d), d_tx) in rows.zip(d_positions) {
             let mut d_scaled = [[0.0; 3]];
             encode_vjp(read, d, FREQUENCIES, &mut d_scaled);
             d_tx.iter_mut().zip(d_scaled[0]).for_each(|(sum, d)| *sum += d / unit);

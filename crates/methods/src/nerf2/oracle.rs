@@ -31,23 +31,23 @@ impl Oracle {
     /// Returns all weights, or all gradients, in the order of this implementation.
     fn weights(&mut self, kind: &str, names: &[String]) -> Vec<Real> {
         let theirs = |ours: &str| {
-            let (layer, what) = ours.rsplit_once('.').unwrap();
+            let (layer, part) = ours.rsplit_once('.').unwrap();
             let layer = match layer {
                 "attenuation" => "attenuation_output".to_owned(),
                 "feature" => "feature_layer".to_owned(),
                 "emission" => "signal_output".to_owned(),
                 _ => layer.replace("trunk", "attenuation_linears").replace("signal", "signal_linears"),
             };
-            format!("{kind}.{layer}.{what}")
+            format!("{kind}.{layer}.{part}")
         };
         names.iter().flat_map(|name| self.array(&theirs(name))).collect()
     }
 }
 
-fn error(found: &[Real], expected: &[Real]) -> f64 {
-    assert_eq!(found.len(), expected.len());
+fn error(actual: &[Real], expected: &[Real]) -> f64 {
+    assert_eq!(actual.len(), expected.len());
     let largest = expected.iter().fold(0.0, |m: Real, e| m.max(e.abs()));
-    f64::from(found.iter().zip(expected).fold(0.0, |m: Real, (f, e)| m.max((f - e).abs())) / largest)
+    f64::from(actual.iter().zip(expected).fold(0.0, |m: Real, (f, e)| m.max((f - e).abs())) / largest)
 }
 
 /// Runs all links of a mode along their rays, and the backward pass: outputs `[L, numbers]` and gradients.
@@ -129,12 +129,12 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
         network.emission_vjp(&weights, &conditions, 1.0, &into.emission, (into.weights, None));
         d_weights
     };
-    let found = back(true);
-    assert!(back(false) == found, "what is worked out again is what was kept");
+    let actual = back(true);
+    assert!(back(false) == actual, "what is worked out again is what was kept");
     let mut from = 0;
     for name in &names {
         let expected = oracle.weights("g", std::slice::from_ref(name));
-        let off = error(&found[from..from + expected.len()], &expected);
+        let off = error(&actual[from..from + expected.len()], &expected);
         assert!(off < if exact { 1e-10 } else { 2e-2 }, "{mode}: {name}: {off:e}");
         from += expected.len();
     }

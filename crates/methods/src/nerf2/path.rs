@@ -100,19 +100,19 @@ impl PropagationLaw {
         for i in (0..d.len()).rev() {
             let step = Self::step(samples, i);
             let (rate, turned) = (amplitude(raw[i]), turn(raw_phase[i]));
-            let own =
+            let d_factor =
                 (d[i][0] * factors[i][0] + d[i][1] * factors[i][1], d[i][1] * factors[i][0] - d[i][0] * factors[i][1]);
             match self {
                 Self::Spectrum => {
                     let left = (-rate * step).exp();
                     d_raw[i] = -step * left / (left + SPARE) * size * amplitude_slope(raw[i]);
                     d_raw_phase[i] = step * phase * turn_slope(turned);
-                    size += own.0;
-                    phase += own.1;
+                    size += d_factor.0;
+                    phase += d_factor.1;
                 }
                 Self::Wave { .. } => {
-                    size += own.0;
-                    phase += own.1;
+                    size += d_factor.0;
+                    phase += d_factor.1;
                     d_raw[i] = -step * size * amplitude_slope(raw[i]);
                     d_raw_phase[i] = phase * turn_slope(turned);
                 }

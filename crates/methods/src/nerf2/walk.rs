@@ -131,8 +131,8 @@ impl RayWalk<'_> {
         shared.hidden.reserve_exact(network.width() * end);
         for (row, of_views) in hidden.chunks_exact(rays * samples).zip(of_views.chunks_exact(rays)) {
             for (ray, segment) in shared.segments.iter().enumerate() {
-                let own = &row[ray * samples..][..segment.len()];
-                shared.hidden.extend(own.iter().map(|x| x + of_views[ray]));
+                let features = &row[ray * samples..][..segment.len()];
+                shared.hidden.extend(features.iter().map(|x| x + of_views[ray]));
             }
         }
         shared
@@ -145,12 +145,12 @@ impl RayWalk<'_> {
     }
 
     /// Computes the emission of the samples for the transmitters `of`, one per ray.
-    pub(crate) fn signal(&self, shared: &SharedActivations, of: &[usize], signal: &mut Signal) {
+    pub(crate) fn signal(&self, shared: &SharedActivations, locations: &[usize], signal: &mut Signal) {
         let (network, weights, width, live) = (self.network, self.weights, self.network.width(), shared.live());
         let Signal { first, second, raw } = signal;
         first.clone_from(&shared.hidden);
         for (feature, row) in first.chunks_exact_mut(live.max(1)).enumerate() {
-            for (segment, tx) in shared.segments.iter().zip(of) {
+            for (segment, tx) in shared.segments.iter().zip(locations) {
                 let emission = self.emission[tx * width + feature];
                 row[segment.clone()].iter_mut().for_each(|x| {
                     let z = *x + emission;
@@ -182,7 +182,7 @@ impl RayWalk<'_> {
     /// the cotangents of the path factors and shared contributions.
     pub(crate) fn signal_vjp(
         &self,
-        (shared, signal, of): (&SharedActivations, &Signal, &[usize]),
+        (shared, signal, locations): (&SharedActivations, &Signal, &[usize]),
         d: &[[Real; 2]],
         (d_factors, d_hidden): (&mut [[Real; 2]], &mut [Real]),
         into: &mut Sums<'_>,
@@ -194,14 +194,14 @@ impl RayWalk<'_> {
         for (i, d) in d.iter().enumerate() {
             let (ray, band) = (i / bands, i % bands);
             let segment = shared.segments[ray].clone();
-            let own = band * live + segment.start..band * live + segment.end;
+            let samples_of_ray = band * live + segment.start..band * live + segment.end;
             let on_path = (band * rays + ray) * samples;
             sum_vjp(
                 emitted(&signal.raw, shared, band, bands, ray),
                 self.on_path(shared, band, ray),
                 self.law.phase_offset(),
                 *d,
-                [&mut d_amplitudes[own.clone()], &mut d_phases[own]],
+                [&mut d_amplitudes[samples_of_ray.clone()], &mut d_phases[samples_of_ray]],
                 &mut d_factors[on_path..on_path + segment.len()],
             );
         }
@@ -214,12 +214,12 @@ impl RayWalk<'_> {
         layer.whole().input_vjp(weights, &d_second, &mut d_first, StoreMode::Set);
         let rows = d_first.chunks_exact(live.max(1)).zip(signal.first.chunks_exact(live.max(1)));
         for (feature, ((d, h), d_hidden)) in rows.zip(d_hidden.chunks_exact_mut(live.max(1))).enumerate() {
-            for (segment, tx) in shared.segments.iter().zip(of) {
+            for (segment, tx) in shared.segments.iter().zip(locations) {
                 let mut sum = 0.0;
                 for i in segment.clone() {
-                    let own = if h[i] > 0.0 { d[i] } else { 0.0 };
-                    d_hidden[i] += own;
-                    sum += own;
+                    let d_first = if h[i] > 0.0 { d[i] } else { 0.0 };
+                    d_hidden[i] += d_first;
+                    sum += d_first;
                 }
                 into.emission[tx * width + feature] += sum;
             }
@@ -237,11 +237,11 @@ impl RayWalk<'_> {
         let (rays, samples, live) = (shared.segments.len(), self.rays.samples(), shared.live());
         let (mut d_hidden, mut d_views) = (vec![0.0; width * rays * samples], vec![0.0; width * rays]);
         let rows = d_hidden.chunks_exact_mut(rays * samples).zip(d_views.chunks_exact_mut(rays));
-        for ((row, d_views), own) in rows.zip(d_live.chunks_exact(live.max(1))) {
+        for ((row, d_views), d_row) in rows.zip(d_live.chunks_exact(live.max(1))) {
             for (ray, segment) in shared.segments.iter().enumerate() {
-                let own = &own[segment.clone()];
-                row[ray * samples..][..own.len()].copy_from_slice(own);
-                d_views[ray] = own.iter().sum();
+                let d_row = &d_row[segment.clone()];
+                row[ray * samples..][..d_row.len()].copy_from_slice(d_row);
+                d_views[ray] = d_row.iter().sum();
             }
         }
         dense::add_bias_vjp(&d_views, network.signal[0].bias_mut(into.weights));

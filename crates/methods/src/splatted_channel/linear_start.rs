@@ -151,9 +151,12 @@ mod tests {
                 [a[0] + b[0], a[1] + b[1]]
             })
             .collect();
-        let found = solve_basis(&responses, 2, &[received], 1).unwrap();
-        for (found, expected) in found.iter().zip(expected) {
-            assert!((found[0] - expected[0]).abs() < 2e-3 && (found[1] - expected[1]).abs() < 2e-3, "{found:?}");
+        let solution = solve_basis(&responses, 2, &[received], 1).unwrap();
+        for (solution, expected) in solution.iter().zip(expected) {
+            assert!(
+                (solution[0] - expected[0]).abs() < 2e-3 && (solution[1] - expected[1]).abs() < 2e-3,
+                "{solution:?}"
+            );
         }
     }
 }

@@ -77,11 +77,12 @@ impl Waves {
         let numbers = 2 * self.re.len() / self.n.max(1);
         let mut out = vec![0.0; links * numbers];
         out.par_chunks_exact_mut(numbers.max(1)).enumerate().for_each(|(l, out)| {
-            let own: Vec<[Real; 2]> = (0..self.n).map(|i| [0, 1].map(|c| signals[(i * links + l) * 2 + c])).collect();
+            let of_link: Vec<[Real; 2]> =
+                (0..self.n).map(|i| [0, 1].map(|c| signals[(i * links + l) * 2 + c])).collect();
             for row in 0..numbers / 2 {
                 let (re, im) = (&self.re[row * self.n..][..self.n], &self.im[row * self.n..][..self.n]);
                 let mut sum = [0.0; 2];
-                for ((re, im), [a, b]) in re.iter().zip(im).zip(&own) {
+                for ((re, im), [a, b]) in re.iter().zip(im).zip(&of_link) {
                     sum[0] += re * a - im * b;
                     sum[1] += re * b + im * a;
                 }

@@ -2,13 +2,13 @@
 
 use super::received::{self, PathLossLaws};
 use super::survey::SurveyRequest;
-use super::{BlendedSignals, Geometry, ReceiverView, Splatting, check_kind, check_together};
+use super::{BlendedSignals, Geometry, ReceiverView, Splatting};
 use crate::groups::{self, OFFSETS, ReceiverGroup};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
-    Activated, Appearance, Cache, Call, Cost, Dataset, DeformationInputs, Deltas, ForwardOutput, GaussianCloud, Layout,
-    MeasurementSetup, Method, MethodTraits, MethodVjp, Needs, Parameters, PassStatistics, Real, StageTimes, WeightSpec,
-    cached, sigmoid,
+    Activated, Appearance, Cache, Call, Cost, Dataset, DeformationInputs, Deltas, Elevation, ForwardOutput,
+    GaussianCloud, ImagePlane, Layout, MeasurementSetup, Method, MethodTraits, MethodVjp, Misfit, Needs, Parameters,
+    PassStatistics, Real, StageTimes, WeightSpec, cached, sigmoid,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -109,10 +109,10 @@ impl Splatting {
             let drawing = self.draw(&view, &p, &terms, batch, shared_geometry);
             let blended = &drawing.render.pixels;
             let blended = if is_training { self.shown(blended) } else { Cow::Borrowed(blended.as_slice()) };
-            let own = self.read_out(call, &view, &group, &blended);
+            let observations = self.read_out(call, &view, &group, &blended);
             let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
             let seconds = [projection, sort, start.elapsed().as_secs_f64() - projection - sort];
-            (own, seconds, is_training.then_some((view, drawing)), group)
+            (observations, seconds, is_training.then_some((view, drawing)), group)
         };
         let groups = ReceiverGroup::all(links, !self.deformation.traits().varies_geometry);
         let is_alone = groups.len() == 1; // its links are in order
@@ -135,25 +135,6 @@ impl Splatting {
         (ForwardOutput { numbers: all, cache }, times)
     }
 
-    fn check_frame(&self, setup: &MeasurementSetup) -> Result<(), String> {
-        check_kind(self.readout, setup.task)?;
-        if !setup.task.has_pixels && self.calibration == Calibration::AsReleased {
-            let what = setup.task.plural;
-            return Err(format!(
-                "calibration: AsReleased supports only spectra, but the data are {what}; use Physical"
-            ));
-        }
-        groups::check_receivers(&*self.deformation, setup)?;
-        let sky = self.whole_sky(setup)?;
-        if setup.moving.is_receiver() && sky.angles.is_none() && sky.camera.is_none() {
-            return Err("the receiver moves, but the projector has a fixed centre; use projector: Mercator()".into());
-        }
-        if !setup.carriers().is_empty() {
-            self.rasterizer.check_carriers()?;
-        }
-        check_together(&*self.rasterizer, self.readout, self.calibration, &sky)
-    }
-
     pub(super) fn terms(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (Deltas, Cache) {
         let Call { setup, parameters: p, links, .. } = *call;
         let (network, pose) = (self.parts(setup, p.weights).0, setup.pose());
@@ -170,7 +151,10 @@ impl Method for Splatting {
             inputs: self.deformation.traits().inputs,
             appearance: Appearance::Ellipsoids,
             projector: Some(&self.projector),
+            rasterizer: Some(&self.rasterizer),
             deformation: Some(&self.deformation),
+            channels: self.readout.channels(),
+            shows_colours: self.calibration == Calibration::AsReleased,
             supports_existence_gate: true,
             blends: self.rasterizer.blends(),
             stretches: self.readout == Readout::MinMax,
@@ -181,13 +165,17 @@ impl Method for Splatting {
     }
 
     fn cost(&self, setup: &MeasurementSetup, _: usize, _: usize) -> Cost {
-        let (sky, own) = (self.sky(setup), self.deformation.traits());
+        let (sky, deformation) = (self.sky(setup), self.deformation.traits());
         let pixels = sky.width * sky.height;
-        Cost { per_gaussian: own.kept_per_gaussian, per_term: own.kept_per_term, pixels, ..Cost::default() }
+        Cost {
+            per_gaussian: deformation.kept_per_gaussian,
+            per_term: deformation.kept_per_term,
+            pixels,
+            ..Cost::default()
+        }
     }
 
-    fn layout(&self, setup: &MeasurementSetup) -> Result<Layout, String> {
-        self.check_frame(setup)?;
+    fn layout(&self, setup: &MeasurementSetup) -> Layout {
         let mut layout = self.deformation.layout();
         if self.laws(setup) > 0 {
             let receivers = setup.receivers.len();
@@ -195,7 +183,20 @@ impl Method for Splatting {
                 .weights
                 .extend(LAW.map(|name| WeightSpec { decays: false, ..WeightSpec::zeros(name, vec![receivers]) }));
         }
-        Ok(layout)
+        layout
+    }
+
+    fn plane<'a>(&self, setup: &'a MeasurementSetup) -> Result<Cow<'a, ImagePlane>, Misfit> {
+        let Readout::ReceivedPower { sky_deg, filter_deg2 } = self.readout else {
+            return Ok(Cow::Borrowed(&setup.plane));
+        };
+        self.readout.check().map_err(Misfit::Plugin)?;
+        // Both poles have a row, so that the cells cover the sphere.
+        let (width, height, side) = (360 / sky_deg as usize, 180 / sky_deg as usize + 1, f64::from(sky_deg));
+        let whole = Elevation { first: -90.0, last: 90.0 + side };
+        let mut sky = self.projector.plane_of(width, height, whole).or(Err(Misfit::PartOfSky))?;
+        sky.sampling.filter = Some(filter_deg2 / (side * side) as Real);
+        Ok(Cow::Owned(sky))
     }
 
     /// Returns the rows that may be visible for any output of the network: gate open, opacity above the limit of the
@@ -207,8 +208,8 @@ impl Method for Splatting {
         }
         let mut visible = vec![setup.moving.is_receiver(); cloud.len()];
         for ReceiverView { pose, plane } in self.views(setup) {
-            let own = self.projector.sees(&cloud.means, &pose, &plane.whole());
-            visible.iter_mut().zip(own).for_each(|(any, own)| *any |= own);
+            let seen = self.projector.sees(&cloud.means, &pose, &plane.whole());
+            visible.iter_mut().zip(seen).for_each(|(any, seen)| *any |= seen);
         }
         let min_drawn_opacity = self.rasterizer.min_drawn_opacity();
         let drawn = |i: &usize| {
@@ -229,7 +230,7 @@ impl Method for Splatting {
         let (network, laws) = self.parts(setup, p.weights);
         let d_laws = &mut sums.weights[network.len()..];
         let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
-        let (mut own, rows) = (ActivationVjp::zeros(p.cloud, deltas), (0..n).collect::<Vec<_>>());
+        let (mut grads, rows) = (ActivationVjp::zeros(p.cloud, deltas), (0..n).collect::<Vec<_>>());
         for (group, view, drawing) in drawings {
             let d = group.gather(d, numbers);
             let d_law = d_offsets
@@ -242,8 +243,8 @@ impl Method for Splatting {
                 let d_distances = distances.iter().zip(&*d).map(|(r, d)| d * received::distance_slope(exponent, *r));
                 group.distances_vjp(setup, links, d_distances, d_positions);
             }
-            let (d, d_primitives) = group.terms_vjp(deltas, n, &mut own, |terms, _, own| {
-                self.draw_vjp(view, drawing, &p, terms, &d_blended, own)
+            let (d, d_primitives) = group.terms_vjp(deltas, n, &mut grads, |terms, _, grads| {
+                self.draw_vjp(view, drawing, &p, terms, &d_blended, grads)
             });
             sums.existence.iter_mut().zip(&d.splats.existence).for_each(|(sum, d)| *sum += d);
             if let (Some(positions), true) = (&mut sums.positions, setup.moving.is_receiver()) {
@@ -257,7 +258,7 @@ impl Method for Splatting {
         }
         let (means, txs) = (&p.cloud.means, links.conditions());
         let inputs = DeformationInputs { weights: network, means, txs, pose: &setup.pose(), kept };
-        groups::vjp(&*self.deformation, &inputs, &own, sums);
+        groups::vjp(&*self.deformation, &inputs, &grads, sums);
     }
 
     fn survey(&self, call: &Call<'_>, truths: &[Real], needs: &Needs) -> PassStatistics {

@@ -145,8 +145,8 @@ fn fit(rows: &[(usize, [f64; 2])], receivers: usize) -> (Vec<f64>, f64) {
     }
     let exponent = if xx > 0.0 { -xy / xx } else { 0.0 };
     let offsets: Vec<Option<f64>> = means.iter().map(|m| m.map(|[x, y]| y + exponent * x)).collect();
-    let known: Vec<f64> = offsets.iter().flatten().copied().collect();
-    let mean = known.iter().sum::<f64>() / known.len().max(1) as f64;
+    let fitted: Vec<f64> = offsets.iter().flatten().copied().collect();
+    let mean = fitted.iter().sum::<f64>() / fitted.len().max(1) as f64;
     (offsets.into_iter().map(|offset| offset.unwrap_or(mean)).collect(), exponent)
 }
 

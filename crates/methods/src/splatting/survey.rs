@@ -17,8 +17,8 @@ pub(super) struct SurveyRequest<'a> {
 }
 
 impl SurveyRequest<'_> {
-    fn any(&self, what: fn(&Statistic) -> bool) -> bool {
-        self.needs.statistics.iter().any(what)
+    fn any(&self, matches: fn(&Statistic) -> bool) -> bool {
+        self.needs.statistics.iter().any(matches)
     }
 }
 
@@ -83,20 +83,21 @@ impl Splatting {
         // Only blending weights are needed, so that the signals are arbitrary.
         let render = self.rasterizer.forward_prepared(splats, &vec![1.0; n], 1, &view.plane, &geometry.cache);
         let splat_stats = self.rasterizer.survey(splats, &view.plane, &render, &SurveyInputs::default());
-        let mut found = PassStatistics::zeros(needs, n);
-        found.links = links;
-        let mut strengths: [Vec<Real>; 2] = [vec![0.0; found.signal_mean.len()], vec![0.0; found.signal_mean.len()]];
-        if let Some(signals) = signals.filter(|_| !found.signal_mean.is_empty()) {
+        let mut statistics = PassStatistics::zeros(needs, n);
+        statistics.links = links;
+        let mut strengths: [Vec<Real>; 2] =
+            [vec![0.0; statistics.signal_mean.len()], vec![0.0; statistics.signal_mean.len()]];
+        if let Some(signals) = signals.filter(|_| !statistics.signal_mean.is_empty()) {
             let [sums, largest] = &mut strengths;
-            for (i, own) in signals.chunks_exact(links * channels).enumerate() {
-                for strength in own.chunks_exact(channels).map(norm) {
+            for (i, signal) in signals.chunks_exact(links * channels).enumerate() {
+                for strength in signal.chunks_exact(channels).map(norm) {
                     sums[i] += strength;
                     largest[i] = largest[i].max(strength);
                 }
             }
         }
-        fill_weights(&mut found, &splat_stats, [&strengths[0], &strengths[1]]);
-        found
+        fill_weights(&mut statistics, &splat_stats, [&strengths[0], &strengths[1]]);
+        statistics
     }
 
     /// Evaluates one link of a group.
@@ -114,7 +115,7 @@ impl Splatting {
         let truth = &truths[link.first() * setup.numbers()..][..setup.numbers()];
         let made = self.read_out(question.call, view, link, &self.shown(&render.pixels));
         let slopes = self.slopes(question, view, link, &render.pixels);
-        let asks = |what: fn(&Statistic) -> bool| needs.statistics.iter().copied().find(what);
+        let asks = |matches: fn(&Statistic) -> bool| needs.statistics.iter().copied().find(matches);
         let strengths: Vec<Real> = signals.chunks_exact(channels).map(norm).collect();
         let errors: Vec<Real> = made.iter().zip(truth).map(|(a, b)| (a - b).abs()).collect();
         let (mut survey, high) = (SurveyInputs::default(), high_errors(&errors, needs));
@@ -134,17 +135,17 @@ impl Splatting {
         if setup.task.is_scalar {
             self.as_one_number(view, drawing, &slopes, &mut splat_stats);
         }
-        let mut found = PassStatistics::zeros(needs, splats.len());
-        found.links = 1;
+        let mut statistics = PassStatistics::zeros(needs, splats.len());
+        statistics.links = 1;
         let mean_error = errors.iter().sum::<Real>() / errors.len().max(1) as Real;
-        fill_weights(&mut found, &splat_stats, [&strengths, &strengths]);
-        fill(&mut found.error, &splat_stats, |_, own| own.error);
-        fill(&mut found.high_error, &splat_stats, |_, own| mean_error * own.high);
-        fill(&mut found.sensitivity, &splat_stats, |_, own| own.sensitivity);
-        found.top.iter_mut().zip(&splat_stats).for_each(|(v, own)| *v = own.top);
-        let fishers = found.fisher.iter_mut().zip(jacobians).zip(&splat_stats);
-        fishers.for_each(|((v, jacobian), own)| *v = carried(&own.fisher, jacobian));
-        found
+        fill_weights(&mut statistics, &splat_stats, [&strengths, &strengths]);
+        fill(&mut statistics.error, &splat_stats, |_, splat| splat.error);
+        fill(&mut statistics.high_error, &splat_stats, |_, splat| mean_error * splat.high);
+        fill(&mut statistics.sensitivity, &splat_stats, |_, splat| splat.sensitivity);
+        statistics.top.iter_mut().zip(&splat_stats).for_each(|(v, splat)| *v = splat.top);
+        let fishers = statistics.fisher.iter_mut().zip(jacobians).zip(&splat_stats);
+        fishers.for_each(|((v, jacobian), splat)| *v = carried(&splat.fisher, jacobian));
+        statistics
     }
 
     /// Derivatives of a power, a single value: those of its pixels are summed before they are squared.
@@ -179,8 +180,8 @@ impl Splatting {
         for k in 0..5 {
             let mut d = Splats::zeros(n);
             match k {
-                0 | 1 => d.means2d.iter_mut().for_each(|own| own[k] = 1.0),
-                _ => d.conics.iter_mut().for_each(|own| own[k - 2] = 1.0),
+                0 | 1 => d.means2d.iter_mut().for_each(|mean| mean[k] = 1.0),
+                _ => d.conics.iter_mut().for_each(|conic| conic[k - 2] = 1.0),
             }
             let d = self.project_vjp(view, geometry, &d);
             for (i, jacobian) in jacobians.iter_mut().enumerate() {
@@ -206,18 +207,18 @@ fn reads_signals(statistic: &Statistic) -> bool {
 }
 
 /// Fills the requested statistics of weights, given the sums and the maxima of the strengths over the links.
-fn fill_weights(found: &mut PassStatistics, splat_stats: &[SplatStats], [sums, largest]: [&[Real]; 2]) {
-    let times = found.links as Real;
-    fill(&mut found.weight, splat_stats, |_, own| times * own.weight);
-    fill(&mut found.largest_weight, splat_stats, |_, own| own.largest);
-    fill(&mut found.weight_per_area, splat_stats, |_, own| times * own.weight / own.pixels.max(1.0));
-    fill(&mut found.signal_mean, splat_stats, |i, own| sums[i] * own.weight);
-    fill(&mut found.signal_max, splat_stats, |i, own| largest[i] * own.weight);
+fn fill_weights(statistics: &mut PassStatistics, splat_stats: &[SplatStats], [sums, largest]: [&[Real]; 2]) {
+    let times = statistics.links as Real;
+    fill(&mut statistics.weight, splat_stats, |_, splat| times * splat.weight);
+    fill(&mut statistics.largest_weight, splat_stats, |_, splat| splat.largest);
+    fill(&mut statistics.weight_per_area, splat_stats, |_, splat| times * splat.weight / splat.pixels.max(1.0));
+    fill(&mut statistics.signal_mean, splat_stats, |i, splat| sums[i] * splat.weight);
+    fill(&mut statistics.signal_max, splat_stats, |i, splat| largest[i] * splat.weight);
 }
 
 /// Fills a statistic with one value per Gaussian, if requested.
 fn fill(column: &mut [Real], splat_stats: &[SplatStats], value: impl Fn(usize, &SplatStats) -> Real) {
-    column.iter_mut().zip(splat_stats.iter().enumerate()).for_each(|(v, (i, own))| *v = value(i, own));
+    column.iter_mut().zip(splat_stats.iter().enumerate()).for_each(|(v, (i, splat))| *v = value(i, splat));
 }
 
 fn norm(signal: &[Real]) -> Real {
@@ -237,19 +238,19 @@ fn high_errors(errors: &[Real], needs: &Needs) -> Vec<bool> {
 /// Returns Jᵀ F J: the upper triangle of 5 × 5 becomes that of 6 × 6.
 fn carried(fisher: &[Real; 15], jacobian: &Jacobian) -> [Real; 21] {
     let mut full = [[0.0; 5]; 5];
-    let mut own = fisher.iter();
+    let mut entries = fisher.iter();
     for j in 0..5 {
         for k in j..5 {
-            let v = *own.next().expect("fifteen numbers");
+            let v = *entries.next().expect("fifteen numbers");
             (full[j][k], full[k][j]) = (v, v);
         }
     }
     let mut out = [0.0; 21];
-    let mut place = out.iter_mut();
+    let mut entry = out.iter_mut();
     for a in 0..6 {
         for b in a..6 {
             let sum = (0..25).map(|e| jacobian[e / 5][a] * full[e / 5][e % 5] * jacobian[e % 5][b]).sum();
-            *place.next().expect("twenty-one numbers") = sum;
+            *entry.next().expect("twenty-one numbers") = sum;
         }
     }
     out

@@ -192,12 +192,12 @@ impl MeasurementRows {
 
     /// Returns |s|² per source, averaged over the directions of its links, and averaged over all sources.
     pub(crate) fn signal(&self, sources: &VirtualSources) -> f64 {
-        let of = |g: usize| {
+        let power = |g: usize| {
             let received = |p: &[f64; 3]| gain(sources.gains_of(g), sources.positions[g], *p);
             self.p.iter().map(|p| received(p).iter().map(|x| x * x).sum::<f64>()).sum::<f64>()
                 / self.len().max(1) as f64
         };
-        let each: Vec<f64> = (0..sources.len()).into_par_iter().map(of).collect();
+        let each: Vec<f64> = (0..sources.len()).into_par_iter().map(power).collect();
         each.iter().sum::<f64>() / sources.len().max(1) as f64
     }
 
@@ -248,8 +248,8 @@ mod tests {
             let r = std::array::from_fn(|i| (0..3).map(|k| rows[3 * i + k] * truth[k]).sum());
             normal.add_four(&rows, r);
         }
-        let found = normal.solve(|_| 0.0).unwrap();
-        assert!(found.iter().zip(truth).all(|(a, b)| (a - b).abs() < 1e-10), "{found:?}");
+        let solution = normal.solve(|_| 0.0).unwrap();
+        assert!(solution.iter().zip(truth).all(|(a, b)| (a - b).abs() < 1e-10), "{solution:?}");
         assert!(NormalEquations::new(2).solve(|_| 0.0).is_none(), "no equations, no solution");
     }
 }

@@ -101,7 +101,7 @@ pub fn field_vjp(
     let more = out.cloud.extra.iter().position(|c| c.name == HARMONICS);
     for i in 0..cloud.len() {
         let blocks = &sums[i / LANES * blocks..][..blocks];
-        let total = |of: &dyn Fn(&Cotangents) -> &Lane| blocks.iter().map(|b| of(b)[i % LANES]).sum::<Real>();
+        let total = |column: &dyn Fn(&Cotangents) -> &Lane| blocks.iter().map(|b| column(b)[i % LANES]).sum::<Real>();
         let open = gate.map_or(1.0, |g| g[i]);
         let gain = |k: usize| [0, 1].map(|part| open * total(&|b| &b.gains[k][part]));
         out.gate[i] = total(&|b| &b.gate);
@@ -136,9 +136,9 @@ fn groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_
         for l in 0..LANES {
             let i = g * LANES + l;
             // Padding of the last group repeats its first Gaussian with signal 0.
-            let own = if i < cloud.len() { i } else { g * LANES };
-            let rotation = matrix(unit(cloud.quats[own].map(f64::from)));
-            out.means[l] = cloud.means[own].map(f64::from);
+            let row = if i < cloud.len() { i } else { g * LANES };
+            let rotation = matrix(unit(cloud.quats[row].map(f64::from)));
+            out.means[l] = cloud.means[row].map(f64::from);
             for (place, r) in out.places.iter_mut().zip(links.antennas) {
                 let r = turned(&rotation, r.map(f64::from));
                 for k in 0..3 {
@@ -160,10 +160,10 @@ fn groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_
 
 /// Returns the vectors from p to LANES positions, their lengths of at least [`CLOSEST`], and the reciprocals.
 #[inline(always)]
-fn way(place: &[Lane; 3], p: [Real; 3]) -> ([Lane; 3], Lane, Lane) {
+fn way(positions: &[Lane; 3], p: [Real; 3]) -> ([Lane; 3], Lane, Lane) {
     let (mut by, mut d, mut inverse) = ([ZERO; 3], ZERO, ZERO);
     for l in 0..LANES {
-        (by[0][l], by[1][l], by[2][l]) = (place[0][l] - p[0], place[1][l] - p[1], place[2][l] - p[2]);
+        (by[0][l], by[1][l], by[2][l]) = (positions[0][l] - p[0], positions[1][l] - p[1], positions[2][l] - p[2]);
         d[l] = (by[0][l] * by[0][l] + by[1][l] * by[1][l] + by[2][l] * by[2][l]).sqrt().max(CLOSEST as Real);
         inverse[l] = 1.0 / d[l];
     }

@@ -90,11 +90,11 @@ pub(crate) fn expected_seconds(links: &ChannelInputs<'_>, channel: &[[Real; 2]],
     let stop = AtomicBool::new(false);
     let (held_out, fitted) = options.held_out(links);
     let pass = |level: usize| {
-        let own = PursuitOptions { settings: options.settings.at(level), ..options.clone() };
-        let search = PursuitSearch::new((links, channel), &own, &stop, (&fitted, &held_out));
-        let (peaks, sweep) = timed_sweep(&search.coarse, &search.grid, own.peaks);
+        let options = PursuitOptions { settings: options.settings.at(level), ..options.clone() };
+        let search = PursuitSearch::new((links, channel), &options, &stop, (&fitted, &held_out));
+        let (peaks, sweep) = timed_sweep(&search.coarse, &search.grid, options.peaks);
         let [candidate, settled] = search.timed_candidate(&peaks);
-        let MatchingPursuit { most, patience, rounds, .. } = own.settings;
+        let MatchingPursuit { most, patience, rounds, .. } = options.settings;
         // Beyond the first sweep, a candidate may come from the remaining peaks.
         let least = sweep + candidate * if level == 0 { (1 + patience).min(most) as f64 } else { 1.0 };
         let added = most + rounds * patience;
@@ -280,8 +280,8 @@ impl<'a> PursuitSearch<'a> {
         let away = |node: &[f64; 3]| sources.positions.iter().all(|v| distance(v, node) > apart);
         let mut places: Vec<[f64; 3]> = self.options.node.filter(away).into_iter().collect();
         if self.options.settings.images {
-            let known = [&sources.positions[..], &places[..]].concat();
-            places.extend(images(&known, &self.positions, |place| self.grid.holds(place), apart));
+            let sources = [&sources.positions[..], &places[..]].concat();
+            places.extend(images(&sources, &self.positions, |place| self.grid.holds(place), apart));
         }
         if !places.is_empty() {
             let peaks = as_peaks(&places, &self.grid.quats);

@@ -53,10 +53,10 @@ impl Unknowns {
 pub(crate) fn gains(rows: &MeasurementRows, sources: &mut VirtualSources, ridge: &[f64]) -> Option<f64> {
     let silent = VirtualSources { gains: vec![[0.0; 2]; sources.gains.len()], ..sources.clone() };
     let normal = equations(rows, &silent, Unknowns::Gains);
-    let found = normal.solve(|i| ridge[i / (2 * sources.terms())])?;
+    let solution = normal.solve(|i| ridge[i / (2 * sources.terms())])?;
     // At the minimum, the residual is Σ|h|² − sᵀEᴴh.
-    let explained: f64 = found.iter().zip(&normal.right).map(|(s, b)| s * b).sum();
-    sources.gains = found.as_chunks::<2>().0.to_vec();
+    let explained: f64 = solution.iter().zip(&normal.right).map(|(s, b)| s * b).sum();
+    sources.gains = solution.as_chunks::<2>().0.to_vec();
     Some((normal.square - explained).max(0.0))
 }
 
@@ -270,10 +270,10 @@ mod tests {
         let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
         let h = field(&truth.to_cloud(), None, &links);
         let rows = MeasurementRows::new(&links, &h, &(0..30).collect::<Vec<_>>(), usize::MAX, 0);
-        let mut found = VirtualSources { gains: vec![[0.0; 2]; 4], ..truth.clone() };
-        assert!(gains(&rows, &mut found, &[0.0; 4]).is_some());
-        for (a, b) in found.gains.iter().flatten().zip(truth.gains.iter().flatten()) {
-            assert!((a - b).abs() < 1e-4, "{found:?}");
+        let mut solved = VirtualSources { gains: vec![[0.0; 2]; 4], ..truth.clone() };
+        assert!(gains(&rows, &mut solved, &[0.0; 4]).is_some());
+        for (a, b) in solved.gains.iter().flatten().zip(truth.gains.iter().flatten()) {
+            assert!((a - b).abs() < 1e-4, "{solved:?}");
         }
         let mut twice = truth.select(&[0, 0]);
         assert!(

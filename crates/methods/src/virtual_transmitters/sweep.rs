@@ -101,23 +101,23 @@ impl Layer {
 impl SearchGrid {
     /// Returns the width of maxima at `place`, in steps of the innermost shell, at least 1. Maximum moves and the
     /// distance between distinct positions scale with it.
-    pub(crate) fn width(&self, place: [f64; 3]) -> f64 {
-        let off = [0, 1, 2].map(|k| (place[k] - self.centre[k]).abs());
+    pub(crate) fn width(&self, position: [f64; 3]) -> f64 {
+        let off = [0, 1, 2].map(|k| (position[k] - self.centre[k]).abs());
         (2.0 * off.into_iter().fold(0.0, f64::max) / self.side).max(1.0)
     }
 
     /// Returns whether a position is inside the cube.
-    pub(crate) fn holds(&self, place: [f64; 3]) -> bool {
-        (0..3).all(|k| (place[k] - self.centre[k]).abs() <= self.half)
+    pub(crate) fn holds(&self, position: [f64; 3]) -> bool {
+        (0..3).all(|k| (position[k] - self.centre[k]).abs() <= self.half)
     }
 
     /// Returns all layers of all shells, for each rotation.
     fn layers(&self) -> Vec<Layer> {
-        let of = |shell: Shell| {
+        let layers = |shell: Shell| {
             let layer = move |q| (0..shell.count()).map(move |z| Layer { shell, q, z });
             (0..self.quats.len()).flat_map(layer)
         };
-        self.shells().into_iter().flat_map(of).collect()
+        self.shells().into_iter().flat_map(layers).collect()
     }
 
     fn shells(&self) -> Vec<Shell> {
@@ -136,8 +136,8 @@ impl SearchGrid {
     }
 
     /// Keeps the best `most`, one per maximum.
-    pub(crate) fn thin(&self, found: &mut Vec<Peak>, most: usize) {
-        thin(found, most, |peak| 2.0 * self.step * self.width(peak.place));
+    pub(crate) fn thin(&self, peaks: &mut Vec<Peak>, most: usize) {
+        thin(peaks, most, |peak| 2.0 * self.step * self.width(peak.place));
     }
 }
 
@@ -177,11 +177,11 @@ fn sweep_lines(
 ) -> Vec<Peak> {
     let turned: Vec<SweepRows> = grid.quats.iter().map(|q| SweepRows::new(rows, *q, grid.centre)).collect();
     let layer = |&Layer { shell, q, z }: &Layer| {
-        let mut found = Vec::new();
+        let mut peaks = Vec::new();
         let mut least = 0.0;
         for y in (0..shell.count()).step_by(stride) {
             if stop.load(Ordering::Relaxed) {
-                return found;
+                return peaks;
             }
             let at = [shell.at(y), shell.at(z)];
             for (from, count) in shell.stretches(at) {
@@ -192,41 +192,41 @@ fn sweep_lines(
                     stretch,
                     at,
                     quat: grid.quats[q],
-                    found: &mut found,
+                    peaks: &mut peaks,
                     least,
                 });
             }
-            if found.len() > 8 * most {
-                grid.thin(&mut found, most);
-                least = if found.len() == most { found[most - 1].explains } else { 0.0 };
+            if peaks.len() > 8 * most {
+                grid.thin(&mut peaks, most);
+                least = if peaks.len() == most { peaks[most - 1].explains } else { 0.0 };
             }
         }
-        grid.thin(&mut found, most);
-        found
+        grid.thin(&mut peaks, most);
+        peaks
     };
     let layers: Vec<Vec<Peak>> = layers.par_iter().map(layer).collect();
-    let mut found = layers.concat();
-    grid.thin(&mut found, most);
-    found
+    let mut peaks = layers.concat();
+    grid.thin(&mut peaks, most);
+    peaks
 }
 
 /// Keeps the best `most`, none closer to a better one than `apart` of either.
-pub(crate) fn thin(found: &mut Vec<Peak>, most: usize, apart: impl Fn(&Peak) -> f64) {
-    found.sort_by(|a, b| b.explains.total_cmp(&a.explains).then_with(|| by_place(a, b)));
+pub(crate) fn thin(peaks: &mut Vec<Peak>, most: usize, apart: impl Fn(&Peak) -> f64) {
+    peaks.sort_by(|a, b| b.explains.total_cmp(&a.explains).then_with(|| by_place(a, b)));
     let mut kept: Vec<(Peak, f64)> = Vec::with_capacity(most);
-    for peak in found.iter() {
-        let own = apart(peak);
+    for peak in peaks.iter() {
+        let distance = apart(peak);
         let near = |(k, other): &(Peak, f64)| {
-            (0..3).map(|c| (k.place[c] - peak.place[c]).powi(2)).sum::<f64>() < own.max(*other).powi(2)
+            (0..3).map(|c| (k.place[c] - peak.place[c]).powi(2)).sum::<f64>() < distance.max(*other).powi(2)
         };
         if !kept.iter().any(near) {
-            kept.push((*peak, own));
+            kept.push((*peak, distance));
             if kept.len() == most {
                 break;
             }
         }
     }
-    *found = kept.into_iter().map(|(peak, _)| peak).collect();
+    *peaks = kept.into_iter().map(|(peak, _)| peak).collect();
 }
 
 fn by_place(a: &Peak, b: &Peak) -> std::cmp::Ordering {
@@ -259,7 +259,7 @@ struct SweepLine<'a> {
     /// Coordinates y and z relative to the centre of the cube, metres.
     at: [f64; 2],
     quat: [f64; 4],
-    found: &'a mut Vec<Peak>,
+    peaks: &'a mut Vec<Peak>,
     /// Smallest explained energy that is kept.
     least: f64,
 }
@@ -285,7 +285,7 @@ impl pulp::WithSimd for SweepLine<'_> {
                     (l == 0 || explains[l - 1] <= explains[l]) && (l + 1 == LANES || explains[l + 1] <= explains[l]);
                 if falls && f64::from(explains[l]) > self.least {
                     let place = [f64::from(x[l]) + centre[0], self.at[0] + centre[1], self.at[1] + centre[2]];
-                    self.found.push(Peak { place, quat: self.quat, explains: f64::from(explains[l]) });
+                    self.peaks.push(Peak { place, quat: self.quat, explains: f64::from(explains[l]) });
                 }
             }
             first += LANES;
@@ -332,19 +332,19 @@ pub(crate) fn images(
     apart: f64,
 ) -> Vec<[f64; 3]> {
     let near = |a: &[f64; 3], b: &[f64; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>() < apart * apart;
-    let mut found: Vec<[f64; 3]> = Vec::new();
+    let mut images: Vec<[f64; 3]> = Vec::new();
     for (i, a) in places.iter().enumerate() {
         for b in &places[..i] {
             let Some(plane) = CutPlane::between(*a, *b).filter(|p| p.clear_of(positions)) else { continue };
             for v in places {
                 let image = plane.mirrored(*v);
-                if holds(image) && !places.iter().chain(&found).any(|p| near(p, &image)) {
-                    found.push(image);
+                if holds(image) && !places.iter().chain(&images).any(|p| near(p, &image)) {
+                    images.push(image);
                 }
             }
         }
     }
-    found
+    images
 }
 
 /// Plane n·x = at, with n of length 1.
@@ -396,8 +396,8 @@ mod tests {
     fn finds_double_reflection_from_two_images() {
         let (node, wall, floor) = ([1.0, 0.5, 1.5], [-3.0, 0.5, 1.5], [1.0, 0.5, -1.5]);
         let positions = [[0.0, 0.0, 1.0], [1.0, 1.0, 2.0]];
-        let found = images(&[node, wall, floor], &positions, |_| true, 0.05);
-        assert!(found.iter().any(|p| (0..3).all(|k| (p[k] - [-3.0, 0.5, -1.5][k]).abs() < 1e-12)), "{found:?}");
+        let mirrored = images(&[node, wall, floor], &positions, |_| true, 0.05);
+        assert!(mirrored.iter().any(|p| (0..3).all(|k| (p[k] - [-3.0, 0.5, -1.5][k]).abs() < 1e-12)), "{mirrored:?}");
         let across = images(&[node, wall], &[[-2.0, 0.0, 1.0], [1.0, 1.0, 2.0]], |_| true, 0.05);
         assert!(across.is_empty(), "no wall goes through where the moving end was: {across:?}");
     }

@@ -106,27 +106,27 @@ pub(crate) fn normal(antennas: &[[f64; 3]]) -> [f64; 3] {
 /// the latter does not change the array.
 pub(crate) fn mirrored(antennas: &[[f64; 3]]) -> Vec<[f64; 4]> {
     let m = normal(antennas);
-    let mut found: Vec<[f64; 4]> = Vec::new();
+    let mut rotations: Vec<[f64; 4]> = Vec::new();
     for signs in 0..8_u32 {
         let sign = |k: usize| if signs >> k & 1 == 1 { -1.0 } else { 1.0 };
         let odd = signs.count_ones() % 2 == 1;
         let entry = |i: usize, j: usize| {
-            let own = if i == j { 1.0 } else { 0.0 };
-            sign(i) * (own - if odd { 2.0 * m[i] * m[j] } else { 0.0 })
+            let identity = if i == j { 1.0 } else { 0.0 };
+            sign(i) * (identity - if odd { 2.0 * m[i] * m[j] } else { 0.0 })
         };
         let q = of_matrix(&std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j))));
-        let place = |q: [f64; 4]| -> Vec<[f64; 3]> { antennas.iter().map(|a| turned(&matrix(q), *a)).collect() };
-        let here = place(q);
+        let positions = |q: [f64; 4]| -> Vec<[f64; 3]> { antennas.iter().map(|a| turned(&matrix(q), *a)).collect() };
+        let here = positions(q);
         let reach = antennas.as_flattened().iter().fold(1e-9_f64, |r, x| r.max(x.abs()));
         let same = |other: &[f64; 4]| {
-            let there = place(*other);
+            let there = positions(*other);
             here.as_flattened().iter().zip(there.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-6 * reach)
         };
-        if !found.iter().any(same) {
-            found.push(q);
+        if !rotations.iter().any(same) {
+            rotations.push(q);
         }
     }
-    found
+    rotations
 }
 
 /// Returns the quaternion of a rotation matrix, from its largest component.
@@ -166,10 +166,10 @@ mod tests {
     fn mirrored_planar_array_equals_rotated_array() {
         // Array in the plane x = 0, as on a wall.
         let antennas: Vec<[f64; 3]> = (0..16).map(|k| [0.0, f64::from(k % 4), f64::from(k / 4) + 0.1]).collect();
-        let found = mirrored(&antennas);
-        assert_eq!(found.len(), 4, "x does not matter, y and z do");
+        let rotations = mirrored(&antennas);
+        assert_eq!(rotations.len(), 4, "x does not matter, y and z do");
         for signs in [[1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, -1.0]] {
-            let hit = found.iter().any(|q| {
+            let hit = rotations.iter().any(|q| {
                 antennas.iter().all(|a| {
                     let t = turned(&matrix(*q), *a);
                     (0..3).all(|k| (t[k] - signs[k] * a[k]).abs() < 1e-9)

@@ -39,9 +39,9 @@ impl Prepared<'_> {
             return None;
         }
         let observed: Vec<ForwardOutput> = self.members.iter().map(|member| member.forward(query)).collect();
-        let image = |own: &ForwardOutput| {
+        let image = |output: &ForwardOutput| {
             let (width, height) = (self.plane().width, self.plane().height);
-            Image { width, height, pixels: own.numbers.clone() }
+            Image { width, height, pixels: output.numbers.clone() }
         };
         let predicted = mean(observed.iter().map(image).collect(), task);
         let corrected = self.corrected(predicted.clone(), query);
@@ -50,24 +50,19 @@ impl Prepared<'_> {
         let (mut d_tx, mut d_orientation) = ([0.0; 3], [0.0; 4]);
         if let Some(residuals) = self.residuals {
             d_tx = residuals.correct_vjp(&mut d, query, self.members[0].model.stages.origin);
-            clamp_vjp(task.has_pixels, &predicted.pixels, &mut d);
+            task.shown_vjp(&predicted.pixels, &mut d);
         }
         let (several, share) = (self.members.len() > 1, 1.0 / self.members.len() as Real);
         for (member, own) in self.members.iter().zip(observed) {
             let mut d: Vec<Real> = d.iter().map(|d| share * d).collect();
-            clamp_vjp(several && task.has_pixels, &own.numbers, &mut d);
+            if several {
+                task.shown_vjp(&own.numbers, &mut d);
+            }
             let found = member.vjp(query, own, &d);
             (0..3).for_each(|k| d_tx[k] += found.0[k]);
             (0..4).for_each(|k| d_orientation[k] += found.1[k]);
         }
         Some((corrected, d_tx, self.has_orientation_derivative().then_some(d_orientation)))
-    }
-}
-
-/// Backward pass of the clamp to [0, 1], if values are `clamped`.
-fn clamp_vjp(clamped: bool, values: &[Real], d: &mut [Real]) {
-    if clamped {
-        d.iter_mut().zip(values).filter(|(_, v)| !(0.0..=1.0).contains(*v)).for_each(|(d, _)| *d = 0.0);
     }
 }
 

@@ -55,7 +55,7 @@ impl ResidualsNote {
         Self {
             stride: residuals.grid.stride,
             neighbours: residuals.neighbours,
-            receivers: residuals.processes.iter().map(|own| own.as_ref().map(process)).collect(),
+            receivers: residuals.processes.iter().map(|fitted| fitted.as_ref().map(process)).collect(),
         }
     }
 
@@ -66,7 +66,7 @@ impl ResidualsNote {
     pub(crate) fn take(self, file: &mut Tensors, setup: &MeasurementSetup) -> Result<Residuals, String> {
         let Self { stride, neighbours, receivers } = self;
         super::Kriged { stride, neighbours, folds: false }.check().map_err(|why| format!("residuals: {why}"))?;
-        if !setup.task.has_pixels && stride != 1 {
+        if setup.task.stride(stride) != stride {
             return Err(format!("residuals: a stride of {stride} for {}, expected 1", setup.task.plural));
         }
         if setup.moving.is_receiver() {
@@ -94,15 +94,22 @@ impl ResidualsNote {
         let mut first = 0;
         let mut process = |(note, receiver): (Option<ProcessNote>, &Receiver)| -> Result<_, String> {
             let Some(note) = note else { return Ok(None) };
-            let own = first..first + note.links;
-            first = own.end;
+            let links_of_process = first..first + note.links;
+            first = links_of_process.end;
             let values = match &stored {
-                ResidualValues::Exact(all) => ResidualValues::Exact(all[own.start * of_each..own.end * of_each].into()),
-                ResidualValues::Short(all, units) => {
-                    ResidualValues::Short(all[own.start * of_each..own.end * of_each].into(), units[own.clone()].into())
+                ResidualValues::Exact(all) => {
+                    ResidualValues::Exact(all[links_of_process.start * of_each..links_of_process.end * of_each].into())
                 }
+                ResidualValues::Short(all, units) => ResidualValues::Short(
+                    all[links_of_process.start * of_each..links_of_process.end * of_each].into(),
+                    units[links_of_process.clone()].into(),
+                ),
             };
-            Ok(Some(ResidualProcess::new(note.fitted(setup.task, receiver)?, places[own].to_vec(), values)))
+            Ok(Some(ResidualProcess::new(
+                note.fitted(setup.task, receiver)?,
+                places[links_of_process].to_vec(),
+                values,
+            )))
         };
         let processes = receivers.into_iter().zip(&setup.receivers).map(&mut process).collect::<Result<_, _>>()?;
         Ok(Residuals { grid, neighbours, processes })
@@ -122,7 +129,7 @@ impl ProcessNote {
                 "residuals: length scales of {scales_m:?} m and noise of {noise}, expected at least {LEAST:e}"
             ));
         }
-        if path_loss.is_some_and(|law| !task.is_scalar || !law.iter().all(|v| v.abs() <= MOST_DB)) {
+        if path_loss.is_some_and(|law| !task.has_path_loss || !law.iter().all(|v| v.abs() <= MOST_DB)) {
             return Err(format!("residuals: a path loss of {path_loss:?} for {}", task.plural));
         }
         let [x, y, z] = scales_m;

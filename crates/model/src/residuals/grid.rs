@@ -47,11 +47,12 @@ impl CoarseGrid {
         }
         let (mut lost, mut all) = (0.0, 0.0);
         for image in images {
-            let own: Vec<Real> = image.iter().zip(&mean).map(|(v, mean)| v - mean).collect();
-            let mut restored = vec![0.0; own.len()];
-            self.add_to(&self.sampled(&own).collect::<Vec<_>>(), &mut restored);
-            lost += own.iter().zip(restored).map(|(v, found)| (*v as f64 - found as f64).powi(2)).sum::<f64>();
-            all += own.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
+            let residual: Vec<Real> = image.iter().zip(&mean).map(|(v, mean)| v - mean).collect();
+            let mut restored = vec![0.0; residual.len()];
+            self.add_to(&self.sampled(&residual).collect::<Vec<_>>(), &mut restored);
+            lost +=
+                residual.iter().zip(restored).map(|(v, restored)| (*v as f64 - restored as f64).powi(2)).sum::<f64>();
+            all += residual.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
         }
         if all > 0.0 { lost / all } else { 0.0 }
     }
@@ -133,12 +134,12 @@ mod tests {
             let grid = CoarseGrid::new(&plane, stride);
             let stored: Vec<Real> = grid.sampled(&image).collect();
             assert_eq!(stored.len(), grid.len());
-            let mut found = vec![0.0; image.len()];
-            grid.add_to(&stored, &mut found);
-            for (i, (found, truth)) in found.iter().zip(&image).enumerate().filter(|(i, _)| i / 48 < 12) {
-                assert!((found - truth).abs() <= error, "{i} with stride {stride}: {found} instead of {truth}");
+            let mut restored = vec![0.0; image.len()];
+            grid.add_to(&stored, &mut restored);
+            for (i, (restored, truth)) in restored.iter().zip(&image).enumerate().filter(|(i, _)| i / 48 < 12) {
+                assert!((restored - truth).abs() <= error, "{i} with stride {stride}: {restored} instead of {truth}");
             }
-            let again: Vec<Real> = grid.sampled(&found).collect();
+            let again: Vec<Real> = grid.sampled(&restored).collect();
             again.iter().zip(&stored).for_each(|(a, b)| assert!((a - b).abs() < 1e-5));
         }
     }

@@ -1,7 +1,7 @@
 //! `Kriged`: settings of residual processes.
 
 use pwrfgs_core::plugin::Check;
-use pwrfgs_core::{Dataset, Error, JsonSchema, Result};
+use pwrfgs_core::{Dataset, Demand, Error, JsonSchema, Misfit, Parts, Requirement, Result, compatible};
 use serde::{Deserialize, Serialize};
 
 /// Kriging of residuals: after training, a Gaussian process over the transmitter position predicts the difference between
@@ -65,19 +65,14 @@ impl Kriged {
     /// # Errors
     /// [`Error::Config`]: the data have no positions, or all members trained on all links.
     pub fn check_data(&self, data: &Dataset, is_left_out: bool) -> Result<()> {
-        if !data.placed || data.features.is_some() {
-            let what = "has no transmitter positions, which Kriging of residuals needs; remove `residuals`";
-            return Err(Error::Config(format!("{} {what}", data.title)));
-        }
-        if data.scene.moving.is_receiver() {
-            let what = "has a moving receiver, and its residuals depend on the orientation; remove `residuals`";
-            return Err(Error::Config(format!("{} {what}", data.title)));
-        }
+        let requires = &[Requirement::Positions, Requirement::NoFeatures, Requirement::FixedReceiver];
+        let demands = &[Demand::of("residuals", "Kriged", requires)];
+        compatible(&Parts { data: Some(data), demands, ..Parts::default() }).map_err(Misfit::error)?;
         if is_left_out {
             return Ok(());
         }
-        let what = "residuals: the model trains on all known links, so its residuals are too small; give the split a \
+        let problem = "residuals: the model trains on all known links, so its residuals are too small; give the split a \
                     `validation` share, such as 0.1, or in an experiment with `join: true` write `Kriged(folds: true)`";
-        Err(Error::Config(what.into()))
+        Err(Error::Config(problem.into()))
     }
 }

@@ -30,12 +30,12 @@ fn model(shift: Real) -> Model {
 /// Transmitters at random positions in a cube of 1 m; `left` is what the prediction of `base` lacks at a position.
 fn data(base: &Ensemble, left: impl Fn(usize, [f64; 3]) -> Real) -> Dataset {
     let mut random = rng::stream(5, "positions", 0);
-    let place = |_| [(); 3].map(|()| f64::from(rng::uniform(&mut random) as f32));
-    let places: Vec<[f64; 3]> = (0..240).map(place).collect();
+    let position = |_| [(); 3].map(|()| f64::from(rng::uniform(&mut random) as f32));
+    let places: Vec<[f64; 3]> = (0..240).map(position).collect();
     let ready = base.prepare();
     let image = |(i, tx): (usize, &[f64; 3])| -> Vec<f32> {
-        let known = base.plane().clone();
-        let pattern = |k: usize| (k % known.width) as Real * std::f64::consts::TAU as Real / known.width as Real;
+        let plane = base.plane().clone();
+        let pattern = |k: usize| (k % plane.width) as Real * std::f64::consts::TAU as Real / plane.width as Real;
         let pixels = ready.predict_timed(*tx).0.clamped().pixels;
         pixels.iter().enumerate().map(|(k, p)| (p + left(i, *tx) * pattern(k).cos()) as f32).collect()
     };
@@ -61,8 +61,8 @@ fn smooth(_: usize, [x, y, _]: [f64; 3]) -> Real {
 fn error(predictor: &Ensemble, data: &Dataset) -> f64 {
     let ready = predictor.prepare();
     let squared = |i: usize| {
-        let (found, truth) = (ready.predict_timed(data.query(i)).0, data.image(i));
-        found.pixels.iter().zip(&truth.pixels).map(|(f, t)| (*f as f64 - *t as f64).powi(2)).sum::<f64>()
+        let (predicted, truth) = (ready.predict_timed(data.query(i)).0, data.image(i));
+        predicted.pixels.iter().zip(&truth.pixels).map(|(f, t)| (*f as f64 - *t as f64).powi(2)).sum::<f64>()
     };
     ((200..240).map(squared).sum::<f64>() / (40 * SIZE.0 * SIZE.1) as f64).sqrt()
 }
@@ -75,8 +75,8 @@ fn kriged_residuals_predict_what_the_model_lacks() {
     for stride in [1, 4] {
         let settings = Kriged { stride, ..Kriged::default() };
         let whole = base.clone().with_residuals(Some(fit(&settings, &base, &data).unwrap()));
-        let found = error(&whole, &data);
-        assert!(found < 0.15 * alone, "stride {stride}: {found} instead of {alone}");
+        let actual = error(&whole, &data);
+        assert!(actual < 0.15 * alone, "stride {stride}: {actual} instead of {alone}");
         let queries: Vec<Query<'_>> = (200..240).map(|i| data.query(i)).collect();
         let ready = whole.prepare();
         let mut numbers = vec![0.0; 40 * SIZE.0 * SIZE.1];
@@ -141,10 +141,10 @@ fn residuals_of_good_model_are_noisier_than_observations() {
     varying.weights = (0..varying.stages.layout().numbers()).map(|_| 0.5 * rng::normal(random)).collect();
     let base = Ensemble::of(varying);
     let data = data(&base, |i, _| 0.02 * rng::normal(&mut rng::stream(8, "noise", i as u64)));
-    let found = fit(&Kriged { stride: 1, ..Kriged::default() }, &base, &data).unwrap();
-    let ProcessFit { trend, correlation, .. } = found.processes()[0].as_ref().unwrap().fit;
+    let residuals = fit(&Kriged { stride: 1, ..Kriged::default() }, &base, &data).unwrap();
+    let ProcessFit { trend, correlation, .. } = residuals.processes()[0].as_ref().unwrap().fit;
     assert!(trend.share >= 0.75 && correlation.noise > 0.2, "{trend:?}, {correlation:?}");
-    let whole = base.clone().with_residuals(Some(found));
+    let whole = base.clone().with_residuals(Some(residuals));
     assert!(error(&whole, &data) < 1.1 * error(&base, &data), "{} {}", error(&whole, &data), error(&base, &data));
 }
 
@@ -167,7 +167,7 @@ fn memorised_links_do_not_narrow_intervals() {
 fn calibrated(whole: &Ensemble, data: &Dataset) -> Ensemble {
     let (held, trained): (Vec<usize>, Vec<usize>) = (0..200).partition(|i: &usize| i.is_multiple_of(4));
     let held_out = whole.held_out(&[0], data, &trained).unwrap();
-    assert!(held_out.residuals().is_none_or(|own| own.processes()[0].as_ref().unwrap().len() == 150));
+    assert!(held_out.residuals().is_none_or(|residuals| residuals.processes()[0].as_ref().unwrap().len() == 150));
     let ready = held_out.prepare();
     let score = |&i: &usize| {
         let query = data.query(i);
@@ -184,7 +184,7 @@ fn validation_links_are_unknown_to_models_that_choose_by_them() {
     let whole = base.clone().with_residuals(Some(fit(&Kriged::default(), &base, &data).unwrap()));
     let (validation, train): (Vec<usize>, Vec<usize>) = (0..200).partition(|i: &usize| i.is_multiple_of(4));
     let known = FittingSet { train: &train, validation: &validation };
-    let links = |own: &Ensemble| own.residuals().unwrap().processes()[0].as_ref().unwrap().len();
+    let links = |ensemble: &Ensemble| ensemble.residuals().unwrap().processes()[0].as_ref().unwrap().len();
     let fair = whole.without_validation(&data, known).unwrap().unwrap();
     assert_eq!((links(&whole), links(&fair)), (200, 150));
     assert!(base.without_validation(&data, known).unwrap().is_none());
@@ -227,8 +227,8 @@ fn update_adds_new_links_without_a_fit() {
     let (before, after) =
         (data(&base, smooth), data(&base, |i, tx| smooth(i, tx) + if tx[0] > 0.5 { 0.2 } else { 0.0 }));
     for stride in [1, 4] {
-        let known = fit(&Kriged { stride, ..Kriged::default() }, &base, &before).unwrap();
-        let whole = base.clone().with_residuals(Some(known));
+        let residuals = fit(&Kriged { stride, ..Kriged::default() }, &base, &before).unwrap();
+        let whole = base.clone().with_residuals(Some(residuals));
         let (updated, added) = whole.residuals().unwrap().updated(&whole, &after).unwrap();
         assert_eq!((added, updated.processes()[0].as_ref().unwrap().len()), (240, 440));
         let updated = base.clone().with_residuals(Some(updated));
@@ -255,7 +255,7 @@ fn fit_needs_left_out_links_and_positions_and_can_stop() {
     assert!(
         try_fit(&data, &[LeftOutBy::All, LeftOutBy::NoMember, LeftOutBy::NoMember], false)
             .to_string()
-            .contains("no transmitter positions")
+            .contains("`Kriged` needs transmitter positions")
     );
 }
 

@@ -107,8 +107,7 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> FigureSet {
         errors::distribution,
         errors::distance,
     ];
-    let all_from_data: &[FromData] = &[panels::room, panels::spectra, rate::figure];
-    let from_data = if setting.task().has_pixels { all_from_data } else { &all_from_data[..1] };
+    let from_data: &[FromData] = &[panels::room, panels::spectra, rate::figure];
     let count = from_scores.len() + from_data.len();
     let mut figures = Vec::new();
     for (done, make) in from_scores.iter().enumerate() {
@@ -124,11 +123,7 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> FigureSet {
         Ok(drawn)
     });
     let left_out = drawn.map(|drawn| figures.extend(drawn)).err();
-    let missing = if setting.task().has_pixels {
-        "are no figures of room, spectra and rate ratio"
-    } else {
-        "is no figure of the room"
-    };
-    let left_out = left_out.map(|e| format!("There {missing}: {e}."));
+    let left_out =
+        left_out.map(|e| format!("Figures that need the data, such as that of the room, are left out: {e}."));
     FigureSet { figures, left_out }
 }

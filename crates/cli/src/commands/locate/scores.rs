@@ -147,7 +147,7 @@ impl Entry {
 /// Choice and results of Kriging in place of the model; none if it does not support the data.
 fn kriged(data: &Dataset, known: FittingSet<'_>, observations: &[Vec<f32>]) -> Result<Option<(Choice, Vec<Located>)>> {
     let kriging = Plugin::<dyn Baseline>::parse("Kriging()").map_err(Error::Config)?;
-    if !kriging.supports(data.task()) || kriging.check_data(data).is_err() {
+    if !kriging.tasks().contains(&data.task()) || kriging.check_data(data).is_err() {
         return Ok(None);
     }
     let predictor = kriging.fit(data, known)?;

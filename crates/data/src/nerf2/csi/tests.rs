@@ -67,7 +67,7 @@ fn uplink_is_feature_and_downlink_is_observation() {
     folder.write("train_index.txt", "0\n2\n");
     folder.write("test_index.txt", "1\n");
     let error = Voxel::default().split(&data, &mut rng::stream(0, "split", 0)).unwrap_err();
-    assert!(error.to_string().contains("has no transmitter positions"), "{error}");
+    assert!(error.to_string().contains("needs transmitter positions"), "{error}");
     folder.write("tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n");
     let placed = folder.load().unwrap();
     assert!(placed.placed && placed.sample(3).position() == [4.0, 5.0, 6.0]);

@@ -116,6 +116,9 @@ pub(super) struct PredictionColumn<'a> {
 
 /// Returns the spectra as measured, and as predicted by the best baselines and each method: figure 4 of the paper.
 pub(super) fn spectra(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
+    if data.observations.spectra().is_none() {
+        return Ok(None);
+    }
     let methods = methods(setting);
     let shown = &methods[..methods.len().min(MOST_COLUMNS[1])];
     let columns = spectra_columns(setting, shown, data)?;

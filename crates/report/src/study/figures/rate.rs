@@ -15,8 +15,11 @@ const STEPS: usize = 20;
 /// Maximum number of predicted test spectra per run.
 const SAMPLES: usize = 200;
 
-/// Returns the figure; `None` if there is nothing to draw.
+/// Returns the figure; `None` without spectra, or if there is nothing to draw.
 pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
+    if data.observations.spectra().is_none() {
+        return Ok(None);
+    }
     let metric = |snr: f64| Plugin::parse(&format!("RateRatio(snr_db: {snr:.1})")).map_err(Error::Config);
     let metrics: Vec<Plugin<dyn Metric>> = snrs().map(metric).collect::<Result<_>>()?;
     let mut lines = Vec::new();
