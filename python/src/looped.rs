@@ -8,7 +8,7 @@ use crate::settings::Pipeline;
 use crate::strategies::{PythonLoss, cloud_object, cloud_of, stats_object};
 use pwrfgs::model::Ensemble;
 use pwrfgs::train::Trainer as Inner;
-use pwrfgs_core::files::{self, check_file_place, write_atomically};
+use pwrfgs_core::files::{self, check_file_path, write_atomically};
 use pwrfgs_core::{Dataset as Data, Error, Origin, Partition, Result};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -154,7 +154,7 @@ impl Trainer {
             return Err(wrong(py, "path is not a file path"));
         }
         self.with(py, |inner| {
-            check_file_place(&path)?;
+            check_file_path(&path)?;
             write_atomically(&path, &inner.checkpoint())
         })
     }

@@ -9,7 +9,7 @@ use crate::data::angles;
 use numpy::PyArrayDyn;
 use pwrfgs::model::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
-use pwrfgs_core::files::{check_file_place, write_atomically};
+use pwrfgs_core::files::{check_file_path, write_atomically};
 use pwrfgs_core::{Activated, End, Error, Pose, Query, Real};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyList, PyTuple};
@@ -284,7 +284,7 @@ impl Model {
     #[pyo3(signature = (path, *, half=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, half: bool) -> PyResult<()> {
         free(py, || {
-            check_file_place(&path)?;
+            check_file_path(&path)?;
             if half {
                 return write_atomically(&path, &file::to_bytes_half(&self.ensemble)?);
             }
@@ -296,7 +296,7 @@ impl Model {
     #[pyo3(signature = (path, tx=None))]
     fn to_ply(&self, py: Python<'_>, path: PathBuf, tx: Option<[f64; 3]>) -> PyResult<()> {
         free(py, || {
-            check_file_place(&path)?;
+            check_file_path(&path)?;
             write_atomically(&path, &export::ply(&self.ensemble, tx)?)
         })
     }

@@ -165,7 +165,7 @@ fn every_command_accepts_or_rejects_every_data_kind() {
 /// computes it.
 fn three_nearest(data: &Dataset, known: &[usize], i: usize) -> Image {
     let place = |i: usize| -> Vec<f64> {
-        let of = |features: &pwrfgs_core::Features| features.of(i).iter().map(|v| *v as f64).collect();
+        let of = |features: &pwrfgs_core::Features| features.row(i).iter().map(|v| *v as f64).collect();
         data.features.as_ref().map_or_else(|| data.sample(i).position().to_vec(), of)
     };
     let distance = |k: usize| place(k).iter().zip(place(i)).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();

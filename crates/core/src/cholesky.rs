@@ -11,20 +11,21 @@ pub struct Cholesky {
 impl Cholesky {
     /// Factors the matrix `a` `[n,n]`, of which the lower triangle is read; `None` if it is not positive definite.
     pub fn new(a: Vec<f64>, n: usize) -> Option<Self> {
-        Self::with(a, n, |pivot| (pivot > 0.0 && pivot.is_finite()).then_some(pivot))
+        Self::factor_with(a, n, |pivot| (pivot > 0.0 && pivot.is_finite()).then_some(pivot))
     }
 
     /// Factors a matrix that is positive definite up to rounding: pivots are at least `least`.
     pub fn floored(a: Vec<f64>, n: usize, least: f64) -> Self {
-        Self::with(a, n, |pivot| Some(pivot.max(least))).expect("every pivot is taken")
+        Self::factor_with(a, n, |pivot| Some(pivot.max(least))).expect("every pivot is taken")
     }
 
-    fn with(mut a: Vec<f64>, n: usize, pivot: impl Fn(f64) -> Option<f64>) -> Option<Self> {
+    /// Factors the matrix `a`, row by row; `pivot` accepts, replaces or rejects the pivots.
+    fn factor_with(mut a: Vec<f64>, n: usize, pivot: impl Fn(f64) -> Option<f64>) -> Option<Self> {
         for i in 0..n {
             for j in 0..=i {
                 let (row, other) = (&a[i * n..i * n + j], &a[j * n..j * n + j]);
-                let rest = a[i * n + j] - row.iter().zip(other).map(|(x, y)| x * y).sum::<f64>();
-                a[i * n + j] = if i == j { pivot(rest)?.sqrt() } else { rest / a[j * n + j] };
+                let remainder = a[i * n + j] - row.iter().zip(other).map(|(x, y)| x * y).sum::<f64>();
+                a[i * n + j] = if i == j { pivot(remainder)?.sqrt() } else { remainder / a[j * n + j] };
             }
         }
         Some(Self { lower: a, n })
@@ -34,12 +35,12 @@ impl Cholesky {
     pub fn solve(&self, b: &mut [f64]) {
         let (l, n) = (&self.lower, self.n);
         for i in 0..n {
-            let known: f64 = (0..i).map(|j| l[i * n + j] * b[j]).sum();
-            b[i] = (b[i] - known) / l[i * n + i];
+            let solved: f64 = (0..i).map(|j| l[i * n + j] * b[j]).sum();
+            b[i] = (b[i] - solved) / l[i * n + i];
         }
         for i in (0..n).rev() {
-            let known: f64 = (i + 1..n).map(|j| l[j * n + i] * b[j]).sum();
-            b[i] = (b[i] - known) / l[i * n + i];
+            let solved: f64 = (i + 1..n).map(|j| l[j * n + i] * b[j]).sum();
+            b[i] = (b[i] - solved) / l[i * n + i];
         }
     }
 
@@ -64,11 +65,11 @@ mod tests {
 
     #[test]
     fn cholesky_solves_system_and_inverts_factor() {
-        let found = Cholesky::new(vec![4.0, f64::NAN, 2.0, 3.0], 2).unwrap();
+        let factor = Cholesky::new(vec![4.0, f64::NAN, 2.0, 3.0], 2).unwrap();
         let mut x = [8.0, 7.0];
-        found.solve(&mut x);
+        factor.solve(&mut x);
         assert!((x[0] - 1.25).abs() < 1e-15 && (x[1] - 1.5).abs() < 1e-15, "{x:?}");
-        let inverse = found.inverse_of_factor();
+        let inverse = factor.inverse_of_factor();
         // L = [[2, 0], [1, √2]].
         assert!((inverse[0] - 0.5).abs() < 1e-15 && inverse[1] == 0.0);
         assert!((inverse[2] + 0.5 / 2f64.sqrt()).abs() < 1e-15 && (inverse[3] - 0.5f64.sqrt()).abs() < 1e-15);

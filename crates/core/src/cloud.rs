@@ -82,12 +82,12 @@ impl GaussianCloud {
         fixed.into_iter().chain(self.extra.iter_mut().map(|c| (c.name.as_str(), c.width, c.values.as_mut_slice())))
     }
 
-    /// Adds a column of zeros for each missing entry of `wanted` (name and width); fails if a column has another width.
+    /// Adds a column of zeros for each missing entry of `expected` (name and width); fails if a column has another width.
     pub fn complete(&mut self, expected: &[(&str, usize)]) -> Result<(), String> {
         for &(name, width) in expected {
             match self.extra(name) {
-                Some(own) if own.width == width => {}
-                Some(own) => return Err(format!("column `{name}` has width {}, expected {width}", own.width)),
+                Some(column) if column.width == width => {}
+                Some(column) => return Err(format!("column `{name}` has width {}, expected {width}", column.width)),
                 None => {
                     let values = vec![0.0; self.len() * width];
                     self.extra.push(ExtraColumn { name: name.into(), width, values });

@@ -10,10 +10,10 @@ const SEQUENTIAL: [(f64, f64); 5] = [(305.0, 0.10), (268.0, 0.115), (205.0, 0.08
 /// Returns a colour from dark violet at 0 to yellow at 1.
 pub fn sequential(value: f64) -> Rgb {
     let t = value.clamp(0.0, 1.0);
-    let place = 4.0 * t;
-    let k = (place as usize).min(3);
-    let part = place - k as f64;
-    let mix = |a: f64, b: f64| a + (b - a) * part;
+    let position = 4.0 * t;
+    let k = (position as usize).min(3);
+    let fraction = position - k as f64;
+    let mix = |a: f64, b: f64| a + (b - a) * fraction;
     let ((h0, c0), (h1, c1)) = (SEQUENTIAL[k], SEQUENTIAL[k + 1]);
     oklch(0.23 + 0.70 * t, mix(c0, c1), mix(h0, h1))
 }

@@ -76,7 +76,7 @@ impl Dataset {
     ///
     /// # Errors
     /// As [`Self::of_links`].
-    #[allow(clippy::needless_pass_by_value)] // who has a list of samples made it for this
+    #[allow(clippy::needless_pass_by_value)] // callers create the list for this call
     pub fn new(
         title: impl Into<String>,
         receiver: Pose,
@@ -122,11 +122,11 @@ impl Dataset {
             return Err(refuse(fault));
         }
         if samples.len() != observations.len() {
-            let (have, need, plural) = (observations.len(), samples.len(), observations.task().plural);
+            let (count, needed, plural) = (observations.len(), samples.len(), observations.task().plural);
             let locations = if ends.moving.is_receiver() { "receiver poses" } else { "transmitters" };
-            return Err(refuse(format!("{have} {plural} for {need} {locations}; give as many of each")));
+            return Err(refuse(format!("{count} {plural} for {needed} {locations}; give as many of each")));
         }
-        let (locations, links) = columns(samples, &ends).map_err(refuse)?;
+        let (locations, links) = to_columns(samples, &ends).map_err(refuse)?;
         if let Some((point, fault)) = points.iter().find_map(|point| Some((point, place_fault(*point)?))) {
             return Err(refuse(format!("a point at {point:?} {fault}")));
         }
@@ -136,7 +136,7 @@ impl Dataset {
         let (width, height) = observations.size();
         Ok(Self {
             title,
-            scene: scene(ends, points, &locations),
+            scene: build_scene(ends, points, &locations),
             width,
             height,
             elevation: Elevation::UPPER,
@@ -158,15 +158,15 @@ impl Dataset {
     /// [`Error::Config`] if there are no links, or they are not in ascending order; [`Error::Read`] of a spectrum.
     pub fn subset(&self, links: &[usize]) -> Result<Self> {
         if links.is_empty() || !links.is_sorted_by(|a, b| a < b) || links[links.len() - 1] >= self.len() {
-            let what = "links of a subset: give at least one, in ascending order without repetition";
-            return Err(Error::Config(what.into()));
+            let problem = "links of a subset: give at least one, in ascending order without repetition";
+            return Err(Error::Config(problem.into()));
         }
         let samples: Vec<Sample> = links.iter().map(|&i| self.sample(i)).collect();
         let observations = self.observations.subset(links)?;
-        let part = Self::of_links(self.title.clone(), self.scene.ends(), Vec::new(), &samples, observations)?;
-        let rows = |all: &Features| Features {
-            width: all.width,
-            values: links.iter().flat_map(|&i| all.of(i)).copied().collect(),
+        let subset = Self::of_links(self.title.clone(), self.scene.ends(), Vec::new(), &samples, observations)?;
+        let rows = |features: &Features| Features {
+            width: features.width,
+            values: links.iter().flat_map(|&i| features.row(i)).copied().collect(),
         };
         let selected = |list: &Vec<usize>| list.iter().filter_map(|i| links.binary_search(i).ok()).collect::<Vec<_>>();
         let official = self.official.as_ref().map(|(train, test)| (selected(train), selected(test)));
@@ -177,7 +177,7 @@ impl Dataset {
             placed: self.placed,
             official: official.filter(|(train, test)| !train.is_empty() && !test.is_empty()),
             simulation: self.simulation.clone(),
-            ..part
+            ..subset
         })
     }
 
@@ -211,7 +211,7 @@ impl Dataset {
     /// Returns the query for a prediction of link `i`.
     pub fn query(&self, i: usize) -> Query<'_> {
         let Sample { id, pose, receiver } = self.sample(i);
-        let features = self.features.as_ref().map(|features| features.of(i));
+        let features = self.features.as_ref().map(|features| features.row(i));
         Query { pose, features, receiver, id: Some(id) }
     }
 
@@ -222,10 +222,10 @@ impl Dataset {
 
     /// Returns the locations of these links, each once, in ascending order.
     pub fn locations_of(&self, links: &[usize]) -> Vec<usize> {
-        let mut all: Vec<usize> = links.iter().map(|i| self.links[*i].location).collect();
-        all.sort_unstable();
-        all.dedup();
-        all
+        let mut locations: Vec<usize> = links.iter().map(|i| self.links[*i].location).collect();
+        locations.sort_unstable();
+        locations.dedup();
+        locations
     }
 
     /// Returns the links of these locations; both lists are in ascending order.
@@ -236,9 +236,9 @@ impl Dataset {
 
     /// Returns these links by receiver.
     pub fn by_receiver(&self, links: impl IntoIterator<Item = usize>) -> Vec<Vec<usize>> {
-        let mut all = vec![Vec::new(); self.scene.receivers.len()];
-        links.into_iter().for_each(|i| all[self.links[i].receiver].push(i));
-        all
+        let mut groups = vec![Vec::new(); self.scene.receivers.len()];
+        links.into_iter().for_each(|i| groups[self.links[i].receiver].push(i));
+        groups
     }
 
     /// Returns whether the data are simulated.
@@ -304,7 +304,7 @@ pub fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
 }
 
 /// Converts rows to columns: every location once, and the links.
-fn columns(samples: &[Sample], ends: &Ends) -> Result<(Vec<Location>, Vec<Link>), String> {
+fn to_columns(samples: &[Sample], ends: &Ends) -> Result<(Vec<Location>, Vec<Link>), String> {
     let (moving, receivers) = (ends.moving, ends.receivers.len());
     let end = if moving.is_receiver() { "receiver" } else { "transmitter" };
     let mut locations: Vec<Location> = Vec::new();
@@ -342,7 +342,7 @@ fn columns(samples: &[Sample], ends: &Ends) -> Result<(Vec<Location>, Vec<Link>)
 }
 
 /// Creates a scene relative to one origin: near the first fixed end, or the first location if none is known.
-fn scene(ends: Ends, points: Vec<[f64; 3]>, locations: &[Location]) -> Scene {
+fn build_scene(ends: Ends, points: Vec<[f64; 3]>, locations: &[Location]) -> Scene {
     let Ends { moving, transmitter, mut receivers } = ends;
     let positions = || locations.iter().map(|location| location.pose.position);
     let fixed: Vec<[f64; 3]> = match moving {
@@ -350,7 +350,8 @@ fn scene(ends: Ends, points: Vec<[f64; 3]>, locations: &[Location]) -> Scene {
         End::Receiver => transmitter.into_iter().collect(),
     };
     let first = fixed.first().copied().or_else(|| positions().next()).unwrap_or_default();
-    let origin = Origin::of(first, points.iter().copied().chain(positions()).chain(fixed.iter().skip(1).copied()));
+    let origin =
+        Origin::for_receiver(first, points.iter().copied().chain(positions()).chain(fixed.iter().skip(1).copied()));
     if moving == End::Transmitter {
         receivers.iter_mut().for_each(|receiver| receiver.pose = origin.local_pose(receiver.pose));
     }
@@ -364,8 +365,8 @@ fn scene(ends: Ends, points: Vec<[f64; 3]>, locations: &[Location]) -> Scene {
 
 /// Returns the smallest and largest corner of the given points.
 fn bounds_of(points: impl Iterator<Item = [Real; 3]>) -> ([Real; 3], [Real; 3]) {
-    let nothing = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    let (low, high) = points.map(Vec3::from_array).fold(nothing, |(low, high), p| (low.min(p), high.max(p)));
+    let empty = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    let (low, high) = points.map(Vec3::from_array).fold(empty, |(low, high), p| (low.min(p), high.max(p)));
     (low.to_array(), high.to_array())
 }
 
@@ -401,12 +402,12 @@ mod tests {
 
     #[test]
     fn map_coordinates_are_relative_to_receiver() {
-        let one = || Spectra::grey((3, 2), vec![0; 6]).unwrap();
+        let spectra = || Spectra::grey((3, 2), vec![0; 6]).unwrap();
         let at = |x: f64| vec![Sample::new(1, [x, 0.25, 0.0])];
         let receiver = Pose { position: [5.5, 0.0, 0.0], ..Pose::IDENTITY };
-        let room = Dataset::new("room", receiver, vec![[1000.0; 3]], at(2.5), one()).unwrap().scene;
+        let room = Dataset::new("room", receiver, vec![[1000.0; 3]], at(2.5), spectra()).unwrap().scene;
         assert_eq!((room.origin, room.pose(), room.points), (Origin::ZERO, receiver, vec![[1000.0; 3]]));
-        let map = Dataset::new("map", receiver, vec![[1.0, 2.0, 3.0]], at(5_399_999.54), one()).unwrap().scene;
+        let map = Dataset::new("map", receiver, vec![[1.0, 2.0, 3.0]], at(5_399_999.54), spectra()).unwrap().scene;
         assert_eq!((map.origin.0, map.pose().position), ([6.0, 0.0, 0.0], [-0.5, 0.0, 0.0]));
         assert_eq!((map.points, map.bounds.1), (vec![[-5.0, 2.0, 3.0]], [5_399_993.54, 2.0, 3.0]));
     }

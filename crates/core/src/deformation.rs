@@ -120,7 +120,7 @@ pub struct LinearPart {
 
 impl LinearPart {
     /// Returns the index of B(c, k, j) in the weights.
-    pub fn place(&self, channel: usize, input: usize, function: usize) -> usize {
+    pub fn weight_index(&self, channel: usize, input: usize, function: usize) -> usize {
         self.first[channel] + input * self.functions + function
     }
 }

@@ -161,59 +161,62 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
+    /// Returns the documentation of the type `name`.
     fn docs(&self, name: &str, schema: &Value) -> &'static Docs {
         let variants = match schema.get("oneOf").and_then(Value::as_array) {
-            Some(all) => Some(all.iter().flat_map(|one| self.variants(one)).collect()),
+            Some(schemas) => Some(schemas.iter().flat_map(|schema| self.variants(schema)).collect()),
             None => schema.get("enum").is_some().then(|| self.variants(schema)),
         };
         let body = match variants {
             Some(variants) => DocBody::Variants(variants.leak()),
             None => DocBody::Fields(self.fields(schema)),
         };
-        Box::leak(Box::new(Docs { name: leaked(name), text: description(schema), body }))
+        Box::leak(Box::new(Docs { name: leak(name), text: description(schema), body }))
     }
 
     /// Returns the variants that one schema of an enum represents.
     fn variants(&self, schema: &Value) -> Vec<DocVariant> {
         let text = description(schema);
-        let plain = |name: &str| DocVariant { name: leaked(name), text, named: false, fields: &[] };
+        let plain = |name: &str| DocVariant { name: leak(name), text, named: false, fields: &[] };
         if let Some(names) = schema.get("enum").and_then(Value::as_array) {
             return names.iter().filter_map(Value::as_str).map(plain).collect();
         }
         if let Some(name) = schema.get("const").and_then(Value::as_str) {
             return vec![plain(name)];
         }
-        let holds = schema.get("properties").and_then(Value::as_object);
-        let with_fields = |(name, inside): (&String, &Value)| {
-            let named = inside.get("properties").is_some();
-            let unnamed = match inside.get("prefixItems").and_then(Value::as_array) {
+        let variants = schema.get("properties").and_then(Value::as_object);
+        let with_fields = |(name, content): (&String, &Value)| {
+            let named = content.get("properties").is_some();
+            let unnamed = match content.get("prefixItems").and_then(Value::as_array) {
                 Some(items) => &items[..],
-                None => std::slice::from_ref(inside),
+                None => std::slice::from_ref(content),
             };
             let field = |(i, item)| self.field(&format!("_{i}"), item, false);
             let fields = if named {
-                self.fields(inside)
+                self.fields(content)
             } else {
                 unnamed.iter().enumerate().map(field).collect::<Vec<_>>().leak()
             };
-            DocVariant { name: leaked(name), text, named, fields }
+            DocVariant { name: leak(name), text, named, fields }
         };
-        holds.into_iter().flatten().map(with_fields).collect()
+        variants.into_iter().flatten().map(with_fields).collect()
     }
 
     /// Returns the fields of a struct, or of a variant with names.
     fn fields(&self, schema: &Value) -> &'static [DocField] {
         let required: Vec<&str> =
             schema.get("required").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str).collect();
-        let all = schema.get("properties").and_then(Value::as_object).into_iter().flatten();
-        let field = |(name, of): (&String, &Value)| self.field(name, of, !required.contains(&&name[..]));
-        all.map(field).collect::<Vec<_>>().leak()
+        let properties = schema.get("properties").and_then(Value::as_object).into_iter().flatten();
+        let field = |(name, schema): (&String, &Value)| self.field(name, schema, !required.contains(&&name[..]));
+        properties.map(field).collect::<Vec<_>>().leak()
     }
 
+    /// Returns the documentation of one field.
     fn field(&self, name: &str, schema: &Value, optional: bool) -> DocField {
-        DocField { name: leaked(name), text: description(schema), optional, kind: self.kind(schema) }
+        DocField { name: leak(name), text: description(schema), optional, kind: self.kind(schema) }
     }
 
+    /// Returns the type of a schema.
     fn kind(&self, schema: &Value) -> DocKind {
         let nullable = schema["type"].as_array().is_some_and(|types| types.contains(&"null".into()));
         if nullable { DocKind::Optional(Box::new(self.inner_kind(schema))) } else { self.inner_kind(schema) }
@@ -222,15 +225,15 @@ impl Reader<'_> {
     /// Returns the type of a schema without `None`.
     fn inner_kind(&self, schema: &Value) -> DocKind {
         if let Some(words) = schema.get("title").and_then(Value::as_str) {
-            return DocKind::Plain(leaked(words));
+            return DocKind::Plain(leak(words));
         }
         if let Some(name) = schema.get("$ref").and_then(Value::as_str) {
             let name = name.rsplit('/').next().unwrap_or_default();
-            let of = &self.types[name];
-            return if of.get(PLUGINS).is_some() {
-                DocKind::Plugin(leaked(name))
+            let referenced = &self.types[name];
+            return if referenced.get(PLUGINS).is_some() {
+                DocKind::Plugin(leak(name))
             } else {
-                DocKind::Of(self.docs(name, of))
+                DocKind::Of(self.docs(name, referenced))
             };
         }
         if let Some([inner, _null]) = schema.get("anyOf").and_then(Value::as_array).map(Vec::as_slice) {
@@ -240,14 +243,14 @@ impl Reader<'_> {
             Value::Array(types) => &types[0],
             kind => kind,
         };
-        let inside = |key: &str| self.kind(&schema[key]);
+        let content = |key: &str| self.kind(&schema[key]);
         match (kind.as_str().unwrap_or_default(), schema.get("prefixItems"), schema.get("minItems")) {
             ("array", Some(Value::Array(items)), _) => {
                 DocKind::Tuple(items.iter().map(|item| self.kind(item)).collect())
             }
-            ("array", _, Some(length)) => DocKind::Tuple(vec![inside("items"); length.as_u64().unwrap_or(1) as usize]),
-            ("array", ..) => DocKind::List(Box::new(inside("items"))),
-            ("object", ..) => DocKind::Map(Box::new(inside("additionalProperties"))),
+            ("array", _, Some(length)) => DocKind::Tuple(vec![content("items"); length.as_u64().unwrap_or(1) as usize]),
+            ("array", ..) => DocKind::List(Box::new(content("items"))),
+            ("object", ..) => DocKind::Map(Box::new(content("additionalProperties"))),
             ("boolean", ..) => DocKind::Plain("true or false"),
             ("integer", ..) => DocKind::Plain("whole number"),
             ("number", ..) => DocKind::Plain("number"),
@@ -261,10 +264,12 @@ impl Reader<'_> {
 /// Keyword of a schema whose variants are all plugins of a kind.
 pub(crate) const PLUGINS: &str = "x-plugins";
 
+/// Returns the doc comment in a schema; empty without one.
 fn description(schema: &Value) -> &'static str {
-    leaked(schema.get("description").and_then(Value::as_str).unwrap_or_default().trim())
+    leak(schema.get("description").and_then(Value::as_str).unwrap_or_default().trim())
 }
 
-fn leaked(text: &str) -> &'static str {
+/// Copies a text that stays in memory.
+fn leak(text: &str) -> &'static str {
     Box::leak(text.into())
 }

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[non_exhaustive]
 pub enum Error {
     /// A file could not be read.
-    #[error("cannot read {}: {source}", shown(path))]
+    #[error("cannot read {}: {source}", one_line(path))]
     Read {
         /// Path of the file.
         path: PathBuf,
@@ -17,7 +17,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file or folder could not be written.
-    #[error("cannot write {}: {source}", shown(path))]
+    #[error("cannot write {}: {source}", one_line(path))]
     Write {
         /// Path of the file.
         path: PathBuf,
@@ -25,7 +25,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// The content of a file is invalid.
-    #[error("{}:{} {}", shown(path), place(*at), sanitize_message(message))]
+    #[error("{}:{} {}", one_line(path), line_and_column(*at), sanitize_message(message))]
     Input {
         /// Path of the file.
         path: PathBuf,
@@ -58,7 +58,7 @@ pub enum Error {
         advice: &'static str,
     },
     /// Another process uses the folder.
-    #[error("{} is in use by another pwrfgs process; wait until it ends, or choose another --out", shown(.0))]
+    #[error("{} is in use by another pwrfgs process; wait until it ends, or choose another --out", one_line(.0))]
     Busy(PathBuf),
     /// The operation was cancelled.
     #[error("stopped before completion")]
@@ -106,22 +106,26 @@ pub fn check_stopped(stop: &AtomicBool) -> Result<()> {
     if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) }
 }
 
-fn shown(path: &Path) -> String {
+/// Writes a path on one line.
+fn one_line(path: &Path) -> String {
     sanitize_path(path).replace(['\n', '\t'], " ")
 }
 
-fn place(at: Option<(usize, usize)>) -> String {
+/// Writes a position in a file as `line:column:`; empty without one.
+fn line_and_column(at: Option<(usize, usize)>) -> String {
     at.map_or_else(String::new, |(line, column)| format!("{line}:{column}:"))
 }
 
-/// Returns `; did you mean `x`?` for a misspelt name; empty if none of the `known` names is similar.
-pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+/// Returns `; did you mean `x`?` for a misspelt name; empty if none of the valid `names` is similar.
+pub fn did_you_mean<'a>(wrong: &str, names: impl IntoIterator<Item = &'a str>) -> String {
     if wrong.len() > 100 {
         return String::new(); // not a name, and the time of the distance grows with the squared length
     }
     let wrong = wrong.to_lowercase();
-    let near = known.into_iter().map(|name| (strsim::damerau_levenshtein(&wrong, &name.to_lowercase()), name)).min();
-    near.filter(|(distance, name)| *distance <= 2 + name.len() / 3)
+    let distance = |name: &str| strsim::damerau_levenshtein(&wrong, &name.to_lowercase());
+    let nearest = names.into_iter().map(|name| (distance(name), name)).min();
+    nearest
+        .filter(|(distance, name)| *distance <= 2 + name.len() / 3)
         .map_or_else(String::new, |(_, name)| format!("; did you mean `{}`?", strip_control(name)))
 }
 

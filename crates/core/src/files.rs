@@ -25,7 +25,7 @@ pub const MAX_NUMBERS: u64 = 1 << 34;
 ///
 /// # Errors
 /// The file does not exist, or is not a regular file.
-#[expect(clippy::disallowed_methods, reason = "this is the one place that looks at what stands there first")]
+#[expect(clippy::disallowed_methods, reason = "this function checks the type of the file first")]
 pub fn open(path: impl AsRef<Path>) -> io::Result<File> {
     let path = path.as_ref();
     if !path.is_dir() {
@@ -40,26 +40,26 @@ pub fn open(path: impl AsRef<Path>) -> io::Result<File> {
 /// [`ErrorKind::InvalidInput`] with the file type.
 pub fn refuse_irregular(path: &Path) -> io::Result<()> {
     match fs::metadata(path) {
-        Ok(found) if !found.is_file() => {
-            let what = format!("this is {}; give a regular file", kind(found.file_type()));
-            Err(io::Error::new(ErrorKind::InvalidInput, what))
+        Ok(metadata) if !metadata.is_file() => {
+            let problem = format!("this is {}; give a regular file", describe(metadata.file_type()));
+            Err(io::Error::new(ErrorKind::InvalidInput, problem))
         }
         _ => Ok(()),
     }
 }
 
-/// Returns the type of a file that is not regular, in words.
-fn kind(found: FileType) -> &'static str {
+/// Describes the type of a file that is not regular.
+fn describe(file_type: FileType) -> &'static str {
     #[cfg(unix)]
     {
         use std::os::unix::fs::FileTypeExt as _;
-        if found.is_fifo() {
+        if file_type.is_fifo() {
             return "a named pipe";
-        } else if found.is_socket() {
+        } else if file_type.is_socket() {
             return "a socket";
         }
     }
-    if found.is_dir() { "a folder" } else { "a device" }
+    if file_type.is_dir() { "a folder" } else { "a device" }
 }
 
 /// Reads the bytes of a regular file of at most [`MAX_NUMBERS`].
@@ -87,8 +87,8 @@ pub fn read_at_most(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let file = open(path)?;
     let size = file.metadata()?.len(); // 0 for some files of the system
     let refuse = || {
-        let what = format!("the file is larger than the limit of {limit} bytes; check the path");
-        Err(io::Error::new(ErrorKind::FileTooLarge, what))
+        let problem = format!("the file is larger than the limit of {limit} bytes; check the path");
+        Err(io::Error::new(ErrorKind::FileTooLarge, problem))
     };
     if size > limit {
         return refuse();
@@ -104,44 +104,43 @@ pub fn read_at_most(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
 ///
 /// # Errors
 /// [`Error::Input`] names the invalid part of the path.
-pub fn check_place(path: &Path) -> Result<()> {
-    let refuse = |what: String| Err(Error::input(path, format!("{what}; choose another path")));
+pub fn check_path(path: &Path) -> Result<()> {
+    let refuse = |problem: String| Err(Error::input(path, format!("{problem}; choose another path")));
     let mut missing = Vec::new();
-    for own in path.ancestors() {
-        let standing = if own.as_os_str().is_empty() { Path::new(".") } else { own };
-        match fs::metadata(standing) {
-            Ok(found) if found.is_dir() => {
+    for ancestor in path.ancestors() {
+        let folder = if ancestor.as_os_str().is_empty() { Path::new(".") } else { ancestor };
+        match fs::metadata(folder) {
+            Ok(metadata) if metadata.is_dir() => {
                 // The file system rejects a long name only in a folder that exists.
-                let rejected =
-                    missing.iter().find_map(|name| fs::symlink_metadata(standing.join(name)).err().filter(is_bad));
-                return rejected.map_or(Ok(()), |e| refuse(e.to_string()));
+                let fault = |name| fs::symlink_metadata(folder.join(name)).err().filter(is_invalid_name);
+                return missing.iter().find_map(fault).map_or(Ok(()), |e| refuse(e.to_string()));
             }
-            Ok(_) if own == path => return Ok(()),
-            Ok(_) => return refuse(format!("`{}` is not a folder", own.display())),
-            Err(_) if own.is_symlink() => return refuse(format!("the link `{}` is broken", own.display())),
-            Err(e) if is_bad(&e) => return refuse(e.to_string()),
-            Err(_) => missing.extend(own.file_name()),
+            Ok(_) if ancestor == path => return Ok(()),
+            Ok(_) => return refuse(format!("`{}` is not a folder", ancestor.display())),
+            Err(_) if ancestor.is_symlink() => return refuse(format!("the link `{}` is broken", ancestor.display())),
+            Err(e) if is_invalid_name(&e) => return refuse(e.to_string()),
+            Err(_) => missing.extend(ancestor.file_name()),
         }
     }
     Ok(())
 }
 
-/// Whether the file system rejects the name itself.
-fn is_bad(error: &io::Error) -> bool {
+/// Returns whether the file system rejects the name itself.
+fn is_invalid_name(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::InvalidFilename | ErrorKind::InvalidInput)
 }
 
-/// Folder of a file, `.` for a name alone.
+/// Returns the folder of a file, `.` for a name alone.
 fn parent(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Rejects a path at which no file can be created: as [`check_place`], and the folder of the file must exist.
+/// Rejects a path at which no file can be created: as [`check_path`], and the folder of the file must exist.
 ///
 /// # Errors
 /// [`Error::Input`] names the missing folder.
-pub fn check_file_place(path: &Path) -> Result<()> {
-    check_place(path)?;
+pub fn check_file_path(path: &Path) -> Result<()> {
+    check_path(path)?;
     let parent = parent(path);
     if path.is_dir() || path.file_name().is_none() {
         return Err(Error::input(path, "is a folder; choose the name of a file"));
@@ -149,10 +148,8 @@ pub fn check_file_place(path: &Path) -> Result<()> {
     if parent.is_dir() {
         return Ok(());
     }
-    Err(Error::input(
-        path,
-        format!("the folder `{}` does not exist; create it, or choose another path", parent.display()),
-    ))
+    let problem = format!("the folder `{}` does not exist", parent.display());
+    Err(Error::input(path, format!("{problem}; create it, or choose another path")))
 }
 
 /// Writes a file of a folder that no other process reads yet.
@@ -189,7 +186,7 @@ impl GrowingFile {
         self.file.write_all(bytes).map_err(|e| Error::write(&self.path, e))
     }
 
-    /// Writes what is left.
+    /// Writes the buffered bytes.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -210,7 +207,7 @@ pub fn digest(bytes: &[u8]) -> String {
 /// [`Error::Read`].
 pub fn if_found<T>(path: &Path, read: io::Result<T>) -> Result<Option<T>> {
     match read {
-        Ok(found) => Ok(Some(found)),
+        Ok(content) => Ok(Some(content)),
         Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => Ok(None),
         Err(e) => Err(Error::read(path, e)),
     }
@@ -237,18 +234,18 @@ pub fn read_text_at_most(path: &Path, limit: u64) -> Result<String> {
 }
 
 /// Rejects a folder with foreign content, that is anything except temporary files and empty folders of a killed first
-/// write. `what` names the expected type in the message, such as `a run folder`. A missing folder is accepted.
+/// write. `expected` names the type of the folder in the message, such as `a run folder`. A missing folder is accepted.
 ///
 /// # Errors
 /// [`Error::Config`] that names the content.
-pub fn refuse_foreign(folder: &Path, what: &str) -> Result<()> {
-    let is_left = |entry: &DirEntry| {
+pub fn refuse_foreign(folder: &Path, expected: &str) -> Result<()> {
+    let is_leftover = |entry: &DirEntry| {
         let path = entry.path();
         path.extension().is_some_and(|e| e == "tmp") || path.read_dir().is_ok_and(|mut e| e.next().is_none())
     };
-    match entries(folder)?.into_iter().find(|entry| !is_left(entry)) {
+    match entries(folder)?.into_iter().find(|entry| !is_leftover(entry)) {
         None => Ok(()),
-        Some(entry) => Err(Error::Config(format!("{} is not {what} and {}", folder.display(), holds(&entry)))),
+        Some(entry) => Err(Error::Config(format!("{} is not {expected} and {}", folder.display(), occupied(&entry)))),
     }
 }
 
@@ -259,11 +256,12 @@ pub fn refuse_foreign(folder: &Path, what: &str) -> Result<()> {
 pub fn refuse_occupied(folder: &Path) -> Result<()> {
     match entries(folder)?.first() {
         None => Ok(()),
-        Some(entry) => Err(Error::Config(format!("{} is {}", folder.display(), holds(entry)))),
+        Some(entry) => Err(Error::Config(format!("{} is {}", folder.display(), occupied(entry)))),
     }
 }
 
-fn holds(entry: &DirEntry) -> String {
+/// Returns the end of an error about a folder that holds `entry`.
+fn occupied(entry: &DirEntry) -> String {
     format!("not empty (it holds `{}`); choose another --out", entry.file_name().to_string_lossy())
 }
 
@@ -276,7 +274,7 @@ fn entries(folder: &Path) -> Result<Vec<DirEntry>> {
             Err(Error::Config("the path of the folder is empty; give a path".into()))
         }
         Ok(entries) => Ok(entries.flatten().collect()),
-        Err(_) if !folder.exists() => check_place(folder).map(|()| Vec::new()),
+        Err(_) if !folder.exists() => check_path(folder).map(|()| Vec::new()),
         Err(e) if e.kind() == ErrorKind::NotADirectory => {
             Err(Error::Config(format!("{} is not a folder; choose another --out", folder.display())))
         }

@@ -97,9 +97,9 @@ impl Elevation {
         if fits && (self.last - self.first).abs() >= 1.0 {
             return None;
         }
-        let what =
-            "give the elevations where the top row begins and the bottom row ends, in degrees from -90 to 90, such as";
-        Some(format!("`elevation` is ({}, {}); {what} (0, 90) or (-90, 90)", self.first, self.last))
+        let problem = format!("`elevation` is ({}, {})", self.first, self.last);
+        let advice = "give the elevations where the top row begins and the bottom row ends, in degrees from -90 to 90";
+        Some(format!("{problem}; {advice}, such as (0, 90) or (-90, 90)"))
     }
 
     /// Returns an error if the sides of a pixel differ by more than `factor`, for an image with `width` columns over
@@ -132,8 +132,8 @@ impl Camera {
     pub fn fault(&self) -> Option<String> {
         let Self { focal, centre } = self;
         let fits = focal.iter().all(|f| (1e-3..=1e8).contains(f)) && centre.iter().all(|c| c.abs() <= 1e8);
-        let what = "give focal lengths above 0 and a principal point, in pixels";
-        (!fits).then(|| format!("a camera with focal lengths {focal:?} and principal point {centre:?}; {what}"))
+        let advice = "give focal lengths above 0 and a principal point, in pixels";
+        (!fits).then(|| format!("a camera with focal lengths {focal:?} and principal point {centre:?}; {advice}"))
     }
 }
 
@@ -249,7 +249,7 @@ impl ImagePlane {
 
     /// Returns whether it includes directions behind the receiver, below the plane of its array.
     pub fn looks_behind(&self) -> bool {
-        self.elevation().is_some_and(|shown| shown.first.min(shown.last) < -1e-9)
+        self.elevation().is_some_and(|elevation| elevation.first.min(elevation.last) < -1e-9)
     }
 
     /// Returns azimuth and elevation of a pixel in degrees, or `None` if the plane has no angles.
@@ -281,17 +281,17 @@ pub mod stretch {
         pulp::Arch::new().dispatch(
             #[inline(always)]
             || {
-                let (whole, rest) = values.as_chunks::<16>();
+                let (chunks, remainder) = values.as_chunks::<16>();
                 let mut widen = |lane: usize, v: Real| {
                     low[lane] = if v < low[lane] { v } else { low[lane] };
                     high[lane] = if v > high[lane] { v } else { high[lane] };
                 };
-                for chunk in whole {
+                for chunk in chunks {
                     for lane in 0..16 {
                         widen(lane, chunk[lane]);
                     }
                 }
-                for (lane, v) in rest.iter().enumerate() {
+                for (lane, v) in remainder.iter().enumerate() {
                     widen(lane, *v);
                 }
             },

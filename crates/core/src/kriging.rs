@@ -19,12 +19,12 @@ pub fn in_space([x, y, z]: [f64; 3]) -> Place {
     [x, y, z, 0.0]
 }
 
-/// What is known of the mean of a process.
+/// Mean of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mean {
-    /// It is zero: the weights vanish far from all samples (simple kriging).
+    /// Zero: the weights vanish far from all samples (simple kriging).
     Zero,
-    /// It is unknown: the weights add up to 1 (ordinary kriging).
+    /// Unknown: the weights add up to 1 (ordinary kriging).
     Unknown,
 }
 
@@ -40,24 +40,24 @@ pub struct Solution {
 
 /// Predicts a measurement at `at` from at least one sample at `places`, in units of the length scales.
 pub fn solve(correlation: &Correlation, mean: Mean, places: &[Place], at: Place) -> Solution {
-    let (n, factor) = (places.len(), factored(correlation, places));
-    let towards: Vec<f64> = places.iter().map(|place| correlation.kind.at(distance(*place, at))).collect();
-    let mut weights = towards.clone();
+    let (n, factor) = (places.len(), factor_covariance(correlation, places));
+    let cross: Vec<f64> = places.iter().map(|position| correlation.kind.at(distance(*position, at))).collect();
+    let mut weights = cross.clone();
     factor.solve(&mut weights);
-    let explained: f64 = towards.iter().zip(&weights).map(|(t, s)| t * s).sum();
+    let explained: f64 = cross.iter().zip(&weights).map(|(c, w)| c * w).sum();
     let mut variance = 1.0 + correlation.noise - explained;
     if mean == Mean::Unknown {
         let mut ones = vec![1.0; n];
         factor.solve(&mut ones);
-        let (lacking, total) = (1.0 - weights.iter().sum::<f64>(), ones.iter().sum::<f64>());
-        weights.iter_mut().zip(&ones).for_each(|(s, o)| *s += o * lacking / total);
-        variance += lacking * lacking / total;
+        let (deficit, total) = (1.0 - weights.iter().sum::<f64>(), ones.iter().sum::<f64>());
+        weights.iter_mut().zip(&ones).for_each(|(w, one)| *w += one * deficit / total);
+        variance += deficit * deficit / total;
     }
     Solution { weights, variance: variance.max(correlation.noise) }
 }
 
-/// Factor of the covariance of measurements at `places`.
-fn factored(correlation: &Correlation, places: &[Place]) -> Cholesky {
+/// Factors the covariance of measurements at `places`.
+fn factor_covariance(correlation: &Correlation, places: &[Place]) -> Cholesky {
     let n = places.len();
     let mut factor = vec![0.0; n * n];
     for i in 0..n {
@@ -84,7 +84,7 @@ pub struct LocalKriging {
 impl LocalKriging {
     /// Creates the predictor from samples at `places` (metres).
     pub fn new(correlation: Correlation, mean: Mean, places: impl Iterator<Item = Place>) -> Self {
-        let places: Vec<Place> = places.map(|place| correlation.scaled(place)).collect();
+        let places: Vec<Place> = places.map(|position| correlation.scaled(position)).collect();
         let nearest = Nearest::new((0..places.len()).collect(), 4, |i| places[i]);
         Self { correlation, mean, places, nearest }
     }
@@ -92,36 +92,36 @@ impl LocalKriging {
     /// Returns the samples, at most `count`, that predict a measurement at `at` (metres), and their weights.
     pub fn solve(&self, at: Place, count: usize) -> (Vec<usize>, Solution) {
         let at = self.correlation.scaled(at);
-        let (near, places) = self.near(at, count);
+        let (samples, places) = self.find_nearest(at, count);
         let solution = solve(&self.correlation, self.mean, &places, at);
-        (near, solution)
+        (samples, solution)
     }
 
-    /// Returns the samples nearest to `at`, and their places, all in units of the length scales.
-    fn near(&self, at: Place, count: usize) -> (Vec<usize>, Vec<Place>) {
-        let near: Vec<usize> = self.nearest.find(&at, count).1.into_iter().map(|(_, i)| i).collect();
-        let places = near.iter().map(|&i| self.places[i]).collect();
-        (near, places)
+    /// Finds the samples nearest to `at`, and their places, all in units of the length scales.
+    fn find_nearest(&self, at: Place, count: usize) -> (Vec<usize>, Vec<Place>) {
+        let samples: Vec<usize> = self.nearest.find(&at, count).1.into_iter().map(|(_, i)| i).collect();
+        let places = samples.iter().map(|&i| self.places[i]).collect();
+        (samples, places)
     }
 
     /// Returns the derivative of Σ d(i)·weight(i) of [`Self::solve`] by the position, 1/metre: the samples stay the same.
     pub fn solve_vjp(&self, at: Place, count: usize, d: impl Fn(usize) -> f64) -> [f64; 3] {
         let at = self.correlation.scaled(at);
-        let (near, places) = self.near(at, count);
-        let factor = factored(&self.correlation, &places);
-        // Weights are K⁻¹·t with the correlations t, plus the part of K⁻¹·1 that they lack to a sum of 1.
-        let mut d_towards: Vec<f64> = near.iter().map(|&i| d(i)).collect();
-        factor.solve(&mut d_towards);
+        let (samples, places) = self.find_nearest(at, count);
+        let factor = factor_covariance(&self.correlation, &places);
+        // Weights are K⁻¹·c with the cross correlations c, plus the part of K⁻¹·1 that they lack to a sum of 1.
+        let mut d_cross: Vec<f64> = samples.iter().map(|&i| d(i)).collect();
+        factor.solve(&mut d_cross);
         if self.mean == Mean::Unknown {
             let mut ones = vec![1.0; places.len()];
             factor.solve(&mut ones);
-            let share = d_towards.iter().sum::<f64>() / ones.iter().sum::<f64>();
-            d_towards.iter_mut().zip(&ones).for_each(|(d, o)| *d -= share * o);
+            let share = d_cross.iter().sum::<f64>() / ones.iter().sum::<f64>();
+            d_cross.iter_mut().zip(&ones).for_each(|(d, one)| *d -= share * one);
         }
         let mut d_at = [0.0; 3];
-        for (place, d) in places.iter().zip(&d_towards) {
-            let slope = d * self.correlation.kind.slope_over_distance(distance(*place, at));
-            (0..3).for_each(|k| d_at[k] += slope * (at[k] - place[k]) / self.correlation.scales[k]);
+        for (position, d) in places.iter().zip(&d_cross) {
+            let slope = d * self.correlation.kind.slope_over_distance(distance(*position, at));
+            (0..3).for_each(|k| d_at[k] += slope * (at[k] - position[k]) / self.correlation.scales[k]);
         }
         d_at
     }
@@ -186,9 +186,9 @@ pub struct Correlation {
 }
 
 impl Correlation {
-    /// Returns the place in units of the scales.
-    pub fn scaled(&self, place: Place) -> Place {
-        [0, 1, 2, 3].map(|k| place[k] / self.scales[k])
+    /// Converts a place to units of the scales.
+    pub fn scaled(&self, position: Place) -> Place {
+        [0, 1, 2, 3].map(|k| position[k] / self.scales[k])
     }
 }
 
@@ -227,20 +227,20 @@ impl PathLoss {
         }
         let slope = if spread > 1e-9 { fall / spread } else { 0.0 };
         let level = |(x, y): (f64, f64)| y + slope * x;
-        let of_all = level(mean(&groups.concat()));
+        let common = level(mean(&groups.concat()));
         let levels: Vec<f64> =
-            groups.iter().zip(means).map(|(points, m)| if points.is_empty() { of_all } else { level(m) }).collect();
-        (Self { level: levels.first().copied().unwrap_or(of_all), slope }, levels)
+            groups.iter().zip(means).map(|(points, m)| if points.is_empty() { common } else { level(m) }).collect();
+        (Self { level: levels.first().copied().unwrap_or(common), slope }, levels)
     }
 
-    /// Derivative of the power at `from` of a receiver at `to` by `from`, dB/m; 0 below the minimum distance.
+    /// Computes the derivative of the power at `from` of a receiver at `to` by `from`, dB/m; 0 below the minimum distance.
     pub fn slope_at(&self, from: [f64; 3], to: [f64; 3]) -> [f64; 3] {
         let distance = distance(from, to);
-        let along = if distance > NEAREST_M { -self.slope / (LN_10 * distance * distance) } else { 0.0 };
-        [0, 1, 2].map(|k| along * (from[k] - to[k]))
+        let radial = if distance > NEAREST_M { -self.slope / (LN_10 * distance * distance) } else { 0.0 };
+        [0, 1, 2].map(|k| radial * (from[k] - to[k]))
     }
 
-    /// Power in dBm at a distance, given as its logarithm.
+    /// Computes the power in dBm at a distance, given as its logarithm.
     pub fn at(&self, log_m: f64) -> f64 {
         self.level - self.slope * log_m
     }
@@ -261,8 +261,8 @@ mod tests {
         let (at, value) = ([0.21, -0.34, 0.4], |i: usize| (i as f64).cos());
         let check = |f: &dyn Fn([f64; 3]) -> f64, d: [f64; 3]| {
             for k in 0..3 {
-                let moved = |h: f64| f(std::array::from_fn(|j| if j == k { at[j] + h } else { at[j] }));
-                let difference = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+                let shifted = |h: f64| f(std::array::from_fn(|j| if j == k { at[j] + h } else { at[j] }));
+                let difference = (shifted(1e-6) - shifted(-1e-6)) / 2e-6;
                 assert!((difference - d[k]).abs() < 1e-7 * difference.abs().max(1.0), "{difference} and {}", d[k]);
             }
         };
@@ -276,8 +276,8 @@ mod tests {
                 near.iter().zip(&solution.weights).map(|(&i, w)| w * value(i)).sum()
             };
             check(&sum, kriging.solve_vjp(in_space(at), 12, value));
-            let own = kriging.solve_vjp(places[3], 12, value);
-            assert!(own.iter().all(|d| d.is_finite()), "{kind:?} at a sample: {own:?}");
+            let d = kriging.solve_vjp(places[3], 12, value);
+            assert!(d.iter().all(|d| d.is_finite()), "{kind:?} at a sample: {d:?}");
         }
         let law = PathLoss { level: -40.0, slope: 21.0 };
         check(&|at| law.at(log_distance(at, [1.0, 2.0, 0.5])), law.slope_at(at, [1.0, 2.0, 0.5]));
@@ -289,9 +289,9 @@ mod tests {
         let law = PathLoss { level: -40.0, slope: 21.0 };
         let on = |law: PathLoss, xs: &[f64]| xs.iter().map(|x| (*x, law.at(*x))).collect::<Vec<_>>();
         let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a} instead of {b}");
-        let found = PathLoss::fit(&on(law, &[0.1, 0.5, 1.3]));
-        close(found.level, -40.0);
-        close(found.slope, 21.0);
+        let fitted = PathLoss::fit(&on(law, &[0.1, 0.5, 1.3]));
+        close(fitted.level, -40.0);
+        close(fitted.slope, 21.0);
         assert_eq!(PathLoss::fit(&[(0.5, -60.0), (0.5, -62.0)]), PathLoss { level: -61.0, slope: 0.0 });
         let other = on(PathLoss { level: -50.0, ..law }, &[0.7, 0.9]);
         let (shared, levels) = PathLoss::with_offsets(&[&on(law, &[0.1, 1.0]), &other, &[]]);

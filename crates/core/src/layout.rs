@@ -58,11 +58,11 @@ impl Layout {
                     continue;
                 }
                 if spec.shape.len() > 1 {
-                    let kept = |_| if rng::uniform(rng) < rate { 0.0 } else { 1.0 / (1.0 - rate) };
-                    units = (0..spec.shape[0]).map(kept).collect();
+                    let factor = |_| if rng::uniform(rng) < rate { 0.0 } else { 1.0 / (1.0 - rate) };
+                    units = (0..spec.shape[0]).map(factor).collect();
                 }
-                let of_unit = spec.len() / units.len().max(1);
-                factors.extend(units.iter().flat_map(|factor| std::iter::repeat_n(*factor, of_unit)));
+                let weights_per_unit = spec.len() / units.len().max(1);
+                factors.extend(units.iter().flat_map(|factor| std::iter::repeat_n(*factor, weights_per_unit)));
             }
             factors
         })

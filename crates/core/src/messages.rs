@@ -10,6 +10,7 @@ const FORMULA: [char; 4] = ['=', '+', '-', '@'];
 const TOKEN: usize = 60;
 /// Maximum length of a message, characters; longer messages repeat a file. The end, with the next step, is kept.
 const MESSAGE: usize = 1_200;
+/// Number of characters kept at the end of such a message.
 const END: usize = 400;
 /// Longest number in a message, digits before its point; longer ones are written as powers of ten.
 const DIGITS: usize = 30;
@@ -27,7 +28,7 @@ fn is_harmless(c: char) -> bool {
 
 /// Returns a token of a file between backticks, cut to 60 characters.
 pub fn quoted(token: &str) -> String {
-    let (cut, is_cut) = first(token, TOKEN);
+    let (cut, is_cut) = truncate(token, TOKEN);
     format!("`{}{}`", strip_control(cut), if is_cut { " .." } else { "" })
 }
 
@@ -39,16 +40,17 @@ pub fn escape_control(text: &str) -> String {
 /// Returns a message for users: without control characters, with long numbers as powers of ten, and without its middle if it
 /// repeats much of a file.
 pub fn sanitize_message(message: &str) -> String {
-    shortened(&with_exponents(message))
+    shorten(&with_exponents(message))
 }
 
 /// Returns a path for users, as [`sanitize_message`] without its change of numbers.
 pub fn sanitize_path(path: &Path) -> String {
-    shortened(&path.display().to_string())
+    shorten(&path.display().to_string())
 }
 
-fn shortened(message: &str) -> String {
-    let (start, is_long) = first(message, MESSAGE - END);
+/// Removes control characters, and the middle of a message of more than [`MESSAGE`] characters.
+fn shorten(message: &str) -> String {
+    let (start, is_long) = truncate(message, MESSAGE - END);
     let count = if is_long { message.chars().count() } else { 0 };
     if count <= MESSAGE {
         return escape_control(message);
@@ -60,20 +62,20 @@ fn shortened(message: &str) -> String {
 /// Writes numbers of more than [`DIGITS`] digits as powers of ten: `1e300` has 301 digits.
 fn with_exponents(text: &str) -> Cow<'_, str> {
     let is_digit = |c: char| c.is_ascii_digit();
-    let (mut out, mut rest) = (String::new(), text);
-    while let Some(start) = rest.find(is_digit) {
-        let whole = rest[start..].len() - rest[start..].trim_start_matches(is_digit).len();
-        let after = &rest[start + whole..];
-        let decimals = after.strip_prefix('.').map_or(0, |more| more.len() - more.trim_start_matches(is_digit).len());
-        let end = start + whole + if decimals > 0 { decimals + 1 } else { 0 };
-        out.push_str(&rest[..start]);
-        match rest[start..end].parse::<f64>() {
-            Ok(number) if whole > DIGITS && number.is_finite() => _ = write!(out, "{number:e}"),
-            _ => out.push_str(&rest[start..end]),
+    let count_digits = |text: &str| text.len() - text.trim_start_matches(is_digit).len();
+    let (mut out, mut unread) = (String::new(), text);
+    while let Some(start) = unread.find(is_digit) {
+        let digits = count_digits(&unread[start..]);
+        let decimals = unread[start + digits..].strip_prefix('.').map_or(0, count_digits);
+        let end = start + digits + if decimals > 0 { decimals + 1 } else { 0 };
+        out.push_str(&unread[..start]);
+        match unread[start..end].parse::<f64>() {
+            Ok(number) if digits > DIGITS && number.is_finite() => _ = write!(out, "{number:e}"),
+            _ => out.push_str(&unread[start..end]),
         }
-        rest = &rest[end..];
+        unread = &unread[end..];
     }
-    if out.is_empty() { text.into() } else { (out + rest).into() }
+    if out.is_empty() { text.into() } else { (out + unread).into() }
 }
 
 /// Returns text as a cell of a table. Text that begins with `=`, `+`, `-` or `@` is a formula for spreadsheets: it gets
@@ -89,7 +91,7 @@ pub fn text_of(cell: &str) -> &str {
 }
 
 /// Returns the first `most` characters, and whether there are more.
-fn first(text: &str, most: usize) -> (&str, bool) {
+fn truncate(text: &str, most: usize) -> (&str, bool) {
     text.char_indices().nth(most).map_or((text, false), |(end, _)| (&text[..end], true))
 }
 
@@ -99,13 +101,13 @@ mod tests {
 
     #[test]
     fn long_numbers_have_exponents() {
-        for (text, shown) in [
+        for (text, expected) in [
             (format!("`test` is {}; give less", -1e300), "`test` is -1e300; give less"),
             (format!("{:.2} m and {:.1}", 1.5e300, 2.5), "1.5e300 m and 2.5"),
             (format!("{} of {}.", u64::MAX, 0.1), "18446744073709551615 of 0.1."),
             ("v1.2.3, é 5.".into(), "v1.2.3, é 5."),
         ] {
-            assert_eq!(sanitize_message(&text), shown);
+            assert_eq!(sanitize_message(&text), expected);
         }
         let name = format!("{}.png", "1".repeat(40));
         assert_eq!(sanitize_path(Path::new(&name)), name);

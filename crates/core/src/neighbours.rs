@@ -14,10 +14,11 @@ type Tree = ImmutableKdTree<Real, 3>;
 
 /// Returns |a − b|, in the unit of both.
 pub fn distance<const N: usize>(a: [f64; N], b: [f64; N]) -> f64 {
-    between(&a, &b)
+    slice_distance(&a, &b)
 }
 
-fn between(a: &[f64], b: &[f64]) -> f64 {
+/// Computes |a − b| of points of any dimension.
+fn slice_distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
@@ -34,10 +35,10 @@ pub fn mean_of_k_nearest_squared(points: &[[Real; 3]], k: usize) -> Vec<Real> {
     let (Some(tree), true) = (tree(points), k > 0) else { return vec![Real::INFINITY; points.len()] };
     let with_itself = NonZero::<usize>::MIN.saturating_add(k);
     let mean = |point: &[Real; 3]| {
-        let found = tree.query(point).nearest_n::<SquaredEuclidean<Real>>(with_itself).execute();
+        let neighbours = tree.query(point).nearest_n::<SquaredEuclidean<Real>>(with_itself).execute();
         // The nearest point is the point itself or its duplicate, at distance 0 in both cases.
-        let others = found.iter().skip(1).map(|n| n.distance);
-        match found.len() {
+        let others = neighbours.iter().skip(1).map(|n| n.distance);
+        match neighbours.len() {
             0 | 1 => Real::INFINITY,
             n => others.sum::<Real>() / (n - 1) as Real,
         }
@@ -59,10 +60,10 @@ pub fn k_nearest(from: &[[Real; 3]], points: &[[Real; 3]], k: usize) -> Vec<Vec<
         return vec![Vec::new(); from.len()];
     };
     let find = |p: &[Real; 3]| {
-        let found = tree.query(p).nearest_n::<SquaredEuclidean<Real>>(k).execute();
-        let mut found: Vec<(usize, Real)> = found.iter().map(|n| (n.item as usize, n.distance)).collect();
-        found.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
-        found
+        let neighbours = tree.query(p).nearest_n::<SquaredEuclidean<Real>>(k).execute();
+        let mut neighbours: Vec<(usize, Real)> = neighbours.iter().map(|n| (n.item as usize, n.distance)).collect();
+        neighbours.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+        neighbours
     };
     from.par_iter().map(find).collect()
 }
@@ -79,17 +80,17 @@ fn tree(points: &[[Real; 3]]) -> Option<Tree> {
 #[derive(Clone, Debug)]
 pub struct Nearest {
     /// Coordinates `[S,width]`, row-major.
-    places: Vec<f64>,
+    coordinates: Vec<f64>,
     width: usize,
     samples: Vec<usize>,
 }
 
 impl Nearest {
     /// Creates a lookup for samples with coordinates of `width` numbers each, in metres or any other unit.
-    pub fn new<P: AsRef<[f64]>>(samples: Vec<usize>, width: usize, place: impl Fn(usize) -> P) -> Self {
-        let mut places = Vec::with_capacity(samples.len() * width);
-        samples.iter().for_each(|&i| places.extend_from_slice(place(i).as_ref()));
-        Self { places, width: width.max(1), samples }
+    pub fn new<P: AsRef<[f64]>>(samples: Vec<usize>, width: usize, position: impl Fn(usize) -> P) -> Self {
+        let mut coordinates = Vec::with_capacity(samples.len() * width);
+        samples.iter().for_each(|&i| coordinates.extend_from_slice(position(i).as_ref()));
+        Self { coordinates, width: width.max(1), samples }
     }
 
     /// Returns all samples exactly at `at`, and the `k` nearest (or fewer if there are not enough), nearest first, with
@@ -106,8 +107,8 @@ impl Nearest {
             }
         };
         let (mut exact, mut near, mut worst) = (Vec::new(), Vec::with_capacity(k + SPARE), f64::INFINITY);
-        for (place, &sample) in self.places.chunks_exact(self.width).zip(&self.samples) {
-            let distance = between(place, at);
+        for (position, &sample) in self.coordinates.chunks_exact(self.width).zip(&self.samples) {
+            let distance = slice_distance(position, at);
             if distance == 0.0 {
                 exact.push(sample);
             }
@@ -139,9 +140,9 @@ mod tests {
         (0..3).map(|k| (a[k] - b[k]).powi(2)).sum()
     }
 
-    fn assert_close(found: &[Real], expected: &[Real]) {
-        assert_eq!(found.len(), expected.len());
-        for (f, e) in found.iter().zip(expected) {
+    fn assert_close(actual: &[Real], expected: &[Real]) {
+        assert_eq!(actual.len(), expected.len());
+        for (f, e) in actual.iter().zip(expected) {
             assert!((f - e).abs() <= 1e-5 * e.max(1e-6), "{f} instead of {e}");
         }
     }
@@ -154,10 +155,10 @@ mod tests {
             d.sort_by(Real::total_cmp);
             d
         };
-        let one: Vec<Real> = a.iter().map(|p| sorted(p, &a)[1]).collect();
+        let single: Vec<Real> = a.iter().map(|p| sorted(p, &a)[1]).collect();
         let three: Vec<Real> = a.iter().map(|p| sorted(p, &a)[1..4].iter().sum::<Real>() / 3.0).collect();
         let across: Vec<Real> = a.iter().map(|p| sorted(p, &b)[0]).collect();
-        assert_close(&nearest_other_squared(&a), &one);
+        assert_close(&nearest_other_squared(&a), &single);
         assert_close(&mean_of_k_nearest_squared(&a, 3), &three);
         assert_close(&nearest_squared(&a, &b), &across);
     }
@@ -165,12 +166,12 @@ mod tests {
     #[test]
     fn nearest_points_match_brute_force() {
         let (from, points) = (cloud(40, "from"), cloud(300, "points"));
-        for (p, found) in from.iter().zip(k_nearest(&from, &points, 7)) {
-            let mut all: Vec<(usize, Real)> = points.iter().map(|q| squared(p, q)).enumerate().collect();
-            all.sort_by(|a, b| a.1.total_cmp(&b.1));
-            let (expected, found): (Vec<usize>, Vec<usize>) =
-                (all[..7].iter().map(|n| n.0).collect(), found.iter().map(|n| n.0).collect());
-            assert_eq!(found, expected);
+        for (p, actual) in from.iter().zip(k_nearest(&from, &points, 7)) {
+            let mut sorted_points: Vec<(usize, Real)> = points.iter().map(|q| squared(p, q)).enumerate().collect();
+            sorted_points.sort_by(|a, b| a.1.total_cmp(&b.1));
+            let (expected, actual): (Vec<usize>, Vec<usize>) =
+                (sorted_points[..7].iter().map(|n| n.0).collect(), actual.iter().map(|n| n.0).collect());
+            assert_eq!(actual, expected);
         }
         assert_eq!(k_nearest(&from[..1], &from[..3], 9)[0].len(), 3);
         assert!(k_nearest(&from[..1], &[], 9)[0].is_empty() && k_nearest(&from[..1], &points, 0)[0].is_empty());
@@ -185,13 +186,13 @@ mod tests {
 
     #[test]
     fn neighbour_search_accepts_too_few_points() {
-        let one = [[1.0, 2.0, 3.0]];
+        let single = [[1.0, 2.0, 3.0]];
         assert!(nearest_other_squared(&[]).is_empty());
-        assert_eq!(nearest_other_squared(&one), [Real::INFINITY]);
+        assert_eq!(nearest_other_squared(&single), [Real::INFINITY]);
         assert_eq!(mean_of_k_nearest_squared(&[[0.0; 3], [2.0, 0.0, 0.0]], 3), [4.0, 4.0]);
         assert_eq!(mean_of_k_nearest_squared(&[[0.0; 3], [2.0, 0.0, 0.0]], 0), [Real::INFINITY; 2]);
-        assert_eq!(nearest_squared(&one, &[]), [Real::INFINITY]);
-        assert!(nearest_squared(&[], &one).is_empty());
+        assert_eq!(nearest_squared(&single, &[]), [Real::INFINITY]);
+        assert!(nearest_squared(&[], &single).is_empty());
     }
 
     #[test]

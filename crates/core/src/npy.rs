@@ -11,6 +11,7 @@ use std::path::Path;
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Maximum header length, bytes; NumPy's own limit is 10,000.
 const MAX_HEADER: usize = 1 << 16;
+
 /// Header of an array file.
 #[derive(Debug, PartialEq)]
 pub struct Header {
@@ -27,7 +28,7 @@ pub struct Header {
 impl Header {
     /// Reads the header from the beginning of a file.
     pub fn read(path: &Path, file: &mut dyn Read) -> Result<Self> {
-        let damaged = |what: &str| Error::input(path, format!("{what}; write it with numpy.save"));
+        let damaged = |problem: &str| Error::input(path, format!("{problem}; write it with numpy.save"));
         let short = |_| damaged("is not a NumPy array, or is truncated");
         let mut start = [0; 8];
         file.read_exact(&mut start).map_err(short)?;
@@ -48,10 +49,11 @@ impl Header {
         Ok(Self { descr, fortran, shape, offset })
     }
 
+    /// Parses the dictionary of the header: type, order and shape.
     fn parse(text: &str) -> Option<(String, bool, Vec<usize>)> {
         let value = |key: &str| {
-            let (_, rest) = text.split_once(&format!("'{key}'"))?;
-            rest.trim_start().strip_prefix(':').map(str::trim_start)
+            let (_, value) = text.split_once(&format!("'{key}'"))?;
+            value.trim_start().strip_prefix(':').map(str::trim_start)
         };
         // A list would be a table with named columns.
         let descr = value("descr")?.strip_prefix('\'')?.split_once('\'')?.0;
@@ -74,7 +76,7 @@ impl Header {
 
     /// Returns the size of all numbers, bytes.
     pub fn bytes(&self, number: Number) -> Option<u64> {
-        self.shape.iter().try_fold(number.bytes() as u64, |all, n| all.checked_mul(*n as u64))
+        self.shape.iter().try_fold(number.bytes() as u64, |bytes, n| bytes.checked_mul(*n as u64))
     }
 
     /// Returns the shape in Python notation.

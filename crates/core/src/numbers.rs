@@ -66,13 +66,13 @@ mod tests {
 
     #[test]
     fn formats_numbers_with_four_digits() {
-        let all = [0.0, 0.88125, 12.345, 65469.0, 1e-6, f64::INFINITY, 123.456, 1e300, -1.5e20].map(number);
-        assert_eq!(all, ["0", "0.8812", "12.35", "65,469", "1.00e-6", "∞", "123.5", "1.00e300", "-1.50e20"]);
+        let formatted = [0.0, 0.88125, 12.345, 65469.0, 1e-6, f64::INFINITY, 123.456, 1e300, -1.5e20].map(number);
+        assert_eq!(formatted, ["0", "0.8812", "12.35", "65,469", "1.00e-6", "∞", "123.5", "1.00e300", "-1.50e20"]);
     }
 
     #[test]
     fn formats_two_digits_without_negative_zero() {
-        let all = [
+        let values = [
             (0.8012, 3),
             (0.0035, 3),
             (12.3, 0),
@@ -84,8 +84,8 @@ mod tests {
             (0.0, 3),
             (-1e300, 3),
         ];
-        let found = all.map(|(value, decimals)| fixed(value, decimals));
-        assert_eq!(found, ["0.801", "0.0035", "12", "8.7", "8", "12,346", "−0.25", "0.000", "0.000", "−1.00e300"]);
+        let formatted = values.map(|(value, decimals)| fixed(value, decimals));
+        assert_eq!(formatted, ["0.801", "0.0035", "12", "8.7", "8", "12,346", "−0.25", "0.000", "0.000", "−1.00e300"]);
         assert_eq!([f64::INFINITY, f64::NEG_INFINITY].map(|v| fixed(v, 3)), ["∞", "−∞"]);
     }
 }

@@ -86,11 +86,11 @@ where
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         let linked = registered::<T>().into_iter();
         let plugins = linked.filter_map(|name| Some((name, Self::parse(&format!("{name}()")).ok()?)));
-        let one = |(name, plugin): (&str, Self)| {
+        let variant = |(name, plugin): (&str, Self)| {
             let properties = Map::from_iter([(name.to_owned(), plugin.get().schema(generator).to_value())]);
             json!({ "type": "object", "properties": properties, "required": [name], "additionalProperties": false })
         };
-        json_schema!({ "oneOf": plugins.map(one).collect::<Vec<_>>(), PLUGINS: true })
+        json_schema!({ "oneOf": plugins.map(variant).collect::<Vec<_>>(), PLUGINS: true })
     }
 }
 
@@ -146,12 +146,12 @@ pub fn explain(error: &ron::error::SpannedError) -> String {
         }
         _ => String::new(),
     };
-    let what = match &error.code {
+    let problem = match &error.code {
         SuggestRawIdentifier(found) => format!("`{found}` found, expected a name"),
         MissingStructField { field, .. } => format!("the field `{field}` is missing"),
         code => code.to_string(),
     };
-    what + &hint
+    problem + &hint
 }
 
 /// Settings that are checked while they are read, so that messages have a position.
@@ -241,7 +241,7 @@ where
             fn visit_enum<A: EnumAccess<'de>>(self, access: A) -> Result<Self::Value, A::Error> {
                 let (BareName(name), body) = access.variant()?;
                 let plugin = Box::<T>::deserialize(Tagged(name.clone(), body))?;
-                plugin.check_plugin().map_err(|why| de::Error::custom(format!("{name}: {why}")))?;
+                plugin.check_plugin().map_err(|fault| de::Error::custom(format!("{name}: {fault}")))?;
                 Ok(Plugin::from(plugin))
             }
         }
@@ -249,7 +249,7 @@ where
     }
 }
 
-/// Returns the names of all linked plugins of one kind, sorted.
+/// Returns the names of all linked plugins of one kind, sorted. typetag lists them only in its error for an unknown name.
 pub fn registered<T: ?Sized>() -> Vec<&'static str>
 where
     Box<T>: for<'de> Deserialize<'de>,
@@ -284,7 +284,7 @@ pub type Cache = Option<Arc<dyn Any + Send + Sync>>;
 /// # Panics
 /// If another plugin created it.
 pub fn cached<T: 'static>(cache: &Cache) -> &T {
-    cache.as_ref().and_then(|found| found.downcast_ref()).expect("what is handed back came from this plugin")
+    cache.as_ref().and_then(|content| content.downcast_ref()).expect("what is handed back came from this plugin")
 }
 
 /// Kind of plugins with its linked members, independent of the trait.
@@ -335,13 +335,14 @@ impl PluginFamily {
     }
 }
 
+/// Lists the linked plugins of one kind, with their default values.
 fn members<T: ?Sized + PluginKind + erased_serde::Serialize>() -> Vec<PluginEntry>
 where
     Box<T>: for<'de> Deserialize<'de>,
 {
     let describe = |name| match Plugin::<T>::parse(&format!("{name}()")) {
         Ok(plugin) => PluginEntry { name, docs: Some(plugin.get().docs()), text: Ok(to_ron(&plugin)) },
-        Err(why) => PluginEntry { name, docs: None, text: Err(why) },
+        Err(fault) => PluginEntry { name, docs: None, text: Err(fault) },
     };
     registered::<T>().into_iter().map(describe).collect()
 }

@@ -3,6 +3,8 @@
 //! `f32` by default; the crate feature `f64` selects double precision to check hand-written derivatives against central
 //! differences. A feature instead of generics keeps kernels readable as formulas.
 
+use pulp::Simd;
+
 /// Single precision, or double with the feature `f64`.
 #[cfg(not(feature = "f64"))]
 pub type Real = f32;
@@ -58,36 +60,31 @@ pub fn logit(p: Real) -> Real {
 /// instructions across channels.
 pub trait Lanes: Sized {
     /// Computes sum += scale · x.
-    fn add_scaled<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], scale: Self, x: &[Self; N]);
+    fn add_scaled<S: Simd, const N: usize>(simd: S, sum: &mut [Self; N], scale: Self, x: &[Self; N]);
     /// Computes sum += x · y.
-    fn add_product<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], x: &[Self; N], y: &[Self; N]);
+    fn add_product<S: Simd, const N: usize>(simd: S, sum: &mut [Self; N], x: &[Self; N], y: &[Self; N]);
     /// Computes two weighted sums of the same rows, each row loaded once: `sums[c] = Σ scales[c][k] · rows[k]`. N is a
     /// multiple of 64, so that every vector width forms whole groups of four, which stay in registers.
-    fn two_sums<S: pulp::Simd, const N: usize>(
-        simd: S,
-        sums: &mut [[Self; N]; 2],
-        scales: [&[Self]; 2],
-        rows: &[[Self; N]],
-    );
+    fn two_sums<S: Simd, const N: usize>(simd: S, sums: &mut [[Self; N]; 2], scales: [&[Self]; 2], rows: &[[Self; N]]);
 }
 
 macro_rules! lanes {
     ($real:ty, $vectors:ident, $vectors_mut:ident, $splat:ident, $mul_add:ident) => {
         impl Lanes for $real {
             #[inline(always)]
-            fn add_scaled<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], scale: Self, x: &[Self; N]) {
+            fn add_scaled<S: Simd, const N: usize>(simd: S, sum: &mut [Self; N], scale: Self, x: &[Self; N]) {
                 let (sum, sum_rest) = S::$vectors_mut(sum);
                 let (x, x_rest) = S::$vectors(x);
-                let many = simd.$splat(scale);
+                let factor = simd.$splat(scale);
                 for i in 0..sum.len() {
-                    sum[i] = simd.$mul_add(many, x[i], sum[i]);
+                    sum[i] = simd.$mul_add(factor, x[i], sum[i]);
                 }
                 for i in 0..sum_rest.len() {
                     sum_rest[i] = scale.mul_add(x_rest[i], sum_rest[i]);
                 }
             }
             #[inline(always)]
-            fn add_product<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], x: &[Self; N], y: &[Self; N]) {
+            fn add_product<S: Simd, const N: usize>(simd: S, sum: &mut [Self; N], x: &[Self; N], y: &[Self; N]) {
                 let (sum, sum_rest) = S::$vectors_mut(sum);
                 let ((x, x_rest), (y, y_rest)) = (S::$vectors(x), S::$vectors(y));
                 for i in 0..sum.len() {
@@ -98,7 +95,7 @@ macro_rules! lanes {
                 }
             }
             #[inline(always)]
-            fn two_sums<S: pulp::Simd, const N: usize>(
+            fn two_sums<S: Simd, const N: usize>(
                 simd: S,
                 sums: &mut [[Self; N]; 2],
                 scales: [&[Self]; 2],

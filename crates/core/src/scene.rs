@@ -241,7 +241,7 @@ pub struct Features {
 
 impl Features {
     /// Returns the features of link `i`.
-    pub fn of(&self, i: usize) -> &[Real] {
+    pub fn row(&self, i: usize) -> &[Real] {
         &self.values[i * self.width..][..self.width]
     }
 }
@@ -297,6 +297,7 @@ impl Pose {
         [d_axis.x, d_axis.y, d_axis.z, -d.dot(q.xyz())].map(|d| 2.0 * d / q.length_squared())
     }
 
+    /// Returns the rotation from receiver axes to world axes, of length 1.
     fn rotation(&self) -> glam::DQuat {
         let [x, y, z, w] = self.orientation;
         glam::DQuat::from_xyzw(x, y, z, w).normalize()
@@ -342,9 +343,9 @@ impl Origin {
 
     /// Chooses the origin for a receiver at `receiver` and all `others`, metres: zero unless a coordinate exceeds 1,000
     /// m, otherwise the receiver position rounded to whole metres. Its subtraction from the receiver position is exact.
-    pub fn of(receiver: [f64; 3], others: impl IntoIterator<Item = [f64; 3]>) -> Self {
-        let mut places = others.into_iter().chain([receiver]);
-        let is_far = places.any(|place| place.iter().any(|v| v.abs() > NEAR_M));
+    pub fn for_receiver(receiver: [f64; 3], others: impl IntoIterator<Item = [f64; 3]>) -> Self {
+        let mut positions = others.into_iter().chain([receiver]);
+        let is_far = positions.any(|position| position.iter().any(|v| v.abs() > NEAR_M));
         if is_far { Self(receiver.map(|v| v.round() + 0.0)) } else { Self::ZERO } // + 0.0: never -0
     }
 
@@ -354,13 +355,13 @@ impl Origin {
     }
 
     /// Converts a position from the user's frame to local coordinates.
-    pub fn local(&self, place: [f64; 3]) -> [Real; 3] {
-        [0, 1, 2].map(|k| (place[k] - self.0[k]) as Real)
+    pub fn local(&self, position: [f64; 3]) -> [Real; 3] {
+        [0, 1, 2].map(|k| (position[k] - self.0[k]) as Real)
     }
 
     /// Converts a position from local coordinates to the user's frame.
-    pub fn world(&self, place: [Real; 3]) -> [f64; 3] {
-        [0, 1, 2].map(|k| place[k] as f64 + self.0[k])
+    pub fn world(&self, position: [Real; 3]) -> [f64; 3] {
+        [0, 1, 2].map(|k| position[k] as f64 + self.0[k])
     }
 
     /// Converts a pose from the user's frame to local coordinates.
@@ -375,14 +376,14 @@ impl Origin {
 
     /// Returns the error in an origin from a file.
     pub fn fault(&self) -> Option<String> {
-        place_fault(self.0).map(|what| format!("the origin {what}"))
+        place_fault(self.0).map(|fault| format!("the origin {fault}"))
     }
 }
 
 /// Returns the error in a position in the user's frame, with the next step: all coordinates must be finite and at most
 /// [`MAX_COORDINATE_M`] in size.
-pub fn place_fault(place: [f64; 3]) -> Option<String> {
-    place.into_iter().find_map(coordinate_fault)
+pub fn place_fault(position: [f64; 3]) -> Option<String> {
+    position.into_iter().find_map(coordinate_fault)
 }
 
 /// Returns the error in a carrier frequency, Hz.
@@ -395,9 +396,9 @@ pub fn coordinate_fault(v: f64) -> Option<String> {
     if v.is_finite() && v.abs() <= MAX_COORDINATE_M {
         return None;
     }
-    let what =
+    let problem =
         if v.is_finite() { format!("is {v:e} m, beyond {MAX_COORDINATE_M:e} m") } else { "is not finite".into() };
-    Some(format!("{what}; write three numbers in metres"))
+    Some(format!("{problem}; write three numbers in metres"))
 }
 
 #[cfg(test)]
@@ -407,12 +408,12 @@ mod tests {
     #[test]
     fn origin_is_zero_in_rooms_and_receiver_on_maps() {
         let near = [[1000.0, -1000.0, 0.0], [-0.3, 0.4, 3.0]];
-        assert_eq!(Origin::of([0.4, 7.0, -0.0], near), Origin::ZERO);
+        assert_eq!(Origin::for_receiver([0.4, 7.0, -0.0], near), Origin::ZERO);
         let far = [500_000.25, 5_399_999.54, -0.3];
-        let origin = Origin::of(far, []);
+        let origin = Origin::for_receiver(far, []);
         assert_eq!(origin.0, [500_000.0, 5_400_000.0, 0.0]);
         assert!(origin.0[2].is_sign_positive(), "files say 0 and not -0");
-        assert_eq!(Origin::of([0.4, 7.6, 1.5], [[0.0, -1000.5, 0.0]]).0, [0.0, 8.0, 2.0]);
+        assert_eq!(Origin::for_receiver([0.4, 7.6, 1.5], [[0.0, -1000.5, 0.0]]).0, [0.0, 8.0, 2.0]);
         // The receiver position is restored exactly.
         let pose = Pose { position: far, ..Pose::IDENTITY };
         assert_eq!(origin.world_pose(origin.local_pose(pose)), pose);

@@ -27,17 +27,17 @@ impl ShippedFile {
     /// Folder of scenes.
     pub const SCENES: &'static str = "scenes";
 
-    /// All files of `folder`, in the order of their names.
+    /// Lists the files of `folder`, in the order of their names.
     pub fn all(folder: &str) -> Vec<&'static Self> {
-        let mut all: Vec<_> = inventory::iter::<Self>().filter(|file| file.folder == folder).collect();
-        all.sort_by_key(|file| file.name);
-        all
+        let mut files: Vec<_> = inventory::iter::<Self>().filter(|file| file.folder == folder).collect();
+        files.sort_by_key(|file| file.name);
+        files
     }
 
     /// Returns the file of `folder` that is named `path`; `None` if `base` holds a file of this name.
     pub fn find(folder: &str, base: &Path, path: &Path) -> Option<&'static Self> {
-        let found = inventory::iter::<Self>().find(|file| file.folder == folder && path.as_os_str() == file.name)?;
-        (!base.join(path).is_file()).then_some(found)
+        let shipped = inventory::iter::<Self>().find(|file| file.folder == folder && path.as_os_str() == file.name)?;
+        (!base.join(path).is_file()).then_some(shipped)
     }
 
     /// Returns the text of the shipped file named `path`, or else of the file at `path`, of at most `limit` bytes.
@@ -48,17 +48,17 @@ impl ShippedFile {
         if let Some(file) = Self::find(folder, Path::new(""), path) {
             return Ok(file.text());
         }
-        let all = Self::all(folder);
-        if path.extension().is_some() || path.exists() || all.is_empty() {
+        let files = Self::all(folder);
+        if path.extension().is_some() || path.exists() || files.is_empty() {
             return read_text_at_most(path, limit);
         }
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let near = did_you_mean(&name, all.iter().map(|file| file.name));
-        let what = format!("no such file, and the program ships no file of this name in {folder}{near}");
-        Err(Error::input(path, what))
+        let hint = did_you_mean(&name, files.iter().map(|file| file.name));
+        let problem = format!("no such file, and the program ships no file of this name in {folder}{hint}");
+        Err(Error::input(path, problem))
     }
 
-    /// Content for a file in any folder: it names other shipped files without a path, and its other paths begin in the
+    /// Returns the content for a file in any folder: it names other shipped files without a path, and its other paths begin in the
     /// folder of the file instead of the repository.
     pub fn text(&self) -> String {
         let mut text = self.source.to_owned();
@@ -70,7 +70,7 @@ impl ShippedFile {
         text.replace("\"../", "\"")
     }
 
-    /// First sentence of the comment at the start of the file.
+    /// Returns the first sentence of the comment at the start of the file.
     pub fn purpose(&self) -> String {
         let lines = self.source.lines().map_while(|line| line.strip_prefix("//")).map(str::trim);
         let header = lines.collect::<Vec<_>>().join(" ");

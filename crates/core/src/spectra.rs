@@ -48,13 +48,13 @@ impl Number {
         matches!(self, Self::F32 | Self::F64)
     }
 
-    /// Calls `show` with every value, in units of [`Self::full_scale`].
-    pub fn each(self, bytes: &[u8], mut show: impl FnMut(f64)) {
+    /// Calls `visit` with every value, in units of [`Self::full_scale`].
+    pub fn each(self, bytes: &[u8], mut visit: impl FnMut(f64)) {
         match self {
-            Self::U8 => bytes.iter().for_each(|v| show(f64::from(*v))),
-            Self::U16 => bytes.as_chunks().0.iter().for_each(|v| show(f64::from(u16::from_le_bytes(*v)))),
-            Self::F32 => bytes.as_chunks().0.iter().for_each(|v| show(f64::from(f32::from_le_bytes(*v)))),
-            Self::F64 => bytes.as_chunks().0.iter().for_each(|v| show(f64::from_le_bytes(*v))),
+            Self::U8 => bytes.iter().for_each(|v| visit(f64::from(*v))),
+            Self::U16 => bytes.as_chunks().0.iter().for_each(|v| visit(f64::from(u16::from_le_bytes(*v)))),
+            Self::F32 => bytes.as_chunks().0.iter().for_each(|v| visit(f64::from(f32::from_le_bytes(*v)))),
+            Self::F64 => bytes.as_chunks().0.iter().for_each(|v| visit(f64::from_le_bytes(*v))),
         }
     }
 
@@ -81,10 +81,12 @@ impl Number {
     }
 }
 
+/// Writes every `stride`-th value as a pixel.
 fn put<T: Copy>(values: &[T], stride: usize, out: &mut [Real], pixel: impl Fn(T) -> Real) {
     out.iter_mut().zip(values.iter().step_by(stride)).for_each(|(out, v)| *out = pixel(*v));
 }
 
+/// Adds a term per value to `sum`.
 fn add<T: Copy>(values: &[T], sum: &mut [f64], term: impl Fn(T) -> f64) {
     sum.iter_mut().zip(values).for_each(|(sum, v)| *sum += term(*v));
 }
@@ -103,6 +105,7 @@ pub struct Spectra {
     store: Store,
 }
 
+/// Storage of the numbers: in memory or in an open file.
 #[derive(Clone, Debug)]
 enum Store {
     Memory(Vec<u8>),
@@ -124,8 +127,8 @@ impl Spectra {
     /// [`Error::Config`] without a spectrum, with an incomplete one, or if a number is not finite.
     pub fn float(size: (usize, usize), pixels: &[f32]) -> Result<Self> {
         if let Some(i) = pixels.iter().position(|v| !v.is_finite()) {
-            let (width, of_one) = (size.0.max(1), (size.0 * size.1).max(1));
-            let [m, y, x] = [i / of_one, i % of_one / width, i % width];
+            let (width, spectrum_pixels) = (size.0.max(1), (size.0 * size.1).max(1));
+            let [m, y, x] = [i / spectrum_pixels, i % spectrum_pixels / width, i % width];
             return Err(Error::Config(format!("spectra[{m}, {y}, {x}] is {}; give numbers from 0 to 1", pixels[i])));
         }
         Self::in_memory(size, Number::F32, pixels.iter().flat_map(|v| v.to_le_bytes()).collect())
@@ -136,14 +139,14 @@ impl Spectra {
     /// # Errors
     /// [`Error::Config`] without a spectrum, or with an incomplete one.
     pub fn in_memory((width, height): (usize, usize), number: Number, bytes: Vec<u8>) -> Result<Self> {
-        let of_one = width.checked_mul(height).and_then(|n| n.checked_mul(number.bytes())).unwrap_or(0);
-        if of_one == 0 || bytes.is_empty() || !bytes.len().is_multiple_of(of_one) {
+        let spectrum_bytes = width.checked_mul(height).and_then(|n| n.checked_mul(number.bytes())).unwrap_or(0);
+        if spectrum_bytes == 0 || bytes.is_empty() || !bytes.len().is_multiple_of(spectrum_bytes) {
             return Err(Error::Config(format!(
                 "{} numbers are not a multiple of {width} x {height} pixels; give at least one complete spectrum",
                 bytes.len() / number.bytes()
             )));
         }
-        Ok(Self { count: bytes.len() / of_one, width, height, number, store: Store::Memory(bytes) })
+        Ok(Self { count: bytes.len() / spectrum_bytes, width, height, number, store: Store::Memory(bytes) })
     }
 
     /// Opens spectra in a file: `shape` `[M,H,W]` numbers, from byte `offset` to the end of the file. Floating-point
@@ -154,19 +157,16 @@ impl Spectra {
     pub fn open(path: &Path, offset: u64, number: Number, shape: [usize; 3]) -> Result<Self> {
         let stored = Stored::open(path, offset)?;
         let [count, height, width] = shape;
-        let bytes = shape.iter().try_fold(number.bytes() as u64, |all, n| all.checked_mul(*n as u64));
+        let bytes = shape.iter().try_fold(number.bytes() as u64, |bytes, n| bytes.checked_mul(*n as u64));
         match bytes {
             Some(bytes) if bytes > 0 && offset.checked_add(bytes) == Some(stored.len) => {
                 Ok(Self { count, width, height, number, store: Store::File(Arc::new(stored)) })
             }
-            _ => Err(Error::input(
-                path,
-                format!(
-                    "{count} spectra of {width} x {height} pixels do not fit its {} bytes; the file is \
-                     truncated or damaged; copy it again",
-                    stored.len
-                ),
-            )),
+            _ => {
+                let (length, advice) = (stored.len, "the file is truncated or damaged; copy it again");
+                let problem = format!("{count} spectra of {width} x {height} pixels do not fit its {length} bytes");
+                Err(Error::input(path, format!("{problem}; {advice}")))
+            }
         }
     }
 
@@ -176,7 +176,7 @@ impl Spectra {
     /// [`Error::Read`].
     pub fn into_memory(self) -> Result<Self> {
         let store = match self.store {
-            Store::File(stored) => Store::Memory(stored.all()?),
+            Store::File(stored) => Store::Memory(stored.read_all()?),
             memory @ Store::Memory(_) => memory,
         };
         Ok(Self { store, ..self })
@@ -217,10 +217,10 @@ impl Spectra {
 
     /// Returns the stored bytes of spectrum `i`; zeros if it cannot be read, which [`Self::check`] reports.
     pub fn raw(&self, i: usize) -> Cow<'_, [u8]> {
-        let of_one = self.width * self.height * self.number.bytes();
+        let spectrum_bytes = self.width * self.height * self.number.bytes();
         match &self.store {
-            Store::Memory(bytes) => Cow::Borrowed(&bytes[i * of_one..][..of_one]),
-            Store::File(stored) => Cow::Owned(stored.part(i as u64 * of_one as u64, of_one)),
+            Store::Memory(bytes) => Cow::Borrowed(&bytes[i * spectrum_bytes..][..spectrum_bytes]),
+            Store::File(stored) => Cow::Owned(stored.read_part(i as u64 * spectrum_bytes as u64, spectrum_bytes)),
         }
     }
 
@@ -233,23 +233,23 @@ impl Spectra {
 
     /// Returns the pixels of spectrum `i` that `sampling` selects, row-major.
     pub fn sampled(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
-        let (bytes, of_one, Sampling { stride, offset: [left, top], .. }) =
+        let (bytes, number_bytes, Sampling { stride, offset: [left, top], .. }) =
             (self.raw(i), self.number.bytes(), sampling);
-        let rows = bytes.chunks_exact(self.width * of_one).skip(top).step_by(stride);
+        let rows = bytes.chunks_exact(self.width * number_bytes).skip(top).step_by(stride);
         for (out, row) in out.chunks_exact_mut((self.width - left).div_ceil(stride)).zip(rows) {
-            self.number.pixels(&row[left * of_one..], stride, out);
+            self.number.pixels(&row[left * number_bytes..], stride, out);
         }
     }
 
-    /// Returns some of the pixels that [`Self::sampled`] returns for spectrum `i`.
-    pub fn sampled_at(&self, i: usize, sampling: Sampling, places: &[usize], out: &mut [Real]) {
-        let (bytes, of_one, Sampling { stride, offset: [left, top], .. }) =
+    /// Returns some of the pixels that [`Self::sampled`] returns for spectrum `i`, by their `indices` in its result.
+    pub fn sampled_at(&self, i: usize, sampling: Sampling, indices: &[usize], out: &mut [Real]) {
+        let (bytes, number_bytes, Sampling { stride, offset: [left, top], .. }) =
             (self.raw(i), self.number.bytes(), sampling);
         let columns = (self.width - left).div_ceil(stride);
-        for (out, place) in out.iter_mut().zip(places) {
-            let (row, column) = (top + place / columns * stride, left + place % columns * stride);
-            let at = (row * self.width + column) * of_one;
-            self.number.pixels(&bytes[at..at + of_one], 1, std::slice::from_mut(out));
+        for (out, index) in out.iter_mut().zip(indices) {
+            let (row, column) = (top + index / columns * stride, left + index % columns * stride);
+            let start = (row * self.width + column) * number_bytes;
+            self.number.pixels(&bytes[start..start + number_bytes], 1, std::slice::from_mut(out));
         }
     }
 
@@ -287,6 +287,7 @@ struct Stored {
 }
 
 impl Stored {
+    /// Opens a file whose numbers begin at `offset`.
     fn open(path: &Path, offset: u64) -> Result<Self> {
         let refuse = |e| Error::read(path, e);
         let file = crate::files::open(path).map_err(refuse)?;
@@ -295,7 +296,7 @@ impl Stored {
     }
 
     /// Reads all bytes.
-    fn all(&self) -> Result<Vec<u8>> {
+    fn read_all(&self) -> Result<Vec<u8>> {
         let read = || {
             let (mut bytes, len) = (Vec::new(), (self.len - self.offset) as usize);
             bytes.try_reserve_exact(len)?;
@@ -306,7 +307,7 @@ impl Stored {
     }
 
     /// Reads `len` bytes from `start`; returns zeros if they cannot be read, which [`Self::check`] reports.
-    fn part(&self, start: u64, len: usize) -> Vec<u8> {
+    fn read_part(&self, start: u64, len: usize) -> Vec<u8> {
         let mut bytes = vec![0; len];
         if let Err(e) = read_exact_at(&self.file, &mut bytes, self.offset + start) {
             let _ = self.fault.set((e.kind(), e.to_string())); // only the first error is reported
@@ -315,22 +316,25 @@ impl Stored {
         bytes
     }
 
+    /// Returns the error of the first read that failed.
     fn check(&self) -> Result<()> {
         match self.fault.get() {
             None => Ok(()),
-            Some((kind, why)) => {
-                let why = format!("{why}; the file of spectra was changed or removed while open; restore it");
-                Err(Error::read(&self.path, io::Error::new(*kind, why)))
+            Some((kind, fault)) => {
+                let problem = format!("{fault}; the file of spectra was changed or removed while open; restore it");
+                Err(Error::read(&self.path, io::Error::new(*kind, problem)))
             }
         }
     }
 }
 
+/// Reads all of `bytes` from `offset`, without moving the position of the file.
 #[cfg(unix)]
 fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
     std::os::unix::fs::FileExt::read_exact_at(file, bytes, offset)
 }
 
+/// Reads all of `bytes` from `offset`.
 #[cfg(windows)]
 fn read_exact_at(file: &File, mut bytes: &mut [u8], mut offset: u64) -> io::Result<()> {
     while !bytes.is_empty() {

@@ -65,16 +65,16 @@ impl Primitives {
     pub fn pose_vjp(&self, pose: &Pose, d: &Self) -> ([f64; 3], [f64; 4]) {
         let vector = |v: [Real; 3]| DVec3::from(v.map(|v| v as f64));
         let parts = |[w, x, y, z]: [Real; 4]| (w as f64, vector([x, y, z]));
-        let (center, mut position, mut turn) = (DVec3::from(pose.position), DVec3::ZERO, DVec3::ZERO);
+        let (centre, mut position, mut rotation) = (DVec3::from(pose.position), DVec3::ZERO, DVec3::ZERO);
         for (mean, d) in self.means.iter().zip(&d.means) {
             position -= vector(*d);
-            turn -= (vector(*mean) - center).cross(vector(*d));
+            rotation -= (vector(*mean) - centre).cross(vector(*d));
         }
         for (q, d) in self.quats.iter().zip(&d.quats) {
             let ((w, v), (d_w, d_v)) = (parts(*q), parts(*d));
-            turn -= 0.5 * (w * d_v - d_w * v + v.cross(d_v));
+            rotation -= 0.5 * (w * d_v - d_w * v + v.cross(d_v));
         }
-        (position.into(), pose.rotation_vjp(turn.into()))
+        (position.into(), pose.rotation_vjp(rotation.into()))
     }
 }
 
@@ -122,7 +122,7 @@ impl Splats {
         self
     }
 
-    /// Inverse of [`Self::sampled`] `[N]` for the derivative of a projector; radii are rounded up to whole strides.
+    /// Inverts [`Self::sampled`] `[N]` for the derivative of a projector; radii are rounded up to whole strides.
     pub fn unsampled(&self, plane: &ImagePlane) -> Cow<'_, Self> {
         let Sampling { stride, offset, .. } = plane.sampling;
         if stride == 1 {

@@ -45,14 +45,14 @@ pub fn evaluation(a: &Image, b: &Image) -> f64 {
             add_row(&mut columns, rows(y - window), -1.0);
         }
         if y + 1 >= window {
-            total += sum_of_row(&columns, window);
+            total += sum_row(&columns, window);
         }
     }
     total / (columns_out * (height - window + 1)) as f64
 }
 
 /// Adds `sign` times x, y, x², y², xy of one row to the column sums.
-fn add_row(columns: &mut [Vec<f64>; 5], (a, b): (&[crate::Real], &[crate::Real]), sign: f64) {
+fn add_row(columns: &mut [Vec<f64>; 5], (a, b): (&[Real], &[Real]), sign: f64) {
     let [x1, x2, x11, x22, x12] = columns;
     for (i, (a, b)) in a.iter().zip(b).enumerate() {
         let (a, b) = (*a as f64, *b as f64);
@@ -65,7 +65,7 @@ fn add_row(columns: &mut [Vec<f64>; 5], (a, b): (&[crate::Real], &[crate::Real])
 }
 
 /// Returns the sum of the SSIM of all windows of one row, given the column sums.
-fn sum_of_row(columns: &[Vec<f64>; 5], window: usize) -> f64 {
+fn sum_row(columns: &[Vec<f64>; 5], window: usize) -> f64 {
     let n = (window * window) as f64;
     let sample = if window > 1 { n / (n - 1.0) } else { 1.0 };
     let mut sums = [0.0; 5];
@@ -112,7 +112,7 @@ impl Window {
 }
 
 impl Default for Window {
-    /// Window of σ = 1.5 px, the usual value in training. Written out, so that results do not depend on the
+    /// Returns the window of σ = 1.5 px, the usual value in training. Written out, so that results do not depend on the
     /// exponential of a library.
     fn default() -> Self {
         Self(WEIGHTS)
@@ -138,14 +138,11 @@ const LANES: usize = 16;
 type Block = [Real; LANES];
 
 /// Returns the training SSIM and its derivative with respect to every pixel of `prediction`. The window is Gaussian
-/// with zeros beyond the border; the mean is over all pixels. All arrays are row-major `[height, width]`; the SSIM of
+/// with zeros beyond the border; the mean is over all pixels. All arrays are row-major `[height, width]`, and `size` is
+/// (width, height); the SSIM of
 /// images without pixels is 1.
-pub fn training(
-    prediction: &[Real],
-    truth: &[Real],
-    (width, height): (usize, usize),
-    window: &Window,
-) -> (Real, Vec<Real>) {
+pub fn training(prediction: &[Real], truth: &[Real], size: (usize, usize), window: &Window) -> (Real, Vec<Real>) {
+    let (width, height) = size;
     assert_eq!((prediction.len(), truth.len()), (width * height, width * height), "pixels fill the picture");
     if prediction.is_empty() {
         return (1.0, Vec::new());
@@ -155,7 +152,7 @@ pub fn training(
     }
     let mut d = vec![0.0; width * height];
     let value = SCRATCH.with_borrow_mut(|scratch| {
-        scratch.fit(width, height);
+        scratch.resize(width, height);
         pulp::Arch::new().dispatch(Job { prediction, truth, width, height, window, d: &mut d, scratch })
     });
     (value, d)
@@ -178,7 +175,8 @@ struct Scratch {
 }
 
 impl Scratch {
-    fn fit(&mut self, width: usize, height: usize) {
+    /// Allocates the buffers for images of another size.
+    fn resize(&mut self, width: usize, height: usize) {
         let stride = width.next_multiple_of(LANES);
         if (self.width, self.stride * height) != (width, self.planes[0].len()) {
             (self.width, self.stride) = (width, stride);
@@ -190,6 +188,7 @@ impl Scratch {
     }
 }
 
+/// Arguments of [`training()`], for the dispatch to an instruction set.
 struct Job<'a> {
     prediction: &'a [Real],
     truth: &'a [Real],
@@ -208,30 +207,33 @@ impl pulp::WithSimd for Job<'_> {
         let Job { prediction, truth, width, height, window: Window(weights), d, scratch } = self;
         let Scratch { stride, padded, planes, blurred, zeros, .. } = scratch;
         let (stride, (moments, slopes)) = (*stride, planes.split_at_mut(4));
+        // Pass 1: P, G, P² + G² and PG, blurred along the rows.
         for y in 0..height {
             let row = y * width..(y + 1) * width;
-            products(padded, &prediction[row.clone()], &truth[row]);
+            write_products(padded, &prediction[row.clone()], &truth[row]);
             for (padded, plane) in padded.iter().zip(&mut *moments) {
-                blur(&mut plane[y * stride..][..stride], along(padded, stride), weights);
+                blur(&mut plane[y * stride..][..stride], row_taps(padded, stride), weights);
             }
         }
+        // Pass 2: the same along the columns, which gives the map; its derivatives, blurred along the rows.
         let mut total = [0.0; LANES];
         for y in 0..height {
             for (row, plane) in blurred.iter_mut().zip(&*moments) {
-                blur(row, across(plane, y, stride, zeros), weights);
+                blur(row, column_taps(plane, y, stride, zeros), weights);
             }
-            similarity(blurred, width, &mut total, padded);
+            add_similarity(blurred, width, &mut total, padded);
             for (padded, plane) in padded.iter().zip(&mut *slopes) {
-                blur(&mut plane[y * stride..][..stride], along(padded, stride), weights);
+                blur(&mut plane[y * stride..][..stride], row_taps(padded, stride), weights);
             }
         }
+        // Pass 3: the derivatives along the columns, which gives the derivative by P.
         let pixels = (width * height) as f64;
         for (y, d) in d.chunks_exact_mut(width).enumerate() {
             for (row, plane) in blurred.iter_mut().zip(&*slopes) {
-                blur(row, across(plane, y, stride, zeros), weights);
+                blur(row, column_taps(plane, y, stride, zeros), weights);
             }
             let row = y * width..(y + 1) * width;
-            gather(d, &prediction[row.clone()], &truth[row], blurred, (1.0 / pixels) as Real);
+            write_derivative(d, &prediction[row.clone()], &truth[row], blurred, (1.0 / pixels) as Real);
         }
         (total.iter().sum::<f64>() / pixels) as Real
     }
@@ -239,7 +241,7 @@ impl pulp::WithSimd for Job<'_> {
 
 /// Returns eleven shifted views of one padded row.
 #[inline(always)]
-fn along(padded: &[Real], stride: usize) -> [&[Real]; TAPS] {
+fn row_taps(padded: &[Real], stride: usize) -> [&[Real]; TAPS] {
     let mut taps = [padded; TAPS];
     for k in 0..TAPS {
         taps[k] = &padded[k..k + stride];
@@ -249,7 +251,7 @@ fn along(padded: &[Real], stride: usize) -> [&[Real]; TAPS] {
 
 /// Returns eleven rows of a plane about row `y`, zeros beyond the border.
 #[inline(always)]
-fn across<'a>(plane: &'a [Real], y: usize, stride: usize, zeros: &'a [Real]) -> [&'a [Real]; TAPS] {
+fn column_taps<'a>(plane: &'a [Real], y: usize, stride: usize, zeros: &'a [Real]) -> [&'a [Real]; TAPS] {
     let mut taps = [zeros; TAPS];
     for k in 0..TAPS {
         match (y + k).checked_sub(REACH) {
@@ -277,7 +279,7 @@ fn blur(out: &mut [Real], taps: [&[Real]; TAPS], weights: &[Real; TAPS]) {
 
 /// Writes P, G, P² + G², PG of one row into the padded rows.
 #[inline(always)]
-fn products(padded: &mut [Vec<Real>; 4], p: &[Real], g: &[Real]) {
+fn write_products(padded: &mut [Vec<Real>; 4], p: &[Real], g: &[Real]) {
     let (n, [p1, g1, squares, pg]) = (p.len(), padded);
     p1[REACH..][..n].copy_from_slice(p);
     g1[REACH..][..n].copy_from_slice(g);
@@ -292,11 +294,11 @@ fn products(padded: &mut [Vec<Real>; 4], p: &[Real], g: &[Real]) {
 
 /// Adds the map of one row to `total` and writes ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ into the first three padded rows.
 #[inline(always)]
-fn similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANES], slopes: &mut [Vec<Real>; 4]) {
+fn add_similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANES], slopes: &mut [Vec<Real>; 4]) {
     for i in 0..width.div_ceil(LANES) {
         let (start, valid) = (i * LANES, LANES.min(width - i * LANES));
         let block = |k: usize| &moments[k].as_chunks::<LANES>().0[i];
-        let (map, d) = map_block([block(0), block(1), block(2), block(3)]);
+        let (map, d) = compute_map([block(0), block(1), block(2), block(3)]);
         for lane in 0..valid {
             total[lane] += map[lane] as f64;
         }
@@ -308,7 +310,7 @@ fn similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANES], 
 
 /// Returns the map m and ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ of [`LANES`] pixels, given the four blurred quantities.
 #[inline(always)]
-fn map_block([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
+fn compute_map([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
     let (mut map, mut d) = ([0.0; LANES], [[0.0; LANES]; 3]);
     let [d_mu, d_variance, d_covariance] = &mut d;
     for i in 0..LANES {
@@ -327,9 +329,9 @@ fn map_block([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
     (map, d)
 }
 
-/// Computes d = (f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂)) / pixels for one row.
+/// Computes d = scale · (f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂)) for one row; `scale` is 1 / number of pixels.
 #[inline(always)]
-fn gather(d: &mut [Real], p: &[Real], g: &[Real], blurred: &[Vec<Real>; 4], scale: Real) {
+fn write_derivative(d: &mut [Real], p: &[Real], g: &[Real], blurred: &[Vec<Real>; 4], scale: Real) {
     let (n, [mu, variance, covariance, ..]) = (d.len(), blurred);
     let (mu, variance, covariance, p, g) = (&mu[..n], &variance[..n], &covariance[..n], &p[..n], &g[..n]);
     for i in 0..n {
@@ -361,7 +363,7 @@ mod tests {
     #[test]
     fn ssim_matches_scikit_image_and_scipy() {
         // width, height, ramp, skimage.metrics.structural_similarity(data_range=1), scipy convolve1d (zero padding)
-        let known = [
+        let cases = [
             (7, 7, false, -0.311_215_119_881, 0.247_837_366_820),
             (7, 7, true, 0.280_773_196_175, 0.626_314_718_809),
             (9, 16, false, -0.319_688_485_290, 0.071_910_652_571),
@@ -371,12 +373,12 @@ mod tests {
             (360, 90, false, -0.325_195_483_948, -0.290_892_582_326),
             (360, 90, true, -0.305_138_487_355, -0.240_999_383_803),
         ];
-        for (width, height, ramp, expected_evaluation, expected_training) in known {
+        for (width, height, ramp, expected_evaluation, expected_training) in cases {
             let (a, b) = (picture(width, height, 1, ramp), picture(width, height, 2, ramp));
-            let found = evaluation(&a, &b);
-            assert!((found - expected_evaluation).abs() < 1e-6, "{width}x{height}: {found}");
-            let found = trained(&a, &b);
-            assert!((found - expected_training).abs() < 2e-6, "{width}x{height}: {found}");
+            let actual = evaluation(&a, &b);
+            assert!((actual - expected_evaluation).abs() < 1e-6, "{width}x{height}: {actual}");
+            let actual = trained(&a, &b);
+            assert!((actual - expected_training).abs() < 2e-6, "{width}x{height}: {actual}");
         }
     }
 

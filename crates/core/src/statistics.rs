@@ -6,36 +6,36 @@ pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
     sum / count
 }
 
-/// Returns at most `count` of `all`, evenly spaced.
-pub fn evenly<T: Clone>(all: &[T], count: usize) -> Vec<T> {
-    let n = all.len().min(count);
-    (0..n).map(|i| all[i * all.len() / n].clone()).collect()
+/// Returns at most `count` of the `items`, evenly spaced.
+pub fn evenly<T: Clone>(items: &[T], count: usize) -> Vec<T> {
+    let n = items.len().min(count);
+    (0..n).map(|i| items[i * items.len() / n].clone()).collect()
 }
 
-/// Smallest and largest value; infinite for none. NaN is ignored.
+/// Returns the smallest and largest value; infinite for none. NaN is ignored.
 pub fn bounds(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
     values.into_iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
 }
 
-/// Values in ascending order.
+/// Returns the values in ascending order.
 pub fn sorted(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
     let mut values: Vec<f64> = values.into_iter().collect();
     values.sort_by(f64::total_cmp);
     values
 }
 
-/// Quantile `q` from 0 to 1 of ascending values, interpolated; NaN for none.
+/// Returns the quantile `q` from 0 to 1 of ascending values, interpolated; NaN for none.
 ///
 /// # Panics
 /// If `q` is above 1.
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
-    let place = q * last as f64;
-    let (low, part) = (place as usize, place.fract());
-    if part == 0.0 { sorted[low] } else { sorted[low] * (1.0 - part) + sorted[low + 1] * part }
+    let rank = q * last as f64;
+    let (low, fraction) = (rank as usize, rank.fract());
+    if fraction == 0.0 { sorted[low] } else { sorted[low] * (1.0 - fraction) + sorted[low + 1] * fraction }
 }
 
-/// Median of values in any order; NaN for none.
+/// Returns the median of values in any order; NaN for none.
 pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
     quantile(&sorted(values), 0.5)
 }

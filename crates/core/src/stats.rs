@@ -59,10 +59,9 @@ impl StepContext {
         if self.round == 0 || n <= target {
             return n;
         }
-        let left = self.rounds.saturating_sub(self.round) as f64;
-        let (now, last) = (n as f64, target as f64);
-        let share = (now / last).powf(left / (left + 1.0));
-        (last * share).round() as usize
+        let rounds_left = self.rounds.saturating_sub(self.round) as f64;
+        let ratio = (n as f64 / target as f64).powf(rounds_left / (rounds_left + 1.0));
+        (target as f64 * ratio).round() as usize
     }
 
     /// Returns the number of `n` Gaussians that the next prune step keeps for [`Self::target`]: all without a target,
@@ -95,15 +94,15 @@ impl CloudStats {
         Self { visible: zeros(), gradient: zeros(), radius: zeros(), weight: zeros(), ..Self::default() }
     }
 
-    /// Adds one of `drawings` with a common mean loss: the splats of the Gaussians `rows`, and the derivative `d` of
-    /// that loss. Each drawing counts with the gradient of its own loss.
-    pub fn observe(&mut self, rows: &[usize], splats: &Splats, d: &RenderVjp, plane: &ImagePlane, drawings: usize) {
-        let (half, drawings) = ([0.5 * plane.width as Real, 0.5 * plane.height as Real], drawings as Real);
+    /// Adds one of `renders` with a common mean loss: the splats of the Gaussians `rows`, and the derivative `d` of that
+    /// loss. Each render counts with the gradient of its own loss.
+    pub fn observe(&mut self, rows: &[usize], splats: &Splats, d: &RenderVjp, plane: &ImagePlane, renders: usize) {
+        let (half, renders) = ([0.5 * plane.width as Real, 0.5 * plane.height as Real], renders as Real);
         for (k, &i) in rows.iter().enumerate() {
             if splats.radii[k] > 0.0 {
                 let [dx, dy] = d.splats.means2d[k];
                 self.visible[i] += 1.0;
-                self.gradient[i] += drawings * (dx * half[0]).hypot(dy * half[1]);
+                self.gradient[i] += renders * (dx * half[0]).hypot(dy * half[1]);
                 self.radius[i] = self.radius[i].max(splats.radii[k]);
                 self.weight[i] += d.weights[k];
             }
@@ -111,12 +110,12 @@ impl CloudStats {
     }
 
     /// Adds the statistics of the same Gaussians at another step.
-    pub fn add(&mut self, seen: &Self) {
+    pub fn add(&mut self, other: &Self) {
         for i in 0..self.visible.len() {
-            self.visible[i] += seen.visible[i];
-            self.gradient[i] += seen.gradient[i];
-            self.radius[i] = self.radius[i].max(seen.radius[i]);
-            self.weight[i] += seen.weight[i];
+            self.visible[i] += other.visible[i];
+            self.gradient[i] += other.gradient[i];
+            self.radius[i] = self.radius[i].max(other.radius[i]);
+            self.weight[i] += other.weight[i];
         }
     }
 
@@ -216,8 +215,8 @@ impl Needs {
     /// Returns the final request for a method with or without blending.
     #[must_use]
     pub fn settled(mut self, blends: bool) -> Self {
-        let more = std::mem::take(&mut self.where_blended);
-        self.statistics.extend(more.into_iter().filter(|_| blends));
+        let optional = std::mem::take(&mut self.where_blended);
+        self.statistics.extend(optional.into_iter().filter(|_| blends));
         self
     }
 
@@ -228,13 +227,13 @@ impl Needs {
 
     /// Returns the indices of the transmitters (of `count`) for a pass at `step`, in order.
     pub fn sample(&self, count: usize, seed: u64, step: u64) -> Vec<usize> {
-        let mut all: Vec<usize> = (0..count).collect();
+        let mut transmitters: Vec<usize> = (0..count).collect();
         if self.transmitters > 0 && self.transmitters < count {
-            rng::shuffle(&mut rng::stream(seed, "statistics", step), &mut all);
-            all.truncate(self.transmitters);
-            all.sort_unstable();
+            rng::shuffle(&mut rng::stream(seed, "statistics", step), &mut transmitters);
+            transmitters.truncate(self.transmitters);
+            transmitters.sort_unstable();
         }
-        all
+        transmitters
     }
 }
 
@@ -302,17 +301,17 @@ impl PassStatistics {
             (&mut self.high_error, &other.high_error),
             (&mut self.sensitivity, &other.sensitivity),
         ];
-        for (sum, own) in sums {
-            rows.iter().zip(own).for_each(|(&i, v)| sum[i] += v);
+        for (sum, values) in sums {
+            rows.iter().zip(values).for_each(|(&i, v)| sum[i] += v);
         }
-        for (largest, own) in
+        for (largest, values) in
             [(&mut self.largest_weight, &other.largest_weight), (&mut self.signal_max, &other.signal_max)]
         {
-            rows.iter().zip(own).for_each(|(&i, v)| largest[i] = largest[i].max(*v));
+            rows.iter().zip(values).for_each(|(&i, v)| largest[i] = largest[i].max(*v));
         }
         rows.iter().zip(&other.top).for_each(|(&i, v)| self.top[i] |= v);
-        for (&i, own) in rows.iter().zip(&other.fisher) {
-            self.fisher[i].iter_mut().zip(own).for_each(|(sum, v)| *sum += v);
+        for (&i, matrix) in rows.iter().zip(&other.fisher) {
+            self.fisher[i].iter_mut().zip(matrix).for_each(|(sum, v)| *sum += v);
         }
     }
 

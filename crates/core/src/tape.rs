@@ -84,7 +84,7 @@ impl TracedCloud {
         &self.device
     }
 
-    /// Straight-through gate, eq. (11): forward 1[score ≥ threshold], derivative of the identity.
+    /// Computes the straight-through gate, eq. (11): forward 1[score ≥ threshold], derivative of the identity.
     pub fn straight_through(&self, score: Trace, threshold: Real) -> Trace {
         let soft = values(&score);
         let shift = soft.iter().map(|s| Real::from(u8::from(*s >= threshold)) - s).collect();
@@ -97,20 +97,19 @@ pub fn values<T>(vector: &Tensor<(usize,), Real, Cpu, T>) -> Vec<Real> {
     if vector.shape().0 == 0 { Vec::new() } else { vector.as_vec() }
 }
 
+/// Values of several vectors, one list per vector.
+pub type Vectors = Vec<Vec<Real>>;
+
 /// Adds a kernel to the tape: `outputs` are its values for `inputs`; `vjp` converts the cotangents of the outputs to
 /// those of the inputs (one vector per input, equal lengths).
-pub fn op(
-    inputs: Vec<Trace>,
-    outputs: Vec<Vec<Real>>,
-    vjp: impl FnOnce(Vec<Vec<Real>>) -> Vec<Vec<Real>> + 'static,
-) -> Vec<Trace> {
+pub fn op(inputs: Vec<Trace>, outputs: Vectors, vjp: impl FnOnce(Vectors) -> Vectors + 'static) -> Vec<Trace> {
     let device = Cpu::default();
     let mut tape = OwnedTape::default();
     let leaves: Vec<Leaf> = inputs
         .into_iter()
         .map(|input| {
-            let (leaf, its_tape) = input.split_tape();
-            tape = std::mem::take(&mut tape).merge(its_tape);
+            let (leaf, input_tape) = input.split_tape();
+            tape = std::mem::take(&mut tape).merge(input_tape);
             leaf
         })
         .collect();

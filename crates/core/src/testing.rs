@@ -6,16 +6,16 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Returns the path of `what`, such as `data/s23`, in the folder of shared data: measured spectra, reference data and
+/// Returns the path of `name`, such as `data/s23`, in the folder of shared data: measured spectra, reference data and
 /// paths. `None`, reported by [`skipped`], if it is absent. The variable `PWRFGS_SHARED` sets that folder, by default
 /// `shared` next to the checkout.
-pub fn shared(what: &str) -> Option<PathBuf> {
+pub fn shared(name: &str) -> Option<PathBuf> {
     let default_folder = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
-    let path = std::env::var_os("PWRFGS_SHARED").map_or_else(default_folder, PathBuf::from).join(what);
+    let path = std::env::var_os("PWRFGS_SHARED").map_or_else(default_folder, PathBuf::from).join(name);
     if path.exists() {
         return Some(path);
     }
-    skipped(&format!("no {what} here, set PWRFGS_SHARED"));
+    skipped(&format!("no {name} here, set PWRFGS_SHARED"));
     None
 }
 
@@ -37,9 +37,9 @@ pub fn npy(bytes: &[u8]) -> (Vec<usize>, Vec<f64>) {
 
 /// Reports that the calling test is skipped, with the reason: on the terminal, where cargo hides nothing, and as a line
 /// at the end of the file in the variable `PWRFGS_SKIPPED`, if set. `tests/all.sh` counts those lines.
-pub fn skipped(why: &str) {
+pub fn skipped(reason: &str) {
     let test = std::thread::current().name().unwrap_or("a test").to_owned();
-    let line = format!("skipped: {test}: {why}\n");
+    let line = format!("skipped: {test}: {reason}\n");
     std::io::stderr().write_all(line.as_bytes()).expect("stderr can be written");
     if let Some(list) = std::env::var_os("PWRFGS_SKIPPED") {
         let list = OpenOptions::new().append(true).create(true).open(list);

@@ -4,7 +4,10 @@
 mod tests;
 
 use crate::checks::value_fault;
-use crate::folder::{carriers_of, check_root, folder_name, open_root, points_of, simulation, source_in, title};
+use crate::folder::{
+    carriers_in, check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with,
+    title,
+};
 use crate::nerf2::{LocationTable, POSES, check_shape, index, receivers::Gateway};
 use crate::npy;
 use pwrfgs_core::{DataSource, Dataset, Elevation, End, Error, JsonSchema, Pose, Progress, Result, Sample, Spectra};
@@ -67,6 +70,7 @@ impl DataSource for Arrays {
         Some(pwrfgs_core::Task::Spectrum)
     }
 
+    /// Loads the folder. Files are checked in the order of their size, so that errors of small files come first.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Arrays", LAYOUT)?;
         let gateway = Gateway::read(&root.join("gateway_info.yml"), None, LAYOUT)?;
@@ -82,32 +86,33 @@ impl DataSource for Arrays {
         let spectra = npy::open_spectra(&path)?;
         let ids: Vec<u32> = (1..=locations.poses.len() as u32).collect();
         if spectra.len() != ids.len() {
-            let what = format!("holds {} spectra, but {table} {} positions", spectra.len(), ids.len());
-            return Err(Error::input(&path, format!("{what}; give as many of each")));
+            let problem = format!("holds {} spectra, but {table} {} positions", spectra.len(), ids.len());
+            return Err(Error::input(&path, format!("{problem}; give as many of each")));
         }
         let pictures = ids.iter().copied().collect();
-        let known = index::SpectrumIds { table, rows: ids.len(), pictures: &pictures, samples: &ids };
-        let official = index::read(&root, &|word| known.find(word))?;
-        let points = points_of(base, self.points.as_deref())?;
-        let spectra = checked(spectra, &path, progress)?;
+        let valid_ids = index::SpectrumIds { table, rows: ids.len(), pictures: &pictures, samples: &ids };
+        let official = index::read(&root, &|word| valid_ids.parse(word))?;
+        let points = read_point_cloud(base, self.points.as_deref())?;
+        let spectra = validate(spectra, &path, progress)?;
         let stated = self.elevation.or(gateway.elevation);
         let elevation = stated.unwrap_or(Elevation::UPPER);
         check_shape(&path, elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let samples: Vec<Sample> = ids.iter().zip(&locations.poses).map(|(&id, pose)| Sample::new(id, *pose)).collect();
         let name = gateway.name.clone().unwrap_or_else(|| folder_name(&root));
-        let simulation = simulation(&root, &name);
+        let simulation = read_simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "arrays");
         let ends = locations.ends(vec![gateway.receiver()], Some(gateway.pose.position));
         let data = Dataset::of_links(title, ends, points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, ..data };
-        match carriers_of(&root, table, data.len())? {
+        match carriers_in(&root, table, data.len())? {
             Some(carriers) => data.with_carriers(&carriers),
             None => Ok(data),
         }
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
-        source_in(folder, &["spectra.npy"], |root, points| Self { root, points, ..self.clone() })
+        let root = root_with(folder, &["spectra.npy"])?;
+        Some(Box::new(Self { points: point_cloud_in(&root), root, ..self.clone() }))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -116,19 +121,19 @@ impl DataSource for Arrays {
 }
 
 /// Validates all float spectra; returns them in memory if they are small.
-fn checked(spectra: Spectra, path: &Path, progress: Progress<'_>) -> Result<Spectra> {
+fn validate(spectra: Spectra, path: &Path, progress: Progress<'_>) -> Result<Spectra> {
     let bytes = spectra.len() * spectra.width() * spectra.height() * spectra.number().bytes();
     let spectra = if bytes as u64 <= IN_MEMORY { spectra.into_memory()? } else { spectra };
     let count = spectra.len();
     if spectra.number().is_float() {
         let done = AtomicUsize::new(0);
-        let look = |i: usize| {
+        let fault = |i: usize| {
             let fault = value_fault(&spectra, i);
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, count);
             fault
         };
         // The first error, independent of the number of threads.
-        if let Some(fault) = (0..count).into_par_iter().find_map_first(look) {
+        if let Some(fault) = (0..count).into_par_iter().find_map_first(fault) {
             return Err(Error::input(path, fault));
         }
         spectra.check()?;

@@ -4,10 +4,12 @@
 mod tests;
 
 use crate::checks::{check_frequencies, name_fault, subcarriers};
-use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
+use crate::folder::{
+    check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with, title,
+};
 use crate::nerf2::{LocationTable, index};
 use crate::npy::{ComplexArray, read_complex};
-use crate::text::{at, read_yaml};
+use crate::text::{read_yaml, yaml_fault};
 use pwrfgs_core::{
     Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Pose, Progress, Real, Receiver, Result,
     Sample, Simulation, carrier_fault,
@@ -105,7 +107,7 @@ impl Default for ReceiverPlace {
 }
 
 impl ReceiverPlace {
-    /// Receiver pose, world frame.
+    /// Returns the receiver pose, world frame.
     pub fn pose(&self) -> Pose {
         Pose { position: self.position, orientation: self.orientation }
     }
@@ -133,6 +135,7 @@ impl DataSource for Channels {
         Some(pwrfgs_core::Task::Channel)
     }
 
+    /// Loads all carriers as one array: rows of further carriers follow those of the first.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Channels", LAYOUT)?;
         let (path, table) = (root.join(&self.file), root.join(&self.positions));
@@ -142,62 +145,43 @@ impl DataSource for Channels {
         let [count, antennas, width] = array.shape;
         if count != locations.poses.len() {
             let (table, rows) = (&locations.name, locations.poses.len());
-            let what = format!("holds channels of {count} transmitters, but {table} {rows}");
-            return Err(Error::input(&path, format!("{what}; give as many of each")));
+            let problem = format!("holds channels of {count} transmitters, but {table} {rows}");
+            return Err(Error::input(&path, format!("{problem}; give as many of each")));
         }
-        let message = ChannelMetadata::of(self, &root)?;
-        let frequencies_hz = match &message.frequencies_hz {
-            Some(all) if all.len() == width => all.clone(),
-            Some(all) => {
-                let what = format!("has {width} subcarriers, but receiver.yml lists {} `frequencies_hz`", all.len());
-                return Err(Error::input(&path, format!("{what}; give as many of each")));
-            }
-            None => subcarriers(&path, message.carrier_hz, message.spacing_hz, width)?,
-        };
+        let metadata = ChannelMetadata::read(self, &root)?;
+        let frequencies_hz = metadata.subcarriers(&path, width)?;
         let carrier_hz = frequencies_hz.iter().sum::<f64>() / width.max(1) as f64;
-        let receiver = message.receiver(&path, antennas)?;
-        let rows = index::read(&root, &|word| index::row(word, &locations.name, count))?;
+        let receiver = metadata.receiver(&path, antennas)?;
+        let rows = index::read(&root, &|word| index::parse_row(word, &locations.name, count))?;
         let carriers = 1 + self.more_carriers.len();
         // Arrays of further carriers follow the first, with the same positions and sets.
-        let repeated =
-            |list: Vec<usize>| (0..carriers).flat_map(|c| list.iter().map(move |row| c * count + row)).collect();
-        let rows = rows.map(|(train, test)| (repeated(train), repeated(test)));
+        let repeat =
+            |rows: Vec<usize>| (0..carriers).flat_map(|c| rows.iter().map(move |row| c * count + row)).collect();
+        let official = rows.map(|(train, test)| (repeat(train), repeat(test)));
         let poses = locations.poses.repeat(carriers);
         let array = self.with_more_carriers(&root, array)?;
         let samples: Vec<Sample> = (0..).zip(poses).map(|(id, pose)| Sample::new(id, pose)).collect();
         let gains = array.values.into_iter().map(|gain| gain.map(|v| v as Real)).collect();
         let channels = ObservedChannels { antennas, frequencies_hz, gains };
         let name = folder_name(&root);
-        let simulation = simulation(&root, &name).or_else(|| self.simulated.then(Simulation::default));
+        let simulation = read_simulation(&root, &name).or_else(|| self.simulated.then(Simulation::default));
         let title = title(&name, simulation.as_ref(), "channels");
-        let points = points_of(base, self.points.as_deref())?;
-        let ends = locations.ends(vec![receiver], message.transmitter);
+        let points = read_point_cloud(base, self.points.as_deref())?;
+        let ends = locations.ends(vec![receiver], metadata.transmitter);
         let data = Dataset::of_links(title, ends, points, &samples, channels.into())?;
         progress(data.len(), data.len());
-        let data = Dataset { simulation, official: rows, ..data };
+        let data = Dataset { simulation, official, ..data };
         if carriers == 1 {
             return Ok(data);
         }
-        let more = self.more_carriers.iter().map(|own| own.carrier_hz);
-        let carriers: Vec<f64> = std::iter::once(carrier_hz).chain(more).collect();
-        let below = carrier_hz - data.observations.frequencies_hz().iter().copied().fold(carrier_hz, f64::min);
-        let refuse = |what: String| Err(Error::input(&path, format!("`more_carriers`: {what}")));
-        for (k, hz) in carriers.iter().enumerate() {
-            if *hz <= below {
-                return refuse(format!(
-                    "with the carrier {hz} Hz, the lowest subcarrier would be at {} Hz; correct it",
-                    hz - below
-                ));
-            }
-            if carriers[..k].contains(hz) {
-                return refuse(format!("the carrier {hz} Hz occurs twice; remove one"));
-            }
-        }
+        let lowest_hz = data.observations.frequencies_hz().iter().copied().fold(carrier_hz, f64::min);
+        let carriers = self.carriers(&path, carrier_hz, lowest_hz)?;
         data.with_carriers(&carriers.iter().flat_map(|hz| vec![*hz; count]).collect::<Vec<_>>())
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
-        source_in(folder, &["channel.npy", "receiver.yml"], |root, points| Self { root, points, ..self.clone() })
+        let root = root_with(folder, &["channel.npy", "receiver.yml"])?;
+        Some(Box::new(Self { points: point_cloud_in(&root), root, ..self.clone() }))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -208,7 +192,7 @@ impl DataSource for Channels {
             }
         }
         check_frequencies(self.carrier_hz.unwrap_or(1.0), self.spacing_hz.unwrap_or(1.0))?;
-        if let Some(fault) = self.more_carriers.iter().find_map(|own| carrier_fault(own.carrier_hz)) {
+        if let Some(fault) = self.more_carriers.iter().find_map(|file| carrier_fault(file.carrier_hz)) {
             return Err(format!("`more_carriers`: {fault}"));
         }
         match self.receiver.as_ref().and_then(|receiver| receiver.pose().fault()) {
@@ -221,20 +205,39 @@ impl DataSource for Channels {
 impl Channels {
     /// Adds the channels of the further carriers to those of the first.
     fn with_more_carriers(&self, root: &Path, mut array: ComplexArray) -> Result<ComplexArray> {
-        for own in &self.more_carriers {
-            let path = root.join(&own.file);
+        for carrier in &self.more_carriers {
+            let path = root.join(&carrier.file);
             let more = read_complex(&path, SHAPE)?;
             if more.shape != array.shape {
-                let what = format!("has the shape {:?}, but {} has {:?}", more.shape, self.file.display(), array.shape);
-                return Err(Error::input(
-                    &path,
-                    format!("{what}; give arrays of the same positions, or remove this one"),
-                ));
+                let first = self.file.display();
+                let problem = format!("has the shape {:?}, but {first} has {:?}", more.shape, array.shape);
+                let advice = "give arrays of the same positions, or remove this one";
+                return Err(Error::input(&path, format!("{problem}; {advice}")));
             }
             more.check_size(&path)?;
             array.values.extend(more.values);
         }
         Ok(array)
+    }
+
+    /// Returns all carriers, Hz, the first of which is `carrier_hz`. They must differ, and their subcarriers, spaced as
+    /// those of the first carrier from `lowest_hz`, must be above 0.
+    fn carriers(&self, path: &Path, carrier_hz: f64, lowest_hz: f64) -> Result<Vec<f64>> {
+        let more = self.more_carriers.iter().map(|file| file.carrier_hz);
+        let carriers: Vec<f64> = std::iter::once(carrier_hz).chain(more).collect();
+        let offset = carrier_hz - lowest_hz;
+        let refuse = |problem: String| Err(Error::input(path, format!("`more_carriers`: {problem}")));
+        for (k, hz) in carriers.iter().enumerate() {
+            if *hz <= offset {
+                let lowest = hz - offset;
+                let problem = format!("with the carrier {hz} Hz, the lowest subcarrier would be at {lowest} Hz");
+                return refuse(format!("{problem}; correct it"));
+            }
+            if carriers[..k].contains(hz) {
+                return refuse(format!("the carrier {hz} Hz occurs twice; remove one"));
+            }
+        }
+        Ok(carriers)
     }
 }
 
@@ -245,7 +248,7 @@ struct ChannelMetadata {
     /// Frequencies of the subcarriers, Hz, if listed one by one.
     frequencies_hz: Option<Vec<f64>>,
     name: String,
-    place: ReceiverPlace,
+    receiver: ReceiverPlace,
     /// Position of the fixed transmitter if the receiver moves, metres.
     transmitter: Option<[f64; 3]>,
 }
@@ -266,66 +269,71 @@ struct ReceiverFile {
 }
 
 impl ChannelMetadata {
-    fn of(source: &Channels, root: &Path) -> Result<Self> {
+    /// Completes the settings of `source` from `receiver.yml` in the folder `root`; reads the file only if one is missing.
+    fn read(source: &Channels, root: &Path) -> Result<Self> {
         let path = root.join("receiver.yml");
-        if let Channels { carrier_hz: Some(carrier_hz), spacing_hz, receiver: Some(place), .. } = source
+        if let Channels { carrier_hz: Some(carrier_hz), spacing_hz, receiver: Some(receiver), .. } = source
             && (spacing_hz.is_some() || !path.exists())
         {
             // A missing spacing matters only with several subcarriers.
-            let spacing_hz = spacing_hz.unwrap_or(f64::NAN);
-            let (name, place) = ("receiver".into(), place.clone());
-            return Ok(Self {
-                carrier_hz: *carrier_hz,
-                spacing_hz,
-                frequencies_hz: None,
-                name,
-                place,
-                transmitter: None,
-            });
+            let (carrier_hz, spacing_hz) = (*carrier_hz, spacing_hz.unwrap_or(f64::NAN));
+            let (name, receiver) = ("receiver".into(), receiver.clone());
+            return Ok(Self { carrier_hz, spacing_hz, frequencies_hz: None, name, receiver, transmitter: None });
         }
         let advice = "Channels reads it for what its `carrier_hz`, `spacing_hz` and `receiver` leave out; say all three, or \
                       give the file";
         let expected = "expected name, position, orientation, antennas, carrier_hz and spacing_hz";
         let file: ReceiverFile = read_yaml(&path, advice, expected)?;
         if let Some(fault) = name_fault(&file.name.value) {
-            return Err(at(&path, &file.name, fault));
+            return Err(yaml_fault(&path, &file.name, fault));
         }
         let (position, orientation) = (file.position.value, file.orientation.value);
-        let mut place = ReceiverPlace { position, orientation, antennas: vec![] };
-        let pose = place.pose();
-        if let Some((field, fault)) = pose.fault() {
-            let is_position = field == "position";
-            return Err(if is_position {
-                at(&path, &file.position, fault)
-            } else {
-                at(&path, &file.orientation, fault)
-            });
+        let pose = Pose { position, orientation };
+        match pose.fault() {
+            Some(("position", fault)) => return Err(yaml_fault(&path, &file.position, fault)),
+            Some((_, fault)) => return Err(yaml_fault(&path, &file.orientation, fault)),
+            None => {}
         }
-        let finite = |place: &[f64; 3]| place.iter().all(|x| x.is_finite());
-        if !(file.antennas.iter().all(finite) && file.carrier_hz.is_finite() && file.spacing_hz.is_finite()) {
+        let is_finite = |antenna: &[f64; 3]| antenna.iter().all(|x| x.is_finite());
+        if !(file.antennas.iter().all(is_finite) && file.carrier_hz.is_finite() && file.spacing_hz.is_finite()) {
             return Err(Error::input(&path, format!("holds a number that is not finite; {expected}")));
         }
-        place.antennas = file.antennas.iter().map(|antenna| pose.to_receiver(*antenna)).collect();
+        let antennas = file.antennas.iter().map(|antenna| pose.to_receiver(*antenna)).collect();
+        let receiver = ReceiverPlace { position, orientation, antennas };
         let is_spaced = source.carrier_hz.is_none() && source.spacing_hz.is_none();
         Ok(Self {
             frequencies_hz: file.frequencies_hz.filter(|_| is_spaced),
             carrier_hz: source.carrier_hz.unwrap_or(file.carrier_hz),
             spacing_hz: source.spacing_hz.unwrap_or(file.spacing_hz),
             name: if source.receiver.is_some() { "receiver".into() } else { file.name.value },
-            place: source.receiver.clone().unwrap_or(place),
+            receiver: source.receiver.clone().unwrap_or(receiver),
             transmitter: file.transmitter,
         })
     }
 
+    /// Returns the frequencies of the subcarriers, Hz: those listed, else evenly spaced about the carrier. Their number must
+    /// be the `width` of the array at `path`.
+    fn subcarriers(&self, path: &Path, width: usize) -> Result<Vec<f64>> {
+        match &self.frequencies_hz {
+            Some(listed) if listed.len() == width => Ok(listed.clone()),
+            Some(listed) => {
+                let count = listed.len();
+                let problem = format!("has {width} subcarriers, but receiver.yml lists {count} `frequencies_hz`");
+                Err(Error::input(path, format!("{problem}; give as many of each")))
+            }
+            None => subcarriers(path, self.carrier_hz, self.spacing_hz, width),
+        }
+    }
+
     /// Creates the receiver; its antenna count must match the array.
     fn receiver(&self, path: &Path, antennas: usize) -> Result<Receiver> {
-        let receiver = Receiver::new(&self.name, self.place.pose());
-        match self.place.antennas.len() {
+        let receiver = Receiver::new(&self.name, self.receiver.pose());
+        match self.receiver.antennas.len() {
             0 if antennas == 1 => Ok(receiver),
-            n if n == antennas => Ok(Receiver { antennas: self.place.antennas.clone(), ..receiver }),
+            n if n == antennas => Ok(Receiver { antennas: self.receiver.antennas.clone(), ..receiver }),
             n => {
-                let what = format!("has {antennas} antennas, and `receiver.antennas` names {n}");
-                Err(Error::input(path, format!("{what}; give the place of each in the receiver's frame, metres")))
+                let problem = format!("has {antennas} antennas, and `receiver.antennas` names {n}");
+                Err(Error::input(path, format!("{problem}; give the place of each in the receiver's frame, metres")))
             }
         }
     }

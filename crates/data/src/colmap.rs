@@ -3,9 +3,11 @@
 #[cfg(test)]
 mod tests;
 
-use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
+use crate::folder::{
+    check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with, title,
+};
 use crate::nerf2::{index, pictures};
-use crate::text::{TextField, XyzColumns, coordinate, lines, number, place, read_text, split_blanks};
+use crate::text::{TextField, TextRow, XyzColumns, coordinate, lines, number, position, read_text};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{
@@ -81,37 +83,36 @@ impl DataSource for Colmap {
         Some(Task::Spectrum)
     }
 
+    /// Loads the model before the images, so that errors of text files come before decoding.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Colmap", LAYOUT)?;
         let model = model_folder(&root)?;
         let cameras = read_cameras(&model.join("cameras.txt"))?;
-        let list = model.join("images.txt");
-        let views = read_images(&list)?;
-        let shared = shared_camera(&list, &views, &model.join("cameras.txt"), &cameras)?;
-        let names = names(&views);
-        let official = index::read(&root, &|word| find(&names, &views[0].name, word))?;
+        let views = read_images(&model.join("images.txt"))?;
+        let shared = shared_camera(&model, &views, &cameras)?;
+        let names = index_by_name(&views);
+        let official = index::read(&root, &|word| parse_name(&names, &views[0].name, word))?;
         let points = match &self.points {
-            Some(points) => points_of(base, Some(points))?,
+            Some(points) => read_point_cloud(base, Some(points))?,
             None => read_points3d(&model.join("points3D.txt"))?,
         };
         let paths: Vec<PathBuf> = views.iter().map(|view| root.join(&self.images).join(&view.name)).collect();
         let paths: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
-        let decode = |path: &Path| pictures::luminance(path, "add the image, or remove its two lines from images.txt");
-        let spectra = pictures::load(&paths, decode, progress)?;
+        let decode =
+            |path: &Path| pictures::decode_luminance(path, "add the image, or remove its two lines from images.txt");
+        let spectra = pictures::load(&paths, &decode, progress)?;
         let size = (spectra.width(), spectra.height());
         if size != shared.size {
             let ((w, h), (width, height)) = (size, shared.size);
-            let what = format!("is {w} x {h} pixels, but its camera in cameras.txt {width} x {height}");
-            return Err(Error::input(
-                paths[0],
-                format!("{what}; use the images that COLMAP read, or correct cameras.txt"),
-            ));
+            let problem = format!("is {w} x {h} pixels, but its camera in cameras.txt {width} x {height}");
+            let advice = "use the images that COLMAP read, or correct cameras.txt";
+            return Err(Error::input(paths[0], format!("{problem}; {advice}")));
         }
         let samples: Vec<Sample> = (1..).zip(&views).map(|(id, view)| Sample::new(id, view.pose)).collect();
         let receiver = Receiver { camera: Some(shared.camera), ..Receiver::new("camera", views[0].pose) };
         let ends = Ends::of_moving_receivers(vec![receiver], self.transmitter);
         let name = folder_name(&root);
-        let simulation = simulation(&root, &name);
+        let simulation = read_simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "COLMAP");
         let data = Dataset::of_links(title, ends, points, &samples, spectra.into())?;
         Ok(Dataset { official, simulation, ..data })
@@ -120,7 +121,8 @@ impl DataSource for Colmap {
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
         let files = MODELS.map(|model| ["txt", "bin"].map(|kind| format!("{model}/images.{kind}")));
         let files = files.as_flattened().iter().map(String::as_str).collect::<Vec<_>>();
-        source_in(folder, &files, |root, points| Self { root, points, ..self.clone() })
+        let root = root_with(folder, &files)?;
+        Some(Box::new(Self { points: point_cloud_in(&root), root, ..self.clone() }))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -130,15 +132,15 @@ impl DataSource for Colmap {
     }
 }
 
-/// Folder of the text files of the model.
+/// Finds the folder of the text files of the model.
 fn model_folder(root: &Path) -> Result<PathBuf> {
     let folder = |file: &str| MODELS.map(|model| root.join(model)).into_iter().find(|model| model.join(file).exists());
     match (folder("images.txt"), folder("images.bin")) {
         (Some(model), _) => Ok(model),
         (None, Some(binary)) => {
-            let at = binary.display();
-            let what = format!("is a binary model; run `{TO_TEXT} --input_path {at} --output_path {at}`");
-            Err(Error::input(&binary.join("images.bin"), what))
+            let folder = binary.display();
+            let problem = format!("is a binary model; run `{TO_TEXT} --input_path {folder} --output_path {folder}`");
+            Err(Error::input(&binary.join("images.bin"), problem))
         }
         (None, None) => Err(Error::input(root, format!("no sparse/0/images.txt; {LAYOUT}"))),
     }
@@ -159,48 +161,48 @@ struct View {
     pose: Pose,
 }
 
-/// Whether a line has data.
+/// Returns whether a line has data.
 fn is_data(line: &str) -> bool {
     !line.trim().is_empty() && !line.trim_start().starts_with('#')
 }
 
-/// Parses a whole number, such as an id.
-fn whole(path: &Path, line: usize, field: TextField<'_>, advice: &str) -> Result<u32> {
+/// Parses a whole number: an id, a width or a height.
+fn parse_id(path: &Path, line: usize, field: TextField<'_>, advice: &str) -> Result<u32> {
     let fault =
         || Error::at(path, line, field.column, format!("{} is not a whole number; {advice}", quoted(field.text)));
     field.text.parse().ok().ok_or_else(fault)
 }
 
-/// Cameras by id.
+/// Reads the cameras by id; an error for distorted ones.
 fn read_cameras(path: &Path) -> Result<BTreeMap<u32, SizedCamera>> {
     let text = read_text(path, MAX_TEXT, LAYOUT)?;
     let mut cameras = BTreeMap::new();
-    for (line, content) in lines(&text).filter(|(_, content)| is_data(content)) {
-        let fields = split_blanks(content);
-        let fault = |column, what: String| Err(Error::at(path, line, column, what));
-        let [id, model, width, height, parameters @ ..] = &fields[..] else {
-            return fault(1, format!("has {} fields; {CAMERA_LINE}", fields.len()));
+    for content in lines(&text).filter(|(_, content)| is_data(content)) {
+        let row = TextRow::at_blanks(path, content);
+        let (line, fault) = (row.line, |column, problem: String| Err(row.fault(column, problem)));
+        let [id, model, width, height, parameters @ ..] = &row.fields[..] else {
+            return fault(1, format!("has {} fields; {CAMERA_LINE}", row.fields.len()));
         };
         let Some((_, focal, distortion)) = CAMERAS.into_iter().find(|(name, ..)| *name == model.text) else {
             return fault(model.column, format!("camera model {} is no pinhole; {UNDISTORT}", quoted(model.text)));
         };
         let needed = focal + 2 + distortion;
         if parameters.len() != needed {
-            let what = format!("{} has {} parameters, expected {needed}", model.text, parameters.len());
-            return fault(model.column, format!("{what}; {CAMERA_LINE}"));
+            let problem = format!("{} has {} parameters, expected {needed}", model.text, parameters.len());
+            return fault(model.column, format!("{problem}; {CAMERA_LINE}"));
         }
         let values =
             parameters.iter().map(|field| number(path, line, *field, CAMERA_LINE)).collect::<Result<Vec<_>>>()?;
         if let Some(k) = (focal + 2..needed).find(|k| values[*k] != 0.0) {
             return fault(parameters[k].column, format!("the lens distortion is not zero; {UNDISTORT}"));
         }
-        let size = [width, height].map(|field| whole(path, line, *field, CAMERA_LINE));
+        let size = [width, height].map(|field| parse_id(path, line, *field, CAMERA_LINE));
         let [width, height] = size.map(|side| side.map(|side| side as usize));
         let camera = Camera { focal: [values[0], values[focal - 1]], centre: [values[focal], values[focal + 1]] };
-        if let Some(what) = camera.fault() {
-            return fault(parameters[0].column, what);
+        if let Some(problem) = camera.fault() {
+            return fault(parameters[0].column, problem);
         }
-        let id = whole(path, line, *id, CAMERA_LINE)?;
+        let id = parse_id(path, line, *id, CAMERA_LINE)?;
         if cameras.insert(id, SizedCamera { size: (width?, height?), camera }).is_some() {
             return fault(1, format!("a second camera {id}; remove one of the two"));
         }
@@ -208,7 +210,7 @@ fn read_cameras(path: &Path) -> Result<BTreeMap<u32, SizedCamera>> {
     Ok(cameras)
 }
 
-/// Images by name.
+/// Reads the images, in the order of their names. Each has two lines: pose and name, then its 2D points.
 fn read_images(path: &Path) -> Result<Vec<View>> {
     let text = read_text(path, MAX_TEXT, LAYOUT)?;
     let mut views = Vec::new();
@@ -217,12 +219,12 @@ fn read_images(path: &Path) -> Result<Vec<View>> {
         if !is_data(content) {
             continue;
         }
-        let view = read_view(path, line, content)?;
+        let view = parse_view(&TextRow::at_blanks(path, (line, content)))?;
         if let Some((line, points)) = rows.next()
             && !points.split_whitespace().count().is_multiple_of(3)
         {
-            let what = format!("expected the 2D points of {}, three numbers each", quoted(&view.name));
-            return Err(Error::at(path, line, 1, format!("{what}; {IMAGE_LINE}")));
+            let problem = format!("expected the 2D points of {}, three numbers each", quoted(&view.name));
+            return Err(Error::at(path, line, 1, format!("{problem}; {IMAGE_LINE}")));
         }
         views.push(view);
     }
@@ -232,55 +234,51 @@ fn read_images(path: &Path) -> Result<Vec<View>> {
     }
     match views.windows(2).find(|pair| pair[0].name == pair[1].name) {
         Some([first, second]) => {
-            let what = format!("image {} is also in line {}; remove one of the two", quoted(&first.name), first.line);
-            Err(Error::at(path, second.line, 1, what))
+            let problem = format!("image {} is also in line {}", quoted(&first.name), first.line);
+            Err(Error::at(path, second.line, 1, format!("{problem}; remove one of the two")))
         }
         _ => Ok(views),
     }
 }
 
-/// Reads the first line of an image. The camera frame of COLMAP is v = R·x + t, so that the camera is at -Rᵀ·t.
-fn read_view(path: &Path, line: usize, content: &str) -> Result<View> {
-    let fields = split_blanks(content);
-    let [_, w, x, y, z, t @ .., camera, name] = &fields[..] else {
-        return Err(Error::at(path, line, 1, format!("has {} fields, expected 10; {IMAGE_LINE}", fields.len())));
+/// Parses the first line of an image. The camera frame of COLMAP is v = R·x + t, so that the camera is at -Rᵀ·t.
+fn parse_view(row: &TextRow<'_>) -> Result<View> {
+    let (path, line, count) = (row.path, row.line, row.fields.len());
+    let [_, w, x, y, z, t @ .., camera, name] = &row.fields[..] else {
+        return Err(row.fault(1, format!("has {count} fields, expected 10; {IMAGE_LINE}")));
     };
     let &[tx, ty, tz] = t else {
-        let what = "10; names of images have no blanks";
-        return Err(Error::at(path, line, 1, format!("has {} fields, expected {what}; {IMAGE_LINE}", fields.len())));
+        let expected = "10; names of images have no blanks";
+        return Err(row.fault(1, format!("has {count} fields, expected {expected}; {IMAGE_LINE}")));
     };
     let [qx, qy, qz, qw] = [x, y, z, w].map(|field| coordinate(path, line, *field, IMAGE_LINE));
-    let turned = Pose { position: [0.0; 3], orientation: [-qx?, -qy?, -qz?, qw?] }; // world from camera
-    if let Some((_, what)) = turned.fault() {
-        return Err(Error::at(path, line, w.column, what));
+    let rotation = Pose { position: [0.0; 3], orientation: [-qx?, -qy?, -qz?, qw?] }; // world from camera
+    if let Some((_, fault)) = rotation.fault() {
+        return Err(row.fault(w.column, fault));
     }
-    let position = turned.turned(place(path, line, [tx, ty, tz], IMAGE_LINE)?.map(|t| -t));
+    let position = rotation.turned(position(path, line, [tx, ty, tz], IMAGE_LINE)?.map(|t| -t));
     if !Path::new(name.text).components().all(|part| matches!(part, Component::Normal(_))) {
-        let what = format!("{} is not the path of an image within images/; correct the name", quoted(name.text));
-        return Err(Error::at(path, line, name.column, what));
+        let problem = format!("{} is not the path of an image within images/; correct the name", quoted(name.text));
+        return Err(row.fault(name.column, problem));
     }
-    let camera = whole(path, line, *camera, IMAGE_LINE)?;
-    Ok(View { line, name: name.text.into(), camera, pose: Pose { position, ..turned } })
+    let camera = parse_id(path, line, *camera, IMAGE_LINE)?;
+    Ok(View { line, name: name.text.into(), camera, pose: Pose { position, ..rotation } })
 }
 
-/// The camera of all images.
-fn shared_camera(
-    list: &Path,
-    views: &[View],
-    path: &Path,
-    cameras: &BTreeMap<u32, SizedCamera>,
-) -> Result<SizedCamera> {
+/// Returns the camera of all images; an error if their cameras differ.
+fn shared_camera(model: &Path, views: &[View], cameras: &BTreeMap<u32, SizedCamera>) -> Result<SizedCamera> {
     let mut used: BTreeMap<u32, usize> = BTreeMap::new();
     views.iter().for_each(|view| _ = used.entry(view.camera).or_insert(view.line));
     let mut shared: Option<(u32, SizedCamera)> = None;
     for (id, line) in used {
         let Some(camera) = cameras.get(&id) else {
-            let what = format!("camera {id} is not in cameras.txt; add its line, or correct CAMERA_ID");
-            return Err(Error::at(list, line, 1, what));
+            let problem = format!("camera {id} is not in cameras.txt; add its line, or correct CAMERA_ID");
+            return Err(Error::at(&model.join("images.txt"), line, 1, problem));
         };
         match shared {
             Some((first, other)) if other != *camera => {
-                return Err(Error::input(path, format!("cameras {first} and {id} differ; {ONE_CAMERA}")));
+                let problem = format!("cameras {first} and {id} differ; {ONE_CAMERA}");
+                return Err(Error::input(&model.join("cameras.txt"), problem));
             }
             Some(_) => {}
             None => shared = Some((id, *camera)),
@@ -289,19 +287,19 @@ fn shared_camera(
     Ok(shared.expect("there is an image").1)
 }
 
-/// Positions of the images by their names and by their names without extension; `None` for a stem of several images.
-fn names(views: &[View]) -> BTreeMap<String, Option<usize>> {
+/// Returns the index of each image by its name with and without extension; `None` for a stem of several images.
+fn index_by_name(views: &[View]) -> BTreeMap<String, Option<usize>> {
     let mut names = BTreeMap::new();
     for (k, view) in views.iter().enumerate() {
         let stem = Path::new(&view.name).with_extension("").to_string_lossy().into_owned();
-        names.entry(stem).and_modify(|known| *known = None).or_insert(Some(k));
+        names.entry(stem).and_modify(|index| *index = None).or_insert(Some(k));
     }
     names.extend(views.iter().enumerate().map(|(k, view)| (view.name.clone(), Some(k))));
     names
 }
 
-/// Position of a word of an index file in the images: the name, with or without extension, such as `example`.
-fn find(names: &BTreeMap<String, Option<usize>>, example: &str, word: &str) -> Result<index::IndexEntry, String> {
+/// Parses a word of an index file: the name of an image, with or without extension, such as `example`.
+fn parse_name(names: &BTreeMap<String, Option<usize>>, example: &str, word: &str) -> Result<index::IndexEntry, String> {
     match names.get(word) {
         Some(Some(k)) => Ok(index::IndexEntry { id: *k as u32 + 1, sample: *k }),
         Some(None) => Err(format!("{} names several images; write the extension too", quoted(word))),
@@ -309,12 +307,12 @@ fn find(names: &BTreeMap<String, Option<usize>>, example: &str, word: &str) -> R
     }
 }
 
-/// Point cloud of the reconstruction; empty without the file.
+/// Reads the point cloud of the reconstruction, metres; empty without the file.
 fn read_points3d(path: &Path) -> Result<Vec<[f64; 3]>> {
     if !path.exists() {
         return Ok(Vec::new());
     }
     let text = read_text(path, MAX_TEXT, LAYOUT)?;
     let rows = lines(&text).filter(|(_, content)| is_data(content));
-    rows.map(|(line, content)| XyzColumns([1, 2, 3]).read(path, line, &split_blanks(content), POINT_LINE)).collect()
+    rows.map(|content| XyzColumns([1, 2, 3]).read(&TextRow::at_blanks(path, content), POINT_LINE)).collect()
 }

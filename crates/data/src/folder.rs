@@ -1,10 +1,10 @@
 //! Functions shared by all readers and writers of data folders.
 
 use crate::geometry::read_points;
-use crate::text::{number, read_text, split_blanks};
+use crate::text::{TextRow, number, read_text};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::{DataSource, Error, Pose, Result, Simulation, carrier_fault, files};
+use pwrfgs_core::{Error, Pose, Result, Simulation, carrier_fault, files};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -25,12 +25,12 @@ pub(crate) fn open_root(base: &Path, root: &Path, plugin: &str, layout: &str) ->
     if root.is_dir() {
         return Ok(root);
     }
-    let advice = how_to_get(plugin);
+    let advice = download_advice(plugin);
     Err(Error::input(&root, format!("no such folder ({layout}); set `root` of {plugin}, or {advice}")))
 }
 
-/// How to get data that the data source called `plugin` reads, as the advice of an error.
-fn how_to_get(plugin: &str) -> &'static str {
+/// Returns the advice of an error: how to get data that the data source called `plugin` reads.
+fn download_advice(plugin: &str) -> &'static str {
     match plugin {
         "Nerf2Spectrum" | "Nerf2Rssi" => {
             "download the measured data: https://github.com/XPengZhao/NeRF2, see docs/data.md#get-measured-data"
@@ -46,23 +46,22 @@ fn how_to_get(plugin: &str) -> &'static str {
     }
 }
 
-/// Creates the source with `read`, using the point cloud of `folder` if one of these files exists.
-pub(crate) fn source_in<S: DataSource>(
-    folder: &Path,
-    files: &[&str],
-    read: impl FnOnce(PathBuf, Option<PathBuf>) -> S,
-) -> Option<Box<dyn DataSource>> {
-    files.iter().find(|name| folder.join(name).exists())?;
-    let points = [POINTS, "points.ply"].map(|name| folder.join(name)).into_iter().find(|path| path.exists());
-    Some(Box::new(read(folder.to_owned(), points)))
+/// Returns `folder` as the `root` of a data source if it holds one of these files.
+pub(crate) fn root_with(folder: &Path, files: &[&str]) -> Option<PathBuf> {
+    files.iter().any(|name| folder.join(name).exists()).then(|| folder.to_owned())
+}
+
+/// Returns the path of the point cloud in a data folder, if there is one.
+pub(crate) fn point_cloud_in(root: &Path) -> Option<PathBuf> {
+    [POINTS, "points.ply"].map(|name| root.join(name)).into_iter().find(|path| path.exists())
 }
 
 /// Reads the point cloud of the setting `points`, metres; empty without the setting.
-pub(crate) fn points_of(base: &Path, points: Option<&Path>) -> Result<Vec<[f64; 3]>> {
+pub(crate) fn read_point_cloud(base: &Path, points: Option<&Path>) -> Result<Vec<[f64; 3]>> {
     points.map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))
 }
 
-/// Name of a folder.
+/// Returns the name of a folder, without control characters.
 pub(crate) fn folder_name(root: &Path) -> String {
     strip_control(&root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy()))
 }
@@ -74,8 +73,8 @@ struct Manifest {
     scene: Option<String>,
 }
 
-/// Simulation of the data set `name` according to `manifest.json`, else according to its name.
-pub(crate) fn simulation(root: &Path, name: &str) -> Option<Simulation> {
+/// Reads the simulation of the data set `name` according to `manifest.json`, else according to its name.
+pub(crate) fn read_simulation(root: &Path, name: &str) -> Option<Simulation> {
     let manifest =
         files::read_string(root.join("manifest.json")).ok().and_then(|text| serde_json::from_str(&text).ok());
     let by_name = || Manifest { simulated: name.to_lowercase().contains("simulated"), scene: None };
@@ -83,52 +82,53 @@ pub(crate) fn simulation(root: &Path, name: &str) -> Option<Simulation> {
     simulated.then_some(Simulation { scene })
 }
 
-/// Title of a data set in this layout.
+/// Returns the title of a data set in a layout such as `arrays`; it says whether the data are measured.
 pub(crate) fn title(name: &str, simulation: Option<&Simulation>, layout: &str) -> String {
     format!("{name} ({}{layout})", if simulation.is_some() { "" } else { "measured, " })
 }
 
-/// Content of `gateway_info.yml` for a data set called `name`.
+/// Returns the content of `gateway_info.yml` for a data set called `name`.
 pub fn gateway_yaml(name: &str, pose: &Pose) -> String {
     format!(
         "dataset_name: {}\ngateway1:\n  position: [{}]\n  orientation: [{}] # quaternion x, y, z, w\n",
-        yaml(name),
-        list(&pose.position),
-        list(&pose.orientation)
+        quote_yaml(name),
+        join_numbers(&pose.position),
+        join_numbers(&pose.orientation)
     )
 }
 
-/// Content of `gateway_position.yml`: gateway names and positions, metres; orientations only if rotated.
+/// Returns the content of `gateway_position.yml`: gateway names and positions, metres; orientations only if rotated.
 pub fn gateway_positions_yaml<'a>(gateways: impl IntoIterator<Item = (&'a str, Pose)>) -> String {
     let line = |(name, pose): (&str, Pose)| {
-        let (name, place) = (yaml(name), list(&pose.position));
+        let (name, position) = (quote_yaml(name), join_numbers(&pose.position));
         if pose.orientation == Pose::IDENTITY.orientation {
-            return format!("{name}: [{place}]\n");
+            return format!("{name}: [{position}]\n");
         }
-        format!("{name}: {{position: [{place}], orientation: [{}]}}\n", list(&pose.orientation))
+        format!("{name}: {{position: [{position}], orientation: [{}]}}\n", join_numbers(&pose.orientation))
     };
     gateways.into_iter().map(line).collect()
 }
 
 /// Quotes text for YAML. JSON strings are valid YAML, except for a few characters written as numbers.
-pub(crate) fn yaml(text: &str) -> String {
+pub(crate) fn quote_yaml(text: &str) -> String {
     let is_number = |c: char| c.is_control() || "\u{2028}\u{2029}\u{feff}\u{fffe}\u{ffff}".contains(c);
     let write = |c: char| if is_number(c) { format!("\\u{:04x}", u32::from(c)) } else { c.into() };
     serde_json::Value::from(text).to_string().chars().map(write).collect()
 }
 
-/// Content of `base-station.yml`: antenna positions, metres.
+/// Returns the content of `base-station.yml`: antenna positions, metres.
 pub fn base_station_yaml(antennas: &[[f64; 3]]) -> String {
-    format!("base_station: [{}]\n", places(antennas))
+    format!("base_station: [{}]\n", position_list(antennas))
 }
 
-fn places(antennas: &[[f64; 3]]) -> String {
-    antennas.iter().map(|place| format!("[{}]", list(place))).collect::<Vec<_>>().join(", ")
+/// Writes antenna positions as the items of a YAML list.
+fn position_list(antennas: &[[f64; 3]]) -> String {
+    antennas.iter().map(|position| format!("[{}]", join_numbers(position))).collect::<Vec<_>>().join(", ")
 }
 
-/// Content of `receiver.yml`: the `name` as a YAML scalar (quoted if it needs quotes), the pose in the world frame (metres), the
-/// carrier and the distance between subcarriers (Hz), the subcarriers `[F]` (Hz), and antenna positions `[A,3]` in the world frame
-/// (metres).
+/// Returns the content of `receiver.yml`: the `name` as a YAML scalar (quoted if it needs quotes), the pose in the world frame
+/// (metres), the carrier and the distance between subcarriers (Hz), the subcarriers `[F]` (Hz), and antenna positions `[A,3]` in the
+/// world frame (metres).
 pub fn receiver_yaml(
     name: &str,
     pose: &Pose,
@@ -139,20 +139,21 @@ pub fn receiver_yaml(
     format!(
         "name: {name}\nposition: [{}]\norientation: [{}] # quaternion x, y, z, w\ncarrier_hz: {carrier_hz:?}\n\
          spacing_hz: {spacing_hz:?}\nfrequencies_hz: [{}]\nantennas: [{}] # metres; in the world, or in the frame of a moving receiver\n",
-        list(&pose.position),
-        list(&pose.orientation),
-        list(frequencies_hz),
-        places(antennas)
+        join_numbers(&pose.position),
+        join_numbers(&pose.orientation),
+        join_numbers(frequencies_hz),
+        position_list(antennas)
     )
 }
 
-/// Line of `receiver.yml` for the fixed transmitter of a moving receiver, metres; empty if it is unknown.
+/// Returns the line of `receiver.yml` for the fixed transmitter of a moving receiver, metres; empty if it is unknown.
 pub fn transmitter_yaml(position: Option<[f64; 3]>) -> String {
-    position.map_or_else(String::new, |position| format!("transmitter: [{}]\n", list(&position)))
+    position.map_or_else(String::new, |position| format!("transmitter: [{}]\n", join_numbers(&position)))
 }
 
-fn list(v: &[f64]) -> String {
-    v.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", ")
+/// Writes numbers as the items of a YAML list.
+fn join_numbers(values: &[f64]) -> String {
+    values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", ")
 }
 
 /// File of the carriers.
@@ -164,17 +165,17 @@ const LEAST_HZ: f64 = 1e6;
 ///
 /// # Errors
 /// Those of [`read_carriers`], or another number of lines than `rows`.
-pub(crate) fn carriers_of(root: &Path, table: &str, rows: usize) -> Result<Option<Vec<f64>>> {
+pub(crate) fn carriers_in(root: &Path, table: &str, rows: usize) -> Result<Option<Vec<f64>>> {
     let path = root.join(CARRIERS);
     if !path.exists() {
         return Ok(None);
     }
-    let all = read_carriers(&path)?;
-    if all.len() != rows {
-        let what = format!("has {} lines, but {table} has {rows} rows; write one line per row", all.len());
-        return Err(Error::input(&path, what));
+    let carriers = read_carriers(&path)?;
+    if carriers.len() != rows {
+        let problem = format!("has {} lines, but {table} has {rows} rows; write one line per row", carriers.len());
+        return Err(Error::input(&path, problem));
     }
-    Ok(Some(all))
+    Ok(Some(carriers))
 }
 
 /// Reads one carrier per line, Hz: numbers are in GHz, and from 1e6 in Hz.
@@ -184,18 +185,16 @@ pub(crate) fn carriers_of(root: &Path, table: &str, rows: usize) -> Result<Optio
 pub fn read_carriers(path: &Path) -> Result<Vec<f64>> {
     let advice = "write the carrier of one sample per line, in GHz, such as 2.4";
     let text = read_text(path, MAX_TEXT, advice)?;
-    let carrier = |(i, content): (usize, &str)| {
-        let fields = split_blanks(content);
-        let [field] = fields[..] else {
-            let what = format!("{} numbers, expected 1; {advice}", fields.len());
-            return Err(Error::at(path, i + 1, 1, what));
+    let carrier = |line| {
+        let row = TextRow::at_blanks(path, line);
+        let [field] = row.fields[..] else {
+            return Err(row.fault(1, format!("{} numbers, expected 1; {advice}", row.fields.len())));
         };
-        let column = field.column;
-        let value = number(path, i + 1, field, advice)?;
+        let value = number(path, row.line, field, advice)?;
         let hz = if value < LEAST_HZ { (value * 1e9).round() } else { value };
-        carrier_fault(hz).map_or(Ok(hz), |fault| Err(Error::at(path, i + 1, column, format!("{fault}, or in GHz"))))
+        carrier_fault(hz).map_or(Ok(hz), |fault| Err(row.fault(field.column, format!("{fault}, or in GHz"))))
     };
-    text.trim_end().lines().enumerate().map(carrier).collect()
+    (1..).zip(text.trim_end().lines()).map(carrier).collect()
 }
 
 #[cfg(test)]
@@ -205,14 +204,14 @@ mod tests {
     fn read_str(text: &str, rows: usize) -> Result<Option<Vec<f64>>, String> {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join(CARRIERS), text).unwrap();
-        let shown = |e: Error| e.to_string().replace(&folder.path().display().to_string(), "DIR");
-        carriers_of(folder.path(), "tx_pos.csv", rows).map_err(shown)
+        let message = |e: Error| e.to_string().replace(&folder.path().display().to_string(), "DIR");
+        carriers_in(folder.path(), "tx_pos.csv", rows).map_err(message)
     }
 
     #[test]
     fn reads_gigahertz_and_hertz() {
         assert_eq!(read_str("1\r\n2.412\n24.25\n928e6\n\n", 4).unwrap().unwrap(), [1e9, 2.412e9, 24.25e9, 928e6]);
-        assert_eq!(carriers_of(Path::new("/none"), "tx_pos.csv", 4).unwrap(), None);
+        assert_eq!(carriers_in(Path::new("/none"), "tx_pos.csv", 4).unwrap(), None);
     }
 
     #[test]
@@ -231,8 +230,8 @@ mod tests {
             ("", "DIR/freq.txt: has 0 lines, but tx_pos.csv has 2 rows; write one line per row".into()),
         ];
         for (text, message) in cases {
-            let shown = read_str(text, 2).unwrap_err();
-            assert!(shown.contains(&message), "{shown}");
+            let error = read_str(text, 2).unwrap_err();
+            assert!(error.contains(&message), "{error}");
         }
     }
 }

@@ -8,10 +8,7 @@
 
 use crate::ply;
 use crate::polygons::{Polygons, Triangles};
-use crate::text::{
-    POINT_ADVICE, TextField, VERTEX_ADVICE, XyzColumns, lines, no_longer, read_bytes, read_text, split_blanks,
-    split_commas,
-};
+use crate::text::{POINT_ADVICE, TextField, TextRow, VERTEX_ADVICE, XyzColumns, lines, read_bytes, read_text};
 use pwrfgs_core::files::MAX_NUMBERS;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Result};
@@ -39,46 +36,52 @@ pub fn read_mesh(path: &Path) -> Result<Triangles> {
     parse(path, &read_bytes(path, MAX_NUMBERS, MESH_ADVICE)?)
 }
 
-/// OBJ statements that do not describe the surface.
-const LEFT_OUT: &str =
+/// OBJ statements that do not describe the surface; they are ignored.
+const IGNORED: &str =
     "vn vt vp o g s mg l p usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj";
 
+/// Parses the statements `v` and `f` of an OBJ file; polygons are cut into triangles.
 fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     let text = String::from_utf8_lossy(bytes);
-    let rows = || lines(&text).map(|(line, row)| (line, split_blanks(row.split('#').next().unwrap_or(row))));
+    let rows = || lines(&text).map(|(line, content)| TextRow::at_blanks(path, (line, strip_comment(content))));
     // A face may use a vertex defined after it.
-    let count = rows().filter(|(_, fields)| fields.first().is_some_and(|f| f.text == "v")).count();
+    let count = rows().filter(|row| row.fields.first().is_some_and(|field| field.text == "v")).count();
     let (mut vertices, mut polygons) = (Vec::with_capacity(count), Polygons::default());
-    for (line, fields) in rows() {
-        let Some(keyword) = fields.first() else { continue };
+    for row in rows() {
+        let Some(keyword) = row.fields.first() else { continue };
         match keyword.text {
-            "v" => vertices.push(XyzColumns([1, 2, 3]).read(path, line, &fields, VERTEX_ADVICE)?),
+            "v" => vertices.push(XyzColumns([1, 2, 3]).read(&row, VERTEX_ADVICE)?),
             "f" => {
-                let corner = |field: &TextField<'_>| corner(path, line, *field, vertices.len());
-                let corners = fields[1..].iter().map(corner).collect::<Result<Vec<i64>>>()?;
-                polygons.push(&corners, count).map_err(|what| Error::at(path, line, keyword.column, what))?;
+                let index = |field: &TextField<'_>| corner_index(path, row.line, *field, vertices.len());
+                let corners = row.fields[1..].iter().map(index).collect::<Result<Vec<i64>>>()?;
+                polygons.push(&corners, count).map_err(|fault| row.fault(keyword.column, fault))?;
             }
-            word if LEFT_OUT.split(' ').any(|left_out| left_out == word) => {}
+            word if IGNORED.split(' ').any(|ignored| ignored == word) => {}
             word => {
-                let what = "is not a vertex or face statement; export triangles from the modelling program";
-                return Err(Error::at(path, line, keyword.column, format!("{} {what}", quoted(word))));
+                let problem = "is not a vertex or face statement; export triangles from the modelling program";
+                return Err(row.fault(keyword.column, format!("{} {problem}", quoted(word))));
             }
         }
     }
     polygons.triangulate(path, vertices)
 }
 
-/// Vertex index of a corner such as `3`, `-1`, `3/1` or `3//2`, counted from 0. A negative index counts back from the
-/// last vertex so far.
-fn corner(path: &Path, line: usize, field: TextField<'_>, so_far: usize) -> Result<i64> {
+/// Removes the comment of a line, which begins with `#`.
+fn strip_comment(content: &str) -> &str {
+    content.split_once('#').map_or(content, |(statement, _)| statement)
+}
+
+/// Parses the vertex index of a corner such as `3`, `-1`, `3/1` or `3//2`, counted from 0. A negative index counts back
+/// from the last of the `so_far` vertices.
+fn corner_index(path: &Path, line: usize, field: TextField<'_>, so_far: usize) -> Result<i64> {
     let mut parts = field.text.split('/');
     let index = parts.next().and_then(|text| text.parse::<i64>().ok()).filter(|&index| index != 0);
     // Optional texture and normal indices, nothing else.
     let is_whole = parts.clone().count() <= 2 && parts.all(|part| part.is_empty() || part.parse::<i64>().is_ok());
     let index = index.filter(|_| is_whole);
     let index = index.ok_or_else(|| {
-        let what = "is not a vertex index (1 and up, or -1 and down from the end); correct the index";
-        Error::at(path, line, field.column, format!("{} {what}", quoted(field.text)))
+        let problem = "is not a vertex index (1 and up, or -1 and down from the end); correct the index";
+        Error::at(path, line, field.column, format!("{} {problem}", quoted(field.text)))
     })?;
     Ok(if index > 0 { index - 1 } else { index.saturating_add_unsigned(so_far as u64) })
 }
@@ -108,29 +111,31 @@ pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     Ok(points)
 }
 
+/// Parses one point per line: x, y and z between blanks.
 fn parse_xyz(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
     let is_comment = |row: &str| row.starts_with('#') || row.starts_with("//");
     lines(text)
         .filter(|(_, row)| !is_comment(row.trim_start()))
-        .map(|(line, row)| XyzColumns([0, 1, 2]).read(path, line, &split_blanks(row), POINT_ADVICE))
+        .map(|row| XyzColumns([0, 1, 2]).read(&TextRow::at_blanks(path, row), POINT_ADVICE))
         .collect()
 }
 
+/// Parses points between commas, below an optional header that names x, y and z.
 fn parse_csv(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
     let mut rows = lines(text).peekable();
     let (mut columns, mut header) = (XyzColumns([0, 1, 2]), usize::MAX);
-    if let Some(&(line, first)) = rows.peek() {
-        let fields = split_commas(first);
-        if fields.iter().all(|f| f.text.parse::<f64>().is_err()) {
-            columns = XyzColumns::from_header(path, line, &fields)?;
-            header = fields.len();
+    if let Some(first) = rows.peek() {
+        let first = TextRow::at_commas(path, *first);
+        if first.fields.iter().all(|field| field.text.parse::<f64>().is_err()) {
+            columns = XyzColumns::from_header(&first)?;
+            header = first.fields.len();
             rows.next();
         }
     }
-    let read = |(line, row)| {
-        let row = split_commas(row);
-        no_longer(path, line, &row, header)?;
-        columns.read(path, line, &row, POINT_ADVICE)
+    let read = |row| {
+        let row = TextRow::at_commas(path, row);
+        row.check_length(header)?;
+        columns.read(&row, POINT_ADVICE)
     };
     rows.map(read).collect()
 }
@@ -207,7 +212,7 @@ mod obj_tests {
         let v = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
         let index = "is not a vertex index (1 and up, or -1 and down from the end); correct the index";
         let range =
-            |found: &str| format!("a.obj:4:1: a face names vertex {found}, counted from 0, of 3; correct the index");
+            |index: &str| format!("a.obj:4:1: a face names vertex {index}, counted from 0, of 3; correct the index");
         let cases = [
             (format!("{v}f 1 2 0\n"), format!("a.obj:4:7: `0` {index}")),
             (format!("{v}f 1 2 x/1\n"), format!("a.obj:4:7: `x/1` {index}")),

@@ -8,7 +8,7 @@ mod source;
 #[cfg(test)]
 mod tests;
 
-pub use links::links;
+pub use links::read_links;
 
 use crate::checks::{ROUNDING, shape_fault};
 use crate::folder::gateway_yaml;
@@ -65,10 +65,10 @@ impl Import {
         if let Some(scale) = self.scale.filter(|s| !(s.is_finite() && *s > 0.0)) {
             return Err(Error::Config(format!("--scale {scale}: give a finite number above 0")));
         }
-        let txs = source::positions(self.tx.as_deref().unwrap_or(&self.spectra), self.tx.is_none())?;
+        let txs = source::read_positions(self.tx.as_deref().unwrap_or(&self.spectra), self.tx.is_none())?;
         let folder = NewFolder::begin(out)?;
         let mut sink = Sink::new(self, folder.path().join("spectra.npy"), progress);
-        source::pictures(&self.spectra, txs.len(), &mut sink)?;
+        source::read_spectra(&self.spectra, txs.len(), &mut sink)?;
         let imported = sink.finish(&self.spectra)?;
         let numbers = txs.as_flattened().iter().flat_map(|v| v.to_le_bytes());
         folder
@@ -110,40 +110,40 @@ impl<'a> Sink<'a> {
         Self { scale, elevation, path, progress, file: None, shape: [0; 3], numbers, done: 0, range, bytes }
     }
 
-    /// Called before the first spectrum, which comes from `from`.
+    /// Creates the file before the first spectrum, which comes from `from`; an error if the shape does not fit the elevations.
     fn begin(&mut self, from: &Path, shape: [usize; 3], number: Number) -> Result<()> {
         let (elevation, advice) = (self.elevation.unwrap_or(Elevation::UPPER), "--elevation -90,90 for a full sphere");
         if let Some(fault) = shape_fault(elevation, self.elevation.is_some(), (shape[2], shape[1]), advice) {
             return Err(Error::input(from, fault));
         }
-        let kept = if number.is_float() || self.scale.is_some() { Number::F32 } else { number };
-        (self.shape, self.numbers) = (shape, (number, kept));
-        let begun = File::create(&self.path).and_then(|file| {
+        let stored = if number.is_float() || self.scale.is_some() { Number::F32 } else { number };
+        (self.shape, self.numbers) = (shape, (number, stored));
+        let file = File::create(&self.path).and_then(|file| {
             let mut file = BufWriter::with_capacity(1 << 20, file);
-            file.write_all(&npy_header(kept, &shape)).map(|()| file)
+            file.write_all(&npy_header(stored, &shape)).map(|()| file)
         });
-        self.file = Some(begun.map_err(|e| Error::write(&self.path, e))?);
+        self.file = Some(file.map_err(|e| Error::write(&self.path, e))?);
         Ok(())
     }
 
     /// Adds the next spectrum.
     fn add(&mut self, bytes: &[u8]) -> Result<()> {
-        let (number, kept) = self.numbers;
+        let (number, stored) = self.numbers;
         let factor = self.scale.unwrap_or(1.0) / number.full_scale();
         let (range, width, i) = (&mut self.range, self.shape[2], self.done);
-        let mut at = 0;
+        let mut pixel = 0;
         self.bytes.clear();
         number.each(bytes, |v| {
             let value = v * factor;
-            range.see([i, at / width, at % width], value);
-            at += 1;
-            if kept == Number::F32 {
+            range.extend_to([i, pixel / width, pixel % width], value);
+            pixel += 1;
+            if stored == Number::F32 {
                 self.bytes.extend((value as f32).to_le_bytes());
             }
         });
         // Skip writing if the final check of the largest value will fail.
         let written = if self.range.is_linear() {
-            let bytes = if kept == number && kept != Number::F32 { bytes } else { &self.bytes };
+            let bytes = if stored == number && stored != Number::F32 { bytes } else { &self.bytes };
             self.file.as_mut().map_or(Ok(()), |file| file.write_all(bytes))
         } else {
             Ok(())
@@ -154,6 +154,7 @@ impl<'a> Sink<'a> {
         Ok(())
     }
 
+    /// Checks the range of all values and flushes the file.
     fn finish(self, from: &Path) -> Result<Imported> {
         self.range.check(from, self.scale)?;
         let file = self.file.map(|mut file| file.flush().and_then(|()| file.get_ref().sync_all()));
@@ -170,28 +171,31 @@ const FAINT: f64 = 0.01;
 pub(super) struct Range {
     low: Option<([usize; 3], f64)>,
     high: Option<([usize; 3], f64)>,
-    no_number: Option<([usize; 3], f64)>,
+    /// First value that is not finite.
+    not_finite: Option<([usize; 3], f64)>,
 }
 
 impl Range {
-    pub(super) fn see(&mut self, at: [usize; 3], value: f64) {
+    /// Extends the range to the value at `index`: spectrum, row, column.
+    pub(super) fn extend_to(&mut self, index: [usize; 3], value: f64) {
         if !value.is_finite() {
-            self.no_number.get_or_insert((at, value));
+            self.not_finite.get_or_insert((index, value));
         }
         if self.low.is_none_or(|(_, low)| value < low) {
-            self.low = Some((at, value));
+            self.low = Some((index, value));
         }
         if self.high.is_none_or(|(_, high)| value > high) {
-            self.high = Some((at, value));
+            self.high = Some((index, value));
         }
     }
 
+    /// Returns the smallest and largest value; NaN without values.
     pub(super) fn ends(&self) -> (f64, f64) {
         let value = |end: Option<([usize; 3], f64)>| end.map_or(f64::NAN, |(_, v)| v);
         (value(self.low), value(self.high))
     }
 
-    /// Whether all values are between 0 and 1.
+    /// Returns whether all values are between 0 and 1.
     pub(super) fn is_linear(&self) -> bool {
         let (low, high) = self.ends();
         low >= -ROUNDING && high <= 1.0 + ROUNDING
@@ -200,53 +204,47 @@ impl Range {
     /// Returns an error for values that are not finite, or outside 0 to 1 after multiplication by `scale`. Called after the
     /// last spectrum: a damaged file is reported as such.
     pub(super) fn check(&self, path: &Path, scale: Option<f64>) -> Result<()> {
-        let refuse = |what: String| Err(Error::input(path, what));
-        if let Some((at, value)) = self.no_number {
-            let what = "a spectrum has a finite value in every direction; leave out what was not measured";
-            return refuse(format!("{} is {value}; {what}", place(at)));
+        let refuse = |problem: String| Err(Error::input(path, problem));
+        if let Some((index, value)) = self.not_finite {
+            let advice = "a spectrum has a finite value in every direction; leave out what was not measured";
+            return refuse(format!("{} is {value}; {advice}", element_name(index)));
         }
-        let (Some((low_at, low)), Some((high_at, high))) = (self.low, self.high) else { return Ok(()) };
-        let suited = |high: f64| format!("--scale {}", scale.unwrap_or(1.0) / high);
+        let (Some((low_index, low)), Some((high_index, high))) = (self.low, self.high) else { return Ok(()) };
+        let suited = format!("--scale {}", scale.unwrap_or(1.0) / high);
         if low < -ROUNDING {
-            let start = format!("values are from {low} ({}) to {high}", place(low_at));
+            let problem = format!("values are from {low} ({}) to {high}", element_name(low_index));
             return refuse(if low < -3.0 {
                 format!(
-                    "{start}, as decibels are; spectra are linear, 0 to 1: save 10 ** ((s - s.max()) / 20), the \
+                    "{problem}, as decibels are; spectra are linear, 0 to 1: save 10 ** ((s - s.max()) / 20), the \
                      amplitude, or / 10, the power"
                 )
             } else {
-                format!("{start}; spectra are amplitudes or powers from 0 to 1: save numpy.abs(s) or (s - s.min())")
+                format!("{problem}; spectra are amplitudes or powers from 0 to 1: save numpy.abs(s) or (s - s.min())")
             });
         }
         if high > 1.0 + ROUNDING {
-            return refuse(format!(
-                "the largest value is {high} ({}) and spectra are from 0 to 1; give {}",
-                place(high_at),
-                suited(high)
-            ));
+            let problem =
+                format!("the largest value is {high} ({}) and spectra are from 0 to 1", element_name(high_index));
+            return refuse(format!("{problem}; give {suited}"));
         }
         if high <= 0.0 {
             return refuse("every value is 0; is this the right file?".into());
         }
         if high < f64::from(f32::MIN_POSITIVE) {
-            return refuse(format!(
-                "the largest value becomes {high:e}, below the smallest number of 32 bits, {:e}; give {}",
-                f32::MIN_POSITIVE,
-                suited(high)
-            ));
+            let limit = f32::MIN_POSITIVE;
+            let problem =
+                format!("the largest value becomes {high:e}, below the smallest number of 32 bits, {limit:e}");
+            return refuse(format!("{problem}; give {suited}"));
         }
         if high < FAINT && scale.is_none() {
-            return refuse(format!(
-                "the largest value is {high}, and 1 stands for the strongest direction; give {}, or --scale 1 where \
-                 this is meant",
-                suited(high)
-            ));
+            let problem = format!("the largest value is {high}, and 1 stands for the strongest direction");
+            return refuse(format!("{problem}; give {suited}, or --scale 1 where this is meant"));
         }
         Ok(())
     }
 }
 
-/// Index in Python notation.
-fn place([m, y, x]: [usize; 3]) -> String {
+/// Writes the index of a value in Python notation.
+fn element_name([m, y, x]: [usize; 3]) -> String {
     format!("spectra[{m}, {y}, {x}]")
 }

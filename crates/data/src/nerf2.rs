@@ -13,8 +13,11 @@ pub use pictures::read_image;
 pub use rssi::{Nerf2Rssi, read_powers};
 
 use crate::checks::shape_fault;
-use crate::folder::{carriers_of, check_root, folder_name, open_root, points_of, simulation, source_in, title};
-use crate::text::{TextField, coordinate, place, read_text, table};
+use crate::folder::{
+    carriers_in, check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with,
+    title,
+};
+use crate::text::{TextField, coordinate, position, read_text, table};
 use pwrfgs_core::{
     DataSource, Dataset, Elevation, End, Ends, Error, JsonSchema, Pose, Progress, Receiver, Result, Sample, Unmatched,
     files, messages::strip_control,
@@ -85,19 +88,20 @@ impl DataSource for Nerf2Spectrum {
         Some(pwrfgs_core::Task::Spectrum)
     }
 
+    /// Loads the ids that have a row and an image. Index files are checked before images are decoded.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Nerf2Spectrum", LAYOUT)?;
         let gateway = Gateway::read(&root.join("gateway_info.yml"), self.gateway.as_deref(), LAYOUT)?;
         let positions = read_transmitters(&root.join("tx_pos.csv"))?;
         let files = pictures::list(&root.join("spectrum"), LAYOUT)?;
-        let known_pictures = files.keys().copied().collect();
+        let picture_ids = files.keys().copied().collect();
         let ids: Vec<u32> = files.keys().copied().filter(|&id| id as usize <= positions.len()).collect();
-        let known =
-            index::SpectrumIds { table: "tx_pos.csv", rows: positions.len(), pictures: &known_pictures, samples: &ids };
-        let official = index::read(&root, &|word| known.find(word))?;
+        let valid_ids =
+            index::SpectrumIds { table: "tx_pos.csv", rows: positions.len(), pictures: &picture_ids, samples: &ids };
+        let official = index::read(&root, &|word| valid_ids.parse(word))?;
         if ids.is_empty() {
-            let what = format!("no image matches a row of tx_pos.csv; {LAYOUT}");
-            return Err(Error::input(&root.join("spectrum"), what));
+            let problem = format!("no image matches a row of tx_pos.csv; {LAYOUT}");
+            return Err(Error::input(&root.join("spectrum"), problem));
         }
         if ids.len() < files.len() {
             tracing::warn!(
@@ -106,29 +110,28 @@ impl DataSource for Nerf2Spectrum {
                 root.display()
             );
         }
-        let points = points_of(base, self.points.as_deref())?;
+        let points = read_point_cloud(base, self.points.as_deref())?;
         let paths: Vec<&Path> = ids.iter().map(|id| files[id].as_path()).collect();
-        let spectra = pictures::load(&paths, |path| pictures::decode(path, pictures::Depth::Eight), progress)?;
+        let spectra = pictures::load(&paths, &|path| pictures::decode(path, pictures::Depth::Eight), progress)?;
         let stated = self.elevation.or(gateway.elevation);
         let elevation = stated.unwrap_or(Elevation::UPPER);
         check_shape(paths[0], elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let unmatched = Unmatched { positions: positions.len() - ids.len(), pictures: files.len() - ids.len() };
         let samples: Vec<Sample> = ids.iter().map(|&id| Sample::new(id, positions[id as usize - 1])).collect();
         let name = gateway.name.as_deref().map_or_else(|| folder_name(&root), strip_control);
-        let simulation = simulation(&root, &name);
+        let simulation = read_simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "NeRF2 layout");
         let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, unmatched, ..data };
-        let carriers = carriers_of(&root, "tx_pos.csv", positions.len())?;
-        let of_samples = |all: Vec<f64>| ids.iter().map(|&id| all[id as usize - 1]).collect::<Vec<f64>>();
-        match carriers {
-            Some(all) => data.with_carriers(&of_samples(all)),
+        match carriers_in(&root, "tx_pos.csv", positions.len())? {
+            Some(rows) => data.with_carriers(&ids.iter().map(|&id| rows[id as usize - 1]).collect::<Vec<f64>>()),
             None => Ok(data),
         }
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
-        source_in(folder, &["spectrum", "gateway_info.yml"], |root, points| Self { root, points, ..self.clone() })
+        let root = root_with(folder, &["spectrum", "gateway_info.yml"])?;
+        Some(Box::new(Self { points: point_cloud_in(&root), root, ..self.clone() }))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -141,7 +144,7 @@ impl DataSource for Nerf2Spectrum {
 pub(crate) fn check_shape(path: &Path, elevation: Elevation, stated: bool, size: (usize, usize)) -> Result<()> {
     let advice =
         "`elevation: (-90, 90)` of the data source for a full sphere, or `elevation: [-90, 90]` in gateway_info.yml";
-    shape_fault(elevation, stated, size, advice).map_or(Ok(()), |what| Err(Error::input(path, what)))
+    shape_fault(elevation, stated, size, advice).map_or(Ok(()), |fault| Err(Error::input(path, fault)))
 }
 
 /// Reads transmitter positions `[rows,3]` from a table with the columns x, y and z, metres, such as `tx_pos.csv`.
@@ -155,7 +158,7 @@ pub fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
     if rows.is_empty() {
         return Err(Error::input(path, "has a header but no row; write one row per position, in metres"));
     }
-    rows.into_iter().map(|(line, fields)| place(path, line, fields, advice)).collect()
+    rows.into_iter().map(|(line, fields)| position(path, line, fields, advice)).collect()
 }
 
 /// Poses of moving receivers, instead of the table of transmitter positions.
@@ -203,10 +206,10 @@ pub fn read_poses(path: &Path) -> Result<Vec<Pose>> {
     if rows.is_empty() {
         return Err(Error::input(path, "has a header but no row; write one row per pose"));
     }
-    let pose = |(line, [x, y, z, turn @ ..]): (usize, [TextField<'_>; 7])| {
-        let [qx, qy, qz, qw] = turn.map(|field: TextField<'_>| coordinate(path, line, field, advice));
-        let pose = Pose { position: place(path, line, [x, y, z], advice)?, orientation: [qx?, qy?, qz?, qw?] };
-        pose.fault().map_or(Ok(pose), |(_, fault)| Err(Error::at(path, line, turn[0].column, fault)))
+    let pose = |(line, [x, y, z, quaternion @ ..]): (usize, [TextField<'_>; 7])| {
+        let [qx, qy, qz, qw] = quaternion.map(|field: TextField<'_>| coordinate(path, line, field, advice));
+        let pose = Pose { position: position(path, line, [x, y, z], advice)?, orientation: [qx?, qy?, qz?, qw?] };
+        pose.fault().map_or(Ok(pose), |(_, fault)| Err(Error::at(path, line, quaternion[0].column, fault)))
     };
     rows.into_iter().map(pose).collect()
 }

@@ -9,25 +9,24 @@ mod header;
 mod tests;
 
 use crate::polygons::{Polygons, Triangles};
-use crate::text::{POINT_ADVICE, TextField, XyzColumns, fault_of, lines, number, split_blanks};
+use crate::text::{POINT_ADVICE, TextField, TextRow, XyzColumns, lines, number, point_fault};
 use header::{PlyElement, PlyEncoding, PlyHeader, PropertyKind, Scalar};
 use pwrfgs_core::{Error, Result, messages::quoted};
 use std::path::Path;
 
-const ANEW: &str = "the file is cut short: copy it again";
 const INDEX_ADVICE: &str = "correct the index of the vertex";
 
 /// Reads the positions of all vertices.
 pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Vec<[f64; 3]>> {
     let header = PlyHeader::parse(path, bytes)?;
-    Ok(Contents::parse(path, &header, &bytes[header.bytes..], None)?.vertices)
+    Ok(BodyParser { path, header: &header, corners: None }.parse(&bytes[header.bytes..])?.vertices)
 }
 
 /// Reads the surface: vertices, and faces split into triangles.
 pub(crate) fn parse_mesh(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     let header = PlyHeader::parse(path, bytes)?;
-    let corners = header.corners(path)?;
-    let contents = Contents::parse(path, &header, &bytes[header.bytes..], Some(corners))?;
+    let corners = Some(header.corners(path)?);
+    let contents = BodyParser { path, header: &header, corners }.parse(&bytes[header.bytes..])?;
     contents.polygons.triangulate(path, contents.vertices)
 }
 
@@ -38,36 +37,57 @@ struct Contents {
     polygons: Polygons,
 }
 
-impl Contents {
-    /// Parses the body; `corners`: indices of the face element and of its corner property.
-    fn parse(path: &Path, header: &PlyHeader, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
-        match header.encoding {
-            PlyEncoding::Ascii => Self::parse_ascii(path, header, body, corners),
-            PlyEncoding::Little | PlyEncoding::Big => Self::parse_binary(path, header, body, corners),
+/// Parser of the body, which follows the header.
+struct BodyParser<'a> {
+    path: &'a Path,
+    header: &'a PlyHeader,
+    /// Indices of the face element and of its corner property, if faces are read.
+    corners: Option<(usize, usize)>,
+}
+
+impl BodyParser<'_> {
+    /// Parses the body after the header.
+    fn parse(&self, body: &[u8]) -> Result<Contents> {
+        match self.header.encoding {
+            PlyEncoding::Ascii => self.parse_ascii(body),
+            PlyEncoding::Little | PlyEncoding::Big => self.parse_binary(body),
         }
     }
 
-    fn parse_ascii(path: &Path, header: &PlyHeader, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
+    /// Returns the elements that have properties, with their indices.
+    fn elements(&self) -> impl Iterator<Item = (usize, &PlyElement)> {
+        self.header.elements.iter().enumerate().filter(|(_, element)| !element.properties.is_empty())
+    }
+
+    /// Returns the error for a body that ends after `rows` rows of an element.
+    fn truncated(&self, element: &PlyElement, rows: usize) -> Error {
+        let PlyElement { count, name, .. } = element;
+        let problem = format!("ends after {rows} of {count} rows of element `{name}`");
+        Error::input(self.path, format!("{problem}; the file is cut short: copy it again"))
+    }
+
+    /// Parses a body of text: one line per row.
+    fn parse_ascii(&self, body: &[u8]) -> Result<Contents> {
+        let Self { path, header, corners } = self;
         let text = String::from_utf8_lossy(body);
-        let mut rows = lines(&text).map(|(line, row)| (line + header.lines, row));
-        let mut contents = Self::default();
-        for (e, element) in header.elements.iter().enumerate().filter(|(_, element)| !element.properties.is_empty()) {
+        let mut rows = lines(&text).map(|(line, content)| (line + header.lines, content));
+        let mut contents = Contents::default();
+        for (e, element) in self.elements() {
             for i in 0..element.count {
-                let Some((line, row)) = rows.next() else {
-                    return Err(Error::input(path, ends(element, i)));
-                };
-                let fields = split_blanks(row);
-                let starts = field_of_each_property(path, line, &fields, element)?;
+                let row = rows.next().ok_or_else(|| self.truncated(element, i))?;
+                let row = TextRow::at_blanks(path, row);
+                let starts = property_starts(&row, element)?;
                 if e == header.vertex {
                     let columns = XyzColumns(header.xyz.map(|property| starts[property]));
-                    contents.vertices.push(columns.read(path, line, &fields, POINT_ADVICE)?);
+                    contents.vertices.push(columns.read(&row, POINT_ADVICE)?);
                 }
                 if let Some((_, property)) = corners.filter(|(face, _)| e == *face) {
-                    let length = fields[starts[property]].text.parse().unwrap_or(0);
-                    let listed = fields[starts[property] + 1..].iter().take(length);
-                    let row = listed.map(|field| index(path, line, *field)).collect::<Result<Vec<i64>>>()?;
-                    let fault = |what| Error::at(path, line, 1, what);
-                    contents.polygons.push(&row, header.elements[header.vertex].count).map_err(fault)?;
+                    let length = row.fields[starts[property]].text.parse().unwrap_or(0);
+                    let listed = row.fields[starts[property] + 1..].iter().take(length);
+                    let corners =
+                        listed.map(|field| parse_index(path, row.line, *field)).collect::<Result<Vec<i64>>>()?;
+                    let vertices = header.elements[header.vertex].count;
+                    contents.polygons.push(&corners, vertices).map_err(|fault| row.fault(1, fault))?;
                 }
             }
         }
@@ -77,75 +97,79 @@ impl Contents {
         }
     }
 
-    fn parse_binary(path: &Path, header: &PlyHeader, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
-        let mut body = BinaryBody { rest: body, is_big: header.encoding == PlyEncoding::Big };
-        let mut contents = Self::default();
-        let mut row = Vec::new();
-        for (e, element) in header.elements.iter().enumerate().filter(|(_, element)| !element.properties.is_empty()) {
+    /// Parses a binary body.
+    fn parse_binary(&self, body: &[u8]) -> Result<Contents> {
+        let mut body = BinaryBody { unread: body, is_big: self.header.encoding == PlyEncoding::Big };
+        let mut contents = Contents::default();
+        for (e, element) in self.elements() {
             for i in 0..element.count {
-                let mut point = [0.0; 3];
-                let ended = || Error::input(path, ends(element, i));
-                for (p, property) in element.properties.iter().enumerate() {
-                    match property.kind {
-                        PropertyKind::Scalar(scalar) => {
-                            let value = body.value(scalar).ok_or_else(ended)?;
-                            if let Some(k) = header.xyz.iter().position(|&xyz| e == header.vertex && xyz == p) {
-                                point[k] = value;
-                            }
-                        }
-                        PropertyKind::List { length, item } => {
-                            let raw = body.list(length, item).ok_or_else(ended)?;
-                            if corners == Some((e, p)) {
-                                let value = |raw| whole(item.value(raw, body.is_big)).unwrap_or(-1); // out of range
-                                row.clear();
-                                row.extend(raw.chunks_exact(item.size()).map(value));
-                                let fault = |what| Error::input(path, format!("row {} of `face`: {what}", i + 1));
-                                contents.polygons.push(&row, header.elements[header.vertex].count).map_err(fault)?;
-                            }
-                        }
-                    }
-                }
-                if e == header.vertex {
-                    if let Some(fault) = fault_of(point) {
-                        let what = format!("vertex {} of {} is {fault}; {POINT_ADVICE}", i + 1, element.count);
-                        return Err(Error::input(path, what));
+                let point = self.parse_row(&mut body, (e, i), &mut contents.polygons)?;
+                if e == self.header.vertex {
+                    if let Some(fault) = point_fault(point) {
+                        let problem = format!("vertex {} of {} is {fault}; {POINT_ADVICE}", i + 1, element.count);
+                        return Err(Error::input(self.path, problem));
                     }
                     contents.vertices.push(point);
                 }
             }
         }
-        match body.rest.len() {
+        match body.unread.len() {
             0 => Ok(contents),
-            more => Err(Error::input(path, format!("{more} bytes follow the last row; correct the header's counts"))),
+            surplus => {
+                let problem = format!("{surplus} bytes follow the last row; correct the header's counts");
+                Err(Error::input(self.path, problem))
+            }
         }
+    }
+
+    /// Parses row `i` of element `e`: returns its coordinates if it is a vertex, and adds it to `faces` if it is a face.
+    fn parse_row(&self, body: &mut BinaryBody<'_>, (e, i): (usize, usize), faces: &mut Polygons) -> Result<[f64; 3]> {
+        let Self { path, header, corners } = self;
+        let element = &header.elements[e];
+        let mut point = [0.0; 3];
+        for (p, property) in element.properties.iter().enumerate() {
+            match property.kind {
+                PropertyKind::Scalar(scalar) => {
+                    let value = body.value(scalar).ok_or_else(|| self.truncated(element, i))?;
+                    if let Some(k) = header.xyz.iter().position(|&xyz| e == header.vertex && xyz == p) {
+                        point[k] = value;
+                    }
+                }
+                PropertyKind::List { length, item } => {
+                    let bytes = body.list(length, item).ok_or_else(|| self.truncated(element, i))?;
+                    if *corners == Some((e, p)) {
+                        let index = |raw| to_integer(item.value(raw, body.is_big)).unwrap_or(-1); // out of range
+                        let indices: Vec<i64> = bytes.chunks_exact(item.size()).map(index).collect();
+                        let fault = |fault| Error::input(path, format!("row {} of `face`: {fault}", i + 1));
+                        faces.push(&indices, header.elements[header.vertex].count).map_err(fault)?;
+                    }
+                }
+            }
+        }
+        Ok(point)
     }
 }
 
-/// Index of the first field of each property in a row: a list has a length field followed by that many fields.
-fn field_of_each_property(
-    path: &Path,
-    line: usize,
-    fields: &[TextField<'_>],
-    element: &PlyElement,
-) -> Result<Vec<usize>> {
+/// Returns the index of the first field of each property in a row: a list has a length field followed by that many fields.
+fn property_starts(row: &TextRow<'_>, element: &PlyElement) -> Result<Vec<usize>> {
     let mut starts = Vec::with_capacity(element.properties.len());
     let mut next = 0;
     for property in &element.properties {
         starts.push(next);
         let fits = |field: &TextField<'_>, scalar: Scalar| match scalar.misfit(field.text) {
-            Some(what) => {
-                let what = format!("{} is not {what}, as property `{}` is", quoted(field.text), property.name);
-                Err(Error::at(path, line, field.column, what + "; correct the row or the header"))
+            Some(expected) => {
+                let problem = format!("{} is not {expected}, as property `{}` is", quoted(field.text), property.name);
+                Err(row.fault(field.column, problem + "; correct the row or the header"))
             }
             None => Ok(()),
         };
-        let taken = match (property.kind, fields.get(next)) {
+        let count = match (property.kind, row.fields.get(next)) {
             (PropertyKind::List { length: kind, item }, Some(field)) => {
                 let length: Option<usize> = field.text.parse().ok();
                 let fault = || format!("{} is not the length of a list; correct the row", quoted(field.text));
-                let length = length.ok_or_else(|| Error::at(path, line, field.column, fault()))?;
+                let length = length.ok_or_else(|| row.fault(field.column, fault()))?;
                 fits(field, kind)?;
-                fields[next + 1..].iter().take(length).try_for_each(|field| fits(field, item))?;
+                row.fields[next + 1..].iter().take(length).try_for_each(|field| fits(field, item))?;
                 length.saturating_add(1)
             }
             // The point parser reports this in more detail.
@@ -157,55 +181,52 @@ fn field_of_each_property(
             (PropertyKind::Scalar(scalar), Some(field)) => fits(field, scalar).map(|()| 1)?,
             (_, None) => 1,
         };
-        next = next.saturating_add(taken);
+        next = next.saturating_add(count);
     }
-    if let Some(field) = fields.get(next) {
-        let what = format!("{} is more than the properties of element `{}`", quoted(field.text), element.name);
-        return Err(Error::at(path, line, field.column, what + "; correct the row or the header"));
+    if let Some(field) = row.fields.get(next) {
+        let problem = format!("{} is more than the properties of element `{}`", quoted(field.text), element.name);
+        return Err(row.fault(field.column, problem + "; correct the row or the header"));
     }
-    if next > fields.len() {
-        let end = fields.last().map_or(1, |f| f.column + f.text.chars().count());
-        let what = format!("the row of element `{}` ends early; give every property of the header", element.name);
-        return Err(Error::at(path, line, end, what));
+    if next > row.fields.len() {
+        let problem = format!("the row of element `{}` ends early; give every property of the header", element.name);
+        return Err(row.fault(row.end(), problem));
     }
     Ok(starts)
 }
 
 /// Parses a whole number in a list of corners.
-fn index(path: &Path, line: usize, field: TextField<'_>) -> Result<i64> {
+fn parse_index(path: &Path, line: usize, field: TextField<'_>) -> Result<i64> {
     let value = number(path, line, field, INDEX_ADVICE)?;
     let fault = || Error::at(path, line, field.column, format!("{} is not whole; {INDEX_ADVICE}", quoted(field.text)));
-    whole(value).ok_or_else(fault)
+    to_integer(value).ok_or_else(fault)
 }
 
-/// Converts to an integer; indices beyond 2^53 are out of range in any case.
-fn whole(value: f64) -> Option<i64> {
+/// Converts a whole number to an integer; indices beyond 2^53 are out of range in any case.
+fn to_integer(value: f64) -> Option<i64> {
     (value.fract() == 0.0).then_some(value as i64)
-}
-
-fn ends(element: &PlyElement, done: usize) -> String {
-    format!("ends after {done} of {} rows of element `{}`; {ANEW}", element.count, element.name)
 }
 
 /// Remaining bytes of a binary body; reads return `None` at its end.
 struct BinaryBody<'a> {
-    rest: &'a [u8],
+    unread: &'a [u8],
     is_big: bool,
 }
 
 impl<'a> BinaryBody<'a> {
+    /// Reads `count` bytes.
     fn take(&mut self, count: usize) -> Option<&'a [u8]> {
-        let (head, rest) = self.rest.split_at_checked(count)?;
-        self.rest = rest;
-        Some(head)
+        let (bytes, unread) = self.unread.split_at_checked(count)?;
+        self.unread = unread;
+        Some(bytes)
     }
 
+    /// Reads one number.
     fn value(&mut self, scalar: Scalar) -> Option<f64> {
         let raw = self.take(scalar.size())?;
         Some(scalar.value(raw, self.is_big))
     }
 
-    /// Bytes of the items of a list. A negative or fractional length counts as a truncated body.
+    /// Reads a list as the bytes of its items. A negative or fractional length counts as a truncated body.
     fn list(&mut self, length: Scalar, item: Scalar) -> Option<&'a [u8]> {
         let length = self.value(length).filter(|l| *l >= 0.0 && l.fract() == 0.0)?;
         self.take((length as usize).checked_mul(item.size())?)

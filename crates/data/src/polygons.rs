@@ -41,32 +41,34 @@ impl Polygons {
         for (face, end) in self.ends.into_iter().enumerate() {
             let corners = &self.corners[start..end];
             start = end;
-            let apex = fan_apex(&vertices, corners, TESTS * corners.len()).map_err(|what| {
+            let apex = find_fan_apex(&vertices, corners, TESTS * corners.len()).map_err(|fault| {
                 let advice = "triangulate the mesh where it was made";
-                Error::input(path, format!("face {} of {} corners {what}; {advice}", face + 1, corners.len()))
+                Error::input(path, format!("face {} of {} corners {fault}; {advice}", face + 1, corners.len()))
             })?;
-            let at = |k: usize| corners[(apex + k) % corners.len()];
-            triangles.extend((1..corners.len() - 1).map(|k| [at(0), at(k), at(k + 1)]));
+            let corner = |k: usize| corners[(apex + k) % corners.len()];
+            triangles.extend((1..corners.len() - 1).map(|k| [corner(0), corner(k), corner(k + 1)]));
         }
         Ok((vertices, triangles))
     }
 }
 
-/// First corner whose triangle fan has the orientation of the whole polygon.
+/// Finds the first corner whose triangle fan has the orientation of the whole polygon.
 ///
 /// The fan then covers a simple polygon once, convex or not: an L has such a corner, a U has none. The side that
 /// excluded the last corner is tested first, since it excludes most of its neighbours: about two tests per corner.
 /// Returns the problem if there is no such corner, or none within `most` tests.
-fn fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<usize, &'static str> {
+fn find_fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<usize, &'static str> {
     let n = corners.len();
     if n == 3 {
         return Ok(0);
     }
-    let at = |k: usize| vertices[corners[k % n] as usize];
-    let normal = (1..n - 1).fold(DVec3::ZERO, |sum, k| sum + area(at(0), at(k), at(k + 1)));
+    let corner = |k: usize| vertices[corners[k % n] as usize];
+    let normal = (1..n - 1).fold(DVec3::ZERO, |sum, k| sum + double_area(corner(0), corner(k), corner(k + 1)));
     // Sides at the apex make no triangle.
     let rules_out = |side: usize, apex: usize| {
-        side != apex && (side + 1) % n != apex && normal.dot(area(at(apex), at(side), at(side + 1))) <= 0.0
+        side != apex
+            && (side + 1) % n != apex
+            && normal.dot(double_area(corner(apex), corner(side), corner(side + 1))) <= 0.0
     };
     let (mut last, mut tests) = (0, 0);
     for apex in 0..n {
@@ -85,8 +87,8 @@ fn fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<usize
     Err("is not filled by any fan of triangles")
 }
 
-/// Twice the triangle area, as a vector along its normal.
-fn area(a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> DVec3 {
+/// Computes twice the triangle area, as a vector along its normal.
+fn double_area(a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> DVec3 {
     let [a, b, c] = [a, b, c].map(DVec3::from);
     (b - a).cross(c - a)
 }
@@ -98,15 +100,15 @@ mod tests {
     fn triangles(corners: &[[f64; 2]]) -> Result<Triangles, String> {
         let vertices: Vec<[f64; 3]> = corners.iter().map(|[x, y]| [*x, *y, 2.0]).collect();
         let mut polygons = Polygons::default();
-        let all: Vec<i64> = (0..corners.len() as i64).collect();
-        polygons.push(&all, vertices.len())?;
+        let indices: Vec<i64> = (0..corners.len() as i64).collect();
+        polygons.push(&indices, vertices.len())?;
         polygons.triangulate(Path::new("a.obj"), vertices).map_err(|e| e.to_string())
     }
 
     fn signed_area((vertices, triangles): &Triangles) -> f64 {
         triangles
             .iter()
-            .map(|t| area(vertices[t[0] as usize], vertices[t[1] as usize], vertices[t[2] as usize])[2])
+            .map(|t| double_area(vertices[t[0] as usize], vertices[t[1] as usize], vertices[t[2] as usize])[2])
             .sum::<f64>()
             / 2.0
     }
@@ -125,7 +127,8 @@ mod tests {
         // A corner in the middle of a side: a triangle of zero area.
         let five = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]];
         let (vertices, cut) = triangles(&five).unwrap();
-        let area_of = |t: &[u32; 3]| area(vertices[t[0] as usize], vertices[t[1] as usize], vertices[t[2] as usize])[2];
+        let area_of =
+            |t: &[u32; 3]| double_area(vertices[t[0] as usize], vertices[t[1] as usize], vertices[t[2] as usize])[2];
         assert!(cut.iter().all(|t| area_of(t) > 0.0));
         let mut clockwise = l;
         clockwise.reverse();
@@ -146,13 +149,13 @@ mod tests {
     fn finds_fan_with_few_tests_per_corner() {
         for n in [8, 500, 60_000] {
             let (vertices, corners) = (dented(n), (0..n as u32).collect::<Vec<_>>());
-            let apex = fan_apex(&vertices, &corners, 4 * n).unwrap();
-            let at = |k: usize| vertices[(apex + k) % n];
-            assert!((1..n - 1).all(|k| area(at(0), at(k), at(k + 1))[2] > 0.0), "{n} corners");
+            let apex = find_fan_apex(&vertices, &corners, 4 * n).unwrap();
+            let corner = |k: usize| vertices[(apex + k) % n];
+            assert!((1..n - 1).all(|k| double_area(corner(0), corner(k), corner(k + 1))[2] > 0.0), "{n} corners");
         }
         let (vertices, corners) = (dented(500), (0..500).collect::<Vec<u32>>());
-        let shown = fan_apex(&vertices, &corners, 100).unwrap_err();
-        assert_eq!(shown, "is too intricate to be filled by a fan of triangles");
+        let error = find_fan_apex(&vertices, &corners, 100).unwrap_err();
+        assert_eq!(error, "is too intricate to be filled by a fan of triangles");
     }
 
     #[test]

@@ -4,7 +4,9 @@
 mod tests;
 
 use crate::checks::{NOT_RECEIVED, check};
-use crate::folder::{CARRIERS, POINTS, gateway_positions_yaml, gateway_yaml, receiver_yaml, transmitter_yaml, yaml};
+use crate::folder::{
+    CARRIERS, POINTS, gateway_positions_yaml, gateway_yaml, quote_yaml, receiver_yaml, transmitter_yaml,
+};
 use crate::nerf2::POSES;
 use crate::npy::{MAX_BYTES, MOST_POSITIONS};
 use crate::text::MAX_YAML;
@@ -32,56 +34,56 @@ pub fn save(data: &Dataset, out: &Path) -> Result<Box<dyn DataSource>> {
     }
     check(data)?;
     let folder = NewFolder::begin(out)?;
-    let to = Folder { path: folder.path(), data };
-    let points = to.points()?;
-    let points_of_out = || points.as_ref().map(|name| out.join(name));
+    let writer = FolderWriter { path: folder.path(), data };
+    let points = writer.write_points()?.map(|name| out.join(name));
     let source: Box<dyn DataSource> = match &data.observations {
         Observations::Pictures(spectra) => {
-            to.spectra(spectra)?;
-            Box::new(Arrays { root: out.into(), points: points_of_out(), ..Arrays::default() })
+            writer.write_spectra(spectra)?;
+            Box::new(Arrays { root: out.into(), points, ..Arrays::default() })
         }
         Observations::Powers(powers) => {
-            to.powers(powers.iter().map(|dbm| *dbm as f64).collect())?;
-            Box::new(Nerf2Rssi { root: out.into(), points: points_of_out() })
+            writer.write_powers(powers)?;
+            Box::new(Nerf2Rssi { root: out.into(), points })
         }
         Observations::Channels(channels) => {
-            to.channels(channels)?;
-            Box::new(Channels { root: out.into(), points: points_of_out(), ..Channels::default() })
+            writer.write_channels(channels)?;
+            Box::new(Channels { root: out.into(), points, ..Channels::default() })
         }
     };
-    to.manifest()?;
-    to.official()?;
+    writer.write_manifest()?;
+    writer.write_index_files()?;
     folder.publish()?;
     Ok(source)
 }
 
-fn refuse<T>(what: &str) -> Result<T> {
-    Err(Error::Config(format!("save: {what}")))
+/// Returns an error for data that a folder cannot hold.
+fn refuse<T>(problem: &str) -> Result<T> {
+    Err(Error::Config(format!("save: {problem}")))
 }
 
 /// Quotes a name as a table cell.
-fn field(name: &str) -> String {
+fn csv_cell(name: &str) -> String {
     let (is_plain, name) = (name.chars().all(|c| c.is_ascii() && c != ','), cell(name));
     if is_plain { name.into_owned() } else { format!("\"{name}\"") }
 }
 
-/// Table of the poses of a moving receiver.
+/// Writes the table of the poses of a moving receiver.
 pub fn poses_csv(poses: impl Iterator<Item = Pose>) -> String {
     std::iter::once("x,y,z,qx,qy,qz,qw\n".into()).chain(poses.map(pose_row)).collect()
 }
 
-/// Row of [`poses_csv`].
+/// Writes a row of [`poses_csv`]: metres and a unit quaternion.
 pub fn pose_row(Pose { position: [x, y, z], orientation: [qx, qy, qz, qw] }: Pose) -> String {
     format!("{x:?},{y:?},{z:?},{qx:?},{qy:?},{qz:?},{qw:?}\n")
 }
 
 /// Output folder and the data set to write.
-struct Folder<'a> {
+struct FolderWriter<'a> {
     path: &'a Path,
     data: &'a Dataset,
 }
 
-impl Folder<'_> {
+impl FolderWriter<'_> {
     /// Writes a file; an error if it exceeds the size limit of its reader.
     fn put(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
         let (path, length) = (self.path.join(name), bytes.as_ref().len() as u64);
@@ -91,24 +93,24 @@ impl Folder<'_> {
             _ => MAX_TEXT,
         };
         if length > limit {
-            return refuse(&format!(
-                "{name} would have {length} bytes, more than the {limit} that can be read; save parts"
-            ));
+            let problem = format!("{name} would have {length} bytes, more than the {limit} that can be read");
+            return refuse(&format!("{problem}; save parts"));
         }
         files::write(&path, bytes)
     }
 
-    /// Writes text rows below a header.
-    fn table(&self, name: &str, rows: impl Iterator<Item = [f64; 3]>) -> Result<()> {
+    /// Writes a table of positions, metres.
+    fn write_positions(&self, name: &str, rows: impl Iterator<Item = [f64; 3]>) -> Result<()> {
         let mut text = "x,y,z\n".to_owned();
         rows.for_each(|[x, y, z]| writeln!(text, "{x:?},{y:?},{z:?}").expect("text grows"));
         self.put(name, text)
     }
 
-    fn locations(&self) -> Result<()> {
+    /// Writes the positions of the transmitters, or the poses of a moving receiver.
+    fn write_locations(&self) -> Result<()> {
         let locations = self.data.locations.iter();
         match self.data.scene.moving {
-            End::Transmitter => self.table("tx_pos.csv", locations.map(pwrfgs_core::Location::position)),
+            End::Transmitter => self.write_positions("tx_pos.csv", locations.map(pwrfgs_core::Location::position)),
             End::Receiver => self.put(POSES, poses_csv(locations.map(|location| location.pose))),
         }
     }
@@ -119,33 +121,35 @@ impl Folder<'_> {
         (0..scene.receivers.len()).map(move |r| scene.origin.world_pose(*ends.get(r).unwrap_or(&ends[0])))
     }
 
-    /// Writes the point cloud; returns `None` if there are no points.
-    fn points(&self) -> Result<Option<PathBuf>> {
+    /// Writes the point cloud and returns its file name; `None` if there are no points.
+    fn write_points(&self) -> Result<Option<PathBuf>> {
         let scene = &self.data.scene;
         if scene.points.is_empty() {
             return Ok(None);
         }
-        self.table(POINTS, scene.points.iter().map(|point| scene.origin.world(*point)))?;
+        self.write_positions(POINTS, scene.points.iter().map(|point| scene.origin.world(*point)))?;
         Ok(Some(POINTS.into()))
     }
 
-    /// All transmitters of the only receiver, in order.
-    fn alone(&self) -> Result<()> {
+    /// Returns an error unless there is one receiver.
+    fn check_single_receiver(&self) -> Result<()> {
         match self.data.scene.receivers.len() {
             1 => Ok(()),
             n => refuse(&format!("there are {n} receivers, and a folder holds those of one; save a data set of each")),
         }
     }
 
+    /// Returns whether a receiver has a stated carrier.
     fn has_carriers(&self) -> bool {
-        self.data.scene.receivers.iter().any(|own| own.carrier_hz.is_some())
+        self.data.scene.receivers.iter().any(|receiver| receiver.carrier_hz.is_some())
     }
 
-    /// The carriers of all links, Hz, if a reader makes the same receivers of them: those of one fixed array, with the names
+    /// Returns the carriers of all links, Hz, if a reader makes the same receivers of them: those of one fixed array, with the names
     /// of ascending carriers if there are several.
     fn carriers(&self) -> Option<Vec<f64>> {
         let receivers = &self.data.scene.receivers;
-        let is_named = |own: &Receiver| own.carrier_hz.is_some_and(|hz| own.at_carrier(hz).name == own.name);
+        let is_named =
+            |receiver: &Receiver| receiver.carrier_hz.is_some_and(|hz| receiver.at_carrier(hz).name == receiver.name);
         let is_read_back = receivers.len() == 1
             || (receivers.iter().all(is_named) && receivers.is_sorted_by(|a, b| a.carrier_hz < b.carrier_hz));
         if !Receiver::are_carriers(receivers) || !is_read_back {
@@ -154,22 +158,25 @@ impl Folder<'_> {
         self.data.links.iter().map(|link| receivers[link.receiver].carrier_hz).collect()
     }
 
-    fn spectra(&self, spectra: &Spectra) -> Result<()> {
+    /// Writes the files that [`Arrays`] reads.
+    fn write_spectra(&self, spectra: &Spectra) -> Result<()> {
         match self.carriers() {
-            Some(all) => self.put(CARRIERS, all.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat())?,
+            Some(carriers) => {
+                self.put(CARRIERS, carriers.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat())?;
+            }
             None if self.has_carriers() => {
                 return refuse(
                     "these carriers have no layout on disk; save those of one receiver, named such as 2400MHz",
                 );
             }
-            None => self.alone()?,
+            None => self.check_single_receiver()?,
         }
         let scene = &self.data.scene;
         let pose = self.fixed_poses().next().unwrap_or(Pose::IDENTITY);
         let Elevation { first, last } = self.data.elevation;
         let elevation = format!("elevation: [{first:?}, {last:?}]\n"); // stated, pixels need not be square either
         let name = match &scene.receivers[..] {
-            [only] => format!("receiver: {}\n", yaml(&only.name)),
+            [only] => format!("receiver: {}\n", quote_yaml(&only.name)),
             _ => String::new(), // the names of carriers follow from their frequencies
         };
         self.put("gateway_info.yml", gateway_yaml(&self.data.title, &pose) + &elevation + &name)?;
@@ -178,8 +185,8 @@ impl Folder<'_> {
         } else {
             let positions = self.data.samples().map(|sample| sample.position());
             if self.data.len() > MOST_POSITIONS {
-                let what = format!("more than the {MOST_POSITIONS} that can be read; save parts");
-                return refuse(&format!("tx.npy would have {} positions, {what}", self.data.len()));
+                let problem = format!("tx.npy would have {} positions", self.data.len());
+                return refuse(&format!("{problem}, more than the {MOST_POSITIONS} that can be read; save parts"));
             }
             let header = npy_header(Number::F64, &[self.data.len(), 3]);
             self.put(
@@ -193,20 +200,20 @@ impl Folder<'_> {
         file.finish()
     }
 
-    #[allow(clippy::needless_pass_by_value)] // made for this
-    fn powers(&self, dbm: Vec<f64>) -> Result<()> {
+    /// Writes the files that [`Nerf2Rssi`] reads; `powers` `[links]` in dBm.
+    fn write_powers(&self, powers: &[Real]) -> Result<()> {
         if self.has_carriers() {
             return refuse("received powers at stated carriers have no layout on disk; keep the original files");
         }
         let receivers = &self.data.scene.receivers;
-        let all = receivers.iter().map(|receiver| receiver.name.as_str()).zip(self.fixed_poses());
-        self.put("gateway_position.yml", gateway_positions_yaml(all))?;
-        self.locations()?;
+        let gateways = receivers.iter().map(|receiver| receiver.name.as_str()).zip(self.fixed_poses());
+        self.put("gateway_position.yml", gateway_positions_yaml(gateways))?;
+        self.write_locations()?;
         let mut cells = vec![NOT_RECEIVED; self.data.locations.len() * receivers.len()];
-        for (link, dbm) in self.data.links.iter().zip(dbm) {
-            cells[link.location * receivers.len() + link.receiver] = dbm;
+        for (link, dbm) in self.data.links.iter().zip(powers) {
+            cells[link.location * receivers.len() + link.receiver] = *dbm as f64;
         }
-        let names: Vec<String> = receivers.iter().map(|receiver| field(&receiver.name)).collect();
+        let names: Vec<String> = receivers.iter().map(|receiver| csv_cell(&receiver.name)).collect();
         let mut text = names.join(",") + "\n";
         for row in cells.chunks(receivers.len().max(1)) {
             text += &row.iter().map(|dbm| format!("{dbm:?}")).collect::<Vec<_>>().join(",");
@@ -215,8 +222,9 @@ impl Folder<'_> {
         self.put("gateway_rssi.csv", text)
     }
 
-    fn channels(&self, channels: &pwrfgs_core::Channels) -> Result<()> {
-        self.alone()?;
+    /// Writes the files that [`Channels`] reads.
+    fn write_channels(&self, channels: &pwrfgs_core::Channels) -> Result<()> {
+        self.check_single_receiver()?;
         let (scene, hz) = (&self.data.scene, &channels.frequencies_hz);
         let receiver = &scene.receivers[0];
         let pose = match scene.moving {
@@ -225,19 +233,21 @@ impl Folder<'_> {
         };
         let [first, last] = [hz[0], hz[hz.len() - 1]];
         let band = [0.5 * (first + last), (last - first) / (hz.len() - 1).max(1) as f64];
-        let about = |place: [f64; 3]| [0, 1, 2].map(|k| pose.position[k] + place[k]);
-        let antennas: Vec<[f64; 3]> = receiver.array().into_iter().map(about).collect();
+        let absolute = |antenna: [f64; 3]| [0, 1, 2].map(|k| pose.position[k] + antenna[k]);
+        let antennas: Vec<[f64; 3]> = receiver.array().into_iter().map(absolute).collect();
         let transmitter = scene.transmitter.map(|position| scene.origin.world_pose(position.into()).position);
-        let text = receiver_yaml(&yaml(&receiver.name), &pose, band, hz, &antennas) + &transmitter_yaml(transmitter);
+        let text =
+            receiver_yaml(&quote_yaml(&receiver.name), &pose, band, hz, &antennas) + &transmitter_yaml(transmitter);
         self.put("receiver.yml", text)?;
-        self.locations()?;
+        self.write_locations()?;
         let descr = if size_of::<Real>() == 8 { "<c16" } else { "<c8" };
         let header = npy_header_as(descr, &[self.data.len(), channels.antennas, hz.len()]);
         let bytes = channels.gains.iter().flatten().flat_map(|part| part.to_le_bytes());
         self.put("channel.npy", header.into_iter().chain(bytes).collect::<Vec<u8>>())
     }
 
-    fn manifest(&self) -> Result<()> {
+    /// Writes the program version, the title, and whether the data are simulated.
+    fn write_manifest(&self) -> Result<()> {
         let manifest = serde_json::json!({
             "program": concat!("pwrfgs ", env!("CARGO_PKG_VERSION")),
             "simulated": self.data.is_simulated(),
@@ -247,7 +257,7 @@ impl Folder<'_> {
     }
 
     /// Writes the official split of the data as index files.
-    fn official(&self) -> Result<()> {
+    fn write_index_files(&self) -> Result<()> {
         let Some((train, test)) = &self.data.official else { return Ok(()) };
         let row = |link: &usize| {
             if self.data.task().has_pixels { link + 1 } else { self.data.links[*link].location }

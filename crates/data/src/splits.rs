@@ -25,7 +25,7 @@ use std::collections::BTreeSet;
 /// Default share of the training set that is held out for validation.
 const DEFAULT_VALIDATION: f64 = 0.1;
 
-/// `share` of `n`, rounded; at least one if the share is positive, and never all.
+/// Returns the size of a `share` of `n`, rounded; at least one if the share is positive, and never all.
 fn part(share: f64, n: usize) -> usize {
     let target = (share * n as f64).round() as usize;
     target.max(usize::from(share > 0.0)).min(n.saturating_sub(1))
@@ -45,28 +45,28 @@ fn hold_out(mut train: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Ve
 fn hold_out_links(data: &Dataset, links: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Vec<usize>) {
     let mut seen = BTreeSet::new();
     let transmitters = links.iter().map(|i| data.links[*i].location).filter(|t| seen.insert(*t)).collect();
-    let held: BTreeSet<usize> = hold_out(transmitters, share, rng).1.into_iter().collect();
-    links.into_iter().partition(|i| !held.contains(&data.links[*i].location))
+    let validation: BTreeSet<usize> = hold_out(transmitters, share, rng).1.into_iter().collect();
+    links.into_iter().partition(|i| !validation.contains(&data.links[*i].location))
 }
 
-/// Random lists of 0..n: `test` elements, and the others as training and validation.
+/// Divides 0..n at random: `test` elements, a share `validation` of the others, and the training set.
 fn random_lists(n: usize, test: usize, validation: f64, rng: &mut Rng) -> Partition {
-    let mut all: Vec<usize> = (0..n).collect();
-    rng::shuffle(rng, &mut all);
-    let test = all.split_off(n - test);
-    let (train, validation) = hold_out(all, validation, rng);
+    let mut shuffled: Vec<usize> = (0..n).collect();
+    rng::shuffle(rng, &mut shuffled);
+    let test = shuffled.split_off(n - test);
+    let (train, validation) = hold_out(shuffled, validation, rng);
     Partition { train, validation, test }
 }
 
-/// Partition for lists of transmitters: all links of each, sorted; an error without training or test samples.
+/// Converts lists of transmitters to all links of each, sorted; an error without training or test samples.
 fn finish(data: &Dataset, lists: Partition) -> Result<Partition> {
-    let Partition { train, validation, test } = finish_links(lists)?;
+    let Partition { train, validation, test } = link_partition(lists)?;
     let links = |transmitters: Vec<usize>| data.links_of(&transmitters);
     Ok(Partition { train: links(train), validation: links(validation), test: links(test) })
 }
 
-/// Partition for lists of links or samples, sorted; an error without training or test samples.
-fn finish_links(mut lists: Partition) -> Result<Partition> {
+/// Sorts lists of links; an error without training or test samples.
+fn link_partition(mut lists: Partition) -> Result<Partition> {
     let Partition { train, validation, test } = &mut lists;
     for (name, list) in [("training", &*train), ("test", &*test)] {
         if list.is_empty() {
@@ -133,7 +133,7 @@ impl Split for Official {
             )));
         };
         let (train, validation) = hold_out_links(data, train, self.validation, rng);
-        finish_links(Partition { train, validation, test })
+        link_partition(Partition { train, validation, test })
     }
 
     fn check(&self) -> Result<(), String> {
@@ -257,30 +257,31 @@ pub struct Fold {
 
 impl Default for Fold {
     fn default() -> Self {
-        let of: Box<dyn Split> = Box::new(Random::default());
-        Self { of: of.into(), index: 0, count: 4 }
+        let outer: Box<dyn Split> = Box::new(Random::default());
+        Self { of: outer.into(), index: 0, count: 4 }
     }
 }
 
 #[typetag::serde]
 impl Split for Fold {
+    /// Divides the units of the outer split: in order for a trajectory, else at random.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         let outer = self.of.split(data, rng)?;
         let mut units = self.of.units(data, &outer.known().all());
         if units.len() < self.count {
-            let what = format!("the training set has {} parts, fewer than {} folds", units.len(), self.count);
-            return Err(Error::Config(format!("Fold: {what}; give more samples, or fewer models or folds")));
+            let problem = format!("the training set has {} parts, fewer than {} folds", units.len(), self.count);
+            return Err(Error::Config(format!("Fold: {problem}; give more samples, or fewer models or folds")));
         }
-        let (parts, in_order) = (units.len(), self.of.is_in_order());
-        if !in_order {
+        let (unit_count, is_in_order) = (units.len(), self.of.is_in_order());
+        if !is_in_order {
             rng::shuffle(rng, &mut units); // the stream is the same for all folds
         }
-        let fold_of = |unit: usize| if in_order { unit * self.count / parts } else { unit % self.count };
+        let fold_of = |unit: usize| if is_in_order { unit * self.count / unit_count } else { unit % self.count };
         let (mut train, mut validation) = (Vec::new(), Vec::new());
         for (unit, links) in units.into_iter().enumerate() {
             if fold_of(unit) == self.index { &mut validation } else { &mut train }.extend(links);
         }
-        finish_links(Partition { train, validation, test: outer.test })
+        link_partition(Partition { train, validation, test: outer.test })
     }
 
     fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
@@ -320,29 +321,30 @@ mod tests {
     use super::*;
     use pwrfgs_core::rng;
 
-    fn folds(of: &str, data: &Dataset) -> Vec<Partition> {
-        let of = Plugin::<dyn Split>::parse(of).unwrap();
-        let fold = |index| Fold { of: of.clone(), index, count: 4 };
+    fn folds(outer: &str, data: &Dataset) -> Vec<Partition> {
+        let outer = Plugin::<dyn Split>::parse(outer).unwrap();
+        let fold = |index| Fold { of: outer.clone(), index, count: 4 };
         (0..4).map(|index| fold(index).split(data, &mut rng::stream(3, "split", 0)).unwrap()).collect()
     }
 
     #[test]
     fn folds_divide_the_known_samples_and_keep_the_test_set() {
         let data = line_of_samples(200);
-        for of in [
+        for outer in [
             "Random(test: 0.2)",
             "TimeBlock(start: 0.4, length: 0.2)",
             "Voxel(size_m: 5.0, test: 0.2)",
             "RandomLinks()",
         ] {
-            let folds = folds(of, &data);
-            let whole = Plugin::<dyn Split>::parse(of).unwrap().split(&data, &mut rng::stream(3, "split", 0)).unwrap();
-            let mut all: Vec<usize> = folds.iter().flat_map(|fold| fold.validation.clone()).collect();
-            all.sort_unstable();
-            assert_eq!(all, whole.known().all(), "{of}");
+            let folds = folds(outer, &data);
+            let whole =
+                Plugin::<dyn Split>::parse(outer).unwrap().split(&data, &mut rng::stream(3, "split", 0)).unwrap();
+            let mut held_out: Vec<usize> = folds.iter().flat_map(|fold| fold.validation.clone()).collect();
+            held_out.sort_unstable();
+            assert_eq!(held_out, whole.known().all(), "{outer}");
             for fold in &folds {
-                assert_eq!((&fold.test, fold.known().all()), (&whole.test, whole.known().all()), "{of}");
-                assert!((20..60).contains(&fold.validation.len()), "{of}: {:?}", fold.sizes());
+                assert_eq!((&fold.test, fold.known().all()), (&whole.test, whole.known().all()), "{outer}");
+                assert!((20..60).contains(&fold.validation.len()), "{outer}: {:?}", fold.sizes());
             }
         }
     }
@@ -351,11 +353,11 @@ mod tests {
     #[test]
     fn blocks_are_transmitters_cells_or_stretches_of_the_trajectory() {
         let (data, links) = (line_of_samples(200), (20..200).collect::<Vec<_>>());
-        for (of, count) in [("Random()", 180), ("Voxel(size_m: 5.0)", 36), ("TimeBlock()", 36)] {
-            let fold = format!("Fold(of: {of}, index: 0, count: 4)");
-            for split in [of, &fold].map(|text| Plugin::<dyn Split>::parse(text).unwrap()) {
+        for (outer, count) in [("Random()", 180), ("Voxel(size_m: 5.0)", 36), ("TimeBlock()", 36)] {
+            let fold = format!("Fold(of: {outer}, index: 0, count: 4)");
+            for split in [outer, &fold].map(|text| Plugin::<dyn Split>::parse(text).unwrap()) {
                 let blocks = split.blocks(&data, &links);
-                assert_eq!((blocks.len(), blocks.concat()), (count, links.clone()), "{of}");
+                assert_eq!((blocks.len(), blocks.concat()), (count, links.clone()), "{outer}");
             }
         }
     }
@@ -367,8 +369,8 @@ mod tests {
             let cells = |links: &[usize]| {
                 links.iter().map(|&i| (data.sample(i).position()[0] / 5.0).floor() as i64).collect::<Vec<_>>()
             };
-            let held = cells(&fold.validation);
-            assert!(cells(&fold.train).iter().all(|cell| !held.contains(cell)));
+            let held_out = cells(&fold.validation);
+            assert!(cells(&fold.train).iter().all(|cell| !held_out.contains(cell)));
         }
         for fold in folds("TimeBlock(start: 0.8, length: 0.2)", &data) {
             assert!(fold.validation.is_sorted_by(|a, b| b - a == 1), "{:?}", fold.validation);

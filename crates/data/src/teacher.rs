@@ -74,43 +74,45 @@ impl Default for Teacher {
 }
 
 impl Teacher {
-    /// True Gaussians, relative to the origin of the data set; signals are means over all positions, before
+    /// Returns the true Gaussians, relative to the origin of the data set; signals are means over all positions, before
     /// normalisation.
     pub fn cloud(&self) -> GaussianCloud {
         self.truth().cloud
     }
 
-    /// Signals `[N,2]` for a transmitter at `tx` (metres), before normalisation.
+    /// Computes the signals `[N,2]` for a transmitter at `tx` (metres), before normalisation.
     pub fn signals(&self, tx: [f64; 3]) -> Vec<[Real; 2]> {
         self.truth().signals(self.origin().local(tx))
     }
 
-    /// Origin of the true positions.
+    /// Returns the origin of the true positions.
     fn origin(&self) -> Origin {
-        Origin::of(self.receiver.position, [self.tx_box.0, self.tx_box.1])
+        Origin::for_receiver(self.receiver.position, [self.tx_box.0, self.tx_box.1])
     }
 
+    /// Draws the true Gaussians and their signals.
     fn truth(&self) -> Truth {
         Truth::new(self.seed, self.gaussians, &self.origin().local_pose(self.receiver))
     }
 
+    /// Draws the transmitter positions, metres.
     fn transmitters(&self) -> Vec<[f64; 3]> {
         let mut random = rng::stream(self.seed, "teacher transmitters", 0);
         let (low, high) = self.tx_box;
-        let mut place = || [0, 1, 2].map(|k| low[k] + (high[k] - low[k]) * rng::uniform(&mut random) as f64);
-        (0..self.samples).map(|_| place()).collect()
+        let mut position = || [0, 1, 2].map(|k| low[k] + (high[k] - low[k]) * rng::uniform(&mut random) as f64);
+        (0..self.samples).map(|_| position()).collect()
     }
 
-    /// Magnitudes of all spectra in order, before normalisation.
+    /// Renders the magnitudes of all spectra in order, before normalisation.
     fn render(&self, truth: &Truth, txs: &[[f64; 3]], progress: Progress<'_>) -> Result<Vec<Real>> {
-        let projector = self.projector.clone().map_or_else(|| linked("Mercator"), Ok)?;
-        let rasterizer: Plugin<dyn Rasterizer> = linked("AlphaBlending")?;
+        let projector = self.projector.clone().map_or_else(|| linked_plugin("Mercator"), Ok)?;
+        let rasterizer: Plugin<dyn Rasterizer> = linked_plugin("AlphaBlending")?;
         let plane: ImagePlane = projector.plane(self.width, self.height);
         let splats = projector.project(&activate(&truth.cloud), &self.origin().local_pose(self.receiver), &plane);
         let mut spectra = Vec::with_capacity(txs.len() * self.width * self.height);
         for batch in txs.chunks(BATCH) {
-            let of_each: Vec<Vec<[Real; 2]>> = batch.iter().map(|tx| truth.signals(self.origin().local(*tx))).collect();
-            let rows = (0..self.gaussians).flat_map(|i| of_each.iter().flat_map(move |signals| signals[i]));
+            let signals: Vec<Vec<[Real; 2]>> = batch.iter().map(|tx| truth.signals(self.origin().local(*tx))).collect();
+            let rows = (0..self.gaussians).flat_map(|i| signals.iter().flat_map(move |signals| signals[i]));
             let render = rasterizer.forward(&splats, &rows.collect::<Vec<Real>>(), 2 * batch.len(), &plane);
             for pair in render.pixels.chunks_exact(2 * self.width * self.height) {
                 let (c0, c1) = pair.split_at(pair.len() / 2);
@@ -128,15 +130,16 @@ impl DataSource for Teacher {
         Some(pwrfgs_core::Task::Spectrum)
     }
 
+    /// Renders the spectra, scaled so that the largest value of all becomes 255.
     fn load(&self, _: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        DataSource::check(self).map_err(|why| Error::Config(format!("Teacher: {why}")))?;
+        DataSource::check(self).map_err(|fault| Error::Config(format!("Teacher: {fault}")))?;
         let truth = self.truth();
         let txs = self.transmitters();
         let spectra = self.render(&truth, &txs, progress)?;
         let largest = spectra.iter().copied().fold(0.0, Real::max);
         if !(largest.is_finite() && largest > 0.0) {
-            let what = "the spectra of Teacher are black; use another seed, or a projector that shows elevations of 10 to 75 degrees";
-            return Err(Error::Config(what.into()));
+            let advice = "use another seed, or a projector that shows elevations of 10 to 75 degrees";
+            return Err(Error::Config(format!("the spectra of Teacher are black; {advice}")));
         }
         let to_byte = |value: &Real| (value / largest * 255.0).round() as u8;
         let samples = txs.iter().zip(1..).map(|(&tx, id)| Sample::new(id, tx)).collect();
@@ -175,8 +178,8 @@ impl DataSource for Teacher {
     }
 }
 
-/// The plugin `name` with default settings, if it is linked.
-fn linked<T: ?Sized + pwrfgs_core::plugin::PluginKind>(name: &str) -> Result<Plugin<T>>
+/// Creates the plugin `name` with default settings; an error if it is not linked.
+fn linked_plugin<T: ?Sized + pwrfgs_core::plugin::PluginKind>(name: &str) -> Result<Plugin<T>>
 where
     Box<T>: for<'de> Deserialize<'de>,
 {
@@ -185,7 +188,7 @@ where
     })
 }
 
-/// Inputs of the projector, without deformation or gate.
+/// Computes the inputs of the projector, without deformation or gate.
 fn activate(cloud: &GaussianCloud) -> Primitives {
     Primitives {
         means: cloud.means.clone(),
@@ -221,15 +224,15 @@ impl Truth {
         let mut waves = Vec::with_capacity(count);
         let (world_from_receiver, origin) = (receiver.world_from_receiver(), receiver.origin());
         for _ in 0..count {
-            let (azimuth, elevation) = (TAU * rng::uniform(random), between(random, 10.0, 75.0) / DEG);
-            let distance = between(random, 2.0, 6.0);
+            let (azimuth, elevation) = (TAU * rng::uniform(random), uniform_between(random, 10.0, 75.0) / DEG);
+            let distance = uniform_between(random, 2.0, 6.0);
             let direction =
                 Vec3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
             cloud.means.push((origin + world_from_receiver * (direction * distance)).to_array());
-            let scale = distance * (between(random, 5.0, 12.0) / DEG).tan();
+            let scale = distance * (uniform_between(random, 5.0, 12.0) / DEG).tan();
             cloud.log_scales.push([0; 3].map(|_| scale.ln() + 0.2 * rng::normal(random)));
-            cloud.quats.push(unit([0; 4].map(|_| rng::normal(random))));
-            cloud.opacity_logits.push(logit(between(random, 0.5, 0.9)));
+            cloud.quats.push(normalised([0; 4].map(|_| rng::normal(random))));
+            cloud.opacity_logits.push(logit(uniform_between(random, 0.5, 0.9)));
             let wave = Wave::random(random);
             cloud.signals.push(wave.amplitude.map(|a| MEAN * a));
             waves.push(wave);
@@ -237,18 +240,19 @@ impl Truth {
         Self { cloud, waves }
     }
 
-    /// Signals `[N,2]` for a transmitter at `tx`.
+    /// Computes the signals `[N,2]` for a transmitter at `tx`, metres from the origin.
     pub(super) fn signals(&self, tx: [Real; 3]) -> Vec<[Real; 2]> {
         self.waves.iter().map(|wave| wave.at(Vec3::from_array(tx))).collect()
     }
 }
 
 impl Wave {
+    /// Draws amplitude, direction, wavelength and phase.
     fn random(random: &mut Rng) -> Self {
-        let strength = between(random, 0.4, 1.0);
-        let angle = between(random, 0.0, TAU / 4.0);
-        let direction = Vec3::from_array(unit([0; 3].map(|_| rng::normal(random))));
-        let wavelength = between(random, 1.0, 2.0);
+        let strength = uniform_between(random, 0.4, 1.0);
+        let angle = uniform_between(random, 0.0, TAU / 4.0);
+        let direction = Vec3::from_array(normalised([0; 3].map(|_| rng::normal(random))));
+        let wavelength = uniform_between(random, 1.0, 2.0);
         let phase = TAU * rng::uniform(random);
         Self {
             amplitude: [strength * angle.cos(), strength * angle.sin()],
@@ -257,18 +261,20 @@ impl Wave {
         }
     }
 
+    /// Computes both channels for a transmitter at `tx`, metres from the origin.
     fn at(&self, tx: Vec3) -> [Real; 2] {
         let level = MEAN + SWING * (self.radians_per_metre.dot(tx) + self.phase).cos();
         self.amplitude.map(|a| a * level)
     }
 }
 
-fn between(random: &mut Rng, low: Real, high: Real) -> Real {
+/// Draws a uniform number from `low` to `high`.
+fn uniform_between(random: &mut Rng, low: Real, high: Real) -> Real {
     low + (high - low) * rng::uniform(random)
 }
 
 /// Normalises a vector; a zero vector becomes the first axis.
-fn unit<const N: usize>(vector: [Real; N]) -> [Real; N] {
+fn normalised<const N: usize>(vector: [Real; N]) -> [Real; N] {
     let length = vector.iter().map(|v| v * v).sum::<Real>().sqrt();
     if length > 0.0 { vector.map(|v| v / length) } else { std::array::from_fn(|i| Real::from(u8::from(i == 0))) }
 }

@@ -22,7 +22,83 @@ pub(crate) const VERTEX_ADVICE: &str = "give every vertex a finite x, y and z";
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TextField<'a> {
     pub(crate) text: &'a str,
+    /// Column of its first character, counted from 1.
     pub(crate) column: usize,
+}
+
+/// Line of a file, split into fields.
+pub(crate) struct TextRow<'a> {
+    pub(crate) path: &'a Path,
+    /// Line number, counted from 1.
+    pub(crate) line: usize,
+    pub(crate) fields: Vec<TextField<'a>>,
+}
+
+impl<'a> TextRow<'a> {
+    /// Splits the content of a line at commas.
+    pub(crate) fn at_commas(path: &'a Path, (line, content): (usize, &'a str)) -> Self {
+        Self { path, line, fields: split_commas(content) }
+    }
+
+    /// Splits the content of a line at blanks.
+    pub(crate) fn at_blanks(path: &'a Path, (line, content): (usize, &'a str)) -> Self {
+        Self { path, line, fields: split_blanks(content) }
+    }
+
+    /// Creates an error at a column of this line.
+    pub(crate) fn fault(&self, column: usize, problem: impl Display) -> Error {
+        Error::at(self.path, self.line, column, problem)
+    }
+
+    /// Returns the column behind the last field.
+    pub(crate) fn end(&self) -> usize {
+        self.fields.last().map_or(1, |field| field.column + field.text.chars().count())
+    }
+
+    /// Returns an error for a row with more fields than the header, for example due to decimal commas.
+    pub(crate) fn check_length(&self, header: usize) -> Result<()> {
+        match self.fields.get(header..).and_then(|surplus| surplus.iter().find(|field| !field.text.is_empty())) {
+            Some(field) => {
+                let (count, advice) = (self.fields.len(), "write decimals with a point, and one value per column");
+                Err(self.fault(field.column, format!("the row has {count} fields, its header {header}; {advice}")))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Returns the field in the column with this index and name.
+    pub(crate) fn cell(&self, (column, name): (usize, &str), advice: &str) -> Result<TextField<'a>> {
+        self.fields.get(column).copied().ok_or_else(|| {
+            let (count, needed, name) = (self.fields.len(), column + 1, quoted(name));
+            let problem = format!("the row ends after {count} of the {needed} columns that {name} needs");
+            self.fault(self.end(), format!("{problem}; {advice}"))
+        })
+    }
+
+    /// Reads the power in the column of a receiver, dBm; -100 if no signal was received.
+    pub(crate) fn read_power(&self, column: (usize, &str)) -> Result<f64> {
+        dbm(self.path, self.line, self.cell(column, DBM_ADVICE)?)
+    }
+
+    /// Finds the column `name` of a header, in either case; `names` lists every column that the file needs.
+    fn column(&self, name: &str, names: &str) -> Result<usize> {
+        let fields = &self.fields;
+        let mut columns = fields.iter().enumerate().filter(|(_, field)| field.text.eq_ignore_ascii_case(name));
+        let (column, _) = columns.next().ok_or_else(|| {
+            let is_separator = |mark: &&str| fields.len() == 1 && fields[0].text.contains(mark);
+            let problem = match [";", "\t"].into_iter().find(is_separator) {
+                Some(mark) => format!("columns are separated by {mark:?}; separate them by commas"),
+                None => format!("no column `{name}`; the first line must name the columns {names}"),
+            };
+            self.fault(1, problem)
+        })?;
+        match columns.next() {
+            Some((_, second)) => {
+                Err(self.fault(second.column, format!("a second column `{name}`; name each of {names} once")))
+            }
+            None => Ok(column),
+        }
+    }
 }
 
 /// Reads a file of at most `limit` bytes; `advice` is the next step if it does not exist.
@@ -30,11 +106,11 @@ pub(crate) fn read_bytes(path: &Path, limit: u64, advice: &str) -> Result<Vec<u8
     files::read_at_most(path, limit).map_err(|source| unreadable(path, source, "file", advice))
 }
 
-/// Error for a file or folder that cannot be read, with `advice` if it does not exist.
-pub(crate) fn unreadable(path: &Path, source: std::io::Error, what: &str, advice: &str) -> Error {
+/// Creates the error for a file or folder (`kind`) that cannot be read, with `advice` if it does not exist.
+pub(crate) fn unreadable(path: &Path, source: std::io::Error, kind: &str, advice: &str) -> Error {
     match source.kind() {
         ErrorKind::NotFound => {
-            Error::read(path, std::io::Error::new(source.kind(), format!("no such {what}; {advice}")))
+            Error::read(path, std::io::Error::new(source.kind(), format!("no such {kind}; {advice}")))
         }
         _ => Error::read(path, source),
     }
@@ -55,60 +131,60 @@ pub(crate) fn read_yaml<T: DeserializeOwned>(path: &Path, advice: &str, expected
     let options = serde_saphyr::options! { with_snippet: false };
     serde_saphyr::from_str_with_options(&text, options).map_err(|e| {
         let words = e.render_with_formatter(&UserMessageFormatter);
-        let what = format!("{}; {expected}", words.split(" at line ").next().unwrap_or_default());
-        let place = e.location().map(|place| (place.line() as usize, place.column() as usize));
-        place.map_or_else(|| Error::input(path, &what), |(line, column)| Error::at(path, line, column, &what))
+        let problem = format!("{}; {expected}", words.split(" at line ").next().unwrap_or_default());
+        match e.location() {
+            Some(at) => Error::at(path, at.line() as usize, at.column() as usize, problem),
+            None => Error::input(path, problem),
+        }
     })
 }
 
-/// Error at a value of a YAML file.
-pub(crate) fn at<T>(path: &Path, value: &Spanned<T>, what: impl Display) -> Error {
-    Error::at(path, value.referenced.line() as usize, value.referenced.column() as usize, what)
+/// Creates an error at a value of a YAML file.
+pub(crate) fn yaml_fault<T>(path: &Path, value: &Spanned<T>, problem: impl Display) -> Error {
+    Error::at(path, value.referenced.line() as usize, value.referenced.column() as usize, problem)
 }
 
-/// Lines that are not empty, with their numbers.
+/// Returns the lines that are not empty, with their numbers, counted from 1.
 pub(crate) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines().enumerate().map(|(i, line)| (i + 1, line)).filter(|(_, line)| !line.trim().is_empty())
 }
 
-/// Fields between commas, without surrounding blanks and quotes. Of a longer line, the first [`MOST_FIELDS`].
-pub(crate) fn split_commas(line: &str) -> Vec<TextField<'_>> {
+/// Splits a line at commas into fields without surrounding blanks and quotes; stops after [`MOST_FIELDS`].
+fn split_commas(line: &str) -> Vec<TextField<'_>> {
     let mut quoted = false;
     let parts = line.split(|c| {
         quoted ^= c == '"';
         c == ',' && !quoted
     });
-    let parts = parts.take(MOST_FIELDS);
-    placed(
-        line,
-        parts.map(|part| {
-            let text = part.trim();
-            text.strip_prefix('"').and_then(|t| t.strip_suffix('"')).unwrap_or(text).trim()
-        }),
-    )
+    let fields = parts.take(MOST_FIELDS).map(|part| {
+        let text = part.trim();
+        text.strip_prefix('"').and_then(|text| text.strip_suffix('"')).unwrap_or(text).trim()
+    });
+    with_columns(line, fields)
 }
 
-/// Fields between blanks.
-pub(crate) fn split_blanks(line: &str) -> Vec<TextField<'_>> {
-    placed(line, line.split_whitespace())
+/// Splits a line at blanks.
+fn split_blanks(line: &str) -> Vec<TextField<'_>> {
+    with_columns(line, line.split_whitespace())
 }
 
-/// Slices of `line`, in order, each with its column: characters, counted from 1. Columns are counted incrementally: a
-/// face of a mesh may have a million corners in one line.
-fn placed<'a>(line: &'a str, parts: impl Iterator<Item = &'a str>) -> Vec<TextField<'a>> {
+/// Returns slices of `line`, in order, each with its column: characters, counted from 1. Columns are counted incrementally:
+/// a face of a mesh may have a million corners in one line.
+fn with_columns<'a>(line: &'a str, parts: impl Iterator<Item = &'a str>) -> Vec<TextField<'a>> {
     let (mut last, mut column) = (0, 1);
-    let place = |text: &'a str| {
+    let field = |text: &'a str| {
         let start = text.as_ptr() as usize - line.as_ptr() as usize;
         column += line[last..start].chars().count();
         last = start;
         TextField { text, column }
     };
-    parts.map(place).collect()
+    parts.map(field).collect()
 }
 
 /// Parses a finite number; `advice` is the next step otherwise.
 pub(crate) fn number(path: &Path, line: usize, field: TextField<'_>, advice: &str) -> Result<f64> {
-    let fault = |what: &str| Error::at(path, line, field.column, format!("{} is {what}; {advice}", quoted(field.text)));
+    let fault =
+        |problem: &str| Error::at(path, line, field.column, format!("{} is {problem}; {advice}", quoted(field.text)));
     let value: f64 = field.text.parse().ok().ok_or_else(|| fault("not a number"))?;
     if (value as Real).is_finite() { Ok(value) } else { Err(fault("not finite")) }
 }
@@ -119,109 +195,53 @@ pub(crate) fn coordinate(path: &Path, line: usize, field: TextField<'_>, advice:
     if value.abs() <= MAX_COORDINATE_M {
         return Ok(value);
     }
-    let what = format!("{} is beyond {MAX_COORDINATE_M:e} m; {advice}", quoted(field.text));
-    Err(Error::at(path, line, field.column, what))
+    let problem = format!("{} is beyond {MAX_COORDINATE_M:e} m; {advice}", quoted(field.text));
+    Err(Error::at(path, line, field.column, problem))
 }
 
-/// Problem with a point of a binary file.
-pub(crate) fn fault_of(point: [f64; 3]) -> Option<String> {
+/// Returns the problem with a point of a binary file.
+pub(crate) fn point_fault(point: [f64; 3]) -> Option<String> {
     let wrong = point.into_iter().find(|v| coordinate_fault(*v).is_some())?;
     Some(if wrong.is_finite() { format!("beyond {MAX_COORDINATE_M:e} m") } else { "not finite".into() })
 }
 
-/// Returns an error for a row with more fields than the header, for example due to decimal commas.
-pub(crate) fn no_longer(path: &Path, line: usize, row: &[TextField<'_>], header: usize) -> Result<()> {
-    match row.get(header..).and_then(|more| more.iter().find(|field| !field.text.is_empty())) {
-        Some(field) => {
-            let (have, what) = (row.len(), "write decimals with a point, and one value per column");
-            Err(Error::at(path, line, field.column, format!("the row has {have} fields, its header {header}; {what}")))
-        }
-        None => Ok(()),
-    }
-}
-
-/// Field of a row in the column with this name.
-pub(crate) fn cell<'a>(
-    path: &Path,
-    line: usize,
-    row: &[TextField<'a>],
-    (column, name): (usize, &str),
-    advice: &str,
-) -> Result<TextField<'a>> {
-    row.get(column).copied().ok_or_else(|| {
-        let end = row.last().map_or(1, |f| f.column + f.text.chars().count());
-        let (have, need, name) = (row.len(), column + 1, quoted(name));
-        Error::at(
-            path,
-            line,
-            end,
-            format!("the row ends after {have} of the {need} columns that {name} needs; {advice}"),
-        )
-    })
-}
-
-/// Power in the column of the receiver `name`, dBm; -100 if no signal was received.
-pub(crate) fn power(path: &Path, line: usize, row: &[TextField<'_>], column: (usize, &str)) -> Result<f64> {
-    dbm(path, line, cell(path, line, row, column, DBM_ADVICE)?)
-}
-
-/// Power in a field, dBm; -100 if no signal was received.
+/// Parses a power, dBm; -100 if no signal was received.
 pub(crate) fn dbm(path: &Path, line: usize, field: TextField<'_>) -> Result<f64> {
     let dbm = number(path, line, field, DBM_ADVICE)?;
     let stored = dbm as Real as f64; // rounding may give the marker of a missing link
     if dbm != NOT_RECEIVED && [dbm, stored].into_iter().find_map(power_fault).is_some() {
-        let what = format!("{} is not a power in dBm; {DBM_ADVICE}", quoted(field.text));
-        return Err(Error::at(path, line, field.column, what));
+        let problem = format!("{} is not a power in dBm; {DBM_ADVICE}", quoted(field.text));
+        return Err(Error::at(path, line, field.column, problem));
     }
     Ok(dbm)
 }
 
-/// Finds the column `name` in a header, in either case; `all` names every column that the file needs.
-fn column(path: &Path, line: usize, header: &[TextField<'_>], name: &str, all: &str) -> Result<usize> {
-    let mut found = header.iter().enumerate().filter(|(_, field)| field.text.eq_ignore_ascii_case(name));
-    let (column, _) = found.next().ok_or_else(|| {
-        let other = [";", "\t"].into_iter().find(|other| header.len() == 1 && header[0].text.contains(other));
-        let what = match other {
-            Some(other) => format!("columns are separated by {other:?}; separate them by commas"),
-            None => format!("no column `{name}`; the first line must name the columns {all}"),
-        };
-        Error::at(path, line, 1, what)
-    })?;
-    match found.next() {
-        Some((_, twice)) => {
-            let what = format!("a second column `{name}`; name each of {all} once");
-            Err(Error::at(path, line, twice.column, what))
-        }
-        None => Ok(column),
-    }
-}
-
-/// Lines of a table with the fields of these columns, which its header names among others.
+/// Reads the rows of a table: the number of each line, with its fields in these columns, which the header names among others.
 pub(crate) fn table<'a, const N: usize>(
-    path: &Path,
+    path: &'a Path,
     text: &'a str,
     names: [&str; N],
     advice: &str,
 ) -> Result<Vec<(usize, [TextField<'a>; N])>> {
     let mut rows = lines(text);
-    let (first, header) = rows.next().ok_or_else(|| Error::input(path, format!("is empty; {advice}")))?;
-    let (header, all) = (split_commas(header), names.join(", "));
-    let columns = names.map(|name| column(path, first, &header, name, &all));
+    let header = rows.next().ok_or_else(|| Error::input(path, format!("is empty; {advice}")))?;
+    let (header, all_names) = (TextRow::at_commas(path, header), names.join(", "));
+    let columns = names.map(|name| header.column(name, &all_names));
     let columns = columns.into_iter().collect::<Result<Vec<usize>>>()?;
-    let read = |(line, row)| {
-        let row = split_commas(row);
-        no_longer(path, line, &row, header.len())?;
-        let mut fields = [TextField { text: "", column: 1 }; N];
-        for (k, field) in fields.iter_mut().enumerate() {
-            *field = cell(path, line, &row, (columns[k], names[k]), advice)?;
+    let read = |row| {
+        let row = TextRow::at_commas(path, row);
+        row.check_length(header.fields.len())?;
+        let mut cells = [TextField { text: "", column: 1 }; N];
+        for (k, cell) in cells.iter_mut().enumerate() {
+            *cell = row.cell((columns[k], names[k]), advice)?;
         }
-        Ok((line, fields))
+        Ok((row.line, cells))
     };
     rows.map(read).collect()
 }
 
-/// Position in three fields, metres.
-pub(crate) fn place(path: &Path, line: usize, fields: [TextField<'_>; 3], advice: &str) -> Result<[f64; 3]> {
+/// Parses a position in three fields, metres.
+pub(crate) fn position(path: &Path, line: usize, fields: [TextField<'_>; 3], advice: &str) -> Result<[f64; 3]> {
     let [x, y, z] = fields.map(|field| coordinate(path, line, field, advice));
     Ok([x?, y?, z?])
 }
@@ -232,16 +252,16 @@ pub(crate) struct XyzColumns(pub(crate) [usize; 3]);
 
 impl XyzColumns {
     /// Finds the columns in a header, in any order and either case, among other columns.
-    pub(crate) fn from_header(path: &Path, line: usize, header: &[TextField<'_>]) -> Result<Self> {
-        let find = |name| column(path, line, header, name, "x, y and z");
+    pub(crate) fn from_header(header: &TextRow<'_>) -> Result<Self> {
+        let find = |name| header.column(name, "x, y and z");
         Ok(Self([find("x")?, find("y")?, find("z")?]))
     }
 
-    /// The three coordinates of a row.
-    pub(crate) fn read(self, path: &Path, line: usize, row: &[TextField<'_>], advice: &str) -> Result<[f64; 3]> {
+    /// Reads the three coordinates of a row, metres.
+    pub(crate) fn read(self, row: &TextRow<'_>, advice: &str) -> Result<[f64; 3]> {
         let mut point = [0.0; 3];
         for ((value, column), name) in point.iter_mut().zip(self.0).zip(["x", "y", "z"]) {
-            *value = coordinate(path, line, cell(path, line, row, (column, name), advice)?, advice)?;
+            *value = coordinate(row.path, row.line, row.cell((column, name), advice)?, advice)?;
         }
         Ok(point)
     }

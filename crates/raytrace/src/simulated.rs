@@ -236,7 +236,7 @@ pub fn open_or_make<T>(
             Err(e) => tracing::warn!("cached data set {} is damaged ({e}); simulating it again", folder.display()),
         }
     }
-    if let Err(e) = files::check_place(&folder) {
+    if let Err(e) = files::check_path(&folder) {
         tracing::warn!("cannot cache simulated data: {e}");
         return simulate_temporarily(recipe, progress, read);
     }

@@ -105,7 +105,7 @@ pub(crate) fn model_of(
     let (name, position, orientation) = receiver;
     let trained = tx.map_or(Ok(Vec::new()), |tx| places("tx", tx))?;
     let known = trained.iter().copied().chain(places("means", &cloud.as_any().get_item("means")?)?);
-    let origin = Origin::of(position, known);
+    let origin = Origin::for_receiver(position, known);
     let cloud = cloud_of(cloud, origin)?;
     let elevation = elevation_of(py, elevation_deg)?;
     if !(1..=MOST_PIXELS).contains(&height.saturating_mul(width)) {

@@ -48,7 +48,7 @@ pub(crate) fn man(arguments: &Man, mut command: Command) -> Result<()> {
         clap_mangen::Man::new(command).render(&mut page).map_err(failed(Path::new("the page")))?;
         return output::result(&String::from_utf8_lossy(&page));
     };
-    pwrfgs_core::files::check_place(folder)?;
+    pwrfgs_core::files::check_path(folder)?;
     let mut pages = Vec::new();
     for page in std::iter::once(&command).chain(command.get_subcommands().filter(|c| c.get_name() != "help")) {
         let man = clap_mangen::Man::new(page.clone());

@@ -5,7 +5,7 @@ use super::options::{parse_numbers, parse_position};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::data::import::{Import as Work, links};
+use pwrfgs::data::import::{Import as Work, read_links};
 use pwrfgs::data::save;
 use pwrfgs::experiment::{observed, staged, warn_of_findings};
 use pwrfgs_core::{Elevation, Error, Number, Pose, Result, recognise};
@@ -110,7 +110,7 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
 
 /// Converts a table of links.
 fn import_links(arguments: &Import, path: &Path, name: &str, verbosity: Verbosity) -> Result<()> {
-    let (data, silent) = links(path, name, arguments.simulated)?;
+    let (data, silent) = read_links(path, name, arguments.simulated)?;
     save(&data, &arguments.out)?;
     warn_of_findings(&data, None, &mut RunProgress::new(verbosity))?;
     let out = arguments.out.display();

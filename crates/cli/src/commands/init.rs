@@ -12,7 +12,7 @@ use clap::Args;
 use pwrfgs::experiment::text::wrapped;
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::Docs;
-use pwrfgs_core::files::{check_place, write_new};
+use pwrfgs_core::files::{check_path, write_new};
 use pwrfgs_core::plugin::try_to_ron;
 use pwrfgs_core::{Dataset, Error, Result, ShippedFile, recognise};
 use std::path::{Path, PathBuf};
@@ -92,7 +92,7 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     if out.symlink_metadata().is_ok() {
         return Err(exists());
     }
-    check_place(&out)?;
+    check_path(&out)?;
     let survey = RunProgress::during(verbosity, |progress| DataSurvey::of(&arguments.folder, progress))?;
     let pipeline = pipeline(&survey, &arguments.folder, &out)?;
     let text = pipeline_text(&survey, &pipeline)?;

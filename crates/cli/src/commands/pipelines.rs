@@ -3,7 +3,7 @@
 use crate::output;
 use clap::Args;
 use pwrfgs::experiment::text::aligned;
-use pwrfgs_core::files::{check_file_place, write_new};
+use pwrfgs_core::files::{check_file_path, write_new};
 use pwrfgs_core::{Error, Result, ShippedFile, did_you_mean};
 use std::path::PathBuf;
 
@@ -37,7 +37,7 @@ pub(crate) fn pipelines(arguments: &Pipelines) -> Result<()> {
             )));
         };
         let out = PathBuf::from(format!("{name}.ron"));
-        check_file_place(&out)?;
+        check_file_path(&out)?;
         if !write_new(&out, file.text().as_bytes())? {
             return Err(Error::input(&out, "file exists and is not overwritten; rename it, or use another directory"));
         }

@@ -11,47 +11,36 @@ impl Dataset {
     /// # Errors
     /// Several receivers, features, another number of carriers than links, or a carrier out of range.
     pub fn with_carriers(mut self, carriers_hz: &[f64]) -> Result<Self> {
-        let refuse = |what: String| Err(Error::Config(format!("data set `{}`: {what}", self.title)));
+        let refuse = |problem: String| Err(Error::Config(format!("data set `{}`: {problem}", self.title)));
         if self.scene.receivers.len() > 1 || self.features.is_some() {
             return refuse("carriers need one receiver and no features; leave them out".into());
         }
         if carriers_hz.len() != self.len() {
-            let (have, need) = (carriers_hz.len(), self.len());
-            return refuse(format!("{have} carriers for {need} links; give as many of each"));
+            let (count, needed) = (carriers_hz.len(), self.len());
+            return refuse(format!("{count} carriers for {needed} links; give as many of each"));
         }
         if let Some((i, fault)) = carriers_hz.iter().enumerate().find_map(|(i, hz)| Some((i, carrier_fault(*hz)?))) {
             return refuse(format!("carrier {}: {fault}", i + 1));
         }
-        let mut all = carriers_hz.to_vec();
-        all.sort_by(f64::total_cmp);
-        all.dedup();
-        if let [only] = all[..] {
+        let mut distinct = carriers_hz.to_vec();
+        distinct.sort_by(f64::total_cmp);
+        distinct.dedup();
+        if let [only] = distinct[..] {
             self.scene.receivers[0].carrier_hz = Some(only);
             return Ok(self);
         }
-        // Repeated links at a position and carrier count up, and each count has its own location.
-        let (mut counts, mut first_ids) = (BTreeMap::new(), BTreeMap::new());
-        let row = |(i, hz): (usize, &f64)| {
-            let Sample { id, pose, .. } = self.sample(i);
-            let at = (pose.position.map(f64::to_bits), pose.orientation.map(f64::to_bits));
-            let receiver = all.partition_point(|other| other < hz);
-            let count: &mut usize = counts.entry((at, receiver)).or_default();
-            *count += 1;
-            (*first_ids.entry((at, *count)).or_insert(id), receiver, i)
-        };
-        let mut rows: Vec<(u32, usize, usize)> = carriers_hz.iter().enumerate().map(row).collect();
-        rows.sort_unstable();
+        let rows = self.carrier_rows(carriers_hz, &distinct);
         let order: Vec<usize> = rows.iter().map(|(.., i)| *i).collect();
         let samples: Vec<Sample> =
             rows.iter().map(|&(id, receiver, i)| Sample { id, receiver, ..self.sample(i) }).collect();
         let mut new_index = vec![0; order.len()];
         order.iter().enumerate().for_each(|(new, old)| new_index[*old] = new);
-        let moved = |list: &Vec<usize>| {
-            let mut list: Vec<usize> = list.iter().map(|i| new_index[*i]).collect();
-            list.sort_unstable();
-            list
+        let moved = |links: &Vec<usize>| {
+            let mut links: Vec<usize> = links.iter().map(|i| new_index[*i]).collect();
+            links.sort_unstable();
+            links
         };
-        let receivers: Vec<Receiver> = all.iter().map(|hz| self.scene.receivers[0].at_carrier(*hz)).collect();
+        let receivers: Vec<Receiver> = distinct.iter().map(|hz| self.scene.receivers[0].at_carrier(*hz)).collect();
         let official = self.official.as_ref().map(|(train, test)| (moved(train), moved(test)));
         let observations = if order.is_sorted() { self.observations } else { self.observations.subset(&order)? };
         let ends = Ends { receivers: receivers.clone(), ..self.scene.ends() };
@@ -65,6 +54,23 @@ impl Dataset {
             unmatched: self.unmatched,
             ..columns
         })
+    }
+
+    /// Returns the links in their new order: ID of the location, index of the carrier in `distinct`, and link. Repeated
+    /// links at a pose and carrier count up, and each count has a location of its own.
+    fn carrier_rows(&self, carriers_hz: &[f64], distinct: &[f64]) -> Vec<(u32, usize, usize)> {
+        let (mut counts, mut first_ids) = (BTreeMap::new(), BTreeMap::new());
+        let row = |(i, hz): (usize, &f64)| {
+            let Sample { id, pose, .. } = self.sample(i);
+            let key = (pose.position.map(f64::to_bits), pose.orientation.map(f64::to_bits));
+            let receiver = distinct.partition_point(|other| other < hz);
+            let count: &mut usize = counts.entry((key, receiver)).or_default();
+            *count += 1;
+            (*first_ids.entry((key, *count)).or_insert(id), receiver, i)
+        };
+        let mut rows: Vec<(u32, usize, usize)> = carriers_hz.iter().enumerate().map(row).collect();
+        rows.sort_unstable();
+        rows
     }
 }
 

@@ -4,7 +4,7 @@
 //! processes left.
 
 use super::held::lock_unused;
-use super::{check_file_place, parent};
+use super::{check_file_path, parent};
 use crate::{Error, Result};
 use std::fs::{self, File, TryLockError};
 use std::hash::{BuildHasher as _, RandomState};
@@ -14,21 +14,22 @@ use std::path::{Path, PathBuf};
 /// Number of bytes of a file name that its temporary file repeats; file systems allow 255.
 const LONGEST_NAME: usize = 200;
 
-/// Rejects a path at which no new file can be created: as [`check_file_place`], and the path must not exist. Removes
+/// Rejects a path at which no new file can be created: as [`check_file_path`], and the path must not exist. Removes
 /// temporary files that killed processes left for this path.
 ///
 /// # Errors
-/// [`Error::Config`] if the path exists, else as [`check_file_place`].
+/// [`Error::Config`] if the path exists, else as [`check_file_path`].
 pub fn check_new_file(path: &Path) -> Result<()> {
-    remove_temporaries(parent(path), &[&name(path)]);
+    remove_temporaries(parent(path), &[&short_name(path)]);
     // Includes broken links, which may point anywhere.
     if path.symlink_metadata().is_ok() {
-        return Err(exists(path));
+        return Err(exists_fault(path));
     }
-    check_file_place(path)
+    check_file_path(path)
 }
 
-fn exists(path: &Path) -> Error {
+/// Creates the error for a path that exists.
+fn exists_fault(path: &Path) -> Error {
     Error::Config(format!("{} exists; choose another name or remove it", path.display()))
 }
 
@@ -55,7 +56,7 @@ pub fn replace(path: &Path, bytes: &[u8]) -> Result<File> {
 /// # Errors
 /// [`Error::Config`] if the path exists, even if it was free a moment ago; [`Error::Write`].
 pub fn create(path: &Path, bytes: &[u8]) -> Result<()> {
-    if write_new(path, bytes)? { Ok(()) } else { Err(exists(path)) }
+    if write_new(path, bytes)? { Ok(()) } else { Err(exists_fault(path)) }
 }
 
 /// Writes a new file atomically. Returns `false` if the path exists and leaves it unchanged: of several processes that
@@ -90,8 +91,8 @@ pub fn write_new(path: &Path, bytes: &[u8]) -> Result<bool> {
 
 /// Writes `bytes` to a synced temporary file next to `path`, which `publish` renames; returns the open, locked file.
 fn write_beside(path: &Path, bytes: &[u8], publish: impl FnOnce(&Path) -> io::Result<()>) -> io::Result<File> {
-    remove_temporaries(parent(path), &[&name(path)]);
-    let (temporary, mut file) = temporary(path)?;
+    remove_temporaries(parent(path), &[&short_name(path)]);
+    let (temporary, mut file) = create_temporary(path)?;
     let written = file.write_all(bytes).and_then(|()| file.sync_all()).and_then(|()| publish(&temporary));
     if let Err(e) = written {
         let _ = fs::remove_file(&temporary);
@@ -105,11 +106,11 @@ fn write_beside(path: &Path, bytes: &[u8], publish: impl FnOnce(&Path) -> io::Re
 }
 
 /// Creates and locks a temporary file next to `path`.
-fn temporary(path: &Path) -> io::Result<(PathBuf, File)> {
+fn create_temporary(path: &Path) -> io::Result<(PathBuf, File)> {
     loop {
         // Random instead of the process ID: on a shared disk, processes of two machines may have equal IDs.
         let number = RandomState::new().hash_one(std::process::id()) as u32;
-        let temporary = path.with_file_name(format!(".{}.{number}.tmp", name(path)));
+        let temporary = path.with_file_name(format!(".{}.{number}.tmp", short_name(path)));
         let file = File::create_new(&temporary)?;
         let is_taken = matches!(file.try_lock(), Err(TryLockError::WouldBlock));
         // Another process may have removed the file before it was locked.
@@ -119,15 +120,15 @@ fn temporary(path: &Path) -> io::Result<(PathBuf, File)> {
     }
 }
 
-/// Name of the file as its temporary files repeat it.
-fn name(path: &Path) -> String {
+/// Returns the name of the file as its temporary files repeat it.
+fn short_name(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     name[..name.floor_char_boundary(LONGEST_NAME)].to_owned()
 }
 
 /// Removes a file, if there is one, and temporary files that killed processes left for it. Failures are ignored.
 pub fn remove(path: &Path) {
-    remove_temporaries(parent(path), &[&name(path)]);
+    remove_temporaries(parent(path), &[&short_name(path)]);
     let _ = fs::remove_file(path);
 }
 
@@ -135,8 +136,8 @@ pub fn remove(path: &Path) {
 /// running processes are locked and stay. Files that cannot be removed are ignored.
 pub fn remove_temporaries(folder: &Path, names: &[&str]) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
-        let found = entry.file_name().to_string_lossy().into_owned();
-        let parts = found.strip_prefix('.').and_then(|found| found.strip_suffix(".tmp")?.rsplit_once('.'));
+        let file_name = entry.file_name().to_string_lossy().into_owned();
+        let parts = file_name.strip_prefix('.').and_then(|name| name.strip_suffix(".tmp")?.rsplit_once('.'));
         let is_ours = |(name, number): (&str, &str)| {
             names.contains(&name) && !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit())
         };
@@ -167,13 +168,13 @@ mod tests {
     fn new_file_never_replaces_existing_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.txt");
-        let made: Vec<bool> = std::thread::scope(|scope| {
+        let is_writer: Vec<bool> = std::thread::scope(|scope| {
             let write = |k: u8| write_new(&folder.path().join("a.txt"), &[k; 9]).unwrap();
-            let all: Vec<_> = (0..8).map(|k| scope.spawn(move || write(k))).collect();
-            all.into_iter().map(|one| one.join().unwrap()).collect()
+            let threads: Vec<_> = (0..8).map(|k| scope.spawn(move || write(k))).collect();
+            threads.into_iter().map(|thread| thread.join().unwrap()).collect()
         });
-        let first = made.iter().position(|made| *made).unwrap() as u8;
-        assert_eq!(made.iter().filter(|made| **made).count(), 1, "{made:?}");
+        let first = is_writer.iter().position(|is_writer| *is_writer).unwrap() as u8;
+        assert_eq!(is_writer.iter().filter(|is_writer| **is_writer).count(), 1, "{is_writer:?}");
         assert_eq!(fs::read(&path).unwrap(), [first; 9]);
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file is left");
         assert!(create(&path, b"").unwrap_err().is_input());
@@ -183,15 +184,15 @@ mod tests {
     #[test]
     fn removes_temporary_files_of_killed_processes_only() {
         let folder = tempfile::tempdir().unwrap();
-        let here = |name: &str| folder.path().join(name);
+        let path = |name: &str| folder.path().join(name);
         let long = "x".repeat(LONGEST_NAME + 9);
         let left = [".a.txt.1.tmp".to_owned(), format!(".{}.2.tmp", &long[..LONGEST_NAME])];
         let kept = [".a.txt.3.tmp", ".a.txt..tmp", ".a.txt.x.tmp", ".b.txt.4.tmp"];
-        left.iter().map(String::as_str).chain(kept).for_each(|name| fs::write(here(name), "half").unwrap());
-        let busy = File::open(here(".a.txt.3.tmp")).unwrap();
+        left.iter().map(String::as_str).chain(kept).for_each(|name| fs::write(path(name), "half").unwrap());
+        let busy = File::open(path(".a.txt.3.tmp")).unwrap();
         busy.lock().unwrap();
-        write_atomically(&here("a.txt"), b"1").unwrap();
-        check_new_file(&here(&long)).unwrap();
-        assert!(left.iter().all(|name| !here(name).exists()) && kept.iter().all(|name| here(name).exists()));
+        write_atomically(&path("a.txt"), b"1").unwrap();
+        check_new_file(&path(&long)).unwrap();
+        assert!(left.iter().all(|name| !path(name).exists()) && kept.iter().all(|name| path(name).exists()));
     }
 }

@@ -12,7 +12,7 @@ use std::time::Duration;
 /// # Errors
 /// If there is no such file, or it cannot be opened.
 pub fn try_lock(path: &Path) -> io::Result<Option<File>> {
-    locked(path, |file| {
+    lock_with(path, |file| {
         for _ in 0..20 {
             match file.try_lock() {
                 Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(10)),
@@ -28,7 +28,7 @@ pub fn try_lock(path: &Path) -> io::Result<Option<File>> {
 /// # Errors
 /// If there is no such file, or it cannot be opened.
 pub fn lock(path: &Path) -> io::Result<File> {
-    let taken = locked(path, |file| {
+    let lock = lock_with(path, |file| {
         loop {
             match file.lock() {
                 Err(e) if e.kind() == ErrorKind::Interrupted => {}
@@ -36,16 +36,18 @@ pub fn lock(path: &Path) -> io::Result<File> {
             }
         }
     });
-    taken.map(|file| file.expect("it waits until the lock is free"))
+    lock.map(|file| file.expect("it waits until the lock is free"))
 }
 
 /// Locks the file at `path` if no process holds its lock. Returns `None` otherwise, if there is no such file, and on file
 /// systems without locks.
 pub(super) fn lock_unused(path: &Path) -> Option<File> {
-    locked(path, |file| file.try_lock().map_err(|_no_locks| TryLockError::WouldBlock)).ok().flatten()
+    lock_with(path, |file| file.try_lock().map_err(|_no_locks| TryLockError::WouldBlock)).ok().flatten()
 }
 
-fn locked(path: &Path, take: impl Fn(&File) -> Result<(), TryLockError>) -> io::Result<Option<File>> {
+/// Opens the file at `path` and locks it with `take`; `None` if another process holds the lock. Repeats this if the name leads
+/// to another file meanwhile.
+fn lock_with(path: &Path, take: impl Fn(&File) -> Result<(), TryLockError>) -> io::Result<Option<File>> {
     loop {
         super::refuse_irregular(path)?;
         // NFS can lock only writable files.
@@ -70,8 +72,8 @@ fn is_at(file: &File, path: &Path) -> io::Result<bool> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::MetadataExt as _;
-        let (own, there) = (file.metadata()?, fs::metadata(path)?);
-        Ok((own.dev(), own.ino()) == (there.dev(), there.ino()))
+        let (opened, named) = (file.metadata()?, fs::metadata(path)?);
+        Ok((opened.dev(), opened.ino()) == (named.dev(), named.ino()))
     }
     #[cfg(not(unix))]
     fs::metadata(path).map(|_| file.metadata().is_ok())
@@ -120,8 +122,8 @@ impl HeldFolder {
     #[must_use]
     pub fn named(&self, error: Error) -> Error {
         let path = |path: PathBuf| match path.strip_prefix(&self.path) {
-            Ok(rest) if rest.as_os_str().is_empty() => self.name.clone(),
-            Ok(rest) => self.name.join(rest),
+            Ok(relative) if relative.as_os_str().is_empty() => self.name.clone(),
+            Ok(relative) => self.name.join(relative),
             Err(_) => path,
         };
         let text = |text: String| text.replace(&*self.path.to_string_lossy(), &self.name.to_string_lossy());
@@ -142,9 +144,10 @@ impl HeldFolder {
     pub fn check_name(&self) -> Result<()> {
         match &self.folder {
             Some(folder) if !is_at(folder, &self.name).unwrap_or(false) => {
-                let now = fs::read_link(&self.path).unwrap_or_default();
-                let what = format!("the folder was moved or replaced meanwhile; its files are in {}", now.display());
-                Err(Error::write(&self.name, io::Error::other(what)))
+                let current = fs::read_link(&self.path).unwrap_or_default();
+                let problem = "the folder was moved or replaced meanwhile";
+                let problem = format!("{problem}; its files are in {}", current.display());
+                Err(Error::write(&self.name, io::Error::other(problem)))
             }
             _ => Ok(()),
         }
@@ -177,8 +180,8 @@ mod tests {
     #[cfg(target_os = "linux")]
     #[test]
     fn held_folder_ignores_symlink_replacing_its_name() {
-        let (here, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-        let (name, moved) = (here.path().join("a"), here.path().join("b"));
+        let (parent, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let (name, moved) = (parent.path().join("a"), parent.path().join("b"));
         fs::create_dir(&name).unwrap();
         let held = HeldFolder::open(&name).unwrap();
         held.check_name().unwrap();
@@ -191,16 +194,19 @@ mod tests {
             (fs::read(moved.join("x")).unwrap(), fs::read(moved.join("y")).unwrap()),
             (b"1".into(), b"2".into())
         );
-        let shown = held.check_name().unwrap_err().to_string();
-        assert!(shown.contains(moved.to_str().unwrap()) && shown.contains(name.to_str().unwrap()), "{shown}");
+        let error_text = held.check_name().unwrap_err().to_string();
+        assert!(
+            error_text.contains(moved.to_str().unwrap()) && error_text.contains(name.to_str().unwrap()),
+            "{error_text}"
+        );
         let errors = [
             Error::write(&held.path().join("x"), io::Error::other("no")),
             Error::Busy(held.path().into()),
             Error::Config(format!("{} holds something else", held.path().display())),
         ];
         for error in errors {
-            let shown = held.named(error).to_string();
-            assert!(shown.contains(name.to_str().unwrap()) && !shown.contains("/proc"), "{shown}");
+            let error_text = held.named(error).to_string();
+            assert!(error_text.contains(name.to_str().unwrap()) && !error_text.contains("/proc"), "{error_text}");
         }
     }
 }

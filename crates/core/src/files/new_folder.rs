@@ -61,7 +61,7 @@ impl NewFolder {
         let (path, lock) = loop {
             let k = COUNT.fetch_add(1, Ordering::Relaxed);
             let path = parent.join(format!(".{name}.{}-{k}.tmp", std::process::id()));
-            match fs::create_dir(&path).and_then(|()| locked(&path)) {
+            match fs::create_dir(&path).and_then(|()| create_lock(&path)) {
                 Ok(lock) => break (path, lock),
                 // Another process removed the folder before it had a lock.
                 Err(e) if e.kind() == ErrorKind::NotFound && attempts.next().is_some() => {}
@@ -139,23 +139,25 @@ fn check_target(out: &Path) -> Result<()> {
     refuse_occupied(out)
 }
 
+/// Locks the list of folders in progress.
 fn under_way() -> MutexGuard<'static, Vec<PathBuf>> {
     UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Creates the lock of a new folder. The file is locked before it gets its name, so that other processes never find it
 /// unlocked.
-fn locked(folder: &Path) -> io::Result<File> {
-    let (new, own) = (folder.join(UNLOCKED), folder.join(LOCK));
-    let lock = File::create_new(&new)?;
+fn create_lock(folder: &Path) -> io::Result<File> {
+    let unlocked = folder.join(UNLOCKED);
+    let lock = File::create_new(&unlocked)?;
     // File systems without locks are accepted; a lock of another process means that it removes the folder.
     if let Err(TryLockError::WouldBlock) = lock.try_lock() {
         return Err(ErrorKind::NotFound.into());
     }
-    fs::rename(&new, &own)?;
+    fs::rename(&unlocked, folder.join(LOCK))?;
     Ok(lock)
 }
 
+/// Returns the first characters of the name of a folder.
 fn short_name(out: &Path) -> String {
     out.file_name().unwrap_or_default().to_string_lossy().chars().take(LONGEST).collect()
 }
@@ -167,19 +169,19 @@ fn clear(parent: &Path, name: Option<&str>) {
         if !is_under_way(&entry.file_name().to_string_lossy(), name) || path.is_symlink() {
             continue;
         }
-        let left = [LOCK, UNLOCKED].iter().find_map(|name| lock_unused(&path.join(name)));
+        let marker = [LOCK, UNLOCKED].iter().find_map(|name| lock_unused(&path.join(name)));
         // Failure is harmless. A folder without a marker is removed only if it is empty.
-        let _ = if left.is_some() { fs::remove_dir_all(&path) } else { fs::remove_dir(&path) };
+        let _ = if marker.is_some() { fs::remove_dir_all(&path) } else { fs::remove_dir(&path) };
     }
 }
 
 /// Returns whether a file name is that of a folder in progress, for one name or any.
 fn is_under_way(file: &str, name: Option<&str>) -> bool {
     let parts = || file.strip_prefix('.')?.strip_suffix(".tmp")?.rsplit_once('.');
-    parts().is_some_and(|(found, middle)| {
+    parts().is_some_and(|(target, number)| {
         let is_number = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
-        let is_ours = middle.split_once('-').is_some_and(|(pid, k)| is_number(pid) && is_number(k));
-        is_ours && name.is_none_or(|name| name == found)
+        let is_ours = number.split_once('-').is_some_and(|(pid, k)| is_number(pid) && is_number(k));
+        is_ours && name.is_none_or(|name| name == target)
     })
 }
 
@@ -196,25 +198,25 @@ mod tests {
 
     #[test]
     fn new_folder_is_complete_or_absent() {
-        let here = tempfile::tempdir().unwrap();
-        let out = here.path().join("a/data");
+        let parent = tempfile::tempdir().unwrap();
+        let out = parent.path().join("a/data");
         let folder = NewFolder::begin(&out).unwrap();
         fs::write(folder.path().join("x"), "1").unwrap();
         assert!(!out.exists());
         drop(folder);
-        assert!(names(&here.path().join("a")).is_empty());
+        assert!(names(&parent.path().join("a")).is_empty());
         fs::create_dir(&out).unwrap(); // empty, so it is replaced
         let folder = NewFolder::begin(&out).unwrap();
         let again = NewFolder::begin(&out).unwrap(); // the same folder, concurrently
         fs::write(folder.path().join("x"), "2").unwrap();
         folder.publish().unwrap();
         assert!(again.publish().unwrap_err().is_input(), "the first is there");
-        assert_eq!((names(&here.path().join("a")), names(&out)), (vec!["data".into()], vec!["x".into()]));
+        assert_eq!((names(&parent.path().join("a")), names(&out)), (vec!["data".into()], vec!["x".into()]));
         assert!(NewFolder::begin(&out).unwrap_err().to_string().contains("is not empty (it holds `x`)"));
         assert!(NewFolder::begin(Path::new("/")).is_err());
         NewFolder::remove(&out).unwrap();
-        assert!(names(&here.path().join("a")).is_empty());
-        NewFolder::begin(&here.path().join("x".repeat(250))).unwrap().publish().unwrap();
+        assert!(names(&parent.path().join("a")).is_empty());
+        NewFolder::begin(&parent.path().join("x".repeat(250))).unwrap().publish().unwrap();
     }
 
     /// Runs in a separate process, which no other test shares.
@@ -231,34 +233,34 @@ mod tests {
             std::thread::sleep(std::time::Duration::from_millis(100));
             std::process::exit(i32::from(Path::new(&out).exists()));
         }
-        let here = tempfile::tempdir().unwrap();
+        let parent = tempfile::tempdir().unwrap();
         let name = "files::new_folder::tests::abandoned_folders_are_not_published";
-        let mut own = std::process::Command::new(std::env::current_exe().unwrap());
-        let ended = own.args(["--exact", name]).env(OUT, here.path().join("data")).status().unwrap();
+        let mut child = std::process::Command::new(std::env::current_exe().unwrap());
+        let ended = child.args(["--exact", name]).env(OUT, parent.path().join("data")).status().unwrap();
         assert!(ended.success(), "{ended}");
     }
 
     #[test]
     fn removes_only_leftovers_of_killed_processes() {
-        let here = tempfile::tempdir().unwrap();
+        let parent = tempfile::tempdir().unwrap();
         let left = |name: &str| {
-            fs::create_dir(here.path().join(name)).unwrap();
-            fs::write(here.path().join(name).join(LOCK), "").unwrap();
+            fs::create_dir(parent.path().join(name)).unwrap();
+            fs::write(parent.path().join(name).join(LOCK), "").unwrap();
         };
         [".data.1-0.tmp", ".data.2-0.tmp", ".data.x-0.tmp", ".data.2-0.tmp.txt", ".data.7.tmp", ".other.1-3.tmp"]
             .into_iter()
             .for_each(left);
-        fs::create_dir(here.path().join(".data.4-0.tmp")).unwrap();
-        fs::create_dir(here.path().join(".data.3-0.tmp")).unwrap(); // without a lock its owner is unknown
-        fs::write(here.path().join(".data.3-0.tmp/x"), "").unwrap();
-        fs::create_dir(here.path().join(".data.5-0.tmp")).unwrap();
-        fs::write(here.path().join(".data.5-0.tmp").join(UNLOCKED), "").unwrap();
-        let busy = File::open(here.path().join(".data.2-0.tmp").join(LOCK)).unwrap();
+        fs::create_dir(parent.path().join(".data.4-0.tmp")).unwrap();
+        fs::create_dir(parent.path().join(".data.3-0.tmp")).unwrap(); // without a lock its owner is unknown
+        fs::write(parent.path().join(".data.3-0.tmp/x"), "").unwrap();
+        fs::create_dir(parent.path().join(".data.5-0.tmp")).unwrap();
+        fs::write(parent.path().join(".data.5-0.tmp").join(UNLOCKED), "").unwrap();
+        let busy = File::open(parent.path().join(".data.2-0.tmp").join(LOCK)).unwrap();
         busy.lock().unwrap();
-        NewFolder::begin(&here.path().join("data")).unwrap().publish().unwrap();
+        NewFolder::begin(&parent.path().join("data")).unwrap().publish().unwrap();
         let kept = [".data.2-0.tmp", ".data.2-0.tmp.txt", ".data.3-0.tmp", ".data.7.tmp", ".data.x-0.tmp"];
-        assert_eq!(names(here.path()), [&kept[..], &[".other.1-3.tmp", "data"]].concat());
-        NewFolder::clear(here.path());
-        assert_eq!(names(here.path()), [&kept[..], &["data"]].concat());
+        assert_eq!(names(parent.path()), [&kept[..], &[".other.1-3.tmp", "data"]].concat());
+        NewFolder::clear(parent.path());
+        assert_eq!(names(parent.path()), [&kept[..], &["data"]].concat());
     }
 }

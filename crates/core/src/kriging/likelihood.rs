@@ -17,12 +17,13 @@ const STEPS: [f64; 5] = [2.0, 1.0, 0.5, 0.25, 0.125];
 /// Samples to predict, each from other samples.
 #[derive(Debug)]
 pub struct HeldOutCases {
-    all: Vec<HeldOutCase>,
+    cases: Vec<HeldOutCase>,
     /// Median distance from a sample to its neighbours, metres.
     typical_m: f64,
     mean: Mean,
 }
 
+/// Sample to predict from its neighbours.
 #[derive(Debug)]
 struct HeldOutCase {
     at: Place,
@@ -41,65 +42,66 @@ impl HeldOutCases {
         place: impl Fn(usize) -> Place + Sync,
         values: impl Fn(usize, usize) -> Vec<Real> + Sync,
     ) -> Self {
-        let case = |(c, (sample, from)): (usize, &(usize, Vec<usize>))| {
-            let values: Vec<Vec<Real>> = std::iter::once(sample).chain(from).map(|i| values(c, *i)).collect();
+        let case = |(c, (sample, neighbours)): (usize, &(usize, Vec<usize>))| {
+            let values: Vec<Vec<Real>> = std::iter::once(sample).chain(neighbours).map(|i| values(c, *i)).collect();
             HeldOutCase {
                 at: place(*sample),
-                places: from.iter().map(|i| place(*i)).collect(),
-                products: products(&values, mean),
+                places: neighbours.iter().map(|i| place(*i)).collect(),
+                products: sum_products(&values, mean),
             }
         };
-        let all: Vec<HeldOutCase> = cases.par_iter().enumerate().map(case).collect();
-        let distances = sorted(all.iter().map(HeldOutCase::reach_m).filter(|reach| *reach > 0.0));
-        Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), all, mean }
+        let cases: Vec<HeldOutCase> = cases.par_iter().enumerate().map(case).collect();
+        let distances = sorted(cases.iter().map(HeldOutCase::typical_m).filter(|distance| *distance > 0.0));
+        Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), cases, mean }
     }
 
-    /// Squared prediction errors, summed over values, with the variances predicted by the process of variance 1.
+    /// Computes squared prediction errors, summed over values, with the variances predicted by the process of variance 1.
     fn errors(&self, correlation: &Correlation) -> Vec<(f64, f64)> {
-        self.all.par_iter().map(|case| case.error(correlation, self.mean)).collect()
+        self.cases.par_iter().map(|case| case.error(correlation, self.mean)).collect()
     }
 
     /// Returns the most likely process variance, summed over values: the mean of squared errors in units of the
     /// predicted variance.
     pub fn variance(&self, correlation: &Correlation) -> f64 {
-        strength(&self.errors(correlation))
+        process_variance(&self.errors(correlation))
     }
 
     /// Returns the log-likelihood at the best process variance, up to a constant and sign: half of n times the logarithm
     /// of that variance plus all logarithms of conditional variances. Higher is more likely.
     pub fn log_likelihood(&self, correlation: &Correlation) -> f64 {
-        let found = self.errors(correlation);
-        let logs: f64 = found.iter().map(|(_, variance)| variance.ln()).sum();
+        let errors = self.errors(correlation);
+        let logs: f64 = errors.iter().map(|(_, variance)| variance.ln()).sum();
         // Identical spectra have zero variance.
-        -0.5 * (found.len() as f64 * strength(&found).max(1e-30).ln() + logs)
+        -0.5 * (errors.len() as f64 * process_variance(&errors).max(1e-30).ln() + logs)
     }
 }
 
-fn strength(found: &[(f64, f64)]) -> f64 {
-    found.iter().map(|(error, variance)| error / variance).sum::<f64>() / found.len() as f64
+/// Computes the mean of squared errors in units of their predicted variances.
+fn process_variance(errors: &[(f64, f64)]) -> f64 {
+    errors.iter().map(|(error, variance)| error / variance).sum::<f64>() / errors.len() as f64
 }
 
-/// Sums of products of two of the given observations, square.
-fn products(values: &[Vec<Real>], mean: Mean) -> Vec<f64> {
+/// Computes the sums of products of any two of the n observations, `[n, n]`.
+fn sum_products(values: &[Vec<Real>], mean: Mean) -> Vec<f64> {
     let product = |a: &[Real], b: &[Real]| a.iter().zip(b).map(|(a, b)| *a as f64 * *b as f64).sum::<f64>();
     // Differences from the first observation avoid cancellation for bright spectra.
     let first = if mean == Mean::Zero { vec![0.0; values[0].len()] } else { values[0].clone() };
-    let less: Vec<Vec<Real>> =
+    let differences: Vec<Vec<Real>> =
         values.iter().map(|p| p.iter().zip(&first).map(|(p, first)| p - first).collect()).collect();
-    less.iter().flat_map(|a| less.iter().map(|b| product(a, b))).collect()
+    differences.iter().flat_map(|a| differences.iter().map(|b| product(a, b))).collect()
 }
 
 impl HeldOutCase {
-    /// Distance from the predicted sample to its median neighbour, metres.
-    fn reach_m(&self) -> f64 {
+    /// Computes the distance from the predicted sample to its median neighbour, metres.
+    fn typical_m(&self) -> f64 {
         let position = |[x, y, z, _]: Place| [x, y, z];
-        let middle = self.places.get(self.places.len() / 2);
-        middle.map_or(0.0, |place| neighbours::distance(position(*place), position(self.at)))
+        let median = self.places.get(self.places.len() / 2);
+        median.map_or(0.0, |neighbour| neighbours::distance(position(*neighbour), position(self.at)))
     }
 
-    /// Squared prediction error, summed over values, and the variance predicted by the process.
+    /// Computes the squared prediction error, summed over values, and the variance predicted by the process.
     fn error(&self, correlation: &Correlation, mean: Mean) -> (f64, f64) {
-        let places: Vec<Place> = self.places.iter().map(|place| correlation.scaled(*place)).collect();
+        let places: Vec<Place> = self.places.iter().map(|neighbour| correlation.scaled(*neighbour)).collect();
         let Solution { weights, variance } = solve(correlation, mean, &places, correlation.scaled(self.at));
         // The error is the weighted sum of the neighbours minus the predicted sample.
         let terms: Vec<f64> = std::iter::once(-1.0).chain(weights).collect();
@@ -110,16 +112,16 @@ impl HeldOutCase {
     }
 }
 
-/// Returns the most likely correlation, with its log-likelihood: coordinate search with step factors from 4 down to 1.09.
+/// Finds the most likely correlation, with its log-likelihood: coordinate search with step factors from 4 down to 1.09.
 pub fn most_likely(cases: &HeldOutCases, space: SearchSpace<'_>) -> (f64, Correlation) {
-    let of_kind = |&kind: &CorrelationKind| {
+    let best_of_kind = |&kind: &CorrelationKind| {
         let time = if space.time { TIME_START } else { f64::INFINITY };
         let length = 8.0 * cases.typical_m;
         let start = Correlation { kind, scales: [length, length, length, time], noise: 0.1 };
-        if cases.all.is_empty() { (0.0, start) } else { search(cases, start, space) }
+        if cases.cases.is_empty() { (0.0, start) } else { search(cases, start, space) }
     };
-    let found = space.kinds.iter().map(of_kind);
-    found.reduce(|best, next| if next.0 > best.0 { next } else { best }).expect("a kind is given")
+    let candidates = space.kinds.iter().map(best_of_kind);
+    candidates.reduce(|best, next| if next.0 > best.0 { next } else { best }).expect("a kind is given")
 }
 
 /// Correlations that are compared.
@@ -133,6 +135,7 @@ pub struct SearchSpace<'a> {
     pub time: bool,
 }
 
+/// Searches along one parameter at a time, with smaller and smaller steps, while the likelihood improves.
 fn search(cases: &HeldOutCases, start: Correlation, space: SearchSpace<'_>) -> (f64, Correlation) {
     let mut best = (cases.log_likelihood(&start), start);
     let is_searched = |parameter: &usize| match parameter {
@@ -146,7 +149,7 @@ fn search(cases: &HeldOutCases, start: Correlation, space: SearchSpace<'_>) -> (
             let before = best.0;
             for parameter in (0..7).filter(is_searched) {
                 for factor in [step.exp2(), (-step).exp2()] {
-                    while let Some(next) = moved(&best.1, parameter, factor, cases.typical_m) {
+                    while let Some(next) = change_parameter(&best.1, parameter, factor, cases.typical_m) {
                         let likelihood = cases.log_likelihood(&next);
                         if likelihood.is_nan() || likelihood <= best.0 + 1e-6 * best.0.abs() {
                             break;
@@ -166,7 +169,7 @@ fn search(cases: &HeldOutCases, start: Correlation, space: SearchSpace<'_>) -> (
 /// Multiplies one parameter by `factor`: all length scales, one of three, the noise, length scales and noise in opposite
 /// directions (longer scales go with a larger process variance, so relative noise falls), or the time scale. `None`
 /// outside the range.
-fn moved(from: &Correlation, parameter: usize, factor: f64, typical_m: f64) -> Option<Correlation> {
+fn change_parameter(from: &Correlation, parameter: usize, factor: f64, typical_m: f64) -> Option<Correlation> {
     let mut next = *from;
     match parameter {
         0 => next.scales[..3].iter_mut().for_each(|scale| *scale *= factor),

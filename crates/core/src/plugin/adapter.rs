@@ -100,13 +100,13 @@ impl<'de, K: DeserializeSeed<'de>> DeserializeSeed<'de> for Fields<K> {
     type Value = K::Value;
     fn deserialize<D: Deserializer<'de>>(self, d: D) -> Result<K::Value, D::Error> {
         let BareName(name) = BareName::deserialize(d)?;
-        if let Some(why) = removed_field(self.1, &name) {
-            return Err(de::Error::custom(format!("{} {why}", self.1)));
+        if let Some(fault) = removed_field(self.1, &name) {
+            return Err(de::Error::custom(format!("{} {fault}", self.1)));
         }
         if !self.2.contains(&name.as_str()) {
             let hint = did_you_mean(&name, self.2.iter().copied());
-            let known = self.2.join("`, `");
-            return Err(de::Error::custom(format!("unknown field `{name}`{hint} (fields: `{known}`)")));
+            let valid = self.2.join("`, `");
+            return Err(de::Error::custom(format!("unknown field `{name}`{hint} (fields: `{valid}`)")));
         }
         self.0.deserialize(de::value::StringDeserializer::new(name))
     }

@@ -72,8 +72,8 @@ fn reads_and_saves_poses_of_a_moving_receiver() {
     ];
     for (rows, what) in cases {
         folder.write("rx_pose.csv", table(rows));
-        let said = folder.fault();
-        assert!(said.contains(what), "{said}");
+        let message = folder.fault();
+        assert!(message.contains(what), "{message}");
     }
 }
 

@@ -45,8 +45,8 @@ impl Folder {
     }
 }
 
-fn assert_near(found: [f64; 3], expected: [f64; 3]) {
-    assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?} is not {expected:?}");
+fn assert_near(actual: [f64; 3], expected: [f64; 3]) {
+    assert!(actual.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{actual:?} is not {expected:?}");
 }
 
 #[test]
@@ -94,8 +94,8 @@ fn reads_split_distortion_of_zero_and_other_folders() {
     fs::rename(folder.path("model"), folder.path("sparse")).unwrap();
     fs::rename(folder.path("images"), folder.path("small")).unwrap();
     folder.write("points.csv", "x,y,z\n1,1,1\n");
-    let found = recognise(&folder.path("")).unwrap();
-    assert!(pwrfgs_core::plugin::to_ron(&found).contains("points.csv"));
+    let source = recognise(&folder.path("")).unwrap();
+    assert!(pwrfgs_core::plugin::to_ron(&source).contains("points.csv"));
     let source = Colmap { root: folder.path(""), images: "small".into(), ..Colmap::default() };
     let source = Colmap { transmitter: Some([0.0, 0.0, 9.0]), points: Some(folder.path("points.csv")), ..source };
     let scene = source.load(Path::new(""), &|_, _| {}).unwrap().scene;

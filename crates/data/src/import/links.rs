@@ -1,7 +1,7 @@
 //! Table of links: one row per received power, with the positions of transmitter and receiver.
 
 use crate::checks::NOT_RECEIVED;
-use crate::text::{dbm, place, read_text, table};
+use crate::text::{dbm, position, read_text, table};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Dataset, Error, Pose, Real, Receiver, Result, Sample, Simulation};
@@ -13,27 +13,27 @@ const COLUMNS: [&str; 8] = ["x", "y", "z", "receiver", "rx_x", "rx_y", "rx_z", "
 const MOST_CELLS: usize = 10_000_000;
 const ADVICE: &str = "write one row per link with the columns x, y, z, receiver, rx_x, rx_y, rx_z and dbm";
 
-/// Reads the links in `path`: columns x, y and z of the transmitter, metres; name and position of the receiver; power in
+/// Reads the links in `path` as a data set called `title`: columns x, y and z of the transmitter, metres; name and position of the receiver; power in
 /// dBm, -100 if no signal was received. Rows with equal x, y and z are one transmitter. Also returns the number of rows with
 /// -100.
 ///
 /// # Errors
 /// An invalid row, two positions of one receiver, or two rows of one link.
-pub fn links(path: &Path, name: &str, simulated: bool) -> Result<(Dataset, usize)> {
+pub fn read_links(path: &Path, title: &str, simulated: bool) -> Result<(Dataset, usize)> {
     let text = read_text(path, MAX_TEXT, ADVICE)?;
-    let (mut positions, mut lines, mut found) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+    let (mut positions, mut lines, mut links) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
     let (mut ids, mut indices, mut receivers, mut silent) = (BTreeMap::new(), BTreeMap::new(), Vec::new(), 0);
-    for (line, [x, y, z, own, rx_x, rx_y, rx_z, power]) in table(path, &text, COLUMNS, ADVICE)? {
-        let tx = place(path, line, [x, y, z], ADVICE)?.map(|v| v + 0.0); // no negative zero
-        let position = place(path, line, [rx_x, rx_y, rx_z], ADVICE)?;
+    for (line, [x, y, z, name, rx_x, rx_y, rx_z, power]) in table(path, &text, COLUMNS, ADVICE)? {
+        let tx = position(path, line, [x, y, z], ADVICE)?.map(|v| v + 0.0); // no negative zero
+        let rx = position(path, line, [rx_x, rx_y, rx_z], ADVICE)?;
         let power = dbm(path, line, power)?;
-        let fault = |what: String| Error::at(path, line, own.column, format!("{} {what}", quoted(own.text)));
-        let (there, first) = *positions.entry(own.text).or_insert((position, line));
-        if there != position {
-            return Err(fault(format!("has another position in line {first}; give one position per receiver")));
+        let fault = |problem: String| Error::at(path, line, name.column, format!("{} {problem}", quoted(name.text)));
+        let (first_rx, first_line) = *positions.entry(name.text).or_insert((rx, line));
+        if first_rx != rx {
+            return Err(fault(format!("has another position in line {first_line}; give one position per receiver")));
         }
         let key = tx.map(f64::to_bits);
-        if let Some(earlier) = lines.insert((key, own.text), line) {
+        if let Some(earlier) = lines.insert((key, name.text), line) {
             return Err(fault(format!("received this transmitter in line {earlier} too; average repeated readings")));
         }
         if power == NOT_RECEIVED {
@@ -41,22 +41,22 @@ pub fn links(path: &Path, name: &str, simulated: bool) -> Result<(Dataset, usize
             continue;
         }
         let (count, next) = (ids.len() as u32, receivers.len());
-        let receiver = *indices.entry(own.text).or_insert(next);
+        let receiver = *indices.entry(name.text).or_insert(next);
         if receiver == next {
-            receivers.push(Receiver::new(own.text, Pose { position, ..Pose::IDENTITY }));
+            receivers.push(Receiver::new(name.text, Pose { position: rx, ..Pose::IDENTITY }));
         }
-        found.insert((*ids.entry(key).or_insert(count), receiver), (tx, power));
+        links.insert((*ids.entry(key).or_insert(count), receiver), (tx, power));
     }
     if ids.len() * receivers.len() > MOST_CELLS {
-        let what = format!("{} transmitters and {} receivers exceed {MOST_CELLS} pairs", ids.len(), receivers.len());
-        return Err(Error::input(path, format!("{what}; import areas with common receivers separately")));
+        let problem = format!("{} transmitters and {} receivers exceed {MOST_CELLS} pairs", ids.len(), receivers.len());
+        return Err(Error::input(path, format!("{problem}; import areas with common receivers separately")));
     }
-    if found.is_empty() {
+    if links.is_empty() {
         return Err(Error::input(path, format!("holds no received power; {ADVICE}")));
     }
     let samples: Vec<Sample> =
-        found.iter().map(|(&(id, receiver), &(tx, _))| Sample { receiver, ..Sample::new(id, tx) }).collect();
-    let powers: Vec<Real> = found.values().map(|(_, dbm)| *dbm as Real).collect();
-    let data = Dataset::of_links(name, receivers, vec![], &samples, powers.into())?;
+        links.iter().map(|(&(id, receiver), &(tx, _))| Sample { receiver, ..Sample::new(id, tx) }).collect();
+    let powers: Vec<Real> = links.values().map(|(_, dbm)| *dbm as Real).collect();
+    let data = Dataset::of_links(title, receivers, vec![], &samples, powers.into())?;
     Ok((Dataset { simulation: simulated.then(Simulation::default), ..data }, silent))
 }

@@ -5,7 +5,7 @@ mod tests;
 
 use super::{index, read_transmitters, receivers};
 use crate::checks::{check_frequencies, subcarriers};
-use crate::folder::{check_root, folder_name, open_root, simulation, source_in, title};
+use crate::folder::{check_root, folder_name, open_root, read_simulation, root_with, title};
 use crate::npy::{ComplexArray, read_complex};
 use pwrfgs_core::{
     Channels, DataSource, Dataset, Error, Features, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample,
@@ -71,37 +71,39 @@ impl DataSource for Nerf2Csi {
         Some(pwrfgs_core::Task::Channel)
     }
 
+    /// Loads uplinks as features and downlinks as observations, scaled by the training part of the index files.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Nerf2Csi", LAYOUT)?;
-        let antennas = receivers::antennas(&root.join("base-station.yml"), LAYOUT)?;
+        let antennas = receivers::read_antennas(&root.join("base-station.yml"), LAYOUT)?;
         let path = root.join("csidata.npy");
-        let mut all = read_all(&path, antennas.len())?;
-        let [snapshots, _, both] = all.shape;
+        let mut array = read_channels(&path, antennas.len())?;
+        let [snapshots, _, both] = array.shape;
         let frequencies_hz = subcarriers(&path, self.carrier_hz, self.spacing_hz, both)?.split_off(both / 2);
-        let positions = positions(&root, snapshots)?;
-        let rows = index::read(&root, &|word| index::row(word, "csidata.npy", snapshots))?;
-        all.normalise(&path, rows.as_ref().map(|(train, _)| train.as_slice()))?;
-        all.check_size(&path)?; // after that: the test part is divided by the largest modulus of the training part
-        let (features, gains) = halves(&mut all);
-        let at = |i: usize| positions.as_ref().map_or([0.0; 3], |positions| positions[i]);
-        let receivers = if self.together { vec![station(&antennas)] } else { receivers(&antennas) };
+        let positions = read_positions(&root, snapshots)?;
+        let rows = index::read(&root, &|word| index::parse_row(word, "csidata.npy", snapshots))?;
+        array.normalise(&path, rows.as_ref().map(|(train, _)| train.as_slice()))?;
+        array.check_size(&path)?; // after that: the test part is divided by the largest modulus of the training part
+        let (features, gains) = split_links(&mut array);
+        let position = |i: usize| positions.as_ref().map_or([0.0; 3], |positions| positions[i]);
+        let receivers = if self.together { vec![base_station(&antennas)] } else { antenna_receivers(&antennas) };
         let links = (0..snapshots).flat_map(|i| (0..receivers.len()).map(move |receiver| (i, receiver)));
         let samples: Vec<Sample> =
-            links.map(|(i, receiver)| Sample { receiver, ..Sample::new(i as u32, at(i)) }).collect();
-        let (of_each, width) = (antennas.len() / receivers.len(), both * antennas.len() / receivers.len());
-        let channels = Channels { antennas: of_each, frequencies_hz, gains };
+            links.map(|(i, receiver)| Sample { receiver, ..Sample::new(i as u32, position(i)) }).collect();
+        let per_receiver = antennas.len() / receivers.len();
+        let channels = Channels { antennas: per_receiver, frequencies_hz, gains };
         let name = folder_name(&root);
-        let simulation = simulation(&root, &name);
+        let simulation = read_simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "NeRF2 layout");
         let data = Dataset::of_links(title, receivers, vec![], &samples, channels.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
         progress(data.len(), data.len());
-        let features = Some(Features { width, values: features });
+        let features = Some(Features { width: both * per_receiver, values: features });
         Ok(Dataset { official, simulation, features, placed: positions.is_some(), ..data })
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
-        source_in(folder, &["csidata.npy", "base-station.yml"], |root, _| Self { root, together: true, ..self.clone() })
+        let root = root_with(folder, &["csidata.npy", "base-station.yml"])?;
+        Some(Box::new(Self { root, together: true, ..self.clone() }))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -111,56 +113,56 @@ impl DataSource for Nerf2Csi {
 }
 
 /// Reads channels `[N,A,2F]` of a base station with `antennas` antennas.
-fn read_all(path: &Path, antennas: usize) -> Result<ComplexArray> {
-    let all = read_complex(path, SHAPE)?;
-    let [_, have, both] = all.shape;
-    if have != antennas {
-        let what = format!("has {have} antennas a snapshot, but base-station.yml {antennas}; give as many of each");
-        return Err(Error::input(path, what));
+fn read_channels(path: &Path, antennas: usize) -> Result<ComplexArray> {
+    let array = read_complex(path, SHAPE)?;
+    let [_, count, subcarriers] = array.shape;
+    if count != antennas {
+        let problem = format!("has {count} antennas a snapshot, but base-station.yml {antennas}; give as many of each");
+        return Err(Error::input(path, problem));
     }
-    if both % 2 == 1 {
-        let what = format!("has {both} subcarriers, expected an even number: uplink, then downlink; {SHAPE}");
-        return Err(Error::input(path, what));
+    if subcarriers % 2 == 1 {
+        let expected = format!("an even number: uplink, then downlink; {SHAPE}");
+        return Err(Error::input(path, format!("has {subcarriers} subcarriers, expected {expected}")));
     }
-    Ok(all)
+    Ok(array)
 }
 
-/// Reads `tx_pos.csv` if it exists: one row per snapshot.
-fn positions(root: &Path, snapshots: usize) -> Result<Option<Vec<[f64; 3]>>> {
+/// Reads `tx_pos.csv` if it exists: one row per snapshot, metres.
+fn read_positions(root: &Path, snapshots: usize) -> Result<Option<Vec<[f64; 3]>>> {
     let path = root.join("tx_pos.csv");
     if !path.exists() {
         return Ok(None);
     }
     let positions = read_transmitters(&path)?;
     if positions.len() != snapshots {
-        let what = format!("holds {} transmitters, but csidata.npy {snapshots} snapshots", positions.len());
-        return Err(Error::input(&path, format!("{what}; give as many of each, or remove this file")));
+        let problem = format!("holds {} transmitters, but csidata.npy {snapshots} snapshots", positions.len());
+        return Err(Error::input(&path, format!("{problem}; give as many of each, or remove this file")));
     }
     Ok(Some(positions))
 }
 
-/// Each antenna as a receiver.
-fn receivers(antennas: &[[f64; 3]]) -> Vec<Receiver> {
-    let at = |(k, &position): (usize, &[f64; 3])| {
+/// Creates one receiver per antenna.
+fn antenna_receivers(antennas: &[[f64; 3]]) -> Vec<Receiver> {
+    let receiver = |(k, &position): (usize, &[f64; 3])| {
         Receiver::new(format!("antenna {}", k + 1), Pose { position, ..Pose::IDENTITY })
     };
-    antennas.iter().enumerate().map(at).collect()
+    antennas.iter().enumerate().map(receiver).collect()
 }
 
-/// All antennas as one receiver at their centre.
-fn station(antennas: &[[f64; 3]]) -> Receiver {
-    let middle = std::array::from_fn(|k| antennas.iter().map(|a| a[k]).sum::<f64>() / antennas.len().max(1) as f64);
-    let about = |a: &[f64; 3]| std::array::from_fn(|k| a[k] - middle[k]);
-    let pose = Pose { position: middle, ..Pose::IDENTITY };
-    Receiver { antennas: antennas.iter().map(about).collect(), ..Receiver::new("base station", pose) }
+/// Creates one receiver of all antennas, at their centre.
+fn base_station(antennas: &[[f64; 3]]) -> Receiver {
+    let centre = std::array::from_fn(|k| antennas.iter().map(|a| a[k]).sum::<f64>() / antennas.len().max(1) as f64);
+    let offset = |a: &[f64; 3]| std::array::from_fn(|k| a[k] - centre[k]);
+    let pose = Pose { position: centre, ..Pose::IDENTITY };
+    Receiver { antennas: antennas.iter().map(offset).collect(), ..Receiver::new("base station", pose) }
 }
 
-/// Uplink of every link as real numbers `[N A, 2F]`, and its downlink `[N A, F]`.
-fn halves(all: &mut ComplexArray) -> (Vec<Real>, Vec<[Real; 2]>) {
-    let both = all.shape[2];
-    let (mut uplinks, mut downlinks) = (Vec::with_capacity(all.values.len()), Vec::new());
-    for link in std::mem::take(&mut all.values).chunks_exact(both) {
-        let (up, down) = link.split_at(both / 2);
+/// Splits the subcarriers of every link: its uplink as real numbers `[N A, 2F]`, and its downlink `[N A, F]`.
+fn split_links(array: &mut ComplexArray) -> (Vec<Real>, Vec<[Real; 2]>) {
+    let subcarriers = array.shape[2];
+    let (mut uplinks, mut downlinks) = (Vec::with_capacity(array.values.len()), Vec::new());
+    for link in std::mem::take(&mut array.values).chunks_exact(subcarriers) {
+        let (up, down) = link.split_at(subcarriers / 2);
         (0..2).for_each(|part| uplinks.extend(up.iter().map(|gain| gain[part] as Real)));
         downlinks.extend(down.iter().map(|gain| gain.map(|v| v as Real)));
     }

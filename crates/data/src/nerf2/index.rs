@@ -1,6 +1,6 @@
 //! `train_index.txt` and `test_index.txt`: sample ids of each set, one per line, zero-padded or not.
 
-use crate::text::{lines, read_text, split_blanks};
+use crate::text::{TextRow, lines, read_text};
 use pwrfgs_core::{Error, Result, files::MAX_TEXT, messages::quoted};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -14,8 +14,8 @@ pub(crate) struct IndexEntry {
     pub(crate) sample: usize,
 }
 
-/// Function from a word of an index file to its entry, or to the problem.
-pub(crate) type Find<'a> = dyn Fn(&str) -> Result<IndexEntry, String> + 'a;
+/// Function that parses a word of an index file; returns the problem if the word is invalid.
+pub(crate) type ParseEntry<'a> = dyn Fn(&str) -> Result<IndexEntry, String> + 'a;
 
 /// Ids of spectra, which count from 1.
 pub(crate) struct SpectrumIds<'a> {
@@ -30,7 +30,8 @@ pub(crate) struct SpectrumIds<'a> {
 }
 
 impl SpectrumIds<'_> {
-    pub(crate) fn find(&self, word: &str) -> Result<IndexEntry, String> {
+    /// Parses a sample id.
+    pub(crate) fn parse(&self, word: &str) -> Result<IndexEntry, String> {
         let table = self.table;
         let id = match word.parse() {
             Ok(0) => return Err(format!("invalid id 0; ids count from 1, the first row of {table}")),
@@ -50,7 +51,7 @@ impl SpectrumIds<'_> {
 }
 
 /// Parses a row number of `table`, counted from 0 as ids of powers and channels are.
-pub(crate) fn row(word: &str, table: &str, rows: usize) -> Result<IndexEntry, String> {
+pub(crate) fn parse_row(word: &str, table: &str, rows: usize) -> Result<IndexEntry, String> {
     match word.parse::<u32>() {
         Ok(id) if (id as usize) < rows => Ok(IndexEntry { id, sample: id as usize }),
         Ok(id) => Err(format!("invalid row {id} of {table}, which has {rows} rows counted from 0; remove the number")),
@@ -58,40 +59,38 @@ pub(crate) fn row(word: &str, table: &str, rows: usize) -> Result<IndexEntry, St
     }
 }
 
-/// Both lists as sample indices, sorted; `None` if neither file exists.
-pub(crate) fn read(root: &Path, find: &Find<'_>) -> Result<Option<(Vec<usize>, Vec<usize>)>> {
+/// Reads both lists (training, test) as sample indices, sorted; `None` if neither file exists.
+pub(crate) fn read(root: &Path, parse: &ParseEntry<'_>) -> Result<Option<(Vec<usize>, Vec<usize>)>> {
     let [train, test] = ["train_index.txt", "test_index.txt"].map(|name| root.join(name));
     match (train.exists(), test.exists()) {
         (false, false) => Ok(None),
         (true, true) => {
             let mut seen = BTreeMap::new();
-            let train = read_list(&train, find, &mut seen)?;
-            Ok(Some((train, read_list(&test, find, &mut seen)?)))
+            let train = read_list(&train, parse, &mut seen)?;
+            Ok(Some((train, read_list(&test, parse, &mut seen)?)))
         }
         (has_train, _) => {
-            let (here, missing) = if has_train { (train, "test_index.txt") } else { (test, "train_index.txt") };
-            let what =
-                format!("this file comes without {missing}; give both or neither (then use a split such as Random())");
-            Err(Error::input(&here, what))
+            let (present, missing) = if has_train { (train, "test_index.txt") } else { (test, "train_index.txt") };
+            let advice = "give both or neither (then use a split such as Random())";
+            Err(Error::input(&present, format!("this file comes without {missing}; {advice}")))
         }
     }
 }
 
-/// Reads one file; `seen` maps ids to where they were listed before.
-fn read_list(path: &Path, find: &Find<'_>, seen: &mut BTreeMap<u32, String>) -> Result<Vec<usize>> {
+/// Reads one file; `seen` maps ids to the file and line that listed them before.
+fn read_list(path: &Path, parse: &ParseEntry<'_>, seen: &mut BTreeMap<u32, String>) -> Result<Vec<usize>> {
     let text = read_text(path, MAX_TEXT, "give both index files or neither")?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut list = Vec::new();
-    for (line, content) in lines(&text) {
-        for field in split_blanks(content) {
-            let IndexEntry { id, sample } =
-                find(field.text).map_err(|what| Error::at(path, line, field.column, what))?;
+    for line in lines(&text) {
+        let row = TextRow::at_blanks(path, line);
+        for field in &row.fields {
+            let IndexEntry { id, sample } = parse(field.text).map_err(|fault| row.fault(field.column, fault))?;
             list.push(sample);
-            if let Some(before) = seen.insert(id, format!("{name}, line {line}")) {
-                let what = format!(
-                    "id {id} was already named in {before}; a sample belongs to one set: remove one of the two"
-                );
-                return Err(Error::at(path, line, field.column, what));
+            if let Some(before) = seen.insert(id, format!("{name}, line {}", row.line)) {
+                let problem = format!("id {id} was already named in {before}");
+                let advice = "a sample belongs to one set: remove one of the two";
+                return Err(row.fault(field.column, format!("{problem}; {advice}")));
             }
         }
     }

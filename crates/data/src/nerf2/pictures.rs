@@ -24,68 +24,67 @@ const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 /// First marker of a JPEG file.
 const JPEG: &[u8] = b"\xff\xd8";
 
-/// Images in a folder by id: files named by a number with `.png`; others are ignored.
+/// Lists the images in a folder by id: files named by a number with `.png`; others are ignored.
 pub(crate) fn list(folder: &Path, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
-    let found = numbered(folder, "png", advice)?;
-    match found.get(&0) {
+    let images = numbered(folder, "png", advice)?;
+    match images.get(&0) {
         Some(path) => Err(Error::input(path, "invalid id 0; ids count from 1, so number the images from 00001")),
-        None => Ok(found),
+        None => Ok(images),
     }
 }
 
-/// Files in a folder by id: those named by a number with this `extension`.
+/// Lists the files in a folder by id: those named by a number with this `extension`.
 pub(crate) fn numbered(folder: &Path, extension: &str, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
-    let mut found = BTreeMap::new();
+    let mut files = BTreeMap::new();
     for entry in std::fs::read_dir(folder).map_err(|e| unreadable(folder, e, "folder", advice))? {
         let path = entry.map_err(|e| Error::read(folder, e))?.path();
         let Some(id) = id_of(&path, extension) else { continue };
-        if let Some(other) = found.insert(id, path.clone()) {
+        if let Some(other) = files.insert(id, path.clone()) {
             // The folder order is arbitrary; the message must not depend on it.
             let (first, second) = if other < path { (other, path) } else { (path, other) };
             let name = first.file_name().unwrap_or_default().to_string_lossy();
             return Err(Error::input(&second, format!("{name} is id {id} as well; remove one of the two")));
         }
     }
-    Ok(found)
+    Ok(files)
 }
 
+/// Parses the id in a file name; `None` for other names and other extensions.
 fn id_of(path: &Path, extension: &str) -> Option<u32> {
     let stem = path.file_stem()?.to_str()?;
-    let is_one = path.extension()?.eq_ignore_ascii_case(extension);
-    (is_one && stem.bytes().all(|b| b.is_ascii_digit())).then(|| stem.parse().ok())?
+    let has_extension = path.extension()?.eq_ignore_ascii_case(extension);
+    (has_extension && stem.bytes().all(|b| b.is_ascii_digit())).then(|| stem.parse().ok())?
 }
 
-/// Decodes all images with `decode`, 8 bits each; the first sets the size. Errors are about the first bad file in the given
-/// order.
-pub(crate) fn load(
-    files: &[&Path],
-    decode: impl Fn(&Path) -> Result<Picture> + Sync,
-    progress: Progress<'_>,
-) -> Result<Spectra> {
+/// Function that decodes one image.
+pub(crate) type Decode<'a> = dyn Fn(&Path) -> Result<Picture> + Sync + 'a;
+
+/// Decodes all images, 8 bits each; the first sets the size. Errors are about the first bad file in the given order.
+pub(crate) fn load(files: &[&Path], decode: &Decode<'_>, progress: Progress<'_>) -> Result<Spectra> {
     let [first, others @ ..] = files else { return Spectra::grey((0, 0), Vec::new()) };
     let Picture { width, height, bytes, .. } = decode(first)?;
     let name = first.file_name().unwrap_or_default().to_string_lossy();
-    let mut all = Vec::new();
+    let mut pixels = Vec::new();
     let total = bytes.len().saturating_mul(files.len());
-    all.try_reserve_exact(total).map_err(|e| {
-        let what = format!("{} images of {width} x {height} pixels do not fit into memory ({e})", files.len());
-        Error::input(first, format!("{what}; `pwrfgs import` makes one array of them, of which memory holds a part"))
+    pixels.try_reserve_exact(total).map_err(|e| {
+        let problem = format!("{} images of {width} x {height} pixels do not fit into memory ({e})", files.len());
+        Error::input(first, format!("{problem}; `pwrfgs import` makes one array of them, of which memory holds a part"))
     })?;
-    all.extend(bytes);
-    all.resize(total, 0);
+    pixels.extend(bytes);
+    pixels.resize(total, 0);
     let done = AtomicUsize::new(1);
     let decode_like_first = |(out, path): (&mut [u8], &&Path)| {
         let picture = decode(path)?;
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, files.len());
-        picture.is_like(path, (width, height), &name)?;
+        picture.check_size(path, (width, height), &name)?;
         out.copy_from_slice(&picture.bytes);
         Ok(())
     };
     // Collect all results first, so that the reported error does not depend on the threads.
-    let rest = all.par_chunks_exact_mut(width * height).skip(1).zip(others);
-    let rest: Vec<Result<()>> = rest.map(decode_like_first).collect();
-    rest.into_iter().collect::<Result<()>>()?;
-    Spectra::grey((width, height), all)
+    let targets = pixels.par_chunks_exact_mut(width * height).skip(1).zip(others);
+    let results: Vec<Result<()>> = targets.map(decode_like_first).collect();
+    results.into_iter().collect::<Result<()>>()?;
+    Spectra::grey((width, height), pixels)
 }
 
 /// Accepted bit depths.
@@ -108,17 +107,17 @@ pub(crate) struct Picture {
 
 impl Picture {
     /// Returns an error if the size differs from that of the image `name`.
-    pub(crate) fn is_like(&self, path: &Path, (width, height): (usize, usize), name: &str) -> Result<()> {
+    pub(crate) fn check_size(&self, path: &Path, (width, height): (usize, usize), name: &str) -> Result<()> {
         let Self { width: w, height: h, .. } = self;
         if (*w, *h) == (width, height) {
             return Ok(());
         }
-        let what = format!("is {w} x {h} pixels, but {name} is {width} x {height}; all images must have one size");
-        Err(Error::input(path, what))
+        let problem = format!("is {w} x {h} pixels, but {name} is {width} x {height}");
+        Err(Error::input(path, format!("{problem}; all images must have one size")))
     }
 }
 
-/// Decodes one image.
+/// Decodes one grey PNG image.
 pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
     let file = read_bytes(path, MAX_BYTES, "add the image")?;
     if !file.starts_with(&SIGNATURE[..SIGNATURE.len().min(file.len()).max(1)]) {
@@ -130,12 +129,13 @@ pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
         (ExtendedColorType::L8, ColorType::L8) => Number::U8,
         (ExtendedColorType::L16, ColorType::L16) if depth == Depth::Sixteen => Number::U16,
         (original, _) => {
-            let (kind, needed) = (kind(original), if depth == Depth::Sixteen { "8-bit or 16-bit" } else { "8-bit" });
-            let what = format!("is {kind}; a spectrum is {needed} grey with one channel: convert it");
-            return Err(Error::input(path, what));
+            let (kind, needed) =
+                (describe(original), if depth == Depth::Sixteen { "8-bit or 16-bit" } else { "8-bit" });
+            let problem = format!("is {kind}; a spectrum is {needed} grey with one channel: convert it");
+            return Err(Error::input(path, problem));
         }
     };
-    let (width, height) = size(path, &decoder)?;
+    let (width, height) = checked_size(path, &decoder)?;
     let mut bytes = vec![0; width * height * number.bytes()];
     decoder.read_image(&mut bytes).map_err(damaged)?;
     if number == Number::U16 {
@@ -150,12 +150,12 @@ pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
 /// # Errors
 /// Another format, more than 2^24 pixels, or a file that is cut short or damaged.
 pub fn read_image(path: &Path) -> Result<Image> {
-    let Picture { width, height, bytes, .. } = luminance(path, "check the path")?;
+    let Picture { width, height, bytes, .. } = decode_luminance(path, "check the path")?;
     Ok(Image::from_bytes(width, height, &bytes))
 }
 
 /// Decodes a PNG or JPEG image like [`read_image`]; `advice` is the next step if it does not exist.
-pub(crate) fn luminance(path: &Path, advice: &str) -> Result<Picture> {
+pub(crate) fn decode_luminance(path: &Path, advice: &str) -> Result<Picture> {
     let file = read_bytes(path, MAX_BYTES, advice)?;
     let is_cut = file.starts_with(JPEG) && !reaches_end(&file);
     let guessed = ImageReader::new(Cursor::new(file)).with_guessed_format();
@@ -168,38 +168,39 @@ pub(crate) fn luminance(path: &Path, advice: &str) -> Result<Picture> {
     }
     reader.limits(limits());
     let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
-    let (width, height) = size(path, &decoder)?;
+    let (width, height) = checked_size(path, &decoder)?;
     let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(path, &e))?;
     Ok(Picture { width, height, number: Number::U8, bytes: image.into_luma8().into_raw() })
 }
 
-/// Whether a JPEG file has its end marker; the decoder fills missing pixels with grey.
+/// Returns whether a JPEG file has its end marker; the decoder fills missing pixels with grey.
 fn reaches_end(file: &[u8]) -> bool {
     // Not in coded pixels: a byte 0xff is followed by zero or a restart marker there.
     let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0 | 0xd0..=0xd7 | 0xff);
-    let mut rest = &file[JPEG.len()..];
-    while let Some(start) = rest.windows(2).position(is_marker) {
-        if rest[start + 1] == 0xd9 {
+    let mut segments = &file[JPEG.len()..];
+    while let Some(start) = segments.windows(2).position(is_marker) {
+        if segments[start + 1] == 0xd9 {
             return true;
         }
         // Every other marker begins a segment with its length, for example metadata with an image of their own.
-        let length =
-            rest.get(start + 2..start + 4).map_or(0, |length| usize::from(length[0]) << 8 | usize::from(length[1]));
-        rest = rest.get(start + 2 + length..).unwrap_or_default();
+        let length = segments.get(start + 2..start + 4);
+        let length = length.map_or(0, |bytes| usize::from(bytes[0]) << 8 | usize::from(bytes[1]));
+        segments = segments.get(start + 2 + length..).unwrap_or_default();
     }
     false
 }
 
 /// Returns the size of an image that is not too large.
-fn size(path: &Path, decoder: &impl ImageDecoder) -> Result<(usize, usize)> {
+fn checked_size(path: &Path, decoder: &impl ImageDecoder) -> Result<(usize, usize)> {
     let (width, height) = decoder.dimensions();
     if u64::from(width) * u64::from(height) > MAX_PIXELS {
-        let what = format!("is {width} x {height} pixels, more than {MAX_PIXELS} in all; make it smaller");
-        return Err(Error::input(path, what));
+        let problem = format!("is {width} x {height} pixels, more than {MAX_PIXELS} in all; make it smaller");
+        return Err(Error::input(path, problem));
     }
     Ok((width as usize, height as usize))
 }
 
+/// Creates the error for an image that cannot be decoded.
 fn damaged(path: &Path, e: &ImageError) -> Error {
     let words = e.to_string();
     let first = words.lines().next().unwrap_or_default();
@@ -211,14 +212,15 @@ pub(super) fn decoder(file: Vec<u8>) -> ImageResult<PngDecoder<Cursor<Vec<u8>>>>
     PngDecoder::with_limits(Cursor::new(file), limits())
 }
 
+/// Returns the limits of a decoder: memory of [`MAX_BESIDE`].
 fn limits() -> Limits {
     let mut limits = Limits::no_limits();
     limits.max_alloc = Some(MAX_BESIDE);
     limits
 }
 
-/// Colour type in words.
-fn kind(color: ExtendedColorType) -> String {
+/// Describes a colour type in words.
+fn describe(color: ExtendedColorType) -> String {
     let bits = color.bits_per_pixel() / u16::from(color.channel_count());
     match color.channel_count() {
         1 => format!("{bits}-bit grey"),

@@ -1,7 +1,7 @@
 //! Receiver and antenna positions in YAML: `gateway_info.yml`, `gateway_position.yml` and `base-station.yml`.
 
 use crate::checks::name_fault;
-use crate::text::{at, read_yaml};
+use crate::text::{read_yaml, yaml_fault};
 use pwrfgs_core::place_fault;
 use pwrfgs_core::{Elevation, Error, Pose, Receiver, Result, messages::strip_control};
 use serde::Deserialize;
@@ -43,6 +43,7 @@ enum GatewayValue {
 }
 
 impl GatewayValue {
+    /// Returns a text or a number as text; `None` for blank text and other values.
     fn text(&self) -> Option<String> {
         match self {
             Self::Text(text) => Some(text.clone()).filter(|text| !text.trim().is_empty()),
@@ -53,7 +54,8 @@ impl GatewayValue {
 }
 
 impl Gateway {
-    /// Reads the file; `wanted` is the gateway that the user selected, else `gateway1`.
+    /// Reads the file; `requested` is the gateway that the user selected, else `gateway1`. `advice` is the next step if the file
+    /// does not exist.
     pub(crate) fn read(path: &Path, requested: Option<&str>, advice: &str) -> Result<Self> {
         let file: BTreeMap<String, Spanned<GatewayValue>> = read_yaml(path, advice, GATEWAY)?;
         let name = requested.unwrap_or("gateway1");
@@ -61,54 +63,54 @@ impl Gateway {
             let has_position = matches!(value, GatewayValue::Pose(_) | GatewayValue::Gateway { .. });
             key != name && (has_position || key.to_lowercase().starts_with("gateway"))
         };
-        let others = in_order(file.iter().filter(|(key, value)| is_other(key, &value.value)));
+        let others = in_file_order(file.iter().filter(|(key, value)| is_other(key, &value.value)));
         let listed =
             others.iter().map(|(other, _)| format!("`{}`", strip_control(other))).collect::<Vec<_>>().join(", ");
         let Some(value) = file.get(name) else {
-            let advice = others.first().map_or_else(String::new, |(one, _)| {
-                format!("select {listed}: Nerf2Spectrum(gateway: \"{}\", ..), or else ", strip_control(one))
+            let advice = others.first().map_or_else(String::new, |(first, _)| {
+                format!("select {listed}: Nerf2Spectrum(gateway: \"{}\", ..), or else ", strip_control(first))
             });
             return Err(Error::at(path, 1, 1, format!("missing field `{}`; {advice}{GATEWAY}", strip_control(name))));
         };
         if let (None, Some((_, other))) = (requested, others.first()) {
-            let what = format!(
+            let problem = format!(
                 "there are more receivers than one, `{name}` and {listed}, and a model hears at one; name it: \
                  Nerf2Spectrum(gateway: \"{name}\", ..)"
             );
-            return Err(at(path, other, what));
+            return Err(yaml_fault(path, other, problem));
         }
-        let GatewayValue::Pose(pose) = value.value else { return Err(at(path, value, GATEWAY)) };
+        let GatewayValue::Pose(pose) = value.value else { return Err(yaml_fault(path, value, GATEWAY)) };
         if let Some((_, fault)) = pose.fault() {
-            return Err(at(path, value, fault));
+            return Err(yaml_fault(path, value, fault));
         }
-        let mut elevation = None;
-        if let Some(value) = file.get("elevation") {
-            let GatewayValue::Range(range) = value.value else {
-                return Err(at(path, value, "expected `elevation: [first, last]`, degrees"));
-            };
-            if let Some(fault) = range.fault() {
-                return Err(at(path, value, fault));
-            }
-            elevation = Some(range);
-        }
+        let elevation = file.get("elevation").map(|value| parse_elevation(path, value)).transpose()?;
         let named = file.get("receiver").and_then(|value| Some((value, value.value.text()?)));
         if let Some((value, fault)) = named.as_ref().and_then(|(value, name)| Some((value, name_fault(name)?))) {
-            return Err(at(path, value, fault));
+            return Err(yaml_fault(path, value, fault));
         }
         let title = file.get("dataset_name").and_then(|value| value.value.text());
         Ok(Self { name: title, pose, receiver: named.map(|(_, name)| name), elevation })
     }
 
+    /// Creates the receiver, called `receiver` without a name in the file.
     pub(crate) fn receiver(&self) -> Receiver {
         Receiver::new(self.receiver.as_deref().unwrap_or("receiver"), self.pose)
     }
 }
 
-/// Keys with their values, in file order.
-fn in_order<K, V: std::ops::Deref<Target = Spanned<T>>, T>(all: impl Iterator<Item = (K, V)>) -> Vec<(K, V)> {
-    let mut all: Vec<(K, V)> = all.collect();
-    all.sort_by_key(|(_, value)| (value.referenced.line(), value.referenced.column()));
-    all
+/// Parses the elevations of the image rows.
+fn parse_elevation(path: &Path, value: &Spanned<GatewayValue>) -> Result<Elevation> {
+    let GatewayValue::Range(range) = value.value else {
+        return Err(yaml_fault(path, value, "expected `elevation: [first, last]`, degrees"));
+    };
+    range.fault().map_or(Ok(range), |fault| Err(yaml_fault(path, value, fault)))
+}
+
+/// Sorts the entries of a mapping into file order.
+fn in_file_order<K, V: std::ops::Deref<Target = Spanned<T>>, T>(entries: impl Iterator<Item = (K, V)>) -> Vec<(K, V)> {
+    let mut entries: Vec<(K, V)> = entries.collect();
+    entries.sort_by_key(|(_, value)| (value.referenced.line(), value.referenced.column()));
+    entries
 }
 
 /// Gateway in `gateway_position.yml`.
@@ -119,8 +121,8 @@ enum GatewayPosition {
     Pose(Pose),
 }
 
-/// Names and poses of the gateways in file order; without an orientation, the axes are those of the world frame.
-pub(super) fn gateways(path: &Path, advice: &str) -> Result<Vec<(String, Pose)>> {
+/// Reads the names and poses of the gateways in file order; without an orientation, the axes are those of the world frame.
+pub(super) fn read_gateways(path: &Path, advice: &str) -> Result<Vec<(String, Pose)>> {
     let file: BTreeMap<String, Spanned<GatewayPosition>> = read_yaml(path, advice, GATEWAYS)?;
     if file.is_empty() {
         return Err(Error::input(path, format!("names no gateway; {GATEWAYS}")));
@@ -130,12 +132,12 @@ pub(super) fn gateways(path: &Path, advice: &str) -> Result<Vec<(String, Pose)>>
             GatewayPosition::Position(position) => Pose { position, ..Pose::IDENTITY },
             GatewayPosition::Pose(pose) => pose,
         };
-        let place = place_fault(pose.position);
-        let fault = place.or_else(|| pose.fault().map(|(_, fault)| format!("has an invalid orientation: {fault}")));
+        let fault = place_fault(pose.position);
+        let fault = fault.or_else(|| pose.fault().map(|(_, fault)| format!("has an invalid orientation: {fault}")));
         let fault = fault.map(|fault| format!("`{}` {fault}", strip_control(name)));
-        name_fault(name).or(fault).map_or_else(|| Ok((name.clone(), pose)), |fault| Err(at(path, value, fault)))
+        name_fault(name).or(fault).map_or_else(|| Ok((name.clone(), pose)), |fault| Err(yaml_fault(path, value, fault)))
     };
-    in_order(file.iter()).into_iter().map(read).collect()
+    in_file_order(file.iter()).into_iter().map(read).collect()
 }
 
 /// Content of `base-station.yml`.
@@ -144,15 +146,15 @@ struct BaseStation {
     base_station: Vec<Spanned<[f64; 3]>>,
 }
 
-/// Antenna positions of a base station `[A,3]`, metres.
-pub(super) fn antennas(path: &Path, advice: &str) -> Result<Vec<[f64; 3]>> {
+/// Reads the antenna positions of a base station `[A,3]`, metres.
+pub(super) fn read_antennas(path: &Path, advice: &str) -> Result<Vec<[f64; 3]>> {
     let BaseStation { base_station } = read_yaml(path, advice, ANTENNAS)?;
     if base_station.is_empty() {
         return Err(Error::input(path, format!("names no antenna; {ANTENNAS}")));
     }
-    let read = |(k, place): (usize, &Spanned<[f64; 3]>)| {
-        let fault = |fault| Err(at(path, place, format!("antenna {} {fault}", k + 1)));
-        place_fault(place.value).map_or(Ok(place.value), fault)
+    let read = |(k, position): (usize, &Spanned<[f64; 3]>)| {
+        let fault = |fault| Err(yaml_fault(path, position, format!("antenna {} {fault}", k + 1)));
+        place_fault(position.value).map_or(Ok(position.value), fault)
     };
     base_station.iter().enumerate().map(read).collect()
 }
@@ -199,8 +201,8 @@ mod tests {
             ),
         ];
         for (text, message) in cases {
-            let shown = read_str(&text).unwrap_err();
-            assert!(shown.starts_with(message), "{shown}");
+            let error = read_str(&text).unwrap_err();
+            assert!(error.starts_with(message), "{error}");
         }
         assert!(read_str(&file("[0, 0, 0, 1.0009]")).is_ok());
     }
@@ -220,8 +222,8 @@ mod tests {
             ("#".repeat(1 << 20) + "\n", "cannot read DIR/g.yml: the file is larger than the limit of 1048576 bytes"),
         ];
         for (text, message) in cases {
-            let shown = read_str(&text).unwrap_err();
-            assert!(shown.starts_with(message), "{shown}");
+            let error = read_str(&text).unwrap_err();
+            assert!(error.starts_with(message), "{error}");
         }
         assert!(start.elapsed().as_secs() < 5, "{:?}", start.elapsed());
     }
@@ -257,16 +259,16 @@ mod tests {
              Nerf2Spectrum(gateway: \"gateway1\", ..)"
         );
         assert_eq!((read(&two, Some("gateway1")), read(&two, Some("roof"))), (Ok(1.0), Ok(2.0)));
-        let shown = read(&two, Some("gateway3")).unwrap_err();
+        let error = read(&two, Some("gateway3")).unwrap_err();
         assert_eq!(
-            shown,
+            error,
             format!(
                 "DIR/g.yml:1:1: missing field `gateway3`; select `gateway1`, `roof`: Nerf2Spectrum(gateway: \"gateway1\", ..), or else {GATEWAY}"
             )
         );
         // Keys called gateway count, other keys are ignored, and recursive aliases are rejected.
-        let odd = format!("gateway1: {}\nGateway_2: 5\n", pose(1));
-        assert!(read(&odd, None).unwrap_err().contains("`Gateway_2`"));
+        let other_keys = format!("gateway1: {}\nGateway_2: 5\n", pose(1));
+        assert!(read(&other_keys, None).unwrap_err().contains("`Gateway_2`"));
         let nine = |i: u8| format!("b{}: &b{} [{}]\n", i + 1, i + 1, vec![format!("*b{i}"); 9].join(", "));
         let grows = (0..20).map(nine).collect::<Vec<_>>().concat();
         let other = format!("gateway1: {}\nb0: &b0 [1, 2]\n{grows}note: {{a: [1, {{b: 2}}]}}\n", pose(1));

@@ -3,11 +3,13 @@
 #[cfg(test)]
 mod tests;
 
-use super::receivers::gateways;
+use super::receivers::read_gateways;
 use super::{LocationTable, POSES, index};
 use crate::checks::{NOT_RECEIVED, UnlinkedNode, unlinked_node};
-use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
-use crate::text::{TextField, cell, dbm, lines, no_longer, power, read_text, split_commas};
+use crate::folder::{
+    check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with, title,
+};
+use crate::text::{TextRow, dbm, lines, read_text};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::{quoted, strip_control, text_of};
 use pwrfgs_core::{DataSource, Dataset, Error, JsonSchema, Progress, Real, Receiver, Result, Sample, did_you_mean};
@@ -69,15 +71,16 @@ impl DataSource for Nerf2Rssi {
         Some(pwrfgs_core::Task::Power)
     }
 
+    /// Loads one link per cell of the table of powers, except for cells without a signal.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Nerf2Rssi", LAYOUT)?;
-        let gateways = gateways(&root.join("gateway_position.yml"), LAYOUT)?;
+        let gateways = read_gateways(&root.join("gateway_position.yml"), LAYOUT)?;
         let locations = LocationTable::read(&root, &root.join("tx_pos.csv"))?;
         let names: Vec<String> = gateways.iter().map(|(name, _)| name.clone()).collect();
         let received = read_table(&root.join("gateway_rssi.csv"), &names, locations.poses.len(), LAYOUT)?;
         let table = if locations.moving.is_receiver() { POSES } else { "tx_pos.csv" };
-        let rows = index::read(&root, &|word| index::row(word, table, locations.poses.len()))?;
-        let points = points_of(base, self.points.as_deref())?;
+        let rows = index::read(&root, &|word| index::parse_row(word, table, locations.poses.len()))?;
+        let points = read_point_cloud(base, self.points.as_deref())?;
         let samples: Vec<Sample> = received
             .iter()
             .map(|link| Sample { receiver: link.gateway, ..Sample::new(link.row as u32, locations.poses[link.row]) })
@@ -85,15 +88,13 @@ impl DataSource for Nerf2Rssi {
         let powers: Vec<Real> = received.iter().map(|link| link.dbm as Real).collect();
         let transmitter = gateways[0].1.position;
         if locations.moving.is_receiver() && gateways.iter().any(|(_, pose)| pose.position != transmitter) {
-            let what = format!(
-                "the receivers move ({POSES}), but the position of their transmitter differs; give one position"
-            );
-            return Err(Error::input(&root.join("gateway_position.yml"), what));
+            let problem = format!("the receivers move ({POSES}), but the position of their transmitter differs");
+            return Err(Error::input(&root.join("gateway_position.yml"), format!("{problem}; give one position")));
         }
         let receivers = gateways.into_iter().map(|(name, pose)| Receiver::new(name, pose)).collect();
         let ends = locations.ends(receivers, Some(transmitter));
         let name = folder_name(&root);
-        let simulation = simulation(&root, &name);
+        let simulation = read_simulation(&root, &name);
         let title = title(&name, simulation.as_ref(), "NeRF2 layout");
         let data = Dataset::of_links(title, ends, points, &samples, powers.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
@@ -102,7 +103,8 @@ impl DataSource for Nerf2Rssi {
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
-        source_in(folder, &["gateway_rssi.csv", "gateway_position.yml"], |root, points| Self { root, points })
+        let root = root_with(folder, &["gateway_rssi.csv", "gateway_position.yml"])?;
+        Some(Box::new(Self { points: point_cloud_in(&root), root }))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -124,85 +126,74 @@ struct PowerRow {
 fn read_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Result<Vec<PowerRow>> {
     let text = read_text(path, MAX_TEXT, advice)?;
     let mut contents = lines(&text);
-    let Some((line, header)) = contents.next() else {
-        return Err(Error::input(
-            path,
-            "is empty; write a header with the names of the gateways and one row per transmitter",
-        ));
+    let Some(header) = contents.next() else {
+        let advice = "write a header with the names of the gateways and one row per transmitter";
+        return Err(Error::input(path, format!("is empty; {advice}")));
     };
-    let header = split_commas(header);
-    let column_of = columns(path, line, &header, gateways)?;
-    let (mut received, mut lines_of): (Vec<PowerRow>, Vec<usize>) = (Vec::new(), Vec::new());
-    for (row, (line, content)) in contents.enumerate() {
-        let fields = split_commas(content);
-        no_longer(path, line, &fields, header.len())?;
-        for (gateway, &column) in column_of.iter().enumerate() {
-            let dbm = power(path, line, &fields, (column, &gateways[gateway]))?;
+    let header = TextRow::at_commas(path, header);
+    let columns = gateway_columns(&header, gateways)?;
+    let (mut received, mut line_numbers): (Vec<PowerRow>, Vec<usize>) = (Vec::new(), Vec::new());
+    for (row, content) in contents.enumerate() {
+        let cells = TextRow::at_commas(path, content);
+        cells.check_length(header.fields.len())?;
+        for (gateway, &column) in columns.iter().enumerate() {
+            let dbm = cells.read_power((column, &gateways[gateway]))?;
             received.extend((dbm != NOT_RECEIVED).then_some(PowerRow { row, gateway, dbm }));
         }
-        lines_of.push(line);
+        line_numbers.push(cells.line);
     }
-    let count = lines_of.len();
+    let count = line_numbers.len();
     if count != rows {
-        let what = format!("holds {count} rows of powers, but tx_pos.csv {rows} transmitters; give as many of each");
-        return Err(Error::input(path, what));
+        let problem = format!("holds {count} rows of powers, but tx_pos.csv {rows} transmitters");
+        return Err(Error::input(path, format!("{problem}; give as many of each")));
     }
     match unlinked_node(rows, gateways.len(), received.iter().map(|link| (link.row, link.gateway))) {
         Some(UnlinkedNode::Transmitter(row)) => {
-            let what = "no gateway heard this transmitter (-100 in all columns); remove the row here and in tx_pos.csv, \
-                        and number the index files anew";
-            Err(Error::at(path, lines_of[row], 1, what))
+            let problem = "no gateway heard this transmitter (-100 in all columns)";
+            let advice = "remove the row here and in tx_pos.csv, and number the index files anew";
+            Err(Error::at(path, line_numbers[row], 1, format!("{problem}; {advice}")))
         }
-        Some(UnlinkedNode::Receiver(g)) => {
-            let what = format!("{} received no transmitter (-100 in all rows)", quoted(&gateways[g]));
-            let what = format!("{what}; remove its column here and its line in gateway_position.yml");
-            Err(Error::at(path, line, header[column_of[g]].column, what))
+        Some(UnlinkedNode::Receiver(gateway)) => {
+            let problem = format!("{} received no transmitter (-100 in all rows)", quoted(&gateways[gateway]));
+            let advice = "remove its column here and its line in gateway_position.yml";
+            Err(header.fault(header.fields[columns[gateway]].column, format!("{problem}; {advice}")))
         }
         None => Ok(received),
     }
 }
 
-/// Column index of each gateway.
-fn columns(path: &Path, line: usize, header: &[TextField<'_>], gateways: &[String]) -> Result<Vec<usize>> {
-    let advice = ("has no position in gateway_position.yml", "add it there, or remove the column");
-    let column_of = named_columns(path, line, header, gateways, advice)?;
+/// Returns the column index of each gateway.
+fn gateway_columns(header: &TextRow<'_>, gateways: &[String]) -> Result<Vec<usize>> {
+    let advice = ["has no position in gateway_position.yml", "add it there, or remove the column"];
+    let column_by_name = find_columns(header, gateways, advice)?;
     let column = |name: &String| {
-        column_of.get(name.as_str()).copied().ok_or_else(|| {
-            let what = "add one, or remove its line in gateway_position.yml";
-            Error::at(
-                path,
-                line,
-                1,
-                format!("no column `{}`, a gateway that has a position; {what}", strip_control(name)),
-            )
+        column_by_name.get(name.as_str()).copied().ok_or_else(|| {
+            let problem = format!("no column `{}`, a gateway that has a position", strip_control(name));
+            header.fault(1, format!("{problem}; add one, or remove its line in gateway_position.yml"))
         })
     };
     gateways.iter().map(column).collect()
 }
 
-/// Columns by name, all of which must be in `known`; for another name, `unknown` are the problem and the next step.
-fn named_columns<'a>(
-    path: &Path,
-    line: usize,
-    header: &[TextField<'a>],
-    known: &[String],
-    unknown: (&str, &str),
-) -> Result<BTreeMap<&'a str, usize>> {
-    let names: BTreeSet<&str> = known.iter().map(String::as_str).collect();
-    let mut column_of = BTreeMap::new();
-    for (k, field) in header.iter().enumerate() {
-        let at = |what| Error::at(path, line, field.column, what);
+/// Returns the columns by name, all of which must be in `names`; for another name, `unknown` is the problem and the next
+/// step.
+fn find_columns<'a>(header: &TextRow<'a>, names: &[String], unknown: [&str; 2]) -> Result<BTreeMap<&'a str, usize>> {
+    let valid: BTreeSet<&str> = names.iter().map(String::as_str).collect();
+    let mut column_by_name = BTreeMap::new();
+    for (k, field) in header.fields.iter().enumerate() {
         let text = text_of(field.text);
-        let name = if names.contains(text) { text } else { field.text };
-        if column_of.insert(name, k).is_some() {
-            return Err(at(format!("a second column {}; name each receiver once", quoted(field.text))));
+        let name = if valid.contains(text) { text } else { field.text };
+        if column_by_name.insert(name, k).is_some() {
+            let problem = format!("a second column {}; name each receiver once", quoted(field.text));
+            return Err(header.fault(field.column, problem));
         }
-        if !names.contains(name) {
-            let near = did_you_mean(field.text, known.iter().map(String::as_str));
-            return Err(at(format!("{} {}{near}; {}", quoted(field.text), unknown.0, unknown.1)));
+        if !valid.contains(name) {
+            let hint = did_you_mean(field.text, names.iter().map(String::as_str));
+            let problem = format!("{} {}{hint}; {}", quoted(field.text), unknown[0], unknown[1]);
+            return Err(header.fault(field.column, problem));
         }
     }
-    Ok(column_of)
+    Ok(column_by_name)
 }
 
 /// Reads received powers `[rows, receivers]` from a table with one column per receiver, dBm; NaN for empty cells and for
@@ -215,17 +206,17 @@ pub fn read_powers(path: &Path, receivers: &[String]) -> Result<Vec<Vec<Real>>> 
         "write one column per receiver and one row per transmitter, in dBm; leave unknown powers empty";
     let text = read_text(path, MAX_TEXT, ADVICE)?;
     let mut rows = lines(&text);
-    let (first, header) = rows.next().ok_or_else(|| Error::input(path, format!("is empty; {ADVICE}")))?;
-    let header = split_commas(header);
-    let advice = ("is no receiver of the model", "name one, or remove the column");
-    let column_of = named_columns(path, first, &header, receivers, advice)?;
-    let read = |(line, row)| {
-        let row = split_commas(row);
-        no_longer(path, line, &row, header.len())?;
-        let power = |name: &String| match column_of.get(name.as_str()) {
-            Some(column) => match cell(path, line, &row, (*column, name), ADVICE)? {
+    let header = rows.next().ok_or_else(|| Error::input(path, format!("is empty; {ADVICE}")))?;
+    let header = TextRow::at_commas(path, header);
+    let advice = ["is no receiver of the model", "name one, or remove the column"];
+    let column_by_name = find_columns(&header, receivers, advice)?;
+    let read = |row| {
+        let row = TextRow::at_commas(path, row);
+        row.check_length(header.fields.len())?;
+        let power = |name: &String| match column_by_name.get(name.as_str()) {
+            Some(column) => match row.cell((*column, name), ADVICE)? {
                 field if field.text.is_empty() || field.text.eq_ignore_ascii_case("nan") => Ok(Real::NAN),
-                field => Ok(dbm(path, line, field)? as Real),
+                field => Ok(dbm(path, row.line, field)? as Real),
             },
             None => Ok(Real::NAN),
         };

@@ -127,26 +127,26 @@ fn accepts_missing_lists_and_skips_images_without_row() {
 fn simulated_data_are_marked() {
     let folder = Folder::new();
     assert!(!folder.load().is_simulated());
-    let shown = |manifest: &str| {
+    let simulation_and_title = |manifest: &str| {
         folder.write("s/manifest.json", manifest);
         let data = folder.load();
         (data.simulation.map(|simulation| simulation.scene), data.title)
     };
     let (simulated, measured) = ("s (NeRF2 layout)".to_owned(), "s (measured, NeRF2 layout)".to_owned());
     assert_eq!(
-        shown(r#"{"simulated": true, "scene": "(..)", "seed": 1}"#),
+        simulation_and_title(r#"{"simulated": true, "scene": "(..)", "seed": 1}"#),
         (Some(Some("(..)".into())), simulated.clone())
     );
-    assert_eq!(shown(r#"{"simulated": true}"#), (Some(None), simulated));
+    assert_eq!(simulation_and_title(r#"{"simulated": true}"#), (Some(None), simulated));
     for other in [r#"{"simulated": false}"#, r#"{"name": "an app"}"#, "[]", "{"] {
-        assert_eq!(shown(other), (None, measured.clone()), "{other}");
+        assert_eq!(simulation_and_title(other), (None, measured.clone()), "{other}");
     }
     folder.write(
         "s/gateway_info.yml",
         "dataset_name: a (Simulated)\ngateway1: {position: [5, 0, 0], orientation: [0, 0, 0, 1]}\n",
     );
-    assert_eq!(shown("{"), (Some(None), "a (Simulated) (NeRF2 layout)".into()));
-    assert_eq!(shown(r#"{"simulated": false}"#).0, None);
+    assert_eq!(simulation_and_title("{"), (Some(None), "a (Simulated) (NeRF2 layout)".into()));
+    assert_eq!(simulation_and_title(r#"{"simulated": false}"#).0, None);
 }
 
 #[test]
@@ -159,9 +159,9 @@ fn rejects_image_size_that_contradicts_angles() {
         data.map_err(|e| e.to_string().replace(&folder.0.path().display().to_string(), "DIR"))
     };
     shape(36, 18);
-    let shown = load(None).unwrap_err();
+    let error = load(None).unwrap_err();
     assert_eq!(
-        shown,
+        error,
         "DIR/s/spectrum/00001.png: is 36 x 18 pixels: over azimuths 0 to 360 and elevations 0 to 90 degrees each would be \
          10.000 x 5.000 degrees; set the elevations of the top and bottom edge, such as \
          `elevation: (-90, 90)` of the data source for a full sphere, or `elevation: [-90, 90]` in gateway_info.yml"
@@ -174,8 +174,8 @@ fn rejects_image_size_that_contradicts_angles() {
     assert_eq!(load(None), Ok((90.0, -90.0)));
     assert_eq!(load(Some((-90.0, 90.0))), Ok((-90.0, 90.0)), "the pipeline overrules the file");
     folder.write("s/gateway_info.yml", format!("{gateway}elevation: [0, 91]\n"));
-    let shown = load(None).unwrap_err();
-    assert!(shown.starts_with("DIR/s/gateway_info.yml:4:12: `elevation` is (0, 91); give the elevations"), "{shown}");
+    let error = load(None).unwrap_err();
+    assert!(error.starts_with("DIR/s/gateway_info.yml:4:12: `elevation` is (0, 91); give the elevations"), "{error}");
     folder.write("s/gateway_info.yml", format!("{gateway}elevation: 90\n"));
     assert!(load(None).unwrap_err().starts_with("DIR/s/gateway_info.yml:4:"));
     folder.write("s/gateway_info.yml", gateway);
@@ -206,36 +206,39 @@ fn point_cloud_extends_scene_bounds() {
 
 #[test]
 fn reports_missing_file() {
-    let of = |name: &str| {
+    let fault_without = |name: &str| {
         let folder = Folder::new();
         folder.remove(name);
         folder.fault()
     };
-    assert_eq!(of("s/gateway_info.yml"), format!("cannot read DIR/s/gateway_info.yml: no such file; {LAYOUT}"));
-    let table = "write a table with the columns x, y and z, in metres";
-    assert_eq!(of("s/tx_pos.csv"), format!("cannot read DIR/s/tx_pos.csv: no such file; {table}"));
     assert_eq!(
-        of("s/train_index.txt"),
+        fault_without("s/gateway_info.yml"),
+        format!("cannot read DIR/s/gateway_info.yml: no such file; {LAYOUT}")
+    );
+    let table = "write a table with the columns x, y and z, in metres";
+    assert_eq!(fault_without("s/tx_pos.csv"), format!("cannot read DIR/s/tx_pos.csv: no such file; {table}"));
+    assert_eq!(
+        fault_without("s/train_index.txt"),
         "DIR/s/test_index.txt: this file comes without train_index.txt; give both or neither (then use a split such as Random())"
     );
     assert_eq!(
-        of("s/test_index.txt"),
+        fault_without("s/test_index.txt"),
         "DIR/s/train_index.txt: this file comes without test_index.txt; give both or neither (then use a split such as Random())"
     );
     assert_eq!(
-        of("s/spectrum/00003.png"),
+        fault_without("s/spectrum/00003.png"),
         "DIR/s/train_index.txt:1:1: id 3 has no image spectrum/00003.png; add the image or remove the id"
     );
     let folder = Folder::new();
     fs::rename(folder.path("s"), folder.path("t")).unwrap();
-    let shown = folder.fault();
+    let error = folder.fault();
     assert!(
-        shown.starts_with(&format!("DIR/s: no such folder ({LAYOUT}); set `root` of Nerf2Spectrum, or ")),
-        "{shown}"
+        error.starts_with(&format!("DIR/s: no such folder ({LAYOUT}); set `root` of Nerf2Spectrum, or ")),
+        "{error}"
     );
     assert!(
-        shown.contains("https://github.com/XPengZhao/NeRF2") && shown.ends_with("docs/data.md#get-measured-data"),
-        "{shown}"
+        error.contains("https://github.com/XPengZhao/NeRF2") && error.ends_with("docs/data.md#get-measured-data"),
+        "{error}"
     );
     let folder = Folder::new();
     fs::rename(folder.path("s/spectrum"), folder.path("s/spectra")).unwrap();
@@ -421,16 +424,16 @@ fn voxel_split_of_measured_spectra_shares_no_cell() {
     let text = fs::read_to_string(root.join("tx_pos.csv")).unwrap();
     let tenths = |field: &str| field.trim().replace('.', "").parse::<i64>().unwrap();
     let places: Vec<Vec<i64>> = text.lines().skip(1).map(|row| row.split(',').map(tenths).collect()).collect();
-    let place = |i: &usize| &places[data.sample(*i).id as usize - 1];
-    let all: Vec<usize> = (0..data.len()).collect();
-    assert_eq!(all.iter().filter(|i| place(i).iter().any(|v| v % 2000 == 0)).count(), 81, "samples on a wall");
+    let position = |i: &usize| &places[data.sample(*i).id as usize - 1];
+    let samples: Vec<usize> = (0..data.len()).collect();
+    assert_eq!(samples.iter().filter(|i| position(i).iter().any(|v| v % 2000 == 0)).count(), 81, "samples on a wall");
     let cells = |part: &[usize]| -> BTreeSet<Vec<i64>> {
-        part.iter().map(|i| place(i).iter().map(|v| v.div_euclid(2000)).collect()).collect()
+        part.iter().map(|i| position(i).iter().map(|v| v.div_euclid(2000)).collect()).collect()
     };
     for seed in 0..3 {
         let partition = Voxel::default().split(&data, &mut rng::stream(seed, "split", 0)).unwrap();
         let [train, validation, test] =
             [partition.train, partition.validation, partition.test].map(|part| cells(&part));
-        assert_eq!(train.len() + validation.len() + test.len(), cells(&all).len());
+        assert_eq!(train.len() + validation.len() + test.len(), cells(&samples).len());
     }
 }

@@ -1,12 +1,13 @@
 //! The header of a PLY file: encoding, elements and their properties.
 
-use crate::text::{TextField, split_blanks};
+use crate::text::TextRow;
 use pwrfgs_core::{Error, Result, messages::quoted};
 use std::path::Path;
 
 /// Largest number of lines of a header: each name is compared with all others.
 const MOST_LINES: usize = 10_000;
 
+/// Encoding of the body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PlyEncoding {
     Ascii,
@@ -14,6 +15,7 @@ pub(super) enum PlyEncoding {
     Big,
 }
 
+/// Number type of a property.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scalar {
     I8,
@@ -26,26 +28,31 @@ pub(super) enum Scalar {
     F64,
 }
 
+/// Content of a property: one number, or a list that begins with its length.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum PropertyKind {
     Scalar(Scalar),
     List { length: Scalar, item: Scalar },
 }
 
+/// Property of the rows of an element.
 #[derive(Debug)]
 pub(super) struct Property {
     pub(super) name: String,
     pub(super) kind: PropertyKind,
 }
 
+/// Table of the body: `count` rows with these properties.
 #[derive(Debug)]
 pub(super) struct PlyElement {
     pub(super) name: String,
     pub(super) count: usize,
     pub(super) properties: Vec<Property>,
+    /// Line of its declaration, counted from 1.
     line: usize,
 }
 
+/// Parsed header.
 #[derive(Debug)]
 pub(super) struct PlyHeader {
     pub(super) encoding: PlyEncoding,
@@ -59,7 +66,8 @@ pub(super) struct PlyHeader {
 }
 
 impl Scalar {
-    fn named(name: &str) -> Option<Self> {
+    /// Parses the name of a number type.
+    fn parse(name: &str) -> Option<Self> {
         Some(match name {
             "char" | "int8" => Self::I8,
             "uchar" | "uint8" => Self::U8,
@@ -73,6 +81,7 @@ impl Scalar {
         })
     }
 
+    /// Returns the size of a number, bytes.
     pub(super) fn size(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -82,10 +91,10 @@ impl Scalar {
         }
     }
 
-    /// Expected format of a number in an ascii file, if the text does not match it.
+    /// Returns the expected format of a number in an ascii file if the text does not match it.
     pub(super) fn misfit(self, text: &str) -> Option<&'static str> {
         let whole = |low: i64, high: i64| text.parse().is_ok_and(|v: i64| (low..=high).contains(&v));
-        let (fits, what) = match self {
+        let (fits, expected) = match self {
             Self::I8 => (whole(-0x80, 0x7f), "a char, a whole number from -128 to 127"),
             Self::U8 => (whole(0, 0xff), "a uchar, a whole number from 0 to 255"),
             Self::I16 => (whole(-0x8000, 0x7fff), "a short, a whole number from -32768 to 32767"),
@@ -94,10 +103,10 @@ impl Scalar {
             Self::U32 => (whole(0, i64::from(u32::MAX)), "a uint, a whole number of 32 bits"),
             Self::F32 | Self::F64 => (text.parse::<f64>().is_ok(), "a number"),
         };
-        (!fits).then_some(what)
+        (!fits).then_some(expected)
     }
 
-    /// Value of the number in `raw`, which is [`Self::size`] bytes long.
+    /// Converts the number in `raw`, which is [`Self::size`] bytes long.
     pub(super) fn value(self, raw: &[u8], is_big: bool) -> f64 {
         let mut bytes = [0; 8];
         bytes[..raw.len()].copy_from_slice(raw);
@@ -125,31 +134,25 @@ impl PlyHeader {
         let (mut start, mut line) = (0, 0);
         loop {
             let Some(length) = bytes[start..].iter().position(|&b| b == b'\n') else {
-                let what = if bytes.starts_with(b"ply") { UNENDED } else { NOT_PLY };
-                return Err(Error::input(path, what));
+                return Err(Error::input(path, if bytes.starts_with(b"ply") { UNENDED } else { NOT_PLY }));
             };
             let text = String::from_utf8_lossy(&bytes[start..start + length]);
             start += length + 1;
             line += 1;
+            let row = TextRow::at_blanks(path, (line, &text));
             if line > MOST_LINES {
-                return Err(Error::at(
-                    path,
-                    line,
-                    1,
-                    format!("the header has more than {MOST_LINES} lines; shorten it"),
-                ));
+                return Err(row.fault(1, format!("the header has more than {MOST_LINES} lines; shorten it")));
             }
-            let fields = split_blanks(&text);
-            let words: Vec<&str> = fields.iter().map(|f| f.text).collect();
-            let fault = |field: usize, what: &str| fault(path, line, fields[field], what);
+            let words: Vec<&str> = row.fields.iter().map(|field| field.text).collect();
+            let fault = |field: usize, problem: &str| word_fault(&row, field, problem);
             match (line, words.as_slice()) {
                 (1, ["ply"]) | (2.., [] | ["comment" | "obj_info", ..]) => {}
-                (1, _) => return Err(Error::at(path, 1, 1, NOT_PLY)),
+                (1, _) => return Err(row.fault(1, NOT_PLY)),
                 (_, ["format", ..]) if encoding.is_some() => {
                     return Err(fault(0, "is repeated; keep one"));
                 }
                 (_, ["format", name, ..]) => {
-                    encoding = Some(PlyEncoding::named(name).ok_or_else(|| fault(1, FORMATS))?);
+                    encoding = Some(PlyEncoding::parse(name).ok_or_else(|| fault(1, FORMATS))?);
                 }
                 (_, ["element", name, count]) => {
                     let count = count.parse().ok().ok_or_else(|| fault(2, "is not a count; write a whole number"))?;
@@ -160,10 +163,10 @@ impl PlyHeader {
                 }
                 (_, ["property", ..]) => {
                     let element: &mut PlyElement = elements.last_mut().ok_or_else(|| fault(0, UNOWNED))?;
-                    let property = property(path, line, &fields)?;
+                    let property = parse_property(&row)?;
                     if element.properties.iter().any(|p| p.name == property.name) {
                         let twice = "is a repeated property; give each property a unique name";
-                        return Err(fault(fields.len() - 1, twice));
+                        return Err(fault(words.len() - 1, twice));
                     }
                     element.properties.push(property);
                 }
@@ -172,21 +175,21 @@ impl PlyHeader {
             }
         }
         let encoding = encoding.ok_or_else(|| Error::input(path, UNFORMATTED))?;
-        let (vertex, xyz) = vertex(path, &elements)?;
+        let (vertex, xyz) = find_vertex(path, &elements)?;
         Ok(Self { encoding, elements, vertex, xyz, bytes: start, lines: line })
     }
 
-    /// Index of the element `face`, and of its corner list.
+    /// Returns the index of the element `face`, and of its corner list.
     pub(super) fn corners(&self, path: &Path) -> Result<(usize, usize)> {
         let Some(face) = self.elements.iter().position(|e| e.name == "face") else {
             return Err(Error::input(path, "has no element `face`; export a mesh, not a point cloud"));
         };
-        let is_it = |p: &Property| {
+        let is_corner_list = |p: &Property| {
             ["vertex_indices", "vertex_index"].contains(&p.name.as_str()) && matches!(p.kind, PropertyKind::List { .. })
         };
-        let list = self.elements[face].properties.iter().position(is_it).ok_or_else(|| {
-            let what = "element `face` has no list `vertex_indices`; export faces by their vertices";
-            Error::at(path, self.elements[face].line, 1, what)
+        let list = self.elements[face].properties.iter().position(is_corner_list).ok_or_else(|| {
+            let problem = "element `face` has no list `vertex_indices`; export faces by their vertices";
+            Error::at(path, self.elements[face].line, 1, problem)
         })?;
         Ok((face, list))
     }
@@ -200,7 +203,8 @@ const FORMATS: &str = "is not a format; use ascii, binary_little_endian or binar
 const TYPES: &str = "is not a type; use char, uchar, short, ushort, int, uint, float or double";
 
 impl PlyEncoding {
-    fn named(name: &str) -> Option<Self> {
+    /// Parses the name of an encoding.
+    fn parse(name: &str) -> Option<Self> {
         match name {
             "ascii" => Some(Self::Ascii),
             "binary_little_endian" => Some(Self::Little),
@@ -210,33 +214,34 @@ impl PlyEncoding {
     }
 }
 
-/// Error at one word of the header.
-fn fault(path: &Path, line: usize, field: TextField<'_>, what: &str) -> Error {
-    Error::at(path, line, field.column, format!("{} {what}", quoted(field.text)))
+/// Creates an error at one word of a header line.
+fn word_fault(row: &TextRow<'_>, word: usize, problem: &str) -> Error {
+    row.fault(row.fields[word].column, format!("{} {problem}", quoted(row.fields[word].text)))
 }
 
 /// Parses `property TYPE NAME` or `property list TYPE TYPE NAME`.
-fn property(path: &Path, line: usize, fields: &[TextField<'_>]) -> Result<Property> {
-    let scalar = |i: usize| Scalar::named(fields[i].text).ok_or_else(|| fault(path, line, fields[i], TYPES));
+fn parse_property(row: &TextRow<'_>) -> Result<Property> {
+    let fields = &row.fields;
+    let scalar = |word: usize| Scalar::parse(fields[word].text).ok_or_else(|| word_fault(row, word, TYPES));
     let (kind, name) = match fields.len() {
         3 => (PropertyKind::Scalar(scalar(1)?), fields[2]),
         5 if fields[1].text == "list" => (PropertyKind::List { length: scalar(2)?, item: scalar(3)? }, fields[4]),
-        _ => return Err(fault(path, line, fields[0], "needs a type and a name; write `property float x`")),
+        _ => return Err(word_fault(row, 0, "needs a type and a name; write `property float x`")),
     };
     Ok(Property { name: name.text.to_owned(), kind })
 }
 
-/// Index of the element `vertex`, and of its x, y and z.
-fn vertex(path: &Path, elements: &[PlyElement]) -> Result<(usize, [usize; 3])> {
+/// Returns the index of the element `vertex`, and of its properties x, y and z.
+fn find_vertex(path: &Path, elements: &[PlyElement]) -> Result<(usize, [usize; 3])> {
     let Some(vertex) = elements.iter().position(|e| e.name == "vertex") else {
         return Err(Error::input(path, "has no element `vertex`; export the cloud with its points"));
     };
     let mut xyz = [0; 3];
-    for (place, name) in xyz.iter_mut().zip(["x", "y", "z"]) {
-        let is_it = |p: &Property| p.name == name && matches!(p.kind, PropertyKind::Scalar(_));
-        *place = elements[vertex].properties.iter().position(is_it).ok_or_else(|| {
-            let what = format!("element `vertex` has no property `{name}`; export x, y and z as float or double");
-            Error::at(path, elements[vertex].line, 1, what)
+    for (index, name) in xyz.iter_mut().zip(["x", "y", "z"]) {
+        let is_coordinate = |p: &Property| p.name == name && matches!(p.kind, PropertyKind::Scalar(_));
+        *index = elements[vertex].properties.iter().position(is_coordinate).ok_or_else(|| {
+            let problem = format!("element `vertex` has no property `{name}`; export x, y and z as float or double");
+            Error::at(path, elements[vertex].line, 1, problem)
         })?;
     }
     Ok((vertex, xyz))

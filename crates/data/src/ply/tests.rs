@@ -233,7 +233,7 @@ fn reports_invalid_faces() {
 fn rejects_bytes_beyond_header_counts() {
     let edit = |from: &str, to: &str| String::from_utf8(ascii()).unwrap().replacen(from, to, 1);
     let advice = "correct the row or the header";
-    let twice = |what: &str| format!("is a repeated {what}; give each {what} a unique name");
+    let twice = |kind: &str| format!("is a repeated {kind}; give each {kind} a unique name");
     let cases = [
         (
             edit("3 0 1 2\n", "3 0 1 2\n\n1 2 3\n"),
@@ -268,8 +268,8 @@ fn rejects_bytes_beyond_header_counts() {
         assert_eq!(read(text.as_bytes()).unwrap_err(), message);
     }
     for big in [false, true] {
-        let more = [&binary(big)[..], &[0; 3]].concat();
-        assert_eq!(read(&more).unwrap_err(), "a.ply: 3 bytes follow the last row; correct the header's counts");
+        let longer = [&binary(big)[..], &[0; 3]].concat();
+        assert_eq!(read(&longer).unwrap_err(), "a.ply: 3 bytes follow the last row; correct the header's counts");
     }
     let far = edit("4e0", "4e30");
     assert!(read(far.as_bytes()).unwrap_err().starts_with("a.ply:18:11: `4e30` is beyond 1e8 m"));

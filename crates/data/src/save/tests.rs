@@ -6,35 +6,37 @@ use pwrfgs_core::{Channels as Gains, Pose, Receiver, Sample, Simulation};
 use std::fs;
 
 /// The data set read back from a folder.
-fn again(data: &Dataset) -> Dataset {
+fn read_back(data: &Dataset) -> Dataset {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("saved");
     let source = save(data, &out).unwrap();
-    let found = pwrfgs_core::recognise(&out).unwrap();
-    let alike = format!("{:?}", found.load(Path::new(""), &|_, _| {}).unwrap());
+    let recognised = pwrfgs_core::recognise(&out).unwrap();
+    let alike = format!("{:?}", recognised.load(Path::new(""), &|_, _| {}).unwrap());
     assert_eq!(alike, format!("{:?}", source.load(Path::new(""), &|_, _| {}).unwrap()), "found as written");
     assert!(save(data, &out).is_err(), "what lies there stays");
     source.load(Path::new(""), &|_, _| {}).unwrap()
 }
 
-fn same(data: &Dataset, again: &Dataset) {
-    assert_eq!((data.len(), data.width, data.height), (again.len(), again.width, again.height));
+fn assert_same(data: &Dataset, read_back: &Dataset) {
+    assert_eq!((data.len(), data.width, data.height), (read_back.len(), read_back.width, read_back.height));
     let links = |data: &Dataset| data.samples().map(|s| (s.position(), s.receiver)).collect::<Vec<_>>();
-    assert_eq!(links(data), links(again));
-    assert_eq!((&data.official, &data.scene.points), (&again.official, &again.scene.points));
-    assert!((0..data.len()).all(|i| data.observations.raw(i) == again.observations.raw(i)));
-    if let (Observations::Channels(one), Observations::Channels(other)) = (&data.observations, &again.observations) {
-        assert_eq!(one, other);
+    assert_eq!(links(data), links(read_back));
+    assert_eq!((&data.official, &data.scene.points), (&read_back.official, &read_back.scene.points));
+    assert!((0..data.len()).all(|i| data.observations.raw(i) == read_back.observations.raw(i)));
+    if let (Observations::Channels(first), Observations::Channels(second)) =
+        (&data.observations, &read_back.observations)
+    {
+        assert_eq!(first, second);
     }
-    assert_eq!(data.elevation, again.elevation);
-    assert_eq!(data.is_simulated(), again.is_simulated());
-    assert_eq!(data.scene.receivers.len(), again.scene.receivers.len());
+    assert_eq!(data.elevation, read_back.elevation);
+    assert_eq!(data.is_simulated(), read_back.is_simulated());
+    assert_eq!(data.scene.receivers.len(), read_back.scene.receivers.len());
     // Sums and rotations of positions round: to a hundredth of a micrometre on a map.
     let near = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-8);
-    for (one, other) in data.scene.receivers.iter().zip(&again.scene.receivers) {
-        assert_eq!((&one.name, one.pose.orientation), (&other.name, other.pose.orientation));
-        assert!(near(&one.pose.position, &other.pose.position), "{one:?} {other:?}");
-        assert!(one.antennas.iter().zip(&other.antennas).all(|(a, b)| near(a, b)), "{one:?} {other:?}");
+    for (first, second) in data.scene.receivers.iter().zip(&read_back.scene.receivers) {
+        assert_eq!((&first.name, first.pose.orientation), (&second.name, second.pose.orientation));
+        assert!(near(&first.pose.position, &second.pose.position), "{first:?} {second:?}");
+        assert!(first.antennas.iter().zip(&second.antennas).all(|(a, b)| near(a, b)), "{first:?} {second:?}");
     }
 }
 
@@ -46,16 +48,16 @@ fn reads_saved_data_back() {
     let mut data = Dataset::new("room", pose, vec![[1.0, 2.0, 0.125]], samples.clone(), spectra).unwrap();
     data.official = Some((vec![0, 2], vec![1]));
     data.simulation = Some(Simulation::default());
-    same(&data, &again(&data));
+    assert_same(&data, &read_back(&data));
     data.elevation = Elevation { first: 80.0, last: -10.0 }; // pixels that are not square, from above to below
-    same(&data, &again(&data));
+    assert_same(&data, &read_back(&data));
 
     let spectra = Spectra::grey((30, 8), (0..960).map(|v| (v % 256) as u8).collect()).unwrap();
     let samples = (1..=4).map(|i| Sample::new(i, [f64::from(i % 2), 0.5, 1.0])).collect();
     let data = Dataset::new("carriers", pose, vec![], samples, spectra).unwrap();
     let data = Dataset { official: Some((vec![0, 2], vec![1, 3])), ..data };
     let data = data.with_carriers(&[2.4e9, 2.4e9, 2.4123e9, 2.4123e9]).unwrap();
-    let back = again(&data);
+    let back = read_back(&data);
     assert_eq!((&data.links, &data.scene.receivers), (&back.links, &back.scene.receivers));
     assert_eq!((&data.official, data.image(2)), (&back.official, back.image(2)));
 
@@ -65,67 +67,69 @@ fn reads_saved_data_back() {
     renamed.scene.receivers[1].name = "high".into();
     assert!(refused(&renamed).contains("named such as 2400MHz"), "the reader would give another name");
 
-    let at = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });
+    let receiver = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });
     let samples = [(0, 0), (0, 1), (1, 1)]
         .map(|(id, receiver)| Sample { receiver, ..Sample::new(id, [f64::from(id), 2.0, 1.5]) });
     let powers = Observations::Powers(vec![-61.5, -70.25, -80.0]);
-    let data = Dataset::of_links("hall", vec![at("=n()", 0.0), at("s", 9.0)], vec![], &samples, powers).unwrap();
-    same(&data, &again(&data));
+    let data =
+        Dataset::of_links("hall", vec![receiver("=n()", 0.0), receiver("s", 9.0)], vec![], &samples, powers).unwrap();
+    assert_same(&data, &read_back(&data));
     let mut stated = data.clone();
-    stated.scene.receivers.iter_mut().for_each(|own| own.carrier_hz = Some(2.4e9));
+    stated.scene.receivers.iter_mut().for_each(|receiver| receiver.carrier_hz = Some(2.4e9));
     assert!(refused(&stated).contains("powers at stated carriers"));
 
-    let receiver = Receiver { antennas: vec![[0.0; 3], [0.0, 0.0625, 0.0]], ..at("array", 1.0) };
+    let receiver = Receiver { antennas: vec![[0.0; 3], [0.0, 0.0625, 0.0]], ..receiver("array", 1.0) };
     let samples: Vec<Sample> = (0..2).map(|i| Sample::new(i, [f64::from(i), 2.0, 1.5])).collect();
     let gains = (0..12).map(|v| [v as Real, -1.0]).collect();
     let channels = Gains { antennas: 2, frequencies_hz: vec![2.3e9, 2.4e9, 2.5e9], gains };
     let data =
         Dataset::of_links("channels", vec![receiver], vec![], &samples, Observations::Channels(channels)).unwrap();
-    let back = again(&data);
-    same(&data, &back);
+    let back = read_back(&data);
+    assert_same(&data, &back);
     assert_eq!(data.scene.receivers, back.scene.receivers);
 }
 
 /// Small data of any kind, some invalid for every layout, drawn from `numbers`.
-fn made(kind: usize, odd: usize, names: &[String], title: &str, numbers: &[f64]) -> Result<Dataset> {
+fn small_data(kind: usize, variant: usize, names: &[String], title: &str, numbers: &[f64]) -> Result<Dataset> {
     let number = |i: usize| numbers[i % numbers.len()];
-    let far = if odd.is_multiple_of(2) { [0.0; 3] } else { [500_000.25, 5_400_000.5, 100.0] };
-    let place = |i: usize| [0, 1, 2].map(|k| far[k] + number(3 * i + k));
+    let far = if variant.is_multiple_of(2) { [0.0; 3] } else { [500_000.25, 5_400_000.5, 100.0] };
+    let position = |i: usize| [0, 1, 2].map(|k| far[k] + number(3 * i + k));
     let turn: [f64; 4] = [0, 1, 2, 3].map(|k| number(k + 7) + 1.5);
     let length = turn.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let orientation = if odd.is_multiple_of(3) { Pose::IDENTITY.orientation } else { turn.map(|v| v / length) };
-    let antennas = if kind == 2 { 1 + odd % 3 } else { 1 };
+    let orientation = if variant.is_multiple_of(3) { Pose::IDENTITY.orientation } else { turn.map(|v| v / length) };
+    let antennas = if kind == 2 { 1 + variant % 3 } else { 1 };
     let receiver = |(i, name): (usize, &String)| Receiver {
         antennas: (0..antennas).map(|a| [0.06 * a as f64, 0.0, 0.0]).collect(),
-        ..Receiver::new(name.clone(), Pose { position: place(40 + i), orientation })
+        ..Receiver::new(name.clone(), Pose { position: position(40 + i), orientation })
     };
     let receivers: Vec<Receiver> = names.iter().enumerate().map(receiver).take(if kind == 1 { 9 } else { 1 }).collect();
     let pairs = (0..4).flat_map(|t| (0..receivers.len()).map(move |r| (t, r)));
     let is_received = |(t, r): &(usize, usize)| kind != 1 || number(5 * t + r) > -0.7;
     let samples: Vec<Sample> = pairs
         .filter(is_received)
-        .map(|(t, receiver)| Sample { receiver, ..Sample::new(t as u32 + 1, place(t)) })
+        .map(|(t, receiver)| Sample { receiver, ..Sample::new(t as u32 + 1, position(t)) })
         .collect();
     let count = samples.len();
-    let size = [(12, 6), (6, 12), (16, 4), (5, 5)][odd % 4];
-    let of_one = size.0 * size.1;
+    let size = [(12, 6), (6, 12), (16, 4), (5, 5)][variant % 4];
+    let pixels = size.0 * size.1;
     let observations = match kind {
-        0 if odd < 5 => {
-            Spectra::grey(size, (0..4 * of_one).map(|i| (90.0 * (1.2 + number(i))) as u8).collect())?.into()
+        0 if variant < 5 => {
+            Spectra::grey(size, (0..4 * pixels).map(|i| (90.0 * (1.2 + number(i))) as u8).collect())?.into()
         }
-        0 => Spectra::float(size, &(0..4 * of_one).map(|i| number(i).abs() as f32).collect::<Vec<_>>())?.into(),
+        0 => Spectra::float(size, &(0..4 * pixels).map(|i| number(i).abs() as f32).collect::<Vec<_>>())?.into(),
         1 => Observations::Powers((0..count).map(|i| (number(i) * 100.0).round() as Real).collect()),
         _ => {
-            let frequencies_hz = (0..3).map(|i| 1e9 + 1e6 * (number(i) + if odd < 6 { 3.0 * i as f64 } else { 0.0 }));
-            let given = if odd == 7 { 1 } else { antennas };
-            let gains = (0..4 * given * 3).map(|i| [number(i) as Real, number(i + 9) as Real]).collect();
-            Observations::Channels(Gains { antennas: given, frequencies_hz: frequencies_hz.collect(), gains })
+            let frequencies_hz =
+                (0..3).map(|i| 1e9 + 1e6 * (number(i) + if variant < 6 { 3.0 * i as f64 } else { 0.0 }));
+            let stated_antennas = if variant == 7 { 1 } else { antennas };
+            let gains = (0..4 * stated_antennas * 3).map(|i| [number(i) as Real, number(i + 9) as Real]).collect();
+            Observations::Channels(Gains { antennas: stated_antennas, frequencies_hz: frequencies_hz.collect(), gains })
         }
     };
-    let points = (0..odd).map(|i| place(i + 20).map(|v| (v * 16.0).round() / 16.0)).collect();
+    let points = (0..variant).map(|i| position(i + 20).map(|v| (v * 16.0).round() / 16.0)).collect();
     let data = Dataset::of_links(title, receivers, points, &samples, observations)?;
-    let elevation = [(0.0, 90.0), (-90.0, 90.0), (90.0, 0.0), (0.0, 0.5)][if kind == 0 { odd / 2 } else { 0 }];
-    Ok(Dataset { elevation: elevation.into(), simulation: (odd > 3).then(Simulation::default), ..data })
+    let elevation = [(0.0, 90.0), (-90.0, 90.0), (90.0, 0.0), (0.0, 0.5)][if kind == 0 { variant / 2 } else { 0 }];
+    Ok(Dataset { elevation: elevation.into(), simulation: (variant > 3).then(Simulation::default), ..data })
 }
 
 proptest! {
@@ -133,12 +137,12 @@ proptest! {
 
     #[test]
     fn valid_data_round_trip_unchanged(
-        kind in 0..3usize, odd in 0..8usize, names in prop::collection::vec("[ab,\"\\[: é\u{2028}-]{1,4}", 1..4),
+        kind in 0..3usize, variant in 0..8usize, names in prop::collection::vec("[ab,\"\\[: é\u{2028}-]{1,4}", 1..4),
         title in "[a-z\\[{ :-]{0,9}", numbers in prop::collection::vec(-1.01..1.01f64, 3..90),
     ) {
-        let Ok(data) = made(kind, odd, &names, &title, &numbers) else { return Ok(()) };
+        let Ok(data) = small_data(kind, variant, &names, &title, &numbers) else { return Ok(()) };
         match check(&data) {
-            Ok(()) => same(&data, &again(&data)),
+            Ok(()) => assert_same(&data, &read_back(&data)),
             Err(refused) => {
                 let folder = tempfile::tempdir().unwrap();
                 let message = save(&data, &folder.path().join("saved")).unwrap_err();
@@ -161,27 +165,28 @@ proptest! {
         let write = |name: &str, text: String| fs::write(folder.path().join(name), text).unwrap();
         write("gateway_position.yml", gateway_positions_yaml(names.iter().map(|name| (&**name, Pose::IDENTITY))));
         let row = |cell: &&str| names.iter().map(|_| *cell).collect::<Vec<_>>().join(",") + "\n";
-        let head = names.iter().map(|name| field(name)).collect::<Vec<_>>().join(",") + "\n";
+        let head = names.iter().map(|name| csv_cell(name)).collect::<Vec<_>>().join(",") + "\n";
         write("gateway_rssi.csv", head + &cells.iter().map(row).collect::<String>());
         write("tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n".into());
         let source = Nerf2Rssi { root: folder.path().into(), points: None };
         if let Ok(data) = source.load(Path::new(""), &|_, _| {}) {
             let read: Vec<&str> = data.scene.receivers.iter().map(|receiver| &*receiver.name).collect();
             prop_assert_eq!(read, names.iter().map(String::as_str).collect::<Vec<_>>());
-            same(&data, &again(&data));
+            assert_same(&data, &read_back(&data));
         }
     }
 }
 
 #[test]
 fn rejects_receiver_name_that_cannot_be_saved() {
-    let at = |name: &str| Receiver::new(name, Pose::IDENTITY);
+    let receiver = |name: &str| Receiver::new(name, Pose::IDENTITY);
     let samples: Vec<Sample> = (1..3).map(|i| Sample::new(i, [f64::from(i), 0.5, 1.0])).collect();
     let spectra = Spectra::grey((12, 3), vec![7; 72]).unwrap();
     let spectra = Dataset::new("room", Pose::IDENTITY, vec![], samples.clone(), spectra).unwrap();
     let gains = Gains { antennas: 1, frequencies_hz: vec![1e9], gains: vec![[1.0, 0.0]; 2] };
     let channels =
-        Dataset::of_links("channels", vec![at("receiver")], vec![], &samples, Observations::Channels(gains)).unwrap();
+        Dataset::of_links("channels", vec![receiver("receiver")], vec![], &samples, Observations::Channels(gains))
+            .unwrap();
     for (data, place) in [(spectra, "gateway_info.yml:6:11"), (channels, "receiver.yml:1:7")] {
         let folder = tempfile::tempdir().unwrap();
         let source = save(&data, &folder.path().join("saved")).unwrap();

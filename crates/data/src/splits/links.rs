@@ -1,6 +1,6 @@
 //! `LeaveReceiverOut` and `RandomLinks`: split links instead of transmitters.
 
-use super::{DEFAULT_VALIDATION, check_test, check_validation, finish_links, hold_out_links, part, random_lists};
+use super::{DEFAULT_VALIDATION, check_test, check_validation, hold_out_links, link_partition, part, random_lists};
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split, did_you_mean};
@@ -42,29 +42,31 @@ impl Default for LeaveReceiverOut {
 
 #[typetag::serde]
 impl Split for LeaveReceiverOut {
+    /// Moves all links of the named receivers to the test set, except for `calibration` random links of each.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
-        let out = self.left_out(data)?;
-        let is_out = |i: &usize| out.contains(&data.links[*i].receiver);
-        let (mut test, known): (Vec<usize>, Vec<usize>) = (0..data.len()).partition(is_out);
+        let receivers = self.left_out(data)?;
+        let is_left_out = |i: &usize| receivers.contains(&data.links[*i].receiver);
+        let (mut test, fitting): (Vec<usize>, Vec<usize>) = (0..data.len()).partition(is_left_out);
         // Drawn before validation, which must not change the test set.
         let mut calibration = Vec::new();
-        for receiver in out {
-            let (mut own, others): (Vec<usize>, Vec<usize>) =
+        for receiver in receivers {
+            let (mut links, others): (Vec<usize>, Vec<usize>) =
                 test.into_iter().partition(|i| data.links[*i].receiver == receiver);
-            if self.calibration > 0 && own.len() <= self.calibration {
-                let (name, have) = (quoted(&data.scene.receivers[receiver].name), own.len());
-                let what = format!("{name} has {have} links in all, which leaves no test link; lower `calibration`");
-                return Err(Error::Config(format!("LeaveReceiverOut(calibration: {}): {what}", self.calibration)));
+            if self.calibration > 0 && links.len() <= self.calibration {
+                let (name, count) = (quoted(&data.scene.receivers[receiver].name), links.len());
+                let problem = format!("{name} has {count} links in all, which leaves no test link");
+                let setting = format!("LeaveReceiverOut(calibration: {})", self.calibration);
+                return Err(Error::Config(format!("{setting}: {problem}; lower `calibration`")));
             }
             if self.calibration > 0 {
-                rng::shuffle(rng, &mut own);
-                calibration.extend(own.split_off(own.len() - self.calibration));
+                rng::shuffle(rng, &mut links);
+                calibration.extend(links.split_off(links.len() - self.calibration));
             }
-            test = [others, own].concat();
+            test = [others, links].concat();
         }
-        let (mut train, validation) = hold_out_links(data, known, self.validation, rng);
+        let (mut train, validation) = hold_out_links(data, fitting, self.validation, rng);
         train.extend(calibration);
-        finish_links(Partition { train, validation, test })
+        link_partition(Partition { train, validation, test })
     }
 
     fn check(&self) -> Result<(), String> {
@@ -77,27 +79,27 @@ impl Split for LeaveReceiverOut {
 }
 
 impl LeaveReceiverOut {
-    /// Indices of the named receivers; at least one, but not all.
+    /// Returns the indices of the named receivers; at least one, but not all.
     fn left_out(&self, data: &Dataset) -> Result<BTreeSet<usize>> {
         let names = || data.scene.receivers.iter().map(|receiver| receiver.name.as_str());
-        let refuse = |what: String| {
-            let known = names().take(40).map(quoted).collect::<Vec<_>>().join(", ");
-            Err(Error::Config(format!("LeaveReceiverOut: {what}; the receivers of {} are {known}", data.title)))
+        let refuse = |problem: String| {
+            let valid = names().take(40).map(quoted).collect::<Vec<_>>().join(", ");
+            Err(Error::Config(format!("LeaveReceiverOut: {problem}; the receivers of {} are {valid}", data.title)))
         };
         if self.receivers.is_empty() {
             return refuse("name at least one of `receivers`".into());
         }
-        let mut out = BTreeSet::new();
+        let mut indices = BTreeSet::new();
         for name in &self.receivers {
-            match names().position(|known| known == name) {
-                Some(i) => out.insert(i),
+            match names().position(|receiver| receiver == name) {
+                Some(i) => indices.insert(i),
                 None => return refuse(format!("unknown receiver {}{}", quoted(name), did_you_mean(name, names()))),
             };
         }
-        if out.len() == data.scene.receivers.len() {
+        if indices.len() == data.scene.receivers.len() {
             return refuse("no receiver is left to learn from".into());
         }
-        Ok(out)
+        Ok(indices)
     }
 }
 
@@ -129,10 +131,10 @@ impl Default for RandomLinks {
 impl Split for RandomLinks {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         let test = part(self.test, data.len());
-        finish_links(random_lists(data.len(), test, self.validation, rng))
+        link_partition(random_lists(data.len(), test, self.validation, rng))
     }
 
-    /// Links.
+    /// Returns one unit per link.
     fn units(&self, _: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
         links.iter().map(|&i| vec![i]).collect()
     }

@@ -25,15 +25,15 @@ fn split(split: &dyn Split, data: &Dataset) -> Result<Partition, String> {
 }
 
 /// Checks that a split is sorted, disjoint, complete and reproducible, and that training and test sets are not empty.
-fn keeps_the_laws(plugin: &dyn Split, data: &Dataset) -> Result<Partition, TestCaseError> {
+fn check_partition_laws(plugin: &dyn Split, data: &Dataset) -> Result<Partition, TestCaseError> {
     let partition = split(plugin, data).map_err(TestCaseError::fail)?;
     let lists = [&partition.train, &partition.validation, &partition.test];
     for list in lists {
         prop_assert!(list.is_sorted_by(|a, b| a < b));
     }
-    let mut all: Vec<usize> = lists.into_iter().flatten().copied().collect();
-    all.sort_unstable();
-    prop_assert_eq!(all, (0..data.len()).collect::<Vec<_>>());
+    let mut sorted: Vec<usize> = lists.into_iter().flatten().copied().collect();
+    sorted.sort_unstable();
+    prop_assert_eq!(sorted, (0..data.len()).collect::<Vec<_>>());
     prop_assert!(!partition.train.is_empty() && !partition.test.is_empty());
     prop_assert_eq!(split(plugin, data).map_err(TestCaseError::fail)?, partition.clone());
     Ok(partition)
@@ -43,7 +43,7 @@ proptest! {
     #[test]
     fn official_split_takes_validation_from_training_list(n in 5usize..60, validation in 0.0..0.99) {
         let data = line_of_samples(n);
-        let partition = keeps_the_laws(&Official { validation }, &data)?;
+        let partition = check_partition_laws(&Official { validation }, &data)?;
         let (train, test) = data.official.clone().unwrap();
         prop_assert_eq!(&partition.test, &test);
         prop_assert_eq!(partition.validation.len(), part(validation, train.len()));
@@ -51,7 +51,7 @@ proptest! {
 
     #[test]
     fn random_split_has_requested_shares(n in 2usize..60, test in 0.01..0.99, validation in 0.0..0.99) {
-        let partition = keeps_the_laws(&Random { test, validation }, &line_of_samples(n))?;
+        let partition = check_partition_laws(&Random { test, validation }, &line_of_samples(n))?;
         prop_assert_eq!(partition.test.len(), part(test, n));
         prop_assert_eq!(partition.validation.len(), part(validation, n - part(test, n)));
     }
@@ -59,7 +59,7 @@ proptest! {
     #[test]
     fn sparse_split_has_requested_count(n in 2usize..60, share in 0.0..0.99, validation in 0.0..0.99) {
         let train = part(share, n).max(1);
-        let partition = keeps_the_laws(&Sparse { train, validation }, &line_of_samples(n))?;
+        let partition = check_partition_laws(&Sparse { train, validation }, &line_of_samples(n))?;
         prop_assert_eq!(partition.train.len() + partition.validation.len(), train);
     }
 
@@ -69,7 +69,7 @@ proptest! {
     ) {
         let plugin = TimeBlock { start, length: length * (1.0 - start), gap: 0, validation };
         prop_assert!(plugin.check().is_ok());
-        let partition = keeps_the_laws(&plugin, &line_of_samples(n))?;
+        let partition = check_partition_laws(&plugin, &line_of_samples(n))?;
         let is_contiguous = |list: &[usize]| list.windows(2).all(|w| w[1] == w[0] + 1);
         prop_assert!(is_contiguous(&partition.test));
         let mut held_out = [partition.test, partition.validation].concat();
@@ -86,7 +86,7 @@ proptest! {
         let data = samples_at(&places);
         let mut part_of_cell = BTreeMap::new();
         prop_assume!(places.iter().any(|p| plugin.cell(*p) != plugin.cell(places[0])));
-        let partition = keeps_the_laws(&plugin, &data)?;
+        let partition = check_partition_laws(&plugin, &data)?;
         for (name, list) in [("train", partition.train), ("validation", partition.validation), ("test", partition.test)] {
             for i in list {
                 prop_assert_eq!(*part_of_cell.entry(plugin.cell(places[i])).or_insert(name), name);

@@ -63,13 +63,13 @@ fn teacher_gaussians_are_within_stated_distance_and_elevation() {
 fn teacher_signals_vary_smoothly_with_transmitter() {
     let teacher = small();
     let means = teacher.cloud().signals;
-    for (here, (near, mean)) in
+    for (signals, (nearby, mean)) in
         teacher.signals([0.1, 0.2, 1.0]).iter().zip(teacher.signals([0.1, 0.201, 1.0]).iter().zip(&means))
     {
         for k in 0..2 {
-            assert!(here[k] >= 0.0 && here[k] <= mean[k] / 0.55 * 1.0001);
+            assert!(signals[k] >= 0.0 && signals[k] <= mean[k] / 0.55 * 1.0001);
             // A millimetre changes a wave of 1 m by at most 0.45 · 2π/1000.
-            assert!((here[k] - near[k]).abs() <= 0.003);
+            assert!((signals[k] - nearby[k]).abs() <= 0.003);
         }
     }
 }
@@ -80,8 +80,8 @@ fn teacher_is_learnable_and_not_trivial() {
     let partition = Official { validation: 0.0 }.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
     let score = |baseline: &dyn Baseline| {
         let fitted = baseline.fit(&data, FittingSet::train(&partition.train)).unwrap();
-        let of = |&i: &usize| ssim::evaluation(&fitted.predict(data.query(i)), &data.image(i));
-        partition.test.iter().map(of).sum::<f64>() / partition.test.len() as f64
+        let similarity = |&i: &usize| ssim::evaluation(&fitted.predict(data.query(i)), &data.image(i));
+        partition.test.iter().map(similarity).sum::<f64>() / partition.test.len() as f64
     };
     let (mean, nearest) = (score(&MeanSpectrum {}), score(&NearestNeighbours { k: 3.into() }));
     println!("mean SSIM: mean spectrum {mean:.4}, 3-NN {nearest:.4}");
@@ -123,6 +123,6 @@ fn rejects_settings_out_of_range_when_read() {
 
 #[test]
 fn rejects_projector_that_is_not_linked() {
-    let message = linked::<dyn Projector>("Gnomonic").unwrap_err().to_string();
+    let message = linked_plugin::<dyn Projector>("Gnomonic").unwrap_err().to_string();
     assert_eq!(message, "Teacher draws with Gnomonic, which is not linked into this program; link pwrfgs-raster");
 }

@@ -49,7 +49,7 @@ impl SplattedChannel {
         weights[linear.cleared.clone()].fill(0.0);
         for (i, gain) in coefficients.iter().enumerate() {
             let (k, j) = (i / linear.functions, i % linear.functions);
-            (0..2).for_each(|c| weights[linear.place(c, k, j)] = (gain[c] / level) as Real);
+            (0..2).for_each(|c| weights[linear.weight_index(c, k, j)] = (gain[c] / level) as Real);
         }
         offsets_mut(setup, weights).fill(level.log10() as Real);
         true

@@ -51,8 +51,8 @@ fn uplink_is_feature_and_downlink_is_observation() {
     // Snapshot 1 at antenna 2 begins at the number 24 of 48.
     // All are divided by the largest modulus of the training set: snapshots 0 and 2.
     let largest = 46f64.hypot(47.0);
-    let close = |found: &[Real], numbers: [f64; 4]| {
-        assert!(found.iter().zip(numbers).all(|(v, n)| (*v as f64 - n / largest).abs() < 1e-6), "{found:?}");
+    let close = |actual: &[Real], numbers: [f64; 4]| {
+        assert!(actual.iter().zip(numbers).all(|(v, n)| (*v as f64 - n / largest).abs() < 1e-6), "{actual:?}");
     };
     close(data.query(3).features.unwrap(), [24.0, 26.0, 25.0, 27.0]);
     close(&data.image(3).pixels, [28.0, 30.0, 29.0, 31.0]);
@@ -66,8 +66,8 @@ fn uplink_is_feature_and_downlink_is_observation() {
     assert!((scaled - 47.0 / 30f64.hypot(31.0)).abs() < 1e-6);
     folder.write("train_index.txt", "0\n2\n");
     folder.write("test_index.txt", "1\n");
-    let shown = Voxel::default().split(&data, &mut rng::stream(0, "split", 0)).unwrap_err();
-    assert!(shown.to_string().contains("needs transmitter positions"), "{shown}");
+    let error = Voxel::default().split(&data, &mut rng::stream(0, "split", 0)).unwrap_err();
+    assert!(error.to_string().contains("needs transmitter positions"), "{error}");
     folder.write("tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n");
     let placed = folder.load().unwrap();
     assert!(placed.placed && placed.sample(3).position() == [4.0, 5.0, 6.0]);
@@ -106,8 +106,8 @@ fn reports_position_of_invalid_input() {
     let good = fs::read(folder.0.path().join("csidata.npy")).unwrap();
     for (bytes, message) in arrays {
         folder.write("csidata.npy", bytes);
-        let shown = folder.fault();
-        assert!(shown.starts_with(&format!("DIR/csidata.npy: {message}")), "{shown}");
+        let error = folder.fault();
+        assert!(error.starts_with(&format!("DIR/csidata.npy: {message}")), "{error}");
     }
     folder.write("csidata.npy", good);
     let texts = [
@@ -124,7 +124,7 @@ fn reports_position_of_invalid_input() {
     for (name, text, message) in texts {
         let folder = Folder::new();
         folder.write(name, text);
-        let shown = folder.fault();
-        assert!(shown.starts_with(message), "{shown}");
+        let error = folder.fault();
+        assert!(error.starts_with(message), "{error}");
     }
 }

@@ -13,8 +13,8 @@ struct Folder(tempfile::TempDir);
 impl Folder {
     fn new() -> Self {
         let folder = Self(tempfile::tempdir().unwrap());
-        let at = |position| Pose { position, ..Pose::IDENTITY };
-        let gateways = [("a", at([1.0, 2.0, 3.0])), ("b", at([4.0, 5.0, 6.5]))];
+        let pose = |position| Pose { position, ..Pose::IDENTITY };
+        let gateways = [("a", pose([1.0, 2.0, 3.0])), ("b", pose([4.0, 5.0, 6.5]))];
         folder.write("gateway_position.yml", &gateway_positions_yaml(gateways));
         folder.write("gateway_rssi.csv", ROWS);
         folder.write("tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n");
@@ -116,8 +116,8 @@ fn reports_position_of_invalid_input() {
         ("test_index.txt", "-1\n", "DIR/test_index.txt:1:1: `-1` is not a row of tx_pos.csv"),
     ];
     for (name, text, message) in cases {
-        let shown = folder.fault(name, text);
-        assert!(shown.starts_with(message), "{shown}");
+        let error = folder.fault(name, text);
+        assert!(error.starts_with(message), "{error}");
     }
     fs::remove_file(folder.0.path().join("gateway_rssi.csv")).unwrap();
     assert!(folder.try_load().unwrap_err().to_string().contains("no such file; a NeRF2 folder of powers holds"));
