@@ -60,7 +60,7 @@ pub struct Demand {
     pub requires: &'static [Requirement],
 }
 
-/// SetupDifference between a trained model and data: the value of the model, then that of the data.
+/// Difference between a trained model and data: the value of the model, then that of the data.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SetupDifference {
     /// Task.
@@ -211,7 +211,7 @@ pub enum Misfit {
     #[error("the method needs {0} per transmitter, but the data have {1}; {2}")]
     Inputs(String, String, String),
 
-    /// SetupDifference between a trained model and data.
+    /// Difference between a trained model and data.
     #[error("{0}; use data of the same kind as the training data")]
     OtherData(SetupDifference),
     /// Initial model with another origin.

@@ -53,6 +53,7 @@ impl Deref for Task {
 
 /// Description of a measurement type.
 #[derive(Debug)]
+#[allow(clippy::struct_excessive_bools)] // independent properties
 pub struct Description {
     /// Name in files and in Python: `power`.
     pub name: &'static str,

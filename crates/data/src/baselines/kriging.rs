@@ -73,7 +73,7 @@ impl Baseline for Kriging {
     }
 
     fn requires(&self) -> &'static [Requirement] {
-        &[Requirement::Positions, Requirement::NoFeatures]
+        &[Requirement::NoFeatures, Requirement::Positions]
     }
 
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {

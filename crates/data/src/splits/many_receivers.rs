@@ -162,7 +162,9 @@ fn neighbours_use_features_if_positions_are_unknown() {
     let fitted = nearest.fit(&data, FittingSet::train(&upper_half)).unwrap();
     assert_eq!(fitted.predict(data.query(0)).pixels, [-49.0]);
     assert!(fault(&crate::Kriging::default(), &data).contains("use NearestNeighbours()"));
-    assert!(fault(&crate::LogDistance::default(), &data).contains("no transmitter positions"));
-    assert!(fault(&crate::Zero {}, &data).contains("is a baseline for channels"));
-    assert!(fault(&crate::LogDistance::default(), &line_of_samples(30)).contains("holds spectra"));
+    assert!(fault(&crate::LogDistance::default(), &data).contains("needs transmitter positions"));
+    assert!(fault(&crate::Zero {}, &data).contains("`Zero` does not support received powers"));
+    assert!(
+        fault(&crate::LogDistance::default(), &line_of_samples(30)).contains("`LogDistance` does not support spectra")
+    );
 }
