@@ -283,7 +283,7 @@ pub trait Columns: Debug + Send + Sync {
     /// Checks that all reads so far succeeded.
     ///
     /// # Errors
-    /// [`Error::Read`] of the file of spectra.
+    /// [`Error::Read`](crate::Error::Read) of the file of spectra.
     fn check(&self) -> Result<()> {
         Ok(())
     }
@@ -317,7 +317,7 @@ impl Observations {
     /// Returns the observations of `links`, in memory.
     ///
     /// # Errors
-    /// [`Error::Read`] of a spectrum.
+    /// [`Error::Read`](crate::Error::Read) of a spectrum.
     pub(crate) fn subset(&self, links: &[usize]) -> Result<Self> {
         Ok(match self {
             Self::Pictures(all) => {
