@@ -37,8 +37,8 @@ pub struct EvaluationResult {
 /// ensemble, also measures whether the spread of its members predicts the error.
 ///
 /// # Errors
-/// The image size of the model differs from the data, or a metric or baseline returns an error; [`Error::Stopped`] once
-/// the session is stopped.
+/// The image size of the model differs from the data, or a metric or baseline returns an error;
+/// [`Error::Stopped`](pwrfgs_core::Error::Stopped) once the session is stopped.
 pub fn evaluate(
     model: &Ensemble,
     pipeline: &Pipeline,
@@ -129,7 +129,7 @@ fn note_of(residuals: &Residuals) -> String {
 /// `validation.csv`; finite values only.
 ///
 /// # Errors
-/// A baseline or a metric returns an error; [`Error::Stopped`] once the session is stopped.
+/// A baseline or a metric returns an error; [`Error::Stopped`](pwrfgs_core::Error::Stopped) once the session is stopped.
 pub(crate) fn validation_baselines(
     plane: &ImagePlane,
     pipeline: &Pipeline,

@@ -64,7 +64,7 @@ impl<'a> Calibrator<'a> {
     /// Calibrates a fitted baseline; `None` if it does not predict from samples, or no links are left out.
     ///
     /// # Errors
-    /// As [`calibrated`].
+    /// As [`ActiveRun::calibrate`].
     pub(crate) fn of_baseline(
         &self,
         fitted: &dyn Predict,
@@ -104,7 +104,7 @@ impl<'a> Calibrator<'a> {
     /// a row per test link; empty with too few blocks.
     ///
     /// # Errors
-    /// As [`calibrated`].
+    /// As [`ActiveRun::calibrate`].
     pub(crate) fn measure(
         &self,
         (name, predictor): (&str, &dyn Predict),
