@@ -76,7 +76,7 @@ fn converted<'py, T: Element>(what: &str, value: &Bound<'py, PyAny>) -> PyResult
     array.cast_into::<PyArrayDyn<T>>().map_err(Into::into)
 }
 
-/// Shape of a value.
+/// Returns the shape of a value.
 pub(crate) fn shape_of(value: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
     if let Ok(array) = value.cast::<numpy::PyUntypedArray>() {
         return Ok(array.shape().to_vec());
@@ -86,7 +86,7 @@ pub(crate) fn shape_of(value: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
     shape.map_err(|e| wrong(py, &format!("value is not an array: {e}")))?.extract()
 }
 
-/// Number of axes of a value.
+/// Returns the number of axes of a value.
 pub(crate) fn axes(value: &Bound<'_, PyAny>) -> PyResult<usize> {
     shape_of(value).map(|shape| shape.len())
 }
@@ -148,7 +148,7 @@ pub(crate) fn check_finite(what: &str, value: &Bound<'_, PyAny>, numbers: Vec<Re
     }
 }
 
-/// Shape of a column of `n` Gaussians: one value per Gaussian has no second axis.
+/// Returns the shape of a column of `n` Gaussians: one value per Gaussian has no second axis.
 pub(crate) fn column_shape(n: usize, width: usize) -> Vec<usize> {
     if width <= 1 { vec![n] } else { vec![n, width] }
 }
@@ -173,7 +173,7 @@ pub(crate) fn observation_rows(
     numbers(what, value, &shape)
 }
 
-/// Elevations of the upper edge of the top row and the lower edge of the bottom row of a spectrum, degrees.
+/// Returns the elevations of the upper edge of the top row and the lower edge of the bottom row of a spectrum, degrees.
 pub(crate) fn elevation_of(py: Python<'_>, [first, last]: [f64; 2]) -> PyResult<Elevation> {
     let elevation = Elevation { first, last };
     elevation.fault().map_or(Ok(elevation), |fault| Err(wrong(py, &format!("elevation_deg {fault}"))))
@@ -209,8 +209,8 @@ pub(crate) fn room<T>(shape: &[usize]) -> PyResult<()> {
     Err(PyMemoryError::new_err(format!("not enough memory for numbers of shape {shape:?}; request fewer at a time")))
 }
 
-/// Observations of `task` as an array `[lead.., axes of one]`, complex if needed, or as a number without axes: `rows` holds them in order, each of
-/// `size` (columns, rows).
+/// Returns the observations of `task` as an array `[lead.., axes of one]`, complex if needed, or as a number without
+/// axes: `rows` holds them in order, each of `size` (columns, rows).
 pub(crate) fn observations<'py>(
     py: Python<'py>,
     task: Task,

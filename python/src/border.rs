@@ -50,7 +50,7 @@ pub(crate) fn check_not_forked() -> PyResult<()> {
     ))
 }
 
-/// Whether a strategy is called on this thread: its code must not wait for the run that called it.
+/// Returns whether a strategy is called on this thread: its code must not wait for the run that called it.
 pub(crate) fn in_strategy_call() -> bool {
     ASKED.get() > 0
 }
@@ -142,7 +142,7 @@ pub(crate) fn stopping(stop: &AtomicBool) -> impl Fn(usize, usize) + Sync {
     }
 }
 
-/// Next event; `Some(None)` after a pause without one, `None` when the worker has finished.
+/// Returns the next event; `Some(None)` after a pause without one, `None` when the worker has finished.
 #[allow(clippy::option_option)]
 fn next<E: Send>(py: Python<'_>, events: &Receiver<E>) -> Option<Option<E>> {
     // A receiver cannot be shared and is not shared: this thread waits.
@@ -182,7 +182,7 @@ fn settled<T>(py: Python<'_>, done: Result<Result<T>, Box<dyn Any + Send>>) -> P
     }
 }
 
-/// An exception of the class `name` of `pwrfgs`.
+/// Returns an exception of the class `name` of `pwrfgs`.
 fn exception(py: Python<'_>, name: &str, message: &str) -> PyErr {
     let made = py.import("pwrfgs._errors").and_then(|m| m.getattr(name)).and_then(|class| class.call1((message,)));
     made.map_or_else(|error| error, PyErr::from_value)
@@ -223,7 +223,7 @@ fn without_flags(message: &str) -> String {
     flags.iter().fold(message.to_owned(), |message, (flag, own)| message.replace(flag, own))
 }
 
-/// Exception for input that is invalid only in Python.
+/// Returns the exception for input that is invalid only in Python.
 pub(crate) fn wrong(py: Python<'_>, message: &str) -> PyErr {
     exception(py, "InputError", &sanitize_message(message))
 }

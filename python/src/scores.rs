@@ -75,7 +75,7 @@ pub(crate) fn measure<'py>(
     measurements(py, found)
 }
 
-/// Evaluation of images without links and model, on a plane.
+/// Returns the evaluation of images without links and model, on a plane.
 fn evaluation<'a>(
     (predictions, truths): (&'a [Image], &'a [Image]),
     plane: &'a ImagePlane,

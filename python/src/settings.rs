@@ -50,7 +50,7 @@ impl Pipeline {
         Ok(Self { inner: Mutex::new(inner), base: folder })
     }
 
-    /// Whole pipeline as RON, with every default written out.
+    /// Returns the whole pipeline as RON, with every default written out.
     fn text(&self, py: Python<'_>) -> PyResult<String> {
         self.now().to_ron().map_err(|error| raised(py, error))
     }

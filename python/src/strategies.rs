@@ -66,7 +66,7 @@ struct Object {
     weights: Vec<(WeightSpec, Vec<Real>)>,
 }
 
-/// Object of a strategy in the current run, created if needed.
+/// Returns the object of a strategy in the current run, created if needed.
 fn object(kind: &'static str, which: &Named) -> Result<Arc<Object>> {
     let key = (kind, which.clone());
     if let Some(object) = MADE.lock().unwrap_or_else(PoisonError::into_inner).get(&key) {
@@ -120,7 +120,7 @@ impl Object {
     }
 }
 
-/// Columns that a pruner requests, from `Column` objects.
+/// Returns the columns that a pruner requests, from `Column` objects.
 fn columns(in_strategy_call: &Bound<'_, PyAny>) -> PyResult<Vec<ColumnSpec>> {
     let one = |column: Bound<'_, PyAny>| {
         Ok(ColumnSpec {
@@ -158,7 +158,7 @@ pub(crate) fn check_keys<'a>(
     Ok(())
 }
 
-/// Problem of a column; `others` precede it.
+/// Returns the problem of a column; `others` precede it.
 fn fault(spec: &ColumnSpec, others: &[ColumnSpec]) -> Option<&'static str> {
     let is_name = spec.name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
         && spec.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
@@ -182,7 +182,7 @@ fn fault(spec: &ColumnSpec, others: &[ColumnSpec]) -> Option<&'static str> {
         .then_some("has a learning rate that is not positive; use None for columns that do not learn")
 }
 
-/// Name with static lifetime, allocated once.
+/// Returns the name with static lifetime, allocated once.
 fn lasting(name: String) -> &'static str {
     static NAMES: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
     let mut names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);

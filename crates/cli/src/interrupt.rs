@@ -114,7 +114,7 @@ pub(crate) fn survive_file_limit() {
     }
 }
 
-/// Whether the process was started to outlive its terminal, as by `nohup`; detected on Linux only.
+/// Returns whether the process was started to outlive its terminal, as by `nohup`; detected on Linux only.
 #[cfg(unix)]
 fn hang_up_is_ignored() -> bool {
     let status = pwrfgs_core::files::read_string("/proc/self/status").unwrap_or_default();

@@ -144,14 +144,14 @@ fn inner_kind(kind: &DocKind) -> DocKind {
 }
 
 impl DocChapter {
-    /// Whether `name`, in lower case, names the chapter.
+    /// Returns whether `name`, in lower case, names the chapter.
     pub(crate) fn is_called(&self, name: &str) -> bool {
         self.name.to_lowercase() == name || self.field.is_some_and(|field| field == name)
     }
 }
 
 impl DocItem {
-    /// Whether `name`, in lower case, names the topic.
+    /// Returns whether `name`, in lower case, names the topic.
     pub(crate) fn is_called(&self, name: &str) -> bool {
         self.name.to_lowercase() == name || self.fields.contains(&name)
     }

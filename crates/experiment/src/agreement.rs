@@ -71,8 +71,8 @@ impl Agreement {
         })
     }
 
-    /// Whether most links that should lie inside the intervals of the model lie outside, or most transmitters outside
-    /// its site, where intervals are wide. False for a model without calibration.
+    /// Returns whether most links that should lie inside the intervals of the model lie outside, or most transmitters
+    /// outside its site, where intervals are wide. False for a model without calibration.
     pub fn is_far(&self) -> bool {
         // With few calibration blocks, the level is low and many links of right data lie outside.
         let count = self.scores.len() as f64;
@@ -112,7 +112,8 @@ impl std::fmt::Display for Agreement {
     }
 }
 
-/// Whether a measurement lies outside its interval; `score` is the SSIM of the prediction, if the interval bounds that.
+/// Returns whether a measurement lies outside its interval; `score` is the SSIM of the prediction, if the interval
+/// bounds that.
 fn is_outside(interval: &Interval, truth: &Image, score: f64) -> bool {
     match interval.ssim {
         Some(bound) => score < bound,

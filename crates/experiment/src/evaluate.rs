@@ -125,8 +125,8 @@ fn note_of(residuals: &Residuals) -> String {
     format!("the residuals of the model are Kriged ({})", notes.join("; "))
 }
 
-/// Mean of the first validation metric for each baseline, fitted on the training set alone, on the samples of
-/// `validation.csv`; finite values only.
+/// Returns the mean of the first validation metric for each baseline, fitted on the training set alone, on the samples
+/// of `validation.csv`; finite values only.
 ///
 /// # Errors
 /// A baseline or a metric returns an error; [`Error::Stopped`](pwrfgs_core::Error::Stopped) once the session is stopped.
@@ -188,13 +188,13 @@ impl Confidence {
     }
 }
 
-/// Root mean square of the pixels.
+/// Returns the root mean square of the pixels.
 fn size(image: &Image) -> f64 {
     let sum: f64 = image.pixels.iter().map(|p| (*p as f64).powi(2)).sum();
     (sum / image.pixels.len() as f64).sqrt()
 }
 
-/// Root mean square of the difference.
+/// Returns the root mean square of the difference.
 fn distance(a: &Image, b: &Image) -> f64 {
     let sum: f64 = a.pixels.iter().zip(&b.pixels).map(|(a, b)| (*a as f64 - *b as f64).powi(2)).sum();
     (sum / a.pixels.len() as f64).sqrt()

@@ -124,7 +124,8 @@ fn scalars(prefix: &str, header: &str, row: &str) -> Vec<(String, f64)> {
     named.filter_map(|(name, value)| Some((format!("{prefix}{name}"), value.parse().ok()?))).collect()
 }
 
-/// Whether `step` has a row in `curve.csv`: depends on the step alone, so that a resumed run writes the same rows.
+/// Returns whether `step` has a row in `curve.csv`: depends on the step alone, so that a resumed run writes the same
+/// rows.
 fn has_row(step: u64, steps: u64) -> bool {
     steps <= DENSE_STEPS || step == 1 || step == steps || step.is_multiple_of(10)
 }

@@ -119,12 +119,12 @@ impl PairedRow {
     }
 }
 
-/// Whether tables of differences include a metric: the first one of the task and every rate ratio.
+/// Returns whether tables of differences include a metric: the first one of the task and every rate ratio.
 pub fn is_compared(key: &str, task: Task) -> bool {
     key == task.headline.key || is_rate_ratio(key)
 }
 
-/// Whether a metric is a rate ratio η.
+/// Returns whether a metric is a rate ratio η.
 pub fn is_rate_ratio(key: &str) -> bool {
     key.starts_with("eta_")
 }

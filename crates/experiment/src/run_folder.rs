@@ -112,13 +112,13 @@ impl RunFolder {
         Ok(facts)
     }
 
-    /// Whether a process uses `path`.
+    /// Returns whether a process uses `path`.
     pub fn is_busy(path: &Path) -> bool {
         files::open(path.join(PIPELINE))
             .is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
-    /// Whether this claim created the run: the folder contains only `pipeline.ron`.
+    /// Returns whether this claim created the run: the folder contains only `pipeline.ron`.
     pub fn is_new(&self) -> bool {
         self.is_new
     }

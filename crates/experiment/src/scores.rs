@@ -65,7 +65,7 @@ pub struct ScoreTable {
     pub task: Task,
 }
 
-/// Whether a task is omitted in `run.json`.
+/// Returns whether a task is omitted in `run.json`.
 fn is_default(task: &Task) -> bool {
     *task == Task::default()
 }
@@ -172,7 +172,7 @@ impl ScoreCell {
 }
 
 impl MetricRow {
-    /// Whether some predictor has per-sample values.
+    /// Returns whether some predictor has per-sample values.
     pub fn is_per_sample(&self) -> bool {
         self.cells.iter().any(|c| matches!(c, ScoreCell::Samples(_)))
     }
@@ -284,7 +284,7 @@ impl ScoreTable {
         values.iter().map(|v| v.map(rank)).collect()
     }
 
-    /// Whether a predictor is ranked: not oracle baselines and the ceiling.
+    /// Returns whether a predictor is ranked: not oracle baselines and the ceiling.
     fn is_ranked(&self, name: &str) -> bool {
         name != CEILING && !self.oracles.iter().any(|oracle| oracle == name)
     }

@@ -132,7 +132,7 @@ impl Difference {
         Some(Self { mean, interval, seeds: cells.len() })
     }
 
-    /// Whether the interval excludes 0.
+    /// Returns whether the interval excludes 0.
     pub fn is_clear(&self) -> bool {
         self.interval.is_some_and(|(low, high)| low > 0.0 || high < 0.0)
     }

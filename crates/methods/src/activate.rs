@@ -171,7 +171,7 @@ impl Activation {
         }
     }
 
-    /// Whether a signal is s + |Δ|: WRF-GS+ adds the magnitude of the complex output of its network.
+    /// Returns whether a signal is s + |Δ|: WRF-GS+ adds the magnitude of the complex output of its network.
     fn takes_magnitudes(&self) -> bool {
         self.calibration == Calibration::AsReleased && !self.replaces_signals
     }

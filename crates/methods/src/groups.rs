@@ -176,7 +176,7 @@ pub(crate) fn terms(
     }
 }
 
-/// Backward pass of activation and network: adds to `sums`, given the cotangents of the activation.
+/// Runs the backward pass of activation and network: adds to `sums`, given the cotangents of the activation.
 pub(crate) fn vjp(
     deformation: &dyn Deformation,
     inputs: &DeformationInputs<'_>,

@@ -34,12 +34,12 @@ pub enum Readout {
     },
 }
 
-/// A received power needs no finer sky.
+/// Returns the default; a received power needs no finer sky.
 const fn sky_deg() -> u32 {
     10
 }
 
-/// A standard deviation of half a pixel of 10 degrees; narrower Gaussians would fall between pixels.
+/// Returns the default, a standard deviation of half a pixel of 10 degrees; narrower Gaussians would fall between pixels.
 const fn filter_deg2() -> Real {
     30.0
 }
@@ -170,7 +170,7 @@ fn stretched_roots(image: &mut [Real], low: Real, high: Real) {
     );
 }
 
-/// Derivative of the magnitude: d along the direction of the signal.
+/// Computes the derivative of the magnitude: d along the direction of the signal.
 fn turn(d0: &mut [Real], d1: &mut [Real], (c0, c1): (&[Real], &[Real]), magnitude: &[Real], d: &[Real]) {
     pulp::Arch::new().dispatch(
         #[inline(always)]

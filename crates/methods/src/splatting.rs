@@ -154,8 +154,8 @@ impl Splatting {
         BlendedSignals { batch, geometry, signals, render }
     }
 
-    /// Derivative of [`Self::draw`]: adds to `sums`, given the cotangents of the blended signals, and returns those of
-    /// the splats and of the primitives.
+    /// Computes the derivative of [`Self::draw`]: adds to `sums`, given the cotangents of the blended signals, and
+    /// returns those of the splats and of the primitives.
     fn draw_vjp(
         &self,
         view: &ReceiverView,

@@ -89,7 +89,8 @@ impl IntervalFactors {
     }
 }
 
-/// Distribution of scores with weights. Of more than `most` scores, it holds the quantiles at multiples of 1/`most`.
+/// Returns the distribution of scores with weights. Of more than `most` scores, it holds the quantiles at multiples of
+/// 1/`most`.
 fn distribution(mut scores: Vec<(f64, f64)>, most: usize) -> Distribution {
     scores.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let total: f64 = scores.iter().map(|(_, weight)| weight).sum();

@@ -112,7 +112,7 @@ impl<'a> Prepared<'a> {
         (self.corrected(mean, query), deviation, times)
     }
 
-    /// Prediction with the expected residual.
+    /// Returns the prediction with the expected residual.
     fn corrected(&self, mean: Image, query: Query<'_>) -> Image {
         let Some(residuals) = self.residuals else { return mean };
         let mut image = self.task().shown(mean);
@@ -199,7 +199,7 @@ impl Predict for Prepared<'_> {
         Prepared::predict_vjp(self, query, cotangent).map(|(image, d_tx, _)| (image, d_tx))
     }
 
-    /// That of the residual process; `None` without residual processes.
+    /// Returns that of the residual process; `None` without residual processes.
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
         self.residuals.map(|residuals| residuals.deviation(query, self.members[0].model.stages.origin))
     }

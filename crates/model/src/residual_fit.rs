@@ -248,8 +248,8 @@ impl<'a> Samples<'a> {
         pairs.map(|(y, f)| y - trend.at(*f, self.places[k])).collect()
     }
 
-    /// Path-loss model of the known links `own` of a receiver without those `left_out`, with its position: for received
-    /// powers.
+    /// Returns the path-loss model of `links_of_receiver` without those `left_out`, with its position:
+    /// for received powers.
     fn path_loss(&self, links_of_receiver: &[usize], left_out: Option<LeftOutBy>) -> Option<(PathLoss, [f64; 3])> {
         let KnownLinks { data, links, left_out_by } = self.known;
         let receiver = self.receivers[data.links[links[*links_of_receiver.first()?]].receiver].pose.position;
@@ -260,8 +260,8 @@ impl<'a> Samples<'a> {
         is_fitted.then(|| (PathLoss::fit(&links_of_receiver.iter().map(point).collect::<Vec<_>>()), receiver))
     }
 
-    /// Links to predict, evenly from those in `own` that a member left out, each with the nearest links that the same
-    /// members trained on. If `is_observed`, all links of `own` with their nearest others.
+    /// Returns the links to predict, evenly from those that a member left out, each with the nearest links
+    /// that the same members trained on. If `is_observed`, all links with their nearest others.
     fn cases(&self, links_of_receiver: &[usize], is_observed: bool) -> Vec<(usize, Vec<usize>)> {
         let by = |k: usize| if is_observed { LeftOutBy::NoMember } else { self.known.left_out_by[k] };
         let is_case = |k: &usize| is_observed || by(*k) != LeftOutBy::NoMember;
@@ -283,8 +283,8 @@ impl<'a> Samples<'a> {
         evenly(&held_out, count).into_iter().filter_map(case).collect()
     }
 
-    /// Scale of the observations of a receiver with these known links: their root mean square about the path-loss model,
-    /// or 1 if there is one receiver.
+    /// Returns the scale of the observations of a receiver with these known links: their root mean square about the
+    /// path-loss model, or 1 if there is one receiver.
     fn scale(&self, links_of_receiver: &[usize]) -> Real {
         let trend = ResidualTrend { share: 0.0, path_loss: self.path_loss(links_of_receiver, None) };
         let squares = |&k: &usize| self.residual(k, &trend, &self.mean).iter().map(|v| v * v).sum::<Real>();
@@ -309,8 +309,8 @@ impl<'a> Samples<'a> {
         self.known.data.links[self.known.links[k]].receiver
     }
 
-    /// Share, variance and correlation for the known links of each receiver, for observations in units of their scales;
-    /// `None` if no link was left out. All receivers share them, since one receiver may have few links.
+    /// Returns the share, variance and correlation for the known links of each receiver, for observations in units of
+    /// their scales; `None` if no link was left out. All receivers share them, since one receiver may have few links.
     ///
     /// Kind and length scales of the correlation are those of the observations: of residuals of left-out links, there are
     /// too few.
@@ -349,7 +349,7 @@ impl<'a> Samples<'a> {
         best.map(|(_, share, variance, correlation)| (share, variance, correlation))
     }
 
-    /// Process of the known links `own` of a receiver, with this share, variance in units of the scale, and correlation.
+    /// Process of `links_of_receiver`, with this share, variance in units of the scale, and correlation.
     fn process(
         &self,
         links_of_receiver: &[usize],

@@ -221,8 +221,8 @@ pub fn add_bias(h: &mut [Real], bias: &[Real]) {
     }
 }
 
-/// Backward pass of [`bias_relu`]: `d` becomes zero where the output `h` is not positive; its sum over the Gaussians is
-/// added to `d_bias`.
+/// Runs the backward pass of [`bias_relu`]: `d` becomes zero where the output `h` is not positive; its sum over the
+/// Gaussians is added to `d_bias`.
 pub fn bias_relu_vjp(d: &mut [Real], h: &[Real], d_bias: &mut [Real]) {
     let rows = (d.len() / d_bias.len().max(1)).max(1);
     pulp::Arch::new().dispatch(
@@ -238,7 +238,7 @@ pub fn bias_relu_vjp(d: &mut [Real], h: &[Real], d_bias: &mut [Real]) {
     );
 }
 
-/// Backward pass of [`add_bias`]: adds sums over the Gaussians to `d_bias`.
+/// Runs the backward pass of [`add_bias`]: adds sums over the Gaussians to `d_bias`.
 pub fn add_bias_vjp(d: &[Real], d_bias: &mut [Real]) {
     let rows = (d.len() / d_bias.len().max(1)).max(1);
     for (d, sum) in d.chunks_exact(rows).zip(d_bias) {

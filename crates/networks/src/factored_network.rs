@@ -235,7 +235,8 @@ impl FactoredLayers {
         sums
     }
 
-    /// Backward pass of the Gaussians `own` of one tile: adds to `sums`, and to the derivatives of their centres.
+    /// Runs the backward pass of the Gaussians `own` of one tile: adds to `sums`, and to the derivatives of their
+    /// centres.
     #[allow(clippy::too_many_arguments)] // the tile, and both ends of the derivative
     fn tile_vjp(
         &self,

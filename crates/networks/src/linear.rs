@@ -77,7 +77,7 @@ impl Linear {
         dense::bias_relu(y, self.bias(weights));
     }
 
-    /// Backward pass of [`Self::apply`]: adds to `d_weights`, and writes or adds the cotangent of `x`.
+    /// Runs the backward pass of [`Self::apply`]: adds to `d_weights`, and writes or adds the cotangent of `x`.
     pub fn apply_vjp(
         &self,
         weights: &[Real],

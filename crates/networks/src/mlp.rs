@@ -279,8 +279,8 @@ impl MlpLayers {
         self.branch.vjp(weights, &self.trunk, &sides, &folded, d_weights, d_txs);
     }
 
-    /// Backward pass of one chunk for some transmitters; recomputes its forward pass first, unless it was kept. Adds to
-    /// the derivatives of the weights and of the folded biases, `[B, width]` each.
+    /// Runs the backward pass of one chunk for some transmitters; recomputes its forward pass first, unless it was
+    /// kept. Adds to the derivatives of the weights and of the folded biases, `[B, width]` each.
     fn item_vjp(
         &self,
         inputs: &DeformationInputs<'_>,
@@ -332,7 +332,7 @@ fn gather<const K: usize>(out: &[Real], from: usize, rows: usize) -> Vec<[Real; 
     (0..rows).map(|r| std::array::from_fn(|k| out[(from + k) * rows + r])).collect()
 }
 
-/// Inverse of [`gather`]; writes zeros without a cotangent.
+/// Returns the inverse of [`gather`]; writes zeros without a cotangent.
 fn scatter<const K: usize>(d: Option<&[[Real; K]]>, out: &mut [Real], from: usize, rows: usize) {
     for (k, out) in out[from * rows..(from + K) * rows].chunks_exact_mut(rows).enumerate() {
         match d {

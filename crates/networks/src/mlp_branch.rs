@@ -46,7 +46,7 @@ impl TxBranch {
         txs.positions().par_iter().enumerate().map(|(b, &tx)| self.side(weights, trunk, tx, txs.carrier(b))).collect()
     }
 
-    /// Backward pass of the transmitter branch, for all transmitters at once.
+    /// Runs the backward pass of the transmitter branch, for all transmitters at once.
     pub(super) fn vjp(
         &self,
         weights: &[Real],

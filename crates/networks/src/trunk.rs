@@ -112,8 +112,8 @@ impl Trunk {
         Joints { first: folded.next().unwrap_or_default(), joined: folded.next().unwrap_or_default() }
     }
 
-    /// Backward pass of [`Self::fold`] for B transmitters: `e` `[B, side]`, `d_folded` one vector `[B, width]` per
-    /// layer. Adds to `d_weights` and returns the cotangent of e, `[B, side]`.
+    /// Runs the backward pass of [`Self::fold`] for B transmitters: `e` `[B, side]`, `d_folded` one vector `[B, width]`
+    /// per layer. Adds to `d_weights` and returns the cotangent of e, `[B, side]`.
     pub fn fold_vjp(&self, weights: &[Real], e: &[Real], d_folded: &Joints, d_weights: &mut [Real]) -> Vec<Real> {
         let batch = d_folded.first.len() / self.width;
         let mut d_e = vec![0.0; batch * self.side];
@@ -144,7 +144,7 @@ impl Trunk {
         }
     }
 
-    /// Backward pass of [`Self::share`]: adds to `d_weights`, and to `d_gamma` if given.
+    /// Runs the backward pass of [`Self::share`]: adds to `d_weights`, and to `d_gamma` if given.
     pub fn share_vjp(
         &self,
         weights: &[Real],
@@ -192,8 +192,8 @@ impl Trunk {
         (self.depth() - 1) % slots
     }
 
-    /// Backward pass of [`Self::forward`] with all activations in `slots`. `d` is the cotangent of the last layer and
-    /// is overwritten; `spare` is a work buffer.
+    /// Runs the backward pass of [`Self::forward`] with all activations in `slots`. `d` is the cotangent of the last
+    /// layer and is overwritten; `spare` is a work buffer.
     pub fn backward(
         &self,
         weights: &[Real],

@@ -58,7 +58,7 @@ impl Branch {
         txs.par_iter().map(side).collect()
     }
 
-    /// Backward pass of [`Self::tx_sides`], given the cotangents of the folded biases, `[B, width]`. Adds to
+    /// Runs the backward pass of [`Self::tx_sides`], given the cotangents of the folded biases, `[B, width]`. Adds to
     /// `d_weights`, and to the cotangents of the positions if given.
     pub(super) fn tx_vjp(
         &self,
@@ -103,8 +103,8 @@ impl Branch {
         self.out.apply(weights, second, out);
     }
 
-    /// Backward pass of [`Self::forward`], whose activations are in `room`. Adds to the cotangents of the weights, the
-    /// folded bias `[width]`, `from_feature`, and the centres and the transmitter if requested.
+    /// Runs the backward pass of [`Self::forward`], whose activations are in `room`. Adds to the cotangents of the
+    /// weights, the folded bias `[width]`, `from_feature`, and the centres and the transmitter if requested.
     #[allow(clippy::too_many_arguments)] // the two ends of the derivative
     pub(super) fn vjp(
         &self,

@@ -79,7 +79,7 @@ impl WrfgsLayers {
         TrunkOutput { attenuation, from_feature }
     }
 
-    /// Backward pass of [`Self::begin`].
+    /// Runs the backward pass of [`Self::begin`].
     fn begin_vjp(&self, weights: &[Real], scratch: &mut Scratch, d_weights: &mut [Real], sum: &mut GradientSum) {
         let Scratch { gamma, slots, feature, d_attenuation, d_from_feature, d, spare, .. } = scratch;
         let (h, width) = (&slots[self.trunk.depth() - 1], self.trunk.width);
@@ -153,7 +153,7 @@ impl WrfgsLayers {
         all
     }
 
-    /// Backward pass of [`Self::forward`] at the cotangents `d` `[B, N]`: adds to `sums`; returns Σ d·S·A.
+    /// Runs the backward pass of [`Self::forward`] at the cotangents `d` `[B, N]`: adds to `sums`; returns Σ d·S·A.
     pub(super) fn vjp(&self, inputs: &DeformationInputs<'_>, d: &[Real], sums: &mut DeformationVjp<'_>) -> f64 {
         let DeformationInputs { weights, means, .. } = *inputs;
         let DeformationVjp { weights: d_weights, means: d_means, positions: d_txs } = sums;
@@ -189,7 +189,7 @@ impl WrfgsLayers {
         parts.iter().map(|part| part.along_gain).sum()
     }
 
-    /// Backward pass of one chunk for all transmitters; recomputes its forward pass first.
+    /// Runs the backward pass of one chunk for all transmitters; recomputes its forward pass first.
     fn item_vjp(
         &self,
         inputs: &DeformationInputs<'_>,

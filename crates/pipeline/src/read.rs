@@ -165,7 +165,8 @@ impl Pipeline {
     }
 }
 
-/// First field of splats with a value other than its default, although [`Pipeline::method`] does not use it.
+/// Returns the first field of splats with a value other than its default, although [`Pipeline::method`] does not use
+/// it.
 fn unused(pipeline: &Pipeline, task: Task) -> Option<&'static str> {
     if pipeline.method.is_some() || pipeline.method().traits().rasterizer.is_some() {
         return None;

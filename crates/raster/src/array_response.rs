@@ -235,8 +235,8 @@ fn field(splats: &Splats, signals: &[Real], waves: &[[Real; 2]], elements: usize
     field
 }
 
-/// Derivative of [`field`] for one splat: fills `d_signals` `[channels]`, adds to `d_wave` `[K]`, returns the cotangent
-/// of the opacity.
+/// Computes the derivative of [`field`] for one splat: fills `d_signals` `[channels]`, adds to `d_wave` `[K]`, returns
+/// the cotangent of the opacity.
 fn superpose_vjp(
     opacity: Real,
     signals: &[Real],

@@ -207,7 +207,7 @@ impl SceneFile {
         std::iter::once(&self.receiver).chain(&self.more_receivers)
     }
 
-    /// The receiver at the `i`th position that `transmitter` draws, if the receiver moves.
+    /// Returns the receiver at the `i`th position that `transmitter` draws, if the receiver moves.
     pub(crate) fn moved_receiver(&self, i: usize, position: DVec3, seed: u64) -> Option<SceneReceiver> {
         let share = 2.0 * rng::uniform(&mut rng::stream(seed, "turn", i as u64)) - 1.0;
         let turn = DQuat::from_rotation_z((self.moving_receiver.as_ref()?.turn_deg * f64::from(share)).to_radians());

@@ -119,14 +119,15 @@ fn rate_of(o: &Optimizer, spec: Option<&ColumnSpec>, name: &str, rate: impl Fn(S
     (rate != 0.0).then_some(rate)
 }
 
-/// Gradient descent: x −= rate · d.
+/// Runs a step of gradient descent: x −= rate · d.
 fn descend(x: &mut [Real], d: &[Real], rate: Real) -> Result<(), ()> {
     x.iter_mut().zip(d).for_each(|(x, d)| *x -= rate * d);
     if x.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(()) }
 }
 
 impl Update {
-    /// Adam of Kingma and Ba, with L2 decay added to the gradient and decoupled decay subtracted from the value.
+    /// Runs a step of Adam (Kingma and Ba), with L2 decay added to the gradient and decoupled decay subtracted from the
+    /// value.
     ///
     /// Moments of weights without a gradient decay to subnormal numbers, which no longer change the weight but slow the
     /// processor down many times; they become 0. So do weights below [`NEGLIGIBLE`] under L2 decay, whose products with

@@ -70,7 +70,7 @@ struct CountCurve {
 }
 
 impl CountCurve {
-    /// Sum of N over all steps, if the share `kept` remains.
+    /// Returns the sum of N over all steps, if the share `kept` remains.
     fn sum(&self, kept: f64) -> f64 {
         let ([first, full], [from, until]) = (self.full, self.fall);
         let grown = self.grown.min(from);
@@ -81,7 +81,8 @@ impl CountCurve {
         growing * first + (whole + falling * mean) * full + rest * last
     }
 
-    /// Time of all steps, seconds, from timed steps with two different N (linear between and beyond them), or one N.
+    /// Returns the time of all steps, seconds, from timed steps with two different N (linear between and beyond them),
+    /// or one N.
     fn seconds(&self, kept: f64, [a, b]: [(f64, f64); 2]) -> f64 {
         let slope = if a.0 == b.0 { 0.0 } else { ((a.1 - b.1) / (a.0 - b.0)).max(0.0) };
         let fixed = (b.1 - slope * b.0).max(0.0);
@@ -145,7 +146,8 @@ impl Trainer<'_> {
         })
     }
 
-    /// Expected number of Gaussians over the steps, and the shares that pruning keeps: least, expected, most.
+    /// Returns the expected number of Gaussians over the steps, and the shares that pruning keeps: least, expected,
+    /// most.
     fn count_curve(&self) -> (CountCurve, [f64; 3]) {
         let (t, pruners) = (&self.plan.training, &self.plan.pruners);
         let n = self.cloud.len();

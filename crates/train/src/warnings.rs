@@ -191,12 +191,12 @@ impl Trainer<'_> {
 /// Splits per densification on s23, from 2,000 to 5,000 Gaussians.
 const SPLITS_PER_EVENT: usize = 1_000;
 
-/// Whether a step leaves less than a twentieth of `before` Gaussians, or one of several.
+/// Returns whether a step leaves less than a twentieth of `before` Gaussians, or one of several.
 fn is_collapse(left: usize, before: usize) -> bool {
     20 * left < before || (left == 1 && before > 1)
 }
 
-/// Number of Gaussians into which splits divide one of `ratio` times the limit until none is above it.
+/// Returns the number of Gaussians into which splits divide one of `ratio` times the limit until none is above it.
 fn descendants(ratio: Real) -> Real {
     (2.0 as Real).powf((ratio.ln() / SPLIT_SHRINK.ln()).ceil())
 }
@@ -207,7 +207,7 @@ fn counts(rules: &[(String, usize)]) -> String {
     rules.iter().filter(|(_, count)| *count > 0).map(rule).collect::<Vec<_>>().join("; ")
 }
 
-/// Text `, removed by` with these counts; empty without rules.
+/// Returns the text `, removed by` with these counts; empty without rules.
 fn removed_by(rules: &[(String, usize)]) -> String {
     Some(counts(rules)).filter(|text| !text.is_empty()).map_or_else(String::new, |text| format!(", removed by {text}"))
 }

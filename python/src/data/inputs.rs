@@ -10,7 +10,7 @@ use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
-/// Exception for received powers without receiver positions.
+/// Returns the exception for received powers without receiver positions.
 pub(super) fn receivers_missing(rssi: &Bound<'_, PyAny>) -> PyResult<PyErr> {
     let shape = shape_of(rssi)?;
     let count = shape.get(1).copied().unwrap_or(1);
@@ -102,7 +102,7 @@ pub(super) fn pictures(given_spectra: &Bound<'_, PyAny>, count: usize) -> PyResu
     Spectra::float(size, pixels).map_err(message)
 }
 
-/// Received links and their powers.
+/// Returns the received links and their powers.
 pub(super) fn received_powers(
     rssi: &Bound<'_, PyAny>,
     poses: &[Pose],

@@ -21,7 +21,8 @@ impl Dataset {
         indices(what, links, self.data.len())
     }
 
-    /// Link `i` as the Python class `Sample`, or `ReceiverSample` of a moving receiver. Uses no thread pool, so it also works in a forked process.
+    /// Returns the link `i` as the Python class `Sample`, or `ReceiverSample` of a moving receiver. Uses no thread
+    /// pool, so it also works in a forked process.
     pub(super) fn row<'py>(&self, py: Python<'py>, i: isize) -> PyResult<Bound<'py, PyAny>> {
         let data = &self.data;
         let place = if i < 0 { i + data.len() as isize } else { i };
@@ -43,7 +44,7 @@ impl Dataset {
         py.import("pwrfgs._types")?.getattr(class)?.call1(fields)
     }
 
-    /// Links of a list, a mask or a slice, in ascending order.
+    /// Returns the links of a list, a mask or a slice, in ascending order.
     pub(super) fn some(&self, py: Python<'_>, links: &Bound<'_, PyAny>) -> PyResult<Self> {
         let links = py.import("pwrfgs._types")?.call_method1("as_indices", (links, self.data.len()))?;
         let mut links = self.indices("links", &links)?;
@@ -54,7 +55,7 @@ impl Dataset {
         free(py, || self.data.subset(&links)).map(|data| Self::new(data, None))
     }
 
-    /// State for `restored`: the source of data that stay in their file, otherwise all columns.
+    /// Returns the state for `restored`: the source of data that stay in their file, otherwise all columns.
     pub(super) fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let (data, state) = (&self.data, PyDict::new(py));
         let is_in_file = data.observations.bytes_in_memory() == 0;
@@ -154,7 +155,7 @@ impl Dataset {
     }
 }
 
-/// Observations of a pickled data set.
+/// Returns the observations of a pickled data set.
 fn observed(state: &Bound<'_, PyDict>) -> PyResult<Observations> {
     let py = state.py();
     if let Some(spectra) = state.get_item("spectra")? {

@@ -17,7 +17,7 @@ use std::path::PathBuf;
 /// Largest number of pixels of a spectrum, as in model files.
 const MOST_PIXELS: usize = 1 << 24;
 
-/// Model files or run folders; several form an ensemble.
+/// Returns the model files or run folders; several form an ensemble.
 pub(super) fn read(paths: &[PathBuf]) -> Result<Ensemble> {
     let read = |path: &PathBuf| file::read_ensemble(&model_file(path)?);
     if let [path] = paths {
@@ -57,7 +57,7 @@ pub(super) fn find(receiver: &Bound<'_, PyAny>, there: &[Receiver]) -> PyResult<
     Err(wrong(py, &format!("invalid receiver index {place} (expected 0 to below {})", there.len())))
 }
 
-/// Name of an ensemble member in a model file, from the path of its model.
+/// Returns the name of an ensemble member in a model file, from the path of its model.
 fn member_name(path: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' };
     let name: String = path.trim_matches('/').chars().map(plain).collect();

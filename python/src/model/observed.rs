@@ -12,7 +12,8 @@ use std::time::Instant;
 const CHUNK: usize = 16;
 
 impl Model {
-    /// Array of the kind of observation that the model predicts; `work` fills the numbers of a chunk, in order.
+    /// Returns the array of the kind of observation that the model predicts; `work` fills the numbers of a chunk, in
+    /// order.
     pub(super) fn observed<'py>(
         &self,
         py: Python<'py>,

@@ -15,7 +15,7 @@ use pyo3::types::PyDict;
 const TERMS: [(&str, usize); 3] = [("scales", 3), ("quats", 4), ("signals", 2)];
 
 impl Strategy {
-    /// Arguments of `forward`: weights by name, centres, inputs of the transmitters.
+    /// Returns the arguments of `forward`: weights by name, centres, inputs of the transmitters.
     fn arguments<'py>(&self, py: Python<'py>, inputs: &DeformationInputs<'_>) -> PyResult<[Bound<'py, PyAny>; 3]> {
         let weights = PyDict::new(py);
         let mut rest = inputs.weights;
@@ -34,7 +34,7 @@ impl Strategy {
     }
 }
 
-/// Tensors of a network and their initial values, from its object.
+/// Returns the tensors of a network and their initial values, from its object.
 pub(super) fn initial(own: &Bound<'_, PyAny>) -> PyResult<Vec<(WeightSpec, Vec<Real>)>> {
     let py = own.py();
     let Ok(found) = own.call_method0("weights")?.cast_into::<PyDict>() else {

@@ -119,7 +119,7 @@ impl Metric for Strategy {
     }
 }
 
-/// Observations as one array.
+/// Returns the observations as one array.
 fn stacked<'py>(py: Python<'py>, images: &[Image], task: Task) -> PyResult<Bound<'py, PyAny>> {
     let rows = images.iter().flat_map(|image| image.pixels.iter().copied()).collect();
     let size = images.first().map_or((0, 0), |image| (image.width, image.height));

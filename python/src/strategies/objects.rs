@@ -94,7 +94,7 @@ pub(super) fn context_object<'py>(py: Python<'py>, context: &StepContext) -> PyR
     py.import("pwrfgs._types")?.getattr("StepContext")?.call1((step, phase.name(), seed, round, rounds, target))
 }
 
-/// Links without observations, as the Python class `Links`.
+/// Returns the links without observations, as the Python class `Links`.
 pub(super) fn links_object<'py>(py: Python<'py>, data: &Dataset, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
     let rows: Vec<_> = links.iter().map(|&i| data.sample(i)).collect();
     let fields = (
@@ -105,7 +105,7 @@ pub(super) fn links_object<'py>(py: Python<'py>, data: &Dataset, links: &[usize]
     py.import("pwrfgs._types")?.getattr("Links")?.call1(fields)
 }
 
-/// NumPy random generator, seeded from the run.
+/// Returns the NumPy random generator, seeded from the run.
 pub(super) fn generator<'py>(py: Python<'py>, random: &mut rng::Rng) -> PyResult<Bound<'py, PyAny>> {
     py.import("numpy.random")?.call_method1("default_rng", (rng::below(random, 1 << 62),))
 }

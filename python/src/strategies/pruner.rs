@@ -64,7 +64,7 @@ impl Strategy {
         })
     }
 
-    /// Columns in a dict, with their values.
+    /// Returns the columns in a dict, with their values.
     fn slopes(
         &self,
         derivatives: &Bound<'_, PyDict>,
@@ -94,7 +94,7 @@ impl Strategy {
     }
 }
 
-/// Name of its class.
+/// Returns the name of its class.
 fn kind_of(value: &Bound<'_, PyAny>) -> String {
     value.get_type().name().map_or_else(|_| "something else".into(), |name| format!("a value of {name}"))
 }

@@ -96,7 +96,7 @@ fn describe_run(p: &Preview) -> String {
     aligned(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)
 }
 
-/// Whether densification may add Gaussians beyond those of the estimate.
+/// Returns whether densification may add Gaussians beyond those of the estimate.
 fn is_unlimited(t: &Training) -> bool {
     t.densify.max_gaussians == 0 && t.densify.every > 0 && t.densify.from < t.densify_until.min(t.steps)
 }

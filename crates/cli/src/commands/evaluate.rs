@@ -103,7 +103,7 @@ fn count_training(models: &[PathBuf]) -> usize {
     if models.iter().all(|model| samples_of(model) == first) { first } else { 0 }
 }
 
-/// Whether the pipeline next to a model has the data and split of `pipeline`.
+/// Returns whether the pipeline next to a model has the data and split of `pipeline`.
 fn is_trained_by(model: &Path, pipeline: &Pipeline) -> bool {
     let trained = read_pipeline(&model.with_file_name(PIPELINE), &[]);
     trained.is_ok_and(|trained| data_key(&trained) == data_key(pipeline))

@@ -78,7 +78,7 @@ struct Row {
 }
 
 impl Row {
-    /// Columns of `locations.csv` that need the true position, which is empty if unknown.
+    /// Returns the columns of `locations.csv` that need the true position, which is empty if unknown.
     fn truth_columns(&self) -> String {
         let Some(truth) = self.truth else { return ",,,,".into() };
         let ([x, y, z], error) = (truth, distance(self.located.position, truth));

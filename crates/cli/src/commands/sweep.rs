@@ -194,7 +194,7 @@ pub(super) fn run_here(plan: &SweepPlan, runs: &[usize], jobs: usize, report: (O
     Ok(SUCCESS)
 }
 
-/// Whether some runs have finished and all others have failed, so that no other process writes the report.
+/// Returns whether some runs have finished and all others have failed, so that no other process writes the report.
 #[cfg(feature = "report")]
 fn is_last(plan: &SweepPlan) -> bool {
     let states = plan.states();

@@ -95,8 +95,8 @@ impl Baseline for Kriging {
     }
 }
 
-/// Links of `order` after the first, each with the `count` nearest of those before it: the conditioning sets of the Vecchia
-/// approximation of a likelihood (Vecchia 1988).
+/// Returns the links of `order` after the first, each with the `count` nearest of those before it: the conditioning
+/// sets of the Vecchia approximation of a likelihood (Vecchia 1988).
 pub fn preceding(data: &Dataset, order: &[usize], count: usize) -> Vec<(usize, Vec<usize>)> {
     let place = |i: usize| data.sample(i).position();
     let case = |n: usize| {
@@ -120,12 +120,12 @@ impl<'a> Trend<'a> {
         Self { data, law: has_distances.then(|| PathLoss::fit(&points(data, links))) }
     }
 
-    /// Power of the path-loss model for a link, dBm; 0 without a model.
+    /// Returns the power of the path-loss model for a link, dBm; 0 without a model.
     fn at(&self, query: Query<'_>) -> f64 {
         self.law.map_or(0.0, |law| law.at(log_distance(self.data, query)))
     }
 
-    /// Residual of link `i` at every `stride`-th column of every `stride`-th row.
+    /// Returns the residual of link `i` at every `stride`-th column of every `stride`-th row.
     fn residual(&self, i: usize, stride: usize, out: &mut [Real]) {
         self.data.observations.sampled(i, Sampling::every(stride), out);
         if self.law.is_some() {
@@ -133,10 +133,10 @@ impl<'a> Trend<'a> {
         }
     }
 
-    /// Most likely correlation, and its process variance summed over values. Spectra: of validation samples, each given its
-    /// nearest training samples. Powers: of at most [`POWERS`] samples, each given the nearest of those before it in random
-    /// order. Their densities multiply to the joint density (Vecchia, Journal of the Royal Statistical Society B 50, 1988),
-    /// and the first samples constrain long distances.
+    /// Returns the most likely correlation, and its process variance summed over values. Spectra: of validation
+    /// samples, each given its nearest training samples. Powers: of at most [`POWERS`] samples, each given the nearest
+    /// of those before it in random order. Their densities multiply to the joint density (Vecchia, Journal of the Royal
+    /// Statistical Society B 50, 1988), and the first samples constrain long distances.
     fn most_likely(&self, all: &[usize], known: FittingSet<'_>, time: bool) -> (Correlation, f64) {
         let space_of = |i: usize| self.data.sample(i).position();
         let given = |nearest: &Nearest, i: usize, count| {
@@ -168,7 +168,7 @@ impl<'a> Trend<'a> {
         (correlation, cases.variance(&correlation))
     }
 
-    /// About `most` values of the residual of link `i`.
+    /// Returns about `most` values of the residual of link `i`.
     pub fn values(&self, i: usize, most: usize) -> Vec<Real> {
         let Dataset { width, height, .. } = *self.data;
         let stride = ((width * height) as f64 / most as f64).sqrt().ceil().max(1.0) as usize;
@@ -178,7 +178,7 @@ impl<'a> Trend<'a> {
     }
 }
 
-/// Place of link `i`, with its id as its time.
+/// Returns the place of link `i`, with its id as its time.
 fn place(data: &Dataset, i: usize) -> Place {
     let Sample { id, pose: Pose { position: [x, y, z], .. }, .. } = data.sample(i);
     [x, y, z, f64::from(id)]
@@ -250,12 +250,12 @@ impl<'a> Process<'a> {
         Self { trend, samples, kriging, in_space, variance, settings }
     }
 
-    /// Nearest samples of a query, by their numbers in `samples`, with their weights.
+    /// Returns the nearest samples of a query, by their numbers in `samples`, with their weights.
     fn solve(&self, query: Query<'_>) -> (Vec<usize>, Solution) {
         self.kriging.solve(self.place_of(query), self.settings.neighbours)
     }
 
-    /// Place of a query. Without an id, its time is that of the nearest sample in space.
+    /// Returns the place of a query. Without an id, its time is that of the nearest sample in space.
     fn place_of(&self, query: Query<'_>) -> Place {
         let Some(in_space) = &self.in_space else { return self::in_space(query.position()) };
         let nearest = || in_space.find(&query.position(), 1).1.first().map(|(_, i)| self.trend.data.sample(*i).id);
@@ -282,7 +282,7 @@ impl ReceiverPredictor for Process<'_> {
 }
 
 impl Process<'_> {
-    /// Description of the fit for a single receiver.
+    /// Returns the description of the fit for a single receiver.
     fn note_of_one(&self) -> String {
         let Correlation { kind, scales, noise } = &self.kriging.correlation;
         let [x, y, z, time] = scales.map(digits);
@@ -299,7 +299,7 @@ impl Process<'_> {
         )
     }
 
-    /// Short description of the fit for one of several receivers, in the order of [`note_of_many`].
+    /// Returns the short description of the fit for one of several receivers, in the order of [`note_of_many`].
     fn in_short(&self) -> String {
         let Correlation { kind, scales, noise } = &self.kriging.correlation;
         let [x, y, z, _] = scales.map(digits);
@@ -310,7 +310,7 @@ impl Process<'_> {
     }
 }
 
-/// Description of the fits for several receivers. It lists every number, so that scores can be reproduced.
+/// Returns the description of the fits for several receivers. It lists every number, so that scores can be reproduced.
 fn note_of_many(each: &[(&str, &Process<'_>)]) -> String {
     let law = if each.iter().any(|(_, process)| process.trend.law.is_some()) {
         ", path loss in dBm at 1 m and dB per decade"

@@ -103,18 +103,19 @@ impl Predict for PathLosses<'_> {
     }
 }
 
-/// log10 of the distance from transmitter to receiver, metres.
+/// Returns log10 of the distance from transmitter to receiver, metres.
 pub(super) fn log_distance(data: &Dataset, query: Query<'_>) -> f64 {
     kriging::log_distance(query.position(), fixed_end(data, query))
 }
 
-/// Position of the fixed end of a link, metres, world frame: its receiver, or the transmitter if receivers move.
+/// Returns the position of the fixed end of a link, metres, world frame: its receiver, or the transmitter if receivers
+/// move.
 pub(super) fn fixed_end(data: &Dataset, query: Query<'_>) -> [f64; 3] {
     let ends = data.scene.fixed_ends();
     data.scene.origin.world_pose(*ends.get(query.receiver).unwrap_or(&ends[0])).position
 }
 
-/// (log10 of the distance, dBm) of power links.
+/// Returns (log10 of the distance, dBm) of power links.
 pub(super) fn points(data: &Dataset, links: &[usize]) -> Vec<(f64, f64)> {
     let point = |&i: &usize| (log_distance(data, data.query(i)), data.image(i).pixels[0] as f64);
     links.iter().map(point).collect()

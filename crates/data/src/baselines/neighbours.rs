@@ -123,7 +123,7 @@ impl Baseline for NearestNeighbours {
     }
 }
 
-/// The k that best predicts `validation` from `train`, the smallest in a tie; 3 if there is nothing to compare.
+/// Returns the k that best predicts `validation` from `train`, the smallest in a tie; 3 if there is nothing to compare.
 fn best(data: &Dataset, train: Vec<usize>, validation: &[usize]) -> usize {
     let choices: Vec<usize> = CHOICES.iter().copied().filter(|k| *k <= train.len()).collect();
     let Some(most) = choices.last() else { return 3 };
@@ -169,7 +169,7 @@ impl<'a> Lookup<'a> {
         }
     }
 
-    /// Score of the prediction of sample `i` for each k of `choices`, ascending; higher is better.
+    /// Returns the score of the prediction of sample `i` for each k of `choices`, ascending; higher is better.
     fn scores(&self, i: usize, choices: &[usize]) -> Vec<f64> {
         let truth = self.data.image(i);
         // Samples at the exact position all count, for any k.

@@ -73,7 +73,7 @@ impl Predictions {
         Ok(())
     }
 
-    /// Digest of all files and of the positions in `data`.
+    /// Returns the digest of all files and of the positions in `data`.
     fn digest_for(&self, data: &Dataset) -> Result<String> {
         let mut all = String::new();
         (0..data.len()).for_each(|i| _ = writeln!(all, "{:?}", data.sample(i).position()));

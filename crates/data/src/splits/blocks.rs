@@ -122,13 +122,13 @@ impl Default for Voxel {
 }
 
 impl Voxel {
-    /// Grid cell of a position.
+    /// Returns the grid cell of a position.
     pub(super) fn cell(&self, position: [f64; 3]) -> [i128; 3] {
         position.map(|v| floor_of_ratio(v, self.size_m))
     }
 }
 
-/// ⌊v/size⌋, exact for the shortest decimals of both; `size` is above 0. Results out of range saturate.
+/// Returns ⌊v/size⌋, exact for the shortest decimals of both; `size` is above 0. Results out of range saturate.
 fn floor_of_ratio(v: f64, size: f64) -> i128 {
     let ((v, v_exponent), (size, exponent)) = (decimal(v), decimal(size));
     let shifted = |digits: i128, by: i32| 10_i128.checked_pow(by.max(0) as u32)?.checked_mul(digits);
@@ -139,7 +139,7 @@ fn floor_of_ratio(v: f64, size: f64) -> i128 {
     }
 }
 
-/// Finite number as digits · 10^exponent, from its shortest decimal.
+/// Returns the finite number as digits · 10^exponent, from its shortest decimal.
 fn decimal(v: f64) -> (i128, i32) {
     let text = format!("{v:e}");
     let (digits, exponent) = text.split_once('e').expect("the form is 1.5e-3");
@@ -173,7 +173,7 @@ impl Split for Voxel {
         finish(data, Partition { train: cells.concat(), validation, test })
     }
 
-    /// Cells.
+    /// Returns the cells.
     fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
         let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
         for &i in links {

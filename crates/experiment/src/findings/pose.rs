@@ -238,7 +238,7 @@ impl PoseVerdict {
 }
 
 impl PoseCheck {
-    /// Whether the strongest direction follows the line of sight after the best rotation.
+    /// Returns whether the strongest direction follows the line of sight after the best rotation.
     fn follows(&self) -> bool {
         self.turned <= FOLLOWS * self.constant
     }
@@ -330,7 +330,7 @@ impl PoseCheck {
     }
 }
 
-/// Whether transmitters are in a room, so that direct paths exist: simulated spectra of `Teacher` have none.
+/// Returns whether transmitters are in a room, so that direct paths exist: simulated spectra of `Teacher` have none.
 fn has_room(data: &Dataset) -> bool {
     data.simulation.as_ref().is_none_or(|simulation| simulation.scene.is_some())
 }

@@ -124,8 +124,8 @@ fn draw_pairs(data: &Dataset, links: &[usize], count: usize) -> impl Iterator<It
     (0..count).map(move |_| draw_pair()).filter(|pair| pair.earlier != pair.later)
 }
 
-/// Whether samples with consecutive ids are closer in space than others: samples of a walk or scan are in order of
-/// time.
+/// Returns whether samples with consecutive ids are closer in space than others: samples of a walk or scan are in order
+/// of time.
 pub fn in_order(data: &Dataset) -> bool {
     let median = |pairs: Vec<SamplePair>| median(pairs.iter().map(|pair| pair.distance));
     let links = data.by_receiver(0..data.len()).into_iter().max_by_key(Vec::len).unwrap_or_default();

@@ -40,7 +40,7 @@ impl Setting {
         distinct(self.runs().flat_map(|run| run.scores.table.baselines()))
     }
 
-    /// Whether a baseline has its predictions from another program.
+    /// Returns whether a baseline has its predictions from another program.
     pub fn is_external(&self, name: &str) -> bool {
         let mut baselines = self.runs().flat_map(|run| &run.pipeline.baselines);
         baselines.any(|baseline| baseline.is_external() && baseline.name() == name)

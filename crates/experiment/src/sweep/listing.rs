@@ -35,7 +35,7 @@ pub struct ListedRun {
 }
 
 impl ListedRun {
-    /// Whether the run folder is inside the sweep folder: a foreign listing must not lead elsewhere.
+    /// Returns whether the run folder is inside the sweep folder: a foreign listing must not lead elsewhere.
     fn lies_in(&self, sweep: &Path) -> bool {
         let below = Path::new(&self.folder);
         let descends = below.components().all(|part| matches!(part, Component::Normal(_)));

@@ -97,7 +97,7 @@ impl RayGroup<'_> {
         (0..self.links.passes()).map(one).collect()
     }
 
-    /// Backward pass of a chunk, given the cotangents `d` per pass, ray and band.
+    /// Runs the backward pass of a chunk, given the cotangents `d` per pass, ray and band.
     pub(crate) fn back(
         &self,
         rays: &Range<usize>,

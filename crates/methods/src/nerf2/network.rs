@@ -101,7 +101,7 @@ impl Nerf2Network {
         rays * samples * of_sample * size_of::<Real>()
     }
 
-    /// Backward pass of [`Self::emission`]: adds to `d_weights`, and to `d_positions` unless it is empty.
+    /// Runs the backward pass of [`Self::emission`]: adds to `d_weights`, and to `d_positions` unless it is empty.
     pub(crate) fn emission_vjp(
         &self,
         weights: &[Real],

@@ -178,8 +178,8 @@ impl RayWalk<'_> {
         &shared.factors[at..at + shared.segments[ray].len()]
     }
 
-    /// Backward pass of one [`Self::signal`], given cotangents `d` `[rays, bands]` of the sums. Adds to `into` and to
-    /// the cotangents of the path factors and shared contributions.
+    /// Runs the backward pass of one [`Self::signal`], given cotangents `d` `[rays, bands]` of the sums. Adds to `into`
+    /// and to the cotangents of the path factors and shared contributions.
     pub(crate) fn signal_vjp(
         &self,
         (shared, signal, locations): (&SharedActivations, &Signal, &[usize]),
@@ -226,7 +226,7 @@ impl RayWalk<'_> {
         }
     }
 
-    /// Backward pass of [`Self::shared`], given the cotangents of the path factors and shared contributions.
+    /// Runs the backward pass of [`Self::shared`], given the cotangents of the path factors and shared contributions.
     pub(crate) fn shared_vjp(
         &self,
         (shared, trunk_activations): (&SharedActivations, &TrunkActivations),

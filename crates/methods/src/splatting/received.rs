@@ -127,8 +127,8 @@ impl Splatting {
     }
 }
 
-/// Least-squares fit of y = offset(receiver) − n x over `rows` (receiver, [x, y]): the slope of the residuals after
-/// subtraction of the means per receiver.
+/// Returns the least-squares fit of y = offset(receiver) − n x over `rows` (receiver, [x, y]): the slope of the
+/// residuals after subtraction of the means per receiver.
 fn fit(rows: &[(usize, [f64; 2])], receivers: usize) -> (Vec<f64>, f64) {
     let mut sums = vec![[0.0; 3]; receivers];
     for (receiver, [x, y]) in rows {

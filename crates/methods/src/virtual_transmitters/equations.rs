@@ -59,7 +59,7 @@ impl NormalEquations {
     }
 }
 
-/// Cholesky decomposition in place, row by row: the lower half becomes L.
+/// Computes the Cholesky decomposition in place, row by row: the lower half becomes L.
 fn factor(a: &mut [f64], p: usize) -> Option<()> {
     for i in 0..p {
         let (above, row) = a.split_at_mut(i * p);

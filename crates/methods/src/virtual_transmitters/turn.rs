@@ -31,7 +31,7 @@ pub(crate) fn turned(r: &MatrixRows, v: [f64; 3]) -> [f64; 3] {
     ]
 }
 
-/// Derivative of [`matrix`] of [`unit()`]: the cotangent of a quaternion of any length, given that of R.
+/// Computes the derivative of [`matrix`] of [`unit()`]: the cotangent of a quaternion of any length, given that of R.
 pub(crate) fn matrix_vjp(q: [f64; 4], d: &MatrixRows) -> [f64; 4] {
     let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
     if !(length > 1e-30 && length.is_finite()) {

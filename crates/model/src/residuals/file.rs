@@ -117,7 +117,7 @@ impl ResidualsNote {
 }
 
 impl ProcessNote {
-    /// Trend, variance and correlation at a `receiver`.
+    /// Returns the trend, variance and correlation at a `receiver`.
     fn fitted(&self, task: Task, receiver: &Receiver) -> Result<ProcessFit, String> {
         let Self { share, variance, correlation, scales_m, noise, path_loss, .. } = *self;
         let is_scale = |v: &f64| v.is_finite() && *v >= LEAST;

@@ -27,18 +27,18 @@ impl CoarseGrid {
         Self { stride, rows, columns, size }
     }
 
-    /// Number of stored pixels.
+    /// Returns the number of stored pixels.
     pub(crate) fn len(&self) -> usize {
         self.size[0] * self.size[1]
     }
 
-    /// Stored pixels of a whole image.
+    /// Returns the stored pixels of a whole image.
     pub(crate) fn sampled(&self, pixels: &[Real]) -> impl Iterator<Item = Real> {
         let rows = pixels.chunks_exact(self.columns.len()).step_by(self.stride);
         rows.flat_map(|row| row.iter().step_by(self.stride).copied())
     }
 
-    /// Share of the variance of `images` about their mean that the grid loses; 0 without variance.
+    /// Returns the share of the variance of `images` about their mean that the grid loses; 0 without variance.
     pub(crate) fn lost(&self, images: &[Vec<Real>]) -> f64 {
         let mut mean = vec![0.0; self.rows.len() * self.columns.len()];
         let share = 1.0 / images.len().max(1) as Real;

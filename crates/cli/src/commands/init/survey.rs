@@ -43,7 +43,7 @@ fn advise_on_file(file: &Path) -> String {
     format!("give a folder in a layout of docs/data.md, or {import} {} --out FOLDER`", file.display())
 }
 
-/// Whether `path` is a table or an array.
+/// Returns whether `path` is a table or an array.
 pub(crate) fn is_table(path: &Path) -> bool {
     path.is_file() && ["csv", "npy", "npz"].contains(&extension(path).as_str())
 }
