@@ -148,7 +148,7 @@ pub(crate) fn check_finite(what: &str, value: &Bound<'_, PyAny>, numbers: Vec<Re
     }
 }
 
-/// Returns the shape of a column of `n` Gaussians: one value per Gaussian has no second axis.
+/// Returns the shape of a column of `n` Gaussians: `[n]` for one value each, otherwise `[n, width]`.
 pub(crate) fn column_shape(n: usize, width: usize) -> Vec<usize> {
     if width <= 1 { vec![n] } else { vec![n, width] }
 }

@@ -6,8 +6,8 @@ mod tests;
 use crate::folder::{
     check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with, title,
 };
-use crate::nerf2::{index, pictures};
 use crate::text::{TextField, TextRow, XyzColumns, coordinate, lines, number, position, read_text};
+use crate::{nerf2::index, pictures};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{

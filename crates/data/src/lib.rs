@@ -23,6 +23,7 @@ mod geometry;
 pub mod import;
 mod nerf2;
 mod npy;
+mod pictures;
 mod ply;
 mod polygons;
 mod save;
@@ -42,7 +43,8 @@ pub use folder::{
     CARRIERS, base_station_yaml, gateway_positions_yaml, gateway_yaml, read_carriers, receiver_yaml, transmitter_yaml,
 };
 pub use geometry::{read_mesh, read_points};
-pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, POSES, read_image, read_poses, read_powers, read_transmitters};
+pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, POSES, read_poses, read_powers, read_transmitters};
+pub use pictures::read_image;
 pub use polygons::Triangles;
 pub use pwrfgs_core::npy::{npy_header, npy_header_as};
 pub use save::{pose_row, poses_csv, save};

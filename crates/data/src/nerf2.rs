@@ -2,14 +2,12 @@
 
 mod csi;
 pub(crate) mod index;
-pub(crate) mod pictures;
 pub(crate) mod receivers;
 mod rssi;
 #[cfg(test)]
 mod tests;
 
 pub use csi::Nerf2Csi;
-pub use pictures::read_image;
 pub use rssi::{Nerf2Rssi, read_powers};
 
 use crate::checks::shape_fault;
@@ -17,6 +15,7 @@ use crate::folder::{
     carriers_in, check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with,
     title,
 };
+use crate::pictures;
 use crate::text::{TextField, coordinate, position, read_text, table};
 use pwrfgs_core::{
     DataSource, Dataset, Elevation, End, Ends, Error, JsonSchema, Pose, Progress, Receiver, Result, Sample, Unmatched,

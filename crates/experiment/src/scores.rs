@@ -223,7 +223,7 @@ impl Scores {
         let row = |baseline: &str, key: &str, goal: Goal| {
             let pairs = self.samples(MODEL, key)?.iter().zip(self.samples(baseline, key)?);
             let differences = self.ids.iter().zip(pairs).map(|(id, (model, baseline))| (*id, model - baseline));
-            let Difference { mean, interval, .. } = Difference::of(&[blocks.cells(differences)])?;
+            let Difference { mean, interval, .. } = Difference::of(&[blocks.block_sums(differences)])?;
             let (baseline, metric, higher_is_better) = (baseline.to_owned(), key.to_owned(), goal == Goal::Higher);
             Some(PairedRow { baseline, metric, higher_is_better, mean, interval: interval.map(|(a, b)| [a, b]) })
         };

@@ -201,8 +201,9 @@ impl Blocks {
         Self { edge_m: Some(edge_m), count: number.len(), by_id }
     }
 
-    /// Sums the differences of test samples, by id, in each block; values that are not finite are omitted.
-    pub fn cells(&self, differences: impl IntoIterator<Item = (u32, f64)>) -> Vec<BlockSum> {
+    /// Sums the differences of test samples, by id, in each block `[count]`; unknown ids and values that are not finite are
+    /// omitted.
+    pub fn block_sums(&self, differences: impl IntoIterator<Item = (u32, f64)>) -> Vec<BlockSum> {
         let mut cells = vec![BlockSum::default(); self.count];
         for (id, difference) in differences.into_iter().filter(|(_, difference)| difference.is_finite()) {
             if let Some(block) = self.of(id) {

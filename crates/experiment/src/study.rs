@@ -41,23 +41,14 @@ impl Study {
         let (mut records, mut single_runs) = (Vec::new(), Vec::new());
         for folder in folders {
             let listing = if folder.is_dir() { Listing::read(folder)? } else { None };
-            if let Some(listing) = listing {
+            if let Some(mut listing) = listing {
                 // Two sweeps of the same name, such as of two days, are different.
-                let is_taken = titles.contains(&listing.name);
-                let name = if is_taken { folder.display().to_string() } else { listing.name };
-                let mut runs: Vec<(PathBuf, Labels)> =
-                    listing.runs.into_iter().map(|run| (folder.join(run.folder), run.labels)).collect();
-                let joined = folder.join(JOINED);
-                if joined.join(PIPELINE).is_file() {
-                    runs.push((joined, vec![(String::new(), JOINED.to_owned())]));
+                if titles.contains(&listing.name) {
+                    listing.name = folder.display().to_string();
                 }
-                for (path, mut labels) in runs {
-                    if folders.len() > 1 {
-                        labels.insert(0, (String::new(), name.clone()));
-                    }
-                    records.extend(study.read_run(&path, &mut seen)?.map(|record| (labels, record)));
-                }
-                titles.push(name);
+                titles.push(listing.name.clone());
+                let sweep = (folders.len() > 1).then(|| (String::new(), listing.name.clone()));
+                records.extend(study.read_sweep(folder, listing, sweep.as_slice(), &mut seen)?);
             } else if folder.join(PIPELINE).is_file() {
                 single_runs.extend(study.read_run(folder, &mut seen)?);
             } else {
@@ -79,6 +70,27 @@ impl Study {
         }
         study.settings = group_by_setting(records)?;
         Ok(study)
+    }
+
+    /// Reads the finished runs of a sweep, with the labels `sweep` before those of each run.
+    fn read_sweep(
+        &mut self,
+        folder: &Path,
+        listing: Listing,
+        sweep: &[(String, String)],
+        seen: &mut Vec<PathBuf>,
+    ) -> Result<Vec<(Labels, Record)>> {
+        let mut runs: Vec<(PathBuf, Labels)> =
+            listing.runs.into_iter().map(|run| (folder.join(run.folder), run.labels)).collect();
+        let joined = folder.join(JOINED);
+        if joined.join(PIPELINE).is_file() {
+            runs.push((joined, vec![(String::new(), JOINED.to_owned())]));
+        }
+        let mut records = Vec::new();
+        for (path, labels) in runs {
+            records.extend(self.read_run(&path, seen)?.map(|record| ([sweep, &labels].concat(), record)));
+        }
+        Ok(records)
     }
 
     /// Reads one run folder, or records that it is unfinished or a duplicate.

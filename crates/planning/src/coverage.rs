@@ -14,7 +14,7 @@ const HALVINGS: usize = 60;
 /// Returns the 10th percentile of the strongest power, with linear interpolation between transmitters. `powers` holds
 /// one slice of powers in dBm `[T]` per receiver. NaN without transmitters or receivers.
 pub fn coverage(powers: &[&[f64]]) -> f64 {
-    let mut strongest = strongest(powers);
+    let mut strongest = strongest_powers(powers);
     if strongest.is_empty() {
         return f64::NAN;
     }
@@ -25,7 +25,7 @@ pub fn coverage(powers: &[&[f64]]) -> f64 {
 }
 
 /// Returns the strongest power per transmitter `[T]`, dBm; `powers` holds one slice of powers `[T]` per receiver.
-pub fn strongest(powers: &[&[f64]]) -> Vec<f64> {
+pub fn strongest_powers(powers: &[&[f64]]) -> Vec<f64> {
     over_receivers(powers, largest)
 }
 

@@ -16,7 +16,8 @@ mod survey;
 
 pub use ascent::{AscentResult, ascend};
 pub use coverage::{
-    Subset, best_subset, combinations, coverage, coverage_of, greedy_subset, random_subsets, soft_coverage, strongest,
+    Subset, best_subset, combinations, coverage, coverage_of, greedy_subset, random_subsets, soft_coverage,
+    strongest_powers,
 };
 pub use learn::{kriging_scores, learn};
 #[cfg(feature = "raytrace")]

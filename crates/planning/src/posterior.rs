@@ -33,7 +33,7 @@ impl Posterior {
     }
 
     /// Returns the number of points P.
-    pub(crate) fn len(&self) -> usize {
+    fn point_count(&self) -> usize {
         self.variances.len()
     }
 
@@ -55,7 +55,7 @@ impl Posterior {
 
     /// Returns the rows of the factor, one per measurement, each `[P]`.
     pub(crate) fn rows(&self) -> impl Iterator<Item = &[f64]> + Clone {
-        self.factor.chunks_exact(self.len().max(1))
+        self.factor.chunks_exact(self.point_count().max(1))
     }
 
     /// Adds a measurement at point `s`, and returns its row of the factor.
@@ -63,7 +63,7 @@ impl Posterior {
         let pivot = (self.variances[s] + self.correlation.noise).sqrt();
         let before: Vec<(f64, &[f64])> =
             self.rows().map(|row| (row[s], row)).filter(|(at_s, _)| at_s.abs() > NEGLIGIBLE).collect();
-        let mut row = vec![0.0; self.len()];
+        let mut row = vec![0.0; self.point_count()];
         row.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
             let first = c * CHUNK;
             part.iter_mut().enumerate().for_each(|(i, value)| *value = self.prior(first + i, s));

@@ -53,7 +53,7 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         groups => tables::groups(scores),
         oracles_known => scores.oracles.clone(),
         notes => scores.notes.clone(),
-        figures => curves::all(run),
+        figures => curves::figures(run),
         room => if draws_splats { Some(room(run)?) } else { None },
         powers => data.task().is_scalar.then(|| powers::section(run, &chosen)),
         error_maps => maps::of_spectra(run),

@@ -9,10 +9,11 @@ mod predictor;
 mod routes;
 mod server;
 mod side;
+mod state;
 
 use pwrfgs_core::Result;
-use side::ServerState;
 pub use side::ViewPane;
+use state::ServerState;
 use std::sync::atomic::AtomicBool;
 
 /// Serves `sides` next to each other until `stop` is set or the last page is closed; `ready` receives the address.

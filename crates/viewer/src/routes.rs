@@ -2,7 +2,7 @@
 
 mod bundles;
 
-use crate::side::{ServerState, WatcherGuard};
+use crate::state::{ServerState, WatcherGuard};
 use http_body_util::combinators::BoxBody;
 use http_body_util::{BodyExt as _, Full};
 use hyper::body::{Body as _, Bytes, Frame};

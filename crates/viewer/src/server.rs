@@ -2,7 +2,7 @@
 
 use crate::guard::Guard;
 use crate::routes::{self, ResponseBody};
-use crate::side::ServerState;
+use crate::state::ServerState;
 use hyper::body::Incoming;
 use hyper::header::{CONNECTION, HeaderValue};
 use hyper::server::conn::http1;

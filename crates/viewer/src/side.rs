@@ -1,9 +1,8 @@
-//! `ViewPane`: one half of the page, with a model, a run in progress or a baseline; `ServerState`: state of the server.
+//! `ViewPane`: one half of the page, with a model, a run in progress or a baseline.
 
 use crate::predictor::{FittedBaseline, Predictor};
 use pwrfgs_core::{Baseline, Dataset, Error, MeasurementSetup, Partition, Plugin, Predict, Result, files};
-use pwrfgs_experiment::folder::{CHECKPOINT, CURVE, FACTS, MODEL_FILE, PIPELINE, SCORES};
-use pwrfgs_experiment::record::read_series;
+use pwrfgs_experiment::folder::{CHECKPOINT, MODEL_FILE, PIPELINE, SCORES};
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::{Facts, Observer, Scores, SplitData, check_alike, load, model_file, read_pipeline};
 use pwrfgs_localise::{Locator, SHARES};
@@ -11,12 +10,8 @@ use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::Trainer;
 use self_cell::self_cell;
-use serde_json::json;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
-use std::time::{Duration, SystemTime};
-use tokio::sync::broadcast;
 
 self_cell!(
     /// Locator with the predictor of its fingerprints.
@@ -214,83 +209,4 @@ fn scores(folder: &Path, data: &Dataset) -> Vec<f64> {
     let read = table.and_then(|table| Scores::read(&folder.join(SCORES), table).ok());
     let by_label = read.and_then(|scores| scores.by_id(MODEL, data.task().headline.key)).unwrap_or_default();
     (0..data.len()).map(|i| by_label.get(&data.label(i)).copied().unwrap_or(f64::NAN)).collect()
-}
-
-/// Interval between checks of a run in progress.
-const POLL_INTERVAL: Duration = Duration::from_millis(500);
-
-/// State of the server.
-pub(crate) struct ServerState {
-    pub(crate) sides: Vec<ViewPane>,
-    watched: AtomicBool,
-    watchers: AtomicUsize,
-    news: broadcast::Sender<String>,
-}
-
-impl ServerState {
-    /// Creates the state. A thread per run in progress sends events about its changes.
-    pub(crate) fn new(sides: Vec<ViewPane>) -> Arc<Self> {
-        let (news, _) = broadcast::channel(64);
-        let state = Arc::new(Self { sides, watched: AtomicBool::new(false), watchers: AtomicUsize::new(0), news });
-        for side in 0..state.sides.len() {
-            let running = state.sides[side].folder.clone().filter(|folder| !folder.join(MODEL_FILE).is_file());
-            if let Some(folder) = running {
-                let state = Arc::downgrade(&state);
-                std::thread::spawn(move || {
-                    let mut times = [None; 2];
-                    while let Some(state) = state.upgrade() {
-                        if state.follow(side, &folder, &mut times) {
-                            break;
-                        }
-                        drop(state);
-                        std::thread::sleep(POLL_INTERVAL);
-                    }
-                });
-            }
-        }
-        state
-    }
-
-    /// Registers an open page, until the returned watcher is dropped.
-    pub(crate) fn watch(self: &Arc<Self>) -> (broadcast::Receiver<String>, WatcherGuard) {
-        self.watched.store(true, Ordering::Relaxed);
-        self.watchers.fetch_add(1, Ordering::Relaxed);
-        (self.news.subscribe(), WatcherGuard(Arc::clone(self)))
-    }
-
-    /// Returns whether a page was ever opened, and the number of open pages.
-    pub(crate) fn watchers(&self) -> (bool, usize) {
-        (self.watched.load(Ordering::Relaxed), self.watchers.load(Ordering::Relaxed))
-    }
-
-    /// Sends an event if the folder of a run in progress changed; returns whether the run is finished.
-    fn follow(&self, side: usize, folder: &Path, times: &mut [Option<SystemTime>; 2]) -> bool {
-        let changed = |name: &str| std::fs::metadata(folder.join(name)).and_then(|file| file.modified()).ok();
-        let now = [changed(CURVE), changed(MODEL_FILE).or_else(|| changed(CHECKPOINT))];
-        if *times == now {
-            return false;
-        }
-        let reload = times[1] != now[1];
-        *times = now;
-        let ended = reload && self.sides[side].reload().unwrap_or(false);
-        let loaded = self.sides[side].loaded.as_ref();
-        let rows = read_series(&folder.join(CURVE));
-        let field = |k: usize| rows.last().and_then(|row| row.get(k).copied().flatten());
-        let finished = ended && folder.join(FACTS).is_file() && matches!(Facts::read(folder), Ok(Some(_)));
-        let event = json!({
-            "side": side, "step": field(0), "loss": field(2), "gaussians": field(4), "changed": reload, "finished": finished,
-            "steps": loaded.map(|loaded| loaded.pipeline.training.steps),
-        });
-        _ = self.news.send(event.to_string());
-        finished
-    }
-}
-
-/// Registration of an open page.
-pub(crate) struct WatcherGuard(Arc<ServerState>);
-
-impl Drop for WatcherGuard {
-    fn drop(&mut self) {
-        self.0.watchers.fetch_sub(1, Ordering::Relaxed);
-    }
 }

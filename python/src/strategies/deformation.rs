@@ -15,7 +15,7 @@ use pyo3::types::PyDict;
 const TERMS: [(&str, usize); 3] = [("scales", 3), ("quats", 4), ("signals", 2)];
 
 impl Strategy {
-    /// Returns the arguments of `forward`: weights by name, centres, inputs of the transmitters.
+    /// Returns the first arguments of `forward` and `vjp`: weights by name, centres `[N, 3]`, inputs `[B, width]`.
     fn arguments<'py>(&self, py: Python<'py>, inputs: &DeformationInputs<'_>) -> PyResult<[Bound<'py, PyAny>; 3]> {
         let weights = PyDict::new(py);
         let mut rest = inputs.weights;

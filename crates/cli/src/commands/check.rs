@@ -2,7 +2,7 @@
 //! training.
 
 use super::init::{is_table, name_of, suggested_split, unknown_folder};
-use super::options::{ChangeOptions, pipeline_path};
+use super::options::{ChangeOptions, resolve_pipeline};
 use crate::output::{self, Verbosity};
 use crate::progress::{RunProgress, memory, pace};
 use clap::Args;
@@ -42,7 +42,7 @@ const STEADY: f64 = 1.25;
 
 /// Runs `pwrfgs check`.
 pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
-    let (file, _) = pipeline_path(&arguments.pipeline)?;
+    let (file, _) = resolve_pipeline(&arguments.pipeline)?;
     let pipeline = read_pipeline(&file, &arguments.changes.all())?;
     let preview = RunProgress::during(verbosity, |progress| preview(&pipeline, Path::new(""), progress))?;
     preview.warnings.iter().for_each(|warning| RunProgress::new(verbosity).on_warning(warning));
@@ -198,7 +198,7 @@ fn pipeline_file(path: &Path) -> Result<PathBuf> {
     if is_table(path) {
         return Err(unknown_folder(path));
     }
-    match pipeline_path(path) {
+    match resolve_pipeline(path) {
         Err(_neither) if !path.join(LISTING).is_file() => {
             let problem = "neither data (spectra, received powers or channels) nor a run path; name a data folder, a pipeline \
                         file or a run folder (layouts: docs/data.md)";

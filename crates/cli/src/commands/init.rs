@@ -193,7 +193,7 @@ fn spectrum_settings(survey: &DataSurvey, cloud: Option<String>, set: &mut Vec<S
 /// Returns the encoding of transmitter positions for received powers: wavelengths from the size of the site to 2 m, or to
 /// an eighth of a small site, in random directions, since maps have stripes if these are along the axes.
 fn tx_wavelengths(data: &Dataset) -> String {
-    let longest = extent(data).max(1.0).ceil();
+    let longest = longest_side(data).max(1.0).ceil();
     let shortest = (longest / 8.0).min(2.0);
     format!("deformation.tx_encoding=Wavelengths(count: 10, longest_m: {longest:?}, shortest_m: {shortest:?}, seed: 0)")
 }
@@ -204,7 +204,7 @@ fn camera_settings(data: &Dataset) -> Vec<String> {
     let divides = |stride: &usize| width.is_multiple_of(*stride) && height.is_multiple_of(*stride);
     let strides = || (1..=16).filter(divides);
     let stride = strides().find(|stride| width * height <= PIXELS * stride * stride).or_else(|| strides().next_back());
-    let extent = extent(data).max(0.01);
+    let extent = longest_side(data).max(0.01);
     let start = if data.scene.points.is_empty() {
         format!("Random(count: 2000, std: {:.3})", extent / 4.0)
     } else {
@@ -250,7 +250,7 @@ fn pipeline_text(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
 }
 
 /// Returns the longest side of the bounding box of the positions, metres.
-fn extent(data: &Dataset) -> f64 {
+fn longest_side(data: &Dataset) -> f64 {
     let ends = |k: usize| {
         let coordinates = data.samples().map(move |sample| sample.position()[k]);
         coordinates.clone().fold(f64::NEG_INFINITY, f64::max) - coordinates.fold(f64::INFINITY, f64::min)

@@ -40,8 +40,11 @@ impl ChangeOptions {
     }
 }
 
-/// Returns the pipeline file that `path` names, and the run folder if it is one.
-pub(super) fn pipeline_path(path: &Path) -> Result<(PathBuf, Option<PathBuf>)> {
+/// Returns the pipeline file of `path`, and `path` itself if it is a run folder.
+///
+/// # Errors
+/// A sweep folder, or another folder without a pipeline.
+pub(super) fn resolve_pipeline(path: &Path) -> Result<(PathBuf, Option<PathBuf>)> {
     if !path.is_dir() {
         return Ok((path.into(), None));
     }

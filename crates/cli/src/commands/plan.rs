@@ -204,7 +204,7 @@ fn mean_gain(data: &Dataset, test: &[usize], plan: &Choice, regular: &Choice) ->
     let samples = || test.iter().map(|i| data.sample(*i));
     let blocks = Blocks::new(&samples().map(|sample| (sample.id, data.placed.then_some(sample.position()))).collect());
     let gains = plan.scores.iter().zip(&regular.scores).map(|(a, b)| sign * (a - b));
-    Difference::of(&[blocks.cells(samples().map(|sample| sample.id).zip(gains))])
+    Difference::of(&[blocks.block_sums(samples().map(|sample| sample.id).zip(gains))])
 }
 
 /// Lists the links of transmitters that are in no choice, at most [`TESTED`] transmitters.

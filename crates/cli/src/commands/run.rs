@@ -1,6 +1,6 @@
 //! `pwrfgs run`: runs a pipeline.
 
-use super::options::{ChangeOptions, pipeline_path};
+use super::options::{ChangeOptions, resolve_pipeline};
 use crate::interrupt::stop_flag;
 use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
@@ -36,7 +36,7 @@ pub(crate) struct Run {
 
 /// Runs `pwrfgs run`.
 pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<u8> {
-    let (file, folder) = pipeline_path(&arguments.pipeline)?;
+    let (file, folder) = resolve_pipeline(&arguments.pipeline)?;
     let pipeline = read_pipeline(&file, &arguments.changes.all())?;
     let out = arguments.out.clone().or(folder).unwrap_or_else(|| Path::new("runs").join(&pipeline.name));
     let stop = stop_flag();

@@ -1,7 +1,7 @@
 //! `Predictions`: predictions of another program for the test set, read from a folder.
 
-use crate::nerf2::pictures::numbered;
 use crate::npy::MAX_BYTES;
+use crate::pictures::numbered;
 use crate::text::{dbm, read_bytes, read_text, table};
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::npy::Header;

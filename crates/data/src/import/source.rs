@@ -1,9 +1,9 @@
 //! Readers of positions and spectra: NumPy arrays and archives, tables, folders of images.
 
 use super::Sink;
-use crate::nerf2::pictures::{self, Depth};
 use crate::nerf2::read_transmitters;
 use crate::npy;
+use crate::pictures::{self, Depth};
 use pwrfgs_core::npy::Header;
 use pwrfgs_core::{Error, Number, Result, did_you_mean, files};
 use std::collections::BTreeSet;

@@ -38,7 +38,7 @@ pub(crate) fn summarize(data: &Dataset, most: usize, progress: Progress<'_>) -> 
     let summary = |&sample: &usize| {
         let mut hasher = DefaultHasher::new();
         hasher.write(&data.observations.raw(sample));
-        let (range, strongest) = strongest(&data.image(sample), &directions);
+        let (range, strongest) = range_and_direction(&data.image(sample), &directions);
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, chosen.len());
         SpectrumSummary { sample, range, strongest, hash: hasher.finish() }
     };
@@ -54,8 +54,9 @@ fn directions(plane: &ImagePlane) -> Vec<DVec3> {
     pixels.map(|pixel| DVec3::from_array(direction(pixel)).normalize_or_zero()).collect()
 }
 
-/// Returns the smallest and largest pixel, and the direction of the latter.
-fn strongest(image: &Image, directions: &[DVec3]) -> ((f64, f64), Option<DVec3>) {
+/// Returns the smallest and largest pixel, and the unit vector (receiver frame) to the centre of the largest; `None` for a
+/// constant image.
+fn range_and_direction(image: &Image, directions: &[DVec3]) -> ((f64, f64), Option<DVec3>) {
     let widen = |(low, high): (Real, Real), p: &Real| (low.min(*p), high.max(*p));
     let (low, high) = image.pixels.iter().fold((Real::INFINITY, Real::NEG_INFINITY), widen);
     // Rounding gives the strongest direction a plateau of equal pixels: its centre is used, not its first corner.

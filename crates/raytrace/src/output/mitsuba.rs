@@ -27,20 +27,10 @@ const MOST_CONDUCTIVITY: f64 = 1e12;
 /// 10 m. Where objects touch, the order of the file gives the same precedence as in the scene.
 ///
 /// # Errors
-/// A scene with an opening, a mesh that cannot be read, or a folder that cannot be written.
+/// A scene with an opening, a permittivity outside 1 to 1,000,000, a mesh that cannot be read, or a folder that cannot be
+/// written.
 pub fn export(scene: &SceneFile, out: &Path) -> Result<usize> {
-    if let Some(opening) = scene.objects.iter().find(|object| object.finish().is_none()) {
-        let advice = "cannot be exported; remove it, or cut the hole into a mesh";
-        return Err(Error::Config(format!("scene `{}`: opening `{}` {advice}", scene.name, opening.name())));
-    }
-    for (name, finish) in scene.finishes() {
-        let permittivity =
-            scene.material(&finish.material).map_or(1.0, |material| material.constants(scene.carrier_hz).0);
-        if !(1.0..=1e6).contains(&permittivity) {
-            let problem = format!("`{name}`: a permittivity of {permittivity} cannot be exported (1 to 1,000,000)");
-            return Err(Error::Config(format!("scene `{}`: object {problem}; change its material", scene.name)));
-        }
-    }
+    check_exportable(scene)?;
     let world = world::from_scene(scene)?;
     let new_folder = NewFolder::begin(out)?;
     let meshes = new_folder.path().join("meshes");
@@ -68,6 +58,23 @@ pub fn export(scene: &SceneFile, out: &Path) -> Result<usize> {
     write_atomically(&new_folder.path().join("scene.xml"), text.as_bytes())?;
     new_folder.publish()?;
     Ok(ids.len())
+}
+
+/// Checks that the scene has no openings, and materials that the format supports.
+fn check_exportable(scene: &SceneFile) -> Result<()> {
+    if let Some(opening) = scene.objects.iter().find(|object| object.finish().is_none()) {
+        let advice = "cannot be exported; remove it, or cut the hole into a mesh";
+        return Err(Error::Config(format!("scene `{}`: opening `{}` {advice}", scene.name, opening.name())));
+    }
+    for (name, finish) in scene.finishes() {
+        let permittivity =
+            scene.material(&finish.material).map_or(1.0, |material| material.constants(scene.carrier_hz).0);
+        if !(1.0..=1e6).contains(&permittivity) {
+            let problem = format!("`{name}`: a permittivity of {permittivity} cannot be exported (1 to 1,000,000)");
+            return Err(Error::Config(format!("scene `{}`: object {problem}; change its material", scene.name)));
+        }
+    }
+    Ok(())
 }
 
 /// Returns `name` with letters, digits, single `-` and `_` only.

@@ -21,8 +21,8 @@ const LIGHT: Colour = Colour::hex(0x6e_a0dc);
 /// Heading and chart.
 type Figure = (String, String);
 
-/// Returns all curves for which there are numbers.
-pub(super) fn all(run: &LoadedRun<'_>) -> Vec<Figure> {
+/// Returns heading and SVG of every curve for which there are numbers.
+pub(super) fn figures(run: &LoadedRun<'_>) -> Vec<Figure> {
     let mut figures = Vec::new();
     if !run.record.curve.is_empty() {
         figures.extend(loss(run, &run.record.curve_of(2)));

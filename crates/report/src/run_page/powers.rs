@@ -30,7 +30,8 @@ impl PowerPair {
     }
 }
 
-/// Returns the figures, maps and examples.
+/// Returns the values for the template: figures, median and mean error (dB), counts, maps and examples. Links without a
+/// finite error are left out, except in the examples.
 pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     let mut pairs = Vec::with_capacity(run.partition.test.len());
     super::examples::for_each_link(run, &run.partition.test, |link, truth, prediction| {

@@ -147,7 +147,7 @@ impl ComparisonRow<'_> {
         let seed_differences = |run: &&Record| {
             let scores = self.samples(run.facts.seed, metric)?;
             let others = reference.samples(run.facts.seed, metric)?;
-            Some(blocks.cells(scores.iter().filter_map(|(id, value)| Some((*id, value - others.get(id)?)))))
+            Some(blocks.block_sums(scores.iter().filter_map(|(id, value)| Some((*id, value - others.get(id)?)))))
         };
         Difference::of(&self.runs.iter().filter_map(seed_differences).collect::<Vec<_>>())
     }

@@ -2,7 +2,8 @@
 
 use super::{QueryParams, RequestError};
 use crate::predictor::Predictor;
-use crate::side::{LoadedData, ServerState, ViewPane};
+use crate::side::{LoadedData, ViewPane};
+use crate::state::ServerState;
 use hyper::StatusCode;
 use pwrfgs_core::{
     Appearance, Call, Image, LinkSet, MethodTraits, Needs, Origin, Parameters, PixelSubset, Query, Real, Statistic,

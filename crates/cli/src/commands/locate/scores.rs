@@ -118,7 +118,7 @@ impl Samples<'_> {
         let compare = |other: &Entry| {
             let differences = entries[0].errors.iter().zip(&other.errors).map(|(model, baseline)| model - baseline);
             let differences = transmitters.clone().map(|tx| tx.id).zip(differences);
-            let Difference { mean, interval, .. } = Difference::of(&[blocks.cells(differences)])?;
+            let Difference { mean, interval, .. } = Difference::of(&[blocks.block_sums(differences)])?;
             let (baseline, metric) = (other.name.clone(), "error_m".to_owned());
             let interval = interval.map(|(low, high)| [low, high]);
             Some(PairedRow { baseline, metric, higher_is_better: false, mean, interval })

@@ -4,7 +4,7 @@ use super::{Choice, Outcome, Place, RANDOM};
 use crate::progress::RunProgress;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped};
-use pwrfgs::planning::{Subset, best_subset, coverage_of, greedy_subset, random_subsets, strongest};
+use pwrfgs::planning::{Subset, best_subset, coverage_of, greedy_subset, random_subsets, strongest_powers};
 use pwrfgs::report::draw::survey::CoverageMap;
 use pwrfgs_core::{DataSource, Dataset, Error, Result, rng, statistics::mean};
 use std::path::Path;
@@ -108,7 +108,7 @@ impl MeasuredPowers<'_> {
         CoverageMap {
             title,
             transmitters: placed.map(|&t| flat(self.data.locations[t].position())).collect(),
-            powers: strongest(&powers),
+            powers: strongest_powers(&powers),
             selected: chosen.iter().map(point).collect(),
             others: (0..self.held_out.len()).filter(|r| !chosen.contains(r)).map(|r| point(&r)).collect(),
         }

@@ -4,7 +4,7 @@ use super::{Choice, Outcome, Place, RANDOM};
 use crate::progress::RunProgress;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped, number};
-use pwrfgs::planning::{SceneCoverage, coverage_of, greedy_subset, random_subsets, strongest};
+use pwrfgs::planning::{SceneCoverage, coverage_of, greedy_subset, random_subsets, strongest_powers};
 use pwrfgs::raytrace::SceneFile;
 use pwrfgs::report::draw::survey::CoverageMap;
 use pwrfgs_core::{Error, Result, statistics::mean};
@@ -59,7 +59,7 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
     let map = CoverageMap {
         title: format!("{}: simulated coverage {} dBm", scene.name, fixed(ascent.coverage, 1)),
         transmitters: floor.transmitters.iter().map(flat).collect(),
-        powers: strongest(&powers),
+        powers: strongest_powers(&powers),
         selected: ascent.receivers,
         others: Vec::new(),
     };

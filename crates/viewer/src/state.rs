@@ -1,0 +1,91 @@
+//! `ServerState`: the panes of the page, and the events about runs in progress.
+
+use crate::side::ViewPane;
+use pwrfgs_experiment::Facts;
+use pwrfgs_experiment::folder::{CHECKPOINT, CURVE, FACTS, MODEL_FILE};
+use pwrfgs_experiment::record::read_series;
+use serde_json::json;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::{Duration, SystemTime};
+use tokio::sync::broadcast;
+
+/// Interval between checks of a run in progress.
+const POLL_INTERVAL: Duration = Duration::from_millis(500);
+
+/// State of the server.
+pub(crate) struct ServerState {
+    pub(crate) sides: Vec<ViewPane>,
+    watched: AtomicBool,
+    watchers: AtomicUsize,
+    news: broadcast::Sender<String>,
+}
+
+impl ServerState {
+    /// Creates the state. A thread per run in progress sends events about its changes.
+    pub(crate) fn new(sides: Vec<ViewPane>) -> Arc<Self> {
+        let (news, _) = broadcast::channel(64);
+        let state = Arc::new(Self { sides, watched: AtomicBool::new(false), watchers: AtomicUsize::new(0), news });
+        for side in 0..state.sides.len() {
+            let running = state.sides[side].folder.clone().filter(|folder| !folder.join(MODEL_FILE).is_file());
+            if let Some(folder) = running {
+                let state = Arc::downgrade(&state);
+                std::thread::spawn(move || {
+                    let mut times = [None; 2];
+                    while let Some(state) = state.upgrade() {
+                        if state.follow(side, &folder, &mut times) {
+                            break;
+                        }
+                        drop(state);
+                        std::thread::sleep(POLL_INTERVAL);
+                    }
+                });
+            }
+        }
+        state
+    }
+
+    /// Registers an open page until the guard is dropped, and returns the receiver of its events.
+    pub(crate) fn watch(self: &Arc<Self>) -> (broadcast::Receiver<String>, WatcherGuard) {
+        self.watched.store(true, Ordering::Relaxed);
+        self.watchers.fetch_add(1, Ordering::Relaxed);
+        (self.news.subscribe(), WatcherGuard(Arc::clone(self)))
+    }
+
+    /// Returns whether a page was ever opened, and the number of open pages.
+    pub(crate) fn watchers(&self) -> (bool, usize) {
+        (self.watched.load(Ordering::Relaxed), self.watchers.load(Ordering::Relaxed))
+    }
+
+    /// Sends an event if the folder of a run in progress changed; returns whether the run is finished.
+    fn follow(&self, side: usize, folder: &Path, times: &mut [Option<SystemTime>; 2]) -> bool {
+        let changed = |name: &str| std::fs::metadata(folder.join(name)).and_then(|file| file.modified()).ok();
+        let now = [changed(CURVE), changed(MODEL_FILE).or_else(|| changed(CHECKPOINT))];
+        if *times == now {
+            return false;
+        }
+        let reload = times[1] != now[1];
+        *times = now;
+        let ended = reload && self.sides[side].reload().unwrap_or(false);
+        let loaded = self.sides[side].loaded.as_ref();
+        let rows = read_series(&folder.join(CURVE));
+        let field = |k: usize| rows.last().and_then(|row| row.get(k).copied().flatten());
+        let finished = ended && folder.join(FACTS).is_file() && matches!(Facts::read(folder), Ok(Some(_)));
+        let event = json!({
+            "side": side, "step": field(0), "loss": field(2), "gaussians": field(4), "changed": reload, "finished": finished,
+            "steps": loaded.map(|loaded| loaded.pipeline.training.steps),
+        });
+        _ = self.news.send(event.to_string());
+        finished
+    }
+}
+
+/// Registration of an open page.
+pub(crate) struct WatcherGuard(Arc<ServerState>);
+
+impl Drop for WatcherGuard {
+    fn drop(&mut self) {
+        self.0.watchers.fetch_sub(1, Ordering::Relaxed);
+    }
+}
