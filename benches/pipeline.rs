@@ -122,13 +122,14 @@ fn stages(criterion: &mut Criterion) {
         group.bench_function(BenchmarkId::new("projection", n), |b| {
             b.iter(|| projector.project(&geometry, pose, plane));
         });
-        let render = rasterizer.forward(&splats, &signals, CHANNELS, plane);
+        let render = rasterizer.forward(splats.with_signals(&signals, CHANNELS, plane));
         group.bench_function(BenchmarkId::new("blending forward, with sorting", n), |b| {
-            b.iter(|| rasterizer.forward(&splats, &signals, CHANNELS, plane));
+            b.iter(|| rasterizer.forward(splats.with_signals(&signals, CHANNELS, plane)));
         });
         group.bench_function(BenchmarkId::new("sorting alone", n), |b| b.iter(|| rasterizer.prepare(&splats, plane)));
         let d_pixels = vec![1e-4; render.pixels.len()];
-        let backward = || -> RenderVjp { rasterizer.backward(&splats, &signals, CHANNELS, plane, &render, &d_pixels) };
+        let backward =
+            || -> RenderVjp { rasterizer.backward(splats.with_signals(&signals, CHANNELS, plane), &render, &d_pixels) };
         let d = backward().splats;
         group.bench_function(BenchmarkId::new("blending backward", n), |b| b.iter(backward));
         group.bench_function(BenchmarkId::new("projection backward", n), |b| {

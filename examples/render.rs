@@ -21,7 +21,7 @@ const CHANNELS: usize = 2;
 
 fn draw(cloud: &Primitives, plane: &ImagePlane) -> (Splats, Render, Image) {
     let splats = Mercator::default().project(cloud, &Pose::IDENTITY, plane);
-    let render = AlphaBlending::default().forward(&splats, &SIGNALS, CHANNELS, plane);
+    let render = AlphaBlending::default().forward(splats.with_signals(&SIGNALS, CHANNELS, plane));
     let pixels = Readout::Magnitude.forward(&render.pixels, plane.width * plane.height);
     let image = Image { width: plane.width, height: plane.height, pixels };
     (splats, render, image)
@@ -39,7 +39,7 @@ fn main() {
     let mut d_image = vec![0.0; image.pixels.len()];
     d_image[pixel] = 1.0;
     let d_pixels = Readout::Magnitude.vjp(&render.pixels, d_image.len(), &d_image);
-    let d = rasterizer.backward(&splats, &SIGNALS, CHANNELS, &plane, &render, &d_pixels);
+    let d = rasterizer.backward(splats.with_signals(&SIGNALS, CHANNELS, &plane), &render, &d_pixels);
     let d_cloud = projector.project_vjp(&cloud(), &Pose::IDENTITY, &plane, &splats, &d.splats);
 
     println!("{out}: pixel {pixel} is {:.4}", image.pixels[pixel]);

@@ -187,7 +187,8 @@ fn sixteen_gaussians_fit_measured_spectra_to_rounding() {
         let w = weights_of(&lags, sample as u64);
         let rms_of = |w: &[f64]| {
             let (splats, signals) = sixteen_waves(&plane, w);
-            let received = Readout::Magnitude.forward(&array.forward(&splats, &signals, 2, &plane).pixels, 360 * 90);
+            let received =
+                Readout::Magnitude.forward(&array.forward(splats.with_signals(&signals, 2, &plane)).pixels, 360 * 90);
             let errors =
                 received.iter().zip(&picture.pixels).map(|(h, g)| (f64::from(*h) - offset - f64::from(*g)).powi(2));
             (errors.sum::<f64>() / picture.pixels.len() as f64).sqrt()
@@ -294,7 +295,7 @@ fn closed_gate_removes_gaussian_and_open_gate_keeps_field() {
     let gated = |gate: &[Real]| {
         let geometry = activation.geometry(cloud, &deltas, 0, Some(gate));
         let signals = activation.signals(cloud, &deltas, 0..1);
-        rasterizer.forward(&projector.project(&geometry, pose, plane), &signals, 2, plane).pixels
+        rasterizer.forward(projector.project(&geometry, pose, plane).with_signals(&signals, 2, plane)).pixels
     };
     let (mut gate, all) = (vec![1.0; cloud.len()], gated(&vec![1.0; cloud.len()]));
     gate[3] = 0.0;
@@ -302,6 +303,9 @@ fn closed_gate_removes_gaussian_and_open_gate_keeps_field() {
     let without = Model { cloud: cloud.select(&rows), ..model.clone() };
     let geometry = activation.geometry(&without.cloud, &deltas, 0, None);
     let signals = activation.signals(&without.cloud, &deltas, 0..1);
-    assert_eq!(gated(&gate), rasterizer.forward(&projector.project(&geometry, pose, plane), &signals, 2, plane).pixels);
+    assert_eq!(
+        gated(&gate),
+        rasterizer.forward(projector.project(&geometry, pose, plane).with_signals(&signals, 2, plane)).pixels
+    );
     assert_ne!(gated(&gate), all);
 }

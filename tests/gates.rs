@@ -82,7 +82,7 @@ fn invisible_gaussians_change_neither_image_nor_derivative() {
         let geometry = activation.geometry(&more, &deltas, 0, None);
         let splats = splatting.projector.project(&geometry, &stages.pose(), &stages.plane);
         let signals = activation.signals(&more, &deltas, 0..1);
-        let render = splatting.rasterizer.forward(&splats, &signals, activation.channels, &stages.plane);
+        let render = splatting.rasterizer.forward(splats.with_signals(&signals, activation.channels, &stages.plane));
         let whole = splatting.readout.forward(&render.pixels, stages.plane.width * stages.plane.height);
         assert!(whole.iter().zip(picture(&few).pixels).all(|(a, b)| (a - b).abs() < 1e-6), "{deformation}");
         let objective = RenderingLoss::new(0.2);

@@ -113,17 +113,17 @@ fn projectors_and_rasterizers_return_one_row_per_gaussian() {
                 assert!(kind == "ArrayResponse" && name != "Mercator", "{kind} on {name} must know what a pixel means");
                 continue;
             }
-            let render = rasterizer.forward(&splats, &[0.5; 14], 2, &plane);
+            let render = rasterizer.forward(splats.with_signals(&[0.5; 14], 2, &plane));
             assert!(render.pixels.len() == 2 * 90 * 24 && finite(&render.pixels), "{kind} on {name}");
             let prepared = rasterizer.prepare(&splats, &plane);
             for _ in 0..2 {
-                let again = rasterizer.forward_prepared(&splats, &[0.5; 14], 2, &plane, &prepared);
+                let again = rasterizer.forward_prepared(splats.with_signals(&[0.5; 14], 2, &plane), &prepared);
                 assert_eq!(again.pixels, render.pixels, "{kind} on {name}, prepared");
             }
             let light = |t: &Real| (0.0..=1.0).contains(t);
             let seen = &render.transmittance;
             assert!([0, 90 * 24].contains(&seen.len()) && seen.iter().all(light), "{kind}");
-            let d = rasterizer.backward(&splats, &[0.5; 14], 2, &plane, &render, &render.pixels);
+            let d = rasterizer.backward(splats.with_signals(&[0.5; 14], 2, &plane), &render, &render.pixels);
             assert!(d.signals.len() == 14 && d.weights.len() == 7 && finite(&d.signals), "{kind} on {name}");
             let d = projector.project_vjp(&geometry, &Pose::IDENTITY, &plane, &splats, &d.splats);
             assert!(d.len() == 7 && finite(d.means.as_flattened()) && finite(d.quats.as_flattened()), "{name}");

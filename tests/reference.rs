@@ -150,7 +150,7 @@ impl Start {
         let deltas = deformation.forward(&DeformationInputs::new(&self.weights, &self.cloud.means, txs, pose), &None);
         let geometry = activation.geometry(&self.cloud, &deltas, 0, gate.as_deref());
         let splats = projector.project(&geometry, pose, plane);
-        let render = rasterizer.forward(&splats, &activation.signals(&self.cloud, &deltas, 0..1), 1, plane);
+        let render = rasterizer.forward(splats.with_signals(&activation.signals(&self.cloud, &deltas, 0..1), 1, plane));
         (geometry, splats, render.pixels, render.transmittance)
     }
 }

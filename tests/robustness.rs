@@ -35,8 +35,8 @@ fn draw(projector: &str, rasterizer: &str, p: &Primitives) -> (Vec<Real>, Primit
     let plane = projector.plane(90, 24);
     let splats = projector.project(p, &Pose::IDENTITY, &plane);
     let signals: Vec<Real> = (0..p.len()).map(|i| 0.2 + 0.1 * i as Real).collect();
-    let render = rasterizer.forward(&splats, &signals, 1, &plane);
-    let d = rasterizer.backward(&splats, &signals, 1, &plane, &render, &render.pixels);
+    let render = rasterizer.forward(splats.with_signals(&signals, 1, &plane));
+    let d = rasterizer.backward(splats.with_signals(&signals, 1, &plane), &render, &render.pixels);
     let d = projector.project_vjp(p, &Pose::IDENTITY, &plane, &splats, &d.splats);
     (render.pixels, d)
 }

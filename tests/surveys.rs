@@ -78,7 +78,7 @@ impl Sight {
         let deltas = self.deltas(splatting);
         let splats = splatting.geometry(view, &self.parameters(), &deltas, b).splats;
         let signals: Vec<Real> = (0..N * N).map(|k| Real::from(u8::from(k / N == k % N))).collect();
-        let pixels = splatting.rasterizer.forward(&splats, &signals, N, &view.plane).pixels;
+        let pixels = splatting.rasterizer.forward(splats.with_signals(&signals, N, &view.plane)).pixels;
         pixels.chunks_exact(view.plane.width * view.plane.height).map(<[Real]>::to_vec).collect()
     }
 

@@ -172,7 +172,7 @@ pub(crate) fn draw<'py>(
     }
     free(py, move || {
         let splats = view.projector.project(&unit(&columns), &view.pose, &view.plane);
-        let render = view.rasterizer.forward(&splats, &signals, channels, &view.plane);
+        let render = view.rasterizer.forward(splats.with_signals(&signals, channels, &view.plane));
         Ok(Drawing { view, inputs: columns, splats, signals, channels, render })
     })
 }
@@ -201,7 +201,11 @@ impl Drawing {
         let shape = [Some(self.channels), Some(plane.height), Some(plane.width)];
         let d_pixels = numbers::<Real>("d_image", d_image, &shape)?;
         let (d, d_signals, (d_position, d_orientation)) = free(py, || {
-            let found = rasterizer.backward(&self.splats, &self.signals, self.channels, plane, &self.render, &d_pixels);
+            let found = rasterizer.backward(
+                self.splats.with_signals(&self.signals, self.channels, plane),
+                &self.render,
+                &d_pixels,
+            );
             let primitives = unit(&self.inputs);
             let mut d = projector.project_vjp(&primitives, pose, plane, &self.splats, &found.splats);
             let d_pose = primitives.pose_vjp(pose, &d);

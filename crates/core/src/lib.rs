@@ -76,7 +76,7 @@ pub use scene::{
 pub use setup::{LinkInputs, MeasurementSetup, ReceiverState};
 pub use shipped::ShippedFile;
 pub use spectra::{Number, Spectra};
-pub use splats::{Primitives, Splats};
+pub use splats::{Primitives, SignalSplats, Splats};
 pub use statistics::evenly;
 pub use stats::{CloudStats, Needs, PassStatistics, Phase, Statistic, StepContext};
 pub use tape::Gate;

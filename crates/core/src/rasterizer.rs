@@ -1,7 +1,7 @@
 //! `Projector` and `Rasterizer`: from Gaussians in space to splats on the image plane, and from splats to an image of
 //! signals.
 
-use crate::{Cache, Camera, Elevation, ImagePlane, Misfit, Pose, Primitives, Real, Splats, plugin_kind};
+use crate::{Cache, Camera, Elevation, ImagePlane, Misfit, Pose, Primitives, Real, SignalSplats, Splats, plugin_kind};
 
 /// Projects Gaussians onto the image plane of a receiver.
 ///
@@ -64,12 +64,12 @@ pub trait Projector: crate::plugin::PluginObject {
 }
 plugin_kind!(Projector);
 
-/// Draws splats. One geometry may carry the signals of several transmitters: `channels` values per splat.
+/// Draws splats. One geometry may carry the signals of several transmitters ([`SignalSplats`]).
 #[typetag::serde]
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait Rasterizer: crate::plugin::PluginObject {
-    /// Draws `signals`, row-major `[N, channels]`.
-    fn forward(&self, splats: &Splats, signals: &[Real], channels: usize, plane: &ImagePlane) -> Render;
+    /// Draws splats with their signals.
+    fn forward(&self, splats: SignalSplats<'_>) -> Render;
 
     /// Precomputes the signal-independent part of [`Self::forward`], such as depth order and tile lists, for constant
     /// geometry with varying signals. `None` without such a part.
@@ -78,27 +78,12 @@ pub trait Rasterizer: crate::plugin::PluginObject {
     }
 
     /// Runs [`Self::forward`], bit-identical, with the result of [`Self::prepare`] for the same splats and plane.
-    fn forward_prepared(
-        &self,
-        splats: &Splats,
-        signals: &[Real],
-        channels: usize,
-        plane: &ImagePlane,
-        prepared: &Cache,
-    ) -> Render {
-        self.forward(splats, signals, channels, plane)
+    fn forward_prepared(&self, splats: SignalSplats<'_>, prepared: &Cache) -> Render {
+        self.forward(splats)
     }
 
     /// Returns the cotangents of splats and signals, given `d_pixels` in the layout of [`Render::pixels`].
-    fn backward(
-        &self,
-        splats: &Splats,
-        signals: &[Real],
-        channels: usize,
-        plane: &ImagePlane,
-        render: &Render,
-        d_pixels: &[Real],
-    ) -> RenderVjp;
+    fn backward(&self, splats: SignalSplats<'_>, render: &Render, d_pixels: &[Real]) -> RenderVjp;
 
     /// Returns whether it blends front to back: it then supports [`Splats::existence`] and a [`survey`](Self::survey) of
     /// its weights.

@@ -78,7 +78,25 @@ impl Primitives {
     }
 }
 
+/// Splats with the signals of one or several transmitters, on an image plane.
+#[derive(Clone, Copy, Debug)]
+pub struct SignalSplats<'a> {
+    /// Splats `[N]`.
+    pub geometry: &'a Splats,
+    /// Signals, row-major `[N, channels]`.
+    pub signals: &'a [Real],
+    /// Number of values per splat.
+    pub channels: usize,
+    /// Image plane.
+    pub plane: &'a ImagePlane,
+}
+
 impl Splats {
+    /// Returns the splats with `signals`, row-major `[N, channels]`, on an image plane.
+    pub fn with_signals<'a>(&'a self, signals: &'a [Real], channels: usize, plane: &'a ImagePlane) -> SignalSplats<'a> {
+        SignalSplats { geometry: self, signals, channels, plane }
+    }
+
     /// Returns the number of Gaussians N.
     pub fn len(&self) -> usize {
         self.means2d.len()

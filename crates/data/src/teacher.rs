@@ -113,7 +113,7 @@ impl Teacher {
         for batch in txs.chunks(BATCH) {
             let signals: Vec<Vec<[Real; 2]>> = batch.iter().map(|tx| truth.signals(self.origin().local(*tx))).collect();
             let rows = (0..self.gaussians).flat_map(|i| signals.iter().flat_map(move |signals| signals[i]));
-            let render = rasterizer.forward(&splats, &rows.collect::<Vec<Real>>(), 2 * batch.len(), &plane);
+            let render = rasterizer.forward(splats.with_signals(&rows.collect::<Vec<Real>>(), 2 * batch.len(), &plane));
             for pair in render.pixels.chunks_exact(2 * self.width * self.height) {
                 let (c0, c1) = pair.split_at(pair.len() / 2);
                 spectra.extend(c0.iter().zip(c1).map(|(a, b)| a.hypot(*b)));

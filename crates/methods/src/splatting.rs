@@ -150,7 +150,7 @@ impl Splatting {
         let geometry = shared_geometry.cloned().unwrap_or_else(fresh);
         let signals = self.activation().signals(p.cloud, deltas, batch.clone());
         let (channels, Geometry { splats, cache, .. }) = (self.readout.channels() * batch.len(), &*geometry);
-        let render = self.rasterizer.forward_prepared(splats, &signals, channels, &view.plane, cache);
+        let render = self.rasterizer.forward_prepared(splats.with_signals(&signals, channels, &view.plane), cache);
         BlendedSignals { batch, geometry, signals, render }
     }
 
@@ -168,7 +168,7 @@ impl Splatting {
         let BlendedSignals { batch, geometry, signals, render } = drawing;
         let (activation, splats) = (self.activation(), &geometry.splats);
         let channels = activation.channels * batch.len();
-        let mut d = self.rasterizer.backward(splats, signals, channels, &view.plane, render, d_pixels);
+        let mut d = self.rasterizer.backward(splats.with_signals(signals, channels, &view.plane), render, d_pixels);
         if let Some(existence) = p.existence.filter(|_| !geometry.opacities_without_existence.is_empty()) {
             d.splats.existence =
                 d.splats.opacities.iter().zip(&geometry.opacities_without_existence).map(|(d, o)| d * o).collect();

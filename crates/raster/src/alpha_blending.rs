@@ -7,8 +7,8 @@ use crate::canvas::{gather, patches};
 use crate::survey::SurveyTile;
 use crate::tiles::{Support, TileLists};
 use pwrfgs_core::{
-    Cache, ImagePlane, JsonSchema, Misfit, Rasterizer, Real, Render, RenderVjp, SplatStats, Splats, SurveyInputs,
-    cached, widest,
+    Cache, ImagePlane, JsonSchema, Misfit, Rasterizer, Real, Render, RenderVjp, SignalSplats, SplatStats, Splats,
+    SurveyInputs, cached, widest,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -38,23 +38,17 @@ pub struct AlphaBlending {
 
 #[typetag::serde]
 impl Rasterizer for AlphaBlending {
-    fn forward(&self, splats: &Splats, signals: &[Real], channels: usize, plane: &ImagePlane) -> Render {
-        self.forward_prepared(splats, signals, channels, plane, &self.prepare(splats, plane))
+    fn forward(&self, splats: SignalSplats<'_>) -> Render {
+        self.forward_prepared(splats, &self.prepare(splats.geometry, splats.plane))
     }
 
     fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
         Some(Arc::new(TileLists::build(splats, plane, self.support)))
     }
 
-    fn forward_prepared(
-        &self,
-        splats: &Splats,
-        signals: &[Real],
-        channels: usize,
-        plane: &ImagePlane,
-        prepared: &Cache,
-    ) -> Render {
-        assert_eq!(signals.len(), splats.len() * channels, "one signal a splat and channel");
+    fn forward_prepared(&self, splats: SignalSplats<'_>, prepared: &Cache) -> Render {
+        let SignalSplats { signals, channels, plane, .. } = splats;
+        assert_eq!(signals.len(), splats.geometry.len() * channels, "one signal a splat and channel");
         let lists: &TileLists = cached(prepared);
         let size = plane.width * plane.height;
         let (mut pixels, mut transmittance) = (vec![0.0; size * channels], vec![1.0; size]);
@@ -62,7 +56,7 @@ impl Rasterizer for AlphaBlending {
         tiles.enumerate().for_each_init(
             || vec![0.0; channels * PIXELS],
             |scratch, (t, (mut signal, mut transmittance))| {
-                let tile = tile(lists, t, splats, signals, channels, plane);
+                let tile = tile(lists, t, splats);
                 if tile.list.is_empty() {
                     return; // zeros and ones already
                 }
@@ -74,15 +68,8 @@ impl Rasterizer for AlphaBlending {
         Render { pixels, transmittance, cache: prepared.clone() }
     }
 
-    fn backward(
-        &self,
-        splats: &Splats,
-        signals: &[Real],
-        channels: usize,
-        plane: &ImagePlane,
-        render: &Render,
-        d_pixels: &[Real],
-    ) -> RenderVjp {
+    fn backward(&self, splats: SignalSplats<'_>, render: &Render, d_pixels: &[Real]) -> RenderVjp {
+        let SignalSplats { geometry, channels, plane, .. } = splats;
         assert_eq!(d_pixels.len(), render.pixels.len(), "one cotangent a pixel and channel");
         let lists: &TileLists = cached(&render.cache);
         let stride = GEOMETRY + channels;
@@ -97,7 +84,7 @@ impl Rasterizer for AlphaBlending {
         slices.into_par_iter().enumerate().for_each_init(
             || (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS], vec![[0.0; TILE]; channels]),
             |(pixels, d, d_signal), (t, out)| {
-                let tile = tile(lists, t, splats, signals, channels, plane);
+                let tile = tile(lists, t, splats);
                 if tile.list.is_empty() {
                     return;
                 }
@@ -106,8 +93,8 @@ impl Rasterizer for AlphaBlending {
                 widest(Backward { tile: &tile, pixels, d_pixels: d, d_signal, out });
             },
         );
-        let mut vjp = sum_over_tiles(lists, splats.len(), channels, &parts);
-        vjp.splats.existence.truncate(splats.existence.len());
+        let mut vjp = sum_over_tiles(lists, geometry.len(), channels, &parts);
+        vjp.splats.existence.truncate(geometry.existence.len());
         vjp
     }
 
@@ -125,7 +112,7 @@ impl Rasterizer for AlphaBlending {
         let lists: &TileLists = cached(&render.cache);
         let channels = render.pixels.len() / (plane.width * plane.height);
         let survey_tile = |t: usize| {
-            let tile = tile(lists, t, splats, &[], channels, plane);
+            let tile = tile(lists, t, splats.with_signals(&[], channels, plane));
             widest(SurveyTile { tile: &tile, picture: &render.pixels, survey })
         };
         let tiles: Vec<Vec<SplatStats>> = (0..lists.len()).into_par_iter().map(survey_tile).collect();
@@ -150,16 +137,11 @@ impl Rasterizer for AlphaBlending {
     }
 }
 
-fn tile<'a>(
-    lists: &'a TileLists,
-    t: usize,
-    splats: &'a Splats,
-    signals: &'a [Real],
-    channels: usize,
-    plane: &'a ImagePlane,
-) -> Tile<'a> {
+/// Returns tile `t` of the image with its splats.
+fn tile<'a>(lists: &'a TileLists, t: usize, splats: SignalSplats<'a>) -> Tile<'a> {
     let (list, rows) = lists.of(t);
-    Tile { splats, signals, channels, plane, list, rows, corner: lists.corner(t) }
+    let SignalSplats { geometry, signals, channels, plane } = splats;
+    Tile { splats: geometry, signals, channels, plane, list, rows, corner: lists.corner(t) }
 }
 
 /// Sums the cotangents of each splat over its tiles, in tile order, independent of the threads.

@@ -4,7 +4,9 @@ mod beams;
 mod wave;
 
 use beams::Beams;
-use pwrfgs_core::{Cache, ImagePlane, JsonSchema, Misfit, Rasterizer, Real, Render, RenderVjp, Splats, cached};
+use pwrfgs_core::{
+    Cache, ImagePlane, JsonSchema, Misfit, Rasterizer, Real, Render, RenderVjp, SignalSplats, Splats, cached,
+};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -83,8 +85,8 @@ const LARGEST: usize = 32;
 
 #[typetag::serde]
 impl Rasterizer for ArrayResponse {
-    fn forward(&self, splats: &Splats, signals: &[Real], channels: usize, plane: &ImagePlane) -> Render {
-        self.forward_prepared(splats, signals, channels, plane, &self.prepare(splats, plane))
+    fn forward(&self, splats: SignalSplats<'_>) -> Render {
+        self.forward_prepared(splats, &self.prepare(splats.geometry, splats.plane))
     }
 
     fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
@@ -92,31 +94,18 @@ impl Rasterizer for ArrayResponse {
         Some(Arc::new(Steered { waves, beams: self.beams(plane) }))
     }
 
-    fn forward_prepared(
-        &self,
-        splats: &Splats,
-        signals: &[Real],
-        channels: usize,
-        plane: &ImagePlane,
-        prepared: &Cache,
-    ) -> Render {
-        assert_eq!(signals.len(), splats.len() * channels, "one signal a splat and channel");
+    fn forward_prepared(&self, splats: SignalSplats<'_>, prepared: &Cache) -> Render {
+        let SignalSplats { geometry, signals, channels, plane } = splats;
+        assert_eq!(signals.len(), geometry.len() * channels, "one signal a splat and channel");
         let Steered { waves, beams } = cached(prepared);
-        let field = field(splats, signals, waves, self.rows * self.columns, channels);
+        let field = field(geometry, signals, waves, self.rows * self.columns, channels);
         let mut pixels = vec![0.0; channels * plane.width * plane.height];
         beams.draw(&field, &mut pixels);
         Render { pixels, transmittance: Vec::new(), cache: prepared.clone() }
     }
 
-    fn backward(
-        &self,
-        splats: &Splats,
-        signals: &[Real],
-        channels: usize,
-        plane: &ImagePlane,
-        render: &Render,
-        d_pixels: &[Real],
-    ) -> RenderVjp {
+    fn backward(&self, splats: SignalSplats<'_>, render: &Render, d_pixels: &[Real]) -> RenderVjp {
+        let SignalSplats { geometry: splats, signals, channels, plane } = splats;
         let antennas = self.antennas(plane);
         let elements = antennas.len();
         let Steered { waves, beams } = cached(&render.cache);

@@ -17,7 +17,7 @@ fn plane() -> ImagePlane {
 
 fn draw_on(array: &ArrayResponse, p: &Primitives, pose: &Pose, signals: &[Real], plane: &ImagePlane) -> Vec<Real> {
     let channels = signals.len() / p.len();
-    array.forward(&Mercator::default().project(p, pose, plane), signals, channels, plane).pixels
+    array.forward(Mercator::default().project(p, pose, plane).with_signals(signals, channels, plane)).pixels
 }
 
 fn draw(array: &ArrayResponse, p: &Primitives, pose: &Pose, signals: &[Real]) -> Vec<Real> {
@@ -135,7 +135,8 @@ fn widened_response_is_mean_over_gaussian() {
         let signals: Vec<Real> = (0..n).flat_map(|_| [1.0, 0.0]).collect();
         let projector = Mercator { margin_deg: 60.0, ..Mercator::default() };
         let narrow = ArrayResponse { widened: false, ..ArrayResponse::default() };
-        let expected = narrow.forward(&projector.project(&cloud, &Pose::IDENTITY, &plane()), &signals, 2, &plane());
+        let expected =
+            narrow.forward(projector.project(&cloud, &Pose::IDENTITY, &plane()).with_signals(&signals, 2, &plane()));
         let point = draw(&narrow, &ball, &Pose::IDENTITY, &[1.0, 0.0]);
         let (error, effect) = (relative(&expected.pixels, &found), relative(&expected.pixels, &point));
         assert!(effect > 0.05 && error < share * effect, "elevation {elevation}: error {error}, effect {effect}");
@@ -284,8 +285,8 @@ fn derivatives_agree_with_differences() {
             |x, d| {
                 let (p, s) = unpack(x);
                 let splats = projector.project(&p, &POSE, &plane);
-                let render = array.forward(&splats, &s, CHANNELS, &plane);
-                let g = array.backward(&splats, &s, CHANNELS, &plane, &render, d);
+                let render = array.forward(splats.with_signals(&s, CHANNELS, &plane));
+                let g = array.backward(splats.with_signals(&s, CHANNELS, &plane), &render, d);
                 pack(&projector.project_vjp(&p, &POSE, &plane, &splats, &g.splats), &g.signals)
             },
             1e-6,
@@ -303,12 +304,12 @@ fn array_response_is_finite_for_degenerate_splats() {
     splats.opacities = vec![1.0; 3];
     for wavefront in [Wavefront::Plane, Wavefront::Spherical { wavelength_m: 0.3 }] {
         let array = ArrayResponse { wavefront, ..ArrayResponse::default() };
-        let render = array.forward(&splats, &[1.0; 6], 2, &plane);
-        let g = array.backward(&splats, &[1.0; 6], 2, &plane, &render, &vec![1.0; render.pixels.len()]);
+        let render = array.forward(splats.with_signals(&[1.0; 6], 2, &plane));
+        let g = array.backward(splats.with_signals(&[1.0; 6], 2, &plane), &render, &vec![1.0; render.pixels.len()]);
         let all = [render.pixels, g.signals, g.splats.means2d.into_flattened(), g.splats.conics.into_flattened()];
         assert!(all.iter().flatten().chain(&g.splats.depths).all(|x| x.is_finite()));
     }
-    let none = ArrayResponse::default().forward(&Splats::zeros(0), &[], 2, &plane);
+    let none = ArrayResponse::default().forward(Splats::zeros(0).with_signals(&[], 2, &plane));
     assert!(none.pixels.iter().all(|p| *p == 0.0));
 }
 

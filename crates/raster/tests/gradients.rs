@@ -37,13 +37,13 @@ fn check(
         &x,
         |x| {
             let (p, s) = unpack(x);
-            raster.forward(&project(&p), &s, CHANNELS, plane).pixels
+            raster.forward(project(&p).with_signals(&s, CHANNELS, plane)).pixels
         },
         |x, d| {
             let (p, s) = unpack(x);
             let splats = project(&p);
-            let render = raster.forward(&splats, &s, CHANNELS, plane);
-            let g = raster.backward(&splats, &s, CHANNELS, plane, &render, d);
+            let render = raster.forward(splats.with_signals(&s, CHANNELS, plane));
+            let g = raster.backward(splats.with_signals(&s, CHANNELS, plane), &render, d);
             pack(&project_vjp(&p, &splats, &g.splats), &g.signals)
         },
         1e-7,

@@ -8,7 +8,7 @@ use pwrfgs_raster::{AlphaBlending, Mercator};
 fn draw(p: &Primitives, pose: &Pose, signals: &[Real], channels: usize) -> Vec<Real> {
     let projector = Mercator::default();
     let plane = projector.plane(360, 90);
-    AlphaBlending::default().forward(&projector.project(p, pose, &plane), signals, channels, &plane).pixels
+    AlphaBlending::default().forward(projector.project(p, pose, &plane).with_signals(signals, channels, &plane)).pixels
 }
 
 #[test]

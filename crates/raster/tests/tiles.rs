@@ -19,13 +19,13 @@ proptest! {
         let (splats, plane) = splats(n, seed, width, height);
         let signals = signals(n, channels, seed);
         let raster = AlphaBlending::default();
-        let render = raster.forward(&splats, &signals, channels, &plane);
+        let render = raster.forward(splats.with_signals(&signals, channels, &plane));
         let (pixels, light) = reference::forward(&splats, &signals, channels, &plane);
         prop_assert!(relative(&pixels, &render.pixels) < TOLERANCE);
         prop_assert!(relative(&light, &render.transmittance) < TOLERANCE);
 
         let d: Vec<Real> = (0..pixels.len()).map(|k| (k as Real * 0.37).sin()).collect();
-        let ours = raster.backward(&splats, &signals, channels, &plane, &render, &d);
+        let ours = raster.backward(splats.with_signals(&signals, channels, &plane), &render, &d);
         let theirs = reference::backward(&splats, &signals, channels, &plane, &d);
         prop_assert!(relative(&theirs.signals, &ours.signals) < TOLERANCE);
         prop_assert!(relative(&theirs.weights, &ours.weights) < TOLERANCE);
@@ -46,7 +46,7 @@ fn coincident_splats_match_brute_force() {
         splats.opacities[i] = 1.0;
     }
     let signals = signals(4, 2, 9);
-    let render = AlphaBlending::default().forward(&splats, &signals, 2, &plane);
+    let render = AlphaBlending::default().forward(splats.with_signals(&signals, 2, &plane));
     let (pixels, light) = reference::forward(&splats, &signals, 2, &plane);
     assert!(relative(&pixels, &render.pixels) < 1e-6 && relative(&light, &render.transmittance) < 1e-6);
 }
@@ -58,8 +58,8 @@ fn rendering_is_bit_identical_with_one_and_two_threads() {
     let run = |threads| {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| {
             let raster = AlphaBlending::default();
-            let render = raster.forward(&splats, &signals, 2, &plane);
-            let d = raster.backward(&splats, &signals, 2, &plane, &render, &render.pixels);
+            let render = raster.forward(splats.with_signals(&signals, 2, &plane));
+            let d = raster.backward(splats.with_signals(&signals, 2, &plane), &render, &render.pixels);
             (render.pixels, d.splats, d.signals)
         })
     };

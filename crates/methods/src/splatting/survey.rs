@@ -81,7 +81,8 @@ impl Splatting {
         let (splats, channels) = (&geometry.splats, self.readout.channels());
         let n = splats.len();
         // Only blending weights are needed, so that the signals are arbitrary.
-        let render = self.rasterizer.forward_prepared(splats, &vec![1.0; n], 1, &view.plane, &geometry.cache);
+        let render =
+            self.rasterizer.forward_prepared(splats.with_signals(&vec![1.0; n], 1, &view.plane), &geometry.cache);
         let splat_stats = self.rasterizer.survey(splats, &view.plane, &render, &SurveyInputs::default());
         let mut statistics = PassStatistics::zeros(needs, n);
         statistics.links = links;
@@ -162,7 +163,7 @@ impl Splatting {
             splats.existence = vec![1.0; splats.len()];
         }
         let channels = self.readout.channels();
-        let d = self.rasterizer.backward(&splats, signals, channels, &view.plane, render, slopes);
+        let d = self.rasterizer.backward(splats.with_signals(signals, channels, &view.plane), render, slopes);
         for (i, own) in splat_stats.iter_mut().enumerate() {
             own.sensitivity = (splats.existence[i] * d.splats.existence[i]).powi(2);
             let ([x, y], [a, b, c]) = (d.splats.means2d[i], d.splats.conics[i]);
