@@ -52,17 +52,7 @@ pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
 /// Formats size and cost of a run as a table.
 fn describe_run(p: &Preview) -> String {
     let (t, n) = (&p.pipeline.training, |count: usize| grouped(count as i64));
-    let steps = |count: u64| grouped(count as i64);
     let [train, validation, test] = p.samples.map(n);
-    let names = |names: Vec<String>| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
-    let phase = |from: u64, to: u64, name: &str| {
-        (from < to.min(t.steps)).then(|| format!("{name} from step {} to {}", steps(from + 1), steps(to.min(t.steps))))
-    };
-    let phases = [
-        phase(0, t.densify_until, "densify"),
-        phase(t.densify_until, t.prune_until, "prune"),
-        phase(t.prune_until, t.steps, "finetune"),
-    ];
     let free = p.free_bytes.map_or_else(String::new, |free| format!(", {} available", memory(free)));
     let mut rows = vec![
         ("data", format!("{}: {}", p.title, p.observed)),
@@ -70,22 +60,16 @@ fn describe_run(p: &Preview) -> String {
         ("test distance", format!("{} to the nearest training transmitter (median)", length(p.test_distance))),
         (
             "Gaussians",
-            match p.time.start.gaussians {
-                0 => "none".into(),
-                count => format!("{} initially", n(count)),
+            if p.time.start.gaussians == 0 {
+                "none".into()
+            } else {
+                format!("{} initially", n(p.time.start.gaussians))
             },
         ),
         ("network", format!("{} weights", n(p.weights))),
-        ("pruners", names(p.pipeline.pruners.iter().map(plugin_name).collect())),
-        (
-            "steps",
-            match t.rays {
-                Rays::All => format!("{} of {} transmitters", steps(t.steps), n(t.batch)),
-                Rays::Same(rays) => format!("{} of {} rays of {} transmitters", steps(t.steps), n(rays), n(t.batch)),
-                Rays::Each(pairs) => format!("{} of {} pairs of spectrum and pixel", steps(t.steps), n(pairs)),
-            },
-        ),
-        ("phases", names(phases.into_iter().flatten().collect())),
+        ("pruners", listed_or_none(p.pipeline.pruners.iter().map(plugin_name).collect())),
+        ("steps", describe_steps(t)),
+        ("phases", describe_phases(t)),
         ("memory", format!("about {}{free}", memory(p.loaded_bytes + p.step_bytes))),
         ("time", describe_time(&p.time, is_unlimited(t))),
         ("machine", describe_machine(p)),
@@ -94,6 +78,35 @@ fn describe_run(p: &Preview) -> String {
     rows.splice(1..1, p.summary.facts.iter().cloned().chain(pose));
     rows.extend(p.outlook.iter().map(|sentence| ("pruning", sentence.clone())));
     aligned(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)
+}
+
+/// Joins names, or returns `none`.
+fn listed_or_none(names: Vec<String>) -> String {
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+}
+
+/// Describes the number of steps and what a step reads.
+fn describe_steps(t: &Training) -> String {
+    let (steps, n) = (grouped(t.steps as i64), |count: usize| grouped(count as i64));
+    match t.rays {
+        Rays::All => format!("{steps} of {} transmitters", n(t.batch)),
+        Rays::Same(rays) => format!("{steps} of {} rays of {} transmitters", n(rays), n(t.batch)),
+        Rays::Each(pairs) => format!("{steps} of {} pairs of spectrum and pixel", n(pairs)),
+    }
+}
+
+/// Describes the phases of algorithm 1 by their steps.
+fn describe_phases(t: &Training) -> String {
+    let steps = |count: u64| grouped(count as i64);
+    let phase = |(from, to, name): (u64, u64, &str)| {
+        (from < to.min(t.steps)).then(|| format!("{name} from step {} to {}", steps(from + 1), steps(to.min(t.steps))))
+    };
+    let phases = [
+        (0, t.densify_until, "densify"),
+        (t.densify_until, t.prune_until, "prune"),
+        (t.prune_until, t.steps, "finetune"),
+    ];
+    listed_or_none(phases.into_iter().filter_map(phase).collect())
 }
 
 /// Returns whether densification may add Gaussians beyond those of the estimate.
