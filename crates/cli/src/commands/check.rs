@@ -67,7 +67,7 @@ fn describe_run(p: &Preview) -> String {
             },
         ),
         ("network", format!("{} weights", n(p.weights))),
-        ("pruners", listed_or_none(p.pipeline.pruners.iter().map(plugin_name).collect())),
+        ("pruners", listed_or_none(&p.pipeline.pruners.iter().map(plugin_name).collect::<Vec<_>>())),
         ("steps", describe_steps(t)),
         ("phases", describe_phases(t)),
         ("memory", format!("about {}{free}", memory(p.loaded_bytes + p.step_bytes))),
@@ -81,7 +81,7 @@ fn describe_run(p: &Preview) -> String {
 }
 
 /// Joins names, or returns `none`.
-fn listed_or_none(names: Vec<String>) -> String {
+fn listed_or_none(names: &[String]) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
@@ -106,7 +106,7 @@ fn describe_phases(t: &Training) -> String {
         (t.densify_until, t.prune_until, "prune"),
         (t.prune_until, t.steps, "finetune"),
     ];
-    listed_or_none(phases.into_iter().filter_map(phase).collect())
+    listed_or_none(&phases.into_iter().filter_map(phase).collect::<Vec<_>>())
 }
 
 /// Returns whether densification may add Gaussians beyond those of the estimate.
