@@ -2,7 +2,7 @@
 
 use crate::messages::strip_control;
 use crate::plugin::{Plugin, name_of, to_ron};
-use crate::pruner::{PruneTarget, contexts};
+use crate::pruner::{PruneTarget, prune_contexts};
 use crate::{
     Dataset, Demand, GaussianCloud, ImagePlane, MeasurementSetup, Method, MethodTraits, Misfit, Phase, Projector,
     Pruner, Receiver, Requirement, SetupDifference, Statistic, StepContext, Task,
@@ -133,7 +133,7 @@ fn check_pruners(parts: &Parts<'_>, traits: &MethodTraits<'_>) -> Result<(), Mis
     refuse(parts.training.and_then(|training| missed_target(&training, pruners)))?;
     let target = parts.training.map(|training| training.target).filter(|target| *target > 0);
     let moment = StepContext { round: 1, passed: 1, rounds: 1, target, ..StepContext::new(1, Phase::Prune, 0) };
-    for (pruner, context) in pruners.iter().zip(contexts(pruners, &moment)) {
+    for (pruner, context) in pruners.iter().zip(prune_contexts(pruners, &moment)) {
         let needs = pruner.needs(&GaussianCloud::zeros(0), &context).statistics;
         let rasterizer = if task.is_some_and(|task| task.is_complex) { "" } else { "rasterizer: AlphaBlending() or " };
         let needs_blending = !traits.blends && needs.iter().any(|statistic| statistic.requires_blending());

@@ -66,7 +66,7 @@ pub use method::{
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
 pub use misfit::{Demand, Misfit, Requirement, SetupDifference};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};
-pub use pruner::{Budget, ColumnSpec, PruneTarget, Pruner, PrunerTraits, best, contexts};
+pub use pruner::{Budget, ColumnSpec, PruneTarget, Pruner, PrunerTraits, best, prune_contexts};
 pub use rasterizer::{Projector, Rasterizer, Render, RenderVjp, SplatStats, SurveyInputs};
 pub use real::{Lanes, Mat3, Real, Vec3, consts, logit, sigmoid, widest};
 pub use scene::{

@@ -152,7 +152,7 @@ impl PruneTarget {
 }
 
 /// Returns `context` for each pruner: only the first that supports a target receives it.
-pub fn contexts(pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Vec<StepContext> {
+pub fn prune_contexts(pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Vec<StepContext> {
     let first = pruners.iter().position(|pruner| pruner.traits().budget.is_some());
     let of = |k: usize| StepContext { target: context.target.filter(|_| first == Some(k)), ..*context };
     (0..pruners.len()).map(of).collect()

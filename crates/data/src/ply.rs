@@ -35,6 +35,8 @@ pub(crate) fn parse_mesh(path: &Path, bytes: &[u8]) -> Result<Triangles> {
 struct Contents {
     vertices: Vec<[f64; 3]>,
     polygons: Polygons,
+    /// Indices of the corners of a face: a work buffer.
+    indices: Vec<i64>,
 }
 
 /// Parser of the body, which follows the header.
@@ -103,7 +105,7 @@ impl BodyParser<'_> {
         let mut contents = Contents::default();
         for (e, element) in self.elements() {
             for i in 0..element.count {
-                let point = self.parse_row(&mut body, (e, i), &mut contents.polygons)?;
+                let point = self.parse_row(&mut body, (e, i), &mut contents)?;
                 if e == self.header.vertex {
                     if let Some(fault) = point_fault(point) {
                         let problem = format!("vertex {} of {} is {fault}; {POINT_ADVICE}", i + 1, element.count);
@@ -122,8 +124,8 @@ impl BodyParser<'_> {
         }
     }
 
-    /// Parses row `i` of element `e`: returns its coordinates if it is a vertex, and adds it to `faces` if it is a face.
-    fn parse_row(&self, body: &mut BinaryBody<'_>, (e, i): (usize, usize), faces: &mut Polygons) -> Result<[f64; 3]> {
+    /// Parses row `i` of element `e`: returns its coordinates if it is a vertex, and adds it to `out` if it is a face.
+    fn parse_row(&self, body: &mut BinaryBody<'_>, (e, i): (usize, usize), out: &mut Contents) -> Result<[f64; 3]> {
         let Self { path, header, corners } = self;
         let element = &header.elements[e];
         let mut point = [0.0; 3];
@@ -139,9 +141,10 @@ impl BodyParser<'_> {
                     let bytes = body.list(length, item).ok_or_else(|| self.truncated(element, i))?;
                     if *corners == Some((e, p)) {
                         let index = |raw| to_integer(item.value(raw, body.is_big)).unwrap_or(-1); // out of range
-                        let indices: Vec<i64> = bytes.chunks_exact(item.size()).map(index).collect();
+                        out.indices.clear();
+                        out.indices.extend(bytes.chunks_exact(item.size()).map(index));
                         let fault = |fault| Error::input(path, format!("row {} of `face`: {fault}", i + 1));
-                        faces.push(&indices, header.elements[header.vertex].count).map_err(fault)?;
+                        out.polygons.push(&out.indices, header.elements[header.vertex].count).map_err(fault)?;
                     }
                 }
             }

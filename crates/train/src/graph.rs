@@ -15,7 +15,7 @@ use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::tape::{Trace, TraceScalar, TracedCloud, op, values};
 use pwrfgs_core::{
     Call, CloudStats, Error, Gate, GaussianCloud, LinkInputs, MeasurementSetup, MethodTraits, MethodVjp, Parameters,
-    PixelSubset, Pruner, Real, Result, StepContext, WantedInputs, contexts,
+    PixelSubset, Pruner, Real, Result, StepContext, WantedInputs, prune_contexts,
 };
 use pwrfgs_model::Stages;
 use std::cell::RefCell;
@@ -80,7 +80,7 @@ fn whole(
     let traced = TracedCloud::new(cloud);
     let gates = Gates::of(&traced, pruners, context);
     let penalties =
-        pruners.iter().zip(contexts(pruners, context)).filter_map(|(p, context)| p.penalty(&traced, &context));
+        pruners.iter().zip(prune_contexts(pruners, context)).filter_map(|(p, context)| p.penalty(&traced, &context));
     let penalty = penalties.reduce(|a, b| a + b);
     let stats = Rc::new(RefCell::new(CloudStats::zeros(cloud.len())));
     let d_weights = Rc::new(RefCell::new(vec![0.0; weights.len()]));
@@ -169,7 +169,7 @@ impl Gates {
                 None => factor,
             });
         };
-        let with_contexts = pruners.iter().zip(contexts(pruners, context));
+        let with_contexts = pruners.iter().zip(prune_contexts(pruners, context));
         for gate in with_contexts.filter_map(|(pruner, context)| pruner.gate(traced, &context)) {
             match gate {
                 Gate::Whole(factor) => times(&mut gates.whole, factor),

@@ -8,7 +8,7 @@ use crate::trainer::{StepStart, Trainer};
 use pwrfgs_core::plugin::{Plugin, name_of};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, Needs, Parameters, PassStatistics, Phase, PruneTarget, Pruner, Real, Result,
-    RowOrigin, Statistic, StepContext, best, contexts,
+    RowOrigin, Statistic, StepContext, best, prune_contexts,
 };
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
@@ -41,7 +41,7 @@ fn votes(
 ) -> Votes {
     let mut rules = RemovalsByRule::new();
     let (mut keep, mut open) = (vec![true; cloud.len()], vec![true; cloud.len()]);
-    for (k, ((pruner, stats), context)) in pruners.iter().zip(stats).zip(contexts(pruners, context)).enumerate() {
+    for (k, ((pruner, stats), context)) in pruners.iter().zip(stats).zip(prune_contexts(pruners, context)).enumerate() {
         if goal.is_some_and(|goal| goal.pruner == k && goal.budget == Budget::Gradual) {
             continue;
         }
@@ -107,7 +107,7 @@ impl Trainer<'_> {
     /// Lets every pruner edit rows, and returns its statistics of the Gaussians afterwards.
     fn edits(&mut self, pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Result<Vec<CloudStats>> {
         let mut computed = vec![None; pruners.len()];
-        let contexts = contexts(pruners, context);
+        let contexts = prune_contexts(pruners, context);
         for (k, (pruner, context)) in pruners.iter().zip(&contexts).enumerate() {
             let stats = self.stats_for(pruner, context)?;
             match pruner.edit(&self.cloud, &stats, context) {

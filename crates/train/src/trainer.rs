@@ -9,7 +9,7 @@ use crate::loss::Objective;
 use crate::plan::TrainingPlan;
 use pwrfgs_core::{
     CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Origin, Phase, PruneTarget, Real, Result,
-    StepContext, WeightGroup, contexts, rng,
+    StepContext, WeightGroup, prune_contexts, rng,
 };
 use pwrfgs_model::{Model, Stages, TrainingPositions};
 use std::sync::{Arc, OnceLock};
@@ -201,7 +201,7 @@ impl Trainer<'_> {
         (self.adam.step_cloud(rates, &self.specs, &mut self.cloud, &gradients.d_cloud))
             .and_then(|()| self.adam.step_weights(rates, &self.groups, weights, &gradients.d_weights))
             .map_err(|column| Error::NonFinite { what: column, step })?;
-        for (pruner, context) in pruners.iter().zip(contexts(&pruners, &context)) {
+        for (pruner, context) in pruners.iter().zip(prune_contexts(&pruners, &context)) {
             pruner.update(&mut self.cloud, &self.stats, &context);
         }
         let pruned = self.edit(&context)?.map(|(cloud, gaussian_ids)| {
