@@ -35,6 +35,7 @@ fn pose_check_confirms_correct_pose_and_corrects_wrong_pose() {
     let right = found(data);
     assert_eq!(right.verdict, PoseVerdict::Right, "{right:?}");
     assert!(right.turn < 1.0 && right.recorded < 4.0 && right.constant > 3.0 * right.turned, "{right:?}");
+    assert!(right.sentences()[0].contains("; one constant direction for all transmitters leaves "));
 
     let truth = DQuat::from_array(data.scene.pose().orientation);
     let error = DQuat::from_axis_angle(DVec3::new(1.0, -2.0, 0.5).normalize(), 0.6);

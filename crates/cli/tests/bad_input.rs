@@ -201,6 +201,13 @@ fn reports_command_line_errors() {
     set("deformation=Mlp(depth: 256, width: 8192)", &["the network needs about", "GB are left here"]);
     // A training that ends before its pruners are done would be scored unpruned.
     set("training.steps=30", &["ends after step 30", "until step 40", "--scale"]);
+    set("method=Splatting()", &["method: `Splatting` is what the fields projector, rasterizer,", "leave `method` out"]);
+    refuse(
+        here,
+        &["inspect", "."],
+        2,
+        &["neither data (spectra, received powers or channels) nor a run found; name a data"],
+    );
     set("split=Offical", &["--set split=Offical", "did you mean `Official`?"]);
     set("data=Teachr()", &["did you mean `Teacher`?"]);
     set("pruners=[LearnableMask(lambda: -1.0)]", &["lambda"]);

@@ -93,7 +93,10 @@ fn plan_rejects_invalid_input_with_advice() {
         (&["data", "--count", "2", "--region", "5,6,5,6"], &["no candidate inside", "x from 0.1000 to 0.6000"]),
         (&["data", "--count", "2", "--region", "5,6"], &["--region 5,6", "x0,x1,y0,y1"]),
         (&["data", "--count", "2", "--length-scale", "0"], &["--length-scale 0"]),
-        (&["data", "--candidates", "far.csv", "--count", "1"], &["far.csv", "in one frame"]),
+        (
+            &["data", "--candidates", "far.csv", "--count", "1"],
+            &["far.csv", "m from the nearest known measurement, and", "in one frame"],
+        ),
         (&["data", "--candidates", "nan.csv", "--count", "1"], &["nan.csv", "NaN"]),
         (&["data", "--candidates", "empty.csv", "--count", "1"], &["empty.csv", "no row"]),
         (&["nothing", "--count", "1"], &["name a data folder"]),

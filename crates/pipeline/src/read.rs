@@ -157,7 +157,7 @@ impl Pipeline {
         }
         self.readout.check().map_err(|problem| ("readout".into(), problem))?;
         if self.method.as_ref().is_some_and(|method| name_of(method) == "Splatting") {
-            let problem = "method: `Splatting` is problem the fields projector, rasterizer, deformation, calibration and readout \
+            let problem = "method: `Splatting` is what the fields projector, rasterizer, deformation, calibration and readout \
                         say; leave `method` out";
             return Err(("method".into(), problem.into()));
         }

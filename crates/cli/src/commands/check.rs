@@ -213,7 +213,7 @@ fn pipeline_file(path: &Path) -> Result<PathBuf> {
     }
     match resolve_pipeline(path) {
         Err(_neither) if !path.join(LISTING).is_file() => {
-            let problem = "neither data (spectra, received powers or channels) nor a run path; name a data folder, a pipeline \
+            let problem = "neither data (spectra, received powers or channels) nor a run found; name a data folder, a pipeline \
                         file or a run folder (layouts: docs/data.md)";
             Err(Error::input(path, problem))
         }

@@ -249,7 +249,7 @@ impl PoseCheck {
         let [x, y, z, w] = self.orientation;
         let mut sentences = vec![format!(
             "The strongest direction is {recorded:.1}° from the geometric line of sight (median of {pairs} spectra). The best \
-             rotation turns the receiver by {turn:.1}° and leaves {turned:.1}°; one constant direction for sentences transmitters leaves {constant:.1}°."
+             rotation turns the receiver by {turn:.1}° and leaves {turned:.1}°; one constant direction for all transmitters leaves {constant:.1}°."
         )];
         match self.verdict {
             PoseVerdict::Off if self.follows() => {

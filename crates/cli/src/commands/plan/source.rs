@@ -145,7 +145,7 @@ fn check_near(candidates: &[[f64; 3]], measured: &[[f64; 3]], path: &Path) -> Re
     Err(Error::input(
         path,
         format!(
-            "candidates are {gap} m from the nearest measured measurement, and these extend over {extent} m; give both in metres \
+            "candidates are {gap} m from the nearest known measurement, and these extend over {extent} m; give both in metres \
              in one frame"
         ),
     ))
