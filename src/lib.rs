@@ -32,6 +32,7 @@ pub use pwrfgs_raster as raster;
 pub use pwrfgs_raytrace as raytrace;
 #[cfg(feature = "report")]
 pub use pwrfgs_report as report;
+pub use pwrfgs_tasks as tasks;
 pub use pwrfgs_train as train;
 #[cfg(feature = "viewer")]
 pub use pwrfgs_viewer as viewer;

@@ -1,7 +1,6 @@
 //! `pwrfgs check`: validates a pipeline and estimates memory and time. `pwrfgs inspect`: summarises data before
 //! training.
 
-use super::init::{is_table, name_of, suggested_split, unknown_folder};
 use super::options::{ChangeOptions, resolve_pipeline};
 use crate::output::{self, Verbosity};
 use crate::progress::{RunProgress, memory, pace};
@@ -11,6 +10,7 @@ use pwrfgs::experiment::sweep::LISTING;
 use pwrfgs::experiment::text::{aligned, duration, grouped};
 use pwrfgs::experiment::{Observer as _, Preview, preview, read_pipeline, staged, warn_of_findings};
 use pwrfgs::prelude::Pipeline;
+use pwrfgs::tasks::init::{is_table, name_of, suggested_split, unknown_folder};
 use pwrfgs::train::{Rays, TimeEstimate, Training};
 use pwrfgs_core::plugin::{name_of as plugin_name, try_to_ron};
 use pwrfgs_core::{DataSource, Dataset, Error, Plugin, Result, recognise};

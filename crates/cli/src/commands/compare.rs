@@ -1,20 +1,16 @@
 //! `pwrfgs compare`: all methods, all baselines and the predictions of other programs on one data folder.
 
-use super::init::{DataSurvey, name_of, pipeline as pipeline_of};
 use super::options::{ChangeOptions, parse_count};
 use super::sweep;
 use crate::output::{self, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::data::Predictions;
-use pwrfgs::experiment::sweep::{Axis, Experiment, ListedRun, Listing, PlannedRun, SweepPlan};
-use pwrfgs::experiment::{CEILING, samples, scores::MODEL};
-use pwrfgs::pipeline::Pipeline;
-use pwrfgs::train::{Rays, Trainer, Training};
+use pwrfgs::experiment::samples;
+use pwrfgs::tasks::compare::{CompareSettings, check_earlier_runs, plan_comparison, without_position};
+use pwrfgs::tasks::init::{DataSurvey, name_of};
+use pwrfgs_core::Result;
 use pwrfgs_core::files::{check_new_file, create};
-use pwrfgs_core::plugin::{Checked, name_of as plugin_name, registered};
-use pwrfgs_core::{Baseline, Dataset, Error, Partition, Plugin, Real, Result, ShippedFile, did_you_mean};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -54,174 +50,30 @@ pub(crate) struct Compare {
 
 /// Runs `pwrfgs compare`.
 pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
-    let survey = RunProgress::during(verbosity, |progress| DataSurvey::of(&arguments.folder, progress))?;
-    let mut plan = plan_methods(arguments, &survey, verbosity)?;
-    let partition = plan.runs[0].pipeline.partition(&survey.data)?;
+    let folder = arguments.folder.canonicalize().unwrap_or_else(|_| arguments.folder.clone());
+    let survey = RunProgress::during(verbosity, |progress| DataSurvey::of(&folder, progress))?;
+    let settings = CompareSettings {
+        name: name_of(&folder),
+        methods: arguments.methods.clone(),
+        seeds: arguments.seeds,
+        changes: arguments.changes.all(),
+        predictions: arguments.predictions.clone(),
+        out: arguments.out.clone(),
+    };
+    let comparison = RunProgress::during(verbosity, |progress| plan_comparison(&survey, &settings, progress))?;
+    let plan = &comparison.plan;
     if let Some(path) = &arguments.split_csv {
         check_new_file(path)?;
-        create(path, samples::to_csv(&survey.data, &partition, &[]).as_bytes())?;
-        let [train, validation, test] = partition.sizes();
+        create(path, samples::to_csv(&survey.data, &comparison.partition, &[]).as_bytes())?;
+        let [train, validation, test] = comparison.partition.sizes();
         output::result(&format!("{}: {train} train, {validation} validation, {test} test\n", path.display()))?;
         return Ok(SUCCESS);
     }
-    let external = arguments.read_predictions(&plan, (&survey.data, &partition))?;
-    // Baselines and predictions are equal for all methods: the runs of the first method score them.
-    let first = plan.runs[0].combination;
-    for PlannedRun { combination, pipeline, .. } in &mut plan.runs {
-        if *combination == first {
-            pipeline.baselines.extend(external.iter().cloned());
-        } else {
-            pipeline.baselines.clear();
-        }
-    }
     let runs: Vec<usize> = (0..plan.runs.len()).collect();
     if arguments.dry_run {
-        return sweep::dry_run(&plan, &runs, 1, verbosity).map_err(without_position);
+        return sweep::dry_run(plan, &runs, 1, verbosity).map_err(without_position);
     }
-    check_earlier_runs(&plan)?;
-    sweep::check_and_announce(&plan, &runs, 1, verbosity).map_err(without_position)?;
-    sweep::run_here(&plan, &runs, 1, (external.first().map(|baseline| baseline.name()).as_deref(), verbosity))
-}
-
-/// Plans the runs of the methods that support the data, all with the same split. A method that was not named and
-/// cannot predict the data is left out, with a note.
-fn plan_methods(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) -> Result<SweepPlan> {
-    let experiment = read_experiment(arguments, &survey.data)?;
-    let labels: Vec<&str> = experiment.axes[0].variants.iter().map(|variant| variant.label.as_str()).collect();
-    if let Some(name) = arguments.methods.iter().find(|name| !labels.contains(&name.as_str())) {
-        let near = did_you_mean(name, labels.iter().copied());
-        let why = format!("--methods {name}: no such method for these data{near} (methods: {})", labels.join(", "));
-        return Err(Error::Config(why));
-    }
-    let folder = arguments.folder.canonicalize().map_err(|e| Error::read(&arguments.folder, e))?;
-    let mut base = pipeline_of(survey, &folder, Path::new("compare.ron"))?;
-    (base.split_seed, base.baselines) = (Some(0), applicable_baselines(&survey.data));
-    let mut whole: Option<SweepPlan> = None;
-    for method in labels {
-        let is_named = arguments.methods.iter().any(|name| name == method);
-        if !is_named && !arguments.methods.is_empty() {
-            continue;
-        }
-        match arguments.plan(method, &experiment, &base, survey) {
-            Ok(mut plan) => match &mut whole {
-                Some(whole) => {
-                    let combination = whole.runs.last().map_or(0, |run| run.combination + 1);
-                    plan.runs.iter_mut().for_each(|run| run.combination = combination);
-                    whole.runs.extend(plan.runs);
-                }
-                None => whole = Some(plan),
-            },
-            Err(error) if !is_named && error.is_input() => {
-                verbosity.note(&format!("note: {method} is left out, since it cannot predict these data: {error}"));
-            }
-            Err(error) => return Err(error),
-        }
-    }
-    whole.ok_or_else(|| Error::input(&arguments.folder, "no method can predict these data; see docs/data.md"))
-}
-
-/// Reads the shipped experiment with the methods for the task of `data`.
-fn read_experiment(arguments: &Compare, data: &Dataset) -> Result<Experiment> {
-    let name = match &data.features {
-        Some(_) => "methods-uplink",
-        None => data.task().comparison,
-    };
-    let file = ShippedFile::all(ShippedFile::EXPERIMENTS).into_iter().find(|file| file.name == name);
-    let text = file.expect("the facade registers its experiments").source;
-    let mut experiment = Experiment::parse(text, Path::new(name))?;
-    experiment.name = format!("compare-{}", name_of(&arguments.folder));
-    experiment.seeds = (0..arguments.seeds as u64).collect();
-    Ok(experiment)
-}
-
-impl Compare {
-    /// Plans the runs of one method, checked with the data.
-    fn plan(&self, method: &str, experiment: &Experiment, base: &Pipeline, survey: &DataSurvey) -> Result<SweepPlan> {
-        let axis = &experiment.axes[0];
-        let variants = axis.variants.iter().filter(|variant| variant.label == method).cloned().collect();
-        let axis = Checked::new(Axis { variants, ..Axis::clone(axis) }).map_err(Error::Config)?;
-        let experiment = Experiment { axes: vec![axis], ..experiment.clone() };
-        let set = self.changes.all();
-        // No text: positions in it would be those of all methods.
-        let plan = SweepPlan::of(&experiment, (Path::new(""), "()"), Some(base), &set, self.out.as_deref());
-        let mut plan = plan.map_err(without_position)?;
-        let data = &survey.data;
-        for PlannedRun { pipeline, .. } in &mut plan.runs {
-            let batch = format!("training.batch={}", survey.batch(pipeline.training.batch));
-            let is_rays = pipeline.method.as_ref().is_some_and(|method| plugin_name(method) == "Nerf2");
-            let rays = if is_rays { ray_settings(data, &pipeline.training) } else { Vec::new() };
-            pipeline.set_all(&[vec![batch], rays].concat())?;
-        }
-        let pipeline = &plan.runs[0].pipeline;
-        pipeline.check_data(data)?;
-        Trainer::sketch(&pipeline.plan()?, data, &pipeline.partition(data)?)?;
-        Ok(plan)
-    }
-
-    /// Reads and checks the predictions of other programs.
-    fn read_predictions(&self, plan: &SweepPlan, split: (&Dataset, &Partition)) -> Result<Vec<Plugin<dyn Baseline>>> {
-        let (data, partition) = split;
-        let baselines = plan.runs[0].pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task()));
-        let labels = plan.runs.iter().map(|run| run.labels[0].1.clone());
-        let mut taken: Vec<String> = baselines.chain(labels).chain([MODEL, CEILING].map(str::to_owned)).collect();
-        let mut baselines = Vec::new();
-        for text in &self.predictions {
-            let refuse = |problem: &str| Error::Config(format!("--predictions {text}: {problem}"));
-            let (name, root) = text
-                .split_once('=')
-                .filter(|(name, root)| !name.trim().is_empty() && !root.is_empty())
-                .ok_or_else(|| refuse("expected NAME=FOLDER, such as U-Net=predicted"))?;
-            if taken.iter().any(|other| other == name) {
-                return Err(refuse(&format!("the table has another row `{name}`; choose another name")));
-            }
-            taken.push(name.to_owned());
-            let root = Path::new(root).canonicalize().ok().filter(|root| root.is_dir());
-            let root = root.ok_or_else(|| refuse("no such folder; correct its path"))?;
-            let mut predictions = Predictions { name: name.into(), root, ..Predictions::default() };
-            predictions.check_test(data, &partition.test)?;
-            predictions.seal(data)?;
-            baselines.push(Plugin::from(Box::new(predictions) as Box<dyn Baseline>));
-        }
-        Ok(baselines)
-    }
-}
-
-/// Removes the position in the experiment from an error, whose file is inside the program and has no path.
-fn without_position(error: Error) -> Error {
-    match error {
-        Error::Input { path, message, .. } if path.as_os_str().is_empty() => Error::Config(message),
-        other => other,
-    }
-}
-
-/// Checks that the output folder has no other runs: their baselines and predictions would remain in the report.
-fn check_earlier_runs(plan: &SweepPlan) -> Result<()> {
-    let (planned, earlier) = (plan.listing().runs, Listing::read(&plan.folder)?);
-    let other = earlier.iter().flat_map(|listing| &listing.runs).find(|run| !planned.contains(run));
-    let why =
-        |run: &ListedRun| format!("holds the run `{}`; add its method and seed, or choose another --out", run.folder);
-    other.map_or(Ok(()), |run| Err(Error::input(&plan.folder, why(run))))
-}
-
-/// Returns settings of NeRF2 for the size of the site and of small spectra: rays reach across the site; beyond a room,
-/// this length is the unit.
-fn ray_settings(data: &Dataset, training: &Training) -> Vec<String> {
-    let (low, high) = data.scene.bounds;
-    let far = (0..3).map(|k| (high[k] - low[k]).powi(2)).sum::<Real>().sqrt().max(5.0).ceil();
-    let unit = if far > 20.0 { far } else { 1.0 };
-    let pixels = data.width.div_ceil(training.stride) * data.height.div_ceil(training.stride);
-    let fewer = match training.rays {
-        Rays::Same(count) if count > pixels && data.task().has_pixels => Some(format!("training.rays=Same({pixels})")),
-        _ => None,
-    };
-    [format!("method.Nerf2.far_m={far:?}"), format!("method.Nerf2.unit_m={unit:?}")].into_iter().chain(fewer).collect()
-}
-
-/// Lists all registered baselines for the data, and further numbers of neighbours.
-fn applicable_baselines(data: &Dataset) -> Vec<Plugin<dyn Baseline>> {
-    let nearest = ["(k: 1)", "(k: Auto)"].map(|k| format!("NearestNeighbours{k}"));
-    let texts = registered::<dyn Baseline>().into_iter().map(|name| format!("{name}()")).chain(nearest);
-    let baselines = texts.filter_map(|text| Plugin::<dyn Baseline>::parse(&text).ok());
-    let baselines = baselines.filter(|baseline| baseline.tasks().contains(&data.task()) && !baseline.is_external());
-    baselines.filter(|baseline| baseline.check_data(data).is_ok()).collect()
+    check_earlier_runs(plan)?;
+    sweep::check_and_announce(plan, &runs, 1, verbosity).map_err(without_position)?;
+    sweep::run_here(plan, &runs, 1, (comparison.reference.as_deref(), verbosity))
 }

@@ -1,18 +1,14 @@
 //! `pwrfgs compress`: writes a smaller model file.
 
-use super::options::read_models;
 use crate::output::Verbosity;
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
-use pwrfgs::experiment::text::grouped;
 use pwrfgs::model::compress::Bits;
-use pwrfgs::model::{Model, compress, file};
+use pwrfgs::tasks::compress::{CompressedModel, compress as compress_model};
+use pwrfgs::tasks::read_models;
+use pwrfgs_core::Result;
 use pwrfgs_core::files::{check_new_file, create};
-use pwrfgs_core::{Error, Query, Result, Task, evenly};
 use std::path::PathBuf;
-
-/// Number of training positions at which predictions are compared.
-const COMPARED: usize = 200;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -41,42 +37,8 @@ pub(crate) struct Compress {
 pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
-    if ensemble.residuals().is_some() {
-        return Err(Error::input(&arguments.model, "has a residual process, expected a model without one"));
-    }
-    let before = file::size(&ensemble);
-    let count = ensemble.members().len();
-    let several = || format!("holds an ensemble of {count} models, expected one; compress the file of each member");
-    let model = ensemble.into_only().ok_or_else(|| Error::input(&arguments.model, several()))?;
-    let after = compress::to_bytes(&model, arguments.bits)?;
-    let small = file::from_bytes(&after).map_err(|why| Error::input(&arguments.model, why))?;
-    create(&arguments.out, &after)?;
-    let kilobytes = |bytes: usize| grouped((bytes as f64 / 1e3).round() as i64);
-    verbosity.note(&format!(
-        "whole file {} kB instead of {} kB, in {}",
-        kilobytes(after.len()),
-        kilobytes(before),
-        arguments.out.display()
-    ));
-    if let Some(difference) = describe_difference(&model, &small.members()[0]) {
-        verbosity.note(&difference);
-    }
+    let CompressedModel { bytes, notes, .. } = compress_model(ensemble, arguments.bits)?;
+    create(&arguments.out, &bytes)?;
+    notes.iter().for_each(|note| verbosity.note(note));
     Ok(())
-}
-
-/// Describes the mean difference of predicted values at training positions, over all receivers;
-/// `None` without such positions.
-fn describe_difference(model: &Model, small: &Model) -> Option<String> {
-    let (training, stages) = (model.training_positions.as_ref()?, &model.stages);
-    let positions: Vec<[f64; 3]> =
-        evenly(training.positions(), COMPARED).into_iter().map(|p| stages.origin.world(p)).collect();
-    let receivers = 0..stages.receivers.len();
-    let queries: Vec<Query<'_>> =
-        positions.iter().flat_map(|&at| receivers.clone().map(move |r| stages.query(at, r))).collect();
-    let [a, b] = [model, small].map(|model| model.prepare().predict_many(&queries));
-    let pairs = a.iter().zip(&b).flat_map(|(a, b)| a.pixels.iter().zip(&b.pixels));
-    let differences: Vec<f64> = pairs.map(|(a, b)| f64::from((a - b).abs() as f32)).collect();
-    let mean = differences.iter().sum::<f64>() / differences.len().max(1) as f64;
-    let unit = if stages.task == Task::Power { " dB" } else { "" };
-    Some(format!("mean difference of predictions at {} training positions: {mean:.2e}{unit}", positions.len()))
 }

@@ -1,11 +1,11 @@
 //! `pwrfgs data`: lists public data sets, and checks a downloaded one. The program downloads nothing.
 
-use super::init::unknown_folder;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::{Args, Subcommand};
 use pwrfgs::experiment::text::{aligned, grouped};
 use pwrfgs::experiment::{observed, staged, warn_of_findings};
+use pwrfgs::tasks::init::unknown_folder;
 use pwrfgs_core::files::{digest, if_found, read};
 use pwrfgs_core::plugin::name_of;
 use pwrfgs_core::{Dataset, Result, recognise};

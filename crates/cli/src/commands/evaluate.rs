@@ -1,6 +1,5 @@
 //! `pwrfgs evaluate`: scores of a trained model on a data set.
 
-use super::options::read_models;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
@@ -12,6 +11,7 @@ use pwrfgs::experiment::{
 };
 use pwrfgs::model::Ensemble;
 use pwrfgs::pipeline::Pipeline;
+use pwrfgs::tasks::read_models;
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Dataset, Error, Result, files::NewFolder};
 use std::fmt::Write as _;

@@ -1,10 +1,11 @@
 //! `pwrfgs export`: converts a trained model for splat viewers and Python.
 
-use super::options::{check_positions, parse_position, read_models};
 use crate::output::Verbosity;
 use clap::Args;
 use pwrfgs::model::export::{npz, ply};
 use pwrfgs::model::{Ensemble, file};
+use pwrfgs::tasks::plane::parse_position;
+use pwrfgs::tasks::{check_positions, read_models};
 use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};

@@ -1,13 +1,13 @@
 //! `pwrfgs import`: converts spectra and positions, or a table of links, into a data folder.
 
-use super::init::unknown_folder;
-use super::options::{parse_numbers, parse_position};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::import::{Import as Work, read_links};
 use pwrfgs::data::save;
 use pwrfgs::experiment::{observed, staged, warn_of_findings};
+use pwrfgs::tasks::init::unknown_folder;
+use pwrfgs::tasks::plane::{parse_numbers, parse_position};
 use pwrfgs_core::{Elevation, Error, Number, Pose, Result, recognise};
 use std::path::{Path, PathBuf};
 

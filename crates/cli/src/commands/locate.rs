@@ -1,28 +1,16 @@
 //! `pwrfgs locate`: positions of transmitters from their observations.
 
-mod observations;
-mod scores;
-
-use super::map::PlaneBounds;
-use super::options::{check_positions, read_models};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
-use pwrfgs::experiment::text::{aligned, fixed, grouped};
-use pwrfgs::experiment::{Observer as _, SplitData, check_alike, load as load_data, model_file, read_pipeline};
-use pwrfgs::localise::{Located, Locator, Region, SHARES};
-use pwrfgs::report::draw::location::LocationMap;
+use pwrfgs::experiment::text::grouped;
+use pwrfgs::experiment::{load as load_data, model_file, read_pipeline};
+use pwrfgs::tasks::locate::{LocateSettings, ReadFeatures, locate as locate_model, read_observations};
+use pwrfgs::tasks::{check_positions, read_models};
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Dataset, Error, Partition, Receiver, Result};
-use rayon::prelude::*;
-use serde_json::json;
-use std::fmt::Write as _;
+use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
-
-/// Width of an image in print, millimetres.
-const WIDTH_MM: f64 = 120.0;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -56,9 +44,8 @@ pub(crate) struct Locate {
     /// Observations of unknown transmitters [default: test samples of the data]
     #[arg(value_name = "OBSERVATIONS")]
     pub(crate) observations: Option<PathBuf>,
-    /// Only positions in this box, metres
-    #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true, requires = "observations")]
-    pub(crate) prior: Option<String>,
+    #[command(flatten)]
+    pub(crate) settings: LocateSettings,
     /// Change a setting of the pipeline, such as data.root=data/ble; repeatable
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
@@ -70,26 +57,8 @@ pub(crate) struct Locate {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// A located transmitter: its name, the result, and the true position if known.
-struct Row {
-    name: String,
-    located: Located,
-    truth: Option<[f64; 3]>,
-}
-
-impl Row {
-    /// Returns the columns of `locations.csv` that need the true position, which is empty if unknown.
-    fn truth_columns(&self) -> String {
-        let Some(truth) = self.truth else { return ",,,,".into() };
-        let ([x, y, z], error) = (truth, distance(self.located.position, truth));
-        let holds = self.located.holds(truth).map_or("", |holds| if holds { "yes" } else { "no" });
-        format!("{x},{y},{z},{error:.4},{holds}")
-    }
-}
-
 /// Runs `pwrfgs locate`.
 pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
-    let prior = arguments.prior.as_deref().map(|text| PlaneBounds::parse("--prior", text, ["x", "y"])).transpose()?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
     check_positions(&ensemble)?;
     let path = model_file(&arguments.model)?.with_file_name(PIPELINE);
@@ -99,166 +68,18 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     }
     let pipeline = read_pipeline(&path, &arguments.set)?;
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
-    let SplitData { data, partition } =
-        RunProgress::during(verbosity, |progress| load_data(&pipeline, Path::new(""), progress))?;
-    check_alike(&ensemble.prepare(), &data)?;
-    let fair = ensemble.without_validation(&data, partition.known())?;
-    let model = fair.as_ref().unwrap_or(&ensemble).prepare();
-    let locator = RunProgress::during(verbosity, |progress| {
-        progress.on_stage("fingerprints", 0, 0);
-        Locator::fit(&data, partition.known(), &model, &SHARES)
+    let split = RunProgress::during(verbosity, |progress| load_data(&pipeline, Path::new(""), progress))?;
+    let receivers = &split.data.scene.receivers;
+    let read =
+        arguments.observations.as_ref().map(|path| move |features: &_| read_observations(path, features, receivers));
+    let observations = read.as_ref().map(|read| read as ReadFeatures<'_>);
+    let located = RunProgress::during(verbosity, |progress| {
+        locate_model(&ensemble, &split, observations, &arguments.settings, progress)
     })?;
-    match locator.missing_regions().filter(|_| locator.validation == 0) {
-        Some(why) => output::warning(why),
-        None => verbosity.note(&describe_locator(&locator)),
-    }
-    let expected =
-        arguments.observations.is_some().then(|| scores::describe_validation(&locator, &data, partition.known()));
-    let locator = match prior {
-        Some(bounds) => {
-            let inside = locator.within(move |position| bounds.holds(position));
-            inside.map_err(|e| Error::Config(format!("--prior: {e}")))?
-        }
-        None => locator,
-    };
-    let rows = match &arguments.observations {
-        Some(path) => locate_observed(&locator, path, &data.scene.receivers)?,
-        None => locate_test(&locator, &data, &partition, verbosity),
-    };
     if let (Some(folder), Some(out)) = (folder, &arguments.out) {
-        write_files(folder.path(), &rows, &locator, &data, arguments.pictures)?;
+        located.write(&folder, arguments.pictures)?;
         folder.publish()?;
-        verbosity.note(&format!("{} positions in {}", grouped(rows.len() as i64), out.display()));
+        verbosity.note(&format!("{} positions in {}", grouped(located.rows.len() as i64), out.display()));
     }
-    let table = match expected {
-        Some(expected) => format_positions(&rows) + &expected,
-        None => scores::table(&rows.iter().map(|row| &row.located).collect::<Vec<_>>(), &locator, &data, &partition)?,
-    };
-    output::result(&(table + &describe_regions(&rows, &locator)))
-}
-
-/// Describes the number of regions with several parts, and what the regions are calibrated on.
-fn describe_regions(rows: &[Row], locator: &Locator<'_>) -> String {
-    let regions: Vec<&Region> = rows.iter().filter_map(|row| row.located.region.as_ref()).collect();
-    let parts = regions.iter().map(|region| region.parts());
-    let several = parts.clone().filter(|count| *count > 1).count();
-    let mut text = String::new();
-    if several > 0 {
-        let (count, most) = (regions.len(), parts.max().unwrap_or(0));
-        let counts = format!("regions with several parts: {several} of {count}, up to {most} parts");
-        _ = writeln!(text, "{counts}; an estimate is the mode of the most probable part");
-    }
-    if !regions.is_empty() && locator.validates_between_training() {
-        text += "the validation samples lie between the training positions, and regions are calibrated on them: on another \
-                 day, with another device or in another area they hold fewer\n";
-    }
-    text
-}
-
-/// Describes the chosen settings in one line.
-fn describe_locator(locator: &Locator<'_>) -> String {
-    let (choice, missing) = (locator.choice, locator.missing_regions());
-    let descent = if choice.descends { "descent along the model" } else { "no descent" };
-    format!(
-        "{} fingerprints; chosen on {} validation positions: {} % model in the fingerprints, sharpness {}, {descent}{}",
-        grouped(locator.positions().len() as i64),
-        grouped(locator.validation as i64),
-        fixed(f64::from(choice.share) * 100.0, 0),
-        choice.sharpness,
-        missing.map_or_else(String::new, |why| format!("; {why}"))
-    )
-}
-
-/// Locates the observations of a file, in its order.
-fn locate_observed(locator: &Locator<'_>, path: &Path, receivers: &[Receiver]) -> Result<Vec<Row>> {
-    let observed = observations::read(path, locator.features(), receivers)?;
-    let row = |(k, observation): (usize, &Vec<f32>)| Row {
-        name: format!("{:05}", k + 1),
-        located: locator.locate(observation),
-        truth: None,
-    };
-    Ok(observed.par_iter().enumerate().map(row).collect())
-}
-
-/// Locates the test samples.
-fn locate_test(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbosity: Verbosity) -> Vec<Row> {
-    let test = data.locations_of(&partition.test);
-    let observations = locator.observations(data, &test);
-    RunProgress::during(verbosity, |progress| {
-        let mut rows = Vec::with_capacity(test.len());
-        for (chunk, chunk_observations) in test.chunks(64).zip(observations.chunks(64)) {
-            progress.on_stage("locating", rows.len(), test.len());
-            rows.par_extend(chunk.par_iter().zip(chunk_observations).map(|(t, observation)| {
-                let transmitter = data.locations[*t];
-                let (name, located) = (format!("{:05}", transmitter.id), locator.locate(observation));
-                Row { name, located, truth: Some(transmitter.position()) }
-            }));
-        }
-        rows
-    })
-}
-
-/// Formats the table of estimated positions.
-fn format_positions(rows: &[Row]) -> String {
-    let mut lines =
-        vec![["observation", "x (m)", "y (m)", "z (m)", "misfit", "region (m²)", "parts"].map(String::from).to_vec()];
-    for Row { name, located, .. } in rows {
-        let [area, parts] = located
-            .region
-            .as_ref()
-            .map_or_else(Default::default, |region| [fixed(region.area(), 3), region.parts().to_string()]);
-        let mut line = vec![name.clone()];
-        line.extend(located.position.map(|v| fixed(v, 3)));
-        line.extend([fixed(located.misfit, 2), area, parts]);
-        lines.push(line);
-    }
-    aligned(&lines, 1)
-}
-
-/// Writes list, outlines and images.
-fn write_files(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pictures: usize) -> Result<()> {
-    let write_file = |name: &str, bytes: &[u8]| {
-        let path = folder.join(name);
-        std::fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
-    };
-    let mut list = "observation,x,y,z,misfit,region_m2,parts,true_x,true_y,true_z,error_m,region_holds\n".to_owned();
-    let mut regions = Vec::new();
-    let flat = |p: [f64; 3]| [p[0], p[1]];
-    let map = LocationMap {
-        training: locator.positions().iter().copied().map(flat).collect(),
-        receivers: data
-            .scene
-            .receivers
-            .iter()
-            .map(|receiver| flat(data.scene.origin.world_pose(receiver.pose).position))
-            .collect(),
-        ..LocationMap::default()
-    };
-    for (k, row) in rows.iter().enumerate() {
-        let Row { name, located, truth } = row;
-        let ([x, y, z], region) = (located.position, located.region.as_ref());
-        let outlines = region.map(Region::outlines).unwrap_or_default();
-        let parts = region.map_or(0, Region::parts);
-        let area = region.map_or_else(String::new, |region| format!("{:.6}", region.area()));
-        _ = writeln!(list, "{name},{x:.4},{y:.4},{z:.4},{:.4},{area},{parts},{}", located.misfit, row.truth_columns());
-        regions.push(json!({ "observation": name, "position": located.position, "outlines": outlines }));
-        if let Some(region) = region.filter(|_| k < pictures) {
-            let image = LocationMap {
-                title: format!("{}: observation {name}", data.title),
-                grid: (region.first(), region.step),
-                columns: region.columns,
-                density: &region.values,
-                parts,
-                outlines,
-                estimates: vec![(flat(located.position), truth.map(flat))],
-                ..map.clone()
-            };
-            write_file(&format!("{name}.png"), &image.draw().png(WIDTH_MM))?;
-        }
-    }
-    write_file("locations.csv", list.as_bytes())?;
-    write_file("regions.json", serde_json::to_string(&regions).unwrap_or_default().as_bytes())?;
-    let title = format!("{}: {} positions", data.title, grouped(rows.len() as i64));
-    let estimates = rows.iter().map(|row| (flat(row.located.position), row.truth.map(flat))).collect();
-    write_file("errors.png", &LocationMap { title, estimates, ..map }.draw().png(WIDTH_MM))
+    output::result(&located.text)
 }

@@ -1,30 +1,13 @@
 //! `pwrfgs map`: radio maps of a model over a plane, as images and arrays.
 
-mod layers;
-mod plane;
-
-use super::options::{check_positions, read_models, select_receivers};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use layers::{MapLayer, MapQuantity, layers, quantities};
-pub(super) use plane::PlaneBounds;
-use plane::{MapPlane, PlaneGrid};
-use pwrfgs::data::npy_header;
-use pwrfgs::experiment::Observer as _;
-use pwrfgs::experiment::text::{field, grouped};
-use pwrfgs::model::Ensemble;
-use pwrfgs::report::draw::plan::{Heatmap, Palette, TrainingMap};
+use pwrfgs::experiment::text::grouped;
+use pwrfgs::tasks::{MapSettings, map as map_model, read_models};
+use pwrfgs_core::Result;
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{Error, Number, Pose, Receiver, Result};
-use std::collections::BTreeSet;
-use std::fmt::Write as _;
 use std::path::PathBuf;
-
-/// Width of an image in print, millimetres.
-const WIDTH_MM: f64 = 120.0;
-const HEADER: &str = "array,image,quantity,unit,receiver,columns_axis,first_column_m,columns,rows_axis,first_row_m,rows,\
-                      step_m,plane,smallest,largest,training_limit_m,extrapolated\n";
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -50,27 +33,8 @@ pub(crate) struct Map {
     /// Run folder or model file; several form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
-    /// Plane, by its fixed coordinate in metres: z=1.2, x=0.5 or y=-3
-    #[arg(long, value_name = "AXIS=M")]
-    pub(crate) plane: String,
-    /// Grid spacing in metres
-    #[arg(long, value_name = "M", default_value_t = 0.1)]
-    pub(crate) step: f64,
-    /// Extent in metres of the first and second free coordinate
-    #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true)]
-    pub(crate) bounds: Option<String>,
-    /// Map only this receiver (name in the data set); repeatable
-    #[arg(long, value_name = "NAME")]
-    pub(crate) receiver: Vec<String>,
-    /// Quantity: power, level, mean or direction; repeatable.
-    #[arg(
-        long,
-        value_enum,
-        value_name = "QUANTITY",
-        hide_possible_values = true,
-        help = "Quantity: power, level, mean or direction; repeatable\n[default: power, or direction and level for spectra]"
-    )]
-    pub(crate) of: Vec<MapQuantity>,
+    #[command(flatten)]
+    pub(crate) settings: MapSettings,
     /// Output folder; must be new or empty
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
@@ -78,194 +42,21 @@ pub(crate) struct Map {
 
 /// Runs `pwrfgs map`.
 pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
-    let plane = MapPlane::parse(&arguments.plane)?;
-    let bounds =
-        arguments.bounds.as_ref().map(|text| PlaneBounds::parse("--bounds", text, plane.names())).transpose()?;
     let ensemble = read_models(&arguments.models)?;
-    check_positions(&ensemble)?;
-    let model = ensemble.prepare();
-    let quantities = quantities(&model, &arguments.of)?;
-    let receivers = select_receivers(model.receivers(), &arguments.receiver)?;
-    let origin = ensemble.members()[0].stages.origin;
-    let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
-    let (bounds, note) = if let Some(bounds) = bounds {
-        (bounds, None)
-    } else {
-        let positions: Vec<[f64; 2]> = receivers.iter().map(|&r| plane.project(poses[r].position)).collect();
-        let (bounds, source) = default_bounds(&ensemble, plane, positions)?;
-        let bounds = bounds.outwards(arguments.step);
-        (bounds, Some(describe_bounds(plane, bounds, source)))
-    };
-    let grid = PlaneGrid::new(plane, bounds, arguments.step, receivers.len())?;
-    note.iter().for_each(|note| verbosity.note(note));
     let folder = NewFolder::begin(&arguments.out)?;
-    let mut layers = RunProgress::during(verbosity, |progress| {
-        layers(&model, &grid, &receivers, &quantities, |done| progress.on_stage("mapping", done, grid.len()))
-    });
-    let (layer, training) = training_layer(&ensemble, &grid).unzip();
-    layers.extend(layer);
-    MapWriter { grid, training, receivers: model.receivers(), poses, mapped: receivers }.write(&folder, &layers)?;
+    let map = RunProgress::during(verbosity, |progress| map_model(&ensemble, &arguments.settings, progress))?;
+    map.bounds_note.iter().for_each(|note| verbosity.note(note));
+    map.write(&folder)?;
     folder.publish()?;
-    let missing = layers.iter().flat_map(|layer| &layer.values).filter(|v| !v.is_finite()).count();
+    let missing = map.missing();
     if missing > 0 {
         let missing = grouped(missing as i64);
         output::warning(&format!(
             "{missing} values are not finite because the model overflows there; the images show them in grey"
         ));
     }
-    let (columns, rows) = (grouped(grid.columns as i64), grouped(grid.rows as i64));
-    let maps = if layers.len() == 1 { "1 map".into() } else { format!("{} maps", layers.len()) };
+    let (columns, rows) = (grouped(map.grid.columns as i64), grouped(map.grid.rows as i64));
+    let maps = if map.layers.len() == 1 { "1 map".into() } else { format!("{} maps", map.layers.len()) };
     verbosity.note(&format!("{maps} of {columns} x {rows} positions in {}", arguments.out.display()));
     Ok(())
-}
-
-/// Returns bounds around all training positions and `receivers` (metres in the plane), and their description. A model
-/// of an earlier version has no training positions: the central 90 % of its Gaussians take their place.
-///
-/// # Errors
-/// The model has neither training positions nor Gaussians.
-fn default_bounds(model: &Ensemble, plane: MapPlane, receivers: Vec<[f64; 2]>) -> Result<(PlaneBounds, &'static str)> {
-    let training = model.training_positions();
-    if !training.is_empty() {
-        let points: Vec<[f64; 2]> =
-            training.into_iter().map(|position| plane.project(position)).chain(receivers).collect();
-        return Ok((PlaneBounds::around(Vec::new(), &points), "all training positions and receivers"));
-    }
-    let origin = model.members()[0].stages.origin;
-    let means = model.means_from(origin).into_iter().map(|mean| plane.project(origin.world(mean)));
-    let means: Vec<[f64; 2]> = means.collect();
-    if means.is_empty() {
-        let problem = "--bounds: required for a model without training positions and Gaussians";
-        return Err(Error::Config(problem.into()));
-    }
-    Ok((PlaneBounds::around(means, &receivers), "central 90 % of the Gaussians, and all receivers"))
-}
-
-/// Describes the default bounds.
-fn describe_bounds(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, source: &str) -> String {
-    let ([a, b], short) = (plane.names(), |v: f64| (v * 100.0).round() / 100.0);
-    format!(
-        "{a} from {} to {} m, {b} from {} to {} m ({source}); set --bounds to change this",
-        short(across[0]),
-        short(across[1]),
-        short(up[0]),
-        short(up[1])
-    )
-}
-
-/// Computes the distances to the nearest training position; extrapolations, and the training positions within the
-/// limit of the plane. `None` if unknown.
-fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, TrainingMap)> {
-    let positions: Vec<[f64; 3]> = (0..grid.len()).map(|k| grid.position(k)).collect();
-    let distances = ensemble.training_distances(&positions)?;
-    let (is_beyond, limit) = ((0..positions.len()).map(|k| distances.is_beyond(k)).collect(), distances.limit);
-    let layer = MapLayer {
-        name: "training_distance",
-        words: "distance to the nearest training position",
-        unit: "m",
-        receiver: None,
-        values: distances.metres.into_iter().map(|metres| metres as f32).collect(),
-        arrows: Vec::new(),
-    };
-    let plane = grid.plane;
-    let near = |position: &[f64; 3]| (position[plane.axis] - plane.at).abs() <= limit;
-    let positions =
-        ensemble.training_positions().into_iter().filter(near).map(|position| plane.project(position)).collect();
-    Some((layer, TrainingMap { is_beyond, limit, positions }))
-}
-
-/// Writer of the files of a map.
-struct MapWriter<'a> {
-    grid: PlaneGrid,
-    training: Option<TrainingMap>,
-    receivers: &'a [Receiver],
-    /// Poses of all receivers, world frame.
-    poses: Vec<Pose>,
-    /// Indices of the mapped receivers.
-    mapped: Vec<usize>,
-}
-
-impl MapWriter<'_> {
-    /// Writes all files into `folder`.
-    fn write(&self, folder: &NewFolder, layers: &[MapLayer]) -> Result<()> {
-        let extrapolated = self.training.as_ref().map_or_else(
-            || ",".into(),
-            |TrainingMap { is_beyond, limit, .. }| {
-                format!("{limit:.4},{}", is_beyond.iter().filter(|is_beyond| **is_beyond).count())
-            },
-        );
-        let mut list = HEADER.to_owned();
-        let mut taken = BTreeSet::new();
-        for layer in layers {
-            let receiver = layer.receiver.map(|r| self.receivers[r].name.as_str());
-            let name = file_name(layer.name, receiver.filter(|_| self.receivers.len() > 1), &mut taken);
-            folder.put(&format!("{name}.npy"), self.npy(&layer.values))?;
-            folder.put(&format!("{name}.png"), self.png(layer, receiver))?;
-            _ = writeln!(list, "{},{extrapolated}", self.list_line(layer, &name, receiver.unwrap_or("")));
-        }
-        folder.put("map.csv", list)
-    }
-
-    /// Encodes `values` as NPY, float32 `[rows, columns]`, lowest row first.
-    fn npy(&self, values: &[f32]) -> Vec<u8> {
-        let mut npy = npy_header(Number::F32, &[self.grid.rows, self.grid.columns]);
-        npy.extend(values.iter().flat_map(|v| v.to_le_bytes()));
-        npy
-    }
-
-    /// Draws a layer as PNG, with its `receiver`, or with all mapped receivers.
-    fn png(&self, layer: &MapLayer, receiver: Option<&str>) -> Vec<u8> {
-        let grid = &self.grid;
-        let suffix = receiver.map_or_else(String::new, |name| format!(" at {name}"));
-        let shown = layer.receiver.map_or_else(|| self.mapped.clone(), |r| vec![r]);
-        let heat = Heatmap {
-            title: format!("{}{suffix}, {}", layer.words, grid.plane.words()),
-            unit: layer.unit.into(),
-            names: grid.plane.names(),
-            first: grid.first,
-            step: grid.step,
-            columns: grid.columns,
-            values: &layer.values,
-            colours: if layer.name == "azimuth" { Palette::Cyclic } else { Palette::Sequential },
-            receivers: shown.iter().map(|&r| grid.plane.project(self.poses[r].position)).collect(),
-            arrows: &layer.arrows,
-            training: self.training.as_ref(),
-        };
-        heat.draw().png(WIDTH_MM)
-    }
-
-    /// Formats the line of a layer in `map.csv`, without its last two columns.
-    fn list_line(&self, layer: &MapLayer, name: &str, receiver: &str) -> String {
-        let PlaneGrid { plane, first, step, columns, rows } = &self.grid;
-        let [across, up] = plane.names();
-        let finite = || layer.values.iter().copied().filter(|v| v.is_finite());
-        let ends = [finite().reduce(f32::min), finite().reduce(f32::max)];
-        let [low, high] = ends.map(|end| end.map_or_else(String::new, |v| v.to_string()));
-        let quantity = format!("{name}.npy,{name}.png,{},{},{}", layer.words, layer.unit, field(receiver));
-        let grid = format!("{across},{},{columns},{up},{},{rows},{step},{}", first[0], first[1], plane.words());
-        format!("{quantity},{grid},{low},{high}")
-    }
-}
-
-/// Returns a unique file name of letters, digits, points and dashes; case is ignored.
-fn file_name(layer: &str, receiver: Option<&str>, taken: &mut BTreeSet<String>) -> String {
-    let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
-    let suffix = receiver.map(|name| name.chars().take(60).map(plain).collect::<String>());
-    let name = suffix.map_or_else(|| layer.to_owned(), |suffix| format!("{layer}-{suffix}"));
-    let numbered = (1..).map(|k| if k == 1 { name.clone() } else { format!("{name}-{k}") });
-    numbered.into_iter().find(|name| taken.insert(name.to_lowercase())).unwrap_or(name)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn map_file_names_are_plain_and_unique() {
-        let mut taken = BTreeSet::new();
-        let mut name = |receiver| file_name("power", receiver, &mut taken);
-        let names = [name(Some("../a b")), name(Some("../a/b")), name(None), name(Some(&"x".repeat(500)))];
-        assert_eq!(names[..3], ["power-.._a_b", "power-.._a_b-2", "power"].map(str::to_owned));
-        assert!(names[3].len() < 80);
-    }
 }

@@ -1,22 +1,16 @@
 //! `pwrfgs predict`: predictions at transmitter positions or receiver poses, from the model file alone.
 
-mod writers;
-
-use super::options::{check_positions, parse_numbers, parse_position, read_models, select_receivers};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::{read_poses, read_transmitters};
-use pwrfgs::experiment::Observer as _;
 use pwrfgs::experiment::text::grouped;
-use pwrfgs::model::{Ensemble, IntervalFactors, Prepared, TrainingDistances};
+use pwrfgs::tasks::plane::{parse_numbers, parse_position};
+use pwrfgs::tasks::predict::{PredictSettings, PredictionCount, extrapolation_warning, write_predictions};
+use pwrfgs::tasks::read_models;
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{End, Error, Pose, Predict as _, Query, Result, Task};
+use pwrfgs_core::{End, Error, Pose, Result};
 use std::path::PathBuf;
-use writers::{OutputFolder, PredictedRow, PredictionImage, PredictionRow, writer};
-
-/// Number of predictions in memory at a time.
-const CHUNK: usize = 64;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -58,71 +52,28 @@ pub(crate) struct Predict {
     /// CSV file of poses of a moving receiver: columns x, y, z, qx, qy, qz, qw; others are ignored
     #[arg(long, value_name = "FILE")]
     pub(crate) rx_pose_csv: Option<PathBuf>,
-    /// Add prediction intervals that hold with this probability, such as 0.9
-    #[arg(long, value_name = "LEVEL", allow_hyphen_values = true)]
-    pub(crate) interval: Option<f64>,
     /// Output folder; must be new or empty
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Predict only for this receiver (name in the data set); repeatable
-    #[arg(long, value_name = "NAME")]
-    pub(crate) receiver: Vec<String>,
-    /// Write all spectra or channels as one array, which may exceed memory
-    #[arg(long)]
-    pub(crate) stacked: bool,
-    /// Write no PNG images
-    #[arg(long)]
-    pub(crate) no_png: bool,
+    #[command(flatten)]
+    pub(crate) settings: PredictSettings,
 }
 
 /// Runs `pwrfgs predict`.
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
-    let setup = &ensemble.members()[0].stages.setup;
-    let poses = moving_poses(arguments, setup.moving)?;
-    let positions: Vec<[f64; 3]> = poses.iter().map(|pose| pose.position).collect();
-    check_positions(&ensemble)?;
-    let distances = ensemble.training_distances(&positions);
-    let model = ensemble.prepare();
-    let task = model.task();
-    let receivers = select_receivers(model.receivers(), &arguments.receiver)?;
-    let count = poses.len() * receivers.len();
-    if arguments.stacked && task.shape((1, 1)).is_empty() {
-        let why = "--stacked: not supported for received powers, which are all in predictions.csv; remove --stacked";
-        return Err(Error::Config(why.into()));
-    }
-    let factors = arguments.interval.map(|level| interval_factors(&ensemble, level)).transpose()?;
-    let new_folder = NewFolder::begin(&arguments.out)?;
-    let folder = OutputFolder { folder: &new_folder, has_png: !arguments.no_png, stacked: arguments.stacked };
-    let mut writer = writer(&folder, &model, count, factors.is_some())?;
-    let mut progress = RunProgress::new(verbosity);
-    let mut list = writer.header();
-    let is_named = !task.has_pixels || model.receivers().len() > 1;
-    let row = |k: usize| {
-        let (pose, receiver) = (poses[k / receivers.len()], receivers[k % receivers.len()]);
-        PredictionRow {
-            number: k + 1,
-            pose,
-            has_orientation: setup.moving.is_receiver(),
-            receiver,
-            name: is_named.then(|| model.receivers()[receiver].name.as_str()),
-            training_distance: distances.as_ref().map(|distances| distances.metres[k / receivers.len()]),
-        }
-    };
-    for first in (0..count).step_by(CHUNK) {
-        progress.on_stage("predicting", first, count);
-        let rows = (first..(first + CHUNK).min(count)).map(row).map(|row| predict_row(&model, row, factors.as_ref()));
-        writer.write(&folder, &rows.collect::<Result<Vec<_>>>()?, &mut list)?;
-    }
-    progress.finish();
-    writer.finish()?;
-    folder.put("predictions.csv", list.as_bytes())?;
-    new_folder.publish()?;
+    let setup = &ensemble.members()[0].stages;
+    let poses = moving_poses(arguments, setup.setup.moving)?;
+    let folder = NewFolder::begin(&arguments.out)?;
+    let PredictionCount { count, distances } = RunProgress::during(verbosity, |progress| {
+        write_predictions(&ensemble, &poses, &arguments.settings, &folder, progress)
+    })?;
+    folder.publish()?;
     match &distances {
         Some(distances) => extrapolation_warning(distances).iter().for_each(|warning| output::warning(warning)),
         None => verbosity.note("note: the model has no training positions, so extrapolations are not marked"),
     }
-    let kind = if count == 1 { task.singular } else { task.plural };
+    let kind = if count == 1 { setup.task.singular } else { setup.task.plural };
     verbosity.note(&format!("{} {kind} in {}", grouped(count as i64), arguments.out.display()));
     Ok(())
 }
@@ -153,65 +104,4 @@ fn moving_poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
         (.., Some(path)) => read_poses(path),
         _ => Err(Error::Config("no positions; set --tx x,y,z or --tx-csv FILE".into())),
     }
-}
-
-/// Returns the factors of prediction intervals of this level.
-fn interval_factors(ensemble: &Ensemble, level: f64) -> Result<IntervalFactors> {
-    let refuse = |problem: &str| Err(Error::Config(format!("--interval: {problem}")));
-    if ensemble.members()[0].stages.task.intervals.is_none() {
-        return refuse("not supported for channels; remove --interval");
-    }
-    match ensemble.calibration() {
-        Some(calibration) => calibration.factors(level),
-        None => {
-            refuse("the model has no calibration; give one model file, as a run with a `validation` share wrote it")
-        }
-    }
-}
-
-/// Describes the extrapolations; `None` without any.
-fn extrapolation_warning(distances: &TrainingDistances) -> Option<String> {
-    let TrainingDistances { metres, limit } = distances;
-    let beyond: Vec<f64> = (0..metres.len()).filter(|&k| distances.is_beyond(k)).map(|k| metres[k]).collect();
-    let largest = beyond.iter().copied().reduce(f64::max)?;
-    Some(format!(
-        "{} of {} predictions are extrapolations: farther than {limit:.2} m from all training positions (up to \
-         {largest:.2} m)",
-        grouped(beyond.len() as i64),
-        grouped(metres.len() as i64)
-    ))
-}
-
-/// Predicts one row; rows are predicted one after another, so that each latency is measured without other load.
-fn predict_row<'a>(
-    model: &Prepared<'_>,
-    row: PredictionRow<'a>,
-    factors: Option<&IntervalFactors>,
-) -> Result<PredictedRow<'a>> {
-    let query = Query::at(row.pose, row.receiver);
-    let (image, spread, times) = if model.models().count() == 1 {
-        let (image, times) = model.predict_timed(query);
-        (image, None, times)
-    } else {
-        let (image, spread, times) = model.predict_with_deviation(query);
-        (image, Some(spread), times)
-    };
-    if !image.pixels.iter().all(|p| p.is_finite()) {
-        return Err(not_finite(model.task(), &row));
-    }
-    let interval = factors.map(|factors| {
-        let deviation = model.deviation(query).unwrap_or(1.0);
-        factors.interval(model.task(), &model.task().shown(image.clone()), deviation)
-    });
-    Ok((row, PredictionImage { image, spread, interval, milliseconds: 1e3 * times.total }))
-}
-
-/// Creates the error of a prediction that is not finite.
-fn not_finite(task: Task, row: &PredictionRow<'_>) -> Error {
-    let observation = task.singular;
-    Error::Config(format!(
-        "row {}: the {observation} at {:?} is not finite: the model overflows there; remove the position if it \
-         is far from the training positions, or train again with lower learning rates",
-        row.number, row.pose.position
-    ))
 }

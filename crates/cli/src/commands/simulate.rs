@@ -1,6 +1,5 @@
 //! `pwrfgs simulate` and `pwrfgs export-scene`: simulates a data set from a scene, and writes a scene for Sionna RT.
 
-use super::options::parse_position;
 use crate::interrupt::stop_flag;
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
@@ -8,6 +7,7 @@ use clap::{Args, ValueEnum};
 use pwrfgs::experiment::staged;
 use pwrfgs::raytrace::output::{self as folder, OutputLayout};
 use pwrfgs::raytrace::{ObservationKind, SceneFile, SimulationRecipe, mitsuba};
+use pwrfgs::tasks::plane::parse_position;
 use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 use std::time::Instant;

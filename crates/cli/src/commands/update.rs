@@ -1,18 +1,17 @@
 //! `pwrfgs update`: adds new measurements to the residual process of a trained model.
 
-use super::init::unknown_folder;
-use super::options::read_models;
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::Args;
+use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::grouped;
-use pwrfgs::experiment::{Agreement, check_alike, staged, warn_of_findings};
 use pwrfgs::model::file;
+use pwrfgs::tasks::init::unknown_folder;
+use pwrfgs::tasks::read_models;
+use pwrfgs::tasks::update::{FAR, UpdatedModel, update as update_model};
 use pwrfgs_core::files::{check_new_file, create};
-use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::{Error, Result, recognise};
+use pwrfgs_core::{Result, recognise};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -38,54 +37,18 @@ pub(crate) struct Update {
     pub(crate) accept: Vec<String>,
 }
 
-/// Name of the finding that most links lie outside the intervals of the model.
-const FAR: &str = "far-from-model";
-
 /// Runs `pwrfgs update`.
 pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let model = read_models(std::slice::from_ref(&arguments.model))?;
-    let Some(residuals) = model.residuals() else {
-        let problem = "has no residual process; set `residuals: Kriged()` in its pipeline and run it again";
-        return Err(Error::input(&arguments.model, problem));
-    };
     let source = recognise(&arguments.data).ok_or_else(|| unknown_folder(&arguments.data))?;
     let mut progress = RunProgress::new(verbosity);
     let data = staged(&mut progress, "new data", |progress| source.load(Path::new(""), progress))?;
-    let ready = model.prepare();
-    check_alike(&ready, &data)?;
-    if !data.placed || data.features.is_some() {
-        return Err(Error::input(&arguments.data, "no transmitter positions; give data with positions"));
-    }
-    let (receivers, origin) = (ready.receivers(), model.members()[0].stages.origin);
-    let moved = receivers
-        .iter()
-        .zip(&data.scene.receivers)
-        .find(|(receiver, other)| origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose));
-    if let Some((_, receiver)) = moved {
-        let name = strip_control(&receiver.name);
-        let problem = format!("receiver `{name}` has another pose than in the model; give data of the same receivers");
-        return Err(Error::input(&arguments.data, problem));
-    }
-    warn_of_findings(&data, None, &mut progress)?;
-    let agreement = Agreement::measure(&model, &data, &mut progress)?;
-    if agreement.is_far() && arguments.accept.is_empty() {
-        let problem = format!(
-            "new data are far from the model: {agreement}; check the order, units, axes and poses of the data, or add \
-             `--accept {FAR}` if the room has changed"
-        );
-        return Err(Error::input(&arguments.data, problem));
-    }
-    verbosity.note(&format!("new data against the model: {agreement}"));
-    let begun = Instant::now();
-    let (updated, added) = residuals.updated(&model, &data)?;
-    let updated = model.clone().with_residuals(Some(updated)).with_calibration(model.calibration().cloned());
+    let UpdatedModel { ensemble, added, agreement, milliseconds } =
+        update_model(&model, &data, !arguments.accept.is_empty(), &mut progress)?;
     progress.finish();
-    if added == 0 {
-        return Err(Error::input(&arguments.data, "no link at a receiver with a residual process"));
-    }
-    let milliseconds = 1e3 * begun.elapsed().as_secs_f64() / added as f64;
-    create(&arguments.out, &file::ensemble_to_bytes(&updated))?;
+    verbosity.note(&format!("new data against the model: {agreement}"));
+    create(&arguments.out, &file::ensemble_to_bytes(&ensemble))?;
     let things = data.task().counted[usize::from(added != 1)];
     let out = arguments.out.display();
     verbosity.note(&format!("{} new {things} in {out}, {milliseconds:.2} ms each", grouped(added as i64)));

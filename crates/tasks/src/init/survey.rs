@@ -1,10 +1,10 @@
 //! `DataSurvey`: content of a data folder, and a split without leakage.
 
-use pwrfgs::data::read_points;
-use pwrfgs::experiment::inspect::test_distance;
-use pwrfgs::experiment::{Observer, observed, staged, warn_of_findings};
 use pwrfgs_core::plugin::name_of as plugin_name;
 use pwrfgs_core::{DataSource, Dataset, Error, Partition, Plugin, Result, Split, recognise, rng};
+use pwrfgs_data::read_points;
+use pwrfgs_experiment::inspect::test_distance;
+use pwrfgs_experiment::{Observer, observed, staged, warn_of_findings};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -20,7 +20,7 @@ const UNKNOWN: &str = "no known layout of data: expected spectrum/ and gateway_i
                        base-station.yml (channels); sparse/0/images.txt and images/ (images of a camera); see docs/data.md";
 
 /// Creates the error of a folder without data of a known layout.
-pub(crate) fn unknown_folder(folder: &Path) -> Error {
+pub fn unknown_folder(folder: &Path) -> Error {
     let problem = match folder.metadata() {
         Ok(entry) if entry.is_dir() => UNKNOWN.to_owned(),
         Ok(_) => format!("is a file; {}", advise_on_file(folder)),
@@ -44,7 +44,7 @@ fn advise_on_file(file: &Path) -> String {
 }
 
 /// Returns whether `path` is a table or an array.
-pub(crate) fn is_table(path: &Path) -> bool {
+pub fn is_table(path: &Path) -> bool {
     path.is_file() && ["csv", "npy", "npz"].contains(&extension(path).as_str())
 }
 
@@ -54,10 +54,11 @@ fn extension(path: &Path) -> String {
 }
 
 /// Content of a data folder, with a suitable split.
-pub(crate) struct DataSurvey {
+pub struct DataSurvey {
     /// Plugin that reads the folder.
     pub(super) source: Plugin<dyn DataSource>,
-    pub(crate) data: Dataset,
+    /// The data.
+    pub data: Dataset,
     /// Suggested split, as RON.
     pub(super) split: String,
     partition: Partition,
@@ -69,11 +70,26 @@ pub(crate) struct DataSurvey {
 
 impl DataSurvey {
     /// Loads the data in `folder` and suggests a split.
-    pub(crate) fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
+    ///
+    /// # Errors
+    /// No data of a known layout, or invalid data.
+    pub fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let source = recognise(folder).ok_or_else(|| unknown_folder(folder))?;
-        let mut data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
+        let data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
+        Self::of_data(source, data, read_clouds(folder), observer)
+    }
+
+    /// Suggests a split for `data`, which `source` reads. `clouds` are point clouds of the room by path.
+    ///
+    /// # Errors
+    /// Data that no split divides, or with findings that are errors.
+    pub fn of_data(
+        source: Plugin<dyn DataSource>,
+        mut data: Dataset,
+        clouds: Vec<(PathBuf, Vec<[f64; 3]>)>,
+        observer: &mut dyn Observer,
+    ) -> Result<Self> {
         let (split, partition) = suggested_split(&data)?;
-        let clouds = read_clouds(folder);
         if let Some((_, points)) = clouds.first().filter(|_| data.camera().is_none()) {
             data.scene.points = points.iter().map(|point| data.scene.origin.local(*point)).collect();
         }
@@ -90,20 +106,20 @@ impl DataSurvey {
     }
 
     /// Chooses the batch size: the number of training transmitters, at most `most`.
-    pub(crate) fn batch(&self, most: usize) -> usize {
+    pub fn batch(&self, most: usize) -> usize {
         let train = self.partition.train.iter().map(|&i| self.data.links[i].location);
         train.collect::<BTreeSet<_>>().len().clamp(1, most)
     }
 
     /// Describes the data in one line.
-    pub(super) fn sentence(&self) -> String {
+    pub fn sentence(&self) -> String {
         let [train, validation, test] = self.partition.sizes();
         let observations = observed(&self.data);
         format!("{observations}: {train} training, {validation} validation, {test} test")
     }
 
     /// Writes notes for the head of the pipeline file.
-    pub(super) fn notes(&self) -> Vec<String> {
+    pub fn notes(&self) -> Vec<String> {
         let mut notes = vec![format!("{}: {}. Written by `pwrfgs init`.", self.data.title, self.sentence())];
         let near = format!("the median distance from test to training transmitters is {:.3} m", self.nearest);
         notes.push(match (self.data.official.is_some(), self.nearest < NEAR) {
@@ -128,23 +144,31 @@ impl DataSurvey {
                 points => format!("Gaussians start on the points of the model ({points})."),
             },
             [] => "The folder has no point cloud of the room: Gaussians start on a grid of directions.".into(),
-            [(name, points), others @ ..] => {
-                let others: Vec<String> = others.iter().map(|(name, _)| name.display().to_string()).collect();
+            [(path, points), others @ ..] => {
+                let others: Vec<String> = others.iter().map(|(path, _)| file_name(path)).collect();
                 let more = if others.is_empty() {
                     String::new()
                 } else {
                     format!(" Other point clouds: {}.", others.join(", "))
                 };
-                format!("Gaussians start on {} ({points} points).{more}", name.display())
+                format!("Gaussians start on {} ({points} points).{more}", file_name(path))
             }
         }));
         notes
     }
 }
 
+/// Returns the last part of a path.
+fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
 /// Suggests a split without leakage, as RON and applied: index files of the data, else cells of space, else a block of
 /// time.
-pub(crate) fn suggested_split(data: &Dataset) -> Result<(String, Partition)> {
+///
+/// # Errors
+/// Data that no split divides.
+pub fn suggested_split(data: &Dataset) -> Result<(String, Partition)> {
     let split_by = |text: &str| -> Result<Partition> {
         let split = Plugin::<dyn Split>::parse(text).map_err(Error::Config)?;
         split.split(data, &mut rng::stream(0, "split", 0))
@@ -179,7 +203,7 @@ fn read_clouds(folder: &Path) -> Vec<(PathBuf, Vec<[f64; 3]>)> {
     paths.sort();
     let read = |path: PathBuf| {
         let points = read_points(&path).ok()?;
-        Some((PathBuf::from(path.file_name()?), points))
+        Some((path, points))
     };
     paths.into_iter().filter_map(read).collect()
 }

@@ -1,12 +1,12 @@
 //! Errors of located samples beside those of baselines.
 
-use pwrfgs::experiment::PairedRow;
-use pwrfgs::experiment::statistics::{Blocks, Difference};
-use pwrfgs::experiment::text::{aligned, fixed, grouped};
-use pwrfgs::localise::{Choice, Located, Locator, NearestFingerprints, Region, SHARES, mean_and_median};
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::statistics::{evenly, mean, quantile, sorted};
 use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Partition, Plugin, Result};
+use pwrfgs_experiment::PairedRow;
+use pwrfgs_experiment::statistics::{Blocks, Difference};
+use pwrfgs_experiment::text::{aligned, fixed, grouped};
+use pwrfgs_localise::{Choice, Located, Locator, NearestFingerprints, Region, SHARES, mean_and_median};
 use rayon::prelude::*;
 use std::fmt::Write as _;
 

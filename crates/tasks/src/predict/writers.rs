@@ -1,11 +1,11 @@
 //! Output files of predictions: arrays, images and the lines of `predictions.csv`.
 
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
-use pwrfgs::data::{npy_header, npy_header_as};
-use pwrfgs::experiment::text::field;
-use pwrfgs::model::{Interval, Prepared};
 use pwrfgs_core::files::{GrowingFile, NewFolder};
 use pwrfgs_core::{End, Error, Image, ImagePlane, Number, Pose, Real, Result, Task, gains_of};
+use pwrfgs_data::{npy_header, npy_header_as};
+use pwrfgs_experiment::text::field;
+use pwrfgs_model::{Interval, Prepared};
 use rayon::prelude::*;
 use std::fmt::Write as _;
 

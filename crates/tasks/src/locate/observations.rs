@@ -1,9 +1,9 @@
 //! Observations of unknown transmitters: NumPy arrays, tables of powers, images.
 
-use pwrfgs::data::{is_linear, power_fault, read_image, read_powers};
-use pwrfgs::localise::FingerprintFeatures;
 use pwrfgs_core::npy::Header;
 use pwrfgs_core::{Error, Image, Number, Real, Receiver, Result, files, gain_fault, rows_of};
+use pwrfgs_data::{is_linear, power_fault, read_image, read_powers};
+use pwrfgs_localise::FingerprintFeatures;
 use std::path::Path;
 
 /// Largest array that is read, bytes.
@@ -16,8 +16,27 @@ struct ObservationFile<'a> {
     receivers: &'a [Receiver],
 }
 
+/// Computes the features of observations of `features.task()` in an array, after the checks of a file called `path`: powers
+/// `[B, receivers]` in dBm, NaN if unknown; spectra `[B, height, width]`, or channels as rows of real and imaginary parts, at
+/// one receiver.
+///
+/// # Errors
+/// An invalid value; the error has its row.
+pub fn checked_features(
+    path: &Path,
+    values: &[Real],
+    features: &FingerprintFeatures,
+    receivers: &[Receiver],
+) -> Result<Vec<Vec<f32>>> {
+    let file = ObservationFile { path, features, receivers };
+    if features.task().is_scalar { file.check_powers(values) } else { file.image_features(values) }
+}
+
 /// Reads the features `[receivers, count]` of every transmitter in a file; NaN for unknown values.
-pub(super) fn read(path: &Path, features: &FingerprintFeatures, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
+///
+/// # Errors
+/// Another kind of file or shape, or an invalid value.
+pub fn read_observations(path: &Path, features: &FingerprintFeatures, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
     let (file, task) = (ObservationFile { path, features, receivers }, features.task());
     match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
         Some("npy") if task.is_scalar => file.check_powers(&read_real(path, &[receivers.len()], false)?),

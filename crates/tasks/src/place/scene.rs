@@ -1,28 +1,35 @@
 //! Receivers at any free position of a simulated scene.
 
-use super::{Choice, Outcome, Place, RANDOM};
-use crate::progress::RunProgress;
-use pwrfgs::experiment::staged;
-use pwrfgs::experiment::text::{fixed, grouped, number};
-use pwrfgs::planning::{SceneCoverage, coverage_of, greedy_subset, random_subsets, strongest_powers};
-use pwrfgs::raytrace::SceneFile;
-use pwrfgs::report::draw::survey::CoverageMap;
+use super::{PlaceSettings, PlacedReceivers, Placement, RANDOM, check_count};
 use pwrfgs_core::{Error, Result, statistics::mean};
+use pwrfgs_experiment::text::{fixed, grouped, number};
+use pwrfgs_experiment::{Observer, staged};
+use pwrfgs_planning::{SceneCoverage, coverage_of, greedy_subset, random_subsets, strongest_powers};
+use pwrfgs_raytrace::SceneFile;
+use pwrfgs_report::draw::survey::CoverageMap;
 use std::sync::atomic::AtomicBool;
 
 /// Largest number of receivers.
 const MOST: usize = 3;
 
 /// Chooses receivers by ascent over the floor of a scene, beside the best position on a grid.
-pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Outcome> {
-    let count = arguments.count;
+///
+/// # Errors
+/// Invalid settings, a scene without free positions, or [`Error::Stopped`].
+pub fn place_in_scene(
+    scene: &SceneFile,
+    settings: &PlaceSettings,
+    observer: &mut dyn Observer,
+    stop: &AtomicBool,
+) -> Result<Placement> {
+    check_count(settings.count)?;
+    let count = settings.count;
     if count > MOST {
         return Err(Error::Config(format!("--count {count}: a scene takes at most {MOST} receivers; lower --count")));
     }
-    let scene = SceneFile::read(&arguments.source)?;
-    let floor = SceneCoverage::new(&scene, arguments.step, arguments.height, arguments.mount)?;
+    let floor = SceneCoverage::new(scene, settings.step, settings.height, settings.mount)?;
     let (transmitters, candidates) = (floor.transmitters.len(), floor.candidates.len());
-    if !arguments.no_grid {
+    if !settings.no_grid {
         floor.check_grid()?;
         if candidates < count {
             return Err(Error::Config(format!(
@@ -30,8 +37,8 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
             )));
         }
     }
-    let ascent = staged(progress, "ascent", |_| floor.ascend(count, arguments.seed, stop))?;
-    let mut choices = vec![Choice {
+    let ascent = staged(observer, "ascent", |_| floor.ascend(count, settings.seed, stop))?;
+    let mut choices = vec![PlacedReceivers {
         short: "ascent",
         name: "ascent".into(),
         receivers: ascent.receivers.iter().map(|[x, y]| (String::new(), [*x, *y, floor.mount()])).collect(),
@@ -41,11 +48,11 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
     let mut notes = vec![format!(
         "coverage: 10th percentile of the strongest simulated power over {} transmitters at {} m",
         grouped(transmitters as i64),
-        number(arguments.height)
+        number(settings.height)
     )];
-    if !arguments.no_grid {
-        let grid = staged(progress, "grid of receivers", |progress| floor.grid(stop, progress))?;
-        let [best, random] = grid_choices(arguments, &floor, &grid);
+    if !settings.no_grid {
+        let grid = staged(observer, "grid of receivers", |progress| floor.grid(stop, progress))?;
+        let [best, random] = grid_choices(settings, &floor, &grid);
         notes.push(format!(
             "the ascent minus the grid: {} dB, with {} links instead of {}",
             fixed(ascent.coverage - best.coverage, 2),
@@ -64,25 +71,25 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
         others: Vec::new(),
     };
     let header = ["coverage (dBm)", "positions traced", "links traced"].map(str::to_owned).to_vec();
-    Ok(Outcome { header, choices, notes, map })
+    Ok(Placement { header, choices, notes, map })
 }
 
 /// Returns the best subset of the receiver positions on the grid, and the mean of random subsets. `grid` holds the
 /// powers of all candidates, dBm `[C][T]`.
-fn grid_choices(arguments: &Place, floor: &SceneCoverage, grid: &[Vec<f64>]) -> [Choice; 2] {
-    let Place { count, seed, .. } = *arguments;
+fn grid_choices(settings: &PlaceSettings, floor: &SceneCoverage, grid: &[Vec<f64>]) -> [PlacedReceivers; 2] {
+    let PlaceSettings { count, seed, .. } = *settings;
     let (transmitters, candidates) = (floor.transmitters.len(), floor.candidates.len());
     let best = greedy_subset(grid, count);
     let subsets = random_subsets(candidates, count, RANDOM, seed);
     let random = mean(subsets.iter().map(|subset| coverage_of(grid, subset)));
-    let best = Choice {
+    let best = PlacedReceivers {
         short: "grid",
         name: if count == 1 { "grid, exhaustive" } else { "grid, greedy" }.into(),
         receivers: best.receivers.iter().map(|&r| (String::new(), floor.candidates[r])).collect(),
         coverage: best.coverage,
         cells: cells(best.coverage, candidates, transmitters * candidates),
     };
-    let random = Choice {
+    let random = PlacedReceivers {
         short: "",
         name: format!("random, mean of {RANDOM} (seed {seed})"),
         receivers: Vec::new(),

@@ -1,31 +1,32 @@
 //! Best receivers of a data folder with received powers.
 
-use super::{Choice, Outcome, Place, RANDOM};
-use crate::progress::RunProgress;
-use pwrfgs::experiment::staged;
-use pwrfgs::experiment::text::{fixed, grouped};
-use pwrfgs::planning::{Subset, best_subset, coverage_of, greedy_subset, random_subsets, strongest_powers};
-use pwrfgs::report::draw::survey::CoverageMap;
-use pwrfgs_core::{DataSource, Dataset, Error, Result, rng, statistics::mean};
-use std::path::Path;
+use super::{PlaceSettings, PlacedReceivers, Placement, RANDOM, check_count};
+use pwrfgs_core::{Dataset, Error, Result, rng, statistics::mean};
+use pwrfgs_experiment::text::{fixed, grouped};
+use pwrfgs_experiment::{Observer, staged};
+use pwrfgs_planning::{Subset, best_subset, coverage_of, greedy_subset, random_subsets, strongest_powers};
+use pwrfgs_report::draw::survey::CoverageMap;
 
 /// Divisor of the number of transmitters that are held out without an official split.
 const HELD_OUT: usize = 5;
 
-/// Chooses receivers by an exhaustive and a greedy search, and scores them on held-out transmitters.
-pub(super) fn choose(arguments: &Place, source: &dyn DataSource, progress: &mut RunProgress) -> Result<Outcome> {
-    let (count, path) = (arguments.count, &arguments.source);
-    let data = staged(progress, "data", |progress| source.load(Path::new(""), progress))?;
-    let total = data.scene.receivers.len();
-    let Some(matrix) = Matrix::new(&data) else {
-        return Err(Error::input(path, "has no received powers; name data with received powers, or a scene"));
+/// Chooses receivers of `data` by an exhaustive and a greedy search, and scores them on held-out transmitters.
+///
+/// # Errors
+/// Invalid settings, data without received powers, or fewer than two transmitters.
+pub fn place_in_data(data: &Dataset, settings: &PlaceSettings, observer: &mut dyn Observer) -> Result<Placement> {
+    check_count(settings.count)?;
+    let (count, total) = (settings.count, data.scene.receivers.len());
+    let refuse = |problem: &str| Err(Error::Config(format!("{}: {problem}", data.title)));
+    let Some(matrix) = Matrix::new(data) else {
+        return refuse("has no received powers; name data with received powers, or a scene");
     };
     if count > total {
         return Err(Error::Config(format!("--count {count}: the data have {total} receivers; lower --count")));
     }
-    let ([train, test], split) = split_transmitters(&data, arguments.seed);
+    let ([train, test], split) = split_transmitters(data, settings.seed);
     if train.is_empty() || test.is_empty() {
-        return Err(Error::input(path, "has fewer than two transmitters; name data with more"));
+        return refuse("has fewer than two transmitters; name data with more");
     }
     let simulated = if data.is_simulated() { "simulated " } else { "" };
     let mut notes = vec![
@@ -42,7 +43,7 @@ pub(super) fn choose(arguments: &Place, source: &dyn DataSource, progress: &mut 
         ),
     ];
     let [fitting, held_out] = [&train, &test].map(|part| matrix.part(part));
-    let [best, greedy] = staged(progress, "choosing receivers", |_| {
+    let [best, greedy] = staged(observer, "choosing receivers", |_| {
         [best_subset(&fitting, count), Some(greedy_subset(&fitting, count))]
     });
     if best.is_none() {
@@ -52,16 +53,16 @@ pub(super) fn choose(arguments: &Place, source: &dyn DataSource, progress: &mut 
         .into_iter()
         .filter_map(|(name, subset)| Some((name, subset?)))
         .collect();
-    let powers = MeasuredPowers { data: &data, fitting: &fitting, held_out: &held_out };
-    let mut choices: Vec<Choice> = subsets.iter().map(|(name, subset)| powers.choice(name, subset)).collect();
-    choices.extend(powers.references(count, arguments.seed));
+    let powers = MeasuredPowers { data, fitting: &fitting, held_out: &held_out };
+    let mut choices: Vec<PlacedReceivers> = subsets.iter().map(|(name, subset)| powers.choice(name, subset)).collect();
+    choices.extend(powers.references(count, settings.seed));
     let (search, chosen) = (subsets[0].0, &subsets[0].1.receivers);
     let names: Vec<String> = chosen.iter().map(|&r| powers.receiver(r).0).collect();
     notes.push(format!("{search} choice: {}", names.join(", ")));
     let title = format!("{}: {simulated}coverage {} dBm", data.title, fixed(choices[0].coverage, 1));
     let map = powers.map(title, chosen, &test);
     let header = ["training (dBm)", "held-out (dBm)", "subsets"].map(str::to_owned).to_vec();
-    Ok(Outcome { header, choices, notes, map })
+    Ok(Placement { header, choices, notes, map })
 }
 
 /// Data with their powers `[R][T]`, dBm, at the transmitters of the choice and at the held-out ones.
@@ -79,15 +80,15 @@ impl MeasuredPowers<'_> {
     }
 
     /// Scores the subset of a search.
-    fn choice(&self, short: &'static str, subset: &Subset) -> Choice {
+    fn choice(&self, short: &'static str, subset: &Subset) -> PlacedReceivers {
         let coverage = coverage_of(self.held_out, &subset.receivers);
         let cells = vec![fixed(subset.coverage, 2), fixed(coverage, 2), grouped(subset.evaluations as i64)];
         let receivers = subset.receivers.iter().map(|&r| self.receiver(r)).collect();
-        Choice { short, name: short.into(), receivers, coverage, cells }
+        PlacedReceivers { short, name: short.into(), receivers, coverage, cells }
     }
 
     /// Scores random subsets of `count` receivers, and all receivers.
-    fn references(&self, count: usize, seed: u64) -> [Choice; 2] {
+    fn references(&self, count: usize, seed: u64) -> [PlacedReceivers; 2] {
         let all: Vec<usize> = (0..self.data.scene.receivers.len()).collect();
         let draws = random_subsets(all.len(), count, RANDOM, seed);
         let mean = |powers: &[Vec<f64>]| mean(draws.iter().map(|subset| coverage_of(powers, subset)));
@@ -95,7 +96,7 @@ impl MeasuredPowers<'_> {
         let whole = [self.fitting, self.held_out].map(|powers| coverage_of(powers, &all));
         [random, (format!("all {} receivers", all.len()), whole[0], whole[1])].map(|(name, train, coverage)| {
             let cells = vec![fixed(train, 2), fixed(coverage, 2), String::new()];
-            Choice { short: "", name, receivers: Vec::new(), coverage, cells }
+            PlacedReceivers { short: "", name, receivers: Vec::new(), coverage, cells }
         })
     }
 

@@ -1,18 +1,21 @@
 //! Quantities of a map and their arrays.
 
-use super::plane::PlaneGrid;
+use crate::plane::PlaneGrid;
 use clap::ValueEnum;
-use pwrfgs::model::Prepared;
 use pwrfgs_core::{Error, Image, Query, Real, Result, Task, Vec3};
+use pwrfgs_model::Prepared;
 use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::Deserialize;
 
 /// Numbers of queries per call and per step of the progress bar.
 const CALL: usize = 64;
 const STEP: usize = 2_048;
 
 /// Quantity of a map.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum MapQuantity {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum MapQuantity {
     /// Received power in dBm, or the mean power of a channel's gains in dB
     Power,
     /// The strongest pixel of a spectrum
@@ -25,18 +28,19 @@ pub(crate) enum MapQuantity {
 
 /// Array of a map.
 #[derive(Clone, Debug)]
-pub(super) struct MapLayer {
+pub struct MapLayer {
     /// Start of the names of its files.
-    pub(super) name: &'static str,
+    pub name: &'static str,
     /// Quantity in words.
-    pub(super) words: &'static str,
-    pub(super) unit: &'static str,
+    pub words: &'static str,
+    /// Unit of the values.
+    pub unit: &'static str,
     /// Index of the receiver; `None`: the strongest of the mapped receivers.
-    pub(super) receiver: Option<usize>,
+    pub receiver: Option<usize>,
     /// Values, row by row, lowest row first.
-    pub(super) values: Vec<f32>,
+    pub values: Vec<f32>,
     /// Direction per value, within the plane; only for azimuths.
-    pub(super) arrows: Vec<[f32; 2]>,
+    pub arrows: Vec<[f32; 2]>,
 }
 
 /// Returns the quantities to map: those `requested`, or the default of the model.

@@ -1,24 +1,42 @@
-//! Axis-parallel plane of a map, and the grid of positions on it.
+//! Positions and bounds as text, the axis-parallel plane of a map, and the grid of positions on it.
 
-use crate::commands::options::parse_numbers;
-use pwrfgs_core::{Error, MAX_COORDINATE_M, Result, coordinate_fault};
+use pwrfgs_core::{Error, MAX_COORDINATE_M, Result, coordinate_fault, place_fault};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 /// Maximum number of positions of a map.
 const MOST: f64 = 4e6;
 
+/// Parses `N` numbers separated by commas; `None` for other text.
+pub fn parse_numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
+    numbers?.try_into().ok()
+}
+
+/// Parses `x,y,z` in metres, the value of `option`.
+///
+/// # Errors
+/// Other text, or a coordinate that is not finite or beyond 1e8 m.
+pub fn parse_position(option: &str, text: &str) -> Result<[f64; 3]> {
+    let wrong =
+        || Error::Config(format!("{option} {text}: expected x,y,z in metres, each at most 1e8, such as 3.5,2.2,1.2"));
+    parse_numbers(text).filter(|position| place_fault(*position).is_none()).ok_or_else(wrong)
+}
+
 /// Plane with one fixed coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct MapPlane {
+pub struct MapPlane {
     /// Index of the fixed coordinate: 0 for x.
-    pub(super) axis: usize,
+    pub axis: usize,
     /// Value of the fixed coordinate, metres.
-    pub(super) at: f64,
+    pub at: f64,
 }
 
 impl MapPlane {
     /// Parses `z=1.2`.
-    pub(super) fn parse(text: &str) -> Result<Self> {
+    ///
+    /// # Errors
+    /// Other text.
+    pub fn parse(text: &str) -> Result<Self> {
         let wrong = || {
             Error::Config(format!(
                 "--plane {text}: expected a fixed coordinate in metres, such as z=1.2, x=0.5 or y=-3"
@@ -31,17 +49,17 @@ impl MapPlane {
     }
 
     /// Returns the indices of the two free coordinates, horizontal first.
-    pub(super) fn axes(&self) -> [usize; 2] {
+    pub fn axes(&self) -> [usize; 2] {
         [[1, 2], [0, 2], [0, 1]][self.axis]
     }
 
     /// Returns the names of the free coordinates.
-    pub(super) fn names(&self) -> [&'static str; 2] {
+    pub fn names(&self) -> [&'static str; 2] {
         self.axes().map(|k| AXES[k])
     }
 
     /// Describes the plane, such as `z = 1.2 m`.
-    pub(super) fn words(&self) -> String {
+    pub fn words(&self) -> String {
         format!("{} = {} m", AXES[self.axis], self.at)
     }
 
@@ -54,18 +72,24 @@ impl MapPlane {
     }
 
     /// Projects a position or vector onto the plane.
-    pub(super) fn project(&self, position: [f64; 3]) -> [f64; 2] {
+    pub fn project(&self, position: [f64; 3]) -> [f64; 2] {
         self.axes().map(|k| position[k])
     }
 }
 
 /// Extent of a map: low and high of the first and second free coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::commands) struct PlaneBounds(pub(super) [[f64; 2]; 2]);
+pub struct PlaneBounds(
+    /// Low and high end per free coordinate, metres.
+    pub [[f64; 2]; 2],
+);
 
 impl PlaneBounds {
-    /// Parses `x0,x1,y0,y1`.
-    pub(in crate::commands) fn parse(option: &str, text: &str, names: [&str; 2]) -> Result<Self> {
+    /// Parses `x0,x1,y0,y1`, the value of `option` for coordinates with these names.
+    ///
+    /// # Errors
+    /// Other text.
+    pub fn parse(option: &str, text: &str, names: [&str; 2]) -> Result<Self> {
         let [a, b] = names;
         let wrong = || {
             Error::Config(format!(
@@ -80,12 +104,12 @@ impl PlaneBounds {
     }
 
     /// Whether a point is inside or on the edge.
-    pub(in crate::commands) fn holds(&self, point: [f64; 2]) -> bool {
+    pub fn holds(&self, point: [f64; 2]) -> bool {
         self.0.iter().zip(point).all(|([low, high], v)| (*low..=*high).contains(&v))
     }
 
     /// Extends the bounds to multiples of `step`.
-    pub(super) fn outwards(self, step: f64) -> Self {
+    pub fn outwards(self, step: f64) -> Self {
         let rounded = |[low, high]: [f64; 2]| [(low / step).floor() * step, (high / step).ceil() * step];
         let out = self.0.map(rounded);
         if out.iter().flatten().all(|v| v.is_finite()) { Self(out) } else { self }
@@ -93,7 +117,7 @@ impl PlaneBounds {
 
     /// Returns bounds around the central 90 % of `cloud` and all `receivers`; two metres wide if that is a single
     /// position.
-    pub(super) fn around(mut cloud: Vec<[f64; 2]>, receivers: &[[f64; 2]]) -> Self {
+    pub fn around(mut cloud: Vec<[f64; 2]>, receivers: &[[f64; 2]]) -> Self {
         cloud.retain(|point| point.iter().all(|v| v.is_finite()));
         let ends_along = |k: usize| {
             let mut values: Vec<f64> = cloud.iter().map(|point| point[k]).collect();
@@ -113,17 +137,25 @@ impl PlaneBounds {
 
 /// Grid of positions on a plane, row by row, lowest row first.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct PlaneGrid {
-    pub(super) plane: MapPlane,
-    pub(super) first: [f64; 2],
-    pub(super) step: f64,
-    pub(super) columns: usize,
-    pub(super) rows: usize,
+pub struct PlaneGrid {
+    /// Plane of all positions.
+    pub plane: MapPlane,
+    /// First and second free coordinate of the first position, metres.
+    pub first: [f64; 2],
+    /// Distance of neighbours, metres.
+    pub step: f64,
+    /// Number of positions along the first free coordinate.
+    pub columns: usize,
+    /// Number of positions along the second free coordinate.
+    pub rows: usize,
 }
 
 impl PlaneGrid {
     /// Creates the grid from the low ends of the bounds, with `layers` values per position.
-    pub(super) fn new(plane: MapPlane, bounds: PlaneBounds, step: f64, layers: usize) -> Result<Self> {
+    ///
+    /// # Errors
+    /// An invalid step, or too many positions.
+    pub fn new(plane: MapPlane, bounds: PlaneBounds, step: f64, layers: usize) -> Result<Self> {
         let PlaneBounds([across, up]) = bounds;
         if !(1e-6..=MAX_COORDINATE_M).contains(&step) {
             return Err(Error::Config(format!(
@@ -142,12 +174,13 @@ impl PlaneGrid {
     }
 
     /// Returns the number of positions.
-    pub(super) fn len(&self) -> usize {
+    #[allow(clippy::len_without_is_empty)] // a grid has one position or more
+    pub fn len(&self) -> usize {
         self.columns * self.rows
     }
 
     /// Returns position `k` in space.
-    pub(super) fn position(&self, k: usize) -> [f64; 3] {
+    pub fn position(&self, k: usize) -> [f64; 3] {
         let coordinate = |n: usize, axis: usize| self.first[axis] + self.step * n as f64;
         self.plane.position([coordinate(k % self.columns, 0), coordinate(k / self.columns, 1)])
     }
@@ -156,6 +189,14 @@ impl PlaneGrid {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn positions_are_three_finite_numbers() {
+        assert_eq!(parse_position("--tx", "1, -2.5,3e0").unwrap(), [1.0, -2.5, 3.0]);
+        for wrong in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,NaN", "1,inf,2", "1,2,1e9"] {
+            assert!(parse_position("--tx", wrong).unwrap_err().is_input(), "{wrong}");
+        }
+    }
 
     #[test]
     fn parses_planes_and_bounds_and_rejects_invalid_ones() {

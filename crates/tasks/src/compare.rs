@@ -1,0 +1,212 @@
+//! All methods, baselines and predictions of other programs on one data set.
+
+use crate::init::{DataSurvey, suggest_pipeline};
+use pwrfgs_core::plugin::{Checked, name_of as plugin_name, registered};
+use pwrfgs_core::{Baseline, Dataset, Error, Partition, Plugin, Real, Result, ShippedFile, did_you_mean};
+use pwrfgs_data::Predictions;
+use pwrfgs_experiment::sweep::{Axis, Experiment, ListedRun, Listing, PlannedRun, SweepPlan};
+use pwrfgs_experiment::{CEILING, Observer, scores::MODEL};
+use pwrfgs_pipeline::Pipeline;
+use pwrfgs_train::{Rays, Trainer, Training};
+use std::path::{Path, PathBuf};
+
+/// Settings of [`plan_comparison`].
+#[derive(Clone, Debug)]
+pub struct CompareSettings {
+    /// Name of the data in the names of the runs.
+    pub name: String,
+    /// Methods to train; empty for all that can predict the data.
+    pub methods: Vec<String>,
+    /// Number of seeds per method.
+    pub seeds: usize,
+    /// Changes of all pipelines, in the form of `--set`.
+    pub changes: Vec<String>,
+    /// Folders with predictions of other programs, each as `NAME=FOLDER`.
+    pub predictions: Vec<String>,
+    /// Output folder; `None` for `runs/compare-NAME`.
+    pub out: Option<PathBuf>,
+}
+
+/// Runs of a comparison.
+#[derive(Debug)]
+pub struct Comparison {
+    /// All runs; the first method scores the baselines.
+    pub plan: SweepPlan,
+    /// Split of all runs.
+    pub partition: Partition,
+    /// Name of the first other program, the reference of the report; `None` without any.
+    pub reference: Option<String>,
+}
+
+/// Plans a run per method and seed, all with the same split; the runs of the first method score all baselines and the predictions
+/// of other programs. A method that was not named and cannot predict the data is left out, with a message.
+///
+/// # Errors
+/// An unknown method, invalid changes or predictions, or data that no method can predict.
+pub fn plan_comparison(
+    survey: &DataSurvey,
+    settings: &CompareSettings,
+    observer: &mut dyn Observer,
+) -> Result<Comparison> {
+    let mut plan = plan_methods(settings, survey, observer)?;
+    let partition = plan.runs[0].pipeline.partition(&survey.data)?;
+    let external = settings.read_predictions(&plan, (&survey.data, &partition))?;
+    // Baselines and predictions are equal for all methods: the runs of the first method score them.
+    let first = plan.runs[0].combination;
+    for PlannedRun { combination, pipeline, .. } in &mut plan.runs {
+        if *combination == first {
+            pipeline.baselines.extend(external.iter().cloned());
+        } else {
+            pipeline.baselines.clear();
+        }
+    }
+    let reference = external.first().map(|baseline| baseline.name());
+    Ok(Comparison { plan, partition, reference })
+}
+
+/// Plans the runs of the methods that support the data, all with the same split. A method that was not named and
+/// cannot predict the data is left out, with a note.
+fn plan_methods(settings: &CompareSettings, survey: &DataSurvey, observer: &mut dyn Observer) -> Result<SweepPlan> {
+    let experiment = read_experiment(settings, &survey.data)?;
+    let labels: Vec<&str> = experiment.axes[0].variants.iter().map(|variant| variant.label.as_str()).collect();
+    if let Some(name) = settings.methods.iter().find(|name| !labels.contains(&name.as_str())) {
+        let near = did_you_mean(name, labels.iter().copied());
+        let why = format!("--methods {name}: no such method for these data{near} (methods: {})", labels.join(", "));
+        return Err(Error::Config(why));
+    }
+    let mut base = suggest_pipeline(survey, &settings.name, Path::new("compare.ron"))?;
+    (base.split_seed, base.baselines) = (Some(0), applicable_baselines(&survey.data));
+    let mut whole: Option<SweepPlan> = None;
+    for method in labels {
+        let is_named = settings.methods.iter().any(|name| name == method);
+        if !is_named && !settings.methods.is_empty() {
+            continue;
+        }
+        match settings.plan(method, &experiment, &base, survey) {
+            Ok(mut plan) => match &mut whole {
+                Some(whole) => {
+                    let combination = whole.runs.last().map_or(0, |run| run.combination + 1);
+                    plan.runs.iter_mut().for_each(|run| run.combination = combination);
+                    whole.runs.extend(plan.runs);
+                }
+                None => whole = Some(plan),
+            },
+            Err(error) if !is_named && error.is_input() => {
+                observer
+                    .on_message(&format!("note: {method} is left out, since it cannot predict these data: {error}"));
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    whole.ok_or_else(|| {
+        Error::Config(format!("{}: no method can predict these data; see docs/data.md", survey.data.title))
+    })
+}
+
+/// Reads the shipped experiment with the methods for the task of `data`.
+fn read_experiment(settings: &CompareSettings, data: &Dataset) -> Result<Experiment> {
+    let name = match &data.features {
+        Some(_) => "methods-uplink",
+        None => data.task().comparison,
+    };
+    let file = ShippedFile::all(ShippedFile::EXPERIMENTS).into_iter().find(|file| file.name == name);
+    let text = file.expect("the facade registers its experiments").source;
+    let mut experiment = Experiment::parse(text, Path::new(name))?;
+    experiment.name = format!("compare-{}", settings.name);
+    experiment.seeds = (0..settings.seeds as u64).collect();
+    Ok(experiment)
+}
+
+impl CompareSettings {
+    /// Plans the runs of one method, checked with the data.
+    fn plan(&self, method: &str, experiment: &Experiment, base: &Pipeline, survey: &DataSurvey) -> Result<SweepPlan> {
+        let axis = &experiment.axes[0];
+        let variants = axis.variants.iter().filter(|variant| variant.label == method).cloned().collect();
+        let axis = Checked::new(Axis { variants, ..Axis::clone(axis) }).map_err(Error::Config)?;
+        let experiment = Experiment { axes: vec![axis], ..experiment.clone() };
+        // No text: positions in it would be those of all methods.
+        let plan = SweepPlan::of(&experiment, (Path::new(""), "()"), Some(base), &self.changes, self.out.as_deref());
+        let mut plan = plan.map_err(without_position)?;
+        let data = &survey.data;
+        for PlannedRun { pipeline, .. } in &mut plan.runs {
+            let batch = format!("training.batch={}", survey.batch(pipeline.training.batch));
+            let is_rays = pipeline.method.as_ref().is_some_and(|method| plugin_name(method) == "Nerf2");
+            let rays = if is_rays { ray_settings(data, &pipeline.training) } else { Vec::new() };
+            pipeline.set_all(&[vec![batch], rays].concat())?;
+        }
+        let pipeline = &plan.runs[0].pipeline;
+        pipeline.check_data(data)?;
+        Trainer::sketch(&pipeline.plan()?, data, &pipeline.partition(data)?)?;
+        Ok(plan)
+    }
+
+    /// Reads and checks the predictions of other programs.
+    fn read_predictions(&self, plan: &SweepPlan, split: (&Dataset, &Partition)) -> Result<Vec<Plugin<dyn Baseline>>> {
+        let (data, partition) = split;
+        let baselines = plan.runs[0].pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task()));
+        let labels = plan.runs.iter().map(|run| run.labels[0].1.clone());
+        let mut taken: Vec<String> = baselines.chain(labels).chain([MODEL, CEILING].map(str::to_owned)).collect();
+        let mut baselines = Vec::new();
+        for text in &self.predictions {
+            let refuse = |problem: &str| Error::Config(format!("--predictions {text}: {problem}"));
+            let (name, root) = text
+                .split_once('=')
+                .filter(|(name, root)| !name.trim().is_empty() && !root.is_empty())
+                .ok_or_else(|| refuse("expected NAME=FOLDER, such as U-Net=predicted"))?;
+            if taken.iter().any(|other| other == name) {
+                return Err(refuse(&format!("the table has another row `{name}`; choose another name")));
+            }
+            taken.push(name.to_owned());
+            let root = Path::new(root).canonicalize().ok().filter(|root| root.is_dir());
+            let root = root.ok_or_else(|| refuse("no such folder; correct its path"))?;
+            let mut predictions = Predictions { name: name.into(), root, ..Predictions::default() };
+            predictions.check_test(data, &partition.test)?;
+            predictions.seal(data)?;
+            baselines.push(Plugin::from(Box::new(predictions) as Box<dyn Baseline>));
+        }
+        Ok(baselines)
+    }
+}
+
+/// Removes the position in the experiment from an error, whose file is inside the program and has no path.
+pub fn without_position(error: Error) -> Error {
+    match error {
+        Error::Input { path, message, .. } if path.as_os_str().is_empty() => Error::Config(message),
+        other => other,
+    }
+}
+
+/// Checks that the output folder has no other runs: their baselines and predictions would remain in the report.
+///
+/// # Errors
+/// The first such run.
+pub fn check_earlier_runs(plan: &SweepPlan) -> Result<()> {
+    let (planned, earlier) = (plan.listing().runs, Listing::read(&plan.folder)?);
+    let other = earlier.iter().flat_map(|listing| &listing.runs).find(|run| !planned.contains(run));
+    let why =
+        |run: &ListedRun| format!("holds the run `{}`; add its method and seed, or choose another --out", run.folder);
+    other.map_or(Ok(()), |run| Err(Error::input(&plan.folder, why(run))))
+}
+
+/// Returns settings of NeRF2 for the size of the site and of small spectra: rays reach across the site; beyond a room,
+/// this length is the unit.
+fn ray_settings(data: &Dataset, training: &Training) -> Vec<String> {
+    let (low, high) = data.scene.bounds;
+    let far = (0..3).map(|k| (high[k] - low[k]).powi(2)).sum::<Real>().sqrt().max(5.0).ceil();
+    let unit = if far > 20.0 { far } else { 1.0 };
+    let pixels = data.width.div_ceil(training.stride) * data.height.div_ceil(training.stride);
+    let fewer = match training.rays {
+        Rays::Same(count) if count > pixels && data.task().has_pixels => Some(format!("training.rays=Same({pixels})")),
+        _ => None,
+    };
+    [format!("method.Nerf2.far_m={far:?}"), format!("method.Nerf2.unit_m={unit:?}")].into_iter().chain(fewer).collect()
+}
+
+/// Lists all registered baselines for the data, and further numbers of neighbours.
+fn applicable_baselines(data: &Dataset) -> Vec<Plugin<dyn Baseline>> {
+    let nearest = ["(k: 1)", "(k: Auto)"].map(|k| format!("NearestNeighbours{k}"));
+    let texts = registered::<dyn Baseline>().into_iter().map(|name| format!("{name}()")).chain(nearest);
+    let baselines = texts.filter_map(|text| Plugin::<dyn Baseline>::parse(&text).ok());
+    let baselines = baselines.filter(|baseline| baseline.tasks().contains(&data.task()) && !baseline.is_external());
+    baselines.filter(|baseline| baseline.check_data(data).is_ok()).collect()
+}

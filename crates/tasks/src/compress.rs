@@ -1,0 +1,61 @@
+//! Smaller model files.
+
+use pwrfgs_core::{Error, Query, Result, Task, evenly};
+use pwrfgs_experiment::text::grouped;
+use pwrfgs_model::compress::{self, Bits};
+use pwrfgs_model::{Ensemble, Model, file};
+
+/// Number of training positions at which predictions are compared.
+const COMPARED: usize = 200;
+
+/// Result of [`compress`].
+#[derive(Debug)]
+pub struct CompressedModel {
+    /// Content of the model file.
+    pub bytes: Vec<u8>,
+    /// Model of this file.
+    pub ensemble: Ensemble,
+    /// Sizes of both files, and the mean difference of predictions if the model has training positions; one line each.
+    pub notes: Vec<String>,
+}
+
+/// Stores a model with 8 or 16 bits per network weight, and everything else in 16 bits. The calibration of intervals is left out,
+/// since it is that of the exact predictions.
+///
+/// # Errors
+/// An ensemble of several models, or a model with a residual process.
+pub fn compress(ensemble: Ensemble, bits: Bits) -> Result<CompressedModel> {
+    if ensemble.residuals().is_some() {
+        return Err(Error::Config("the model has a residual process, expected a model without one".into()));
+    }
+    let (before, count) = (file::size(&ensemble), ensemble.members().len());
+    let several = || {
+        Error::Config(format!(
+            "the model is an ensemble of {count} models, expected one; compress the file of each member"
+        ))
+    };
+    let model = ensemble.into_only().ok_or_else(several)?;
+    let bytes = compress::to_bytes(&model, bits)?;
+    let small = file::from_bytes(&bytes).map_err(Error::Config)?;
+    let kilobytes = |bytes: usize| grouped((bytes as f64 / 1e3).round() as i64);
+    let sizes = format!("whole file {} kB instead of {} kB", kilobytes(bytes.len()), kilobytes(before));
+    let notes = std::iter::once(sizes).chain(describe_difference(&model, &small.members()[0])).collect();
+    Ok(CompressedModel { bytes, ensemble: small, notes })
+}
+
+/// Describes the mean difference of predicted values at training positions, over all receivers;
+/// `None` without such positions.
+fn describe_difference(model: &Model, small: &Model) -> Option<String> {
+    let (training, stages) = (model.training_positions.as_ref()?, &model.stages);
+    let positions: Vec<[f64; 3]> =
+        evenly(training.positions(), COMPARED).into_iter().map(|p| stages.origin.world(p)).collect();
+    let receivers = 0..stages.receivers.len();
+    let queries: Vec<Query<'_>> =
+        positions.iter().flat_map(|&at| receivers.clone().map(move |r| stages.query(at, r))).collect();
+    let [a, b] = [model, small].map(|model| model.prepare().predict_many(&queries));
+    let pairs = a.iter().zip(&b).flat_map(|(a, b)| a.pixels.iter().zip(&b.pixels));
+    let differences: Vec<f64> = pairs.map(|(a, b)| f64::from((a - b).abs() as f32)).collect();
+    let mean = differences.iter().sum::<f64>() / differences.len().max(1) as f64;
+    let unit = if stages.task == Task::Power { " dB" } else { "" };
+    Some(format!("mean difference of predictions at {} training positions: {mean:.2e}{unit}", positions.len()))
+}

@@ -1,0 +1,179 @@
+//! A pipeline for data: the shipped pipeline for their kind, with settings for their size.
+
+mod survey;
+
+use pwrfgs_core::plugin::try_to_ron;
+use pwrfgs_core::{Dataset, Error, Result, ShippedFile};
+use pwrfgs_pipeline::Pipeline;
+use std::path::Path;
+pub use survey::{DataSurvey, is_table, suggested_split, unknown_folder};
+
+/// Median distance from test transmitters to the nearest training transmitter below which training learns fine detail,
+/// metres.
+const CLOSE_M: f64 = 0.03;
+
+/// Shipped pipelines that new ones start from.
+const FINE_SPECTRA: &str = "s23-laptop";
+const COARSE_SPECTRA: &str = "quickstart";
+const POWERS: &str = "ble";
+const CHANNELS: &str = "office-channel";
+const UPLINKS: &str = "uplink";
+
+/// Changes to `COARSE_SPECTRA` for lobes that move with the transmitter. The network takes the transmitter and the
+/// centre of a Gaussian together, so what it learns of a lobe in one direction holds for others.
+const MOVING_LOBES: [&str; 4] = [
+    "deformation=Mlp(depth: 4, width: 96, position_frequencies: 2, tx_frequencies: 2, tx_hidden: 64, tx_features: 32, \
+     skip: None, outputs: Signals)",
+    "training.steps=2000",
+    "training.optimizer.network.first=0.004",
+    "training.optimizer.network_decay=0.1",
+];
+
+/// Changes to `COARSE_SPECTRA` for images of a camera: small Gaussians, whose brightness does not depend on the pose.
+const CAMERA_IMAGES: [&str; 5] = [
+    "projector=Pinhole()",
+    "deformation=Fixed()",
+    "pruners=[OpacityThreshold(epsilon: 0.005)]",
+    "training.moving_stride=true",
+    "training.tx_jitter_m=0.0",
+];
+/// Changes to `CHANNELS`: the search begins on a coarse grid and takes a finer one only if held-out links gain.
+const COARSE_SEARCH: &str =
+    "initializer=MatchingPursuit(most: 10, reach: 1.0, step: 0.5, patience: 4, rounds: 0, finer: 1)";
+/// Changes to `UPLINKS` for channels at an array that moves and turns.
+const TURNING_ARRAY: [&str; 4] = [
+    "method.deformation.tx_encoding=Wavelengths(count: 24, longest_m: 4.0, shortest_m: 0.3, seed: 0)",
+    "training.optimizer.means=Constant(0.0005)",
+    "training.optimizer.signals=Constant(0.002)",
+    "training.optimizer.network=Cosine(first: 0.001, last: 0.00001)",
+];
+/// Number of trained pixels per image of a camera above which there is a stride.
+const PIXELS: usize = 40_000;
+
+/// Suggests a pipeline called `name` for the data of a survey, whose paths it takes over; errors name the file `out`.
+///
+/// # Errors
+/// A path that is not UTF-8.
+pub fn suggest_pipeline(survey: &DataSurvey, name: &str, out: &Path) -> Result<Pipeline> {
+    let path = |path: &Path| {
+        let text = path.to_str().map(|text| format!("{text:?}"));
+        text.ok_or_else(|| Error::input(path, "not UTF-8; rename the folder"))
+    };
+    let mut set = vec![
+        format!("name={name}"),
+        format!("data={}", try_to_ron(&survey.source).map_err(Error::Config)?),
+        format!("split={}", survey.split),
+    ];
+    let (start, batch, baselines) = match survey.data.features.as_ref().map(|features| features.width) {
+        _ if survey.data.camera().is_some() => {
+            set.extend(camera_settings(&survey.data));
+            (COARSE_SPECTRA, 4, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto)")
+        }
+        _ if survey.data.task().has_pixels => {
+            let cloud = survey.clouds.first().map(|(cloud, _)| path(cloud)).transpose()?;
+            spectrum_settings(survey, cloud, &mut set)
+        }
+        _ if survey.data.task().is_scalar => {
+            set.push(tx_encoding_setting(&survey.data));
+            (POWERS, 128, "MeanSpectrum(), NearestNeighbours(k: Auto), Kriging()")
+        }
+        Some(width) => {
+            set.push(format!("method.deformation.tx_encoding=Features(width: {width})"));
+            (UPLINKS, 128, "Zero(), NearestNeighbours(k: Auto), Ridge()") // Kriging needs positions
+        }
+        // The search needs antennas of fixed orientation.
+        None if survey.data.scene.moving.is_receiver() && survey.data.scene.receivers[0].antennas != [[0.0; 3]] => {
+            set.extend(TURNING_ARRAY.map(str::to_owned));
+            (UPLINKS, 32, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
+        }
+        None => {
+            set.push(COARSE_SEARCH.into());
+            (CHANNELS, 256, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
+        }
+    };
+    set.push(format!("training.batch={}", survey.batch(batch)));
+    set.push(format!("baselines=[{baselines}]"));
+    let shipped = ShippedFile::all(ShippedFile::PIPELINES).into_iter().find(|file| file.name == start);
+    let mut pipeline = Pipeline::parse(shipped.expect("the facade registers its pipelines").source, out)?;
+    pipeline.set_all(&set)?;
+    Ok(pipeline)
+}
+
+/// Shipped pipeline to start from, largest batch size, and baselines as RON.
+type Template = (&'static str, usize, &'static str);
+
+/// Adds the settings for spectra to `set`; `cloud` is the path of a point cloud, as RON.
+fn spectrum_settings(survey: &DataSurvey, cloud: Option<String>, set: &mut Vec<String>) -> Template {
+    let stride = survey.stride();
+    set.push(format!("training.stride={stride}"));
+    if stride == 1 {
+        set.push("projector=Mercator()".into());
+    }
+    match cloud {
+        Some(path) => {
+            set.push(format!("data.points={path}"));
+            set.push("initializer=PointCloud(max_points: 300)".into());
+        }
+        None => set.push("initializer=Grid(count: 220, overlap: 1.0, opacity: 0.12)".into()),
+    }
+    let (start, batch) = if survey.nearest < CLOSE_M {
+        // Correlations reach a few training positions.
+        set.push(format!("deformation.near.length_m={:.3}", (3.0 * survey.nearest).max(0.01)));
+        (FINE_SPECTRA, 32)
+    } else {
+        set.extend(MOVING_LOBES.map(str::to_owned));
+        (COARSE_SPECTRA, 16)
+    };
+    if survey.data.scene.receivers.len() == 1 {
+        (start, batch, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
+    } else {
+        set.push("deformation.carrier=2.0".into()); // several carriers
+        (start, batch, "MeanSpectrum(), NearestCarrier(), NearestNeighbours(k: Auto), Kriging()")
+    }
+}
+
+/// Returns the encoding of transmitter positions for received powers: wavelengths from the size of the site to 2 m, or to
+/// an eighth of a small site, in random directions, since maps have stripes if these are along the axes.
+fn tx_encoding_setting(data: &Dataset) -> String {
+    let longest = longest_side(data).max(1.0).ceil();
+    let shortest = (longest / 8.0).min(2.0);
+    format!("deformation.tx_encoding=Wavelengths(count: 10, longest_m: {longest:?}, shortest_m: {shortest:?}, seed: 0)")
+}
+
+/// Returns settings for images of a camera.
+fn camera_settings(data: &Dataset) -> Vec<String> {
+    let Dataset { width, height, .. } = *data;
+    let divides = |stride: &usize| width.is_multiple_of(*stride) && height.is_multiple_of(*stride);
+    let strides = || (1..=16).filter(divides);
+    let stride = strides().find(|stride| width * height <= PIXELS * stride * stride).or_else(|| strides().next_back());
+    let extent = longest_side(data).max(0.01);
+    let start = if data.scene.points.is_empty() {
+        format!("Random(count: 2000, std: {:.3})", extent / 4.0)
+    } else {
+        "PointCloud(max_points: 4000, nearest: 3)".into()
+    };
+    let mut set = CAMERA_IMAGES.map(str::to_owned).to_vec();
+    set.push(format!("training.stride={}", stride.unwrap_or(1)));
+    set.push(format!("training.optimizer.means.first={:.6}", 0.001 * extent));
+    set.push(format!("initializer={start}"));
+    set
+}
+
+/// Returns the longest side of the bounding box of the positions, metres.
+fn longest_side(data: &Dataset) -> f64 {
+    let ends = |k: usize| {
+        let coordinates = data.samples().map(move |sample| sample.position()[k]);
+        coordinates.clone().fold(f64::NEG_INFINITY, f64::max) - coordinates.fold(f64::INFINITY, f64::min)
+    };
+    (0..3).map(ends).fold(0.0, f64::max)
+}
+
+/// Returns the name of the folder, as a valid name of a pipeline.
+pub fn name_of(folder: &Path) -> String {
+    let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    let name = absolute.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    let plain: String =
+        name.chars().map(|c| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' }).collect();
+    let plain = plain.trim_start_matches(['.', '-']).to_owned();
+    if plain.is_empty() { "pipeline".into() } else { plain }
+}

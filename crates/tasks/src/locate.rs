@@ -1,0 +1,256 @@
+//! Positions of transmitters from their observations.
+
+mod observations;
+mod scores;
+
+use crate::models::check_positions;
+use crate::plane::PlaneBounds;
+use clap::Args;
+pub use observations::{checked_features, read_observations};
+use pwrfgs_core::files::NewFolder;
+use pwrfgs_core::neighbours::distance;
+use pwrfgs_core::{Dataset, Error, Partition, Result};
+use pwrfgs_experiment::text::{aligned, fixed, grouped};
+use pwrfgs_experiment::{Observer, SplitData, check_alike};
+use pwrfgs_localise::{FingerprintFeatures, Located, Locator, Region, SHARES};
+use pwrfgs_model::Ensemble;
+use pwrfgs_report::draw::location::LocationMap;
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::json;
+use std::fmt::Write as _;
+
+/// Width of an image in print, millimetres.
+const WIDTH_MM: f64 = 120.0;
+/// Number of samples that are located between two reports of progress.
+const CHUNK: usize = 64;
+
+/// Settings of [`locate`].
+#[derive(Clone, Debug, Default, Args, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct LocateSettings {
+    /// Only positions in this box, metres
+    #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true, requires = "observations")]
+    pub prior: Option<String>,
+}
+
+/// A located transmitter.
+#[derive(Clone, Debug)]
+pub struct LocatedRow {
+    /// Number of the observation, or ID of the test sample.
+    pub name: String,
+    /// Position, misfit and region.
+    pub located: Located,
+    /// True position, metres; `None` if unknown.
+    pub truth: Option<[f64; 3]>,
+}
+
+impl LocatedRow {
+    /// Returns the columns of `locations.csv` that need the true position, which is empty if unknown.
+    fn truth_columns(&self) -> String {
+        let Some(truth) = self.truth else { return ",,,,".into() };
+        let ([x, y, z], error) = (truth, distance(self.located.position, truth));
+        let holds = self.located.holds(truth).map_or("", |holds| if holds { "yes" } else { "no" });
+        format!("{x},{y},{z},{error:.4},{holds}")
+    }
+}
+
+/// Result of [`locate`].
+#[derive(Clone, Debug)]
+pub struct Localisation {
+    /// Located transmitters: the observations in their order, or the test samples.
+    pub rows: Vec<LocatedRow>,
+    /// Table of estimates or of errors, with a verdict.
+    pub text: String,
+    title: String,
+    /// Map without samples.
+    map: LocationMap<'static>,
+}
+
+/// Function that reads the observations of unknown transmitters as features.
+pub type ReadFeatures<'a> = &'a dyn Fn(&FingerprintFeatures) -> Result<Vec<Vec<f32>>>;
+
+/// Locates transmitters by comparison with the training positions of `split`. With `observations`, estimates the positions of
+/// unknown transmitters and the errors of validation samples. Without, locates the test samples and compares their errors with
+/// those of baselines. `observer` receives the progress and a description of the fit.
+///
+/// # Errors
+/// Data of another scene than the model, without positions or with a moving receiver; invalid observations or settings.
+pub fn locate(
+    ensemble: &Ensemble,
+    split: &SplitData,
+    observations: Option<ReadFeatures<'_>>,
+    settings: &LocateSettings,
+    observer: &mut dyn Observer,
+) -> Result<Localisation> {
+    let prior = settings.prior.as_deref().map(|text| PlaneBounds::parse("--prior", text, ["x", "y"])).transpose()?;
+    check_positions(ensemble)?;
+    let SplitData { data, partition } = split;
+    check_alike(&ensemble.prepare(), data)?;
+    let fair = ensemble.without_validation(data, partition.known())?;
+    let model = fair.as_ref().unwrap_or(ensemble).prepare();
+    observer.on_stage("fingerprints", 0, 0);
+    let locator = Locator::fit(data, partition.known(), &model, &SHARES)?;
+    match locator.missing_regions().filter(|_| locator.validation == 0) {
+        Some(why) => observer.on_warning(why),
+        None => observer.on_message(&describe_locator(&locator)),
+    }
+    let expected = observations.is_some().then(|| scores::describe_validation(&locator, data, partition.known()));
+    let locator = match prior {
+        Some(bounds) => {
+            let inside = locator.within(move |position| bounds.holds(position));
+            inside.map_err(|e| Error::Config(format!("--prior: {e}")))?
+        }
+        None => locator,
+    };
+    let rows = match observations {
+        Some(read) => locate_observed(&locator, &read(locator.features())?),
+        None => locate_test(&locator, data, partition, observer),
+    };
+    let table = match expected {
+        Some(expected) => format_positions(&rows) + &expected,
+        None => scores::table(&rows.iter().map(|row| &row.located).collect::<Vec<_>>(), &locator, data, partition)?,
+    };
+    let text = table + &describe_regions(&rows, &locator);
+    Ok(Localisation { rows, text, title: data.title.clone(), map: empty_map(&locator, data) })
+}
+
+/// Describes the number of regions with several parts, and what the regions are calibrated on.
+fn describe_regions(rows: &[LocatedRow], locator: &Locator<'_>) -> String {
+    let regions: Vec<&Region> = rows.iter().filter_map(|row| row.located.region.as_ref()).collect();
+    let parts = regions.iter().map(|region| region.parts());
+    let several = parts.clone().filter(|count| *count > 1).count();
+    let mut text = String::new();
+    if several > 0 {
+        let (count, most) = (regions.len(), parts.max().unwrap_or(0));
+        let counts = format!("regions with several parts: {several} of {count}, up to {most} parts");
+        _ = writeln!(text, "{counts}; an estimate is the mode of the most probable part");
+    }
+    if !regions.is_empty() && locator.validates_between_training() {
+        text += "the validation samples lie between the training positions, and regions are calibrated on them: on another \
+                 day, with another device or in another area they hold fewer\n";
+    }
+    text
+}
+
+/// Describes the chosen settings in one line.
+fn describe_locator(locator: &Locator<'_>) -> String {
+    let (choice, missing) = (locator.choice, locator.missing_regions());
+    let descent = if choice.descends { "descent along the model" } else { "no descent" };
+    format!(
+        "{} fingerprints; chosen on {} validation positions: {} % model in the fingerprints, sharpness {}, {descent}{}",
+        grouped(locator.positions().len() as i64),
+        grouped(locator.validation as i64),
+        fixed(f64::from(choice.share) * 100.0, 0),
+        choice.sharpness,
+        missing.map_or_else(String::new, |why| format!("; {why}"))
+    )
+}
+
+/// Locates observations, in their order.
+fn locate_observed(locator: &Locator<'_>, observations: &[Vec<f32>]) -> Vec<LocatedRow> {
+    let row = |(k, observation): (usize, &Vec<f32>)| LocatedRow {
+        name: format!("{:05}", k + 1),
+        located: locator.locate(observation),
+        truth: None,
+    };
+    observations.par_iter().enumerate().map(row).collect()
+}
+
+/// Locates the test samples.
+fn locate_test(
+    locator: &Locator<'_>,
+    data: &Dataset,
+    partition: &Partition,
+    observer: &mut dyn Observer,
+) -> Vec<LocatedRow> {
+    let test = data.locations_of(&partition.test);
+    let observations = locator.observations(data, &test);
+    let mut rows = Vec::with_capacity(test.len());
+    for (chunk, chunk_observations) in test.chunks(CHUNK).zip(observations.chunks(CHUNK)) {
+        observer.on_stage("locating", rows.len(), test.len());
+        rows.par_extend(chunk.par_iter().zip(chunk_observations).map(|(t, observation)| {
+            let transmitter = data.locations[*t];
+            let (name, located) = (format!("{:05}", transmitter.id), locator.locate(observation));
+            LocatedRow { name, located, truth: Some(transmitter.position()) }
+        }));
+    }
+    rows
+}
+
+/// Formats the table of estimated positions.
+fn format_positions(rows: &[LocatedRow]) -> String {
+    let mut lines =
+        vec![["observation", "x (m)", "y (m)", "z (m)", "misfit", "region (m²)", "parts"].map(String::from).to_vec()];
+    for LocatedRow { name, located, .. } in rows {
+        let [area, parts] = located
+            .region
+            .as_ref()
+            .map_or_else(Default::default, |region| [fixed(region.area(), 3), region.parts().to_string()]);
+        let mut line = vec![name.clone()];
+        line.extend(located.position.map(|v| fixed(v, 3)));
+        line.extend([fixed(located.misfit, 2), area, parts]);
+        lines.push(line);
+    }
+    aligned(&lines, 1)
+}
+
+/// Returns the horizontal coordinates of a position.
+fn flat(position: [f64; 3]) -> [f64; 2] {
+    [position[0], position[1]]
+}
+
+/// Creates a map of training positions and receivers, without samples.
+fn empty_map(locator: &Locator<'_>, data: &Dataset) -> LocationMap<'static> {
+    let receivers = data.scene.receivers.iter();
+    LocationMap {
+        training: locator.positions().iter().copied().map(flat).collect(),
+        receivers: receivers.map(|receiver| flat(data.scene.origin.world_pose(receiver.pose).position)).collect(),
+        ..LocationMap::default()
+    }
+}
+
+impl Localisation {
+    /// Writes list, outlines and images into `folder`, with the density of the first `pictures` samples.
+    ///
+    /// # Errors
+    /// A file cannot be written.
+    pub fn write(&self, folder: &NewFolder, pictures: usize) -> Result<()> {
+        let mut list =
+            "observation,x,y,z,misfit,region_m2,parts,true_x,true_y,true_z,error_m,region_holds\n".to_owned();
+        let mut regions = Vec::new();
+        for (k, row) in self.rows.iter().enumerate() {
+            let LocatedRow { name, located, truth } = row;
+            let ([x, y, z], region) = (located.position, located.region.as_ref());
+            let outlines = region.map(Region::outlines).unwrap_or_default();
+            let parts = region.map_or(0, Region::parts);
+            let area = region.map_or_else(String::new, |region| format!("{:.6}", region.area()));
+            _ = writeln!(
+                list,
+                "{name},{x:.4},{y:.4},{z:.4},{:.4},{area},{parts},{}",
+                located.misfit,
+                row.truth_columns()
+            );
+            regions.push(json!({ "observation": name, "position": located.position, "outlines": outlines }));
+            if let Some(region) = region.filter(|_| k < pictures) {
+                let image = LocationMap {
+                    title: format!("{}: observation {name}", self.title),
+                    grid: (region.first(), region.step),
+                    columns: region.columns,
+                    density: &region.values,
+                    parts,
+                    outlines,
+                    estimates: vec![(flat(located.position), truth.map(flat))],
+                    ..self.map.clone()
+                };
+                folder.put(&format!("{name}.png"), image.draw().png(WIDTH_MM))?;
+            }
+        }
+        folder.put("locations.csv", list)?;
+        folder.put("regions.json", serde_json::to_string(&regions).unwrap_or_default())?;
+        let title = format!("{}: {} positions", self.title, grouped(self.rows.len() as i64));
+        let estimates = self.rows.iter().map(|row| (flat(row.located.position), row.truth.map(flat))).collect();
+        folder.put("errors.png", LocationMap { title, estimates, ..self.map.clone() }.draw().png(WIDTH_MM))
+    }
+}

@@ -1,0 +1,104 @@
+//! Models and receivers that a task names.
+
+use pwrfgs_core::messages::strip_control;
+use pwrfgs_core::{Error, Receiver, Result, did_you_mean};
+use pwrfgs_experiment::{model_file, text::listed};
+use pwrfgs_model::{Ensemble, file};
+use std::path::PathBuf;
+
+/// Maximum number of names in an error.
+const LISTED: usize = 12;
+
+/// Reads model files or run folders as one ensemble. Members of several files have the paths of their files as names.
+///
+/// # Errors
+/// A file without a model, models of different scenes, or one of several models with a residual process.
+pub fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
+    let read = |path: &PathBuf| file::read_ensemble(&model_file(path)?);
+    if let [path] = paths {
+        return read(path);
+    }
+    let mut members = Vec::new();
+    for path in paths {
+        let ensemble = read(path)?;
+        if ensemble.residuals().is_some() {
+            let problem = "has a residual process, which predicts for this model alone; give it as the only model";
+            return Err(Error::input(path, problem));
+        }
+        let named = |(name, model): (&String, &pwrfgs_model::Model)| {
+            let path = path.display();
+            let name = if ensemble.members().len() == 1 { path.to_string() } else { format!("{path}/{name}") };
+            (member_name(&name), model.clone())
+        };
+        members.extend(ensemble.names().iter().zip(ensemble.members()).map(named));
+    }
+    Ensemble::named(members).and_then(Ensemble::distinct).map_err(Error::Config)
+}
+
+/// Returns the name of an ensemble member in a model file, from the path of its model.
+fn member_name(path: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' };
+    let name: String = path.trim_matches('/').chars().map(plain).collect();
+    let start = name.len().saturating_sub(200); // the end tells members apart
+    name[start..].to_owned()
+}
+
+/// Returns the indices of the named receivers, in the order of the model; all for no name or `all`.
+///
+/// # Errors
+/// An unknown name; the error has the nearest name.
+pub fn select_receivers(receivers: &[Receiver], names: &[String]) -> Result<Vec<usize>> {
+    let index_of = |name: &str| receivers.iter().position(|receiver| receiver.name == name);
+    if names.iter().all(|name| name == "all" && index_of(name).is_none()) {
+        return Ok((0..receivers.len()).collect());
+    }
+    let mut chosen = Vec::new();
+    for name in names {
+        chosen.push(index_of(name).ok_or_else(|| unknown_receiver(receivers, name))?);
+    }
+    chosen.sort_unstable();
+    chosen.dedup();
+    Ok(chosen)
+}
+
+/// Creates the error of an unknown receiver, with the nearest name.
+fn unknown_receiver(receivers: &[Receiver], name: &str) -> Error {
+    let near = did_you_mean(name, receivers.iter().map(|receiver| receiver.name.as_str()));
+    let list = listed(receivers.iter().map(|r| strip_control(&r.name)), LISTED);
+    Error::Config(format!(
+        "--receiver {}: no such receiver in the model{near} (receivers: {list})",
+        strip_control(name)
+    ))
+}
+
+/// Rejects models whose input is not a position.
+///
+/// # Errors
+/// As above.
+pub fn check_positions(model: &Ensemble) -> Result<()> {
+    match model.members().iter().map(|member| member.stages.method.traits().inputs).find(|inputs| *inputs != 3) {
+        None => Ok(()),
+        Some(inputs) => Err(Error::Config(format!(
+            "this model takes {inputs} numbers instead of a transmitter position; score it with `pwrfgs evaluate` on data that \
+             have them"
+        ))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::Pose;
+
+    #[test]
+    fn finds_receivers_by_name_and_suggests_nearest_name() {
+        let receivers: Vec<Receiver> = (1..=21).map(|k| Receiver::new(format!("g{k:02}"), Pose::IDENTITY)).collect();
+        let select =
+            |names: &[&str]| select_receivers(&receivers, &names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
+        assert_eq!(select(&["g03", "g01", "g03"]).unwrap(), [0, 2]);
+        assert_eq!(select(&[]).unwrap().len(), 21);
+        assert_eq!(select(&["all"]).unwrap().len(), 21);
+        let message = select(&["g3"]).unwrap_err().to_string();
+        assert!(message.contains("did you mean `g03`?") && message.contains("and 9 more"), "{message}");
+    }
+}

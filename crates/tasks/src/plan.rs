@@ -1,0 +1,380 @@
+//! Positions to measure next.
+
+use crate::plane::PlaneBounds;
+use clap::Args;
+use pwrfgs_core::files::NewFolder;
+use pwrfgs_core::kriging::Correlation;
+use pwrfgs_core::neighbours::distance;
+use pwrfgs_core::statistics::{self, evenly, mean};
+use pwrfgs_core::{Dataset, Error, Location, Receiver, Result, check_stopped, evenly as thinned};
+use pwrfgs_experiment::statistics::{Blocks, Difference};
+use pwrfgs_experiment::text::{Lines, aligned, fixed, grouped, number};
+use pwrfgs_experiment::{Observer, staged};
+use pwrfgs_model::Ensemble;
+use pwrfgs_planning::{Survey, SurveyPlan, default_correlation, kriging_scores, learn};
+use pwrfgs_report::draw::survey::SurveyMap;
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::fmt::Write as _;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Largest number of transmitters that a choice is scored on.
+const TESTED: usize = 500;
+/// Regular positions are as good if their variance exceeds that of the plan by at most this share.
+const ALIKE: f64 = 0.02;
+/// Width of the image in print, millimetres.
+const WIDTH_MM: f64 = 120.0;
+/// Largest number of candidates, and of covariances between candidates and region.
+const MOST: usize = 20_000;
+const MOST_PAIRS: usize = 1 << 25;
+/// Largest number of known measurements that are used, evenly chosen.
+const MOST_KNOWN: usize = 2_000;
+/// Largest distance of the candidates from the known measurements, in diagonals of these.
+const FAR: f64 = 10.0;
+
+/// Settings of [`plan`].
+#[derive(Clone, Debug, Args, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PlanSettings {
+    /// Number of positions to select
+    #[arg(long, value_name = "N")]
+    pub count: usize,
+    /// Extent in x and y of the region to predict, metres [default: all candidates]
+    #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true)]
+    #[serde(default)]
+    pub region: Option<String>,
+    /// Learn the length scale from the selected measurements of the data folder
+    #[arg(long, requires = "source", conflicts_with_all = ["candidates", "floor", "length_scale"])]
+    #[serde(default)]
+    pub simulate: bool,
+    /// Length scale in metres, not learned
+    #[arg(long, value_name = "M")]
+    #[serde(default)]
+    pub length_scale: Option<f64>,
+    /// Random seed of the random choice
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    #[serde(default)]
+    pub seed: u64,
+}
+
+/// Positions of a plan, metres, world frame.
+#[derive(Clone, Debug, Default)]
+pub struct Places {
+    /// Title of the plan.
+    pub title: String,
+    /// Positions that can be measured.
+    pub candidates: Vec<[f64; 3]>,
+    /// Positions with measurements.
+    pub measured: Vec<[f64; 3]>,
+    /// Receivers.
+    pub receivers: Vec<[f64; 3]>,
+    /// Observations at `measured`, or at the candidates if that is empty.
+    pub data: Option<Dataset>,
+}
+
+impl Places {
+    /// Returns the positions of `data`, all as candidates that are not measured yet.
+    ///
+    /// # Errors
+    /// Data without positions.
+    pub fn of_data(data: Dataset) -> Result<Self> {
+        if !data.placed || data.features.is_some() {
+            let problem = "has no transmitter positions; name data with positions";
+            return Err(Error::Config(format!("{}: {problem}", data.title)));
+        }
+        let pose = |receiver: &Receiver| data.scene.origin.world_pose(receiver.pose).position;
+        Ok(Self {
+            title: data.title.clone(),
+            candidates: data.locations.iter().map(Location::position).collect(),
+            receivers: data.scene.receivers.iter().map(pose).collect(),
+            measured: Vec::new(),
+            data: Some(data),
+        })
+    }
+
+    /// Returns the training positions of a model as known measurements, without candidates; `None` if it has none.
+    pub fn of_model(ensemble: &Ensemble, title: &str) -> Option<Self> {
+        let measured = ensemble.training_positions();
+        let stages = &ensemble.members()[0].stages;
+        let receivers = stages.setup.receivers.iter();
+        let receivers = receivers.map(|receiver| stages.origin.world_pose(receiver.pose).position).collect();
+        (!measured.is_empty()).then(|| Self { title: title.into(), measured, receivers, ..Self::default() })
+    }
+
+    /// Returns the places with new `candidates` from `path`; those of before are known measurements.
+    ///
+    /// # Errors
+    /// Candidates that are far from all known measurements: probably another frame or unit.
+    pub fn with_candidates(mut self, candidates: Vec<[f64; 3]>, path: &Path) -> Result<Self> {
+        self.measured.append(&mut self.candidates);
+        check_near(&candidates, &self.measured, path)?;
+        let measured = thinned(&self.measured, MOST_KNOWN);
+        Ok(Self { candidates, measured, ..self })
+    }
+
+    /// Returns the candidates that are `inside`, evenly thinned so that their covariances with all candidates fit into
+    /// memory.
+    fn region(&self, inside: impl Fn([f64; 3]) -> bool) -> Vec<[f64; 3]> {
+        let positions: Vec<[f64; 3]> = self.candidates.iter().copied().filter(|position| inside(*position)).collect();
+        thinned(&positions, MOST_PAIRS / self.candidates.len().max(1))
+    }
+
+    /// Returns `simulated ` if the observations are.
+    fn simulated(&self) -> &'static str {
+        if self.data.as_ref().is_some_and(Dataset::is_simulated) { "simulated " } else { "" }
+    }
+}
+
+/// A plan beside other choices of the same size.
+#[derive(Debug)]
+pub struct Plan {
+    /// Selected positions in order: indices of the candidates.
+    pub order: Vec<usize>,
+    /// Mean variance over the region before and after each position.
+    pub variances: Vec<f64>,
+    /// Table of the choices, with a verdict.
+    pub text: String,
+}
+
+/// Selects positions to measure next, of the candidates of `places`. `observer` receives the progress; `stop` ends the search.
+///
+/// # Errors
+/// Invalid settings, no candidates or too many, no candidate in the region, or [`Error::Stopped`].
+pub fn plan(places: &Places, settings: &PlanSettings, observer: &mut dyn Observer, stop: &AtomicBool) -> Result<Plan> {
+    check_count(settings.count, places.candidates.len())?;
+    let region = select_region(settings, places)?;
+    let survey = Survey::new(&places.candidates, &region, &places.measured);
+    let start = first_correlation(settings, places, &region)?;
+    let learn =
+        |order: &[usize]| places.data.as_ref().filter(|_| settings.simulate).and_then(|data| learn(data, order));
+    let selected = staged(observer, "selecting positions", |progress| {
+        survey.select(start, settings.count, learn, |done| {
+            progress(done, settings.count);
+            !stop.load(Ordering::Relaxed)
+        })
+    });
+    check_stopped(stop)?;
+    let mut choices = list_choices(&survey, &selected, settings.seed);
+    let gain = score(&mut choices, places, observer, stop)?;
+    let text = format_table(&choices, gain, &selected.correlation, places);
+    Ok(Plan { order: selected.order, variances: choices.swap_remove(0).variances, text })
+}
+
+/// Rejects a number of positions that is 0 or larger than that of the candidates, and too many candidates.
+fn check_count(count: usize, total: usize) -> Result<()> {
+    if total == 0 {
+        let problem = "a model has no candidates; set --candidates FILE or --floor SCENE, or name a data folder";
+        return Err(Error::Config(problem.into()));
+    }
+    if total > MOST {
+        let (count, most) = (grouped(total as i64), grouped(MOST as i64));
+        return Err(Error::Config(format!(
+            "{count} candidates, expected at most {most}; give fewer, or a larger --step"
+        )));
+    }
+    if (1..=total).contains(&count) {
+        return Ok(());
+    }
+    let problem = if count == 0 {
+        "give at least 1".to_owned()
+    } else {
+        format!("there are {} candidates; lower --count, or give more candidates", grouped(total as i64))
+    };
+    Err(Error::Config(format!("--count {count}: {problem}")))
+}
+
+/// Returns the candidates in the region to predict.
+fn select_region(settings: &PlanSettings, places: &Places) -> Result<Vec<[f64; 3]>> {
+    let Some(text) = &settings.region else { return Ok(places.region(|_| true)) };
+    let bounds = PlaneBounds::parse("--region", text, ["x", "y"])?;
+    let inside = |[x, y, _]: [f64; 3]| bounds.holds([x, y]);
+    let region = places.region(inside);
+    if region.is_empty() {
+        let [(x0, x1), (y0, y1)] =
+            [0, 1].map(|k| statistics::bounds(places.candidates.iter().map(|position| position[k])));
+        return Err(Error::Config(format!(
+            "--region {text}: no candidate inside; candidates have x from {} to {} m and y from {} to {} m",
+            number(x0),
+            number(x1),
+            number(y0),
+            number(y1)
+        )));
+    }
+    Ok(region)
+}
+
+/// Returns the correlation of the first step.
+fn first_correlation(settings: &PlanSettings, places: &Places, region: &[[f64; 3]]) -> Result<Correlation> {
+    let default = default_correlation(region);
+    if let Some(length) = settings.length_scale {
+        if !(1e-6..=1e8).contains(&length) {
+            return Err(Error::Config(format!("--length-scale {length}: expected metres, more than 0, such as 0.5")));
+        }
+        return Ok(Correlation { scales: [length, length, length, f64::INFINITY], ..default });
+    }
+    let measured = places.data.as_ref().filter(|_| !places.measured.is_empty());
+    let learned = measured.and_then(|data| learn(data, &(0..data.locations.len()).collect::<Vec<_>>()));
+    Ok(learned.unwrap_or(default))
+}
+
+/// Selection of positions with its results.
+struct Choice {
+    name: String,
+    order: Vec<usize>,
+    /// Mean variance over the region before and after each position.
+    variances: Vec<f64>,
+    /// Score of each test link; empty without observations.
+    scores: Vec<f64>,
+}
+
+impl Choice {
+    /// Returns the mean variance over the region after all positions.
+    fn variance(&self) -> f64 {
+        self.variances.last().copied().unwrap_or(f64::NAN)
+    }
+}
+
+/// Lists the plan, then choices of the same size to compare it with.
+fn list_choices(survey: &Survey, plan: &SurveyPlan, seed: u64) -> Vec<Choice> {
+    let (count, correlation) = (plan.order.len(), plan.correlation);
+    let choice = |(name, order): (String, Vec<usize>)| Choice {
+        name,
+        variances: survey.mean_variances(correlation, &order),
+        order,
+        scores: Vec::new(),
+    };
+    let orders = [
+        ("plan: least integrated variance".to_owned(), plan.order.clone()),
+        ("regular: every k-th candidate".into(), survey.regular(count)),
+        (format!("random (seed {seed})"), survey.random(count, seed)),
+        ("largest variance".into(), survey.by_largest_variance(correlation, count)),
+    ];
+    orders.into_iter().map(choice).collect()
+}
+
+/// Scores Kriging from each choice, if the candidates are measured. Returns the gain of the plan over the regular
+/// choice.
+fn score(
+    choices: &mut [Choice],
+    places: &Places,
+    observer: &mut dyn Observer,
+    stop: &AtomicBool,
+) -> Result<Option<Difference>> {
+    let Some(data) = places.data.as_ref().filter(|_| places.measured.is_empty()) else { return Ok(None) };
+    let test = test_links(data, choices);
+    if test.is_empty() {
+        return Ok(None);
+    }
+    let total = choices.len();
+    for (k, choice) in choices.iter_mut().enumerate() {
+        check_stopped(stop)?;
+        observer.on_stage("scoring", k, total);
+        choice.scores = kriging_scores(data, &choice.order, &test)?;
+    }
+    Ok(mean_gain(data, &test, &choices[0], &choices[1]))
+}
+
+/// Computes the mean gain of the scores of the plan over the regular choice, with an interval over blocks of
+/// positions; neighbours and the links of one transmitter are not independent.
+fn mean_gain(data: &Dataset, test: &[usize], plan: &Choice, regular: &Choice) -> Option<Difference> {
+    let sign = if data.task().headline.higher { 1.0 } else { -1.0 };
+    let samples = || test.iter().map(|i| data.sample(*i));
+    let blocks = Blocks::new(&samples().map(|sample| (sample.id, data.placed.then_some(sample.position()))).collect());
+    let gains = plan.scores.iter().zip(&regular.scores).map(|(a, b)| sign * (a - b));
+    Difference::of(&[blocks.block_sums(samples().map(|sample| sample.id).zip(gains))])
+}
+
+/// Lists the links of transmitters that are in no choice, at most [`TESTED`] transmitters.
+fn test_links(data: &Dataset, choices: &[Choice]) -> Vec<usize> {
+    let mut is_taken = vec![false; data.locations.len()];
+    choices.iter().flat_map(|choice| &choice.order).for_each(|&j| is_taken[j] = true);
+    let left: Vec<usize> = (0..is_taken.len()).filter(|&j| !is_taken[j]).collect();
+    data.links_of(&evenly(&left, TESTED))
+}
+
+impl Plan {
+    /// Writes `plan.csv` and `plan.png` into `folder`.
+    ///
+    /// # Errors
+    /// A file cannot be written.
+    pub fn write(&self, places: &Places, folder: &NewFolder) -> Result<()> {
+        let mut lines = Lines::new(["order", "candidate", "x", "y", "z", "mean_variance"]);
+        for (k, &j) in self.order.iter().enumerate() {
+            let [x, y, z] = places.candidates[j].map(|v| v.to_string());
+            let [order, candidate] = [k + 1, j + 1].map(|v| v.to_string());
+            lines.put([&order, &candidate, &x, &y, &z, &format!("{:.6}", self.variances[k + 1])]);
+        }
+        let flat = |[x, y, _]: &[f64; 3]| [*x, *y];
+        let map = SurveyMap {
+            title: format!("{}: {} positions to measure", places.title, grouped(self.order.len() as i64)),
+            candidates: places.candidates.iter().map(flat).collect(),
+            known: places.measured.iter().map(flat).collect(),
+            selected: self.order.iter().map(|&j| flat(&places.candidates[j])).collect(),
+            receivers: places.receivers.iter().map(flat).collect(),
+        };
+        folder.put("plan.csv", lines.text())?;
+        folder.put("plan.png", map.draw().png(WIDTH_MM))
+    }
+}
+
+/// Formats the table of the choices, with the correlation and a comparison with the regular choice.
+fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Correlation, places: &Places) -> String {
+    let task = places.data.as_ref().map(Dataset::task).filter(|_| !choices[0].scores.is_empty());
+    let mut header = vec!["choice".to_owned(), "mean variance".into()];
+    header.extend(task.map(|task| format!("{} of Kriging", task.headline.name)));
+    let mut lines = vec![header];
+    for choice in choices {
+        let mut line = vec![choice.name.clone(), fixed(choice.variance(), 4)];
+        line.extend(task.map(|_| fixed(mean(choice.scores.iter().copied()), 4)));
+        lines.push(line);
+    }
+    let Correlation { scales: [length, ..], noise, .. } = correlation;
+    let mut text = aligned(&lines, 1);
+    _ = write!(
+        text,
+        "\n{} candidates, {} known measurements; exponential correlation, length scale {} m, noise {} of the variance\n",
+        grouped(places.candidates.len() as i64),
+        grouped(places.measured.len() as i64),
+        number(*length),
+        number(*noise)
+    );
+    if let Some(task) = task {
+        let (test, data) = (grouped(choices[0].scores.len() as i64), places.simulated());
+        _ = writeln!(text, "scores are those of {test} {data}{} in no choice", task.counted[1]);
+    }
+    text + verdict(&choices[0], &choices[1], gain)
+}
+
+/// Compares the plan with the regular choice: by scores if there are any, otherwise by variance.
+fn verdict(plan: &Choice, regular: &Choice, gain: Option<Difference>) -> &'static str {
+    let is_better = match gain {
+        Some(gain) => gain.is_clear() && gain.mean > 0.0,
+        None => regular.variance() > (1.0 + ALIKE) * plan.variance(),
+    };
+    if is_better {
+        "the plan is better than the regular choice\n"
+    } else {
+        "the regular choice is as good: measure every k-th candidate if that is simpler\n"
+    }
+}
+
+/// Rejects candidates that are far from all known measurements: probably another frame or unit.
+fn check_near(candidates: &[[f64; 3]], measured: &[[f64; 3]], path: &Path) -> Result<()> {
+    let Some(first) = measured.first() else { return Ok(()) };
+    let extent = measured.iter().map(|position| distance(*position, *first)).fold(0.0, f64::max).max(1.0);
+    let gap =
+        |position: &[f64; 3]| measured.iter().map(|near| distance(*near, *position)).fold(f64::INFINITY, f64::min);
+    let nearest = thinned(candidates, 100).iter().map(gap).fold(f64::INFINITY, f64::min);
+    if nearest <= FAR * extent {
+        return Ok(());
+    }
+    let [gap, extent] = [nearest, extent].map(number);
+    Err(Error::input(
+        path,
+        format!(
+            "candidates are {gap} m from the nearest known measurement, and these extend over {extent} m; give both in metres \
+             in one frame"
+        ),
+    ))
+}

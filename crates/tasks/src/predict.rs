@@ -1,0 +1,153 @@
+//! Predictions at many positions, written to a folder as arrays, images and a table.
+
+mod writers;
+
+use crate::models::{check_positions, select_receivers};
+use clap::Args;
+use pwrfgs_core::files::NewFolder;
+use pwrfgs_core::{Error, Pose, Predict as _, Query, Result, Task};
+use pwrfgs_experiment::{Observer, text::grouped};
+use pwrfgs_model::{Ensemble, IntervalFactors, Prepared, TrainingDistances};
+use writers::{OutputFolder, PredictedRow, PredictionImage, PredictionRow, writer};
+
+/// Number of predictions in memory at a time.
+const CHUNK: usize = 64;
+
+/// Settings of [`write_predictions`].
+#[derive(Clone, Debug, Default, Args)]
+pub struct PredictSettings {
+    /// Add prediction intervals that hold with this probability, such as 0.9
+    #[arg(long, value_name = "LEVEL", allow_hyphen_values = true)]
+    pub interval: Option<f64>,
+    /// Predict only for this receiver (name in the data set); repeatable
+    #[arg(long, value_name = "NAME")]
+    pub receiver: Vec<String>,
+    /// Write all spectra or channels as one array, which may exceed memory
+    #[arg(long)]
+    pub stacked: bool,
+    /// Write no PNG images
+    #[arg(long)]
+    pub no_png: bool,
+}
+
+/// Outcome of [`write_predictions`].
+#[derive(Debug)]
+pub struct PredictionCount {
+    /// Number of predictions: positions times receivers.
+    pub count: usize,
+    /// Distances of the positions to the training positions; `None` if the model has none.
+    pub distances: Option<TrainingDistances>,
+}
+
+/// Predicts at the `poses` of the end that moves, and writes the predictions into `folder`. `observer` receives the progress.
+///
+/// # Errors
+/// Invalid settings, a model whose input is not a position, a prediction that is not finite, or a file that cannot be written.
+pub fn write_predictions(
+    ensemble: &Ensemble,
+    poses: &[Pose],
+    settings: &PredictSettings,
+    folder: &NewFolder,
+    observer: &mut dyn Observer,
+) -> Result<PredictionCount> {
+    check_positions(ensemble)?;
+    let positions: Vec<[f64; 3]> = poses.iter().map(|pose| pose.position).collect();
+    let distances = ensemble.training_distances(&positions);
+    let model = ensemble.prepare();
+    let task = model.task();
+    let receivers = select_receivers(model.receivers(), &settings.receiver)?;
+    let count = poses.len() * receivers.len();
+    if settings.stacked && task.shape((1, 1)).is_empty() {
+        let why = "--stacked: not supported for received powers, which are all in predictions.csv; remove --stacked";
+        return Err(Error::Config(why.into()));
+    }
+    let factors = settings.interval.map(|level| interval_factors(ensemble, level)).transpose()?;
+    let files = OutputFolder { folder, has_png: !settings.no_png, stacked: settings.stacked };
+    let mut writer = writer(&files, &model, count, factors.is_some())?;
+    let mut list = writer.header();
+    let is_named = !task.has_pixels || model.receivers().len() > 1;
+    let row = |k: usize| {
+        let (pose, receiver) = (poses[k / receivers.len()], receivers[k % receivers.len()]);
+        PredictionRow {
+            number: k + 1,
+            pose,
+            has_orientation: model.moving().is_receiver(),
+            receiver,
+            name: is_named.then(|| model.receivers()[receiver].name.as_str()),
+            training_distance: distances.as_ref().map(|distances| distances.metres[k / receivers.len()]),
+        }
+    };
+    for first in (0..count).step_by(CHUNK) {
+        observer.on_stage("predicting", first, count);
+        let rows = (first..(first + CHUNK).min(count)).map(row).map(|row| predict_row(&model, row, factors.as_ref()));
+        writer.write(&files, &rows.collect::<Result<Vec<_>>>()?, &mut list)?;
+    }
+    observer.on_stage("predicting", count, count);
+    writer.finish()?;
+    folder.put("predictions.csv", list.as_bytes())?;
+    Ok(PredictionCount { count, distances })
+}
+
+/// Returns the factors of prediction intervals that hold with probability `level`.
+///
+/// # Errors
+/// A model of channels, or without calibration, or a level for which it has too few samples.
+pub fn interval_factors(ensemble: &Ensemble, level: f64) -> Result<IntervalFactors> {
+    let refuse = |problem: &str| Err(Error::Config(format!("--interval: {problem}")));
+    if ensemble.members()[0].stages.task.intervals.is_none() {
+        return refuse("not supported for channels; remove --interval");
+    }
+    match ensemble.calibration() {
+        Some(calibration) => calibration.factors(level),
+        None => {
+            refuse("the model has no calibration; give one model file, as a run with a `validation` share wrote it")
+        }
+    }
+}
+
+/// Describes the extrapolations; `None` without any.
+pub fn extrapolation_warning(distances: &TrainingDistances) -> Option<String> {
+    let TrainingDistances { metres, limit } = distances;
+    let beyond: Vec<f64> = (0..metres.len()).filter(|&k| distances.is_beyond(k)).map(|k| metres[k]).collect();
+    let largest = beyond.iter().copied().reduce(f64::max)?;
+    Some(format!(
+        "{} of {} predictions are extrapolations: farther than {limit:.2} m from all training positions (up to \
+         {largest:.2} m)",
+        grouped(beyond.len() as i64),
+        grouped(metres.len() as i64)
+    ))
+}
+
+/// Predicts one row; rows are predicted one after another, so that each latency is measured without other load.
+fn predict_row<'a>(
+    model: &Prepared<'_>,
+    row: PredictionRow<'a>,
+    factors: Option<&IntervalFactors>,
+) -> Result<PredictedRow<'a>> {
+    let query = Query::at(row.pose, row.receiver);
+    let (image, spread, times) = if model.models().count() == 1 {
+        let (image, times) = model.predict_timed(query);
+        (image, None, times)
+    } else {
+        let (image, spread, times) = model.predict_with_deviation(query);
+        (image, Some(spread), times)
+    };
+    if !image.pixels.iter().all(|p| p.is_finite()) {
+        return Err(not_finite(model.task(), &row));
+    }
+    let interval = factors.map(|factors| {
+        let deviation = model.deviation(query).unwrap_or(1.0);
+        factors.interval(model.task(), &model.task().shown(image.clone()), deviation)
+    });
+    Ok((row, PredictionImage { image, spread, interval, milliseconds: 1e3 * times.total }))
+}
+
+/// Creates the error of a prediction that is not finite.
+fn not_finite(task: Task, row: &PredictionRow<'_>) -> Error {
+    let observation = task.singular;
+    Error::Config(format!(
+        "row {}: the {observation} at {:?} is not finite: the model overflows there; remove the position if it \
+         is far from the training positions, or train again with lower learning rates",
+        row.number, row.pose.position
+    ))
+}

@@ -1,0 +1,73 @@
+//! New measurements for the residual process of a trained model.
+
+use pwrfgs_core::messages::strip_control;
+use pwrfgs_core::{Dataset, Error, Result};
+use pwrfgs_experiment::{Agreement, Observer, check_alike, warn_of_findings};
+use pwrfgs_model::Ensemble;
+use std::time::Instant;
+
+/// Name of the finding that most links lie outside the intervals of the model.
+pub const FAR: &str = "far-from-model";
+
+/// Result of [`update`].
+#[derive(Debug)]
+pub struct UpdatedModel {
+    /// Model with the new measurements.
+    pub ensemble: Ensemble,
+    /// Number of links that were added.
+    pub added: usize,
+    /// Agreement of the new data with the model, in words.
+    pub agreement: String,
+    /// Time per added link, milliseconds.
+    pub milliseconds: f64,
+}
+
+/// Adds all links of `data` to the residual process of `model`, without training. `accepts_far` accepts data of which most links
+/// lie outside the 99 % intervals of the model. `observer` receives the progress and findings on the data.
+///
+/// # Errors
+/// A model without residual process; data of another scene or far from the model, or without a link at a receiver of the process.
+pub fn update(
+    model: &Ensemble,
+    data: &Dataset,
+    accepts_far: bool,
+    observer: &mut dyn Observer,
+) -> Result<UpdatedModel> {
+    let refuse = |problem: String| Err(Error::Config(format!("new data: {problem}")));
+    let Some(residuals) = model.residuals() else {
+        let problem = "the model has no residual process; set `residuals: Kriged()` in its pipeline and run it again";
+        return Err(Error::Config(problem.into()));
+    };
+    let ready = model.prepare();
+    check_alike(&ready, data)?;
+    if !data.placed || data.features.is_some() {
+        return refuse("no transmitter positions; give data with positions".into());
+    }
+    let (receivers, origin) = (ready.receivers(), model.members()[0].stages.origin);
+    let moved = receivers
+        .iter()
+        .zip(&data.scene.receivers)
+        .find(|(receiver, other)| origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose));
+    if let Some((_, receiver)) = moved {
+        let name = strip_control(&receiver.name);
+        return refuse(format!(
+            "receiver `{name}` has another pose than in the model; give data of the same receivers"
+        ));
+    }
+    warn_of_findings(data, None, observer)?;
+    let agreement = Agreement::measure(model, data, observer)?;
+    if agreement.is_far() && !accepts_far {
+        return refuse(format!(
+            "far from the model: {agreement}; check the order, units, axes and poses of the data, or add `--accept {FAR}` if the \
+             room has changed"
+        ));
+    }
+    let begun = Instant::now();
+    let (updated, added) = residuals.updated(model, data)?;
+    let ensemble = model.clone().with_residuals(Some(updated)).with_calibration(model.calibration().cloned());
+    if added == 0 {
+        return refuse("no link at a receiver with a residual process".into());
+    }
+    let milliseconds = 1e3 * begun.elapsed().as_secs_f64() / added as f64;
+    Ok(UpdatedModel { ensemble, added, agreement: agreement.to_string(), milliseconds })
+}
