@@ -26,7 +26,11 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("pipeline", &["core", "data", "init", "methods", "metrics", "model", "train"]),
     ("experiment", &["core", "model", "pipeline", "train"]),
     ("report", &["core", "experiment", "model", "pipeline", "train"]),
-    ("viewer", &["core", "experiment", "localise", "model", "pipeline", "report", "train"]),
+    (
+        "tasks",
+        &["core", "data", "experiment", "localise", "model", "pipeline", "planning", "raytrace", "report", "train"],
+    ),
+    ("viewer", &["core", "experiment", "localise", "model", "pipeline", "report", "tasks", "train"]),
 ];
 /// Code lines of a file.
 const OF_FILE: usize = 300;

@@ -11,7 +11,7 @@ STEPS = logging.DEBUG
 
 
 def event(about: Dict[str, Any]) -> None:
-    """Log an event of a run: stages, start, validation and messages as INFO, steps as DEBUG."""
+    """Log an event of a run: stages, start, validation and messages as INFO, warnings as WARNING, steps as DEBUG."""
     what = about["what"]
     if what == "step":
         log.log(STEPS, "step %(step)d: loss %(loss).4g, N %(gaussians)d", about)
@@ -21,5 +21,7 @@ def event(about: Dict[str, Any]) -> None:
         log.info("training on %(data)s: step %(done)d of %(steps)d", about)
     elif what == "stage" and about["done"] == 0:
         log.info("%(name)s", about)
+    elif what == "warning":
+        log.warning("%(text)s", about)
     elif what == "message":
         log.info("%(text)s", about)

@@ -158,3 +158,53 @@ def plane(
         ax.set_title(title, loc="left", fontsize="medium")
     ax.figure.colorbar(shown, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)), label=label)
     return ax
+
+
+def radio_map(result: Any, layer: str, ax: Any = None) -> Any:
+    """Plot a layer of a ``RadioMap``; extrapolations are hatched."""
+    unit = result.units[layer]
+    ax = plane(result[layer], result.x, result.y, ax, f"{layer}, {unit}" if unit else layer, f"{result.words[layer]}, {result.plane}")
+    ax.set(xlabel=f"{result.axes[0]}, metres", ylabel=f"{result.axes[1]}, metres")
+    if result.extrapolated is not None and result.extrapolated.any():
+        ax.contourf(result.x, result.y, result.extrapolated, levels=[0.5, 1.5], colors="none", hatches=["///"])
+    return ax
+
+
+def _map(ax: Any) -> Any:
+    """Axes of a map from above."""
+    ax = _axes(ax, figsize=(5.0, 4.4))
+    ax.set(xlabel="x, metres", ylabel="y, metres", aspect="equal")
+    return ax
+
+
+def located(result: Any, ax: Any = None) -> Any:
+    """Plot the estimates of ``Model.locate`` from above: lines lead to the true positions, outlines are regions."""
+    ax = _map(ax)
+    for outlines in result.outlines if len(result.outlines) <= 8 else ():
+        for outline in outlines:
+            ax.plot(*np.asarray([*outline, outline[0]]).T, color="0.4", linewidth=0.9)
+    if result.truth is not None:
+        for estimate, truth in zip(result.positions, result.truth):
+            ax.plot(*np.stack([estimate, truth])[:, :2].T, color="0.6", linewidth=0.7, zorder=1)
+        ax.scatter(*result.truth[:, :2].T, s=12, marker="D", color=TEST, linewidths=0, label="true position")
+    ax.scatter(*result.positions[:, :2].T, s=14, color=TRAINING, linewidths=0, label="estimate")
+    ax.legend(fontsize="small", frameon=False, loc="center left", bbox_to_anchor=(1.02, 0.5))
+    return ax
+
+
+def plan(result: Any, ax: Any = None) -> Any:
+    """Plot the positions of a ``Plan`` from above, numbered in their order."""
+    ax = _map(ax)
+    ax.scatter(*result.positions[:, :2].T, s=20, color=RECEIVER, linewidths=0)
+    for number, position in enumerate(result.positions[:30], 1):
+        ax.annotate(str(number), position[:2], xytext=(3, 3), textcoords="offset points", fontsize="small")
+    return ax
+
+
+def placement(result: Any, ax: Any = None) -> Any:
+    """Plot the receivers of all choices of a ``Placement`` from above."""
+    ax = _map(ax)
+    for (name, (_, positions, coverage)), colour, marker in zip(result.choices.items(), (RECEIVER, TRAINING, TEST), "^sD"):
+        ax.scatter(*positions[:, :2].T, s=50, marker=marker, color=colour, label=f"{name}: {coverage:.1f} dBm")
+    ax.legend(fontsize="small", frameon=False, loc="center left", bbox_to_anchor=(1.02, 0.5))
+    return ax

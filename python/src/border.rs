@@ -288,11 +288,7 @@ impl Subscriber for Logger {
     fn event(&self, event: &Event<'_>) {
         let mut text = Text::default();
         event.record(&mut text);
-        // If logging fails there is no other channel.
-        Python::attach(|py| {
-            let logger = py.import("logging").and_then(|logging| logging.call_method1("getLogger", ("pwrfgs",)));
-            _ = logger.and_then(|logger| logger.call_method1("warning", ("%s", text.0)));
-        });
+        crate::tasks::log("warning", &text.0);
     }
 
     fn new_span(&self, _: &Attributes<'_>) -> Id {

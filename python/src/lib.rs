@@ -19,6 +19,7 @@ mod run;
 mod scores;
 mod settings;
 mod strategies;
+mod tasks;
 
 use pyo3::prelude::*;
 
@@ -40,6 +41,8 @@ mod _pwrfgs {
     use super::scores::{chamfer, measure, predict_baseline, repeatability};
     #[pymodule_export]
     use super::settings::{Pipeline, complete, parse_ron, pipeline_text, registry, types};
+    #[pymodule_export]
+    use super::tasks::{compress, findings, locate, place, plan, radio_map, suggested, task_settings, update};
     use pyo3::prelude::*;
 
     #[pymodule_init]

@@ -4,11 +4,14 @@ pub(crate) mod made;
 mod observed;
 
 use crate::arrays::{self, Gain, array, axes, numbers, place, places, vector};
-use crate::border::{free, wrong};
+use crate::border::{free, raised, wrong};
 use crate::data::angles;
 use numpy::PyArrayDyn;
+use pwrfgs::experiment::{folder::PIPELINE, model_file};
 use pwrfgs::model::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
+use pwrfgs::tasks::predict::{extrapolation_warning, interval_factors};
+use pwrfgs::tasks::read_models;
 use pwrfgs_core::files::{check_file_path, write_atomically};
 use pwrfgs_core::{Activated, End, Error, Pose, Query, Real};
 use pyo3::prelude::*;
@@ -33,6 +36,8 @@ self_cell!(
 pub(crate) struct Model {
     pub(crate) ensemble: Arc<Ensemble>,
     ready: OnceLock<PreparedEnsemble>,
+    /// Model file or run folder from which it was loaded.
+    path: Option<PathBuf>,
 }
 
 /// Links of a call.
@@ -56,7 +61,13 @@ impl Links {
 
 impl Model {
     pub(crate) fn new(ensemble: Ensemble) -> Self {
-        Self { ensemble: Arc::new(ensemble), ready: OnceLock::new() }
+        Self { ensemble: Arc::new(ensemble), ready: OnceLock::new(), path: None }
+    }
+
+    /// Returns the pipeline next to the model file, if there is one.
+    pub(crate) fn pipeline_path(&self) -> Option<PathBuf> {
+        let file = model_file(self.path.as_ref()?).ok()?;
+        Some(file.with_file_name(PIPELINE)).filter(|path| path.is_file())
     }
 
     fn prepared(&self) -> &Prepared<'_> {
@@ -66,6 +77,17 @@ impl Model {
 
     fn stages(&self) -> &Stages {
         &self.ensemble.members()[0].stages
+    }
+
+    /// Warns of positions that are far from all training positions.
+    fn warn_of_extrapolations(&self, links: &Links) {
+        if links.features.is_empty() {
+            let positions: Vec<[f64; 3]> = links.poses.iter().map(|pose| pose.position).collect();
+            let distances = self.ensemble.training_distances(&positions);
+            if let Some(warning) = distances.as_ref().and_then(extrapolation_warning) {
+                crate::tasks::log("warning", &warning);
+            }
+        }
     }
 
     /// Creates the links of a call.
@@ -131,7 +153,9 @@ impl Model {
         if paths.is_empty() {
             return Err(wrong(py, "path is missing; pass a model file or a run folder"));
         }
-        free(py, || made::read(&paths)).map(Self::new)
+        let ensemble = free(py, || read_models(&paths))?;
+        let path = <[PathBuf; 1]>::try_from(paths).ok().map(|[path]| std::path::absolute(&path).unwrap_or(path));
+        Ok(Self { path, ..Self::new(ensemble) })
     }
 
     /// Create a model of spectra at one receiver from arrays, with the names of `gaussians()`:
@@ -208,7 +232,13 @@ impl Model {
     /// (observations, gradient in `tx`, in its shape). For a moving receiver this is the gradient in its positions or its poses;
     /// the length of an orientation has no effect. A model of link features, or with a network in Python, has none;
     /// the calibration `AsReleased` has none in orientations.
-    #[pyo3(signature = (tx=None, receiver=None, *, rx_pose=None, features=None, vjp=None))]
+    ///
+    /// With `interval`, such as 0.9, it gives a named tuple (prediction, lower, upper): the ends of the intervals that hold with
+    /// this probability. The model needs a calibration, from a run with validation samples. Not for channels.
+    ///
+    /// A warning counts extrapolations: positions farther from all training positions than 3 times their spacing.
+    #[pyo3(signature = (tx=None, receiver=None, *, rx_pose=None, features=None, vjp=None, interval=None))]
+    #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
     fn predict<'py>(
         &self,
         py: Python<'py>,
@@ -217,10 +247,18 @@ impl Model {
         rx_pose: Option<&Bound<'py, PyAny>>,
         features: Option<&Bound<'py, PyAny>>,
         vjp: Option<&Bound<'py, PyAny>>,
+        interval: Option<f64>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let links = self.links(py, receiver, [tx, rx_pose, features])?;
-        if let Some(cotangents) = vjp {
-            return self.differentiated(py, &links, cotangents);
+        self.warn_of_extrapolations(&links);
+        match (vjp, interval) {
+            (Some(_), Some(_)) => return Err(wrong(py, "give one of vjp and interval")),
+            (Some(cotangents), None) => return self.differentiated(py, &links, cotangents),
+            (None, Some(level)) => {
+                let factors = interval_factors(&self.ensemble, level).map_err(|error| raised(py, error))?;
+                return self.with_interval(py, &links, &factors);
+            }
+            (None, None) => {}
         }
         // A single link as on the command line, many in groups that share work: bit-identical.
         self.observed(py, &links, |queries, numbers| match queries {

@@ -69,6 +69,11 @@ impl Observer for EventSender {
         let text = message.to_owned();
         self.send("message", move |dict| dict.set_item("text", text));
     }
+
+    fn on_warning(&mut self, warning: &str) {
+        let text = warning.to_owned();
+        self.send("warning", move |dict| dict.set_item("text", text));
+    }
 }
 
 /// Converts an event to a dict with the key `what`.

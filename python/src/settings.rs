@@ -161,7 +161,7 @@ pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     Ok(all)
 }
 
-fn fields<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::DocField]) -> PyResult<Bound<'py, PyList>> {
+pub(crate) fn fields<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::DocField]) -> PyResult<Bound<'py, PyList>> {
     let list = PyList::empty(py);
     for field in fields {
         list.append((field.name, field.kind.words(), field.text, field.optional))?;

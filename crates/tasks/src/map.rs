@@ -5,8 +5,8 @@ mod layers;
 use crate::models::{check_positions, select_receivers};
 use crate::plane::{MapPlane, PlaneBounds, PlaneGrid};
 use clap::Args;
-pub use layers::{MapLayer, MapQuantity};
-use layers::{layers, quantities};
+use layers::quantities;
+pub use layers::{MapLayer, MapQuantity, layers};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Number, Pose, Receiver, Result};
 use pwrfgs_data::npy_header;
@@ -88,7 +88,8 @@ pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Obser
         settings.bounds.as_ref().map(|text| PlaneBounds::parse("--bounds", text, plane.names())).transpose()?;
     check_positions(ensemble)?;
     let model = ensemble.prepare();
-    let quantities = quantities(&model, &settings.of)?;
+    let setup = &ensemble.members()[0].stages.setup;
+    let quantities = quantities(setup, &settings.of)?;
     let mapped = select_receivers(model.receivers(), &settings.receiver)?;
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
@@ -101,7 +102,9 @@ pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Obser
         (bounds, Some(describe_bounds(plane, bounds, source)))
     };
     let grid = PlaneGrid::new(plane, bounds, settings.step, mapped.len())?;
-    let mut layers = layers(&model, &grid, &mapped, &quantities, |done| observer.on_stage("mapping", done, grid.len()));
+    let mut layers = layers(setup, &|queries| model.predict_many(queries), &grid, &mapped, &quantities, |done| {
+        observer.on_stage("mapping", done, grid.len())
+    });
     let (layer, training) = training_layer(ensemble, &grid).unzip();
     layers.extend(layer);
     let receivers = model.receivers().to_vec();

@@ -4,42 +4,15 @@ use super::Model;
 use crate::arrays::{elevation_of, numbers, places};
 use crate::border::{free, plugin, wrong};
 use crate::strategies::{check_keys, cloud_of};
-use pwrfgs::experiment::model_file;
-use pwrfgs::model::{Ensemble, Stages, TrainingPositions, file};
+use pwrfgs::model::{Ensemble, Stages, TrainingPositions};
 use pwrfgs_core::{
-    Conditions, Dataset as Data, Error, MeasurementSetup, Method, Origin, Pose, Real, Receiver, Result, Sample,
-    Spectra, rng,
+    Conditions, Dataset as Data, Error, MeasurementSetup, Method, Origin, Pose, Real, Receiver, Sample, Spectra, rng,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use std::path::PathBuf;
 
 /// Largest number of pixels of a spectrum, as in model files.
 const MOST_PIXELS: usize = 1 << 24;
-
-/// Returns the model files or run folders; several form an ensemble.
-pub(super) fn read(paths: &[PathBuf]) -> Result<Ensemble> {
-    let read = |path: &PathBuf| file::read_ensemble(&model_file(path)?);
-    if let [path] = paths {
-        return read(path);
-    }
-    let mut members = Vec::new();
-    for path in paths {
-        let ensemble = read(path)?;
-        if ensemble.residuals().is_some() {
-            let what = "has a residual process, which predicts for this model alone; load it as the only model";
-            return Err(Error::input(path, what));
-        }
-        let called = |(name, model): (&String, &pwrfgs::model::Model)| {
-            let alone = ensemble.members().len() == 1;
-            let path = path.display();
-            let named = if alone { path.to_string() } else { format!("{path}/{name}") };
-            (member_name(&named), model.clone())
-        };
-        members.extend(ensemble.names().iter().zip(ensemble.members()).map(called));
-    }
-    Ensemble::named(members).and_then(Ensemble::distinct).map_err(Error::Config)
-}
 
 /// Finds a receiver by name or index.
 pub(super) fn find(receiver: &Bound<'_, PyAny>, there: &[Receiver]) -> PyResult<usize> {
@@ -55,14 +28,6 @@ pub(super) fn find(receiver: &Bound<'_, PyAny>, there: &[Receiver]) -> PyResult<
         return Ok(place);
     }
     Err(wrong(py, &format!("invalid receiver index {place} (expected 0 to below {})", there.len())))
-}
-
-/// Returns the name of an ensemble member in a model file, from the path of its model.
-fn member_name(path: &str) -> String {
-    let plain = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' };
-    let name: String = path.trim_matches('/').chars().map(plain).collect();
-    let start = name.len().saturating_sub(200); // the end tells members apart
-    name[start..].to_owned()
 }
 
 /// Weights in the layout of the method: initial values, or those of `given` by name.

@@ -3,7 +3,8 @@
 use super::{Links, Model};
 use crate::arrays::{array, observation_rows, observations, room};
 use crate::border::{LOOK, carried, free, wrong};
-use pwrfgs_core::{Error, MeasurementSetup, Query, Real, Result};
+use pwrfgs::model::IntervalFactors;
+use pwrfgs_core::{Error, MeasurementSetup, Predict as _, Query, Real, Result};
 use pyo3::prelude::*;
 use rayon::prelude::*;
 use std::time::Instant;
@@ -28,6 +29,33 @@ impl Model {
             self.fill(links, &mut all, work).map(|()| all)
         })?;
         observations(py, *task, size, lead, all)
+    }
+
+    /// Returns the named tuple (prediction, lower, upper) of these links.
+    pub(super) fn with_interval<'py>(
+        &self,
+        py: Python<'py>,
+        links: &Links,
+        factors: &IntervalFactors,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let (ready, setup) = (self.prepared(), &self.stages().setup);
+        let size = (setup.plane.width, setup.plane.height);
+        let mut ends = [Vec::new(), Vec::new()];
+        let work = |queries: &[Query<'_>], numbers: &mut [Real]| {
+            let images = ready.predict_many(queries);
+            for ((query, image), numbers) in queries.iter().zip(images).zip(numbers.chunks_exact_mut(size.0 * size.1)) {
+                numbers.copy_from_slice(&image.pixels);
+                let deviation = ready.deviation(*query).unwrap_or(1.0);
+                let interval = factors.interval(setup.task, &setup.task.shown(image), deviation);
+                ends[0].extend(interval.lower.pixels);
+                ends[1].extend(interval.upper.pixels);
+            }
+        };
+        let prediction = self.observed(py, links, work)?;
+        let [lower, upper] = ends;
+        let end = |numbers| observations(py, setup.task, size, &links.lead, numbers);
+        let fields = (prediction, end(lower)?, end(upper)?);
+        py.import("pwrfgs._results")?.getattr("Interval")?.call1(fields)
     }
 
     /// Processes `all` in chunks, and returns an error for values that are not finite.

@@ -2,8 +2,7 @@
 
 use crate::plane::PlaneGrid;
 use clap::ValueEnum;
-use pwrfgs_core::{Error, Image, Query, Real, Result, Task, Vec3};
-use pwrfgs_model::Prepared;
+use pwrfgs_core::{Error, Image, MeasurementSetup, Query, Real, Result, Task, Vec3};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -44,9 +43,8 @@ pub struct MapLayer {
 }
 
 /// Returns the quantities to map: those `requested`, or the default of the model.
-pub(super) fn quantities(model: &Prepared<'_>, requested: &[MapQuantity]) -> Result<Vec<MapQuantity>> {
-    let has_angles = model.plane().angles.is_some();
-    let task = model.task();
+pub(super) fn quantities(setup: &MeasurementSetup, requested: &[MapQuantity]) -> Result<Vec<MapQuantity>> {
+    let (task, has_angles) = (setup.task, setup.plane.angles.is_some());
     let (available, names): (&[MapQuantity], _) = match (task.has_pixels, has_angles) {
         (true, true) => (&[MapQuantity::Direction, MapQuantity::Level, MapQuantity::Mean], "direction, level or mean"),
         (true, false) => (&[MapQuantity::Level, MapQuantity::Mean], "level or mean (its pixels have no angles)"),
@@ -82,33 +80,31 @@ impl Summary {
     }
 }
 
-/// Computes all arrays of a map; `progress` receives the number of finished positions.
-pub(super) fn layers(
-    model: &Prepared<'_>,
+/// Computes all arrays of a map from the predictions of `predict_many`, in the order of `receivers`, then that of all receivers
+/// together; `progress` receives the number of finished positions.
+pub fn layers(
+    setup: &MeasurementSetup,
+    predict_many: &(dyn Fn(&[Query<'_>]) -> Vec<Image> + Sync),
     grid: &PlaneGrid,
     receivers: &[usize],
     quantities: &[MapQuantity],
     mut progress: impl FnMut(usize),
 ) -> Vec<MapLayer> {
-    let mut layers: Vec<MapLayer> = receivers.iter().flat_map(|&r| empty_layers(model.task(), r, quantities)).collect();
+    let mut layers: Vec<MapLayer> = receivers.iter().flat_map(|&r| empty_layers(setup.task, r, quantities)).collect();
     let per_receiver = layers.len() / receivers.len().max(1);
-    let setup = &model.models().next().expect("one or more").stages.setup;
     let positions: Vec<usize> = (0..grid.len()).collect();
     for chunk in positions.chunks((STEP / receivers.len().max(1)).max(1)) {
         progress(chunk[0]);
         let queries: Vec<Query<'static>> =
             chunk.iter().flat_map(|&k| receivers.iter().map(move |&r| setup.query(grid.position(k), r))).collect();
-        let summaries: Vec<Summary> = queries
-            .par_chunks(CALL)
-            .flat_map_iter(|queries| model.predict_many(queries))
-            .map(|image| Summary::of(model.task(), &image))
-            .collect();
+        let summaries: Vec<Summary> =
+            queries.par_chunks(CALL).flat_map_iter(predict_many).map(|image| Summary::of(setup.task, &image)).collect();
         for (k, summary) in summaries.into_iter().enumerate() {
             let slot = k % receivers.len();
-            add_position(model, grid, receivers[slot], summary, &mut layers[slot * per_receiver..][..per_receiver]);
+            add_position(setup, grid, receivers[slot], summary, &mut layers[slot * per_receiver..][..per_receiver]);
         }
     }
-    layers.extend(strongest_layer(model.task(), &layers, receivers.len()));
+    layers.extend(strongest_layer(setup.task, &layers, receivers.len()));
     layers
 }
 
@@ -136,8 +132,14 @@ fn empty_layers(task: Task, receiver: usize, quantities: &[MapQuantity]) -> Vec<
 }
 
 /// Adds a position to the arrays of its receiver.
-fn add_position(model: &Prepared<'_>, grid: &PlaneGrid, receiver: usize, summary: Summary, layers: &mut [MapLayer]) {
-    let plane = model.plane();
+fn add_position(
+    setup: &MeasurementSetup,
+    grid: &PlaneGrid,
+    receiver: usize,
+    summary: Summary,
+    layers: &mut [MapLayer],
+) {
+    let plane = &setup.plane;
     let (column, row) = ((summary.strongest % plane.width) as Real, (summary.strongest / plane.width) as Real);
     for layer in layers {
         let angles = || plane.azimuth_elevation_deg(column, row);
@@ -149,7 +151,7 @@ fn add_position(model: &Prepared<'_>, grid: &PlaneGrid, receiver: usize, summary
         };
         layer.values.push(value as f32);
         if layer.name == "azimuth" {
-            let turn = model.receivers()[receiver].pose.world_from_receiver();
+            let turn = setup.receivers[receiver].pose.world_from_receiver();
             let from = plane.direction(column, row).map(|direction| turn * Vec3::from_array(direction));
             let projected = grid.plane.project(from.unwrap_or(Vec3::ZERO).to_array().map(|v| v as f64));
             layer.arrows.push(projected.map(|v| v as f32));

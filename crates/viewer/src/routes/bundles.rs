@@ -13,6 +13,8 @@ use pwrfgs_experiment::folder::{CURVE, snapshots};
 use pwrfgs_experiment::{record::read_series, text::grouped};
 use pwrfgs_model::{Ensemble, Model, Snapshot};
 use pwrfgs_report::live::{self, TensorBundle};
+use pwrfgs_tasks::map::{self, MapQuantity};
+use pwrfgs_tasks::plane::{MapPlane, PlaneBounds, PlaneGrid};
 use serde_json::{Value, json};
 use std::sync::Arc;
 
@@ -33,7 +35,7 @@ pub(super) fn bundle(path: &str, parameters: &QueryParams, state: &ServerState) 
         "gaussians" => gaussians(side, parameters),
         "predict" => predict(side, parameters),
         "link" => link(side, parameters),
-        "map" => map(side, parameters),
+        "map" => radio_map(side, parameters),
         "locate" => locate(side, parameters),
         "curve" => Ok(curve(side)),
         _ => Err((StatusCode::NOT_FOUND, "not found".into())),
@@ -263,7 +265,7 @@ fn link(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Reque
 }
 
 /// Returns the radio map on a plane at one receiver: power in dBm, or mean power of a channel in dB.
-fn map(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
+fn radio_map(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
     let (predictor, receiver) = (predictor(side)?, receiver(side, parameters)?);
     let z = parameters.z.ok_or_else(|| bad_request("no height; set z=1.2"))?;
     if side.setup.task.has_pixels {
@@ -273,20 +275,21 @@ fn map(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Reques
     let corners = [data.scene.bounds.0, data.scene.bounds.1].map(|corner| data.scene.origin.world(corner));
     let [width, height] = [0, 1].map(|k| (corners[1][k] - corners[0][k]).max(0.1));
     let step = width.max(height) / ACROSS as f64;
-    let [columns, rows] = [width, height].map(|side| (side / step).round().max(1.0) as usize);
-    let query = |k: usize| {
-        let at = |cell: usize, axis: usize| corners[0][axis] + step * (cell as f64 + 0.5);
-        side.setup.query([at(k % columns, 0), at(k / columns, 1), z], receiver)
+    let cells = |k: usize, side: f64| {
+        let count = (side / step).round().max(1.0);
+        [corners[0][k] + 0.5 * step, corners[0][k] + (count - 0.5) * step]
     };
-    let queries: Vec<Query<'_>> = (0..rows * columns).map(query).collect();
-    let level = |image: &Image| side.setup.task.level(image) as Real;
-    let first = data.scene.origin.local([corners[0][0] + step / 2.0, corners[0][1] + step / 2.0, z]);
+    let bounds = PlaneBounds([cells(0, width), cells(1, height)]);
+    let grid = PlaneGrid::new(MapPlane { axis: 2, at: z }, bounds, step, 1).map_err(|e| bad_request(&e.to_string()))?;
+    let predict = |queries: &[Query<'_>]| predictor.predict_many(queries);
+    let layers = map::layers(&side.setup, &predict, &grid, &[receiver], &[MapQuantity::Power], |_| {});
+    let first = data.scene.origin.local(grid.position(0));
     let mut bundle = TensorBundle::new(json!({ "first": first, "step": step }));
-    bundle.put("map", &[rows, columns], predictor.predict_many(&queries).iter().map(level));
-    let places: Vec<[f64; 3]> = queries.iter().map(Query::position).collect();
-    if let Some(training) = predictor.ensemble().and_then(|ensemble| ensemble.training_distances(&places)) {
-        let beyond = (0..places.len()).map(|k| u8::from(training.is_beyond(k)));
-        bundle.put_bytes("extrapolated", &[rows, columns], beyond.collect());
+    bundle.put("map", &[grid.rows, grid.columns], layers[0].values.iter().map(|v| *v as Real));
+    let positions: Vec<[f64; 3]> = (0..grid.len()).map(|k| grid.position(k)).collect();
+    if let Some(training) = predictor.ensemble().and_then(|ensemble| ensemble.training_distances(&positions)) {
+        let beyond = (0..positions.len()).map(|k| u8::from(training.is_beyond(k)));
+        bundle.put_bytes("extrapolated", &[grid.rows, grid.columns], beyond.collect());
     }
     Ok(bundle)
 }

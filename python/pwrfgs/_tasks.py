@@ -1,0 +1,149 @@
+"""What one does with data or a finished model: the functions behind ``pwrfgs map``, ``locate``, ``plan``, ``place``, ``update``,
+``compress`` and ``init``. Their settings are those of the commands, with the same names and texts.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple, Union
+
+from . import _pwrfgs
+from ._errors import InputError
+from ._log import log
+from ._pipeline import Pipeline
+from ._results import Finding, Located, Placement, Plan, RadioMap
+from ._values import to_ron, unknown
+
+_FIELDS: Dict[str, List[Tuple[str, str, str, bool]]] = _pwrfgs.task_settings()
+#: Settings that are text on the command line, numbers separated by commas.
+_BOXES = ("bounds", "prior", "region")
+
+
+def settings_text(task: str, given: Mapping[str, Any]) -> str:
+    """RON text of the settings of a task."""
+    known = {name: words for name, words, _, _ in _FIELDS[task]}
+    texts = []
+    for name, value in given.items():
+        if name not in known:
+            raise InputError(unknown(task, name, known))
+        if value is None:
+            continue
+        if name in _BOXES and not isinstance(value, str):
+            value = ",".join(repr(float(number)) for number in value)
+        if known[name].startswith("list of") and isinstance(value, str):
+            value = [value]
+        plain = known[name] == "list of MapQuantity"
+        texts.append(f"{name}: {('[' + ', '.join(value) + ']') if plain else to_ron(value)}")
+    return f"({', '.join(texts)})"
+
+
+def documented(task: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator that adds the settings of a task, which are those of its command, to signature and docstring."""
+
+    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+        fields = _FIELDS[task]
+        own = list(inspect.signature(function).parameters.values())[:-1]  # the last takes the settings
+        parameters = [
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=None if optional else inspect.Parameter.empty
+            )
+            for name, _, _, optional in fields
+        ]
+        setattr(function, "__signature__", inspect.Signature([*own, *parameters]))
+        listing = "\n".join(f"{name} : {words}\n    {text}" for name, words, text, _ in fields)
+        function.__doc__ = f"{inspect.cleandoc(function.__doc__ or '')}\n\nParameters\n----------\n{listing}"
+        return function
+
+    return add
+
+
+@documented("map")
+def radio_map(model: "_pwrfgs.Model", **settings: Any) -> RadioMap:
+    """Map the predictions of a model over a plane: ``model.map(plane="z=1.2", step=0.25)``."""
+    values = _pwrfgs.radio_map(model, settings_text("map", settings))
+    layers = values["layers"]
+    return RadioMap(
+        layers={name: array for name, _, _, array in layers},
+        units={name: unit for name, _, unit, _ in layers},
+        words={name: words for name, words, _, _ in layers},
+        axes=tuple(values["axes"]), x=values["columns"], y=values["rows"], plane=values["plane"],
+        extrapolated=values.get("extrapolated"),
+    )  # fmt: skip
+
+
+@documented("locate")
+def locate(model: "_pwrfgs.Model", observations: Any = None, **settings: Any) -> Located:
+    """Locate transmitters from their observations: powers [B, R] in dBm (NaN: not known), spectra [B, H, W] or channels [B, A, F].
+    Without observations, locate the test samples of the data of the model and compare the errors with those of baselines.
+
+    The model must come from a run folder: its data are the known positions."""
+    return Located(**_pwrfgs.locate(model, observations, settings_text("locate", settings)))
+
+
+def update(model: "_pwrfgs.Model", data: "_pwrfgs.Dataset", *, accept_far: bool = False) -> "_pwrfgs.Model":
+    """Add new measurements to the residual process of a model, without training, and return the new model.
+
+    ``accept_far`` accepts data of which most links lie outside the 99 % intervals of the model, such as after a change of the
+    room."""
+    updated, added, agreement = _pwrfgs.update(model, data, accept_far)
+    log.info("%d links added; new data against the model: %s", added, agreement)
+    return updated
+
+
+def compress(model: "_pwrfgs.Model", bits: int = 8) -> "_pwrfgs.Model":
+    """Return the model with network weights in 8 or 16 bits, and everything else in 16 bits."""
+    small, notes = _pwrfgs.compress(model, bits)
+    for note in notes:
+        log.info("%s", note)
+    return small
+
+
+def findings(data: "_pwrfgs.Dataset") -> List[Finding]:
+    """Implausible properties of the data: the warnings of the command line, each with what mends it."""
+    return [Finding(*entry) for entry in _pwrfgs.findings(data)]
+
+
+def init(data: "_pwrfgs.Dataset", name: str = "pipeline") -> Pipeline:
+    """Pipeline for data: the shipped pipeline for their kind, with split and settings for their size, as ``pwrfgs init`` writes
+    it."""
+    source = to_ron(data)
+    return Pipeline(_pwrfgs.suggested(data, source, name))
+
+
+@documented("plan")
+def plan(
+    source: Union["_pwrfgs.Dataset", "_pwrfgs.Model", None] = None,
+    *,
+    candidates: Any = None,
+    floor: Union[str, "os.PathLike[str]", None] = None,
+    step: float = 0.25,
+    height: float = 1.2,
+    **settings: Any,
+) -> Plan:
+    """Select positions to measure next: ``pwrfgs.plan(data, candidates=positions, count=20)``.
+
+    Data alone are candidates, none of them measured yet. With ``candidates`` [C, 3], or a grid of ``step`` metres at ``height``
+    over the ``floor`` of a scene, the positions of the data or the training positions of a model are measured."""
+    scene = None if floor is None else (os.fspath(floor), float(step), float(height))
+    return Plan(**_pwrfgs.plan(source, candidates, scene, settings_text("plan", settings)))
+
+
+@documented("place")
+def place(source: Any, **settings: Any) -> Placement:
+    """Select positions of receivers with the largest coverage: ``pwrfgs.place("office", count=1)``. ``source`` is a scene, or data
+    with received powers: then the best of their receivers, scored on held-out transmitters."""
+    values = _pwrfgs.place(source, settings_text("place", settings))
+    choices = {name: (names, positions, coverage) for name, names, positions, coverage in values["choices"]}
+    return Placement(choices=choices, text=values["text"])
+
+
+def _attach() -> None:
+    """Make methods of the functions of models and data."""
+    for name, function in (("map", radio_map), ("locate", locate), ("update", update), ("compress", compress)):
+        function.__name__ = name
+        setattr(_pwrfgs.Model, name, function)
+    setattr(_pwrfgs.Dataset, "findings", findings)
+
+
+_attach()

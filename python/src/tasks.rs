@@ -1,0 +1,275 @@
+//! What one does with data or a finished model; `pwrfgs/_tasks.py` makes methods and functions of these.
+
+use crate::arrays::{array, numbers, places, shape_of, vector};
+use crate::border::{free, stoppable, stopping, wrong};
+use crate::data::Dataset;
+use crate::model::Model;
+use crate::settings::fields;
+use pwrfgs::experiment::{Observer, SplitData, findings as findings_of, load, read_pipeline};
+use pwrfgs::model::compress::Bits;
+use pwrfgs::planning::floor_grid;
+use pwrfgs::raytrace::SceneFile;
+use pwrfgs::tasks::init::{DataSurvey, suggest_pipeline};
+use pwrfgs::tasks::locate::{Localisation, LocateSettings, ReadFeatures, checked_features};
+use pwrfgs::tasks::place::{PlaceSettings, Placement, place_in_data, place_in_scene};
+use pwrfgs::tasks::plan::{Places, PlanSettings};
+use pwrfgs::tasks::update::UpdatedModel;
+use pwrfgs::tasks::{self, MapSettings};
+use pwrfgs_core::docs::Docs;
+use pwrfgs_core::plugin::read_ron;
+use pwrfgs_core::{DataSource, Plugin, Real, Result, recognise, rows_of};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+use serde::de::DeserializeOwned;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+/// Observer that ends work after Ctrl-C and logs messages and warnings.
+struct TaskObserver<'a>(&'a AtomicBool);
+
+impl Observer for TaskObserver<'_> {
+    fn on_stage(&mut self, _: &str, done: usize, total: usize) {
+        stopping(self.0)(done, total);
+    }
+
+    fn on_message(&mut self, message: &str) {
+        log("info", message);
+    }
+
+    fn on_warning(&mut self, warning: &str) {
+        log("warning", warning);
+    }
+}
+
+/// Logs a message under the name "pwrfgs"; a failure of the logger is ignored.
+pub(crate) fn log(level: &str, text: &str) {
+    Python::attach(|py| {
+        let logger = py.import("pwrfgs._log").and_then(|module| module.getattr("log"));
+        _ = logger.and_then(|logger| logger.call_method1(level, ("%s", text)));
+    });
+}
+
+/// Fields of the settings of each task: (task, [(name, type, doc, optional)]).
+#[pyfunction]
+pub(crate) fn task_settings<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+    let all = PyDict::new(py);
+    all.set_item("map", fields(py, Docs::of::<MapSettings>().fields())?)?;
+    all.set_item("locate", fields(py, Docs::of::<LocateSettings>().fields())?)?;
+    all.set_item("plan", fields(py, Docs::of::<PlanSettings>().fields())?)?;
+    all.set_item("place", fields(py, Docs::of::<PlaceSettings>().fields())?)?;
+    Ok(all)
+}
+
+/// Reads settings from RON text.
+fn settings<S: DeserializeOwned>(text: &str) -> Result<S> {
+    read_ron(text, Path::new("settings")).map_err(crate::border::unplaced)
+}
+
+/// Maps a model over a plane: a dict with the grid and the layers.
+#[pyfunction]
+pub(crate) fn radio_map<'py>(py: Python<'py>, model: &Model, text: &str) -> PyResult<Bound<'py, PyDict>> {
+    let map = stoppable(py, |stop| {
+        let map = tasks::map(&model.ensemble, &settings(text)?, &mut TaskObserver(stop))?;
+        map.bounds_note.iter().for_each(|note| log("info", note));
+        Ok(map)
+    })?;
+    let (grid, dict) = (map.grid, PyDict::new(py));
+    let along = |axis: usize, count: usize| (0..count).map(|k| grid.first[axis] + grid.step * k as f64).collect();
+    dict.set_item("axes", grid.plane.names())?;
+    dict.set_item("plane", grid.plane.words())?;
+    dict.set_item("columns", vector::<f64>(py, along(0, grid.columns))?)?;
+    dict.set_item("rows", vector::<f64>(py, along(1, grid.rows))?)?;
+    let shape = [grid.rows, grid.columns];
+    if let Some(training) = &map.training {
+        dict.set_item("extrapolated", array(py, training.is_beyond.clone(), &shape)?)?;
+    }
+    let layers = PyList::empty(py);
+    for (name, layer) in map.names().into_iter().zip(map.layers) {
+        layers.append((name, layer.words, layer.unit, array(py, layer.values, &shape)?))?;
+    }
+    dict.set_item("layers", layers)?;
+    Ok(dict)
+}
+
+/// Data and split of the pipeline next to the file of a model.
+fn split_of(model: &Model, observer: &mut TaskObserver<'_>) -> Result<SplitData> {
+    let path = model.pipeline_path().ok_or_else(|| {
+        let problem = "the model has no pipeline.ron next to its file; localisation needs its data: load the model of a run folder";
+        pwrfgs_core::Error::Config(problem.into())
+    })?;
+    load(&read_pipeline(&path, &[])?, Path::new(""), observer)
+}
+
+/// Observations of unknown transmitters as numbers of the model: powers `[B, R]`, spectra `[B, H, W]`, or channels `[B, A, F]` as
+/// rows of real and imaginary parts.
+fn observed(model: &Model, value: &Bound<'_, PyAny>) -> PyResult<Vec<Real>> {
+    let setup = &model.ensemble.members()[0].stages.setup;
+    let (width, height) = (setup.plane.width, setup.plane.height);
+    let name = "observations";
+    if setup.task.is_scalar {
+        return numbers::<Real>(name, value, &[None, Some(setup.receivers.len())]);
+    }
+    if setup.task.is_complex {
+        let gains = numbers::<crate::arrays::Gain>(name, value, &[None, Some(height / 2), Some(width)])?;
+        let gains: Vec<[Real; 2]> = gains.into_iter().map(|gain| [gain.re, gain.im]).collect();
+        return Ok(gains.chunks_exact((height / 2 * width).max(1)).flat_map(|gains| rows_of(gains, width)).collect());
+    }
+    numbers::<Real>(name, value, &[None, Some(height), Some(width)])
+}
+
+/// Locates transmitters: a dict with an array per column. Without observations, locates the test samples.
+#[pyfunction]
+#[pyo3(signature = (model, observations, text))]
+pub(crate) fn locate<'py>(
+    py: Python<'py>,
+    model: &Model,
+    observations: Option<&Bound<'py, PyAny>>,
+    text: &str,
+) -> PyResult<Bound<'py, PyDict>> {
+    if let Some(value) = observations
+        && shape_of(value)?.first() == Some(&0)
+    {
+        return Err(wrong(py, "observations is empty; give one row or more"));
+    }
+    let values = observations.map(|value| observed(model, value)).transpose()?;
+    let Localisation { rows, text, .. } = stoppable(py, |stop| {
+        let observer = &mut TaskObserver(stop);
+        let split = split_of(model, observer)?;
+        let receivers = &split.data.scene.receivers;
+        let read = values
+            .as_ref()
+            .map(|values| move |features: &_| checked_features(Path::new("observations"), values, features, receivers));
+        let read = read.as_ref().map(|read| read as ReadFeatures<'_>);
+        tasks::locate::locate(&model.ensemble, &split, read, &settings(text)?, observer)
+    })?;
+    let (dict, n) = (PyDict::new(py), rows.len());
+    dict.set_item("text", text)?;
+    dict.set_item("names", rows.iter().map(|row| row.name.clone()).collect::<Vec<_>>())?;
+    dict.set_item(
+        "positions",
+        array(py, rows.iter().flat_map(|row| row.located.position).collect::<Vec<f64>>(), &[n, 3])?,
+    )?;
+    dict.set_item("misfit", vector(py, rows.iter().map(|row| row.located.misfit).collect::<Vec<f64>>())?)?;
+    let area = |row: &tasks::locate::LocatedRow| row.located.region.as_ref().map_or(f64::NAN, |region| region.area());
+    dict.set_item("region_m2", vector(py, rows.iter().map(area).collect::<Vec<f64>>())?)?;
+    let outlines = |row: &tasks::locate::LocatedRow| {
+        row.located.region.as_ref().map(|region| region.outlines()).unwrap_or_default()
+    };
+    dict.set_item("outlines", rows.iter().map(outlines).collect::<Vec<_>>())?;
+    if rows.iter().all(|row| row.truth.is_some()) {
+        let truths: Vec<f64> = rows.iter().flat_map(|row| row.truth.unwrap_or_default()).collect();
+        dict.set_item("truth", array(py, truths, &[n, 3])?)?;
+    }
+    Ok(dict)
+}
+
+/// Adds the links of `data` to the residual process of a model; returns the model, the number of links and their agreement.
+#[pyfunction]
+pub(crate) fn update(py: Python<'_>, model: &Model, data: &Dataset, accept: bool) -> PyResult<(Model, usize, String)> {
+    let UpdatedModel { ensemble, added, agreement, .. } =
+        stoppable(py, |stop| tasks::update::update(&model.ensemble, &data.data, accept, &mut TaskObserver(stop)))?;
+    Ok((Model::new(ensemble), added, agreement))
+}
+
+/// Stores a model with 8 or 16 bits per weight; returns the model of the smaller file, and a description.
+#[pyfunction]
+pub(crate) fn compress(py: Python<'_>, model: &Model, bits: u8) -> PyResult<(Model, Vec<String>)> {
+    let bits = match bits {
+        8 => Bits::Eight,
+        16 => Bits::Sixteen,
+        other => return Err(wrong(py, &format!("bits is {other}, expected 8 or 16"))),
+    };
+    let small = free(py, || tasks::compress::compress((*model.ensemble).clone(), bits))?;
+    Ok((Model::new(small.ensemble), small.notes))
+}
+
+/// Implausible properties of data: (name, problem, mend).
+#[pyfunction]
+pub(crate) fn findings(py: Python<'_>, data: &Dataset) -> PyResult<Vec<(String, String, String)>> {
+    let all = free(py, || findings_of(&data.data, None))?;
+    Ok(all.into_iter().map(|finding| (finding.name, finding.problem, finding.mend)).collect())
+}
+
+/// Text of the pipeline that `pwrfgs init` suggests for data.
+#[pyfunction]
+pub(crate) fn suggested(py: Python<'_>, data: &Dataset, source: &str, name: &str) -> PyResult<String> {
+    stoppable(py, |stop| {
+        let source = Plugin::<dyn DataSource>::parse(source).map_err(pwrfgs_core::Error::Config)?;
+        let survey = DataSurvey::of_data(source, (*data.data).clone(), Vec::new(), &mut TaskObserver(stop))?;
+        suggest_pipeline(&survey, name, Path::new("pipeline"))?.to_ron()
+    })
+}
+
+/// Selects positions to measure next, see `pwrfgs.plan`. `source` are data or a model, `candidates` positions [C, 3], `floor` a
+/// scene file with a grid spacing and a height.
+#[pyfunction]
+#[pyo3(signature = (source, candidates, floor, text))]
+pub(crate) fn plan<'py>(
+    py: Python<'py>,
+    source: Option<&Bound<'py, PyAny>>,
+    candidates: Option<&Bound<'py, PyAny>>,
+    floor: Option<(PathBuf, f64, f64)>,
+    text: &str,
+) -> PyResult<Bound<'py, PyDict>> {
+    let known = match source {
+        None => Places::default(),
+        Some(source) => {
+            if let Ok(data) = source.cast::<Dataset>() {
+                let data = (*data.get().data).clone();
+                free(py, || Places::of_data(data))?
+            } else if let Ok(model) = source.cast::<Model>() {
+                Places::of_model(&model.get().ensemble, "model")
+                    .ok_or_else(|| wrong(py, "the model has no training positions; give its data"))?
+            } else {
+                return Err(wrong(py, "source: expected a Dataset or a Model"));
+            }
+        }
+    };
+    let candidates = candidates.map(|positions| places("candidates", positions)).transpose()?;
+    let (places, plan) = stoppable(py, |stop| {
+        let candidates = match (candidates, floor) {
+            (None, Some((scene, step, height))) => Some(floor_grid(&SceneFile::read(&scene)?, step, height)?),
+            (candidates, _) => candidates,
+        };
+        let places = match candidates {
+            Some(candidates) => known.with_candidates(candidates, Path::new("candidates"))?,
+            None => known,
+        };
+        let plan = tasks::plan::plan(&places, &settings(text)?, &mut TaskObserver(stop), stop)?;
+        Ok((places, plan))
+    })?;
+    let dict = PyDict::new(py);
+    let positions: Vec<f64> = plan.order.iter().flat_map(|&j| places.candidates[j]).collect();
+    dict.set_item("text", plan.text)?;
+    dict.set_item("positions", array(py, positions, &[plan.order.len(), 3])?)?;
+    dict.set_item("order", vector(py, plan.order.iter().map(|&j| j as i64).collect::<Vec<_>>())?)?;
+    dict.set_item("variances", vector(py, plan.variances)?)?;
+    Ok(dict)
+}
+
+/// Chooses receivers, see `pwrfgs.place`: `source` are data with received powers, or a scene file or its name.
+#[pyfunction]
+pub(crate) fn place<'py>(py: Python<'py>, source: &Bound<'py, PyAny>, text: &str) -> PyResult<Bound<'py, PyDict>> {
+    let data = source.cast::<Dataset>().ok().map(|data| std::sync::Arc::clone(&data.get().data));
+    let path: Option<PathBuf> = if data.is_none() { Some(source.extract()?) } else { None };
+    let placement: Placement = stoppable(py, |stop| {
+        let (settings, observer) = (settings::<PlaceSettings>(text)?, &mut TaskObserver(stop));
+        if let Some(data) = data {
+            return place_in_data(&data, &settings, observer);
+        }
+        let path = path.unwrap_or_default();
+        match recognise(&path) {
+            Some(source) => place_in_data(&source.load(Path::new(""), &stopping(stop))?, &settings, observer),
+            None => place_in_scene(&SceneFile::read(&path)?, &settings, observer, stop),
+        }
+    })?;
+    let (dict, rows) = (PyDict::new(py), PyList::empty(py));
+    for choice in placement.choices.iter().filter(|choice| !choice.receivers.is_empty()) {
+        let positions: Vec<f64> = choice.receivers.iter().flat_map(|(_, position)| *position).collect();
+        let names: Vec<&str> = choice.receivers.iter().map(|(name, _)| name.as_str()).collect();
+        rows.append((choice.short, names, array(py, positions, &[choice.receivers.len(), 3])?, choice.coverage))?;
+    }
+    dict.set_item("text", placement.table())?;
+    dict.set_item("choices", rows)?;
+    Ok(dict)
+}
