@@ -1,8 +1,8 @@
 //! `pwrfgs compare`: all methods, all baselines and the predictions of other programs on one data folder.
 
-use super::init::{DataSurvey, name_of, pipeline as pipeline_of};
+use super::init::{DataSurvey, pipeline_name, suggest_pipeline};
 use super::options::{ChangeOptions, parse_count};
-use super::sweep;
+use super::sweep::SelectedRuns;
 use crate::output::{self, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
@@ -13,7 +13,7 @@ use pwrfgs::pipeline::Pipeline;
 use pwrfgs::train::{Rays, Trainer, Training};
 use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::plugin::{Checked, name_of as plugin_name, registered};
-use pwrfgs_core::{Baseline, Dataset, Error, Partition, Plugin, Real, Result, ShippedFile, did_you_mean};
+use pwrfgs_core::{Baseline, Dataset, Error, Plugin, Real, Result, ShippedFile, did_you_mean};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
@@ -52,19 +52,19 @@ pub(crate) struct Compare {
     pub(crate) split_csv: Option<PathBuf>,
 }
 
-/// Runs `pwrfgs compare`.
+/// Runs `pwrfgs compare`: writes the split, lists the runs, or executes them; returns the exit code.
 pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
-    let survey = RunProgress::during(verbosity, |progress| DataSurvey::of(&arguments.folder, progress))?;
+    let survey = RunProgress::observe(verbosity, |progress| DataSurvey::read(&arguments.folder, progress))?;
     let mut plan = plan_methods(arguments, &survey, verbosity)?;
     let partition = plan.runs[0].pipeline.partition(&survey.data)?;
     if let Some(path) = &arguments.split_csv {
         check_new_file(path)?;
         create(path, samples::to_csv(&survey.data, &partition, &[]).as_bytes())?;
         let [train, validation, test] = partition.sizes();
-        output::result(&format!("{}: {train} train, {validation} validation, {test} test\n", path.display()))?;
+        output::print_result(&format!("{}: {train} train, {validation} validation, {test} test\n", path.display()))?;
         return Ok(SUCCESS);
     }
-    let external = arguments.read_predictions(&plan, (&survey.data, &partition))?;
+    let external = arguments.read_predictions(&plan, &survey.data, &partition.test)?;
     // Baselines and predictions are equal for all methods: the runs of the first method score them.
     let first = plan.runs[0].combination;
     for PlannedRun { combination, pipeline, .. } in &mut plan.runs {
@@ -75,12 +75,13 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
         }
     }
     let runs: Vec<usize> = (0..plan.runs.len()).collect();
+    let selected = SelectedRuns { plan: &plan, indices: &runs, jobs: 1, verbosity };
     if arguments.dry_run {
-        return sweep::dry_run(&plan, &runs, 1, verbosity).map_err(without_position);
+        return selected.print_estimates().map_err(without_position);
     }
     check_earlier_runs(&plan)?;
-    sweep::check_and_announce(&plan, &runs, 1, verbosity).map_err(without_position)?;
-    sweep::run_here(&plan, &runs, 1, (external.first().map(|baseline| baseline.name()).as_deref(), verbosity))
+    selected.announce().map_err(without_position)?;
+    selected.execute(external.first().map(|baseline| baseline.name()).as_deref())
 }
 
 /// Plans the runs of the methods that support the data, all with the same split. A method that was not named and
@@ -94,7 +95,7 @@ fn plan_methods(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) 
         return Err(Error::Config(why));
     }
     let folder = arguments.folder.canonicalize().map_err(|e| Error::read(&arguments.folder, e))?;
-    let mut base = pipeline_of(survey, &folder, Path::new("compare.ron"))?;
+    let mut base = suggest_pipeline(survey, &folder, Path::new("compare.ron"))?;
     (base.split_seed, base.baselines) = (Some(0), applicable_baselines(&survey.data));
     let mut whole: Option<SweepPlan> = None;
     for method in labels {
@@ -102,7 +103,9 @@ fn plan_methods(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) 
         if !is_named && !arguments.methods.is_empty() {
             continue;
         }
-        match arguments.plan(method, &experiment, &base, survey) {
+        let planned =
+            with_method(&experiment, method).and_then(|experiment| arguments.plan_runs(&experiment, &base, survey));
+        match planned {
             Ok(mut plan) => match &mut whole {
                 Some(whole) => {
                     let combination = whole.runs.last().map_or(0, |run| run.combination + 1);
@@ -112,7 +115,8 @@ fn plan_methods(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) 
                 None => whole = Some(plan),
             },
             Err(error) if !is_named && error.is_input() => {
-                verbosity.note(&format!("note: {method} is left out, since it cannot predict these data: {error}"));
+                verbosity
+                    .print_note(&format!("note: {method} is left out, since it cannot predict these data: {error}"));
             }
             Err(error) => return Err(error),
         }
@@ -120,7 +124,7 @@ fn plan_methods(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) 
     whole.ok_or_else(|| Error::input(&arguments.folder, "no method can predict these data; see docs/data.md"))
 }
 
-/// Reads the shipped experiment with the methods for the task of `data`.
+/// Reads the shipped experiment with the methods for the task of `data`, and sets its name and seeds.
 fn read_experiment(arguments: &Compare, data: &Dataset) -> Result<Experiment> {
     let name = match &data.features {
         Some(_) => "methods-uplink",
@@ -129,25 +133,29 @@ fn read_experiment(arguments: &Compare, data: &Dataset) -> Result<Experiment> {
     let file = ShippedFile::all(ShippedFile::EXPERIMENTS).into_iter().find(|file| file.name == name);
     let text = file.expect("the facade registers its experiments").source;
     let mut experiment = Experiment::parse(text, Path::new(name))?;
-    experiment.name = format!("compare-{}", name_of(&arguments.folder));
+    experiment.name = format!("compare-{}", pipeline_name(&arguments.folder));
     experiment.seeds = (0..arguments.seeds as u64).collect();
     Ok(experiment)
 }
 
+/// Returns the experiment with one of its methods only.
+fn with_method(experiment: &Experiment, method: &str) -> Result<Experiment> {
+    let axis = &experiment.axes[0];
+    let variants = axis.variants.iter().filter(|variant| variant.label == method).cloned().collect();
+    let axis = Checked::new(Axis { variants, ..Axis::clone(axis) }).map_err(Error::Config)?;
+    Ok(Experiment { axes: vec![axis], ..experiment.clone() })
+}
+
 impl Compare {
-    /// Plans the runs of one method, checked with the data.
-    fn plan(&self, method: &str, experiment: &Experiment, base: &Pipeline, survey: &DataSurvey) -> Result<SweepPlan> {
-        let axis = &experiment.axes[0];
-        let variants = axis.variants.iter().filter(|variant| variant.label == method).cloned().collect();
-        let axis = Checked::new(Axis { variants, ..Axis::clone(axis) }).map_err(Error::Config)?;
-        let experiment = Experiment { axes: vec![axis], ..experiment.clone() };
-        let set = self.changes.all();
+    /// Plans the runs of an experiment with a single method, and checks them with the data.
+    fn plan_runs(&self, experiment: &Experiment, base: &Pipeline, survey: &DataSurvey) -> Result<SweepPlan> {
+        let set = self.changes.assignments();
         // No text: positions in it would be those of all methods.
-        let plan = SweepPlan::of(&experiment, (Path::new(""), "()"), Some(base), &set, self.out.as_deref());
+        let plan = SweepPlan::of(experiment, (Path::new(""), "()"), Some(base), &set, self.out.as_deref());
         let mut plan = plan.map_err(without_position)?;
         let data = &survey.data;
         for PlannedRun { pipeline, .. } in &mut plan.runs {
-            let batch = format!("training.batch={}", survey.batch(pipeline.training.batch));
+            let batch = format!("training.batch={}", survey.batch_size(pipeline.training.batch));
             let is_rays = pipeline.method.as_ref().is_some_and(|method| plugin_name(method) == "Nerf2");
             let rays = if is_rays { ray_settings(data, &pipeline.training) } else { Vec::new() };
             pipeline.set_all(&[vec![batch], rays].concat())?;
@@ -158,9 +166,9 @@ impl Compare {
         Ok(plan)
     }
 
-    /// Reads and checks the predictions of other programs.
-    fn read_predictions(&self, plan: &SweepPlan, split: (&Dataset, &Partition)) -> Result<Vec<Plugin<dyn Baseline>>> {
-        let (data, partition) = split;
+    /// Reads the predictions of other programs as baselines. Each needs a name of its own, and a prediction per link of
+    /// `test`.
+    fn read_predictions(&self, plan: &SweepPlan, data: &Dataset, test: &[usize]) -> Result<Vec<Plugin<dyn Baseline>>> {
         let baselines = plan.runs[0].pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task()));
         let labels = plan.runs.iter().map(|run| run.labels[0].1.clone());
         let mut taken: Vec<String> = baselines.chain(labels).chain([MODEL, CEILING].map(str::to_owned)).collect();
@@ -178,7 +186,7 @@ impl Compare {
             let root = Path::new(root).canonicalize().ok().filter(|root| root.is_dir());
             let root = root.ok_or_else(|| refuse("no such folder; correct its path"))?;
             let mut predictions = Predictions { name: name.into(), root, ..Predictions::default() };
-            predictions.check_test(data, &partition.test)?;
+            predictions.check_test(data, test)?;
             predictions.seal(data)?;
             baselines.push(Plugin::from(Box::new(predictions) as Box<dyn Baseline>));
         }
@@ -186,7 +194,7 @@ impl Compare {
     }
 }
 
-/// Removes the position in the experiment from an error, whose file is inside the program and has no path.
+/// Removes the position in the experiment from an error of that file, which is inside the program and has no path.
 fn without_position(error: Error) -> Error {
     match error {
         Error::Input { path, message, .. } if path.as_os_str().is_empty() => Error::Config(message),
@@ -194,7 +202,7 @@ fn without_position(error: Error) -> Error {
     }
 }
 
-/// Checks that the output folder has no other runs: their baselines and predictions would remain in the report.
+/// Rejects an output folder with other runs: their baselines and predictions would remain in the report.
 fn check_earlier_runs(plan: &SweepPlan) -> Result<()> {
     let (planned, earlier) = (plan.listing().runs, Listing::read(&plan.folder)?);
     let other = earlier.iter().flat_map(|listing| &listing.runs).find(|run| !planned.contains(run));
@@ -203,8 +211,8 @@ fn check_earlier_runs(plan: &SweepPlan) -> Result<()> {
     other.map_or(Ok(()), |run| Err(Error::input(&plan.folder, why(run))))
 }
 
-/// Returns settings of NeRF2 for the size of the site and of small spectra: rays reach across the site; beyond a room,
-/// this length is the unit.
+/// Lists settings of NeRF2 for the size of the site and of small spectra. Rays reach across the site; if that is more
+/// than 20 m, it is the unit of length too.
 fn ray_settings(data: &Dataset, training: &Training) -> Vec<String> {
     let (low, high) = data.scene.bounds;
     let far = (0..3).map(|k| (high[k] - low[k]).powi(2)).sum::<Real>().sqrt().max(5.0).ceil();
@@ -217,7 +225,7 @@ fn ray_settings(data: &Dataset, training: &Training) -> Vec<String> {
     [format!("method.Nerf2.far_m={far:?}"), format!("method.Nerf2.unit_m={unit:?}")].into_iter().chain(fewer).collect()
 }
 
-/// Lists all registered baselines for the data, and further numbers of neighbours.
+/// Lists the registered baselines that support the data, with default settings and further numbers of neighbours.
 fn applicable_baselines(data: &Dataset) -> Vec<Plugin<dyn Baseline>> {
     let nearest = ["(k: 1)", "(k: Auto)"].map(|k| format!("NearestNeighbours{k}"));
     let texts = registered::<dyn Baseline>().into_iter().map(|name| format!("{name}()")).chain(nearest);

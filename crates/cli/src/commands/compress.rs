@@ -37,7 +37,7 @@ pub(crate) struct Compress {
     pub(crate) bits: Bits,
 }
 
-/// Runs `pwrfgs compress`.
+/// Runs `pwrfgs compress`: writes the smaller model file and prints what changed.
 pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
@@ -52,27 +52,27 @@ pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()>
     let small = file::from_bytes(&after).map_err(|why| Error::input(&arguments.model, why))?;
     create(&arguments.out, &after)?;
     let kilobytes = |bytes: usize| grouped((bytes as f64 / 1e3).round() as i64);
-    verbosity.note(&format!(
+    verbosity.print_note(&format!(
         "whole file {} kB instead of {} kB, in {}",
         kilobytes(after.len()),
         kilobytes(before),
         arguments.out.display()
     ));
     if let Some(difference) = describe_difference(&model, &small.members()[0]) {
-        verbosity.note(&difference);
+        verbosity.print_note(&difference);
     }
     Ok(())
 }
 
-/// Describes the mean difference of predicted values at training positions, over all receivers;
-/// `None` without such positions.
+/// Describes the mean difference of the predictions of two models at training positions, over all receivers; `None` for
+/// models without training positions.
 fn describe_difference(model: &Model, small: &Model) -> Option<String> {
     let (training, stages) = (model.training_positions.as_ref()?, &model.stages);
     let positions: Vec<[f64; 3]> =
         evenly(training.positions(), COMPARED).into_iter().map(|p| stages.origin.world(p)).collect();
     let receivers = 0..stages.receivers.len();
     let queries: Vec<Query<'_>> =
-        positions.iter().flat_map(|&at| receivers.clone().map(move |r| stages.query(at, r))).collect();
+        positions.iter().flat_map(|&tx| receivers.clone().map(move |r| stages.query(tx, r))).collect();
     let [a, b] = [model, small].map(|model| model.prepare().predict_many(&queries));
     let pairs = a.iter().zip(&b).flat_map(|(a, b)| a.pixels.iter().zip(&b.pixels));
     let differences: Vec<f64> = pairs.map(|(a, b)| f64::from((a - b).abs() as f32)).collect();

@@ -1,6 +1,6 @@
 //! `pwrfgs export`: converts a trained model for splat viewers and Python.
 
-use super::options::{check_positions, parse_position, read_models};
+use super::options::{check_position_input, parse_position, read_models};
 use crate::output::Verbosity;
 use clap::Args;
 use pwrfgs::model::export::{npz, ply};
@@ -46,7 +46,7 @@ pub(crate) struct Export {
     pub(crate) tx: Option<String>,
 }
 
-/// Runs `pwrfgs export`.
+/// Runs `pwrfgs export`: writes all requested files, or none if one of them cannot be made.
 pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
     let tx = arguments.tx.as_deref().map(|text| parse_position("--tx", text)).transpose()?;
     let half: Writer = |model, _| file::to_bytes_half(model);
@@ -55,7 +55,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
             .into_iter()
             .filter_map(|(path, writer)| path.as_deref().map(|path| (path, writer)))
             .collect();
-    let mut names: Vec<PathBuf> = files.iter().map(|(path, _)| normalise(path)).collect();
+    let mut names: Vec<PathBuf> = files.iter().map(|(path, _)| normalise_path(path)).collect();
     names.sort_unstable();
     names.dedup();
     if names.len() < files.len() {
@@ -64,7 +64,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
     files.iter().try_for_each(|(path, _)| check_new_file(path))?;
     let model = read_models(std::slice::from_ref(&arguments.model))?;
     if tx.is_some() {
-        check_positions(&model)?;
+        check_position_input(&model)?;
     }
     if arguments.ply.is_some() && model.gaussians() == 0 {
         let problem = "model without Gaussians cannot be exported as PLY; use --npz";
@@ -75,7 +75,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
     let origin = model.members()[0].stages.origin;
     if arguments.ply.is_some() && !origin.is_zero() {
         let [x, y, z] = origin.0;
-        verbosity.note(&format!(
+        verbosity.print_note(&format!(
             "positions in the PLY file are relative to {x}, {y}, {z}, because viewers compute in single precision"
         ));
     }
@@ -83,13 +83,14 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
         create(path, &bytes)?;
         let count = model.gaussians();
         let content = if count == 0 { "the network".into() } else { format!("{count} Gaussians") };
-        verbosity.note(&format!("{content} in {}", path.display()));
+        verbosity.print_note(&format!("{content} in {}", path.display()));
     }
     Ok(())
 }
 
-/// Normalises the path of a file that does not exist yet, such as `./a.npz`.
-fn normalise(path: &Path) -> PathBuf {
+/// Resolves the folder in the path of a file that may not exist yet, such as `./a.npz`, so that equal files have equal
+/// paths.
+fn normalise_path(path: &Path) -> PathBuf {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     folder.canonicalize().unwrap_or_else(|_| folder.into()).join(path.file_name().unwrap_or_default())
 }

@@ -2,12 +2,12 @@
 
 mod survey;
 
-pub(super) use survey::{DataSurvey, is_table, suggested_split, unknown_folder};
+pub(super) use survey::{DataSurvey, is_table_or_array, suggest_split, unknown_folder_error};
 
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use crate::reference::commented::{CommentStyle, Value};
-use crate::reference::example;
+use crate::reference::example_pipeline;
 use clap::Args;
 use pwrfgs::experiment::text::wrapped;
 use pwrfgs::prelude::Pipeline;
@@ -85,71 +85,42 @@ const TURNING_ARRAY: [&str; 4] = [
 /// Number of trained pixels per image of a camera above which there is a stride.
 const PIXELS: usize = 40_000;
 
-/// Runs `pwrfgs init`.
+/// Runs `pwrfgs init`: writes the pipeline file, which must not exist yet.
 pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
-    let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.ron", name_of(&arguments.folder))));
+    let out =
+        arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.ron", pipeline_name(&arguments.folder))));
     let exists = || Error::input(&out, "file exists and is not overwritten; set another file with --out");
     if out.symlink_metadata().is_ok() {
         return Err(exists());
     }
     check_path(&out)?;
-    let survey = RunProgress::during(verbosity, |progress| DataSurvey::of(&arguments.folder, progress))?;
-    let pipeline = pipeline(&survey, &arguments.folder, &out)?;
-    let text = pipeline_text(&survey, &pipeline)?;
+    let survey = RunProgress::observe(verbosity, |progress| DataSurvey::read(&arguments.folder, progress))?;
+    let pipeline = suggest_pipeline(&survey, &arguments.folder, &out)?;
+    let text = format_pipeline(&survey, &pipeline)?;
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
         std::fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
     }
     if !write_new(&out, text.as_bytes())? {
         return Err(exists());
     }
-    output::result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.sentence(), out.display()))
+    output::print_result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.describe(), out.display()))
 }
 
-/// Suggests a pipeline for the data.
-pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result<Pipeline> {
+/// Suggests a pipeline for the surveyed data in `folder`, to be written to the file `out`.
+pub(super) fn suggest_pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result<Pipeline> {
     // Paths in a pipeline are relative to its file.
-    let beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
-    let root =
-        if beside { folder.to_owned() } else { std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned()) };
-    let path = |path: &Path| {
-        let text = path.to_str().map(|text| format!("{text:?}"));
-        text.ok_or_else(|| Error::input(path, "not UTF-8; rename the folder"))
-    };
-    path(&root)?;
+    let is_beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
+    let absolute = (!is_beside).then(|| std::path::absolute(folder).ok()).flatten();
+    let root = absolute.unwrap_or_else(|| folder.to_owned());
+    quote_path(&root)?;
     let source = recognise(&root).unwrap_or_else(|| survey.source.clone());
     let mut set = vec![
-        format!("name={}", name_of(folder)),
+        format!("name={}", pipeline_name(folder)),
         format!("data={}", try_to_ron(&source).map_err(Error::Config)?),
         format!("split={}", survey.split),
     ];
-    let (start, batch, baselines) = match survey.data.features.as_ref().map(|features| features.width) {
-        _ if survey.data.camera().is_some() => {
-            set.extend(camera_settings(&survey.data));
-            (COARSE_SPECTRA, 4, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto)")
-        }
-        _ if survey.data.task().has_pixels => {
-            let cloud = survey.clouds.first().map(|(name, _)| path(&root.join(name))).transpose()?;
-            spectrum_settings(survey, cloud, &mut set)
-        }
-        _ if survey.data.task().is_scalar => {
-            set.push(tx_wavelengths(&survey.data));
-            (POWERS, 128, "MeanSpectrum(), NearestNeighbours(k: Auto), Kriging()")
-        }
-        Some(width) => {
-            set.push(format!("method.deformation.tx_encoding=Features(width: {width})"));
-            (UPLINKS, 128, "Zero(), NearestNeighbours(k: Auto), Ridge()") // Kriging needs positions
-        }
-        // The search needs antennas of fixed orientation.
-        None if survey.data.scene.moving.is_receiver() && survey.data.scene.receivers[0].antennas != [[0.0; 3]] => {
-            set.extend(TURNING_ARRAY.map(str::to_owned));
-            (UPLINKS, 32, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
-        }
-        None => {
-            set.push(COARSE_SEARCH.into());
-            (CHANNELS, 256, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
-        }
-    };
-    set.push(format!("training.batch={}", survey.batch(batch)));
+    let (start, batch, baselines) = select_template(survey, &root, &mut set)?;
+    set.push(format!("training.batch={}", survey.batch_size(batch)));
     set.push(format!("baselines=[{baselines}]"));
     let shipped = ShippedFile::all(ShippedFile::PIPELINES).into_iter().find(|file| file.name == start);
     let mut pipeline = Pipeline::parse(shipped.expect("the facade registers its pipelines").source, out)?;
@@ -157,12 +128,51 @@ pub(super) fn pipeline(survey: &DataSurvey, folder: &Path, out: &Path) -> Result
     Ok(pipeline)
 }
 
+/// Formats a path as a text in RON; an error if it is not UTF-8.
+fn quote_path(path: &Path) -> Result<String> {
+    let text = path.to_str().map(|text| format!("{text:?}"));
+    text.ok_or_else(|| Error::input(path, "not UTF-8; rename the folder"))
+}
+
 /// Shipped pipeline to start from, largest batch size, and baselines as RON.
 type Template = (&'static str, usize, &'static str);
 
-/// Adds the settings for spectra to `set`; `cloud` is the path of a point cloud, as RON.
-fn spectrum_settings(survey: &DataSurvey, cloud: Option<String>, set: &mut Vec<String>) -> Template {
-    let stride = survey.stride();
+/// Selects the template for the kind of data in the folder `root`, and adds the settings that differ from it to `set`.
+fn select_template(survey: &DataSurvey, root: &Path, set: &mut Vec<String>) -> Result<Template> {
+    let data = &survey.data;
+    Ok(match data.features.as_ref().map(|features| features.width) {
+        _ if data.camera().is_some() => {
+            set.extend(camera_settings(data));
+            (COARSE_SPECTRA, 4, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto)")
+        }
+        _ if data.task().has_pixels => {
+            let cloud = survey.clouds.first().map(|(name, _)| quote_path(&root.join(name))).transpose()?;
+            select_spectrum_template(survey, cloud, set)
+        }
+        _ if data.task().is_scalar => {
+            set.push(tx_encoding_setting(data));
+            (POWERS, 128, "MeanSpectrum(), NearestNeighbours(k: Auto), Kriging()")
+        }
+        Some(width) => {
+            set.push(format!("method.deformation.tx_encoding=Features(width: {width})"));
+            (UPLINKS, 128, "Zero(), NearestNeighbours(k: Auto), Ridge()") // Kriging needs positions
+        }
+        // The search needs antennas of fixed orientation.
+        None if data.scene.moving.is_receiver() && data.scene.receivers[0].antennas != [[0.0; 3]] => {
+            set.extend(TURNING_ARRAY.map(str::to_owned));
+            (UPLINKS, 32, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
+        }
+        None => {
+            set.push(COARSE_SEARCH.into());
+            (CHANNELS, 256, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
+        }
+    })
+}
+
+/// Selects the template for spectra, and adds the settings that differ from it to `set`; `cloud` is the path of a point
+/// cloud, as RON.
+fn select_spectrum_template(survey: &DataSurvey, cloud: Option<String>, set: &mut Vec<String>) -> Template {
+    let stride = survey.training_stride();
     set.push(format!("training.stride={stride}"));
     if stride == 1 {
         set.push("projector=Mercator()".into());
@@ -190,15 +200,16 @@ fn spectrum_settings(survey: &DataSurvey, cloud: Option<String>, set: &mut Vec<S
     }
 }
 
-/// Returns the encoding of transmitter positions for received powers: wavelengths from the size of the site to 2 m, or to
-/// an eighth of a small site, in random directions, since maps have stripes if these are along the axes.
-fn tx_wavelengths(data: &Dataset) -> String {
+/// Formats the setting of the encoding of transmitter positions for received powers: wavelengths from the size of the
+/// site to 2 m, or to an eighth of a small site, in random directions, since maps have stripes if these are along the
+/// axes.
+fn tx_encoding_setting(data: &Dataset) -> String {
     let longest = longest_side(data).max(1.0).ceil();
     let shortest = (longest / 8.0).min(2.0);
     format!("deformation.tx_encoding=Wavelengths(count: 10, longest_m: {longest:?}, shortest_m: {shortest:?}, seed: 0)")
 }
 
-/// Returns settings for images of a camera.
+/// Lists the settings for images of a camera: stride, start and step size of the Gaussians, from image size and site.
 fn camera_settings(data: &Dataset) -> Vec<String> {
     let Dataset { width, height, .. } = *data;
     let divides = |stride: &usize| width.is_multiple_of(*stride) && height.is_multiple_of(*stride);
@@ -217,11 +228,12 @@ fn camera_settings(data: &Dataset) -> Vec<String> {
     set
 }
 
-/// Writes the text of the pipeline file, with comments.
-fn pipeline_text(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
-    let default = example().map_err(Error::Config)?;
+/// Formats the pipeline file, with notes on the data and comments on the settings; an error if the text does not parse
+/// to the same pipeline.
+fn format_pipeline(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
+    let default = example_pipeline().map_err(Error::Config)?;
     let value = Value::new(pipeline.to_ron()?).map_err(Error::Config)?;
-    let differs = |path: &[&str]| value.at(path) != default.at(path);
+    let differs = |path: &[&str]| value.text_at(path) != default.text_at(path);
     let draws = !differs(&["method"]);
     let shows = |owner: &str, field: &str| match owner {
         "Pipeline" => differs(&[field]) || SHOWN.contains(&field) && (draws || !OF_SPLATS.contains(&field)),
@@ -239,7 +251,6 @@ fn pipeline_text(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
              them,\n// and `pwrfgs plugins NAME` describes them.\n";
     text += &body;
     text.push('\n');
-    // The text must parse to the same pipeline.
     let again = Pipeline::parse(&text, Path::new("the new pipeline"))?;
     if again.to_ron()? != pipeline.to_ron()? {
         return Err(Error::Config(
@@ -258,12 +269,13 @@ fn longest_side(data: &Dataset) -> f64 {
     (0..3).map(ends).fold(0.0, f64::max)
 }
 
-/// Returns the name of the folder, as a valid name of a pipeline.
-pub(super) fn name_of(folder: &Path) -> String {
+/// Returns the name of the folder as a valid name of a pipeline: other characters become dashes; `pipeline` if none is
+/// left.
+pub(super) fn pipeline_name(folder: &Path) -> String {
     let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let name = absolute.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let plain: String =
         name.chars().map(|c| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' }).collect();
-    let plain = plain.trim_start_matches(['.', '-']).to_owned();
-    if plain.is_empty() { "pipeline".into() } else { plain }
+    let plain = plain.trim_start_matches(['.', '-']);
+    if plain.is_empty() { "pipeline".into() } else { plain.into() }
 }

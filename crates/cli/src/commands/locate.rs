@@ -4,18 +4,20 @@ mod observations;
 mod scores;
 
 use super::map::PlaneBounds;
-use super::options::{check_positions, read_models};
+use super::options::{check_position_input, read_models};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
+use observations::ObservationFile;
 use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::text::{aligned, fixed, grouped};
-use pwrfgs::experiment::{Observer as _, SplitData, check_alike, load as load_data, model_file, read_pipeline};
+use pwrfgs::experiment::{Observer as _, SplitData, check_alike, load, model_file, read_pipeline};
 use pwrfgs::localise::{Located, Locator, Region, SHARES};
+use pwrfgs::pipeline::Pipeline;
 use pwrfgs::report::draw::location::LocationMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Dataset, Error, Partition, Receiver, Result};
+use pwrfgs_core::{Dataset, Error, Receiver, Result};
 use rayon::prelude::*;
 use serde_json::json;
 use std::fmt::Write as _;
@@ -78,7 +80,7 @@ struct Row {
 }
 
 impl Row {
-    /// Returns the columns of `locations.csv` that need the true position, which is empty if unknown.
+    /// Formats the columns of `locations.csv` that need the true position: empty columns if it is unknown.
     fn truth_columns(&self) -> String {
         let Some(truth) = self.truth else { return ",,,,".into() };
         let ([x, y, z], error) = (truth, distance(self.located.position, truth));
@@ -87,57 +89,61 @@ impl Row {
     }
 }
 
-/// Runs `pwrfgs locate`.
+/// Runs `pwrfgs locate`: prints the table of positions or errors, and writes the files of `--out`.
 pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     let prior = arguments.prior.as_deref().map(|text| PlaneBounds::parse("--prior", text, ["x", "y"])).transpose()?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
-    check_positions(&ensemble)?;
-    let path = model_file(&arguments.model)?.with_file_name(PIPELINE);
-    if !path.is_file() {
-        let problem = format!("no {PIPELINE} next to this model; localisation needs its data");
-        return Err(Error::input(&arguments.model, problem));
-    }
-    let pipeline = read_pipeline(&path, &arguments.set)?;
+    check_position_input(&ensemble)?;
+    let pipeline = read_pipeline_of_model(arguments)?;
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
-    let SplitData { data, partition } =
-        RunProgress::during(verbosity, |progress| load_data(&pipeline, Path::new(""), progress))?;
-    check_alike(&ensemble.prepare(), &data)?;
-    let fair = ensemble.without_validation(&data, partition.known())?;
-    let model = fair.as_ref().unwrap_or(&ensemble).prepare();
-    let locator = RunProgress::during(verbosity, |progress| {
+    let split = RunProgress::observe(verbosity, |progress| load(&pipeline, Path::new(""), progress))?;
+    let (data, fitting) = (&split.data, split.partition.known());
+    check_alike(&ensemble.prepare(), data)?;
+    let unbiased = ensemble.without_validation(data, fitting)?;
+    let model = unbiased.as_ref().unwrap_or(&ensemble).prepare();
+    let locator = RunProgress::observe(verbosity, |progress| {
         progress.on_stage("fingerprints", 0, 0);
-        Locator::fit(&data, partition.known(), &model, &SHARES)
+        Locator::fit(data, fitting, &model, &SHARES)
     })?;
     match locator.missing_regions().filter(|_| locator.validation == 0) {
-        Some(why) => output::warning(why),
-        None => verbosity.note(&describe_locator(&locator)),
+        Some(why) => output::print_warning(why),
+        None => verbosity.print_note(&describe_locator(&locator)),
     }
-    let expected =
-        arguments.observations.is_some().then(|| scores::describe_validation(&locator, &data, partition.known()));
+    let expected = arguments.observations.is_some().then(|| scores::describe_validation(&locator, data, fitting));
     let locator = match prior {
         Some(bounds) => {
-            let inside = locator.within(move |position| bounds.holds(position));
+            let inside = locator.within(move |position| bounds.has_point(position));
             inside.map_err(|e| Error::Config(format!("--prior: {e}")))?
         }
         None => locator,
     };
     let rows = match &arguments.observations {
-        Some(path) => locate_observed(&locator, path, &data.scene.receivers)?,
-        None => locate_test(&locator, &data, &partition, verbosity),
+        Some(path) => locate_observations(&locator, path, &data.scene.receivers)?,
+        None => locate_test_samples(&locator, &split, verbosity),
     };
     if let (Some(folder), Some(out)) = (folder, &arguments.out) {
-        write_files(folder.path(), &rows, &locator, &data, arguments.pictures)?;
+        write_files(&folder, &rows, &locator, data, arguments.pictures)?;
         folder.publish()?;
-        verbosity.note(&format!("{} positions in {}", grouped(rows.len() as i64), out.display()));
+        verbosity.print_note(&format!("{} positions in {}", grouped(rows.len() as i64), out.display()));
     }
     let table = match expected {
         Some(expected) => format_positions(&rows) + &expected,
-        None => scores::table(&rows.iter().map(|row| &row.located).collect::<Vec<_>>(), &locator, &data, &partition)?,
+        None => scores::format_errors(&rows.iter().map(|row| &row.located).collect::<Vec<_>>(), &locator, &split)?,
     };
-    output::result(&(table + &describe_regions(&rows, &locator)))
+    output::print_result(&(table + &describe_regions(&rows, &locator)))
 }
 
-/// Describes the number of regions with several parts, and what the regions are calibrated on.
+/// Reads the pipeline next to the model, with the changes of `--set`; an error without such a file.
+fn read_pipeline_of_model(arguments: &Locate) -> Result<Pipeline> {
+    let path = model_file(&arguments.model)?.with_file_name(PIPELINE);
+    if !path.is_file() {
+        let problem = format!("no {PIPELINE} next to this model; localisation needs its data");
+        return Err(Error::input(&arguments.model, problem));
+    }
+    read_pipeline(&path, &arguments.set)
+}
+
+/// Describes the number of regions with several parts, and the calibration of the regions; empty without such facts.
 fn describe_regions(rows: &[Row], locator: &Locator<'_>) -> String {
     let regions: Vec<&Region> = rows.iter().filter_map(|row| row.located.region.as_ref()).collect();
     let parts = regions.iter().map(|region| region.parts());
@@ -155,7 +161,7 @@ fn describe_regions(rows: &[Row], locator: &Locator<'_>) -> String {
     text
 }
 
-/// Describes the chosen settings in one line.
+/// Describes the chosen settings of a locator in one line.
 fn describe_locator(locator: &Locator<'_>) -> String {
     let (choice, missing) = (locator.choice, locator.missing_regions());
     let descent = if choice.descends { "descent along the model" } else { "no descent" };
@@ -169,9 +175,9 @@ fn describe_locator(locator: &Locator<'_>) -> String {
     )
 }
 
-/// Locates the observations of a file, in its order.
-fn locate_observed(locator: &Locator<'_>, path: &Path, receivers: &[Receiver]) -> Result<Vec<Row>> {
-    let observed = observations::read(path, locator.features(), receivers)?;
+/// Locates the observations of a file, in its order; their true positions are unknown.
+fn locate_observations(locator: &Locator<'_>, path: &Path, receivers: &[Receiver]) -> Result<Vec<Row>> {
+    let observed = ObservationFile { path, features: locator.features(), receivers }.read_features()?;
     let row = |(k, observation): (usize, &Vec<f32>)| Row {
         name: format!("{:05}", k + 1),
         located: locator.locate(observation),
@@ -180,11 +186,12 @@ fn locate_observed(locator: &Locator<'_>, path: &Path, receivers: &[Receiver]) -
     Ok(observed.par_iter().enumerate().map(row).collect())
 }
 
-/// Locates the test samples.
-fn locate_test(locator: &Locator<'_>, data: &Dataset, partition: &Partition, verbosity: Verbosity) -> Vec<Row> {
-    let test = data.locations_of(&partition.test);
+/// Locates the transmitters of the test samples from their observations.
+fn locate_test_samples(locator: &Locator<'_>, split: &SplitData, verbosity: Verbosity) -> Vec<Row> {
+    let data = &split.data;
+    let test = data.locations_of(&split.partition.test);
     let observations = locator.observations(data, &test);
-    RunProgress::during(verbosity, |progress| {
+    RunProgress::observe(verbosity, |progress| {
         let mut rows = Vec::with_capacity(test.len());
         for (chunk, chunk_observations) in test.chunks(64).zip(observations.chunks(64)) {
             progress.on_stage("locating", rows.len(), test.len());
@@ -198,7 +205,7 @@ fn locate_test(locator: &Locator<'_>, data: &Dataset, partition: &Partition, ver
     })
 }
 
-/// Formats the table of estimated positions.
+/// Formats the table of the estimated positions.
 fn format_positions(rows: &[Row]) -> String {
     let mut lines =
         vec![["observation", "x (m)", "y (m)", "z (m)", "misfit", "region (m²)", "parts"].map(String::from).to_vec()];
@@ -215,23 +222,16 @@ fn format_positions(rows: &[Row]) -> String {
     aligned(&lines, 1)
 }
 
-/// Writes list, outlines and images.
-fn write_files(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pictures: usize) -> Result<()> {
-    let write_file = |name: &str, bytes: &[u8]| {
-        let path = folder.join(name);
-        std::fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
-    };
+/// Writes the list of positions, the outlines of the regions, the map of the errors, and images of the first `pictures`
+/// regions into `folder`.
+fn write_files(folder: &NewFolder, rows: &[Row], locator: &Locator<'_>, data: &Dataset, pictures: usize) -> Result<()> {
     let mut list = "observation,x,y,z,misfit,region_m2,parts,true_x,true_y,true_z,error_m,region_holds\n".to_owned();
     let mut regions = Vec::new();
     let flat = |p: [f64; 3]| [p[0], p[1]];
+    let receiver_point = |receiver: &Receiver| flat(data.scene.origin.world_pose(receiver.pose).position);
     let map = LocationMap {
-        training: locator.positions().iter().copied().map(flat).collect(),
-        receivers: data
-            .scene
-            .receivers
-            .iter()
-            .map(|receiver| flat(data.scene.origin.world_pose(receiver.pose).position))
-            .collect(),
+        training: locator.positions().iter().map(|position| flat(*position)).collect(),
+        receivers: data.scene.receivers.iter().map(receiver_point).collect(),
         ..LocationMap::default()
     };
     for (k, row) in rows.iter().enumerate() {
@@ -253,12 +253,12 @@ fn write_files(folder: &Path, rows: &[Row], locator: &Locator<'_>, data: &Datase
                 estimates: vec![(flat(located.position), truth.map(flat))],
                 ..map.clone()
             };
-            write_file(&format!("{name}.png"), &image.draw().png(WIDTH_MM))?;
+            folder.put(&format!("{name}.png"), image.draw().png(WIDTH_MM))?;
         }
     }
-    write_file("locations.csv", list.as_bytes())?;
-    write_file("regions.json", serde_json::to_string(&regions).unwrap_or_default().as_bytes())?;
+    folder.put("locations.csv", list)?;
+    folder.put("regions.json", serde_json::to_string(&regions).unwrap_or_default())?;
     let title = format!("{}: {} positions", data.title, grouped(rows.len() as i64));
     let estimates = rows.iter().map(|row| (flat(row.located.position), row.truth.map(flat))).collect();
-    write_file("errors.png", &LocationMap { title, estimates, ..map }.draw().png(WIDTH_MM))
+    folder.put("errors.png", LocationMap { title, estimates, ..map }.draw().png(WIDTH_MM))
 }

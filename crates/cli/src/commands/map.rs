@@ -3,11 +3,11 @@
 mod layers;
 mod plane;
 
-use super::options::{check_positions, read_models, select_receivers};
+use super::options::{check_position_input, read_models, select_receivers};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use layers::{MapLayer, MapQuantity, layers, quantities};
+use layers::{MapLayer, MapQuantity, compute_layers, select_quantities};
 pub(super) use plane::PlaneBounds;
 use plane::{MapPlane, PlaneGrid};
 use pwrfgs::data::npy_header;
@@ -76,15 +76,15 @@ pub(crate) struct Map {
     pub(crate) out: PathBuf,
 }
 
-/// Runs `pwrfgs map`.
+/// Runs `pwrfgs map`: writes the arrays and images of all maps.
 pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let plane = MapPlane::parse(&arguments.plane)?;
     let bounds =
-        arguments.bounds.as_ref().map(|text| PlaneBounds::parse("--bounds", text, plane.names())).transpose()?;
+        arguments.bounds.as_ref().map(|text| PlaneBounds::parse("--bounds", text, plane.axis_names())).transpose()?;
     let ensemble = read_models(&arguments.models)?;
-    check_positions(&ensemble)?;
+    check_position_input(&ensemble)?;
     let model = ensemble.prepare();
-    let quantities = quantities(&model, &arguments.of)?;
+    let quantities = select_quantities(&model, &arguments.of)?;
     let receivers = select_receivers(model.receivers(), &arguments.receiver)?;
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
@@ -93,14 +93,14 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     } else {
         let positions: Vec<[f64; 2]> = receivers.iter().map(|&r| plane.project(poses[r].position)).collect();
         let (bounds, source) = default_bounds(&ensemble, plane, positions)?;
-        let bounds = bounds.outwards(arguments.step);
+        let bounds = bounds.rounded_outwards(arguments.step);
         (bounds, Some(describe_bounds(plane, bounds, source)))
     };
     let grid = PlaneGrid::new(plane, bounds, arguments.step, receivers.len())?;
-    note.iter().for_each(|note| verbosity.note(note));
+    note.iter().for_each(|note| verbosity.print_note(note));
     let folder = NewFolder::begin(&arguments.out)?;
-    let mut layers = RunProgress::during(verbosity, |progress| {
-        layers(&model, &grid, &receivers, &quantities, |done| progress.on_stage("mapping", done, grid.len()))
+    let mut layers = RunProgress::observe(verbosity, |progress| {
+        compute_layers(&model, &grid, &receivers, &quantities, |done| progress.on_stage("mapping", done, grid.len()))
     });
     let (layer, training) = training_layer(&ensemble, &grid).unzip();
     layers.extend(layer);
@@ -109,13 +109,13 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let missing = layers.iter().flat_map(|layer| &layer.values).filter(|v| !v.is_finite()).count();
     if missing > 0 {
         let missing = grouped(missing as i64);
-        output::warning(&format!(
+        output::print_warning(&format!(
             "{missing} values are not finite because the model overflows there; the images show them in grey"
         ));
     }
     let (columns, rows) = (grouped(grid.columns as i64), grouped(grid.rows as i64));
     let maps = if layers.len() == 1 { "1 map".into() } else { format!("{} maps", layers.len()) };
-    verbosity.note(&format!("{maps} of {columns} x {rows} positions in {}", arguments.out.display()));
+    verbosity.print_note(&format!("{maps} of {columns} x {rows} positions in {}", arguments.out.display()));
     Ok(())
 }
 
@@ -141,9 +141,9 @@ fn default_bounds(model: &Ensemble, plane: MapPlane, receivers: Vec<[f64; 2]>) -
     Ok((PlaneBounds::around(means, &receivers), "central 90 % of the Gaussians, and all receivers"))
 }
 
-/// Describes the default bounds.
+/// Describes the default bounds; `source` names what they contain.
 fn describe_bounds(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, source: &str) -> String {
-    let ([a, b], short) = (plane.names(), |v: f64| (v * 100.0).round() / 100.0);
+    let ([a, b], short) = (plane.axis_names(), |v: f64| (v * 100.0).round() / 100.0);
     format!(
         "{a} from {} to {} m, {b} from {} to {} m ({source}); set --bounds to change this",
         short(across[0]),
@@ -153,8 +153,8 @@ fn describe_bounds(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, sour
     )
 }
 
-/// Computes the distances to the nearest training position; extrapolations, and the training positions within the
-/// limit of the plane. `None` if unknown.
+/// Computes the distances from the grid to the nearest training position as a layer. Also returns which positions are
+/// extrapolations, and the training positions near the plane. `None` for models without training positions.
 fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, TrainingMap)> {
     let positions: Vec<[f64; 3]> = (0..grid.len()).map(|k| grid.position(k)).collect();
     let distances = ensemble.training_distances(&positions)?;
@@ -168,7 +168,7 @@ fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, Tr
         arrows: Vec::new(),
     };
     let plane = grid.plane;
-    let near = |position: &[f64; 3]| (position[plane.axis] - plane.at).abs() <= limit;
+    let near = |position: &[f64; 3]| (position[plane.axis] - plane.coordinate).abs() <= limit;
     let positions =
         ensemble.training_positions().into_iter().filter(near).map(|position| plane.project(position)).collect();
     Some((layer, TrainingMap { is_beyond, limit, positions }))
@@ -186,7 +186,7 @@ struct MapWriter<'a> {
 }
 
 impl MapWriter<'_> {
-    /// Writes all files into `folder`.
+    /// Writes array and image of each layer, and the list `map.csv`, into `folder`.
     fn write(&self, folder: &NewFolder, layers: &[MapLayer]) -> Result<()> {
         let extrapolated = self.training.as_ref().map_or_else(
             || ",".into(),
@@ -198,30 +198,30 @@ impl MapWriter<'_> {
         let mut taken = BTreeSet::new();
         for layer in layers {
             let receiver = layer.receiver.map(|r| self.receivers[r].name.as_str());
-            let name = file_name(layer.name, receiver.filter(|_| self.receivers.len() > 1), &mut taken);
-            folder.put(&format!("{name}.npy"), self.npy(&layer.values))?;
-            folder.put(&format!("{name}.png"), self.png(layer, receiver))?;
-            _ = writeln!(list, "{},{extrapolated}", self.list_line(layer, &name, receiver.unwrap_or("")));
+            let name = unique_file_name(layer.name, receiver.filter(|_| self.receivers.len() > 1), &mut taken);
+            folder.put(&format!("{name}.npy"), self.encode_npy(&layer.values))?;
+            folder.put(&format!("{name}.png"), self.draw_png(layer, receiver))?;
+            _ = writeln!(list, "{},{extrapolated}", self.csv_line(layer, &name, receiver.unwrap_or("")));
         }
         folder.put("map.csv", list)
     }
 
     /// Encodes `values` as NPY, float32 `[rows, columns]`, lowest row first.
-    fn npy(&self, values: &[f32]) -> Vec<u8> {
+    fn encode_npy(&self, values: &[f32]) -> Vec<u8> {
         let mut npy = npy_header(Number::F32, &[self.grid.rows, self.grid.columns]);
         npy.extend(values.iter().flat_map(|v| v.to_le_bytes()));
         npy
     }
 
-    /// Draws a layer as PNG, with its `receiver`, or with all mapped receivers.
-    fn png(&self, layer: &MapLayer, receiver: Option<&str>) -> Vec<u8> {
+    /// Draws a layer as PNG, with its receiver, which is called `receiver`, or with all mapped receivers.
+    fn draw_png(&self, layer: &MapLayer, receiver: Option<&str>) -> Vec<u8> {
         let grid = &self.grid;
         let suffix = receiver.map_or_else(String::new, |name| format!(" at {name}"));
         let shown = layer.receiver.map_or_else(|| self.mapped.clone(), |r| vec![r]);
         let heat = Heatmap {
-            title: format!("{}{suffix}, {}", layer.words, grid.plane.words()),
+            title: format!("{}{suffix}, {}", layer.words, grid.plane.describe()),
             unit: layer.unit.into(),
-            names: grid.plane.names(),
+            names: grid.plane.axis_names(),
             first: grid.first,
             step: grid.step,
             columns: grid.columns,
@@ -235,20 +235,21 @@ impl MapWriter<'_> {
     }
 
     /// Formats the line of a layer in `map.csv`, without its last two columns.
-    fn list_line(&self, layer: &MapLayer, name: &str, receiver: &str) -> String {
+    fn csv_line(&self, layer: &MapLayer, name: &str, receiver: &str) -> String {
         let PlaneGrid { plane, first, step, columns, rows } = &self.grid;
-        let [across, up] = plane.names();
+        let [across, up] = plane.axis_names();
         let finite = || layer.values.iter().copied().filter(|v| v.is_finite());
         let ends = [finite().reduce(f32::min), finite().reduce(f32::max)];
         let [low, high] = ends.map(|end| end.map_or_else(String::new, |v| v.to_string()));
         let quantity = format!("{name}.npy,{name}.png,{},{},{}", layer.words, layer.unit, field(receiver));
-        let grid = format!("{across},{},{columns},{up},{},{rows},{step},{}", first[0], first[1], plane.words());
+        let grid = format!("{across},{},{columns},{up},{},{rows},{step},{}", first[0], first[1], plane.describe());
         format!("{quantity},{grid},{low},{high}")
     }
 }
 
-/// Returns a unique file name of letters, digits, points and dashes; case is ignored.
-fn file_name(layer: &str, receiver: Option<&str>, taken: &mut BTreeSet<String>) -> String {
+/// Returns a file name that is not in `taken`, apart from case, and adds it there. Only letters, digits, points and
+/// dashes of the name of the receiver are kept.
+fn unique_file_name(layer: &str, receiver: Option<&str>, taken: &mut BTreeSet<String>) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
     let suffix = receiver.map(|name| name.chars().take(60).map(plain).collect::<String>());
     let name = suffix.map_or_else(|| layer.to_owned(), |suffix| format!("{layer}-{suffix}"));
@@ -263,7 +264,7 @@ mod tests {
     #[test]
     fn map_file_names_are_plain_and_unique() {
         let mut taken = BTreeSet::new();
-        let mut name = |receiver| file_name("power", receiver, &mut taken);
+        let mut name = |receiver| unique_file_name("power", receiver, &mut taken);
         let names = [name(Some("../a b")), name(Some("../a/b")), name(None), name(Some(&"x".repeat(500)))];
         assert_eq!(names[..3], ["power-.._a_b", "power-.._a_b-2", "power"].map(str::to_owned));
         assert!(names[3].len() < 80);

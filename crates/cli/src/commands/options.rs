@@ -33,14 +33,14 @@ pub(crate) struct ChangeOptions {
 }
 
 impl ChangeOptions {
-    /// Lists all changes in the form of `--set`.
-    pub(super) fn all(&self) -> Vec<String> {
+    /// Lists the changes of `--set` and `--scale`, each as `FIELD=VALUE`.
+    pub(super) fn assignments(&self) -> Vec<String> {
         let scale = self.scale.map(|scale| format!("training.scale={scale:?}"));
         self.set.iter().cloned().chain(scale).collect()
     }
 }
 
-/// Returns the pipeline file of `path`, and `path` itself if it is a run folder.
+/// Returns the pipeline file that `path` is or, as a run folder, contains; also the run folder in the second case.
 ///
 /// # Errors
 /// A sweep folder, or another folder without a pipeline.
@@ -60,7 +60,7 @@ pub(super) fn resolve_pipeline(path: &Path) -> Result<(PathBuf, Option<PathBuf>)
     Err(Error::input(path, why))
 }
 
-/// Parses a number of threads or jobs.
+/// Parses a number of threads, jobs or seeds; the error states the valid numbers.
 pub(crate) fn parse_count(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(count) if COUNTS.contains(&count) => Ok(count),
@@ -68,21 +68,21 @@ pub(crate) fn parse_count(text: &str) -> Result<usize, String> {
     }
 }
 
-/// Parses `N` numbers separated by commas.
+/// Parses `N` numbers separated by commas; `None` for other text.
 pub(super) fn parse_numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
     numbers?.try_into().ok()
 }
 
-/// Parses `x,y,z`, the value of `option`.
+/// Parses the position `x,y,z` in metres, the value of `option`, which errors name.
 pub(super) fn parse_position(option: &str, text: &str) -> Result<[f64; 3]> {
     let wrong =
         || Error::Config(format!("{option} {text}: expected x,y,z in metres, each at most 1e8, such as 3.5,2.2,1.2"));
     parse_numbers(text).filter(|position| place_fault(*position).is_none()).ok_or_else(wrong)
 }
 
-/// Reads all models, files or run folders, as one ensemble; a file may contain several. Members of several files get
-/// numbers as names.
+/// Reads the models in files or run folders as one ensemble; a file may contain several. Members of several files get
+/// numbers as names, and none of these files may have a residual process.
 pub(super) fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
     let read = |path: &PathBuf| file::read_ensemble(&model_file(path)?);
     if let [path] = paths {
@@ -97,7 +97,8 @@ pub(super) fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
     Ensemble::new(members).and_then(Ensemble::distinct).map_err(Error::Config)
 }
 
-/// Returns the indices of the named receivers, in the order of the model; all for no name or `all`.
+/// Returns the indices of the receivers with these names, in the order of the model; all for no name or `all`. Other
+/// names are errors.
 pub(super) fn select_receivers(receivers: &[Receiver], names: &[String]) -> Result<Vec<usize>> {
     let index_of = |name: &str| receivers.iter().position(|receiver| receiver.name == name);
     if names.iter().all(|name| name == "all" && index_of(name).is_none()) {
@@ -105,15 +106,15 @@ pub(super) fn select_receivers(receivers: &[Receiver], names: &[String]) -> Resu
     }
     let mut chosen = Vec::new();
     for name in names {
-        chosen.push(index_of(name).ok_or_else(|| unknown_receiver(receivers, name))?);
+        chosen.push(index_of(name).ok_or_else(|| unknown_receiver_error(receivers, name))?);
     }
     chosen.sort_unstable();
     chosen.dedup();
     Ok(chosen)
 }
 
-/// Creates the error of an unknown receiver, with the nearest name.
-fn unknown_receiver(receivers: &[Receiver], name: &str) -> Error {
+/// Creates the error for the name of an unknown receiver, with the nearest name.
+fn unknown_receiver_error(receivers: &[Receiver], name: &str) -> Error {
     let near = did_you_mean(name, receivers.iter().map(|receiver| receiver.name.as_str()));
     let list = listed(receivers.iter().map(|r| strip_control(&r.name)), LISTED);
     Error::Config(format!(
@@ -122,15 +123,15 @@ fn unknown_receiver(receivers: &[Receiver], name: &str) -> Error {
     ))
 }
 
-/// Rejects models whose input is not a position.
-pub(super) fn check_positions(model: &Ensemble) -> Result<()> {
-    match model.members().iter().map(|member| member.stages.method.traits().inputs).find(|inputs| *inputs != 3) {
-        None => Ok(()),
-        Some(inputs) => Err(Error::Config(format!(
+/// Rejects a model or ensemble whose input is not a transmitter position.
+pub(super) fn check_position_input(model: &Ensemble) -> Result<()> {
+    let mut inputs = model.members().iter().map(|member| member.stages.method.traits().inputs);
+    inputs.find(|inputs| *inputs != 3).map_or(Ok(()), |inputs| {
+        Err(Error::Config(format!(
             "this model takes {inputs} numbers instead of a transmitter position; score it with `pwrfgs evaluate` on data that \
              have them"
-        ))),
-    }
+        )))
+    })
 }
 
 #[cfg(test)]

@@ -8,11 +8,12 @@ use crate::interrupt::stop_flag;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
+use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{Lines, aligned};
 use pwrfgs::report::draw::survey::CoverageMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Result, recognise};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 /// Width of the image in print, millimetres.
@@ -58,36 +59,39 @@ pub(crate) struct Place {
     pub(crate) out: PathBuf,
 }
 
-/// Runs `pwrfgs place`.
+/// Runs `pwrfgs place`: prints the table of the choices, and writes their list and map.
 pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<()> {
     if arguments.count == 0 {
         return Err(Error::Config("--count 0: give at least 1".into()));
     }
     let (stop, folder) = (stop_flag(), NewFolder::begin(&arguments.out)?);
-    let outcome = RunProgress::during(verbosity, |progress| match recognise(&arguments.source) {
-        Some(source) => measured::choose(arguments, &*source, progress),
-        None => simulated(arguments, &stop, progress),
+    let outcome = RunProgress::observe(verbosity, |progress| match recognise(&arguments.source) {
+        Some(source) => {
+            let data = staged(progress, "data", |progress| source.load(Path::new(""), progress))?;
+            measured::choose_receivers(arguments, &data, progress)
+        }
+        None => choose_in_scene(arguments, &stop, progress),
     })?;
-    outcome.write(&folder)?;
+    outcome.write_files(&folder)?;
     folder.publish()?;
-    output::result(&outcome.table())?;
-    verbosity.note(&format!("positions and map in {}", arguments.out.display()));
+    output::print_result(&outcome.format_table())?;
+    verbosity.print_note(&format!("positions and map in {}", arguments.out.display()));
     Ok(())
 }
 
-/// Chooses receivers in a scene.
+/// Chooses receivers in a scene; a folder, which is none, is an error.
 #[cfg(feature = "raytrace")]
-fn simulated(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Outcome> {
+fn choose_in_scene(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Outcome> {
     if arguments.source.is_dir() {
         let source = &arguments.source;
         return Err(Error::input(source, "no data found; name a data folder (layouts: docs/data.md), or a scene"));
     }
-    scene::choose(arguments, stop, progress)
+    scene::choose_receivers(arguments, stop, progress)
 }
 
 /// Rejects scenes, which need the feature `raytrace`.
 #[cfg(not(feature = "raytrace"))]
-fn simulated(arguments: &Place, _: &AtomicBool, _: &mut RunProgress) -> Result<Outcome> {
+fn choose_in_scene(arguments: &Place, _: &AtomicBool, _: &mut RunProgress) -> Result<Outcome> {
     let advice = "name a data folder, or build with the feature `raytrace`";
     Err(Error::input(&arguments.source, format!("no data found, and this build has no scenes; {advice}")))
 }
@@ -118,8 +122,8 @@ struct Outcome {
 }
 
 impl Outcome {
-    /// Formats the table with notes.
-    fn table(&self) -> String {
+    /// Formats the table of the choices, with the notes below it.
+    fn format_table(&self) -> String {
         let mut lines = vec![[&["choice".to_owned()], &self.header[..]].concat()];
         let line = |choice: &Choice| [std::slice::from_ref(&choice.name), &choice.cells[..]].concat();
         lines.extend(self.choices.iter().map(line));
@@ -127,7 +131,7 @@ impl Outcome {
     }
 
     /// Writes `place.csv` and `place.png` into `folder`.
-    fn write(&self, folder: &NewFolder) -> Result<()> {
+    fn write_files(&self, folder: &NewFolder) -> Result<()> {
         let mut lines = Lines::new(["choice", "order", "receiver", "x", "y", "z", "coverage_dbm"]);
         for choice in self.choices.iter().filter(|choice| !choice.short.is_empty()) {
             for (k, (name, position)) in choice.receivers.iter().enumerate() {

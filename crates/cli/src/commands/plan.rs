@@ -67,10 +67,10 @@ pub(crate) struct Plan {
     pub(crate) out: PathBuf,
 }
 
-/// Runs `pwrfgs plan`.
+/// Runs `pwrfgs plan`: prints the plan beside other choices, and writes its list and map.
 pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     let stop = stop_flag();
-    let places = RunProgress::during(verbosity, |progress| read_places(&arguments.places, progress))?;
+    let places = RunProgress::observe(verbosity, |progress| read_places(&arguments.places, progress))?;
     let total = places.candidates.len();
     check_count(arguments.count, total)?;
     let region = select_region(arguments, &places)?;
@@ -79,7 +79,7 @@ pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     let folder = NewFolder::begin(&arguments.out)?;
     let learn =
         |order: &[usize]| places.data.as_ref().filter(|_| arguments.simulate).and_then(|data| learn(data, order));
-    let plan = RunProgress::during(verbosity, |progress| {
+    let plan = RunProgress::observe(verbosity, |progress| {
         staged(progress, "selecting positions", |progress| {
             survey.select(start, arguments.count, learn, |done| {
                 progress(done, arguments.count);
@@ -89,15 +89,15 @@ pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     });
     check_stopped(&stop)?;
     let mut choices = list_choices(&survey, &plan, arguments.seed);
-    let gain = RunProgress::during(verbosity, |progress| score(&mut choices, &places, progress))?;
-    write(&folder, &places, &plan, &choices[0].variances)?;
+    let gain = RunProgress::observe(verbosity, |progress| score_choices(&mut choices, &places, progress))?;
+    write_files(&folder, &places, &plan, &choices[0].variances)?;
     folder.publish()?;
-    output::result(&format_table(&choices, gain, &plan.correlation, &places))?;
-    verbosity.note(&format!("{} positions in {}", grouped(plan.order.len() as i64), arguments.out.display()));
+    output::print_result(&format_table(&choices, gain, &plan.correlation, &places))?;
+    verbosity.print_note(&format!("{} positions in {}", grouped(plan.order.len() as i64), arguments.out.display()));
     Ok(())
 }
 
-/// Rejects a number of positions that is 0 or larger than that of the candidates.
+/// Rejects a number of positions that is 0 or larger than `total`, that of the candidates.
 fn check_count(count: usize, total: usize) -> Result<()> {
     if (1..=total).contains(&count) {
         return Ok(());
@@ -110,12 +110,11 @@ fn check_count(count: usize, total: usize) -> Result<()> {
     Err(Error::Config(format!("--count {count}: {problem}")))
 }
 
-/// Returns the candidates in the region to predict.
+/// Returns the candidates in the region of `--region`, all without it; an error if it has none.
 fn select_region(arguments: &Plan, places: &Places) -> Result<Vec<[f64; 3]>> {
-    let Some(text) = &arguments.region else { return Ok(places.region(|_| true)) };
+    let Some(text) = &arguments.region else { return Ok(places.thinned_candidates(|_| true)) };
     let bounds = PlaneBounds::parse("--region", text, ["x", "y"])?;
-    let inside = |[x, y, _]: [f64; 3]| bounds.holds([x, y]);
-    let region = places.region(inside);
+    let region = places.thinned_candidates(|[x, y, _]| bounds.has_point([x, y]));
     if region.is_empty() {
         let [(x0, x1), (y0, y1)] =
             [0, 1].map(|k| statistics::bounds(places.candidates.iter().map(|position| position[k])));
@@ -130,7 +129,8 @@ fn select_region(arguments: &Plan, places: &Places) -> Result<Vec<[f64; 3]>> {
     Ok(region)
 }
 
-/// Returns the correlation of the first step.
+/// Returns the correlation of the first step: of `--length-scale`, else learned from known measurements, else the
+/// default of the region.
 fn first_correlation(arguments: &Plan, places: &Places, region: &[[f64; 3]]) -> Result<Correlation> {
     let default = default_correlation(region);
     if let Some(length) = arguments.length_scale {
@@ -155,13 +155,13 @@ struct Choice {
 }
 
 impl Choice {
-    /// Returns the mean variance over the region after all positions.
-    fn variance(&self) -> f64 {
+    /// Returns the mean variance over the region after all positions have been measured.
+    fn final_variance(&self) -> f64 {
         self.variances.last().copied().unwrap_or(f64::NAN)
     }
 }
 
-/// Lists the plan, then choices of the same size to compare it with.
+/// Lists the plan, then the regular, random and largest-variance choice of the same size, without scores.
 fn list_choices(survey: &Survey, plan: &SurveyPlan, seed: u64) -> Vec<Choice> {
     let (count, correlation) = (plan.order.len(), plan.correlation);
     let choice = |(name, order): (String, Vec<usize>)| Choice {
@@ -179,9 +179,9 @@ fn list_choices(survey: &Survey, plan: &SurveyPlan, seed: u64) -> Vec<Choice> {
     orders.into_iter().map(choice).collect()
 }
 
-/// Scores Kriging from each choice, if the candidates are measured. Returns the gain of the plan over the regular
-/// choice.
-fn score(choices: &mut [Choice], places: &Places, progress: &mut RunProgress) -> Result<Option<Difference>> {
+/// Scores Kriging from each choice on transmitters in none of them. Returns the gain of the plan over the regular
+/// choice; `None` without measured candidates or without such transmitters.
+fn score_choices(choices: &mut [Choice], places: &Places, progress: &mut RunProgress) -> Result<Option<Difference>> {
     let Some(data) = places.data.as_ref().filter(|_| places.measured.is_empty()) else { return Ok(None) };
     let test = test_links(data, choices);
     if test.is_empty() {
@@ -193,12 +193,12 @@ fn score(choices: &mut [Choice], places: &Places, progress: &mut RunProgress) ->
         progress.on_stage("scoring", k, total);
         choice.scores = kriging_scores(data, &choice.order, &test)?;
     }
-    progress.finish();
+    progress.remove_bar();
     Ok(mean_gain(data, &test, &choices[0], &choices[1]))
 }
 
-/// Computes the mean gain of the scores of the plan over the regular choice, with an interval over blocks of
-/// positions; neighbours and the links of one transmitter are not independent.
+/// Computes the mean gain of the scores of the plan over the regular choice, with an interval over blocks of positions,
+/// since neighbours and the links of one transmitter are not independent. `test` are the scored links.
 fn mean_gain(data: &Dataset, test: &[usize], plan: &Choice, regular: &Choice) -> Option<Difference> {
     let sign = if data.task().headline.higher { 1.0 } else { -1.0 };
     let samples = || test.iter().map(|i| data.sample(*i));
@@ -215,8 +215,8 @@ fn test_links(data: &Dataset, choices: &[Choice]) -> Vec<usize> {
     data.links_of(&evenly(&left, TESTED))
 }
 
-/// Writes `plan.csv` and `plan.png` into `folder`.
-fn write(folder: &NewFolder, places: &Places, plan: &SurveyPlan, variances: &[f64]) -> Result<()> {
+/// Writes `plan.csv` and `plan.png` into `folder`; `variances` are those before and after each position.
+fn write_files(folder: &NewFolder, places: &Places, plan: &SurveyPlan, variances: &[f64]) -> Result<()> {
     let mut lines = Lines::new(["order", "candidate", "x", "y", "z", "mean_variance"]);
     for (k, &j) in plan.order.iter().enumerate() {
         let [x, y, z] = places.candidates[j].map(|v| v.to_string());
@@ -242,7 +242,7 @@ fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Corr
     header.extend(task.map(|task| format!("{} of Kriging", task.headline.name)));
     let mut lines = vec![header];
     for choice in choices {
-        let mut line = vec![choice.name.clone(), fixed(choice.variance(), 4)];
+        let mut line = vec![choice.name.clone(), fixed(choice.final_variance(), 4)];
         line.extend(task.map(|_| fixed(mean(choice.scores.iter().copied()), 4)));
         lines.push(line);
     }
@@ -257,17 +257,17 @@ fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Corr
         number(*noise)
     );
     if let Some(task) = task {
-        let (test, data) = (grouped(choices[0].scores.len() as i64), places.simulated());
+        let (test, data) = (grouped(choices[0].scores.len() as i64), places.simulated_prefix());
         _ = writeln!(text, "scores are those of {test} {data}{} in no choice", task.counted[1]);
     }
-    text + verdict(&choices[0], &choices[1], gain)
+    text + describe_verdict(&choices[0], &choices[1], gain)
 }
 
-/// Compares the plan with the regular choice: by scores if there are any, otherwise by variance.
-fn verdict(plan: &Choice, regular: &Choice, gain: Option<Difference>) -> &'static str {
+/// Describes which of plan and regular choice is better: by scores if there are any, otherwise by variance.
+fn describe_verdict(plan: &Choice, regular: &Choice, gain: Option<Difference>) -> &'static str {
     let is_better = match gain {
         Some(gain) => gain.is_clear() && gain.mean > 0.0,
-        None => regular.variance() > (1.0 + ALIKE) * plan.variance(),
+        None => regular.final_variance() > (1.0 + ALIKE) * plan.final_variance(),
     };
     if is_better {
         "the plan is better than the regular choice\n"

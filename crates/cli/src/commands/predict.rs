@@ -2,7 +2,7 @@
 
 mod writers;
 
-use super::options::{check_positions, parse_numbers, parse_position, read_models, select_receivers};
+use super::options::{check_position_input, parse_numbers, parse_position, read_models, select_receivers};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
@@ -13,7 +13,7 @@ use pwrfgs::model::{Ensemble, IntervalFactors, Prepared, TrainingDistances};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{End, Error, Pose, Predict as _, Query, Result, Task};
 use std::path::PathBuf;
-use writers::{OutputFolder, PredictedRow, PredictionImage, PredictionRow, writer};
+use writers::{PredictedRow, PredictionImage, PredictionRow, PredictionWriter};
 
 /// Number of predictions in memory at a time.
 const CHUNK: usize = 64;
@@ -75,13 +75,12 @@ pub(crate) struct Predict {
     pub(crate) no_png: bool,
 }
 
-/// Runs `pwrfgs predict`.
+/// Runs `pwrfgs predict`: writes the predictions and warns of extrapolations.
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
-    let setup = &ensemble.members()[0].stages.setup;
-    let poses = moving_poses(arguments, setup.moving)?;
+    let poses = read_moving_poses(arguments, ensemble.members()[0].stages.setup.moving)?;
     let positions: Vec<[f64; 3]> = poses.iter().map(|pose| pose.position).collect();
-    check_positions(&ensemble)?;
+    check_position_input(&ensemble)?;
     let distances = ensemble.training_distances(&positions);
     let model = ensemble.prepare();
     let task = model.task();
@@ -92,51 +91,40 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
         return Err(Error::Config(why.into()));
     }
     let factors = arguments.interval.map(|level| interval_factors(&ensemble, level)).transpose()?;
-    let new_folder = NewFolder::begin(&arguments.out)?;
-    let folder = OutputFolder { folder: &new_folder, has_png: !arguments.no_png, stacked: arguments.stacked };
-    let mut writer = writer(&folder, &model, count, factors.is_some())?;
+    let folder = NewFolder::begin(&arguments.out)?;
+    let mut writer = PredictionWriter::new(folder, &model, !arguments.no_png, factors.is_some());
+    if arguments.stacked {
+        writer.create_stacks(count)?;
+    }
     let mut progress = RunProgress::new(verbosity);
-    let mut list = writer.header();
-    let is_named = !task.has_pixels || model.receivers().len() > 1;
-    let row = |k: usize| {
-        let (pose, receiver) = (poses[k / receivers.len()], receivers[k % receivers.len()]);
-        PredictionRow {
-            number: k + 1,
-            pose,
-            has_orientation: setup.moving.is_receiver(),
-            receiver,
-            name: is_named.then(|| model.receivers()[receiver].name.as_str()),
-            training_distance: distances.as_ref().map(|distances| distances.metres[k / receivers.len()]),
-        }
-    };
+    let predictor = RowPredictor { model: &model, poses, receivers, distances, factors };
     for first in (0..count).step_by(CHUNK) {
         progress.on_stage("predicting", first, count);
-        let rows = (first..(first + CHUNK).min(count)).map(row).map(|row| predict_row(&model, row, factors.as_ref()));
-        writer.write(&folder, &rows.collect::<Result<Vec<_>>>()?, &mut list)?;
+        let rows = (first..(first + CHUNK).min(count)).map(|k| predictor.predict_row(k));
+        writer.write(&rows.collect::<Result<Vec<_>>>()?)?;
     }
-    progress.finish();
+    progress.remove_bar();
     writer.finish()?;
-    folder.put("predictions.csv", list.as_bytes())?;
-    new_folder.publish()?;
-    match &distances {
-        Some(distances) => extrapolation_warning(distances).iter().for_each(|warning| output::warning(warning)),
-        None => verbosity.note("note: the model has no training positions, so extrapolations are not marked"),
+    match &predictor.distances {
+        Some(distances) => extrapolation_warning(distances).iter().for_each(|warning| output::print_warning(warning)),
+        None => verbosity.print_note("note: the model has no training positions, so extrapolations are not marked"),
     }
     let kind = if count == 1 { task.singular } else { task.plural };
-    verbosity.note(&format!("{} {kind} in {}", grouped(count as i64), arguments.out.display()));
+    verbosity.print_note(&format!("{} {kind} in {}", grouped(count as i64), arguments.out.display()));
     Ok(())
 }
 
-/// Reads the positions or poses of the end that moves, at which to predict.
-fn moving_poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
+/// Reads the positions or poses of the end that moves, at which to predict; an error if the arguments give the other
+/// end.
+fn read_moving_poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
     let Predict { tx, tx_csv, rx_pose, rx_pose_csv, .. } = arguments;
     let refuse =
         |end: &str, advice: &str| Err(Error::Config(format!("the {end} of this model moves; give its {advice}")));
-    let of_transmitters = tx.is_some() || tx_csv.is_some();
-    if of_transmitters && moving.is_receiver() {
+    let has_transmitters = tx.is_some() || tx_csv.is_some();
+    if has_transmitters && moving.is_receiver() {
         return refuse("receiver", "poses with --rx-pose or --rx-pose-csv instead of --tx");
     }
-    if !of_transmitters && !moving.is_receiver() {
+    if !has_transmitters && !moving.is_receiver() {
         return refuse("transmitter", "positions with --tx or --tx-csv instead of --rx-pose");
     }
     match (tx, tx_csv, rx_pose, rx_pose_csv) {
@@ -155,7 +143,7 @@ fn moving_poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
     }
 }
 
-/// Returns the factors of prediction intervals of this level.
+/// Returns the factors of prediction intervals of this level, a probability; an error without a calibration of them.
 fn interval_factors(ensemble: &Ensemble, level: f64) -> Result<IntervalFactors> {
     let refuse = |problem: &str| Err(Error::Config(format!("--interval: {problem}")));
     if ensemble.members()[0].stages.task.intervals.is_none() {
@@ -182,32 +170,53 @@ fn extrapolation_warning(distances: &TrainingDistances) -> Option<String> {
     ))
 }
 
-/// Predicts one row; rows are predicted one after another, so that each latency is measured without other load.
-fn predict_row<'a>(
-    model: &Prepared<'_>,
-    row: PredictionRow<'a>,
-    factors: Option<&IntervalFactors>,
-) -> Result<PredictedRow<'a>> {
-    let query = Query::at(row.pose, row.receiver);
-    let (image, spread, times) = if model.models().count() == 1 {
-        let (image, times) = model.predict_timed(query);
-        (image, None, times)
-    } else {
-        let (image, spread, times) = model.predict_with_deviation(query);
-        (image, Some(spread), times)
-    };
-    if !image.pixels.iter().all(|p| p.is_finite()) {
-        return Err(not_finite(model.task(), &row));
-    }
-    let interval = factors.map(|factors| {
-        let deviation = model.deviation(query).unwrap_or(1.0);
-        factors.interval(model.task(), &model.task().shown(image.clone()), deviation)
-    });
-    Ok((row, PredictionImage { image, spread, interval, milliseconds: 1e3 * times.total }))
+/// Predictor of a row per pair of pose and receiver.
+struct RowPredictor<'a> {
+    model: &'a Prepared<'a>,
+    /// Poses of the moving end.
+    poses: Vec<Pose>,
+    /// Indices of the receivers.
+    receivers: Vec<usize>,
+    /// Distances of the poses to the training positions; none if unknown.
+    distances: Option<TrainingDistances>,
+    factors: Option<IntervalFactors>,
 }
 
-/// Creates the error of a prediction that is not finite.
-fn not_finite(task: Task, row: &PredictionRow<'_>) -> Error {
+impl RowPredictor<'_> {
+    /// Predicts row `k`, receiver by receiver; an error if the prediction is not finite. Rows are predicted one after
+    /// another, so that each latency is measured without other load.
+    fn predict_row(&self, k: usize) -> Result<PredictedRow<'_>> {
+        let (model, task) = (self.model, self.model.task());
+        let (p, receiver) = (k / self.receivers.len(), self.receivers[k % self.receivers.len()]);
+        let is_named = !task.has_pixels || model.receivers().len() > 1;
+        let row = PredictionRow {
+            number: k + 1,
+            pose: self.poses[p],
+            has_orientation: model.moving().is_receiver(),
+            name: is_named.then(|| model.receivers()[receiver].name.as_str()),
+            training_distance: self.distances.as_ref().map(|distances| distances.metres[p]),
+        };
+        let query = Query::at(row.pose, receiver);
+        let (image, spread, times) = if model.models().count() == 1 {
+            let (image, times) = model.predict_timed(query);
+            (image, None, times)
+        } else {
+            let (image, spread, times) = model.predict_with_deviation(query);
+            (image, Some(spread), times)
+        };
+        if !image.pixels.iter().all(|p| p.is_finite()) {
+            return Err(not_finite_error(task, &row));
+        }
+        let interval = self.factors.as_ref().map(|factors| {
+            let deviation = model.deviation(query).unwrap_or(1.0);
+            factors.interval(task, &task.shown(image.clone()), deviation)
+        });
+        Ok((row, PredictionImage { image, spread, interval, milliseconds: 1e3 * times.total }))
+    }
+}
+
+/// Creates the error for a prediction that is not finite.
+fn not_finite_error(task: Task, row: &PredictionRow<'_>) -> Error {
     let observation = task.singular;
     Error::Config(format!(
         "row {}: the {observation} at {:?} is not finite: the model overflows there; remove the position if it \

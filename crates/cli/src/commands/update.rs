@@ -1,6 +1,6 @@
 //! `pwrfgs update`: adds new measurements to the residual process of a trained model.
 
-use super::init::unknown_folder;
+use super::init::unknown_folder_error;
 use super::options::read_models;
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
@@ -10,7 +10,7 @@ use pwrfgs::experiment::{Agreement, check_alike, staged, warn_of_findings};
 use pwrfgs::model::file;
 use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::{Error, Result, recognise};
+use pwrfgs_core::{Dataset, Error, MeasurementSetup, Receiver, Result, recognise};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -41,7 +41,7 @@ pub(crate) struct Update {
 /// Name of the finding that most links lie outside the intervals of the model.
 const FAR: &str = "far-from-model";
 
-/// Runs `pwrfgs update`.
+/// Runs `pwrfgs update`: writes the model with the new links, unless the data are far from it.
 pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let model = read_models(std::slice::from_ref(&arguments.model))?;
@@ -49,7 +49,7 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
         let problem = "has no residual process; set `residuals: Kriged()` in its pipeline and run it again";
         return Err(Error::input(&arguments.model, problem));
     };
-    let source = recognise(&arguments.data).ok_or_else(|| unknown_folder(&arguments.data))?;
+    let source = recognise(&arguments.data).ok_or_else(|| unknown_folder_error(&arguments.data))?;
     let mut progress = RunProgress::new(verbosity);
     let data = staged(&mut progress, "new data", |progress| source.load(Path::new(""), progress))?;
     let ready = model.prepare();
@@ -57,16 +57,7 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     if !data.placed || data.features.is_some() {
         return Err(Error::input(&arguments.data, "no transmitter positions; give data with positions"));
     }
-    let (receivers, origin) = (ready.receivers(), model.members()[0].stages.origin);
-    let moved = receivers
-        .iter()
-        .zip(&data.scene.receivers)
-        .find(|(receiver, other)| origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose));
-    if let Some((_, receiver)) = moved {
-        let name = strip_control(&receiver.name);
-        let problem = format!("receiver `{name}` has another pose than in the model; give data of the same receivers");
-        return Err(Error::input(&arguments.data, problem));
-    }
+    check_poses(ready.setup(), &data).map_err(|problem| Error::input(&arguments.data, problem))?;
     warn_of_findings(&data, None, &mut progress)?;
     let agreement = Agreement::measure(&model, &data, &mut progress)?;
     if agreement.is_far() && arguments.accept.is_empty() {
@@ -76,11 +67,11 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
         );
         return Err(Error::input(&arguments.data, problem));
     }
-    verbosity.note(&format!("new data against the model: {agreement}"));
+    verbosity.print_note(&format!("new data against the model: {agreement}"));
     let begun = Instant::now();
     let (updated, added) = residuals.updated(&model, &data)?;
     let updated = model.clone().with_residuals(Some(updated)).with_calibration(model.calibration().cloned());
-    progress.finish();
+    progress.remove_bar();
     if added == 0 {
         return Err(Error::input(&arguments.data, "no link at a receiver with a residual process"));
     }
@@ -88,6 +79,18 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     create(&arguments.out, &file::ensemble_to_bytes(&updated))?;
     let things = data.task().counted[usize::from(added != 1)];
     let out = arguments.out.display();
-    verbosity.note(&format!("{} new {things} in {out}, {milliseconds:.2} ms each", grouped(added as i64)));
+    verbosity.print_note(&format!("{} new {things} in {out}, {milliseconds:.2} ms each", grouped(added as i64)));
     Ok(())
+}
+
+/// Rejects data in which a receiver has another pose than in the model; the error names the first one.
+fn check_poses(setup: &MeasurementSetup, data: &Dataset) -> Result<(), String> {
+    let mut pairs = setup.receivers.iter().zip(&data.scene.receivers);
+    let is_moved = |(receiver, other): &(&Receiver, &Receiver)| {
+        setup.origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose)
+    };
+    pairs.find(is_moved).map_or(Ok(()), |(_, receiver)| {
+        let name = strip_control(&receiver.name);
+        Err(format!("receiver `{name}` has another pose than in the model; give data of the same receivers"))
+    })
 }

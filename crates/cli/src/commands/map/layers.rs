@@ -39,8 +39,9 @@ pub(super) struct MapLayer {
     pub(super) arrows: Vec<[f32; 2]>,
 }
 
-/// Returns the quantities to map: those `requested`, or the default of the model.
-pub(super) fn quantities(model: &Prepared<'_>, requested: &[MapQuantity]) -> Result<Vec<MapQuantity>> {
+/// Returns the quantities to map: those `requested`, or the default of the model. A requested quantity that the model
+/// does not have is an error.
+pub(super) fn select_quantities(model: &Prepared<'_>, requested: &[MapQuantity]) -> Result<Vec<MapQuantity>> {
     let has_angles = model.plane().angles.is_some();
     let task = model.task();
     let (available, names): (&[MapQuantity], _) = match (task.has_pixels, has_angles) {
@@ -69,7 +70,7 @@ struct Summary {
 }
 
 impl Summary {
-    /// Summarises an observation of `task`.
+    /// Summarises the predicted observation `image` of `task`.
     fn of(task: Task, image: &Image) -> Self {
         let strongest = image.argmax();
         let count = image.pixels.len().max(1) as f64;
@@ -78,8 +79,9 @@ impl Summary {
     }
 }
 
-/// Computes all arrays of a map; `progress` receives the number of finished positions.
-pub(super) fn layers(
+/// Computes all arrays of a map: those of each receiver, then the strongest power; `progress` receives the number of
+/// finished positions.
+pub(super) fn compute_layers(
     model: &Prepared<'_>,
     grid: &PlaneGrid,
     receivers: &[usize],
@@ -101,14 +103,14 @@ pub(super) fn layers(
             .collect();
         for (k, summary) in summaries.into_iter().enumerate() {
             let slot = k % receivers.len();
-            add_position(model, grid, receivers[slot], summary, &mut layers[slot * per_receiver..][..per_receiver]);
+            append_values(model, grid, receivers[slot], summary, &mut layers[slot * per_receiver..][..per_receiver]);
         }
     }
     layers.extend(strongest_layer(model.task(), &layers, receivers.len()));
     layers
 }
 
-/// Creates the empty arrays of a receiver.
+/// Creates the arrays of a receiver without values, one per quantity; a direction has two.
 fn empty_layers(task: Task, receiver: usize, quantities: &[MapQuantity]) -> Vec<MapLayer> {
     let layer = |(name, words, unit)| MapLayer {
         name,
@@ -131,8 +133,8 @@ fn empty_layers(task: Task, receiver: usize, quantities: &[MapQuantity]) -> Vec<
     quantities.iter().flat_map(names).map(layer).collect()
 }
 
-/// Adds a position to the arrays of its receiver.
-fn add_position(model: &Prepared<'_>, grid: &PlaneGrid, receiver: usize, summary: Summary, layers: &mut [MapLayer]) {
+/// Appends the values at the next position to the arrays of a receiver.
+fn append_values(model: &Prepared<'_>, grid: &PlaneGrid, receiver: usize, summary: Summary, layers: &mut [MapLayer]) {
     let plane = model.plane();
     let (column, row) = ((summary.strongest % plane.width) as Real, (summary.strongest / plane.width) as Real);
     for layer in layers {
@@ -153,7 +155,7 @@ fn add_position(model: &Prepared<'_>, grid: &PlaneGrid, receiver: usize, summary
     }
 }
 
-/// Computes the largest power of all receivers at each position, if there are several.
+/// Computes the largest power of all receivers at each position, dBm; `None` for a single receiver or other tasks.
 fn strongest_layer(task: Task, layers: &[MapLayer], receivers: usize) -> Option<MapLayer> {
     let first = layers.first().filter(|_| task.is_scalar && receivers > 1)?;
     let largest = |k: usize| layers.iter().map(|layer| layer.values[k]).fold(f32::NAN, f32::max);

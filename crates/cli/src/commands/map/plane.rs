@@ -13,49 +13,50 @@ pub(super) struct MapPlane {
     /// Index of the fixed coordinate: 0 for x.
     pub(super) axis: usize,
     /// Value of the fixed coordinate, metres.
-    pub(super) at: f64,
+    pub(super) coordinate: f64,
 }
 
 impl MapPlane {
-    /// Parses `z=1.2`.
+    /// Parses `z=1.2`, metres, the value of `--plane`.
     pub(super) fn parse(text: &str) -> Result<Self> {
         let wrong = || {
             Error::Config(format!(
                 "--plane {text}: expected a fixed coordinate in metres, such as z=1.2, x=0.5 or y=-3"
             ))
         };
-        let (name, at) = text.split_once('=').ok_or_else(wrong)?;
+        let (name, coordinate) = text.split_once('=').ok_or_else(wrong)?;
         let axis = AXES.iter().position(|axis| name.trim().eq_ignore_ascii_case(axis)).ok_or_else(wrong)?;
-        let at = at.trim().parse().ok().filter(|at| coordinate_fault(*at).is_none()).ok_or_else(wrong)?;
-        Ok(Self { axis, at })
+        let is_valid = |coordinate: &f64| coordinate_fault(*coordinate).is_none();
+        let coordinate = coordinate.trim().parse().ok().filter(is_valid).ok_or_else(wrong)?;
+        Ok(Self { axis, coordinate })
     }
 
     /// Returns the indices of the two free coordinates, horizontal first.
-    pub(super) fn axes(&self) -> [usize; 2] {
+    pub(super) fn free_axes(&self) -> [usize; 2] {
         [[1, 2], [0, 2], [0, 1]][self.axis]
     }
 
     /// Returns the names of the free coordinates.
-    pub(super) fn names(&self) -> [&'static str; 2] {
-        self.axes().map(|k| AXES[k])
+    pub(super) fn axis_names(&self) -> [&'static str; 2] {
+        self.free_axes().map(|k| AXES[k])
     }
 
     /// Describes the plane, such as `z = 1.2 m`.
-    pub(super) fn words(&self) -> String {
-        format!("{} = {} m", AXES[self.axis], self.at)
+    pub(super) fn describe(&self) -> String {
+        format!("{} = {} m", AXES[self.axis], self.coordinate)
     }
 
-    /// Returns the position in space of a point on the plane.
+    /// Returns the position in space of the point `[a, b]` on the plane, its free coordinates in metres.
     fn position(&self, [a, b]: [f64; 2]) -> [f64; 3] {
-        let mut position = [self.at; 3];
-        let [across, up] = self.axes();
+        let mut position = [self.coordinate; 3];
+        let [across, up] = self.free_axes();
         (position[across], position[up]) = (a, b);
         position
     }
 
-    /// Projects a position or vector onto the plane.
+    /// Projects a position or vector onto the plane: its two free coordinates.
     pub(super) fn project(&self, position: [f64; 3]) -> [f64; 2] {
-        self.axes().map(|k| position[k])
+        self.free_axes().map(|k| position[k])
     }
 }
 
@@ -64,7 +65,7 @@ impl MapPlane {
 pub(in crate::commands) struct PlaneBounds(pub(super) [[f64; 2]; 2]);
 
 impl PlaneBounds {
-    /// Parses `x0,x1,y0,y1`.
+    /// Parses `x0,x1,y0,y1`, metres, the value of `option`; `names` are those of the coordinates, for the error.
     pub(in crate::commands) fn parse(option: &str, text: &str, names: [&str; 2]) -> Result<Self> {
         let [a, b] = names;
         let wrong = || {
@@ -79,20 +80,20 @@ impl PlaneBounds {
         Ok(Self([[x0, x1], [y0, y1]]))
     }
 
-    /// Whether a point is inside or on the edge.
-    pub(in crate::commands) fn holds(&self, point: [f64; 2]) -> bool {
+    /// Returns whether a point is inside or on the edge.
+    pub(in crate::commands) fn has_point(&self, point: [f64; 2]) -> bool {
         self.0.iter().zip(point).all(|([low, high], v)| (*low..=*high).contains(&v))
     }
 
-    /// Extends the bounds to multiples of `step`.
-    pub(super) fn outwards(self, step: f64) -> Self {
+    /// Returns the bounds extended to multiples of `step`; unchanged if these are not finite.
+    pub(super) fn rounded_outwards(self, step: f64) -> Self {
         let rounded = |[low, high]: [f64; 2]| [(low / step).floor() * step, (high / step).ceil() * step];
         let out = self.0.map(rounded);
         if out.iter().flatten().all(|v| v.is_finite()) { Self(out) } else { self }
     }
 
-    /// Returns bounds around the central 90 % of `cloud` and all `receivers`; two metres wide if that is a single
-    /// position.
+    /// Creates bounds around the central 90 % of `cloud` and all `receivers`, metres; along a coordinate in which these
+    /// are equal, or that has none, they are two metres wide.
     pub(super) fn around(mut cloud: Vec<[f64; 2]>, receivers: &[[f64; 2]]) -> Self {
         cloud.retain(|point| point.iter().all(|v| v.is_finite()));
         let ends_along = |k: usize| {
@@ -122,7 +123,8 @@ pub(super) struct PlaneGrid {
 }
 
 impl PlaneGrid {
-    /// Creates the grid from the low ends of the bounds, with `layers` values per position.
+    /// Creates the grid from the low ends of the bounds; an error if `step` is out of range, or if the grid with
+    /// `layers` values per position is too large.
     pub(super) fn new(plane: MapPlane, bounds: PlaneBounds, step: f64, layers: usize) -> Result<Self> {
         let PlaneBounds([across, up]) = bounds;
         if !(1e-6..=MAX_COORDINATE_M).contains(&step) {
@@ -146,7 +148,7 @@ impl PlaneGrid {
         self.columns * self.rows
     }
 
-    /// Returns position `k` in space.
+    /// Returns position `k` of the grid in space, metres, world frame.
     pub(super) fn position(&self, k: usize) -> [f64; 3] {
         let coordinate = |n: usize, axis: usize| self.first[axis] + self.step * n as f64;
         self.plane.position([coordinate(k % self.columns, 0), coordinate(k / self.columns, 1)])

@@ -4,7 +4,7 @@ use super::{Choice, Outcome, Place, RANDOM};
 use crate::progress::RunProgress;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped, number};
-use pwrfgs::planning::{SceneCoverage, coverage_of, greedy_subset, random_subsets, strongest_powers};
+use pwrfgs::planning::{AscentResult, SceneCoverage, coverage_of, greedy_subset, random_subsets, strongest_powers};
 use pwrfgs::raytrace::SceneFile;
 use pwrfgs::report::draw::survey::CoverageMap;
 use pwrfgs_core::{Error, Result, statistics::mean};
@@ -13,8 +13,8 @@ use std::sync::atomic::AtomicBool;
 /// Largest number of receivers.
 const MOST: usize = 3;
 
-/// Chooses receivers by ascent over the floor of a scene, beside the best position on a grid.
-pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Outcome> {
+/// Chooses receivers by ascent over the floor of a scene, and from a grid unless that is omitted.
+pub(super) fn choose_receivers(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Outcome> {
     let count = arguments.count;
     if count > MOST {
         return Err(Error::Config(format!("--count {count}: a scene takes at most {MOST} receivers; lower --count")));
@@ -36,7 +36,7 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
         name: "ascent".into(),
         receivers: ascent.receivers.iter().map(|[x, y]| (String::new(), [*x, *y, floor.mount()])).collect(),
         coverage: ascent.coverage,
-        cells: cells(ascent.coverage, ascent.positions, ascent.links),
+        cells: format_cells(ascent.coverage, ascent.positions, ascent.links),
     }];
     let mut notes = vec![format!(
         "coverage: 10th percentile of the strongest simulated power over {} transmitters at {} m",
@@ -54,21 +54,13 @@ pub(super) fn choose(arguments: &Place, stop: &AtomicBool, progress: &mut RunPro
         ));
         choices.extend([best, random]);
     }
-    let flat = |[x, y, _]: &[f64; 3]| [*x, *y];
-    let powers: Vec<&[f64]> = ascent.powers.iter().map(Vec::as_slice).collect();
-    let map = CoverageMap {
-        title: format!("{}: simulated coverage {} dBm", scene.name, fixed(ascent.coverage, 1)),
-        transmitters: floor.transmitters.iter().map(flat).collect(),
-        powers: strongest_powers(&powers),
-        selected: ascent.receivers,
-        others: Vec::new(),
-    };
+    let map = coverage_map(&scene.name, &floor, ascent);
     let header = ["coverage (dBm)", "positions traced", "links traced"].map(str::to_owned).to_vec();
     Ok(Outcome { header, choices, notes, map })
 }
 
-/// Returns the best subset of the receiver positions on the grid, and the mean of random subsets. `grid` holds the
-/// powers of all candidates, dBm `[C][T]`.
+/// Chooses the best subset of the receiver positions on the grid, and averages random subsets. `grid` holds the powers
+/// of all candidates, dBm `[C][T]`.
 fn grid_choices(arguments: &Place, floor: &SceneCoverage, grid: &[Vec<f64>]) -> [Choice; 2] {
     let Place { count, seed, .. } = *arguments;
     let (transmitters, candidates) = (floor.transmitters.len(), floor.candidates.len());
@@ -80,19 +72,31 @@ fn grid_choices(arguments: &Place, floor: &SceneCoverage, grid: &[Vec<f64>]) -> 
         name: if count == 1 { "grid, exhaustive" } else { "grid, greedy" }.into(),
         receivers: best.receivers.iter().map(|&r| (String::new(), floor.candidates[r])).collect(),
         coverage: best.coverage,
-        cells: cells(best.coverage, candidates, transmitters * candidates),
+        cells: format_cells(best.coverage, candidates, transmitters * candidates),
     };
     let random = Choice {
         short: "",
         name: format!("random, mean of {RANDOM} (seed {seed})"),
         receivers: Vec::new(),
         coverage: random,
-        cells: cells(random, count, count * transmitters),
+        cells: format_cells(random, count, count * transmitters),
     };
     [best, random]
 }
 
+/// Creates the map of the strongest power of the receivers of the ascent.
+fn coverage_map(scene: &str, floor: &SceneCoverage, ascent: AscentResult) -> CoverageMap {
+    let powers: Vec<&[f64]> = ascent.powers.iter().map(Vec::as_slice).collect();
+    CoverageMap {
+        title: format!("{scene}: simulated coverage {} dBm", fixed(ascent.coverage, 1)),
+        transmitters: floor.transmitters.iter().map(|[x, y, _]| [*x, *y]).collect(),
+        powers: strongest_powers(&powers),
+        selected: ascent.receivers,
+        others: Vec::new(),
+    }
+}
+
 /// Formats coverage in dBm, and the numbers of traced positions and links.
-fn cells(coverage: f64, positions: usize, links: usize) -> Vec<String> {
+fn format_cells(coverage: f64, positions: usize, links: usize) -> Vec<String> {
     vec![fixed(coverage, 2), grouped(positions as i64), grouped(links as i64)]
 }

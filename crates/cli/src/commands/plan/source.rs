@@ -9,7 +9,7 @@ use pwrfgs::experiment::text::{grouped, number};
 use pwrfgs::experiment::{model_file, staged};
 use pwrfgs::model::file;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Dataset, Error, Result, evenly, recognise};
+use pwrfgs_core::{Dataset, Error, Location, Receiver, Result, evenly, recognise};
 use std::path::{Path, PathBuf};
 
 /// Largest number of candidates, and of covariances between candidates and region.
@@ -52,31 +52,32 @@ pub(super) struct Places {
 }
 
 impl Places {
-    /// Returns the candidates that are `inside`, evenly thinned so that their covariances with all candidates fit into
-    /// memory.
-    pub(super) fn region(&self, inside: impl Fn([f64; 3]) -> bool) -> Vec<[f64; 3]> {
-        let positions: Vec<[f64; 3]> = self.candidates.iter().copied().filter(|position| inside(*position)).collect();
+    /// Returns the candidates for which `is_inside` holds, evenly thinned so that their covariances with all candidates
+    /// fit into memory.
+    pub(super) fn thinned_candidates(&self, is_inside: impl Fn([f64; 3]) -> bool) -> Vec<[f64; 3]> {
+        let positions: Vec<[f64; 3]> =
+            self.candidates.iter().copied().filter(|position| is_inside(*position)).collect();
         evenly(&positions, MOST_PAIRS / self.candidates.len().max(1))
     }
 
-    /// Returns `simulated ` if the observations are.
-    pub(super) fn simulated(&self) -> &'static str {
+    /// Returns `simulated ` if the observations are, else an empty text.
+    pub(super) fn simulated_prefix(&self) -> &'static str {
         if self.data.as_ref().is_some_and(Dataset::is_simulated) { "simulated " } else { "" }
     }
 }
 
-/// Reads the positions that the arguments name.
+/// Reads the positions that the arguments name; an error without candidates, or with more than [`MOST`].
 pub(super) fn read_places(arguments: &PlaceOptions, progress: &mut RunProgress) -> Result<Places> {
     let mut places =
         arguments.source.as_ref().map_or_else(|| Ok(Places::default()), |path| read_measured(path, progress))?;
     let new = match (&arguments.candidates, &arguments.floor) {
         (Some(path), _) => Some((read_transmitters(path)?, path)),
-        (_, Some(path)) => Some((floor(path, arguments.step, arguments.height)?, path)),
+        (_, Some(path)) => Some((floor_positions(path, arguments.step, arguments.height)?, path)),
         _ => None,
     };
     match new {
         Some((candidates, path)) => {
-            check_near(&candidates, &places.measured, path)?;
+            check_distance(&candidates, &places.measured, path)?;
             places.candidates = candidates;
             places.measured = evenly(&places.measured, MOST_KNOWN);
             if places.title.is_empty() {
@@ -98,18 +99,18 @@ pub(super) fn read_places(arguments: &PlaceOptions, progress: &mut RunProgress) 
     Ok(places)
 }
 
-/// Reads the measured positions of a data folder, run folder or model.
+/// Reads the measured positions of a data folder, run folder or model, without candidates; an error if it has none.
 fn read_measured(path: &Path, progress: &mut RunProgress) -> Result<Places> {
     if let Some(source) = recognise(path) {
         let data = staged(progress, "data", |progress| source.load(Path::new(""), progress))?;
         if !data.placed || data.features.is_some() {
             return Err(Error::input(path, "has no transmitter positions; name data with positions"));
         }
-        let pose = |receiver: &pwrfgs_core::Receiver| data.scene.origin.world_pose(receiver.pose).position;
+        let position = |receiver: &Receiver| data.scene.origin.world_pose(receiver.pose).position;
         return Ok(Places {
             title: data.title.clone(),
-            measured: data.locations.iter().map(pwrfgs_core::Location::position).collect(),
-            receivers: data.scene.receivers.iter().map(pose).collect(),
+            measured: data.locations.iter().map(Location::position).collect(),
+            receivers: data.scene.receivers.iter().map(position).collect(),
             candidates: Vec::new(),
             data: Some(data),
         });
@@ -125,14 +126,15 @@ fn read_measured(path: &Path, progress: &mut RunProgress) -> Result<Places> {
     if measured.is_empty() {
         return Err(Error::input(&model, "has no training positions; name the data folder of its training"));
     }
-    let setup = &ensemble.members()[0].stages;
-    let receivers = setup.setup.receivers.iter().map(|receiver| setup.origin.world_pose(receiver.pose).position);
+    let setup = &ensemble.members()[0].stages.setup;
+    let receivers = setup.receivers.iter().map(|receiver| setup.origin.world_pose(receiver.pose).position);
     let title = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     Ok(Places { title, measured, receivers: receivers.collect(), ..Places::default() })
 }
 
-/// Rejects candidates that are far from all known measurements: probably another frame or unit.
-fn check_near(candidates: &[[f64; 3]], measured: &[[f64; 3]], path: &Path) -> Result<()> {
+/// Rejects candidates of which all are far from the known measurements: probably another frame or unit. `path` is their
+/// file.
+fn check_distance(candidates: &[[f64; 3]], measured: &[[f64; 3]], path: &Path) -> Result<()> {
     let Some(first) = measured.first() else { return Ok(()) };
     let extent = measured.iter().map(|position| distance(*position, *first)).fold(0.0, f64::max).max(1.0);
     let gap =
@@ -151,14 +153,15 @@ fn check_near(candidates: &[[f64; 3]], measured: &[[f64; 3]], path: &Path) -> Re
     ))
 }
 
-/// Creates positions on a grid over the floor of a scene, outside its objects, in rows of alternating direction.
+/// Creates positions on a grid over the floor of the scene in `path`, outside its objects, in rows of alternating
+/// direction; metres.
 #[cfg(feature = "raytrace")]
-fn floor(path: &Path, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
+fn floor_positions(path: &Path, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
     pwrfgs::planning::floor_grid(&pwrfgs::raytrace::SceneFile::read(path)?, step, height)
 }
 
 /// Rejects scenes, which need the feature `raytrace`.
 #[cfg(not(feature = "raytrace"))]
-fn floor(_: &Path, _: f64, _: f64) -> Result<Vec<[f64; 3]>> {
+fn floor_positions(_: &Path, _: f64, _: f64) -> Result<Vec<[f64; 3]>> {
     Err(Error::Config("--floor: this build has no scenes; build with the feature `raytrace`".into()))
 }

@@ -1,6 +1,6 @@
 //! Runs of a sweep on a terminal: live lines per run and in total, and an aligned table.
 
-use crate::output::{Verbosity, bars, note};
+use crate::output::{Verbosity, print_note, progress_bars};
 use crate::progress::RunProgress;
 use indicatif::{ProgressBar, ProgressStyle};
 use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepObserver, SweepPlan};
@@ -27,18 +27,18 @@ impl<'a> SweepTable<'a> {
             .progress_chars("━╸─");
         let bar = ProgressBar::new(runs as u64).with_style(style);
         // Without a terminal, the bar hides itself.
-        let bar = if verbosity == Verbosity::Quiet { ProgressBar::hidden() } else { bars().add(bar) };
+        let bar = if verbosity == Verbosity::Quiet { ProgressBar::hidden() } else { progress_bars().add(bar) };
         bar.tick();
         Self { plan, verbosity, bar, begun: Instant::now() }
     }
 
-    /// Removes the bar.
-    pub(super) fn finish(&self) {
+    /// Removes the bar over all runs.
+    pub(super) fn remove_bar(&self) {
         self.bar.finish_and_clear();
     }
 
-    /// Formats the line about the end of a run.
-    fn line(&self, run: usize, end: &Result<RunOutcome>) -> String {
+    /// Describes the end of a run in one line: its scores and time, or why it has none.
+    fn describe_end(&self, run: usize, end: &Result<RunOutcome>) -> String {
         let name = &self.plan.runs[run].folder;
         match end {
             Ok(RunOutcome::Finished { already: true, .. }) => format!("{name}: already finished"),
@@ -74,13 +74,14 @@ impl SweepObserver for SweepTable<'_> {
         self.bar.set_message(format!("about {} left", duration(left)));
         let failed = end.as_ref().is_err_and(|error| !matches!(error, Error::Busy(_)));
         if self.verbosity != Verbosity::Quiet || failed {
-            note(&self.line(run, end));
+            print_note(&self.describe_end(run, end));
         }
     }
 }
 
-/// Formats the table of the progress of `runs`; `queued` names the runs in the queue of a scheduler.
-pub(super) fn status(plan: &SweepPlan, runs: &[usize], queued: &BTreeSet<String>) -> String {
+/// Formats the table of the progress of `runs` (indices in the plan); `queued` has the folders of those in the queue of
+/// a scheduler.
+pub(super) fn format_progress(plan: &SweepPlan, runs: &[usize], queued: &BTreeSet<String>) -> String {
     let states: Vec<RunStage> = runs.iter().map(|&run| plan.state(run)).collect();
     let ends = states.iter().filter_map(|state| if let RunStage::Finished(end) = state { Some(end) } else { None });
     let task = ends.clone().next().map_or_else(Task::default, |end| end.0.task);
@@ -118,8 +119,8 @@ pub(super) fn status(plan: &SweepPlan, runs: &[usize], queued: &BTreeSet<String>
     head + joined + &aligned(&lines, 2)
 }
 
-/// Formats the table of all runs with estimated seconds.
-pub(super) fn plan(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
+/// Formats the table of `runs` (indices in the plan) with their estimated seconds, which are 0 for finished ones.
+pub(super) fn format_estimates(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
     let mut lines = vec![["run", "state", "time"].map(str::to_owned).to_vec()];
     for (&run, seconds) in runs.iter().zip(seconds) {
         let time = if *seconds > 0.0 { format!("about {}", duration(*seconds)) } else { String::new() };
@@ -129,7 +130,7 @@ pub(super) fn plan(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usiz
     let mut text =
         format!("{}: {} runs of {combinations} combinations, in {}\n", plan.name, runs.len(), plan.folder.display());
     text += &aligned(&lines, 2);
-    text += &total(plan, runs, seconds, jobs);
+    text += &describe_total(plan, runs, seconds, jobs);
     text
 }
 
@@ -137,9 +138,9 @@ pub(super) fn plan(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usiz
 const LONG_SECONDS: f64 = 12.0 * 3600.0;
 const SLOWEST: usize = 3;
 
-/// Describes the estimated total time of `runs`; if it is long, also the slowest unfinished run of the slowest
-/// combinations.
-pub(super) fn total(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
+/// Describes the estimated total time of `runs` (indices in the plan) from their seconds; NaN counts as none. If it is
+/// long, also names the slowest run of the slowest combinations.
+pub(super) fn describe_total(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
     let total = seconds.iter().filter(|seconds| seconds.is_finite()).sum::<f64>() / jobs as f64;
     let mut text = format!(
         "about {} in total on this machine with --jobs {jobs}, estimated from a few steps of each combination, before and after \
