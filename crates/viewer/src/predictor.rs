@@ -63,7 +63,8 @@ impl Predictor {
             .is_none_or(|ensemble| ensemble.members().iter().all(|model| model.stages.method.traits().inputs == 3))
     }
 
-    /// Returns whether this is a baseline that may store its training and validation samples.
+    /// Returns whether this is a baseline that is fitted to training and validation samples, which it may store; an
+    /// oracle is not.
     pub(crate) fn is_fitted(&self) -> bool {
         matches!(self, Self::Baseline(baseline) if !baseline.borrow_dependent().is_oracle())
     }

@@ -153,8 +153,7 @@ impl ViewPane {
         Ok(Arc::clone(fitted))
     }
 
-    /// Reads the model or the last checkpoint of the run again; returns whether the run is finished. A pane without a
-    /// run is.
+    /// Reads the model or the last checkpoint of the run again. Returns whether the run is finished, or there is none.
     pub(crate) fn reload(&self) -> Result<bool> {
         let (Some(folder), Some(loaded)) = (&self.folder, &self.loaded) else { return Ok(true) };
         let model = folder.join(MODEL_FILE);

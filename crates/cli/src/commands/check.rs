@@ -50,33 +50,30 @@ pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
 }
 
 /// Formats size and cost of a run as a table.
-fn describe_run(p: &Preview) -> String {
-    let (t, n) = (&p.pipeline.training, |count: usize| grouped(count as i64));
-    let [train, validation, test] = p.samples.map(n);
-    let free = p.free_bytes.map_or_else(String::new, |free| format!(", {} available", format_gigabytes(free)));
+fn describe_run(preview: &Preview) -> String {
+    let (training, n) = (&preview.pipeline.training, |count: usize| grouped(count as i64));
+    let [train, validation, test] = preview.samples.map(n);
+    let free = preview.free_bytes.map_or_else(String::new, |free| format!(", {} available", format_gigabytes(free)));
+    let gaussians = match preview.time.start.gaussians {
+        0 => "none".to_owned(),
+        count => format!("{} initially", n(count)),
+    };
     let mut rows = vec![
-        ("data", format!("{}: {}", p.title, p.observed)),
+        ("data", format!("{}: {}", preview.title, preview.observed)),
         ("samples", format!("{train} training, {validation} validation, {test} test")),
-        ("test distance", format!("{} to the nearest training transmitter (median)", length(p.test_distance))),
-        (
-            "Gaussians",
-            if p.time.start.gaussians == 0 {
-                "none".into()
-            } else {
-                format!("{} initially", n(p.time.start.gaussians))
-            },
-        ),
-        ("network", format!("{} weights", n(p.weights))),
-        ("pruners", join_or_none(&p.pipeline.pruners.iter().map(plugin_name).collect::<Vec<_>>())),
-        ("steps", describe_steps(t)),
-        ("phases", describe_phases(t)),
-        ("memory", format!("about {}{free}", format_gigabytes(p.loaded_bytes + p.step_bytes))),
-        ("time", describe_time(&p.time, has_unlimited_densification(t))),
-        ("machine", describe_machine(p)),
+        ("test distance", format!("{} to the nearest training transmitter (median)", length(preview.test_distance))),
+        ("Gaussians", gaussians),
+        ("network", format!("{} weights", n(preview.weights))),
+        ("pruners", join_or_none(&preview.pipeline.pruners.iter().map(plugin_name).collect::<Vec<_>>())),
+        ("steps", describe_steps(training)),
+        ("phases", describe_phases(training)),
+        ("memory", format!("about {}{free}", format_gigabytes(preview.loaded_bytes + preview.step_bytes))),
+        ("time", describe_time(&preview.time, has_unlimited_densification(training))),
+        ("machine", describe_machine(preview)),
     ];
-    let pose = p.summary.pose.as_ref().map(|pose| ("pose", pose.verdict.title().to_owned()));
-    rows.splice(1..1, p.summary.facts.iter().cloned().chain(pose));
-    rows.extend(p.outlook.iter().map(|sentence| ("pruning", sentence.clone())));
+    let pose = preview.summary.pose.as_ref().map(|pose| ("pose", pose.verdict.title().to_owned()));
+    rows.splice(1..1, preview.summary.facts.iter().cloned().chain(pose));
+    rows.extend(preview.outlook.iter().map(|sentence| ("pruning", sentence.clone())));
     aligned(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)
 }
 
@@ -86,37 +83,40 @@ fn join_or_none(names: &[String]) -> String {
 }
 
 /// Describes the number of training steps and the batch of a step.
-fn describe_steps(t: &Training) -> String {
-    let (steps, n) = (grouped(t.steps as i64), |count: usize| grouped(count as i64));
-    match t.rays {
-        Rays::All => format!("{steps} of {} transmitters", n(t.batch)),
-        Rays::Same(rays) => format!("{steps} of {} rays of {} transmitters", n(rays), n(t.batch)),
+fn describe_steps(training: &Training) -> String {
+    let (steps, n) = (grouped(training.steps as i64), |count: usize| grouped(count as i64));
+    match training.rays {
+        Rays::All => format!("{steps} of {} transmitters", n(training.batch)),
+        Rays::Same(rays) => format!("{steps} of {} rays of {} transmitters", n(rays), n(training.batch)),
         Rays::Each(pairs) => format!("{steps} of {} pairs of spectrum and pixel", n(pairs)),
     }
 }
 
 /// Describes the phases of algorithm 1 by their steps.
-fn describe_phases(t: &Training) -> String {
+fn describe_phases(training: &Training) -> String {
     let steps = |count: u64| grouped(count as i64);
     let phase = |(from, to, name): (u64, u64, &str)| {
-        (from < to.min(t.steps)).then(|| format!("{name} from step {} to {}", steps(from + 1), steps(to.min(t.steps))))
+        let last = to.min(training.steps);
+        (from < last).then(|| format!("{name} from step {} to {}", steps(from + 1), steps(last)))
     };
     let phases = [
-        (0, t.densify_until, "densify"),
-        (t.densify_until, t.prune_until, "prune"),
-        (t.prune_until, t.steps, "finetune"),
+        (0, training.densify_until, "densify"),
+        (training.densify_until, training.prune_until, "prune"),
+        (training.prune_until, training.steps, "finetune"),
     ];
     join_or_none(&phases.into_iter().filter_map(phase).collect::<Vec<_>>())
 }
 
 /// Returns whether densification may add Gaussians, without a maximum number.
-fn has_unlimited_densification(t: &Training) -> bool {
-    t.densify.max_gaussians == 0 && t.densify.every > 0 && t.densify.from < t.densify_until.min(t.steps)
+fn has_unlimited_densification(training: &Training) -> bool {
+    training.densify.max_gaussians == 0
+        && training.densify.every > 0
+        && training.densify.from < training.densify_until.min(training.steps)
 }
 
-/// Describes the expected time of the initial search and of training, with its range, and the timed steps; `grows` adds
-/// that densification lengthens it.
-fn describe_time(time: &TimeEstimate, grows: bool) -> String {
+/// Describes the expected time of the initial search and of training, with its range, and the timed steps; `may_grow`
+/// adds that densification lengthens it.
+fn describe_time(time: &TimeEstimate, may_grow: bool) -> String {
     let range = |seconds: [f64; 2]| {
         let [shortest, longest] = seconds.map(duration);
         if shortest == longest { shortest } else { format!("{shortest} to {longest}") }
@@ -138,17 +138,21 @@ fn describe_time(time: &TimeEstimate, grows: bool) -> String {
     } else {
         format!("{first} with N = {}, {last} with N = {}", n(start.gaussians), n(end.gaussians))
     };
-    format!("{total}{range} of training ({steps}){}", if grows { "; more if densification adds Gaussians" } else { "" })
+    format!(
+        "{total}{range} of training ({steps}){}",
+        if may_grow { "; more if densification adds Gaussians" } else { "" }
+    )
 }
 
 /// Describes the load of the machine, and the spread of the timed steps if it is large.
-fn describe_machine(p: &Preview) -> String {
-    let is_loaded = p.load.is_some_and(|(load, cores)| load > IDLE * cores as f64);
+fn describe_machine(preview: &Preview) -> String {
+    let is_loaded = preview.load.is_some_and(|(load, cores)| load > IDLE * cores as f64);
     let load = p
         .load
         .map(|(load, cores)| format!("load average {load:.1} on {cores} core{}", if cores == 1 { "" } else { "s" }));
-    let varies = (p.time.spread > STEADY).then(|| format!("equal steps vary by a factor of {:.1}", p.time.spread));
-    let state = match p.load {
+    let varies =
+        (preview.time.spread > STEADY).then(|| format!("equal steps vary by a factor of {:.1}", preview.time.spread));
+    let state = match preview.load {
         _ if is_loaded => "busy, an idle machine is faster",
         Some(_) => "idle",
         None => "load unknown",

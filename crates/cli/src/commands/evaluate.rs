@@ -68,7 +68,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     let mut result = scored?;
     let scores = &mut result.scores;
     scores.table.samples[0] = count_training_samples(&models);
-    scores.table.trained_elsewhere = !models.iter().all(|model| is_trained_on_data_of(model, &pipeline));
+    scores.table.trained_elsewhere = !models.iter().all(|model| has_same_data(model, &pipeline));
     let mut text = scores.table.to_text();
     if let Some(confidence) = &result.confidence {
         let members = ensemble.members().len();
@@ -104,7 +104,7 @@ fn count_training_samples(models: &[PathBuf]) -> usize {
 }
 
 /// Returns whether the pipeline next to `model` is readable and has the data and split of `pipeline`.
-fn is_trained_on_data_of(model: &Path, pipeline: &Pipeline) -> bool {
+fn has_same_data(model: &Path, pipeline: &Pipeline) -> bool {
     let trained = read_pipeline(&model.with_file_name(PIPELINE), &[]);
     trained.is_ok_and(|trained| data_key(&trained) == data_key(pipeline))
 }

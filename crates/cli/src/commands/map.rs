@@ -100,7 +100,9 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     note.iter().for_each(|note| verbosity.print_note(note));
     let folder = NewFolder::begin(&arguments.out)?;
     let mut layers = RunProgress::observe(verbosity, |progress| {
-        compute_layers(&model, &grid, &receivers, &quantities, |done| progress.on_stage("mapping", done, grid.len()))
+        compute_layers(&model, &grid, &receivers, &quantities, |done| {
+            progress.on_stage("mapping", done, grid.position_count())
+        })
     });
     let (layer, training) = training_layer(&ensemble, &grid).unzip();
     layers.extend(layer);
@@ -156,7 +158,7 @@ fn describe_bounds(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, sour
 /// Computes the distances from the grid to the nearest training position as a layer. Also returns which positions are
 /// extrapolations, and the training positions near the plane. `None` for models without training positions.
 fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, TrainingMap)> {
-    let positions: Vec<[f64; 3]> = (0..grid.len()).map(|k| grid.position(k)).collect();
+    let positions: Vec<[f64; 3]> = (0..grid.position_count()).map(|k| grid.position(k)).collect();
     let distances = ensemble.training_distances(&positions)?;
     let (is_beyond, limit) = ((0..positions.len()).map(|k| distances.is_beyond(k)).collect(), distances.limit);
     let layer = MapLayer {

@@ -79,7 +79,7 @@ pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-/// Chooses receivers in a scene; a folder, which is none, is an error.
+/// Chooses receivers in the scene that the arguments name; a folder is an error.
 #[cfg(feature = "raytrace")]
 fn choose_in_scene(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Outcome> {
     if arguments.source.is_dir() {

@@ -269,7 +269,7 @@ fn link_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
 }
 
 /// Creates the bundle of the radio map at one receiver over a horizontal plane: power in dBm, or mean power of a
-/// channel in dB.
+/// channel in dB; an error for spectra.
 fn map_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     let predictor = current_predictor(side)?;
     check_receiver(side, parameters)?;

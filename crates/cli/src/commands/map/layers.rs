@@ -91,7 +91,7 @@ pub(super) fn compute_layers(
     let mut layers: Vec<MapLayer> = receivers.iter().flat_map(|&r| empty_layers(model.task(), r, quantities)).collect();
     let per_receiver = layers.len() / receivers.len().max(1);
     let setup = &model.models().next().expect("one or more").stages.setup;
-    let positions: Vec<usize> = (0..grid.len()).collect();
+    let positions: Vec<usize> = (0..grid.position_count()).collect();
     for chunk in positions.chunks((STEP / receivers.len().max(1)).max(1)) {
         progress(chunk[0]);
         let queries: Vec<Query<'static>> =

@@ -144,7 +144,7 @@ impl PlaneGrid {
     }
 
     /// Returns the number of positions.
-    pub(super) fn len(&self) -> usize {
+    pub(super) fn position_count(&self) -> usize {
         self.columns * self.rows
     }
 
