@@ -147,7 +147,7 @@ fn describe_time(time: &TimeEstimate, may_grow: bool) -> String {
 /// Describes the load of the machine, and the spread of the timed steps if it is large.
 fn describe_machine(preview: &Preview) -> String {
     let is_loaded = preview.load.is_some_and(|(load, cores)| load > IDLE * cores as f64);
-    let load = p
+    let load = preview
         .load
         .map(|(load, cores)| format!("load average {load:.1} on {cores} core{}", if cores == 1 { "" } else { "s" }));
     let varies =

@@ -161,7 +161,7 @@ mod tests {
 
     #[test]
     fn parses_planes_and_bounds_and_rejects_invalid_ones() {
-        assert_eq!(MapPlane::parse("Z= -1.5").unwrap(), MapPlane { axis: 2, at: -1.5 });
+        assert_eq!(MapPlane::parse("Z= -1.5").unwrap(), MapPlane { axis: 2, coordinate: -1.5 });
         for wrong in ["", "z", "w=1", "z=", "z=NaN", "z=1e9", "z=1,2"] {
             assert!(MapPlane::parse(wrong).unwrap_err().is_input(), "{wrong}");
         }
@@ -173,7 +173,7 @@ mod tests {
 
     #[test]
     fn map_grid_runs_from_low_to_high() {
-        let plane = MapPlane { axis: 1, at: 9.0 };
+        let plane = MapPlane { axis: 1, coordinate: 9.0 };
         let grid = PlaneGrid::new(plane, PlaneBounds([[0.0, 0.3], [1.0, 1.2]]), 0.1, 1).unwrap();
         assert_eq!((grid.columns, grid.rows), (4, 3));
         let last = grid.position(11);
@@ -182,7 +182,7 @@ mod tests {
             assert!(PlaneGrid::new(plane, PlaneBounds([[0.0, 100.0]; 2]), step, 1).is_err(), "{step}");
         }
         assert_eq!(PlaneBounds::around(vec![], &[[1.0, 2.0]]).0, [[0.0, 2.0], [1.0, 3.0]]);
-        assert_eq!(PlaneBounds([[-0.3, 1.0], [0.0, 0.1]]).outwards(0.5).0, [[-0.5, 1.0], [0.0, 0.5]]);
+        assert_eq!(PlaneBounds([[-0.3, 1.0], [0.0, 0.1]]).rounded_outwards(0.5).0, [[-0.5, 1.0], [0.0, 0.5]]);
         assert_eq!(PlaneBounds::around(vec![[f64::NAN; 2]], &[]).0, [[-1.0, 1.0]; 2]);
     }
 }
