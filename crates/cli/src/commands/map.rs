@@ -100,9 +100,8 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     note.iter().for_each(|note| verbosity.print_note(note));
     let folder = NewFolder::begin(&arguments.out)?;
     let mut layers = RunProgress::observe(verbosity, |progress| {
-        compute_layers(&model, &grid, &receivers, &quantities, |done| {
-            progress.on_stage("mapping", done, grid.position_count())
-        })
+        let total = grid.position_count();
+        compute_layers(&model, &grid, &receivers, &quantities, |done| progress.on_stage("mapping", done, total))
     });
     let (layer, training) = training_layer(&ensemble, &grid).unzip();
     layers.extend(layer);

@@ -121,7 +121,7 @@ impl<'a> PredictionWriter<'a> {
         if !task.has_pixels {
             let ends = interval.into_iter().flat_map(|interval| [&interval.lower, &interval.upper]);
             let values = std::iter::once(image).chain(&drawn.spread).chain(ends);
-            return values.map(|value| format!("{},", value.pixels[0])).collect();
+            return values.map(|value| format!("{},", value.pixels[0])).collect::<Vec<_>>().concat();
         }
         let strongest = image.argmax();
         let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
