@@ -67,7 +67,7 @@ pub(crate) struct Plan {
     pub(crate) out: PathBuf,
 }
 
-/// Runs `pwrfgs plan`: prints the plan beside other choices, and writes its list and map.
+/// Runs `pwrfgs plan`: prints the plan and other choices, and writes its list and map.
 pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     let stop = stop_flag();
     let places = RunProgress::observe(verbosity, |progress| read_places(&arguments.places, progress))?;
