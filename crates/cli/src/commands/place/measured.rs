@@ -4,7 +4,7 @@ use super::{Choice, Outcome, Place, RANDOM};
 use crate::progress::RunProgress;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped};
-use pwrfgs::planning::{Subset, best_subset, coverage_of, greedy_subset, random_subsets, strongest_powers};
+use pwrfgs::planning::{Subset, best_subset, greedy_subset, random_subsets, strongest_powers, subset_coverage};
 use pwrfgs::report::draw::survey::CoverageMap;
 use pwrfgs_core::{DataSource, Dataset, Error, Result, rng, statistics::mean};
 use std::path::Path;
@@ -80,7 +80,7 @@ impl MeasuredPowers<'_> {
 
     /// Scores the subset of a search.
     fn choice(&self, short: &'static str, subset: &Subset) -> Choice {
-        let coverage = coverage_of(self.held_out, &subset.receivers);
+        let coverage = subset_coverage(self.held_out, &subset.receivers);
         let cells = vec![fixed(subset.coverage, 2), fixed(coverage, 2), grouped(subset.evaluations as i64)];
         let receivers = subset.receivers.iter().map(|&r| self.receiver(r)).collect();
         Choice { short, name: short.into(), receivers, coverage, cells }
@@ -90,9 +90,9 @@ impl MeasuredPowers<'_> {
     fn references(&self, count: usize, seed: u64) -> [Choice; 2] {
         let all: Vec<usize> = (0..self.data.scene.receivers.len()).collect();
         let draws = random_subsets(all.len(), count, RANDOM, seed);
-        let mean = |powers: &[Vec<f64>]| mean(draws.iter().map(|subset| coverage_of(powers, subset)));
+        let mean = |powers: &[Vec<f64>]| mean(draws.iter().map(|subset| subset_coverage(powers, subset)));
         let random = (format!("random, mean of {RANDOM} (seed {seed})"), mean(self.fitting), mean(self.held_out));
-        let whole = [self.fitting, self.held_out].map(|powers| coverage_of(powers, &all));
+        let whole = [self.fitting, self.held_out].map(|powers| subset_coverage(powers, &all));
         [random, (format!("all {} receivers", all.len()), whole[0], whole[1])].map(|(name, train, coverage)| {
             let cells = vec![fixed(train, 2), fixed(coverage, 2), String::new()];
             Choice { short: "", name, receivers: Vec::new(), coverage, cells }
