@@ -70,12 +70,12 @@ impl Survey {
         let mut sorted: Vec<usize> = (0..candidates.len()).collect();
         let order = |a: &[f64; 3], b: &[f64; 3]| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal);
         sorted.sort_by(|&a, &b| order(&candidates[a], &candidates[b]).then(a.cmp(&b)));
-        let index = |point: &[f64; 3]| match sorted.binary_search_by(|&i| order(&candidates[i], point)) {
-            Ok(at) => sorted[at],
-            Err(_) => {
-                points.push(*point);
-                points.len() - 1
+        let index = |point: &[f64; 3]| {
+            if let Ok(at) = sorted.binary_search_by(|&i| order(&candidates[i], point)) {
+                return sorted[at];
             }
+            points.push(*point);
+            points.len() - 1
         };
         let region = region.iter().map(index).collect();
         let first = points.len();

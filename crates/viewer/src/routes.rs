@@ -8,7 +8,7 @@ use http_body_util::{BodyExt as _, Full};
 use hyper::body::{Body as _, Bytes, Frame};
 use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY};
 use hyper::{Response, StatusCode};
-use pwrfgs_report::canvas::xml;
+use pwrfgs_report::canvas::escape_xml;
 use pwrfgs_report::live::{FILES, PAGE_STYLE, STAGE, STYLE};
 use std::convert::Infallible;
 use std::future::Future;
@@ -94,7 +94,7 @@ pub(crate) fn with_security_headers(mut response: Response<ResponseBody>) -> Res
 
 /// Returns the HTML of the page: the stage and its scripts.
 fn html(state: &ServerState) -> String {
-    let names: Vec<String> = state.sides.iter().map(|side| xml(&side.name)).collect();
+    let names: Vec<String> = state.sides.iter().map(|side| escape_xml(&side.name)).collect();
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
          content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" content=\"light dark\">\n\

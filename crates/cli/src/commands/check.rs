@@ -6,9 +6,9 @@ use super::options::{ChangeOptions, resolve_pipeline};
 use crate::output::{self, Verbosity};
 use crate::progress::{RunProgress, memory, pace};
 use clap::Args;
-use pwrfgs::experiment::inspect::{inspect as summary, length};
+use pwrfgs::experiment::inspect::inspect as summary;
 use pwrfgs::experiment::sweep::LISTING;
-use pwrfgs::experiment::text::{aligned, duration, grouped};
+use pwrfgs::experiment::text::{aligned, duration, format_length, grouped};
 use pwrfgs::experiment::{Observer as _, Preview, preview, read_pipeline, staged, warn_of_findings};
 use pwrfgs::prelude::Pipeline;
 use pwrfgs::train::{Rays, TimeEstimate, Training};
@@ -57,7 +57,7 @@ fn describe_run(p: &Preview) -> String {
     let mut rows = vec![
         ("data", format!("{}: {}", p.title, p.observed)),
         ("samples", format!("{train} training, {validation} validation, {test} test")),
-        ("test distance", format!("{} to the nearest training transmitter (median)", length(p.test_distance))),
+        ("test distance", format!("{} to the nearest training transmitter (median)", format_length(p.test_distance))),
         (
             "Gaussians",
             if p.time.start.gaussians == 0 {

@@ -8,7 +8,9 @@ use crate::output::{self, FAILED, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
-use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepEnd, SweepPlan, check, estimate, execute, pool, slurm};
+use pwrfgs::experiment::sweep::{
+    JOINED, RunStage, SweepEnd, SweepPlan, check, estimate_run_seconds, execute, run_pool, slurm,
+};
 use pwrfgs::experiment::{RunOutcome, Session};
 use pwrfgs_core::{Error, Result, ShippedFile};
 use std::collections::BTreeSet;
@@ -129,13 +131,13 @@ pub(super) fn check_and_announce(plan: &SweepPlan, runs: &[usize], jobs: usize, 
 
 /// Estimates the seconds of each run.
 fn estimate_seconds(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<Vec<f64>> {
-    let pool = pool(jobs)?;
-    RunProgress::during(verbosity, |progress| pool.install(|| estimate(plan, runs, progress)))
+    let pool = run_pool(jobs)?;
+    RunProgress::during(verbosity, |progress| pool.install(|| estimate_run_seconds(plan, runs, progress)))
 }
 
 /// Lists the names of the runs in the Slurm queue, empty with a note if it cannot be read.
 fn queued_or_note(plan: &SweepPlan) -> BTreeSet<String> {
-    slurm::queued(plan).unwrap_or_else(|error| {
+    slurm::queued_runs(plan).unwrap_or_else(|error| {
         output::note(&format!("note: {error}"));
         BTreeSet::new()
     })
@@ -144,7 +146,7 @@ fn queued_or_note(plan: &SweepPlan) -> BTreeSet<String> {
 /// Returns the indices of the runs that `--shard` or `--only` select; all without them.
 fn select_runs(plan: &SweepPlan, arguments: &Sweep) -> Result<Vec<usize>> {
     if let Some(name) = &arguments.only {
-        return Ok(vec![plan.find(name)?]);
+        return Ok(vec![plan.find_run(name)?]);
     }
     let Shard { index, count } = arguments.shard.unwrap_or(Shard { index: 1, count: 1 });
     Ok((0..plan.runs.len()).filter(|run| run % count == index - 1).collect())
@@ -212,7 +214,7 @@ pub(super) fn dry_run(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: 
 /// Submits to Slurm the runs that are not finished, running or queued.
 fn submit(plan: &SweepPlan, unfinished: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<u8> {
     let _held = plan.claim()?; // no other process may submit the same runs meanwhile
-    let queued = slurm::queued(plan)?;
+    let queued = slurm::queued_runs(plan)?;
     let is_free = |run: &usize| {
         !queued.contains(&plan.runs[*run].folder) && !matches!(plan.state(*run), RunStage::Running { .. })
     };
