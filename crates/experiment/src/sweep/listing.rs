@@ -131,7 +131,7 @@ impl Listing {
             match self.inspect(folder)? {
                 // Replaced, and then locked again.
                 Some(existing) if existing != *self && existing.first_missing_in(self).is_none() => {
-                    self.write(folder)?
+                    self.write(folder)?;
                 }
                 Some(_) => {
                     files::remove_temporaries(folder, &[LISTING]);
