@@ -250,7 +250,7 @@ pub(crate) fn sweep(
         Ok(RunOutcome::Finished { .. }) => None,
         Ok(RunOutcome::Interrupted { .. } | RunOutcome::Unscored) => Some("stopped; repeat the call to resume".into()),
     };
-    let runs = ends.into_iter().map(|(run, end)| (plan.folder_of(run), failed(end)));
+    let runs = ends.into_iter().map(|(run, end)| (plan.run_folder(run), failed(end)));
     let joined = joined.map(|end| (plan.folder.join(JOINED), failed(Ok(end))));
     Ok((plan.folder.clone(), runs.chain(joined).collect()))
 }

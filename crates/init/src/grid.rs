@@ -66,13 +66,14 @@ impl Initializer for Grid {
 
     fn check(&self) -> Result<(), String> {
         start::check_count("count", self.count)?;
-        start::positive("distance_m", self.distance_m, "metres from the receiver")?;
-        start::positive("overlap", self.overlap, "scale over spacing, about 1")?;
+        start::check_positive("distance_m", self.distance_m, "metres from the receiver")?;
+        start::check_positive("overlap", self.overlap, "scale over spacing, about 1")?;
         start::check_opacity(self.opacity)
     }
 }
 
-/// Returns `count` unit vectors, nearly uniform above the elevation `lowest` (radians).
+/// Returns `count` unit vectors, nearly uniform above the elevation `lowest` (radians): rings of equal elevation, each with
+/// directions in proportion to its solid angle.
 fn directions(count: usize, lowest: f64) -> Vec<[f64; 3]> {
     let area_below = |elevation: f64| (elevation.sin() - lowest.sin()) / (1.0 - lowest.sin());
     let patch = (TAU * (1.0 - lowest.sin()) / count as f64).sqrt();

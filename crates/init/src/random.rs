@@ -66,7 +66,7 @@ impl Initializer for Random {
 
     fn check(&self) -> Result<(), String> {
         start::check_count("count", self.count)?;
-        start::positive("std", self.std, "metres along each axis")?;
+        start::check_positive("std", self.std, "metres along each axis")?;
         start::check_nearest(self.nearest)?;
         start::check_opacity(self.opacity)
     }
@@ -128,8 +128,8 @@ impl Initializer for AroundReceivers {
         if !(0.0..=1.0).contains(&self.near) {
             return Err(format!("`near` is {}; give a share from 0 to 1", self.near));
         }
-        start::positive("spread_m", self.spread_m, "metres about a receiver")?;
-        start::positive("scale_m", self.scale_m, "metres")?;
+        start::check_positive("spread_m", self.spread_m, "metres about a receiver")?;
+        start::check_positive("scale_m", self.scale_m, "metres")?;
         start::check_opacity(self.opacity)
     }
 }

@@ -8,7 +8,7 @@ use http_body_util::{BodyExt as _, Full};
 use hyper::body::{Body as _, Bytes, Frame};
 use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY};
 use hyper::{Response, StatusCode};
-use pwrfgs_report::canvas::xml;
+use pwrfgs_report::canvas::escape_xml;
 use pwrfgs_report::live::{FILES, PAGE_STYLE, STAGE, STYLE};
 use std::convert::Infallible;
 use std::future::Future;

@@ -211,6 +211,6 @@ impl LoadedData {
 fn read_link_scores(folder: &Path, data: &Dataset) -> Vec<f64> {
     let table = Facts::read(folder).ok().flatten().and_then(|facts| facts.scores);
     let read = table.and_then(|table| Scores::read(&folder.join(SCORES), table).ok());
-    let by_label = read.and_then(|scores| scores.by_id(MODEL, data.task().headline.key)).unwrap_or_default();
+    let by_label = read.and_then(|scores| scores.values_by_id(MODEL, data.task().headline.key)).unwrap_or_default();
     (0..data.len()).map(|i| by_label.get(&data.label(i)).copied().unwrap_or(f64::NAN)).collect()
 }

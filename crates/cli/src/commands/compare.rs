@@ -59,7 +59,7 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     let partition = plan.runs[0].pipeline.partition(&survey.data)?;
     if let Some(path) = &arguments.split_csv {
         check_new_file(path)?;
-        create(path, samples::to_csv(&survey.data, &partition, &[]).as_bytes())?;
+        create(path, samples::samples_csv(&survey.data, &partition, &[]).as_bytes())?;
         let [train, validation, test] = partition.sizes();
         output::print_result(&format!("{}: {train} train, {validation} validation, {test} test\n", path.display()))?;
         return Ok(SUCCESS);

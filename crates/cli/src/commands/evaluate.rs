@@ -78,7 +78,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     if let (Some(folder), Some(out)) = (folder, &arguments.out) {
         let facts = Facts {
             version: env!("CARGO_PKG_VERSION").into(),
-            machine: Machine::here(),
+            machine: Machine::current(),
             gaussians: ensemble.gaussians(),
             findings,
             scores: Some(result.scores.table.clone()),

@@ -10,7 +10,7 @@ use clap::Args;
 use pwrfgs::experiment::statistics::{Blocks, Difference};
 use pwrfgs::experiment::text::{Lines, aligned, fixed, grouped, number};
 use pwrfgs::experiment::{Observer as _, staged};
-use pwrfgs::planning::{Survey, SurveyPlan, default_correlation, kriging_scores, learn};
+use pwrfgs::planning::{Survey, SurveyPlan, default_correlation, kriging_scores, learn_correlation};
 use pwrfgs::report::draw::survey::SurveyMap;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::kriging::Correlation;
@@ -140,7 +140,7 @@ fn first_correlation(arguments: &Plan, places: &Places, region: &[[f64; 3]]) -> 
         return Ok(Correlation { scales: [length, length, length, f64::INFINITY], ..default });
     }
     let measured = places.data.as_ref().filter(|_| !places.measured.is_empty());
-    let learned = measured.and_then(|data| learn(data, &(0..data.locations.len()).collect::<Vec<_>>()));
+    let learned = measured.and_then(|data| learn_correlation(data, &(0..data.locations.len()).collect::<Vec<_>>()));
     Ok(learned.unwrap_or(default))
 }
 
@@ -172,9 +172,9 @@ fn list_choices(survey: &Survey, plan: &SurveyPlan, seed: u64) -> Vec<Choice> {
     };
     let orders = [
         ("plan: least integrated variance".to_owned(), plan.order.clone()),
-        ("regular: every k-th candidate".into(), survey.regular(count)),
-        (format!("random (seed {seed})"), survey.random(count, seed)),
-        ("largest variance".into(), survey.by_largest_variance(correlation, count)),
+        ("regular: every k-th candidate".into(), survey.select_regular(count)),
+        (format!("random (seed {seed})"), survey.select_random(count, seed)),
+        ("largest variance".into(), survey.select_by_variance(correlation, count)),
     ];
     orders.into_iter().map(choice).collect()
 }

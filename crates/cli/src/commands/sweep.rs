@@ -8,7 +8,9 @@ use crate::output::{self, FAILED, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
-use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepEnd, SweepPlan, check, estimate, execute, pool, slurm};
+use pwrfgs::experiment::sweep::{
+    JOINED, RunStage, SweepEnd, SweepPlan, check, estimate_run_seconds, execute, run_pool, slurm,
+};
 use pwrfgs::experiment::{RunOutcome, Session};
 use pwrfgs_core::{Error, Result, ShippedFile};
 use std::collections::BTreeSet;
@@ -210,7 +212,7 @@ fn queued_runs(plan: &SweepPlan) -> BTreeSet<String> {
 /// Returns the indices in the plan of the runs that `--shard` or `--only` select; all without them.
 fn select_runs(plan: &SweepPlan, arguments: &Sweep) -> Result<Vec<usize>> {
     if let Some(name) = &arguments.only {
-        return Ok(vec![plan.find(name)?]);
+        return Ok(vec![plan.find_run(name)?]);
     }
     let Shard { index, count } = arguments.shard.unwrap_or(Shard { index: 1, count: 1 });
     Ok((0..plan.runs.len()).filter(|run| run % count == index - 1).collect())
@@ -228,7 +230,7 @@ fn has_ended(plan: &SweepPlan) -> bool {
 /// Submits to Slurm the `unfinished` runs that are not running or queued; returns the exit code.
 fn submit_runs(plan: &SweepPlan, unfinished: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<u8> {
     let _held = plan.claim()?; // no other process may submit the same runs meanwhile
-    let queued = slurm::queued(plan)?;
+    let queued = slurm::queued_runs(plan)?;
     let is_free = |run: &usize| {
         !queued.contains(&plan.runs[*run].folder) && !matches!(plan.state(*run), RunStage::Running { .. })
     };

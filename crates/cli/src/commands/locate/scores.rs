@@ -140,7 +140,7 @@ impl Samples<'_> {
         let best = entries[1..].iter().min_by(|a, b| mean_error(a).total_cmp(&mean_error(b))).and_then(compare);
         let end = format!("({} minus baseline, mean error in metres ↓)", entries[0].name);
         if let Some(row) = centre.filter(|row| row.verdict() != "better") {
-            _ = writeln!(text, "no better than the {CENTRE}: {} {end}", row.number());
+            _ = writeln!(text, "no better than the {CENTRE}: {} {end}", row.difference_text());
         } else if let Some(row) = best {
             _ = writeln!(text, "{} {end}", row.sentence());
         }

@@ -4,7 +4,7 @@ use super::{Choice, Outcome, Place, RANDOM};
 use crate::progress::RunProgress;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped};
-use pwrfgs::planning::{Subset, best_subset, coverage_of, greedy_subset, random_subsets, strongest_powers};
+use pwrfgs::planning::{Subset, best_subset, greedy_subset, random_subsets, strongest_powers, subset_coverage};
 use pwrfgs::report::draw::survey::CoverageMap;
 use pwrfgs_core::{Dataset, Error, Result, rng, statistics::mean};
 

@@ -44,7 +44,7 @@ pub(super) fn choose_receivers(arguments: &Place, stop: &AtomicBool, progress: &
         number(arguments.height)
     )];
     if !arguments.no_grid {
-        let grid = staged(progress, "grid of receivers", |progress| floor.grid(stop, progress))?;
+        let grid = staged(progress, "grid of receivers", |progress| floor.grid_powers(stop, progress))?;
         let [best, random] = grid_choices(arguments, &floor, &grid);
         notes.push(format!(
             "the ascent minus the grid: {} dB, with {} links instead of {}",
@@ -66,7 +66,7 @@ fn grid_choices(arguments: &Place, floor: &SceneCoverage, grid: &[Vec<f64>]) -> 
     let (transmitters, candidates) = (floor.transmitters.len(), floor.candidates.len());
     let best = greedy_subset(grid, count);
     let subsets = random_subsets(candidates, count, RANDOM, seed);
-    let random = mean(subsets.iter().map(|subset| coverage_of(grid, subset)));
+    let random = mean(subsets.iter().map(|subset| subset_coverage(grid, subset)));
     let best = Choice {
         short: "grid",
         name: if count == 1 { "grid, exhaustive" } else { "grid, greedy" }.into(),

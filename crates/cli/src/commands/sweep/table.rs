@@ -43,7 +43,7 @@ impl<'a> SweepTable<'a> {
         match end {
             Ok(RunOutcome::Finished { already: true, .. }) => format!("{name}: already finished"),
             Ok(RunOutcome::Finished { scores, .. }) => {
-                let score = |key| scores.of_model(key).map(|value| format!("  {key} {}", number(value)));
+                let score = |key| scores.model_score(key).map(|value| format!("  {key} {}", number(value)));
                 let time = match self.plan.state(run) {
                     RunStage::Finished(end) => format!("  {}", duration(end.1.wall_seconds)),
                     _ => String::new(),
@@ -63,11 +63,11 @@ impl<'a> SweepTable<'a> {
 }
 
 impl SweepObserver for SweepTable<'_> {
-    fn starts(&self, run: usize) -> Box<dyn Observer> {
+    fn on_run_start(&self, run: usize) -> Box<dyn Observer> {
         Box::new(RunProgress::of_run(&self.plan.runs[run].folder, self.verbosity))
     }
 
-    fn ends(&self, run: usize, end: &Result<RunOutcome>) {
+    fn on_run_end(&self, run: usize, end: &Result<RunOutcome>) {
         self.bar.inc(1);
         let (done, total) = (self.bar.position(), self.bar.length().unwrap_or(0));
         let left = self.begun.elapsed().as_secs_f64() / done.max(1) as f64 * total.saturating_sub(done) as f64;
@@ -103,7 +103,7 @@ pub(super) fn format_progress(plan: &SweepPlan, runs: &[usize], queued: &BTreeSe
             RunStage::Failed(why) => line[1] = format!("failed: {why}"),
             RunStage::Finished(end) => {
                 let (scores, facts) = &**end;
-                let score = |key| scores.of_model(key).map_or_else(|| "n/a".into(), number);
+                let score = |key| scores.model_score(key).map_or_else(|| "n/a".into(), number);
                 (line[2], line[3]) = (progress(facts.steps), grouped(facts.gaussians as i64));
                 (line[4], line[5], line[6]) =
                     (score(scores.task.headline.key), score("eta_0db"), duration(facts.wall_seconds));
@@ -112,7 +112,7 @@ pub(super) fn format_progress(plan: &SweepPlan, runs: &[usize], queued: &BTreeSe
         lines.push(line);
     }
     let head = format!("{}: {finished} of {} runs finished, in {}\n", plan.name, runs.len(), plan.folder.display());
-    let joined = plan.joined.as_ref().map_or("", |_| match Facts::finished(&plan.folder.join(JOINED)) {
+    let joined = plan.joined.as_ref().map_or("", |_| match Facts::read_finished(&plan.folder.join(JOINED)) {
         Ok(Some(_)) => "ensemble finished, in joined\n",
         _ => "the ensemble is made after the last run\n",
     });
