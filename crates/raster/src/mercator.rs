@@ -74,7 +74,7 @@ impl Projector for Mercator {
     }
 
     fn sees(&self, means: &[[Real; 3]], pose: &Pose, plane: &ImagePlane) -> Vec<bool> {
-        ewa::sees(&Hemisphere::new(self, plane), means, pose)
+        ewa::visible_centres(&Hemisphere::new(self, plane), means, pose)
     }
 
     fn project_vjp(&self, p: &Primitives, pose: &Pose, plane: &ImagePlane, splats: &Splats, d: &Splats) -> Primitives {
@@ -105,6 +105,7 @@ struct Hemisphere {
 }
 
 impl Hemisphere {
+    /// Computes the constants for an image plane.
     fn new(plugin: &Mercator, plane: &ImagePlane) -> Self {
         let Elevation { first, last } = plane.elevation().unwrap_or(Elevation::UPPER);
         let per_radian = [plane.width as Real / 360.0 * DEG, plane.height as Real / (last - first) as Real * DEG];
@@ -116,7 +117,7 @@ impl Hemisphere {
     }
 }
 
-/// Returns the distances from the axis and from the receiver, and whether azimuth is defined.
+/// Returns the distances of `v` from the axis and from the receiver, metres, and whether its azimuth is defined.
 fn radii(v: Vec3) -> (Real, Real, bool) {
     let (rho, r) = ((v.x * v.x + v.y * v.y).sqrt(), v.length());
     (rho, r, rho > ON_AXIS * r)
@@ -124,7 +125,7 @@ fn radii(v: Vec3) -> (Real, Real, bool) {
 
 impl CameraModel for Hemisphere {
     #[inline]
-    fn visible(&self, v: Vec3) -> bool {
+    fn is_visible(&self, v: Vec3) -> bool {
         let r = v.length();
         r > self.near && r > 0.0 && v.z >= self.lowest * r
     }
@@ -222,10 +223,10 @@ mod tests {
                     (x - px).abs() < 2e-3 && (y - py).abs() < 1e-3,
                     "{elevation:?}: ({px}, {py}) became ({x}, {y})"
                 );
-                assert!(model.visible(v));
+                assert!(model.is_visible(v));
             }
             let straight_back = Vec3::new(0.1, 0.0, -3.0);
-            assert_eq!(model.visible(straight_back), elevation.0.min(elevation.1) < -60.0);
+            assert_eq!(model.is_visible(straight_back), elevation.0.min(elevation.1) < -60.0);
         }
     }
 

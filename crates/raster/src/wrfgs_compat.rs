@@ -1,7 +1,7 @@
 //! `WrfgsCompat`: the projection of the released WRF-GS code, including its errors.
 
 use crate::ewa::{self, CameraModel, ViewTransform};
-use crate::tiles::square;
+use crate::tiles::square_tiles;
 use pwrfgs_core::{ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Splats, Vec3, consts::PI};
 use serde::{Deserialize, Serialize};
 
@@ -38,7 +38,7 @@ impl Projector for WrfgsCompat {
     }
 
     fn sees(&self, means: &[[Real; 3]], pose: &Pose, plane: &ImagePlane) -> Vec<bool> {
-        ewa::sees(&FullSphere::new(plane), means, pose)
+        ewa::visible_centres(&FullSphere::new(plane), means, pose)
     }
 
     fn project_vjp(&self, p: &Primitives, pose: &Pose, plane: &ImagePlane, splats: &Splats, d: &Splats) -> Primitives {
@@ -76,7 +76,7 @@ impl CameraModel for FullSphere {
     }
 
     #[inline]
-    fn visible(&self, v: Vec3) -> bool {
+    fn is_visible(&self, v: Vec3) -> bool {
         v.length_squared() > 0.04
     }
 
@@ -124,8 +124,8 @@ impl CameraModel for FullSphere {
     }
 
     #[inline]
-    fn reaches(&self, centre: [Real; 2], _cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
-        let (columns, rows) = square(centre, radius, plane);
+    fn is_on_image(&self, centre: [Real; 2], _cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
+        let (columns, rows) = square_tiles(centre, radius, plane);
         !columns.is_empty() && !rows.is_empty()
     }
 }
