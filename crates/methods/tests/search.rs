@@ -3,7 +3,7 @@
 
 use pwrfgs_core::{Real, rng};
 use pwrfgs_methods::MatchingPursuit;
-use pwrfgs_methods::virtual_transmitters::{ChannelInputs, PursuitOptions, VirtualSources, field, pursue, snr_of};
+use pwrfgs_methods::virtual_transmitters::{ChannelInputs, PursuitOptions, VirtualSources, field, pursue, snr_db};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 static NEVER: AtomicBool = AtomicBool::new(false);
@@ -54,7 +54,7 @@ fn finds_virtual_transmitters_of_room() {
     for v in &truth.positions {
         assert!(nearest(&found, *v) < 0.02, "{v:?}: {found:?}");
     }
-    assert!(snr_of(&field(&found.to_cloud(), None, &links), &h) > 30.0);
+    assert!(snr_db(&field(&found.to_cloud(), None, &links), &h) > 30.0);
     let once = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let two = PursuitOptions { settings: MatchingPursuit { most: 2, ..settings() }, ..options() };
@@ -80,7 +80,7 @@ fn finds_rotation_of_mirrored_array() {
     for v in &truth.positions {
         assert!(nearest(&found, *v) < 0.03, "{v:?}: {found:?}");
     }
-    assert!(snr_of(&field(&found.to_cloud(), None, &links), &h) > 25.0);
+    assert!(snr_db(&field(&found.to_cloud(), None, &links), &h) > 25.0);
 }
 
 /// Dipoles: gains that decrease with the squared cosine, and one visible from only half of the room.
@@ -104,7 +104,7 @@ fn finds_direction_dependent_gains() {
     let score = |order: usize| {
         let options = PursuitOptions { settings: MatchingPursuit { most: 2, ..settings() }, order, ..options() };
         let found = pursue(&links, &h, &options, &NEVER, &mut |_| ()).unwrap();
-        (snr_of(&field(&found.to_cloud(), None, &links), &h), found)
+        (snr_db(&field(&found.to_cloud(), None, &links), &h), found)
     };
     let ((flat, _), (directed, found)) = (score(0), score(2));
     assert!(directed > 30.0 && directed > flat + 10.0, "{directed} dB, and {flat} dB without directions");
