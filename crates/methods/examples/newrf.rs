@@ -6,7 +6,7 @@
 
 use pwrfgs_core::{Real, testing::shared};
 use pwrfgs_methods::MatchingPursuit;
-use pwrfgs_methods::virtual_transmitters::{ChannelInputs, PursuitOptions, field, pursue, snr_db};
+use pwrfgs_methods::virtual_transmitters::{ChannelInputs, PursuitOptions, field, pursue_sources, snr_db};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -69,7 +69,7 @@ fn main() {
                 eprintln!("{:6.1} s {sources} sources", start.elapsed().as_secs_f64());
             }
         };
-        let found = pursue(&links(before), h, &options, &AtomicBool::new(false), &mut report_progress).unwrap();
+        let found = pursue_sources(&links(before), h, &options, &AtomicBool::new(false), &mut report_progress).unwrap();
         let seconds = start.elapsed().as_secs_f64();
         let cloud = found.to_cloud();
         let fitted = snr_db(&field(&cloud, None, &links(before)), h);

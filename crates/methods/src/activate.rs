@@ -163,7 +163,7 @@ impl Activation {
                         d_cloud.signals[i][c] += d_signal;
                     }
                     if let Some(row) = d_deltas.signals.get_mut(b * n + i) {
-                        let is_turned = self.takes_magnitudes() && deltas.signals[b * n + i][c] < 0.0;
+                        let is_turned = self.requires_magnitudes() && deltas.signals[b * n + i][c] < 0.0;
                         row[c] += if is_turned { -d_signal } else { d_signal };
                     }
                 }
@@ -172,7 +172,7 @@ impl Activation {
     }
 
     /// Returns whether a signal is s + |Δ|: WRF-GS+ adds the magnitude of the complex output of its network.
-    fn takes_magnitudes(&self) -> bool {
+    fn requires_magnitudes(&self) -> bool {
         self.calibration == Calibration::AsReleased && !self.replaces_signals
     }
 
@@ -180,7 +180,7 @@ impl Activation {
     fn signal(&self, cloud: &GaussianCloud, deltas: &Deltas, row: usize, i: usize, c: usize) -> Real {
         let base = if self.replaces_signals { 0.0 } else { cloud.signals[i][c] };
         let delta = deltas.signals.get(row).map_or(0.0, |d| d[c]);
-        base + if self.takes_magnitudes() { delta.abs() } else { delta }
+        base + if self.requires_magnitudes() { delta.abs() } else { delta }
     }
 }
 

@@ -108,7 +108,7 @@ const LARGEST: usize = 1 << 28;
 
 impl Nerf2 {
     /// Returns the unit vectors of the rays of powers and channels, ring by ring from the horizon up.
-    fn sky(&self) -> Vec<[Real; 3]> {
+    fn sky_directions(&self) -> Vec<[Real; 3]> {
         let direction = |i: usize| {
             let (ring, column) = ((i / self.azimuths + 1) as Real, (i % self.azimuths) as Real);
             let el = consts::PI / 2.0 * ring / self.elevations as Real;
@@ -182,7 +182,7 @@ impl RayBundle {
                 PixelSubset::Same(pixels) | PixelSubset::Each(pixels) => pixels.iter().map(|&p| ray(p)).collect(),
             }
         } else {
-            method.sky().into_iter().map(in_room).collect()
+            method.sky_directions().into_iter().map(in_room).collect()
         };
         let origin = pose.position.map(|x| x as Real / method.unit_m);
         let (far, last) = (method.far_m / method.unit_m, (method.samples - 1) as Real);

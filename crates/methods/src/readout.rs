@@ -101,7 +101,7 @@ impl Readout {
 
     /// Returns the derivative of each pixel value with respect to its channels, `[channels, H·W]`; [`Self::MinMax`]
     /// with constant smallest and largest value.
-    pub(crate) fn slopes(self, signals: &[Real], pixels: usize) -> Vec<Real> {
+    pub(crate) fn pixel_slopes(self, signals: &[Real], pixels: usize) -> Vec<Real> {
         let gain = if self == Self::MinMax {
             let mut image = vec![0.0; pixels];
             fill_powers(&mut image, signals.split_at(pixels));

@@ -82,7 +82,7 @@ impl SplattedChannel {
     }
 
     /// Predicts the links of `call`; keeps the state for the backward pass if `is_training`.
-    fn observe(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (ForwardOutput, StageTimes) {
+    fn predict_links(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (ForwardOutput, StageTimes) {
         let Call { setup, parameters: p, links, .. } = *call;
         let start = Instant::now();
         let ready: Option<&Ready> = prepared.is_some().then(|| cached(prepared));
@@ -176,7 +176,7 @@ impl Method for SplattedChannel {
     }
 
     fn forward(&self, call: &Call<'_>, prepared: &Cache) -> ForwardOutput {
-        self.observe(call, prepared, true).0
+        self.predict_links(call, prepared, true).0
     }
 
     fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
@@ -222,7 +222,7 @@ impl Method for SplattedChannel {
     }
 
     fn predict(&self, call: &Call<'_>, prepared: &Cache) -> (Vec<Real>, StageTimes) {
-        let (observed, times) = self.observe(call, prepared, false);
+        let (observed, times) = self.predict_links(call, prepared, false);
         (observed.numbers, times)
     }
 

@@ -14,7 +14,7 @@ pub use field::{FieldVjp, field, field_vjp};
 pub use harmonics::HARMONICS;
 pub use links::{ChannelInputs, VirtualSources, snr_db};
 pub(crate) use pursuit::expected_pursuit_seconds;
-pub use pursuit::{PursuitOptions, pursue};
+pub use pursuit::{PursuitOptions, pursue_sources};
 
 use crate::groups::ReceiverGroup;
 use crate::readout::magnitudes;
@@ -306,7 +306,7 @@ impl Initializer for MatchingPursuit {
             let options = self.pursuit_options(input, seed);
             let report_progress =
                 &mut |sources: usize| (input.progress)(search * self.most + sources.min(self.most), total);
-            let sources = pursue(&observed.inputs(), &observed.channel, &options, input.stop, report_progress);
+            let sources = pursue_sources(&observed.inputs(), &observed.channel, &options, input.stop, report_progress);
             if input.stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);
             }

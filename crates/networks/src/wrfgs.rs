@@ -78,7 +78,7 @@ impl Wrfgs {
     }
 
     /// Plans the layers for a weight vector of that length.
-    fn layers_of(&self, weights: &[Real]) -> WrfgsLayers {
+    fn planned_layers(&self, weights: &[Real]) -> WrfgsLayers {
         lay_out_for(weights, |plan| self.plan_layers(plan))
     }
 }
@@ -107,13 +107,13 @@ impl Deformation for Wrfgs {
             let (network, trunk_output): &(WrfgsLayers, Vec<TrunkOutput>) = cached(prepared);
             network.forward(weights, means, txs, Some(trunk_output.as_slice()))
         } else {
-            self.layers_of(weights).forward(weights, means, txs, None)
+            self.planned_layers(weights).forward(weights, means, txs, None)
         };
         Deltas { signals: products.into_iter().map(|sa| [gain * sa, 0.0]).collect(), ..Deltas::default() }
     }
 
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
-        let network = self.layers_of(weights);
+        let network = self.planned_layers(weights);
         let trunk_output = network.trunk_outputs(weights, means);
         Some(Arc::new((network, trunk_output)))
     }
@@ -122,7 +122,7 @@ impl Deformation for Wrfgs {
         if d.signals.is_empty() {
             return;
         }
-        let network = self.layers_of(inputs.weights);
+        let network = self.planned_layers(inputs.weights);
         assert_eq!(sums.weights.len(), inputs.weights.len(), "a derivative for each weight");
         let gain = self.gain(inputs.means, inputs.pose);
         let d_products: Vec<Real> = d.signals.iter().map(|d| gain as Real * d[0]).collect();

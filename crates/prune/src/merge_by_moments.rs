@@ -46,7 +46,7 @@ impl Pruner for MergeByMoments {
 }
 
 /// Returns the mass of Gaussian `i`: opacity times the product of the scales, m³.
-fn mass(cloud: &GaussianCloud, i: usize) -> f64 {
+fn gaussian_mass(cloud: &GaussianCloud, i: usize) -> f64 {
     let volume: f64 = cloud.log_scales[i].iter().map(|s| f64::from(*s)).sum::<f64>().exp();
     f64::from(sigmoid(cloud.opacity_logits[i])) * volume
 }
@@ -57,7 +57,7 @@ fn merge_pass(edit: &mut CloudEdit, count: usize) {
     let CloudEdit { cloud, rows } = edit;
     let n = cloud.len();
     let nearest = neighbours::k_nearest(&cloud.means, &cloud.means, 2.min(n));
-    let masses: Vec<f64> = (0..n).map(|i| mass(cloud, i)).collect();
+    let masses: Vec<f64> = (0..n).map(|i| gaussian_mass(cloud, i)).collect();
     let pair = |i: usize| {
         let &(j, squared) = nearest[i].iter().find(|(j, _)| *j != i)?;
         let (a, b) = (masses[i], masses[j]);

@@ -1,4 +1,4 @@
-//! Shared parts of score-based strategies: traits, ranking_traits, checks of settings.
+//! Shared parts of score-based strategies: traits, ranking, checks of settings.
 
 use pwrfgs_core::{Budget, GaussianCloud, PrunerTraits, Real, best};
 

@@ -118,7 +118,7 @@ impl Hemisphere {
 }
 
 /// Returns the distances of `v` from the axis and from the receiver, metres, and whether its azimuth is defined.
-fn radii(v: Vec3) -> (Real, Real, bool) {
+fn axial_distances(v: Vec3) -> (Real, Real, bool) {
     let (rho, r) = ((v.x * v.x + v.y * v.y).sqrt(), v.length());
     (rho, r, rho > ON_AXIS * r)
 }
@@ -132,7 +132,7 @@ impl CameraModel for Hemisphere {
 
     #[inline]
     fn pixel(&self, v: Vec3) -> [Real; 2] {
-        let (rho, _, off_axis) = radii(v);
+        let (rho, _, off_axis) = axial_distances(v);
         let elevation = v.z.atan2(if off_axis { rho } else { 0.0 }) * self.per_radian[1] - self.above;
         let column = if off_axis { v.y.atan2(v.x) * self.per_radian[0] } else { 0.0 };
         let column = if column < 0.0 { column + self.width } else { column };
@@ -141,7 +141,7 @@ impl CameraModel for Hemisphere {
 
     #[inline]
     fn pixel_vjp(&self, v: Vec3, d: [Real; 2]) -> Vec3 {
-        let (rho, r, off_axis) = radii(v);
+        let (rho, r, off_axis) = axial_distances(v);
         if !off_axis {
             return Vec3::ZERO;
         }
@@ -153,7 +153,7 @@ impl CameraModel for Hemisphere {
 
     #[inline]
     fn jacobian(&self, v: Vec3) -> [Vec3; 2] {
-        let (rho, r, off_axis) = radii(v);
+        let (rho, r, off_axis) = axial_distances(v);
         if !off_axis {
             let rows = [Vec3::Y / COS_FLOOR, -Vec3::X * v.z.signum()];
             return [rows[0] * (self.per_radian[0] / r), rows[1] * (self.per_radian[1] / r)];
@@ -165,7 +165,7 @@ impl CameraModel for Hemisphere {
 
     #[inline]
     fn jacobian_vjp(&self, v: Vec3, d: [Vec3; 2]) -> Vec3 {
-        let (rho, r, off_axis) = radii(v);
+        let (rho, r, off_axis) = axial_distances(v);
         let [kx, ky] = self.per_radian;
         let (r2, r3) = (r * r, r * r * r);
         if !off_axis {

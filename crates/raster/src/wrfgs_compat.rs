@@ -99,7 +99,7 @@ impl CameraModel for FullSphere {
 
     #[inline]
     fn jacobian(&self, v: Vec3) -> [Vec3; 2] {
-        let [rho, a, p, q] = reciprocals(v);
+        let [rho, a, p, q] = guarded_reciprocals(v);
         [
             Vec3::new(v.z * a, 0.0, -v.x * a) * (self.width / (2.0 * PI)),
             Vec3::new(-v.x * v.y * p * q, rho * q, -v.z * v.y * p * q) * (self.height / PI),
@@ -108,7 +108,7 @@ impl CameraModel for FullSphere {
 
     #[inline]
     fn jacobian_vjp(&self, v: Vec3, d: [Vec3; 2]) -> Vec3 {
-        let [rho, a, p, q] = reciprocals(v);
+        let [rho, a, p, q] = guarded_reciprocals(v);
         let level = Vec3::new(v.x, 0.0, v.z);
         let d_rho = level / rho.max(Real::MIN_POSITIVE);
         // (z dx − x dz) a
@@ -131,7 +131,7 @@ impl CameraModel for FullSphere {
 }
 
 /// Returns ρ = √(x² + z²), and the reciprocals of ρ², ρ and |v|² with the guards of the released kernel.
-fn reciprocals(v: Vec3) -> [Real; 4] {
+fn guarded_reciprocals(v: Vec3) -> [Real; 4] {
     let rho2 = v.x * v.x + v.z * v.z;
     let rho = rho2.sqrt();
     [rho, 1.0 / (rho2 + EPS), 1.0 / (rho + EPS), 1.0 / (v.length_squared() + EPS)]

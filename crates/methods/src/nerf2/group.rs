@@ -57,7 +57,7 @@ impl GroupLinks {
     }
 
     /// Returns the index of the link of a ray in a pass.
-    pub(crate) fn link(&self, pass: usize, ray: usize) -> usize {
+    pub(crate) fn link_index(&self, pass: usize, ray: usize) -> usize {
         match self {
             Self::All(links) => links[pass].0,
             Self::Own(links) => links[ray].0,

@@ -151,7 +151,7 @@ fn total_index(
     width: usize,
     (pass, ray, band): (usize, usize, usize),
 ) -> usize {
-    let link = links.link(pass, ray);
+    let link = links.link_index(pass, ray);
     match (setup.task.has_pixels, links) {
         (true, GroupLinks::All(_)) => link * width + ray,
         (true, GroupLinks::Own(_)) => link,
@@ -184,7 +184,7 @@ impl Method for Nerf2 {
         let (rays, passes) = match (setup.task.has_pixels, pixels) {
             (true, 1) => (links, 1),
             (true, pixels) => (pixels, links),
-            _ => (self.sky().len() * setup.receivers.len(), links.div_ceil(setup.receivers.len().max(1))),
+            _ => (self.sky_directions().len() * setup.receivers.len(), links.div_ceil(setup.receivers.len().max(1))),
         };
         Cost {
             pixels,
@@ -262,7 +262,7 @@ impl Method for Nerf2 {
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
         let network = lay_out_for(p.weights, |plan| self.plan_network(setup, plan));
-        let rays = if setup.task.has_pixels { setup.numbers() } else { self.sky().len() };
+        let rays = if setup.task.has_pixels { setup.numbers() } else { self.sky_directions().len() };
         let of_sample = network.width() + network.outputs;
         let bytes = setup.receivers.len() * rays * self.samples * of_sample * size_of::<Real>();
         if bytes > MOST_CACHED {

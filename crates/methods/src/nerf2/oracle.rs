@@ -77,7 +77,7 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
                 samples: (0..samples).map(|i| far_m * i as Real / (samples - 1) as Real).collect(),
             };
             if mode != "spectrum" {
-                let sky = method.sky();
+                let sky = method.sky_directions();
                 let off =
                     rays.directions.iter().zip(&sky).map(|(a, b)| (0..3).map(|k| (a[k] - b[k]).abs()).sum::<Real>());
                 assert!(off.fold(0.0, Real::max) < 1e-6, "the sky is the released one");

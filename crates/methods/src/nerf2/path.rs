@@ -46,11 +46,10 @@ impl PropagationLaw {
 
     /// Computes the complex factors `[n, 2]` from the samples of a ray to the receiver, given raw attenuations and phases
     /// `[n]`; returns the number of samples in use, those in front of a remaining amplitude of [`DARK`].
-    pub(crate) fn factors(
+    pub(crate) fn fill_factors(
         self,
         samples: &[Real],
-        raw: &[Real],
-        raw_phase: &[Real],
+        [raw, raw_phase]: [&[Real]; 2],
         factors: &mut [[Real; 2]],
     ) -> usize {
         let (mut log, mut phase) = (0.0, if self == Self::Spectrum { 1.0 } else { 0.0 });
@@ -86,7 +85,7 @@ impl PropagationLaw {
 
     /// Sets the cotangents `d_raw` and `d_raw_phase`, given those `d` of the first `d.len()` factors; those of the other
     /// factors are 0.
-    pub(crate) fn factors_vjp(
+    pub(crate) fn fill_factors_vjp(
         self,
         samples: &[Real],
         [raw, raw_phase]: [&[Real]; 2],
@@ -124,7 +123,7 @@ impl PropagationLaw {
 
 /// Returns the received sum over the samples of a ray, given raw amplitudes and phases `[n]` and the factors of the path;
 /// `phase_offset` is subtracted from the phases, radians.
-pub(crate) fn ray_sum(raw: &[Real], raw_phase: &[Real], factors: &[[Real; 2]], phase_offset: Real) -> [Real; 2] {
+pub(crate) fn ray_sum([raw, raw_phase]: [&[Real]; 2], factors: &[[Real; 2]], phase_offset: Real) -> [Real; 2] {
     let mut total = [0.0; 2];
     for ((raw, raw_phase), c) in raw.iter().zip(raw_phase).zip(factors) {
         let (sin, cos) = (phase_turn(*raw_phase) - phase_offset).sin_cos();

@@ -135,9 +135,9 @@ impl RayWalk<'_> {
         let (mut segments, mut end) = (Vec::with_capacity(rays), 0);
         for ray in 0..rays {
             let live = (0..self.band_count()).map(|band| {
-                let [raw, phase] = self.ray_attenuations(attenuation, band, ray, rays);
+                let raw = self.ray_attenuations(attenuation, band, ray, rays);
                 let factors = &mut factors[(band * rays + ray) * samples..][..samples];
-                self.law.factors(&self.rays.samples, raw, phase, factors)
+                self.law.fill_factors(&self.rays.samples, raw, factors)
             });
             let live = live.max().unwrap_or(0);
             segments.push(end..end + live);
@@ -175,8 +175,8 @@ impl RayWalk<'_> {
         let (bands, rays) = (self.band_count(), shared.segments.len());
         let one = |i: usize| {
             let (ray, band) = (i / bands, i % bands);
-            let [raw, phase] = self.ray_emissions(&signal.raw, shared, band, ray);
-            ray_sum(raw, phase, self.ray_factors(shared, band, ray), self.law.phase_offset())
+            let raw = self.ray_emissions(&signal.raw, shared, band, ray);
+            ray_sum(raw, self.ray_factors(shared, band, ray), self.law.phase_offset())
         };
         (0..rays * bands).map(one).collect()
     }
@@ -264,7 +264,7 @@ impl RayWalk<'_> {
         for ray in 0..rays {
             for band in 0..self.band_count() {
                 let all = (band * rays + ray) * samples..(band * rays + ray + 1) * samples;
-                self.law.factors_vjp(
+                self.law.fill_factors_vjp(
                     &self.rays.samples,
                     self.ray_attenuations(&trunk_activations.attenuation, band, ray, rays),
                     &shared.factors[all.clone()],

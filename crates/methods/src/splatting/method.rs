@@ -98,7 +98,7 @@ impl Splatting {
 
     /// Predicts the links of `call`. In training, keeps the state for the backward pass, and clamps blended signals as
     /// released.
-    fn observe(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (ForwardOutput, StageTimes) {
+    fn predict_links(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (ForwardOutput, StageTimes) {
         let Call { setup, parameters: p, links, .. } = *call;
         let start = Instant::now();
         let ready: Option<&Ready> = prepared.is_some().then(|| cached(prepared));
@@ -226,7 +226,7 @@ impl Method for Splatting {
     }
 
     fn forward(&self, call: &Call<'_>, prepared: &Cache) -> ForwardOutput {
-        self.observe(call, prepared, true).0
+        self.predict_links(call, prepared, true).0
     }
 
     fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
@@ -286,7 +286,7 @@ impl Method for Splatting {
     }
 
     fn predict(&self, call: &Call<'_>, prepared: &Cache) -> (Vec<Real>, StageTimes) {
-        let (observed, times) = self.observe(call, prepared, false);
+        let (observed, times) = self.predict_links(call, prepared, false);
         (observed.numbers, times)
     }
 

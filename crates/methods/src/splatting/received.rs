@@ -52,14 +52,9 @@ fn integrate_power(angles: &[Real], width: usize, sky: &[Real]) -> Real {
     rows.map(|(row, angle)| angle * row.iter().map(|c| c * c).sum::<Real>()).sum::<Real>() + FLOOR
 }
 
-/// Returns powers `[L]` in dBm of blended signals `[L, 2, H·W]`.
-pub(super) fn received_powers(
-    plane: &ImagePlane,
-    [offset, exponent]: [Real; 2],
-    distances: &[Real],
-    blended: &[Real],
-) -> Vec<Real> {
-    let angles = solid_angles(plane);
+/// Returns powers `[L]` in dBm of blended signals `[L, 2, H·W]`; `law` is offset and exponent.
+pub(super) fn received_powers(plane: &ImagePlane, law: [Real; 2], distances: &[Real], blended: &[Real]) -> Vec<Real> {
+    let (angles, [offset, exponent]) = (solid_angles(plane), law);
     let skies = blended.chunks_exact(2 * plane.width * plane.height).enumerate();
     let dbm =
         |(i, sky)| integrate_power(&angles, plane.width, sky).log10() + offset - exponent * log_distance(distances, i);

@@ -18,7 +18,7 @@ pub(super) struct SurveyRequest<'a> {
 
 impl SurveyRequest<'_> {
     /// Returns whether a requested statistic matches.
-    fn needs_any(&self, matches: fn(&Statistic) -> bool) -> bool {
+    fn requires_any(&self, matches: fn(&Statistic) -> bool) -> bool {
         self.needs.statistics.iter().any(matches)
     }
 }
@@ -31,7 +31,7 @@ impl Splatting {
         let (sky, n) = (self.sky(setup), p.cloud.len());
         let is_static = !self.deformation.traits().varies_geometry;
         // Weights then depend on the geometry only, not on the outputs of the network.
-        let blind = is_static && !request.needs_any(requires_signals);
+        let blind = is_static && !request.requires_any(requires_signals);
         let deltas = if blind { Deltas::default() } else { self.network_terms(call, &None, false).0 };
         let rows: Vec<usize> = (0..n).collect();
         let mut sums = PassStatistics::zeros(needs, n);
@@ -39,12 +39,12 @@ impl Splatting {
             let view = &ReceiverView { pose: group.state.pose, plane: sky.clone() };
             let (terms, batch) = group.gather_terms(&deltas, n);
             let geometry = Arc::new(self.geometry(view, p, &terms, batch.start));
-            if !request.needs_any(is_per_link) {
+            if !request.requires_any(is_per_link) {
                 let signals = (!blind).then(|| self.activation().signals(p.cloud, &terms, batch.clone()));
                 sums.add(&rows, &self.shared_statistics(view, batch.len(), signals, &geometry, needs));
                 continue;
             }
-            let jacobians = if request.needs_any(|s| *s == Statistic::Fisher) {
+            let jacobians = if request.requires_any(|s| *s == Statistic::Fisher) {
                 self.jacobians(view, p, &geometry)
             } else {
                 Vec::new()
@@ -67,7 +67,7 @@ impl Splatting {
     ) -> Vec<Real> {
         let Call { setup, parameters: p, .. } = request.call;
         if setup.task.has_pixels && self.calibration == Calibration::Physical {
-            return self.readout.slopes(blended, view.plane.width * view.plane.height);
+            return self.readout.pixel_slopes(blended, view.plane.width * view.plane.height);
         }
         let [offset, exponent] = &mut [0.0; 2];
         let d_law =
@@ -128,13 +128,13 @@ impl Splatting {
         let errors: Vec<Real> = predicted.iter().zip(truth).map(|(a, b)| (a - b).abs()).collect();
         let (mut survey, high) = (SurveyInputs::default(), high_errors(&errors, needs));
         if setup.task.has_pixels {
-            if request.needs_any(|s| matches!(s, Statistic::Error { .. })) {
+            if request.requires_any(|s| matches!(s, Statistic::Error { .. })) {
                 (survey.errors, survey.high) = (&errors, &high);
             }
             if let Some(Statistic::Top { count }) = asks(|s| matches!(s, Statistic::Top { .. })) {
                 survey.top = Some((count, truth, &strengths));
             }
-            if request.needs_any(|s| matches!(s, Statistic::Sensitivity | Statistic::Fisher)) {
+            if request.requires_any(|s| matches!(s, Statistic::Sensitivity | Statistic::Fisher)) {
                 survey.slopes = Some((signals, &slopes));
                 survey.fisher = !jacobians.is_empty();
             }

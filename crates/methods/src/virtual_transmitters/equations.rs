@@ -3,7 +3,7 @@
 
 use crate::virtual_transmitters::harmonics::{CLOSEST, directional_gain};
 use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources};
-use crate::virtual_transmitters::turn::{rotated, rotation_matrix};
+use crate::virtual_transmitters::turn::{rotate_vector, rotation_matrix};
 use pwrfgs_core::{Real, SPEED_OF_LIGHT, evenly, rng, widest};
 use rayon::prelude::*;
 
@@ -210,7 +210,7 @@ impl MeasurementRows {
         let rest = |i: usize| {
             let mut rest = self.h[i];
             for g in 0..sources.len() {
-                let e = self.wave(i, sources.positions[g], rotated(&rotations[g], self.r[i])).e;
+                let e = self.wave(i, sources.positions[g], rotate_vector(&rotations[g], self.r[i])).e;
                 let [x, y] = directional_gain(sources.source_gains(g), sources.positions[g], self.p[i]);
                 rest = [rest[0] - (x * e[0] - y * e[1]), rest[1] - (x * e[1] + y * e[0])];
             }

@@ -14,7 +14,7 @@ use crate::virtual_transmitters::harmonics::{
     CLOSEST, HARMONICS, MOST, direction_and_distance, direction_vjp, harmonic_gradients, harmonics,
 };
 use crate::virtual_transmitters::links::ChannelInputs;
-use crate::virtual_transmitters::turn::{rotated, rotation_matrix, rotation_matrix_vjp, unit_quat};
+use crate::virtual_transmitters::turn::{rotate_vector, rotation_matrix, rotation_matrix_vjp, unit_quat};
 use pwrfgs_core::{GaussianCloud, Real, SPEED_OF_LIGHT, consts::TAU, widest};
 use rayon::prelude::*;
 
@@ -142,7 +142,7 @@ fn antenna_groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelI
             let rotation = rotation_matrix(unit_quat(cloud.quats[row].map(f64::from)));
             out.means[l] = cloud.means[row].map(f64::from);
             for (antenna, r) in out.antennas.iter_mut().zip(links.antennas) {
-                let r = rotated(&rotation, r.map(f64::from));
+                let r = rotate_vector(&rotation, r.map(f64::from));
                 for k in 0..3 {
                     antenna[k][l] = (out.means[l][k] + r[k]) as Real;
                 }

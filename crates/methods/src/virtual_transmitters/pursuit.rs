@@ -4,9 +4,9 @@
 use crate::virtual_transmitters::equations::MeasurementRows;
 use crate::virtual_transmitters::field::field;
 use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources, snr_db};
-use crate::virtual_transmitters::solve::{RefineOptions, refine, solve_gains};
+use crate::virtual_transmitters::solve::{RefineOptions, refine_positions, solve_gains};
 use crate::virtual_transmitters::sweep::{
-    Peak, SearchGrid, keep_best, mirror_images, sweep_grid, time_sweep, unscored_peaks,
+    Peak, SearchGrid, keep_best_peaks, mirror_images, sweep_grid, time_sweep, unscored_peaks,
 };
 use crate::virtual_transmitters::{MatchingPursuit, VirtualTransmitters, turn};
 use pwrfgs_core::{Initializer as _, Method as _, Real, evenly, rng};
@@ -26,7 +26,7 @@ const STEPS: usize = 10;
 /// Log odds above which a candidate is accepted without a new sweep of the whole grid.
 const BEYOND_DOUBT: f64 = 10.0;
 
-/// Options of [`pursue`].
+/// Options of [`pursue_sources`].
 #[derive(Clone, Debug)]
 pub struct PursuitOptions {
     /// Grid, stop rules, ridge and candidates.
@@ -54,7 +54,7 @@ impl Default for PursuitOptions {
 ///
 /// `report_progress` receives the number of sources after every addition. Soon after `stop` is set, the search ends and
 /// returns the sources found so far. An error describes the invalid input.
-pub fn pursue(
+pub fn pursue_sources(
     links: &ChannelInputs<'_>,
     channel: &[[Real; 2]],
     options: &PursuitOptions,
@@ -71,11 +71,11 @@ pub fn pursue(
     let mut best = (f64::NEG_INFINITY, VirtualSources::new(options.order));
     let (held_out, fitted) = options.split_held_out(links);
     let parts = (&fitted[..], &held_out[..]);
-    PursuitSearch::new((links, channel), options, stop, parts).grow(&mut best, report_progress);
+    PursuitSearch::new((links, channel), options, stop, parts).improve_best(&mut best, report_progress);
     for level in 1..=options.settings.finer {
         let before = best.0;
         let finer = PursuitOptions { settings: options.settings.pass_settings(level), ..options.clone() };
-        PursuitSearch::new((links, channel), &finer, stop, parts).grow(&mut best, report_progress);
+        PursuitSearch::new((links, channel), &finer, stop, parts).improve_best(&mut best, report_progress);
         if best.0 <= before {
             break;
         }
@@ -190,7 +190,7 @@ impl<'a> PursuitSearch<'a> {
 
     /// Adds sources to the best set, then removes the least important ones; repeats both for `rounds` while the score
     /// improves. `best` is the best score (dB) with its sources.
-    fn grow(mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
+    fn improve_best(mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
         for _ in 0..=self.options.settings.rounds {
             let before = best.0;
             self.add_sources(best, report_progress);
@@ -216,7 +216,7 @@ impl<'a> PursuitSearch<'a> {
         _ = self.best_refined(&self.rows.residual(&none), evenly(peaks, CLIMB), 1, &none);
         let refined = 2.0 * begun.elapsed().as_secs_f64();
         let begun = Instant::now();
-        _ = refine(&self.rows, &mut sources, self.refine_options(1, 1e-9 * self.rows.energy()));
+        _ = refine_positions(&self.rows, &mut sources, self.refine_options(1, 1e-9 * self.rows.energy()));
         let added = (2 * STEPS) as f64 * begun.elapsed().as_secs_f64();
         [refined + added, added]
     }
@@ -267,7 +267,9 @@ impl<'a> PursuitSearch<'a> {
             let signal = self.rows.mean_signal_power(sources) / sources.harmonic_count() as f64;
             let noise_to_signal = self.options.settings.ridge * noise / signal.max(f64::MIN_POSITIVE);
             let ridge = noise_to_signal + 1e-12 * self.rows.len() as f64;
-            let Some(refined) = refine(&self.rows, sources, self.refine_options(steps, ridge)) else { return };
+            let Some(refined) = refine_positions(&self.rows, sources, self.refine_options(steps, ridge)) else {
+                return;
+            };
             cost = refined;
         }
     }
@@ -319,18 +321,18 @@ impl<'a> PursuitSearch<'a> {
         let climb = |peak: &mut Peak, steps: usize| {
             let mut one = VirtualSources::default();
             one.push(peak.position, peak.quat, [0.0; 2]);
-            let left = refine(residual, &mut one, self.refine_options(steps, 1e-12 * residual.len() as f64));
+            let left = refine_positions(residual, &mut one, self.refine_options(steps, 1e-12 * residual.len() as f64));
             let most = 2.0 * self.wavelength * self.grid.peak_width(peak.position);
             let far = (0..3).any(|k| (one.positions[0][k] - peak.position[k]).abs() > most);
             peak.explains = if far { 0.0 } else { left.map_or(0.0, |left| energy - left) };
             (peak.position, peak.quat) = (one.positions[0], one.quats[0]);
         };
         peaks.par_iter_mut().for_each(|peak| climb(peak, 0));
-        keep_best(&mut peaks, CLIMB, |_| 0.0);
+        keep_best_peaks(&mut peaks, CLIMB, |_| 0.0);
         peaks.par_iter_mut().for_each(|peak| climb(peak, 8));
         let apart = self.wavelength / 8.0;
         peaks.retain(|p| sources.positions.iter().all(|v| distance(v, &p.position) >= apart));
-        keep_best(&mut peaks, 1, |_| 0.0);
+        keep_best_peaks(&mut peaks, 1, |_| 0.0);
         let share = |p: &Peak| (p.explains / energy).clamp(0.0, 1.0 - 1e-12);
         let odds = |p: &Peak| -(residual.len() as f64) * (1.0 - share(p)).ln() - (number.max(1) as f64).ln();
         peaks.first().map(|p| (*p, odds(p)))

@@ -3,7 +3,7 @@
 //! With fixed positions, h is linear in the signals: min Σ|h − Σ s·e|² + Σ ridge·|s|², with normal equations `(EᴴE +
 //! ridge)·s = Eᴴh`. They use two real numbers per s, so that one Cholesky decomposition serves gains and moves.
 //!
-//! [`refine`] moves all positions (and array rotations) by the Levenberg-Marquardt method, with the gains solved
+//! [`refine_positions`] moves all positions (and array rotations) by the Levenberg-Marquardt method, with the gains solved
 //! inside. One step solves the equations of gains and moves together, with damping on the moves only, which is variable
 //! projection in Kaufman's form. After each step the gains are solved exactly for the new positions. All computations
 //! use double precision.
@@ -14,7 +14,7 @@ use crate::virtual_transmitters::harmonics::{
 };
 use crate::virtual_transmitters::links::VirtualSources;
 use crate::virtual_transmitters::sweep::SearchGrid;
-use crate::virtual_transmitters::turn::{MatrixRows, rotate_quat, rotated, rotation_matrix};
+use crate::virtual_transmitters::turn::{MatrixRows, rotate_quat, rotate_vector, rotation_matrix};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -114,7 +114,7 @@ fn fill_jacobian(
     let k = std::f64::consts::TAU * rows.per_metre[i];
     let mut rest = rows.h[i];
     for g in 0..n {
-        let r = rotated(&rotations[g], rows.r[i]);
+        let r = rotate_vector(&rotations[g], rows.r[i]);
         let wave = rows.wave(i, sources.positions[g], r);
         let (gains, [re, im]) = (sources.source_gains(g), wave.e);
         let (u, far) = direction_and_distance(sources.positions[g], rows.p[i]);
@@ -160,7 +160,7 @@ fn direction_gradient(gains: &[[f64; 2]], u: [f64; 3], far: f64, [re, im]: [f64;
     d_u.map(|d_u| direction_vjp(u, far, d_u))
 }
 
-/// Options of [`refine`].
+/// Options of [`refine_positions`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RefineOptions<'a> {
     /// Maximum number of steps.
@@ -181,7 +181,11 @@ const ENOUGH: f64 = 1e-6;
 
 /// Moves `sources` downhill by Levenberg-Marquardt steps; returns the final cost Σ|h − Σ s·e|² + Σ ridge·|s|², or `None`
 /// if the gains have no unique solution.
-pub(crate) fn refine(rows: &MeasurementRows, sources: &mut VirtualSources, options: RefineOptions<'_>) -> Option<f64> {
+pub(crate) fn refine_positions(
+    rows: &MeasurementRows,
+    sources: &mut VirtualSources,
+    options: RefineOptions<'_>,
+) -> Option<f64> {
     let ridge = options.ridge;
     let mut cost = solve_gains(rows, sources, ridge)?;
     let unknowns = if options.turns { Unknowns::MovesAndTurns } else { Unknowns::Moves };

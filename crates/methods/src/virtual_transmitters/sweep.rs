@@ -12,7 +12,7 @@
 
 use crate::virtual_transmitters::cis::Cis;
 use crate::virtual_transmitters::equations::MeasurementRows;
-use crate::virtual_transmitters::turn::{rotated, rotation_matrix};
+use crate::virtual_transmitters::turn::{rotate_vector, rotation_matrix};
 use pwrfgs_core::{evenly, widest};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -140,8 +140,8 @@ impl SearchGrid {
     }
 
     /// Sorts `peaks`, best first, and keeps the best `most`, one per maximum of the grid.
-    pub(crate) fn keep_best(&self, peaks: &mut Vec<Peak>, most: usize) {
-        keep_best(peaks, most, |peak| 2.0 * self.step * self.peak_width(peak.position));
+    pub(crate) fn keep_best_peaks(&self, peaks: &mut Vec<Peak>, most: usize) {
+        keep_best_peaks(peaks, most, |peak| 2.0 * self.step * self.peak_width(peak.position));
     }
 }
 
@@ -201,21 +201,21 @@ fn sweep_lines(
                 });
             }
             if peaks.len() > 8 * most {
-                grid.keep_best(&mut peaks, most);
+                grid.keep_best_peaks(&mut peaks, most);
                 least = if peaks.len() == most { peaks[most - 1].explains } else { 0.0 };
             }
         }
-        grid.keep_best(&mut peaks, most);
+        grid.keep_best_peaks(&mut peaks, most);
         peaks
     };
     let layers: Vec<Vec<Peak>> = layers.par_iter().map(layer).collect();
     let mut peaks = layers.concat();
-    grid.keep_best(&mut peaks, most);
+    grid.keep_best_peaks(&mut peaks, most);
     peaks
 }
 
 /// Sorts `peaks`, best first, and keeps the best `most`, none closer to a better one than `apart` of either, metres.
-pub(crate) fn keep_best(peaks: &mut Vec<Peak>, most: usize, apart: impl Fn(&Peak) -> f64) {
+pub(crate) fn keep_best_peaks(peaks: &mut Vec<Peak>, most: usize, apart: impl Fn(&Peak) -> f64) {
     peaks.sort_by(|a, b| b.explains.total_cmp(&a.explains).then_with(|| compare_positions(a, b)));
     let mut kept: Vec<(Peak, f64)> = Vec::with_capacity(most);
     for peak in peaks.iter() {
@@ -243,7 +243,7 @@ fn compare_positions(a: &Peak, b: &Peak) -> std::cmp::Ordering {
 fn sweep_rows(rows: &MeasurementRows, quat: [f64; 4], centre: [f64; 3]) -> Vec<[f32; 6]> {
     let rotation = rotation_matrix(quat);
     let row = |i: usize| {
-        let (p, r, [re, im]) = (rows.p[i], rotated(&rotation, rows.r[i]), rows.h[i]);
+        let (p, r, [re, im]) = (rows.p[i], rotate_vector(&rotation, rows.r[i]), rows.h[i]);
         let [x, y, z] = [0, 1, 2].map(|k| (p[k] - r[k] - centre[k]) as f32);
         [x, y, z, rows.per_metre[i] as f32, re as f32, im as f32]
     };

@@ -23,7 +23,7 @@ pub(crate) fn rotation_matrix([w, x, y, z]: [f64; 4]) -> MatrixRows {
 
 /// Returns the rotated vector R v.
 #[inline(always)]
-pub(crate) fn rotated(r: &MatrixRows, v: [f64; 3]) -> [f64; 3] {
+pub(crate) fn rotate_vector(r: &MatrixRows, v: [f64; 3]) -> [f64; 3] {
     [
         r[0][0] * v[0] + r[0][1] * v[1] + r[0][2] * v[2],
         r[1][0] * v[0] + r[1][1] * v[1] + r[1][2] * v[2],
@@ -88,7 +88,7 @@ pub(crate) fn array_normal(antennas: &[[f64; 3]]) -> [f64; 3] {
     let trace = c[0][0] + c[1][1] + c[2][2];
     let mut v = [0.36, 0.48, 0.8]; // not along an axis
     for _ in 0..200 {
-        let cv = rotated(&c, v);
+        let cv = rotate_vector(&c, v);
         let w: [f64; 3] = std::array::from_fn(|k| trace * v[k] - cv[k]);
         let length = w.iter().map(|x| x * x).sum::<f64>().sqrt();
         if length < 1e-30 {
@@ -115,8 +115,9 @@ pub(crate) fn mirror_rotations(antennas: &[[f64; 3]]) -> Vec<[f64; 4]> {
             sign(i) * (identity - if odd { 2.0 * m[i] * m[j] } else { 0.0 })
         };
         let q = quat_from_matrix(&std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j))));
-        let positions =
-            |q: [f64; 4]| -> Vec<[f64; 3]> { antennas.iter().map(|a| rotated(&rotation_matrix(q), *a)).collect() };
+        let positions = |q: [f64; 4]| -> Vec<[f64; 3]> {
+            antennas.iter().map(|a| rotate_vector(&rotation_matrix(q), *a)).collect()
+        };
         let antennas_of_q = positions(q);
         let reach = antennas.as_flattened().iter().fold(1e-9_f64, |r, x| r.max(x.abs()));
         let same = |other: &[f64; 4]| {
@@ -172,7 +173,7 @@ mod tests {
         for signs in [[1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, -1.0]] {
             let hit = rotations.iter().any(|q| {
                 antennas.iter().all(|a| {
-                    let t = rotated(&rotation_matrix(*q), *a);
+                    let t = rotate_vector(&rotation_matrix(*q), *a);
                     (0..3).all(|k| (t[k] - signs[k] * a[k]).abs() < 1e-9)
                 })
             });
@@ -184,8 +185,10 @@ mod tests {
     #[test]
     fn small_rotation_turns_about_its_axis() {
         let q = rotate_quat([0.5, 0.5, 0.5, 0.5], [0.0, 0.0, 1e-3]);
-        let (a, b) =
-            (rotated(&rotation_matrix([0.5; 4]), [1.0, 2.0, 3.0]), rotated(&rotation_matrix(q), [1.0, 2.0, 3.0]));
+        let (a, b) = (
+            rotate_vector(&rotation_matrix([0.5; 4]), [1.0, 2.0, 3.0]),
+            rotate_vector(&rotation_matrix(q), [1.0, 2.0, 3.0]),
+        );
         assert!((b[0] - (a[0] - 1e-3 * a[1])).abs() < 1e-5 && (b[1] - (a[1] + 1e-3 * a[0])).abs() < 1e-5);
     }
 }

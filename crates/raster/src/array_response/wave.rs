@@ -158,7 +158,7 @@ impl Antennas {
                 aside * (-sin_el * by_column * by_row),
                 u * (-by_row * by_row),
             ],
-            cov: covariance(splats.conics[i]),
+            cov: invert_conic(splats.conics[i]),
         }
     }
 
@@ -187,7 +187,7 @@ impl Antennas {
 }
 
 /// Returns the covariance whose inverse is the conic; `BOUNDLESS` if it is lost to rounding.
-fn covariance([a, b, c]: [Real; 3]) -> [Real; 3] {
+fn invert_conic([a, b, c]: [Real; 3]) -> [Real; 3] {
     let det = a * c - b * b;
     let cov = [c / det, -b / det, a / det];
     if det > 0.0 && cov.iter().all(|v| v.is_finite()) { cov } else { [BOUNDLESS, 0.0, BOUNDLESS] }
