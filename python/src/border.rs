@@ -127,12 +127,9 @@ pub(crate) fn run_with_events<T: Send, E: Send>(
     })
 }
 
-/// Performs long `work` without the interpreter lock: Ctrl-C sets the flag, and `work` ends with `Error::Stopped`.
-pub(crate) fn run_stoppable<T: Send>(
-    py: Python<'_>,
-    work: impl FnOnce(&AtomicBool) -> Result<T> + Send,
-) -> PyResult<T> {
-    run_with_events::<T, ()>(py, |_, stop| work(stop), |()| Ok(()))
+/// Performs a long `job` without the interpreter lock: Ctrl-C sets the flag, and `job` ends with `Error::Stopped`.
+pub(crate) fn run_stoppable<T: Send>(py: Python<'_>, job: impl FnOnce(&AtomicBool) -> Result<T> + Send) -> PyResult<T> {
+    run_with_events::<T, ()>(py, |_, stop| job(stop), |()| Ok(()))
 }
 
 /// Returns a progress callback for work that has no other point to stop at: once `stop` is set, it unwinds to

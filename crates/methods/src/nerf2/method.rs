@@ -134,7 +134,7 @@ impl Nerf2 {
             for (pass, sums) in passes.into_iter().enumerate() {
                 for (i, sum) in sums.into_iter().enumerate() {
                     let (ray, band) = (rays.start + i / bands, i % bands);
-                    let total = &mut totals[total_index(setup, &groups[group].links, width, (pass, ray, band))];
+                    let total = &mut totals[total_index(setup, &groups[group].links, width, [pass, ray, band])];
                     total[0] += sum[0];
                     total[1] += sum[1];
                 }
@@ -145,12 +145,7 @@ impl Nerf2 {
 }
 
 /// Returns the index of the total to which a ray contributes, for totals of `width` values per link.
-fn total_index(
-    setup: &MeasurementSetup,
-    links: &GroupLinks,
-    width: usize,
-    (pass, ray, band): (usize, usize, usize),
-) -> usize {
+fn total_index(setup: &MeasurementSetup, links: &GroupLinks, width: usize, [pass, ray, band]: [usize; 3]) -> usize {
     let link = links.link_index(pass, ray);
     match (setup.task.has_pixels, links) {
         (true, GroupLinks::All(_)) => link * width + ray,
@@ -243,7 +238,7 @@ impl Method for Nerf2 {
             let mut scratch = GroupScratch::default();
             for Chunk { group, rays, activations } in chunks {
                 let group = &groups[*group];
-                let d = |pass, ray, band| d_totals[total_index(setup, &group.links, width, (pass, ray, band))];
+                let d = |pass, ray, band| d_totals[total_index(setup, &group.links, width, [pass, ray, band])];
                 group.backward(rays, activations.as_ref(), d, &mut scratch, &mut into);
             }
             into.emission

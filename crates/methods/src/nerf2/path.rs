@@ -46,12 +46,8 @@ impl PropagationLaw {
 
     /// Computes the complex factors `[n, 2]` from the samples of a ray to the receiver, given raw attenuations and phases
     /// `[n]`; returns the number of samples in use, those in front of a remaining amplitude of [`DARK`].
-    pub(crate) fn fill_factors(
-        self,
-        samples: &[Real],
-        [raw, raw_phase]: [&[Real]; 2],
-        factors: &mut [[Real; 2]],
-    ) -> usize {
+    pub(crate) fn fill_factors(self, samples: &[Real], raw: [&[Real]; 2], factors: &mut [[Real; 2]]) -> usize {
+        let [raw, raw_phase] = raw;
         let (mut log, mut phase) = (0.0, if self == Self::Spectrum { 1.0 } else { 0.0 });
         let limit = DARK.ln();
         for (i, factor) in factors.iter_mut().enumerate() {

@@ -175,7 +175,7 @@ impl RayWalk<'_> {
         let (bands, rays) = (self.band_count(), shared.segments.len());
         let one = |i: usize| {
             let (ray, band) = (i / bands, i % bands);
-            let raw = self.ray_emissions(&signal.raw, shared, band, ray);
+            let raw = self.emissions(&signal.raw, shared, band, ray);
             ray_sum(raw, self.ray_factors(shared, band, ray), self.law.phase_offset())
         };
         (0..rays * bands).map(one).collect()
@@ -206,7 +206,7 @@ impl RayWalk<'_> {
             let samples_of_ray = band * live + segment.start..band * live + segment.end;
             let on_path = (band * rays + ray) * samples;
             ray_sum_vjp(
-                self.ray_emissions(&signal.raw, shared, band, ray),
+                self.emissions(&signal.raw, shared, band, ray),
                 self.ray_factors(shared, band, ray),
                 self.law.phase_offset(),
                 *d,
@@ -285,13 +285,7 @@ impl RayWalk<'_> {
     }
 
     /// Returns raw amplitudes and phases of the emission in a band, for the samples of a ray that are in use.
-    fn ray_emissions<'a>(
-        &self,
-        raw: &'a [Real],
-        shared: &SharedActivations,
-        band: usize,
-        ray: usize,
-    ) -> [&'a [Real]; 2] {
+    fn emissions<'a>(&self, raw: &'a [Real], shared: &SharedActivations, band: usize, ray: usize) -> [&'a [Real]; 2] {
         let (live, segment) = (shared.live_count(), &shared.segments[ray]);
         [band, self.band_count() + band].map(|row| &raw[row * live + segment.start..row * live + segment.end])
     }

@@ -155,14 +155,8 @@ pub(crate) struct MeasurementRows {
 }
 
 impl MeasurementRows {
-    /// Creates the rows of the listed positions (`items`); above `most` rows, an equal number per item, drawn at random.
-    pub(crate) fn new(
-        links: &ChannelInputs<'_>,
-        channel: &[[Real; 2]],
-        items: &[usize],
-        most: usize,
-        seed: u64,
-    ) -> Self {
+    /// Creates the rows of the channel `h` `[M,A,F]` at the listed positions (`items`); above `most` rows, an equal number per item, drawn at random.
+    pub(crate) fn new(links: &ChannelInputs<'_>, h: &[[Real; 2]], items: &[usize], most: usize, seed: u64) -> Self {
         let subcarriers = links.frequencies.len();
         let each = links.antennas.len() * subcarriers;
         let taken = (most / items.len().max(1)).clamp(1, each);
@@ -177,7 +171,7 @@ impl MeasurementRows {
                 out.p.push(links.positions[m].map(f64::from));
                 out.r.push(links.antennas[k / subcarriers].map(f64::from));
                 out.per_metre.push(links.frequencies[k % subcarriers] / SPEED_OF_LIGHT);
-                out.h.push(channel[m * each + k].map(f64::from));
+                out.h.push(h[m * each + k].map(f64::from));
             }
         }
         out

@@ -331,7 +331,7 @@ impl<'a> PursuitSearch<'a> {
         keep_best_peaks(&mut peaks, CLIMB, |_| 0.0);
         peaks.par_iter_mut().for_each(|peak| climb(peak, 8));
         let apart = self.wavelength / 8.0;
-        peaks.retain(|p| sources.positions.iter().all(|v| distance(v, &p.position) >= apart));
+        peaks.retain(|p| !sources.positions.iter().any(|v| distance(v, &p.position) < apart));
         keep_best_peaks(&mut peaks, 1, |_| 0.0);
         let share = |p: &Peak| (p.explains / energy).clamp(0.0, 1.0 - 1e-12);
         let odds = |p: &Peak| -(residual.len() as f64) * (1.0 - share(p)).ln() - (number.max(1) as f64).ln();

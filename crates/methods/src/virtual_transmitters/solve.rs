@@ -63,11 +63,7 @@ pub(crate) fn solve_gains(rows: &MeasurementRows, sources: &mut VirtualSources, 
 }
 
 /// Returns the normal equations of a step from `sources`, without ridge or damping.
-pub(crate) fn normal_equations(
-    rows: &MeasurementRows,
-    sources: &VirtualSources,
-    unknowns: Unknowns,
-) -> NormalEquations {
+fn normal_equations(rows: &MeasurementRows, sources: &VirtualSources, unknowns: Unknowns) -> NormalEquations {
     let p = unknowns.per_source(sources.harmonic_count()) * sources.len();
     let pairs = rows.len().div_ceil(2);
     let block = pairs.div_ceil(BLOCKS).max(32);
@@ -188,9 +184,8 @@ pub(crate) fn refine_positions(
 ) -> Option<f64> {
     let ridge = options.ridge;
     let mut cost = solve_gains(rows, sources, ridge)?;
-    let unknowns = if options.turns { Unknowns::MovesAndTurns } else { Unknowns::Moves };
     let mut damping = 1e-2;
-    let mut normal = ridge_equations(rows, sources, unknowns, ridge);
+    let mut normal = ridge_equations(rows, sources, options);
     for _ in 0..options.steps {
         if options.stop.load(Ordering::Relaxed) {
             break;
@@ -210,7 +205,7 @@ pub(crate) fn refine_positions(
                 if gained < ENOUGH {
                     break;
                 }
-                normal = ridge_equations(rows, sources, unknowns, ridge);
+                normal = ridge_equations(rows, sources, options);
             }
             _ => damping *= 5.0,
         }
@@ -222,17 +217,13 @@ pub(crate) fn refine_positions(
 }
 
 /// Returns the normal equations of a step from `sources`, with the ridge on the gains.
-fn ridge_equations(
-    rows: &MeasurementRows,
-    sources: &VirtualSources,
-    unknowns: Unknowns,
-    ridge: f64,
-) -> NormalEquations {
+fn ridge_equations(rows: &MeasurementRows, sources: &VirtualSources, options: RefineOptions<'_>) -> NormalEquations {
+    let unknowns = if options.turns { Unknowns::MovesAndTurns } else { Unknowns::Moves };
     let mut normal = normal_equations(rows, sources, unknowns);
     let p = normal.unknown_count();
     for (i, gain) in sources.gains.as_flattened().iter().enumerate() {
-        normal.matrix[i * p + i] += ridge;
-        normal.right[i] -= ridge * gain;
+        normal.matrix[i * p + i] += options.ridge;
+        normal.right[i] -= options.ridge * gain;
     }
     normal
 }

@@ -322,20 +322,15 @@ fn explained_energy(rows: &[[f32; 6]], x: &[f32; LANES], at: [f32; 2]) -> [f32; 
 /// Share of the moving positions that may be behind a wall, for example over the edge of a table.
 const BEHIND: f64 = 0.02;
 
-/// Returns the mirror images of all `sources` in all planes half-way between two of them that have nearly all moving
-/// `positions` on one side. Excludes images outside `grid`, and those closer than `apart` (metres) to a source or to
+/// Returns the mirror images of all `sources` in all planes half-way between two of them that have nearly all `moving`
+/// positions on one side. Excludes images outside `grid`, and those closer than `apart` (metres) to a source or to
 /// each other.
-pub(crate) fn mirror_images(
-    sources: &[[f64; 3]],
-    positions: &[[f64; 3]],
-    grid: &SearchGrid,
-    apart: f64,
-) -> Vec<[f64; 3]> {
+pub(crate) fn mirror_images(sources: &[[f64; 3]], moving: &[[f64; 3]], grid: &SearchGrid, apart: f64) -> Vec<[f64; 3]> {
     let near = |a: &[f64; 3], b: &[f64; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>() < apart * apart;
     let mut images: Vec<[f64; 3]> = Vec::new();
     for (i, a) in sources.iter().enumerate() {
         for b in &sources[..i] {
-            let Some(plane) = CutPlane::between(*a, *b).filter(|p| p.is_clear_of(positions)) else { continue };
+            let Some(plane) = CutPlane::between(*a, *b).filter(|p| p.is_clear_of(moving)) else { continue };
             for v in sources {
                 let image = plane.mirrored(*v);
                 if grid.contains(image) && !sources.iter().chain(&images).any(|p| near(p, &image)) {
