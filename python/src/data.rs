@@ -6,7 +6,7 @@ mod rows;
 use crate::arrays::{array, elevation_of, numbers, observed, places, vector};
 use crate::border::{free, plugin, stoppable, stopping, text_of, wrong};
 use numpy::PyArrayDyn;
-use pwrfgs::data::{check, save, shape_fault};
+use pwrfgs::data::{check_dataset, save, shape_fault};
 use pwrfgs_core::{
     DataSource, Dataset as Data, Elevation, End, Ends, Error, Observations, Partition, Plugin, Pose, Real, Receiver,
     Sample, Simulation, Split, recognise, rng,
@@ -154,7 +154,7 @@ impl Dataset {
             let made = Data::of_links(title, ends, points, &samples, observations)?;
             let made = Data { elevation, simulation, ..made };
             let data = if let Some(carriers) = carriers { made.with_carriers(&carriers)? } else { made };
-            check(&data).map(|()| data)
+            check_dataset(&data).map(|()| data)
         })?;
         inputs::warn(py, &data)?;
         Ok(Self::new(data, None))

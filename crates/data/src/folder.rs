@@ -1,7 +1,7 @@
 //! Functions shared by all readers and writers of data folders.
 
 use crate::geometry::read_points;
-use crate::text::{TextRow, number, read_text};
+use crate::text::{TextRow, read_text};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Error, Pose, Result, Simulation, carrier_fault, files};
@@ -19,8 +19,9 @@ pub(crate) fn check_root(root: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// Opens the folder `root` of the data source `plugin`, whose files are described by `layout`.
-pub(crate) fn open_root(base: &Path, root: &Path, plugin: &str, layout: &str) -> Result<PathBuf> {
+/// Returns the path of the folder `root` of the data source `plugin`. Returns an error with its `layout` if there is no such
+/// folder.
+pub(crate) fn existing_root(base: &Path, root: &Path, plugin: &str, layout: &str) -> Result<PathBuf> {
     let root = base.join(root);
     if root.is_dir() {
         return Ok(root);
@@ -29,7 +30,7 @@ pub(crate) fn open_root(base: &Path, root: &Path, plugin: &str, layout: &str) ->
     Err(Error::input(&root, format!("no such folder ({layout}); set `root` of {plugin}, or {advice}")))
 }
 
-/// Returns the advice of an error: how to get data that the data source called `plugin` reads.
+/// Returns the advice of an error message: how to get data that the data source called `plugin` reads.
 fn download_advice(plugin: &str) -> &'static str {
     match plugin {
         "Nerf2Spectrum" | "Nerf2Rssi" => {
@@ -46,17 +47,17 @@ fn download_advice(plugin: &str) -> &'static str {
     }
 }
 
-/// Returns `folder` as the `root` of a data source if it holds one of these files.
-pub(crate) fn root_with(folder: &Path, files: &[&str]) -> Option<PathBuf> {
+/// Returns `folder` as the `root` of a data source if it holds one of these files, otherwise `None`.
+pub(crate) fn recognised_root(folder: &Path, files: &[&str]) -> Option<PathBuf> {
     files.iter().any(|name| folder.join(name).exists()).then(|| folder.to_owned())
 }
 
-/// Returns the path of the point cloud in a data folder, if there is one.
-pub(crate) fn point_cloud_in(root: &Path) -> Option<PathBuf> {
+/// Returns the path of the point cloud in a data folder; `None` without one.
+pub(crate) fn find_point_cloud(root: &Path) -> Option<PathBuf> {
     [POINTS, "points.ply"].map(|name| root.join(name)).into_iter().find(|path| path.exists())
 }
 
-/// Reads the point cloud of the setting `points`, metres; empty without the setting.
+/// Reads the point cloud of the setting `points`, a path relative to `base`: `[P,3]` in metres, empty without the setting.
 pub(crate) fn read_point_cloud(base: &Path, points: Option<&Path>) -> Result<Vec<[f64; 3]>> {
     points.map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))
 }
@@ -73,7 +74,8 @@ struct Manifest {
     scene: Option<String>,
 }
 
-/// Reads the simulation of the data set `name` according to `manifest.json`, else according to its name.
+/// Returns the simulation of the data set `name` according to `manifest.json` in `root`, else according to its name; `None`
+/// for measured data.
 pub(crate) fn read_simulation(root: &Path, name: &str) -> Option<Simulation> {
     let manifest =
         files::read_string(root.join("manifest.json")).ok().and_then(|text| serde_json::from_str(&text).ok());
@@ -83,7 +85,7 @@ pub(crate) fn read_simulation(root: &Path, name: &str) -> Option<Simulation> {
 }
 
 /// Returns the title of a data set in a layout such as `arrays`; it says whether the data are measured.
-pub(crate) fn title(name: &str, simulation: Option<&Simulation>, layout: &str) -> String {
+pub(crate) fn dataset_title(name: &str, simulation: Option<&Simulation>, layout: &str) -> String {
     format!("{name} ({}{layout})", if simulation.is_some() { "" } else { "measured, " })
 }
 
@@ -109,7 +111,7 @@ pub fn gateway_positions_yaml<'a>(gateways: impl IntoIterator<Item = (&'a str, P
     gateways.into_iter().map(line).collect()
 }
 
-/// Quotes text for YAML. JSON strings are valid YAML, except for a few characters written as numbers.
+/// Returns text as a quoted YAML scalar. JSON strings are valid YAML, except for a few characters, written as numbers.
 pub(crate) fn quote_yaml(text: &str) -> String {
     let is_number = |c: char| c.is_control() || "\u{2028}\u{2029}\u{feff}\u{fffe}\u{ffff}".contains(c);
     let write = |c: char| if is_number(c) { format!("\\u{:04x}", u32::from(c)) } else { c.into() };
@@ -118,11 +120,11 @@ pub(crate) fn quote_yaml(text: &str) -> String {
 
 /// Returns the content of `base-station.yml`: antenna positions, metres.
 pub fn base_station_yaml(antennas: &[[f64; 3]]) -> String {
-    format!("base_station: [{}]\n", position_list(antennas))
+    format!("base_station: [{}]\n", join_positions(antennas))
 }
 
-/// Writes antenna positions as the items of a YAML list.
-fn position_list(antennas: &[[f64; 3]]) -> String {
+/// Returns antenna positions as the items of a YAML list.
+fn join_positions(antennas: &[[f64; 3]]) -> String {
     antennas.iter().map(|position| format!("[{}]", join_numbers(position))).collect::<Vec<_>>().join(", ")
 }
 
@@ -142,7 +144,7 @@ pub fn receiver_yaml(
         join_numbers(&pose.position),
         join_numbers(&pose.orientation),
         join_numbers(frequencies_hz),
-        position_list(antennas)
+        join_positions(antennas)
     )
 }
 
@@ -151,7 +153,7 @@ pub fn transmitter_yaml(position: Option<[f64; 3]>) -> String {
     position.map_or_else(String::new, |position| format!("transmitter: [{}]\n", join_numbers(&position)))
 }
 
-/// Writes numbers as the items of a YAML list.
+/// Returns numbers as the items of a YAML list.
 fn join_numbers(values: &[f64]) -> String {
     values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", ")
 }
@@ -161,11 +163,12 @@ pub const CARRIERS: &str = "freq.txt";
 /// Smallest number that is in Hz; smaller ones are in GHz.
 const LEAST_HZ: f64 = 1e6;
 
-/// Reads `freq.txt` in the folder `root`: the carrier of row k of `table` in line k, Hz. `None` without the file.
+/// Reads the carriers of the rows of `table`, Hz, from `freq.txt` in the folder `root`, one line per row; `None` without
+/// the file.
 ///
 /// # Errors
 /// Those of [`read_carriers`], or another number of lines than `rows`.
-pub(crate) fn carriers_in(root: &Path, table: &str, rows: usize) -> Result<Option<Vec<f64>>> {
+pub(crate) fn read_row_carriers(root: &Path, table: &str, rows: usize) -> Result<Option<Vec<f64>>> {
     let path = root.join(CARRIERS);
     if !path.exists() {
         return Ok(None);
@@ -190,7 +193,7 @@ pub fn read_carriers(path: &Path) -> Result<Vec<f64>> {
         let [field] = row.fields[..] else {
             return Err(row.fault(1, format!("{} numbers, expected 1; {advice}", row.fields.len())));
         };
-        let value = number(path, row.line, field, advice)?;
+        let value = row.number(field, advice)?;
         let hz = if value < LEAST_HZ { (value * 1e9).round() } else { value };
         carrier_fault(hz).map_or(Ok(hz), |fault| Err(row.fault(field.column, format!("{fault}, or in GHz"))))
     };
@@ -205,13 +208,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join(CARRIERS), text).unwrap();
         let message = |e: Error| e.to_string().replace(&folder.path().display().to_string(), "DIR");
-        carriers_in(folder.path(), "tx_pos.csv", rows).map_err(message)
+        read_row_carriers(folder.path(), "tx_pos.csv", rows).map_err(message)
     }
 
     #[test]
     fn reads_gigahertz_and_hertz() {
         assert_eq!(read_str("1\r\n2.412\n24.25\n928e6\n\n", 4).unwrap().unwrap(), [1e9, 2.412e9, 24.25e9, 928e6]);
-        assert_eq!(carriers_in(Path::new("/none"), "tx_pos.csv", 4).unwrap(), None);
+        assert_eq!(read_row_carriers(Path::new("/none"), "tx_pos.csv", 4).unwrap(), None);
     }
 
     #[test]
