@@ -3,7 +3,7 @@
 use crate::ascent::{AscentResult, ascend};
 use glam::DVec3;
 use pwrfgs_core::{Error, Result, check_stopped, statistics};
-use pwrfgs_raytrace::world::{Triangle, World, from_scene};
+use pwrfgs_raytrace::world::{Triangle, World};
 use pwrfgs_raytrace::{ObservationKind, PreparedReceiver, SILENT_DBM, SceneFile, SimulatedObservation, Simulator};
 use rayon::prelude::*;
 use std::sync::atomic::AtomicBool;
@@ -17,7 +17,7 @@ const MOST: f64 = 1e6;
 /// # Errors
 /// A step or height out of range, a scene that cannot be built, or no free position.
 pub fn floor_grid(scene: &SceneFile, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
-    grid(scene, &from_scene(scene)?, step, height)
+    grid(scene, &World::from_scene(scene)?, step, height)
 }
 
 /// Same as [`floor_grid`], in the `world` of the scene.

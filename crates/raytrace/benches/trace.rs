@@ -6,7 +6,7 @@
 
 use criterion::Criterion;
 use glam::DVec3;
-use pwrfgs_raytrace::{SceneFile, Simulator};
+use pwrfgs_raytrace::{ObservationKind, SceneFile, Simulator};
 use std::hint::black_box;
 use std::path::Path;
 
@@ -58,7 +58,10 @@ fn main() {
         };
         let mut group = criterion.benchmark_group(name);
         group.bench_function("paths", |b| b.iter(|| simulator.trace(black_box(tx()))));
-        group.bench_function("spectrum", |b| b.iter(|| simulator.receivers()[0].spectrum(black_box(tx()), Some(0))));
+        let kind = ObservationKind::Spectrum;
+        group.bench_function("spectrum", |b| {
+            b.iter(|| simulator.receivers()[0].observe(black_box(tx()), &kind, Some(0)));
+        });
         group.bench_function("new scene", |b| b.iter(|| Simulator::new(black_box(&scene))));
         group.finish();
     }

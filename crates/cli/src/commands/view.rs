@@ -99,7 +99,8 @@ fn open_panes(named: &[String], progress: &mut RunProgress) -> Result<Vec<ViewPa
 #[cfg(feature = "raytrace")]
 fn show_walls(side: &mut ViewPane) -> Result<()> {
     let Some(text) = side.scene() else { return Ok(()) };
-    let surfaces = pwrfgs::raytrace::SceneFile::parse(text, Path::new("the scene of the data"))?.open_surfaces()?;
+    let surfaces =
+        pwrfgs::raytrace::SceneFile::parse(text, Path::new("the scene of the data"))?.surfaces_below_ceiling()?;
     side.set_surfaces(surfaces);
     Ok(())
 }
