@@ -49,7 +49,7 @@ fn main() {
     let office = SceneFile::read(&scenes.join("office.ron")).expect("the scene ships");
     for (name, scene) in [("empty room, order 3", empty), ("office", office), ("30 boxes", thirty_boxes())] {
         let simulator = Simulator::new(&scene).expect("the scene is sound");
-        let positions = simulator.positions(24, 0).expect("there is room");
+        let positions = simulator.draw_positions(24, 0).expect("there is room");
         println!("{name}: {} faces", simulator.world().faces.len());
         let mut next = 0;
         let mut tx = || -> DVec3 {
