@@ -5,8 +5,8 @@ mod tests;
 
 use crate::checks::spectrum_fault;
 use crate::folder::{
-    check_root, dataset_title, existing_root, find_point_cloud, folder_name, read_point_cloud, read_row_carriers,
-    read_simulation, recognised_root,
+    check_root, existing_root, find_point_cloud, folder_name, read_point_cloud, read_row_carriers, read_title,
+    recognised_root,
 };
 use crate::nerf2::{LocationTable, POSES, check_image_size, index, receivers::Gateway};
 use crate::npy;
@@ -99,8 +99,7 @@ impl DataSource for Arrays {
         check_image_size(&path, elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let samples: Vec<Sample> = ids.iter().zip(&locations.poses).map(|(&id, pose)| Sample::new(id, *pose)).collect();
         let name = gateway.name.clone().unwrap_or_else(|| folder_name(&root));
-        let simulation = read_simulation(&root, &name);
-        let title = dataset_title(&name, simulation.as_ref(), "arrays");
+        let (title, simulation) = read_title(&root, &name, "arrays");
         let ends = locations.link_ends(vec![gateway.receiver()], Some(gateway.pose.position));
         let data = Dataset::of_links(title, ends, points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, ..data };

@@ -28,7 +28,9 @@ fn dataset_fault(data: &Dataset) -> Option<String> {
     let receivers = &data.scene.receivers;
     let links = data.links.iter().map(|link| (link.location, link.receiver));
     let spectra = data.observations.spectra();
-    let spectrum = spectra.and_then(|spectra| elevation_fault(data).or_else(|| first_spectrum_fault(spectra)));
+    // The first fault, independent of the number of threads.
+    let value = |spectra: &Spectra| (0..spectra.len()).into_par_iter().find_map_first(|i| spectrum_fault(spectra, i));
+    let spectrum = spectra.and_then(|spectra| elevation_fault(data).or_else(|| value(spectra)));
     let fault = |(i, dbm): (usize, &Real)| Some(format!("powers[{i}] {}", power_fault(*dbm as f64)?));
     let power = || data.observations.powers()?.iter().enumerate().find_map(fault);
     let name = receivers.iter().find_map(|receiver| name_fault(&receiver.name));
@@ -126,11 +128,6 @@ pub(crate) fn spectrum_fault(spectra: &Spectra, i: usize) -> Option<String> {
     let (row, column) = (pixel / spectra.width(), pixel % spectra.width());
     let advice = "spectra are linear, from 0 to 1: `pwrfgs import` brings others into shape";
     Some(format!("spectra[{i}, {row}, {column}] is {value}; {advice}"))
-}
-
-/// Returns the problem with the first invalid spectrum, independent of the number of threads; `None` if all are valid.
-fn first_spectrum_fault(spectra: &Spectra) -> Option<String> {
-    (0..spectra.len()).into_par_iter().find_map_first(|i| spectrum_fault(spectra, i))
 }
 
 /// Returns the problem with a receiver name, not usable as a column heading or control characters; `None` if it is valid.

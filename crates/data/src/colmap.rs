@@ -4,8 +4,7 @@
 mod tests;
 
 use crate::folder::{
-    check_root, dataset_title, existing_root, find_point_cloud, folder_name, read_point_cloud, read_simulation,
-    recognised_root,
+    check_root, existing_root, find_point_cloud, folder_name, read_point_cloud, read_title, recognised_root,
 };
 use crate::text::{TextField, TextRow, XyzColumns, numbered_lines, read_text};
 use crate::{nerf2::index, pictures};
@@ -113,8 +112,7 @@ impl DataSource for Colmap {
         let receiver = Receiver { camera: Some(shared.camera), ..Receiver::new("camera", views[0].pose) };
         let ends = Ends::of_moving_receivers(vec![receiver], self.transmitter);
         let name = folder_name(&root);
-        let simulation = read_simulation(&root, &name);
-        let title = dataset_title(&name, simulation.as_ref(), "COLMAP");
+        let (title, simulation) = read_title(&root, &name, "COLMAP");
         let data = Dataset::of_links(title, ends, points, &samples, spectra.into())?;
         Ok(Dataset { official, simulation, ..data })
     }
@@ -288,8 +286,11 @@ fn shared_camera(model: &Path, views: &[View], cameras: &BTreeMap<u32, SizedCame
     Ok(shared.expect("there is an image").1)
 }
 
-/// Returns the index of each image by its name with and without extension; `None` for a stem of several images.
-fn indices_by_name(views: &[View]) -> BTreeMap<String, Option<usize>> {
+/// Index of each image by its name with and without extension; `None` for a stem of several images.
+type ImageNames = BTreeMap<String, Option<usize>>;
+
+/// Returns the indices of the images by their names.
+fn indices_by_name(views: &[View]) -> ImageNames {
     let mut names = BTreeMap::new();
     for (k, view) in views.iter().enumerate() {
         let stem = Path::new(&view.name).with_extension("").to_string_lossy().into_owned();
@@ -301,11 +302,7 @@ fn indices_by_name(views: &[View]) -> BTreeMap<String, Option<usize>> {
 
 /// Parses a word of an index file, the name of an image with or without extension, such as `example`. Returns the problem
 /// with an unknown or ambiguous name.
-fn parse_entry(
-    names: &BTreeMap<String, Option<usize>>,
-    example: &str,
-    word: &str,
-) -> Result<index::IndexEntry, String> {
+fn parse_entry(names: &ImageNames, example: &str, word: &str) -> Result<index::IndexEntry, String> {
     match names.get(word) {
         Some(Some(k)) => Ok(index::IndexEntry { id: *k as u32 + 1, sample: *k }),
         Some(None) => Err(format!("{} names several images; write the extension too", quoted(word))),

@@ -84,29 +84,33 @@ pub(crate) fn read_simulation(root: &Path, name: &str) -> Option<Simulation> {
     simulated.then_some(Simulation { scene })
 }
 
+/// Returns the title of the data set `name` in a layout, as [`dataset_title`], and its simulation, as [`read_simulation`].
+pub(crate) fn read_title(root: &Path, name: &str, layout: &str) -> (String, Option<Simulation>) {
+    let simulation = read_simulation(root, name);
+    (dataset_title(name, simulation.as_ref(), layout), simulation)
+}
+
 /// Returns the title of a data set in a layout such as `arrays`; it says whether the data are measured.
 pub(crate) fn dataset_title(name: &str, simulation: Option<&Simulation>, layout: &str) -> String {
     format!("{name} ({}{layout})", if simulation.is_some() { "" } else { "measured, " })
 }
 
 /// Returns the content of `gateway_info.yml` for a data set called `name`.
-pub fn gateway_yaml(name: &str, pose: &Pose) -> String {
+pub fn gateway_yaml(name: &str, Pose { position, orientation }: &Pose) -> String {
+    let name = quote_yaml(name);
     format!(
-        "dataset_name: {}\ngateway1:\n  position: [{}]\n  orientation: [{}] # quaternion x, y, z, w\n",
-        quote_yaml(name),
-        join_numbers(&pose.position),
-        join_numbers(&pose.orientation)
+        "dataset_name: {name}\ngateway1:\n  position: {position:?}\n  orientation: {orientation:?} # quaternion x, y, z, w\n"
     )
 }
 
 /// Returns the content of `gateway_position.yml`: gateway names and positions, metres; orientations only if rotated.
 pub fn gateway_positions_yaml<'a>(gateways: impl IntoIterator<Item = (&'a str, Pose)>) -> String {
-    let line = |(name, pose): (&str, Pose)| {
-        let (name, position) = (quote_yaml(name), join_numbers(&pose.position));
-        if pose.orientation == Pose::IDENTITY.orientation {
-            return format!("{name}: [{position}]\n");
+    let line = |(name, Pose { position, orientation }): (&str, Pose)| {
+        let name = quote_yaml(name);
+        if orientation == Pose::IDENTITY.orientation {
+            return format!("{name}: {position:?}\n");
         }
-        format!("{name}: {{position: [{position}], orientation: [{}]}}\n", join_numbers(&pose.orientation))
+        format!("{name}: {{position: {position:?}, orientation: {orientation:?}}}\n")
     };
     gateways.into_iter().map(line).collect()
 }
@@ -120,12 +124,7 @@ pub(crate) fn quote_yaml(text: &str) -> String {
 
 /// Returns the content of `base-station.yml`: antenna positions, metres.
 pub fn base_station_yaml(antennas: &[[f64; 3]]) -> String {
-    format!("base_station: [{}]\n", join_positions(antennas))
-}
-
-/// Returns antenna positions as the items of a YAML list.
-fn join_positions(antennas: &[[f64; 3]]) -> String {
-    antennas.iter().map(|position| format!("[{}]", join_numbers(position))).collect::<Vec<_>>().join(", ")
+    format!("base_station: {antennas:?}\n")
 }
 
 /// Returns the content of `receiver.yml`: the `name` as a YAML scalar (quoted if it needs quotes), the pose in the world frame
@@ -133,29 +132,20 @@ fn join_positions(antennas: &[[f64; 3]]) -> String {
 /// world frame (metres).
 pub fn receiver_yaml(
     name: &str,
-    pose: &Pose,
+    Pose { position, orientation }: &Pose,
     [carrier_hz, spacing_hz]: [f64; 2],
     frequencies_hz: &[f64],
     antennas: &[[f64; 3]],
 ) -> String {
     format!(
-        "name: {name}\nposition: [{}]\norientation: [{}] # quaternion x, y, z, w\ncarrier_hz: {carrier_hz:?}\n\
-         spacing_hz: {spacing_hz:?}\nfrequencies_hz: [{}]\nantennas: [{}] # metres; in the world, or in the frame of a moving receiver\n",
-        join_numbers(&pose.position),
-        join_numbers(&pose.orientation),
-        join_numbers(frequencies_hz),
-        join_positions(antennas)
+        "name: {name}\nposition: {position:?}\norientation: {orientation:?} # quaternion x, y, z, w\ncarrier_hz: {carrier_hz:?}\n\
+         spacing_hz: {spacing_hz:?}\nfrequencies_hz: {frequencies_hz:?}\nantennas: {antennas:?} # metres; in the world, or in the frame of a moving receiver\n"
     )
 }
 
 /// Returns the line of `receiver.yml` for the fixed transmitter of a moving receiver, metres; empty if it is unknown.
 pub fn transmitter_yaml(position: Option<[f64; 3]>) -> String {
-    position.map_or_else(String::new, |position| format!("transmitter: [{}]\n", join_numbers(&position)))
-}
-
-/// Returns numbers as the items of a YAML list.
-fn join_numbers(values: &[f64]) -> String {
-    values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", ")
+    position.map_or_else(String::new, |position| format!("transmitter: {position:?}\n"))
 }
 
 /// File of the carriers.

@@ -44,7 +44,8 @@ const IGNORED: &str =
 /// for an invalid statement.
 fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     let text = String::from_utf8_lossy(bytes);
-    let rows = || numbered_lines(&text).map(|(line, content)| TextRow::at_blanks(path, (line, strip_comment(content))));
+    let statement = |line| str::split(line, '#').next().unwrap_or_default(); // without its comment
+    let rows = || numbered_lines(&text).map(|(line, content)| TextRow::at_blanks(path, (line, statement(content))));
     // A face may use a vertex defined after it.
     let count = rows().filter(|row| row.fields.first().is_some_and(|field| field.text == "v")).count();
     let (mut vertices, mut polygons) = (Vec::with_capacity(count), Polygons::default());
@@ -65,11 +66,6 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
         }
     }
     polygons.triangulate(path, vertices)
-}
-
-/// Returns a line without its comment, which begins with `#`.
-fn strip_comment(content: &str) -> &str {
-    content.split_once('#').map_or(content, |(statement, _)| statement)
 }
 
 /// Parses the vertex index of a corner such as `3`, `-1`, `3/1` or `3//2`, and returns it counted from 0. A negative index

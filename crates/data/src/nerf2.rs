@@ -12,8 +12,8 @@ pub use rssi::{Nerf2Rssi, read_powers};
 
 use crate::checks::shape_fault;
 use crate::folder::{
-    check_root, dataset_title, existing_root, find_point_cloud, folder_name, read_point_cloud, read_row_carriers,
-    read_simulation, recognised_root,
+    check_root, existing_root, find_point_cloud, folder_name, read_point_cloud, read_row_carriers, read_title,
+    recognised_root,
 };
 use crate::pictures;
 use crate::text::{TextField, TextRow, read_text, table_rows};
@@ -119,8 +119,7 @@ impl DataSource for Nerf2Spectrum {
         let unmatched = Unmatched { positions: positions.len() - ids.len(), pictures: files.len() - ids.len() };
         let samples: Vec<Sample> = ids.iter().map(|&id| Sample::new(id, positions[id as usize - 1])).collect();
         let name = gateway.name.as_deref().map_or_else(|| folder_name(&root), strip_control);
-        let simulation = read_simulation(&root, &name);
-        let title = dataset_title(&name, simulation.as_ref(), "NeRF2 layout");
+        let (title, simulation) = read_title(&root, &name, "NeRF2 layout");
         let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, unmatched, ..data };
         match read_row_carriers(&root, "tx_pos.csv", positions.len())? {

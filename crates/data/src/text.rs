@@ -83,7 +83,7 @@ impl<'a> TextRow<'a> {
 
     /// Splits the content of a line at blanks.
     pub(crate) fn at_blanks(path: &'a Path, (line, content): (usize, &'a str)) -> Self {
-        Self { path, line, fields: split_blanks(content) }
+        Self { path, line, fields: locate_fields(content, content.split_whitespace()) }
     }
 
     /// Returns the column behind the last field.
@@ -200,11 +200,6 @@ fn split_commas(line: &str) -> Vec<TextField<'_>> {
     locate_fields(line, fields)
 }
 
-/// Splits a line at blanks.
-fn split_blanks(line: &str) -> Vec<TextField<'_>> {
-    locate_fields(line, line.split_whitespace())
-}
-
 /// Returns slices of `line`, in order, each with its column: characters, counted from 1. Columns are counted incrementally:
 /// a face of a mesh may have a million corners in one line.
 fn locate_fields<'a>(line: &'a str, parts: impl Iterator<Item = &'a str>) -> Vec<TextField<'a>> {
@@ -282,7 +277,8 @@ mod tests {
         let last = split_commas(&"é, ".repeat(500_000)).last().map(|f| (f.text.to_owned(), f.column));
         assert_eq!(last, Some((String::new(), 3 * 500_000)), "a long line");
         assert_eq!(split_commas(&",".repeat(2_000_000)).len(), MOST_FIELDS);
-        let got: Vec<_> = split_blanks("1  2\t3").iter().map(|f| (f.text, f.column)).collect();
+        let got: Vec<_> =
+            TextRow::at_blanks(Path::new("a"), (1, "1  2\t3")).fields.iter().map(|f| (f.text, f.column)).collect();
         assert_eq!(got, [("1", 1), ("2", 4), ("3", 6)]);
     }
 }

@@ -27,15 +27,15 @@ struct Antenna {
     /// Polarisation axis in the antenna frame.
     axis: DVec3,
     /// Rotation from the antenna frame to the world frame.
-    world_from_antenna: DMat3,
+    world_from_local: DMat3,
 }
 
 impl Antenna {
     /// Returns the field, world frame, radiated towards or received from the unit vector `direction`.
     fn field_towards(&self, direction: DVec3) -> DVec3 {
-        let local = self.world_from_antenna.transpose() * direction;
+        let local = self.world_from_local.transpose() * direction;
         let (amplitude, polarization) = self.element.response(self.axis, local);
-        self.world_from_antenna * polarization * amplitude
+        self.world_from_local * polarization * amplitude
     }
 }
 
@@ -67,12 +67,12 @@ impl Tracer {
         let transmitter = Antenna {
             element: scene.transmitter.element.clone(),
             axis: DVec3::from(scene.transmitter.polarization).normalize(),
-            world_from_antenna: DMat3::IDENTITY,
+            world_from_local: DMat3::IDENTITY,
         };
         let receiver = Antenna {
             element: receiver.array.element.clone(),
             axis: DVec3::from(receiver.array.polarization).normalize(),
-            world_from_antenna: receiver.world_from_receiver(),
+            world_from_local: receiver.world_from_receiver(),
         };
         Some(Self { world, wavelength: scene.wavelength(), transmitter, receiver, tree, propagation, patches })
     }
@@ -145,7 +145,7 @@ impl TraceWalk<'_> {
         let arrival = -ray.direction;
         let field = self.tracer.receiver.field_towards(arrival);
         PropagationPath {
-            gain: gain * ray.component_along(field),
+            gain: gain * ray.component(field),
             length: before + self.rx.distance(source),
             departure,
             arrival,

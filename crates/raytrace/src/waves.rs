@@ -53,7 +53,7 @@ impl Ray {
     }
 
     /// Returns the component of the field along a real unit vector.
-    pub(crate) fn component_along(&self, axis: DVec3) -> Complex {
+    pub(crate) fn component(&self, axis: DVec3) -> Complex {
         Complex::new(self.re.dot(axis), self.im.dot(axis))
     }
 
@@ -75,7 +75,7 @@ impl Ray {
         let r = fresnel::reflection(surface.eta, surface.thickness, cosine.abs(), wavelength);
         let smooth = (1.0 - surface.roughness * surface.roughness).sqrt();
         let s = unit_cross(self.direction, normal);
-        let (te, tm) = (self.component_along(s), self.component_along(s.cross(self.direction)));
+        let (te, tm) = (self.component(s), self.component(s.cross(self.direction)));
         Self::from_components(out, (r.te * te * smooth, s), (r.tm * tm * smooth, s.cross(out)))
     }
 
@@ -85,11 +85,7 @@ impl Ray {
         let t = fresnel::transmission(surface.eta, surface.thickness?, cosine, wavelength);
         let s = unit_cross(self.direction, normal);
         let p = s.cross(self.direction);
-        Some(Self::from_components(
-            self.direction,
-            (t.te * self.component_along(s), s),
-            (t.tm * self.component_along(p), p),
-        ))
+        Some(Self::from_components(self.direction, (t.te * self.component(s), s), (t.tm * self.component(p), p)))
     }
 
     /// Returns the ray after diffraction at an edge along the unit vector `edge` into `out`: `−D_s β̂β̂′ − D_h φ̂φ̂′`
@@ -100,8 +96,8 @@ impl Ray {
         let (beta_in, beta_out) = (phi_in.cross(self.direction), phi_out.cross(out));
         Self::from_components(
             out,
-            (-d.te * self.component_along(beta_in), beta_out),
-            (-d.tm * self.component_along(phi_in), phi_out),
+            (-d.te * self.component(beta_in), beta_out),
+            (-d.tm * self.component(phi_in), phi_out),
         )
     }
 

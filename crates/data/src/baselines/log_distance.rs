@@ -93,12 +93,8 @@ impl Predict for PathLosses<'_> {
     fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
         let image = self.predict(query);
         let d = f64::from(cotangent(&image)[0]);
-        Some((
-            image,
-            self.path_loss_for(query)
-                .slope_at(query.position(), fixed_end_position(self.data, query))
-                .map(|slope| d * slope),
-        ))
+        let slope = self.path_loss_for(query).slope_at(query.position(), fixed_end_position(self.data, query));
+        Some((image, slope.map(|slope| d * slope)))
     }
 
     fn note(&self) -> Option<String> {

@@ -5,7 +5,7 @@ mod tests;
 
 use super::{index, read_transmitters, receivers};
 use crate::checks::{check_frequencies, uniform_subcarriers};
-use crate::folder::{check_root, dataset_title, existing_root, folder_name, read_simulation, recognised_root};
+use crate::folder::{check_root, existing_root, folder_name, read_title, recognised_root};
 use crate::npy::{ComplexArray, read_complex_array};
 use pwrfgs_core::{
     Channels, DataSource, Dataset, Error, Features, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample,
@@ -92,8 +92,7 @@ impl DataSource for Nerf2Csi {
         let per_receiver = antennas.len() / receivers.len();
         let channels = Channels { antennas: per_receiver, frequencies_hz, gains };
         let name = folder_name(&root);
-        let simulation = read_simulation(&root, &name);
-        let title = dataset_title(&name, simulation.as_ref(), "NeRF2 layout");
+        let (title, simulation) = read_title(&root, &name, "NeRF2 layout");
         let data = Dataset::of_links(title, receivers, vec![], &samples, channels.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
         progress(data.len(), data.len());

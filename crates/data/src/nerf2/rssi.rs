@@ -7,8 +7,7 @@ use super::receivers::read_gateways;
 use super::{LocationTable, POSES, index};
 use crate::checks::{NOT_RECEIVED, UnlinkedNode, unlinked_node};
 use crate::folder::{
-    check_root, dataset_title, existing_root, find_point_cloud, folder_name, read_point_cloud, read_simulation,
-    recognised_root,
+    check_root, existing_root, find_point_cloud, folder_name, read_point_cloud, read_title, recognised_root,
 };
 use crate::text::{TextRow, numbered_lines, read_text};
 use pwrfgs_core::files::MAX_TEXT;
@@ -95,8 +94,7 @@ impl DataSource for Nerf2Rssi {
         let receivers = gateways.into_iter().map(|(name, pose)| Receiver::new(name, pose)).collect();
         let ends = locations.link_ends(receivers, Some(transmitter));
         let name = folder_name(&root);
-        let simulation = read_simulation(&root, &name);
-        let title = dataset_title(&name, simulation.as_ref(), "NeRF2 layout");
+        let (title, simulation) = read_title(&root, &name, "NeRF2 layout");
         let data = Dataset::of_links(title, ends, points, &samples, powers.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
         progress(data.len(), data.len());

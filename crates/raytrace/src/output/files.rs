@@ -255,7 +255,7 @@ fn metadata(simulator: &Simulator, layout: OutputLayout) -> Option<TextFile> {
         }
         OutputLayout::Rssi => {
             let positions = receivers.iter().map(PreparedReceiver::receiver);
-            let positions = positions.map(|receiver| format!("{}: {}\n", receiver.name, yaml_list(&receiver.position)));
+            let positions = positions.map(|receiver| format!("{}: {:?}\n", receiver.name, receiver.position));
             Some(TextFile { name: "gateway_position.yml", text: positions.collect() })
         }
         OutputLayout::Channels => {
@@ -320,11 +320,6 @@ pub(super) fn check_power_table(folder: &Path) -> Result<()> {
             rows().count()
         ))),
     }
-}
-
-/// Returns numbers as a YAML list, in brackets.
-fn yaml_list(values: &[f64]) -> String {
-    format!("[{}]", values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", "))
 }
 
 /// Writes the pixels of a spectrum as a grey PNG image.
