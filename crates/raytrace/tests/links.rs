@@ -133,7 +133,8 @@ fn channel_at_carrier_equals_channel_of_spectrum() {
         // Without subcarriers the power equals that of the spectra, including errors.
         let narrow = Simulator::new(&SceneFile { subcarriers: None, ..scene.clone() }).unwrap();
         let receiver = &narrow.receivers()[0];
-        let SimulatedObservation::Spectrum(spectrum) = receiver.observe(tx, &Default::default(), Some(5)).observed
+        let SimulatedObservation::Spectrum(spectrum) =
+            receiver.observe(tx, &ObservationKind::Spectrum, Some(5)).observed
         else {
             panic!("another observation")
         };
