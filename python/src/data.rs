@@ -156,7 +156,7 @@ impl Dataset {
             let made = Data::of_links(title, ends, points, &samples, observations)?;
             let made = Data { elevation, simulation, ..made };
             let data = if let Some(carriers) = carriers { made.with_carriers(&carriers)? } else { made };
-            check(&data).map(|()| data)
+            check_dataset(&data).map(|()| data)
         })?;
         inputs::warn_findings(py, &data)?;
         Ok(Self::new(data, None))

@@ -206,7 +206,7 @@ pub(crate) fn simulate(
     let recipe = recipe.map_err(|error| to_exception(py, error))?;
     let work = |events: SyncSender<(usize, usize)>, stop: &_| {
         let send = |done, total| _ = events.try_send((done, total));
-        folder::write_as(&recipe, layout, paths, &out, &send, stop)
+        folder::write_dataset(&recipe, layout, paths, &out, &send, stop)
     };
     run_with_events(py, work, |(done, total)| send_event.call1((done, total)).map(|_| ()))
 }

@@ -3,7 +3,7 @@
 use crate::survey::box_diagonal;
 use pwrfgs_core::kriging::{Correlation, CorrelationKind, HeldOutCases, Mean, in_space};
 use pwrfgs_core::{Baseline as _, Dataset, FittingSet, Result, evenly, rng};
-use pwrfgs_data::{Kriging, Trend, preceding};
+use pwrfgs_data::{Kriging, Trend, vecchia_cases};
 use rayon::prelude::*;
 
 /// Largest number of links in the likelihood, and of earlier links that each is given.
@@ -28,13 +28,13 @@ pub fn learn_correlation(data: &Dataset, transmitters: &[usize]) -> Option<Corre
     }
     rng::shuffle(&mut rng::stream(0, "plan", 0), &mut links);
     let by_receiver = data.by_receiver(links);
-    let trends: Vec<Trend<'_>> = by_receiver.iter().map(|links| Trend::of(data, links)).collect();
-    let cases: Vec<_> = by_receiver.iter().flat_map(|links| preceding(data, links, NEIGHBOURS)).collect();
+    let trends: Vec<Trend<'_>> = by_receiver.iter().map(|links| Trend::fit(data, links)).collect();
+    let cases: Vec<_> = by_receiver.iter().flat_map(|links| vecchia_cases(data, links, NEIGHBOURS)).collect();
     if cases.len() < 2 {
         return None;
     }
     let position = |i: usize| in_space(data.sample(i).position());
-    let values = |_: usize, i: usize| trends[data.links[i].receiver].values(i, VALUES);
+    let values = |_: usize, i: usize| trends[data.links[i].receiver].residual_values(i, VALUES);
     let cases = HeldOutCases::new(&cases, Mean::Unknown, position, values);
     let reach = box_diagonal(&sorted.iter().map(|&t| data.locations[t].position()).collect::<Vec<_>>());
     (reach > 0.0).then(|| most_likely(&cases, reach))

@@ -3,7 +3,7 @@
 use crate::ascent::{AscentResult, ascend};
 use glam::DVec3;
 use pwrfgs_core::{Error, Result, check_stopped, statistics};
-use pwrfgs_raytrace::world::{Triangle, World, from_scene};
+use pwrfgs_raytrace::world::{Triangle, World};
 use pwrfgs_raytrace::{ObservationKind, PreparedReceiver, SILENT_DBM, SceneFile, SimulatedObservation, Simulator};
 use rayon::prelude::*;
 use std::sync::atomic::AtomicBool;

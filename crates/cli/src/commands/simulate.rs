@@ -144,7 +144,7 @@ pub(crate) struct ExportScene {
 /// Runs `pwrfgs export-scene`: writes the scene as Mitsuba XML with meshes.
 pub(crate) fn export_scene(arguments: &ExportScene, verbosity: Verbosity) -> Result<()> {
     let scene = SceneFile::read(&arguments.scene)?;
-    let (meshes, out) = (mitsuba::export(&scene, &arguments.out)?, arguments.out.display());
+    let (meshes, out) = (mitsuba::export_scene(&scene, &arguments.out)?, arguments.out.display());
     let how = format!("`simulate --carrier-hz {:e}` or sionna.rt.load_scene", scene.carrier_hz);
     verbosity.print_note(&format!("{meshes} meshes in {out}; read scene.xml with {how}"));
     Ok(())
@@ -157,7 +157,7 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()>
     let (observe, layout) = arguments.observation_and_layout()?;
     let receiver = arguments.receiver.as_deref().map(|text| parse_position("--receiver", text)).transpose()?;
     let mut recipe = SimulationRecipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?;
-    recipe.scene = recipe.scene.with(arguments.carrier_hz, receiver)?;
+    recipe.scene = recipe.scene.with_overrides(arguments.carrier_hz, receiver)?;
     let recipe = recipe.observing(observe)?;
     if arguments.scene.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("xml")) {
         let (scene, (low, high)) = (&recipe.scene, recipe.scene.transmitter.positions.corners());
@@ -167,7 +167,7 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()>
     }
     RunProgress::observe(verbosity, |progress| {
         staged(progress, "simulating", |progress| {
-            folder::write_as(&recipe, layout, !arguments.no_paths, &arguments.out, progress, &stop)
+            folder::write_dataset(&recipe, layout, !arguments.no_paths, &arguments.out, progress, &stop)
         })
     })?;
     verbosity.print_note(&describe_data(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
