@@ -103,7 +103,7 @@ impl Pruner for Python {
     }
 
     fn needs(&self, cloud: &GaussianCloud, context: &StepContext) -> Needs {
-        self.as_pruner().map_or_else(Needs::nothing, |own| own.needs(cloud, context))
+        self.as_pruner().map_or_else(Needs::default, |own| own.needs(cloud, context))
     }
 
     fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {

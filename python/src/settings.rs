@@ -108,7 +108,7 @@ pub(crate) fn parse_ron<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py,
 }
 
 fn parts<'py>(py: Python<'py>, tree: &RonTree, text: &str) -> PyResult<Bound<'py, PyAny>> {
-    let own = tree.of(text);
+    let own = tree.text_in(text);
     Ok(match &tree.body {
         Parts::Fields(fields) => {
             let fields = fields.iter().map(|(name, value)| Ok((name.as_str(), parts(py, value, text)?)));

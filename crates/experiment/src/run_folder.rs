@@ -83,7 +83,7 @@ impl RunFolder {
         Self::inspect(path, pipeline)?;
         std::fs::create_dir_all(path).map_err(|e| Error::write(path, e))?;
         let folder = HeldFolder::open(path)?;
-        let (lock, is_new, state) = lock(folder.path(), pipeline).map_err(|e| folder.named(e))?;
+        let (lock, is_new, state) = lock(folder.path(), pipeline).map_err(|e| folder.name_in_error(e))?;
         remove_leftovers(folder.path());
         Ok(Self { folder, lock, is_new, state })
     }
@@ -148,7 +148,7 @@ impl RunFolder {
     /// # Errors
     /// The error of `result`, or a folder that was moved or replaced.
     pub fn settle<T>(&self, result: Result<T>) -> Result<T> {
-        let value = result.map_err(|e| self.folder.named(e))?;
+        let value = result.map_err(|e| self.folder.name_in_error(e))?;
         self.folder.check_name().map(|()| value)
     }
 }

@@ -104,7 +104,9 @@ impl Pruner for Strategy {
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
         if !self.object.has("keep") {
-            return self.gate(&TracedCloud::new(cloud), context).map_or_else(|| vec![true; cloud.len()], Gate::open);
+            return self
+                .gate(&TracedCloud::new(cloud), context)
+                .map_or_else(|| vec![true; cloud.len()], Gate::open_mask);
         }
         self.with(|py, own| {
             let arguments = (cloud_object(py, cloud, false)?, stats_object(py, stats)?, context_object(py, context)?);
@@ -115,12 +117,12 @@ impl Pruner for Strategy {
 
     fn needs(&self, cloud: &GaussianCloud, context: &StepContext) -> Needs {
         if !self.object.has("needs") {
-            return Needs::nothing();
+            return Needs::default();
         }
         self.with(|py, own| {
             let requested =
                 own.call_method1("needs", (cloud_object(py, cloud, false)?, context_object(py, context)?))?;
-            let mut needs = Needs::nothing();
+            let mut needs = Needs::default();
             for name in requested.try_iter()? {
                 let name: String = name?.extract()?;
                 let Some((_, statistic)) = STATISTICS.iter().find(|(own, _)| *own == name) else {

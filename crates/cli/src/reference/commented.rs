@@ -26,7 +26,7 @@ impl Value {
     /// Returns the RON text of the value at `path`.
     pub(crate) fn at(&self, path: &[&str]) -> Option<&str> {
         let inside = path.iter().try_fold(&self.tree, |tree, field| tree.field(field));
-        inside.map(|tree| tree.of(&self.text))
+        inside.map(|tree| tree.text_in(&self.text))
     }
 
     /// Returns the RON text of a field, in one line.
@@ -36,7 +36,7 @@ impl Value {
 
     /// Returns the value of a field.
     pub(super) fn part(&self, name: &str) -> Option<Self> {
-        Self::new(self.tree.field(name)?.of(&self.text).to_owned()).ok()
+        Self::new(self.tree.field(name)?.text_in(&self.text).to_owned()).ok()
     }
 }
 
@@ -77,7 +77,7 @@ impl CommentStyle<'_> {
             let kind = field.map(|f| &f.kind);
             match (&value.body, (self.opens)(name)) {
                 (RonBody::Fields(_), true) => self.write_tree(value, text, docs_at(kind, value), &inside, out),
-                (RonBody::Items(items), true) if !items.is_empty() && value.of(text).starts_with('[') => {
+                (RonBody::Items(items), true) if !items.is_empty() && value.text_in(text).starts_with('[') => {
                     out.push_str("[\n");
                     for item in items {
                         let deeper = format!("{inside}    ");
@@ -129,13 +129,13 @@ fn compact_text(tree: &RonTree, text: &str) -> String {
     let name = tree.name.as_deref().unwrap_or_default();
     let list = |items: &[RonTree]| items.iter().map(|item| compact_text(item, text)).collect::<Vec<_>>().join(", ");
     match &tree.body {
-        RonBody::Plain => tree.of(text).to_owned(),
+        RonBody::Plain => tree.text_in(text).to_owned(),
         RonBody::Fields(fields) => {
             let fields: Vec<String> =
                 fields.iter().map(|(n, value)| format!("{n}: {}", compact_text(value, text))).collect();
             format!("{name}({})", fields.join(", "))
         }
-        RonBody::Items(items) if tree.of(text).starts_with('[') => format!("[{}]", list(items)),
+        RonBody::Items(items) if tree.text_in(text).starts_with('[') => format!("[{}]", list(items)),
         RonBody::Items(items) => format!("{name}({})", list(items)),
     }
 }

@@ -51,7 +51,7 @@ impl Baseline for LogDistance {
         let own = data.by_receiver(all_of(known)?);
         let own: Vec<Vec<(f64, f64)>> = own.iter().map(|links| points(data, links)).collect();
         let groups: Vec<&[(f64, f64)]> = own.iter().map(Vec::as_slice).collect();
-        let (shared, levels) = PathLoss::with_offsets(&groups);
+        let (shared, levels) = PathLoss::fit_groups(&groups);
         let one = PathLoss::fit(&groups.concat());
         let law = |(points, level): (&&[(f64, f64)], f64)| match points.len() {
             FEW.. if self.per_receiver => PathLoss::fit(points),
@@ -85,14 +85,17 @@ impl PathLosses<'_> {
 
 impl Predict for PathLosses<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        let dbm = self.of(query).at(log_distance(self.data, query));
+        let dbm = self.of(query).power(log_distance(self.data, query));
         Image { width: 1, height: 1, pixels: vec![dbm as Real] }
     }
 
     fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
         let image = self.predict(query);
         let d = f64::from(cotangent(&image)[0]);
-        Some((image, self.of(query).slope_at(query.position(), fixed_end(self.data, query)).map(|slope| d * slope)))
+        Some((
+            image,
+            self.of(query).power_gradient(query.position(), fixed_end(self.data, query)).map(|slope| d * slope),
+        ))
     }
 
     fn note(&self) -> Option<String> {

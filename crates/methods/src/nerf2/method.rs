@@ -124,7 +124,7 @@ impl Nerf2 {
         chunks: impl Iterator<Item = (usize, Range<usize>, Passes)>,
     ) -> Vec<[Real; 2]> {
         let setup = call.setup;
-        let of_link = if setup.task.has_pixels { call.pixels.of_link(setup.numbers()) } else { bands(setup) };
+        let of_link = if setup.task.has_pixels { call.pixels.count_per_link(setup.numbers()) } else { bands(setup) };
         let mut totals = vec![[0.0; 2]; call.links.pairs.len() * of_link];
         for (group, rays, passes) in chunks {
             let bands = bands(setup);

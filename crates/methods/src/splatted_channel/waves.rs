@@ -5,7 +5,7 @@
 //! so that the waves W `[2AF, N]` are computed once for all links of a receiver.
 
 use glam::DVec3;
-use pwrfgs_core::{GaussianCloud, MeasurementSetup, Real, ReceiverState, SPEED_OF_LIGHT, gain_at};
+use pwrfgs_core::{GaussianCloud, MeasurementSetup, Real, ReceiverState, SPEED_OF_LIGHT, gain_indices};
 use rayon::prelude::*;
 
 /// Smallest distance between a Gaussian and an antenna in the model, metres.
@@ -112,7 +112,7 @@ impl Waves {
     /// Returns the index of the real part of row (antenna, subcarrier) in an observation; the imaginary part is one row
     /// below.
     fn place(&self, row: usize) -> usize {
-        gain_at(row / self.columns, row % self.columns, self.columns)[0]
+        gain_indices(row / self.columns, row % self.columns, self.columns)[0]
     }
 
     /// Returns the cotangents of the signals `[N, L, 2]` and of the waves (real, imaginary, in the layout of

@@ -39,14 +39,14 @@ impl Splatting {
             let geometry = Arc::new(self.geometry(view, p, &terms, batch.start));
             if !question.any(per_link) {
                 let signals = (!blind).then(|| self.activation().signals(p.cloud, &terms, batch.clone()));
-                sums.add(&rows, &self.weigh(view, batch.len(), signals, &geometry, needs));
+                sums.merge(&rows, &self.weigh(view, batch.len(), signals, &geometry, needs));
                 continue;
             }
             let jacobians =
                 if question.any(|s| *s == Statistic::Fisher) { self.jacobians(view, p, &geometry) } else { Vec::new() };
             for (b, link) in batch.zip(group.alone()) {
                 let drawing = self.draw(view, p, &terms, b..b + 1, Some(&geometry));
-                sums.add(&rows, &self.see(question, view, &link, &drawing, &jacobians));
+                sums.merge(&rows, &self.see(question, view, &link, &drawing, &jacobians));
             }
         }
         sums

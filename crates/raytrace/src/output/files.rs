@@ -218,18 +218,18 @@ impl Files {
         let id_of = |receiver: usize| i * rows + first + if rows == 1 { 0 } else { receiver };
         self.positions.text += &row.repeat(rows);
         for (receiver, ((table, file), received)) in self.paths.iter_mut().zip(all).enumerate() {
-            file.add(table.rows(id_of(receiver), &received.paths).as_bytes())?;
+            file.append(table.rows(id_of(receiver), &received.paths).as_bytes())?;
         }
         for (receiver, received) in all.iter().enumerate() {
             let id = id_of(receiver);
             match (&received.observed, &mut self.array) {
-                (SimulatedObservation::Spectrum(spectrum), Some(array)) => array.add(&spectrum.pixels)?,
+                (SimulatedObservation::Spectrum(spectrum), Some(array)) => array.append(&spectrum.pixels)?,
                 (SimulatedObservation::Spectrum(spectrum), None) => {
                     write_png(&self.folder.join(format!("{PICTURES}/{id:05}.png")), &spectrum.pixels)?;
                 }
                 (SimulatedObservation::Channel(channel), Some(array)) => {
                     let bytes = |h: &Complex| [(h.re as f32).to_le_bytes(), (h.im as f32).to_le_bytes()];
-                    array.add(&channel.iter().flat_map(bytes).flatten().collect::<Vec<u8>>())?;
+                    array.append(&channel.iter().flat_map(bytes).flatten().collect::<Vec<u8>>())?;
                 }
                 _ => {}
             }

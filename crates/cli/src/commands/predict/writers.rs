@@ -144,7 +144,7 @@ impl Writer for Spectra<'_> {
             };
             images.par_iter().zip(rows).map(write_image).collect::<Result<Vec<()>>>()?;
             if let Some(stack) = self.stacks.get_mut(k) {
-                images.iter().try_for_each(|image| stack.add(&float_bytes(image).collect::<Vec<u8>>()))?;
+                images.iter().try_for_each(|image| stack.append(&float_bytes(image).collect::<Vec<u8>>()))?;
             }
         }
         list.extend(rows.iter().map(|(row, drawn)| spectrum_line(self.plane, row, drawn)));
@@ -230,12 +230,12 @@ impl Writer for Channels {
             let (gains, name) = (gains_of(&image.pixels, image.width), file_name(row.number));
             let spread = spread.as_ref().map(complex_deviations);
             if let Some(stack) = self.stacks.first_mut() {
-                stack.add(&complex_bytes(&gains).collect::<Vec<u8>>())?;
+                stack.append(&complex_bytes(&gains).collect::<Vec<u8>>())?;
             } else {
                 folder.gains(&name, [image.height / 2, image.width], &gains)?;
             }
             match (self.stacks.get_mut(1), &spread) {
-                (Some(stack), Some(spread)) => stack.add(&float_bytes(spread).collect::<Vec<u8>>())?,
+                (Some(stack), Some(spread)) => stack.append(&float_bytes(spread).collect::<Vec<u8>>())?,
                 (None, Some(spread)) => folder.array(&(name + SPREAD), spread)?,
                 _ => {}
             }
