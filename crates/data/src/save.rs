@@ -196,7 +196,7 @@ impl FolderWriter<'_> {
         }
         let header = npy_header(spectra.number(), &[spectra.len(), spectra.height(), spectra.width()]);
         let mut file = GrowingFile::create(self.path.join("spectra.npy"), &header)?;
-        (0..spectra.len()).try_for_each(|i| file.add(&spectra.raw(i)))?;
+        (0..spectra.len()).try_for_each(|i| file.append(&spectra.raw(i)))?;
         file.finish()
     }
 

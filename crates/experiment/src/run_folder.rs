@@ -149,7 +149,7 @@ impl RunFolder {
     /// # Errors
     /// The error of `result`, or a folder that was moved or replaced.
     pub fn settle<T>(&self, result: Result<T>) -> Result<T> {
-        let value = result.map_err(|e| self.folder.named(e))?;
+        let value = result.map_err(|e| self.folder.name_in_error(e))?;
         self.folder.check_name().map(|()| value)
     }
 }

@@ -44,7 +44,7 @@ impl Initializer for Grid {
     fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
         let world_from_receiver = scene.pose().world_from_receiver();
         let (lowest, centre) = match plane.angles {
-            Some(_) => (if plane.looks_behind() { -FRAC_PI_2 } else { 0.0 }, scene.pose().origin()),
+            Some(_) => (if plane.has_directions_behind() { -FRAC_PI_2 } else { 0.0 }, scene.pose().origin()),
             None if plane.camera.is_some() => (-FRAC_PI_2, scene.pose().origin()),
             None => (-FRAC_PI_2, -(world_from_receiver * scene.pose().origin())),
         };

@@ -46,7 +46,7 @@ impl Initializer for Random {
     fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
         let (world_from_receiver, origin) = (scene.pose().world_from_receiver(), scene.pose().origin());
         let draw = |rng: &mut Rng| [(); 3].map(|()| self.std * rng::normal(rng));
-        let ahead = |z: Real| if plane.looks_behind() { z } else { z.abs() };
+        let ahead = |z: Real| if plane.has_directions_behind() { z } else { z.abs() };
         let in_front = |[x, y, z]: [Real; 3]| (origin + world_from_receiver * Vec3::new(x, y, ahead(z))).to_array();
         let (low, high) = scene.bounds;
         let amid = |p: [Real; 3]| [0, 1, 2].map(|k| p[k] + 0.5 * (low[k] + high[k]));

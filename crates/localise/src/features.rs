@@ -1,6 +1,6 @@
 //! `FingerprintFeatures`: the numbers in which two observations are compared.
 
-use pwrfgs_core::{Dataset, Image, Real, Task, gain_at};
+use pwrfgs_core::{Dataset, Image, Real, Task, gain_indices};
 
 /// Largest number of features of a spectrum; a finer one is reduced to the means of square blocks.
 const MOST: usize = 3_600;
@@ -81,7 +81,7 @@ impl FingerprintFeatures {
         let mut d_pixels = vec![0.0; image.pixels.len()];
         if self.task.is_complex {
             for (i, d) in d_levels.iter().enumerate() {
-                for at in gain_at(i / self.width, i % self.width, self.width) {
+                for at in gain_indices(i / self.width, i % self.width, self.width) {
                     d_pixels[at] = 2.0 * d * image.pixels[at];
                 }
             }
@@ -100,7 +100,7 @@ impl FingerprintFeatures {
         let mut levels = vec![0.0; self.count()];
         if self.task.is_complex {
             for (i, level) in levels.iter_mut().enumerate() {
-                let gain = gain_at(i / self.width, i % self.width, self.width);
+                let gain = gain_indices(i / self.width, i % self.width, self.width);
                 *level = gain.iter().map(|at| image.pixels[*at].powi(2)).sum();
             }
         } else {

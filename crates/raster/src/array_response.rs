@@ -137,7 +137,7 @@ impl Rasterizer for ArrayResponse {
         out
     }
 
-    fn coherent(&self) -> bool {
+    fn is_coherent(&self) -> bool {
         true
     }
 

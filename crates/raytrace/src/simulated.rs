@@ -230,7 +230,7 @@ pub fn open_or_make<T>(
     read: impl Fn(&Path) -> Result<T>,
 ) -> Result<T> {
     let Some(root) = root else { return simulate_temporarily(recipe, progress, read) };
-    NewFolder::clear(root);
+    NewFolder::remove_abandoned(root);
     let folder = root.join(recipe.folder_name());
     if is_made_by(&folder, recipe) {
         match read(&folder) {
@@ -267,7 +267,7 @@ fn simulate_temporarily<T>(
     progress: Progress<'_>,
     read: impl Fn(&Path) -> Result<T>,
 ) -> Result<T> {
-    let temporary = NewFolder::next_to(&std::env::temp_dir().join("pwrfgs"))?;
+    let temporary = NewFolder::begin_next_to(&std::env::temp_dir().join("pwrfgs"))?;
     let folder = temporary.path().join("data");
     output::write_links(recipe, &folder, progress)?;
     read(&folder)

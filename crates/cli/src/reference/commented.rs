@@ -26,7 +26,7 @@ impl Value {
     /// Returns the RON text of the value at `path`, names of nested fields; `None` if one of them is missing.
     pub(crate) fn text_at(&self, path: &[&str]) -> Option<&str> {
         let inside = path.iter().try_fold(&self.tree, |tree, field| tree.field(field));
-        inside.map(|tree| tree.of(&self.text))
+        inside.map(|tree| tree.text_in(&self.text))
     }
 
     /// Returns the RON text of a field, in one line; `None` if it is missing.
@@ -129,13 +129,13 @@ fn compact_text(tree: &RonTree, text: &str) -> String {
     let name = tree.name.as_deref().unwrap_or_default();
     let list = |items: &[RonTree]| items.iter().map(|item| compact_text(item, text)).collect::<Vec<_>>().join(", ");
     match &tree.body {
-        RonBody::Plain => tree.of(text).to_owned(),
+        RonBody::Plain => tree.text_in(text).to_owned(),
         RonBody::Fields(fields) => {
             let fields: Vec<String> =
                 fields.iter().map(|(n, value)| format!("{n}: {}", compact_text(value, text))).collect();
             format!("{name}({})", fields.join(", "))
         }
-        RonBody::Items(items) if tree.of(text).starts_with('[') => format!("[{}]", list(items)),
+        RonBody::Items(items) if tree.text_in(text).starts_with('[') => format!("[{}]", list(items)),
         RonBody::Items(items) => format!("{name}({})", list(items)),
     }
 }

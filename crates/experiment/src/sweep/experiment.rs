@@ -141,7 +141,7 @@ impl Check for SweepVariant {
         if slug(label).is_empty() {
             return Err(format!("the label `{label}` cannot name a folder; use some letters"));
         }
-        if set.has("name") || set.has("seed") {
+        if set.has_field("name") || set.has_field("seed") {
             return Err("a variant cannot set `name` or `seed`; list seeds in `seeds`".into());
         }
         Ok(())
@@ -208,7 +208,7 @@ impl Check for Experiment {
         let Self { name, seeds, set, axes, .. } = self;
         check_name(name)?;
         check_seeds(seeds)?;
-        if set.has("name") || set.has("seed") {
+        if set.has_field("name") || set.has_field("seed") {
             return Err("`set` applies to all runs and cannot set `name` or `seed`".into());
         }
         if let Some(axis) = axes.iter().skip(1).find(|axis| axis.variants.iter().any(|v| v.base.is_some())) {

@@ -247,7 +247,7 @@ impl ExperimentSource<'_> {
     /// Creates the pipeline of a combination, scaled and validated after all axes.
     fn finish_pipeline(&self, combination: &Combination) -> Result<Pipeline> {
         let pipeline = combination.draft.finish().map_err(|fault| fault.in_file(self.path))?;
-        let unscaled = |e: Error| combination.draft.fault("training", e.to_string()).in_file(self.path);
+        let unscaled = |e: Error| combination.draft.field_fault("training", e.to_string()).in_file(self.path);
         pipeline.resolved().map_err(unscaled)
     }
 

@@ -261,7 +261,7 @@ impl Method for Splatting {
                     (0..4).for_each(|k| orientations[group.row][k] += d_orientation[k]);
                 }
             }
-            sums.stats.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
+            sums.stats.add_render(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
         }
         let (means, txs) = (&p.cloud.means, links.conditions());
         let inputs = DeformationInputs { weights: network, means, txs, pose: &setup.pose(), kept };

@@ -149,7 +149,7 @@ impl<'a> PredictionWriter<'a> {
             };
             images.par_iter().zip(rows).map(write_image).collect::<Result<Vec<()>>>()?;
             if let Some(stack) = self.stacks.get_mut(k) {
-                images.iter().try_for_each(|image| stack.add(&float_bytes(image).collect::<Vec<u8>>()))?;
+                images.iter().try_for_each(|image| stack.append(&float_bytes(image).collect::<Vec<u8>>()))?;
             }
         }
         Ok(())
