@@ -117,7 +117,7 @@ impl Pruner for Python {
     }
 
     fn needs(&self, cloud: &GaussianCloud, context: &StepContext) -> Needs {
-        self.as_pruner().map_or_else(Needs::nothing, |strategy| strategy.needs(cloud, context))
+        self.as_pruner().map_or_else(Needs::default, |strategy| strategy.needs(cloud, context))
     }
 
     fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {

@@ -165,7 +165,7 @@ pub(crate) fn draw<'py>(
     }
     check_memory::<Real>(&[channels, height, width])?;
     let signals = signals.as_slice().map_err(|e| input_error(py, &e.to_string()))?.to_vec();
-    if view.rasterizer.coherent() && channels % 2 == 1 {
+    if view.rasterizer.is_coherent() && channels % 2 == 1 {
         return reject(py, "signals: waves have two numbers each, a real and an imaginary part");
     }
     if !signals.iter().all(|v| v.is_finite()) {

@@ -111,7 +111,7 @@ pub(crate) fn parse_ron<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py,
 
 /// Converts a RON tree of `text` to nested tuples, see [`parse_ron`].
 fn ron_tuples<'py>(py: Python<'py>, tree: &RonTree, text: &str) -> PyResult<Bound<'py, PyAny>> {
-    let source = tree.of(text);
+    let source = tree.text_in(text);
     Ok(match &tree.body {
         Parts::Fields(fields) => {
             let fields = fields.iter().map(|(name, value)| Ok((name.as_str(), ron_tuples(py, value, text)?)));

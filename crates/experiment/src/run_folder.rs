@@ -84,7 +84,7 @@ impl RunFolder {
         Self::inspect(path, pipeline)?;
         std::fs::create_dir_all(path).map_err(|e| Error::write(path, e))?;
         let folder = HeldFolder::open(path)?;
-        let (lock, is_new, state) = lock_pipeline(folder.path(), pipeline).map_err(|e| folder.named(e))?;
+        let (lock, is_new, state) = lock_pipeline(folder.path(), pipeline).map_err(|e| folder.name_in_error(e))?;
         remove_leftovers(folder.path());
         Ok(Self { folder, lock, is_new, state })
     }

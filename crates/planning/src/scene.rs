@@ -17,7 +17,7 @@ const MOST: f64 = 1e6;
 /// # Errors
 /// A step or height out of range, a scene that cannot be built, or no free position.
 pub fn floor_grid(scene: &SceneFile, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
-    free_positions(scene, &from_scene(scene)?, step, height)
+    free_positions(scene, &World::from_scene(scene)?, step, height)
 }
 
 /// Returns the positions of [`floor_grid`], in the `world` of the scene.

@@ -89,7 +89,7 @@ pub(crate) fn with_security_headers(mut response: PageResponse) -> PageResponse 
 
 /// Formats the HTML of the page: the stage and its scripts.
 fn page_html(state: &ServerState) -> String {
-    let names: Vec<String> = state.sides.iter().map(|side| xml(&side.name)).collect();
+    let names: Vec<String> = state.sides.iter().map(|side| escape_xml(&side.name)).collect();
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
          content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" content=\"light dark\">\n\

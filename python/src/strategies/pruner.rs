@@ -116,12 +116,12 @@ impl Pruner for Strategy {
 
     fn needs(&self, cloud: &GaussianCloud, context: &StepContext) -> Needs {
         if !self.object.implements("needs") {
-            return Needs::nothing();
+            return Needs::default();
         }
         self.with(|py, instance| {
             let requested =
                 instance.call_method1("needs", (cloud_object(py, cloud, false)?, context_object(py, context)?))?;
-            let mut needs = Needs::nothing();
+            let mut needs = Needs::default();
             for name in requested.try_iter()? {
                 let name: String = name?.extract()?;
                 let Some((_, statistic)) = STATISTICS.iter().find(|(key, _)| *key == name) else {

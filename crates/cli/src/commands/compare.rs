@@ -187,7 +187,7 @@ impl Compare {
             let root = root.ok_or_else(|| refuse("no such folder; correct its path"))?;
             let mut predictions = Predictions { name: name.into(), root, ..Predictions::default() };
             predictions.check_test(data, test)?;
-            predictions.seal(data)?;
+            predictions.set_digest(data)?;
             baselines.push(Plugin::from(Box::new(predictions) as Box<dyn Baseline>));
         }
         Ok(baselines)

@@ -36,7 +36,7 @@ impl Value {
 
     /// Returns the value of the field `name`; `None` if it is missing.
     pub(super) fn field_value(&self, name: &str) -> Option<Self> {
-        Self::new(self.tree.field(name)?.of(&self.text).to_owned()).ok()
+        Self::new(self.tree.field(name)?.text_in(&self.text).to_owned()).ok()
     }
 }
 
@@ -77,7 +77,7 @@ impl CommentStyle<'_> {
             let kind = field.map(|f| &f.kind);
             match (&value.body, (self.opens)(name)) {
                 (RonBody::Fields(_), true) => self.write_tree(value, text, docs_of_value(kind, value), &inside, out),
-                (RonBody::Items(items), true) if !items.is_empty() && value.of(text).starts_with('[') => {
+                (RonBody::Items(items), true) if !items.is_empty() && value.text_in(text).starts_with('[') => {
                     out.push_str("[\n");
                     for item in items {
                         let deeper = format!("{inside}    ");

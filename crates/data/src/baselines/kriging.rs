@@ -123,7 +123,7 @@ impl<'a> Trend<'a> {
 
     /// Returns the power of the path-loss model for a link, dBm; 0 without a model.
     fn power(&self, query: Query<'_>) -> f64 {
-        self.law.map_or(0.0, |law| law.at(log_distance(self.data, query)))
+        self.law.map_or(0.0, |law| law.power(log_distance(self.data, query)))
     }
 
     /// Writes the residual of link `i` at every `stride`-th column of every `stride`-th row to `out`.
@@ -235,7 +235,7 @@ impl Predict for Process<'_> {
         };
         let mut d_tx = self.kriging.solve_vjp(self.query_place(query), self.settings.neighbours, along);
         if let Some(law) = self.trend.law {
-            let slope = law.slope_at(query.position(), fixed_end_position(data, query));
+            let slope = law.power_gradient(query.position(), fixed_end_position(data, query));
             (0..3).for_each(|k| d_tx[k] += f64::from(d[0]) * slope[k]);
         }
         Some((image, d_tx))

@@ -51,7 +51,7 @@ impl Baseline for LogDistance {
         let links_by_receiver = data.by_receiver(fitting_samples(fitting)?);
         let points: Vec<_> = links_by_receiver.iter().map(|links| path_loss_points(data, links)).collect();
         let groups: Vec<&[(f64, f64)]> = points.iter().map(Vec::as_slice).collect();
-        let (shared, levels) = PathLoss::with_offsets(&groups);
+        let (shared, levels) = PathLoss::fit_groups(&groups);
         let one = PathLoss::fit(&groups.concat());
         let law = |(points, level): (&&[(f64, f64)], f64)| match points.len() {
             FEW.. if self.per_receiver => PathLoss::fit(points),
@@ -86,14 +86,14 @@ impl PathLosses<'_> {
 
 impl Predict for PathLosses<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        let dbm = self.path_loss_for(query).at(log_distance(self.data, query));
+        let dbm = self.path_loss_for(query).power(log_distance(self.data, query));
         Image { width: 1, height: 1, pixels: vec![dbm as Real] }
     }
 
     fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
         let image = self.predict(query);
         let d = f64::from(cotangent(&image)[0]);
-        let slope = self.path_loss_for(query).slope_at(query.position(), fixed_end_position(self.data, query));
+        let slope = self.path_loss_for(query).power_gradient(query.position(), fixed_end_position(self.data, query));
         Some((image, slope.map(|slope| d * slope)))
     }
 

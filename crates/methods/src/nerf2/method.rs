@@ -127,7 +127,7 @@ impl Nerf2 {
         chunks: impl Iterator<Item = (usize, Range<usize>, Passes)>,
     ) -> Vec<[Real; 2]> {
         let setup = call.setup;
-        let width = if setup.task.has_pixels { call.pixels.of_link(setup.numbers()) } else { band_count(setup) };
+        let width = if setup.task.has_pixels { call.pixels.count_per_link(setup.numbers()) } else { band_count(setup) };
         let mut totals = vec![[0.0; 2]; call.links.pairs.len() * width];
         for (group, rays, passes) in chunks {
             let bands = band_count(setup);

@@ -6,7 +6,7 @@
 
 use crate::ActivationVjp;
 use glam::DVec3;
-use pwrfgs_core::{Call, MeasurementSetup, Parameters, Real, ReceiverState, SPEED_OF_LIGHT, gain_at};
+use pwrfgs_core::{Call, MeasurementSetup, Parameters, Real, ReceiverState, SPEED_OF_LIGHT, gain_indices};
 use rayon::prelude::*;
 
 /// Smallest distance between a Gaussian and an antenna in the model, metres.
@@ -110,7 +110,7 @@ impl Waves {
     /// Returns the index of the real part of row (antenna, subcarrier) in an observation; the imaginary part is one row
     /// below.
     fn real_index(&self, row: usize) -> usize {
-        gain_at(row / self.columns, row % self.columns, self.columns)[0]
+        gain_indices(row / self.columns, row % self.columns, self.columns)[0]
     }
 
     /// Returns the cotangents of the signals `[N, L, 2]` and of the waves (real, imaginary, in the layout of

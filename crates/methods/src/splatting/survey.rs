@@ -41,7 +41,7 @@ impl Splatting {
             let geometry = Arc::new(self.geometry(view, p, &terms, batch.start));
             if !request.requires_any(is_per_link) {
                 let signals = (!blind).then(|| self.activation().signals(p.cloud, &terms, batch.clone()));
-                sums.add(&rows, &self.shared_statistics(view, batch.len(), signals, &geometry, needs));
+                sums.merge(&rows, &self.shared_statistics(view, batch.len(), signals, &geometry, needs));
                 continue;
             }
             let jacobians = if request.requires_any(|s| *s == Statistic::Fisher) {
@@ -51,7 +51,7 @@ impl Splatting {
             };
             for (b, link) in batch.zip(group.split_links()) {
                 let drawing = self.draw(view, p, &terms, b..b + 1, Some(&geometry));
-                sums.add(&rows, &self.link_statistics(request, view, &link, &drawing, &jacobians));
+                sums.merge(&rows, &self.link_statistics(request, view, &link, &drawing, &jacobians));
             }
         }
         sums

@@ -193,7 +193,7 @@ impl DatasetFiles {
         for (receiver, observation) in received.iter().enumerate() {
             let id = i * rows + first + if rows == 1 { 0 } else { receiver };
             if let Some((table, file)) = self.paths.get_mut(receiver) {
-                file.add(table.transmitter_rows(id, &observation.paths).as_bytes())?;
+                file.append(table.transmitter_rows(id, &observation.paths).as_bytes())?;
             }
             self.add_observation(id, &observation.observed)?;
             if let Some(table) = &mut self.table {
@@ -207,13 +207,13 @@ impl DatasetFiles {
     /// table.
     fn add_observation(&mut self, id: usize, observed: &SimulatedObservation) -> Result<()> {
         match (observed, &mut self.array) {
-            (SimulatedObservation::Spectrum(spectrum), Some(array)) => array.add(&spectrum.pixels),
+            (SimulatedObservation::Spectrum(spectrum), Some(array)) => array.append(&spectrum.pixels),
             (SimulatedObservation::Spectrum(spectrum), None) => {
                 write_grey_png(&self.folder.join(format!("{PICTURES}/{id:05}.png")), &spectrum.pixels)
             }
             (SimulatedObservation::Channel(channel), Some(array)) => {
                 let bytes = |h: &Complex| [(h.re as f32).to_le_bytes(), (h.im as f32).to_le_bytes()];
-                array.add(&channel.iter().flat_map(bytes).flatten().collect::<Vec<u8>>())
+                array.append(&channel.iter().flat_map(bytes).flatten().collect::<Vec<u8>>())
             }
             _ => Ok(()),
         }

@@ -71,7 +71,7 @@ impl MeasuredPowers<'_> {
 
     /// Scores the subset of the search `short` on the held-out transmitters.
     fn score_subset(&self, short: &'static str, subset: &Subset) -> Choice {
-        let coverage = coverage_of(&self.held_out, &subset.receivers);
+        let coverage = subset_coverage(&self.held_out, &subset.receivers);
         let cells = vec![fixed(subset.coverage, 2), fixed(coverage, 2), grouped(subset.evaluations as i64)];
         let receivers = subset.receivers.iter().map(|&r| self.name_and_position(r)).collect();
         Choice { short, name: short.into(), receivers, coverage, cells }
@@ -81,9 +81,9 @@ impl MeasuredPowers<'_> {
     fn reference_choices(&self, count: usize, seed: u64) -> [Choice; 2] {
         let all: Vec<usize> = (0..self.data.scene.receivers.len()).collect();
         let draws = random_subsets(all.len(), count, RANDOM, seed);
-        let mean = |powers: &[Vec<f64>]| mean(draws.iter().map(|subset| coverage_of(powers, subset)));
+        let mean = |powers: &[Vec<f64>]| mean(draws.iter().map(|subset| subset_coverage(powers, subset)));
         let random = (format!("random, mean of {RANDOM} (seed {seed})"), mean(&self.fitting), mean(&self.held_out));
-        let whole = [&self.fitting, &self.held_out].map(|powers| coverage_of(powers, &all));
+        let whole = [&self.fitting, &self.held_out].map(|powers| subset_coverage(powers, &all));
         [random, (format!("all {} receivers", all.len()), whole[0], whole[1])].map(|(name, train, coverage)| {
             let cells = vec![fixed(train, 2), fixed(coverage, 2), String::new()];
             Choice { short: "", name, receivers: Vec::new(), coverage, cells }

@@ -159,7 +159,7 @@ impl<'a> PredictionWriter<'a> {
     fn write_channel(&mut self, number: usize, PredictionImage { image, spread, .. }: &PredictionImage) -> Result<()> {
         let (gains, name) = (gains_of(&image.pixels, image.width), row_name(number));
         if let Some(stack) = self.stacks.first_mut() {
-            stack.add(&complex_bytes(&gains).collect::<Vec<u8>>())?;
+            stack.append(&complex_bytes(&gains).collect::<Vec<u8>>())?;
         } else {
             let mut npy = npy_header_as(COMPLEX, &[image.height / 2, image.width]);
             npy.extend(complex_bytes(&gains));
@@ -167,7 +167,7 @@ impl<'a> PredictionWriter<'a> {
         }
         let Some(spread) = spread.as_ref().map(complex_deviations) else { return Ok(()) };
         match self.stacks.get_mut(1) {
-            Some(stack) => stack.add(&float_bytes(&spread).collect::<Vec<u8>>()),
+            Some(stack) => stack.append(&float_bytes(&spread).collect::<Vec<u8>>()),
             None => self.write_array(&(name + SPREAD), &spread),
         }
     }
