@@ -6,7 +6,7 @@ mod rows;
 use crate::arrays::{array, numbers, observation_array, positions, read_elevation, vector};
 use crate::border::{parse_plugin, plugin_text, reject, run_stoppable, stop_progress, to_exception, without_gil};
 use numpy::PyArrayDyn;
-use pwrfgs::data::{check, save, shape_fault};
+use pwrfgs::data::{check_dataset, save, shape_fault};
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{
     DataSource, Dataset as Data, Elevation, End, Ends, Error, ImagePlane, Observations, Partition, Plugin, Pose, Real,

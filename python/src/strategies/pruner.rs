@@ -105,7 +105,9 @@ impl Pruner for Strategy {
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
         if !self.object.implements("keep") {
-            return self.gate(&TracedCloud::new(cloud), context).map_or_else(|| vec![true; cloud.len()], Gate::open);
+            return self
+                .gate(&TracedCloud::new(cloud), context)
+                .map_or_else(|| vec![true; cloud.len()], Gate::open_mask);
         }
         self.with(|py, instance| {
             let arguments = (cloud_object(py, cloud, false)?, stats_object(py, stats)?, context_object(py, context)?);

@@ -61,7 +61,10 @@ fn describe_run(preview: &Preview) -> String {
     let mut rows = vec![
         ("data", format!("{}: {}", preview.title, preview.observed)),
         ("samples", format!("{train} training, {validation} validation, {test} test")),
-        ("test distance", format!("{} to the nearest training transmitter (median)", length(preview.test_distance))),
+        (
+            "test distance",
+            format!("{} to the nearest training transmitter (median)", format_length(preview.test_distance)),
+        ),
         ("Gaussians", gaussians),
         ("network", format!("{} weights", n(preview.weights))),
         ("pruners", join_or_none(&preview.pipeline.pruners.iter().map(plugin_name).collect::<Vec<_>>())),

@@ -77,8 +77,9 @@ pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     let survey = Survey::new(&places.candidates, &region, &places.measured);
     let start = first_correlation(arguments, &places, &region)?;
     let folder = NewFolder::begin(&arguments.out)?;
-    let learn =
-        |order: &[usize]| places.data.as_ref().filter(|_| arguments.simulate).and_then(|data| learn_correlation(data, order));
+    let learn = |order: &[usize]| {
+        places.data.as_ref().filter(|_| arguments.simulate).and_then(|data| learn_correlation(data, order))
+    };
     let plan = RunProgress::observe(verbosity, |progress| {
         staged(progress, "selecting positions", |progress| {
             survey.select(start, arguments.count, learn, |done| {

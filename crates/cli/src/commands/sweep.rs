@@ -145,8 +145,10 @@ impl SelectedRuns<'_> {
 
     /// Validates the runs and estimates the seconds of each.
     fn estimate_seconds(self) -> Result<Vec<f64>> {
-        let pool = pool(self.jobs)?;
-        RunProgress::observe(self.verbosity, |progress| pool.install(|| estimate(self.plan, self.indices, progress)))
+        let pool = run_pool(self.jobs)?;
+        RunProgress::observe(self.verbosity, |progress| {
+            pool.install(|| estimate_run_seconds(self.plan, self.indices, progress))
+        })
     }
 
     /// Prints all runs with estimated times; returns the exit code.
@@ -203,7 +205,7 @@ impl SelectedRuns<'_> {
 
 /// Lists the folders of the runs in the Slurm queue; empty, with a note, if it cannot be read.
 fn queued_runs(plan: &SweepPlan) -> BTreeSet<String> {
-    slurm::queued(plan).unwrap_or_else(|error| {
+    slurm::queued_runs(plan).unwrap_or_else(|error| {
         output::print_note(&format!("note: {error}"));
         BTreeSet::new()
     })

@@ -98,7 +98,8 @@ fn open_panes(sides: &[String], progress: &mut RunProgress) -> Result<Vec<ViewPa
 #[cfg(feature = "raytrace")]
 fn add_surfaces(pane: &mut ViewPane) -> Result<()> {
     let Some(text) = pane.scene_text() else { return Ok(()) };
-    let surfaces = pwrfgs::raytrace::SceneFile::parse(text, Path::new("the scene of the data"))?.surfaces_below_ceiling()?;
+    let surfaces =
+        pwrfgs::raytrace::SceneFile::parse(text, Path::new("the scene of the data"))?.surfaces_below_ceiling()?;
     pane.set_surfaces(surfaces);
     Ok(())
 }

@@ -107,7 +107,7 @@ impl ObservationFile<'_> {
             let (row, range) = (at / numbers + 1, range[usize::from(has_pixels)]);
             return Err(self.error(format!("observation {row} has the value {:e}; give numbers {range}", values[at])));
         }
-        let features = |pixels: &[Real]| self.features.of(&Image { width, height, pixels: pixels.to_vec() });
+        let features = |pixels: &[Real]| self.features.extract(&Image { width, height, pixels: pixels.to_vec() });
         Ok(values.chunks_exact(numbers).map(features).collect())
     }
 

@@ -4,7 +4,7 @@ use super::{Choice, Outcome, Place, RANDOM};
 use crate::progress::RunProgress;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::{fixed, grouped, number};
-use pwrfgs::planning::{AscentResult, SceneCoverage, subset_coverage, greedy_subset, random_subsets, strongest_powers};
+use pwrfgs::planning::{AscentResult, SceneCoverage, greedy_subset, random_subsets, strongest_powers, subset_coverage};
 use pwrfgs::raytrace::SceneFile;
 use pwrfgs::report::draw::survey::CoverageMap;
 use pwrfgs_core::{Error, Result, statistics::mean};
