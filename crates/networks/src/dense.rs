@@ -133,7 +133,7 @@ pub(crate) fn run_with_product_threads<R>(threads: usize, run: impl FnOnce() -> 
 }
 
 /// Computes the matrix product `c = a·b` or `c += a·b`, on the calling thread or on those of
-/// [`run_with_product_threads`].
+/// `run_with_product_threads`.
 ///
 /// With AVX-512, `gemm` processes 64 columns at a time (four vectors, six rows of `a` each). It is half as fast on a
 /// remainder of 16 columns, which has too few sums to fill the pipeline. The last 80 columns are therefore split into

@@ -204,7 +204,7 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Returns the free candidate j that lowers the summed variance most, by S[j] / (v[j] + σ²).
+    /// Returns the free candidate j that lowers the summed variance most, by `S[j] / (v[j] + σ²)`.
     fn best_candidate(&self) -> usize {
         let (variances, noise) = (self.posterior.variances(), self.posterior.noise());
         first_largest((0..self.sums.len()).filter(|&j| !self.is_taken[j]), |j| self.sums[j] / (variances[j] + noise))

@@ -62,7 +62,7 @@ impl Split for TimeBlock {
         partition_of_locations(data, Partition { train, validation, test: test.collect() })
     }
 
-    /// Returns contiguous blocks of the trajectory, at most [`STRETCHES`].
+    /// Returns contiguous blocks of the trajectory, at most `STRETCHES`.
     fn blocks(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
         let units = self.units(data, links);
         units.chunks(units.len().div_ceil(STRETCHES).max(1)).map(<[_]>::concat).collect()

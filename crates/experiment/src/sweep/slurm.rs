@@ -19,7 +19,7 @@ const JOB: &str = "job.txt";
 
 /// Writes and submits a job array for `runs`; `command` is the program with all arguments of a task except the run
 /// name, which is appended. Returns the job id and the script. Lock the sweep folder ([`SweepPlan::claim`]) for both
-/// [`queued`] and `submit`, so that no other process submits the same runs.
+/// [`queued_runs`] and `submit`, so that no other process submits the same runs.
 ///
 /// # Errors
 /// The folder cannot be written, or `sbatch` is missing or fails.
