@@ -6,7 +6,7 @@ use pwrfgs::core::{Query, npy::npy_header_as};
 use pwrfgs::prelude::*;
 use std::path::Path;
 
-/// Grid of 10 × 10 positions in one plane, metres.
+/// Returns a grid of 10 × 10 positions in one plane, metres.
 fn positions() -> Vec<[f64; 3]> {
     (0..100).map(|i| [0.3 + 0.15 * f64::from(i % 10), 0.5 + 0.1 * f64::from(i / 10), 1.0]).collect()
 }

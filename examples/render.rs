@@ -19,6 +19,7 @@ fn cloud() -> Primitives {
 const SIGNALS: [Real; 4] = [1.0, 0.3, -0.2, 0.7];
 const CHANNELS: usize = 2;
 
+/// Renders a cloud; returns its splats, the blended signals and the image of magnitudes.
 fn draw(cloud: &Primitives, plane: &ImagePlane) -> (Splats, Render, Image) {
     let splats = Mercator::default().project(cloud, &Pose::IDENTITY, plane);
     let render = AlphaBlending::default().forward(splats.with_signals(&SIGNALS, CHANNELS, plane));

@@ -42,21 +42,33 @@ pub struct Python {
 
 /// Host that creates Python objects by name.
 pub trait Host: Send + Sync {
+    /// Returns the pruner of a class.
+    ///
     /// # Errors
     /// The reason why there is no such strategy.
     fn pruner(&self, which: &Python) -> Result<Arc<dyn Pruner>>;
+    /// Returns the initializer of a class.
+    ///
     /// # Errors
     /// Same as [`Self::pruner`].
     fn initializer(&self, which: &Python) -> Result<Arc<dyn Initializer>>;
+    /// Returns the split of a class.
+    ///
     /// # Errors
     /// Same as [`Self::pruner`].
     fn split(&self, which: &Python) -> Result<Arc<dyn Split>>;
+    /// Returns the baseline of a class.
+    ///
     /// # Errors
     /// Same as [`Self::pruner`].
     fn baseline(&self, which: &Python) -> Result<Arc<dyn Baseline>>;
+    /// Returns the metric of a class.
+    ///
     /// # Errors
     /// Same as [`Self::pruner`].
     fn metric(&self, which: &Python) -> Result<Arc<dyn Metric>>;
+    /// Returns the network of a class.
+    ///
     /// # Errors
     /// Same as [`Self::pruner`].
     fn deformation(&self, which: &Python) -> Result<Arc<dyn Deformation>>;
@@ -70,7 +82,7 @@ pub fn set_host(host: Box<dyn Host>) {
 }
 
 impl Python {
-    /// The host, or an error if there is none.
+    /// Returns the host; an error if there is none.
     fn host(&self) -> Result<&'static dyn Host> {
         HOST.get().map(|host| &**host).ok_or_else(|| {
             Error::Config(format!(
@@ -81,10 +93,12 @@ impl Python {
         })
     }
 
+    /// Creates the pruner; `None` if there is no host or no such class.
     fn as_pruner(&self) -> Option<Arc<dyn Pruner>> {
         self.host().and_then(|host| host.pruner(self)).ok()
     }
 
+    /// Creates the network; an error if there is no host or no such class.
     fn as_deformation(&self) -> Result<Arc<dyn Deformation>> {
         self.host()?.deformation(self)
     }
@@ -95,15 +109,15 @@ impl Python {
 impl Pruner for Python {
     fn traits(&self) -> PrunerTraits {
         let unavailable = |why: Error| PrunerTraits { unavailable: Some(why.to_string()), ..PrunerTraits::default() };
-        self.host().and_then(|host| host.pruner(self)).map_or_else(unavailable, |own| own.traits())
+        self.host().and_then(|host| host.pruner(self)).map_or_else(unavailable, |strategy| strategy.traits())
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
-        self.as_pruner().map_or_else(|| vec![true; cloud.len()], |own| own.keep(cloud, stats, context))
+        self.as_pruner().map_or_else(|| vec![true; cloud.len()], |strategy| strategy.keep(cloud, stats, context))
     }
 
     fn needs(&self, cloud: &GaussianCloud, context: &StepContext) -> Needs {
-        self.as_pruner().map_or_else(Needs::nothing, |own| own.needs(cloud, context))
+        self.as_pruner().map_or_else(Needs::default, |strategy| strategy.needs(cloud, context))
     }
 
     fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
@@ -115,13 +129,13 @@ impl Pruner for Python {
     }
 
     fn update(&self, cloud: &mut GaussianCloud, stats: &CloudStats, context: &StepContext) {
-        if let Some(own) = self.as_pruner() {
-            own.update(cloud, stats, context);
+        if let Some(strategy) = self.as_pruner() {
+            strategy.update(cloud, stats, context);
         }
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<Real> {
-        self.as_pruner().map_or_else(|| cloud.opacity_logits.clone(), |own| own.score(cloud, stats, context))
+        self.as_pruner().map_or_else(|| cloud.opacity_logits.clone(), |strategy| strategy.score(cloud, stats, context))
     }
 }
 
@@ -154,8 +168,8 @@ impl Baseline for Python {
     }
 
     fn name_for(&self, task: Task) -> String {
-        let own = self.host().and_then(|host| host.baseline(self));
-        own.map_or_else(|_| self.class.clone(), |own| own.name_for(task))
+        let strategy = self.host().and_then(|host| host.baseline(self));
+        strategy.map_or_else(|_| self.class.clone(), |strategy| strategy.name_for(task))
     }
 
     fn check_data(&self, data: &Dataset) -> Result<()> {
@@ -183,26 +197,26 @@ impl Metric for Python {
 #[typetag::serde]
 impl Deformation for Python {
     fn traits(&self) -> DeformationTraits {
-        self.as_deformation().map(|own| own.traits()).unwrap_or_default()
+        self.as_deformation().map(|strategy| strategy.traits()).unwrap_or_default()
     }
 
     fn layout(&self) -> Layout {
-        self.as_deformation().map(|own| own.layout()).unwrap_or_default()
+        self.as_deformation().map(|strategy| strategy.layout()).unwrap_or_default()
     }
 
     fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas {
-        self.as_deformation().map(|own| own.forward(inputs, prepared)).unwrap_or_default()
+        self.as_deformation().map(|strategy| strategy.forward(inputs, prepared)).unwrap_or_default()
     }
 
     fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
-        if let Ok(own) = self.as_deformation() {
-            own.vjp(inputs, d, sums);
+        if let Ok(strategy) = self.as_deformation() {
+            strategy.vjp(inputs, d, sums);
         }
     }
 
     fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {
-        if let Ok(own) = self.as_deformation() {
-            own.start(training, weights);
+        if let Ok(strategy) = self.as_deformation() {
+            strategy.start(training, weights);
         }
     }
 

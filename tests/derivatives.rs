@@ -55,7 +55,7 @@ fn model(method: &str, moving: End, seed: u64) -> Model {
     }
     weights.iter_mut().filter(|w| **w == 0.0).for_each(|w| *w = 0.3 * rng::normal(random));
     let mut cloud = cloud(6, seed);
-    cloud.complete(&stages.method.traits().columns).unwrap();
+    cloud.add_missing_columns(&stages.method.traits().columns).unwrap();
     for column in &mut cloud.extra {
         column.values.fill_with(|| 0.2 * rng::normal(random));
     }

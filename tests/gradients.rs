@@ -279,7 +279,7 @@ fn spectra_at_moving_receiver_differentiate() {
     let mut inputs = LinkInputs::of(3, &stages.setup);
     for pose in poses {
         inputs.values.extend(pose.position.map(|v| v as Real));
-        inputs.link(&stages.setup, 0, pose);
+        inputs.add_link(&stages.setup, 0, pose);
     }
     step.batch.inputs = inputs;
     step.batch.truths.truncate(3 * stages.setup.numbers());
@@ -328,7 +328,7 @@ fn virtual_transmitters_differentiate() {
         step.weights = Vec::new();
         step.batch.inputs.pairs = (0..3).map(|location| Link { location, receiver: 0 }).collect();
         step.batch.truths.truncate(3 * stages.setup.numbers());
-        step.cloud.complete(&stages.method.traits().columns).unwrap();
+        step.cloud.add_missing_columns(&stages.method.traits().columns).unwrap();
         let random = &mut rng::stream(3, "harmonics", 0);
         let own = step.cloud.extra.iter_mut().filter(|column| column.name == "harmonics");
         own.for_each(|column| column.values.fill_with(|| 0.2 * rng::normal(random)));

@@ -65,7 +65,7 @@ fn every_pipeline_round_trips_through_ron() {
 fn simulated(scene: &str, observe: ObservationKind, layout: OutputLayout, folder: &Path) -> String {
     let recipe = SimulationRecipe::read(Path::new(scene), 20, 0, 100).unwrap().observing(observe).unwrap();
     let out = folder.join("simulated");
-    pwrfgs::raytrace::output::write_as(&recipe, layout, false, &out, &|_, _| {}, &AtomicBool::new(false)).unwrap();
+    pwrfgs::raytrace::output::write_dataset(&recipe, layout, false, &out, &|_, _| {}, &AtomicBool::new(false)).unwrap();
     format!("data.root={:?}", out.display().to_string())
 }
 

@@ -42,8 +42,8 @@ impl CameraModel for Placed {
     fn depth(&self, mean: [Real; 3], _: &Pose) -> Real {
         (self.view.rotation * Vec3::from_array(mean) + self.view.offset).length()
     }
-    fn visible(&self, v: Vec3) -> bool {
-        self.model.visible(v)
+    fn is_visible(&self, v: Vec3) -> bool {
+        self.model.is_visible(v)
     }
     fn pixel(&self, v: Vec3) -> [Real; 2] {
         self.model.pixel(v)
@@ -60,8 +60,8 @@ impl CameraModel for Placed {
     fn blur(&self) -> Real {
         self.model.blur()
     }
-    fn reaches(&self, centre: [Real; 2], cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
-        self.model.reaches(centre, cov, radius, plane)
+    fn is_on_image(&self, centre: [Real; 2], cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
+        self.model.is_on_image(centre, cov, radius, plane)
     }
 }
 

@@ -50,7 +50,12 @@ fn scores(data: &Dataset, part: &[usize], metrics: &[&str]) -> Result<Vec<Measur
     let metrics: Vec<Plugin<dyn Metric>> = metrics.iter().map(|text| plugin(text)).collect();
     let known: Vec<usize> = (0..50).collect();
     let fitted = plugin::<dyn Baseline>("NearestNeighbours()").fit(data, FittingSet::train(&known))?;
-    EvaluationSet::new(data, part, &plane).baseline("3-NN", &*fitted, &metrics, &mut Session::new(&mut NoopObserver))
+    EvaluationSet::new(data, part, &plane).score_baseline(
+        "3-NN",
+        &*fitted,
+        &metrics,
+        &mut Session::new(&mut NoopObserver),
+    )
 }
 
 #[test]

@@ -45,7 +45,7 @@ impl Sight {
     fn survey(&self, statistics: &[Statistic]) -> PassStatistics {
         let needs = Needs::of(statistics, 0);
         let mut found = self.stages.method.survey(&self.call(self.parameters()), &self.batch.truths, &needs);
-        found.finish();
+        found.finish_means();
         found
     }
 

@@ -4,7 +4,7 @@
 use crate::folder::copy;
 use crate::mutate::Form;
 use pwrfgs::data::import::{Import, read_links};
-use pwrfgs::data::{Predictions, check};
+use pwrfgs::data::{Predictions, check_dataset};
 use pwrfgs::experiment::sweep::SweepPlan;
 use pwrfgs::experiment::{self, Session, read_pipeline};
 use pwrfgs::model::export::{npz, ply};
@@ -84,7 +84,7 @@ pub const TARGETS: &[Target] = &[
     of(8, "rssi/gateway_position.yml", &[], Plain, |bench| step(bench, "powers.ron")),
     of(24, "rssi/gateway_rssi.csv", &[], Plain, |bench| step(bench, "powers.ron")),
     of(8, "links.csv", &[], Plain, |bench| {
-        read_links(&bench.join("links.csv"), "links", false).and_then(|(data, _)| check(&data))
+        read_links(&bench.join("links.csv"), "links", false).and_then(|(data, _)| check_dataset(&data))
     }),
     of(8, "poses.csv", &[], Plain, |bench| pwrfgs::data::read_poses(&bench.join("poses.csv")).map(drop)),
     of(8, "colmap/sparse/0/cameras.txt", &[], Plain, cameras),

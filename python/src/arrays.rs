@@ -1,6 +1,6 @@
 //! Conversion of NumPy arrays.
 
-use crate::border::{stoppable, wrong};
+use crate::border::{input_error, reject, run_stoppable};
 use num_complex::Complex;
 use numpy::{
     Element, IntoPyArray as _, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn, PyUntypedArrayMethods as _,
@@ -34,7 +34,7 @@ pub(crate) fn input_array<'py, T: Element>(
     let py = value.py();
     let array = match value.cast::<PyArrayDyn<T>>() {
         Ok(array) if array.is_c_contiguous() => array.clone(),
-        _ => converted(what, value)?,
+        _ => convert_array(what, value)?,
     };
     let have = array.shape();
     let is_one = have.is_empty() && matches!(shape, [None | Some(1)]);
@@ -42,32 +42,32 @@ pub(crate) fn input_array<'py, T: Element>(
     if !fits && !is_one {
         let want: Vec<String> = shape.iter().map(|n| n.map_or_else(|| "any".into(), |n| n.to_string())).collect();
         let message = format!("{what} has shape {have:?}, expected [{}]", want.join(", "));
-        return Err(wrong(py, &message));
+        return reject(py, &message);
     }
-    array.try_readonly().map_err(|e| wrong(py, &format!("{what}: {e}")))
+    array.try_readonly().map_err(|e| input_error(py, &format!("{what}: {e}")))
 }
 
-/// Converts through NumPy, which rejects non-numbers.
-fn converted<'py, T: Element>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+/// Converts a value to an array of `T` in C order through NumPy.
+///
+/// # Errors
+/// Not an array, or of numbers that `T` cannot hold; `what` is its name.
+fn convert_array<'py, T: Element>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
     let py = value.py();
     let numpy = py.import("numpy")?;
     let array = numpy.call_method1("asarray", (value,));
-    let array = array.map_err(|e| wrong(py, &format!("{what} is not an array: {e}")))?;
+    let array = array.map_err(|e| input_error(py, &format!("{what} is not an array: {e}")))?;
     let kind = array.getattr("dtype")?.getattr("kind")?.extract::<String>()?;
     let target = dtype::<T>(py);
-    let takes = if target.kind() == b'c' {
-        "fiubc"
-    } else if target.kind() == b'b' {
-        "b"
-    } else if target.kind() == b'i' {
-        "iu"
-    } else {
-        "fiub"
+    let takes = match target.kind() {
+        b'c' => "fiubc",
+        b'b' => "b",
+        b'i' => "iu",
+        _ => "fiub",
     };
     let empty = array.getattr("size")?.extract::<usize>()? == 0; // an empty list has no kind of its own
     if !takes.contains(kind.as_str()) && !empty {
         let found = array.getattr("dtype")?;
-        return Err(wrong(py, &format!("{what} holds {found}, expected {target}")));
+        return reject(py, &format!("{what} holds {found}, expected {target}"));
     }
     let options = PyDict::new(py);
     options.set_item("dtype", target)?;
@@ -76,66 +76,64 @@ fn converted<'py, T: Element>(what: &str, value: &Bound<'py, PyAny>) -> PyResult
     array.cast_into::<PyArrayDyn<T>>().map_err(Into::into)
 }
 
-/// Returns the shape of a value.
-pub(crate) fn shape_of(value: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
+/// Returns the shape of a value that NumPy can convert to an array.
+pub(crate) fn array_shape(value: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
     if let Ok(array) = value.cast::<numpy::PyUntypedArray>() {
         return Ok(array.shape().to_vec());
     }
     let py = value.py();
     let shape = py.import("numpy")?.call_method1("shape", (value,));
-    shape.map_err(|e| wrong(py, &format!("value is not an array: {e}")))?.extract()
+    shape.map_err(|e| input_error(py, &format!("value is not an array: {e}")))?.extract()
 }
 
-/// Returns the number of axes of a value.
-pub(crate) fn axes(value: &Bound<'_, PyAny>) -> PyResult<usize> {
-    shape_of(value).map(|shape| shape.len())
+/// Returns the number of axes of a value that NumPy can convert to an array.
+pub(crate) fn axis_count(value: &Bound<'_, PyAny>) -> PyResult<usize> {
+    array_shape(value).map(|shape| shape.len())
 }
 
 /// Reads one position, metres, finite.
-pub(crate) fn place(what: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> {
-    let all = numbers::<f64>(what, value, &[Some(3)])?;
-    if !all.iter().all(|v| v.is_finite()) {
-        return Err(wrong(value.py(), &format!("{what} is {all:?}; give finite numbers")));
+pub(crate) fn position(what: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> {
+    let position = numbers::<f64>(what, value, &[Some(3)])?;
+    if !position.iter().all(|v| v.is_finite()) {
+        return reject(value.py(), &format!("{what} is {position:?}; give finite numbers"));
     }
-    Ok([all[0], all[1], all[2]])
+    Ok([position[0], position[1], position[2]])
 }
 
 /// Reads positions `[.., 3]`, metres, finite.
-pub(crate) fn places(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 3]>> {
-    let array = input_array::<f64>(what, value, &[None, Some(3)])?;
-    let all = array.as_slice().map_err(|e| wrong(value.py(), &e.to_string()))?;
-    let places: Vec<[f64; 3]> = all.as_chunks().0.to_vec();
-    match places.iter().position(|place| !place.iter().all(|v| v.is_finite())) {
-        Some(i) => Err(wrong(value.py(), &format!("{what}[{i}] is {:?}; give finite numbers", places[i]))),
-        None => Ok(places),
+pub(crate) fn positions(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 3]>> {
+    let positions: Vec<[f64; 3]> = numbers(what, value, &[None, Some(3)])?.as_chunks().0.to_vec();
+    match positions.iter().position(|position| !position.iter().all(|v| v.is_finite())) {
+        Some(i) => reject(value.py(), &format!("{what}[{i}] is {:?}; give finite numbers", positions[i])),
+        None => Ok(positions),
     }
 }
 
 /// Reads poses `[.., 7]` as x, y, z in metres and quaternions x, y, z, w; also returns whether there is a single one.
 pub(crate) fn poses(what: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<Pose>, bool)> {
-    let one = axes(value)? == 1;
+    let one = axis_count(value)? == 1;
     let shape: &[Option<usize>] = if one { &[Some(7)] } else { &[None, Some(7)] };
     let values = numbers::<f64>(what, value, shape)?;
     let pose = |&[x, y, z, qx, qy, qz, qw]: &[f64; 7]| Pose { position: [x, y, z], orientation: [qx, qy, qz, qw] };
     let poses: Vec<Pose> = values.as_chunks().0.iter().map(pose).collect();
     match poses.iter().enumerate().find_map(|(i, pose)| Some((i, pose.fault()?))) {
-        Some((i, (_, fault))) => Err(wrong(value.py(), &format!("{what}[{i}]: {fault}"))),
+        Some((i, (_, fault))) => reject(value.py(), &format!("{what}[{i}]: {fault}")),
         None => Ok((poses, one)),
     }
 }
 
-/// Reads numbers without a check, for `[N, width]` columns.
+/// Reads an array of numbers of this shape, in C order, which may be infinite or NaN.
 pub(crate) fn numbers<T: Element + Copy>(
     what: &str,
     value: &Bound<'_, PyAny>,
     shape: &[Option<usize>],
 ) -> PyResult<Vec<T>> {
     let array = input_array::<T>(what, value, shape)?;
-    array.as_slice().map(<[T]>::to_vec).map_err(|e| wrong(value.py(), &e.to_string()))
+    array.as_slice().map(<[T]>::to_vec).map_err(|e| input_error(value.py(), &e.to_string()))
 }
 
-/// Reads finite numbers of this shape: the result of a function of a user.
-pub(crate) fn finite(what: &str, value: &Bound<'_, PyAny>, shape: &[usize]) -> PyResult<Vec<Real>> {
+/// Reads finite numbers of exactly this shape, such as the result of a function of a user.
+pub(crate) fn finite_numbers(what: &str, value: &Bound<'_, PyAny>, shape: &[usize]) -> PyResult<Vec<Real>> {
     let shape: Vec<Option<usize>> = shape.iter().copied().map(Some).collect();
     check_finite(what, value, numbers(what, value, &shape)?)
 }
@@ -143,7 +141,7 @@ pub(crate) fn finite(what: &str, value: &Bound<'_, PyAny>, shape: &[usize]) -> P
 /// Returns `numbers`, which were read from `value`, if all are finite.
 pub(crate) fn check_finite(what: &str, value: &Bound<'_, PyAny>, numbers: Vec<Real>) -> PyResult<Vec<Real>> {
     match numbers.iter().find(|v| !v.is_finite()) {
-        Some(bad) => Err(wrong(value.py(), &format!("{what} holds {bad}; give finite numbers"))),
+        Some(bad) => reject(value.py(), &format!("{what} holds {bad}; give finite numbers")),
         None => Ok(numbers),
     }
 }
@@ -153,8 +151,8 @@ pub(crate) fn column_shape(n: usize, width: usize) -> Vec<usize> {
     if width <= 1 { vec![n] } else { vec![n, width] }
 }
 
-/// Reads complex numbers as pairs of real numbers.
-pub(crate) fn pairs(what: &str, value: &Bound<'_, PyAny>, shape: &[Option<usize>]) -> PyResult<Vec<[Real; 2]>> {
+/// Reads complex numbers of this shape as pairs of real and imaginary part.
+pub(crate) fn complex_pairs(what: &str, value: &Bound<'_, PyAny>, shape: &[Option<usize>]) -> PyResult<Vec<[Real; 2]>> {
     Ok(numbers::<Gain>(what, value, shape)?.iter().map(|gain| [gain.re, gain.im]).collect())
 }
 
@@ -168,15 +166,15 @@ pub(crate) fn observation_rows(
 ) -> PyResult<Vec<Real>> {
     let shape: Vec<Option<usize>> = lead.iter().copied().chain(task.shape(size)).map(Some).collect();
     if task.is_complex {
-        return pairs(what, value, &shape).map(|gains| rows_of(&gains, size.0));
+        return complex_pairs(what, value, &shape).map(|gains| rows_of(&gains, size.0));
     }
     numbers(what, value, &shape)
 }
 
-/// Returns the elevations of the upper edge of the top row and the lower edge of the bottom row of a spectrum, degrees.
-pub(crate) fn elevation_of(py: Python<'_>, [first, last]: [f64; 2]) -> PyResult<Elevation> {
+/// Checks the elevations of the upper edge of the top row and the lower edge of the bottom row of a spectrum, degrees.
+pub(crate) fn read_elevation(py: Python<'_>, [first, last]: [f64; 2]) -> PyResult<Elevation> {
     let elevation = Elevation { first, last };
-    elevation.fault().map_or(Ok(elevation), |fault| Err(wrong(py, &format!("elevation_deg {fault}"))))
+    elevation.fault().map_or(Ok(elevation), |fault| reject(py, &format!("elevation_deg {fault}")))
 }
 
 /// Creates an array with one axis.
@@ -197,11 +195,11 @@ pub(crate) fn array<'py, T: Element>(
     values.into_pyarray(py).reshape(shape.to_vec())
 }
 
-/// Returns an error if there is not enough memory for the numbers.
+/// Checks that there is enough memory for an array of this shape.
 ///
 /// # Errors
 /// `MemoryError`.
-pub(crate) fn room<T>(shape: &[usize]) -> PyResult<()> {
+pub(crate) fn check_memory<T>(shape: &[usize]) -> PyResult<()> {
     let count = shape.iter().try_fold(1_usize, |count, n| count.checked_mul(*n));
     if count.is_some_and(|count| Vec::<T>::new().try_reserve_exact(count).is_ok()) {
         return Ok(());
@@ -229,24 +227,24 @@ pub(crate) fn observations<'py>(
     array(py, rows, &shape).map(Bound::into_any)
 }
 
-/// Reads link indices below `count`, from indices or a mask.
-pub(crate) fn indices(what: &str, links: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
+/// Reads link indices below `count`, from indices, whose order is kept, or a mask.
+pub(crate) fn link_indices(what: &str, links: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
     if let Ok(mask) = numbers::<bool>(what, links, &[Some(count)]) {
         return Ok((0..count).filter(|&i| mask[i]).collect());
     }
     let index = |i: i64| {
         let valid = usize::try_from(i).ok().filter(|i| *i < count);
         let message = || format!("{what}: invalid link index {i} (expected 0 to below {count})");
-        valid.ok_or_else(|| wrong(links.py(), &message()))
+        valid.ok_or_else(|| input_error(links.py(), &message()))
     };
     numbers::<i64>(what, links, &[None])?.into_iter().map(index).collect()
 }
 
-/// Converts the observations of links to a NumPy array.
-pub(crate) fn observed<'py>(py: Python<'py>, data: &Dataset, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
+/// Converts the observations of links to a NumPy array; Ctrl-C interrupts it.
+pub(crate) fn observation_array<'py>(py: Python<'py>, data: &Dataset, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
     let each = data.width * data.height;
-    room::<Real>(&[links.len(), each])?;
-    let rows = stoppable(py, |stop| {
+    check_memory::<Real>(&[links.len(), each])?;
+    let rows = run_stoppable(py, |stop| {
         let mut rows = vec![0.0; links.len() * each];
         let copy = |(row, &i): (&mut [Real], &usize)| row.copy_from_slice(&data.image(i).pixels);
         for (rows, links) in rows.chunks_mut(CHUNK * each).zip(links.chunks(CHUNK)) {

@@ -33,10 +33,10 @@ thread_local! {
 /// Id of the process that loaded the library. Threads do not survive a fork.
 static HOME: OnceLock<u32> = OnceLock::new();
 
-/// Records the process, and returns an error if the environment requests too many threads.
-pub(crate) fn begin(py: Python<'_>) -> PyResult<()> {
+/// Records the process for [`check_not_forked`]; returns an error if the environment requests too many threads.
+pub(crate) fn record_process(py: Python<'_>) -> PyResult<()> {
     HOME.get_or_init(process::id);
-    pwrfgs_core::threads::check_environment().map_err(|error| raised(py, error))
+    pwrfgs_core::threads::check_environment().map_err(|error| to_exception(py, error))
 }
 
 /// Returns an error in a process that was forked after loading the library: its threads are missing, so it would hang.
@@ -51,7 +51,7 @@ pub(crate) fn check_not_forked() -> PyResult<()> {
 }
 
 /// Returns whether a strategy is called on this thread: its code must not wait for the run that called it.
-pub(crate) fn in_strategy_call() -> bool {
+pub(crate) fn is_in_strategy_call() -> bool {
     ASKED.get() > 0
 }
 
@@ -69,24 +69,24 @@ pub(crate) fn call_strategy<T>(work: impl FnOnce() -> T) -> T {
 }
 
 /// Performs `work` without the interpreter lock.
-pub(crate) fn free<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
+pub(crate) fn without_gil<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
     check_not_forked()?;
     let done = py.detach(|| catch_unwind(AssertUnwindSafe(work)));
-    settled(py, done)
+    python_result(py, done)
 }
 
-/// Same as `free`, for a shared object: `work` returns `None` while it is in use, and is tried again. Ctrl-C ends the
-/// waiting.
-pub(crate) fn without_gil<T: Send>(py: Python<'_>, mut work: impl FnMut() -> Option<Result<T>> + Send) -> PyResult<T> {
+/// Performs `work` on a shared object without the interpreter lock: `work` returns `None` while the object is in use, and
+/// is tried again. Ctrl-C ends the waiting.
+pub(crate) fn poll_work<T: Send>(py: Python<'_>, mut work: impl FnMut() -> Option<Result<T>> + Send) -> PyResult<T> {
     check_not_forked()?;
     loop {
         match py.detach(|| catch_unwind(AssertUnwindSafe(&mut work))).transpose() {
-            Some(done) => return settled(py, done),
-            None if in_strategy_call() => {
-                return Err(wrong(
+            Some(done) => return python_result(py, done),
+            None if is_in_strategy_call() => {
+                return reject(
                     py,
                     "this trainer is in the middle of a step, and the strategy that it asks cannot use it",
-                ));
+                );
             }
             None => {
                 py.check_signals()?;
@@ -96,12 +96,12 @@ pub(crate) fn without_gil<T: Send>(py: Python<'_>, mut work: impl FnMut() -> Opt
     }
 }
 
-/// Performs `work` on a separate thread, while this thread checks for Ctrl-C and passes events to `hear`. After an
-/// interrupt or an exception in `hear`, `work` is stopped and the exception is raised.
-pub(crate) fn waited<T: Send, E: Send>(
+/// Performs `work` on a separate thread, while this thread checks for Ctrl-C and passes events to `on_event`. After an
+/// interrupt or an exception in `on_event`, `work` is stopped and the exception is raised.
+pub(crate) fn run_with_events<T: Send, E: Send>(
     py: Python<'_>,
     work: impl FnOnce(SyncSender<E>, &AtomicBool) -> Result<T> + Send,
-    mut hear: impl FnMut(E) -> PyResult<()>,
+    mut on_event: impl FnMut(E) -> PyResult<()>,
 ) -> PyResult<T> {
     check_not_forked()?;
     let stop = AtomicBool::new(false);
@@ -109,9 +109,9 @@ pub(crate) fn waited<T: Send, E: Send>(
     std::thread::scope(|scope| {
         let worker = scope.spawn(|| catch_unwind(AssertUnwindSafe(|| work(sender, &stop))));
         let mut raised: Option<PyErr> = None;
-        while let Some(event) = next(py, &events) {
+        while let Some(event) = next_event(py, &events) {
             let shown = match event {
-                Some(event) if raised.is_none() => hear(event),
+                Some(event) if raised.is_none() => on_event(event),
                 _ => Ok(()),
             };
             if let Err(error) = shown.and_then(|()| py.check_signals()) {
@@ -120,21 +120,21 @@ pub(crate) fn waited<T: Send, E: Send>(
             }
         }
         let done = py.detach(|| worker.join()).unwrap_or_else(Err);
-        match (settled(py, done), raised) {
+        match (python_result(py, done), raised) {
             (_, Some(error)) => Err(error),
             (done, None) => done,
         }
     })
 }
 
-/// Same as `free`, for work that may take long: Ctrl-C sets the flag, and `work` ends with `Error::Stopped`.
-pub(crate) fn stoppable<T: Send>(py: Python<'_>, work: impl FnOnce(&AtomicBool) -> Result<T> + Send) -> PyResult<T> {
-    waited::<T, ()>(py, |_, stop| work(stop), |()| Ok(()))
+/// Performs a long `job` without the interpreter lock: Ctrl-C sets the flag, and `job` ends with `Error::Stopped`.
+pub(crate) fn run_stoppable<T: Send>(py: Python<'_>, job: impl FnOnce(&AtomicBool) -> Result<T> + Send) -> PyResult<T> {
+    run_with_events::<T, ()>(py, |_, stop| job(stop), |()| Ok(()))
 }
 
-/// Progress of work that has no other point to stop at: once `stop` is set, it unwinds to [`waited`], which raises the
-/// exception.
-pub(crate) fn stopping(stop: &AtomicBool) -> impl Fn(usize, usize) + Sync {
+/// Returns a progress callback for work that has no other point to stop at: once `stop` is set, it unwinds to
+/// [`run_with_events`], which raises the exception.
+pub(crate) fn stop_progress(stop: &AtomicBool) -> impl Fn(usize, usize) + Sync {
     move |_, _| {
         if stop.load(Ordering::Relaxed) {
             std::panic::resume_unwind(Box::new("stopped"));
@@ -144,7 +144,7 @@ pub(crate) fn stopping(stop: &AtomicBool) -> impl Fn(usize, usize) + Sync {
 
 /// Returns the next event; `Some(None)` after a pause without one, `None` when the worker has finished.
 #[allow(clippy::option_option)]
-fn next<E: Send>(py: Python<'_>, events: &Receiver<E>) -> Option<Option<E>> {
+fn next_event<E: Send>(py: Python<'_>, events: &Receiver<E>) -> Option<Option<E>> {
     // A receiver cannot be shared and is not shared: this thread waits.
     let events = AssertSend(events);
     match py.detach(move || events.wait()) {
@@ -162,44 +162,45 @@ struct AssertSend<'a, E>(&'a Receiver<E>);
 unsafe impl<E> Send for AssertSend<'_, E> {}
 
 impl<E> AssertSend<'_, E> {
+    /// Waits for the next event, at most [`LOOK`].
     fn wait(&self) -> Result<E, RecvTimeoutError> {
         self.0.recv_timeout(LOOK)
     }
 }
 
-/// Converts the result of the work to Python.
-fn settled<T>(py: Python<'_>, done: Result<Result<T>, Box<dyn Any + Send>>) -> PyResult<T> {
+/// Converts the result of work to Python: an error or a panic becomes an exception.
+fn python_result<T>(py: Python<'_>, done: Result<Result<T>, Box<dyn Any + Send>>) -> PyResult<T> {
     match done {
-        Ok(done) => done.map_err(|error| raised(py, error)),
+        Ok(done) => done.map_err(|error| to_exception(py, error)),
         Err(panic) => Err(match panic.downcast::<PyErr>() {
             Ok(error) => *error,
             Err(panic) => {
                 let text = panic.downcast_ref::<String>().map(String::as_str);
                 let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no reason given");
-                exception(py, "Error", &format!("internal error in pwrfgs; please report it: {text}"))
+                new_exception(py, "Error", &format!("internal error in pwrfgs; please report it: {text}"))
             }
         }),
     }
 }
 
-/// Returns an exception of the class `name` of `pwrfgs`.
-fn exception(py: Python<'_>, name: &str, message: &str) -> PyErr {
+/// Creates an exception of the class `name` of `pwrfgs`.
+fn new_exception(py: Python<'_>, name: &str, message: &str) -> PyErr {
     let made = py.import("pwrfgs._errors").and_then(|m| m.getattr(name)).and_then(|class| class.call1((message,)));
     made.map_or_else(|error| error, PyErr::from_value)
 }
 
 /// Converts an error to an exception with the same text, and with `path`, `line` and `column` if it names a file.
-pub(crate) fn raised(py: Python<'_>, error: Error) -> PyErr {
+pub(crate) fn to_exception(py: Python<'_>, error: Error) -> PyErr {
     let is_input = error.is_input();
-    let message = without_flags(&error.to_string());
+    let message = replace_flags(&error.to_string());
     match error {
         Error::Plugin(inner) => match inner.downcast::<PyErr>() {
             Ok(error) => *error, // an exception of a strategy, with its traceback
-            Err(_) => exception(py, "InputError", &message),
+            Err(_) => new_exception(py, "InputError", &message),
         },
         Error::Stopped => PyKeyboardInterrupt::new_err(message),
         Error::Input { path, at, .. } => {
-            let made = exception(py, "InputError", &message);
+            let made = new_exception(py, "InputError", &message);
             let value = made.value(py);
             _ = value.setattr("path", path.display().to_string());
             if let Some((line, column)) = at {
@@ -207,53 +208,83 @@ pub(crate) fn raised(py: Python<'_>, error: Error) -> PyErr {
             }
             made
         }
-        _ => exception(py, if is_input { "InputError" } else { "Error" }, &message),
+        _ => new_exception(py, if is_input { "InputError" } else { "Error" }, &message),
     }
 }
 
-/// Replaces command-line flags in a message by their Python names.
-fn without_flags(message: &str) -> String {
-    let flags = [
-        ("--set ", ""),
-        ("another --out", "another `out`"),
-        ("--reference", "reference"),
-        ("--scale ", "scale="),
-        ("--launcher", "the launcher"),
-    ];
-    flags.iter().fold(message.to_owned(), |message, (flag, own)| message.replace(flag, own))
+/// Parts of messages for the command line that have a text of their own in Python.
+const PYTHON_TEXTS: [(&str, &str); 4] = [
+    ("--set ", ""),
+    ("another --out", "another `out`"),
+    ("--scale ", "scale="),
+    ("`--accept far-from-model`", "`accept_far=True`"),
+];
+
+/// Returns a message with command-line flags replaced by the names of Python arguments: `no_grid` for `--no-grid`. Commands
+/// between backticks are unchanged.
+fn replace_flags(message: &str) -> String {
+    let message = PYTHON_TEXTS.iter().fold(message.to_owned(), |message, (flag, text)| message.replace(flag, text));
+    let is_command = |k: usize, part: &str| k % 2 == 1 && !part.starts_with("--");
+    let parts = message.split('`').enumerate();
+    let replaced = parts.map(|(k, part)| if is_command(k, part) { part.to_owned() } else { argument_names(part) });
+    replaced.collect::<Vec<_>>().join("`")
 }
 
-/// Returns the exception for input that is invalid only in Python.
-pub(crate) fn wrong(py: Python<'_>, message: &str) -> PyErr {
-    exception(py, "InputError", &sanitize_message(message))
+/// Returns a text with the name of a Python argument in place of each flag, such as `--no-grid`.
+fn argument_names(text: &str) -> String {
+    let is_in_flag = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
+    let (mut names, mut rest) = (String::new(), text);
+    while let Some((before, after)) = rest.split_once("--") {
+        let (flag, tail) = after.split_at(after.find(|c| !is_in_flag(c)).unwrap_or(after.len()));
+        let is_flag =
+            flag.starts_with(|c: char| c.is_ascii_lowercase()) && !before.ends_with(|c: char| c.is_alphanumeric());
+        names += before;
+        names += &if is_flag { flag.replace('-', "_") } else { format!("--{flag}") };
+        rest = tail;
+    }
+    names + rest
 }
 
-/// Throws an exception through code without exceptions: it unwinds to [`free`] or [`waited`].
+/// Creates an `InputError`, for input that is invalid only in Python.
+pub(crate) fn input_error(py: Python<'_>, message: &str) -> PyErr {
+    new_exception(py, "InputError", &sanitize_message(message))
+}
+
+/// Returns an `InputError` as the result of a function.
+pub(crate) fn reject<T>(py: Python<'_>, message: &str) -> PyResult<T> {
+    Err(input_error(py, message))
+}
+
+/// Throws an exception through code without exceptions: it unwinds to [`without_gil`] or [`run_with_events`].
 pub(crate) fn throw(error: PyErr) -> ! {
     std::panic::resume_unwind(Box::new(error))
 }
 
-/// Same as `throw`, as an error of the toolkit.
-pub(crate) fn carried(error: PyErr) -> Error {
+/// Wraps an exception as an error of the toolkit, from which [`to_exception`] recovers it.
+pub(crate) fn to_plugin_error(error: PyErr) -> Error {
     Error::Plugin(Box::new(error))
 }
 
-/// RON text of a plugin given by a user: a value, a name with settings, or an object of a user class.
-pub(crate) fn text_of(kind: &str, value: &Bound<'_, PyAny>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<String> {
+/// Returns the RON text of a plugin given by a user: a value, a name with settings, or an object of a user class.
+pub(crate) fn plugin_text(
+    kind: &str,
+    value: &Bound<'_, PyAny>,
+    settings: Option<&Bound<'_, PyDict>>,
+) -> PyResult<String> {
     let helper = value.py().import("pwrfgs._values")?.getattr("plugin_text")?;
     helper.call1((kind, value, settings))?.extract()
 }
 
-/// Parses a plugin.
-pub(crate) fn plugin<T: ?Sized + PluginKind>(py: Python<'_>, text: &str) -> PyResult<Plugin<T>>
+/// Parses a plugin from RON text; the exception has no position, which would refer to a generated text.
+pub(crate) fn parse_plugin<T: ?Sized + PluginKind>(py: Python<'_>, text: &str) -> PyResult<Plugin<T>>
 where
     Box<T>: for<'de> pwrfgs::prelude::Deserialize<'de>,
 {
-    free(py, || read_ron(text, Path::new(T::KIND)).map_err(unplaced))
+    without_gil(py, || read_ron(text, Path::new(T::KIND)).map_err(without_position))
 }
 
-/// Removes the position, which refers to a generated text.
-pub(crate) fn unplaced(error: Error) -> Error {
+/// Returns the error without its position, which refers to a generated text.
+pub(crate) fn without_position(error: Error) -> Error {
     match error {
         Error::Input { message, .. } => Error::Config(message),
         other => other,
@@ -288,7 +319,7 @@ impl Subscriber for Logger {
     fn event(&self, event: &Event<'_>) {
         let mut text = Text::default();
         event.record(&mut text);
-        crate::tasks::log("warning", &text.0);
+        crate::tasks::log_message("warning", &text.0);
     }
 
     fn new_span(&self, _: &Attributes<'_>) -> Id {

@@ -3,19 +3,20 @@
 mod inputs;
 mod rows;
 
-use crate::arrays::{array, elevation_of, numbers, observed, places, vector};
-use crate::border::{free, plugin, stoppable, stopping, text_of, wrong};
+use crate::arrays::{array, numbers, observation_array, positions, read_elevation, vector};
+use crate::border::{parse_plugin, plugin_text, reject, run_stoppable, stop_progress, to_exception, without_gil};
 use numpy::PyArrayDyn;
-use pwrfgs::data::{check, save, shape_fault};
+use pwrfgs::data::{check_dataset, save, shape_fault};
+use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{
-    DataSource, Dataset as Data, Elevation, End, Ends, Error, Observations, Partition, Plugin, Pose, Real, Receiver,
-    Sample, Simulation, Split, recognise, rng,
+    DataSource, Dataset as Data, Elevation, End, Ends, Error, ImagePlane, Observations, Partition, Plugin, Pose, Real,
+    Receiver, Sample, Simulation, Split, recognise, rng,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyList, PyTuple};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Transmitters, receivers, and the observation of each link.
@@ -32,18 +33,19 @@ pub(crate) struct Dataset {
 }
 
 impl Dataset {
+    /// Wraps a data set; `source` is its data source as RON, if it has one.
     pub(crate) fn new(data: Data, source: Option<String>) -> Self {
         Self { data: Arc::new(data), source: Mutex::new(source), all: PyOnceLock::new() }
     }
 
-    /// All observations as a read-only array if `is_there`, else `None`. The first call converts them.
-    fn all_if<'py>(&self, py: Python<'py>, is_there: bool) -> PyResult<Option<Bound<'py, PyAny>>> {
+    /// Returns all observations as a read-only array, which the first call creates; `None` unless `is_requested`.
+    fn observation_view<'py>(&self, py: Python<'py>, is_requested: bool) -> PyResult<Option<Bound<'py, PyAny>>> {
         let convert = || {
-            let all = observed(py, &self.data, &(0..self.data.len()).collect::<Vec<_>>())?;
-            all.getattr("flags")?.setattr("writeable", false)?;
-            PyResult::Ok(all.unbind())
+            let array = observation_array(py, &self.data, &(0..self.data.len()).collect::<Vec<_>>())?;
+            array.getattr("flags")?.setattr("writeable", false)?;
+            PyResult::Ok(array.unbind())
         };
-        is_there.then(|| Ok(self.all.get_or_try_init(py, convert)?.bind(py).clone())).transpose()
+        is_requested.then(|| Ok(self.all.get_or_try_init(py, convert)?.bind(py).clone())).transpose()
     }
 }
 
@@ -55,24 +57,24 @@ impl Dataset {
     fn load(py: Python<'_>, source: &Bound<'_, PyAny>) -> PyResult<Self> {
         let path: Result<PathBuf, _> = source.extract();
         let (text, reader): (String, Plugin<dyn DataSource>) = if let Ok(path) = path {
-            let there = py.import("os.path")?.call_method1("abspath", (&path,))?.extract::<PathBuf>()?;
-            if !there.is_dir() {
+            let folder = py.import("os.path")?.call_method1("abspath", (&path,))?.extract::<PathBuf>()?;
+            if !folder.is_dir() {
                 let what = "no such folder; pass a data source such as pwrfgs.Arrays(root=..) as a value";
-                return Err(crate::border::raised(py, Error::input(&path, what)));
+                return Err(to_exception(py, Error::input(&path, what)));
             }
-            let Some(reader) = recognise(&there) else {
+            let Some(reader) = recognise(&folder) else {
                 let what = "holds no data of a layout that is known; docs/data.md says which there are, and \
                             Dataset.from_arrays takes arrays";
-                return Err(crate::border::raised(py, Error::input(&path, what)));
+                return Err(to_exception(py, Error::input(&path, what)));
             };
-            (pwrfgs_core::plugin::to_ron(&reader), reader)
+            (to_ron(&reader), reader)
         } else {
-            let text = text_of("DataSource", source, None)?;
-            let reader = plugin::<dyn DataSource>(py, &text)?;
+            let text = plugin_text("DataSource", source, None)?;
+            let reader = parse_plugin::<dyn DataSource>(py, &text)?;
             (text, reader)
         };
-        let data = stoppable(py, |stop| reader.load(std::path::Path::new(""), &stopping(stop)))?;
-        inputs::warn(py, &data)?;
+        let data = run_stoppable(py, |stop| reader.load(Path::new(""), &stop_progress(stop)))?;
+        inputs::warn_findings(py, &data)?;
         Ok(Self::new(data, Some(text)))
     }
 
@@ -111,37 +113,37 @@ impl Dataset {
         title: &str,
         simulated: bool,
     ) -> PyResult<Self> {
-        let poses = inputs::poses(py, tx, rx_pose, transmitter.is_some())?;
-        let points = points.map_or(Ok(Vec::new()), |points| places("points", points))?;
+        let poses = inputs::moving_poses(py, tx, rx_pose, transmitter.is_some())?;
+        let points = points.map_or(Ok(Vec::new()), |points| positions("points", points))?;
         let placed = receivers.is_some() || rx_pose.is_some();
-        let receivers = inputs::receivers_of(py, receivers)?;
+        let receivers = inputs::read_receivers(py, receivers)?;
         let first = u32::from(spectra.is_some());
         let sample = |(i, pose): (usize, &Pose)| Sample::new(i as u32 + first, *pose);
         let alone: Vec<Sample> = poses.iter().enumerate().map(sample).collect();
         let (samples, observations) = match (spectra, rssi, csi) {
             (Some(_), None, None) | (None, None, Some(_)) if receivers.len() != 1 => {
                 let what = format!("spectra and csi need one receiver, but there are {}", receivers.len());
-                return Err(wrong(py, &format!("{what}; create one data set per receiver")));
+                return reject(py, &format!("{what}; create one data set per receiver"));
             }
-            (Some(spectra), None, None) => (alone, Observations::from(inputs::pictures(spectra, poses.len())?)),
-            (None, Some(rssi), None) if !placed => return Err(inputs::receivers_missing(rssi)?),
-            (None, Some(rssi), None) => inputs::received_powers(rssi, &poses, receivers.len())?,
-            (None, None, Some(csi)) => (alone, inputs::gains(csi, poses.len(), frequencies_hz)?),
-            _ => return Err(wrong(py, "give one of spectra, rssi and csi")),
+            (Some(spectra), None, None) => (alone, Observations::from(inputs::read_spectra(spectra, poses.len())?)),
+            (None, Some(rssi), None) if !placed => return Err(inputs::missing_receivers_error(rssi)?),
+            (None, Some(rssi), None) => inputs::read_powers(rssi, &poses, receivers.len())?,
+            (None, None, Some(csi)) => (alone, inputs::read_channels(csi, poses.len(), frequencies_hz)?),
+            _ => return reject(py, "give one of spectra, rssi and csi"),
         };
         for (name, is_given, is_used, kind) in [
             ("elevation_deg", elevation_deg.is_some(), spectra.is_some(), "spectra"),
             ("frequencies_hz", frequencies_hz.is_some(), csi.is_some(), "csi"),
         ] {
             if is_given && !is_used {
-                return Err(wrong(py, &format!("{name}: only valid for {kind}; remove it")));
+                return reject(py, &format!("{name}: only valid for {kind}; remove it"));
             }
         }
-        let elevation = elevation_deg.map_or(Ok(Elevation::UPPER), |angles| elevation_of(py, angles))?;
+        let elevation = elevation_deg.map_or(Ok(Elevation::UPPER), |angles| read_elevation(py, angles))?;
         if let Some(spectra) = observations.spectra() {
             let (size, say) = ((spectra.width(), spectra.height()), "elevation_deg=(-90, 90) for a full sphere");
             if let Some(fault) = shape_fault(elevation, elevation_deg.is_some(), size, say) {
-                return Err(wrong(py, &format!("a spectrum {fault}")));
+                return reject(py, &format!("a spectrum {fault}"));
             }
         }
         let carriers = carriers_hz.map(|all| numbers::<f64>("carriers_hz", all, &[None])).transpose()?;
@@ -150,13 +152,13 @@ impl Dataset {
             None => Ends::from(receivers),
             Some(_) => Ends::of_moving_receivers(receivers, transmitter),
         };
-        let data = free(py, || {
+        let data = without_gil(py, || {
             let made = Data::of_links(title, ends, points, &samples, observations)?;
             let made = Data { elevation, simulation, ..made };
             let data = if let Some(carriers) = carriers { made.with_carriers(&carriers)? } else { made };
-            check(&data).map(|()| data)
+            check_dataset(&data).map(|()| data)
         })?;
-        inputs::warn(py, &data)?;
+        inputs::warn_findings(py, &data)?;
         Ok(Self::new(data, None))
     }
 
@@ -182,8 +184,7 @@ impl Dataset {
     /// layouts of NeRF2's BLE set and of `pwrfgs simulate`. A folder that is not empty is an error.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let out: PathBuf = py.import("os.path")?.call_method1("abspath", (&path,))?.extract()?;
-        let text =
-            free(py, || save(&self.data, &out).map(|source| pwrfgs_core::plugin::to_ron(&Plugin::from(source))))?;
+        let text = without_gil(py, || save(&self.data, &out).map(|source| to_ron(&Plugin::from(source))))?;
         *self.source.lock().unwrap_or_else(PoisonError::into_inner) = Some(text);
         Ok(())
     }
@@ -201,10 +202,10 @@ impl Dataset {
     /// Link `index` as a named tuple (tx [3], observation, receiver, id); a slice, a list of links or a mask gives a
     /// data set of these links, as `subset` does.
     fn __getitem__<'py>(slf: &Bound<'py, Self>, index: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-        let (py, own) = (slf.py(), slf.get());
+        let (py, dataset) = (slf.py(), slf.get());
         match index.extract::<isize>() {
-            Ok(i) => own.row(py, i),
-            Err(_) => own.some(py, index)?.into_bound_py_any(py),
+            Ok(i) => dataset.link_object(py, i),
+            Err(_) => dataset.select_links(py, index)?.into_bound_py_any(py),
         }
     }
 
@@ -218,16 +219,16 @@ impl Dataset {
     /// Data set of these links: indices, or a mask [L]. The order is that of this data set. Receivers and bounds of the
     /// room stay those of all links.
     fn subset(&self, py: Python<'_>, links: &Bound<'_, PyAny>) -> PyResult<Self> {
-        self.some(py, links)
+        self.select_links(py, links)
     }
 
     #[staticmethod]
     fn _restore(py: Python<'_>, state: &Bound<'_, PyDict>) -> PyResult<Self> {
-        Self::restored(py, state)
+        Self::restore(py, state)
     }
 
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyDict>,))> {
-        Ok((py.get_type::<Self>().getattr("_restore")?, (self.state(py)?,)))
+        Ok((py.get_type::<Self>().getattr("_restore")?, (self.pickled_state(py)?,)))
     }
 
     fn _repr_html_<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
@@ -269,7 +270,7 @@ impl Dataset {
     #[getter]
     fn tx<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         if self.data.scene.moving.is_receiver() {
-            return Err(wrong(py, "tx: the receiver of these data moves; use rx_pose [L, 7] or positions [L, 3]"));
+            return reject(py, "tx: the receiver of these data moves; use rx_pose [L, 7] or positions [L, 3]");
         }
         self.positions(py)
     }
@@ -305,19 +306,19 @@ impl Dataset {
     /// creates; None for other observations.
     #[getter]
     fn spectra<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.all_if(py, self.data.observations.spectra().is_some())
+        self.observation_view(py, self.data.observations.spectra().is_some())
     }
 
     /// Received powers [L], dBm, as a read-only view; None for other observations.
     #[getter]
     fn rssi<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.all_if(py, self.data.observations.powers().is_some())
+        self.observation_view(py, self.data.observations.powers().is_some())
     }
 
     /// Channels [L, A, F], complex64, as a read-only view; None for other observations.
     #[getter]
     fn csi<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.all_if(py, self.data.observations.channels().is_some())
+        self.observation_view(py, self.data.observations.channels().is_some())
     }
 
     /// Subcarrier frequencies of channels [F], Hz; None for other observations.
@@ -329,14 +330,14 @@ impl Dataset {
 
     /// Observations of these links: a spectrum [H, W], a power or a channel [A, F] each.
     fn observations<'py>(&self, py: Python<'py>, links: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-        observed(py, &self.data, &self.indices("links", links)?)
+        observation_array(py, &self.data, &self.indices("links", links)?)
     }
 
     /// Link features that replace the transmitter position, [L, width]; None without features.
     #[getter]
     fn features<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<Real>>>> {
         let features = self.data.features.as_ref();
-        features.map(|own| array(py, own.values.clone(), &[self.data.len(), own.width])).transpose()
+        features.map(|features| array(py, features.values.clone(), &[self.data.len(), features.width])).transpose()
     }
 
     /// Surface points of the room [P, 3], metres; P is 0 if none are known.
@@ -351,7 +352,7 @@ impl Dataset {
     /// observations.
     #[getter]
     fn angles_deg<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        angles(py, &self.data.plane())
+        plane_angles(py, &self.data.plane())
     }
 
     /// Split the links: a named tuple (train, validation, test) of sorted, disjoint link indices. `how` is a split such
@@ -365,30 +366,30 @@ impl Dataset {
         seed: u64,
         settings: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        crate::strategies::forget();
+        crate::strategies::forget_objects();
         let text = match how {
-            Some(how) => text_of("Split", how, settings)?,
+            Some(how) => plugin_text("Split", how, settings)?,
             None if settings.is_some_and(|settings| !settings.is_empty()) => {
                 let what = "split: settings need a split name";
-                return Err(wrong(py, &format!("{what}, such as split(\"random\", test=0.2)")));
+                return reject(py, &format!("{what}, such as split(\"random\", test=0.2)"));
             }
             None => "Official()".into(),
         };
-        let split = plugin::<dyn Split>(py, &text)?;
-        let partition = free(py, || split.split(&self.data, &mut rng::stream(seed, "split", 0)))?;
-        parts(py, &partition)
+        let split = parse_plugin::<dyn Split>(py, &text)?;
+        let partition = without_gil(py, || split.split(&self.data, &mut rng::stream(seed, "split", 0)))?;
+        partition_object(py, &partition)
     }
 }
 
 /// Converts a partition to the named tuple `Split`.
-fn parts<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyAny>> {
+fn partition_object<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyAny>> {
     let list = |part: &[usize]| vector(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>());
     let all = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
     py.import("pwrfgs._types")?.getattr("Partition")?.call1(all)
 }
 
-/// Angles of rows and columns, degrees.
-pub(crate) fn angles<'py>(py: Python<'py>, plane: &pwrfgs_core::ImagePlane) -> PyResult<Option<Bound<'py, PyTuple>>> {
+/// Returns the angles of rows `[H]` and columns `[W]` of a plane, degrees; `None` for a plane without angles.
+pub(crate) fn plane_angles<'py>(py: Python<'py>, plane: &ImagePlane) -> PyResult<Option<Bound<'py, PyTuple>>> {
     let Some((azimuth, elevation)) = plane.angles else { return Ok(None) };
     let degrees = |axis: pwrfgs_core::AngleAxis, n: usize| (0..n).map(|i| axis.first + i as f64 * axis.step).collect();
     let rows = vector::<f64>(py, degrees(elevation, plane.height))?;

@@ -1,7 +1,7 @@
 //! `project` and `rasterize`: differentiable kernels for custom methods.
 
-use crate::arrays::{array, axes, elevation_of, input_array, numbers, room};
-use crate::border::{free, plugin, text_of, wrong};
+use crate::arrays::{array, axis_count, check_memory, input_array, numbers, read_elevation};
+use crate::border::{input_error, parse_plugin, plugin_text, reject, without_gil};
 use numpy::PyUntypedArrayMethods as _;
 use pwrfgs::methods::{normalise_quat, normalise_quat_vjp};
 use pwrfgs_core::{ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real, Render, Splats};
@@ -26,18 +26,19 @@ struct View {
     plane: ImagePlane,
 }
 
-/// Position and orientation (x, y, z, w) of a receiver.
-fn pose_of(pose: &Bound<'_, PyAny>) -> PyResult<Pose> {
+/// Reads the pose of a receiver: position, and orientation as x, y, z, w.
+fn read_pose(pose: &Bound<'_, PyAny>) -> PyResult<Pose> {
     let (position, orientation): ([f64; 3], [f64; 4]) = pose.extract()?;
-    let pose_of = Pose { position, orientation };
-    match pose_of.fault() {
-        Some((_, fault)) => Err(wrong(pose.py(), &format!("pose: {fault}"))),
-        None => Ok(pose_of),
+    let parsed = Pose { position, orientation };
+    match parsed.fault() {
+        Some((_, fault)) => reject(pose.py(), &format!("pose: {fault}")),
+        None => Ok(parsed),
     }
 }
 
 impl View {
-    fn of(
+    /// Parses projector, rasterizer and pose, and creates the plane of an image of this size.
+    fn new(
         projector: &Bound<'_, PyAny>,
         rasterizer: &Bound<'_, PyAny>,
         pose: &Bound<'_, PyAny>,
@@ -46,19 +47,19 @@ impl View {
     ) -> PyResult<Self> {
         let py = pose.py();
         if height == 0 || width == 0 || height.saturating_mul(width) > 1 << 28 {
-            return Err(wrong(py, &format!("an image of {height} by {width} pixels cannot be rendered")));
+            return reject(py, &format!("an image of {height} by {width} pixels cannot be rendered"));
         }
-        let projector = plugin::<dyn Projector>(py, &text_of("Projector", projector, None)?)?;
-        let rasterizer = plugin::<dyn Rasterizer>(py, &text_of("Rasterizer", rasterizer, None)?)?;
-        let plane = projector.plane_of(width, height, elevation_of(py, elevation)?);
-        let plane = plane.map_err(|why| wrong(py, &why.to_string()))?;
-        rasterizer.check_plane(&plane).map_err(|why| wrong(py, &why.to_string()))?;
-        Ok(Self { projector, rasterizer, pose: pose_of(pose)?, plane })
+        let projector = parse_plugin::<dyn Projector>(py, &plugin_text("Projector", projector, None)?)?;
+        let rasterizer = parse_plugin::<dyn Rasterizer>(py, &plugin_text("Rasterizer", rasterizer, None)?)?;
+        let plane = projector.plane_of(width, height, read_elevation(py, elevation)?);
+        let plane = plane.map_err(|why| input_error(py, &why.to_string()))?;
+        rasterizer.check_plane(&plane).map_err(|why| input_error(py, &why.to_string()))?;
+        Ok(Self { projector, rasterizer, pose: read_pose(pose)?, plane })
     }
 }
 
-/// Reads columns from NumPy; rotations are normalised.
-fn primitives(
+/// Reads Gaussians from NumPy: finite, with scales above 0, opacities below 1 and non-zero quaternions of any length.
+fn read_primitives(
     means: &Bound<'_, PyAny>,
     quats: &Bound<'_, PyAny>,
     scales: &Bound<'_, PyAny>,
@@ -72,14 +73,14 @@ fn primitives(
     let opacities = numbers::<Real>("opacities", opacities, &[n])?;
     for (what, column) in [("means", &means), ("quats", &quats), ("scales", &scales), ("opacities", &opacities)] {
         if let Some(i) = column.iter().position(|v| !v.is_finite()) {
-            return Err(wrong(py, &format!("{what} holds {}; give finite numbers", column[i])));
+            return reject(py, &format!("{what} holds {}; give finite numbers", column[i]));
         }
     }
     if let Some(i) = scales.iter().position(|v| *v <= 0.0) {
-        return Err(wrong(py, &format!("scales[{}] holds {}; give metres above 0", i / 3, scales[i])));
+        return reject(py, &format!("scales[{}] holds {}; give metres above 0", i / 3, scales[i]));
     }
     if let Some(o) = opacities.iter().find(|o| !(0.0..1.0).contains(*o)) {
-        return Err(wrong(py, &format!("opacities: {o} is outside the range from 0 to below 1")));
+        return reject(py, &format!("opacities: {o} is outside the range from 0 to below 1"));
     }
     let inputs = Primitives {
         means: means.as_chunks().0.to_vec(),
@@ -88,13 +89,13 @@ fn primitives(
         opacities,
     };
     match inputs.quats.iter().position(|q| q.iter().map(|v| v * v).sum::<Real>().sqrt() <= 1e-12) {
-        Some(i) => Err(wrong(py, &format!("quats[{i}] is zero; give a rotation, such as (1, 0, 0, 0)"))),
+        Some(i) => reject(py, &format!("quats[{i}] is zero; give a rotation, such as (1, 0, 0, 0)")),
         None => Ok(inputs),
     }
 }
 
-/// Normalises rotations.
-fn unit(inputs: &Primitives) -> Primitives {
+/// Returns the Gaussians with normalised quaternions.
+fn with_unit_quats(inputs: &Primitives) -> Primitives {
     Primitives { quats: inputs.quats.iter().map(|q| normalise_quat(*q)).collect(), ..inputs.clone() }
 }
 
@@ -120,9 +121,9 @@ pub(crate) fn project<'py>(
     elevation_deg: [f64; 2],
 ) -> PyResult<Bound<'py, PyAny>> {
     let alpha = "AlphaBlending()".into_pyobject(py)?.into_any();
-    let view = View::of(projector, &alpha, pose, (height, width), elevation_deg)?;
-    let inputs = primitives(means, quats, scales, opacities)?;
-    let splats = free(py, || Ok(view.projector.project(&unit(&inputs), &view.pose, &view.plane)))?;
+    let view = View::new(projector, &alpha, pose, (height, width), elevation_deg)?;
+    let inputs = read_primitives(means, quats, scales, opacities)?;
+    let splats = without_gil(py, || Ok(view.projector.project(&with_unit_quats(&inputs), &view.pose, &view.plane)))?;
     let n = splats.len();
     let fields = (
         array(py, splats.means2d.into_flattened(), &[n, 2])?,
@@ -152,26 +153,26 @@ pub(crate) fn draw<'py>(
     rasterizer: &Bound<'py, PyAny>,
     elevation_deg: [f64; 2],
 ) -> PyResult<Drawing> {
-    let view = View::of(projector, rasterizer, pose, (height, width), elevation_deg)?;
-    let columns = primitives(means, quats, scales, opacities)?;
-    if axes(signals)? == 1 {
-        return Err(wrong(py, "signals has one axis of real numbers; give complex ones [N], or real ones [N, C]"));
+    let view = View::new(projector, rasterizer, pose, (height, width), elevation_deg)?;
+    let columns = read_primitives(means, quats, scales, opacities)?;
+    if axis_count(signals)? == 1 {
+        return reject(py, "signals has one axis of real numbers; give complex ones [N], or real ones [N, C]");
     }
     let signals = input_array::<Real>("signals", signals, &[Some(columns.len()), None])?;
     let channels = signals.shape()[1];
     if channels == 0 {
-        return Err(wrong(py, "signals has no channel; give [N, C] with C of 1 at least"));
+        return reject(py, "signals has no channel; give [N, C] with C of 1 at least");
     }
-    room::<Real>(&[channels, height, width])?;
-    let signals = signals.as_slice().map_err(|e| wrong(py, &e.to_string()))?.to_vec();
-    if view.rasterizer.coherent() && channels % 2 == 1 {
-        return Err(wrong(py, "signals: waves have two numbers each, a real and an imaginary part"));
+    check_memory::<Real>(&[channels, height, width])?;
+    let signals = signals.as_slice().map_err(|e| input_error(py, &e.to_string()))?.to_vec();
+    if view.rasterizer.is_coherent() && channels % 2 == 1 {
+        return reject(py, "signals: waves have two numbers each, a real and an imaginary part");
     }
     if !signals.iter().all(|v| v.is_finite()) {
-        return Err(wrong(py, "signals holds a number that is not finite"));
+        return reject(py, "signals holds a number that is not finite");
     }
-    free(py, move || {
-        let splats = view.projector.project(&unit(&columns), &view.pose, &view.plane);
+    without_gil(py, move || {
+        let splats = view.projector.project(&with_unit_quats(&columns), &view.pose, &view.plane);
         let render = view.rasterizer.forward(splats.with_signals(&signals, channels, &view.plane));
         Ok(Drawing { view, inputs: columns, splats, signals, channels, render })
     })
@@ -200,13 +201,10 @@ impl Drawing {
         let View { projector, rasterizer, pose, plane } = &self.view;
         let shape = [Some(self.channels), Some(plane.height), Some(plane.width)];
         let d_pixels = numbers::<Real>("d_image", d_image, &shape)?;
-        let (d, d_signals, (d_position, d_orientation)) = free(py, || {
-            let found = rasterizer.backward(
-                self.splats.with_signals(&self.signals, self.channels, plane),
-                &self.render,
-                &d_pixels,
-            );
-            let primitives = unit(&self.inputs);
+        let (d, d_signals, (d_position, d_orientation)) = without_gil(py, || {
+            let splats = self.splats.with_signals(&self.signals, self.channels, plane);
+            let found = rasterizer.backward(splats, &self.render, &d_pixels);
+            let primitives = with_unit_quats(&self.inputs);
             let mut d = projector.project_vjp(&primitives, pose, plane, &self.splats, &found.splats);
             let d_pose = primitives.pose_vjp(pose, &d);
             d.quats.iter_mut().zip(&self.inputs.quats).for_each(|(d, q)| *d = normalise_quat_vjp(*q, *d));

@@ -1,7 +1,7 @@
 //! Compiled part of the Python package: `pwrfgs._pwrfgs`. The public interface is in `python/pwrfgs`; this crate has
 //! the classes and functions that it wraps, one file each.
 //!
-//! Three rules: work runs without the interpreter lock (`border::free`), errors become exceptions with the same text,
+//! Three rules: work runs without the interpreter lock (`border::without_gil`), errors become exceptions with the same text,
 //! and panics never cross into Python.
 
 #![allow(clippy::needless_pass_by_value)] // arguments come out of Python by value
@@ -42,13 +42,14 @@ mod _pwrfgs {
     #[pymodule_export]
     use super::settings::{Pipeline, complete, parse_ron, pipeline_text, registry, types};
     #[pymodule_export]
-    use super::tasks::{compress, findings, locate, place, plan, radio_map, suggested, task_settings, update};
+    use super::tasks::{compress, findings, locate, place, plan, radio_map, suggest_pipeline, task_settings, update};
     use pyo3::prelude::*;
 
+    // Records the process, registers the host of Python strategies, and adds the constants of the build.
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
-        super::border::begin(module.py())?;
-        super::strategies::begin();
+        super::border::record_process(module.py())?;
+        super::strategies::register_host();
         super::border::log_warnings();
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         module.add("real_bytes", size_of::<pwrfgs_core::Real>())

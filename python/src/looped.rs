@@ -1,11 +1,11 @@
 //! `Trainer`: custom training loops.
 
 use crate::arrays::numbers;
-use crate::border::{stoppable, without_gil, wrong};
+use crate::border::{poll_work, reject, run_stoppable};
 use crate::data::Dataset;
 use crate::model::Model;
 use crate::settings::Pipeline;
-use crate::strategies::{PythonLoss, cloud_object, cloud_of, stats_object};
+use crate::strategies::{PythonLoss, cloud_object, read_cloud, stats_object};
 use pwrfgs::model::Ensemble;
 use pwrfgs::train::Trainer as Inner;
 use pwrfgs_core::files::{self, check_file_path, write_atomically};
@@ -35,17 +35,17 @@ pub(crate) struct Trainer {
 }
 
 impl Trainer {
-    /// Calls `look` with exclusive access to the training.
-    fn with<T: Send>(&self, py: Python<'_>, look: impl FnOnce(&mut Inner<'_>) -> Result<T> + Send) -> PyResult<T> {
-        let mut look = Some(look);
-        without_gil(py, || {
+    /// Calls `work` with exclusive access to the training, without the interpreter lock.
+    fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut Inner<'_>) -> Result<T> + Send) -> PyResult<T> {
+        let mut work = Some(work);
+        poll_work(py, || {
             let mut held = match self.held.try_lock() {
                 Ok(held) => held,
                 Err(TryLockError::Poisoned(held)) => held.into_inner(),
                 Err(TryLockError::WouldBlock) => return None,
             };
-            let look = look.take()?;
-            Some(held.with_dependent_mut(|_, inner| look(inner)))
+            let work = work.take()?;
+            Some(held.with_dependent_mut(|_, inner| work(inner)))
         })
     }
 }
@@ -64,9 +64,9 @@ impl Trainer {
         loss: Option<Py<PyAny>>,
         checkpoint: Option<PathBuf>,
     ) -> PyResult<Self> {
-        let (inner, base) = (pipeline.now(), pipeline.base().to_owned());
+        let (inner, base) = (pipeline.current(), pipeline.base().to_owned());
         let data = Arc::clone(&dataset.data);
-        crate::strategies::forget();
+        crate::strategies::forget_objects();
         let train = train.map(|train| dataset.indices("train", train)).transpose()?;
         let train = train.map(|links| links.into_iter().collect::<BTreeSet<_>>().into_iter().collect());
         let begin = move |stop: &AtomicBool| -> Result<TrainerState> {
@@ -89,19 +89,20 @@ impl Trainer {
                 Ok(trainer)
             })
         };
-        Ok(Self { held: Mutex::new(stoppable(py, begin)?), failed: AtomicBool::new(false) })
+        Ok(Self { held: Mutex::new(run_stoppable(py, begin)?), failed: AtomicBool::new(false) })
     }
 
     /// Replaces the Gaussians by `columns`, arrays by name; `is_world` for means in the world frame.
     fn set_cloud(&self, py: Python<'_>, columns: &Bound<'_, PyDict>, is_world: bool) -> PyResult<()> {
         let origin = self.with(py, |inner| Ok(inner.origin()))?;
-        let cloud = cloud_of(columns, if is_world { origin } else { Origin::ZERO })?;
+        let cloud = read_cloud(columns, if is_world { origin } else { Origin::ZERO })?;
         self.with(py, |inner| inner.set_cloud(cloud))
     }
 
+    // Runs one step and returns its report; after a failed step, all further ones are errors.
     fn step<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         if self.failed.load(Ordering::Relaxed) {
-            return Err(wrong(py, "a step of this trainer has failed; create a new trainer"));
+            return reject(py, "a step of this trainer has failed; create a new trainer");
         }
         let mut begun = false;
         let report = self.with(py, |inner| {
@@ -110,7 +111,7 @@ impl Trainer {
         });
         self.failed.store(begun && report.is_err(), Ordering::Relaxed);
         let dict = PyDict::new(py);
-        crate::run::step(&dict, &report?)?;
+        crate::run::set_step_fields(&dict, &report?)?;
         Ok(dict)
     }
 
@@ -136,6 +137,7 @@ impl Trainer {
         stats_object(py, &stats)
     }
 
+    // Keeps the Gaussians of a mask [N]; returns their number.
     fn prune(&self, py: Python<'_>, keep: &Bound<'_, PyAny>) -> PyResult<usize> {
         let keep = numbers::<bool>("keep", keep, &[None])?;
         self.with(py, |inner| {
@@ -151,7 +153,7 @@ impl Trainer {
     /// Write a checkpoint file, complete or not at all.
     fn save_checkpoint(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         if path.as_path() == Path::new("") {
-            return Err(wrong(py, "path is not a file path"));
+            return reject(py, "path is not a file path");
         }
         self.with(py, |inner| {
             check_file_path(&path)?;

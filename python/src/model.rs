@@ -3,9 +3,9 @@
 pub(crate) mod made;
 mod observed;
 
-use crate::arrays::{self, Gain, array, axes, numbers, place, places, vector};
-use crate::border::{free, raised, wrong};
-use crate::data::angles;
+use crate::arrays::{self, Gain, array, axis_count, numbers, position, positions, vector};
+use crate::border::{reject, to_exception, without_gil};
+use crate::data::plane_angles;
 use numpy::PyArrayDyn;
 use pwrfgs::experiment::{folder::PIPELINE, model_file};
 use pwrfgs::model::export;
@@ -51,6 +51,7 @@ struct Links {
 }
 
 impl Links {
+    /// Returns the query of link `k`, in the order of the observations: receivers vary fastest.
     fn query(&self, k: usize) -> Query<'_> {
         let (i, receiver) = (k / self.receivers.len(), self.receivers[k % self.receivers.len()]);
         let width = self.features.len() / self.poses.len().max(1);
@@ -60,6 +61,7 @@ impl Links {
 }
 
 impl Model {
+    /// Wraps a model or an ensemble.
     pub(crate) fn new(ensemble: Ensemble) -> Self {
         Self { ensemble: Arc::new(ensemble), ready: OnceLock::new(), path: None }
     }
@@ -70,11 +72,14 @@ impl Model {
         Some(file.with_file_name(PIPELINE)).filter(|path| path.is_file())
     }
 
+    /// Returns the models with their cached results, which the first call computes.
     fn prepared(&self) -> &Prepared<'_> {
-        let ready = self.ready.get_or_init(|| PreparedEnsemble::new(Arc::clone(&self.ensemble), |own| own.prepare()));
+        let ready =
+            self.ready.get_or_init(|| PreparedEnsemble::new(Arc::clone(&self.ensemble), |ensemble| ensemble.prepare()));
         ready.borrow_dependent()
     }
 
+    /// Returns method and setup of the first member.
     fn stages(&self) -> &Stages {
         &self.ensemble.members()[0].stages
     }
@@ -85,24 +90,24 @@ impl Model {
             let positions: Vec<[f64; 3]> = links.poses.iter().map(|pose| pose.position).collect();
             let distances = self.ensemble.training_distances(&positions);
             if let Some(warning) = distances.as_ref().and_then(extrapolation_warning) {
-                crate::tasks::log("warning", &warning);
+                crate::tasks::log_message("warning", &warning);
             }
         }
     }
 
-    /// Creates the links of a call.
-    fn links(
+    /// Reads the links of a call from its arguments: those of one receiver, or of all.
+    fn read_links(
         &self,
         py: Python<'_>,
         receiver: Option<&Bound<'_, PyAny>>,
         [tx, rx_pose, features]: [Option<&Bound<'_, PyAny>>; 3],
     ) -> PyResult<Links> {
-        let (stages, there) = (self.stages(), &self.stages().setup.receivers);
+        let (stages, receivers) = (self.stages(), &self.stages().setup.receivers);
         let (inputs, moving) = (stages.method.traits().inputs, stages.setup.moving);
         let (poses, features, one) = match (tx, rx_pose, features) {
             (Some(tx), None, None) if inputs == 3 && moving == End::Transmitter => {
-                let one = axes(tx)? == 1;
-                let positions = if one { vec![place("tx", tx)?] } else { places("tx", tx)? };
+                let one = axis_count(tx)? == 1;
+                let positions = if one { vec![position("tx", tx)?] } else { positions("tx", tx)? };
                 (positions.into_iter().map(Pose::from).collect(), Vec::new(), one)
             }
             (None, Some(rx_pose), None) if inputs == 3 && moving == End::Receiver => {
@@ -110,34 +115,28 @@ impl Model {
                 (poses, Vec::new(), one)
             }
             (None, None, Some(features)) if inputs != 3 => {
-                let one = axes(features)? == 1;
+                let one = axis_count(features)? == 1;
                 let shape: &[Option<usize>] = if one { &[Some(inputs)] } else { &[None, Some(inputs)] };
                 let all = numbers::<Real>("features", features, shape)?;
                 (vec![Pose::IDENTITY; all.len() / inputs], all, one)
             }
             _ if inputs != 3 => {
-                return Err(wrong(py, &format!("this model uses link features; pass features=[B, {inputs}]")));
+                return reject(py, &format!("this model uses link features; pass features=[B, {inputs}]"));
             }
             _ if moving == End::Receiver => {
-                return Err(wrong(
-                    py,
-                    "the receiver of this model moves; pass rx_pose=[B, 7]: x, y, z, qx, qy, qz, qw",
-                ));
+                return reject(py, "the receiver of this model moves; pass rx_pose=[B, 7]: x, y, z, qx, qy, qz, qw");
             }
             _ => {
-                return Err(wrong(
-                    py,
-                    "tx is missing; pass positions [B, 3] of the transmitter, which moves, in metres",
-                ));
+                return reject(py, "tx is missing; pass positions [B, 3] of the transmitter, which moves, in metres");
             }
         };
         let mut lead = if one { vec![] } else { vec![poses.len()] };
         let receivers = match receiver {
-            Some(receiver) => vec![made::find(receiver, there)?],
-            None if there.len() == 1 => vec![0],
+            Some(receiver) => vec![made::find_receiver(receiver, receivers)?],
+            None if receivers.len() == 1 => vec![0],
             None => {
-                lead.push(there.len());
-                (0..there.len()).collect()
+                lead.push(receivers.len());
+                (0..receivers.len()).collect()
             }
         };
         Ok(Links { poses, features, receivers, lead })
@@ -151,9 +150,9 @@ impl Model {
     #[pyo3(signature = (*paths))]
     fn load(py: Python<'_>, paths: Vec<PathBuf>) -> PyResult<Self> {
         if paths.is_empty() {
-            return Err(wrong(py, "path is missing; pass a model file or a run folder"));
+            return reject(py, "path is missing; pass a model file or a run folder");
         }
-        let ensemble = free(py, || read_models(&paths))?;
+        let ensemble = without_gil(py, || read_models(&paths))?;
         let path = <[PathBuf; 1]>::try_from(paths).ok().map(|[path]| std::path::absolute(&path).unwrap_or(path));
         Ok(Self { path, ..Self::new(ensemble) })
     }
@@ -200,11 +199,11 @@ impl Model {
     /// Model from the bytes of a model file.
     #[staticmethod]
     fn _from_bytes(py: Python<'_>, bytes: &[u8]) -> PyResult<Self> {
-        free(py, || file::from_bytes(bytes).map_err(Error::Config)).map(Self::new)
+        without_gil(py, || file::from_bytes(bytes).map_err(Error::Config)).map(Self::new)
     }
 
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
-        let bytes = free(py, || Ok(file::ensemble_to_bytes(&self.ensemble)))?;
+        let bytes = without_gil(py, || Ok(file::ensemble_to_bytes(&self.ensemble)))?;
         Ok((py.get_type::<Self>().getattr("_from_bytes")?, (PyBytes::new(py, &bytes),)))
     }
 
@@ -249,19 +248,19 @@ impl Model {
         vjp: Option<&Bound<'py, PyAny>>,
         interval: Option<f64>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let links = self.links(py, receiver, [tx, rx_pose, features])?;
+        let links = self.read_links(py, receiver, [tx, rx_pose, features])?;
         self.warn_of_extrapolations(&links);
         match (vjp, interval) {
-            (Some(_), Some(_)) => return Err(wrong(py, "give one of vjp and interval")),
-            (Some(cotangents), None) => return self.differentiated(py, &links, cotangents),
+            (Some(_), Some(_)) => return reject(py, "give one of vjp and interval"),
+            (Some(cotangents), None) => return self.predict_vjp(py, &links, cotangents),
             (None, Some(level)) => {
-                let factors = interval_factors(&self.ensemble, level).map_err(|error| raised(py, error))?;
-                return self.with_interval(py, &links, &factors);
+                let factors = interval_factors(&self.ensemble, level).map_err(|error| to_exception(py, error))?;
+                return self.predict_interval(py, &links, &factors);
             }
             (None, None) => {}
         }
         // A single link as on the command line, many in groups that share work: bit-identical.
-        self.observed(py, &links, |queries, numbers| match queries {
+        self.predicted_array(py, &links, |queries, numbers| match queries {
             [query] => numbers.copy_from_slice(&self.prepared().predict_timed(*query).0.pixels),
             queries => self.prepared().predict_into(queries, numbers),
         })
@@ -278,10 +277,10 @@ impl Model {
         rx_pose: Option<&Bound<'py, PyAny>>,
         features: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let links = self.links(py, receiver, [tx, rx_pose, features])?;
-        self.observed(py, &links, |queries, numbers| {
-            let of_each = numbers.len() / queries.len();
-            for (query, numbers) in queries.iter().zip(numbers.chunks_exact_mut(of_each)) {
+        let links = self.read_links(py, receiver, [tx, rx_pose, features])?;
+        self.predicted_array(py, &links, |queries, numbers| {
+            let count = numbers.len() / queries.len();
+            for (query, numbers) in queries.iter().zip(numbers.chunks_exact_mut(count)) {
                 numbers.copy_from_slice(&self.prepared().predict_with_deviation(*query).1.pixels);
             }
         })
@@ -298,13 +297,13 @@ impl Model {
     ) -> PyResult<Bound<'py, PyAny>> {
         let count = self.ensemble.members().len();
         let Some(model) = self.ensemble.members().get(member) else {
-            return Err(wrong(py, &format!("invalid member index {member} (expected 0 to below {count})")));
+            return reject(py, &format!("invalid member index {member} (expected 0 to below {count})"));
         };
-        let tx = tx.map(|tx| place("tx", tx)).transpose()?;
-        let Activated { primitives, signals, .. } = free(py, || Ok(model.gaussians(tx)))?;
+        let tx = tx.map(|tx| position("tx", tx)).transpose()?;
+        let Activated { primitives, signals, .. } = without_gil(py, || Ok(model.gaussians(tx)))?;
         let (n, origin) = (primitives.len(), model.stages.origin);
         let channels = signals.len().checked_div(n).unwrap_or(2);
-        let signal = |own: &[Real]| Gain::new(own[0], own.get(1).copied().unwrap_or(0.0));
+        let signal = |pair: &[Real]| Gain::new(pair[0], pair.get(1).copied().unwrap_or(0.0));
         let signals: Vec<Gain> = signals.chunks_exact(channels.max(1)).map(signal).collect();
         let means: Vec<f64> = primitives.means.iter().flat_map(|mean| origin.world(*mean)).collect();
         let fields = (
@@ -321,7 +320,7 @@ impl Model {
     /// numbers, at half the size.
     #[pyo3(signature = (path, *, half=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, half: bool) -> PyResult<()> {
-        free(py, || {
+        without_gil(py, || {
             check_file_path(&path)?;
             if half {
                 return write_atomically(&path, &file::to_bytes_half(&self.ensemble)?);
@@ -333,7 +332,7 @@ impl Model {
     /// Write the Gaussians as a PLY file for splat viewers, deformed for a transmitter at `tx`.
     #[pyo3(signature = (path, tx=None))]
     fn to_ply(&self, py: Python<'_>, path: PathBuf, tx: Option<[f64; 3]>) -> PyResult<()> {
-        free(py, || {
+        without_gil(py, || {
             check_file_path(&path)?;
             write_atomically(&path, &export::ply(&self.ensemble, tx)?)
         })
@@ -389,7 +388,7 @@ impl Model {
     /// observations.
     #[getter]
     fn angles_deg<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        angles(py, &self.stages().plane)
+        plane_angles(py, &self.stages().plane)
     }
 
     fn __repr__(&self) -> String {

@@ -1,6 +1,6 @@
 //! `run`, `simulate`, `sweep` and `report`, as on the command line; events of a run are passed to Python.
 
-use crate::border::{raised, stoppable, stopping, waited, wrong};
+use crate::border::{reject, run_stoppable, run_with_events, stop_progress, to_exception};
 use crate::model::Model;
 use crate::settings::Pipeline;
 use pwrfgs::experiment::sweep::{JOINED, SweepEnd, SweepPlan, check, execute};
@@ -24,6 +24,7 @@ type Event = (&'static str, Box<dyn FnOnce(&Bound<'_, PyDict>) -> PyResult<()> +
 struct EventSender(SyncSender<Event>);
 
 impl EventSender {
+    /// Sends the event `what`; `fields` adds its fields to a dict.
     fn send(&self, what: &'static str, fields: impl FnOnce(&Bound<'_, PyDict>) -> PyResult<()> + Send + 'static) {
         _ = self.0.send((what, Box::new(fields))); // a closed channel means that the listener was interrupted
     }
@@ -52,7 +53,7 @@ impl Observer for EventSender {
 
     fn on_step(&mut self, report: &StepReport) {
         let report = StepReport { pruned: None, ..report.clone() };
-        self.send("step", move |dict| step(dict, &report));
+        self.send("step", move |dict| set_step_fields(dict, &report));
     }
 
     fn on_validation(&mut self, validation: &Validation) {
@@ -83,8 +84,8 @@ fn event_dict<'py>(py: Python<'py>, (what, fields): Event) -> PyResult<Bound<'py
     fields(&dict).map(|()| dict)
 }
 
-/// Adds the fields of a step.
-pub(crate) fn step(dict: &Bound<'_, PyDict>, report: &StepReport) -> PyResult<()> {
+/// Adds the fields of a step report to a dict.
+pub(crate) fn set_step_fields(dict: &Bound<'_, PyDict>, report: &StepReport) -> PyResult<()> {
     dict.set_item("step", report.step)?;
     dict.set_item("phase", report.phase.name())?;
     dict.set_item("loss", report.loss)?;
@@ -92,18 +93,17 @@ pub(crate) fn step(dict: &Bound<'_, PyDict>, report: &StepReport) -> PyResult<()
     dict.set_item("gaussians", report.gaussians)
 }
 
-/// Runs a pipeline in `out`; `hear` is called with every event. Returns whether the run was not finished before.
+/// Runs a pipeline in `out`; `send_event` is called with every event. Returns whether the run was not finished before.
 #[pyfunction]
 pub(crate) fn run(py: Python<'_>, pipeline: &Pipeline, out: PathBuf, send_event: &Bound<'_, PyAny>) -> PyResult<bool> {
-    crate::strategies::forget();
-    let inner = pipeline.now();
+    crate::strategies::forget_objects();
+    let inner = pipeline.current();
     let base = pipeline.base().to_owned();
     let send_event = |event| send_event.call1((event_dict(py, event)?,)).map(|_| ());
-    let outcome =
-        waited(py, |events, stop| pwrfgs::run(&inner, &base, &out, &mut EventSender(events), stop), send_event)?;
-    match outcome {
+    let work = |events, stop: &_| pwrfgs::run(&inner, &base, &out, &mut EventSender(events), stop);
+    match run_with_events(py, work, send_event)? {
         RunOutcome::Finished { already, .. } => Ok(!already),
-        RunOutcome::Interrupted { .. } | RunOutcome::Unscored => Err(raised(py, Error::Stopped)),
+        RunOutcome::Interrupted { .. } | RunOutcome::Unscored => Err(to_exception(py, Error::Stopped)),
     }
 }
 
@@ -116,39 +116,39 @@ pub(crate) fn score(
     out: PathBuf,
     send_event: &Bound<'_, PyAny>,
 ) -> PyResult<()> {
-    crate::strategies::forget();
-    let (inner, base) = (pipeline.now(), pipeline.base().to_owned());
+    crate::strategies::forget_objects();
+    let (inner, base) = (pipeline.current(), pipeline.base().to_owned());
     let send_event = |event| send_event.call1((event_dict(py, event)?,)).map(|_| ());
     let work = |events, stop: &AtomicBool| {
         let mut session = Session { observer: &mut EventSender(events), stop, page: pwrfgs::PAGE };
         score_model(&model.ensemble, &inner, &base, &out, &mut session)
     };
-    match waited(py, work, send_event)? {
+    match run_with_events(py, work, send_event)? {
         RunOutcome::Finished { .. } => Ok(()),
-        RunOutcome::Interrupted { .. } | RunOutcome::Unscored => Err(raised(py, Error::Stopped)),
+        RunOutcome::Interrupted { .. } | RunOutcome::Unscored => Err(to_exception(py, Error::Stopped)),
     }
 }
 
-/// Converts a score table for Python: `{predictor: {metric: {statistic: number}}}`.
-pub(crate) fn scores<'py>(py: Python<'py>, table: &ScoreTable) -> PyResult<Bound<'py, PyDict>> {
+/// Converts a score table to a dict: `{predictor: {metric: {statistic: number}}}`.
+pub(crate) fn score_dict<'py>(py: Python<'py>, table: &ScoreTable) -> PyResult<Bound<'py, PyDict>> {
     let all = PyDict::new(py);
     for (p, name) in table.predictors.iter().enumerate() {
-        let own = PyDict::new(py);
+        let metrics = PyDict::new(py);
         for row in &table.metrics {
             let numbers = row.cells[p].numbers();
             match numbers.as_slice() {
-                [] => own.set_item(&row.key, py.None())?,
-                [one] => own.set_item(&row.key, *one)?,
+                [] => metrics.set_item(&row.key, py.None())?,
+                [one] => metrics.set_item(&row.key, *one)?,
                 many => {
                     let cell = PyDict::new(py);
                     for (key, value) in ["mean", "median", "tail10"].iter().zip(many) {
                         cell.set_item(key, *value)?;
                     }
-                    own.set_item(&row.key, cell)?;
+                    metrics.set_item(&row.key, cell)?;
                 }
             }
         }
-        all.set_item(name, own)?;
+        all.set_item(name, metrics)?;
     }
     Ok(all)
 }
@@ -164,10 +164,10 @@ pub(crate) fn facts(py: Python<'_>, folder: PathBuf) -> PyResult<(String, Option
             serde_json::from_str(&text).map_err(|e| Error::input(&path, format!("is not a valid run.json: {e}")))?;
         Ok((text, facts.scores))
     };
-    let (text, table) = read().map_err(|error| raised(py, error))?;
+    let (text, table) = read().map_err(|error| to_exception(py, error))?;
     match table {
         None => Ok((text, None, None)),
-        Some(table) => Ok((text, Some(scores(py, &table)?.unbind()), Some(table.to_text()))),
+        Some(table) => Ok((text, Some(score_dict(py, &table)?.unbind()), Some(table.to_text()))),
     }
 }
 
@@ -189,10 +189,10 @@ pub(crate) fn simulate(
 ) -> PyResult<()> {
     if snr_db.is_some() && !matches!(layout, "channels" | "csi") {
         let what = "snr_db is only for channels; set layout=\"channels\", or set the `noise` of the scene for spectra";
-        return Err(wrong(py, what));
+        return reject(py, what);
     }
     if noise_db.is_some() && layout != "rssi" {
-        return Err(wrong(py, "noise_db is only for powers; set layout=\"rssi\""));
+        return reject(py, "noise_db is only for powers; set layout=\"rssi\"");
     }
     let (observe, layout) = match layout {
         "spectra" => (ObservationKind::Spectrum, OutputLayout::Pictures),
@@ -204,16 +204,16 @@ pub(crate) fn simulate(
         other => {
             let all = ["spectra", "arrays", "rssi", "channels", "csi"];
             let hint = pwrfgs_core::did_you_mean(other, all);
-            return Err(wrong(py, &format!("layout: unknown value `{other}`{hint} (use {})", all.join(", "))));
+            return reject(py, &format!("layout: unknown value `{other}`{hint} (use {})", all.join(", ")));
         }
     };
     let recipe = SimulationRecipe::read(&scene, samples, seed, points).and_then(|recipe| recipe.observing(observe));
-    let recipe = recipe.map_err(|error| raised(py, error))?;
+    let recipe = recipe.map_err(|error| to_exception(py, error))?;
     let work = |events: SyncSender<(usize, usize)>, stop: &_| {
         let send = |done, total| _ = events.try_send((done, total));
-        folder::write_as(&recipe, layout, paths, &out, &send, stop)
+        folder::write_dataset(&recipe, layout, paths, &out, &send, stop)
     };
-    waited(py, work, |(done, total)| send_event.call1((done, total)).map(|_| ()))
+    run_with_events(py, work, |(done, total)| send_event.call1((done, total)).map(|_| ()))
 }
 
 /// Runs the program `pwrfgs`; the first argument is its path. Returns the exit code.
@@ -234,7 +234,7 @@ pub(crate) fn sweep(
     out: Option<PathBuf>,
     jobs: usize,
 ) -> PyResult<(PathBuf, Ends)> {
-    let plan = SweepPlan::read(&experiment, &arguments, out.as_deref()).map_err(|error| raised(py, error))?;
+    let plan = SweepPlan::read(&experiment, &arguments, out.as_deref()).map_err(|error| to_exception(py, error))?;
     let runs: Vec<usize> = (0..plan.runs.len()).collect();
     let work = |stop: &AtomicBool| {
         check(&plan, &runs, &mut Stopping(stop))?;
@@ -249,13 +249,13 @@ pub(crate) fn sweep(
         }
         Ok((ends, joined))
     };
-    let (ends, joined) = stoppable(py, work)?;
+    let (ends, joined) = run_stoppable(py, work)?;
     let failed = |end: Result<RunOutcome>| match end {
         Err(error) => Some(error.to_string()),
         Ok(RunOutcome::Finished { .. }) => None,
         Ok(RunOutcome::Interrupted { .. } | RunOutcome::Unscored) => Some("stopped; repeat the call to resume".into()),
     };
-    let runs = ends.into_iter().map(|(run, end)| (plan.folder_of(run), failed(end)));
+    let runs = ends.into_iter().map(|(run, end)| (plan.run_folder(run), failed(end)));
     let joined = joined.map(|end| (plan.folder.join(JOINED), failed(Ok(end))));
     Ok((plan.folder.clone(), runs.chain(joined).collect()))
 }
@@ -263,17 +263,17 @@ pub(crate) fn sweep(
 /// Compares runs, see `pwrfgs.report`: returns the tables as text.
 #[pyfunction]
 pub(crate) fn report(py: Python<'_>, runs: Vec<PathBuf>, out: PathBuf, reference: Option<String>) -> PyResult<String> {
-    stoppable(py, |stop| {
+    run_stoppable(py, |stop| {
         let study = Study::read(&runs)?;
         write(&study, reference.as_deref(), &out, &mut Stopping(stop))
     })
 }
 
-/// Observer that ends work after Ctrl-C, see [`stopping`].
+/// Observer that ends work after Ctrl-C, see [`stop_progress`].
 struct Stopping<'a>(&'a AtomicBool);
 
 impl Observer for Stopping<'_> {
     fn on_stage(&mut self, _: &str, done: usize, total: usize) {
-        stopping(self.0)(done, total);
+        stop_progress(self.0)(done, total);
     }
 }

@@ -1,7 +1,7 @@
 //! Metrics, baselines and repeatability for any arrays.
 
-use crate::arrays::{CHUNK, observation_rows, observations, places, shape_of, vector};
-use crate::border::{free, plugin, stoppable, text_of, wrong};
+use crate::arrays::{CHUNK, array_shape, observation_rows, observations, positions, vector};
+use crate::border::{input_error, parse_plugin, plugin_text, reject, run_stoppable, without_gil};
 use crate::data::Dataset;
 use pwrfgs::experiment::append_measurements;
 use pwrfgs::experiment::repeatability as work;
@@ -14,16 +14,16 @@ use pyo3::types::{PyDict, PyList};
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
 
-/// Converts observations `[.., axes of one]` of `task`.
-fn images(what: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec<Image>> {
-    let (py, shape, axes) = (value.py(), shape_of(value)?, task.shape((1, 2)).len());
+/// Reads observations `[.., axes of one]` of `task`, one image each.
+fn read_images(what: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec<Image>> {
+    let (py, shape, axes) = (value.py(), array_shape(value)?, task.shape((1, 2)).len());
     let Some(lead) = shape.len().checked_sub(axes) else {
         let what = format!("{what} has {} axes, but a {} has {axes}", shape.len(), task.singular);
-        return Err(wrong(py, &what));
+        return reject(py, &what);
     };
     let (width, height) = task.size(&shape[lead..]);
     if width * height == 0 {
-        return Err(wrong(py, &format!("{what} is empty")));
+        return reject(py, &format!("{what} is empty"));
     }
     let rows = observation_rows(what, value, task, (width, height), &shape[..lead])?;
     Ok(rows.chunks_exact(width * height).map(|rows| Image { width, height, pixels: rows.to_vec() }).collect())
@@ -42,49 +42,46 @@ pub(crate) fn measure<'py>(
     truths: &Bound<'py, PyAny>,
     elevation_deg: [f64; 2],
 ) -> PyResult<Bound<'py, PyList>> {
-    crate::strategies::forget();
-    let metric = plugin::<dyn Metric>(py, &text_of("Metric", metric, None)?)?;
-    let task = Task::named(kind).ok_or_else(|| wrong(py, &format!("unknown task `{kind}`")))?;
-    let (predictions, truths) = (images("prediction", predictions, task)?, images("truth", truths, task)?);
+    crate::strategies::forget_objects();
+    let metric = parse_plugin::<dyn Metric>(py, &plugin_text("Metric", metric, None)?)?;
+    let task = Task::named(kind).ok_or_else(|| input_error(py, &format!("unknown task `{kind}`")))?;
+    let (predictions, truths) = (read_images("prediction", predictions, task)?, read_images("truth", truths, task)?);
     let size = |images: &[Image]| images.first().map(|image| (image.height, image.width));
     if (predictions.len(), size(&predictions)) != (truths.len(), size(&truths)) {
         let message =
             |images: &[Image]| size(images).map_or("0".into(), |(h, w)| format!("{} of {h} by {w}", images.len()));
         let what = format!("prediction and truth differ in shape: {} and {}", message(&predictions), message(&truths));
-        return Err(wrong(py, &what));
+        return reject(py, &what);
     }
-    let Some((height, width)) = size(&truths) else { return Err(wrong(py, "prediction and truth are empty")) };
+    let Some((height, width)) = size(&truths) else { return reject(py, "prediction and truth are empty") };
     let plane = task.plane((width, height), Elevation { first: elevation_deg[0], last: elevation_deg[1] });
     let mut pixels = truths.iter().flat_map(|truth| &truth.pixels);
     if let Some(bad) = pixels.find(|v| task.has_pixels && !AMPLITUDES.contains(*v)) {
-        return Err(wrong(py, &format!("truth holds {bad}, expected 0 to 1 (divide bytes by 255)")));
+        return reject(py, &format!("truth holds {bad}, expected 0 to 1 (divide bytes by 255)"));
     }
     let scene = empty_scene(vec![]);
-    let of = |given: (&[Image], &[Image])| metric.evaluate(&Evaluation { task, ..evaluation(given, &plane, &scene) });
-    let found = stoppable(py, |stop| {
+    let evaluate = |images: [&[Image]; 2]| metric.evaluate(&Evaluation { task, ..evaluation(images, &plane, &scene) });
+    let found = run_stoppable(py, |stop| {
         if metric.scope() != Scope::Sample {
-            return of((&predictions, &truths));
+            return evaluate([&predictions, &truths]);
         }
         let mut found: Vec<Measurement> = Vec::new();
-        for given in predictions.chunks(CHUNK).zip(truths.chunks(CHUNK)) {
+        for (predictions, truths) in predictions.chunks(CHUNK).zip(truths.chunks(CHUNK)) {
             check_stopped(stop)?;
-            append_measurements(&mut found, of(given)?, given.0.len())?;
+            append_measurements(&mut found, evaluate([predictions, truths])?, truths.len())?;
         }
         Ok(found)
     })?;
-    measurements(py, found)
+    measurement_list(py, found)
 }
 
 /// Returns the evaluation of images without links and model, on a plane.
-fn evaluation<'a>(
-    (predictions, truths): (&'a [Image], &'a [Image]),
-    plane: &'a ImagePlane,
-    scene: &'a Scene,
-) -> Evaluation<'a> {
+fn evaluation<'a>([predictions, truths]: [&'a [Image]; 2], plane: &'a ImagePlane, scene: &'a Scene) -> Evaluation<'a> {
     let task = Task::default();
     Evaluation { predictions, truths, task, links: &[], plane, scene, model: None, timed_prediction: None }
 }
 
+/// Returns a scene with surface points and one receiver at the origin.
 fn empty_scene(points: Vec<[Real; 3]>) -> Scene {
     Scene {
         origin: Origin::ZERO,
@@ -96,13 +93,17 @@ fn empty_scene(points: Vec<[Real; 3]>) -> Scene {
     }
 }
 
-fn measurements(py: Python<'_>, found: Vec<pwrfgs_core::Measurement>) -> PyResult<Bound<'_, PyList>> {
+/// Converts measurements to tuples (key, unit, values or one value).
+///
+/// # Errors
+/// A measurement is not applicable.
+fn measurement_list(py: Python<'_>, found: Vec<Measurement>) -> PyResult<Bound<'_, PyList>> {
     let all = PyList::empty(py);
     for one in found {
         match one.values {
             Values::PerSample(values) => all.append((one.key, one.unit, vector(py, values)?))?,
             Values::Whole(value) => all.append((one.key, one.unit, value))?,
-            Values::NotApplicable(why) => return Err(wrong(py, &format!("{}: {why}", one.key))),
+            Values::NotApplicable(why) => return reject(py, &format!("{}: {why}", one.key)),
         }
     }
     Ok(all)
@@ -112,20 +113,20 @@ fn measurements(py: Python<'_>, found: Vec<pwrfgs_core::Measurement>) -> PyResul
 #[pyfunction]
 pub(crate) fn chamfer(py: Python<'_>, first: &Bound<'_, PyAny>, second: &Bound<'_, PyAny>) -> PyResult<f64> {
     let local = |places: Vec<[f64; 3]>| places.into_iter().map(|p| p.map(|v| v as Real)).collect::<Vec<_>>();
-    let (means, points) = (local(places("first", first)?), local(places("second", second)?));
+    let (means, points) = (local(positions("first", first)?), local(positions("second", second)?));
     if means.is_empty() || points.is_empty() {
-        return Err(wrong(py, "one of the two point sets is empty"));
+        return reject(py, "one of the two point sets is empty");
     }
-    let metric = plugin::<dyn Metric>(py, "Chamfer()")?;
+    let metric = parse_plugin::<dyn Metric>(py, "Chamfer()")?;
     let scene = empty_scene(points);
     let plane = ImagePlane::plain(1, 1);
-    let found = free(py, || {
+    let found = without_gil(py, || {
         let model = Some(ModelFacts { means: &means, gaussian_bytes: 0, file_bytes: 0 });
-        metric.evaluate(&Evaluation { model, ..evaluation((&[], &[]), &plane, &scene) })
+        metric.evaluate(&Evaluation { model, ..evaluation([&[], &[]], &plane, &scene) })
     })?;
     match found.first().map(|one| &one.values) {
         Some(Values::Whole(value)) => Ok(*value),
-        _ => Err(wrong(py, "the distance is undefined for these points")),
+        _ => reject(py, "the distance is undefined for these points"),
     }
 }
 
@@ -141,28 +142,28 @@ pub(crate) fn predict_baseline<'py>(
     tx: &Bound<'py, PyAny>,
     receiver: usize,
 ) -> PyResult<Bound<'py, PyAny>> {
-    crate::strategies::forget();
-    let baseline: Plugin<dyn Baseline> = plugin(py, &text_of("Baseline", baseline, None)?)?;
+    crate::strategies::forget_objects();
+    let baseline: Plugin<dyn Baseline> = parse_plugin(py, &plugin_text("Baseline", baseline, None)?)?;
     if baseline.is_external() {
-        return Err(wrong(py, "predictions of another program have no other positions; use them in a pipeline"));
+        return reject(py, "predictions of another program have no other positions; use them in a pipeline");
     }
     let train = dataset.indices("train", train)?;
     if train.is_empty() {
-        return Err(wrong(py, "train: no training links"));
+        return reject(py, "train: no training links");
     }
     let data = &dataset.data;
     if data.features.is_some() {
-        return Err(wrong(py, "these data use link features, but baselines here need positions"));
+        return reject(py, "these data use link features, but baselines here need positions");
     }
     if data.scene.moving.is_receiver() {
-        return Err(wrong(py, "the receiver of these data moves; score baselines with pwrfgs.evaluate or a pipeline"));
+        return reject(py, "the receiver of these data moves; score baselines with pwrfgs.evaluate or a pipeline");
     }
     if receiver >= data.scene.receivers.len() {
         let count = data.scene.receivers.len();
-        return Err(wrong(py, &format!("invalid receiver index {receiver} (expected 0 to below {count})")));
+        return reject(py, &format!("invalid receiver index {receiver} (expected 0 to below {count})"));
     }
-    let txs = places("tx", tx)?;
-    let found: Vec<Image> = stoppable(py, |stop| {
+    let txs = positions("tx", tx)?;
+    let found: Vec<Image> = run_stoppable(py, |stop| {
         let predictor = baseline.fit(data, FittingSet::train(&train))?;
         let mut found = Vec::new();
         for txs in txs.chunks(CHUNK) {
@@ -183,13 +184,13 @@ pub(crate) fn repeatability<'py>(
     dataset: &Dataset,
     metrics: Vec<String>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let metrics = metrics.iter().map(|text| plugin::<dyn Metric>(py, text)).collect::<PyResult<Vec<_>>>()?;
-    let found = stoppable(py, |stop| work::repeatability(&dataset.data, &metrics, stop))?;
+    let metrics = metrics.iter().map(|text| parse_plugin::<dyn Metric>(py, text)).collect::<PyResult<Vec<_>>>()?;
+    let found = run_stoppable(py, |stop| work::repeatability(&dataset.data, &metrics, stop))?;
     let all = PyDict::new(py);
     for (name, similarity) in [("near", &found.near), ("far", &found.far)] {
-        let own = PyDict::new(py);
-        own.set_item("pairs", similarity.closest)?;
-        own.set_item("reach_m", similarity.reach_m)?;
+        let summary = PyDict::new(py);
+        summary.set_item("pairs", similarity.closest)?;
+        summary.set_item("reach_m", similarity.reach_m)?;
         for metric in &similarity.metrics {
             let entry = PyDict::new(py);
             entry.set_item("unrelated", metric.unrelated)?;
@@ -201,9 +202,9 @@ pub(crate) fn repeatability<'py>(
                 }
                 Err(why) => entry.set_item("why_not", why)?,
             }
-            own.set_item(&metric.key, entry)?;
+            summary.set_item(&metric.key, entry)?;
         }
-        all.set_item(name, own)?;
+        all.set_item(name, summary)?;
     }
     Ok(all)
 }

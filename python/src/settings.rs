@@ -1,6 +1,6 @@
 //! Plugins, pipelines and their text.
 
-use crate::border::{free, raised, stoppable, stopping, unplaced, wrong};
+use crate::border::{input_error, reject, run_stoppable, stop_progress, to_exception, without_gil, without_position};
 use pwrfgs::experiment::{pipeline_text as read_pipeline_text, rebased};
 use pwrfgs::pipeline::Change;
 use pwrfgs::pipeline::ron_tree::{RonBody as Parts, RonTree};
@@ -24,18 +24,20 @@ pub(crate) struct Pipeline {
 }
 
 impl Pipeline {
-    pub(crate) fn now(&self) -> Inner {
+    /// Returns a copy of the pipeline in its present state.
+    pub(crate) fn current(&self) -> Inner {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
+    /// Returns the folder at which relative paths of the pipeline start.
     pub(crate) fn base(&self) -> &Path {
         &self.base
     }
 
     /// Changes the pipeline completely or not at all. Checks may call Python strategies.
     fn change(&self, py: Python<'_>, by: impl FnOnce(&mut Inner) -> Result<()> + Send) -> PyResult<()> {
-        let mut changed = self.now();
-        let changed = free(py, || by(&mut changed).map(|()| changed))?;
+        let mut changed = self.current();
+        let changed = without_gil(py, || by(&mut changed).map(|()| changed))?;
         *self.inner.lock().unwrap_or_else(PoisonError::into_inner) = changed;
         Ok(())
     }
@@ -46,13 +48,13 @@ impl Pipeline {
     /// Parses RON text; `path` is used in messages, and relative paths start at `folder`.
     #[staticmethod]
     fn parse(py: Python<'_>, text: &str, path: PathBuf, folder: PathBuf) -> PyResult<Self> {
-        let inner = free(py, || Inner::parse(text, &path))?;
+        let inner = without_gil(py, || Inner::parse(text, &path))?;
         Ok(Self { inner: Mutex::new(inner), base: folder })
     }
 
     /// Returns the whole pipeline as RON, with every default written out.
     fn text(&self, py: Python<'_>) -> PyResult<String> {
-        self.now().to_ron().map_err(|error| raised(py, error))
+        self.current().to_ron().map_err(|error| to_exception(py, error))
     }
 
     #[getter]
@@ -73,21 +75,21 @@ impl Pipeline {
 
     /// Writes a new pipeline file with adapted relative paths.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        free(py, || {
+        without_gil(py, || {
             check_new_file(&path)?;
-            create(&path, rebased(&self.now(), &self.base)?.to_ron()?.as_bytes())
+            create(&path, rebased(&self.current(), &self.base)?.to_ron()?.as_bytes())
         })
     }
 
     fn copied(&self) -> Self {
-        Self { inner: Mutex::new(self.now()), base: self.base.clone() }
+        Self { inner: Mutex::new(self.current()), base: self.base.clone() }
     }
 
     /// Loads the data.
     fn data(&self, py: Python<'_>) -> PyResult<crate::data::Dataset> {
-        let (data, source) = stoppable(py, |stop| {
-            let source = rebased(&self.now(), &self.base)?.data;
-            Ok((source.load(&self.base, &stopping(stop))?, source))
+        let (data, source) = run_stoppable(py, |stop| {
+            let source = rebased(&self.current(), &self.base)?.data;
+            Ok((source.load(&self.base, &stop_progress(stop))?, source))
         })?;
         Ok(crate::data::Dataset::new(data, Some(to_ron(&source))))
     }
@@ -96,36 +98,37 @@ impl Pipeline {
 /// Text of a pipeline file, or of the shipped pipeline of this name.
 #[pyfunction]
 pub(crate) fn pipeline_text(py: Python<'_>, path: PathBuf) -> PyResult<String> {
-    free(py, || read_pipeline_text(&path))
+    without_gil(py, || read_pipeline_text(&path))
 }
 
 /// Parses RON text to nested tuples: ("plain", text), ("text", str), ("fields", name, [(field, value)]), ("items",
 /// name, [value]).
 #[pyfunction]
 pub(crate) fn parse_ron<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py, PyAny>> {
-    let tree = RonTree::parse(text).map_err(|why| wrong(py, &why))?;
-    parts(py, &tree, text)
+    let tree = RonTree::parse(text).map_err(|why| input_error(py, &why))?;
+    ron_tuples(py, &tree, text)
 }
 
-fn parts<'py>(py: Python<'py>, tree: &RonTree, text: &str) -> PyResult<Bound<'py, PyAny>> {
-    let own = tree.of(text);
+/// Converts a RON tree of `text` to nested tuples, see [`parse_ron`].
+fn ron_tuples<'py>(py: Python<'py>, tree: &RonTree, text: &str) -> PyResult<Bound<'py, PyAny>> {
+    let source = tree.text_in(text);
     Ok(match &tree.body {
         Parts::Fields(fields) => {
-            let fields = fields.iter().map(|(name, value)| Ok((name.as_str(), parts(py, value, text)?)));
+            let fields = fields.iter().map(|(name, value)| Ok((name.as_str(), ron_tuples(py, value, text)?)));
             let fields = PyList::new(py, fields.collect::<PyResult<Vec<_>>>()?)?;
             ("fields", tree.name.as_deref(), fields).into_pyobject(py)?.into_any()
         }
         Parts::Items(items) => {
-            let items = items.iter().map(|value| parts(py, value, text)).collect::<PyResult<Vec<_>>>()?;
-            let open = own[tree.name.as_ref().map_or(0, String::len)..].trim_start().starts_with('[');
-            let kind = if open { "list" } else { "items" };
+            let items = items.iter().map(|value| ron_tuples(py, value, text)).collect::<PyResult<Vec<_>>>()?;
+            let is_list = source[tree.name.as_ref().map_or(0, String::len)..].trim_start().starts_with('[');
+            let kind = if is_list { "list" } else { "items" };
             (kind, tree.name.as_deref(), PyList::new(py, items)?).into_pyobject(py)?.into_any()
         }
         Parts::Plain if tree.quoted => {
-            let decoded = ron_options().from_str::<String>(own).map_err(|e| wrong(py, &e.to_string()))?;
+            let decoded = ron_options().from_str::<String>(source).map_err(|e| input_error(py, &e.to_string()))?;
             ("text", decoded).into_pyobject(py)?.into_any()
         }
-        Parts::Plain => ("plain", own).into_pyobject(py)?.into_any(),
+        Parts::Plain => ("plain", source).into_pyobject(py)?.into_any(),
     })
 }
 
@@ -133,9 +136,9 @@ fn parts<'py>(py: Python<'py>, tree: &RonTree, text: &str) -> PyResult<Bound<'py
 #[pyfunction]
 pub(crate) fn complete(py: Python<'_>, kind: &str, text: &str) -> PyResult<String> {
     let Some(family) = PluginFamily::find(kind) else {
-        return Err(wrong(py, &format!("unknown plugin kind `{kind}`")));
+        return reject(py, &format!("unknown plugin kind `{kind}`"));
     };
-    free(py, || (family.complete)(text).map_err(unplaced))
+    without_gil(py, || (family.complete)(text).map_err(without_position))
 }
 
 /// All linked plugins, by kind.
@@ -153,7 +156,7 @@ pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
             entry.set_item("doc", member.docs.map(|docs| docs.text))?;
             entry.set_item(
                 "fields",
-                member.docs.map_or_else(|| Ok(PyList::empty(py)), |docs| fields(py, docs.fields()))?,
+                member.docs.map_or_else(|| Ok(PyList::empty(py)), |docs| field_list(py, docs.fields()))?,
             )?;
             all.append(entry)?;
         }
@@ -161,7 +164,8 @@ pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     Ok(all)
 }
 
-pub(crate) fn fields<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::DocField]) -> PyResult<Bound<'py, PyList>> {
+/// Converts the documentation of fields to tuples (name, type, text, whether it is optional).
+pub(crate) fn field_list<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::DocField]) -> PyResult<Bound<'py, PyList>> {
     let list = PyList::empty(py);
     for field in fields {
         list.append((field.name, field.kind.words(), field.text, field.optional))?;
@@ -173,10 +177,10 @@ pub(crate) fn fields<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::DocField
 #[pyfunction]
 pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     let mut found: BTreeMap<&'static str, &'static Docs> = BTreeMap::new();
-    gather(&DocKind::Of(Docs::of::<Inner>()), &mut found);
+    collect_docs(&DocKind::Of(Docs::of::<Inner>()), &mut found);
     for family in inventory::iter::<PluginFamily>() {
         for docs in (family.members)().iter().filter_map(|member| member.docs) {
-            docs.fields().iter().for_each(|field| gather(&field.kind, &mut found));
+            docs.fields().iter().for_each(|field| collect_docs(&field.kind, &mut found));
         }
     }
     let all = PyList::empty(py);
@@ -185,11 +189,11 @@ pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         entry.set_item("name", name)?;
         entry.set_item("doc", docs.text)?;
         match docs.body {
-            DocBody::Fields(own) => entry.set_item("fields", fields(py, own)?)?,
+            DocBody::Fields(fields) => entry.set_item("fields", field_list(py, fields)?)?,
             DocBody::Variants(variants) => {
                 let list = PyList::empty(py);
                 for variant in variants {
-                    list.append((variant.name, variant.text, variant.named, fields(py, variant.fields)?))?;
+                    list.append((variant.name, variant.text, variant.named, field_list(py, variant.fields)?))?;
                 }
                 entry.set_item("variants", list)?;
             }
@@ -199,20 +203,21 @@ pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     Ok(all)
 }
 
-fn gather(kind: &DocKind, found: &mut BTreeMap<&'static str, &'static Docs>) {
+/// Adds the structs and enums in a type, at any depth, to `found`, by name.
+fn collect_docs(kind: &DocKind, found: &mut BTreeMap<&'static str, &'static Docs>) {
     match kind {
         DocKind::Of(docs) => {
             if found.insert(docs.name, docs).is_none() {
                 match docs.body {
-                    DocBody::Fields(fields) => fields.iter().for_each(|field| gather(&field.kind, found)),
+                    DocBody::Fields(fields) => fields.iter().for_each(|field| collect_docs(&field.kind, found)),
                     DocBody::Variants(variants) => {
-                        variants.iter().flat_map(|v| v.fields).for_each(|field| gather(&field.kind, found));
+                        variants.iter().flat_map(|v| v.fields).for_each(|field| collect_docs(&field.kind, found));
                     }
                 }
             }
         }
-        DocKind::Optional(inner) | DocKind::List(inner) | DocKind::Map(inner) => gather(inner, found),
-        DocKind::Tuple(parts) => parts.iter().for_each(|part| gather(part, found)),
+        DocKind::Optional(inner) | DocKind::List(inner) | DocKind::Map(inner) => collect_docs(inner, found),
+        DocKind::Tuple(parts) => parts.iter().for_each(|part| collect_docs(part, found)),
         DocKind::Plain(_) | DocKind::Plugin(_) => {}
     }
 }

@@ -20,9 +20,9 @@ mod initializer;
 mod objects;
 mod pruner;
 
-use crate::border::{call_strategy, carried, in_strategy_call, throw, wrong};
+use crate::border::{call_strategy, input_error, is_in_strategy_call, reject, throw, to_plugin_error};
 pub(crate) use deformation::PythonLoss;
-pub(crate) use objects::{cloud_object, cloud_of, stats_object};
+pub(crate) use objects::{cloud_object, read_cloud, stats_object};
 use pwrfgs::foreign::{Host, Python as Named, set_host};
 use pwrfgs_core::{
     Baseline, ColumnSpec, Deformation, GaussianCloud, Initializer, JsonSchema, Metric, Pruner, Real, Result, Split,
@@ -36,8 +36,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Largest number of values per Gaussian in a column.
 const WIDEST: usize = 4096;
 
-/// Registers the host.
-pub(crate) fn begin() {
+/// Registers the interpreter as host of strategies in Python.
+pub(crate) fn register_host() {
     set_host(Box::new(Interpreter));
 }
 
@@ -47,9 +47,9 @@ struct Interpreter;
 /// Objects of the current run, each created once.
 static MADE: Mutex<BTreeMap<(&'static str, Named), Arc<Object>>> = Mutex::new(BTreeMap::new());
 
-/// Starts a run with new objects: state outside of columns is lost.
-pub(crate) fn forget() {
-    if !in_strategy_call() {
+/// Removes the objects of the last run, so that the next one creates new objects; does nothing during a strategy call.
+pub(crate) fn forget_objects() {
+    if !is_in_strategy_call() {
         MADE.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 }
@@ -57,9 +57,9 @@ pub(crate) fn forget() {
 /// Object of a user class.
 #[derive(Debug)]
 struct Object {
-    own: Py<PyAny>,
+    instance: Py<PyAny>,
     /// Methods that its class implements: others are not called.
-    has: BTreeSet<String>,
+    methods: BTreeSet<String>,
     /// Columns that a pruner requests.
     columns: Vec<ColumnSpec>,
     /// Tensors of a network, and their initial values.
@@ -67,78 +67,80 @@ struct Object {
 }
 
 /// Returns the object of a strategy in the current run, created if needed.
-fn object(kind: &'static str, which: &Named) -> Result<Arc<Object>> {
+fn strategy_object(kind: &'static str, which: &Named) -> Result<Arc<Object>> {
     let key = (kind, which.clone());
     if let Some(object) = MADE.lock().unwrap_or_else(PoisonError::into_inner).get(&key) {
         return Ok(Arc::clone(object));
     }
     // Not under the lock: Python may call back.
-    let object = Arc::new(Python::attach(|py| Object::make(py, kind, which)).map_err(carried)?);
+    let object = Arc::new(Python::attach(|py| Object::create(py, kind, which)).map_err(to_plugin_error)?);
     let mut made = MADE.lock().unwrap_or_else(PoisonError::into_inner);
     Ok(Arc::clone(made.entry(key).or_insert(object)))
 }
 
 impl Host for Interpreter {
     fn pruner(&self, which: &Named) -> Result<Arc<dyn Pruner>> {
-        Ok(Arc::new(Strategy { object: object("Pruner", which)?, named: which.clone() }))
+        Ok(Arc::new(Strategy { object: strategy_object("Pruner", which)?, named: which.clone() }))
     }
 
     fn initializer(&self, which: &Named) -> Result<Arc<dyn Initializer>> {
-        Ok(Arc::new(Strategy { object: object("Initializer", which)?, named: which.clone() }))
+        Ok(Arc::new(Strategy { object: strategy_object("Initializer", which)?, named: which.clone() }))
     }
 
     fn split(&self, which: &Named) -> Result<Arc<dyn Split>> {
-        Ok(Arc::new(Strategy { object: object("Split", which)?, named: which.clone() }))
+        Ok(Arc::new(Strategy { object: strategy_object("Split", which)?, named: which.clone() }))
     }
 
     fn baseline(&self, which: &Named) -> Result<Arc<dyn Baseline>> {
-        Ok(Arc::new(Strategy { object: object("Baseline", which)?, named: which.clone() }))
+        Ok(Arc::new(Strategy { object: strategy_object("Baseline", which)?, named: which.clone() }))
     }
 
     fn deformation(&self, which: &Named) -> Result<Arc<dyn Deformation>> {
-        Ok(Arc::new(Strategy { object: object("Deformation", which)?, named: which.clone() }))
+        Ok(Arc::new(Strategy { object: strategy_object("Deformation", which)?, named: which.clone() }))
     }
 
     fn metric(&self, which: &Named) -> Result<Arc<dyn Metric>> {
-        Ok(Arc::new(Strategy { object: object("Metric", which)?, named: which.clone() }))
+        Ok(Arc::new(Strategy { object: strategy_object("Metric", which)?, named: which.clone() }))
     }
 }
 
 impl Object {
-    fn make(py: Python<'_>, kind: &str, which: &Named) -> PyResult<Self> {
+    /// Creates the object of a class, and reads its methods, columns and tensors.
+    fn create(py: Python<'_>, kind: &str, which: &Named) -> PyResult<Self> {
         let helpers = py.import("pwrfgs._strategies")?;
         let Named { module, class, settings, source } = which;
-        let own = helpers.getattr("made")?.call1((kind, module, class, settings, source))?;
-        let has: BTreeSet<String> = helpers.getattr("overrides")?.call1((kind, &own))?.extract()?;
-        let columns = if has.contains("columns") { columns(&own.call_method0("columns")?)? } else { Vec::new() };
-        let weights = if kind == "Deformation" { deformation::initial(&own)? } else { Vec::new() };
-        Ok(Self { own: own.unbind(), has, columns, weights })
+        let instance = helpers.getattr("made")?.call1((kind, module, class, settings, source))?;
+        let methods: BTreeSet<String> = helpers.getattr("overrides")?.call1((kind, &instance))?.extract()?;
+        let columns = || requested_columns(&instance.call_method0("columns")?);
+        let columns = methods.contains("columns").then(columns).transpose()?.unwrap_or_default();
+        let weights = if kind == "Deformation" { deformation::initial_weights(&instance)? } else { Vec::new() };
+        Ok(Self { instance: instance.unbind(), methods, columns, weights })
     }
 
-    fn has(&self, method: &str) -> bool {
-        self.has.contains(method)
+    /// Returns whether the class implements a method.
+    fn implements(&self, method: &str) -> bool {
+        self.methods.contains(method)
     }
 }
 
 /// Returns the columns that a pruner requests, from `Column` objects.
-fn columns(in_strategy_call: &Bound<'_, PyAny>) -> PyResult<Vec<ColumnSpec>> {
+fn requested_columns(columns: &Bound<'_, PyAny>) -> PyResult<Vec<ColumnSpec>> {
     let one = |column: Bound<'_, PyAny>| {
         Ok(ColumnSpec {
-            name: lasting(column.getattr("name")?.extract()?),
+            name: static_name(column.getattr("name")?.extract()?),
             width: column.getattr("width")?.extract()?,
             init: column.getattr("init")?.extract()?,
             learning_rate: column.getattr("learning_rate")?.extract()?,
             adam: column.getattr("adam")?.extract()?,
         })
     };
-    let all = in_strategy_call
-        .try_iter()
-        .and_then(|all| all.map(|column| one(column?)).collect::<PyResult<Vec<ColumnSpec>>>());
+    let specs =
+        columns.try_iter().and_then(|all| all.map(|column| one(column?)).collect::<PyResult<Vec<ColumnSpec>>>());
     let form = "give a list of pwrfgs.Column(name, width=1, init=0.0, learning_rate=None, adam=True)";
-    let all = all.map_err(|error| wrong(in_strategy_call.py(), &format!("columns: {error}; {form}")))?;
-    match all.iter().enumerate().find_map(|(i, spec)| fault(spec, &all[..i]).map(|what| (spec.name, what))) {
-        Some((name, what)) => Err(wrong(in_strategy_call.py(), &format!("columns: `{name}` {what}"))),
-        None => Ok(all),
+    let specs = specs.map_err(|error| input_error(columns.py(), &format!("columns: {error}; {form}")))?;
+    match specs.iter().enumerate().find_map(|(i, spec)| column_fault(spec, &specs[..i]).map(|what| (spec.name, what))) {
+        Some((name, what)) => reject(columns.py(), &format!("columns: `{name}` {what}")),
+        None => Ok(specs),
     }
 }
 
@@ -152,20 +154,20 @@ pub(crate) fn check_keys<'a>(
         let key: String = key.str()?.extract()?;
         if names.clone().into_iter().all(|name| name != key) {
             let hint = did_you_mean(&key, names);
-            return Err(wrong(dict.py(), &format!("{what} `{key}`{hint}")));
+            return reject(dict.py(), &format!("{what} `{key}`{hint}"));
         }
     }
     Ok(())
 }
 
-/// Returns the problem of a column; `others` precede it.
-fn fault(spec: &ColumnSpec, others: &[ColumnSpec]) -> Option<&'static str> {
+/// Returns the problem of a column, `None` if it is valid; `others` precede it.
+fn column_fault(spec: &ColumnSpec, others: &[ColumnSpec]) -> Option<&'static str> {
     let is_name = spec.name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
         && spec.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     if !is_name {
         return Some("is not a valid name; use letters, digits and underscores");
     }
-    if GaussianCloud::zeros(0).columns().any(|(own, ..)| own == spec.name) {
+    if GaussianCloud::zeros(0).columns().any(|(name, ..)| name == spec.name) {
         return Some("is a built-in column; use another name");
     }
     if others.iter().any(|other| other.name == spec.name) {
@@ -182,8 +184,8 @@ fn fault(spec: &ColumnSpec, others: &[ColumnSpec]) -> Option<&'static str> {
         .then_some("has a learning rate that is not positive; use None for columns that do not learn")
 }
 
-/// Returns the name with static lifetime, allocated once.
-fn lasting(name: String) -> &'static str {
+/// Returns the name with static lifetime; each name is allocated once.
+fn static_name(name: String) -> &'static str {
     static NAMES: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
     let mut names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(known) = names.get(name.as_str()) {
@@ -205,16 +207,17 @@ struct Strategy {
 impl Strategy {
     /// Calls `work` with the object; exceptions unwind.
     fn with<T>(&self, work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>) -> PyResult<T>) -> T {
-        self.ask(work).unwrap_or_else(|error| throw(error))
+        self.call(work).unwrap_or_else(|error| throw(error))
     }
 
     /// Calls `work` with the object; exceptions are returned as errors.
     fn try_with<T>(&self, work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>) -> PyResult<T>) -> Result<T> {
-        self.ask(work).map_err(carried)
+        self.call(work).map_err(to_plugin_error)
     }
 
-    fn ask<T>(&self, work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>) -> PyResult<T>) -> PyResult<T> {
-        call_strategy(|| Python::attach(|py| work(py, self.object.own.bind(py))))
+    /// Calls `work` with the object as part of a strategy call.
+    fn call<T>(&self, work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>) -> PyResult<T>) -> PyResult<T> {
+        call_strategy(|| Python::attach(|py| work(py, self.object.instance.bind(py))))
     }
 }
 

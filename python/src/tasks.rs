@@ -1,16 +1,17 @@
 //! What one does with data or a finished model; `pwrfgs/_tasks.py` makes methods and functions of these.
 
-use crate::arrays::{array, numbers, places, shape_of, vector};
-use crate::border::{free, stoppable, stopping, wrong};
+use crate::arrays::{array, array_shape, complex_pairs, numbers, positions, vector};
+use crate::border::{input_error, reject, run_stoppable, stop_progress, without_gil, without_position};
 use crate::data::Dataset;
 use crate::model::Model;
-use crate::settings::fields;
+use crate::settings::field_list;
 use pwrfgs::experiment::{Observer, SplitData, findings as findings_of, load, read_pipeline};
+use pwrfgs::localise::Region;
 use pwrfgs::model::compress::Bits;
 use pwrfgs::planning::floor_grid;
 use pwrfgs::raytrace::SceneFile;
-use pwrfgs::tasks::init::{DataSurvey, suggest_pipeline};
-use pwrfgs::tasks::locate::{Localisation, LocateSettings, ReadFeatures, checked_features};
+use pwrfgs::tasks::init::DataSurvey;
+use pwrfgs::tasks::locate::{Localisation, LocateSettings, LocatedRow, ReadFeatures, checked_features};
 use pwrfgs::tasks::place::{PlaceSettings, Placement, place_in_data, place_in_scene};
 use pwrfgs::tasks::plan::{Places, PlanSettings};
 use pwrfgs::tasks::update::UpdatedModel;
@@ -29,54 +30,54 @@ struct TaskObserver<'a>(&'a AtomicBool);
 
 impl Observer for TaskObserver<'_> {
     fn on_stage(&mut self, _: &str, done: usize, total: usize) {
-        stopping(self.0)(done, total);
+        stop_progress(self.0)(done, total);
     }
 
     fn on_message(&mut self, message: &str) {
-        log("info", message);
+        log_message("info", message);
     }
 
     fn on_warning(&mut self, warning: &str) {
-        log("warning", warning);
+        log_message("warning", warning);
     }
 }
 
 /// Logs a message under the name "pwrfgs"; a failure of the logger is ignored.
-pub(crate) fn log(level: &str, text: &str) {
+pub(crate) fn log_message(level: &str, text: &str) {
     Python::attach(|py| {
         let logger = py.import("pwrfgs._log").and_then(|module| module.getattr("log"));
         _ = logger.and_then(|logger| logger.call_method1(level, ("%s", text)));
     });
 }
 
-/// Fields of the settings of each task: (task, [(name, type, doc, optional)]).
+/// Lists the fields of the settings of each task: (task, [(name, type, doc, optional)]).
 #[pyfunction]
 pub(crate) fn task_settings<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
     let all = PyDict::new(py);
-    all.set_item("map", fields(py, Docs::of::<MapSettings>().fields())?)?;
-    all.set_item("locate", fields(py, Docs::of::<LocateSettings>().fields())?)?;
-    all.set_item("plan", fields(py, Docs::of::<PlanSettings>().fields())?)?;
-    all.set_item("place", fields(py, Docs::of::<PlaceSettings>().fields())?)?;
+    all.set_item("map", field_list(py, Docs::of::<MapSettings>().fields())?)?;
+    all.set_item("locate", field_list(py, Docs::of::<LocateSettings>().fields())?)?;
+    all.set_item("plan", field_list(py, Docs::of::<PlanSettings>().fields())?)?;
+    all.set_item("place", field_list(py, Docs::of::<PlaceSettings>().fields())?)?;
     Ok(all)
 }
 
 /// Reads settings from RON text.
-fn settings<S: DeserializeOwned>(text: &str) -> Result<S> {
-    read_ron(text, Path::new("settings")).map_err(crate::border::unplaced)
+fn read_settings<S: DeserializeOwned>(text: &str) -> Result<S> {
+    read_ron(text, Path::new("settings")).map_err(without_position)
 }
 
 /// Maps a model over a plane: a dict with the grid and the layers.
 #[pyfunction]
 pub(crate) fn radio_map<'py>(py: Python<'py>, model: &Model, text: &str) -> PyResult<Bound<'py, PyDict>> {
-    let map = stoppable(py, |stop| {
-        let map = tasks::map(&model.ensemble, &settings(text)?, &mut TaskObserver(stop))?;
-        map.bounds_note.iter().for_each(|note| log("info", note));
+    let map = run_stoppable(py, |stop| {
+        let map = tasks::map(&model.ensemble, &read_settings(text)?, &mut TaskObserver(stop))?;
+        map.bounds_note.iter().for_each(|note| log_message("info", note));
         Ok(map)
     })?;
     let (grid, dict) = (map.grid, PyDict::new(py));
     let along = |axis: usize, count: usize| (0..count).map(|k| grid.first[axis] + grid.step * k as f64).collect();
-    dict.set_item("axes", grid.plane.names())?;
-    dict.set_item("plane", grid.plane.words())?;
+    dict.set_item("axes", grid.plane.axis_names())?;
+    dict.set_item("plane", grid.plane.describe())?;
     dict.set_item("columns", vector::<f64>(py, along(0, grid.columns))?)?;
     dict.set_item("rows", vector::<f64>(py, along(1, grid.rows))?)?;
     let shape = [grid.rows, grid.columns];
@@ -91,8 +92,8 @@ pub(crate) fn radio_map<'py>(py: Python<'py>, model: &Model, text: &str) -> PyRe
     Ok(dict)
 }
 
-/// Data and split of the pipeline next to the file of a model.
-fn split_of(model: &Model, observer: &mut TaskObserver<'_>) -> Result<SplitData> {
+/// Loads data and split of the pipeline next to the file of a model; an error for a model without one.
+fn load_split(model: &Model, observer: &mut TaskObserver<'_>) -> Result<SplitData> {
     let path = model.pipeline_path().ok_or_else(|| {
         let problem = "the model has no pipeline.ron next to its file; localisation needs its data: load the model of a run folder";
         pwrfgs_core::Error::Config(problem.into())
@@ -100,21 +101,38 @@ fn split_of(model: &Model, observer: &mut TaskObserver<'_>) -> Result<SplitData>
     load(&read_pipeline(&path, &[])?, Path::new(""), observer)
 }
 
-/// Observations of unknown transmitters as numbers of the model: powers `[B, R]`, spectra `[B, H, W]`, or channels `[B, A, F]` as
-/// rows of real and imaginary parts.
-fn observed(model: &Model, value: &Bound<'_, PyAny>) -> PyResult<Vec<Real>> {
+/// Reads observations of unknown transmitters: powers `[B, R]`, spectra `[B, H, W]`, or channels `[B, A, F]` as rows of real and
+/// imaginary parts.
+fn read_observations(model: &Model, value: &Bound<'_, PyAny>) -> PyResult<Vec<Real>> {
     let setup = &model.ensemble.members()[0].stages.setup;
     let (width, height) = (setup.plane.width, setup.plane.height);
     let name = "observations";
     if setup.task.is_scalar {
-        return numbers::<Real>(name, value, &[None, Some(setup.receivers.len())]);
+        return numbers(name, value, &[None, Some(setup.receivers.len())]);
     }
     if setup.task.is_complex {
-        let gains = numbers::<crate::arrays::Gain>(name, value, &[None, Some(height / 2), Some(width)])?;
-        let gains: Vec<[Real; 2]> = gains.into_iter().map(|gain| [gain.re, gain.im]).collect();
-        return Ok(gains.chunks_exact((height / 2 * width).max(1)).flat_map(|gains| rows_of(gains, width)).collect());
+        let gains = complex_pairs(name, value, &[None, Some(height / 2), Some(width)])?;
+        return Ok(rows_of(&gains, width));
     }
-    numbers::<Real>(name, value, &[None, Some(height), Some(width)])
+    numbers(name, value, &[None, Some(height), Some(width)])
+}
+
+/// Converts located transmitters to a dict with an array per column; without true positions if one is unknown.
+fn location_dict<'py>(py: Python<'py>, rows: &[LocatedRow]) -> PyResult<Bound<'py, PyDict>> {
+    let (dict, shape) = (PyDict::new(py), [rows.len(), 3]);
+    let regions = || rows.iter().map(|row| row.located.region.as_ref());
+    let area = |region: Option<&Region>| region.map_or(f64::NAN, Region::area);
+    let outlines: Vec<_> = regions().map(|region| region.map(Region::outlines).unwrap_or_default()).collect();
+    let estimates: Vec<f64> = rows.iter().flat_map(|row| row.located.position).collect();
+    dict.set_item("names", rows.iter().map(|row| row.name.as_str()).collect::<Vec<_>>())?;
+    dict.set_item("positions", array(py, estimates, &shape)?)?;
+    dict.set_item("misfit", vector(py, rows.iter().map(|row| row.located.misfit).collect::<Vec<f64>>())?)?;
+    dict.set_item("region_m2", vector(py, regions().map(area).collect::<Vec<f64>>())?)?;
+    dict.set_item("outlines", outlines)?;
+    if let Some(truths) = rows.iter().map(|row| row.truth).collect::<Option<Vec<[f64; 3]>>>() {
+        dict.set_item("truth", array(py, truths.concat(), &shape)?)?;
+    }
+    Ok(dict)
 }
 
 /// Locates transmitters: a dict with an array per column. Without observations, locates the test samples.
@@ -127,39 +145,23 @@ pub(crate) fn locate<'py>(
     text: &str,
 ) -> PyResult<Bound<'py, PyDict>> {
     if let Some(value) = observations
-        && shape_of(value)?.first() == Some(&0)
+        && array_shape(value)?.first() == Some(&0)
     {
-        return Err(wrong(py, "observations is empty; give one row or more"));
+        return reject(py, "observations is empty; give one row or more");
     }
-    let values = observations.map(|value| observed(model, value)).transpose()?;
-    let Localisation { rows, text, .. } = stoppable(py, |stop| {
+    let values = observations.map(|value| read_observations(model, value)).transpose()?;
+    let Localisation { rows, text, .. } = run_stoppable(py, |stop| {
         let observer = &mut TaskObserver(stop);
-        let split = split_of(model, observer)?;
+        let split = load_split(model, observer)?;
         let receivers = &split.data.scene.receivers;
         let read = values
             .as_ref()
             .map(|values| move |features: &_| checked_features(Path::new("observations"), values, features, receivers));
         let read = read.as_ref().map(|read| read as ReadFeatures<'_>);
-        tasks::locate::locate(&model.ensemble, &split, read, &settings(text)?, observer)
+        tasks::locate::locate(&model.ensemble, &split, read, &read_settings(text)?, observer)
     })?;
-    let (dict, n) = (PyDict::new(py), rows.len());
+    let dict = location_dict(py, &rows)?;
     dict.set_item("text", text)?;
-    dict.set_item("names", rows.iter().map(|row| row.name.clone()).collect::<Vec<_>>())?;
-    dict.set_item(
-        "positions",
-        array(py, rows.iter().flat_map(|row| row.located.position).collect::<Vec<f64>>(), &[n, 3])?,
-    )?;
-    dict.set_item("misfit", vector(py, rows.iter().map(|row| row.located.misfit).collect::<Vec<f64>>())?)?;
-    let area = |row: &tasks::locate::LocatedRow| row.located.region.as_ref().map_or(f64::NAN, |region| region.area());
-    dict.set_item("region_m2", vector(py, rows.iter().map(area).collect::<Vec<f64>>())?)?;
-    let outlines = |row: &tasks::locate::LocatedRow| {
-        row.located.region.as_ref().map(|region| region.outlines()).unwrap_or_default()
-    };
-    dict.set_item("outlines", rows.iter().map(outlines).collect::<Vec<_>>())?;
-    if rows.iter().all(|row| row.truth.is_some()) {
-        let truths: Vec<f64> = rows.iter().flat_map(|row| row.truth.unwrap_or_default()).collect();
-        dict.set_item("truth", array(py, truths, &[n, 3])?)?;
-    }
     Ok(dict)
 }
 
@@ -167,7 +169,7 @@ pub(crate) fn locate<'py>(
 #[pyfunction]
 pub(crate) fn update(py: Python<'_>, model: &Model, data: &Dataset, accept: bool) -> PyResult<(Model, usize, String)> {
     let UpdatedModel { ensemble, added, agreement, .. } =
-        stoppable(py, |stop| tasks::update::update(&model.ensemble, &data.data, accept, &mut TaskObserver(stop)))?;
+        run_stoppable(py, |stop| tasks::update::update(&model.ensemble, &data.data, accept, &mut TaskObserver(stop)))?;
     Ok((Model::new(ensemble), added, agreement))
 }
 
@@ -177,27 +179,38 @@ pub(crate) fn compress(py: Python<'_>, model: &Model, bits: u8) -> PyResult<(Mod
     let bits = match bits {
         8 => Bits::Eight,
         16 => Bits::Sixteen,
-        other => return Err(wrong(py, &format!("bits is {other}, expected 8 or 16"))),
+        other => return reject(py, &format!("bits is {other}, expected 8 or 16")),
     };
-    let small = free(py, || tasks::compress::compress((*model.ensemble).clone(), bits))?;
+    let small = without_gil(py, || tasks::compress::compress((*model.ensemble).clone(), bits))?;
     Ok((Model::new(small.ensemble), small.notes))
 }
 
-/// Implausible properties of data: (name, problem, mend).
+/// Finds implausible properties of data: (name, problem, mend).
 #[pyfunction]
 pub(crate) fn findings(py: Python<'_>, data: &Dataset) -> PyResult<Vec<(String, String, String)>> {
-    let all = free(py, || findings_of(&data.data, None))?;
+    let all = without_gil(py, || findings_of(&data.data, None))?;
     Ok(all.into_iter().map(|finding| (finding.name, finding.problem, finding.mend)).collect())
 }
 
-/// Text of the pipeline that `pwrfgs init` suggests for data.
+/// Returns the text of the pipeline that `pwrfgs init` suggests for data.
 #[pyfunction]
-pub(crate) fn suggested(py: Python<'_>, data: &Dataset, source: &str, name: &str) -> PyResult<String> {
-    stoppable(py, |stop| {
+pub(crate) fn suggest_pipeline(py: Python<'_>, data: &Dataset, source: &str, name: &str) -> PyResult<String> {
+    run_stoppable(py, |stop| {
         let source = Plugin::<dyn DataSource>::parse(source).map_err(pwrfgs_core::Error::Config)?;
         let survey = DataSurvey::of_data(source, (*data.data).clone(), Vec::new(), &mut TaskObserver(stop))?;
-        suggest_pipeline(&survey, name, Path::new("pipeline"))?.to_ron()
+        tasks::init::suggest_pipeline(&survey, name, Path::new("pipeline"))?.to_ron()
     })
+}
+
+/// Returns the positions of data, or the training positions of a model.
+fn known_positions(py: Python<'_>, source: &Bound<'_, PyAny>) -> PyResult<Places> {
+    if let Ok(data) = source.cast::<Dataset>() {
+        let data = (*data.get().data).clone();
+        return without_gil(py, || Places::of_data(data));
+    }
+    let Ok(model) = source.cast::<Model>() else { return reject(py, "source: expected a Dataset or a Model") };
+    Places::of_model(&model.get().ensemble, "model")
+        .ok_or_else(|| input_error(py, "the model has no training positions; give its data"))
 }
 
 /// Selects positions to measure next, see `pwrfgs.plan`. `source` are data or a model, `candidates` positions [C, 3], `floor` a
@@ -211,22 +224,9 @@ pub(crate) fn plan<'py>(
     floor: Option<(PathBuf, f64, f64)>,
     text: &str,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let known = match source {
-        None => Places::default(),
-        Some(source) => {
-            if let Ok(data) = source.cast::<Dataset>() {
-                let data = (*data.get().data).clone();
-                free(py, || Places::of_data(data))?
-            } else if let Ok(model) = source.cast::<Model>() {
-                Places::of_model(&model.get().ensemble, "model")
-                    .ok_or_else(|| wrong(py, "the model has no training positions; give its data"))?
-            } else {
-                return Err(wrong(py, "source: expected a Dataset or a Model"));
-            }
-        }
-    };
-    let candidates = candidates.map(|positions| places("candidates", positions)).transpose()?;
-    let (places, plan) = stoppable(py, |stop| {
+    let known = source.map_or_else(|| Ok(Places::default()), |source| known_positions(py, source))?;
+    let candidates = candidates.map(|value| positions("candidates", value)).transpose()?;
+    let (places, plan) = run_stoppable(py, |stop| {
         let candidates = match (candidates, floor) {
             (None, Some((scene, step, height))) => Some(floor_grid(&SceneFile::read(&scene)?, step, height)?),
             (candidates, _) => candidates,
@@ -235,7 +235,7 @@ pub(crate) fn plan<'py>(
             Some(candidates) => known.with_candidates(candidates, Path::new("candidates"))?,
             None => known,
         };
-        let plan = tasks::plan::plan(&places, &settings(text)?, &mut TaskObserver(stop), stop)?;
+        let plan = tasks::plan::plan(&places, &read_settings(text)?, &mut TaskObserver(stop), stop)?;
         Ok((places, plan))
     })?;
     let dict = PyDict::new(py);
@@ -252,14 +252,14 @@ pub(crate) fn plan<'py>(
 pub(crate) fn place<'py>(py: Python<'py>, source: &Bound<'py, PyAny>, text: &str) -> PyResult<Bound<'py, PyDict>> {
     let data = source.cast::<Dataset>().ok().map(|data| std::sync::Arc::clone(&data.get().data));
     let path: Option<PathBuf> = if data.is_none() { Some(source.extract()?) } else { None };
-    let placement: Placement = stoppable(py, |stop| {
-        let (settings, observer) = (settings::<PlaceSettings>(text)?, &mut TaskObserver(stop));
+    let placement: Placement = run_stoppable(py, |stop| {
+        let (settings, observer) = (read_settings::<PlaceSettings>(text)?, &mut TaskObserver(stop));
         if let Some(data) = data {
             return place_in_data(&data, &settings, observer);
         }
         let path = path.unwrap_or_default();
         match recognise(&path) {
-            Some(source) => place_in_data(&source.load(Path::new(""), &stopping(stop))?, &settings, observer),
+            Some(source) => place_in_data(&source.load(Path::new(""), &stop_progress(stop))?, &settings, observer),
             None => place_in_scene(&SceneFile::read(&path)?, &settings, observer, stop),
         }
     })?;

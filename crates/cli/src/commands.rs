@@ -100,13 +100,9 @@ pub(crate) enum Command {
 }
 
 impl Command {
-    /// Runs the command. `threads` is the value of `--threads`; `program` describes the whole command line.
-    pub(crate) fn execute(
-        &self,
-        threads: Option<usize>,
-        verbosity: Verbosity,
-        program: fn() -> clap::Command,
-    ) -> Result<u8> {
+    /// Runs the command and returns the exit code of the program. `threads` is the value of `--threads`; `program`
+    /// describes the whole command line.
+    pub(crate) fn execute(&self, threads: Option<usize>, verbosity: Verbosity, program: clap::Command) -> Result<u8> {
         match self {
             Self::Run(run) => return run::run(run, verbosity),
             Self::Sweep(sweep) => return sweep::sweep(sweep, threads, verbosity),
@@ -134,13 +130,13 @@ impl Command {
             Self::Compress(compress) => compress::compress(compress, verbosity),
             Self::Export(export) => export::export(export, verbosity),
             Self::Import(import) => import::import(import, verbosity),
-            Self::Pipelines(pipelines) => pipelines::pipelines(pipelines),
-            Self::Plugins(plugins) => plugins::plugins(plugins),
-            Self::Data(data) => data::data(data, verbosity),
+            Self::Pipelines(pipelines) => pipelines::list_or_copy_pipelines(pipelines),
+            Self::Plugins(plugins) => plugins::print_reference(plugins),
+            Self::Data(data) => data::print_data(data, verbosity),
             Self::Inspect(inspect) => check::inspect(inspect, verbosity),
             Self::Init(init) => init::init(init, verbosity),
-            Self::Completions(completions) => completions::completions(completions, program()),
-            Self::Man(man) => completions::man(man, program()),
+            Self::Completions(completions) => completions::print_completions(completions, program),
+            Self::Man(man) => completions::write_manual(man, program),
         }?;
         Ok(SUCCESS)
     }

@@ -32,15 +32,16 @@ pub(crate) fn stop_flag() -> Arc<AtomicBool> {
     Arc::clone(STOP.get_or_init(Arc::default))
 }
 
-/// Starts a thread that handles Ctrl-C. Flags work on every system; waiting for a signal does not work on Windows.
-pub(crate) fn listen() -> Result<()> {
+/// Starts a thread that handles Ctrl-C and requests to terminate. It polls a flag, since waiting for a signal does not
+/// work on Windows.
+pub(crate) fn start_listener() -> Result<()> {
     let failed = |e: std::io::Error| Error::Config(format!("cannot handle Ctrl-C: {e}"));
     let received = Arc::new(AtomicBool::new(false));
     let register = |signal| flag::register(signal, Arc::clone(&received)).map_err(failed);
     register(SIGINT)?;
     register(SIGTERM)?;
     #[cfg(unix)]
-    if !hang_up_is_ignored() {
+    if !is_hang_up_ignored() {
         register(signal_hook::consts::SIGHUP)?;
     }
     std::thread::spawn(move || {
@@ -53,7 +54,7 @@ pub(crate) fn listen() -> Result<()> {
             if stop.swap(true, Ordering::Relaxed) {
                 end_process(AT_ONCE);
             }
-            output::note("stopping at the next resumable point; press Ctrl-C again to stop immediately");
+            output::print_note("stopping at the next resumable point; press Ctrl-C again to stop immediately");
             std::thread::spawn(end_after_grace);
         }
     });
@@ -65,7 +66,7 @@ pub(crate) fn listen() -> Result<()> {
 pub(crate) struct InterruptibleRun(());
 
 impl InterruptibleRun {
-    /// Counts one more running training until it is dropped.
+    /// Counts one more running training until the returned value is dropped.
     pub(crate) fn begin() -> Self {
         TRAININGS.fetch_add(1, Ordering::Relaxed);
         Self(())
@@ -78,14 +79,14 @@ impl Drop for InterruptibleRun {
     }
 }
 
-/// Waits for the end of the process if it is ending, so that resulting errors are not printed.
+/// Blocks forever if another thread is ending the process, so that errors that result from it are not printed.
 pub(crate) fn wait_if_ending() {
     while ENDING.load(Ordering::Relaxed) {
         std::thread::sleep(TICK);
     }
 }
 
-/// Ends the process after one second without running trainings.
+/// Ends the process as soon as no training has run for [`GRACE`].
 fn end_after_grace() {
     let mut last = Instant::now();
     while last.elapsed() < GRACE {
@@ -97,11 +98,11 @@ fn end_after_grace() {
     end_process(AT_ONCE)
 }
 
-/// Ends the process after removing unfinished folders.
+/// Removes unfinished folders, prints `message` and ends the process as interrupted.
 fn end_process(message: &str) -> ! {
     ENDING.store(true, Ordering::Relaxed);
     NewFolder::abandon_all();
-    output::note(message);
+    output::print_note(message);
     std::process::exit(i32::from(INTERRUPTED))
 }
 
@@ -116,7 +117,7 @@ pub(crate) fn survive_file_limit() {
 
 /// Returns whether the process was started to outlive its terminal, as by `nohup`; detected on Linux only.
 #[cfg(unix)]
-fn hang_up_is_ignored() -> bool {
+fn is_hang_up_ignored() -> bool {
     let status = pwrfgs_core::files::read_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     // The first bit is that of signal 1, SIGHUP.

@@ -58,35 +58,35 @@ impl Arguments {
     }
 }
 
-/// Parses the command line of the process and runs the command; prints one message on failure.
+/// Runs the program with the command line of the process; returns its exit code.
 pub fn main() -> ExitCode {
     ExitCode::from(run(&std::env::args_os().collect::<Vec<_>>()))
 }
 
-/// Runs the program as [`main`] does for these arguments, of which the first is the path of the program; returns the
-/// exit code. Invalid arguments and `--help` end the process.
+/// Parses these arguments, of which the first is the path of the program, and runs the command; returns the exit code.
+/// Prints one message on failure. Invalid arguments and `--help` end the process.
 pub fn run(arguments: &[OsString]) -> u8 {
-    keep_memory();
+    keep_freed_memory();
     if let Err(error) = check_utf8(arguments) {
-        output::error(&error);
+        output::print_error(&error);
         return INVALID;
     }
-    output::set_program(arguments.first());
+    output::set_program_path(arguments.first());
     interrupt::survive_file_limit();
     let arguments = Arguments::parse_from(arguments);
     let (threads, verbosity) = (arguments.threads, arguments.verbosity());
     output::start_logging(verbosity);
-    let done = set_threads(threads)
-        .and_then(|()| interrupt::listen())
-        .and_then(|()| arguments.command.execute(threads, verbosity, Arguments::command));
+    let outcome = set_threads(threads)
+        .and_then(|()| interrupt::start_listener())
+        .and_then(|()| arguments.command.execute(threads, verbosity, Arguments::command()));
     interrupt::wait_if_ending();
-    done.unwrap_or_else(|error| match error {
+    outcome.unwrap_or_else(|error| match error {
         Error::Stopped => {
-            output::note("stopped without output; repeat the command to start again");
+            output::print_note("stopped without output; repeat the command to start again");
             INTERRUPTED
         }
         error => {
-            output::error(&error);
+            output::print_error(&error);
             if error.is_input() { INVALID } else { FAILED }
         }
     })
@@ -102,7 +102,8 @@ fn check_utf8(arguments: &[OsString]) -> Result<()> {
     })
 }
 
-/// Sets the number of threads: `count`, the environment variable, or all processors.
+/// Sets the number of threads of the process to `count`. Without it, checks the environment variable that sets the
+/// number, by default all processors.
 fn set_threads(count: Option<usize>) -> Result<()> {
     let Some(count) = count else { return pwrfgs_core::threads::check_environment() };
     rayon::ThreadPoolBuilder::new()
@@ -111,12 +112,12 @@ fn set_threads(count: Option<usize>) -> Result<()> {
         .map_err(|e| Error::Config(format!("--threads {count}: {e}")))
 }
 
-/// Configures the allocator to keep freed memory for the next step.
+/// Configures the allocator of glibc on Linux to keep freed memory for the next step; does nothing on other systems.
 ///
 /// A step of 50,000 Gaussians allocates about 100 MB. By default, the C library returns blocks of that size to the
 /// system and the kernel clears them again, which takes 15 % of the processor time (measured); with this setting it
 /// takes 2 %.
-fn keep_memory() {
+fn keep_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
         const BYTES: libc::c_int = 1 << 30;

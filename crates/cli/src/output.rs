@@ -32,10 +32,10 @@ pub(crate) enum Verbosity {
 }
 
 impl Verbosity {
-    /// Prints a line on stderr, unless quiet.
-    pub(crate) fn note(self, line: &str) {
+    /// Prints a line on stderr, above the progress bars, unless quiet.
+    pub(crate) fn print_note(self, line: &str) {
         if self != Self::Quiet {
-            note(line);
+            print_note(line);
         }
     }
 }
@@ -43,50 +43,50 @@ impl Verbosity {
 /// Path by which the program was called.
 static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
 
-/// Sets the path by which the program was called, if it has a folder.
-pub(crate) fn set_program(path: Option<&OsString>) {
+/// Sets the path by which the program was called; a path without a folder is ignored, since the shell searched for it.
+pub(crate) fn set_program_path(path: Option<&OsString>) {
     let has_folder = |path: &PathBuf| path.parent().is_some_and(|folder| !folder.as_os_str().is_empty());
     if let Some(path) = path.map(PathBuf::from).filter(has_folder) {
         _ = PROGRAM.set(path);
     }
 }
 
-/// Returns the path of the program, for a command line that starts it again. The Python package is called by a script,
-/// and the executable of the process is then the interpreter.
-pub(crate) fn program() -> Result<PathBuf> {
+/// Returns the path of the program, for a command line that starts it again: that of the call if it has a folder, else
+/// that of the executable. The executable of the Python package, which a script calls, is the interpreter.
+pub(crate) fn program_path() -> Result<PathBuf> {
     let failed = |e| Error::Config(format!("cannot find the path of this program: {e}"));
     PROGRAM.get().map_or_else(|| std::env::current_exe().map_err(failed), |called| Ok(called.clone()))
 }
 
 /// Returns the progress bars of the process; lines are printed above them.
-pub(crate) fn bars() -> &'static MultiProgress {
+pub(crate) fn progress_bars() -> &'static MultiProgress {
     static BARS: OnceLock<MultiProgress> = OnceLock::new();
     BARS.get_or_init(MultiProgress::new)
 }
 
 /// Prints a line on stderr, above the progress bars.
-pub(crate) fn note(line: &str) {
-    bars().suspend(|| _ = writeln!(std::io::stderr(), "{}", escape_control(line)));
+pub(crate) fn print_note(line: &str) {
+    progress_bars().suspend(|| _ = writeln!(std::io::stderr(), "{}", escape_control(line)));
 }
 
 /// Prints a warning on stderr, once per process.
-pub(crate) fn warning(text: &str) {
+pub(crate) fn print_warning(text: &str) {
     static SHOWN: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     if SHOWN.lock().unwrap_or_else(PoisonError::into_inner).insert(text.to_owned()) {
-        note(&format!("warning: {text}"));
+        print_note(&format!("warning: {text}"));
     }
 }
 
 /// Prints the message of a failed command.
-pub(crate) fn error(error: &Error) {
-    note(&format!("error: {error}"));
+pub(crate) fn print_error(error: &Error) {
+    print_note(&format!("error: {error}"));
 }
 
 /// Prints a result on stdout. A closed pipe (`pwrfgs plugins | head`) is not an error.
 ///
 /// # Errors
 /// If the result cannot be written, such as on a full disk.
-pub(crate) fn result(text: &str) -> Result<()> {
+pub(crate) fn print_result(text: &str) -> Result<()> {
     let mut out = std::io::stdout().lock();
     match out.write_all(escape_control(text).as_bytes()).and_then(|()| out.flush()) {
         Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(Error::write(Path::new("the result to stdout"), e)),
@@ -114,7 +114,7 @@ struct StderrAboveBars;
 
 impl Write for StderrAboveBars {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        bars().suspend(|| std::io::stderr().write(bytes))
+        progress_bars().suspend(|| std::io::stderr().write(bytes))
     }
 
     fn flush(&mut self) -> std::io::Result<()> {

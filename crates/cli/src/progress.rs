@@ -1,7 +1,7 @@
 //! Progress of a run: a bar on a terminal, else a plain line every few seconds.
 
 use crate::interrupt::InterruptibleRun;
-use crate::output::{self, Verbosity, bars, note};
+use crate::output::{self, Verbosity, print_note, progress_bars};
 use indicatif::{ProgressBar, ProgressStyle};
 use pwrfgs::experiment::text::{duration, grouped};
 use pwrfgs::experiment::{Observer, Start, Validation};
@@ -60,8 +60,8 @@ impl RunProgress {
         }
     }
 
-    /// Runs `work` with an observer.
-    pub(crate) fn during<R>(verbosity: Verbosity, work: impl FnOnce(&mut Self) -> R) -> R {
+    /// Runs `work` with an observer of a single run, whose bar is then removed; returns the result of `work`.
+    pub(crate) fn observe<R>(verbosity: Verbosity, work: impl FnOnce(&mut Self) -> R) -> R {
         work(&mut Self::new(verbosity))
     }
 
@@ -72,48 +72,48 @@ impl RunProgress {
         progress
     }
 
-    /// Returns the interval between two plain lines.
-    fn pause(&self) -> Duration {
+    /// Returns the interval between two plain lines, longer for one of several runs.
+    fn line_interval(&self) -> Duration {
         if self.name.is_some() { LINE_OF_SEVERAL } else { LINE }
     }
 
-    /// Prints a plain line.
+    /// Prints a plain line, with the name of the run if there are several.
     fn print_line(&self, line: &str) {
         match &self.name {
-            Some(name) => note(&format!("{name}: {line}")),
-            None => note(line),
+            Some(name) => print_note(&format!("{name}: {line}")),
+            None => print_note(line),
         }
     }
 
-    /// Draws a bar, if stderr is a terminal.
+    /// Replaces the bar by one of `length` steps; without a new one if the output is quiet or stderr is no terminal.
     fn draw_bar(&mut self, length: u64) {
-        self.finish();
+        self.remove_bar();
         if self.verbosity != Verbosity::Quiet && std::io::stderr().is_terminal() {
             let style = ProgressStyle::with_template("{prefix}{bar:24.cyan/dim} {pos}/{len}  {msg}")
                 .unwrap_or_else(|_| ProgressStyle::default_bar())
                 .progress_chars("━╸─");
             let prefix = self.name.as_ref().map_or_else(String::new, |name| format!("{name}  "));
-            self.bar = Some(bars().add(ProgressBar::new(length).with_style(style).with_prefix(prefix)));
+            self.bar = Some(progress_bars().add(ProgressBar::new(length).with_style(style).with_prefix(prefix)));
         }
     }
 
-    /// Removes the bar.
-    pub(crate) fn finish(&mut self) {
+    /// Removes the bar, if there is one.
+    pub(crate) fn remove_bar(&mut self) {
         if let Some(bar) = self.bar.take() {
             bar.finish_and_clear();
-            bars().remove(&bar);
+            progress_bars().remove(&bar);
         }
     }
 
-    /// Computes the steps per second over the last period.
-    fn speed(&self) -> Option<f64> {
+    /// Computes the steps per second over the last [`WINDOW`]; `None` before its second step.
+    fn steps_per_second(&self) -> Option<f64> {
         let ((then, from), (now, to)) = (self.pace.front()?, self.pace.back()?);
         let seconds = (*now - *then).as_secs_f64();
         (seconds > 0.0).then(|| (to - from) as f64 / seconds)
     }
 
-    /// Describes phase, loss, N, speed and remaining time.
-    fn describe(&self, report: &StepReport) -> String {
+    /// Describes a training step: phase, loss, N, last validation, speed and remaining time.
+    fn describe_step(&self, report: &StepReport) -> String {
         let mut words = format!("{:<8}  loss {:.4}", report.phase.name(), self.loss);
         if report.gaussians > 0 {
             _ = write!(words, "  N {}", grouped(report.gaussians as i64));
@@ -121,7 +121,7 @@ impl RunProgress {
         if let Some(v) = self.validation {
             _ = write!(words, "  validation {} {:.3}", v.task.headline.name, v.values[0]);
         }
-        if let Some(speed) = self.speed() {
+        if let Some(speed) = self.steps_per_second() {
             let left = duration((self.steps - report.step) as f64 / speed);
             let _ = if speed >= 1.0 {
                 write!(words, "  {speed:.1} it/s  {left} left")
@@ -135,7 +135,7 @@ impl RunProgress {
 
 impl Drop for RunProgress {
     fn drop(&mut self) {
-        self.finish();
+        self.remove_bar();
     }
 }
 
@@ -144,7 +144,7 @@ impl Observer for RunProgress {
         self.training = None;
         let now = Instant::now();
         if done == 0 || done >= total {
-            self.finish();
+            self.remove_bar();
             (self.stage, self.shown) = (now, now);
         } else if now - self.stage > PATIENCE {
             let terminal = std::io::stderr().is_terminal();
@@ -155,7 +155,7 @@ impl Observer for RunProgress {
             if let Some(bar) = &self.bar {
                 bar.set_message(format!("{name}  {left} left"));
                 bar.set_position(done as u64);
-            } else if !terminal && self.verbosity != Verbosity::Quiet && now - self.shown >= self.pause() {
+            } else if !terminal && self.verbosity != Verbosity::Quiet && now - self.shown >= self.line_interval() {
                 self.shown = now;
                 let (done, total) = (grouped(done as i64), grouped(total as i64));
                 self.print_line(&format!("{name}: {done} of {total}  {left} left"));
@@ -171,7 +171,7 @@ impl Observer for RunProgress {
         let [train, validation, test] = start.samples.map(|n| grouped(n as i64));
         if self.name.is_none() {
             let things = start.task.counted[1];
-            note(&format!("{}: {train} training, {validation} validation, {test} test {things}", start.title));
+            print_note(&format!("{}: {train} training, {validation} validation, {test} test {things}", start.title));
         }
         let on = if start.done > 0 {
             format!("resuming after step {} of", grouped(start.done as i64))
@@ -180,10 +180,10 @@ impl Observer for RunProgress {
         };
         let steps = grouped(start.steps as i64);
         match &self.name {
-            None => note(&format!("{on} {steps} steps in {}", start.folder.display())),
+            None => print_note(&format!("{on} {steps} steps in {}", start.folder.display())),
             Some(_) => self.print_line(&format!("{on} {steps} steps")),
         }
-        let memory = memory(start.step_bytes);
+        let memory = format_gigabytes(start.step_bytes);
         self.print_line(&match start.gaussians {
             0 => format!("about {memory} per step"),
             n => format!("N = {}, about {memory} per step", grouped(n as i64)),
@@ -198,7 +198,7 @@ impl Observer for RunProgress {
     fn on_step(&mut self, report: &StepReport) {
         self.loss = if self.loss.is_nan() { report.loss } else { 0.95 * self.loss + 0.05 * report.loss };
         let now = Instant::now();
-        let every = if self.bar.is_some() { REDRAW } else { self.pause() };
+        let every = if self.bar.is_some() { REDRAW } else { self.line_interval() };
         let first = self.pace.is_empty();
         // For several runs, the bar or an occasional line is enough.
         let edge = (first || report.step == self.steps) && self.name.is_none();
@@ -212,9 +212,9 @@ impl Observer for RunProgress {
         }
         if let Some(bar) = &self.bar {
             bar.set_position(report.step);
-            bar.set_message(self.describe(report));
+            bar.set_message(self.describe_step(report));
         } else if self.verbosity != Verbosity::Quiet {
-            self.print_line(&format!("step {}/{}  {}", report.step, self.steps, self.describe(report)));
+            self.print_line(&format!("step {}/{}  {}", report.step, self.steps, self.describe_step(report)));
         }
     }
 
@@ -233,23 +233,23 @@ impl Observer for RunProgress {
     fn on_message(&mut self, message: &str) {
         self.training = None; // training is over, scoring follows
         if self.verbosity != Verbosity::Quiet && (self.name.is_none() || self.verbosity == Verbosity::Verbose) {
-            self.finish();
+            self.remove_bar();
             self.print_line(message);
         }
     }
 
     fn on_warning(&mut self, warning: &str) {
-        self.finish();
-        output::warning(warning);
+        self.remove_bar();
+        output::print_warning(warning);
     }
 }
 
-/// Formats bytes: `0.41 GB`.
-pub(crate) fn memory(bytes: u64) -> String {
+/// Formats a number of bytes in gigabytes: `0.41 GB`.
+pub(crate) fn format_gigabytes(bytes: u64) -> String {
     format!("{:.2} GB", bytes as f64 / 1e9)
 }
 
-/// Formats seconds: `12 ms` or `26.1 s`.
-pub(crate) fn pace(seconds: f64) -> String {
+/// Formats the seconds of a training step, in milliseconds below one second: `12.0 ms` or `26.1 s`.
+pub(crate) fn format_step_time(seconds: f64) -> String {
     if seconds < 1.0 { format!("{:.1} ms", 1e3 * seconds) } else { format!("{seconds:.1} s") }
 }

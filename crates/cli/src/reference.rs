@@ -35,9 +35,9 @@ pub(crate) struct DocItem {
     pub(crate) value: Result<Value, String>,
 }
 
-/// Lists all chapters, in the order of the fields of a pipeline.
-pub(crate) fn chapters() -> Vec<DocChapter> {
-    let pipeline = example();
+/// Lists all chapters of the reference: pipeline, settings, plugin kinds in the order of their fields, and experiment.
+pub(crate) fn list_chapters() -> Vec<DocChapter> {
+    let pipeline = example_pipeline();
     let mut settings = Vec::new();
     let mut plugins = Vec::new();
     for field in Docs::of::<Pipeline>().fields() {
@@ -46,7 +46,7 @@ pub(crate) fn chapters() -> Vec<DocChapter> {
                 plugins.extend(PluginFamily::find(kind).map(|family| plugin_chapter(family, field)));
             }
             DocKind::Of(docs) => {
-                let value = pipeline.as_ref().ok().and_then(|p| p.part(field.name));
+                let value = pipeline.as_ref().ok().and_then(|p| p.field_value(field.name));
                 collect_type(docs, field.name, value.as_ref(), &mut settings);
             }
             _ => {}
@@ -71,15 +71,15 @@ pub(crate) fn chapters() -> Vec<DocChapter> {
     chapters
 }
 
-/// Returns a pipeline with only the required fields.
-pub(crate) fn example() -> Result<Value, String> {
+/// Creates a pipeline with only the required fields, or the reason why it is invalid.
+pub(crate) fn example_pipeline() -> Result<Value, String> {
     let required = Pipeline::REQUIRED.map(|(field, value)| format!("{field}: {value}")).join(", ");
     let pipeline =
         Pipeline::parse(&format!("Pipeline({required})"), Path::new("example")).map_err(|e| e.to_string())?;
     Value::new(to_ron(&pipeline))
 }
 
-/// Creates the chapter of all plugins of one kind and the types of their fields.
+/// Creates the chapter of the plugins of `family`, which `field` of a pipeline holds, with the types of their fields.
 fn plugin_chapter(family: &'static PluginFamily, field: &'static DocField) -> DocChapter {
     let mut topics = Vec::new();
     let mut types = Vec::new();
@@ -91,7 +91,7 @@ fn plugin_chapter(family: &'static PluginFamily, field: &'static DocField) -> Do
         topics.push(DocItem { name: member.name.into(), fields: Vec::new(), docs: member.docs, value });
     }
     topics.extend(types);
-    DocChapter { name: family.kind.into(), field: Some(field.name), about: prose::line(field.text), topics }
+    DocChapter { name: family.kind.into(), field: Some(field.name), about: prose::single_line(field.text), topics }
 }
 
 /// Creates the chapter of the experiment file.
@@ -106,7 +106,8 @@ fn experiment_chapter() -> DocChapter {
     DocChapter { name: "Experiment".into(), field: None, about, topics }
 }
 
-/// Collects the type of `field` and, recursively, the types of its fields, each once.
+/// Adds the type of `field` and, recursively, the types of its fields to `topics`, each once; `value` holds its
+/// defaults.
 fn collect_type(docs: &'static Docs, field: &'static str, value: Option<&Value>, topics: &mut Vec<DocItem>) {
     if let Some(topic) = topics.iter_mut().find(|t| t.docs.is_some_and(|d| d.name == docs.name)) {
         if !topic.fields.contains(&field) {
@@ -126,11 +127,12 @@ fn collect_type(docs: &'static Docs, field: &'static str, value: Option<&Value>,
     }
 }
 
+/// Adds the types of `fields` and, recursively, of their fields to `topics`; `value` holds the defaults of all fields.
 fn collect_fields(fields: &'static [DocField], value: Option<&Value>, topics: &mut Vec<DocItem>) {
     for field in fields {
         if let DocKind::Of(docs) = inner_kind(&field.kind) {
-            let inside = value.and_then(|v| v.part(field.name));
-            collect_type(docs, field.name, inside.as_ref(), topics);
+            let inner = value.and_then(|v| v.field_value(field.name));
+            collect_type(docs, field.name, inner.as_ref(), topics);
         }
     }
 }
@@ -144,14 +146,14 @@ fn inner_kind(kind: &DocKind) -> DocKind {
 }
 
 impl DocChapter {
-    /// Returns whether `name`, in lower case, names the chapter.
+    /// Returns whether `name`, in lower case, is that of the chapter or of its field.
     pub(crate) fn is_called(&self, name: &str) -> bool {
         self.name.to_lowercase() == name || self.field.is_some_and(|field| field == name)
     }
 }
 
 impl DocItem {
-    /// Returns whether `name`, in lower case, names the topic.
+    /// Returns whether `name`, in lower case, is that of the topic or of one of its fields.
     pub(crate) fn is_called(&self, name: &str) -> bool {
         self.name.to_lowercase() == name || self.fields.contains(&name)
     }

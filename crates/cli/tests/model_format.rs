@@ -153,7 +153,7 @@ fn virtual_transmitters(order: usize) -> Model {
     };
     let method: Plugin<dyn Method> = Plugin::parse(&format!("VirtualTransmitters(order: {order})")).unwrap();
     let mut cloud = cloud();
-    cloud.complete(&method.traits().columns).unwrap();
+    cloud.add_missing_columns(&method.traits().columns).unwrap();
     let mut random = rng::stream(6, "harmonics", 0);
     cloud.extra.iter_mut().for_each(|column| column.values.fill_with(|| rng::normal(&mut random)));
     Model { stages: Stages { method, setup }, cloud, weights: Vec::new(), training_positions: None }

@@ -14,12 +14,13 @@ impl Cholesky {
         Self::factor_with(a, n, |pivot| (pivot > 0.0 && pivot.is_finite()).then_some(pivot))
     }
 
-    /// Factors a matrix that is positive definite up to rounding: pivots are at least `least`.
+    /// Factors the matrix `a` `[n,n]`, which is positive definite up to rounding: pivots are at least `least`.
     pub fn floored(a: Vec<f64>, n: usize, least: f64) -> Self {
         Self::factor_with(a, n, |pivot| Some(pivot.max(least))).expect("every pivot is taken")
     }
 
-    /// Factors the matrix `a`, row by row; `pivot` accepts, replaces or rejects the pivots.
+    /// Factors the matrix `a` `[n,n]`, row by row; `pivot` accepts, replaces or rejects the pivots. `None` if it
+    /// rejects one.
     fn factor_with(mut a: Vec<f64>, n: usize, pivot: impl Fn(f64) -> Option<f64>) -> Option<Self> {
         for i in 0..n {
             for j in 0..=i {

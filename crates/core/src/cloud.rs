@@ -82,8 +82,11 @@ impl GaussianCloud {
         fixed.into_iter().chain(self.extra.iter_mut().map(|c| (c.name.as_str(), c.width, c.values.as_mut_slice())))
     }
 
-    /// Adds a column of zeros for each missing entry of `expected` (name and width); fails if a column has another width.
-    pub fn complete(&mut self, expected: &[(&str, usize)]) -> Result<(), String> {
+    /// Adds a column of zeros for each missing entry of `expected` (name and width).
+    ///
+    /// # Errors
+    /// A column has another width.
+    pub fn add_missing_columns(&mut self, expected: &[(&str, usize)]) -> Result<(), String> {
         for &(name, width) in expected {
             match self.extra(name) {
                 Some(column) if column.width == width => {}
@@ -97,7 +100,7 @@ impl GaussianCloud {
         Ok(())
     }
 
-    /// Returns the extra column `name`.
+    /// Returns the extra column `name`; `None` if there is none.
     pub fn extra(&self, name: &str) -> Option<&ExtraColumn> {
         self.extra.iter().find(|c| c.name == name)
     }

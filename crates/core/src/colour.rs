@@ -15,25 +15,25 @@ pub fn sequential(value: f64) -> Rgb {
     let fraction = position - k as f64;
     let mix = |a: f64, b: f64| a + (b - a) * fraction;
     let ((h0, c0), (h1, c1)) = (SEQUENTIAL[k], SEQUENTIAL[k + 1]);
-    oklch(0.23 + 0.70 * t, mix(c0, c1), mix(h0, h1))
+    srgb_from_oklch(0.23 + 0.70 * t, mix(c0, c1), mix(h0, h1))
 }
 
 /// Returns a colour from blue at −1 over white to vermilion at 1.
 pub fn diverging(value: f64) -> Rgb {
     let size = value.abs().min(1.0);
     let hue = if value < 0.0 { 256.0 } else { 40.0 };
-    oklch(0.98 - 0.50 * size, 0.17 * size.powf(0.85), hue)
+    srgb_from_oklch(0.98 - 0.50 * size, 0.17 * size.powf(0.85), hue)
 }
 
 /// Returns a colour of a cyclic scale for values from 0 to 1: light, blue, dark, vermilion and light again. Hue
 /// distinguishes the halves of equal lightness, also for colour-blind readers.
 pub fn cyclic(value: f64) -> Rgb {
     let (sin, cos) = (std::f64::consts::TAU * value).sin_cos();
-    oklch(0.60 + 0.33 * cos, 0.13 * sin.abs(), if sin < 0.0 { 40.0 } else { 256.0 })
+    srgb_from_oklch(0.60 + 0.33 * cos, 0.13 * sin.abs(), if sin < 0.0 { 40.0 } else { 256.0 })
 }
 
 /// Converts `OKLab` in polar form to sRGB (Björn Ottosson, 2020); colours outside the gamut are clipped.
-fn oklch(lightness: f64, chroma: f64, hue_deg: f64) -> Rgb {
+fn srgb_from_oklch(lightness: f64, chroma: f64, hue_deg: f64) -> Rgb {
     let (sin, cos) = hue_deg.to_radians().sin_cos();
     let (a, b) = (chroma * cos, chroma * sin);
     let l = (lightness + 0.396_337_777_4 * a + 0.215_803_757_3 * b).powi(3);

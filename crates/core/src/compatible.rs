@@ -58,11 +58,11 @@ pub struct TrainingNumbers {
 /// # Errors
 /// The first misfit.
 pub fn compatible(parts: &Parts<'_>) -> Result<(), Misfit> {
-    let of_data = parts.data.map(|data| MeasurementSetup::of(data, data.plane()));
-    let setup = parts.setup.or(of_data.as_ref());
+    let data_setup = parts.data.map(|data| MeasurementSetup::of(data, data.plane()));
+    let setup = parts.setup.or(data_setup.as_ref());
     let parts = &Parts { setup, task: setup.map(|setup| setup.task).or(parts.task), ..*parts };
     let method = parts.method.map(|method| (method, method.traits()));
-    refuse(method.as_ref().and_then(|(_, traits)| other_task(parts, traits)))?;
+    refuse(method.as_ref().and_then(|(_, traits)| task_misfit(parts, traits)))?;
     let demand = method.as_ref().map(|(method, traits)| Demand::of("method", method.typetag_name(), traits.requires));
     parts.demands.iter().chain(&demand).try_for_each(|demand| check_demand(demand, parts))?;
     if let Some((method, traits)) = &method {
@@ -70,10 +70,10 @@ pub fn compatible(parts: &Parts<'_>) -> Result<(), Misfit> {
         check_training(parts, *method, traits)?;
         setup.map_or(Ok(()), |setup| check_setup(setup, traits))?;
         check_stages(parts, *method, traits)?;
-        refuse(parts.data.and_then(|data| other_inputs(data, traits)))?;
+        refuse(parts.data.and_then(|data| input_misfit(data, traits)))?;
     }
-    let trained = parts.trained.zip(setup).and_then(|(model, setup)| difference(model, setup));
-    refuse(trained.map(Misfit::OtherData).or_else(|| other_start(parts)))
+    let trained = parts.trained.zip(setup).and_then(|(model, setup)| setup_difference(model, setup));
+    refuse(trained.map(Misfit::OtherData).or_else(|| start_misfit(parts)))
 }
 
 /// Returns the misfit as an error, if there is one.
@@ -81,14 +81,16 @@ fn refuse(misfit: Option<Misfit>) -> Result<(), Misfit> {
     misfit.map_or(Ok(()), Err)
 }
 
-/// Returns whether the method predicts another task than that of the data.
-fn other_task(parts: &Parts<'_>, traits: &MethodTraits<'_>) -> Option<Misfit> {
+/// Returns the misfit of a method that predicts another task than that of the data; `None` if they agree or are
+/// unknown.
+fn task_misfit(parts: &Parts<'_>, traits: &MethodTraits<'_>) -> Option<Misfit> {
     // The task of splats is that of their readout.
     let field = if traits.rasterizer.is_some() { "readout" } else { "method" };
     let (predicted, task) = traits.task.zip(parts.task).filter(|(predicted, task)| predicted != task)?;
     Some(Misfit::MethodTask(field, predicted, task))
 }
 
+/// Checks that a plugin supports the task, and that its requirements are met.
 fn check_demand(demand: &Demand, parts: &Parts<'_>) -> Result<(), Misfit> {
     let Demand { field, plugin, tasks, requires } = *demand;
     let other = parts.task.filter(|task| !tasks.contains(task));
@@ -126,11 +128,11 @@ fn check_pruners(parts: &Parts<'_>, traits: &MethodTraits<'_>) -> Result<(), Mis
     let (pruners, task) = (parts.pruners, parts.task.or(traits.task));
     // Pruners written in Python share one name and differ in their class.
     let kind = |pruner: &Plugin<dyn Pruner>| if name_of(pruner) == "Python" { to_ron(pruner) } else { name_of(pruner) };
-    let is_again = |(k, pruner): &(usize, &Plugin<dyn Pruner>)| {
+    let is_repeated = |(k, pruner): &(usize, &Plugin<dyn Pruner>)| {
         !pruner.traits().columns.is_empty() && pruners[..*k].iter().any(|other| kind(other) == kind(pruner))
     };
-    refuse(pruners.iter().enumerate().find(is_again).map(|(_, pruner)| Misfit::ListedTwice(name_of(pruner))))?;
-    refuse(parts.training.and_then(|training| missed_target(&training, pruners)))?;
+    refuse(pruners.iter().enumerate().find(is_repeated).map(|(_, pruner)| Misfit::ListedTwice(name_of(pruner))))?;
+    refuse(parts.training.and_then(|training| target_misfit(&training, pruners)))?;
     let target = parts.training.map(|training| training.target).filter(|target| *target > 0);
     let moment = StepContext { round: 1, passed: 1, rounds: 1, target, ..StepContext::new(1, Phase::Prune, 0) };
     for (pruner, context) in pruners.iter().zip(prune_contexts(pruners, &moment)) {
@@ -145,8 +147,8 @@ fn check_pruners(parts: &Parts<'_>, traits: &MethodTraits<'_>) -> Result<(), Mis
     Ok(())
 }
 
-/// Returns why the target cannot be reached, or why a pruner that requires one has none.
-fn missed_target(training: &TrainingNumbers, pruners: &[Plugin<dyn Pruner>]) -> Option<Misfit> {
+/// Returns why the target cannot be reached, or why a pruner that requires one has none; `None` if all is well.
+fn target_misfit(training: &TrainingNumbers, pruners: &[Plugin<dyn Pruner>]) -> Option<Misfit> {
     let target = training.target;
     let goal = PruneTarget::of(pruners, target);
     if target > 0 && goal.is_none() {
@@ -159,7 +161,7 @@ fn missed_target(training: &TrainingNumbers, pruners: &[Plugin<dyn Pruner>]) -> 
     }
     let goal = goal.filter(PruneTarget::is_exact)?;
     let no_step = || Misfit::NoPruneStep(name_of(&pruners[goal.pruner]), target);
-    let few = training.initial.filter(|n| target > *n && !goal.grows(pruners, training.densified, target));
+    let few = training.initial.filter(|n| target > *n && !goal.can_reach(pruners, training.densified, target));
     (!training.prunes).then(no_step).or(few.map(|n| Misfit::TargetAboveStart(target, n)))
 }
 
@@ -243,12 +245,12 @@ fn check_stages(parts: &Parts<'_>, method: &dyn Method, traits: &MethodTraits<'_
         (None, None) => return Ok(()),
     };
     rasterizer.check_plane(&plane)?;
-    refuse((rasterizer.coherent() && traits.channels < 2).then_some(Misfit::HalfWaves))?;
-    refuse((rasterizer.coherent() && traits.shows_colours).then_some(Misfit::Colours))
+    refuse((rasterizer.is_coherent() && traits.channels < 2).then_some(Misfit::HalfWaves))?;
+    refuse((rasterizer.is_coherent() && traits.shows_colours).then_some(Misfit::Colours))
 }
 
-/// Returns how the transmitter inputs of the data differ from those of the method.
-fn other_inputs(data: &Dataset, traits: &MethodTraits<'_>) -> Option<Misfit> {
+/// Returns how the transmitter inputs of the data differ from those of the method; `None` if they agree.
+fn input_misfit(data: &Dataset, traits: &MethodTraits<'_>) -> Option<Misfit> {
     let width = data.features.as_ref().map(|features| features.width);
     match width {
         None if !data.placed => return Some(Misfit::NoInputs),
@@ -265,8 +267,8 @@ fn other_inputs(data: &Dataset, traits: &MethodTraits<'_>) -> Option<Misfit> {
     Some(Misfit::Inputs(inputs(Some(traits.inputs).filter(|n| *n != 3)), inputs(width), advice))
 }
 
-/// Returns the first difference between the setup of a trained model and that of data.
-fn difference(model: &MeasurementSetup, data: &MeasurementSetup) -> Option<SetupDifference> {
+/// Returns the first difference between the setup of a trained model and that of data; `None` if there is none.
+fn setup_difference(model: &MeasurementSetup, data: &MeasurementSetup) -> Option<SetupDifference> {
     let task = data.task;
     let near = |a: &f64, b: &f64| (a - b).abs() <= 1e-6 * a.abs();
     let [(drawn, a, trained), (measured, b, receivers)] = [model, data].map(|setup| {
@@ -282,7 +284,7 @@ fn difference(model: &MeasurementSetup, data: &MeasurementSetup) -> Option<Setup
         elevations.map(|(a, b)| SetupDifference::Elevations(a.first, a.last, b.first, b.last)),
         (trained != receivers).then_some(SetupDifference::Receivers(trained, receivers)),
     ];
-    let of_receiver = |(trained, measured): (&Receiver, &Receiver)| {
+    let receiver_difference = |(trained, measured): (&Receiver, &Receiver)| {
         let carriers = trained.carrier_hz.zip(measured.carrier_hz).filter(|(a, b)| !near(a, b));
         // The name of a single receiver is a placeholder and is not compared.
         let is_renamed = trained.name != measured.name && !task.has_pixels && data.receivers.len() > 1;
@@ -294,11 +296,11 @@ fn difference(model: &MeasurementSetup, data: &MeasurementSetup) -> Option<Setup
     let first = |hz: &[f64]| hz.first().copied().unwrap_or_default();
     let alike = trained.len() == measured.len() && trained.iter().zip(measured).all(|(a, b)| near(a, b));
     let frequency = || (!alike).then(|| SetupDifference::Frequency(first(trained), first(measured)));
-    whole.into_iter().flatten().next().or_else(|| receivers.find_map(of_receiver)).or_else(frequency)
+    whole.into_iter().flatten().next().or_else(|| receivers.find_map(receiver_difference)).or_else(frequency)
 }
 
-/// Returns why a training cannot start from a trained model.
-fn other_start(parts: &Parts<'_>) -> Option<Misfit> {
+/// Returns why a training cannot start from the trained model of `parts`; `None` if it can, or there is no such model.
+fn start_misfit(parts: &Parts<'_>) -> Option<Misfit> {
     let ((method, model), setup) = parts.start.zip(parts.setup)?;
     let text = |method: &dyn Method| serde_json::to_string(method).unwrap_or_default();
     let key = |setup: &MeasurementSetup| (setup.receivers.clone(), setup.moving);

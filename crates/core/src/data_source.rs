@@ -20,13 +20,13 @@ pub trait DataSource: crate::plugin::PluginObject {
     /// counts links; pass `&|_, _| {}` to ignore it.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset>;
 
-    /// Returns the measurement type if it is known before loading. Unsuitable pipelines are then rejected when they are
-    /// read, with the position.
+    /// Returns the measurement type if it is known before loading, otherwise `None`. Unsuitable pipelines are then
+    /// rejected when they are read, with the position.
     fn task(&self) -> Option<Task> {
         None
     }
 
-    /// Returns a source for the data in `folder` if it holds files of this layout. See [`recognise`].
+    /// Returns a source for the data in `folder`; `None` unless it holds files of this layout. See [`recognise`].
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
         None
     }
@@ -38,7 +38,7 @@ pub trait DataSource: crate::plugin::PluginObject {
 }
 plugin_kind!(DataSource);
 
-/// Returns the source for `folder`: the first linked source, by name, that recognises its layout.
+/// Returns the source for `folder`: the first linked source, by name, that recognises its layout; `None` if none does.
 pub fn recognise(folder: &Path) -> Option<Plugin<dyn DataSource>> {
     let source = |name| Plugin::<dyn DataSource>::parse(&format!("{name}()")).ok()?.recognise(folder);
     registered::<dyn DataSource>().into_iter().find_map(source).map(Plugin::from)
@@ -123,8 +123,9 @@ pub trait Baseline: crate::plugin::PluginObject {
         compatible(&Parts { data: Some(data), demands: &[self.demand()], ..Parts::default() }).map_err(Misfit::error)
     }
 
-    /// Fits to all `known` links. Choices use the validation set; if it is empty, samples held out of the training set.
-    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>>;
+    /// Fits to the links of `fitting`. Choices use the validation set; if it is empty, samples held out of the training
+    /// set.
+    fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>>;
 
     /// Returns whether its predictions come from another program and are for the test set alone.
     fn is_external(&self) -> bool {
@@ -172,7 +173,8 @@ pub trait Predict: Send + Sync {
         None
     }
 
-    /// Returns a note below tables of scores, for predictors whose scores are not directly comparable.
+    /// Returns a note below tables of scores, for predictors whose scores are not directly comparable; `None` for
+    /// others.
     fn note(&self) -> Option<String> {
         None
     }
@@ -206,12 +208,12 @@ impl Partition {
         [&self.train, &self.validation, &self.test].map(Vec::len)
     }
 
-    /// Returns the set that holds a link.
+    /// Returns the set that holds a link; [`LinkSet::Unused`] if none does.
     pub fn set_of(&self, link: usize) -> LinkSet {
         let sets =
             [(&self.train, LinkSet::Training), (&self.validation, LinkSet::Validation), (&self.test, LinkSet::Test)];
-        let found = sets.into_iter().find(|(links, _)| links.binary_search(&link).is_ok());
-        found.map_or(LinkSet::Unused, |(_, set)| set)
+        let holder = sets.into_iter().find(|(links, _)| links.binary_search(&link).is_ok());
+        holder.map_or(LinkSet::Unused, |(_, set)| set)
     }
 }
 
@@ -246,8 +248,8 @@ impl<'a> FittingSet<'a> {
 
     /// Returns training and validation links together, sorted.
     pub fn all(&self) -> Vec<usize> {
-        let mut all = [self.train, self.validation].concat();
-        all.sort_unstable();
-        all
+        let mut links = [self.train, self.validation].concat();
+        links.sort_unstable();
+        links
     }
 }

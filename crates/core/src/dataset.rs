@@ -234,7 +234,7 @@ impl Dataset {
         locations.iter().flat_map(|&l| begin(l)..begin(l + 1)).collect()
     }
 
-    /// Returns these links by receiver.
+    /// Groups these links by receiver: one list per receiver, which keeps the order.
     pub fn by_receiver(&self, links: impl IntoIterator<Item = usize>) -> Vec<Vec<usize>> {
         let mut groups = vec![Vec::new(); self.scene.receivers.len()];
         links.into_iter().for_each(|i| groups[self.links[i].receiver].push(i));
@@ -304,20 +304,23 @@ pub fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
 }
 
 /// Converts rows to columns: every location once, and the links.
+///
+/// # Errors
+/// The message names the ID of the first row that is out of order, or has an invalid pose or receiver.
 fn to_columns(samples: &[Sample], ends: &Ends) -> Result<(Vec<Location>, Vec<Link>), String> {
     let (moving, receivers) = (ends.moving, ends.receivers.len());
     let end = if moving.is_receiver() { "receiver" } else { "transmitter" };
     let mut locations: Vec<Location> = Vec::new();
     let mut links: Vec<Link> = Vec::with_capacity(samples.len());
-    for Sample { id, pose, receiver } in samples {
-        let pose = if moving.is_receiver() { *pose } else { pose.position.into() };
-        if *receiver >= receivers {
+    for &Sample { id, pose, receiver } in samples {
+        let pose = if moving.is_receiver() { pose } else { pose.position.into() };
+        if receiver >= receivers {
             return Err(format!("id {id} has receiver {receiver}, but there are {receivers}"));
         }
         match locations.last() {
-            Some(last) if last.id == *id => {
+            Some(last) if last.id == id => {
                 let earlier = links[links.len() - 1].receiver;
-                if earlier >= *receiver {
+                if earlier >= receiver {
                     let order = if receivers == 1 { String::new() } else { " and receivers".into() };
                     return Err(format!("id {id} follows {id}; sort the samples by unique ids{order}"));
                 }
@@ -326,17 +329,17 @@ fn to_columns(samples: &[Sample], ends: &Ends) -> Result<(Vec<Location>, Vec<Lin
                     return Err(format!("the {end} of id {id} has two positions, {first:?} and {second:?}"));
                 }
             }
-            Some(last) if last.id > *id => {
+            Some(last) if last.id > id => {
                 return Err(format!("id {id} follows {}; sort the samples by unique ids", last.id));
             }
             _ => {
                 if let Some((_, fault)) = pose.fault() {
                     return Err(format!("the {end} of id {id} at {:?}: {fault}", pose.position));
                 }
-                locations.push(Location { id: *id, pose });
+                locations.push(Location { id, pose });
             }
         }
-        links.push(Link { location: locations.len() - 1, receiver: *receiver });
+        links.push(Link { location: locations.len() - 1, receiver });
     }
     Ok((locations, links))
 }
@@ -359,12 +362,12 @@ fn build_scene(ends: Ends, points: Vec<[f64; 3]>, locations: &[Location]) -> Sce
     let points: Vec<[Real; 3]> = points.into_iter().map(|point| origin.local(point)).collect();
     let fixed = fixed.into_iter().map(|position| origin.local_pose(position.into()).origin().to_array());
     let occupied = positions().map(|position| origin.local(position)).chain(points.iter().copied());
-    let bounds = bounds_of(occupied.chain(fixed));
+    let bounds = bounding_box(occupied.chain(fixed));
     Scene { origin, moving, transmitter, receivers, bounds, points }
 }
 
 /// Returns the smallest and largest corner of the given points.
-fn bounds_of(points: impl Iterator<Item = [Real; 3]>) -> ([Real; 3], [Real; 3]) {
+fn bounding_box(points: impl Iterator<Item = [Real; 3]>) -> ([Real; 3], [Real; 3]) {
     let empty = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     let (low, high) = points.map(Vec3::from_array).fold(empty, |(low, high), p| (low.min(p), high.max(p)));
     (low.to_array(), high.to_array())

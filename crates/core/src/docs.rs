@@ -95,7 +95,7 @@ pub struct DocVariant {
 }
 
 impl DocKind {
-    /// Returns the struct or enum, also inside an `Option`.
+    /// Returns the documentation of a struct or enum, also inside an `Option`; `None` for other types.
     pub fn docs(&self) -> Option<&'static Docs> {
         match self {
             Self::Of(docs) => Some(docs),
@@ -137,7 +137,7 @@ impl Docs {
         docs
     }
 
-    /// Returns the fields of a struct.
+    /// Returns the fields of a struct; none for an enum.
     pub fn fields(&self) -> &'static [DocField] {
         match self.body {
             DocBody::Fields(fields) => fields,
@@ -145,7 +145,7 @@ impl Docs {
         }
     }
 
-    /// Returns the field `name` of a struct, or of variant `variant` of an enum.
+    /// Returns the field `name` of a struct, or of variant `variant` of an enum; `None` if there is none.
     pub fn field(&self, variant: Option<&str>, name: &str) -> Option<&'static DocField> {
         let fields = match self.body {
             DocBody::Fields(fields) => fields,
@@ -269,7 +269,7 @@ fn description(schema: &Value) -> &'static str {
     leak(schema.get("description").and_then(Value::as_str).unwrap_or_default().trim())
 }
 
-/// Copies a text that stays in memory.
+/// Copies a text to memory that is never freed: documentation lives as long as the program.
 fn leak(text: &str) -> &'static str {
     Box::leak(text.into())
 }

@@ -41,15 +41,15 @@ pub fn open(path: impl AsRef<Path>) -> io::Result<File> {
 pub fn refuse_irregular(path: &Path) -> io::Result<()> {
     match fs::metadata(path) {
         Ok(metadata) if !metadata.is_file() => {
-            let problem = format!("this is {}; give a regular file", describe(metadata.file_type()));
+            let problem = format!("this is {}; give a regular file", describe_file_type(metadata.file_type()));
             Err(io::Error::new(ErrorKind::InvalidInput, problem))
         }
         _ => Ok(()),
     }
 }
 
-/// Describes the type of a file that is not regular.
-fn describe(file_type: FileType) -> &'static str {
+/// Describes the type of a file that is not regular, such as `a socket`.
+fn describe_file_type(file_type: FileType) -> &'static str {
     #[cfg(unix)]
     {
         use std::os::unix::fs::FileTypeExt as _;
@@ -175,14 +175,14 @@ impl GrowingFile {
     pub fn create(path: PathBuf, start: &[u8]) -> Result<Self> {
         let file = File::create(&path).map_err(|e| Error::write(&path, e))?;
         let mut growing = Self { file: BufWriter::with_capacity(1 << 20, file), path };
-        growing.add(start).map(|()| growing)
+        growing.append(start).map(|()| growing)
     }
 
     /// Appends bytes.
     ///
     /// # Errors
     /// [`Error::Write`].
-    pub fn add(&mut self, bytes: &[u8]) -> Result<()> {
+    pub fn append(&mut self, bytes: &[u8]) -> Result<()> {
         self.file.write_all(bytes).map_err(|e| Error::write(&self.path, e))
     }
 
@@ -195,7 +195,7 @@ impl GrowingFile {
     }
 }
 
-/// Returns the SHA-256 in the notation of `sha256sum`.
+/// Returns the SHA-256 of `bytes` in the notation of `sha256sum`: 64 hexadecimal digits.
 pub fn digest(bytes: &[u8]) -> String {
     let digits = Sha256::digest(bytes);
     digits.iter().fold(String::with_capacity(64), |text, byte| text + &format!("{byte:02x}"))
@@ -243,9 +243,11 @@ pub fn refuse_foreign(folder: &Path, expected: &str) -> Result<()> {
         let path = entry.path();
         path.extension().is_some_and(|e| e == "tmp") || path.read_dir().is_ok_and(|mut e| e.next().is_none())
     };
-    match entries(folder)?.into_iter().find(|entry| !is_leftover(entry)) {
+    match read_entries(folder)?.into_iter().find(|entry| !is_leftover(entry)) {
         None => Ok(()),
-        Some(entry) => Err(Error::Config(format!("{} is not {expected} and {}", folder.display(), occupied(&entry)))),
+        Some(entry) => {
+            Err(Error::Config(format!("{} is not {expected} and {}", folder.display(), occupied_problem(&entry))))
+        }
     }
 }
 
@@ -254,19 +256,22 @@ pub fn refuse_foreign(folder: &Path, expected: &str) -> Result<()> {
 /// # Errors
 /// [`Error::Config`] that names the content.
 pub fn refuse_occupied(folder: &Path) -> Result<()> {
-    match entries(folder)?.first() {
+    match read_entries(folder)?.first() {
         None => Ok(()),
-        Some(entry) => Err(Error::Config(format!("{} is {}", folder.display(), occupied(entry)))),
+        Some(entry) => Err(Error::Config(format!("{} is {}", folder.display(), occupied_problem(entry)))),
     }
 }
 
 /// Returns the end of an error about a folder that holds `entry`.
-fn occupied(entry: &DirEntry) -> String {
+fn occupied_problem(entry: &DirEntry) -> String {
     format!("not empty (it holds `{}`); choose another --out", entry.file_name().to_string_lossy())
 }
 
-/// Returns the entries of a folder; none if it does not exist.
-fn entries(folder: &Path) -> Result<Vec<DirEntry>> {
+/// Reads the entries of a folder; none if it does not exist.
+///
+/// # Errors
+/// The path is empty, leads to a file, or cannot be created ([`check_path`]).
+fn read_entries(folder: &Path) -> Result<Vec<DirEntry>> {
     let folder = folder.components().as_path(); // without a trailing slash, which hides that it is a file
     match fs::read_dir(folder) {
         // An empty path would be the current directory.

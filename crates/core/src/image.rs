@@ -91,7 +91,7 @@ impl Elevation {
         AngleAxis { first: self.first, step: (self.last - self.first) / height as f64 }
     }
 
-    /// Returns the error in invalid elevations, with the next step.
+    /// Returns the error in invalid elevations, with the next step; `None` if they are valid.
     pub fn fault(self) -> Option<String> {
         let fits = [self.first, self.last].iter().all(|v| (-90.0..=90.0).contains(v));
         if fits && (self.last - self.first).abs() >= 1.0 {
@@ -102,8 +102,8 @@ impl Elevation {
         Some(format!("{problem}; {advice}, such as (0, 90) or (-90, 90)"))
     }
 
-    /// Returns an error if the sides of a pixel differ by more than `factor`, for an image with `width` columns over
-    /// the full azimuth and `height` rows.
+    /// Returns the error if the sides of a pixel differ by more than `factor`, for an image with `width` columns over
+    /// the full azimuth and `height` rows; otherwise `None`.
     pub fn misfit(self, (width, height): (usize, usize), factor: f64) -> Option<String> {
         let [across, up] = [360.0 / width as f64, ((self.last - self.first) / height as f64).abs()];
         if across <= factor * up && up <= factor * across {
@@ -128,7 +128,7 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Returns the error in an invalid camera.
+    /// Returns the error in an invalid camera, with the next step; `None` if it is valid.
     pub fn fault(&self) -> Option<String> {
         let Self { focal, centre } = self;
         let fits = focal.iter().all(|f| (1e-3..=1e8).contains(f)) && centre.iter().all(|c| c.abs() <= 1e8);
@@ -248,7 +248,7 @@ impl ImagePlane {
     }
 
     /// Returns whether it includes directions behind the receiver, below the plane of its array.
-    pub fn looks_behind(&self) -> bool {
+    pub fn has_directions_behind(&self) -> bool {
         self.elevation().is_some_and(|elevation| elevation.first.min(elevation.last) < -1e-9)
     }
 

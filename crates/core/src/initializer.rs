@@ -71,7 +71,7 @@ pub trait Initializer: crate::plugin::PluginObject {
         Ok(None)
     }
 
-    /// Returns the number of Gaussians, if it follows from the settings.
+    /// Returns the number of Gaussians; `None` unless it follows from the settings.
     fn count(&self) -> Option<usize> {
         None
     }

@@ -56,18 +56,18 @@ pub fn solve(correlation: &Correlation, mean: Mean, places: &[Place], at: Place)
     Solution { weights, variance: variance.max(correlation.noise) }
 }
 
-/// Factors the covariance of measurements at `places`.
+/// Factors the covariance `[n, n]` of measurements at `places`, which are in units of the length scales.
 fn factor_covariance(correlation: &Correlation, places: &[Place]) -> Cholesky {
     let n = places.len();
-    let mut factor = vec![0.0; n * n];
+    let mut covariance = vec![0.0; n * n];
     for i in 0..n {
         for j in 0..i {
-            factor[i * n + j] = correlation.kind.at(distance(places[i], places[j]));
+            covariance[i * n + j] = correlation.kind.at(distance(places[i], places[j]));
         }
-        factor[i * n + i] = 1.0 + correlation.noise;
+        covariance[i * n + i] = 1.0 + correlation.noise;
     }
     // Rounding may cancel a pivot if positions coincide and noise is near zero.
-    Cholesky::floored(factor, n, 1e-12)
+    Cholesky::floored(covariance, n, 1e-12)
 }
 
 /// Samples of a process, each prediction from the nearest of them.
@@ -207,12 +207,12 @@ pub struct PathLoss {
 impl PathLoss {
     /// Fits (log10 of the distance, dBm) by least squares; a constant if all distances are equal.
     pub fn fit(points: &[(f64, f64)]) -> Self {
-        Self::with_offsets(&[points]).0
+        Self::fit_groups(&[points]).0
     }
 
-    /// Fits one slope for several groups, with one level per group: (model of the first group, level of each). A group
-    /// without points gets the mean level of all points.
-    pub fn with_offsets(groups: &[&[(f64, f64)]]) -> (Self, Vec<f64>) {
+    /// Fits one slope for several groups of (log10 of the distance, dBm), with one level per group: (model of the first
+    /// group, level of each). A group without points gets the mean level of all points.
+    pub fn fit_groups(groups: &[&[(f64, f64)]]) -> (Self, Vec<f64>) {
         let mean = |points: &[(f64, f64)]| {
             let n = points.len().max(1) as f64;
             (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n)
@@ -234,14 +234,14 @@ impl PathLoss {
     }
 
     /// Computes the derivative of the power at `from` of a receiver at `to` by `from`, dB/m; 0 below the minimum distance.
-    pub fn slope_at(&self, from: [f64; 3], to: [f64; 3]) -> [f64; 3] {
+    pub fn power_gradient(&self, from: [f64; 3], to: [f64; 3]) -> [f64; 3] {
         let distance = distance(from, to);
         let radial = if distance > NEAREST_M { -self.slope / (LN_10 * distance * distance) } else { 0.0 };
         [0, 1, 2].map(|k| radial * (from[k] - to[k]))
     }
 
-    /// Computes the power in dBm at a distance, given as its logarithm.
-    pub fn at(&self, log_m: f64) -> f64 {
+    /// Computes the power in dBm at a distance, given as its log10 in metres.
+    pub fn power(&self, log_m: f64) -> f64 {
         self.level - self.slope * log_m
     }
 }
@@ -280,21 +280,21 @@ mod tests {
             assert!(d.iter().all(|d| d.is_finite()), "{kind:?} at a sample: {d:?}");
         }
         let law = PathLoss { level: -40.0, slope: 21.0 };
-        check(&|at| law.at(log_distance(at, [1.0, 2.0, 0.5])), law.slope_at(at, [1.0, 2.0, 0.5]));
-        assert_eq!(law.slope_at(at, at), [0.0; 3]);
+        check(&|at| law.power(log_distance(at, [1.0, 2.0, 0.5])), law.power_gradient(at, [1.0, 2.0, 0.5]));
+        assert_eq!(law.power_gradient(at, at), [0.0; 3]);
     }
 
     #[test]
     fn fits_path_loss_and_returns_constant_if_degenerate() {
         let law = PathLoss { level: -40.0, slope: 21.0 };
-        let on = |law: PathLoss, xs: &[f64]| xs.iter().map(|x| (*x, law.at(*x))).collect::<Vec<_>>();
+        let on = |law: PathLoss, xs: &[f64]| xs.iter().map(|x| (*x, law.power(*x))).collect::<Vec<_>>();
         let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a} instead of {b}");
         let fitted = PathLoss::fit(&on(law, &[0.1, 0.5, 1.3]));
         close(fitted.level, -40.0);
         close(fitted.slope, 21.0);
         assert_eq!(PathLoss::fit(&[(0.5, -60.0), (0.5, -62.0)]), PathLoss { level: -61.0, slope: 0.0 });
         let other = on(PathLoss { level: -50.0, ..law }, &[0.7, 0.9]);
-        let (shared, levels) = PathLoss::with_offsets(&[&on(law, &[0.1, 1.0]), &other, &[]]);
+        let (shared, levels) = PathLoss::fit_groups(&[&on(law, &[0.1, 1.0]), &other, &[]]);
         close(shared.slope, 21.0);
         close(levels[0], -40.0);
         close(levels[1], -50.0);

@@ -34,7 +34,7 @@ impl Layout {
         groups
     }
 
-    /// Draws initial weights.
+    /// Draws the flat weight vector: uniform within the bound of each tensor, or zeros.
     pub fn init(&self, rng: &mut Rng) -> Vec<Real> {
         let mut flat = Vec::with_capacity(self.numbers());
         for spec in &self.weights {
@@ -46,10 +46,10 @@ impl Layout {
         flat
     }
 
-    /// Returns dropout factors on the flat weight vector: they disable a share `rate` of the hidden units and multiply
+    /// Draws dropout factors on the flat weight vector: they disable a share `rate` of the hidden units and multiply
     /// the others by 1/(1 − rate), with one draw for all transmitters of a step. `None` if no layer is
     /// [hidden](WeightSpec::hidden).
-    pub fn dropout(&self, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
+    pub fn draw_dropout(&self, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
         self.weights.iter().any(|spec| spec.hidden).then(|| {
             let (mut factors, mut units) = (Vec::with_capacity(self.numbers()), Vec::new());
             for spec in &self.weights {
@@ -87,7 +87,7 @@ pub struct WeightSpec {
     pub shape: Vec<usize>,
     /// Bound of the uniform initial values; `None` for zeros.
     pub bound: Option<f64>,
-    /// Whether its rows are hidden units before a ReLU, to which [`Layout::dropout`] may apply. The bias of such a
+    /// Whether its rows are hidden units before a ReLU, to which [`Layout::draw_dropout`] may apply. The bias of such a
     /// layer follows its weight directly.
     pub hidden: bool,
     /// Whether it learns; otherwise its values follow from the training set.
@@ -131,12 +131,12 @@ mod tests {
             hidden("layer.bias", vec![64]),
         ];
         let layout = Layout { weights, constants: Vec::new() };
-        let factors = layout.dropout(0.5, &mut rng::stream(1, "dropout", 0)).unwrap();
+        let factors = layout.draw_dropout(0.5, &mut rng::stream(1, "dropout", 0)).unwrap();
         assert_eq!(factors.len(), layout.numbers());
         assert_eq!(factors[..3], [1.0; 3]);
         let (rows, biases) = factors[3..].split_at(128);
         assert!(rows.chunks(2).zip(biases).all(|(row, bias)| row == [*bias; 2]));
         assert!(biases.contains(&0.0) && biases.contains(&2.0) && biases.iter().all(|f| [0.0, 2.0].contains(f)));
-        assert!(Layout::default().dropout(0.5, &mut rng::stream(1, "dropout", 0)).is_none());
+        assert!(Layout::default().draw_dropout(0.5, &mut rng::stream(1, "dropout", 0)).is_none());
     }
 }

@@ -81,6 +81,6 @@ pub use statistics::evenly;
 pub use stats::{CloudStats, Needs, PassStatistics, Phase, Statistic, StepContext};
 pub use tape::Gate;
 pub use task::{
-    Channels, Columns, Description, Headline, Observations, SPEED_OF_LIGHT, Task, gain_at, gain_fault, gains_of,
+    Channels, Columns, Description, Headline, Observations, SPEED_OF_LIGHT, Task, gain_fault, gain_indices, gains_of,
     rows_of,
 };

@@ -40,7 +40,7 @@ pub fn escape_control(text: &str) -> String {
 /// Returns a message for users: without control characters, with long numbers as powers of ten, and without its middle if it
 /// repeats much of a file.
 pub fn sanitize_message(message: &str) -> String {
-    shorten(&with_exponents(message))
+    shorten(&shorten_numbers(message))
 }
 
 /// Returns a path for users, as [`sanitize_message`] without its change of numbers.
@@ -60,7 +60,7 @@ fn shorten(message: &str) -> String {
 }
 
 /// Writes numbers of more than [`DIGITS`] digits as powers of ten: `1e300` has 301 digits.
-fn with_exponents(text: &str) -> Cow<'_, str> {
+fn shorten_numbers(text: &str) -> Cow<'_, str> {
     let is_digit = |c: char| c.is_ascii_digit();
     let count_digits = |text: &str| text.len() - text.trim_start_matches(is_digit).len();
     let (mut out, mut unread) = (String::new(), text);
@@ -90,7 +90,7 @@ pub fn text_of(cell: &str) -> &str {
     cell.strip_prefix('\'').unwrap_or(cell)
 }
 
-/// Returns the first `most` characters, and whether there are more.
+/// Returns the first `most` characters of a text, and whether there are more.
 fn truncate(text: &str, most: usize) -> (&str, bool) {
     text.char_indices().nth(most).map_or((text, false), |(end, _)| (&text[..end], true))
 }

@@ -50,7 +50,7 @@ pub enum PixelSubset {
 
 impl PixelSubset {
     /// Returns the number of selected values per link, of `numbers` per observation.
-    pub fn of_link(&self, numbers: usize) -> usize {
+    pub fn count_per_link(&self, numbers: usize) -> usize {
         match self {
             Self::All => numbers,
             Self::Same(indices) => indices.len(),

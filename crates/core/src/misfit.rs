@@ -229,7 +229,7 @@ pub enum Misfit {
 }
 
 impl Demand {
-    /// Creates the requirements of a plugin for every task.
+    /// Creates the demands of a plugin that supports every task.
     pub fn of(field: &'static str, plugin: &'static str, requires: &'static [Requirement]) -> Self {
         Self { field, plugin, tasks: &Task::ALL, requires }
     }

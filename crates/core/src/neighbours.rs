@@ -32,7 +32,7 @@ pub fn nearest_other_squared(points: &[[Real; 3]]) -> Vec<Real> {
 /// fewer than `k`. Infinity without other points, or if `k` is 0.
 pub fn mean_of_k_nearest_squared(points: &[[Real; 3]], k: usize) -> Vec<Real> {
     let k = k.min(points.len().saturating_sub(1));
-    let (Some(tree), true) = (tree(points), k > 0) else { return vec![Real::INFINITY; points.len()] };
+    let (Some(tree), true) = (build_tree(points), k > 0) else { return vec![Real::INFINITY; points.len()] };
     let with_itself = NonZero::<usize>::MIN.saturating_add(k);
     let mean = |point: &[Real; 3]| {
         let neighbours = tree.query(point).nearest_n::<SquaredEuclidean<Real>>(with_itself).execute();
@@ -49,14 +49,14 @@ pub fn mean_of_k_nearest_squared(points: &[[Real; 3]], k: usize) -> Vec<Real> {
 /// Returns the squared distance of each point of `from` to the nearest point of `to`, `[from]`; infinity if `to` is
 /// empty.
 pub fn nearest_squared(from: &[[Real; 3]], to: &[[Real; 3]]) -> Vec<Real> {
-    let Some(tree) = tree(to) else { return vec![Real::INFINITY; from.len()] };
+    let Some(tree) = build_tree(to) else { return vec![Real::INFINITY; from.len()] };
     from.par_iter().map(|p| tree.query(p).nearest_one::<SquaredEuclidean<Real>>().execute().distance).collect()
 }
 
 /// Returns the `k` nearest of `points` to each of `from`, nearest first, `[from, k]`: indices, and squared distances.
 /// The lists are shorter if there are fewer points. A point of `from` that is in `points` finds itself.
 pub fn k_nearest(from: &[[Real; 3]], points: &[[Real; 3]], k: usize) -> Vec<Vec<(usize, Real)>> {
-    let (Some(tree), Some(k)) = (tree(points), NonZero::new(k.min(points.len()))) else {
+    let (Some(tree), Some(k)) = (build_tree(points), NonZero::new(k.min(points.len()))) else {
         return vec![Vec::new(); from.len()];
     };
     let find = |p: &[Real; 3]| {
@@ -68,12 +68,9 @@ pub fn k_nearest(from: &[[Real; 3]], points: &[[Real; 3]], k: usize) -> Vec<Vec<
     from.par_iter().map(find).collect()
 }
 
-/// Builds the tree; `None` without points.
-fn tree(points: &[[Real; 3]]) -> Option<Tree> {
-    if points.is_empty() {
-        return None;
-    }
-    Some(Tree::new_from_slice(points).expect("a tree of some points can be built"))
+/// Builds the kd-tree of points; `None` without points.
+fn build_tree(points: &[[Real; 3]]) -> Option<Tree> {
+    (!points.is_empty()).then(|| Tree::new_from_slice(points).expect("a tree of some points can be built"))
 }
 
 /// Positions of any dimension, with their samples: exact search through all of them; 80,000 take less than a millisecond.

@@ -26,7 +26,10 @@ pub struct Header {
 }
 
 impl Header {
-    /// Reads the header from the beginning of a file.
+    /// Reads the header from the beginning of a file; `path` is for messages.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a file that is not a NumPy array, or is truncated.
     pub fn read(path: &Path, file: &mut dyn Read) -> Result<Self> {
         let damaged = |problem: &str| Error::input(path, format!("{problem}; write it with numpy.save"));
         let short = |_| damaged("is not a NumPy array, or is truncated");
@@ -44,13 +47,13 @@ impl Header {
         let mut text = vec![0; bytes];
         file.read_exact(&mut text).map_err(short)?;
         let offset = (start.len() + length.len() + bytes) as u64;
-        let parsed = Self::parse(&String::from_utf8_lossy(&text));
+        let parsed = Self::parse_dictionary(&String::from_utf8_lossy(&text));
         let (descr, fortran, shape) = parsed.ok_or_else(|| damaged("has an invalid header"))?;
         Ok(Self { descr, fortran, shape, offset })
     }
 
-    /// Parses the dictionary of the header: type, order and shape.
-    fn parse(text: &str) -> Option<(String, bool, Vec<usize>)> {
+    /// Parses the dictionary of the header: type, order and shape. `None` for text that is not such a dictionary.
+    fn parse_dictionary(text: &str) -> Option<(String, bool, Vec<usize>)> {
         let value = |key: &str| {
             let (_, value) = text.split_once(&format!("'{key}'"))?;
             value.trim_start().strip_prefix(':').map(str::trim_start)
@@ -63,7 +66,7 @@ impl Header {
         Some((descr.into(), fortran, sizes.map(|n| n.parse().ok()).collect::<Option<_>>()?))
     }
 
-    /// Returns the number format if spectra support it.
+    /// Returns the number format; `None` if spectra do not support it.
     pub fn number(&self) -> Option<Number> {
         match self.descr.as_str() {
             "|u1" | "<u1" => Some(Number::U8),
@@ -74,12 +77,12 @@ impl Header {
         }
     }
 
-    /// Returns the size of all numbers, bytes.
+    /// Returns the size of all numbers, bytes; `None` if it exceeds 64 bits.
     pub fn bytes(&self, number: Number) -> Option<u64> {
         self.shape.iter().try_fold(number.bytes() as u64, |bytes, n| bytes.checked_mul(*n as u64))
     }
 
-    /// Returns the shape in Python notation.
+    /// Returns the shape in Python notation, such as `[3, 90, 360]`.
     pub fn shape_text(&self) -> String {
         format!("[{}]", self.shape.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "))
     }

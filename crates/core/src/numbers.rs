@@ -3,7 +3,8 @@
 /// Size from which numbers have an exponent: more digits are not measured, and 1e300 has 300.
 const LARGE: f64 = 1e15;
 
-/// Formats about four significant digits, without exponent in the usual range; integers below 1e15 in full.
+/// Formats about four significant digits, without exponent in the usual range; integers below 1e15 in full, NaN as
+/// `n/a`.
 pub fn number(value: f64) -> String {
     let size = value.abs();
     if !value.is_finite() {
@@ -47,7 +48,7 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     if negative { format!("−{text}") } else { text }
 }
 
-/// Groups digits: 65469 as `65,469`.
+/// Formats an integer with groups of three digits: 65469 as `65,469`.
 pub fn grouped(value: i64) -> String {
     let digits = value.unsigned_abs().to_string();
     let mut out = String::from(if value < 0 { "-" } else { "" });

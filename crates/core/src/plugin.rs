@@ -329,7 +329,7 @@ impl PluginFamily {
         }
     }
 
-    /// Returns the kind of this name.
+    /// Returns the kind of this name; `None` if there is none.
     pub fn find(kind: &str) -> Option<&'static Self> {
         inventory::iter::<Self>().find(|family| family.kind == kind)
     }

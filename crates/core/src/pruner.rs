@@ -14,26 +14,26 @@ use crate::{
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait Pruner: crate::plugin::PluginObject {
     /// Returns `true` for each Gaussian to keep, `[N]`. Called at the prune steps of algorithm 1; with several pruners,
-    /// a Gaussian is kept if all keep it. By default, keeps the Gaussians with an open gate ([`Gate::open`]), and all without
-    /// a gate.
+    /// a Gaussian is kept if all keep it. By default, keeps the Gaussians with an open gate ([`Gate::open_mask`]), and
+    /// all without a gate.
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
-        self.gate(&TracedCloud::new(cloud), context).map_or_else(|| vec![true; cloud.len()], Gate::open)
+        self.gate(&TracedCloud::new(cloud), context).map_or_else(|| vec![true; cloud.len()], Gate::open_mask)
     }
 
     /// Returns the statistics for [`CloudStats::requested`] at a prune step, computed by a pass over training transmitters;
     /// nothing if they do not affect the decision. `cloud` is empty when the pipeline is checked.
     fn needs(&self, cloud: &GaussianCloud, context: &StepContext) -> Needs {
-        Needs::nothing()
+        Needs::default()
     }
 
     /// Returns a factor `[N]` on each Gaussian during training; several gates multiply. [`Gate`] defines its effect,
     /// and whether closed Gaussians are skipped; `trace.into()` is a factor on opacity and scale that skips Gaussians
-    /// with factor 0.
+    /// with factor 0. `None` without a gate.
     fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
         None
     }
 
-    /// Returns a term added to the loss in the densification and pruning phases.
+    /// Returns a term added to the loss in the densification and pruning phases; `None` by default.
     fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
         None
     }
@@ -146,7 +146,7 @@ impl PruneTarget {
     }
 
     /// Returns whether its pruner, or a densification up to `densified` Gaussians, may reach `n` Gaussians.
-    pub fn grows(&self, pruners: &[Plugin<dyn Pruner>], densified: usize, n: usize) -> bool {
+    pub fn can_reach(&self, pruners: &[Plugin<dyn Pruner>], densified: usize, n: usize) -> bool {
         densified >= n || pruners[self.pruner].traits().grows
     }
 }
@@ -154,8 +154,8 @@ impl PruneTarget {
 /// Returns `context` for each pruner: only the first that supports a target receives it.
 pub fn prune_contexts(pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Vec<StepContext> {
     let first = pruners.iter().position(|pruner| pruner.traits().budget.is_some());
-    let of = |k: usize| StepContext { target: context.target.filter(|_| first == Some(k)), ..*context };
-    (0..pruners.len()).map(of).collect()
+    let context_of = |k: usize| StepContext { target: context.target.filter(|_| first == Some(k)), ..*context };
+    (0..pruners.len()).map(context_of).collect()
 }
 
 /// Returns `true` for the `count` best by `scores`, `preferred` ones first; ties by index. NaN ranks last.

@@ -122,7 +122,7 @@ pub trait Rasterizer: crate::plugin::PluginObject {
 
     /// Returns whether it adds waves: the channels of a transmitter are then the real and the imaginary part of one
     /// signal, and the readout must use both.
-    fn coherent(&self) -> bool {
+    fn is_coherent(&self) -> bool {
         false
     }
 
@@ -181,7 +181,7 @@ impl SplatStats {
         self.high += other.high;
         self.top |= other.top;
         self.sensitivity += other.sensitivity;
-        self.fisher.iter_mut().zip(other.fisher).for_each(|(sum, own)| *sum += own);
+        self.fisher.iter_mut().zip(other.fisher).for_each(|(sum, v)| *sum += v);
     }
 }
 

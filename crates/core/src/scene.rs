@@ -309,7 +309,7 @@ impl Pose {
         Vec3::from_array(p)
     }
 
-    /// Returns the name of an invalid field, with problem and next step.
+    /// Returns the name of an invalid field, with problem and next step; `None` if the pose is valid.
     pub fn fault(&self) -> Option<(&'static str, String)> {
         /// Tolerance of the length of a quaternion: files have about eight digits.
         const TOLERANCE: f64 = 1e-3;
@@ -374,30 +374,30 @@ impl Origin {
         Pose { position: [0, 1, 2].map(|k| pose.position[k] + self.0[k]), ..pose }
     }
 
-    /// Returns the error in an origin from a file.
+    /// Returns the error in an origin from a file; `None` if it is valid.
     pub fn fault(&self) -> Option<String> {
         place_fault(self.0).map(|fault| format!("the origin {fault}"))
     }
 }
 
-/// Returns the error in a position in the user's frame, with the next step: all coordinates must be finite and at most
-/// [`MAX_COORDINATE_M`] in size.
+/// Returns the error in a position in the user's frame, with the next step; `None` if all coordinates are finite and at
+/// most [`MAX_COORDINATE_M`] in size.
 pub fn place_fault(position: [f64; 3]) -> Option<String> {
     position.into_iter().find_map(coordinate_fault)
 }
 
-/// Returns the error in a carrier frequency, Hz.
+/// Returns the error in a carrier frequency, Hz, with the next step; `None` if it is valid.
 pub fn carrier_fault(hz: f64) -> Option<String> {
     (!(1e6..=1e12).contains(&hz)).then(|| format!("the carrier is {hz:?} Hz; give a frequency between 1e6 and 1e12 Hz"))
 }
 
-/// Returns the error in one coordinate.
+/// Returns the error in one coordinate, metres, with the next step; `None` if it is valid.
 pub fn coordinate_fault(v: f64) -> Option<String> {
-    if v.is_finite() && v.abs() <= MAX_COORDINATE_M {
-        return None;
-    }
-    let problem =
-        if v.is_finite() { format!("is {v:e} m, beyond {MAX_COORDINATE_M:e} m") } else { "is not finite".into() };
+    let problem = match v.abs() {
+        size if size <= MAX_COORDINATE_M => return None,
+        size if size.is_finite() => format!("is {v:e} m, beyond {MAX_COORDINATE_M:e} m"),
+        _ => "is not finite".into(),
+    };
     Some(format!("{problem}; write three numbers in metres"))
 }
 

@@ -72,7 +72,7 @@ impl MeasurementSetup {
         self.origin.world_pose(self.pose())
     }
 
-    /// Returns the elevations of the rows of a spectrum.
+    /// Returns the elevations of the rows of a spectrum; those of the upper hemisphere if pixels have no angles.
     pub fn elevation(&self) -> Elevation {
         self.plane.elevation().unwrap_or(Elevation::UPPER)
     }
@@ -91,10 +91,10 @@ impl MeasurementSetup {
 
     /// Returns the subcarrier frequencies of a receiver, Hz: `frequencies_hz`, moved to its carrier if it has one.
     pub fn frequencies_of(&self, receiver: usize) -> Vec<f64> {
-        let (all, carrier) = (&self.frequencies_hz, self.receivers[receiver].carrier_hz);
-        let middle = all.iter().sum::<f64>() / all.len().max(1) as f64;
+        let (common, carrier) = (&self.frequencies_hz, self.receivers[receiver].carrier_hz);
+        let middle = common.iter().sum::<f64>() / common.len().max(1) as f64;
         let moved = |hz: &f64| carrier.map_or(*hz, |carrier| carrier + (hz - middle));
-        all.iter().map(moved).collect()
+        common.iter().map(moved).collect()
     }
 
     /// Returns the inputs of these links, of width `width`. Consecutive equal transmitters are merged.
@@ -102,7 +102,7 @@ impl MeasurementSetup {
     /// # Panics
     /// If there is no receiver of the index of a query.
     pub fn inputs<'q>(&self, width: usize, queries: impl Iterator<Item = Query<'q>>) -> LinkInputs {
-        let (mut all, carriers, mut last) = (LinkInputs::of(width, self), self.carriers(), None);
+        let (mut inputs, carriers, mut last) = (LinkInputs::of(width, self), self.carriers(), None);
         for query in queries {
             let receiver = query.receiver;
             assert!(receiver < self.receivers.len(), "receiver {receiver} of {}", self.receivers.len());
@@ -110,13 +110,13 @@ impl MeasurementSetup {
             let input = (query.pose, query.features, carrier);
             let pose = self.origin.local_pose(query.pose);
             if last != Some(input) {
-                all.carriers.extend(carrier);
-                all.values.extend_from_slice(query.features.unwrap_or(&pose.origin().to_array()));
+                inputs.carriers.extend(carrier);
+                inputs.values.extend_from_slice(query.features.unwrap_or(&pose.origin().to_array()));
             }
-            all.link(self, receiver, pose);
+            inputs.add_link(self, receiver, pose);
             last = Some(input);
         }
-        all
+        inputs
     }
 }
 
@@ -155,7 +155,7 @@ impl LinkInputs {
 
     /// Adds the link of the last network inputs with a receiver of `setup`, which stands at `pose` if it moves (metres from
     /// the origin).
-    pub fn link(&mut self, setup: &MeasurementSetup, receiver: usize, pose: Pose) {
+    pub fn add_link(&mut self, setup: &MeasurementSetup, receiver: usize, pose: Pose) {
         let mut row = receiver;
         if setup.moving.is_receiver() {
             let state = ReceiverState { receiver, pose };

@@ -34,7 +34,8 @@ impl ShippedFile {
         files
     }
 
-    /// Returns the file of `folder` that is named `path`; `None` if `base` holds a file of this name.
+    /// Returns the shipped file of `folder` that is named `path`; `None` if there is none, or `base` holds a file of
+    /// this name.
     pub fn find(folder: &str, base: &Path, path: &Path) -> Option<&'static Self> {
         let shipped = inventory::iter::<Self>().find(|file| file.folder == folder && path.as_os_str() == file.name)?;
         (!base.join(path).is_file()).then_some(shipped)

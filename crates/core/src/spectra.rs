@@ -58,36 +58,38 @@ impl Number {
         }
     }
 
-    /// Adds `weight` times every value, in the same units.
-    fn add(self, bytes: &[u8], weight: f64, sum: &mut [f64]) {
+    /// Adds `weight` times every value, in units of [`Self::full_scale`], to `sum`.
+    fn add_weighted(self, bytes: &[u8], weight: f64, sum: &mut [f64]) {
         match self {
-            Self::U8 => add(bytes, sum, |v| weight * f64::from(v)),
-            Self::U16 => add(bytes.as_chunks().0, sum, |v| weight * f64::from(u16::from_le_bytes(v))),
-            Self::F32 => add(bytes.as_chunks().0, sum, |v| weight * f64::from(f32::from_le_bytes(v))),
-            Self::F64 => add(bytes.as_chunks().0, sum, |v| weight * f64::from_le_bytes(v)),
+            Self::U8 => add_terms(bytes, sum, |v| weight * f64::from(v)),
+            Self::U16 => add_terms(bytes.as_chunks().0, sum, |v| weight * f64::from(u16::from_le_bytes(v))),
+            Self::F32 => add_terms(bytes.as_chunks().0, sum, |v| weight * f64::from(f32::from_le_bytes(v))),
+            Self::F64 => add_terms(bytes.as_chunks().0, sum, |v| weight * f64::from_le_bytes(v)),
         }
     }
 
-    /// Returns every `stride`-th value as a pixel; 1 is the strongest direction.
-    fn pixels(self, bytes: &[u8], stride: usize, out: &mut [Real]) {
+    /// Writes every `stride`-th value to `out` as a pixel; 1 is the strongest direction.
+    fn write_pixels(self, bytes: &[u8], stride: usize, out: &mut [Real]) {
         match self {
-            Self::U8 => put(bytes, stride, out, |v| Real::from(v) / 255.0),
+            Self::U8 => write_strided(bytes, stride, out, |v| Real::from(v) / 255.0),
             Self::U16 => {
-                put(bytes.as_chunks().0, stride, out, |v| Real::from(f32::from(u16::from_le_bytes(v)) / 65_535.0));
+                write_strided(bytes.as_chunks().0, stride, out, |v| {
+                    Real::from(f32::from(u16::from_le_bytes(v)) / 65_535.0)
+                });
             }
-            Self::F32 => put(bytes.as_chunks().0, stride, out, |v| Real::from(f32::from_le_bytes(v))),
-            Self::F64 => put(bytes.as_chunks().0, stride, out, |v| Real::from(f64::from_le_bytes(v) as f32)),
+            Self::F32 => write_strided(bytes.as_chunks().0, stride, out, |v| Real::from(f32::from_le_bytes(v))),
+            Self::F64 => write_strided(bytes.as_chunks().0, stride, out, |v| Real::from(f64::from_le_bytes(v) as f32)),
         }
     }
 }
 
-/// Writes every `stride`-th value as a pixel.
-fn put<T: Copy>(values: &[T], stride: usize, out: &mut [Real], pixel: impl Fn(T) -> Real) {
+/// Writes every `stride`-th value to `out`, converted by `pixel`.
+fn write_strided<T: Copy>(values: &[T], stride: usize, out: &mut [Real], pixel: impl Fn(T) -> Real) {
     out.iter_mut().zip(values.iter().step_by(stride)).for_each(|(out, v)| *out = pixel(*v));
 }
 
-/// Adds a term per value to `sum`.
-fn add<T: Copy>(values: &[T], sum: &mut [f64], term: impl Fn(T) -> f64) {
+/// Adds the term of each value to `sum`.
+fn add_terms<T: Copy>(values: &[T], sum: &mut [f64], term: impl Fn(T) -> f64) {
     sum.iter_mut().zip(values).for_each(|(sum, v)| *sum += term(*v));
 }
 
@@ -227,21 +229,21 @@ impl Spectra {
     /// Returns spectrum `i`.
     pub fn image(&self, i: usize) -> Image {
         let mut image = Image::zeros(self.width, self.height);
-        self.number.pixels(&self.raw(i), 1, &mut image.pixels);
+        self.number.write_pixels(&self.raw(i), 1, &mut image.pixels);
         image
     }
 
-    /// Returns the pixels of spectrum `i` that `sampling` selects, row-major.
+    /// Writes the pixels of spectrum `i` that `sampling` selects to `out`, row-major.
     pub fn sampled(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
         let (bytes, number_bytes, Sampling { stride, offset: [left, top], .. }) =
             (self.raw(i), self.number.bytes(), sampling);
         let rows = bytes.chunks_exact(self.width * number_bytes).skip(top).step_by(stride);
         for (out, row) in out.chunks_exact_mut((self.width - left).div_ceil(stride)).zip(rows) {
-            self.number.pixels(&row[left * number_bytes..], stride, out);
+            self.number.write_pixels(&row[left * number_bytes..], stride, out);
         }
     }
 
-    /// Returns some of the pixels that [`Self::sampled`] returns for spectrum `i`, by their `indices` in its result.
+    /// Writes some of the pixels that [`Self::sampled`] writes for spectrum `i`, by their `indices` in its result.
     pub fn sampled_at(&self, i: usize, sampling: Sampling, indices: &[usize], out: &mut [Real]) {
         let (bytes, number_bytes, Sampling { stride, offset: [left, top], .. }) =
             (self.raw(i), self.number.bytes(), sampling);
@@ -249,13 +251,13 @@ impl Spectra {
         for (out, index) in out.iter_mut().zip(indices) {
             let (row, column) = (top + index / columns * stride, left + index % columns * stride);
             let start = (row * self.width + column) * number_bytes;
-            self.number.pixels(&bytes[start..start + number_bytes], 1, std::slice::from_mut(out));
+            self.number.write_pixels(&bytes[start..start + number_bytes], 1, std::slice::from_mut(out));
         }
     }
 
     /// Adds `weight` times spectrum `i`, in units of [`Number::full_scale`], to `sum`.
     pub fn add(&self, i: usize, weight: f64, sum: &mut [f64]) {
-        self.number.add(&self.raw(i), weight, sum);
+        self.number.add_weighted(&self.raw(i), weight, sum);
     }
 
     /// Checks that all reads so far succeeded. Callers must check before they use results.
@@ -287,7 +289,7 @@ struct Stored {
 }
 
 impl Stored {
-    /// Opens a file whose numbers begin at `offset`.
+    /// Opens a file whose numbers begin at byte `offset`.
     fn open(path: &Path, offset: u64) -> Result<Self> {
         let refuse = |e| Error::read(path, e);
         let file = crate::files::open(path).map_err(refuse)?;
@@ -316,7 +318,10 @@ impl Stored {
         bytes
     }
 
-    /// Returns the error of the first read that failed.
+    /// Checks that all reads so far succeeded.
+    ///
+    /// # Errors
+    /// [`Error::Read`] of the first read that failed.
     fn check(&self) -> Result<()> {
         match self.fault.get() {
             None => Ok(()),

@@ -6,8 +6,8 @@
 //!
 //! * [`evaluation`]: uniform 7x7 windows inside the image, sample covariance (49/48); equal to scikit-image's
 //!   `structural_similarity(a, b, data_range=1)`.
-//! * [`training()`], the `SSIM` of eq. (9), with its derivative: 11 Gaussian taps of σ = 1.5 px about every pixel, zeros
-//!   beyond the border, covariance `E[xy] − E[x]·E[y]`; as in the released training.
+//! * [`training_form`], the `SSIM` of eq. (9), with its derivative: 11 Gaussian taps of σ = 1.5 px about every pixel,
+//!   zeros beyond the border, covariance `E[xy] − E[x]·E[y]`; as in the released training.
 //!
 //! Neither wraps in azimuth. Images are row-major `[height, width]`.
 //!
@@ -40,19 +40,19 @@ pub fn evaluation(a: &Image, b: &Image) -> f64 {
     let (mut total, columns_out) = (0.0, width - window + 1);
     for y in 0..height {
         let rows = |y: usize| (&a.pixels[y * width..][..width], &b.pixels[y * width..][..width]);
-        add_row(&mut columns, rows(y), 1.0);
+        add_products(&mut columns, rows(y), 1.0);
         if y >= window {
-            add_row(&mut columns, rows(y - window), -1.0);
+            add_products(&mut columns, rows(y - window), -1.0);
         }
         if y + 1 >= window {
-            total += sum_row(&columns, window);
+            total += sum_window_ssim(&columns, window);
         }
     }
     total / (columns_out * (height - window + 1)) as f64
 }
 
 /// Adds `sign` times x, y, x², y², xy of one row to the column sums.
-fn add_row(columns: &mut [Vec<f64>; 5], (a, b): (&[Real], &[Real]), sign: f64) {
+fn add_products(columns: &mut [Vec<f64>; 5], (a, b): (&[Real], &[Real]), sign: f64) {
     let [x1, x2, x11, x22, x12] = columns;
     for (i, (a, b)) in a.iter().zip(b).enumerate() {
         let (a, b) = (*a as f64, *b as f64);
@@ -64,8 +64,8 @@ fn add_row(columns: &mut [Vec<f64>; 5], (a, b): (&[Real], &[Real]), sign: f64) {
     }
 }
 
-/// Returns the sum of the SSIM of all windows of one row, given the column sums.
-fn sum_row(columns: &[Vec<f64>; 5], window: usize) -> f64 {
+/// Returns the sum of the SSIM of all windows of one row, given the column sums of x, y, x², y², xy.
+fn sum_window_ssim(columns: &[Vec<f64>; 5], window: usize) -> f64 {
     let n = (window * window) as f64;
     let sample = if window > 1 { n / (n - 1.0) } else { 1.0 };
     let mut sums = [0.0; 5];
@@ -137,11 +137,10 @@ const WEIGHTS: [Real; TAPS] = [
 const LANES: usize = 16;
 type Block = [Real; LANES];
 
-/// Returns the training SSIM and its derivative with respect to every pixel of `prediction`. The window is Gaussian
-/// with zeros beyond the border; the mean is over all pixels. All arrays are row-major `[height, width]`, and `size` is
-/// (width, height); the SSIM of
-/// images without pixels is 1.
-pub fn training(prediction: &[Real], truth: &[Real], size: (usize, usize), window: &Window) -> (Real, Vec<Real>) {
+/// Returns the training SSIM, the mean over all pixels, and its derivative by every pixel of `prediction`, with zeros
+/// beyond the border. All arrays are row-major `[height, width]`, `size` is
+/// (width, height). The SSIM of images without pixels is 1.
+pub fn training_form(prediction: &[Real], truth: &[Real], size: (usize, usize), window: &Window) -> (Real, Vec<Real>) {
     let (width, height) = size;
     assert_eq!((prediction.len(), truth.len()), (width * height, width * height), "pixels fill the picture");
     if prediction.is_empty() {
@@ -188,7 +187,7 @@ impl Scratch {
     }
 }
 
-/// Arguments of [`training()`], for the dispatch to an instruction set.
+/// Arguments of [`training_form`], for the dispatch to an instruction set.
 struct Job<'a> {
     prediction: &'a [Real],
     truth: &'a [Real],
@@ -298,7 +297,7 @@ fn add_similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANE
     for i in 0..width.div_ceil(LANES) {
         let (start, valid) = (i * LANES, LANES.min(width - i * LANES));
         let block = |k: usize| &moments[k].as_chunks::<LANES>().0[i];
-        let (map, d) = compute_map([block(0), block(1), block(2), block(3)]);
+        let (map, d) = similarity_map([block(0), block(1), block(2), block(3)]);
         for lane in 0..valid {
             total[lane] += map[lane] as f64;
         }
@@ -310,7 +309,7 @@ fn add_similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANE
 
 /// Returns the map m and ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ of [`LANES`] pixels, given the four blurred quantities.
 #[inline(always)]
-fn compute_map([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
+fn similarity_map([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
     let (mut map, mut d) = ([0.0; LANES], [[0.0; LANES]; 3]);
     let [d_mu, d_variance, d_covariance] = &mut d;
     for i in 0..LANES {
@@ -346,7 +345,7 @@ mod tests {
     use crate::{rng, testing::check_vjp};
 
     fn trained(a: &Image, b: &Image) -> f64 {
-        training(&a.pixels, &b.pixels, (a.width, a.height), &Window::default()).0 as f64
+        training_form(&a.pixels, &b.pixels, (a.width, a.height), &Window::default()).0 as f64
     }
 
     /// Creates an image that Python can reproduce: bytes of a hash of the position, averaged with a ramp if `ramp`.
@@ -423,7 +422,7 @@ mod tests {
     }
 
     fn differentiated(p: &[Real], g: &[Real], width: usize, height: usize) -> (Real, Vec<Real>) {
-        training(p, g, (width, height), &Window::default())
+        training_form(p, g, (width, height), &Window::default())
     }
 
     #[test]

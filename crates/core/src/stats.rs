@@ -96,7 +96,7 @@ impl CloudStats {
 
     /// Adds one of `renders` with a common mean loss: the splats of the Gaussians `rows`, and the derivative `d` of that
     /// loss. Each render counts with the gradient of its own loss.
-    pub fn observe(&mut self, rows: &[usize], splats: &Splats, d: &RenderVjp, plane: &ImagePlane, renders: usize) {
+    pub fn add_render(&mut self, rows: &[usize], splats: &Splats, d: &RenderVjp, plane: &ImagePlane, renders: usize) {
         let (half, renders) = ([0.5 * plane.width as Real, 0.5 * plane.height as Real], renders as Real);
         for (k, &i) in rows.iter().enumerate() {
             if splats.radii[k] > 0.0 {
@@ -110,7 +110,7 @@ impl CloudStats {
     }
 
     /// Adds the statistics of the same Gaussians at another step.
-    pub fn add(&mut self, other: &Self) {
+    pub fn merge(&mut self, other: &Self) {
         for i in 0..self.visible.len() {
             self.visible[i] += other.visible[i];
             self.gradient[i] += other.gradient[i];
@@ -195,11 +195,6 @@ pub struct Needs {
 }
 
 impl Needs {
-    /// Creates an empty request.
-    pub fn nothing() -> Self {
-        Self::default()
-    }
-
     /// Requests `statistics` over `transmitters` of the training set (0 for all).
     pub fn of(statistics: &[Statistic], transmitters: usize) -> Self {
         Self { statistics: statistics.to_vec(), where_blended: Vec::new(), transmitters }
@@ -212,21 +207,21 @@ impl Needs {
         self
     }
 
-    /// Returns the final request for a method with or without blending.
+    /// Returns the final request for a method that blends Gaussians or not.
     #[must_use]
-    pub fn settled(mut self, blends: bool) -> Self {
+    pub fn resolve_blending(mut self, blends: bool) -> Self {
         let optional = std::mem::take(&mut self.where_blended);
         self.statistics.extend(optional.into_iter().filter(|_| blends));
         self
     }
 
     /// Returns whether the request is empty.
-    pub fn is_nothing(&self) -> bool {
+    pub fn is_empty(&self) -> bool {
         self.statistics.is_empty()
     }
 
-    /// Returns the indices of the transmitters (of `count`) for a pass at `step`, in order.
-    pub fn sample(&self, count: usize, seed: u64, step: u64) -> Vec<usize> {
+    /// Draws the transmitters for a pass at `step`: indices below `count`, in order.
+    pub fn draw_transmitters(&self, count: usize, seed: u64, step: u64) -> Vec<usize> {
         let mut transmitters: Vec<usize> = (0..count).collect();
         if self.transmitters > 0 && self.transmitters < count {
             rng::shuffle(&mut rng::stream(seed, "statistics", step), &mut transmitters);
@@ -291,7 +286,7 @@ impl PassStatistics {
     }
 
     /// Adds the statistics of other links for the Gaussians `rows` (those of `other`).
-    pub fn add(&mut self, rows: &[usize], other: &Self) {
+    pub fn merge(&mut self, rows: &[usize], other: &Self) {
         self.links += other.links;
         let sums = [
             (&mut self.weight, &other.weight),
@@ -316,7 +311,7 @@ impl PassStatistics {
     }
 
     /// Converts sums over links to means for those statistics that are means.
-    pub fn finish(&mut self) {
+    pub fn finish_means(&mut self) {
         let links = self.links.max(1) as Real;
         self.signal_mean.iter_mut().for_each(|v| *v /= links);
     }

@@ -157,8 +157,8 @@ impl Gate {
         }
     }
 
-    /// Returns whether the gate of each Gaussian is open: its factor is not 0.
-    pub fn open(self) -> Vec<bool> {
+    /// Returns `true` for each Gaussian whose gate is open: its factor is not 0, `[N]`.
+    pub fn open_mask(self) -> Vec<bool> {
         values(&self.factor()).into_iter().map(|factor| factor != 0.0).collect()
     }
 }

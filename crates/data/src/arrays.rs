@@ -3,12 +3,12 @@
 #[cfg(test)]
 mod tests;
 
-use crate::checks::value_fault;
+use crate::checks::spectrum_fault;
 use crate::folder::{
-    carriers_in, check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with,
-    title,
+    check_root, existing_root, find_point_cloud, folder_name, read_point_cloud, read_row_carriers, read_title,
+    recognised_root,
 };
-use crate::nerf2::{LocationTable, POSES, check_shape, index, receivers::Gateway};
+use crate::nerf2::{LocationTable, POSES, check_image_size, index, receivers::Gateway};
 use crate::npy;
 use pwrfgs_core::{DataSource, Dataset, Elevation, End, Error, JsonSchema, Pose, Progress, Result, Sample, Spectra};
 use rayon::prelude::*;
@@ -72,7 +72,7 @@ impl DataSource for Arrays {
 
     /// Loads the folder. Files are checked in the order of their size, so that errors of small files come first.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        let root = open_root(base, &self.root, "Arrays", LAYOUT)?;
+        let root = existing_root(base, &self.root, "Arrays", LAYOUT)?;
         let gateway = Gateway::read(&root.join("gateway_info.yml"), None, LAYOUT)?;
         let (csv, npy) = (root.join("tx_pos.csv"), root.join("tx.npy"));
         let locations = if !root.join(POSES).exists() && (npy.exists() || !csv.exists()) {
@@ -91,28 +91,27 @@ impl DataSource for Arrays {
         }
         let pictures = ids.iter().copied().collect();
         let valid_ids = index::SpectrumIds { table, rows: ids.len(), pictures: &pictures, samples: &ids };
-        let official = index::read(&root, &|word| valid_ids.parse(word))?;
+        let official = index::read_sets(&root, &|word| valid_ids.parse_id(word))?;
         let points = read_point_cloud(base, self.points.as_deref())?;
-        let spectra = validate(spectra, &path, progress)?;
+        let spectra = validate_spectra(spectra, &path, progress)?;
         let stated = self.elevation.or(gateway.elevation);
         let elevation = stated.unwrap_or(Elevation::UPPER);
-        check_shape(&path, elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
+        check_image_size(&path, elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let samples: Vec<Sample> = ids.iter().zip(&locations.poses).map(|(&id, pose)| Sample::new(id, *pose)).collect();
         let name = gateway.name.clone().unwrap_or_else(|| folder_name(&root));
-        let simulation = read_simulation(&root, &name);
-        let title = title(&name, simulation.as_ref(), "arrays");
-        let ends = locations.ends(vec![gateway.receiver()], Some(gateway.pose.position));
+        let (title, simulation) = read_title(&root, &name, "arrays");
+        let ends = locations.link_ends(vec![gateway.receiver()], Some(gateway.pose.position));
         let data = Dataset::of_links(title, ends, points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, ..data };
-        match carriers_in(&root, table, data.len())? {
+        match read_row_carriers(&root, table, data.len())? {
             Some(carriers) => data.with_carriers(&carriers),
             None => Ok(data),
         }
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
-        let root = root_with(folder, &["spectra.npy"])?;
-        Some(Box::new(Self { points: point_cloud_in(&root), root, ..self.clone() }))
+        let root = recognised_root(folder, &["spectra.npy"])?;
+        Some(Box::new(Self { points: find_point_cloud(&root), root, ..self.clone() }))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -120,15 +119,16 @@ impl DataSource for Arrays {
     }
 }
 
-/// Validates all float spectra; returns them in memory if they are small.
-fn validate(spectra: Spectra, path: &Path, progress: Progress<'_>) -> Result<Spectra> {
+/// Returns the spectra of the file `path`, in memory if they are small, or an error for the first float spectrum with an
+/// invalid value.
+fn validate_spectra(spectra: Spectra, path: &Path, progress: Progress<'_>) -> Result<Spectra> {
     let bytes = spectra.len() * spectra.width() * spectra.height() * spectra.number().bytes();
     let spectra = if bytes as u64 <= IN_MEMORY { spectra.into_memory()? } else { spectra };
     let count = spectra.len();
     if spectra.number().is_float() {
         let done = AtomicUsize::new(0);
         let fault = |i: usize| {
-            let fault = value_fault(&spectra, i);
+            let fault = spectrum_fault(&spectra, i);
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, count);
             fault
         };

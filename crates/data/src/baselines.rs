@@ -12,7 +12,7 @@ mod ridge;
 #[cfg(test)]
 mod tests;
 
-pub use kriging::{Kriging, Trend, preceding};
+pub use kriging::{Kriging, Trend, vecchia_cases};
 pub use log_distance::LogDistance;
 pub use neighbours::{NearestCarrier, NearestNeighbours, Neighbours};
 pub use predictions::Predictions;
@@ -45,31 +45,32 @@ impl Baseline for MeanSpectrum {
         task.mean_name.into()
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
-        ByReceiver::fit(data, known, |known| {
-            let weighted: Vec<(usize, f64)> = all_of(known)?.into_iter().map(|i| (i, 1.0)).collect();
+    fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
+        let fit = |fitting: FittingSet<'_>| {
+            let weighted: Vec<(usize, f64)> = fitting_samples(fitting)?.into_iter().map(|i| (i, 1.0)).collect();
             Ok(Constant(weighted_mean(data, &weighted)))
-        })
+        };
+        Ok(Box::new(ByReceiver::fit(data, fitting, fit)?))
     }
 }
 
-/// All known samples, sorted; an error if there are none.
-fn all_of(known: FittingSet<'_>) -> Result<Vec<usize>> {
-    let all = known.all();
-    if all.is_empty() {
+/// Returns all samples to fit to, sorted, or an error if there are none.
+fn fitting_samples(fitting: FittingSet<'_>) -> Result<Vec<usize>> {
+    let samples = fitting.all();
+    if samples.is_empty() {
         return Err(Error::Config("a baseline needs at least one training sample; change the split".into()));
     }
-    Ok(all)
+    Ok(samples)
 }
 
-/// Samples to choose hyperparameters with: (training samples, samples to predict). Without a validation set every tenth
-/// training sample is held out; with fewer than two samples none is.
-fn choosing(known: FittingSet<'_>) -> (Vec<usize>, Vec<usize>) {
+/// Returns the samples to choose hyperparameters with: (training samples, samples to predict). Without a validation set
+/// every tenth training sample is held out; with fewer than two samples none is.
+fn selection_sets(fitting: FittingSet<'_>) -> (Vec<usize>, Vec<usize>) {
     const EVERY: usize = 10;
-    if !known.validation.is_empty() && !known.train.is_empty() {
-        return (known.train.to_vec(), known.validation.to_vec());
+    if !fitting.validation.is_empty() && !fitting.train.is_empty() {
+        return (fitting.train.to_vec(), fitting.validation.to_vec());
     }
-    let all = known.all();
+    let all = fitting.all();
     let samples = |out: bool| all.iter().enumerate().filter(move |(k, _)| (k % EVERY == 1) == out).map(|(_, i)| *i);
     (samples(false).collect(), samples(true).collect())
 }
@@ -88,12 +89,13 @@ impl Predict for Constant {
 }
 
 impl ReceiverPredictor for Constant {
-    fn notes(_: &[(&str, &Self)]) -> Option<String> {
+    fn combined_note(_: &[(&str, &Self)]) -> Option<String> {
         None
     }
 }
 
-/// Weighted mean of the listed samples; the weights need not sum to one.
+/// Returns the weighted mean of the observations of samples; `weighted` has their indices and weights, which need not sum
+/// to one.
 fn weighted_mean(data: &Dataset, weighted: &[(usize, f64)]) -> Image {
     let mut sum = vec![0.0; data.width * data.height];
     for &(i, weight) in weighted {
@@ -107,10 +109,10 @@ fn weighted_mean(data: &Dataset, weighted: &[(usize, f64)]) -> Image {
 /// Predictor fitted to the links of one receiver.
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub(super) trait ReceiverPredictor: Predict + Sized {
-    /// Notes below a table of scores, for all receivers by name.
-    fn notes(each: &[(&str, &Self)]) -> Option<String>;
+    /// Returns the note below a table of scores for the predictors of all receivers, by name; `None` without a note.
+    fn combined_note(each: &[(&str, &Self)]) -> Option<String>;
 
-    /// As [`Predict::without`]; `None` also if no sample remains.
+    /// Returns the predictor without these links, as [`Predict::without`]; `None` also if no sample remains.
     fn leaving_out(&self, links: &[usize]) -> Option<Self> {
         None
     }
@@ -125,71 +127,64 @@ pub(super) struct ByReceiver<P> {
 }
 
 impl<P: ReceiverPredictor> ByReceiver<P> {
-    /// Fits one predictor per receiver with `fit`; a single receiver is fitted to all links unchanged.
-    pub(super) fn fit<'a>(
-        data: &'a Dataset,
-        known: FittingSet<'_>,
-        fit: impl Fn(FittingSet<'_>) -> Result<P>,
-    ) -> Result<Box<dyn Predict + 'a>>
-    where
-        P: 'a,
-    {
+    /// Fits one predictor per receiver with `fit`; a single receiver is fitted to all links unchanged. Returns an error of
+    /// `fit`.
+    fn fit(data: &Dataset, fitting: FittingSet<'_>, fit: impl Fn(FittingSet<'_>) -> Result<P>) -> Result<Self> {
         let receivers = &data.scene.receivers;
-        let of_each = [known.train, known.validation].map(|links| data.by_receiver(links.iter().copied()));
-        let fit_one = |r: usize| {
-            let own = FittingSet { train: &of_each[0][r], validation: &of_each[1][r] };
+        let by_receiver = [fitting.train, fitting.validation].map(|links| data.by_receiver(links.iter().copied()));
+        let fit_receiver = |r: usize| {
+            let links = FittingSet { train: &by_receiver[0][r], validation: &by_receiver[1][r] };
             // If there is nothing to fit, `fit` returns the error.
-            let is_deaf = own.train.is_empty() && own.validation.is_empty() && receivers.len() > 1;
-            Ok((strip_control(&receivers[r].name), if is_deaf { None } else { Some(fit(own)?) }))
+            let is_deaf = links.train.is_empty() && links.validation.is_empty() && receivers.len() > 1;
+            Ok((strip_control(&receivers[r].name), if is_deaf { None } else { Some(fit(links)?) }))
         };
-        let each = (0..receivers.len()).map(fit_one).collect::<Result<Vec<_>>>()?;
-        let pooled = if each.iter().any(|(_, own)| own.is_none()) { Some(fit(known)?) } else { None };
-        Ok(Box::new(Self { each, pooled }))
+        let each = (0..receivers.len()).map(fit_receiver).collect::<Result<Vec<_>>>()?;
+        let pooled = if each.iter().any(|(_, fitted)| fitted.is_none()) { Some(fit(fitting)?) } else { None };
+        Ok(Self { each, pooled })
     }
-}
 
-impl<P: ReceiverPredictor> ByReceiver<P> {
-    fn of(&self, receiver: usize) -> &P {
-        let own = self.each.get(receiver).and_then(|(_, own)| own.as_ref());
-        let any = || self.each.iter().find_map(|(_, own)| own.as_ref());
-        own.or(self.pooled.as_ref()).or_else(any).expect("one predictor was fitted at least")
+    /// Returns the predictor of a receiver; without one, that of all links, else that of the first receiver with one.
+    fn predictor_for(&self, receiver: usize) -> &P {
+        let fitted = self.each.get(receiver).and_then(|(_, fitted)| fitted.as_ref());
+        let any = || self.each.iter().find_map(|(_, fitted)| fitted.as_ref());
+        fitted.or(self.pooled.as_ref()).or_else(any).expect("one predictor was fitted at least")
     }
 }
 
 impl<P: ReceiverPredictor> Predict for ByReceiver<P> {
     fn predict(&self, query: Query<'_>) -> Image {
-        self.of(query.receiver).predict(query)
+        self.predictor_for(query.receiver).predict(query)
     }
 
     fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
-        self.of(query.receiver).predict_vjp(query, cotangent)
+        self.predictor_for(query.receiver).predict_vjp(query, cotangent)
     }
 
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
-        self.of(query.receiver).deviation(query)
+        self.predictor_for(query.receiver).deviation(query)
     }
 
     fn without(&self, links: &[usize]) -> Option<Box<dyn Predict + '_>> {
-        let own = |own: &Option<P>| own.as_ref()?.leaving_out(links);
-        let each: Vec<_> = self.each.iter().map(|(name, fitted)| (name.clone(), own(fitted))).collect();
-        let pooled = own(&self.pooled);
-        let is_fitted = pooled.is_some() || each.iter().any(|(_, own)| own.is_some());
+        let leave_out = |fitted: &Option<P>| fitted.as_ref()?.leaving_out(links);
+        let each: Vec<_> = self.each.iter().map(|(name, fitted)| (name.clone(), leave_out(fitted))).collect();
+        let pooled = leave_out(&self.pooled);
+        let is_fitted = pooled.is_some() || each.iter().any(|(_, fitted)| fitted.is_some());
         is_fitted.then(|| Box::new(Self { each, pooled }) as Box<dyn Predict + '_>)
     }
 
     fn is_oracle(&self) -> bool {
-        let fitted = self.each.iter().filter_map(|(_, own)| own.as_ref()).chain(&self.pooled).next();
+        let fitted = self.each.iter().filter_map(|(_, fitted)| fitted.as_ref()).chain(&self.pooled).next();
         fitted.is_some_and(Predict::is_oracle)
     }
 
     fn note(&self) -> Option<String> {
-        let own: Vec<(&str, &P)> =
-            self.each.iter().filter_map(|(name, own)| Some((name.as_str(), own.as_ref()?))).collect();
+        let predictors: Vec<(&str, &P)> =
+            self.each.iter().filter_map(|(name, fitted)| Some((name.as_str(), fitted.as_ref()?))).collect();
         let deaf: Vec<&str> =
-            self.each.iter().filter(|(_, own)| own.is_none()).map(|(name, _)| name.as_str()).collect();
+            self.each.iter().filter(|(_, fitted)| fitted.is_none()).map(|(name, _)| name.as_str()).collect();
         let pooled = (!deaf.is_empty())
             .then(|| format!("{} has no training link and is predicted from those of all receivers", deaf.join(", ")));
-        let notes: Vec<String> = P::notes(&own).into_iter().chain(pooled).collect();
+        let notes: Vec<String> = P::combined_note(&predictors).into_iter().chain(pooled).collect();
         (!notes.is_empty()).then(|| notes.join("; "))
     }
 }
@@ -211,9 +206,9 @@ impl Baseline for Zero {
         "zero".into()
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
-        all_of(known)?;
+        fitting_samples(fitting)?;
         Ok(Box::new(Constant(Image::zeros(data.width, data.height))))
     }
 

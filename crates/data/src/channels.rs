@@ -3,12 +3,13 @@
 #[cfg(test)]
 mod tests;
 
-use crate::checks::{check_frequencies, name_fault, subcarriers};
+use crate::checks::{check_frequencies, name_fault, uniform_subcarriers};
 use crate::folder::{
-    check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with, title,
+    check_root, dataset_title, existing_root, find_point_cloud, folder_name, read_point_cloud, read_simulation,
+    recognised_root,
 };
 use crate::nerf2::{LocationTable, index};
-use crate::npy::{ComplexArray, read_complex};
+use crate::npy::{ComplexArray, read_complex_array};
 use crate::text::{read_yaml, yaml_fault};
 use pwrfgs_core::{
     Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Pose, Progress, Real, Receiver, Result,
@@ -137,10 +138,10 @@ impl DataSource for Channels {
 
     /// Loads all carriers as one array: rows of further carriers follow those of the first.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        let root = open_root(base, &self.root, "Channels", LAYOUT)?;
+        let root = existing_root(base, &self.root, "Channels", LAYOUT)?;
         let (path, table) = (root.join(&self.file), root.join(&self.positions));
         let locations = LocationTable::read(&root, &table)?;
-        let array = read_complex(&path, SHAPE)?;
+        let array = read_complex_array(&path, SHAPE)?;
         array.check_size(&path)?;
         let [count, antennas, width] = array.shape;
         if count != locations.poses.len() {
@@ -149,10 +150,10 @@ impl DataSource for Channels {
             return Err(Error::input(&path, format!("{problem}; give as many of each")));
         }
         let metadata = ChannelMetadata::read(self, &root)?;
-        let frequencies_hz = metadata.subcarriers(&path, width)?;
+        let frequencies_hz = metadata.subcarrier_frequencies(&path, width)?;
         let carrier_hz = frequencies_hz.iter().sum::<f64>() / width.max(1) as f64;
-        let receiver = metadata.receiver(&path, antennas)?;
-        let rows = index::read(&root, &|word| index::parse_row(word, &locations.name, count))?;
+        let receiver = metadata.create_receiver(&path, antennas)?;
+        let rows = index::read_sets(&root, &|word| index::parse_row(word, &locations.name, count))?;
         let carriers = 1 + self.more_carriers.len();
         // Arrays of further carriers follow the first, with the same positions and sets.
         let repeat =
@@ -165,9 +166,9 @@ impl DataSource for Channels {
         let channels = ObservedChannels { antennas, frequencies_hz, gains };
         let name = folder_name(&root);
         let simulation = read_simulation(&root, &name).or_else(|| self.simulated.then(Simulation::default));
-        let title = title(&name, simulation.as_ref(), "channels");
+        let title = dataset_title(&name, simulation.as_ref(), "channels");
         let points = read_point_cloud(base, self.points.as_deref())?;
-        let ends = locations.ends(vec![receiver], metadata.transmitter);
+        let ends = locations.link_ends(vec![receiver], metadata.transmitter);
         let data = Dataset::of_links(title, ends, points, &samples, channels.into())?;
         progress(data.len(), data.len());
         let data = Dataset { simulation, official, ..data };
@@ -175,13 +176,13 @@ impl DataSource for Channels {
             return Ok(data);
         }
         let lowest_hz = data.observations.frequencies_hz().iter().copied().fold(carrier_hz, f64::min);
-        let carriers = self.carriers(&path, carrier_hz, lowest_hz)?;
+        let carriers = self.all_carriers(&path, carrier_hz, lowest_hz)?;
         data.with_carriers(&carriers.iter().flat_map(|hz| vec![*hz; count]).collect::<Vec<_>>())
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
-        let root = root_with(folder, &["channel.npy", "receiver.yml"])?;
-        Some(Box::new(Self { points: point_cloud_in(&root), root, ..self.clone() }))
+        let root = recognised_root(folder, &["channel.npy", "receiver.yml"])?;
+        Some(Box::new(Self { points: find_point_cloud(&root), root, ..self.clone() }))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -203,11 +204,11 @@ impl DataSource for Channels {
 }
 
 impl Channels {
-    /// Adds the channels of the further carriers to those of the first.
+    /// Returns the array of the first carrier followed by those of the further ones. Returns an error for another shape.
     fn with_more_carriers(&self, root: &Path, mut array: ComplexArray) -> Result<ComplexArray> {
         for carrier in &self.more_carriers {
             let path = root.join(&carrier.file);
-            let more = read_complex(&path, SHAPE)?;
+            let more = read_complex_array(&path, SHAPE)?;
             if more.shape != array.shape {
                 let first = self.file.display();
                 let problem = format!("has the shape {:?}, but {first} has {:?}", more.shape, array.shape);
@@ -220,9 +221,9 @@ impl Channels {
         Ok(array)
     }
 
-    /// Returns all carriers, Hz, the first of which is `carrier_hz`. They must differ, and their subcarriers, spaced as
-    /// those of the first carrier from `lowest_hz`, must be above 0.
-    fn carriers(&self, path: &Path, carrier_hz: f64, lowest_hz: f64) -> Result<Vec<f64>> {
+    /// Returns all carriers, Hz, the first of which is `carrier_hz`. Returns an error unless they differ, and their
+    /// subcarriers, spaced as those of the first carrier from `lowest_hz`, are above 0; it names the array at `path`.
+    fn all_carriers(&self, path: &Path, carrier_hz: f64, lowest_hz: f64) -> Result<Vec<f64>> {
         let more = self.more_carriers.iter().map(|file| file.carrier_hz);
         let carriers: Vec<f64> = std::iter::once(carrier_hz).chain(more).collect();
         let offset = carrier_hz - lowest_hz;
@@ -270,6 +271,7 @@ struct ReceiverFile {
 
 impl ChannelMetadata {
     /// Completes the settings of `source` from `receiver.yml` in the folder `root`; reads the file only if one is missing.
+    /// Returns an error for an invalid file.
     fn read(source: &Channels, root: &Path) -> Result<Self> {
         let path = root.join("receiver.yml");
         if let Channels { carrier_hz: Some(carrier_hz), spacing_hz, receiver: Some(receiver), .. } = source
@@ -311,9 +313,9 @@ impl ChannelMetadata {
         })
     }
 
-    /// Returns the frequencies of the subcarriers, Hz: those listed, else evenly spaced about the carrier. Their number must
-    /// be the `width` of the array at `path`.
-    fn subcarriers(&self, path: &Path, width: usize) -> Result<Vec<f64>> {
+    /// Returns the frequencies of the subcarriers, Hz: those listed, else evenly spaced about the carrier. Returns an error
+    /// unless their number is the `width` of the array at `path`.
+    fn subcarrier_frequencies(&self, path: &Path, width: usize) -> Result<Vec<f64>> {
         match &self.frequencies_hz {
             Some(listed) if listed.len() == width => Ok(listed.clone()),
             Some(listed) => {
@@ -321,12 +323,12 @@ impl ChannelMetadata {
                 let problem = format!("has {width} subcarriers, but receiver.yml lists {count} `frequencies_hz`");
                 Err(Error::input(path, format!("{problem}; give as many of each")))
             }
-            None => subcarriers(path, self.carrier_hz, self.spacing_hz, width),
+            None => uniform_subcarriers(path, self.carrier_hz, self.spacing_hz, width),
         }
     }
 
-    /// Creates the receiver; its antenna count must match the array.
-    fn receiver(&self, path: &Path, antennas: usize) -> Result<Receiver> {
+    /// Creates the receiver. Returns an error unless it has as many `antennas` as the array at `path`.
+    fn create_receiver(&self, path: &Path, antennas: usize) -> Result<Receiver> {
         let receiver = Receiver::new(&self.name, self.receiver.pose());
         match self.receiver.antennas.len() {
             0 if antennas == 1 => Ok(receiver),

@@ -1,4 +1,4 @@
-//! Validation of data sets from folders, `import` or arrays in memory. A data set that passes [`check`] can be saved
+//! Validation of data sets from folders, `import` or arrays in memory. A data set that passes [`check_dataset`] can be saved
 //! and read back unchanged.
 
 use pwrfgs_core::messages::{quoted, strip_control};
@@ -19,21 +19,23 @@ const LONGEST_NAME: usize = 100;
 ///
 /// # Errors
 /// [`Error::Config`] with the problem and the next step.
-pub fn check(data: &Dataset) -> Result<()> {
-    fault(data).map_or(Ok(()), |fault| Err(Error::Config(format!("data set `{}`: {fault}", data.title))))
+pub fn check_dataset(data: &Dataset) -> Result<()> {
+    dataset_fault(data).map_or(Ok(()), |fault| Err(Error::Config(format!("data set `{}`: {fault}", data.title))))
 }
 
-/// Returns the first problem with a data set.
-fn fault(data: &Dataset) -> Option<String> {
+/// Returns the first problem with a data set; `None` if it can be saved and read back.
+fn dataset_fault(data: &Dataset) -> Option<String> {
     let receivers = &data.scene.receivers;
     let links = data.links.iter().map(|link| (link.location, link.receiver));
     let spectra = data.observations.spectra();
-    let spectrum = spectra.and_then(|spectra| elevation_fault(data).or_else(|| first_value_fault(spectra)));
+    // The first fault, independent of the number of threads.
+    let value = |spectra: &Spectra| (0..spectra.len()).into_par_iter().find_map_first(|i| spectrum_fault(spectra, i));
+    let spectrum = spectra.and_then(|spectra| elevation_fault(data).or_else(|| value(spectra)));
     let fault = |(i, dbm): (usize, &Real)| Some(format!("powers[{i}] {}", power_fault(*dbm as f64)?));
     let power = || data.observations.powers()?.iter().enumerate().find_map(fault);
     let name = receivers.iter().find_map(|receiver| name_fault(&receiver.name));
-    let unlinked = || Some(unlinked_node(data.locations.len(), receivers.len(), links)?.fault(receivers));
-    spectrum.or_else(power).or(name).or_else(|| antennas_fault(data)).or_else(unlinked)
+    let unlinked = || Some(unlinked_node(data.locations.len(), receivers.len(), links)?.describe(receivers));
+    spectrum.or_else(power).or(name).or_else(|| antenna_fault(data)).or_else(unlinked)
 }
 
 /// Transmitter or receiver without any link.
@@ -46,8 +48,8 @@ pub enum UnlinkedNode {
 }
 
 impl UnlinkedNode {
-    /// Describes the problem.
-    fn fault(self, receivers: &[Receiver]) -> String {
+    /// Describes the problem of the node in words.
+    fn describe(self, receivers: &[Receiver]) -> String {
         match self {
             Self::Transmitter(i) => format!("no receiver received transmitter {i}; leave it out"),
             Self::Receiver(i) => {
@@ -57,8 +59,8 @@ impl UnlinkedNode {
     }
 }
 
-/// Finds the first transmitter without a link, else the first receiver without one; `links` are (transmitter, receiver)
-/// pairs of indices.
+/// Returns the first transmitter without a link, else the first receiver without one; `None` if all have links. `links` are
+/// (transmitter, receiver) pairs of indices.
 pub fn unlinked_node(
     transmitters: usize,
     receivers: usize,
@@ -70,7 +72,7 @@ pub fn unlinked_node(
     unlinked(&sends).map(UnlinkedNode::Transmitter).or_else(|| unlinked(&receives).map(UnlinkedNode::Receiver))
 }
 
-/// Returns the problem with a received power, dBm.
+/// Returns the problem with a received power in dBm: implausible, or the marker of a missing link; `None` if it is valid.
 pub fn power_fault(dbm: f64) -> Option<String> {
     if dbm == NOT_RECEIVED {
         let problem = format!("is {dbm} dBm, which marks a missing link in a power table");
@@ -79,8 +81,8 @@ pub fn power_fault(dbm: f64) -> Option<String> {
     (dbm.is_nan() || dbm.abs() > LARGEST_DBM).then(|| format!("is {dbm}, no power in dBm; give dBm"))
 }
 
-/// Returns the problem with the elevations and the size of spectra; `setting` is an example of the setting for elevations
-/// that are not `stated`.
+/// Returns the problem if the elevations of spectra do not suit their `size`, width and height in pixels; `None` if they
+/// do. `setting` is an example of the setting for elevations that are not `stated`.
 pub fn shape_fault(elevation: Elevation, stated: bool, size: (usize, usize), setting: &str) -> Option<String> {
     // Elongated pixels are plausible if stated; otherwise the rows probably cover another range of elevations.
     let factor = if stated { 4.0 } else { 1.75 };
@@ -95,7 +97,7 @@ pub fn shape_fault(elevation: Elevation, stated: bool, size: (usize, usize), set
     Some(format!("{misfit}; {advice}"))
 }
 
-/// Returns the problem with the elevations of spectra; images of a camera have none.
+/// Returns the problem with the elevations of spectra; `None` if they are valid, and for images of a camera.
 fn elevation_fault(data: &Dataset) -> Option<String> {
     if data.camera().is_some() {
         return None;
@@ -105,13 +107,13 @@ fn elevation_fault(data: &Dataset) -> Option<String> {
     data.elevation.fault().or_else(misfit)
 }
 
-/// Returns whether a value of a spectrum is from 0 to 1, up to rounding.
+/// Returns whether a value of a spectrum is linear: from 0 to 1, up to rounding.
 pub fn is_linear(value: f64) -> bool {
     (-ROUNDING..=1.0 + ROUNDING).contains(&value)
 }
 
-/// Returns the problem with spectrum `i`: the first value outside 0 to 1.
-pub(crate) fn value_fault(spectra: &Spectra, i: usize) -> Option<String> {
+/// Returns the problem with spectrum `i`, its first value outside 0 to 1; `None` if it is valid.
+pub(crate) fn spectrum_fault(spectra: &Spectra, i: usize) -> Option<String> {
     if !spectra.number().is_float() {
         return None;
     }
@@ -128,12 +130,7 @@ pub(crate) fn value_fault(spectra: &Spectra, i: usize) -> Option<String> {
     Some(format!("spectra[{i}, {row}, {column}] is {value}; {advice}"))
 }
 
-/// Returns the problem with the first invalid spectrum, independent of the number of threads.
-fn first_value_fault(spectra: &Spectra) -> Option<String> {
-    (0..spectra.len()).into_par_iter().find_map_first(|i| value_fault(spectra, i))
-}
-
-/// Returns the problem with a receiver name: not usable as a column heading, or control characters.
+/// Returns the problem with a receiver name, not usable as a column heading or control characters; `None` if it is valid.
 pub(crate) fn name_fault(name: &str) -> Option<String> {
     let fits =
         strip_control(name) == name && !name.is_empty() && !name.contains('"') && name.chars().count() <= LONGEST_NAME;
@@ -141,8 +138,8 @@ pub(crate) fn name_fault(name: &str) -> Option<String> {
     (!fits).then(|| format!("receiver name {} is invalid; use {valid}", quoted(name)))
 }
 
-/// Returns the problem with the antennas: their count must match the observations.
-fn antennas_fault(data: &Dataset) -> Option<String> {
+/// Returns the problem with the first receiver whose antennas do not match the observations; `None` if all match.
+fn antenna_fault(data: &Dataset) -> Option<String> {
     let (antennas, is_scalar) = (data.observations.antennas()?, data.task().is_scalar);
     let advice = if is_scalar {
         "a power is received by one antenna at the position of the receiver"
@@ -158,8 +155,9 @@ fn antennas_fault(data: &Dataset) -> Option<String> {
     Some(format!("the {observations} have {antennas} antennas, and receiver {name} has {placed}; {advice}"))
 }
 
-/// Returns the frequencies of the `count` subcarriers of the array at `path`, evenly spaced about the carrier, Hz.
-pub(crate) fn subcarriers(path: &Path, carrier_hz: f64, spacing_hz: f64, count: usize) -> Result<Vec<f64>> {
+/// Returns the frequencies of the `count` subcarriers of the array at `path`, evenly spaced about the carrier, Hz. Returns
+/// an error if the spacing is missing or a frequency would not be above 0.
+pub(crate) fn uniform_subcarriers(path: &Path, carrier_hz: f64, spacing_hz: f64, count: usize) -> Result<Vec<f64>> {
     let middle = (count as f64 - 1.0) / 2.0;
     if count > 1 && (spacing_hz.is_nan() || spacing_hz <= 0.0) {
         let problem = format!("has {count} subcarriers, but `spacing_hz` is missing");
@@ -176,7 +174,7 @@ pub(crate) fn subcarriers(path: &Path, carrier_hz: f64, spacing_hz: f64, count: 
     }
 }
 
-/// Returns an error unless both are valid frequencies, Hz.
+/// Returns an error unless carrier and subcarrier spacing are finite and above 0 Hz.
 pub(crate) fn check_frequencies(carrier_hz: f64, spacing_hz: f64) -> Result<(), String> {
     for (name, hz, example) in [("carrier_hz", carrier_hz, "2.4e9"), ("spacing_hz", spacing_hz, "312500")] {
         if !(hz.is_finite() && hz > 0.0) {

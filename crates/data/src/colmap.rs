@@ -4,9 +4,9 @@
 mod tests;
 
 use crate::folder::{
-    check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with, title,
+    check_root, existing_root, find_point_cloud, folder_name, read_point_cloud, read_title, recognised_root,
 };
-use crate::text::{TextField, TextRow, XyzColumns, coordinate, lines, number, position, read_text};
+use crate::text::{TextField, TextRow, XyzColumns, numbered_lines, read_text};
 use crate::{nerf2::index, pictures};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::quoted;
@@ -85,13 +85,13 @@ impl DataSource for Colmap {
 
     /// Loads the model before the images, so that errors of text files come before decoding.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        let root = open_root(base, &self.root, "Colmap", LAYOUT)?;
-        let model = model_folder(&root)?;
+        let root = existing_root(base, &self.root, "Colmap", LAYOUT)?;
+        let model = find_model_folder(&root)?;
         let cameras = read_cameras(&model.join("cameras.txt"))?;
-        let views = read_images(&model.join("images.txt"))?;
+        let views = read_views(&model.join("images.txt"))?;
         let shared = shared_camera(&model, &views, &cameras)?;
-        let names = index_by_name(&views);
-        let official = index::read(&root, &|word| parse_name(&names, &views[0].name, word))?;
+        let names = indices_by_name(&views);
+        let official = index::read_sets(&root, &|word| parse_entry(&names, &views[0].name, word))?;
         let points = match &self.points {
             Some(points) => read_point_cloud(base, Some(points))?,
             None => read_points3d(&model.join("points3D.txt"))?,
@@ -100,7 +100,7 @@ impl DataSource for Colmap {
         let paths: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
         let decode =
             |path: &Path| pictures::decode_luminance(path, "add the image, or remove its two lines from images.txt");
-        let spectra = pictures::load(&paths, &decode, progress)?;
+        let spectra = pictures::load_spectra(&paths, &decode, progress)?;
         let size = (spectra.width(), spectra.height());
         if size != shared.size {
             let ((w, h), (width, height)) = (size, shared.size);
@@ -112,8 +112,7 @@ impl DataSource for Colmap {
         let receiver = Receiver { camera: Some(shared.camera), ..Receiver::new("camera", views[0].pose) };
         let ends = Ends::of_moving_receivers(vec![receiver], self.transmitter);
         let name = folder_name(&root);
-        let simulation = read_simulation(&root, &name);
-        let title = title(&name, simulation.as_ref(), "COLMAP");
+        let (title, simulation) = read_title(&root, &name, "COLMAP");
         let data = Dataset::of_links(title, ends, points, &samples, spectra.into())?;
         Ok(Dataset { official, simulation, ..data })
     }
@@ -121,8 +120,8 @@ impl DataSource for Colmap {
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
         let files = MODELS.map(|model| ["txt", "bin"].map(|kind| format!("{model}/images.{kind}")));
         let files = files.as_flattened().iter().map(String::as_str).collect::<Vec<_>>();
-        let root = root_with(folder, &files)?;
-        Some(Box::new(Self { points: point_cloud_in(&root), root, ..self.clone() }))
+        let root = recognised_root(folder, &files)?;
+        Some(Box::new(Self { points: find_point_cloud(&root), root, ..self.clone() }))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -132,8 +131,8 @@ impl DataSource for Colmap {
     }
 }
 
-/// Finds the folder of the text files of the model.
-fn model_folder(root: &Path) -> Result<PathBuf> {
+/// Returns the folder of the text files of the model in `root`. Returns an error if there is none, or only a binary model.
+fn find_model_folder(root: &Path) -> Result<PathBuf> {
     let folder = |file: &str| MODELS.map(|model| root.join(model)).into_iter().find(|model| model.join(file).exists());
     match (folder("images.txt"), folder("images.bin")) {
         (Some(model), _) => Ok(model),
@@ -161,25 +160,24 @@ struct View {
     pose: Pose,
 }
 
-/// Returns whether a line has data.
-fn is_data(line: &str) -> bool {
+/// Returns whether a line has data: it is neither blank nor a comment.
+fn is_data_line(line: &str) -> bool {
     !line.trim().is_empty() && !line.trim_start().starts_with('#')
 }
 
-/// Parses a whole number: an id, a width or a height.
-fn parse_id(path: &Path, line: usize, field: TextField<'_>, advice: &str) -> Result<u32> {
-    let fault =
-        || Error::at(path, line, field.column, format!("{} is not a whole number; {advice}", quoted(field.text)));
+/// Parses a whole number: an id, a width or a height. `advice` is the next step otherwise.
+fn parse_whole_number(row: &TextRow<'_>, field: TextField<'_>, advice: &str) -> Result<u32> {
+    let fault = || row.fault(field.column, format!("{} is not a whole number; {advice}", quoted(field.text)));
     field.text.parse().ok().ok_or_else(fault)
 }
 
-/// Reads the cameras by id; an error for distorted ones.
+/// Reads the cameras of `cameras.txt` by id. Returns an error for an invalid line, a distorted camera or a repeated id.
 fn read_cameras(path: &Path) -> Result<BTreeMap<u32, SizedCamera>> {
     let text = read_text(path, MAX_TEXT, LAYOUT)?;
     let mut cameras = BTreeMap::new();
-    for content in lines(&text).filter(|(_, content)| is_data(content)) {
+    for content in numbered_lines(&text).filter(|(_, content)| is_data_line(content)) {
         let row = TextRow::at_blanks(path, content);
-        let (line, fault) = (row.line, |column, problem: String| Err(row.fault(column, problem)));
+        let fault = |column, problem: String| Err(row.fault(column, problem));
         let [id, model, width, height, parameters @ ..] = &row.fields[..] else {
             return fault(1, format!("has {} fields; {CAMERA_LINE}", row.fields.len()));
         };
@@ -191,18 +189,17 @@ fn read_cameras(path: &Path) -> Result<BTreeMap<u32, SizedCamera>> {
             let problem = format!("{} has {} parameters, expected {needed}", model.text, parameters.len());
             return fault(model.column, format!("{problem}; {CAMERA_LINE}"));
         }
-        let values =
-            parameters.iter().map(|field| number(path, line, *field, CAMERA_LINE)).collect::<Result<Vec<_>>>()?;
+        let values = parameters.iter().map(|field| row.number(*field, CAMERA_LINE)).collect::<Result<Vec<_>>>()?;
         if let Some(k) = (focal + 2..needed).find(|k| values[*k] != 0.0) {
             return fault(parameters[k].column, format!("the lens distortion is not zero; {UNDISTORT}"));
         }
-        let size = [width, height].map(|field| parse_id(path, line, *field, CAMERA_LINE));
+        let size = [width, height].map(|field| parse_whole_number(&row, *field, CAMERA_LINE));
         let [width, height] = size.map(|side| side.map(|side| side as usize));
         let camera = Camera { focal: [values[0], values[focal - 1]], centre: [values[focal], values[focal + 1]] };
         if let Some(problem) = camera.fault() {
             return fault(parameters[0].column, problem);
         }
-        let id = parse_id(path, line, *id, CAMERA_LINE)?;
+        let id = parse_whole_number(&row, *id, CAMERA_LINE)?;
         if cameras.insert(id, SizedCamera { size: (width?, height?), camera }).is_some() {
             return fault(1, format!("a second camera {id}; remove one of the two"));
         }
@@ -210,13 +207,14 @@ fn read_cameras(path: &Path) -> Result<BTreeMap<u32, SizedCamera>> {
     Ok(cameras)
 }
 
-/// Reads the images, in the order of their names. Each has two lines: pose and name, then its 2D points.
-fn read_images(path: &Path) -> Result<Vec<View>> {
+/// Reads the images of `images.txt` and sorts them by name. Each has two lines: pose and name, then its 2D points. Returns
+/// an error for an invalid line, a repeated name or no image.
+fn read_views(path: &Path) -> Result<Vec<View>> {
     let text = read_text(path, MAX_TEXT, LAYOUT)?;
     let mut views = Vec::new();
     let mut rows = (1..).zip(text.lines());
     while let Some((line, content)) = rows.next() {
-        if !is_data(content) {
+        if !is_data_line(content) {
             continue;
         }
         let view = parse_view(&TextRow::at_blanks(path, (line, content)))?;
@@ -241,9 +239,10 @@ fn read_images(path: &Path) -> Result<Vec<View>> {
     }
 }
 
-/// Parses the first line of an image. The camera frame of COLMAP is v = R·x + t, so that the camera is at -Rᵀ·t.
+/// Parses the first line of an image: its name, camera and pose. The camera frame of COLMAP is v = R·x + t, so that the
+/// camera is at -Rᵀ·t.
 fn parse_view(row: &TextRow<'_>) -> Result<View> {
-    let (path, line, count) = (row.path, row.line, row.fields.len());
+    let count = row.fields.len();
     let [_, w, x, y, z, t @ .., camera, name] = &row.fields[..] else {
         return Err(row.fault(1, format!("has {count} fields, expected 10; {IMAGE_LINE}")));
     };
@@ -251,21 +250,21 @@ fn parse_view(row: &TextRow<'_>) -> Result<View> {
         let expected = "10; names of images have no blanks";
         return Err(row.fault(1, format!("has {count} fields, expected {expected}; {IMAGE_LINE}")));
     };
-    let [qx, qy, qz, qw] = [x, y, z, w].map(|field| coordinate(path, line, *field, IMAGE_LINE));
+    let [qx, qy, qz, qw] = [x, y, z, w].map(|field| row.coordinate(*field, IMAGE_LINE));
     let rotation = Pose { position: [0.0; 3], orientation: [-qx?, -qy?, -qz?, qw?] }; // world from camera
     if let Some((_, fault)) = rotation.fault() {
         return Err(row.fault(w.column, fault));
     }
-    let position = rotation.turned(position(path, line, [tx, ty, tz], IMAGE_LINE)?.map(|t| -t));
+    let position = rotation.turned(row.position([tx, ty, tz], IMAGE_LINE)?.map(|t| -t));
     if !Path::new(name.text).components().all(|part| matches!(part, Component::Normal(_))) {
         let problem = format!("{} is not the path of an image within images/; correct the name", quoted(name.text));
         return Err(row.fault(name.column, problem));
     }
-    let camera = parse_id(path, line, *camera, IMAGE_LINE)?;
-    Ok(View { line, name: name.text.into(), camera, pose: Pose { position, ..rotation } })
+    let camera = parse_whole_number(row, *camera, IMAGE_LINE)?;
+    Ok(View { line: row.line, name: name.text.into(), camera, pose: Pose { position, ..rotation } })
 }
 
-/// Returns the camera of all images; an error if their cameras differ.
+/// Returns the camera of all images in the folder `model`. Returns an error if their cameras differ or one is missing.
 fn shared_camera(model: &Path, views: &[View], cameras: &BTreeMap<u32, SizedCamera>) -> Result<SizedCamera> {
     let mut used: BTreeMap<u32, usize> = BTreeMap::new();
     views.iter().for_each(|view| _ = used.entry(view.camera).or_insert(view.line));
@@ -287,8 +286,11 @@ fn shared_camera(model: &Path, views: &[View], cameras: &BTreeMap<u32, SizedCame
     Ok(shared.expect("there is an image").1)
 }
 
-/// Returns the index of each image by its name with and without extension; `None` for a stem of several images.
-fn index_by_name(views: &[View]) -> BTreeMap<String, Option<usize>> {
+/// Index of each image by its name with and without extension; `None` for a stem of several images.
+type ImageNames = BTreeMap<String, Option<usize>>;
+
+/// Returns the indices of the images by their names.
+fn indices_by_name(views: &[View]) -> ImageNames {
     let mut names = BTreeMap::new();
     for (k, view) in views.iter().enumerate() {
         let stem = Path::new(&view.name).with_extension("").to_string_lossy().into_owned();
@@ -298,8 +300,9 @@ fn index_by_name(views: &[View]) -> BTreeMap<String, Option<usize>> {
     names
 }
 
-/// Parses a word of an index file: the name of an image, with or without extension, such as `example`.
-fn parse_name(names: &BTreeMap<String, Option<usize>>, example: &str, word: &str) -> Result<index::IndexEntry, String> {
+/// Parses a word of an index file, the name of an image with or without extension, such as `example`. Returns the problem
+/// with an unknown or ambiguous name.
+fn parse_entry(names: &ImageNames, example: &str, word: &str) -> Result<index::IndexEntry, String> {
     match names.get(word) {
         Some(Some(k)) => Ok(index::IndexEntry { id: *k as u32 + 1, sample: *k }),
         Some(None) => Err(format!("{} names several images; write the extension too", quoted(word))),
@@ -313,6 +316,6 @@ fn read_points3d(path: &Path) -> Result<Vec<[f64; 3]>> {
         return Ok(Vec::new());
     }
     let text = read_text(path, MAX_TEXT, LAYOUT)?;
-    let rows = lines(&text).filter(|(_, content)| is_data(content));
+    let rows = numbered_lines(&text).filter(|(_, content)| is_data_line(content));
     rows.map(|content| XyzColumns([1, 2, 3]).read(&TextRow::at_blanks(path, content), POINT_LINE)).collect()
 }

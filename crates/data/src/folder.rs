@@ -1,7 +1,7 @@
 //! Functions shared by all readers and writers of data folders.
 
 use crate::geometry::read_points;
-use crate::text::{TextRow, number, read_text};
+use crate::text::{TextRow, read_text};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Error, Pose, Result, Simulation, carrier_fault, files};
@@ -19,8 +19,9 @@ pub(crate) fn check_root(root: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// Opens the folder `root` of the data source `plugin`, whose files are described by `layout`.
-pub(crate) fn open_root(base: &Path, root: &Path, plugin: &str, layout: &str) -> Result<PathBuf> {
+/// Returns the path of the folder `root` of the data source `plugin`. Returns an error with its `layout` if there is no such
+/// folder.
+pub(crate) fn existing_root(base: &Path, root: &Path, plugin: &str, layout: &str) -> Result<PathBuf> {
     let root = base.join(root);
     if root.is_dir() {
         return Ok(root);
@@ -29,7 +30,7 @@ pub(crate) fn open_root(base: &Path, root: &Path, plugin: &str, layout: &str) ->
     Err(Error::input(&root, format!("no such folder ({layout}); set `root` of {plugin}, or {advice}")))
 }
 
-/// Returns the advice of an error: how to get data that the data source called `plugin` reads.
+/// Returns the advice of an error message: how to get data that the data source called `plugin` reads.
 fn download_advice(plugin: &str) -> &'static str {
     match plugin {
         "Nerf2Spectrum" | "Nerf2Rssi" => {
@@ -46,17 +47,17 @@ fn download_advice(plugin: &str) -> &'static str {
     }
 }
 
-/// Returns `folder` as the `root` of a data source if it holds one of these files.
-pub(crate) fn root_with(folder: &Path, files: &[&str]) -> Option<PathBuf> {
+/// Returns `folder` as the `root` of a data source if it holds one of these files, otherwise `None`.
+pub(crate) fn recognised_root(folder: &Path, files: &[&str]) -> Option<PathBuf> {
     files.iter().any(|name| folder.join(name).exists()).then(|| folder.to_owned())
 }
 
-/// Returns the path of the point cloud in a data folder, if there is one.
-pub(crate) fn point_cloud_in(root: &Path) -> Option<PathBuf> {
+/// Returns the path of the point cloud in a data folder; `None` without one.
+pub(crate) fn find_point_cloud(root: &Path) -> Option<PathBuf> {
     [POINTS, "points.ply"].map(|name| root.join(name)).into_iter().find(|path| path.exists())
 }
 
-/// Reads the point cloud of the setting `points`, metres; empty without the setting.
+/// Reads the point cloud of the setting `points`, a path relative to `base`: `[P,3]` in metres, empty without the setting.
 pub(crate) fn read_point_cloud(base: &Path, points: Option<&Path>) -> Result<Vec<[f64; 3]>> {
     points.map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))
 }
@@ -73,7 +74,8 @@ struct Manifest {
     scene: Option<String>,
 }
 
-/// Reads the simulation of the data set `name` according to `manifest.json`, else according to its name.
+/// Returns the simulation of the data set `name` according to `manifest.json` in `root`, else according to its name; `None`
+/// for measured data.
 pub(crate) fn read_simulation(root: &Path, name: &str) -> Option<Simulation> {
     let manifest =
         files::read_string(root.join("manifest.json")).ok().and_then(|text| serde_json::from_str(&text).ok());
@@ -82,34 +84,38 @@ pub(crate) fn read_simulation(root: &Path, name: &str) -> Option<Simulation> {
     simulated.then_some(Simulation { scene })
 }
 
+/// Returns the title of the data set `name` in a layout, as [`dataset_title`], and its simulation, as [`read_simulation`].
+pub(crate) fn read_title(root: &Path, name: &str, layout: &str) -> (String, Option<Simulation>) {
+    let simulation = read_simulation(root, name);
+    (dataset_title(name, simulation.as_ref(), layout), simulation)
+}
+
 /// Returns the title of a data set in a layout such as `arrays`; it says whether the data are measured.
-pub(crate) fn title(name: &str, simulation: Option<&Simulation>, layout: &str) -> String {
+pub(crate) fn dataset_title(name: &str, simulation: Option<&Simulation>, layout: &str) -> String {
     format!("{name} ({}{layout})", if simulation.is_some() { "" } else { "measured, " })
 }
 
 /// Returns the content of `gateway_info.yml` for a data set called `name`.
-pub fn gateway_yaml(name: &str, pose: &Pose) -> String {
+pub fn gateway_yaml(name: &str, Pose { position, orientation }: &Pose) -> String {
+    let name = quote_yaml(name);
     format!(
-        "dataset_name: {}\ngateway1:\n  position: [{}]\n  orientation: [{}] # quaternion x, y, z, w\n",
-        quote_yaml(name),
-        join_numbers(&pose.position),
-        join_numbers(&pose.orientation)
+        "dataset_name: {name}\ngateway1:\n  position: {position:?}\n  orientation: {orientation:?} # quaternion x, y, z, w\n"
     )
 }
 
 /// Returns the content of `gateway_position.yml`: gateway names and positions, metres; orientations only if rotated.
 pub fn gateway_positions_yaml<'a>(gateways: impl IntoIterator<Item = (&'a str, Pose)>) -> String {
-    let line = |(name, pose): (&str, Pose)| {
-        let (name, position) = (quote_yaml(name), join_numbers(&pose.position));
-        if pose.orientation == Pose::IDENTITY.orientation {
-            return format!("{name}: [{position}]\n");
+    let line = |(name, Pose { position, orientation }): (&str, Pose)| {
+        let name = quote_yaml(name);
+        if orientation == Pose::IDENTITY.orientation {
+            return format!("{name}: {position:?}\n");
         }
-        format!("{name}: {{position: [{position}], orientation: [{}]}}\n", join_numbers(&pose.orientation))
+        format!("{name}: {{position: {position:?}, orientation: {orientation:?}}}\n")
     };
     gateways.into_iter().map(line).collect()
 }
 
-/// Quotes text for YAML. JSON strings are valid YAML, except for a few characters written as numbers.
+/// Returns text as a quoted YAML scalar. JSON strings are valid YAML, except for a few characters, written as numbers.
 pub(crate) fn quote_yaml(text: &str) -> String {
     let is_number = |c: char| c.is_control() || "\u{2028}\u{2029}\u{feff}\u{fffe}\u{ffff}".contains(c);
     let write = |c: char| if is_number(c) { format!("\\u{:04x}", u32::from(c)) } else { c.into() };
@@ -118,12 +124,7 @@ pub(crate) fn quote_yaml(text: &str) -> String {
 
 /// Returns the content of `base-station.yml`: antenna positions, metres.
 pub fn base_station_yaml(antennas: &[[f64; 3]]) -> String {
-    format!("base_station: [{}]\n", position_list(antennas))
-}
-
-/// Writes antenna positions as the items of a YAML list.
-fn position_list(antennas: &[[f64; 3]]) -> String {
-    antennas.iter().map(|position| format!("[{}]", join_numbers(position))).collect::<Vec<_>>().join(", ")
+    format!("base_station: {antennas:?}\n")
 }
 
 /// Returns the content of `receiver.yml`: the `name` as a YAML scalar (quoted if it needs quotes), the pose in the world frame
@@ -131,29 +132,20 @@ fn position_list(antennas: &[[f64; 3]]) -> String {
 /// world frame (metres).
 pub fn receiver_yaml(
     name: &str,
-    pose: &Pose,
+    Pose { position, orientation }: &Pose,
     [carrier_hz, spacing_hz]: [f64; 2],
     frequencies_hz: &[f64],
     antennas: &[[f64; 3]],
 ) -> String {
     format!(
-        "name: {name}\nposition: [{}]\norientation: [{}] # quaternion x, y, z, w\ncarrier_hz: {carrier_hz:?}\n\
-         spacing_hz: {spacing_hz:?}\nfrequencies_hz: [{}]\nantennas: [{}] # metres; in the world, or in the frame of a moving receiver\n",
-        join_numbers(&pose.position),
-        join_numbers(&pose.orientation),
-        join_numbers(frequencies_hz),
-        position_list(antennas)
+        "name: {name}\nposition: {position:?}\norientation: {orientation:?} # quaternion x, y, z, w\ncarrier_hz: {carrier_hz:?}\n\
+         spacing_hz: {spacing_hz:?}\nfrequencies_hz: {frequencies_hz:?}\nantennas: {antennas:?} # metres; in the world, or in the frame of a moving receiver\n"
     )
 }
 
 /// Returns the line of `receiver.yml` for the fixed transmitter of a moving receiver, metres; empty if it is unknown.
 pub fn transmitter_yaml(position: Option<[f64; 3]>) -> String {
-    position.map_or_else(String::new, |position| format!("transmitter: [{}]\n", join_numbers(&position)))
-}
-
-/// Writes numbers as the items of a YAML list.
-fn join_numbers(values: &[f64]) -> String {
-    values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", ")
+    position.map_or_else(String::new, |position| format!("transmitter: {position:?}\n"))
 }
 
 /// File of the carriers.
@@ -161,11 +153,12 @@ pub const CARRIERS: &str = "freq.txt";
 /// Smallest number that is in Hz; smaller ones are in GHz.
 const LEAST_HZ: f64 = 1e6;
 
-/// Reads `freq.txt` in the folder `root`: the carrier of row k of `table` in line k, Hz. `None` without the file.
+/// Reads the carriers of the rows of `table`, Hz, from `freq.txt` in the folder `root`, one line per row; `None` without
+/// the file.
 ///
 /// # Errors
 /// Those of [`read_carriers`], or another number of lines than `rows`.
-pub(crate) fn carriers_in(root: &Path, table: &str, rows: usize) -> Result<Option<Vec<f64>>> {
+pub(crate) fn read_row_carriers(root: &Path, table: &str, rows: usize) -> Result<Option<Vec<f64>>> {
     let path = root.join(CARRIERS);
     if !path.exists() {
         return Ok(None);
@@ -190,7 +183,7 @@ pub fn read_carriers(path: &Path) -> Result<Vec<f64>> {
         let [field] = row.fields[..] else {
             return Err(row.fault(1, format!("{} numbers, expected 1; {advice}", row.fields.len())));
         };
-        let value = number(path, row.line, field, advice)?;
+        let value = row.number(field, advice)?;
         let hz = if value < LEAST_HZ { (value * 1e9).round() } else { value };
         carrier_fault(hz).map_or(Ok(hz), |fault| Err(row.fault(field.column, format!("{fault}, or in GHz"))))
     };
@@ -205,13 +198,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join(CARRIERS), text).unwrap();
         let message = |e: Error| e.to_string().replace(&folder.path().display().to_string(), "DIR");
-        carriers_in(folder.path(), "tx_pos.csv", rows).map_err(message)
+        read_row_carriers(folder.path(), "tx_pos.csv", rows).map_err(message)
     }
 
     #[test]
     fn reads_gigahertz_and_hertz() {
         assert_eq!(read_str("1\r\n2.412\n24.25\n928e6\n\n", 4).unwrap().unwrap(), [1e9, 2.412e9, 24.25e9, 928e6]);
-        assert_eq!(carriers_in(Path::new("/none"), "tx_pos.csv", 4).unwrap(), None);
+        assert_eq!(read_row_carriers(Path::new("/none"), "tx_pos.csv", 4).unwrap(), None);
     }
 
     #[test]

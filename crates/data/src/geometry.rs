@@ -8,7 +8,7 @@
 
 use crate::ply;
 use crate::polygons::{Polygons, Triangles};
-use crate::text::{POINT_ADVICE, TextField, TextRow, VERTEX_ADVICE, XyzColumns, lines, read_bytes, read_text};
+use crate::text::{POINT_ADVICE, TextField, TextRow, VERTEX_ADVICE, XyzColumns, numbered_lines, read_bytes, read_text};
 use pwrfgs_core::files::MAX_NUMBERS;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Result};
@@ -40,10 +40,12 @@ pub fn read_mesh(path: &Path) -> Result<Triangles> {
 const IGNORED: &str =
     "vn vt vp o g s mg l p usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj";
 
-/// Parses the statements `v` and `f` of an OBJ file; polygons are cut into triangles.
+/// Parses the statements `v` and `f` of an OBJ file; polygons are cut into triangles. Returns an error with line and column
+/// for an invalid statement.
 fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     let text = String::from_utf8_lossy(bytes);
-    let rows = || lines(&text).map(|(line, content)| TextRow::at_blanks(path, (line, strip_comment(content))));
+    let statement = |line| str::split(line, '#').next().unwrap_or_default(); // without its comment
+    let rows = || numbered_lines(&text).map(|(line, content)| TextRow::at_blanks(path, (line, statement(content))));
     // A face may use a vertex defined after it.
     let count = rows().filter(|row| row.fields.first().is_some_and(|field| field.text == "v")).count();
     let (mut vertices, mut polygons) = (Vec::with_capacity(count), Polygons::default());
@@ -52,7 +54,7 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
         match keyword.text {
             "v" => vertices.push(XyzColumns([1, 2, 3]).read(&row, VERTEX_ADVICE)?),
             "f" => {
-                let index = |field: &TextField<'_>| corner_index(path, row.line, *field, vertices.len());
+                let index = |field: &TextField<'_>| parse_corner_index(&row, *field, vertices.len());
                 let corners = row.fields[1..].iter().map(index).collect::<Result<Vec<i64>>>()?;
                 polygons.push(&corners, count).map_err(|fault| row.fault(keyword.column, fault))?;
             }
@@ -66,14 +68,9 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     polygons.triangulate(path, vertices)
 }
 
-/// Removes the comment of a line, which begins with `#`.
-fn strip_comment(content: &str) -> &str {
-    content.split_once('#').map_or(content, |(statement, _)| statement)
-}
-
-/// Parses the vertex index of a corner such as `3`, `-1`, `3/1` or `3//2`, counted from 0. A negative index counts back
-/// from the last of the `so_far` vertices.
-fn corner_index(path: &Path, line: usize, field: TextField<'_>, so_far: usize) -> Result<i64> {
+/// Parses the vertex index of a corner such as `3`, `-1`, `3/1` or `3//2`, and returns it counted from 0. A negative index
+/// counts back from the last of the `so_far` vertices.
+fn parse_corner_index(row: &TextRow<'_>, field: TextField<'_>, so_far: usize) -> Result<i64> {
     let mut parts = field.text.split('/');
     let index = parts.next().and_then(|text| text.parse::<i64>().ok()).filter(|&index| index != 0);
     // Optional texture and normal indices, nothing else.
@@ -81,7 +78,7 @@ fn corner_index(path: &Path, line: usize, field: TextField<'_>, so_far: usize) -
     let index = index.filter(|_| is_whole);
     let index = index.ok_or_else(|| {
         let problem = "is not a vertex index (1 and up, or -1 and down from the end); correct the index";
-        Error::at(path, line, field.column, format!("{} {problem}", quoted(field.text)))
+        row.fault(field.column, format!("{} {problem}", quoted(field.text)))
     })?;
     Ok(if index > 0 { index - 1 } else { index.saturating_add_unsigned(so_far as u64) })
 }
@@ -100,9 +97,9 @@ const ADVICE: &str = "check the path of the point cloud";
 pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let points = match extension.as_str() {
-        "ply" => ply::parse(path, &read_bytes(path, MAX_NUMBERS, ADVICE)?)?,
-        "xyz" | "txt" => parse_xyz(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
-        "csv" => parse_csv(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
+        "ply" => ply::parse_points(path, &read_bytes(path, MAX_NUMBERS, ADVICE)?)?,
+        "xyz" | "txt" => parse_xyz_points(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
+        "csv" => parse_csv_points(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
         _ => return Err(Error::input(path, "unsupported point cloud format; use .ply, .xyz or .csv")),
     };
     if points.is_empty() {
@@ -112,17 +109,17 @@ pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
 }
 
 /// Parses one point per line: x, y and z between blanks.
-fn parse_xyz(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
+fn parse_xyz_points(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
     let is_comment = |row: &str| row.starts_with('#') || row.starts_with("//");
-    lines(text)
+    numbered_lines(text)
         .filter(|(_, row)| !is_comment(row.trim_start()))
         .map(|row| XyzColumns([0, 1, 2]).read(&TextRow::at_blanks(path, row), POINT_ADVICE))
         .collect()
 }
 
 /// Parses points between commas, below an optional header that names x, y and z.
-fn parse_csv(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
-    let mut rows = lines(text).peekable();
+fn parse_csv_points(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
+    let mut rows = numbered_lines(text).peekable();
     let (mut columns, mut header) = (XyzColumns([0, 1, 2]), usize::MAX);
     if let Some(first) = rows.peek() {
         let first = TextRow::at_commas(path, *first);

@@ -51,7 +51,7 @@ pub struct Imported {
 }
 
 impl Import {
-    /// Writes the new folder `out`, complete or not at all. `progress` counts spectra.
+    /// Converts the input files to the new folder `out`, complete or not at all. `progress` counts spectra.
     ///
     /// # Errors
     /// Invalid input files, a folder `out` that is not empty, or a failed write.
@@ -104,13 +104,15 @@ struct Sink<'a> {
 }
 
 impl<'a> Sink<'a> {
+    /// Creates the writer of the new file `path`, which [`Self::begin`] creates.
     fn new(&Import { scale, elevation, .. }: &Import, path: PathBuf, progress: Progress<'a>) -> Self {
         let numbers = (Number::U8, Number::U8);
         let (range, bytes) = (Range::default(), Vec::new());
         Self { scale, elevation, path, progress, file: None, shape: [0; 3], numbers, done: 0, range, bytes }
     }
 
-    /// Creates the file before the first spectrum, which comes from `from`; an error if the shape does not fit the elevations.
+    /// Creates the file before the first spectrum, which comes from `from`. Returns an error if the shape `[M,H,W]` does not
+    /// fit the elevations.
     fn begin(&mut self, from: &Path, shape: [usize; 3], number: Number) -> Result<()> {
         let (elevation, advice) = (self.elevation.unwrap_or(Elevation::UPPER), "--elevation -90,90 for a full sphere");
         if let Some(fault) = shape_fault(elevation, self.elevation.is_some(), (shape[2], shape[1]), advice) {
@@ -126,8 +128,8 @@ impl<'a> Sink<'a> {
         Ok(())
     }
 
-    /// Adds the next spectrum.
-    fn add(&mut self, bytes: &[u8]) -> Result<()> {
+    /// Converts and writes the pixels of the next spectrum, and extends the range of values.
+    fn add_spectrum(&mut self, bytes: &[u8]) -> Result<()> {
         let (number, stored) = self.numbers;
         let factor = self.scale.unwrap_or(1.0) / number.full_scale();
         let (range, width, i) = (&mut self.range, self.shape[2], self.done);
@@ -154,7 +156,7 @@ impl<'a> Sink<'a> {
         Ok(())
     }
 
-    /// Checks the range of all values and flushes the file.
+    /// Flushes the file of spectra from `from` and returns the summary. Returns an error if the range of values is invalid.
     fn finish(self, from: &Path) -> Result<Imported> {
         self.range.check(from, self.scale)?;
         let file = self.file.map(|mut file| file.flush().and_then(|()| file.get_ref().sync_all()));
@@ -176,7 +178,7 @@ pub(super) struct Range {
 }
 
 impl Range {
-    /// Extends the range to the value at `index`: spectrum, row, column.
+    /// Extends the range to `value` at `index`: spectrum, row, column.
     pub(super) fn extend_to(&mut self, index: [usize; 3], value: f64) {
         if !value.is_finite() {
             self.not_finite.get_or_insert((index, value));
@@ -201,8 +203,8 @@ impl Range {
         low >= -ROUNDING && high <= 1.0 + ROUNDING
     }
 
-    /// Returns an error for values that are not finite, or outside 0 to 1 after multiplication by `scale`. Called after the
-    /// last spectrum: a damaged file is reported as such.
+    /// Returns an error for values of `path` that are not finite, outside 0 to 1 after multiplication by `scale`, or all
+    /// small. Called after the last spectrum: a damaged file is reported as such.
     pub(super) fn check(&self, path: &Path, scale: Option<f64>) -> Result<()> {
         let refuse = |problem: String| Err(Error::input(path, problem));
         if let Some((index, value)) = self.not_finite {
@@ -244,7 +246,7 @@ impl Range {
     }
 }
 
-/// Writes the index of a value in Python notation.
+/// Returns the index of a value in Python notation.
 fn element_name([m, y, x]: [usize; 3]) -> String {
     format!("spectra[{m}, {y}, {x}]")
 }

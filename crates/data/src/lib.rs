@@ -34,10 +34,10 @@ mod text;
 pub use arrays::Arrays;
 pub use baselines::{
     Kriging, LogDistance, MeanSpectrum, NearestCarrier, NearestNeighbours, Neighbours, Predictions, Ridge, Trend, Zero,
-    preceding,
+    vecchia_cases,
 };
 pub use channels::{CarrierFile, Channels, ReceiverPlace};
-pub use checks::{UnlinkedNode, check, is_linear, power_fault, shape_fault, unlinked_node};
+pub use checks::{UnlinkedNode, check_dataset, is_linear, power_fault, shape_fault, unlinked_node};
 pub use colmap::Colmap;
 pub use folder::{
     CARRIERS, base_station_yaml, gateway_positions_yaml, gateway_yaml, read_carriers, receiver_yaml, transmitter_yaml,

@@ -12,11 +12,11 @@ pub use rssi::{Nerf2Rssi, read_powers};
 
 use crate::checks::shape_fault;
 use crate::folder::{
-    carriers_in, check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with,
-    title,
+    check_root, existing_root, find_point_cloud, folder_name, read_point_cloud, read_row_carriers, read_title,
+    recognised_root,
 };
 use crate::pictures;
-use crate::text::{TextField, coordinate, position, read_text, table};
+use crate::text::{TextField, TextRow, read_text, table_rows};
 use pwrfgs_core::{
     DataSource, Dataset, Elevation, End, Ends, Error, JsonSchema, Pose, Progress, Receiver, Result, Sample, Unmatched,
     files, messages::strip_control,
@@ -89,15 +89,15 @@ impl DataSource for Nerf2Spectrum {
 
     /// Loads the ids that have a row and an image. Index files are checked before images are decoded.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        let root = open_root(base, &self.root, "Nerf2Spectrum", LAYOUT)?;
+        let root = existing_root(base, &self.root, "Nerf2Spectrum", LAYOUT)?;
         let gateway = Gateway::read(&root.join("gateway_info.yml"), self.gateway.as_deref(), LAYOUT)?;
         let positions = read_transmitters(&root.join("tx_pos.csv"))?;
-        let files = pictures::list(&root.join("spectrum"), LAYOUT)?;
+        let files = pictures::list_images(&root.join("spectrum"), LAYOUT)?;
         let picture_ids = files.keys().copied().collect();
         let ids: Vec<u32> = files.keys().copied().filter(|&id| id as usize <= positions.len()).collect();
         let valid_ids =
             index::SpectrumIds { table: "tx_pos.csv", rows: positions.len(), pictures: &picture_ids, samples: &ids };
-        let official = index::read(&root, &|word| valid_ids.parse(word))?;
+        let official = index::read_sets(&root, &|word| valid_ids.parse_id(word))?;
         if ids.is_empty() {
             let problem = format!("no image matches a row of tx_pos.csv; {LAYOUT}");
             return Err(Error::input(&root.join("spectrum"), problem));
@@ -111,26 +111,26 @@ impl DataSource for Nerf2Spectrum {
         }
         let points = read_point_cloud(base, self.points.as_deref())?;
         let paths: Vec<&Path> = ids.iter().map(|id| files[id].as_path()).collect();
-        let spectra = pictures::load(&paths, &|path| pictures::decode(path, pictures::Depth::Eight), progress)?;
+        let spectra =
+            pictures::load_spectra(&paths, &|path| pictures::decode_grey_png(path, pictures::Depth::Eight), progress)?;
         let stated = self.elevation.or(gateway.elevation);
         let elevation = stated.unwrap_or(Elevation::UPPER);
-        check_shape(paths[0], elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
+        check_image_size(paths[0], elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let unmatched = Unmatched { positions: positions.len() - ids.len(), pictures: files.len() - ids.len() };
         let samples: Vec<Sample> = ids.iter().map(|&id| Sample::new(id, positions[id as usize - 1])).collect();
         let name = gateway.name.as_deref().map_or_else(|| folder_name(&root), strip_control);
-        let simulation = read_simulation(&root, &name);
-        let title = title(&name, simulation.as_ref(), "NeRF2 layout");
+        let (title, simulation) = read_title(&root, &name, "NeRF2 layout");
         let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, unmatched, ..data };
-        match carriers_in(&root, "tx_pos.csv", positions.len())? {
+        match read_row_carriers(&root, "tx_pos.csv", positions.len())? {
             Some(rows) => data.with_carriers(&ids.iter().map(|&id| rows[id as usize - 1]).collect::<Vec<f64>>()),
             None => Ok(data),
         }
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
-        let root = root_with(folder, &["spectrum", "gateway_info.yml"])?;
-        Some(Box::new(Self { points: point_cloud_in(&root), root, ..self.clone() }))
+        let root = recognised_root(folder, &["spectrum", "gateway_info.yml"])?;
+        Some(Box::new(Self { points: find_point_cloud(&root), root, ..self.clone() }))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -139,8 +139,9 @@ impl DataSource for Nerf2Spectrum {
     }
 }
 
-/// Returns an error if the image size does not match its angles.
-pub(crate) fn check_shape(path: &Path, elevation: Elevation, stated: bool, size: (usize, usize)) -> Result<()> {
+/// Returns an error if the `size` of spectra, width and height in pixels, does not suit their elevations; `path` is named.
+/// `stated`: the elevations come from a setting or a file.
+pub(crate) fn check_image_size(path: &Path, elevation: Elevation, stated: bool, size: (usize, usize)) -> Result<()> {
     let advice =
         "`elevation: (-90, 90)` of the data source for a full sphere, or `elevation: [-90, 90]` in gateway_info.yml";
     shape_fault(elevation, stated, size, advice).map_or(Ok(()), |fault| Err(Error::input(path, fault)))
@@ -153,11 +154,11 @@ pub(crate) fn check_shape(path: &Path, elevation: Elevation, stated: bool, size:
 pub fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
     let advice = "give every row x, y and z in metres";
     let text = read_text(path, files::MAX_TEXT, "write a table with the columns x, y and z, in metres")?;
-    let rows = table(path, &text, ["x", "y", "z"], advice)?;
+    let rows = table_rows(path, &text, ["x", "y", "z"], advice)?;
     if rows.is_empty() {
         return Err(Error::input(path, "has a header but no row; write one row per position, in metres"));
     }
-    rows.into_iter().map(|(line, fields)| position(path, line, fields, advice)).collect()
+    rows.iter().map(|row| row.position(row.fields, advice)).collect()
 }
 
 /// Poses of moving receivers, instead of the table of transmitter positions.
@@ -174,7 +175,8 @@ pub(crate) struct LocationTable {
 }
 
 impl LocationTable {
-    /// Reads [`POSES`] in the folder `root` if it exists, else the positions of `transmitters`, such as `tx_pos.csv`.
+    /// Reads [`POSES`] in the folder `root` if it exists, else the positions in the table `transmitters`, such as
+    /// `tx_pos.csv`. Returns an error for an invalid table.
     pub(crate) fn read(root: &Path, transmitters: &Path) -> Result<Self> {
         let poses = root.join(POSES);
         if poses.exists() {
@@ -184,8 +186,8 @@ impl LocationTable {
         Ok(Self { name: transmitters.display().to_string(), moving: End::Transmitter, poses })
     }
 
-    /// Returns the ends of the links; `transmitter` is the position of the fixed one if these are poses of receivers.
-    pub(crate) fn ends(&self, receivers: Vec<Receiver>, transmitter: Option<[f64; 3]>) -> Ends {
+    /// Returns the ends of the links at `receivers`; `transmitter` is the position of the fixed one if the receivers move.
+    pub(crate) fn link_ends(&self, receivers: Vec<Receiver>, transmitter: Option<[f64; 3]>) -> Ends {
         match self.moving {
             End::Transmitter => receivers.into(),
             End::Receiver => Ends::of_moving_receivers(receivers, transmitter),
@@ -201,14 +203,15 @@ impl LocationTable {
 pub fn read_poses(path: &Path) -> Result<Vec<Pose>> {
     let advice = "give every row x, y and z in metres, and the unit quaternion qx, qy, qz and qw";
     let text = read_text(path, files::MAX_TEXT, "write a table with the columns x, y, z, qx, qy, qz and qw")?;
-    let rows = table(path, &text, ["x", "y", "z", "qx", "qy", "qz", "qw"], advice)?;
+    let rows = table_rows(path, &text, ["x", "y", "z", "qx", "qy", "qz", "qw"], advice)?;
     if rows.is_empty() {
         return Err(Error::input(path, "has a header but no row; write one row per pose"));
     }
-    let pose = |(line, [x, y, z, quaternion @ ..]): (usize, [TextField<'_>; 7])| {
-        let [qx, qy, qz, qw] = quaternion.map(|field: TextField<'_>| coordinate(path, line, field, advice));
-        let pose = Pose { position: position(path, line, [x, y, z], advice)?, orientation: [qx?, qy?, qz?, qw?] };
-        pose.fault().map_or(Ok(pose), |(_, fault)| Err(Error::at(path, line, quaternion[0].column, fault)))
+    let pose = |row: &TextRow<'_, [TextField<'_>; 7]>| {
+        let [x, y, z, quaternion @ ..] = row.fields;
+        let [qx, qy, qz, qw] = quaternion.map(|field| row.coordinate(field, advice));
+        let pose = Pose { position: row.position([x, y, z], advice)?, orientation: [qx?, qy?, qz?, qw?] };
+        pose.fault().map_or(Ok(pose), |(_, fault)| Err(row.fault(quaternion[0].column, fault)))
     };
-    rows.into_iter().map(pose).collect()
+    rows.iter().map(pose).collect()
 }

@@ -12,7 +12,8 @@ pub(crate) const MAX_BYTES: u64 = 1 << 30;
 /// Largest number of positions in an array: an archive of a megabyte may expand to a gigabyte.
 pub(crate) const MOST_POSITIONS: usize = 2_000_000;
 
-/// Returns the number type and the shape `[M,H,W]` of an array of spectra.
+/// Returns the number type and the shape `[M,H,W]` of an array of spectra. Returns an error for another type, shape or
+/// order.
 pub(crate) fn spectra_shape(header: &Header, path: &Path) -> Result<(Number, [usize; 3])> {
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
     let Some(number) = header.number() else {
@@ -35,7 +36,8 @@ pub(crate) fn spectra_shape(header: &Header, path: &Path) -> Result<(Number, [us
     Ok((number, shape))
 }
 
-/// Parses positions `[M,3]`, metres, from the `size` bytes after the header.
+/// Reads positions `[M,3]`, metres, from the `size` bytes of `file` after the header. Returns an error for another type,
+/// shape or length, or an invalid position.
 pub(crate) fn parse_positions(header: &Header, path: &Path, file: &mut dyn Read, size: u64) -> Result<Vec<[f64; 3]>> {
     let refuse = |problem: String| Err(Error::input(path, problem));
     let Some(number) = header.number().filter(|number| number.is_float()) else {
@@ -69,7 +71,7 @@ pub(crate) fn parse_positions(header: &Header, path: &Path, file: &mut dyn Read,
     }
 }
 
-/// Checks that `file` ends here. At its end, an archive compares the checksum of an entry.
+/// Returns an error unless `file` ends here. At its end, an archive compares the checksum of an entry.
 pub(crate) fn check_end(file: &mut dyn Read) -> io::Result<()> {
     match file.read(&mut [0])? {
         0 => Ok(()),
@@ -77,7 +79,7 @@ pub(crate) fn check_end(file: &mut dyn Read) -> io::Result<()> {
     }
 }
 
-/// Opens the spectra of a file for later reading; floats are not validated.
+/// Opens the spectra of a file for later reading; floats are not validated. Returns an error for another type or shape.
 pub(crate) fn open_spectra(path: &Path) -> Result<Spectra> {
     let mut file = files::open(path).map_err(|e| Error::read(path, e))?;
     let header = Header::read(path, &mut file)?;
@@ -85,7 +87,7 @@ pub(crate) fn open_spectra(path: &Path) -> Result<Spectra> {
     Spectra::open(path, header.offset, number, shape)
 }
 
-/// Opens an array for reading: its header, the file behind the header, and the number of bytes left in it.
+/// Opens an array and returns its header, the file behind the header, and the number of bytes left in it.
 fn open_array(path: &Path) -> Result<(Header, File, u64)> {
     let refuse = |e| Error::read(path, e);
     let mut file = files::open(path).map_err(refuse)?;
@@ -112,7 +114,7 @@ pub(crate) struct ComplexArray {
 ///
 /// # Errors
 /// Another type, shape or order of the numbers, a truncated file, or a number that is not finite.
-pub(crate) fn read_complex(path: &Path, expected: &str) -> Result<ComplexArray> {
+pub(crate) fn read_complex_array(path: &Path, expected: &str) -> Result<ComplexArray> {
     let (header, mut file, length) = open_array(path)?;
     let refuse = |problem: String| Error::input(path, problem);
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -167,14 +169,14 @@ impl ComplexArray {
         }
     }
 
-    /// Writes the name and index of number `i` in Python notation.
+    /// Returns the name and index of number `i` in Python notation.
     fn element_name(&self, path: &Path, i: usize) -> String {
         let [_, a, f] = self.shape;
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
         format!("{name}[{}, {}, {}]", i / (a * f), i / f % a, i % f)
     }
 
-    /// Divides all numbers by the largest modulus of the rows `train`, or of all rows; an error if it is zero.
+    /// Divides all numbers by the largest modulus of the rows `train`, or of all rows. Returns an error if it is zero.
     pub(crate) fn normalise(&mut self, path: &Path, train: Option<&[usize]>) -> Result<()> {
         let largest_in = |values: &[[f64; 2]]| values.iter().map(|[re, im]| re.hypot(*im)).fold(0.0, f64::max);
         let [_, antennas, frequencies] = self.shape;

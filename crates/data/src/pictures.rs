@@ -1,6 +1,6 @@
 //! `spectrum/NNNNN.png` and other images: all of one size, decoded in parallel.
 
-use crate::text::{read_bytes, unreadable};
+use crate::text::{read_bytes, unreadable_error};
 use image::{
     ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageError, ImageFormat, ImageReader, ImageResult,
     Limits, codecs::png::PngDecoder,
@@ -24,21 +24,23 @@ const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 /// First marker of a JPEG file.
 const JPEG: &[u8] = b"\xff\xd8";
 
-/// Lists the images in a folder by id: files named by a number with `.png`; others are ignored.
-pub(crate) fn list(folder: &Path, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
-    let images = numbered(folder, "png", advice)?;
+/// Returns the paths of the images in a folder by id: files named by a number with `.png`; others are ignored. `advice` is
+/// the next step if the folder does not exist. Returns an error for the id 0 or a repeated id.
+pub(crate) fn list_images(folder: &Path, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
+    let images = list_numbered_files(folder, "png", advice)?;
     match images.get(&0) {
         Some(path) => Err(Error::input(path, "invalid id 0; ids count from 1, so number the images from 00001")),
         None => Ok(images),
     }
 }
 
-/// Lists the files in a folder by id: those named by a number with this `extension`.
-pub(crate) fn numbered(folder: &Path, extension: &str, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
+/// Returns the paths of the files in a folder by id: those named by a number with this `extension`. `advice` is the next
+/// step if the folder does not exist. Returns an error for a repeated id.
+pub(crate) fn list_numbered_files(folder: &Path, extension: &str, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
     let mut files = BTreeMap::new();
-    for entry in std::fs::read_dir(folder).map_err(|e| unreadable(folder, e, "folder", advice))? {
+    for entry in std::fs::read_dir(folder).map_err(|e| unreadable_error(folder, e, "folder", advice))? {
         let path = entry.map_err(|e| Error::read(folder, e))?.path();
-        let Some(id) = id_of(&path, extension) else { continue };
+        let Some(id) = parse_file_id(&path, extension) else { continue };
         if let Some(other) = files.insert(id, path.clone()) {
             // The folder order is arbitrary; the message must not depend on it.
             let (first, second) = if other < path { (other, path) } else { (path, other) };
@@ -49,8 +51,8 @@ pub(crate) fn numbered(folder: &Path, extension: &str, advice: &str) -> Result<B
     Ok(files)
 }
 
-/// Parses the id in a file name; `None` for other names and other extensions.
-fn id_of(path: &Path, extension: &str) -> Option<u32> {
+/// Parses the id in a file name such as `00012.png`; `None` for other names and other extensions.
+fn parse_file_id(path: &Path, extension: &str) -> Option<u32> {
     let stem = path.file_stem()?.to_str()?;
     let has_extension = path.extension()?.eq_ignore_ascii_case(extension);
     (has_extension && stem.bytes().all(|b| b.is_ascii_digit())).then(|| stem.parse().ok())?
@@ -59,8 +61,9 @@ fn id_of(path: &Path, extension: &str) -> Option<u32> {
 /// Function that decodes one image.
 pub(crate) type Decode<'a> = dyn Fn(&Path) -> Result<Picture> + Sync + 'a;
 
-/// Decodes all images, 8 bits each; the first sets the size. Errors are about the first bad file in the given order.
-pub(crate) fn load(files: &[&Path], decode: &Decode<'_>, progress: Progress<'_>) -> Result<Spectra> {
+/// Decodes all images in parallel into spectra of 8 bits; the first sets the size. Returns the error of the first bad file
+/// in the given order.
+pub(crate) fn load_spectra(files: &[&Path], decode: &Decode<'_>, progress: Progress<'_>) -> Result<Spectra> {
     let [first, others @ ..] = files else { return Spectra::grey((0, 0), Vec::new()) };
     let Picture { width, height, bytes, .. } = decode(first)?;
     let name = first.file_name().unwrap_or_default().to_string_lossy();
@@ -106,7 +109,7 @@ pub(crate) struct Picture {
 }
 
 impl Picture {
-    /// Returns an error if the size differs from that of the image `name`.
+    /// Returns an error if the size differs from that of the image `name`, width and height; `path` is this image.
     pub(crate) fn check_size(&self, path: &Path, (width, height): (usize, usize), name: &str) -> Result<()> {
         let Self { width: w, height: h, .. } = self;
         if (*w, *h) == (width, height) {
@@ -117,20 +120,20 @@ impl Picture {
     }
 }
 
-/// Decodes one grey PNG image.
-pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
+/// Decodes a grey PNG image of at most this `depth`. Returns an error for another format, or a damaged or too large file.
+pub(crate) fn decode_grey_png(path: &Path, depth: Depth) -> Result<Picture> {
     let file = read_bytes(path, MAX_BYTES, "add the image")?;
     if !file.starts_with(&SIGNATURE[..SIGNATURE.len().min(file.len()).max(1)]) {
         return Err(Error::input(path, "is not a PNG image; save the spectrum as 8-bit grey PNG"));
     }
-    let damaged = |e| damaged(path, &e);
-    let decoder = decoder(file).map_err(damaged)?;
+    let damaged = |e| damage_error(path, &e);
+    let decoder = png_decoder(file).map_err(damaged)?;
     let number = match (decoder.original_color_type(), decoder.color_type()) {
         (ExtendedColorType::L8, ColorType::L8) => Number::U8,
         (ExtendedColorType::L16, ColorType::L16) if depth == Depth::Sixteen => Number::U16,
         (original, _) => {
             let (kind, needed) =
-                (describe(original), if depth == Depth::Sixteen { "8-bit or 16-bit" } else { "8-bit" });
+                (describe_color(original), if depth == Depth::Sixteen { "8-bit or 16-bit" } else { "8-bit" });
             let problem = format!("is {kind}; a spectrum is {needed} grey with one channel: convert it");
             return Err(Error::input(path, problem));
         }
@@ -157,7 +160,7 @@ pub fn read_image(path: &Path) -> Result<Image> {
 /// Decodes a PNG or JPEG image like [`read_image`]; `advice` is the next step if it does not exist.
 pub(crate) fn decode_luminance(path: &Path, advice: &str) -> Result<Picture> {
     let file = read_bytes(path, MAX_BYTES, advice)?;
-    let is_cut = file.starts_with(JPEG) && !reaches_end(&file);
+    let is_cut = file.starts_with(JPEG) && !has_end_marker(&file);
     let guessed = ImageReader::new(Cursor::new(file)).with_guessed_format();
     let mut reader = guessed.map_err(|e| Error::read(path, e))?;
     if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
@@ -166,15 +169,15 @@ pub(crate) fn decode_luminance(path: &Path, advice: &str) -> Result<Picture> {
     if is_cut {
         return Err(Error::input(path, "is cut short (it has no end marker); copy it again"));
     }
-    reader.limits(limits());
-    let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
+    reader.limits(decoder_limits());
+    let decoder = reader.into_decoder().map_err(|e| damage_error(path, &e))?;
     let (width, height) = checked_size(path, &decoder)?;
-    let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(path, &e))?;
+    let image = DynamicImage::from_decoder(decoder).map_err(|e| damage_error(path, &e))?;
     Ok(Picture { width, height, number: Number::U8, bytes: image.into_luma8().into_raw() })
 }
 
 /// Returns whether a JPEG file has its end marker; the decoder fills missing pixels with grey.
-fn reaches_end(file: &[u8]) -> bool {
+fn has_end_marker(file: &[u8]) -> bool {
     // Not in coded pixels: a byte 0xff is followed by zero or a restart marker there.
     let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0 | 0xd0..=0xd7 | 0xff);
     let mut segments = &file[JPEG.len()..];
@@ -190,7 +193,7 @@ fn reaches_end(file: &[u8]) -> bool {
     false
 }
 
-/// Returns the size of an image that is not too large.
+/// Returns width and height of an image, or an error if it is too large.
 fn checked_size(path: &Path, decoder: &impl ImageDecoder) -> Result<(usize, usize)> {
     let (width, height) = decoder.dimensions();
     if u64::from(width) * u64::from(height) > MAX_PIXELS {
@@ -200,27 +203,27 @@ fn checked_size(path: &Path, decoder: &impl ImageDecoder) -> Result<(usize, usiz
     Ok((width as usize, height as usize))
 }
 
-/// Creates the error for an image that cannot be decoded.
-fn damaged(path: &Path, e: &ImageError) -> Error {
+/// Returns the error for an image that cannot be decoded, with the first line of the message of the decoder.
+fn damage_error(path: &Path, e: &ImageError) -> Error {
     let words = e.to_string();
     let first = words.lines().next().unwrap_or_default();
     Error::input(path, format!("is cut short or damaged ({first}); copy it again"))
 }
 
-/// Creates a decoder that skips metadata and limits memory to [`MAX_BESIDE`].
-pub(super) fn decoder(file: Vec<u8>) -> ImageResult<PngDecoder<Cursor<Vec<u8>>>> {
-    PngDecoder::with_limits(Cursor::new(file), limits())
+/// Creates a PNG decoder that skips metadata and limits memory to [`MAX_BESIDE`].
+pub(super) fn png_decoder(file: Vec<u8>) -> ImageResult<PngDecoder<Cursor<Vec<u8>>>> {
+    PngDecoder::with_limits(Cursor::new(file), decoder_limits())
 }
 
 /// Returns the limits of a decoder: memory of [`MAX_BESIDE`].
-fn limits() -> Limits {
+fn decoder_limits() -> Limits {
     let mut limits = Limits::no_limits();
     limits.max_alloc = Some(MAX_BESIDE);
     limits
 }
 
-/// Describes a colour type in words.
-fn describe(color: ExtendedColorType) -> String {
+/// Returns a colour type in words.
+fn describe_color(color: ExtendedColorType) -> String {
     let bits = color.bits_per_pixel() / u16::from(color.channel_count());
     match color.channel_count() {
         1 => format!("{bits}-bit grey"),

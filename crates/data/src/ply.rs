@@ -9,24 +9,25 @@ mod header;
 mod tests;
 
 use crate::polygons::{Polygons, Triangles};
-use crate::text::{POINT_ADVICE, TextField, TextRow, XyzColumns, lines, number, point_fault};
+use crate::text::{POINT_ADVICE, TextField, TextRow, XyzColumns, numbered_lines, point_fault};
 use header::{PlyElement, PlyEncoding, PlyHeader, PropertyKind, Scalar};
 use pwrfgs_core::{Error, Result, messages::quoted};
 use std::path::Path;
 
 const INDEX_ADVICE: &str = "correct the index of the vertex";
 
-/// Reads the positions of all vertices.
-pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Vec<[f64; 3]>> {
+/// Parses the positions of all vertices, `[V,3]`. Returns an error for a damaged or truncated file.
+pub(crate) fn parse_points(path: &Path, bytes: &[u8]) -> Result<Vec<[f64; 3]>> {
     let header = PlyHeader::parse(path, bytes)?;
-    Ok(BodyParser { path, header: &header, corners: None }.parse(&bytes[header.bytes..])?.vertices)
+    Ok(BodyParser { path, header: &header, corners: None }.parse_body(&bytes[header.bytes..])?.vertices)
 }
 
-/// Reads the surface: vertices, and faces split into triangles.
+/// Parses the surface: vertices, and faces split into triangles. Returns an error for a damaged or truncated file, or one
+/// without faces.
 pub(crate) fn parse_mesh(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     let header = PlyHeader::parse(path, bytes)?;
-    let corners = Some(header.corners(path)?);
-    let contents = BodyParser { path, header: &header, corners }.parse(&bytes[header.bytes..])?;
+    let corners = Some(header.find_corner_list(path)?);
+    let contents = BodyParser { path, header: &header, corners }.parse_body(&bytes[header.bytes..])?;
     contents.polygons.triangulate(path, contents.vertices)
 }
 
@@ -48,21 +49,21 @@ struct BodyParser<'a> {
 }
 
 impl BodyParser<'_> {
-    /// Parses the body after the header.
-    fn parse(&self, body: &[u8]) -> Result<Contents> {
+    /// Parses the body after the header: vertices, and faces if they are read.
+    fn parse_body(&self, body: &[u8]) -> Result<Contents> {
         match self.header.encoding {
             PlyEncoding::Ascii => self.parse_ascii(body),
             PlyEncoding::Little | PlyEncoding::Big => self.parse_binary(body),
         }
     }
 
-    /// Returns the elements that have properties, with their indices.
-    fn elements(&self) -> impl Iterator<Item = (usize, &PlyElement)> {
+    /// Returns the elements that have properties, with their indices; rows of others have no content.
+    fn filled_elements(&self) -> impl Iterator<Item = (usize, &PlyElement)> {
         self.header.elements.iter().enumerate().filter(|(_, element)| !element.properties.is_empty())
     }
 
     /// Returns the error for a body that ends after `rows` rows of an element.
-    fn truncated(&self, element: &PlyElement, rows: usize) -> Error {
+    fn truncation_error(&self, element: &PlyElement, rows: usize) -> Error {
         let PlyElement { count, name, .. } = element;
         let problem = format!("ends after {rows} of {count} rows of element `{name}`");
         Error::input(self.path, format!("{problem}; the file is cut short: copy it again"))
@@ -72,11 +73,11 @@ impl BodyParser<'_> {
     fn parse_ascii(&self, body: &[u8]) -> Result<Contents> {
         let Self { path, header, corners } = self;
         let text = String::from_utf8_lossy(body);
-        let mut rows = lines(&text).map(|(line, content)| (line + header.lines, content));
+        let mut rows = numbered_lines(&text).map(|(line, content)| (line + header.lines, content));
         let mut contents = Contents::default();
-        for (e, element) in self.elements() {
+        for (e, element) in self.filled_elements() {
             for i in 0..element.count {
-                let row = rows.next().ok_or_else(|| self.truncated(element, i))?;
+                let row = rows.next().ok_or_else(|| self.truncation_error(element, i))?;
                 let row = TextRow::at_blanks(path, row);
                 let starts = property_starts(&row, element)?;
                 if e == header.vertex {
@@ -86,8 +87,7 @@ impl BodyParser<'_> {
                 if let Some((_, property)) = corners.filter(|(face, _)| e == *face) {
                     let length = row.fields[starts[property]].text.parse().unwrap_or(0);
                     let listed = row.fields[starts[property] + 1..].iter().take(length);
-                    let corners =
-                        listed.map(|field| parse_index(path, row.line, *field)).collect::<Result<Vec<i64>>>()?;
+                    let corners = listed.map(|field| parse_index(&row, *field)).collect::<Result<Vec<i64>>>()?;
                     let vertices = header.elements[header.vertex].count;
                     contents.polygons.push(&corners, vertices).map_err(|fault| row.fault(1, fault))?;
                 }
@@ -103,7 +103,7 @@ impl BodyParser<'_> {
     fn parse_binary(&self, body: &[u8]) -> Result<Contents> {
         let mut body = BinaryBody { unread: body, is_big: self.header.encoding == PlyEncoding::Big };
         let mut contents = Contents::default();
-        for (e, element) in self.elements() {
+        for (e, element) in self.filled_elements() {
             for i in 0..element.count {
                 let point = self.parse_row(&mut body, (e, i), &mut contents)?;
                 if e == self.header.vertex {
@@ -124,7 +124,7 @@ impl BodyParser<'_> {
         }
     }
 
-    /// Parses row `i` of element `e`: returns its coordinates if it is a vertex, and adds it to `out` if it is a face.
+    /// Parses row `i` of element `e` and returns its coordinates, zero if it is no vertex; adds a face to `out`.
     fn parse_row(&self, body: &mut BinaryBody<'_>, (e, i): (usize, usize), out: &mut Contents) -> Result<[f64; 3]> {
         let Self { path, header, corners } = self;
         let element = &header.elements[e];
@@ -132,15 +132,15 @@ impl BodyParser<'_> {
         for (p, property) in element.properties.iter().enumerate() {
             match property.kind {
                 PropertyKind::Scalar(scalar) => {
-                    let value = body.value(scalar).ok_or_else(|| self.truncated(element, i))?;
+                    let value = body.read_number(scalar).ok_or_else(|| self.truncation_error(element, i))?;
                     if let Some(k) = header.xyz.iter().position(|&xyz| e == header.vertex && xyz == p) {
                         point[k] = value;
                     }
                 }
                 PropertyKind::List { length, item } => {
-                    let bytes = body.list(length, item).ok_or_else(|| self.truncated(element, i))?;
+                    let bytes = body.read_list(length, item).ok_or_else(|| self.truncation_error(element, i))?;
                     if *corners == Some((e, p)) {
-                        let index = |raw| to_integer(item.value(raw, body.is_big)).unwrap_or(-1); // out of range
+                        let index = |raw| to_integer(item.to_number(raw, body.is_big)).unwrap_or(-1); // out of range
                         out.indices.clear();
                         out.indices.extend(bytes.chunks_exact(item.size()).map(index));
                         let fault = |fault| Error::input(path, format!("row {} of `face`: {fault}", i + 1));
@@ -154,6 +154,7 @@ impl BodyParser<'_> {
 }
 
 /// Returns the index of the first field of each property in a row: a list has a length field followed by that many fields.
+/// Returns an error for a field of another type, or a row with too many or too few fields.
 fn property_starts(row: &TextRow<'_>, element: &PlyElement) -> Result<Vec<usize>> {
     let mut starts = Vec::with_capacity(element.properties.len());
     let mut next = 0;
@@ -192,19 +193,19 @@ fn property_starts(row: &TextRow<'_>, element: &PlyElement) -> Result<Vec<usize>
     }
     if next > row.fields.len() {
         let problem = format!("the row of element `{}` ends early; give every property of the header", element.name);
-        return Err(row.fault(row.end(), problem));
+        return Err(row.fault(row.end_column(), problem));
     }
     Ok(starts)
 }
 
 /// Parses a whole number in a list of corners.
-fn parse_index(path: &Path, line: usize, field: TextField<'_>) -> Result<i64> {
-    let value = number(path, line, field, INDEX_ADVICE)?;
-    let fault = || Error::at(path, line, field.column, format!("{} is not whole; {INDEX_ADVICE}", quoted(field.text)));
+fn parse_index(row: &TextRow<'_>, field: TextField<'_>) -> Result<i64> {
+    let value = row.number(field, INDEX_ADVICE)?;
+    let fault = || row.fault(field.column, format!("{} is not whole; {INDEX_ADVICE}", quoted(field.text)));
     to_integer(value).ok_or_else(fault)
 }
 
-/// Converts a whole number to an integer; indices beyond 2^53 are out of range in any case.
+/// Converts a whole number to an integer; `None` for a fraction. Indices beyond 2^53 are out of range in any case.
 fn to_integer(value: f64) -> Option<i64> {
     (value.fract() == 0.0).then_some(value as i64)
 }
@@ -216,22 +217,23 @@ struct BinaryBody<'a> {
 }
 
 impl<'a> BinaryBody<'a> {
-    /// Reads `count` bytes.
-    fn take(&mut self, count: usize) -> Option<&'a [u8]> {
+    /// Reads `count` bytes; `None` at the end of the body, without reading.
+    fn take_bytes(&mut self, count: usize) -> Option<&'a [u8]> {
         let (bytes, unread) = self.unread.split_at_checked(count)?;
         self.unread = unread;
         Some(bytes)
     }
 
-    /// Reads one number.
-    fn value(&mut self, scalar: Scalar) -> Option<f64> {
-        let raw = self.take(scalar.size())?;
-        Some(scalar.value(raw, self.is_big))
+    /// Reads one number of this type; `None` at the end of the body.
+    fn read_number(&mut self, scalar: Scalar) -> Option<f64> {
+        let raw = self.take_bytes(scalar.size())?;
+        Some(scalar.to_number(raw, self.is_big))
     }
 
-    /// Reads a list as the bytes of its items. A negative or fractional length counts as a truncated body.
-    fn list(&mut self, length: Scalar, item: Scalar) -> Option<&'a [u8]> {
-        let length = self.value(length).filter(|l| *l >= 0.0 && l.fract() == 0.0)?;
-        self.take((length as usize).checked_mul(item.size())?)
+    /// Reads a list and returns the bytes of its items; `None` at the end of the body, as which a negative or fractional
+    /// length counts.
+    fn read_list(&mut self, length: Scalar, item: Scalar) -> Option<&'a [u8]> {
+        let length = self.read_number(length).filter(|l| *l >= 0.0 && l.fract() == 0.0)?;
+        self.take_bytes((length as usize).checked_mul(item.size())?)
     }
 }

@@ -19,7 +19,8 @@ pub(crate) struct Polygons {
 }
 
 impl Polygons {
-    /// Adds a face with corner indices from 0 to below `vertices`; returns the problem if it is invalid.
+    /// Adds a face with corner indices from 0 to below `vertices`. Returns the problem with fewer than three corners or an
+    /// index out of range.
     pub(crate) fn push(&mut self, corners: &[i64], vertices: usize) -> Result<(), String> {
         if corners.len() < 3 {
             return Err(format!("a face has {} corners; give at least three, or remove it", corners.len()));
@@ -34,7 +35,7 @@ impl Polygons {
         Ok(())
     }
 
-    /// Splits every face into a fan of triangles with the same orientation.
+    /// Splits every face into a fan of triangles with the same orientation. Returns an error for a face without such a fan.
     pub(crate) fn triangulate(self, path: &Path, vertices: Vec<[f64; 3]>) -> Result<Triangles> {
         let mut triangles = Vec::with_capacity(self.corners.len().saturating_sub(2 * self.ends.len()));
         let mut start = 0;
@@ -52,7 +53,7 @@ impl Polygons {
     }
 }
 
-/// Finds the first corner whose triangle fan has the orientation of the whole polygon.
+/// Returns the first corner whose triangle fan has the orientation of the whole polygon.
 ///
 /// The fan then covers a simple polygon once, convex or not: an L has such a corner, a U has none. The side that
 /// excluded the last corner is tested first, since it excludes most of its neighbours: about two tests per corner.
@@ -87,7 +88,7 @@ fn find_fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<
     Err("is not filled by any fan of triangles")
 }
 
-/// Computes twice the triangle area, as a vector along its normal.
+/// Returns twice the area of a triangle, as a vector along its normal.
 fn double_area(a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> DVec3 {
     let [a, b, c] = [a, b, c].map(DVec3::from);
     (b - a).cross(c - a)

@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use crate::checks::{NOT_RECEIVED, check};
+use crate::checks::{NOT_RECEIVED, check_dataset};
 use crate::folder::{
     CARRIERS, POINTS, gateway_positions_yaml, gateway_yaml, quote_yaml, receiver_yaml, transmitter_yaml,
 };
@@ -32,7 +32,7 @@ pub fn save(data: &Dataset, out: &Path) -> Result<Box<dyn DataSource>> {
     if data.camera().is_some() {
         return refuse("no layout holds images of a camera; keep the original files");
     }
-    check(data)?;
+    check_dataset(data)?;
     let folder = NewFolder::begin(out)?;
     let writer = FolderWriter { path: folder.path(), data };
     let points = writer.write_points()?.map(|name| out.join(name));
@@ -61,18 +61,18 @@ fn refuse<T>(problem: &str) -> Result<T> {
     Err(Error::Config(format!("save: {problem}")))
 }
 
-/// Quotes a name as a table cell.
+/// Returns a name as a cell of a CSV table, quoted if needed.
 fn csv_cell(name: &str) -> String {
     let (is_plain, name) = (name.chars().all(|c| c.is_ascii() && c != ','), cell(name));
     if is_plain { name.into_owned() } else { format!("\"{name}\"") }
 }
 
-/// Writes the table of the poses of a moving receiver.
+/// Returns the table of the poses of a moving receiver, as [`POSES`].
 pub fn poses_csv(poses: impl Iterator<Item = Pose>) -> String {
     std::iter::once("x,y,z,qx,qy,qz,qw\n".into()).chain(poses.map(pose_row)).collect()
 }
 
-/// Writes a row of [`poses_csv`]: metres and a unit quaternion.
+/// Returns a row of [`poses_csv`]: metres and a unit quaternion.
 pub fn pose_row(Pose { position: [x, y, z], orientation: [qx, qy, qz, qw] }: Pose) -> String {
     format!("{x:?},{y:?},{z:?},{qx:?},{qy:?},{qz:?},{qw:?}\n")
 }
@@ -84,8 +84,8 @@ struct FolderWriter<'a> {
 }
 
 impl FolderWriter<'_> {
-    /// Writes a file; an error if it exceeds the size limit of its reader.
-    fn put(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
+    /// Writes a file into the folder. Returns an error if it exceeds the size limit of its reader.
+    fn write_file(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
         let (path, length) = (self.path.join(name), bytes.as_ref().len() as u64);
         let limit = match path.extension().and_then(|extension| extension.to_str()) {
             Some("yml") => MAX_YAML,
@@ -99,11 +99,11 @@ impl FolderWriter<'_> {
         files::write(&path, bytes)
     }
 
-    /// Writes a table of positions, metres.
+    /// Writes the table `name` of positions, metres.
     fn write_positions(&self, name: &str, rows: impl Iterator<Item = [f64; 3]>) -> Result<()> {
         let mut text = "x,y,z\n".to_owned();
         rows.for_each(|[x, y, z]| writeln!(text, "{x:?},{y:?},{z:?}").expect("text grows"));
-        self.put(name, text)
+        self.write_file(name, text)
     }
 
     /// Writes the positions of the transmitters, or the poses of a moving receiver.
@@ -111,7 +111,7 @@ impl FolderWriter<'_> {
         let locations = self.data.locations.iter();
         match self.data.scene.moving {
             End::Transmitter => self.write_positions("tx_pos.csv", locations.map(pwrfgs_core::Location::position)),
-            End::Receiver => self.put(POSES, poses_csv(locations.map(|location| location.pose))),
+            End::Receiver => self.write_file(POSES, poses_csv(locations.map(|location| location.pose))),
         }
     }
 
@@ -144,9 +144,9 @@ impl FolderWriter<'_> {
         self.data.scene.receivers.iter().any(|receiver| receiver.carrier_hz.is_some())
     }
 
-    /// Returns the carriers of all links, Hz, if a reader makes the same receivers of them: those of one fixed array, with the names
-    /// of ascending carriers if there are several.
-    fn carriers(&self) -> Option<Vec<f64>> {
+    /// Returns the carriers of all links, Hz, if a reader makes the same receivers of them: those of one fixed array, with the
+    /// names of ascending carriers if there are several; otherwise `None`.
+    fn link_carriers(&self) -> Option<Vec<f64>> {
         let receivers = &self.data.scene.receivers;
         let is_named =
             |receiver: &Receiver| receiver.carrier_hz.is_some_and(|hz| receiver.at_carrier(hz).name == receiver.name);
@@ -158,11 +158,11 @@ impl FolderWriter<'_> {
         self.data.links.iter().map(|link| receivers[link.receiver].carrier_hz).collect()
     }
 
-    /// Writes the files that [`Arrays`] reads.
+    /// Writes the files of spectra that [`Arrays`] reads. Returns an error for receivers or carriers that it cannot read.
     fn write_spectra(&self, spectra: &Spectra) -> Result<()> {
-        match self.carriers() {
+        match self.link_carriers() {
             Some(carriers) => {
-                self.put(CARRIERS, carriers.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat())?;
+                self.write_file(CARRIERS, carriers.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat())?;
             }
             None if self.has_carriers() => {
                 return refuse(
@@ -179,9 +179,9 @@ impl FolderWriter<'_> {
             [only] => format!("receiver: {}\n", quote_yaml(&only.name)),
             _ => String::new(), // the names of carriers follow from their frequencies
         };
-        self.put("gateway_info.yml", gateway_yaml(&self.data.title, &pose) + &elevation + &name)?;
+        self.write_file("gateway_info.yml", gateway_yaml(&self.data.title, &pose) + &elevation + &name)?;
         if scene.moving.is_receiver() {
-            self.put(POSES, poses_csv(self.data.samples().map(|sample| sample.pose)))?;
+            self.write_file(POSES, poses_csv(self.data.samples().map(|sample| sample.pose)))?;
         } else {
             let positions = self.data.samples().map(|sample| sample.position());
             if self.data.len() > MOST_POSITIONS {
@@ -189,25 +189,25 @@ impl FolderWriter<'_> {
                 return refuse(&format!("{problem}, more than the {MOST_POSITIONS} that can be read; save parts"));
             }
             let header = npy_header(Number::F64, &[self.data.len(), 3]);
-            self.put(
+            self.write_file(
                 "tx.npy",
                 header.into_iter().chain(positions.flatten().flat_map(f64::to_le_bytes)).collect::<Vec<u8>>(),
             )?;
         }
         let header = npy_header(spectra.number(), &[spectra.len(), spectra.height(), spectra.width()]);
         let mut file = GrowingFile::create(self.path.join("spectra.npy"), &header)?;
-        (0..spectra.len()).try_for_each(|i| file.add(&spectra.raw(i)))?;
+        (0..spectra.len()).try_for_each(|i| file.append(&spectra.raw(i)))?;
         file.finish()
     }
 
-    /// Writes the files that [`Nerf2Rssi`] reads; `powers` `[links]` in dBm.
+    /// Writes the files of `powers` `[links]`, dBm, that [`Nerf2Rssi`] reads. Returns an error for stated carriers.
     fn write_powers(&self, powers: &[Real]) -> Result<()> {
         if self.has_carriers() {
             return refuse("received powers at stated carriers have no layout on disk; keep the original files");
         }
         let receivers = &self.data.scene.receivers;
         let gateways = receivers.iter().map(|receiver| receiver.name.as_str()).zip(self.fixed_poses());
-        self.put("gateway_position.yml", gateway_positions_yaml(gateways))?;
+        self.write_file("gateway_position.yml", gateway_positions_yaml(gateways))?;
         self.write_locations()?;
         let mut cells = vec![NOT_RECEIVED; self.data.locations.len() * receivers.len()];
         for (link, dbm) in self.data.links.iter().zip(powers) {
@@ -219,10 +219,10 @@ impl FolderWriter<'_> {
             text += &row.iter().map(|dbm| format!("{dbm:?}")).collect::<Vec<_>>().join(",");
             text.push('\n');
         }
-        self.put("gateway_rssi.csv", text)
+        self.write_file("gateway_rssi.csv", text)
     }
 
-    /// Writes the files that [`Channels`] reads.
+    /// Writes the files of channels that [`Channels`] reads. Returns an error for several receivers.
     fn write_channels(&self, channels: &pwrfgs_core::Channels) -> Result<()> {
         self.check_single_receiver()?;
         let (scene, hz) = (&self.data.scene, &channels.frequencies_hz);
@@ -238,12 +238,12 @@ impl FolderWriter<'_> {
         let transmitter = scene.transmitter.map(|position| scene.origin.world_pose(position.into()).position);
         let text =
             receiver_yaml(&quote_yaml(&receiver.name), &pose, band, hz, &antennas) + &transmitter_yaml(transmitter);
-        self.put("receiver.yml", text)?;
+        self.write_file("receiver.yml", text)?;
         self.write_locations()?;
         let descr = if size_of::<Real>() == 8 { "<c16" } else { "<c8" };
         let header = npy_header_as(descr, &[self.data.len(), channels.antennas, hz.len()]);
         let bytes = channels.gains.iter().flatten().flat_map(|part| part.to_le_bytes());
-        self.put("channel.npy", header.into_iter().chain(bytes).collect::<Vec<u8>>())
+        self.write_file("channel.npy", header.into_iter().chain(bytes).collect::<Vec<u8>>())
     }
 
     /// Writes the program version, the title, and whether the data are simulated.
@@ -253,10 +253,10 @@ impl FolderWriter<'_> {
             "simulated": self.data.is_simulated(),
             "name": self.data.title,
         });
-        self.put("manifest.json", format!("{manifest:#}\n"))
+        self.write_file("manifest.json", format!("{manifest:#}\n"))
     }
 
-    /// Writes the official split of the data as index files.
+    /// Writes the official split of the data as index files, if there is one.
     fn write_index_files(&self) -> Result<()> {
         let Some((train, test)) = &self.data.official else { return Ok(()) };
         let row = |link: &usize| {
@@ -267,7 +267,7 @@ impl FolderWriter<'_> {
             rows.dedup();
             let mut text = String::new();
             rows.iter().for_each(|row| writeln!(text, "{row}").expect("text grows"));
-            self.put(name, text)?;
+            self.write_file(name, text)?;
         }
         Ok(())
     }

@@ -25,23 +25,23 @@ use std::collections::BTreeSet;
 /// Default share of the training set that is held out for validation.
 const DEFAULT_VALIDATION: f64 = 0.1;
 
-/// Returns the size of a `share` of `n`, rounded; at least one if the share is positive, and never all.
-fn part(share: f64, n: usize) -> usize {
+/// Returns the number of elements in a `share` of `n`, rounded; at least one if the share is positive, and never all.
+fn share_count(share: f64, n: usize) -> usize {
     let target = (share * n as f64).round() as usize;
     target.max(usize::from(share > 0.0)).min(n.saturating_sub(1))
 }
 
-/// Moves a random `share` of `train` to a separate list: (train, validation).
+/// Returns `train` without a random `share`, shuffled, and that share: (train, validation).
 fn hold_out(mut train: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Vec<usize>) {
     if share == 0.0 {
         return (train, Vec::new());
     }
     rng::shuffle(rng, &mut train);
-    let validation = train.split_off(train.len() - part(share, train.len()));
+    let validation = train.split_off(train.len() - share_count(share, train.len()));
     (train, validation)
 }
 
-/// Moves all links of a random `share` of the transmitters of `links` to a separate list: (training, validation).
+/// Returns `links` without all links of a random `share` of their transmitters, and those links: (training, validation).
 fn hold_out_links(data: &Dataset, links: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Vec<usize>) {
     let mut seen = BTreeSet::new();
     let transmitters = links.iter().map(|i| data.links[*i].location).filter(|t| seen.insert(*t)).collect();
@@ -49,8 +49,8 @@ fn hold_out_links(data: &Dataset, links: Vec<usize>, share: f64, rng: &mut Rng) 
     links.into_iter().partition(|i| !validation.contains(&data.links[*i].location))
 }
 
-/// Divides 0..n at random: `test` elements, a share `validation` of the others, and the training set.
-fn random_lists(n: usize, test: usize, validation: f64, rng: &mut Rng) -> Partition {
+/// Returns a random partition of 0..n: `test` elements, a share `validation` of the others, and the training set.
+fn random_partition(n: usize, test: usize, validation: f64, rng: &mut Rng) -> Partition {
     let mut shuffled: Vec<usize> = (0..n).collect();
     rng::shuffle(rng, &mut shuffled);
     let test = shuffled.split_off(n - test);
@@ -58,15 +58,16 @@ fn random_lists(n: usize, test: usize, validation: f64, rng: &mut Rng) -> Partit
     Partition { train, validation, test }
 }
 
-/// Converts lists of transmitters to all links of each, sorted; an error without training or test samples.
-fn finish(data: &Dataset, lists: Partition) -> Result<Partition> {
-    let Partition { train, validation, test } = link_partition(lists)?;
+/// Returns the partition of links from that of locations: all links of each, sorted. Returns an error if the training or
+/// test set is empty.
+fn partition_of_locations(data: &Dataset, lists: Partition) -> Result<Partition> {
+    let Partition { train, validation, test } = sorted_partition(lists)?;
     let links = |transmitters: Vec<usize>| data.links_of(&transmitters);
     Ok(Partition { train: links(train), validation: links(validation), test: links(test) })
 }
 
-/// Sorts lists of links; an error without training or test samples.
-fn link_partition(mut lists: Partition) -> Result<Partition> {
+/// Returns the partition with sorted sets. Returns an error if the training or test set is empty.
+fn sorted_partition(mut lists: Partition) -> Result<Partition> {
     let Partition { train, validation, test } = &mut lists;
     for (name, list) in [("training", &*train), ("test", &*test)] {
         if list.is_empty() {
@@ -83,7 +84,7 @@ fn link_partition(mut lists: Partition) -> Result<Partition> {
 }
 
 /// Returns an error for a validation share outside [0, 1).
-fn check_validation(share: f64) -> Result<(), String> {
+fn check_validation_share(share: f64) -> Result<(), String> {
     if (0.0..1.0).contains(&share) {
         return Ok(());
     }
@@ -91,7 +92,7 @@ fn check_validation(share: f64) -> Result<(), String> {
 }
 
 /// Returns an error for a test share outside (0, 1).
-fn check_test(name: &str, share: f64) -> Result<(), String> {
+fn check_test_share(name: &str, share: f64) -> Result<(), String> {
     if share > 0.0 && share < 1.0 {
         return Ok(());
     }
@@ -133,11 +134,11 @@ impl Split for Official {
             )));
         };
         let (train, validation) = hold_out_links(data, train, self.validation, rng);
-        link_partition(Partition { train, validation, test })
+        sorted_partition(Partition { train, validation, test })
     }
 
     fn check(&self) -> Result<(), String> {
-        check_validation(self.validation)
+        check_validation_share(self.validation)
     }
 }
 
@@ -170,12 +171,12 @@ impl Default for Random {
 impl Split for Random {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         let count = data.locations.len();
-        finish(data, random_lists(count, part(self.test, count), self.validation, rng))
+        partition_of_locations(data, random_partition(count, share_count(self.test, count), self.validation, rng))
     }
 
     fn check(&self) -> Result<(), String> {
-        check_test("test", self.test)?;
-        check_validation(self.validation)
+        check_test_share("test", self.test)?;
+        check_validation_share(self.validation)
     }
 }
 
@@ -213,7 +214,7 @@ impl Split for Sparse {
                 self.train
             )));
         }
-        finish(data, random_lists(count, count - self.train, self.validation, rng))
+        partition_of_locations(data, random_partition(count, count - self.train, self.validation, rng))
     }
 
     fn is_sparse(&self) -> bool {
@@ -224,7 +225,7 @@ impl Split for Sparse {
         if self.train == 0 {
             return Err("`train` is 0; use at least 1 training sample, such as 220".into());
         }
-        check_validation(self.validation)
+        check_validation_share(self.validation)
     }
 }
 
@@ -264,7 +265,7 @@ impl Default for Fold {
 
 #[typetag::serde]
 impl Split for Fold {
-    /// Divides the units of the outer split: in order for a trajectory, else at random.
+    /// Divides the units of the outer split into folds: in order for a trajectory, else at random.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         let outer = self.of.split(data, rng)?;
         let mut units = self.of.units(data, &outer.known().all());
@@ -281,7 +282,7 @@ impl Split for Fold {
         for (unit, links) in units.into_iter().enumerate() {
             if fold_of(unit) == self.index { &mut validation } else { &mut train }.extend(links);
         }
-        link_partition(Partition { train, validation, test: outer.test })
+        sorted_partition(Partition { train, validation, test: outer.test })
     }
 
     fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {

@@ -77,12 +77,12 @@ impl Teacher {
     /// Returns the true Gaussians, relative to the origin of the data set; signals are means over all positions, before
     /// normalisation.
     pub fn cloud(&self) -> GaussianCloud {
-        self.truth().cloud
+        self.draw_truth().cloud
     }
 
-    /// Computes the signals `[N,2]` for a transmitter at `tx` (metres), before normalisation.
+    /// Returns the true signals `[N,2]` for a transmitter at `tx` (metres), before normalisation.
     pub fn signals(&self, tx: [f64; 3]) -> Vec<[Real; 2]> {
-        self.truth().signals(self.origin().local(tx))
+        self.draw_truth().signals(self.origin().local(tx))
     }
 
     /// Returns the origin of the true positions.
@@ -90,21 +90,22 @@ impl Teacher {
         Origin::for_receiver(self.receiver.position, [self.tx_box.0, self.tx_box.1])
     }
 
-    /// Draws the true Gaussians and their signals.
-    fn truth(&self) -> Truth {
+    /// Draws the true Gaussians and their signals; equal seeds give equal draws.
+    fn draw_truth(&self) -> Truth {
         Truth::new(self.seed, self.gaussians, &self.origin().local_pose(self.receiver))
     }
 
-    /// Draws the transmitter positions, metres.
-    fn transmitters(&self) -> Vec<[f64; 3]> {
+    /// Draws the transmitter positions, metres, uniform in the box.
+    fn draw_transmitters(&self) -> Vec<[f64; 3]> {
         let mut random = rng::stream(self.seed, "teacher transmitters", 0);
         let (low, high) = self.tx_box;
         let mut position = || [0, 1, 2].map(|k| low[k] + (high[k] - low[k]) * rng::uniform(&mut random) as f64);
         (0..self.samples).map(|_| position()).collect()
     }
 
-    /// Renders the magnitudes of all spectra in order, before normalisation.
-    fn render(&self, truth: &Truth, txs: &[[f64; 3]], progress: Progress<'_>) -> Result<Vec<Real>> {
+    /// Renders the magnitudes of the spectra of all transmitters `txs` in order, `[T,H,W]`, before normalisation. Returns an
+    /// error if projector or rasterizer are not linked.
+    fn render_magnitudes(&self, truth: &Truth, txs: &[[f64; 3]], progress: Progress<'_>) -> Result<Vec<Real>> {
         let projector = self.projector.clone().map_or_else(|| linked_plugin("Mercator"), Ok)?;
         let rasterizer: Plugin<dyn Rasterizer> = linked_plugin("AlphaBlending")?;
         let plane: ImagePlane = projector.plane(self.width, self.height);
@@ -133,9 +134,9 @@ impl DataSource for Teacher {
     /// Renders the spectra, scaled so that the largest value of all becomes 255.
     fn load(&self, _: &Path, progress: Progress<'_>) -> Result<Dataset> {
         DataSource::check(self).map_err(|fault| Error::Config(format!("Teacher: {fault}")))?;
-        let truth = self.truth();
-        let txs = self.transmitters();
-        let spectra = self.render(&truth, &txs, progress)?;
+        let truth = self.draw_truth();
+        let txs = self.draw_transmitters();
+        let spectra = self.render_magnitudes(&truth, &txs, progress)?;
         let largest = spectra.iter().copied().fold(0.0, Real::max);
         if !(largest.is_finite() && largest > 0.0) {
             let advice = "use another seed, or a projector that shows elevations of 10 to 75 degrees";
@@ -178,7 +179,7 @@ impl DataSource for Teacher {
     }
 }
 
-/// Creates the plugin `name` with default settings; an error if it is not linked.
+/// Creates the plugin `name` with default settings. Returns an error if it is not linked.
 fn linked_plugin<T: ?Sized + pwrfgs_core::plugin::PluginKind>(name: &str) -> Result<Plugin<T>>
 where
     Box<T>: for<'de> Deserialize<'de>,
@@ -188,7 +189,7 @@ where
     })
 }
 
-/// Computes the inputs of the projector, without deformation or gate.
+/// Returns the activated parameters of a cloud, the inputs of the projector, without deformation or gate.
 fn activate(cloud: &GaussianCloud) -> Primitives {
     Primitives {
         means: cloud.means.clone(),
@@ -240,14 +241,14 @@ impl Truth {
         Self { cloud, waves }
     }
 
-    /// Computes the signals `[N,2]` for a transmitter at `tx`, metres from the origin.
+    /// Returns the signals `[N,2]` for a transmitter at `tx`, metres from the origin.
     pub(super) fn signals(&self, tx: [Real; 3]) -> Vec<[Real; 2]> {
-        self.waves.iter().map(|wave| wave.at(Vec3::from_array(tx))).collect()
+        self.waves.iter().map(|wave| wave.signal_at(Vec3::from_array(tx))).collect()
     }
 }
 
 impl Wave {
-    /// Draws amplitude, direction, wavelength and phase.
+    /// Draws a wave of random amplitude, direction, wavelength and phase.
     fn random(random: &mut Rng) -> Self {
         let strength = uniform_between(random, 0.4, 1.0);
         let angle = uniform_between(random, 0.0, TAU / 4.0);
@@ -261,8 +262,8 @@ impl Wave {
         }
     }
 
-    /// Computes both channels for a transmitter at `tx`, metres from the origin.
-    fn at(&self, tx: Vec3) -> [Real; 2] {
+    /// Returns the signal on both channels for a transmitter at `tx`, metres from the origin.
+    fn signal_at(&self, tx: Vec3) -> [Real; 2] {
         let level = MEAN + SWING * (self.radians_per_metre.dot(tx) + self.phase).cos();
         self.amplitude.map(|a| a * level)
     }
@@ -273,7 +274,7 @@ fn uniform_between(random: &mut Rng, low: Real, high: Real) -> Real {
     low + (high - low) * rng::uniform(random)
 }
 
-/// Normalises a vector; a zero vector becomes the first axis.
+/// Returns the unit vector along `vector`; the first axis for a zero vector.
 fn normalised<const N: usize>(vector: [Real; N]) -> [Real; N] {
     let length = vector.iter().map(|v| v * v).sum::<Real>().sqrt();
     if length > 0.0 { vector.map(|v| v / length) } else { std::array::from_fn(|i| Real::from(u8::from(i == 0))) }

@@ -26,12 +26,53 @@ pub(crate) struct TextField<'a> {
     pub(crate) column: usize,
 }
 
-/// Line of a file, split into fields.
-pub(crate) struct TextRow<'a> {
+/// Line of a file with its fields: all of them, or an array of those in some columns.
+pub(crate) struct TextRow<'a, F = Vec<TextField<'a>>> {
     pub(crate) path: &'a Path,
     /// Line number, counted from 1.
     pub(crate) line: usize,
-    pub(crate) fields: Vec<TextField<'a>>,
+    pub(crate) fields: F,
+}
+
+impl<F> TextRow<'_, F> {
+    /// Returns the error `problem` at a column of this line.
+    pub(crate) fn fault(&self, column: usize, problem: impl Display) -> Error {
+        Error::at(self.path, self.line, column, problem)
+    }
+
+    /// Parses a finite number in a field of this line; `advice` is the next step otherwise.
+    pub(crate) fn number(&self, field: TextField<'_>, advice: &str) -> Result<f64> {
+        let fault = |problem: &str| self.fault(field.column, format!("{} is {problem}; {advice}", quoted(field.text)));
+        let value: f64 = field.text.parse().ok().ok_or_else(|| fault("not a number"))?;
+        if (value as Real).is_finite() { Ok(value) } else { Err(fault("not finite")) }
+    }
+
+    /// Parses a coordinate, metres: finite and at most 1e8 m; `advice` is the next step otherwise.
+    pub(crate) fn coordinate(&self, field: TextField<'_>, advice: &str) -> Result<f64> {
+        let value = self.number(field, advice)?;
+        if value.abs() <= MAX_COORDINATE_M {
+            return Ok(value);
+        }
+        let problem = format!("{} is beyond {MAX_COORDINATE_M:e} m; {advice}", quoted(field.text));
+        Err(self.fault(field.column, problem))
+    }
+
+    /// Parses a position in three fields, metres; `advice` is the next step otherwise.
+    pub(crate) fn position(&self, fields: [TextField<'_>; 3], advice: &str) -> Result<[f64; 3]> {
+        let [x, y, z] = fields.map(|field| self.coordinate(field, advice));
+        Ok([x?, y?, z?])
+    }
+
+    /// Parses a power, dBm; -100 if no signal was received.
+    pub(crate) fn power(&self, field: TextField<'_>) -> Result<f64> {
+        let dbm = self.number(field, DBM_ADVICE)?;
+        let stored = dbm as Real as f64; // rounding may give the marker of a missing link
+        if dbm != NOT_RECEIVED && [dbm, stored].into_iter().find_map(power_fault).is_some() {
+            let problem = format!("{} is not a power in dBm; {DBM_ADVICE}", quoted(field.text));
+            return Err(self.fault(field.column, problem));
+        }
+        Ok(dbm)
+    }
 }
 
 impl<'a> TextRow<'a> {
@@ -42,16 +83,11 @@ impl<'a> TextRow<'a> {
 
     /// Splits the content of a line at blanks.
     pub(crate) fn at_blanks(path: &'a Path, (line, content): (usize, &'a str)) -> Self {
-        Self { path, line, fields: split_blanks(content) }
-    }
-
-    /// Creates an error at a column of this line.
-    pub(crate) fn fault(&self, column: usize, problem: impl Display) -> Error {
-        Error::at(self.path, self.line, column, problem)
+        Self { path, line, fields: locate_fields(content, content.split_whitespace()) }
     }
 
     /// Returns the column behind the last field.
-    pub(crate) fn end(&self) -> usize {
+    pub(crate) fn end_column(&self) -> usize {
         self.fields.last().map_or(1, |field| field.column + field.text.chars().count())
     }
 
@@ -66,22 +102,23 @@ impl<'a> TextRow<'a> {
         }
     }
 
-    /// Returns the field in the column with this index and name.
+    /// Returns the field in the column with this index and name. Returns an error if the row is too short.
     pub(crate) fn cell(&self, (column, name): (usize, &str), advice: &str) -> Result<TextField<'a>> {
         self.fields.get(column).copied().ok_or_else(|| {
             let (count, needed, name) = (self.fields.len(), column + 1, quoted(name));
             let problem = format!("the row ends after {count} of the {needed} columns that {name} needs");
-            self.fault(self.end(), format!("{problem}; {advice}"))
+            self.fault(self.end_column(), format!("{problem}; {advice}"))
         })
     }
 
     /// Reads the power in the column of a receiver, dBm; -100 if no signal was received.
     pub(crate) fn read_power(&self, column: (usize, &str)) -> Result<f64> {
-        dbm(self.path, self.line, self.cell(column, DBM_ADVICE)?)
+        self.power(self.cell(column, DBM_ADVICE)?)
     }
 
-    /// Finds the column `name` of a header, in either case; `names` lists every column that the file needs.
-    fn column(&self, name: &str, names: &str) -> Result<usize> {
+    /// Returns the index of the column `name` of a header, in either case; `names` lists every column that the file needs.
+    /// Returns an error for a missing or repeated column.
+    fn find_column(&self, name: &str, names: &str) -> Result<usize> {
         let fields = &self.fields;
         let mut columns = fields.iter().enumerate().filter(|(_, field)| field.text.eq_ignore_ascii_case(name));
         let (column, _) = columns.next().ok_or_else(|| {
@@ -103,11 +140,11 @@ impl<'a> TextRow<'a> {
 
 /// Reads a file of at most `limit` bytes; `advice` is the next step if it does not exist.
 pub(crate) fn read_bytes(path: &Path, limit: u64, advice: &str) -> Result<Vec<u8>> {
-    files::read_at_most(path, limit).map_err(|source| unreadable(path, source, "file", advice))
+    files::read_at_most(path, limit).map_err(|source| unreadable_error(path, source, "file", advice))
 }
 
-/// Creates the error for a file or folder (`kind`) that cannot be read, with `advice` if it does not exist.
-pub(crate) fn unreadable(path: &Path, source: std::io::Error, kind: &str, advice: &str) -> Error {
+/// Returns the error for a file or folder (`kind`) that cannot be read, with `advice` if it does not exist.
+pub(crate) fn unreadable_error(path: &Path, source: std::io::Error, kind: &str, advice: &str) -> Error {
     match source.kind() {
         ErrorKind::NotFound => {
             Error::read(path, std::io::Error::new(source.kind(), format!("no such {kind}; {advice}")))
@@ -116,10 +153,10 @@ pub(crate) fn unreadable(path: &Path, source: std::io::Error, kind: &str, advice
     }
 }
 
-/// Reads a text file of at most `limit` bytes, without a byte order mark.
+/// Reads a text file of at most `limit` bytes, without a byte order mark; `advice` is the next step if it does not exist.
 pub(crate) fn read_text(path: &Path, limit: u64, advice: &str) -> Result<String> {
     files::read_text_at_most(path, limit).map_err(|e| match e {
-        Error::Read { source, .. } => unreadable(path, source, "file", advice),
+        Error::Read { source, .. } => unreadable_error(path, source, "file", advice),
         other => other,
     })
 }
@@ -139,13 +176,13 @@ pub(crate) fn read_yaml<T: DeserializeOwned>(path: &Path, advice: &str, expected
     })
 }
 
-/// Creates an error at a value of a YAML file.
+/// Returns the error `problem` at a value of a YAML file.
 pub(crate) fn yaml_fault<T>(path: &Path, value: &Spanned<T>, problem: impl Display) -> Error {
     Error::at(path, value.referenced.line() as usize, value.referenced.column() as usize, problem)
 }
 
 /// Returns the lines that are not empty, with their numbers, counted from 1.
-pub(crate) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+pub(crate) fn numbered_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines().enumerate().map(|(i, line)| (i + 1, line)).filter(|(_, line)| !line.trim().is_empty())
 }
 
@@ -160,17 +197,12 @@ fn split_commas(line: &str) -> Vec<TextField<'_>> {
         let text = part.trim();
         text.strip_prefix('"').and_then(|text| text.strip_suffix('"')).unwrap_or(text).trim()
     });
-    with_columns(line, fields)
-}
-
-/// Splits a line at blanks.
-fn split_blanks(line: &str) -> Vec<TextField<'_>> {
-    with_columns(line, line.split_whitespace())
+    locate_fields(line, fields)
 }
 
 /// Returns slices of `line`, in order, each with its column: characters, counted from 1. Columns are counted incrementally:
 /// a face of a mesh may have a million corners in one line.
-fn with_columns<'a>(line: &'a str, parts: impl Iterator<Item = &'a str>) -> Vec<TextField<'a>> {
+fn locate_fields<'a>(line: &'a str, parts: impl Iterator<Item = &'a str>) -> Vec<TextField<'a>> {
     let (mut last, mut column) = (0, 1);
     let field = |text: &'a str| {
         let start = text.as_ptr() as usize - line.as_ptr() as usize;
@@ -181,69 +213,35 @@ fn with_columns<'a>(line: &'a str, parts: impl Iterator<Item = &'a str>) -> Vec<
     parts.map(field).collect()
 }
 
-/// Parses a finite number; `advice` is the next step otherwise.
-pub(crate) fn number(path: &Path, line: usize, field: TextField<'_>, advice: &str) -> Result<f64> {
-    let fault =
-        |problem: &str| Error::at(path, line, field.column, format!("{} is {problem}; {advice}", quoted(field.text)));
-    let value: f64 = field.text.parse().ok().ok_or_else(|| fault("not a number"))?;
-    if (value as Real).is_finite() { Ok(value) } else { Err(fault("not finite")) }
-}
-
-/// Parses a coordinate, metres: finite and at most 1e8 m.
-pub(crate) fn coordinate(path: &Path, line: usize, field: TextField<'_>, advice: &str) -> Result<f64> {
-    let value = number(path, line, field, advice)?;
-    if value.abs() <= MAX_COORDINATE_M {
-        return Ok(value);
-    }
-    let problem = format!("{} is beyond {MAX_COORDINATE_M:e} m; {advice}", quoted(field.text));
-    Err(Error::at(path, line, field.column, problem))
-}
-
-/// Returns the problem with a point of a binary file.
+/// Returns the problem with a point of a binary file, metres; `None` if it is valid.
 pub(crate) fn point_fault(point: [f64; 3]) -> Option<String> {
     let wrong = point.into_iter().find(|v| coordinate_fault(*v).is_some())?;
     Some(if wrong.is_finite() { format!("beyond {MAX_COORDINATE_M:e} m") } else { "not finite".into() })
 }
 
-/// Parses a power, dBm; -100 if no signal was received.
-pub(crate) fn dbm(path: &Path, line: usize, field: TextField<'_>) -> Result<f64> {
-    let dbm = number(path, line, field, DBM_ADVICE)?;
-    let stored = dbm as Real as f64; // rounding may give the marker of a missing link
-    if dbm != NOT_RECEIVED && [dbm, stored].into_iter().find_map(power_fault).is_some() {
-        let problem = format!("{} is not a power in dBm; {DBM_ADVICE}", quoted(field.text));
-        return Err(Error::at(path, line, field.column, problem));
-    }
-    Ok(dbm)
-}
-
-/// Reads the rows of a table: the number of each line, with its fields in these columns, which the header names among others.
-pub(crate) fn table<'a, const N: usize>(
+/// Returns the rows of a table, each with its fields in the columns `names`, which the header names among others. Returns an
+/// error for a missing column or field, or a row with more fields than the header.
+pub(crate) fn table_rows<'a, const N: usize>(
     path: &'a Path,
     text: &'a str,
     names: [&str; N],
     advice: &str,
-) -> Result<Vec<(usize, [TextField<'a>; N])>> {
-    let mut rows = lines(text);
+) -> Result<Vec<TextRow<'a, [TextField<'a>; N]>>> {
+    let mut rows = numbered_lines(text);
     let header = rows.next().ok_or_else(|| Error::input(path, format!("is empty; {advice}")))?;
     let (header, all_names) = (TextRow::at_commas(path, header), names.join(", "));
-    let columns = names.map(|name| header.column(name, &all_names));
+    let columns = names.map(|name| header.find_column(name, &all_names));
     let columns = columns.into_iter().collect::<Result<Vec<usize>>>()?;
     let read = |row| {
         let row = TextRow::at_commas(path, row);
         row.check_length(header.fields.len())?;
-        let mut cells = [TextField { text: "", column: 1 }; N];
-        for (k, cell) in cells.iter_mut().enumerate() {
-            *cell = row.cell((columns[k], names[k]), advice)?;
+        let mut fields = [TextField { text: "", column: 1 }; N];
+        for (k, field) in fields.iter_mut().enumerate() {
+            *field = row.cell((columns[k], names[k]), advice)?;
         }
-        Ok((row.line, cells))
+        Ok(TextRow { path, line: row.line, fields })
     };
     rows.map(read).collect()
-}
-
-/// Parses a position in three fields, metres.
-pub(crate) fn position(path: &Path, line: usize, fields: [TextField<'_>; 3], advice: &str) -> Result<[f64; 3]> {
-    let [x, y, z] = fields.map(|field| coordinate(path, line, field, advice));
-    Ok([x?, y?, z?])
 }
 
 /// Columns of x, y and z.
@@ -253,7 +251,7 @@ pub(crate) struct XyzColumns(pub(crate) [usize; 3]);
 impl XyzColumns {
     /// Finds the columns in a header, in any order and either case, among other columns.
     pub(crate) fn from_header(header: &TextRow<'_>) -> Result<Self> {
-        let find = |name| header.column(name, "x, y and z");
+        let find = |name| header.find_column(name, "x, y and z");
         Ok(Self([find("x")?, find("y")?, find("z")?]))
     }
 
@@ -261,7 +259,7 @@ impl XyzColumns {
     pub(crate) fn read(self, row: &TextRow<'_>, advice: &str) -> Result<[f64; 3]> {
         let mut point = [0.0; 3];
         for ((value, column), name) in point.iter_mut().zip(self.0).zip(["x", "y", "z"]) {
-            *value = coordinate(row.path, row.line, row.cell((column, name), advice)?, advice)?;
+            *value = row.coordinate(row.cell((column, name), advice)?, advice)?;
         }
         Ok(point)
     }
@@ -279,7 +277,8 @@ mod tests {
         let last = split_commas(&"é, ".repeat(500_000)).last().map(|f| (f.text.to_owned(), f.column));
         assert_eq!(last, Some((String::new(), 3 * 500_000)), "a long line");
         assert_eq!(split_commas(&",".repeat(2_000_000)).len(), MOST_FIELDS);
-        let got: Vec<_> = split_blanks("1  2\t3").iter().map(|f| (f.text, f.column)).collect();
+        let got: Vec<_> =
+            TextRow::at_blanks(Path::new("a"), (1, "1  2\t3")).fields.iter().map(|f| (f.text, f.column)).collect();
         assert_eq!(got, [("1", 1), ("2", 4), ("3", 6)]);
     }
 }

@@ -1,9 +1,8 @@
 //! `Agreement`: distances of new measurements from the predictions of a model.
 
 use crate::findings::cloud::{extent, longest_side};
-use crate::inspect::length;
 use crate::session::{Observer, staged};
-use crate::text::{grouped, number};
+use crate::text::{format_length, grouped, number};
 use pwrfgs_core::statistics::{quantile, sorted};
 use pwrfgs_core::{Dataset, Image, Predict as _, Result, Task};
 use pwrfgs_model::{Ensemble, Interval, IntervalFactors};
@@ -82,8 +81,8 @@ impl Agreement {
     }
 }
 
-/// Counts the transmitters beyond the limit of extrapolations and beyond the length of the site, with these limits in
-/// metres.
+/// Counts the transmitters farther from all training positions than the limit of extrapolations and than the length of the
+/// site, with these limits in metres; `None` if the model has no training positions, or they have no extent.
 fn count_distant(model: &Ensemble, data: &Dataset) -> Option<[(usize, f64); 2]> {
     let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
     let distances = model.training_distances(&positions)?;
@@ -107,7 +106,11 @@ impl std::fmt::Display for Agreement {
         let beyond = self.positions.into_iter().flatten().filter(|(count, _)| *count > 0);
         beyond.into_iter().try_for_each(|(count, limit)| {
             let [count, total] = [count, self.transmitters].map(|count| grouped(count as i64));
-            write!(f, ", {count} of {total} transmitters more than {} from all training positions", length(limit))
+            write!(
+                f,
+                ", {count} of {total} transmitters more than {} from all training positions",
+                format_length(limit)
+            )
         })
     }
 }

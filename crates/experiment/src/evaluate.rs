@@ -7,14 +7,14 @@ use crate::evaluation_set::EvaluationSet;
 use crate::intervals::Calibrator;
 use crate::load::SplitData;
 use crate::record::Confidence;
-use crate::repeatability::ceiling;
+use crate::repeatability::noise_ceiling;
 use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::{Session, staged};
 use crate::text::number;
 use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::{
-    Dataset, FittingSet, Image, ImagePlane, Metric, Misfit, ModelFacts, Parts, Plugin, Result, Scope, check_stopped,
-    compatible, evenly,
+    Baseline, Dataset, FittingSet, ImagePlane, Measurement, Metric, Misfit, ModelFacts, Parts, Plugin, Result, Scope,
+    check_stopped, compatible, evenly,
 };
 use pwrfgs_model::{Ensemble, Prepared, ProcessFit, ResidualProcess, Residuals, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
@@ -46,87 +46,127 @@ pub fn evaluate(
     session: &mut Session<'_>,
 ) -> Result<EvaluationResult> {
     let SplitData { data, partition } = split;
-    let (ensemble, model, plane) = (model, &model.prepare(), model.plane());
-    check_alike(model, data)?;
-    let test = EvaluationSet::new(data, &partition.test, plane);
-    let score = |ensemble: &Ensemble, ready: &Prepared<'_>, name: &str, session: &mut Session<'_>| {
-        let facts = ModelFacts {
-            means: &ensemble.means_from(data.scene.origin),
-            gaussian_bytes: ensemble.gaussian_bytes(),
-            file_bytes: file::size(ensemble),
-        };
-        test.model(name, ready, Some(facts), &pipeline.metrics, session)
-    };
-    let mut predictors = vec![(MODEL.to_owned(), score(ensemble, model, "the model", session)?)];
-    let (mut members, mut confidence) = (Vec::new(), None);
-    if ensemble.members().len() > 1 {
-        for (name, member) in ensemble.names().iter().zip(ensemble.members()) {
-            let name = format!("member {name}");
-            let member = Ensemble::of(member.clone());
-            let scores = score(&member, &member.prepare(), &name, session)?;
-            predictors.push((name.clone(), scores));
-            members.push(name);
+    let ready = &model.prepare();
+    check_alike(ready, data)?;
+    let table = ScoreTable { task: data.task(), ..ScoreTable::default() };
+    let test = EvaluationSet::new(data, &partition.test, model.plane());
+    let mut evaluation = OpenEvaluation { pipeline, split, test, calibrator: None, predictors: Vec::new(), table };
+    evaluation.score_model(MODEL, model, ready, session)?;
+    let mut confidence = None;
+    if model.members().len() > 1 {
+        for (name, member) in model.names().iter().zip(model.members()) {
+            let (name, member) = (format!("member {name}"), Ensemble::of(member.clone()));
+            evaluation.score_model(&name, &member, &member.prepare(), session)?;
+            evaluation.table.members.push(name);
         }
-        confidence = Some(Confidence::measure(model, data, &partition.test, session)?);
+        confidence = Some(Confidence::measure(ready, data, &partition.test, session)?);
     }
-    let (mut notes, mut oracles): (Vec<String>, Vec<String>) = Default::default();
-    notes.extend(ensemble.residuals().map(note_of));
-    let (mut intervals, mut columns, mut calibrator) = (Vec::new(), Vec::new(), None);
-    if let Some(calibration) = ensemble.calibration() {
-        let own = Calibrator::new(pipeline, split, ensemble.members().len())?;
-        let (scores, of_links) = own.measure((MODEL, model), calibration, session)?;
-        (intervals, columns, calibrator) = (vec![scores], of_links, Some(own));
+    evaluation.table.notes.extend(model.residuals().map(residuals_note));
+    let mut columns = Vec::new();
+    if let Some(calibration) = model.calibration() {
+        let calibrator = evaluation.calibrator.insert(Calibrator::new(pipeline, split, model.members().len())?);
+        let (scores, rows) = calibrator.measure_intervals((MODEL, ready), calibration, session)?;
+        evaluation.table.intervals.push(scores);
+        columns = rows;
     }
     pipeline.check_external(data, &partition.test)?;
     for baseline in &pipeline.baselines {
         session.check_stopped()?;
+        evaluation.score_baseline(baseline, session)?;
+    }
+    Ok(EvaluationResult { scores: Scores { intervals: columns, ..evaluation.conclude(session)? }, confidence })
+}
+
+/// Evaluation in progress: the measurements of the predictors so far.
+struct OpenEvaluation<'a> {
+    pipeline: &'a Pipeline,
+    split: &'a SplitData,
+    test: EvaluationSet<'a>,
+    /// Calibrates the intervals of baselines; `None` if the model has no intervals.
+    calibrator: Option<Calibrator<'a>>,
+    /// Names and measurements, the model first.
+    predictors: Vec<(String, Vec<Measurement>)>,
+    /// Oracle baselines, ensemble members, intervals and notes of these predictors.
+    table: ScoreTable,
+}
+
+impl OpenEvaluation<'_> {
+    /// Scores `model`, the model or a member, as predictor `name`.
+    fn score_model(
+        &mut self,
+        name: &str,
+        model: &Ensemble,
+        ready: &Prepared<'_>,
+        session: &mut Session<'_>,
+    ) -> Result<()> {
+        let title = if name == MODEL { "the model" } else { name };
+        let facts = ModelFacts {
+            means: &model.means_from(self.split.data.scene.origin),
+            gaussian_bytes: model.gaussian_bytes(),
+            file_bytes: file::size(model),
+        };
+        let measured = self.test.score_model(title, ready, Some(facts), &self.pipeline.metrics, session)?;
+        self.predictors.push((name.to_owned(), measured));
+        Ok(())
+    }
+
+    /// Fits `baseline` to training and validation samples and scores it; with a calibrator, also its intervals.
+    fn score_baseline(&mut self, baseline: &Plugin<dyn Baseline>, session: &mut Session<'_>) -> Result<()> {
+        let (SplitData { data, partition }, table) = (self.split, &mut self.table);
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name_for(data.task());
         // Reading a file has no latency of a method.
         let is_measured = |metric: &&Plugin<dyn Metric>| !baseline.is_external() || metric.scope() != Scope::Model;
-        let metrics: Vec<_> = pipeline.metrics.iter().filter(is_measured).cloned().collect();
-        let measured = test.baseline(&name, &*fitted, &metrics, session)?;
-        oracles.extend(fitted.is_oracle().then(|| name.clone()));
-        if let Some(calibrator) = calibrator.as_ref().filter(|_| !fitted.is_oracle())
-            && let Some(calibration) = calibrator.of_baseline(&*fitted, session)?
+        let metrics: Vec<_> = self.pipeline.metrics.iter().filter(is_measured).cloned().collect();
+        let measured = self.test.score_baseline(&name, &*fitted, &metrics, session)?;
+        table.oracles.extend(fitted.is_oracle().then(|| name.clone()));
+        if let Some(calibrator) = self.calibrator.as_ref().filter(|_| !fitted.is_oracle())
+            && let Some(calibration) = calibrator.calibrate_baseline(&*fitted, session)?
         {
-            intervals.push(calibrator.measure((&name, &*fitted), &calibration, session)?.0);
+            table.intervals.push(calibrator.measure_intervals((&name, &*fitted), &calibration, session)?.0);
         }
-        predictors.push((name, measured));
-        notes.extend(fitted.note().filter(|note| !notes.contains(note)));
+        self.predictors.push((name, measured));
+        table.notes.extend(fitted.note().filter(|note| !table.notes.contains(note)));
+        Ok(())
     }
-    let ceiling = ceiling(data, partition, &pipeline.metrics, session.stop)?;
-    notes.extend(ceiling.notes);
-    let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
-    let samples = [partition.train.len(), partition.known().all().len(), ids.len()];
-    notes.extend(intervals.iter().map(|own| own.note(data.task(), &intervals[0])));
-    let measured = predictors.iter().flat_map(|(name, all)| all.iter().map(move |one| (name, one)));
-    notes.extend(measured.filter_map(|(name, one)| Some(format!("{} of {name}: {}", one.key, one.note.as_ref()?))));
-    let known = ScoreTable { task: data.task(), oracles, members, samples, intervals, notes, ..ScoreTable::default() };
-    let mut scores = Scores { intervals: columns, ..Scores::new(ids, predictors, known) };
-    let summaries: Vec<_> = ceiling.of.into_iter().map(|(key, at_zero)| (key, at_zero.summary)).collect();
-    scores.table.add_ceiling(&summaries);
-    let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).position()));
-    scores.table.paired = scores.paired(&partition.test.iter().map(position).collect());
-    Ok(EvaluationResult { scores, confidence })
+
+    /// Summarises all scores, with noise ceiling, paired differences and notes.
+    fn conclude(self, session: &Session<'_>) -> Result<Scores> {
+        let (SplitData { data, partition }, predictors, mut table) = (self.split, self.predictors, self.table);
+        let ceiling = noise_ceiling(data, partition, &self.pipeline.metrics, session.stop)?;
+        let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
+        table.samples = [partition.train.len(), partition.known().all().len(), ids.len()];
+        table.notes.extend(ceiling.notes);
+        table.notes.extend(table.intervals.iter().map(|scores| scores.note(data.task(), &table.intervals[0])));
+        let measured = predictors.iter().flat_map(|(name, all)| all.iter().map(move |one| (name, one)));
+        let note =
+            |(name, one): (&String, &Measurement)| Some(format!("{} of {name}: {}", one.key, one.note.as_ref()?));
+        table.notes.extend(measured.filter_map(note));
+        let mut scores = Scores::new(ids, predictors, table);
+        let summaries: Vec<_> = ceiling.metrics.into_iter().map(|(key, at_zero)| (key, at_zero.summary)).collect();
+        scores.table.add_ceiling(&summaries);
+        let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).position()));
+        scores.table.paired = scores.paired_differences(&partition.test.iter().map(position).collect());
+        Ok(scores)
+    }
 }
 
 /// Describes the residual processes of a model, which share their fit.
-fn note_of(residuals: &Residuals) -> String {
-    let of = |process: &ResidualProcess| {
+fn residuals_note(residuals: &Residuals) -> String {
+    let describe = |process: &ResidualProcess| {
         let ProcessFit { trend, correlation: Correlation { kind, scales: [x, y, z, _], noise }, .. } = process.fit;
         let [x, y, z, noise] = [x, y, z, noise].map(number);
         let law = trend.path_loss.map_or_else(String::new, |_| format!(", of the path loss {}", 1.0 - trend.share));
         let share = format!("share of the model b = {}{law}", trend.share);
         format!("{share}, {} with {x}, {y}, {z} m, noise {noise}", kind.words())
     };
-    let mut notes: Vec<String> = residuals.processes().iter().flatten().map(of).collect();
+    let mut notes: Vec<String> = residuals.processes().iter().flatten().map(describe).collect();
     notes.dedup();
     format!("the residuals of the model are Kriged ({})", notes.join("; "))
 }
 
 /// Returns the mean of the first validation metric for each baseline, fitted on the training set alone, on the samples
-/// of `validation.csv`; finite values only.
+/// of `validation.csv`; finite values only. Empty if the pipeline validates nothing.
 ///
 /// # Errors
 /// A baseline or a metric returns an error; [`Error::Stopped`](pwrfgs_core::Error::Stopped) once the session is stopped.
@@ -146,7 +186,7 @@ pub(crate) fn validation_baselines(
         session.check_stopped()?;
         let fitted = baseline.fit(data, FittingSet::train(&partition.train))?;
         let name = baseline.name_for(data.task());
-        let measured = bench.baseline(&name, &*fitted, &metrics, session)?;
+        let measured = bench.score_baseline(&name, &*fitted, &metrics, session)?;
         all.extend(measured.first().map(|m| m.values.mean()).filter(|mean| mean.is_finite()).map(|mean| (name, mean)));
     }
     Ok(all)
@@ -161,7 +201,7 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
 }
 
 impl Confidence {
-    /// Measures the confidence on the samples `part`.
+    /// Measures spread of the members and error of their mean on the samples `part`.
     ///
     /// # Errors
     /// A spectrum that cannot be read; [`pwrfgs_core::Error::Stopped`] once the session is stopped.
@@ -170,15 +210,17 @@ impl Confidence {
         staged(session.observer, "measuring the spread of members", |progress| {
             let mut all = Self { ids: part.iter().map(|&i| data.label(i)).collect(), ..Self::default() };
             let done = AtomicUsize::new(0);
-            let of = |&i: &usize| {
+            let measure_link = |&i: &usize| {
                 let (mean, deviation, _) = model.predict_with_deviation(data.query(i));
-                let pair = (size(&deviation), distance(&data.task().shown(mean), &data.image(i)));
+                let (shown, truth) = (data.task().shown(mean), data.image(i));
+                let errors = shown.pixels.iter().zip(&truth.pixels).map(|(a, b)| *a as f64 - *b as f64);
+                let pair = (root_mean_square(deviation.pixels.iter().map(|p| *p as f64)), root_mean_square(errors));
                 progress(done.fetch_add(1, Ordering::Relaxed) + 1, part.len());
                 pair
             };
             for chunk in part.chunks(CHUNK) {
                 check_stopped(stop)?;
-                let pairs: Vec<(f64, f64)> = chunk.par_iter().map(of).collect();
+                let pairs: Vec<(f64, f64)> = chunk.par_iter().map(measure_link).collect();
                 all.spreads.extend(pairs.iter().map(|pair| pair.0));
                 all.errors.extend(pairs.iter().map(|pair| pair.1));
             }
@@ -188,14 +230,8 @@ impl Confidence {
     }
 }
 
-/// Returns the root mean square of the pixels.
-fn size(image: &Image) -> f64 {
-    let sum: f64 = image.pixels.iter().map(|p| (*p as f64).powi(2)).sum();
-    (sum / image.pixels.len() as f64).sqrt()
-}
-
-/// Returns the root mean square of the difference.
-fn distance(a: &Image, b: &Image) -> f64 {
-    let sum: f64 = a.pixels.iter().zip(&b.pixels).map(|(a, b)| (*a as f64 - *b as f64).powi(2)).sum();
-    (sum / a.pixels.len() as f64).sqrt()
+/// Returns the root mean square of `values`; NaN without values.
+fn root_mean_square(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len() as f64;
+    (values.map(|value| value.powi(2)).sum::<f64>() / count).sqrt()
 }

@@ -68,7 +68,7 @@ impl<'a> EvaluationSet<'a> {
     ///
     /// # Errors
     /// A metric returns an error or a spectrum cannot be read; [`Error::Stopped`] once `stop` is set.
-    pub fn model(
+    pub fn score_model(
         &self,
         name: &str,
         model: &Prepared<'_>,
@@ -94,8 +94,8 @@ impl<'a> EvaluationSet<'a> {
     /// Measures the baseline called `name` by every metric.
     ///
     /// # Errors
-    /// Same as [`Self::model`].
-    pub fn baseline(
+    /// Same as [`Self::score_model`].
+    pub fn score_baseline(
         &self,
         name: &str,
         fitted: &dyn Predict,
@@ -121,13 +121,29 @@ impl<'a> EvaluationSet<'a> {
 
     /// Measures a predictor by all its metrics, in their order.
     fn measure(&self, predictor: ScoredPredictor<'_>, session: &mut Session<'_>) -> Result<Vec<Measurement>> {
-        let (ScoredPredictor { name, metrics, .. }, stop) = (predictor, session.stop);
-        let evaluation = Evaluation { model: predictor.facts, ..Evaluation::of(self.data, self.plane) };
+        let metrics = predictor.metrics;
         let mut measurements: Vec<Vec<Measurement>> = vec![Vec::new(); metrics.len()];
+        let images = self.measure_chunks(predictor, &mut measurements, session)?;
+        session.check_stopped()?;
+        if self.part.is_empty() || metrics.iter().any(|m| m.scope() != Scope::Sample) {
+            self.measure_whole(predictor, &images, &mut measurements, session)?;
+        }
+        Ok(measurements.into_iter().flatten().collect())
+    }
+
+    /// Predicts all samples and adds the measurements by the metrics of single samples, one list per metric. Returns
+    /// predictions and observations if a metric needs all of them, otherwise nothing.
+    fn measure_chunks(
+        &self,
+        ScoredPredictor { name, metrics, predict, facts, .. }: ScoredPredictor<'_>,
+        measurements: &mut [Vec<Measurement>],
+        session: &mut Session<'_>,
+    ) -> Result<[Vec<Image>; 2]> {
+        let evaluation = Evaluation { model: facts, ..Evaluation::of(self.data, self.plane) };
         let needs_all = metrics.iter().any(|m| m.scope() == Scope::All);
-        let (mut predictions, mut truths) = (Vec::new(), Vec::new());
+        let ([mut predictions, mut truths], stop) = (<[Vec<Image>; 2]>::default(), session.stop);
         staged(session.observer, &format!("predicting with {name}"), |progress| {
-            self.predict_chunks(predictor.predict, stop, progress, &mut |predicted, measured, links| {
+            self.predict_chunks(predict, stop, progress, &mut |predicted, measured, links| {
                 refuse_infinite(name, &predicted)?;
                 let chunk = Evaluation { predictions: &predicted, truths: &measured, links, ..evaluation };
                 let per_sample = |(_, metric): &(_, &Plugin<dyn Metric>)| metric.scope() == Scope::Sample;
@@ -141,34 +157,39 @@ impl<'a> EvaluationSet<'a> {
                 Ok(())
             })
         })?;
-        session.check_stopped()?;
-        if !self.part.is_empty() && metrics.iter().all(|m| m.scope() == Scope::Sample) {
-            return Ok(measurements.into_iter().flatten().collect());
-        }
+        Ok([predictions, truths])
+    }
+
+    /// Adds the measurements by the metrics of the whole model and of all samples; of an empty set, by all metrics.
+    fn measure_whole(
+        &self,
+        ScoredPredictor { name, metrics, facts, time, .. }: ScoredPredictor<'_>,
+        [predictions, truths]: &[Vec<Image>; 2],
+        measurements: &mut [Vec<Measurement>],
+        session: &mut Session<'_>,
+    ) -> Result<()> {
         // Latency is that of links predicted one by one.
         let count = &Cell::new(0);
-        let timer = predictor.time.map(|time| move || self.time_next(time, count));
+        let timer = time.map(|time| move || self.time_next(time, count));
         let timed_prediction = timer.as_ref().map(|timer| timer as &dyn Fn() -> StageTimes);
-        let whole = Evaluation { timed_prediction, ..evaluation };
-        let all = Evaluation { predictions: &predictions, truths: &truths, links: &self.links, ..whole };
+        let samples = Evaluation::of(self.data, self.plane);
+        let whole = Evaluation { model: facts, timed_prediction, ..samples };
+        let all = Evaluation { predictions, truths, links: &self.links, ..whole };
         staged(session.observer, &format!("scoring {name}"), |progress| {
             for (k, (measured, metric)) in measurements.iter_mut().zip(metrics).enumerate() {
                 match metric.scope() {
                     Scope::All => *measured = metric.evaluate(&all)?,
                     Scope::Model => *measured = metric.evaluate(&whole)?,
-                    Scope::Sample if self.part.is_empty() => {
-                        *measured = metric.evaluate(&Evaluation { model: None, timed_prediction: None, ..whole })?;
-                    }
+                    Scope::Sample if self.part.is_empty() => *measured = metric.evaluate(&samples)?,
                     Scope::Sample => {}
                 }
                 progress(k + 1, metrics.len());
             }
             Ok(())
-        })?;
-        Ok(measurements.into_iter().flatten().collect())
+        })
     }
 
-    /// Times the prediction of the next sample in turn.
+    /// Times the prediction of the next sample in turn; `count` counts the calls.
     fn time_next(&self, time: &dyn Fn(Query<'_>) -> StageTimes, count: &Cell<usize>) -> StageTimes {
         let next = count.replace(count.get() + 1) % self.part.len();
         time(self.data.query(self.part[next]))
@@ -199,7 +220,7 @@ impl<'a> EvaluationSet<'a> {
     }
 }
 
-/// Appends the measurements of the next `count` samples.
+/// Appends to `measured` the measurements `more` of one metric on the next `count` samples.
 ///
 /// # Errors
 /// The metric does not give one number per sample.

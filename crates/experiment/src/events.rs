@@ -24,12 +24,12 @@ pub(crate) struct Events {
 }
 
 impl Events {
-    /// Creates a new file.
+    /// Creates or empties the file `path`, and writes the first record.
     pub(crate) fn create(path: &Path) -> Result<Self> {
         write_atomically(path, &[])?;
         let file = OpenOptions::new().append(true).open(path).map_err(|e| Error::write(path, e))?;
         let mut events = Self { path: path.into(), file };
-        events.write(&[number(1, wall_time()), bytes(3, FILE_VERSION)].concat())?;
+        events.write(&[double_field(1, wall_time()), bytes_field(3, FILE_VERSION)].concat())?;
         Ok(events)
     }
 
@@ -37,11 +37,11 @@ impl Events {
     pub(crate) fn push<T: AsRef<str>>(&mut self, step: u64, scalars: &[(T, f64)], ago: f64) -> Result<()> {
         let value = |(tag, value): &(T, f64)| {
             let number = [&[2 << 3 | FLOAT][..], &(*value as f32).to_le_bytes()].concat();
-            bytes(1, &[bytes(1, tag.as_ref().as_bytes()), number].concat())
+            bytes_field(1, &[bytes_field(1, tag.as_ref().as_bytes()), number].concat())
         };
         let summary = scalars.iter().map(value).collect::<Vec<_>>().concat();
-        let step = [vec![2 << 3 | VARINT], varint(step)].concat();
-        self.write(&[number(1, wall_time() - ago), step, bytes(5, &summary)].concat())
+        let step = [vec![2 << 3 | VARINT], encode_varint(step)].concat();
+        self.write(&[double_field(1, wall_time() - ago), step, bytes_field(5, &summary)].concat())
     }
 
     /// Flushes the records to disk; called before each checkpoint.
@@ -51,17 +51,17 @@ impl Events {
 
     /// Appends the record of an encoded event.
     fn write(&mut self, event: &[u8]) -> Result<()> {
-        self.file.write_all(&record(event)).map_err(|e| Error::write(&self.path, e))
+        self.file.write_all(&frame_record(event)).map_err(|e| Error::write(&self.path, e))
     }
 }
 
-/// Seconds since 1970.
+/// Returns the seconds since 1970.
 fn wall_time() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
 }
 
-/// Frames `data` as a `TFRecord`.
-fn record(data: &[u8]) -> Vec<u8> {
+/// Frames `data` as a `TFRecord`: length, its checksum, data, their checksum.
+fn frame_record(data: &[u8]) -> Vec<u8> {
     let length = (data.len() as u64).to_le_bytes();
     [&length[..], &checksum(&length), data, &checksum(data)].concat()
 }
@@ -79,8 +79,8 @@ const DOUBLE: u8 = 1;
 const LENGTH: u8 = 2;
 const FLOAT: u8 = 5;
 
-/// Encodes a variable-length integer: seven bits per byte, lowest first.
-fn varint(mut value: u64) -> Vec<u8> {
+/// Encodes a protobuf integer of variable length: seven bits per byte, lowest first; the high bit marks that more follow.
+fn encode_varint(mut value: u64) -> Vec<u8> {
     let mut out = Vec::new();
     while value >= 0x80 {
         out.push(value as u8 | 0x80);
@@ -90,14 +90,14 @@ fn varint(mut value: u64) -> Vec<u8> {
     out
 }
 
-/// Encodes a field of double precision.
-fn number(key: u8, value: f64) -> Vec<u8> {
+/// Encodes the protobuf field `key` of double precision.
+fn double_field(key: u8, value: f64) -> Vec<u8> {
     [&[key << 3 | DOUBLE][..], &value.to_le_bytes()].concat()
 }
 
-/// Encodes a field of text or of a message.
-fn bytes(key: u8, value: &[u8]) -> Vec<u8> {
-    [&[key << 3 | LENGTH][..], &varint(value.len() as u64), value].concat()
+/// Encodes the protobuf field `key` of text or of a message.
+fn bytes_field(key: u8, value: &[u8]) -> Vec<u8> {
+    [&[key << 3 | LENGTH][..], &encode_varint(value.len() as u64), value].concat()
 }
 
 #[cfg(test)]

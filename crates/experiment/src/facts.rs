@@ -1,7 +1,7 @@
 //! `run.json`: settings, machine, time and results of a run.
 
 use crate::findings::Finding;
-use crate::folder::{FACTS, MODEL_FILE, REMADE, REPORT, SAMPLES, SCORES, sealed};
+use crate::folder::{FACTS, MODEL_FILE, REMADE, REPORT, SAMPLES, SCORES, sealed_files};
 use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, digest, if_found, write_atomically};
 use pwrfgs_core::{Error, Result};
@@ -98,8 +98,8 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Describes this machine.
-    pub fn here() -> Self {
+    /// Describes the machine of this process; without `/proc/cpuinfo` the processor is `unknown`.
+    pub fn current() -> Self {
         let info = files::read_string("/proc/cpuinfo").unwrap_or_default();
         let model = info.lines().find(|l| l.starts_with("model name")).and_then(|l| l.split(':').nth(1));
         Self {
@@ -112,14 +112,18 @@ impl Machine {
 }
 
 impl Facts {
-    /// Opens the facts of a run that starts or resumes in `folder`.
+    /// Creates the facts of one more start of the run in `folder`, from those of earlier starts: with this version and
+    /// machine, without results. Writes nothing.
+    ///
+    /// # Errors
+    /// Same as [`Self::read`].
     pub(crate) fn open(folder: &Path, seed: u64) -> Result<Self> {
-        let old = Self::read(folder)?.unwrap_or_else(|| Self { started: now(), ..Self::default() });
+        let old = Self::read(folder)?.unwrap_or_else(|| Self { started: utc_now(), ..Self::default() });
         Ok(Self {
             version: env!("CARGO_PKG_VERSION").into(),
             commit: option_env!("PWRFGS_COMMIT").map(str::to_owned),
             real_bytes: size_of::<pwrfgs_core::Real>(),
-            machine: Machine::here(),
+            machine: Machine::current(),
             seed,
             starts: old.starts.saturating_add(1),
             finished: None,
@@ -129,7 +133,7 @@ impl Facts {
         })
     }
 
-    /// Reads the facts in `folder`, if any.
+    /// Reads the facts in `folder`; `None` without `run.json`.
     ///
     /// # Errors
     /// A file that is damaged, or cannot be read.
@@ -143,11 +147,11 @@ impl Facts {
         })
     }
 
-    /// Reads scores and facts of a finished run.
+    /// Reads scores and facts of a finished run; `None` if it has not finished, or one of its files is missing.
     ///
     /// # Errors
     /// Same as [`Self::read`].
-    pub fn finished(folder: &Path) -> Result<Option<(ScoreTable, Self)>> {
+    pub fn read_finished(folder: &Path) -> Result<Option<(ScoreTable, Self)>> {
         let Some(facts) = Self::read(folder)? else { return Ok(None) };
         let exists = |name: &str| folder.join(name).is_file();
         let is_sealed = |name: &&str| facts.files.contains_key(*name);
@@ -158,10 +162,10 @@ impl Facts {
         Ok(scores.map(|scores| (scores, facts)))
     }
 
-    /// Records size and checksum of the files of a run that just finished.
+    /// Replaces `files` by the sizes and checksums of the sealed files that exist in `folder`.
     pub(crate) fn seal(&mut self, folder: &Path) -> Result<()> {
         self.files.clear();
-        for name in sealed().filter(|name| folder.join(name).is_file()) {
+        for name in sealed_files().filter(|name| folder.join(name).is_file()) {
             let path = folder.join(name);
             let bytes = files::read(&path).map_err(|e| Error::read(&path, e))?;
             self.files.insert(name.into(), FileDigest::of(&bytes));
@@ -177,7 +181,7 @@ impl Facts {
         self.files.keys().try_for_each(|name| self.verify_file(folder, name))
     }
 
-    /// Verifies one file, if it has a checksum.
+    /// Verifies the file `name` in `folder`; a name without a checksum passes.
     ///
     /// # Errors
     /// The file is damaged or missing.
@@ -198,12 +202,12 @@ impl Facts {
         Err(Error::input(&path, format!("does not match {FACTS}: {problem}; {advice}")))
     }
 
-    /// Updates the largest resident memory.
-    pub(crate) fn note_memory(&mut self) {
+    /// Raises `peak_memory_bytes` to the largest resident memory of this process.
+    pub(crate) fn update_peak_memory(&mut self) {
         self.peak_memory_bytes = self.peak_memory_bytes.max(peak_memory());
     }
 
-    /// Writes `run.json`.
+    /// Writes `run.json` into `folder`.
     pub(crate) fn write(&self, folder: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(self).map_err(|e| Error::Config(format!("run.json: {e}")))?;
         write_atomically(&folder.join(FACTS), (text + "\n").as_bytes())
@@ -213,29 +217,25 @@ impl Facts {
 /// Version of the program, such as `0.1.0 (1f0a2b3c4d)` with the start of the git commit that it was built from.
 pub const VERSION: &str = env!("PWRFGS_VERSION");
 
-/// Returns the current time, such as `2026-11-21T09:49:19Z`.
-pub(crate) fn now() -> String {
+/// Returns the current time as RFC 3339, such as `2026-11-21T09:49:19Z`.
+pub(crate) fn utc_now() -> String {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
     format_time(seconds)
 }
 
-/// Formats seconds since 1970 as a Gregorian date.
+/// Formats seconds since 1970 as UTC date and time of RFC 3339.
 fn format_time(seconds: u64) -> String {
     let (mut days, second_of_day) = (seconds / 86_400, seconds % 86_400);
-    let leap = |year: u64| year.is_multiple_of(4) && !year.is_multiple_of(100) || year.is_multiple_of(400);
-    let mut year = 1970;
-    while days >= 365 + u64::from(leap(year)) {
-        days -= 365 + u64::from(leap(year));
-        year += 1;
-    }
-    let february = 28 + u64::from(leap(year));
-    let mut month = 1;
-    for length in [31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31] {
-        if days < length {
-            break;
-        }
-        days -= length;
-        month += 1;
+    let is_leap = |year: u64| year.is_multiple_of(4) && !year.is_multiple_of(100) || year.is_multiple_of(400);
+    let month_days = |year: u64, month: u64| match month {
+        2 => 28 + u64::from(is_leap(year)),
+        4 | 6 | 9 | 11 => 30,
+        _ => 31,
+    };
+    let (mut year, mut month) = (1970, 1);
+    while days >= month_days(year, month) {
+        days -= month_days(year, month);
+        (year, month) = (year + month / 12, month % 12 + 1);
     }
     let (hours, minutes, seconds) = (second_of_day / 3600, second_of_day / 60 % 60, second_of_day % 60);
     format!("{year:04}-{month:02}-{:02}T{hours:02}:{minutes:02}:{seconds:02}Z", days + 1)
@@ -244,14 +244,14 @@ fn format_time(seconds: u64) -> String {
 /// Returns the largest resident memory of this process, bytes; 0 if unavailable.
 pub(crate) fn peak_memory() -> u64 {
     let status = files::read_string("/proc/self/status").unwrap_or_default();
-    read_kib(&status, "VmHWM:").unwrap_or(0)
+    memory_entry(&status, "VmHWM:").unwrap_or(0)
 }
 
 /// Returns the memory available to this process, bytes: the minimum of free memory, the limit of the control group (a
 /// job of Slurm, a container) and `ulimit -v`; `None` if unavailable.
 pub(crate) fn free_memory() -> Option<u64> {
-    let machine = read_kib(&files::read_string("/proc/meminfo").unwrap_or_default(), "MemAvailable:");
-    [machine, free_in_control_group(), free_address_space()].into_iter().flatten().min()
+    let machine = memory_entry(&files::read_string("/proc/meminfo").unwrap_or_default(), "MemAvailable:");
+    [machine, free_control_group_memory(), free_address_space()].into_iter().flatten().min()
 }
 
 /// Returns the load average of the machine over the last minute, and its number of cores; `None` if the system does
@@ -265,14 +265,14 @@ pub(crate) fn load_average() -> Option<(f64, usize)> {
     (cores > 0).then_some((load, cores))
 }
 
-/// Reads the number after `name` in a file of lines such as `VmHWM:  1234 kB`.
-fn read_kib(text: &str, name: &str) -> Option<u64> {
+/// Returns the bytes that follow `name` in a `text` of lines such as `VmHWM:  1234 kB`; `None` without such a line.
+fn memory_entry(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
-/// Returns the remaining memory of the control group (version 2), if limited.
-fn free_in_control_group() -> Option<u64> {
+/// Returns the remaining memory of the control group (version 2), bytes; `None` without a limit.
+fn free_control_group_memory() -> Option<u64> {
     let groups = files::read_string("/proc/self/cgroup").ok()?;
     let path = groups.lines().find_map(|line| line.strip_prefix("0::"))?.trim();
     let number =
@@ -280,12 +280,12 @@ fn free_in_control_group() -> Option<u64> {
     Some(number("memory.max")?.saturating_sub(number("memory.current")?))
 }
 
-/// Returns the remaining address space of `ulimit -v`, if limited.
+/// Returns the remaining address space of `ulimit -v`, bytes; `None` without a limit.
 fn free_address_space() -> Option<u64> {
     let limits = files::read_string("/proc/self/limits").ok()?;
     let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
     let limit = line.split_whitespace().next()?.parse::<u64>().ok()?;
-    let used = read_kib(&files::read_string("/proc/self/status").ok()?, "VmSize:")?;
+    let used = memory_entry(&files::read_string("/proc/self/status").ok()?, "VmSize:")?;
     Some(limit.saturating_sub(used))
 }
 
@@ -327,7 +327,7 @@ mod tests {
         if cfg!(target_os = "linux") {
             assert!(peak_memory() > 1_000_000 && free_memory().is_some_and(|bytes| bytes > 1_000_000));
         }
-        assert_eq!(read_kib("VmRSS:\t  12 kB\nVmHWM:\t    7 kB\n", "VmHWM:"), Some(7 * 1024));
-        assert_eq!(read_kib("VmHWM: unlimited\n", "VmHWM:"), None);
+        assert_eq!(memory_entry("VmRSS:\t  12 kB\nVmHWM:\t    7 kB\n", "VmHWM:"), Some(7 * 1024));
+        assert_eq!(memory_entry("VmHWM: unlimited\n", "VmHWM:"), None);
     }
 }

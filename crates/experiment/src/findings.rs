@@ -48,7 +48,7 @@ pub fn findings(data: &Dataset, partition: Option<&Partition>) -> Result<Vec<Fin
     Ok(findings)
 }
 
-/// Finds positions that are not in metres, or all equal.
+/// Finds positions that are probably not in metres, or that are all equal; `None` if they are plausible.
 fn check_positions(data: &Dataset) -> Option<Finding> {
     let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
     let (first, count) = (*positions.first()?, positions.len());
@@ -79,7 +79,7 @@ fn check_positions(data: &Dataset) -> Option<Finding> {
     if spacing > SPACING_M { unit(problem, "centimetres, millimetres or degrees") } else { None }
 }
 
-/// Finds powers that are not in dBm.
+/// Finds powers that are probably not in dBm, or codes among them; `None` if they are plausible.
 fn check_powers(powers: &[Real]) -> Option<Finding> {
     let powers: Vec<f64> = powers.iter().map(|dbm| *dbm as f64).collect();
     let (count, strong) = (powers.len(), powers.iter().filter(|dbm| **dbm > STRONG_DBM).count());
@@ -99,7 +99,7 @@ fn check_powers(powers: &[Real]) -> Option<Finding> {
     Some(Finding::new("power-unit", count, problem, "if these are milliwatts, give 10 * log10(mW)"))
 }
 
-/// Finds training and test sets that were probably swapped.
+/// Finds training and test sets that were probably swapped: more test samples than others.
 fn check_split(data: &Dataset, partition: &Partition) -> Option<Finding> {
     let (training, test) = (partition.train.len() + partition.validation.len(), partition.test.len());
     let mend = if data.official.as_ref().is_some_and(|(_, official)| *official == partition.test) {

@@ -46,7 +46,7 @@ pub const REPORT: &str = "report.html";
 pub(crate) const REMADE: [&str; 5] = [MODEL_FILE, SCORES, SAMPLES, CONFIDENCE, REPORT];
 
 /// Lists the files sealed in `run.json`. The TensorBoard file is excluded, since it grows and no command reads it.
-pub(crate) fn sealed() -> impl Iterator<Item = &'static str> {
+pub(crate) fn sealed_files() -> impl Iterator<Item = &'static str> {
     let written_once = [CURVE, VALIDATION, START_SNAPSHOT, UNPRUNED_SNAPSHOT];
     REMADE.into_iter().chain(written_once).chain(PRUNED_SNAPSHOTS)
 }
@@ -57,7 +57,7 @@ pub fn snapshots() -> impl Iterator<Item = (&'static str, &'static str)> {
     first.into_iter().chain(PRUNED_SNAPSHOTS.map(|name| (name, "Pruned")))
 }
 
-/// Returns the snapshot after prune step `round` of `rounds`, counted from 1; `None` if it is not saved.
+/// Returns the name of the snapshot after prune step `round` of `rounds`, counted from 1; `None` if it is not saved.
 pub(crate) fn pruned_snapshot((round, rounds): (u64, u64)) -> Option<&'static str> {
     let most = rounds.min(PRUNED_SNAPSHOTS.len() as u64);
     let saved_until = |round: u64| (round * most).checked_div(rounds).unwrap_or(0);

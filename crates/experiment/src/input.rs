@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// [`Error::Input`](pwrfgs_core::Error::Input) with line and column, or an invalid argument.
 pub fn read_pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
-    parse(&pipeline_text(path)?, path, set)
+    parse_pipeline(&pipeline_text(path)?, path, set)
 }
 
 /// Reads the text of the pipeline in `path`, or of the shipped one of this name.
@@ -21,14 +21,18 @@ pub fn pipeline_text(path: &Path) -> Result<String> {
     ShippedFile::read(ShippedFile::PIPELINES, path, MAX_TEXT)
 }
 
-/// Parses a pipeline as [`read_pipeline`] does, from text that was read from `path`.
-pub(crate) fn parse(text: &str, path: &Path, set: &[String]) -> Result<Pipeline> {
+/// Parses a pipeline as [`read_pipeline`] does, from `text` that was read from `path`.
+///
+/// # Errors
+/// As [`read_pipeline`].
+pub(crate) fn parse_pipeline(text: &str, path: &Path, set: &[String]) -> Result<Pipeline> {
     let mut draft = parse_base(text, path)?;
     apply_arguments(&mut draft, set)?;
     draft.finish().map_err(EditFault::in_arguments)?.resolved()
 }
 
-/// Reads the pipeline in `path`, relative to `folder`, or the shipped one of this name; unchanged, with absolute paths.
+/// Reads the pipeline in `path`, relative to `folder`, or the shipped one of this name, without applying its scale; its
+/// paths become absolute.
 pub(crate) fn read_base(folder: &Path, path: &Path) -> Result<PipelineEdit> {
     if let Some(file) = ShippedFile::find(ShippedFile::PIPELINES, folder, path) {
         return parse_base(&file.text(), path);
@@ -50,7 +54,7 @@ fn parse_base(text: &str, path: &Path) -> Result<PipelineEdit> {
 /// An invalid change.
 pub(crate) fn apply_changes(draft: &mut PipelineEdit, changes: &[Change], folder: &Path) -> Result<(), EditFault> {
     changes.iter().try_for_each(|change| draft.set(change))?;
-    draft.rebase(&|path| absolute(folder, path))
+    draft.rebase(&|path| absolute_path(folder, path))
 }
 
 /// Applies `--set` arguments; their paths are relative to the current directory.
@@ -66,7 +70,7 @@ pub(crate) fn apply_arguments(draft: &mut PipelineEdit, set: &[String]) -> Resul
 ///
 /// # Errors
 /// Errors of [`Pipeline::rebased`] and [`Pipeline::resolved`].
-pub(crate) fn resolve(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
+pub(crate) fn resolve_pipeline(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
     rebased(pipeline, base)?.resolved()
 }
 
@@ -75,11 +79,11 @@ pub(crate) fn resolve(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
 /// # Errors
 /// Same as [`Pipeline::rebased`].
 pub fn rebased(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
-    pipeline.rebased(&|path| absolute(base, path))
+    pipeline.rebased(&|path| absolute_path(base, path))
 }
 
 /// Returns the absolute form of `path`, relative to `base`; the name of a shipped scene stays as it is.
-pub(crate) fn absolute(base: &Path, path: &Path) -> PathBuf {
+pub(crate) fn absolute_path(base: &Path, path: &Path) -> PathBuf {
     if ShippedFile::find(ShippedFile::SCENES, base, path).is_some() {
         return path.into();
     }

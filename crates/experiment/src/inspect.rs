@@ -6,15 +6,15 @@ pub use crate::findings::pose::{Correction, PoseCheck, PoseVerdict};
 use crate::evaluation_set::EvaluationSet;
 use crate::facts::{free_memory, load_average, peak_memory};
 use crate::findings::{cloud, pose, spectra};
-use crate::input::resolve;
+use crate::input::resolve_pipeline;
 use crate::load::{SplitData, load, observed};
-use crate::repeatability::{ceiling, in_order};
+use crate::repeatability::{is_in_time_order, noise_ceiling};
 use crate::residuals::check_residuals;
-use crate::samples::nearest_train;
+use crate::samples::nearest_training_distances;
 use crate::scores::CEILING;
 use crate::session::{Observer, Session, staged};
 use crate::statistics::Summary;
-use crate::text::{aligned, grouped, number, wrapped};
+use crate::text::{aligned, format_length, grouped, number, wrapped};
 use crate::training::new_trainer;
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::plugin::to_ron;
@@ -77,7 +77,7 @@ pub struct Preview {
 /// All errors of [`crate::run`] before its first step.
 pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<Preview> {
     let load_before = load_average();
-    let pipeline = resolve(pipeline, base)?;
+    let pipeline = resolve_pipeline(pipeline, base)?;
     let split = load(&pipeline, base, observer)?;
     let SplitData { data, partition } = &split;
     pipeline.check_data(data)?;
@@ -117,7 +117,7 @@ pub struct DataSummary {
 }
 
 impl DataSummary {
-    /// Summarizes `data`, reading at most `most` evenly chosen spectra.
+    /// Summarises `data`, reading at most `most` evenly chosen spectra.
     ///
     /// # Errors
     /// If a spectrum cannot be read.
@@ -165,7 +165,8 @@ pub fn inspect(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer)
     Ok(text + "\n" + &splits_table(pipeline, data, observer)?)
 }
 
-/// Describes extent, step length between consecutive ids, and positions that occur twice.
+/// Describes extent and repeated positions of the moving end, and the steps between consecutive ids if there are any; after
+/// their names.
 fn describe_positions(data: &Dataset) -> Vec<(&'static str, String)> {
     let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
     let mut ordered = positions.clone();
@@ -181,8 +182,8 @@ fn describe_positions(data: &Dataset) -> Vec<(&'static str, String)> {
     if steps.is_empty() {
         return vec![(moving, text)];
     }
-    let [low, middle, high] = [0.05, 0.5, 0.95].map(|q| length(quantile(&steps, q)));
-    let order = if in_order(data) {
+    let [low, middle, high] = [0.05, 0.5, 0.95].map(|q| format_length(quantile(&steps, q)));
+    let order = if is_in_time_order(data) {
         "ids follow a trajectory: a random split leaves near neighbours in training"
     } else {
         "ids do not follow a trajectory: a block of ids is not a block of space"
@@ -216,7 +217,7 @@ fn describe_points(data: &Dataset) -> String {
     extent.map_or_else(|| "none".into(), |extent| format!("{count} points, {}", cloud::describe(extent)))
 }
 
-/// Describes median and range of the levels of all links.
+/// Describes median and range of the levels of all links, after their name.
 fn describe_levels(data: &Dataset) -> (&'static str, String) {
     let [name, unit] = data.task().level_name;
     let level = |link: usize| data.task().level(&data.image(link));
@@ -225,28 +226,18 @@ fn describe_levels(data: &Dataset) -> (&'static str, String) {
     ("level", format!("{name} {middle} {unit} (median; {tenth} to {last}, 10 % to 90 %; {low} to {high} in all)"))
 }
 
-/// Wraps words into lines; `name` starts the first, and the others are indented.
+/// Wraps `words` into lines; `name` starts the first, and the others are indented.
 fn format_entry(name: &str, words: &str) -> String {
     wrapped(words, [&format!("{name:<INDENT$}"), &" ".repeat(INDENT)], WIDTH)
 }
 
-/// Returns the median distance from a test transmitter to the nearest training transmitter, metres.
+/// Returns the median distance from a test transmitter to the nearest other training transmitter, metres.
 pub fn test_distance(data: &Dataset, partition: &Partition) -> f64 {
-    let nearest = nearest_train(data, partition);
+    let nearest = nearest_training_distances(data, partition);
     median(partition.test.iter().map(|&i| nearest[i] as f64))
 }
 
-/// Formats a length in a suitable unit.
-pub fn length(metres: f64) -> String {
-    match metres {
-        m if !m.is_finite() => "n/a".into(),
-        m if m < 0.1 => format!("{:.1} mm", m * 1e3),
-        m if m < 1.0 => format!("{:.0} cm", m * 1e2),
-        m => format!("{m:.2} m"),
-    }
-}
-
-/// Lists the split of `pipeline`, marked, and all other registered splits with their defaults.
+/// Lists the split of `pipeline`, marked `*`, and all other registered splits that need no settings, with their names.
 fn list_splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
     let ron = to_ron(&pipeline.split);
     let name = ron.split_whitespace().collect::<Vec<_>>().join(" ").replace("( ", "(").replace(", )", ")");
@@ -281,19 +272,19 @@ fn splits_table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer
             }
         };
         let mut line = vec![name, partition.train.len().to_string(), partition.test.len().to_string()];
-        line.push(length(test_distance(data, &partition)));
+        line.push(format_length(test_distance(data, &partition)));
         let test = EvaluationSet::new(data, &evenly(&partition.test, TESTED), &plane);
         for (baseline, name) in baselines().zip(&names) {
             let fitted = baseline.fit(data, partition.known())?;
-            let measurements = test.baseline(name, &*fitted, &metrics, &mut Session::new(observer))?;
+            let measurements = test.score_baseline(name, &*fitted, &metrics, &mut Session::new(observer))?;
             measurements.first().into_iter().for_each(|measurement| key.clone_from(&measurement.key));
             line.push(match measurements.first().map(|measurement| &measurement.values) {
                 Some(Values::PerSample(values)) => number(Summary::of(values, true).mean),
                 _ => "n/a".into(),
             });
         }
-        let noise_ceiling = ceiling(data, &partition, &metrics, &AtomicBool::new(false))?;
-        line.push(noise_ceiling.of.first().map_or_else(|| "n/a".into(), |(_, at_zero)| number(at_zero.summary.mean)));
+        let ceiling = noise_ceiling(data, &partition, &metrics, &AtomicBool::new(false))?;
+        line.push(ceiling.metrics.first().map_or_else(|| "n/a".into(), |(_, at_zero)| number(at_zero.summary.mean)));
         lines.push(line);
     }
     Ok(format!(

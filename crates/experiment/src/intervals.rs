@@ -1,7 +1,7 @@
 //! Prediction intervals of a run: calibration on links that a predictor was not fitted to, coverage on the test set.
 
 use crate::load::{ActiveRun, SplitData};
-use crate::residuals::left_out;
+use crate::residuals::left_out_links;
 use crate::scores::{IntervalScores, LEVEL, LevelScores};
 use crate::session::{Session, staged};
 use pwrfgs_core::{Error, Image, Predict, Result, check_stopped};
@@ -34,11 +34,11 @@ impl ActiveRun<'_, '_> {
         let mut scores = LinkScores::new();
         for (index, left_out) in calibrator.left_out.iter().enumerate().filter(|(_, links)| !links.is_empty()) {
             let members = if calibrator.left_out.len() == count { index..index + 1 } else { 0..count };
-            let trained = calibrator.known_without(left_out);
+            let trained = calibrator.known_links_without(left_out);
             let held_out = ensemble.held_out(&members.collect::<Vec<_>>(), &split.data, &trained)?;
-            scores.extend(calibrator.score(&held_out.prepare(), left_out, self.session)?);
+            scores.extend(calibrator.score_held_out(&held_out.prepare(), left_out, self.session)?);
         }
-        let calibration = calibrator.calibration(scores);
+        let calibration = calibrator.calibrate_by(scores);
         Ok(ensemble.with_calibration(calibration))
     }
 }
@@ -58,14 +58,14 @@ impl<'a> Calibrator<'a> {
     /// # Errors
     /// As [`Pipeline::partition`].
     pub(crate) fn new(pipeline: &'a Pipeline, split: &'a SplitData, members: usize) -> Result<Self> {
-        Ok(Self { pipeline, split, left_out: left_out(pipeline, split, members)? })
+        Ok(Self { pipeline, split, left_out: left_out_links(pipeline, split, members)? })
     }
 
     /// Calibrates a fitted baseline; `None` if it does not predict from samples, or no links are left out.
     ///
     /// # Errors
     /// As [`ActiveRun::calibrate`].
-    pub(crate) fn of_baseline(
+    pub(crate) fn calibrate_baseline(
         &self,
         fitted: &dyn Predict,
         session: &mut Session<'_>,
@@ -73,26 +73,31 @@ impl<'a> Calibrator<'a> {
         let mut scores = LinkScores::new();
         for links in self.left_out.iter().filter(|links| !links.is_empty()) {
             let Some(held_out) = fitted.without(links) else { return Ok(None) };
-            scores.extend(self.score(&*held_out, links, session)?);
+            scores.extend(self.score_held_out(&*held_out, links, session)?);
         }
-        Ok(self.calibration(scores))
+        Ok(self.calibrate_by(scores))
     }
 
-    /// Lists the known links without `links`.
-    fn known_without(&self, links: &[usize]) -> Vec<usize> {
+    /// Lists the training and validation links without `links`, which are ascending.
+    fn known_links_without(&self, links: &[usize]) -> Vec<usize> {
         self.split.partition.known().all().into_iter().filter(|link| links.binary_search(link).is_err()).collect()
     }
 
-    /// Scores `links`, which `predictor` was not fitted to.
-    fn score(&self, predictor: &dyn Predict, links: &[usize], session: &mut Session<'_>) -> Result<LinkScores> {
+    /// Scores `links`, which `predictor` was not fitted to, for a calibration.
+    fn score_held_out(
+        &self,
+        predictor: &dyn Predict,
+        links: &[usize],
+        session: &mut Session<'_>,
+    ) -> Result<LinkScores> {
         let task = self.split.data.task();
         let score = |shown: &Image, deviation: f64, truth: &Image| HeldOutScores::of(task, shown, deviation, truth);
         let scores = self.score_links("calibrating intervals", predictor, links, session, score)?;
         Ok(links.iter().copied().zip(scores).collect())
     }
 
-    /// Calibrates by the scored links; `None` with too few blocks.
-    fn calibration(&self, mut scores: LinkScores) -> Option<IntervalCalibration> {
+    /// Calibrates intervals by the scores of held-out links, in the blocks of the split; `None` with too few blocks.
+    fn calibrate_by(&self, mut scores: LinkScores) -> Option<IntervalCalibration> {
         let links: Vec<usize> = scores.keys().copied().collect();
         let block = |links: Vec<usize>| links.iter().filter_map(|link| scores.remove(link)).collect();
         let blocks: Vec<Vec<HeldOutScores>> =
@@ -105,7 +110,7 @@ impl<'a> Calibrator<'a> {
     ///
     /// # Errors
     /// As [`ActiveRun::calibrate`].
-    pub(crate) fn measure(
+    pub(crate) fn measure_intervals(
         &self,
         (name, predictor): (&str, &dyn Predict),
         calibration: &IntervalCalibration,
@@ -123,9 +128,7 @@ impl<'a> Calibrator<'a> {
         };
         let intervals = self.score_links("measuring intervals", predictor, test, session, measure)?;
         let blocks = self.pipeline.split.blocks(&self.split.data, test);
-        let weight = |block: &Vec<usize>| 1.0 / (blocks.len() * block.len()) as f64;
-        let weights: BTreeMap<usize, f64> =
-            blocks.iter().flat_map(|block| block.iter().map(move |link| (*link, weight(block)))).collect();
+        let weights = link_weights(&blocks);
         let scores = |(k, (level, _)): (usize, &(f64, IntervalFactors))| {
             let mean = |value: &dyn Fn(&MeasuredInterval) -> f64| {
                 test.iter().zip(&intervals).map(|(link, levels)| weights[link] * value(&levels[k])).sum::<f64>()
@@ -146,7 +149,11 @@ impl<'a> Calibrator<'a> {
         Ok((IntervalScores { predictor: name.to_owned(), blocks, levels }, rows))
     }
 
-    /// Passes the prediction of each link, as it is shown, its deviation and the measurement to `score`, in parallel.
+    /// Passes the prediction of each link, as it is shown, its deviation and the measurement to `score`, in parallel;
+    /// returns the scores in the order of `links`.
+    ///
+    /// # Errors
+    /// As [`ActiveRun::calibrate`].
     fn score_links<T: Send>(
         &self,
         stage: &str,
@@ -176,6 +183,12 @@ impl<'a> Calibrator<'a> {
             Ok(scores)
         })
     }
+}
+
+/// Returns the weight of each link if all `blocks` weigh the same, and 1 together.
+fn link_weights(blocks: &[Vec<usize>]) -> BTreeMap<usize, f64> {
+    let weight = |block: &[usize]| 1.0 / (blocks.len() * block.len()) as f64;
+    blocks.iter().flat_map(|block| block.iter().map(move |link| (*link, weight(block)))).collect()
 }
 
 /// Interval of one link against its measurement.

@@ -31,33 +31,36 @@ pub(crate) struct Journal {
 }
 
 impl Journal {
-    /// Opens the files, truncated to step `done`.
+    /// Opens the files of a run in `folder`, truncated to step `done`; writes the events again.
+    ///
+    /// # Errors
+    /// A damaged file, or [`Error::Write`].
     pub(crate) fn open(folder: &RunFolder, pipeline: &Pipeline, task: Task, done: u64) -> Result<Self> {
         let (curve, rows) = Series::open(&folder.file(CURVE), CURVE_HEADER, done)?;
         let columns = format!("step,{}", task.headline.columns.join(","));
         let (validation_series, validations) = Series::open(&folder.file(VALIDATION), &columns, done)?;
-        let seconds = rows.last().map_or(0.0, |row| seconds_of(row));
+        let seconds = rows.last().map_or(0.0, |row| parse_seconds(row));
         let mut journal = Self { curve, validation_series, events: None, steps: pipeline.training.steps, seconds };
         if pipeline.tensorboard {
             journal.events = Some(Events::create(&folder.file(EVENTS))?);
-            journal.replay(&rows, &validations)?;
+            journal.replay_events(&rows, &validations)?;
         }
         Ok(journal)
     }
 
     /// Rewrites the events of earlier rows, in their original order.
-    fn replay(&mut self, rows: &[String], validations: &[String]) -> Result<()> {
-        let of_curve = rows.iter().map(|row| (step_of(row), "", &self.curve.header, row));
+    fn replay_events(&mut self, rows: &[String], validations: &[String]) -> Result<()> {
+        let of_curve = rows.iter().map(|row| (parse_step(row), "", &self.curve.header, row));
         let of_validations =
-            validations.iter().map(|row| (step_of(row), VALIDATION_PREFIX, &self.validation_series.header, row));
+            validations.iter().map(|row| (parse_step(row), VALIDATION_PREFIX, &self.validation_series.header, row));
         let mut events: Vec<_> = of_curve.chain(of_validations).collect();
         events.sort_by_key(|(step, ..)| *step);
         let mut ago = 0.0;
         for (step, prefix, header, row) in events {
             if prefix.is_empty() {
-                ago = self.seconds - seconds_of(row);
+                ago = self.seconds - parse_seconds(row);
             }
-            self.events.as_mut().map_or(Ok(()), |file| file.push(step, &scalars(prefix, header, row), ago))?;
+            self.events.as_mut().map_or(Ok(()), |file| file.push(step, &named_values(prefix, header, row), ago))?;
         }
         Ok(())
     }
@@ -67,30 +70,32 @@ impl Journal {
         self.seconds
     }
 
-    /// Records a step that took `seconds`.
-    pub(crate) fn step(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
+    /// Adds the `seconds` of a step to the total, and writes its row if `curve.csv` has one for it.
+    pub(crate) fn record_step(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
         self.seconds += seconds;
         let (StepReport { step, phase, loss, penalty, gaussians, .. }, seconds) = (report, self.seconds);
-        if !has_row(*step, self.steps) {
+        if !has_curve_row(*step, self.steps) {
             return Ok(());
         }
         let row = format!("{step},{},{loss},{penalty},{gaussians},{seconds:.3}", phase.name());
         self.curve.push(&row)?;
-        self.events.as_mut().map_or(Ok(()), |events| events.push(*step, &scalars("", &self.curve.header, &row), 0.0))
+        self.events
+            .as_mut()
+            .map_or(Ok(()), |events| events.push(*step, &named_values("", &self.curve.header, &row), 0.0))
     }
 
-    /// Records a validation.
-    pub(crate) fn validation(&mut self, validations: &Validation) -> Result<()> {
+    /// Writes the row of a validation.
+    pub(crate) fn record_validation(&mut self, validations: &Validation) -> Result<()> {
         let Validation { step, values: [mean, median, third], .. } = validations;
         let row = format!("{step},{mean},{median},{third}");
         self.validation_series.push(&row)?;
         self.events.as_mut().map_or(Ok(()), |events| {
-            events.push(*step, &scalars(VALIDATION_PREFIX, &self.validation_series.header, &row), 0.0)
+            events.push(*step, &named_values(VALIDATION_PREFIX, &self.validation_series.header, &row), 0.0)
         })
     }
 
     /// Records the mean of each metric on the test set at the last step, for TensorBoard.
-    pub(crate) fn scores(&mut self, scores: &ScoreTable) -> Result<()> {
+    pub(crate) fn record_scores(&mut self, scores: &ScoreTable) -> Result<()> {
         let mean = |row: &crate::scores::MetricRow| {
             let value = row.cells.first()?.numbers().first().copied()?;
             Some((format!("test/{}", row.key), value))
@@ -108,25 +113,25 @@ impl Journal {
     }
 }
 
-/// Reads the first number of a row: the step.
-fn step_of(row: &str) -> u64 {
+/// Parses the first field of a row, the step; 0 if it is not an integer.
+fn parse_step(row: &str) -> u64 {
     row.split(',').next().and_then(|step| step.parse().ok()).unwrap_or(0)
 }
 
-/// Reads the last number of a row of `curve.csv`: seconds.
-fn seconds_of(row: &str) -> f64 {
+/// Parses the last field of a row of `curve.csv`, the seconds; 0 if it is not a number.
+fn parse_seconds(row: &str) -> f64 {
     row.rsplit(',').next().and_then(|seconds| seconds.parse().ok()).unwrap_or(0.0)
 }
 
-/// Reads the values of a row, by `prefix` and column names.
-fn scalars(prefix: &str, header: &str, row: &str) -> Vec<(String, f64)> {
+/// Names the values of a row by `prefix` and column; step, phase, seconds and other words are omitted.
+fn named_values(prefix: &str, header: &str, row: &str) -> Vec<(String, f64)> {
     let named = header.split(',').zip(row.split(',')).filter(|(name, _)| !["step", "phase", "seconds"].contains(name));
     named.filter_map(|(name, value)| Some((format!("{prefix}{name}"), value.parse().ok()?))).collect()
 }
 
 /// Returns whether `step` has a row in `curve.csv`: depends on the step alone, so that a resumed run writes the same
 /// rows.
-fn has_row(step: u64, steps: u64) -> bool {
+fn has_curve_row(step: u64, steps: u64) -> bool {
     steps <= DENSE_STEPS || step == 1 || step == steps || step.is_multiple_of(10)
 }
 
@@ -188,12 +193,12 @@ impl Series {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::{read_series, whole_series};
+    use crate::record::{read_series, read_whole_series};
 
     #[test]
     fn journal_rows_depend_on_step_only() {
-        assert!((1..=2000).all(|step| has_row(step, 2000)));
-        let sparse: Vec<u64> = (1..=2001).filter(|&s| has_row(s, 2001)).collect();
+        assert!((1..=2000).all(|step| has_curve_row(step, 2000)));
+        let sparse: Vec<u64> = (1..=2001).filter(|&s| has_curve_row(s, 2001)).collect();
         assert_eq!((sparse[0], sparse[1], *sparse.last().unwrap(), sparse.len()), (1, 10, 2001, 202));
     }
 
@@ -212,7 +217,7 @@ mod tests {
         series.push("30,0.3").unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "step,loss\n10,0.5\n20,0.4\n30,0.3\n");
         assert_eq!(read_series(&path)[2], vec![Some(30.0), Some(0.3)]);
-        assert_eq!(whole_series(&path, 30).unwrap(), read_series(&path));
+        assert_eq!(read_whole_series(&path, 30).unwrap(), read_series(&path));
     }
 
     #[test]

@@ -1,13 +1,13 @@
 //! Report of a run, created from its folder at the end of a run or by `pwrfgs report`.
 
 use crate::evaluate::EvaluationResult;
-use crate::facts::{Facts, FileDigest, now};
+use crate::facts::{Facts, FileDigest, utc_now};
 use crate::folder::{CONFIDENCE, PIPELINE, REPORT, SAMPLES, SCORES};
 use crate::input::read_pipeline;
 use crate::load::{ActiveRun, SplitData, load};
 use crate::record::Record;
 use crate::run_folder::RunFolder;
-use crate::samples::to_csv;
+use crate::samples::samples_csv;
 use crate::scores::ScoreTable;
 use crate::session::{LoadedRun, Observer, PageBuilder};
 use pwrfgs_core::files::{self, write_atomically};
@@ -42,7 +42,7 @@ pub fn write_results(
     page: Option<PageBuilder>,
 ) -> Result<()> {
     let write = |name: &str, text: String| write_atomically(&folder.join(name), text.as_bytes());
-    write(SAMPLES, to_csv(data, partition, &scores.intervals))?;
+    write(SAMPLES, samples_csv(data, partition, &scores.intervals))?;
     write(SCORES, scores.to_csv())?;
     confidence.as_ref().map_or(Ok(()), |confidence| write(CONFIDENCE, confidence.to_csv()))?;
     let Some(page) = page else { return Ok(()) };
@@ -52,7 +52,7 @@ pub fn write_results(
 
 impl ActiveRun<'_, '_> {
     /// Concludes the run in `folder`: writes the scores, the report if the session has a `page`, the checksums and
-    /// `run.json`.
+    /// `run.json`. Returns the summary of the scores, which the observer also gets.
     ///
     /// # Errors
     /// [`Error::Write`]; a damaged training file.
@@ -66,9 +66,9 @@ impl ActiveRun<'_, '_> {
         let path = folder.path();
         facts.gaussians = model.gaussians();
         facts.scores = Some(result.scores.table.clone());
-        facts.finished = Some(now());
+        facts.finished = Some(utc_now());
         facts.report = self.session.page.is_some();
-        facts.note_memory(); // here, so that report and run.json agree
+        facts.update_peak_memory(); // here, so that report and run.json agree
         write_results(path, self.pipeline, &facts, self.split, model, &result, self.session.page)?;
         facts.seal(path)?;
         facts.write(path)?;
@@ -77,7 +77,7 @@ impl ActiveRun<'_, '_> {
     }
 }
 
-/// Reads the finished run in `folder`, with its data, for `read`.
+/// Calls `read` with the finished run in `folder` and its data and model, and returns the result.
 ///
 /// # Errors
 /// The run has not finished, a file is damaged, or the data have changed; errors of `read`.

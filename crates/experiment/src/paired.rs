@@ -41,7 +41,7 @@ pub struct PairedRow {
 }
 
 impl Paired {
-    /// Returns the difference from one baseline by one metric.
+    /// Returns the difference from one baseline by one metric; `None` if they were not compared.
     pub fn row(&self, baseline: &str, key: &str) -> Option<&PairedRow> {
         self.rows.iter().find(|row| row.baseline == baseline && row.metric == key)
     }
@@ -63,7 +63,7 @@ impl Paired {
         let head = ["model minus".to_owned()].into_iter().chain(heads).collect();
         let line = |baseline: &&str| {
             let cells = metrics.iter().flat_map(|(key, _)| match self.row(baseline, key) {
-                Some(row) => [row.number(), row.verdict().to_owned()],
+                Some(row) => [row.difference_text(), row.verdict().to_owned()],
                 None => ["n/a".to_owned(), String::new()],
             });
             let dagger = if oracles.iter().any(|oracle| oracle == baseline) { " †" } else { "" };
@@ -90,8 +90,8 @@ impl Paired {
 }
 
 impl PairedRow {
-    /// Formats mean and interval.
-    pub fn number(&self) -> String {
+    /// Formats mean and interval: `+0.0030 [−0.0030, +0.0080]`; the mean alone without an interval.
+    pub fn difference_text(&self) -> String {
         let interval =
             self.interval.map_or_else(String::new, |[low, high]| format!(" [{}, {}]", signed(low), signed(high)));
         signed(self.mean) + &interval
@@ -105,7 +105,7 @@ impl PairedRow {
             "level" => "level with",
             _ => "not compared by an interval with",
         };
-        format!("{relation} {}: {}", self.baseline, self.number())
+        format!("{relation} {}: {}", self.baseline, self.difference_text())
     }
 
     /// Returns `better`, `worse`, or `level` if the interval contains 0; empty without an interval.
@@ -129,7 +129,7 @@ pub fn is_rate_ratio(key: &str) -> bool {
     key.starts_with("eta_")
 }
 
-/// Formats a difference with its sign; values rounded to 0 have none.
+/// Formats a difference with four decimals and its sign; values rounded to 0 have no sign.
 pub fn signed(value: f64) -> String {
     let text = fixed(value, DECIMALS);
     let is_zero = text.bytes().all(|b| matches!(b, b'0' | b'.'));
@@ -155,7 +155,7 @@ mod tests {
         ];
         let scores = Scores::new((0..64).collect(), predictors, crate::scores::ScoreTable::default());
         let positions = (0..64).map(|id| (id, Some([f64::from(id % 8), f64::from(id / 8), 0.0]))).collect();
-        let mut paired = scores.paired(&positions).unwrap();
+        let mut paired = scores.paired_differences(&positions).unwrap();
         assert!(paired.cubes >= 30 && paired.note(Task::Spectrum).contains("95 %"), "{paired:?}");
         assert_eq!(paired.lines(&["1-NN".into()])[1][0], "1-NN †");
         paired.rows.remove(0)
@@ -168,7 +168,7 @@ mod tests {
         assert_eq!(paired(-0.05, 0.02, Goal::Lower).verdict(), "better");
         let level = paired(0.001, 0.02, Goal::Higher);
         assert_eq!(level.verdict(), "level", "{level:?}");
-        assert!((level.mean - 0.001).abs() < 1e-3 && level.number().starts_with("+0.00"), "{level:?}");
+        assert!((level.mean - 0.001).abs() < 1e-3 && level.difference_text().starts_with("+0.00"), "{level:?}");
     }
 
     #[test]

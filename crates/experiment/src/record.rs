@@ -5,7 +5,7 @@ use crate::folder::{CONFIDENCE, CURVE, MODEL_FILE, PIPELINE, REPORT, SAMPLES, SC
 use crate::input::read_pipeline;
 use crate::samples::TestSamples;
 use crate::scores::Scores;
-use crate::text::{Lines, csv_rows, damaged};
+use crate::text::{Lines, damaged, read_csv_rows};
 use pwrfgs_core::files::{self, read_text};
 use pwrfgs_core::statistics::{mean, sorted};
 use pwrfgs_core::{Dataset, Error, Partition, Result};
@@ -59,7 +59,7 @@ impl Record {
             pipeline: pipeline.clone(),
             scores: Scores::read(&path(SCORES), facts.scores.clone().unwrap_or_default())?,
             test: TestSamples::read(&path(SAMPLES))?,
-            curve: if trained { whole_series(&path(CURVE), facts.steps)? } else { Vec::new() },
+            curve: if trained { read_whole_series(&path(CURVE), facts.steps)? } else { Vec::new() },
             validation: if trained { read_series(&path(VALIDATION)) } else { Vec::new() },
             confidence: confidence.is_file().then(|| Confidence::read(&confidence)).transpose()?,
             facts,
@@ -77,9 +77,9 @@ impl Record {
         Ok(nameless.to_ron()? + joined.map_or("", |mark| &mark.sha256))
     }
 
-    /// Returns steps and another column of `curve.csv`, such as 2, the loss, or 4, the number of Gaussians.
-    pub fn curve_of(&self, column: usize) -> Vec<(f64, f64)> {
-        self::column(&self.curve, column)
+    /// Returns the pairs of step and value of a column of `curve.csv`, such as 2, the loss, or 4, the number of Gaussians.
+    pub fn curve_column(&self, column: usize) -> Vec<(f64, f64)> {
+        series_column(&self.curve, column)
     }
 
     /// Splits `data` as in this run.
@@ -113,7 +113,7 @@ impl Record {
 ///
 /// # Errors
 /// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the damaged position.
-pub fn whole_series(path: &Path, last: u64) -> Result<Vec<Vec<Option<f64>>>> {
+pub fn read_whole_series(path: &Path, last: u64) -> Result<Vec<Vec<Option<f64>>>> {
     let text = read_text(path)?;
     let wrong = |line: usize, problem: &str| Err(damaged(path, line, problem));
     let names: Vec<&str> = text.lines().next().unwrap_or_default().split(',').collect();
@@ -139,8 +139,8 @@ pub fn whole_series(path: &Path, last: u64) -> Result<Vec<Vec<Option<f64>>>> {
     Ok(rows)
 }
 
-/// Returns steps and another column, for rows in which both are numbers.
-pub fn column(rows: &[Vec<Option<f64>>], column: usize) -> Vec<(f64, f64)> {
+/// Returns the pairs of step and value of `column`, from rows in which both are numbers.
+pub fn series_column(rows: &[Vec<Option<f64>>], column: usize) -> Vec<(f64, f64)> {
     rows.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(column)?)?))).collect()
 }
 
@@ -165,11 +165,12 @@ impl Confidence {
     /// Computes the Spearman rank correlation of spread and error: 1 if both have the same order, 0 if they are
     /// unrelated; NaN if all are equal.
     pub fn rank_correlation(&self) -> f64 {
-        correlation(&ranks(&self.spreads), &ranks(&self.errors))
+        pearson_correlation(&ranks(&self.spreads), &ranks(&self.errors))
     }
 
-    /// Forms `count` groups of equal size, by spread: mean spread and sorted errors of each.
-    pub fn groups(&self, count: usize) -> Vec<(f64, Vec<f64>)> {
+    /// Forms `count` groups of equal size by ascending spread, without empty ones. Returns mean spread and sorted errors of
+    /// each.
+    pub fn group_by_spread(&self, count: usize) -> Vec<(f64, Vec<f64>)> {
         let mut order: Vec<usize> = (0..self.spreads.len()).collect();
         order.sort_by(|&a, &b| self.spreads[a].total_cmp(&self.spreads[b]).then(a.cmp(&b)));
         let group = |k: usize| {
@@ -186,7 +187,7 @@ impl Confidence {
     /// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the line if the file is damaged.
     pub fn read(path: &Path) -> Result<Self> {
         let mut confidence = Self::default();
-        for (id, spread, error) in csv_rows(path)? {
+        for (id, spread, error) in read_csv_rows(path)? {
             confidence.ids.push(id);
             confidence.spreads.push(spread);
             confidence.errors.push(error);
@@ -194,7 +195,7 @@ impl Confidence {
         Ok(confidence)
     }
 
-    /// Writes the content of `confidence.csv`: test id, spread and error.
+    /// Formats the content of `confidence.csv`: test id, spread and error.
     pub fn to_csv(&self) -> String {
         let mut lines = Lines::new(["sample", "spread", "error"]);
         for ((id, spread), error) in self.ids.iter().zip(&self.spreads).zip(&self.errors) {
@@ -204,7 +205,7 @@ impl Confidence {
     }
 }
 
-/// Ranks each value; equal values share their mean rank.
+/// Ranks each value, from 0 for the smallest; equal values share their mean rank.
 fn ranks(values: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
@@ -218,8 +219,8 @@ fn ranks(values: &[f64]) -> Vec<f64> {
     ranks
 }
 
-/// Computes the Pearson correlation.
-fn correlation(a: &[f64], b: &[f64]) -> f64 {
+/// Computes the Pearson correlation of `a` and `b`; NaN if all values of one are equal.
+fn pearson_correlation(a: &[f64], b: &[f64]) -> f64 {
     let (mean_a, mean_b) = (mean(a.iter().copied()), mean(b.iter().copied()));
     let product =
         |f: &dyn Fn(f64, f64) -> f64| -> f64 { a.iter().zip(b).map(|(a, b)| f(a - mean_a, b - mean_b)).sum() };
@@ -245,12 +246,12 @@ mod tests {
         ];
         for (text, why) in wrong {
             std::fs::write(&path, text).unwrap();
-            let message = whole_series(&path, 20).unwrap_err();
+            let message = read_whole_series(&path, 20).unwrap_err();
             assert!(message.is_input() && message.to_string().contains(why), "{message}");
         }
         std::fs::write(&path, "step,phase,loss\n10,densify,NaN\n20,prune,inf\n").unwrap();
-        assert_eq!(whole_series(&path, 20).unwrap().len(), 2);
-        assert!(whole_series(&folder.path().join("missing.csv"), 20).unwrap_err().is_input());
+        assert_eq!(read_whole_series(&path, 20).unwrap().len(), 2);
+        assert!(read_whole_series(&folder.path().join("missing.csv"), 20).unwrap_err().is_input());
     }
 
     fn confidence(spreads: &[f64], errors: &[f64]) -> Confidence {
@@ -269,9 +270,9 @@ mod tests {
     #[test]
     fn calibration_groups_have_equal_size_and_rising_spread() {
         let c = confidence(&[0.4, 0.1, 0.3, 0.2], &[4.0, 1.0, 3.0, 2.0]);
-        let groups = c.groups(2);
+        let groups = c.group_by_spread(2);
         assert!((groups[0].0 - 0.15).abs() < 1e-12 && (groups[1].0 - 0.35).abs() < 1e-12);
         assert_eq!((&groups[0].1, &groups[1].1), (&vec![1.0, 2.0], &vec![3.0, 4.0]));
-        assert_eq!(c.groups(9).len(), 4, "no group is empty");
+        assert_eq!(c.group_by_spread(9).len(), 4, "no group is empty");
     }
 }

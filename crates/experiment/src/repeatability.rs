@@ -8,7 +8,7 @@
 //! The result is the agreement of two measurements. The mean of all measurements at a position is slightly closer to
 //! each than they are to each other, so a perfect predictor of the mean would score slightly higher.
 //!
-//! [`ceiling`] is the noise ceiling of a test set, a row in the table of baselines. If most test samples were measured
+//! [`noise_ceiling`] is the noise ceiling of a test set, a row in the table of baselines. If most test samples were measured
 //! shortly before or after a training sample, it uses pairs near in time, which share short-term conditions; otherwise
 //! it uses pairs far apart in time.
 
@@ -16,7 +16,7 @@ mod extrapolate;
 mod pairs;
 
 pub use extrapolate::ZeroDistanceEstimate;
-pub use pairs::{FAR_IDS, NEAR_IDS, PairLag, in_order};
+pub use pairs::{FAR_IDS, NEAR_IDS, PairLag, is_in_time_order};
 
 use crate::scores::CEILING;
 use crate::statistics::Summary;
@@ -39,7 +39,7 @@ const LEAST: usize = 20;
 /// and 5 cm at 6 GHz, so more distant pairs do not help the extrapolation.
 pub const REACH_M: f64 = 0.02;
 /// Number of measured pairs per range of larger distances.
-const A_BIN: usize = 100;
+const BIN_PAIRS: usize = 100;
 /// Number of pairs in memory at once, and of their pixels.
 const CHUNK: usize = 64;
 const PIXELS: usize = 1 << 21;
@@ -103,10 +103,7 @@ pub struct DistanceBin {
 /// A metric returns an error or a spectrum cannot be read; [`pwrfgs_core::Error::Stopped`] once `stop` is set.
 pub fn repeatability(data: &Dataset, metrics: &[Plugin<dyn Metric>], stop: &AtomicBool) -> Result<Repeatability> {
     let comparison = PairComparison::new(data, metrics, stop);
-    Ok(Repeatability {
-        near: comparison.similarity(PairLag::Near, true)?,
-        far: comparison.similarity(PairLag::Far, true)?,
-    })
+    Ok(Repeatability { near: comparison.measure(PairLag::Near, true)?, far: comparison.measure(PairLag::Far, true)? })
 }
 
 /// Comparison of the observations of sample pairs, by the per-sample metrics.
@@ -124,46 +121,19 @@ impl<'a> PairComparison<'a> {
         Self { data, plane: data.plane(), metrics, stop }
     }
 
-    /// Measures one kind of pairs: the closest, and, for the whole `curve`, some of the others.
-    fn similarity(&self, lag: PairLag, curve: bool) -> Result<PairSimilarity> {
-        let data = self.data;
-        let pairs = pairs::find_pairs(data, lag);
-        // Measured pairs: the closest, some of every range of distances, and unrelated ones.
-        let mut selected = select_closest(&pairs);
-        let closest = selected.len();
-        let mut ranges = Vec::new();
-        for (edges, range) in pairs::distance_bins(&pairs).into_iter().filter(|_| curve) {
-            let first = selected.len();
-            selected.extend(evenly(&pairs[range], A_BIN));
-            ranges.push((edges, first..selected.len()));
-        }
-        let related = selected.len();
-        selected.extend(pairs::unrelated_pairs(data));
-        let similarity = |measured: PairMetric| {
-            let PairMetric { key, unit, goal, best, values } = measured;
-            let summary = |values: &[f64]| Summary::of(values, goal == Goal::Higher);
-            let bin = |([from_m, to_m], range): &([f64; 2], Range<usize>)| {
-                let Summary { mean, median, .. } = summary(&values[range.clone()]);
-                DistanceBin { from_m: *from_m, to_m: *to_m, pairs: range.len(), mean, median }
-            };
-            let unrelated = summary(&values[related..]).mean;
-            let scale = MetricScale { goal, best, unrelated };
-            let at_zero = if closest < LEAST {
-                let (words, cm) = (lag.words(), REACH_M * 100.0);
-                let requirement = format!("are within {cm:.0} cm of each other; at least {LEAST} are needed");
-                Err(format!("{closest} pairs of samples {words} {requirement}"))
-            } else {
-                scale.at_zero(&selected[..closest], &ceiling_scores(data.task(), &values[..closest]))
-            };
-            MetricSimilarity { key, unit, goal, bins: ranges.iter().map(bin).collect(), unrelated, at_zero }
-        };
-        let metrics = self.measure(&selected)?.into_iter().map(similarity).collect();
-        let reach_m = selected[..closest].last().map_or(0.0, |pair| pair.distance);
-        Ok(PairSimilarity { closest, reach_m, metrics })
+    /// Measures the agreement of pairs of one `lag`: of the closest, and with `bins`, of some of every range of
+    /// distances.
+    fn measure(&self, lag: PairLag, bins: bool) -> Result<PairSimilarity> {
+        let selected = SelectedPairs::select(self.data, lag, bins);
+        let scored = self.score_pairs(&selected.pairs)?;
+        let metrics = scored.into_iter().map(|metric| selected.summarize(metric, lag, self.data.task())).collect();
+        let reach_m = selected.closest().last().map_or(0.0, |pair| pair.distance);
+        Ok(PairSimilarity { closest: selected.closest, reach_m, metrics })
     }
 
-    /// Scores the earlier observation of each pair as a prediction of the later one.
-    fn measure(&self, pairs: &[SamplePair]) -> Result<Vec<PairMetric>> {
+    /// Scores the earlier observation of each pair as a prediction of the later one, by each metric that gives one number
+    /// per pair.
+    fn score_pairs(&self, pairs: &[SamplePair]) -> Result<Vec<PairMetric>> {
         let itself = [self.data.image(0)];
         let started = |m: Measurement| match m.values {
             Values::PerSample(best) if best.len() == 1 => {
@@ -190,11 +160,65 @@ impl<'a> PairComparison<'a> {
         Ok(metrics)
     }
 
-    /// Evaluates all metrics on a chunk of pairs.
+    /// Evaluates all metrics on a chunk of pairs, the measurements of all metrics in one list.
     fn evaluate(&self, predictions: &[Image], truths: &[Image]) -> Result<Vec<Measurement>> {
         let evaluation = Evaluation { predictions, truths, ..Evaluation::of(self.data, &self.plane) };
         let measurements: Result<Vec<_>> = self.metrics.iter().map(|metric| metric.evaluate(&evaluation)).collect();
         Ok(measurements?.concat())
+    }
+}
+
+/// Pairs to measure: the closest, then some of every range of distances, then unrelated ones.
+struct SelectedPairs {
+    pairs: Vec<SamplePair>,
+    /// Number of closest pairs.
+    closest: usize,
+    /// Ends of each range of distances, metres, and the indices of its pairs.
+    bins: Vec<([f64; 2], Range<usize>)>,
+    /// Number of pairs before the unrelated ones.
+    related: usize,
+}
+
+impl SelectedPairs {
+    /// Selects pairs of one `lag`; those of ranges of distances only with `bins`.
+    fn select(data: &Dataset, lag: PairLag, bins: bool) -> Self {
+        let candidates = pairs::find_pairs(data, lag);
+        let mut pairs = select_closest(&candidates);
+        let closest = pairs.len();
+        let mut ranges = Vec::new();
+        for (ends, range) in pairs::distance_bins(&candidates).into_iter().filter(|_| bins) {
+            let first = pairs.len();
+            pairs.extend(evenly(&candidates[range], BIN_PAIRS));
+            ranges.push((ends, first..pairs.len()));
+        }
+        let related = pairs.len();
+        pairs.extend(pairs::draw_unrelated_pairs(data));
+        Self { pairs, closest, bins: ranges, related }
+    }
+
+    /// Returns the closest pairs.
+    fn closest(&self) -> &[SamplePair] {
+        &self.pairs[..self.closest]
+    }
+
+    /// Summarises one metric of the pairs: by distance, of unrelated pairs, and extrapolated to distance zero.
+    fn summarize(&self, metric: PairMetric, lag: PairLag, task: Task) -> MetricSimilarity {
+        let (PairMetric { key, unit, goal, best, values }, closest) = (metric, self.closest);
+        let summary = |values: &[f64]| Summary::of(values, goal == Goal::Higher);
+        let bin = |([from_m, to_m], range): &([f64; 2], Range<usize>)| {
+            let Summary { mean, median, .. } = summary(&values[range.clone()]);
+            DistanceBin { from_m: *from_m, to_m: *to_m, pairs: range.len(), mean, median }
+        };
+        let unrelated = summary(&values[self.related..]).mean;
+        let at_zero = if closest < LEAST {
+            let (words, cm) = (lag.describe(), REACH_M * 100.0);
+            let requirement = format!("are within {cm:.0} cm of each other; at least {LEAST} are needed");
+            Err(format!("{closest} pairs of samples {words} {requirement}"))
+        } else {
+            let scale = MetricScale { goal, best, unrelated };
+            scale.extrapolate(self.closest(), &ceiling_scores(task, &values[..closest]))
+        };
+        MetricSimilarity { key, unit, goal, bins: self.bins.iter().map(bin).collect(), unrelated, at_zero }
     }
 }
 
@@ -231,23 +255,24 @@ type MetricCeiling = (String, ZeroDistanceEstimate);
 #[derive(Clone, Debug, Default)]
 pub struct NoiseCeiling {
     /// Metric keys with their ceiling; empty if it cannot be estimated.
-    pub of: Vec<MetricCeiling>,
+    pub metrics: Vec<MetricCeiling>,
     /// Notes below the table: the pairs used, or why there is no ceiling.
     pub notes: Vec<String>,
 }
 
-/// Estimates the noise ceiling of the test set of `partition` by every per-sample metric.
+/// Estimates the noise ceiling of the test set of `partition` by every per-sample metric; if the data have too few
+/// pairs, it has no metrics, and a note gives the reason.
 ///
 /// # Errors
 /// Same as [`crate::repeatability()`].
-pub fn ceiling(
+pub fn noise_ceiling(
     data: &Dataset,
     partition: &Partition,
     metrics: &[Plugin<dyn Metric>],
     stop: &AtomicBool,
 ) -> Result<NoiseCeiling> {
     let (lag, why) = choose_lag(data, &id_gaps(data, partition));
-    let similarity = PairComparison::new(data, metrics, stop).similarity(lag, false)?;
+    let similarity = PairComparison::new(data, metrics, stop).measure(lag, false)?;
     let estimate = |m: &MetricSimilarity| Some((m.key.clone(), m.at_zero.as_ref().ok().copied()?));
     let ceilings: Vec<MetricCeiling> = similarity.metrics.iter().filter_map(estimate).collect();
     let missing = similarity.metrics.iter().filter_map(|m| Some((&m.key, m.at_zero.as_ref().err()?)));
@@ -259,10 +284,11 @@ pub fn ceiling(
         (true, Some(Err(reason))) => vec![format!("no {CEILING}: {reason}")],
         (true, _) => Vec::new(),
     };
-    Ok(NoiseCeiling { of: ceilings, notes })
+    Ok(NoiseCeiling { metrics: ceilings, notes })
 }
 
-/// Returns the difference of ids between each test sample and the nearest training or validation sample.
+/// Returns the difference of ids between each test sample and the nearest training or validation sample; `u32::MAX`
+/// without such samples.
 fn id_gaps(data: &Dataset, partition: &Partition) -> Vec<u32> {
     let ids: Vec<u32> = partition.known().all().iter().map(|&i| data.sample(i).id).collect();
     let gap = |&i: &usize| {
@@ -276,7 +302,7 @@ fn id_gaps(data: &Dataset, partition: &Partition) -> Vec<u32> {
 
 /// Chooses the kind of pairs by the `gaps` of [`id_gaps`]; also returns the reason.
 fn choose_lag(data: &Dataset, gaps: &[u32]) -> (PairLag, String) {
-    if !in_order(data) {
+    if !is_in_time_order(data) {
         return (PairLag::Far, "since samples with consecutive ids are not close in space".into());
     }
     let near = gaps.iter().filter(|gap| **gap <= FAR_IDS).count();
@@ -295,7 +321,7 @@ fn pair_notes(task: Task, pairs: &PairSimilarity, lag: PairLag, why: &str, ceili
     let meaning = task.ceiling.note;
     let is_perfect = task.ceiling.share < 1.0; // the row is that of the perfect predictor already
     let more = if is_perfect { "" } else { "; a perfect predictor of the mean could reach a little more" };
-    let (count, words) = (grouped(pairs.closest as i64), lag.words());
+    let (count, words) = (grouped(pairs.closest as i64), lag.describe());
     let interval = |(key, at_zero): &MetricCeiling| {
         let [low, high] = at_zero.interval.map(number);
         format!("{key} {low} to {high}")

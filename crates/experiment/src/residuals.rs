@@ -24,7 +24,7 @@ pub(crate) fn check_residuals(pipeline: &Pipeline, split: &SplitData, joined: bo
 ///
 /// # Errors
 /// As [`Pipeline::partition`].
-pub(crate) fn left_out(pipeline: &Pipeline, split: &SplitData, folds: usize) -> Result<Vec<Vec<usize>>> {
+pub(crate) fn left_out_links(pipeline: &Pipeline, split: &SplitData, folds: usize) -> Result<Vec<Vec<usize>>> {
     if folds == 1 || !pipeline.residuals.as_ref().is_some_and(|residuals| residuals.folds) {
         return Ok(vec![split.partition.validation.clone()]);
     }
@@ -33,8 +33,7 @@ pub(crate) fn left_out(pipeline: &Pipeline, split: &SplitData, folds: usize) -> 
 
 impl ActiveRun<'_, '_> {
     /// Fits residual processes of the trained ensemble to all known links, if the pipeline selects them and it has
-    /// none.
-    /// `folds` is the number of members of a joined sweep, 1 for a model of one run.
+    /// none. `folds` is the number of members of a joined sweep, 1 for a model of one run.
     ///
     /// # Errors
     /// As [`Residuals::fit`].
@@ -42,7 +41,7 @@ impl ActiveRun<'_, '_> {
         let (Some(settings), None) = (&self.pipeline.residuals, ensemble.residuals()) else { return Ok(ensemble) };
         let links = self.split.partition.known().all();
         let mut left_out_by = vec![LeftOutBy::NoMember; links.len()];
-        let lists = left_out(self.pipeline, self.split, folds)?;
+        let lists = left_out_links(self.pipeline, self.split, folds)?;
         for (member, left_out) in lists.iter().enumerate() {
             for link in left_out {
                 let Ok(k) = links.binary_search(link) else {

@@ -1,7 +1,7 @@
 //! `RunFolder`: one folder per run, locked by one process at a time.
 
 use crate::facts::Facts;
-use crate::folder::{CHECKPOINT, FACTS, PIPELINE, sealed};
+use crate::folder::{CHECKPOINT, FACTS, PIPELINE, sealed_files};
 use crate::input;
 use crate::load::SplitData;
 use crate::scores::ScoreTable;
@@ -28,21 +28,22 @@ pub enum RunState {
 }
 
 impl RunState {
-    /// Reads scores and facts of the finished run in `path`, including its report if `reported`.
+    /// Reads scores and facts of the finished run in `path`; `None` if it must still be run or scored, or lacks the report
+    /// if `reported`.
     ///
     /// # Errors
     /// Same as [`Facts::read`].
-    pub(crate) fn finished(self, path: &Path, reported: bool) -> Result<Option<(ScoreTable, Facts)>> {
-        let end = if self == Self::Begun { Facts::finished(path)? } else { None };
+    pub(crate) fn read_finished(self, path: &Path, reported: bool) -> Result<Option<(ScoreTable, Facts)>> {
+        let end = if self == Self::Begun { Facts::read_finished(path)? } else { None };
         Ok(end.filter(|(_, facts)| facts.report || !reported))
     }
 
-    /// Reads the scores as `finished` does, with all files verified.
+    /// Reads the scores as [`Self::read_finished`] does, with all files verified.
     ///
     /// # Errors
     /// A damaged or missing file.
-    pub(crate) fn verified(self, path: &Path, reported: bool) -> Result<Option<ScoreTable>> {
-        let Some((scores, facts)) = self.finished(path, reported)? else { return Ok(None) };
+    pub(crate) fn read_verified(self, path: &Path, reported: bool) -> Result<Option<ScoreTable>> {
+        let Some((scores, facts)) = self.read_finished(path, reported)? else { return Ok(None) };
         facts.verify(path).map(|()| Some(scores))
     }
 }
@@ -83,7 +84,7 @@ impl RunFolder {
         Self::inspect(path, pipeline)?;
         std::fs::create_dir_all(path).map_err(|e| Error::write(path, e))?;
         let folder = HeldFolder::open(path)?;
-        let (lock, is_new, state) = lock(folder.path(), pipeline).map_err(|e| folder.named(e))?;
+        let (lock, is_new, state) = lock_pipeline(folder.path(), pipeline).map_err(|e| folder.name_in_error(e))?;
         remove_leftovers(folder.path());
         Ok(Self { folder, lock, is_new, state })
     }
@@ -112,7 +113,7 @@ impl RunFolder {
         Ok(facts)
     }
 
-    /// Returns whether a process uses `path`.
+    /// Returns whether a process runs or reports the run in `path`.
     pub fn is_busy(path: &Path) -> bool {
         files::open(path.join(PIPELINE))
             .is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
@@ -148,13 +149,16 @@ impl RunFolder {
     /// # Errors
     /// The error of `result`, or a folder that was moved or replaced.
     pub fn settle<T>(&self, result: Result<T>) -> Result<T> {
-        let value = result.map_err(|e| self.folder.named(e))?;
+        let value = result.map_err(|e| self.folder.name_in_error(e))?;
         self.folder.check_name().map(|()| value)
     }
 }
 
-/// Locks `pipeline.ron`, writing it if needed; returns whether it was written, and the state.
-fn lock(folder: &Path, pipeline: &Pipeline) -> Result<(File, bool, RunState)> {
+/// Locks `pipeline.ron` in `folder`, writing it if needed. Returns the locked file, whether it was written, and the state.
+///
+/// # Errors
+/// As [`RunFolder::claim`].
+fn lock_pipeline(folder: &Path, pipeline: &Pipeline) -> Result<(File, bool, RunState)> {
     let file = folder.join(PIPELINE);
     loop {
         let is_new = write_new(&file, pipeline.to_ron()?.as_bytes())?;
@@ -168,15 +172,17 @@ fn lock(folder: &Path, pipeline: &Pipeline) -> Result<(File, bool, RunState)> {
     }
 }
 
-/// Compares the pipeline `theirs` of `file` in `folder` with `ours`. A run is identified by its training settings; the
-/// error names the first difference.
+/// Compares the pipeline `theirs` of `file` in `folder` with `ours`: a run is identified by its training settings.
+///
+/// # Errors
+/// The training settings differ; the message has the first difference.
 fn compare_pipelines(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<RunState> {
     let text = ours.to_ron()?;
     if theirs == text {
         return Ok(RunState::Begun);
     }
     // Parsed and written again, so that new fields with defaults, or comments, do not count as differences.
-    let (theirs, ours, alike) = match input::parse(theirs, file, &[]) {
+    let (theirs, ours, alike) = match input::parse_pipeline(theirs, file, &[]) {
         Ok(theirs) => {
             let ours = scored_as(ours, &theirs);
             (theirs.essential().to_ron()?, ours.essential().to_ron()?, ours.to_ron()? == text)
@@ -210,5 +216,5 @@ fn scored_as(pipeline: &Pipeline, other: &Pipeline) -> Pipeline {
 
 /// Removes temporary files of killed starts, such as `.checkpoint.safetensors.123.tmp`. Failures are ignored.
 fn remove_leftovers(folder: &Path) {
-    files::remove_temporaries(folder, &UNSEALED.into_iter().chain(sealed()).collect::<Vec<_>>());
+    files::remove_temporaries(folder, &UNSEALED.into_iter().chain(sealed_files()).collect::<Vec<_>>());
 }

@@ -3,7 +3,7 @@
 use crate::evaluate::{check_alike, evaluate, validation_baselines};
 use crate::facts::Facts;
 use crate::folder::{CURVE, MODEL_FILE};
-use crate::input::resolve;
+use crate::input::resolve_pipeline;
 use crate::journal::Journal;
 use crate::load::{ActiveRun, load, load_with_findings};
 use crate::residuals::check_residuals;
@@ -63,7 +63,7 @@ pub fn score_model(
     out: &Path,
     session: &mut Session<'_>,
 ) -> Result<RunOutcome> {
-    let resolved = resolve(pipeline, base)?;
+    let resolved = resolve_pipeline(pipeline, base)?;
     check_alike(&model.prepare(), &load(&resolved, base, session.observer)?.data)?; // before files are written
     let folder = RunFolder::claim(out, &resolved)?;
     let (path, bytes) = (folder.file(MODEL_FILE), file::ensemble_to_bytes(model));
@@ -85,17 +85,17 @@ fn start_or_resume(
     session: &mut Session<'_>,
     begun: Instant,
 ) -> Result<Option<RunOutcome>> {
-    let pipeline = &resolve(pipeline, base)?;
+    let pipeline = &resolve_pipeline(pipeline, base)?;
     let already = |scores: ScoreTable| Some(RunOutcome::Finished { scores: scores.into(), already: true });
     let (state, reported) = (RunFolder::inspect(out, pipeline)?, session.page.is_some());
-    if let Some(scores) = state.verified(out, reported)? {
+    if let Some(scores) = state.read_verified(out, reported)? {
         // A finished run may have been restarted since, by another process with another pipeline.
         return RunFolder::inspect(out, pipeline).map(|_| already(scores));
     }
     // Earlier results are read under the lock, since another process could still write.
     let held = (state != RunState::New).then(|| RunFolder::claim(out, pipeline)).transpose()?;
     if let Some(folder) = &held {
-        if let Some(scores) = folder.settle(folder.state().verified(folder.path(), reported))? {
+        if let Some(scores) = folder.settle(folder.state().read_verified(folder.path(), reported))? {
             return Ok(already(scores));
         }
         check_resumable(folder, out)?;
@@ -107,7 +107,7 @@ fn start_or_resume(
     // Created before a new folder is claimed: invalid settings must not leave files.
     let trainer = match &held {
         Some(folder) if folder.file(MODEL_FILE).is_file() => None,
-        held => match run.trainer(held.as_ref()) {
+        held => match run.start_trainer(held.as_ref()) {
             Err(Error::Stopped) => return Ok(Some(RunOutcome::Interrupted { step: 0 })),
             trainer => Some(trainer?),
         },
@@ -141,7 +141,8 @@ fn check_resumable(folder: &RunFolder, out: &Path) -> Result<()> {
 }
 
 impl<'a> ActiveRun<'a, '_> {
-    /// Completes training, unless the model exists (`None` as trainer), and scores the model.
+    /// Completes training, unless the model exists (`None` as trainer), and scores the model. The outcome is `Interrupted`
+    /// or `Unscored` if the session is stopped.
     fn complete(mut self, trainer: Option<Trainer<'a>>, folder: &RunFolder, mut facts: Facts) -> Result<RunOutcome> {
         let model = match trainer {
             None => file::read_ensemble(&folder.file(MODEL_FILE))?,
@@ -156,7 +157,7 @@ impl<'a> ActiveRun<'a, '_> {
         }
     }
 
-    /// Fits residuals and intervals to the model, scores it, and writes all results.
+    /// Fits residuals and intervals to the model, scores it, and writes all results. Returns the scores.
     fn score(&mut self, mut model: Ensemble, folder: &RunFolder, mut facts: Facts) -> Result<ScoreTable> {
         let (pipeline, split, begun) = (self.pipeline, self.split, Instant::now());
         // The links that a model of `score_model` was trained on are unknown, so it is not calibrated.
@@ -184,7 +185,7 @@ impl<'a> ActiveRun<'a, '_> {
         }
         facts.wall_seconds += begun.elapsed().as_secs_f64();
         if pipeline.tensorboard {
-            Journal::open(folder, pipeline, task, pipeline.training.steps)?.scores(&result.scores.table)?;
+            Journal::open(folder, pipeline, task, pipeline.training.steps)?.record_scores(&result.scores.table)?;
         }
         self.conclude(folder, facts, &model, result)
     }

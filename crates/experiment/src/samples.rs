@@ -1,6 +1,6 @@
 //! Samples of a data set: `samples.csv` (position and set of each sample, distance to the nearest training transmitter).
 
-use crate::text::{csv_rows, field};
+use crate::text::{field, read_csv_rows};
 use pwrfgs_core::{Dataset, Partition, Real, Result, neighbours};
 use pwrfgs_pipeline::Pipeline;
 use serde::Deserialize;
@@ -16,12 +16,11 @@ pub fn data_key(pipeline: &Pipeline) -> String {
     format!("{:?} {:?} {}", pipeline.data, pipeline.split, pipeline.split_seed.unwrap_or(pipeline.seed))
 }
 
-/// Writes the content of `samples.csv`: id, x, y, z in metres (empty if unknown), split, and the distance to the
+/// Formats the content of `samples.csv`: id, x, y, z in metres (empty if unknown), split, and the distance to the
 /// nearest other training transmitter in metres (empty if there is none). With several receivers a row is a link: its
-/// number, as in
-/// `scores.csv`, is the first column, and the receiver name follows the id.
-/// `intervals` are those of the test samples, which add columns; empty without intervals.
-pub fn to_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> String {
+/// number, as in `scores.csv`, is the first column, and the receiver name follows the id. `intervals` are those of the
+/// test samples, which add columns; empty without intervals.
+pub fn samples_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> String {
     let mut split = vec!["unused"; data.len()];
     for (part, name) in [(&partition.train, "train"), (&partition.validation, "validation"), (&partition.test, "test")]
     {
@@ -29,7 +28,7 @@ pub fn to_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> 
             split[i] = name;
         }
     }
-    let nearest = nearest_train(data, partition);
+    let nearest = nearest_training_distances(data, partition);
     let many = data.scene.receivers.len() > 1;
     let task = data.task();
     let columns = task.intervals.iter().flat_map(|words| words.columns).filter(|_| !intervals.is_empty());
@@ -57,7 +56,7 @@ pub fn to_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> 
 
 /// Returns the distance from the transmitter of each link to the nearest other transmitter with a training link,
 /// metres; infinity if there is none. Zero if the link is not a training link but another link of its transmitter is.
-pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
+pub fn nearest_training_distances(data: &Dataset, partition: &Partition) -> Vec<Real> {
     let positions: Vec<[Real; 3]> = data.locations.iter().map(|t| data.scene.origin.local(t.position())).collect();
     let mut trained: Vec<usize> = partition.train.iter().map(|&i| data.links[i].location).collect();
     trained.sort_unstable();
@@ -105,7 +104,7 @@ impl TestSamples {
     /// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the line if the file is damaged.
     pub fn read(path: &Path) -> Result<Self> {
         let mut samples = Self::default();
-        for SampleRow { link, id, x, y, z, split, nearest_train_m } in csv_rows(path)? {
+        for SampleRow { link, id, x, y, z, split, nearest_train_m } in read_csv_rows(path)? {
             if split == "test" {
                 let label = link.unwrap_or(id);
                 samples.nearest_train_m.insert(label, nearest_train_m.unwrap_or(f64::INFINITY));
@@ -128,7 +127,7 @@ mod tests {
         let data =
             Dataset::new("line", Pose::IDENTITY, vec![], samples, Spectra::grey((1, 1), vec![0; 4]).unwrap()).unwrap();
         let partition = Partition { train: vec![0, 1], validation: vec![], test: vec![2] };
-        let text = to_csv(&data, &partition, &[]);
+        let text = samples_csv(&data, &partition, &[]);
         let expected = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n2,2,0,0,train,2\n5,2.5,0,0,test,0.5\n\
                         6,9,0,0,unused,7\n";
         assert_eq!(text, expected);

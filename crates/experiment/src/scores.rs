@@ -3,8 +3,8 @@
 //! Columns of `scores.csv`: predictor, metric, sample (a test id, or empty for a number about the whole model), value.
 
 use crate::paired::{Paired, PairedRow, is_compared};
-use crate::statistics::{Blocks, Difference, Summary, null_is_infinite};
-use crate::text::{Lines, csv_rows, damaged, number};
+use crate::statistics::{Blocks, Difference, Summary, read_null_as_infinite};
+use crate::text::{Lines, damaged, number, read_csv_rows};
 use pwrfgs_core::messages::text_of;
 use pwrfgs_core::{Goal, Measurement, Result, Task, Values};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -65,7 +65,7 @@ pub struct ScoreTable {
     pub task: Task,
 }
 
-/// Returns whether a task is omitted in `run.json`.
+/// Returns whether `task` is the default, which `run.json` omits.
 fn is_default(task: &Task) -> bool {
     *task == Task::default()
 }
@@ -90,7 +90,7 @@ pub enum ScoreCell {
     /// Summary over the test samples.
     Samples(Summary),
     /// One value for the whole model.
-    Whole(#[serde(deserialize_with = "null_is_infinite")] f64),
+    Whole(#[serde(deserialize_with = "read_null_as_infinite")] f64),
     /// Not applicable, with the reason.
     NotApplicable(String),
 }
@@ -161,7 +161,8 @@ impl ScoreCell {
         }
     }
 
-    /// Returns mean, median and worse percentile of per-sample values; the value of a whole model; or nothing.
+    /// Returns mean, median and worse percentile of per-sample values, or the value of a whole model; empty if the metric
+    /// is not applicable.
     pub fn numbers(&self) -> Vec<f64> {
         match self {
             Self::Samples(Summary { mean, median, tail10 }) => vec![*mean, *median, *tail10],
@@ -200,8 +201,8 @@ impl Scores {
         Self { table: ScoreTable { predictors: names, metrics, ..table }, ids, predictors, intervals: Vec::new() }
     }
 
-    /// Returns the values of one per-sample metric of one predictor.
-    pub fn samples(&self, predictor: &str, key: &str) -> Option<&[f64]> {
+    /// Returns the values of one per-sample metric of one predictor; `None` if it has none.
+    pub fn sample_values(&self, predictor: &str, key: &str) -> Option<&[f64]> {
         let (_, measurements) = self.predictors.iter().find(|(name, _)| name == predictor)?;
         match &measurements.iter().find(|m| m.key == key)?.values {
             Values::PerSample(values) => Some(values),
@@ -209,19 +210,19 @@ impl Scores {
         }
     }
 
-    /// Returns the values of one per-sample metric of one predictor, by label of the test sample.
-    pub fn by_id(&self, predictor: &str, key: &str) -> Option<BTreeMap<u32, f64>> {
-        Some(self.ids.iter().copied().zip(self.samples(predictor, key)?.iter().copied()).collect())
+    /// Returns the values of one per-sample metric of one predictor by label of the test sample; `None` if it has none.
+    pub fn values_by_id(&self, predictor: &str, key: &str) -> Option<BTreeMap<u32, f64>> {
+        Some(self.ids.iter().copied().zip(self.sample_values(predictor, key)?.iter().copied()).collect())
     }
 
     /// Computes paired differences between the model and each baseline, by the metrics that [`is_compared`] selects;
     /// `positions` are those of the test transmitters, metres, by id. `None` if there is no baseline or no such metric.
-    pub(crate) fn paired(&self, positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Option<Paired> {
+    pub(crate) fn paired_differences(&self, positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Option<Paired> {
         let blocks = Blocks::new(positions);
         let (_, measurements) = self.predictors.first()?;
         let compared = measurements.iter().filter(|m| is_compared(&m.key, self.table.task));
         let row = |baseline: &str, key: &str, goal: Goal| {
-            let pairs = self.samples(MODEL, key)?.iter().zip(self.samples(baseline, key)?);
+            let pairs = self.sample_values(MODEL, key)?.iter().zip(self.sample_values(baseline, key)?);
             let differences = self.ids.iter().zip(pairs).map(|(id, (model, baseline))| (*id, model - baseline));
             let Difference { mean, interval, .. } = Difference::of(&[blocks.block_sums(differences)])?;
             let (baseline, metric, higher_is_better) = (baseline.to_owned(), key.to_owned(), goal == Goal::Higher);
@@ -235,14 +236,16 @@ impl Scores {
         (!rows.is_empty()).then_some(Paired { edge_m: blocks.edge_m, cubes: blocks.count, rows })
     }
 
-    /// Returns the value of one metric of one predictor: that of the whole model, or the mean over test samples.
+    /// Returns the value of one metric of one predictor: that of the whole model, or the mean over test samples; `None`
+    /// if it has none.
     pub fn value(&self, predictor: &str, key: &str) -> Option<f64> {
         self.table.numbers(predictor, key)?.first().copied()
     }
 }
 
 impl ScoreTable {
-    /// Adds the noise ceiling of each metric that has one, as the last predictor.
+    /// Adds the noise ceiling as the last predictor, with a cell that is not applicable for metrics without one; no
+    /// predictor if `ceilings` is empty.
     pub(crate) fn add_ceiling(&mut self, ceilings: &[(String, Summary)]) {
         if ceilings.is_empty() {
             return;
@@ -255,7 +258,8 @@ impl ScoreTable {
         }
     }
 
-    /// Returns the [`ScoreCell::numbers`] of one metric of one predictor or the noise ceiling.
+    /// Returns the [`ScoreCell::numbers`] of one metric of one predictor or the noise ceiling; `None` if predictor or
+    /// metric is unknown.
     pub fn numbers(&self, predictor: &str, key: &str) -> Option<Vec<f64>> {
         let index = self.predictors.iter().position(|name| name == predictor)?;
         Some(self.metrics.iter().find(|row| row.key == key)?.cells.get(index)?.numbers())
@@ -267,8 +271,9 @@ impl ScoreTable {
         self.predictors.iter().filter(is_baseline).map(String::as_str)
     }
 
-    /// Returns the score of the model by one metric: the mean over test samples, or the value of the whole model.
-    pub fn of_model(&self, key: &str) -> Option<f64> {
+    /// Returns the score of the model by one metric: the mean over test samples, or the value of the whole model; `None`
+    /// without one.
+    pub fn model_score(&self, key: &str) -> Option<f64> {
         self.numbers(MODEL, key)?.first().copied()
     }
 
@@ -284,14 +289,14 @@ impl ScoreTable {
         values.iter().map(|v| v.map(rank)).collect()
     }
 
-    /// Returns whether a predictor is ranked: not oracle baselines and the ceiling.
+    /// Returns whether a predictor is ranked: all are, except oracle baselines and the noise ceiling.
     fn is_ranked(&self, name: &str) -> bool {
         name != CEILING && !self.oracles.iter().any(|oracle| oracle == name)
     }
 }
 
 impl Scores {
-    /// Writes the content of `scores.csv`.
+    /// Formats the content of `scores.csv`.
     pub fn to_csv(&self) -> String {
         let mut lines = Lines::new(["predictor", "metric", "sample", "value"]);
         for (predictor, measurements) in &self.predictors {
@@ -316,7 +321,7 @@ impl Scores {
     /// [`pwrfgs_core::Error::Input`] with the line if the file is damaged, or `table` belongs to other scores.
     pub fn read(path: &Path, table: ScoreTable) -> Result<Self> {
         let mut scores = Self { table, ..Self::default() };
-        let (rows, mut line) = (csv_rows::<ScoreRow>(path)?, 2);
+        let (rows, mut line) = (read_csv_rows::<ScoreRow>(path)?, 2);
         for group in rows.chunk_by(|a, b| (&a.predictor, &a.metric) == (&b.predictor, &b.metric)) {
             // A metric that is listed twice has its samples twice.
             let again = group[1..].iter().position(|row| row.sample == group[0].sample);
@@ -328,7 +333,11 @@ impl Scores {
         Ok(scores)
     }
 
-    /// Adds the rows of one metric of one predictor.
+    /// Adds the rows of one metric of one predictor, and summarises them in the table. The first rows per sample also
+    /// define the `ids`.
+    ///
+    /// # Errors
+    /// The difference between the rows and the table or earlier rows.
     fn add_rows(&mut self, rows: &[ScoreRow]) -> Result<(), String> {
         let ScoreRow { predictor, metric, sample, value } = &rows[0];
         let (predictor, key) = (text_of(predictor), text_of(metric));
@@ -372,25 +381,25 @@ impl Scores {
 struct ScoreRow {
     predictor: String,
     metric: String,
-    #[serde(deserialize_with = "unless_empty")]
+    #[serde(deserialize_with = "read_unless_empty")]
     sample: Option<u32>,
     /// `None` if the metric does not apply.
-    #[serde(deserialize_with = "unless_not_applicable")]
+    #[serde(deserialize_with = "read_unless_not_applicable")]
     value: Option<f64>,
 }
 
-/// Reads a number; `None` if the field is empty.
-fn unless_empty<'de, D: Deserializer<'de>>(field: D) -> Result<Option<u32>, D::Error> {
-    number_unless("", &String::deserialize(field)?)
+/// Reads an integer; `None` if the field is empty.
+fn read_unless_empty<'de, D: Deserializer<'de>>(field: D) -> Result<Option<u32>, D::Error> {
+    parse_unless("", &String::deserialize(field)?)
 }
 
 /// Reads a number; `None` for `n/a`.
-fn unless_not_applicable<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f64>, D::Error> {
-    number_unless("n/a", &String::deserialize(field)?)
+fn read_unless_not_applicable<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f64>, D::Error> {
+    parse_unless("n/a", &String::deserialize(field)?)
 }
 
-/// Parses a number, unless the text is `none`.
-fn number_unless<T: FromStr, E: serde::de::Error>(none: &str, text: &str) -> Result<Option<T>, E> {
+/// Parses a number; `None` if `text` equals `none`.
+fn parse_unless<T: FromStr, E: serde::de::Error>(none: &str, text: &str) -> Result<Option<T>, E> {
     (text != none).then(|| text.parse().ok().ok_or_else(|| E::custom(format!("`{text}` is not a number")))).transpose()
 }
 
@@ -468,8 +477,8 @@ mod tests {
         assert_eq!(text.lines().next(), Some(heading), "{text}");
         let same = ScoreTable { samples: [12, 12, 2], ..scores().table };
         assert_eq!(same.heading(), "2 test spectra; model and baselines are trained on the same 12");
-        assert_eq!((table.of_model("ssim"), table.of_model("gaussians")), (Some(0.6), Some(2613.0)));
-        assert_eq!(table.of_model("eta_0db"), None);
+        assert_eq!((table.model_score("ssim"), table.model_score("gaussians")), (Some(0.6), Some(2613.0)));
+        assert_eq!(table.model_score("eta_0db"), None);
         assert_eq!(table.ranks(&table.metrics[0], 0), vec![Some(0), Some(1)]);
         assert_eq!(table.ranks(&table.metrics[1], 0), vec![Some(0), None]);
         let json = serde_json::to_string(&table).unwrap();

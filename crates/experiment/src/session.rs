@@ -76,7 +76,8 @@ pub struct NoopObserver;
 
 impl Observer for NoopObserver {}
 
-/// Performs `work` and reports its progress to the observer as the stage `name`.
+/// Performs `work` and reports its progress to the observer as the stage `name`. Counts of parallel calls may arrive out of
+/// order: lower ones are dropped.
 pub fn staged<R>(observer: &mut dyn Observer, name: &str, work: impl FnOnce(Progress<'_>) -> R) -> R {
     observer.on_stage(name, 0, 0);
     let state = Mutex::new((observer, None));

@@ -26,13 +26,13 @@ pub const CONFIDENCE: f64 = 0.95;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Arithmetic mean.
-    #[serde(deserialize_with = "null_is_infinite")]
+    #[serde(deserialize_with = "read_null_as_infinite")]
     pub mean: f64,
     /// Middle value.
-    #[serde(deserialize_with = "null_is_infinite")]
+    #[serde(deserialize_with = "read_null_as_infinite")]
     pub median: f64,
     /// Bad tail: the 10th percentile if higher is better, else the 90th.
-    #[serde(deserialize_with = "null_is_infinite")]
+    #[serde(deserialize_with = "read_null_as_infinite")]
     pub tail10: f64,
 }
 
@@ -49,7 +49,7 @@ impl Summary {
 }
 
 /// Reads a number that is stored as `null` if it is infinite, since JSON has no infinity.
-pub(crate) fn null_is_infinite<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+pub(crate) fn read_null_as_infinite<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
     Ok(Option::<f64>::deserialize(d)?.unwrap_or(f64::INFINITY))
 }
 
@@ -86,8 +86,8 @@ pub struct BlockSum {
 }
 
 impl BlockSum {
-    /// Adds a difference.
-    pub fn add(&mut self, difference: f64) {
+    /// Adds a difference to sum and count.
+    pub fn add_difference(&mut self, difference: f64) {
         self.sum += difference;
         self.count += 1;
     }
@@ -117,13 +117,13 @@ impl Difference {
         let seeds: Vec<usize> = (0..cells.len()).collect();
         let blocks: Vec<usize> =
             (0..cells.first()?.len()).filter(|b| cells.iter().any(|seed| seed[*b].count > 0)).collect();
-        let mean = mean(&cells, &seeds, &blocks)?;
+        let mean = crossed_mean(&cells, &seeds, &blocks)?;
         let interval = (blocks.len() > 1).then(|| {
             // Same random stream for every difference, so that rows of a table are comparable.
             let mut random = rng::stream(0, "bootstrap", 0);
             let replicate = || {
                 let (seeds, blocks) = (draw_indices(&mut random, &seeds), draw_indices(&mut random, &blocks));
-                self::mean(&cells, &seeds, &blocks).unwrap_or(mean)
+                crossed_mean(&cells, &seeds, &blocks).unwrap_or(mean)
             };
             let means = sorted(repeat_with(replicate).take(replicates));
             let tail = (1.0 - CONFIDENCE) / 2.0;
@@ -138,14 +138,15 @@ impl Difference {
     }
 }
 
-/// Draws one index fewer than there are, with replacement; a single one is returned.
+/// Draws one of `indices` fewer than there are, with replacement; a single one is returned.
 fn draw_indices(random: &mut Rng, indices: &[usize]) -> Vec<usize> {
     let count = indices.len().saturating_sub(1).max(1);
     repeat_with(|| indices[rng::below(random, indices.len())]).take(count).collect()
 }
 
-/// Computes the mean over `seeds` of the mean over `blocks`; seeds without differences in these blocks are skipped.
-fn mean(cells: &[&[BlockSum]], seeds: &[usize], blocks: &[usize]) -> Option<f64> {
+/// Computes the mean over `seeds` of the mean difference in `blocks`; seeds without differences in these blocks are
+/// skipped, `None` if all are.
+fn crossed_mean(cells: &[&[BlockSum]], seeds: &[usize], blocks: &[usize]) -> Option<f64> {
     let of_seed = |seed: &usize| {
         let (sum, count) = blocks
             .iter()
@@ -183,11 +184,11 @@ impl Blocks {
         let all_known: Option<_> = positions.iter().map(|(id, position)| Some((*id, (*position)?))).collect();
         let single =
             || Self { edge_m: None, count: positions.len(), by_id: positions.keys().copied().zip(0..).collect() };
-        all_known.map_or_else(single, |positions| Self::cubes(&positions))
+        all_known.map_or_else(single, |positions| Self::with_cubes(&positions))
     }
 
     /// Creates cubes with the largest edge that leaves [`WANTED`] cubes; all `positions` are known.
-    fn cubes(positions: &BTreeMap<u32, [f64; 3]>) -> Self {
+    fn with_cubes(positions: &BTreeMap<u32, [f64; 3]>) -> Self {
         let ends = [0, 1, 2].map(|k| bounds(positions.values().map(|position| position[k])));
         let extent = ends.iter().map(|(low, high)| high - low).fold(0.0, f64::max);
         let cube = |position: &[f64; 3], edge: f64| [0, 1, 2].map(|k| ((position[k] - ends[k].0) / edge) as i64);
@@ -206,15 +207,15 @@ impl Blocks {
     pub fn block_sums(&self, differences: impl IntoIterator<Item = (u32, f64)>) -> Vec<BlockSum> {
         let mut cells = vec![BlockSum::default(); self.count];
         for (id, difference) in differences.into_iter().filter(|(_, difference)| difference.is_finite()) {
-            if let Some(block) = self.of(id) {
-                cells[block].add(difference);
+            if let Some(block) = self.block_of(id) {
+                cells[block].add_difference(difference);
             }
         }
         cells
     }
 
-    /// Returns the block of a test sample.
-    pub fn of(&self, id: u32) -> Option<usize> {
+    /// Returns the index of the block of a test sample; `None` for an unknown id.
+    pub fn block_of(&self, id: u32) -> Option<usize> {
         self.by_id.get(&id).copied()
     }
 }
@@ -239,7 +240,7 @@ mod tests {
             let of_seed: Vec<f64> = (0..seeds).map(|_| normal(self.seed)).collect();
             let mut cell = |seed: &f64, block: &f64| {
                 let mut cell = BlockSum::default();
-                (0..samples).for_each(|_| cell.add(seed + block + normal(self.sample)));
+                (0..samples).for_each(|_| cell.add_difference(seed + block + normal(self.sample)));
                 cell
             };
             of_seed.iter().map(|seed| of_block.iter().map(|block| cell(seed, block)).collect()).collect()
@@ -362,10 +363,13 @@ mod tests {
         let places =
             (0..200u32).map(|id| (id, Some([f64::from(id / 2 % 10), f64::from(id / 20), 0.01 * f64::from(id % 2)])));
         let blocks = Blocks::new(&places.collect());
-        assert!((0..100).all(|k| blocks.of(2 * k) == blocks.of(2 * k + 1)));
+        assert!((0..100).all(|k| blocks.block_of(2 * k) == blocks.block_of(2 * k + 1)));
         assert!((30..=50).contains(&blocks.count), "{}", blocks.count);
         assert!((1.0..2.0).contains(&blocks.edge_m.unwrap()), "{:?}", blocks.edge_m);
-        assert_eq!((blocks.of(0), blocks.of(199), blocks.of(200)), (Some(0), Some(blocks.count - 1), None));
+        assert_eq!(
+            (blocks.block_of(0), blocks.block_of(199), blocks.block_of(200)),
+            (Some(0), Some(blocks.count - 1), None)
+        );
     }
 
     #[test]
@@ -373,7 +377,7 @@ mod tests {
         let positions = BTreeMap::from([(1, [0.0; 3]), (5, [0.1, 0.0, 0.0]), (9, [3.0, 0.0, 1.0])]);
         let positions = positions.into_iter().map(|(id, position)| (id, Some(position))).collect();
         let blocks = Blocks::new(&positions);
-        assert_eq!(BTreeSet::from([1, 5, 9].map(|id| blocks.of(id).unwrap())).len(), 3);
+        assert_eq!(BTreeSet::from([1, 5, 9].map(|id| blocks.block_of(id).unwrap())).len(), 3);
         assert_eq!(Blocks::new(&BTreeMap::from([1, 2].map(|id| (id, Some([2.0; 3]))))).count, 1);
         assert_eq!(Blocks::new(&BTreeMap::new()).count, 0);
     }
@@ -383,6 +387,6 @@ mod tests {
         let positions = (0..1_000).map(|id| (id, if id < 2 { Some([0.0; 3]) } else { None })).collect();
         let blocks = Blocks::new(&positions);
         assert_eq!((blocks.edge_m, blocks.count), (None, 1_000));
-        assert_eq!((0..1_000).map(|id| blocks.of(id).unwrap()).collect::<BTreeSet<_>>().len(), 1_000);
+        assert_eq!((0..1_000).map(|id| blocks.block_of(id).unwrap()).collect::<BTreeSet<_>>().len(), 1_000);
     }
 }

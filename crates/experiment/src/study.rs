@@ -8,13 +8,13 @@ mod families;
 mod setting;
 
 pub use families::{ParetoComparison, VariantFamily};
-pub use setting::{Setting, StudyVariant, distinct, one_line};
+pub use setting::{Setting, StudyVariant, distinct, ron_line};
 
 use crate::Record;
 use crate::folder::PIPELINE;
 use crate::sweep::{JOINED, LISTING, Listing};
 use pwrfgs_core::{Error, Result};
-use setting::{Labels, group_by_setting, listed, name_single_runs, setting_key};
+use setting::{Labels, group_by_setting, joined_names, name_single_runs, setting_key};
 use std::path::{Path, PathBuf};
 
 /// Runs to compare.
@@ -59,11 +59,11 @@ impl Study {
                 )));
             }
         }
-        for (name, record) in name_single_runs(study.without_twins(single_runs)?)? {
+        for (name, record) in name_single_runs(study.drop_duplicates(single_runs)?)? {
             titles.push(name.clone());
             records.push((vec![(String::new(), name)], record));
         }
-        study.title = listed(titles);
+        study.title = joined_names(titles);
         if records.is_empty() {
             let missing = study.unfinished.len();
             return Err(Error::Config(format!("none of these {missing} runs has finished; run them first")));
@@ -72,7 +72,8 @@ impl Study {
         Ok(study)
     }
 
-    /// Reads the finished runs of a sweep, with the labels `sweep` before those of each run.
+    /// Reads the finished runs of a sweep and its joined model, with the labels `sweep` before those of each run; notes
+    /// the others as [`Self::read_run`] does.
     fn read_sweep(
         &mut self,
         folder: &Path,
@@ -93,7 +94,8 @@ impl Study {
         Ok(records)
     }
 
-    /// Reads one run folder, or records that it is unfinished or a duplicate.
+    /// Reads one run folder and adds its path to `seen`. Returns `None` for an unfinished run or a path in `seen`, and
+    /// adds the folder to `unfinished` or `repeated`.
     fn read_run(&mut self, folder: &Path, seen: &mut Vec<PathBuf>) -> Result<Option<Record>> {
         let path = folder.canonicalize().unwrap_or_else(|_| folder.into());
         if seen.contains(&path) {
@@ -108,8 +110,9 @@ impl Study {
         Ok(record)
     }
 
-    /// Removes runs that equal an earlier one: counted twice, they would narrow the intervals.
-    fn without_twins(&mut self, runs: Vec<Record>) -> Result<Vec<Record>> {
+    /// Removes runs that equal an earlier one, and adds their folders to `repeated`: counted twice, they would narrow the
+    /// intervals.
+    fn drop_duplicates(&mut self, runs: Vec<Record>) -> Result<Vec<Record>> {
         let (mut kept, mut keys) = (Vec::new(), Vec::new());
         for run in runs {
             let key = (setting_key(&run)?, run.variant_key()?, run.pipeline.seed);

@@ -11,7 +11,7 @@ mod listing;
 mod plan;
 pub mod slurm;
 
-pub use check::{RunStage, check, estimate};
+pub use check::{RunStage, check, estimate_run_seconds};
 pub use experiment::{Axis, Experiment, Slurm, SweepVariant};
 pub use listing::{LISTING, ListedRun, Listing};
 pub use plan::{JOINED, PlannedRun, SweepPlan};
@@ -48,18 +48,18 @@ pub struct SweepEnd {
 /// Observer of all runs of a sweep.
 pub trait SweepObserver: Sync {
     /// Called when a run, an index in the plan, starts; returns the observer of its steps.
-    fn starts(&self, run: usize) -> Box<dyn Observer>;
+    fn on_run_start(&self, run: usize) -> Box<dyn Observer>;
 
     /// Called when a run ends.
-    fn ends(&self, run: usize, end: &Result<RunOutcome>);
+    fn on_run_end(&self, run: usize, end: &Result<RunOutcome>);
 }
 
 impl SweepObserver for NoopObserver {
-    fn starts(&self, _: usize) -> Box<dyn Observer> {
+    fn on_run_start(&self, _: usize) -> Box<dyn Observer> {
         Box::new(Self)
     }
 
-    fn ends(&self, _: usize, _: &Result<RunOutcome>) {}
+    fn on_run_end(&self, _: usize, _: &Result<RunOutcome>) {}
 }
 
 /// Performs `runs` of the plan in order, `jobs` at a time, sharing the threads of the calling pool. A failed run does
@@ -77,7 +77,7 @@ pub fn execute(
 ) -> Result<SweepEnd> {
     drop(plan.claim()?);
     let jobs = jobs.clamp(1, runs.len().max(1));
-    let pools = (0..jobs).map(|_| pool(jobs)).collect::<Result<Vec<_>>>()?;
+    let pools = (0..jobs).map(|_| run_pool(jobs)).collect::<Result<Vec<_>>>()?;
     let (stop, page) = (session.stop, session.page);
     let next = AtomicUsize::new(0);
     let ends = Mutex::new(Vec::new());
@@ -88,14 +88,14 @@ pub fn execute(
                     if stop.load(Ordering::Relaxed) {
                         break;
                     }
-                    let folder = plan.folder_of(run);
+                    let folder = plan.run_folder(run);
                     let end = if RunFolder::is_busy(&folder) {
                         Err(Error::Busy(folder))
                     } else {
-                        let mut observer = board.starts(run);
-                        pool.install(|| perform(plan, run, &mut Session { observer: &mut *observer, stop, page }))
+                        let mut observer = board.on_run_start(run);
+                        pool.install(|| perform_run(plan, run, &mut Session { observer: &mut *observer, stop, page }))
                     };
-                    board.ends(run, &end);
+                    board.on_run_end(run, &end);
                     ends.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((run, end));
                 }
             });
@@ -103,23 +103,23 @@ pub fn execute(
     });
     let mut ends = ends.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     ends.sort_by_key(|(run, _)| *run);
-    Ok(SweepEnd { runs: ends, joined: join(plan, session)? })
+    Ok(SweepEnd { runs: ends, joined: join_models(plan, session)? })
 }
 
 /// Creates the thread pool of one of `jobs` runs that share the threads of the calling pool.
 ///
 /// # Errors
 /// Threads cannot be started.
-pub fn pool(jobs: usize) -> Result<ThreadPool> {
+pub fn run_pool(jobs: usize) -> Result<ThreadPool> {
     let threads = (rayon::current_num_threads() / jobs).max(1);
     let pool = ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}")))
 }
 
-/// Performs a run, an index in the plan, and stores the reason if it fails.
-fn perform(plan: &SweepPlan, index: usize, session: &mut Session<'_>) -> Result<RunOutcome> {
-    let (folder, pipeline) = (plan.folder_of(index), &plan.runs[index].pipeline);
-    plan.forget_failure(index);
+/// Performs the run `index` of the plan and stores the reason if it fails. A panic of the run becomes an error.
+fn perform_run(plan: &SweepPlan, index: usize, session: &mut Session<'_>) -> Result<RunOutcome> {
+    let (folder, pipeline) = (plan.run_folder(index), &plan.runs[index].pipeline);
+    plan.remove_failure(index);
     // A panic is a bug in one run, for example of a plugin; the other runs are unaffected.
     let work = || run(pipeline, Path::new(""), &folder, session);
     let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
@@ -132,7 +132,7 @@ fn perform(plan: &SweepPlan, index: usize, session: &mut Session<'_>) -> Result<
         && !matches!(error, Error::Busy(_))
     {
         // The failure is returned in any case.
-        _ = plan.note_failure(index, error);
+        _ = plan.store_failure(index, error);
     }
     outcome
 }
@@ -142,7 +142,7 @@ fn perform(plan: &SweepPlan, index: usize, session: &mut Session<'_>) -> Result<
 ///
 /// # Errors
 /// Same as [`crate::run`].
-fn join(plan: &SweepPlan, session: &mut Session<'_>) -> Result<Option<RunOutcome>> {
+fn join_models(plan: &SweepPlan, session: &mut Session<'_>) -> Result<Option<RunOutcome>> {
     let Some(pipeline) = &plan.joined else { return Ok(None) };
     if !plan.states().iter().all(|state| matches!(state, RunStage::Finished(_))) {
         return Ok(None);
@@ -152,15 +152,15 @@ fn join(plan: &SweepPlan, session: &mut Session<'_>) -> Result<Option<RunOutcome
         Err(Error::Busy(_)) => return Ok(None),
         folder => folder?,
     };
-    let ended = plan.join_in(pipeline, &mut folder, session);
+    let ended = plan.join_into(pipeline, &mut folder, session);
     folder.settle(ended).map(Some)
 }
 
 impl SweepPlan {
-    /// Joins the models in a claimed folder and scores the result, unless the same model with these scores exists.
-    fn join_in(&self, pipeline: &Pipeline, folder: &mut RunFolder, session: &mut Session<'_>) -> Result<RunOutcome> {
+    /// Joins the models in a claimed folder and scores the result, unless the folder has the same model with scores.
+    fn join_into(&self, pipeline: &Pipeline, folder: &mut RunFolder, session: &mut Session<'_>) -> Result<RunOutcome> {
         let begun = Instant::now();
-        let mut ensemble = self.assemble()?;
+        let mut ensemble = self.read_ensemble()?;
         let bytes = file::ensemble_to_bytes(&ensemble);
         // Residual processes and calibration of the same members are kept.
         if let Ok(kept) = file::read_ensemble(&folder.file(MODEL_FILE))
@@ -171,7 +171,7 @@ impl SweepPlan {
         let bytes = file::ensemble_to_bytes(&ensemble);
         let is_joined = |earlier: Facts| earlier.files.get(MODEL_FILE) == Some(&FileDigest::of(&bytes));
         if Facts::read(folder.path())?.is_some_and(is_joined)
-            && let Some(scores) = folder.state().verified(folder.path(), session.page.is_some())?
+            && let Some(scores) = folder.state().read_verified(folder.path(), session.page.is_some())?
         {
             return Ok(RunOutcome::Finished { scores: scores.into(), already: true });
         }
@@ -179,7 +179,7 @@ impl SweepPlan {
         pipeline.check_data(&split.data)?;
         let members = self.runs.iter().map(|run| run.folder.clone()).collect();
         let mut facts = folder.begin(pipeline, &split, Facts { findings, members, ..Facts::default() })?;
-        self.add_members(&mut facts)?;
+        self.sum_members(&mut facts)?;
         let mut run = ActiveRun { pipeline, split: &split, session, begun };
         match run.score_joined(ensemble, folder, facts) {
             Err(Error::Stopped) => Ok(RunOutcome::Unscored),
@@ -188,9 +188,9 @@ impl SweepPlan {
     }
 
     /// Reads the trained models, in the order of the plan.
-    fn assemble(&self) -> Result<Ensemble> {
+    fn read_ensemble(&self) -> Result<Ensemble> {
         let member = |(index, run): (usize, &PlannedRun)| {
-            let folder = self.folder_of(index);
+            let folder = self.run_folder(index);
             if let Some(facts) = Facts::read(&folder)? {
                 facts.verify_file(&folder, MODEL_FILE)?;
             }
@@ -200,11 +200,12 @@ impl SweepPlan {
         Ensemble::named(members).map_err(Error::Config)
     }
 
-    /// Sums steps and training seconds of all runs into the facts of the joined model.
-    fn add_members(&self, facts: &mut Facts) -> Result<()> {
+    /// Sets steps and training seconds of the joined model to the sums over all runs, and raises its peak memory to the
+    /// largest of them.
+    fn sum_members(&self, facts: &mut Facts) -> Result<()> {
         (facts.steps, facts.training_seconds) = (0, 0.0);
         for index in 0..self.runs.len() {
-            let member = Facts::read(&self.folder_of(index))?.unwrap_or_default();
+            let member = Facts::read(&self.run_folder(index))?.unwrap_or_default();
             facts.steps += member.steps;
             facts.training_seconds += member.training_seconds;
             facts.peak_memory_bytes = facts.peak_memory_bytes.max(member.peak_memory_bytes);
@@ -214,7 +215,7 @@ impl SweepPlan {
 }
 
 impl ActiveRun<'_, '_> {
-    /// Fits residuals and intervals to a joined model, scores it, and writes all results.
+    /// Fits residuals and intervals to a joined model, scores it, and writes all results. Returns the scores.
     fn score_joined(&mut self, ensemble: Ensemble, folder: &RunFolder, mut facts: Facts) -> Result<ScoreTable> {
         let fitted = self.fit_residuals(ensemble, facts.members.len())?;
         let ensemble = self.calibrate(fitted)?;

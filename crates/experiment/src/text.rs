@@ -30,11 +30,21 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
+/// Formats a length in a suitable unit: `3.1 mm`, `42 cm`, `1.50 m`; `n/a` if it is not finite.
+pub fn format_length(metres: f64) -> String {
+    match metres {
+        m if !m.is_finite() => "n/a".into(),
+        m if m < 0.1 => format!("{:.1} mm", m * 1e3),
+        m if m < 1.0 => format!("{:.0} cm", m * 1e2),
+        m => format!("{m:.2} m"),
+    }
+}
+
 /// Longest table cell, characters; longer cells are truncated, but not file names.
 const CELL: usize = 1_000;
 
-/// Truncates a cell that is too long.
-fn cut(cell: &str) -> String {
+/// Truncates a cell of more than [`CELL`] characters, with `..` at the end.
+fn truncate_cell(cell: &str) -> String {
     match cell.char_indices().nth(CELL) {
         Some((end, _)) => format!("{}..", &cell[..end]),
         None => cell.to_owned(),
@@ -44,7 +54,8 @@ fn cut(cell: &str) -> String {
 /// Aligns columns, two blanks apart: the first `left` to the left, the others to the right. A left cell without cells
 /// to its right may have up to 1,000 characters. Empty lines are omitted.
 pub fn aligned(lines: &[Vec<String>], left: usize) -> String {
-    let lines: Vec<Vec<String>> = lines.iter().map(|line| line.iter().map(|cell| cut(cell)).collect()).collect();
+    let lines: Vec<Vec<String>> =
+        lines.iter().map(|line| line.iter().map(|cell| truncate_cell(cell)).collect()).collect();
     let columns = lines.iter().map(Vec::len).max().unwrap_or(0);
     let is_last = |line: &[String], k: usize| line[k + 1..].iter().all(String::is_empty);
     let width = |line: &Vec<String>, k: usize| {
@@ -106,7 +117,7 @@ impl<const K: usize> Lines<K> {
 ///
 /// # Errors
 /// [`Error::Read`], or [`Error::Input`] with the line if a row is damaged or the last one is incomplete.
-pub(crate) fn csv_rows<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
+pub(crate) fn read_csv_rows<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
     let text = read_text(path)?;
     if !text.ends_with('\n') {
         return Err(damaged(path, text.lines().count().max(1), "the file ends before the end of a row"));
@@ -121,7 +132,7 @@ pub(crate) fn csv_rows<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
     csv::Reader::from_reader(text.as_bytes()).into_deserialize().map(|row| row.map_err(placed)).collect()
 }
 
-/// Creates the error of a damaged line of a run file.
+/// Creates the error of a damaged `line`, counted from 1, of the run file `path`.
 pub(crate) fn damaged(path: &Path, line: usize, problem: &str) -> Error {
     let advice = "run files must not be edited; restore it, or repeat the run in another folder";
     Error::at(path, line, 1, format!("{problem}; {advice}"))

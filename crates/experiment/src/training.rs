@@ -22,11 +22,11 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 impl<'a> ActiveRun<'a, '_> {
-    /// Creates the trainer, at the checkpoint of the folder if there is one.
+    /// Creates the trainer, from the checkpoint in the folder `held` if there is one, otherwise before the first step.
     ///
     /// # Errors
     /// Invalid settings, a damaged checkpoint, too little memory; [`Error::Stopped`] once the session is stopped.
-    pub(crate) fn trainer(&mut self, held: Option<&RunFolder>) -> Result<Trainer<'a>> {
+    pub(crate) fn start_trainer(&mut self, held: Option<&RunFolder>) -> Result<Trainer<'a>> {
         let (pipeline, SplitData { data, partition }) = (self.pipeline, self.split);
         // Invalid strategies are reported before an error of the checkpoint.
         check_available(&pipeline.pruners)?;
@@ -66,7 +66,7 @@ impl<'a> ActiveRun<'a, '_> {
             folder,
             facts,
         };
-        training.start()?;
+        training.announce_start()?;
         while !training.trainer.finished() {
             let stopped = training.run.session.stop.load(Ordering::Relaxed);
             if !stopped {
@@ -126,8 +126,9 @@ struct Training<'r, 'a, 's> {
 }
 
 impl Training<'_, '_, '_> {
-    /// Announces the start; a new run also gets its warnings and the first snapshot.
-    fn start(&mut self) -> Result<()> {
+    /// Announces the start to the observer, with the warnings and the first snapshot of a new run. Reads the largest number
+    /// of Gaussians of earlier starts.
+    fn announce_start(&mut self) -> Result<()> {
         let (trainer, data) = (&self.trainer, &self.run.split.data);
         self.run.session.observer.on_start(&Start {
             folder: self.folder.name(),
@@ -166,9 +167,9 @@ impl Training<'_, '_, '_> {
         let validates = every > 0 && report.step.is_multiple_of(every) && !self.validation.is_empty();
         let validate = || validate(report.step, &self.trainer.validated_model(), data, &self.validation);
         let validation = validates.then(validate).transpose()?;
-        self.journal.step(&report, seconds)?;
+        self.journal.record_step(&report, seconds)?;
         if let Some(validation) = &validation {
-            self.journal.validation(validation)?;
+            self.journal.record_validation(validation)?;
             self.run.session.observer.on_validation(validation);
         }
         self.run.session.observer.on_step(&report);
@@ -176,19 +177,19 @@ impl Training<'_, '_, '_> {
         Ok(())
     }
 
-    /// Writes the current Gaussians after `step`.
+    /// Writes the current Gaussians, with their ids and gates, as the snapshot `name` after `step`.
     fn write_snapshot(&self, name: &str, step: u64) -> Result<()> {
         let snapshot = Snapshot::of(step, self.trainer.cloud(), self.run.split.data.scene.origin);
         snapshot.known(self.trainer.gaussian_ids(), self.trainer.gates()).write(&self.folder.file(name))
     }
 
-    /// Writes the checkpoint, after the rows that it counts.
+    /// Writes the checkpoint, after the rows that it counts, and then `run.json`.
     fn write_checkpoint(&mut self) -> Result<()> {
         self.journal.sync()?;
         write_atomically(&self.folder.file(CHECKPOINT), &self.trainer.checkpoint())?;
         (self.facts.steps, self.facts.training_seconds) = (self.trainer.done(), self.journal.seconds());
         self.facts.wall_seconds = self.earlier_seconds + self.run.begun.elapsed().as_secs_f64();
-        self.facts.note_memory();
+        self.facts.update_peak_memory();
         self.facts.write(self.folder.path())
     }
 
@@ -211,7 +212,7 @@ impl Training<'_, '_, '_> {
         self.run.session.observer.on_warning(&format!("{}: {warning}", self.folder.name().display()));
     }
 
-    /// Reports that the last checkpoint outlives a failed step.
+    /// Reports to the observer that the last checkpoint, if there is one, outlives a failed step.
     fn report_last_checkpoint(&mut self) {
         if self.folder.file(CHECKPOINT).is_file() {
             let path = self.folder.name().join(CHECKPOINT);
@@ -225,7 +226,7 @@ impl Training<'_, '_, '_> {
 fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let samples = EvaluationSet::new(data, part, &model.stages.plane);
     let (task, model, metrics) = (data.task(), &model.prepare(), defaults::validation(data.task()));
-    let measured = samples.model("the model", model, None, &metrics, &mut Session::new(&mut NoopObserver))?;
+    let measured = samples.score_model("the model", model, None, &metrics, &mut Session::new(&mut NoopObserver))?;
     let Summary { mean, median, tail10 } = match measured.first().map(|m| &m.values) {
         Some(Values::PerSample(values)) => Summary::of(values, task.headline.higher),
         whole => {

@@ -44,7 +44,7 @@ impl Initializer for Grid {
     fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
         let world_from_receiver = scene.pose().world_from_receiver();
         let (lowest, centre) = match plane.angles {
-            Some(_) => (if plane.looks_behind() { -FRAC_PI_2 } else { 0.0 }, scene.pose().origin()),
+            Some(_) => (if plane.has_directions_behind() { -FRAC_PI_2 } else { 0.0 }, scene.pose().origin()),
             None if plane.camera.is_some() => (-FRAC_PI_2, scene.pose().origin()),
             None => (-FRAC_PI_2, -(world_from_receiver * scene.pose().origin())),
         };
@@ -66,13 +66,14 @@ impl Initializer for Grid {
 
     fn check(&self) -> Result<(), String> {
         start::check_count("count", self.count)?;
-        start::positive("distance_m", self.distance_m, "metres from the receiver")?;
-        start::positive("overlap", self.overlap, "scale over spacing, about 1")?;
+        start::check_positive("distance_m", self.distance_m, "metres from the receiver")?;
+        start::check_positive("overlap", self.overlap, "scale over spacing, about 1")?;
         start::check_opacity(self.opacity)
     }
 }
 
-/// Returns `count` unit vectors, nearly uniform above the elevation `lowest` (radians).
+/// Returns `count` unit vectors, nearly uniform above the elevation `lowest` (radians): rings of equal elevation, each with
+/// directions in proportion to its solid angle.
 fn directions(count: usize, lowest: f64) -> Vec<[f64; 3]> {
     let area_below = |elevation: f64| (elevation.sin() - lowest.sin()) / (1.0 - lowest.sin());
     let patch = (TAU * (1.0 - lowest.sin()) / count as f64).sqrt();

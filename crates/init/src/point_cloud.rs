@@ -48,7 +48,7 @@ impl Initializer for PointCloud {
         }
         let means = match self.max_points {
             Some(most) if most < scene.points.len() => {
-                subset(rng, scene.points.len(), most).into_iter().map(|i| scene.points[i]).collect()
+                random_subset(rng, scene.points.len(), most).into_iter().map(|i| scene.points[i]).collect()
             }
             _ => scene.points.clone(),
         };
@@ -65,8 +65,8 @@ impl Initializer for PointCloud {
     }
 }
 
-/// Returns `k` distinct indices of 0..n, ascending.
-fn subset(rng: &mut Rng, n: usize, k: usize) -> Vec<usize> {
+/// Draws `k` distinct indices of 0..n, ascending, by a partial Fisher-Yates shuffle.
+fn random_subset(rng: &mut Rng, n: usize, k: usize) -> Vec<usize> {
     let mut all: Vec<usize> = (0..n).collect();
     for i in 0..k {
         all.swap(i, i + rng::below(rng, n - i));

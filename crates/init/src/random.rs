@@ -46,7 +46,7 @@ impl Initializer for Random {
     fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
         let (world_from_receiver, origin) = (scene.pose().world_from_receiver(), scene.pose().origin());
         let draw = |rng: &mut Rng| [(); 3].map(|()| self.std * rng::normal(rng));
-        let ahead = |z: Real| if plane.looks_behind() { z } else { z.abs() };
+        let ahead = |z: Real| if plane.has_directions_behind() { z } else { z.abs() };
         let in_front = |[x, y, z]: [Real; 3]| (origin + world_from_receiver * Vec3::new(x, y, ahead(z))).to_array();
         let (low, high) = scene.bounds;
         let amid = |p: [Real; 3]| [0, 1, 2].map(|k| p[k] + 0.5 * (low[k] + high[k]));
@@ -66,7 +66,7 @@ impl Initializer for Random {
 
     fn check(&self) -> Result<(), String> {
         start::check_count("count", self.count)?;
-        start::positive("std", self.std, "metres along each axis")?;
+        start::check_positive("std", self.std, "metres along each axis")?;
         start::check_nearest(self.nearest)?;
         start::check_opacity(self.opacity)
     }
@@ -128,8 +128,8 @@ impl Initializer for AroundReceivers {
         if !(0.0..=1.0).contains(&self.near) {
             return Err(format!("`near` is {}; give a share from 0 to 1", self.near));
         }
-        start::positive("spread_m", self.spread_m, "metres about a receiver")?;
-        start::positive("scale_m", self.scale_m, "metres")?;
+        start::check_positive("spread_m", self.spread_m, "metres about a receiver")?;
+        start::check_positive("scale_m", self.scale_m, "metres")?;
         start::check_opacity(self.opacity)
     }
 }

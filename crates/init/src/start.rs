@@ -46,7 +46,7 @@ pub(crate) fn check_opacity(opacity: Real) -> Result<(), String> {
 }
 
 /// Rejects values that are not positive or overflow single precision.
-pub(crate) fn positive(field: &str, value: Real, why: &str) -> Result<(), String> {
+pub(crate) fn check_positive(field: &str, value: Real, why: &str) -> Result<(), String> {
     if value > 0.0 && value <= LARGEST {
         return Ok(());
     }

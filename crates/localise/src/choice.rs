@@ -43,7 +43,9 @@ pub(crate) struct ValidationSample {
 }
 
 impl Choice {
-    /// Returns the settings with the highest mean log density at the true positions.
+    /// Returns the settings with the highest mean log density at the true positions of `samples`; default settings without
+    /// samples. `misfits` are those of each sample to the fingerprints at `positions`; `spacing` is half the distance of
+    /// neighbouring positions, metres.
     pub(crate) fn most_likely(
         share: f32,
         positions: &[[f64; 3]],
@@ -69,7 +71,7 @@ impl Choice {
                 let mut density = choices[0].density(misfits, positions);
                 choices.iter().map(move |choice| {
                     density.bandwidth = choice.bandwidth;
-                    density.at([*x, *y]).ln()
+                    density.value_at([*x, *y]).ln()
                 })
             });
             per_sharpness.collect()
@@ -84,12 +86,12 @@ impl Choice {
 
     /// Returns the density over the floor, given the misfits `[K]` of an observation.
     pub(crate) fn density(&self, misfits: &[f32], positions: &[[f64; 3]]) -> Density {
-        Density::new(&weights(misfits, self.sharpness / self.scale), positions, self.bandwidth)
+        Density::new(&sample_weights(misfits, self.sharpness / self.scale), positions, self.bandwidth)
     }
 }
 
-/// Returns the weights exp(-gain·misfit), which sum to 1.
-fn weights(misfits: &[f32], gain: f64) -> Vec<f64> {
+/// Returns the weights exp(-gain·misfit) of positions, which sum to 1; equal ones if no misfit is finite.
+fn sample_weights(misfits: &[f32], gain: f64) -> Vec<f64> {
     let least = f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
     if !least.is_finite() {
         return vec![1.0 / misfits.len() as f64; misfits.len()]; // no common feature with any fingerprint
@@ -99,8 +101,9 @@ fn weights(misfits: &[f32], gain: f64) -> Vec<f64> {
     weights.iter().map(|w| w / sum).collect()
 }
 
-/// Returns the level of the regions that hold nine of ten true positions; `None` if there are too few for this share.
-pub(crate) fn level(
+/// Returns the level of the regions that hold nine of ten true positions of `samples`, with the rank of split conformal
+/// prediction; `None` with fewer than nine samples.
+pub(crate) fn region_level(
     positions: &[[f64; 3]],
     samples: &[ValidationSample],
     misfits: &[Vec<f32>],

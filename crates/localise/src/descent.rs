@@ -52,7 +52,8 @@ pub(crate) fn descend(
     Some((position(u), value))
 }
 
-/// Returns the inverse of the Hessian after a `step` that changed the gradient by `change` (BFGS).
+/// Returns the estimate of the inverse Hessian after a `step` that changed the gradient by `change` (BFGS); `inverse` itself
+/// without positive curvature along the step.
 fn bfgs_update(inverse: [[f64; 3]; 3], step: [f64; 3], change: [f64; 3]) -> [[f64; 3]; 3] {
     let curvature = dot(step, change);
     if curvature.is_nan() || curvature <= 1e-12 {

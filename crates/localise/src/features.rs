@@ -1,6 +1,6 @@
 //! `FingerprintFeatures`: the numbers in which two observations are compared.
 
-use pwrfgs_core::{Dataset, Image, Real, Task, gain_at};
+use pwrfgs_core::{Dataset, Image, Real, Task, gain_indices};
 
 /// Largest number of features of a spectrum; a finer one is reduced to the means of square blocks.
 const MOST: usize = 3_600;
@@ -55,7 +55,7 @@ impl FingerprintFeatures {
         (self.width, self.height)
     }
 
-    /// Returns the number of features of a link.
+    /// Returns the number of features of an observation.
     pub fn count(&self) -> usize {
         if self.task.is_complex {
             return self.width * self.height / 2;
@@ -63,32 +63,32 @@ impl FingerprintFeatures {
         self.width.div_ceil(self.block) * self.height.div_ceil(self.block)
     }
 
-    /// Returns the features of an observation.
-    pub fn of(&self, image: &Image) -> Vec<f32> {
+    /// Returns the features of an observation, `[count]`.
+    pub fn extract(&self, image: &Image) -> Vec<f32> {
         if self.task.is_scalar {
             return image.pixels.iter().map(|v| *v as f32).collect();
         }
         self.levels(image).iter().map(|level| self.root(*level) as f32).collect()
     }
 
-    /// Returns the derivative by the observation, given that by its features.
+    /// Returns the derivative by the pixels of the observation, given the derivative `d` by its features `[count]`.
     pub fn vjp(&self, image: &Image, d: &[f32]) -> Vec<Real> {
         if self.task.is_scalar {
             return d.iter().map(|d| Real::from(*d)).collect();
         }
-        let slope = |(level, d): (&Real, &f32)| Real::from(*d) * self.slope(*level);
+        let slope = |(level, d): (&Real, &f32)| Real::from(*d) * self.root_slope(*level);
         let d_levels: Vec<Real> = self.levels(image).iter().zip(d).map(slope).collect();
         let mut d_pixels = vec![0.0; image.pixels.len()];
         if self.task.is_complex {
             for (i, d) in d_levels.iter().enumerate() {
-                for at in gain_at(i / self.width, i % self.width, self.width) {
+                for at in gain_indices(i / self.width, i % self.width, self.width) {
                     d_pixels[at] = 2.0 * d * image.pixels[at];
                 }
             }
             return d_pixels;
         }
         for (k, d) in d_pixels.iter_mut().enumerate() {
-            let (block, count) = self.block_of(k);
+            let (block, count) = self.pixel_block(k);
             *d = if image.pixels[k] > 0.0 { d_levels[block] / count } else { 0.0 };
         }
         d_pixels
@@ -100,33 +100,34 @@ impl FingerprintFeatures {
         let mut levels = vec![0.0; self.count()];
         if self.task.is_complex {
             for (i, level) in levels.iter_mut().enumerate() {
-                let gain = gain_at(i / self.width, i % self.width, self.width);
+                let gain = gain_indices(i / self.width, i % self.width, self.width);
                 *level = gain.iter().map(|at| image.pixels[*at].powi(2)).sum();
             }
         } else {
             for (k, pixel) in image.pixels.iter().enumerate() {
-                let (block, count) = self.block_of(k);
+                let (block, count) = self.pixel_block(k);
                 levels[block] += pixel.max(0.0) / count;
             }
         }
         levels
     }
 
-    /// Returns the block of pixel `k`, and its number of pixels.
-    fn block_of(&self, k: usize) -> (usize, Real) {
+    /// Returns the index of the block of pixel `k`, and the number of pixels of this block.
+    fn pixel_block(&self, k: usize) -> (usize, Real) {
         let (b, x, y) = (self.block, k % self.width / self.block, k / self.width / self.block);
         let side = |index: usize, size: usize| b.min(size - index * b);
         (y * self.width.div_ceil(b) + x, (side(x, self.width) * side(y, self.height)) as Real)
     }
 
-    /// Returns the feature of a level: its square root; for channels, the root of the magnitude.
+    /// Returns the feature of a level v: √(v + ε) with the faintest level ε; for channels, whose levels are powers, its
+    /// fourth root.
     fn root(&self, level: Real) -> Real {
         let root = (level + self.faintest).sqrt();
         if self.task.is_complex { root.sqrt() } else { root }
     }
 
-    /// Returns the derivative of [`Self::root`].
-    fn slope(&self, level: Real) -> Real {
+    /// Returns the derivative of [`Self::root`] by the level.
+    fn root_slope(&self, level: Real) -> Real {
         let root = (level + self.faintest).sqrt();
         if self.task.is_complex { 0.25 / (root * root.sqrt()) } else { 0.5 / root }
     }

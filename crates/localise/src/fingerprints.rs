@@ -2,7 +2,7 @@
 
 use crate::{FingerprintFeatures, mean_and_median};
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Dataset, FittingSet, Link, Predict};
+use pwrfgs_core::{Dataset, FittingSet, Predict};
 use rayon::prelude::*;
 
 /// Features at K positions, structure of arrays. NaN stands for an unknown value.
@@ -16,60 +16,45 @@ pub struct Fingerprints {
     width: usize,
 }
 
-/// Builder of the features of all receivers for one transmitter.
-struct RowBuilder<'a> {
-    data: &'a Dataset,
-    features: &'a FingerprintFeatures,
-    /// Value of a receiver without a link.
-    missing: f32,
+/// Builder of the fingerprints of transmitters of a data set.
+pub(crate) struct FingerprintBuilder<'a> {
+    pub(crate) data: &'a Dataset,
+    pub(crate) features: &'a FingerprintFeatures,
+    /// Power of a receiver without a link, which did not receive the transmitter, dBm; unknown if not finite.
+    pub(crate) floor: f32,
 }
 
-impl RowBuilder<'_> {
-    /// Returns the features of transmitter `t`; `link_features` returns those of a link.
-    fn build(&self, t: usize, link_features: impl Fn(usize) -> Vec<f32>) -> Vec<f32> {
-        let count = self.features.count();
-        let mut row = vec![self.missing; count * self.data.scene.receivers.len()];
-        for link in self.data.links_of(&[t]) {
-            let Link { receiver, .. } = self.data.links[link];
-            row[receiver * count..][..count].copy_from_slice(&link_features(link));
-        }
-        row
+impl FingerprintBuilder<'_> {
+    /// Returns the measured fingerprints of `transmitters`.
+    pub(crate) fn measured(&self, transmitters: &[usize]) -> Fingerprints {
+        self.build(transmitters, |link| self.features.extract(&self.data.image(link)))
+    }
+
+    /// Returns the predicted fingerprints of `transmitters`, for the same links as [`Self::measured`].
+    pub(crate) fn predicted(&self, transmitters: &[usize], model: &dyn Predict) -> Fingerprints {
+        self.build(transmitters, |link| self.features.extract(&model.predict(self.data.query(link))))
+    }
+
+    /// Creates the fingerprints of `transmitters`; `link_features` returns the features of a link.
+    fn build(&self, transmitters: &[usize], link_features: impl Fn(usize) -> Vec<f32> + Sync) -> Fingerprints {
+        let (data, count) = (self.data, self.features.count());
+        let missing = if self.floor.is_finite() { self.floor } else { f32::NAN };
+        let width = count * data.scene.receivers.len();
+        let row = |t: &usize| {
+            let mut row = vec![missing; width];
+            for link in data.links_of(&[*t]) {
+                let receiver = data.links[link].receiver;
+                row[receiver * count..][..count].copy_from_slice(&link_features(link));
+            }
+            row
+        };
+        let rows: Vec<Vec<f32>> = transmitters.par_iter().map(row).collect();
+        let positions = transmitters.iter().map(|&t| data.locations[t].position()).collect();
+        Fingerprints { positions, values: rows.concat(), width }
     }
 }
 
 impl Fingerprints {
-    /// Returns the measured fingerprints of `transmitters`. Powers of receivers without a link are `floor`: the transmitter
-    /// was not received.
-    pub fn measured(features: &FingerprintFeatures, data: &Dataset, transmitters: &[usize], floor: f32) -> Self {
-        Self::new(features, data, transmitters, floor, |link| features.of(&data.image(link)))
-    }
-
-    /// Returns the predicted fingerprints of `transmitters`, for the same links as [`Self::measured`].
-    pub fn predicted(
-        features: &FingerprintFeatures,
-        data: &Dataset,
-        transmitters: &[usize],
-        floor: f32,
-        model: &dyn Predict,
-    ) -> Self {
-        Self::new(features, data, transmitters, floor, |link| features.of(&model.predict(data.query(link))))
-    }
-
-    /// Creates the fingerprints of `transmitters`; `link_features` returns the features of a link.
-    fn new(
-        features: &FingerprintFeatures,
-        data: &Dataset,
-        transmitters: &[usize],
-        floor: f32,
-        link_features: impl Fn(usize) -> Vec<f32> + Sync,
-    ) -> Self {
-        let missing = if floor.is_finite() { floor } else { f32::NAN };
-        let builder = RowBuilder { data, features, missing };
-        let rows: Vec<Vec<f32>> = transmitters.par_iter().map(|&t| builder.build(t, &link_features)).collect();
-        let positions = transmitters.iter().map(|&t| data.locations[t].position()).collect();
-        Self { positions, values: rows.concat(), width: features.count() * data.scene.receivers.len() }
-    }
-
     /// Returns the number of positions K.
     pub fn len(&self) -> usize {
         self.positions.len()
@@ -80,7 +65,7 @@ impl Fingerprints {
         self.positions.is_empty()
     }
 
-    /// Returns the features of position `k`.
+    /// Returns the features of position `k`, `[D]`.
     pub fn row(&self, k: usize) -> &[f32] {
         &self.values[k * self.width..][..self.width]
     }
@@ -101,18 +86,19 @@ impl Fingerprints {
         Self { positions: kept.iter().map(|k| self.positions[*k]).collect(), values, width: self.width }
     }
 
-    /// Returns the mean squared difference of an observation from every fingerprint, over the features that both
-    /// contain; infinite if there are none.
+    /// Returns the mean squared difference of an observation `[D]` from every fingerprint, `[K]`, over the features that
+    /// both contain; infinite if there are none.
     pub fn misfits(&self, observation: &[f32]) -> Vec<f32> {
-        (0..self.len()).map(|k| misfit(observation, self.row(k))).collect()
+        (0..self.len()).map(|k| mean_squared_difference(observation, self.row(k))).collect()
     }
 }
 
 /// Number of sums that run side by side.
 const LANES: usize = 16;
 
-/// Returns the mean squared difference over the features that both contain.
-fn misfit(a: &[f32], b: &[f32]) -> f32 {
+/// Returns the mean squared difference of features over those that both contain; infinite if there are none. Sums of
+/// [`LANES`] run side by side, for vector instructions.
+fn mean_squared_difference(a: &[f32], b: &[f32]) -> f32 {
     let (mut sums, mut counts) = ([0.0_f32; LANES], [0.0_f32; LANES]);
     let (mut left, mut right) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
     let mut add = |k: usize, a: f32, b: f32| {
@@ -141,14 +127,16 @@ pub struct NearestFingerprints {
 }
 
 impl NearestFingerprints {
-    /// Fits to the training links; `floor` is the power of a receiver that did not receive a transmitter.
+    /// Fits to the training links, with the number of neighbours of the smallest mean error on validation links; `floor` is
+    /// the power of a receiver that did not receive a transmitter, dBm.
     pub fn fit(data: &Dataset, links: FittingSet<'_>, features: &FingerprintFeatures, floor: f32) -> Self {
-        let measured = |links: &[usize]| Fingerprints::measured(features, data, &data.locations_of(links), floor);
+        let builder = FingerprintBuilder { data, features, floor };
+        let measured = |links: &[usize]| builder.measured(&data.locations_of(links));
         let (fingerprints, truths) = (measured(links.train), measured(links.validation));
         let mut best = Self { fingerprints, k: 1 };
         if !truths.is_empty() {
             let error = |k: usize| {
-                let sample_error = |i: usize| distance(best.nearest(truths.row(i), k), truths.positions[i]);
+                let sample_error = |i: usize| distance(best.nearest_position(truths.row(i), k), truths.positions[i]);
                 mean_and_median((0..truths.len()).into_par_iter().map(sample_error).collect())[0]
             };
             best.k = COUNTS.map(|k| (error(k), k)).into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).map_or(1, |(_, k)| k);
@@ -158,11 +146,11 @@ impl NearestFingerprints {
 
     /// Returns the position of an observation, metres.
     pub fn locate(&self, observation: &[f32]) -> [f64; 3] {
-        self.nearest(observation, self.k)
+        self.nearest_position(observation, self.k)
     }
 
     /// Returns the mean position of the `k` fingerprints of least misfit, metres.
-    fn nearest(&self, observation: &[f32], k: usize) -> [f64; 3] {
+    fn nearest_position(&self, observation: &[f32], k: usize) -> [f64; 3] {
         let misfits = self.fingerprints.misfits(observation);
         let mut order: Vec<usize> = (0..misfits.len()).collect();
         order.sort_by(|a, b| misfits[*a].total_cmp(&misfits[*b]));
@@ -183,10 +171,10 @@ mod tests {
     fn misfit_is_the_mean_over_known_features() {
         let a: Vec<f32> = (0..40).map(|k| k as f32).collect();
         let mut b: Vec<f32> = a.iter().map(|v| v + 2.0).collect();
-        assert_eq!(misfit(&a, &b), 4.0);
+        assert_eq!(mean_squared_difference(&a, &b), 4.0);
         b[3] = f32::NAN;
         b[39] = f32::NAN;
-        assert_eq!(misfit(&a, &b), 4.0);
-        assert_eq!(misfit(&[f32::NAN], &[1.0]), f32::INFINITY);
+        assert_eq!(mean_squared_difference(&a, &b), 4.0);
+        assert_eq!(mean_squared_difference(&[f32::NAN], &[1.0]), f32::INFINITY);
     }
 }

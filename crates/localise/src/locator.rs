@@ -1,7 +1,8 @@
 //! `Locator`: positions from observations.
 
-use crate::choice::{Choice, ValidationSample, level};
+use crate::choice::{Choice, ValidationSample, region_level};
 use crate::descent::descend;
+use crate::fingerprints::FingerprintBuilder;
 use crate::region::Density;
 use crate::{FingerprintFeatures, Fingerprints, Region};
 use pwrfgs_core::neighbours::{distance, nearest_other_squared};
@@ -80,31 +81,22 @@ impl<'a> Locator<'a> {
     /// # Errors
     /// Data without positions, or with a moving receiver.
     pub fn fit(data: &Dataset, links: FittingSet<'_>, model: &'a dyn Predict, shares: &[f32]) -> Result<Self> {
-        let problem = if !data.placed || data.features.is_some() {
-            Some("they have no transmitter positions; localisation compares with known positions")
-        } else if data.scene.moving.is_receiver() {
-            Some("the receiver moves; localisation needs fixed receivers")
-        } else {
-            None
-        };
-        if let Some(problem) = problem {
-            return Err(Error::Config(format!("{}: {problem}", data.title)));
-        }
+        check_locatable(data)?;
         let (train, validation) = (data.locations_of(links.train), data.locations_of(links.validation));
         let without = if validation.is_empty() { None } else { model.without(links.validation) };
         let used = without.as_deref().unwrap_or(model);
         let features = FingerprintFeatures::new(data, links.train);
         let weakest = |powers: &[Real]| links.train.iter().map(|i| powers[*i] as f32).fold(f32::INFINITY, f32::min);
         let floor = data.observations.powers().map_or(f32::NEG_INFINITY, weakest);
-        let measured = Fingerprints::measured(&features, data, &train, floor);
+        let builder = FingerprintBuilder { data, features: &features, floor };
+        let measured = builder.measured(&train);
         let is_used = |share: &f32| *share > 0.0;
-        let predicted =
-            shares.iter().any(is_used).then(|| Fingerprints::predicted(&features, data, &train, floor, used));
-        let samples = Fingerprints::measured(&features, data, &validation, floor);
+        let predicted = shares.iter().any(is_used).then(|| builder.predicted(&train, used));
+        let samples = builder.measured(&validation);
         let sample =
             |k: usize| ValidationSample { observation: samples.row(k).to_vec(), position: samples.positions[k] };
         let samples: Vec<ValidationSample> = (0..samples.len()).map(sample).collect();
-        let spacing = spacing(&measured.positions);
+        let spacing = half_spacing(&measured.positions);
         let to_training = |sample: &ValidationSample| {
             measured.positions.iter().map(|position| distance(*position, sample.position)).fold(f64::INFINITY, f64::min)
         };
@@ -144,7 +136,7 @@ impl<'a> Locator<'a> {
                 samples.par_iter().map(|sample| self.fingerprints.misfits(&sample.observation)).collect();
             let positions = &self.fingerprints.positions;
             self.choice = Choice::most_likely(*share, positions, samples, &misfits, self.spacing);
-            self.level = level(positions, samples, &misfits, self.choice);
+            self.level = region_level(positions, samples, &misfits, self.choice);
             let error = self.choose_mode(samples);
             if best.as_ref().is_none_or(|(least, ..)| error < *least) {
                 best = Some((error, self.choice, self.level, self.fingerprints.clone()));
@@ -206,7 +198,7 @@ impl<'a> Locator<'a> {
 
     /// Returns the features of `transmitters` of `data` at all receivers, for [`Self::locate`].
     pub fn observations(&self, data: &Dataset, transmitters: &[usize]) -> Vec<Vec<f32>> {
-        let all = Fingerprints::measured(&self.features, data, transmitters, self.floor);
+        let all = FingerprintBuilder { data, features: &self.features, floor: self.floor }.measured(transmitters);
         (0..all.len()).map(|k| all.row(k).to_vec()).collect()
     }
 
@@ -216,7 +208,7 @@ impl<'a> Locator<'a> {
         self.locate_without(observation, None)
     }
 
-    /// Locates as [`Self::locate`], without the training samples at the position `left_out`.
+    /// Locates a transmitter as [`Self::locate`] does, without the training samples at the position `left_out`.
     pub fn locate_without(&self, observation: &[f32], left_out: Option<[f64; 3]>) -> Located {
         let raised = |v: &f32| if *v < self.floor { self.floor } else { *v };
         let observation = &observation.iter().map(raised).collect::<Vec<f32>>()[..];
@@ -251,13 +243,13 @@ impl<'a> Locator<'a> {
         refined.filter(|position| is_in_part(position) && is_possible(position)).unwrap_or(mode)
     }
 
-    /// Returns the position of least misfit of the model near `start`. The distance from `start` counts in units of
-    /// `spread` and the spacing.
+    /// Returns the position of least misfit of the model near `start`, by descent; the distance from `start`, in units of
+    /// `spread` and the spacing, adds to the misfit. `None` if the model has no derivative by the position.
     fn refined_position(&self, observation: &[f32], spread: [f64; 3], start: [f64; 3]) -> Option<[f64; 3]> {
         let scales = spread.map(|deviation| deviation.hypot(self.spacing));
         let gain = self.choice.sharpness / self.choice.scale;
         let function = |at: [f64; 3]| {
-            let (misfit, gradient) = self.misfit(observation, at)?;
+            let (misfit, gradient) = self.misfit_and_gradient(observation, at)?;
             let offset = [0, 1, 2].map(|k| (at[k] - start[k]) / scales[k]);
             let value = gain * misfit + 0.5 * offset.iter().map(|a| a * a).sum::<f64>();
             Some((value, [0, 1, 2].map(|k| gain * gradient[k] + offset[k] / scales[k])))
@@ -265,8 +257,9 @@ impl<'a> Locator<'a> {
         descend(start, scales, function).map(|(position, _)| position)
     }
 
-    /// Returns the misfit of the prediction for a transmitter at `at`, and its derivative.
-    fn misfit(&self, observation: &[f32], at: [f64; 3]) -> Option<(f64, [f64; 3])> {
+    /// Returns the mean squared difference of the received features of `observation` from the prediction for a transmitter at
+    /// `at`, metres, and its derivative by `at`; `None` if the model has no derivative.
+    fn misfit_and_gradient(&self, observation: &[f32], at: [f64; 3]) -> Option<(f64, [f64; 3])> {
         let count = self.features.count();
         let is_received = |v: &&f32| **v > self.floor; // false for NaN
         let received = observation.iter().filter(is_received).count().max(1) as f64;
@@ -276,7 +269,7 @@ impl<'a> Locator<'a> {
                 continue;
             }
             let differences = |image: &Image| {
-                let predicted = self.features.of(image);
+                let predicted = self.features.extract(image);
                 predicted.iter().zip(features).map(|(f, o)| if o.is_nan() { 0.0 } else { f - o }).collect::<Vec<f32>>()
             };
             let cotangent = |image: &Image| -> Vec<Real> {
@@ -294,7 +287,7 @@ impl<'a> Locator<'a> {
     /// Chooses the kernel width and the sharpness of the mode by the mean error of validation samples, and returns this error,
     /// metres.
     fn choose_mode(&mut self, samples: &[ValidationSample]) -> f64 {
-        let compared = self.compared(samples);
+        let compared = self.compared_samples(samples);
         let chosen = self.choice;
         let choices = SHARPNESSES.into_iter().flat_map(|mode_sharpness| {
             WIDER.map(|factor| Choice { mode_bandwidth: factor * chosen.bandwidth, mode_sharpness, ..chosen })
@@ -312,11 +305,11 @@ impl<'a> Locator<'a> {
     /// Turns descent on if it lowers the mean error of validation samples below `error`.
     fn choose_descent(&mut self, samples: &[ValidationSample], error: f64) {
         self.choice.descends = true;
-        self.choice.descends = self.mean_error(&self.compared(samples)) < error;
+        self.choice.descends = self.mean_error(&self.compared_samples(samples)) < error;
     }
 
-    /// Returns evenly chosen validation samples with their densities and regions.
-    fn compared<'t>(&self, samples: &'t [ValidationSample]) -> Vec<ComparedSample<'t>> {
+    /// Returns at most [`COMPARED`] evenly chosen validation samples with their densities and regions.
+    fn compared_samples<'t>(&self, samples: &'t [ValidationSample]) -> Vec<ComparedSample<'t>> {
         let selected: Vec<&ValidationSample> =
             samples.iter().step_by(samples.len().div_ceil(COMPARED).max(1)).collect();
         let with_density = |sample: &'t ValidationSample| {
@@ -335,8 +328,23 @@ impl<'a> Locator<'a> {
     }
 }
 
-/// Returns half the median distance of a position to its nearest neighbour; at least 0.1 mm.
-fn spacing(positions: &[[f64; 3]]) -> f64 {
+/// Checks that transmitters of `data` can be located.
+///
+/// # Errors
+/// Data without positions, or with a moving receiver.
+fn check_locatable(data: &Dataset) -> Result<()> {
+    let problem = if !data.placed || data.features.is_some() {
+        "they have no transmitter positions; localisation compares with known positions"
+    } else if data.scene.moving.is_receiver() {
+        "the receiver moves; localisation needs fixed receivers"
+    } else {
+        return Ok(());
+    };
+    Err(Error::Config(format!("{}: {problem}", data.title)))
+}
+
+/// Returns half the median distance of a position to its nearest neighbour, metres; at least 0.1 mm.
+fn half_spacing(positions: &[[f64; 3]]) -> f64 {
     let points: Vec<[Real; 3]> = positions.iter().map(|p| p.map(|v| v as Real)).collect();
     let squares = nearest_other_squared(&points);
     let typical = median(squares.iter().map(|s| (*s as f64).sqrt()).filter(|d| *d > 0.0 && d.is_finite()));

@@ -40,21 +40,23 @@ impl Density {
         Self { kernels: order.iter().map(|k| (weights[*k] / sum, positions[*k])).collect(), bandwidth }
     }
 
-    /// Returns 1/(1 + r²) for a kernel at a point.
+    /// Returns 1/(1 + r²) at `point` for the kernel at `centre`, with r the horizontal distance in kernel widths.
     fn closeness(&self, point: [f64; 2], centre: &[f64; 3]) -> f64 {
         let r = [0, 1].map(|k| (point[k] - centre[k]) / self.bandwidth);
         1.0 / (1.0 + r[0] * r[0] + r[1] * r[1])
     }
 
     /// Returns the density at a point, per square metre.
-    pub(crate) fn at(&self, point: [f64; 2]) -> f64 {
+    pub(crate) fn value_at(&self, point: [f64; 2]) -> f64 {
         let kernels = self.kernels.iter().map(|(w, p)| w * self.closeness(point, p).powi(2));
         kernels.sum::<f64>() / (PI * self.bandwidth * self.bandwidth)
     }
 
-    /// Returns the mode, by ascent from the position of the highest density among those of the largest weights.
+    /// Returns the mode, by ascent from the position of the highest density among those of the largest weights; `None`
+    /// without kernels.
     fn mode(&self) -> Option<[f64; 2]> {
-        let peaks = self.kernels.iter().take(PEAKS).map(|(_, p)| [p[0], p[1]]).map(|point| (self.at(point), point));
+        let peaks =
+            self.kernels.iter().take(PEAKS).map(|(_, p)| [p[0], p[1]]).map(|point| (self.value_at(point), point));
         let (_, peak) = peaks.max_by(|a, b| a.0.total_cmp(&b.0))?;
         Some(self.ascend(peak))
     }
@@ -63,7 +65,7 @@ impl Density {
     /// for which the mean is the point if the gradient is 0 (mean shift).
     fn ascend(&self, mut point: [f64; 2]) -> [f64; 2] {
         for _ in 0..STEPS {
-            let next = self.mean(point, 3);
+            let next = self.weighted_mean(point, 3);
             let length = (next[0] - point[0]).hypot(next[1] - point[1]);
             point = [next[0], next[1]];
             if length < END * self.bandwidth {
@@ -73,8 +75,8 @@ impl Density {
         point
     }
 
-    /// Returns the mean of the positions, weighted by a power of the closeness to a point.
-    fn mean(&self, point: [f64; 2], power: i32) -> [f64; 3] {
+    /// Returns the mean of the positions, weighted by their weights times a power of the closeness to a point.
+    fn weighted_mean(&self, point: [f64; 2], power: i32) -> [f64; 3] {
         let (mut sum, mut total) = ([0.0; 3], 0.0);
         for (w, p) in &self.kernels {
             let weight = w * self.closeness(point, p).powi(power);
@@ -102,10 +104,10 @@ impl Density {
         let sides = ends.map(|(low, high)| high - low + 2.0 * reach);
         let mut grid =
             Grid { density: self, step: sides[0].max(sides[1]) / CELLS, low: [0; 2], high: [0; 2], highest: 1.0 };
-        grid.low = grid.cell(ends.map(|(low, _)| low - reach));
-        grid.high = grid.cell(ends.map(|(_, high)| high + reach));
+        grid.low = grid.cell_at(ends.map(|(low, _)| low - reach));
+        grid.high = grid.cell_at(ends.map(|(_, high)| high + reach));
         if let Some(mode) = self.mode() {
-            grid.highest = self.at(grid.centre(grid.cell(mode)));
+            grid.highest = self.value_at(grid.centre(grid.cell_at(mode)));
         }
         grid
     }
@@ -126,7 +128,7 @@ pub(crate) struct Grid<'a> {
 
 impl Grid<'_> {
     /// Returns the cell that contains a point.
-    fn cell(&self, point: [f64; 2]) -> [i64; 2] {
+    fn cell_at(&self, point: [f64; 2]) -> [i64; 2] {
         point.map(|v| (v / self.step).floor() as i64)
     }
 
@@ -136,25 +138,25 @@ impl Grid<'_> {
     }
 
     /// Returns the density in a cell, relative to the highest.
-    fn value(&self, cell: [i64; 2]) -> f32 {
-        (self.density.at(self.centre(cell)) / self.highest) as f32
+    fn relative_density(&self, cell: [i64; 2]) -> f32 {
+        (self.density.value_at(self.centre(cell)) / self.highest) as f32
     }
 
     /// Returns the highest level of a region that holds a point, at most 1; 0 for a point outside of the grid.
     pub(crate) fn level_at(&self, point: [f64; 2]) -> f32 {
-        let cell = self.cell(point);
+        let cell = self.cell_at(point);
         let is_on_grid = (0..2).all(|k| (self.low[k]..=self.high[k]).contains(&cell[k]));
-        if is_on_grid { self.value(cell).min(1.0) } else { 0.0 }
+        if is_on_grid { self.relative_density(cell).min(1.0) } else { 0.0 }
     }
 
     /// Returns the region with at least `level` of the highest density.
     pub(crate) fn region(&self, level: f32) -> Region {
         let ([left, bottom], [right, top]) = (self.low, self.high);
         let cells = (bottom..=top).flat_map(|y| (left..=right).map(move |x| [x, y]));
-        let values: Vec<f32> = cells.map(|cell| self.value(cell)).collect();
+        let values: Vec<f32> = cells.map(|cell| self.relative_density(cell)).collect();
         let (columns, parts) = ((right - left + 1) as usize, vec![0; values.len()]);
         let mut region = Region { low: self.low, step: self.step, columns, values, level, parts, count: 0 };
-        region.find_parts();
+        region.number_parts();
         region
     }
 }
@@ -189,7 +191,7 @@ impl Region {
     }
 
     /// Returns the part of a cell in a column and a row, counted from 1; 0 outside.
-    fn part(&self, [column, row]: [i64; 2]) -> u32 {
+    fn part_of_cell(&self, [column, row]: [i64; 2]) -> u32 {
         let is_on_grid = (0..self.columns as i64).contains(&column) && row >= 0;
         let cell = is_on_grid.then_some((row * self.columns as i64 + column) as usize);
         cell.and_then(|cell| self.parts.get(cell)).copied().unwrap_or(0)
@@ -197,7 +199,7 @@ impl Region {
 
     /// Returns the part at a point, counted from 1; 0 outside.
     pub(crate) fn part_at(&self, point: [f64; 2]) -> u32 {
-        self.part([0, 1].map(|k| (point[k] / self.step).floor() as i64 - self.low[k]))
+        self.part_of_cell([0, 1].map(|k| (point[k] / self.step).floor() as i64 - self.low[k]))
     }
 
     /// Returns whether the region holds a point.
@@ -205,8 +207,8 @@ impl Region {
         self.part_at(point) > 0
     }
 
-    /// Numbers the parts.
-    fn find_parts(&mut self) {
+    /// Numbers the parts: flood fill over the cells with at least the level, from 1 in the order of cells.
+    fn number_parts(&mut self) {
         let (columns, cells) = (self.columns, self.values.len());
         let is_inside = |k: usize| self.values[k] >= self.level;
         for start in 0..cells {
@@ -256,19 +258,19 @@ impl Region {
             Density { kernels, bandwidth: density.bandwidth }.mode().filter(is_mode_inside)
         };
         let mode = Density { kernels: sharper, bandwidth }.mode().filter(is_mode_inside).or_else(plain);
-        let [x, y] = mode.unwrap_or_else(|| self.highest_of(part));
-        (part, [x, y, density.mean([x, y], 2)[2]])
+        let [x, y] = mode.unwrap_or_else(|| self.highest_centre(part));
+        (part, [x, y, density.weighted_mean([x, y], 2)[2]])
     }
 
-    /// Returns the centre of the cell of the highest density in a part, metres.
-    fn highest_of(&self, part: u32) -> [f64; 2] {
+    /// Returns the centre of the cell of the highest density in `part`, metres; of the first cell if it has none.
+    fn highest_centre(&self, part: u32) -> [f64; 2] {
         let cells = (0..self.values.len()).filter(|k| self.parts[*k] == part);
         let highest = cells.max_by(|a, b| self.values[*a].total_cmp(&self.values[*b])).unwrap_or(0);
         let ([x, y], (row, column)) = (self.first(), (highest / self.columns, highest % self.columns));
         [x + column as f64 * self.step, y + row as f64 * self.step]
     }
 
-    /// Returns the area, square metres.
+    /// Returns the area of all parts, square metres.
     pub fn area(&self) -> f64 {
         let inside = self.parts.iter().filter(|part| **part > 0).count();
         inside as f64 * self.step * self.step
@@ -279,7 +281,8 @@ impl Region {
         let (columns, rows) = (self.columns as i64, (self.values.len() / self.columns.max(1)) as i64);
         // Edges of cells with the inside on their left, from corner to corner.
         let mut edges: BTreeSet<[[i64; 2]; 2]> = BTreeSet::new();
-        let cells = (0..rows).flat_map(|y| (0..columns).map(move |x| [x, y])).filter(|cell| self.part(*cell) > 0);
+        let cells =
+            (0..rows).flat_map(|y| (0..columns).map(move |x| [x, y])).filter(|cell| self.part_of_cell(*cell) > 0);
         for [x, y] in cells {
             let sides = [
                 ([0, -1], [x, y], [x + 1, y]),
@@ -287,7 +290,7 @@ impl Region {
                 ([0, 1], [x + 1, y + 1], [x, y + 1]),
                 ([-1, 0], [x, y + 1], [x, y]),
             ];
-            let is_edge = |[dx, dy]: [i64; 2]| self.part([x + dx, y + dy]) == 0;
+            let is_edge = |[dx, dy]: [i64; 2]| self.part_of_cell([x + dx, y + dy]) == 0;
             edges.extend(sides.into_iter().filter(|(outside, ..)| is_edge(*outside)).map(|(_, from, to)| [from, to]));
         }
         let mut outlines = Vec::new();
@@ -306,7 +309,7 @@ impl Region {
         outlines
     }
 
-    /// Returns the corners at which a closed outline turns, metres.
+    /// Returns the `corners` at which a closed outline turns, converted to metres.
     fn turning_corners(&self, corners: &[[i64; 2]]) -> Vec<[f64; 2]> {
         let n = corners.len();
         let turns = |i: &usize| {
@@ -327,7 +330,7 @@ mod tests {
         let values: Vec<f32> = rows.concat().bytes().map(|b| f32::from(u8::from(b == b'#'))).collect();
         let (columns, parts) = (rows[0].len(), vec![0; values.len()]);
         let mut region = Region { low: [0, 0], step: 1.0, columns, values, level: 0.5, parts, count: 0 };
-        region.find_parts();
+        region.number_parts();
         region
     }
 
@@ -360,7 +363,7 @@ mod tests {
         let density = Density::new(&[0.5, 0.5], &[[0.0, 0.0, 1.0], [3.0, 0.0, 2.0]], 0.5);
         let step = 0.05;
         let grid = (-400..400).flat_map(|y| (-400..400).map(move |x| [f64::from(x) * step, f64::from(y) * step]));
-        let sum = grid.map(|point| density.at(point)).sum::<f64>() * step * step;
+        let sum = grid.map(|point| density.value_at(point)).sum::<f64>() * step * step;
         assert!((sum - 1.0).abs() < 0.01, "{sum}");
         let region = density.grid().region(0.5);
         assert_eq!((region.outlines().len(), region.parts()), (2, 2), "two distant positions have two parts");

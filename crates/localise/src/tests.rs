@@ -114,7 +114,7 @@ fn derivative_of_features_agrees_with_central_differences() {
         let along = values(numbers);
         let sum = |h: Real| {
             let moved = pixels.iter().zip(&along).map(|(p, a)| p + h * a).collect();
-            features.of(&image(moved)).iter().zip(&d).map(|(f, d)| f64::from(f * d)).sum::<f64>()
+            features.extract(&image(moved)).iter().zip(&d).map(|(f, d)| f64::from(f * d)).sum::<f64>()
         };
         let difference = (sum(0.02) - sum(-0.02)) / 0.04;
         let expected: f64 = gradient.iter().zip(&along).map(|(f, a)| (f * a) as f64).sum();

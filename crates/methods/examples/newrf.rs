@@ -6,7 +6,7 @@
 
 use pwrfgs_core::{Real, testing::shared};
 use pwrfgs_methods::MatchingPursuit;
-use pwrfgs_methods::virtual_transmitters::{ChannelInputs, PursuitOptions, field, pursue, snr_of};
+use pwrfgs_methods::virtual_transmitters::{ChannelInputs, PursuitOptions, field, pursue_sources, snr_db};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -69,11 +69,11 @@ fn main() {
                 eprintln!("{:6.1} s {sources} sources", start.elapsed().as_secs_f64());
             }
         };
-        let found = pursue(&links(before), h, &options, &AtomicBool::new(false), &mut report_progress).unwrap();
+        let found = pursue_sources(&links(before), h, &options, &AtomicBool::new(false), &mut report_progress).unwrap();
         let seconds = start.elapsed().as_secs_f64();
         let cloud = found.to_cloud();
-        let fitted = snr_of(&field(&cloud, None, &links(before)), h);
-        let test = snr_of(&field(&cloud, None, &links(after)), h_after);
+        let fitted = snr_db(&field(&cloud, None, &links(before)), h);
+        let test = snr_db(&field(&cloud, None, &links(after)), h_after);
         println!(
             "{name} seed {}: {} sources, {seconds:.1} s, training {fitted:.2} dB, test {test:.2} dB",
             options.seed,
@@ -81,7 +81,8 @@ fn main() {
         );
         if verbose {
             let unit = 0.299_792_458e9 / band.frequency / (4.0 * std::f64::consts::PI);
-            for (v, s) in found.positions.iter().zip(found.gains.chunks(found.terms())).map(|(v, s)| (v, s[0])) {
+            for (v, s) in found.positions.iter().zip(found.gains.chunks(found.harmonic_count())).map(|(v, s)| (v, s[0]))
+            {
                 println!(
                     "  {:7.3} {:7.3} {:7.3}  |s| {:.3} arg {:.2}",
                     v[0],

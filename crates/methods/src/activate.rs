@@ -68,7 +68,7 @@ impl Activation {
                 let s = cloud.log_scales[i][k].exp() + d_scale[k];
                 out.scales[i][k] = m * if self.calibration == Calibration::Physical { s.max(SCALE_FLOOR) } else { s };
             }
-            let sum = add(normalise_quat(cloud.quats[i]), d_quat);
+            let sum = sum_quats(normalise_quat(cloud.quats[i]), d_quat);
             out.quats[i] = match self.calibration {
                 Calibration::Physical => normalise_quat(sum),
                 Calibration::AsReleased => sum,
@@ -78,7 +78,7 @@ impl Activation {
         out
     }
 
-    /// Adds to `sums` (row `b` of its deltas), given the cotangents `d` of [`Self::geometry`].
+    /// Adds the derivatives of [`Self::geometry`] to `sums` (row `b` of its deltas), given the cotangents `d`.
     pub fn geometry_vjp(
         &self,
         cloud: &GaussianCloud,
@@ -109,12 +109,12 @@ impl Activation {
             let mut d_quat = d.quats[i];
             if self.calibration == Calibration::Physical {
                 let delta = deltas.quats.get(b * n + i).copied().unwrap_or_default();
-                d_quat = normalise_quat_vjp(add(normalise_quat(cloud.quats[i]), delta), d_quat);
+                d_quat = normalise_quat_vjp(sum_quats(normalise_quat(cloud.quats[i]), delta), d_quat);
             }
             if let Some(row) = d_deltas.quats.get_mut(b * n + i) {
-                *row = add(*row, d_quat);
+                *row = sum_quats(*row, d_quat);
             }
-            d_cloud.quats[i] = add(d_cloud.quats[i], normalise_quat_vjp(cloud.quats[i], d_quat));
+            d_cloud.quats[i] = sum_quats(d_cloud.quats[i], normalise_quat_vjp(cloud.quats[i], d_quat));
             let o = sigmoid(cloud.opacity_logits[i]);
             d_gate[i] += d.opacities[i] * o;
             d_cloud.opacity_logits[i] += m * d.opacities[i] * o * (1.0 - o);
@@ -139,7 +139,7 @@ impl Activation {
         out
     }
 
-    /// Adds to `sums`, given the cotangents of [`Self::signals`].
+    /// Adds the derivatives of [`Self::signals`] to `sums`, given the cotangents `d` `[N, batch · channels]`.
     pub fn signals_vjp(
         &self,
         cloud: &GaussianCloud,
@@ -163,7 +163,7 @@ impl Activation {
                         d_cloud.signals[i][c] += d_signal;
                     }
                     if let Some(row) = d_deltas.signals.get_mut(b * n + i) {
-                        let is_turned = self.takes_magnitudes() && deltas.signals[b * n + i][c] < 0.0;
+                        let is_turned = self.requires_magnitudes() && deltas.signals[b * n + i][c] < 0.0;
                         row[c] += if is_turned { -d_signal } else { d_signal };
                     }
                 }
@@ -172,43 +172,45 @@ impl Activation {
     }
 
     /// Returns whether a signal is s + |Δ|: WRF-GS+ adds the magnitude of the complex output of its network.
-    fn takes_magnitudes(&self) -> bool {
+    fn requires_magnitudes(&self) -> bool {
         self.calibration == Calibration::AsReleased && !self.replaces_signals
     }
 
+    /// Returns channel `c` of the signal of Gaussian `i` with the terms of `row`, before the released colour conversion.
     fn signal(&self, cloud: &GaussianCloud, deltas: &Deltas, row: usize, i: usize, c: usize) -> Real {
         let base = if self.replaces_signals { 0.0 } else { cloud.signals[i][c] };
         let delta = deltas.signals.get(row).map_or(0.0, |d| d[c]);
-        base + if self.takes_magnitudes() { delta.abs() } else { delta }
+        base + if self.requires_magnitudes() { delta.abs() } else { delta }
     }
 }
 
-fn add(a: [Real; 4], b: [Real; 4]) -> [Real; 4] {
+fn sum_quats(a: [Real; 4], b: [Real; 4]) -> [Real; 4] {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]]
 }
 
-fn dot(a: [Real; 4], b: [Real; 4]) -> Real {
+fn dot_quats(a: [Real; 4], b: [Real; 4]) -> Real {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 }
 
-fn divided(q: [Real; 4], norm: Real) -> [Real; 4] {
+/// Divides all components of a quaternion by `norm`.
+fn divide_quat(q: [Real; 4], norm: Real) -> [Real; 4] {
     [q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm]
 }
 
 /// Returns q/|q| of a quaternion w, x, y, z; the identity for a quaternion close to zero.
 pub fn normalise_quat(q: [Real; 4]) -> [Real; 4] {
-    let norm = dot(q, q).sqrt();
-    if norm > 1e-12 { divided(q, norm) } else { [1.0, 0.0, 0.0, 0.0] }
+    let norm = dot_quats(q, q).sqrt();
+    if norm > 1e-12 { divide_quat(q, norm) } else { [1.0, 0.0, 0.0, 0.0] }
 }
 
-/// Returns the cotangent of q, given that of [`normalise_quat`].
+/// Returns the cotangent of q, given that `d` of [`normalise_quat`]; zero for a quaternion close to zero.
 pub fn normalise_quat_vjp(q: [Real; 4], d: [Real; 4]) -> [Real; 4] {
-    let norm = dot(q, q).sqrt();
+    let norm = dot_quats(q, q).sqrt();
     if norm <= 1e-12 {
         return [0.0; 4];
     }
-    let unit = divided(q, norm);
-    let along = dot(unit, d);
+    let unit = divide_quat(q, norm);
+    let along = dot_quats(unit, d);
     let across = |k: usize| (d[k] - unit[k] * along) / norm;
     [across(0), across(1), across(2), across(3)]
 }

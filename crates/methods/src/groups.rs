@@ -22,13 +22,13 @@ pub(crate) struct ReceiverGroup {
 }
 
 impl ReceiverGroup {
-    /// Groups all links by receiver; one group per link if links do not `share` a geometry.
-    pub(crate) fn all(LinkInputs { receivers, pairs: links, .. }: &LinkInputs, share: bool) -> Vec<Self> {
+    /// Groups all links by receiver, in the order of receivers; one group per link if links do not `share` a geometry.
+    pub(crate) fn from_links(LinkInputs { receivers, pairs: links, .. }: &LinkInputs, share: bool) -> Vec<Self> {
         let mut groups: Vec<Self> = Vec::new();
         for (row, state) in receivers.iter().enumerate() {
-            let of_receiver: Vec<usize> = (0..links.len()).filter(|&i| links[i].receiver == row).collect();
-            let together = if share { of_receiver.len().max(1) } else { 1 };
-            groups.extend(of_receiver.chunks(together).map(|part| Self {
+            let receiver_links: Vec<usize> = (0..links.len()).filter(|&i| links[i].receiver == row).collect();
+            let size = if share { receiver_links.len().max(1) } else { 1 };
+            groups.extend(receiver_links.chunks(size).map(|part| Self {
                 state: *state,
                 row,
                 links: part.to_vec(),
@@ -38,41 +38,35 @@ impl ReceiverGroup {
         groups
     }
 
-    /// Returns its links, each as a separate group.
-    pub(crate) fn alone(&self) -> impl Iterator<Item = Self> + '_ {
+    /// Returns the links of the group, each as a separate group.
+    pub(crate) fn split_links(&self) -> impl Iterator<Item = Self> + '_ {
         let (state, row) = (self.state, self.row);
         let one = move |(link, tx): (&usize, &usize)| Self { state, row, links: vec![*link], rows: vec![*tx] };
         self.links.iter().zip(&self.rows).map(one)
     }
 
-    /// Returns the row of its first location.
-    pub(crate) fn location(&self) -> usize {
+    /// Returns the row of the location of the first link.
+    pub(crate) fn first_location(&self) -> usize {
         self.rows[0]
     }
 
-    /// Returns the index of its first link.
-    pub(crate) fn first(&self) -> usize {
+    /// Returns the index of the first link.
+    pub(crate) fn first_link(&self) -> usize {
         self.links[0]
     }
 
     /// Returns the distance from receiver to transmitter per link, metres; empty if a position is unknown.
-    pub(crate) fn distances(&self, setup: &MeasurementSetup, links: &LinkInputs) -> Vec<Real> {
-        let Some(fixed) = setup.fixed_end(self.state.receiver) else { return Vec::new() };
-        let moving = links.conditions().positions();
+    pub(crate) fn distances(&self, call: &Call<'_>) -> Vec<Real> {
+        let Some(fixed) = call.setup.fixed_end(self.state.receiver) else { return Vec::new() };
+        let moving = call.links.conditions().positions();
         let distance = |row: &usize| moving.get(*row).map(|position| (Vec3::from_array(*position) - fixed).length());
         self.rows.iter().filter_map(distance).collect()
     }
 
-    /// Adds to the cotangents of the positions, given those of [`Self::distances`].
-    pub(crate) fn distances_vjp(
-        &self,
-        setup: &MeasurementSetup,
-        links: &LinkInputs,
-        d: impl Iterator<Item = Real>,
-        d_positions: &mut [[Real; 3]],
-    ) {
-        let Some(fixed) = setup.fixed_end(self.state.receiver) else { return };
-        let moving = links.conditions().positions();
+    /// Adds to the cotangents of the positions of the moving end, given those `d` of [`Self::distances`].
+    pub(crate) fn distances_vjp(&self, call: &Call<'_>, d: impl Iterator<Item = Real>, d_positions: &mut [[Real; 3]]) {
+        let Some(fixed) = call.setup.fixed_end(self.state.receiver) else { return };
+        let moving = call.links.conditions().positions();
         for (row, d) in self.rows.iter().zip(d) {
             let offset = Vec3::from_array(moving[*row]) - fixed;
             let d_offset = offset.normalize_or_zero() * d;
@@ -80,69 +74,70 @@ impl ReceiverGroup {
         }
     }
 
-    /// Returns the rows of `numbers` values that belong to its links.
-    pub(crate) fn gather<'a>(&self, all: &'a [Real], numbers: usize) -> Cow<'a, [Real]> {
+    /// Returns the rows of `all` `[L, numbers]` that belong to the links of the group, borrowed if they are contiguous.
+    pub(crate) fn gather_rows<'a>(&self, all: &'a [Real], numbers: usize) -> Cow<'a, [Real]> {
         if self.links.windows(2).all(|pair| pair[1] == pair[0] + 1) {
             return Cow::Borrowed(&all[self.links[0] * numbers..][..self.links.len() * numbers]);
         }
         Cow::Owned(self.links.iter().flat_map(|link| &all[link * numbers..][..numbers]).copied().collect())
     }
 
-    /// Writes rows to the positions of its links.
-    pub(crate) fn scatter(&self, values: &[Real], numbers: usize, all: &mut [Real]) {
+    /// Writes `values` `[links of the group, numbers]` to the rows of these links in `all` `[L, numbers]`.
+    pub(crate) fn scatter_rows(&self, values: &[Real], numbers: usize, all: &mut [Real]) {
         for (values, link) in values.chunks_exact(numbers).zip(&self.links) {
             all[link * numbers..][..numbers].copy_from_slice(values);
         }
     }
 
-    /// Returns the deformation terms of its transmitters: a slice of `deltas` if contiguous, otherwise a copy.
-    pub(crate) fn terms<'a>(&self, deltas: &'a Deltas, n: usize) -> (Cow<'a, Deltas>, Range<usize>) {
+    /// Returns the deformation terms of the transmitters of the group, and their range of transmitters: `deltas` itself
+    /// if contiguous, otherwise a copy. Each transmitter has `n` rows.
+    pub(crate) fn gather_terms<'a>(&self, deltas: &'a Deltas, n: usize) -> (Cow<'a, Deltas>, Range<usize>) {
         let first = self.rows[0];
         if self.rows.iter().enumerate().all(|(k, row)| *row == first + k) {
             return (Cow::Borrowed(deltas), first..first + self.rows.len());
         }
-        (Cow::Owned(self.copy(deltas, n)), 0..self.rows.len())
+        (Cow::Owned(self.copy_terms(deltas, n)), 0..self.rows.len())
     }
 
-    /// Calls `vjp` with the terms of its transmitters and returns its result; the cotangents of these terms are added
-    /// to the rows of origin.
-    pub(crate) fn terms_vjp<T>(
+    /// Calls `vjp` with the terms of [`Self::gather_terms`] and returns its result; adds the cotangents of these terms to
+    /// the rows of origin in `grads`.
+    pub(crate) fn gather_terms_vjp<T>(
         &self,
         deltas: &Deltas,
-        n: usize,
         grads: &mut ActivationVjp,
         vjp: impl FnOnce(&Deltas, Range<usize>, &mut ActivationVjp) -> T,
     ) -> T {
-        let (terms, batch) = self.terms(deltas, n);
+        let n = grads.gate.len();
+        let (terms, batch) = self.gather_terms(deltas, n);
         // Copied terms have their own derivative, which is then added to the rows of origin.
         let copied = matches!(terms, Cow::Owned(_));
         let all = copied.then(|| std::mem::replace(&mut grads.deltas, terms.zeros_like()));
         let gradients = vjp(&terms, batch, grads);
         if let Some(all) = all {
             let part = std::mem::replace(&mut grads.deltas, all);
-            self.add_back(&part, &mut grads.deltas, n);
+            self.add_copied_terms(&part, &mut grads.deltas, n);
         }
         gradients
     }
 
-    fn copy(&self, deltas: &Deltas, n: usize) -> Deltas {
-        fn rows<T: Copy>(column: &[T], rows: &[usize], n: usize) -> Vec<T> {
+    /// Copies the terms of the transmitters of the group, `n` rows each.
+    fn copy_terms(&self, deltas: &Deltas, n: usize) -> Deltas {
+        fn copy_rows<T: Copy>(column: &[T], rows: &[usize], n: usize) -> Vec<T> {
             if column.is_empty() {
-                Vec::new()
-            } else {
-                rows.iter().flat_map(|b| column[b * n..][..n].iter().copied()).collect()
+                return Vec::new();
             }
+            rows.iter().flat_map(|b| column[b * n..][..n].iter().copied()).collect()
         }
         let Deltas { scales, quats, signals } = deltas;
         Deltas {
-            scales: rows(scales, &self.rows, n),
-            quats: rows(quats, &self.rows, n),
-            signals: rows(signals, &self.rows, n),
+            scales: copy_rows(scales, &self.rows, n),
+            quats: copy_rows(quats, &self.rows, n),
+            signals: copy_rows(signals, &self.rows, n),
         }
     }
 
-    /// Adds derivatives of copied terms to the rows of origin.
-    fn add_back(&self, copied: &Deltas, all: &mut Deltas, n: usize) {
+    /// Adds the derivatives of copied terms to the rows of origin in `all`.
+    fn add_copied_terms(&self, copied: &Deltas, all: &mut Deltas, n: usize) {
         for (copied, all) in copied.columns().into_iter().zip(all.columns_mut()) {
             let width = copied.len() / (self.rows.len() * n).max(1);
             for (k, b) in self.rows.iter().enumerate() {
@@ -157,13 +152,14 @@ impl ReceiverGroup {
 pub(crate) const OFFSETS: &str = "receiver.offsets";
 
 /// Returns the rows of `cloud` that pass through the network: those with an open gate; all if the network couples them.
-pub(crate) fn rows(deformation: &dyn Deformation, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
+pub(crate) fn network_rows(deformation: &dyn Deformation, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
     let all = deformation.traits().couples_gaussians;
     (0..cloud.len()).filter(|&i| all || gate.is_none_or(|gate| gate[i] != 0.0)).collect()
 }
 
-/// Returns the terms of the network and, in training, what it keeps for the backward pass.
-pub(crate) fn terms(
+/// Returns the terms of the network and, if `is_training`, what it keeps for the backward pass. `prepared` is its cache
+/// for predictions, if there is one.
+pub(crate) fn network_terms(
     deformation: &dyn Deformation,
     inputs: &DeformationInputs<'_>,
     prepared: &Cache,
@@ -176,8 +172,8 @@ pub(crate) fn terms(
     }
 }
 
-/// Runs the backward pass of activation and network: adds to `sums`, given the cotangents of the activation.
-pub(crate) fn vjp(
+/// Runs the backward pass of the network, given the cotangents `grads` of the activation; adds those of both to `sums`.
+pub(crate) fn network_vjp(
     deformation: &dyn Deformation,
     inputs: &DeformationInputs<'_>,
     grads: &ActivationVjp,
@@ -198,7 +194,7 @@ pub(crate) fn vjp(
 
 /// Returns the Gaussians as drawn for a transmitter at `tx`, or without transmitter; `p.weights` begin with those of
 /// the network. Pose and carrier are those of the first receiver. `strengths` computes pixel values `[N]` from signals `[N, channels]`.
-pub(crate) fn gaussians(
+pub(crate) fn activated_gaussians(
     deformation: &dyn Deformation,
     activation: Activation,
     setup: &MeasurementSetup,
@@ -220,8 +216,8 @@ pub(crate) fn gaussians(
     Activated { primitives: activation.geometry(p.cloud, &deltas, 0, None), signals, strengths }
 }
 
-/// Returns the predictions of `method` for the links `part` before the first step, `[part, numbers]`.
-pub(crate) fn untrained(
+/// Returns the predictions of `method` for the links `part` before the first training step, `[part, numbers]`.
+pub(crate) fn untrained_predictions(
     method: &dyn Method,
     setup: &MeasurementSetup,
     data: &Dataset,
@@ -234,10 +230,10 @@ pub(crate) fn untrained(
 }
 
 /// Initialises those parameters of the deformation that depend on the features or positions of the training set.
-pub(crate) fn start(deformation: &dyn Deformation, data: &Dataset, train: &[usize], network: &mut [Real]) {
+pub(crate) fn start_network(deformation: &dyn Deformation, data: &Dataset, train: &[usize], network: &mut [Real]) {
     if data.features.is_some() {
-        let all: Vec<Real> = train.iter().filter_map(|&i| data.query(i).features).flatten().copied().collect();
-        return deformation.start(Conditions::new(deformation.traits().inputs, &all), network);
+        let features: Vec<Real> = train.iter().filter_map(|&i| data.query(i).features).flatten().copied().collect();
+        return deformation.start(Conditions::new(deformation.traits().inputs, &features), network);
     }
     let mut locations: Vec<usize> = train.iter().map(|&i| data.links[i].location).collect();
     locations.dedup(); // links are in the order of their locations

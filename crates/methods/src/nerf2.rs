@@ -107,8 +107,8 @@ const MOST: usize = 4_096;
 const LARGEST: usize = 1 << 28;
 
 impl Nerf2 {
-    /// Returns the directions of powers and channels, ring by ring from the horizon up.
-    fn sky(&self) -> Vec<[Real; 3]> {
+    /// Returns the unit vectors of the rays of powers and channels, ring by ring from the horizon up.
+    fn sky_directions(&self) -> Vec<[Real; 3]> {
         let direction = |i: usize| {
             let (ring, column) = ((i / self.azimuths + 1) as Real, (i % self.azimuths) as Real);
             let el = consts::PI / 2.0 * ring / self.elevations as Real;
@@ -167,22 +167,22 @@ pub(crate) struct RayBundle {
 }
 
 impl RayBundle {
-    /// Creates the rays of receiver `receiver`; for a spectrum only those of `pixels`.
-    pub(crate) fn of(method: &Nerf2, setup: &MeasurementSetup, receiver: usize, pixels: &PixelSubset) -> Self {
+    /// Creates the rays of a receiver: those of `pixels` for a spectrum, otherwise those of the whole sky.
+    pub(crate) fn new(method: &Nerf2, setup: &MeasurementSetup, receiver: usize, pixels: &PixelSubset) -> Self {
         let pose = &setup.receivers[receiver].pose;
-        let turned = |direction: [Real; 3]| pose.turned(direction.map(f64::from)).map(|x| x as Real);
+        let in_room = |direction: [Real; 3]| pose.turned(direction.map(f64::from)).map(|x| x as Real);
         let directions = if setup.task.has_pixels {
             let plane = &setup.plane;
-            let at = |p: usize| {
+            let ray = |p: usize| {
                 let (column, row) = (p % plane.width, p / plane.width);
-                turned(plane.direction(column as Real, row as Real).unwrap_or([0.0, 0.0, 1.0]))
+                in_room(plane.direction(column as Real, row as Real).unwrap_or([0.0, 0.0, 1.0]))
             };
             match pixels {
-                PixelSubset::All => (0..setup.numbers()).map(at).collect(),
-                PixelSubset::Same(places) | PixelSubset::Each(places) => places.iter().map(|&p| at(p)).collect(),
+                PixelSubset::All => (0..setup.numbers()).map(ray).collect(),
+                PixelSubset::Same(pixels) | PixelSubset::Each(pixels) => pixels.iter().map(|&p| ray(p)).collect(),
             }
         } else {
-            method.sky().into_iter().map(turned).collect()
+            method.sky_directions().into_iter().map(in_room).collect()
         };
         let origin = pose.position.map(|x| x as Real / method.unit_m);
         let (far, last) = (method.far_m / method.unit_m, (method.samples - 1) as Real);
@@ -190,11 +190,11 @@ impl RayBundle {
     }
 
     /// Returns the number of samples per ray.
-    pub(crate) fn samples(&self) -> usize {
+    pub(crate) fn sample_count(&self) -> usize {
         self.samples.len()
     }
 
-    /// Returns the sample positions of a range of rays, ray by ray.
+    /// Returns the positions of the samples of some rays, ray by ray, in the network's unit of length.
     pub(crate) fn points(&self, rays: Range<usize>) -> Vec<[Real; 3]> {
         let along = |d: &[Real; 3]| {
             let (origin, d) = (self.origin, *d);

@@ -25,28 +25,29 @@ pub enum Readout {
     /// term per receiver. The sky is a grid of directions with a pixel size of `sky_deg`.
     ReceivedPower {
         /// Pixel size of the sky, degrees; a divisor of 180.
-        #[serde(default = "sky_deg")]
+        #[serde(default = "default_sky_deg")]
         sky_deg: u32,
         /// Variance added to both diagonal entries of the 2-D covariance of a Gaussian on this sky, in place of the
         /// projector's filter, degrees².
-        #[serde(default = "filter_deg2")]
+        #[serde(default = "default_filter_deg2")]
         filter_deg2: Real,
     },
 }
 
-/// Returns the default; a received power needs no finer sky.
-const fn sky_deg() -> u32 {
+/// Returns the default of `sky_deg`, degrees; a received power needs no finer sky.
+const fn default_sky_deg() -> u32 {
     10
 }
 
-/// Returns the default, a standard deviation of half a pixel of 10 degrees; narrower Gaussians would fall between pixels.
-const fn filter_deg2() -> Real {
+/// Returns the default of `filter_deg2`, degrees²: a standard deviation of half a pixel of 10 degrees. Narrower Gaussians
+/// would fall between pixels.
+const fn default_filter_deg2() -> Real {
     30.0
 }
 
 impl Readout {
     /// Readout of a received power with the standard settings.
-    pub const RECEIVED: Self = Self::ReceivedPower { sky_deg: sky_deg(), filter_deg2: filter_deg2() };
+    pub const RECEIVED: Self = Self::ReceivedPower { sky_deg: default_sky_deg(), filter_deg2: default_filter_deg2() };
 
     /// Returns the measurement type of the output.
     pub fn task(self) -> Task {
@@ -83,15 +84,15 @@ impl Readout {
             return signals.to_vec();
         }
         let mut image = vec![0.0; signals.len() / 2];
-        let pictures = image.par_chunks_exact_mut(pixels).zip(signals.par_chunks_exact(2 * pixels));
-        pictures.for_each(|(image, pair)| {
-            powers(image, pair.split_at(pixels));
+        let images = image.par_chunks_exact_mut(pixels).zip(signals.par_chunks_exact(2 * pixels));
+        images.for_each(|(image, pair)| {
+            fill_powers(image, pair.split_at(pixels));
             match self {
                 Self::MinMax => {
                     let (darkest, brightest) = range(image);
-                    stretched_roots(image, darkest.sqrt(), brightest.sqrt());
+                    stretch_roots(image, darkest.sqrt(), brightest.sqrt());
                 }
-                Self::Magnitude => stretched_roots(image, 0.0, 1.0),
+                Self::Magnitude => stretch_roots(image, 0.0, 1.0),
                 _ => {}
             }
         });
@@ -100,10 +101,10 @@ impl Readout {
 
     /// Returns the derivative of each pixel value with respect to its channels, `[channels, H·W]`; [`Self::MinMax`]
     /// with constant smallest and largest value.
-    pub(crate) fn slopes(self, signals: &[Real], pixels: usize) -> Vec<Real> {
+    pub(crate) fn pixel_slopes(self, signals: &[Real], pixels: usize) -> Vec<Real> {
         let gain = if self == Self::MinMax {
             let mut image = vec![0.0; pixels];
-            powers(&mut image, signals.split_at(pixels));
+            fill_powers(&mut image, signals.split_at(pixels));
             let (low, high) = range(&image);
             gain(low.sqrt(), high.sqrt())
         } else {
@@ -119,10 +120,10 @@ impl Readout {
             return d_image.to_vec();
         }
         let mut d = vec![0.0; signals.len()];
-        let pictures = (d.par_chunks_exact_mut(2 * pixels))
+        let images = (d.par_chunks_exact_mut(2 * pixels))
             .zip(signals.par_chunks_exact(2 * pixels))
             .zip(d_image.par_chunks_exact(pixels));
-        pictures.for_each_init(
+        images.for_each_init(
             || (Vec::new(), Vec::new()),
             |(magnitude, d_magnitude), ((d, pair), d_image)| {
                 let ((c0, c1), (d0, d1)) = (pair.split_at(pixels), d.split_at_mut(pixels));
@@ -133,15 +134,15 @@ impl Readout {
                     return;
                 }
                 magnitude.resize(pixels, 0.0);
-                powers(magnitude, (c0, c1));
-                stretched_roots(magnitude, 0.0, 1.0);
+                fill_powers(magnitude, (c0, c1));
+                stretch_roots(magnitude, 0.0, 1.0);
                 let d_image = if self == Self::MinMax {
                     stretch_vjp(magnitude, d_image, d_magnitude);
                     d_magnitude
                 } else {
                     d_image
                 };
-                turn(d0, d1, (c0, c1), magnitude, d_image);
+                magnitude_vjp(d0, d1, (c0, c1), magnitude, d_image);
             },
         );
         d
@@ -153,16 +154,16 @@ pub(crate) fn magnitudes(signals: &[Real]) -> Vec<Real> {
     signals.as_chunks::<2>().0.iter().map(|[a, b]| (a * a + b * b).sqrt()).collect()
 }
 
-/// Computes the squared magnitude of every pixel.
-fn powers(image: &mut [Real], (c0, c1): (&[Real], &[Real])) {
+/// Sets every pixel of `image` to the power c₀² + c₁² of its channels.
+fn fill_powers(image: &mut [Real], (c0, c1): (&[Real], &[Real])) {
     pulp::Arch::new().dispatch(
         #[inline(always)]
         || image.iter_mut().zip(c0).zip(c1).for_each(|((v, a), b)| *v = a * a + b * b),
     );
 }
 
-/// Converts powers to magnitudes, scaled from `low`..`high` to [0, 1]; the limits 0 and 1 do not scale.
-fn stretched_roots(image: &mut [Real], low: Real, high: Real) {
+/// Converts the powers of `image` to magnitudes, scaled from `low`..`high` to [0, 1]; the limits 0 and 1 do not scale.
+fn stretch_roots(image: &mut [Real], low: Real, high: Real) {
     let gain = gain(low, high);
     pulp::Arch::new().dispatch(
         #[inline(always)]
@@ -170,8 +171,9 @@ fn stretched_roots(image: &mut [Real], low: Real, high: Real) {
     );
 }
 
-/// Computes the derivative of the magnitude: d along the direction of the signal.
-fn turn(d0: &mut [Real], d1: &mut [Real], (c0, c1): (&[Real], &[Real]), magnitude: &[Real], d: &[Real]) {
+/// Sets `d0` and `d1` to the cotangents of both channels, given those `d` of the magnitude: d along the direction of the
+/// signal, zero for a zero signal.
+fn magnitude_vjp(d0: &mut [Real], d1: &mut [Real], (c0, c1): (&[Real], &[Real]), magnitude: &[Real], d: &[Real]) {
     pulp::Arch::new().dispatch(
         #[inline(always)]
         || {
@@ -183,7 +185,7 @@ fn turn(d0: &mut [Real], d1: &mut [Real], (c0, c1): (&[Real], &[Real]), magnitud
     );
 }
 
-/// Returns the cotangents of the magnitude, given those of the scaled image.
+/// Sets `out` to the cotangents of the magnitude, given those of the image that is scaled to [0, 1].
 fn stretch_vjp(magnitude: &[Real], d_image: &[Real], out: &mut Vec<Real>) {
     let (low, high) = range(magnitude);
     let gain = gain(low, high);

@@ -69,38 +69,40 @@ const LEVEL_LINKS: usize = 256;
 /// Numbers per Gaussian and complex channel value: waves and their derivatives.
 const PER_WAVE: usize = 4;
 
-/// Returns the factor on all channels of a receiver; its offset is a decimal logarithm.
-fn level(offsets: &[Real], receiver: usize) -> Real {
+/// Returns the factor 10^offset on all channels of a receiver; 1 for a receiver without offset.
+fn receiver_level(offsets: &[Real], receiver: usize) -> Real {
     offsets.get(receiver).map_or(1.0, |offset| (offset * consts::LN_10).exp())
 }
 
 impl SplattedChannel {
+    /// Returns the settings of the activation: complex signals, physical calibration.
     fn activation(&self) -> Activation {
         let replaces_signals = self.deformation.traits().replaces_signals;
         Activation { calibration: Calibration::Physical, replaces_signals, channels: 2 }
     }
 
-    /// Observes the links; keeps the state for the backward pass if `is_training`.
-    fn observe(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (ForwardOutput, StageTimes) {
+    /// Predicts the links of `call`; keeps the state for the backward pass if `is_training`.
+    fn predict_links(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (ForwardOutput, StageTimes) {
         let Call { setup, parameters: p, links, .. } = *call;
         let start = Instant::now();
         let ready: Option<&Ready> = prepared.is_some().then(|| cached(prepared));
-        let (network, offsets) = parts(setup, p.weights);
+        let (network, offsets) = split_weights(setup, p.weights);
         let pose = setup.pose();
         let inputs = DeformationInputs::new(network, &p.cloud.means, links.conditions(), &pose);
-        let of_network = ready.map_or(&None, |ready| &ready.deformation);
-        let (deltas, kept) = groups::terms(&*self.deformation, &inputs, of_network, is_training);
+        let network_cache = ready.map_or(&None, |ready| &ready.deformation);
+        let (deltas, kept) = groups::network_terms(&*self.deformation, &inputs, network_cache, is_training);
         let network = start.elapsed().as_secs_f64();
         let mut numbers = vec![0.0; links.pairs.len() * setup.numbers()];
         let mut received = Vec::new();
-        for group in ReceiverGroup::all(links, true) {
-            let fresh = || Arc::new(Waves::new(setup, group.state, p.cloud, p.gate));
+        for group in ReceiverGroup::from_links(links, true) {
+            let fresh = || Arc::new(Waves::new(setup, group.state, &p));
             let waves = ready.and_then(|ready| ready.waves.get(group.state.receiver).cloned()).unwrap_or_else(fresh);
-            let (terms, batch) = group.terms(&deltas, p.cloud.len());
+            let (terms, batch) = group.gather_terms(&deltas, p.cloud.len());
             let signals = self.activation().signals(p.cloud, &terms, batch);
-            let (mut channels, level) = (waves.sum(&signals, group.links.len()), level(offsets, group.state.receiver));
+            let (mut channels, level) =
+                (waves.superpose(&signals, group.links.len()), receiver_level(offsets, group.state.receiver));
             channels.iter_mut().for_each(|v| *v *= level);
-            group.scatter(&channels, setup.numbers(), &mut numbers);
+            group.scatter_rows(&channels, setup.numbers(), &mut numbers);
             received.extend(is_training.then_some((group, waves, signals)));
         }
         let blending = start.elapsed().as_secs_f64() - network;
@@ -118,7 +120,7 @@ impl SplattedChannel {
         weights: &mut [Real],
     ) {
         let part = evenly(train, LEVEL_LINKS);
-        let numbers = groups::untrained(self, setup, data, &part, (cloud, weights));
+        let numbers = groups::untrained_predictions(self, setup, data, &part, (cloud, weights));
         let energy = |values: &[Real]| values.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
         let measured: f64 = part.iter().map(|&i| energy(&data.image(i).pixels)).sum();
         let ratio = measured / energy(&numbers);
@@ -129,10 +131,11 @@ impl SplattedChannel {
 }
 
 /// Splits the weights into those of the network and the offsets of the receivers.
-fn parts<'a>(setup: &MeasurementSetup, weights: &'a [Real]) -> (&'a [Real], &'a [Real]) {
+fn split_weights<'a>(setup: &MeasurementSetup, weights: &'a [Real]) -> (&'a [Real], &'a [Real]) {
     weights.split_at(weights.len() - setup.receivers.len())
 }
 
+/// Returns the offsets of the receivers among the weights.
 fn offsets_mut<'a>(setup: &MeasurementSetup, weights: &'a mut [Real]) -> &'a mut [Real] {
     let network = weights.len() - setup.receivers.len();
     &mut weights[network..]
@@ -169,35 +172,35 @@ impl Method for SplattedChannel {
     }
 
     fn drawable(&self, _: &MeasurementSetup, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
-        groups::rows(&*self.deformation, cloud, gate)
+        groups::network_rows(&*self.deformation, cloud, gate)
     }
 
     fn forward(&self, call: &Call<'_>, prepared: &Cache) -> ForwardOutput {
-        self.observe(call, prepared, true).0
+        self.predict_links(call, prepared, true).0
     }
 
     fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
         let Call { setup, parameters: p, links, .. } = *call;
         let ForwardCache { terms: (deltas, kept), received } = cached(&observed.cache);
-        let (n, activation) = (p.cloud.len(), self.activation());
+        let activation = self.activation();
         let mut grads = ActivationVjp::zeros(p.cloud, deltas);
-        let (network, offsets) = parts(setup, p.weights);
+        let (network, offsets) = split_weights(setup, p.weights);
         for (group, waves, signals) in received {
             let links = group.links.len();
-            let level = level(offsets, group.state.receiver);
-            let d: Vec<Real> = group.gather(d, setup.numbers()).iter().map(|d| level * d).collect();
-            let along: Real = waves.sum(signals, links).iter().zip(&d).map(|(v, d)| v * d).sum();
+            let level = receiver_level(offsets, group.state.receiver);
+            let d: Vec<Real> = group.gather_rows(d, setup.numbers()).iter().map(|d| level * d).collect();
+            let along: Real = waves.superpose(signals, links).iter().zip(&d).map(|(v, d)| v * d).sum();
             sums.weights[network.len() + group.state.receiver] += consts::LN_10 * along;
-            let (d_signals, d_waves) = waves.sum_vjp(signals, links, &d);
-            Waves::vjp(setup, group.state, p.cloud, p.gate, &d_waves, (&mut grads.cloud.means, &mut grads.gate));
+            let (d_signals, d_waves) = waves.superpose_vjp(signals, links, &d);
+            Waves::vjp(call, group.state, &d_waves, &mut grads);
             if let (Some(positions), End::Receiver) = (&mut sums.positions, setup.moving) {
-                let (d_position, d_orientation) = Waves::pose_vjp(setup, group.state, p.cloud, p.gate, &d_waves);
-                (0..3).for_each(|k| positions[group.location()][k] += d_position[k] as Real);
+                let (d_position, d_orientation) = Waves::pose_vjp(call, group.state, &d_waves);
+                (0..3).for_each(|k| positions[group.first_location()][k] += d_position[k] as Real);
                 if let Some(orientations) = &mut sums.orientations {
                     (0..4).for_each(|k| orientations[group.row][k] += d_orientation[k]);
                 }
             }
-            group.terms_vjp(deltas, n, &mut grads, |terms, batch, grads| {
+            group.gather_terms_vjp(deltas, &mut grads, |terms, batch, grads| {
                 activation.signals_vjp(p.cloud, terms, batch, &d_signals, grads);
             });
             for (i, signals) in signals.chunks_exact((2 * links).max(1)).enumerate() {
@@ -208,18 +211,18 @@ impl Method for SplattedChannel {
         }
         let (means, txs) = (&p.cloud.means, links.conditions());
         let inputs = DeformationInputs { weights: network, means, txs, pose: &setup.pose(), kept };
-        groups::vjp(&*self.deformation, &inputs, &grads, sums);
+        groups::network_vjp(&*self.deformation, &inputs, &grads, sums);
     }
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
-        let deformation = self.deformation.prepare(parts(setup, p.weights).0, &p.cloud.means, &setup.pose());
-        let waves = |state: &ReceiverState| Arc::new(Waves::new(setup, *state, p.cloud, p.gate));
+        let deformation = self.deformation.prepare(split_weights(setup, p.weights).0, &p.cloud.means, &setup.pose());
+        let waves = |state: &ReceiverState| Arc::new(Waves::new(setup, *state, p));
         let waves = LinkInputs::of(0, setup).receivers.iter().map(waves).collect();
         Some(Arc::new(Ready { deformation, waves }))
     }
 
     fn predict(&self, call: &Call<'_>, prepared: &Cache) -> (Vec<Real>, StageTimes) {
-        let (observed, times) = self.observe(call, prepared, false);
+        let (observed, times) = self.predict_links(call, prepared, false);
         (observed.numbers, times)
     }
 
@@ -231,14 +234,14 @@ impl Method for SplattedChannel {
         cloud: &mut GaussianCloud,
         weights: &mut [Real],
     ) {
-        let network = parts(setup, weights).0.len();
-        groups::start(&*self.deformation, data, train, &mut weights[..network]);
+        let network = split_weights(setup, weights).0.len();
+        groups::start_network(&*self.deformation, data, train, &mut weights[..network]);
         if !self.start_linear(setup, data, train, cloud, weights) {
             self.start_level(setup, data, train, cloud, weights);
         }
     }
 
     fn gaussians(&self, setup: &MeasurementSetup, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
-        groups::gaussians(&*self.deformation, self.activation(), setup, p, tx, magnitudes)
+        groups::activated_gaussians(&*self.deformation, self.activation(), setup, p, tx, magnitudes)
     }
 }

@@ -12,14 +12,14 @@ mod turn;
 
 pub use field::{FieldVjp, field, field_vjp};
 pub use harmonics::HARMONICS;
-pub use links::{ChannelInputs, VirtualSources, snr_of};
-pub(crate) use pursuit::expected_seconds;
-pub use pursuit::{PursuitOptions, pursue};
+pub use links::{ChannelInputs, VirtualSources, snr_db};
+pub(crate) use pursuit::expected_pursuit_seconds;
+pub use pursuit::{PursuitOptions, pursue_sources};
 
 use crate::groups::ReceiverGroup;
 use crate::readout::magnitudes;
 use crate::{Activation, Calibration};
-use harmonics::{HIGHEST, terms};
+use harmonics::{HIGHEST, harmonic_count};
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{
     Activated, Cache, Call, Deltas, Error, ForwardOutput, GaussianCloud, ImagePlane, Initializer, InitializerInput,
@@ -59,32 +59,32 @@ pub struct VirtualTransmitters {
     pub order: usize,
 }
 
-/// Returns the order of the harmonics whose gains are among `columns`.
-pub(crate) fn order_of(columns: &[(&str, usize)]) -> usize {
+/// Returns the order of the spherical harmonics whose gains are among the extra `columns`; 0 without such a column.
+pub(crate) fn harmonics_order(columns: &[(&str, usize)]) -> usize {
     let width = columns.iter().find(|(name, _)| *name == HARMONICS).map_or(0, |(_, width)| *width);
-    (0..HIGHEST).find(|order| 2 * (terms(*order) - 1) >= width).unwrap_or(HIGHEST)
+    (0..HIGHEST).find(|order| 2 * (harmonic_count(*order) - 1) >= width).unwrap_or(HIGHEST)
 }
 
 /// Returns the antenna positions of a receiver relative to its position, along the axes of the room, metres.
-fn array(receiver: &Receiver, pose: Pose) -> Vec<[Real; 3]> {
+fn antenna_positions(receiver: &Receiver, pose: Pose) -> Vec<[Real; 3]> {
     receiver.antennas.iter().map(|antenna| pose.turned(*antenna).map(|x| x as Real)).collect()
 }
 
-/// Returns the links of each carrier, each with the positions of the moving node.
-fn groups(links: &LinkInputs) -> Vec<(ReceiverGroup, Vec<[Real; 3]>)> {
+/// Groups the links by carrier, each group with the positions `[L,3]` of the moving node, metres.
+fn carrier_groups(links: &LinkInputs) -> Vec<(ReceiverGroup, Vec<[Real; 3]>)> {
     let txs = links.conditions().positions();
     let position = |i: &usize| txs.get(links.pairs[*i].location).copied();
     let with_positions = |group: ReceiverGroup| {
         let positions = group.links.iter().filter_map(position).collect();
         (group, positions)
     };
-    ReceiverGroup::all(links, true).into_iter().map(with_positions).collect()
+    ReceiverGroup::from_links(links, true).into_iter().map(with_positions).collect()
 }
 
 #[typetag::serde]
 impl Method for VirtualTransmitters {
     fn traits(&self) -> MethodTraits<'_> {
-        let more = 2 * (terms(self.order.min(HIGHEST)) - 1);
+        let more = 2 * (harmonic_count(self.order.min(HIGHEST)) - 1);
         let columns = if more == 0 { Vec::new() } else { vec![(HARMONICS, more)] };
         let (task, requires) = (Some(Task::Channel), &[Requirement::OneArray]);
         MethodTraits { task, columns, requires, differentiates_positions: true, ..MethodTraits::default() }
@@ -112,27 +112,27 @@ impl Method for VirtualTransmitters {
     fn forward(&self, call: &Call<'_>, _: &Cache) -> ForwardOutput {
         let Call { setup, parameters: p, links, .. } = *call;
         let mut numbers = vec![0.0; links.pairs.len() * setup.numbers()];
-        for (group, positions) in groups(links) {
-            let antennas = array(&setup.receivers[0], group.state.pose);
+        for (group, positions) in carrier_groups(links) {
+            let antennas = antenna_positions(&setup.receivers[0], group.state.pose);
             let frequencies = setup.frequencies_of(group.state.receiver);
             let part = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &frequencies };
             let channels = rows_of(&field(p.cloud, p.gate, &part), frequencies.len());
-            group.scatter(&channels, setup.numbers(), &mut numbers);
+            group.scatter_rows(&channels, setup.numbers(), &mut numbers);
         }
         ForwardOutput { numbers, cache: None as Cache }
     }
 
     fn vjp(&self, call: &Call<'_>, _: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
         let Call { setup, parameters: p, links, .. } = *call;
-        for (group, positions) in groups(links) {
-            let antennas = array(&setup.receivers[0], group.state.pose);
+        for (group, positions) in carrier_groups(links) {
+            let antennas = antenna_positions(&setup.receivers[0], group.state.pose);
             let frequencies = setup.frequencies_of(group.state.receiver);
-            let d_gains = gains_of(&group.gather(d, setup.numbers()), frequencies.len());
+            let d_gains = gains_of(&group.gather_rows(d, setup.numbers()), frequencies.len());
             // The field depends on distances and directions only: its derivative by a position is that by a common move
             // of all Gaussians the other way, link by link.
-            let at_once = if sums.positions.is_none() { positions.len() } else { 1 };
-            let of_each = at_once * antennas.len() * frequencies.len();
-            let parts = positions.chunks(at_once.max(1)).zip(d_gains.chunks(of_each.max(1))).zip(&group.links);
+            let block = if sums.positions.is_none() { positions.len() } else { 1 };
+            let block_gains = block * antennas.len() * frequencies.len();
+            let parts = positions.chunks(block.max(1)).zip(d_gains.chunks(block_gains.max(1))).zip(&group.links);
             for ((positions, d), link) in parts {
                 let part = ChannelInputs { positions, antennas: &antennas, frequencies: &frequencies };
                 let d_field = field_vjp(p.cloud, p.gate, &part, d);
@@ -228,18 +228,19 @@ const MOST: usize = 1_000;
 const FINEST: usize = 4;
 
 impl MatchingPursuit {
-    /// Returns the settings of pass `level`, from 0.
-    fn at(&self, level: usize) -> Self {
+    /// Returns the settings of pass `level`, from 0: each pass halves the `step` and doubles `reach` and `most`.
+    fn pass_settings(&self, level: usize) -> Self {
         if level == 0 {
             return self.clone();
         }
-        let times = f64::from(1_u32 << level);
-        let (reach, step) = (self.reach * times, self.step / times);
+        let factor = f64::from(1_u32 << level);
+        let (reach, step) = (self.reach * factor, self.step / factor);
         Self { most: self.most << level, reach, step, patience: 1, rounds: 0, ..self.clone() }
     }
 
-    /// Returns the training channels that the search reads.
-    fn observed(&self, input: &InitializerInput<'_>) -> Result<ObservedChannels> {
+    /// Returns the training channels at the lowest carrier, which the search reads; an error if data or method do not
+    /// fit the search.
+    fn training_channels(&self, input: &InitializerInput<'_>) -> Result<ObservedChannels> {
         let (data, demands) = (input.data, &[self.demand()]);
         compatible(&Parts { data: Some(data), method: Some(input.method), demands, ..Parts::default() })
             .map_err(Misfit::error)?;
@@ -250,16 +251,17 @@ impl MatchingPursuit {
         let train: Vec<usize> = input.train.iter().copied().filter(|i| receiver_of(i) == lowest).collect();
         Ok(ObservedChannels {
             positions: train.iter().map(|&i| scene.origin.local(input.data.sample(i).position())).collect(),
-            antennas: array(&scene.receivers[0], scene.pose()),
+            antennas: antenna_positions(&scene.receivers[0], scene.pose()),
             frequencies: MeasurementSetup::of(input.data, input.data.plane()).frequencies_of(lowest),
             channel: train.iter().flat_map(|&i| channels.of(i)).copied().collect(),
         })
     }
 
-    fn options(&self, input: &InitializerInput<'_>, seed: u64) -> PursuitOptions {
+    /// Returns the options of a search: the fixed node as candidate if its distances are known, harmonics of the method.
+    fn pursuit_options(&self, input: &InitializerInput<'_>, seed: u64) -> PursuitOptions {
         let scene = &input.data.scene;
         let node = scene.has_distances().then(|| scene.pose().position);
-        let order = order_of(&input.method.traits().columns);
+        let order = harmonics_order(&input.method.traits().columns);
         PursuitOptions { settings: self.clone(), node, order, seed, ..PursuitOptions::default() }
     }
 }
@@ -273,7 +275,8 @@ struct ObservedChannels {
 }
 
 impl ObservedChannels {
-    fn links(&self) -> ChannelInputs<'_> {
+    /// Returns positions, antennas and subcarriers of the channels.
+    fn inputs(&self) -> ChannelInputs<'_> {
         let Self { positions, antennas, frequencies, .. } = self;
         ChannelInputs { positions, antennas, frequencies }
     }
@@ -293,17 +296,17 @@ impl Initializer for MatchingPursuit {
     }
 
     fn search(&self, input: &InitializerInput<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
-        let observed = self.observed(input)?;
-        let mut all = VirtualSources::new(order_of(&input.method.traits().columns));
+        let observed = self.training_channels(input)?;
+        let mut all = VirtualSources::new(harmonics_order(&input.method.traits().columns));
         // The last unit is the refinement after the last addition.
         let total = self.searches * self.most + 1;
         (input.progress)(0, total);
         for search in 0..self.searches {
             let seed = (0..4).fold(0, |seed, _| seed << 16 | rng::below(rng, 1 << 16) as u64);
-            let options = self.options(input, seed);
+            let options = self.pursuit_options(input, seed);
             let report_progress =
                 &mut |sources: usize| (input.progress)(search * self.most + sources.min(self.most), total);
-            let sources = pursue(&observed.links(), &observed.channel, &options, input.stop, report_progress);
+            let sources = pursue_sources(&observed.inputs(), &observed.channel, &options, input.stop, report_progress);
             if input.stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);
             }
@@ -314,8 +317,8 @@ impl Initializer for MatchingPursuit {
     }
 
     fn search_seconds(&self, input: &InitializerInput<'_>) -> Result<[f64; 2]> {
-        let observed = self.observed(input)?;
-        let one = expected_seconds(&observed.links(), &observed.channel, &self.options(input, 0));
+        let observed = self.training_channels(input)?;
+        let one = expected_pursuit_seconds(&observed.inputs(), &observed.channel, &self.pursuit_options(input, 0));
         Ok(one.map(|seconds| seconds * self.searches as f64))
     }
 

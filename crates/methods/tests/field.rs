@@ -9,7 +9,7 @@ fn cloud(n: usize, terms: usize, seed: u64) -> GaussianCloud {
     let mut random = rng::stream(seed, "cloud", 0);
     let mut cloud = GaussianCloud::zeros(n);
     if terms > 1 {
-        cloud.complete(&[(HARMONICS, 2 * (terms - 1))]).unwrap();
+        cloud.add_missing_columns(&[(HARMONICS, 2 * (terms - 1))]).unwrap();
         cloud.extra[0].values.fill_with(|| 0.3 * rng::normal(&mut random));
     }
     for i in 0..n {

@@ -3,7 +3,9 @@
 
 use pwrfgs_core::{Real, rng};
 use pwrfgs_methods::MatchingPursuit;
-use pwrfgs_methods::virtual_transmitters::{ChannelInputs, PursuitOptions, VirtualSources, field, pursue, snr_of};
+use pwrfgs_methods::virtual_transmitters::{
+    ChannelInputs, PursuitOptions, VirtualSources, field, pursue_sources, snr_db,
+};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 static NEVER: AtomicBool = AtomicBool::new(false);
@@ -49,16 +51,16 @@ fn finds_virtual_transmitters_of_room() {
         reports += 1;
         stop.store(sources >= 6, Relaxed);
     };
-    let found = pursue(&links, &h, &options(), &stop, &mut report_progress).unwrap();
+    let found = pursue_sources(&links, &h, &options(), &stop, &mut report_progress).unwrap();
     assert!(reports >= 4);
     for v in &truth.positions {
         assert!(nearest(&found, *v) < 0.02, "{v:?}: {found:?}");
     }
-    assert!(snr_of(&field(&found.to_cloud(), None, &links), &h) > 30.0);
+    assert!(snr_db(&field(&found.to_cloud(), None, &links), &h) > 30.0);
     let once = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let two = PursuitOptions { settings: MatchingPursuit { most: 2, ..settings() }, ..options() };
-        pool.install(|| pursue(&links, &h, &two, &NEVER, &mut |_| ()).unwrap())
+        pool.install(|| pursue_sources(&links, &h, &two, &NEVER, &mut |_| ()).unwrap())
     };
     assert_eq!(once(1), once(3), "the same bits on any number of threads");
 }
@@ -76,11 +78,12 @@ fn finds_rotation_of_mirrored_array() {
     let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &[0.4e9, 0.43e9] };
     let h = field(&truth.to_cloud(), None, &links);
     let stop = AtomicBool::new(false);
-    let found = pursue(&links, &h, &options(), &stop, &mut |sources| stop.store(sources >= 5, Relaxed)).unwrap();
+    let found =
+        pursue_sources(&links, &h, &options(), &stop, &mut |sources| stop.store(sources >= 5, Relaxed)).unwrap();
     for v in &truth.positions {
         assert!(nearest(&found, *v) < 0.03, "{v:?}: {found:?}");
     }
-    assert!(snr_of(&field(&found.to_cloud(), None, &links), &h) > 25.0);
+    assert!(snr_db(&field(&found.to_cloud(), None, &links), &h) > 25.0);
 }
 
 /// Dipoles: gains that decrease with the squared cosine, and one visible from only half of the room.
@@ -103,8 +106,8 @@ fn finds_direction_dependent_gains() {
     let h = field(&truth.to_cloud(), None, &links);
     let score = |order: usize| {
         let options = PursuitOptions { settings: MatchingPursuit { most: 2, ..settings() }, order, ..options() };
-        let found = pursue(&links, &h, &options, &NEVER, &mut |_| ()).unwrap();
-        (snr_of(&field(&found.to_cloud(), None, &links), &h), found)
+        let found = pursue_sources(&links, &h, &options, &NEVER, &mut |_| ()).unwrap();
+        (snr_db(&field(&found.to_cloud(), None, &links), &h), found)
     };
     let ((flat, _), (directed, found)) = (score(0), score(2));
     assert!(directed > 30.0 && directed > flat + 10.0, "{directed} dB, and {flat} dB without directions");
@@ -119,7 +122,7 @@ fn finer_pass_runs_while_held_out_score_rises() {
     let found = |finer: usize, sources: VirtualSources| {
         let h = field(&sources.to_cloud(), None, &links);
         let settings = MatchingPursuit { most: 2, reach: 0.4, step: 0.7, finer, ..settings() };
-        pursue(&links, &h, &PursuitOptions { settings, ..options() }, &NEVER, &mut |_| ()).unwrap().len()
+        pursue_sources(&links, &h, &PursuitOptions { settings, ..options() }, &NEVER, &mut |_| ()).unwrap().len()
     };
     assert_eq!([found(0, truth.clone()), found(1, truth.clone())], [2, 4]);
     assert_eq!(found(1, truth.select(&[0, 1])), 2, "two sources leave nothing to find");
@@ -144,8 +147,8 @@ fn reports_unsupported_search_input() {
         (links, &h[..], PursuitOptions { order: 4, ..options() }, "`order`"),
         (links, &h[..], PursuitOptions { peaks: 0, ..options() }, "`peaks`"),
     ] {
-        let why = pursue(&links, h, &options, &NEVER, none).unwrap_err();
+        let why = pursue_sources(&links, h, &options, &NEVER, none).unwrap_err();
         assert!(why.contains(word), "{why}");
     }
-    assert!(pursue(&links, &h, &options(), &NEVER, none).is_ok(), "three links are enough not to panic");
+    assert!(pursue_sources(&links, &h, &options(), &NEVER, none).is_ok(), "three links are enough not to panic");
 }

@@ -69,8 +69,8 @@ const STAGES: [Stage; 6] = [
 impl Metric for Latency {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         let patience = if evaluation.model.is_some() { f64::INFINITY } else { PATIENCE };
-        let times = evaluation.timed_prediction.map(|predict| self.times(predict, patience));
-        let note = times.as_ref().and_then(|times| unsteady(times));
+        let times = evaluation.timed_prediction.map(|predict| self.time_predictions(predict, patience));
+        let note = times.as_ref().and_then(|times| unsteadiness(times));
         let values = |(key, seconds): Stage| match &times {
             None => Values::NotApplicable("no prediction to time".to_owned()),
             Some(_) if evaluation.model.is_none() && key != TOTAL => {
@@ -99,9 +99,9 @@ impl Metric for Latency {
 }
 
 impl Latency {
-    /// Returns the times of the first steady series of `repeats` predictions, or of the fastest one. Predictions start within
-    /// `patience` seconds of the first warm-up, except the first.
-    fn times(&self, predict: &dyn Fn() -> StageTimes, patience: f64) -> Vec<StageTimes> {
+    /// Times series of `repeats` predictions and returns the times of the first steady series, or of the fastest one.
+    /// Predictions start within `patience` seconds of the first warm-up, except the first.
+    fn time_predictions(&self, predict: &dyn Fn() -> StageTimes, patience: f64) -> Vec<StageTimes> {
         let begun = Instant::now();
         let in_time = |_: &usize| begun.elapsed().as_secs_f64() < patience;
         (0..self.warm_up).take_while(in_time).for_each(|_| _ = predict());
@@ -112,11 +112,11 @@ impl Latency {
         let total = |times: &[StageTimes]| median(times.iter().map(|t| t.total));
         let mut best = series();
         for _ in 1..SERIES {
-            if unsteady(&best).is_none() || begun.elapsed().as_secs_f64() >= PATIENCE {
+            if unsteadiness(&best).is_none() || begun.elapsed().as_secs_f64() >= PATIENCE {
                 break;
             }
             let next = series();
-            if unsteady(&next).is_none() || total(&next) < total(&best) {
+            if unsteadiness(&next).is_none() || total(&next) < total(&best) {
                 best = next;
             }
         }
@@ -125,7 +125,7 @@ impl Latency {
 }
 
 /// Returns how far the times of predictions differ; `None` for steady times.
-fn unsteady(times: &[StageTimes]) -> Option<String> {
+fn unsteadiness(times: &[StageTimes]) -> Option<String> {
     let median_of = |seconds: fn(&StageTimes) -> f64| median(times.iter().map(seconds));
     let totals = sorted(times.iter().map(|t| t.total));
     let [low, high] = [totals.len() / 4, totals.len() - 1 - totals.len() / 4].map(|k| totals[k]);
@@ -192,8 +192,8 @@ mod tests {
         assert!(stages.iter().all(|m| matches!(m.values, Values::NotApplicable(_))));
         assert!((value(total) - 250.0).abs() < 1e-9);
         let latency = Latency { repeats: 10_000, warm_up: 10_000 };
-        assert_eq!(latency.times(&slow, 0.0).len(), 1, "one at least");
-        assert_eq!(latency.times(&slow, 0.01).len(), 1, "warming up counts");
+        assert_eq!(latency.time_predictions(&slow, 0.0).len(), 1, "one at least");
+        assert_eq!(latency.time_predictions(&slow, 0.01).len(), 1, "warming up counts");
     }
 
     #[test]

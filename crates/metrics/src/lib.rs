@@ -18,29 +18,30 @@ pub use spectrum::{DirectionError, L1, Psnr, RateRatio, Ssim};
 use pwrfgs_core::{Error, Evaluation, Goal, Image, Measurement, Metric, Result, Values};
 use rayon::prelude::*;
 
-/// Returns the reason why `metric` does not apply to these observations.
-fn not_for(metric: &dyn Metric, evaluation: &Evaluation<'_>) -> Option<Values> {
+/// Returns [`Values::NotApplicable`] with the reason if `metric` does not support the task of these observations, otherwise
+/// `None`.
+fn unsupported_task(metric: &dyn Metric, evaluation: &Evaluation<'_>) -> Option<Values> {
     let why = || format!("the metric does not support {}", evaluation.task.plural);
     (!metric.tasks().contains(&evaluation.task)).then(|| Values::NotApplicable(why()))
 }
 
-/// Returns `score(prediction, truth)` of every sample, in order, if `metric` supports them; the prediction is not
-/// clamped.
-fn per_sample(
+/// Returns `score(prediction, truth)` of every sample, in order, if `metric` supports them, otherwise
+/// [`Values::NotApplicable`]; the prediction is not clamped.
+fn score_samples(
     metric: &dyn Metric,
     evaluation: &Evaluation<'_>,
     score: impl Fn(&Image, &Image) -> f64 + Sync,
 ) -> Result<Values> {
-    if let Some(other) = not_for(metric, evaluation) {
-        return Ok(other);
+    if let Some(unsupported) = unsupported_task(metric, evaluation) {
+        return Ok(unsupported);
     }
-    paired(evaluation)?;
+    check_paired(evaluation)?;
     let both = evaluation.predictions.par_iter().zip(evaluation.truths);
     Ok(Values::PerSample(both.map(|(p, t)| score(p, t)).collect()))
 }
 
-/// Rejects predictions that do not match the measurements.
-fn paired(evaluation: &Evaluation<'_>) -> Result<()> {
+/// Rejects predictions that differ from the measurements in number or size.
+fn check_paired(evaluation: &Evaluation<'_>) -> Result<()> {
     let (predictions, truths) = (evaluation.predictions, evaluation.truths);
     let size = |i: &Image| (i.width, i.height, i.pixels.len());
     let paired = predictions.iter().zip(truths).all(|(p, t)| size(p) == size(t));
@@ -52,21 +53,22 @@ fn paired(evaluation: &Evaluation<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Returns one measurement in the form of [`pwrfgs_core::Metric::evaluate`].
-fn one(key: &str, unit: &str, goal: Goal, values: Values) -> Vec<Measurement> {
+/// Returns a single measurement in the form of [`pwrfgs_core::Metric::evaluate`].
+fn single_measurement(key: &str, unit: &str, goal: Goal, values: Values) -> Vec<Measurement> {
     vec![measurement(key, unit, goal, values)]
 }
 
+/// Creates a measurement without note.
 fn measurement(key: &str, unit: &str, goal: Goal, values: Values) -> Measurement {
     Measurement { key: key.to_owned(), unit: unit.to_owned(), goal, values, note: None }
 }
 
-/// Returns the reason why a metric of the model does not apply to a baseline.
+/// Returns [`Values::NotApplicable`] of a metric of the model for a baseline.
 fn not_a_model() -> Values {
     Values::NotApplicable("a baseline has no Gaussians".to_owned())
 }
 
-/// Returns the reason why a metric of Gaussians does not apply to a model without Gaussians.
+/// Returns [`Values::NotApplicable`] of a metric of Gaussians for a model without Gaussians.
 fn no_gaussians() -> Values {
     Values::NotApplicable("the method has no Gaussians".to_owned())
 }

@@ -1,6 +1,6 @@
 //! Metrics of the model: distance from the point cloud, eq. (16), number of Gaussians N, and size in bytes.
 
-use crate::{measurement, no_gaussians, not_a_model, one};
+use crate::{measurement, no_gaussians, not_a_model, single_measurement};
 use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Real, Result, Scope, Values, neighbours};
 use serde::{Deserialize, Serialize};
 
@@ -28,9 +28,11 @@ impl Metric for Chamfer {
             None => not_a_model(),
             Some(_) if points.is_empty() => Values::NotApplicable("the scene has no point cloud".to_owned()),
             Some(model) if model.means.is_empty() => no_gaussians(),
-            Some(model) => Values::Whole(mean_squared(points, model.means) + mean_squared(model.means, points)),
+            Some(model) => {
+                Values::Whole(mean_squared_distance(points, model.means) + mean_squared_distance(model.means, points))
+            }
         };
-        Ok(one("chamfer", "m²", Goal::Lower, values))
+        Ok(single_measurement("chamfer", "m²", Goal::Lower, values))
     }
 
     fn scope(&self) -> Scope {
@@ -38,8 +40,8 @@ impl Metric for Chamfer {
     }
 }
 
-/// Returns the mean squared distance from each of `from` to the nearest of `to`.
-fn mean_squared(from: &[[Real; 3]], to: &[[Real; 3]]) -> f64 {
+/// Returns the mean squared distance from each of `from` to the nearest of `to`, m².
+fn mean_squared_distance(from: &[[Real; 3]], to: &[[Real; 3]]) -> f64 {
     let sum: f64 = neighbours::nearest_squared(from, to).iter().map(|d| *d as f64).sum();
     sum / from.len() as f64
 }
@@ -66,7 +68,7 @@ impl Metric for GaussianCount {
             Some(model) if model.means.is_empty() => no_gaussians(),
             Some(model) => Values::Whole(model.means.len() as f64),
         };
-        Ok(one("gaussians", "", Goal::Lower, values))
+        Ok(single_measurement("gaussians", "", Goal::Lower, values))
     }
 
     fn scope(&self) -> Scope {

@@ -1,6 +1,6 @@
 //! Metrics of received power and channels.
 
-use crate::{measurement, not_for, one, paired, per_sample};
+use crate::{check_paired, measurement, score_samples, single_measurement, unsupported_task};
 use pwrfgs_core::{Evaluation, Goal, Image, JsonSchema, Measurement, Metric, Result, Scope, Task, Values};
 use serde::{Deserialize, Serialize};
 
@@ -22,8 +22,8 @@ pub struct PowerError {}
 #[typetag::serde]
 impl Metric for PowerError {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(self, evaluation, |p, t| f64::from((p.pixels[0] - t.pixels[0]).abs() as f32))?;
-        Ok(one("power_error_db", "dB", Goal::Lower, values))
+        let values = score_samples(self, evaluation, |p, t| f64::from((p.pixels[0] - t.pixels[0]).abs() as f32))?;
+        Ok(single_measurement("power_error_db", "dB", Goal::Lower, values))
     }
 
     fn tasks(&self) -> &'static [Task] {
@@ -66,6 +66,7 @@ struct Energies {
 }
 
 impl Energies {
+    /// Computes the energies of the channel h of a link and its prediction h′.
     fn of(prediction: &Image, truth: &Image) -> Self {
         let mut sum = Self::default();
         for (p, t) in prediction.pixels.iter().zip(&truth.pixels) {
@@ -75,6 +76,7 @@ impl Energies {
         sum
     }
 
+    /// Returns the sum of both energies.
     fn plus(self, other: Self) -> Self {
         Self { error: self.error + other.error, signal: self.signal + other.signal }
     }
@@ -92,10 +94,10 @@ impl Energies {
 impl Metric for ChannelSnr {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         let measured = |key, values| measurement(key, "dB", Goal::Higher, values);
-        if let Some(values) = not_for(self, evaluation) {
+        if let Some(values) = unsupported_task(self, evaluation) {
             return Ok(vec![measured("snr_db", values.clone()), measured("snr_all_db", values)]);
         }
-        paired(evaluation)?;
+        check_paired(evaluation)?;
         let both = evaluation.predictions.iter().zip(evaluation.truths);
         let each: Vec<Energies> = both.map(|(p, t)| Energies::of(p, t)).collect();
         let transmitter = |i: usize| evaluation.links.get(i).map_or(i, |link| link.location);

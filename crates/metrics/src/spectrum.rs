@@ -1,6 +1,6 @@
 //! Metrics of spectra: SSIM, mean absolute error, PSNR, and the strongest direction (angle error and achievable rate).
 
-use crate::{one, per_sample};
+use crate::{score_samples, single_measurement};
 use pwrfgs_core::{
     Evaluation, Goal, Image, ImagePlane, JsonSchema, Measurement, Metric, Real, Result, Scope, Task, Values, ssim,
 };
@@ -40,8 +40,8 @@ pub struct Ssim {}
 #[typetag::serde]
 impl Metric for Ssim {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(self, evaluation, |p, t| ssim::evaluation(&p.clamped(), t))?;
-        Ok(one("ssim", "", Goal::Higher, values))
+        let values = score_samples(self, evaluation, |p, t| ssim::evaluation(&p.clamped(), t))?;
+        Ok(single_measurement("ssim", "", Goal::Higher, values))
     }
 
     of_spectra!();
@@ -64,11 +64,11 @@ pub struct L1 {}
 #[typetag::serde]
 impl Metric for L1 {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(self, evaluation, |p, t| {
+        let values = score_samples(self, evaluation, |p, t| {
             let differences = p.pixels.iter().zip(&t.pixels).map(|(p, t)| (p.clamp(0.0, 1.0) - t).abs() as f64);
             differences.sum::<f64>() / p.pixels.len().max(1) as f64
         })?;
-        Ok(one("l1", "", Goal::Lower, values))
+        Ok(single_measurement("l1", "", Goal::Lower, values))
     }
 
     of_spectra!();
@@ -95,12 +95,12 @@ pub struct Psnr {}
 #[typetag::serde]
 impl Metric for Psnr {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(self, evaluation, |p, t| {
+        let values = score_samples(self, evaluation, |p, t| {
             let squares = p.pixels.iter().zip(&t.pixels).map(|(p, t)| ((p.clamp(0.0, 1.0) - t) as f64).powi(2));
             let error = squares.sum::<f64>() / p.pixels.len().max(1) as f64;
             if error < LEAST_ERROR { -10.0 * LEAST_ERROR.log10() } else { -10.0 * error.log10() }
         })?;
-        Ok(one("psnr", "dB", Goal::Higher, values))
+        Ok(single_measurement("psnr", "dB", Goal::Higher, values))
     }
 
     of_spectra!();
@@ -127,27 +127,29 @@ impl Metric for DirectionError {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         let plane = evaluation.plane;
         let values = if plane.angles.is_some() {
-            per_sample(self, evaluation, |p, t| match (strongest(plane, p), strongest(plane, t)) {
-                (Some(a), Some(b)) => angle_deg(a, b),
-                _ => f64::NAN,
+            score_samples(self, evaluation, |p, t| {
+                match (strongest_direction(plane, p), strongest_direction(plane, t)) {
+                    (Some(a), Some(b)) => angle_deg(a, b),
+                    _ => f64::NAN,
+                }
             })?
         } else {
             Values::NotApplicable("pixels of this projection have no angle".to_owned())
         };
-        Ok(one("direction_error", "deg", Goal::Lower, values))
+        Ok(single_measurement("direction_error", "deg", Goal::Lower, values))
     }
 
     of_spectra!();
 }
 
-/// Returns the unit vector of the strongest pixel.
-fn strongest(plane: &ImagePlane, image: &Image) -> Option<[f64; 3]> {
+/// Returns the unit vector of the strongest pixel; `None` if the pixel has no direction.
+fn strongest_direction(plane: &ImagePlane, image: &Image) -> Option<[f64; 3]> {
     let (best, width) = (image.argmax(), image.width.max(1));
     let direction = plane.direction((best % width) as Real, (best / width) as Real)?;
     Some(direction.map(|v| v as f64))
 }
 
-/// Returns the angle between two unit vectors; accurate for small angles, unlike the arc cosine.
+/// Returns the angle between two unit vectors, degrees; accurate for small angles, unlike the arc cosine.
 fn angle_deg(a: [f64; 3], b: [f64; 3]) -> f64 {
     let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     let dot: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
@@ -175,6 +177,7 @@ pub struct RateRatio {
 }
 
 impl RateRatio {
+    /// Returns the ratio η, eq. (15), of a prediction; 1 if the measured spectrum is zero.
     fn ratio(&self, prediction: &Image, truth: &Image) -> f64 {
         let snr = 10f64.powf(self.snr_db / 10.0);
         let rate = |image: &Image| truth.pixels.get(image.argmax()).map_or(0.0, |p| (snr * *p as f64).ln_1p());
@@ -186,9 +189,9 @@ impl RateRatio {
 #[typetag::serde]
 impl Metric for RateRatio {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(self, evaluation, |p, t| self.ratio(p, t))?;
+        let values = score_samples(self, evaluation, |p, t| self.ratio(p, t))?;
         let snr = self.snr_db + 0.0; // no `-0` in the name
-        Ok(one(&format!("eta_{snr}db"), "", Goal::Higher, values))
+        Ok(single_measurement(&format!("eta_{snr}db"), "", Goal::Higher, values))
     }
 
     of_spectra!();

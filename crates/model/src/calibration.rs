@@ -41,7 +41,7 @@ impl HeldOutScores {
     pub fn of(task: Task, prediction: &Image, deviation: f64, truth: &Image) -> Self {
         let deviation = deviation.max(LEAST);
         let score = |(p, t): (&Real, &Real)| ((*p as f64 - *t as f64).abs() / deviation, 1.0);
-        let values = distribution(prediction.pixels.iter().zip(&truth.pixels).map(score).collect(), OF_LINK);
+        let values = weighted_distribution(prediction.pixels.iter().zip(&truth.pixels).map(score).collect(), OF_LINK);
         Self { values, ssim: task.ssim(prediction, truth).map(|score| (1.0 - score).max(0.0) / deviation) }
     }
 }
@@ -89,9 +89,9 @@ impl IntervalFactors {
     }
 }
 
-/// Returns the distribution of scores with weights. Of more than `most` scores, it holds the quantiles at multiples of
-/// 1/`most`.
-fn distribution(mut scores: Vec<(f64, f64)>, most: usize) -> Distribution {
+/// Returns the distribution of scores, given as (score, weight). Of more than `most` scores, it holds the quantiles at
+/// multiples of 1/`most`.
+fn weighted_distribution(mut scores: Vec<(f64, f64)>, most: usize) -> Distribution {
     scores.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let total: f64 = scores.iter().map(|(_, weight)| weight).sum();
     let mut reached = 0.0;
@@ -99,17 +99,17 @@ fn distribution(mut scores: Vec<(f64, f64)>, most: usize) -> Distribution {
         reached += weight;
         (*score, reached / total)
     };
-    let all: Vec<(f64, f64)> = scores.iter().map(share).collect();
+    let shares: Vec<(f64, f64)> = scores.iter().map(share).collect();
     let quantile = |k: usize| {
         let share = k as f64 / most as f64;
-        let index = all.partition_point(|(_, reached)| *reached < share - ROUNDING);
-        (all[index.min(all.len() - 1)].0, share)
+        let index = shares.partition_point(|(_, reached)| *reached < share - ROUNDING);
+        (shares[index.min(shares.len() - 1)].0, share)
     };
-    let kept = if all.len() > most { (1..=most).map(quantile).collect() } else { all.clone() };
-    let mut kept: Distribution =
-        kept.iter().map(|(score, share)| [score.min(f64::from(f32::MAX)) as Real, *share as Real]).collect();
-    kept.last_mut().into_iter().for_each(|last| last[1] = 1.0);
-    kept
+    let quantiles = if shares.len() > most { (1..=most).map(quantile).collect() } else { shares.clone() };
+    let mut distribution: Distribution =
+        quantiles.iter().map(|(score, share)| [score.min(f64::from(f32::MAX)) as Real, *share as Real]).collect();
+    distribution.last_mut().into_iter().for_each(|last| last[1] = 1.0);
+    distribution
 }
 
 impl IntervalCalibration {
@@ -117,14 +117,14 @@ impl IntervalCalibration {
     pub fn new(blocks: &[Vec<HeldOutScores>]) -> Option<Self> {
         let blocks: Vec<&Vec<HeldOutScores>> = blocks.iter().filter(|block| !block.is_empty()).collect();
         let weighted = || blocks.iter().flat_map(|block| block.iter().map(|link| (link, 1.0 / block.len() as f64)));
-        let of_link = |(link, weight): (&HeldOutScores, f64)| -> Vec<(f64, f64)> {
+        let link_scores = |(link, weight): (&HeldOutScores, f64)| -> Vec<(f64, f64)> {
             let before = std::iter::once(0.0).chain(link.values.iter().map(|[_, share]| *share as f64));
             let scores = link.values.iter().zip(before);
             scores.map(|([score, share], before)| (*score as f64, weight * (*share as f64 - before))).collect()
         };
-        let values = distribution(weighted().flat_map(of_link).collect(), MOST);
+        let values = weighted_distribution(weighted().flat_map(link_scores).collect(), MOST);
         let ssim: Option<Vec<(f64, f64)>> = weighted().map(|(link, weight)| Some((link.ssim?, weight))).collect();
-        let ssim = ssim.map(|scores| distribution(scores, MOST));
+        let ssim = ssim.map(|scores| weighted_distribution(scores, MOST));
         (!values.is_empty()).then_some(Self { blocks: blocks.len(), values, ssim })
     }
 
@@ -158,7 +158,7 @@ impl IntervalCalibration {
         Ok(IntervalFactors { half_width: factor(&self.values), ssim: self.ssim.as_ref().map(factor) })
     }
 
-    /// Adds the tensors.
+    /// Adds the tensors of the calibration to a file.
     pub(crate) fn put(&self, file: &mut Tensors) {
         file.put(BLOCKS, vec![1], vec![self.blocks as Real]);
         for (name, scores) in [(VALUES, Some(&self.values)), (SSIM, self.ssim.as_ref())] {
@@ -263,7 +263,7 @@ mod tests {
     #[test]
     fn many_scores_are_thinned_upwards_by_a_thousandth() {
         let scores: Vec<(f64, f64)> = (1..=100_000).map(|k| (f64::from(k), 1.0)).collect();
-        let thinned = distribution(scores, MOST);
+        let thinned = weighted_distribution(scores, MOST);
         assert_eq!(thinned.len(), MOST);
         let calibration = IntervalCalibration { blocks: 1_000_000, values: thinned, ssim: None };
         for level in [0.001, 0.3333, 0.9, 0.99] {

@@ -1,7 +1,7 @@
 //! Compressed model files.
 
 use crate::Model;
-use crate::file::{CONSTANTS, NETWORK, tensors};
+use crate::file::{CONSTANTS, NETWORK, model_tensors};
 use crate::tensors::SCALES;
 use pwrfgs_core::{Error, Result};
 use std::collections::BTreeSet;
@@ -23,7 +23,7 @@ pub enum Bits {
 /// # Errors
 /// A number exceeds the range of 16 bits.
 pub fn to_bytes(model: &Model, bits: Bits) -> Result<Vec<u8>> {
-    let mut file = tensors(model);
+    let mut file = model_tensors(model);
     let weights = model.stages.layout().weights;
     let named = |name: &str| format!("{NETWORK}{name}");
     let fixed: BTreeSet<String> = weights.iter().filter(|spec| !spec.learns).map(|spec| named(&spec.name)).collect();

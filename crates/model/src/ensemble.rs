@@ -57,12 +57,12 @@ impl Ensemble {
             let method = |model: &Model| serde_json::to_string(&*model.stages.method).ok();
             a.weights == b.weights && a.cloud == b.cloud && method(a) == method(b)
         };
-        for (place, model) in self.members.iter().enumerate() {
-            if let Some(first) = self.members[..place].iter().position(|other| is_same(other, model)) {
+        for (k, model) in self.members.iter().enumerate() {
+            if let Some(first) = self.members[..k].iter().position(|other| is_same(other, model)) {
                 return Err(format!(
                     "models {} and {} of the ensemble are the same model; give each model once",
                     first + 1,
-                    place + 1
+                    k + 1
                 ));
             }
         }
@@ -82,12 +82,12 @@ impl Ensemble {
         Self { calibration, read_bytes: None, ..self }
     }
 
-    /// Returns the calibration for prediction intervals, if any.
+    /// Returns the calibration for prediction intervals; `None` without one.
     pub fn calibration(&self) -> Option<&IntervalCalibration> {
         self.calibration.as_ref()
     }
 
-    /// Returns the residual processes, if any.
+    /// Returns the residual processes; `None` if the models predict alone.
     pub fn residuals(&self) -> Option<&Residuals> {
         self.residuals.as_ref()
     }
@@ -107,7 +107,7 @@ impl Ensemble {
         &self.names
     }
 
-    /// Returns the model if there is only one; without its residual processes and calibration.
+    /// Returns the model if there is only one, otherwise `None`; without its residual processes and calibration.
     pub fn into_only(mut self) -> Option<Model> {
         self.members.pop().filter(|_| self.members.is_empty())
     }
@@ -132,12 +132,13 @@ impl Ensemble {
         self.members.iter().map(Model::network_bytes).sum()
     }
 
-    /// Returns the size of the file that was read, bytes.
+    /// Returns the size of the file that was read, bytes; `None` for an ensemble that differs from its file.
     pub(crate) fn read_bytes(&self) -> Option<usize> {
         self.read_bytes
     }
 
-    pub(crate) fn read_from(self, bytes: usize) -> Self {
+    /// Returns the ensemble with the size of the file that was read, bytes.
+    pub(crate) fn with_read_bytes(self, bytes: usize) -> Self {
         Self { read_bytes: Some(bytes), ..self }
     }
 

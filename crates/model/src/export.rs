@@ -18,7 +18,7 @@ use zip::{CompressionMethod, ZipWriter};
 /// An array of more than 4 GiB.
 pub fn npz(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
     let mut file = Npz { archive: ZipWriter::new(Cursor::new(Vec::new())), prefix: String::new() };
-    let whole = file.members(model, tx).and_then(|()| Ok(file.archive.finish()?.into_inner()));
+    let whole = file.add_members(model, tx).and_then(|()| Ok(file.archive.finish()?.into_inner()));
     whole.map_err(|why| Error::Config(format!("cannot export this model as NPZ: {why}")))
 }
 
@@ -31,19 +31,19 @@ struct Npz {
 
 impl Npz {
     /// Adds one model, or several with a prefix each.
-    fn members(&mut self, ensemble: &Ensemble, tx: Option<[f64; 3]>) -> io::Result<()> {
-        for (place, model) in ensemble.members().iter().enumerate() {
+    fn add_members(&mut self, ensemble: &Ensemble, tx: Option<[f64; 3]>) -> io::Result<()> {
+        for (k, model) in ensemble.members().iter().enumerate() {
             if ensemble.members().len() > 1 {
-                self.prefix = format!("members.{place}.");
+                self.prefix = format!("members.{k}.");
             }
-            self.model(model)?;
-            tx.map_or(Ok(()), |tx| self.transmitter(model, tx))?;
+            self.add_model(model)?;
+            tx.map_or(Ok(()), |tx| self.add_transmitter(model, tx))?;
         }
         Ok(())
     }
 
     /// Adds the contents of the model file.
-    fn model(&mut self, model: &Model) -> io::Result<()> {
+    fn add_model(&mut self, model: &Model) -> io::Result<()> {
         let n = model.cloud.len();
         let origin = model.stages.origin;
         for (name, width, values) in model.cloud.columns() {
@@ -69,7 +69,7 @@ impl Npz {
         self.put("pose.position", &[3], doubles(&pose.position))?;
         self.put("pose.orientation", &[4], doubles(&pose.orientation))?;
         if !model.stages.task.has_pixels || model.stages.receivers.len() > 1 {
-            self.links(model)?;
+            self.add_links(model)?;
         }
         self.put("plane.size", &[2], counts(&[plane.width, plane.height]))?;
         self.put("plane.wraps", &[], ("|b1", vec![u8::from(plane.wraps)]))?;
@@ -80,7 +80,7 @@ impl Npz {
 
     /// Adds the links: observations and receivers. Names are stored as letters, since arrays cannot hold text of
     /// variable length.
-    fn links(&mut self, model: &Model) -> io::Result<()> {
+    fn add_links(&mut self, model: &Model) -> io::Result<()> {
         let setup = &model.stages.setup;
         let text =
             |file: &mut Self, name: &str, text: &str| file.put(name, &[text.len()], ("|u1", text.as_bytes().to_vec()));
@@ -105,8 +105,8 @@ impl Npz {
         self.put("frequencies_hz", &[setup.frequencies_hz.len()], doubles(&setup.frequencies_hz))
     }
 
-    /// Adds the Gaussians for a transmitter.
-    fn transmitter(&mut self, model: &Model, tx: [f64; 3]) -> io::Result<()> {
+    /// Adds the Gaussians for a transmitter at `tx` (metres, world frame).
+    fn add_transmitter(&mut self, model: &Model, tx: [f64; 3]) -> io::Result<()> {
         let Activated { primitives: p, signals, .. } = model.gaussians(Some(tx));
         let n = p.len();
         let is_local = model.stages.origin.is_zero();
@@ -129,15 +129,18 @@ impl Npz {
     }
 }
 
+/// Returns the NumPy name of the type of [`Real`], and the bytes of `values`.
 fn reals(values: &[Real]) -> (&'static str, Vec<u8>) {
     let descr = if size_of::<Real>() == 8 { "<f8" } else { "<f4" };
     (descr, values.iter().flat_map(|v| v.to_le_bytes()).collect())
 }
 
+/// Returns the NumPy name of double precision, and the bytes of `values`.
 fn doubles(values: &[f64]) -> (&'static str, Vec<u8>) {
     ("<f8", values.iter().flat_map(|v| v.to_le_bytes()).collect())
 }
 
+/// Returns the NumPy name of 64-bit integers without sign, and the bytes of `values`.
 fn counts(values: &[usize]) -> (&'static str, Vec<u8>) {
     ("<u8", values.iter().flat_map(|v| (*v as u64).to_le_bytes()).collect())
 }
@@ -164,20 +167,19 @@ const SH_C0: f64 = 0.282_094_791_773_878_14;
 /// A value that is not finite.
 pub fn ply(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
     let several = model.members().len() > 1;
-    let mut out = header(model.gaussians(), model.members()[0].stages.origin, several).into_bytes();
-    for (place, member) in model.members().iter().enumerate() {
-        let marked = several.then_some(place as f32);
-        put_rows(&mut out, member, tx, marked)?;
+    let mut out = ply_header(model.gaussians(), model.members()[0].stages.origin, several).into_bytes();
+    for (k, member) in model.members().iter().enumerate() {
+        append_rows(&mut out, member, tx, several.then_some(k as f32))?;
     }
     Ok(out)
 }
 
-/// Writes the rows of one model, each with the index of the member if there are several.
-fn put_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: Option<f32>) -> Result<()> {
+/// Appends the rows of one model, each with the index of the member if there are several.
+fn append_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: Option<f32>) -> Result<()> {
     let Activated { primitives, strengths, .. } = model.gaussians(tx);
     for i in 0..primitives.len() {
-        let colour = strengths.as_ref().map_or([0.0; 3], |strengths| colour(strengths[i]));
-        let row = row(&primitives, i, model.cloud.opacity_logits[i], colour);
+        let colour = strengths.as_ref().map_or([0.0; 3], |strengths| harmonic_colour(strengths[i]));
+        let row = ply_row(&primitives, i, model.cloud.opacity_logits[i], colour);
         if let Some(k) = row.iter().position(|v| !v.is_finite()) {
             return Err(Error::Config(format!(
                 "`{}` of Gaussian {i} is not finite: training diverged, or the transmitter is far from training positions",
@@ -189,9 +191,9 @@ fn put_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: Opti
     Ok(())
 }
 
-/// Returns the header. Viewers of splats use single precision, so that centres stay close to zero; a comment gives
-/// their origin.
-fn header(n: usize, origin: Origin, several: bool) -> String {
+/// Returns the header of a PLY file of `n` Gaussians. Viewers of splats use single precision, so that centres stay
+/// close to zero; a comment gives their origin.
+fn ply_header(n: usize, origin: Origin, several: bool) -> String {
     let [x, y, z] = origin.0;
     let comment = if origin.is_zero() { String::new() } else { format!("comment origin {x} {y} {z}\n") };
     let properties = PROPERTIES.into_iter().chain(several.then_some("member"));
@@ -199,12 +201,13 @@ fn header(n: usize, origin: Origin, several: bool) -> String {
     format!("ply\nformat binary_little_endian 1.0\n{comment}element vertex {n}\n{properties}end_header\n")
 }
 
-/// Returns `f_dc` for a strength.
-fn colour(strength: Real) -> [f32; 3] {
+/// Returns the colour of a strength as coefficients `f_dc` of spherical harmonics.
+fn harmonic_colour(strength: Real) -> [f32; 3] {
     sequential(strength as f64).map(|c| ((f64::from(c) / 255.0 - 0.5) / SH_C0) as f32)
 }
 
-fn row(p: &Primitives, i: usize, opacity_logit: Real, colour: [f32; 3]) -> [f32; PROPERTIES.len()] {
+/// Returns the properties of Gaussian `i`, in the order of [`PROPERTIES`].
+fn ply_row(p: &Primitives, i: usize, opacity_logit: Real, colour: [f32; 3]) -> [f32; PROPERTIES.len()] {
     // The sign of a scale does not change the ellipsoid; the released calibration may give negative scales.
     let log_scales = p.scales[i].map(|s| s.abs().max(Real::MIN_POSITIVE).ln());
     let values = [&p.means[i][..], &[0.0; 3], &colour.map(Real::from), &[opacity_logit], &log_scales, &p.quats[i]];

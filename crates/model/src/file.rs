@@ -97,7 +97,7 @@ pub fn write(path: &Path, model: &Model) -> Result<()> {
 
 /// Returns the bytes of a model file; equal models give equal bytes.
 pub fn to_bytes(model: &Model) -> Vec<u8> {
-    tensors(model).to_bytes()
+    model_tensors(model).to_bytes()
 }
 
 /// Writes several models that predict together to one file, atomically; a single model as [`write()`] does.
@@ -129,42 +129,48 @@ pub fn size(ensemble: &Ensemble) -> usize {
     ensemble.read_bytes().unwrap_or_else(|| ensemble_to_bytes(ensemble).len())
 }
 
-pub(crate) fn tensors(model: &Model) -> Tensors {
-    let mut file = Tensors::new(&note(model));
+/// Returns the tensors of a file with one model, without residuals and calibration.
+pub(crate) fn model_tensors(model: &Model) -> Tensors {
+    let mut file = Tensors::new(&describe_model(model));
     put_model(&mut file, "", model);
     file
 }
 
+/// Returns the tensors of a file of all models, with residuals and calibration.
 fn ensemble_tensors(ensemble: &Ensemble) -> Tensors {
     let mut file = predictor_tensors(ensemble);
     ensemble.calibration().into_iter().for_each(|calibration| calibration.put(&mut file));
     file
 }
 
+/// Returns the tensors of a file of all models with their residuals; that of [`model_tensors`] for a single model
+/// without them.
 fn predictor_tensors(ensemble: &Ensemble) -> Tensors {
     if let ([model], None) = (ensemble.members(), ensemble.residuals()) {
-        return tensors(model);
+        return model_tensors(model);
     }
     let named = || ensemble.names().iter().zip(ensemble.members());
-    let members = named().map(|(name, model)| MemberNote { name: name.clone(), model: note(model) }).collect();
+    let members =
+        named().map(|(name, model)| MemberNote { name: name.clone(), model: describe_model(model) }).collect();
     let residuals = ensemble.residuals().map(ResidualsNote::of);
     let version = if residuals.is_some() { RESIDUALS_VERSION } else { ENSEMBLE_VERSION };
     let mut file = Tensors::new(&EnsembleNote { format: ENSEMBLE_FORMAT.into(), version, members, residuals });
     if let Some(residuals) = ensemble.residuals() {
         residuals.put(&mut file);
     }
-    for (place, model) in ensemble.members().iter().enumerate() {
-        put_model(&mut file, &prefix(place), model);
+    for (k, model) in ensemble.members().iter().enumerate() {
+        put_model(&mut file, &member_prefix(k), model);
     }
     file
 }
 
 /// Returns the prefix of the tensor names of a member.
-fn prefix(member: usize) -> String {
+fn member_prefix(member: usize) -> String {
     format!("members.{member}.")
 }
 
-fn note(model: &Model) -> Note {
+/// Returns the metadata of a model, with poses in the user's frame and the lowest version that can read it.
+fn describe_model(model: &Model) -> Note {
     let s = &model.stages;
     let world = |pose: Pose| if s.moving.is_receiver() { pose } else { s.origin.world_pose(pose) };
     let receiver = |r: &Receiver| Receiver { pose: world(r.pose), ..r.clone() };
@@ -189,6 +195,7 @@ fn note(model: &Model) -> Note {
     }
 }
 
+/// Adds the tensors of a model, with `prefix` before their names.
 fn put_model(file: &mut Tensors, prefix: &str, model: &Model) {
     put_cloud(file, &format!("{prefix}gaussians."), &model.cloud);
     put_weights(file, &format!("{prefix}{NETWORK}"), &model.weights, &model.stages);
@@ -220,12 +227,12 @@ pub fn read(path: &Path) -> Result<Model> {
 pub fn read_ensemble(path: &Path) -> Result<Ensemble> {
     let bytes = files::read(path).map_err(|e| Error::read(path, e))?;
     match from_bytes(&bytes) {
-        Ok(ensemble) => Ok(ensemble.read_from(bytes.len())),
+        Ok(ensemble) => Ok(ensemble.with_read_bytes(bytes.len())),
         Err(why) => Err(Error::input(path, format!("{why}; give the model.safetensors of a finished run"))),
     }
 }
 
-/// Reads the bytes of a file.
+/// Reads the bytes of a model file.
 ///
 /// # Errors
 /// The message names the fault.
@@ -236,6 +243,10 @@ pub fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
     Ok(ensemble.with_calibration(calibration))
 }
 
+/// Takes the models of a file and their residuals, without calibration.
+///
+/// # Errors
+/// The message names the fault, and the member in which it is.
 fn take_predictor(file: &mut Tensors) -> Result<Ensemble, String> {
     let unreadable = |e: serde_json::Error| format!("not a pwrfgs model ({e})");
     let Head { format, version } = serde_json::from_str(&file.note).map_err(unreadable)?;
@@ -257,15 +268,15 @@ fn take_predictor(file: &mut Tensors) -> Result<Ensemble, String> {
         return Err(format!("an ensemble of {} members, expected at most {MOST_MEMBERS}", members.len()));
     }
     let mut models: Vec<(String, Model)> = Vec::new();
-    for (place, MemberNote { name, model }) in members.into_iter().enumerate() {
-        let plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
-        if name.is_empty() || name.len() > LONGEST_NAME || !name.chars().all(plain) {
-            return Err(format!("member {place} has an invalid name; use letters, digits, `.`, `-` and `_`"));
+    for (k, MemberNote { name, model }) in members.into_iter().enumerate() {
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
+        if name.is_empty() || name.len() > LONGEST_NAME || !name.chars().all(is_plain) {
+            return Err(format!("member {k} has an invalid name; use letters, digits, `.`, `-` and `_`"));
         }
         if models.iter().any(|(other, _)| *other == name) {
             return Err(format!("two members have the name `{name}`"));
         }
-        let model = take_model(file, &prefix(place), &model).map_err(|why| format!("member {place}: {why}"))?;
+        let model = take_model(file, &member_prefix(k), &model).map_err(|why| format!("member {k}: {why}"))?;
         models.push((name, model));
     }
     let ensemble = Ensemble::named(models)?;
@@ -273,6 +284,7 @@ fn take_predictor(file: &mut Tensors) -> Result<Ensemble, String> {
     Ok(ensemble.with_residuals(residuals))
 }
 
+/// Checks that this program reads a model of this format and version.
 fn check_version(format: &str, version: u32) -> Result<(), String> {
     if format == FORMAT && [VERSION, CARRIERS_VERSION, MOVING_VERSION].contains(&version) {
         return Ok(());
@@ -281,30 +293,33 @@ fn check_version(format: &str, version: u32) -> Result<(), String> {
     Err(format!("a `{format}` of version {version}, expected {expected}; train it again"))
 }
 
+/// Takes a model from the tensors with `prefix` before their names, and checks that it can predict.
+///
+/// # Errors
+/// The message names the fault.
 fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, String> {
     check_version(&note.format, note.version)?;
     if let Some(fault) = note.origin.fault() {
         return Err(fault);
     }
-    let stages = Stages { method: parse(&note.method)?, setup: setup(note) };
+    let stages = Stages { method: parse_method(&note.method)?, setup: setup_of_note(note) };
     stages.check()?;
-    let columns: Vec<_> =
-        stages.method.traits().columns.into_iter().map(|(name, width)| (name.to_owned(), width)).collect();
-    let cloud = take_columns(file, &format!("{prefix}gaussians."), note.gaussians, &columns)?;
+    let cloud = take_cloud(file, &format!("{prefix}gaussians."), note.gaussians, &stages.method.traits().columns)?;
     let weights = take_weights(file, &format!("{prefix}{NETWORK}"), &stages)?;
     check_constants(file, prefix, &stages)?;
-    let training_positions = take_training(file, &format!("{prefix}{TRAINING}"))?;
+    let training_positions = take_training_positions(file, &format!("{prefix}{TRAINING}"))?;
     Ok(Model { stages, cloud, weights, training_positions })
 }
 
 /// Takes the training positions; `None` in a file of an earlier version.
-fn take_training(file: &mut Tensors, name: &str) -> Result<Option<TrainingPositions>, String> {
+fn take_training_positions(file: &mut Tensors, name: &str) -> Result<Option<TrainingPositions>, String> {
     let Some(count) = file.shape(name).map(|shape| shape.first().copied().unwrap_or(0)) else { return Ok(None) };
     let positions = file.take(name, &[count.max(1), 3])?;
     Ok(TrainingPositions::of(positions.as_chunks().0.to_vec()))
 }
 
-fn setup(note: &Note) -> MeasurementSetup {
+/// Returns the measurement setup of a model file, with poses relative to the origin.
+fn setup_of_note(note: &Note) -> MeasurementSetup {
     let (origin, plane) = (note.origin, note.plane.clone());
     let LinksNote { kind, moving, transmitter, receivers, frequencies_hz } = note.links.clone();
     let moving = moving.unwrap_or_default();
@@ -322,48 +337,50 @@ fn check_constants(file: &mut Tensors, prefix: &str, stages: &Stages) -> Result<
         if file.shape(&name).is_none() {
             continue; // file of an earlier version without constants
         }
-        let held = file.take(&name, &spec.shape)?;
+        let stored = file.take(&name, &spec.shape)?;
         // Another C library or precision may round differently.
-        if held.iter().zip(drawn).any(|(held, drawn)| (held - drawn).abs() > 1e-5 * drawn.abs().max(1.0)) {
+        if stored.iter().zip(drawn).any(|(stored, drawn)| (stored - drawn).abs() > 1e-5 * drawn.abs().max(1.0)) {
             return Err(format!("tensor `{name}` differs from the values of the seed of its deformation"));
         }
     }
     Ok(())
 }
 
+/// Writes a plugin as RON with all fields, structs on one line.
 fn plugin_text<T: ?Sized + erased_serde::Serialize>(plugin: &Plugin<T>) -> String {
     let config = ron::ser::PrettyConfig::new().struct_names(true).compact_structs(true);
     ron_options().to_string_pretty(plugin, config).expect("a plugin is plain data")
 }
 
-fn parse(text: &str) -> Result<Plugin<dyn Method>, String> {
+/// Creates the method that a model file names.
+fn parse_method(text: &str) -> Result<Plugin<dyn Method>, String> {
     Plugin::parse(text).map_err(|e| format!("cannot create `{text}`: {e}; use a program with this plugin"))
 }
 
-/// Adds the columns of a cloud under `prefix`.
+/// Adds the columns of a cloud, with `prefix` before their names.
 pub fn put_cloud(file: &mut Tensors, prefix: &str, cloud: &GaussianCloud) {
     for (name, width, values) in cloud.columns() {
         file.put(format!("{prefix}{name}"), vec![cloud.len(), width], values.to_vec());
     }
 }
 
-/// Takes a cloud of `n` Gaussians with the extra columns `extra` (name and width) from `prefix`. Checks the lengths of
-/// the columns before allocating memory, because `n` may be any number.
+/// Takes a cloud of `n` Gaussians with the extra columns `extra` (name and width) from the tensors under `prefix`.
+/// Checks the lengths of the columns before allocating memory, because `n` may be any number.
 ///
 /// # Errors
 /// The message names the missing tensor.
-pub fn take_columns(
+pub fn take_cloud(
     file: &mut Tensors,
     prefix: &str,
     n: usize,
-    extra: &[(String, usize)],
+    extra: &[(impl AsRef<str>, usize)],
 ) -> Result<GaussianCloud, String> {
     file.expect(&format!("{prefix}{}", COLUMN_NAMES[0]), &[n, 3])?;
-    let extra_column = |(name, width): &(String, usize)| -> Result<ExtraColumn, String> {
-        file.expect(&format!("{prefix}{name}"), &[n, *width])?;
-        Ok(ExtraColumn { name: name.clone(), width: *width, values: vec![0.0; n * width] })
+    let extra_column = |name: &str, width: usize| -> Result<ExtraColumn, String> {
+        file.expect(&format!("{prefix}{name}"), &[n, width])?;
+        Ok(ExtraColumn { name: name.into(), width, values: vec![0.0; n * width] })
     };
-    let extra = extra.iter().map(extra_column).collect::<Result<_, _>>()?;
+    let extra = extra.iter().map(|(name, width)| extra_column(name.as_ref(), *width)).collect::<Result<_, _>>()?;
     let mut cloud = GaussianCloud { extra, ..GaussianCloud::zeros(n) };
     for (name, width, values) in cloud.columns_mut() {
         values.copy_from_slice(&file.take(&format!("{prefix}{name}"), &[n, width])?);
@@ -371,7 +388,7 @@ pub fn take_columns(
     Ok(cloud)
 }
 
-/// Adds the tensors of the network under `prefix`, one per layer.
+/// Adds the tensors of the network, one per layer, with `prefix` before their names.
 pub fn put_weights(file: &mut Tensors, prefix: &str, weights: &[Real], stages: &Stages) {
     let mut rest = weights;
     for spec in stages.layout().weights {
@@ -382,7 +399,7 @@ pub fn put_weights(file: &mut Tensors, prefix: &str, weights: &[Real], stages: &
     assert!(rest.is_empty(), "the network is as long as its layout");
 }
 
-/// Takes the tensors of the network from `prefix`.
+/// Takes the tensors of the network under `prefix`, and returns them as a flat weight vector.
 ///
 /// # Errors
 /// The message names the missing tensor.

@@ -23,7 +23,8 @@ pub struct Model {
 }
 
 impl Model {
-    /// Returns the Gaussians as drawn for a transmitter at `tx` (metres, world frame), or of the base parameters.
+    /// Returns the Gaussians as drawn for a transmitter at `tx` (metres, world frame), or without transmitter those of
+    /// the base parameters.
     pub fn gaussians(&self, tx: Option<[f64; 3]>) -> Activated {
         let Stages { method, setup } = &self.stages;
         let parameters = Parameters { cloud: &self.cloud, gate: None, existence: None, weights: &self.weights };
@@ -99,12 +100,12 @@ impl Stages {
         Ok(Self { setup: MeasurementSetup::of(data, plane), method })
     }
 
-    /// Returns the deformation, if the method has one.
+    /// Returns the deformation of the method; `None` if it has none.
     pub fn deformation(&self) -> Option<&Plugin<dyn Deformation>> {
         self.method.traits().deformation
     }
 
-    /// Returns the settings of the method if it is an `M`.
+    /// Returns the settings of the method if it is an `M`; otherwise `None`.
     pub fn settings<M: Method>(&self) -> Option<&M> {
         let method: &dyn Any = self.method.get();
         method.downcast_ref()

@@ -68,17 +68,17 @@ impl<'a> Prepared<'a> {
 
     /// Returns the type of the observations.
     pub fn task(&self) -> Task {
-        self.members[0].model.stages.task
+        self.setup().task
     }
 
     /// Returns the receivers, in the order of [`Query::receiver`].
     pub fn receivers(&self) -> &'a [Receiver] {
-        &self.members[0].model.stages.setup.receivers
+        &self.setup().receivers
     }
 
     /// Returns the end that moves.
     pub fn moving(&self) -> End {
-        self.members[0].model.stages.setup.moving
+        self.setup().moving
     }
 
     /// Predicts the observation of a link, such as the spectrum for a transmitter position (metres, world frame) at the
@@ -86,8 +86,8 @@ impl<'a> Prepared<'a> {
     /// several is the mean, with each spectrum clamped to [0, 1]. Residual processes add the expected residual.
     pub fn predict_timed<'q>(&self, query: impl Into<Query<'q>>) -> (Image, StageTimes) {
         let (begun, query) = (Instant::now(), query.into());
-        let (pictures, times) = self.pictures(query);
-        let mean = self.corrected(mean(pictures, self.task()), query);
+        let (predictions, times) = self.member_predictions(query);
+        let mean = self.corrected(mean_prediction(predictions, self.task()), query);
         let total = if self.residuals.is_some() { begun.elapsed().as_secs_f64() } else { times.total };
         (mean, StageTimes { total, ..times })
     }
@@ -97,14 +97,14 @@ impl<'a> Prepared<'a> {
     /// of each stage.
     pub fn predict_with_deviation<'q>(&self, query: impl Into<Query<'q>>) -> (Image, Image, StageTimes) {
         let query = query.into();
-        let (pictures, times) = self.pictures(query);
-        let count = pictures.len() as Real;
-        let clamped: Vec<Image> = pictures.iter().map(|prediction| self.task().shown(prediction.clone())).collect();
-        let mean = mean(pictures, self.task());
+        let (predictions, times) = self.member_predictions(query);
+        let count = predictions.len() as Real;
+        let clamped: Vec<Image> = predictions.iter().map(|prediction| self.task().shown(prediction.clone())).collect();
+        let mean = mean_prediction(predictions, self.task());
         let mut deviation = Image::zeros(mean.width, mean.height);
         if clamped.len() > 1 {
-            for picture in &clamped {
-                let squares = picture.pixels.iter().zip(&mean.pixels).map(|(p, m)| (p - m) * (p - m));
+            for prediction in &clamped {
+                let squares = prediction.pixels.iter().zip(&mean.pixels).map(|(p, m)| (p - m) * (p - m));
                 deviation.pixels.iter_mut().zip(squares).for_each(|(sum, square)| *sum += square);
             }
             deviation.pixels.iter_mut().for_each(|sum| *sum = (*sum / count).sqrt());
@@ -112,21 +112,21 @@ impl<'a> Prepared<'a> {
         (self.corrected(mean, query), deviation, times)
     }
 
-    /// Returns the prediction with the expected residual.
+    /// Returns the prediction with the expected residual added; unchanged without residual processes.
     fn corrected(&self, mean: Image, query: Query<'_>) -> Image {
         let Some(residuals) = self.residuals else { return mean };
         let mut image = self.task().shown(mean);
-        residuals.correct(&mut image, query, self.members[0].model.stages.origin);
+        residuals.correct(&mut image, query, self.setup().origin);
         image
     }
 
     /// Returns the predictions of all members, not clamped, and the total time of each stage.
-    fn pictures(&self, query: Query<'_>) -> (Vec<Image>, StageTimes) {
-        let mut pictures = Vec::with_capacity(self.members.len());
+    fn member_predictions(&self, query: Query<'_>) -> (Vec<Image>, StageTimes) {
+        let mut predictions = Vec::with_capacity(self.members.len());
         let mut sum = StageTimes::default();
         for member in &self.members {
             let (image, times) = member.predict(query);
-            pictures.push(image);
+            predictions.push(image);
             sum.network += times.network;
             sum.projection += times.projection;
             sum.sort += times.sort;
@@ -134,14 +134,14 @@ impl<'a> Prepared<'a> {
             sum.total += times.total;
             sum.prepare += times.prepare;
         }
-        (pictures, sum)
+        (predictions, sum)
     }
 
     /// Predicts many links; it is fastest if links of one transmitter are adjacent.
     pub fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
-        let mut of_each: Vec<_> = self.members.iter().map(|m| m.predict_many(queries).into_iter()).collect();
-        let of_all = |_| mean(of_each.iter_mut().filter_map(Iterator::next).collect(), self.task());
-        let means: Vec<Image> = queries.iter().map(of_all).collect();
+        let mut by_member: Vec<_> = self.members.iter().map(|m| m.predict_many(queries).into_iter()).collect();
+        let mean = |_| mean_prediction(by_member.iter_mut().filter_map(Iterator::next).collect(), self.task());
+        let means: Vec<Image> = queries.iter().map(mean).collect();
         means.into_par_iter().zip(queries).map(|(mean, query)| self.corrected(mean, *query)).collect()
     }
 
@@ -150,17 +150,17 @@ impl<'a> Prepared<'a> {
     /// # Panics
     /// If the length of `numbers` is not that of the observations.
     pub fn predict_into(&self, queries: &[Query<'_>], numbers: &mut [Real]) {
-        let of_each = self.plane().width * self.plane().height;
-        assert_eq!(numbers.len(), queries.len() * of_each, "numbers of {} observations", queries.len());
-        for (group, numbers) in queries.chunks(GROUP).zip(numbers.chunks_mut(GROUP * of_each)) {
+        let link_values = self.setup().numbers();
+        assert_eq!(numbers.len(), queries.len() * link_values, "numbers of {} observations", queries.len());
+        for (group, numbers) in queries.chunks(GROUP).zip(numbers.chunks_mut(GROUP * link_values)) {
             if let ([member], None) = (self.members.as_slice(), self.residuals) {
-                let (predictions, _) = member.numbers(group);
+                let (predictions, _) = member.predict_values(group);
                 // If `numbers` is new memory, its first access takes longer than the copy.
                 let copy = |(to, from): (&mut [Real], &[Real])| to.copy_from_slice(from);
-                numbers.par_chunks_mut(of_each).zip(predictions.par_chunks(of_each)).for_each(copy);
+                numbers.par_chunks_mut(link_values).zip(predictions.par_chunks(link_values)).for_each(copy);
                 continue;
             }
-            for (image, numbers) in self.predict_many(group).iter().zip(numbers.chunks_exact_mut(of_each)) {
+            for (image, numbers) in self.predict_many(group).iter().zip(numbers.chunks_exact_mut(link_values)) {
                 numbers.copy_from_slice(&image.pixels);
             }
         }
@@ -201,43 +201,45 @@ impl Predict for Prepared<'_> {
 
     /// Returns that of the residual process; `None` without residual processes.
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
-        self.residuals.map(|residuals| residuals.deviation(query, self.members[0].model.stages.origin))
+        self.residuals.map(|residuals| residuals.deviation(query, self.setup().origin))
     }
 }
 
 impl<'a> Member<'a> {
+    /// Selects the Gaussians that can affect observations, and precomputes transmitter-independent values.
     fn new(model: &'a Model) -> Self {
         let start = Instant::now();
         let stages = &model.stages;
         let rows = stages.drawable(&model.cloud, None);
-        let all = rows.len() == model.cloud.len();
-        let cloud = if all { Cow::Borrowed(&model.cloud) } else { Cow::Owned(model.cloud.select(&rows)) };
+        let is_whole = rows.len() == model.cloud.len();
+        let cloud = if is_whole { Cow::Borrowed(&model.cloud) } else { Cow::Owned(model.cloud.select(&rows)) };
         let parameters = Parameters { cloud: &cloud, gate: None, existence: None, weights: &model.weights };
         let ready = stages.method.prepare(&stages.setup, &parameters);
         Self { model, cloud, ready, seconds: start.elapsed().as_secs_f64() }
     }
 
+    /// Predicts one link, not clamped, with the time of each stage.
     fn predict(&self, query: Query<'_>) -> (Image, StageTimes) {
         let start = Instant::now();
-        let (mut images, times) = self.enter(|| self.observations(&[query]));
+        let (mut images, times) = self.run_in_pool(|| self.predict_group(&[query]));
         (images.remove(0), StageTimes { total: start.elapsed().as_secs_f64(), prepare: self.seconds, ..times })
     }
 
-    /// Runs a prediction in the thread pool if it is worth it.
-    fn enter<T: Send>(&self, run: impl FnOnce() -> T + Send) -> T {
+    /// Runs a prediction in the thread pool if there are at least [`POOL`] Gaussians.
+    fn run_in_pool<T: Send>(&self, run: impl FnOnce() -> T + Send) -> T {
         if self.cloud.len() < POOL { run() } else { rayon::scope(|_| run()) }
     }
 
     /// Predicts one group of links at a time: they share a projection, or at least the network, and each uses one
     /// thread.
     fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
-        queries.chunks(GROUP).flat_map(|group| self.observations(group).0).collect()
+        queries.chunks(GROUP).flat_map(|group| self.predict_group(group).0).collect()
     }
 
     /// Predicts the links of one call, one observation each.
-    fn observations(&self, queries: &[Query<'_>]) -> (Vec<Image>, StageTimes) {
+    fn predict_group(&self, queries: &[Query<'_>]) -> (Vec<Image>, StageTimes) {
         let ImagePlane { width, height, .. } = self.model.stages.plane;
-        let (numbers, times) = self.numbers(queries);
+        let (numbers, times) = self.predict_values(queries);
         let image = |pixels| Image { width, height, pixels };
         let images = if queries.len() == 1 {
             vec![image(numbers)] // moved, not copied
@@ -248,13 +250,13 @@ impl<'a> Member<'a> {
     }
 
     /// Predicts the values of the links of one call, as contiguous observations.
-    fn numbers(&self, queries: &[Query<'_>]) -> (Vec<Real>, StageTimes) {
+    fn predict_values(&self, queries: &[Query<'_>]) -> (Vec<Real>, StageTimes) {
         let stages = &self.model.stages;
-        self.call(queries, |call| stages.method.predict(call, &self.ready))
+        self.run_call(queries, |call| stages.method.predict(call, &self.ready))
     }
 
-    /// Runs the method on some links.
-    fn call<T>(&self, queries: &[Query<'_>], run: impl FnOnce(&Call<'_>) -> T) -> T {
+    /// Calls `run` with the parameters and some links.
+    fn run_call<T>(&self, queries: &[Query<'_>], run: impl FnOnce(&Call<'_>) -> T) -> T {
         let Model { stages: Stages { method, setup }, weights, .. } = self.model;
         let links = &setup.inputs(method.traits().inputs, queries.iter().copied());
         let parameters = Parameters { cloud: &self.cloud, gate: None, existence: None, weights };
@@ -263,18 +265,18 @@ impl<'a> Member<'a> {
 }
 
 /// Returns a single observation unchanged, or the mean of several; spectra are each clamped to [0, 1].
-fn mean(pictures: Vec<Image>, task: Task) -> Image {
-    let share = 1.0 / pictures.len() as Real;
-    let mut pictures = pictures.into_iter();
-    let mut mean = pictures.next().expect("a model or more");
+fn mean_prediction(predictions: Vec<Image>, task: Task) -> Image {
+    let share = 1.0 / predictions.len() as Real;
+    let mut predictions = predictions.into_iter();
+    let mut mean = predictions.next().expect("a model or more");
     if share == 1.0 {
         return mean;
     }
     let sum = mean.pixels.as_mut_slice();
     if !task.has_pixels {
         sum.iter_mut().for_each(|v| *v *= share);
-        for other in pictures {
-            sum.iter_mut().zip(&other.pixels).for_each(|(sum, v)| *sum += v * share);
+        for prediction in predictions {
+            sum.iter_mut().zip(&prediction.pixels).for_each(|(sum, v)| *sum += v * share);
         }
         return mean;
     }
@@ -282,8 +284,8 @@ fn mean(pictures: Vec<Image>, task: Task) -> Image {
         #[inline(always)]
         || {
             sum.iter_mut().for_each(|p| *p = p.clamp(0.0, 1.0) * share);
-            for picture in pictures {
-                sum.iter_mut().zip(&picture.pixels).for_each(|(sum, p)| *sum += p.clamp(0.0, 1.0) * share);
+            for prediction in predictions {
+                sum.iter_mut().zip(&prediction.pixels).for_each(|(sum, p)| *sum += p.clamp(0.0, 1.0) * share);
             }
         },
     );

@@ -9,9 +9,11 @@ use pwrfgs_core::kriging::{
     Correlation, CorrelationKind, HeldOutCases, Mean, PathLoss, SearchSpace, log_distance, most_likely,
 };
 use pwrfgs_core::neighbours::Nearest;
-use pwrfgs_core::{Dataset, Error, FittingSet, MeasurementSetup, Progress, Query, Real, Receiver, Result, evenly};
+use pwrfgs_core::{
+    Dataset, Error, FittingSet, MeasurementSetup, Progress, Query, Real, Receiver, Result, check_stopped, evenly,
+};
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 /// Number of links that are predicted in the fit: of all receivers, and at least of each. Too few choose a wrong correlation
 /// (docs/lab/residuals.md).
@@ -34,7 +36,7 @@ const EXAMPLES: usize = 64;
 const LEAST_LINKS: usize = 10;
 /// Number of links per prediction call.
 const CHUNK: usize = 64;
-/// Log-likelihood, share, variance and correlation.
+/// Log-likelihood, share, variance in units of the scale, and correlation.
 type Fit = (f64, f64, f64, Correlation);
 
 /// Known links, and which of them a member did not train on.
@@ -76,16 +78,17 @@ impl Residuals {
         settings.check_data(data, known.left_out_by.iter().any(|by| *by != LeftOutBy::NoMember))?;
         let mut grid = CoarseGrid::new(ensemble.plane(), data.task().stride(settings.stride));
         let examples: Vec<Vec<Real>> = evenly(known.links, EXAMPLES).iter().map(|&i| data.image(i).pixels).collect();
-        while grid.stride > 1 && grid.lost(&examples) > LOST {
+        while grid.stride > 1 && grid.lost_share(&examples) > LOST {
             grid = CoarseGrid::new(ensemble.plane(), grid.stride / 2);
         }
         let samples = Samples::new(ensemble, known, &grid, stop, progress)?;
         data.observations.check()?;
-        let mut of_each = vec![Vec::new(); data.scene.receivers.len()];
-        (0..known.links.len()).for_each(|k| of_each[data.links[known.links[k]].receiver].push(k));
-        let fit = samples.most_likely(&of_each);
-        let process = |links: &Vec<usize>| Some(samples.process(links, fit?)).filter(|process| !process.is_empty());
-        let processes = of_each.iter().map(process).collect();
+        let mut by_receiver = vec![Vec::new(); data.scene.receivers.len()];
+        (0..known.links.len()).for_each(|k| by_receiver[samples.receiver_of(k)].push(k));
+        let fit = samples.most_likely_fit(&by_receiver);
+        let process =
+            |links: &Vec<usize>| Some(samples.build_process(links, fit?)).filter(|process| !process.is_empty());
+        let processes = by_receiver.iter().map(process).collect();
         Ok(Self { grid, neighbours: settings.neighbours, processes })
     }
 
@@ -94,14 +97,14 @@ impl Residuals {
     ///
     /// # Errors
     /// As [`Self::updated`].
-    fn of_links(&self, ensemble: &Ensemble, data: &Dataset, links: &[usize]) -> Result<Self> {
-        let empty = |process: &ResidualProcess| ResidualProcess::new(process.fit, Vec::new(), process.values.emptied());
+    fn restricted_to(&self, ensemble: &Ensemble, data: &Dataset, links: &[usize]) -> Result<Self> {
+        let empty =
+            |process: &ResidualProcess| ResidualProcess::new(process.fit, Vec::new(), process.values.empty_like());
         let processes = self.processes.iter().map(|process| process.as_ref().map(empty)).collect();
         let (mut residuals, _) = Self { processes, ..self.clone() }.with_links(ensemble, data, links)?;
-        residuals
-            .processes
-            .iter_mut()
-            .for_each(|process| *process = process.take().filter(|process| !process.is_empty()));
+        for process in &mut residuals.processes {
+            process.take_if(|process| process.is_empty());
+        }
         Ok(residuals)
     }
 
@@ -115,7 +118,8 @@ impl Residuals {
         self.with_links(ensemble, data, &(0..data.len()).collect::<Vec<_>>())
     }
 
-    /// As [`Self::updated`], with some `links` of `data`.
+    /// Returns the processes with some `links` of new `data` added, and the number of added links, as
+    /// [`Self::updated`].
     fn with_links(&self, ensemble: &Ensemble, data: &Dataset, links: &[usize]) -> Result<(Self, usize)> {
         let base = ensemble.clone().with_residuals(None);
         let (ready, origin) = (base.prepare(), base.members()[0].stages.origin);
@@ -129,25 +133,25 @@ impl Residuals {
             let Some(process) = self.process(query.receiver) else { continue };
             let predicted = data.task().shown(predicted);
             let (observed, at) = (data.image(i), origin.local(query.position()));
-            let left = |(y, f): (&Real, &Real)| y - process.fit.trend.at(*f, at);
-            let left: Vec<Real> = observed.pixels.iter().zip(&predicted.pixels).map(left).collect();
-            if left.iter().any(|v| !v.is_finite()) {
+            let residual = |(y, f): (&Real, &Real)| y - process.fit.trend.expected(*f, at);
+            let residuals: Vec<Real> = observed.pixels.iter().zip(&predicted.pixels).map(residual).collect();
+            if residuals.iter().any(|v| !v.is_finite()) {
                 let problem = format!("the prediction at {:?} is not finite; leave this link out", query.position());
                 return Err(Error::Config(problem));
             }
             places[query.receiver].push(at);
-            values[query.receiver].extend(self.grid.sampled(&left));
+            values[query.receiver].extend(self.grid.sampled(&residuals));
         }
         data.observations.check()?;
         let added = places.iter().map(Vec::len).sum();
-        let more = |(receiver, process): (usize, &Option<ResidualProcess>)| {
-            let ResidualProcess { fit, places: positions, values: held, .. } = process.as_ref()?;
-            let mut held = held.clone();
-            held.extend(&values[receiver], self.grid.len());
+        let extended = |(receiver, process): (usize, &Option<ResidualProcess>)| {
+            let ResidualProcess { fit, places: positions, values: residuals, .. } = process.as_ref()?;
+            let mut residuals = residuals.clone();
+            residuals.extend(&values[receiver], self.grid.len());
             let places = [&positions[..], &places[receiver]].concat();
-            Some(ResidualProcess::new(*fit, places, held))
+            Some(ResidualProcess::new(*fit, places, residuals))
         };
-        let processes = self.processes.iter().enumerate().map(more).collect();
+        let processes = self.processes.iter().enumerate().map(extended).collect();
         Ok((Self { processes, ..self.clone() }, added))
     }
 }
@@ -161,7 +165,7 @@ impl Ensemble {
     pub fn held_out(&self, members: &[usize], data: &Dataset, links: &[usize]) -> Result<Self> {
         let member = |&k: &usize| (self.names()[k].clone(), self.members()[k].clone());
         let base = Self::named(members.iter().map(member).collect()).map_err(Error::Config)?;
-        let residuals = self.residuals().map(|residuals| residuals.of_links(&base, data, links)).transpose()?;
+        let residuals = self.residuals().map(|residuals| residuals.restricted_to(&base, data, links)).transpose()?;
         Ok(base.with_residuals(residuals))
     }
 
@@ -170,11 +174,11 @@ impl Ensemble {
     ///
     /// # Errors
     /// As [`Residuals::updated`].
-    pub fn without_validation(&self, data: &Dataset, known: FittingSet<'_>) -> Result<Option<Self>> {
-        if self.residuals().is_none() || known.validation.is_empty() {
+    pub fn without_validation(&self, data: &Dataset, fitting: FittingSet<'_>) -> Result<Option<Self>> {
+        if self.residuals().is_none() || fitting.validation.is_empty() {
             return Ok(None);
         }
-        self.held_out(&(0..self.members().len()).collect::<Vec<_>>(), data, known.train).map(Some)
+        self.held_out(&(0..self.members().len()).collect::<Vec<_>>(), data, fitting.train).map(Some)
     }
 }
 
@@ -183,19 +187,23 @@ struct Samples<'a> {
     known: KnownLinks<'a>,
     receivers: &'a [Receiver],
     places: Vec<[Real; 3]>,
-    /// Numbers per link.
-    of_each: usize,
+    /// Number of values per link.
+    link_values: usize,
     /// Whether residuals are stored as exact numbers.
     is_exact: bool,
-    /// Observations `[links, of_each]`.
+    /// Observations `[links, link_values]`.
     observed: Vec<Real>,
-    /// Predictions `[links, of_each]` of each member.
+    /// Predictions `[links, link_values]` of each member.
     predicted: Vec<Vec<Real>>,
     /// Their mean.
     mean: Vec<Real>,
 }
 
 impl<'a> Samples<'a> {
+    /// Predicts all known links with each member. `progress` counts predictions.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for a prediction that is not finite; [`Error::Stopped`] once `stop` is set.
     fn new(
         ensemble: &'a Ensemble,
         known: KnownLinks<'a>,
@@ -211,9 +219,7 @@ impl<'a> Samples<'a> {
             let ready = model.prepare();
             let mut predictions = Vec::with_capacity(links.len() * grid.len());
             for (chunk, links) in links.chunks(CHUNK).enumerate() {
-                if stop.load(Ordering::Relaxed) {
-                    return Err(Error::Stopped);
-                }
+                check_stopped(stop)?;
                 let queries: Vec<Query<'_>> = links.iter().map(|&i| data.query(i)).collect();
                 let shown = ready.predict_many(&queries).into_iter().map(|image| data.task().shown(image));
                 shown.for_each(|image| predictions.extend(grid.sampled(&image.pixels)));
@@ -232,25 +238,25 @@ impl<'a> Samples<'a> {
         let mut mean = vec![0.0; observed.len()];
         predicted.iter().for_each(|predictions| mean.iter_mut().zip(predictions).for_each(|(sum, v)| *sum += v));
         mean.iter_mut().for_each(|v| *v /= predicted.len() as Real);
-        let (of_each, is_exact) = (grid.len(), grid.stride == 1);
-        Ok(Self { known, receivers, places, of_each, is_exact, observed, predicted, mean })
+        let (link_values, is_exact) = (grid.len(), grid.stride == 1);
+        Ok(Self { known, receivers, places, link_values, is_exact, observed, predicted, mean })
     }
 
-    /// Predictions of all links by the members that `left_out` a link: the mean of all, or one.
+    /// Returns the predictions of all links by the members that `left_out` a link: the mean of all, or one.
     fn predictions(&self, left_out: LeftOutBy) -> &[Real] {
         if let LeftOutBy::Member(member) = left_out { &self.predicted[member] } else { &self.mean }
     }
 
-    /// Residuals of known link `k` from the trend of `predicted` values of all links.
-    fn residual(&self, k: usize, trend: &ResidualTrend, predicted: &[Real]) -> Vec<Real> {
-        let values = k * self.of_each..(k + 1) * self.of_each;
+    /// Returns the residuals of known link `k` from the trend, given `predicted` values of all links.
+    fn residuals(&self, k: usize, trend: &ResidualTrend, predicted: &[Real]) -> Vec<Real> {
+        let values = k * self.link_values..(k + 1) * self.link_values;
         let pairs = self.observed[values.clone()].iter().zip(&predicted[values]);
-        pairs.map(|(y, f)| y - trend.at(*f, self.places[k])).collect()
+        pairs.map(|(y, f)| y - trend.expected(*f, self.places[k])).collect()
     }
 
-    /// Returns the path-loss model of `links_of_receiver` without those `left_out`, with its position:
-    /// for received powers.
-    fn path_loss(&self, links_of_receiver: &[usize], left_out: Option<LeftOutBy>) -> Option<(PathLoss, [f64; 3])> {
+    /// Fits a path-loss model to `links_of_receiver` without those `left_out`; returns it with the position of the
+    /// receiver. `None` for observations without path loss, and for fewer than [`LEAST_LINKS`] links.
+    fn fit_path_loss(&self, links_of_receiver: &[usize], left_out: Option<LeftOutBy>) -> Option<(PathLoss, [f64; 3])> {
         let KnownLinks { data, links, left_out_by } = self.known;
         let receiver = self.receivers[data.links[links[*links_of_receiver.first()?]].receiver].pose.position;
         let links_of_receiver: Vec<usize> =
@@ -262,22 +268,24 @@ impl<'a> Samples<'a> {
 
     /// Returns the links to predict, evenly from those that a member left out, each with the nearest links
     /// that the same members trained on. If `is_observed`, all links with their nearest others.
-    fn cases(&self, links_of_receiver: &[usize], is_observed: bool) -> Vec<(usize, Vec<usize>)> {
-        let by = |k: usize| if is_observed { LeftOutBy::NoMember } else { self.known.left_out_by[k] };
-        let is_case = |k: &usize| is_observed || by(*k) != LeftOutBy::NoMember;
+    fn select_cases(&self, links_of_receiver: &[usize], is_observed: bool) -> Vec<(usize, Vec<usize>)> {
+        let left_out_by = |k: usize| if is_observed { LeftOutBy::NoMember } else { self.known.left_out_by[k] };
+        let is_case = |k: &usize| is_observed || left_out_by(*k) != LeftOutBy::NoMember;
         let held_out: Vec<usize> = links_of_receiver.iter().copied().filter(is_case).collect();
         let mut trained: BTreeMap<LeftOutBy, Nearest> = BTreeMap::new();
-        for group in held_out.iter().map(|&k| by(k)) {
+        for group in held_out.iter().map(|&k| left_out_by(k)) {
             trained.entry(group).or_insert_with(|| {
-                let others = links_of_receiver.iter().copied().filter(|&k| is_observed || by(k) != group).collect();
+                let is_trained = |k: &usize| is_observed || left_out_by(*k) != group;
+                let others = links_of_receiver.iter().copied().filter(is_trained).collect();
                 Nearest::new(others, 4, |k| place(self.places[k]))
             });
         }
         let count = (CASES / self.known.data.scene.receivers.len()).max(LEAST_CASES);
-        let from = if self.of_each == 1 { FROM / 2 } else { FROM };
+        let count_near = if self.link_values == 1 { FROM / 2 } else { FROM };
         let case = |k: usize| {
-            let near = trained[&by(k)].find(&place(self.places[k]), from + 1).1.into_iter().map(|(_, j)| j);
-            let near: Vec<usize> = near.filter(|j| *j != k).take(from).collect();
+            let near =
+                trained[&left_out_by(k)].find(&place(self.places[k]), count_near + 1).1.into_iter().map(|(_, j)| j);
+            let near: Vec<usize> = near.filter(|j| *j != k).take(count_near).collect();
             (!near.is_empty()).then_some((k, near))
         };
         evenly(&held_out, count).into_iter().filter_map(case).collect()
@@ -285,16 +293,17 @@ impl<'a> Samples<'a> {
 
     /// Returns the scale of the observations of a receiver with these known links: their root mean square about the
     /// path-loss model, or 1 if there is one receiver.
-    fn scale(&self, links_of_receiver: &[usize]) -> Real {
-        let trend = ResidualTrend { share: 0.0, path_loss: self.path_loss(links_of_receiver, None) };
-        let squares = |&k: &usize| self.residual(k, &trend, &self.mean).iter().map(|v| v * v).sum::<Real>();
+    fn observation_scale(&self, links_of_receiver: &[usize]) -> Real {
+        let trend = ResidualTrend { share: 0.0, path_loss: self.fit_path_loss(links_of_receiver, None) };
+        let squares = |&k: &usize| self.residuals(k, &trend, &self.mean).iter().map(|v| v * v).sum::<Real>();
         let mean = links_of_receiver.iter().map(squares).sum::<Real>()
-            / (links_of_receiver.len() * self.of_each).max(1) as Real;
+            / (links_of_receiver.len() * self.link_values).max(1) as Real;
         if self.receivers.len() == 1 || mean == 0.0 { 1.0 } else { mean.sqrt() }
     }
 
-    /// Cases of all receivers with their `values`, in units of the scales.
-    fn held_out(
+    /// Returns the cases of all receivers with their `values`, in units of the scales. `values` returns those of a
+    /// link, given the number of the case and the link.
+    fn held_out_cases(
         &self,
         cases: &[(usize, Vec<usize>)],
         scales: &[Real],
@@ -305,64 +314,63 @@ impl<'a> Samples<'a> {
         HeldOutCases::new(cases, mean, |k| place(self.places[k]), scaled)
     }
 
+    /// Returns the receiver of known link `k`.
     fn receiver_of(&self, k: usize) -> usize {
         self.known.data.links[self.known.links[k]].receiver
     }
 
-    /// Returns the share, variance and correlation for the known links of each receiver, for observations in units of
-    /// their scales; `None` if no link was left out. All receivers share them, since one receiver may have few links.
+    /// Returns the most likely share, variance and correlation for the known links of each receiver, for observations
+    /// in units of their scales; `None` if no link was left out. All receivers share them, since one receiver may have
+    /// few links.
     ///
     /// Kind and length scales of the correlation are those of the observations: of residuals of left-out links, there are
     /// too few.
-    fn most_likely(&self, of_each: &[Vec<usize>]) -> Option<(f64, f64, Correlation)> {
-        let cases_of =
-            |is_observed| of_each.iter().flat_map(|links| self.cases(links, is_observed)).collect::<Vec<_>>();
+    fn most_likely_fit(&self, by_receiver: &[Vec<usize>]) -> Option<Fit> {
+        let cases_of = |is_observed| {
+            by_receiver.iter().flat_map(|links| self.select_cases(links, is_observed)).collect::<Vec<_>>()
+        };
         let cases = cases_of(false);
         if cases.is_empty() {
             return None;
         }
-        let scales: Vec<Real> = of_each.iter().map(|links| self.scale(links)).collect();
-        let law = |receiver: usize, by| self.path_loss(&of_each[receiver], by);
-        let laws: Vec<_> = (0..of_each.len()).map(|receiver| law(receiver, None)).collect();
+        let scales: Vec<Real> = by_receiver.iter().map(|links| self.observation_scale(links)).collect();
+        let law = |receiver: usize, left_out| self.fit_path_loss(&by_receiver[receiver], left_out);
+        let laws: Vec<_> = (0..by_receiver.len()).map(|receiver| law(receiver, None)).collect();
         let observed =
-            |_, k| self.residual(k, &ResidualTrend { share: 0.0, path_loss: laws[self.receiver_of(k)] }, &self.mean);
-        let space = SearchSpace { kinds: &KINDS, isotropic: self.of_each == 1, time: false };
-        let correlation = most_likely(&self.held_out(&cases_of(true), &scales, observed), space).1;
+            |_, k| self.residuals(k, &ResidualTrend { share: 0.0, path_loss: laws[self.receiver_of(k)] }, &self.mean);
+        let space = SearchSpace { kinds: &KINDS, isotropic: self.link_values == 1, time: false };
+        let correlation = most_likely(&self.held_out_cases(&cases_of(true), &scales, observed), space).1;
         // The path-loss model that decides about a left-out link is not fitted to it.
         let group = |c: usize| (self.receiver_of(cases[c].0), self.known.left_out_by[cases[c].0]);
         let laws: BTreeMap<_, _> = (0..cases.len()).map(|c| (group(c), law(group(c).0, Some(group(c).1)))).collect();
         let fit = |share: f64| {
             let values = |c: usize, k: usize| {
-                self.residual(k, &ResidualTrend { share, path_loss: laws[&group(c)] }, self.predictions(group(c).1))
+                self.residuals(k, &ResidualTrend { share, path_loss: laws[&group(c)] }, self.predictions(group(c).1))
             };
-            let held_out = self.held_out(&cases, &scales, values);
-            let of_noise = |factor: f64| {
+            let held_out = self.held_out_cases(&cases, &scales, values);
+            let with_noise = |factor: f64| {
                 let noisy = Correlation { noise: factor * correlation.noise, ..correlation };
-                (held_out.log_likelihood(&noisy), share, held_out.variance(&noisy) / self.of_each as f64, noisy)
+                (held_out.log_likelihood(&noisy), share, held_out.variance(&noisy) / self.link_values as f64, noisy)
             };
-            NOISES.map(of_noise).into_iter().reduce(|best, next| if next.0 > best.0 { next } else { best })
+            NOISES.map(with_noise).into_iter().reduce(|best, next| if next.0 > best.0 { next } else { best })
         };
         // Links of one transmitter are not independent: all of its receivers count as one case.
-        let least_gain = of_each.len() as f64 * CLEARLY;
+        let least_gain = by_receiver.len() as f64 * CLEARLY;
         let choose = |best: Fit, next: Fit| if next.0 > best.0 + least_gain { next } else { best };
-        let best = SHARES.into_iter().filter_map(fit).reduce(choose);
-        best.map(|(_, share, variance, correlation)| (share, variance, correlation))
+        SHARES.into_iter().filter_map(fit).reduce(choose)
     }
 
-    /// Process of `links_of_receiver`, with this share, variance in units of the scale, and correlation.
-    fn process(
-        &self,
-        links_of_receiver: &[usize],
-        (share, variance, correlation): (f64, f64, Correlation),
-    ) -> ResidualProcess {
-        let trend = ResidualTrend { share, path_loss: self.path_loss(links_of_receiver, None) };
-        let variance = variance * f64::from(self.scale(links_of_receiver) as f32).powi(2);
+    /// Builds the process of a receiver from its known links and the common fit.
+    fn build_process(&self, links_of_receiver: &[usize], fit: Fit) -> ResidualProcess {
+        let (_, share, variance, correlation) = fit;
+        let trend = ResidualTrend { share, path_loss: self.fit_path_loss(links_of_receiver, None) };
+        let variance = variance * f64::from(self.observation_scale(links_of_receiver) as f32).powi(2);
         let residuals: Vec<Real> =
-            links_of_receiver.iter().flat_map(|&k| self.residual(k, &trend, &self.mean)).collect();
+            links_of_receiver.iter().flat_map(|&k| self.residuals(k, &trend, &self.mean)).collect();
         let values = if self.is_exact {
             ResidualValues::Exact(residuals)
         } else {
-            let (short, units) = quantise(&residuals, self.of_each);
+            let (short, units) = quantise(&residuals, self.link_values);
             ResidualValues::Short(short, units)
         };
         let places = links_of_receiver.iter().map(|&k| self.places[k]).collect();

@@ -21,6 +21,7 @@ pub use kriged::Kriged;
 use crate::tensors::quantise;
 use pwrfgs_core::kriging::{Correlation, LocalKriging, Mean, PathLoss, Place, in_space, log_distance};
 use pwrfgs_core::{Image, Origin, Query, Real};
+use std::ops::Range;
 
 /// Residual processes of a model, one per receiver.
 #[derive(Clone, Debug)]
@@ -42,9 +43,10 @@ pub struct ResidualTrend {
 }
 
 impl ResidualTrend {
-    /// Expected value for `predicted` by the model and a transmitter `at` a position (metres from the origin).
-    pub(crate) fn at(&self, predicted: Real, at: [Real; 3]) -> Real {
-        let law = |(law, receiver): (PathLoss, _)| law.at(log_distance(at.map(|v| v as f64), receiver));
+    /// Returns the expected value for `predicted` by the model and a transmitter `at` a position (metres from the
+    /// origin).
+    pub(crate) fn expected(&self, predicted: Real, at: [Real; 3]) -> Real {
+        let law = |(law, receiver): (PathLoss, _)| law.power(log_distance(at.map(|v| v as f64), receiver));
         self.share as Real * predicted + ((1.0 - self.share) * self.path_loss.map_or(0.0, law)) as Real
     }
 }
@@ -81,28 +83,37 @@ pub(crate) enum ResidualValues {
 }
 
 impl ResidualValues {
-    /// Appends numbers of the same kind.
-    pub(crate) fn extend(&mut self, values: &[Real], of_each: usize) {
+    /// Appends residuals `[n, link_values]`, rounded to 8 bits if the others are.
+    pub(crate) fn extend(&mut self, residuals: &[Real], link_values: usize) {
         match self {
-            Self::Exact(own) => own.extend_from_slice(values),
-            Self::Short(own, of_own) => {
-                let (more, units) = quantise(values, of_each);
-                own.extend(more);
-                of_own.extend(units);
+            Self::Exact(values) => values.extend_from_slice(residuals),
+            Self::Short(values, units) => {
+                let (new_values, new_units) = quantise(residuals, link_values);
+                values.extend(new_values);
+                units.extend(new_units);
             }
         }
     }
 
-    /// No numbers of the same kind.
-    pub(crate) fn emptied(&self) -> Self {
+    /// Creates residuals of no links, exact or rounded as these.
+    pub(crate) fn empty_like(&self) -> Self {
         match self {
             Self::Exact(_) => Self::Exact(Vec::new()),
             Self::Short(..) => Self::Short(Vec::new(), Vec::new()),
         }
     }
 
-    /// Adds `weight` times the residual of link `i`.
-    fn add(&self, i: usize, weight: f64, sum: &mut [Real]) {
+    /// Returns the residuals of a range of links.
+    fn rows(&self, links: Range<usize>, link_values: usize) -> Self {
+        let numbers = links.start * link_values..links.end * link_values;
+        match self {
+            Self::Exact(values) => Self::Exact(values[numbers].to_vec()),
+            Self::Short(values, units) => Self::Short(values[numbers].to_vec(), units[links].to_vec()),
+        }
+    }
+
+    /// Adds `weight` times the residuals of link `i` to `sum`.
+    fn add_weighted(&self, i: usize, weight: f64, sum: &mut [Real]) {
         let n = sum.len();
         match self {
             Self::Exact(values) => {
@@ -116,7 +127,7 @@ impl ResidualValues {
         }
     }
 
-    /// Σ d·residual of link `i`.
+    /// Returns Σ d·residual of link `i`.
     fn dot(&self, i: usize, d: &[Real]) -> f64 {
         let (n, wide) = (d.len(), |v: Real, d: &Real| v as f64 * *d as f64);
         match self {
@@ -130,6 +141,7 @@ impl ResidualValues {
 }
 
 impl ResidualProcess {
+    /// Creates the process from residuals at known links; their mean is zero with a path-loss model, otherwise unknown.
     pub(crate) fn new(fit: ProcessFit, places: Vec<[Real; 3]>, values: ResidualValues) -> Self {
         let mean = if fit.trend.path_loss.is_some() { Mean::Zero } else { Mean::Unknown };
         let kriging = LocalKriging::new(fit.correlation, mean, places.iter().map(|&at| place(at)));
@@ -147,7 +159,7 @@ impl ResidualProcess {
     }
 }
 
-/// Place of a position in metres from the origin.
+/// Returns the place for kriging of a position in metres from the origin.
 pub(crate) fn place(at: [Real; 3]) -> Place {
     in_space(at.map(|v| v as f64))
 }
@@ -163,7 +175,7 @@ impl Residuals {
         self.grid.stride
     }
 
-    /// Process of a receiver; `None` if the model predicts alone.
+    /// Returns the process of a receiver; `None` if the model predicts alone.
     pub(crate) fn process(&self, receiver: usize) -> Option<&ResidualProcess> {
         self.processes.get(receiver)?.as_ref()
     }
@@ -174,9 +186,9 @@ impl Residuals {
         let at = origin.local(query.position());
         let (near, solution) = process.kriging.solve(place(at), self.neighbours);
         let mut sum = vec![0.0; self.grid.len()];
-        near.iter().zip(&solution.weights).for_each(|(&i, weight)| process.values.add(i, *weight, &mut sum));
-        image.pixels.iter_mut().for_each(|pixel| *pixel = process.fit.trend.at(*pixel, at));
-        self.grid.add_to(&sum, &mut image.pixels);
+        near.iter().zip(&solution.weights).for_each(|(&i, weight)| process.values.add_weighted(i, *weight, &mut sum));
+        image.pixels.iter_mut().for_each(|pixel| *pixel = process.fit.trend.expected(*pixel, at));
+        self.grid.add_interpolated(&sum, &mut image.pixels);
     }
 
     /// Backward pass of [`Self::correct`]: returns the cotangent of the position, given those of the corrected values,
@@ -184,24 +196,25 @@ impl Residuals {
     pub(crate) fn correct_vjp(&self, d: &mut [Real], query: Query<'_>, origin: Origin) -> [f64; 3] {
         let Some(process) = self.process(query.receiver) else { return [0.0; 3] };
         let (at, trend) = (origin.local(query.position()), &process.fit.trend);
-        let d_sum = self.grid.add_to_vjp(d);
+        let d_sum = self.grid.add_interpolated_vjp(d);
         let mut d_at = process.kriging.solve_vjp(place(at), self.neighbours, |i| process.values.dot(i, &d_sum));
         if let Some((law, receiver)) = trend.path_loss {
-            let all = (1.0 - trend.share) * d.iter().map(|d| *d as f64).sum::<f64>();
-            let slope = law.slope_at(at.map(|v| v as f64), receiver);
-            (0..3).for_each(|k| d_at[k] += all * slope[k]);
+            let d_power = (1.0 - trend.share) * d.iter().map(|d| *d as f64).sum::<f64>();
+            let slope = law.power_gradient(at.map(|v| v as f64), receiver);
+            (0..3).for_each(|k| d_at[k] += d_power * slope[k]);
         }
         d.iter_mut().for_each(|d| *d *= trend.share as Real);
         d_at
     }
 
-    /// Standard deviation of a measurement of a link about the prediction, per value. Without a process, it is the largest
-    /// of all receivers, far from their known links.
+    /// Returns the standard deviation of a measurement of a link about the prediction, per value. Without a process, it
+    /// is the largest of all receivers, far from their known links.
     pub(crate) fn deviation(&self, query: Query<'_>, origin: Origin) -> f64 {
         let far = |process: &ResidualProcess| process.fit.variance * (1.0 + process.fit.correlation.noise);
         let variance = match self.process(query.receiver) {
-            Some(own) => {
-                own.fit.variance * own.kriging.solve(place(origin.local(query.position())), self.neighbours).1.variance
+            Some(process) => {
+                let at = place(origin.local(query.position()));
+                process.fit.variance * process.kriging.solve(at, self.neighbours).1.variance
             }
             None => self.processes.iter().flatten().map(far).fold(0.0, f64::max),
         };

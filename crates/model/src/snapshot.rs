@@ -102,6 +102,10 @@ impl Snapshot {
         bytes.map(|bytes| Self::from_bytes(&bytes).map_err(|why| Error::input(path, why))).transpose()
     }
 
+    /// Reads the bytes of a snapshot.
+    ///
+    /// # Errors
+    /// The message names the fault.
     fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let mut file = Tensors::from_bytes(bytes)?;
         let note: Note = serde_json::from_str(&file.note).map_err(|e| format!("not a snapshot of pwrfgs ({e})"))?;
@@ -128,17 +132,18 @@ impl Snapshot {
         Ok(Self {
             step: note.step,
             origin: note.origin,
-            means: rows(&means),
+            means: split_rows(&means),
             opacities,
-            scales: rows(&scales),
-            quats: rows(&quats),
+            scales: split_rows(&scales),
+            quats: split_rows(&quats),
             gaussian_ids,
             gates,
         })
     }
 }
 
-fn rows<const K: usize>(values: &[Real]) -> Vec<[Real; K]> {
+/// Divides values into rows of K.
+fn split_rows<const K: usize>(values: &[Real]) -> Vec<[Real; K]> {
     values.as_chunks().0.to_vec()
 }
 

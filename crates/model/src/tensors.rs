@@ -30,6 +30,7 @@ enum Values {
 }
 
 impl Values {
+    /// Returns the number of values.
     fn len(&self) -> usize {
         match self {
             Self::Reals(values) => values.len(),
@@ -85,6 +86,7 @@ impl Tensors {
         self.insert(name, vec![ids.len()], Values::Ids(ids.to_vec()));
     }
 
+    /// Adds a tensor, or replaces that of the same name.
     fn insert(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Values) {
         assert_eq!(shape.iter().product::<usize>(), values.len(), "a tensor fills its shape");
         self.tensors.insert(name.into(), (shape, values));
@@ -105,7 +107,7 @@ impl Tensors {
     /// # Errors
     /// The message names the tensor and the expected shape.
     pub fn take_short(&mut self, name: &str, shape: &[usize]) -> Result<Vec<i8>, String> {
-        match self.remove(name, shape)? {
+        match self.take_values(name, shape)? {
             Values::Bytes(values) => Ok(values),
             _ => Err(format!("tensor `{name}` is not of type I8")),
         }
@@ -116,7 +118,7 @@ impl Tensors {
     /// # Errors
     /// The message names the tensor and the expected shape.
     pub fn take_ids(&mut self, name: &str, n: usize) -> Result<Vec<u32>, String> {
-        match self.remove(name, &[n])? {
+        match self.take_values(name, &[n])? {
             Values::Ids(ids) => Ok(ids),
             _ => Err(format!("tensor `{name}` is not of type U32")),
         }
@@ -127,7 +129,7 @@ impl Tensors {
     /// # Errors
     /// The message names the tensor and the expected shape.
     pub fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<Real>, String> {
-        let Values::Reals(values) = self.remove(name, shape)? else {
+        let Values::Reals(values) = self.take_values(name, shape)? else {
             return Err(format!("tensor `{name}` is not of type F16, F32 or F64"));
         };
         if let Some(at) = values.iter().position(|v| !v.is_finite()) {
@@ -136,7 +138,8 @@ impl Tensors {
         Ok(values)
     }
 
-    fn remove(&mut self, name: &str, shape: &[usize]) -> Result<Values, String> {
+    /// Takes out a tensor of this shape and any type.
+    fn take_values(&mut self, name: &str, shape: &[usize]) -> Result<Values, String> {
         self.expect(name, shape)?;
         Ok(self.tensors.remove(name).expect("it is there").1)
     }
@@ -148,24 +151,24 @@ impl Tensors {
     pub fn expect(&self, name: &str, shape: &[usize]) -> Result<(), String> {
         match self.shape(name) {
             None => Err(format!("tensor `{name}` is missing")),
-            Some(found) if found == shape => Ok(()),
-            Some(found) => Err(format!("tensor `{name}` has shape {found:?}, expected {shape:?}")),
+            Some(actual) if actual == shape => Ok(()),
+            Some(actual) => Err(format!("tensor `{name}` has shape {actual:?}, expected {shape:?}")),
         }
     }
 
-    /// Returns the shape of a tensor.
+    /// Returns the shape of a tensor; `None` if there is no tensor of this name.
     pub fn shape(&self, name: &str) -> Option<&[usize]> {
         self.tensors.get(name).map(|(shape, _)| shape.as_slice())
     }
 
     /// Returns the SHA-256 of the note and of every tensor with its name and shape.
     pub fn digest(&self) -> String {
-        let mut all = self.note.clone().into_bytes();
+        let mut content = self.note.clone().into_bytes();
         for (name, (shape, values)) in &self.tensors {
-            all.extend(format!("\n{name} {shape:?}\n").bytes());
-            all.extend(values.encoded().1);
+            content.extend(format!("\n{name} {shape:?}\n").bytes());
+            content.extend(values.encoded().1);
         }
-        digest(&all)
+        digest(&content)
     }
 
     /// Returns the bytes of the file; equal tensors give equal bytes.
@@ -189,6 +192,7 @@ impl Tensors {
         }
     }
 
+    /// Returns the bytes of the file, with F16 for tensors whose name is `half`.
     fn encode(&self, half: impl Fn(&str) -> bool) -> Vec<u8> {
         let encoded = |(name, (shape, values)): (&String, &(Vec<usize>, Values))| {
             let narrow = |v: &Real| half::f16::from_f64(f64::from(*v)).to_le_bytes();
@@ -198,8 +202,8 @@ impl Tensors {
             };
             (name.clone(), shape.clone(), dtype, bytes)
         };
-        let all: Vec<_> = self.tensors.iter().map(encoded).collect();
-        let views = all.iter().map(|(name, shape, dtype, bytes)| {
+        let encoded: Vec<_> = self.tensors.iter().map(encoded).collect();
+        let views = encoded.iter().map(|(name, shape, dtype, bytes)| {
             (name.as_str(), TensorView::new(*dtype, shape.clone(), bytes).expect("a tensor fills its shape"))
         });
         let note = HashMap::from([(NOTE.to_owned(), self.note.clone())]);
@@ -224,12 +228,12 @@ impl Tensors {
             };
             read.tensors.insert(name, (view.shape().to_vec(), values));
         }
-        read.restore()?;
+        read.restore_rounded()?;
         Ok(read)
     }
 
     /// Replaces 8-bit tensors that have scales by their values.
-    fn restore(&mut self) -> Result<(), String> {
+    fn restore_rounded(&mut self) -> Result<(), String> {
         let is_scaled = |name: &String| self.tensors.contains_key(&format!("{name}{SCALES}"));
         let short =
             self.tensors.iter().filter(|(name, (_, values))| matches!(values, Values::Bytes(_)) && is_scaled(name));

@@ -69,7 +69,7 @@ impl TrainingPositions {
         self.limit
     }
 
-    /// Returns the distance of each place (metres from the origin of the model) to the nearest position, metres.
+    /// Returns the distance of each of `places` (metres from the origin of the model) to the nearest position, metres.
     pub fn distances(&self, places: &[[Real; 3]]) -> Vec<Real> {
         nearest_squared(places, &self.positions).into_iter().map(Real::sqrt).collect()
     }

@@ -28,7 +28,7 @@ pub struct MatrixMut<'a> {
 }
 
 /// Returns whether the last element of a matrix is inside its slice; strides whose products overflow do not fit.
-fn fits(len: usize, (rows, columns): (usize, usize), (down, right): (usize, usize)) -> bool {
+fn is_inside_slice(len: usize, (rows, columns): (usize, usize), (down, right): (usize, usize)) -> bool {
     let last = || (rows - 1).checked_mul(down)?.checked_add((columns - 1).checked_mul(right)?);
     rows == 0 || columns == 0 || last().is_some_and(|last| last < len)
 }
@@ -40,8 +40,11 @@ impl<'a> Matrix<'a> {
     }
 
     /// Creates a matrix with any strides.
+    ///
+    /// # Panics
+    /// If the last element is outside `data`.
     pub fn strided(data: &'a [Real], shape: (usize, usize), strides: (usize, usize)) -> Self {
-        assert!(fits(data.len(), shape, strides), "a matrix lies inside its slice");
+        assert!(is_inside_slice(data.len(), shape, strides), "a matrix lies inside its slice");
         Self { data, shape, strides }
     }
 
@@ -72,8 +75,11 @@ impl<'a> MatrixMut<'a> {
     }
 
     /// Creates a matrix with any strides.
+    ///
+    /// # Panics
+    /// If the last element is outside `data`.
     pub fn strided(data: &'a mut [Real], shape: (usize, usize), strides: (usize, usize)) -> Self {
-        assert!(fits(data.len(), shape, strides), "a matrix lies inside its slice");
+        assert!(is_inside_slice(data.len(), shape, strides), "a matrix lies inside its slice");
         Self { data, shape, strides }
     }
 
@@ -98,7 +104,7 @@ impl<'a> MatrixMut<'a> {
     }
 
     /// Reborrows the matrix.
-    fn lent(&mut self) -> MatrixMut<'_> {
+    fn reborrow(&mut self) -> MatrixMut<'_> {
         MatrixMut { data: self.data, shape: self.shape, strides: self.strides }
     }
 }
@@ -114,53 +120,56 @@ pub enum StoreMode {
 
 thread_local! {
     /// Number of threads that share the products of this thread.
-    static SHARED_BY: Cell<usize> = const { Cell::new(1) };
+    static PRODUCT_THREADS: Cell<usize> = const { Cell::new(1) };
 }
 
-/// Runs `run`, in which each product is divided among up to `threads` threads. The result does not depend on them.
-pub(crate) fn shared_by<R>(threads: usize, run: impl FnOnce() -> R) -> R {
-    let before = SHARED_BY.replace(threads);
+/// Returns the result of `run`, in which each product is divided among up to `threads` threads. It does not depend on
+/// their number.
+pub(crate) fn run_with_product_threads<R>(threads: usize, run: impl FnOnce() -> R) -> R {
+    let before = PRODUCT_THREADS.replace(threads);
     let result = run();
-    SHARED_BY.set(before);
+    PRODUCT_THREADS.set(before);
     result
 }
 
-/// Computes `c = a·b` or `c += a·b`: on the calling thread, or on those of `shared_by`.
+/// Computes the matrix product `c = a·b` or `c += a·b`, on the calling thread or on those of
+/// `run_with_product_threads`.
 ///
 /// With AVX-512, `gemm` processes 64 columns at a time (four vectors, six rows of `a` each). It is half as fast on a
 /// remainder of 16 columns, which has too few sums to fill the pipeline. The last 80 columns are therefore split into
 /// 48 and 32. On other processors this has no disadvantage.
 pub fn product(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
     assert!(a.shape.0 == c.shape.0 && b.shape == (a.shape.1, c.shape.1), "inner and outer sizes of a product agree");
-    divide(c, store, a, b, SHARED_BY.get());
+    multiply_rows(c, store, a, b, PRODUCT_THREADS.get());
 }
 
-/// Divides the rows of a product among `threads` threads. `gemm` adds up each element in an order that the number of
-/// rows does not change, unless there are few: the parts have more.
-fn divide(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>, threads: usize) {
+/// Computes a product with its rows divided among `threads` threads. `gemm` adds up each element in an order that the
+/// number of rows does not change, unless there are few: the parts have more.
+fn multiply_rows(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>, threads: usize) {
     let ((m, n), k) = (c.shape, a.shape.1);
     let least = if k <= 512 { 32 } else { 80 };
     if threads < 2 || n < 16 || k < 16 || m < 2 * least + 12 || !c.has_rows() {
-        return split_columns(c, store, a, b);
+        return multiply_columns(c, store, a, b);
     }
     let above = m / 2 / 6 * 6; // six rows at a time
-    let (half, (first, second), (a_first, a_second)) = (threads / 2, c.split_rows(above), a.split_rows(above));
-    rayon::join(|| divide(first, store, a_first, b, threads - half), || divide(second, store, a_second, b, half));
+    let (half, (c1, c2), (a1, a2)) = (threads / 2, c.split_rows(above), a.split_rows(above));
+    rayon::join(|| multiply_rows(c1, store, a1, b, threads - half), || multiply_rows(c2, store, a2, b, half));
 }
 
-fn split_columns(mut c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
+/// Computes a product on the calling thread, in two calls of `gemm` if the number of columns is slow, see [`product`].
+fn multiply_columns(mut c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
     let n = c.shape.1;
     let left_over = n > 64 && (1..=16).contains(&(n % 64));
     let cut = if left_over { n / 64 * 64 - 16 } else { n };
-    multiply(c.lent().columns(0..cut), store, a, b.columns(0..cut));
+    call_gemm(c.reborrow().columns(0..cut), store, a, b.columns(0..cut));
     if cut < n {
-        multiply(c.columns(cut..n), store, a, b.columns(cut..n));
+        call_gemm(c.columns(cut..n), store, a, b.columns(cut..n));
     }
 }
 
-/// Calls `gemm` once.
+/// Computes `c = a·b` or `c += a·b` by one call of `gemm`, whose arguments are columns before rows.
 #[allow(clippy::needless_pass_by_value)] // a mutable borrow ends here; by reference every call would need `&mut`
-fn multiply(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
+fn call_gemm(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
     let ((m, n), k) = (c.shape, a.shape.1);
     let add = store == StoreMode::Add;
     if m == 0 || n == 0 || (k == 0 && add) {
@@ -195,8 +204,8 @@ fn multiply(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>) {
     }
 }
 
-/// Adds `bias[f]` to feature f and clips at zero. NaN stays NaN, so that the loss reports it.
-pub fn bias_relu(h: &mut [Real], bias: &[Real]) {
+/// Adds `bias[f]` to feature f of `h` `[F, R]` and clips at zero. NaN stays NaN, so that the loss reports it.
+pub fn add_bias_relu(h: &mut [Real], bias: &[Real]) {
     let rows = h.len() / bias.len().max(1);
     pulp::Arch::new().dispatch(
         #[inline(always)]
@@ -211,7 +220,7 @@ pub fn bias_relu(h: &mut [Real], bias: &[Real]) {
     );
 }
 
-/// Adds `bias[f]` to feature f.
+/// Adds `bias[f]` to feature f of `h` `[F, R]`.
 pub fn add_bias(h: &mut [Real], bias: &[Real]) {
     let rows = h.len() / bias.len().max(1);
     for (row, &b) in h.chunks_exact_mut(rows.max(1)).zip(bias) {
@@ -221,9 +230,9 @@ pub fn add_bias(h: &mut [Real], bias: &[Real]) {
     }
 }
 
-/// Runs the backward pass of [`bias_relu`]: `d` becomes zero where the output `h` is not positive; its sum over the
+/// Runs the backward pass of [`add_bias_relu`]: `d` becomes zero where the output `h` is not positive; its sum over the
 /// Gaussians is added to `d_bias`.
-pub fn bias_relu_vjp(d: &mut [Real], h: &[Real], d_bias: &mut [Real]) {
+pub fn add_bias_relu_vjp(d: &mut [Real], h: &[Real], d_bias: &mut [Real]) {
     let rows = (d.len() / d_bias.len().max(1)).max(1);
     pulp::Arch::new().dispatch(
         #[inline(always)]
@@ -246,7 +255,7 @@ pub fn add_bias_vjp(d: &[Real], d_bias: &mut [Real]) {
     }
 }
 
-/// Computes |lrelu(z)| with slope 0.01.
+/// Returns |lrelu(z)|, a leaky ReLU with slope 0.01.
 #[inline]
 pub fn amplitude(z: Real) -> Real {
     if z < 0.0 { -0.01 * z } else { z }
@@ -264,7 +273,7 @@ pub fn amplitude_slope(z: Real) -> Real {
     }
 }
 
-/// Sums in 16 fixed lanes: one order of additions on every machine, and vectorised.
+/// Returns the sum of values, in 16 fixed lanes: one order of additions on every machine, and vectorised.
 #[inline(always)]
 fn lane_sum(values: &[Real]) -> Real {
     let mut lanes: [Real; 16] = [0.0; 16];
@@ -281,19 +290,19 @@ fn lane_sum(values: &[Real]) -> Real {
 }
 
 /// Computes `a += b`.
-pub fn add(a: &mut [Real], b: &[Real]) {
+pub fn add_assign(a: &mut [Real], b: &[Real]) {
     pulp::Arch::new().dispatch(
         #[inline(always)]
         || a.iter_mut().zip(b).for_each(|(a, b)| *a += b),
     );
 }
 
-/// Adds all `sums` to `total`, in the order of the list.
+/// Adds all `sums` to `total`, in the order of the list for each element; elements are divided among threads.
 pub fn add_in_order(total: &mut [Real], sums: &[&[Real]]) {
     const PIECE: usize = 8192;
     total.par_chunks_mut(PIECE).enumerate().for_each(|(k, total)| {
         for sum in sums {
-            add(total, &sum[k * PIECE..][..total.len()]);
+            add_assign(total, &sum[k * PIECE..][..total.len()]);
         }
     });
 }
@@ -358,11 +367,11 @@ mod tests {
     #[test]
     fn relu_keeps_nan_and_its_vjp_is_zero_at_zero() {
         let mut h = [-2.0, 1.0, Real::NAN, 0.5];
-        bias_relu(&mut h, &[1.0, 0.5]);
+        add_bias_relu(&mut h, &[1.0, 0.5]);
         assert_eq!(h[..2], [0.0, 2.0]);
         assert!(h[2].is_nan() && h[3] == 1.0);
         let (mut d, mut d_bias) = ([3.0, 4.0], [10.0]);
-        bias_relu_vjp(&mut d, &[0.0, 2.0], &mut d_bias);
+        add_bias_relu_vjp(&mut d, &[0.0, 2.0], &mut d_bias);
         assert_eq!((d, d_bias), ([0.0, 4.0], [14.0]));
     }
 }

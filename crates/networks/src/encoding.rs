@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// Maximum number of frequencies for which angle doubling gives full single precision; 2¹⁵ rad/m is a period of 0.2 mm.
 pub const MOST_FREQUENCIES: usize = 16;
 
-/// Rejects frequencies beyond the resolution of the arithmetic.
+/// Rejects more than [`MOST_FREQUENCIES`] frequencies; the error names the setting.
 pub(crate) fn check_frequencies(name: &str, frequencies: usize) -> Result<(), String> {
     if frequencies > MOST_FREQUENCIES {
         return Err(format!("{name} is {frequencies}; give a number from 0 to {MOST_FREQUENCIES}"));
@@ -25,15 +25,15 @@ pub(crate) fn check_frequencies(name: &str, frequencies: usize) -> Result<(), St
     Ok(())
 }
 
-/// Returns the number of components of γ per point.
-pub fn width(frequencies: usize) -> usize {
+/// Returns the number of components of γ per point, 3 + 6L.
+pub fn encoded_width(frequencies: usize) -> usize {
     3 + 6 * frequencies
 }
 
-/// Encodes R points into `out` `[3 + 6L, R]`.
+/// Encodes R points with octaves into `out` `[3 + 6L, R]`.
 pub fn encode(points: impl ExactSizeIterator<Item = [Real; 3]>, frequencies: usize, out: &mut [Real]) {
     let rows = points.len();
-    assert_eq!(out.len(), rows * width(frequencies), "one column a point");
+    assert_eq!(out.len(), rows * encoded_width(frequencies), "one column a point");
     let (plain, mut waves) = out.split_at_mut(3 * rows);
     for (r, x) in points.enumerate() {
         (0..3).for_each(|k| plain[k * rows + r] = x[k]);
@@ -46,7 +46,7 @@ pub fn encode(points: impl ExactSizeIterator<Item = [Real; 3]>, frequencies: usi
         let (block, rest) = waves.split_at_mut(6 * rows);
         let (s_out, c_out) = block.split_at_mut(3 * rows);
         let last = rest.is_empty();
-        double(s_out, c_out, &mut sines, &mut cosines);
+        store_and_double(s_out, c_out, &mut sines, &mut cosines);
         if last {
             return;
         }
@@ -54,8 +54,8 @@ pub fn encode(points: impl ExactSizeIterator<Item = [Real; 3]>, frequencies: usi
     }
 }
 
-/// Stores sine and cosine, then doubles the angle.
-fn double(s_out: &mut [Real], c_out: &mut [Real], sines: &mut [f64], cosines: &mut [f64]) {
+/// Stores sines and cosines of R coordinates in `s_out` and `c_out`, then doubles their angles.
+fn store_and_double(s_out: &mut [Real], c_out: &mut [Real], sines: &mut [f64], cosines: &mut [f64]) {
     pulp::Arch::new().dispatch(
         #[inline(always)]
         || {
@@ -70,7 +70,7 @@ fn double(s_out: &mut [Real], c_out: &mut [Real], sines: &mut [f64], cosines: &m
 /// Adds the derivative through γ to `d_points`; `encoded` is the result of [`encode`], `d` its cotangent.
 pub fn encode_vjp(encoded: &[Real], d: &[Real], frequencies: usize, d_points: &mut [[Real; 3]]) {
     let rows = d_points.len();
-    assert!(encoded.len() == rows * width(frequencies) && d.len() == encoded.len(), "one column a point");
+    assert!(encoded.len() == rows * encoded_width(frequencies) && d.len() == encoded.len(), "one column a point");
     for (r, d_point) in d_points.iter_mut().enumerate() {
         for (k, d_x) in d_point.iter_mut().enumerate() {
             let mut sum = d[k * rows + r];
@@ -123,7 +123,7 @@ pub enum Encoding {
         /// Length of the feature vector.
         width: usize,
         /// Factor that scales the features to about 1.
-        #[serde(default = "one")]
+        #[serde(default = "default_gain")]
         gain: f64,
     },
     /// Pseudo-position from the feature vector that replaces the transmitter position, as in `GSRF`. It is 2 tanh of
@@ -133,14 +133,15 @@ pub enum Encoding {
         /// Length of the feature vector.
         width: usize,
         /// Factor that scales the features to about 1.
-        #[serde(default = "one")]
+        #[serde(default = "default_gain")]
         gain: f64,
         /// Number of frequencies 2⁰…2^(L-1) of the encoding.
         octaves: usize,
     },
 }
 
-fn one() -> f64 {
+/// Returns the default of `gain`.
+fn default_gain() -> f64 {
     1.0
 }
 
@@ -154,27 +155,28 @@ impl Encoding {
     /// Returns the number of components of γ.
     pub(super) fn width(&self) -> usize {
         match *self {
-            Self::Octaves(frequencies) => width(frequencies),
+            Self::Octaves(frequencies) => encoded_width(frequencies),
             Self::Waves { count, .. } => 3 + 2 * count,
             Self::Wavelengths { count, .. } => 3 + 6 * count,
             Self::Features { width, .. } => width,
-            Self::PseudoPosition { octaves, .. } => width(octaves),
+            Self::PseudoPosition { octaves, .. } => encoded_width(octaves),
         }
     }
 
     /// Returns the number of values per transmitter that the encoding reads.
-    pub(super) fn inputs(&self) -> usize {
+    pub(super) fn input_count(&self) -> usize {
         match *self {
             Self::Features { width, .. } | Self::PseudoPosition { width, .. } => width,
             _ => 3,
         }
     }
 
-    /// Returns whether it reads features in place of a position.
-    pub(super) fn reads_features(&self) -> bool {
+    /// Returns whether the encoding reads features in place of a position.
+    pub(super) fn requires_features(&self) -> bool {
         matches!(self, Self::Features { .. } | Self::PseudoPosition { .. })
     }
 
+    /// Rejects invalid settings; the error names the `field` that holds this encoding.
     pub(super) fn check(&self, field: &str) -> Result<(), String> {
         match *self {
             Self::Octaves(frequencies) => check_frequencies(field, frequencies),
@@ -206,19 +208,20 @@ impl Encoding {
         }
     }
 
-    /// Returns the wave vectors `[count, 3]`, rad/m, for the model file; other programs cannot reproduce them from the
-    /// seed.
+    /// Returns the wave vectors `[count, 3]`, rad/m, for the model file, since other programs cannot reproduce them from
+    /// the seed; `None` for encodings without wave vectors.
     pub(super) fn constants(&self, field: &str) -> Option<(WeightSpec, Vec<Real>)> {
         let Encoder::Waves(vectors, _) = self.encoder() else { return None };
         let spec = WeightSpec::zeros(field, vec![vectors.len(), 3]);
         Some((spec, vectors.into_flattened().into_iter().map(|k| k as Real).collect()))
     }
 
+    /// Computes the constants of the encoding.
     pub(super) fn encoder(&self) -> Encoder {
         match *self {
             Self::Octaves(frequencies) => Encoder::Octaves(frequencies),
             Self::Waves { count, reach, seed } => {
-                let mut direction = directions(seed);
+                let mut direction = random_directions(seed);
                 let vector = |i: usize| direction().map(|v| v * ((i as f64 + 0.5) / count as f64) * reach);
                 Encoder::Waves((0..count).map(vector).collect(), 1.0)
             }
@@ -226,7 +229,7 @@ impl Encoding {
                 let ratio = |i: usize| i as f64 / count.saturating_sub(1).max(1) as f64;
                 let number = |i: usize| std::f64::consts::TAU / (longest_m * (shortest_m / longest_m).powf(ratio(i)));
                 let axis = |i: usize| std::array::from_fn(|k| if k == i % 3 { number(i / 3) } else { 0.0 });
-                let vectors = match seed.map(directions) {
+                let vectors = match seed.map(random_directions) {
                     None => (0..3 * count).map(axis).collect(),
                     Some(mut direction) => (0..3 * count).map(|i| direction().map(|v| v * number(i / 3))).collect(),
                 };
@@ -239,7 +242,7 @@ impl Encoding {
 }
 
 /// Returns a generator of random unit vectors.
-fn directions(seed: u64) -> impl FnMut() -> [f64; 3] {
+fn random_directions(seed: u64) -> impl FnMut() -> [f64; 3] {
     let mut random = rng::stream(seed, "waves", 0);
     move || {
         let direction = [(); 3].map(|()| f64::from(rng::normal(&mut random)));
@@ -259,8 +262,8 @@ pub(super) enum Encoder {
 }
 
 impl Encoder {
-    /// Encodes B transmitters into `out` `[·, B]`.
-    pub(super) fn encode_all(&self, txs: Conditions<'_>, out: &mut [Real]) {
+    /// Encodes B transmitters, by position or features, into `out` `[·, B]`.
+    pub(super) fn encode_transmitters(&self, txs: Conditions<'_>, out: &mut [Real]) {
         let Self::Features(width, gain) = *self else { return self.encode(txs.positions(), out) };
         let rows = txs.len();
         for (r, row) in txs.values().chunks_exact(width).enumerate() {
@@ -268,7 +271,7 @@ impl Encoder {
         }
     }
 
-    /// Encodes B points into `out` `[·, B]`.
+    /// Encodes B points into `out` `[·, B]`; does nothing for features.
     pub(super) fn encode(&self, points: &[[Real; 3]], out: &mut [Real]) {
         let (vectors, scale) = match self {
             Self::Octaves(frequencies) => return encode(points.iter().copied(), *frequencies, out),
@@ -329,19 +332,20 @@ pub(super) struct Pseudo {
 
 impl Pseudo {
     /// Returns the features times the gain, `[width, B]`.
-    fn inputs(&self, txs: Conditions<'_>) -> Vec<Real> {
+    fn scaled_features(&self, txs: Conditions<'_>) -> Vec<Real> {
         let (rows, width) = (txs.len(), self.layer.inputs);
         let value = |i: usize| txs.values()[(i % rows) * width + i / rows] * self.gain;
         (0..rows * width).map(value).collect()
     }
 
+    /// Returns the pseudo-positions of B transmitters.
     pub(super) fn positions(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<[Real; 3]> {
         let (rows, mut y) = (txs.len(), Vec::new());
-        self.layer.apply(weights, &self.inputs(txs), &mut y);
+        self.layer.apply(weights, &self.scaled_features(txs), &mut y);
         (0..rows).map(|r| std::array::from_fn(|k| 2.0 * y[k * rows + r].tanh())).collect()
     }
 
-    /// Adds to `d_weights`, from the encoding γ and its cotangent.
+    /// Adds the derivatives of the layer to `d_weights`, given the encoding γ of the pseudo-positions and its cotangent.
     pub(super) fn vjp(
         &self,
         weights: &[Real],
@@ -355,7 +359,7 @@ impl Pseudo {
         let slope = |k: usize, r: usize| d_positions[r][k] * 2.0 * (1.0 - (positions[r][k] / 2.0).powi(2));
         let d_y: Vec<Real> = (0..3 * rows).map(|i| slope(i / rows, i % rows)).collect();
         dense::add_bias_vjp(&d_y, self.layer.bias_mut(d_weights));
-        self.layer.whole().weight_vjp(d_weights, &self.inputs(txs), &d_y);
+        self.layer.whole().weight_vjp(d_weights, &self.scaled_features(txs), &d_y);
     }
 }
 
@@ -372,7 +376,7 @@ mod tests {
     /// Returns the largest error over points in a cube of ±40 m.
     fn worst_error(frequencies: usize) -> f64 {
         let points = points(2000, 40.0);
-        let mut out = vec![0.0; points.len() * width(frequencies)];
+        let mut out = vec![0.0; points.len() * encoded_width(frequencies)];
         encode(points.iter().copied(), frequencies, &mut out);
         let mut worst: f64 = 0.0;
         for (r, x) in points.iter().enumerate() {
@@ -407,7 +411,7 @@ mod tests {
     fn derivative_agrees_with_central_differences() {
         let x = points(3, 1.0);
         let encoded = |x: &[Real]| {
-            let mut out = vec![0.0; x.len() / 3 * width(4)];
+            let mut out = vec![0.0; x.len() / 3 * encoded_width(4)];
             encode(x.as_chunks::<3>().0.iter().copied(), 4, &mut out);
             out
         };

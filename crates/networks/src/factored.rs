@@ -3,7 +3,7 @@
 use crate::check_carrier;
 use crate::encoding::{Encoder, Encoding, Pseudo};
 use crate::factored_network::{FactoredLayers, WAVE_MEAN};
-use crate::linear::{LayoutBuilder, laid_out, planned};
+use crate::linear::{LayoutBuilder, lay_out, lay_out_for};
 use crate::near::Near;
 use crate::trunk::check_stack;
 use crate::wave_mixture::Basis;
@@ -68,7 +68,7 @@ impl Default for Factored {
 
 impl Factored {
     /// Plans the layers in the order of the weight vector.
-    fn network(&self, plan: &mut LayoutBuilder) -> FactoredLayers {
+    fn plan_layers(&self, plan: &mut LayoutBuilder) -> FactoredLayers {
         let width = self.width;
         let tx_encoding = self.tx_encoding.encoder();
         let tx_width = self.tx_encoding.width();
@@ -90,7 +90,7 @@ impl Factored {
         let features = width + direct;
         let branch = plan.unbiased("branch", waves, 2 * (features + 1), bound);
         let position_encoding = self.position_encoding.encoder();
-        let near = self.near.as_ref().map(|near| near.layer(plan, waves));
+        let near = self.near.as_ref().map(|near| near.plan_layer(plan, waves));
         FactoredLayers { tx_encoding, position_encoding, carrier, pseudo, white, stack, branch, features, direct, near }
     }
 }
@@ -99,10 +99,10 @@ impl Factored {
 impl Deformation for Factored {
     fn traits(&self) -> DeformationTraits {
         DeformationTraits {
-            inputs: self.tx_encoding.inputs(),
+            inputs: self.tx_encoding.input_count(),
             reads_carrier: self.carrier != 0.0,
             kept_per_gaussian: 2 * (self.position_encoding.width() - 3), // waves and their derivatives
-            differentiates_positions: !self.tx_encoding.reads_features(),
+            differentiates_positions: !self.tx_encoding.requires_features(),
             ..DeformationTraits::default()
         }
     }
@@ -110,7 +110,7 @@ impl Deformation for Factored {
     fn layout(&self) -> Layout {
         let encodings = [("tx_encoding", &self.tx_encoding), ("position_encoding", &self.position_encoding)];
         let constants = encodings.into_iter().filter_map(|(field, encoding)| encoding.constants(field)).collect();
-        Layout { constants, ..planned(|plan| self.network(plan)).1.layout() }
+        Layout { constants, ..lay_out(|plan| self.plan_layers(plan)).1.layout() }
     }
 
     fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas {
@@ -121,23 +121,23 @@ impl Deformation for Factored {
     }
 
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
-        let network = laid_out(weights, |plan| self.network(plan));
+        let network = lay_out_for(weights, |plan| self.plan_layers(plan));
         let basis = network.basis(means);
         Some(Arc::new((network, basis)))
     }
 
     fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
-        laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, sums);
+        lay_out_for(inputs.weights, |plan| self.plan_layers(plan)).vjp(inputs, d, sums);
     }
 
     fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], training: Conditions<'_>) -> Option<LinearPart> {
-        laid_out(weights, |plan| self.network(plan)).linear_part(weights, means, training)
+        lay_out_for(weights, |plan| self.plan_layers(plan)).linear_part(weights, means, training)
     }
 
     fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {
-        let (network, _) = planned(|plan| self.network(plan));
+        let (network, _) = lay_out(|plan| self.plan_layers(plan));
         if let Some(near) = network.near {
-            near.place(training.positions(), weights);
+            near.set_positions(training.positions(), weights);
         }
         let (Some(white), Encoding::Features { gain, .. }) = (network.white, &self.tx_encoding) else { return };
         if let Some((matrix, bias)) = whitening(training, *gain) {
@@ -149,13 +149,13 @@ impl Deformation for Factored {
     fn check(&self) -> Result<(), String> {
         check_stack(self.depth, self.width, None)?;
         check_carrier(self.carrier)?;
-        let reads_features = self.tx_encoding.reads_features();
+        let reads_features = self.tx_encoding.requires_features();
         if self.carrier != 0.0 && reads_features {
             return Err("carrier: it needs transmitter positions, but tx_encoding reads features; remove it".into());
         }
         self.tx_encoding.check("tx_encoding")?;
         self.position_encoding.check("position_encoding")?;
-        if self.position_encoding.reads_features() {
+        if self.position_encoding.requires_features() {
             return Err("position_encoding: Gaussians have no features; give Waves(..) or Octaves(4)".into());
         }
         if let Some(near) = &self.near {
@@ -176,8 +176,8 @@ const FAINTEST: f64 = 1e-3;
 /// Maximum number of vectors from which the covariance is computed.
 const MOST: usize = 4_000;
 
-/// Returns W `[D,D]` and b `[D]` such that W·(gain·x) + b has zero mean and nearly unit covariance: W = L⁻¹ of the
-/// Cholesky factor L of the covariance. `None` if there are no vectors or all vectors are equal.
+/// Returns the whitening of `vectors`: W `[D,D]` and b `[D]` such that W·(gain·x) + b has zero mean and nearly unit
+/// covariance. W = L⁻¹ of the Cholesky factor L of the covariance. `None` if there are no vectors or all are equal.
 pub(super) fn whitening(vectors: Conditions<'_>, gain: f64) -> Option<(Vec<Real>, Vec<Real>)> {
     let d = vectors.width();
     let stride = vectors.len().div_ceil(MOST).max(1);

@@ -53,6 +53,7 @@ const TILES: usize = 8;
 type Task<'a> = (usize, (&'a [[Real; LANES]], Option<&'a mut [[Real; 3]]>));
 
 impl FactoredLayers {
+    /// Encodes the centres of the Gaussians, scaled by [`Self::wave_scale`].
     pub(super) fn basis(&self, means: &[[Real; 3]]) -> Basis {
         let (n, waves, scale) = (means.len(), self.branch.inputs, self.wave_scale());
         let mut lanes = vec![[0.0; LANES]; n.div_ceil(LANES) * waves];
@@ -66,22 +67,22 @@ impl FactoredLayers {
         Basis { lanes, n }
     }
 
-    /// Returns the direct part: the last features of T are the inputs of the transmitter, and the factors of a Gaussian
-    /// for them are linear in its waves.
+    /// Returns the linear part of the network: the last features of T are the inputs of the transmitter, and the factors
+    /// of a Gaussian for them are linear in its waves. `None` without direct features, Gaussians or transmitters.
     pub(super) fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>) -> Option<LinearPart> {
         let (inputs, n, rows) = (self.direct, means.len(), txs.len());
         if inputs == 0 || n == 0 || rows == 0 {
             return None;
         }
-        let inputs_by_row = self.stack(weights, txs).swap_remove(0); // [inputs, rows]
+        let inputs_by_row = self.run_stack(weights, txs).swap_remove(0); // [inputs, rows]
         let values = (0..rows * inputs).map(|i| inputs_by_row[(i % inputs) * rows + i / inputs]).collect();
         let (functions, lanes) = (self.branch.inputs, self.basis(means).lanes);
         let wave = |i: usize, k: usize| lanes[i / LANES * functions + k][i % LANES];
         let basis = (0..n * functions).map(|e| wave(e / functions, e % functions)).collect();
-        let at =
+        let first =
             |channel: usize| self.branch.weight + (channel * (self.features + 1) + self.features - inputs) * functions;
         let cleared = self.branch.weight..self.branch.bias + self.branch.outputs;
-        Some(LinearPart { inputs, values, functions, basis, cleared, first: [at(0), at(1)] })
+        Some(LinearPart { inputs, values, functions, basis, cleared, first: [first(0), first(1)] })
     }
 
     /// Returns a scale with which the magnitudes of the waves of a Gaussian sum to 1. A step of Adam on `branch` then
@@ -90,14 +91,14 @@ impl FactoredLayers {
         (1.0 / (WAVE_MEAN * self.branch.inputs as f64)) as Real
     }
 
-    /// Returns γ(p) and the output of every layer, feature-major `[·, B]`; the last is T. The correlations of `near`
-    /// follow.
-    fn stack(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Vec<Real>> {
+    /// Runs the stack for B transmitters; returns γ(p) and the output of every layer, feature-major `[·, B]`. The last
+    /// output is T, followed by the correlations of `near` if there are any.
+    fn run_stack(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Vec<Real>> {
         let mut layers = vec![vec![0.0; txs.len() * self.stack[0].inputs]];
         let encoded = layers[0].len() - if self.carrier.is_some() { txs.len() } else { 0 };
         match &self.pseudo {
             Some(pseudo) => self.tx_encoding.encode(&pseudo.positions(weights, txs), &mut layers[0]),
-            None => self.tx_encoding.encode_all(txs, &mut layers[0][..encoded]),
+            None => self.tx_encoding.encode_transmitters(txs, &mut layers[0][..encoded]),
         }
         if let Some(white) = &self.white {
             let mut x = Vec::new();
@@ -123,20 +124,20 @@ impl FactoredLayers {
     }
 
     /// Returns the rows of `branch` that produce the factors of channel `c`, and then its constants.
-    fn rows(&self, c: usize) -> Range<usize> {
+    fn channel_rows(&self, c: usize) -> Range<usize> {
         c * (self.features + 1)..(c + 1) * (self.features + 1)
     }
 
-    /// Returns the coefficients of the waves from T `[F, B]` and the correlations, at the end of `layers`.
-    fn mixed(&self, weights: &[Real], layers: &[Vec<Real>]) -> WaveMixture {
+    /// Returns the coefficients of the waves per transmitter, from the output `layers` of [`Self::run_stack`].
+    fn wave_mixture(&self, weights: &[Real], layers: &[Vec<Real>]) -> WaveMixture {
         let t = &layers[self.stack.len()];
         let (waves, batch) = (self.branch.inputs, t.len() / self.features);
         let mut mixed = WaveMixture::zeros(waves, batch);
         let features = Matrix::new(t, self.features, batch);
         for c in 0..2 {
             // Sums start with the row of constants.
-            let (factors, constant) = self.branch.rows(weights, self.rows(c)).split_at(self.features * waves);
-            let (biases, last) = self.branch.bias(weights)[self.rows(c)].split_at(self.features);
+            let (factors, constant) = self.branch.rows(weights, self.channel_rows(c)).split_at(self.features * waves);
+            let (biases, last) = self.branch.bias(weights)[self.channel_rows(c)].split_at(self.features);
             for (row, constant) in mixed.waves[c].chunks_exact_mut(batch).zip(constant) {
                 row.fill(*constant);
             }
@@ -146,13 +147,14 @@ impl FactoredLayers {
             let biases = Matrix::new(biases, 1, self.features);
             product(MatrixMut::new(&mut mixed.base[c], 1, batch), StoreMode::Add, biases, features);
             if let (Some(near), Some(correlations)) = (&self.near, layers.get(self.stack.len() + 1)) {
-                near.add(weights, c, correlations, &mut mixed.waves[c]);
+                near.add_wave_coefficients(weights, c, correlations, &mut mixed.waves[c]);
             }
         }
         mixed
     }
 
-    /// Runs one transmitter at a time, so that batches are bit-identical to single calls.
+    /// Computes the signals `[B, N]` of all Gaussians. Runs the stack for one transmitter at a time, so that batches are
+    /// bit-identical to single calls.
     pub(super) fn forward(&self, weights: &[Real], basis: &Basis, txs: Conditions<'_>) -> Deltas {
         let n = basis.n;
         let mut signals = vec![[0.0; 2]; txs.len() * n];
@@ -160,8 +162,8 @@ impl FactoredLayers {
             return Deltas { signals, ..Deltas::default() };
         }
         let one = |b: usize| {
-            let layers = self.stack(weights, txs.rows(b..b + 1));
-            self.mixed(weights, &layers)
+            let layers = self.run_stack(weights, txs.rows(b..b + 1));
+            self.wave_mixture(weights, &layers)
         };
         let mixed: Vec<WaveMixture> = (0..txs.len()).into_par_iter().map(one).collect();
         // Signals of every transmitter for the Gaussians of each task.
@@ -179,6 +181,7 @@ impl FactoredLayers {
         Deltas { signals, ..Deltas::default() }
     }
 
+    /// Runs the backward pass of [`Self::forward`], given the cotangents `d` of the signals; adds to `sums`.
     pub(super) fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
         if means.is_empty() || txs.is_empty() {
@@ -187,8 +190,8 @@ impl FactoredLayers {
         let groups: Vec<Range<usize>> =
             (0..txs.len()).step_by(GROUP).map(|first| first..(first + GROUP).min(txs.len())).collect();
         let layers: Vec<Vec<Vec<Real>>> =
-            groups.par_iter().map(|some| self.stack(weights, txs.rows(some.clone()))).collect();
-        let mixed: Vec<WaveMixture> = layers.par_iter().map(|layers| self.mixed(weights, layers)).collect();
+            groups.par_iter().map(|group| self.run_stack(weights, txs.rows(group.clone()))).collect();
+        let mixed: Vec<WaveMixture> = layers.par_iter().map(|layers| self.wave_mixture(weights, layers)).collect();
         let d_mixed = self.tiles_vjp(&self.basis(means), &groups, &mixed, d, sums.means);
         let mut d_txs = sums.positions.map(|d_txs| d_txs.chunks_mut(GROUP));
         let parts: Vec<Option<&mut [[Real; 3]]>> =
@@ -215,7 +218,7 @@ impl FactoredLayers {
         let parts: Vec<Option<&mut [[Real; 3]]>> =
             (0..n).step_by(TILES * LANES).map(|_| centres.as_mut().and_then(Iterator::next)).collect();
         let task = |(k, (tiles, mut d_means)): Task<'_>| {
-            let mut sums: Vec<WaveMixture> = groups.iter().map(|some| WaveMixture::zeros(waves, some.len())).collect();
+            let mut sums: Vec<WaveMixture> = groups.iter().map(|g| WaveMixture::zeros(waves, g.len())).collect();
             for (j, tile) in tiles.chunks_exact(waves).enumerate() {
                 let first = (k * TILES + j) * LANES;
                 let gaussians = first..(first + LANES).min(n);
@@ -224,46 +227,46 @@ impl FactoredLayers {
             }
             sums
         };
-        let of_tasks: Vec<Vec<WaveMixture>> =
+        let results: Vec<Vec<WaveMixture>> =
             basis.lanes.par_chunks(TILES * waves).zip(parts).enumerate().map(task).collect();
         // Sums in the order of the tasks, independent of the threads.
-        let mut of_tasks = of_tasks.into_iter();
-        let mut sums = of_tasks.next().expect("a Gaussian or more");
-        for terms in of_tasks {
-            sums.iter_mut().zip(&terms).for_each(|(sum, term)| sum.add(term));
+        let mut results = results.into_iter();
+        let mut sums = results.next().expect("a Gaussian or more");
+        for terms in results {
+            sums.iter_mut().zip(&terms).for_each(|(sum, term)| sum.add_mixture(term));
         }
         sums
     }
 
-    /// Runs the backward pass of the Gaussians `own` of one tile: adds to `sums`, and to the derivatives of their
-    /// centres.
+    /// Runs the backward pass of the `gaussians` of one tile: adds to the derivatives `sums` of the wave coefficients, and
+    /// to those of the centres if given.
     #[allow(clippy::too_many_arguments)] // the tile, and both ends of the derivative
     fn tile_vjp(
         &self,
         tile: &[[Real; LANES]],
-        own: Range<usize>,
+        gaussians: Range<usize>,
         groups: &[Range<usize>],
         mixed: &[WaveMixture],
         d: &Deltas,
         d_means: Option<&mut [[Real; 3]]>,
         sums: &mut [WaveMixture],
     ) {
-        let (all, waves, r) = (d.signals.len() / groups.last().map_or(1, |g| g.end), tile.len(), own.len());
+        let (n, waves, r) = (d.signals.len() / groups.last().map_or(1, |g| g.end), tile.len(), gaussians.len());
         let phi = Matrix::strided(tile.as_flattened(), (waves, r), (LANES, 1));
         let mut d_phi = vec![0.0; if d_means.is_some() { waves * r } else { 0 }];
-        for ((some, mixed), sum) in groups.iter().zip(mixed).zip(sums) {
-            let batch = some.len();
+        for ((group, mixed), sum) in groups.iter().zip(mixed).zip(sums) {
+            let batch = group.len();
             for c in 0..2 {
                 // Signals of one channel: element (i, b) has index 2(bN + i) + c.
-                let first = 2 * (some.start * all + own.start) + c;
-                let d_s = Matrix::strided(&d.signals.as_flattened()[first..], (r, batch), (2, 2 * all));
+                let first = 2 * (group.start * n + gaussians.start) + c;
+                let d_s = Matrix::strided(&d.signals.as_flattened()[first..], (r, batch), (2, 2 * n));
                 product(MatrixMut::new(&mut sum.waves[c], waves, batch), StoreMode::Add, phi, d_s);
-                for (b, sum) in some.clone().zip(&mut sum.base[c]) {
-                    *sum += d.signals[b * all..][own.clone()].iter().map(|d| d[c]).sum::<Real>();
+                for (b, sum) in group.clone().zip(&mut sum.base[c]) {
+                    *sum += d.signals[b * n..][gaussians.clone()].iter().map(|d| d[c]).sum::<Real>();
                 }
                 if d_means.is_some() {
-                    let message = Matrix::new(&mixed.waves[c], waves, batch);
-                    product(MatrixMut::new(&mut d_phi, waves, r), StoreMode::Add, message, d_s.t());
+                    let coefficients = Matrix::new(&mixed.waves[c], waves, batch);
+                    product(MatrixMut::new(&mut d_phi, waves, r), StoreMode::Add, coefficients, d_s.t());
                 }
             }
         }
@@ -285,37 +288,22 @@ impl FactoredLayers {
         d: &WaveMixture,
         mut d_txs: Option<&mut [[Real; 3]]>,
     ) -> Vec<Real> {
-        let (batch, width, waves) = (txs.len(), self.features, self.branch.inputs);
-        let mut d_weights = vec![0.0; weights.len()];
-        let mut d_h = vec![0.0; width * batch];
-        let t = Matrix::new(&layers[self.stack.len()], width, batch);
-        for c in 0..2 {
-            let d_v = Matrix::new(&d.waves[c], waves, batch);
-            let d_base = Matrix::new(&d.base[c], 1, batch);
-            let factors = Matrix::new(&self.branch.rows(weights, self.rows(c))[..width * waves], width, waves);
-            product(MatrixMut::new(&mut d_h, width, batch), StoreMode::Add, factors, d_v);
-            let biases = Matrix::new(&self.branch.bias(weights)[self.rows(c)][..width], 1, width);
-            product(MatrixMut::new(&mut d_h, width, batch), StoreMode::Add, biases.t(), d_base);
-            let (d_factors, d_constant) =
-                self.branch.rows_mut(&mut d_weights, self.rows(c)).split_at_mut(width * waves);
-            product(MatrixMut::new(d_factors, width, waves), StoreMode::Set, t, d_v.t());
-            dense::add_bias_vjp(&d.waves[c], d_constant);
-            let (d_biases, d_last) = self.branch.bias_mut(&mut d_weights)[self.rows(c)].split_at_mut(width);
-            product(MatrixMut::new(d_biases, width, 1), StoreMode::Set, t, d_base.t());
-            dense::add_bias_vjp(&d.base[c], d_last);
-            if let (Some(near), Some(correlations)) = (&self.near, layers.get(self.stack.len() + 1)) {
+        let (batch, mut d_weights) = (txs.len(), vec![0.0; weights.len()]);
+        let mut d_h = self.wave_mixture_vjp(weights, &layers[self.stack.len()], d, &mut d_weights);
+        if let (Some(near), Some(correlations)) = (&self.near, layers.get(self.stack.len() + 1)) {
+            for c in 0..2 {
                 near.vjp(c, correlations, &d.waves[c], &mut d_weights);
                 if let Some(d_txs) = &mut d_txs {
                     near.position_vjp(weights, c, txs, correlations, &d.waves[c], d_txs);
                 }
             }
         }
-        let mut d_own = d_h.split_off((width - self.direct) * batch);
+        let mut d_inputs = d_h.split_off((self.features - self.direct) * batch);
         for (l, layer) in self.stack.iter().enumerate().rev() {
-            dense::bias_relu_vjp(&mut d_h, &layers[l + 1][..layer.outputs * batch], layer.bias_mut(&mut d_weights));
+            dense::add_bias_relu_vjp(&mut d_h, &layers[l + 1][..layer.outputs * batch], layer.bias_mut(&mut d_weights));
             layer.whole().weight_vjp(&mut d_weights, &layers[l], &d_h);
             if l == 0 && self.direct > 0 {
-                layer.whole().input_vjp(weights, &d_h, &mut d_own, StoreMode::Add);
+                layer.whole().input_vjp(weights, &d_h, &mut d_inputs, StoreMode::Add);
             }
             if l == 0 && self.direct == 0 && (self.pseudo.is_some() || d_txs.is_some()) {
                 let mut d_gamma = vec![0.0; layer.inputs * batch];
@@ -335,11 +323,40 @@ impl FactoredLayers {
             }
         }
         if let Some(white) = &self.white {
-            let mut raw = vec![0.0; batch * white.inputs];
-            self.tx_encoding.encode_all(txs, &mut raw);
-            dense::add_bias_vjp(&d_own, white.bias_mut(&mut d_weights));
-            white.whole().weight_vjp(&mut d_weights, &raw, &d_own);
+            self.white_vjp(white, txs, &d_inputs, &mut d_weights);
         }
         d_weights
+    }
+
+    /// Adds the derivatives of the layer `white` to `d_weights`, given those of its output.
+    fn white_vjp(&self, white: &Linear, txs: Conditions<'_>, d: &[Real], d_weights: &mut [Real]) {
+        let mut features = vec![0.0; txs.len() * white.inputs];
+        self.tx_encoding.encode_transmitters(txs, &mut features);
+        dense::add_bias_vjp(d, white.bias_mut(d_weights));
+        white.whole().weight_vjp(d_weights, &features, d);
+    }
+
+    /// Runs the backward pass of [`Self::wave_mixture`] for the features `t` `[F, B]`, without the correlations: adds to
+    /// `d_weights`; returns the cotangents of the features.
+    fn wave_mixture_vjp(&self, weights: &[Real], t: &[Real], d: &WaveMixture, d_weights: &mut [Real]) -> Vec<Real> {
+        let (width, waves, batch) = (self.features, self.branch.inputs, t.len() / self.features);
+        let mut d_h = vec![0.0; width * batch];
+        let t = Matrix::new(t, width, batch);
+        for c in 0..2 {
+            let d_v = Matrix::new(&d.waves[c], waves, batch);
+            let d_base = Matrix::new(&d.base[c], 1, batch);
+            let factors = Matrix::new(&self.branch.rows(weights, self.channel_rows(c))[..width * waves], width, waves);
+            product(MatrixMut::new(&mut d_h, width, batch), StoreMode::Add, factors, d_v);
+            let biases = Matrix::new(&self.branch.bias(weights)[self.channel_rows(c)][..width], 1, width);
+            product(MatrixMut::new(&mut d_h, width, batch), StoreMode::Add, biases.t(), d_base);
+            let (d_factors, d_constant) =
+                self.branch.rows_mut(d_weights, self.channel_rows(c)).split_at_mut(width * waves);
+            product(MatrixMut::new(d_factors, width, waves), StoreMode::Set, t, d_v.t());
+            dense::add_bias_vjp(&d.waves[c], d_constant);
+            let (d_biases, d_last) = self.branch.bias_mut(d_weights)[self.channel_rows(c)].split_at_mut(width);
+            product(MatrixMut::new(d_biases, width, 1), StoreMode::Set, t, d_base.t());
+            dense::add_bias_vjp(&d.base[c], d_last);
+        }
+        d_h
     }
 }

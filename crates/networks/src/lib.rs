@@ -33,7 +33,7 @@ pub use wrfgs::Wrfgs;
 use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, DeformationVjp, Deltas, JsonSchema};
 use serde::{Deserialize, Serialize};
 
-/// Rejects invalid factors on the carrier.
+/// Rejects factors on the carrier outside 0 to 100.
 fn check_carrier(carrier: f64) -> Result<(), String> {
     if (0.0..=100.0).contains(&carrier) {
         return Ok(());

@@ -74,10 +74,11 @@ impl Linear {
     pub fn apply_relu(&self, weights: &[Real], x: &[Real], y: &mut Vec<Real>) {
         y.resize(x.len() / self.inputs * self.outputs, 0.0);
         self.whole().apply(weights, x, y, StoreMode::Set);
-        dense::bias_relu(y, self.bias(weights));
+        dense::add_bias_relu(y, self.bias(weights));
     }
 
-    /// Runs the backward pass of [`Self::apply`]: adds to `d_weights`, and writes or adds the cotangent of `x`.
+    /// Runs the backward pass of [`Self::apply`], given `x` and the cotangent `d_y`: adds to `d_weights`, and sets `d_x` or
+    /// adds to it, depending on `store`.
     pub fn apply_vjp(
         &self,
         weights: &[Real],
@@ -133,25 +134,27 @@ pub struct LayoutBuilder {
 }
 
 impl LayoutBuilder {
-    fn add(&mut self, spec: WeightSpec) -> usize {
+    /// Adds a tensor; returns its offset in the flat vector.
+    fn add_tensor(&mut self, spec: WeightSpec) -> usize {
         let start = self.len;
         self.len += spec.len();
         self.tensors.push(spec);
         start
     }
 
-    fn push(&mut self, name: String, shape: Vec<usize>, bound: f64) -> usize {
-        self.add(WeightSpec::uniform(name, shape, bound))
+    /// Adds a tensor with initial values uniform within ±`bound`; returns its offset in the flat vector.
+    fn add_uniform(&mut self, name: String, shape: Vec<usize>, bound: f64) -> usize {
+        self.add_tensor(WeightSpec::uniform(name, shape, bound))
     }
 
     /// Adds a tensor of zeros. Returns its offset in the flat vector.
     pub fn zeros(&mut self, name: &str, shape: Vec<usize>) -> usize {
-        self.add(WeightSpec::zeros(name, shape))
+        self.add_tensor(WeightSpec::zeros(name, shape))
     }
 
     /// Adds a tensor that follows from the training set and does not learn. Returns its offset in the flat vector.
     pub fn fixed(&mut self, name: &str, shape: Vec<usize>) -> usize {
-        self.add(WeightSpec { learns: false, ..WeightSpec::zeros(name, shape) })
+        self.add_tensor(WeightSpec { learns: false, ..WeightSpec::zeros(name, shape) })
     }
 
     /// Adds a layer with PyTorch's initial values: weights and biases uniform within ±1/√inputs.
@@ -169,8 +172,8 @@ impl LayoutBuilder {
 
     /// Adds a layer with weights uniform within ±`bound` and biases 0.
     pub fn unbiased(&mut self, name: &str, inputs: usize, outputs: usize, bound: f64) -> Linear {
-        let weight = self.push(format!("{name}.weight"), vec![outputs, inputs], bound);
-        let bias = self.push(format!("{name}.bias"), vec![outputs], 0.0);
+        let weight = self.add_uniform(format!("{name}.weight"), vec![outputs, inputs], bound);
+        let bias = self.add_uniform(format!("{name}.bias"), vec![outputs], 0.0);
         Linear { inputs, outputs, weight, bias }
     }
 
@@ -180,11 +183,11 @@ impl LayoutBuilder {
         let bound = scale / (inputs as f64).sqrt();
         let (weight, outputs) = (self.len, heads.iter().map(|h| h.1).sum());
         for (name, outputs) in heads {
-            self.push(format!("{name}.weight"), vec![*outputs, inputs], bound);
+            self.add_uniform(format!("{name}.weight"), vec![*outputs, inputs], bound);
         }
         let bias = self.len;
         for (name, outputs) in heads {
-            self.push(format!("{name}.bias"), vec![*outputs], bound);
+            self.add_uniform(format!("{name}.bias"), vec![*outputs], bound);
         }
         Linear { inputs, outputs, weight, bias }
     }
@@ -200,15 +203,18 @@ impl LayoutBuilder {
     }
 }
 
-/// Returns the network that `build` lays out, and its plan.
-pub fn planned<N>(build: impl FnOnce(&mut LayoutBuilder) -> N) -> (N, LayoutBuilder) {
+/// Lays out a network with `build`; returns the network and its plan.
+pub fn lay_out<N>(build: impl FnOnce(&mut LayoutBuilder) -> N) -> (N, LayoutBuilder) {
     let mut plan = LayoutBuilder::default();
     (build(&mut plan), plan)
 }
 
-/// Returns the network that `build` lays out, for a weight vector of matching length.
-pub fn laid_out<N>(weights: &[Real], build: impl FnOnce(&mut LayoutBuilder) -> N) -> N {
-    let (network, plan) = planned(build);
+/// Lays out a network with `build` for existing weights.
+///
+/// # Panics
+/// If the number of weights is not that of the layout.
+pub fn lay_out_for<N>(weights: &[Real], build: impl FnOnce(&mut LayoutBuilder) -> N) -> N {
+    let (network, plan) = lay_out(build);
     assert_eq!(weights.len(), plan.numbers(), "as many weights as the layout says");
     network
 }
@@ -234,7 +240,7 @@ pub fn rows_per_chunk(n: usize, width: usize) -> usize {
 
 /// Returns all work items for N Gaussians and B transmitters: chunk by chunk; the batch is divided only if there are
 /// too few chunks to use all threads. Groups of transmitters are the outer loop, chunks the inner one.
-pub fn items(n: usize, batch: usize, width: usize) -> Vec<Item> {
+pub fn work_items(n: usize, batch: usize, width: usize) -> Vec<Item> {
     let rows = rows_per_chunk(n, width);
     let chunks = n.div_ceil(rows);
     let groups = 16usize.div_ceil(chunks.max(1)).clamp(1, batch.max(1));
@@ -248,8 +254,8 @@ pub fn items(n: usize, batch: usize, width: usize) -> Vec<Item> {
         .collect()
 }
 
-/// Runs `run` on groups of items, in parallel; it adds derivatives of the weights to its second argument. Adds them to
-/// `d_weights` and returns the results, in the order of the groups.
+/// Runs `run` on groups of items, in parallel, and adds the derivatives of the weights, which it adds to its second
+/// argument, to `d_weights`; returns the results of `run`, in the order of the groups.
 ///
 /// The number of groups is a power of two up to 16, independent of the threads: each is summed in order, then they are
 /// added in order; the first is `d_weights` itself. Further threads share the products of a group.
@@ -266,7 +272,7 @@ pub fn sum_groups<T: Sync, R: Send>(
     let sums: Vec<Option<&mut [Real]>> = (0..groups).map(|_| first.take()).collect();
     let one = |(items, sum): (&[T], Option<&mut [Real]>)| {
         let mut accumulator = vec![0.0; if sum.is_some() { 0 } else { numbers }];
-        let result = dense::shared_by(threads / groups, || run(items, sum.unwrap_or(&mut accumulator)));
+        let result = dense::run_with_product_threads(threads / groups, || run(items, sum.unwrap_or(&mut accumulator)));
         (accumulator, result)
     };
     let (sums, results): (Vec<Vec<Real>>, Vec<R>) = items.par_chunks(size).zip(sums).map(one).unzip();
@@ -283,7 +289,7 @@ mod tests {
         for (n, batch, width) in [(1, 1, 256), (50, 3, 64), (157, 1, 256), (157, 32, 256), (2613, 5, 1024), (7, 40, 1)]
         {
             let mut seen = vec![0; n * batch];
-            for item in items(n, batch, width) {
+            for item in work_items(n, batch, width) {
                 assert!(item.rows.len() <= 192);
                 for b in item.txs {
                     item.rows.clone().for_each(|i| seen[b * n + i] += 1);
@@ -291,7 +297,7 @@ mod tests {
             }
             assert!(seen.iter().all(|&s| s == 1), "{n} {batch} {width}");
         }
-        assert_eq!(items(157, 1, 256).len(), 2);
-        assert!(items(0, 3, 256).is_empty() && items(3, 0, 256).is_empty());
+        assert_eq!(work_items(157, 1, 256).len(), 2);
+        assert!(work_items(0, 3, 256).is_empty() && work_items(3, 0, 256).is_empty());
     }
 }

@@ -8,7 +8,7 @@
 use crate::check_carrier;
 use crate::dense::{self, StoreMode};
 use crate::encoding::{self, check_frequencies, encode};
-use crate::linear::{Item, LayoutBuilder, Linear, WIDEST, items, laid_out, planned, sum_groups};
+use crate::linear::{Item, LayoutBuilder, Linear, WIDEST, lay_out, lay_out_for, sum_groups, work_items};
 use crate::mlp_branch::{TxBranch, TxSide};
 use crate::trunk::{Joints, Trunk, TrunkGradient, TrunkShape, check_stack};
 use pwrfgs_core::{
@@ -84,13 +84,13 @@ impl Default for Mlp {
 
 impl Mlp {
     /// Plans the layers in the order of the weight vector.
-    fn network(&self, plan: &mut LayoutBuilder) -> MlpLayers {
+    fn plan_layers(&self, plan: &mut LayoutBuilder) -> MlpLayers {
         let carrier = (self.carrier != 0.0).then_some(self.carrier as Real);
-        let tx_inputs = encoding::width(self.tx_frequencies) + usize::from(carrier.is_some());
+        let tx_inputs = encoding::encoded_width(self.tx_frequencies) + usize::from(carrier.is_some());
         let layers =
             [plan.linear("tx.0", tx_inputs, self.tx_hidden), plan.linear("tx.1", self.tx_hidden, self.tx_features)];
         let branch = TxBranch { frequencies: self.tx_frequencies, carrier, layers };
-        let gamma = encoding::width(self.position_frequencies);
+        let gamma = encoding::encoded_width(self.position_frequencies);
         let &Self { position_frequencies, depth, width, skip, outputs, .. } = self;
         let trunk = Trunk::new(plan, TrunkShape { depth, width, skip, gamma, side: self.tx_features });
         let heads: &[(&str, usize)] = match outputs {
@@ -115,23 +115,23 @@ impl Deformation for Mlp {
     }
 
     fn layout(&self) -> Layout {
-        planned(|plan| self.network(plan)).1.layout()
+        lay_out(|plan| self.plan_layers(plan)).1.layout()
     }
 
     fn forward(&self, inputs: &DeformationInputs<'_>, _: &Cache) -> Deltas {
-        let network = laid_out(inputs.weights, |plan| self.network(plan));
+        let network = lay_out_for(inputs.weights, |plan| self.plan_layers(plan));
         network.forward(inputs, false).0
     }
 
     fn forward_for_vjp(&self, inputs: &DeformationInputs<'_>) -> (Deltas, Cache) {
-        let network = laid_out(inputs.weights, |plan| self.network(plan));
+        let network = lay_out_for(inputs.weights, |plan| self.plan_layers(plan));
         let (deltas, kept) = network.forward(inputs, true);
         (deltas, Some(Arc::new(kept)))
     }
 
     fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
         assert_eq!(sums.weights.len(), inputs.weights.len(), "a derivative for each weight");
-        laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, sums);
+        lay_out_for(inputs.weights, |plan| self.plan_layers(plan)).vjp(inputs, d, sums);
     }
 
     fn check(&self) -> Result<(), String> {
@@ -189,23 +189,24 @@ type Activations = Vec<Vec<Real>>;
 pub(super) struct Kept(Vec<Vec<Activations>>);
 
 impl MlpLayers {
-    /// Computes γ of the centres of a chunk.
-    fn encode(&self, means: &[[Real; 3]], scratch: &mut Scratch) {
-        scratch.gamma.resize(means.len() * encoding::width(self.position_frequencies), 0.0);
+    /// Computes γ of the centres of a chunk, into `scratch`.
+    fn encode_means(&self, means: &[[Real; 3]], scratch: &mut Scratch) {
+        scratch.gamma.resize(means.len() * encoding::encoded_width(self.position_frequencies), 0.0);
         encode(means.iter().copied(), self.position_frequencies, &mut scratch.gamma);
     }
 
-    /// Computes γ and W·γ of the centres of a chunk.
-    fn begin(&self, weights: &[Real], means: &[[Real; 3]], scratch: &mut Scratch) {
-        self.encode(means, scratch);
-        self.trunk.share(weights, &scratch.gamma, &mut scratch.shared);
+    /// Computes γ and W·γ of the centres of a chunk, which all transmitters share, into `scratch`.
+    fn share_means(&self, weights: &[Real], means: &[[Real; 3]], scratch: &mut Scratch) {
+        self.encode_means(means, scratch);
+        self.trunk.share_gamma(weights, &scratch.gamma, &mut scratch.shared);
     }
 
-    /// Returns the outputs, and the activations if they are to be kept.
+    /// Returns the terms of all Gaussians and transmitters; with `is_kept`, also the activations of the items that fit
+    /// within [`KEPT_BYTES`].
     pub(super) fn forward(&self, inputs: &DeformationInputs<'_>, is_kept: bool) -> (Deltas, Kept) {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
-        let sides = self.branch.sides(weights, &self.trunk, txs);
-        let items = items(means.len(), txs.len(), self.trunk.width);
+        let sides = self.branch.tx_sides(weights, &self.trunk, txs);
+        let items = work_items(means.len(), txs.len(), self.trunk.width);
         let mut bytes = 0;
         let fits = |item: &Item| {
             bytes += item.rows.len() * item.txs.len() * self.trunk.depth() * self.trunk.width * size_of::<Real>();
@@ -213,12 +214,12 @@ impl MlpLayers {
         };
         let fit: Vec<bool> = items.iter().map(fits).collect();
         let one = |scratch: &mut Scratch, (item, is_kept): (&Item, bool)| {
-            self.begin(weights, &means[item.rows.clone()], scratch);
+            self.share_means(weights, &means[item.rows.clone()], scratch);
             let mut kept = Vec::new();
             let mut deltas = Vec::new();
             for side in &sides[item.txs.clone()] {
                 scratch.slots.resize_with(if is_kept { self.trunk.depth() } else { 2 }, Vec::new);
-                deltas.push(self.deltas(weights, side, scratch));
+                deltas.push(self.head_outputs(weights, side, scratch));
                 kept.extend(is_kept.then(|| std::mem::take(&mut scratch.slots)));
             }
             (deltas, kept)
@@ -243,25 +244,28 @@ impl MlpLayers {
     }
 
     /// Returns the outputs of the heads for the chunk in `scratch` and one transmitter.
-    fn deltas(&self, weights: &[Real], side: &TxSide, scratch: &mut Scratch) -> Deltas {
+    fn head_outputs(&self, weights: &[Real], side: &TxSide, scratch: &mut Scratch) -> Deltas {
         let Scratch { shared, slots, out, .. } = scratch;
         self.trunk.forward(weights, shared, &side.folded, slots);
-        let h = &slots[self.trunk.last(slots.len())];
+        let h = &slots[self.trunk.last_slot(slots.len())];
         let rows = h.len() / self.trunk.width;
         self.heads.apply(weights, h, out);
         match self.outputs {
-            Outputs::All => {
-                Deltas { quats: gather(out, 0, rows), scales: gather(out, 4, rows), signals: gather(out, 7, rows) }
-            }
-            Outputs::Signals => Deltas { signals: gather(out, 0, rows), ..Deltas::default() },
+            Outputs::All => Deltas {
+                quats: gather_rows(out, 0, rows),
+                scales: gather_rows(out, 4, rows),
+                signals: gather_rows(out, 7, rows),
+            },
+            Outputs::Signals => Deltas { signals: gather_rows(out, 0, rows), ..Deltas::default() },
         }
     }
 
+    /// Runs the backward pass of [`Self::forward`], given the cotangents `d` of the terms; adds to `sums`.
     pub(super) fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
         let DeformationVjp { weights: d_weights, positions: d_txs, .. } = sums;
-        let sides = self.branch.sides(weights, &self.trunk, txs);
-        let items = items(means.len(), txs.len(), self.trunk.width);
+        let sides = self.branch.tx_sides(weights, &self.trunk, txs);
+        let items = work_items(means.len(), txs.len(), self.trunk.width);
         let kept: &[Vec<Activations>] = if inputs.kept.is_some() { &cached::<Kept>(inputs.kept).0 } else { &[] };
         let items: Vec<(Item, &[Activations])> =
             items.into_iter().enumerate().map(|(k, item)| (item, kept.get(k).map_or(&[][..], Vec::as_slice))).collect();
@@ -293,9 +297,9 @@ impl MlpLayers {
         let (weights, n, width) = (inputs.weights, inputs.means.len(), self.trunk.width);
         let means = &inputs.means[item.rows.clone()];
         if kept.is_empty() {
-            self.begin(weights, means, scratch);
+            self.share_means(weights, means, scratch);
         } else {
-            self.encode(means, scratch);
+            self.encode_means(means, scratch);
         }
         let Scratch { gamma, shared, slots, out, d: d_h, spare } = scratch;
         let rows = item.rows.len();
@@ -312,28 +316,29 @@ impl MlpLayers {
             let here = b * n + item.rows.start..b * n + item.rows.end;
             match self.outputs {
                 Outputs::All => {
-                    scatter(d.quats.get(here.clone()), out, 0, rows);
-                    scatter(d.scales.get(here.clone()), out, 4, rows);
-                    scatter(d.signals.get(here), out, 7, rows);
+                    scatter_rows(d.quats.get(here.clone()), out, 0, rows);
+                    scatter_rows(d.scales.get(here.clone()), out, 4, rows);
+                    scatter_rows(d.signals.get(here), out, 7, rows);
                 }
-                Outputs::Signals => scatter(d.signals.get(here), out, 0, rows),
+                Outputs::Signals => scatter_rows(d.signals.get(here), out, 0, rows),
             }
             let h = &slots[self.trunk.depth() - 1];
             self.heads.apply_vjp(weights, (h, out), d_weights, (d_h, StoreMode::Set));
-            let into = TrunkGradient { weights: d_weights, shared: &mut d_shared, folded: d_folded.of_tx(b, width) };
+            let into = TrunkGradient { weights: d_weights, shared: &mut d_shared, folded: d_folded.tx_part(b, width) };
             self.trunk.backward(weights, slots, d_h, spare, into);
         }
-        self.trunk.share_vjp(weights, gamma, &d_shared, d_weights, None);
+        self.trunk.share_gamma_vjp(weights, gamma, &d_shared, d_weights, None);
     }
 }
 
 /// Returns the features `from..from + K` of `[F, R]` as R rows.
-fn gather<const K: usize>(out: &[Real], from: usize, rows: usize) -> Vec<[Real; K]> {
+fn gather_rows<const K: usize>(out: &[Real], from: usize, rows: usize) -> Vec<[Real; K]> {
     (0..rows).map(|r| std::array::from_fn(|k| out[(from + k) * rows + r])).collect()
 }
 
-/// Returns the inverse of [`gather`]; writes zeros without a cotangent.
-fn scatter<const K: usize>(d: Option<&[[Real; K]]>, out: &mut [Real], from: usize, rows: usize) {
+/// Writes the R rows of `d` to the features `from..from + K` of `out` `[F, R]`, the inverse of [`gather_rows`]; zeros
+/// without a cotangent.
+fn scatter_rows<const K: usize>(d: Option<&[[Real; K]]>, out: &mut [Real], from: usize, rows: usize) {
     for (k, out) in out[from * rows..(from + K) * rows].chunks_exact_mut(rows).enumerate() {
         match d {
             Some(d) => out.iter_mut().zip(d).for_each(|(out, d)| *out = d[k]),

@@ -30,23 +30,23 @@ pub(super) struct TxSide {
 }
 
 impl TxBranch {
-    /// Runs the transmitter branch for one transmitter, so that batches are bit-identical to single calls.
-    fn side(&self, weights: &[Real], trunk: &Trunk, tx: [Real; 3], carrier: Real) -> TxSide {
-        let mut gamma = vec![0.0; encoding::width(self.frequencies)];
-        encode([tx].into_iter(), self.frequencies, &mut gamma);
-        gamma.extend(self.carrier.map(|factor| factor * carrier));
-        let (mut hidden, mut features) = (Vec::new(), Vec::new());
-        self.layers[0].apply_relu(weights, &gamma, &mut hidden);
-        self.layers[1].apply(weights, &hidden, &mut features);
-        let folded = trunk.fold(weights, &features);
-        TxSide { gamma, hidden, features, folded }
+    /// Runs the transmitter branch for each transmitter on its own, so that batches are bit-identical to single calls.
+    pub(super) fn tx_sides(&self, weights: &[Real], trunk: &Trunk, txs: Conditions<'_>) -> Vec<TxSide> {
+        let side = |(b, &tx): (usize, &[Real; 3])| {
+            let mut gamma = vec![0.0; encoding::encoded_width(self.frequencies)];
+            encode([tx].into_iter(), self.frequencies, &mut gamma);
+            gamma.extend(self.carrier.map(|factor| factor * txs.carrier(b)));
+            let (mut hidden, mut features) = (Vec::new(), Vec::new());
+            self.layers[0].apply_relu(weights, &gamma, &mut hidden);
+            self.layers[1].apply(weights, &hidden, &mut features);
+            let folded = trunk.fold_biases(weights, &features);
+            TxSide { gamma, hidden, features, folded }
+        };
+        txs.positions().par_iter().enumerate().map(side).collect()
     }
 
-    pub(super) fn sides(&self, weights: &[Real], trunk: &Trunk, txs: Conditions<'_>) -> Vec<TxSide> {
-        txs.positions().par_iter().enumerate().map(|(b, &tx)| self.side(weights, trunk, tx, txs.carrier(b))).collect()
-    }
-
-    /// Runs the backward pass of the transmitter branch, for all transmitters at once.
+    /// Runs the backward pass of the transmitter branch for all transmitters at once, given the cotangents of the folded
+    /// biases: adds to `d_weights`, and to the cotangents of the positions if given.
     pub(super) fn vjp(
         &self,
         weights: &[Real],
@@ -59,25 +59,25 @@ impl TxBranch {
         let batch = sides.len();
         let stack = |field: fn(&TxSide) -> &[Real]| -> Vec<Real> { sides.iter().flat_map(field).copied().collect() };
         let features = stack(|s| &s.features);
-        let d_features = trunk.fold_vjp(weights, &features, d_folded, d_weights);
+        let d_features = trunk.fold_biases_vjp(weights, &features, d_folded, d_weights);
         let [first, second] = &self.layers;
         let d_e = Matrix::new(&d_features, batch, second.outputs);
         let hidden = stack(|s| &s.hidden);
         product(second.weight_mut(d_weights), StoreMode::Add, d_e.t(), Matrix::new(&hidden, batch, second.inputs));
-        d_features.chunks_exact(second.outputs).for_each(|d| dense::add(second.bias_mut(d_weights), d));
+        d_features.chunks_exact(second.outputs).for_each(|d| dense::add_assign(second.bias_mut(d_weights), d));
         let mut d_hidden = vec![0.0; hidden.len()];
         product(MatrixMut::new(&mut d_hidden, batch, second.inputs), StoreMode::Set, d_e, second.weight(weights));
         d_hidden.iter_mut().zip(&hidden).for_each(|(d, &h)| *d = if h > 0.0 { *d } else { 0.0 });
         let gamma = stack(|s| &s.gamma);
         let d_z = Matrix::new(&d_hidden, batch, first.outputs);
         product(first.weight_mut(d_weights), StoreMode::Add, d_z.t(), Matrix::new(&gamma, batch, first.inputs));
-        d_hidden.chunks_exact(first.outputs).for_each(|d| dense::add(first.bias_mut(d_weights), d));
+        d_hidden.chunks_exact(first.outputs).for_each(|d| dense::add_assign(first.bias_mut(d_weights), d));
         let Some(d_txs) = d_txs else { return };
         let mut d_gamma = vec![0.0; gamma.len()];
         product(MatrixMut::new(&mut d_gamma, batch, first.inputs), StoreMode::Set, d_z, first.weight(weights));
         let rows = gamma.chunks_exact(first.inputs).zip(d_gamma.chunks_exact(first.inputs));
         let each = rows.zip(d_txs.chunks_mut(1));
-        let encoded = encoding::width(self.frequencies); // the carrier may follow
+        let encoded = encoding::encoded_width(self.frequencies); // the carrier may follow
         each.for_each(|((gamma, d), d_tx)| encode_vjp(&gamma[..encoded], &d[..encoded], self.frequencies, d_tx));
     }
 }

@@ -29,6 +29,7 @@ const GAIN: Real = 6.0;
 const UNUSED: Real = 1e4;
 
 impl Near {
+    /// Rejects invalid settings.
     pub(super) fn check(&self) -> Result<(), String> {
         if !(1..=MOST).contains(&self.count) {
             return Err(format!("near: count is {}; give a number from 1 to {MOST}", self.count));
@@ -40,7 +41,7 @@ impl Near {
     }
 
     /// Plans the positions `[count, 3]`, which do not learn, and the weights `[2 · count, waves]`, initially 0.
-    pub(super) fn layer(&self, plan: &mut LayoutBuilder, waves: usize) -> NearLayer {
+    pub(super) fn plan_layer(&self, plan: &mut LayoutBuilder, waves: usize) -> NearLayer {
         let positions = plan.fixed("near.positions", vec![self.count, 3]);
         let weight = plan.zeros("near.weight", vec![2 * self.count, waves]);
         NearLayer { count: self.count, length: self.length_m as Real, positions, weight, waves }
@@ -58,8 +59,8 @@ pub(super) struct NearLayer {
 }
 
 impl NearLayer {
-    /// Sets the positions of the training set.
-    pub(super) fn place(&self, training: &[[Real; 3]], weights: &mut [Real]) {
+    /// Sets the positions of the layer to those of the training set, thinned evenly to `count`.
+    pub(super) fn set_positions(&self, training: &[[Real; 3]], weights: &mut [Real]) {
         let positions = weights[self.positions..][..3 * self.count].as_chunks_mut::<3>().0;
         positions.fill([UNUSED; 3]);
         positions.iter_mut().zip(evenly(training, self.count)).for_each(|(position, z)| *position = z);
@@ -68,9 +69,9 @@ impl NearLayer {
     /// Returns the correlations `[count, B]`, times [`GAIN`].
     pub(super) fn correlations(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Real> {
         let rows = txs.len();
-        let mut all = vec![0.0; self.count * rows];
+        let mut correlations = vec![0.0; self.count * rows];
         let positions = weights[self.positions..][..3 * self.count].as_chunks::<3>().0;
-        for (row, z) in all.chunks_exact_mut(rows.max(1)).zip(positions) {
+        for (row, z) in correlations.chunks_exact_mut(rows.max(1)).zip(positions) {
             for (value, p) in row.iter_mut().zip(txs.positions()) {
                 let square: Real = (0..3).map(|k| (p[k] - z[k]) * (p[k] - z[k])).sum();
                 if square < (END * self.length) * (END * self.length) {
@@ -78,28 +79,30 @@ impl NearLayer {
                 }
             }
         }
-        all
+        correlations
     }
 
-    /// Adds the coefficients of the waves of channel `c`, `[waves, B]`, from the correlations.
-    pub(super) fn add(&self, weights: &[Real], c: usize, correlations: &[Real], out: &mut [Real]) {
+    /// Adds the coefficients of the waves of channel `c` that follow from the correlations `[count, B]` to `out`
+    /// `[waves, B]`.
+    pub(super) fn add_wave_coefficients(&self, weights: &[Real], c: usize, correlations: &[Real], out: &mut [Real]) {
         let batch = correlations.len() / self.count;
-        let table = Matrix::new(&weights[self.of(c)..][..self.count * self.waves], self.count, self.waves);
+        let table = Matrix::new(&weights[self.channel_offset(c)..][..self.count * self.waves], self.count, self.waves);
         let correlations = Matrix::new(correlations, self.count, batch);
         product(MatrixMut::new(out, self.waves, batch), StoreMode::Add, table.t(), correlations);
     }
 
-    /// Adds the derivative with respect to the weights of channel `c`; `d_waves` is `[waves, B]`.
+    /// Adds the derivatives of the weights of channel `c` to `d_weights`, given those `d_waves` `[waves, B]` of the
+    /// coefficients.
     pub(super) fn vjp(&self, c: usize, correlations: &[Real], d_waves: &[Real], d_weights: &mut [Real]) {
         let batch = correlations.len() / self.count;
-        let d_table = &mut d_weights[self.of(c)..][..self.count * self.waves];
+        let d_table = &mut d_weights[self.channel_offset(c)..][..self.count * self.waves];
         let d_waves = Matrix::new(d_waves, self.waves, batch);
         let correlations = Matrix::new(correlations, self.count, batch);
         product(MatrixMut::new(d_table, self.count, self.waves), StoreMode::Add, correlations, d_waves.t());
     }
 
-    /// Adds to the cotangents of the transmitters from channel `c`. A correlation has no derivative at its position
-    /// and from its end on.
+    /// Adds the derivatives of channel `c` by the transmitter positions to `d_txs`. A correlation has no derivative at its
+    /// position and from its end on.
     pub(super) fn position_vjp(
         &self,
         weights: &[Real],
@@ -110,7 +113,7 @@ impl NearLayer {
         d_txs: &mut [[Real; 3]],
     ) {
         let batch = txs.len();
-        let table = Matrix::new(&weights[self.of(c)..][..self.count * self.waves], self.count, self.waves);
+        let table = Matrix::new(&weights[self.channel_offset(c)..][..self.count * self.waves], self.count, self.waves);
         let mut d = vec![0.0; self.count * batch];
         let d_waves = Matrix::new(d_waves, self.waves, batch);
         product(MatrixMut::new(&mut d, self.count, batch), StoreMode::Set, table, d_waves);
@@ -127,8 +130,8 @@ impl NearLayer {
         }
     }
 
-    /// Returns the offset of the weights of channel `c`.
-    fn of(&self, c: usize) -> usize {
+    /// Returns the offset of the weights of channel `c` in the flat vector.
+    fn channel_offset(&self, c: usize) -> usize {
         self.weight + c * self.count * self.waves
     }
 }
@@ -136,13 +139,13 @@ impl NearLayer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::linear::planned;
+    use crate::linear::lay_out;
 
     #[test]
     fn correlations_fall_with_distance_and_unused_positions_have_none() {
-        let (layer, plan) = planned(|plan| Near { count: 3, length_m: 0.1 }.layer(plan, 4));
+        let (layer, plan) = lay_out(|plan| Near { count: 3, length_m: 0.1 }.plan_layer(plan, 4));
         let mut weights = vec![0.0; plan.numbers()];
-        layer.place(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], &mut weights);
+        layer.set_positions(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], &mut weights);
         let txs = [[0.0, 0.3, 0.4], [1.0, 0.0, 0.1], [9.0, 0.0, 0.0]];
         let computed = layer.correlations(&weights, Conditions::from(&txs[..]));
         let expected = [(-5.0 as Real).exp(), (-(1.01 as Real).sqrt() / 0.1).exp(), 0.0];
@@ -156,9 +159,9 @@ mod tests {
 
     #[test]
     fn correlation_has_no_derivative_at_its_position() {
-        let (layer, plan) = planned(|plan| Near { count: 1, length_m: 0.1 }.layer(plan, 1));
+        let (layer, plan) = lay_out(|plan| Near { count: 1, length_m: 0.1 }.plan_layer(plan, 1));
         let mut weights = vec![1.0; plan.numbers()];
-        layer.place(&[[0.5, 0.0, 0.0]], &mut weights);
+        layer.set_positions(&[[0.5, 0.0, 0.0]], &mut weights);
         let (txs, mut d_txs) = ([[0.5, 0.0, 0.0], [9.0, 0.0, 0.0]], [[0.0; 3]; 2]);
         let correlations = layer.correlations(&weights, Conditions::from(&txs));
         layer.position_vjp(&weights, 0, Conditions::from(&txs), &correlations, &[1.0; 2], &mut d_txs);
@@ -167,9 +170,9 @@ mod tests {
 
     #[test]
     fn more_training_positions_are_thinned() {
-        let (layer, plan) = planned(|plan| Near { count: 2, length_m: 0.1 }.layer(plan, 1));
+        let (layer, plan) = lay_out(|plan| Near { count: 2, length_m: 0.1 }.plan_layer(plan, 1));
         let mut weights = vec![0.0; plan.numbers()];
-        layer.place(&(0..10).map(|i| [i as Real, 0.0, 0.0]).collect::<Vec<_>>(), &mut weights);
+        layer.set_positions(&(0..10).map(|i| [i as Real, 0.0, 0.0]).collect::<Vec<_>>(), &mut weights);
         assert!(weights[..6].iter().all(|x| *x < 10.0) && weights[0] != weights[3]);
         assert_eq!(weights[6..], [0.0; 4]);
     }

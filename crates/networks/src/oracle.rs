@@ -35,7 +35,7 @@ fn wrfgs_matches_reference_signals_and_derivatives() {
         let position: [f64; 3] = std::array::from_fn(|k| f64::from(array(&folder, "in_r_o")[k]));
         let pose = Pose { position, ..Pose::IDENTITY };
 
-        let raw = wrfgs.network(&mut LayoutBuilder::default()).raw(&weights, &means, txs[0]);
+        let raw = wrfgs.plan_layers(&mut LayoutBuilder::default()).raw(&weights, &means, txs[0]);
         let computed = error(raw.as_flattened(), &array(&folder, "out_raw"));
         assert!(computed < signal_tolerance, "{name}: raw outputs: {computed}");
 

@@ -82,7 +82,7 @@ impl Trunk {
     }
 
     /// Returns the columns of layer `l` that multiply h.
-    fn h_part(&self, l: usize) -> LayerPart {
+    fn hidden_part(&self, l: usize) -> LayerPart {
         let before = if Some(l) == self.joined { self.gamma + self.side } else { 0 };
         self.layers[l].part(before..before + self.width)
     }
@@ -92,7 +92,8 @@ impl Trunk {
         self.layers.first().into_iter().chain(self.joined.map(|l| &self.layers[l]))
     }
 
-    fn e_columns(&self) -> Range<usize> {
+    /// Returns the columns that multiply e, of the layers with input e.
+    fn side_columns(&self) -> Range<usize> {
         self.gamma..self.gamma + self.side
     }
 
@@ -101,42 +102,42 @@ impl Trunk {
         Joints { first: vec![0.0; len], joined: vec![0.0; if self.joined.is_some() { len } else { 0 }] }
     }
 
-    /// Returns the biases of these layers including W·e.
-    pub fn fold(&self, weights: &[Real], e: &[Real]) -> Joints {
+    /// Returns the biases including W·e of the layers with inputs γ and e, `[width]` each.
+    pub fn fold_biases(&self, weights: &[Real], e: &[Real]) -> Joints {
         let mut folded = self.joints().map(|layer| {
             let mut bias = layer.bias(weights).to_vec();
-            let w = layer.weight(weights).columns(self.e_columns());
+            let w = layer.weight(weights).columns(self.side_columns());
             product(MatrixMut::new(&mut bias, self.width, 1), StoreMode::Add, w, Matrix::new(e, self.side, 1));
             bias
         });
         Joints { first: folded.next().unwrap_or_default(), joined: folded.next().unwrap_or_default() }
     }
 
-    /// Runs the backward pass of [`Self::fold`] for B transmitters: `e` `[B, side]`, `d_folded` one vector `[B, width]`
+    /// Runs the backward pass of [`Self::fold_biases`] for B transmitters: `e` `[B, side]`, `d` one vector `[B, width]`
     /// per layer. Adds to `d_weights` and returns the cotangent of e, `[B, side]`.
-    pub fn fold_vjp(&self, weights: &[Real], e: &[Real], d_folded: &Joints, d_weights: &mut [Real]) -> Vec<Real> {
-        let batch = d_folded.first.len() / self.width;
+    pub fn fold_biases_vjp(&self, weights: &[Real], e: &[Real], d: &Joints, d_weights: &mut [Real]) -> Vec<Real> {
+        let batch = d.first.len() / self.width;
         let mut d_e = vec![0.0; batch * self.side];
-        for (layer, d) in self.joints().zip([&d_folded.first, &d_folded.joined]) {
+        for (layer, d) in self.joints().zip([&d.first, &d.joined]) {
             let d_rows = Matrix::new(d, batch, self.width);
-            let d_w = layer.weight_mut(d_weights).columns(self.e_columns());
+            let d_w = layer.weight_mut(d_weights).columns(self.side_columns());
             product(d_w, StoreMode::Add, d_rows.t(), Matrix::new(e, batch, self.side));
-            d.chunks_exact(self.width).for_each(|d| dense::add(layer.bias_mut(d_weights), d));
-            let w = layer.weight(weights).columns(self.e_columns());
+            d.chunks_exact(self.width).for_each(|d| dense::add_assign(layer.bias_mut(d_weights), d));
+            let w = layer.weight(weights).columns(self.side_columns());
             product(MatrixMut::new(&mut d_e, batch, self.side), StoreMode::Add, d_rows, w);
         }
         d_e
     }
 
-    /// Adds derivatives of the biases of the layers with input γ.
+    /// Adds the derivatives `d` of the biases of the layers with inputs γ and e to `d_weights`.
     pub fn add_joint_biases(&self, d_weights: &mut [Real], d: &Joints) {
         for (layer, d) in self.joints().zip([&d.first, &d.joined]) {
-            dense::add(layer.bias_mut(d_weights), d);
+            dense::add_assign(layer.bias_mut(d_weights), d);
         }
     }
 
     /// Computes W·γ of the layers with input γ, for a chunk; γ `[gamma, R]`.
-    pub fn share(&self, weights: &[Real], gamma: &[Real], shared: &mut Joints) {
+    pub fn share_gamma(&self, weights: &[Real], gamma: &[Real], shared: &mut Joints) {
         let rows = gamma.len() / self.gamma;
         for (layer, out) in self.joints().zip([&mut shared.first, &mut shared.joined]) {
             out.resize(self.width * rows, 0.0);
@@ -144,8 +145,8 @@ impl Trunk {
         }
     }
 
-    /// Runs the backward pass of [`Self::share`]: adds to `d_weights`, and to `d_gamma` if given.
-    pub fn share_vjp(
+    /// Runs the backward pass of [`Self::share_gamma`]: adds to `d_weights`, and to `d_gamma` if given.
+    pub fn share_gamma_vjp(
         &self,
         weights: &[Real],
         gamma: &[Real],
@@ -163,32 +164,32 @@ impl Trunk {
     }
 
     /// Runs all layers for one chunk and one transmitter. Layer l writes slot `l % slots.len()`: use two slots for
-    /// predictions, one per layer for derivatives. The result is in slot [`Self::last`].
+    /// predictions, one per layer for derivatives. The result is in slot [`Self::last_slot`].
     pub fn forward(&self, weights: &[Real], shared: &Joints, folded: &Joints, slots: &mut [Vec<Real>]) {
         for (l, layer) in self.layers.iter().enumerate() {
             let out = l % slots.len();
             if l == 0 {
                 slots[out].clone_from(&shared.first);
-                dense::bias_relu(&mut slots[out], &folded.first);
+                dense::add_bias_relu(&mut slots[out], &folded.first);
                 continue;
             }
             let mut h = std::mem::take(&mut slots[out]);
             let input = &slots[(l - 1) % slots.len()];
             if Some(l) == self.joined {
                 h.clone_from(&shared.joined);
-                self.h_part(l).apply(weights, input, &mut h, StoreMode::Add);
-                dense::bias_relu(&mut h, &folded.joined);
+                self.hidden_part(l).apply(weights, input, &mut h, StoreMode::Add);
+                dense::add_bias_relu(&mut h, &folded.joined);
             } else {
                 h.resize(shared.first.len(), 0.0);
-                self.h_part(l).apply(weights, input, &mut h, StoreMode::Set);
-                dense::bias_relu(&mut h, layer.bias(weights));
+                self.hidden_part(l).apply(weights, input, &mut h, StoreMode::Set);
+                dense::add_bias_relu(&mut h, layer.bias(weights));
             }
             slots[out] = h;
         }
     }
 
-    /// Returns the slot of the last layer.
-    pub fn last(&self, slots: usize) -> usize {
+    /// Returns the index of the slot, of `slots`, that holds the output of the last layer.
+    pub fn last_slot(&self, slots: usize) -> usize {
         (self.depth() - 1) % slots
     }
 
@@ -205,19 +206,19 @@ impl Trunk {
         let TrunkGradient { weights: d_weights, shared: d_shared, folded: [d_first, d_joined] } = into;
         for (l, layer) in self.layers.iter().enumerate().rev() {
             if l == 0 {
-                dense::bias_relu_vjp(d, &slots[0], d_first);
-                dense::add(&mut d_shared.first, d);
+                dense::add_bias_relu_vjp(d, &slots[0], d_first);
+                dense::add_assign(&mut d_shared.first, d);
                 return;
             }
             if Some(l) == self.joined {
-                dense::bias_relu_vjp(d, &slots[l], d_joined);
-                dense::add(&mut d_shared.joined, d);
+                dense::add_bias_relu_vjp(d, &slots[l], d_joined);
+                dense::add_assign(&mut d_shared.joined, d);
             } else {
-                dense::bias_relu_vjp(d, &slots[l], layer.bias_mut(d_weights));
+                dense::add_bias_relu_vjp(d, &slots[l], layer.bias_mut(d_weights));
             }
-            self.h_part(l).weight_vjp(d_weights, &slots[l - 1], d);
+            self.hidden_part(l).weight_vjp(d_weights, &slots[l - 1], d);
             spare.resize(d.len(), 0.0);
-            self.h_part(l).input_vjp(weights, d, spare, StoreMode::Set);
+            self.hidden_part(l).input_vjp(weights, d, spare, StoreMode::Set);
             std::mem::swap(d, spare);
         }
     }
@@ -225,7 +226,7 @@ impl Trunk {
 
 impl Joints {
     /// Returns the part of transmitter `b` in each of two `[B, width]`.
-    pub fn of_tx(&mut self, b: usize, width: usize) -> [&mut [Real]; 2] {
+    pub fn tx_part(&mut self, b: usize, width: usize) -> [&mut [Real]; 2] {
         let part = b * width..(b + 1) * width;
         [&mut self.first[part.clone()], self.joined.get_mut(part).unwrap_or_default()]
     }
@@ -234,7 +235,7 @@ impl Joints {
 /// Maximum number of layers of a stack.
 const DEEPEST: usize = 256;
 
-/// Rejects invalid stacks.
+/// Rejects stacks with an invalid number of layers or units, or without a layer after `skip`; the error says which.
 pub(crate) fn check_stack(depth: usize, width: usize, skip: Option<usize>) -> Result<(), String> {
     if !(1..=DEEPEST).contains(&depth) {
         return Err(format!("depth is {depth}; give a number of layers from 1 to {DEEPEST}"));

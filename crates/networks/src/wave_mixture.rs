@@ -20,14 +20,16 @@ pub(super) struct WaveMixture {
 }
 
 impl WaveMixture {
+    /// Creates zeros for `batch` transmitters.
     pub(super) fn zeros(waves: usize, batch: usize) -> Self {
         Self { waves: [(); 2].map(|()| vec![0.0; waves * batch]), base: [(); 2].map(|()| vec![0.0; batch]) }
     }
 
-    pub(super) fn add(&mut self, other: &Self) {
+    /// Adds the coefficients of `other`.
+    pub(super) fn add_mixture(&mut self, other: &Self) {
         for c in 0..2 {
-            dense::add(&mut self.waves[c], &other.waves[c]);
-            dense::add(&mut self.base[c], &other.base[c]);
+            dense::add_assign(&mut self.waves[c], &other.waves[c]);
+            dense::add_assign(&mut self.base[c], &other.base[c]);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! `Wrfgs`: the network of WRF-GS (Wen et al., IEEE INFOCOM 2025) as in the released code.
 
 use crate::encoding::{self, check_frequencies};
-use crate::linear::{LayoutBuilder, laid_out, planned};
+use crate::linear::{LayoutBuilder, lay_out, lay_out_for};
 use crate::trunk::{Trunk, TrunkShape, check_stack};
 use crate::wrfgs_branch::Branch;
 use crate::wrfgs_network::{TrunkOutput, WrfgsLayers};
@@ -56,19 +56,19 @@ const RELEASED_GAIN: f64 = 40.0;
 
 impl Wrfgs {
     /// Returns F, the norm of all centres relative to the receiver, metres.
-    fn norm(means: &[[Real; 3]], pose: &Pose) -> f64 {
+    fn cloud_norm(means: &[[Real; 3]], pose: &Pose) -> f64 {
         means.iter().flat_map(|x| (0..3).map(|k| (f64::from(x[k]) - pose.position[k]).powi(2))).sum::<f64>().sqrt()
     }
 
-    /// Returns the factor g.
+    /// Returns the factor g on every signal.
     fn gain(&self, means: &[[Real; 3]], pose: &Pose) -> f64 {
-        self.gain.unwrap_or_else(|| RELEASED_GAIN * Self::norm(means, pose))
+        self.gain.unwrap_or_else(|| RELEASED_GAIN * Self::cloud_norm(means, pose))
     }
 
     /// Plans the layers in the order of the weight vector.
-    pub(super) fn network(&self, plan: &mut LayoutBuilder) -> WrfgsLayers {
+    pub(super) fn plan_layers(&self, plan: &mut LayoutBuilder) -> WrfgsLayers {
         let &Self { depth, width, frequencies, skip, .. } = self;
-        let gamma = encoding::width(frequencies);
+        let gamma = encoding::encoded_width(frequencies);
         let trunk = Trunk::new(plan, TrunkShape { depth, width, skip, gamma, side: 0 });
         let attenuation = plan.linear("attn", width, 2);
         let feature = plan.linear("feat", width, width);
@@ -78,8 +78,8 @@ impl Wrfgs {
     }
 
     /// Plans the layers for a weight vector of that length.
-    fn network_of(&self, weights: &[Real]) -> WrfgsLayers {
-        laid_out(weights, |plan| self.network(plan))
+    fn planned_layers(&self, weights: &[Real]) -> WrfgsLayers {
+        lay_out_for(weights, |plan| self.plan_layers(plan))
     }
 }
 
@@ -96,7 +96,7 @@ impl Deformation for Wrfgs {
     }
 
     fn layout(&self) -> Layout {
-        planned(|plan| self.network(plan)).1.layout()
+        lay_out(|plan| self.plan_layers(plan)).1.layout()
     }
 
     fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas {
@@ -107,14 +107,14 @@ impl Deformation for Wrfgs {
             let (network, trunk_output): &(WrfgsLayers, Vec<TrunkOutput>) = cached(prepared);
             network.forward(weights, means, txs, Some(trunk_output.as_slice()))
         } else {
-            self.network_of(weights).forward(weights, means, txs, None)
+            self.planned_layers(weights).forward(weights, means, txs, None)
         };
         Deltas { signals: products.into_iter().map(|sa| [gain * sa, 0.0]).collect(), ..Deltas::default() }
     }
 
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
-        let network = self.network_of(weights);
-        let trunk_output = network.trunk_output(weights, means);
+        let network = self.planned_layers(weights);
+        let trunk_output = network.trunk_outputs(weights, means);
         Some(Arc::new((network, trunk_output)))
     }
 
@@ -122,12 +122,12 @@ impl Deformation for Wrfgs {
         if d.signals.is_empty() {
             return;
         }
-        let network = self.network_of(inputs.weights);
+        let network = self.planned_layers(inputs.weights);
         assert_eq!(sums.weights.len(), inputs.weights.len(), "a derivative for each weight");
         let gain = self.gain(inputs.means, inputs.pose);
         let d_products: Vec<Real> = d.signals.iter().map(|d| gain as Real * d[0]).collect();
         let along_gain = network.vjp(inputs, &d_products, &mut sums);
-        let norm = Self::norm(inputs.means, inputs.pose);
+        let norm = Self::cloud_norm(inputs.means, inputs.pose);
         if let Some(d_means) = sums.means.filter(|_| self.gain.is_none() && norm > 0.0) {
             // g·∂L/∂g is available; with g = 40·F, ∂g/∂X = g·(X - r)/F².
             let scale = along_gain / (norm * norm);

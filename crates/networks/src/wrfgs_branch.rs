@@ -40,19 +40,20 @@ pub(super) struct BranchScratch {
 
 impl Branch {
     /// Returns the columns of `sig.0` for the feature, γ(p) and γ(X - p).
-    pub(super) fn parts(&self) -> [LayerPart; 3] {
-        let (first, gamma) = (&self.signal[0], encoding::width(self.frequencies));
+    pub(super) fn first_layer_parts(&self) -> [LayerPart; 3] {
+        let (first, gamma) = (&self.signal[0], encoding::encoded_width(self.frequencies));
         let width = first.outputs;
         [first.part(0..width), first.part(width..width + gamma), first.part(width + gamma..width + 2 * gamma)]
     }
 
+    /// Runs the part of the branch that depends on the transmitter only.
     pub(super) fn tx_sides(&self, weights: &[Real], txs: &[[Real; 3]]) -> Vec<TxSide> {
-        let [_, of_tx, _] = self.parts();
+        let [_, tx_part, _] = self.first_layer_parts();
         let side = |&tx: &[Real; 3]| {
-            let mut gamma = vec![0.0; encoding::width(self.frequencies)];
+            let mut gamma = vec![0.0; encoding::encoded_width(self.frequencies)];
             encode([tx].into_iter(), self.frequencies, &mut gamma);
             let mut folded = self.signal[0].bias(weights).to_vec();
-            of_tx.apply(weights, &gamma, &mut folded, StoreMode::Add);
+            tx_part.apply(weights, &gamma, &mut folded, StoreMode::Add);
             TxSide { gamma, folded }
         };
         txs.par_iter().map(side).collect()
@@ -60,7 +61,7 @@ impl Branch {
 
     /// Runs the backward pass of [`Self::tx_sides`], given the cotangents of the folded biases, `[B, width]`. Adds to
     /// `d_weights`, and to the cotangents of the positions if given.
-    pub(super) fn tx_vjp(
+    pub(super) fn tx_sides_vjp(
         &self,
         weights: &[Real],
         sides: &[TxSide],
@@ -68,20 +69,20 @@ impl Branch {
         d_weights: &mut [Real],
         d_txs: Option<&mut [[Real; 3]]>,
     ) {
-        let [_, of_tx, _] = self.parts();
+        let [_, tx_part, _] = self.first_layer_parts();
         let mut d_txs = d_txs.map(|d_txs| d_txs.chunks_mut(1));
         for (side, d) in sides.iter().zip(d_folded.chunks_exact(self.signal[0].outputs)) {
-            of_tx.weight_vjp(d_weights, &side.gamma, d);
-            dense::add(self.signal[0].bias_mut(d_weights), d);
+            tx_part.weight_vjp(d_weights, &side.gamma, d);
+            dense::add_assign(self.signal[0].bias_mut(d_weights), d);
             if let Some(d_tx) = d_txs.as_mut().and_then(Iterator::next) {
                 let mut d_gamma = vec![0.0; side.gamma.len()];
-                of_tx.input_vjp(weights, d, &mut d_gamma, StoreMode::Set);
+                tx_part.input_vjp(weights, d, &mut d_gamma, StoreMode::Set);
                 encode_vjp(&side.gamma, &d_gamma, self.frequencies, d_tx);
             }
         }
     }
 
-    /// Runs the branch for one transmitter into `room.out`; `from_feature` is W·feature of `sig.0`.
+    /// Runs the branch for a chunk and one transmitter into `scratch.out`; `from_feature` is W·feature of `sig.0`.
     pub(super) fn forward(
         &self,
         weights: &[Real],
@@ -89,48 +90,48 @@ impl Branch {
         from_feature: &[Real],
         tx: [Real; 3],
         side: &TxSide,
-        room: &mut BranchScratch,
+        scratch: &mut BranchScratch,
     ) {
-        let BranchScratch { offset, hidden: [first, second], out, .. } = room;
+        let BranchScratch { offset, hidden: [first, second], out, .. } = scratch;
         let rows = means.len();
-        offset.resize(rows * encoding::width(self.frequencies), 0.0);
+        offset.resize(rows * encoding::encoded_width(self.frequencies), 0.0);
         encode(means.iter().map(|x| std::array::from_fn(|k| x[k] - tx[k])), self.frequencies, offset);
         first.clear();
         first.extend_from_slice(from_feature);
-        self.parts()[2].apply(weights, offset, first, StoreMode::Add);
-        dense::bias_relu(first, &side.folded);
+        self.first_layer_parts()[2].apply(weights, offset, first, StoreMode::Add);
+        dense::add_bias_relu(first, &side.folded);
         self.signal[1].apply_relu(weights, first, second);
         self.out.apply(weights, second, out);
     }
 
-    /// Runs the backward pass of [`Self::forward`], whose activations are in `room`. Adds to the cotangents of the
+    /// Runs the backward pass of [`Self::forward`], whose activations are in `scratch`. Adds to the cotangents of the
     /// weights, the folded bias `[width]`, `from_feature`, and the centres and the transmitter if requested.
     #[allow(clippy::too_many_arguments)] // the two ends of the derivative
     pub(super) fn vjp(
         &self,
         weights: &[Real],
-        room: &mut BranchScratch,
+        scratch: &mut BranchScratch,
         d_weights: &mut [Real],
         d_folded: &mut [Real],
         d_from_feature: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
         d_tx: Option<&mut [Real; 3]>,
     ) {
-        let BranchScratch { offset, hidden: [first, second], out, d, spare, d_offset } = room;
+        let BranchScratch { offset, hidden: [first, second], out, d, spare, d_offset } = scratch;
         self.out.apply_vjp(weights, (second, out), d_weights, (spare, StoreMode::Set));
-        dense::bias_relu_vjp(spare, second, self.signal[1].bias_mut(d_weights));
+        dense::add_bias_relu_vjp(spare, second, self.signal[1].bias_mut(d_weights));
         self.signal[1].whole().weight_vjp(d_weights, first, spare);
         d.resize(first.len(), 0.0);
         self.signal[1].whole().input_vjp(weights, spare, d, StoreMode::Set);
-        dense::bias_relu_vjp(d, first, d_folded);
-        dense::add(d_from_feature, d);
-        let [_, _, of_offset] = self.parts();
-        of_offset.weight_vjp(d_weights, offset, d);
+        dense::add_bias_relu_vjp(d, first, d_folded);
+        dense::add_assign(d_from_feature, d);
+        let [_, _, offset_part] = self.first_layer_parts();
+        offset_part.weight_vjp(d_weights, offset, d);
         if d_means.is_none() && d_tx.is_none() {
             return;
         }
         spare.resize(offset.len(), 0.0);
-        of_offset.input_vjp(weights, d, spare, StoreMode::Set);
+        offset_part.input_vjp(weights, d, spare, StoreMode::Set);
         if let Some(d_tx) = d_tx {
             d_offset.clear();
             d_offset.resize(out.len() / 2, [0.0; 3]);

@@ -7,7 +7,7 @@
 
 use crate::dense::{self, StoreMode, amplitude, amplitude_slope};
 use crate::encoding::{self, encode, encode_vjp};
-use crate::linear::{Item, Linear, items, sum_groups};
+use crate::linear::{Item, Linear, sum_groups, work_items};
 use crate::trunk::{Joints, Trunk, TrunkGradient};
 use crate::wrfgs_branch::{Branch, BranchScratch, TxSide};
 use pwrfgs_core::{DeformationInputs, DeformationVjp, Real};
@@ -61,49 +61,51 @@ struct GradientSum {
 }
 
 impl WrfgsLayers {
-    /// Computes the values of a chunk that do not depend on the transmitter.
-    fn begin(&self, weights: &[Real], means: &[[Real; 3]], slots: usize, scratch: &mut Scratch) -> TrunkOutput {
+    /// Computes the values of a chunk that do not depend on the transmitter. `slots` is 2 for predictions, or the number of
+    /// trunk layers for the backward pass.
+    fn run_trunk(&self, weights: &[Real], means: &[[Real; 3]], slots: usize, scratch: &mut Scratch) -> TrunkOutput {
         let Scratch { gamma, shared, feature, .. } = scratch;
         let (rows, width, frequencies) = (means.len(), self.trunk.width, self.branch.frequencies);
-        gamma.resize(rows * encoding::width(frequencies), 0.0);
+        gamma.resize(rows * encoding::encoded_width(frequencies), 0.0);
         encode(means.iter().copied(), frequencies, gamma);
-        self.trunk.share(weights, gamma, shared);
+        self.trunk.share_gamma(weights, gamma, shared);
         scratch.slots.resize_with(slots, Vec::new);
-        self.trunk.forward(weights, shared, &self.trunk.fold(weights, &[]), &mut scratch.slots);
-        let h = &scratch.slots[self.trunk.last(slots)];
+        self.trunk.forward(weights, shared, &self.trunk.fold_biases(weights, &[]), &mut scratch.slots);
+        let h = &scratch.slots[self.trunk.last_slot(slots)];
         let mut attenuation = Vec::new();
         self.attenuation.apply(weights, h, &mut attenuation);
         self.feature.apply(weights, h, feature);
         let mut from_feature = vec![0.0; width * rows];
-        self.branch.parts()[0].apply(weights, feature, &mut from_feature, StoreMode::Set);
+        self.branch.first_layer_parts()[0].apply(weights, feature, &mut from_feature, StoreMode::Set);
         TrunkOutput { attenuation, from_feature }
     }
 
-    /// Runs the backward pass of [`Self::begin`].
-    fn begin_vjp(&self, weights: &[Real], scratch: &mut Scratch, d_weights: &mut [Real], sum: &mut GradientSum) {
+    /// Runs the backward pass of [`Self::run_trunk`], whose activations and cotangents are in `scratch`: adds to
+    /// `d_weights` and to `sum`.
+    fn trunk_vjp(&self, weights: &[Real], scratch: &mut Scratch, d_weights: &mut [Real], sum: &mut GradientSum) {
         let Scratch { gamma, slots, feature, d_attenuation, d_from_feature, d, spare, .. } = scratch;
         let (h, width) = (&slots[self.trunk.depth() - 1], self.trunk.width);
-        let [of_feature, ..] = self.branch.parts();
-        of_feature.weight_vjp(d_weights, feature, d_from_feature);
+        let [feature_part, ..] = self.branch.first_layer_parts();
+        feature_part.weight_vjp(d_weights, feature, d_from_feature);
         spare.resize(feature.len(), 0.0);
-        of_feature.input_vjp(weights, d_from_feature, spare, StoreMode::Set);
+        feature_part.input_vjp(weights, d_from_feature, spare, StoreMode::Set);
         self.feature.apply_vjp(weights, (h, spare), d_weights, (d, StoreMode::Set));
         self.attenuation.apply_vjp(weights, (h, d_attenuation), d_weights, (d, StoreMode::Add));
         let mut d_shared = self.trunk.zero_joints(h.len());
         let into =
-            TrunkGradient { weights: d_weights, shared: &mut d_shared, folded: sum.trunk_biases.of_tx(0, width) };
+            TrunkGradient { weights: d_weights, shared: &mut d_shared, folded: sum.trunk_biases.tx_part(0, width) };
         self.trunk.backward(weights, slots, d, spare, into);
         let mut d_gamma = sum.means.as_ref().map(|_| vec![0.0; gamma.len()]);
-        self.trunk.share_vjp(weights, gamma, &d_shared, d_weights, d_gamma.as_deref_mut());
+        self.trunk.share_gamma_vjp(weights, gamma, &d_shared, d_weights, d_gamma.as_deref_mut());
         if let (Some(d_gamma), Some(d_means)) = (d_gamma, &mut sum.means) {
             encode_vjp(gamma, &d_gamma, self.branch.frequencies, &mut d_means[sum.row..]);
         }
     }
 
     /// Returns [`TrunkOutput`] of every chunk.
-    pub(super) fn trunk_output(&self, weights: &[Real], means: &[[Real; 3]]) -> Vec<TrunkOutput> {
-        let items = items(means.len(), 1, self.trunk.width);
-        let begin = |scratch: &mut Scratch, item: &Item| self.begin(weights, &means[item.rows.clone()], 2, scratch);
+    pub(super) fn trunk_outputs(&self, weights: &[Real], means: &[[Real; 3]]) -> Vec<TrunkOutput> {
+        let items = work_items(means.len(), 1, self.trunk.width);
+        let begin = |scratch: &mut Scratch, item: &Item| self.run_trunk(weights, &means[item.rows.clone()], 2, scratch);
         items.par_iter().map_init(Scratch::default, begin).collect()
     }
 
@@ -111,14 +113,14 @@ impl WrfgsLayers {
     #[cfg(test)]
     pub(super) fn raw(&self, weights: &[Real], means: &[[Real; 3]], tx: [Real; 3]) -> Vec<[Real; 4]> {
         let (mut scratch, n) = (Scratch::default(), means.len());
-        let trunk_output = self.begin(weights, means, 2, &mut scratch);
+        let trunk_output = self.run_trunk(weights, means, 2, &mut scratch);
         let side = &self.branch.tx_sides(weights, &[tx])[0];
         self.branch.forward(weights, means, &trunk_output.from_feature, tx, side, &mut scratch.branch);
         let (a, s) = (trunk_output.attenuation, scratch.branch.out);
         (0..n).map(|r| [a[r], a[n + r], s[r], s[n + r]]).collect()
     }
 
-    /// Returns S·A, `[B, N]`, from the result of [`Self::trunk_output`] if given.
+    /// Returns S·A, `[B, N]`, from the result of [`Self::trunk_outputs`] if given.
     pub(super) fn forward(
         &self,
         weights: &[Real],
@@ -127,12 +129,12 @@ impl WrfgsLayers {
         trunk_output: Option<&[TrunkOutput]>,
     ) -> Vec<Real> {
         let sides = self.branch.tx_sides(weights, txs);
-        let pieces: Vec<Vec<Real>> = items(means.len(), 1, self.trunk.width)
+        let pieces: Vec<Vec<Real>> = work_items(means.len(), 1, self.trunk.width)
             .par_iter()
             .enumerate()
             .map_init(Scratch::default, |scratch, (chunk, item)| {
                 let means = &means[item.rows.clone()];
-                let fresh = trunk_output.is_none().then(|| self.begin(weights, means, 2, scratch));
+                let fresh = trunk_output.is_none().then(|| self.run_trunk(weights, means, 2, scratch));
                 let trunk_output = trunk_output.map(|all| &all[chunk]).or(fresh.as_ref()).expect("one or the other");
                 let mut products = Vec::with_capacity(means.len() * txs.len());
                 for (tx, side) in txs.iter().zip(&sides) {
@@ -159,7 +161,7 @@ impl WrfgsLayers {
         let DeformationVjp { weights: d_weights, means: d_means, positions: d_txs } = sums;
         let txs = inputs.txs.positions();
         let sides = self.branch.tx_sides(weights, txs);
-        let items = items(means.len(), 1, self.trunk.width);
+        let items = work_items(means.len(), 1, self.trunk.width);
         let parts = sum_groups(&items, d_weights, |items, d_weights| {
             let mut sum = GradientSum {
                 folded: vec![0.0; txs.len() * self.trunk.width],
@@ -177,14 +179,14 @@ impl WrfgsLayers {
         });
         for sum in &parts {
             self.trunk.add_joint_biases(d_weights, &sum.trunk_biases);
-            self.branch.tx_vjp(weights, &sides, &sum.folded, d_weights, d_txs.as_deref_mut());
+            self.branch.tx_sides_vjp(weights, &sides, &sum.folded, d_weights, d_txs.as_deref_mut());
             if let (Some(d_txs), Some(part)) = (&mut *d_txs, &sum.txs) {
-                dense::add(d_txs.as_flattened_mut(), part.as_flattened());
+                dense::add_assign(d_txs.as_flattened_mut(), part.as_flattened());
             }
         }
         if let Some(d_means) = d_means {
             let of_items = parts.iter().flat_map(|s| s.means.iter().flatten().flatten()).copied();
-            dense::add(d_means.as_flattened_mut(), &of_items.collect::<Vec<_>>());
+            dense::add_assign(d_means.as_flattened_mut(), &of_items.collect::<Vec<_>>());
         }
         parts.iter().map(|part| part.along_gain).sum()
     }
@@ -201,7 +203,7 @@ impl WrfgsLayers {
     ) {
         let (n, weights, width) = (inputs.means.len(), inputs.weights, self.trunk.width);
         let means = &inputs.means[item.rows.clone()];
-        let trunk_output = self.begin(weights, means, self.trunk.depth(), scratch);
+        let trunk_output = self.run_trunk(weights, means, self.trunk.depth(), scratch);
         let Scratch { branch, d_attenuation, d_from_feature, .. } = &mut *scratch;
         d_attenuation.clear();
         d_attenuation.resize(2 * means.len(), 0.0);
@@ -226,6 +228,6 @@ impl WrfgsLayers {
             let d_tx = sum.txs.as_mut().map(|d_txs| &mut d_txs[b]);
             self.branch.vjp(weights, branch, d_weights, d_folded, d_from_feature, d_means, d_tx);
         }
-        self.begin_vjp(weights, scratch, d_weights, sum);
+        self.trunk_vjp(weights, scratch, d_weights, sum);
     }
 }

@@ -55,11 +55,12 @@ pub struct Changes(pub Vec<Change>);
 
 impl Changes {
     /// Returns whether a change affects `field` of a pipeline.
-    pub fn has(&self, field: &str) -> bool {
+    pub fn has_field(&self, field: &str) -> bool {
         self.0.iter().any(|change| change.field() == field)
     }
 
-    /// Returns the changes with their positions in the map `map` of `text`, and the common name `name` for messages.
+    /// Returns the changes with the common `name` for messages, and with their positions in `map`, a value of `text`,
+    /// if it is given.
     #[must_use]
     pub fn located(&self, name: &str, map: Option<&RonTree>, text: &str) -> Self {
         let mut keys = map.map_or_else(Vec::new, |map| map.keys(text)).into_iter();
@@ -115,9 +116,9 @@ pub(crate) fn line_and_column(text: &str, at: usize) -> (usize, usize) {
     (line, before.chars().rev().take_while(|c| *c != '\n').count() + 1)
 }
 
-/// Shortens a text and removes control characters: an argument can be a whole file.
+/// Returns the first 200 characters of a text without control characters: an argument can be a whole file.
 pub(crate) fn shortened(text: &str) -> String {
-    let plain = |c: char| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c };
-    let short: String = text.chars().take(LONGEST).map(plain).collect();
+    let printable = |c: char| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c };
+    let short: String = text.chars().take(LONGEST).map(printable).collect();
     if text.chars().nth(LONGEST).is_some() { short + ".." } else { short }
 }

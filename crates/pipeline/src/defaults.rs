@@ -69,9 +69,9 @@ pub fn metrics(task: Task) -> Vec<Plugin<dyn Metric>> {
         Task::Power => plugins![Metric: PowerError::default()],
         Task::Channel => plugins![Metric: ChannelSnr::default()],
     };
-    let of_models =
+    let model_metrics =
         plugins![Metric: Chamfer::default(), GaussianCount::default(), ModelSize::default(), Latency::default()];
-    metrics.extend(of_models);
+    metrics.extend(model_metrics);
     metrics
 }
 

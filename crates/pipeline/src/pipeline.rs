@@ -113,7 +113,7 @@ impl Pipeline {
     }
 
     /// Returns the training plan without scaling.
-    pub(crate) fn as_plan(&self) -> TrainingPlan {
+    pub(crate) fn unscaled_plan(&self) -> TrainingPlan {
         TrainingPlan {
             name: self.name.clone(),
             seed: self.seed,

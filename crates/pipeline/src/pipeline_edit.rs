@@ -5,7 +5,7 @@ use crate::changes::Change;
 use crate::pipeline::Pipeline;
 use crate::read::{TextFault, TypeHint};
 use crate::ron_tree::RonTree;
-use crate::setting::{Setting, TextEdit, paths, quoted};
+use crate::setting::{Setting, TextEdit, path_values, quoted};
 use pwrfgs_core::docs::{DocKind, Docs};
 use pwrfgs_core::plugin::{Checked, Plugin, ron_options, try_to_ron};
 use pwrfgs_core::{Dataset, Error, Partition, Pruner, Result};
@@ -28,7 +28,7 @@ pub struct EditFault {
 }
 
 impl PipelineEdit {
-    /// Creates a draft of the pipeline.
+    /// Creates an edit of the text of a pipeline, without changes.
     ///
     /// # Errors
     /// As [`Pipeline::to_ron`].
@@ -42,9 +42,9 @@ impl PipelineEdit {
     /// # Errors
     /// Unknown path or invalid value. [`Self::finish`] checks whether the value fits.
     pub fn set(&mut self, change: &Change) -> Result<(), EditFault> {
-        let tree = self.tree();
-        let edits = edits(&tree, change).map_err(|message| EditFault { message, blamed: vec![change.clone()] })?;
-        self.edit(edits);
+        let tree = self.parse_tree();
+        let edits = text_edits(&tree, change).map_err(|message| EditFault { message, blamed: vec![change.clone()] })?;
+        self.apply(edits);
         self.changes.push(change.clone());
         // Written with its defaults, so that the next change finds their fields.
         let read = ron_options().from_str(&self.text).ok();
@@ -59,18 +59,18 @@ impl PipelineEdit {
     /// # Errors
     /// A path that is not valid text.
     pub fn rebase(&mut self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<(), EditFault> {
-        let tree = self.tree();
+        let tree = self.parse_tree();
         let absolute_edit = |path: &RonTree| {
-            let old: PathBuf = ron_options().from_str(path.of(&self.text)).map_err(|e| e.code.to_string())?;
+            let old: PathBuf = ron_options().from_str(path.text_in(&self.text)).map_err(|e| e.code.to_string())?;
             Ok((path.span.clone(), try_to_ron(&absolute(&old))?))
         };
-        let settings = paths(&DocKind::Of(Docs::of::<Pipeline>()), &tree, &self.text);
+        let settings = path_values(&DocKind::Of(Docs::of::<Pipeline>()), &tree, &self.text);
         let edits: Result<Vec<TextEdit>, (usize, String)> = settings
             .into_iter()
             .map(|path| absolute_edit(path).map_err(|why: String| (path.span.start, why)))
             .collect();
         let fault = |(at, message)| self.blame(TextFault { message, at: Some(at), hint: TypeHint::Never });
-        self.edit(edits.map_err(fault)?);
+        self.apply(edits.map_err(fault)?);
         Ok(())
     }
 
@@ -82,15 +82,16 @@ impl PipelineEdit {
         Pipeline::read(&self.text).map_err(|fault| self.blame(fault))
     }
 
-    /// Returns the problem of `field`, with the changes that caused it.
-    pub fn fault(&self, field: &str, message: String) -> EditFault {
-        self.blame(TextFault::of(field, message, &self.tree()))
+    /// Returns the fault of a `field`, with the changes that caused it.
+    pub fn field_fault(&self, field: &str, message: String) -> EditFault {
+        self.blame(TextFault::of(field, message, &self.parse_tree()))
     }
 
-    /// Returns the fault for `fault`: blames the changes inside the smallest value at its position.
+    /// Returns a fault of the text with the changes that caused it: those inside the smallest changed value at its
+    /// position.
     fn blame(&self, fault: TextFault) -> EditFault {
         let TextFault { mut message, at, hint } = fault;
-        let tree = self.tree();
+        let tree = self.parse_tree();
         let settings: Vec<Option<Setting<'_>>> =
             self.changes.iter().map(|c| Setting::at(&c.path, &tree).ok()).collect();
         let spans: Vec<Option<Range<usize>>> =
@@ -101,7 +102,7 @@ impl PipelineEdit {
             let is_last = |k: usize| !spans[k + 1..].contains(&spans[k]);
             (0..spans.len()).filter(|&k| spans[k].as_ref().is_some_and(is_inside) && is_last(k)).collect()
         };
-        let around = at.map_or_else(|| vec![tree.span.clone()], |at| tree.around(at));
+        let around = at.map_or_else(|| vec![tree.span.clone()], |at| tree.ranges_around(at));
         let blamed = around.iter().map(inside).find(|blamed| !blamed.is_empty()).unwrap_or_default();
         if let [only] = blamed[..]
             && let Some(Setting { tree, kind: Some(kind), .. }) = &settings[only]
@@ -114,25 +115,28 @@ impl PipelineEdit {
         EditFault { message, blamed: blamed.into_iter().map(|k| self.changes[k].clone()).collect() }
     }
 
-    /// Parses the text.
-    fn tree(&self) -> RonTree {
+    /// Parses the text of the pipeline.
+    fn parse_tree(&self) -> RonTree {
         RonTree::parse(&self.text).expect("text written by the program and parsed edits are valid values")
     }
 
     /// Applies text edits from the last to the first, so that the ranges of the others stay valid.
-    fn edit(&mut self, mut edits: Vec<TextEdit>) {
+    fn apply(&mut self, mut edits: Vec<TextEdit>) {
         edits.sort_by_key(|(span, _)| std::cmp::Reverse(span.start));
         edits.into_iter().for_each(|(span, text)| self.text.replace_range(span, &text));
     }
 }
 
-/// Returns the text edits of `tree` for `change`.
-fn edits(tree: &RonTree, change: &Change) -> Result<Vec<TextEdit>, String> {
+/// Returns the edits of the text of `tree` that set the value of `change`.
+///
+/// # Errors
+/// The path is unknown, or the value is not RON.
+fn text_edits(tree: &RonTree, change: &Change) -> Result<Vec<TextEdit>, String> {
     let setting = Setting::at(&change.path, tree)?;
-    let value = setting.complete(change.value.trim());
+    let value = setting.complete_value(change.value.trim());
     let new = RonTree::parse(&value).map_err(|why| format!("{} is not a value: {why}", quoted(change.value.trim())))?;
     let mut edits = Vec::new();
-    setting.put(&new, &value, &mut edits)?;
+    setting.replace(&new, &value, &mut edits)?;
     Ok(edits)
 }
 
@@ -207,7 +211,7 @@ impl Pipeline {
     /// # Errors
     /// Same as [`Self::resolved`].
     pub fn plan(&self) -> Result<TrainingPlan> {
-        self.resolved().map(|resolved| resolved.as_plan())
+        self.resolved().map(|resolved| resolved.unscaled_plan())
     }
 
     /// Creates a trainer before its first step.

@@ -32,7 +32,7 @@ pub(crate) enum TypeHint {
 
 impl TextFault {
     /// Creates the fault for a syntax or type error of the text.
-    fn reading(error: &SpannedError, text: &str) -> Self {
+    fn of_parser(error: &SpannedError, text: &str) -> Self {
         let hint = match error.code {
             ron::Error::Message(_) => TypeHint::AtLeaf,
             ron::Error::NoSuchEnumVariant { .. }
@@ -68,9 +68,9 @@ impl Pipeline {
 
     /// Same as [`Self::parse`], with byte positions.
     pub(crate) fn read(text: &str) -> Result<Self, TextFault> {
-        let mut pipeline: Self = ron_options().from_str(text).map_err(|e| TextFault::reading(&e, text))?;
+        let mut pipeline: Self = ron_options().from_str(text).map_err(|e| TextFault::of_parser(&e, text))?;
         let tree = RonTree::parse(text).map_err(|message| TextFault { message, at: None, hint: TypeHint::Never })?;
-        pipeline.complete(&|field| tree.field(field).is_none()).map_err(|message| TextFault {
+        pipeline.set_dependent_defaults(&|field| tree.field(field).is_none()).map_err(|message| TextFault {
             message,
             at: Some(tree.span.end),
             hint: TypeHint::Never,
@@ -80,7 +80,10 @@ impl Pipeline {
     }
 
     /// Sets the fields that were `left_out` and whose default depends on others.
-    fn complete(&mut self, left_out: &dyn Fn(&str) -> bool) -> Result<(), String> {
+    ///
+    /// # Errors
+    /// A method with Gaussians has no initialiser.
+    fn set_dependent_defaults(&mut self, left_out: &dyn Fn(&str) -> bool) -> Result<(), String> {
         if left_out("initializer") && self.method.as_ref().is_none_or(|method| method.traits().has_gaussians()) {
             return Err("the field `initializer` is missing".into());
         }
@@ -97,7 +100,7 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Returns an error if a baseline or metric does not support `data`.
+    /// Checks that all baselines and metrics support `data`.
     ///
     /// # Errors
     /// The first error, with the name of its field.
@@ -106,7 +109,8 @@ impl Pipeline {
             Error::Config(_) | Error::Input { .. } | Error::Read { .. } => Error::Config(format!("{field}: {error}")),
             other => other, // an exception of Python's stays one
         };
-        compatible(&Parts { data: Some(data), demands: &self.scoring(), ..Parts::default() }).map_err(Misfit::error)?;
+        compatible(&Parts { data: Some(data), demands: &self.scoring_demands(), ..Parts::default() })
+            .map_err(Misfit::error)?;
         for baseline in &self.baselines {
             baseline.check_data(data).map_err(|error| named("baselines", error))?;
         }
@@ -135,22 +139,25 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Demands of baselines and metrics.
-    fn scoring(&self) -> Vec<Demand> {
+    /// Returns the demands of baselines and metrics.
+    fn scoring_demands(&self) -> Vec<Demand> {
         let metrics = self.metrics.iter().map(|metric| metric.demand());
         self.baselines.iter().map(|baseline| baseline.demand()).chain(metrics).collect()
     }
 
-    /// Checks that all plugins fit together, as far as this is known before loading: the field and its problem.
+    /// Checks that all plugins fit together, as far as this is known before loading.
+    ///
+    /// # Errors
+    /// The field and its problem.
     pub(crate) fn check(&self) -> Result<(), (String, String)> {
-        let (task, plan) = (self.data.task(), self.as_plan());
-        let unused = task.and_then(|task| Some(Misfit::Unused(unused(self, task)?, task)));
-        let demands = &[vec![self.initializer.demand()], self.scoring()].concat();
+        let (task, plan) = (self.data.task(), self.unscaled_plan());
+        let unused = task.and_then(|task| Some(Misfit::Unused(unused_field(self, task)?, task)));
+        let demands = &[vec![self.initializer.demand()], self.scoring_demands()].concat();
         let parts = Parts { task, demands, ..plan.parts(self.initializer.count(), None) };
         let checked = unused.map_or_else(|| compatible(&parts), Err);
         checked.map_err(|misfit| (misfit.field(), misfit.to_string()))?;
-        let good = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
-        if self.name.is_empty() || self.name.starts_with('.') || !self.name.chars().all(good) {
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
+        if self.name.is_empty() || self.name.starts_with('.') || !self.name.chars().all(is_plain) {
             let name = shortened(&self.name);
             let problem = format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`");
             return Err(("name".into(), problem));
@@ -166,8 +173,8 @@ impl Pipeline {
 }
 
 /// Returns the first field of splats with a value other than its default, although [`Pipeline::method`] does not use
-/// it.
-fn unused(pipeline: &Pipeline, task: Task) -> Option<&'static str> {
+/// it; `None` if there is none.
+fn unused_field(pipeline: &Pipeline, task: Task) -> Option<&'static str> {
     if pipeline.method.is_some() || pipeline.method().traits().rasterizer.is_some() {
         return None;
     }

@@ -37,13 +37,13 @@ impl RonTree {
     /// The problem with its byte position.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut reader = Reader { text, at: 0 };
-        reader.attributes()?;
-        let tree = reader.value(0)?;
-        reader.space()?;
-        if reader.at < text.len() { Err(reader.unexpected("the end")) } else { Ok(tree) }
+        reader.skip_attributes()?;
+        let tree = reader.parse_value(0)?;
+        reader.skip_space()?;
+        if reader.at < text.len() { Err(reader.unexpected_fault("the end")) } else { Ok(tree) }
     }
 
-    /// Returns the field called `name`.
+    /// Returns the field called `name`; `None` if there is none.
     pub fn field(&self, name: &str) -> Option<&Self> {
         self.fields().iter().find(|(field, _)| field == name).map(|(_, tree)| tree)
     }
@@ -61,22 +61,22 @@ impl RonTree {
     /// Returns the text ranges of the keys of a map, bytes; none for other values.
     pub fn keys(&self, text: &str) -> Vec<Range<usize>> {
         let mut reader = Reader { text, at: self.span.start };
-        if reader.peek() == Some('{') { reader.map(0).unwrap_or_default() } else { Vec::new() }
+        if reader.peek() == Some('{') { reader.parse_map(0).unwrap_or_default() } else { Vec::new() }
     }
 
     /// Returns the text ranges of the values that contain the byte `at`, smallest first; both ends count.
-    pub fn around(&self, at: usize) -> Vec<Range<usize>> {
+    pub fn ranges_around(&self, at: usize) -> Vec<Range<usize>> {
         if !(self.span.start..=self.span.end).contains(&at) {
             return Vec::new();
         }
         let parts = self.fields().iter().map(|(_, tree)| tree).chain(self.items());
-        let mut around = parts.map(|part| part.around(at)).find(|ranges| !ranges.is_empty()).unwrap_or_default();
-        around.push(self.span.clone());
-        around
+        let mut ranges = parts.map(|part| part.ranges_around(at)).find(|ranges| !ranges.is_empty()).unwrap_or_default();
+        ranges.push(self.span.clone());
+        ranges
     }
 
-    /// Returns the text of this value.
-    pub fn of<'a>(&self, text: &'a str) -> &'a str {
+    /// Returns the text of this value, a part of `text`.
+    pub fn text_in<'a>(&self, text: &'a str) -> &'a str {
         &text[self.span.clone()]
     }
 }
@@ -93,21 +93,21 @@ impl Reader<'_> {
         &self.text[self.at..]
     }
 
-    /// Returns the next character without reading it.
+    /// Returns the next character without reading it; `None` at the end of the text.
     fn peek(&self) -> Option<char> {
         self.rest().chars().next()
     }
 
-    /// Returns the error at this position.
-    fn unexpected(&self, expected: &str) -> String {
+    /// Returns the message for a character at this position that is not `expected`.
+    fn unexpected_fault(&self, expected: &str) -> String {
         match self.peek() {
-            Some(found) => format!("expected {expected}, found `{}`", found.escape_debug()),
+            Some(next) => format!("expected {expected}, found `{}`", next.escape_debug()),
             None => format!("expected {expected}, but the text ends"),
         }
     }
 
     /// Skips spaces and comments.
-    fn space(&mut self) -> Result<(), String> {
+    fn skip_space(&mut self) -> Result<(), String> {
         loop {
             self.at += self.rest().len() - self.rest().trim_start().len();
             if self.rest().starts_with("//") {
@@ -121,24 +121,25 @@ impl Reader<'_> {
     }
 
     /// Skips `#![enable(..)]` at the start of a file.
-    fn attributes(&mut self) -> Result<(), String> {
-        self.space()?;
+    fn skip_attributes(&mut self) -> Result<(), String> {
+        self.skip_space()?;
         while self.rest().starts_with("#!") {
             self.at += self.rest().find(']').ok_or("an attribute `#![` does not end")? + 1;
-            self.space()?;
+            self.skip_space()?;
         }
         Ok(())
     }
 
     /// Skips `sign`, and returns whether it was there.
-    fn take(&mut self, sign: char) -> bool {
+    fn take_sign(&mut self, sign: char) -> bool {
         let is_next = self.rest().starts_with(sign);
         self.at += if is_next { sign.len_utf8() } else { 0 };
         is_next
     }
 
-    /// Reads letters, digits and `_`; for numbers also signs and points.
-    fn word(&mut self, further: &str) -> &str {
+    /// Reads letters, digits, `_` and the characters `further`, such as signs and points of numbers; empty if there are
+    /// none.
+    fn read_word(&mut self, further: &str) -> &str {
         let is_raw = self.rest().strip_prefix("r#").is_some_and(|rest| rest.starts_with(char::is_alphabetic));
         self.at += if is_raw { 2 } else { 0 };
         let end = self.rest().find(|c: char| !(c.is_alphanumeric() || c == '_' || further.contains(c)));
@@ -148,32 +149,32 @@ impl Reader<'_> {
     }
 
     /// Parses a value of any type.
-    fn value(&mut self, depth: usize) -> Result<RonTree, String> {
+    fn parse_value(&mut self, depth: usize) -> Result<RonTree, String> {
         if depth > DEEPEST {
             return Err("values are nested too deep".into());
         }
-        self.space()?;
+        self.skip_space()?;
         let from = self.at;
         let (mut name, mut body) = (None, RonBody::Plain);
         match self.peek() {
-            Some('"') => self.quoted()?,
-            Some('\'') => self.character()?,
+            Some('"') => self.skip_string()?,
+            Some('\'') => self.skip_character()?,
             Some('b') if self.rest().starts_with("b\"") => {
                 self.at += 1;
-                self.quoted()?;
+                self.skip_string()?;
             }
-            Some('r') if self.rest()[1..].trim_start_matches('#').starts_with('"') => self.raw()?,
-            Some('[') => body = RonBody::Items(self.items('[', ']', depth)?),
-            Some('{') => _ = self.map(depth)?,
-            Some('(') => body = self.structure(depth)?,
+            Some('r') if self.rest()[1..].trim_start_matches('#').starts_with('"') => self.skip_raw_string()?,
+            Some('[') => body = RonBody::Items(self.parse_items('[', ']', depth)?),
+            Some('{') => _ = self.parse_map(depth)?,
+            Some('(') => body = self.parse_parentheses(depth)?,
             Some(c) if c.is_alphabetic() || c == '_' => {
-                name = Some(self.word("").to_owned());
+                name = Some(self.read_word("").to_owned());
                 let end = self.at;
-                self.space()?;
-                if self.peek() == Some('(') { body = self.structure(depth)? } else { self.at = end }
+                self.skip_space()?;
+                if self.peek() == Some('(') { body = self.parse_parentheses(depth)? } else { self.at = end }
             }
-            Some(c) if c.is_ascii_digit() || "+-.".contains(c) => _ = self.word("+-."),
-            _ => return Err(self.unexpected("a value")),
+            Some(c) if c.is_ascii_digit() || "+-.".contains(c) => _ = self.read_word("+-."),
+            _ => return Err(self.unexpected_fault("a value")),
         }
         let text = &self.text[from..self.at];
         let quoted = text.ends_with('"') || (text.starts_with('r') && text.ends_with('#'));
@@ -181,8 +182,8 @@ impl Reader<'_> {
     }
 
     /// Skips a string, `"text"`.
-    fn quoted(&mut self) -> Result<(), String> {
-        self.take('"');
+    fn skip_string(&mut self) -> Result<(), String> {
+        self.take_sign('"');
         let mut escaped = false;
         for (i, c) in self.rest().char_indices() {
             match c {
@@ -197,7 +198,7 @@ impl Reader<'_> {
     }
 
     /// Skips a raw string, `r#"text"#`.
-    fn raw(&mut self) -> Result<(), String> {
+    fn skip_raw_string(&mut self) -> Result<(), String> {
         let marks = self.rest()[1..].find('"').unwrap_or(0);
         let (start, end) = (marks + 2, format!("\"{}", "#".repeat(marks)));
         let length = self.rest()[start..].find(&end).ok_or("a raw text does not end")?;
@@ -206,7 +207,7 @@ impl Reader<'_> {
     }
 
     /// Skips a character, `'c'`.
-    fn character(&mut self) -> Result<(), String> {
+    fn skip_character(&mut self) -> Result<(), String> {
         let inside = self.rest().char_indices().skip(if self.rest().starts_with("'\\") { 3 } else { 2 });
         let end = inside.filter(|(_, c)| *c == '\'').map(|(i, _)| i).next().ok_or("a character lacks its `'`")?;
         self.at += end + 1;
@@ -214,75 +215,75 @@ impl Reader<'_> {
     }
 
     /// Parses `(field: value, ..)` or `(value, ..)`.
-    fn structure(&mut self, depth: usize) -> Result<RonBody, String> {
+    fn parse_parentheses(&mut self, depth: usize) -> Result<RonBody, String> {
         let from = self.at;
-        self.take('(');
-        self.space()?;
-        let named = !self.word("").is_empty() && {
-            self.space()?;
-            self.take(':')
+        self.take_sign('(');
+        self.skip_space()?;
+        let is_named = !self.read_word("").is_empty() && {
+            self.skip_space()?;
+            self.take_sign(':')
         };
         self.at = from;
-        if !named {
-            return Ok(RonBody::Items(self.items('(', ')', depth)?));
+        if !is_named {
+            return Ok(RonBody::Items(self.parse_items('(', ')', depth)?));
         }
         let mut fields = Vec::new();
-        self.take('(');
+        self.take_sign('(');
         loop {
-            self.space()?;
-            if self.take(')') {
+            self.skip_space()?;
+            if self.take_sign(')') {
                 return Ok(RonBody::Fields(fields));
             }
-            let name = self.word("").to_owned();
-            self.space()?;
-            if name.is_empty() || !self.take(':') {
-                return Err(self.unexpected("`field: value`"));
+            let name = self.read_word("").to_owned();
+            self.skip_space()?;
+            if name.is_empty() || !self.take_sign(':') {
+                return Err(self.unexpected_fault("`field: value`"));
             }
-            fields.push((name, self.value(depth + 1)?));
-            self.comma(')')?;
+            fields.push((name, self.parse_value(depth + 1)?));
+            self.skip_comma(')')?;
         }
     }
 
     /// Parses values between the signs `open` and `close`.
-    fn items(&mut self, open: char, close: char, depth: usize) -> Result<Vec<RonTree>, String> {
+    fn parse_items(&mut self, open: char, close: char, depth: usize) -> Result<Vec<RonTree>, String> {
         let mut items = Vec::new();
-        self.take(open);
+        self.take_sign(open);
         loop {
-            self.space()?;
-            if self.take(close) {
+            self.skip_space()?;
+            if self.take_sign(close) {
                 return Ok(items);
             }
-            items.push(self.value(depth + 1)?);
-            self.comma(close)?;
+            items.push(self.parse_value(depth + 1)?);
+            self.skip_comma(close)?;
         }
     }
 
     /// Parses `{key: value, ..}`; returns the text ranges of the keys.
-    fn map(&mut self, depth: usize) -> Result<Vec<Range<usize>>, String> {
+    fn parse_map(&mut self, depth: usize) -> Result<Vec<Range<usize>>, String> {
         let mut keys = Vec::new();
-        self.take('{');
+        self.take_sign('{');
         loop {
-            self.space()?;
-            if self.take('}') {
+            self.skip_space()?;
+            if self.take_sign('}') {
                 return Ok(keys);
             }
-            keys.push(self.value(depth + 1)?.span);
-            self.space()?;
-            if !self.take(':') {
-                return Err(self.unexpected("`:`"));
+            keys.push(self.parse_value(depth + 1)?.span);
+            self.skip_space()?;
+            if !self.take_sign(':') {
+                return Err(self.unexpected_fault("`:`"));
             }
-            self.value(depth + 1)?;
-            self.comma('}')?;
+            self.parse_value(depth + 1)?;
+            self.skip_comma('}')?;
         }
     }
 
-    /// Skips a comma, unless the end follows.
-    fn comma(&mut self, close: char) -> Result<(), String> {
-        self.space()?;
-        if self.take(',') || self.peek() == Some(close) {
+    /// Skips a comma, which may be missing only before the sign `close`.
+    fn skip_comma(&mut self, close: char) -> Result<(), String> {
+        self.skip_space()?;
+        if self.take_sign(',') || self.peek() == Some(close) {
             return Ok(());
         }
-        Err(self.unexpected(&format!("`,` or `{close}`")))
+        Err(self.unexpected_fault(&format!("`,` or `{close}`")))
     }
 }
 
@@ -300,9 +301,9 @@ mod tests {
             c: (d: r#"a"#, e: {"x": (1, 2)}, f: 'x', g: '\'', h: None),)"##;
         let tree = of(text);
         assert_eq!(tree.name.as_deref(), Some("P"));
-        let read = |name: &str| tree.field(name).unwrap().of(text);
+        let read = |name: &str| tree.field(name).unwrap().text_in(text);
         assert_eq!((read("a"), read("b")), ("-1.5e-3", r#"[X(), Y(1, "),\"("), true]"#));
-        let c: Vec<&str> = tree.field("c").unwrap().fields().iter().map(|(_, t)| t.of(text)).collect();
+        let c: Vec<&str> = tree.field("c").unwrap().fields().iter().map(|(_, t)| t.text_in(text)).collect();
         assert_eq!(c, [r##"r#"a"#"##, r#"{"x": (1, 2)}"#, "'x'", r"'\''", "None"]);
         let RonBody::Items(items) = &tree.field("b").unwrap().body else { panic!() };
         assert_eq!(items[0].name.as_deref(), Some("X"));

@@ -20,17 +20,23 @@ pub(crate) struct Setting<'a> {
 pub(crate) type TextEdit = (Range<usize>, String);
 
 impl<'a> Setting<'a> {
-    /// Finds the value at `path`.
+    /// Finds the value at `path` in the `tree` of a pipeline.
+    ///
+    /// # Errors
+    /// The first unknown step, with the valid ones.
     pub(crate) fn at(path: &str, tree: &'a RonTree) -> Result<Self, String> {
         let mut setting = Self { name: String::new(), tree, kind: Some(DocKind::Of(Docs::of::<Pipeline>())) };
         for step in path.trim().split('.') {
-            setting = setting.step(step.trim())?;
+            setting = setting.find_part(step.trim())?;
         }
         Ok(setting)
     }
 
-    /// Finds the part `step` of this value.
-    fn step(self, step: &str) -> Result<Self, String> {
+    /// Finds the part `step` of this value: a field, an element of a list, or the value itself by its name.
+    ///
+    /// # Errors
+    /// There is no such part; the message names the valid ones.
+    fn find_part(self, step: &str) -> Result<Self, String> {
         let Self { name, tree, kind } = self;
         let path = if name.is_empty() { step.to_owned() } else { format!("{name}.{step}") };
         let here = if name.is_empty() { "a pipeline".to_owned() } else { format!("`{name}`") };
@@ -42,7 +48,7 @@ impl<'a> Setting<'a> {
             });
         }
         if let (Some("Some"), [inner]) = (tree.name.as_deref(), tree.items()) {
-            return Self { name, tree: inner, kind }.step(step);
+            return Self { name, tree: inner, kind }.find_part(step);
         }
         if tree.name.as_deref() == Some(step) && !tree.fields().is_empty() {
             return Ok(Self { name: path, tree, kind });
@@ -53,13 +59,13 @@ impl<'a> Setting<'a> {
         };
         if let (false, RonBody::Items(items)) = (tree.name.is_some(), &tree.body) {
             let item = |tree| Self { name: path, tree, kind: kind.map(|k| item_kind(&k, step)) };
-            return list_item(&here, &name, items, step).map(item);
+            return find_item(&here, &name, items, step).map(item);
         }
-        Err(unknown_field(&name, tree, plugin, here, step))
+        Err(unknown_field_fault(&name, tree, plugin, here, step))
     }
 
-    /// Adds omitted quotes around text or a path, and parentheses after a plugin.
-    pub(crate) fn complete(&self, value: &str) -> String {
+    /// Returns a new `value` of this setting with omitted quotes around text or a path, and parentheses after a plugin.
+    pub(crate) fn complete_value(&self, value: &str) -> String {
         let (is_optional, kind) = match &self.kind {
             Some(DocKind::Optional(inner)) => (true, Some(&**inner)),
             other => (false, other.as_ref()),
@@ -82,24 +88,25 @@ impl<'a> Setting<'a> {
         self.tree.name.is_none() && self.tree.body == RonBody::Plain && self.tree.quoted
     }
 
-    /// Replaces this value by `new`, a value of `text`.
-    pub(crate) fn put(self, new: &RonTree, text: &str, edits: &mut Vec<TextEdit>) -> Result<(), String> {
+    /// Adds the edits that replace this value by `new`, a value of `text`, to `edits`. Settings and unnamed values
+    /// replace only the fields that they contain.
+    pub(crate) fn replace(self, new: &RonTree, text: &str, edits: &mut Vec<TextEdit>) -> Result<(), String> {
         let has_fields = matches!(self.kind, Some(DocKind::Of(Docs { body: Parts::Fields(_), .. })));
         let merges = has_fields || new.name.is_none();
         if !merges || new.fields().is_empty() || self.tree.fields().is_empty() {
-            edits.push((self.tree.span.clone(), new.of(text).to_owned()));
+            edits.push((self.tree.span.clone(), new.text_in(text).to_owned()));
             return Ok(());
         }
         for (field, value) in new.fields() {
             let parent = Setting { name: self.name.clone(), tree: self.tree, kind: self.kind.clone() };
-            parent.step(field)?.put(value, text, edits)?;
+            parent.find_part(field)?.replace(value, text, edits)?;
         }
         Ok(())
     }
 }
 
 /// Returns the error for a field `step` that the value `tree`, `here` in messages, does not have.
-fn unknown_field(name: &str, tree: &RonTree, plugin: Option<&'static str>, here: String, step: &str) -> String {
+fn unknown_field_fault(name: &str, tree: &RonTree, plugin: Option<&'static str>, here: String, step: &str) -> String {
     let plugin_hint = complete_plugin_hint(plugin, name, step);
     let names = || tree.fields().iter().map(|(field, _)| field.as_str());
     let subject = match (plugin, &tree.name) {
@@ -128,25 +135,25 @@ fn unknown_field(name: &str, tree: &RonTree, plugin: Option<&'static str>, here:
     )
 }
 
-/// Returns the positions of all paths in the value `tree` of `text`, according to its type.
-pub(crate) fn paths<'a>(kind: &DocKind, tree: &'a RonTree, text: &str) -> Vec<&'a RonTree> {
+/// Returns all values inside the value `tree` of `text` that are file paths according to its type `kind`.
+pub(crate) fn path_values<'a>(kind: &DocKind, tree: &'a RonTree, text: &str) -> Vec<&'a RonTree> {
     let kind = inner_kind(kind);
     if let (Some("Some"), [inner]) = (tree.name.as_deref(), tree.items()) {
-        return paths(kind, inner, text);
+        return path_values(kind, inner, text);
     }
     let docs = match kind {
         DocKind::Plain("path") if tree.quoted => return vec![tree],
-        DocKind::Plugin(kind) => PluginFamily::find(kind).and_then(|family| (family.docs)(tree.of(text))),
+        DocKind::Plugin(kind) => PluginFamily::find(kind).and_then(|family| (family.docs)(tree.text_in(text))),
         kind => kind.docs(),
     };
     let variant = tree.name.as_deref();
     let field_kind = |(name, value)| Some((docs?.field(variant, name)?.kind.clone(), value));
     let fields = tree.fields().iter().map(|(name, value)| (name.as_str(), value)).filter_map(field_kind);
     let items = tree.items().iter().enumerate().map(|(index, item)| (item_kind(kind, &index.to_string()), item));
-    fields.chain(items).flat_map(|(kind, value)| paths(&kind, value, text)).collect()
+    fields.chain(items).flat_map(|(kind, value)| path_values(&kind, value, text)).collect()
 }
 
-/// Returns the documentation of a field of the value `tree`.
+/// Returns the documentation of field `name` of the value `tree`, given its type; `None` if it is unknown.
 fn field_docs(kind: Option<&DocKind>, tree: &RonTree, name: &str) -> Option<&'static DocField> {
     match kind? {
         DocKind::Of(docs) => docs.field(tree.name.as_deref(), name),
@@ -159,12 +166,12 @@ fn field_docs(kind: Option<&DocKind>, tree: &RonTree, name: &str) -> Option<&'st
     }
 }
 
-/// Returns the inner type of an `Option`.
+/// Returns the inner type of an `Option`, also if nested; all other types unchanged.
 fn inner_kind(kind: &DocKind) -> &DocKind {
     if let DocKind::Optional(inner) = kind { inner_kind(inner) } else { kind }
 }
 
-/// Returns the type of an element of a list.
+/// Returns the type of element `step` of a list or tuple; all other types unchanged.
 fn item_kind(kind: &DocKind, step: &str) -> DocKind {
     match inner_kind(kind) {
         DocKind::List(inner) => (**inner).clone(),
@@ -173,8 +180,11 @@ fn item_kind(kind: &DocKind, step: &str) -> DocKind {
     }
 }
 
-/// Returns the element `step` of a list: a number, counted from 0, or a unique name.
-fn list_item<'a>(list: &str, path: &str, items: &'a [RonTree], step: &str) -> Result<&'a RonTree, String> {
+/// Finds the element `step` of a list: a number, counted from 0, or a unique name. `list` and `path` are for messages.
+///
+/// # Errors
+/// There is no such element, or several have the name.
+fn find_item<'a>(list: &str, path: &str, items: &'a [RonTree], step: &str) -> Result<&'a RonTree, String> {
     if let Ok(index) = step.parse::<usize>() {
         let count = items.len();
         let none = || format!("{list} has {count} entries, counted from 0, but no entry {step}");
@@ -216,7 +226,7 @@ fn paths_to(name: &str, tree: &RonTree) -> Vec<String> {
     tree.fields().iter().flat_map(paths_of_field).chain(items.iter().enumerate().flat_map(paths_of_item)).collect()
 }
 
-/// Returns the hint to give the complete plugin if another plugin of this kind has the field.
+/// Returns the hint to give the complete plugin if another plugin of this kind has the field `step`; otherwise empty.
 fn complete_plugin_hint(kind: Option<&'static str>, path: &str, step: &str) -> String {
     let members = kind.and_then(PluginFamily::find).map(|family| (family.members)()).unwrap_or_default();
     let other = members.iter().find(|m| m.docs.is_some_and(|docs| docs.field(None, step).is_some()));

@@ -67,9 +67,9 @@ pub fn ascend(
         search.climb(start, first_step)?;
     }
     for (kept, added) in ROUNDS {
-        search.select(kept, added)?;
+        search.select_best(kept, added)?;
     }
-    Ok(search.best())
+    Ok(search.best_result())
 }
 
 /// Receiver position with its powers from the traced transmitters.
@@ -107,11 +107,12 @@ struct Search<F> {
 }
 
 impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
-    /// Traces free positions of the Halton sequence, at most `count`.
+    /// Traces the first free positions of the Halton sequence, at most `count`; `shift` moves the sequence, as parts of the
+    /// area.
     fn screen(&mut self, count: usize, shift: [f64; 2]) -> Result<()> {
         let [low, high] = self.area;
         for k in 1..=20 * count {
-            let part = [0, 1].map(|axis| (halton(k, [2, 3][axis]) + shift[axis]).fract());
+            let part = [0, 1].map(|axis| (van_der_corput(k, [2, 3][axis]) + shift[axis]).fract());
             self.candidate_at([0, 1].map(|axis| low[axis] + part[axis] * (high[axis] - low[axis])))?;
             if self.candidates.len() == count {
                 break;
@@ -134,20 +135,21 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
     }
 
     /// Computes the coverage of a subset: exact if all transmitters are traced in the selection, otherwise smoothed.
-    fn value(&self, receivers: &[usize], is_exact: bool) -> f64 {
+    fn subset_coverage(&self, receivers: &[usize], is_exact: bool) -> f64 {
         let powers: Vec<&[f64]> = receivers.iter().map(|&k| &self.candidates[k].powers[..]).collect();
         if is_exact { coverage(&powers) } else { soft_coverage(&powers) }
     }
 
-    /// Computes the smoothed coverage of a subset and stores the subset.
+    /// Computes the smoothed coverage of the subset of `receivers`, and returns and stores the subset.
     fn assess(&mut self, mut receivers: Vec<usize>) -> Subset {
         receivers.sort_unstable();
-        let subset = Subset { value: self.value(&receivers, false), receivers };
+        let subset = Subset { value: self.subset_coverage(&receivers, false), receivers };
         self.subsets.push(subset.clone());
         subset
     }
 
-    /// Climbs from `subset` by coordinate ascent; all assessed subsets are stored.
+    /// Climbs from `subset` by coordinate ascent, with a `step` in metres that is halved at each maximum; all assessed
+    /// subsets are stored.
     fn climb(&mut self, mut subset: Subset, mut step: f64) -> Result<()> {
         for _ in 0..=HALVINGS {
             loop {
@@ -164,7 +166,7 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
         Ok(())
     }
 
-    /// Moves a receiver along an axis, forwards or backwards, if that raises the value.
+    /// Moves a receiver along an axis, forwards or backwards, if that raises the value; returns whether it moved.
     fn try_move(&mut self, subset: &mut Subset, (receiver, axis): (usize, usize), step: f64) -> Result<bool> {
         for shift in [step, -step] {
             let mut at = self.candidates[subset.receivers[receiver]].at;
@@ -181,8 +183,8 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
         Ok(false)
     }
 
-    /// Keeps the best subsets and traces them to more transmitters.
-    fn select(&mut self, kept: usize, added: usize) -> Result<()> {
+    /// Keeps the best subsets, at most `kept`, traces them to `added` more transmitters, and orders them by their new values.
+    fn select_best(&mut self, kept: usize, added: usize) -> Result<()> {
         self.subsets.sort_by(Subset::by_value);
         self.subsets.dedup_by(|a, b| a.receivers == b.receivers);
         self.subsets.truncate(kept);
@@ -196,14 +198,14 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
         }
         self.traced = to;
         for k in 0..self.subsets.len() {
-            self.subsets[k].value = self.value(&self.subsets[k].receivers, to == self.order.len());
+            self.subsets[k].value = self.subset_coverage(&self.subsets[k].receivers, to == self.order.len());
         }
         self.subsets.sort_by(Subset::by_value);
         Ok(())
     }
 
-    /// Returns the best subset, after the selection.
-    fn best(&self) -> Option<AscentResult> {
+    /// Returns the best subset, after the selection, with powers in the order of transmitters; `None` without subsets.
+    fn best_result(&self) -> Option<AscentResult> {
         let best = self.subsets.first()?;
         let receivers: Vec<&TracedPosition> = best.receivers.iter().map(|&k| &self.candidates[k]).collect();
         let in_order = |receiver: &&TracedPosition| {
@@ -221,8 +223,8 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
     }
 }
 
-/// Returns the element `k` of the van der Corput sequence in `base`.
-fn halton(mut k: usize, base: usize) -> f64 {
+/// Returns the element `k` of the van der Corput sequence in `base`: the digits of `k` mirrored at the radix point.
+fn van_der_corput(mut k: usize, base: usize) -> f64 {
     let (mut value, mut digit) = (0.0, 1.0 / base as f64);
     while k > 0 {
         value += digit * (k % base) as f64;

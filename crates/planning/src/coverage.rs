@@ -26,14 +26,14 @@ pub fn coverage(powers: &[&[f64]]) -> f64 {
 
 /// Returns the strongest power per transmitter `[T]`, dBm; `powers` holds one slice of powers `[T]` per receiver.
 pub fn strongest_powers(powers: &[&[f64]]) -> Vec<f64> {
-    over_receivers(powers, largest)
+    reduce_receivers(powers, maximum)
 }
 
 /// Returns the smooth [`coverage`]: the q at which the mean of 1 / (1 + exp((v − q) / 1 dB)) is 0.1, over soft maxima v
 /// of the powers.
 pub fn soft_coverage(powers: &[&[f64]]) -> f64 {
-    let soft = over_receivers(powers, |values| {
-        let largest = largest(values);
+    let soft = reduce_receivers(powers, |values| {
+        let largest = maximum(values);
         largest + SMOOTHING_DB * values.iter().map(|v| ((v - largest) / SMOOTHING_DB).exp()).sum::<f64>().ln()
     });
     if soft.is_empty() {
@@ -49,8 +49,8 @@ pub fn soft_coverage(powers: &[&[f64]]) -> f64 {
     f64::midpoint(low, high)
 }
 
-/// Returns `reduce` of the powers of all receivers, per transmitter.
-fn over_receivers(powers: &[&[f64]], reduce: impl Fn(&[f64]) -> f64) -> Vec<f64> {
+/// Returns `reduce` of the powers of all receivers, per transmitter `[T]`.
+fn reduce_receivers(powers: &[&[f64]], reduce: impl Fn(&[f64]) -> f64) -> Vec<f64> {
     let mut values = vec![0.0; powers.len()];
     let reduced = |t: usize| {
         values.iter_mut().zip(powers).for_each(|(value, powers)| *value = powers[t]);
@@ -59,8 +59,8 @@ fn over_receivers(powers: &[&[f64]], reduce: impl Fn(&[f64]) -> f64) -> Vec<f64>
     (0..powers.first().map_or(0, |first| first.len())).map(reduced).collect()
 }
 
-/// Returns the largest value.
-fn largest(values: &[f64]) -> f64 {
+/// Returns the largest of `values`; −∞ without values.
+fn maximum(values: &[f64]) -> f64 {
     values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
 }
 
@@ -82,7 +82,7 @@ pub struct Subset {
 /// subsets. `powers` holds powers in dBm `[T]` per receiver.
 pub fn best_subset(powers: &[Vec<f64>], count: usize) -> Option<Subset> {
     let subsets = combinations(powers.len(), count)?;
-    let all: Vec<f64> = subsets.par_iter().map(|subset| coverage_of(powers, subset)).collect();
+    let all: Vec<f64> = subsets.par_iter().map(|subset| subset_coverage(powers, subset)).collect();
     let pairs = all.into_iter().enumerate();
     let (best, coverage) = pairs.reduce(|best, next| if next.1 > best.1 { next } else { best })?;
     Some(Subset { receivers: subsets[best].clone(), coverage, evaluations: subsets.len() })
@@ -140,8 +140,8 @@ pub fn combinations(total: usize, count: usize) -> Option<Vec<Vec<usize>>> {
     }
 }
 
-/// Returns the coverage of a subset of receivers with these powers `[T]` each, dBm.
-pub fn coverage_of(powers: &[Vec<f64>], subset: &[usize]) -> f64 {
+/// Returns the [`coverage`] of a subset of receivers, dBm; `powers` holds powers in dBm `[T]` per receiver.
+pub fn subset_coverage(powers: &[Vec<f64>], subset: &[usize]) -> f64 {
     coverage(&subset.iter().map(|&r| &powers[r][..]).collect::<Vec<_>>())
 }
 
@@ -182,11 +182,11 @@ mod tests {
         for count in 1..=7_u32 {
             let masks = (0..1_u32 << 7).filter(|mask| mask.count_ones() == count);
             let members = |mask: u32| (0..7).filter(|r| mask >> r & 1 == 1).collect::<Vec<usize>>();
-            let brute = masks.map(|mask| coverage_of(&powers, &members(mask))).fold(f64::NEG_INFINITY, f64::max);
+            let brute = masks.map(|mask| subset_coverage(&powers, &members(mask))).fold(f64::NEG_INFINITY, f64::max);
             let best = best_subset(&powers, count as usize).unwrap();
-            assert_eq!((best.coverage, coverage_of(&powers, &best.receivers)), (brute, brute));
+            assert_eq!((best.coverage, subset_coverage(&powers, &best.receivers)), (brute, brute));
             let greedy = greedy_subset(&powers, count as usize);
-            assert_eq!(greedy.coverage, coverage_of(&powers, &greedy.receivers));
+            assert_eq!(greedy.coverage, subset_coverage(&powers, &greedy.receivers));
             assert!(greedy.coverage <= brute && (count > 1 || greedy.receivers == best.receivers));
         }
         assert_eq!(best_subset(&powers, 3).unwrap().evaluations, 35);

@@ -1,9 +1,9 @@
 //! Correlation of measurements, and scores of Kriging from a selection of them.
 
-use crate::survey::diagonal;
+use crate::survey::box_diagonal;
 use pwrfgs_core::kriging::{Correlation, CorrelationKind, HeldOutCases, Mean, in_space};
 use pwrfgs_core::{Baseline as _, Dataset, FittingSet, Result, evenly, rng};
-use pwrfgs_data::{Kriging, Trend, preceding};
+use pwrfgs_data::{Kriging, Trend, vecchia_cases};
 use rayon::prelude::*;
 
 /// Largest number of links in the likelihood, and of earlier links that each is given.
@@ -19,7 +19,7 @@ const HELD_OUT: usize = 4;
 ///
 /// The likelihood is the product of the densities of at most 320 links, each given the 16 nearest of those before it in random
 /// order. All receivers and values share the correlation. Received powers are residuals of a path-loss model per receiver.
-pub fn learn(data: &Dataset, transmitters: &[usize]) -> Option<Correlation> {
+pub fn learn_correlation(data: &Dataset, transmitters: &[usize]) -> Option<Correlation> {
     let mut sorted = transmitters.to_vec();
     sorted.sort_unstable();
     let mut links = evenly(&data.links_of(&sorted), CASES);
@@ -28,15 +28,15 @@ pub fn learn(data: &Dataset, transmitters: &[usize]) -> Option<Correlation> {
     }
     rng::shuffle(&mut rng::stream(0, "plan", 0), &mut links);
     let by_receiver = data.by_receiver(links);
-    let trends: Vec<Trend<'_>> = by_receiver.iter().map(|links| Trend::of(data, links)).collect();
-    let cases: Vec<_> = by_receiver.iter().flat_map(|links| preceding(data, links, NEIGHBOURS)).collect();
+    let trends: Vec<Trend<'_>> = by_receiver.iter().map(|links| Trend::fit(data, links)).collect();
+    let cases: Vec<_> = by_receiver.iter().flat_map(|links| vecchia_cases(data, links, NEIGHBOURS)).collect();
     if cases.len() < 2 {
         return None;
     }
     let position = |i: usize| in_space(data.sample(i).position());
-    let values = |_: usize, i: usize| trends[data.links[i].receiver].values(i, VALUES);
+    let values = |_: usize, i: usize| trends[data.links[i].receiver].residual_values(i, VALUES);
     let cases = HeldOutCases::new(&cases, Mean::Unknown, position, values);
-    let reach = diagonal(&sorted.iter().map(|&t| data.locations[t].position()).collect::<Vec<_>>());
+    let reach = box_diagonal(&sorted.iter().map(|&t| data.locations[t].position()).collect::<Vec<_>>());
     (reach > 0.0).then(|| most_likely(&cases, reach))
 }
 
@@ -97,10 +97,10 @@ mod tests {
     #[test]
     fn learned_scale_follows_data_and_two_links_give_none() {
         let all: Vec<usize> = (0..150).collect();
-        let [short, long] = [0.1, 2.0].map(|length| learn(&waves(length), &all).unwrap());
+        let [short, long] = [0.1, 2.0].map(|length| learn_correlation(&waves(length), &all).unwrap());
         assert!(short.scales[0] < 0.5 * long.scales[0], "{short:?} and {long:?}");
         assert!(long.scales[0] <= 10.0 && long.noise < 0.1, "{long:?}");
-        assert_eq!(learn(&waves(1.0), &[0, 1]), None);
+        assert_eq!(learn_correlation(&waves(1.0), &[0, 1]), None);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! * [`Survey`] selects the positions that lower the posterior variance of a Gaussian process most, from `Posterior`.
 //! * [`ascend`] searches positions of receivers with the largest coverage, [`best_subset`] the best of given receivers.
-//! * [`learn()`] estimates the correlation of that process from measurements, and [`kriging_scores`] scores a selection.
+//! * [`learn_correlation`] estimates the correlation of that process from measurements, and [`kriging_scores`] scores a selection.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
@@ -16,10 +16,10 @@ mod survey;
 
 pub use ascent::{AscentResult, ascend};
 pub use coverage::{
-    Subset, best_subset, combinations, coverage, coverage_of, greedy_subset, random_subsets, soft_coverage,
-    strongest_powers,
+    Subset, best_subset, combinations, coverage, greedy_subset, random_subsets, soft_coverage, strongest_powers,
+    subset_coverage,
 };
-pub use learn::{kriging_scores, learn};
+pub use learn::{kriging_scores, learn_correlation};
 #[cfg(feature = "raytrace")]
 pub use scene::{SceneCoverage, floor_grid};
 pub use survey::{Survey, SurveyPlan, default_correlation};

@@ -48,25 +48,25 @@ impl Posterior {
     }
 
     /// Returns the prior covariance of points `p` and `q`.
-    pub(crate) fn prior(&self, p: usize, q: usize) -> f64 {
+    pub(crate) fn prior_covariance(&self, p: usize, q: usize) -> f64 {
         let squared: f64 = self.columns.iter().map(|column| (column[p] - column[q]).powi(2)).sum();
         self.correlation.kind.at(squared.sqrt())
     }
 
     /// Returns the rows of the factor, one per measurement, each `[P]`.
-    pub(crate) fn rows(&self) -> impl Iterator<Item = &[f64]> + Clone {
+    pub(crate) fn factor_rows(&self) -> impl Iterator<Item = &[f64]> + Clone {
         self.factor.chunks_exact(self.point_count().max(1))
     }
 
-    /// Adds a measurement at point `s`, and returns its row of the factor.
-    pub(crate) fn add(&mut self, s: usize) -> &[f64] {
+    /// Adds a measurement at point `s`, which lowers the variances, and returns its row of the factor, `[P]`.
+    pub(crate) fn add_measurement(&mut self, s: usize) -> &[f64] {
         let pivot = (self.variances[s] + self.correlation.noise).sqrt();
         let before: Vec<(f64, &[f64])> =
-            self.rows().map(|row| (row[s], row)).filter(|(at_s, _)| at_s.abs() > NEGLIGIBLE).collect();
+            self.factor_rows().map(|row| (row[s], row)).filter(|(at_s, _)| at_s.abs() > NEGLIGIBLE).collect();
         let mut row = vec![0.0; self.point_count()];
         row.par_chunks_mut(CHUNK).enumerate().for_each(|(c, part)| {
             let first = c * CHUNK;
-            part.iter_mut().enumerate().for_each(|(i, value)| *value = self.prior(first + i, s));
+            part.iter_mut().enumerate().for_each(|(i, value)| *value = self.prior_covariance(first + i, s));
             for (at_s, other) in &before {
                 part.iter_mut().zip(&other[first..]).for_each(|(value, other)| *value -= at_s * other);
             }
@@ -93,10 +93,10 @@ mod tests {
     #[test]
     fn variance_of_one_and_two_measurements_has_closed_form() {
         let mut posterior = Posterior::new(exponential(2.0, 0.25), &[[0.0; 3], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]);
-        posterior.add(1);
+        posterior.add_measurement(1);
         let (near, far) = ((-0.5f64).exp(), (-1.0f64).exp());
         assert!((posterior.variances()[0] - (1.0 - near * near / 1.25)).abs() < 1e-15);
-        posterior.add(2);
+        posterior.add_measurement(2);
         assert!((posterior.variances()[0] - (1.0 - 2.0 * near * near / (1.25 + far))).abs() < 1e-15);
     }
 
@@ -108,7 +108,7 @@ mod tests {
         let correlation = exponential(0.8, 0.05);
         let mut posterior = Posterior::new(correlation, &points);
         let measured: Vec<usize> = (0..40).map(|k| 13 * k).collect();
-        measured.iter().for_each(|&s| _ = posterior.add(s));
+        measured.iter().for_each(|&s| _ = posterior.add_measurement(s));
         let measured_points: Vec<_> = measured.iter().map(|&s| correlation.scaled(in_space(points[s]))).collect();
         for p in [1, 13, 299, 599] {
             let kriging = solve(&correlation, Mean::Zero, &measured_points, correlation.scaled(in_space(points[p])));

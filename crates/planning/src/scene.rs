@@ -3,7 +3,7 @@
 use crate::ascent::{AscentResult, ascend};
 use glam::DVec3;
 use pwrfgs_core::{Error, Result, check_stopped, statistics};
-use pwrfgs_raytrace::world::{Triangle, World, from_scene};
+use pwrfgs_raytrace::world::{Triangle, World};
 use pwrfgs_raytrace::{ObservationKind, PreparedReceiver, SILENT_DBM, SceneFile, SimulatedObservation, Simulator};
 use rayon::prelude::*;
 use std::sync::atomic::AtomicBool;
@@ -17,11 +17,11 @@ const MOST: f64 = 1e6;
 /// # Errors
 /// A step or height out of range, a scene that cannot be built, or no free position.
 pub fn floor_grid(scene: &SceneFile, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
-    grid(scene, &from_scene(scene)?, step, height)
+    free_positions(scene, &World::from_scene(scene)?, step, height)
 }
 
-/// Same as [`floor_grid`], in the `world` of the scene.
-fn grid(scene: &SceneFile, world: &World, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
+/// Returns the positions of [`floor_grid`], in the `world` of the scene.
+fn free_positions(scene: &SceneFile, world: &World, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
     let refuse = |problem: String| Error::Config(format!("scene `{}`: {problem}", scene.name));
     if !(step.is_finite() && step > 0.0) {
         return Err(refuse(format!("a grid step of {step} m, expected more than 0, such as 0.25")));
@@ -84,12 +84,12 @@ impl SceneCoverage {
     pub fn new(scene: &SceneFile, step: f64, height: f64, mount: Option<f64>) -> Result<Self> {
         let simulator = Simulator::new(scene)?;
         let mount = mount.unwrap_or(scene.receiver.position[2]);
-        let grid = |height: f64| grid(scene, simulator.world(), step, height);
+        let grid = |height: f64| free_positions(scene, simulator.world(), step, height);
         let (transmitters, candidates) = (grid(height)?, grid(mount)?);
         Ok(Self { simulator, transmitters, candidates, mount })
     }
 
-    /// Checks the number of links of [`Self::grid`].
+    /// Checks the number of links of [`Self::grid_powers`].
     ///
     /// # Errors
     /// More than 4,000,000.
@@ -105,7 +105,8 @@ impl SceneCoverage {
         )))
     }
 
-    /// Returns the powers in dBm of a receiver from these transmitters, without receiver errors.
+    /// Returns the powers in dBm of a receiver from these transmitters, without receiver errors; the transmit power for a
+    /// transmitter at the receiver.
     fn powers(&self, receiver: &PreparedReceiver, transmitters: impl ParallelIterator<Item = usize>) -> Vec<f64> {
         let sent = self.simulator.scene().transmitter.power_dbm;
         let (center, kind) = (DVec3::from(receiver.pose().position), ObservationKind::Power { noise_db: 0.0 });
@@ -122,7 +123,7 @@ impl SceneCoverage {
         transmitters.map(power).collect()
     }
 
-    /// Returns the powers of a receiver of the grid; those of no signal if one of its antennas is in an object.
+    /// Returns the powers in dBm `[T]` of a receiver at `position`; [`SILENT_DBM`] if one of its antennas is in an object.
     fn powers_at(&self, position: [f64; 3]) -> Vec<f64> {
         let receiver = self.simulator.receiver_at(position);
         let all = (0..self.transmitters.len()).into_par_iter();
@@ -134,7 +135,7 @@ impl SceneCoverage {
     ///
     /// # Errors
     /// [`Error::Stopped`] if `stop` is set.
-    pub fn grid(&self, stop: &AtomicBool, progress: impl Fn(usize, usize)) -> Result<Vec<Vec<f64>>> {
+    pub fn grid_powers(&self, stop: &AtomicBool, progress: impl Fn(usize, usize)) -> Result<Vec<Vec<f64>>> {
         let mut powers = Vec::with_capacity(self.candidates.len());
         for chunk in self.candidates.chunks(CHUNK) {
             check_stopped(stop)?;

@@ -25,7 +25,7 @@ const FIRST_LEARNED: usize = 8;
 /// Returns the exponential correlation of a region without measurements: a length scale of a fifth of its diagonal, and
 /// a noise variance of a tenth.
 pub fn default_correlation(region: &[[f64; 3]]) -> Correlation {
-    let diagonal = diagonal(region);
+    let diagonal = box_diagonal(region);
     let length = if diagonal > 0.0 { DEFAULT_LENGTH * diagonal } else { 1.0 };
     Correlation {
         kind: CorrelationKind::Exponential,
@@ -35,7 +35,7 @@ pub fn default_correlation(region: &[[f64; 3]]) -> Correlation {
 }
 
 /// Returns the diagonal of the smallest box around `points`, metres.
-pub(crate) fn diagonal(points: &[[f64; 3]]) -> f64 {
+pub(crate) fn box_diagonal(points: &[[f64; 3]]) -> f64 {
     let extent = |k: usize| {
         let (low, high) = bounds(points.iter().map(|p| p[k]));
         (high - low).max(0.0)
@@ -70,17 +70,14 @@ impl Survey {
         let mut sorted: Vec<usize> = (0..candidates.len()).collect();
         let order = |a: &[f64; 3], b: &[f64; 3]| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal);
         sorted.sort_by(|&a, &b| order(&candidates[a], &candidates[b]).then(a.cmp(&b)));
-        let region = region.iter().map(|point| {
-            let index = sorted.binary_search_by(|&i| order(&candidates[i], point));
-            index.map_or_else(
-                |_absent| {
-                    points.push(*point);
-                    points.len() - 1
-                },
-                |at| sorted[at],
-            )
-        });
-        let region = region.collect();
+        let index = |point: &[f64; 3]| {
+            if let Ok(at) = sorted.binary_search_by(|&i| order(&candidates[i], point)) {
+                return sorted[at];
+            }
+            points.push(*point);
+            points.len() - 1
+        };
+        let region = region.iter().map(index).collect();
         let first = points.len();
         points.extend(measured);
         Self { candidates: candidates.len(), region, known: (first..points.len()).collect(), points }
@@ -99,15 +96,15 @@ impl Survey {
     ) -> SurveyPlan {
         let mut plan = SurveyPlan { order: Vec::new(), correlation };
         let count = count.min(self.candidates);
-        let mut search = self.search(&plan);
+        let mut search = self.start_search(&plan);
         loop {
             let until = (plan.order.len().max(FIRST_LEARNED / 2) * 2).min(count);
             while plan.order.len() < until {
                 if !progress(plan.order.len()) {
                     return plan;
                 }
-                let next = search.best();
-                search.add(next);
+                let next = search.best_candidate();
+                search.add_measurement(next);
                 plan.order.push(next);
             }
             if until == count {
@@ -115,21 +112,21 @@ impl Survey {
             }
             if let Some(learned) = learn(&plan.order).filter(|learned| *learned != plan.correlation) {
                 plan.correlation = learned;
-                search = self.search(&plan);
+                search = self.start_search(&plan);
             }
         }
     }
 
     /// Returns the prior covariances of candidates and region `[M,R]`.
-    fn prior(&self, correlation: Correlation) -> Vec<f64> {
+    fn prior_covariances(&self, correlation: Correlation) -> Vec<f64> {
         let (posterior, region) = (Posterior::new(correlation, &self.points), &self.region);
-        let row = |j: usize| region.iter().map(|&r| posterior.prior(j, r)).collect::<Vec<f64>>();
+        let row = |j: usize| region.iter().map(|&r| posterior.prior_covariance(j, r)).collect::<Vec<f64>>();
         (0..self.candidates).into_par_iter().flat_map_iter(row).collect()
     }
 
     /// Returns the state after the known measurements and those of `plan`.
-    fn search(&self, plan: &SurveyPlan) -> Search<'_> {
-        let prior = self.prior(plan.correlation);
+    fn start_search(&self, plan: &SurveyPlan) -> Search<'_> {
+        let prior = self.prior_covariances(plan.correlation);
         let mut search = Search {
             posterior: Posterior::new(plan.correlation, &self.points),
             sums: prior.par_chunks_exact(self.region.len().max(1)).map(|row| dot(row, row)).collect(),
@@ -137,33 +134,34 @@ impl Survey {
             is_taken: vec![false; self.candidates],
             region: &self.region,
         };
-        self.known.iter().chain(&plan.order).for_each(|&s| search.add(s));
+        self.known.iter().chain(&plan.order).for_each(|&s| search.add_measurement(s));
         search
     }
 
-    /// Selects `count` candidates by largest variance, the common rule.
-    pub fn by_largest_variance(&self, correlation: Correlation, count: usize) -> Vec<usize> {
+    /// Selects `count` candidates, or all if there are fewer, one after another, each with the largest variance: the common
+    /// rule.
+    pub fn select_by_variance(&self, correlation: Correlation, count: usize) -> Vec<usize> {
         let mut posterior = Posterior::new(correlation, &self.points);
-        self.known.iter().for_each(|&s| _ = posterior.add(s));
+        self.known.iter().for_each(|&s| _ = posterior.add_measurement(s));
         let mut is_taken = vec![false; self.candidates];
         let mut order = Vec::new();
         while order.len() < count.min(self.candidates) {
             let free = (0..self.candidates).filter(|&j| !is_taken[j]);
             let next = first_largest(free, |j| posterior.variances()[j]);
             is_taken[next] = true;
-            posterior.add(next);
+            posterior.add_measurement(next);
             order.push(next);
         }
         order
     }
 
-    /// Selects every k-th candidate.
-    pub fn regular(&self, count: usize) -> Vec<usize> {
+    /// Selects `count` candidates, evenly in their order.
+    pub fn select_regular(&self, count: usize) -> Vec<usize> {
         evenly(&(0..self.candidates).collect::<Vec<_>>(), count)
     }
 
-    /// Selects `count` random candidates.
-    pub fn random(&self, count: usize, seed: u64) -> Vec<usize> {
+    /// Selects `count` random candidates, in random order.
+    pub fn select_random(&self, count: usize, seed: u64) -> Vec<usize> {
         let mut all: Vec<usize> = (0..self.candidates).collect();
         rng::shuffle(&mut rng::stream(seed, "survey", 0), &mut all);
         all.truncate(count);
@@ -174,21 +172,21 @@ impl Survey {
     /// measurement of `order`.
     pub fn mean_variances(&self, correlation: Correlation, order: &[usize]) -> Vec<f64> {
         let mut posterior = Posterior::new(correlation, &self.points);
-        self.known.iter().for_each(|&s| _ = posterior.add(s));
+        self.known.iter().for_each(|&s| _ = posterior.add_measurement(s));
         let mean = |posterior: &Posterior| {
             let sum: f64 = self.region.iter().map(|&r| posterior.variances()[r]).sum();
             sum / self.region.len().max(1) as f64
         };
         let mut all = vec![mean(&posterior)];
         for &s in order {
-            posterior.add(s);
+            posterior.add_measurement(s);
             all.push(mean(&posterior));
         }
         all
     }
 }
 
-/// Returns the candidate with the largest value, the first of equal ones.
+/// Returns the candidate with the largest value, the first of equal ones; 0 without candidates.
 fn first_largest(candidates: impl Iterator<Item = usize>, value: impl Fn(usize) -> f64) -> usize {
     let best = candidates.map(|j| (value(j), j)).reduce(|best, next| if next.0 > best.0 { next } else { best });
     best.map_or(0, |(_, j)| j)
@@ -206,16 +204,16 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Returns the free candidate that lowers the summed variance most.
-    fn best(&self) -> usize {
+    /// Returns the free candidate j that lowers the summed variance most, by `S[j] / (v[j] + σ²)`.
+    fn best_candidate(&self) -> usize {
         let (variances, noise) = (self.posterior.variances(), self.posterior.noise());
         first_largest((0..self.sums.len()).filter(|&j| !self.is_taken[j]), |j| self.sums[j] / (variances[j] + noise))
     }
 
-    /// Adds a measurement at point `s` and updates the sums S.
-    fn add(&mut self, s: usize) {
-        let before = self.posterior.rows().count();
-        let row = self.posterior.add(s).to_vec();
+    /// Adds a measurement at point `s`, marks it as taken if it is a candidate, and updates the sums S.
+    fn add_measurement(&mut self, s: usize) {
+        let before = self.posterior.factor_rows().count();
+        let row = self.posterior.add_measurement(s).to_vec();
         if let Some(is_taken) = self.is_taken.get_mut(s) {
             *is_taken = true;
         }
@@ -224,7 +222,7 @@ impl Search<'_> {
         // Products of the earlier rows with u, to turn prior into posterior covariances.
         let product = |other: &[f64]| self.region.iter().zip(&inside).map(|(&r, u)| other[r] * u).sum::<f64>();
         let mut explained = vec![0.0; self.sums.len()];
-        for other in self.posterior.rows().take(before) {
+        for other in self.posterior.factor_rows().take(before) {
             let product = product(other);
             if product.abs() > NEGLIGIBLE * square {
                 explained.iter_mut().zip(other).for_each(|(sum, v)| *sum += product * v);
@@ -311,8 +309,8 @@ mod tests {
         let mut sorted = plan.order.clone();
         sorted.sort_unstable();
         assert_eq!(sorted, [0, 1, 2, 3, 4]);
-        assert_eq!(survey.regular(2), [0, 2]);
-        assert_eq!(survey.by_largest_variance(exponential(1.0, 0.1), 2), [0, 3]);
+        assert_eq!(survey.select_regular(2), [0, 2]);
+        assert_eq!(survey.select_by_variance(exponential(1.0, 0.1), 2), [0, 3]);
         let point = Survey::new(&square[..1], &square[..1], &[]);
         let correlation = default_correlation(&square[..1]);
         assert_eq!(point.select(correlation, 3, |_| None, |_| true).order, [0]);

@@ -55,7 +55,7 @@ impl Pruner for ControlGs {
     }
 
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<bool> {
-        let settled = number(cloud, TREND) > 0.0;
+        let settled = shared_value(cloud, TREND) > 0.0;
         cloud.opacity_logits.iter().map(|logit| settled || sigmoid(*logit) >= self.epsilon).collect()
     }
 
@@ -65,7 +65,7 @@ impl Pruner for ControlGs {
     }
 
     fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, context: &StepContext) {
-        let (n, before, mut trend) = (cloud.len(), number(cloud, COUNT), number(cloud, TREND));
+        let (n, before, mut trend) = (cloud.len(), shared_value(cloud, COUNT), shared_value(cloud, TREND));
         if before > 0.0 {
             // Before many Gaussians have faded, a small number of removals does not mean that pruning has settled.
             let many = (before - n as Real).max(0.0) >= SETTLED * before;
@@ -94,6 +94,6 @@ impl Pruner for ControlGs {
 }
 
 /// Returns the value that all Gaussians share in a column; 0 without the column.
-fn number(cloud: &GaussianCloud, column: &str) -> Real {
+fn shared_value(cloud: &GaussianCloud, column: &str) -> Real {
     cloud.extra(column).and_then(|column| column.values.first()).copied().unwrap_or(0.0)
 }

@@ -11,33 +11,33 @@ const SWEEPS: usize = 12;
 
 impl Covariance {
     /// Computes the covariance of Gaussian `i`.
-    pub(crate) fn of(cloud: &GaussianCloud, i: usize) -> Self {
-        let r = rotation(cloud.quats[i].map(f64::from));
+    pub(crate) fn new(cloud: &GaussianCloud, i: usize) -> Self {
+        let r = rotation_matrix(cloud.quats[i].map(f64::from));
         let squares = cloud.log_scales[i].map(|s| (2.0 * f64::from(s)).exp());
-        let at = |a: usize, b: usize| (0..3).map(|k| r[a][k] * squares[k] * r[b][k]).sum();
-        Self(std::array::from_fn(|a| std::array::from_fn(|b| at(a, b))))
+        let element = |a: usize, b: usize| (0..3).map(|k| r[a][k] * squares[k] * r[b][k]).sum();
+        Self(std::array::from_fn(|a| std::array::from_fn(|b| element(a, b))))
     }
 
     /// Returns the scales along the principal axes and the rotation to them (quaternion w, x, y, z), by Jacobi's
     /// eigenvalue method.
-    pub(crate) fn axes(&self) -> ([f64; 3], [f64; 4]) {
+    pub(crate) fn principal_axes(&self) -> ([f64; 3], [f64; 4]) {
         let mut a = self.0;
         let mut v = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         for _ in 0..SWEEPS {
             for (p, q) in [(0, 1), (0, 2), (1, 2)] {
-                turn(&mut a, &mut v, p, q);
+                apply_jacobi_rotation(&mut a, &mut v, p, q);
             }
         }
         let scales = [0, 1, 2].map(|k: usize| a[k][k].max(0.0).sqrt());
         if determinant(&v) < 0.0 {
             v.iter_mut().for_each(|row| row[2] = -row[2]); // a rotation instead of a reflection
         }
-        (scales, quaternion(&v))
+        (scales, quat_from_matrix(&v))
     }
 }
 
-/// Applies one Jacobi rotation that makes the element (p, q) zero.
-fn turn(a: &mut [[f64; 3]; 3], v: &mut [[f64; 3]; 3], p: usize, q: usize) {
+/// Applies one Jacobi rotation, which makes the element (p, q) of `a` zero, to `a` and to the eigenvectors `v`.
+fn apply_jacobi_rotation(a: &mut [[f64; 3]; 3], v: &mut [[f64; 3]; 3], p: usize, q: usize) {
     if a[p][q] == 0.0 {
         return;
     }
@@ -53,13 +53,14 @@ fn turn(a: &mut [[f64; 3]; 3], v: &mut [[f64; 3]; 3], p: usize, q: usize) {
     }
 }
 
+/// Returns the determinant of a 3 × 3 matrix.
 fn determinant(m: &[[f64; 3]; 3]) -> f64 {
     let minor = |a: usize, b: usize| m[1][a] * m[2][b] - m[1][b] * m[2][a];
     m[0][0] * minor(1, 2) - m[0][1] * minor(0, 2) + m[0][2] * minor(0, 1)
 }
 
-/// Returns the rotation matrix of a quaternion of any length above 0.
-fn rotation(q: [f64; 4]) -> [[f64; 3]; 3] {
+/// Returns the rotation matrix of a quaternion of any length; the identity for a quaternion close to zero.
+fn rotation_matrix(q: [f64; 4]) -> [[f64; 3]; 3] {
     let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt();
     let [w, x, y, z] = if norm > 1e-12 { q.map(|v| v / norm) } else { [1.0, 0.0, 0.0, 0.0] };
     [
@@ -70,7 +71,7 @@ fn rotation(q: [f64; 4]) -> [[f64; 3]; 3] {
 }
 
 /// Returns the quaternion of a rotation matrix, from its largest component (Shepperd's method).
-fn quaternion(r: &[[f64; 3]; 3]) -> [f64; 4] {
+fn quat_from_matrix(r: &[[f64; 3]; 3]) -> [f64; 4] {
     let trace = r[0][0] + r[1][1] + r[2][2];
     let squares = [trace, r[0][0], r[1][1], r[2][2]];
     let first = (1..4).fold(0, |best, k| if squares[k] > squares[best] { k } else { best });
@@ -99,14 +100,14 @@ mod tests {
             let mut cloud = GaussianCloud::zeros(1);
             cloud.quats[0] = std::array::from_fn(|_| rng::normal(&mut random));
             cloud.log_scales[0] = std::array::from_fn(|_| rng::normal(&mut random));
-            let covariance = Covariance::of(&cloud, 0);
-            let (scales, quat) = covariance.axes();
+            let covariance = Covariance::new(&cloud, 0);
+            let (scales, quat) = covariance.principal_axes();
             let mut sorted = [scales, cloud.log_scales[0].map(|s| f64::from(s).exp())];
             sorted.iter_mut().for_each(|s| s.sort_by(f64::total_cmp));
             sorted[0].iter().zip(sorted[1]).for_each(|(a, b)| assert!((a - b).abs() < 1e-4 * b, "{a} is not {b}"));
             cloud.quats[0] = quat.map(|q| q as Real);
             cloud.log_scales[0] = scales.map(|s| s.ln() as Real);
-            let again = Covariance::of(&cloud, 0);
+            let again = Covariance::new(&cloud, 0);
             let largest = sorted[1][2] * sorted[1][2];
             for (a, b) in covariance.0.iter().flatten().zip(again.0.iter().flatten()) {
                 assert!((a - b).abs() < 1e-4 * largest, "{a} is not {b}");

@@ -57,7 +57,7 @@ impl Pruner for GaussianSpa {
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
         let last = context.round > 0 && context.round == context.rounds;
-        let count = if last { count(cloud.len(), context) } else { cloud.len() };
+        let count = if last { kept_count(cloud.len(), context) } else { cloud.len() };
         best(count, &self.score(cloud, stats, context), |_| true)
     }
 
@@ -77,7 +77,7 @@ impl Pruner for GaussianSpa {
         let opacities: Vec<Real> = cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect();
         let Some(dual) = cloud.extra(DUAL).map(|column| column.values.clone()) else { return };
         let shifted: Vec<Real> = opacities.iter().zip(&dual).map(|(o, u)| o + u).collect();
-        let open = best(count(cloud.len(), context), &shifted, |_| true);
+        let open = best(kept_count(cloud.len(), context), &shifted, |_| true);
         let sparse: Vec<Real> = shifted.iter().zip(open).map(|(w, open)| if open { w.max(0.0) } else { 0.0 }).collect();
         for column in &mut cloud.extra {
             match column.name.as_str() {
@@ -111,7 +111,7 @@ impl Pruner for GaussianSpa {
     }
 }
 
-/// Returns k, the number of Gaussians to keep of `n`.
-fn count(n: usize, context: &StepContext) -> usize {
+/// Returns k, the number of Gaussians to keep of `n`: the target, at least 1; all without a target.
+fn kept_count(n: usize, context: &StepContext) -> usize {
     context.target.unwrap_or(n).clamp(1, n.max(1))
 }

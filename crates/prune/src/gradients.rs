@@ -1,6 +1,6 @@
 //! Pruners whose scores include the gradient of the position.
 
-use crate::rounds::{check_share, quantile, ranking};
+use crate::rounds::{check_share, quantile, ranking_traits};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, sigmoid,
 };
@@ -44,14 +44,14 @@ impl Pruner for TrimmingTheFat {
         if context.round == 0 {
             return vec![true; cloud.len()];
         }
-        let gradients = gradients(stats, cloud.len());
+        let gradients = mean_gradients(stats, cloud.len());
         let faint = quantile(&cloud.opacity_logits, self.opacity_quantile);
         let small = quantile(&gradients, self.gradient_quantile);
         cloud.opacity_logits.iter().zip(&gradients).map(|(o, g)| *o >= faint || *g >= small).collect()
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {
-        let ranks = [ranks(&cloud.opacity_logits), ranks(&gradients(stats, cloud.len()))];
+        let ranks = [ranks(&cloud.opacity_logits), ranks(&mean_gradients(stats, cloud.len()))];
         ranks[0].iter().zip(&ranks[1]).map(|(a, b)| a.max(*b)).collect()
     }
 
@@ -61,12 +61,12 @@ impl Pruner for TrimmingTheFat {
     }
 }
 
-/// Returns the mean positional gradient over the spectra in which each Gaussian is visible, `[N]`.
-fn gradients(stats: &CloudStats, n: usize) -> Vec<Real> {
+/// Returns the mean positional gradient per Gaussian `[N]`, over the spectra in which it is visible; 0 if there are none.
+fn mean_gradients(stats: &CloudStats, n: usize) -> Vec<Real> {
     (0..n).map(|i| if stats.visible[i] > 0.0 { stats.gradient[i] / stats.visible[i] } else { 0.0 }).collect()
 }
 
-/// Returns the number of smaller values for each value; equal values have equal ranks.
+/// Returns the rank of each value: the number of smaller values. Equal values have equal ranks.
 fn ranks(values: &[Real]) -> Vec<Real> {
     let mut sorted = values.to_vec();
     sorted.sort_by(Real::total_cmp);
@@ -102,7 +102,7 @@ impl Default for Taming3dgs {
 #[typetag::serde]
 impl Pruner for Taming3dgs {
     fn traits(&self) -> PrunerTraits {
-        ranking()
+        ranking_traits()
     }
 
     fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
@@ -113,7 +113,7 @@ impl Pruner for Taming3dgs {
         let n = cloud.len();
         let scale = |s: &[Real; 3]| s.iter().copied().fold(Real::NEG_INFINITY, Real::max).exp();
         let terms: [(Real, Vec<Real>); 7] = [
-            (25.0, gradients(stats, n)),
+            (25.0, mean_gradients(stats, n)),
             (100.0, cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect()),
             (10.0, stats.radius.clone()),
             (25.0, cloud.log_scales.iter().map(scale).collect()),

@@ -4,7 +4,7 @@
 //! This file is the worked example of a pruner that learns: a column, a gate and a penalty, written forward-only on the
 //! tape of the step. dfdx differentiates; the file contains no derivative by hand.
 
-use crate::rounds::{check_rate, check_weight, learned, shortened_rate};
+use crate::rounds::{check_rate, check_weight, learned_column, shortened_rate};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, StepContext,
@@ -110,7 +110,7 @@ impl Pruner for LearnableMask {
     fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
         (context.phase != Phase::Finetune).then(|| {
             let masks = cloud.column(COLUMN).sigmoid();
-            let threshold = self.lowest_open(&values(&masks), context);
+            let threshold = self.open_threshold(&values(&masks), context);
             cloud.straight_through(masks, threshold).into()
         })
     }
@@ -118,13 +118,13 @@ impl Pruner for LearnableMask {
     fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
         (context.phase != Phase::Finetune && !cloud.is_empty()).then(|| {
             let masks = cloud.column(COLUMN).sigmoid();
-            let lambda = self.lambda * self.pressure(&values(&masks), context);
+            let lambda = self.lambda * self.penalty_factor(&values(&masks), context);
             masks.mean::<Rank0, _>() * lambda
         })
     }
 
     fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<Real> {
-        learned(cloud, COLUMN)
+        learned_column(cloud, COLUMN)
     }
 
     fn outlook(&self, initial: usize) -> Option<String> {
@@ -132,13 +132,13 @@ impl Pruner for LearnableMask {
         let nearest = PAPER.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
         let (lambda, share) = (nearest.0, nearest.1 / PAPER_START);
         let lambda_name = if distance(nearest) < 1e-6 { "this" } else { "the nearest published" };
-        let fate = match share * initial as f64 {
+        let number = match share * initial as f64 {
             few if few < 1.0 => "less than one".to_owned(),
             some => format!("{some:.0}"),
         };
         Some(format!(
             "LearnableMask: lambda decides a share that falls with the length of pruning; at {lambda_name} lambda, {lambda}, the \
-             paper keeps {:.2} % of 190,000 points, which is {fate} of these {initial} Gaussians",
+             paper keeps {:.2} % of 190,000 points, which is {number} of these {initial} Gaussians",
             100.0 * share
         ))
     }
@@ -149,7 +149,7 @@ impl Pruner for LearnableMask {
     }
 
     fn steps_to_close(&self, decays: [Real; 2]) -> Option<u64> {
-        (self.lambda > 0.0).then(|| self.steps_of_fall(decays.map(f64::from)))
+        (self.lambda > 0.0).then(|| self.steps_to_threshold(decays.map(f64::from)))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -170,7 +170,7 @@ impl Pruner for LearnableMask {
 impl LearnableMask {
     /// Returns the value of σ(m) from which a mask is open: the threshold, or less if fewer masks than the next prune step
     /// keeps would be open.
-    fn lowest_open(&self, masks: &[Real], context: &StepContext) -> Real {
+    fn open_threshold(&self, masks: &[Real], context: &StepContext) -> Real {
         if context.target.is_none() {
             return self.threshold;
         }
@@ -181,7 +181,7 @@ impl LearnableMask {
 
     /// Returns the factor on λ: 1 without a target; with one, the share still open of those that the next prune step
     /// removes.
-    fn pressure(&self, masks: &[Real], context: &StepContext) -> Real {
+    fn penalty_factor(&self, masks: &[Real], context: &StepContext) -> Real {
         if context.target.is_none() {
             return 1.0;
         }
@@ -190,9 +190,9 @@ impl LearnableMask {
         open.saturating_sub(quota) as Real / (n - quota).max(1) as Real
     }
 
-    /// Returns the number of steps in which the penalty alone closes a mask, by the update of the optimiser in double
-    /// precision.
-    fn steps_of_fall(&self, [beta1, beta2]: [f64; 2]) -> u64 {
+    /// Returns the number of steps in which the penalty alone moves a mask from its initial value below the threshold, by
+    /// the update of the optimiser in double precision; at most [`MOST_STEPS`].
+    fn steps_to_threshold(&self, [beta1, beta2]: [f64; 2]) -> u64 {
         let [rate, threshold, lambda] = [self.learning_rate, self.threshold, self.lambda].map(f64::from);
         let (mut m, mut first, mut second) = (f64::from(self.initial_logit), 0.0, 0.0);
         let mut closes = |step: &u64| {

@@ -78,12 +78,12 @@ impl Pruner for Lp3dgs {
         }
         let mut random = rng::stream(context.seed, "pruner Lp3dgs", context.step);
         let noise = cloud.constant(logistic_noise(cloud.len(), &mut random));
-        Some(Gate::Existence(((odds(cloud) + noise) / TEMPERATURE).sigmoid()))
+        Some(Gate::Existence(((keep_logits(cloud) + noise) / TEMPERATURE).sigmoid()))
     }
 
     fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
         (context.phase != Phase::Finetune && !cloud.is_empty())
-            .then(|| odds(cloud).sigmoid().mean::<Rank0, _>() * self.lambda)
+            .then(|| keep_logits(cloud).sigmoid().mean::<Rank0, _>() * self.lambda)
     }
 
     /// Updates the importance of the Gaussians without changing the Gaussians.
@@ -118,7 +118,7 @@ impl Pruner for Lp3dgs {
     }
 }
 
-/// Returns m + ln(S/S̃), of which m is learned.
-fn odds(cloud: &TracedCloud) -> Trace {
+/// Returns the logits m + ln(S/S̃) of the keep probabilities on the tape; only m is learned.
+fn keep_logits(cloud: &TracedCloud) -> Trace {
     cloud.column(COLUMN) + cloud.leaf(IMPORTANCE).clone()
 }

@@ -1,6 +1,6 @@
 //! Pruner with one Bernoulli sample per Gaussian and step; masked Gaussians still learn.
 
-use crate::rounds::{check_rate, check_weight, learned, logistic_noise, shortened_rate};
+use crate::rounds::{check_rate, check_weight, learned_column, logistic_noise, shortened_rate};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, StepContext,
@@ -72,16 +72,16 @@ impl Pruner for MaskGaussian {
     }
 
     fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
-        (context.phase != Phase::Finetune).then(|| Gate::Existence(throw(cloud, context)))
+        (context.phase != Phase::Finetune).then(|| Gate::Existence(sample_mask(cloud, context)))
     }
 
     fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
         (context.phase != Phase::Finetune && !cloud.is_empty())
-            .then(|| throw(cloud, context).mean::<Rank0, _>().square() * self.lambda)
+            .then(|| sample_mask(cloud, context).mean::<Rank0, _>().square() * self.lambda)
     }
 
     fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<Real> {
-        learned(cloud, COLUMN)
+        learned_column(cloud, COLUMN)
     }
 
     fn shortened(&self, scale: f64) -> Option<Box<dyn Pruner>> {
@@ -95,8 +95,8 @@ impl Pruner for MaskGaussian {
     }
 }
 
-/// Returns M of this step: the same sample for the gate and for the penalty.
-fn throw(cloud: &TracedCloud, context: &StepContext) -> Trace {
+/// Samples the masks M of this step on the tape: the same sample for the gate and for the penalty.
+fn sample_mask(cloud: &TracedCloud, context: &StepContext) -> Trace {
     let mut random = rng::stream(context.seed, "pruner MaskGaussian", context.step);
     let noise = cloud.constant(logistic_noise(cloud.len(), &mut random));
     cloud.straight_through((cloud.column(COLUMN) + noise).sigmoid(), 0.5)

@@ -72,7 +72,7 @@ impl Pruner for Mcmc {
         for i in 0..cloud.len() {
             let size = self.noise * sigmoid(100.0 * (FAINT - sigmoid(cloud.opacity_logits[i])));
             let draw = [(); 3].map(|()| rng::normal(&mut random));
-            let covariance = Covariance::of(cloud, i).0;
+            let covariance = Covariance::new(cloud, i).0;
             for k in 0..3 {
                 cloud.means[i][k] += size * (0..3).map(|j| covariance[k][j] as Real * draw[j]).sum::<Real>();
             }
@@ -96,7 +96,7 @@ impl Pruner for Mcmc {
             return None;
         }
         let mut random = rng::stream(context.seed, "pruner Mcmc", context.step);
-        let drawn = draws(&alive, &opacities, n - alive.len() + added, &mut random);
+        let drawn = draw_by_opacity(&alive, &opacities, n - alive.len() + added, &mut random);
         let mut shared = vec![1usize; n];
         drawn.iter().for_each(|&i| shared[i] += 1);
         // Faint Gaussians take the positions of the first draws, new rows those of the others.
@@ -111,7 +111,7 @@ impl Pruner for Mcmc {
         let order: Vec<usize> = rows.iter().map(|row| row.source()).collect();
         let mut moved = cloud.select(&order);
         for (k, &source) in order.iter().enumerate().filter(|(_, source)| shared[**source] > 1) {
-            let (opacity, shrink) = share_out(opacities[source], shared[source]);
+            let (opacity, shrink) = shared_opacity_and_scale(opacities[source], shared[source]);
             moved.opacity_logits[k] = logit(opacity as Real);
             moved.log_scales[k].iter_mut().for_each(|s| *s += shrink.ln() as Real);
             rows[k] = RowOrigin::Copied(source); // Gaussians at a shared position restart their moments
@@ -124,8 +124,8 @@ impl Pruner for Mcmc {
     }
 }
 
-/// Draws `count` of `alive`, each with probability proportional to its opacity.
-fn draws(alive: &[usize], opacities: &[f64], count: usize, random: &mut rng::Rng) -> Vec<usize> {
+/// Draws `count` Gaussians of `alive` with replacement, each with probability proportional to its opacity.
+fn draw_by_opacity(alive: &[usize], opacities: &[f64], count: usize, random: &mut rng::Rng) -> Vec<usize> {
     let mut sum = 0.0;
     let sums: Vec<f64> = alive
         .iter()
@@ -135,14 +135,15 @@ fn draws(alive: &[usize], opacities: &[f64], count: usize, random: &mut rng::Rng
         })
         .collect();
     let draw = |_| {
-        let at = f64::from(rng::uniform(random)) * sum;
-        alive[sums.partition_point(|s| *s <= at).min(alive.len() - 1)]
+        let drawn = f64::from(rng::uniform(random)) * sum;
+        alive[sums.partition_point(|s| *s <= drawn).min(alive.len() - 1)]
     };
     (0..count).map(draw).collect()
 }
 
-/// Returns the opacity of each of `k` Gaussians that share a position, and the factor on their scales.
-fn share_out(opacity: f64, k: usize) -> (f64, f64) {
+/// Returns the opacity of each of `k` Gaussians that share a position, and the factor on their scales, such that together
+/// they blend as one Gaussian of `opacity`; eq. (9) of 3DGS-MCMC.
+fn shared_opacity_and_scale(opacity: f64, k: usize) -> (f64, f64) {
     let k = k.min(50); // for larger k, rounding dominates the alternating sum
     let shared = (1.0 - (1.0 - opacity).powf(1.0 / k as f64)).clamp(1e-6, 1.0 - 1e-6);
     let mut sum = 0.0;
@@ -165,10 +166,10 @@ mod tests {
     fn copies_preserve_opacity_of_original() {
         // Amplitude over a line through both: o₂ = 1 − √(1−o); 2 o₂ s′ − o₂² s′/√2 = o s.
         for opacity in [0.05, 0.3, 0.8] {
-            let (shared, shrink) = share_out(opacity, 2);
+            let (shared, shrink) = shared_opacity_and_scale(opacity, 2);
             assert!((1.0 - (1.0 - shared).powi(2) - opacity).abs() < 1e-12);
             assert!((shrink * (2.0 * shared - shared * shared / 2f64.sqrt()) - opacity).abs() < 1e-12, "{opacity}");
         }
-        assert!((share_out(0.3, 1).1 - 1.0).abs() < 1e-12);
+        assert!((shared_opacity_and_scale(0.3, 1).1 - 1.0).abs() < 1e-12);
     }
 }

@@ -45,8 +45,8 @@ impl Pruner for MergeByMoments {
     }
 }
 
-/// Returns opacity times the product of the scales.
-fn mass(cloud: &GaussianCloud, i: usize) -> f64 {
+/// Returns the mass of Gaussian `i`: opacity times the product of the scales, m³.
+fn gaussian_mass(cloud: &GaussianCloud, i: usize) -> f64 {
     let volume: f64 = cloud.log_scales[i].iter().map(|s| f64::from(*s)).sum::<f64>().exp();
     f64::from(sigmoid(cloud.opacity_logits[i])) * volume
 }
@@ -57,7 +57,7 @@ fn merge_pass(edit: &mut CloudEdit, count: usize) {
     let CloudEdit { cloud, rows } = edit;
     let n = cloud.len();
     let nearest = neighbours::k_nearest(&cloud.means, &cloud.means, 2.min(n));
-    let masses: Vec<f64> = (0..n).map(|i| mass(cloud, i)).collect();
+    let masses: Vec<f64> = (0..n).map(|i| gaussian_mass(cloud, i)).collect();
     let pair = |i: usize| {
         let &(j, squared) = nearest[i].iter().find(|(j, _)| *j != i)?;
         let (a, b) = (masses[i], masses[j]);
@@ -65,26 +65,26 @@ fn merge_pass(edit: &mut CloudEdit, count: usize) {
     };
     let mut pairs: Vec<(f64, usize, usize)> = (0..n).filter_map(pair).collect();
     pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-    let (mut taken, mut gone) = (vec![false; n], vec![false; n]);
+    let (mut taken, mut removed) = (vec![false; n], vec![false; n]);
     let mut left = n;
     for (_, i, j) in pairs {
         if left > count && !taken[i] && !taken[j] {
-            join(cloud, [i, j], [masses[i], masses[j]]);
+            merge_rows(cloud, [i, j], [masses[i], masses[j]]);
             rows[i] = RowOrigin::Copied(rows[i].source());
-            (taken[i], taken[j], gone[j]) = (true, true, true);
+            (taken[i], taken[j], removed[j]) = (true, true, true);
             left -= 1;
         }
     }
-    let stay: Vec<usize> = (0..n).filter(|&i| !gone[i]).collect();
-    *cloud = cloud.select(&stay);
-    *rows = stay.iter().map(|&i| rows[i]).collect();
+    let kept: Vec<usize> = (0..n).filter(|&i| !removed[i]).collect();
+    *cloud = cloud.select(&kept);
+    *rows = kept.iter().map(|&i| rows[i]).collect();
 }
 
-/// Replaces row `i` by the merged Gaussian of rows `i` and `j`.
-fn join(cloud: &mut GaussianCloud, [i, j]: [usize; 2], [a, b]: [f64; 2]) {
-    let whole = (a + b).max(f64::MIN_POSITIVE);
-    let (a, b) = if a + b > 0.0 { (a / whole, b / whole) } else { (0.5, 0.5) };
-    let covariances = [Covariance::of(cloud, i), Covariance::of(cloud, j)];
+/// Replaces row `i` by the merged Gaussian of rows `i` and `j`, whose masses are `a` and `b`.
+fn merge_rows(cloud: &mut GaussianCloud, [i, j]: [usize; 2], [a, b]: [f64; 2]) {
+    let mass = (a + b).max(f64::MIN_POSITIVE);
+    let (a, b) = if a + b > 0.0 { (a / mass, b / mass) } else { (0.5, 0.5) };
+    let covariances = [Covariance::new(cloud, i), Covariance::new(cloud, j)];
     let means = [cloud.means[i], cloud.means[j]].map(|mean| mean.map(f64::from));
     let between: [f64; 3] = std::array::from_fn(|k| means[0][k] - means[1][k]);
     let joint = Covariance(std::array::from_fn(|r| {
@@ -92,11 +92,11 @@ fn join(cloud: &mut GaussianCloud, [i, j]: [usize; 2], [a, b]: [f64; 2]) {
             a * covariances[0].0[r][c] + b * covariances[1].0[r][c] + a * b * between[r] * between[c]
         })
     }));
-    let (scales, quat) = joint.axes();
+    let (scales, quat) = joint.principal_axes();
     let volume: f64 = scales.iter().product();
     cloud.log_scales[i] = scales.map(|s| s.max(1e-9).ln() as Real);
     cloud.quats[i] = quat.map(|q| q as Real);
-    cloud.opacity_logits[i] = logit((whole / volume.max(1e-30)).clamp(1e-6, 0.99) as Real);
+    cloud.opacity_logits[i] = logit((mass / volume.max(1e-30)).clamp(1e-6, 0.99) as Real);
     let mix = |x: Real, y: Real| (a * f64::from(x) + b * f64::from(y)) as Real;
     cloud.means[i] = std::array::from_fn(|k| mix(cloud.means[i][k], cloud.means[j][k]));
     cloud.signals[i] = std::array::from_fn(|k| mix(cloud.signals[i][k], cloud.signals[j][k]));

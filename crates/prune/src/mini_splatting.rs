@@ -1,6 +1,6 @@
 //! Pruners by blending weight: weighted random sample, cumulated weight or quantile.
 
-use crate::rounds::{check_share, quantile, requested_statistic, without_share};
+use crate::rounds::{check_share, quantile, requested_statistic, without_lowest_share};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, rng,
 };
@@ -18,6 +18,7 @@ pub enum SelectionRule {
 }
 
 impl SelectionRule {
+    /// Returns the share or quantile of the rule.
     fn share(self) -> Real {
         let (Self::Sampled(share) | Self::Cumulated(share) | Self::Above(share)) = self;
         share
@@ -76,14 +77,14 @@ impl Pruner for MiniSplatting {
                 let limit = quantile(&scores, share);
                 scores.iter().map(|score| *score > limit).collect()
             }
-            SelectionRule::Sampled(share) => without_share(&scores, 1.0 - share),
+            SelectionRule::Sampled(share) => without_lowest_share(&scores, 1.0 - share),
             SelectionRule::Cumulated(share) => {
-                let whole: f64 = scores.iter().map(|s| f64::from(*s)).sum();
+                let total: f64 = scores.iter().map(|s| f64::from(*s)).sum();
                 let mut order: Vec<usize> = (0..scores.len()).collect();
                 order.sort_by(|&i, &j| scores[j].total_cmp(&scores[i]));
                 let (mut kept, mut sum) = (vec![false; scores.len()], 0.0);
                 for i in order {
-                    kept[i] = sum < f64::from(share) * whole;
+                    kept[i] = sum < f64::from(share) * total;
                     sum += f64::from(scores[i]);
                 }
                 kept

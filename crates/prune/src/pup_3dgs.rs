@@ -1,6 +1,6 @@
 //! Pruner by the sensitivity of the spectra to position and scale.
 
-use crate::rounds::ranking;
+use crate::rounds::ranking_traits;
 use pwrfgs_core::{CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext};
 use serde::{Deserialize, Serialize};
 
@@ -37,7 +37,7 @@ impl Default for Pup3dgs {
 #[typetag::serde]
 impl Pruner for Pup3dgs {
     fn traits(&self) -> PrunerTraits {
-        ranking()
+        ranking_traits()
     }
 
     fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {

@@ -1,6 +1,6 @@
 //! Reference strategies: random removal as the lower reference, and greedy elimination as the upper reference.
 
-use crate::rounds::{ranking, requested_statistic};
+use crate::rounds::{ranking_traits, requested_statistic};
 use pwrfgs_core::{
     CloudStats, GaussianCloud, JsonSchema, Needs, PassStatistics, Pruner, PrunerTraits, Real, Statistic, StepContext,
     rng,
@@ -25,7 +25,7 @@ pub struct RandomReference {}
 #[typetag::serde]
 impl Pruner for RandomReference {
     fn traits(&self) -> PrunerTraits {
-        ranking()
+        ranking_traits()
     }
 
     fn score(&self, cloud: &GaussianCloud, _: &CloudStats, context: &StepContext) -> Vec<Real> {
@@ -65,7 +65,7 @@ impl Default for GreedyElimination {
 #[typetag::serde]
 impl Pruner for GreedyElimination {
     fn traits(&self) -> PrunerTraits {
-        ranking()
+        ranking_traits()
     }
 
     fn needs(&self, cloud: &GaussianCloud, _: &StepContext) -> Needs {

@@ -3,29 +3,29 @@
 use pwrfgs_core::{Budget, GaussianCloud, PrunerTraits, Real, best};
 
 /// Returns the traits of a pruner that only ranks Gaussians: the number to keep is that of the target.
-pub(crate) fn ranking() -> PrunerTraits {
+pub(crate) fn ranking_traits() -> PrunerTraits {
     PrunerTraits { budget: Some(Budget::Gradual), requires_target: true, ..PrunerTraits::default() }
 }
 
-/// Returns a share of `n`, rounded to a whole number if it differs from one only by the rounding of the share.
-pub(crate) fn share_of(n: usize, share: Real) -> f64 {
+/// Returns `share` · `n`, rounded to a whole number if it differs from one only by the rounding of the share.
+pub(crate) fn rounded_share(n: usize, share: Real) -> f64 {
     let part = n as f64 * f64::from(share);
     if (part - part.round()).abs() <= 1e-6 * n as f64 { part.round() } else { part }
 }
 
-/// Keeps all Gaussians except the lowest `share` by `scores`.
-pub(crate) fn without_share(scores: &[Real], share: Real) -> Vec<bool> {
-    let gone = share_of(scores.len(), share).floor() as usize;
-    best(scores.len() - gone.min(scores.len()), scores, |_| true)
+/// Returns whether each Gaussian is kept: all except the lowest `share` by `scores`.
+pub(crate) fn without_lowest_share(scores: &[Real], share: Real) -> Vec<bool> {
+    let removed = rounded_share(scores.len(), share).floor() as usize;
+    best(scores.len() - removed.min(scores.len()), scores, |_| true)
 }
 
-/// Returns a requested statistic; the opacity if the pass did not compute it, so that zeros never decide.
+/// Returns a requested statistic; the opacity logits if the pass did not compute it, so that zeros never decide.
 pub(crate) fn requested_statistic(column: &[Real], cloud: &GaussianCloud) -> Vec<Real> {
     if column.len() == cloud.len() { column.to_vec() } else { cloud.opacity_logits.clone() }
 }
 
-/// Returns a learned column; the opacity if the cloud does not have it.
-pub(crate) fn learned(cloud: &GaussianCloud, column: &str) -> Vec<Real> {
+/// Returns the values of a column of width 1; the opacity logits if the cloud does not have it.
+pub(crate) fn learned_column(cloud: &GaussianCloud, column: &str) -> Vec<Real> {
     cloud.extra(column).map_or_else(|| cloud.opacity_logits.clone(), |column| column.values.clone())
 }
 
@@ -36,11 +36,11 @@ pub(crate) fn shortened_rate(rate: Real, adam: bool, scale: f64) -> Real {
     ((f64::from(rate) / scale) as Real).min(most)
 }
 
-/// Returns the quantile `q` of `values`; −∞ if `values` is empty.
+/// Returns the quantile `q` of `values`, one of them without interpolation; −∞ if `values` is empty.
 pub(crate) fn quantile(values: &[Real], q: Real) -> Real {
     let mut sorted = values.to_vec();
     sorted.sort_by(Real::total_cmp);
-    let rank = share_of(sorted.len(), q).ceil() as usize;
+    let rank = rounded_share(sorted.len(), q).ceil() as usize;
     sorted.get(rank.max(1) - 1).copied().unwrap_or(Real::NEG_INFINITY)
 }
 
@@ -51,12 +51,12 @@ pub(crate) fn logistic_noise(n: usize, random: &mut pwrfgs_core::rng::Rng) -> Ve
     (0..n).map(draw).map(|u| u.ln() - (1.0 - u).ln()).collect()
 }
 
-/// Checks for a number from 0 to 1.
+/// Rejects a number outside 0 to 1; the error names the `field`.
 pub(crate) fn check_share(field: &str, value: Real) -> Result<(), String> {
     if (0.0..=1.0).contains(&value) { Ok(()) } else { Err(format!("`{field}` is {value}; give a number from 0 to 1")) }
 }
 
-/// Checks for a number from 0 to below 1.
+/// Rejects a number outside 0 to below 1; the error names the `field`.
 pub(crate) fn check_below_one(field: &str, value: Real) -> Result<(), String> {
     if (0.0..1.0).contains(&value) {
         return Ok(());
@@ -64,12 +64,12 @@ pub(crate) fn check_below_one(field: &str, value: Real) -> Result<(), String> {
     Err(format!("`{field}` is {value}; give a number from 0 to below 1"))
 }
 
-/// Checks for a finite number, 0 or more.
+/// Rejects a number that is negative or not finite; the error names the `field`.
 pub(crate) fn check_weight(field: &str, value: Real) -> Result<(), String> {
     if value.is_finite() && value >= 0.0 { Ok(()) } else { Err(format!("`{field}` is {value}; give 0 or more")) }
 }
 
-/// Checks a learning rate of Adam.
+/// Rejects a learning rate that is not finite and above 0.
 pub(crate) fn check_rate(value: Real) -> Result<(), String> {
     if value.is_finite() && value > 0.0 {
         return Ok(());

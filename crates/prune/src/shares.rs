@@ -1,7 +1,7 @@
 //! Pruners that rank Gaussians by their effect on the spectra: blending weight (LightGaussian), contributed signal
 //! (`SignalContribution`), or sensitivity (`SpeedySplat`).
 
-use crate::rounds::{quantile, ranking, requested_statistic};
+use crate::rounds::{quantile, ranking_traits, requested_statistic};
 use pwrfgs_core::{CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext};
 use serde::{Deserialize, Serialize};
 
@@ -32,7 +32,7 @@ const VOLUME_POWER: Real = 0.1;
 #[typetag::serde]
 impl Pruner for LightGaussian {
     fn traits(&self) -> PrunerTraits {
-        ranking()
+        ranking_traits()
     }
 
     fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
@@ -87,7 +87,7 @@ pub struct SignalContribution {
 #[typetag::serde]
 impl Pruner for SignalContribution {
     fn traits(&self) -> PrunerTraits {
-        ranking()
+        ranking_traits()
     }
 
     fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
@@ -132,7 +132,7 @@ impl Default for SpeedySplat {
 #[typetag::serde]
 impl Pruner for SpeedySplat {
     fn traits(&self) -> PrunerTraits {
-        ranking()
+        ranking_traits()
     }
 
     fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {

@@ -3,7 +3,7 @@
 use crate::blend::{
     ALPHA_MIN, Backward, CONIC, EXISTENCE, Forward, GEOMETRY, MEAN, OPACITY, PIXELS, TILE, Tile, WEIGHT,
 };
-use crate::canvas::{gather, patches};
+use crate::canvas::{gather_tile, patches};
 use crate::survey::SurveyTile;
 use crate::tiles::{Support, TileLists};
 use pwrfgs_core::{
@@ -56,13 +56,13 @@ impl Rasterizer for AlphaBlending {
         tiles.enumerate().for_each_init(
             || vec![0.0; channels * PIXELS],
             |scratch, (t, (mut signal, mut transmittance))| {
-                let tile = tile(lists, t, splats);
+                let tile = tile_at(lists, t, splats);
                 if tile.list.is_empty() {
                     return; // zeros and ones already
                 }
                 let remaining = widest(Forward { tile: &tile, out: scratch });
-                signal.put(scratch);
-                transmittance.put(remaining.remaining().as_flattened());
+                signal.write_tile(scratch);
+                transmittance.write_tile(remaining.remaining().as_flattened());
             },
         );
         Render { pixels, transmittance, cache: prepared.clone() }
@@ -75,21 +75,21 @@ impl Rasterizer for AlphaBlending {
         let stride = GEOMETRY + channels;
         let mut parts = vec![0.0; lists.splats.len() * stride];
         let mut rest = parts.as_mut_slice();
-        let mut slices = Vec::with_capacity(lists.len());
-        for t in 0..lists.len() {
-            let (slice, tail) = rest.split_at_mut(lists.of(t).0.len() * stride);
+        let mut slices = Vec::with_capacity(lists.tile_count());
+        for t in 0..lists.tile_count() {
+            let (slice, tail) = rest.split_at_mut(lists.tile_splats(t).0.len() * stride);
             slices.push(slice);
             rest = tail;
         }
         slices.into_par_iter().enumerate().for_each_init(
             || (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS], vec![[0.0; TILE]; channels]),
             |(pixels, d, d_signal), (t, out)| {
-                let tile = tile(lists, t, splats);
+                let tile = tile_at(lists, t, splats);
                 if tile.list.is_empty() {
                     return;
                 }
-                gather(&render.pixels, plane, tile.corner, pixels);
-                gather(d_pixels, plane, tile.corner, d);
+                gather_tile(&render.pixels, plane, tile.corner, pixels);
+                gather_tile(d_pixels, plane, tile.corner, d);
                 widest(Backward { tile: &tile, pixels, d_pixels: d, d_signal, out });
             },
         );
@@ -112,14 +112,14 @@ impl Rasterizer for AlphaBlending {
         let lists: &TileLists = cached(&render.cache);
         let channels = render.pixels.len() / (plane.width * plane.height);
         let survey_tile = |t: usize| {
-            let tile = tile(lists, t, splats.with_signals(&[], channels, plane));
+            let tile = tile_at(lists, t, splats.with_signals(&[], channels, plane));
             widest(SurveyTile { tile: &tile, picture: &render.pixels, survey })
         };
-        let tiles: Vec<Vec<SplatStats>> = (0..lists.len()).into_par_iter().map(survey_tile).collect();
+        let tiles: Vec<Vec<SplatStats>> = (0..lists.tile_count()).into_par_iter().map(survey_tile).collect();
         // Sums in tile order do not depend on the assignment of tiles to threads.
         let mut sums = vec![SplatStats::default(); splats.len()];
         for (t, stats) in tiles.iter().enumerate() {
-            lists.of(t).0.iter().zip(stats).for_each(|(&i, stats)| sums[i as usize].add(stats));
+            lists.tile_splats(t).0.iter().zip(stats).for_each(|(&i, stats)| sums[i as usize].add(stats));
         }
         sums
     }
@@ -137,14 +137,14 @@ impl Rasterizer for AlphaBlending {
     }
 }
 
-/// Returns tile `t` of the image with its splats.
-fn tile<'a>(lists: &'a TileLists, t: usize, splats: SignalSplats<'a>) -> Tile<'a> {
-    let (list, rows) = lists.of(t);
+/// Returns tile `t` of the image with the splats that may cover it.
+fn tile_at<'a>(lists: &'a TileLists, t: usize, splats: SignalSplats<'a>) -> Tile<'a> {
+    let (list, rows) = lists.tile_splats(t);
     let SignalSplats { geometry, signals, channels, plane } = splats;
     Tile { splats: geometry, signals, channels, plane, list, rows, corner: lists.corner(t) }
 }
 
-/// Sums the cotangents of each splat over its tiles, in tile order, independent of the threads.
+/// Sums the cotangents `parts` of each of `n` splats over its tiles, in tile order, independent of the threads.
 fn sum_over_tiles(lists: &TileLists, n: usize, channels: usize, parts: &[Real]) -> RenderVjp {
     let stride = GEOMETRY + channels;
     let mut first = vec![0usize; n + 1];

@@ -90,7 +90,7 @@ impl Rasterizer for ArrayResponse {
     }
 
     fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
-        let waves = self.antennas(plane).waves(splats);
+        let waves = Antennas::new(self, plane).waves(splats);
         Some(Arc::new(Steered { waves, beams: self.beams(plane) }))
     }
 
@@ -98,7 +98,7 @@ impl Rasterizer for ArrayResponse {
         let SignalSplats { geometry, signals, channels, plane } = splats;
         assert_eq!(signals.len(), geometry.len() * channels, "one signal a splat and channel");
         let Steered { waves, beams } = cached(prepared);
-        let field = field(geometry, signals, waves, self.rows * self.columns, channels);
+        let field = array_field(geometry, signals, waves, self.rows * self.columns, channels);
         let mut pixels = vec![0.0; channels * plane.width * plane.height];
         beams.draw(&field, &mut pixels);
         Render { pixels, transmittance: Vec::new(), cache: prepared.clone() }
@@ -106,7 +106,7 @@ impl Rasterizer for ArrayResponse {
 
     fn backward(&self, splats: SignalSplats<'_>, render: &Render, d_pixels: &[Real]) -> RenderVjp {
         let SignalSplats { geometry: splats, signals, channels, plane } = splats;
-        let antennas = self.antennas(plane);
+        let antennas = Antennas::new(self, plane);
         let elements = antennas.len();
         let Steered { waves, beams } = cached(&render.cache);
         let d_field = beams.draw_vjp(d_pixels);
@@ -129,7 +129,7 @@ impl Rasterizer for ArrayResponse {
             let signal = &signals[i * channels..(i + 1) * channels];
             let wave = &waves[i * elements..(i + 1) * elements];
             let mut d_wave = vec![[0.0; 2]; elements];
-            *opacity = superpose_vjp(splats.opacities[i], signal, wave, &d_field, d_signals, &mut d_wave);
+            *opacity = array_field_vjp(splats.opacities[i], signal, wave, &d_field, d_signals, &mut d_wave);
             (*mean, *conic, *depth) = antennas.wave_vjp(splats, i, wave, &d_wave);
             let strength: Real = wave.iter().map(|[re, im]| re.hypot(*im)).sum();
             *weight = splats.opacities[i] * strength / elements as Real * (plane.width * plane.height) as Real;
@@ -137,7 +137,7 @@ impl Rasterizer for ArrayResponse {
         out
     }
 
-    fn coherent(&self) -> bool {
+    fn is_coherent(&self) -> bool {
         true
     }
 
@@ -169,11 +169,7 @@ impl Rasterizer for ArrayResponse {
 }
 
 impl ArrayResponse {
-    fn antennas(&self, plane: &ImagePlane) -> Antennas {
-        let Self { rows, columns, spacing_wavelengths, widened, wavefront } = *self;
-        Antennas::new((rows, columns), spacing_wavelengths, widened, wavefront, plane)
-    }
-
+    /// Returns the beams of the array at every pixel, from the cache or computed and added to it.
     fn beams(&self, plane: &ImagePlane) -> Arc<Beams> {
         let grid = (self.rows, self.columns, self.spacing_wavelengths, plane.clone());
         let tables = TABLES.read().unwrap_or_else(PoisonError::into_inner);
@@ -181,10 +177,10 @@ impl ArrayResponse {
             return Arc::clone(beams);
         }
         drop(tables);
-        let beams = Arc::new(Beams::new(&self.antennas(plane), plane));
+        let beams = Arc::new(Beams::new(&Antennas::new(self, plane), plane));
         let mut tables = TABLES.write().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, same)) = tables.iter().find(|(stored, _)| *stored == grid) {
-            return Arc::clone(same); // another thread was faster; all threads share its table
+        if let Some((_, stored)) = tables.iter().find(|(stored, _)| *stored == grid) {
+            return Arc::clone(stored); // another thread was faster; all threads share its table
         }
         tables.insert(0, (grid, Arc::clone(&beams)));
         let size = |(rows, columns, _, plane): &Grid| rows * columns * plane.width * plane.height;
@@ -204,8 +200,14 @@ struct Steered {
     beams: Arc<Beams>,
 }
 
-/// Returns h, the sum of all waves, `[channels/2, K]` complex numbers, from `waves` `[N, K]`.
-fn field(splats: &Splats, signals: &[Real], waves: &[[Real; 2]], elements: usize, channels: usize) -> Vec<[Real; 2]> {
+/// Returns the field h of the array, the sum of all waves, `[channels/2, K]` complex numbers, from `waves` `[N, K]`.
+fn array_field(
+    splats: &Splats,
+    signals: &[Real],
+    waves: &[[Real; 2]],
+    elements: usize,
+    channels: usize,
+) -> Vec<[Real; 2]> {
     assert!(channels.is_multiple_of(2), "complex signals come as pairs of channels");
     let mut field = vec![[0.0; 2]; channels / 2 * elements];
     field.par_chunks_exact_mut(elements).enumerate().with_min_len(4).for_each(|(b, h)| {
@@ -224,9 +226,9 @@ fn field(splats: &Splats, signals: &[Real], waves: &[[Real; 2]], elements: usize
     field
 }
 
-/// Computes the derivative of [`field`] for one splat: fills `d_signals` `[channels]`, adds to `d_wave` `[K]`, returns
+/// Computes the derivative of [`array_field`] for one splat: fills `d_signals` `[channels]`, adds to `d_wave` `[K]`, returns
 /// the cotangent of the opacity.
-fn superpose_vjp(
+fn array_field_vjp(
     opacity: Real,
     signals: &[Real],
     wave: &[[Real; 2]],

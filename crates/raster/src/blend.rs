@@ -69,8 +69,9 @@ pub(crate) struct SplatRow {
 }
 
 impl Tile<'_> {
+    /// Returns a transmittance of 1 in the pixels inside the image; those outside are final.
     #[inline(always)]
-    pub(crate) fn start(&self) -> Transmittance {
+    pub(crate) fn initial_transmittance(&self) -> Transmittance {
         let mut t = Transmittance { signed: [[-1.0; TILE]; TILE], is_live: [false; TILE] };
         let columns = (self.plane.width - self.corner.0).min(TILE);
         for row in 0..(self.plane.height - self.corner.1).min(TILE) {
@@ -80,6 +81,7 @@ impl Tile<'_> {
         t
     }
 
+    /// Computes the values of splat `i` that all rows of the tile share.
     #[inline(always)]
     pub(crate) fn splat_row(&self, i: usize) -> SplatRow {
         let [x, y] = self.splats.means2d[i];
@@ -99,7 +101,7 @@ impl Tile<'_> {
     fn forward<S: pulp::Simd>(&self, simd: S, out: &mut [Real]) -> Transmittance {
         out.fill(0.0);
         let out = out.as_chunks_mut::<TILE>().0; // row `row` of channel c is out[c · TILE + row]
-        let mut t = self.start();
+        let mut t = self.initial_transmittance();
         for (&i, &[first, end]) in self.list.iter().zip(self.rows) {
             let i = i as usize;
             let splat = self.splat_row(i);
@@ -108,7 +110,7 @@ impl Tile<'_> {
                 if !t.is_live[row] {
                     continue;
                 }
-                let (_, raw) = splat.alpha((self.corner.1 + row) as Real);
+                let (_, raw) = splat.gauss_and_alpha((self.corner.1 + row) as Real);
                 let weight = t.blend(row, &splat.with_existence(raw));
                 for (c, s) in signal.iter().enumerate() {
                     Real::add_scaled(simd, &mut out[c * TILE + row], *s, &weight);
@@ -134,7 +136,7 @@ impl Tile<'_> {
         for k in 0..pixels.len() {
             Real::add_product(simd, &mut q_behind[k % TILE], &pixels[k], &d_pixels[k]);
         }
-        let mut t = self.start();
+        let mut t = self.initial_transmittance();
         let stride = GEOMETRY + self.channels;
         for ((&i, &[first, end]), out) in self.list.iter().zip(self.rows).zip(out.chunks_exact_mut(stride)) {
             let i = i as usize;
@@ -146,7 +148,8 @@ impl Tile<'_> {
                 if !t.is_live[row] {
                     continue;
                 }
-                let (gauss, raw) = splat.alpha((self.corner.1 + row) as Real);
+                let y = (self.corner.1 + row) as Real;
+                let (gauss, raw) = splat.gauss_and_alpha(y);
                 let alpha = splat.with_existence(raw);
                 let before = t.signed[row];
                 let weight = t.blend(row, &alpha);
@@ -157,7 +160,6 @@ impl Tile<'_> {
                     Real::add_scaled(simd, &mut q, *s, g);
                     Real::add_product(simd, &mut d_signal[c], &weight, g);
                 }
-                let dy = splat.y - (self.corner.1 + row) as Real;
                 let (mut d_alpha, mut d_power) = ([0.0; TILE], [0.0; TILE]);
                 for lane in 0..TILE {
                     q_behind[row][lane] -= weight[lane] * q[lane];
@@ -165,19 +167,14 @@ impl Tile<'_> {
                     d_alpha[lane] = if drawn[lane] > 0.0 { through } else { 0.0 };
                     d_power[lane] = d_alpha[lane] * splat.opacity * gauss[lane];
                 }
-                if splat.existence != 1.0 {
-                    Real::add_product(simd, &mut d[EXISTENCE], &d_alpha, &raw);
-                    d_alpha = lanes(|lane| d_alpha[lane] * splat.existence);
-                    d_power = lanes(|lane| d_power[lane] * splat.existence);
-                } else if self.splats.existence.len() > i {
+                if self.splats.existence.len() > i {
                     Real::add_product(simd, &mut d[EXISTENCE], &d_alpha, &raw);
                 }
-                let SplatRow { dx, a, b, c, .. } = &splat;
-                Real::add_product(simd, &mut d[MEAN], &d_power, &lanes(|lane| -(a * dx[lane] + b * dy)));
-                Real::add_product(simd, &mut d[MEAN + 1], &d_power, &lanes(|lane| -(c * dy + b * dx[lane])));
-                Real::add_product(simd, &mut d[CONIC], &d_power, &lanes(|lane| -0.5 * dx[lane] * dx[lane]));
-                Real::add_product(simd, &mut d[CONIC + 1], &d_power, &lanes(|lane| -dx[lane] * dy));
-                Real::add_scaled(simd, &mut d[CONIC + 2], -0.5 * dy * dy, &d_power);
+                if splat.existence != 1.0 {
+                    d_alpha = lanes(|lane| d_alpha[lane] * splat.existence);
+                    d_power = lanes(|lane| d_power[lane] * splat.existence);
+                }
+                splat.add_power_vjp(simd, splat.y - y, &d_power, &mut d);
                 Real::add_product(simd, &mut d[OPACITY], &d_alpha, &gauss);
                 Real::add_scaled(simd, &mut d[WEIGHT], 1.0, &weight);
             }
@@ -228,17 +225,29 @@ impl SplatRow {
         if self.existence == 1.0 { alpha } else { lanes(|lane| alpha[lane] * self.existence) }
     }
 
-    /// Returns the derivatives of the exponent by mean (2) and conic (3), in one pixel.
+    /// Adds the cotangents of mean and conic in a row to `d`, given those of the exponent; `dy` is the row offset mean −
+    /// pixel.
     #[inline(always)]
-    pub(crate) fn slopes(&self, lane: usize, y: Real) -> [Real; 5] {
+    fn add_power_vjp<S: pulp::Simd>(&self, simd: S, dy: Real, d_power: &PixelRow, d: &mut [PixelRow; GEOMETRY]) {
+        let Self { dx, a, b, c, .. } = self;
+        Real::add_product(simd, &mut d[MEAN], d_power, &lanes(|lane| -(a * dx[lane] + b * dy)));
+        Real::add_product(simd, &mut d[MEAN + 1], d_power, &lanes(|lane| -(c * dy + b * dx[lane])));
+        Real::add_product(simd, &mut d[CONIC], d_power, &lanes(|lane| -0.5 * dx[lane] * dx[lane]));
+        Real::add_product(simd, &mut d[CONIC + 1], d_power, &lanes(|lane| -dx[lane] * dy));
+        Real::add_scaled(simd, &mut d[CONIC + 2], -0.5 * dy * dy, d_power);
+    }
+
+    /// Returns the derivatives of the exponent by mean (2) and conic (3), in the pixel at `lane` of row `y`.
+    #[inline(always)]
+    pub(crate) fn exponent_slopes(&self, lane: usize, y: Real) -> [Real; 5] {
         let (dx, dy) = (self.dx[lane], self.y - y);
         let along = [-(self.a * dx + self.b * dy), -(self.c * dy + self.b * dx)];
         [along[0], along[1], -0.5 * dx * dx, -dx * dy, -0.5 * dy * dy]
     }
 
-    /// Returns G and γ in row `y`; γ is 0 if the splat is not drawn.
+    /// Returns G and γ, without the existence factor, in the pixels of row `y`; γ is 0 if the splat is not drawn.
     #[inline(always)]
-    pub(crate) fn alpha(&self, y: Real) -> (PixelRow, PixelRow) {
+    pub(crate) fn gauss_and_alpha(&self, y: Real) -> (PixelRow, PixelRow) {
         let dy = self.y - y;
         let (along, cross) = (-0.5 * self.c * dy * dy, self.b * dy);
         let (mut gauss, mut alpha) = ([0.0; TILE], [0.0; TILE]);
@@ -254,7 +263,7 @@ impl SplatRow {
 }
 
 impl Transmittance {
-    /// Returns the blending weights γ·T of a row; the rest is transmitted to the next splat.
+    /// Blends a splat into a row: returns its blending weights γ·T and updates the transmittance.
     ///
     /// Uses one loop per quantity, on a copy: conditional stores to the tile itself would be compiled lane by lane.
     #[inline(always)]
@@ -294,7 +303,7 @@ impl Transmittance {
     }
 }
 
-/// Returns one number per lane.
+/// Returns a row with `value(lane)` in each lane.
 #[inline(always)]
 fn lanes(value: impl Fn(usize) -> Real) -> PixelRow {
     let mut row = [0.0; TILE];
@@ -304,7 +313,7 @@ fn lanes(value: impl Fn(usize) -> Real) -> PixelRow {
     row
 }
 
-/// Wraps `d` into [-width/2, width/2): the nearest copy of a splat on an image that wraps.
+/// Wraps the column offset `d` into [-width/2, width/2): to the nearest copy of a splat on an image that wraps.
 #[inline(always)]
 pub(crate) fn nearest_image(d: Real, width: Real) -> Real {
     d - width * (d / width + 0.5).floor()
@@ -314,13 +323,13 @@ pub(crate) fn nearest_image(d: Real, width: Real) -> Real {
 /// lanes vectorise.
 #[inline(always)]
 pub(crate) fn exp_nonpositive(x: Real) -> Real {
-    if size_of::<Real>() == 8 { x.exp() } else { fast(x as f32) as Real }
+    if size_of::<Real>() == 8 { x.exp() } else { exp_single(x as f32) as Real }
 }
 
-/// Computes 2ⁿ · e^r with |r| ≤ ln2/2: n by the rounding trick, r in two steps (Cody and Waite), e^r by its Taylor
+/// Computes eˣ as 2ⁿ · e^r with |r| ≤ ln2/2: n by the rounding trick, r in two steps (Cody and Waite), e^r by its Taylor
 /// polynomial of degree 6, whose last coefficients are adjusted for the interval.
 #[inline(always)]
-fn fast(x: f32) -> f32 {
+fn exp_single(x: f32) -> f32 {
     const ROUND: f32 = 12_582_912.0; // 1.5 · 2²³
     let x = x.max(-87.0);
     let shifted = x.mul_add(std::f32::consts::LOG2_E, ROUND);

@@ -20,19 +20,19 @@ pub(crate) struct Patch<'a> {
     width: usize,
     size: usize,
     channels: usize,
-    pictures: PhantomData<&'a mut [Real]>,
+    images: PhantomData<&'a mut [Real]>,
 }
 
 // SAFETY: no other patch or reference accesses these pixels during its lifetime, so it may be moved like the `&mut
 // [Real]` that it represents.
 unsafe impl Send for Patch<'_> {}
 
-/// Divides `pictures` `[channels, H, W]` into tiles, row by row.
-pub(crate) fn patches<'a>(pictures: &'a mut [Real], plane: &ImagePlane) -> Vec<Patch<'a>> {
+/// Divides `images` `[channels, H, W]` into tiles, row by row.
+pub(crate) fn patches<'a>(images: &'a mut [Real], plane: &ImagePlane) -> Vec<Patch<'a>> {
     let (width, height) = (plane.width, plane.height);
     let size = width * height;
-    assert!(pictures.len().is_multiple_of(size), "whole pictures");
-    let (start, channels) = (pictures.as_mut_ptr(), pictures.len() / size.max(1));
+    assert!(images.len().is_multiple_of(size), "whole pictures");
+    let (start, channels) = (images.as_mut_ptr(), images.len() / size.max(1));
     let corners = (0..height).step_by(TILE).flat_map(|y| (0..width).step_by(TILE).map(move |x| (x, y)));
     let patch = |(x, y)| Patch {
         start: start.wrapping_add(y * width + x),
@@ -41,7 +41,7 @@ pub(crate) fn patches<'a>(pictures: &'a mut [Real], plane: &ImagePlane) -> Vec<P
         width,
         size,
         channels,
-        pictures: PhantomData,
+        images: PhantomData,
     };
     corners.map(patch).collect()
 }
@@ -49,7 +49,7 @@ pub(crate) fn patches<'a>(pictures: &'a mut [Real], plane: &ImagePlane) -> Vec<P
 impl Patch<'_> {
     /// Copies `tile` `[channels][PIXELS]` into the images.
     #[inline]
-    pub(crate) fn put(&mut self, tile: &[Real]) {
+    pub(crate) fn write_tile(&mut self, tile: &[Real]) {
         for (c, tile) in tile.chunks_exact(PIXELS).take(self.channels).enumerate() {
             for row in 0..self.rows {
                 // SAFETY: the patch begins at column x and row y of whole images with x + columns ≤ W and y + rows ≤ H,
@@ -65,13 +65,13 @@ impl Patch<'_> {
     }
 }
 
-/// Copies the tile at column x and row y of `pictures` into `tile` `[channels][PIXELS]`; pixels outside the image are
+/// Copies the tile at column x and row y of `images` into `tile` `[channels][PIXELS]`; pixels outside the image are
 /// 0.
 #[inline]
-pub(crate) fn gather(pictures: &[Real], plane: &ImagePlane, (x, y): (usize, usize), tile: &mut [Real]) {
+pub(crate) fn gather_tile(images: &[Real], plane: &ImagePlane, (x, y): (usize, usize), tile: &mut [Real]) {
     let (columns, rows) = (TILE.min(plane.width - x), TILE.min(plane.height - y));
     tile.fill(0.0);
-    for (picture, tile) in pictures.chunks_exact(plane.width * plane.height).zip(tile.chunks_exact_mut(PIXELS)) {
+    for (picture, tile) in images.chunks_exact(plane.width * plane.height).zip(tile.chunks_exact_mut(PIXELS)) {
         for row in 0..rows {
             copy_row(&mut tile[row * TILE..], &picture[(y + row) * plane.width + x..], columns);
         }
@@ -97,18 +97,18 @@ mod tests {
     fn threads_write_only_their_own_tiles() {
         for (width, height, channels) in [(37, 21, 2), (16, 16, 1), (5, 40, 3), (32, 1, 1), (0, 7, 0)] {
             let plane = ImagePlane::plain(width, height);
-            let mut pictures = vec![-1.0; channels * width * height];
-            let patches = patches(&mut pictures, &plane);
+            let mut images = vec![-1.0; channels * width * height];
+            let patches = patches(&mut images, &plane);
             let across = width.div_ceil(TILE);
             assert_eq!(patches.len(), across * height.div_ceil(TILE));
             // Tile t holds the numbers from 1000 t on, with different numbers in every channel.
             let tile = |t: usize| (0..channels * PIXELS).map(move |i| (1000 * t + i) as Real).collect::<Vec<_>>();
             std::thread::scope(|scope| {
                 for (t, mut patch) in patches.into_iter().enumerate() {
-                    scope.spawn(move || patch.put(&tile(t)));
+                    scope.spawn(move || patch.write_tile(&tile(t)));
                 }
             });
-            for (i, pixel) in pictures.iter().enumerate() {
+            for (i, pixel) in images.iter().enumerate() {
                 let (c, x, y) = (i / (width * height), i % width, i / width % height);
                 let t = y / TILE * across + x / TILE;
                 let expected = 1000 * t + c * PIXELS + y % TILE * TILE + x % TILE;
@@ -117,7 +117,7 @@ mod tests {
             for t in 0..across * height.div_ceil(TILE) {
                 let (x, y) = (t % across * TILE, t / across * TILE);
                 let mut read = vec![7.0; channels * PIXELS];
-                gather(&pictures, &plane, (x, y), &mut read);
+                gather_tile(&images, &plane, (x, y), &mut read);
                 for (i, (pixel, written)) in read.iter().zip(tile(t)).enumerate() {
                     let inside = x + i % TILE < width && y + i / TILE % TILE < height;
                     assert_eq!(*pixel, if inside { written } else { 0.0 });

@@ -50,7 +50,7 @@ pub trait CameraModel: Sync {
     }
 
     /// Returns whether a Gaussian centred at `v` is drawn: its pixel must be finite.
-    fn visible(&self, v: Vec3) -> bool {
+    fn is_visible(&self, v: Vec3) -> bool {
         self.pixel(v).iter().all(|x| x.is_finite())
     }
 
@@ -62,7 +62,7 @@ pub trait CameraModel: Sync {
 
     /// Returns whether the splat with this centre, covariance (a, b, c) and radius reaches the image, that is, some
     /// pixel may have a γ of 1/255. On an image that wraps, every column is inside.
-    fn reaches(&self, centre: [Real; 2], cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
+    fn is_on_image(&self, centre: [Real; 2], cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
         let _ = radius;
         let inside = |at: Real, variance: Real, pixels: usize| {
             let half = REACH * variance.sqrt();
@@ -74,11 +74,11 @@ pub trait CameraModel: Sync {
 
 /// Rejects a low-pass filter that is not positive.
 pub(crate) fn check_blur(blur: Real) -> Result<(), String> {
-    let fits = blur > 0.0 && blur.is_finite();
-    if fits { Ok(()) } else { Err("`blur` must be above 0 px²; give 0.3, for example".into()) }
+    let is_valid = blur > 0.0 && blur.is_finite();
+    if is_valid { Ok(()) } else { Err("`blur` must be above 0 px²; give 0.3, for example".into()) }
 }
 
-/// Returns the distance of a mean from a position, in double precision, rounded once.
+/// Returns the distance of a mean from a position, metres, computed in double precision and rounded once.
 pub(crate) fn distance(mean: [Real; 3], from: [f64; 3]) -> Real {
     let square = |k: usize| (mean[k] as f64 - from[k]).powi(2);
     (square(0) + square(1) + square(2)).sqrt() as Real
@@ -95,9 +95,10 @@ struct Projected {
     det: Real,
 }
 
-fn project_one(model: &impl CameraModel, view: &ViewTransform, p: &Primitives, i: usize) -> Projected {
+/// Projects Gaussian `i`: centre, square root of the covariance on the image, and covariance.
+fn project_gaussian(model: &impl CameraModel, view: &ViewTransform, p: &Primitives, i: usize) -> Projected {
     let v = view.rotation * Vec3::from_array(p.means[i]) + view.offset;
-    let rotation = rotation_of(p.quats[i]);
+    let rotation = rotation_matrix(p.quats[i]);
     let [sx, sy, sz] = p.scales[i];
     let scaled = Mat3::from_cols(rotation.x_axis * sx, rotation.y_axis * sy, rotation.z_axis * sz);
     let to_world = view.rotation.transpose();
@@ -113,8 +114,8 @@ fn project_one(model: &impl CameraModel, view: &ViewTransform, p: &Primitives, i
     Projected { v, t, u, rotation, scaled, cov: [aa + blur, bb, cc + blur], det }
 }
 
-/// Returns the radius of three standard deviations along the longest axis, rounded up, as in 3DGS.
-fn radius_of([a, _, c]: [Real; 3], det: Real) -> Real {
+/// Returns the radius of three standard deviations along the longest axis, pixels, rounded up, as in 3DGS.
+fn splat_radius([a, _, c]: [Real; 3], det: Real) -> Real {
     let mid = 0.5 * (a + c);
     (3.0 * (mid + (mid * mid - det).max(0.1).sqrt()).sqrt()).ceil()
 }
@@ -131,20 +132,20 @@ pub fn project(model: &impl CameraModel, p: &Primitives, pose: &Pose, plane: &Im
         .zip(out.radii.par_iter_mut())
         .zip(out.opacities.par_iter_mut());
     rows.enumerate().with_min_len(256).for_each(|(i, (((((mean, conic), depth), sigma), radius), opacity))| {
-        let g = project_one(model, &view, p, i);
+        let g = project_gaussian(model, &view, p, i);
         *opacity = p.opacities[i];
         *depth = model.depth(p.means[i], pose);
-        if !(model.visible(g.v) && g.det > 0.0 && g.det.is_finite()) {
+        if !(model.is_visible(g.v) && g.det > 0.0 && g.det.is_finite()) {
             return;
         }
         let [a, b, c] = g.cov;
         *mean = model.pixel(g.v);
         *conic = [c / g.det, -b / g.det, a / g.det];
         *sigma = [a.sqrt(), c.sqrt()];
-        let r = radius_of(g.cov, g.det);
+        let r = splat_radius(g.cov, g.det);
         if r.is_finite()
             && mean.iter().chain(conic.iter()).all(|x| x.is_finite())
-            && model.reaches(*mean, g.cov, r, plane)
+            && model.is_on_image(*mean, g.cov, r, plane)
         {
             *radius = r;
         }
@@ -152,10 +153,10 @@ pub fn project(model: &impl CameraModel, p: &Primitives, pose: &Pose, plane: &Im
     out
 }
 
-/// Returns which centres are drawn.
-pub fn sees(model: &impl CameraModel, means: &[[Real; 3]], pose: &Pose) -> Vec<bool> {
+/// Returns whether each Gaussian is drawn, given the means.
+pub fn visible_centres(model: &impl CameraModel, means: &[[Real; 3]], pose: &Pose) -> Vec<bool> {
     let view = model.view(pose);
-    means.iter().map(|x| model.visible(view.rotation * Vec3::from_array(*x) + view.offset)).collect()
+    means.iter().map(|x| model.is_visible(view.rotation * Vec3::from_array(*x) + view.offset)).collect()
 }
 
 /// Returns the cotangents of the primitives, given those of the splats; zeros for Gaussians out of view.
@@ -171,8 +172,8 @@ pub fn project_vjp(model: &impl CameraModel, p: &Primitives, pose: &Pose, splats
             return;
         }
         *opacity = d.opacities[i];
-        let g = project_one(model, &view, p, i);
-        let [d_a, d_b, d_c] = inverse_vjp(splats.conics[i], d.conics[i]);
+        let g = project_gaussian(model, &view, p, i);
+        let [d_a, d_b, d_c] = symmetric_inverse_vjp(splats.conics[i], d.conics[i]);
         let d_u = [g.u[0] * (2.0 * d_a) + g.u[1] * d_b, g.u[1] * (2.0 * d_c) + g.u[0] * d_b];
         let d_j = [view.rotation * (g.scaled * d_u[0]), view.rotation * (g.scaled * d_u[1])];
         let d_v =
@@ -187,7 +188,7 @@ pub fn project_vjp(model: &impl CameraModel, p: &Primitives, pose: &Pose, splats
         *scale =
             [g.rotation.x_axis.dot(d_m.x_axis), g.rotation.y_axis.dot(d_m.y_axis), g.rotation.z_axis.dot(d_m.z_axis)];
         let [sx, sy, sz] = p.scales[i];
-        *quat = rotation_vjp(p.quats[i], Mat3::from_cols(d_m.x_axis * sx, d_m.y_axis * sy, d_m.z_axis * sz));
+        *quat = rotation_matrix_vjp(p.quats[i], Mat3::from_cols(d_m.x_axis * sx, d_m.y_axis * sy, d_m.z_axis * sz));
     });
     out
 }
@@ -195,7 +196,7 @@ pub fn project_vjp(model: &impl CameraModel, p: &Primitives, pose: &Pose, splats
 /// Returns the cotangents of (a, b, c) of a symmetric matrix, given its inverse (A, B, C) and the cotangents of the
 /// inverse.
 #[inline]
-pub(crate) fn inverse_vjp([a, b, c]: [Real; 3], [d_a, d_b, d_c]: [Real; 3]) -> [Real; 3] {
+pub(crate) fn symmetric_inverse_vjp([a, b, c]: [Real; 3], [d_a, d_b, d_c]: [Real; 3]) -> [Real; 3] {
     let h = 0.5 * d_b;
     // −Q G Q with Q the conic and G the symmetric cotangent.
     let (p, q, r, s) = (a * d_a + b * h, a * h + b * d_c, b * d_a + c * h, b * h + c * d_c);
@@ -204,7 +205,7 @@ pub(crate) fn inverse_vjp([a, b, c]: [Real; 3], [d_a, d_b, d_c]: [Real; 3]) -> [
 
 /// Returns the rotation matrix of a quaternion w, x, y, z by the formula for unit quaternions, whatever its length (as
 /// released).
-fn rotation_of([w, x, y, z]: [Real; 4]) -> Mat3 {
+fn rotation_matrix([w, x, y, z]: [Real; 4]) -> Mat3 {
     Mat3::from_cols_array(&[
         1.0 - 2.0 * (y * y + z * z),
         2.0 * (x * y + w * z),
@@ -218,8 +219,8 @@ fn rotation_of([w, x, y, z]: [Real; 4]) -> Mat3 {
     ])
 }
 
-/// Returns the cotangent of the quaternion, given that of [`rotation_of`].
-fn rotation_vjp([w, x, y, z]: [Real; 4], d: Mat3) -> [Real; 4] {
+/// Returns the cotangent of the quaternion, given that of [`rotation_matrix`].
+fn rotation_matrix_vjp([w, x, y, z]: [Real; 4], d: Mat3) -> [Real; 4] {
     let (c0, c1, c2) = (d.x_axis, d.y_axis, d.z_axis); // cᵢ is column i: cᵢ.y is row 1
     [
         2.0 * (z * (c0.y - c1.x) + y * (c2.x - c0.z) + x * (c1.z - c2.y)),

@@ -19,7 +19,7 @@ mod wrfgs_compat;
 
 pub use alpha_blending::AlphaBlending;
 pub use array_response::{ArrayResponse, Wavefront};
-pub use ewa::{CameraModel, ViewTransform, project, project_vjp, sees};
+pub use ewa::{CameraModel, ViewTransform, project, project_vjp, visible_centres};
 pub use mercator::Mercator;
 pub use pinhole::Pinhole;
 pub use tiles::Support;

@@ -74,7 +74,7 @@ impl Projector for Mercator {
     }
 
     fn sees(&self, means: &[[Real; 3]], pose: &Pose, plane: &ImagePlane) -> Vec<bool> {
-        ewa::sees(&Hemisphere::new(self, plane), means, pose)
+        ewa::visible_centres(&Hemisphere::new(self, plane), means, pose)
     }
 
     fn project_vjp(&self, p: &Primitives, pose: &Pose, plane: &ImagePlane, splats: &Splats, d: &Splats) -> Primitives {
@@ -105,6 +105,7 @@ struct Hemisphere {
 }
 
 impl Hemisphere {
+    /// Computes the constants for an image plane.
     fn new(plugin: &Mercator, plane: &ImagePlane) -> Self {
         let Elevation { first, last } = plane.elevation().unwrap_or(Elevation::UPPER);
         let per_radian = [plane.width as Real / 360.0 * DEG, plane.height as Real / (last - first) as Real * DEG];
@@ -116,22 +117,22 @@ impl Hemisphere {
     }
 }
 
-/// Returns the distances from the axis and from the receiver, and whether azimuth is defined.
-fn radii(v: Vec3) -> (Real, Real, bool) {
+/// Returns the distances of `v` from the axis and from the receiver, metres, and whether its azimuth is defined.
+fn axial_distances(v: Vec3) -> (Real, Real, bool) {
     let (rho, r) = ((v.x * v.x + v.y * v.y).sqrt(), v.length());
     (rho, r, rho > ON_AXIS * r)
 }
 
 impl CameraModel for Hemisphere {
     #[inline]
-    fn visible(&self, v: Vec3) -> bool {
+    fn is_visible(&self, v: Vec3) -> bool {
         let r = v.length();
         r > self.near && r > 0.0 && v.z >= self.lowest * r
     }
 
     #[inline]
     fn pixel(&self, v: Vec3) -> [Real; 2] {
-        let (rho, _, off_axis) = radii(v);
+        let (rho, _, off_axis) = axial_distances(v);
         let elevation = v.z.atan2(if off_axis { rho } else { 0.0 }) * self.per_radian[1] - self.above;
         let column = if off_axis { v.y.atan2(v.x) * self.per_radian[0] } else { 0.0 };
         let column = if column < 0.0 { column + self.width } else { column };
@@ -140,7 +141,7 @@ impl CameraModel for Hemisphere {
 
     #[inline]
     fn pixel_vjp(&self, v: Vec3, d: [Real; 2]) -> Vec3 {
-        let (rho, r, off_axis) = radii(v);
+        let (rho, r, off_axis) = axial_distances(v);
         if !off_axis {
             return Vec3::ZERO;
         }
@@ -152,7 +153,7 @@ impl CameraModel for Hemisphere {
 
     #[inline]
     fn jacobian(&self, v: Vec3) -> [Vec3; 2] {
-        let (rho, r, off_axis) = radii(v);
+        let (rho, r, off_axis) = axial_distances(v);
         if !off_axis {
             let rows = [Vec3::Y / COS_FLOOR, -Vec3::X * v.z.signum()];
             return [rows[0] * (self.per_radian[0] / r), rows[1] * (self.per_radian[1] / r)];
@@ -164,7 +165,7 @@ impl CameraModel for Hemisphere {
 
     #[inline]
     fn jacobian_vjp(&self, v: Vec3, d: [Vec3; 2]) -> Vec3 {
-        let (rho, r, off_axis) = radii(v);
+        let (rho, r, off_axis) = axial_distances(v);
         let [kx, ky] = self.per_radian;
         let (r2, r3) = (r * r, r * r * r);
         if !off_axis {
@@ -222,10 +223,10 @@ mod tests {
                     (x - px).abs() < 2e-3 && (y - py).abs() < 1e-3,
                     "{elevation:?}: ({px}, {py}) became ({x}, {y})"
                 );
-                assert!(model.visible(v));
+                assert!(model.is_visible(v));
             }
             let straight_back = Vec3::new(0.1, 0.0, -3.0);
-            assert_eq!(model.visible(straight_back), elevation.0.min(elevation.1) < -60.0);
+            assert_eq!(model.is_visible(straight_back), elevation.0.min(elevation.1) < -60.0);
         }
     }
 

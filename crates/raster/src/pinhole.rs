@@ -64,7 +64,7 @@ impl Projector for Pinhole {
     }
 
     fn sees(&self, means: &[[Real; 3]], pose: &Pose, plane: &ImagePlane) -> Vec<bool> {
-        ewa::sees(&Lens::new(self, plane), means, pose)
+        ewa::visible_centres(&Lens::new(self, plane), means, pose)
     }
 
     fn project_vjp(&self, p: &Primitives, pose: &Pose, plane: &ImagePlane, splats: &Splats, d: &Splats) -> Primitives {
@@ -92,6 +92,7 @@ struct Lens {
 }
 
 impl Lens {
+    /// Computes the constants for an image plane; focal length 1 and centre 0 for a plane without camera.
     fn new(plugin: &Pinhole, plane: &ImagePlane) -> Self {
         let Camera { focal, centre } = plane.camera.unwrap_or(Camera { focal: [1.0; 2], centre: [0.0; 2] });
         let (size, margin) = ([plane.width, plane.height], plugin.margin as f64);
@@ -112,16 +113,16 @@ impl Lens {
         [slope, [0, 1].map(|k| slope[k].max(low[k]).min(high[k]))]
     }
 
-    /// Returns the rows of the derivative of the pixel at depth `z` and these slopes.
+    /// Returns the rows of the derivative of the pixel at depth `z` (metres) and slopes x/z and y/z.
     #[inline]
-    fn rows(&self, z: Real, [across, down]: [Real; 2]) -> [Vec3; 2] {
+    fn jacobian_rows(&self, z: Real, [across, down]: [Real; 2]) -> [Vec3; 2] {
         [Vec3::new(1.0, 0.0, -across) * (self.focal[0] / z), Vec3::new(0.0, 1.0, -down) * (self.focal[1] / z)]
     }
 }
 
 impl CameraModel for Lens {
     #[inline]
-    fn visible(&self, v: Vec3) -> bool {
+    fn is_visible(&self, v: Vec3) -> bool {
         v.z >= self.near
     }
 
@@ -133,13 +134,13 @@ impl CameraModel for Lens {
 
     #[inline]
     fn pixel_vjp(&self, v: Vec3, d: [Real; 2]) -> Vec3 {
-        let [column, row] = self.rows(v.z, self.slopes(v)[0]);
+        let [column, row] = self.jacobian_rows(v.z, self.slopes(v)[0]);
         column * d[0] + row * d[1]
     }
 
     #[inline]
     fn jacobian(&self, v: Vec3) -> [Vec3; 2] {
-        self.rows(v.z, self.slopes(v)[1])
+        self.jacobian_rows(v.z, self.slopes(v)[1])
     }
 
     #[inline]

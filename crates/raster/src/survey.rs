@@ -2,7 +2,7 @@
 //! pass over the tiles, front to back.
 
 use crate::blend::{PIXELS, TILE, Tile};
-use crate::canvas::gather;
+use crate::canvas::gather_tile;
 use pwrfgs_core::{Real, SplatStats, SurveyInputs};
 
 /// First splats of a pixel: value and index in the list of the tile, best first.
@@ -25,12 +25,13 @@ struct Slopes {
 }
 
 impl Slopes {
-    fn of(survey_tile: &SurveyTile<'_, '_>) -> Option<Self> {
+    /// Gathers the derivatives of a tile; `None` if the survey needs none.
+    fn new(survey_tile: &SurveyTile<'_, '_>) -> Option<Self> {
         let (_, image) = survey_tile.survey.slopes?;
         let Tile { channels, plane, corner, .. } = *survey_tile.tile;
         let (mut pixels, mut drawn) = (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS]);
-        gather(image, plane, corner, &mut pixels);
-        gather(survey_tile.picture, plane, corner, &mut drawn);
+        gather_tile(image, plane, corner, &mut pixels);
+        gather_tile(survey_tile.picture, plane, corner, &mut drawn);
         let mut q_behind = vec![0.0; PIXELS];
         for (k, (slope, value)) in pixels.iter().zip(&drawn).enumerate() {
             q_behind[k % PIXELS] += slope * value;
@@ -40,7 +41,7 @@ impl Slopes {
 
     /// Returns ∂P̂/∂γ of a splat in pixel `p` of the tile, and removes the splat from the sum.
     #[inline(always)]
-    fn along(&mut self, p: usize, signal: &[Real], (before, alpha, weight): (Real, Real, Real)) -> Real {
+    fn pixel_derivative(&mut self, p: usize, signal: &[Real], (before, alpha, weight): (Real, Real, Real)) -> Real {
         let q: Real = (0..self.channels).map(|c| signal[c] * self.pixels[c * PIXELS + p]).sum();
         self.q_behind[p] -= weight * q;
         before * q - self.q_behind[p] / (1.0 - alpha)
@@ -54,9 +55,9 @@ impl pulp::WithSimd for SurveyTile<'_, '_> {
     fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<SplatStats> {
         let Self { tile, survey, .. } = &self;
         let mut all = vec![SplatStats::default(); tile.list.len()];
-        let mut slopes = Slopes::of(&self);
+        let mut slopes = Slopes::new(&self);
         let mut first: Vec<First> = vec![Vec::new(); if survey.top.is_some() { PIXELS } else { 0 }];
-        let mut transmittance = tile.start();
+        let mut transmittance = tile.initial_transmittance();
         for (k, (&i, &[top, end])) in tile.list.iter().zip(tile.rows).enumerate() {
             let i = i as usize;
             let splat = tile.splat_row(i);
@@ -66,7 +67,7 @@ impl pulp::WithSimd for SurveyTile<'_, '_> {
                     continue;
                 }
                 let y = tile.corner.1 + row;
-                let (gauss, raw) = splat.alpha(y as Real);
+                let (gauss, raw) = splat.gauss_and_alpha(y as Real);
                 let alpha = splat.with_existence(raw);
                 let before = transmittance.row(row);
                 let weight = transmittance.blend(row, &alpha);
@@ -83,15 +84,16 @@ impl pulp::WithSimd for SurveyTile<'_, '_> {
                     stats.high += Real::from(u8::from(survey.high.get(pixel).copied().unwrap_or(false)));
                     if let Some((count, truth, strengths)) = survey.top {
                         let value = (-(strengths[i] - truth[pixel]).abs()).exp() * w;
-                        insert(&mut first[p], count, (value, k));
+                        insert_top(&mut first[p], count, (value, k));
                     }
                     if let (Some(slopes), Some((signals, _))) = (&mut slopes, survey.slopes) {
                         let signal = &signals[i * slopes.channels..][..slopes.channels];
-                        let d = slopes.along(p, signal, (before[lane], alpha[lane], w));
+                        let d = slopes.pixel_derivative(p, signal, (before[lane], alpha[lane], w));
                         stats.sensitivity += (d * alpha[lane]).powi(2);
                         if survey.fisher {
                             let d_power = d * splat.existence * splat.opacity * gauss[lane];
-                            outer(&mut stats.fisher, &splat.slopes(lane, y as Real).map(|slope| d_power * slope));
+                            let d = splat.exponent_slopes(lane, y as Real).map(|slope| d_power * slope);
+                            add_outer_product(&mut stats.fisher, &d);
                         }
                     }
                 }
@@ -102,8 +104,9 @@ impl pulp::WithSimd for SurveyTile<'_, '_> {
     }
 }
 
-/// Keeps the `count` largest values; ties keep the earlier one.
-fn insert(first: &mut First, count: usize, entry: (Real, usize)) {
+/// Inserts an entry into the first splats of a pixel, of which the `count` with the largest values are kept; ties keep
+/// the earlier one.
+fn insert_top(first: &mut First, count: usize, entry: (Real, usize)) {
     let at = first.partition_point(|(value, _)| *value >= entry.0);
     if at < count {
         first.insert(at, entry);
@@ -111,9 +114,9 @@ fn insert(first: &mut First, count: usize, entry: (Real, usize)) {
     }
 }
 
-/// Adds the upper triangle of x xᵀ.
+/// Adds the upper triangle of x xᵀ to `sum`, by rows.
 #[inline(always)]
-fn outer(sum: &mut [Real; 15], x: &[Real; 5]) {
+fn add_outer_product(sum: &mut [Real; 15], x: &[Real; 5]) {
     let mut k = 0;
     for i in 0..5 {
         for j in i..5 {

@@ -43,7 +43,7 @@ const CHUNK: usize = 2048;
 
 impl TileLists {
     /// Returns the number of tiles.
-    pub(crate) fn len(&self) -> usize {
+    pub(crate) fn tile_count(&self) -> usize {
         self.offsets.len() - 1
     }
 
@@ -53,7 +53,7 @@ impl TileLists {
     }
 
     /// Returns the splats of tile `t`, nearest first, and the rows that each may cover.
-    pub(crate) fn of(&self, t: usize) -> (&[u32], &[[u8; 2]]) {
+    pub(crate) fn tile_splats(&self, t: usize) -> (&[u32], &[[u8; 2]]) {
         let entries = self.offsets[t]..self.offsets[t + 1];
         (&self.splats[entries.clone()], &self.rows[entries])
     }
@@ -65,7 +65,7 @@ impl TileLists {
         let strips: Vec<Vec<Strip>> = depth_order(splats).par_chunks(CHUNK).map(list).collect();
         let mut offsets = vec![0usize; columns * tile_rows + 1];
         for strip in strips.iter().flatten() {
-            strip.tiles(|row, _| offsets[row * columns + strip.column as usize + 1] += 1);
+            strip.visit_tiles(|row, _| offsets[row * columns + strip.column as usize + 1] += 1);
         }
         for t in 1..offsets.len() {
             offsets[t] += offsets[t - 1];
@@ -73,7 +73,7 @@ impl TileLists {
         let (mut next, all) = (offsets.clone(), offsets[offsets.len() - 1]);
         let (mut entries, mut rows) = (vec![0u32; all], vec![[0u8; 2]; all]);
         for strip in strips.iter().flatten() {
-            strip.tiles(|row, within| {
+            strip.visit_tiles(|row, within| {
                 let entry = &mut next[row * columns + strip.column as usize];
                 (entries[*entry], rows[*entry]) = (strip.splat, within);
                 *entry += 1;
@@ -99,8 +99,8 @@ impl pulp::WithSimd for Listing<'_> {
         let mut strips = Vec::with_capacity(4 * chunk.len());
         for &i in chunk {
             match support {
-                Support::Exact => exact(splats, i, plane, &mut strips),
-                Support::TileSquares => released(splats, i, plane, &mut strips),
+                Support::Exact => list_exact_strips(splats, i, plane, &mut strips),
+                Support::TileSquares => list_released_strips(splats, i, plane, &mut strips),
             }
         }
         strips
@@ -108,8 +108,9 @@ impl pulp::WithSimd for Listing<'_> {
 }
 
 impl Strip {
-    /// Visits tile rows with the pixel rows within each.
-    fn tiles(&self, mut visit: impl FnMut(usize, [u8; 2])) {
+    /// Calls `visit` with each tile row that the strip covers, and the first pixel row within it and the row after the
+    /// last.
+    fn visit_tiles(&self, mut visit: impl FnMut(usize, [u8; 2])) {
         const SIDE: u32 = TILE as u32;
         for tile in self.rows.start / SIDE..self.rows.end.div_ceil(SIDE) {
             let within = |row: u32| row.saturating_sub(tile * SIDE).min(SIDE) as u8;
@@ -132,17 +133,17 @@ fn depth_order(splats: &Splats) -> Vec<u32> {
     keys.into_iter().map(|(_, i)| i).collect()
 }
 
-/// Lists all pixels where alpha may reach 1/255, as one strip per column of tiles: those inside the ellipse dᵀ conic d
-/// ≤ 2 ln(255 o).
+/// Adds the pixels where alpha of splat `i` may reach 1/255 to `strips`, one strip per column of tiles: those inside the
+/// ellipse dᵀ conic d ≤ 2 ln(255 o).
 #[inline(always)]
-fn exact(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mut Vec<Strip>) {
-    let Some(ellipse) = Ellipse::of(splats, i as usize) else { return };
-    let rows = ellipse.rows(ellipse.half[1], -ellipse.half[1], plane);
+fn list_exact_strips(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mut Vec<Strip>) {
+    let Some(ellipse) = Ellipse::new(splats, i as usize) else { return };
+    let rows = ellipse.image_rows(ellipse.half[1], -ellipse.half[1], plane);
     if rows.is_empty() {
         return;
     }
     let (x, width) = (ellipse.mean[0], plane.width as Real);
-    let columns = columns_of(x - ellipse.half[0], x + ellipse.half[0], plane);
+    let columns = tile_columns(x - ellipse.half[0], x + ellipse.half[0], plane);
     // The bounding box suffices for one column, and for columns that may contain the splat from both sides.
     let boxed = columns.iter().map(Range::len).sum::<usize>() == 1
         || plane.wraps && 2.0 * (ellipse.half[0] + TILE as Real) >= width;
@@ -153,8 +154,8 @@ fn exact(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mut Vec<Strip>) {
             rows.clone()
         } else {
             ellipse
-                .between(middle - REACH, middle + REACH)
-                .map_or(0..0, |[above, below]| ellipse.rows(above, below, plane))
+                .vertical_range(middle - REACH, middle + REACH)
+                .map_or(0..0, |[above, below]| ellipse.image_rows(above, below, plane))
         };
         if !rows.is_empty() {
             strips.push(Strip { splat: i, column: column as u32, rows });
@@ -179,7 +180,7 @@ struct Ellipse {
 impl Ellipse {
     /// Returns the ellipse of splat `i`; `None` if it reaches no pixel.
     #[inline(always)]
-    fn of(splats: &Splats, i: usize) -> Option<Self> {
+    fn new(splats: &Splats, i: usize) -> Option<Self> {
         let opacity = splats.opacities[i];
         if opacity.is_nan() || opacity < ALPHA_MIN || splats.radii[i] == 0.0 {
             return None;
@@ -192,9 +193,10 @@ impl Ellipse {
         Some(Self { mean, conic, sigmas, level, half: sigmas.map(|s| s * level.sqrt() + 0.01) })
     }
 
-    /// Returns the largest and the smallest dy = mean − pixel of the points with dx from `low` to `high`.
+    /// Returns the largest and the smallest dy = mean − pixel of the points with dx from `low` to `high`; `None` if the
+    /// ellipse has no such points.
     #[inline(always)]
-    fn between(&self, low: Real, high: Real) -> Option<[Real; 2]> {
+    fn vertical_range(&self, low: Real, high: Real) -> Option<[Real; 2]> {
         let (low, high) = (low.max(-self.half[0]), high.min(self.half[0]));
         if low > high {
             return None;
@@ -209,20 +211,21 @@ impl Ellipse {
     /// Returns the image rows with dy from `below` to `above`, with a margin of a hundredth of a pixel; all rows if
     /// both are NaN.
     #[inline(always)]
-    fn rows(&self, above: Real, below: Real, plane: &ImagePlane) -> Range<u32> {
+    fn image_rows(&self, above: Real, below: Real, plane: &ImagePlane) -> Range<u32> {
         let y = self.mean[1];
         let last = (y - below + 0.01).floor().min(plane.height as Real - 1.0);
         if last < 0.0 { 0..0 } else { (y - above - 0.01).ceil().max(0.0) as u32..last as u32 + 1 }
     }
 }
 
-/// Lists the pixels by the released rule: every pixel of every tile that intersects the square of the splat's radius.
-fn released(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mut Vec<Strip>) {
+/// Adds the pixels of splat `i` by the released rule to `strips`: every pixel of every tile that intersects the square of
+/// the splat's radius.
+fn list_released_strips(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mut Vec<Strip>) {
     let index = i as usize;
     if splats.opacities[index].is_nan() {
         return; // min(NaN, 0.99) would be 0.99
     }
-    let (columns, tile_rows) = square(splats.means2d[index], splats.radii[index], plane);
+    let (columns, tile_rows) = square_tiles(splats.means2d[index], splats.radii[index], plane);
     let rows = (tile_rows.start * TILE) as u32..(tile_rows.end * TILE).min(plane.height) as u32;
     if !rows.is_empty() {
         strips.extend(columns.map(|column| Strip { splat: i, column: column as u32, rows: rows.clone() }));
@@ -232,7 +235,7 @@ fn released(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mut Vec<Strip>
 /// Returns the tile columns that intersect the pixel columns from `low` to `high`, wrapped at the seam if the plane
 /// wraps.
 #[inline(always)]
-fn columns_of(low: Real, high: Real, plane: &ImagePlane) -> [Range<usize>; 2] {
+fn tile_columns(low: Real, high: Real, plane: &ImagePlane) -> [Range<usize>; 2] {
     let width = plane.width as Real;
     let tiles = plane.width.div_ceil(TILE);
     let tile = |x: Real| (x as usize).min(plane.width - 1) / TILE;
@@ -261,7 +264,7 @@ fn columns_of(low: Real, high: Real, plane: &ImagePlane) -> [Range<usize>; 2] {
 
 /// Returns the tile columns and rows that intersect the square of `radius` about `centre`, by the rule of the released
 /// kernels of WRF-GS and 3DGS; empty for radius 0.
-pub(crate) fn square(centre: [Real; 2], radius: Real, plane: &ImagePlane) -> (Range<usize>, Range<usize>) {
+pub(crate) fn square_tiles(centre: [Real; 2], radius: Real, plane: &ImagePlane) -> (Range<usize>, Range<usize>) {
     let along = |centre: Real, pixels: usize| {
         let tiles = pixels.div_ceil(TILE) as Real;
         let first = ((centre - radius) / TILE as Real).trunc().clamp(0.0, tiles);
@@ -294,9 +297,9 @@ mod tests {
     fn offered(splats: &Splats, plane: &ImagePlane) -> Vec<bool> {
         let lists = TileLists::build(splats, plane, Support::Exact);
         let mut offered = vec![false; plane.width * plane.height];
-        for t in 0..lists.len() {
+        for t in 0..lists.tile_count() {
             let (x, y) = lists.corner(t);
-            for &[first, end] in lists.of(t).1 {
+            for &[first, end] in lists.tile_splats(t).1 {
                 for row in first as usize..end as usize {
                     offered[(y + row) * plane.width..][x..(x + TILE).min(plane.width)].fill(true);
                 }

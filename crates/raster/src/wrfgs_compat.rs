@@ -1,7 +1,7 @@
 //! `WrfgsCompat`: the projection of the released WRF-GS code, including its errors.
 
 use crate::ewa::{self, CameraModel, ViewTransform};
-use crate::tiles::square;
+use crate::tiles::square_tiles;
 use pwrfgs_core::{ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Splats, Vec3, consts::PI};
 use serde::{Deserialize, Serialize};
 
@@ -38,7 +38,7 @@ impl Projector for WrfgsCompat {
     }
 
     fn sees(&self, means: &[[Real; 3]], pose: &Pose, plane: &ImagePlane) -> Vec<bool> {
-        ewa::sees(&FullSphere::new(plane), means, pose)
+        ewa::visible_centres(&FullSphere::new(plane), means, pose)
     }
 
     fn project_vjp(&self, p: &Primitives, pose: &Pose, plane: &ImagePlane, splats: &Splats, d: &Splats) -> Primitives {
@@ -76,7 +76,7 @@ impl CameraModel for FullSphere {
     }
 
     #[inline]
-    fn visible(&self, v: Vec3) -> bool {
+    fn is_visible(&self, v: Vec3) -> bool {
         v.length_squared() > 0.04
     }
 
@@ -99,7 +99,7 @@ impl CameraModel for FullSphere {
 
     #[inline]
     fn jacobian(&self, v: Vec3) -> [Vec3; 2] {
-        let [rho, a, p, q] = reciprocals(v);
+        let [rho, a, p, q] = guarded_reciprocals(v);
         [
             Vec3::new(v.z * a, 0.0, -v.x * a) * (self.width / (2.0 * PI)),
             Vec3::new(-v.x * v.y * p * q, rho * q, -v.z * v.y * p * q) * (self.height / PI),
@@ -108,7 +108,7 @@ impl CameraModel for FullSphere {
 
     #[inline]
     fn jacobian_vjp(&self, v: Vec3, d: [Vec3; 2]) -> Vec3 {
-        let [rho, a, p, q] = reciprocals(v);
+        let [rho, a, p, q] = guarded_reciprocals(v);
         let level = Vec3::new(v.x, 0.0, v.z);
         let d_rho = level / rho.max(Real::MIN_POSITIVE);
         // (z dx − x dz) a
@@ -124,14 +124,14 @@ impl CameraModel for FullSphere {
     }
 
     #[inline]
-    fn reaches(&self, centre: [Real; 2], _cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
-        let (columns, rows) = square(centre, radius, plane);
+    fn is_on_image(&self, centre: [Real; 2], _cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
+        let (columns, rows) = square_tiles(centre, radius, plane);
         !columns.is_empty() && !rows.is_empty()
     }
 }
 
 /// Returns ρ = √(x² + z²), and the reciprocals of ρ², ρ and |v|² with the guards of the released kernel.
-fn reciprocals(v: Vec3) -> [Real; 4] {
+fn guarded_reciprocals(v: Vec3) -> [Real; 4] {
     let rho2 = v.x * v.x + v.z * v.z;
     let rho = rho2.sqrt();
     [rho, 1.0 / (rho2 + EPS), 1.0 / (rho + EPS), 1.0 / (v.length_squared() + EPS)]

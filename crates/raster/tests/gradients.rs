@@ -3,7 +3,9 @@
 use crate::common::{POSE, primitives, signals};
 use pwrfgs_core::testing::check_vjp;
 use pwrfgs_core::{ImagePlane, Primitives, Projector, Rasterizer, Real, Splats, Vec3};
-use pwrfgs_raster::{AlphaBlending, CameraModel, Mercator, Pinhole, Support, WrfgsCompat, project, project_vjp, sees};
+use pwrfgs_raster::{
+    AlphaBlending, CameraModel, Mercator, Pinhole, Support, WrfgsCompat, project, project_vjp, visible_centres,
+};
 
 const N: usize = 12;
 const CHANNELS: usize = 2;
@@ -116,7 +118,7 @@ fn custom_camera_model_projects() {
     assert!(shown.depths.iter().all(|d| (1.5..5.6).contains(d)), "distances from the receiver, by its pose");
     scene.means[3] = POSE.origin().to_array();
     let without = project(disc, &scene, &POSE, plane);
-    assert_eq!(sees(disc, &scene.means, &POSE).iter().filter(|s| **s).count(), N - 1, "no pixel, not seen");
+    assert_eq!(visible_centres(disc, &scene.means, &POSE).iter().filter(|s| **s).count(), N - 1, "no pixel, not seen");
     assert_eq!((without.radii[3], without.means2d[4]), (0.0, shown.means2d[4]));
     // Gaussians centred outside the image are drawn if they are wide enough to reach it.
     let tall = project(&Disc { half: [30.0, 200.0] }, &primitives(N, 0), &POSE, plane);

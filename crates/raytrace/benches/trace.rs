@@ -6,7 +6,7 @@
 
 use criterion::Criterion;
 use glam::DVec3;
-use pwrfgs_raytrace::{SceneFile, Simulator};
+use pwrfgs_raytrace::{ObservationKind, SceneFile, Simulator};
 use std::hint::black_box;
 use std::path::Path;
 
@@ -49,7 +49,7 @@ fn main() {
     let office = SceneFile::read(&scenes.join("office.ron")).expect("the scene ships");
     for (name, scene) in [("empty room, order 3", empty), ("office", office), ("30 boxes", thirty_boxes())] {
         let simulator = Simulator::new(&scene).expect("the scene is sound");
-        let positions = simulator.positions(24, 0).expect("there is room");
+        let positions = simulator.draw_positions(24, 0).expect("there is room");
         println!("{name}: {} faces", simulator.world().faces.len());
         let mut next = 0;
         let mut tx = || -> DVec3 {
@@ -58,7 +58,10 @@ fn main() {
         };
         let mut group = criterion.benchmark_group(name);
         group.bench_function("paths", |b| b.iter(|| simulator.trace(black_box(tx()))));
-        group.bench_function("spectrum", |b| b.iter(|| simulator.receivers()[0].spectrum(black_box(tx()), Some(0))));
+        let kind = ObservationKind::Spectrum;
+        group.bench_function("spectrum", |b| {
+            b.iter(|| simulator.receivers()[0].observe(black_box(tx()), &kind, Some(0)));
+        });
         group.bench_function("new scene", |b| b.iter(|| Simulator::new(black_box(&scene))));
         group.finish();
     }

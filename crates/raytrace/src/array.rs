@@ -5,7 +5,7 @@ mod tests;
 
 use crate::Complex;
 use crate::path::PropagationPath;
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use pwrfgs_core::plugin::Check;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -31,7 +31,7 @@ pub struct Array {
     pub spacing_wavelengths: f64,
     /// Pattern of each element; default isotropic.
     pub element: Element,
-    /// Polarisation axis in the receiver frame, of any length; default y, see [`response`].
+    /// Polarisation axis in the receiver frame, of any length; default y, see [`Element::response`].
     pub polarization: [f64; 3],
     /// Model of the element phases; default `Spherical`.
     pub wavefront: ArrayWavefront,
@@ -85,43 +85,30 @@ impl Check for Array {
 
 impl Array {
     /// Returns the number of elements K.
-    pub fn elements(&self) -> usize {
+    pub fn element_count(&self) -> usize {
         self.rows * self.columns
     }
 
-    /// Returns the positions of the elements `[K]` relative to the centre of the array: receiver frame, metres.
-    /// `wavelength` in metres.
+    /// Returns the positions of the elements `[K]` relative to the centre of the array at a `wavelength` in metres:
+    /// receiver frame, metres.
     pub fn offsets(&self, wavelength: f64) -> Vec<DVec3> {
         let spacing = self.spacing_wavelengths * wavelength;
         let coordinate = |index: usize, count: usize| (index as f64 - (count as f64 - 1.0) / 2.0) * spacing;
-        (0..self.elements())
+        (0..self.element_count())
             .map(|k| {
                 DVec3::new(coordinate(k % self.columns, self.columns), coordinate(k / self.columns, self.rows), 0.0)
             })
             .collect()
     }
-
-    /// Returns the channel h `[K]`: the sum over paths, eq. (1), at each element.
-    ///
-    /// `center` is the receiver position, metres; the columns of `world_from_receiver` are its axes in the world. The
-    /// paths lead to `center`; their gains include both antenna patterns. [`ArrayWavefront::Traced`] needs separate paths
-    /// per element, which the simulator provides; here it is treated as `Spherical`.
-    pub fn channel(
-        &self,
-        paths: &[PropagationPath],
-        center: DVec3,
-        world_from_receiver: DMat3,
-        wavelength: f64,
-    ) -> Vec<Complex> {
-        let elements: Vec<DVec3> =
-            self.offsets(wavelength).iter().map(|offset| center + world_from_receiver * *offset).collect();
-        band_at(paths, &elements, center, &[wavelength], self.wavefront)
-    }
 }
 
-/// Returns the channel `[elements, wavelengths]` at antennas near `center`, all in metres. Each wavelength has its own
-/// wavenumber, so delays are exact; gains are common to all. See [`Array::channel`].
-pub fn band_at(
+/// Returns the channel h `[elements, wavelengths]`: the sum over paths, eq. (1), at each element.
+///
+/// The paths lead to `center`, the receiver position; `elements` are the element positions in the world. All are in
+/// metres. Each wavelength has its own wavenumber, so delays are exact; gains are common to all and include both antenna
+/// patterns. [`ArrayWavefront::Traced`] needs separate paths per element, which the simulator provides; here it is
+/// treated as `Spherical`.
+pub fn array_channel(
     paths: &[PropagationPath],
     elements: &[DVec3],
     center: DVec3,
@@ -162,10 +149,7 @@ pub enum Element {
 }
 
 impl Element {
-    /// Validates the parameters.
-    ///
-    /// # Errors
-    /// The problem and the next step.
+    /// Returns an error for an exponent of `Patch` outside 0 to 100: the problem and the next step.
     pub fn check(&self) -> Result<(), String> {
         match self {
             Self::Patch { exponent } if !(0.0..=100.0).contains(exponent) => {
@@ -174,22 +158,22 @@ impl Element {
             _ => Ok(()),
         }
     }
-}
 
-/// Returns the amplitude of an antenna towards `direction`, and the unit vector of its electric field there.
-///
-/// `axis` is its polarisation axis ê and `direction` is r, away from the antenna, both unit vectors in its own frame.
-/// The field points along -(ê - (ê·r)r), normalised: for ê = z that is θ̂ of spherical coordinates, down the meridian.
-/// If r is parallel to the axis, it is an arbitrary vector perpendicular to r.
-pub fn response(element: &Element, axis: DVec3, direction: DVec3) -> (f64, DVec3) {
-    let across = axis.cross(direction);
-    let amplitude = match element {
-        Element::Isotropic => 1.0,
-        Element::Dipole => across.length(),
-        Element::Patch { .. } if direction.z <= 0.0 => 0.0,
-        Element::Patch { exponent } => direction.z.powf(*exponent),
-    };
-    // (ê×r)×r = -(ê - (ê·r)r), perpendicular to r even if ê and r are nearly parallel.
-    let field = across.try_normalize().unwrap_or_else(|| direction.any_orthonormal_vector()).cross(direction);
-    (amplitude, field)
+    /// Returns the amplitude of the antenna towards `direction`, and the unit vector of its electric field there.
+    ///
+    /// `axis` is its polarisation axis ê and `direction` is r, away from the antenna, both unit vectors in the antenna
+    /// frame. The field points along -(ê - (ê·r)r), normalised: for ê = z that is θ̂ of spherical coordinates, down the
+    /// meridian. If r is parallel to the axis, it is an arbitrary vector perpendicular to r.
+    pub fn response(&self, axis: DVec3, direction: DVec3) -> (f64, DVec3) {
+        let across = axis.cross(direction);
+        let amplitude = match self {
+            Self::Isotropic => 1.0,
+            Self::Dipole => across.length(),
+            Self::Patch { .. } if direction.z <= 0.0 => 0.0,
+            Self::Patch { exponent } => direction.z.powf(*exponent),
+        };
+        // (ê×r)×r = -(ê - (ê·r)r), perpendicular to r even if ê and r are nearly parallel.
+        let field = across.try_normalize().unwrap_or_else(|| direction.any_orthonormal_vector()).cross(direction);
+        (amplitude, field)
+    }
 }

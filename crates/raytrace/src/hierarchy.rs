@@ -19,12 +19,12 @@ pub struct Triangle {
 }
 
 impl Triangle {
-    /// Creates a triangle of no face.
+    /// Creates a triangle from its corners, metres; it belongs to no face: `face` is `u32::MAX`.
     pub(crate) fn new([a, b, c]: [DVec3; 3]) -> Self {
         Self { corner: a, sides: [b - a, c - a], face: u32::MAX }
     }
 
-    /// Returns the unit normal by the order of its corners.
+    /// Returns the unit normal; seen from its side, the corners are in counter-clockwise order.
     pub(crate) fn normal(&self) -> DVec3 {
         self.sides[0].cross(self.sides[1]).normalize()
     }
@@ -39,7 +39,7 @@ impl Triangle {
         0.5 * self.sides[0].cross(self.sides[1]).length()
     }
 
-    /// Returns whether a point in its plane lies inside, border included.
+    /// Returns whether a point in the plane of the triangle lies inside, border included.
     pub(crate) fn contains(&self, point: DVec3) -> bool {
         const BORDER: f64 = 1e-12;
         let n = self.sides[0].cross(self.sides[1]);
@@ -48,6 +48,28 @@ impl Triangle {
         let u = p.cross(self.sides[1]).dot(n) * scale;
         let v = self.sides[0].cross(p).dot(n) * scale;
         u >= -BORDER && v >= -BORDER && u + v <= 1.0 + BORDER
+    }
+
+    /// Returns the position of the intersection on the segment from `from` to `from + span`, from 0 to 1, borders of the
+    /// triangle included (Möller and Trumbore, 1997); `None` without intersection and for coplanar segments.
+    pub(crate) fn crossing(&self, from: DVec3, span: DVec3) -> Option<f64> {
+        const BORDER: f64 = 1e-12;
+        let [a, b] = self.sides;
+        let p = span.cross(b);
+        let volume = a.dot(p);
+        let t = from - self.corner;
+        let u = t.dot(p) / volume;
+        if !(-BORDER..=1.0 + BORDER).contains(&u) {
+            return None;
+        }
+        let q = t.cross(a);
+        let v = span.dot(q) / volume;
+        if v < -BORDER || u + v > 1.0 + BORDER {
+            return None;
+        }
+        let position = b.dot(q) / volume;
+        let least = 1e-28 * span.length_squared() * a.length_squared() * b.length_squared();
+        ((0.0..=1.0).contains(&position) && volume * volume >= least).then_some(position)
     }
 }
 
@@ -69,27 +91,27 @@ struct Node {
 }
 
 impl Node {
-    /// Creates the padded box of a triangle.
-    fn of(index: usize, triangle: &Triangle) -> Self {
+    /// Creates the leaf of triangle `index`: its padded bounding box. `exit` is not set yet.
+    fn leaf(index: usize, triangle: &Triangle) -> Self {
         let [a, b, c] = triangle.corners();
         let (low, high) = (a.min(b).min(c) - PADDING, a.max(b).max(c) + PADDING);
         Self { low, high, triangle: index as u32, exit: 0 }
     }
 
-    /// Returns the bounding box of both.
+    /// Returns the inner node whose box bounds the boxes of both nodes. `exit` is not set yet.
     fn join(self, other: Self) -> Self {
         Self { low: self.low.min(other.low), high: self.high.max(other.high), triangle: u32::MAX, exit: 0 }
     }
 
-    /// Returns the half of its surface area, m².
-    fn area(&self) -> f64 {
+    /// Returns half the surface area of the box, m².
+    fn half_area(&self) -> f64 {
         let size = self.high - self.low;
         size.x * size.y + size.y * size.z + size.z * size.x
     }
 
-    /// Returns whether a segment meets the box (slab test). Along an axis without motion, `inverse` is infinite: a
-    /// start on the padded border gives NaN, for which either result is correct, since no triangle reaches the padding.
-    /// Comparisons take one instruction each, `f64::min` and `f64::max` three.
+    /// Returns whether the segment from `from` meets the box (slab test); `inverse` is 1 over its span. Along an axis
+    /// without motion, `inverse` is infinite: a start on the padded border gives NaN, for which either result is correct,
+    /// since no triangle reaches the padding. Comparisons take one instruction each, `f64::min` and `f64::max` three.
     fn is_crossed(&self, from: DVec3, inverse: DVec3) -> bool {
         let (mut enter, mut leave) = (0.0, 1.0);
         for k in 0..3 {
@@ -106,21 +128,21 @@ impl Node {
 impl Hierarchy {
     /// Builds the tree over `triangles`.
     pub(crate) fn new(triangles: &[Triangle]) -> Self {
-        let mut leaves: Vec<Node> = triangles.iter().enumerate().map(|(i, t)| Node::of(i, t)).collect();
+        let mut leaves: Vec<Node> = triangles.iter().enumerate().map(|(i, t)| Node::leaf(i, t)).collect();
         let mut nodes = Vec::with_capacity(2 * leaves.len());
         append_subtree(&mut nodes, &mut leaves, 0);
         Self { nodes }
     }
 
-    /// Returns the candidates that include all triangles crossed by the segment from `from` to `from + span`; unordered
-    /// indices.
-    pub(super) fn candidates(&self, from: DVec3, span: DVec3) -> impl Iterator<Item = usize> {
+    /// Returns the indices of the triangles whose box meets the segment from `from` to `from + span`, in no particular
+    /// order: all triangles that the segment crosses are among them.
+    pub(super) fn near_segment(&self, from: DVec3, span: DVec3) -> impl Iterator<Item = usize> {
         let inverse = 1.0 / span;
-        self.leaves(move |_, node| node.is_crossed(from, inverse))
+        self.matching_leaves(move |_, node| node.is_crossed(from, inverse))
     }
 
-    /// Returns the candidates that include all triangles closer than `reach` to the point; unordered indices. Subtrees
-    /// whose box index `is_wanted` rejects are skipped.
+    /// Returns the indices of the triangles whose box is at most `reach` metres from the point along each axis, in no
+    /// particular order: all closer triangles are among them. Subtrees whose box index `is_wanted` rejects are skipped.
     pub(crate) fn near_point(
         &self,
         point: DVec3,
@@ -128,16 +150,18 @@ impl Hierarchy {
         is_wanted: impl Fn(usize) -> bool,
     ) -> impl Iterator<Item = usize> {
         let is_near = move |node: &Node| point.cmpge(node.low - reach).all() && point.cmple(node.high + reach).all();
-        self.leaves(move |number, node| is_near(node) && is_wanted(number))
+        self.matching_leaves(move |number, node| is_near(node) && is_wanted(number))
     }
 
-    /// Returns the candidates that include all triangles that touch the box between two corners; unordered indices.
+    /// Returns the indices of the triangles whose box touches the box between two corners, in no particular order: all
+    /// triangles that touch it are among them.
     pub(super) fn in_box(&self, [low, high]: [DVec3; 2]) -> impl Iterator<Item = usize> {
-        self.leaves(move |_, node| node.low.cmple(high).all() && node.high.cmpge(low).all())
+        self.matching_leaves(move |_, node| node.low.cmple(high).all() && node.high.cmpge(low).all())
     }
 
-    /// Returns the owner of each box if all its triangles have the same owner.
-    pub(super) fn owners(&self, owner_of: impl Fn(usize) -> usize) -> Vec<Option<usize>> {
+    /// Returns the owner of each box: that of its triangles, `None` if they have several. `owner_of` maps the index of a
+    /// triangle to its owner.
+    pub(super) fn box_owners(&self, owner_of: impl Fn(usize) -> usize) -> Vec<Option<usize>> {
         let mut owners = vec![None; self.nodes.len()];
         for (i, node) in self.nodes.iter().enumerate().rev() {
             owners[i] = if node.triangle == u32::MAX {
@@ -150,9 +174,10 @@ impl Hierarchy {
         owners
     }
 
-    /// Returns the triangles in the boxes that satisfy `is_hit`.
+    /// Returns the indices of the triangles for which all boxes from the root (exclusive) to the leaf satisfy `is_hit`, a
+    /// function of the index and the box; skips subtrees of other boxes.
     #[inline(always)]
-    fn leaves(&self, is_hit: impl Fn(usize, &Node) -> bool) -> impl Iterator<Item = usize> {
+    fn matching_leaves(&self, is_hit: impl Fn(usize, &Node) -> bool) -> impl Iterator<Item = usize> {
         let mut next = usize::from(self.nodes.len() > 1); // the first box holds all
         std::iter::from_fn(move || {
             while let Some(node) = self.nodes.get(next) {
@@ -170,7 +195,7 @@ impl Hierarchy {
     }
 }
 
-/// Appends the subtree over `leaves`.
+/// Appends the subtree over `leaves` in depth-first order and sets its exits; reorders `leaves`.
 fn append_subtree(nodes: &mut Vec<Node>, leaves: &mut [Node], depth: u32) {
     let Some(all) = leaves.iter().copied().reduce(Node::join) else { return };
     let index = nodes.len();
@@ -184,8 +209,8 @@ fn append_subtree(nodes: &mut Vec<Node>, leaves: &mut [Node], depth: u32) {
     nodes[index].exit = nodes.len() as u32;
 }
 
-/// Sorts `leaves` along an axis and returns the split that minimises the sum of surface area times number (surface area
-/// heuristic, Goldsmith and Salmon, 1987).
+/// Sorts `leaves` along the best axis and returns the index that splits them into two groups with the least sum of
+/// surface area times number (surface area heuristic, Goldsmith and Salmon, 1987).
 fn cheapest_split(leaves: &mut [Node]) -> usize {
     let count = leaves.len();
     let sort = |leaves: &mut [Node], axis: usize| {
@@ -198,12 +223,12 @@ fn cheapest_split(leaves: &mut [Node]) -> usize {
         let mut part = leaves[count - 1];
         for i in (1..count).rev() {
             part = part.join(leaves[i]);
-            cost_after[i] = part.area() * (count - i) as f64;
+            cost_after[i] = part.half_area() * (count - i) as f64;
         }
         part = leaves[0];
         for i in 1..count {
             part = part.join(leaves[i - 1]);
-            let cost = part.area() * i as f64 + cost_after[i];
+            let cost = part.half_area() * i as f64 + cost_after[i];
             if cost < best.0 {
                 best = (cost, axis, i);
             }
@@ -211,28 +236,6 @@ fn cheapest_split(leaves: &mut [Node]) -> usize {
     }
     sort(leaves, best.1);
     best.2
-}
-
-/// Returns the intersection of a segment and a triangle (Möller and Trumbore, 1997), borders included; none for
-/// coplanar segments.
-pub(super) fn crossing(triangle: &Triangle, from: DVec3, span: DVec3) -> Option<f64> {
-    const BORDER: f64 = 1e-12;
-    let [a, b] = triangle.sides;
-    let p = span.cross(b);
-    let volume = a.dot(p);
-    let t = from - triangle.corner;
-    let u = t.dot(p) / volume;
-    if !(-BORDER..=1.0 + BORDER).contains(&u) {
-        return None;
-    }
-    let q = t.cross(a);
-    let v = span.dot(q) / volume;
-    if v < -BORDER || u + v > 1.0 + BORDER {
-        return None;
-    }
-    let at = b.dot(q) / volume;
-    let least = 1e-28 * span.length_squared() * a.length_squared() * b.length_squared();
-    ((0.0..=1.0).contains(&at) && volume * volume >= least).then_some(at)
 }
 
 #[cfg(test)]
@@ -259,8 +262,8 @@ mod tests {
             let triangles: Vec<Triangle> = corners.iter().map(triangle).collect();
             let hierarchy = Hierarchy::new(&triangles);
             for [from, to] in segments {
-                let is_crossed = |i: &usize| crossing(&triangles[*i], from, to - from).is_some();
-                let mut crossed: Vec<usize> = hierarchy.candidates(from, to - from).filter(is_crossed).collect();
+                let is_crossed = |i: &usize| triangles[*i].crossing(from, to - from).is_some();
+                let mut crossed: Vec<usize> = hierarchy.near_segment(from, to - from).filter(is_crossed).collect();
                 crossed.sort_unstable();
                 let all: Vec<usize> = (0..triangles.len()).filter(is_crossed).collect();
                 prop_assert_eq!(crossed, all);
@@ -273,7 +276,7 @@ mod tests {
         let triangle = Triangle { corner: DVec3::ZERO, sides: [DVec3::X, DVec3::Y], face: 0 };
         let hierarchy = Hierarchy::new(&vec![triangle; 20_000]);
         let from = DVec3::new(0.2, 0.2, 1.0);
-        assert_eq!(hierarchy.candidates(from, -2.0 * DVec3::Z).count(), 20_000);
-        assert_eq!(hierarchy.candidates(from, DVec3::X).count(), 0);
+        assert_eq!(hierarchy.near_segment(from, -2.0 * DVec3::Z).count(), 20_000);
+        assert_eq!(hierarchy.near_segment(from, DVec3::X).count(), 0);
     }
 }

@@ -4,8 +4,8 @@
 //! image through the clipped face. Only faces inside the beam create further images, and a transmitter is tested
 //! against the beam alone. Blocking walls are not tested here.
 
-use crate::polygon::{LEAST_AREA, Plane, THIN, area, clip};
-use crate::world::World;
+use crate::polygon::{LEAST_AREA, Plane, THIN, clip_polygon, polygon_area};
+use crate::world::{Face, World};
 use glam::DVec3;
 use std::ops::Range;
 
@@ -59,76 +59,108 @@ impl ImageTree {
         let mut tree = Self { origin, nodes: Vec::new(), planes: Vec::new() };
         // Faces of the room come first, in case their reflection limit is higher.
         let room_faces = world.faces.iter().take_while(|f| f.is_room()).count() as u32;
-        let mut beams = vec![(u32::MAX, origin, Vec::new(), true)];
+        // Images of the last order, and whether all their mirrors belong to the room.
+        let mut parents = vec![(u32::MAX, true)];
         let (mut trials, mut corners) = (0, 0_usize);
         for order in 1..=orders.all.max(orders.room) {
-            let mut next = Vec::new();
             let any_face = order <= orders.all;
             let candidates = if any_face { world.faces.len() as u32 } else { room_faces };
-            trials += beams.len() * candidates as usize;
+            trials += parents.len() * candidates as usize;
             let hulls: usize = world.faces[..candidates as usize].iter().map(|face| face.hull.len()).sum();
-            corners += beams.iter().map(|(_, _, beam, _)| beam.len() + 1).sum::<usize>().saturating_mul(hulls);
+            corners += parents.iter().map(|(id, _)| tree.beam(*id).1.len() + 1).sum::<usize>().saturating_mul(hulls);
             if trials > MOST_TRIALS || corners > MOST_CORNERS {
                 return None; // refused before any of them is tested
             }
-            if beams.len() * candidates as usize > SLOW_TRIALS {
+            if parents.len() * candidates as usize > SLOW_TRIALS {
                 tracing::warn!(
                     "testing {} images with {candidates} faces takes a while; lower `order`, or simplify meshes",
-                    beams.len()
+                    parents.len()
                 );
             }
-            for (parent, image, beam, room_only) in &beams {
+            let mut images = Vec::new();
+            for &(parent, in_room) in &parents {
                 for face in 0..candidates {
-                    let is_room = *room_only && face < room_faces;
-                    if !(any_face || is_room && order <= orders.room) {
-                        continue;
+                    let is_room = in_room && face < room_faces;
+                    if any_face || is_room {
+                        images.extend(tree.add_image(world, parent, face).map(|id| (id, is_room)));
                     }
-                    let Some((image, clipped)) = reflect(world, face, *image, beam) else { continue };
-                    let planes = tree.store_beam(world, face, image, &clipped);
-                    let id = tree.nodes.len() as u32;
-                    tree.nodes.push(Node { parent: *parent, face, image, planes: planes.clone() });
                     if tree.nodes.len() > MOST_IMAGES || tree.planes.len() > MOST_PLANES {
                         return None;
                     }
-                    if order == orders.all.max(orders.room) {
-                        continue;
-                    }
-                    next.push((id, image, tree.planes[planes.start as usize..planes.end as usize].to_vec(), is_room));
                 }
             }
-            beams = next;
+            parents = images;
         }
         Some(tree)
     }
 
+    /// Returns the image `id` and the planes of its beam, positive inside; the origin without planes for `u32::MAX`.
+    fn beam(&self, id: u32) -> (DVec3, &[Plane]) {
+        match self.nodes.get(id as usize) {
+            Some(Node { image, planes, .. }) => (*image, &self.planes[planes.start as usize..planes.end as usize]),
+            None => (self.origin, &[]),
+        }
+    }
+
+    /// Adds the image of the image `parent` in `face`, and returns its index; `None` if no part of the face is inside the
+    /// beam of `parent`.
+    fn add_image(&mut self, world: &World, parent: u32, face: u32) -> Option<u32> {
+        let (image, beam) = self.beam(parent);
+        let mirror = &world.faces[face as usize];
+        if mirror.height(image).abs() < THIN {
+            return None;
+        }
+        let mut polygon = mirror.hull.clone();
+        for plane in beam {
+            polygon = clip_polygon(&polygon, *plane);
+            if polygon.len() < 3 {
+                return None;
+            }
+        }
+        if polygon_area(&polygon) <= LEAST_AREA {
+            return None;
+        }
+        let image = mirror.mirror(image);
+        let planes = self.store_beam(mirror, image, &polygon);
+        self.nodes.push(Node { parent, face, image, planes });
+        Some(self.nodes.len() as u32 - 1)
+    }
+
     /// Returns the approximate memory use, bytes.
-    pub fn bytes(&self) -> usize {
+    pub fn memory_bytes(&self) -> usize {
         self.nodes.len() * size_of::<Node>() + self.planes.len() * size_of::<Plane>()
     }
 
     /// Calls `visit` with each geometrically possible sequence of faces and its reflection points, in order of travel
     /// from `tx`. The caller tests for obstacles. The first sequence is empty (line of sight).
-    pub fn candidates(&self, world: &World, tx: DVec3, mut visit: impl FnMut(&[u32], &[DVec3])) {
+    pub fn visit_candidates(&self, world: &World, tx: DVec3, mut visit: impl FnMut(&[u32], &[DVec3])) {
         visit(&[], &[]);
         let (mut faces, mut points) = (Vec::new(), Vec::new());
-        for node in &self.nodes {
-            let planes = &self.planes[node.planes.start as usize..node.planes.end as usize];
-            if planes.iter().all(|(normal, offset)| normal.dot(tx) > *offset)
-                && self.unfold(world, node, tx, &mut faces, &mut points)
+        for (id, node) in (0..).zip(&self.nodes) {
+            if self.beam(id).1.iter().all(|(normal, offset)| normal.dot(tx) > *offset)
+                && self.unfold_path(world, node, tx, &mut faces, &mut points)
             {
                 visit(&faces, &points);
             }
         }
     }
 
-    /// Returns the receiver position.
+    /// Returns the point that all reflected rays lead to, the receiver position: metres, world frame.
     pub fn origin(&self) -> DVec3 {
         self.origin
     }
 
-    /// Follows the ray from `tx` towards the image of `node` from mirror to mirror. Beams use convex hulls; holes and
-    /// bays of faces are tested here.
-    fn unfold(&self, world: &World, node: &Node, tx: DVec3, faces: &mut Vec<u32>, points: &mut Vec<DVec3>) -> bool {
+    /// Unfolds the path from `tx` towards the image of `node` from mirror to mirror, and collects its faces and reflection
+    /// points in `faces` and `points` (cleared first). Returns whether all points lie on their faces: beams use convex
+    /// hulls, so holes and bays of faces are tested here.
+    fn unfold_path(
+        &self,
+        world: &World,
+        node: &Node,
+        tx: DVec3,
+        faces: &mut Vec<u32>,
+        points: &mut Vec<DVec3>,
+    ) -> bool {
         faces.clear();
         points.clear();
         let (mut from, mut node) = (tx, node);
@@ -136,7 +168,7 @@ impl ImageTree {
             let face = &world.faces[node.face as usize];
             let (near, far) = (face.height(from), face.height(node.image));
             let point = from + (node.image - from) * (near / (near - far));
-            if !world.is_on(node.face, point) {
+            if !world.is_on_face(node.face, point) {
                 return false;
             }
             faces.push(node.face);
@@ -149,13 +181,12 @@ impl ImageTree {
         }
     }
 
-    /// Stores the beam behind `image` through the convex polygon `clipped` on `face`.
-    fn store_beam(&mut self, world: &World, face: u32, image: DVec3, clipped: &[DVec3]) -> Range<u32> {
+    /// Stores the beam from `image` through the convex polygon `clipped` on `mirror`, and returns the range of its planes.
+    fn store_beam(&mut self, mirror: &Face, image: DVec3, clipped: &[DVec3]) -> Range<u32> {
         let start = self.planes.len() as u32;
-        let face = &world.faces[face as usize];
         // In front of the mirror, opposite to the image.
-        let side = -face.height(image).signum();
-        self.planes.push((side * face.normal, side * face.offset));
+        let side = -mirror.height(image).signum();
+        self.planes.push((side * mirror.normal, side * mirror.offset));
         let middle = clipped.iter().sum::<DVec3>() / clipped.len() as f64;
         for (i, a) in clipped.iter().enumerate() {
             let b = clipped[(i + 1) % clipped.len()];
@@ -170,20 +201,4 @@ impl ImageTree {
         }
         start..self.planes.len() as u32
     }
-}
-
-/// Returns the image of `image` in `face`, and the part of the face inside the beam; `None` if there is none.
-fn reflect(world: &World, face: u32, image: DVec3, beam: &[Plane]) -> Option<(DVec3, Vec<DVec3>)> {
-    let face = &world.faces[face as usize];
-    if face.height(image).abs() < THIN {
-        return None;
-    }
-    let mut polygon = face.hull.clone();
-    for plane in beam {
-        polygon = clip(&polygon, *plane);
-        if polygon.len() < 3 {
-            return None;
-        }
-    }
-    (area(&polygon) > LEAST_AREA).then(|| (face.mirror(image), polygon))
 }

@@ -34,7 +34,7 @@ pub mod world;
 pub use observe::{ObservationKind, ReceiverObservation, SILENT_DBM, SimulatedObservation};
 pub use output::mitsuba;
 pub use path::{Interaction, PropagationPath};
-pub use prepared_receiver::{PreparedReceiver, ReceivedPaths};
+pub use prepared_receiver::PreparedReceiver;
 pub use ray_tracing::RayTracing;
 pub use recipe::SimulationRecipe;
 pub use scene::{Noise, SceneFile};

@@ -4,7 +4,7 @@
 mod tests;
 
 use crate::hierarchy::{Hierarchy, Triangle};
-use crate::polygon::{outside, sides};
+use crate::polygon::{side_planes, triangles_outside};
 use glam::{DMat3, DMat4, DVec3};
 use pwrfgs_core::{Error, Result};
 use std::{cell::Cell, collections::HashMap, fs, path::Path};
@@ -37,7 +37,7 @@ pub struct Mesh {
 ///
 /// # Errors
 /// Errors of [`pwrfgs_data::read_mesh`] and of [`Mesh::check`].
-pub fn read(path: &Path) -> Result<Mesh> {
+pub fn read_mesh(path: &Path) -> Result<Mesh> {
     let bytes = fs::metadata(path).map_err(|e| Error::read(path, e))?.len();
     if bytes > MOST_BYTES {
         let problem = format!("has {} MB, and at most {} can be read; simplify it", bytes >> 20, MOST_BYTES >> 20);
@@ -53,17 +53,19 @@ pub fn read(path: &Path) -> Result<Mesh> {
     Ok(mesh)
 }
 
-/// Reads the mesh of the object `name` and maps it by `matrix`; normals of a closed surface then point outwards.
+/// Reads the mesh of the object `name`, maps its vertices by `matrix` and leaves out second sides of sheets; normals of a
+/// closed surface then point outwards. `solid`: the surface must be closed.
 ///
 /// # Errors
-/// Errors of [`read`]; a solid that is not closed, or whose triangles run in different directions.
-pub(crate) fn read_object(file: &Path, matrix: DMat4, solid: bool, name: &str) -> Result<Mesh> {
-    let mut mesh = read(file)?;
+/// Errors of [`read_mesh`]; too many overlapping triangles; a solid that is not closed, or whose triangles run in different
+/// directions.
+pub(crate) fn read_object_mesh(file: &Path, matrix: DMat4, solid: bool, name: &str) -> Result<Mesh> {
+    let mut mesh = read_mesh(file)?;
     mesh.vertices.iter_mut().for_each(|vertex| *vertex = matrix.transform_point3(*vertex));
     let Some(mut mesh) = mesh.one_sided() else {
         return Err(Error::input(file, "its triangles overlap in too many places; simplify the mesh"));
     };
-    if solid && mesh.is_closed() && !is_consistent(&mesh) {
+    if solid && mesh.is_closed() && !is_consistently_oriented(&mesh) {
         return Err(Error::input(
             file,
             format!(
@@ -72,11 +74,11 @@ pub(crate) fn read_object(file: &Path, matrix: DMat4, solid: bool, name: &str) -
             ),
         ));
     }
-    if mesh.is_closed() && volume(&mesh) < 0.0 {
+    if mesh.is_closed() && signed_volume(&mesh) < 0.0 {
         mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2)); // normals must point outwards
     }
     if solid && !mesh.is_closed() {
-        let edges = mesh.boundary_edges();
+        let edges = mesh.boundary_edge_count();
         return Err(Error::input(
             file,
             format!(
@@ -88,8 +90,8 @@ pub(crate) fn read_object(file: &Path, matrix: DMat4, solid: bool, name: &str) -
     Ok(mesh)
 }
 
-/// Returns whether neighbouring triangles traverse their common edge in opposite directions.
-fn is_consistent(mesh: &Mesh) -> bool {
+/// Returns whether neighbouring triangles traverse their common edge in opposite directions; `false` for open meshes.
+fn is_consistently_oriented(mesh: &Mesh) -> bool {
     let mut edges: Vec<[u32; 2]> = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect();
     edges.sort_unstable();
     let mut reversed: Vec<[u32; 2]> = edges.iter().map(|[a, b]| [*b, *a]).collect();
@@ -97,28 +99,30 @@ fn is_consistent(mesh: &Mesh) -> bool {
     edges == reversed
 }
 
-/// Returns whether a part of a triangle remains outside the triangles that `hiding` finds for its pieces.
+/// Returns whether a part of a triangle remains outside the triangles that hide it. `hiding` returns a triangle that
+/// covers the centre of a piece. Also returns `true` if the parts become too many.
 fn has_visible_part(triangle: &Triangle, hiding: impl Fn(&Triangle) -> Option<Triangle>) -> bool {
     let mut rest = vec![*triangle];
     for _ in 0..MOST_PIECES {
         let Some(piece) = rest.pop() else { return false };
         let Some(other) = hiding(&piece) else { return true };
-        let pieces = outside(&piece, &sides(&other.corners(), other.normal()));
+        let pieces = triangles_outside(&piece, &side_planes(&other.corners(), other.normal()));
         rest.extend(pieces.into_iter().filter(|piece| piece.area() > EQUAL * triangle.area()));
     }
     true
 }
 
 /// Returns the volume of a closed surface, m³; negative if the normals point inwards.
-fn volume(mesh: &Mesh) -> f64 {
+fn signed_volume(mesh: &Mesh) -> f64 {
     let origin = mesh.vertices.first().copied().unwrap_or_default();
     let corner = |i: u32| mesh.vertices[i as usize] - origin;
     mesh.triangles.iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c))) / 6.0).sum()
 }
 
 impl Mesh {
-    /// Leaves out triangles that earlier ones in their plane cover, in either corner order: the second side of a sheet. Bodies
-    /// that touch keep their common sides, without which they would be open. `None` if that takes too long.
+    /// Returns the mesh without triangles that earlier ones in their plane cover, in either corner order: the second side
+    /// of a sheet. Bodies that touch keep their common sides, without which they would be open. `None` if that takes too
+    /// long.
     fn one_sided(self) -> Option<Self> {
         let all: Vec<Triangle> = self.triangles.iter().map(|t| Triangle::new(self.corners(*t))).collect();
         let (hierarchy, trials) = (Hierarchy::new(&all), Cell::new(0));
@@ -150,7 +154,7 @@ impl Mesh {
         single.triangles.retain(|_| kept.next() == Some(&true));
         let (low, high) =
             self.vertices.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(a, b), p| (a.min(*p), b.max(*p)));
-        let is_body = self.is_closed() && volume(&self).abs() > FLAT * (high - low).length().powi(3);
+        let is_body = self.is_closed() && signed_volume(&self).abs() > FLAT * (high - low).length().powi(3);
         Some(if is_body && !single.is_closed() { self } else { single.welded() })
     }
 
@@ -180,7 +184,7 @@ impl Mesh {
                 return fault(format!("at ({}, {}, {}) has no area; {advice}", a.x, a.y, a.z));
             }
         }
-        match self.edges().max() {
+        match self.triangles_per_edge().max() {
             Some(shared) if shared > MOST_SHARED => {
                 let problem = format!("has an edge that {shared} triangles share; remove double faces");
                 Err(Error::input(path, problem))
@@ -189,8 +193,8 @@ impl Mesh {
         }
     }
 
-    /// Merges equal vertices and drops unused ones: many programs write one vertex per triangle corner. Vertices keep
-    /// the order of their first use; indices out of range are kept.
+    /// Returns the mesh with equal vertices merged and unused ones dropped: many programs write one vertex per triangle
+    /// corner. Vertices keep the order of their first use; indices out of range are kept.
     pub fn welded(self) -> Self {
         let mut merged = HashMap::new();
         let mut vertices = Vec::new();
@@ -207,22 +211,21 @@ impl Mesh {
     }
 
     /// Returns the number of edges of only one triangle: the rim of an open surface. Weld the mesh first.
-    pub fn boundary_edges(&self) -> usize {
-        self.edges().filter(|triangles| *triangles == 1).count()
+    pub fn boundary_edge_count(&self) -> usize {
+        self.triangles_per_edge().filter(|triangles| *triangles == 1).count()
     }
 
     /// Returns whether the surface is closed: every edge belongs to an even number of triangles. Weld the mesh first.
     pub fn is_closed(&self) -> bool {
-        !self.triangles.is_empty() && self.edges().all(|triangles| triangles % 2 == 0)
+        !self.triangles.is_empty() && self.triangles_per_edge().all(|triangles| triangles % 2 == 0)
     }
 
-    /// Scales, then rotates about +z by `yaw_deg` degrees counterclockwise, then shifts by metres. Quarter turns are
-    /// exact. A negative scale mirrors; the corner order is then reversed so that the outside stays outside.
+    /// Returns the mesh scaled, then rotated about +z by `yaw_deg` degrees counterclockwise, then shifted by metres.
+    /// Quarter turns are exact. A negative scale mirrors; the corner order is then reversed so that the outside stays
+    /// outside.
     pub fn transformed(mut self, scale: f64, yaw_deg: f64, shift: DVec3) -> Self {
-        let turn = turn(yaw_deg);
-        for vertex in &mut self.vertices {
-            *vertex = turn * (*vertex * scale) + shift;
-        }
+        let turn = yaw_rotation(yaw_deg);
+        self.vertices.iter_mut().for_each(|vertex| *vertex = turn * (*vertex * scale) + shift);
         if scale < 0.0 {
             self.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
         }
@@ -230,12 +233,12 @@ impl Mesh {
     }
 
     /// Returns the corners of a triangle, metres.
-    fn corners(&self, triangle: [u32; 3]) -> [DVec3; 3] {
+    pub(crate) fn corners(&self, triangle: [u32; 3]) -> [DVec3; 3] {
         triangle.map(|v| self.vertices[v as usize])
     }
 
-    /// Returns the number of triangles at each edge.
-    fn edges(&self) -> impl Iterator<Item = usize> {
+    /// Returns the number of triangles at each edge, in no particular order.
+    fn triangles_per_edge(&self) -> impl Iterator<Item = usize> {
         let ends = |[a, b, c]: &[u32; 3]| [[*a, *b], [*b, *c], [*c, *a]].map(|[u, v]| (u.min(v), u.max(v)));
         let mut edges: Vec<(u32, u32)> = self.triangles.iter().flat_map(ends).collect();
         edges.sort_unstable();
@@ -244,8 +247,8 @@ impl Mesh {
     }
 }
 
-/// Returns the rotation about +z by degrees, exact for quarter turns.
-fn turn(degrees: f64) -> DMat3 {
+/// Returns the rotation about +z by `degrees` counterclockwise, exact for quarter turns.
+fn yaw_rotation(degrees: f64) -> DMat3 {
     let (quarters, rest) = ((degrees / 90.0).round(), degrees - 90.0 * (degrees / 90.0).round());
     let (sin, cos) = rest.to_radians().sin_cos();
     let (sin, cos) = match quarters.rem_euclid(4.0) as u8 {

@@ -52,10 +52,7 @@ impl ObservationKind {
         }
     }
 
-    /// Validates the parameters.
-    ///
-    /// # Errors
-    /// The problem and the next step.
+    /// Returns an error for a parameter out of range: the problem and the next step.
     pub fn check(&self) -> Result<(), String> {
         match *self {
             Self::Power { noise_db } if !(0.0..=100.0).contains(&noise_db) => {
@@ -100,15 +97,16 @@ pub struct ReceiverObservation {
     pub paths: Vec<PropagationPath>,
 }
 
-/// Returns the reading in dBm of a channel at a transmit power of `sent_dbm`. `draw` selects the random error of
-/// `noise_db` with its seed; `None`: no error.
-pub(crate) fn reading(channel: &[Complex], sent_dbm: f64, noise_db: f64, draw: Option<(u64, NoiseDraw<'_>)>) -> f64 {
+/// Returns the power reading of a channel at a transmit power of `sent_dbm`, rounded to 0.001 dB, at least
+/// [`SILENT_DBM`]; NaN for a channel with NaN. `draw` selects the random error of `noise_db` dB with its seed; `None`: no
+/// error.
+pub(crate) fn power_dbm(channel: &[Complex], sent_dbm: f64, noise_db: f64, draw: Option<(u64, NoiseDraw<'_>)>) -> f64 {
     let power = mean_power(channel);
     if power.is_nan() {
         return power; // reported by the caller
     }
     let error = draw.filter(|_| noise_db > 0.0);
-    let error = error.map_or(0.0, |(seed, draw)| noise_db * normal_f64(&mut draw.stream(seed, "power reading")));
+    let error = error.map_or(0.0, |(seed, draw)| noise_db * normal_f64(&mut draw.random_stream(seed, "power reading")));
     let exact = sent_dbm + 10.0 * power.log10() + error;
     ((exact * GRAINS).round() / GRAINS).max(SILENT_DBM)
 }
@@ -124,17 +122,17 @@ pub(crate) struct NoiseDraw<'a> {
 
 impl NoiseDraw<'_> {
     /// Returns the random stream `purpose` of this receiver and sample.
-    pub(crate) fn stream(&self, seed: u64, purpose: &str) -> Rng {
+    pub(crate) fn random_stream(&self, seed: u64, purpose: &str) -> Rng {
         rng::stream(seed, &self.receiver.stream_name(purpose), self.sample)
     }
 }
 
-/// Adds the errors to the channel `[K, subcarriers]` of one sample. An antenna has the same phase error at all
-/// subcarriers.
+/// Adds phase errors and thermal noise to the channel `[K, subcarriers]` of one sample. An antenna has the same phase
+/// error at all subcarriers.
 pub(crate) fn add_noise(noise: &Noise, channel: &mut [Complex], subcarriers: usize, draw: NoiseDraw<'_>) {
     if noise.phase_error_deg > 0.0 {
         let deviation = noise.phase_error_deg.to_radians();
-        let mut random = NoiseDraw { sample: 0, ..draw }.stream(noise.seed, "receiver phase errors");
+        let mut random = NoiseDraw { sample: 0, ..draw }.random_stream(noise.seed, "receiver phase errors");
         for antenna in channel.chunks_mut(subcarriers.max(1)) {
             let turn = Complex::cis(deviation * rng::normal(&mut random) as f64);
             antenna.iter_mut().for_each(|h| *h *= turn);
@@ -142,7 +140,7 @@ pub(crate) fn add_noise(noise: &Noise, channel: &mut [Complex], subcarriers: usi
     }
     if let Some(snr) = noise.snr_db {
         let deviation = (mean_power(channel) * 10f64.powf(-snr / 10.0)).sqrt() * FRAC_1_SQRT_2;
-        let mut random = draw.stream(noise.seed, "receiver noise");
+        let mut random = draw.random_stream(noise.seed, "receiver noise");
         let mut normal = || deviation * rng::normal(&mut random) as f64;
         channel.iter_mut().for_each(|h| *h += Complex::new(normal(), normal()));
     }

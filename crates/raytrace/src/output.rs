@@ -5,8 +5,8 @@ mod files;
 pub mod mitsuba;
 mod path_table;
 
-pub(crate) use files::{CHANNELS, POSITIONS, POWERS, SPECTRA, is_test};
-use files::{Files, check_powers};
+pub(crate) use files::{CHANNELS, POSITIONS, POWERS, SPECTRA, is_test_sample};
+use files::{DatasetFiles, check_power_table};
 pub use files::{OutputLayout, PATHS, POWER};
 
 use crate::observe::ObservationKind;
@@ -64,7 +64,7 @@ pub const POINTS: &str = "points.ply";
 /// # Errors
 /// `out` is not empty, a write failed, the layout does not fit, or `stop` is set ([`Error::Stopped`]; nothing is left
 /// behind).
-pub fn write_as(
+pub fn write_dataset(
     recipe: &SimulationRecipe,
     layout: OutputLayout,
     paths: bool,
@@ -77,15 +77,15 @@ pub fn write_as(
     let simulator = Simulator::new(&recipe.scene)?; // reports errors of all receivers before the first is simulated
     let new_folder = NewFolder::begin(out)?;
     if layout == OutputLayout::DeepMimo {
-        deepmimo::write(recipe, &simulator, new_folder.path(), progress, stop)?;
+        deepmimo::write_scenario(recipe, &simulator, new_folder.path(), progress, stop)?;
         new_folder.put(MANIFEST, recipe.to_json())?;
         return new_folder.publish();
     }
     let receivers = recipe.scene.receivers().count();
     if receivers == 1 || layout == OutputLayout::Rssi {
-        fill(recipe, &simulator, layout, paths, new_folder.path(), progress, stop)?;
+        simulate_into(recipe, &simulator, layout, paths, new_folder.path(), progress, stop)?;
         if layout == OutputLayout::Rssi {
-            check_powers(new_folder.path())?;
+            check_power_table(new_folder.path())?;
         }
         return new_folder.publish();
     }
@@ -96,7 +96,7 @@ pub fn write_as(
         let folder = new_folder.path().join(&receiver.name);
         fs::create_dir(&folder).map_err(|e| Error::write(&folder, e))?;
         let progress = |done, all| progress(i * all + done, receivers * all);
-        fill(&recipe, &simulator, layout, paths, &folder, &progress, stop)?;
+        simulate_into(&recipe, &simulator, layout, paths, &folder, &progress, stop)?;
     }
     new_folder.put(MANIFEST, recipe.to_json())?;
     new_folder.publish()
@@ -106,7 +106,7 @@ pub fn write_as(
 /// consecutive.
 ///
 /// # Errors
-/// Same as [`write_as`].
+/// Same as [`write_dataset`].
 pub(crate) fn write_links(recipe: &SimulationRecipe, out: &Path, progress: Progress<'_>) -> Result<()> {
     let (simulator, new_folder) = (Simulator::new(&recipe.scene)?, NewFolder::begin(out)?);
     let layout = match recipe.observe {
@@ -114,12 +114,13 @@ pub(crate) fn write_links(recipe: &SimulationRecipe, out: &Path, progress: Progr
         ObservationKind::Power { .. } => OutputLayout::Rssi,
         ObservationKind::Channel { .. } => OutputLayout::Channels,
     };
-    fill(recipe, &simulator, layout, false, new_folder.path(), progress, &AtomicBool::new(false))?;
+    simulate_into(recipe, &simulator, layout, false, new_folder.path(), progress, &AtomicBool::new(false))?;
     new_folder.publish()
 }
 
-/// Simulates `recipe` into the existing, empty `folder`.
-fn fill(
+/// Simulates `recipe` into the existing, empty `folder`: observations, tables, points and manifest, and with `paths` the
+/// path tables.
+fn simulate_into(
     recipe: &SimulationRecipe,
     simulator: &Simulator,
     layout: OutputLayout,
@@ -129,23 +130,26 @@ fn fill(
     stop: &AtomicBool,
 ) -> Result<()> {
     let &SimulationRecipe { samples, seed, observe, .. } = recipe;
-    let mut files = Files::begin(folder, simulator, layout, samples, paths)?;
+    let mut files = DatasetFiles::create(folder, simulator, layout, samples)?;
+    if paths {
+        files.add_path_tables(simulator)?;
+    }
     simulate_links(simulator, &SimulationRequest { kind: observe, samples, seed }, stop, |i, tx, received| {
         check_stopped(stop)?;
         let pose = recipe.scene.moved_receiver(i, tx, seed).map(|receiver| receiver.pose());
         let row = pose.map_or_else(|| format!("{},{},{}\n", tx.x, tx.y, tx.z), pose_row);
-        files.add(i, &row, &received)?;
+        files.add_transmitter(i, &row, &received)?;
         progress(i + 1, samples);
         Ok(())
     })?;
     files.finish(samples)?;
-    write_points(recipe, simulator, folder)?;
+    write_point_cloud(recipe, simulator, folder)?;
     write(&folder.join(MANIFEST), recipe.to_json())?;
     check_stopped(stop)
 }
 
-/// Writes the point cloud of the scene.
-fn write_points(recipe: &SimulationRecipe, simulator: &Simulator, folder: &Path) -> Result<()> {
+/// Writes the random points on all surfaces of the scene into `folder`.
+fn write_point_cloud(recipe: &SimulationRecipe, simulator: &Simulator, folder: &Path) -> Result<()> {
     let cloud = simulator.surface_points(recipe.points, recipe.seed);
     let comment = format!("simulated by pwrfgs: surfaces of {}", recipe.scene.name);
     let path = folder.join(POINTS);

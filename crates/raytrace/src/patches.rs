@@ -18,9 +18,9 @@ pub(crate) struct Patch {
     pub(crate) phase: f64,
 }
 
-/// Returns the patches of all rough faces: squares with a side of about `side` metres. Phases are drawn per patch and
+/// Returns the scattering patches of all rough faces: squares with a side of about `side` metres. Phases are drawn per
 /// face, so that adding a face changes no other.
-pub(crate) fn patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
+pub(crate) fn scattering_patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
     let mut all = Vec::new();
     for (index, face) in world.faces.iter().enumerate() {
         if world.surface_of(index as u32).roughness == 0.0 {
@@ -29,9 +29,9 @@ pub(crate) fn patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
         let mut random = rng::stream(seed, "scattering", index as u64);
         let start = all.len();
         let lattice = Lattice::new(&face.hull, face.normal, side);
-        for point in lattice.iter().flat_map(Lattice::middles) {
+        for point in lattice.iter().flat_map(Lattice::cell_centres) {
             let phase = rng::uniform(&mut random) as f64 * TAU;
-            if world.is_on(index as u32, point) {
+            if world.is_on_face(index as u32, point) {
                 all.push(Patch { face: index as u32, point, area: 0.0, phase });
             }
         }
@@ -51,8 +51,9 @@ pub(crate) fn patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
     all
 }
 
-/// Returns the number of cells of the bounding rectangle that [`patches`] tests.
-pub(crate) fn cells(face: &Face, side: f64) -> f64 {
+/// Returns the number of cells of about `side` metres in the bounding rectangle of a face, which [`scattering_patches`]
+/// tests: a whole number, 0 without extent.
+pub(crate) fn cell_count(face: &Face, side: f64) -> f64 {
     Lattice::new(&face.hull, face.normal, side).map_or(0.0, |l| l.columns * l.rows)
 }
 
@@ -70,7 +71,7 @@ struct Lattice {
 }
 
 impl Lattice {
-    /// Creates the grid of cells of about `side` metres; `None` without extent.
+    /// Creates the grid of cells of about `side` metres over a polygon; `None` if all its corners coincide.
     fn new(hull: &[DVec3], normal: DVec3, side: f64) -> Option<Self> {
         let longest = (0..hull.len()).map(|i| hull[(i + 1) % hull.len()] - hull[i]);
         let u = longest.max_by(|a, b| a.length().total_cmp(&b.length())).and_then(DVec3::try_normalize)?;
@@ -84,7 +85,7 @@ impl Lattice {
     }
 
     /// Returns the centres of the cells, metres, row by row.
-    fn middles(&self) -> impl Iterator<Item = DVec3> {
+    fn cell_centres(&self) -> impl Iterator<Item = DVec3> {
         let (columns, rows) = (self.columns as usize, self.rows as usize);
         let middle = |(low, high): (f64, f64), i: usize, n: usize| low + (high - low) * (i as f64 + 0.5) / n as f64;
         let [across, up] = self.extent;

@@ -77,7 +77,7 @@ impl PropagationPath {
 
     /// Returns the gain including the phase of the carrier delay: the contribution at the receiver. `wavelength` in
     /// metres.
-    pub fn baseband(&self, wavelength: f64) -> Complex {
+    pub fn baseband_gain(&self, wavelength: f64) -> Complex {
         self.gain * Complex::cis(-std::f64::consts::TAU * self.length / wavelength)
     }
 
@@ -87,8 +87,8 @@ impl PropagationPath {
     }
 }
 
-/// Returns the azimuth and elevation of a unit vector, degrees; azimuth from 0 to 360 as in a spectrum.
-pub(crate) fn angles(direction: DVec3) -> (f64, f64) {
+/// Returns the azimuth, from 0 to 360, and elevation of a unit vector, degrees, as in a spectrum.
+pub(crate) fn azimuth_elevation_deg(direction: DVec3) -> (f64, f64) {
     let azimuth = direction.y.atan2(direction.x).to_degrees();
     let elevation = direction.z.clamp(-1.0, 1.0).asin().to_degrees();
     (if azimuth < 0.0 { azimuth + 360.0 } else { azimuth }, elevation)

@@ -36,7 +36,7 @@ pub(crate) fn perturbed(scene: &SceneFile, errors: &SceneErrors) -> SceneFile {
     wrong
 }
 
-/// Gives each finish its own perturbed material.
+/// Gives each finish its own material and thickness with random errors; does nothing at a deviation of 0.
 fn perturb_materials(scene: &mut SceneFile, errors: &SceneErrors) {
     if errors.materials == 0.0 {
         return;
@@ -55,7 +55,7 @@ fn perturb_materials(scene: &mut SceneFile, errors: &SceneErrors) {
     }
 }
 
-/// Moves each wall or corner by its own error.
+/// Moves each wall of a box or corner of a plan, and the ceiling, each by its own error in metres.
 fn move_walls(outline: &mut Outline, error: &mut dyn FnMut() -> f64) {
     match outline {
         Outline::Box { low, high } => {
@@ -72,7 +72,7 @@ fn move_walls(outline: &mut Outline, error: &mut dyn FnMut() -> f64) {
     }
 }
 
-/// Moves an object horizontally.
+/// Moves an object horizontally by metres along x and y.
 fn move_object(object: &mut Object, by: [f64; 2]) {
     let (first, second): (&mut [f64], Option<&mut [f64]>) = match object {
         Object::Box { low, high, .. } => (low, Some(high)),
@@ -84,7 +84,8 @@ fn move_object(object: &mut Object, by: [f64; 2]) {
     }
 }
 
-/// Moves each opening together with its host.
+/// Moves each opening together with its host, the last side before it that it lies on: its corners keep their relative
+/// positions along the host. An opening without a host stays.
 fn move_openings(truth: &SceneFile, wrong: &mut SceneFile) {
     let top = |scene: &SceneFile| match scene.room.as_ref().map(|room| &room.outline) {
         Some(Outline::Box { high, .. }) => high[2],
@@ -106,7 +107,8 @@ fn move_openings(truth: &SceneFile, wrong: &mut SceneFile) {
     }
 }
 
-/// Returns the upright sides of the room and of the first `count` objects as seen from above, in a fixed order.
+/// Returns the upright sides of the room and of the first `count` objects as seen from above: end points in metres, in an
+/// order that does not depend on positions.
 fn upright_sides(scene: &SceneFile, count: usize) -> Vec<[DVec2; 2]> {
     let ring = |corners: &[DVec2]| -> Vec<[DVec2; 2]> {
         (0..corners.len()).map(|i| [corners[i], corners[(i + 1) % corners.len()]]).collect()
@@ -131,7 +133,7 @@ fn upright_sides(scene: &SceneFile, count: usize) -> Vec<[DVec2; 2]> {
     sides
 }
 
-/// Returns the position of a point along a side, from 0 to 1; `None` if it is not on the side.
+/// Returns the relative position of a point along a side, from 0 to 1; `None` if it is not on the side.
 fn position_along([a, b]: &[DVec2; 2], point: [f64; 2]) -> Option<f64> {
     let (along, to) = (*b - *a, DVec2::from(point) - *a);
     let t = to.dot(along) / along.length_squared();

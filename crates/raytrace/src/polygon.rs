@@ -11,8 +11,8 @@ pub(crate) const LEAST_AREA: f64 = 1e-12;
 /// Normal and offset, positive inside.
 pub(crate) type Plane = (DVec3, f64);
 
-/// Clips a convex polygon to `normal`·x > `offset` (Sutherland and Hodgman, 1974).
-pub(crate) fn clip(polygon: &[DVec3], (normal, offset): Plane) -> Vec<DVec3> {
+/// Returns the part of a convex polygon with `normal`·x > `offset` (Sutherland and Hodgman, 1974); empty if there is none.
+pub(crate) fn clip_polygon(polygon: &[DVec3], (normal, offset): Plane) -> Vec<DVec3> {
     let height = |p: DVec3| {
         let h = normal.dot(p) - offset;
         if h.abs() < THIN { 0.0 } else { h }
@@ -35,13 +35,13 @@ pub(crate) fn clip(polygon: &[DVec3], (normal, offset): Plane) -> Vec<DVec3> {
 }
 
 /// Returns the area of a convex polygon, m².
-pub(crate) fn area(polygon: &[DVec3]) -> f64 {
+pub(crate) fn polygon_area(polygon: &[DVec3]) -> f64 {
     let Some((first, rest)) = polygon.split_first() else { return 0.0 };
     0.5 * rest.windows(2).map(|w| (w[0] - first).cross(w[1] - first)).sum::<DVec3>().length()
 }
 
-/// Returns the planes through the sides of a convex polygon, perpendicular to its plane.
-pub(crate) fn sides<const N: usize>(corners: &[DVec3; N], normal: DVec3) -> [Plane; N] {
+/// Returns the planes through the sides of a convex polygon, perpendicular to its plane, positive inside.
+pub(crate) fn side_planes<const N: usize>(corners: &[DVec3; N], normal: DVec3) -> [Plane; N] {
     let middle = corners.iter().sum::<DVec3>() / N as f64;
     std::array::from_fn(|i| {
         let across = normal.cross(corners[(i + 1) % N] - corners[i]).normalize();
@@ -50,8 +50,9 @@ pub(crate) fn sides<const N: usize>(corners: &[DVec3; N], normal: DVec3) -> [Pla
     })
 }
 
-/// Returns the interval, from 0 to 1, in which a segment is more than `least` metres inside.
-pub(crate) fn within([a, b]: [DVec3; 2], sides: &[Plane], least: f64) -> Option<(f64, f64)> {
+/// Returns the interval, within 0 to 1, in which the segment from `a` to `b` is more than `least` metres inside all
+/// planes; `None` if there is none.
+pub(crate) fn interval_inside([a, b]: [DVec3; 2], sides: &[Plane], least: f64) -> Option<(f64, f64)> {
     let (mut start, mut end) = (0.0_f64, 1.0_f64);
     for (normal, offset) in sides {
         let (at_a, at_b) = (normal.dot(a) - offset - least, normal.dot(b) - offset - least);
@@ -65,14 +66,15 @@ pub(crate) fn within([a, b]: [DVec3; 2], sides: &[Plane], least: f64) -> Option<
     (start < end).then_some((start, end))
 }
 
-/// Returns the part of a triangle outside a convex polygon in its plane, as triangles.
-pub(crate) fn outside(triangle: &Triangle, sides: &[Plane]) -> Vec<Triangle> {
+/// Returns the part of a triangle outside a convex polygon in its plane, as triangles. `sides` are the planes of the
+/// polygon, as of [`side_planes`].
+pub(crate) fn triangles_outside(triangle: &Triangle, sides: &[Plane]) -> Vec<Triangle> {
     let mut rest = triangle.corners().to_vec();
     let mut pieces = Vec::new();
     for &(normal, offset) in sides {
-        pieces.push(clip(&rest, (-normal, -offset)));
-        rest = clip(&rest, (normal, offset));
-        if area(&rest) <= LEAST_AREA {
+        pieces.push(clip_polygon(&rest, (-normal, -offset)));
+        rest = clip_polygon(&rest, (normal, offset));
+        if polygon_area(&rest) <= LEAST_AREA {
             return vec![*triangle]; // nothing of it lies inside
         }
     }

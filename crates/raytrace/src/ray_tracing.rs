@@ -48,8 +48,8 @@ pub struct RayTracing {
 }
 
 impl RayTracing {
-    /// Returns the note that explains the name.
-    fn note(&self, is_oracle: bool, task: Task) -> String {
+    /// Returns the note that explains the name of the baseline in a table of this task.
+    fn explain_name(&self, is_oracle: bool, task: Task) -> String {
         let things = task.plural;
         let content = match (&self.scene, self.is_exact() && is_oracle) {
             (_, true) => {
@@ -75,13 +75,14 @@ impl RayTracing {
         format!("«{}» is {content}", self.name())
     }
 
-    /// Returns whether the scene has no errors.
+    /// Returns whether the scene is used without random errors.
     fn is_exact(&self) -> bool {
         self.material_error == 0.0 && self.position_error_m == 0.0
     }
 
-    /// Returns the scene of this baseline, and whether it is that of the data.
-    fn scene(&self, data: &Dataset) -> Result<(SceneFile, bool)> {
+    /// Returns the scene of this baseline, read from its file or from the data, and whether it is that of the data. Returns
+    /// an error if it cannot be read, or neither is given.
+    fn resolve_scene(&self, data: &Dataset) -> Result<(SceneFile, bool)> {
         let data_scene = data.simulation.as_ref().and_then(|simulation| simulation.scene.as_deref());
         let data_scene = data_scene.and_then(|text| SceneFile::parse(text, Path::new("scene of the data")).ok());
         match (&self.scene, data_scene) {
@@ -99,8 +100,9 @@ impl RayTracing {
         }
     }
 
-    /// Prepares the scene with its errors. If an error moves a wall past the receiver, another draw is used.
-    fn simulator(&self, scene: &SceneFile) -> Result<Simulator> {
+    /// Prepares a simulator of the scene with random errors. If an error moves a wall past the receiver, another draw is
+    /// used; returns the error of the last of many draws.
+    fn prepare_simulator(&self, scene: &SceneFile) -> Result<Simulator> {
         if self.is_exact() {
             return Simulator::new(scene);
         }
@@ -112,7 +114,7 @@ impl RayTracing {
                 draw,
             };
             let scene = perturbed(scene, &errors);
-            match scene.fault() {
+            match scene.first_fault() {
                 Some(fault) => Err(Error::Config(format!("RayTracing: {fault}; lower its errors"))),
                 None => Simulator::new(&scene),
             }
@@ -146,10 +148,10 @@ impl Baseline for RayTracing {
     }
 
     fn fit<'a>(&self, data: &'a Dataset, _: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
-        let (scene, is_oracle) = self.scene(data)?;
+        let (scene, is_oracle) = self.resolve_scene(data)?;
         let kind = required_observation(data, &scene)?;
-        let receivers = receivers(data, &scene)?;
-        let (simulator, note) = (self.simulator(&scene)?, self.note(is_oracle, data.task()));
+        let receivers = receiver_indices(data, &scene)?;
+        let (simulator, note) = (self.prepare_simulator(&scene)?, self.explain_name(is_oracle, data.task()));
         Ok(Box::new(TracedBaseline { simulator, receivers, kind, noise: self.noise, seed: self.seed, note, is_oracle }))
     }
 
@@ -163,7 +165,7 @@ impl Baseline for RayTracing {
     }
 }
 
-/// Returns the observation type of the data; an error if this scene cannot provide it.
+/// Returns the observation type of the data, without noise. Returns an error if this scene cannot provide it.
 fn required_observation(data: &Dataset, scene: &SceneFile) -> Result<ObservationKind> {
     let refuse = |problem: String| Err(Error::Config(format!("RayTracing: {problem}; leave it out")));
     if data.scene.moving.is_receiver() {
@@ -187,8 +189,8 @@ fn required_observation(data: &Dataset, scene: &SceneFile) -> Result<Observation
         return Ok(ObservationKind::Spectrum);
     };
     let (hz, have) = (scene.frequencies(), channels.antennas);
-    if let Some(other) = scene.receivers().find(|receiver| receiver.array.elements() != have) {
-        let has = other.array.elements();
+    if let Some(other) = scene.receivers().find(|receiver| receiver.array.element_count() != have) {
+        let has = other.array.element_count();
         return refuse(format!("channels of this data set have {have} antennas, and `{}` has {has}", other.name));
     }
     let near = |(a, b): (&f64, &f64)| (a / b - 1.0).abs() < SAME_FREQUENCY;
@@ -198,8 +200,9 @@ fn required_observation(data: &Dataset, scene: &SceneFile) -> Result<Observation
     Ok(ObservationKind::Channel { snr_db: None })
 }
 
-/// Returns the index in the scene of each receiver of the data: by name, or the only one.
-fn receivers(data: &Dataset, scene: &SceneFile) -> Result<Vec<usize>> {
+/// Returns the index in the scene of each receiver of the data: by carrier, by name, or the only one. Returns an error if
+/// one is missing or has another carrier.
+fn receiver_indices(data: &Dataset, scene: &SceneFile) -> Result<Vec<usize>> {
     let data_receivers = &data.scene.receivers;
     let is_same = |a: f64, b: f64| (a / b - 1.0).abs() < SAME_FREQUENCY;
     if !scene.carriers_hz.is_empty() {
@@ -251,7 +254,7 @@ impl Predict for TracedBaseline {
             SimulatedObservation::Channel(channel) => {
                 let gains = channel.iter().map(|h| [h.re as Real, h.im as Real]).collect();
                 let frequencies_hz = self.simulator.scene().frequencies();
-                let antennas = receiver.receiver().array.elements();
+                let antennas = receiver.receiver().array.element_count();
                 Observations::from(Channels { antennas, frequencies_hz, gains }).image(0)
             }
         }

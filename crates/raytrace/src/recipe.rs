@@ -10,7 +10,7 @@ use std::path::Path;
 /// Version of the simulator output; increased whenever the same recipe gives other bytes.
 const EDITION: u32 = 3;
 /// Largest number of links of a data set: 32 GB of spectra as an array. Fewer are allowed as images
-/// ([`crate::output::write_as`]).
+/// ([`crate::output::write_dataset`]).
 const MOST_SAMPLES: usize = 1_000_000;
 /// Largest size of all channels of a data set, bytes; training needs them in memory.
 const MOST_BYTES: usize = 8 << 30;
@@ -35,10 +35,10 @@ pub struct SimulationRecipe {
 }
 
 impl SimulationRecipe {
-    /// Reads the scene of a recipe, and the bytes of its meshes.
+    /// Creates a recipe of spectra: reads the scene file, and hashes its meshes.
     ///
     /// # Errors
-    /// An invalid scene, with line and column, or a mesh that cannot be read.
+    /// Numbers out of range, an invalid scene, with line and column, or a mesh that cannot be read.
     pub fn read(scene: &Path, samples: usize, seed: u64, points: usize) -> Result<Self> {
         check_counts(samples, points).map_err(Error::Config)?;
         let scene = SceneFile::read(scene)?;
@@ -58,7 +58,7 @@ impl SimulationRecipe {
                 return Ok(String::clone(hash));
             }
             let bytes = files::read_at_most(&file, mesh::MOST_BYTES).map_err(|e| Error::read(&file, e))?;
-            Ok(hashes.entry(file).or_insert(format!("{:016x}", fnv(&bytes))).clone())
+            Ok(hashes.entry(file).or_insert(format!("{:016x}", fnv1a_hash(&bytes))).clone())
         };
         let meshes = scene.objects.iter().filter_map(file).map(hash).collect::<Result<Vec<_>>>()?;
         Ok(Self { scene, samples, seed, points, observe: ObservationKind::Spectrum, meshes })
@@ -67,7 +67,7 @@ impl SimulationRecipe {
     /// Returns the recipe with another observation type.
     ///
     /// # Errors
-    /// The scene does not support it.
+    /// The scene does not support it, or its channels take too much memory.
     pub fn observing(self, observe: ObservationKind) -> Result<Self> {
         observe.check().map_err(Error::Config)?;
         if !self.scene.carriers_hz.is_empty() && observe != ObservationKind::Spectrum {
@@ -81,7 +81,7 @@ impl SimulationRecipe {
         Ok(Self { observe, ..self })
     }
 
-    /// Returns the recipe with only one of its receivers.
+    /// Returns the recipe with `receiver` as its only receiver.
     pub(crate) fn with_receiver(&self, receiver: &SceneReceiver) -> Self {
         Self { scene: self.scene.with_receiver(receiver), ..self.clone() }
     }
@@ -106,15 +106,15 @@ impl SimulationRecipe {
         serde_json::to_string_pretty(&manifest).expect("a manifest is plain data") + "\n"
     }
 
-    /// Returns the folder name, unique per manifest.
+    /// Returns the folder name in the cache, unique per manifest: the scene name and a hash.
     pub fn folder_name(&self) -> String {
         let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '-' };
         let name: String = self.scene.name.chars().map(plain).take(40).collect();
-        format!("{name}-{:016x}", fnv(self.to_json().as_bytes()))
+        format!("{name}-{:016x}", fnv1a_hash(self.to_json().as_bytes()))
     }
 }
 
-/// Returns an error for numbers out of range.
+/// Returns an error for a number of samples or points out of range.
 pub(crate) fn check_counts(samples: usize, points: usize) -> Result<(), String> {
     if !(5..=MOST_SAMPLES).contains(&samples) {
         return Err(format!("`samples` is {samples}; give 5 to {MOST_SAMPLES}"));
@@ -125,9 +125,9 @@ pub(crate) fn check_counts(samples: usize, points: usize) -> Result<(), String> 
     Ok(())
 }
 
-/// Returns an error if the channels have different shapes or do not fit.
+/// Returns an error if receivers have different numbers of antennas, or all channels exceed [`MOST_BYTES`].
 fn check_channels(scene: &SceneFile, samples: usize) -> Result<()> {
-    let elements = |receiver: &SceneReceiver| receiver.array.elements();
+    let elements = |receiver: &SceneReceiver| receiver.array.element_count();
     let (first, count) = (&scene.receiver, elements(&scene.receiver));
     if let Some(other) = scene.receivers().find(|receiver| elements(receiver) != count) {
         return Err(Error::Config(format!(
@@ -154,6 +154,6 @@ fn check_channels(scene: &SceneFile, samples: usize) -> Result<()> {
 }
 
 /// Returns the 64-bit FNV-1a hash: equal on every machine and in every version.
-fn fnv(bytes: &[u8]) -> u64 {
+fn fnv1a_hash(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3))
 }

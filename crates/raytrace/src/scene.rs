@@ -94,8 +94,8 @@ pub struct SceneFile {
 }
 
 impl SceneFile {
-    /// Reads a scene file, or the shipped scene of this name; mesh paths become relative to the current directory. A
-    /// Mitsuba XML file is a scene with a default carrier, receiver and transmitter region.
+    /// Reads and checks a scene file, or the shipped scene of this name; mesh paths become relative to the current
+    /// directory. A Mitsuba XML file is a scene with a default carrier, receiver and transmitter region.
     ///
     /// # Errors
     /// Reports file, line and column of an error.
@@ -106,7 +106,7 @@ impl SceneFile {
         let text = ShippedFile::read(ShippedFile::SCENES, path, MOST_BYTES)?;
         let mut scene: Self = read_ron(&text, path)?;
         if scene.mitsuba.is_none() {
-            scene = scene.check_in(path, &text)?; // otherwise its objects may have materials of the XML file
+            scene = scene.validated(path, &text)?; // otherwise its objects may have materials of the XML file
         }
         let folder = path.parent().unwrap_or(Path::new(""));
         for object in &mut scene.objects {
@@ -118,7 +118,7 @@ impl SceneFile {
         scene.with_meshes(MitsubaScene::read(&folder.join(file))?, (path, &text))
     }
 
-    /// Returns the scene of a Mitsuba file, with isotropic antennas at positions that suit its size.
+    /// Reads a Mitsuba file as a scene with a default carrier, and isotropic antennas at positions that suit its size.
     fn read_mitsuba(path: &Path) -> Result<Self> {
         let meshes = MitsubaScene::read(path)?;
         let mut scene: Self = read_ron(MITSUBA_DEFAULTS, path)?;
@@ -126,51 +126,51 @@ impl SceneFile {
         let folder =
             path.parent().and_then(Path::file_name).filter(|_| path.file_stem().is_some_and(|stem| stem == "scene"));
         scene.name = folder.or(path.file_stem()).unwrap_or_default().to_string_lossy().into_owned();
-        let [receiver, low, high] = meshes.antennas()?;
+        let [receiver, low, high] = meshes.default_antennas()?;
         scene.receiver.position = receiver;
         scene.transmitter.positions = Transmitters::Uniform { low, high };
         scene.with_meshes(meshes, (path, &files::read_text(path)?))
     }
 
-    /// Returns the scene of the file `path` with the meshes and materials of a Mitsuba file; its own materials have
-    /// precedence.
+    /// Returns the scene of the file `path` with content `text`, with the meshes and materials of a Mitsuba file; its own
+    /// materials have precedence. Returns an error if the scene is then invalid.
     fn with_meshes(mut self, meshes: MitsubaScene, (path, text): (&Path, &str)) -> Result<Self> {
         self.objects.extend(meshes.objects);
         self.materials = meshes.materials.into_iter().chain(self.materials).collect();
-        self.check_in(path, text)
+        self.validated(path, text)
     }
 
     /// Returns the scene with another carrier and another position of the first receiver, if given.
     ///
     /// # Errors
     /// A value out of range.
-    pub fn with(mut self, carrier_hz: Option<f64>, receiver: Option<[f64; 3]>) -> Result<Self> {
+    pub fn with_overrides(mut self, carrier_hz: Option<f64>, receiver: Option<[f64; 3]>) -> Result<Self> {
         if let Some(only) = carrier_hz {
             (self.carrier_hz, self.carriers_hz) = (only, Vec::new());
         }
         self.receiver.position = receiver.unwrap_or(self.receiver.position);
-        let fault = self.fault().map(|problem| Error::Config(format!("scene `{}`: {problem}", self.name)));
+        let fault = self.first_fault().map(|problem| Error::Config(format!("scene `{}`: {problem}", self.name)));
         fault.map_or(Ok(self), Err)
     }
 
-    /// Parses a scene; `path` is used only in messages.
+    /// Parses and checks a scene; `path` is used only in messages.
     ///
     /// # Errors
     /// Reports line and column of an error.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
-        read_ron::<Self>(text, path)?.check_in(path, text)
+        read_ron::<Self>(text, path)?.validated(path, text)
     }
 
-    /// Checks the scene in the file `path` with content `text`.
-    fn check_in(self, path: &Path, text: &str) -> Result<Self> {
-        self.check_names().and_then(|()| self.check()).map_err(|fault| match position_of(text, &fault.near) {
+    /// Returns the scene if it is valid, otherwise an error with line and column in the file `path` with content `text`.
+    fn validated(self, path: &Path, text: &str) -> Result<Self> {
+        self.check_names().and_then(|()| self.check()).map_err(|fault| match word_position(text, &fault.near) {
             Some((line, column)) => Error::at(path, line, column, fault.message),
             None => Error::input(path, fault.message),
         })?;
         Ok(self)
     }
 
-    /// Returns the scene as RON text, with every default written out.
+    /// Returns the scene as RON text, with defaults written out.
     pub fn to_ron(&self) -> String {
         let config = ron::ser::PrettyConfig::new().struct_names(true);
         pwrfgs_core::plugin::ron_options().to_string_pretty(self, config).expect("a scene is plain data")
@@ -187,9 +187,9 @@ impl SceneFile {
         scene
     }
 
-    /// Returns the material called `name`: the scene's own, else that of ITU-R P.2040.
+    /// Returns the material called `name`: the scene's own, else that of ITU-R P.2040; `None` if both lack it.
     pub fn material(&self, name: &str) -> Option<Material> {
-        self.materials.get(name).cloned().or_else(|| material::named(name))
+        self.materials.get(name).cloned().or_else(|| material::itu_material(name))
     }
 
     /// Returns the carrier wavelength, metres.
@@ -197,22 +197,17 @@ impl SceneFile {
         SPEED_OF_LIGHT / self.carrier_hz
     }
 
-    /// Returns the pose of the first receiver.
-    pub fn pose(&self) -> Pose {
-        self.receiver.pose()
-    }
-
     /// Returns all receivers: `receiver` first, then `more_receivers`.
     pub fn receivers(&self) -> impl Iterator<Item = &SceneReceiver> + Clone {
         std::iter::once(&self.receiver).chain(&self.more_receivers)
     }
 
-    /// Returns the receiver at the `i`th position that `transmitter` draws, if the receiver moves.
+    /// Returns the receiver at the `i`th `position` that `transmitter` draws, metres, at a random angle; `None` if the
+    /// receiver is fixed.
     pub(crate) fn moved_receiver(&self, i: usize, position: DVec3, seed: u64) -> Option<SceneReceiver> {
         let share = 2.0 * rng::uniform(&mut rng::stream(seed, "turn", i as u64)) - 1.0;
         let turn = DQuat::from_rotation_z((self.moving_receiver.as_ref()?.turn_deg * f64::from(share)).to_radians());
-        let [x, y, z, w] = self.receiver.orientation.quaternion();
-        let [x, y, z, w] = (turn * DQuat::from_xyzw(x, y, z, w)).normalize().to_array();
+        let [x, y, z, w] = (turn * DQuat::from_array(self.receiver.orientation.quaternion())).normalize().to_array();
         let orientation = Orientation::Quaternion(x, y, z, w);
         Some(SceneReceiver { position: position.to_array(), orientation, ..self.receiver.clone() })
     }
@@ -233,7 +228,7 @@ impl SceneFile {
         Self { receiver: receiver.clone(), more_receivers: Vec::new(), ..self.clone() }
     }
 
-    /// Frequencies of channels and powers, Hz, ascending.
+    /// Returns the frequencies of channels and powers, Hz, ascending: subcarriers, or the carrier alone.
     pub fn frequencies(&self) -> Vec<f64> {
         self.subcarriers.as_ref().map_or_else(|| vec![self.carrier_hz], |band| band.frequencies(self.carrier_hz))
     }
@@ -245,21 +240,21 @@ impl SceneFile {
         room.chain(self.objects.iter().filter_map(|o| Some((o.name(), o.finish()?))))
     }
 
-    /// Returns the first problem of the scene, in words.
-    pub(crate) fn fault(&self) -> Option<String> {
+    /// Returns the first problem of the scene, in words; `None` for a valid scene. Names are not checked.
+    pub(crate) fn first_fault(&self) -> Option<String> {
         self.check().err().map(|fault| fault.message)
     }
 
-    /// Checks that every name is printable.
+    /// Returns an error unless all names of the scene, its objects and materials are printable and short.
     fn check_names(&self) -> Result<(), SceneFault> {
         let is_plain = |name: &str| !name.chars().any(char::is_control) && name.chars().count() <= LONGEST_NAME;
         let fault = |subject: String| {
             let message =
                 format!("{subject} holds control characters or more than {LONGEST_NAME} letters; give a plain name");
-            Err(SceneFault::of(message, "name"))
+            Err(SceneFault::new(message, "name"))
         };
         if self.name.trim().is_empty() {
-            return Err(SceneFault::of("`name` is empty; give a plain name", "name"));
+            return Err(SceneFault::new("`name` is empty; give a plain name", "name"));
         }
         if !is_plain(&self.name) {
             return fault("`name`".into());
@@ -274,79 +269,80 @@ impl SceneFile {
         Ok(())
     }
 
-    /// Checks all values.
+    /// Returns an error for the first invalid value.
     fn check(&self) -> Result<(), SceneFault> {
         if !(1e6..=1e12).contains(&self.carrier_hz) {
             let why = format!("`carrier_hz` is {}; give a frequency in Hz between 1e6 and 1e12", self.carrier_hz);
-            return Err(SceneFault::of(why, "carrier_hz"));
+            return Err(SceneFault::new(why, "carrier_hz"));
         }
         let is_fixed = self.more_receivers.is_empty() && self.moving_receiver.is_none();
-        check_carriers(&self.carriers_hz, is_fixed).map_err(|why| SceneFault::of(why, "carriers_hz"))?;
+        check_carriers(&self.carriers_hz, is_fixed).map_err(|why| SceneFault::new(why, "carriers_hz"))?;
         for (name, material) in &self.materials {
             material
                 .check()
-                .map_err(|why| SceneFault::of(format!("material `{name}`: {why}"), &format!("\"{name}\"")))?;
+                .map_err(|why| SceneFault::new(format!("material `{name}`: {why}"), &format!("\"{name}\"")))?;
         }
         for hz in std::iter::once(self.carrier_hz).chain(self.carriers_hz.iter().copied()) {
             self.finishes().try_for_each(|(owner, finish)| self.check_finish(owner, finish, hz))?;
         }
         if let Some(room) = &self.room {
-            room.outline.check().map_err(|why| SceneFault::of(why, "outline"))?;
+            room.outline.check().map_err(|why| SceneFault::new(why, "outline"))?;
         } else if self.objects.is_empty() && self.mitsuba.is_none() {
-            return Err(SceneFault::of("the scene is empty; give it a `room`, `objects` or `mitsuba`", "receiver"));
+            return Err(SceneFault::new("the scene is empty; give it a `room`, `objects` or `mitsuba`", "receiver"));
         }
         let mut names = BTreeSet::new();
         for object in &self.objects {
             let quoted = format!("\"{}\"", object.name());
-            object.check().map_err(|why| SceneFault::of(format!("object `{}`: {why}", object.name()), &quoted))?;
+            object.check().map_err(|why| SceneFault::new(format!("object `{}`: {why}", object.name()), &quoted))?;
             if !names.insert(object.name()) {
                 let why = format!("two objects are called `{}`; give each a unique name", object.name());
-                return Err(SceneFault::of(why, &quoted));
+                return Err(SceneFault::new(why, &quoted));
             }
         }
         self.check_receivers()?;
         if let Some(band) = &self.subcarriers {
-            band.check_around(self.carrier_hz).map_err(|why| SceneFault::of(why, "subcarriers"))?;
+            band.check_band(self.carrier_hz).map_err(|why| SceneFault::new(why, "subcarriers"))?;
         }
-        self.transmitter.check().map_err(|why| SceneFault::of(why, "transmitter"))?;
-        self.transmitter.positions.check().map_err(|why| SceneFault::of(why, "positions"))
+        self.transmitter.check().map_err(|why| SceneFault::new(why, "transmitter"))?;
+        self.transmitter.positions.check().map_err(|why| SceneFault::new(why, "positions"))
     }
 
-    /// Checks the receivers, and that their names are unique.
+    /// Returns an error for too many receivers, an invalid one, or two with one name.
     fn check_receivers(&self) -> Result<(), SceneFault> {
         if self.receivers().count() > MOST_RECEIVERS {
             let why = format!("{} receivers are too many; give at most {MOST_RECEIVERS}", self.receivers().count());
-            return Err(SceneFault::of(why, "more_receivers"));
+            return Err(SceneFault::new(why, "more_receivers"));
         }
-        self.receiver.check().map_err(|why| SceneFault::of(why, "receiver"))?;
+        self.receiver.check().map_err(|why| SceneFault::new(why, "receiver"))?;
         if let Some(moving) = &self.moving_receiver {
-            moving.check(!self.more_receivers.is_empty()).map_err(|why| SceneFault::of(why, "moving_receiver"))?;
+            moving.check(!self.more_receivers.is_empty()).map_err(|why| SceneFault::new(why, "moving_receiver"))?;
         }
         let mut names = BTreeSet::new();
         for receiver in self.receivers() {
             let quoted = format!("\"{}\"", receiver.name);
-            receiver.check_name().map_err(|why| SceneFault::of(why, &quoted))?;
-            receiver.check().map_err(|why| SceneFault::of(why, &quoted))?;
+            receiver.check_name().map_err(|why| SceneFault::new(why, &quoted))?;
+            receiver.check().map_err(|why| SceneFault::new(why, &quoted))?;
             // Folder names are not case-sensitive on some systems.
             if !names.insert(receiver.name.to_ascii_lowercase()) {
                 let why = format!("two receivers are called `{}`; give each a unique `name`", receiver.name);
-                return Err(SceneFault::of(why, "more_receivers"));
+                return Err(SceneFault::new(why, "more_receivers"));
             }
         }
         Ok(())
     }
 
-    /// Checks a finish: its material at this carrier, thickness and roughness.
+    /// Returns an error for an unknown material, one with an extreme permittivity at this carrier, or an invalid thickness
+    /// or roughness. `owner` is the object of the finish.
     fn check_finish(&self, owner: &str, finish: &Finish, carrier_hz: f64) -> Result<(), SceneFault> {
         let name = &finish.material;
         let quoted = format!("\"{name}\"");
         let Some(material) = self.material(name) else {
-            let mut names: Vec<&str> = material::names();
+            let mut names: Vec<&str> = material::itu_material_names();
             names.extend(self.materials.keys().map(String::as_str));
             let hint = did_you_mean(name, names.iter().copied());
-            names.truncate(material::names().len() + LISTED);
+            names.truncate(material::itu_material_names().len() + LISTED);
             let why = format!("unknown material `{name}`{hint}; known are {}", names.join(", "));
-            return Err(SceneFault::of(why, &quoted));
+            return Err(SceneFault::new(why, &quoted));
         };
         let eta = material.permittivity(carrier_hz);
         if !(eta.re >= LEAST_PERMITTIVITY && eta.norm() <= MOST_PERMITTIVITY) {
@@ -356,17 +352,17 @@ impl SceneFile {
                 eta.im,
                 carrier_hz / 1e9
             );
-            return Err(SceneFault::of(why, &quoted));
+            return Err(SceneFault::new(why, &quoted));
         }
         if let Some(thickness) = finish.thickness_m
             && !(thickness > 0.0 && thickness <= 10.0)
         {
             let why = format!("{owner}: `thickness_m` is {thickness}; give metres between 0 and 10, or leave it out");
-            return Err(SceneFault::of(why, &quoted));
+            return Err(SceneFault::new(why, &quoted));
         }
         match finish.roughness {
             Some(s) if !(0.0..=1.0).contains(&s) => {
-                Err(SceneFault::of(format!("{owner}: `roughness` is {s}; give a share between 0 and 1"), &quoted))
+                Err(SceneFault::new(format!("{owner}: `roughness` is {s}; give a share between 0 and 1"), &quoted))
             }
             _ => Ok(()),
         }
@@ -380,13 +376,14 @@ struct SceneFault {
 }
 
 impl SceneFault {
-    fn of(message: impl Into<String>, near: &str) -> Self {
+    /// Creates the fault; its position is the first `near` in the file.
+    fn new(message: impl Into<String>, near: &str) -> Self {
         Self { message: message.into(), near: near.into() }
     }
 }
 
-/// Returns the line and column of the first occurrence of `word` outside comments.
-fn position_of(text: &str, word: &str) -> Option<(usize, usize)> {
+/// Returns the line and column, from 1, of the first occurrence of `word` outside comments; `None` if there is none.
+fn word_position(text: &str, word: &str) -> Option<(usize, usize)> {
     text.lines().enumerate().find_map(|(i, line)| {
         let code = line.split("//").next().unwrap_or_default();
         code.find(word).map(|at| (i + 1, code[..at].chars().count() + 1))

@@ -4,7 +4,7 @@
 mod tests;
 
 use crate::observe::{ObservationKind, SILENT_DBM};
-use crate::output::{self, CHANNELS, MANIFEST, POINTS, POSITIONS, POWERS, SPECTRA, is_test};
+use crate::output::{self, CHANNELS, MANIFEST, POINTS, POSITIONS, POWERS, SPECTRA, is_test_sample};
 use crate::recipe::{self, SimulationRecipe};
 use crate::scene::{self, SceneFile};
 use crate::spectrum::{HEIGHT, WIDTH};
@@ -71,14 +71,15 @@ impl Default for Simulated {
 }
 
 impl Simulated {
-    /// Reads a data set written by [`crate::output::write_links`].
-    fn read(&self, recipe: &SimulationRecipe, folder: &Path) -> Result<Dataset> {
+    /// Reads the data set in a folder written by [`crate::output::write_links`]. Returns an error if it does not fit
+    /// `recipe`.
+    fn read_folder(&self, recipe: &SimulationRecipe, folder: &Path) -> Result<Dataset> {
         let points = (self.points > 0).then(|| folder.join(POINTS));
         let is_single = self.observe == ObservationKind::Spectrum && recipe.scene.more_receivers.is_empty();
         let mut data = if is_single {
             Arrays { root: folder.to_owned(), points, elevation: None }.load(Path::new(""), &|_, _| {})?
         } else {
-            links(recipe, folder, points)?
+            link_dataset(recipe, folder, points)?
         };
         let links = self.samples * recipe.scene.carriers_hz.len().max(1);
         if (is_single && data.len() != links) || data.scene.points.len() != self.points {
@@ -90,11 +91,11 @@ impl Simulated {
     }
 }
 
-/// Reads powers or channels: all received links of all receivers.
-fn links(recipe: &SimulationRecipe, folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
+/// Reads the data set of all received links of all receivers. Returns an error if there are none.
+fn link_dataset(recipe: &SimulationRecipe, folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
     let scene = &recipe.scene;
-    let receivers: Vec<Receiver> = scene.receivers().map(|receiver| data_receiver(scene, receiver)).collect();
-    let (poses, mut observations) = read_links(recipe, folder)?;
+    let receivers: Vec<Receiver> = scene.receivers().map(|receiver| dataset_receiver(scene, receiver)).collect();
+    let (poses, mut observations) = read_poses_and_observations(recipe, folder)?;
     let pairs = (1..).zip(&poses).flat_map(|(id, pose)| (0..receivers.len()).map(move |receiver| (id, pose, receiver)));
     let mut samples: Vec<Sample> =
         pairs.map(|(id, pose, receiver)| Sample { receiver, ..Sample::new(id, *pose) }).collect();
@@ -108,7 +109,7 @@ fn links(recipe: &SimulationRecipe, folder: &Path, points: Option<PathBuf>) -> R
         let problem = "no receiver receives any transmitter; raise `power_dbm` of its transmitter";
         return Err(Error::Config(format!("scene `{}`: {problem}", scene.name)));
     }
-    let (test, train) = (0..samples.len()).partition(|&i| is_test(samples[i].id as usize - 1));
+    let (test, train) = (0..samples.len()).partition(|&i| is_test_sample(samples[i].id as usize - 1));
     let points = points.map_or_else(|| Ok(Vec::new()), |path| read_points(&path))?;
     let ends = match scene.moving_receiver {
         None => receivers.into(),
@@ -118,42 +119,43 @@ fn links(recipe: &SimulationRecipe, folder: &Path, points: Option<PathBuf>) -> R
     Ok(Dataset { official: Some((train, test)), ..data })
 }
 
-/// Returns the poses of the moving end and observations of every link of a cached folder; the link of a pair has index `location *
-/// receivers + receiver`. Only files written by this program version are valid: others count as damaged, and the cache
-/// is rebuilt.
-fn read_links(recipe: &SimulationRecipe, folder: &Path) -> Result<(Vec<Pose>, Observations)> {
+/// Reads the poses of the moving end, `[locations]`, and the observations of all links in a cached folder; the link of a
+/// pair has index `location * receivers + receiver`. Returns an error for files that this program version did not write:
+/// they count as damaged, and the cache is rebuilt.
+fn read_poses_and_observations(recipe: &SimulationRecipe, folder: &Path) -> Result<(Vec<Pose>, Observations)> {
     let (scene, samples) = (&recipe.scene, recipe.samples);
     let receivers = scene.receivers().count();
     let observations = match recipe.observe {
-        ObservationKind::Spectrum => spectra(&folder.join(SPECTRA), samples * receivers)?.into(),
+        ObservationKind::Spectrum => open_spectra(&folder.join(SPECTRA), samples * receivers)?.into(),
         ObservationKind::Power { .. } => {
-            let powers = table(&folder.join(POWERS), samples, receivers)?;
+            let powers = read_table(&folder.join(POWERS), samples, receivers)?;
             powers.into_iter().map(|dbm| dbm as Real).collect::<Vec<Real>>().into()
         }
         ObservationKind::Channel { .. } => {
-            let (antennas, frequencies_hz) = (scene.receiver.array.elements(), scene.frequencies());
-            let gains = channels(&folder.join(CHANNELS), [samples * receivers, antennas, frequencies_hz.len()])?;
+            let (antennas, frequencies_hz) = (scene.receiver.array.element_count(), scene.frequencies());
+            let gains = read_channels(&folder.join(CHANNELS), [samples * receivers, antennas, frequencies_hz.len()])?;
             Channels { antennas, frequencies_hz, gains }.into()
         }
     };
     if scene.moving_receiver.is_some() {
-        let rows = table(&folder.join(POSES), samples, 7)?;
+        let rows = read_table(&folder.join(POSES), samples, 7)?;
         let pose = |[x, y, z, orientation @ ..]: &[f64; 7]| Pose { position: [*x, *y, *z], orientation: *orientation };
         return Ok((rows.as_chunks().0.iter().map(pose).collect(), observations));
     }
-    let positions = table(&folder.join(POSITIONS), samples, 3)?;
+    let positions = read_table(&folder.join(POSITIONS), samples, 3)?;
     Ok((positions.as_chunks().0.iter().map(|position| Pose::from(*position)).collect(), observations))
 }
 
-/// Opens the array of spectra.
-fn spectra(path: &Path, links: usize) -> Result<Spectra> {
+/// Opens the array of `links` spectra; a small one is read into memory. Returns an error for other shapes.
+fn open_spectra(path: &Path, links: usize) -> Result<Spectra> {
     let shape = [links, HEIGHT, WIDTH];
     let spectra = Spectra::open(path, npy_header(Number::U8, &shape).len() as u64, Number::U8, shape)?;
     if (links * HEIGHT * WIDTH) as u64 <= IN_MEMORY { spectra.into_memory() } else { Ok(spectra) }
 }
 
-/// Reads the array of channels `[links, antennas, subcarriers]`.
-fn channels(path: &Path, shape: [usize; 3]) -> Result<Vec<[Real; 2]>> {
+/// Reads the channels of an array, flat, as real and imaginary parts. Returns an error unless it has this `shape`,
+/// `[links, antennas, subcarriers]`.
+fn read_channels(path: &Path, shape: [usize; 3]) -> Result<Vec<[Real; 2]>> {
     let header = npy_header_as("<c8", &shape);
     let length = header.len() + 8 * shape.iter().product::<usize>();
     let bytes = files::read_at_most(path, length as u64).map_err(|e| Error::read(path, e))?;
@@ -166,8 +168,8 @@ fn channels(path: &Path, shape: [usize; 3]) -> Result<Vec<[Real; 2]>> {
     }
 }
 
-/// Returns the numbers `[rows, columns]` of a table with a header.
-fn table(path: &Path, rows: usize, columns: usize) -> Result<Vec<f64>> {
+/// Reads the numbers of a table with a header, flat. Returns an error unless it has this many complete rows and columns.
+fn read_table(path: &Path, rows: usize, columns: usize) -> Result<Vec<f64>> {
     let text = files::read_text(path)?;
     let cells = text.lines().skip(1).flat_map(|row| row.split(','));
     let numbers = cells.map(|cell| cell.parse::<f64>().ok().filter(|v| v.is_finite())).collect::<Option<Vec<_>>>();
@@ -177,7 +179,7 @@ fn table(path: &Path, rows: usize, columns: usize) -> Result<Vec<f64>> {
 }
 
 /// Converts a receiver of a scene to one of a data set.
-fn data_receiver(scene: &SceneFile, receiver: &scene::SceneReceiver) -> Receiver {
+fn dataset_receiver(scene: &SceneFile, receiver: &scene::SceneReceiver) -> Receiver {
     let antennas = receiver.array.offsets(scene.wavelength()).into_iter().map(|offset| offset.to_array()).collect();
     Receiver { antennas, ..Receiver::new(receiver.name.clone(), receiver.pose()) }
 }
@@ -194,7 +196,7 @@ impl DataSource for Simulated {
         let recipe = SimulationRecipe::read(&scene, self.samples, self.seed, self.points)?;
         let recipe = recipe.observing(self.observe)?;
         let root = if self.cache { cache_root() } else { None };
-        open_or_make(&recipe, root.as_deref(), progress, |folder| self.read(&recipe, folder))
+        open_or_make(&recipe, root.as_deref(), progress, |folder| self.read_folder(&recipe, folder))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -213,7 +215,7 @@ pub fn cache_root() -> Option<PathBuf> {
 
 /// Returns the result of `read` on the data set of `recipe`, which is simulated or found in the cache `root`.
 ///
-/// An entry is a folder made by [`output::write_as`], with one array or table of all links; the receivers of a
+/// An entry is a folder made by [`output::write_dataset`], with one array or table of all links; the receivers of a
 /// transmitter are consecutive. It is used only if its manifest equals that of the recipe and `read` succeeds;
 /// otherwise it is simulated again. Entries are created by renaming, so they are always complete; remains of killed
 /// programs are removed, and concurrent programs share one entry. If the cache is not writable, a temporary folder is
@@ -228,7 +230,7 @@ pub fn open_or_make<T>(
     read: impl Fn(&Path) -> Result<T>,
 ) -> Result<T> {
     let Some(root) = root else { return simulate_temporarily(recipe, progress, read) };
-    NewFolder::clear(root);
+    NewFolder::remove_abandoned(root);
     let folder = root.join(recipe.folder_name());
     if is_made_by(&folder, recipe) {
         match read(&folder) {
@@ -254,18 +256,18 @@ pub fn open_or_make<T>(
     }
 }
 
-/// Returns whether the folder holds the data set of the recipe according to its manifest.
+/// Returns whether the manifest of the folder equals that of the recipe.
 fn is_made_by(folder: &Path, recipe: &SimulationRecipe) -> bool {
     files::read(folder.join(MANIFEST)).is_ok_and(|bytes| bytes == recipe.to_json().as_bytes())
 }
 
-/// Returns the result of `read` on a temporary folder, which is then deleted.
+/// Simulates the data set of `recipe` into a temporary folder, returns the result of `read` on it, and deletes the folder.
 fn simulate_temporarily<T>(
     recipe: &SimulationRecipe,
     progress: Progress<'_>,
     read: impl Fn(&Path) -> Result<T>,
 ) -> Result<T> {
-    let temporary = NewFolder::next_to(&std::env::temp_dir().join("pwrfgs"))?;
+    let temporary = NewFolder::begin_next_to(&std::env::temp_dir().join("pwrfgs"))?;
     let folder = temporary.path().join("data");
     output::write_links(recipe, &folder, progress)?;
     read(&folder)

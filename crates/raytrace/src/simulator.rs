@@ -6,7 +6,7 @@ use crate::path::PropagationPath;
 use crate::prepared_receiver::{MOST_BYTES, PreparedReceiver};
 use crate::scene::{SceneFile, SceneReceiver};
 use crate::surface_points::{self, SurfacePoints};
-use crate::world::{self, MARGIN, Triangle, World};
+use crate::world::{MARGIN, Triangle, World};
 use glam::DVec3;
 use pwrfgs_core::{Error, Result, check_stopped};
 use rayon::prelude::*;
@@ -32,14 +32,14 @@ impl Simulator {
     /// A mesh that cannot be read or is not closed as required, a receiver inside an object, or too many images or
     /// patches.
     pub fn new(scene: &SceneFile) -> Result<Self> {
-        let (scene, world) = (Arc::new(scene.clone()), Arc::new(world::from_scene(scene)?));
+        let (scene, world) = (Arc::new(scene.clone()), Arc::new(World::from_scene(scene)?));
         check_patches(&scene, &world)?;
         let mut receivers: Vec<PreparedReceiver> = Vec::new();
         for carrier_scene in scene.per_carrier() {
             let carrier_world = if scene.carriers_hz.is_empty() {
                 Arc::clone(&world)
             } else {
-                Arc::new(world::from_scene(&carrier_scene)?)
+                Arc::new(World::from_scene(&carrier_scene)?)
             };
             let carrier_scene = Arc::new(carrier_scene);
             for receiver in carrier_scene.receivers() {
@@ -79,21 +79,21 @@ impl Simulator {
         self.receivers[0].trace(tx)
     }
 
-    /// Draws the positions of `count` transmitters.
+    /// Draws the positions of `count` transmitters, metres, world frame.
     ///
     /// # Errors
     /// No free space, a grid point inside an object, or a transmitter at a receiver antenna.
-    pub fn positions(&self, count: usize, seed: u64) -> Result<Vec<DVec3>> {
+    pub fn draw_positions(&self, count: usize, seed: u64) -> Result<Vec<DVec3>> {
         let free = |point: DVec3| self.world.check_free(point);
         let drawn = self.scene.transmitter.positions.draw(count, seed, &free);
-        let drawn = drawn.and_then(|positions| self.check_apart(&positions).map(|()| positions));
+        let drawn = drawn.and_then(|positions| self.check_distances(&positions).map(|()| positions));
         drawn.map_err(|e| Error::Config(format!("scene `{}`: {e}", self.scene.name)))
     }
 
-    /// Returns an error for a transmitter at an antenna, where the gain is infinite.
-    fn check_apart(&self, positions: &[DVec3]) -> Result<()> {
+    /// Returns an error for a transmitter position at a receiver antenna, where the gain is infinite.
+    fn check_distances(&self, positions: &[DVec3]) -> Result<()> {
         for receiver in &self.receivers {
-            let mut antennas = receiver.antennas();
+            let mut antennas = receiver.antenna_positions();
             antennas.push(DVec3::from(receiver.receiver().position));
             let is_in = |tx: &DVec3| antennas.iter().any(|antenna| antenna.distance(*tx) < MARGIN);
             if let Some(i) = positions.iter().position(is_in) {
@@ -108,12 +108,12 @@ impl Simulator {
         Ok(())
     }
 
-    /// Returns `count` points on all surfaces, with normals.
+    /// Returns `count` random points on all surfaces, uniform by area, with normals.
     pub fn surface_points(&self, count: usize, seed: u64) -> SurfacePoints {
         let triangles: Vec<[DVec3; 3]> = self.world.triangles.iter().map(Triangle::corners).collect();
         let normals: Vec<DVec3> =
             self.world.triangles.iter().map(|t| self.world.faces[t.face as usize].normal).collect();
-        surface_points::sample(&triangles, &normals, count, seed)
+        surface_points::sample_surfaces(&triangles, &normals, count, seed)
     }
 }
 
@@ -128,12 +128,12 @@ pub struct SimulationRequest {
     pub seed: u64,
 }
 
-/// Simulates the observations of all receivers with all errors. Calls `each` in order with number, position and
+/// Simulates the observations of all receivers with all errors. Calls `each` in order with number (from 0), position and
 /// observations of each transmitter. Stops between two transmitters if `stop` is set. Memory holds a few transmitters
 /// at a time; results do not depend on the number of threads.
 ///
 /// # Errors
-/// Errors of [`Simulator::positions`] and of `each`, [`Error::Stopped`], or a channel that is not finite.
+/// Errors of [`Simulator::draw_positions`] and of `each`, [`Error::Stopped`], or a channel that is not finite.
 pub fn simulate_links(
     simulator: &Simulator,
     request: &SimulationRequest,
@@ -141,7 +141,7 @@ pub fn simulate_links(
     mut each: impl FnMut(usize, DVec3, Vec<ReceiverObservation>) -> Result<()>,
 ) -> Result<()> {
     let &SimulationRequest { kind, samples, seed } = request;
-    let (positions, scene) = (simulator.positions(samples, seed)?, &simulator.scene);
+    let (positions, scene) = (simulator.draw_positions(samples, seed)?, &simulator.scene);
     for (c, chunk) in positions.chunks(CHUNK).enumerate() {
         let draw = |i: usize| seed.wrapping_mul(1 << 32).wrapping_add((c * CHUNK + i) as u64);
         let receive = |(i, tx): (usize, &DVec3)| {
@@ -169,9 +169,9 @@ pub fn simulate_links(
     Ok(())
 }
 
-/// Returns an error if the receivers together need too much memory.
+/// Returns an error if the image trees of the receivers prepared so far need too much memory.
 fn check_memory(scene: &SceneFile, receivers: &[PreparedReceiver]) -> Result<()> {
-    let bytes: usize = receivers.iter().map(PreparedReceiver::bytes).sum();
+    let bytes: usize = receivers.iter().map(PreparedReceiver::memory_bytes).sum();
     if bytes <= MOST_BYTES {
         return Ok(());
     }
@@ -184,7 +184,7 @@ fn check_memory(scene: &SceneFile, receivers: &[PreparedReceiver]) -> Result<()>
     )))
 }
 
-/// Returns an error for too many patches to trace in reasonable time.
+/// Returns an error for too many scattering patches to trace in reasonable time.
 fn check_patches(scene: &SceneFile, world: &World) -> Result<()> {
     const MOST: f64 = 300_000.0;
     // Most cells of the bounding rectangle of a slanted or thin face lie outside the face.
@@ -193,7 +193,7 @@ fn check_patches(scene: &SceneFile, world: &World) -> Result<()> {
     let area: f64 = world.triangles.iter().filter(is_rough).map(Triangle::area).sum();
     let side = scene.propagation.patch_m;
     let rough = || world.faces.iter().filter(|face| world.surfaces[face.surface as usize].roughness > 0.0);
-    let cells: f64 = rough().map(|face| patches::cells(face, side)).sum();
+    let cells: f64 = rough().map(|face| patches::cell_count(face, side)).sum();
     if area / (side * side) <= MOST && cells <= MOST_CELLS && rough().count() as f64 <= MOST {
         return Ok(());
     }

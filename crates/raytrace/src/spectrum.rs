@@ -88,31 +88,31 @@ impl Beamformer {
         amplitude
     }
 
-    /// Returns the spectrum of the channel h as an image.
+    /// Returns the spectrum of the channel h `[K]` as an image.
     pub fn spectrum(&self, channel: &[Complex], kind: SpectrumKind) -> Spectrum {
         let elements = channel.len().max(1) as f64;
         let mut values = self.amplitude(channel);
         if kind == SpectrumKind::Power {
             values.iter_mut().for_each(|a| *a = *a * *a * elements);
         }
-        let (low, high) = range(&values);
+        let (low, high) = value_range(&values);
         let black = match kind {
             SpectrumKind::Amplitude => low,
             SpectrumKind::Power => 0.0,
         };
         let power = channel.iter().map(Complex::norm_sqr).sum::<f64>() / elements;
-        Spectrum { pixels: stretch(&values, black, high), low, high, power }
+        Spectrum { pixels: stretch_to_bytes(&values, black, high), low, high, power }
     }
 }
 
 /// Returns the smallest and largest value; zeros if there are none.
-fn range(values: &[f64]) -> (f64, f64) {
+fn value_range(values: &[f64]) -> (f64, f64) {
     let first = values.first().copied().unwrap_or(0.0);
     values.iter().fold((first, first), |(low, high), v| (low.min(*v), high.max(*v)))
 }
 
-/// Returns the quantised values ⌊255 (v - black)/(white - black)⌋.
-fn stretch(values: &[f64], black: f64, white: f64) -> Vec<u8> {
+/// Returns the values stretched to bytes, ⌊255 (v - black)/(white - black)⌋; all 0 without contrast.
+fn stretch_to_bytes(values: &[f64], black: f64, white: f64) -> Vec<u8> {
     let contrast = white - black;
     if contrast.is_nan() || contrast <= NO_CONTRAST * white {
         return vec![0; values.len()];
@@ -157,7 +157,8 @@ impl Steering {
         Self { x, y }
     }
 
-    /// Returns |aᴴh| for every direction, padded to a multiple of `LANES`. `channel` has rows of `columns`.
+    /// Returns |aᴴh| for every direction, padded to a multiple of `LANES`. `channel` is that of an array with `columns`
+    /// elements per row.
     fn magnitude(&self, channel: &[Complex], columns: usize) -> Vec<f64> {
         let mut magnitude = vec![0.0; self.x.re.len()];
         Arch::new().dispatch(Horner { steering: self, channel, columns, magnitude: &mut magnitude });
@@ -199,15 +200,12 @@ impl WithSimd for Horner<'_> {
     }
 }
 
-/// Returns a·b + c with separate rounding of multiplication and addition, so that all processors give identical
-/// results.
+/// Real and imaginary parts of a vector of complex numbers.
+type SimdComplex<S> = (<S as Simd>::f64s, <S as Simd>::f64s);
+
+/// Returns a·b + c with separate rounding of multiplication and addition, so that all processors give identical results.
 #[inline(always)]
-fn multiply_add<S: Simd>(
-    simd: S,
-    a: (S::f64s, S::f64s),
-    b: (&S::f64s, &S::f64s),
-    c: (S::f64s, S::f64s),
-) -> (S::f64s, S::f64s) {
+fn multiply_add<S: Simd>(simd: S, a: SimdComplex<S>, b: (&S::f64s, &S::f64s), c: SimdComplex<S>) -> SimdComplex<S> {
     let re = simd.sub_f64s(simd.mul_f64s(a.0, *b.0), simd.mul_f64s(a.1, *b.1));
     let im = simd.add_f64s(simd.mul_f64s(a.0, *b.1), simd.mul_f64s(a.1, *b.0));
     (simd.add_f64s(re, c.0), simd.add_f64s(im, c.1))

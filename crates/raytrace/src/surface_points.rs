@@ -28,7 +28,7 @@ pub struct SurfacePoints {
 /// lattice; the seed sets the positions of further points.
 ///
 /// Without any area the result is empty.
-pub fn sample(triangles: &[[DVec3; 3]], normals: &[DVec3], count: usize, seed: u64) -> SurfacePoints {
+pub fn sample_surfaces(triangles: &[[DVec3; 3]], normals: &[DVec3], count: usize, seed: u64) -> SurfacePoints {
     let mut cumulated = 0.0;
     let areas: Vec<f64> = triangles
         .iter()
@@ -52,15 +52,15 @@ pub fn sample(triangles: &[[DVec3; 3]], normals: &[DVec3], count: usize, seed: u
         // Offsets apply to digits of the lattice only; further digits would move points from cell centres to corners.
         let lattice = 1 << (2 * (share.max(1).ilog2() / 2));
         let offsets = rng::below(&mut random, lattice);
-        cloud.points.extend((0..share).map(|k| in_triangle(triangle, k, offsets)));
+        cloud.points.extend((0..share).map(|k| point_in_triangle(triangle, k, offsets)));
         cloud.normals.resize(cloud.points.len(), *normal);
     }
     cloud
 }
 
-/// Returns the point `number` of the sequence in a triangle: the centre of the smallest triangle selected by its
-/// digits.
-fn in_triangle(corners: &[DVec3; 3], number: usize, offsets: usize) -> DVec3 {
+/// Returns the point `number` of the sequence in a triangle: the centre of the smallest triangle that its base-4 digits
+/// select. `offsets` has a base-4 digit per level, which is added to that of `number`.
+fn point_in_triangle(corners: &[DVec3; 3], number: usize, offsets: usize) -> DVec3 {
     let [mut a, mut b, mut c] = *corners;
     for level in 0..LEVELS {
         let (ab, bc, ca) = (a.midpoint(b), b.midpoint(c), c.midpoint(a));

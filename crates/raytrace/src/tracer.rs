@@ -1,12 +1,12 @@
 //! Tracer: all paths from a transmitter to a receiver.
 
 use crate::Complex;
-use crate::array::{self, Element};
+use crate::array::Element;
 use crate::images::{ImageTree, Orders};
-use crate::patches::{Patch, patches};
+use crate::patches::{Patch, scattering_patches};
 use crate::path::{Interaction, PropagationPath};
-use crate::scattering::amplitude;
-use crate::scene::Propagation;
+use crate::scattering::patch_amplitude;
+use crate::scene::{Propagation, SceneFile, SceneReceiver};
 use crate::waves::Ray;
 use crate::world::{Edge, World};
 use crate::{diffraction, fresnel};
@@ -20,31 +20,22 @@ const NEGLIGIBLE: f64 = 1e-8;
 const BESIDE: f64 = 1e-3;
 
 /// Antenna with pattern and orientation.
-#[derive(Clone, Debug)]
-pub struct Antenna {
+#[derive(Debug)]
+struct Antenna {
     /// Element pattern.
-    pub element: Element,
+    element: Element,
     /// Polarisation axis in the antenna frame.
-    pub axis: DVec3,
+    axis: DVec3,
     /// Rotation from the antenna frame to the world frame.
-    pub world_from_antenna: DMat3,
-}
-
-/// Antennas at the ends of a path.
-#[derive(Clone, Debug)]
-pub struct Antennas {
-    /// Antenna of the transmitter.
-    pub transmitter: Antenna,
-    /// Antenna of the receiver.
-    pub receiver: Antenna,
+    world_from_local: DMat3,
 }
 
 impl Antenna {
     /// Returns the field, world frame, radiated towards or received from the unit vector `direction`.
-    fn field(&self, direction: DVec3) -> DVec3 {
-        let local = self.world_from_antenna.transpose() * direction;
-        let (amplitude, polarization) = array::response(&self.element, self.axis, local);
-        self.world_from_antenna * polarization * amplitude
+    fn field_towards(&self, direction: DVec3) -> DVec3 {
+        let local = self.world_from_local.transpose() * direction;
+        let (amplitude, polarization) = self.element.response(self.axis, local);
+        self.world_from_local * polarization * amplitude
     }
 }
 
@@ -62,40 +53,47 @@ pub struct Tracer {
 }
 
 impl Tracer {
-    /// Creates a tracer for one receiver; `None` if the image tree would grow too large.
-    pub fn new(
-        world: Arc<World>,
-        wavelength: f64,
-        Antennas { transmitter, receiver }: Antennas,
-        position: DVec3,
-        propagation: &Propagation,
-    ) -> Option<Self> {
+    /// Creates a tracer to `position`, metres, an antenna of `receiver`; `None` if the image tree would grow too large.
+    pub fn new(world: &Arc<World>, scene: &SceneFile, receiver: &SceneReceiver, position: DVec3) -> Option<Self> {
+        let (world, propagation) = (Arc::clone(world), Propagation::clone(&scene.propagation));
         let orders = Orders { all: propagation.order, room: propagation.room_order };
         let tree = ImageTree::build(&world, position, orders)?;
         let mut sheets = Vec::new();
-        let mut patches = patches(&world, propagation.patch_m, propagation.seed);
+        let mut patches = scattering_patches(&world, propagation.patch_m, propagation.seed);
         patches.retain(|patch| {
             world.collect_sheets(patch.point, position, [&[patch.face], &[]], &mut sheets)
                 && (propagation.transmission || sheets.is_empty())
         });
-        Some(Self { world, wavelength, transmitter, receiver, tree, propagation: propagation.clone(), patches })
+        let transmitter = Antenna {
+            element: scene.transmitter.element.clone(),
+            axis: DVec3::from(scene.transmitter.polarization).normalize(),
+            world_from_local: DMat3::IDENTITY,
+        };
+        let receiver = Antenna {
+            element: receiver.array.element.clone(),
+            axis: DVec3::from(receiver.array.polarization).normalize(),
+            world_from_local: receiver.world_from_receiver(),
+        };
+        Some(Self { world, wavelength: scene.wavelength(), transmitter, receiver, tree, propagation, patches })
     }
 
     /// Returns the approximate memory use, bytes.
-    pub fn bytes(&self) -> usize {
-        self.tree.bytes() + self.patches.len() * size_of::<Patch>()
+    pub fn memory_bytes(&self) -> usize {
+        self.tree.memory_bytes() + self.patches.len() * size_of::<Patch>()
     }
 
-    /// Returns all paths from `tx`: specular by image order, then diffracted, then scattered.
+    /// Returns all paths from `tx`, metres, world frame: specular by image order, then diffracted, then scattered.
     pub fn trace(&self, tx: DVec3) -> Vec<PropagationPath> {
         let mut walk =
             TraceWalk { tracer: self, tx, rx: self.tree.origin(), sheets: Vec::new(), interactions: Vec::new() };
         let mut paths = Vec::new();
-        self.tree.candidates(&self.world, tx, |faces, points| paths.extend(walk.specular(faces, points)));
+        self.tree.visit_candidates(&self.world, tx, |faces, points| paths.extend(walk.specular_path(faces, points)));
         if self.propagation.diffraction {
-            paths.extend(self.world.edges.iter().enumerate().filter_map(|(i, edge)| walk.diffracted(i as u32, edge)));
+            paths.extend(
+                self.world.edges.iter().enumerate().filter_map(|(i, edge)| walk.diffracted_path(i as u32, edge)),
+            );
         }
-        paths.extend(self.patches.iter().filter_map(|patch| walk.scattered(patch)));
+        paths.extend(self.patches.iter().filter_map(|patch| walk.scattered_path(patch)));
         paths
     }
 
@@ -115,22 +113,17 @@ struct TraceWalk<'a> {
 }
 
 impl TraceWalk<'_> {
-    /// Returns the ray after the straight segment from `from` to `to` through sheets. Each end has the faces that it
-    /// lies on; `None` if it is blocked.
-    fn propagate(
-        &mut self,
-        ray: Ray,
-        (from, start_faces): (DVec3, &[u32]),
-        (to, end_faces): (DVec3, &[u32]),
-    ) -> Option<Ray> {
+    /// Returns the ray after the straight segment from `from` to `to`, and adds the sheets on it to the interactions;
+    /// `None` if it is blocked or negligible. `ends` has the faces that either end lies on.
+    fn propagate(&mut self, ray: Ray, [from, to]: [DVec3; 2], ends: [&[u32]; 2]) -> Option<Ray> {
         let Self { tracer, sheets, interactions, .. } = self;
-        if !tracer.world.collect_sheets(from, to, [start_faces, end_faces], sheets)
+        if !tracer.world.collect_sheets(from, to, ends, sheets)
             || !(tracer.propagation.transmission || sheets.is_empty())
         {
             return None;
         }
-        let through = |ray: Ray, &(at, face): &(f64, u32)| {
-            interactions.push(Interaction::Transmission { face, point: from.lerp(to, at) });
+        let through = |ray: Ray, &(position, face): &(f64, u32)| {
+            interactions.push(Interaction::Transmission { face, point: from.lerp(to, position) });
             let normal = tracer.world.faces[face as usize].normal;
             ray.transmitted(tracer.world.surface_of(face), normal, tracer.wavelength)
         };
@@ -138,19 +131,21 @@ impl TraceWalk<'_> {
         (ray.power() > NEGLIGIBLE * NEGLIGIBLE).then_some(ray)
     }
 
-    /// Returns the ray that leaves the transmitter towards `to`.
+    /// Begins a path: clears the interactions, and returns the ray that leaves the transmitter towards `to`; `None` if
+    /// `to` is the transmitter position.
     fn emit_ray(&mut self, to: DVec3) -> Option<Ray> {
         self.interactions.clear();
         let direction = (to - self.tx).try_normalize()?;
-        Some(Ray::new(direction, self.tracer.transmitter.field(direction)))
+        Some(Ray::new(direction, self.tracer.transmitter.field_towards(direction)))
     }
 
-    /// Returns the path that ends with `ray`; `gain` is its spreading factor.
+    /// Returns the path that ends with `ray` at the receiver; `gain` is its spreading factor. `source` and `before` as in
+    /// [`PropagationPath`].
     fn finish_path(&self, ray: Ray, gain: f64, departure: DVec3, (source, before): (DVec3, f64)) -> PropagationPath {
         let arrival = -ray.direction;
-        let field = self.tracer.receiver.field(arrival);
+        let field = self.tracer.receiver.field_towards(arrival);
         PropagationPath {
-            gain: gain * ray.along(field),
+            gain: gain * ray.component(field),
             length: before + self.rx.distance(source),
             departure,
             arrival,
@@ -160,25 +155,25 @@ impl TraceWalk<'_> {
         }
     }
 
-    /// Returns the path that reflects at `points` on `faces`; `None` if it is blocked.
-    fn specular(&mut self, faces: &[u32], points: &[DVec3]) -> Option<PropagationPath> {
+    /// Returns the path that reflects at `points` on `faces`, in order of travel; `None` if it is blocked or negligible.
+    fn specular_path(&mut self, faces: &[u32], points: &[DVec3]) -> Option<PropagationPath> {
         let tracer = self.tracer;
         let first = points.first().copied().unwrap_or(self.rx);
         let mut ray = self.emit_ray(first)?;
         let (departure, mut from, mut source) = (ray.direction, self.tx, self.tx);
-        let mut start_faces: &[u32] = &[];
-        for (on, &point) in faces.chunks(1).zip(points) {
-            let face = on[0];
+        let mut start_face: &[u32] = &[];
+        for (end_face, &point) in faces.chunks(1).zip(points) {
+            let face = end_face[0];
             if tracer.world.front_face(face, point, from) != face {
                 return None;
             }
-            ray = self.propagate(ray, (from, start_faces), (point, on))?;
+            ray = self.propagate(ray, [from, point], [start_face, end_face])?;
             let plane = &tracer.world.faces[face as usize];
             self.interactions.push(Interaction::Reflection { face, point });
             ray = ray.reflected(tracer.world.surface_of(face), plane.normal, tracer.wavelength);
-            (from, start_faces, source) = (point, on, plane.mirror(source));
+            (from, start_face, source) = (point, end_face, plane.mirror(source));
         }
-        ray = self.propagate(ray, (from, start_faces), (self.rx, &[]))?;
+        ray = self.propagate(ray, [from, self.rx], [start_face, &[]])?;
         if ray.power() <= NEGLIGIBLE * NEGLIGIBLE {
             return None;
         }
@@ -186,31 +181,31 @@ impl TraceWalk<'_> {
         Some(self.finish_path(ray, gain, departure, (source, 0.0)))
     }
 
-    /// Returns the path that diffracts at `edge`; `None` if it is blocked or misses the edge.
-    fn diffracted(&mut self, index: u32, edge: &Edge) -> Option<PropagationPath> {
+    /// Returns the path that diffracts at `edge`, which has this `index`; `None` if it is blocked or misses the edge.
+    fn diffracted_path(&mut self, index: u32, edge: &Edge) -> Option<PropagationPath> {
         let tracer = self.tracer;
         let [a, b] = edge.ends;
-        let t = diffraction::edge_point(a, b, self.tx, self.rx);
+        let t = diffraction::edge_parameter(a, b, self.tx, self.rx);
         if !(t > 0.0 && t < 1.0) {
             return None;
         }
         let point = a.lerp(b, t);
-        let wedge = self.wedge(edge, point)?;
+        let coefficients = self.edge_coefficients(edge, point)?;
         let ray = self.emit_ray(point)?;
         let departure = ray.direction;
-        let ray = self.propagate(ray, (self.tx, &[]), (point, &edge.faces))?;
+        let ray = self.propagate(ray, [self.tx, point], [&[], &edge.faces])?;
         self.interactions.push(Interaction::Diffraction { edge: index, point });
         let out = (self.rx - point).try_normalize()?;
-        let ray = ray.diffracted((b - a).normalize(), out, &wedge);
-        let ray = self.propagate(ray, (point, &edge.faces), (self.rx, &[]))?;
+        let ray = ray.diffracted((b - a).normalize(), out, &coefficients);
+        let ray = self.propagate(ray, [point, self.rx], [&edge.faces, &[]])?;
         let (before, after) = (self.tx.distance(point), self.rx.distance(point));
         let gain = tracer.unit_gain() / (before * after * (before + after)).sqrt();
         Some(self.finish_path(ray, gain, departure, (point, before)))
     }
 
-    /// Returns the diffraction coefficients at a point of an edge; `None` if transmitter or receiver is inside the
+    /// Returns the diffraction coefficients at a point of an edge, √m; `None` if transmitter or receiver is inside the
     /// wedge or on the line of the edge.
-    fn wedge(&self, edge: &Edge, point: DVec3) -> Option<fresnel::Polarized> {
+    fn edge_coefficients(&self, edge: &Edge, point: DVec3) -> Option<fresnel::Polarized> {
         let Tracer { world, wavelength, .. } = self.tracer;
         let direction = (edge.ends[1] - edge.ends[0]).normalize();
         let angle = |to: DVec3| {
@@ -226,8 +221,8 @@ impl TraceWalk<'_> {
         }
         // The smaller of the two angles on either face: exact at reflection boundaries and reciprocal (El-Sallabi and
         // Vainikainen, 2005).
-        let inwards = edge.inwards();
-        let at = |k: usize, grazing: f64| {
+        let inwards = edge.inward_directions();
+        let face_coefficients = |k: usize, grazing: f64| {
             let face = edge.faces[k];
             // Face that covers the one next to the edge, if any.
             let front = world.front_face(face, point + BESIDE * inwards[k], self.tx);
@@ -242,18 +237,19 @@ impl TraceWalk<'_> {
             let alone = through(face);
             (reflected, if front == face { alone } else { alone.times(through(front)) })
         };
-        let (r0, t0) = at(0, phi_in.min(phi_out));
-        let (rn, tn) = at(1, whole - phi_in.max(phi_out));
+        let (r0, t0) = face_coefficients(0, phi_in.min(phi_out));
+        let (rn, tn) = face_coefficients(1, whole - phi_in.max(phi_out));
         // The rim of a sheet has one sheet behind it, an edge of two faces has both.
         let is_rim = edge.faces[0] == edge.faces[1];
         let through = if is_rim { t0 } else { t0.times(tn) };
-        let distances = (to_tx.length(), to_rx.length());
-        let (k, angles, sides) = (TAU / wavelength, (phi_in, phi_out), diffraction::Sides { r0, rn, through });
-        Some(diffraction::wedge(edge.outer_angle, k, distances, angles, sine, &sides))
+        let wedge = diffraction::Wedge { n: edge.outer_angle, r0, rn, through };
+        let (k, distances) = (TAU / wavelength, [to_tx.length(), to_rx.length()]);
+        Some(wedge.diffraction_coefficients(k, distances, [phi_in, phi_out], sine))
     }
 
-    /// Returns the path that scatters at `patch`; `None` if it is blocked.
-    fn scattered(&mut self, patch: &Patch) -> Option<PropagationPath> {
+    /// Returns the path that scatters at `patch`; `None` if it is blocked, or transmitter and receiver are on different
+    /// sides of the patch.
+    fn scattered_path(&mut self, patch: &Patch) -> Option<PropagationPath> {
         let tracer = self.tracer;
         let surface = tracer.world.surface_of(patch.face);
         let normal = tracer.world.faces[patch.face as usize].normal;
@@ -267,7 +263,7 @@ impl TraceWalk<'_> {
         if tracer.world.front_face(patch.face, patch.point, self.tx) != patch.face {
             return None;
         }
-        let ray = self.propagate(ray, (self.tx, &[]), (patch.point, &[patch.face]))?;
+        let ray = self.propagate(ray, [self.tx, patch.point], [&[], &[patch.face]])?;
         let r = fresnel::reflection(surface.eta, surface.thickness, cos_in.abs(), tracer.wavelength);
         let reflected = (0.5 * (r.te.norm_sqr() + r.tm.norm_sqr())).sqrt();
         let specular = departure - 2.0 * departure.dot(normal) * normal;
@@ -277,10 +273,10 @@ impl TraceWalk<'_> {
         let size = (patch.area / PI).sqrt();
         let distances = (before.max(size), after.max(size));
         let (area, wavelength, roughness) = (patch.area, tracer.wavelength, surface.roughness);
-        let gain = amplitude(roughness, reflected, density, area, cos_in.abs(), distances, wavelength);
+        let gain = patch_amplitude(roughness, reflected, density, area, cos_in.abs(), distances, wavelength);
         self.interactions.push(Interaction::Scattering { face: patch.face, point: patch.point });
         let ray = ray.scattered(out, Complex::cis(patch.phase));
-        let ray = self.propagate(ray, (patch.point, &[patch.face]), (self.rx, &[]))?;
+        let ray = self.propagate(ray, [patch.point, self.rx], [&[patch.face], &[]])?;
         Some(self.finish_path(ray, gain, departure, (patch.point, before)))
     }
 }

@@ -47,13 +47,13 @@ pub(crate) struct Ray {
 }
 
 impl Ray {
-    /// Returns a ray with a real field.
+    /// Creates a ray along the unit vector `direction` with a real field.
     pub(crate) fn new(direction: DVec3, field: DVec3) -> Self {
         Self { direction, re: field, im: DVec3::ZERO }
     }
 
     /// Returns the component of the field along a real unit vector.
-    pub(crate) fn along(&self, axis: DVec3) -> Complex {
+    pub(crate) fn component(&self, axis: DVec3) -> Complex {
         Complex::new(self.re.dot(axis), self.im.dot(axis))
     }
 
@@ -75,17 +75,17 @@ impl Ray {
         let r = fresnel::reflection(surface.eta, surface.thickness, cosine.abs(), wavelength);
         let smooth = (1.0 - surface.roughness * surface.roughness).sqrt();
         let s = unit_cross(self.direction, normal);
-        let (te, tm) = (self.along(s), self.along(s.cross(self.direction)));
+        let (te, tm) = (self.component(s), self.component(s.cross(self.direction)));
         Self::from_components(out, (r.te * te * smooth, s), (r.tm * tm * smooth, s.cross(out)))
     }
 
-    /// Returns the ray after straight transmission through a sheet; `None` for a solid.
+    /// Returns the ray after straight transmission through a sheet with unit normal `normal`; `None` for a solid.
     pub(crate) fn transmitted(&self, surface: &Surface, normal: DVec3, wavelength: f64) -> Option<Self> {
         let cosine = self.direction.dot(normal).abs();
         let t = fresnel::transmission(surface.eta, surface.thickness?, cosine, wavelength);
         let s = unit_cross(self.direction, normal);
         let p = s.cross(self.direction);
-        Some(Self::from_components(self.direction, (t.te * self.along(s), s), (t.tm * self.along(p), p)))
+        Some(Self::from_components(self.direction, (t.te * self.component(s), s), (t.tm * self.component(p), p)))
     }
 
     /// Returns the ray after diffraction at an edge along the unit vector `edge` into `out`: `−D_s β̂β̂′ − D_h φ̂φ̂′`
@@ -94,7 +94,11 @@ impl Ray {
         let phi_in = unit_cross(-edge, self.direction);
         let phi_out = unit_cross(edge, out);
         let (beta_in, beta_out) = (phi_in.cross(self.direction), phi_out.cross(out));
-        Self::from_components(out, (-d.te * self.along(beta_in), beta_out), (-d.tm * self.along(phi_in), phi_out))
+        Self::from_components(
+            out,
+            (-d.te * self.component(beta_in), beta_out),
+            (-d.tm * self.component(phi_in), phi_out),
+        )
     }
 
     /// Returns the ray after diffuse scattering into `out` with the given complex gain. The polarisation is projected

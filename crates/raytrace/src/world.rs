@@ -6,12 +6,11 @@ mod from_scene;
 mod opening;
 mod sheets;
 
+use crate::hierarchy::Hierarchy;
 pub use crate::hierarchy::Triangle;
-use crate::hierarchy::{Hierarchy, crossing};
 use crate::waves::Surface;
 pub use build::{WorldBuilder, WorldPart};
 pub(crate) use contact::TOUCHING;
-pub use from_scene::from_scene;
 use glam::DVec3;
 use std::cmp::Ordering;
 use std::f64::consts::PI;
@@ -58,12 +57,12 @@ impl Face {
         self.layer == SurfaceLayer::Room
     }
 
-    /// Returns the distance of a point from the plane, metres, positive on the side of the normal.
+    /// Returns the signed distance of a point from the plane, metres, positive on the side of the normal.
     pub fn height(&self, point: DVec3) -> f64 {
         self.normal.dot(point) - self.offset
     }
 
-    /// Mirrors a point at the plane.
+    /// Returns the mirror image of a point at the plane.
     pub fn mirror(&self, point: DVec3) -> DVec3 {
         point - 2.0 * self.height(point) * self.normal
     }
@@ -85,8 +84,8 @@ pub struct Edge {
 }
 
 impl Edge {
-    /// Returns the unit vectors in its faces, perpendicular to the edge and away from it.
-    pub fn inwards(&self) -> [DVec3; 2] {
+    /// Returns a unit vector in each of the two faces, perpendicular to the edge and away from it.
+    pub fn inward_directions(&self) -> [DVec3; 2] {
         let (sin, cos) = (self.outer_angle * PI).sin_cos();
         let is_rim = self.faces[0] == self.faces[1];
         [self.along, if is_rim { self.along } else { cos * self.along + sin * self.normal }]
@@ -102,13 +101,13 @@ struct SolidBody {
 }
 
 impl SolidBody {
-    /// Returns whether a ray from the point crosses the surface an odd number of times. The ray direction is oblique to
-    /// typical faces.
+    /// Returns whether the point lies inside: a ray from it crosses the surface an odd number of times. The ray direction
+    /// is oblique to typical faces.
     fn contains(&self, point: DVec3) -> bool {
         let [low, high] = self.bounds;
         let reach = DVec3::new(0.311, 0.577, 0.813) * 4.0 * (high - low).length();
         let in_box = point.cmpge(low).all() && point.cmple(high).all();
-        in_box && self.triangles.iter().filter(|t| crossing(t, point, reach).is_some()).count() % 2 == 1
+        in_box && self.triangles.iter().filter(|t| t.crossing(point, reach).is_some()).count() % 2 == 1
     }
 }
 
@@ -135,20 +134,20 @@ impl World {
     }
 
     /// Returns whether a point in the plane of a face lies on it.
-    pub fn is_on(&self, face: u32, point: DVec3) -> bool {
+    pub fn is_on_face(&self, face: u32, point: DVec3) -> bool {
         self.triangles[self.faces[face as usize].triangles.clone()].iter().any(|t| t.contains(point))
     }
 
-    /// Returns the frontmost face at a point in the plane of `face`, for a wave that comes from `from`: another face if
-    /// that covers it.
+    /// Returns the frontmost face at a point of `face`, for a wave that comes from `from`: `face` itself unless another face
+    /// in its plane covers it there.
     pub fn front_face(&self, face: u32, point: DVec3, from: DVec3) -> u32 {
-        let lies_on = |best: u32, twin: u32| self.overrides_face(twin, best, from) && self.is_on(twin, point);
+        let lies_on = |best: u32, twin: u32| self.is_in_front(twin, best, from) && self.is_on_face(twin, point);
         self.faces[face as usize].twins.iter().fold(face, |best, &twin| if lies_on(best, twin) { twin } else { best })
     }
 
     /// Returns whether `one` covers `other` in a common plane, as seen from `from`: the later layer in front, the
     /// earlier behind; within a layer the first.
-    fn overrides_face(&self, one: u32, other: u32, from: DVec3) -> bool {
+    fn is_in_front(&self, one: u32, other: u32, from: DVec3) -> bool {
         let [a, b] = [one, other].map(|face| &self.faces[face as usize]);
         match a.layer.cmp(&b.layer) {
             Ordering::Equal => one < other,
@@ -157,23 +156,23 @@ impl World {
         }
     }
 
-    /// Collects the sheets between `from` and `to` in `sheets`, with their position on the segment from 0 to 1 (cleared
-    /// first), nearest first. Returns whether the segment is free; if a solid face blocks it, `sheets` is undefined.
-    /// `ends` are the faces of the two end points: faces in their planes do not count as obstacles.
+    /// Collects the sheets between `from` and `to` in `sheets` (cleared first): position on the segment, from 0 to 1, and
+    /// face, nearest first. Returns whether no solid face blocks the segment; otherwise `sheets` is undefined. `ends` are
+    /// the faces of the two end points: faces in their planes do not count as obstacles.
     pub fn collect_sheets(&self, from: DVec3, to: DVec3, ends: [&[u32]; 2], sheets: &mut Vec<(f64, u32)>) -> bool {
         sheets.clear();
         let span = to - from;
         let margin = MARGIN / span.length().max(MARGIN);
         let is_at_end = |face: u32| ends.into_iter().flatten().any(|f| self.faces[*f as usize].twins.contains(&face));
-        for triangle in self.hierarchy.candidates(from, span).map(|i| &self.triangles[i]) {
-            let Some(at) = crossing(triangle, from, span) else { continue };
-            if at <= margin || at >= 1.0 - margin || is_at_end(triangle.face) {
+        for triangle in self.hierarchy.near_segment(from, span).map(|i| &self.triangles[i]) {
+            let Some(position) = triangle.crossing(from, span) else { continue };
+            if position <= margin || position >= 1.0 - margin || is_at_end(triangle.face) {
                 continue;
             }
             if self.surface_of(triangle.face).thickness.is_none() {
                 return false;
             }
-            sheets.push((at, triangle.face));
+            sheets.push((position, triangle.face));
         }
         sheets.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         // On the seam of two triangles of a face both are hit.
@@ -181,10 +180,8 @@ impl World {
         true
     }
 
-    /// Returns an error for a point where no antenna can be: outside the room, or inside an object, which is named.
-    ///
-    /// # Errors
-    /// The obstacle, such as «inside `desk 2`».
+    /// Returns an error for a point where no antenna can be: outside the room or inside an object. The error is the
+    /// obstacle, such as «inside `desk 2`».
     pub fn check_free(&self, point: DVec3) -> Result<(), String> {
         let has_room = self.faces.first().is_some_and(Face::is_room);
         let (room, objects) = self.bodies.split_at(usize::from(has_room));

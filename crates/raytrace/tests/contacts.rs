@@ -48,7 +48,7 @@ fn single_reflections(paths: &[PropagationPath], x: f64) -> Vec<&PropagationPath
 
 /// Returns the TE gain of the path from (4, -y) by the plane x = 10 to (4, y), at one height.
 fn expected_gain(material: &str, thickness: Option<f64>, y: f64) -> Complex {
-    let eta = pwrfgs_raytrace::material::named(material).unwrap().permittivity(2e9);
+    let eta = pwrfgs_raytrace::material::itu_material(material).unwrap().permittivity(2e9);
     let length = 2.0 * 6.0_f64.hypot(y);
     reflection(eta, thickness, 6.0 / 6.0_f64.hypot(y), WAVELENGTH).te * WAVELENGTH / (4.0 * PI * length)
 }
@@ -110,7 +110,7 @@ fn waves_pass_both_of_two_coincident_sheets() {
         straight[0].gain
     };
     let t = |material: &str| {
-        let eta = pwrfgs_raytrace::material::named(material).unwrap().permittivity(2e9);
+        let eta = pwrfgs_raytrace::material::itu_material(material).unwrap().permittivity(2e9);
         transmission(eta, 0.01, 1.0, WAVELENGTH).te
     };
     let free = WAVELENGTH / (4.0 * PI * 8.0);
@@ -196,7 +196,7 @@ const AIR: &str = "(outline: Box(low: (-10, -50, -50), high: (10, 50, 50)), wall
 /// Returns the field at a receiver behind the plane x = 0, in a room of air.
 fn field_behind(objects: &str, tx: DVec3) -> Complex {
     let simulator = Simulator::new(&scene(AIR, objects, [4.0, -1.5, 0.3], "order: 1, room_order: 0")).unwrap();
-    simulator.trace(tx).iter().map(|p| p.baseband(WAVELENGTH)).sum()
+    simulator.trace(tx).iter().map(|p| p.baseband_gain(WAVELENGTH)).sum()
 }
 
 #[test]

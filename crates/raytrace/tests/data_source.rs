@@ -2,9 +2,12 @@
 
 use glam::DVec3;
 use pwrfgs_core::{Baseline, DataSource, Dataset, End, FittingSet, Plugin, Pose, Simulation};
-use pwrfgs_raytrace::output::{MANIFEST, OutputLayout, POINTS, write_as};
+use pwrfgs_raytrace::output::{MANIFEST, OutputLayout, POINTS, write_dataset};
 use pwrfgs_raytrace::scene::Orientation;
-use pwrfgs_raytrace::{ObservationKind, SceneFile, SimulationRecipe, Simulator, open_or_make};
+use pwrfgs_raytrace::spectrum::Spectrum;
+use pwrfgs_raytrace::{
+    ObservationKind, ReceiverObservation, SceneFile, SimulatedObservation, SimulationRecipe, Simulator, open_or_make,
+};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -44,7 +47,7 @@ fn recipe(folder: &Path) -> SimulationRecipe {
 
 /// Writes the data set of a recipe.
 fn write(recipe: &SimulationRecipe, layout: OutputLayout, paths: bool, out: &Path) -> pwrfgs_core::Result<()> {
-    write_as(recipe, layout, paths, out, &|_, _| {}, &AtomicBool::new(false))
+    write_dataset(recipe, layout, paths, out, &|_, _| {}, &AtomicBool::new(false))
 }
 
 #[test]
@@ -54,6 +57,14 @@ fn refuses_to_simulate_into_non_empty_folder() {
     let message = write(&recipe, OutputLayout::Pictures, true, folder.path()).unwrap_err();
     assert!(message.is_input() && message.to_string().contains("is not empty (it holds `small.ron`)"), "{message}");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+/// Returns the spectrum of an observation.
+fn spectrum(observation: ReceiverObservation) -> Spectrum {
+    match observation.observed {
+        SimulatedObservation::Spectrum(spectrum) => spectrum,
+        other => panic!("{other:?}"),
+    }
 }
 
 #[test]
@@ -71,8 +82,9 @@ fn moving_receiver_has_spectra_of_fixed_receivers() {
         assert_eq!((data.scene.transmitter, data.scene.moving), (Some(tx), End::Receiver));
         let [x, y, z, w] = pose.orientation;
         (scene.receiver.position, scene.receiver.orientation) = (pose.position, Orientation::Quaternion(x, y, z, w));
-        let reception = Simulator::new(&scene).unwrap().receivers()[0].spectrum(tx.into(), None).spectrum;
-        assert_eq!(*data.observations.raw(i), reception.pixels, "pose {i}");
+        let simulator = Simulator::new(&scene).unwrap();
+        let spectrum = spectrum(simulator.receivers()[0].observe(tx.into(), &ObservationKind::Spectrum, None));
+        assert_eq!(*data.observations.raw(i), spectrum.pixels, "pose {i}");
         assert!(pose.turned([0.0, 1.0, 0.0])[2] > 0.999, "turned about the vertical axis only");
     }
     let refused = |layout, paths| {
@@ -169,10 +181,11 @@ fn simulates_shipped_scenes() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap().join("scenes");
     for name in ["office", "conference", "lab-s23"] {
         let simulator = Simulator::new(&SceneFile::read(&root.join(format!("{name}.ron"))).unwrap()).unwrap();
-        for tx in simulator.positions(2, 0).unwrap() {
-            let reception = simulator.receivers()[0].spectrum(tx, Some(0));
-            assert!(reception.paths.len() > 50, "{name}: {} paths", reception.paths.len());
-            let (low, high) = (reception.spectrum.pixels.iter().min(), reception.spectrum.pixels.iter().max());
+        for tx in simulator.draw_positions(2, 0).unwrap() {
+            let observation = simulator.receivers()[0].observe(tx, &ObservationKind::Spectrum, Some(0));
+            assert!(observation.paths.len() > 50, "{name}: {} paths", observation.paths.len());
+            let pixels = spectrum(observation).pixels;
+            let (low, high) = (pixels.iter().min(), pixels.iter().max());
             assert_eq!((low, high), (Some(&0), Some(&255)), "{name}");
             assert!(simulator.world().check_free(tx).is_ok());
         }
@@ -204,7 +217,7 @@ fn parses_scene_of_simulator_page() {
     let text = page.split("```ron\n").nth(1).unwrap().split("```").next().unwrap();
     let simulator = Simulator::new(&SceneFile::parse(text, Path::new("docs/simulator.md")).unwrap()).unwrap();
     assert_eq!(simulator.world().faces.len(), 6 + 5 + 1); // the underside of the crate lies on the floor
-    assert_eq!(simulator.positions(20, 0).unwrap().len(), 20);
+    assert_eq!(simulator.draw_positions(20, 0).unwrap().len(), 20);
 }
 
 #[test]
@@ -320,9 +333,9 @@ fn transmitters_are_outside_objects() {
         "Grid(low: (0.9, 0.9, 0.1), high: (2.1, 2.1, 0.7), step_m: 0.3)",
     );
     let scene = SceneFile::read(&file(folder.path(), "s.ron", &in_desk)).unwrap();
-    let message = Simulator::new(&scene).unwrap().positions(5, 0).unwrap_err();
+    let message = Simulator::new(&scene).unwrap().draw_positions(5, 0).unwrap_err();
     assert!(message.is_input() && message.to_string().contains("inside `desk`"), "{message}");
     let free = Simulator::new(&SceneFile::read(&file(folder.path(), "s.ron", &scene_text(""))).unwrap()).unwrap();
     let desk = |p: &DVec3| p.x > 1.0 && p.x < 2.0 && p.y > 1.0 && p.y < 2.0 && p.z < 0.7;
-    assert!(!free.positions(200, 3).unwrap().iter().any(desk));
+    assert!(!free.draw_positions(200, 3).unwrap().iter().any(desk));
 }

@@ -38,7 +38,7 @@ fn two_rays_over_ground_follow_the_closed_form() {
     for distance in [5.0, 11.0, 30.0, 70.0, 180.0] {
         let height = 1.5;
         let paths = simulator.trace(DVec3::new(-90.0 + distance, 0.0, height));
-        let field: Complex = paths.iter().map(|p| p.baseband(wavelength)).sum();
+        let field: Complex = paths.iter().map(|p| p.baseband_gain(wavelength)).sum();
         let wave = |length: f64| Complex::cis(-TAU * length / wavelength) * wavelength / (4.0 * PI * length);
         let (direct, reflected) = (distance.hypot(2.0 - height), distance.hypot(2.0 + height));
         // Upright antennas radiate a TM wave towards the ground.
@@ -85,7 +85,7 @@ fn assert_same(there: &[PropagationPath], back: &[PropagationPath]) {
 
 /// Returns the field of all paths at the carrier of [`scene`].
 fn field(paths: &[PropagationPath]) -> Complex {
-    paths.iter().map(|p| p.baseband(299_792_458.0 / 2e9)).sum()
+    paths.iter().map(|p| p.baseband_gain(299_792_458.0 / 2e9)).sum()
 }
 
 #[test]
@@ -156,7 +156,7 @@ fn behind_a_board(material: &str, tx: DVec3) -> Complex {
     let board = &board.replace("MATERIAL", material);
     let simulator = Simulator::new(&scene(&room, board, [4.0, -1.5, 0.3], "order: 1, room_order: 0")).unwrap();
     let wavelength = simulator.scene().wavelength();
-    simulator.trace(tx).iter().map(|p| p.baseband(wavelength)).sum()
+    simulator.trace(tx).iter().map(|p| p.baseband_gain(wavelength)).sum()
 }
 
 #[test]
@@ -229,7 +229,7 @@ fn finds_all_visible_image_sequences_in_cluttered_room() {
                     return;
                 }
                 let point = from.lerp(images[k], h / (h - g));
-                open &= world.is_on(f, point)
+                open &= world.is_on_face(f, point)
                     && world.collect_sheets(from, point, [&[], &[]], &mut sheets)
                     && sheets.is_empty();
                 from = point;

@@ -3,6 +3,7 @@
 use crate::common::{CSI, small_room};
 use glam::DVec3;
 use pwrfgs_core::plugin::Checked;
+use pwrfgs_raytrace::array::array_channel;
 use pwrfgs_raytrace::{
     Complex, ObservationKind, PreparedReceiver, SPEED_OF_LIGHT, SceneFile, SimulatedObservation, Simulator,
 };
@@ -125,13 +126,19 @@ fn channel_at_carrier_equals_channel_of_spectrum() {
         if wavefront != "Traced" {
             let array = &scene.receiver.array;
             let center = DVec3::from(scene.receiver.position);
-            assert!(alone == array.channel(&paths, center, receiver.world_from_receiver(), scene.wavelength()));
-            assert!(receiver.antennas().iter().all(|antenna| antenna.distance(center) < 0.2));
+            let antennas = receiver.antenna_positions();
+            assert!(alone == array_channel(&paths, &antennas, center, &[scene.wavelength()], array.wavefront));
+            assert!(antennas.iter().all(|antenna| antenna.distance(center) < 0.2));
         }
         // Without subcarriers the power equals that of the spectra, including errors.
         let narrow = Simulator::new(&SceneFile { subcarriers: None, ..scene.clone() }).unwrap();
         let receiver = &narrow.receivers()[0];
-        let beside = 10.0 * receiver.spectrum(tx, Some(5)).spectrum.power.log10();
+        let SimulatedObservation::Spectrum(spectrum) =
+            receiver.observe(tx, &ObservationKind::Spectrum, Some(5)).observed
+        else {
+            panic!("another observation")
+        };
+        let beside = 10.0 * spectrum.power.log10();
         assert!((power(receiver, tx, 0.0, Some(5)) - beside).abs() < 0.001);
     }
 }
@@ -176,7 +183,7 @@ fn simulates_shipped_link_scenes() {
         assert!(scene.room == office.room && scene.objects == office.objects, "{name}");
         assert_eq!(scene.transmitter, office.transmitter);
         assert_eq!(simulator.receivers().len(), receivers);
-        let tx = simulator.positions(1, 0).unwrap()[0];
+        let tx = simulator.draw_positions(1, 0).unwrap()[0];
         for receiver in simulator.receivers() {
             assert_eq!(channel(receiver, tx, Some(30.0), Some(0)).len(), numbers);
             assert!((-90.0..-30.0).contains(&power(receiver, tx, 0.0, None)));

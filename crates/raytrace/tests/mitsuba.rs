@@ -71,7 +71,7 @@ fn is_diffraction(interaction: &Interaction) -> bool {
 #[test]
 fn three_spellings_of_a_material_give_equal_paths() {
     let glass = traced(&scene(&format!("{GLASS}{SHAPE}"), ""));
-    let (eta, sigma) = pwrfgs_raytrace::material::named("glass").unwrap().constants(3e9);
+    let (eta, sigma) = pwrfgs_raytrace::material::itu_material("glass").unwrap().constants(3e9);
     let constants = format!(
         "<bsdf type=\"radio-material\" id=\"glass\"><float name=\"relative_permittivity\" value=\"{eta}\"/>\
          <float name=\"conductivity\" value=\"{sigma}\"/><float name=\"thickness\" value=\"0.05\"/></bsdf>"
@@ -181,7 +181,7 @@ fn exported_scenes_have_equal_paths() {
         scene.room.as_mut().unwrap().ceiling.roughness = None;
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("out");
-        let meshes = mitsuba::export(&scene, &out).unwrap();
+        let meshes = mitsuba::export_scene(&scene, &out).unwrap();
         assert_eq!(meshes, 3 + scene.objects.len(), "{name}");
         let text = fs::read_to_string(out.join("scene.xml")).unwrap();
         assert_eq!(text.matches("<shape").count(), meshes);
@@ -191,10 +191,10 @@ fn exported_scenes_have_equal_paths() {
         fs::write(out.join("back.ron"), bare.to_ron()).unwrap();
         let back = SceneFile::read(&out.join("back.ron")).unwrap();
         let (before, after) = (Simulator::new(&scene).unwrap(), Simulator::new(&back).unwrap());
-        for tx in before.positions(5, 1).unwrap() {
+        for tx in before.draw_positions(5, 1).unwrap() {
             assert_equal_paths(&before.trace(tx), &after.trace(tx), 1e-9);
         }
-        assert!(mitsuba::export(&scene, &out).unwrap_err().is_input(), "an existing folder is kept");
+        assert!(mitsuba::export_scene(&scene, &out).unwrap_err().is_input(), "an existing folder is kept");
     }
 }
 
@@ -205,9 +205,9 @@ fn xml_alone_has_default_antennas_around_its_meshes() {
     assert_eq!(scene.name, folder.path().file_name().unwrap().to_string_lossy(), "the folder of scene.xml");
     assert_eq!((scene.carrier_hz, scene.receiver.position), (3.5e9, [0.0, 0.0, 1.5]));
     assert_eq!(scene.transmitter.positions.corners(), ([-1.6, -1.6, 1.5], [1.6, 1.6, 1.5]));
-    let moved = scene.with(Some(2e9), Some([0.0, 0.0, 3.0])).unwrap();
+    let moved = scene.with_overrides(Some(2e9), Some([0.0, 0.0, 3.0])).unwrap();
     assert_eq!((moved.carrier_hz, moved.receiver.position), (2e9, [0.0, 0.0, 3.0]));
-    assert!(moved.with(Some(0.0), None).unwrap_err().to_string().contains("`carrier_hz` is 0"));
+    assert!(moved.with_overrides(Some(0.0), None).unwrap_err().to_string().contains("`carrier_hz` is 0"));
     let upright =
         "<transform name=\"to_world\"><matrix value=\"0 0 1 0 0 1 0 0 1 0 0 0 0 0 0 1\"/></transform></shape>";
     let wall = format!("<scene>{GLASS}{}</scene>", SHAPE.replace("</shape>", upright));
@@ -329,7 +329,7 @@ fn scene_without_surfaces_and_opening_in_export_are_rejected() {
     let open = SceneFile::parse(&text.replacen("receiver", wall, 1), Path::new("o.ron")).unwrap();
     Simulator::new(&open).unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let refused = mitsuba::export(&open, &folder.path().join("out")).unwrap_err().to_string();
+    let refused = mitsuba::export_scene(&open, &folder.path().join("out")).unwrap_err().to_string();
     assert!(refused.contains("opening `door` cannot be exported; remove it"), "{refused}");
     assert!(!folder.path().join("out").exists());
 }

@@ -103,7 +103,7 @@ fn finds_every_path_of_reference_room_with_its_gain() {
                 assert!(points(path).iter().zip(&row.points).all(|(a, b)| a.distance(*b) < 5e-4));
                 assert!(path.length_to(DVec3::new(1.7, -0.9, 1.3)) - path.length < 1e-12);
             }
-            let sum: Complex = paths.iter().map(|p| p.baseband(wavelength)).sum();
+            let sum: Complex = paths.iter().map(|p| p.baseband_gain(wavelength)).sum();
             let reference: Complex = rows.iter().map(|row| row.baseband).sum();
             assert!((sum - reference).norm() < 1e-8 * reference.norm(), "{tx}: {sum} against {reference}");
         }
@@ -135,7 +135,7 @@ fn separately_traced_antennas_match_reference_channel() {
         let tx = txs.iter().find(|(name, _)| *name == r["tx"]).unwrap().1;
         let paths = simulator.trace(DVec3::from(tx));
         assert_eq!(paths.len(), number("npaths_ref") as usize);
-        let channel: Complex = paths.iter().map(|p| p.baseband(scene.wavelength())).sum();
+        let channel: Complex = paths.iter().map(|p| p.baseband_gain(scene.wavelength())).sum();
         let expected = Complex::new(number("ref_real_re"), number("ref_real_im"));
         // The error is relative to the line of sight, because the sum is small in a fade.
         assert!(

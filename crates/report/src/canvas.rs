@@ -9,10 +9,10 @@ mod pdf;
 mod png;
 mod svg;
 
-pub use font::{cut, text_width, wrapped};
+pub use font::{text_width, truncate_text, wrap_text};
 use pwrfgs_core::colour::sequential;
 use pwrfgs_core::messages;
-pub use svg::xml;
+pub use svg::escape_xml;
 
 /// Text height: 7.5 pt if a column of 380 is 3.5 in wide.
 pub const TEXT: f64 = 11.3;
@@ -42,8 +42,8 @@ impl Colour {
         Self { rgb: sequential(share), opacity: 1.0 }
     }
 
-    /// Returns the colour with another opacity.
-    pub const fn faint(self, opacity: f64) -> Self {
+    /// Returns the colour with another opacity, from 0 to 1.
+    pub const fn with_opacity(self, opacity: f64) -> Self {
         Self { opacity, ..self }
     }
 
@@ -117,26 +117,26 @@ impl VectorPath {
     /// Creates a line through `points`.
     pub fn of(points: &[Point]) -> Self {
         let mut path = Self::default();
-        path.add(points);
+        path.add_line(points);
         path
     }
 
-    /// Adds a line.
-    pub fn add(&mut self, points: &[Point]) {
+    /// Adds a line through `points` as a new subpath.
+    pub fn add_line(&mut self, points: &[Point]) {
         let step = |(k, p): (usize, &Point)| if k == 0 { Step::Move(*p) } else { Step::Line(*p) };
         self.0.extend(points.iter().enumerate().map(step));
     }
 
-    /// Adds an upright cross.
+    /// Adds an upright cross with arms of length `r`.
     pub fn add_plus(&mut self, [x, y]: Point, r: f64) {
-        self.add(&[[x - r, y], [x + r, y]]);
-        self.add(&[[x, y - r], [x, y + r]]);
+        self.add_line(&[[x - r, y], [x + r, y]]);
+        self.add_line(&[[x, y - r], [x, y + r]]);
     }
 
-    /// Adds a diagonal cross.
+    /// Adds a diagonal cross that fills a square of side 2 `r`.
     pub fn add_cross(&mut self, [x, y]: Point, r: f64) {
-        self.add(&[[x - r, y - r], [x + r, y + r]]);
-        self.add(&[[x + r, y - r], [x - r, y + r]]);
+        self.add_line(&[[x - r, y - r], [x + r, y + r]]);
+        self.add_line(&[[x + r, y - r], [x - r, y + r]]);
     }
 
     /// Returns whether all points are finite and the shape is visible: a line of length 0 is visible only
@@ -152,7 +152,7 @@ impl VectorPath {
         self.0.len() > 1 && has_extent && points.iter().all(is_finite_point)
     }
 
-    /// Closes the subpath.
+    /// Closes the last subpath.
     pub fn closed(mut self) -> Self {
         self.0.push(Step::Close);
         self
@@ -272,7 +272,7 @@ impl Canvas {
     }
 
     /// Adds text, unless its position is not finite.
-    fn write(&mut self, at: Point, anchor: Anchor, upright: bool, words: &str) {
+    fn add_text(&mut self, at: Point, anchor: Anchor, upright: bool, words: &str) {
         if is_finite_point(&at) {
             let words = single_line(words);
             self.shapes.push(Shape::Text(Text { at, anchor, letters: self.letters, upright, words }));
@@ -281,12 +281,12 @@ impl Canvas {
 
     /// Adds text on a base line.
     pub fn text(&mut self, at: Point, anchor: Anchor, words: impl AsRef<str>) {
-        self.write(at, anchor, false, words.as_ref());
+        self.add_text(at, anchor, false, words.as_ref());
     }
 
     /// Adds text that reads upwards, centred at a point.
-    pub fn upright(&mut self, at: Point, words: impl AsRef<str>) {
-        self.write(at, Anchor::Middle, true, words.as_ref());
+    pub fn upright_text(&mut self, at: Point, words: impl AsRef<str>) {
+        self.add_text(at, Anchor::Middle, true, words.as_ref());
     }
 
     /// Adds lines of text, centred vertically at `at`.
@@ -302,14 +302,14 @@ impl Canvas {
         self.shapes.push(Shape::RasterImage(at, size, pixels));
     }
 
-    /// Adds an image with a frame.
-    pub fn framed(&mut self, at: Point, size: Point, pixels: RasterImage) {
+    /// Adds an image by its corner and size, with a thin frame.
+    pub fn framed_pixels(&mut self, at: Point, size: Point, pixels: RasterImage) {
         self.pixels(at, size, pixels);
         self.rect(at, size, Paint::stroke(INK, 0.6));
     }
 
-    /// Adds another drawing, scaled and moved to `at`.
-    pub fn put(&mut self, at: Point, scale: f64, other: &Self) {
+    /// Adds the shapes of another drawing, scaled and moved to `at`.
+    pub fn add_drawing(&mut self, at: Point, scale: f64, other: &Self) {
         self.shapes.push(Shape::Group(at, scale, other.shapes.clone()));
     }
 }

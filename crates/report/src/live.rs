@@ -79,6 +79,19 @@ pub fn room(
     means: &[[Real; 3]],
     points: usize,
 ) -> TensorBundle {
+    let mut tensors = TensorBundle::new(describe_room(setup, measured, means));
+    for (name, colour) in [("power", sequential as fn(f64) -> [u8; 3]), ("error", |t| diverging(2.0 * t - 1.0))] {
+        let all = (0..256).flat_map(|i| colour(f64::from(i) / 255.0)).collect();
+        tensors.put_bytes(&format!("colours.{name}"), &[256, 3], all);
+    }
+    if let Some(measured) = measured {
+        put_data(&mut tensors, measured, points);
+    }
+    tensors
+}
+
+/// Describes a [`room`] as JSON: properties of the task and the plane, receivers, bounds, and title of the data.
+fn describe_room(setup: &MeasurementSetup, measured: Option<PartitionedData<'_>>, means: &[[Real; 3]]) -> Value {
     let origin = origin(setup, measured.map(|measured| measured.data));
     let (receivers, local, at) = match measured {
         Some(measured) => {
@@ -98,28 +111,20 @@ pub fn room(
         "origin": origin.0,
         "plane": { "width": plane.width, "height": plane.height, "wraps": plane.wraps, "angles": plane.angles,
                    "camera": plane.camera },
-        "receivers": poses.iter().map(|(name, pose)| receiver(name, pose, origin)).collect::<Vec<_>>(),
+        "receivers": poses.iter().map(|(name, pose)| describe_receiver(name, pose, origin)).collect::<Vec<_>>(),
         "frequencies_hz": setup.frequencies_hz,
     });
     let positions = poses.iter().map(|(_, pose)| origin.local(pose.position));
     note["bounds"] = match measured {
         Some(measured) => json!([measured.data.scene.bounds.0, measured.data.scene.bounds.1]),
-        None => bounds(means.iter().copied().chain(positions)),
+        None => bounding_box(means.iter().copied().chain(positions)),
     };
     if let Some(measured) = measured {
         note["title"] = json!(measured.data.title);
         note["simulated"] = json!(measured.data.is_simulated());
         note["placed"] = json!(measured.data.placed);
     }
-    let mut tensors = TensorBundle::new(note);
-    for (name, colour) in [("power", sequential as fn(f64) -> [u8; 3]), ("error", |t| diverging(2.0 * t - 1.0))] {
-        let all = (0..256).flat_map(|i| colour(f64::from(i) / 255.0)).collect();
-        tensors.put_bytes(&format!("colours.{name}"), &[256, 3], all);
-    }
-    if let Some(measured) = measured {
-        put_data(&mut tensors, measured, points);
-    }
-    tensors
+    note
 }
 
 /// Returns the origin of all coordinates of a page.
@@ -143,13 +148,13 @@ fn put_data(
     tensors.put_bytes("links.part", &[n], links.iter().map(|&i| partition.set_of(i) as u8).collect());
 }
 
-/// Describes a receiver.
-fn receiver(name: &str, pose: &Pose, origin: Origin) -> Value {
+/// Describes a receiver as JSON: name, position in metres from `origin`, and boresight.
+fn describe_receiver(name: &str, pose: &Pose, origin: Origin) -> Value {
     json!({ "name": name, "position": origin.local(pose.position), "boresight": pose.turned([0.0, 0.0, 1.0]) })
 }
 
-/// Returns the bounding box of some points; a metre wide if there are none.
-fn bounds(points: impl Iterator<Item = [Real; 3]>) -> Value {
+/// Returns the corners of the bounding box of `points` as JSON; a cube of 2 m around the origin if there are none.
+fn bounding_box(points: impl Iterator<Item = [Real; 3]>) -> Value {
     let start = ([Real::INFINITY; 3], [Real::NEG_INFINITY; 3]);
     let (low, high) = points.fold(start, |(low, high), p| {
         (std::array::from_fn(|k| low[k].min(p[k])), std::array::from_fn(|k| high[k].max(p[k])))
@@ -164,29 +169,12 @@ pub fn gaussians(ensemble: &Ensemble, origin: Origin, tx: Option<[f64; 3]>) -> T
     let mut tensors = TensorBundle::new(json!({ "gaussians": ensemble.gaussians() }));
     let n = ensemble.gaussians();
     let all: Vec<_> = ensemble.members().iter().map(|model| model.gaussians(tx)).collect();
-    let put = |tensors: &mut TensorBundle, name: &str, width: usize, values: Vec<Real>| {
-        tensors.put(name, &[n, width], values);
-    };
-    put(&mut tensors, "means", 3, ensemble.means_from(origin).into_flattened());
-    put(
-        &mut tensors,
-        "scales",
-        3,
-        all.iter().flat_map(|gaussians| gaussians.primitives.scales.as_flattened().to_vec()).collect(),
-    );
-    put(
-        &mut tensors,
-        "quats",
-        4,
-        all.iter().flat_map(|gaussians| gaussians.primitives.quats.as_flattened().to_vec()).collect(),
-    );
-    put(
-        &mut tensors,
-        "opacities",
-        1,
-        all.iter().flat_map(|gaussians| gaussians.primitives.opacities.clone()).collect(),
-    );
-    put(&mut tensors, "strengths", 1, all.iter().flat_map(strengths).collect());
+    let primitives = || all.iter().map(|gaussians| &gaussians.primitives);
+    tensors.put("means", &[n, 3], ensemble.means_from(origin).into_flattened());
+    tensors.put("scales", &[n, 3], primitives().flat_map(|p| p.scales.as_flattened()).copied());
+    tensors.put("quats", &[n, 4], primitives().flat_map(|p| p.quats.as_flattened()).copied());
+    tensors.put("opacities", &[n, 1], primitives().flat_map(|p| &p.opacities).copied());
+    tensors.put("strengths", &[n, 1], all.iter().flat_map(strengths));
     tensors
 }
 

@@ -17,7 +17,7 @@ use minijinja::value::Serde;
 use minijinja::{Value, context};
 use pwrfgs_core::{Appearance, Error, Result};
 use pwrfgs_experiment::folder::{REPORT, START_SNAPSHOT, UNPRUNED_SNAPSHOT};
-use pwrfgs_experiment::{CEILING, LoadedRun, one_line, text::grouped};
+use pwrfgs_experiment::{CEILING, LoadedRun, ron_line, text::grouped};
 use pwrfgs_model::{Model, Snapshot};
 
 /// Creates the page of a run from its folder.
@@ -27,8 +27,8 @@ use pwrfgs_model::{Model, Snapshot};
 pub fn page(run: &LoadedRun<'_>) -> Result<String> {
     let LoadedRun { record, model, data, partition } = run;
     let (scores, facts, pipeline) = (&record.scores.table, &record.facts, &record.pipeline);
-    let chosen = examples::examples(run)?;
-    let (examples, limit) = examples::spectra(run, &chosen);
+    let chosen = examples::choose_examples(run)?;
+    let (examples, limit) = examples::spectra_panels(run, &chosen);
     let bounds = [data.scene.bounds.0, data.scene.bounds.1]
         .map(|p| data.scene.origin.world(p).map(|v| (v * 10.0).round() / 10.0));
     let draws_splats = model.is_drawn_as(Appearance::Ellipsoids);
@@ -41,8 +41,8 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         bytes => [model.gaussian_bytes(), model.network_bytes()],
         samples => partition.sizes(),
         has_pixels => data.task().has_pixels,
-        words => words(run),
-        split => one_line(&pipeline.split),
+        words => task_words(run),
+        split => ron_line(&pipeline.split),
         bounds => bounds.map(Vec::from),
         seed => pipeline.seed,
         heading => scores.heading(),
@@ -50,23 +50,23 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         paired => scores.paired.as_ref().map(|pairs| (pairs.lines(&scores.oracles), pairs.note(scores.task))),
         predictors => scores.predictors.clone(),
         ceiling => CEILING,
-        groups => tables::groups(scores),
+        groups => tables::column_groups(scores),
         oracles_known => scores.oracles.clone(),
         notes => scores.notes.clone(),
         figures => curves::figures(run),
-        room => if draws_splats { Some(room(run)?) } else { None },
+        room => if draws_splats { Some(room_panels(run)?) } else { None },
         powers => data.task().is_scalar.then(|| powers::section(run, &chosen)),
-        error_maps => maps::of_spectra(run),
-        receivers => tables::receivers(run),
+        error_maps => maps::spectrum_error_maps(run),
+        receivers => tables::receiver_table(run),
         channels => data.task().is_complex.then(|| channels::section(run, &chosen)),
         examples,
-        power_bar => ColourScale::Power.bar().svg("bar", "colour scale of power"),
-        error_bar => ColourScale::Error(limit).bar().svg("bar", "colour scale of the error"),
+        power_bar => ColourScale::Power.draw_bar().svg("bar", "colour scale of power"),
+        error_bar => ColourScale::Error(limit).draw_bar().svg("bar", "colour scale of the error"),
         live => live::section(run),
         angles => model.plane().angles.is_some(),
-        pipeline => settings(run)?,
-        members => members(run),
-        confidence => curves::confidence(run),
+        pipeline => pipeline_text(run)?,
+        members => member_pages(run),
+        confidence => curves::confidence_chart(run),
     };
     render("run.html", page)
 }
@@ -88,7 +88,7 @@ pub fn room_page(run: &LoadedRun<'_>) -> Result<(String, bool)> {
 }
 
 /// Returns the words for the parts of a model and its observations.
-fn words(run: &LoadedRun<'_>) -> Value {
+fn task_words(run: &LoadedRun<'_>) -> Value {
     let task = run.data.task();
     let [singular, plural] = task.counted;
     let size = task.size_text((run.data.width, run.data.height)).map(|size| size.replace(" x ", " × "));
@@ -100,14 +100,14 @@ fn words(run: &LoadedRun<'_>) -> Value {
 }
 
 /// Returns the pipeline text; for an ensemble, the one that scores it.
-fn settings(run: &LoadedRun<'_>) -> Result<String> {
+fn pipeline_text(run: &LoadedRun<'_>) -> Result<String> {
     let is_joined = run.model.members().len() > 1;
     let note = "// pipeline that scores the ensemble; each member has its own pipeline:\n";
     Ok(if is_joined { note } else { "" }.to_owned() + &run.record.pipeline.to_ron()?)
 }
 
-/// Returns the name, number of Gaussians and page of each member of an ensemble.
-fn members(run: &LoadedRun<'_>) -> Vec<Value> {
+/// Returns the name, number of Gaussians and page of each member of an ensemble; none for the model of one run.
+fn member_pages(run: &LoadedRun<'_>) -> Vec<Value> {
     let models = run.model.names().iter().zip(run.model.members());
     let member = |(folder, (name, model)): (&String, (&String, &Model))| {
         let page = format!("../{folder}/{REPORT}");
@@ -119,9 +119,9 @@ fn members(run: &LoadedRun<'_>) -> Vec<Value> {
 /// Text height on the axes.
 const TEXT: f64 = 10.5;
 
-/// Returns three panels with legend and note; only the last panel if no snapshots of the training
-/// exist.
-fn room(run: &LoadedRun<'_>) -> Result<Value> {
+/// Draws the room with the Gaussians at the start, before pruning and at the end, with legend and note; only the last panel
+/// if no snapshots of the training exist.
+fn room_panels(run: &LoadedRun<'_>) -> Result<Value> {
     let last = Snapshot::of_ensemble(run.record.facts.steps, run.model);
     let read = |name: &str| Snapshot::read(&run.record.folder.join(name));
     let step = |s: &Snapshot| grouped(s.step as i64);
@@ -132,7 +132,7 @@ fn room(run: &LoadedRun<'_>) -> Result<Value> {
     let clouds: Vec<&Snapshot> = snapshots.iter().map(|m| &m.1).collect();
     let room = RoomFigure::new(run.data, run.partition, &clouds, TEXT);
     let panel = |(title, snapshot): &(String, Snapshot)| {
-        let Panel { title, numbers, drawing, caption } = room.panel(title, snapshot, run.data);
+        let Panel { title, numbers, drawing, caption } = room.draw_panel(title, snapshot, run.data);
         let svg = drawing.svg("room", &title);
         context! { title, numbers, svg, caption }
     };

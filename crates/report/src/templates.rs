@@ -1,6 +1,6 @@
 //! Templates of pages and documents, with an escaper per file type.
 
-use crate::canvas::{single_line, xml};
+use crate::canvas::{escape_xml, single_line};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use minijinja::syntax::SyntaxConfig;
@@ -43,8 +43,8 @@ static ENVIRONMENT: LazyLock<Environment<'static>> = LazyLock::new(|| {
         let text = value.to_string();
         let text = match state.auto_escape() {
             _ if value.is_safe() => text,
-            AutoEscape::Html => xml(&text),
-            AutoEscape::Custom(kind) if kind == "tex" => tex(&text),
+            AutoEscape::Html => escape_xml(&text),
+            AutoEscape::Custom(kind) if kind == "tex" => escape_tex(&text),
             _ => single_line(&text),
         };
         Ok(out.write_str(&text)?)
@@ -59,14 +59,17 @@ static ENVIRONMENT: LazyLock<Environment<'static>> = LazyLock::new(|| {
     environment
 });
 
-/// Renders a template.
+/// Renders the built-in template `name`.
+///
+/// # Errors
+/// A value that the template needs is missing.
 pub(crate) fn render(name: &str, context: Value) -> Result<String> {
     let filled = ENVIRONMENT.get_template(name).and_then(|template| template.render(context));
     filled.map_err(|e| Error::Config(format!("template {name}: {e:#}")))
 }
 
 /// Renders a built-in template as sentences, one per line.
-pub(crate) fn sentences(name: &str, context: Value) -> Vec<String> {
+pub(crate) fn render_sentences(name: &str, context: Value) -> Vec<String> {
     let text = render(name, context).expect("its context is complete, as tests check");
     text.lines().map(str::to_owned).collect()
 }
@@ -83,8 +86,8 @@ const SYMBOLS: &str = r"
     √ \surd ∈ \in Δ \Delta Σ \Sigma Ω \Omega Φ \Phi α \alpha β \beta γ \gamma δ \delta ε \varepsilon η \eta θ \theta
     λ \lambda μ \mu µ \mu ν \nu π \pi ρ \rho σ \sigma τ \tau φ \varphi ψ \psi ω \omega ¹ ^1 ⁻ ^-";
 
-/// Returns the value of `c` in a list of pairs.
-fn replacement(list: &'static str, c: char) -> Option<&'static str> {
+/// Finds the value of the key `c` in a list of pairs of words; `None` without such a pair.
+fn find_replacement(list: &'static str, c: char) -> Option<&'static str> {
     let mut words = list.split_whitespace();
     while let (Some(key), Some(value)) = (words.next(), words.next()) {
         if key.chars().eq([c]) {
@@ -95,8 +98,8 @@ fn replacement(list: &'static str, c: char) -> Option<&'static str> {
 }
 
 /// Escapes text for LaTeX with T1 fonts and textcomp. Characters that the fonts lack are written as code points.
-fn tex(text: &str) -> String {
-    let escape = |c: char| match (replacement(SIGNS, c), replacement(SYMBOLS, c)) {
+fn escape_tex(text: &str) -> String {
+    let escape = |c: char| match (find_replacement(SIGNS, c), find_replacement(SYMBOLS, c)) {
         (Some(shown), _) => shown.to_owned(),
         (_, Some(symbol)) => format!("\\ensuremath{{{symbol}}}"),
         // Latin-1 and Latin Extended-A but for the few that T1 has no command for.
@@ -119,20 +122,20 @@ mod tests {
     fn labels_are_escaped_in_legend() {
         let (name, reference, least, most) = ("differences", "a\nb\u{1b}", 3, 3);
         let words = context! { name, reference, least, most, replicates => 9, percent => 95, edge => "1", cubes => 20 };
-        let message = sentences("legend.txt", words.clone());
+        let message = render_sentences("legend.txt", words.clone());
         assert!(message[0].starts_with("Row minus a b\u{fffd}: mean") && message.len() == 4, "{message:#?}");
         assert!(message[1].contains("cubes of 1 m (20 with test"), "{message:#?}");
         let nowhere = context! { edge => None::<String>, observations => "channels", ..words };
-        let message = sentences("legend.txt", nowhere);
+        let message = render_sentences("legend.txt", nowhere);
         assert!(message[1].contains("single channels (20), because positions are unknown"), "{message:#?}");
     }
 
     #[test]
     fn escapes_every_tex_special_character() {
-        let escaped = tex(r"\ { } $ & # ^ _ % ~");
+        let escaped = escape_tex(r"\ { } $ & # ^ _ % ~");
         let expected = r"\textbackslash{} \{ \} \$ \& \# \textasciicircum{} \_ \% \textasciitilde{}";
         assert_eq!(escaped, expected);
-        assert_eq!(tex("RT ±20% λ=0.1 --x"), "RT \\ensuremath{\\pm}20\\% \\ensuremath{\\lambda}=0.1 -{}-{}x");
-        assert_eq!(tex("«ü» 模"), "«ü» {[}U+6A21{]}");
+        assert_eq!(escape_tex("RT ±20% λ=0.1 --x"), "RT \\ensuremath{\\pm}20\\% \\ensuremath{\\lambda}=0.1 -{}-{}x");
+        assert_eq!(escape_tex("«ü» 模"), "«ü» {[}U+6A21{]}");
     }
 }

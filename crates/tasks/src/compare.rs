@@ -50,7 +50,7 @@ pub fn plan_comparison(
 ) -> Result<Comparison> {
     let mut plan = plan_methods(settings, survey, observer)?;
     let partition = plan.runs[0].pipeline.partition(&survey.data)?;
-    let external = settings.read_predictions(&plan, (&survey.data, &partition))?;
+    let external = settings.read_predictions(&plan, &survey.data, &partition.test)?;
     // Baselines and predictions are equal for all methods: the runs of the first method score them.
     let first = plan.runs[0].combination;
     for PlannedRun { combination, pipeline, .. } in &mut plan.runs {
@@ -82,7 +82,9 @@ fn plan_methods(settings: &CompareSettings, survey: &DataSurvey, observer: &mut 
         if !is_named && !settings.methods.is_empty() {
             continue;
         }
-        match settings.plan(method, &experiment, &base, survey) {
+        let planned =
+            with_method(&experiment, method).and_then(|experiment| settings.plan_runs(&experiment, &base, survey));
+        match planned {
             Ok(mut plan) => match &mut whole {
                 Some(whole) => {
                     let combination = whole.runs.last().map_or(0, |run| run.combination + 1);
@@ -103,7 +105,7 @@ fn plan_methods(settings: &CompareSettings, survey: &DataSurvey, observer: &mut 
     })
 }
 
-/// Reads the shipped experiment with the methods for the task of `data`.
+/// Reads the shipped experiment with the methods for the task of `data`, and sets its name and seeds.
 fn read_experiment(settings: &CompareSettings, data: &Dataset) -> Result<Experiment> {
     let name = match &data.features {
         Some(_) => "methods-uplink",
@@ -117,19 +119,23 @@ fn read_experiment(settings: &CompareSettings, data: &Dataset) -> Result<Experim
     Ok(experiment)
 }
 
+/// Returns the experiment with one of its methods only.
+fn with_method(experiment: &Experiment, method: &str) -> Result<Experiment> {
+    let axis = &experiment.axes[0];
+    let variants = axis.variants.iter().filter(|variant| variant.label == method).cloned().collect();
+    let axis = Checked::new(Axis { variants, ..Axis::clone(axis) }).map_err(Error::Config)?;
+    Ok(Experiment { axes: vec![axis], ..experiment.clone() })
+}
+
 impl CompareSettings {
-    /// Plans the runs of one method, checked with the data.
-    fn plan(&self, method: &str, experiment: &Experiment, base: &Pipeline, survey: &DataSurvey) -> Result<SweepPlan> {
-        let axis = &experiment.axes[0];
-        let variants = axis.variants.iter().filter(|variant| variant.label == method).cloned().collect();
-        let axis = Checked::new(Axis { variants, ..Axis::clone(axis) }).map_err(Error::Config)?;
-        let experiment = Experiment { axes: vec![axis], ..experiment.clone() };
+    /// Plans the runs of an experiment with a single method, and checks them with the data.
+    fn plan_runs(&self, experiment: &Experiment, base: &Pipeline, survey: &DataSurvey) -> Result<SweepPlan> {
         // No text: positions in it would be those of all methods.
-        let plan = SweepPlan::of(&experiment, (Path::new(""), "()"), Some(base), &self.changes, self.out.as_deref());
+        let plan = SweepPlan::of(experiment, (Path::new(""), "()"), Some(base), &self.changes, self.out.as_deref());
         let mut plan = plan.map_err(without_position)?;
         let data = &survey.data;
         for PlannedRun { pipeline, .. } in &mut plan.runs {
-            let batch = format!("training.batch={}", survey.batch(pipeline.training.batch));
+            let batch = format!("training.batch={}", survey.batch_size(pipeline.training.batch));
             let is_rays = pipeline.method.as_ref().is_some_and(|method| plugin_name(method) == "Nerf2");
             let rays = if is_rays { ray_settings(data, &pipeline.training) } else { Vec::new() };
             pipeline.set_all(&[vec![batch], rays].concat())?;
@@ -140,9 +146,9 @@ impl CompareSettings {
         Ok(plan)
     }
 
-    /// Reads and checks the predictions of other programs.
-    fn read_predictions(&self, plan: &SweepPlan, split: (&Dataset, &Partition)) -> Result<Vec<Plugin<dyn Baseline>>> {
-        let (data, partition) = split;
+    /// Reads the predictions of other programs as baselines. Each needs a name of its own, and a prediction per link of
+    /// `test`.
+    fn read_predictions(&self, plan: &SweepPlan, data: &Dataset, test: &[usize]) -> Result<Vec<Plugin<dyn Baseline>>> {
         let baselines = plan.runs[0].pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task()));
         let labels = plan.runs.iter().map(|run| run.labels[0].1.clone());
         let mut taken: Vec<String> = baselines.chain(labels).chain([MODEL, CEILING].map(str::to_owned)).collect();
@@ -160,15 +166,15 @@ impl CompareSettings {
             let root = Path::new(root).canonicalize().ok().filter(|root| root.is_dir());
             let root = root.ok_or_else(|| refuse("no such folder; correct its path"))?;
             let mut predictions = Predictions { name: name.into(), root, ..Predictions::default() };
-            predictions.check_test(data, &partition.test)?;
-            predictions.seal(data)?;
+            predictions.check_test(data, test)?;
+            predictions.set_digest(data)?;
             baselines.push(Plugin::from(Box::new(predictions) as Box<dyn Baseline>));
         }
         Ok(baselines)
     }
 }
 
-/// Removes the position in the experiment from an error, whose file is inside the program and has no path.
+/// Removes the position in the experiment from an error of that file, which is inside the program and has no path.
 pub fn without_position(error: Error) -> Error {
     match error {
         Error::Input { path, message, .. } if path.as_os_str().is_empty() => Error::Config(message),
@@ -176,7 +182,7 @@ pub fn without_position(error: Error) -> Error {
     }
 }
 
-/// Checks that the output folder has no other runs: their baselines and predictions would remain in the report.
+/// Rejects an output folder with other runs: their baselines and predictions would remain in the report.
 ///
 /// # Errors
 /// The first such run.
@@ -188,8 +194,8 @@ pub fn check_earlier_runs(plan: &SweepPlan) -> Result<()> {
     other.map_or(Ok(()), |run| Err(Error::input(&plan.folder, why(run))))
 }
 
-/// Returns settings of NeRF2 for the size of the site and of small spectra: rays reach across the site; beyond a room,
-/// this length is the unit.
+/// Lists settings of NeRF2 for the size of the site and of small spectra. Rays reach across the site; if that is more
+/// than 20 m, it is the unit of length too.
 fn ray_settings(data: &Dataset, training: &Training) -> Vec<String> {
     let (low, high) = data.scene.bounds;
     let far = (0..3).map(|k| (high[k] - low[k]).powi(2)).sum::<Real>().sqrt().max(5.0).ceil();
@@ -202,7 +208,7 @@ fn ray_settings(data: &Dataset, training: &Training) -> Vec<String> {
     [format!("method.Nerf2.far_m={far:?}"), format!("method.Nerf2.unit_m={unit:?}")].into_iter().chain(fewer).collect()
 }
 
-/// Lists all registered baselines for the data, and further numbers of neighbours.
+/// Lists the registered baselines that support the data, with default settings and further numbers of neighbours.
 fn applicable_baselines(data: &Dataset) -> Vec<Plugin<dyn Baseline>> {
     let nearest = ["(k: 1)", "(k: Auto)"].map(|k| format!("NearestNeighbours{k}"));
     let texts = registered::<dyn Baseline>().into_iter().map(|name| format!("{name}()")).chain(nearest);

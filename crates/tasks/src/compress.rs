@@ -43,15 +43,15 @@ pub fn compress(ensemble: Ensemble, bits: Bits) -> Result<CompressedModel> {
     Ok(CompressedModel { bytes, ensemble: small, notes })
 }
 
-/// Describes the mean difference of predicted values at training positions, over all receivers;
-/// `None` without such positions.
+/// Describes the mean difference of the predictions of two models at training positions, over all receivers; `None` for
+/// models without training positions.
 fn describe_difference(model: &Model, small: &Model) -> Option<String> {
     let (training, stages) = (model.training_positions.as_ref()?, &model.stages);
     let positions: Vec<[f64; 3]> =
         evenly(training.positions(), COMPARED).into_iter().map(|p| stages.origin.world(p)).collect();
     let receivers = 0..stages.receivers.len();
     let queries: Vec<Query<'_>> =
-        positions.iter().flat_map(|&at| receivers.clone().map(move |r| stages.query(at, r))).collect();
+        positions.iter().flat_map(|&tx| receivers.clone().map(move |r| stages.query(tx, r))).collect();
     let [a, b] = [model, small].map(|model| model.prepare().predict_many(&queries));
     let pairs = a.iter().zip(&b).flat_map(|(a, b)| a.pixels.iter().zip(&b.pixels));
     let differences: Vec<f64> = pairs.map(|(a, b)| f64::from((a - b).abs() as f32)).collect();

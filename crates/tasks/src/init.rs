@@ -6,7 +6,7 @@ use pwrfgs_core::plugin::try_to_ron;
 use pwrfgs_core::{Dataset, Error, Result, ShippedFile};
 use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
-pub use survey::{DataSurvey, is_table, suggested_split, unknown_folder};
+pub use survey::{DataSurvey, is_table_or_array, suggest_split, unknown_folder_error};
 
 /// Median distance from test transmitters to the nearest training transmitter below which training learns fine detail,
 /// metres.
@@ -55,43 +55,13 @@ const PIXELS: usize = 40_000;
 /// # Errors
 /// A path that is not UTF-8.
 pub fn suggest_pipeline(survey: &DataSurvey, name: &str, out: &Path) -> Result<Pipeline> {
-    let path = |path: &Path| {
-        let text = path.to_str().map(|text| format!("{text:?}"));
-        text.ok_or_else(|| Error::input(path, "not UTF-8; rename the folder"))
-    };
     let mut set = vec![
         format!("name={name}"),
         format!("data={}", try_to_ron(&survey.source).map_err(Error::Config)?),
         format!("split={}", survey.split),
     ];
-    let (start, batch, baselines) = match survey.data.features.as_ref().map(|features| features.width) {
-        _ if survey.data.camera().is_some() => {
-            set.extend(camera_settings(&survey.data));
-            (COARSE_SPECTRA, 4, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto)")
-        }
-        _ if survey.data.task().has_pixels => {
-            let cloud = survey.clouds.first().map(|(cloud, _)| path(cloud)).transpose()?;
-            spectrum_settings(survey, cloud, &mut set)
-        }
-        _ if survey.data.task().is_scalar => {
-            set.push(tx_encoding_setting(&survey.data));
-            (POWERS, 128, "MeanSpectrum(), NearestNeighbours(k: Auto), Kriging()")
-        }
-        Some(width) => {
-            set.push(format!("method.deformation.tx_encoding=Features(width: {width})"));
-            (UPLINKS, 128, "Zero(), NearestNeighbours(k: Auto), Ridge()") // Kriging needs positions
-        }
-        // The search needs antennas of fixed orientation.
-        None if survey.data.scene.moving.is_receiver() && survey.data.scene.receivers[0].antennas != [[0.0; 3]] => {
-            set.extend(TURNING_ARRAY.map(str::to_owned));
-            (UPLINKS, 32, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
-        }
-        None => {
-            set.push(COARSE_SEARCH.into());
-            (CHANNELS, 256, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
-        }
-    };
-    set.push(format!("training.batch={}", survey.batch(batch)));
+    let (start, batch, baselines) = select_template(survey, &mut set)?;
+    set.push(format!("training.batch={}", survey.batch_size(batch)));
     set.push(format!("baselines=[{baselines}]"));
     let shipped = ShippedFile::all(ShippedFile::PIPELINES).into_iter().find(|file| file.name == start);
     let mut pipeline = Pipeline::parse(shipped.expect("the facade registers its pipelines").source, out)?;
@@ -99,12 +69,51 @@ pub fn suggest_pipeline(survey: &DataSurvey, name: &str, out: &Path) -> Result<P
     Ok(pipeline)
 }
 
+/// Formats a path as a text in RON; an error if it is not UTF-8.
+fn quote_path(path: &Path) -> Result<String> {
+    let text = path.to_str().map(|text| format!("{text:?}"));
+    text.ok_or_else(|| Error::input(path, "not UTF-8; rename the folder"))
+}
+
 /// Shipped pipeline to start from, largest batch size, and baselines as RON.
 type Template = (&'static str, usize, &'static str);
 
-/// Adds the settings for spectra to `set`; `cloud` is the path of a point cloud, as RON.
-fn spectrum_settings(survey: &DataSurvey, cloud: Option<String>, set: &mut Vec<String>) -> Template {
-    let stride = survey.stride();
+/// Selects the template for the kind of data, and adds the settings that differ from it to `set`.
+fn select_template(survey: &DataSurvey, set: &mut Vec<String>) -> Result<Template> {
+    let data = &survey.data;
+    Ok(match data.features.as_ref().map(|features| features.width) {
+        _ if data.camera().is_some() => {
+            set.extend(camera_settings(data));
+            (COARSE_SPECTRA, 4, "MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto)")
+        }
+        _ if data.task().has_pixels => {
+            let cloud = survey.clouds.first().map(|(cloud, _)| quote_path(cloud)).transpose()?;
+            select_spectrum_template(survey, cloud, set)
+        }
+        _ if data.task().is_scalar => {
+            set.push(tx_encoding_setting(data));
+            (POWERS, 128, "MeanSpectrum(), NearestNeighbours(k: Auto), Kriging()")
+        }
+        Some(width) => {
+            set.push(format!("method.deformation.tx_encoding=Features(width: {width})"));
+            (UPLINKS, 128, "Zero(), NearestNeighbours(k: Auto), Ridge()") // Kriging needs positions
+        }
+        // The search needs antennas of fixed orientation.
+        None if data.scene.moving.is_receiver() && data.scene.receivers[0].antennas != [[0.0; 3]] => {
+            set.extend(TURNING_ARRAY.map(str::to_owned));
+            (UPLINKS, 32, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
+        }
+        None => {
+            set.push(COARSE_SEARCH.into());
+            (CHANNELS, 256, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
+        }
+    })
+}
+
+/// Selects the template for spectra, and adds the settings that differ from it to `set`; `cloud` is the path of a point
+/// cloud, as RON.
+fn select_spectrum_template(survey: &DataSurvey, cloud: Option<String>, set: &mut Vec<String>) -> Template {
+    let stride = survey.training_stride();
     set.push(format!("training.stride={stride}"));
     if stride == 1 {
         set.push("projector=Mercator()".into());
@@ -132,15 +141,16 @@ fn spectrum_settings(survey: &DataSurvey, cloud: Option<String>, set: &mut Vec<S
     }
 }
 
-/// Returns the encoding of transmitter positions for received powers: wavelengths from the size of the site to 2 m, or to
-/// an eighth of a small site, in random directions, since maps have stripes if these are along the axes.
+/// Formats the setting of the encoding of transmitter positions for received powers: wavelengths from the size of the
+/// site to 2 m, or to an eighth of a small site, in random directions, since maps have stripes if these are along the
+/// axes.
 fn tx_encoding_setting(data: &Dataset) -> String {
     let longest = longest_side(data).max(1.0).ceil();
     let shortest = (longest / 8.0).min(2.0);
     format!("deformation.tx_encoding=Wavelengths(count: 10, longest_m: {longest:?}, shortest_m: {shortest:?}, seed: 0)")
 }
 
-/// Returns settings for images of a camera.
+/// Lists the settings for images of a camera: stride, start and step size of the Gaussians, from image size and site.
 fn camera_settings(data: &Dataset) -> Vec<String> {
     let Dataset { width, height, .. } = *data;
     let divides = |stride: &usize| width.is_multiple_of(*stride) && height.is_multiple_of(*stride);
@@ -168,12 +178,13 @@ fn longest_side(data: &Dataset) -> f64 {
     (0..3).map(ends).fold(0.0, f64::max)
 }
 
-/// Returns the name of the folder, as a valid name of a pipeline.
-pub fn name_of(folder: &Path) -> String {
+/// Returns the name of the folder as a valid name of a pipeline: other characters become dashes; `pipeline` if none is
+/// left.
+pub fn pipeline_name(folder: &Path) -> String {
     let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let name = absolute.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let plain: String =
         name.chars().map(|c| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' }).collect();
-    let plain = plain.trim_start_matches(['.', '-']).to_owned();
-    if plain.is_empty() { "pipeline".into() } else { plain }
+    let plain = plain.trim_start_matches(['.', '-']);
+    if plain.is_empty() { "pipeline".into() } else { plain.into() }
 }

@@ -9,7 +9,7 @@ use clap::Args;
 pub use observations::{checked_features, read_observations};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Dataset, Error, Partition, Result};
+use pwrfgs_core::{Dataset, Error, Receiver, Result};
 use pwrfgs_experiment::text::{aligned, fixed, grouped};
 use pwrfgs_experiment::{Observer, SplitData, check_alike};
 use pwrfgs_localise::{FingerprintFeatures, Located, Locator, Region, SHARES};
@@ -47,7 +47,7 @@ pub struct LocatedRow {
 }
 
 impl LocatedRow {
-    /// Returns the columns of `locations.csv` that need the true position, which is empty if unknown.
+    /// Formats the columns of `locations.csv` that need the true position: empty columns if it is unknown.
     fn truth_columns(&self) -> String {
         let Some(truth) = self.truth else { return ",,,,".into() };
         let ([x, y, z], error) = (truth, distance(self.located.position, truth));
@@ -86,37 +86,37 @@ pub fn locate(
 ) -> Result<Localisation> {
     let prior = settings.prior.as_deref().map(|text| PlaneBounds::parse("--prior", text, ["x", "y"])).transpose()?;
     check_positions(ensemble)?;
-    let SplitData { data, partition } = split;
+    let (data, fitting) = (&split.data, split.partition.known());
     check_alike(&ensemble.prepare(), data)?;
-    let fair = ensemble.without_validation(data, partition.known())?;
-    let model = fair.as_ref().unwrap_or(ensemble).prepare();
+    let unbiased = ensemble.without_validation(data, fitting)?;
+    let model = unbiased.as_ref().unwrap_or(ensemble).prepare();
     observer.on_stage("fingerprints", 0, 0);
-    let locator = Locator::fit(data, partition.known(), &model, &SHARES)?;
+    let locator = Locator::fit(data, fitting, &model, &SHARES)?;
     match locator.missing_regions().filter(|_| locator.validation == 0) {
         Some(why) => observer.on_warning(why),
         None => observer.on_message(&describe_locator(&locator)),
     }
-    let expected = observations.is_some().then(|| scores::describe_validation(&locator, data, partition.known()));
+    let expected = observations.is_some().then(|| scores::describe_validation(&locator, data, fitting));
     let locator = match prior {
         Some(bounds) => {
-            let inside = locator.within(move |position| bounds.holds(position));
+            let inside = locator.within(move |position| bounds.has_point(position));
             inside.map_err(|e| Error::Config(format!("--prior: {e}")))?
         }
         None => locator,
     };
     let rows = match observations {
-        Some(read) => locate_observed(&locator, &read(locator.features())?),
-        None => locate_test(&locator, data, partition, observer),
+        Some(read) => locate_observations(&locator, &read(locator.features())?),
+        None => locate_test_samples(&locator, split, observer),
     };
     let table = match expected {
         Some(expected) => format_positions(&rows) + &expected,
-        None => scores::table(&rows.iter().map(|row| &row.located).collect::<Vec<_>>(), &locator, data, partition)?,
+        None => scores::format_errors(&rows.iter().map(|row| &row.located).collect::<Vec<_>>(), &locator, split)?,
     };
     let text = table + &describe_regions(&rows, &locator);
     Ok(Localisation { rows, text, title: data.title.clone(), map: empty_map(&locator, data) })
 }
 
-/// Describes the number of regions with several parts, and what the regions are calibrated on.
+/// Describes the number of regions with several parts, and the calibration of the regions; empty without such facts.
 fn describe_regions(rows: &[LocatedRow], locator: &Locator<'_>) -> String {
     let regions: Vec<&Region> = rows.iter().filter_map(|row| row.located.region.as_ref()).collect();
     let parts = regions.iter().map(|region| region.parts());
@@ -134,7 +134,7 @@ fn describe_regions(rows: &[LocatedRow], locator: &Locator<'_>) -> String {
     text
 }
 
-/// Describes the chosen settings in one line.
+/// Describes the chosen settings of a locator in one line.
 fn describe_locator(locator: &Locator<'_>) -> String {
     let (choice, missing) = (locator.choice, locator.missing_regions());
     let descent = if choice.descends { "descent along the model" } else { "no descent" };
@@ -148,8 +148,8 @@ fn describe_locator(locator: &Locator<'_>) -> String {
     )
 }
 
-/// Locates observations, in their order.
-fn locate_observed(locator: &Locator<'_>, observations: &[Vec<f32>]) -> Vec<LocatedRow> {
+/// Locates observations, in their order; their true positions are unknown.
+fn locate_observations(locator: &Locator<'_>, observations: &[Vec<f32>]) -> Vec<LocatedRow> {
     let row = |(k, observation): (usize, &Vec<f32>)| LocatedRow {
         name: format!("{:05}", k + 1),
         located: locator.locate(observation),
@@ -158,14 +158,10 @@ fn locate_observed(locator: &Locator<'_>, observations: &[Vec<f32>]) -> Vec<Loca
     observations.par_iter().enumerate().map(row).collect()
 }
 
-/// Locates the test samples.
-fn locate_test(
-    locator: &Locator<'_>,
-    data: &Dataset,
-    partition: &Partition,
-    observer: &mut dyn Observer,
-) -> Vec<LocatedRow> {
-    let test = data.locations_of(&partition.test);
+/// Locates the transmitters of the test samples from their observations.
+fn locate_test_samples(locator: &Locator<'_>, split: &SplitData, observer: &mut dyn Observer) -> Vec<LocatedRow> {
+    let data = &split.data;
+    let test = data.locations_of(&split.partition.test);
     let observations = locator.observations(data, &test);
     let mut rows = Vec::with_capacity(test.len());
     for (chunk, chunk_observations) in test.chunks(CHUNK).zip(observations.chunks(CHUNK)) {
@@ -179,7 +175,7 @@ fn locate_test(
     rows
 }
 
-/// Formats the table of estimated positions.
+/// Formats the table of the estimated positions.
 fn format_positions(rows: &[LocatedRow]) -> String {
     let mut lines =
         vec![["observation", "x (m)", "y (m)", "z (m)", "misfit", "region (m²)", "parts"].map(String::from).to_vec()];
@@ -203,16 +199,17 @@ fn flat(position: [f64; 3]) -> [f64; 2] {
 
 /// Creates a map of training positions and receivers, without samples.
 fn empty_map(locator: &Locator<'_>, data: &Dataset) -> LocationMap<'static> {
-    let receivers = data.scene.receivers.iter();
+    let receiver_point = |receiver: &Receiver| flat(data.scene.origin.world_pose(receiver.pose).position);
     LocationMap {
-        training: locator.positions().iter().copied().map(flat).collect(),
-        receivers: receivers.map(|receiver| flat(data.scene.origin.world_pose(receiver.pose).position)).collect(),
+        training: locator.positions().iter().map(|position| flat(*position)).collect(),
+        receivers: data.scene.receivers.iter().map(receiver_point).collect(),
         ..LocationMap::default()
     }
 }
 
 impl Localisation {
-    /// Writes list, outlines and images into `folder`, with the density of the first `pictures` samples.
+    /// Writes the list of positions, the outlines of the regions, the map of the errors, and images of the first `pictures`
+    /// regions into `folder`.
     ///
     /// # Errors
     /// A file cannot be written.

@@ -5,10 +5,10 @@ mod layers;
 use crate::models::{check_positions, select_receivers};
 use crate::plane::{MapPlane, PlaneBounds, PlaneGrid};
 use clap::Args;
-use layers::quantities;
-pub use layers::{MapLayer, MapQuantity, layers};
+use layers::select_quantities;
+pub use layers::{MapLayer, MapQuantity, compute_layers};
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{Error, Number, Pose, Receiver, Result};
+use pwrfgs_core::{Error, Number, Pose, Query, Receiver, Result};
 use pwrfgs_data::npy_header;
 use pwrfgs_experiment::{Observer, text::field};
 use pwrfgs_model::Ensemble;
@@ -85,11 +85,11 @@ pub struct RadioMap {
 pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Observer) -> Result<RadioMap> {
     let plane = MapPlane::parse(&settings.plane)?;
     let bounds =
-        settings.bounds.as_ref().map(|text| PlaneBounds::parse("--bounds", text, plane.names())).transpose()?;
+        settings.bounds.as_ref().map(|text| PlaneBounds::parse("--bounds", text, plane.axis_names())).transpose()?;
     check_positions(ensemble)?;
     let model = ensemble.prepare();
     let setup = &ensemble.members()[0].stages.setup;
-    let quantities = quantities(setup, &settings.of)?;
+    let quantities = select_quantities(setup, &settings.of)?;
     let mapped = select_receivers(model.receivers(), &settings.receiver)?;
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
@@ -98,13 +98,13 @@ pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Obser
     } else {
         let positions: Vec<[f64; 2]> = mapped.iter().map(|&r| plane.project(poses[r].position)).collect();
         let (bounds, source) = default_bounds(ensemble, plane, positions)?;
-        let bounds = bounds.outwards(settings.step);
+        let bounds = bounds.rounded_outwards(settings.step);
         (bounds, Some(describe_bounds(plane, bounds, source)))
     };
     let grid = PlaneGrid::new(plane, bounds, settings.step, mapped.len())?;
-    let mut layers = layers(setup, &|queries| model.predict_many(queries), &grid, &mapped, &quantities, |done| {
-        observer.on_stage("mapping", done, grid.len())
-    });
+    let (predict, total) = (|queries: &[Query<'_>]| model.predict_many(queries), grid.position_count());
+    let mut layers =
+        compute_layers(setup, &predict, &grid, &mapped, &quantities, |done| observer.on_stage("mapping", done, total));
     let (layer, training) = training_layer(ensemble, &grid).unzip();
     layers.extend(layer);
     let receivers = model.receivers().to_vec();
@@ -133,9 +133,9 @@ fn default_bounds(model: &Ensemble, plane: MapPlane, receivers: Vec<[f64; 2]>) -
     Ok((PlaneBounds::around(means, &receivers), "central 90 % of the Gaussians, and all receivers"))
 }
 
-/// Describes the default bounds.
+/// Describes the default bounds; `source` names what they contain.
 fn describe_bounds(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, source: &str) -> String {
-    let ([a, b], short) = (plane.names(), |v: f64| (v * 100.0).round() / 100.0);
+    let ([a, b], short) = (plane.axis_names(), |v: f64| (v * 100.0).round() / 100.0);
     format!(
         "{a} from {} to {} m, {b} from {} to {} m ({source}); set --bounds to change this",
         short(across[0]),
@@ -145,10 +145,10 @@ fn describe_bounds(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, sour
     )
 }
 
-/// Computes the distances to the nearest training position; extrapolations, and the training positions within the
-/// limit of the plane. `None` if unknown.
+/// Computes the distances from the grid to the nearest training position as a layer. Also returns which positions are
+/// extrapolations, and the training positions near the plane. `None` for models without training positions.
 fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, TrainingMap)> {
-    let positions: Vec<[f64; 3]> = (0..grid.len()).map(|k| grid.position(k)).collect();
+    let positions: Vec<[f64; 3]> = (0..grid.position_count()).map(|k| grid.position(k)).collect();
     let distances = ensemble.training_distances(&positions)?;
     let (is_beyond, limit) = ((0..positions.len()).map(|k| distances.is_beyond(k)).collect(), distances.limit);
     let layer = MapLayer {
@@ -160,14 +160,14 @@ fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, Tr
         arrows: Vec::new(),
     };
     let plane = grid.plane;
-    let near = |position: &[f64; 3]| (position[plane.axis] - plane.at).abs() <= limit;
+    let near = |position: &[f64; 3]| (position[plane.axis] - plane.coordinate).abs() <= limit;
     let positions =
         ensemble.training_positions().into_iter().filter(near).map(|position| plane.project(position)).collect();
     Some((layer, TrainingMap { is_beyond, limit, positions }))
 }
 
 impl RadioMap {
-    /// Writes all arrays and images into `folder`, and their list `map.csv`.
+    /// Writes array and image of each layer, and the list `map.csv`, into `folder`.
     ///
     /// # Errors
     /// A file cannot be written.
@@ -181,9 +181,9 @@ impl RadioMap {
         let mut list = HEADER.to_owned();
         for (layer, name) in self.layers.iter().zip(self.names()) {
             let receiver = layer.receiver.map(|r| self.receivers[r].name.as_str());
-            folder.put(&format!("{name}.npy"), self.npy(&layer.values))?;
-            folder.put(&format!("{name}.png"), self.png(layer, receiver))?;
-            _ = writeln!(list, "{},{extrapolated}", self.list_line(layer, &name, receiver.unwrap_or("")));
+            folder.put(&format!("{name}.npy"), self.encode_npy(&layer.values))?;
+            folder.put(&format!("{name}.png"), self.draw_png(layer, receiver))?;
+            _ = writeln!(list, "{},{extrapolated}", self.csv_line(layer, &name, receiver.unwrap_or("")));
         }
         folder.put("map.csv", list)
     }
@@ -193,7 +193,7 @@ impl RadioMap {
         let mut taken = BTreeSet::new();
         let receiver = |layer: &MapLayer| layer.receiver.filter(|_| self.receivers.len() > 1);
         let name = |layer: &MapLayer| {
-            file_name(layer.name, receiver(layer).map(|r| self.receivers[r].name.as_str()), &mut taken)
+            unique_file_name(layer.name, receiver(layer).map(|r| self.receivers[r].name.as_str()), &mut taken)
         };
         self.layers.iter().map(name).collect()
     }
@@ -204,21 +204,21 @@ impl RadioMap {
     }
 
     /// Encodes `values` as NPY, float32 `[rows, columns]`, lowest row first.
-    fn npy(&self, values: &[f32]) -> Vec<u8> {
+    fn encode_npy(&self, values: &[f32]) -> Vec<u8> {
         let mut npy = npy_header(Number::F32, &[self.grid.rows, self.grid.columns]);
         npy.extend(values.iter().flat_map(|v| v.to_le_bytes()));
         npy
     }
 
-    /// Draws a layer as PNG, with its `receiver`, or with all mapped receivers.
-    fn png(&self, layer: &MapLayer, receiver: Option<&str>) -> Vec<u8> {
+    /// Draws a layer as PNG, with its receiver, which is called `receiver`, or with all mapped receivers.
+    fn draw_png(&self, layer: &MapLayer, receiver: Option<&str>) -> Vec<u8> {
         let grid = &self.grid;
         let suffix = receiver.map_or_else(String::new, |name| format!(" at {name}"));
         let shown = layer.receiver.map_or_else(|| self.mapped.clone(), |r| vec![r]);
         let heat = Heatmap {
-            title: format!("{}{suffix}, {}", layer.words, grid.plane.words()),
+            title: format!("{}{suffix}, {}", layer.words, grid.plane.describe()),
             unit: layer.unit.into(),
-            names: grid.plane.names(),
+            names: grid.plane.axis_names(),
             first: grid.first,
             step: grid.step,
             columns: grid.columns,
@@ -232,20 +232,21 @@ impl RadioMap {
     }
 
     /// Formats the line of a layer in `map.csv`, without its last two columns.
-    fn list_line(&self, layer: &MapLayer, name: &str, receiver: &str) -> String {
+    fn csv_line(&self, layer: &MapLayer, name: &str, receiver: &str) -> String {
         let PlaneGrid { plane, first, step, columns, rows } = &self.grid;
-        let [across, up] = plane.names();
+        let [across, up] = plane.axis_names();
         let finite = || layer.values.iter().copied().filter(|v| v.is_finite());
         let ends = [finite().reduce(f32::min), finite().reduce(f32::max)];
         let [low, high] = ends.map(|end| end.map_or_else(String::new, |v| v.to_string()));
         let quantity = format!("{name}.npy,{name}.png,{},{},{}", layer.words, layer.unit, field(receiver));
-        let grid = format!("{across},{},{columns},{up},{},{rows},{step},{}", first[0], first[1], plane.words());
+        let grid = format!("{across},{},{columns},{up},{},{rows},{step},{}", first[0], first[1], plane.describe());
         format!("{quantity},{grid},{low},{high}")
     }
 }
 
-/// Returns a unique file name of letters, digits, points and dashes; case is ignored.
-fn file_name(layer: &str, receiver: Option<&str>, taken: &mut BTreeSet<String>) -> String {
+/// Returns a file name that is not in `taken`, apart from case, and adds it there. Only letters, digits, points and
+/// dashes of the name of the receiver are kept.
+fn unique_file_name(layer: &str, receiver: Option<&str>, taken: &mut BTreeSet<String>) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
     let suffix = receiver.map(|name| name.chars().take(60).map(plain).collect::<String>());
     let name = suffix.map_or_else(|| layer.to_owned(), |suffix| format!("{layer}-{suffix}"));
@@ -260,7 +261,7 @@ mod tests {
     #[test]
     fn map_file_names_are_plain_and_unique() {
         let mut taken = BTreeSet::new();
-        let mut name = |receiver| file_name("power", receiver, &mut taken);
+        let mut name = |receiver| unique_file_name("power", receiver, &mut taken);
         let names = [name(Some("../a b")), name(Some("../a/b")), name(None), name(Some(&"x".repeat(500)))];
         assert_eq!(names[..3], ["power-.._a_b", "power-.._a_b-2", "power"].map(str::to_owned));
         assert!(names[3].len() < 80);

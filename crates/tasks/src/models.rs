@@ -9,7 +9,8 @@ use std::path::PathBuf;
 /// Maximum number of names in an error.
 const LISTED: usize = 12;
 
-/// Reads model files or run folders as one ensemble. Members of several files have the paths of their files as names.
+/// Reads the models in files or run folders as one ensemble; a file may contain several. Members of several files have the
+/// paths of their files as names.
 ///
 /// # Errors
 /// A file without a model, models of different scenes, or one of several models with a residual process.
@@ -43,7 +44,7 @@ fn member_name(path: &str) -> String {
     name[start..].to_owned()
 }
 
-/// Returns the indices of the named receivers, in the order of the model; all for no name or `all`.
+/// Returns the indices of the receivers with these names, in the order of the model; all for no name or `all`.
 ///
 /// # Errors
 /// An unknown name; the error has the nearest name.
@@ -54,15 +55,15 @@ pub fn select_receivers(receivers: &[Receiver], names: &[String]) -> Result<Vec<
     }
     let mut chosen = Vec::new();
     for name in names {
-        chosen.push(index_of(name).ok_or_else(|| unknown_receiver(receivers, name))?);
+        chosen.push(index_of(name).ok_or_else(|| unknown_receiver_error(receivers, name))?);
     }
     chosen.sort_unstable();
     chosen.dedup();
     Ok(chosen)
 }
 
-/// Creates the error of an unknown receiver, with the nearest name.
-fn unknown_receiver(receivers: &[Receiver], name: &str) -> Error {
+/// Creates the error for the name of an unknown receiver, with the nearest name.
+fn unknown_receiver_error(receivers: &[Receiver], name: &str) -> Error {
     let near = did_you_mean(name, receivers.iter().map(|receiver| receiver.name.as_str()));
     let list = listed(receivers.iter().map(|r| strip_control(&r.name)), LISTED);
     Error::Config(format!(
@@ -71,18 +72,18 @@ fn unknown_receiver(receivers: &[Receiver], name: &str) -> Error {
     ))
 }
 
-/// Rejects models whose input is not a position.
+/// Rejects a model or ensemble whose input is not a transmitter position.
 ///
 /// # Errors
 /// As above.
 pub fn check_positions(model: &Ensemble) -> Result<()> {
-    match model.members().iter().map(|member| member.stages.method.traits().inputs).find(|inputs| *inputs != 3) {
-        None => Ok(()),
-        Some(inputs) => Err(Error::Config(format!(
+    let mut inputs = model.members().iter().map(|member| member.stages.method.traits().inputs);
+    inputs.find(|inputs| *inputs != 3).map_or(Ok(()), |inputs| {
+        Err(Error::Config(format!(
             "this model takes {inputs} numbers instead of a transmitter position; score it with `pwrfgs evaluate` on data that \
              have them"
-        ))),
-    }
+        )))
+    })
 }
 
 #[cfg(test)]

@@ -92,7 +92,7 @@ pub struct Placement {
 }
 
 impl Placement {
-    /// Formats the table with notes.
+    /// Formats the table of the choices, with the notes below it.
     pub fn table(&self) -> String {
         let mut lines = vec![[&["choice".to_owned()], &self.header[..]].concat()];
         let line = |choice: &PlacedReceivers| [std::slice::from_ref(&choice.name), &choice.cells[..]].concat();

@@ -11,7 +11,7 @@ use pwrfgs_experiment::statistics::{Blocks, Difference};
 use pwrfgs_experiment::text::{Lines, aligned, fixed, grouped, number};
 use pwrfgs_experiment::{Observer, staged};
 use pwrfgs_model::Ensemble;
-use pwrfgs_planning::{Survey, SurveyPlan, default_correlation, kriging_scores, learn};
+use pwrfgs_planning::{Survey, SurveyPlan, default_correlation, kriging_scores, learn_correlation};
 use pwrfgs_report::draw::survey::SurveyMap;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -83,11 +83,11 @@ impl Places {
             let problem = "has no transmitter positions; name data with positions";
             return Err(Error::Config(format!("{}: {problem}", data.title)));
         }
-        let pose = |receiver: &Receiver| data.scene.origin.world_pose(receiver.pose).position;
+        let position = |receiver: &Receiver| data.scene.origin.world_pose(receiver.pose).position;
         Ok(Self {
             title: data.title.clone(),
             candidates: data.locations.iter().map(Location::position).collect(),
-            receivers: data.scene.receivers.iter().map(pose).collect(),
+            receivers: data.scene.receivers.iter().map(position).collect(),
             measured: Vec::new(),
             data: Some(data),
         })
@@ -96,9 +96,9 @@ impl Places {
     /// Returns the training positions of a model as known measurements, without candidates; `None` if it has none.
     pub fn of_model(ensemble: &Ensemble, title: &str) -> Option<Self> {
         let measured = ensemble.training_positions();
-        let stages = &ensemble.members()[0].stages;
-        let receivers = stages.setup.receivers.iter();
-        let receivers = receivers.map(|receiver| stages.origin.world_pose(receiver.pose).position).collect();
+        let setup = &ensemble.members()[0].stages.setup;
+        let receivers = setup.receivers.iter();
+        let receivers = receivers.map(|receiver| setup.origin.world_pose(receiver.pose).position).collect();
         (!measured.is_empty()).then(|| Self { title: title.into(), measured, receivers, ..Self::default() })
     }
 
@@ -108,20 +108,21 @@ impl Places {
     /// Candidates that are far from all known measurements: probably another frame or unit.
     pub fn with_candidates(mut self, candidates: Vec<[f64; 3]>, path: &Path) -> Result<Self> {
         self.measured.append(&mut self.candidates);
-        check_near(&candidates, &self.measured, path)?;
+        check_distance(&candidates, &self.measured, path)?;
         let measured = thinned(&self.measured, MOST_KNOWN);
         Ok(Self { candidates, measured, ..self })
     }
 
-    /// Returns the candidates that are `inside`, evenly thinned so that their covariances with all candidates fit into
-    /// memory.
-    fn region(&self, inside: impl Fn([f64; 3]) -> bool) -> Vec<[f64; 3]> {
-        let positions: Vec<[f64; 3]> = self.candidates.iter().copied().filter(|position| inside(*position)).collect();
+    /// Returns the candidates for which `is_inside` holds, evenly thinned so that their covariances with all candidates
+    /// fit into memory.
+    fn thinned_candidates(&self, is_inside: impl Fn([f64; 3]) -> bool) -> Vec<[f64; 3]> {
+        let positions: Vec<[f64; 3]> =
+            self.candidates.iter().copied().filter(|position| is_inside(*position)).collect();
         thinned(&positions, MOST_PAIRS / self.candidates.len().max(1))
     }
 
-    /// Returns `simulated ` if the observations are.
-    fn simulated(&self) -> &'static str {
+    /// Returns `simulated ` if the observations are, else an empty text.
+    fn simulated_prefix(&self) -> &'static str {
         if self.data.as_ref().is_some_and(Dataset::is_simulated) { "simulated " } else { "" }
     }
 }
@@ -146,8 +147,9 @@ pub fn plan(places: &Places, settings: &PlanSettings, observer: &mut dyn Observe
     let region = select_region(settings, places)?;
     let survey = Survey::new(&places.candidates, &region, &places.measured);
     let start = first_correlation(settings, places, &region)?;
-    let learn =
-        |order: &[usize]| places.data.as_ref().filter(|_| settings.simulate).and_then(|data| learn(data, order));
+    let learn = |order: &[usize]| {
+        places.data.as_ref().filter(|_| settings.simulate).and_then(|data| learn_correlation(data, order))
+    };
     let selected = staged(observer, "selecting positions", |progress| {
         survey.select(start, settings.count, learn, |done| {
             progress(done, settings.count);
@@ -156,12 +158,12 @@ pub fn plan(places: &Places, settings: &PlanSettings, observer: &mut dyn Observe
     });
     check_stopped(stop)?;
     let mut choices = list_choices(&survey, &selected, settings.seed);
-    let gain = score(&mut choices, places, observer, stop)?;
+    let gain = score_choices(&mut choices, places, observer, stop)?;
     let text = format_table(&choices, gain, &selected.correlation, places);
     Ok(Plan { order: selected.order, variances: choices.swap_remove(0).variances, text })
 }
 
-/// Rejects a number of positions that is 0 or larger than that of the candidates, and too many candidates.
+/// Rejects a number of positions that is 0 or larger than `total`, that of the candidates, and too many candidates.
 fn check_count(count: usize, total: usize) -> Result<()> {
     if total == 0 {
         let problem = "a model has no candidates; set --candidates FILE or --floor SCENE, or name a data folder";
@@ -184,12 +186,11 @@ fn check_count(count: usize, total: usize) -> Result<()> {
     Err(Error::Config(format!("--count {count}: {problem}")))
 }
 
-/// Returns the candidates in the region to predict.
+/// Returns the candidates in the region of `--region`, all without it; an error if it has none.
 fn select_region(settings: &PlanSettings, places: &Places) -> Result<Vec<[f64; 3]>> {
-    let Some(text) = &settings.region else { return Ok(places.region(|_| true)) };
+    let Some(text) = &settings.region else { return Ok(places.thinned_candidates(|_| true)) };
     let bounds = PlaneBounds::parse("--region", text, ["x", "y"])?;
-    let inside = |[x, y, _]: [f64; 3]| bounds.holds([x, y]);
-    let region = places.region(inside);
+    let region = places.thinned_candidates(|[x, y, _]| bounds.has_point([x, y]));
     if region.is_empty() {
         let [(x0, x1), (y0, y1)] =
             [0, 1].map(|k| statistics::bounds(places.candidates.iter().map(|position| position[k])));
@@ -204,7 +205,8 @@ fn select_region(settings: &PlanSettings, places: &Places) -> Result<Vec<[f64; 3
     Ok(region)
 }
 
-/// Returns the correlation of the first step.
+/// Returns the correlation of the first step: of `--length-scale`, else learned from known measurements, else the
+/// default of the region.
 fn first_correlation(settings: &PlanSettings, places: &Places, region: &[[f64; 3]]) -> Result<Correlation> {
     let default = default_correlation(region);
     if let Some(length) = settings.length_scale {
@@ -214,7 +216,7 @@ fn first_correlation(settings: &PlanSettings, places: &Places, region: &[[f64; 3
         return Ok(Correlation { scales: [length, length, length, f64::INFINITY], ..default });
     }
     let measured = places.data.as_ref().filter(|_| !places.measured.is_empty());
-    let learned = measured.and_then(|data| learn(data, &(0..data.locations.len()).collect::<Vec<_>>()));
+    let learned = measured.and_then(|data| learn_correlation(data, &(0..data.locations.len()).collect::<Vec<_>>()));
     Ok(learned.unwrap_or(default))
 }
 
@@ -229,13 +231,13 @@ struct Choice {
 }
 
 impl Choice {
-    /// Returns the mean variance over the region after all positions.
-    fn variance(&self) -> f64 {
+    /// Returns the mean variance over the region after all positions have been measured.
+    fn final_variance(&self) -> f64 {
         self.variances.last().copied().unwrap_or(f64::NAN)
     }
 }
 
-/// Lists the plan, then choices of the same size to compare it with.
+/// Lists the plan, then the regular, random and largest-variance choice of the same size, without scores.
 fn list_choices(survey: &Survey, plan: &SurveyPlan, seed: u64) -> Vec<Choice> {
     let (count, correlation) = (plan.order.len(), plan.correlation);
     let choice = |(name, order): (String, Vec<usize>)| Choice {
@@ -246,16 +248,16 @@ fn list_choices(survey: &Survey, plan: &SurveyPlan, seed: u64) -> Vec<Choice> {
     };
     let orders = [
         ("plan: least integrated variance".to_owned(), plan.order.clone()),
-        ("regular: every k-th candidate".into(), survey.regular(count)),
-        (format!("random (seed {seed})"), survey.random(count, seed)),
-        ("largest variance".into(), survey.by_largest_variance(correlation, count)),
+        ("regular: every k-th candidate".into(), survey.select_regular(count)),
+        (format!("random (seed {seed})"), survey.select_random(count, seed)),
+        ("largest variance".into(), survey.select_by_variance(correlation, count)),
     ];
     orders.into_iter().map(choice).collect()
 }
 
-/// Scores Kriging from each choice, if the candidates are measured. Returns the gain of the plan over the regular
-/// choice.
-fn score(
+/// Scores Kriging from each choice on transmitters in none of them. Returns the gain of the plan over the regular
+/// choice; `None` without measured candidates or without such transmitters.
+fn score_choices(
     choices: &mut [Choice],
     places: &Places,
     observer: &mut dyn Observer,
@@ -275,8 +277,8 @@ fn score(
     Ok(mean_gain(data, &test, &choices[0], &choices[1]))
 }
 
-/// Computes the mean gain of the scores of the plan over the regular choice, with an interval over blocks of
-/// positions; neighbours and the links of one transmitter are not independent.
+/// Computes the mean gain of the scores of the plan over the regular choice, with an interval over blocks of positions,
+/// since neighbours and the links of one transmitter are not independent. `test` are the scored links.
 fn mean_gain(data: &Dataset, test: &[usize], plan: &Choice, regular: &Choice) -> Option<Difference> {
     let sign = if data.task().headline.higher { 1.0 } else { -1.0 };
     let samples = || test.iter().map(|i| data.sample(*i));
@@ -325,7 +327,7 @@ fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Corr
     header.extend(task.map(|task| format!("{} of Kriging", task.headline.name)));
     let mut lines = vec![header];
     for choice in choices {
-        let mut line = vec![choice.name.clone(), fixed(choice.variance(), 4)];
+        let mut line = vec![choice.name.clone(), fixed(choice.final_variance(), 4)];
         line.extend(task.map(|_| fixed(mean(choice.scores.iter().copied()), 4)));
         lines.push(line);
     }
@@ -340,17 +342,17 @@ fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Corr
         number(*noise)
     );
     if let Some(task) = task {
-        let (test, data) = (grouped(choices[0].scores.len() as i64), places.simulated());
+        let (test, data) = (grouped(choices[0].scores.len() as i64), places.simulated_prefix());
         _ = writeln!(text, "scores are those of {test} {data}{} in no choice", task.counted[1]);
     }
-    text + verdict(&choices[0], &choices[1], gain)
+    text + describe_verdict(&choices[0], &choices[1], gain)
 }
 
-/// Compares the plan with the regular choice: by scores if there are any, otherwise by variance.
-fn verdict(plan: &Choice, regular: &Choice, gain: Option<Difference>) -> &'static str {
+/// Describes which of plan and regular choice is better: by scores if there are any, otherwise by variance.
+fn describe_verdict(plan: &Choice, regular: &Choice, gain: Option<Difference>) -> &'static str {
     let is_better = match gain {
         Some(gain) => gain.is_clear() && gain.mean > 0.0,
-        None => regular.variance() > (1.0 + ALIKE) * plan.variance(),
+        None => regular.final_variance() > (1.0 + ALIKE) * plan.final_variance(),
     };
     if is_better {
         "the plan is better than the regular choice\n"
@@ -359,8 +361,9 @@ fn verdict(plan: &Choice, regular: &Choice, gain: Option<Difference>) -> &'stati
     }
 }
 
-/// Rejects candidates that are far from all known measurements: probably another frame or unit.
-fn check_near(candidates: &[[f64; 3]], measured: &[[f64; 3]], path: &Path) -> Result<()> {
+/// Rejects candidates of which all are far from the known measurements: probably another frame or unit. `path` is their
+/// file.
+fn check_distance(candidates: &[[f64; 3]], measured: &[[f64; 3]], path: &Path) -> Result<()> {
     let Some(first) = measured.first() else { return Ok(()) };
     let extent = measured.iter().map(|position| distance(*position, *first)).fold(0.0, f64::max).max(1.0);
     let gap =

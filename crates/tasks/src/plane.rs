@@ -28,11 +28,11 @@ pub struct MapPlane {
     /// Index of the fixed coordinate: 0 for x.
     pub axis: usize,
     /// Value of the fixed coordinate, metres.
-    pub at: f64,
+    pub coordinate: f64,
 }
 
 impl MapPlane {
-    /// Parses `z=1.2`.
+    /// Parses `z=1.2`, metres, the value of `--plane`.
     ///
     /// # Errors
     /// Other text.
@@ -42,38 +42,39 @@ impl MapPlane {
                 "--plane {text}: expected a fixed coordinate in metres, such as z=1.2, x=0.5 or y=-3"
             ))
         };
-        let (name, at) = text.split_once('=').ok_or_else(wrong)?;
+        let (name, coordinate) = text.split_once('=').ok_or_else(wrong)?;
         let axis = AXES.iter().position(|axis| name.trim().eq_ignore_ascii_case(axis)).ok_or_else(wrong)?;
-        let at = at.trim().parse().ok().filter(|at| coordinate_fault(*at).is_none()).ok_or_else(wrong)?;
-        Ok(Self { axis, at })
+        let is_valid = |coordinate: &f64| coordinate_fault(*coordinate).is_none();
+        let coordinate = coordinate.trim().parse().ok().filter(is_valid).ok_or_else(wrong)?;
+        Ok(Self { axis, coordinate })
     }
 
     /// Returns the indices of the two free coordinates, horizontal first.
-    pub fn axes(&self) -> [usize; 2] {
+    pub fn free_axes(&self) -> [usize; 2] {
         [[1, 2], [0, 2], [0, 1]][self.axis]
     }
 
     /// Returns the names of the free coordinates.
-    pub fn names(&self) -> [&'static str; 2] {
-        self.axes().map(|k| AXES[k])
+    pub fn axis_names(&self) -> [&'static str; 2] {
+        self.free_axes().map(|k| AXES[k])
     }
 
     /// Describes the plane, such as `z = 1.2 m`.
-    pub fn words(&self) -> String {
-        format!("{} = {} m", AXES[self.axis], self.at)
+    pub fn describe(&self) -> String {
+        format!("{} = {} m", AXES[self.axis], self.coordinate)
     }
 
-    /// Returns the position in space of a point on the plane.
+    /// Returns the position in space of the point `[a, b]` on the plane, its free coordinates in metres.
     fn position(&self, [a, b]: [f64; 2]) -> [f64; 3] {
-        let mut position = [self.at; 3];
-        let [across, up] = self.axes();
+        let mut position = [self.coordinate; 3];
+        let [across, up] = self.free_axes();
         (position[across], position[up]) = (a, b);
         position
     }
 
-    /// Projects a position or vector onto the plane.
+    /// Projects a position or vector onto the plane: its two free coordinates.
     pub fn project(&self, position: [f64; 3]) -> [f64; 2] {
-        self.axes().map(|k| position[k])
+        self.free_axes().map(|k| position[k])
     }
 }
 
@@ -85,7 +86,7 @@ pub struct PlaneBounds(
 );
 
 impl PlaneBounds {
-    /// Parses `x0,x1,y0,y1`, the value of `option` for coordinates with these names.
+    /// Parses `x0,x1,y0,y1`, metres, the value of `option`; `names` are those of the coordinates, for the error.
     ///
     /// # Errors
     /// Other text.
@@ -103,20 +104,20 @@ impl PlaneBounds {
         Ok(Self([[x0, x1], [y0, y1]]))
     }
 
-    /// Whether a point is inside or on the edge.
-    pub fn holds(&self, point: [f64; 2]) -> bool {
+    /// Returns whether a point is inside or on the edge.
+    pub fn has_point(&self, point: [f64; 2]) -> bool {
         self.0.iter().zip(point).all(|([low, high], v)| (*low..=*high).contains(&v))
     }
 
-    /// Extends the bounds to multiples of `step`.
-    pub fn outwards(self, step: f64) -> Self {
+    /// Returns the bounds extended to multiples of `step`; unchanged if these are not finite.
+    pub fn rounded_outwards(self, step: f64) -> Self {
         let rounded = |[low, high]: [f64; 2]| [(low / step).floor() * step, (high / step).ceil() * step];
         let out = self.0.map(rounded);
         if out.iter().flatten().all(|v| v.is_finite()) { Self(out) } else { self }
     }
 
-    /// Returns bounds around the central 90 % of `cloud` and all `receivers`; two metres wide if that is a single
-    /// position.
+    /// Creates bounds around the central 90 % of `cloud` and all `receivers`, metres; along a coordinate in which these
+    /// are equal, or that has none, they are two metres wide.
     pub fn around(mut cloud: Vec<[f64; 2]>, receivers: &[[f64; 2]]) -> Self {
         cloud.retain(|point| point.iter().all(|v| v.is_finite()));
         let ends_along = |k: usize| {
@@ -154,7 +155,7 @@ impl PlaneGrid {
     /// Creates the grid from the low ends of the bounds, with `layers` values per position.
     ///
     /// # Errors
-    /// An invalid step, or too many positions.
+    /// `step` is out of range, or the grid is too large.
     pub fn new(plane: MapPlane, bounds: PlaneBounds, step: f64, layers: usize) -> Result<Self> {
         let PlaneBounds([across, up]) = bounds;
         if !(1e-6..=MAX_COORDINATE_M).contains(&step) {
@@ -174,12 +175,11 @@ impl PlaneGrid {
     }
 
     /// Returns the number of positions.
-    #[allow(clippy::len_without_is_empty)] // a grid has one position or more
-    pub fn len(&self) -> usize {
+    pub fn position_count(&self) -> usize {
         self.columns * self.rows
     }
 
-    /// Returns position `k` in space.
+    /// Returns position `k` of the grid in space, metres, world frame.
     pub fn position(&self, k: usize) -> [f64; 3] {
         let coordinate = |n: usize, axis: usize| self.first[axis] + self.step * n as f64;
         self.plane.position([coordinate(k % self.columns, 0), coordinate(k / self.columns, 1)])
@@ -200,7 +200,7 @@ mod tests {
 
     #[test]
     fn parses_planes_and_bounds_and_rejects_invalid_ones() {
-        assert_eq!(MapPlane::parse("Z= -1.5").unwrap(), MapPlane { axis: 2, at: -1.5 });
+        assert_eq!(MapPlane::parse("Z= -1.5").unwrap(), MapPlane { axis: 2, coordinate: -1.5 });
         for wrong in ["", "z", "w=1", "z=", "z=NaN", "z=1e9", "z=1,2"] {
             assert!(MapPlane::parse(wrong).unwrap_err().is_input(), "{wrong}");
         }
@@ -212,7 +212,7 @@ mod tests {
 
     #[test]
     fn map_grid_runs_from_low_to_high() {
-        let plane = MapPlane { axis: 1, at: 9.0 };
+        let plane = MapPlane { axis: 1, coordinate: 9.0 };
         let grid = PlaneGrid::new(plane, PlaneBounds([[0.0, 0.3], [1.0, 1.2]]), 0.1, 1).unwrap();
         assert_eq!((grid.columns, grid.rows), (4, 3));
         let last = grid.position(11);
@@ -221,7 +221,7 @@ mod tests {
             assert!(PlaneGrid::new(plane, PlaneBounds([[0.0, 100.0]; 2]), step, 1).is_err(), "{step}");
         }
         assert_eq!(PlaneBounds::around(vec![], &[[1.0, 2.0]]).0, [[0.0, 2.0], [1.0, 3.0]]);
-        assert_eq!(PlaneBounds([[-0.3, 1.0], [0.0, 0.1]]).outwards(0.5).0, [[-0.5, 1.0], [0.0, 0.5]]);
+        assert_eq!(PlaneBounds([[-0.3, 1.0], [0.0, 0.1]]).rounded_outwards(0.5).0, [[-0.5, 1.0], [0.0, 0.5]]);
         assert_eq!(PlaneBounds::around(vec![[f64::NAN; 2]], &[]).0, [[-1.0, 1.0]; 2]);
     }
 }

@@ -8,7 +8,7 @@ use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Pose, Predict as _, Query, Result, Task};
 use pwrfgs_experiment::{Observer, text::grouped};
 use pwrfgs_model::{Ensemble, IntervalFactors, Prepared, TrainingDistances};
-use writers::{OutputFolder, PredictedRow, PredictionImage, PredictionRow, writer};
+use writers::{PredictedRow, PredictionImage, PredictionRow, PredictionWriter};
 
 /// Number of predictions in memory at a time.
 const CHUNK: usize = 64;
@@ -62,33 +62,22 @@ pub fn write_predictions(
         return Err(Error::Config(why.into()));
     }
     let factors = settings.interval.map(|level| interval_factors(ensemble, level)).transpose()?;
-    let files = OutputFolder { folder, has_png: !settings.no_png, stacked: settings.stacked };
-    let mut writer = writer(&files, &model, count, factors.is_some())?;
-    let mut list = writer.header();
-    let is_named = !task.has_pixels || model.receivers().len() > 1;
-    let row = |k: usize| {
-        let (pose, receiver) = (poses[k / receivers.len()], receivers[k % receivers.len()]);
-        PredictionRow {
-            number: k + 1,
-            pose,
-            has_orientation: model.moving().is_receiver(),
-            receiver,
-            name: is_named.then(|| model.receivers()[receiver].name.as_str()),
-            training_distance: distances.as_ref().map(|distances| distances.metres[k / receivers.len()]),
-        }
-    };
+    let mut writer = PredictionWriter::new(folder, &model, !settings.no_png, factors.is_some());
+    if settings.stacked {
+        writer.create_stacks(count)?;
+    }
+    let predictor = RowPredictor { model: &model, poses, receivers, distances, factors };
     for first in (0..count).step_by(CHUNK) {
         observer.on_stage("predicting", first, count);
-        let rows = (first..(first + CHUNK).min(count)).map(row).map(|row| predict_row(&model, row, factors.as_ref()));
-        writer.write(&files, &rows.collect::<Result<Vec<_>>>()?, &mut list)?;
+        let rows = (first..(first + CHUNK).min(count)).map(|k| predictor.predict_row(k));
+        writer.write(&rows.collect::<Result<Vec<_>>>()?)?;
     }
     observer.on_stage("predicting", count, count);
     writer.finish()?;
-    folder.put("predictions.csv", list.as_bytes())?;
-    Ok(PredictionCount { count, distances })
+    Ok(PredictionCount { count, distances: predictor.distances })
 }
 
-/// Returns the factors of prediction intervals that hold with probability `level`.
+/// Returns the factors of prediction intervals of this `level`, a probability.
 ///
 /// # Errors
 /// A model of channels, or without calibration, or a level for which it has too few samples.
@@ -118,32 +107,53 @@ pub fn extrapolation_warning(distances: &TrainingDistances) -> Option<String> {
     ))
 }
 
-/// Predicts one row; rows are predicted one after another, so that each latency is measured without other load.
-fn predict_row<'a>(
-    model: &Prepared<'_>,
-    row: PredictionRow<'a>,
-    factors: Option<&IntervalFactors>,
-) -> Result<PredictedRow<'a>> {
-    let query = Query::at(row.pose, row.receiver);
-    let (image, spread, times) = if model.models().count() == 1 {
-        let (image, times) = model.predict_timed(query);
-        (image, None, times)
-    } else {
-        let (image, spread, times) = model.predict_with_deviation(query);
-        (image, Some(spread), times)
-    };
-    if !image.pixels.iter().all(|p| p.is_finite()) {
-        return Err(not_finite(model.task(), &row));
-    }
-    let interval = factors.map(|factors| {
-        let deviation = model.deviation(query).unwrap_or(1.0);
-        factors.interval(model.task(), &model.task().shown(image.clone()), deviation)
-    });
-    Ok((row, PredictionImage { image, spread, interval, milliseconds: 1e3 * times.total }))
+/// Predictor of a row per pair of pose and receiver.
+struct RowPredictor<'a> {
+    model: &'a Prepared<'a>,
+    /// Poses of the moving end.
+    poses: &'a [Pose],
+    /// Indices of the receivers.
+    receivers: Vec<usize>,
+    /// Distances of the poses to the training positions; none if unknown.
+    distances: Option<TrainingDistances>,
+    factors: Option<IntervalFactors>,
 }
 
-/// Creates the error of a prediction that is not finite.
-fn not_finite(task: Task, row: &PredictionRow<'_>) -> Error {
+impl RowPredictor<'_> {
+    /// Predicts row `k`, receiver by receiver; an error if the prediction is not finite. Rows are predicted one after
+    /// another, so that each latency is measured without other load.
+    fn predict_row(&self, k: usize) -> Result<PredictedRow<'_>> {
+        let (model, task) = (self.model, self.model.task());
+        let (p, receiver) = (k / self.receivers.len(), self.receivers[k % self.receivers.len()]);
+        let is_named = !task.has_pixels || model.receivers().len() > 1;
+        let row = PredictionRow {
+            number: k + 1,
+            pose: self.poses[p],
+            has_orientation: model.moving().is_receiver(),
+            name: is_named.then(|| model.receivers()[receiver].name.as_str()),
+            training_distance: self.distances.as_ref().map(|distances| distances.metres[p]),
+        };
+        let query = Query::at(row.pose, receiver);
+        let (image, spread, times) = if model.models().count() == 1 {
+            let (image, times) = model.predict_timed(query);
+            (image, None, times)
+        } else {
+            let (image, spread, times) = model.predict_with_deviation(query);
+            (image, Some(spread), times)
+        };
+        if !image.pixels.iter().all(|p| p.is_finite()) {
+            return Err(not_finite_error(task, &row));
+        }
+        let interval = self.factors.as_ref().map(|factors| {
+            let deviation = model.deviation(query).unwrap_or(1.0);
+            factors.interval(task, &task.shown(image.clone()), deviation)
+        });
+        Ok((row, PredictionImage { image, spread, interval, milliseconds: 1e3 * times.total }))
+    }
+}
+
+/// Creates the error for a prediction that is not finite.
+fn not_finite_error(task: Task, row: &PredictionRow<'_>) -> Error {
     let observation = task.singular;
     Error::Config(format!(
         "row {}: the {observation} at {:?} is not finite: the model overflows there; remove the position if it \

@@ -1,7 +1,7 @@
 //! New measurements for the residual process of a trained model.
 
 use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::{Dataset, Error, Result};
+use pwrfgs_core::{Dataset, Error, MeasurementSetup, Receiver, Result};
 use pwrfgs_experiment::{Agreement, Observer, check_alike, warn_of_findings};
 use pwrfgs_model::Ensemble;
 use std::time::Instant;
@@ -33,7 +33,7 @@ pub fn update(
     accepts_far: bool,
     observer: &mut dyn Observer,
 ) -> Result<UpdatedModel> {
-    let refuse = |problem: String| Err(Error::Config(format!("new data: {problem}")));
+    let refuse = |problem: String| Error::Config(format!("new data: {problem}"));
     let Some(residuals) = model.residuals() else {
         let problem = "the model has no residual process; set `residuals: Kriged()` in its pipeline and run it again";
         return Err(Error::Config(problem.into()));
@@ -41,33 +41,35 @@ pub fn update(
     let ready = model.prepare();
     check_alike(&ready, data)?;
     if !data.placed || data.features.is_some() {
-        return refuse("no transmitter positions; give data with positions".into());
+        return Err(refuse("no transmitter positions; give data with positions".into()));
     }
-    let (receivers, origin) = (ready.receivers(), model.members()[0].stages.origin);
-    let moved = receivers
-        .iter()
-        .zip(&data.scene.receivers)
-        .find(|(receiver, other)| origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose));
-    if let Some((_, receiver)) = moved {
-        let name = strip_control(&receiver.name);
-        return refuse(format!(
-            "receiver `{name}` has another pose than in the model; give data of the same receivers"
-        ));
-    }
+    check_poses(ready.setup(), data).map_err(refuse)?;
     warn_of_findings(data, None, observer)?;
     let agreement = Agreement::measure(model, data, observer)?;
     if agreement.is_far() && !accepts_far {
-        return refuse(format!(
+        return Err(refuse(format!(
             "far from the model: {agreement}; check the order, units, axes and poses of the data, or add `--accept {FAR}` if the \
              room has changed"
-        ));
+        )));
     }
     let begun = Instant::now();
     let (updated, added) = residuals.updated(model, data)?;
     let ensemble = model.clone().with_residuals(Some(updated)).with_calibration(model.calibration().cloned());
     if added == 0 {
-        return refuse("no link at a receiver with a residual process".into());
+        return Err(refuse("no link at a receiver with a residual process".into()));
     }
     let milliseconds = 1e3 * begun.elapsed().as_secs_f64() / added as f64;
     Ok(UpdatedModel { ensemble, added, agreement: agreement.to_string(), milliseconds })
+}
+
+/// Rejects data in which a receiver has another pose than in the model; the error names the first one.
+fn check_poses(setup: &MeasurementSetup, data: &Dataset) -> Result<(), String> {
+    let mut pairs = setup.receivers.iter().zip(&data.scene.receivers);
+    let is_moved = |(receiver, other): &(&Receiver, &Receiver)| {
+        setup.origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose)
+    };
+    pairs.find(is_moved).map_or(Ok(()), |(_, receiver)| {
+        let name = strip_control(&receiver.name);
+        Err(format!("receiver `{name}` has another pose than in the model; give data of the same receivers"))
+    })
 }

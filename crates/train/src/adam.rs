@@ -38,11 +38,12 @@ pub(crate) struct Rates<'a> {
 }
 
 impl Rates<'_> {
-    fn of(self, schedule: Schedule) -> Real {
+    /// Returns the rate of a schedule at this step.
+    fn rate(self, schedule: Schedule) -> Real {
         schedule.rate(self.step, self.training.steps)
     }
 
-    /// Returns the update without decay.
+    /// Returns the constants of an update at this step, without decay.
     fn update(self, rate: Real, eps: Real) -> Update {
         let unbias = BETAS.map(|b| 1.0 - b.powi(self.step.min(i32::MAX as u64) as i32));
         Update { rate, eps, unbias, l2: 0.0, decay: 0.0 }
@@ -50,12 +51,16 @@ impl Rates<'_> {
 }
 
 impl Adam {
+    /// Creates moments of zero.
     pub(crate) fn new(cloud: &GaussianCloud, weights: &[Real]) -> Self {
         let zeros = cloud.zeros_like();
         Self { cloud: [zeros.clone(), zeros], weights: [vec![0.0; weights.len()], vec![0.0; weights.len()]] }
     }
 
-    /// Updates the columns of the cloud. Returns the name of a column that is no longer finite.
+    /// Updates the columns of the cloud.
+    ///
+    /// # Errors
+    /// The name of the first column that is no longer finite.
     pub(crate) fn step_cloud(
         &mut self,
         rates: Rates<'_>,
@@ -68,7 +73,7 @@ impl Adam {
         let columns = cloud.columns_mut().zip(d_cloud.columns()).zip(first.columns_mut().zip(second.columns_mut()));
         for (((name, _, x), (_, _, d)), ((_, _, m), (_, _, v))) in columns {
             let spec = specs.iter().find(|spec| spec.name == name);
-            let Some(rate) = rate_of(optimizer, spec, name, |schedule| rates.of(schedule)) else { continue };
+            let Some(rate) = column_rate(optimizer, spec, name, |schedule| rates.rate(schedule)) else { continue };
             let stepped = match spec {
                 Some(spec) if !spec.adam => descend(x, d, rate * n as Real),
                 _ => rates.update(rate, optimizer.eps).apply(x, d, m, v),
@@ -79,6 +84,9 @@ impl Adam {
     }
 
     /// Updates the learned weights of the network.
+    ///
+    /// # Errors
+    /// The name of the network, if a weight is no longer finite.
     pub(crate) fn step_weights(
         &mut self,
         rates: Rates<'_>,
@@ -88,14 +96,14 @@ impl Adam {
     ) -> Result<(), String> {
         let o = &rates.training.optimizer;
         let warm = (rates.step as f64 / o.network_warmup.max(1) as f64).min(1.0) as Real;
-        let update = rates.update(warm * rates.of(o.network), o.network_eps);
+        let update = rates.update(warm * rates.rate(o.network), o.network_eps);
         let decayed = Update { l2: o.network_l2, decay: o.network_decay, ..update };
         let [first, second] = &mut self.weights;
         for WeightGroup { range, decays } in groups {
-            let all = range.clone();
-            let (x, m, v) = (&mut weights[all.clone()], &mut first[all.clone()], &mut second[all]);
+            let range = || range.clone();
+            let (x, m, v) = (&mut weights[range()], &mut first[range()], &mut second[range()]);
             (if *decays { decayed } else { update })
-                .apply(x, &d_weights[range.clone()], m, v)
+                .apply(x, &d_weights[range()], m, v)
                 .map_err(|()| "the network".to_owned())?;
         }
         Ok(())
@@ -103,7 +111,7 @@ impl Adam {
 }
 
 /// Returns the rate of column `name`; `None` for state that is not learned, and for a rate of 0.
-fn rate_of(o: &Optimizer, spec: Option<&ColumnSpec>, name: &str, rate: impl Fn(Schedule) -> Real) -> Option<Real> {
+fn column_rate(o: &Optimizer, spec: Option<&ColumnSpec>, name: &str, rate: impl Fn(Schedule) -> Real) -> Option<Real> {
     let rate = match name {
         "means" => rate(o.means),
         "log_scales" => rate(o.log_scales),
@@ -119,7 +127,7 @@ fn rate_of(o: &Optimizer, spec: Option<&ColumnSpec>, name: &str, rate: impl Fn(S
     (rate != 0.0).then_some(rate)
 }
 
-/// Runs a step of gradient descent: x −= rate · d.
+/// Runs a step of gradient descent: x −= rate · d. Fails if a value is no longer finite.
 fn descend(x: &mut [Real], d: &[Real], rate: Real) -> Result<(), ()> {
     x.iter_mut().zip(d).for_each(|(x, d)| *x -= rate * d);
     if x.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(()) }
@@ -127,7 +135,7 @@ fn descend(x: &mut [Real], d: &[Real], rate: Real) -> Result<(), ()> {
 
 impl Update {
     /// Runs a step of Adam (Kingma and Ba), with L2 decay added to the gradient and decoupled decay subtracted from the
-    /// value.
+    /// value. Fails if a value is no longer finite.
     ///
     /// Moments of weights without a gradient decay to subnormal numbers, which no longer change the weight but slow the
     /// processor down many times; they become 0. So do weights below [`NEGLIGIBLE`] under L2 decay, whose products with

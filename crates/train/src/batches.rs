@@ -3,9 +3,7 @@
 use crate::graph::Batch;
 use crate::plan::TrainingPlan;
 use crate::settings::Rays;
-use pwrfgs_core::{
-    Dataset, ImagePlane, LinkInputs, Needs, PixelSubset, Pose, Real, Result, StepContext, Task, rng, stretch::stretch,
-};
+use pwrfgs_core::{Dataset, ImagePlane, LinkInputs, PixelSubset, Pose, Real, Result, Task, rng, stretch::stretch};
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -43,8 +41,8 @@ impl Batches {
         self.transmitters.len()
     }
 
-    /// Returns the transmitters of `step` with their random shifts, and the observations of their links; for spectra
-    /// only the pixels that `stages` draws.
+    /// Creates the batch of `step`: transmitters with their random shifts, and the observations of their links; for
+    /// spectra only the pixels that `stages` draws. Draws a new order of transmitters if an epoch begins.
     ///
     /// # Errors
     /// A spectrum cannot be read.
@@ -52,17 +50,17 @@ impl Batches {
         let settings = &plan.training;
         let (seed, n) = (plan.seed, self.transmitters.len() as u64);
         let mut jitter = rng::stream(seed, "jitter", step);
-        let mut moved = |x: Real| x + settings.tx_jitter_m * rng::normal(&mut jitter);
+        let mut shift = |x: Real| x + settings.tx_jitter_m * rng::normal(&mut jitter);
         let random = &mut rng::stream(seed, "rays", step);
         let pixels = match settings.rays {
             Rays::All => PixelSubset::All,
-            Rays::Same(count) => PixelSubset::Same(rays(count, stages.numbers(), random)),
+            Rays::Same(count) => PixelSubset::Same(draw_rays(count, stages.numbers(), random)),
             Rays::Each(count) => {
                 let mut links: Vec<usize> =
                     (0..count).map(|_| self.train[rng::below(random, self.train.len())]).collect();
                 links.sort_unstable();
-                let pixels = PixelSubset::Each(rays(count, stages.numbers(), random));
-                return observed(&links, data, stages, pixels, &mut moved);
+                let pixels = PixelSubset::Each(draw_rays(count, stages.numbers(), random));
+                return build_batch(&links, data, stages, pixels, &mut shift);
             }
         };
         let mut transmitters = Vec::with_capacity(settings.batch);
@@ -75,7 +73,7 @@ impl Batches {
             }
             transmitters.push(self.order.1[(drawn % n) as usize]);
         }
-        observed(&self.links_of(&transmitters), data, stages, pixels, &mut moved)
+        build_batch(&self.links_of(&transmitters), data, stages, pixels, &mut shift)
     }
 
     /// Returns the links of some transmitters.
@@ -83,42 +81,58 @@ impl Batches {
         transmitters.iter().flat_map(|&t| &self.train[self.transmitters[t].clone()]).copied().collect()
     }
 
-    /// Returns the transmitters of a pass without shifts, in small groups, each with the stages that `stages_of`
-    /// returns.
-    pub(crate) fn sample<'a>(
-        &'a self,
-        needs: &Needs,
-        context: &StepContext,
-        data: &'a Dataset,
-        stages_of: impl Fn(u64) -> Stages + 'a,
-    ) -> impl Iterator<Item = Result<(Stages, Batch)>> + 'a {
-        let mut sample = needs.sample(self.transmitters.len(), context.seed, context.step).into_iter().peekable();
+    /// Returns the batches of a pass over some `transmitters`, without shifts: groups of at most [`AT_ONCE`], each with
+    /// the stages that `stages_of` returns for its number.
+    ///
+    /// # Errors
+    /// A spectrum cannot be read.
+    pub(crate) fn of_pass(
+        &self,
+        transmitters: Vec<usize>,
+        data: &Dataset,
+        stages_of: impl Fn(u64) -> Stages,
+    ) -> impl Iterator<Item = Result<(Stages, Batch)>> {
+        let mut rest = transmitters.into_iter().peekable();
         let mut parts = 0..;
         std::iter::from_fn(move || {
-            sample.peek()?;
-            let some: Vec<usize> = sample.by_ref().take(AT_ONCE).collect();
+            rest.peek()?;
+            let group: Vec<usize> = rest.by_ref().take(AT_ONCE).collect();
             let stages = stages_of(parts.next()?);
-            let batch = observed(&self.links_of(&some), data, &stages, PixelSubset::All, &mut |x| x);
+            let batch = build_batch(&self.links_of(&group), data, &stages, PixelSubset::All, &mut |x| x);
             Some(batch.map(|batch| (stages, batch)))
         })
     }
 }
 
 /// Draws `count` uniform indices below `numbers`.
-fn rays(count: usize, numbers: usize, random: &mut rng::Rng) -> Arc<[usize]> {
+fn draw_rays(count: usize, numbers: usize, random: &mut rng::Rng) -> Arc<[usize]> {
     (0..count).map(|_| rng::below(random, numbers)).collect()
 }
 
-/// Returns the observations of some links, grouped by location, with the coordinates of the moving end `moved`.
-fn observed(
+/// Random shift of a coordinate of the moving end, metres.
+type Shift<'a> = &'a mut dyn FnMut(Real) -> Real;
+
+/// Creates the batch of some links, grouped by location, with shifted positions of the moving end.
+///
+/// # Errors
+/// A spectrum cannot be read.
+fn build_batch(
     links: &[usize],
     data: &Dataset,
     stages: &Stages,
     pixels: PixelSubset,
-    moved: &mut dyn FnMut(Real) -> Real,
+    shift: Shift<'_>,
 ) -> Result<Batch> {
-    let mut inputs = LinkInputs::of(stages.method.traits().inputs, &stages.setup);
-    let (mut before, each) = (None, matches!(pixels, PixelSubset::Each(_)));
+    let inputs = network_inputs(links, data, stages, matches!(pixels, PixelSubset::Each(_)), shift);
+    let truths = read_truths(links, data, stages, &pixels);
+    data.observations.check()?;
+    Ok(Batch { inputs, pixels, truths })
+}
+
+/// Returns the network inputs of some links. Links of one location share one shifted position. Unless `each` is true, a
+/// link out of ascending order begins another draw of its location: a batch may contain a transmitter twice.
+fn network_inputs(links: &[usize], data: &Dataset, stages: &Stages, each: bool, shift: Shift<'_>) -> LinkInputs {
+    let (mut inputs, mut before) = (LinkInputs::of(stages.method.traits().inputs, &stages.setup), None);
     let (carriers, mut last, mut pose) = (stages.carriers(), None, Pose::IDENTITY);
     for &i in links {
         let (query, location) = (data.query(i), data.links[i].location);
@@ -129,21 +143,27 @@ fn observed(
             inputs.carriers.extend(carrier);
         } else if before.is_none_or(|(l, j)| l != location || j >= i && !each) || carrier != last {
             pose = stages.origin.local_pose(query.pose);
-            let (position, exact) = (pose.origin().to_array().map(&mut *moved), pose.origin().to_array());
+            let (position, exact) = (pose.origin().to_array().map(&mut *shift), pose.origin().to_array());
             (0..3).for_each(|k| pose.position[k] += (position[k] - exact[k]) as f64);
             inputs.values.extend(position);
             inputs.carriers.extend(carrier);
         }
         last = carrier;
         before = Some((location, i));
-        inputs.link(&stages.setup, query.receiver, pose);
+        inputs.add_link(&stages.setup, query.receiver, pose);
     }
-    let of_link = pixels.of_link(stages.numbers());
+    inputs
+}
+
+/// Reads the selected values of the observations of some links, `[L, values]`: those that `stages` draws, stretched if
+/// its method stretches sampled spectra. `data.observations.check` reports failed reads.
+fn read_truths(links: &[usize], data: &Dataset, stages: &Stages, pixels: &PixelSubset) -> Vec<Real> {
+    let link_values = pixels.count_per_link(stages.numbers());
     let sampling = stages.plane.sampling;
     let stretches = sampling.stride > 1 && stages.method.traits().stretches;
-    let mut truths = vec![0.0; links.len() * of_link];
-    let of_links = truths.par_chunks_exact_mut(of_link).zip(links).enumerate();
-    of_links.for_each(|(k, (truth, &i))| match (&pixels, data.observations.spectra()) {
+    let mut truths = vec![0.0; links.len() * link_values];
+    let by_link = truths.par_chunks_exact_mut(link_values).zip(links).enumerate();
+    by_link.for_each(|(k, (truth, &i))| match (pixels, data.observations.spectra()) {
         (PixelSubset::Same(indices), Some(spectra)) => spectra.sampled_at(i, sampling, indices, truth),
         (PixelSubset::Each(indices), Some(spectra)) => {
             spectra.sampled_at(i, sampling, &indices[k..=k], truth);
@@ -155,8 +175,7 @@ fn observed(
             }
         }
     });
-    data.observations.check()?;
-    Ok(Batch { inputs, pixels, truths })
+    truths
 }
 
 /// Number of transmitters that a pass holds in memory at once.
@@ -165,23 +184,18 @@ const AT_ONCE: usize = 64;
 /// Returns the image plane of `step`: every `stride`-th row and column of the whole image, from the first one or from a
 /// random offset for this step.
 pub(crate) fn plane_of_step(whole: &ImagePlane, plan: &TrainingPlan, task: Task, step: u64) -> ImagePlane {
-    strided(whole, plan, task, plan.training.moving_stride.then_some(("stride", step)))
+    strided_plane(whole, plan, task, plan.training.moving_stride.then_some(("stride", step)))
 }
 
-/// Returns the image plane for a part of the pass of a prune step, with a random offset for this part: predictions also
-/// use the pixels that the stride of training skips.
-pub(crate) fn plane_of_pass(
-    whole: &ImagePlane,
-    plan: &TrainingPlan,
-    task: Task,
-    (step, part): (u64, u64),
-) -> ImagePlane {
-    strided(whole, plan, task, Some(("stride of a pass", step << 24 | part)))
+/// Returns the image plane for a `pass`, the number of a prune step and of a part of its pass, with a random offset for
+/// this part: predictions also use the pixels that the stride of training skips.
+pub(crate) fn plane_of_pass(whole: &ImagePlane, plan: &TrainingPlan, task: Task, pass: (u64, u64)) -> ImagePlane {
+    strided_plane(whole, plan, task, Some(("stride of a pass", pass.0 << 24 | pass.1)))
 }
 
 /// Returns every `stride`-th row and column, from an offset drawn by the random stream of this name and number; all
 /// values if the data are not spectra.
-fn strided(whole: &ImagePlane, plan: &TrainingPlan, task: Task, stream: Option<(&str, u64)>) -> ImagePlane {
+fn strided_plane(whole: &ImagePlane, plan: &TrainingPlan, task: Task, stream: Option<(&str, u64)>) -> ImagePlane {
     let stride = task.stride(plan.training.stride);
     if stride == 1 {
         return whole.clone();

@@ -5,13 +5,12 @@
 
 use crate::adam::Adam;
 use crate::edit::GaussianIds;
-use crate::plan::TrainingPlan;
-use crate::plan::specs_of;
+use crate::plan::{TrainingPlan, requested_columns};
 use crate::trainer::Trainer;
 use pwrfgs_core::files::digest;
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{CloudStats, Dataset, Error, Partition, Real, Result, Sample};
-use pwrfgs_model::file::{put_weights, take_columns, take_weights};
+use pwrfgs_model::file::{put_weights, take_cloud, take_weights};
 use pwrfgs_model::tensors::Tensors;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -76,8 +75,8 @@ impl<'a> Trainer<'a> {
         for (name, values) in self.stats.columns() {
             file.put(format!("stats.{name}"), vec![values.len()], values.to_vec());
         }
-        file.put_ids("gaussian_ids", &self.gaussian_ids.of);
-        file.note = json(&Sealed { digest: file.digest(), note });
+        file.put_ids("gaussian_ids", &self.gaussian_ids.rows);
+        file.note = to_json(&Sealed { digest: file.digest(), note });
         file.to_bytes()
     }
 
@@ -88,16 +87,20 @@ impl<'a> Trainer<'a> {
     pub fn restore(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition, bytes: &[u8]) -> Result<Self> {
         let mut trainer = Self::blank(plan, data, partition)?;
         trainer
-            .read(bytes)
+            .read_checkpoint(bytes)
             .map_err(|why| Error::Config(format!("unusable checkpoint: {why}; remove it to restart from step 1")))?;
         Ok(trainer)
     }
 
-    fn read(&mut self, bytes: &[u8]) -> Result<(), String> {
+    /// Reads the state from the bytes of a checkpoint.
+    ///
+    /// # Errors
+    /// The message states the damage, or the difference from this training.
+    fn read_checkpoint(&mut self, bytes: &[u8]) -> Result<(), String> {
         let mut file = Tensors::from_bytes(bytes)?;
         let Sealed { digest, note } = serde_json::from_str(&file.note)
             .map_err(|e| format!("it is damaged, or of another version of pwrfgs ({e})"))?;
-        file.note = json(&note);
+        file.note = to_json(&note);
         if file.digest() != digest {
             return Err("it is damaged: its digest does not match its content".into());
         }
@@ -108,7 +111,7 @@ impl<'a> Trainer<'a> {
             return Err("it was written with other settings, other data or another split".into());
         }
         let n = note.gaussians;
-        let mut cloud = |prefix: &str| take_columns(&mut file, &format!("{prefix}."), n, &note.extra);
+        let mut cloud = |prefix: &str| take_cloud(&mut file, &format!("{prefix}."), n, &note.extra);
         self.cloud = cloud("value")?;
         let moments = [cloud("first")?, cloud("second")?];
         let mut network = |prefix: &str| take_weights(&mut file, &format!("{prefix}.network."), &self.stages);
@@ -118,13 +121,14 @@ impl<'a> Trainer<'a> {
         for (name, values) in self.stats.columns_mut() {
             *values = file.take(&format!("stats.{name}"), &[n])?;
         }
-        self.gaussian_ids = GaussianIds { of: file.take_ids("gaussian_ids", n)?, next: note.next_gaussian_id };
+        self.gaussian_ids = GaussianIds { rows: file.take_ids("gaussian_ids", n)?, next: note.next_gaussian_id };
         (self.done, self.masks) = (note.done, note.masks);
         Ok(())
     }
 }
 
-fn json(note: &impl Serialize) -> String {
+/// Returns plain data as JSON text.
+fn to_json(note: &impl Serialize) -> String {
     serde_json::to_string(note).expect("plain data")
 }
 
@@ -137,14 +141,14 @@ pub(crate) fn fingerprint(plan: &TrainingPlan, data: &Dataset, train: &[usize]) 
     // The destructuring is complete on purpose: a new field of a plan must be hashed or listed here as irrelevant.
     let TrainingPlan { name: _, seed, method, initializer, pruners, training } = plan;
     let message = to_ron(&(seed, initializer, method, pruners, training.of_model()));
-    let columns: Vec<_> = specs_of(plan).into_iter().map(|spec| (spec.name, spec.width)).collect();
-    let parts = [message, format!("{columns:?} {train:?} {}", size_of::<Real>()), of_data(data)];
+    let columns: Vec<_> = requested_columns(plan).into_iter().map(|spec| (spec.name, spec.width)).collect();
+    let parts = [message, format!("{columns:?} {train:?} {}", size_of::<Real>()), describe_data(data)];
     digest(parts.join("\n").as_bytes())
 }
 
-/// Returns a digest of receivers, size, points, and every link.
-fn of_data(data: &Dataset) -> String {
-    let part = |samples: &[(usize, Sample)]| {
+/// Returns receivers and size of the data as text, with digests of points, links, and every 64 samples.
+fn describe_data(data: &Dataset) -> String {
+    let digest_samples = |samples: &[(usize, Sample)]| {
         let mut bytes = Vec::new();
         for (i, sample) in samples {
             bytes.extend(sample.position().iter().flat_map(|v| v.to_le_bytes()));
@@ -155,12 +159,12 @@ fn of_data(data: &Dataset) -> String {
         digest(&bytes)
     };
     let samples: Vec<(usize, Sample)> = data.samples().enumerate().collect();
-    let parts: Vec<String> = samples.par_chunks(CHUNK).map(part).collect();
+    let parts: Vec<String> = samples.par_chunks(CHUNK).map(digest_samples).collect();
     let points: Vec<u8> = data.scene.points.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
     let links = data.links.iter().flat_map(|link| [link.location, link.receiver]);
     let links: Vec<u8> = links.flat_map(|index| (index as u64).to_le_bytes()).collect();
     let Dataset { scene, width, height, elevation, .. } = data;
-    let setup = json(&(
+    let setup = to_json(&(
         data.task().name,
         (scene.moving, scene.transmitter, &scene.receivers),
         scene.origin,

@@ -1,7 +1,7 @@
 //! Densification as in 3DGS (algorithm 1, line 9): clone, split, remove, reset opacities.
 
 use crate::adam::Adam;
-use crate::edit::{self, PerGaussianState};
+use crate::edit::{self, PerGaussianState, RemovalsByRule};
 use crate::settings::Densify;
 use pwrfgs_core::{CloudStats, GaussianCloud, Real, RowOrigin, Vec3, logit, rng, sigmoid};
 
@@ -11,12 +11,12 @@ pub(crate) const SPLIT_SHRINK: Real = 1.6;
 pub(crate) const SIZE_RULE: &str = "`large_above`";
 
 /// Returns whether densification is due after `step`.
-pub(crate) fn due(settings: &Densify, step: u64) -> bool {
+pub(crate) fn is_due(settings: &Densify, step: u64) -> bool {
     settings.every > 0 && step > settings.from && step.is_multiple_of(settings.every)
 }
 
 /// Returns whether opacities are reset after `step`.
-pub(crate) fn reset_due(settings: &Densify, step: u64) -> bool {
+pub(crate) fn is_reset_due(settings: &Densify, step: u64) -> bool {
     settings.reset_every > 0 && step.is_multiple_of(settings.reset_every)
 }
 
@@ -27,41 +27,39 @@ pub(crate) fn densify(
     settings: &Densify,
     extent: Real,
     (seed, step): (u64, u64),
-    cloud: &mut GaussianCloud,
-    per_gaussian: &mut PerGaussianState<'_>,
-) -> (usize, Vec<(String, usize)>) {
-    let n = cloud.len();
-    let chosen = chosen(settings, n, per_gaussian.stats);
+    state: &mut PerGaussianState<'_>,
+) -> (usize, RemovalsByRule) {
+    let n = state.cloud.len();
+    let chosen = select_strong(settings, n, state.stats);
     let (mut rows, mut children) = (Vec::with_capacity(n), Vec::new());
     let mut copies = Vec::new();
     for (i, chosen) in chosen.iter().enumerate() {
-        let small = largest(cloud, i) <= settings.clone_below * extent;
+        let small = largest_scale(state.cloud, i) <= settings.clone_below * extent;
         if !chosen || small {
             rows.push(RowOrigin::Kept(i));
         }
         if *chosen {
-            let children_of = if small { 1 } else { 2 };
-            copies.extend(std::iter::repeat_n((i, small), children_of));
+            copies.extend(std::iter::repeat_n((i, small), if small { 1 } else { 2 }));
         }
     }
     let mut random = rng::stream(seed, "densify", step);
     for (i, small) in copies {
         if !small {
-            children.push((rows.len(), child_mean(cloud, i, &mut random)));
+            children.push((rows.len(), draw_child_mean(state.cloud, i, &mut random)));
         }
         rows.push(RowOrigin::Copied(i));
     }
-    edit::rewrite(&rows, cloud, per_gaussian);
+    edit::rewrite(&rows, state);
     for (row, mean) in children {
-        cloud.means[row] = mean;
-        cloud.log_scales[row].iter_mut().for_each(|s| *s -= SPLIT_SHRINK.ln());
+        state.cloud.means[row] = mean;
+        state.cloud.log_scales[row].iter_mut().for_each(|s| *s -= SPLIT_SHRINK.ln());
     }
-    let before = cloud.len();
-    (before, remove(settings, extent, step, cloud, per_gaussian))
+    let before = state.cloud.len();
+    (before, remove_by_rules(settings, extent, step, state))
 }
 
 /// Selects the Gaussians to densify: mean gradient norm at or above the threshold, within the budget, largest first.
-fn chosen(settings: &Densify, n: usize, stats: &CloudStats) -> Vec<bool> {
+fn select_strong(settings: &Densify, n: usize, stats: &CloudStats) -> Vec<bool> {
     let mean = |i: usize| if stats.visible[i] > 0.0 { stats.gradient[i] / stats.visible[i] } else { 0.0 };
     let mut strong: Vec<usize> = (0..n).filter(|&i| mean(i) >= settings.gradient_threshold).collect();
     if settings.max_gaussians > 0 {
@@ -74,7 +72,7 @@ fn chosen(settings: &Densify, n: usize, stats: &CloudStats) -> Vec<bool> {
 }
 
 /// Draws a point from Gaussian `i`: μ + R(q)·(s ∘ N(0, 1)).
-fn child_mean(cloud: &GaussianCloud, i: usize, random: &mut rng::Rng) -> [Real; 3] {
+fn draw_child_mean(cloud: &GaussianCloud, i: usize, random: &mut rng::Rng) -> [Real; 3] {
     let [w, x, y, z] = cloud.quats[i];
     let norm = (w * w + x * x + y * y + z * z).sqrt().max(1e-12);
     let (w, v) = (w / norm, Vec3::new(x, y, z) / norm);
@@ -84,52 +82,49 @@ fn child_mean(cloud: &GaussianCloud, i: usize, random: &mut rng::Rng) -> [Real; 
     (Vec3::from_array(cloud.means[i]) + turned).to_array()
 }
 
-fn remove(
-    settings: &Densify,
-    extent: Real,
-    step: u64,
-    cloud: &mut GaussianCloud,
-    per_gaussian: &mut PerGaussianState<'_>,
-) -> Vec<(String, usize)> {
+/// Removes transparent Gaussians, and oversized ones after `large_after` steps; keeps at least one. Returns the rules
+/// and the number of Gaussians to which each applies.
+fn remove_by_rules(settings: &Densify, extent: Real, step: u64, state: &mut PerGaussianState<'_>) -> RemovalsByRule {
+    let cloud = &*state.cloud;
     let too_large =
         (settings.large_above > 0.0 && step > settings.large_after).then_some(settings.large_above * extent);
-    let is_large = |i: usize| too_large.is_some_and(|limit| largest(cloud, i) > limit);
+    let is_large = |i: usize| too_large.is_some_and(|limit| largest_scale(cloud, i) > limit);
     let is_faint = |i: usize| sigmoid(cloud.opacity_logits[i]) < settings.opacity_floor;
     let mut keep: Vec<bool> = (0..cloud.len()).map(|i| !is_faint(i) && !is_large(i)).collect();
-    let count = |is_chosen: &dyn Fn(usize) -> bool| (0..cloud.len()).filter(|i| is_chosen(*i)).count();
+    let count = |applies: &dyn Fn(usize) -> bool| (0..cloud.len()).filter(|i| applies(*i)).count();
     let rules = vec![
         (format!("{SIZE_RULE}, {:.2} m", too_large.unwrap_or_default()), count(&is_large)),
         (format!("`opacity_floor`, {}", settings.opacity_floor), count(&is_faint)),
     ];
-    ensure_one(&mut keep, &cloud.opacity_logits, "densification");
-    edit::keep(&keep, cloud, per_gaussian);
+    keep_best_if_none(&mut keep, &cloud.opacity_logits, "densification");
+    edit::retain(&keep, state);
     rules
 }
 
 /// Returns the largest scale of Gaussian `i`, metres.
-pub(crate) fn largest(cloud: &GaussianCloud, i: usize) -> Real {
+pub(crate) fn largest_scale(cloud: &GaussianCloud, i: usize) -> Real {
     cloud.log_scales[i].iter().fold(Real::MIN, |m, s| m.max(*s)).exp()
 }
 
-/// Keeps the Gaussian with the best score if none would be left, and warns.
-pub(crate) fn ensure_one(keep: &mut [bool], score: &[Real], subject: &str) {
+/// Keeps the Gaussian with the best score if `keep` has none, and warns that `subject` would remove all.
+pub(crate) fn keep_best_if_none(keep: &mut [bool], scores: &[Real], subject: &str) {
     if keep.iter().any(|k| *k) {
         return;
     }
-    if let Some(best) = (0..keep.len()).rev().max_by(|&a, &b| score[a].total_cmp(&score[b])) {
+    if let Some(best) = (0..keep.len()).rev().max_by(|&a, &b| scores[a].total_cmp(&scores[b])) {
         tracing::warn!("{subject} would remove all Gaussians; the best one is kept");
         keep[best] = true;
     }
 }
 
-/// Sets opacity = min(opacity, limit) and resets the moments of opacity.
+/// Lowers all opacities to at most `limit`, and resets their moments.
 pub(crate) fn reset_opacities(limit: Real, cloud: &mut GaussianCloud, adam: &mut Adam) {
     cloud.opacity_logits.iter_mut().for_each(|o| *o = o.min(logit(limit)));
     adam.cloud.iter_mut().for_each(|moments| moments.opacity_logits.fill(0.0));
 }
 
-/// Returns the size of the scene if the pipeline does not set it: half the diagonal of its bounds, metres.
-pub(crate) fn extent_of((low, high): ([Real; 3], [Real; 3])) -> Real {
+/// Returns half the diagonal of the bounds of a scene, metres: its extent, if the pipeline does not set it.
+pub(crate) fn half_diagonal((low, high): ([Real; 3], [Real; 3])) -> Real {
     0.5 * (Vec3::from_array(high) - Vec3::from_array(low)).length()
 }
 
@@ -162,9 +157,9 @@ mod tests {
     fn densify_clones_splits_and_removes_by_size_and_opacity() {
         let (mut cloud, mut adam, mut stats) = scene();
         let settings = Densify::default();
-        let mut gaussian_ids = GaussianIds::of(cloud.len());
-        let mut per_gaussian = PerGaussianState { adam: &mut adam, stats: &mut stats, gaussian_ids: &mut gaussian_ids };
-        densify(&settings, 1.0, (0, 600), &mut cloud, &mut per_gaussian);
+        let gaussian_ids = &mut GaussianIds::first(4);
+        let mut state = PerGaussianState { cloud: &mut cloud, adam: &mut adam, stats: &mut stats, gaussian_ids };
+        densify(&settings, 1.0, (0, 600), &mut state);
         // Kept: 0, 2. Cloned: 0. Split: 1 into two children, without the parent. Removed: 3.
         assert_eq!(cloud.signals.iter().map(|s| s[0]).collect::<Vec<_>>(), [0.0, 2.0, 0.0, 1.0, 1.0]);
         assert_eq!(cloud.extra[0].values, [1.0, 3.0, 1.0, 2.0, 2.0], "copies inherit the mask");
@@ -175,16 +170,16 @@ mod tests {
         assert_eq!(adam.cloud[0].opacity_logits, [1.0, 1.0, 0.0, 0.0, 0.0], "new rows have no moments");
         assert_eq!(adam.cloud[1].extra[0].values, [1.0, 1.0, 0.0, 0.0, 0.0]);
         assert_eq!(stats, CloudStats::zeros(5));
-        assert_eq!(gaussian_ids.of, [0, 2, 4, 5, 6], "children are somebody else");
+        assert_eq!(gaussian_ids.rows, [0, 2, 4, 5, 6], "children are somebody else");
     }
 
     #[test]
     fn densify_limit_selects_largest_gradients_first() {
         let (mut cloud, mut adam, mut stats) = scene();
         let settings = Densify { max_gaussians: 5, opacity_floor: 0.0, ..Densify::default() };
-        let mut gaussian_ids = GaussianIds::of(cloud.len());
-        let mut per_gaussian = PerGaussianState { adam: &mut adam, stats: &mut stats, gaussian_ids: &mut gaussian_ids };
-        densify(&settings, 1.0, (0, 600), &mut cloud, &mut per_gaussian);
+        let gaussian_ids = &mut GaussianIds::first(4);
+        let mut state = PerGaussianState { cloud: &mut cloud, adam: &mut adam, stats: &mut stats, gaussian_ids };
+        densify(&settings, 1.0, (0, 600), &mut state);
         assert_eq!(cloud.len(), 5);
         assert_eq!(cloud.signals.iter().filter(|s| s[0] == 1.0).count(), 2, "the large one had the larger gradient");
     }
@@ -193,9 +188,9 @@ mod tests {
     fn densify_keeps_last_gaussian() {
         let (mut cloud, mut adam, mut stats) = scene();
         let settings = Densify { opacity_floor: 0.9, gradient_threshold: 100.0, ..Densify::default() };
-        let mut gaussian_ids = GaussianIds::of(cloud.len());
-        let mut per_gaussian = PerGaussianState { adam: &mut adam, stats: &mut stats, gaussian_ids: &mut gaussian_ids };
-        densify(&settings, 1.0, (0, 600), &mut cloud, &mut per_gaussian);
+        let gaussian_ids = &mut GaussianIds::first(4);
+        let mut state = PerGaussianState { cloud: &mut cloud, adam: &mut adam, stats: &mut stats, gaussian_ids };
+        densify(&settings, 1.0, (0, 600), &mut state);
         assert_eq!(cloud.len(), 1);
     }
 

@@ -70,8 +70,8 @@ struct CountCurve {
 }
 
 impl CountCurve {
-    /// Returns the sum of N over all steps, if the share `kept` remains.
-    fn sum(&self, kept: f64) -> f64 {
+    /// Returns the sum of N over all steps, if the share `kept` remains at the end of pruning.
+    fn sum_over_steps(&self, kept: f64) -> f64 {
         let ([first, full], [from, until]) = (self.full, self.fall);
         let grown = self.grown.min(from);
         // Mean of kept^u for u from 0 to 1.
@@ -81,12 +81,12 @@ impl CountCurve {
         growing * first + (whole + falling * mean) * full + rest * last
     }
 
-    /// Returns the time of all steps, seconds, from timed steps with two different N (linear between and beyond them),
-    /// or one N.
-    fn seconds(&self, kept: f64, [a, b]: [(f64, f64); 2]) -> f64 {
+    /// Returns the time of all steps, seconds, if the share `kept` remains, from timed steps (N, seconds) with two
+    /// different N (linear between and beyond them), or one N.
+    fn total_seconds(&self, kept: f64, [a, b]: [(f64, f64); 2]) -> f64 {
         let slope = if a.0 == b.0 { 0.0 } else { ((a.1 - b.1) / (a.0 - b.0)).max(0.0) };
         let fixed = (b.1 - slope * b.0).max(0.0);
-        self.steps as f64 * fixed + slope * self.sum(kept)
+        self.steps as f64 * fixed + slope * self.sum_over_steps(kept)
     }
 }
 
@@ -95,13 +95,13 @@ impl Trainer<'_> {
     pub fn step_bytes(&self) -> u64 {
         let (n, batch) = (self.cloud.len(), self.plan.training.batch);
         let setup = &self.stages.setup;
-        let of_each = self.data.len().div_ceil(self.data.locations.len().max(1));
-        let (links, chosen) = match self.plan.training.rays {
-            Rays::All => (batch * of_each, setup.numbers()),
-            Rays::Same(rays) => (batch * of_each, rays),
+        let receivers = self.data.len().div_ceil(self.data.locations.len().max(1));
+        let (links, pixels) = match self.plan.training.rays {
+            Rays::All => (batch * receivers, setup.numbers()),
+            Rays::Same(rays) => (batch * receivers, rays),
             Rays::Each(pairs) => (pairs, 1),
         };
-        let cost = self.stages.method.cost(setup, links, chosen);
+        let cost = self.stages.method.cost(setup, links, pixels);
         let numbers = n * (PER_GAUSSIAN + cost.per_gaussian + batch * PER_TERM) + links * cost.pixels * PER_PIXEL;
         let weights = (self.weights() * PER_WEIGHT * size_of::<Real>()) as u64;
         let kept = (n * batch * cost.per_term * size_of::<Real>()).min(KEPT_BYTES);
@@ -128,15 +128,15 @@ impl Trainer<'_> {
             ..t
         };
         self.plan.training = Checked::new(endless).map_err(Error::Config)?;
-        let start = self.quartiles()?;
+        let start = self.time_steps()?;
         let end = if last < n {
             let open: Vec<bool> = (0..n).map(|i| (i + 1) * last / n > i * last / n).collect();
             self.keep(&open)?;
-            self.quartiles()?
+            self.time_steps()?
         } else {
             start
         };
-        let total = |k: usize| curve.seconds(kept[k], [(n as f64, start[k]), (last as f64, end[k])]);
+        let total = |k: usize| curve.total_seconds(kept[k], [(n as f64, start[k]), (last as f64, end[k])]);
         Ok(TimeEstimate {
             start: TimedSteps { gaussians: n, step_seconds: start[1] },
             end: TimedSteps { gaussians: last, step_seconds: end[1] },
@@ -170,6 +170,7 @@ impl Trainer<'_> {
         (curve, kept)
     }
 
+    /// Returns the shortest and longest expected time of the initial search, seconds.
     fn search_seconds(&self) -> Result<[f64; 2]> {
         let input = InitializerInput {
             data: self.data,
@@ -182,9 +183,9 @@ impl Trainer<'_> {
         self.plan.initializer.search_seconds(&input)
     }
 
-    /// Quartiles of the times of a few steps, seconds. The first step allocates memory and is not timed, unless it takes
-    /// long.
-    fn quartiles(&mut self) -> Result<[f64; 3]> {
+    /// Times a few steps, and returns the quartiles of their times, seconds. The first step allocates memory and is not
+    /// timed, unless it takes long.
+    fn time_steps(&mut self) -> Result<[f64; 3]> {
         let begun = Instant::now();
         let mut seconds = Vec::new();
         while seconds.len() <= TIMED && (seconds.len() < 2 || begun.elapsed() < PATIENCE) {
@@ -208,12 +209,12 @@ mod tests {
     #[test]
     fn counts_are_constant_then_fall_by_equal_shares() {
         let constant = CountCurve { full: [100.0; 2], grown: 0, fall: [100; 2], steps: 100 };
-        assert_eq!(constant.seconds(1.0, [(100.0, 2.0); 2]), 200.0);
+        assert_eq!(constant.total_seconds(1.0, [(100.0, 2.0); 2]), 200.0);
         let curve = CountCurve { full: [50.0, 100.0], grown: 10, fall: [20, 60], steps: 100 };
         let steps: f64 = (0..40).map(|k| 100.0 * 0.01_f64.powf((f64::from(k) + 0.5) / 40.0)).sum();
         let sum = 10.0 * 50.0 + 10.0 * 100.0 + steps + 40.0 * 1.0;
-        assert!((curve.sum(0.01) / sum - 1.0).abs() < 1e-3);
-        let seconds = curve.seconds(0.01, [(100.0, 1.1), (1.0, 0.11)]);
+        assert!((curve.sum_over_steps(0.01) / sum - 1.0).abs() < 1e-3);
+        let seconds = curve.total_seconds(0.01, [(100.0, 1.1), (1.0, 0.11)]);
         assert!((seconds / (100.0 * 0.1 + 0.01 * sum) - 1.0).abs() < 1e-3, "linear in N");
     }
 
@@ -226,7 +227,7 @@ mod tests {
             ("0.0075", [(2_000.0, 0.077), (136.0, 0.0085)], 3_000.0),
         ];
         for (lambda, timed, taken) in runs {
-            let [shortest, expected, longest] = KEPT_BY_MASKS.map(|kept| curve.seconds(kept, timed));
+            let [shortest, expected, longest] = KEPT_BY_MASKS.map(|kept| curve.total_seconds(kept, timed));
             let ratio = expected / taken;
             assert!((1.0 / 1.5..1.5).contains(&ratio), "λ = {lambda}: {expected:.0} s expected, {taken} s taken");
             assert!(shortest < taken && taken < longest, "λ = {lambda}: {shortest:.0} to {longest:.0} s");

@@ -9,6 +9,7 @@
 //! ones.
 
 use crate::loss::Objective;
+use crate::plan::TrainingPlan;
 use dfdx::prelude::{AsArray, Cpu, Tensor};
 use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
@@ -35,7 +36,7 @@ pub struct Batch {
 
 impl Batch {
     /// Splits a batch with one pixel per link into parts of at most `most` links; `None` if no split is needed.
-    fn parts(&self, most: usize) -> Option<impl Iterator<Item = Self>> {
+    fn split(&self, most: usize) -> Option<impl Iterator<Item = Self>> {
         let PixelSubset::Each(pixels) = &self.pixels else { return None };
         let parts = self.inputs.pairs.chunks(most).zip(pixels.chunks(most)).zip(self.truths.chunks(most));
         let part = |((links, pixels), truths): ((&[_], &[usize]), &[Real])| Self {
@@ -68,7 +69,10 @@ pub struct LossAndGradients {
 }
 
 /// Runs the graph of a batch, or of a part of it, forward and backward.
-fn whole(
+///
+/// # Errors
+/// [`Error::NonFinite`] if the loss is not finite.
+fn run_graph(
     stages: &Arc<Stages>,
     cloud: &GaussianCloud,
     weights: &Arc<Vec<Real>>,
@@ -131,10 +135,10 @@ pub fn loss_and_gradients(
     pruners: &[Plugin<dyn Pruner>],
     context: &StepContext,
 ) -> Result<LossAndGradients> {
-    let pass = |part: &Batch| whole(stages, cloud, weights, part, objective, pruners, context);
-    let pixels = batch.pixels.of_link(stages.numbers());
+    let pass = |part: &Batch| run_graph(stages, cloud, weights, part, objective, pruners, context);
+    let pixels = batch.pixels.count_per_link(stages.numbers());
     let at_once = stages.method.cost(&stages.setup, batch.inputs.pairs.len(), pixels).links_at_once;
-    let Some(parts) = batch.parts(at_once) else { return pass(batch) };
+    let Some(parts) = batch.split(at_once) else { return pass(batch) };
     let mut sum = LossAndGradients {
         loss: 0.0,
         penalty: 0.0,
@@ -144,12 +148,13 @@ pub fn loss_and_gradients(
     };
     for part in parts {
         let (gradients, share) = (pass(&part)?, part.inputs.pairs.len() as Real / batch.inputs.pairs.len() as Real);
-        let add = |sum: &mut [Real], d: &[Real]| sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += share * d);
+        let add_share = |sum: &mut [Real], d: &[Real]| sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += share * d);
         sum.loss += share * gradients.loss;
         sum.penalty = gradients.penalty;
-        add(&mut sum.d_weights, &gradients.d_weights);
-        sum.d_cloud.columns_mut().zip(gradients.d_cloud.columns()).for_each(|((_, _, sum), (_, _, d))| add(sum, d));
-        sum.stats.add(&gradients.stats);
+        add_share(&mut sum.d_weights, &gradients.d_weights);
+        let columns = sum.d_cloud.columns_mut().zip(gradients.d_cloud.columns());
+        columns.for_each(|((_, _, sum), (_, _, d))| add_share(sum, d));
+        sum.stats.merge(&gradients.stats);
     }
     Ok(sum)
 }
@@ -161,44 +166,39 @@ struct Gates {
 }
 
 impl Gates {
+    /// Multiplies the gates of all pruners, separately for each kind of [`Gate`].
     fn of(traced: &TracedCloud, pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Self {
         let mut gates = Self { whole: None, existence: None };
-        let times = |product: &mut Option<Trace>, factor: Trace| {
-            *product = Some(match product.take() {
-                Some(product) => product * factor,
-                None => factor,
-            });
-        };
         let with_contexts = pruners.iter().zip(prune_contexts(pruners, context));
         for gate in with_contexts.filter_map(|(pruner, context)| pruner.gate(traced, &context)) {
             match gate {
-                Gate::Whole(factor) => times(&mut gates.whole, factor),
-                Gate::Existence(factor) => times(&mut gates.existence, factor),
+                Gate::Whole(factor) => multiply(&mut gates.whole, factor),
+                Gate::Existence(factor) => multiply(&mut gates.existence, factor),
             }
         }
         gates
     }
 }
 
-/// Returns the product of those gates that allow to skip closed Gaussians; `None` without such a gate.
-pub(crate) fn open_gates(
-    cloud: &GaussianCloud,
-    pruners: &[Plugin<dyn Pruner>],
-    context: &StepContext,
-) -> Option<Vec<Real>> {
-    Gates::of(&TracedCloud::new(cloud), pruners, context).whole.as_ref().map(values)
+/// Multiplies `product` by `factor`; no product is 1.
+fn multiply(product: &mut Option<Trace>, factor: Trace) {
+    *product = Some(match product.take() {
+        Some(product) => product * factor,
+        None => factor,
+    });
 }
 
-/// Returns which Gaussians are drawn, including the existence gates of this step. `None` without a gate.
-pub(crate) fn drawn_gates(
-    cloud: &GaussianCloud,
-    pruners: &[Plugin<dyn Pruner>],
-    context: &StepContext,
-) -> Option<Vec<bool>> {
-    let Gates { whole, existence } = Gates::of(&TracedCloud::new(cloud), pruners, context);
-    let open = |gate: &Trace, least: Real| values(gate).into_iter().map(|m| m > least).collect::<Vec<_>>();
-    let gates = [whole.map(|gate| open(&gate, 0.0)), existence.map(|gate| open(&gate, 0.5))];
-    gates.into_iter().flatten().reduce(|a, b| a.into_iter().zip(b).map(|(a, b)| a && b).collect())
+/// Returns the product `[N]` of those gates that allow to skip closed Gaussians; `None` without such a gate.
+pub(crate) fn gate_product(cloud: &GaussianCloud, plan: &TrainingPlan, context: &StepContext) -> Option<Vec<Real>> {
+    Gates::of(&TracedCloud::new(cloud), &plan.pruners, context).whole.as_ref().map(values)
+}
+
+/// Returns which Gaussians `[N]` are drawn, including the existence gates of this step. `None` without a gate.
+pub(crate) fn drawn_mask(cloud: &GaussianCloud, plan: &TrainingPlan, context: &StepContext) -> Option<Vec<bool>> {
+    let Gates { whole, existence } = Gates::of(&TracedCloud::new(cloud), &plan.pruners, context);
+    let open_mask = |gate: &Trace, least: Real| values(gate).into_iter().map(|m| m > least).collect::<Vec<_>>();
+    let masks = [whole.map(|gate| open_mask(&gate, 0.0)), existence.map(|gate| open_mask(&gate, 0.5))];
+    masks.into_iter().flatten().reduce(|a, b| a.into_iter().zip(b).map(|(a, b)| a && b).collect())
 }
 
 /// Gaussians that can be visible ([`Stages::drawable`]), as a separate cloud.
@@ -209,10 +209,12 @@ struct DrawableGaussians {
     gate: Option<Vec<Real>>,
     existence: Option<Vec<Real>>,
     /// Number of rows of the whole cloud.
-    all: usize,
+    whole_len: usize,
 }
 
 impl DrawableGaussians {
+    /// Selects the Gaussians of `cloud` that can be visible, with the values of their gates. Existence gates of a
+    /// method that does not support them are multiplied into the other gate.
     fn of(stages: &Stages, cloud: &GaussianCloud, gates: &Gates) -> Self {
         let [mut gate, mut existence] = [&gates.whole, &gates.existence].map(|gate| gate.as_ref().map(values));
         let rows = stages.drawable(cloud, gate.as_deref());
@@ -224,20 +226,21 @@ impl DrawableGaussians {
         }
         let pick = |factors: Vec<Real>| rows.iter().map(|&i| factors[i]).collect();
         let (gate, existence) = (gate.map(pick), existence.map(pick));
-        Self { cloud: cloud.select(&rows), rows, gate, existence, all: cloud.len() }
+        Self { cloud: cloud.select(&rows), rows, gate, existence, whole_len: cloud.len() }
     }
 
+    /// Returns the parameters of these Gaussians, with the weights of the network.
     fn parameters<'a>(&'a self, weights: &'a [Real]) -> Parameters<'a> {
         Parameters { cloud: &self.cloud, gate: self.gate.as_deref(), existence: self.existence.as_deref(), weights }
     }
 
-    /// Returns rows of `width` numbers at their positions in the whole cloud.
+    /// Returns rows of `width` numbers at their positions in the whole cloud; zeros for all other Gaussians.
     fn scatter(&self, width: usize, values: &[Real]) -> Vec<Real> {
-        let mut all = vec![0.0; self.all * width];
+        let mut scattered = vec![0.0; self.whole_len * width];
         for (row, values) in self.rows.iter().zip(values.chunks_exact(width)) {
-            all[row * width..(row + 1) * width].copy_from_slice(values);
+            scattered[row * width..(row + 1) * width].copy_from_slice(values);
         }
-        all
+        scattered
     }
 }
 
@@ -257,14 +260,11 @@ impl Graph {
     fn observe(&self, traced: &TracedCloud, mut gates: Gates) -> Trace {
         // Standard columns and those of the method; columns of pruners act through the gate.
         let MethodTraits { columns, supports_existence_gate, .. } = self.stages.method.traits();
-        let of_method = columns.into_iter().map(|(name, _)| name);
-        let names: Vec<&str> = pwrfgs_core::COLUMN_NAMES.into_iter().chain(of_method).collect();
+        let method_columns = columns.into_iter().map(|(name, _)| name);
+        let names: Vec<&str> = pwrfgs_core::COLUMN_NAMES.into_iter().chain(method_columns).collect();
         let columns = names.iter().map(|name| traced.column(name));
         if !supports_existence_gate && let Some(existence) = gates.existence.take() {
-            gates.whole = Some(match gates.whole.take() {
-                Some(whole) => whole * existence,
-                None => existence,
-            });
+            multiply(&mut gates.whole, existence);
         }
         let inputs: Vec<Trace> = columns.chain(gates.whole).chain(gates.existence).collect();
         let (stages, batch, drawable) = (Arc::clone(&self.stages), Arc::clone(&self.batch), Rc::clone(&self.drawable));
@@ -278,8 +278,8 @@ impl Graph {
             stages.method.vjp(&call, observed, &d[0], &mut sums);
             *d_weights.borrow_mut() = sums.weights;
             let mut stats = stats.borrow_mut();
-            for ((_, all), (_, drawn)) in stats.columns_mut().into_iter().zip(sums.stats.columns()) {
-                *all = drawable.scatter(1, drawn);
+            for ((_, column), (_, drawn)) in stats.columns_mut().into_iter().zip(sums.stats.columns()) {
+                *column = drawable.scatter(1, drawn);
             }
             let column = |name: &&str| sums.cloud.columns().find(|column| column.0 == *name);
             let columns = names.iter().filter_map(column).map(|(_, width, values)| drawable.scatter(width, values));
@@ -290,7 +290,7 @@ impl Graph {
         op(inputs, vec![numbers], vjp).remove(0)
     }
 
-    /// Runs the loss as an op.
+    /// Runs the loss as an op: observations `[L, numbers]` → a scalar.
     fn loss(&self, observed: Trace, objective: &dyn Objective) -> TraceScalar {
         let plane = &self.stages.plane;
         let size = match self.batch.pixels {
@@ -318,8 +318,8 @@ mod tests {
         let truths = (0..20).map(|k| k as Real).collect();
         let inputs = LinkInputs { values: vec![1.0; 21], width: 3, pairs: links, ..LinkInputs::default() };
         let batch = Batch { inputs, pixels, truths };
-        assert!(batch.parts(20).is_none() && Batch { pixels: PixelSubset::All, ..batch.clone() }.parts(7).is_none());
-        let parts: Vec<Batch> = batch.parts(7).unwrap().collect();
+        assert!(batch.split(20).is_none() && Batch { pixels: PixelSubset::All, ..batch.clone() }.split(7).is_none());
+        let parts: Vec<Batch> = batch.split(7).unwrap().collect();
         assert_eq!(parts.iter().map(|part| part.inputs.pairs.len()).collect::<Vec<_>>(), [7, 7, 6]);
         let pixels = |part: &Batch| match &part.pixels {
             PixelSubset::Each(pixels) => pixels.to_vec(),

@@ -13,7 +13,7 @@ pub trait Objective: std::fmt::Debug + Send + Sync {
 }
 
 /// Creates the loss for `settings` and `data` with the training links `train`.
-pub(crate) fn objective(settings: &Training, data: &Dataset, train: &[usize]) -> Box<dyn Objective> {
+pub(crate) fn create_objective(settings: &Training, data: &Dataset, train: &[usize]) -> Box<dyn Objective> {
     let task = data.task();
     if task.has_pixels {
         // The window of SSIM has the size of the standard window on all pixels.
@@ -28,8 +28,8 @@ pub(crate) fn objective(settings: &Training, data: &Dataset, train: &[usize]) ->
 }
 
 impl PixelLoss {
-    /// Returns the sum over pairs; writes its derivative times `share`.
-    fn sum(self, predictions: &[Real], truths: &[Real], share: Real, d: &mut [Real]) -> Real {
+    /// Returns the sum of the errors over pairs; writes its derivative times `share` to `d`.
+    fn sum_errors(self, predictions: &[Real], truths: &[Real], share: Real, d: &mut [Real]) -> Real {
         let mut sum = 0.0;
         for ((d, p), t) in d.iter_mut().zip(predictions).zip(truths) {
             let error = p - t;
@@ -59,7 +59,7 @@ impl Objective for LinkLoss {
     fn evaluate(&self, predictions: &[Real], truths: &[Real], _: (usize, usize)) -> (Real, Vec<Real>) {
         let share = 1.0 / predictions.len().max(1) as Real;
         let mut d = vec![0.0; predictions.len()];
-        let sum = self.power.sum(predictions, truths, share, &mut d);
+        let sum = self.power.sum_errors(predictions, truths, share, &mut d);
         (share * sum, d)
     }
 }
@@ -118,9 +118,9 @@ impl Objective for RenderingLoss {
             .zip(truths.par_chunks_exact(pixels))
             .map(|((d, p), t)| {
                 let l1_scale = (1.0 - ssim_weight) / (pixels as Real * batch);
-                let mut loss = l1_scale * self.errors.sum(p, t, l1_scale, d);
+                let mut loss = l1_scale * self.errors.sum_errors(p, t, l1_scale, d);
                 if ssim_weight > 0.0 {
-                    let (ssim, d_ssim) = ssim::training(p, t, (width, height), &self.window);
+                    let (ssim, d_ssim) = ssim::training_form(p, t, (width, height), &self.window);
                     loss += ssim_weight / batch * (1.0 - ssim);
                     d.iter_mut().zip(&d_ssim).for_each(|(d, s)| *d -= ssim_weight / batch * s);
                 }

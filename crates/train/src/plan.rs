@@ -27,28 +27,28 @@ impl TrainingPlan {
     pub fn parts(&self, initial: Option<usize>, transmitters: Option<usize>) -> Parts<'_> {
         let Training { rays, stride, batch, prune_until, densify_until, target_count: target, .. } = *self.training;
         let pixels = (rays != Rays::All).then_some(if let Rays::Same(count) = rays { count } else { 0 });
-        let (densified, prunes) = (self.densified(), prune_until > densify_until);
+        let (densified, prunes) = (self.max_densified(), prune_until > densify_until);
         let training = TrainingNumbers { stride, pixels, batch, transmitters, initial, densified, target, prunes };
         let (method, training) = (Some(self.method.get()), Some(training));
         Parts { method, pruners: &self.pruners, training, ..Parts::default() }
     }
 
     /// Returns the largest number of Gaussians after densification; 0 if there is none.
-    fn densified(&self) -> usize {
+    fn max_densified(&self) -> usize {
         let Densify { every, from, max_gaussians, .. } = self.training.densify;
         let most = if max_gaussians == 0 { usize::MAX } else { max_gaussians };
         if every > 0 && from < self.training.densify_until { most } else { 0 }
     }
 
-    /// Returns the target of the training and its pruner, if any.
+    /// Returns the target of the training and its pruner; `None` without a target.
     pub(crate) fn goal(&self) -> Option<PruneTarget> {
         PruneTarget::of(&self.pruners, self.training.target_count)
     }
 
-    /// Returns a target that removes none of the `n` initial Gaussians, if none are added.
+    /// Returns the target if it removes none of the `n` initial Gaussians and none are added; otherwise `None`.
     pub(crate) fn idle_target(&self, n: usize) -> Option<usize> {
         let goal = self.goal()?;
-        (goal.target >= n && !goal.grows(&self.pruners, self.densified(), n + 1)).then_some(goal.target)
+        (goal.target >= n && !goal.can_reach(&self.pruners, self.max_densified(), n + 1)).then_some(goal.target)
     }
 }
 
@@ -62,7 +62,7 @@ pub fn check_available(pruners: &[Plugin<dyn Pruner>]) -> Result<()> {
 }
 
 /// Returns the columns that the pruners request, each once; none without a pruning phase.
-pub(crate) fn specs_of(plan: &TrainingPlan) -> Vec<ColumnSpec> {
+pub(crate) fn requested_columns(plan: &TrainingPlan) -> Vec<ColumnSpec> {
     let mut specs: Vec<ColumnSpec> = Vec::new();
     if plan.training.prune_until > 0 {
         for spec in plan.pruners.iter().flat_map(|pruner| pruner.traits().columns) {

@@ -1,27 +1,26 @@
 //! Prune steps: passes over training transmitters for statistics, edits, votes, and the exact budget.
 
 use crate::batches::plane_of_pass;
-use crate::edit;
-use crate::graph::{Batch, open_gates};
+use crate::densify::keep_best_if_none;
+use crate::edit::{self, RemovalsByRule};
+use crate::graph::{Batch, gate_product};
 use crate::loss::Objective;
 use crate::trainer::{StepStart, Trainer};
 use pwrfgs_core::plugin::{Plugin, name_of};
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, Needs, Parameters, PassStatistics, Phase, PruneTarget, Pruner, Real, Result,
-    RowOrigin, Statistic, StepContext, best, prune_contexts,
+    Budget, CloudStats, Needs, Parameters, PassStatistics, Phase, PruneTarget, Pruner, Real, Result, RowOrigin,
+    Statistic, StepContext, best, prune_contexts,
 };
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 
-/// Returns the number of prune steps up to `step` in the pruning phase.
+/// Returns the number of prune steps up to `step` in the pruning phase, which has prune steps at the multiples of
+/// `every` after `first`, and at `last`.
 fn rounds_until(step: u64, (first, last, every): (u64, u64, u64)) -> u64 {
     let whole = |step: u64| step / every.max(1);
     let regular = whole(step.min(last)).saturating_sub(whole(first));
     regular + u64::from(step >= last && last > first && !last.is_multiple_of(every.max(1)))
 }
-
-/// Number of Gaussians removed per rule.
-pub(crate) type RemovalsByRule = Vec<(String, usize)>;
 
 /// Combined votes of all pruners in a prune step.
 struct Votes {
@@ -33,41 +32,8 @@ struct Votes {
     closed: usize,
 }
 
-fn votes(
-    (pruners, goal): (&[Plugin<dyn Pruner>], Option<PruneTarget>),
-    cloud: &GaussianCloud,
-    stats: &[CloudStats],
-    context: &StepContext,
-) -> Votes {
-    let mut rules = RemovalsByRule::new();
-    let (mut keep, mut open) = (vec![true; cloud.len()], vec![true; cloud.len()]);
-    for (k, ((pruner, stats), context)) in pruners.iter().zip(stats).zip(prune_contexts(pruners, context)).enumerate() {
-        if goal.is_some_and(|goal| goal.pruner == k && goal.budget == Budget::Gradual) {
-            continue;
-        }
-        let votes = pruner.keep(cloud, stats, &context);
-        assert_eq!(votes.len(), keep.len(), "a pruner answers for every Gaussian");
-        rules.push((format!("`{}`", name_of(pruner)), removed_by(&votes)));
-        if pruner.traits().mask_rate().is_some() {
-            open.iter_mut().zip(&votes).for_each(|(all, vote)| *all &= *vote);
-        }
-        keep.iter_mut().zip(votes).for_each(|(all, vote)| *all &= vote);
-    }
-    let closed = removed_by(&open);
-    let Some(goal) = goal.filter(PruneTarget::is_exact) else { return Votes { keep, rules, closed } };
-    let count = match goal.budget {
-        Budget::Gradual => context.quota(keep.len(), goal.target),
-        Budget::FinalStep if context.round == context.rounds => goal.target,
-        Budget::FinalStep => (keep.len() - removed_by(&keep)).max(goal.target),
-        Budget::PrunerManaged | Budget::UpperBound => keep.len(),
-    };
-    // Gaussians that a pruner rejects rank after all others.
-    let kept = best(count, &pruners[goal.pruner].score(cloud, &stats[goal.pruner], context), |i| keep[i]);
-    let rules = vec![(format!("the target of {}", goal.target), removed_by(&kept))];
-    Votes { keep: kept, rules, closed }
-}
-
-fn removed_by(keep: &[bool]) -> usize {
+/// Returns the number of Gaussians with `false`.
+fn count_removed(keep: &[bool]) -> usize {
     keep.iter().filter(|keep| !**keep).count()
 }
 
@@ -84,14 +50,15 @@ impl Trainer<'_> {
         StepContext { round, passed, rounds, target, ..StepContext::new(step, phase, self.plan.seed) }
     }
 
-    /// Runs all pruners. Returns the Gaussians before the step if some were removed.
+    /// Runs a prune step: edits and votes of all pruners. Returns the Gaussians before the step; `None` if none were
+    /// removed.
     pub(crate) fn prune(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
         let pruners = self.plan.pruners.clone();
         let Some(first) = pruners.first() else { return Ok(None) };
-        let (before, n) = (self.before(), self.cloud.len());
-        let stats = self.edits(&pruners, context)?;
-        let Votes { mut keep, rules, closed } = votes((&pruners, self.goal), &self.cloud, &stats, context);
-        crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &stats[0], context), "pruning");
+        let (before, n) = (self.step_start(), self.cloud.len());
+        let stats = self.apply_edits(&pruners, context)?;
+        let Votes { mut keep, rules, closed } = self.collect_votes(&stats, context);
+        keep_best_if_none(&mut keep, &first.score(&self.cloud, &stats[0], context), "pruning");
         self.retain_rows(&keep);
         self.count_masks(closed, keep.len());
         self.report_removal(context.step, (keep.len(), closed), &rules)?;
@@ -104,20 +71,51 @@ impl Trainer<'_> {
         Ok((self.cloud.len() < n).then_some(before))
     }
 
+    /// Asks every pruner which Gaussians to keep, given its statistics, and applies an exact target.
+    fn collect_votes(&self, stats: &[CloudStats], context: &StepContext) -> Votes {
+        let (pruners, cloud, goal) = (&self.plan.pruners, &self.cloud, self.goal);
+        let mut rules = RemovalsByRule::new();
+        let (mut keep, mut open) = (vec![true; cloud.len()], vec![true; cloud.len()]);
+        let with_contexts = pruners.iter().zip(stats).zip(prune_contexts(pruners, context));
+        for (k, ((pruner, stats), context)) in with_contexts.enumerate() {
+            if goal.is_some_and(|goal| goal.pruner == k && goal.budget == Budget::Gradual) {
+                continue;
+            }
+            let votes = pruner.keep(cloud, stats, &context);
+            assert_eq!(votes.len(), keep.len(), "a pruner answers for every Gaussian");
+            rules.push((format!("`{}`", name_of(pruner)), count_removed(&votes)));
+            if pruner.traits().mask_rate().is_some() {
+                open.iter_mut().zip(&votes).for_each(|(open, vote)| *open &= *vote);
+            }
+            keep.iter_mut().zip(votes).for_each(|(keep, vote)| *keep &= vote);
+        }
+        let closed = count_removed(&open);
+        let Some(goal) = goal.filter(PruneTarget::is_exact) else { return Votes { keep, rules, closed } };
+        let count = match goal.budget {
+            Budget::Gradual => context.quota(keep.len(), goal.target),
+            Budget::FinalStep if context.round == context.rounds => goal.target,
+            Budget::FinalStep => (keep.len() - count_removed(&keep)).max(goal.target),
+            Budget::PrunerManaged | Budget::UpperBound => keep.len(),
+        };
+        // Gaussians that a pruner rejects rank after all others.
+        let keep = best(count, &pruners[goal.pruner].score(cloud, &stats[goal.pruner], context), |i| keep[i]);
+        let rules = vec![(format!("the target of {}", goal.target), count_removed(&keep))];
+        Votes { keep, rules, closed }
+    }
+
     /// Lets every pruner edit rows, and returns its statistics of the Gaussians afterwards.
-    fn edits(&mut self, pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Result<Vec<CloudStats>> {
+    fn apply_edits(&mut self, pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Result<Vec<CloudStats>> {
         let mut computed = vec![None; pruners.len()];
         let contexts = prune_contexts(pruners, context);
         for (k, (pruner, context)) in pruners.iter().zip(&contexts).enumerate() {
-            let stats = self.stats_for(pruner, context)?;
+            let stats = self.requested_stats(pruner, context)?;
             match pruner.edit(&self.cloud, &stats, context) {
                 Some(edit) => {
                     // If only columns change, the statistics remain valid.
-                    let same = edit.rows.iter().enumerate().all(|(i, row)| *row == RowOrigin::Kept(i))
+                    let keeps_rows = edit.rows.iter().enumerate().all(|(i, row)| *row == RowOrigin::Kept(i))
                         && edit.rows.len() == self.cloud.len();
-                    let (cloud, mut per_gaussian) = self.rows();
-                    edit::replace(edit, cloud, &mut per_gaussian);
-                    if same {
+                    edit::replace(edit, &mut self.per_gaussian());
+                    if keeps_rows {
                         computed[k] = Some(stats);
                     } else {
                         computed.fill(None);
@@ -127,121 +125,102 @@ impl Trainer<'_> {
             }
         }
         let complete = |(stats, (pruner, context)): (Option<CloudStats>, (_, &StepContext))| {
-            stats.map_or_else(|| self.stats_for(pruner, context), Ok)
+            stats.map_or_else(|| self.requested_stats(pruner, context), Ok)
         };
         computed.into_iter().zip(pruners.iter().zip(&contexts)).map(complete).collect()
     }
 
     /// Keeps the rows with `true`.
     pub(crate) fn retain_rows(&mut self, keep: &[bool]) {
-        let (cloud, mut per_gaussian) = self.rows();
-        edit::keep(keep, cloud, &mut per_gaussian);
+        edit::retain(keep, &mut self.per_gaussian());
     }
 
-    /// Returns the statistics of the Gaussians, including those that the pruner requests.
-    fn stats_for(&self, pruner: &Plugin<dyn Pruner>, context: &StepContext) -> Result<CloudStats> {
-        let needs = pruner.needs(&self.cloud, context).settled(self.stages.method.traits().blends);
+    /// Returns the statistics of the Gaussians, including those that the pruner requests at a prune step.
+    fn requested_stats(&self, pruner: &Plugin<dyn Pruner>, context: &StepContext) -> Result<CloudStats> {
+        let needs = pruner.needs(&self.cloud, context).resolve_blending(self.stages.method.traits().blends);
         let mut stats = self.stats.clone();
-        if !needs.is_nothing() && context.round > 0 {
-            let gate = open_gates(&self.cloud, &self.plan.pruners, context);
-            let stages_of = |part: u64| {
-                let mut stages = Stages::clone(&self.stages);
-                let pass = (context.step, part);
-                stages.setup.plane = plane_of_pass(&self.plane, &self.plan, self.data.task(), pass);
-                stages
-            };
-            let batches = self.batches.sample(&needs, context, self.data, stages_of);
-            let scene = PassContext { stages: &self.stages, weights: &self.weights, objective: &*self.objective };
-            stats.requested = survey(&scene, &self.cloud, gate.as_deref(), &needs, batches)?;
+        if !needs.is_empty() && context.round > 0 {
+            stats.requested = self.survey(&needs, context)?;
         }
         Ok(stats)
     }
-}
 
-/// Constants of a pass.
-pub(crate) struct PassContext<'a> {
-    pub(crate) stages: &'a Stages,
-    pub(crate) weights: &'a [Real],
-    pub(crate) objective: &'a dyn Objective,
-}
-
-/// Computes the statistics in `needs` over all `batches`. Gaussians with a `gate` of 0 are skipped and have zeros.
-pub(crate) fn survey(
-    scene: &PassContext<'_>,
-    cloud: &GaussianCloud,
-    gate: Option<&[Real]>,
-    needs: &Needs,
-    batches: impl Iterator<Item = Result<(Stages, Batch)>>,
-) -> Result<PassStatistics> {
-    let mut sums = PassStatistics::zeros(needs, cloud.len());
-    let rows = scene.stages.drawable(cloud, gate);
-    let open = cloud.select(&rows);
-    let gate: Option<Vec<Real>> = gate.map(|gate| rows.iter().map(|&i| gate[i]).collect());
-    let parameters = Parameters { cloud: &open, gate: gate.as_deref(), existence: None, weights: scene.weights };
-    let most = needs.statistics.iter().find_map(|statistic| match statistic {
-        Statistic::Elimination { most } if cloud.len() <= *most => Some(*most),
-        _ => None,
-    });
-    let draws = needs.statistics.iter().any(|statistic| statistic.requires_blending());
-    let mut surveyed = Vec::new();
-    for batch in batches {
-        let (stages, batch) = batch?;
-        if draws {
-            let Stages { method, setup } = &stages;
-            sums.add(&rows, &method.survey(&batch.call(setup, parameters), &batch.truths, needs));
-        }
-        if most.is_some() {
-            surveyed.push((stages, batch));
-        }
-    }
-    if most.is_some() {
-        sums.elimination = elimination(scene, &parameters, &rows, cloud.len(), &surveyed);
-    }
-    sums.finish();
-    Ok(sums)
-}
-
-/// Returns the order of elimination of `n` Gaussians. Undrawn Gaussians come first. Each next one is that whose removal
-/// gives the smallest loss of `batches`; ties take the last.
-fn elimination(
-    scene: &PassContext<'_>,
-    p: &Parameters<'_>,
-    rows: &[usize],
-    n: usize,
-    batches: &[(Stages, Batch)],
-) -> Vec<Real> {
-    let mut places = vec![Real::NAN; n];
-    let mut drawn = vec![false; n];
-    rows.iter().for_each(|&i| drawn[i] = true);
-    let mut next = 0;
-    let mut take = |i: usize| {
-        places[i] = next as Real;
-        next += 1;
-    };
-    (0..n).rev().filter(|&i| !drawn[i]).for_each(&mut take);
-    let mut left: Vec<usize> = (0..rows.len()).collect();
-    while left.len() > 1 {
-        let without = |k: usize| {
-            let others: Vec<usize> = left.iter().copied().filter(|&i| i != left[k]).collect();
-            loss_of(scene, p, &others, batches)
+    /// Computes the statistics in `needs` in a pass over training transmitters. Gaussians with a closed gate are
+    /// skipped and have zeros.
+    fn survey(&self, needs: &Needs, context: &StepContext) -> Result<PassStatistics> {
+        let gate = gate_product(&self.cloud, &self.plan, context);
+        let mut sums = PassStatistics::zeros(needs, self.cloud.len());
+        let rows = self.stages.drawable(&self.cloud, gate.as_deref());
+        let open = self.cloud.select(&rows);
+        let gate: Option<Vec<Real>> = gate.map(|gate| rows.iter().map(|&i| gate[i]).collect());
+        let parameters = Parameters { cloud: &open, gate: gate.as_deref(), existence: None, weights: &self.weights };
+        let eliminates = needs
+            .statistics
+            .iter()
+            .any(|statistic| matches!(statistic, Statistic::Elimination { most } if self.cloud.len() <= *most));
+        let draws = needs.statistics.iter().any(|statistic| statistic.requires_blending());
+        let mut surveyed = Vec::new();
+        let stages_of = |part: u64| {
+            let mut stages = Stages::clone(&self.stages);
+            stages.setup.plane = plane_of_pass(&self.plane, &self.plan, self.data.task(), (context.step, part));
+            stages
         };
-        let losses: Vec<Real> = (0..left.len()).into_par_iter().map(without).collect();
-        let best = (0..left.len()).rev().min_by(|&a, &b| losses[a].total_cmp(&losses[b])).expect("two or more");
-        take(rows[left.remove(best)]);
+        let transmitters = needs.draw_transmitters(self.batches.transmitters(), context.seed, context.step);
+        for batch in self.batches.of_pass(transmitters, self.data, stages_of) {
+            let (stages, batch) = batch?;
+            if draws {
+                let Stages { method, setup } = &stages;
+                sums.merge(&rows, &method.survey(&batch.call(setup, parameters), &batch.truths, needs));
+            }
+            if eliminates {
+                surveyed.push((stages, batch));
+            }
+        }
+        if eliminates {
+            sums.elimination = self.elimination_order(&parameters, &rows, &surveyed);
+        }
+        sums.finish_means();
+        Ok(sums)
     }
-    left.into_iter().for_each(|k| take(rows[k]));
-    places
+
+    /// Returns the place of every Gaussian `[N]` in the order of elimination, from 0; `parameters` are those of the
+    /// drawn `rows`. Undrawn Gaussians come first. Each next one is that whose removal gives the smallest loss of
+    /// `batches`; ties take the last.
+    fn elimination_order(&self, p: &Parameters<'_>, rows: &[usize], batches: &[(Stages, Batch)]) -> Vec<Real> {
+        let n = self.cloud.len();
+        let mut places = vec![Real::NAN; n];
+        let mut drawn = vec![false; n];
+        rows.iter().for_each(|&i| drawn[i] = true);
+        let mut next = 0;
+        let mut take = |i: usize| {
+            places[i] = next as Real;
+            next += 1;
+        };
+        (0..n).rev().filter(|&i| !drawn[i]).for_each(&mut take);
+        let mut left: Vec<usize> = (0..rows.len()).collect();
+        while left.len() > 1 {
+            let without = |k: usize| {
+                let others: Vec<usize> = left.iter().copied().filter(|&i| i != left[k]).collect();
+                mean_loss(&*self.objective, p, &others, batches)
+            };
+            let losses: Vec<Real> = (0..left.len()).into_par_iter().map(without).collect();
+            let best = (0..left.len()).rev().min_by(|&a, &b| losses[a].total_cmp(&losses[b])).expect("two or more");
+            take(rows[left.remove(best)]);
+        }
+        left.into_iter().for_each(|k| take(rows[k]));
+        places
+    }
 }
 
-/// Returns the mean loss with the Gaussians `some` only.
-fn loss_of(scene: &PassContext<'_>, p: &Parameters<'_>, some: &[usize], batches: &[(Stages, Batch)]) -> Real {
-    let cloud = p.cloud.select(some);
-    let gate: Option<Vec<Real>> = p.gate.map(|gate| some.iter().map(|&i| gate[i]).collect());
+/// Returns the mean loss over the links of `batches`, with the Gaussians `rows` of the parameters only.
+fn mean_loss(objective: &dyn Objective, p: &Parameters<'_>, rows: &[usize], batches: &[(Stages, Batch)]) -> Real {
+    let cloud = p.cloud.select(rows);
+    let gate: Option<Vec<Real>> = p.gate.map(|gate| rows.iter().map(|&i| gate[i]).collect());
     let parameters = Parameters { cloud: &cloud, gate: gate.as_deref(), ..*p };
     let loss = |(Stages { method, setup }, batch): &(Stages, Batch)| {
         let size = (setup.plane.width, setup.plane.height);
         let numbers = method.forward(&batch.call(setup, parameters), &None).numbers;
-        scene.objective.evaluate(&numbers, &batch.truths, size).0 * batch.inputs.pairs.len() as Real
+        objective.evaluate(&numbers, &batch.truths, size).0 * batch.inputs.pairs.len() as Real
     };
     let links: usize = batches.iter().map(|(_, batch)| batch.inputs.pairs.len()).sum();
     batches.iter().map(loss).sum::<Real>() / links.max(1) as Real

@@ -116,17 +116,15 @@ impl Schedule {
         }
     }
 
+    /// Rejects a rate that is negative or not finite; `name` is the field.
     fn check(&self, name: &str) -> Result<(), String> {
-        let ok = match *self {
+        let is_valid = match *self {
             Self::Constant(rate) => rate >= 0.0 && rate.is_finite(),
             Self::LogLinear { first, last, .. } => first > 0.0 && last > 0.0 && (first + last).is_finite(),
             Self::Cosine { first, last, .. } => first >= 0.0 && last >= 0.0 && (first + last).is_finite(),
         };
-        if ok {
-            Ok(())
-        } else {
-            Err(format!("`{name}` has an invalid rate; give finite rates of 0 or more (LogLinear: above 0)"))
-        }
+        let sentence = format!("`{name}` has an invalid rate; give finite rates of 0 or more (LogLinear: above 0)");
+        require(is_valid, &sentence)
     }
 }
 
@@ -291,38 +289,42 @@ impl Training {
     }
 }
 
-/// Returns the sentence as an error unless `ok`.
-fn need(ok: bool, sentence: &str) -> Result<(), String> {
-    if ok { Ok(()) } else { Err(sentence.into()) }
+/// Returns the sentence as an error unless the value `is_valid`.
+fn require(is_valid: bool, sentence: &str) -> Result<(), String> {
+    if is_valid { Ok(()) } else { Err(sentence.into()) }
 }
 
 impl Check for Training {
     fn check(&self) -> Result<(), String> {
-        need(self.steps >= 1, "`steps` is 0; give at least 1")?;
-        need(self.scale > 0.0 && self.scale <= 1e6, "`scale` must be positive, such as 0.25, and at most 1e6")?;
-        need(self.batch >= 1, "`batch` is 0; give at least 1")?;
-        need(
+        require(self.steps >= 1, "`steps` is 0; give at least 1")?;
+        require(self.scale > 0.0 && self.scale <= 1e6, "`scale` must be positive, such as 0.25, and at most 1e6")?;
+        require(self.batch >= 1, "`batch` is 0; give at least 1")?;
+        require(
             self.prune_until >= self.densify_until,
             "`prune_until` is below `densify_until`; raise it, because pruning follows densification",
         )?;
-        need(self.stride >= 1, "`stride` is 0; give 1 for every pixel")?;
-        let wrong = matches!(self.rays, Rays::Same(0) | Rays::Each(0 | 4_194_305..));
-        need(!wrong, "`rays` is 0, or more than 4194304 pairs; give at least 1, or All")?;
-        need(
+        require(self.stride >= 1, "`stride` is 0; give 1 for every pixel")?;
+        let is_invalid = matches!(self.rays, Rays::Same(0) | Rays::Each(0 | 4_194_305..));
+        require(!is_invalid, "`rays` is 0, or more than 4194304 pairs; give at least 1, or All")?;
+        require(
             self.rays == Rays::All || self.loss.ssim_weight == 0.0,
             "SSIM needs whole spectra, but `rays` selects single pixels; set loss.ssim_weight to 0, or rays to All",
         )?;
-        need(self.prune_every >= 1, "`prune_every` is 0; give at least 1")?;
-        need(self.checkpoint_every >= 1, "`checkpoint_every` is 0; give at least 1")?;
-        need(self.tx_jitter_m >= 0.0 && self.tx_jitter_m.is_finite(), "`tx_jitter_m` must be 0 or a positive length")?;
-        need((0.0..0.95).contains(&self.dropout), "`dropout` must lie from 0 to below 0.95")?;
-        need((0.0..=1.0).contains(&self.loss.ssim_weight), "`ssim_weight` must lie between 0 and 1")?;
+        require(self.prune_every >= 1, "`prune_every` is 0; give at least 1")?;
+        require(self.checkpoint_every >= 1, "`checkpoint_every` is 0; give at least 1")?;
+        require(
+            self.tx_jitter_m >= 0.0 && self.tx_jitter_m.is_finite(),
+            "`tx_jitter_m` must be 0 or a positive length",
+        )?;
+        require((0.0..0.95).contains(&self.dropout), "`dropout` must lie from 0 to below 0.95")?;
+        require((0.0..=1.0).contains(&self.loss.ssim_weight), "`ssim_weight` must lie between 0 and 1")?;
         self.optimizer.check()?;
         self.densify.check()
     }
 }
 
 impl Optimizer {
+    /// Rejects invalid learning rates, ε and decay.
     fn check(&self) -> Result<(), String> {
         self.means.check("means")?;
         self.log_scales.check("log_scales")?;
@@ -330,22 +332,23 @@ impl Optimizer {
         self.opacity_logits.check("opacity_logits")?;
         self.signals.check("signals")?;
         self.network.check("network")?;
-        need(self.eps > 0.0 && self.network_eps > 0.0, "`eps` and `network_eps` must be positive")?;
-        let decay = |x: Real| x >= 0.0 && x.is_finite();
-        need(decay(self.network_l2) && decay(self.network_decay), "weight decay must not be negative")
+        require(self.eps > 0.0 && self.network_eps > 0.0, "`eps` and `network_eps` must be positive")?;
+        let is_decay = |x: Real| x >= 0.0 && x.is_finite();
+        require(is_decay(self.network_l2) && is_decay(self.network_decay), "weight decay must not be negative")
     }
 }
 
 impl Densify {
+    /// Rejects negative thresholds and opacities out of range.
     fn check(&self) -> Result<(), String> {
         let is_valid = |x: Real| x >= 0.0 && x.is_finite();
-        need(is_valid(self.gradient_threshold), "`gradient_threshold` must not be negative")?;
-        need(is_valid(self.extent_m), "`extent_m` must be 0 (automatic) or a positive length")?;
-        need(
+        require(is_valid(self.gradient_threshold), "`gradient_threshold` must not be negative")?;
+        require(is_valid(self.extent_m), "`extent_m` must be 0 (automatic) or a positive length")?;
+        require(
             is_valid(self.clone_below) && is_valid(self.large_above),
             "`clone_below` and `large_above` must not be negative",
         )?;
-        need((0.0..1.0).contains(&self.opacity_floor), "`opacity_floor` must lie in [0, 1)")?;
-        need(self.reset_opacity > 0.0 && self.reset_opacity < 1.0, "`reset_opacity` must lie between 0 and 1")
+        require((0.0..1.0).contains(&self.opacity_floor), "`opacity_floor` must lie in [0, 1)")?;
+        require(self.reset_opacity > 0.0 && self.reset_opacity < 1.0, "`reset_opacity` must lie between 0 and 1")
     }
 }

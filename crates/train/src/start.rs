@@ -3,8 +3,8 @@
 use crate::adam::Adam;
 use crate::batches::{Batches, plane_of_step};
 use crate::edit::GaussianIds;
-use crate::loss::objective;
-use crate::plan::{TrainingPlan, check_available, specs_of};
+use crate::loss::create_objective;
+use crate::plan::{TrainingPlan, check_available, requested_columns};
 use crate::trainer::Trainer;
 use pwrfgs_core::{
     CloudStats, Dataset, Error, ExtraColumn, GaussianCloud, InitializerInput, Misfit, Partition, Parts, Phase,
@@ -34,8 +34,8 @@ impl<'a> Trainer<'a> {
         progress: Progress<'_>,
         stop: &AtomicBool,
     ) -> Result<Self> {
-        let make = |input: &InitializerInput<'_>, random: &mut Rng| plan.initializer.search(input, random);
-        Self::started((plan, data, partition), make, progress, stop)
+        let search = |input: &InitializerInput<'_>, random: &mut Rng| plan.initializer.search(input, random);
+        Self::blank(plan, data, partition)?.initialised_by(search, progress, stop)
     }
 
     /// Initialises with the scene only, without a search: the model has the size of the real one, for estimates of
@@ -44,33 +44,36 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// As [`Self::new`].
     pub fn sketch(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
-        let make = |input: &InitializerInput<'_>, random: &mut Rng| {
+        let initialize = |input: &InitializerInput<'_>, random: &mut Rng| {
             plan.initializer.initialize(&data.scene, input.plane, random)
         };
-        Self::started((plan, data, partition), make, &|_, _| {}, &AtomicBool::new(false))
+        Self::blank(plan, data, partition)?.initialised_by(initialize, &|_, _| {}, &AtomicBool::new(false))
     }
 
-    /// Initialises with the Gaussians of `make` if the method has Gaussians.
-    fn started(
-        (plan, data, partition): (&TrainingPlan, &'a Dataset, &Partition),
-        make: impl FnOnce(&InitializerInput<'_>, &mut Rng) -> Result<GaussianCloud>,
+    /// Sets the parameters of a blank trainer: the Gaussians that `create_cloud` returns, if the method has Gaussians,
+    /// and the weights.
+    fn initialised_by(
+        mut self,
+        create_cloud: impl FnOnce(&InitializerInput<'_>, &mut Rng) -> Result<GaussianCloud>,
         progress: Progress<'_>,
         stop: &AtomicBool,
     ) -> Result<Self> {
-        let mut blank = Self::blank(plan, data, partition)?;
-        let method = &*blank.stages.method;
-        let input = InitializerInput { data, train: &partition.train, plane: &blank.plane, method, progress, stop };
+        let (train, method) = (self.batches.train(), &*self.stages.method);
+        let input = InitializerInput { data: self.data, train, plane: &self.plane, method, progress, stop };
         let cloud = if method.traits().has_gaussians() {
-            make(&input, &mut rng::stream(plan.seed, "init", 0))?
+            create_cloud(&input, &mut rng::stream(self.plan.seed, "init", 0))?
         } else {
             GaussianCloud::zeros(0)
         };
-        let weights = plan.initializer.weights(&input)?;
-        blank.fill(cloud, weights)?;
-        Ok(blank)
+        let weights = self.plan.initializer.weights(&input)?;
+        self.set_initial(cloud, weights)?;
+        Ok(self)
     }
 
-    /// Creates the trainer without parameters.
+    /// Creates the trainer without parameters, for a plan that is checked against the data.
+    ///
+    /// # Errors
+    /// Plan and data do not fit together, or the training set is empty.
     pub(crate) fn blank(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
         let plan = plan.clone();
         check_available(&plan.pruners)?;
@@ -83,21 +86,20 @@ impl<'a> Trainer<'a> {
         let parts = Parts { setup: Some(&whole.setup), data: Some(data), demands, ..parts };
         compatible(&parts).map_err(Misfit::error)?;
         whole.check().map_err(Error::Config)?;
-        let plane = whole.plane.clone();
-        let mut stages = whole;
+        let (plane, mut stages) = (whole.plane.clone(), whole);
         stages.setup.plane = plane_of_step(&plane, &plan, data.task(), 1);
         let groups = stages.layout().groups();
         let cloud = GaussianCloud::zeros(0);
-        let blank = Self {
+        Ok(Self {
             adam: Adam::new(&cloud, &[]),
             stats: CloudStats::zeros(0),
             gaussian_ids: GaussianIds::default(),
             data,
-            objective: objective(&plan.training, data, &partition.train),
+            objective: create_objective(&plan.training, data, &partition.train),
             batches,
             stages: Arc::new(stages),
             plane,
-            specs: specs_of(&plan),
+            specs: requested_columns(&plan),
             goal: plan.goal(),
             plan,
             cloud,
@@ -108,8 +110,7 @@ impl<'a> Trainer<'a> {
             done: 0,
             fingerprint: OnceLock::new(),
             training_positions: OnceLock::new(),
-        };
-        Ok(blank)
+        })
     }
 
     /// Replaces the Gaussians. Columns of pruners may be absent: with the same number of Gaussians, they keep their
@@ -148,20 +149,23 @@ impl<'a> Trainer<'a> {
             self.adam.cloud = Adam::new(&cloud, &[]).cloud;
             self.stats = CloudStats::zeros(n);
             let next = self.gaussian_ids.next;
-            self.gaussian_ids = GaussianIds { of: (next..next + n as u32).collect(), next: next + n as u32 };
+            self.gaussian_ids = GaussianIds { rows: (next..next + n as u32).collect(), next: next + n as u32 };
         }
         self.cloud = cloud;
         Ok(())
     }
 
-    /// Sets the initial parameters; weights come from the initialiser if it has some.
-    fn fill(&mut self, mut cloud: GaussianCloud, trained: Option<Vec<Real>>) -> Result<()> {
+    /// Sets the initial Gaussians, and `trained` weights or else those that the method draws and initialises.
+    ///
+    /// # Errors
+    /// [`Error::Config`] without Gaussians, or for another number of weights.
+    fn set_initial(&mut self, mut cloud: GaussianCloud, trained: Option<Vec<Real>>) -> Result<()> {
         if cloud.is_empty() && self.stages.method.traits().has_gaussians() {
             return Err(Error::Config("the initializer created no Gaussian; raise its count, or use Random()".into()));
         }
         compatible(&self.plan.parts(Some(cloud.len()), None)).map_err(Misfit::error)?;
         let Stages { method, setup } = &*self.stages;
-        cloud.complete(&method.traits().columns).map_err(Error::Config)?;
+        cloud.add_missing_columns(&method.traits().columns).map_err(Error::Config)?;
         for spec in &self.specs {
             let values = vec![spec.init; cloud.len() * spec.width];
             cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
@@ -177,7 +181,7 @@ impl<'a> Trainer<'a> {
         }
         self.adam = Adam::new(&cloud, &weights);
         self.stats = CloudStats::zeros(cloud.len());
-        self.gaussian_ids = GaussianIds::of(cloud.len());
+        self.gaussian_ids = GaussianIds::first(cloud.len());
         (self.cloud, self.weights) = (cloud, Arc::new(weights));
         Ok(())
     }

@@ -4,7 +4,7 @@ use crate::adam::{Adam, Rates};
 use crate::batches::{Batches, plane_of_step};
 use crate::densify;
 use crate::edit::{self, GaussianIds, PerGaussianState};
-use crate::graph::{drawn_gates, loss_and_gradients, open_gates};
+use crate::graph::{drawn_mask, gate_product, loss_and_gradients};
 use crate::loss::Objective;
 use crate::plan::TrainingPlan;
 use pwrfgs_core::{
@@ -107,7 +107,7 @@ impl Trainer<'_> {
 
     /// Returns the persistent ID per Gaussian, `[N]`. A copy has a new ID.
     pub fn gaussian_ids(&self) -> &[u32] {
-        &self.gaussian_ids.of
+        &self.gaussian_ids.rows
     }
 
     /// Returns the current gates of the pruners `[N]`, from 0 (closed) to 1; `None` without gates.
@@ -115,19 +115,21 @@ impl Trainer<'_> {
         self.gates_of(&self.cloud, &self.context(self.done.max(1)))
     }
 
+    /// Returns the gates of the pruners `[N]` for a cloud; `None` without gates, and after the columns of pruners are
+    /// dropped.
     fn gates_of(&self, cloud: &GaussianCloud, context: &StepContext) -> Option<Vec<Real>> {
-        self.has_state(cloud).then(|| open_gates(cloud, &self.plan.pruners, context)).flatten()
+        self.has_pruner_columns(cloud).then(|| gate_product(cloud, &self.plan, context)).flatten()
     }
 
-    /// Returns the cloud and all other per-Gaussian state.
-    pub(crate) fn rows(&mut self) -> (&mut GaussianCloud, PerGaussianState<'_>) {
-        let per_gaussian =
-            PerGaussianState { adam: &mut self.adam, stats: &mut self.stats, gaussian_ids: &mut self.gaussian_ids };
-        (&mut self.cloud, per_gaussian)
+    /// Borrows all state with a row per Gaussian.
+    pub(crate) fn per_gaussian(&mut self) -> PerGaussianState<'_> {
+        let Self { cloud, adam, stats, gaussian_ids, .. } = self;
+        PerGaussianState { cloud, adam, stats, gaussian_ids }
     }
 
-    pub(crate) fn before(&self) -> StepStart {
-        (self.cloud.clone(), self.gaussian_ids.of.clone())
+    /// Copies the Gaussians and their IDs before a removal.
+    pub(crate) fn step_start(&self) -> StepStart {
+        (self.cloud.clone(), self.gaussian_ids.rows.clone())
     }
 
     /// Returns the statistics of the Gaussians since the last densification.
@@ -174,28 +176,29 @@ impl Trainer<'_> {
     /// [`Error::NonFinite`] with step and tensor; the trainer cannot be used afterwards. [`Error::Read`] of a spectrum.
     pub fn step(&mut self) -> Result<StepReport> {
         // Runs on a thread of the pool, so that parallel loops need not enter it again.
-        rayon::scope(|_| self.next_step())
+        rayon::scope(|_| self.run_step())
     }
 
-    fn next_step(&mut self) -> Result<StepReport> {
+    /// Runs one step on the calling thread and those of its pool.
+    fn run_step(&mut self) -> Result<StepReport> {
         let step = self.done + 1;
         self.before_reset = None;
         let context = self.context(step);
         self.set_plane(step);
         let batch = self.batches.of_step(step, &self.plan, self.data, &self.stages)?;
         let pruners = if context.phase == Phase::Finetune { Vec::new() } else { self.plan.pruners.clone() };
-        let dropout = self.dropout(step);
+        let dropout = self.draw_dropout(step);
         let weights = match &dropout {
-            Some(factors) => Arc::new(times(factors, &self.weights)),
+            Some(factors) => Arc::new(multiply(factors, &self.weights)),
             None => Arc::clone(&self.weights),
         };
         let mut gradients =
             loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &*self.objective, &pruners, &context)?;
         drop(weights); // the optimiser then updates them in place
         if let Some(factors) = &dropout {
-            gradients.d_weights = times(factors, &gradients.d_weights);
+            gradients.d_weights = multiply(factors, &gradients.d_weights);
         }
-        self.stats.add(&gradients.stats);
+        self.stats.merge(&gradients.stats);
         let rates = Rates { training: &self.plan.training, step };
         let weights = Arc::make_mut(&mut self.weights);
         (self.adam.step_cloud(rates, &self.specs, &mut self.cloud, &gradients.d_cloud))
@@ -204,7 +207,7 @@ impl Trainer<'_> {
         for (pruner, context) in pruners.iter().zip(prune_contexts(&pruners, &context)) {
             pruner.update(&mut self.cloud, &self.stats, &context);
         }
-        let pruned = self.edit(&context)?.map(|(cloud, gaussian_ids)| {
+        let pruned = self.change_count(&context)?.map(|(cloud, gaussian_ids)| {
             let gates = self.gates_of(&cloud, &context);
             PruneStepState { cloud, gaussian_ids, gates, round: (context.round, context.rounds) }
         });
@@ -213,7 +216,7 @@ impl Trainer<'_> {
         Ok(StepReport { step, phase: context.phase, loss, penalty, gaussians, pruned })
     }
 
-    /// Sets the image plane of `step`.
+    /// Sets the image plane of `step`: every `stride`-th row and column.
     fn set_plane(&mut self, step: u64) {
         let plane = plane_of_step(&self.plane, &self.plan, self.data.task(), step);
         if plane != self.stages.plane {
@@ -236,80 +239,85 @@ impl Trainer<'_> {
         self.model_of(cloud)
     }
 
+    /// Returns the model with a cloud, of which it drops closed Gaussians and masks.
     fn model_of(&self, mut cloud: GaussianCloud) -> Model {
         let context = self.context(self.done.max(1));
-        if let Some(open) = self.has_state(&cloud).then(|| drawn_gates(&cloud, &self.plan.pruners, &context)).flatten()
-        {
-            let rows: Vec<usize> = (0..open.len()).filter(|&i| open[i]).collect();
+        let drawn = self.has_pruner_columns(&cloud).then(|| drawn_mask(&cloud, &self.plan, &context)).flatten();
+        if let Some(drawn) = drawn {
+            let rows: Vec<usize> = (0..drawn.len()).filter(|&i| drawn[i]).collect();
             cloud = cloud.select(&rows);
         }
-        edit::drop_state(&mut cloud, &self.stages.method.traits().columns);
+        edit::drop_pruner_columns(&mut cloud, &self.stages.method.traits().columns);
         let mut stages = Stages::clone(&self.stages);
         stages.setup.plane = self.plane.clone();
         let training_positions = self.training_positions.get_or_init(|| self.thinned_positions()).clone();
         Model { stages, cloud, weights: self.weights.to_vec(), training_positions }
     }
 
+    /// Returns the thinned positions of the training set; `None` if the data have no positions.
     fn thinned_positions(&self) -> Option<TrainingPositions> {
-        let Dataset { placed, links, locations, scene, .. } = self.data;
-        if !placed {
-            return None;
-        }
-        let mut trained: Vec<usize> = self.batches.train().iter().map(|&i| links[i].location).collect();
-        trained.sort_unstable();
-        trained.dedup();
-        let positions: Vec<[Real; 3]> =
-            trained.into_iter().map(|i| scene.origin.local(locations[i].position())).collect();
-        TrainingPositions::thinned(&positions)
+        let Dataset { placed, locations, scene, .. } = self.data;
+        let trained = self.data.locations_of(self.batches.train()).into_iter();
+        let positions: Vec<[Real; 3]> = trained.map(|i| scene.origin.local(locations[i].position())).collect();
+        TrainingPositions::thinned(&positions).filter(|_| *placed)
     }
 
-    /// Returns the dropout factors on the weights in this step; `None` without dropout.
-    fn dropout(&self, step: u64) -> Option<Vec<Real>> {
+    /// Draws the dropout factors on the weights in this step; `None` without dropout.
+    fn draw_dropout(&self, step: u64) -> Option<Vec<Real>> {
         let rate = self.plan.training.dropout;
         let random = &mut rng::stream(self.plan.seed, "dropout", step);
-        if rate == 0.0 { None } else { self.stages.layout().dropout(rate, random) }
+        if rate == 0.0 { None } else { self.stages.layout().draw_dropout(rate, random) }
     }
 
-    /// Changes N as algorithm 1 prescribes; returns the Gaussians before a removal by pruners.
-    fn edit(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
-        let training = self.plan.training.clone();
-        let (step, mut unpruned) = (context.step, None);
+    /// Changes N as algorithm 1 prescribes. Returns the Gaussians before a removal by pruners; `None` without one.
+    fn change_count(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
+        let mut unpruned = None;
         match context.phase {
             // Gaussians of methods that do not draw have no radius; size limits do not apply to them.
-            Phase::Densify if self.stats.radius.iter().any(|radius| *radius > 0.0) => {
-                let settings = &training.densify;
-                if densify::due(settings, step) {
-                    let (extent, seed) = (self.extent(), self.plan.seed);
-                    let (cloud, mut per_gaussian) = self.rows();
-                    let (before, rules) = densify::densify(settings, extent, (seed, step), cloud, &mut per_gaussian);
-                    self.refuse_collapse(step, before, &rules)?;
-                    self.report_removal(step, (before, 0), &rules)?;
-                }
-                if densify::reset_due(settings, step) && step < training.densify_until {
-                    self.before_reset = Some(self.cloud.opacity_logits.clone());
-                    densify::reset_opacities(settings.reset_opacity, &mut self.cloud, &mut self.adam);
-                }
-            }
+            Phase::Densify if self.stats.radius.iter().any(|radius| *radius > 0.0) => self.densify(context.step)?,
             Phase::Prune if context.round > 0 => unpruned = self.prune(context)?,
             _ => {}
         }
-        if step == training.prune_until {
-            // Fine-tuning starts with M = 1 everywhere: closed Gaussians are removed, except those that an exact target
-            // needs, and then the masks.
-            if let Some(gates) = self.gates_of(&self.cloud, context).filter(|_| !self.is_exact()) {
-                let mut open: Vec<bool> = gates.into_iter().map(|m| m != 0.0).collect();
-                densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
-                let closed = open.contains(&false).then(|| self.before());
-                self.retain_rows(&open);
-                let count = open.len() - self.cloud.len();
-                self.count_masks(count, open.len());
-                self.report_removal(step, (open.len(), count), &[("closed gates".into(), count)])?;
-                unpruned = unpruned.or(closed);
-            }
-            let lasting = self.stages.method.traits().columns;
-            edit::drop_state(&mut self.cloud, &lasting);
-            self.adam.cloud.iter_mut().for_each(|moments| edit::drop_state(moments, &lasting));
+        if context.step == self.plan.training.prune_until {
+            let closed = self.remove_masks(context)?;
+            unpruned = unpruned.or(closed);
         }
+        Ok(unpruned)
+    }
+
+    /// Densifies and resets opacities after `step`, if due.
+    fn densify(&mut self, step: u64) -> Result<()> {
+        let training = self.plan.training.clone();
+        let settings = &training.densify;
+        if densify::is_due(settings, step) {
+            let (extent, seed) = (self.extent(), self.plan.seed);
+            let (before, rules) = densify::densify(settings, extent, (seed, step), &mut self.per_gaussian());
+            self.refuse_collapse(step, before, &rules)?;
+            self.report_removal(step, (before, 0), &rules)?;
+        }
+        if densify::is_reset_due(settings, step) && step < training.densify_until {
+            self.before_reset = Some(self.cloud.opacity_logits.clone());
+            densify::reset_opacities(settings.reset_opacity, &mut self.cloud, &mut self.adam);
+        }
+        Ok(())
+    }
+
+    /// Begins fine-tuning with M = 1 everywhere: removes closed Gaussians, except those that an exact target needs, and
+    /// then the columns of pruners. Returns the Gaussians before the removal; `None` if all were open.
+    fn remove_masks(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
+        let mut unpruned = None;
+        if let Some(gates) = self.gates_of(&self.cloud, context).filter(|_| !self.is_exact()) {
+            let mut open: Vec<bool> = gates.into_iter().map(|m| m != 0.0).collect();
+            densify::keep_best_if_none(&mut open, &self.cloud.opacity_logits, "closing the gates");
+            unpruned = open.contains(&false).then(|| self.step_start());
+            self.retain_rows(&open);
+            let count = open.len() - self.cloud.len();
+            self.count_masks(count, open.len());
+            self.report_removal(context.step, (open.len(), count), &[("closed gates".into(), count)])?;
+        }
+        let lasting = self.stages.method.traits().columns;
+        edit::drop_pruner_columns(&mut self.cloud, &lasting);
+        self.adam.cloud.iter_mut().for_each(|moments| edit::drop_pruner_columns(moments, &lasting));
         Ok(unpruned)
     }
 
@@ -318,13 +326,13 @@ impl Trainer<'_> {
         self.goal.is_some_and(|goal| goal.is_exact())
     }
 
-    /// Returns whether columns of pruners still exist.
-    fn has_state(&self, cloud: &GaussianCloud) -> bool {
+    /// Returns whether a cloud has columns of pruners.
+    fn has_pruner_columns(&self, cloud: &GaussianCloud) -> bool {
         cloud.extra.len() > self.stages.method.traits().columns.len()
     }
 }
 
 /// Multiplies weights, or their derivatives, by the dropout factors.
-fn times(factors: &[Real], weights: &[Real]) -> Vec<Real> {
+fn multiply(factors: &[Real], weights: &[Real]) -> Vec<Real> {
     weights.iter().zip(factors).map(|(w, factor)| w * factor).collect()
 }

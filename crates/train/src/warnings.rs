@@ -1,7 +1,7 @@
 //! Warnings before the first step about settings without effect or with too little data, and a report of large removals.
 
 use crate::adam::BETAS;
-use crate::densify::{self, SIZE_RULE, SPLIT_SHRINK, extent_of, largest};
+use crate::densify::{self, SIZE_RULE, SPLIT_SHRINK, half_diagonal, largest_scale};
 use crate::settings::Densify;
 use crate::trainer::Trainer;
 use pwrfgs_core::plugin::name_of;
@@ -10,8 +10,9 @@ use pwrfgs_core::{Error, ImagePlane, Real, Result};
 impl Trainer<'_> {
     /// Returns one sentence per setting that has no effect, or too few pixels, with the initial Gaussians.
     pub fn warnings(&self) -> Vec<String> {
-        let masks = (0..self.plan.pruners.len()).filter_map(|k| self.slow_mask(k));
-        self.idle_target().into_iter().chain(masks).chain(self.oversized()).chain(self.skipped_pixels()).collect()
+        let masks = (0..self.plan.pruners.len()).filter_map(|k| self.slow_mask_warning(k));
+        let others = [self.oversized_warning(), self.skipped_pixels_warning()];
+        self.idle_target_warning().into_iter().chain(masks).chain(others.into_iter().flatten()).collect()
     }
 
     /// Returns what the pruners without a target state about the number of Gaussians that they keep of the initial ones.
@@ -20,8 +21,8 @@ impl Trainer<'_> {
         free.filter_map(|pruner| pruner.outlook(self.cloud.len())).collect()
     }
 
-    /// Warns about a target that is met from the start.
-    fn idle_target(&self) -> Option<String> {
+    /// Returns a warning about a target that is met from the start; `None` if it is not.
+    fn idle_target_warning(&self) -> Option<String> {
         let n = self.cloud.len();
         let target = self.plan.idle_target(n)?;
         Some(format!(
@@ -30,22 +31,24 @@ impl Trainer<'_> {
         ))
     }
 
-    /// Warns about more Gaussians than trained pixels: no loss determines the pixels between fixed rows and columns.
-    fn skipped_pixels(&self) -> Option<String> {
+    /// Returns a warning about more Gaussians than trained pixels: no loss determines the pixels between fixed rows and
+    /// columns. `None` if there is no need for it.
+    fn skipped_pixels_warning(&self) -> Option<String> {
         let (training, traits) = (&self.plan.training, self.stages.method.traits());
         let pixels = |plane: &ImagePlane| plane.width * plane.height;
-        let (trained, all) = (pixels(&self.stages.setup.plane), pixels(&self.plane));
+        let (trained, whole) = (pixels(&self.stages.setup.plane), pixels(&self.plane));
         let n = self.goal.map_or(self.cloud.len(), |goal| goal.target.min(self.cloud.len()));
-        (trained < all && !training.moving_stride && traits.blends && n > trained).then(|| {
+        (trained < whole && !training.moving_stride && traits.blends && n > trained).then(|| {
             format!(
-                "training.moving_stride: {n} Gaussians train on {trained} of {all} pixels, which leaves the other pixels \
+                "training.moving_stride: {n} Gaussians train on {trained} of {whole} pixels, which leaves the other pixels \
                  undetermined; set training.moving_stride: true"
             )
         })
     }
 
-    /// Warns about a mask that cannot fall from its initial value to its threshold before pruning ends.
-    fn slow_mask(&self, k: usize) -> Option<String> {
+    /// Returns a warning about a mask of pruner `k` that cannot fall from its initial value to its threshold before
+    /// pruning ends; `None` if it can, or a target decides.
+    fn slow_mask_warning(&self, k: usize) -> Option<String> {
         let (training, pruner) = (&self.plan.training, &self.plan.pruners[k]);
         let (needed, until) = (pruner.steps_to_close(BETAS)?, training.prune_until);
         (needed > until && self.goal.is_none_or(|goal| goal.pruner != k)).then(|| {
@@ -57,16 +60,18 @@ impl Trainer<'_> {
         })
     }
 
-    /// Warns about Gaussians that the first size check of densification removes, unless splits shrink them before.
-    fn oversized(&self) -> Option<String> {
+    /// Returns a warning that the first size check of densification removes most Gaussians unless splits shrink them
+    /// before; `None` if at most half are too large.
+    fn oversized_warning(&self) -> Option<String> {
         let (training, settings) = (&self.plan.training, &self.plan.training.densify);
         let step = first_size_step(settings).filter(|step| *step <= training.densify_until)?;
         if !self.stages.method.traits().blends {
             return None; // sources of waves have no size
         }
         let (n, limit) = (self.cloud.len(), settings.large_above * self.extent());
-        let sizes = (0..n).map(|i| largest(&self.cloud, i) / limit).filter(|ratio| *ratio > 1.0);
-        let (large, descendants) = sizes.fold((0, 0.0), |(large, sum), ratio| (large + 1, sum + descendants(ratio)));
+        let sizes = (0..n).map(|i| largest_scale(&self.cloud, i) / limit).filter(|ratio| *ratio > 1.0);
+        let (large, descendants) =
+            sizes.fold((0, 0.0), |(large, sum), ratio| (large + 1, sum + count_descendants(ratio)));
         if 2 * large <= n {
             return None;
         }
@@ -91,7 +96,7 @@ impl Trainer<'_> {
     /// Returns the size of the scene, metres.
     pub(crate) fn extent(&self) -> Real {
         match self.plan.training.densify.extent_m {
-            0.0 => extent_of(self.data.scene.bounds),
+            0.0 => half_diagonal(self.data.scene.bounds),
             metres => metres,
         }
     }
@@ -116,9 +121,10 @@ impl Trainer<'_> {
         ))
     }
 
-    /// Returns a sentence if learned masks without a target have closed all Gaussians but one.
+    /// Returns a sentence if learned masks without a target have closed all Gaussians but one; otherwise `None`.
     pub fn lone_gaussian(&self) -> Option<String> {
-        let (_, before) = self.masks.filter(|_| self.cloud.len() == 1 && self.goal.is_none() && !self.wants_one())?;
+        let (_, before) =
+            self.masks.filter(|_| self.cloud.len() == 1 && self.goal.is_none() && !self.is_one_requested())?;
         let rate = self.plan.pruners.iter().find_map(|pruner| pruner.traits().mask_rate()).unwrap_or_default();
         (before > 1).then(|| {
             format!(
@@ -135,7 +141,7 @@ impl Trainer<'_> {
     /// More than 95 % are gone, or all but one, and the pipeline does not request a single Gaussian.
     pub(crate) fn refuse_collapse(&self, step: u64, before: usize, rules: &[(String, usize)]) -> Result<()> {
         let left = self.cloud.len();
-        if self.wants_one() || !is_collapse(left, before) {
+        if self.is_one_requested() || !is_collapse(left, before) {
             return Ok(());
         }
         let is_size = rules.iter().max_by_key(|(_, count)| *count).is_some_and(|(name, _)| name.contains(SIZE_RULE));
@@ -145,33 +151,29 @@ impl Trainer<'_> {
         } else {
             "lower training.densify.opacity_floor, or raise training.densify.reset_opacity"
         };
-        Err(Error::Collapsed { step, left, removed: removed_by(rules), advice })
+        Err(Error::Collapsed { step, left, removed: removed_by_text(rules), advice })
     }
 
-    /// Reports the rules that removed more than half of the `before` Gaussians, of which `closed` have closed masks.
+    /// Logs the rules that removed more than half of the Gaussians. `counts` are the number before the removal, and the
+    /// number of closed masks among them.
     ///
     /// # Errors
     /// Only one Gaussian is left, although neither the pipeline nor the masks alone request this.
-    pub(crate) fn report_removal(
-        &self,
-        step: u64,
-        (before, closed): (usize, usize),
-        rules: &[(String, usize)],
-    ) -> Result<()> {
-        let left = self.cloud.len();
+    pub(crate) fn report_removal(&self, step: u64, counts: (usize, usize), rules: &[(String, usize)]) -> Result<()> {
+        let ((before, closed), left) = (counts, self.cloud.len());
         let is_by_masks = closed > 0 && before - closed <= 1;
-        if left == 1 && before > 1 && !is_by_masks && !self.wants_one() {
+        if left == 1 && before > 1 && !is_by_masks && !self.is_one_requested() {
             let takes_target = self.plan.pruners.iter().any(|pruner| pruner.traits().budget.is_some());
             let advice = if takes_target {
                 "relax that rule, or request one Gaussian with training.target_count: 1"
             } else {
                 "relax that rule, or start with one Gaussian"
             };
-            return Err(Error::Collapsed { step, left, removed: removed_by(rules), advice });
+            return Err(Error::Collapsed { step, left, removed: removed_by_text(rules), advice });
         }
         if 2 * left < before {
             let (name, removed) = (&self.plan.name, before - left);
-            let rules = counts(rules);
+            let rules = format_counts(rules);
             let message = format!("{name}: step {step} removed {removed} of {before} Gaussians ({rules})");
             if self.is_exact() && step > self.plan.training.densify_until {
                 tracing::info!("{message}"); // as requested
@@ -183,7 +185,7 @@ impl Trainer<'_> {
     }
 
     /// Returns whether the pipeline requests a single Gaussian.
-    fn wants_one(&self) -> bool {
+    fn is_one_requested(&self) -> bool {
         self.plan.training.target_count == 1 || self.plan.initializer.count() == Some(1)
     }
 }
@@ -197,31 +199,33 @@ fn is_collapse(left: usize, before: usize) -> bool {
 }
 
 /// Returns the number of Gaussians into which splits divide one of `ratio` times the limit until none is above it.
-fn descendants(ratio: Real) -> Real {
+fn count_descendants(ratio: Real) -> Real {
     (2.0 as Real).powf((ratio.ln() / SPLIT_SHRINK.ln()).ceil())
 }
 
-/// Rules and the numbers of Gaussians that they removed.
-fn counts(rules: &[(String, usize)]) -> String {
+/// Lists the rules that removed Gaussians, with their numbers.
+fn format_counts(rules: &[(String, usize)]) -> String {
     let rule = |(name, count): &(String, usize)| format!("{name}: {count}");
     rules.iter().filter(|(_, count)| *count > 0).map(rule).collect::<Vec<_>>().join("; ")
 }
 
 /// Returns the text `, removed by` with these counts; empty without rules.
-fn removed_by(rules: &[(String, usize)]) -> String {
-    Some(counts(rules)).filter(|text| !text.is_empty()).map_or_else(String::new, |text| format!(", removed by {text}"))
+fn removed_by_text(rules: &[(String, usize)]) -> String {
+    Some(format_counts(rules))
+        .filter(|text| !text.is_empty())
+        .map_or_else(String::new, |text| format!(", removed by {text}"))
 }
 
 /// Returns the first step at which densification checks sizes; `None` if it never does.
 fn first_size_step(settings: &Densify) -> Option<u64> {
     let after = settings.from.max(settings.large_after);
     let step = settings.every * (after.checked_div(settings.every)? + 1);
-    (settings.large_above > 0.0 && densify::due(settings, step)).then_some(step)
+    (settings.large_above > 0.0 && densify::is_due(settings, step)).then_some(step)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{descendants, is_collapse};
+    use super::{count_descendants, is_collapse};
 
     #[test]
     fn collapse_leaves_less_than_a_twentieth() {
@@ -234,6 +238,6 @@ mod tests {
 
     #[test]
     fn splits_halve_by_1_6() {
-        assert_eq!([1.5, 1.7, 2.5, 2.6].map(descendants), [2.0, 4.0, 4.0, 8.0]);
+        assert_eq!([1.5, 1.7, 2.5, 2.6].map(count_descendants), [2.0, 4.0, 4.0, 8.0]);
     }
 }

@@ -19,7 +19,7 @@ pub(crate) struct Guard {
 }
 
 impl Guard {
-    /// Creates a random token for a page on `port`.
+    /// Creates the access control of a page on `port`, with a random token.
     pub(crate) fn new(port: u16) -> Result<Self, getrandom::Error> {
         let mut bytes = [0u8; 16];
         getrandom::fill(&mut bytes)?;
@@ -27,7 +27,7 @@ impl Guard {
         Ok(Self { token, hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")] })
     }
 
-    /// Address of the page, with the token.
+    /// Returns the address of the page, with the token.
     pub(crate) fn address(&self) -> String {
         format!("http://{}/{}/", self.hosts[0], self.token)
     }
@@ -37,12 +37,12 @@ impl Guard {
     /// # Errors
     /// Status for a rejected request.
     pub(crate) fn admit<'a>(&self, method: &Method, uri: &'a Uri, headers: &HeaderMap) -> Result<&'a str, StatusCode> {
-        let is_own_host = |text: &str| self.hosts.iter().any(|host| host == text);
-        if !single_value(headers, &HOST).is_some_and(is_own_host) {
+        let is_server = |text: &str| self.hosts.iter().any(|host| host == text);
+        if !single_value(headers, &HOST).is_some_and(is_server) {
             return Err(StatusCode::MISDIRECTED_REQUEST);
         }
-        let is_own_origin = |text: &str| text.strip_prefix("http://").is_some_and(is_own_host);
-        if headers.contains_key(ORIGIN) && !single_value(headers, &ORIGIN).is_some_and(is_own_origin) {
+        let is_server_origin = |text: &str| text.strip_prefix("http://").is_some_and(is_server);
+        if headers.contains_key(ORIGIN) && !single_value(headers, &ORIGIN).is_some_and(is_server_origin) {
             return Err(StatusCode::FORBIDDEN);
         }
         let site = HeaderName::from_static("sec-fetch-site");
@@ -61,19 +61,19 @@ impl Guard {
             return Err(StatusCode::URI_TOO_LONG);
         }
         let (token, rest) = uri.path().trim_start_matches('/').split_once('/').ok_or(StatusCode::NOT_FOUND)?;
-        if is_equal(token.as_bytes(), self.token.as_bytes()) { Ok(rest) } else { Err(StatusCode::NOT_FOUND) }
+        if is_same_token(token.as_bytes(), self.token.as_bytes()) { Ok(rest) } else { Err(StatusCode::NOT_FOUND) }
     }
 }
 
-/// Returns the value of a header that occurs exactly once.
+/// Returns the value of a header; `None` unless it occurs exactly once, as visible ASCII.
 fn single_value<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
     let mut all = headers.get_all(name).iter();
     let first = all.next()?.to_str().ok()?;
     all.next().is_none().then_some(first)
 }
 
-/// Compares in constant time, so that response times do not reveal the token.
-fn is_equal(a: &[u8], b: &[u8]) -> bool {
+/// Compares two tokens in constant time, so that response times do not reveal the valid one.
+fn is_same_token(a: &[u8], b: &[u8]) -> bool {
     a.len() == b.len() && a.iter().zip(b).fold(0, |all, (a, b)| all | (a ^ b)) == 0
 }
 

@@ -22,7 +22,7 @@ use std::sync::atomic::AtomicBool;
 /// If the sides differ in task, receivers or size of the image plane, or if the system provides no port.
 pub fn view(sides: Vec<ViewPane>, ready: impl FnOnce(&str), stop: &AtomicBool) -> Result<()> {
     if let Some((first, others)) = sides.split_first() {
-        others.iter().try_for_each(|other| other.check_beside(first))?;
+        others.iter().try_for_each(|other| other.check_comparable(first))?;
     }
     server::serve(&ServerState::new(sides), ready, stop)
 }

@@ -44,12 +44,12 @@ pub(crate) struct PredictedImage {
 }
 
 impl Predictor {
-    /// Returns the predictor of prepared models.
-    pub(crate) fn of(models: Ensemble) -> Self {
+    /// Prepares the models of an ensemble.
+    pub(crate) fn new(models: Ensemble) -> Self {
         Self::Model(PreparedEnsemble::new(Arc::new(models), |models| models.prepare()))
     }
 
-    /// Returns the models, unless it is a baseline.
+    /// Returns the models; `None` for a baseline.
     pub(crate) fn ensemble(&self) -> Option<&Arc<Ensemble>> {
         match self {
             Self::Model(ready) => Some(ready.borrow_owner()),
@@ -57,38 +57,35 @@ impl Predictor {
         }
     }
 
-    /// Returns whether the input is a transmitter position, not other features.
+    /// Returns whether the input is a transmitter position, as that of a baseline, not other features.
     pub(crate) fn has_position_input(&self) -> bool {
         self.ensemble()
             .is_none_or(|ensemble| ensemble.members().iter().all(|model| model.stages.method.traits().inputs == 3))
     }
 
-    /// Returns whether it is a baseline fitted to training and validation samples, which it may store.
+    /// Returns whether this is a baseline that is fitted to training and validation samples, which it may store; an
+    /// oracle is not.
     pub(crate) fn is_fitted(&self) -> bool {
         matches!(self, Self::Baseline(baseline) if !baseline.borrow_dependent().is_oracle())
     }
 
-    /// Predicts the observation of a link.
+    /// Predicts the observation of a link, with its deviation for an ensemble of several models.
     pub(crate) fn predict(&self, query: Query<'_>) -> PredictedImage {
         let begun = Instant::now();
-        let ms = |begun: Instant| begun.elapsed().as_secs_f64() * 1e3;
-        match self {
-            Self::Baseline(baseline) => {
-                let image = baseline.borrow_dependent().predict(query);
-                PredictedImage { image, deviation: None, ms: ms(begun) }
-            }
+        let (image, deviation) = match self {
+            Self::Baseline(baseline) => (baseline.borrow_dependent().predict(query), None),
             Self::Model(ready) if ready.borrow_owner().members().len() == 1 => {
-                let (image, _) = ready.borrow_dependent().predict_timed(query);
-                PredictedImage { image, deviation: None, ms: ms(begun) }
+                (ready.borrow_dependent().predict_timed(query).0, None)
             }
             Self::Model(ready) => {
                 let (image, deviation, _) = ready.borrow_dependent().predict_with_deviation(query);
-                PredictedImage { image, deviation: Some(deviation), ms: ms(begun) }
+                (image, Some(deviation))
             }
-        }
+        };
+        PredictedImage { image, deviation, ms: begun.elapsed().as_secs_f64() * 1e3 }
     }
 
-    /// Predicts many links, such as powers over a plane.
+    /// Predicts the observations of many links, such as powers over a plane, in their order.
     pub(crate) fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
         match self {
             Self::Baseline(baseline) => {

@@ -8,7 +8,7 @@ use http_body_util::{BodyExt as _, Full};
 use hyper::body::{Body as _, Bytes, Frame};
 use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY};
 use hyper::{Response, StatusCode};
-use pwrfgs_report::canvas::xml;
+use pwrfgs_report::canvas::escape_xml;
 use pwrfgs_report::live::{FILES, PAGE_STYLE, STAGE, STYLE};
 use std::convert::Infallible;
 use std::future::Future;
@@ -19,7 +19,8 @@ use std::time::Duration;
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 
-pub(crate) type ResponseBody = BoxBody<Bytes, Infallible>;
+/// Response of the server.
+pub(crate) type PageResponse = Response<BoxBody<Bytes, Infallible>>;
 
 /// Status and message of a rejected request.
 pub(crate) type RequestError = (StatusCode, String);
@@ -28,17 +29,16 @@ pub(crate) type RequestError = (StatusCode, String);
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data: \
     blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// Answers a request for `path`, the part after the token.
-pub(crate) async fn answer(
-    path: &str,
-    query: &str,
-    state: &Arc<ServerState>,
-) -> Result<Response<ResponseBody>, RequestError> {
+/// Answers a request for `path`, the part after the token: a file of the page, its events, or arrays.
+///
+/// # Errors
+/// If the path or a query parameter is invalid, or the arrays cannot be created.
+pub(crate) async fn answer(path: &str, query: &str, state: &Arc<ServerState>) -> Result<PageResponse, RequestError> {
     if let Some((_, text)) = FILES.iter().find(|(name, _)| *name == path) {
         return Ok(text_response("text/javascript", text));
     }
     match path {
-        "" => return Ok(text_response("text/html", &html(state))),
+        "" => return Ok(text_response("text/html", &page_html(state))),
         "stage.css" => return Ok(text_response("text/css", STYLE)),
         "page.css" => return Ok(text_response("text/css", PAGE_STYLE)),
         "events" => return Ok(event_response(state)),
@@ -46,28 +46,23 @@ pub(crate) async fn answer(
     }
     let parameters = QueryParams::parse(query).map_err(|why| (StatusCode::BAD_REQUEST, why))?;
     let (path, state) = (path.to_owned(), Arc::clone(state));
-    let result = tokio::task::spawn_blocking(move || bundles::bundle(&path, &parameters, &state)).await;
-    let bundle = result.map_err(|e| internal_error(&e))??;
-    Ok(response(StatusCode::OK, "application/octet-stream", bundle.to_bytes()))
+    let result = tokio::task::spawn_blocking(move || bundles::create_bundle(&path, &parameters, &state)).await;
+    let bundle = result.map_err(|e| (StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))??;
+    Ok(bytes_response(StatusCode::OK, "application/octet-stream", bundle.to_bytes()))
 }
 
-/// Returns the refusal for an internal error.
-fn internal_error(why: &dyn std::fmt::Display) -> (StatusCode, String) {
-    (StatusCode::INTERNAL_SERVER_ERROR, why.to_string())
+/// Creates a response of plain text.
+pub(crate) fn plain_text_response(status: StatusCode, text: &str) -> PageResponse {
+    bytes_response(status, "text/plain; charset=utf-8", format!("{text}\n").into_bytes())
 }
 
-/// Returns the response of plain text.
-pub(crate) fn plain_text(status: StatusCode, text: &str) -> Response<ResponseBody> {
-    response(status, "text/plain; charset=utf-8", format!("{text}\n").into_bytes())
+/// Creates the response with a text file of the page; `kind` is its media type.
+fn text_response(kind: &str, text: &str) -> PageResponse {
+    bytes_response(StatusCode::OK, &format!("{kind}; charset=utf-8"), text.as_bytes().to_vec())
 }
 
-/// Returns a file of the page.
-fn text_response(kind: &str, text: &str) -> Response<ResponseBody> {
-    response(StatusCode::OK, &format!("{kind}; charset=utf-8"), text.as_bytes().to_vec())
-}
-
-/// Returns a response with this status and content type.
-fn response(status: StatusCode, kind: &str, bytes: Vec<u8>) -> Response<ResponseBody> {
+/// Creates a response with this status, content type `kind` and body.
+fn bytes_response(status: StatusCode, kind: &str, bytes: Vec<u8>) -> PageResponse {
     let mut response = Response::new(Full::new(Bytes::from(bytes)).boxed());
     *response.status_mut() = status;
     if let Ok(kind) = HeaderValue::from_str(kind) {
@@ -76,8 +71,8 @@ fn response(status: StatusCode, kind: &str, bytes: Vec<u8>) -> Response<Response
     response
 }
 
-/// Adds headers to a response: no other page may load, frame or store it.
-pub(crate) fn with_security_headers(mut response: Response<ResponseBody>) -> Response<ResponseBody> {
+/// Adds headers to a response, so that no other page can load, frame or store it.
+pub(crate) fn with_security_headers(mut response: PageResponse) -> PageResponse {
     let headers = [
         (CONTENT_SECURITY_POLICY, POLICY),
         (REFERRER_POLICY, "no-referrer"),
@@ -92,9 +87,9 @@ pub(crate) fn with_security_headers(mut response: Response<ResponseBody>) -> Res
     response
 }
 
-/// Returns the HTML of the page: the stage and its scripts.
-fn html(state: &ServerState) -> String {
-    let names: Vec<String> = state.sides.iter().map(|side| xml(&side.name)).collect();
+/// Formats the HTML of the page: the stage and its scripts.
+fn page_html(state: &ServerState) -> String {
+    let names: Vec<String> = state.sides.iter().map(|side| escape_xml(&side.name)).collect();
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
          content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" content=\"light dark\">\n\
@@ -137,9 +132,9 @@ impl QueryParams {
                 "receiver" => parameters.receiver = index()?,
                 "link" => parameters.link = Some(index()?),
                 "snapshot" => parameters.snapshot = Some(index()?),
-                "z" => parameters.z = Some(metres(name, value)?),
+                "z" => parameters.z = Some(parse_metres(name, value)?),
                 "tx" => {
-                    let all: Vec<f64> = value.split(',').map(|v| metres(name, v)).collect::<Result<_, _>>()?;
+                    let all: Vec<f64> = value.split(',').map(|v| parse_metres(name, v)).collect::<Result<_, _>>()?;
                     parameters.tx = Some(all.try_into().map_err(|all: Vec<f64>| {
                         format!("query parameter `tx`: expected x,y,z, found {} numbers", all.len())
                     })?);
@@ -152,8 +147,8 @@ impl QueryParams {
     }
 }
 
-/// Parses metres, within the range of single precision.
-fn metres(name: &str, value: &str) -> Result<f64, String> {
+/// Parses the metres of the query parameter `name`, below 1e9; the error names it.
+fn parse_metres(name: &str, value: &str) -> Result<f64, String> {
     let number = value.parse::<f64>().ok().filter(|v| v.abs() < 1e9);
     number.ok_or_else(|| format!("query parameter `{name}`: expected metres"))
 }
@@ -173,11 +168,8 @@ impl hyper::body::Body for Stream {
     type Data = Bytes;
     type Error = Infallible;
 
-    fn poll_frame(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
-        match self.next.as_mut().poll(context) {
+    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
+        match self.next.as_mut().poll(cx) {
             Poll::Pending => Poll::Pending,
             Poll::Ready((None, _)) => Poll::Ready(None),
             Poll::Ready((Some(bytes), receiver)) => {
@@ -188,7 +180,8 @@ impl hyper::body::Body for Stream {
     }
 }
 
-/// Waits for the next message; without one, an empty event follows after [`EVENT_INTERVAL`].
+/// Waits for the next message, at most for [`EVENT_INTERVAL`]; an empty event then follows. Returns `None` at the end
+/// of the stream, and always the receiver.
 fn next_event(mut receiver: Receiver<String>) -> PendingEvent {
     Box::pin(async move {
         let message = match tokio::time::timeout(EVENT_INTERVAL, receiver.recv()).await {
@@ -200,12 +193,12 @@ fn next_event(mut receiver: Receiver<String>) -> PendingEvent {
     })
 }
 
-/// Returns the response with the event stream of an opened page.
-fn event_response(state: &Arc<ServerState>) -> Response<ResponseBody> {
-    let (receiver, watcher) = state.watch();
+/// Creates the response with the event stream of an opened page, which is registered until the stream is dropped.
+fn event_response(state: &Arc<ServerState>) -> PageResponse {
+    let (receiver, watcher) = state.register_page();
     let stream = Stream { next: next_event(receiver), _watcher: watcher };
     debug_assert!(!stream.is_end_stream());
-    let mut answer = response(StatusCode::OK, "text/event-stream", Vec::new());
+    let mut answer = bytes_response(StatusCode::OK, "text/event-stream", Vec::new());
     *answer.body_mut() = stream.boxed();
     answer
 }

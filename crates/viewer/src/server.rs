@@ -1,13 +1,13 @@
 //! HTTP server of one page, on the loopback interface, until the last page is closed.
 
 use crate::guard::Guard;
-use crate::routes::{self, ResponseBody};
+use crate::routes::{self, PageResponse};
 use crate::state::ServerState;
 use hyper::body::Incoming;
 use hyper::header::{CONNECTION, HeaderValue};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
-use hyper::{Request, Response, StatusCode};
+use hyper::{Request, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use pwrfgs_core::{Error, Result};
 use std::cell::RefCell;
@@ -53,8 +53,8 @@ pub(crate) fn serve(state: &Arc<ServerState>, ready: impl FnOnce(&str), stop: &A
         let port = listener.local_addr().map_err(|e| failed("listen on 127.0.0.1", &e))?.port();
         let guard = Guard::new(port).map_err(|e| failed("create a random token", &e))?;
         ready(&guard.address());
-        let accepting = tokio::task::spawn_local(accept(listener, Arc::new(guard), Arc::clone(state)));
-        wait(state, stop).await;
+        let accepting = tokio::task::spawn_local(accept_connections(listener, Arc::new(guard), Arc::clone(state)));
+        wait_for_end(state, stop).await;
         accepting.abort();
         Ok(())
     });
@@ -62,90 +62,85 @@ pub(crate) fn serve(state: &Arc<ServerState>, ready: impl FnOnce(&str), stop: &A
     served
 }
 
-/// Waits until `stop` is set or the last page is closed.
-async fn wait(state: &ServerState, stop: &AtomicBool) {
+/// Waits until `stop` is set, or no page has been open for [`IDLE_LIMIT`] after the first one.
+async fn wait_for_end(state: &ServerState, stop: &AtomicBool) {
     let mut idle = Duration::ZERO;
     while !stop.load(Ordering::Relaxed) && idle < IDLE_LIMIT {
         tokio::time::sleep(TICK).await;
-        let (watched, watchers) = state.watchers();
-        let is_closed = watched && watchers == 0;
-        idle = if is_closed { idle + TICK } else { Duration::ZERO };
+        idle = if state.is_abandoned() { idle + TICK } else { Duration::ZERO };
     }
 }
 
-/// Slot among the admitted connections, acquired by the first request with the token.
-struct ConnectionSlot {
+/// Access of one connection, with a slot among the admitted ones from the first request with the token on.
+struct ConnectionAccess {
+    guard: Arc<Guard>,
     slots: Arc<Semaphore>,
     permit: RefCell<Option<OwnedSemaphorePermit>>,
 }
 
-impl ConnectionSlot {
+impl ConnectionAccess {
     /// Returns whether a request with the token was received.
     fn is_admitted(&self) -> bool {
         self.permit.borrow().is_some()
     }
 
-    /// Acquires a slot.
+    /// Checks a request and returns the part of its path after the token. The first admitted one acquires the slot.
     ///
     /// # Errors
-    /// If no slot is free.
-    fn admit(&self) -> Result<(), StatusCode> {
+    /// Status for a rejected request, or if no slot is free.
+    fn admit<'r>(&self, request: &'r Request<Incoming>) -> Result<&'r str, StatusCode> {
+        let path = self.guard.admit(request.method(), request.uri(), request.headers())?;
         if !self.is_admitted() {
             let permit =
                 Arc::clone(&self.slots).try_acquire_owned().map_err(|_full| StatusCode::SERVICE_UNAVAILABLE)?;
             *self.permit.borrow_mut() = Some(permit);
         }
-        Ok(())
+        Ok(path)
     }
 }
 
 /// Accepts connections without end. If too many have not sent the token, the oldest of these is closed.
-async fn accept(listener: TcpListener, guard: Arc<Guard>, state: Arc<ServerState>) {
+async fn accept_connections(listener: TcpListener, guard: Arc<Guard>, state: Arc<ServerState>) {
     let slots = Arc::new(Semaphore::new(MAX_ADMITTED));
-    let mut pending: VecDeque<(Rc<ConnectionSlot>, AbortHandle)> = VecDeque::new();
+    let mut pending: VecDeque<(Rc<ConnectionAccess>, AbortHandle)> = VecDeque::new();
     loop {
         let Ok((stream, _)) = listener.accept().await else {
             // Such as no free file descriptors: other connections release theirs.
             tokio::time::sleep(TICK).await;
             continue;
         };
-        pending.retain(|(slot, task)| !slot.is_admitted() && !task.is_finished());
+        pending.retain(|(access, task)| !access.is_admitted() && !task.is_finished());
         if pending.len() == MAX_PENDING
             && let Some((_, oldest)) = pending.pop_front()
         {
             oldest.abort();
         }
-        let slot = Rc::new(ConnectionSlot { slots: Arc::clone(&slots), permit: RefCell::default() });
-        let (task_slot, guard, state) = (Rc::clone(&slot), Arc::clone(&guard), Arc::clone(&state));
-        let task = tokio::task::spawn_local(async move { serve_connection(stream, &task_slot, &guard, &state).await });
-        pending.push_back((slot, task.abort_handle()));
+        let (guard, slots) = (Arc::clone(&guard), Arc::clone(&slots));
+        let access = Rc::new(ConnectionAccess { guard, slots, permit: RefCell::default() });
+        let (task_access, state) = (Rc::clone(&access), Arc::clone(&state));
+        let task = tokio::task::spawn_local(async move { serve_connection(stream, &task_access, &state).await });
+        pending.push_back((access, task.abort_handle()));
     }
 }
 
 /// Serves all requests of one connection. An error ends only this connection.
-async fn serve_connection(stream: TcpStream, slot: &ConnectionSlot, guard: &Guard, state: &Arc<ServerState>) {
+async fn serve_connection(stream: TcpStream, access: &ConnectionAccess, state: &Arc<ServerState>) {
     _ = stream.set_nodelay(true);
-    let service = service_fn(async |request| Ok::<_, Infallible>(answer(request, slot, guard, state).await));
+    let service = service_fn(async |request| Ok::<_, Infallible>(respond(request, access, state).await));
     let mut server = http1::Builder::new();
     server.timer(TokioTimer::new()).header_read_timeout(HEAD_TIMEOUT).max_buf_size(MAX_HEAD_BYTES).max_headers(64);
     _ = server.serve_connection(TokioIo::new(stream), service).await;
 }
 
-/// Answers one request, or refuses it.
-async fn answer(
-    request: Request<Incoming>,
-    slot: &ConnectionSlot,
-    guard: &Guard,
-    state: &Arc<ServerState>,
-) -> Response<ResponseBody> {
-    let admitted = guard.admit(request.method(), request.uri(), request.headers());
-    let answer = match admitted.and_then(|path| slot.admit().map(|()| path)) {
+/// Answers one request, or refuses it and closes the connection.
+async fn respond(request: Request<Incoming>, access: &ConnectionAccess, state: &Arc<ServerState>) -> PageResponse {
+    let answer = match access.admit(&request) {
         Ok(path) => routes::answer(path, request.uri().query().unwrap_or(""), state).await,
         Err(status) => {
-            let mut refusal = routes::plain_text(status, status.canonical_reason().unwrap_or("refused"));
+            let mut refusal = routes::plain_text_response(status, status.canonical_reason().unwrap_or("refused"));
             refusal.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
             Ok(refusal)
         }
     };
-    routes::with_security_headers(answer.unwrap_or_else(|(status, why)| routes::plain_text(status, &why)))
+    routes::with_security_headers(answer.unwrap_or_else(|(status, why)| routes::plain_text_response(status, &why)))
 }

@@ -64,10 +64,11 @@ impl ViewPane {
             check_alike(&ensemble.prepare(), &loaded.data)?;
         }
         let (setup, predictor) = match (ensemble, &loaded) {
-            (Some(ensemble), _) => (ensemble.members()[0].stages.setup.clone(), Some(Predictor::of(ensemble))),
-            (None, Some(loaded)) => {
-                (MeasurementSetup::of(&loaded.data, loaded.pipeline.plane(&loaded.data)?), loaded.checkpoint(&folder)?)
-            }
+            (Some(ensemble), _) => (ensemble.members()[0].stages.setup.clone(), Some(Predictor::new(ensemble))),
+            (None, Some(loaded)) => (
+                MeasurementSetup::of(&loaded.data, loaded.pipeline.plane(&loaded.data)?),
+                loaded.read_checkpoint(&folder)?,
+            ),
             (None, None) => return Err(Error::input(path, "the run was removed meanwhile; name another")),
         };
         let is_run = path.is_dir() || folder.join(PIPELINE).is_file();
@@ -84,8 +85,8 @@ impl ViewPane {
         })
     }
 
-    /// Returns the scene of simulated data, as text.
-    pub fn scene(&self) -> Option<&str> {
+    /// Returns the text of the scene of simulated data; `None` for other data.
+    pub fn scene_text(&self) -> Option<&str> {
         self.loaded.as_ref()?.data.simulation.as_ref()?.scene.as_deref()
     }
 
@@ -94,11 +95,11 @@ impl ViewPane {
         self.surfaces = surfaces;
     }
 
-    /// Fits a baseline to the data of another side.
+    /// Creates a pane with a baseline that is fitted to the data of the pane `beside`.
     ///
     /// # Errors
-    /// If the other side has no data, or the baseline does not support them.
-    pub fn of_baseline(baseline: &Plugin<dyn Baseline>, beside: &Self) -> Result<Self> {
+    /// If that pane has no data, or the baseline does not support them.
+    pub fn fit_baseline(baseline: &Plugin<dyn Baseline>, beside: &Self) -> Result<Self> {
         let Some(loaded) = &beside.loaded else {
             let problem = "baseline: needs the data of a run, but no pipeline is next to this model; name a run folder";
             return Err(Error::Config(problem.into()));
@@ -122,21 +123,21 @@ impl ViewPane {
         })
     }
 
-    /// Returns the current predictor; none before the first checkpoint of a run.
+    /// Returns the current predictor; `None` before the first checkpoint of a run.
     pub(crate) fn predictor(&self) -> Option<Arc<Predictor>> {
         self.predictor.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Returns the locator of `predictor`. The first call fits it, which takes up to minutes; meanwhile other calls
-    /// wait.
-    pub(crate) fn locator(&self, loaded: &LoadedData, predictor: Arc<Predictor>) -> Result<Arc<FittedLocator>> {
+    /// Returns the locator of `predictor`, the models without the residuals of validation samples. The first call fits
+    /// it, which takes up to minutes; meanwhile other calls wait.
+    pub(crate) fn fit_locator(&self, loaded: &LoadedData, predictor: Arc<Predictor>) -> Result<Arc<FittedLocator>> {
         let mut cached = self.locator.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, locator)) = cached.as_ref().filter(|(owner, _)| Arc::ptr_eq(owner, &predictor)) {
             return Ok(Arc::clone(locator));
         }
         let unbiased =
             predictor.ensemble().map(|ensemble| ensemble.without_validation(&loaded.data, loaded.partition.known()));
-        let unbiased = unbiased.transpose()?.flatten().map(|ensemble| Arc::new(Predictor::of(ensemble)));
+        let unbiased = unbiased.transpose()?.flatten().map(|ensemble| Arc::new(Predictor::new(ensemble)));
         let unbiased = unbiased.unwrap_or_else(|| Arc::clone(&predictor));
         // Own threads: predictions of other requests would wait for those that they share.
         let threads = rayon::ThreadPoolBuilder::new().num_threads(rayon::current_num_threads()).build();
@@ -152,23 +153,26 @@ impl ViewPane {
         Ok(Arc::clone(fitted))
     }
 
-    /// Reads the model or the checkpoint again; returns whether the run is finished.
+    /// Reads the model or the last checkpoint of the run again. Returns whether the run is finished, or there is none.
     pub(crate) fn reload(&self) -> Result<bool> {
         let (Some(folder), Some(loaded)) = (&self.folder, &self.loaded) else { return Ok(true) };
         let model = folder.join(MODEL_FILE);
-        let finished = model.is_file();
-        let predictor =
-            if finished { Some(Predictor::of(file::read_ensemble(&model)?)) } else { loaded.checkpoint(folder)? };
+        let is_finished = model.is_file();
+        let predictor = if is_finished {
+            Some(Predictor::new(file::read_ensemble(&model)?))
+        } else {
+            loaded.read_checkpoint(folder)?
+        };
         *self.predictor.write().unwrap_or_else(PoisonError::into_inner) = predictor.map(Arc::new);
         // A locator in work is kept by its request; a finished one would keep the replaced model.
         if let Ok(mut locator) = self.locator.try_lock() {
             *locator = None;
         }
-        Ok(finished)
+        Ok(is_finished)
     }
 
-    /// Checks that this side predicts the same quantity, for the same receivers, as `other`.
-    pub(crate) fn check_beside(&self, other: &Self) -> Result<()> {
+    /// Rejects a pane that does not predict the same quantity, for the same receivers, as `other`.
+    pub(crate) fn check_comparable(&self, other: &Self) -> Result<()> {
         let (a, b) = (&self.setup, &other.setup);
         let poses = |setup: &MeasurementSetup| -> Vec<_> {
             setup.receivers.iter().map(|receiver| setup.origin.world_pose(receiver.pose)).collect()
@@ -189,24 +193,24 @@ impl LoadedData {
     fn load(file: &Path, folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let pipeline = read_pipeline(file, &[])?;
         let SplitData { data, partition } = load(&pipeline, Path::new(""), observer)?;
-        let scores = scores(folder, &data);
+        let scores = read_link_scores(folder, &data);
         Ok(Self { pipeline, data: Arc::new(data), partition, scores })
     }
 
-    /// Returns the model of the last checkpoint in `folder`; none before the first.
-    fn checkpoint(&self, folder: &Path) -> Result<Option<Predictor>> {
+    /// Reads the model of the last checkpoint in `folder`; `None` before the first one.
+    fn read_checkpoint(&self, folder: &Path) -> Result<Option<Predictor>> {
         let path = folder.join(CHECKPOINT);
         let Some(bytes) = files::if_found(&path, files::read(&path))? else { return Ok(None) };
         let trainer = Trainer::restore(&self.pipeline.plan()?, &self.data, &self.partition, &bytes);
         let trainer = trainer.map_err(|why| Error::input(&path, why.to_string()))?;
-        Ok(Some(Predictor::of(Ensemble::of(trainer.model()))))
+        Ok(Some(Predictor::new(Ensemble::of(trainer.model()))))
     }
 }
 
-/// Returns the first metric of the model per link; NaN for links without a score.
-fn scores(folder: &Path, data: &Dataset) -> Vec<f64> {
+/// Reads the main metric of the model per link from the run folder; NaN for links without a score, all if unreadable.
+fn read_link_scores(folder: &Path, data: &Dataset) -> Vec<f64> {
     let table = Facts::read(folder).ok().flatten().and_then(|facts| facts.scores);
     let read = table.and_then(|table| Scores::read(&folder.join(SCORES), table).ok());
-    let by_label = read.and_then(|scores| scores.by_id(MODEL, data.task().headline.key)).unwrap_or_default();
+    let by_label = read.and_then(|scores| scores.values_by_id(MODEL, data.task().headline.key)).unwrap_or_default();
     (0..data.len()).map(|i| by_label.get(&data.label(i)).copied().unwrap_or(f64::NAN)).collect()
 }

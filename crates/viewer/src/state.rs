@@ -23,7 +23,7 @@ pub(crate) struct ServerState {
 }
 
 impl ServerState {
-    /// Creates the state. A thread per run in progress sends events about its changes.
+    /// Creates the state, and starts a thread per run in progress that sends events about its changes.
     pub(crate) fn new(sides: Vec<ViewPane>) -> Arc<Self> {
         let (news, _) = broadcast::channel(64);
         let state = Arc::new(Self { sides, watched: AtomicBool::new(false), watchers: AtomicUsize::new(0), news });
@@ -33,11 +33,7 @@ impl ServerState {
                 let state = Arc::downgrade(&state);
                 std::thread::spawn(move || {
                     let mut times = [None; 2];
-                    while let Some(state) = state.upgrade() {
-                        if state.follow(side, &folder, &mut times) {
-                            break;
-                        }
-                        drop(state);
+                    while state.upgrade().is_some_and(|state| !state.send_change(side, &folder, &mut times)) {
                         std::thread::sleep(POLL_INTERVAL);
                     }
                 });
@@ -46,20 +42,21 @@ impl ServerState {
         state
     }
 
-    /// Registers an open page until the guard is dropped, and returns the receiver of its events.
-    pub(crate) fn watch(self: &Arc<Self>) -> (broadcast::Receiver<String>, WatcherGuard) {
+    /// Registers an open page until the guard is dropped; also returns the receiver of its events.
+    pub(crate) fn register_page(self: &Arc<Self>) -> (broadcast::Receiver<String>, WatcherGuard) {
         self.watched.store(true, Ordering::Relaxed);
         self.watchers.fetch_add(1, Ordering::Relaxed);
         (self.news.subscribe(), WatcherGuard(Arc::clone(self)))
     }
 
-    /// Returns whether a page was ever opened, and the number of open pages.
-    pub(crate) fn watchers(&self) -> (bool, usize) {
-        (self.watched.load(Ordering::Relaxed), self.watchers.load(Ordering::Relaxed))
+    /// Returns whether a page was opened, and all pages are closed.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        self.watched.load(Ordering::Relaxed) && self.watchers.load(Ordering::Relaxed) == 0
     }
 
-    /// Sends an event if the folder of a run in progress changed; returns whether the run is finished.
-    fn follow(&self, side: usize, folder: &Path, times: &mut [Option<SystemTime>; 2]) -> bool {
+    /// Sends an event to all pages if the files of the run in `folder` changed since `times`, which it updates: those
+    /// of the curve, and of model or checkpoint. Returns whether the run is finished.
+    fn send_change(&self, side: usize, folder: &Path, times: &mut [Option<SystemTime>; 2]) -> bool {
         let changed = |name: &str| std::fs::metadata(folder.join(name)).and_then(|file| file.modified()).ok();
         let now = [changed(CURVE), changed(MODEL_FILE).or_else(|| changed(CHECKPOINT))];
         if *times == now {

@@ -42,8 +42,8 @@ impl Pruner for FastGs {
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
-        let known = stats.requested.high_error.len() == cloud.len();
-        self.score(cloud, stats, context).iter().map(|score| !known || *score >= 1.0 - self.blame).collect()
+        let is_requested = stats.requested.high_error.len() == cloud.len();
+        self.score(cloud, stats, context).iter().map(|score| !is_requested || *score >= 1.0 - self.blame).collect()
     }
 
     fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
@@ -110,21 +110,21 @@ impl Pruner for Reduced3dgs {
         if context.round == 0 {
             return keep;
         }
-        let counts = overlaps(cloud, self.neighbours);
+        let counts = overlap_counts(cloud, self.neighbours);
         let n = counts.len().max(1) as Real;
         let mean = counts.iter().sum::<Real>() / n;
         let deviation = (counts.iter().map(|c| (c - mean).powi(2)).sum::<Real>() / n).sqrt();
         let crowded: Vec<usize> =
             (0..counts.len()).filter(|&i| counts[i] > mean + self.deviations * deviation).collect();
         let opacities: Vec<Real> = crowded.iter().map(|&i| cloud.opacity_logits[i]).collect();
-        let gone = (crowded.len() as f64 * f64::from(self.share) + 1e-6).floor() as usize; // 0.7 of 10 are 7
-        let kept = best(crowded.len() - gone, &opacities, |_| true);
+        let removed = (crowded.len() as f64 * f64::from(self.share) + 1e-6).floor() as usize; // 0.7 of 10 are 7
+        let kept = best(crowded.len() - removed, &opacities, |_| true);
         crowded.iter().zip(kept).for_each(|(&i, stays)| keep[i] = stays);
         keep
     }
 
     fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &StepContext) -> Vec<Real> {
-        let counts = overlaps(cloud, self.neighbours);
+        let counts = overlap_counts(cloud, self.neighbours);
         cloud.opacity_logits.iter().zip(counts).map(|(o, count)| sigmoid(*o) - count).collect()
     }
 
@@ -134,6 +134,7 @@ impl Pruner for Reduced3dgs {
     }
 }
 
+/// Rejects a number of neighbours of 0 and infinite deviations.
 fn check_neighbours(settings: &Reduced3dgs) -> Result<(), String> {
     if settings.neighbours == 0 || !settings.deviations.is_finite() {
         return Err(
@@ -143,21 +144,22 @@ fn check_neighbours(settings: &Reduced3dgs) -> Result<(), String> {
     Ok(())
 }
 
-/// Returns the number of nearest neighbours that each Gaussian overlaps.
-fn overlaps(cloud: &GaussianCloud, count: usize) -> Vec<Real> {
+/// Returns the number of its `count` nearest neighbours that each Gaussian overlaps; 0 if a position is not finite.
+fn overlap_counts(cloud: &GaussianCloud, count: usize) -> Vec<Real> {
     let finite = cloud.means.as_flattened().iter().all(|v| v.is_finite());
     if !finite || cloud.len() < 2 {
         return vec![0.0; cloud.len()];
     }
     let radius = |i: usize| cloud.log_scales[i].iter().copied().fold(Real::NEG_INFINITY, Real::max).exp();
     let nearest = neighbours::k_nearest(&cloud.means, &cloud.means, (count + 1).min(cloud.len()));
-    let near = |(i, found): (usize, &Vec<(usize, Real)>)| {
+    let touching = |(i, near): (usize, &Vec<(usize, Real)>)| {
         let touches = |&&(j, squared): &&(usize, Real)| j != i && squared.sqrt() < radius(i) + radius(j);
-        found.iter().filter(touches).count() as Real
+        near.iter().filter(touches).count() as Real
     };
-    nearest.iter().enumerate().map(near).collect()
+    nearest.iter().enumerate().map(touching).collect()
 }
 
+/// Rejects a number outside 0 to 1; the error names the `field`.
 fn check_share(field: &str, value: Real) -> Result<(), String> {
     if (0.0..=1.0).contains(&value) { Ok(()) } else { Err(format!("`{field}` is {value}; give a number from 0 to 1")) }
 }

@@ -94,7 +94,7 @@ impl Pruner for GumbelMask {
     }
 }
 
-/// Logistic noise from a uniform sample.
+/// Returns logistic noise ln u − ln(1−u) from a uniform sample u.
 fn logistic(u: Real) -> Real {
     let u = u.clamp(EDGE, 1.0 - EDGE);
     u.ln() - (1.0 - u).ln()

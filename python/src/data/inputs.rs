@@ -1,7 +1,7 @@
 //! Validation of user arrays for a data set: receivers, spectra, powers, channels.
 
-use crate::arrays::{self, Gain, axes, input_array, numbers, places, shape_of};
-use crate::border::{free, wrong};
+use crate::arrays::{self, Gain, array_shape, axis_count, input_array, numbers, positions};
+use crate::border::{input_error, reject, without_gil};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods as _};
 use pwrfgs::data::{UnlinkedNode, power_fault, unlinked_node};
 use pwrfgs::experiment::findings;
@@ -10,37 +10,38 @@ use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
-/// Returns the exception for received powers without receiver positions.
-pub(super) fn receivers_missing(rssi: &Bound<'_, PyAny>) -> PyResult<PyErr> {
-    let shape = shape_of(rssi)?;
+/// Creates the exception for received powers without receiver positions.
+pub(super) fn missing_receivers_error(rssi: &Bound<'_, PyAny>) -> PyResult<PyErr> {
+    let shape = array_shape(rssi)?;
     let count = shape.get(1).copied().unwrap_or(1);
     let what = format!("rssi has shape {shape:?}, but receivers is missing; pass receivers=[..] with {count} ");
-    Ok(wrong(rssi.py(), &format!("{what}position{} [x, y, z] in metres", if count == 1 { "" } else { "s" })))
+    Ok(input_error(rssi.py(), &format!("{what}position{} [x, y, z] in metres", if count == 1 { "" } else { "s" })))
 }
 
 /// Reads the poses of the moving end: positions `tx` of a transmitter, or poses of a receiver, whose fixed transmitter may be
 /// given.
-pub(super) fn poses(
+pub(super) fn moving_poses(
     py: Python<'_>,
     tx: Option<&Bound<'_, PyAny>>,
     rx_pose: Option<&Bound<'_, PyAny>>,
     has_transmitter: bool,
 ) -> PyResult<Vec<Pose>> {
     match (tx, rx_pose) {
-        (Some(tx), None) if !has_transmitter => Ok(places("tx", tx)?.into_iter().map(Pose::from).collect()),
+        (Some(tx), None) if !has_transmitter => Ok(positions("tx", tx)?.into_iter().map(Pose::from).collect()),
         (None, Some(rx_pose)) => Ok(arrays::poses("rx_pose", rx_pose)?.0),
         _ => {
             let form = "give tx: positions [M, 3] of a transmitter that moves, or rx_pose: poses [M, 7] of a receiver that moves";
-            Err(wrong(py, form))
+            reject(py, form)
         }
     }
 }
 
-/// Reads the receivers.
-pub(super) fn receivers_of(py: Python<'_>, value: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Receiver>> {
+/// Reads the receivers: one or a list of `Receiver`, or positions; one at the origin if none are given.
+pub(super) fn read_receivers(py: Python<'_>, value: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Receiver>> {
     let Some(value) = value else { return Ok(vec![Receiver::new("receiver", Pose::IDENTITY)]) };
     let class = py.import("pwrfgs._types")?.getattr("Receiver")?;
-    let items: Vec<Bound<'_, PyAny>> = if value.is_instance(&class)? { vec![value.clone()] } else { listed(value)? };
+    let items: Vec<Bound<'_, PyAny>> =
+        if value.is_instance(&class)? { vec![value.clone()] } else { list_items(value)? };
     let one = |(i, item): (usize, &Bound<'_, PyAny>)| {
         if !item.is_instance(&class)? {
             let position = numbers::<f64>("a receiver", item, &[Some(3)])?;
@@ -60,9 +61,10 @@ pub(super) fn receivers_of(py: Python<'_>, value: Option<&Bound<'_, PyAny>>) -> 
     items.iter().enumerate().map(one).collect()
 }
 
-fn listed<'py>(value: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+/// Returns the items of a list of receivers.
+fn list_items<'py>(value: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
     let form = "give a list of Receiver, or positions [R, 3] in metres";
-    value.try_iter().map_err(|error| wrong(value.py(), &format!("receivers: {error}; {form}")))?.collect()
+    value.try_iter().map_err(|error| input_error(value.py(), &format!("receivers: {error}; {form}")))?.collect()
 }
 
 /// Creates the Python object of a receiver.
@@ -77,48 +79,51 @@ pub(super) fn receiver_object<'py>(
 }
 
 /// Warns about valid but implausible data.
-pub(super) fn warn(py: Python<'_>, data: &Dataset) -> PyResult<()> {
+pub(super) fn warn_findings(py: Python<'_>, data: &Dataset) -> PyResult<()> {
     let warnings = py.import("warnings")?;
     let warn = |text| warnings.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 2)).map(drop);
-    let found = free(py, || findings(data, None))?;
+    let found = without_gil(py, || findings(data, None))?;
     found.iter().map(ToString::to_string).try_for_each(warn)
 }
 
-/// Reads spectra; bytes stay bytes.
-pub(super) fn pictures(given_spectra: &Bound<'_, PyAny>, count: usize) -> PyResult<Spectra> {
+/// Reads `count` spectra of one size; bytes stay bytes.
+pub(super) fn read_spectra(given_spectra: &Bound<'_, PyAny>, count: usize) -> PyResult<Spectra> {
     let py = given_spectra.py();
     let shape = [Some(count), None, None];
     let size = |shape: &[usize]| (shape[2], shape[1]);
-    let message = |error: Error| crate::border::raised(py, error);
+    let message = |error: Error| crate::border::to_exception(py, error);
     if given_spectra.cast::<PyArrayDyn<u8>>().is_ok() {
         let bytes = input_array::<u8>("spectra", given_spectra, &shape)?;
         let size = size(bytes.shape());
-        let bytes = bytes.as_slice().map_err(|e| wrong(py, &e.to_string()))?.to_vec();
+        let bytes = bytes.as_slice().map_err(|e| input_error(py, &e.to_string()))?.to_vec();
         return Spectra::in_memory(size, Number::U8, bytes).map_err(message);
     }
     let floats = input_array::<f32>("spectra", given_spectra, &shape)?;
     let size = size(floats.shape());
-    let pixels = floats.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
+    let pixels = floats.as_slice().map_err(|e| input_error(py, &e.to_string()))?;
     Spectra::float(size, pixels).map_err(message)
 }
 
-/// Returns the received links and their powers.
-pub(super) fn received_powers(
+/// Reads received powers, dBm, as links with their observations; NaN is a missing link.
+///
+/// # Errors
+/// An invalid power, or a transmitter or receiver without a link.
+pub(super) fn read_powers(
     rssi: &Bound<'_, PyAny>,
     poses: &[Pose],
     receivers: usize,
 ) -> PyResult<(Vec<Sample>, Observations)> {
-    let flat = axes(rssi)? == 1;
+    let flat = axis_count(rssi)? == 1;
     let shape: &[Option<usize>] = if flat { &[Some(poses.len())] } else { &[Some(poses.len()), Some(receivers)] };
     if flat && receivers != 1 {
-        return Err(wrong(rssi.py(), &format!("rssi has one axis, but there are {receivers} receivers; give [M, R]")));
+        return reject(rssi.py(), &format!("rssi has one axis, but there are {receivers} receivers; give [M, R]"));
     }
     let all = numbers::<f64>("rssi", rssi, shape)?;
     let (mut samples, mut powers) = (Vec::new(), Vec::new());
     for (k, dbm) in all.iter().enumerate().filter(|(_, dbm)| !dbm.is_nan()) {
         let (i, receiver) = (k / receivers, k % receivers);
         if let Some(fault) = power_fault(*dbm as Real as f64) {
-            return Err(wrong(rssi.py(), &format!("rssi[{i}, {receiver}] {fault}")));
+            return reject(rssi.py(), &format!("rssi[{i}, {receiver}] {fault}"));
         }
         samples.push(Sample { receiver, ..Sample::new(i as u32, poses[i]) });
         powers.push(*dbm as Real);
@@ -133,24 +138,24 @@ pub(super) fn received_powers(
             format!("rssi[:, {r}] is NaN throughout: leave the receiver out, in receivers too")
         }
     };
-    Err(wrong(rssi.py(), &silent))
+    reject(rssi.py(), &silent)
 }
 
-/// Reads channels with their subcarriers.
-pub(super) fn gains(
+/// Reads the channels of `count` links, with their subcarrier frequencies.
+pub(super) fn read_channels(
     csi: &Bound<'_, PyAny>,
     count: usize,
     frequencies_hz: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Observations> {
     let py = csi.py();
     let frequencies_hz =
-        frequencies_hz.ok_or_else(|| wrong(py, "csi needs frequencies_hz, the subcarrier frequencies"))?;
+        frequencies_hz.ok_or_else(|| input_error(py, "csi needs frequencies_hz, the subcarrier frequencies"))?;
     let frequencies_hz = numbers::<f64>("frequencies_hz", frequencies_hz, &[None])?;
     if frequencies_hz.is_empty() || !frequencies_hz.iter().all(|f| f.is_finite() && *f > 0.0) {
-        return Err(wrong(py, "frequencies_hz: give one frequency above 0 Hz per subcarrier"));
+        return reject(py, "frequencies_hz: give one frequency above 0 Hz per subcarrier");
     }
     let all = input_array::<Gain>("csi", csi, &[Some(count), None, Some(frequencies_hz.len())])?;
     let antennas = all.shape()[1];
-    let gains = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
+    let gains = all.as_slice().map_err(|e| input_error(py, &e.to_string()))?;
     Ok(Channels { antennas, frequencies_hz, gains: gains.iter().map(|gain| [gain.re, gain.im]).collect() }.into())
 }

@@ -1,8 +1,8 @@
 //! Single links, subsets and pickling of a data set.
 
 use super::{Dataset, inputs};
-use crate::arrays::{self, array, indices, numbers, observations, places};
-use crate::border::{free, raised, stoppable, stopping, wrong};
+use crate::arrays::{self, array, link_indices, numbers, observations, positions};
+use crate::border::{input_error, reject, run_stoppable, stop_progress, to_exception, without_gil};
 use pwrfgs_core::{
     Camera, Dataset as Data, Elevation, End, Ends, Features, Number, Observations, Pose, Real, Sample, Simulation,
     Spectra,
@@ -18,45 +18,45 @@ const FORMATS: [(&str, Number); 4] =
 impl Dataset {
     /// Reads valid link indices given by a user.
     pub(crate) fn indices(&self, what: &str, links: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
-        indices(what, links, self.data.len())
+        link_indices(what, links, self.data.len())
     }
 
     /// Returns the link `i` as the Python class `Sample`, or `ReceiverSample` of a moving receiver. Uses no thread
     /// pool, so it also works in a forked process.
-    pub(super) fn row<'py>(&self, py: Python<'py>, i: isize) -> PyResult<Bound<'py, PyAny>> {
+    pub(super) fn link_object<'py>(&self, py: Python<'py>, i: isize) -> PyResult<Bound<'py, PyAny>> {
         let data = &self.data;
-        let place = if i < 0 { i + data.len() as isize } else { i };
-        let Some(place) = usize::try_from(place).ok().filter(|place| *place < data.len()) else {
+        let index = if i < 0 { i + data.len() as isize } else { i };
+        let Some(index) = usize::try_from(index).ok().filter(|index| *index < data.len()) else {
             let message =
                 format!("invalid link index {i} (expected {} to below {})", -(data.len() as isize), data.len());
             return Err(PyIndexError::new_err(message));
         };
-        let Sample { id, pose, receiver } = data.sample(place);
-        let pixels = data.image(place).pixels;
-        data.observations.check().map_err(|error| raised(py, error))?;
+        let Sample { id, pose, receiver } = data.sample(index);
+        let pixels = data.image(index).pixels;
+        data.observations.check().map_err(|error| to_exception(py, error))?;
         let observation = observations(py, data.task(), (data.width, data.height), &[], pixels)?;
-        let (class, place) = match data.scene.moving {
+        let (class, pose) = match data.scene.moving {
             End::Transmitter => ("Sample", pose.position.to_vec()),
             End::Receiver => ("ReceiverSample", [&pose.position[..], &pose.orientation].concat()),
         };
-        let width = place.len();
-        let fields = (array(py, place, &[width])?, observation, receiver, id);
+        let width = pose.len();
+        let fields = (array(py, pose, &[width])?, observation, receiver, id);
         py.import("pwrfgs._types")?.getattr(class)?.call1(fields)
     }
 
-    /// Returns the links of a list, a mask or a slice, in ascending order.
-    pub(super) fn some(&self, py: Python<'_>, links: &Bound<'_, PyAny>) -> PyResult<Self> {
+    /// Returns the data set of the links of a list, a mask or a slice, in ascending order.
+    pub(super) fn select_links(&self, py: Python<'_>, links: &Bound<'_, PyAny>) -> PyResult<Self> {
         let links = py.import("pwrfgs._types")?.call_method1("as_indices", (links, self.data.len()))?;
         let mut links = self.indices("links", &links)?;
         links.sort_unstable();
         if let Some([twice, _]) = links.array_windows().find(|[a, b]| a == b) {
-            return Err(wrong(py, &format!("link {twice} is listed twice; list it once")));
+            return reject(py, &format!("link {twice} is listed twice; list it once"));
         }
-        free(py, || self.data.subset(&links)).map(|data| Self::new(data, None))
+        without_gil(py, || self.data.subset(&links)).map(|data| Self::new(data, None))
     }
 
-    /// Returns the state for `restored`: the source of data that stay in their file, otherwise all columns.
-    pub(super) fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+    /// Returns the state for [`Self::restore`]: the source of data that stay in their file, otherwise all columns.
+    pub(super) fn pickled_state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let (data, state) = (&self.data, PyDict::new(py));
         let is_in_file = data.observations.bytes_in_memory() == 0;
         if let Some(source) = self.source().filter(|_| is_in_file) {
@@ -76,13 +76,13 @@ impl Dataset {
         state.set_item("elevation", (data.elevation.first, data.elevation.last))?;
         state.set_item("placed", data.placed)?;
         state.set_item("official", data.official.clone())?;
-        state.set_item("simulation", data.simulation.as_ref().map(|own| (own.scene.clone(),)))?;
+        state.set_item("simulation", data.simulation.as_ref().map(|simulation| (simulation.scene.clone(),)))?;
         state.set_item("features", self.features(py)?)?;
         state.set_item("camera", data.camera().map(|camera| (camera.focal, camera.centre)))?;
         let number = data.observations.number();
         match &data.observations {
             Observations::Pictures(spectra) => {
-                let bytes = free(py, || {
+                let bytes = without_gil(py, || {
                     let bytes: Vec<u8> = (0..data.len()).flat_map(|i| spectra.raw(i).into_owned()).collect();
                     spectra.check().map(|()| bytes)
                 })?;
@@ -98,26 +98,26 @@ impl Dataset {
         Ok(state)
     }
 
-    /// Restores a pickled data set.
-    pub(super) fn restored(py: Python<'_>, state: &Bound<'_, PyDict>) -> PyResult<Self> {
+    /// Restores a data set from the state of [`Self::pickled_state`].
+    pub(super) fn restore(py: Python<'_>, state: &Bound<'_, PyDict>) -> PyResult<Self> {
         if let Some(source) = state.get_item("source")? {
             let text: String = source.extract()?;
-            let reader = crate::border::plugin::<dyn pwrfgs_core::DataSource>(py, &text)?;
-            let data = stoppable(py, |stop| reader.load(std::path::Path::new(""), &stopping(stop)))?;
+            let reader = crate::border::parse_plugin::<dyn pwrfgs_core::DataSource>(py, &text)?;
+            let data = run_stoppable(py, |stop| reader.load(std::path::Path::new(""), &stop_progress(stop)))?;
             return Ok(Self::new(data, Some(text)));
         }
         let get = |name: &str| state.as_any().get_item(name);
         let (ids, receiver): (Vec<u32>, Vec<usize>) = (get("ids")?.extract()?, get("receiver")?.extract()?);
         let rx_pose = get("rx_pose")?;
         let poses: Vec<Pose> = if rx_pose.is_none() {
-            places("positions", &get("positions")?)?.into_iter().map(Pose::from).collect()
+            positions("positions", &get("positions")?)?.into_iter().map(Pose::from).collect()
         } else {
             arrays::poses("rx_pose", &rx_pose)?.0
         };
         let links = ids.iter().zip(poses).zip(receiver);
         let samples: Vec<Sample> =
             links.map(|((id, pose), receiver)| Sample { receiver, ..Sample::new(*id, pose) }).collect();
-        let mut receivers = inputs::receivers_of(py, Some(&get("receivers")?))?;
+        let mut receivers = inputs::read_receivers(py, Some(&get("receivers")?))?;
         let camera: Option<([f64; 2], [f64; 2])> = get("camera")?.extract()?;
         receivers[0].camera = camera.map(|(focal, centre)| Camera { focal, centre });
         let ends = if rx_pose.is_none() {
@@ -125,21 +125,15 @@ impl Dataset {
         } else {
             Ends::of_moving_receivers(receivers, get("transmitter")?.extract()?)
         };
-        let points = places("points", &get("points")?)?;
+        let points = positions("points", &get("points")?)?;
         let (first, last) = get("elevation")?.extract()?;
         let simulation: Option<(Option<String>,)> = get("simulation")?.extract()?;
-        let features = get("features")?;
-        let features = if features.is_none() {
-            None
-        } else {
-            let values = numbers::<Real>("features", &features, &[Some(samples.len()), None])?;
-            Some(Features { width: values.len() / samples.len().max(1), values })
-        };
-        let observations = observed(state).map_err(|error| {
-            if error.is_instance_of::<pyo3::exceptions::PyKeyError>(py) { wrong(py, "damaged data set") } else { error }
-        })?;
+        let features = pickled_features(&get("features")?, samples.len())?;
+        let is_damaged = |error: &PyErr| error.is_instance_of::<pyo3::exceptions::PyKeyError>(py);
+        let observations = pickled_observations(state)
+            .map_err(|error| if is_damaged(&error) { input_error(py, "damaged data set") } else { error })?;
         let title: String = get("title")?.extract()?;
-        let made = free(py, || Data::of_links(title, ends, points, &samples, observations))?;
+        let made = without_gil(py, || Data::of_links(title, ends, points, &samples, observations))?;
         let mut scene = made.scene.clone();
         scene.bounds = get("bounds")?.extract()?;
         let data = Data {
@@ -155,18 +149,27 @@ impl Dataset {
     }
 }
 
+/// Returns the link features of a pickled data set with `count` links; `None` without features.
+fn pickled_features(features: &Bound<'_, PyAny>, count: usize) -> PyResult<Option<Features>> {
+    if features.is_none() {
+        return Ok(None);
+    }
+    let values = numbers::<Real>("features", features, &[Some(count), None])?;
+    Ok(Some(Features { width: values.len() / count.max(1), values }))
+}
+
 /// Returns the observations of a pickled data set.
-fn observed(state: &Bound<'_, PyDict>) -> PyResult<Observations> {
+fn pickled_observations(state: &Bound<'_, PyDict>) -> PyResult<Observations> {
     let py = state.py();
     if let Some(spectra) = state.get_item("spectra")? {
         let (bytes, format, width, height): (Vec<u8>, String, usize, usize) = spectra.extract()?;
         let number = FORMATS.iter().find(|(name, _)| *name == format).map_or(Number::F32, |(_, number)| *number);
-        return Ok(Spectra::in_memory((width, height), number, bytes).map_err(|error| raised(py, error))?.into());
+        return Ok(Spectra::in_memory((width, height), number, bytes).map_err(|error| to_exception(py, error))?.into());
     }
     if let Some(powers) = state.get_item("rssi")? {
         return Ok(Observations::Powers(numbers::<Real>("rssi", &powers, &[None])?));
     }
     let csi = state.as_any().get_item("csi")?;
     let count = csi.len()?;
-    inputs::gains(&csi, count, Some(&state.as_any().get_item("frequencies_hz")?))
+    inputs::read_channels(&csi, count, Some(&state.as_any().get_item("frequencies_hz")?))
 }

@@ -1,9 +1,9 @@
 //! Models from files and from arrays.
 
 use super::Model;
-use crate::arrays::{elevation_of, numbers, places};
-use crate::border::{free, plugin, wrong};
-use crate::strategies::{check_keys, cloud_of};
+use crate::arrays::{numbers, positions, read_elevation};
+use crate::border::{input_error, parse_plugin, reject, without_gil};
+use crate::strategies::{check_keys, read_cloud};
 use pwrfgs::model::{Ensemble, Stages, TrainingPositions};
 use pwrfgs_core::{
     Conditions, Dataset as Data, Error, MeasurementSetup, Method, Origin, Pose, Real, Receiver, Sample, Spectra, rng,
@@ -14,41 +14,41 @@ use pyo3::types::PyDict;
 /// Largest number of pixels of a spectrum, as in model files.
 const MOST_PIXELS: usize = 1 << 24;
 
-/// Finds a receiver by name or index.
-pub(super) fn find(receiver: &Bound<'_, PyAny>, there: &[Receiver]) -> PyResult<usize> {
+/// Returns the index of a receiver, given its name or index.
+pub(super) fn find_receiver(receiver: &Bound<'_, PyAny>, receivers: &[Receiver]) -> PyResult<usize> {
     let py = receiver.py();
     if let Ok(name) = receiver.extract::<String>() {
-        return there.iter().position(|own| own.name == name).ok_or_else(|| {
-            let hint = pwrfgs_core::did_you_mean(&name, there.iter().map(|own| own.name.as_str()));
-            wrong(py, &format!("unknown receiver `{name}`{hint}"))
+        return receivers.iter().position(|receiver| receiver.name == name).ok_or_else(|| {
+            let hint = pwrfgs_core::did_you_mean(&name, receivers.iter().map(|receiver| receiver.name.as_str()));
+            input_error(py, &format!("unknown receiver `{name}`{hint}"))
         });
     }
-    let place: usize = receiver.extract()?;
-    if place < there.len() {
-        return Ok(place);
+    let index: usize = receiver.extract()?;
+    if index < receivers.len() {
+        return Ok(index);
     }
-    Err(wrong(py, &format!("invalid receiver index {place} (expected 0 to below {})", there.len())))
+    reject(py, &format!("invalid receiver index {index} (expected 0 to below {})", receivers.len()))
 }
 
-/// Weights in the layout of the method: initial values, or those of `given` by name.
-fn weights_of(stages: &Stages, given: Option<&Bound<'_, PyDict>>) -> PyResult<Vec<Real>> {
+/// Returns weights in the layout of the method: initial values, or those of `given` by name.
+fn initial_weights(stages: &Stages, given: Option<&Bound<'_, PyDict>>) -> PyResult<Vec<Real>> {
     let layout = stages.layout();
-    let mut all = layout.init(&mut rng::stream(0, "network", 0));
+    let mut weights = layout.init(&mut rng::stream(0, "network", 0));
     if let Some(deformation) = stages.deformation() {
-        deformation.start(Conditions::new(3, &[]), &mut all);
+        deformation.start(Conditions::new(3, &[]), &mut weights);
     }
-    let Some(given) = given else { return Ok(all) };
-    let mut rest = all.as_mut_slice();
+    let Some(given) = given else { return Ok(weights) };
+    let mut rest = weights.as_mut_slice();
     for spec in &layout.weights {
-        let (own, tail) = rest.split_at_mut(spec.len());
+        let (tensor, tail) = rest.split_at_mut(spec.len());
         if let Some(values) = given.get_item(&spec.name)? {
             let shape: Vec<Option<usize>> = spec.shape.iter().copied().map(Some).collect();
-            own.copy_from_slice(&numbers::<Real>(&format!("weights: `{}`", spec.name), &values, &shape)?);
+            tensor.copy_from_slice(&numbers::<Real>(&format!("weights: `{}`", spec.name), &values, &shape)?);
         }
         rest = tail;
     }
     check_keys("weights: the network has no tensor", given, layout.weights.iter().map(|spec| spec.name.as_str()))?;
-    Ok(all)
+    Ok(weights)
 }
 
 /// Model of `Model.from_arrays`, from converted arguments: `cloud` are columns as in `Trainer.set_cloud`,
@@ -65,18 +65,18 @@ pub(crate) fn model_of(
     elevation_deg: [f64; 2],
     tx: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Model> {
-    let method = plugin::<dyn Method>(py, method)?;
+    let method = parse_plugin::<dyn Method>(py, method)?;
     let (height, width) = size;
     let (name, position, orientation) = receiver;
-    let trained = tx.map_or(Ok(Vec::new()), |tx| places("tx", tx))?;
-    let known = trained.iter().copied().chain(places("means", &cloud.as_any().get_item("means")?)?);
+    let trained = tx.map_or(Ok(Vec::new()), |tx| positions("tx", tx))?;
+    let known = trained.iter().copied().chain(positions("means", &cloud.as_any().get_item("means")?)?);
     let origin = Origin::for_receiver(position, known);
-    let cloud = cloud_of(cloud, origin)?;
-    let elevation = elevation_of(py, elevation_deg)?;
+    let cloud = read_cloud(cloud, origin)?;
+    let elevation = read_elevation(py, elevation_deg)?;
     if !(1..=MOST_PIXELS).contains(&height.saturating_mul(width)) {
-        return Err(wrong(py, &format!("an image of {height} by {width} pixels cannot be rendered")));
+        return reject(py, &format!("an image of {height} by {width} pixels cannot be rendered"));
     }
-    let stages = free(py, || {
+    let stages = without_gil(py, || {
         let receiver = Receiver::new(name, Pose { position, orientation });
         let spectra = Spectra::grey((width, height), vec![0; width * height])?;
         let data = Data::of_links("arrays", vec![receiver], vec![], &[Sample::new(1, position)], spectra.into())?;
@@ -86,7 +86,7 @@ pub(crate) fn model_of(
         let stages = Stages { setup: MeasurementSetup { origin, receivers, ..stages.setup }, ..stages };
         stages.check().map_err(Error::Config).map(|()| stages)
     })?;
-    let weights = weights_of(&stages, weights)?;
+    let weights = initial_weights(&stages, weights)?;
     let positions: Vec<[Real; 3]> = trained.iter().map(|tx| origin.local(*tx)).collect();
     let training_positions = TrainingPositions::thinned(&positions);
     Ok(Model::new(Ensemble::of(pwrfgs::model::Model { stages, cloud, weights, training_positions })))

@@ -1,8 +1,8 @@
 //! Predicted observations as arrays, and their derivative by the positions of the transmitters.
 
 use super::{Links, Model};
-use crate::arrays::{array, observation_rows, observations, room};
-use crate::border::{LOOK, carried, free, wrong};
+use crate::arrays::{array, check_memory, observation_rows, observations};
+use crate::border::{LOOK, reject, to_plugin_error, without_gil};
 use pwrfgs::model::IntervalFactors;
 use pwrfgs_core::{Error, MeasurementSetup, Predict as _, Query, Real, Result};
 use pyo3::prelude::*;
@@ -13,9 +13,9 @@ use std::time::Instant;
 const CHUNK: usize = 16;
 
 impl Model {
-    /// Returns the array of the kind of observation that the model predicts; `work` fills the numbers of a chunk, in
-    /// order.
-    pub(super) fn observed<'py>(
+    /// Returns an array of predicted observations of `links`; `work` fills the numbers of the queries of a chunk, chunk by
+    /// chunk in order.
+    pub(super) fn predicted_array<'py>(
         &self,
         py: Python<'py>,
         links: &Links,
@@ -23,8 +23,8 @@ impl Model {
     ) -> PyResult<Bound<'py, PyAny>> {
         let MeasurementSetup { plane, task, .. } = &self.stages().setup;
         let (size, lead) = ((plane.width, plane.height), &links.lead);
-        room::<Real>(&[&lead[..], &[size.0 * size.1]].concat())?;
-        let all = free(py, || {
+        check_memory::<Real>(&[&lead[..], &[size.0 * size.1]].concat())?;
+        let all = without_gil(py, || {
             let mut all = vec![0.0; lead.iter().product::<usize>() * size.0 * size.1];
             self.fill(links, &mut all, work).map(|()| all)
         })?;
@@ -32,7 +32,7 @@ impl Model {
     }
 
     /// Returns the named tuple (prediction, lower, upper) of these links.
-    pub(super) fn with_interval<'py>(
+    pub(super) fn predict_interval<'py>(
         &self,
         py: Python<'py>,
         links: &Links,
@@ -51,29 +51,28 @@ impl Model {
                 ends[1].extend(interval.upper.pixels);
             }
         };
-        let prediction = self.observed(py, links, work)?;
+        let prediction = self.predicted_array(py, links, work)?;
         let [lower, upper] = ends;
         let end = |numbers| observations(py, setup.task, size, &links.lead, numbers);
         let fields = (prediction, end(lower)?, end(upper)?);
         py.import("pwrfgs._results")?.getattr("Interval")?.call1(fields)
     }
 
-    /// Processes `all` in chunks, and returns an error for values that are not finite.
+    /// Fills `all` in chunks by `work`; returns an error for values that are not finite, or after Ctrl-C.
     fn fill(&self, links: &Links, all: &mut [Real], mut work: impl FnMut(&[Query<'_>], &mut [Real])) -> Result<()> {
-        let of_each = self.stages().plane.width * self.stages().plane.height;
+        let count = self.stages().plane.width * self.stages().plane.height;
         let mut looked = Instant::now();
-        for (chunk, numbers) in all.chunks_mut(CHUNK * of_each).enumerate() {
-            let queries: Vec<Query<'_>> =
-                (0..numbers.len() / of_each).map(|k| links.query(chunk * CHUNK + k)).collect();
+        for (chunk, numbers) in all.chunks_mut(CHUNK * count).enumerate() {
+            let queries: Vec<Query<'_>> = (0..numbers.len() / count).map(|k| links.query(chunk * CHUNK + k)).collect();
             work(&queries, numbers);
             if looked.elapsed() > LOOK {
                 #[allow(clippy::redundant_closure_for_method_calls)] // the method itself is of one lifetime
-                Python::attach(|py| py.check_signals()).map_err(carried)?;
+                Python::attach(|py| py.check_signals()).map_err(to_plugin_error)?;
                 looked = Instant::now();
             }
             // Without an early exit the loop is vectorised.
             let finite = |numbers: &[Real]| numbers.iter().fold(true, |all, v| all & v.is_finite());
-            if let Some(k) = numbers.par_chunks_exact(of_each).position_first(|own| !finite(own)) {
+            if let Some(k) = numbers.par_chunks_exact(count).position_first(|link| !finite(link)) {
                 return Err(Error::Config(format!(
                     "what is predicted at {:?} is not finite: numbers of the model overflow there; \
                      leave the position out if it is far from all that the model has seen",
@@ -86,7 +85,7 @@ impl Model {
 
     /// Returns (observations, derivative by positions `[3]` or `[B, 3]` or by poses `[7]` or `[B, 7]`), given the cotangents of the
     /// observations.
-    pub(super) fn differentiated<'py>(
+    pub(super) fn predict_vjp<'py>(
         &self,
         py: Python<'py>,
         links: &Links,
@@ -95,19 +94,19 @@ impl Model {
         let ready = self.prepared();
         if !ready.has_derivative() || !links.features.is_empty() {
             let why = "its network reads link features or is a Python class";
-            return Err(wrong(py, &format!("vjp: this model has no derivative by the position, since {why}")));
+            return reject(py, &format!("vjp: this model has no derivative by the position, since {why}"));
         }
         let is_pose = self.stages().setup.moving.is_receiver();
         if is_pose && !ready.has_orientation_derivative() {
             let what = "vjp: this model has no derivative by the orientation of its receiver; use calibration Physical";
-            return Err(wrong(py, what));
+            return reject(py, what);
         }
         let MeasurementSetup { plane, task, .. } = &self.stages().setup;
-        let (size, of_each) = ((plane.width, plane.height), plane.width * plane.height);
+        let (size, count) = ((plane.width, plane.height), plane.width * plane.height);
         let d = observation_rows("vjp", cotangents, *task, size, &links.lead)?;
         let mut slopes: Vec<[f64; 7]> = Vec::new();
         let work = |queries: &[Query<'_>], numbers: &mut [Real]| {
-            let all = d[slopes.len() * of_each..].par_chunks_exact(of_each).zip(numbers.par_chunks_exact_mut(of_each));
+            let all = d[slopes.len() * count..].par_chunks_exact(count).zip(numbers.par_chunks_exact_mut(count));
             let one = |(query, (d, numbers)): (&Query<'_>, (&[Real], &mut [Real]))| {
                 let found = ready.predict_vjp(*query, |_| d.to_vec());
                 let (image, [x, y, z], orientation) = found.expect("a model with a derivative");
@@ -117,9 +116,9 @@ impl Model {
             };
             slopes.par_extend(queries.par_iter().zip(all).map(one));
         };
-        let observed = self.observed(py, links, work)?;
+        let observed = self.predicted_array(py, links, work)?;
         let (receivers, width) = (links.receivers.len(), if is_pose { 7 } else { 3 });
-        let of_tx = |own: &[[f64; 7]]| (0..width).map(|k| own.iter().map(|d| d[k]).sum()).collect::<Vec<f64>>();
+        let of_tx = |slopes: &[[f64; 7]]| (0..width).map(|k| slopes.iter().map(|d| d[k]).sum()).collect::<Vec<f64>>();
         let all: Vec<f64> = slopes.chunks_exact(receivers).flat_map(of_tx).collect();
         let batch = links.lead.len() > usize::from(receivers > 1);
         let shape = if batch { vec![links.poses.len(), width] } else { vec![width] };

@@ -1,8 +1,8 @@
 //! Python classes as networks, and Python functions as losses.
 
 use super::{Strategy, check_keys};
-use crate::arrays::{array, check_finite, finite, observation_rows, observations, shape_of};
-use crate::border::{call_strategy, throw, wrong};
+use crate::arrays::{array, array_shape, check_finite, finite_numbers, observation_rows, observations};
+use crate::border::{call_strategy, reject, throw};
 use pwrfgs::train::Objective;
 use pwrfgs_core::{
     Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, DeformationVjp, Deltas, Layout, Real, Task,
@@ -16,12 +16,12 @@ const TERMS: [(&str, usize); 3] = [("scales", 3), ("quats", 4), ("signals", 2)];
 
 impl Strategy {
     /// Returns the first arguments of `forward` and `vjp`: weights by name, centres `[N, 3]`, inputs `[B, width]`.
-    fn arguments<'py>(&self, py: Python<'py>, inputs: &DeformationInputs<'_>) -> PyResult<[Bound<'py, PyAny>; 3]> {
+    fn call_arguments<'py>(&self, py: Python<'py>, inputs: &DeformationInputs<'_>) -> PyResult<[Bound<'py, PyAny>; 3]> {
         let weights = PyDict::new(py);
         let mut rest = inputs.weights;
         for (spec, _) in &self.object.weights {
-            let (own, tail) = rest.split_at(spec.len());
-            weights.set_item(&spec.name, array(py, own.to_vec(), &spec.shape)?)?;
+            let (tensor, tail) = rest.split_at(spec.len());
+            weights.set_item(&spec.name, array(py, tensor.to_vec(), &spec.shape)?)?;
             rest = tail;
         }
         let means = array(py, inputs.means.as_flattened().to_vec(), &[inputs.means.len(), 3])?;
@@ -29,21 +29,22 @@ impl Strategy {
         Ok([weights.into_any(), means.into_any(), txs.into_any()])
     }
 
-    fn is(&self, attribute: &str) -> bool {
-        self.with(|_, own| own.getattr(attribute).map_or(Ok(false), |own| own.extract()))
+    /// Returns whether the object has this attribute and it is true.
+    fn has_flag(&self, attribute: &str) -> bool {
+        self.with(|_, instance| instance.getattr(attribute).map_or(Ok(false), |flag| flag.extract()))
     }
 }
 
-/// Returns the tensors of a network and their initial values, from its object.
-pub(super) fn initial(own: &Bound<'_, PyAny>) -> PyResult<Vec<(WeightSpec, Vec<Real>)>> {
-    let py = own.py();
-    let Ok(found) = own.call_method0("weights")?.cast_into::<PyDict>() else {
-        return Err(wrong(py, "weights returned no dict; give a dict of arrays by name"));
+/// Returns the tensors of a network and their initial values, from the method `weights` of its object.
+pub(super) fn initial_weights(instance: &Bound<'_, PyAny>) -> PyResult<Vec<(WeightSpec, Vec<Real>)>> {
+    let py = instance.py();
+    let Ok(found) = instance.call_method0("weights")?.cast_into::<PyDict>() else {
+        return reject(py, "weights returned no dict; give a dict of arrays by name");
     };
     let one = |(name, values): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
         let name: String = name.extract()?;
-        let shape = shape_of(&values)?;
-        let values = finite(&format!("weights: `{name}`"), &values, &shape)?;
+        let shape = array_shape(&values)?;
+        let values = finite_numbers(&format!("weights: `{name}`"), &values, &shape)?;
         Ok((WeightSpec::zeros(name, shape), values))
     };
     found.iter().map(one).collect()
@@ -54,8 +55,8 @@ impl Deformation for Strategy {
 
     fn traits(&self) -> DeformationTraits {
         DeformationTraits {
-            varies_geometry: self.is("varies_geometry"),
-            replaces_signals: self.is("replaces_signals"),
+            varies_geometry: self.has_flag("varies_geometry"),
+            replaces_signals: self.has_flag("replaces_signals"),
             ..DeformationTraits::default()
         }
     }
@@ -67,25 +68,25 @@ impl Deformation for Strategy {
     fn start(&self, _: Conditions<'_>, weights: &mut [Real]) {
         let mut rest = weights;
         for (_, values) in &self.object.weights {
-            let (own, tail) = rest.split_at_mut(values.len());
-            own.copy_from_slice(values);
+            let (tensor, tail) = rest.split_at_mut(values.len());
+            tensor.copy_from_slice(values);
             rest = tail;
         }
     }
 
     fn forward(&self, inputs: &DeformationInputs<'_>, _: &Cache) -> Deltas {
-        self.with(|py, own| {
-            let [weights, means, txs] = self.arguments(py, inputs)?;
-            let found = own.call_method1("forward", (weights, means, txs))?;
+        self.with(|py, instance| {
+            let [weights, means, txs] = self.call_arguments(py, inputs)?;
+            let found = instance.call_method1("forward", (weights, means, txs))?;
             let Ok(found) = found.cast_into::<PyDict>() else {
-                return Err(wrong(py, "forward returned no dict; give a dict with `signals` [B, N, 2]"));
+                return reject(py, "forward returned no dict; give a dict with `signals` [B, N, 2]");
             };
             check_keys("forward: unknown term", &found, TERMS.map(|(term, _)| term))?;
             let mut deltas = Deltas::default();
             for (name, width) in TERMS {
                 let Some(values) = found.get_item(name)? else { continue };
                 let shape = [inputs.txs.len(), inputs.means.len(), width];
-                let values = finite(&format!("forward: `{name}`"), &values, &shape)?;
+                let values = finite_numbers(&format!("forward: `{name}`"), &values, &shape)?;
                 match name {
                     "scales" => deltas.scales = values.as_chunks().0.to_vec(),
                     "quats" => deltas.quats = values.as_chunks().0.to_vec(),
@@ -93,16 +94,16 @@ impl Deformation for Strategy {
                 }
             }
             let geometry = !deltas.scales.is_empty() || !deltas.quats.is_empty();
-            if geometry && !self.is("varies_geometry") {
-                return Err(wrong(py, "forward returned scales or quats; set varies_geometry = True in the class"));
+            if geometry && !self.has_flag("varies_geometry") {
+                return reject(py, "forward returned scales or quats; set varies_geometry = True in the class");
             }
             Ok(deltas)
         })
     }
 
     fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
-        self.with(|py, own| {
-            let [weights, means, txs] = self.arguments(py, inputs)?;
+        self.with(|py, instance| {
+            let [weights, means, txs] = self.call_arguments(py, inputs)?;
             let cotangents = PyDict::new(py);
             for ((name, width), column) in TERMS.iter().zip(d.columns()) {
                 if !column.is_empty() {
@@ -110,27 +111,27 @@ impl Deformation for Strategy {
                     cotangents.set_item(name, array(py, column.to_vec(), &shape)?)?;
                 }
             }
-            let found = own.call_method1("vjp", (weights, means, txs, cotangents))?;
+            let found = instance.call_method1("vjp", (weights, means, txs, cotangents))?;
             let form = "vjp: expected ({name: derivative}, derivative in the centres [N, 3] or None)";
-            let Ok((of_weights, of_means)) = found.extract::<(Bound<'_, PyDict>, Bound<'_, PyAny>)>() else {
-                return Err(wrong(py, form));
+            let Ok((d_weights, d_means)) = found.extract::<(Bound<'_, PyDict>, Bound<'_, PyAny>)>() else {
+                return reject(py, form);
             };
             let names = || self.object.weights.iter().map(|(spec, _)| spec.name.as_str());
-            check_keys("vjp: unknown tensor", &of_weights, names())?;
+            check_keys("vjp: unknown tensor", &d_weights, names())?;
             let mut rest = sums.weights;
             for (spec, _) in &self.object.weights {
                 let (sum, tail) = rest.split_at_mut(spec.len());
                 let what = format!("vjp: `{}`", spec.name);
-                let Some(own) = of_weights.get_item(&spec.name)? else {
-                    return Err(wrong(py, &format!("{what} is missing; give the derivative in every tensor")));
+                let Some(derivative) = d_weights.get_item(&spec.name)? else {
+                    return reject(py, &format!("{what} is missing; give the derivative in every tensor"));
                 };
-                let own = finite(&what, &own, &spec.shape)?;
-                sum.iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
+                let derivative = finite_numbers(&what, &derivative, &spec.shape)?;
+                sum.iter_mut().zip(derivative).for_each(|(sum, d)| *sum += d);
                 rest = tail;
             }
-            if let Some(sums) = sums.means.filter(|_| !of_means.is_none()) {
-                let own = finite("vjp: the derivative in the centres", &of_means, &[sums.len(), 3])?;
-                sums.as_flattened_mut().iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
+            if let Some(sums) = sums.means.filter(|_| !d_means.is_none()) {
+                let derivative = finite_numbers("vjp: the derivative in the centres", &d_means, &[sums.len(), 3])?;
+                sums.as_flattened_mut().iter_mut().zip(derivative).for_each(|(sum, d)| *sum += d);
             }
             Ok(())
         });
@@ -152,11 +153,11 @@ impl Objective for PythonLoss {
             let found = self.function.bind(py).call1((given(predictions)?, given(truths)?))?;
             let form = "loss: expected (number, derivative in the predictions)";
             let Ok((value, slope)) = found.extract::<(Bound<'_, PyAny>, Bound<'_, PyAny>)>() else {
-                return Err(wrong(py, form));
+                return reject(py, form);
             };
             let what = "loss: the derivative";
             let d = observation_rows(what, &slope, self.task, (width, height), &[links])?;
-            Ok((finite("loss: the value", &value, &[])?[0], check_finite(what, &slope, d)?))
+            Ok((finite_numbers("loss: the value", &value, &[])?[0], check_finite(what, &slope, d)?))
         };
         call_strategy(|| Python::attach(call)).unwrap_or_else(|error: PyErr| throw(error))
     }

@@ -1,9 +1,9 @@
 //! Python classes as splits, baselines and metrics.
 
 use super::Strategy;
-use super::objects::{generator, links_object};
-use crate::arrays::{array, axes, indices, numbers, observation_rows, observations, observed};
-use crate::border::{throw, wrong};
+use super::objects::{links_object, numpy_generator};
+use crate::arrays::{array, axis_count, link_indices, numbers, observation_array, observation_rows, observations};
+use crate::border::{reject, throw};
 use pwrfgs_core::{
     Baseline, Dataset, Error, Evaluation, FittingSet, Goal, Image, Measurement, Metric, Partition, Predict, Query,
     Result, Split, Task, Values, rng,
@@ -14,15 +14,15 @@ impl Split for Strategy {
 
     fn split(&self, data: &Dataset, random: &mut rng::Rng) -> Result<Partition> {
         let count = data.len();
-        let lists = self.try_with(|py, own| {
+        let lists = self.try_with(|py, instance| {
             let links = links_object(py, data, &(0..count).collect::<Vec<_>>())?;
-            let found = own.call_method1("split", (links, generator(py, random)?))?;
-            let lists = found.try_iter()?.map(|part| part_of(&part?, count)).collect::<PyResult<Vec<_>>>()?;
+            let found = instance.call_method1("split", (links, numpy_generator(py, random)?))?;
+            let lists = found.try_iter()?.map(|part| read_part(&part?, count)).collect::<PyResult<Vec<_>>>()?;
             match lists.len() {
                 2 | 3 => Ok(lists),
                 n => {
                     let form = "(train, test) or (train, validation, test)";
-                    Err(wrong(py, &format!("split returned {n} parts, expected {form}")))
+                    reject(py, &format!("split returned {n} parts, expected {form}"))
                 }
             }
         })?;
@@ -35,45 +35,44 @@ impl Split for Strategy {
         };
         let mut all: Vec<usize> = [&train, &validation, &test].into_iter().flatten().copied().collect();
         all.sort_unstable();
-        let twice = all.windows(2).find_map(|pair| (pair[0] == pair[1]).then(|| pair[0]));
-        if let Some(twice) = twice {
+        if let Some([twice, _]) = all.array_windows().find(|[a, b]| a == b) {
             return Err(Error::Config(format!("split: link {twice} is in two sets")));
         }
         Ok(Partition { train, validation, test })
     }
 }
 
-/// Reads sorted link indices from a mask or from indices.
-fn part_of(part: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
-    let mut places = indices("a set of a split (link indices or a mask)", part, count)?;
-    places.sort_unstable();
-    Ok(places)
+/// Reads a set of a split, link indices or a mask, as sorted indices below `count`.
+fn read_part(part: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
+    let mut links = link_indices("a set of a split (link indices or a mask)", part, count)?;
+    links.sort_unstable();
+    Ok(links)
 }
 
 impl Baseline for Strategy {
     named_python!();
 
     fn name(&self) -> String {
-        self.with(|_, own| match own.getattr("name") {
+        self.with(|_, instance| match instance.getattr("name") {
             Ok(name) => name.extract(),
             Err(_) => Ok(self.named.class.clone()),
         })
     }
 
     fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
-        let own = self.try_with(|py, own| {
+        let instance = self.try_with(|py, instance| {
             let links = known.all();
-            let observations = observed(py, data, &links)?;
-            let predictor = own.call_method1("fit", (links_object(py, data, &links)?, observations))?;
-            Ok(if predictor.is_none() { own.clone().unbind() } else { predictor.unbind() })
+            let observations = observation_array(py, data, &links)?;
+            let predictor = instance.call_method1("fit", (links_object(py, data, &links)?, observations))?;
+            Ok(if predictor.is_none() { instance.clone().unbind() } else { predictor.unbind() })
         })?;
-        Ok(Box::new(Predictor { own, task: data.task(), size: (data.width, data.height) }))
+        Ok(Box::new(Predictor { instance, task: data.task(), size: (data.width, data.height) }))
     }
 }
 
 /// Object that predicts for a Python baseline.
 struct Predictor {
-    own: Py<PyAny>,
+    instance: Py<PyAny>,
     task: Task,
     size: (usize, usize),
 }
@@ -83,7 +82,7 @@ impl Predict for Predictor {
         let (width, height) = self.size;
         let call = |py: Python<'_>| {
             let tx = array(py, query.position().to_vec(), &[3])?;
-            let found = self.own.bind(py).call_method1("predict", (tx, query.receiver))?;
+            let found = self.instance.bind(py).call_method1("predict", (tx, query.receiver))?;
             let pixels = observation_rows("the result of predict", &found, self.task, self.size, &[])?;
             Ok(Image { width, height, pixels })
         };
@@ -95,15 +94,16 @@ impl Metric for Strategy {
     named_python!();
 
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        self.try_with(|py, own| {
-            let stack = |images: &[Image]| stacked(py, images, evaluation.task);
-            let found = own.call_method1("evaluate", (stack(evaluation.predictions)?, stack(evaluation.truths)?))?;
-            let text = |name: &str, none: &str| match own.getattr(name) {
-                Ok(own) => own.extract::<String>(),
+        self.try_with(|py, instance| {
+            let stack = |images: &[Image]| stack_images(py, images, evaluation.task);
+            let found =
+                instance.call_method1("evaluate", (stack(evaluation.predictions)?, stack(evaluation.truths)?))?;
+            let text = |name: &str, none: &str| match instance.getattr(name) {
+                Ok(value) => value.extract::<String>(),
                 Err(_) => Ok(none.to_owned()),
             };
-            let higher = own.getattr("higher_is_better").map_or(Ok(true), |own| own.extract::<bool>())?;
-            let values = if axes(&found)? == 0 {
+            let higher = instance.getattr("higher_is_better").map_or(Ok(true), |value| value.extract::<bool>())?;
+            let values = if axis_count(&found)? == 0 {
                 Values::Whole(found.extract()?)
             } else {
                 Values::PerSample(numbers::<f64>("the result of evaluate", &found, &[Some(evaluation.truths.len())])?)
@@ -119,8 +119,8 @@ impl Metric for Strategy {
     }
 }
 
-/// Returns the observations as one array.
-fn stacked<'py>(py: Python<'py>, images: &[Image], task: Task) -> PyResult<Bound<'py, PyAny>> {
+/// Converts observations of one size to an array.
+fn stack_images<'py>(py: Python<'py>, images: &[Image], task: Task) -> PyResult<Bound<'py, PyAny>> {
     let rows = images.iter().flat_map(|image| image.pixels.iter().copied()).collect();
     let size = images.first().map_or((0, 0), |image| (image.width, image.height));
     observations(py, task, size, &[images.len()], rows)

@@ -1,9 +1,9 @@
 //! Python classes as initialisers.
 
-use super::objects::generator;
+use super::objects::numpy_generator;
 use super::{Strategy, check_keys};
-use crate::arrays::{array, axes, finite, pairs};
-use crate::border::wrong;
+use crate::arrays::{array, axis_count, complex_pairs, finite_numbers};
+use crate::border::{input_error, reject};
 use pwrfgs_core::{ExtraColumn, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene, logit, rng};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -12,7 +12,7 @@ impl Initializer for Strategy {
     named_python!();
 
     fn initialize(&self, scene: &Scene, _: &ImagePlane, random: &mut rng::Rng) -> Result<GaussianCloud> {
-        self.try_with(|py, own| {
+        self.try_with(|py, instance| {
             let world = |place: &[Real; 3]| scene.origin.world(*place);
             let points: Vec<f64> = scene.points.iter().flat_map(world).collect();
             let ends = scene.fixed_ends();
@@ -24,53 +24,53 @@ impl Initializer for Strategy {
                 array(py, fixed, &[count, 3])?,
             );
             let scene_object = py.import("pwrfgs._types")?.getattr("Room")?.call1(arguments)?;
-            let found = own.call_method1("initialize", (scene_object, generator(py, random)?))?;
+            let found = instance.call_method1("initialize", (scene_object, numpy_generator(py, random)?))?;
             let Ok(found) = found.cast_into::<PyDict>() else {
-                return Err(wrong(py, "initialize returned no dict; give a dict with means [N, 3] and scales"));
+                return reject(py, "initialize returned no dict; give a dict with means [N, 3] and scales");
             };
-            start(&found, scene)
+            cloud_from_result(&found, scene)
         })
     }
 }
 
-/// Creates a cloud from means, scales and optional columns.
-fn start(found: &Bound<'_, PyDict>, scene: &Scene) -> PyResult<GaussianCloud> {
+/// Creates a cloud from the result of `initialize`: means (world frame), scales and optional columns.
+fn cloud_from_result(found: &Bound<'_, PyDict>, scene: &Scene) -> PyResult<GaussianCloud> {
     let py = found.py();
     let need = |name: &str| {
-        found
-            .get_item(name)?
-            .ok_or_else(|| wrong(py, &format!("initialize returned no `{name}`; means [N, 3] and scales are required")))
+        found.get_item(name)?.ok_or_else(|| {
+            input_error(py, &format!("initialize returned no `{name}`; means [N, 3] and scales are required"))
+        })
     };
     check_keys("initialize: unknown entry", found, ["means", "scales", "opacities", "quats", "signals"])?;
-    let means = crate::arrays::places("means", &need("means")?)?;
+    let means = crate::arrays::positions("means", &need("means")?)?;
     let n = means.len();
     let scales = need("scales")?;
-    let scales: Vec<[Real; 3]> = match axes(&scales)? {
+    let scales: Vec<[Real; 3]> = match axis_count(&scales)? {
         0 => vec![[scales.extract()?; 3]; n],
-        1 => finite("scales", &scales, &[n])?.into_iter().map(|s| [s; 3]).collect(),
-        _ => finite("scales", &scales, &[n, 3])?.as_chunks().0.to_vec(),
+        1 => finite_numbers("scales", &scales, &[n])?.into_iter().map(|s| [s; 3]).collect(),
+        _ => finite_numbers("scales", &scales, &[n, 3])?.as_chunks().0.to_vec(),
     };
     if !scales.as_flattened().iter().all(|s| s.is_finite() && *s > 0.0) {
-        return Err(wrong(py, "scales: give metres above 0"));
+        return reject(py, "scales: give metres above 0");
     }
     let opacities = match found.get_item("opacities")? {
         None => vec![0.1; n],
-        Some(value) if axes(&value)? == 0 => vec![value.extract()?; n],
-        Some(value) => finite("opacities", &value, &[n])?,
+        Some(value) if axis_count(&value)? == 0 => vec![value.extract()?; n],
+        Some(value) => finite_numbers("opacities", &value, &[n])?,
     };
     if !opacities.iter().all(|o| *o > 0.0 && *o < 1.0) {
-        return Err(wrong(py, "opacities: give numbers between 0 and 1"));
+        return reject(py, "opacities: give numbers between 0 and 1");
     }
     let quats = match found.get_item("quats")? {
         None => vec![[1.0, 0.0, 0.0, 0.0]; n],
-        Some(value) => finite("quats", &value, &[n, 4])?.as_chunks().0.to_vec(),
+        Some(value) => finite_numbers("quats", &value, &[n, 4])?.as_chunks().0.to_vec(),
     };
     let signals = match found.get_item("signals")? {
         None => vec![[0.0; 2]; n],
-        Some(value) => pairs("signals", &value, &[Some(n)])?,
+        Some(value) => complex_pairs("signals", &value, &[Some(n)])?,
     };
     if let Some(i) = quats.iter().position(|quat| *quat == [0.0; 4]) {
-        return Err(wrong(py, &format!("quats[{i}] is zero; give a rotation, such as (1, 0, 0, 0)")));
+        return reject(py, &format!("quats[{i}] is zero; give a rotation, such as (1, 0, 0, 0)"));
     }
     Ok(GaussianCloud {
         means: means.iter().map(|mean| scene.origin.local(*mean)).collect(),

@@ -1,24 +1,25 @@
 //! Arguments of strategies: columns of the toolkit as records of `pwrfgs._types`.
 
-use crate::arrays::{array, column_shape, finite, shape_of, vector};
+use crate::arrays::{array, array_shape, column_shape, finite_numbers, vector};
 use pwrfgs_core::tape::TracedCloud;
 use pwrfgs_core::{COLUMN_NAMES, CloudStats, Dataset, ExtraColumn, GaussianCloud, Origin, Real, StepContext, rng};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// Gaussians as the Python class `Cloud`: new arrays, which a strategy may keep; those of `update` are writable.
+/// Converts Gaussians to the Python class `Cloud`: new arrays, which a strategy may keep; those of `update` are writable.
 pub(crate) fn cloud_object<'py>(py: Python<'py>, cloud: &GaussianCloud, writable: bool) -> PyResult<Bound<'py, PyAny>> {
     let columns = cloud.columns().map(|(name, _, values)| (name, values.to_vec()));
     columns_object(py, cloud.len(), columns, writable)
 }
 
-/// Same as `cloud_object`, for Gaussians on the tape.
+/// Converts Gaussians on the tape to the Python class `Cloud`, read-only.
 pub(super) fn traced_object<'py>(py: Python<'py>, cloud: &TracedCloud) -> PyResult<Bound<'py, PyAny>> {
     let columns = cloud.names().map(|name| (name, pwrfgs_core::tape::values(cloud.leaf(name))));
     columns_object(py, cloud.len(), columns, false)
 }
 
-pub(super) fn columns_object<'py, 'a>(
+/// Converts columns of `n` Gaussians to the Python class `Cloud`.
+fn columns_object<'py, 'a>(
     py: Python<'py>,
     n: usize,
     columns: impl Iterator<Item = (&'a str, Vec<Real>)>,
@@ -36,28 +37,28 @@ pub(super) fn columns_object<'py, 'a>(
     py.import("pwrfgs._types")?.getattr("Cloud")?.call1((object,))
 }
 
-/// Gaussians from unconstrained columns by name; `means` are relative to `origin` afterwards.
-pub(crate) fn cloud_of(columns: &Bound<'_, PyDict>, origin: Origin) -> PyResult<GaussianCloud> {
+/// Reads Gaussians from unconstrained columns by name; converts `means` from the world frame to that of `origin`.
+pub(crate) fn read_cloud(columns: &Bound<'_, PyDict>, origin: Origin) -> PyResult<GaussianCloud> {
     let need = |name: &str| columns.as_any().get_item(name);
-    let means = crate::arrays::places("means", &need("means")?)?;
+    let means = crate::arrays::positions("means", &need("means")?)?;
     let n = means.len();
     let mut cloud = GaussianCloud::zeros(n);
     cloud.means = means.iter().map(|mean| origin.local(*mean)).collect();
     for (name, width, values) in cloud.columns_mut().skip(1) {
-        values.copy_from_slice(&finite(name, &need(name)?, &column_shape(n, width))?);
+        values.copy_from_slice(&finite_numbers(name, &need(name)?, &column_shape(n, width))?);
     }
     for (name, values) in columns {
         let name: String = name.extract()?;
         if !COLUMN_NAMES.contains(&name.as_str()) {
-            let width = shape_of(&values)?.get(1).copied().unwrap_or(1);
-            let values = finite(&name, &values, &column_shape(n, width))?;
+            let width = array_shape(&values)?.get(1).copied().unwrap_or(1);
+            let values = finite_numbers(&name, &values, &column_shape(n, width))?;
             cloud.extra.push(ExtraColumn { name, width, values });
         }
     }
     Ok(cloud)
 }
 
-/// Statistics of the Gaussians, as the Python class `Stats`.
+/// Converts the statistics of the Gaussians to the Python class `Stats`.
 pub(crate) fn stats_object<'py>(py: Python<'py>, stats: &CloudStats) -> PyResult<Bound<'py, PyAny>> {
     let column = |values: &[Real]| vector(py, values.to_vec());
     let found = PyDict::new(py);
@@ -89,12 +90,13 @@ pub(crate) fn stats_object<'py>(py: Python<'py>, stats: &CloudStats) -> PyResult
     py.import("pwrfgs._types")?.getattr("Stats")?.call1(fields)
 }
 
+/// Converts the context of a step to the Python class `StepContext`.
 pub(super) fn context_object<'py>(py: Python<'py>, context: &StepContext) -> PyResult<Bound<'py, PyAny>> {
     let StepContext { step, phase, seed, round, rounds, target, .. } = *context;
     py.import("pwrfgs._types")?.getattr("StepContext")?.call1((step, phase.name(), seed, round, rounds, target))
 }
 
-/// Returns the links without observations, as the Python class `Links`.
+/// Converts links without observations to the Python class `Links`.
 pub(super) fn links_object<'py>(py: Python<'py>, data: &Dataset, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
     let rows: Vec<_> = links.iter().map(|&i| data.sample(i)).collect();
     let fields = (
@@ -105,7 +107,7 @@ pub(super) fn links_object<'py>(py: Python<'py>, data: &Dataset, links: &[usize]
     py.import("pwrfgs._types")?.getattr("Links")?.call1(fields)
 }
 
-/// Returns the NumPy random generator, seeded from the run.
-pub(super) fn generator<'py>(py: Python<'py>, random: &mut rng::Rng) -> PyResult<Bound<'py, PyAny>> {
+/// Returns the NumPy random generator, with a seed drawn from `random`.
+pub(super) fn numpy_generator<'py>(py: Python<'py>, random: &mut rng::Rng) -> PyResult<Bound<'py, PyAny>> {
     py.import("numpy.random")?.call_method1("default_rng", (rng::below(random, 1 << 62),))
 }

@@ -2,8 +2,8 @@
 
 use super::Strategy;
 use super::objects::{cloud_object, context_object, stats_object, traced_object};
-use crate::arrays::{column_shape, finite, numbers};
-use crate::border::wrong;
+use crate::arrays::{column_shape, finite_numbers, numbers};
+use crate::border::{input_error, reject};
 use dfdx::tensor_ops::SumTo as _;
 use pwrfgs_core::tape::{Trace, TraceScalar, TracedCloud, op};
 use pwrfgs_core::{CloudStats, Gate, GaussianCloud, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext};
@@ -33,39 +33,40 @@ struct Curve<'py> {
 }
 
 impl Strategy {
-    /// Calls `method`, which returns a value with derivatives, or None. `form` describes the expected result.
-    fn curve<T>(
+    /// Calls `method`, which returns a value with derivatives, and then `then` with its result. `None` if the class does
+    /// not implement the method, or if it returns None. `form` describes the expected result.
+    fn call_differentiable<T>(
         &self,
         method: &'static str,
         form: &str,
         (cloud, context): (&TracedCloud, &StepContext),
         then: impl FnOnce(Curve<'_>) -> PyResult<T>,
     ) -> Option<T> {
-        if !self.object.has(method) {
+        if !self.object.implements(method) {
             return None;
         }
-        self.with(|py, own| {
-            let found = own.call_method1(method, (traced_object(py, cloud)?, context_object(py, context)?))?;
+        self.with(|py, instance| {
+            let found = instance.call_method1(method, (traced_object(py, cloud)?, context_object(py, context)?))?;
             if found.is_none() {
                 return Ok(None);
             }
-            let wants = |what: &str| wrong(py, &format!("{method} returned {what}, expected {form}, or None"));
-            let Ok(parts) = found.cast::<PyTuple>() else { return Err(wants(&kind_of(&found))) };
+            let wants = |what: &str| input_error(py, &format!("{method} returned {what}, expected {form}, or None"));
+            let Ok(parts) = found.cast::<PyTuple>() else { return Err(wants(&class_name(&found))) };
             if !(2..=3).contains(&parts.len()) {
                 return Err(wants(&format!("{} things", parts.len())));
             }
             let slopes = parts.get_item(1)?;
             let Ok(slopes) = slopes.cast::<PyDict>() else {
-                return Err(wants(&format!("{} as its derivatives", kind_of(&slopes))));
+                return Err(wants(&format!("{} as its derivatives", class_name(&slopes))));
             };
-            let (columns, slopes) = self.slopes(slopes, cloud, method)?;
+            let (columns, slopes) = self.read_slopes(slopes, cloud, method)?;
             let word = parts.get_item(2).and_then(|word| word.extract()).ok();
             then(Curve { value: parts.get_item(0)?, columns, slopes, word }).map(Some)
         })
     }
 
-    /// Returns the columns in a dict, with their values.
-    fn slopes(
+    /// Reads a dict of derivatives by column; returns the columns on the tape and the derivatives.
+    fn read_slopes(
         &self,
         derivatives: &Bound<'_, PyDict>,
         cloud: &TracedCloud,
@@ -74,28 +75,28 @@ impl Strategy {
         let (mut columns, mut slopes) = (Vec::new(), Vec::new());
         for (name, values) in derivatives {
             let name: String = name.extract()?;
-            let refuse = |what: &str| Err(wrong(derivatives.py(), &format!("{method}: {what}")));
-            if !cloud.names().any(|own| own == name) {
+            let refuse = |what: &str| reject(derivatives.py(), &format!("{method}: {what}"));
+            if !cloud.names().any(|column| column == name) {
                 let hint = pwrfgs_core::did_you_mean(&name, cloud.names());
                 return refuse(&format!("unknown column `{name}`{hint}"));
             }
-            if self.object.columns.iter().any(|own| own.name == name && own.learning_rate.is_none()) {
+            if self.object.columns.iter().any(|column| column.name == name && column.learning_rate.is_none()) {
                 return refuse(&format!("column `{name}` has no learning_rate, so its derivative has no effect"));
             }
             let width = pwrfgs_core::tape::values(cloud.leaf(&name)).len() / cloud.len().max(1);
             let shape = column_shape(cloud.len(), width);
-            slopes.push(finite(&format!("{method}: the derivative in `{name}`"), &values, &shape)?);
+            slopes.push(finite_numbers(&format!("{method}: the derivative in `{name}`"), &values, &shape)?);
             columns.push(cloud.column(&name));
         }
         if columns.is_empty() {
-            return Err(wrong(derivatives.py(), &format!("{method}: expected the derivative in at least one column")));
+            return reject(derivatives.py(), &format!("{method}: expected the derivative in at least one column"));
         }
         Ok((columns, slopes))
     }
 }
 
-/// Returns the name of its class.
-fn kind_of(value: &Bound<'_, PyAny>) -> String {
+/// Returns the class of a value, as words for a message.
+fn class_name(value: &Bound<'_, PyAny>) -> String {
     value.get_type().name().map_or_else(|_| "something else".into(), |name| format!("a value of {name}"))
 }
 
@@ -103,32 +104,34 @@ impl Pruner for Strategy {
     named_python!();
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
-        if !self.object.has("keep") {
-            return self.gate(&TracedCloud::new(cloud), context).map_or_else(|| vec![true; cloud.len()], Gate::open);
+        if !self.object.implements("keep") {
+            return self
+                .gate(&TracedCloud::new(cloud), context)
+                .map_or_else(|| vec![true; cloud.len()], Gate::open_mask);
         }
-        self.with(|py, own| {
+        self.with(|py, instance| {
             let arguments = (cloud_object(py, cloud, false)?, stats_object(py, stats)?, context_object(py, context)?);
-            let keep = own.call_method1("keep", arguments)?;
+            let keep = instance.call_method1("keep", arguments)?;
             numbers::<bool>("the result of keep", &keep, &[Some(cloud.len())])
         })
     }
 
     fn needs(&self, cloud: &GaussianCloud, context: &StepContext) -> Needs {
-        if !self.object.has("needs") {
-            return Needs::nothing();
+        if !self.object.implements("needs") {
+            return Needs::default();
         }
-        self.with(|py, own| {
+        self.with(|py, instance| {
             let requested =
-                own.call_method1("needs", (cloud_object(py, cloud, false)?, context_object(py, context)?))?;
-            let mut needs = Needs::nothing();
+                instance.call_method1("needs", (cloud_object(py, cloud, false)?, context_object(py, context)?))?;
+            let mut needs = Needs::default();
             for name in requested.try_iter()? {
                 let name: String = name?.extract()?;
-                let Some((_, statistic)) = STATISTICS.iter().find(|(own, _)| *own == name) else {
-                    let names = STATISTICS.map(|(own, _)| own);
+                let Some((_, statistic)) = STATISTICS.iter().find(|(key, _)| *key == name) else {
+                    let names = STATISTICS.map(|(key, _)| key);
                     let hint = pwrfgs_core::did_you_mean(&name, names);
                     let what =
                         format!("needs: unknown statistic `{name}`{hint} (expected one of {})", names.join(", "));
-                    return Err(wrong(py, &what));
+                    return reject(py, &what);
                 };
                 needs.statistics.push(*statistic);
             }
@@ -142,11 +145,11 @@ impl Pruner for Strategy {
 
     fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
         let n = cloud.len();
-        self.curve("gate", "(factor [N], {column: derivative})", (cloud, context), |found| {
+        self.call_differentiable("gate", "(factor [N], {column: derivative})", (cloud, context), |found| {
             let Curve { value, columns, slopes, word } = found;
-            let factor = finite("gate: the factor", &value, &[n])?;
+            let factor = finite_numbers("gate: the factor", &value, &[n])?;
             if let Some(bad) = factor.iter().find(|v| **v < 0.0) {
-                return Err(wrong(value.py(), &format!("gate: a factor is {bad}; give numbers from 0 to 1")));
+                return reject(value.py(), &format!("gate: a factor is {bad}; give numbers from 0 to 1"));
             }
             let vjp = move |cotangents: Vec<Vec<Real>>| {
                 let rows = |slopes: &Vec<Real>| {
@@ -160,16 +163,16 @@ impl Pruner for Strategy {
                 None => Ok(Gate::Whole(gate)),
                 Some("existence") => Ok(Gate::Existence(gate)),
                 Some(other) => {
-                    Err(wrong(value.py(), &format!("gate: unknown third entry {other:?} (expected \"existence\")")))
+                    reject(value.py(), &format!("gate: unknown third entry {other:?} (expected \"existence\")"))
                 }
             }
         })
     }
 
     fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
-        self.curve("penalty", "(number, {column: derivative})", (cloud, context), |found| {
+        self.call_differentiable("penalty", "(number, {column: derivative})", (cloud, context), |found| {
             let Curve { value, columns, slopes, .. } = found;
-            let number = finite("penalty: the value", &value, &[])?;
+            let number = finite_numbers("penalty: the value", &value, &[])?;
             let vjp = move |cotangents: Vec<Vec<Real>>| {
                 slopes.iter().map(|slopes| slopes.iter().map(|slope| slope * cotangents[0][0]).collect()).collect()
             };
@@ -178,28 +181,29 @@ impl Pruner for Strategy {
     }
 
     fn update(&self, cloud: &mut GaussianCloud, stats: &CloudStats, context: &StepContext) {
-        if !self.object.has("update") {
+        if !self.object.implements("update") {
             return;
         }
-        self.with(|py, own| {
+        self.with(|py, instance| {
             let object = cloud_object(py, cloud, true)?;
-            own.call_method1("update", (&object, stats_object(py, stats)?, context_object(py, context)?))?;
+            instance.call_method1("update", (&object, stats_object(py, stats)?, context_object(py, context)?))?;
             let (columns, n) = (object.getattr("columns")?, cloud.len());
             for (name, width, values) in cloud.columns_mut() {
                 let column = columns.get_item(name)?;
-                values.copy_from_slice(&finite(&format!("update: `{name}`"), &column, &column_shape(n, width))?);
+                let what = format!("update: `{name}`");
+                values.copy_from_slice(&finite_numbers(&what, &column, &column_shape(n, width))?);
             }
             Ok(())
         });
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<Real> {
-        if !self.object.has("score") {
+        if !self.object.implements("score") {
             return cloud.opacity_logits.clone();
         }
-        self.with(|py, own| {
+        self.with(|py, instance| {
             let arguments = (cloud_object(py, cloud, false)?, stats_object(py, stats)?, context_object(py, context)?);
-            finite("the score", &own.call_method1("score", arguments)?, &[cloud.len()])
+            finite_numbers("the score", &instance.call_method1("score", arguments)?, &[cloud.len()])
         })
     }
 }

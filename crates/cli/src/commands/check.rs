@@ -3,14 +3,14 @@
 
 use super::options::{ChangeOptions, resolve_pipeline};
 use crate::output::{self, Verbosity};
-use crate::progress::{RunProgress, memory, pace};
+use crate::progress::{RunProgress, format_gigabytes, format_step_time};
 use clap::Args;
-use pwrfgs::experiment::inspect::{inspect as summary, length};
+use pwrfgs::experiment::inspect::inspect as summary;
 use pwrfgs::experiment::sweep::LISTING;
-use pwrfgs::experiment::text::{aligned, duration, grouped};
+use pwrfgs::experiment::text::{aligned, duration, format_length, grouped};
 use pwrfgs::experiment::{Observer as _, Preview, preview, read_pipeline, staged, warn_of_findings};
 use pwrfgs::prelude::Pipeline;
-use pwrfgs::tasks::init::{is_table, name_of, suggested_split, unknown_folder};
+use pwrfgs::tasks::init::{is_table_or_array, pipeline_name, suggest_split, unknown_folder_error};
 use pwrfgs::train::{Rays, TimeEstimate, Training};
 use pwrfgs_core::plugin::{name_of as plugin_name, try_to_ron};
 use pwrfgs_core::{DataSource, Dataset, Error, Plugin, Result, recognise};
@@ -40,82 +40,86 @@ const IDLE: f64 = 0.25;
 /// idle machine too.
 const STEADY: f64 = 1.25;
 
-/// Runs `pwrfgs check`.
+/// Runs `pwrfgs check`: prints the warnings for a pipeline, then size and cost of its run.
 pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
     let (file, _) = resolve_pipeline(&arguments.pipeline)?;
-    let pipeline = read_pipeline(&file, &arguments.changes.all())?;
-    let preview = RunProgress::during(verbosity, |progress| preview(&pipeline, Path::new(""), progress))?;
+    let pipeline = read_pipeline(&file, &arguments.changes.assignments())?;
+    let preview = RunProgress::observe(verbosity, |progress| preview(&pipeline, Path::new(""), progress))?;
     preview.warnings.iter().for_each(|warning| RunProgress::new(verbosity).on_warning(warning));
-    output::result(&describe_run(&preview))
+    output::print_result(&describe_run(&preview))
 }
 
 /// Formats size and cost of a run as a table.
-fn describe_run(p: &Preview) -> String {
-    let (t, n) = (&p.pipeline.training, |count: usize| grouped(count as i64));
-    let [train, validation, test] = p.samples.map(n);
-    let free = p.free_bytes.map_or_else(String::new, |free| format!(", {} available", memory(free)));
+fn describe_run(preview: &Preview) -> String {
+    let (training, n) = (&preview.pipeline.training, |count: usize| grouped(count as i64));
+    let [train, validation, test] = preview.samples.map(n);
+    let free = preview.free_bytes.map_or_else(String::new, |free| format!(", {} available", format_gigabytes(free)));
+    let gaussians = match preview.time.start.gaussians {
+        0 => "none".to_owned(),
+        count => format!("{} initially", n(count)),
+    };
     let mut rows = vec![
-        ("data", format!("{}: {}", p.title, p.observed)),
+        ("data", format!("{}: {}", preview.title, preview.observed)),
         ("samples", format!("{train} training, {validation} validation, {test} test")),
-        ("test distance", format!("{} to the nearest training transmitter (median)", length(p.test_distance))),
         (
-            "Gaussians",
-            if p.time.start.gaussians == 0 {
-                "none".into()
-            } else {
-                format!("{} initially", n(p.time.start.gaussians))
-            },
+            "test distance",
+            format!("{} to the nearest training transmitter (median)", format_length(preview.test_distance)),
         ),
-        ("network", format!("{} weights", n(p.weights))),
-        ("pruners", listed_or_none(&p.pipeline.pruners.iter().map(plugin_name).collect::<Vec<_>>())),
-        ("steps", describe_steps(t)),
-        ("phases", describe_phases(t)),
-        ("memory", format!("about {}{free}", memory(p.loaded_bytes + p.step_bytes))),
-        ("time", describe_time(&p.time, is_unlimited(t))),
-        ("machine", describe_machine(p)),
+        ("Gaussians", gaussians),
+        ("network", format!("{} weights", n(preview.weights))),
+        ("pruners", join_or_none(&preview.pipeline.pruners.iter().map(plugin_name).collect::<Vec<_>>())),
+        ("steps", describe_steps(training)),
+        ("phases", describe_phases(training)),
+        ("memory", format!("about {}{free}", format_gigabytes(preview.loaded_bytes + preview.step_bytes))),
+        ("time", describe_time(&preview.time, has_unlimited_densification(training))),
+        ("machine", describe_machine(preview)),
     ];
-    let pose = p.summary.pose.as_ref().map(|pose| ("pose", pose.verdict.title().to_owned()));
-    rows.splice(1..1, p.summary.facts.iter().cloned().chain(pose));
-    rows.extend(p.outlook.iter().map(|sentence| ("pruning", sentence.clone())));
+    let pose = preview.summary.pose.as_ref().map(|pose| ("pose", pose.verdict.title().to_owned()));
+    rows.splice(1..1, preview.summary.facts.iter().cloned().chain(pose));
+    rows.extend(preview.outlook.iter().map(|sentence| ("pruning", sentence.clone())));
     aligned(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)
 }
 
-/// Joins names, or returns `none`.
-fn listed_or_none(names: &[String]) -> String {
+/// Joins names by commas; `none` without any.
+fn join_or_none(names: &[String]) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-/// Describes the number of steps and what a step reads.
-fn describe_steps(t: &Training) -> String {
-    let (steps, n) = (grouped(t.steps as i64), |count: usize| grouped(count as i64));
-    match t.rays {
-        Rays::All => format!("{steps} of {} transmitters", n(t.batch)),
-        Rays::Same(rays) => format!("{steps} of {} rays of {} transmitters", n(rays), n(t.batch)),
+/// Describes the number of training steps and the batch of a step.
+fn describe_steps(training: &Training) -> String {
+    let (steps, n) = (grouped(training.steps as i64), |count: usize| grouped(count as i64));
+    match training.rays {
+        Rays::All => format!("{steps} of {} transmitters", n(training.batch)),
+        Rays::Same(rays) => format!("{steps} of {} rays of {} transmitters", n(rays), n(training.batch)),
         Rays::Each(pairs) => format!("{steps} of {} pairs of spectrum and pixel", n(pairs)),
     }
 }
 
 /// Describes the phases of algorithm 1 by their steps.
-fn describe_phases(t: &Training) -> String {
+fn describe_phases(training: &Training) -> String {
     let steps = |count: u64| grouped(count as i64);
     let phase = |(from, to, name): (u64, u64, &str)| {
-        (from < to.min(t.steps)).then(|| format!("{name} from step {} to {}", steps(from + 1), steps(to.min(t.steps))))
+        let last = to.min(training.steps);
+        (from < last).then(|| format!("{name} from step {} to {}", steps(from + 1), steps(last)))
     };
     let phases = [
-        (0, t.densify_until, "densify"),
-        (t.densify_until, t.prune_until, "prune"),
-        (t.prune_until, t.steps, "finetune"),
+        (0, training.densify_until, "densify"),
+        (training.densify_until, training.prune_until, "prune"),
+        (training.prune_until, training.steps, "finetune"),
     ];
-    listed_or_none(&phases.into_iter().filter_map(phase).collect::<Vec<_>>())
+    join_or_none(&phases.into_iter().filter_map(phase).collect::<Vec<_>>())
 }
 
-/// Returns whether densification may add Gaussians beyond those of the estimate.
-fn is_unlimited(t: &Training) -> bool {
-    t.densify.max_gaussians == 0 && t.densify.every > 0 && t.densify.from < t.densify_until.min(t.steps)
+/// Returns whether densification may add Gaussians, without a maximum number.
+fn has_unlimited_densification(training: &Training) -> bool {
+    training.densify.max_gaussians == 0
+        && training.densify.every > 0
+        && training.densify.from < training.densify_until.min(training.steps)
 }
 
-/// Describes the expected training time with its range, and the timed steps.
-fn describe_time(time: &TimeEstimate, grows: bool) -> String {
+/// Describes the expected time of the initial search and of training, with its range, and the timed steps; `may_grow`
+/// adds that densification lengthens it.
+fn describe_time(time: &TimeEstimate, may_grow: bool) -> String {
     let range = |seconds: [f64; 2]| {
         let [shortest, longest] = seconds.map(duration);
         if shortest == longest { shortest } else { format!("{shortest} to {longest}") }
@@ -128,26 +132,30 @@ fn describe_time(time: &TimeEstimate, grows: bool) -> String {
     } else {
         String::new()
     };
-    let [spread, about] = [range(seconds), duration(*expected)];
+    let (spread, about) = (range(seconds), duration(*expected));
     let range = if spread.contains(" to ") { format!("about {about} ({spread})") } else { spread };
     let n = |count: usize| grouped(count as i64);
-    let [first, last] = [start, end].map(|steps| pace(steps.step_seconds) + " per step");
+    let [first, last] = [start, end].map(|steps| format_step_time(steps.step_seconds) + " per step");
     let steps = if end.gaussians == start.gaussians {
         first
     } else {
         format!("{first} with N = {}, {last} with N = {}", n(start.gaussians), n(end.gaussians))
     };
-    format!("{total}{range} of training ({steps}){}", if grows { "; more if densification adds Gaussians" } else { "" })
+    format!(
+        "{total}{range} of training ({steps}){}",
+        if may_grow { "; more if densification adds Gaussians" } else { "" }
+    )
 }
 
-/// Describes the load of the machine, and whether it makes the time too long.
-fn describe_machine(p: &Preview) -> String {
-    let is_loaded = p.load.is_some_and(|(load, cores)| load > IDLE * cores as f64);
-    let load = p
+/// Describes the load of the machine, and the spread of the timed steps if it is large.
+fn describe_machine(preview: &Preview) -> String {
+    let is_loaded = preview.load.is_some_and(|(load, cores)| load > IDLE * cores as f64);
+    let load = preview
         .load
         .map(|(load, cores)| format!("load average {load:.1} on {cores} core{}", if cores == 1 { "" } else { "s" }));
-    let varies = (p.time.spread > STEADY).then(|| format!("equal steps vary by a factor of {:.1}", p.time.spread));
-    let state = match p.load {
+    let varies =
+        (preview.time.spread > STEADY).then(|| format!("equal steps vary by a factor of {:.1}", preview.time.spread));
+    let state = match preview.load {
         _ if is_loaded => "busy, an idle machine is faster",
         Some(_) => "idle",
         None => "load unknown",
@@ -174,15 +182,15 @@ pub(crate) struct Inspect {
     pub(crate) set: Vec<String>,
 }
 
-/// Runs `pwrfgs inspect`.
+/// Runs `pwrfgs inspect`: prints the summary of data, splits and baselines.
 pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
-    let text = RunProgress::during(verbosity, |progress| {
+    let text = RunProgress::observe(verbosity, |progress| {
         let (pipeline, data) = open_data(&arguments.data, &arguments.set, progress)?;
         let partition = pipeline.partition(&data).ok().filter(|_| !pipeline.split.is_sparse());
         warn_of_findings(&data, partition.as_ref(), progress)?;
         summary(&pipeline, &data, progress)
     });
-    output::result(&text?)
+    output::print_result(&text?)
 }
 
 /// Opens the pipeline that `path` names, or one with the split of `pwrfgs init` and defaults for the data in that
@@ -197,19 +205,20 @@ fn open_data(path: &Path, set: &[String], observer: &mut RunProgress) -> Result<
     let ron = |source: &Plugin<dyn DataSource>| try_to_ron(source).map_err(|why| Error::input(path, why));
     let (root, data) = (ron(&source)?, load(&source)?);
     // Data without any valid split are described too.
-    let split = suggested_split(&data).map_or_else(|_| String::new(), |(split, _)| format!("split: {split}, "));
+    let split = suggest_split(&data).map_or_else(|_| String::new(), |(split, _)| format!("split: {split}, "));
     // Missing fields then get the defaults for this kind of data.
-    let text = format!("Pipeline(name: {:?}, data: {root}, {split}initializer: Random())", name_of(path));
+    let text = format!("Pipeline(name: {:?}, data: {root}, {split}initializer: Random())", pipeline_name(path));
     let mut pipeline = Pipeline::parse(&text, path)?;
     pipeline.set_all(set)?;
     let data = if ron(&pipeline.data)? == root { data } else { load(&pipeline.data)? };
     Ok((pipeline, data))
 }
 
-/// Returns the pipeline file that `path` names.
+/// Returns the pipeline file that `path` names: itself, or that of a run folder. Other tables, arrays and folders are
+/// errors.
 fn pipeline_file(path: &Path) -> Result<PathBuf> {
-    if is_table(path) {
-        return Err(unknown_folder(path));
+    if is_table_or_array(path) {
+        return Err(unknown_folder_error(path));
     }
     match resolve_pipeline(path) {
         Err(_neither) if !path.join(LISTING).is_file() => {

@@ -1,13 +1,13 @@
 //! `pwrfgs compare`: all methods, all baselines and the predictions of other programs on one data folder.
 
 use super::options::{ChangeOptions, parse_count};
-use super::sweep;
+use super::sweep::SelectedRuns;
 use crate::output::{self, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::samples;
 use pwrfgs::tasks::compare::{CompareSettings, check_earlier_runs, plan_comparison, without_position};
-use pwrfgs::tasks::init::{DataSurvey, name_of};
+use pwrfgs::tasks::init::{DataSurvey, pipeline_name};
 use pwrfgs_core::Result;
 use pwrfgs_core::files::{check_new_file, create};
 use std::path::PathBuf;
@@ -48,32 +48,33 @@ pub(crate) struct Compare {
     pub(crate) split_csv: Option<PathBuf>,
 }
 
-/// Runs `pwrfgs compare`.
+/// Runs `pwrfgs compare`: writes the split, lists the runs, or executes them; returns the exit code.
 pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     let folder = arguments.folder.canonicalize().unwrap_or_else(|_| arguments.folder.clone());
-    let survey = RunProgress::during(verbosity, |progress| DataSurvey::of(&folder, progress))?;
+    let survey = RunProgress::observe(verbosity, |progress| DataSurvey::read(&folder, progress))?;
     let settings = CompareSettings {
-        name: name_of(&folder),
+        name: pipeline_name(&folder),
         methods: arguments.methods.clone(),
         seeds: arguments.seeds,
-        changes: arguments.changes.all(),
+        changes: arguments.changes.assignments(),
         predictions: arguments.predictions.clone(),
         out: arguments.out.clone(),
     };
-    let comparison = RunProgress::during(verbosity, |progress| plan_comparison(&survey, &settings, progress))?;
+    let comparison = RunProgress::observe(verbosity, |progress| plan_comparison(&survey, &settings, progress))?;
     let plan = &comparison.plan;
     if let Some(path) = &arguments.split_csv {
         check_new_file(path)?;
-        create(path, samples::to_csv(&survey.data, &comparison.partition, &[]).as_bytes())?;
+        create(path, samples::samples_csv(&survey.data, &comparison.partition, &[]).as_bytes())?;
         let [train, validation, test] = comparison.partition.sizes();
-        output::result(&format!("{}: {train} train, {validation} validation, {test} test\n", path.display()))?;
+        output::print_result(&format!("{}: {train} train, {validation} validation, {test} test\n", path.display()))?;
         return Ok(SUCCESS);
     }
     let runs: Vec<usize> = (0..plan.runs.len()).collect();
+    let selected = SelectedRuns { plan, indices: &runs, jobs: 1, verbosity };
     if arguments.dry_run {
-        return sweep::dry_run(plan, &runs, 1, verbosity).map_err(without_position);
+        return selected.print_estimates().map_err(without_position);
     }
     check_earlier_runs(plan)?;
-    sweep::check_and_announce(plan, &runs, 1, verbosity).map_err(without_position)?;
-    sweep::run_here(plan, &runs, 1, (comparison.reference.as_deref(), verbosity))
+    selected.announce().map_err(without_position)?;
+    selected.execute(comparison.reference.as_deref())
 }

@@ -29,41 +29,38 @@ pub(crate) struct Man {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Runs `pwrfgs completions`.
-pub(crate) fn completions(arguments: &Completions, mut program: Command) -> Result<()> {
+/// Runs `pwrfgs completions`: prints the script for a shell.
+pub(crate) fn print_completions(arguments: &Completions, mut program: Command) -> Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut program, "pwrfgs", &mut script);
-    output::result(&String::from_utf8_lossy(&script))
+    output::print_result(&String::from_utf8_lossy(&script))
 }
 
-/// Runs `pwrfgs man`.
-pub(crate) fn man(arguments: &Man, mut command: Command) -> Result<()> {
+/// Runs `pwrfgs man`: prints the page of the program, or writes the pages of all commands. It writes nothing if one of
+/// them would replace another file.
+pub(crate) fn write_manual(arguments: &Man, mut command: Command) -> Result<()> {
     command.build();
-    let failed = |path: &Path| {
-        let path = path.to_owned();
-        move |e| Error::write(&path, e)
-    };
     let Some(folder) = &arguments.out else {
         let mut page = Vec::new();
-        clap_mangen::Man::new(command).render(&mut page).map_err(failed(Path::new("the page")))?;
-        return output::result(&String::from_utf8_lossy(&page));
+        clap_mangen::Man::new(command).render(&mut page).map_err(|e| Error::write(Path::new("the page"), e))?;
+        return output::print_result(&String::from_utf8_lossy(&page));
     };
-    pwrfgs_core::files::check_path(folder)?;
+    files::check_path(folder)?;
     let mut pages = Vec::new();
     for page in std::iter::once(&command).chain(command.get_subcommands().filter(|c| c.get_name() != "help")) {
         let man = clap_mangen::Man::new(page.clone());
         let path = folder.join(man.get_filename());
-        refuse_other_file(&path)?;
+        check_replaceable(&path)?;
         let mut text = Vec::new();
-        man.render(&mut text).map_err(failed(&path))?;
+        man.render(&mut text).map_err(|e| Error::write(&path, e))?;
         pages.push((path, text));
     }
-    std::fs::create_dir_all(folder).map_err(failed(folder))?;
+    std::fs::create_dir_all(folder).map_err(|e| Error::write(folder, e))?;
     pages.iter().try_for_each(|(path, text)| files::write_atomically(path, text))
 }
 
-/// Rejects an existing file unless it is an earlier version of the same page, by its title.
-fn refuse_other_file(path: &Path) -> Result<()> {
+/// Rejects an existing file, except an earlier version of the same manual page, by its title.
+fn check_replaceable(path: &Path) -> Result<()> {
     let Ok(metadata) = path.symlink_metadata() else { return Ok(()) };
     let title = format!(".TH {} ", path.file_stem().unwrap_or_default().display());
     let is_title = |text: String| text.lines().any(|line| line.starts_with(&title));

@@ -33,12 +33,12 @@ pub(crate) struct Compress {
     pub(crate) bits: Bits,
 }
 
-/// Runs `pwrfgs compress`.
+/// Runs `pwrfgs compress`: writes the smaller model file and prints what changed.
 pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
     let CompressedModel { bytes, notes, .. } = compress_model(ensemble, arguments.bits)?;
     create(&arguments.out, &bytes)?;
-    notes.iter().for_each(|note| verbosity.note(note));
+    notes.iter().for_each(|note| verbosity.print_note(note));
     Ok(())
 }

@@ -5,7 +5,7 @@ use crate::progress::RunProgress;
 use clap::{Args, Subcommand};
 use pwrfgs::experiment::text::{aligned, grouped};
 use pwrfgs::experiment::{observed, staged, warn_of_findings};
-use pwrfgs::tasks::init::unknown_folder;
+use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs_core::files::{digest, if_found, read};
 use pwrfgs_core::plugin::name_of;
 use pwrfgs_core::{Dataset, Result, recognise};
@@ -123,17 +123,17 @@ const PUBLIC: [PublicData; 5] = [
     },
 ];
 
-/// Runs `pwrfgs data`.
-pub(crate) fn data(arguments: &Data, verbosity: Verbosity) -> Result<()> {
+/// Runs `pwrfgs data`: prints the public data sets, or the description of a folder.
+pub(crate) fn print_data(arguments: &Data, verbosity: Verbosity) -> Result<()> {
     let text = match &arguments.action {
-        None => list_sets(),
-        Some(DataAction::Check { folder }) => check_folder(folder, verbosity)?,
+        None => list_public_data(),
+        Some(DataAction::Check { folder }) => describe_folder(folder, verbosity)?,
     };
-    output::result(&text)
+    output::print_result(&text)
 }
 
 /// Lists the properties of each public data set.
-fn list_sets() -> String {
+fn list_public_data() -> String {
     let entry = |set: &PublicData| {
         let rows = [
             ("  licence", set.licence),
@@ -150,32 +150,29 @@ fn list_sets() -> String {
         + "\nFormats and splits: docs/data.md. Check a downloaded folder: pwrfgs data check FOLDER\n"
 }
 
-/// Describes the content of a folder, and compares its digests with those of public data.
-fn check_folder(folder: &Path, verbosity: Verbosity) -> Result<String> {
+/// Describes layout, observations and split of a folder, and compares its digests with those of public data. A folder
+/// of unknown layout is an error, unless it has a file of public data.
+fn describe_folder(folder: &Path, verbosity: Verbosity) -> Result<String> {
     if !folder.is_dir() {
-        return Err(unknown_folder(folder));
+        return Err(unknown_folder_error(folder));
     }
     let digests = compare_digests(folder)?;
     let Some(source) = recognise(folder) else {
-        return digests.ok_or_else(|| unknown_folder(folder));
+        return digests.ok_or_else(|| unknown_folder_error(folder));
     };
-    let data = RunProgress::during(verbosity, |progress| {
+    let data = RunProgress::observe(verbosity, |progress| {
         let data = staged(progress, "observations", |bar| source.load(Path::new(""), bar))?;
         warn_of_findings(&data, None, progress)?;
         Ok(data)
     })?;
     let none = || "digests: no file of a known public data set; `pwrfgs data` lists them\n".to_owned();
-    let layout = format!("layout: {}, {}, {}\n", name_of(&source), observed(&data), origin(&data));
-    Ok(layout + &split_sizes(&data) + &digests.unwrap_or_else(none))
+    let origin = if data.is_simulated() { "simulated" } else { "measured" };
+    let layout = format!("layout: {}, {}, {origin}\n", name_of(&source), observed(&data));
+    Ok(layout + &describe_official_split(&data) + &digests.unwrap_or_else(none))
 }
 
-/// Describes the origin of the data.
-fn origin(data: &Dataset) -> &'static str {
-    if data.is_simulated() { "simulated" } else { "measured" }
-}
-
-/// Describes the sizes of the split in the index files.
-fn split_sizes(data: &Dataset) -> String {
+/// Describes the sizes of the split in the index files of the data.
+fn describe_official_split(data: &Dataset) -> String {
     match &data.official {
         Some((train, test)) => {
             format!("index files: {} training, {} test\n", grouped(train.len() as i64), grouped(test.len() as i64))
@@ -184,30 +181,29 @@ fn split_sizes(data: &Dataset) -> String {
     }
 }
 
-/// Compares the files of a folder with the public data set that has an equal file; `None` if there is no such set.
+/// Compares the files of a folder with those of the first public data set that has an equal file; `None` without such a
+/// data set.
 fn compare_digests(folder: &Path) -> Result<Option<String>> {
     for set in &PUBLIC {
-        let mut lines = Vec::new();
+        let mut rows = Vec::new();
+        let mut equal = 0;
         for (name, expected) in set.digests {
             let path = folder.join(name);
-            let actual = if_found(&path, read(&path))?.map(|bytes| digest(&bytes));
-            lines.push((name, actual.as_deref() == Some(*expected), actual));
+            let state = match if_found(&path, read(&path))?.map(|bytes| digest(&bytes)) {
+                Some(actual) if actual == *expected => {
+                    equal += 1;
+                    "equal".to_owned()
+                }
+                Some(actual) => format!("differs: {actual}"),
+                None => "missing".into(),
+            };
+            rows.push(vec![format!("  {name}"), state]);
         }
-        if !lines.iter().any(|(_, is_equal, _)| *is_equal) {
+        if equal == 0 {
             continue;
         }
-        let word = |is_equal: bool, actual: Option<&String>| match (is_equal, actual) {
-            (true, _) => "equal".to_owned(),
-            (false, Some(digest)) => format!("differs: {digest}"),
-            (false, None) => "missing".into(),
-        };
-        let rows: Vec<Vec<String>> = lines
-            .iter()
-            .map(|(name, is_equal, actual)| vec![format!("  {name}"), word(*is_equal, actual.as_ref())])
-            .collect();
-        let equal = lines.iter().filter(|(_, is_equal, _)| *is_equal).count();
         let head =
-            format!("digests: {equal} of {} files equal the {} files behind docs/results.md\n", lines.len(), set.name);
+            format!("digests: {equal} of {} files equal the {} files behind docs/results.md\n", rows.len(), set.name);
         return Ok(Some(head + &aligned(&rows, 2)));
     }
     Ok(None)

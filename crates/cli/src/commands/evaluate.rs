@@ -13,7 +13,7 @@ use pwrfgs::model::Ensemble;
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs::tasks::read_models;
 use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::{Dataset, Error, Result, files::NewFolder};
+use pwrfgs_core::{Dataset, Error, Receiver, Result, files::NewFolder};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -44,7 +44,7 @@ pub(crate) struct Evaluate {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Runs `pwrfgs evaluate`.
+/// Runs `pwrfgs evaluate`: prints the score table and writes the files of `--out`.
 pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()> {
     let models: Vec<PathBuf> = arguments.models.iter().map(|model| model_file(model)).collect::<Result<_>>()?;
     let ensemble = read_models(&models)?;
@@ -60,15 +60,15 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     let (split, findings) = load_with_findings(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
         let (data, test) = (&split.data, split.partition.test.len());
-        output::note(&format!("{}: scoring {test} test {}", data.title, data.task().counted[1]));
+        output::print_note(&format!("{}: scoring {test} test {}", data.title, data.task().counted[1]));
     }
-    warn_of_receivers(&split.data, &ensemble);
+    warn_of_moved_receivers(&split.data, &ensemble);
     let scored = score(&ensemble, &pipeline, &split, &mut Session::new(&mut progress));
-    progress.finish();
+    progress.remove_bar();
     let mut result = scored?;
     let scores = &mut result.scores;
-    scores.table.samples[0] = count_training(&models);
-    scores.table.trained_elsewhere = !models.iter().all(|model| is_trained_by(model, &pipeline));
+    scores.table.samples[0] = count_training_samples(&models);
+    scores.table.trained_elsewhere = !models.iter().all(|model| has_same_data(model, &pipeline));
     let mut text = scores.table.to_text();
     if let Some(confidence) = &result.confidence {
         let members = ensemble.members().len();
@@ -78,7 +78,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     if let (Some(folder), Some(out)) = (folder, &arguments.out) {
         let facts = Facts {
             version: env!("CARGO_PKG_VERSION").into(),
-            machine: Machine::here(),
+            machine: Machine::current(),
             gaussians: ensemble.gaussians(),
             findings,
             scores: Some(result.scores.table.clone()),
@@ -90,11 +90,11 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
             _ = writeln!(text, "\nreport: {}", out.join(REPORT).display());
         }
     }
-    output::result(&text)
+    output::print_result(&text)
 }
 
-/// Counts the training samples of the models, from their run folders; 0 if unknown or different.
-fn count_training(models: &[PathBuf]) -> usize {
+/// Returns the number of training samples of the models, from their run folders; 0 if unknown or different.
+fn count_training_samples(models: &[PathBuf]) -> usize {
     let samples_of = |model: &PathBuf| {
         let facts = Facts::read(model.parent().unwrap_or(Path::new(""))).ok().flatten();
         facts.map_or(0, |facts| facts.samples[0])
@@ -103,32 +103,33 @@ fn count_training(models: &[PathBuf]) -> usize {
     if models.iter().all(|model| samples_of(model) == first) { first } else { 0 }
 }
 
-/// Returns whether the pipeline next to a model has the data and split of `pipeline`.
-fn is_trained_by(model: &Path, pipeline: &Pipeline) -> bool {
+/// Returns whether the pipeline next to `model` is readable and has the data and split of `pipeline`.
+fn has_same_data(model: &Path, pipeline: &Pipeline) -> bool {
     let trained = read_pipeline(&model.with_file_name(PIPELINE), &[]);
     trained.is_ok_and(|trained| data_key(&trained) == data_key(pipeline))
 }
 
-/// Warns of receivers whose name or pose differs from those of the model.
-fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
+/// Warns of receivers whose name or pose differs from those of the model; of a single one, only of the pose.
+fn warn_of_moved_receivers(data: &Dataset, ensemble: &Ensemble) {
     let setup = &ensemble.members()[0].stages.setup;
     let (expected, measured) = (&setup.receivers, &data.scene.receivers);
-    if let ([receiver], [other]) = (&expected[..], &measured[..]) {
-        if setup.origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose) {
-            output::warning("the receiver pose of the data differs from that of the model");
+    let is_moved = |(receiver, other): &(&Receiver, &Receiver)| {
+        setup.origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose)
+    };
+    let mut pairs = expected.iter().zip(measured);
+    if expected.len() == 1 && measured.len() == 1 {
+        if pairs.any(|pair| is_moved(&pair)) {
+            output::print_warning("the receiver pose of the data differs from that of the model");
         }
         return;
     }
     if expected.len() != measured.len() {
         return; // reported as an error elsewhere
     }
-    let moved = expected.iter().zip(measured).filter(|(receiver, other)| {
-        receiver.name != other.name
-            || setup.origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose)
-    });
+    let moved = pairs.filter(|pair| pair.0.name != pair.1.name || is_moved(pair));
     let names: Vec<String> = moved.map(|(_, other)| strip_control(&other.name)).collect();
     if !names.is_empty() {
         let names = listed(names.iter(), 8);
-        output::warning(&format!("name or pose of receivers differs from that of the model: {names}"));
+        output::print_warning(&format!("name or pose of receivers differs from that of the model: {names}"));
     }
 }

@@ -47,7 +47,7 @@ pub(crate) struct Export {
     pub(crate) tx: Option<String>,
 }
 
-/// Runs `pwrfgs export`.
+/// Runs `pwrfgs export`: writes all requested files, or none if one of them cannot be made.
 pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
     let tx = arguments.tx.as_deref().map(|text| parse_position("--tx", text)).transpose()?;
     let half: Writer = |model, _| file::to_bytes_half(model);
@@ -56,7 +56,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
             .into_iter()
             .filter_map(|(path, writer)| path.as_deref().map(|path| (path, writer)))
             .collect();
-    let mut names: Vec<PathBuf> = files.iter().map(|(path, _)| normalise(path)).collect();
+    let mut names: Vec<PathBuf> = files.iter().map(|(path, _)| normalise_path(path)).collect();
     names.sort_unstable();
     names.dedup();
     if names.len() < files.len() {
@@ -76,7 +76,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
     let origin = model.members()[0].stages.origin;
     if arguments.ply.is_some() && !origin.is_zero() {
         let [x, y, z] = origin.0;
-        verbosity.note(&format!(
+        verbosity.print_note(&format!(
             "positions in the PLY file are relative to {x}, {y}, {z}, because viewers compute in single precision"
         ));
     }
@@ -84,13 +84,14 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
         create(path, &bytes)?;
         let count = model.gaussians();
         let content = if count == 0 { "the network".into() } else { format!("{count} Gaussians") };
-        verbosity.note(&format!("{content} in {}", path.display()));
+        verbosity.print_note(&format!("{content} in {}", path.display()));
     }
     Ok(())
 }
 
-/// Normalises the path of a file that does not exist yet, such as `./a.npz`.
-fn normalise(path: &Path) -> PathBuf {
+/// Resolves the folder in the path of a file that may not exist yet, such as `./a.npz`, so that equal files have equal
+/// paths.
+fn normalise_path(path: &Path) -> PathBuf {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     folder.canonicalize().unwrap_or_else(|_| folder.into()).join(path.file_name().unwrap_or_default())
 }

@@ -6,7 +6,7 @@ use clap::Args;
 use pwrfgs::data::import::{Import as Work, read_links};
 use pwrfgs::data::save;
 use pwrfgs::experiment::{observed, staged, warn_of_findings};
-use pwrfgs::tasks::init::unknown_folder;
+use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs::tasks::plane::{parse_numbers, parse_position};
 use pwrfgs_core::{Elevation, Error, Number, Pose, Result, recognise};
 use std::path::{Path, PathBuf};
@@ -64,7 +64,7 @@ pub(crate) struct Import {
     pub(crate) simulated: bool,
 }
 
-/// Runs `pwrfgs import`.
+/// Runs `pwrfgs import`: writes the data folder, and warns of findings on its data.
 pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     let folder_name =
         || arguments.out.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
@@ -84,9 +84,9 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         scale: arguments.scale,
         simulated: arguments.simulated,
     };
-    let imported = RunProgress::during(verbosity, |progress| {
+    let imported = RunProgress::observe(verbosity, |progress| {
         let imported = staged(progress, "spectra", |progress| work.write(&arguments.out, progress))?;
-        let source = recognise(&arguments.out).ok_or_else(|| unknown_folder(&arguments.out))?;
+        let source = recognise(&arguments.out).ok_or_else(|| unknown_folder_error(&arguments.out))?;
         let data = staged(progress, "new folder", |progress| source.load(Path::new(""), progress))?;
         warn_of_findings(&data, None, progress)?;
         Ok::<_, Error>(imported)
@@ -99,27 +99,27 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
             Number::F32 | Number::F64 => "32-bit floats",
         };
         let out = arguments.out.display();
-        output::note(&format!(
+        output::print_note(&format!(
             "{m} spectra of {w} x {h} pixels ({kind}, {low:.4} to {high:.4}) in {out}; in a pipeline:"
         ));
-        output::note(&format!("    data: Arrays(root: {:?}),", arguments.out.to_string_lossy()));
-        output::note("    split: Random(test: 0.2),");
+        output::print_note(&format!("    data: Arrays(root: {:?}),", arguments.out.to_string_lossy()));
+        output::print_note("    split: Random(test: 0.2),");
     }
     Ok(())
 }
 
-/// Converts a table of links.
+/// Converts the table of links in `path` into a data folder called `name`, and warns of findings on its data.
 fn import_links(arguments: &Import, path: &Path, name: &str, verbosity: Verbosity) -> Result<()> {
     let (data, silent) = read_links(path, name, arguments.simulated)?;
     save(&data, &arguments.out)?;
     warn_of_findings(&data, None, &mut RunProgress::new(verbosity))?;
     let out = arguments.out.display();
     let left_out = if silent == 0 { String::new() } else { format!("; rows of -100 dBm, not received: {silent}") };
-    verbosity.note(&format!("{} in {out}{left_out}; next: `pwrfgs init {out}`", observed(&data)));
+    verbosity.print_note(&format!("{} in {out}{left_out}; next: `pwrfgs init {out}`", observed(&data)));
     Ok(())
 }
 
-/// Parses `first,last`.
+/// Parses `first,last`, degrees, the value of `--elevation`.
 fn parse_elevation(text: &str) -> Result<Elevation> {
     let [first, last] = parse_numbers(text).ok_or_else(|| {
         Error::Config(format!("--elevation {text}: expected two numbers in degrees, such as -90,90 for a full sphere"))
@@ -127,7 +127,7 @@ fn parse_elevation(text: &str) -> Result<Elevation> {
     Ok(Elevation { first, last })
 }
 
-/// Parses `x,y,z,w`.
+/// Parses `x,y,z,w`, the value of `--orientation`; the norm is not checked.
 fn parse_quaternion(text: &str) -> Result<[f64; 4]> {
     parse_numbers(text).ok_or_else(|| {
         Error::Config(format!(

@@ -3,11 +3,11 @@
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use crate::reference::commented::{CommentStyle, Value};
-use crate::reference::example;
+use crate::reference::example_pipeline;
 use clap::Args;
 use pwrfgs::experiment::text::wrapped;
 use pwrfgs::prelude::Pipeline;
-use pwrfgs::tasks::init::{DataSurvey, name_of, suggest_pipeline};
+use pwrfgs::tasks::init::{DataSurvey, pipeline_name, suggest_pipeline};
 use pwrfgs_core::docs::Docs;
 use pwrfgs_core::files::{check_path, write_new};
 use pwrfgs_core::{Error, Result};
@@ -39,9 +39,10 @@ const SHOWN: [&str; 9] =
 /// Fields among them that only splatting reads.
 const OF_SPLATS: [&str; 2] = ["deformation", "readout"];
 
-/// Runs `pwrfgs init`.
+/// Runs `pwrfgs init`: writes the pipeline file, which must not exist yet.
 pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
-    let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.ron", name_of(&arguments.folder))));
+    let out =
+        arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.ron", pipeline_name(&arguments.folder))));
     let exists = || Error::input(&out, "file exists and is not overwritten; set another file with --out");
     if out.symlink_metadata().is_ok() {
         return Err(exists());
@@ -49,25 +50,27 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     check_path(&out)?;
     // Paths in a pipeline are relative to its file.
     let folder = &arguments.folder;
-    let beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
-    let root = if beside { folder.clone() } else { std::path::absolute(folder).unwrap_or_else(|_| folder.clone()) };
-    let survey = RunProgress::during(verbosity, |progress| DataSurvey::of(&root, progress))?;
-    let pipeline = suggest_pipeline(&survey, &name_of(folder), &out)?;
-    let text = pipeline_text(&survey, &pipeline)?;
+    let is_beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
+    let absolute = (!is_beside).then(|| std::path::absolute(folder).ok()).flatten();
+    let root = absolute.unwrap_or_else(|| folder.clone());
+    let survey = RunProgress::observe(verbosity, |progress| DataSurvey::read(&root, progress))?;
+    let pipeline = suggest_pipeline(&survey, &pipeline_name(folder), &out)?;
+    let text = format_pipeline(&survey, &pipeline)?;
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
         std::fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
     }
     if !write_new(&out, text.as_bytes())? {
         return Err(exists());
     }
-    output::result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.sentence(), out.display()))
+    output::print_result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.describe(), out.display()))
 }
 
-/// Writes the text of the pipeline file, with comments.
-fn pipeline_text(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
-    let default = example().map_err(Error::Config)?;
+/// Formats the pipeline file, with notes on the data and comments on the settings; an error if the text does not parse
+/// to the same pipeline.
+fn format_pipeline(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
+    let default = example_pipeline().map_err(Error::Config)?;
     let value = Value::new(pipeline.to_ron()?).map_err(Error::Config)?;
-    let differs = |path: &[&str]| value.at(path) != default.at(path);
+    let differs = |path: &[&str]| value.text_at(path) != default.text_at(path);
     let draws = !differs(&["method"]);
     let shows = |owner: &str, field: &str| match owner {
         "Pipeline" => differs(&[field]) || SHOWN.contains(&field) && (draws || !OF_SPLATS.contains(&field)),
@@ -85,7 +88,6 @@ fn pipeline_text(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
              them,\n// and `pwrfgs plugins NAME` describes them.\n";
     text += &body;
     text.push('\n');
-    // The text must parse to the same pipeline.
     let again = Pipeline::parse(&text, Path::new("the new pipeline"))?;
     if again.to_ron()? != pipeline.to_ron()? {
         return Err(Error::Config(

@@ -5,7 +5,8 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::text::grouped;
-use pwrfgs::experiment::{load as load_data, model_file, read_pipeline};
+use pwrfgs::experiment::{load, model_file, read_pipeline};
+use pwrfgs::pipeline::Pipeline;
 use pwrfgs::tasks::locate::{LocateSettings, ReadFeatures, locate as locate_model, read_observations};
 use pwrfgs::tasks::{check_positions, read_models};
 use pwrfgs_core::files::NewFolder;
@@ -57,29 +58,34 @@ pub(crate) struct Locate {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Runs `pwrfgs locate`.
+/// Runs `pwrfgs locate`: prints the table of positions or errors, and writes the files of `--out`.
 pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
     check_positions(&ensemble)?;
-    let path = model_file(&arguments.model)?.with_file_name(PIPELINE);
-    if !path.is_file() {
-        let problem = format!("no {PIPELINE} next to this model; localisation needs its data");
-        return Err(Error::input(&arguments.model, problem));
-    }
-    let pipeline = read_pipeline(&path, &arguments.set)?;
+    let pipeline = read_pipeline_of_model(arguments)?;
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
-    let split = RunProgress::during(verbosity, |progress| load_data(&pipeline, Path::new(""), progress))?;
+    let split = RunProgress::observe(verbosity, |progress| load(&pipeline, Path::new(""), progress))?;
     let receivers = &split.data.scene.receivers;
     let read =
         arguments.observations.as_ref().map(|path| move |features: &_| read_observations(path, features, receivers));
     let observations = read.as_ref().map(|read| read as ReadFeatures<'_>);
-    let located = RunProgress::during(verbosity, |progress| {
+    let located = RunProgress::observe(verbosity, |progress| {
         locate_model(&ensemble, &split, observations, &arguments.settings, progress)
     })?;
     if let (Some(folder), Some(out)) = (folder, &arguments.out) {
         located.write(&folder, arguments.pictures)?;
         folder.publish()?;
-        verbosity.note(&format!("{} positions in {}", grouped(located.rows.len() as i64), out.display()));
+        verbosity.print_note(&format!("{} positions in {}", grouped(located.rows.len() as i64), out.display()));
     }
-    output::result(&located.text)
+    output::print_result(&located.text)
+}
+
+/// Reads the pipeline next to the model, with the changes of `--set`; an error without such a file.
+fn read_pipeline_of_model(arguments: &Locate) -> Result<Pipeline> {
+    let path = model_file(&arguments.model)?.with_file_name(PIPELINE);
+    if !path.is_file() {
+        let problem = format!("no {PIPELINE} next to this model; localisation needs its data");
+        return Err(Error::input(&arguments.model, problem));
+    }
+    read_pipeline(&path, &arguments.set)
 }

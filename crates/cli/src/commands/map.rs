@@ -40,23 +40,23 @@ pub(crate) struct Map {
     pub(crate) out: PathBuf,
 }
 
-/// Runs `pwrfgs map`.
+/// Runs `pwrfgs map`: writes the arrays and images of all maps.
 pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
     let folder = NewFolder::begin(&arguments.out)?;
-    let map = RunProgress::during(verbosity, |progress| map_model(&ensemble, &arguments.settings, progress))?;
-    map.bounds_note.iter().for_each(|note| verbosity.note(note));
+    let map = RunProgress::observe(verbosity, |progress| map_model(&ensemble, &arguments.settings, progress))?;
+    map.bounds_note.iter().for_each(|note| verbosity.print_note(note));
     map.write(&folder)?;
     folder.publish()?;
     let missing = map.missing();
     if missing > 0 {
         let missing = grouped(missing as i64);
-        output::warning(&format!(
+        output::print_warning(&format!(
             "{missing} values are not finite because the model overflows there; the images show them in grey"
         ));
     }
     let (columns, rows) = (grouped(map.grid.columns as i64), grouped(map.grid.rows as i64));
     let maps = if map.layers.len() == 1 { "1 map".into() } else { format!("{} maps", map.layers.len()) };
-    verbosity.note(&format!("{maps} of {columns} x {rows} positions in {}", arguments.out.display()));
+    verbosity.print_note(&format!("{maps} of {columns} x {rows} positions in {}", arguments.out.display()));
     Ok(())
 }

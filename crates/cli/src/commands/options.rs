@@ -26,14 +26,14 @@ pub(crate) struct ChangeOptions {
 }
 
 impl ChangeOptions {
-    /// Lists all changes in the form of `--set`.
-    pub(super) fn all(&self) -> Vec<String> {
+    /// Lists the changes of `--set` and `--scale`, each as `FIELD=VALUE`.
+    pub(super) fn assignments(&self) -> Vec<String> {
         let scale = self.scale.map(|scale| format!("training.scale={scale:?}"));
         self.set.iter().cloned().chain(scale).collect()
     }
 }
 
-/// Returns the pipeline file of `path`, and `path` itself if it is a run folder.
+/// Returns the pipeline file that `path` is or, as a run folder, contains; also the run folder in the second case.
 ///
 /// # Errors
 /// A sweep folder, or another folder without a pipeline.
@@ -53,7 +53,7 @@ pub(super) fn resolve_pipeline(path: &Path) -> Result<(PathBuf, Option<PathBuf>)
     Err(Error::input(path, why))
 }
 
-/// Parses a number of threads or jobs.
+/// Parses a number of threads, jobs or seeds; the error states the valid numbers.
 pub(crate) fn parse_count(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(count) if COUNTS.contains(&count) => Ok(count),

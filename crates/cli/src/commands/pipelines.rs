@@ -24,8 +24,8 @@ pub(crate) struct Pipelines {
     pub(crate) copy: Option<String>,
 }
 
-/// Runs `pwrfgs pipelines`.
-pub(crate) fn pipelines(arguments: &Pipelines) -> Result<()> {
+/// Runs `pwrfgs pipelines`: prints the names of the shipped files, or copies one into the current directory.
+pub(crate) fn list_or_copy_pipelines(arguments: &Pipelines) -> Result<()> {
     let [pipelines, experiments, scenes] =
         [ShippedFile::PIPELINES, ShippedFile::EXPERIMENTS, ShippedFile::SCENES].map(ShippedFile::all);
     if let Some(name) = &arguments.copy {
@@ -43,13 +43,13 @@ pub(crate) fn pipelines(arguments: &Pipelines) -> Result<()> {
         }
         let command = if file.folder == ShippedFile::PIPELINES { "run" } else { "sweep" };
         let (out, purpose) = (out.display(), file.purpose());
-        return output::result(&format!("{out}: {purpose}\nnext: pwrfgs {command} {out}\n"));
+        return output::print_result(&format!("{out}: {purpose}\nnext: pwrfgs {command} {out}\n"));
     }
     let list = |files: &[&ShippedFile]| {
         aligned(&files.iter().map(|file| vec![file.name.to_owned(), file.purpose()]).collect::<Vec<_>>(), 2)
     };
     let scenes: Vec<&str> = scenes.iter().map(|file| file.name).collect();
-    output::result(&format!(
+    output::print_result(&format!(
         "{}\nexperiments for `pwrfgs sweep`:\n{}\nscenes for `pwrfgs simulate`: {}\n",
         list(&pipelines),
         list(&experiments),

@@ -33,26 +33,26 @@ pub(crate) struct Place {
     pub(crate) out: PathBuf,
 }
 
-/// Runs `pwrfgs place`.
+/// Runs `pwrfgs place`: prints the table of the choices, and writes their list and map.
 pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<()> {
     let (stop, folder) = (stop_flag(), NewFolder::begin(&arguments.out)?);
-    let placement = RunProgress::during(verbosity, |progress| match recognise(&arguments.source) {
+    let placement = RunProgress::observe(verbosity, |progress| match recognise(&arguments.source) {
         Some(source) => {
             let data = staged(progress, "data", |progress| source.load(Path::new(""), progress))?;
             place_in_data(&data, &arguments.settings, progress)
         }
-        None => simulated(arguments, &stop, progress),
+        None => choose_in_scene(arguments, &stop, progress),
     })?;
     placement.write(&folder)?;
     folder.publish()?;
-    output::result(&placement.table())?;
-    verbosity.note(&format!("positions and map in {}", arguments.out.display()));
+    output::print_result(&placement.table())?;
+    verbosity.print_note(&format!("positions and map in {}", arguments.out.display()));
     Ok(())
 }
 
-/// Chooses receivers in a scene.
+/// Chooses receivers in the scene that the arguments name; a folder is an error.
 #[cfg(feature = "raytrace")]
-fn simulated(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Placement> {
+fn choose_in_scene(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -> Result<Placement> {
     if arguments.source.is_dir() {
         let source = &arguments.source;
         return Err(Error::input(source, "no data found; name a data folder (layouts: docs/data.md), or a scene"));
@@ -63,7 +63,7 @@ fn simulated(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgress) -
 
 /// Rejects scenes, which need the feature `raytrace`.
 #[cfg(not(feature = "raytrace"))]
-fn simulated(arguments: &Place, _: &AtomicBool, _: &mut RunProgress) -> Result<Placement> {
+fn choose_in_scene(arguments: &Place, _: &AtomicBool, _: &mut RunProgress) -> Result<Placement> {
     let advice = "name a data folder, or build with the feature `raytrace`";
     Err(Error::input(&arguments.source, format!("no data found, and this build has no scenes; {advice}")))
 }

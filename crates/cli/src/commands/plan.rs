@@ -39,16 +39,16 @@ pub(crate) struct Plan {
     pub(crate) out: PathBuf,
 }
 
-/// Runs `pwrfgs plan`.
+/// Runs `pwrfgs plan`: prints the plan and other choices, and writes its list and map.
 pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     let stop = stop_flag();
-    let places = RunProgress::during(verbosity, |progress| read_places(&arguments.places, progress))?;
+    let places = RunProgress::observe(verbosity, |progress| read_places(&arguments.places, progress))?;
     let folder = NewFolder::begin(&arguments.out)?;
     let plan =
-        RunProgress::during(verbosity, |progress| select_positions(&places, &arguments.settings, progress, &stop))?;
+        RunProgress::observe(verbosity, |progress| select_positions(&places, &arguments.settings, progress, &stop))?;
     plan.write(&places, &folder)?;
     folder.publish()?;
-    output::result(&plan.text)?;
-    verbosity.note(&format!("{} positions in {}", grouped(plan.order.len() as i64), arguments.out.display()));
+    output::print_result(&plan.text)?;
+    verbosity.print_note(&format!("{} positions in {}", grouped(plan.order.len() as i64), arguments.out.display()));
     Ok(())
 }

@@ -1,8 +1,8 @@
 //! `pwrfgs plugins`: lists and describes plugins and settings, in the notation of a pipeline.
 
 use crate::output;
-use crate::reference::commented::{CommentStyle, takes};
-use crate::reference::{DocChapter, DocItem, chapters, markdown, prose};
+use crate::reference::commented::{CommentStyle, describe_type};
+use crate::reference::{DocChapter, DocItem, list_chapters, markdown, prose};
 use clap::Args;
 use pwrfgs::experiment::sweep::Experiment;
 use pwrfgs::experiment::text::wrapped;
@@ -42,19 +42,19 @@ const WIDTH: usize = 110;
 /// Characters per line of the list of all names.
 const NARROW: usize = 100;
 
-/// Runs `pwrfgs plugins`.
-pub(crate) fn plugins(arguments: &Plugins) -> Result<()> {
-    let chapters = chapters();
+/// Runs `pwrfgs plugins`: prints the list of names, one entry, or the whole reference.
+pub(crate) fn print_reference(arguments: &Plugins) -> Result<()> {
+    let chapters = list_chapters();
     let text = match &arguments.name {
         _ if arguments.schema => file_schema(),
-        _ if arguments.markdown => markdown::page(&chapters),
+        _ if arguments.markdown => markdown::format_reference(&chapters),
         None => list_names(&chapters),
-        Some(name) => describe(name, &chapters)?,
+        Some(name) => describe_entries(name, &chapters)?,
     };
-    output::result(&text)
+    output::print_result(&text)
 }
 
-/// Lists the names of all kinds, plugins, settings and types.
+/// Lists the names of all kinds, each with its plugins, settings and types.
 fn list_names(chapters: &[DocChapter]) -> String {
     let heads: Vec<String> = chapters
         .iter()
@@ -77,8 +77,9 @@ fn list_names(chapters: &[DocChapter]) -> String {
            pwrfgs plugins --markdown prints the complete reference\n"
 }
 
-/// Lists a kind, or describes a plugin, settings or a type.
-fn describe(name: &str, chapters: &[DocChapter]) -> Result<String> {
+/// Lists the kinds and describes the plugins, settings and types that are called `name`, of any case; an error without
+/// any.
+fn describe_entries(name: &str, chapters: &[DocChapter]) -> Result<String> {
     let requested = name.to_lowercase();
     let mut out = String::new();
     for chapter in chapters {
@@ -92,26 +93,26 @@ fn describe(name: &str, chapters: &[DocChapter]) -> Result<String> {
         let others = chapter.topics.iter().filter(|topic| is_kind && !topic.is_called(&requested));
         others.for_each(|topic| write_summary(&mut out, topic));
     }
-    if out.is_empty() { Err(unknown_name(name, chapters)) } else { Ok(out) }
+    if out.is_empty() { Err(unknown_name_error(name, chapters)) } else { Ok(out) }
 }
 
-/// Writes the name of a topic and the first sentence of its comment.
+/// Adds the name of a topic and the first sentence of its comment to `out`.
 fn write_summary(out: &mut String, topic: &DocItem) {
-    let summary = topic.docs.map_or_else(String::new, |docs| prose::summary(docs.text));
+    let summary = topic.docs.map_or_else(String::new, |docs| prose::first_sentence(docs.text));
     let colon = if summary.is_empty() { "" } else { ": " };
-    out.push_str(&wrapped(&format!("{}{colon}{summary}", markdown::title(topic)), ["  ", "      "], WIDTH));
+    out.push_str(&wrapped(&format!("{}{colon}{summary}", markdown::topic_title(topic)), ["  ", "      "], WIDTH));
 }
 
-/// Writes a topic with its whole comment and all of its fields.
+/// Adds a topic with its whole comment and all of its fields or variants to `out`.
 fn write_topic(out: &mut String, topic: &DocItem) {
-    _ = writeln!(out, "  {}", markdown::title(topic));
+    _ = writeln!(out, "  {}", markdown::topic_title(topic));
     for paragraph in topic.docs.map_or_else(Vec::new, |docs| prose::paragraphs(docs.text)) {
         out.push_str(&wrapped(&paragraph, ["      "; 2], WIDTH));
     }
     match (topic.docs, &topic.value) {
         (Some(Docs { body: DocBody::Variants(variants), .. }), _) => {
             for variant in *variants {
-                let words = format!("{}: {}", markdown::form(variant), markdown::meaning(variant));
+                let words = format!("{}: {}", markdown::variant_notation(variant), markdown::variant_text(variant));
                 out.push_str(&wrapped(&words, ["      "; 2], WIDTH));
             }
         }
@@ -121,7 +122,8 @@ fn write_topic(out: &mut String, topic: &DocItem) {
         }
         (Some(docs), Err(_)) => {
             for field in docs.fields() {
-                let words = format!("{}: {} [{}]", field.name, prose::line(field.text), takes(&field.kind));
+                let words =
+                    format!("{}: {} [{}]", field.name, prose::single_line(field.text), describe_type(&field.kind));
                 out.push_str(&wrapped(&words, ["      "; 2], WIDTH));
             }
         }
@@ -129,8 +131,8 @@ fn write_topic(out: &mut String, topic: &DocItem) {
     }
 }
 
-/// Creates the error of an unknown name, with the nearest one.
-fn unknown_name(name: &str, chapters: &[DocChapter]) -> Error {
+/// Creates the error for an unknown name, with the nearest one.
+fn unknown_name_error(name: &str, chapters: &[DocChapter]) -> Error {
     let names = chapters.iter().flat_map(|c| {
         let topics = c.topics.iter().flat_map(|t| t.fields.iter().copied().chain([t.name.as_str()]));
         topics.chain(c.field).chain([c.name.as_str()])
@@ -153,12 +155,13 @@ enum File {
 /// Creates the JSON schema of pipeline and experiment files, for editors and programs.
 fn file_schema() -> String {
     let mut schema = schema_for!(File).to_value();
-    shorten(&mut schema);
+    shorten_numbers(&mut schema);
     format!("{schema:#}\n")
 }
 
-/// Shortens single-precision defaults to the digits of single precision.
-fn shorten(value: &mut Value) {
+/// Replaces, inside `value`, the numbers that are exact in single precision by their shortest decimals of that
+/// precision.
+fn shorten_numbers(value: &mut Value) {
     match value {
         Value::Number(number) if number.is_f64() => {
             let exact = number.as_f64().unwrap_or_default();
@@ -167,8 +170,8 @@ fn shorten(value: &mut Value) {
                 *value = short.into();
             }
         }
-        Value::Array(items) => items.iter_mut().for_each(shorten),
-        Value::Object(fields) => fields.values_mut().for_each(shorten),
+        Value::Array(items) => items.iter_mut().for_each(shorten_numbers),
+        Value::Object(fields) => fields.values_mut().for_each(shorten_numbers),
         _ => {}
     }
 }

@@ -59,35 +59,36 @@ pub(crate) struct Predict {
     pub(crate) settings: PredictSettings,
 }
 
-/// Runs `pwrfgs predict`.
+/// Runs `pwrfgs predict`: writes the predictions and warns of extrapolations.
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
     let setup = &ensemble.members()[0].stages;
-    let poses = moving_poses(arguments, setup.setup.moving)?;
+    let poses = read_moving_poses(arguments, setup.setup.moving)?;
     let folder = NewFolder::begin(&arguments.out)?;
-    let PredictionCount { count, distances } = RunProgress::during(verbosity, |progress| {
+    let PredictionCount { count, distances } = RunProgress::observe(verbosity, |progress| {
         write_predictions(&ensemble, &poses, &arguments.settings, &folder, progress)
     })?;
     folder.publish()?;
     match &distances {
-        Some(distances) => extrapolation_warning(distances).iter().for_each(|warning| output::warning(warning)),
-        None => verbosity.note("note: the model has no training positions, so extrapolations are not marked"),
+        Some(distances) => extrapolation_warning(distances).iter().for_each(|warning| output::print_warning(warning)),
+        None => verbosity.print_note("note: the model has no training positions, so extrapolations are not marked"),
     }
     let kind = if count == 1 { setup.task.singular } else { setup.task.plural };
-    verbosity.note(&format!("{} {kind} in {}", grouped(count as i64), arguments.out.display()));
+    verbosity.print_note(&format!("{} {kind} in {}", grouped(count as i64), arguments.out.display()));
     Ok(())
 }
 
-/// Reads the positions or poses of the end that moves, at which to predict.
-fn moving_poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
+/// Reads the positions or poses of the end that moves, at which to predict; an error if the arguments give the other
+/// end.
+fn read_moving_poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
     let Predict { tx, tx_csv, rx_pose, rx_pose_csv, .. } = arguments;
     let refuse =
         |end: &str, advice: &str| Err(Error::Config(format!("the {end} of this model moves; give its {advice}")));
-    let of_transmitters = tx.is_some() || tx_csv.is_some();
-    if of_transmitters && moving.is_receiver() {
+    let has_transmitters = tx.is_some() || tx_csv.is_some();
+    if has_transmitters && moving.is_receiver() {
         return refuse("receiver", "poses with --rx-pose or --rx-pose-csv instead of --tx");
     }
-    if !of_transmitters && !moving.is_receiver() {
+    if !has_transmitters && !moving.is_receiver() {
         return refuse("transmitter", "positions with --tx or --tx-csv instead of --rx-pose");
     }
     match (tx, tx_csv, rx_pose, rx_pose_csv) {

@@ -41,28 +41,28 @@ pub(crate) struct Report {
     pub(crate) reference: Option<String>,
 }
 
-/// Runs `pwrfgs report`.
+/// Runs `pwrfgs report`: writes the comparison; for a single run without `--out`, also the page of the run.
 pub(crate) fn report(arguments: &Report, verbosity: Verbosity) -> Result<()> {
     let out = arguments.out.clone().unwrap_or_else(|| arguments.runs[0].join(FOLDER));
     let study = Study::read(&arguments.runs)?;
     if let ([run], None) = (&arguments.runs[..], &arguments.out)
         && run.join(PIPELINE).is_file()
     {
-        rebuild_run(run, verbosity)?;
+        rebuild_run_page(run, verbosity)?;
     }
     write_comparison(&study, arguments.reference.as_deref(), &out, verbosity)
 }
 
-/// Writes the report of a sweep after its last run.
-pub(super) fn of_sweep(folder: &Path, reference: Option<&str>, verbosity: Verbosity) -> Result<()> {
+/// Writes the report of the sweep in `folder`, and prints its tables.
+pub(super) fn report_sweep(folder: &Path, reference: Option<&str>, verbosity: Verbosity) -> Result<()> {
     write_comparison(&Study::read(&[folder.into()])?, reference, &folder.join(FOLDER), verbosity)
 }
 
-/// Rebuilds the page of a run; without its data, it warns and keeps the old page.
-fn rebuild_run(run: &Path, verbosity: Verbosity) -> Result<()> {
-    match RunProgress::during(verbosity, |progress| rebuild_page(run, pwrfgs::report::page, progress)) {
+/// Rebuilds the page of a run. If its input is invalid, such as missing data, it warns and keeps the old page.
+fn rebuild_run_page(run: &Path, verbosity: Verbosity) -> Result<()> {
+    match RunProgress::observe(verbosity, |progress| rebuild_page(run, pwrfgs::report::page, progress)) {
         Err(error) if error.is_input() => {
-            output::warning(&format!("{} is not rebuilt: {error}", run.join(REPORT).display()));
+            output::print_warning(&format!("{} is not rebuilt: {error}", run.join(REPORT).display()));
             Ok(())
         }
         rebuilt => rebuilt,
@@ -71,6 +71,6 @@ fn rebuild_run(run: &Path, verbosity: Verbosity) -> Result<()> {
 
 /// Writes the report of a study and prints its tables.
 fn write_comparison(study: &Study, reference: Option<&str>, out: &Path, verbosity: Verbosity) -> Result<()> {
-    let written = RunProgress::during(verbosity, |progress| write(study, reference, out, progress))?;
-    output::result(&format!("{written}\nreport: {}\n", out.join("report.html").display()))
+    let written = RunProgress::observe(verbosity, |progress| write(study, reference, out, progress))?;
+    output::print_result(&format!("{written}\nreport: {}\n", out.join("report.html").display()))
 }

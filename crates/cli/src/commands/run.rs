@@ -34,28 +34,28 @@ pub(crate) struct Run {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Runs `pwrfgs run`.
+/// Runs `pwrfgs run`: trains and scores a pipeline; returns the exit code.
 pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<u8> {
     let (file, folder) = resolve_pipeline(&arguments.pipeline)?;
-    let pipeline = read_pipeline(&file, &arguments.changes.all())?;
+    let pipeline = read_pipeline(&file, &arguments.changes.assignments())?;
     let out = arguments.out.clone().or(folder).unwrap_or_else(|| Path::new("runs").join(&pipeline.name));
     let stop = stop_flag();
     let outcome =
-        RunProgress::during(verbosity, |progress| pwrfgs::run(&pipeline, Path::new(""), &out, progress, &stop));
+        RunProgress::observe(verbosity, |progress| pwrfgs::run(&pipeline, Path::new(""), &out, progress, &stop));
     match outcome? {
         RunOutcome::Unscored => {
-            output::note(&format!(
+            output::print_note(&format!(
                 "stopped before scoring was complete; the trained model is in {}; repeat the command to score it",
                 out.display()
             ));
             Ok(INTERRUPTED)
         }
         RunOutcome::Interrupted { step: 0 } => {
-            output::note("stopped before the first step; repeat the command to start again");
+            output::print_note("stopped before the first step; repeat the command to start again");
             Ok(INTERRUPTED)
         }
         RunOutcome::Interrupted { step } => {
-            output::note(&format!(
+            output::print_note(&format!(
                 "stopped after step {step} of {}; the checkpoint is in {}; repeat the command to resume",
                 pipeline.training.steps,
                 out.display()
@@ -64,18 +64,19 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<u8> {
         }
         RunOutcome::Finished { scores, already } => {
             if already {
-                verbosity.note(&format!("{}: this run is already finished; nothing to do", out.display()));
+                verbosity.print_note(&format!("{}: this run is already finished; nothing to do", out.display()));
             }
             let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", out.join(REPORT).display()));
-            let last = last_line(scores.verdict(), &out);
-            output::result(&(scores.to_text() + &report.unwrap_or_default() + &last))?;
+            let last = format_last_line(scores.verdict(), &out);
+            output::print_result(&(scores.to_text() + &report.unwrap_or_default() + &last))?;
             Ok(SUCCESS)
         }
     }
 }
 
-/// Writes the verdict on the model, and the commands that show more of its run.
-fn last_line(verdict: Option<String>, run: &Path) -> String {
+/// Formats the line with the verdict on the model and the commands that show more of its run; empty if there is
+/// neither.
+fn format_last_line(verdict: Option<String>, run: &Path) -> String {
     let commands = [(pwrfgs::PAGE.is_some(), "report"), (cfg!(feature = "viewer"), "view")];
     let commands = commands.iter().filter(|(is_built, _)| *is_built);
     let next: Vec<String> = commands.map(|(_, name)| format!("`pwrfgs {name} {}`", run.display())).collect();

@@ -91,8 +91,9 @@ pub(crate) enum SimulateFormat {
 }
 
 impl Simulate {
-    /// Returns observation and layout of the files.
-    fn output_layout(&self) -> Result<(ObservationKind, OutputLayout)> {
+    /// Returns the kind of observation and the layout of its files; an option that the layout does not support is an
+    /// error.
+    fn observation_and_layout(&self) -> Result<(ObservationKind, OutputLayout)> {
         let refuse = |problem: &str| Err(Error::Config(problem.into()));
         let is_channel = matches!(self.layout, SimulateFormat::Channels | SimulateFormat::Csi);
         if self.npy && self.layout != SimulateFormat::Spectra {
@@ -140,51 +141,43 @@ pub(crate) struct ExportScene {
     pub(crate) out: PathBuf,
 }
 
-/// Runs `pwrfgs export-scene`.
+/// Runs `pwrfgs export-scene`: writes the scene as Mitsuba XML with meshes.
 pub(crate) fn export_scene(arguments: &ExportScene, verbosity: Verbosity) -> Result<()> {
     let scene = SceneFile::read(&arguments.scene)?;
-    let (meshes, out) = (mitsuba::export(&scene, &arguments.out)?, arguments.out.display());
+    let (meshes, out) = (mitsuba::export_scene(&scene, &arguments.out)?, arguments.out.display());
     let how = format!("`simulate --carrier-hz {:e}` or sionna.rt.load_scene", scene.carrier_hz);
-    verbosity.note(&format!("{meshes} meshes in {out}; read scene.xml with {how}"));
+    verbosity.print_note(&format!("{meshes} meshes in {out}; read scene.xml with {how}"));
     Ok(())
 }
 
-/// Runs `pwrfgs simulate`.
+/// Runs `pwrfgs simulate`: writes the simulated data set.
 pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()> {
     let begun = Instant::now();
     let stop = stop_flag();
-    let (observe, layout) = arguments.output_layout()?;
+    let (observe, layout) = arguments.observation_and_layout()?;
     let receiver = arguments.receiver.as_deref().map(|text| parse_position("--receiver", text)).transpose()?;
     let mut recipe = SimulationRecipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?;
-    recipe.scene = recipe.scene.with(arguments.carrier_hz, receiver)?;
+    recipe.scene = recipe.scene.with_overrides(arguments.carrier_hz, receiver)?;
     let recipe = recipe.observing(observe)?;
     if arguments.scene.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("xml")) {
         let (scene, (low, high)) = (&recipe.scene, recipe.scene.transmitter.positions.corners());
         let (n, hz, at) = (scene.objects.len(), scene.carrier_hz, scene.receiver.position);
         let region = format!("transmitters from {low:?} to {high:?}");
-        verbosity.note(&format!("{n} meshes; carrier {hz:e} Hz, receiver at {at:?}, {region}"));
+        verbosity.print_note(&format!("{n} meshes; carrier {hz:e} Hz, receiver at {at:?}, {region}"));
     }
-    RunProgress::during(verbosity, |progress| {
+    RunProgress::observe(verbosity, |progress| {
         staged(progress, "simulating", |progress| {
-            folder::write_as(&recipe, layout, !arguments.no_paths, &arguments.out, progress, &stop)
+            folder::write_dataset(&recipe, layout, !arguments.no_paths, &arguments.out, progress, &stop)
         })
     })?;
-    verbosity.note(&describe_data(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
+    verbosity.print_note(&describe_data(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
     Ok(())
 }
 
-/// Describes the data set and the setting to train on it.
+/// Describes the simulated data set, and how to read it: the setting of a pipeline, or a call in Python.
 fn describe_data(arguments: &Simulate, recipe: &SimulationRecipe, layout: OutputLayout, seconds: f64) -> String {
     let (scene, out) = (&recipe.scene, arguments.out.display());
     let receivers = scene.receivers().count();
-    let (things, plugin) = match layout {
-        OutputLayout::Pictures => ("spectra", "Nerf2Spectrum"),
-        OutputLayout::Array => ("spectra", "Arrays"),
-        OutputLayout::Rssi => ("powers", "Nerf2Rssi"),
-        OutputLayout::Channels => ("channels", "Channels"),
-        OutputLayout::Csi => ("channels", "Nerf2Csi"),
-        OutputLayout::DeepMimo => ("users", ""),
-    };
     let has_one_folder = receivers == 1 || layout == OutputLayout::Rssi;
     // Several receivers have a folder each; the first is shown.
     let root = if has_one_folder { arguments.out.clone() } else { arguments.out.join(&scene.receiver.name) };
@@ -195,23 +188,28 @@ fn describe_data(arguments: &Simulate, recipe: &SimulationRecipe, layout: Output
         (1, _) => format!(" at {carriers} carriers"),
         _ => format!(" at {receivers} receivers"),
     };
-    let plugin = match layout {
+    let plain = |plugin: &str| format!("{plugin}(root: \"{}\")", root.display());
+    let with_points = |plugin: &str| {
+        let points = root.join(folder::POINTS);
+        format!("{plugin}(root: \"{}\", points: \"{}\")", root.display(), points.display())
+    };
+    let (things, plugin) = match layout {
+        OutputLayout::Pictures => ("spectra", with_points("Nerf2Spectrum")),
+        OutputLayout::Array => ("spectra", with_points("Arrays")),
+        OutputLayout::Rssi => ("powers", plain("Nerf2Rssi")),
+        OutputLayout::Channels => ("channels", plain("Channels")),
+        OutputLayout::Csi => {
+            let spacing = scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz());
+            let (root, carrier) = (root.display(), scene.carrier_hz);
+            let (plugin, band) = ("Nerf2Csi", format!("carrier_hz: {carrier:?}, spacing_hz: {spacing:?}"));
+            ("channels", format!("{plugin}(root: \"{root}\", {band}, together: true)"))
+        }
         OutputLayout::DeepMimo => {
             let pair = if receivers == 1 { "" } else { ", pair=(0, 0, 1)" };
             let (users, name) = (recipe.samples, &scene.name);
             let text = format!("{users} simulated users of {name}{ends} in {out} after {seconds:.1} s");
             return format!("{text}; in Python: pwrfgs.convert.from_deepmimo(\"{out}\"{pair})");
         }
-        OutputLayout::Pictures | OutputLayout::Array => {
-            let points = root.join(folder::POINTS);
-            format!("{plugin}(root: \"{}\", points: \"{}\")", root.display(), points.display())
-        }
-        OutputLayout::Csi => {
-            let spacing = scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz());
-            let (root, carrier) = (root.display(), scene.carrier_hz);
-            format!("{plugin}(root: \"{root}\", carrier_hz: {carrier:?}, spacing_hz: {spacing:?}, together: true)")
-        }
-        _ => format!("{plugin}(root: \"{}\")", root.display()),
     };
     format!(
         "{count} simulated {things} of {}{ends} in {out} after {seconds:.1} s; in a pipeline: data: {plugin}",

@@ -8,7 +8,9 @@ use crate::output::{self, FAILED, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
-use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepEnd, SweepPlan, check, estimate, execute, pool, slurm};
+use pwrfgs::experiment::sweep::{
+    JOINED, RunStage, SweepEnd, SweepPlan, check, estimate_run_seconds, execute, run_pool, slurm,
+};
 use pwrfgs::experiment::{RunOutcome, Session};
 use pwrfgs_core::{Error, Result, ShippedFile};
 use std::collections::BTreeSet;
@@ -75,7 +77,7 @@ pub(crate) struct Shard {
     pub(crate) count: usize,
 }
 
-/// Parses `2/5`.
+/// Parses `2/5`, the value of `--shard`.
 fn parse_shard(text: &str) -> Result<Shard, String> {
     let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
     match parts {
@@ -84,147 +86,167 @@ fn parse_shard(text: &str) -> Result<Shard, String> {
     }
 }
 
-/// Runs `pwrfgs sweep`.
+/// Runs `pwrfgs sweep`: prints the progress or the estimates, submits the runs, or executes them; returns the exit
+/// code. `threads` is the value of `--threads`.
 pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbosity) -> Result<u8> {
-    let plan = SweepPlan::read(&arguments.experiment, &arguments.changes.all(), arguments.out.as_deref())?;
+    let plan = SweepPlan::read(&arguments.experiment, &arguments.changes.assignments(), arguments.out.as_deref())?;
     let runs = select_runs(&plan, arguments)?;
     if arguments.status {
-        output::result(&table::status(&plan, &runs, &queued_or_note(&plan)))?;
+        output::print_result(&table::format_progress(&plan, &runs, &queued_runs(&plan)))?;
         return Ok(SUCCESS);
     }
-    let available = rayon::current_num_threads();
-    if arguments.jobs > available {
-        return Err(Error::Config(format!(
-            "--jobs {}: more than the {available} available threads; set at most {available}",
-            arguments.jobs
-        )));
+    let (jobs, available) = (arguments.jobs, rayon::current_num_threads());
+    if jobs > available {
+        let problem = format!("more than the {available} available threads; set at most {available}");
+        return Err(Error::Config(format!("--jobs {jobs}: {problem}")));
     }
+    let selected = SelectedRuns { plan: &plan, indices: &runs, jobs, verbosity };
     if arguments.dry_run {
-        return dry_run(&plan, &runs, arguments.jobs, verbosity);
+        return selected.print_estimates();
     }
     if let Some(Launcher::Slurm) = arguments.launcher {
-        let open = RunProgress::during(verbosity, |progress| check(&plan, &runs, progress))?;
-        return submit(&plan, &open, arguments, threads);
+        let open = RunProgress::observe(verbosity, |progress| check(&plan, &runs, progress))?;
+        return submit_runs(&plan, &open, arguments, threads);
     }
-    check_and_announce(&plan, &runs, arguments.jobs, verbosity)?;
-    run_here(&plan, &runs, arguments.jobs, (None, verbosity))
+    selected.announce()?;
+    selected.execute(None)
 }
 
 /// Least number of training steps per combination for an estimate, which takes up to 80 steps.
 const WORTH_STEPS: u64 = 1_600;
 
-/// Validates the runs and prints their estimated total time, unless the estimate would take long compared with them.
-pub(super) fn check_and_announce(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<()> {
-    let steps: u64 = runs.iter().map(|run| plan.runs[*run].pipeline.training.steps).sum();
-    let combinations = runs.iter().map(|run| plan.runs[*run].combination).collect::<BTreeSet<_>>().len() as u64;
-    if verbosity == Verbosity::Quiet || steps < WORTH_STEPS * combinations {
-        return RunProgress::during(verbosity, |progress| check(plan, runs, progress)).map(drop);
-    }
-    let seconds = estimate_seconds(plan, runs, jobs, verbosity)?;
-    if seconds.iter().any(|seconds| *seconds > 0.0) {
-        output::note(table::total(plan, runs, &seconds, jobs).trim_end());
-    }
-    Ok(())
+/// Runs of a sweep that a command lists or executes.
+#[derive(Clone, Copy)]
+pub(super) struct SelectedRuns<'a> {
+    pub(super) plan: &'a SweepPlan,
+    /// Indices of the runs in the plan.
+    pub(super) indices: &'a [usize],
+    /// Number of parallel runs.
+    pub(super) jobs: usize,
+    pub(super) verbosity: Verbosity,
 }
 
-/// Estimates the seconds of each run.
-fn estimate_seconds(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<Vec<f64>> {
-    let pool = pool(jobs)?;
-    RunProgress::during(verbosity, |progress| pool.install(|| estimate(plan, runs, progress)))
+impl SelectedRuns<'_> {
+    /// Validates the runs. Also prints their estimated total time, unless the output is quiet or the estimate would
+    /// take long compared with the runs.
+    pub(super) fn announce(self) -> Result<()> {
+        let Self { plan, indices, jobs, verbosity } = self;
+        let steps: u64 = indices.iter().map(|run| plan.runs[*run].pipeline.training.steps).sum();
+        let combinations = indices.iter().map(|run| plan.runs[*run].combination).collect::<BTreeSet<_>>().len() as u64;
+        if verbosity == Verbosity::Quiet || steps < WORTH_STEPS * combinations {
+            return RunProgress::observe(verbosity, |progress| check(plan, indices, progress)).map(drop);
+        }
+        let seconds = self.estimate_seconds()?;
+        if seconds.iter().any(|seconds| *seconds > 0.0) {
+            output::print_note(table::describe_total(plan, indices, &seconds, jobs).trim_end());
+        }
+        Ok(())
+    }
+
+    /// Validates the runs and estimates the seconds of each.
+    fn estimate_seconds(self) -> Result<Vec<f64>> {
+        let pool = run_pool(self.jobs)?;
+        RunProgress::observe(self.verbosity, |progress| {
+            pool.install(|| estimate_run_seconds(self.plan, self.indices, progress))
+        })
+    }
+
+    /// Prints all runs with estimated times; returns the exit code.
+    pub(super) fn print_estimates(self) -> Result<u8> {
+        let seconds = self.estimate_seconds()?;
+        output::print_result(&table::format_estimates(self.plan, self.indices, &seconds, self.jobs))?;
+        Ok(SUCCESS)
+    }
+
+    /// Executes the runs in this process and prints their table; returns the exit code. The process that ends the last
+    /// run of the sweep writes the report, in which `reference` is that of the paired differences.
+    pub(super) fn execute(self, reference: Option<&str>) -> Result<u8> {
+        let Self { plan, indices, jobs, verbosity } = self;
+        let stop = stop_flag();
+        let board = SweepTable::new(plan, indices.len(), verbosity);
+        let end = RunProgress::observe(verbosity, |progress| {
+            let mut session = Session { observer: progress, stop: &stop, page: pwrfgs::PAGE };
+            execute(plan, indices, jobs, &board, &mut session)
+        });
+        board.remove_bar();
+        #[cfg(feature = "report")]
+        let reported = if !stop.load(Ordering::Relaxed) && has_ended(plan) {
+            // If the last runs of two processes end together, one writes after the other.
+            plan.claim().and_then(|_held| super::report::report_sweep(&plan.folder, reference, verbosity))
+        } else {
+            Ok(())
+        };
+        let SweepEnd { runs: ends, joined } = end?;
+        #[cfg(feature = "report")]
+        reported?;
+        output::print_result(&table::format_progress(plan, indices, &queued_runs(plan)))?;
+        if let Some(RunOutcome::Finished { scores, .. }) = joined {
+            let folder = plan.folder.join(JOINED);
+            let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", folder.join(REPORT).display()));
+            let head = format!("\nensemble of {} models in {}\n", plan.runs.len(), folder.display());
+            output::print_result(&(head + &scores.to_text() + &report.unwrap_or_default()))?;
+        }
+        let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
+        if failed > 0 {
+            let (total, failures) = (indices.len(), plan.folder.join("failures"));
+            output::print_note(&format!(
+                "{failed} of {total} runs failed; see the errors above and in {}; repeat the command to retry them",
+                failures.display()
+            ));
+            return Ok(FAILED);
+        }
+        if stop.load(Ordering::Relaxed) {
+            output::print_note("stopped; repeat the command to resume");
+            return Ok(INTERRUPTED);
+        }
+        Ok(SUCCESS)
+    }
 }
 
-/// Lists the names of the runs in the Slurm queue, empty with a note if it cannot be read.
-fn queued_or_note(plan: &SweepPlan) -> BTreeSet<String> {
-    slurm::queued(plan).unwrap_or_else(|error| {
-        output::note(&format!("note: {error}"));
+/// Lists the folders of the runs in the Slurm queue; empty, with a note, if it cannot be read.
+fn queued_runs(plan: &SweepPlan) -> BTreeSet<String> {
+    slurm::queued_runs(plan).unwrap_or_else(|error| {
+        output::print_note(&format!("note: {error}"));
         BTreeSet::new()
     })
 }
 
-/// Returns the indices of the runs that `--shard` or `--only` select; all without them.
+/// Returns the indices in the plan of the runs that `--shard` or `--only` select; all without them.
 fn select_runs(plan: &SweepPlan, arguments: &Sweep) -> Result<Vec<usize>> {
     if let Some(name) = &arguments.only {
-        return Ok(vec![plan.find(name)?]);
+        return Ok(vec![plan.find_run(name)?]);
     }
     let Shard { index, count } = arguments.shard.unwrap_or(Shard { index: 1, count: 1 });
     Ok((0..plan.runs.len()).filter(|run| run % count == index - 1).collect())
 }
 
-/// Performs `runs` in this process; `report` is the reference of paired differences in the last report, and the
-/// verbosity.
-pub(super) fn run_here(plan: &SweepPlan, runs: &[usize], jobs: usize, report: (Option<&str>, Verbosity)) -> Result<u8> {
-    let (reference, verbosity) = report;
-    let stop = stop_flag();
-    let board = SweepTable::new(plan, runs.len(), verbosity);
-    let end = RunProgress::during(verbosity, |progress| {
-        let mut session = Session { observer: progress, stop: &stop, page: pwrfgs::PAGE };
-        execute(plan, runs, jobs, &board, &mut session)
-    });
-    board.finish();
-    #[cfg(feature = "report")]
-    let reported = if !stop.load(Ordering::Relaxed) && is_last(plan) {
-        // If the last runs of two processes end together, one writes after the other.
-        plan.claim().and_then(|_held| super::report::of_sweep(&plan.folder, reference, verbosity))
-    } else {
-        Ok(())
-    };
-    let SweepEnd { runs: ends, joined } = end?;
-    #[cfg(feature = "report")]
-    reported?;
-    let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
-    output::result(&table::status(plan, runs, &queued_or_note(plan)))?;
-    if let Some(RunOutcome::Finished { scores, .. }) = joined {
-        let folder = plan.folder.join(JOINED);
-        let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", folder.join(REPORT).display()));
-        let head = format!("\nensemble of {} models in {}\n", plan.runs.len(), folder.display());
-        output::result(&(head + &scores.to_text() + &report.unwrap_or_default()))?;
-    }
-    if failed > 0 {
-        output::note(&format!(
-            "{failed} of {} runs failed; see the errors above and in {}; repeat the command to retry them",
-            runs.len(),
-            plan.folder.join("failures").display()
-        ));
-        return Ok(FAILED);
-    }
-    if stop.load(Ordering::Relaxed) {
-        output::note("stopped; repeat the command to resume");
-        return Ok(INTERRUPTED);
-    }
-    Ok(SUCCESS)
-}
-
-/// Returns whether some runs have finished and all others have failed, so that no other process writes the report.
+/// Returns whether all runs have finished or failed, and some have finished, so that no other process writes the
+/// report.
 #[cfg(feature = "report")]
-fn is_last(plan: &SweepPlan) -> bool {
+fn has_ended(plan: &SweepPlan) -> bool {
     let states = plan.states();
-    let has_ended = |state: &RunStage| matches!(state, RunStage::Finished(_) | RunStage::Failed(_));
-    states.iter().all(has_ended) && states.iter().any(|state| matches!(state, RunStage::Finished(_)))
+    let is_over = |state: &RunStage| matches!(state, RunStage::Finished(_) | RunStage::Failed(_));
+    states.iter().all(is_over) && states.iter().any(|state| matches!(state, RunStage::Finished(_)))
 }
 
-/// Lists all runs with estimated times.
-pub(super) fn dry_run(plan: &SweepPlan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<u8> {
-    let seconds = estimate_seconds(plan, runs, jobs, verbosity)?;
-    output::result(&table::plan(plan, runs, &seconds, jobs))?;
-    Ok(SUCCESS)
-}
-
-/// Submits to Slurm the runs that are not finished, running or queued.
-fn submit(plan: &SweepPlan, unfinished: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<u8> {
+/// Submits to Slurm the `unfinished` runs that are not running or queued; returns the exit code.
+fn submit_runs(plan: &SweepPlan, unfinished: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<u8> {
     let _held = plan.claim()?; // no other process may submit the same runs meanwhile
-    let queued = slurm::queued(plan)?;
+    let queued = slurm::queued_runs(plan)?;
     let is_free = |run: &usize| {
         !queued.contains(&plan.runs[*run].folder) && !matches!(plan.state(*run), RunStage::Running { .. })
     };
     let runs: Vec<usize> = unfinished.iter().copied().filter(is_free).collect();
     let waiting = unfinished.len() - runs.len();
     if runs.is_empty() {
-        output::result(&format!("nothing to submit: {waiting} runs are queued or running, the others are finished\n"))?;
+        output::print_result(&format!(
+            "nothing to submit: {waiting} runs are queued or running, the others are finished\n"
+        ))?;
         return Ok(SUCCESS);
     }
     let command = task_command(plan, arguments, threads.unwrap_or(plan.slurm.cpus))?;
     let (job, script) = slurm::submit(plan, &runs, &command)?;
-    output::result(&format!(
+    output::print_result(&format!(
         "submitted {} runs as job {job} ({})\nprogress: repeat the command with --status instead of --launcher\n",
         runs.len(),
         script.display()
@@ -232,12 +254,12 @@ fn submit(plan: &SweepPlan, unfinished: &[usize], arguments: &Sweep, threads: Op
     Ok(SUCCESS)
 }
 
-/// Creates the command line of a task; the name of its run comes last.
+/// Creates the command line of a task of a Slurm job, as words; the name of its run must follow.
 fn task_command(plan: &SweepPlan, arguments: &Sweep, threads: usize) -> Result<Vec<String>> {
     let text = |path: &Path| {
         std::path::absolute(path).map(|path| path.display().to_string()).map_err(|e| Error::read(path, e))
     };
-    let program = output::program()?;
+    let program = output::program_path()?;
     let current =
         std::env::current_dir().map_err(|e| Error::Config(format!("cannot read the current directory: {e}")))?;
     // Paths in --set are relative to the current directory, also in a task.
@@ -245,7 +267,7 @@ fn task_command(plan: &SweepPlan, arguments: &Sweep, threads: usize) -> Result<V
     let shipped = ShippedFile::find(ShippedFile::EXPERIMENTS, Path::new(""), &arguments.experiment);
     let experiment = shipped.map_or_else(|| text(&arguments.experiment), |file| Ok(file.name.into()))?;
     words.extend([experiment, "--out".into(), text(&plan.folder)?]);
-    words.extend(arguments.changes.all().into_iter().flat_map(|set| ["--set".into(), set]));
+    words.extend(arguments.changes.assignments().into_iter().flat_map(|set| ["--set".into(), set]));
     words.extend(["--threads".into(), threads.to_string(), "--quiet".into(), "--only".into()]);
     Ok(words)
 }

@@ -6,7 +6,7 @@ use clap::Args;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::model::file;
-use pwrfgs::tasks::init::unknown_folder;
+use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs::tasks::read_models;
 use pwrfgs::tasks::update::{FAR, UpdatedModel, update as update_model};
 use pwrfgs_core::files::{check_new_file, create};
@@ -37,20 +37,20 @@ pub(crate) struct Update {
     pub(crate) accept: Vec<String>,
 }
 
-/// Runs `pwrfgs update`.
+/// Runs `pwrfgs update`: writes the model with the new links, unless the data are far from it.
 pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let model = read_models(std::slice::from_ref(&arguments.model))?;
-    let source = recognise(&arguments.data).ok_or_else(|| unknown_folder(&arguments.data))?;
+    let source = recognise(&arguments.data).ok_or_else(|| unknown_folder_error(&arguments.data))?;
     let mut progress = RunProgress::new(verbosity);
     let data = staged(&mut progress, "new data", |progress| source.load(Path::new(""), progress))?;
     let UpdatedModel { ensemble, added, agreement, milliseconds } =
         update_model(&model, &data, !arguments.accept.is_empty(), &mut progress)?;
-    progress.finish();
-    verbosity.note(&format!("new data against the model: {agreement}"));
+    progress.remove_bar();
+    verbosity.print_note(&format!("new data against the model: {agreement}"));
     create(&arguments.out, &file::ensemble_to_bytes(&ensemble))?;
     let things = data.task().counted[usize::from(added != 1)];
     let out = arguments.out.display();
-    verbosity.note(&format!("{} new {things} in {out}, {milliseconds:.2} ms each", grouped(added as i64)));
+    verbosity.print_note(&format!("{} new {things} in {out}, {milliseconds:.2} ms each", grouped(added as i64)));
     Ok(())
 }

@@ -48,70 +48,70 @@ pub(crate) struct View {
     pub(crate) save: Option<PathBuf>,
 }
 
-/// Runs `pwrfgs view`.
+/// Runs `pwrfgs view`: serves the page until it is closed, or writes it to the file of `--save`.
 pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
     if let Some(file) = &arguments.save {
         return save_page(&arguments.sides, file, verbosity);
     }
-    let sides = RunProgress::during(verbosity, |progress| open_panes(&arguments.sides, progress))?;
+    let sides = RunProgress::observe(verbosity, |progress| open_panes(&arguments.sides, progress))?;
     let stop = stop_flag();
     let ready = |address: &str| {
         // Only the address on stdout, for pipes.
-        _ = output::result(&format!("{address}\n"));
-        verbosity.note("open this address in a browser; stop with Ctrl-C or by closing the page");
+        _ = output::print_result(&format!("{address}\n"));
+        verbosity.print_note("open this address in a browser; stop with Ctrl-C or by closing the page");
         if arguments.open && !open_browser(address) {
-            output::note("cannot start a browser; open the address yourself");
+            output::print_note("cannot start a browser; open the address yourself");
         }
     };
     show(sides, ready, &stop)
 }
 
-/// Writes the room of a finished run as a page.
-fn save_page(named: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
-    let [run] = named else { return Err(Error::Config("--save writes one run; name one run folder".into())) };
+/// Writes the room of a finished run as a page; `sides` must be this run alone.
+fn save_page(sides: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
+    let [run] = sides else { return Err(Error::Config("--save writes one run; name one run folder".into())) };
     if Path::new(run).is_file() {
         return Err(Error::input(Path::new(run), "model file, expected a run folder for --save"));
     }
     model_file(Path::new(run))?; // a clear error for the folder of a sweep
     check_new_file(file)?;
-    let made = RunProgress::during(verbosity, |progress| with_run(Path::new(run), progress, room_page));
-    let (page, predicts) = made?;
+    let (page, predicts) = RunProgress::observe(verbosity, |progress| with_run(Path::new(run), progress, room_page))?;
     create(file, page.as_bytes())?;
     let content =
         if predicts { "the model predicts in the page" } else { "the page contains stored data and does not predict" };
-    verbosity.note(&format!("{content}: {}", file.display()));
+    verbosity.print_note(&format!("{content}: {}", file.display()));
     Ok(())
 }
 
-/// Opens the models, or a model and a baseline, side by side.
-fn open_panes(named: &[String], progress: &mut RunProgress) -> Result<Vec<ViewPane>> {
-    let mut first = ViewPane::open(Path::new(&named[0]), progress)?;
-    show_walls(&mut first)?;
-    let second = match named.get(1) {
+/// Opens one or two sides of the page: runs or models; the second may be a baseline on the data of the first.
+fn open_panes(sides: &[String], progress: &mut RunProgress) -> Result<Vec<ViewPane>> {
+    let mut first = ViewPane::open(Path::new(&sides[0]), progress)?;
+    add_surfaces(&mut first)?;
+    let second = match sides.get(1) {
         None => return Ok(vec![first]),
         Some(path) if Path::new(path).exists() => ViewPane::open(Path::new(path), progress)?,
-        Some(text) => ViewPane::of_baseline(&parse_baseline(text)?, &first)?,
+        Some(text) => ViewPane::fit_baseline(&parse_baseline(text)?, &first)?,
     };
     Ok(vec![first, second])
 }
 
-/// Adds the surfaces of the room to simulated data.
+/// Shows the surfaces of the room in a pane of simulated data; other panes are unchanged.
 #[cfg(feature = "raytrace")]
-fn show_walls(side: &mut ViewPane) -> Result<()> {
-    let Some(text) = side.scene() else { return Ok(()) };
-    let surfaces = pwrfgs::raytrace::SceneFile::parse(text, Path::new("the scene of the data"))?.open_surfaces()?;
-    side.set_surfaces(surfaces);
+fn add_surfaces(pane: &mut ViewPane) -> Result<()> {
+    let Some(text) = pane.scene_text() else { return Ok(()) };
+    let surfaces =
+        pwrfgs::raytrace::SceneFile::parse(text, Path::new("the scene of the data"))?.surfaces_below_ceiling()?;
+    pane.set_surfaces(surfaces);
     Ok(())
 }
 
-/// Leaves the data as they are: surfaces need the feature `raytrace`.
+/// Leaves the pane as it is: surfaces need the feature `raytrace`.
 #[cfg(not(feature = "raytrace"))]
 #[allow(clippy::unnecessary_wraps)] // same signature as above
-fn show_walls(_side: &mut ViewPane) -> Result<()> {
+fn add_surfaces(_: &mut ViewPane) -> Result<()> {
     Ok(())
 }
 
-/// Parses a baseline from its RON text or name.
+/// Parses a baseline from its RON text, or from its name for default settings.
 fn parse_baseline(text: &str) -> Result<Plugin<dyn Baseline>> {
     let whole = if text.contains('(') { text.to_owned() } else { format!("{text}()") };
     Plugin::<dyn Baseline>::parse(&whole).map_err(|why| {

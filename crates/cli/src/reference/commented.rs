@@ -18,25 +18,25 @@ pub(crate) struct Value {
 }
 
 impl Value {
-    /// Parses `text`, which a serialiser or parser has accepted.
+    /// Parses RON; the error states the problem with its byte position.
     pub(crate) fn new(text: String) -> Result<Self, String> {
         Ok(Self { tree: RonTree::parse(&text)?, text })
     }
 
-    /// Returns the RON text of the value at `path`.
-    pub(crate) fn at(&self, path: &[&str]) -> Option<&str> {
+    /// Returns the RON text of the value at `path`, names of nested fields; `None` if one of them is missing.
+    pub(crate) fn text_at(&self, path: &[&str]) -> Option<&str> {
         let inside = path.iter().try_fold(&self.tree, |tree, field| tree.field(field));
-        inside.map(|tree| tree.of(&self.text))
+        inside.map(|tree| tree.text_in(&self.text))
     }
 
-    /// Returns the RON text of a field, in one line.
-    pub(super) fn field(&self, field: &DocField) -> Option<String> {
+    /// Returns the RON text of a field, in one line; `None` if it is missing.
+    pub(super) fn field_text(&self, field: &DocField) -> Option<String> {
         self.tree.field(field.name).map(|tree| short_text(Some(&field.kind), tree, &self.text))
     }
 
-    /// Returns the value of a field.
-    pub(super) fn part(&self, name: &str) -> Option<Self> {
-        Self::new(self.tree.field(name)?.of(&self.text).to_owned()).ok()
+    /// Returns the value of the field `name`; `None` if it is missing.
+    pub(super) fn field_value(&self, name: &str) -> Option<Self> {
+        Self::new(self.tree.field(name)?.text_in(&self.text).to_owned()).ok()
     }
 }
 
@@ -52,22 +52,22 @@ impl CommentStyle<'_> {
     /// All fields, nested values in one line.
     pub(crate) const FLAT: Self = CommentStyle { opens: &|_| false, shows: &|_, _| true };
 
-    /// Writes the value with the comments of `docs`. Each line starts with `indent`, except the first.
+    /// Formats the value as RON, with the comments of `docs`. Each line starts with `indent`, except the first.
     pub(crate) fn write(&self, value: &Value, docs: Option<&'static Docs>, indent: &str) -> String {
         let mut out = String::new();
         self.write_tree(&value.tree, &value.text, docs, indent, &mut out);
         out
     }
 
-    /// Writes a tree of `text`; values that open get one line per inner field.
+    /// Adds a tree of `text` to `out`; values that open get one line per inner field.
     fn write_tree(&self, tree: &RonTree, text: &str, docs: Option<&'static Docs>, indent: &str, out: &mut String) {
         let RonBody::Fields(fields) = &tree.body else {
             out.push_str(&compact_text(tree, text));
             return;
         };
-        _ = writeln!(out, "{}(", tree.name.as_deref().unwrap_or_default());
-        let inside = format!("{indent}    ");
         let owner = tree.name.as_deref().unwrap_or_default();
+        _ = writeln!(out, "{owner}(");
+        let inside = format!("{indent}    ");
         for (name, value) in fields.iter().filter(|(name, _)| (self.shows)(owner, name)) {
             let field = docs.and_then(|d| d.field(tree.name.as_deref(), name));
             if let Some(field) = field {
@@ -76,13 +76,13 @@ impl CommentStyle<'_> {
             _ = write!(out, "{inside}{name}: ");
             let kind = field.map(|f| &f.kind);
             match (&value.body, (self.opens)(name)) {
-                (RonBody::Fields(_), true) => self.write_tree(value, text, docs_at(kind, value), &inside, out),
-                (RonBody::Items(items), true) if !items.is_empty() && value.of(text).starts_with('[') => {
+                (RonBody::Fields(_), true) => self.write_tree(value, text, docs_of_value(kind, value), &inside, out),
+                (RonBody::Items(items), true) if !items.is_empty() && value.text_in(text).starts_with('[') => {
                     out.push_str("[\n");
                     for item in items {
                         let deeper = format!("{inside}    ");
                         out.push_str(&deeper);
-                        self.write_tree(item, text, docs_at(kind, item), &deeper, out);
+                        self.write_tree(item, text, docs_of_value(kind, item), &deeper, out);
                         out.push_str(",\n");
                     }
                     _ = write!(out, "{inside}]");
@@ -97,24 +97,24 @@ impl CommentStyle<'_> {
 
 /// Formats the comment of a field, with its type.
 fn field_comment(field: &DocField, indent: &str) -> String {
-    let words = format!("{} [{}]", prose::line(field.text), takes(&field.kind));
+    let words = format!("{} [{}]", prose::single_line(field.text), describe_type(&field.kind));
     wrapped(&words, [&format!("{indent}// "); 2], WIDTH)
 }
 
-/// Returns the comments on a value of this kind.
-fn docs_at(kind: Option<&DocKind>, value: &RonTree) -> Option<&'static Docs> {
+/// Returns the comments on a value of this kind; a plugin has those of its name. `None` without comments.
+fn docs_of_value(kind: Option<&DocKind>, value: &RonTree) -> Option<&'static Docs> {
     match kind? {
         DocKind::Of(docs) => Some(docs),
         DocKind::Plugin(kind) => {
             let members = (PluginFamily::find(kind)?.members)();
             members.iter().find(|m| Some(m.name) == value.name.as_deref())?.docs
         }
-        DocKind::Optional(inner) | DocKind::List(inner) => docs_at(Some(inner), value),
+        DocKind::Optional(inner) | DocKind::List(inner) => docs_of_value(Some(inner), value),
         _ => None,
     }
 }
 
-/// Writes a value in one line; settings whose fields are all optional become `Name()`.
+/// Formats a value in one line; settings whose fields are all optional become `Name()`.
 fn short_text(kind: Option<&DocKind>, tree: &RonTree, text: &str) -> String {
     match kind {
         Some(DocKind::Of(docs)) if !docs.fields().is_empty() && docs.fields().iter().all(|f| f.optional) => {
@@ -124,30 +124,30 @@ fn short_text(kind: Option<&DocKind>, tree: &RonTree, text: &str) -> String {
     }
 }
 
-/// Writes a value in one line, with all fields.
+/// Formats a value in one line, with all fields.
 fn compact_text(tree: &RonTree, text: &str) -> String {
     let name = tree.name.as_deref().unwrap_or_default();
     let list = |items: &[RonTree]| items.iter().map(|item| compact_text(item, text)).collect::<Vec<_>>().join(", ");
     match &tree.body {
-        RonBody::Plain => tree.of(text).to_owned(),
+        RonBody::Plain => tree.text_in(text).to_owned(),
         RonBody::Fields(fields) => {
             let fields: Vec<String> =
                 fields.iter().map(|(n, value)| format!("{n}: {}", compact_text(value, text))).collect();
             format!("{name}({})", fields.join(", "))
         }
-        RonBody::Items(items) if tree.of(text).starts_with('[') => format!("[{}]", list(items)),
+        RonBody::Items(items) if tree.text_in(text).starts_with('[') => format!("[{}]", list(items)),
         RonBody::Items(items) => format!("{name}({})", list(items)),
     }
 }
 
-/// Describes the type of a field in words; the variants of an enum.
-pub(crate) fn takes(kind: &DocKind) -> String {
+/// Describes the type of a field: name and variants of an enum, words for other types.
+pub(crate) fn describe_type(kind: &DocKind) -> String {
     match kind {
         DocKind::Of(Docs { name, body: Shape::Variants(variants), .. }) => {
             let names: Vec<&str> = variants.iter().map(|v| v.name).collect();
             format!("{name}: {}", names.join(", "))
         }
-        DocKind::Optional(inner) => format!("{} or None", takes(inner)),
+        DocKind::Optional(inner) => format!("{} or None", describe_type(inner)),
         other => other.words(),
     }
 }

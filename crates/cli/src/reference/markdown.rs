@@ -1,13 +1,13 @@
 //! The reference as one page of Markdown.
 
-use super::commented::{Value, takes};
+use super::commented::{Value, describe_type};
 use super::{DocChapter, DocItem, prose};
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::{DocBody, DocField, DocVariant, Docs};
 use std::fmt::Write as _;
 
-/// Writes the complete reference.
-pub(crate) fn page(chapters: &[DocChapter]) -> String {
+/// Formats the complete reference as a page: list of contents, then all chapters.
+pub(crate) fn format_reference(chapters: &[DocChapter]) -> String {
     let mut out = String::from(
         "# Reference\n\nThis page lists all plugins, settings and types of pipelines and experiments, with defaults.\n`pwrfgs \
          plugins --markdown` generates it from the comments in the source; `pwrfgs plugins NAME` prints one entry.\n\n",
@@ -19,16 +19,16 @@ pub(crate) fn page(chapters: &[DocChapter]) -> String {
     }
     for chapter in chapters {
         let field = chapter.field.map_or_else(String::new, |field| format!(": field `{field}`"));
-        _ = writeln!(out, "\n## {}{field}\n\n{}", chapter.name, prose::sentences(&chapter.about));
+        _ = writeln!(out, "\n## {}{field}\n\n{}", chapter.name, prose::break_sentences(&chapter.about));
         chapter.topics.iter().for_each(|topic| write_topic(&mut out, chapter, topic));
     }
     out
 }
 
-/// Writes the section of a topic, with a table of its fields or variants.
+/// Adds the section of a topic to `out`, with a table of its fields or variants.
 fn write_topic(out: &mut String, chapter: &DocChapter, topic: &DocItem) {
     if chapter.name != topic.name {
-        _ = writeln!(out, "\n### {}", title(topic));
+        _ = writeln!(out, "\n### {}", topic_title(topic));
     }
     let Some(docs) = topic.docs else {
         match &topic.value {
@@ -44,15 +44,15 @@ fn write_topic(out: &mut String, chapter: &DocChapter, topic: &DocItem) {
             out,
             "{}{}",
             if row && table { "" } else { "\n" },
-            if row { paragraph.clone() } else { prose::sentences(&paragraph) }
+            if row { paragraph.clone() } else { prose::break_sentences(&paragraph) }
         );
         table = row;
     }
-    write_body(out, docs, topic.value.as_ref().ok());
+    write_table(out, docs, topic.value.as_ref().ok());
 }
 
-/// Returns the name of a topic, with the fields of this type.
-pub(crate) fn title(topic: &DocItem) -> String {
+/// Formats the name of a topic, with the fields of this type.
+pub(crate) fn topic_title(topic: &DocItem) -> String {
     match &topic.fields[..] {
         [] => topic.name.clone(),
         [field] => format!("{} (field `{field}`)", topic.name),
@@ -60,8 +60,8 @@ pub(crate) fn title(topic: &DocItem) -> String {
     }
 }
 
-/// Writes the table of fields or variants; `value` holds the defaults.
-fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
+/// Adds the table of fields or variants to `out`; `value` holds the defaults.
+fn write_table(out: &mut String, docs: &Docs, value: Option<&Value>) {
     match docs.body {
         DocBody::Fields([]) => _ = writeln!(out, "\nNo fields."),
         DocBody::Fields(fields) => {
@@ -71,26 +71,31 @@ fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
                     if docs.name == "Pipeline" && Pipeline::REQUIRED.iter().any(|(name, _)| *name == field.name) {
                         "required".into()
                     } else {
-                        default(field, value)
+                        default_text(field, value)
                     };
                 write_row(
                     out,
-                    &[&format!("`{}`", field.name), &takes(&field.kind), &default, &prose::line(field.text)],
+                    &[
+                        &format!("`{}`", field.name),
+                        &describe_type(&field.kind),
+                        &default,
+                        &prose::single_line(field.text),
+                    ],
                 );
             }
         }
         DocBody::Variants(variants) => {
             _ = writeln!(out, "\n| variant | description |\n|---|---|");
             for variant in variants {
-                write_row(out, &[&format!("`{}`", form(variant)), &meaning(variant)]);
+                write_row(out, &[&format!("`{}`", variant_notation(variant)), &variant_text(variant)]);
             }
         }
     }
 }
 
-/// Describes the default of a field, in words if it has none.
-fn default(field: &DocField, value: Option<&Value>) -> String {
-    match value.and_then(|v| v.field(field)) {
+/// Formats the default of a field, its text in `value`; `optional` or `required` without one.
+fn default_text(field: &DocField, value: Option<&Value>) -> String {
+    match value.and_then(|v| v.field_text(field)) {
         Some(text) => format!("`{text}`"),
         None if field.optional => "optional".into(),
         None => "required".into(),
@@ -98,7 +103,7 @@ fn default(field: &DocField, value: Option<&Value>) -> String {
 }
 
 /// Formats the notation of a variant: `LogLinear(first: number, last: number, steps: whole number)`.
-pub(crate) fn form(variant: &DocVariant) -> String {
+pub(crate) fn variant_notation(variant: &DocVariant) -> String {
     let field = |f: &DocField| {
         let words = f.kind.words();
         if variant.named { format!("{}: {words}", f.name) } else { words }
@@ -108,16 +113,16 @@ pub(crate) fn form(variant: &DocVariant) -> String {
 }
 
 /// Joins the comments of a variant and of its fields.
-pub(crate) fn meaning(variant: &DocVariant) -> String {
+pub(crate) fn variant_text(variant: &DocVariant) -> String {
     let field = |f: &DocField| {
         let optional = if f.optional { " (optional)" } else { "" };
-        format!(" `{}`{optional}: {}", f.name, prose::line(f.text))
+        format!(" `{}`{optional}: {}", f.name, prose::single_line(f.text))
     };
     let fields: String = variant.fields.iter().filter(|_| variant.named).map(field).collect();
-    prose::line(variant.text) + &fields
+    prose::single_line(variant.text) + &fields
 }
 
-/// Writes the row of a table; bars in cells are escaped.
+/// Adds the row of a table to `out`; bars in cells are escaped.
 fn write_row(out: &mut String, cells: &[&str]) {
     let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
     _ = writeln!(out, "| {} |", cells.join(" | "));

@@ -28,18 +28,19 @@ pub(crate) fn paragraphs(text: &str) -> Vec<String> {
 }
 
 /// Returns the first sentence of a doc comment, without full stop.
-pub(crate) fn summary(text: &str) -> String {
+pub(crate) fn first_sentence(text: &str) -> String {
     let first = paragraphs(text).into_iter().next().unwrap_or_default();
-    sentences(&first).lines().next().unwrap_or_default().trim_end_matches('.').to_owned()
+    break_sentences(&first).lines().next().unwrap_or_default().trim_end_matches('.').to_owned()
 }
 
-/// Joins a doc comment into one line.
-pub(crate) fn line(text: &str) -> String {
+/// Joins the paragraphs of a doc comment into one line.
+pub(crate) fn single_line(text: &str) -> String {
     paragraphs(text).join(" ")
 }
 
-/// Breaks text into one sentence per line.
-pub(crate) fn sentences(text: &str) -> String {
+/// Breaks text into one sentence per line. A sentence ends with a full stop before a capital or a code span, except
+/// after common abbreviations.
+pub(crate) fn break_sentences(text: &str) -> String {
     let mut out = String::new();
     let mut words = text.split(' ').peekable();
     while let Some(word) = words.next() {
@@ -57,7 +58,7 @@ pub(crate) fn sentences(text: &str) -> String {
     out
 }
 
-/// Replaces `` [`crate::TopK`](..) `` by `` `TopK` ``.
+/// Replaces the links in a doc comment by the last part of their names: `` [`crate::TopK`](..) `` by `` `TopK` ``.
 fn without_links(text: &str) -> String {
     let mut plain = String::new();
     let mut remaining = text;

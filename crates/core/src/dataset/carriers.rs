@@ -11,17 +11,8 @@ impl Dataset {
     /// # Errors
     /// Several receivers, features, another number of carriers than links, or a carrier out of range.
     pub fn with_carriers(mut self, carriers_hz: &[f64]) -> Result<Self> {
-        let refuse = |problem: String| Err(Error::Config(format!("data set `{}`: {problem}", self.title)));
-        if self.scene.receivers.len() > 1 || self.features.is_some() {
-            return refuse("carriers need one receiver and no features; leave them out".into());
-        }
-        if carriers_hz.len() != self.len() {
-            let (count, needed) = (carriers_hz.len(), self.len());
-            return refuse(format!("{count} carriers for {needed} links; give as many of each"));
-        }
-        if let Some((i, fault)) = carriers_hz.iter().enumerate().find_map(|(i, hz)| Some((i, carrier_fault(*hz)?))) {
-            return refuse(format!("carrier {}: {fault}", i + 1));
-        }
+        self.check_carriers(carriers_hz)
+            .map_err(|fault| Error::Config(format!("data set `{}`: {fault}", self.title)))?;
         let mut distinct = carriers_hz.to_vec();
         distinct.sort_by(f64::total_cmp);
         distinct.dedup();
@@ -29,7 +20,7 @@ impl Dataset {
             self.scene.receivers[0].carrier_hz = Some(only);
             return Ok(self);
         }
-        let rows = self.carrier_rows(carriers_hz, &distinct);
+        let rows = self.sort_by_carrier(carriers_hz, &distinct);
         let order: Vec<usize> = rows.iter().map(|(.., i)| *i).collect();
         let samples: Vec<Sample> =
             rows.iter().map(|&(id, receiver, i)| Sample { id, receiver, ..self.sample(i) }).collect();
@@ -56,9 +47,22 @@ impl Dataset {
         })
     }
 
+    /// Checks for one receiver, no features, and a valid carrier per link.
+    fn check_carriers(&self, carriers_hz: &[f64]) -> Result<(), String> {
+        if self.scene.receivers.len() > 1 || self.features.is_some() {
+            return Err("carriers need one receiver and no features; leave them out".into());
+        }
+        if carriers_hz.len() != self.len() {
+            let (count, needed) = (carriers_hz.len(), self.len());
+            return Err(format!("{count} carriers for {needed} links; give as many of each"));
+        }
+        let mut faults = carriers_hz.iter().enumerate().filter_map(|(i, hz)| Some((i, carrier_fault(*hz)?)));
+        faults.next().map_or(Ok(()), |(i, fault)| Err(format!("carrier {}: {fault}", i + 1)))
+    }
+
     /// Returns the links in their new order: ID of the location, index of the carrier in `distinct`, and link. Repeated
     /// links at a pose and carrier count up, and each count has a location of its own.
-    fn carrier_rows(&self, carriers_hz: &[f64], distinct: &[f64]) -> Vec<(u32, usize, usize)> {
+    fn sort_by_carrier(&self, carriers_hz: &[f64], distinct: &[f64]) -> Vec<(u32, usize, usize)> {
         let (mut counts, mut first_ids) = (BTreeMap::new(), BTreeMap::new());
         let row = |(i, hz): (usize, &f64)| {
             let Sample { id, pose, .. } = self.sample(i);

@@ -61,14 +61,14 @@ fn lock_with(path: &Path, take: impl Fn(&File) -> Result<(), TryLockError>) -> i
             Ok(()) | Err(TryLockError::Error(_)) => {}
         }
         // Another file may have taken the name between opening and locking.
-        if is_at(&file, path)? {
+        if is_file_at(&file, path)? {
             return Ok(Some(file));
         }
     }
 }
 
 /// Returns whether `path` leads to the open `file`.
-fn is_at(file: &File, path: &Path) -> io::Result<bool> {
+fn is_file_at(file: &File, path: &Path) -> io::Result<bool> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::MetadataExt as _;
@@ -89,7 +89,7 @@ pub struct HeldFolder {
 }
 
 impl HeldFolder {
-    /// Opens the folder `name`.
+    /// Opens the folder at the path `name`.
     ///
     /// # Errors
     /// If there is no such folder.
@@ -101,7 +101,7 @@ impl HeldFolder {
             #[expect(clippy::disallowed_methods, reason = "a folder, which never waits")]
             let folder = File::open(name).map_err(|e| Error::write(name, e))?;
             let path = PathBuf::from(format!("/proc/self/fd/{}", folder.as_raw_fd()));
-            if is_at(&folder, &path).unwrap_or(false) {
+            if is_file_at(&folder, &path).unwrap_or(false) {
                 return Ok(Self { name: name.into(), path, folder: Some(folder) });
             }
         }
@@ -118,9 +118,9 @@ impl HeldFolder {
         &self.name
     }
 
-    /// Replaces the path in an error by the name of the folder.
+    /// Replaces the path of the folder in an error by the name that users gave.
     #[must_use]
-    pub fn named(&self, error: Error) -> Error {
+    pub fn name_in_error(&self, error: Error) -> Error {
         let path = |path: PathBuf| match path.strip_prefix(&self.path) {
             Ok(relative) if relative.as_os_str().is_empty() => self.name.clone(),
             Ok(relative) => self.name.join(relative),
@@ -143,7 +143,7 @@ impl HeldFolder {
     /// [`Error::Write`] with the current path of the files.
     pub fn check_name(&self) -> Result<()> {
         match &self.folder {
-            Some(folder) if !is_at(folder, &self.name).unwrap_or(false) => {
+            Some(folder) if !is_file_at(folder, &self.name).unwrap_or(false) => {
                 let current = fs::read_link(&self.path).unwrap_or_default();
                 let problem = "the folder was moved or replaced meanwhile";
                 let problem = format!("{problem}; its files are in {}", current.display());
@@ -174,7 +174,7 @@ mod tests {
         std::thread::sleep(Duration::from_millis(50));
         super::super::write_atomically(&path, b"2").unwrap();
         drop(held);
-        assert!(is_at(&waiting.join().unwrap(), &path).unwrap_or(!cfg!(unix)));
+        assert!(is_file_at(&waiting.join().unwrap(), &path).unwrap_or(!cfg!(unix)));
     }
 
     #[cfg(target_os = "linux")]
@@ -205,7 +205,7 @@ mod tests {
             Error::Config(format!("{} holds something else", held.path().display())),
         ];
         for error in errors {
-            let error_text = held.named(error).to_string();
+            let error_text = held.name_in_error(error).to_string();
             assert!(error_text.contains(name.to_str().unwrap()) && !error_text.contains("/proc"), "{error_text}");
         }
     }

@@ -44,20 +44,20 @@ impl NewFolder {
             let _ = fs::remove_file(out.join(LOCK)); // the process was killed while it published the folder
         }
         check_target(out)?;
-        Self::next_to(out)
+        Self::begin_next_to(out)
     }
 
-    /// Begins a temporary folder, whatever `out` contains.
+    /// Begins a temporary folder next to `out`, whatever `out` contains.
     ///
     /// # Errors
     /// Writing fails.
-    pub fn next_to(out: &Path) -> Result<Self> {
+    pub fn begin_next_to(out: &Path) -> Result<Self> {
         static COUNT: AtomicUsize = AtomicUsize::new(0); // one process may create the same folder twice concurrently
         let parent = parent(out);
         let name = short_name(out);
         fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
-        clear(parent, Some(&name));
-        let (mut folders, mut attempts) = (under_way(), 0..ATTEMPTS);
+        remove_abandoned(parent, Some(&name));
+        let (mut folders, mut attempts) = (lock_under_way(), 0..ATTEMPTS);
         let (path, lock) = loop {
             let k = COUNT.fetch_add(1, Ordering::Relaxed);
             let path = parent.join(format!(".{name}.{}-{k}.tmp", std::process::id()));
@@ -77,19 +77,19 @@ impl NewFolder {
     /// # Errors
     /// Removal fails.
     pub fn remove(folder: &Path) -> Result<()> {
-        let grave = Self::next_to(folder)?;
+        let grave = Self::begin_next_to(folder)?;
         fs::rename(folder, grave.path.join(GRAVE)).map_err(|e| Error::write(folder, e))
     }
 
     /// Removes all folders that killed programs left in `parent`.
-    pub fn clear(parent: &Path) {
-        clear(parent, None);
+    pub fn remove_abandoned(parent: &Path) {
+        remove_abandoned(parent, None);
     }
 
     /// Removes all folders in progress of this process, which must exit next: afterwards, a thread that begins,
     /// publishes or drops a folder blocks for ever.
     pub fn abandon_all() {
-        let folders = under_way();
+        let folders = lock_under_way();
         for path in folders.iter() {
             // Removal fails while another thread writes to the folder, so it is repeated.
             _ = (0..ATTEMPTS).find(|_| fs::remove_dir_all(path).is_ok() || !path.exists());
@@ -116,7 +116,7 @@ impl NewFolder {
     /// As [`Self::begin`], if something has appeared at the target since; renaming fails.
     pub fn publish(self) -> Result<()> {
         let refuse = |e| Error::write(&self.out, e);
-        let _held = under_way(); // a folder emptied by `abandon_all` must not be published
+        let _held = lock_under_way(); // a folder emptied by `abandon_all` must not be published
         // If the target is missing or not empty, the rename reports the relevant error.
         let _ = fs::remove_dir(&self.out);
         fs::rename(&self.path, &self.out).map_err(|e| check_target(&self.out).err().unwrap_or_else(|| refuse(e)))?;
@@ -126,7 +126,7 @@ impl NewFolder {
 
 impl Drop for NewFolder {
     fn drop(&mut self) {
-        under_way().retain(|path| *path != self.path);
+        lock_under_way().retain(|path| *path != self.path);
         let _ = fs::remove_dir_all(&self.path); // already renamed if published; otherwise the next start retries
     }
 }
@@ -139,8 +139,8 @@ fn check_target(out: &Path) -> Result<()> {
     refuse_occupied(out)
 }
 
-/// Locks the list of folders in progress.
-fn under_way() -> MutexGuard<'static, Vec<PathBuf>> {
+/// Locks the list of folders in progress of this process.
+fn lock_under_way() -> MutexGuard<'static, Vec<PathBuf>> {
     UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -157,13 +157,13 @@ fn create_lock(folder: &Path) -> io::Result<File> {
     Ok(lock)
 }
 
-/// Returns the first characters of the name of a folder.
+/// Returns the first [`LONGEST`] characters of the name of a folder.
 fn short_name(out: &Path) -> String {
     out.file_name().unwrap_or_default().to_string_lossy().chars().take(LONGEST).collect()
 }
 
 /// Removes folders `.NAME.PID-K.tmp` of one name, or of any, that are not locked.
-fn clear(parent: &Path, name: Option<&str>) {
+fn remove_abandoned(parent: &Path, name: Option<&str>) {
     for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
         let path = entry.path();
         if !is_under_way(&entry.file_name().to_string_lossy(), name) || path.is_symlink() {
@@ -260,7 +260,7 @@ mod tests {
         NewFolder::begin(&parent.path().join("data")).unwrap().publish().unwrap();
         let kept = [".data.2-0.tmp", ".data.2-0.tmp.txt", ".data.3-0.tmp", ".data.7.tmp", ".data.x-0.tmp"];
         assert_eq!(names(parent.path()), [&kept[..], &[".other.1-3.tmp", "data"]].concat());
-        NewFolder::clear(parent.path());
+        NewFolder::remove_abandoned(parent.path());
         assert_eq!(names(parent.path()), [&kept[..], &["data"]].concat());
     }
 }

@@ -26,8 +26,8 @@ pub struct HeldOutCases {
 /// Sample to predict from its neighbours.
 #[derive(Debug)]
 struct HeldOutCase {
-    at: Place,
-    places: Vec<Place>,
+    place: Place,
+    neighbours: Vec<Place>,
     /// Sums over values of products of two observations: the predicted one (first) and its neighbours, square. With an
     /// unknown mean, they are those of differences from the predicted observation.
     products: Vec<f64>,
@@ -45,31 +45,32 @@ impl HeldOutCases {
         let case = |(c, (sample, neighbours)): (usize, &(usize, Vec<usize>))| {
             let values: Vec<Vec<Real>> = std::iter::once(sample).chain(neighbours).map(|i| values(c, *i)).collect();
             HeldOutCase {
-                at: place(*sample),
-                places: neighbours.iter().map(|i| place(*i)).collect(),
+                place: place(*sample),
+                neighbours: neighbours.iter().map(|i| place(*i)).collect(),
                 products: sum_products(&values, mean),
             }
         };
         let cases: Vec<HeldOutCase> = cases.par_iter().enumerate().map(case).collect();
-        let distances = sorted(cases.iter().map(HeldOutCase::typical_m).filter(|distance| *distance > 0.0));
+        let distances = sorted(cases.iter().map(HeldOutCase::median_distance_m).filter(|distance| *distance > 0.0));
         Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), cases, mean }
     }
 
-    /// Computes squared prediction errors, summed over values, with the variances predicted by the process of variance 1.
-    fn errors(&self, correlation: &Correlation) -> Vec<(f64, f64)> {
-        self.cases.par_iter().map(|case| case.error(correlation, self.mean)).collect()
+    /// Computes the squared prediction error of each case, summed over values, and the variance that the process of
+    /// variance 1 predicts for it.
+    fn prediction_errors(&self, correlation: &Correlation) -> Vec<(f64, f64)> {
+        self.cases.par_iter().map(|case| case.prediction_error(correlation, self.mean)).collect()
     }
 
     /// Returns the most likely process variance, summed over values: the mean of squared errors in units of the
     /// predicted variance.
     pub fn variance(&self, correlation: &Correlation) -> f64 {
-        process_variance(&self.errors(correlation))
+        process_variance(&self.prediction_errors(correlation))
     }
 
     /// Returns the log-likelihood at the best process variance, up to a constant and sign: half of n times the logarithm
     /// of that variance plus all logarithms of conditional variances. Higher is more likely.
     pub fn log_likelihood(&self, correlation: &Correlation) -> f64 {
-        let errors = self.errors(correlation);
+        let errors = self.prediction_errors(correlation);
         let logs: f64 = errors.iter().map(|(_, variance)| variance.ln()).sum();
         // Identical spectra have zero variance.
         -0.5 * (errors.len() as f64 * process_variance(&errors).max(1e-30).ln() + logs)
@@ -92,17 +93,18 @@ fn sum_products(values: &[Vec<Real>], mean: Mean) -> Vec<f64> {
 }
 
 impl HeldOutCase {
-    /// Computes the distance from the predicted sample to its median neighbour, metres.
-    fn typical_m(&self) -> f64 {
+    /// Computes the distance from the predicted sample to its median neighbour, metres; 0 without neighbours.
+    fn median_distance_m(&self) -> f64 {
         let position = |[x, y, z, _]: Place| [x, y, z];
-        let median = self.places.get(self.places.len() / 2);
-        median.map_or(0.0, |neighbour| neighbours::distance(position(*neighbour), position(self.at)))
+        let median = self.neighbours.get(self.neighbours.len() / 2);
+        median.map_or(0.0, |neighbour| neighbours::distance(position(*neighbour), position(self.place)))
     }
 
-    /// Computes the squared prediction error, summed over values, and the variance predicted by the process.
-    fn error(&self, correlation: &Correlation, mean: Mean) -> (f64, f64) {
-        let places: Vec<Place> = self.places.iter().map(|neighbour| correlation.scaled(*neighbour)).collect();
-        let Solution { weights, variance } = solve(correlation, mean, &places, correlation.scaled(self.at));
+    /// Computes the squared prediction error, summed over values, and the variance that the process of variance 1
+    /// predicts for it.
+    fn prediction_error(&self, correlation: &Correlation, mean: Mean) -> (f64, f64) {
+        let places: Vec<Place> = self.neighbours.iter().map(|neighbour| correlation.scaled(*neighbour)).collect();
+        let Solution { weights, variance } = solve(correlation, mean, &places, correlation.scaled(self.place));
         // The error is the weighted sum of the neighbours minus the predicted sample.
         let terms: Vec<f64> = std::iter::once(-1.0).chain(weights).collect();
         let row = |(products, term): (&[f64], &f64)| {
@@ -112,13 +114,14 @@ impl HeldOutCase {
     }
 }
 
-/// Finds the most likely correlation, with its log-likelihood: coordinate search with step factors from 4 down to 1.09.
+/// Finds the most likely correlation, and returns it after its log-likelihood: coordinate search with step factors from
+/// 4 down to 1.09.
 pub fn most_likely(cases: &HeldOutCases, space: SearchSpace<'_>) -> (f64, Correlation) {
     let best_of_kind = |&kind: &CorrelationKind| {
         let time = if space.time { TIME_START } else { f64::INFINITY };
         let length = 8.0 * cases.typical_m;
         let start = Correlation { kind, scales: [length, length, length, time], noise: 0.1 };
-        if cases.cases.is_empty() { (0.0, start) } else { search(cases, start, space) }
+        if cases.cases.is_empty() { (0.0, start) } else { search_coordinates(cases, start, space) }
     };
     let candidates = space.kinds.iter().map(best_of_kind);
     candidates.reduce(|best, next| if next.0 > best.0 { next } else { best }).expect("a kind is given")
@@ -135,8 +138,9 @@ pub struct SearchSpace<'a> {
     pub time: bool,
 }
 
-/// Searches along one parameter at a time, with smaller and smaller steps, while the likelihood improves.
-fn search(cases: &HeldOutCases, start: Correlation, space: SearchSpace<'_>) -> (f64, Correlation) {
+/// Searches from `start` along one parameter at a time, with smaller and smaller steps, while the likelihood improves.
+/// Returns the log-likelihood and the correlation.
+fn search_coordinates(cases: &HeldOutCases, start: Correlation, space: SearchSpace<'_>) -> (f64, Correlation) {
     let mut best = (cases.log_likelihood(&start), start);
     let is_searched = |parameter: &usize| match parameter {
         1..=3 => !space.isotropic,
@@ -149,7 +153,7 @@ fn search(cases: &HeldOutCases, start: Correlation, space: SearchSpace<'_>) -> (
             let before = best.0;
             for parameter in (0..7).filter(is_searched) {
                 for factor in [step.exp2(), (-step).exp2()] {
-                    while let Some(next) = change_parameter(&best.1, parameter, factor, cases.typical_m) {
+                    while let Some(next) = scaled_parameter(&best.1, parameter, factor, cases.typical_m) {
                         let likelihood = cases.log_likelihood(&next);
                         if likelihood.is_nan() || likelihood <= best.0 + 1e-6 * best.0.abs() {
                             break;
@@ -166,10 +170,10 @@ fn search(cases: &HeldOutCases, start: Correlation, space: SearchSpace<'_>) -> (
     best
 }
 
-/// Multiplies one parameter by `factor`: all length scales, one of three, the noise, length scales and noise in opposite
-/// directions (longer scales go with a larger process variance, so relative noise falls), or the time scale. `None`
-/// outside the range.
-fn change_parameter(from: &Correlation, parameter: usize, factor: f64, typical_m: f64) -> Option<Correlation> {
+/// Multiplies one parameter of `from` by `factor`: all length scales, one of three, the noise, length scales and noise
+/// in opposite directions (longer scales go with a larger process variance, so relative noise falls), or the time
+/// scale. `None` outside the range.
+fn scaled_parameter(from: &Correlation, parameter: usize, factor: f64, typical_m: f64) -> Option<Correlation> {
     let mut next = *from;
     match parameter {
         0 => next.scales[..3].iter_mut().for_each(|scale| *scale *= factor),

@@ -39,11 +39,12 @@ pub(super) static CHANNEL: Description = Description {
     shape: |(width, height)| vec![height / 2, width],
     size: |shape| (shape[1], 2 * shape[0]),
     size_text: |(width, height)| {
-        let several = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+        let several = |n: usize, noun: &str| format!("{n} {noun}{}", if n == 1 { "" } else { "s" });
         Some(format!("{} x {}", several(height / 2, "antenna"), several(width, "subcarrier")))
     },
 };
 
+/// Returns the sum of squares, computed in double precision.
 fn energy(values: impl Iterator<Item = Real>) -> f64 {
     values.map(|v| (v as f64).powi(2)).sum()
 }
@@ -51,7 +52,7 @@ fn energy(values: impl Iterator<Item = Real>) -> f64 {
 /// Returns the indices of the real and the imaginary part of a gain in an observation of `subcarriers` columns. Only
 /// this function defines the layout of a channel in an array, just as only
 /// [`ImagePlane::direction`](crate::ImagePlane::direction) defines the direction of a pixel.
-pub fn gain_at(antenna: usize, subcarrier: usize, subcarriers: usize) -> [usize; 2] {
+pub fn gain_indices(antenna: usize, subcarrier: usize, subcarriers: usize) -> [usize; 2] {
     let real = 2 * antenna * subcarriers + subcarrier;
     [real, real + subcarriers]
 }
@@ -60,7 +61,7 @@ pub fn gain_at(antenna: usize, subcarrier: usize, subcarriers: usize) -> [usize;
 pub fn rows_of(gains: &[[Real; 2]], subcarriers: usize) -> Vec<Real> {
     let mut rows = vec![0.0; 2 * gains.len()];
     for (i, gain) in gains.iter().enumerate() {
-        let [re, im] = gain_at(i / subcarriers, i % subcarriers, subcarriers);
+        let [re, im] = gain_indices(i / subcarriers, i % subcarriers, subcarriers);
         [rows[re], rows[im]] = *gain;
     }
     rows
@@ -68,14 +69,14 @@ pub fn rows_of(gains: &[[Real; 2]], subcarriers: usize) -> Vec<Real> {
 
 /// Converts observations `[.., 2A, F]` to gains `[.., A, F]`.
 pub fn gains_of(rows: &[Real], subcarriers: usize) -> Vec<[Real; 2]> {
-    let gain = |i: usize| gain_at(i / subcarriers, i % subcarriers, subcarriers).map(|at| rows[at]);
+    let gain = |i: usize| gain_indices(i / subcarriers, i % subcarriers, subcarriers).map(|at| rows[at]);
     (0..rows.len() / 2).map(gain).collect()
 }
 
 /// Maximum real or imaginary part of a gain: sums of its squares stay finite in single precision.
 const MAX_GAIN: f64 = 1e9;
 
-/// Returns the error in a gain, given as real and imaginary part, with the next step.
+/// Returns the error in a gain, given as real and imaginary part, with the next step; `None` if it is valid.
 pub fn gain_fault([re, im]: [f64; 2]) -> Option<String> {
     let advice = if !(re.is_finite() && im.is_finite()) {
         "give finite numbers".to_owned()
@@ -101,8 +102,8 @@ pub struct Channels {
 impl Channels {
     /// Returns the gains of link `i`, `[A, F]`.
     pub fn of(&self, i: usize) -> &[[Real; 2]] {
-        let of_one = self.antennas * self.frequencies_hz.len();
-        &self.gains[i * of_one..][..of_one]
+        let gains = self.antennas * self.frequencies_hz.len();
+        &self.gains[i * gains..][..gains]
     }
 }
 
@@ -136,8 +137,8 @@ impl Columns for Channels {
     fn fault(&self) -> Option<String> {
         let Self { antennas, frequencies_hz, gains } = self;
         let (subcarriers, have) = (frequencies_hz.len(), gains.len());
-        let of_one = antennas * subcarriers;
-        if of_one == 0 || gains.is_empty() || !have.is_multiple_of(of_one) {
+        let channel_gains = antennas * subcarriers;
+        if channel_gains == 0 || gains.is_empty() || !have.is_multiple_of(channel_gains) {
             return Some(format!(
                 "{have} gains are not a multiple of {antennas} antennas x {subcarriers} subcarriers; give at least one \
                  complete channel"
@@ -148,7 +149,7 @@ impl Columns for Channels {
         }
         let mut faults = gains.iter().map(|gain| gain_fault(gain.map(|v| v as f64))).enumerate();
         let (i, fault) = faults.find_map(|(i, fault)| Some((i, fault?)))?;
-        let [l, a, f] = [i / of_one, i % of_one / subcarriers, i % subcarriers];
+        let [l, a, f] = [i / channel_gains, i % channel_gains / subcarriers, i % subcarriers];
         Some(format!("channels[{l}, {a}, {f}] {fault}"))
     }
 }

@@ -8,7 +8,7 @@ mod power;
 mod spectrum;
 
 use crate::{Elevation, Image, ImagePlane, JsonSchema, Number, Real, Result, Sampling, Spectra, ssim};
-pub use channel::{Channels, gain_at, gain_fault, gains_of, rows_of};
+pub use channel::{Channels, gain_fault, gain_indices, gains_of, rows_of};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::fmt::Debug;
@@ -33,7 +33,7 @@ impl Task {
     /// All measurement types.
     pub const ALL: [Self; 3] = [Self::Spectrum, Self::Power, Self::Channel];
 
-    /// Returns the type with this [`Description::name`].
+    /// Returns the type with this [`Description::name`]; `None` if there is none.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|task| task.name == name)
     }
@@ -83,7 +83,7 @@ pub struct Description {
     pub has_pixels: bool,
     /// Whether an observation is one number.
     pub is_scalar: bool,
-    /// Whether an observation is complex: see [`gain_at`].
+    /// Whether an observation is complex: see [`gain_indices`].
     pub is_complex: bool,
     level: fn(&Image) -> f64,
     likeness: fn(&Image, &Image) -> f64,
@@ -251,7 +251,8 @@ pub trait Columns: Debug + Send + Sync {
     /// Returns observation `i` as an array of numbers.
     fn image(&self, i: usize) -> Image;
 
-    /// Returns the pixels of image `i` that `sampling` selects, row-major; all values of an observation without pixels.
+    /// Writes the pixels of image `i` that `sampling` selects to `out`, row-major; all values of an observation without
+    /// pixels.
     fn sampled(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
         let _ = sampling;
         out.iter_mut().zip(self.image(i).pixels).for_each(|(out, v)| *out = v);
@@ -298,7 +299,7 @@ pub trait Columns: Debug + Send + Sync {
         &[]
     }
 
-    /// Returns the error in the values, with the next step.
+    /// Returns the error in the values, with the next step; `None` if they are valid.
     fn fault(&self) -> Option<String> {
         None
     }
@@ -364,7 +365,7 @@ mod tests {
         assert_eq!((all.len(), all.size(), all.task()), (2, (3, 4), Task::Channel));
         let second = all.image(1);
         assert_eq!(second.pixels, [6.0, 7.0, 8.0, -6.0, -7.0, -8.0, 9.0, 10.0, 11.0, -9.0, -10.0, -11.0]);
-        assert_eq!(gain_at(1, 2, 3).map(|at| second.pixels[at]), [11.0, -11.0]);
+        assert_eq!(gain_indices(1, 2, 3).map(|at| second.pixels[at]), [11.0, -11.0]);
         assert_eq!(gains_of(&second.pixels, 3), all.channels().unwrap().of(1));
         let mut sum = vec![0.0; 12];
         all.add(1, 2.0, &mut sum);

@@ -1,7 +1,7 @@
 //! `Kriging`: a Gaussian process over the transmitter position.
 
-use super::log_distance::{fixed_end, log_distance, points};
-use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
+use super::log_distance::{fixed_end_position, log_distance, path_loss_points};
+use super::{ByReceiver, ReceiverPredictor, fitting_samples, selection_sets, weighted_mean};
 use pwrfgs_core::kriging::{
     Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, SearchSpace, Solution, in_space,
     most_likely,
@@ -76,15 +76,16 @@ impl Baseline for Kriging {
         &[Requirement::NoFeatures, Requirement::Positions]
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
-        ByReceiver::fit(data, known, |known| {
-            let all = all_of(known)?;
-            let trend = Trend::of(data, &all);
-            let fitted = trend.most_likely(&all, known, self.time);
+        let fit = |fitting: FittingSet<'_>| {
+            let all = fitting_samples(fitting)?;
+            let trend = Trend::fit(data, &all);
+            let fitted = trend.fit_correlation(&all, fitting, self.time);
             data.observations.check()?;
             Ok(Process::new(trend, fitted, all, self.clone()))
-        })
+        };
+        Ok(Box::new(ByReceiver::fit(data, fitting, fit)?))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -97,10 +98,10 @@ impl Baseline for Kriging {
 
 /// Returns the links of `order` after the first, each with the `count` nearest of those before it: the conditioning
 /// sets of the Vecchia approximation of a likelihood (Vecchia 1988).
-pub fn preceding(data: &Dataset, order: &[usize], count: usize) -> Vec<(usize, Vec<usize>)> {
-    let place = |i: usize| data.sample(i).position();
+pub fn vecchia_cases(data: &Dataset, order: &[usize], count: usize) -> Vec<(usize, Vec<usize>)> {
+    let position = |i: usize| data.sample(i).position();
     let case = |n: usize| {
-        let near = Nearest::new(order[..n].to_vec(), 3, place).find(&place(order[n]), count).1;
+        let near = Nearest::new(order[..n].to_vec(), 3, position).find(&position(order[n]), count).1;
         (order[n], near.into_iter().map(|(_, j)| j).collect())
     };
     (1..order.len()).into_par_iter().map(case).collect()
@@ -115,71 +116,80 @@ pub struct Trend<'a> {
 
 impl<'a> Trend<'a> {
     /// Fits the trend to these links by least squares.
-    pub fn of(data: &'a Dataset, links: &[usize]) -> Self {
+    pub fn fit(data: &'a Dataset, links: &[usize]) -> Self {
         let has_distances = data.task().has_path_loss && data.scene.has_distances();
-        Self { data, law: has_distances.then(|| PathLoss::fit(&points(data, links))) }
+        Self { data, law: has_distances.then(|| PathLoss::fit(&path_loss_points(data, links))) }
     }
 
     /// Returns the power of the path-loss model for a link, dBm; 0 without a model.
-    fn at(&self, query: Query<'_>) -> f64 {
-        self.law.map_or(0.0, |law| law.at(log_distance(self.data, query)))
+    fn power(&self, query: Query<'_>) -> f64 {
+        self.law.map_or(0.0, |law| law.power(log_distance(self.data, query)))
     }
 
-    /// Returns the residual of link `i` at every `stride`-th column of every `stride`-th row.
-    fn residual(&self, i: usize, stride: usize, out: &mut [Real]) {
+    /// Writes the residual of link `i` at every `stride`-th column of every `stride`-th row to `out`.
+    fn write_residual(&self, i: usize, stride: usize, out: &mut [Real]) {
         self.data.observations.sampled(i, Sampling::every(stride), out);
         if self.law.is_some() {
-            out[0] -= self.at(self.data.query(i)) as Real;
+            out[0] -= self.power(self.data.query(i)) as Real;
         }
     }
 
     /// Returns the most likely correlation, and its process variance summed over values. Spectra: of validation
     /// samples, each given its nearest training samples. Powers: of at most [`POWERS`] samples, each given the nearest
     /// of those before it in random order. Their densities multiply to the joint density (Vecchia, Journal of the Royal
-    /// Statistical Society B 50, 1988), and the first samples constrain long distances.
-    fn most_likely(&self, all: &[usize], known: FittingSet<'_>, time: bool) -> (Correlation, f64) {
-        let space_of = |i: usize| self.data.sample(i).position();
-        let given = |nearest: &Nearest, i: usize, count| {
-            (i, nearest.find(&space_of(i), count).1.into_iter().map(|(_, j)| j).collect::<Vec<_>>())
-        };
+    /// Statistical Society B 50, 1988), and the first samples constrain long distances. `time`: with a scale of time.
+    fn fit_correlation(&self, all: &[usize], fitting: FittingSet<'_>, time: bool) -> (Correlation, f64) {
         let is_power = self.law.is_some();
         let cases: Vec<_> = if is_power {
             let mut order = evenly(all, POWERS);
             rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
-            preceding(self.data, &order, FROM_POWERS)
+            vecchia_cases(self.data, &order, FROM_POWERS)
         } else {
-            let (train, validation) = choosing(known);
-            let in_time = |i: usize| [f64::from(self.data.sample(i).id)];
-            let later = time.then(|| Nearest::new(train.clone(), 1, in_time));
-            let nearest = Nearest::new(train, 3, space_of);
-            let case = |&i: &usize| {
-                let Some(later) = &later else { return given(&nearest, i, FROM) };
-                // Half of the neighbours are nearest in space, and half in time.
-                let (i, mut near) = given(&nearest, i, FROM / 2);
-                let others = later.find(&in_time(i), FROM).1.into_iter().map(|(_, j)| j);
-                near.extend(others.filter(|j| !near.contains(j)).take(FROM / 2).collect::<Vec<_>>());
-                (i, near)
-            };
-            evenly(&validation, CASES).par_iter().map(case).collect()
+            self.validation_cases(fitting, time)
         };
         let kinds = if is_power { &[CorrelationKind::Matern32][..] } else { &CorrelationKind::ALL };
-        let cases = HeldOutCases::new(&cases, Mean::Unknown, |i| place(self.data, i), |_, i| self.values(i, PIXELS));
+        let cases = HeldOutCases::new(
+            &cases,
+            Mean::Unknown,
+            |i| sample_place(self.data, i),
+            |_, i| self.residual_values(i, PIXELS),
+        );
         let correlation = most_likely(&cases, SearchSpace { kinds, isotropic: is_power, time }).1;
         (correlation, cases.variance(&correlation))
     }
 
-    /// Returns about `most` values of the residual of link `i`.
-    pub fn values(&self, i: usize, most: usize) -> Vec<Real> {
+    /// Returns at most [`CASES`] validation samples, each with its [`FROM`] nearest training samples; with `time`, half of
+    /// them are nearest in space and half in time.
+    fn validation_cases(&self, fitting: FittingSet<'_>, time: bool) -> Vec<(usize, Vec<usize>)> {
+        let (train, validation) = selection_sets(fitting);
+        let position = |i: usize| self.data.sample(i).position();
+        let in_time = |i: usize| [f64::from(self.data.sample(i).id)];
+        let nearest_in_time = time.then(|| Nearest::new(train.clone(), 1, in_time));
+        let nearest = Nearest::new(train, 3, position);
+        let case = |&i: &usize| {
+            let count = if time { FROM / 2 } else { FROM };
+            let mut near: Vec<usize> = nearest.find(&position(i), count).1.into_iter().map(|(_, j)| j).collect();
+            if let Some(nearest_in_time) = &nearest_in_time {
+                let others = nearest_in_time.find(&in_time(i), FROM).1.into_iter().map(|(_, j)| j);
+                near.extend(others.filter(|j| !near.contains(j)).take(FROM / 2).collect::<Vec<_>>());
+            }
+            (i, near)
+        };
+        evenly(&validation, CASES).par_iter().map(case).collect()
+    }
+
+    /// Returns at most about `most` values of the residual of link `i`: every n-th column of every n-th row.
+    pub fn residual_values(&self, i: usize, most: usize) -> Vec<Real> {
         let Dataset { width, height, .. } = *self.data;
         let stride = ((width * height) as f64 / most as f64).sqrt().ceil().max(1.0) as usize;
         let mut pixels = vec![0.0; width.div_ceil(stride) * height.div_ceil(stride)];
-        self.residual(i, stride, &mut pixels);
+        self.write_residual(i, stride, &mut pixels);
         pixels
     }
 }
 
-/// Returns the place of link `i`, with its id as its time.
-fn place(data: &Dataset, i: usize) -> Place {
+/// Returns the position of link `i` in space and time, metres and its id.
+fn sample_place(data: &Dataset, i: usize) -> Place {
     let Sample { id, pose: Pose { position: [x, y, z], .. }, .. } = data.sample(i);
     [x, y, z, f64::from(id)]
 }
@@ -197,17 +207,17 @@ struct Process<'a> {
 
 impl Predict for Process<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        let (near, Solution { weights, .. }) = self.solve(query);
+        let (near, Solution { weights, .. }) = self.solve_weights(query);
         let weighted = near.into_iter().map(|k| self.samples[k]).zip(weights);
         if self.trend.law.is_none() {
             return weighted_mean(self.trend.data, &weighted.collect::<Vec<_>>());
         }
         let residual = |(i, weight): (usize, f64)| {
             let mut one = [0.0];
-            self.trend.residual(i, 1, &mut one);
+            self.trend.write_residual(i, 1, &mut one);
             weight * one[0] as f64
         };
-        let dbm = self.trend.at(query) + weighted.map(residual).sum::<f64>();
+        let dbm = self.trend.power(query) + weighted.map(residual).sum::<f64>();
         Image { width: 1, height: 1, pixels: vec![dbm as Real] }
     }
 
@@ -217,15 +227,15 @@ impl Predict for Process<'_> {
         let along = |k: usize| {
             if self.trend.law.is_some() {
                 let mut one = [0.0];
-                self.trend.residual(self.samples[k], 1, &mut one);
+                self.trend.write_residual(self.samples[k], 1, &mut one);
                 return f64::from(d[0]) * f64::from(one[0]);
             }
             let sample = data.image(self.samples[k]);
             sample.pixels.iter().zip(&d).map(|(v, d)| f64::from(*v) * f64::from(*d)).sum()
         };
-        let mut d_tx = self.kriging.solve_vjp(self.place_of(query), self.settings.neighbours, along);
+        let mut d_tx = self.kriging.solve_vjp(self.query_place(query), self.settings.neighbours, along);
         if let Some(law) = self.trend.law {
-            let slope = law.slope_at(query.position(), fixed_end(data, query));
+            let slope = law.power_gradient(query.position(), fixed_end_position(data, query));
             (0..3).for_each(|k| d_tx[k] += f64::from(d[0]) * slope[k]);
         }
         Some((image, d_tx))
@@ -233,7 +243,7 @@ impl Predict for Process<'_> {
 
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
         // Not a number if no sample of the receiver could be predicted from others.
-        self.variance.is_finite().then(|| (self.variance * self.solve(query).1.variance).sqrt())
+        self.variance.is_finite().then(|| (self.variance * self.solve_weights(query).1.variance).sqrt())
     }
 
     fn is_oracle(&self) -> bool {
@@ -242,21 +252,23 @@ impl Predict for Process<'_> {
 }
 
 impl<'a> Process<'a> {
+    /// Creates the process of `samples` with a fitted correlation and its process variance.
     fn new(trend: Trend<'a>, fitted: (Correlation, f64), samples: Vec<usize>, settings: Kriging) -> Self {
         let (data, (correlation, variance)) = (trend.data, fitted);
         let in_space = settings.time.then(|| Nearest::new(samples.clone(), 3, |i| data.sample(i).position()));
         let mean = if trend.law.is_some() { Mean::Zero } else { Mean::Unknown };
-        let kriging = LocalKriging::new(correlation, mean, samples.iter().map(|&i| place(data, i)));
+        let kriging = LocalKriging::new(correlation, mean, samples.iter().map(|&i| sample_place(data, i)));
         Self { trend, samples, kriging, in_space, variance, settings }
     }
 
-    /// Returns the nearest samples of a query, by their numbers in `samples`, with their weights.
-    fn solve(&self, query: Query<'_>) -> (Vec<usize>, Solution) {
-        self.kriging.solve(self.place_of(query), self.settings.neighbours)
+    /// Returns the indices in `samples` of the nearest samples of a query, and their weights with the variance.
+    fn solve_weights(&self, query: Query<'_>) -> (Vec<usize>, Solution) {
+        self.kriging.solve(self.query_place(query), self.settings.neighbours)
     }
 
-    /// Returns the place of a query. Without an id, its time is that of the nearest sample in space.
-    fn place_of(&self, query: Query<'_>) -> Place {
+    /// Returns the position of a query in space and time. Without an id, its time is that of the nearest sample in space;
+    /// for a process over position alone, its time is not used.
+    fn query_place(&self, query: Query<'_>) -> Place {
         let Some(in_space) = &self.in_space else { return self::in_space(query.position()) };
         let nearest = || in_space.find(&query.position(), 1).1.first().map(|(_, i)| self.trend.data.sample(*i).id);
         let [x, y, z] = query.position();
@@ -265,11 +277,11 @@ impl<'a> Process<'a> {
 }
 
 impl ReceiverPredictor for Process<'_> {
-    fn notes(each: &[(&str, &Self)]) -> Option<String> {
+    fn combined_note(each: &[(&str, &Self)]) -> Option<String> {
         match each {
             [] => None,
-            [(_, one)] => Some(one.note_of_one()),
-            many => Some(note_of_many(many)),
+            [(_, one)] => Some(one.describe_fit()),
+            many => Some(describe_fits(many)),
         }
     }
 
@@ -283,41 +295,42 @@ impl ReceiverPredictor for Process<'_> {
 
 impl Process<'_> {
     /// Returns the description of the fit for a single receiver.
-    fn note_of_one(&self) -> String {
+    fn describe_fit(&self) -> String {
         let Correlation { kind, scales, noise } = &self.kriging.correlation;
-        let [x, y, z, time] = scales.map(digits);
+        let [x, y, z, time] = scales.map(format_digits);
         let time = if self.in_space.is_some() { format!(", a time scale of {time} samples") } else { String::new() };
         let law = self.trend.law.map_or_else(String::new, |law| {
-            let (level, slope) = (digits(law.level), digits(law.slope));
+            let (level, slope) = (format_digits(law.level), format_digits(law.slope));
             format!(", path loss of {level} dBm at 1 m and {slope} dB per decade")
         });
         format!(
             "Kriging found a correlation that is {} with length scales of {x}, {y} and {z} m{time}, and noise of {} of the \
              variance{law}",
             kind.words(),
-            digits(*noise)
+            format_digits(*noise)
         )
     }
 
-    /// Returns the short description of the fit for one of several receivers, in the order of [`note_of_many`].
-    fn in_short(&self) -> String {
+    /// Returns the short description of the fit for one of several receivers, in the order of [`describe_fits`].
+    fn summarise_fit(&self) -> String {
         let Correlation { kind, scales, noise } = &self.kriging.correlation;
-        let [x, y, z, _] = scales.map(digits);
+        let [x, y, z, _] = scales.map(format_digits);
         let scales = if x == y && y == z { x } else { format!("{x} x {y} x {z}") };
-        let law = self.trend.law.map(|law| [digits(law.level), digits(law.slope)]);
-        let numbers = [kind.words().to_owned(), scales, digits(*noise)].into_iter().chain(law.into_iter().flatten());
+        let law = self.trend.law.map(|law| [format_digits(law.level), format_digits(law.slope)]);
+        let numbers =
+            [kind.words().to_owned(), scales, format_digits(*noise)].into_iter().chain(law.into_iter().flatten());
         numbers.collect::<Vec<_>>().join(", ")
     }
 }
 
 /// Returns the description of the fits for several receivers. It lists every number, so that scores can be reproduced.
-fn note_of_many(each: &[(&str, &Process<'_>)]) -> String {
+fn describe_fits(each: &[(&str, &Process<'_>)]) -> String {
     let law = if each.iter().any(|(_, process)| process.trend.law.is_some()) {
         ", path loss in dBm at 1 m and dB per decade"
     } else {
         ""
     };
-    let list: Vec<String> = each.iter().map(|(name, process)| format!("{name}: {}", process.in_short())).collect();
+    let list: Vec<String> = each.iter().map(|(name, process)| format!("{name}: {}", process.summarise_fit())).collect();
     format!(
         "Kriging found, of {} receivers, correlations (length scales in m, noise in parts of the variance{law}): {}",
         each.len(),
@@ -325,8 +338,8 @@ fn note_of_many(each: &[(&str, &Process<'_>)]) -> String {
     )
 }
 
-/// Formats four significant digits, enough to reproduce a score.
-fn digits(value: f64) -> String {
+/// Formats a number with four significant digits, enough to reproduce a score.
+fn format_digits(value: f64) -> String {
     let decimals = if value == 0.0 { 0.0 } else { (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) };
     format!("{value:.0$}", decimals as usize)
 }

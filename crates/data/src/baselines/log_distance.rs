@@ -1,6 +1,6 @@
 //! `LogDistance`: path-loss model, in which power falls by 10 gamma decibels per decade of distance.
 
-use super::all_of;
+use super::fitting_samples;
 use pwrfgs_core::kriging::{self, PathLoss};
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Baseline, Dataset, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result, Task};
@@ -46,23 +46,23 @@ impl Baseline for LogDistance {
         &[Requirement::Positions, Requirement::Distances]
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
-        let own = data.by_receiver(all_of(known)?);
-        let own: Vec<Vec<(f64, f64)>> = own.iter().map(|links| points(data, links)).collect();
-        let groups: Vec<&[(f64, f64)]> = own.iter().map(Vec::as_slice).collect();
-        let (shared, levels) = PathLoss::with_offsets(&groups);
+        let links_by_receiver = data.by_receiver(fitting_samples(fitting)?);
+        let points: Vec<_> = links_by_receiver.iter().map(|links| path_loss_points(data, links)).collect();
+        let groups: Vec<&[(f64, f64)]> = points.iter().map(Vec::as_slice).collect();
+        let (shared, levels) = PathLoss::fit_groups(&groups);
         let one = PathLoss::fit(&groups.concat());
         let law = |(points, level): (&&[(f64, f64)], f64)| match points.len() {
             FEW.. if self.per_receiver => PathLoss::fit(points),
             _ if self.per_receiver || self.offset => PathLoss { level, ..shared },
             _ => one,
         };
-        let of_each = groups.iter().zip(levels).map(law).collect();
+        let by_receiver = groups.iter().zip(levels).map(law).collect();
         let enough = if self.per_receiver { FEW } else { usize::from(self.offset) };
         let names = data.scene.receivers.iter().map(|receiver| strip_control(&receiver.name));
-        let borrowed = names.zip(&groups).filter(|(_, own)| own.len() < enough).map(|(name, _)| name).collect();
-        Ok(Box::new(PathLosses { data, of_each, borrowed }))
+        let borrowed = names.zip(&groups).filter(|(_, points)| points.len() < enough).map(|(name, _)| name).collect();
+        Ok(Box::new(PathLosses { data, by_receiver, borrowed }))
     }
 
     fn tasks(&self) -> &'static [Task] {
@@ -72,27 +72,29 @@ impl Baseline for LogDistance {
 
 struct PathLosses<'a> {
     data: &'a Dataset,
-    of_each: Vec<PathLoss>,
+    by_receiver: Vec<PathLoss>,
     /// Receivers with too few links for their own fit.
     borrowed: Vec<String>,
 }
 
 impl PathLosses<'_> {
-    fn of(&self, query: Query<'_>) -> PathLoss {
-        *self.of_each.get(query.receiver).or(self.of_each.first()).expect("data have a receiver")
+    /// Returns the model of the receiver of a query, or of the first receiver for an unknown one.
+    fn path_loss_for(&self, query: Query<'_>) -> PathLoss {
+        *self.by_receiver.get(query.receiver).or(self.by_receiver.first()).expect("data have a receiver")
     }
 }
 
 impl Predict for PathLosses<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        let dbm = self.of(query).at(log_distance(self.data, query));
+        let dbm = self.path_loss_for(query).power(log_distance(self.data, query));
         Image { width: 1, height: 1, pixels: vec![dbm as Real] }
     }
 
     fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
         let image = self.predict(query);
         let d = f64::from(cotangent(&image)[0]);
-        Some((image, self.of(query).slope_at(query.position(), fixed_end(self.data, query)).map(|slope| d * slope)))
+        let slope = self.path_loss_for(query).power_gradient(query.position(), fixed_end_position(self.data, query));
+        Some((image, slope.map(|slope| d * slope)))
     }
 
     fn note(&self) -> Option<String> {
@@ -105,18 +107,18 @@ impl Predict for PathLosses<'_> {
 
 /// Returns log10 of the distance from transmitter to receiver, metres.
 pub(super) fn log_distance(data: &Dataset, query: Query<'_>) -> f64 {
-    kriging::log_distance(query.position(), fixed_end(data, query))
+    kriging::log_distance(query.position(), fixed_end_position(data, query))
 }
 
 /// Returns the position of the fixed end of a link, metres, world frame: its receiver, or the transmitter if receivers
 /// move.
-pub(super) fn fixed_end(data: &Dataset, query: Query<'_>) -> [f64; 3] {
+pub(super) fn fixed_end_position(data: &Dataset, query: Query<'_>) -> [f64; 3] {
     let ends = data.scene.fixed_ends();
     data.scene.origin.world_pose(*ends.get(query.receiver).unwrap_or(&ends[0])).position
 }
 
-/// Returns (log10 of the distance, dBm) of power links.
-pub(super) fn points(data: &Dataset, links: &[usize]) -> Vec<(f64, f64)> {
+/// Returns the points to fit a path-loss model to, one per power link: log10 of the distance in metres, and dBm.
+pub(super) fn path_loss_points(data: &Dataset, links: &[usize]) -> Vec<(f64, f64)> {
     let point = |&i: &usize| (log_distance(data, data.query(i)), data.image(i).pixels[0] as f64);
     links.iter().map(point).collect()
 }

@@ -1,6 +1,6 @@
 //! `NearestNeighbours`: mean of the nearest training samples. `NearestCarrier`: the observation at the nearest carrier.
 
-use super::{ByReceiver, ReceiverPredictor, all_of, choosing, weighted_mean};
+use super::{ByReceiver, ReceiverPredictor, fitting_samples, selection_sets, weighted_mean};
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
     Baseline, Dataset, End, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result, evenly,
@@ -98,21 +98,22 @@ impl Baseline for NearestNeighbours {
         &[Requirement::Inputs]
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
-        ByReceiver::fit(data, known, |known| {
-            let all = all_of(known)?;
+        let fit = |fitting: FittingSet<'_>| {
+            let all = fitting_samples(fitting)?;
             let (k, chosen) = match self.k {
                 Neighbours::Number(k) => (k, false),
                 Neighbours::Auto => {
-                    let (train, validation) = choosing(known);
-                    let k = best(data, train, &evenly(&validation, CHOSEN_ON));
+                    let (train, validation) = selection_sets(fitting);
+                    let k = best_neighbour_count(data, train, &evenly(&validation, CHOSEN_ON));
                     data.observations.check()?;
                     (k, true)
                 }
             };
             Ok(Lookup { chosen, ..Lookup::new(data, all, k) })
-        })
+        };
+        Ok(Box::new(ByReceiver::fit(data, fitting, fit)?))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -124,16 +125,15 @@ impl Baseline for NearestNeighbours {
 }
 
 /// Returns the k that best predicts `validation` from `train`, the smallest in a tie; 3 if there is nothing to compare.
-fn best(data: &Dataset, train: Vec<usize>, validation: &[usize]) -> usize {
+fn best_neighbour_count(data: &Dataset, train: Vec<usize>, validation: &[usize]) -> usize {
     let choices: Vec<usize> = CHOICES.iter().copied().filter(|k| *k <= train.len()).collect();
     let Some(most) = choices.last() else { return 3 };
     let lookup = Lookup::new(data, train, *most);
-    let of_one = |&i: &usize| lookup.scores(i, &choices);
-    let scores: Vec<Vec<f64>> = validation.par_iter().map(of_one).collect();
+    let scores: Vec<Vec<f64>> = validation.par_iter().map(|&i| lookup.scores(i, &choices)).collect();
     if scores.is_empty() {
         return 3;
     }
-    let totals: Vec<f64> = (0..choices.len()).map(|c| scores.iter().map(|of_one| of_one[c]).sum()).collect();
+    let totals: Vec<f64> = (0..choices.len()).map(|c| scores.iter().map(|scores| scores[c]).sum()).collect();
     let first_best = |best: usize, c: usize| if totals[c] > totals[best] { c } else { best };
     choices[(1..choices.len()).fold(0, first_best)]
 }
@@ -148,20 +148,22 @@ struct Lookup<'a> {
 }
 
 impl<'a> Lookup<'a> {
+    /// Creates a lookup of the `k` nearest among `samples`.
     fn new(data: &'a Dataset, samples: Vec<usize>, k: usize) -> Self {
         let positions = if data.scene.moving.is_receiver() { 9 } else { 3 };
         let width = data.features.as_ref().map_or(positions, |features| features.width);
         Self {
             data,
-            nearest: Nearest::new(samples, width, |i| coordinates(data.scene.moving, data.query(i))),
+            nearest: Nearest::new(samples, width, |i| link_coordinates(data.scene.moving, data.query(i))),
             k,
             chosen: false,
         }
     }
 
-    /// Samples with their weights; true if they lie exactly at `at`, false for the k nearest.
-    fn neighbours(&self, at: &[f64]) -> (bool, Vec<(usize, f64)>) {
-        let (exact, near) = self.nearest.find(at, self.k);
+    /// Returns the samples to average for a link at `coordinates`, with their weights: all that lie exactly there (`true`),
+    /// else the k nearest (`false`).
+    fn weighted_neighbours(&self, coordinates: &[f64]) -> (bool, Vec<(usize, f64)>) {
+        let (exact, near) = self.nearest.find(coordinates, self.k);
         if exact.is_empty() {
             (false, near.into_iter().map(|(distance, i)| (i, 1.0 / distance)).collect())
         } else {
@@ -173,7 +175,8 @@ impl<'a> Lookup<'a> {
     fn scores(&self, i: usize, choices: &[usize]) -> Vec<f64> {
         let truth = self.data.image(i);
         // Samples at the exact position all count, for any k.
-        let (exact, neighbours) = self.neighbours(&coordinates(self.data.scene.moving, self.data.query(i)));
+        let (exact, neighbours) =
+            self.weighted_neighbours(&link_coordinates(self.data.scene.moving, self.data.query(i)));
         let (mut sum, mut total, mut taken) = (vec![0.0; truth.pixels.len()], 0.0, 0);
         let score = |k: &usize| {
             let until = if exact { neighbours.len() } else { *k.min(&neighbours.len()) };
@@ -190,8 +193,9 @@ impl<'a> Lookup<'a> {
     }
 }
 
-/// Coordinates of a link: its features, or the transmitter position, or position and axes of a moving receiver.
-fn coordinates(moving: End, query: Query<'_>) -> Vec<f64> {
+/// Returns the coordinates in which the distance of links is measured: features, or the transmitter position, or position
+/// and axes of a moving receiver.
+fn link_coordinates(moving: End, query: Query<'_>) -> Vec<f64> {
     match query.features {
         Some(features) => features.iter().map(|v| *v as f64).collect(),
         None if moving.is_receiver() => query.pose.coordinates().to_vec(),
@@ -201,19 +205,19 @@ fn coordinates(moving: End, query: Query<'_>) -> Vec<f64> {
 
 impl Predict for Lookup<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        weighted_mean(self.data, &self.neighbours(&coordinates(self.data.scene.moving, query)).1)
+        weighted_mean(self.data, &self.weighted_neighbours(&link_coordinates(self.data.scene.moving, query)).1)
     }
 }
 
 impl ReceiverPredictor for Lookup<'_> {
-    fn notes(each: &[(&str, &Self)]) -> Option<String> {
+    fn combined_note(each: &[(&str, &Self)]) -> Option<String> {
         let (_, first) = each.first().filter(|(_, lookup)| lookup.chosen)?;
-        let what = format!("best on validation {}", first.data.task().plural.trim_start_matches("spatial "));
+        let reason = format!("best on validation {}", first.data.task().plural.trim_start_matches("spatial "));
         if each.iter().all(|(_, lookup)| lookup.k == first.k) {
-            return Some(format!("k-NN uses k = {}, {what}", first.k));
+            return Some(format!("k-NN uses k = {}, {reason}", first.k));
         }
         let list: Vec<String> = each.iter().map(|(name, lookup)| format!("{} ({name})", lookup.k)).collect();
-        Some(format!("k-NN uses k = {}, each {what}", list.join(", ")))
+        Some(format!("k-NN uses k = {}, each {reason}", list.join(", ")))
     }
 }
 
@@ -241,30 +245,30 @@ impl Baseline for NearestCarrier {
         &[Requirement::Carriers]
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
         let lookup = |links: Vec<usize>| Nearest::new(links, 3, |i| data.sample(i).position().to_vec());
-        let own = data.by_receiver(all_of(known)?).into_iter().enumerate();
-        let known = own.filter(|(_, links)| !links.is_empty()).map(|(receiver, links)| (receiver, lookup(links)));
-        Ok(Box::new(CarrierLookup { data, known: known.collect() }))
+        let links = data.by_receiver(fitting_samples(fitting)?).into_iter().enumerate();
+        let carriers = links.filter(|(_, links)| !links.is_empty()).map(|(carrier, links)| (carrier, lookup(links)));
+        Ok(Box::new(CarrierLookup { data, carriers: carriers.collect() }))
     }
 }
 
 /// Training links of each carrier that has some, by position.
 struct CarrierLookup<'a> {
     data: &'a Dataset,
-    known: Vec<(usize, Nearest)>,
+    carriers: Vec<(usize, Nearest)>,
 }
 
 impl Predict for CarrierLookup<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
         let log_hz = |receiver: usize| self.data.scene.receivers[receiver].carrier_hz.unwrap_or(1.0).ln();
-        let distance = |known: &&(usize, Nearest)| (log_hz(known.0) - log_hz(query.receiver)).abs();
-        let mut known: Vec<_> = self.known.iter().collect();
-        known.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
-        let mut found = known.iter().map(|(_, links)| links.find(&query.position(), 1)).peekable();
-        let nearest: Vec<usize> = found.peek().into_iter().flat_map(|(_, near)| near).map(|(_, i)| *i).collect();
-        let same = found.map(|(exact, _)| exact).find(|exact| !exact.is_empty());
+        let distance = |carrier: &&(usize, Nearest)| (log_hz(carrier.0) - log_hz(query.receiver)).abs();
+        let mut carriers: Vec<_> = self.carriers.iter().collect();
+        carriers.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
+        let mut matches = carriers.iter().map(|(_, links)| links.find(&query.position(), 1)).peekable();
+        let nearest: Vec<usize> = matches.peek().into_iter().flat_map(|(_, near)| near).map(|(_, i)| *i).collect();
+        let same = matches.map(|(exact, _)| exact).find(|exact| !exact.is_empty());
         let weighted: Vec<(usize, f64)> = same.unwrap_or(nearest).into_iter().map(|i| (i, 1.0)).collect();
         weighted_mean(self.data, &weighted)
     }

@@ -1,8 +1,8 @@
 //! `Predictions`: predictions of another program for the test set, read from a folder.
 
 use crate::npy::MAX_BYTES;
-use crate::pictures::numbered;
-use crate::text::{dbm, read_bytes, read_text, table};
+use crate::pictures::list_numbered_files;
+use crate::text::{read_bytes, read_text, table_rows};
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::npy::Header;
 use pwrfgs_core::{
@@ -64,20 +64,21 @@ enum Prediction {
 }
 
 impl Predictions {
-    /// Sets the digest from the files of predictions for `data`.
+    /// Sets `digest` to that of the files of predictions for `data`.
     ///
     /// # Errors
     /// A file that cannot be read.
-    pub fn seal(&mut self, data: &Dataset) -> Result<()> {
-        self.digest = self.digest_for(data)?;
+    pub fn set_digest(&mut self, data: &Dataset) -> Result<()> {
+        self.digest = self.compute_digest(data)?;
         Ok(())
     }
 
-    /// Returns the digest of all files and of the positions in `data`.
-    fn digest_for(&self, data: &Dataset) -> Result<String> {
+    /// Returns the digest of all predictions for `data` and of its positions. Returns an error for a file that cannot be
+    /// read.
+    fn compute_digest(&self, data: &Dataset) -> Result<String> {
         let mut all = String::new();
         (0..data.len()).for_each(|i| _ = writeln!(all, "{:?}", data.sample(i).position()));
-        for (id, prediction) in self.of_ids(data)? {
+        for (id, prediction) in self.predictions_by_label(data)? {
             let content = match prediction {
                 Prediction::File(path) => files::digest(&files::read(&path).map_err(|e| Error::read(&path, e))?),
                 Prediction::Power(dbm) => dbm.to_string(),
@@ -87,50 +88,55 @@ impl Predictions {
         Ok(files::digest(all.as_bytes()))
     }
 
-    /// Predictions by label of the sample.
-    fn of_ids(&self, data: &Dataset) -> Result<BTreeMap<u32, Prediction>> {
+    /// Returns the predictions by label of the sample: lists files, or reads the table of powers.
+    fn predictions_by_label(&self, data: &Dataset) -> Result<BTreeMap<u32, Prediction>> {
         if data.task().is_scalar {
             let key = if data.scene.receivers.len() > 1 { "link" } else { "id" };
-            return powers(&self.root.join(POWERS), key);
+            return read_power_predictions(&self.root.join(POWERS), key);
         }
-        let found = numbered(&self.root, "npy", ADVICE)?;
-        Ok(found.into_iter().map(|(id, path)| (id, Prediction::File(path))).collect())
+        let paths = list_numbered_files(&self.root, "npy", ADVICE)?;
+        Ok(paths.into_iter().map(|(id, path)| (id, Prediction::File(path))).collect())
     }
 }
 
-/// Reads a table with the columns `key` and `dbm`.
-fn powers(path: &Path, key: &str) -> Result<BTreeMap<u32, Prediction>> {
+/// Reads a table of powers with the columns `key` and `dbm`: the predictions by label. Returns an error for an invalid or
+/// repeated row.
+fn read_power_predictions(path: &Path, key: &str) -> Result<BTreeMap<u32, Prediction>> {
     let text = read_text(path, files::MAX_TEXT, ADVICE)?;
-    let mut found = BTreeMap::new();
-    for (line, [id, power]) in table(path, &text, [key, "dbm"], ADVICE)? {
-        let fault = |what| Error::at(path, line, id.column, format!("{key} {} {what}; {ADVICE}", quoted(id.text)));
+    let mut predictions = BTreeMap::new();
+    for row in table_rows(path, &text, [key, "dbm"], ADVICE)? {
+        let [id, power] = row.fields;
+        let fault = |problem| row.fault(id.column, format!("{key} {} {problem}; {ADVICE}", quoted(id.text)));
         let label = id.text.parse().ok().ok_or_else(|| fault("is not a whole number"))?;
-        let power = Prediction::Power(dbm(path, line, power)? as Real);
-        if found.insert(label, power).is_some() {
+        let power = Prediction::Power(row.power(power)? as Real);
+        if predictions.insert(label, power).is_some() {
             return Err(fault("occurs twice"));
         }
     }
-    Ok(found)
+    Ok(predictions)
 }
 
 impl Prediction {
-    /// Reads it as an observation like those of `data`.
-    fn image(&self, data: &Dataset) -> Result<Image> {
+    /// Reads the prediction as an observation like those of `data`. Returns an error for another type or shape, or a value
+    /// out of range.
+    fn read_image(&self, data: &Dataset) -> Result<Image> {
         let (task, width, height) = (data.task(), data.width, data.height);
         let path = match self {
             Self::Power(dbm) => return Ok(Image { width, height, pixels: vec![*dbm] }),
             Self::File(path) => path,
         };
-        let refuse = |what: String| Err(Error::input(path, what));
+        let refuse = |problem: String| Err(Error::input(path, problem));
         let bytes = read_bytes(path, MAX_BYTES, ADVICE)?;
         let Header { descr, fortran, shape, offset } = Header::read(path, &mut &bytes[..])?;
-        let (wanted, size, axes, parts) = if task.is_complex {
+        let (expected, size, axes, parts) = if task.is_complex {
             ("<c8", [height / 2, width], "[antennas, subcarriers]", 2)
         } else {
             ("<f4", [height, width], "[elevation, azimuth]", 1)
         };
-        if descr != wanted {
-            return refuse(format!("has numbers of type `{descr}`, expected `{wanted}`; save a.astype('{wanted}')"));
+        if descr != expected {
+            return refuse(format!(
+                "has numbers of type `{descr}`, expected `{expected}`; save a.astype('{expected}')"
+            ));
         }
         if shape != size || fortran {
             let advice = format!("save numpy.ascontiguousarray(a), one array {axes} per id");
@@ -143,9 +149,9 @@ impl Prediction {
         }
         let is_wrong = |v: &Real| gain_fault([*v as f64, 0.0]).is_some() || (task.has_pixels && v.abs() > LARGEST);
         if let Some(i) = pixels.iter().position(is_wrong) {
-            let (at, range) =
-                ([i / parts / width, i / parts % width], if parts == 1 { ", linear, 0 to 1" } else { " up to 1e9" });
-            return refuse(format!("the value at {at:?} is {}; give finite numbers{range}", pixels[i]));
+            let index = [i / parts / width, i / parts % width];
+            let range = if parts == 1 { ", linear, 0 to 1" } else { " up to 1e9" };
+            return refuse(format!("the value at {index:?} is {}; give finite numbers{range}", pixels[i]));
         }
         let pixels = if task.is_complex { rows_of(pixels.as_chunks().0, width) } else { pixels };
         Ok(Image { width, height, pixels })
@@ -168,34 +174,35 @@ impl Baseline for Predictions {
     }
 
     fn check_test(&self, data: &Dataset, test: &[usize]) -> Result<()> {
-        if !self.digest.is_empty() && self.digest != self.digest_for(data)? {
-            let what =
+        if !self.digest.is_empty() && self.digest != self.compute_digest(data)? {
+            let problem =
                 "holds other predictions, or predictions for other data, than were compared; repeat `pwrfgs compare`";
-            return Err(Error::input(&self.root, what));
+            return Err(Error::input(&self.root, problem));
         }
-        let found = self.of_ids(data)?;
-        let (given, wanted): (BTreeSet<u32>, BTreeSet<u32>) =
-            (found.keys().copied().collect(), test.iter().map(|&i| data.label(i)).collect());
-        let of = if data.scene.receivers.len() == 1 { "test ids" } else { "test links" };
-        for (what, ids) in [
-            (format!("{of} without prediction"), wanted.difference(&given).collect::<Vec<_>>()),
-            (format!("predictions that are not for {of}"), given.difference(&wanted).collect()),
+        let predictions = self.predictions_by_label(data)?;
+        let (given, expected): (BTreeSet<u32>, BTreeSet<u32>) =
+            (predictions.keys().copied().collect(), test.iter().map(|&i| data.label(i)).collect());
+        let test_set = if data.scene.receivers.len() == 1 { "test ids" } else { "test links" };
+        for (problem, ids) in [
+            (format!("{test_set} without prediction"), expected.difference(&given).collect::<Vec<_>>()),
+            (format!("predictions that are not for {test_set}"), given.difference(&expected).collect()),
         ] {
             if let Some(first) = ids.first() {
-                let message = format!("{what}: {}, such as {first}; {ADVICE}", ids.len());
+                let message = format!("{problem}: {}, such as {first}; {ADVICE}", ids.len());
                 return Err(Error::input(&self.root, message));
             }
         }
-        found.values().try_for_each(|own| own.image(data).map(drop))
+        predictions.values().try_for_each(|prediction| prediction.read_image(data).map(drop))
     }
 
     fn fit<'a>(&self, data: &'a Dataset, _: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
-        let found = self.of_ids(data)?;
-        let of = |i: usize| {
+        let by_label = self.predictions_by_label(data)?;
+        let prediction = |i: usize| {
             let sample = data.sample(i);
-            Some(((sample.id, sample.receiver), found.get(&data.label(i))?.clone()))
+            Some(((sample.id, sample.receiver), by_label.get(&data.label(i))?.clone()))
         };
-        Ok(Box::new(External { data, name: self.name.clone(), of: (0..data.len()).filter_map(of).collect() }))
+        let predictions = (0..data.len()).filter_map(prediction).collect();
+        Ok(Box::new(External { data, name: self.name.clone(), predictions }))
     }
 }
 
@@ -203,14 +210,14 @@ impl Baseline for Predictions {
 struct External<'a> {
     data: &'a Dataset,
     name: String,
-    of: BTreeMap<(u32, usize), Prediction>,
+    predictions: BTreeMap<(u32, usize), Prediction>,
 }
 
 impl Predict for External<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        let found = query.id.and_then(|id| self.of.get(&(id, query.receiver)));
+        let prediction = query.id.and_then(|id| self.predictions.get(&(id, query.receiver)));
         // A file that has disappeared since the check: callers refuse numbers that are not finite.
-        found.and_then(|own| own.image(self.data).ok()).unwrap_or_else(|| {
+        prediction.and_then(|prediction| prediction.read_image(self.data).ok()).unwrap_or_else(|| {
             let (width, height) = (self.data.width, self.data.height);
             Image { width, height, pixels: vec![Real::NAN; width * height] }
         })

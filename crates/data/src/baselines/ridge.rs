@@ -1,6 +1,6 @@
 //! `Ridge`: linear regression from features to observations.
 
-use super::{ByReceiver, ReceiverPredictor, all_of};
+use super::{ByReceiver, ReceiverPredictor, fitting_samples};
 use pwrfgs_core::{
     Baseline, Cholesky, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result,
 };
@@ -42,9 +42,10 @@ impl Baseline for Ridge {
         &[Requirement::Features]
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
-        ByReceiver::fit(data, known, |known| LinearMap::fit(data, &all_of(known)?, self.weight))
+        let fit = |fitting: FittingSet<'_>| LinearMap::fit(data, &fitting_samples(fitting)?, self.weight);
+        Ok(Box::new(ByReceiver::fit(data, fitting, fit)?))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -66,6 +67,8 @@ struct LinearMap {
 }
 
 impl LinearMap {
+    /// Fits the map to links by ridge regression, a system of D x D equations: see [`Ridge`]. Returns an error if the
+    /// features are too large.
     fn fit(data: &Dataset, links: &[usize], weight: f64) -> Result<Self> {
         let xs: Vec<&[Real]> = links.iter().filter_map(|&i| data.query(i).features).collect();
         let ys: Vec<Vec<Real>> = links.iter().map(|&i| data.image(i).pixels).collect();
@@ -113,7 +116,7 @@ impl Predict for LinearMap {
 }
 
 impl ReceiverPredictor for LinearMap {
-    fn notes(_: &[(&str, &Self)]) -> Option<String> {
+    fn combined_note(_: &[(&str, &Self)]) -> Option<String> {
         None
     }
 }

@@ -71,7 +71,7 @@ fn reads_poses_camera_points_and_luminance() {
     let part = data.subset(&[1]).unwrap();
     assert_eq!((part.camera(), part.query(0).pose), (data.camera(), data.query(1).pose));
     assert!(crate::save(&data, &folder.path("out")).unwrap_err().to_string().contains("keep the original files"));
-    crate::check(&data).unwrap();
+    crate::check_dataset(&data).unwrap();
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Table of links: one row per received power, with the positions of transmitter and receiver.
 
 use crate::checks::NOT_RECEIVED;
-use crate::text::{dbm, position, read_text, table};
+use crate::text::{read_text, table_rows};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Dataset, Error, Pose, Real, Receiver, Result, Sample, Simulation};
@@ -23,17 +23,18 @@ pub fn read_links(path: &Path, title: &str, simulated: bool) -> Result<(Dataset,
     let text = read_text(path, MAX_TEXT, ADVICE)?;
     let (mut positions, mut lines, mut links) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
     let (mut ids, mut indices, mut receivers, mut silent) = (BTreeMap::new(), BTreeMap::new(), Vec::new(), 0);
-    for (line, [x, y, z, name, rx_x, rx_y, rx_z, power]) in table(path, &text, COLUMNS, ADVICE)? {
-        let tx = position(path, line, [x, y, z], ADVICE)?.map(|v| v + 0.0); // no negative zero
-        let rx = position(path, line, [rx_x, rx_y, rx_z], ADVICE)?;
-        let power = dbm(path, line, power)?;
-        let fault = |problem: String| Error::at(path, line, name.column, format!("{} {problem}", quoted(name.text)));
-        let (first_rx, first_line) = *positions.entry(name.text).or_insert((rx, line));
+    for row in table_rows(path, &text, COLUMNS, ADVICE)? {
+        let [x, y, z, name, rx_x, rx_y, rx_z, power] = row.fields;
+        let tx = row.position([x, y, z], ADVICE)?.map(|v| v + 0.0); // no negative zero
+        let rx = row.position([rx_x, rx_y, rx_z], ADVICE)?;
+        let power = row.power(power)?;
+        let fault = |problem: String| row.fault(name.column, format!("{} {problem}", quoted(name.text)));
+        let (first_rx, first_line) = *positions.entry(name.text).or_insert((rx, row.line));
         if first_rx != rx {
             return Err(fault(format!("has another position in line {first_line}; give one position per receiver")));
         }
         let key = tx.map(f64::to_bits);
-        if let Some(earlier) = lines.insert((key, name.text), line) {
+        if let Some(earlier) = lines.insert((key, name.text), row.line) {
             return Err(fault(format!("received this transmitter in line {earlier} too; average repeated readings")));
         }
         if power == NOT_RECEIVED {

@@ -16,7 +16,8 @@ use zip::ZipArchive;
 /// Supported formats of spectra.
 const SPECTRA: &str = "spectra are an array .npy, an archive .npz, or a folder of images 00001.png ..";
 
-/// Reads transmitter positions `[M,3]`, metres. If `with_spectra`, they are an array in the archive of the spectra.
+/// Reads transmitter positions `[M,3]`, metres, from an array, archive or table. If `with_spectra`, they are an array in the
+/// archive of the spectra. Returns an error if there are none.
 pub(super) fn read_positions(path: &Path, with_spectra: bool) -> Result<Vec<[f64; 3]>> {
     let (file, name) = split_array_name(path);
     let txs = match extension(&file) {
@@ -38,7 +39,7 @@ pub(super) fn read_positions(path: &Path, with_spectra: bool) -> Result<Vec<[f64
     Ok(txs)
 }
 
-/// Passes all spectra to `sink`; their number must equal the `count` of transmitters.
+/// Passes all spectra to `sink`. Returns an error unless their number equals the `count` of transmitters.
 pub(super) fn read_spectra(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result<()> {
     let (file, name) = split_array_name(path);
     if file.is_dir() {
@@ -57,7 +58,8 @@ pub(super) fn read_spectra(path: &Path, count: usize, sink: &mut Sink<'_>) -> Re
     }
 }
 
-/// Passes the spectra of an array of `bytes` bytes, header included, to `sink`; their number must be `count`.
+/// Passes the spectra of an array of `bytes` bytes, header included, to `sink`. Returns an error unless their number is
+/// `count` and they fill the bytes.
 fn read_array(path: &Path, array: &mut dyn Read, bytes: u64, count: usize, sink: &mut Sink<'_>) -> Result<()> {
     let header = Header::read(path, array)?;
     let (number, shape) = npy::spectra_shape(&header, path)?;
@@ -81,14 +83,15 @@ fn read_array(path: &Path, array: &mut dyn Read, bytes: u64, count: usize, sink:
     let mut spectrum = vec![0; size];
     for _ in 0..m {
         array.read_exact(&mut spectrum).map_err(|e| Error::read(path, e))?;
-        sink.add(&spectrum)?;
+        sink.add_spectrum(&spectrum)?;
     }
     npy::check_end(array).map_err(|e| Error::read(path, e))
 }
 
-/// Passes the images `NNNNN.png` of a folder to `sink`: number k, counted from 1, is the spectrum of row k.
+/// Passes the images `NNNNN.png` of a folder to `sink`: number k, counted from 1, is the spectrum of row k. Returns an error
+/// unless there are `count` images of one size and depth.
 fn read_images(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result<()> {
-    let files = pictures::list(path, SPECTRA)?;
+    let files = pictures::list_images(path, SPECTRA)?;
     let missing = (1..=count as u32).find(|id| !files.contains_key(id));
     if let Some(id) = missing {
         let problem = format!("holds no image {id:05}.png, but there are {count} transmitters");
@@ -100,7 +103,7 @@ fn read_images(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result<()> {
     }
     let mut first: Option<((usize, usize), Number, String)> = None;
     for (_, file) in files {
-        let picture = pictures::decode(&file, Depth::Sixteen)?;
+        let picture = pictures::decode_grey_png(&file, Depth::Sixteen)?;
         let size = (picture.width, picture.height);
         match &first {
             None => {
@@ -116,12 +119,13 @@ fn read_images(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result<()> {
                 }
             }
         }
-        sink.add(&picture.bytes)?;
+        sink.add_spectrum(&picture.bytes)?;
     }
     Ok(())
 }
 
-/// Reads an array of an archive: `name`, else `usual`, else the only one. `read` gets its bytes and length.
+/// Returns the result of `read` on an array of an archive, its path, bytes and length: the array `name`, else `usual`, else
+/// the only one.
 fn read_archive<T>(
     path: &Path,
     name: Option<String>,
@@ -160,7 +164,7 @@ fn read_archive<T>(
     })
 }
 
-/// Splits `FILE.npz:NAME` into file and array name.
+/// Splits `FILE.npz:NAME` into file and array name; other paths have no name.
 fn split_array_name(path: &Path) -> (PathBuf, Option<String>) {
     let text = path.to_string_lossy();
     match text.rsplit_once(".npz:") {
@@ -169,7 +173,7 @@ fn split_array_name(path: &Path) -> (PathBuf, Option<String>) {
     }
 }
 
-/// Returns the extension of a file; all supported ones are lower case.
+/// Returns the extension of a file, empty without one; all supported ones are lower case.
 fn extension(path: &Path) -> &str {
     path.extension().and_then(OsStr::to_str).unwrap_or_default()
 }

@@ -4,9 +4,9 @@
 mod tests;
 
 use super::{index, read_transmitters, receivers};
-use crate::checks::{check_frequencies, subcarriers};
-use crate::folder::{check_root, folder_name, open_root, read_simulation, root_with, title};
-use crate::npy::{ComplexArray, read_complex};
+use crate::checks::{check_frequencies, uniform_subcarriers};
+use crate::folder::{check_root, existing_root, folder_name, read_title, recognised_root};
+use crate::npy::{ComplexArray, read_complex_array};
 use pwrfgs_core::{
     Channels, DataSource, Dataset, Error, Features, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample,
 };
@@ -73,14 +73,14 @@ impl DataSource for Nerf2Csi {
 
     /// Loads uplinks as features and downlinks as observations, scaled by the training part of the index files.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        let root = open_root(base, &self.root, "Nerf2Csi", LAYOUT)?;
+        let root = existing_root(base, &self.root, "Nerf2Csi", LAYOUT)?;
         let antennas = receivers::read_antennas(&root.join("base-station.yml"), LAYOUT)?;
         let path = root.join("csidata.npy");
         let mut array = read_channels(&path, antennas.len())?;
         let [snapshots, _, both] = array.shape;
-        let frequencies_hz = subcarriers(&path, self.carrier_hz, self.spacing_hz, both)?.split_off(both / 2);
+        let frequencies_hz = uniform_subcarriers(&path, self.carrier_hz, self.spacing_hz, both)?.split_off(both / 2);
         let positions = read_positions(&root, snapshots)?;
-        let rows = index::read(&root, &|word| index::parse_row(word, "csidata.npy", snapshots))?;
+        let rows = index::read_sets(&root, &|word| index::parse_row(word, "csidata.npy", snapshots))?;
         array.normalise(&path, rows.as_ref().map(|(train, _)| train.as_slice()))?;
         array.check_size(&path)?; // after that: the test part is divided by the largest modulus of the training part
         let (features, gains) = split_links(&mut array);
@@ -92,8 +92,7 @@ impl DataSource for Nerf2Csi {
         let per_receiver = antennas.len() / receivers.len();
         let channels = Channels { antennas: per_receiver, frequencies_hz, gains };
         let name = folder_name(&root);
-        let simulation = read_simulation(&root, &name);
-        let title = title(&name, simulation.as_ref(), "NeRF2 layout");
+        let (title, simulation) = read_title(&root, &name, "NeRF2 layout");
         let data = Dataset::of_links(title, receivers, vec![], &samples, channels.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
         progress(data.len(), data.len());
@@ -102,7 +101,7 @@ impl DataSource for Nerf2Csi {
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
-        let root = root_with(folder, &["csidata.npy", "base-station.yml"])?;
+        let root = recognised_root(folder, &["csidata.npy", "base-station.yml"])?;
         Some(Box::new(Self { root, together: true, ..self.clone() }))
     }
 
@@ -112,9 +111,10 @@ impl DataSource for Nerf2Csi {
     }
 }
 
-/// Reads channels `[N,A,2F]` of a base station with `antennas` antennas.
+/// Reads channels `[N,A,2F]` of a base station. Returns an error for another number of `antennas` or an odd one of
+/// subcarriers.
 fn read_channels(path: &Path, antennas: usize) -> Result<ComplexArray> {
-    let array = read_complex(path, SHAPE)?;
+    let array = read_complex_array(path, SHAPE)?;
     let [_, count, subcarriers] = array.shape;
     if count != antennas {
         let problem = format!("has {count} antennas a snapshot, but base-station.yml {antennas}; give as many of each");
@@ -127,7 +127,8 @@ fn read_channels(path: &Path, antennas: usize) -> Result<ComplexArray> {
     Ok(array)
 }
 
-/// Reads `tx_pos.csv` if it exists: one row per snapshot, metres.
+/// Reads the positions of the `snapshots` from `tx_pos.csv`, metres; `None` without the file. Returns an error for another
+/// number of rows.
 fn read_positions(root: &Path, snapshots: usize) -> Result<Option<Vec<[f64; 3]>>> {
     let path = root.join("tx_pos.csv");
     if !path.exists() {
@@ -141,7 +142,7 @@ fn read_positions(root: &Path, snapshots: usize) -> Result<Option<Vec<[f64; 3]>>
     Ok(Some(positions))
 }
 
-/// Creates one receiver per antenna.
+/// Creates one receiver per antenna, at its position in metres.
 fn antenna_receivers(antennas: &[[f64; 3]]) -> Vec<Receiver> {
     let receiver = |(k, &position): (usize, &[f64; 3])| {
         Receiver::new(format!("antenna {}", k + 1), Pose { position, ..Pose::IDENTITY })
@@ -149,7 +150,7 @@ fn antenna_receivers(antennas: &[[f64; 3]]) -> Vec<Receiver> {
     antennas.iter().enumerate().map(receiver).collect()
 }
 
-/// Creates one receiver of all antennas, at their centre.
+/// Creates one receiver of all antennas, at their centre; positions in metres.
 fn base_station(antennas: &[[f64; 3]]) -> Receiver {
     let centre = std::array::from_fn(|k| antennas.iter().map(|a| a[k]).sum::<f64>() / antennas.len().max(1) as f64);
     let offset = |a: &[f64; 3]| std::array::from_fn(|k| a[k] - centre[k]);
@@ -157,7 +158,8 @@ fn base_station(antennas: &[[f64; 3]]) -> Receiver {
     Receiver { antennas: antennas.iter().map(offset).collect(), ..Receiver::new("base station", pose) }
 }
 
-/// Splits the subcarriers of every link: its uplink as real numbers `[N A, 2F]`, and its downlink `[N A, F]`.
+/// Takes the values of `array` and returns the uplink of every link as real numbers `[N A, 2F]`, and its downlink
+/// `[N A, F]`.
 fn split_links(array: &mut ComplexArray) -> (Vec<Real>, Vec<[Real; 2]>) {
     let subcarriers = array.shape[2];
     let (mut uplinks, mut downlinks) = (Vec::with_capacity(array.values.len()), Vec::new());

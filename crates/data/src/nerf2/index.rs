@@ -1,6 +1,6 @@
 //! `train_index.txt` and `test_index.txt`: sample ids of each set, one per line, zero-padded or not.
 
-use crate::text::{TextRow, lines, read_text};
+use crate::text::{TextRow, numbered_lines, read_text};
 use pwrfgs_core::{Error, Result, files::MAX_TEXT, messages::quoted};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -30,8 +30,8 @@ pub(crate) struct SpectrumIds<'a> {
 }
 
 impl SpectrumIds<'_> {
-    /// Parses a sample id.
-    pub(crate) fn parse(&self, word: &str) -> Result<IndexEntry, String> {
+    /// Parses the id of a sample. Returns the problem with an id that has no row or no image.
+    pub(crate) fn parse_id(&self, word: &str) -> Result<IndexEntry, String> {
         let table = self.table;
         let id = match word.parse() {
             Ok(0) => return Err(format!("invalid id 0; ids count from 1, the first row of {table}")),
@@ -50,7 +50,8 @@ impl SpectrumIds<'_> {
     }
 }
 
-/// Parses a row number of `table`, counted from 0 as ids of powers and channels are.
+/// Parses a row number of `table`, counted from 0 as ids of powers and channels are. Returns the problem with a number that
+/// is not below `rows`.
 pub(crate) fn parse_row(word: &str, table: &str, rows: usize) -> Result<IndexEntry, String> {
     match word.parse::<u32>() {
         Ok(id) if (id as usize) < rows => Ok(IndexEntry { id, sample: id as usize }),
@@ -59,8 +60,9 @@ pub(crate) fn parse_row(word: &str, table: &str, rows: usize) -> Result<IndexEnt
     }
 }
 
-/// Reads both lists (training, test) as sample indices, sorted; `None` if neither file exists.
-pub(crate) fn read(root: &Path, parse: &ParseEntry<'_>) -> Result<Option<(Vec<usize>, Vec<usize>)>> {
+/// Reads both index files in the folder `root` as sample indices (training, test), each sorted; `None` if neither exists.
+/// Returns an error if one is missing, has an invalid word or is empty, or if an id occurs twice.
+pub(crate) fn read_sets(root: &Path, parse: &ParseEntry<'_>) -> Result<Option<(Vec<usize>, Vec<usize>)>> {
     let [train, test] = ["train_index.txt", "test_index.txt"].map(|name| root.join(name));
     match (train.exists(), test.exists()) {
         (false, false) => Ok(None),
@@ -77,12 +79,13 @@ pub(crate) fn read(root: &Path, parse: &ParseEntry<'_>) -> Result<Option<(Vec<us
     }
 }
 
-/// Reads one file; `seen` maps ids to the file and line that listed them before.
+/// Reads one index file as sample indices, sorted, and adds its ids to `seen`, which maps each to the file and line that
+/// lists it. Returns an error for an invalid word, an id that was seen before, or a file without ids.
 fn read_list(path: &Path, parse: &ParseEntry<'_>, seen: &mut BTreeMap<u32, String>) -> Result<Vec<usize>> {
     let text = read_text(path, MAX_TEXT, "give both index files or neither")?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut list = Vec::new();
-    for line in lines(&text) {
+    for line in numbered_lines(&text) {
         let row = TextRow::at_blanks(path, line);
         for field in &row.fields {
             let IndexEntry { id, sample } = parse(field.text).map_err(|fault| row.fault(field.column, fault))?;

@@ -54,8 +54,8 @@ impl GatewayValue {
 }
 
 impl Gateway {
-    /// Reads the file; `requested` is the gateway that the user selected, else `gateway1`. `advice` is the next step if the file
-    /// does not exist.
+    /// Reads `gateway_info.yml`; `requested` is the gateway that the user selected, else `gateway1`. `advice` is the next step
+    /// if the file does not exist. Returns an error for a missing or ambiguous gateway, or an invalid value.
     pub(crate) fn read(path: &Path, requested: Option<&str>, advice: &str) -> Result<Self> {
         let file: BTreeMap<String, Spanned<GatewayValue>> = read_yaml(path, advice, GATEWAY)?;
         let name = requested.unwrap_or("gateway1");
@@ -98,7 +98,7 @@ impl Gateway {
     }
 }
 
-/// Parses the elevations of the image rows.
+/// Parses the elevations of the image rows, degrees. Returns an error for another value or an invalid range.
 fn parse_elevation(path: &Path, value: &Spanned<GatewayValue>) -> Result<Elevation> {
     let GatewayValue::Range(range) = value.value else {
         return Err(yaml_fault(path, value, "expected `elevation: [first, last]`, degrees"));
@@ -106,7 +106,7 @@ fn parse_elevation(path: &Path, value: &Spanned<GatewayValue>) -> Result<Elevati
     range.fault().map_or(Ok(range), |fault| Err(yaml_fault(path, value, fault)))
 }
 
-/// Sorts the entries of a mapping into file order.
+/// Returns the entries of a YAML mapping in the order of the file.
 fn in_file_order<K, V: std::ops::Deref<Target = Spanned<T>>, T>(entries: impl Iterator<Item = (K, V)>) -> Vec<(K, V)> {
     let mut entries: Vec<(K, V)> = entries.collect();
     entries.sort_by_key(|(_, value)| (value.referenced.line(), value.referenced.column()));
@@ -122,6 +122,7 @@ enum GatewayPosition {
 }
 
 /// Reads the names and poses of the gateways in file order; without an orientation, the axes are those of the world frame.
+/// `advice` is the next step if the file does not exist. Returns an error for no gateway, or an invalid one.
 pub(super) fn read_gateways(path: &Path, advice: &str) -> Result<Vec<(String, Pose)>> {
     let file: BTreeMap<String, Spanned<GatewayPosition>> = read_yaml(path, advice, GATEWAYS)?;
     if file.is_empty() {
@@ -146,7 +147,8 @@ struct BaseStation {
     base_station: Vec<Spanned<[f64; 3]>>,
 }
 
-/// Reads the antenna positions of a base station `[A,3]`, metres.
+/// Reads the antenna positions of a base station `[A,3]`, metres. `advice` is the next step if the file does not exist.
+/// Returns an error for no antenna, or an invalid one.
 pub(super) fn read_antennas(path: &Path, advice: &str) -> Result<Vec<[f64; 3]>> {
     let BaseStation { base_station } = read_yaml(path, advice, ANTENNAS)?;
     if base_station.is_empty() {

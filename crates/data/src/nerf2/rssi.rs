@@ -7,9 +7,9 @@ use super::receivers::read_gateways;
 use super::{LocationTable, POSES, index};
 use crate::checks::{NOT_RECEIVED, UnlinkedNode, unlinked_node};
 use crate::folder::{
-    check_root, folder_name, open_root, point_cloud_in, read_point_cloud, read_simulation, root_with, title,
+    check_root, existing_root, find_point_cloud, folder_name, read_point_cloud, read_title, recognised_root,
 };
-use crate::text::{TextRow, dbm, lines, read_text};
+use crate::text::{TextRow, numbered_lines, read_text};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::{quoted, strip_control, text_of};
 use pwrfgs_core::{DataSource, Dataset, Error, JsonSchema, Progress, Real, Receiver, Result, Sample, did_you_mean};
@@ -73,13 +73,13 @@ impl DataSource for Nerf2Rssi {
 
     /// Loads one link per cell of the table of powers, except for cells without a signal.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        let root = open_root(base, &self.root, "Nerf2Rssi", LAYOUT)?;
+        let root = existing_root(base, &self.root, "Nerf2Rssi", LAYOUT)?;
         let gateways = read_gateways(&root.join("gateway_position.yml"), LAYOUT)?;
         let locations = LocationTable::read(&root, &root.join("tx_pos.csv"))?;
         let names: Vec<String> = gateways.iter().map(|(name, _)| name.clone()).collect();
-        let received = read_table(&root.join("gateway_rssi.csv"), &names, locations.poses.len(), LAYOUT)?;
+        let received = read_power_table(&root.join("gateway_rssi.csv"), &names, locations.poses.len(), LAYOUT)?;
         let table = if locations.moving.is_receiver() { POSES } else { "tx_pos.csv" };
-        let rows = index::read(&root, &|word| index::parse_row(word, table, locations.poses.len()))?;
+        let rows = index::read_sets(&root, &|word| index::parse_row(word, table, locations.poses.len()))?;
         let points = read_point_cloud(base, self.points.as_deref())?;
         let samples: Vec<Sample> = received
             .iter()
@@ -92,10 +92,9 @@ impl DataSource for Nerf2Rssi {
             return Err(Error::input(&root.join("gateway_position.yml"), format!("{problem}; give one position")));
         }
         let receivers = gateways.into_iter().map(|(name, pose)| Receiver::new(name, pose)).collect();
-        let ends = locations.ends(receivers, Some(transmitter));
+        let ends = locations.link_ends(receivers, Some(transmitter));
         let name = folder_name(&root);
-        let simulation = read_simulation(&root, &name);
-        let title = title(&name, simulation.as_ref(), "NeRF2 layout");
+        let (title, simulation) = read_title(&root, &name, "NeRF2 layout");
         let data = Dataset::of_links(title, ends, points, &samples, powers.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
         progress(data.len(), data.len());
@@ -103,8 +102,8 @@ impl DataSource for Nerf2Rssi {
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
-        let root = root_with(folder, &["gateway_rssi.csv", "gateway_position.yml"])?;
-        Some(Box::new(Self { points: point_cloud_in(&root), root }))
+        let root = recognised_root(folder, &["gateway_rssi.csv", "gateway_position.yml"])?;
+        Some(Box::new(Self { points: find_point_cloud(&root), root }))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -121,11 +120,11 @@ struct PowerRow {
     dbm: f64,
 }
 
-/// Reads all received powers, by row, then gateway. Every gateway must have a column, each of the `rows` transmitters a
-/// row, and each of them at least one received power.
-fn read_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Result<Vec<PowerRow>> {
+/// Reads all received powers, by row, then gateway. Returns an error unless every gateway has a column, each of the `rows`
+/// transmitters a row, and each of them at least one received power.
+fn read_power_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Result<Vec<PowerRow>> {
     let text = read_text(path, MAX_TEXT, advice)?;
-    let mut contents = lines(&text);
+    let mut contents = numbered_lines(&text);
     let Some(header) = contents.next() else {
         let advice = "write a header with the names of the gateways and one row per transmitter";
         return Err(Error::input(path, format!("is empty; {advice}")));
@@ -162,7 +161,7 @@ fn read_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Re
     }
 }
 
-/// Returns the column index of each gateway.
+/// Returns the column index of each gateway in a header. Returns an error for a missing, repeated or unknown column.
 fn gateway_columns(header: &TextRow<'_>, gateways: &[String]) -> Result<Vec<usize>> {
     let advice = ["has no position in gateway_position.yml", "add it there, or remove the column"];
     let column_by_name = find_columns(header, gateways, advice)?;
@@ -175,8 +174,8 @@ fn gateway_columns(header: &TextRow<'_>, gateways: &[String]) -> Result<Vec<usiz
     gateways.iter().map(column).collect()
 }
 
-/// Returns the columns by name, all of which must be in `names`; for another name, `unknown` is the problem and the next
-/// step.
+/// Returns the column indices of a header by name. Returns an error for a repeated name, or one that is not in `names`:
+/// `unknown` is its problem and the next step.
 fn find_columns<'a>(header: &TextRow<'a>, names: &[String], unknown: [&str; 2]) -> Result<BTreeMap<&'a str, usize>> {
     let valid: BTreeSet<&str> = names.iter().map(String::as_str).collect();
     let mut column_by_name = BTreeMap::new();
@@ -205,7 +204,7 @@ pub fn read_powers(path: &Path, receivers: &[String]) -> Result<Vec<Vec<Real>>> 
     const ADVICE: &str =
         "write one column per receiver and one row per transmitter, in dBm; leave unknown powers empty";
     let text = read_text(path, MAX_TEXT, ADVICE)?;
-    let mut rows = lines(&text);
+    let mut rows = numbered_lines(&text);
     let header = rows.next().ok_or_else(|| Error::input(path, format!("is empty; {ADVICE}")))?;
     let header = TextRow::at_commas(path, header);
     let advice = ["is no receiver of the model", "name one, or remove the column"];
@@ -216,7 +215,7 @@ pub fn read_powers(path: &Path, receivers: &[String]) -> Result<Vec<Vec<Real>>> 
         let power = |name: &String| match column_by_name.get(name.as_str()) {
             Some(column) => match row.cell((*column, name), ADVICE)? {
                 field if field.text.is_empty() || field.text.eq_ignore_ascii_case("nan") => Ok(Real::NAN),
-                field => Ok(dbm(path, row.line, field)? as Real),
+                field => Ok(row.power(field)? as Real),
             },
             None => Ok(Real::NAN),
         };

@@ -250,7 +250,7 @@ fn reports_unreadable_file() {
     for name in ["gateway_info.yml", "tx_pos.csv", "train_index.txt", "spectrum/00002.png"] {
         let folder = Folder::new();
         folder.remove(&format!("s/{name}"));
-        fs::create_dir(folder.path(&format!("s/{name}"))).unwrap(); // unreadable as a file, even for root
+        fs::create_dir(folder.path(&format!("s/{name}"))).unwrap(); // unreadable_error as a file, even for root
         let message = folder.fault();
         assert!(message.starts_with(&format!("cannot read DIR/s/{name}: ")), "{message}");
     }
@@ -367,7 +367,7 @@ fn does_not_unpack_large_colour_profile() {
         let folder = Folder::new();
         folder.write("s/spectrum/00002.png", &png);
         assert_eq!(folder.load().observations.raw(1).as_ref(), [7; 24]);
-        pictures::decoder(png).unwrap().icc_profile().unwrap()
+        pictures::png_decoder(png).unwrap().icc_profile().unwrap()
     };
     assert_eq!(profile_of(100).map(|p| p.len()), Some(100));
     assert_eq!(profile_of(40 << 20), None, "forty megabytes from less than one");

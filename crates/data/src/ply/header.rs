@@ -66,7 +66,7 @@ pub(super) struct PlyHeader {
 }
 
 impl Scalar {
-    /// Parses the name of a number type.
+    /// Parses the name of a number type; `None` for other words.
     fn parse(name: &str) -> Option<Self> {
         Some(match name {
             "char" | "int8" => Self::I8,
@@ -91,7 +91,7 @@ impl Scalar {
         }
     }
 
-    /// Returns the expected format of a number in an ascii file if the text does not match it.
+    /// Returns the expected format of a number in an ascii file if the text does not match it; `None` if it does.
     pub(super) fn misfit(self, text: &str) -> Option<&'static str> {
         let whole = |low: i64, high: i64| text.parse().is_ok_and(|v: i64| (low..=high).contains(&v));
         let (fits, expected) = match self {
@@ -106,8 +106,8 @@ impl Scalar {
         (!fits).then_some(expected)
     }
 
-    /// Converts the number in `raw`, which is [`Self::size`] bytes long.
-    pub(super) fn value(self, raw: &[u8], is_big: bool) -> f64 {
+    /// Converts the number in `raw`, which is [`Self::size`] bytes long, big or little endian.
+    pub(super) fn to_number(self, raw: &[u8], is_big: bool) -> f64 {
         let mut bytes = [0; 8];
         bytes[..raw.len()].copy_from_slice(raw);
         if is_big {
@@ -128,7 +128,7 @@ impl Scalar {
 }
 
 impl PlyHeader {
-    /// Reads up to and including `end_header`.
+    /// Parses the header, up to and including `end_header`. Returns an error for an invalid or missing line.
     pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<Self> {
         let (mut encoding, mut elements) = (None, Vec::new());
         let (mut start, mut line) = (0, 0);
@@ -144,34 +144,15 @@ impl PlyHeader {
                 return Err(row.fault(1, format!("the header has more than {MOST_LINES} lines; shorten it")));
             }
             let words: Vec<&str> = row.fields.iter().map(|field| field.text).collect();
-            let fault = |field: usize, problem: &str| word_fault(&row, field, problem);
             match (line, words.as_slice()) {
                 (1, ["ply"]) | (2.., [] | ["comment" | "obj_info", ..]) => {}
                 (1, _) => return Err(row.fault(1, NOT_PLY)),
-                (_, ["format", ..]) if encoding.is_some() => {
-                    return Err(fault(0, "is repeated; keep one"));
-                }
+                (_, ["format", ..]) if encoding.is_some() => return Err(word_fault(&row, 0, "is repeated; keep one")),
                 (_, ["format", name, ..]) => {
-                    encoding = Some(PlyEncoding::parse(name).ok_or_else(|| fault(1, FORMATS))?);
-                }
-                (_, ["element", name, count]) => {
-                    let count = count.parse().ok().ok_or_else(|| fault(2, "is not a count; write a whole number"))?;
-                    if elements.iter().any(|e: &PlyElement| e.name == *name) {
-                        return Err(fault(1, "is a repeated element; give each element a unique name"));
-                    }
-                    elements.push(PlyElement { name: (*name).to_owned(), count, properties: Vec::new(), line });
-                }
-                (_, ["property", ..]) => {
-                    let element: &mut PlyElement = elements.last_mut().ok_or_else(|| fault(0, UNOWNED))?;
-                    let property = parse_property(&row)?;
-                    if element.properties.iter().any(|p| p.name == property.name) {
-                        let twice = "is a repeated property; give each property a unique name";
-                        return Err(fault(words.len() - 1, twice));
-                    }
-                    element.properties.push(property);
+                    encoding = Some(PlyEncoding::parse(name).ok_or_else(|| word_fault(&row, 1, FORMATS))?);
                 }
                 (_, ["end_header"]) => break,
-                _ => return Err(fault(0, "is not understood in a PLY header; remove or correct the line")),
+                _ => add_declaration(&mut elements, &row)?,
             }
         }
         let encoding = encoding.ok_or_else(|| Error::input(path, UNFORMATTED))?;
@@ -179,8 +160,8 @@ impl PlyHeader {
         Ok(Self { encoding, elements, vertex, xyz, bytes: start, lines: line })
     }
 
-    /// Returns the index of the element `face`, and of its corner list.
-    pub(super) fn corners(&self, path: &Path) -> Result<(usize, usize)> {
+    /// Returns the index of the element `face`, and of its list of corners. Returns an error if one is missing.
+    pub(super) fn find_corner_list(&self, path: &Path) -> Result<(usize, usize)> {
         let Some(face) = self.elements.iter().position(|e| e.name == "face") else {
             return Err(Error::input(path, "has no element `face`; export a mesh, not a point cloud"));
         };
@@ -203,7 +184,7 @@ const FORMATS: &str = "is not a format; use ascii, binary_little_endian or binar
 const TYPES: &str = "is not a type; use char, uchar, short, ushort, int, uint, float or double";
 
 impl PlyEncoding {
-    /// Parses the name of an encoding.
+    /// Parses the name of an encoding; `None` for other words.
     fn parse(name: &str) -> Option<Self> {
         match name {
             "ascii" => Some(Self::Ascii),
@@ -214,12 +195,39 @@ impl PlyEncoding {
     }
 }
 
-/// Creates an error at one word of a header line.
+/// Returns the error `problem` at a word of a header line.
 fn word_fault(row: &TextRow<'_>, word: usize, problem: &str) -> Error {
     row.fault(row.fields[word].column, format!("{} {problem}", quoted(row.fields[word].text)))
 }
 
-/// Parses `property TYPE NAME` or `property list TYPE TYPE NAME`.
+/// Parses the line of an element, or of a property of the last element, and adds it to `elements`. Returns an error for
+/// another line, or a repeated name.
+fn add_declaration(elements: &mut Vec<PlyElement>, row: &TextRow<'_>) -> Result<()> {
+    let words: Vec<&str> = row.fields.iter().map(|field| field.text).collect();
+    let fault = |word: usize, problem: &str| word_fault(row, word, problem);
+    match words.as_slice() {
+        ["element", name, count] => {
+            let count = count.parse().ok().ok_or_else(|| fault(2, "is not a count; write a whole number"))?;
+            if elements.iter().any(|element| element.name == *name) {
+                return Err(fault(1, "is a repeated element; give each element a unique name"));
+            }
+            let name = (*name).to_owned();
+            elements.push(PlyElement { name, count, properties: Vec::new(), line: row.line });
+        }
+        ["property", ..] => {
+            let element = elements.last_mut().ok_or_else(|| fault(0, UNOWNED))?;
+            let property = parse_property(row)?;
+            if element.properties.iter().any(|p| p.name == property.name) {
+                return Err(fault(words.len() - 1, "is a repeated property; give each property a unique name"));
+            }
+            element.properties.push(property);
+        }
+        _ => return Err(fault(0, "is not understood in a PLY header; remove or correct the line")),
+    }
+    Ok(())
+}
+
+/// Parses a line `property TYPE NAME` or `property list TYPE TYPE NAME`. Returns an error for another line or type.
 fn parse_property(row: &TextRow<'_>) -> Result<Property> {
     let fields = &row.fields;
     let scalar = |word: usize| Scalar::parse(fields[word].text).ok_or_else(|| word_fault(row, word, TYPES));
@@ -231,7 +239,7 @@ fn parse_property(row: &TextRow<'_>) -> Result<Property> {
     Ok(Property { name: name.text.to_owned(), kind })
 }
 
-/// Returns the index of the element `vertex`, and of its properties x, y and z.
+/// Returns the index of the element `vertex`, and of its properties x, y and z. Returns an error if one is missing.
 fn find_vertex(path: &Path, elements: &[PlyElement]) -> Result<(usize, [usize; 3])> {
     let Some(vertex) = elements.iter().position(|e| e.name == "vertex") else {
         return Err(Error::input(path, "has no element `vertex`; export the cloud with its points"));

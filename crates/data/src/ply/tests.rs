@@ -41,7 +41,7 @@ fn ascii() -> Vec<u8> {
 }
 
 fn read(bytes: &[u8]) -> Result<Vec<[f64; 3]>, String> {
-    parse(Path::new("a.ply"), bytes).map_err(|e| e.to_string())
+    parse_points(Path::new("a.ply"), bytes).map_err(|e| e.to_string())
 }
 
 #[test]

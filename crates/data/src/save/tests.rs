@@ -141,7 +141,7 @@ proptest! {
         title in "[a-z\\[{ :-]{0,9}", numbers in prop::collection::vec(-1.01..1.01f64, 3..90),
     ) {
         let Ok(data) = small_data(kind, variant, &names, &title, &numbers) else { return Ok(()) };
-        match check(&data) {
+        match check_dataset(&data) {
             Ok(()) => assert_same(&data, &read_back(&data)),
             Err(refused) => {
                 let folder = tempfile::tempdir().unwrap();
@@ -207,11 +207,11 @@ fn rejects_unsavable_data_with_advice() {
         let receivers: Vec<Receiver> = names.iter().map(|name| Receiver::new(*name, Pose::IDENTITY)).collect();
         let samples: Vec<Sample> = (0..powers.len()).map(|i| Sample::new(i as u32, [i as f64, 0.0, 0.0])).collect();
         let data = Dataset::of_links("d", receivers, vec![], &samples, Observations::Powers(powers.to_vec())).unwrap();
-        check(&data).unwrap_err().to_string()
+        check_dataset(&data).unwrap_err().to_string()
     };
     let spectra = |size: (usize, usize), value: f32| {
         let spectra = Spectra::float(size, &vec![value; size.0 * size.1]).unwrap();
-        check(&Dataset::new("d", Pose::IDENTITY, vec![], vec![Sample::new(1, [0.0; 3])], spectra).unwrap())
+        check_dataset(&Dataset::new("d", Pose::IDENTITY, vec![], vec![Sample::new(1, [0.0; 3])], spectra).unwrap())
     };
     for (message, words) in [
         (named(&["a", "b"], &[-60.0]), "receiver `b` received no transmitter; leave it out"),

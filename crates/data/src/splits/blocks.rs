@@ -1,6 +1,6 @@
 //! `TimeBlock` and `Voxel`: hold out a block of the trajectory or whole cells of space.
 
-use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, part};
+use super::{DEFAULT_VALIDATION, check_test_share, check_validation_share, partition_of_locations, share_count};
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{
     Dataset, Demand, Error, JsonSchema, Misfit, Partition, Parts, Requirement, Result, Split, compatible,
@@ -49,20 +49,20 @@ impl Default for TimeBlock {
 impl Split for TimeBlock {
     fn split(&self, data: &Dataset, _: &mut Rng) -> Result<Partition> {
         let count = data.locations.len();
-        let length = part(self.length, count);
+        let length = share_count(self.length, count);
         let first = ((self.start * count as f64).round() as usize).min(count - length);
         let test = first..first + length;
         // Ids before the block and after it, without the gaps.
         let (low, high) = (first.saturating_sub(self.gap), test.end.saturating_add(self.gap).min(count));
-        let held = part(self.validation, low + count - high);
+        let held = share_count(self.validation, low + count - high);
         let behind = held.min(count - high);
         let before = held - behind;
         let train = (0..low - before).chain(high + behind..count).collect();
         let validation = (low - before..low).chain(high..high + behind).collect();
-        finish(data, Partition { train, validation, test: test.collect() })
+        partition_of_locations(data, Partition { train, validation, test: test.collect() })
     }
 
-    /// Stretches of the trajectory.
+    /// Returns contiguous blocks of the trajectory, at most `STRETCHES`.
     fn blocks(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
         let units = self.units(data, links);
         units.chunks(units.len().div_ceil(STRETCHES).max(1)).map(<[_]>::concat).collect()
@@ -79,14 +79,14 @@ impl Split for TimeBlock {
                 self.start
             ));
         }
-        check_test("length", self.length)?;
+        check_test_share("length", self.length)?;
         if self.start + self.length > 1.0 + 1e-9 {
             let end = self.start + self.length;
             return Err(format!(
                 "`start` + `length` is {end}; the block must end at 1 at the latest: lower one of them"
             ));
         }
-        check_validation(self.validation)
+        check_validation_share(self.validation)
     }
 }
 
@@ -122,7 +122,7 @@ impl Default for Voxel {
 }
 
 impl Voxel {
-    /// Returns the grid cell of a position.
+    /// Returns the indices of the grid cell of a position in metres.
     pub(super) fn cell(&self, position: [f64; 3]) -> [i128; 3] {
         position.map(|v| floor_of_ratio(v, self.size_m))
     }
@@ -130,7 +130,7 @@ impl Voxel {
 
 /// Returns ⌊v/size⌋, exact for the shortest decimals of both; `size` is above 0. Results out of range saturate.
 fn floor_of_ratio(v: f64, size: f64) -> i128 {
-    let ((v, v_exponent), (size, exponent)) = (decimal(v), decimal(size));
+    let ((v, v_exponent), (size, exponent)) = (decimal_digits(v), decimal_digits(size));
     let shifted = |digits: i128, by: i32| 10_i128.checked_pow(by.max(0) as u32)?.checked_mul(digits);
     match (shifted(v, v_exponent - exponent), shifted(size, exponent - v_exponent)) {
         (Some(v), Some(size)) => v.div_euclid(size),
@@ -139,8 +139,8 @@ fn floor_of_ratio(v: f64, size: f64) -> i128 {
     }
 }
 
-/// Returns the finite number as digits · 10^exponent, from its shortest decimal.
-fn decimal(v: f64) -> (i128, i32) {
+/// Returns digits and exponent of a finite number, digits · 10^exponent, from its shortest decimal.
+fn decimal_digits(v: f64) -> (i128, i32) {
     let text = format!("{v:e}");
     let (digits, exponent) = text.split_once('e').expect("the form is 1.5e-3");
     let decimals = digits.split_once('.').map_or(0, |(_, decimals)| decimals.len() as i32);
@@ -168,12 +168,12 @@ impl Split for Voxel {
         }
         rng::shuffle(rng, &mut cells);
         let count = data.locations.len();
-        let test = draw(&mut cells, part(self.test, count));
-        let validation = draw(&mut cells, part(self.validation, count - test.len()));
-        finish(data, Partition { train: cells.concat(), validation, test })
+        let test = draw_cells(&mut cells, share_count(self.test, count));
+        let validation = draw_cells(&mut cells, share_count(self.validation, count - test.len()));
+        partition_of_locations(data, Partition { train: cells.concat(), validation, test })
     }
 
-    /// Returns the cells.
+    /// Returns the links of each cell that has some.
     fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
         let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
         for &i in links {
@@ -186,13 +186,13 @@ impl Split for Voxel {
         if !(self.size_m.is_finite() && self.size_m > 0.0) {
             return Err(format!("`size_m` is {}; use an edge in metres above 0, such as 0.2", self.size_m));
         }
-        check_test("test", self.test)?;
-        check_validation(self.validation)
+        check_test_share("test", self.test)?;
+        check_validation_share(self.validation)
     }
 }
 
-/// Draws cells until they hold `wanted` samples; one cell remains.
-fn draw(cells: &mut Vec<Vec<usize>>, target: usize) -> Vec<usize> {
+/// Removes the last cells until they hold `target` samples, and returns their samples; one cell remains.
+fn draw_cells(cells: &mut Vec<Vec<usize>>, target: usize) -> Vec<usize> {
     let mut drawn = Vec::new();
     while drawn.len() < target && cells.len() > 1 {
         drawn.extend(cells.pop().expect("more than one cell is left"));

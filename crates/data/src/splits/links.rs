@@ -1,6 +1,9 @@
 //! `LeaveReceiverOut` and `RandomLinks`: split links instead of transmitters.
 
-use super::{DEFAULT_VALIDATION, check_test, check_validation, hold_out_links, link_partition, part, random_lists};
+use super::{
+    DEFAULT_VALIDATION, check_test_share, check_validation_share, hold_out_links, random_partition, share_count,
+    sorted_partition,
+};
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split, did_you_mean};
@@ -44,7 +47,7 @@ impl Default for LeaveReceiverOut {
 impl Split for LeaveReceiverOut {
     /// Moves all links of the named receivers to the test set, except for `calibration` random links of each.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
-        let receivers = self.left_out(data)?;
+        let receivers = self.left_out_receivers(data)?;
         let is_left_out = |i: &usize| receivers.contains(&data.links[*i].receiver);
         let (mut test, fitting): (Vec<usize>, Vec<usize>) = (0..data.len()).partition(is_left_out);
         // Drawn before validation, which must not change the test set.
@@ -66,7 +69,7 @@ impl Split for LeaveReceiverOut {
         }
         let (mut train, validation) = hold_out_links(data, fitting, self.validation, rng);
         train.extend(calibration);
-        link_partition(Partition { train, validation, test })
+        sorted_partition(Partition { train, validation, test })
     }
 
     fn check(&self) -> Result<(), String> {
@@ -74,13 +77,13 @@ impl Split for LeaveReceiverOut {
         if let Some((_, name)) = twice {
             return Err(format!("`receivers` names {} twice; name it once", quoted(name)));
         }
-        check_validation(self.validation)
+        check_validation_share(self.validation)
     }
 }
 
 impl LeaveReceiverOut {
-    /// Returns the indices of the named receivers; at least one, but not all.
-    fn left_out(&self, data: &Dataset) -> Result<BTreeSet<usize>> {
+    /// Returns the indices of the named receivers. Returns an error for an unknown name, no name, or all receivers.
+    fn left_out_receivers(&self, data: &Dataset) -> Result<BTreeSet<usize>> {
         let names = || data.scene.receivers.iter().map(|receiver| receiver.name.as_str());
         let refuse = |problem: String| {
             let valid = names().take(40).map(quoted).collect::<Vec<_>>().join(", ");
@@ -130,8 +133,8 @@ impl Default for RandomLinks {
 #[typetag::serde]
 impl Split for RandomLinks {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
-        let test = part(self.test, data.len());
-        link_partition(random_lists(data.len(), test, self.validation, rng))
+        let test = share_count(self.test, data.len());
+        sorted_partition(random_partition(data.len(), test, self.validation, rng))
     }
 
     /// Returns one unit per link.
@@ -140,7 +143,7 @@ impl Split for RandomLinks {
     }
 
     fn check(&self) -> Result<(), String> {
-        check_test("test", self.test)?;
-        check_validation(self.validation)
+        check_test_share("test", self.test)?;
+        check_validation_share(self.validation)
     }
 }

@@ -46,19 +46,19 @@ proptest! {
         let partition = check_partition_laws(&Official { validation }, &data)?;
         let (train, test) = data.official.clone().unwrap();
         prop_assert_eq!(&partition.test, &test);
-        prop_assert_eq!(partition.validation.len(), part(validation, train.len()));
+        prop_assert_eq!(partition.validation.len(), share_count(validation, train.len()));
     }
 
     #[test]
     fn random_split_has_requested_shares(n in 2usize..60, test in 0.01..0.99, validation in 0.0..0.99) {
         let partition = check_partition_laws(&Random { test, validation }, &line_of_samples(n))?;
-        prop_assert_eq!(partition.test.len(), part(test, n));
-        prop_assert_eq!(partition.validation.len(), part(validation, n - part(test, n)));
+        prop_assert_eq!(partition.test.len(), share_count(test, n));
+        prop_assert_eq!(partition.validation.len(), share_count(validation, n - share_count(test, n)));
     }
 
     #[test]
     fn sparse_split_has_requested_count(n in 2usize..60, share in 0.0..0.99, validation in 0.0..0.99) {
-        let train = part(share, n).max(1);
+        let train = share_count(share, n).max(1);
         let partition = check_partition_laws(&Sparse { train, validation }, &line_of_samples(n))?;
         prop_assert_eq!(partition.train.len() + partition.validation.len(), train);
     }

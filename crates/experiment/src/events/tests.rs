@@ -54,7 +54,7 @@ impl Message {
     fn array<const N: usize>(&mut self) -> [u8; N] {
         [(); N].map(|()| self.byte())
     }
-    fn varint(&mut self) -> u64 {
+    fn encode_varint(&mut self) -> u64 {
         let (mut value, mut shift) = (0, 0);
         loop {
             let byte = self.byte();
@@ -66,7 +66,7 @@ impl Message {
         }
     }
     fn inner(&mut self) -> Self {
-        let length = self.varint() as usize;
+        let length = self.encode_varint() as usize;
         Self(self.0.drain(..length).collect())
     }
 }
@@ -84,7 +84,7 @@ fn event(data: &[u8]) -> EventNumbers {
         return (0, vec![]);
     }
     assert_eq!(key, 0x10, "step, varint");
-    let step = event.varint();
+    let step = event.encode_varint();
     assert_eq!(event.byte(), 0x2a, "summary");
     let mut summary = event.inner();
     assert!(event.0.is_empty());

@@ -42,7 +42,8 @@ pub(crate) fn longest_side([low, high]: Extent) -> f64 {
     (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max)
 }
 
-/// Finds a point cloud whose room does not contain the transmitters.
+/// Finds a point cloud that does not contain the transmitters, and the unit or axes by which it would. `None` for a cloud
+/// that contains most of them, has few points, or covers a part of the room.
 pub(super) fn check_cloud(data: &Dataset) -> Option<Finding> {
     let origin = data.scene.origin;
     let points: Vec<[f64; 3]> = data.scene.points.iter().map(|point| origin.world(*point)).collect();

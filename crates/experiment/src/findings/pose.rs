@@ -64,8 +64,9 @@ struct Sighting {
 }
 
 impl Sighting {
-    /// Returns the line of sight by another meaning of the recorded orientation, and the strongest direction.
-    fn pair(self, meaning: Meaning) -> DirectionPair {
+    /// Returns the line of sight by a `meaning` of the recorded orientation, and the strongest direction, both in the
+    /// receiver's frame.
+    fn direction_pair(self, meaning: Meaning) -> DirectionPair {
         (meaning(self.recorded).inverse() * self.sight, self.strongest)
     }
 }
@@ -80,21 +81,13 @@ pub(crate) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
     if data.camera().is_some() || !data.placed || !data.scene.has_distances() {
         return None;
     }
-    // The first of several receivers, since each has its own pose; the transmitter if the receiver moves.
-    let fixed = data.scene.origin.world_pose(data.scene.pose());
-    let moves = data.scene.moving.is_receiver();
-    let sighting = |spectrum: &SpectrumSummary| {
-        let query = data.query(spectrum.sample);
-        let (receiver, transmitter) = if moves { (query.pose, fixed) } else { (fixed, query.pose) };
-        let sight = (DVec3::from_array(transmitter.position) - DVec3::from_array(receiver.position)).try_normalize()?;
-        let recorded = DQuat::from_array(receiver.orientation).normalize();
-        (query.receiver == 0).then_some(Sighting { sight, recorded, strongest: spectrum.strongest? })
-    };
-    let sightings: Vec<Sighting> = evenly(&spectra.iter().filter_map(sighting).collect::<Vec<_>>(), PAIRS);
+    let sightings = list_sightings(data, spectra);
     if sightings.len() < FEWEST {
         return None;
     }
-    let pairs_by = |meaning| sightings.iter().map(|sighting| sighting.pair(meaning)).collect::<Vec<DirectionPair>>();
+    let moves = data.scene.moving.is_receiver();
+    let pairs_by =
+        |meaning| sightings.iter().map(|sighting| sighting.direction_pair(meaning)).collect::<Vec<DirectionPair>>();
     let pairs = pairs_by(|recorded| recorded);
     let readings: [(_, Meaning); 3] = [
         ("x, y, z, w, turned the other way (receiver from world)", |q| q.inverse()),
@@ -104,21 +97,21 @@ pub(crate) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
     let (sights, strongest): (Vec<DVec3>, Vec<DVec3>) = pairs.iter().copied().unzip();
     let spread = |directions: &[DVec3]| {
         let middle = median_direction(directions);
-        median_deg(directions.iter().map(|d| angle(middle, *d)))
+        median_degrees(directions.iter().map(|d| angle(middle, *d)))
     };
     let (turned, rotation, correction) = best_correction(&pairs, moves.then_some(&sightings));
     let fits = rotation.inverse();
     let orientation = if moves { fits } else { (sightings[0].recorded * fits).normalize() };
     let mut check = PoseCheck {
         pairs: pairs.len(),
-        recorded: median(&pairs, DQuat::IDENTITY),
+        recorded: median_angle(&pairs, DQuat::IDENTITY),
         turned,
         constant: spread(&strongest),
         turn: rotation.angle_between(DQuat::IDENTITY).to_degrees(),
         orientation: orientation.to_array(),
         correction,
         spread: spread(&sights),
-        readings: readings.map(|(name, meaning)| (name, median(&pairs_by(meaning), DQuat::IDENTITY))).into(),
+        readings: readings.map(|(name, meaning)| (name, median_angle(&pairs_by(meaning), DQuat::IDENTITY))).into(),
         flips: score_flips(&data.plane(), &pairs),
         verdict: PoseVerdict::Right,
     };
@@ -126,12 +119,28 @@ pub(crate) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
     Some(check)
 }
 
-/// Returns the median angle after the rotation that fits best, that rotation, and its meaning; `moving` has the
+/// Lists the sightings of at most [`PAIRS`] evenly chosen spectra of the first receiver, since each receiver has its own
+/// pose; spectra without a strongest direction or a line of sight are omitted.
+fn list_sightings(data: &Dataset, spectra: &[SpectrumSummary]) -> Vec<Sighting> {
+    // The transmitter if the receiver moves.
+    let fixed = data.scene.origin.world_pose(data.scene.pose());
+    let sighting = |spectrum: &SpectrumSummary| {
+        let query = data.query(spectrum.sample);
+        let (receiver, transmitter) =
+            if data.scene.moving.is_receiver() { (query.pose, fixed) } else { (fixed, query.pose) };
+        let sight = (DVec3::from_array(transmitter.position) - DVec3::from_array(receiver.position)).try_normalize()?;
+        let recorded = DQuat::from_array(receiver.orientation).normalize();
+        (query.receiver == 0).then_some(Sighting { sight, recorded, strongest: spectrum.strongest? })
+    };
+    evenly(&spectra.iter().filter_map(sighting).collect::<Vec<_>>(), PAIRS)
+}
+
+/// Returns the median angle after the rotation that fits best, degrees, that rotation, and its meaning; `moving` has the
 /// sightings of a moving receiver.
 fn best_correction(pairs: &[DirectionPair], moving: Option<&Vec<Sighting>>) -> (f64, DQuat, Correction) {
     let turned = |pairs: &[DirectionPair], correction| {
         let rotation = best_rotation(pairs);
-        (median(pairs, rotation), rotation, correction)
+        (median_angle(pairs, rotation), rotation, correction)
     };
     let Some(sightings) = moving else { return turned(pairs, Correction::Replaced) };
     let in_world: Vec<DirectionPair> =
@@ -140,7 +149,8 @@ fn best_correction(pairs: &[DirectionPair], moving: Option<&Vec<Sighting>>) -> (
     if left.0 < right.0 { left } else { right }
 }
 
-/// Returns reversed columns and rows, with the median angle after the best rotation, degrees.
+/// Returns the flips of columns and of rows, with the median angle after the best rotation, degrees; empty if the plane has
+/// no angles.
 fn score_flips(plane: &ImagePlane, pairs: &[DirectionPair]) -> Vec<(Flip, f64)> {
     let Some((azimuth, elevation)) = plane.angles else { return Vec::new() };
     // The last pixel takes the position of the first.
@@ -154,18 +164,18 @@ fn score_flips(plane: &ImagePlane, pairs: &[DirectionPair]) -> Vec<(Flip, f64)> 
     let angle = |flip_name: Flip, is_rows: bool| {
         let pairs: Vec<DirectionPair> =
             pairs.iter().map(|(sight, strongest)| (*sight, flip(*strongest, is_rows))).collect();
-        (flip_name, median(&pairs, best_rotation(&pairs)))
+        (flip_name, median_angle(&pairs, best_rotation(&pairs)))
     };
     vec![angle(COLUMNS, false), angle(ROWS, true)]
 }
 
 /// Returns the median angle of `pairs` after rotating the first direction of each, degrees.
-fn median(pairs: &[DirectionPair], turn: DQuat) -> f64 {
-    median_deg(pairs.iter().map(|(a, b)| angle(turn * *a, *b)))
+fn median_angle(pairs: &[DirectionPair], turn: DQuat) -> f64 {
+    median_degrees(pairs.iter().map(|(a, b)| angle(turn * *a, *b)))
 }
 
 /// Returns the median of angles in radians, degrees.
-fn median_deg(angles: impl Iterator<Item = f64>) -> f64 {
+fn median_degrees(angles: impl Iterator<Item = f64>) -> f64 {
     statistics::median(angles.map(f64::to_degrees))
 }
 
@@ -204,7 +214,7 @@ const ROWS: Flip = (
 impl PoseVerdict {
     /// Concludes from the angles: a flip first, then another reading of the numbers, then a rotation.
     fn of(check: &PoseCheck) -> Self {
-        if check.flip().is_some() {
+        if check.best_flip().is_some() {
             return Self::Flipped;
         }
         let agrees = check.turn <= SMALL_DEG || check.recorded <= 1.15 * check.turned + SMALL_DEG;
@@ -213,7 +223,7 @@ impl PoseVerdict {
         if check.better_reading().is_some_and(is_misread) {
             return Self::Off;
         }
-        match (check.follows(), agrees) {
+        match (check.is_direct(), agrees) {
             (true, true) => Self::Right,
             (true, false) => Self::Off,
             (false, true) if check.recorded <= SMALL_DEG => Self::Right,
@@ -239,11 +249,11 @@ impl PoseVerdict {
 
 impl PoseCheck {
     /// Returns whether the strongest direction follows the line of sight after the best rotation.
-    fn follows(&self) -> bool {
+    fn is_direct(&self) -> bool {
         self.turned <= FOLLOWS * self.constant
     }
 
-    /// Describes angles and conclusion in sentences.
+    /// Describes angles, conclusion and corrections in sentences.
     pub fn sentences(&self) -> Vec<String> {
         let Self { recorded, turned, constant, turn, spread, pairs, .. } = self;
         let [x, y, z, w] = self.orientation;
@@ -252,7 +262,7 @@ impl PoseCheck {
              rotation turns the receiver by {turn:.1}° and leaves {turned:.1}°; one constant direction for all transmitters leaves {constant:.1}°."
         )];
         match self.verdict {
-            PoseVerdict::Off if self.follows() => {
+            PoseVerdict::Off if self.is_direct() => {
                 let advice = match self.correction {
                     Correction::Replaced => "This orientation fits",
                     Correction::Right => "Orientations fit if each is multiplied from the right by",
@@ -263,14 +273,14 @@ impl PoseCheck {
                      {z:.6}, {w:.6}] (x, y, z, w)."
                 ));
             }
-            PoseVerdict::Right | PoseVerdict::Unclear if !self.follows() => sentences.push(format!(
+            PoseVerdict::Right | PoseVerdict::Unclear if !self.is_direct() => sentences.push(format!(
                 "Transmitters are seen within {spread:.1}° of one direction (median), so a wrong orientation and a strongest \
                  path that is not direct look alike. Spectra of transmitters at known positions, 30° or more apart and in \
                  line of sight, would tell."
             )),
             _ => {}
         }
-        if let Some(((name, advice), angle)) = self.flip() {
+        if let Some(((name, advice), angle)) = self.best_flip() {
             sentences
                 .push(format!("With {name} and the rotation that then fits best the angle is {angle:.1}°: {advice}."));
         }
@@ -280,7 +290,7 @@ impl PoseCheck {
         sentences
     }
 
-    /// Returns the finding, unless the pose fits or the spectra cannot tell.
+    /// Returns the finding with its correction; `None` if the pose fits or the spectra cannot tell.
     pub(crate) fn finding(&self, data: &Dataset) -> Option<Finding> {
         let Self { pairs, recorded, turned, orientation: [x, y, z, w], .. } = self;
         let away =
@@ -302,7 +312,7 @@ impl PoseCheck {
                 ("orientation", away, mend)
             }
             (PoseVerdict::Flipped, ..) => {
-                let ((name, advice), angle) = self.flip()?;
+                let ((name, advice), angle) = self.best_flip()?;
                 let problem = format!("{away}, and {angle:.1}° with {name} and the rotation that then fits best");
                 let mend = format!("{advice}, or correct the positions if two of their axes are exchanged");
                 ("mirrored-spectra", problem, mend)
@@ -317,14 +327,15 @@ impl PoseCheck {
         Some(Finding::new(name, *pairs, problem, mend))
     }
 
-    /// Returns the interpretation of the recorded numbers that fits much better than the documented one.
+    /// Returns the interpretation of the recorded numbers that fits much better than the documented one, with its angle in
+    /// degrees; `None` if none does.
     fn better_reading(&self) -> Option<(&'static str, f64)> {
         let limit = (0.5 * self.recorded).min(1.5 * self.turned);
         self.readings.iter().filter(|(_, angle)| *angle < limit).min_by(|a, b| a.1.total_cmp(&b.1)).copied()
     }
 
-    /// Returns the best flip, if it fits much better than any rotation.
-    fn flip(&self) -> Option<&(Flip, f64)> {
+    /// Returns the best flip and its angle in degrees; `None` if it does not fit much better than any rotation.
+    fn best_flip(&self) -> Option<&(Flip, f64)> {
         let limit = (0.5 * self.turned.min(self.recorded)).min(FOLLOWS * self.constant);
         self.flips.iter().filter(|(_, angle)| *angle < limit).min_by(|a, b| a.1.total_cmp(&b.1))
     }

@@ -21,7 +21,7 @@ pub(super) fn angle(a: DVec3, b: DVec3) -> f64 {
     a.cross(b).length().atan2(a.dot(b))
 }
 
-/// Finds the rotation R with the smallest Σ angle(R a, b).
+/// Finds the rotation R with the smallest Σ angle(R a, b) over the pairs (a, b), the better result of two starts.
 pub(super) fn best_rotation(pairs: &[DirectionPair]) -> DQuat {
     let cost = |r: &DQuat| pairs.iter().map(|(a, b)| angle(*r * *a, *b)).sum::<f64>();
     // Two starts: no rotation, and the least-squares rotation.
@@ -29,7 +29,8 @@ pub(super) fn best_rotation(pairs: &[DirectionPair]) -> DQuat {
     if cost(&b) < cost(&a) { b } else { a }
 }
 
-/// Repeats the least-squares fit with weights 1/angle until the rotation stays the same.
+/// Repeats the least-squares fit with weights 1/angle, from `rotation`, until it changes by less than 10⁻⁶ rad, at most
+/// [`ROUNDS`] times.
 fn refine(mut rotation: DQuat, pairs: &[DirectionPair]) -> DQuat {
     for _ in 0..ROUNDS {
         let weights: Vec<f64> = pairs.iter().map(|(a, b)| 1.0 / angle(rotation * *a, *b).max(LEAST)).collect();
@@ -43,7 +44,7 @@ fn refine(mut rotation: DQuat, pairs: &[DirectionPair]) -> DQuat {
     rotation
 }
 
-/// Solves Wahba's problem: the rotation with the largest Σ w bᵀRa.
+/// Solves Wahba's problem, the rotation R with the largest Σ w bᵀRa, by Davenport's q-method.
 fn solve_wahba(pairs: &[DirectionPair], weights: &[f64]) -> DQuat {
     let (mut m, mut z) = (DMat3::ZERO, DVec3::ZERO);
     for ((a, b), w) in pairs.iter().zip(weights) {
@@ -65,7 +66,7 @@ fn solve_wahba(pairs: &[DirectionPair], weights: &[f64]) -> DQuat {
     DQuat::from_vec4(longest.unwrap_or_default().normalize_or(glam::DVec4::W))
 }
 
-/// Finds the direction with the smallest sum of angles to all (spherical median).
+/// Finds the direction with the smallest sum of angles to all `directions` (spherical median), by Weiszfeld's iteration.
 pub(super) fn median_direction(directions: &[DVec3]) -> DVec3 {
     let mut middle = directions.iter().sum::<DVec3>().normalize_or(DVec3::Z);
     for _ in 0..ROUNDS {

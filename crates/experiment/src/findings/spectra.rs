@@ -33,7 +33,7 @@ pub(crate) struct SpectrumSummary {
 /// If a spectrum cannot be read.
 pub(crate) fn summarize(data: &Dataset, most: usize, progress: Progress<'_>) -> Result<Vec<SpectrumSummary>> {
     let chosen = evenly(&(0..data.len()).collect::<Vec<_>>(), most);
-    let directions = directions(&data.plane());
+    let directions = pixel_directions(&data.plane());
     let done = AtomicUsize::new(0);
     let summary = |&sample: &usize| {
         let mut hasher = DefaultHasher::new();
@@ -47,8 +47,8 @@ pub(crate) fn summarize(data: &Dataset, most: usize, progress: Progress<'_>) -> 
     Ok(summaries)
 }
 
-/// Returns the unit vectors of all pixels, row by row.
-fn directions(plane: &ImagePlane) -> Vec<DVec3> {
+/// Returns the unit vectors of all pixels in the receiver frame, row by row; zero for pixels without a direction.
+fn pixel_directions(plane: &ImagePlane) -> Vec<DVec3> {
     let pixels = (0..plane.height).flat_map(|y| (0..plane.width).map(move |x| (x, y)));
     let direction = |(x, y)| plane.direction(x as Real, y as Real).unwrap_or_default().map(|v| v as f64);
     pixels.map(|pixel| DVec3::from_array(direction(pixel)).normalize_or_zero()).collect()
@@ -86,13 +86,13 @@ pub(crate) fn describe(data: &Dataset, summaries: &[SpectrumSummary]) -> Vec<(&'
     vec![
         pixels,
         ("grey values", format!("{low:.3} to {high:.3}, stored as {:?}", data.observations.number())),
-        ("normalisation", normalization(summaries, constant.len()).into()),
+        ("normalisation", describe_normalization(summaries, constant.len()).into()),
         ("unusual", [count_with_ids("constant", &constant), count_with_ids("equal to another", &equal)].join(", ")),
     ]
 }
 
-/// Describes the normalisation; the `constant` spectra have none.
-fn normalization(summaries: &[SpectrumSummary], constant: usize) -> &'static str {
+/// Describes the normalisation that all spectra have; the `constant` spectra fit any.
+fn describe_normalization(summaries: &[SpectrumSummary], constant: usize) -> &'static str {
     let is_zero = |s: &&SpectrumSummary| s.range.0.abs() < ROUNDING;
     let is_one = |s: &&SpectrumSummary| (s.range.1 - 1.0).abs() < ROUNDING;
     if summaries.iter().filter(is_one).filter(is_zero).count() + constant >= summaries.len() {

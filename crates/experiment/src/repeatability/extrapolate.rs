@@ -33,7 +33,7 @@ pub(super) struct MetricScale {
 impl MetricScale {
     /// Moves `value` of a pair from a mean of `from` to a mean of `to`: its deficit to the best value scales like
     /// that of the mean. With an infinite best value it is shifted by the change of the mean.
-    fn moved(&self, value: f64, from: f64, to: f64) -> f64 {
+    fn rescale(&self, value: f64, from: f64, to: f64) -> f64 {
         match (self.best - to) / (self.best - from) {
             part if part.is_finite() => self.best - (self.best - value) * part,
             _ if self.best.is_finite() => value,
@@ -41,9 +41,12 @@ impl MetricScale {
         }
     }
 
-    /// Fits a straight line of `values` over distance, weighted towards near pairs, for the mean at zero; values moved
-    /// along it to distance zero give median and tail percentile. There is at least one pair.
-    pub(super) fn at_zero(&self, pairs: &[SamplePair], values: &[f64]) -> Result<ZeroDistanceEstimate, String> {
+    /// Extrapolates the `values` of at least one pair to distance zero: a straight line over distance, weighted towards
+    /// near pairs, gives the mean; values moved along it give median and tail percentile.
+    ///
+    /// # Errors
+    /// The reason why the pairs do not determine the mean.
+    pub(super) fn extrapolate(&self, pairs: &[SamplePair], values: &[f64]) -> Result<ZeroDistanceEstimate, String> {
         if values.iter().any(|value| !value.is_finite()) {
             return Err("some pairs have values that are not finite".into());
         }
@@ -63,17 +66,17 @@ impl MetricScale {
         let mean = capped(line.at_zero);
         let moved = |(pair, value): (&SamplePair, &f64)| {
             let fitted = line.at_zero + line.slope * pair.distance;
-            self.moved(*value, capped(fitted), mean)
+            self.rescale(*value, capped(fitted), mean)
         };
         let moved: Vec<f64> = pairs.iter().zip(values).map(moved).collect();
         let summary = Summary { mean, ..Summary::of(&moved, self.goal == Goal::Higher) };
-        let half = DEVIATIONS * line.deviation(pairs, values, &weights);
+        let half = DEVIATIONS * line.at_zero_deviation(pairs, values, &weights);
         let interval = [line.at_zero - half, line.at_zero + half].map(capped);
         Ok(ZeroDistanceEstimate { summary, interval })
     }
 }
 
-/// Returns the tricube weight: 1 at zero, 0 at one; 1 for NaN, if all distances are zero.
+/// Returns the tricube weight (1 − t³)³ of `part`: 1 at zero, 0 at one; 1 for NaN, if all distances are zero.
 fn tricube(part: f64) -> f64 {
     if part > 0.0 { (1.0 - part.powi(3)).powi(3) } else { 1.0 }
 }
@@ -89,7 +92,8 @@ struct FittedLine {
 }
 
 impl FittedLine {
-    /// Fits the line; `None` if all distances are equal and not zero.
+    /// Fits the line to `values` over the distances of `pairs`; constant if all distances are zero, `None` if they are
+    /// equal otherwise.
     fn weighted_fit(pairs: &[SamplePair], values: &[f64], weights: &[f64]) -> Option<Self> {
         let total: f64 = weights.iter().sum();
         let mean_of =
@@ -110,7 +114,7 @@ impl FittedLine {
     /// Estimates the standard deviation of `at_zero`. Pairs that share a block of samples are dependent: it uses the
     /// variance for dyads of Aronow, Samii and Assenova (Political Analysis 23, 2015), with blocks of neighbouring
     /// samples as nodes.
-    fn deviation(&self, pairs: &[SamplePair], values: &[f64], weights: &[f64]) -> f64 {
+    fn at_zero_deviation(&self, pairs: &[SamplePair], values: &[f64], weights: &[f64]) -> f64 {
         let samples = pairs.iter().fold(0, |most, pair| most.max(pair.later)) + 1;
         let length = (samples / BLOCKS).clamp(1, BLOCK);
         let total: f64 = weights.iter().sum();
@@ -150,7 +154,7 @@ mod tests {
     fn extrapolates_linear_trend_to_zero_distance() {
         let pairs: Vec<SamplePair> = (1..=30).map(|k| pair(k, k + 40, f64::from(k as u32) * 1e-3)).collect();
         let values: Vec<f64> = pairs.iter().map(|pair| 0.8 - 3.0 * pair.distance).collect();
-        let estimate = HIGHER.at_zero(&pairs, &values).unwrap();
+        let estimate = HIGHER.extrapolate(&pairs, &values).unwrap();
         for (value, expected) in [
             (estimate.summary.mean, 0.8),
             (estimate.summary.median, 0.8),
@@ -161,23 +165,25 @@ mod tests {
         }
         let over: Vec<f64> = values.iter().map(|value| value + 0.25).collect();
         assert_eq!(
-            HIGHER.at_zero(&pairs, &over).unwrap().summary.mean,
+            HIGHER.extrapolate(&pairs, &over).unwrap().summary.mean,
             1.0,
             "no pair is more alike than a spectrum to itself"
         );
-        assert!((HIGHER.moved(0.7, 0.7, 0.8) - 0.8).abs() < 1e-12 && (HIGHER.moved(1.0, 0.7, 0.8) - 1.0).abs() < 1e-12);
+        assert!(
+            (HIGHER.rescale(0.7, 0.7, 0.8) - 0.8).abs() < 1e-12 && (HIGHER.rescale(1.0, 0.7, 0.8) - 1.0).abs() < 1e-12
+        );
         let psnr = MetricScale { best: f64::INFINITY, ..HIGHER };
-        assert_eq!((psnr.moved(30.0, 20.0, 25.0), HIGHER.moved(0.5, 1.0, 1.0)), (35.0, 0.5));
+        assert_eq!((psnr.rescale(30.0, 20.0, 25.0), HIGHER.rescale(0.5, 1.0, 1.0)), (35.0, 0.5));
         let error = MetricScale { goal: Goal::Lower, best: 0.0, unrelated: 1.0 };
         let errors: Vec<f64> = pairs.iter().map(|pair| 0.1 + 2.0 * pair.distance).collect();
-        assert!((error.at_zero(&pairs, &errors).unwrap().summary.mean - 0.1).abs() < 1e-12);
+        assert!((error.extrapolate(&pairs, &errors).unwrap().summary.mean - 0.1).abs() < 1e-12);
     }
 
     #[test]
     fn coincident_pairs_need_no_extrapolation() {
         let pairs: Vec<SamplePair> = (0..40).map(|k| pair(k, k + 100, 0.0)).collect();
         let values: Vec<f64> = (0..40).map(|k| if k < 30 { 0.9 } else { 0.5 }).collect();
-        let estimate = HIGHER.at_zero(&pairs, &values).unwrap();
+        let estimate = HIGHER.extrapolate(&pairs, &values).unwrap();
         assert!(
             (estimate.summary.mean - 0.8).abs() < 1e-12
                 && estimate.summary.median == 0.9
@@ -193,7 +199,7 @@ mod tests {
         let width = |ends: &dyn Fn(usize) -> (usize, usize)| {
             let pairs: Vec<SamplePair> =
                 (0..40).map(|k| (ends(k).0, ends(k).1)).map(|(a, b)| pair(a, b, 0.0)).collect();
-            let [low, high] = HIGHER.at_zero(&pairs, &values).unwrap().interval;
+            let [low, high] = HIGHER.extrapolate(&pairs, &values).unwrap().interval;
             high - low
         };
         let apart = width(&|k| (k, 3000 + 64 * k));
@@ -206,13 +212,13 @@ mod tests {
     #[test]
     fn extrapolation_fails_with_reason() {
         let grid: Vec<SamplePair> = (0..40).map(|k| pair(k, k + 40, 0.01)).collect();
-        let why = HIGHER.at_zero(&grid, &[0.5; 40]).unwrap_err();
+        let why = HIGHER.extrapolate(&grid, &[0.5; 40]).unwrap_err();
         assert_eq!(why, "all pairs are 10.0 mm apart, none is closer");
         let steep: Vec<SamplePair> = (0..40).map(|k| pair(k, k + 40, 0.01 + 1e-4 * f64::from(k as u32))).collect();
         let values: Vec<f64> = steep.iter().map(|pair| 0.9 - 60.0 * pair.distance).collect();
-        let why = HIGHER.at_zero(&steep, &values).unwrap_err();
+        let why = HIGHER.extrapolate(&steep, &values).unwrap_err();
         assert!(why.starts_with("the closest pairs agree too little"), "{why}");
-        let why = HIGHER.at_zero(&grid, &[f64::INFINITY; 40]).unwrap_err();
+        let why = HIGHER.extrapolate(&grid, &[f64::INFINITY; 40]).unwrap_err();
         assert_eq!(why, "some pairs have values that are not finite");
     }
 }

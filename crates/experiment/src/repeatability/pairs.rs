@@ -28,8 +28,8 @@ pub enum PairLag {
 }
 
 impl PairLag {
-    /// Describes its pairs.
-    pub fn words(self) -> String {
+    /// Describes the pairs of this kind, for messages.
+    pub fn describe(self) -> String {
         match self {
             Self::Near => format!("near in time (at most {NEAR_IDS} ids apart)"),
             Self::Far => format!("far apart in time (more than {FAR_IDS} ids)"),
@@ -60,8 +60,8 @@ impl SamplePair {
         Self { earlier, later, distance: (distance * 1e9).round() / 1e9 }
     }
 
-    /// Returns the difference of their ids.
-    fn ids_apart(&self, data: &Dataset) -> u32 {
+    /// Returns the difference of the ids of both samples, which are in the order of ids.
+    fn id_gap(&self, data: &Dataset) -> u32 {
         data.sample(self.later).id - data.sample(self.earlier).id
     }
 }
@@ -83,7 +83,7 @@ pub(super) fn find_pairs(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
     pairs
 }
 
-/// Lists the pairs near in time among the `links` of one receiver.
+/// Lists all pairs near in time among the `links` of one receiver, which are in the order of ids.
 fn near_pairs(data: &Dataset, links: &[usize]) -> Vec<SamplePair> {
     let later_pairs = |(k, &i): (usize, &usize)| {
         let last = data.sample(i).id.saturating_add(NEAR_IDS);
@@ -93,7 +93,8 @@ fn near_pairs(data: &Dataset, links: &[usize]) -> Vec<SamplePair> {
     links.iter().enumerate().flat_map(later_pairs).collect()
 }
 
-/// Lists the pairs far apart in time among the `links` of one receiver, out of `receivers` receivers.
+/// Lists pairs far apart in time among the `links` of one receiver: all pairs of some samples up to a horizon, and random
+/// pairs beyond. The `receivers` receivers share the limits on samples and random pairs.
 fn far_pairs(data: &Dataset, links: &[usize], receivers: usize) -> Vec<SamplePair> {
     let positions: Vec<[Real; 3]> = links.iter().map(|&i| data.scene.origin.local(data.sample(i).position())).collect();
     let sampled = evenly(&(0..positions.len()).collect::<Vec<_>>(), ASKED.div_ceil(receivers));
@@ -103,7 +104,7 @@ fn far_pairs(data: &Dataset, links: &[usize], receivers: usize) -> Vec<SamplePai
     let ends = sorted(neighbours.iter().filter_map(|list| list.last()).map(|(_, d)| (*d as f64).sqrt()));
     let complete = neighbours.iter().any(|list| list.len() == positions.len());
     let horizon = if complete { f64::INFINITY } else { ends.get(ends.len() / 10).copied().unwrap_or(0.0) };
-    let is_far = |pair: &SamplePair| pair.ids_apart(data) > FAR_IDS;
+    let is_far = |pair: &SamplePair| pair.id_gap(data) > FAR_IDS;
     let pairs = |(&k, list): (&usize, &Vec<(usize, Real)>)| -> Vec<SamplePair> {
         list.iter().map(|(j, _)| SamplePair::of(data, links[k], links[*j])).collect()
     };
@@ -114,7 +115,7 @@ fn far_pairs(data: &Dataset, links: &[usize], receivers: usize) -> Vec<SamplePai
     listed.chain(drawn).collect()
 }
 
-/// Draws random pairs of `links`.
+/// Draws `count` random pairs of `links`, without those of a link with itself; none if there are fewer than two links.
 fn draw_pairs(data: &Dataset, links: &[usize], count: usize) -> impl Iterator<Item = SamplePair> {
     let samples = links.len();
     let mut random = rng::stream(0, "repeatability pairs", 0);
@@ -126,22 +127,23 @@ fn draw_pairs(data: &Dataset, links: &[usize], count: usize) -> impl Iterator<It
 
 /// Returns whether samples with consecutive ids are closer in space than others: samples of a walk or scan are in order
 /// of time.
-pub fn in_order(data: &Dataset) -> bool {
+pub fn is_in_time_order(data: &Dataset) -> bool {
     let median = |pairs: Vec<SamplePair>| median(pairs.iter().map(|pair| pair.distance));
     let links = data.by_receiver(0..data.len()).into_iter().max_by_key(Vec::len).unwrap_or_default();
     let next = links.windows(2).map(|pair| SamplePair::of(data, pair[0], pair[1])).collect();
-    median(next) < 0.5 * median(unrelated_pairs(data))
+    median(next) < 0.5 * median(draw_unrelated_pairs(data))
 }
 
-/// Draws random pairs of any two samples.
-pub(super) fn unrelated_pairs(data: &Dataset) -> Vec<SamplePair> {
+/// Draws random pairs of any two samples of one receiver, about [`UNRELATED`] in all.
+pub(super) fn draw_unrelated_pairs(data: &Dataset) -> Vec<SamplePair> {
     let receivers = data.by_receiver(0..data.len());
     let each = UNRELATED.div_ceil(receivers.len());
     receivers.iter().flat_map(|links| draw_pairs(data, links, each)).collect()
 }
 
 /// Returns ranges of distances at one, two, three, five and seven times a power of ten, metres, with the indices of
-/// their pairs in a list of ascending distances. The first range is from 0 to a tenth of a millimetre.
+/// their pairs in `pairs` of ascending distances, without empty ranges. The first range is from 0 to a tenth of a
+/// millimetre.
 pub(super) fn distance_bins(pairs: &[SamplePair]) -> Vec<([f64; 2], Range<usize>)> {
     let edges = (-4..9).flat_map(|power| [1.0, 2.0, 3.0, 5.0, 7.0].map(|step| bin_edge(step, power)));
     let edges: Vec<f64> = [0.0].into_iter().chain(edges).collect();
@@ -150,7 +152,7 @@ pub(super) fn distance_bins(pairs: &[SamplePair]) -> Vec<([f64; 2], Range<usize>
     edges.windows(2).map(bin).filter(|(_, range)| !range.is_empty()).collect()
 }
 
-/// Computes `step` times ten to the `power`, rounded once.
+/// Computes `step` times ten to the `power`, rounded once: the number nearest to its decimal form.
 fn bin_edge(step: f64, power: i32) -> f64 {
     if power < 0 { step / 10f64.powi(-power) } else { step * 10f64.powi(power) }
 }
@@ -222,7 +224,7 @@ mod tests {
             assert!(
                 find_pairs(&one, PairLag::Near).is_empty()
                     && find_pairs(&one, PairLag::Far).is_empty()
-                    && unrelated_pairs(&one).is_empty()
+                    && draw_unrelated_pairs(&one).is_empty()
             );
         }
     }

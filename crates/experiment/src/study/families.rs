@@ -33,7 +33,7 @@ pub struct VariantFamily<'a> {
 
 impl<'a> VariantFamily<'a> {
     /// Groups the variants of a setting into strategies, in the order of the plan, without places.
-    pub fn all(setting: &'a Setting) -> Vec<Self> {
+    pub fn group(setting: &'a Setting) -> Vec<Self> {
         let mut families: Vec<Self> = Vec::new();
         for variant in &setting.variants {
             let name = family_name(&variant.label);
@@ -52,7 +52,7 @@ impl<'a> VariantFamily<'a> {
                 }),
             }
         }
-        let prefix = if families.len() > 1 { shorten(&mut families) } else { String::new() };
+        let prefix = if families.len() > 1 { shorten_names(&mut families) } else { String::new() };
         for family in &mut families {
             family.title = match family.variants[..] {
                 [only] => only.label.strip_prefix(&prefix).unwrap_or(&only.label).to_owned(),
@@ -97,15 +97,15 @@ fn family_name(label: &str) -> String {
     }
 }
 
-/// Returns the label without the words of its family.
+/// Returns what distinguishes a variant in its family: its label without the words of the name of the `family`.
 fn family_value(label: &str, family: &str) -> String {
     let common: Vec<&str> = family.split_whitespace().map(|word| word.trim_matches(',')).collect();
     let words: Vec<&str> = label.split_whitespace().filter(|word| !common.contains(&word.trim_matches(','))).collect();
     words.join(" ").trim_matches([',', ' ']).to_owned()
 }
 
-/// Returns N of a variant, if its seeds agree.
-fn gaussians(variant: &StudyVariant) -> Option<usize> {
+/// Returns the number of Gaussians of a variant; `None` if its runs differ.
+fn common_gaussians(variant: &StudyVariant) -> Option<usize> {
     let first = variant.runs.first()?.facts.gaussians;
     variant.runs.iter().all(|run| run.facts.gaussians == first).then_some(first)
 }
@@ -114,18 +114,20 @@ impl<'a> ParetoComparison<'a> {
     /// Creates the race of a setting; `None` if there are too few strategies.
     pub fn of(setting: &'a Setting) -> Option<Self> {
         let headline = setting.headline();
-        let mut families = VariantFamily::all(setting);
-        let mut numbers: Vec<usize> = setting.variants.iter().filter_map(gaussians).collect();
+        let mut families = VariantFamily::group(setting);
+        let mut numbers: Vec<usize> = setting.variants.iter().filter_map(common_gaussians).collect();
         numbers.sort_unstable();
         numbers.dedup();
-        let reaches = |family: &VariantFamily<'_>, n: usize| family.variants.iter().any(|v| gaussians(v) == Some(n));
+        let reaches =
+            |family: &VariantFamily<'_>, n: usize| family.variants.iter().any(|v| common_gaussians(v) == Some(n));
         numbers.retain(|&n| families.iter().filter(|family| reaches(family, n)).count() * 2 > families.len());
         if families.len() < LEAST[0] || numbers.len() < LEAST[1] {
             return None;
         }
         let score = |variant: &StudyVariant| variant.score(headline.key);
         for &n in &numbers {
-            let variants = families.iter().map(|family| family.variants.iter().find(|v| gaussians(v) == Some(n)));
+            let variants =
+                families.iter().map(|family| family.variants.iter().find(|v| common_gaussians(v) == Some(n)));
             let scores: Vec<Option<Spread>> = variants.map(|variant| score(variant?)).collect();
             let better = |a: f64, b: f64| if headline.higher { a > b } else { a < b };
             for (family, score) in families.iter_mut().zip(&scores) {
@@ -138,8 +140,9 @@ impl<'a> ParetoComparison<'a> {
     }
 }
 
-/// Removes words that all names begin or end with. Returns what all names begin with.
-fn shorten(families: &mut [VariantFamily<'_>]) -> String {
+/// Removes the words that the names of all `families` begin or end with. Returns what all names begin with, with a blank
+/// at the end.
+fn shorten_names(families: &mut [VariantFamily<'_>]) -> String {
     let split_name = |family: &VariantFamily<'_>| family.name.split(' ').map(str::to_owned).collect::<Vec<_>>();
     let names: Vec<Vec<String>> = families.iter().map(split_name).collect();
     let least = names.iter().map(Vec::len).min().unwrap_or(0);

@@ -8,6 +8,7 @@ use pwrfgs_core::{Error, Headline, Result, Task, plugin::ron_options};
 use pwrfgs_pipeline::Pipeline;
 use serde::Serialize;
 use serde_json::Value;
+use std::collections::BTreeMap;
 
 /// Runs on the same data and the same split.
 #[derive(Clone, Debug)]
@@ -46,17 +47,17 @@ impl Setting {
         baselines.any(|baseline| baseline.is_external() && baseline.name() == name)
     }
 
-    /// Returns the score of a baseline by a metric, as the mean over all runs.
-    pub fn baseline(&self, name: &str, key: &str) -> Option<f64> {
+    /// Returns the score of a baseline by a metric, as the mean over all runs; `None` if no run has it.
+    pub fn baseline_score(&self, name: &str, key: &str) -> Option<f64> {
         let values: Vec<f64> = self.runs().filter_map(|run| run.scores.value(name, key)).collect();
         Some(Spread::of(&values)?.mean)
     }
 
     /// Finds the first variant before number `k` whose models are identical, seed by seed: the difference in settings
-    /// has no effect.
-    pub fn twin(&self, k: usize) -> Option<&StudyVariant> {
-        let models = self.variants[k].models()?;
-        self.variants[..k].iter().find(|other| other.models().as_ref() == Some(&models))
+    /// has no effect. `None` without such a variant.
+    pub fn earlier_twin(&self, k: usize) -> Option<&StudyVariant> {
+        let models = self.variants[k].model_files()?;
+        self.variants[..k].iter().find(|other| other.model_files().as_ref() == Some(&models))
     }
 
     /// Returns the task, common to all runs.
@@ -70,25 +71,25 @@ impl Setting {
     }
 
     /// Returns the smallest and largest number of seeds of a variant.
-    pub fn seeds(&self) -> (Option<usize>, Option<usize>) {
+    pub fn seed_counts(&self) -> (Option<usize>, Option<usize>) {
         let counts = self.variants.iter().map(|v| v.runs.len());
         (counts.clone().min(), counts.max())
     }
 }
 
 impl StudyVariant {
-    /// Computes mean and deviation of `value` over the runs.
+    /// Computes mean and deviation of `value` over the runs that have it; `None` if none has.
     pub fn spread(&self, value: impl Fn(&Record) -> Option<f64>) -> Option<Spread> {
         Spread::of(&self.runs.iter().filter_map(value).collect::<Vec<_>>())
     }
 
-    /// Summarises the scores of the models by a metric.
+    /// Computes mean and deviation of the scores of the models by a metric; `None` if no run has it.
     pub fn score(&self, key: &str) -> Option<Spread> {
         self.spread(|run| run.scores.value(MODEL, key))
     }
 
     /// Lists seeds and model files of all runs; `None` if a run folder of an earlier version lacks them.
-    fn models(&self) -> Option<Vec<(u64, &FileDigest)>> {
+    fn model_files(&self) -> Option<Vec<(u64, &FileDigest)>> {
         self.runs.iter().map(|run| Some((run.pipeline.seed, run.facts.files.get(MODEL_FILE)?))).collect()
     }
 }
@@ -100,42 +101,41 @@ const TITLES: usize = 4;
 pub(super) type Labels = Vec<(String, String)>;
 
 /// Joins names by commas, without repetition, up to the limit of a title.
-pub(super) fn listed(names: Vec<String>) -> String {
+pub(super) fn joined_names(names: Vec<String>) -> String {
     let unique = distinct(names);
     let more = unique.len().saturating_sub(TITLES);
     if more > 1 { format!("{} and {more} more", unique[..TITLES].join(", ")) } else { unique.join(", ") }
 }
 
-/// Names the variants of separately given runs: the common start of the folders of all seeds.
+/// Names the variants of separately given runs: the common start of the folder names of all seeds. If there is none, the
+/// name of the pipeline; if another variant has that name, the path of the first folder.
 pub(super) fn name_single_runs(runs: Vec<Record>) -> Result<Vec<(String, Record)>> {
     let keys: Vec<String> = runs.iter().map(Record::variant_key).collect::<Result<_>>()?;
     let folder = |record: &Record| {
         let whole = record.folder.canonicalize().unwrap_or_else(|_| record.folder.clone());
         whole.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned())
     };
-    let mut names: Vec<(&String, String)> = Vec::new();
+    let mut names: BTreeMap<&String, String> = BTreeMap::new();
     for (key, first) in keys.iter().zip(&runs) {
-        if names.iter().any(|(other, _)| *other == key) {
+        if names.contains_key(key) {
             continue;
         }
         let folders: Vec<String> = keys.iter().zip(&runs).filter(|(k, _)| *k == key).map(|(_, r)| folder(r)).collect();
-        let mut name = if folders.len() > 1 { common_start(&folders) } else { folders[0].clone() };
+        let mut name = if folders.len() > 1 { common_prefix(&folders) } else { folders[0].clone() };
         if name.is_empty() {
             name.clone_from(&first.pipeline.name);
         }
-        if names.iter().any(|(_, other)| *other == name) {
+        if names.values().any(|other| *other == name) {
             name = first.folder.display().to_string();
         }
-        names.push((key, name));
+        names.insert(key, name);
     }
-    let name = |key: &String| names.iter().find(|(k, _)| *k == key).map_or_else(String::new, |(_, name)| name.clone());
-    let names: Vec<String> = keys.iter().map(name).collect();
-    Ok(names.into_iter().zip(runs).collect())
+    Ok(keys.iter().map(|key| names[key].clone()).zip(runs).collect())
 }
 
-/// Returns the common start of all names, without the separator or `seed` before the difference: `init` of `init-0`
-/// and `init-1`.
-fn common_start(names: &[String]) -> String {
+/// Returns the common start of at least one name, without the separator or `seed` before the difference: `init` of
+/// `init-0` and `init-1`.
+fn common_prefix(names: &[String]) -> String {
     let mut start = names[0].clone();
     while !names.iter().all(|name| name.starts_with(&start)) {
         start.pop();
@@ -166,35 +166,33 @@ pub(super) fn setting_key(record: &Record) -> Result<Value> {
 
 /// Returns name and fields of a plugin; JSON contains only the fields.
 fn named_fields(plugin: &impl Serialize) -> serde_json::Result<(String, Value)> {
-    let name = one_line(plugin).split('(').next().unwrap_or_default().to_owned();
+    let name = ron_line(plugin).split('(').next().unwrap_or_default().to_owned();
     // Through text, so that single-precision numbers keep the digits of the file.
     Ok((name, serde_json::from_str(&serde_json::to_string(plugin)?)?))
 }
 
-/// Groups runs by setting and variant.
+/// Groups runs by setting and variant, in order of appearance, and titles the settings.
 pub(super) fn group_by_setting(records: Vec<(Labels, Record)>) -> Result<Vec<Setting>> {
-    let mut settings: Vec<(Value, Setting)> = Vec::new();
-    let mut groups: Vec<Vec<(Labels, Record)>> = Vec::new();
+    let mut groups: Vec<(Value, Vec<(Labels, Record)>)> = Vec::new();
     for (labels, record) in records {
         let key = setting_key(&record)?;
-        let index = settings.iter().position(|(k, _)| *k == key).unwrap_or_else(|| {
-            let (title, simulated) = (record.facts.data.clone(), record.facts.simulated);
-            settings.push((key, Setting { title, simulated, variants: Vec::new() }));
-            groups.push(Vec::new());
-            settings.len() - 1
-        });
-        groups[index].push((labels, record));
+        match groups.iter_mut().find(|(other, _)| *other == key) {
+            Some((_, group)) => group.push((labels, record)),
+            None => groups.push((key, vec![(labels, record)])),
+        }
     }
-    for ((_, setting), group) in settings.iter_mut().zip(groups) {
-        let splits = distinct(group.iter().map(|(_, record)| one_line(&record.pipeline.split)));
-        setting.title = format!("{}; {}", setting.title, splits.join(" and "));
-        setting.variants = group_by_variant(group)?;
+    let mut settings: Vec<(Value, Setting)> = Vec::new();
+    for (key, group) in groups {
+        let splits = distinct(group.iter().map(|(_, record)| ron_line(&record.pipeline.split)));
+        let facts = &group[0].1.facts;
+        let (title, simulated) = (format!("{}; {}", facts.data, splits.join(" and ")), facts.simulated);
+        settings.push((key, Setting { title, simulated, variants: group_by_variant(group)? }));
     }
     distinguish_titles(&mut settings);
     Ok(settings.into_iter().map(|(_, setting)| setting).collect())
 }
 
-/// Adds the differing fields of data and split to equal titles, such as `samples: 200`.
+/// Adds the differing fields of data and split, such as `samples: 200`, to the titles of settings with equal titles.
 fn distinguish_titles(settings: &mut [(Value, Setting)]) {
     let titles: Vec<(String, Vec<String>)> =
         settings.iter().map(|(key, s)| (s.title.clone(), list_fields(key))).collect();
@@ -254,7 +252,7 @@ fn variant_names(variants: &[&Labels]) -> Vec<String> {
     (0..short.len()).map(|k| if clear(k) { short[k].clone() } else { name(variants[k], &|_| true) }).collect()
 }
 
-/// Removes repetitions, keeping the first.
+/// Removes repeated items, keeping the first of each; in the order of `items`.
 pub fn distinct<T: PartialEq>(items: impl IntoIterator<Item = T>) -> Vec<T> {
     let mut kept = Vec::new();
     for item in items {
@@ -265,8 +263,8 @@ pub fn distinct<T: PartialEq>(items: impl IntoIterator<Item = T>) -> Vec<T> {
     kept
 }
 
-/// Formats a value as RON on one line.
-pub fn one_line(value: &impl serde::Serialize) -> String {
+/// Formats a value as RON on one line; empty if RON cannot hold it.
+pub fn ron_line(value: &impl serde::Serialize) -> String {
     let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(0);
     ron_options().to_string_pretty(value, config).unwrap_or_default()
 }
@@ -312,7 +310,7 @@ mod tests {
 
     #[test]
     fn title_lists_unique_names_and_limits_count() {
-        let title = |names: &[&str]| listed(names.iter().map(|n| (*n).to_owned()).collect());
+        let title = |names: &[&str]| joined_names(names.iter().map(|n| (*n).to_owned()).collect());
         assert_eq!(title(&["a", "b", "a"]), "a, b");
         assert_eq!(title(&["a", "b", "c", "d", "e"]), "a, b, c, d, e");
         assert_eq!(title(&["a", "b", "c", "d", "e", "f"]), "a, b, c, d and 2 more");
@@ -320,7 +318,7 @@ mod tests {
 
     #[test]
     fn runs_of_one_variant_share_name_prefix() {
-        let start = |names: &[&str]| common_start(&names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
+        let start = |names: &[&str]| common_prefix(&names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
         assert_eq!(start(&["init-cloud-0", "init-cloud-1", "init-cloud-12"]), "init-cloud");
         assert_eq!(start(&["random10-0", "random10-1"]), "random10");
         assert_eq!(start(&["a10", "a11"]), "a");

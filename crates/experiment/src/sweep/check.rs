@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 /// The first invalid run, by name; no files are written in that case.
 pub fn check(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
     let runs = unfinished_runs(plan, runs)?;
-    try_unfinished(plan, &runs, &|_| false, observer)?;
+    initialize_unfinished(plan, &runs, &|_| false, observer)?;
     Ok(runs)
 }
 
@@ -35,20 +35,19 @@ pub fn check(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> R
 ///
 /// # Errors
 /// Same as [`check`], whose checks it makes.
-pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<f64>> {
+pub fn estimate_run_seconds(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<f64>> {
     let states = plan.states();
     let finished_seconds = |combination: usize| {
-        let seeds = plan.runs.iter().zip(&states).filter(|(r, _)| r.combination == combination);
-        let seconds: Vec<f64> = seeds
-            .filter_map(|(_, state)| match state {
-                RunStage::Finished(end) => Some(end.1.wall_seconds),
-                _ => None,
-            })
-            .collect();
+        let seconds = |(run, state): (&PlannedRun, &RunStage)| match state {
+            RunStage::Finished(end) if run.combination == combination => Some(end.1.wall_seconds),
+            _ => None,
+        };
+        let seconds: Vec<f64> = plan.runs.iter().zip(&states).filter_map(seconds).collect();
         (!seconds.is_empty()).then(|| seconds.iter().sum::<f64>() / seconds.len() as f64)
     };
     let open = unfinished_runs(plan, runs)?;
-    let measured = try_unfinished(plan, &open, &|combination| finished_seconds(combination).is_none(), observer)?;
+    let measured =
+        initialize_unfinished(plan, &open, &|combination| finished_seconds(combination).is_none(), observer)?;
     let seconds = |&run: &usize| {
         let PlannedRun { combination, pipeline, .. } = &plan.runs[run];
         let steps = pipeline.training.steps as f64;
@@ -64,11 +63,14 @@ pub fn estimate(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -
 }
 
 /// Returns the unfinished runs of `runs`, after the checks that need no data.
+///
+/// # Errors
+/// A run without RON form, or a folder that holds something else.
 fn unfinished_runs(plan: &SweepPlan, runs: &[usize]) -> Result<Vec<usize>> {
     runs.iter().try_for_each(|&run| plan.runs[run].pipeline.to_ron().map(drop))?;
     // All runs, including those of other shards: runs of one folder are compared.
     for (run, planned) in plan.runs.iter().enumerate() {
-        RunFolder::inspect(&plan.folder_of(run), &planned.pipeline)?;
+        RunFolder::inspect(&plan.run_folder(run), &planned.pipeline)?;
     }
     if let Some(joined) = &plan.joined {
         RunFolder::inspect(&plan.folder.join(JOINED), joined)?;
@@ -79,7 +81,7 @@ fn unfinished_runs(plan: &SweepPlan, runs: &[usize]) -> Result<Vec<usize>> {
 
 /// Initialises the first of the `open` runs of each combination. Returns the estimated seconds by combination, if it
 /// `is_timed`.
-fn try_unfinished(
+fn initialize_unfinished(
     plan: &SweepPlan,
     open: &[usize],
     is_timed: &dyn Fn(usize) -> bool,
@@ -111,7 +113,8 @@ fn representatives(plan: &SweepPlan, runs: &[usize]) -> Vec<usize> {
     first
 }
 
-/// Initialises each of `runs`, loading data once for consecutive runs with the same data, and calls `visit`.
+/// Initialises each of `runs`, loading data once for consecutive runs with the same data. Returns the results of `visit`,
+/// which gets the index of the run and its trainer.
 fn initialize_each<R>(
     plan: &SweepPlan,
     runs: &[usize],
@@ -123,7 +126,7 @@ fn initialize_each<R>(
     for &run in runs {
         let pipeline = &plan.runs[run].pipeline;
         let key = data_key(pipeline);
-        let named = |e: Error| if e.is_input() { plan.refuse(run, &e) } else { e };
+        let named = |e: Error| if e.is_input() { plan.start_error(run, &e) } else { e };
         if loaded.as_ref().is_none_or(|(k, _)| *k != key) {
             drop(loaded.take()); // before the next is loaded
             loaded = Some((key, load(pipeline, Path::new(""), observer).map_err(named)?));
@@ -186,8 +189,10 @@ impl SweepPlan {
 
     /// Determines the state of one run.
     pub fn state(&self, run: usize) -> RunStage {
-        let folder = self.folder_of(run);
-        match RunFolder::inspect(&folder, &self.runs[run].pipeline).and_then(|state| state.finished(&folder, false)) {
+        let folder = self.run_folder(run);
+        match RunFolder::inspect(&folder, &self.runs[run].pipeline)
+            .and_then(|state| state.read_finished(&folder, false))
+        {
             Ok(Some(end)) => return RunStage::Finished(Box::new(end)),
             Ok(None) => {}
             Err(error) => return RunStage::Failed(error.to_string()),
@@ -197,29 +202,29 @@ impl SweepPlan {
         if RunFolder::is_busy(&folder) {
             return RunStage::Running { step };
         }
-        match files::read_string(self.failure_file(run)) {
+        match files::read_string(self.failure_path(run)) {
             Ok(why) => RunStage::Failed(why.trim_end().to_owned()),
             Err(_) if folder.join(PIPELINE).is_file() => RunStage::Stopped { step },
             Err(_) => RunStage::Waiting,
         }
     }
 
-    /// Stores the reason why a run failed.
-    pub(super) fn note_failure(&self, run: usize, error: &Error) -> Result<()> {
-        let path = self.failure_file(run);
+    /// Stores the reason why a run failed, for [`Self::state`].
+    pub(super) fn store_failure(&self, run: usize, error: &Error) -> Result<()> {
+        let path = self.failure_path(run);
         let folder = self.folder.join(FAILURES);
         std::fs::create_dir_all(&folder).map_err(|e| Error::write(&folder, e))?;
         write_atomically(&path, format!("{error}\n").as_bytes())
     }
 
-    /// Removes the stored failure.
-    pub(super) fn forget_failure(&self, run: usize) {
-        _ = std::fs::remove_file(self.failure_file(run));
+    /// Removes the stored failure of a run, if there is one.
+    pub(super) fn remove_failure(&self, run: usize) {
+        _ = std::fs::remove_file(self.failure_path(run));
         _ = std::fs::remove_dir(self.folder.join(FAILURES)); // succeeds after the last one
     }
 
     /// Returns the path of the stored failure of a run.
-    fn failure_file(&self, run: usize) -> PathBuf {
+    fn failure_path(&self, run: usize) -> PathBuf {
         self.folder.join(FAILURES).join(format!("{}.txt", self.runs[run].folder))
     }
 }

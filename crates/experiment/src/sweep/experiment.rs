@@ -141,14 +141,15 @@ impl Check for SweepVariant {
         if slug(label).is_empty() {
             return Err(format!("the label `{label}` cannot name a folder; use some letters"));
         }
-        if set.has("name") || set.has("seed") {
+        if set.has_field("name") || set.has_field("seed") {
             return Err("a variant cannot set `name` or `seed`; list seeds in `seeds`".into());
         }
         Ok(())
     }
 }
 
-/// Converts `text` to a part of a folder name: characters other than letters, digits, `.`, `-`, `_` and `+` become `-`.
+/// Converts `text` to a part of a folder name: characters other than letters, digits, `.`, `-`, `_` and `+` become `-`,
+/// without repetition; empty if `text` has no others.
 pub(super) fn slug(text: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "._-+".contains(c) { c } else { '-' };
     let plain: String = text.chars().map(plain).collect();
@@ -172,14 +173,14 @@ fn check_seeds(seeds: &[u64]) -> Result<(), String> {
     if seeds.is_empty() {
         return Err("`seeds` is empty; give at least one, such as [0]".into());
     }
-    match repeated(seeds.iter().map(u64::to_string)) {
+    match first_repeated(seeds.iter().map(u64::to_string)) {
         Some(twice) => Err(format!("the seed {twice} comes twice in `seeds`")),
         None => Ok(()),
     }
 }
 
-/// Returns the first repeated element of `names`.
-fn repeated(names: impl Iterator<Item = String>) -> Option<String> {
+/// Returns the first repeated element of `names`; `None` if they are distinct.
+fn first_repeated(names: impl Iterator<Item = String>) -> Option<String> {
     let mut seen = std::collections::BTreeSet::new();
     names.into_iter().find(|name| !seen.insert(name.clone()))
 }
@@ -195,7 +196,7 @@ impl Check for Axis {
         if variants.is_empty() {
             return Err(format!("the axis `{name}` has no variant; add at least one"));
         }
-        match repeated(variants.iter().map(|v| slug(&v.label).to_lowercase())) {
+        match first_repeated(variants.iter().map(|v| slug(&v.label).to_lowercase())) {
             Some(twice) => Err(format!("two labels of the axis `{name}` name the folder `{twice}`; change one")),
             None => Ok(()),
         }
@@ -207,13 +208,13 @@ impl Check for Experiment {
         let Self { name, seeds, set, axes, .. } = self;
         check_name(name)?;
         check_seeds(seeds)?;
-        if set.has("name") || set.has("seed") {
+        if set.has_field("name") || set.has_field("seed") {
             return Err("`set` applies to all runs and cannot set `name` or `seed`".into());
         }
         if let Some(axis) = axes.iter().skip(1).find(|axis| axis.variants.iter().any(|v| v.base.is_some())) {
             return Err(format!("axis `{}`: only variants of the first axis may have a `base`", axis.name));
         }
-        match repeated(axes.iter().map(|a| a.name.to_lowercase())) {
+        match first_repeated(axes.iter().map(|a| a.name.to_lowercase())) {
             Some(twice) => Err(format!("two axes are called `{twice}`; change one")),
             None => Ok(()),
         }

@@ -36,16 +36,16 @@ pub struct ListedRun {
 
 impl ListedRun {
     /// Returns whether the run folder is inside the sweep folder: a foreign listing must not lead elsewhere.
-    fn lies_in(&self, sweep: &Path) -> bool {
+    fn is_inside(&self, sweep: &Path) -> bool {
         let below = Path::new(&self.folder);
         let descends = below.components().all(|part| matches!(part, Component::Normal(_)));
         let real = |path: &Path| path.canonicalize().ok();
         // A run that has not started has no folder yet.
-        let is_inside = match (real(sweep), real(&sweep.join(below))) {
+        let resolves_inside = match (real(sweep), real(&sweep.join(below))) {
             (Some(sweep), Some(run)) => run.starts_with(sweep),
             _ => true,
         };
-        descends && is_inside
+        descends && resolves_inside
     }
 }
 
@@ -59,7 +59,7 @@ impl Listing {
         let Some(text) = files::if_found(&path, files::read_string(&path))? else { return Ok(None) };
         let listing: Self = serde_json::from_str(&text)
             .map_err(|e| Error::at(&path, e.line(), e.column(), format!("not the listing of a sweep: {e}")))?;
-        match listing.runs.iter().find(|run| !run.lies_in(folder)) {
+        match listing.runs.iter().find(|run| !run.is_inside(folder)) {
             None => Ok(Some(listing)),
             Some(run) => {
                 let problem = "is not inside the sweep folder; pass runs of other folders separately";
@@ -76,12 +76,12 @@ impl Listing {
         write_atomically(&folder.join(LISTING), self.to_json().as_bytes())
     }
 
-    /// Returns the names of the first runs, for messages.
+    /// Joins the names of the first eight runs and the number of the others, for messages.
     pub fn run_names(&self) -> String {
         listed(self.runs.iter().map(|run| run.folder.as_str()), NAMED)
     }
 
-    /// Checks that `folder` can hold this sweep; read-only. Returns the existing listing.
+    /// Checks that `folder` can hold this sweep; read-only. Returns the existing listing; `None` without one.
     ///
     /// # Errors
     /// Other content, or runs of another experiment: two listings of one sweep must contain one another.
@@ -101,7 +101,7 @@ impl Listing {
             };
         };
         let refuse = |problem: String| Err(Error::input(&path, format!("{problem}; choose another --out")));
-        match (existing.missing_in(self), self.missing_in(&existing)) {
+        match (existing.first_missing_in(self), self.first_missing_in(&existing)) {
             _ if existing.name != self.name => {
                 refuse(format!("lists the runs of `{}`, not of `{}`", existing.name, self.name))
             }
@@ -130,7 +130,9 @@ impl Listing {
             };
             match self.inspect(folder)? {
                 // Replaced, and then locked again.
-                Some(existing) if existing != *self && existing.missing_in(self).is_none() => self.write(folder)?,
+                Some(existing) if existing != *self && existing.first_missing_in(self).is_none() => {
+                    self.write(folder)?;
+                }
                 Some(_) => {
                     files::remove_temporaries(folder, &[LISTING]);
                     return Ok(lock);
@@ -140,8 +142,8 @@ impl Listing {
         }
     }
 
-    /// Returns the first of its runs that is missing in `other`.
-    fn missing_in(&self, other: &Self) -> Option<&ListedRun> {
+    /// Returns the first of its runs that is missing in `other`; `None` if `other` has them all.
+    fn first_missing_in(&self, other: &Self) -> Option<&ListedRun> {
         let others: BTreeSet<&ListedRun> = other.runs.iter().collect();
         self.runs.iter().find(|run| !others.contains(run))
     }

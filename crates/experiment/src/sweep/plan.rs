@@ -91,17 +91,17 @@ impl SweepPlan {
         let source = ExperimentSource { path, folder, experiment, text, tree: &tree, set };
         let read_own_base = || read_base(folder, &experiment.base);
         let draft = source.apply_common(base.map_or_else(read_own_base, PipelineEdit::of)?)?;
-        source.refuse_too_many()?;
+        source.refuse_too_many_runs()?;
         let mut combinations = vec![Combination { labels: Vec::new(), start: None, draft }];
         for axis in 0..experiment.axes.len() {
-            combinations = source.cross(axis, &combinations)?;
+            combinations = source.cross_axis(axis, &combinations)?;
         }
-        let pipelines: Vec<Pipeline> = combinations.iter().map(|c| source.finish(c)).collect::<Result<_>>()?;
-        source.refuse_equal(&combinations, &pipelines)?;
+        let pipelines: Vec<Pipeline> = combinations.iter().map(|c| source.finish_pipeline(c)).collect::<Result<_>>()?;
+        source.refuse_equal_pipelines(&combinations, &pipelines)?;
         let mut runs = Vec::new();
         for (k, (combination, pipeline)) in combinations.iter().zip(&pipelines).enumerate() {
             for &seed in &experiment.seeds {
-                runs.push(source.run(k, combination, pipeline, seed)?);
+                runs.push(source.plan_run(k, combination, pipeline, seed)?);
             }
         }
         let joined = experiment.join.then(|| align_runs(&experiment.name, &mut runs)).transpose();
@@ -116,7 +116,7 @@ impl SweepPlan {
     }
 
     /// Creates the error of a run that cannot start, at the responsible variant.
-    pub(super) fn refuse(&self, run: usize, error: &Error) -> Error {
+    pub(super) fn start_error(&self, run: usize, error: &Error) -> Error {
         let PlannedRun { folder, start, .. } = &self.runs[run];
         let message = format!("{folder}: {error}");
         let Some(VariantStart { title, at }) = start else { return Error::input(&self.source, message) };
@@ -124,7 +124,7 @@ impl SweepPlan {
     }
 
     /// Returns the folder of a run.
-    pub fn folder_of(&self, run: usize) -> PathBuf {
+    pub fn run_folder(&self, run: usize) -> PathBuf {
         self.folder.join(&self.runs[run].folder)
     }
 
@@ -148,7 +148,7 @@ impl SweepPlan {
     ///
     /// # Errors
     /// Unknown name; the error suggests the nearest.
-    pub fn find(&self, name: &str) -> Result<usize> {
+    pub fn find_run(&self, name: &str) -> Result<usize> {
         self.runs.iter().position(|r| r.folder == name).ok_or_else(|| {
             let hint = did_you_mean(name, self.runs.iter().map(|r| r.folder.as_str()));
             Error::Config(format!("unknown run `{name}` of {}{hint}", self.name))
@@ -178,21 +178,28 @@ struct ExperimentSource<'a> {
 }
 
 impl ExperimentSource<'_> {
-    /// Applies the settings of all runs to a base. Values are validated later, together with those of the axes.
+    /// Applies the settings of all runs and the `--set` arguments to a base. Values are validated later, together with
+    /// those of the axes.
+    ///
+    /// # Errors
+    /// An invalid change, or an argument that sets `name` or `seed`.
     fn apply_common(&self, mut draft: PipelineEdit) -> Result<PipelineEdit> {
         let set = self.experiment.set.located("set", self.tree.field("set"), self.text);
         apply_changes(&mut draft, &set.0, self.folder).map_err(|fault| fault.in_file(self.path))?;
         apply_arguments(&mut draft, self.set)?;
-        let is_own = |change: Change| ["name", "seed"].contains(&change.field());
-        if self.set.iter().any(|argument| Change::argument(argument).is_ok_and(is_own)) {
+        let is_reserved = |change: Change| ["name", "seed"].contains(&change.field());
+        if self.set.iter().any(|argument| Change::argument(argument).is_ok_and(is_reserved)) {
             let problem = "--set: a sweep sets `name` and `seed` itself; change them in the experiment file";
             return Err(Error::Config(problem.into()));
         }
         draft.finish().map_or(Ok(draft), |base| PipelineEdit::of(&base))
     }
 
-    /// Combines each of `combinations` with each variant of `axis`.
-    fn cross(&self, axis: usize, combinations: &[Combination]) -> Result<Vec<Combination>> {
+    /// Combines each of `combinations` with each variant of the axis number `axis`, and applies the settings of the variant.
+    ///
+    /// # Errors
+    /// An invalid base or setting of a variant.
+    fn cross_axis(&self, axis: usize, combinations: &[Combination]) -> Result<Vec<Combination>> {
         let Axis { name, variants } = &*self.experiment.axes[axis];
         let item = |tree: &RonTree, field: &str, k: usize| Some(tree.field(field)?.items().get(k)?.clone());
         let axis = item(self.tree, "axes", axis);
@@ -224,7 +231,7 @@ impl ExperimentSource<'_> {
     }
 
     /// Returns an error for too many runs, since axes multiply.
-    fn refuse_too_many(&self) -> Result<()> {
+    fn refuse_too_many_runs(&self) -> Result<()> {
         let axes = self.experiment.axes.iter().map(|axis| axis.variants.len());
         let runs = axes.chain([self.experiment.seeds.len()]).try_fold(1, usize::checked_mul);
         if runs.is_some_and(|runs| runs <= MOST_RUNS) {
@@ -238,14 +245,14 @@ impl ExperimentSource<'_> {
     }
 
     /// Creates the pipeline of a combination, scaled and validated after all axes.
-    fn finish(&self, combination: &Combination) -> Result<Pipeline> {
+    fn finish_pipeline(&self, combination: &Combination) -> Result<Pipeline> {
         let pipeline = combination.draft.finish().map_err(|fault| fault.in_file(self.path))?;
-        let unscaled = |e: Error| combination.draft.fault("training", e.to_string()).in_file(self.path);
+        let unscaled = |e: Error| combination.draft.field_fault("training", e.to_string()).in_file(self.path);
         pipeline.resolved().map_err(unscaled)
     }
 
     /// Returns an error for two combinations with the same pipeline, which would be compared as if they differed.
-    fn refuse_equal(&self, combinations: &[Combination], pipelines: &[Pipeline]) -> Result<()> {
+    fn refuse_equal_pipelines(&self, combinations: &[Combination], pipelines: &[Pipeline]) -> Result<()> {
         let mut seen: BTreeMap<String, &Combination> = BTreeMap::new();
         for (combination, pipeline) in combinations.iter().zip(pipelines) {
             if let Some(earlier) = seen.insert(pipeline.to_ron()?, combination) {
@@ -261,8 +268,11 @@ impl ExperimentSource<'_> {
         Ok(())
     }
 
-    /// Creates one run.
-    fn run(&self, k: usize, combination: &Combination, pipeline: &Pipeline, seed: u64) -> Result<PlannedRun> {
+    /// Creates the run of combination number `k` with `seed`; folder and name of its pipeline contain all labels.
+    ///
+    /// # Errors
+    /// A folder name that is too long.
+    fn plan_run(&self, k: usize, combination: &Combination, pipeline: &Pipeline, seed: u64) -> Result<PlannedRun> {
         let words = combination.labels.iter().map(|(axis, label)| format!("{axis}={}", slug(label)));
         let folder = words.chain([format!("seed={seed}")]).collect::<Vec<_>>().join(",");
         if folder.len() > LONGEST_NAME {
@@ -273,14 +283,10 @@ impl ExperimentSource<'_> {
         }
         let mut pipeline = pipeline.clone();
         pipeline.seed = seed;
-        let plain = |c: char| {
-            if c == '=' || c == '+' {
-                '-'
-            } else if c == ',' {
-                '_'
-            } else {
-                c
-            }
+        let plain = |c: char| match c {
+            '=' | '+' => '-',
+            ',' => '_',
+            c => c,
         };
         pipeline.name = format!("{}.{}", self.experiment.name, folder.chars().map(plain).collect::<String>());
         let labels = combination.labels.clone();
@@ -321,8 +327,27 @@ fn align_runs(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
     if pipelines().any(|pipeline| pipeline.split_seed.is_some_and(|pipeline| pipeline != split_seed)) {
         return Err("the runs differ in `split_seed`; give all the same value, or none".into());
     }
+    check_joinable(runs)?;
+    let scored = Pipeline { name: name.to_owned(), split_seed: Some(split_seed), ..runs[0].pipeline.clone() };
+    let count = runs.len();
+    for (index, PlannedRun { pipeline, .. }) in runs.iter_mut().enumerate() {
+        if scored.residuals.as_ref().is_some_and(|residuals| residuals.folds) {
+            *pipeline = pipeline.folded(index, count);
+        }
+        pipeline.residuals = None;
+        pipeline.split_seed = Some(split_seed);
+        pipeline.baselines.clear();
+    }
+    Ok(scored)
+}
+
+/// Checks that the models of `runs` have distinct names and settings, and the same data, split, residuals and plane.
+///
+/// # Errors
+/// The first run that does not fit the earlier ones.
+fn check_joinable(runs: &[PlannedRun]) -> Result<(), String> {
     let first = &runs[0];
-    let settings_of_models: Vec<String> = pipelines().map(model_settings).collect();
+    let settings_of_models: Vec<String> = runs.iter().map(|run| model_settings(&run.pipeline)).collect();
     for (index, run) in runs.iter().enumerate() {
         let PlannedRun { folder, pipeline, .. } = run;
         let model = run.member_name();
@@ -348,17 +373,7 @@ fn align_runs(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
             return differ("projector");
         }
     }
-    let scored = Pipeline { name: name.to_owned(), split_seed: Some(split_seed), ..first.pipeline.clone() };
-    let count = runs.len();
-    for (index, PlannedRun { pipeline, .. }) in runs.iter_mut().enumerate() {
-        if scored.residuals.as_ref().is_some_and(|residuals| residuals.folds) {
-            *pipeline = pipeline.folded(index, count);
-        }
-        pipeline.residuals = None;
-        pipeline.split_seed = Some(split_seed);
-        pipeline.baselines.clear();
-    }
-    Ok(scored)
+    Ok(())
 }
 
 /// Formats all settings of a pipeline that affect the model, given a common split.

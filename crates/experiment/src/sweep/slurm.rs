@@ -19,12 +19,12 @@ const JOB: &str = "job.txt";
 
 /// Writes and submits a job array for `runs`; `command` is the program with all arguments of a task except the run
 /// name, which is appended. Returns the job id and the script. Lock the sweep folder ([`SweepPlan::claim`]) for both
-/// [`queued`] and `submit`, so that no other process submits the same runs.
+/// [`queued_runs`] and `submit`, so that no other process submits the same runs.
 ///
 /// # Errors
 /// The folder cannot be written, or `sbatch` is missing or fails.
 pub fn submit(plan: &SweepPlan, runs: &[usize], command: &[String]) -> Result<(String, PathBuf)> {
-    let folder = new_submission(plan)?;
+    let folder = create_submission(plan)?;
     let names: String = runs.iter().map(|&run| plan.runs[run].folder.clone() + "\n").collect();
     write_atomically(&folder.join(RUNS), names.as_bytes())?;
     let path = folder.join(SCRIPT);
@@ -50,7 +50,7 @@ pub fn submit(plan: &SweepPlan, runs: &[usize], command: &[String]) -> Result<(S
 ///
 /// # Errors
 /// Slurm does not respond: waiting runs would be submitted twice.
-pub fn queued(plan: &SweepPlan) -> Result<BTreeSet<String>> {
+pub fn queued_runs(plan: &SweepPlan) -> Result<BTreeSet<String>> {
     let jobs: Vec<(String, Vec<String>)> = list_submissions(plan)
         .into_iter()
         .filter_map(|(_, folder)| {
@@ -83,8 +83,9 @@ fn queued_tasks(job: &str) -> Result<Vec<usize>> {
     Ok(numbers)
 }
 
-/// Creates a folder for one more submission; the lock of the sweep folder prevents collisions.
-fn new_submission(plan: &SweepPlan) -> Result<PathBuf> {
+/// Creates the folder of one more submission and returns its absolute path; the lock of the sweep folder prevents
+/// collisions.
+fn create_submission(plan: &SweepPlan) -> Result<PathBuf> {
     let number = list_submissions(plan).last().map_or(1, |(number, _)| number + 1);
     let folder = std::path::absolute(&plan.folder).map_err(|e| Error::read(&plan.folder, e))?;
     let submission = folder.join(FOLDER).join(number.to_string());
@@ -92,7 +93,7 @@ fn new_submission(plan: &SweepPlan) -> Result<PathBuf> {
     Ok(submission)
 }
 
-/// Lists the earlier submissions with their folders, by number.
+/// Lists the numbers and folders of the earlier submissions, ascending.
 fn list_submissions(plan: &SweepPlan) -> Vec<(u32, PathBuf)> {
     let entries = std::fs::read_dir(plan.folder.join(FOLDER)).into_iter().flatten().flatten();
     let mut submissions: Vec<(u32, PathBuf)> =
@@ -101,10 +102,9 @@ fn list_submissions(plan: &SweepPlan) -> Vec<(u32, PathBuf)> {
     submissions
 }
 
-/// Writes the script of a job array of `tasks` tasks, whose files are in `folder`.
-fn script_text(plan: &SweepPlan, tasks: usize, command: &[String], folder: &Path) -> Result<String> {
+/// Lists the `sbatch` options of a job array of `tasks` tasks, whose files are in `folder`.
+fn sbatch_options(plan: &SweepPlan, tasks: usize, folder: &Path) -> Vec<String> {
     let slurm = &plan.slurm;
-    let mut text = format!("#!/bin/bash\n# {} runs of the sweep `{}`, one task per run.\n", tasks, plan.name);
     let at_once = slurm.at_once.map_or_else(String::new, |n| format!("%{n}"));
     let mut options = vec![
         format!("--job-name={}", plan.name),
@@ -122,15 +122,24 @@ fn script_text(plan: &SweepPlan, tasks: usize, command: &[String], folder: &Path
     options.extend(slurm.partition.as_ref().map(|p| format!("--partition={p}")));
     options.extend(slurm.account.as_ref().map(|a| format!("--account={a}")));
     options.extend(slurm.options.iter().cloned());
-    for option in &options {
+    options
+}
+
+/// Formats the script of a job array of `tasks` tasks, which run `command`; their files are in `folder`.
+///
+/// # Errors
+/// An option with a quote, newline or backslash, which `#SBATCH` lines cannot hold.
+fn script_text(plan: &SweepPlan, tasks: usize, command: &[String], folder: &Path) -> Result<String> {
+    let mut text = format!("#!/bin/bash\n# {} runs of the sweep `{}`, one task per run.\n", tasks, plan.name);
+    for option in &sbatch_options(plan, tasks, folder) {
         if option.contains(['"', '\n', '\\']) {
             let problem = "contains a quote, newline or backslash; change the run folder or `slurm`";
             return Err(Error::Config(format!("sbatch option `{option}` {problem}")));
         }
         _ = writeln!(text, "#SBATCH \"{option}\"");
     }
-    let command = command.iter().map(|word| quote(word)).collect::<Vec<_>>().join(" ");
-    let runs = quote(&folder.join(RUNS).display().to_string());
+    let command = command.iter().map(|word| shell_quoted(word)).collect::<Vec<_>>().join(" ");
+    let runs = shell_quoted(&folder.join(RUNS).display().to_string());
     _ = write!(
         text,
         "\n\
@@ -145,12 +154,12 @@ fn script_text(plan: &SweepPlan, tasks: usize, command: &[String], folder: &Path
          {command} \"$run\" &\n\
          while interrupted=; wait $!; code=$?; [ -n \"$interrupted\" ]; do :; done\n\
          exit $code\n",
-        slurm.setup.iter().fold(String::new(), |lines, line| lines + line + "\n")
+        plan.slurm.setup.iter().fold(String::new(), |lines, line| lines + line + "\n")
     );
     Ok(text)
 }
 
-/// Quotes a word for a shell.
-fn quote(word: &str) -> String {
+/// Quotes a word for a shell with single quotes.
+fn shell_quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', r"'\''"))
 }

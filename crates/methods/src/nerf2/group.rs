@@ -41,23 +41,23 @@ pub(crate) struct GroupScratch {
 
 impl GroupLinks {
     /// Returns the number of passes over a chunk.
-    pub(crate) fn passes(&self) -> usize {
+    pub(crate) fn pass_count(&self) -> usize {
         match self {
             Self::All(links) => links.len(),
             Self::Own(_) => 1,
         }
     }
 
-    /// Returns the transmitters of a pass over a chunk, one per ray.
-    fn of_pass(&self, pass: usize, chunk: &Range<usize>) -> Vec<usize> {
+    /// Returns the row of the transmitter per ray of a chunk, in a pass.
+    fn pass_locations(&self, pass: usize, chunk: &Range<usize>) -> Vec<usize> {
         match self {
             Self::All(links) => vec![links[pass].1; chunk.len()],
             Self::Own(links) => links[chunk.clone()].iter().map(|(_, tx)| *tx).collect(),
         }
     }
 
-    /// Returns the link of a pass and a ray.
-    pub(crate) fn link(&self, pass: usize, ray: usize) -> usize {
+    /// Returns the index of the link of a ray in a pass.
+    pub(crate) fn link_index(&self, pass: usize, ray: usize) -> usize {
         match self {
             Self::All(links) => links[pass].0,
             Self::Own(links) => links[ray].0,
@@ -66,39 +66,42 @@ impl GroupLinks {
 }
 
 impl RayGroup<'_> {
-    /// Runs a chunk and stores its activations for the backward pass.
-    pub(crate) fn keep(&self, rays: &Range<usize>) -> (RayActivations, Passes) {
+    /// Runs the forward pass of a chunk of rays; also returns its activations for the backward pass.
+    pub(crate) fn forward_keeping(&self, rays: &Range<usize>) -> (RayActivations, Passes) {
         let mut trunk_activations = TrunkActivations::default();
-        let shared = self.walk.shared(rays.clone(), self.walk.network.trunk.depth(), &mut trunk_activations);
+        let shared =
+            self.walk.shared_activations(rays.clone(), self.walk.network.trunk.depth(), &mut trunk_activations);
         let one = |pass: usize| {
             let mut signal = Signal::default();
-            self.walk.signal(&shared, &self.links.of_pass(pass, rays), &mut signal);
-            let sums = self.walk.sums(&shared, &signal);
+            self.walk.run_signal_network(&shared, &self.links.pass_locations(pass, rays), &mut signal);
+            let sums = self.walk.ray_sums(&shared, &signal);
             (signal, sums)
         };
-        let (signals, sums) = (0..self.links.passes()).map(one).unzip();
+        let (signals, sums) = (0..self.links.pass_count()).map(one).unzip();
         (RayActivations { shared, trunk_activations, signals }, sums)
     }
 
-    /// Runs a chunk without storing activations; `ready` is its precomputed part.
-    pub(crate) fn pass(
+    /// Runs the forward pass of a chunk of rays; `ready` is the part that does not depend on the transmitter, if it is
+    /// available.
+    pub(crate) fn forward(
         &self,
         rays: &Range<usize>,
         ready: Option<&SharedActivations>,
         scratch: &mut GroupScratch,
     ) -> Passes {
         let GroupScratch { trunk_activations, signal } = scratch;
-        let made = ready.is_none().then(|| self.walk.shared(rays.clone(), 2, trunk_activations));
+        let made = ready.is_none().then(|| self.walk.shared_activations(rays.clone(), 2, trunk_activations));
         let Some(shared) = ready.or(made.as_ref()) else { return Passes::new() };
         let one = |pass: usize| {
-            self.walk.signal(shared, &self.links.of_pass(pass, rays), signal);
-            self.walk.sums(shared, signal)
+            self.walk.run_signal_network(shared, &self.links.pass_locations(pass, rays), signal);
+            self.walk.ray_sums(shared, signal)
         };
-        (0..self.links.passes()).map(one).collect()
+        (0..self.links.pass_count()).map(one).collect()
     }
 
-    /// Runs the backward pass of a chunk, given the cotangents `d` per pass, ray and band.
-    pub(crate) fn back(
+    /// Runs the backward pass of a chunk of rays, given the cotangents `d` per pass, ray and band; adds to `into`.
+    /// Without stored `activations` it repeats the forward pass.
+    pub(crate) fn backward(
         &self,
         rays: &Range<usize>,
         activations: Option<&RayActivations>,
@@ -109,23 +112,23 @@ impl RayGroup<'_> {
         let (walk, bands) = (&self.walk, self.walk.network.outputs / 2);
         let GroupScratch { trunk_activations, signal } = scratch;
         let depth = walk.network.trunk.depth();
-        let made = activations.is_none().then(|| walk.shared(rays.clone(), depth, trunk_activations));
+        let made = activations.is_none().then(|| walk.shared_activations(rays.clone(), depth, trunk_activations));
         let (shared, trunk_activations) = match (activations, &made) {
             (Some(activations), _) => (&activations.shared, &activations.trunk_activations),
             (None, Some(made)) => (made, &*trunk_activations),
             (None, None) => return,
         };
-        let (mut d_factors, mut d_hidden) = shared.zeros();
-        for pass in 0..self.links.passes() {
-            let locations = self.links.of_pass(pass, rays);
+        let (mut d_factors, mut d_hidden) = shared.zero_cotangents();
+        for pass in 0..self.links.pass_count() {
+            let locations = self.links.pass_locations(pass, rays);
             if activations.is_none() {
-                walk.signal(shared, &locations, signal);
+                walk.run_signal_network(shared, &locations, signal);
             }
             let signal = activations.map_or(&*signal, |activations| &activations.signals[pass]);
             let d: Vec<[Real; 2]> =
                 (0..rays.len() * bands).map(|i| d(pass, rays.start + i / bands, i % bands)).collect();
-            walk.signal_vjp((shared, signal, &locations), &d, (&mut d_factors, &mut d_hidden), into);
+            walk.signal_network_vjp((shared, signal, &locations), &d, (&mut d_factors, &mut d_hidden), into);
         }
-        walk.shared_vjp((shared, trunk_activations), (&d_factors, &d_hidden), into);
+        walk.shared_activations_vjp((shared, trunk_activations), (&d_factors, &d_hidden), into);
     }
 }

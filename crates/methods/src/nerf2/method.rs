@@ -10,7 +10,7 @@ use pwrfgs_core::{
     Parameters, PixelSubset, Real, Requirement, SPEED_OF_LIGHT, StageTimes, Task, cached,
 };
 use pwrfgs_networks::dense::add_in_order;
-use pwrfgs_networks::linear::{LayoutBuilder, laid_out, planned, sum_groups};
+use pwrfgs_networks::linear::{LayoutBuilder, lay_out, lay_out_for, sum_groups};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Arc;
@@ -38,18 +38,21 @@ struct Nerf2Cache {
 type Ready = Vec<Vec<SharedActivations>>;
 
 impl Nerf2 {
-    fn law(&self, task: Task) -> PropagationLaw {
+    /// Returns the propagation law of a task.
+    fn propagation_law(&self, task: Task) -> PropagationLaw {
         if task.has_pixels {
             return PropagationLaw::Spectrum;
         }
         PropagationLaw::Wave { wavenumber: (2.0 * std::f64::consts::PI * self.carrier_hz / SPEED_OF_LIGHT) as Real }
     }
 
-    fn network(&self, setup: &MeasurementSetup, plan: &mut LayoutBuilder) -> Nerf2Network {
-        Nerf2Network::new(self, bands(setup), plan)
+    /// Plans the layers of the network for the setup.
+    fn plan_network(&self, setup: &MeasurementSetup, plan: &mut LayoutBuilder) -> Nerf2Network {
+        Nerf2Network::new(self, band_count(setup), plan)
     }
 
-    fn walk<'a>(
+    /// Returns the rays of a receiver with the network; `emission` is the contribution of the transmitters.
+    fn ray_walk<'a>(
         &self,
         setup: &MeasurementSetup,
         (network, weights): (&'a Nerf2Network, &'a [Real]),
@@ -59,14 +62,14 @@ impl Nerf2 {
         RayWalk {
             network,
             weights,
-            rays: RayBundle::of(self, setup, receiver, pixels),
-            law: self.law(setup.task),
+            rays: RayBundle::new(self, setup, receiver, pixels),
+            law: self.propagation_law(setup.task),
             emission,
         }
     }
 
-    /// Groups the requested links by receiver.
-    fn groups<'a>(
+    /// Groups the requested links by receiver, without receivers that have no link.
+    fn ray_groups<'a>(
         &self,
         call: &Call<'_>,
         network: (&'a Nerf2Network, &'a [Real]),
@@ -80,14 +83,14 @@ impl Nerf2 {
                 return None;
             }
             Some(match call.pixels {
-                PixelSubset::Each(places) => {
-                    let pixels = links.iter().map(|(k, _)| places[*k]).collect();
-                    let walk = self.walk(setup, network, (receiver, &PixelSubset::Each(pixels)), emission);
+                PixelSubset::Each(pixels) => {
+                    let pixels = links.iter().map(|(k, _)| pixels[*k]).collect();
+                    let walk = self.ray_walk(setup, network, (receiver, &PixelSubset::Each(pixels)), emission);
                     RayGroup { receiver, walk, links: GroupLinks::Own(links) }
                 }
                 pixels => RayGroup {
                     receiver,
-                    walk: self.walk(setup, network, (receiver, pixels), emission),
+                    walk: self.ray_walk(setup, network, (receiver, pixels), emission),
                     links: GroupLinks::All(links),
                 },
             })
@@ -95,10 +98,10 @@ impl Nerf2 {
         (0..setup.receivers.len()).filter_map(group).collect()
     }
 
-    /// Converts sums `[L, pixels or bands]` to observations.
+    /// Converts sums over rays `[L, pixels or bands]` to observations.
     fn observations(setup: &MeasurementSetup, totals: &[[Real; 2]]) -> Vec<Real> {
         if setup.task.is_complex {
-            return pwrfgs_core::rows_of(totals, bands(setup));
+            return pwrfgs_core::rows_of(totals, band_count(setup));
         }
         let size = totals.iter().map(|[re, im]| re.hypot(*im));
         if setup.task.is_scalar { size.map(|size| 100.0 * size - 100.0).collect() } else { size.collect() }
@@ -111,27 +114,27 @@ impl Nerf2 {
             if size > 0.0 { [d * re / size, d * im / size] } else { [0.0; 2] }
         };
         if setup.task.is_complex {
-            return pwrfgs_core::gains_of(d, bands(setup));
+            return pwrfgs_core::gains_of(d, band_count(setup));
         }
         let each = totals.iter().zip(d).map(along);
         if setup.task.is_scalar { each.map(|d| d.map(|d| 100.0 * d)).collect() } else { each.collect() }
     }
 
-    /// Collects the sums of chunks, in order, `[L, pixels or bands]`.
-    fn gather(
+    /// Adds up the sums of chunks (group, rays, sums), in order; returns the totals `[L, pixels or bands]`.
+    fn collect_sums(
         call: &Call<'_>,
         groups: &[RayGroup<'_>],
         chunks: impl Iterator<Item = (usize, Range<usize>, Passes)>,
     ) -> Vec<[Real; 2]> {
         let setup = call.setup;
-        let of_link = if setup.task.has_pixels { call.pixels.of_link(setup.numbers()) } else { bands(setup) };
-        let mut totals = vec![[0.0; 2]; call.links.pairs.len() * of_link];
+        let width = if setup.task.has_pixels { call.pixels.count_per_link(setup.numbers()) } else { band_count(setup) };
+        let mut totals = vec![[0.0; 2]; call.links.pairs.len() * width];
         for (group, rays, passes) in chunks {
-            let bands = bands(setup);
+            let bands = band_count(setup);
             for (pass, sums) in passes.into_iter().enumerate() {
                 for (i, sum) in sums.into_iter().enumerate() {
                     let (ray, band) = (rays.start + i / bands, i % bands);
-                    let total = &mut totals[place(setup, &groups[group].links, of_link, (pass, ray, band))];
+                    let total = &mut totals[total_index(setup, &groups[group].links, width, [pass, ray, band])];
                     total[0] += sum[0];
                     total[1] += sum[1];
                 }
@@ -141,23 +144,18 @@ impl Nerf2 {
     }
 }
 
-/// Returns the index at which the sum of a ray is stored.
-fn place(
-    setup: &MeasurementSetup,
-    links: &GroupLinks,
-    of_link: usize,
-    (pass, ray, band): (usize, usize, usize),
-) -> usize {
-    let link = links.link(pass, ray);
+/// Returns the index of the total to which a ray contributes, for totals of `width` values per link.
+fn total_index(setup: &MeasurementSetup, links: &GroupLinks, width: usize, [pass, ray, band]: [usize; 3]) -> usize {
+    let link = links.link_index(pass, ray);
     match (setup.task.has_pixels, links) {
-        (true, GroupLinks::All(_)) => link * of_link + ray,
+        (true, GroupLinks::All(_)) => link * width + ray,
         (true, GroupLinks::Own(_)) => link,
-        _ => link * of_link + band,
+        _ => link * width + band,
     }
 }
 
 /// Returns the number of complex outputs per sample.
-fn bands(setup: &MeasurementSetup) -> usize {
+fn band_count(setup: &MeasurementSetup) -> usize {
     setup.frequencies_hz.len().max(1)
 }
 
@@ -176,35 +174,35 @@ impl Method for Nerf2 {
     }
 
     fn cost(&self, setup: &MeasurementSetup, links: usize, pixels: usize) -> Cost {
-        let network = planned(|plan| self.network(setup, plan)).0;
+        let network = lay_out(|plan| self.plan_network(setup, plan)).0;
         // Number of rays and of links per ray; with one pixel per link, there are as many rays as links.
         let (rays, passes) = match (setup.task.has_pixels, pixels) {
             (true, 1) => (links, 1),
             (true, pixels) => (pixels, links),
-            _ => (self.sky().len() * setup.receivers.len(), links.div_ceil(setup.receivers.len().max(1))),
+            _ => (self.sky_directions().len() * setup.receivers.len(), links.div_ceil(setup.receivers.len().max(1))),
         };
         Cost {
             pixels,
-            bytes: network.bytes(self.samples, rays, passes).min(KEPT) as u64,
-            links_at_once: (KEPT / network.bytes(self.samples, 1, 1)).max(1),
+            bytes: network.activation_bytes(self.samples, rays, passes).min(KEPT) as u64,
+            links_at_once: (KEPT / network.activation_bytes(self.samples, 1, 1)).max(1),
             ..Cost::default()
         }
     }
 
     fn layout(&self, setup: &MeasurementSetup) -> Layout {
-        planned(|plan| self.network(setup, plan)).1.layout()
+        lay_out(|plan| self.plan_network(setup, plan)).1.layout()
     }
 
     fn forward(&self, call: &Call<'_>, _: &Cache) -> ForwardOutput {
         let Call { setup, parameters: p, links, .. } = *call;
-        let network = laid_out(p.weights, |plan| self.network(setup, plan));
+        let network = lay_out_for(p.weights, |plan| self.plan_network(setup, plan));
         let emission = network.emission(p.weights, &links.conditions(), self.unit_m);
-        let groups = self.groups(call, (&network, p.weights), &emission);
+        let groups = self.ray_groups(call, (&network, p.weights), &emission);
         let mut room = KEPT;
         let mut items = Vec::new();
         for (g, group) in groups.iter().enumerate() {
             for rays in group.walk.chunks() {
-                let bytes = network.bytes(self.samples, rays.len(), group.links.passes());
+                let bytes = network.activation_bytes(self.samples, rays.len(), group.links.pass_count());
                 let keep = bytes <= room;
                 room -= if keep { bytes } else { 0 };
                 items.push((g, rays, keep));
@@ -212,17 +210,17 @@ impl Method for Nerf2 {
         }
         let one = |scratch: &mut GroupScratch, (g, rays, keep): (usize, Range<usize>, bool)| {
             let (activations, sums) = if keep {
-                let (results, sums) = groups[g].keep(&rays);
+                let (results, sums) = groups[g].forward_keeping(&rays);
                 (Some(results), sums)
             } else {
-                (None, groups[g].pass(&rays, None, scratch))
+                (None, groups[g].forward(&rays, None, scratch))
             };
             (Chunk { group: g, rays, activations }, sums)
         };
         let results: Vec<_> = items.into_par_iter().map_init(GroupScratch::default, one).collect();
         let (chunks, sums): (Vec<Chunk>, Vec<Passes>) = results.into_iter().unzip();
         let sums = chunks.iter().zip(sums).map(|(chunk, sums)| (chunk.group, chunk.rays.clone(), sums));
-        let totals = Self::gather(call, &groups, sums);
+        let totals = Self::collect_sums(call, &groups, sums);
         let numbers = Self::observations(setup, &totals);
         ForwardOutput { numbers, cache: Some(Arc::new(Nerf2Cache { chunks, totals })) }
     }
@@ -230,18 +228,18 @@ impl Method for Nerf2 {
     fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
         let Call { setup, parameters: p, links, .. } = *call;
         let Nerf2Cache { chunks, totals } = cached(&observed.cache);
-        let network = laid_out(p.weights, |plan| self.network(setup, plan));
+        let network = lay_out_for(p.weights, |plan| self.plan_network(setup, plan));
         let emission = network.emission(p.weights, &links.conditions(), self.unit_m);
-        let groups = self.groups(call, (&network, p.weights), &emission);
+        let groups = self.ray_groups(call, (&network, p.weights), &emission);
         let d_totals = Self::observations_vjp(setup, totals, d);
-        let of_link = totals.len() / links.pairs.len().max(1);
+        let width = totals.len() / links.pairs.len().max(1);
         let parts = sum_groups(chunks, &mut sums.weights, |chunks, weights| {
             let mut into = Sums { weights, emission: vec![0.0; emission.len()] };
             let mut scratch = GroupScratch::default();
             for Chunk { group, rays, activations } in chunks {
                 let group = &groups[*group];
-                let d = |pass, ray, band| d_totals[place(setup, &group.links, of_link, (pass, ray, band))];
-                group.back(rays, activations.as_ref(), d, &mut scratch, &mut into);
+                let d = |pass, ray, band| d_totals[total_index(setup, &group.links, width, [pass, ray, band])];
+                group.backward(rays, activations.as_ref(), d, &mut scratch, &mut into);
             }
             into.emission
         });
@@ -258,18 +256,18 @@ impl Method for Nerf2 {
     }
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
-        let network = laid_out(p.weights, |plan| self.network(setup, plan));
-        let rays = if setup.task.has_pixels { setup.numbers() } else { self.sky().len() };
+        let network = lay_out_for(p.weights, |plan| self.plan_network(setup, plan));
+        let rays = if setup.task.has_pixels { setup.numbers() } else { self.sky_directions().len() };
         let of_sample = network.width() + network.outputs;
         let bytes = setup.receivers.len() * rays * self.samples * of_sample * size_of::<Real>();
         if bytes > MOST_CACHED {
             return None;
         }
         let chunks_of_sky = |receiver: usize| {
-            let walk = self.walk(setup, (&network, p.weights), (receiver, &PixelSubset::All), &[]);
+            let walk = self.ray_walk(setup, (&network, p.weights), (receiver, &PixelSubset::All), &[]);
             let chunks: Vec<Range<usize>> = walk.chunks().collect();
             let shared = |trunk_activations: &mut TrunkActivations, rays: &Range<usize>| {
-                walk.shared(rays.clone(), 2, trunk_activations)
+                walk.shared_activations(rays.clone(), 2, trunk_activations)
             };
             chunks.par_iter().map_init(TrunkActivations::default, shared).collect()
         };
@@ -280,19 +278,19 @@ impl Method for Nerf2 {
     fn predict(&self, call: &Call<'_>, prepared: &Cache) -> (Vec<Real>, StageTimes) {
         let Call { setup, parameters: p, links, pixels } = *call;
         let start = Instant::now();
-        let network = laid_out(p.weights, |plan| self.network(setup, plan));
+        let network = lay_out_for(p.weights, |plan| self.plan_network(setup, plan));
         let emission = network.emission(p.weights, &links.conditions(), self.unit_m);
-        let groups = self.groups(call, (&network, p.weights), &emission);
+        let groups = self.ray_groups(call, (&network, p.weights), &emission);
         let ready: Option<&Ready> = (prepared.is_some() && *pixels == PixelSubset::All).then(|| cached(prepared));
         let chunks = |g: usize| groups[g].walk.chunks().enumerate().map(move |(c, rays)| (g, c, rays));
         let items: Vec<_> = (0..groups.len()).flat_map(chunks).collect();
         let one = |scratch: &mut GroupScratch, (g, c, rays): (usize, usize, Range<usize>)| {
             let shared = ready.map(|ready| &ready[groups[g].receiver][c]);
-            let sums = groups[g].pass(&rays, shared, scratch);
+            let sums = groups[g].forward(&rays, shared, scratch);
             (g, rays, sums)
         };
         let results: Vec<_> = items.into_par_iter().map_init(GroupScratch::default, one).collect();
-        let totals = Self::gather(call, &groups, results.into_iter());
+        let totals = Self::collect_sums(call, &groups, results.into_iter());
         let numbers = Self::observations(setup, &totals);
         let total = start.elapsed().as_secs_f64();
         (numbers, StageTimes { network: total, total, ..StageTimes::default() })

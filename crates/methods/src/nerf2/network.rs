@@ -3,7 +3,7 @@
 use crate::nerf2::Nerf2;
 use pwrfgs_core::{Conditions, Real};
 use pwrfgs_networks::dense::{Matrix, MatrixMut, StoreMode, product};
-use pwrfgs_networks::encoding::{encode, encode_vjp, width};
+use pwrfgs_networks::encoding::{encode, encode_vjp, encoded_width};
 use pwrfgs_networks::linear::LayoutBuilder;
 use pwrfgs_networks::linear::{LayerPart, Linear};
 use pwrfgs_networks::trunk::{Trunk, TrunkShape};
@@ -31,7 +31,7 @@ pub(crate) struct Nerf2Network {
 impl Nerf2Network {
     /// Plans the network of `method`, with `bands` amplitudes and phases per sample.
     pub(crate) fn new(method: &Nerf2, bands: usize, plan: &mut LayoutBuilder) -> Self {
-        let (wide, encoded, outputs) = (method.width, width(FREQUENCIES), 2 * bands);
+        let (wide, encoded, outputs) = (method.width, encoded_width(FREQUENCIES), 2 * bands);
         let (plain, emission_inputs) = match method.features {
             0 => (false, encoded),
             features => (true, features),
@@ -58,50 +58,52 @@ impl Nerf2Network {
     }
 
     /// Returns the columns of the first layer of the signal network for the feature.
-    pub(crate) fn of_feature(&self) -> LayerPart {
+    pub(crate) fn feature_columns(&self) -> LayerPart {
         self.signal[0].part(0..self.width())
     }
 
     /// Returns the columns of the first layer of the signal network for the view direction.
-    pub(crate) fn of_view(&self) -> LayerPart {
-        self.signal[0].part(self.width()..self.width() + width(FREQUENCIES))
+    pub(crate) fn view_columns(&self) -> LayerPart {
+        self.signal[0].part(self.width()..self.width() + encoded_width(FREQUENCIES))
     }
 
-    fn of_transmitter(&self) -> std::ops::Range<usize> {
+    /// Returns the columns of the first layer of the signal network for the transmitter.
+    fn transmitter_columns(&self) -> std::ops::Range<usize> {
         self.signal[0].inputs - self.emission_inputs..self.signal[0].inputs
     }
 
-    /// Returns the network inputs per transmitter, `[B, inputs]`; positions are divided by `unit`.
-    fn read(&self, conditions: &Conditions<'_>, unit: Real) -> Vec<Real> {
+    /// Returns the network inputs per transmitter, `[B, inputs]`: features, or encoded positions in units of `unit` metres.
+    fn transmitter_inputs(&self, conditions: &Conditions<'_>, unit: Real) -> Vec<Real> {
         if self.plain {
             return conditions.values().to_vec();
         }
-        let mut read = vec![0.0; conditions.len() * self.emission_inputs];
-        for (tx, read) in conditions.positions().iter().zip(read.chunks_exact_mut(self.emission_inputs)) {
-            encode([tx.map(|x| x / unit)].into_iter(), FREQUENCIES, read);
+        let mut inputs = vec![0.0; conditions.len() * self.emission_inputs];
+        for (tx, inputs) in conditions.positions().iter().zip(inputs.chunks_exact_mut(self.emission_inputs)) {
+            encode([tx.map(|x| x / unit)].into_iter(), FREQUENCIES, inputs);
         }
-        read
+        inputs
     }
 
     /// Returns the contribution of each transmitter to the first layer of the signal network, `[B, width]`. Runs one
     /// transmitter at a time, so that batches are bit-identical to single calls.
     pub(crate) fn emission(&self, weights: &[Real], conditions: &Conditions<'_>, unit: Real) -> Vec<Real> {
-        let read = self.read(conditions, unit);
+        let inputs = self.transmitter_inputs(conditions, unit);
         let mut emission = vec![0.0; conditions.len() * self.width()];
-        for (own, out) in read.chunks_exact(self.emission_inputs).zip(emission.chunks_exact_mut(self.width())) {
-            let w = self.signal[0].weight(weights).columns(self.of_transmitter());
-            product(MatrixMut::new(out, self.width(), 1), StoreMode::Set, w, Matrix::new(own, self.emission_inputs, 1));
+        for (input, out) in inputs.chunks_exact(self.emission_inputs).zip(emission.chunks_exact_mut(self.width())) {
+            let w = self.signal[0].weight(weights).columns(self.transmitter_columns());
+            let input = Matrix::new(input, self.emission_inputs, 1);
+            product(MatrixMut::new(out, self.width(), 1), StoreMode::Set, w, input);
         }
         emission
     }
 
     /// Returns the memory of the stored activations of a chunk, bytes.
-    pub(crate) fn bytes(&self, samples: usize, rays: usize, passes: usize) -> usize {
-        let of_sample = (self.trunk.depth() + 2) * self.width() + passes * (3 * self.width() / 2 + self.outputs);
-        rays * samples * of_sample * size_of::<Real>()
+    pub(crate) fn activation_bytes(&self, samples: usize, rays: usize, passes: usize) -> usize {
+        let per_sample = (self.trunk.depth() + 2) * self.width() + passes * (3 * self.width() / 2 + self.outputs);
+        rays * samples * per_sample * size_of::<Real>()
     }
 
-    /// Runs the backward pass of [`Self::emission`]: adds to `d_weights`, and to `d_positions` unless it is empty.
+    /// Runs the backward pass of [`Self::emission`]: adds to `d_weights`, and to `d_positions` if it is given.
     pub(crate) fn emission_vjp(
         &self,
         weights: &[Real],
@@ -110,13 +112,13 @@ impl Nerf2Network {
         d_emission: &[Real],
         (d_weights, d_positions): (&mut [Real], Option<&mut [[Real; 3]]>),
     ) {
-        let (read, batch) = (self.read(conditions, unit), conditions.len());
+        let (read, batch) = (self.transmitter_inputs(conditions, unit), conditions.len());
         let d = Matrix::new(d_emission, batch, self.width());
-        let d_w = self.signal[0].weight_mut(d_weights).columns(self.of_transmitter());
+        let d_w = self.signal[0].weight_mut(d_weights).columns(self.transmitter_columns());
         product(d_w, StoreMode::Add, d.t(), Matrix::new(&read, batch, self.emission_inputs));
         let Some(d_positions) = d_positions else { return };
         let mut d_read = vec![0.0; read.len()];
-        let w = self.signal[0].weight(weights).columns(self.of_transmitter());
+        let w = self.signal[0].weight(weights).columns(self.transmitter_columns());
         product(MatrixMut::new(&mut d_read, batch, self.emission_inputs), StoreMode::Set, d, w);
         let rows = read.chunks_exact(self.emission_inputs).zip(d_read.chunks_exact(self.emission_inputs));
         for ((read, d), d_tx) in rows.zip(d_positions) {

@@ -8,7 +8,7 @@ use crate::nerf2::path::PropagationLaw;
 use crate::nerf2::walk::{RayWalk, Sums};
 use pwrfgs_core::testing::{npy, shared};
 use pwrfgs_core::{Conditions, Real, SPEED_OF_LIGHT};
-use pwrfgs_networks::linear::planned;
+use pwrfgs_networks::linear::lay_out;
 use std::fs::File;
 use std::io::BufReader;
 use zip::ZipArchive;
@@ -60,7 +60,7 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
     let samples = if mode == "spectrum" { 64 } else { 32 };
     let far_m = if mode == "rssi" { 1.0 } else { 5.0 };
     let method = Nerf2 { width: 32, samples, far_m, features, ..Nerf2::default() };
-    let (network, plan) = planned(|plan| Nerf2Network::new(&method, bands, plan));
+    let (network, plan) = lay_out(|plan| Nerf2Network::new(&method, bands, plan));
     let names: Vec<String> = plan.layout().weights.into_iter().map(|spec| spec.name).collect();
     let weights = oracle.weights("w", &names);
     let conditions = Conditions::new(method_inputs(&method), &tx);
@@ -77,7 +77,7 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
                 samples: (0..samples).map(|i| far_m * i as Real / (samples - 1) as Real).collect(),
             };
             if mode != "spectrum" {
-                let sky = method.sky();
+                let sky = method.sky_directions();
                 let off =
                     rays.directions.iter().zip(&sky).map(|(a, b)| (0..3).map(|k| (a[k] - b[k]).abs()).sum::<Real>());
                 assert!(off.fold(0.0, Real::max) < 1e-6, "the sky is the released one");
@@ -90,8 +90,8 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
     let mut totals = vec![[0.0; 2]; links * bands];
     for (link, group) in groups.iter().enumerate() {
         for chunk in group.walk.chunks() {
-            let sums = group.pass(&chunk, None, &mut GroupScratch::default());
-            assert_eq!(group.keep(&chunk).1, sums, "what is kept is what passes");
+            let sums = group.forward(&chunk, None, &mut GroupScratch::default());
+            assert_eq!(group.forward_keeping(&chunk).1, sums, "what is kept is what passes");
             for (i, sum) in sums[0].iter().enumerate() {
                 let total = &mut totals[link * bands + i % bands];
                 *total = [total[0] + sum[0], total[1] + sum[1]];
@@ -121,9 +121,9 @@ fn reproduce(mode: &str, bands: usize, law: PropagationLaw) {
         let mut into = Sums { weights: &mut d_weights, emission: vec![0.0; emission.len()] };
         for (link, group) in groups.iter().enumerate() {
             for chunk in group.walk.chunks() {
-                let results = activations.then(|| group.keep(&chunk).0);
+                let results = activations.then(|| group.forward_keeping(&chunk).0);
                 let d = |_, _, band| d_totals[link * bands + band];
-                group.back(&chunk, results.as_ref(), d, &mut GroupScratch::default(), &mut into);
+                group.backward(&chunk, results.as_ref(), d, &mut GroupScratch::default(), &mut into);
             }
         }
         network.emission_vjp(&weights, &conditions, 1.0, &into.emission, (into.weights, None));

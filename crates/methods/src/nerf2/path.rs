@@ -23,13 +23,13 @@ pub(crate) enum PropagationLaw {
     },
 }
 
-/// Returns 2π σ(x).
-pub(crate) fn turn(x: Real) -> Real {
+/// Returns the phase 2π σ(x) of a raw network output, radians.
+pub(crate) fn phase_turn(x: Real) -> Real {
     2.0 * consts::PI / (1.0 + (-x).exp())
 }
 
-/// Returns the derivative of [`turn`], given its result.
-pub(crate) fn turn_slope(turned: Real) -> Real {
+/// Returns the derivative of [`phase_turn`], given its result.
+pub(crate) fn phase_turn_slope(turned: Real) -> Real {
     turned * (1.0 - turned / (2.0 * consts::PI))
 }
 
@@ -39,25 +39,20 @@ impl PropagationLaw {
         if self == Self::Spectrum { 0.0 } else { consts::PI }
     }
 
-    /// Returns the length of the step after sample `i`.
-    fn step(samples: &[Real], i: usize) -> Real {
+    /// Returns the length of the step after sample `i`, in the network's unit; [`ENDLESS`] after the last.
+    fn step_length(samples: &[Real], i: usize) -> Real {
         samples.get(i + 1).map_or(ENDLESS, |next| next - samples[i])
     }
 
-    /// Computes factors `[n, 2]` of the samples of a ray, given raw attenuations and phases `[n]`; returns the number
-    /// of samples used.
-    pub(crate) fn factors(
-        self,
-        samples: &[Real],
-        raw: &[Real],
-        raw_phase: &[Real],
-        factors: &mut [[Real; 2]],
-    ) -> usize {
+    /// Computes the complex factors `[n, 2]` from the samples of a ray to the receiver, given raw attenuations and phases
+    /// `[n]`; returns the number of samples in use, those in front of a remaining amplitude of [`DARK`].
+    pub(crate) fn fill_factors(self, samples: &[Real], raw: [&[Real]; 2], factors: &mut [[Real; 2]]) -> usize {
+        let [raw, raw_phase] = raw;
         let (mut log, mut phase) = (0.0, if self == Self::Spectrum { 1.0 } else { 0.0 });
         let limit = DARK.ln();
         for (i, factor) in factors.iter_mut().enumerate() {
-            let step = Self::step(samples, i);
-            let (loss, turned) = (amplitude(raw[i]) * step, turn(raw_phase[i]));
+            let step = Self::step_length(samples, i);
+            let (loss, turned) = (amplitude(raw[i]) * step, phase_turn(raw_phase[i]));
             let strength = match self {
                 Self::Spectrum => {
                     let next = samples.get(i + 1).map_or(ENDLESS, |next| *next);
@@ -84,8 +79,9 @@ impl PropagationLaw {
         factors.len()
     }
 
-    /// Returns the cotangents of the raw values, given those `d` of the first `d.len()` factors; the others are 0.
-    pub(crate) fn factors_vjp(
+    /// Sets the cotangents `d_raw` and `d_raw_phase`, given those `d` of the first `d.len()` factors; those of the other
+    /// factors are 0.
+    pub(crate) fn fill_factors_vjp(
         self,
         samples: &[Real],
         [raw, raw_phase]: [&[Real]; 2],
@@ -98,15 +94,15 @@ impl PropagationLaw {
         // Cotangents of the logarithm of the magnitude and of the phase, summed from the far end.
         let (mut size, mut phase) = (0.0, 0.0);
         for i in (0..d.len()).rev() {
-            let step = Self::step(samples, i);
-            let (rate, turned) = (amplitude(raw[i]), turn(raw_phase[i]));
+            let step = Self::step_length(samples, i);
+            let (rate, turned) = (amplitude(raw[i]), phase_turn(raw_phase[i]));
             let d_factor =
                 (d[i][0] * factors[i][0] + d[i][1] * factors[i][1], d[i][1] * factors[i][0] - d[i][0] * factors[i][1]);
             match self {
                 Self::Spectrum => {
                     let left = (-rate * step).exp();
                     d_raw[i] = -step * left / (left + SPARE) * size * amplitude_slope(raw[i]);
-                    d_raw_phase[i] = step * phase * turn_slope(turned);
+                    d_raw_phase[i] = step * phase * phase_turn_slope(turned);
                     size += d_factor.0;
                     phase += d_factor.1;
                 }
@@ -114,19 +110,19 @@ impl PropagationLaw {
                     size += d_factor.0;
                     phase += d_factor.1;
                     d_raw[i] = -step * size * amplitude_slope(raw[i]);
-                    d_raw_phase[i] = phase * turn_slope(turned);
+                    d_raw_phase[i] = phase * phase_turn_slope(turned);
                 }
             }
         }
     }
 }
 
-/// Returns the sum over samples, given raw amplitudes and phases `[n]` and the factors of the path; `back` is
-/// subtracted from the phase.
-pub(crate) fn sum(raw: &[Real], raw_phase: &[Real], factors: &[[Real; 2]], back: Real) -> [Real; 2] {
+/// Returns the received sum over the samples of a ray, given raw amplitudes and phases `[n]` and the factors of the path;
+/// `phase_offset` is subtracted from the phases, radians.
+pub(crate) fn ray_sum([raw, raw_phase]: [&[Real]; 2], factors: &[[Real; 2]], phase_offset: Real) -> [Real; 2] {
     let mut total = [0.0; 2];
     for ((raw, raw_phase), c) in raw.iter().zip(raw_phase).zip(factors) {
-        let (sin, cos) = (turn(*raw_phase) - back).sin_cos();
+        let (sin, cos) = (phase_turn(*raw_phase) - phase_offset).sin_cos();
         let s = amplitude(*raw);
         total[0] += s * (cos * c[0] - sin * c[1]);
         total[1] += s * (cos * c[1] + sin * c[0]);
@@ -134,22 +130,23 @@ pub(crate) fn sum(raw: &[Real], raw_phase: &[Real], factors: &[[Real; 2]], back:
     total
 }
 
-/// Returns the cotangents of the raw values (written) and of the factors (added), given that of the sum.
-pub(crate) fn sum_vjp(
+/// Computes the derivative of [`ray_sum`], given the cotangent `d` of the sum: sets the cotangents of the raw values, adds
+/// those of the factors.
+pub(crate) fn ray_sum_vjp(
     [raw, raw_phase]: [&[Real]; 2],
     factors: &[[Real; 2]],
-    back: Real,
+    phase_offset: Real,
     d: [Real; 2],
     [d_raw, d_raw_phase]: [&mut [Real]; 2],
     d_factors: &mut [[Real; 2]],
 ) {
     for i in 0..factors.len() {
-        let turned = turn(raw_phase[i]);
-        let (sin, cos) = (turned - back).sin_cos();
+        let turned = phase_turn(raw_phase[i]);
+        let (sin, cos) = (turned - phase_offset).sin_cos();
         let (s, c) = (amplitude(raw[i]), factors[i]);
         let (re, im) = (cos * c[0] - sin * c[1], cos * c[1] + sin * c[0]);
         d_raw[i] = (d[0] * re + d[1] * im) * amplitude_slope(raw[i]);
-        d_raw_phase[i] = s * (d[1] * re - d[0] * im) * turn_slope(turned);
+        d_raw_phase[i] = s * (d[1] * re - d[0] * im) * phase_turn_slope(turned);
         d_factors[i][0] += s * (d[0] * cos + d[1] * sin);
         d_factors[i][1] += s * (d[1] * cos - d[0] * sin);
     }

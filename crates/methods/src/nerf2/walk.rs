@@ -2,10 +2,10 @@
 
 use crate::nerf2::RayBundle;
 use crate::nerf2::network::{FREQUENCIES, Nerf2Network};
-use crate::nerf2::path::{PropagationLaw, sum, sum_vjp};
+use crate::nerf2::path::{PropagationLaw, ray_sum, ray_sum_vjp};
 use pwrfgs_core::Real;
 use pwrfgs_networks::dense::{self, StoreMode};
-use pwrfgs_networks::encoding::{encode, width};
+use pwrfgs_networks::encoding::{encode, encoded_width};
 use pwrfgs_networks::trunk::{Joints, TrunkGradient};
 use std::ops::Range;
 
@@ -65,88 +65,96 @@ pub(crate) struct Sums<'a> {
 
 impl SharedActivations {
     /// Returns zeros for the cotangents of the path factors and of the shared contributions.
-    pub(crate) fn zeros(&self) -> (Vec<[Real; 2]>, Vec<Real>) {
+    pub(crate) fn zero_cotangents(&self) -> (Vec<[Real; 2]>, Vec<Real>) {
         (vec![[0.0; 2]; self.factors.len()], vec![0.0; self.hidden.len()])
     }
 
-    fn live(&self) -> usize {
+    /// Returns the number of samples in use.
+    fn live_count(&self) -> usize {
         self.segments.last().map_or(0, |segment| segment.end)
     }
 }
 
 impl RayWalk<'_> {
-    fn bands(&self) -> usize {
+    /// Returns the number of complex outputs per sample.
+    fn band_count(&self) -> usize {
         self.network.outputs / 2
     }
 
-    /// Divides rays into chunks. The chunks depend only on the number of samples and rays.
+    /// Divides the rays into chunks of about [`ROWS`] samples, whatever the number of threads.
     pub(crate) fn chunks(&self) -> impl Iterator<Item = Range<usize>> + use<> {
-        let (rays, size) = (self.rays.directions.len(), (ROWS / self.rays.samples()).max(1));
+        let (rays, size) = (self.rays.directions.len(), (ROWS / self.rays.sample_count()).max(1));
         (0..rays).step_by(size).map(move |first| first..(first + size).min(rays))
     }
 
     /// Computes all values that do not depend on the transmitter. `slots` is 2 for predictions, or the number of trunk
     /// layers for the backward pass.
-    pub(crate) fn shared(
+    pub(crate) fn shared_activations(
         &self,
         chunk: Range<usize>,
         slots: usize,
         trunk_activations: &mut TrunkActivations,
     ) -> SharedActivations {
-        let (network, weights, samples) = (self.network, self.weights, self.rays.samples());
+        let (network, weights, samples) = (self.network, self.weights, self.rays.sample_count());
         let (rays, points) = (chunk.len(), self.rays.points(chunk.clone()));
         let TrunkActivations { gamma, slots: h, feature, attenuation, views } = trunk_activations;
-        gamma.resize(points.len() * width(FREQUENCIES), 0.0);
+        gamma.resize(points.len() * encoded_width(FREQUENCIES), 0.0);
         encode(points.into_iter(), FREQUENCIES, gamma);
         let mut shared = Joints::default();
-        network.trunk.share(weights, gamma, &mut shared);
+        network.trunk.share_gamma(weights, gamma, &mut shared);
         h.resize_with(slots, Vec::new);
-        network.trunk.forward(weights, &shared, &network.trunk.fold(weights, &[]), h);
-        let h = &h[network.trunk.last(slots)];
+        network.trunk.forward(weights, &shared, &network.trunk.fold_biases(weights, &[]), h);
+        let h = &h[network.trunk.last_slot(slots)];
         network.attenuation.apply(weights, h, attenuation);
         network.feature.apply(weights, h, feature);
         let mut hidden = vec![0.0; feature.len()];
-        network.of_feature().apply(weights, feature, &mut hidden, StoreMode::Set);
-        views.resize(rays * width(FREQUENCIES), 0.0);
+        network.feature_columns().apply(weights, feature, &mut hidden, StoreMode::Set);
+        views.resize(rays * encoded_width(FREQUENCIES), 0.0);
         encode(self.rays.directions[chunk].iter().copied(), FREQUENCIES, views);
-        let mut of_views = vec![0.0; network.width() * rays];
-        network.of_view().apply(weights, views, &mut of_views, StoreMode::Set);
-        dense::add_bias(&mut of_views, network.signal[0].bias(weights));
+        let mut view_terms = vec![0.0; network.width() * rays];
+        network.view_columns().apply(weights, views, &mut view_terms, StoreMode::Set);
+        dense::add_bias(&mut view_terms, network.signal[0].bias(weights));
 
-        let mut shared = SharedActivations {
-            factors: vec![[0.0; 2]; self.bands() * rays * samples],
-            ..SharedActivations::default()
-        };
-        let mut end = 0;
-        for ray in 0..rays {
-            let live = (0..self.bands()).map(|band| {
-                let [raw, phase] = self.attenuations(attenuation, band, ray, rays);
-                let factors = &mut shared.factors[(band * rays + ray) * samples..][..samples];
-                self.law.factors(&self.rays.samples, raw, phase, factors)
-            });
-            let live = live.max().unwrap_or(0);
-            shared.segments.push(end..end + live);
-            end += live;
-        }
-        shared.hidden.reserve_exact(network.width() * end);
-        for (row, of_views) in hidden.chunks_exact(rays * samples).zip(of_views.chunks_exact(rays)) {
-            for (ray, segment) in shared.segments.iter().enumerate() {
+        let (factors, segments) = self.path_factors(attenuation, rays);
+        let live = segments.last().map_or(0, |segment| segment.end);
+        let mut live_hidden = Vec::with_capacity(network.width() * live);
+        for (row, view_terms) in hidden.chunks_exact(rays * samples).zip(view_terms.chunks_exact(rays)) {
+            for (ray, segment) in segments.iter().enumerate() {
                 let features = &row[ray * samples..][..segment.len()];
-                shared.hidden.extend(features.iter().map(|x| x + of_views[ray]));
+                live_hidden.extend(features.iter().map(|x| x + view_terms[ray]));
             }
         }
-        shared
+        SharedActivations { segments, factors, hidden: live_hidden }
     }
 
-    /// Returns raw attenuations and phases of a ray.
-    fn attenuations<'a>(&self, all: &'a [Real], band: usize, ray: usize, rays: usize) -> [&'a [Real]; 2] {
-        let samples = self.rays.samples();
-        [band, self.bands() + band].map(|row| &all[(row * rays + ray) * samples..][..samples])
+    /// Returns the path factors `[bands, rays, samples]` of a chunk from its raw attenuations, and the range of each ray's
+    /// samples among all samples in use.
+    fn path_factors(&self, attenuation: &[Real], rays: usize) -> (Vec<[Real; 2]>, Vec<Range<usize>>) {
+        let samples = self.rays.sample_count();
+        let mut factors = vec![[0.0; 2]; self.band_count() * rays * samples];
+        let (mut segments, mut end) = (Vec::with_capacity(rays), 0);
+        for ray in 0..rays {
+            let live = (0..self.band_count()).map(|band| {
+                let raw = self.ray_attenuations(attenuation, band, ray, rays);
+                let factors = &mut factors[(band * rays + ray) * samples..][..samples];
+                self.law.fill_factors(&self.rays.samples, raw, factors)
+            });
+            let live = live.max().unwrap_or(0);
+            segments.push(end..end + live);
+            end += live;
+        }
+        (factors, segments)
     }
 
-    /// Computes the emission of the samples for the transmitters `of`, one per ray.
-    pub(crate) fn signal(&self, shared: &SharedActivations, locations: &[usize], signal: &mut Signal) {
-        let (network, weights, width, live) = (self.network, self.weights, self.network.width(), shared.live());
+    /// Returns raw attenuations and phases `[samples]` of a ray in a band, of those `[2 bands, rays, samples]` of a chunk.
+    fn ray_attenuations<'a>(&self, all: &'a [Real], band: usize, ray: usize, rays: usize) -> [&'a [Real]; 2] {
+        let samples = self.rays.sample_count();
+        [band, self.band_count() + band].map(|row| &all[(row * rays + ray) * samples..][..samples])
+    }
+
+    /// Computes the emission of the samples for the transmitters in the rows `locations`, one per ray.
+    pub(crate) fn run_signal_network(&self, shared: &SharedActivations, locations: &[usize], signal: &mut Signal) {
+        let (network, weights, width, live) = (self.network, self.weights, self.network.width(), shared.live_count());
         let Signal { first, second, raw } = signal;
         first.clone_from(&shared.hidden);
         for (feature, row) in first.chunks_exact_mut(live.max(1)).enumerate() {
@@ -162,33 +170,34 @@ impl RayWalk<'_> {
         network.emission.apply(weights, second, raw);
     }
 
-    /// Returns the sums over the samples of each ray, `[rays, bands]`.
-    pub(crate) fn sums(&self, shared: &SharedActivations, signal: &Signal) -> Vec<[Real; 2]> {
-        let (bands, rays) = (self.bands(), shared.segments.len());
+    /// Returns the received sums over the samples of each ray, `[rays, bands]`.
+    pub(crate) fn ray_sums(&self, shared: &SharedActivations, signal: &Signal) -> Vec<[Real; 2]> {
+        let (bands, rays) = (self.band_count(), shared.segments.len());
         let one = |i: usize| {
             let (ray, band) = (i / bands, i % bands);
-            let [raw, phase] = emitted(&signal.raw, shared, band, bands, ray);
-            sum(raw, phase, self.on_path(shared, band, ray), self.law.phase_offset())
+            let raw = self.emissions(&signal.raw, shared, band, ray);
+            ray_sum(raw, self.ray_factors(shared, band, ray), self.law.phase_offset())
         };
         (0..rays * bands).map(one).collect()
     }
 
-    fn on_path<'a>(&self, shared: &'a SharedActivations, band: usize, ray: usize) -> &'a [[Real; 2]] {
-        let at = (band * shared.segments.len() + ray) * self.rays.samples();
+    /// Returns the path factors of the samples of a ray that are in use.
+    fn ray_factors<'a>(&self, shared: &'a SharedActivations, band: usize, ray: usize) -> &'a [[Real; 2]] {
+        let at = (band * shared.segments.len() + ray) * self.rays.sample_count();
         &shared.factors[at..at + shared.segments[ray].len()]
     }
 
-    /// Runs the backward pass of one [`Self::signal`], given cotangents `d` `[rays, bands]` of the sums. Adds to `into`
+    /// Runs the backward pass of one [`Self::run_signal_network`], given cotangents `d` `[rays, bands]` of the sums. Adds to `into`
     /// and to the cotangents of the path factors and shared contributions.
-    pub(crate) fn signal_vjp(
+    pub(crate) fn signal_network_vjp(
         &self,
         (shared, signal, locations): (&SharedActivations, &Signal, &[usize]),
         d: &[[Real; 2]],
         (d_factors, d_hidden): (&mut [[Real; 2]], &mut [Real]),
         into: &mut Sums<'_>,
     ) {
-        let (network, weights, width, live) = (self.network, self.weights, self.network.width(), shared.live());
-        let (bands, rays, samples) = (self.bands(), shared.segments.len(), self.rays.samples());
+        let (network, weights, width, live) = (self.network, self.weights, self.network.width(), shared.live_count());
+        let (bands, rays, samples) = (self.band_count(), shared.segments.len(), self.rays.sample_count());
         let mut d_raw = vec![0.0; signal.raw.len()];
         let (d_amplitudes, d_phases) = d_raw.split_at_mut(bands * live);
         for (i, d) in d.iter().enumerate() {
@@ -196,9 +205,9 @@ impl RayWalk<'_> {
             let segment = shared.segments[ray].clone();
             let samples_of_ray = band * live + segment.start..band * live + segment.end;
             let on_path = (band * rays + ray) * samples;
-            sum_vjp(
-                emitted(&signal.raw, shared, band, bands, ray),
-                self.on_path(shared, band, ray),
+            ray_sum_vjp(
+                self.emissions(&signal.raw, shared, band, ray),
+                self.ray_factors(shared, band, ray),
                 self.law.phase_offset(),
                 *d,
                 [&mut d_amplitudes[samples_of_ray.clone()], &mut d_phases[samples_of_ray]],
@@ -208,7 +217,7 @@ impl RayWalk<'_> {
         let (second, mut d_second) = (&signal.second, Vec::new());
         network.emission.apply_vjp(weights, (second, &d_raw), into.weights, (&mut d_second, StoreMode::Set));
         let layer = &network.signal[1];
-        dense::bias_relu_vjp(&mut d_second, second, layer.bias_mut(into.weights));
+        dense::add_bias_relu_vjp(&mut d_second, second, layer.bias_mut(into.weights));
         layer.whole().weight_vjp(into.weights, &signal.first, &d_second);
         let mut d_first = vec![0.0; signal.first.len()];
         layer.whole().input_vjp(weights, &d_second, &mut d_first, StoreMode::Set);
@@ -226,15 +235,15 @@ impl RayWalk<'_> {
         }
     }
 
-    /// Runs the backward pass of [`Self::shared`], given the cotangents of the path factors and shared contributions.
-    pub(crate) fn shared_vjp(
+    /// Runs the backward pass of [`Self::shared_activations`], given the cotangents of the path factors and shared contributions.
+    pub(crate) fn shared_activations_vjp(
         &self,
         (shared, trunk_activations): (&SharedActivations, &TrunkActivations),
         (d_factors, d_live): (&[[Real; 2]], &[Real]),
         into: &mut Sums<'_>,
     ) {
         let (network, weights, width) = (self.network, self.weights, self.network.width());
-        let (rays, samples, live) = (shared.segments.len(), self.rays.samples(), shared.live());
+        let (rays, samples, live) = (shared.segments.len(), self.rays.sample_count(), shared.live_count());
         let (mut d_hidden, mut d_views) = (vec![0.0; width * rays * samples], vec![0.0; width * rays]);
         let rows = d_hidden.chunks_exact_mut(rays * samples).zip(d_views.chunks_exact_mut(rays));
         for ((row, d_views), d_row) in rows.zip(d_live.chunks_exact(live.max(1))) {
@@ -245,19 +254,19 @@ impl RayWalk<'_> {
             }
         }
         dense::add_bias_vjp(&d_views, network.signal[0].bias_mut(into.weights));
-        network.of_view().weight_vjp(into.weights, &trunk_activations.views, &d_views);
-        network.of_feature().weight_vjp(into.weights, &trunk_activations.feature, &d_hidden);
+        network.view_columns().weight_vjp(into.weights, &trunk_activations.views, &d_views);
+        network.feature_columns().weight_vjp(into.weights, &trunk_activations.feature, &d_hidden);
         let mut d_feature = vec![0.0; trunk_activations.feature.len()];
-        network.of_feature().input_vjp(weights, &d_hidden, &mut d_feature, StoreMode::Set);
+        network.feature_columns().input_vjp(weights, &d_hidden, &mut d_feature, StoreMode::Set);
 
         let mut d_attenuation = vec![0.0; trunk_activations.attenuation.len()];
-        let (d_amplitudes, d_phases) = d_attenuation.split_at_mut(self.bands() * rays * samples);
+        let (d_amplitudes, d_phases) = d_attenuation.split_at_mut(self.band_count() * rays * samples);
         for ray in 0..rays {
-            for band in 0..self.bands() {
+            for band in 0..self.band_count() {
                 let all = (band * rays + ray) * samples..(band * rays + ray + 1) * samples;
-                self.law.factors_vjp(
+                self.law.fill_factors_vjp(
                     &self.rays.samples,
-                    self.attenuations(&trunk_activations.attenuation, band, ray, rays),
+                    self.ray_attenuations(&trunk_activations.attenuation, band, ray, rays),
                     &shared.factors[all.clone()],
                     &d_factors[all.start..all.start + shared.segments[ray].len()],
                     [&mut d_amplitudes[all.clone()], &mut d_phases[all]],
@@ -269,15 +278,15 @@ impl RayWalk<'_> {
         network.attenuation.apply_vjp(weights, (h, &d_attenuation), into.weights, (&mut d_h, StoreMode::Add));
 
         let (mut d_shared, mut d_folded) = (network.trunk.zero_joints(d_h.len()), network.trunk.zero_joints(width));
-        let trunk = TrunkGradient { weights: into.weights, shared: &mut d_shared, folded: d_folded.of_tx(0, width) };
+        let trunk = TrunkGradient { weights: into.weights, shared: &mut d_shared, folded: d_folded.tx_part(0, width) };
         network.trunk.backward(weights, &trunk_activations.slots, &mut d_h, &mut d_feature, trunk);
         network.trunk.add_joint_biases(into.weights, &d_folded);
-        network.trunk.share_vjp(weights, &trunk_activations.gamma, &d_shared, into.weights, None);
+        network.trunk.share_gamma_vjp(weights, &trunk_activations.gamma, &d_shared, into.weights, None);
     }
-}
 
-/// Returns raw amplitudes and phases of the emission, for the samples of a ray that are in use.
-fn emitted<'a>(raw: &'a [Real], shared: &SharedActivations, band: usize, bands: usize, ray: usize) -> [&'a [Real]; 2] {
-    let (live, segment) = (shared.live(), &shared.segments[ray]);
-    [band, bands + band].map(|row| &raw[row * live + segment.start..row * live + segment.end])
+    /// Returns raw amplitudes and phases of the emission in a band, for the samples of a ray that are in use.
+    fn emissions<'a>(&self, raw: &'a [Real], shared: &SharedActivations, band: usize, ray: usize) -> [&'a [Real]; 2] {
+        let (live, segment) = (shared.live_count(), &shared.segments[ray]);
+        [band, self.band_count() + band].map(|row| &raw[row * live + segment.start..row * live + segment.end])
+    }
 }

@@ -6,9 +6,9 @@
 //! use double precision.
 
 use super::waves::Waves;
-use super::{SplattedChannel, offsets_mut, parts};
+use super::{SplattedChannel, offsets_mut, split_weights};
 use pwrfgs_core::{
-    Cholesky, Conditions, Dataset, End, GaussianCloud, LinearPart, MeasurementSetup, Real, ReceiverState,
+    Cholesky, Conditions, Dataset, End, GaussianCloud, LinearPart, MeasurementSetup, Parameters, Real, ReceiverState,
 };
 use rayon::prelude::*;
 
@@ -18,8 +18,8 @@ const RIDGE: f64 = 1e-4;
 const MOST: usize = 8_000;
 
 impl SplattedChannel {
-    /// Initialises the linear part of the deformation if it has one and there is a single receiver; otherwise does
-    /// nothing.
+    /// Initialises the linear part of the deformation, the signals and the level; returns whether it did. Does nothing
+    /// if the deformation has no linear part, for several receivers or moving receivers, or without a unique solution.
     pub(super) fn start_linear(
         &self,
         setup: &MeasurementSetup,
@@ -29,19 +29,20 @@ impl SplattedChannel {
         weights: &mut [Real],
     ) -> bool {
         let part = pwrfgs_core::evenly(train, MOST);
-        let all: Vec<Real> = part.iter().filter_map(|&i| data.query(i).features).flatten().copied().collect();
-        let network = parts(setup, weights).0.len();
-        let conditions = Conditions::new(self.deformation.traits().inputs, &all);
+        let features: Vec<Real> = part.iter().filter_map(|&i| data.query(i).features).flatten().copied().collect();
+        let network = split_weights(setup, weights).0.len();
+        let conditions = Conditions::new(self.deformation.traits().inputs, &features);
         let linear = self.deformation.linear_part(&weights[..network], &cloud.means, conditions);
         let (Some(linear), [_], End::Transmitter) = (linear, setup.receivers.as_slice(), setup.moving) else {
             return false;
         };
-        let waves = Waves::new(setup, ReceiverState { receiver: 0, pose: setup.pose() }, cloud, None);
-        let Some(all) = data.observations.channels() else { return false };
-        let channels: Vec<&[[Real; 2]]> = part.iter().map(|&i| all.of(i)).collect();
-        let Some(map) = ridge(&linear, &channels) else { return false };
-        let responses = waves.of_basis(&linear.basis, linear.functions);
-        let Some(coefficients) = solve_basis(&responses, linear.functions, &map, linear.inputs) else { return false };
+        let parameters = Parameters { cloud, gate: None, existence: None, weights };
+        let waves = Waves::new(setup, ReceiverState { receiver: 0, pose: setup.pose() }, &parameters);
+        let Some(measured) = data.observations.channels() else { return false };
+        let channels: Vec<&[[Real; 2]]> = part.iter().map(|&i| measured.of(i)).collect();
+        let Some(map) = fit_ridge(&linear, &channels) else { return false };
+        let responses = waves.basis_channels(&linear.basis, linear.functions);
+        let Some(coefficients) = solve_basis(&responses, linear.functions, &map) else { return false };
         // Signals have a magnitude of about 1; the level contains the rest.
         let size = (coefficients.iter().flatten().map(|v| v * v).sum::<f64>() / linear.inputs as f64).sqrt();
         let level = if size > 0.0 { size } else { 1.0 };
@@ -56,8 +57,9 @@ impl SplattedChannel {
     }
 }
 
-/// Fits R `[D, AF]`, the complex map from features to channels.
-fn ridge(linear: &LinearPart, channels: &[&[[Real; 2]]]) -> Option<Vec<Vec<[f64; 2]>>> {
+/// Fits R `[D, AF]`, the complex map from features to channels, by ridge regression; `None` without channels or without
+/// a unique solution.
+fn fit_ridge(linear: &LinearPart, channels: &[&[[Real; 2]]]) -> Option<Vec<Vec<[f64; 2]>>> {
     let d = linear.inputs;
     let rows: Vec<&[Real]> = linear.values.chunks_exact(d).collect();
     let mut gram: Vec<f64> = vec![0.0; d * d];
@@ -67,7 +69,7 @@ fn ridge(linear: &LinearPart, channels: &[&[[Real; 2]]]) -> Option<Vec<Vec<[f64;
             out.iter_mut().zip(*row).for_each(|(sum, v)| *sum += x * *v as f64);
         }
     });
-    let factor = ridged(gram, d)?;
+    let factor = ridge_factor(gram, d)?;
     let numbers = channels.first()?.len();
     let columns: Vec<Vec<[f64; 2]>> = (0..numbers)
         .into_par_iter()
@@ -87,13 +89,9 @@ fn ridge(linear: &LinearPart, channels: &[&[[Real; 2]]]) -> Option<Vec<Vec<[f64;
     Some((0..d).map(|k| columns.iter().map(|column| column[k]).collect()).collect())
 }
 
-/// Solves V·B = R for B `[D, J]` in the least-squares sense; V `[AF, J]` is the received channel per basis function.
-fn solve_basis(
-    responses: &[[f64; 2]],
-    functions: usize,
-    map: &[Vec<[f64; 2]>],
-    inputs: usize,
-) -> Option<Vec<[f64; 2]>> {
+/// Solves V·B = R for B `[D, J]` in the least-squares sense; V `[AF, J]` (`responses`) is the received channel per basis
+/// function, R `[D, AF]` is `map`. `None` without a unique solution.
+fn solve_basis(responses: &[[f64; 2]], functions: usize, map: &[Vec<[f64; 2]>]) -> Option<Vec<[f64; 2]>> {
     let (j, numbers) = (functions, responses.len() / functions.max(1));
     // Complex unknowns as pairs of real ones: [[Re, -Im], [Im, Re]] of VᴴV.
     let mut gram = vec![0.0; 4 * j * j];
@@ -111,11 +109,11 @@ fn solve_basis(
             gram[(a + j) * 2 * j + b] = im;
         }
     }
-    let factor = ridged(gram, 2 * j)?;
-    let of_feature = |k: usize| {
+    let factor = ridge_factor(gram, 2 * j)?;
+    let coefficients = |row: &Vec<[f64; 2]>| {
         let mut right = vec![0.0; 2 * j];
         for n in 0..numbers {
-            let [hr, hi] = map[k][n];
+            let [hr, hi] = row[n];
             for a in 0..j {
                 let [vr, vi] = responses[n * j + a];
                 right[a] += vr * hr + vi * hi;
@@ -125,11 +123,11 @@ fn solve_basis(
         factor.solve(&mut right);
         (0..j).map(|a| [right[a], right[a + j]]).collect::<Vec<_>>()
     };
-    Some((0..inputs).into_par_iter().flat_map_iter(of_feature).collect())
+    Some(map.par_iter().flat_map_iter(coefficients).collect())
 }
 
-/// Returns the Cholesky factor of a symmetric matrix `[n,n]` with the ridge.
-fn ridged(mut a: Vec<f64>, n: usize) -> Option<Cholesky> {
+/// Returns the Cholesky factor of a symmetric matrix `[n,n]` with the ridge; `None` if it is not positive definite.
+fn ridge_factor(mut a: Vec<f64>, n: usize) -> Option<Cholesky> {
     let mean = (0..n).map(|k| a[k * n + k]).sum::<f64>() / n.max(1) as f64;
     (0..n).for_each(|k| a[k * n + k] += RIDGE * mean + f64::MIN_POSITIVE);
     Cholesky::new(a, n)
@@ -151,7 +149,7 @@ mod tests {
                 [a[0] + b[0], a[1] + b[1]]
             })
             .collect();
-        let solution = solve_basis(&responses, 2, &[received], 1).unwrap();
+        let solution = solve_basis(&responses, 2, &[received]).unwrap();
         for (solution, expected) in solution.iter().zip(expected) {
             assert!(
                 (solution[0] - expected[0]).abs() < 2e-3 && (solution[1] - expected[1]).abs() < 2e-3,

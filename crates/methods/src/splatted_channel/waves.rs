@@ -4,8 +4,9 @@
 //! the gate m. Gaussians are points here, without projection or occlusion. The transmitter affects only the signals s,
 //! so that the waves W `[2AF, N]` are computed once for all links of a receiver.
 
+use crate::ActivationVjp;
 use glam::DVec3;
-use pwrfgs_core::{GaussianCloud, MeasurementSetup, Real, ReceiverState, SPEED_OF_LIGHT, gain_at};
+use pwrfgs_core::{Call, MeasurementSetup, Parameters, Real, ReceiverState, SPEED_OF_LIGHT, gain_indices};
 use rayon::prelude::*;
 
 /// Smallest distance between a Gaussian and an antenna in the model, metres.
@@ -21,8 +22,8 @@ pub(super) struct Waves {
     columns: usize,
 }
 
-/// Returns the antenna positions, metres from the origin.
-fn antennas(setup: &MeasurementSetup, ReceiverState { receiver, pose }: ReceiverState) -> Vec<[f64; 3]> {
+/// Returns the antenna positions of a receiver `[A]`, metres from the origin of the room.
+fn antenna_positions(setup: &MeasurementSetup, ReceiverState { receiver, pose }: ReceiverState) -> Vec<[f64; 3]> {
     let in_room = |antenna: &[f64; 3]| {
         let offset = pose.turned(*antenna);
         std::array::from_fn(|k| pose.position[k] + offset[k])
@@ -31,7 +32,7 @@ fn antennas(setup: &MeasurementSetup, ReceiverState { receiver, pose }: Receiver
 }
 
 /// Returns the vector from antenna to Gaussian, and its length of at least [`NEAREST_M`].
-fn offset(mean: &[Real; 3], antenna: &[f64; 3]) -> ([f64; 3], f64) {
+fn offset_and_distance(mean: &[Real; 3], antenna: &[f64; 3]) -> ([f64; 3], f64) {
     let offset: [f64; 3] = std::array::from_fn(|k| mean[k] as f64 - antenna[k]);
     (offset, offset.iter().map(|v| v * v).sum::<f64>().sqrt().max(NEAREST_M))
 }
@@ -39,7 +40,7 @@ fn offset(mean: &[Real; 3], antenna: &[f64; 3]) -> ([f64; 3], f64) {
 /// Returns the derivative of Re(d* wave) by the offset from antenna to Gaussian, divided by that offset and the gate; `d` has
 /// real and imaginary part, k is the wavenumber, sine and cosine are those of its product with the distance. Zero up to
 /// [`NEAREST_M`].
-fn slope([d_re, d_im]: [f64; 2], k: f64, distance: f64, (sin, cos): (f64, f64)) -> f64 {
+fn wave_slope([d_re, d_im]: [f64; 2], k: f64, distance: f64, (sin, cos): (f64, f64)) -> f64 {
     if distance <= NEAREST_M {
         return 0.0;
     }
@@ -49,20 +50,17 @@ fn slope([d_re, d_im]: [f64; 2], k: f64, distance: f64, (sin, cos): (f64, f64)) 
 }
 
 impl Waves {
-    pub(super) fn new(
-        setup: &MeasurementSetup,
-        state: ReceiverState,
-        cloud: &GaussianCloud,
-        gate: Option<&[Real]>,
-    ) -> Self {
+    /// Computes the gated waves exp(−jkd)/d of all Gaussians at a receiver.
+    pub(super) fn new(setup: &MeasurementSetup, state: ReceiverState, p: &Parameters<'_>) -> Self {
+        let Parameters { cloud, gate, .. } = *p;
         let (n, frequencies) = (cloud.len(), setup.frequencies_of(state.receiver));
-        let (columns, antennas) = (frequencies.len(), antennas(setup, state));
+        let (columns, antennas) = (frequencies.len(), antenna_positions(setup, state));
         let mut both = vec![[0.0; 2]; antennas.len() * columns * n];
         both.par_chunks_exact_mut(n.max(1)).enumerate().for_each(|(row, out)| {
             let (antenna, hz) = (&antennas[row / columns], frequencies[row % columns]);
             let k = std::f64::consts::TAU * hz / SPEED_OF_LIGHT;
             for (i, out) in out.iter_mut().enumerate() {
-                let d = offset(&cloud.means[i], antenna).1;
+                let d = offset_and_distance(&cloud.means[i], antenna).1;
                 let level = gate.map_or(1.0, |gate| gate[i] as f64) / d;
                 let (sin, cos) = (k * d).sin_cos();
                 *out = [(level * cos) as Real, (-level * sin) as Real];
@@ -72,21 +70,21 @@ impl Waves {
         Self { re: part(0), im: part(1), n, columns }
     }
 
-    /// Returns observations `[L, 2A, F]` of signals `[N, L, 2]`.
-    pub(super) fn sum(&self, signals: &[Real], links: usize) -> Vec<Real> {
+    /// Sums the waves of all Gaussians with the signals `[N, L, 2]` of L links; returns observations `[L, 2A, F]`.
+    pub(super) fn superpose(&self, signals: &[Real], links: usize) -> Vec<Real> {
         let numbers = 2 * self.re.len() / self.n.max(1);
         let mut out = vec![0.0; links * numbers];
         out.par_chunks_exact_mut(numbers.max(1)).enumerate().for_each(|(l, out)| {
-            let of_link: Vec<[Real; 2]> =
+            let link_signals: Vec<[Real; 2]> =
                 (0..self.n).map(|i| [0, 1].map(|c| signals[(i * links + l) * 2 + c])).collect();
             for row in 0..numbers / 2 {
                 let (re, im) = (&self.re[row * self.n..][..self.n], &self.im[row * self.n..][..self.n]);
                 let mut sum = [0.0; 2];
-                for ((re, im), [a, b]) in re.iter().zip(im).zip(&of_link) {
+                for ((re, im), [a, b]) in re.iter().zip(im).zip(&link_signals) {
                     sum[0] += re * a - im * b;
                     sum[1] += re * b + im * a;
                 }
-                let at = self.place(row);
+                let at = self.real_index(row);
                 (out[at], out[at + self.columns]) = (sum[0], sum[1]);
             }
         });
@@ -95,7 +93,7 @@ impl Waves {
 
     /// Returns the received channel of each of J functions of the Gaussians, given their values `[N, J]`: complex,
     /// `[A·F, J]`.
-    pub(super) fn of_basis(&self, basis: &[Real], functions: usize) -> Vec<[f64; 2]> {
+    pub(super) fn basis_channels(&self, basis: &[Real], functions: usize) -> Vec<[f64; 2]> {
         let mut out = vec![[0.0; 2]; self.re.len() / self.n.max(1) * functions];
         out.par_chunks_exact_mut(functions.max(1)).enumerate().for_each(|(row, out)| {
             for (i, values) in basis.chunks_exact(functions).enumerate() {
@@ -111,19 +109,19 @@ impl Waves {
 
     /// Returns the index of the real part of row (antenna, subcarrier) in an observation; the imaginary part is one row
     /// below.
-    fn place(&self, row: usize) -> usize {
-        gain_at(row / self.columns, row % self.columns, self.columns)[0]
+    fn real_index(&self, row: usize) -> usize {
+        gain_indices(row / self.columns, row % self.columns, self.columns)[0]
     }
 
     /// Returns the cotangents of the signals `[N, L, 2]` and of the waves (real, imaginary, in the layout of
     /// [`Waves`]), given those `d` of the observations.
-    pub(super) fn sum_vjp(&self, signals: &[Real], links: usize, d: &[Real]) -> (Vec<Real>, Vec<[Real; 2]>) {
+    pub(super) fn superpose_vjp(&self, signals: &[Real], links: usize, d: &[Real]) -> (Vec<Real>, Vec<[Real; 2]>) {
         let (n, numbers) = (self.n, 2 * self.re.len() / self.n.max(1));
         let mut d_signals = vec![0.0; signals.len()];
-        d_signals.par_chunks_exact_mut((2 * links).max(1)).enumerate().for_each(|(i, d_own)| {
-            for (d_signal, d) in d_own.chunks_exact_mut(2).zip(d.chunks_exact(numbers)) {
+        d_signals.par_chunks_exact_mut((2 * links).max(1)).enumerate().for_each(|(i, d_signals)| {
+            for (d_signal, d) in d_signals.chunks_exact_mut(2).zip(d.chunks_exact(numbers)) {
                 for row in 0..numbers / 2 {
-                    let (re, im, at) = (self.re[row * n + i], self.im[row * n + i], self.place(row));
+                    let (re, im, at) = (self.re[row * n + i], self.im[row * n + i], self.real_index(row));
                     let (dr, di) = (d[at], d[at + self.columns]);
                     d_signal[0] += re * dr + im * di;
                     d_signal[1] += re * di - im * dr;
@@ -132,7 +130,7 @@ impl Waves {
         });
         let mut d_waves = vec![[0.0; 2]; self.re.len()];
         d_waves.par_chunks_exact_mut(n.max(1)).enumerate().for_each(|(row, d_row)| {
-            let at = self.place(row);
+            let at = self.real_index(row);
             for (l, d) in d.chunks_exact(numbers).enumerate() {
                 let (dr, di) = (d[at], d[at + self.columns]);
                 for (i, d_wave) in d_row.iter_mut().enumerate() {
@@ -145,50 +143,39 @@ impl Waves {
         (d_signals, d_waves)
     }
 
-    /// Adds to the cotangents of means and gate, given those of the waves.
-    pub(super) fn vjp(
-        setup: &MeasurementSetup,
-        state: ReceiverState,
-        cloud: &GaussianCloud,
-        gate: Option<&[Real]>,
-        d_waves: &[[Real; 2]],
-        (d_means, d_gate): (&mut [[Real; 3]], &mut [Real]),
-    ) {
+    /// Adds to the cotangents of means and gate in `grads`, given those of the waves.
+    pub(super) fn vjp(call: &Call<'_>, state: ReceiverState, d_waves: &[[Real; 2]], grads: &mut ActivationVjp) {
+        let Call { setup, parameters: Parameters { cloud, gate, .. }, .. } = *call;
         let (n, frequencies) = (cloud.len(), setup.frequencies_of(state.receiver));
-        let (columns, antennas) = (frequencies.len(), antennas(setup, state));
-        d_means.par_iter_mut().zip(d_gate).enumerate().for_each(|(i, (d_mean, d_gate))| {
+        let (columns, antennas) = (frequencies.len(), antenna_positions(setup, state));
+        grads.cloud.means.par_iter_mut().zip(&mut grads.gate).enumerate().for_each(|(i, (d_mean, d_gate))| {
             let open = gate.map_or(1.0, |gate| gate[i] as f64);
             for (row, d) in d_waves.chunks_exact(n).enumerate() {
                 let d = d[i].map(|d| d as f64);
                 let k = std::f64::consts::TAU * frequencies[row % columns] / SPEED_OF_LIGHT;
-                let (offset, distance) = offset(&cloud.means[i], &antennas[row / columns]);
+                let (offset, distance) = offset_and_distance(&cloud.means[i], &antennas[row / columns]);
                 let (sin, cos) = (k * distance).sin_cos();
                 *d_gate += ((d[0] * cos - d[1] * sin) / distance) as Real;
-                let along = open * slope(d, k, distance, (sin, cos));
+                let along = open * wave_slope(d, k, distance, (sin, cos));
                 d_mean.iter_mut().zip(offset).for_each(|(sum, v)| *sum += (along * v) as Real);
             }
         });
     }
 
     /// Returns the cotangents of position and orientation of the receiver, given those of the waves.
-    pub(super) fn pose_vjp(
-        setup: &MeasurementSetup,
-        state: ReceiverState,
-        cloud: &GaussianCloud,
-        gate: Option<&[Real]>,
-        d_waves: &[[Real; 2]],
-    ) -> ([f64; 3], [f64; 4]) {
+    pub(super) fn pose_vjp(call: &Call<'_>, state: ReceiverState, d_waves: &[[Real; 2]]) -> ([f64; 3], [f64; 4]) {
+        let Call { setup, parameters: Parameters { cloud, gate, .. }, .. } = *call;
         let frequencies = setup.frequencies_of(state.receiver);
         let (center, mut d_position, mut d_rotation) = (DVec3::from(state.pose.position), DVec3::ZERO, DVec3::ZERO);
-        let of_antenna = d_waves.chunks_exact(frequencies.len() * cloud.len());
-        for (antenna, d_waves) in antennas(setup, state).into_iter().zip(of_antenna) {
+        let antenna_waves = d_waves.chunks_exact(frequencies.len() * cloud.len());
+        for (antenna, d_waves) in antenna_positions(setup, state).into_iter().zip(antenna_waves) {
             let mut d_antenna = DVec3::ZERO;
             for (hz, d) in frequencies.iter().zip(d_waves.chunks_exact(cloud.len())) {
                 let k = std::f64::consts::TAU * hz / SPEED_OF_LIGHT;
                 for (i, (mean, d)) in cloud.means.iter().zip(d).enumerate() {
-                    let (offset, distance) = offset(mean, &antenna);
+                    let (offset, distance) = offset_and_distance(mean, &antenna);
                     let open = gate.map_or(1.0, |gate| gate[i] as f64);
-                    let along = slope(d.map(|d| d as f64), k, distance, (k * distance).sin_cos());
+                    let along = wave_slope(d.map(|d| d as f64), k, distance, (k * distance).sin_cos());
                     d_antenna -= open * along * DVec3::from(offset);
                 }
             }

@@ -34,19 +34,23 @@ struct Ready {
 
 impl Splatting {
     /// Splits the weights into those of the network and those of the receivers.
-    pub(super) fn parts<'a>(&self, setup: &MeasurementSetup, weights: &'a [Real]) -> (&'a [Real], PathLossLaws<'a>) {
-        let (network, laws) = weights.split_at(weights.len() - self.laws(setup));
+    pub(super) fn split_weights<'a>(
+        &self,
+        setup: &MeasurementSetup,
+        weights: &'a [Real],
+    ) -> (&'a [Real], PathLossLaws<'a>) {
+        let (network, laws) = weights.split_at(weights.len() - self.law_parameter_count(setup));
         let (offsets, exponents) = laws.split_at(setup.receivers.len().min(laws.len()));
         (network, PathLossLaws { offsets, exponents })
     }
 
     /// Returns the number of learned parameters of the receivers.
-    fn laws(&self, setup: &MeasurementSetup) -> usize {
+    fn law_parameter_count(&self, setup: &MeasurementSetup) -> usize {
         if matches!(self.readout, Readout::ReceivedPower { .. }) { LAW.len() * setup.receivers.len() } else { 0 }
     }
 
-    /// Returns the blended signals for the readout in training: unchanged, or clamped to [0, 1] as released.
-    pub(super) fn shown<'a>(&self, blended: &'a [Real]) -> Cow<'a, [Real]> {
+    /// Returns the blended signals for the readout in training, clamped to [0, 1] if the calibration is as released.
+    pub(super) fn clamp_as_released<'a>(&self, blended: &'a [Real]) -> Cow<'a, [Real]> {
         match self.calibration {
             Calibration::AsReleased => blended.iter().map(|v| v.clamp(0.0, 1.0)).collect(),
             Calibration::Physical => Cow::Borrowed(blended),
@@ -61,9 +65,9 @@ impl Splatting {
         group: &ReceiverGroup,
         blended: &[Real],
     ) -> Vec<Real> {
-        let Call { setup, parameters: p, links, .. } = *call;
-        match self.parts(setup, p.weights).1.of(group.state.receiver) {
-            Some(law) => received::forward(&view.plane, law, &group.distances(setup, links), blended),
+        let Call { setup, parameters: p, .. } = *call;
+        match self.split_weights(setup, p.weights).1.receiver_law(group.state.receiver) {
+            Some(law) => received::received_powers(&view.plane, law, &group.distances(call), blended),
             None => self.readout.forward(blended, view.plane.width * view.plane.height),
         }
     }
@@ -79,55 +83,56 @@ impl Splatting {
         d: &[Real],
     ) -> Vec<Real> {
         if let Some(d_law) = d_law {
-            return received::vjp(&view.plane, distances, blended, d, d_law);
+            return received::received_powers_vjp(&view.plane, distances, blended, d, d_law);
         }
         let pixels = view.plane.width * view.plane.height;
         if self.calibration != Calibration::AsReleased {
             return self.readout.vjp(blended, pixels, d);
         }
-        let mut d_blended = self.readout.vjp(&self.shown(blended), pixels, d);
+        let mut d_blended = self.readout.vjp(&self.clamp_as_released(blended), pixels, d);
         // The clamp to [0, 1] passes the derivative on the closed interval only.
         let outside = d_blended.iter_mut().zip(blended).filter(|(_, p)| !(0.0..=1.0).contains(*p));
         outside.for_each(|(d, _)| *d = 0.0);
         d_blended
     }
 
-    /// Observes the links. In training, it keeps the state for the backward pass, and clamps blended signals as released.
-    fn observe(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (ForwardOutput, StageTimes) {
+    /// Predicts the links of `call`. In training, keeps the state for the backward pass, and clamps blended signals as
+    /// released.
+    fn predict_links(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (ForwardOutput, StageTimes) {
         let Call { setup, parameters: p, links, .. } = *call;
         let start = Instant::now();
         let ready: Option<&Ready> = prepared.is_some().then(|| cached(prepared));
-        let of_network = ready.map_or(&None, |ready| &ready.deformation);
-        let (deltas, kept) = self.terms(call, of_network, is_training);
+        let network_cache = ready.map_or(&None, |ready| &ready.deformation);
+        let (deltas, kept) = self.network_terms(call, network_cache, is_training);
         let mut times = StageTimes { network: start.elapsed().as_secs_f64(), ..StageTimes::default() };
         let (sky, numbers) = (self.sky(setup), setup.numbers());
         let one = |group: ReceiverGroup| {
             let start = Instant::now();
             let view = ReceiverView { pose: group.state.pose, plane: sky.clone() };
             let shared_geometry = ready.and_then(|ready| ready.shared_geometry.get(group.state.receiver));
-            let (terms, batch) = group.terms(&deltas, p.cloud.len());
+            let (terms, batch) = group.gather_terms(&deltas, p.cloud.len());
             let drawing = self.draw(&view, &p, &terms, batch, shared_geometry);
             let blended = &drawing.render.pixels;
-            let blended = if is_training { self.shown(blended) } else { Cow::Borrowed(blended.as_slice()) };
+            let blended = if is_training { self.clamp_as_released(blended) } else { Cow::Borrowed(blended.as_slice()) };
             let observations = self.read_out(call, &view, &group, &blended);
             let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
             let seconds = [projection, sort, start.elapsed().as_secs_f64() - projection - sort];
             (observations, seconds, is_training.then_some((view, drawing)), group)
         };
-        let groups = ReceiverGroup::all(links, !self.deformation.traits().varies_geometry);
+        let groups = ReceiverGroup::from_links(links, !self.deformation.traits().varies_geometry);
         let is_alone = groups.len() == 1; // its links are in order
         let drawn: Vec<_> =
             if is_alone { groups.into_iter().map(one).collect() } else { groups.into_par_iter().map(one).collect() };
-        let (mut all, mut drawings) = (Vec::new(), Vec::new());
-        all.resize(if is_alone { 0 } else { links.pairs.len() * numbers }, 0.0);
-        for (own, [projection, sort, blending], drawing, group) in drawn {
+        let mut all = vec![0.0; if is_alone { 0 } else { links.pairs.len() * numbers }];
+        let mut drawings = Vec::new();
+        for (observations, [projection, sort, blending], drawing, group) in drawn {
             times.projection += projection;
             times.sort += sort;
             times.blending += blending;
             if is_alone {
-                all = own; // moved, not copied
+                all = observations; // moved, not copied
             } else {
-                group.scatter(&own, numbers, &mut all);
+                group.scatter_rows(&observations, numbers, &mut all);
             }
             drawings.extend(drawing.map(|(view, drawing)| (group, view, drawing)));
         }
@@ -135,11 +140,12 @@ impl Splatting {
         (ForwardOutput { numbers: all, cache }, times)
     }
 
-    pub(super) fn terms(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (Deltas, Cache) {
+    /// Returns the terms of the network and, if `is_training`, what it keeps for the backward pass.
+    pub(super) fn network_terms(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (Deltas, Cache) {
         let Call { setup, parameters: p, links, .. } = *call;
-        let (network, pose) = (self.parts(setup, p.weights).0, setup.pose());
+        let (network, pose) = (self.split_weights(setup, p.weights).0, setup.pose());
         let inputs = DeformationInputs::new(network, &p.cloud.means, links.conditions(), &pose);
-        groups::terms(&*self.deformation, &inputs, prepared, is_training)
+        groups::network_terms(&*self.deformation, &inputs, prepared, is_training)
     }
 }
 
@@ -177,7 +183,7 @@ impl Method for Splatting {
 
     fn layout(&self, setup: &MeasurementSetup) -> Layout {
         let mut layout = self.deformation.layout();
-        if self.laws(setup) > 0 {
+        if self.law_parameter_count(setup) > 0 {
             let receivers = setup.receivers.len();
             layout
                 .weights
@@ -202,7 +208,7 @@ impl Method for Splatting {
     /// Returns the rows that may be visible for any output of the network: gate open, opacity above the limit of the
     /// rasterizer, inside the view of the projector; all rows if the network couples them.
     fn drawable(&self, setup: &MeasurementSetup, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
-        let open = groups::rows(&*self.deformation, cloud, gate);
+        let open = groups::network_rows(&*self.deformation, cloud, gate);
         if self.deformation.traits().couples_gaussians {
             return open;
         }
@@ -220,45 +226,46 @@ impl Method for Splatting {
     }
 
     fn forward(&self, call: &Call<'_>, prepared: &Cache) -> ForwardOutput {
-        self.observe(call, prepared, true).0
+        self.predict_links(call, prepared, true).0
     }
 
     fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
         let Call { setup, parameters: p, links, .. } = *call;
         let ForwardCache { terms: (deltas, kept), drawings } = cached(&observed.cache);
-        let (numbers, n) = (setup.numbers(), p.cloud.len());
-        let (network, laws) = self.parts(setup, p.weights);
+        let (network, laws) = self.split_weights(setup, p.weights);
         let d_laws = &mut sums.weights[network.len()..];
         let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
-        let (mut grads, rows) = (ActivationVjp::zeros(p.cloud, deltas), (0..n).collect::<Vec<_>>());
+        let (mut grads, rows) = (ActivationVjp::zeros(p.cloud, deltas), (0..p.cloud.len()).collect::<Vec<_>>());
         for (group, view, drawing) in drawings {
-            let d = group.gather(d, numbers);
+            let d = group.gather_rows(d, setup.numbers());
             let d_law = d_offsets
                 .get_mut(group.state.receiver)
                 .zip(d_exponents.get_mut(group.state.receiver))
                 .map(|(a, b)| [a, b]);
-            let distances = group.distances(setup, links);
+            let distances = group.distances(call);
             let d_blended = self.read_out_vjp(view, d_law, &distances, &drawing.render.pixels, &d);
-            if let (Some([_, exponent]), Some(d_positions)) = (laws.of(group.state.receiver), &mut sums.positions) {
+            if let (Some([_, exponent]), Some(d_positions)) =
+                (laws.receiver_law(group.state.receiver), &mut sums.positions)
+            {
                 let d_distances = distances.iter().zip(&*d).map(|(r, d)| d * received::distance_slope(exponent, *r));
-                group.distances_vjp(setup, links, d_distances, d_positions);
+                group.distances_vjp(call, d_distances, d_positions);
             }
-            let (d, d_primitives) = group.terms_vjp(deltas, n, &mut grads, |terms, _, grads| {
+            let (d, d_primitives) = group.gather_terms_vjp(deltas, &mut grads, |terms, _, grads| {
                 self.draw_vjp(view, drawing, &p, terms, &d_blended, grads)
             });
             sums.existence.iter_mut().zip(&d.splats.existence).for_each(|(sum, d)| *sum += d);
             if let (Some(positions), true) = (&mut sums.positions, setup.moving.is_receiver()) {
                 let (d_position, d_orientation) = drawing.geometry.primitives.pose_vjp(&view.pose, &d_primitives);
-                (0..3).for_each(|k| positions[group.location()][k] += d_position[k] as Real);
+                (0..3).for_each(|k| positions[group.first_location()][k] += d_position[k] as Real);
                 if let Some(orientations) = &mut sums.orientations {
                     (0..4).for_each(|k| orientations[group.row][k] += d_orientation[k]);
                 }
             }
-            sums.stats.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
+            sums.stats.add_render(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
         }
         let (means, txs) = (&p.cloud.means, links.conditions());
         let inputs = DeformationInputs { weights: network, means, txs, pose: &setup.pose(), kept };
-        groups::vjp(&*self.deformation, &inputs, &grads, sums);
+        groups::network_vjp(&*self.deformation, &inputs, &grads, sums);
     }
 
     fn survey(&self, call: &Call<'_>, truths: &[Real], needs: &Needs) -> PassStatistics {
@@ -266,7 +273,7 @@ impl Method for Splatting {
     }
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
-        let network = self.parts(setup, p.weights).0;
+        let network = self.split_weights(setup, p.weights).0;
         let shared_geometry = |view: &ReceiverView| Arc::new(self.geometry(view, p, &Deltas::default(), 0));
         Some(Arc::new(Ready {
             deformation: self.deformation.prepare(network, &p.cloud.means, &setup.pose()),
@@ -279,7 +286,7 @@ impl Method for Splatting {
     }
 
     fn predict(&self, call: &Call<'_>, prepared: &Cache) -> (Vec<Real>, StageTimes) {
-        let (observed, times) = self.observe(call, prepared, false);
+        let (observed, times) = self.predict_links(call, prepared, false);
         (observed.numbers, times)
     }
 
@@ -291,8 +298,8 @@ impl Method for Splatting {
         cloud: &mut GaussianCloud,
         weights: &mut [Real],
     ) {
-        let network = self.parts(setup, weights).0.len();
-        groups::start(&*self.deformation, data, train, &mut weights[..network]);
+        let network = self.split_weights(setup, weights).0.len();
+        groups::start_network(&*self.deformation, data, train, &mut weights[..network]);
         if matches!(self.readout, Readout::ReceivedPower { .. }) {
             self.start_law(setup, data, train, cloud, weights);
         }
@@ -305,6 +312,6 @@ impl Method for Splatting {
                 (0..channels).flat_map(|c| signals.iter().skip(c).step_by(channels).copied()).collect();
             if n == 0 { planar } else { self.readout.forward(&planar, n) }
         };
-        groups::gaussians(&*self.deformation, self.activation(), setup, p, tx, strengths)
+        groups::activated_gaussians(&*self.deformation, self.activation(), setup, p, tx, strengths)
     }
 }

@@ -6,7 +6,7 @@
 //! is the distance in metres, at least half a metre; without positions only β is used.
 
 use super::Splatting;
-use crate::groups::untrained;
+use crate::groups::untrained_predictions;
 use pwrfgs_core::{Dataset, GaussianCloud, ImagePlane, MeasurementSetup, Real, Vec3, consts, evenly};
 
 /// Lower limit of the power of a sky without signals: -120 dB.
@@ -26,17 +26,18 @@ pub(super) struct PathLossLaws<'a> {
 }
 
 impl PathLossLaws<'_> {
-    pub(super) fn of(&self, receiver: usize) -> Option<[Real; 2]> {
+    /// Returns offset and exponent of a receiver; `None` if the readout is not a power.
+    pub(super) fn receiver_law(&self, receiver: usize) -> Option<[Real; 2]> {
         Some([*self.offsets.get(receiver)?, *self.exponents.get(receiver)?])
     }
 }
 
-/// Returns the decimal logarithm of the distance of link `i`.
+/// Returns the decimal logarithm of the distance (metres) of link `i`; 0 without distances.
 fn log_distance(distances: &[Real], i: usize) -> Real {
     distances.get(i).map_or(0.0, |d| d.max(NEAREST_M).log10())
 }
 
-/// Returns the solid angle of a pixel in each row.
+/// Returns the solid angle of a pixel per row `[H]`, steradians; 1 for a plane without angles.
 fn solid_angles(plane: &ImagePlane) -> Vec<Real> {
     let Some((azimuth, elevation)) = plane.angles else { return vec![1.0; plane.height] };
     // A pixel represents the direction of its centre; parts beyond the zenith have no area.
@@ -45,27 +46,24 @@ fn solid_angles(plane: &ImagePlane) -> Vec<Real> {
     (0..plane.height).map(|row| (azimuth.step.to_radians().abs() * ring(row)) as Real).collect()
 }
 
-/// Integrates both channels of a link, row by row with the solid angles of the rows.
-fn power(angles: &[Real], width: usize, sky: &[Real]) -> Real {
+/// Integrates the squares of both channels `[2, H·W]` of a link over solid angle, given the `angles` of the rows.
+fn integrate_power(angles: &[Real], width: usize, sky: &[Real]) -> Real {
     let rows = sky.chunks_exact(width).zip(angles.iter().cycle());
     rows.map(|(row, angle)| angle * row.iter().map(|c| c * c).sum::<Real>()).sum::<Real>() + FLOOR
 }
 
-/// Returns powers `[L]` in dBm of blended signals `[L, 2, H·W]`.
-pub(super) fn forward(
-    plane: &ImagePlane,
-    [offset, exponent]: [Real; 2],
-    distances: &[Real],
-    blended: &[Real],
-) -> Vec<Real> {
-    let angles = solid_angles(plane);
+/// Returns powers `[L]` in dBm of blended signals `[L, 2, H·W]`; `law` is offset and exponent.
+pub(super) fn received_powers(plane: &ImagePlane, law: [Real; 2], distances: &[Real], blended: &[Real]) -> Vec<Real> {
+    let (angles, [offset, exponent]) = (solid_angles(plane), law);
     let skies = blended.chunks_exact(2 * plane.width * plane.height).enumerate();
-    let dbm = |(i, sky)| power(&angles, plane.width, sky).log10() + offset - exponent * log_distance(distances, i);
+    let dbm =
+        |(i, sky)| integrate_power(&angles, plane.width, sky).log10() + offset - exponent * log_distance(distances, i);
     skies.map(|link| BEL * dbm(link)).collect()
 }
 
-/// Returns the cotangents of the blended signals, given those of the powers; adds to those of offset and exponent.
-pub(super) fn vjp(
+/// Returns the cotangents of the blended signals, given those `d` `[L]` of the powers; adds to those of offset and
+/// exponent.
+pub(super) fn received_powers_vjp(
     plane: &ImagePlane,
     distances: &[Real],
     blended: &[Real],
@@ -74,12 +72,12 @@ pub(super) fn vjp(
 ) -> Vec<Real> {
     let angles = solid_angles(plane);
     let mut d_blended = vec![0.0; blended.len()];
-    let of_one = 2 * plane.width * plane.height;
-    let skies = d_blended.chunks_exact_mut(of_one).zip(blended.chunks_exact(of_one));
+    let values = 2 * plane.width * plane.height;
+    let skies = d_blended.chunks_exact_mut(values).zip(blended.chunks_exact(values));
     for (i, ((d_sky, sky), d)) in skies.zip(d).enumerate() {
         *d_offset += BEL * d;
         *d_exponent -= BEL * d * log_distance(distances, i);
-        let scale = BEL * d / (consts::LN_10 * power(&angles, plane.width, sky));
+        let scale = BEL * d / (consts::LN_10 * integrate_power(&angles, plane.width, sky));
         let rows = d_sky.chunks_exact_mut(plane.width).zip(sky.chunks_exact(plane.width)).zip(angles.iter().cycle());
         for ((d_row, row), angle) in rows {
             d_row.iter_mut().zip(row).for_each(|(d, c)| *d = 2.0 * scale * angle * c);
@@ -88,7 +86,7 @@ pub(super) fn vjp(
     d_blended
 }
 
-/// Returns the derivative of a power by the distance.
+/// Returns the derivative of a power by the distance, dB per metre; 0 up to [`NEAREST_M`].
 pub(super) fn distance_slope(exponent: Real, distance: Real) -> Real {
     if distance > NEAREST_M { -BEL * exponent / (consts::LN_10 * distance) } else { 0.0 }
 }
@@ -108,7 +106,7 @@ impl Splatting {
         let Some(powers) = data.observations.powers() else { return };
         let Some(last) = weights.len().checked_sub(2 * setup.receivers.len()) else { return };
         let part = evenly(train, FITTED);
-        let sky = untrained(self, setup, data, &part, (cloud, weights));
+        let sky = untrained_predictions(self, setup, data, &part, (cloud, weights));
         let receivers = &setup.receivers;
         let row = |(&i, sky): (&usize, Real)| {
             let query = data.query(i);
@@ -121,7 +119,7 @@ impl Splatting {
             (query.receiver, [x, f64::from((powers[i] - sky) as f32) / 10.0])
         };
         let rows: Vec<(usize, [f64; 2])> = part.iter().zip(sky).map(row).collect();
-        let (offsets, exponent) = fit(&rows, receivers.len());
+        let (offsets, exponent) = fit_path_loss(&rows, receivers.len());
         weights[last..last + receivers.len()].iter_mut().zip(offsets).for_each(|(w, offset)| *w += offset as Real);
         weights[last + receivers.len()..].iter_mut().for_each(|w| *w = exponent as Real);
     }
@@ -129,7 +127,7 @@ impl Splatting {
 
 /// Returns the least-squares fit of y = offset(receiver) − n x over `rows` (receiver, [x, y]): the slope of the
 /// residuals after subtraction of the means per receiver.
-fn fit(rows: &[(usize, [f64; 2])], receivers: usize) -> (Vec<f64>, f64) {
+fn fit_path_loss(rows: &[(usize, [f64; 2])], receivers: usize) -> (Vec<f64>, f64) {
     let mut sums = vec![[0.0; 3]; receivers];
     for (receiver, [x, y]) in rows {
         let [n, sx, sy] = &mut sums[*receiver];

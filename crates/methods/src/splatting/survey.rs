@@ -17,60 +17,67 @@ pub(super) struct SurveyRequest<'a> {
 }
 
 impl SurveyRequest<'_> {
-    fn any(&self, matches: fn(&Statistic) -> bool) -> bool {
+    /// Returns whether a requested statistic matches.
+    fn requires_any(&self, matches: fn(&Statistic) -> bool) -> bool {
         self.needs.statistics.iter().any(matches)
     }
 }
 
 impl Splatting {
-    pub(super) fn run_survey(&self, question: &SurveyRequest<'_>) -> PassStatistics {
-        let SurveyRequest { call, needs, .. } = *question;
+    /// Collects the requested statistics of all links of the call, summed over the links.
+    pub(super) fn run_survey(&self, request: &SurveyRequest<'_>) -> PassStatistics {
+        let SurveyRequest { call, needs, .. } = *request;
         let Call { setup, parameters: p, links, .. } = call;
         let (sky, n) = (self.sky(setup), p.cloud.len());
         let is_static = !self.deformation.traits().varies_geometry;
         // Weights then depend on the geometry only, not on the outputs of the network.
-        let blind = is_static && !question.any(reads_signals);
-        let deltas = if blind { Deltas::default() } else { self.terms(call, &None, false).0 };
+        let blind = is_static && !request.requires_any(requires_signals);
+        let deltas = if blind { Deltas::default() } else { self.network_terms(call, &None, false).0 };
         let rows: Vec<usize> = (0..n).collect();
         let mut sums = PassStatistics::zeros(needs, n);
-        for group in ReceiverGroup::all(links, is_static) {
+        for group in ReceiverGroup::from_links(links, is_static) {
             let view = &ReceiverView { pose: group.state.pose, plane: sky.clone() };
-            let (terms, batch) = group.terms(&deltas, n);
+            let (terms, batch) = group.gather_terms(&deltas, n);
             let geometry = Arc::new(self.geometry(view, p, &terms, batch.start));
-            if !question.any(per_link) {
+            if !request.requires_any(is_per_link) {
                 let signals = (!blind).then(|| self.activation().signals(p.cloud, &terms, batch.clone()));
-                sums.add(&rows, &self.weigh(view, batch.len(), signals, &geometry, needs));
+                sums.merge(&rows, &self.shared_statistics(view, batch.len(), signals, &geometry, needs));
                 continue;
             }
-            let jacobians =
-                if question.any(|s| *s == Statistic::Fisher) { self.jacobians(view, p, &geometry) } else { Vec::new() };
-            for (b, link) in batch.zip(group.alone()) {
+            let jacobians = if request.requires_any(|s| *s == Statistic::Fisher) {
+                self.jacobians(view, p, &geometry)
+            } else {
+                Vec::new()
+            };
+            for (b, link) in batch.zip(group.split_links()) {
                 let drawing = self.draw(view, p, &terms, b..b + 1, Some(&geometry));
-                sums.add(&rows, &self.see(question, view, &link, &drawing, &jacobians));
+                sums.merge(&rows, &self.link_statistics(request, view, &link, &drawing, &jacobians));
             }
         }
         sums
     }
 
     /// Returns ∂observation/∂blended, summed over the values of an observation.
-    fn slopes(
+    fn observation_slopes(
         &self,
-        question: &SurveyRequest<'_>,
+        request: &SurveyRequest<'_>,
         view: &ReceiverView,
         link: &ReceiverGroup,
         blended: &[Real],
     ) -> Vec<Real> {
-        let Call { setup, parameters: p, links, .. } = question.call;
+        let Call { setup, parameters: p, .. } = request.call;
         if setup.task.has_pixels && self.calibration == Calibration::Physical {
-            return self.readout.slopes(blended, view.plane.width * view.plane.height);
+            return self.readout.pixel_slopes(blended, view.plane.width * view.plane.height);
         }
         let [offset, exponent] = &mut [0.0; 2];
-        let d_law = self.parts(setup, p.weights).1.of(link.state.receiver).map(|_| [offset, exponent]);
-        self.read_out_vjp(view, d_law, &link.distances(setup, links), blended, &vec![1.0; setup.numbers()])
+        let d_law =
+            self.split_weights(setup, p.weights).1.receiver_law(link.state.receiver).map(|_| [offset, exponent]);
+        self.read_out_vjp(view, d_law, &link.distances(request.call), blended, &vec![1.0; setup.numbers()])
     }
 
-    /// Evaluates all links of a geometry, whose weights are equal; only `signals` `[N, links · channels]` differ.
-    fn weigh(
+    /// Returns the statistics of all links of a geometry together: the blending weights are equal, only `signals`
+    /// `[N, links · channels]` differ.
+    fn shared_statistics(
         &self,
         view: &ReceiverView,
         links: usize,
@@ -91,7 +98,7 @@ impl Splatting {
         if let Some(signals) = signals.filter(|_| !statistics.signal_mean.is_empty()) {
             let [sums, largest] = &mut strengths;
             for (i, signal) in signals.chunks_exact(links * channels).enumerate() {
-                for strength in signal.chunks_exact(channels).map(norm) {
+                for strength in signal.chunks_exact(channels).map(signal_strength) {
                     sums[i] += strength;
                     largest[i] = largest[i].max(strength);
                 }
@@ -101,56 +108,57 @@ impl Splatting {
         statistics
     }
 
-    /// Evaluates one link of a group.
-    fn see(
+    /// Returns the statistics of one link, whose image is `drawing`.
+    fn link_statistics(
         &self,
-        question: &SurveyRequest<'_>,
+        request: &SurveyRequest<'_>,
         view: &ReceiverView,
         link: &ReceiverGroup,
         drawing: &BlendedSignals,
         jacobians: &[Jacobian],
     ) -> PassStatistics {
-        let SurveyRequest { call: Call { setup, .. }, truths, needs } = *question;
+        let SurveyRequest { call: Call { setup, .. }, truths, needs } = *request;
         let BlendedSignals { geometry, signals, render, .. } = drawing;
         let (splats, channels) = (&geometry.splats, self.readout.channels());
-        let truth = &truths[link.first() * setup.numbers()..][..setup.numbers()];
-        let made = self.read_out(question.call, view, link, &self.shown(&render.pixels));
-        let slopes = self.slopes(question, view, link, &render.pixels);
+        let truth = &truths[link.first_link() * setup.numbers()..][..setup.numbers()];
+        let predicted = self.read_out(request.call, view, link, &self.clamp_as_released(&render.pixels));
+        let slopes = self.observation_slopes(request, view, link, &render.pixels);
         let asks = |matches: fn(&Statistic) -> bool| needs.statistics.iter().copied().find(matches);
-        let strengths: Vec<Real> = signals.chunks_exact(channels).map(norm).collect();
-        let errors: Vec<Real> = made.iter().zip(truth).map(|(a, b)| (a - b).abs()).collect();
+        let strengths: Vec<Real> = signals.chunks_exact(channels).map(signal_strength).collect();
+        let errors: Vec<Real> = predicted.iter().zip(truth).map(|(a, b)| (a - b).abs()).collect();
         let (mut survey, high) = (SurveyInputs::default(), high_errors(&errors, needs));
         if setup.task.has_pixels {
-            if question.any(|s| matches!(s, Statistic::Error { .. })) {
+            if request.requires_any(|s| matches!(s, Statistic::Error { .. })) {
                 (survey.errors, survey.high) = (&errors, &high);
             }
             if let Some(Statistic::Top { count }) = asks(|s| matches!(s, Statistic::Top { .. })) {
                 survey.top = Some((count, truth, &strengths));
             }
-            if question.any(|s| matches!(s, Statistic::Sensitivity | Statistic::Fisher)) {
+            if request.requires_any(|s| matches!(s, Statistic::Sensitivity | Statistic::Fisher)) {
                 survey.slopes = Some((signals, &slopes));
                 survey.fisher = !jacobians.is_empty();
             }
         }
         let mut splat_stats = self.rasterizer.survey(splats, &view.plane, render, &survey);
         if setup.task.is_scalar {
-            self.as_one_number(view, drawing, &slopes, &mut splat_stats);
+            self.fill_scalar_derivatives(view, drawing, &slopes, &mut splat_stats);
         }
         let mut statistics = PassStatistics::zeros(needs, splats.len());
         statistics.links = 1;
         let mean_error = errors.iter().sum::<Real>() / errors.len().max(1) as Real;
         fill_weights(&mut statistics, &splat_stats, [&strengths, &strengths]);
-        fill(&mut statistics.error, &splat_stats, |_, splat| splat.error);
-        fill(&mut statistics.high_error, &splat_stats, |_, splat| mean_error * splat.high);
-        fill(&mut statistics.sensitivity, &splat_stats, |_, splat| splat.sensitivity);
+        fill_column(&mut statistics.error, &splat_stats, |_, splat| splat.error);
+        fill_column(&mut statistics.high_error, &splat_stats, |_, splat| mean_error * splat.high);
+        fill_column(&mut statistics.sensitivity, &splat_stats, |_, splat| splat.sensitivity);
         statistics.top.iter_mut().zip(&splat_stats).for_each(|(v, splat)| *v = splat.top);
         let fishers = statistics.fisher.iter_mut().zip(jacobians).zip(&splat_stats);
-        fishers.for_each(|((v, jacobian), splat)| *v = carried(&splat.fisher, jacobian));
+        fishers.for_each(|((v, jacobian), splat)| *v = transform_fisher(&splat.fisher, jacobian));
         statistics
     }
 
-    /// Derivatives of a power, a single value: those of its pixels are summed before they are squared.
-    fn as_one_number(
+    /// Replaces sensitivity and Fisher information in `splat_stats` by those of a power, a single value: the derivatives
+    /// of its pixels are summed before they are squared.
+    fn fill_scalar_derivatives(
         &self,
         view: &ReceiverView,
         drawing: &BlendedSignals,
@@ -164,12 +172,12 @@ impl Splatting {
         }
         let channels = self.readout.channels();
         let d = self.rasterizer.backward(splats.with_signals(signals, channels, &view.plane), render, slopes);
-        for (i, own) in splat_stats.iter_mut().enumerate() {
-            own.sensitivity = (splats.existence[i] * d.splats.existence[i]).powi(2);
+        for (i, stats) in splat_stats.iter_mut().enumerate() {
+            stats.sensitivity = (splats.existence[i] * d.splats.existence[i]).powi(2);
             let ([x, y], [a, b, c]) = (d.splats.means2d[i], d.splats.conics[i]);
             let slopes = [x, y, a, b, c];
             let pairs = (0..5).flat_map(|j| (j..5).map(move |k| (j, k)));
-            own.fisher.iter_mut().zip(pairs).for_each(|(v, (j, k))| *v = slopes[j] * slopes[k]);
+            stats.fisher.iter_mut().zip(pairs).for_each(|(v, (j, k))| *v = slopes[j] * slopes[k]);
         }
     }
 
@@ -197,36 +205,38 @@ impl Splatting {
 }
 
 /// Returns whether a statistic differs per link even for equal geometry.
-fn per_link(statistic: &Statistic) -> bool {
+fn is_per_link(statistic: &Statistic) -> bool {
     use Statistic::{Error, Fisher, Sensitivity, Top};
     matches!(statistic, Error { .. } | Top { .. } | Sensitivity | Fisher)
 }
 
 /// Returns whether a statistic depends on signals.
-fn reads_signals(statistic: &Statistic) -> bool {
-    per_link(statistic) || *statistic == Statistic::SignalWeight
+fn requires_signals(statistic: &Statistic) -> bool {
+    is_per_link(statistic) || *statistic == Statistic::SignalWeight
 }
 
 /// Fills the requested statistics of weights, given the sums and the maxima of the strengths over the links.
 fn fill_weights(statistics: &mut PassStatistics, splat_stats: &[SplatStats], [sums, largest]: [&[Real]; 2]) {
     let times = statistics.links as Real;
-    fill(&mut statistics.weight, splat_stats, |_, splat| times * splat.weight);
-    fill(&mut statistics.largest_weight, splat_stats, |_, splat| splat.largest);
-    fill(&mut statistics.weight_per_area, splat_stats, |_, splat| times * splat.weight / splat.pixels.max(1.0));
-    fill(&mut statistics.signal_mean, splat_stats, |i, splat| sums[i] * splat.weight);
-    fill(&mut statistics.signal_max, splat_stats, |i, splat| largest[i] * splat.weight);
+    fill_column(&mut statistics.weight, splat_stats, |_, splat| times * splat.weight);
+    fill_column(&mut statistics.largest_weight, splat_stats, |_, splat| splat.largest);
+    fill_column(&mut statistics.weight_per_area, splat_stats, |_, splat| times * splat.weight / splat.pixels.max(1.0));
+    fill_column(&mut statistics.signal_mean, splat_stats, |i, splat| sums[i] * splat.weight);
+    fill_column(&mut statistics.signal_max, splat_stats, |i, splat| largest[i] * splat.weight);
 }
 
-/// Fills a statistic with one value per Gaussian, if requested.
-fn fill(column: &mut [Real], splat_stats: &[SplatStats], value: impl Fn(usize, &SplatStats) -> Real) {
+/// Fills a statistic with one value per Gaussian; a statistic that is not requested is empty and stays so.
+fn fill_column(column: &mut [Real], splat_stats: &[SplatStats], value: impl Fn(usize, &SplatStats) -> Real) {
     column.iter_mut().zip(splat_stats.iter().enumerate()).for_each(|(v, (i, splat))| *v = value(i, splat));
 }
 
-fn norm(signal: &[Real]) -> Real {
+/// Returns the magnitude of a signal `[channels]`.
+fn signal_strength(signal: &[Real]) -> Real {
     signal.iter().map(|s| s * s).sum::<Real>().sqrt()
 }
 
-/// Returns the pixels with an error above the requested fraction of the range from the smallest to the largest error.
+/// Returns whether the error of each pixel is above the requested fraction of the range from the smallest to the largest
+/// error; empty if no statistic requests it.
 fn high_errors(errors: &[Real], needs: &Needs) -> Vec<bool> {
     let request =
         needs.statistics.iter().find_map(|s| if let Statistic::Error { high } = s { Some(*high) } else { None });
@@ -236,8 +246,9 @@ fn high_errors(errors: &[Real], needs: &Needs) -> Vec<bool> {
     errors.iter().map(|e| *e > low + share * (most - low)).collect()
 }
 
-/// Returns Jᵀ F J: the upper triangle of 5 × 5 becomes that of 6 × 6.
-fn carried(fisher: &[Real; 15], jacobian: &Jacobian) -> [Real; 21] {
+/// Transforms Fisher information from splats to Gaussians: returns Jᵀ F J, the upper triangle of 6 × 6 numbers from that
+/// of 5 × 5.
+fn transform_fisher(fisher: &[Real; 15], jacobian: &Jacobian) -> [Real; 21] {
     let mut full = [[0.0; 5]; 5];
     let mut entries = fisher.iter();
     for j in 0..5 {

@@ -1,11 +1,11 @@
-//! exp(j2πx) over lanes, and the dispatch to the widest vectors of the processor.
+//! exp(j2πx) over lanes.
 //!
 //! Phases are counted in cycles: whole cycles are dropped exactly before the multiplication by 2π. In single precision
 //! the phase error is then 1e-7 of the path length in wavelengths, some 1e-4 radians at 200 wavelengths.
 
 /// Sines and cosines of cycles, branch-free, so that loops over lanes vectorise.
 pub(crate) trait Cis: Copy {
-    /// Returns (cos 2πx, sin 2πx).
+    /// Returns (cos 2πx, sin 2πx) of x cycles.
     fn cis(x: Self) -> (Self, Self);
 }
 
@@ -38,11 +38,11 @@ macro_rules! cis {
         }
     };
 }
-cis!(f32, taylor32::<6>(1), taylor32::<7>(0));
-cis!(f64, taylor::<11>(1), taylor::<12>(0));
+cis!(f32, taylor_coefficients_f32::<6>(1), taylor_coefficients_f32::<7>(0));
+cis!(f64, taylor_coefficients::<11>(1), taylor_coefficients::<12>(0));
 
-/// Returns the coefficients of the sine (`first` 1) or cosine (`first` 0) in y², highest power first.
-const fn taylor<const N: usize>(first: usize) -> [f64; N] {
+/// Returns the Taylor coefficients of sin(y)/y (`first` 1) or cos y (`first` 0) in y², highest power first.
+const fn taylor_coefficients<const N: usize>(first: usize) -> [f64; N] {
     let mut out = [0.0; N];
     let (mut k, mut c) = (0, 1.0);
     while k < N {
@@ -54,22 +54,15 @@ const fn taylor<const N: usize>(first: usize) -> [f64; N] {
     out
 }
 
-/// [`taylor`] in single precision.
-const fn taylor32<const N: usize>(first: usize) -> [f32; N] {
-    let (wide, mut out) = (taylor::<N>(first), [0.0; N]);
+/// [`taylor_coefficients`] in single precision.
+const fn taylor_coefficients_f32<const N: usize>(first: usize) -> [f32; N] {
+    let (wide, mut out) = (taylor_coefficients::<N>(first), [0.0; N]);
     let mut k = 0;
     while k < N {
         out[k] = wide[k] as f32;
         k += 1;
     }
     out
-}
-
-/// Runs `work` with the widest vectors of this processor. `with_simd` and all functions that it calls must be
-/// `#[inline(always)]`.
-#[inline(always)]
-pub(crate) fn widest<W: pulp::WithSimd>(work: W) -> W::Output {
-    pulp::Arch::new().dispatch(work)
 }
 
 #[cfg(test)]

@@ -1,11 +1,10 @@
 //! Linear least squares in double precision: normal equations `JᵀJ δ = Jᵀr`, accumulated row by row, and Cholesky.
 //! [`MeasurementRows`] are the measured values to which gains and positions are fitted, one row each.
 
-use crate::virtual_transmitters::cis::widest;
-use crate::virtual_transmitters::harmonics::{CLOSEST, gain};
+use crate::virtual_transmitters::harmonics::{CLOSEST, directional_gain};
 use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources};
-use crate::virtual_transmitters::turn::{matrix, turned};
-use pwrfgs_core::{Real, SPEED_OF_LIGHT, evenly, rng};
+use crate::virtual_transmitters::turn::{rotate_vector, rotation_matrix};
+use pwrfgs_core::{Real, SPEED_OF_LIGHT, evenly, rng, widest};
 use rayon::prelude::*;
 
 /// Normal equations: `JᵀJ` `[P,P]` (lower half, by rows), Jᵀr `[P]`, and Σr².
@@ -22,29 +21,30 @@ impl NormalEquations {
         Self { matrix: vec![0.0; unknowns * unknowns], right: vec![0.0; unknowns], square: 0.0 }
     }
 
-    /// Adds four rows of J `[4,P]`, in sequence, and of r.
-    pub(crate) fn add_four(&mut self, rows: &[f64], r: [f64; 4]) {
-        widest(Add { to: self, rows, r });
+    /// Adds four rows of J `[4,P]`, one after the other, and their residuals r.
+    pub(crate) fn add_four_rows(&mut self, rows: &[f64], r: [f64; 4]) {
+        widest(AddRows { to: self, rows, r });
     }
 
-    /// Adds another set of equations.
-    pub(crate) fn add(&mut self, other: &Self) {
+    /// Adds the sums of other rows with the same unknowns.
+    pub(crate) fn add_equations(&mut self, other: &Self) {
         self.matrix.iter_mut().zip(&other.matrix).for_each(|(a, b)| *a += b);
         self.right.iter_mut().zip(&other.right).for_each(|(a, b)| *a += b);
         self.square += other.square;
     }
 
     /// Returns the number of unknowns P.
-    pub(crate) fn unknowns(&self) -> usize {
+    pub(crate) fn unknown_count(&self) -> usize {
         self.right.len()
     }
 
-    /// Returns δ with `damping` `[P]` added to the diagonal; `None` if the matrix is not positive definite.
+    /// Returns the solution δ `[P]` with `damping` of each unknown added to the diagonal; `None` if the matrix is not
+    /// positive definite.
     pub(crate) fn solve(&self, damping: impl Fn(usize) -> f64) -> Option<Vec<f64>> {
-        let p = self.unknowns();
+        let p = self.unknown_count();
         let mut l = self.matrix.clone();
         (0..p).for_each(|i| l[i * p + i] += damping(i));
-        factor(&mut l, p)?;
+        factor_cholesky(&mut l, p)?;
         let mut x = self.right.clone();
         for i in 0..p {
             let s: f64 = (0..i).map(|k| l[i * p + k] * x[k]).sum();
@@ -59,8 +59,9 @@ impl NormalEquations {
     }
 }
 
-/// Computes the Cholesky decomposition in place, row by row: the lower half becomes L.
-fn factor(a: &mut [f64], p: usize) -> Option<()> {
+/// Computes the Cholesky decomposition of `a` `[P,P]` in place, row by row: the lower half becomes L. `None` if a pivot
+/// is not positive.
+fn factor_cholesky(a: &mut [f64], p: usize) -> Option<()> {
     for i in 0..p {
         let (above, row) = a.split_at_mut(i * p);
         for j in 0..i {
@@ -78,6 +79,7 @@ fn factor(a: &mut [f64], p: usize) -> Option<()> {
     Some(())
 }
 
+/// Dot product in eight partial sums.
 struct Dot<'a> {
     a: &'a [f64],
     b: &'a [f64],
@@ -107,13 +109,14 @@ impl pulp::WithSimd for Dot<'_> {
     }
 }
 
-struct Add<'a> {
+/// Addition of four rows of J, one after the other, and of r to the equations.
+struct AddRows<'a> {
     to: &'a mut NormalEquations,
     rows: &'a [f64],
     r: [f64; 4],
 }
 
-impl pulp::WithSimd for Add<'_> {
+impl pulp::WithSimd for AddRows<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -152,14 +155,8 @@ pub(crate) struct MeasurementRows {
 }
 
 impl MeasurementRows {
-    /// Creates the rows of the listed items; above `most` rows, an equal number per item, drawn at random.
-    pub(crate) fn new(
-        links: &ChannelInputs<'_>,
-        channel: &[[Real; 2]],
-        items: &[usize],
-        most: usize,
-        seed: u64,
-    ) -> Self {
+    /// Creates the rows of the channel `h` `[M,A,F]` at the listed positions (`items`); above `most` rows, an equal number per item, drawn at random.
+    pub(crate) fn new(links: &ChannelInputs<'_>, h: &[[Real; 2]], items: &[usize], most: usize, seed: u64) -> Self {
         let subcarriers = links.frequencies.len();
         let each = links.antennas.len() * subcarriers;
         let taken = (most / items.len().max(1)).clamp(1, each);
@@ -174,7 +171,7 @@ impl MeasurementRows {
                 out.p.push(links.positions[m].map(f64::from));
                 out.r.push(links.antennas[k / subcarriers].map(f64::from));
                 out.per_metre.push(links.frequencies[k % subcarriers] / SPEED_OF_LIGHT);
-                out.h.push(channel[m * each + k].map(f64::from));
+                out.h.push(h[m * each + k].map(f64::from));
             }
         }
         out
@@ -190,10 +187,10 @@ impl MeasurementRows {
         self.h.iter().map(|[re, im]| re * re + im * im).sum()
     }
 
-    /// Returns |s|² per source, averaged over the directions of its links, and averaged over all sources.
-    pub(crate) fn signal(&self, sources: &VirtualSources) -> f64 {
+    /// Returns the mean of |s|² over the directions of all links and over all sources.
+    pub(crate) fn mean_signal_power(&self, sources: &VirtualSources) -> f64 {
         let power = |g: usize| {
-            let received = |p: &[f64; 3]| gain(sources.gains_of(g), sources.positions[g], *p);
+            let received = |p: &[f64; 3]| directional_gain(sources.source_gains(g), sources.positions[g], *p);
             self.p.iter().map(|p| received(p).iter().map(|x| x * x).sum::<f64>()).sum::<f64>()
                 / self.len().max(1) as f64
         };
@@ -201,14 +198,14 @@ impl MeasurementRows {
         each.iter().sum::<f64>() / sources.len().max(1) as f64
     }
 
-    /// Returns rows with the residual: h minus the field of the sources.
+    /// Returns the rows with the residual instead of h: h minus the field of `sources`.
     pub(crate) fn residual(&self, sources: &VirtualSources) -> Self {
-        let rotations: Vec<_> = sources.quats.iter().map(|q| matrix(*q)).collect();
+        let rotations: Vec<_> = sources.quats.iter().map(|q| rotation_matrix(*q)).collect();
         let rest = |i: usize| {
             let mut rest = self.h[i];
             for g in 0..sources.len() {
-                let e = self.wave(i, sources.positions[g], turned(&rotations[g], self.r[i])).e;
-                let [x, y] = gain(sources.gains_of(g), sources.positions[g], self.p[i]);
+                let e = self.wave(i, sources.positions[g], rotate_vector(&rotations[g], self.r[i])).e;
+                let [x, y] = directional_gain(sources.source_gains(g), sources.positions[g], self.p[i]);
                 rest = [rest[0] - (x * e[0] - y * e[1]), rest[1] - (x * e[1] + y * e[0])];
             }
             rest
@@ -246,7 +243,7 @@ mod tests {
         for n in 0..5 {
             let rows: Vec<f64> = (0..12).map(|k| f64::from((7 * k + 5 * n * n + k * k * n) % 11) - 5.0).collect();
             let r = std::array::from_fn(|i| (0..3).map(|k| rows[3 * i + k] * truth[k]).sum());
-            normal.add_four(&rows, r);
+            normal.add_four_rows(&rows, r);
         }
         let solution = normal.solve(|_| 0.0).unwrap();
         assert!(solution.iter().zip(truth).all(|(a, b)| (a - b).abs() < 1e-10), "{solution:?}");

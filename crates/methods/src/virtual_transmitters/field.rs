@@ -9,11 +9,13 @@
 //! Forward and backward pass process Gaussians in groups of [`LANES`] and items on threads; the order of sums does not
 //! depend on the number of threads.
 
-use crate::virtual_transmitters::cis::{Cis, widest};
-use crate::virtual_transmitters::harmonics::{CLOSEST, HARMONICS, MOST, by_place, direction, harmonics, slopes};
+use crate::virtual_transmitters::cis::Cis;
+use crate::virtual_transmitters::harmonics::{
+    CLOSEST, HARMONICS, MOST, direction_and_distance, direction_vjp, harmonic_gradients, harmonics,
+};
 use crate::virtual_transmitters::links::ChannelInputs;
-use crate::virtual_transmitters::turn::{matrix, matrix_vjp, turned, unit};
-use pwrfgs_core::{GaussianCloud, Real, SPEED_OF_LIGHT, consts::TAU};
+use crate::virtual_transmitters::turn::{rotate_vector, rotation_matrix, rotation_matrix_vjp, unit_quat};
+use pwrfgs_core::{GaussianCloud, Real, SPEED_OF_LIGHT, consts::TAU, widest};
 use rayon::prelude::*;
 
 /// Number of Gaussians processed together.
@@ -35,7 +37,7 @@ pub struct FieldVjp {
 
 /// Group of LANES Gaussians: antennas `[A]` as x, y, z, and gains.
 struct AntennaGroup {
-    places: Vec<[Lane; 3]>,
+    antennas: Vec<[Lane; 3]>,
     means: [[f64; 3]; LANES],
     /// Gains per harmonic `[K]`, including the gate.
     gains: Vec<[Lane; 2]>,
@@ -50,7 +52,7 @@ impl AntennaGroup {
         }
         let (p, mut out) = (p.map(f64::from), [ZERO; 2]);
         for l in 0..LANES {
-            let y = harmonics(direction(self.means[l], p).0);
+            let y = harmonics(direction_and_distance(self.means[l], p).0);
             for (gain, y) in self.gains.iter().zip(y) {
                 out[0][l] += gain[0][l] * y as Real;
                 out[1][l] += gain[1][l] * y as Real;
@@ -64,37 +66,33 @@ impl AntennaGroup {
 ///
 /// The cost is about 40 operations per link and Gaussian. `gate` is `[N]`, or `None` for all 1.
 pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_>) -> Vec<[Real; 2]> {
-    let groups = groups(cloud, gate, links);
+    let groups = antenna_groups(cloud, gate, links);
     let (antennas, subcarriers) = (links.antennas.len(), links.frequencies.len());
-    let per_metre = per_metre(links);
-    let mut out = vec![[0.0; 2]; links.len()];
+    let per_metre = wavelengths_per_metre(links);
+    let mut out = vec![[0.0; 2]; links.value_count()];
     let scratch = || (vec![[ZERO; 2]; groups.len()], vec![[ZERO; 2]; groups.len()]);
     let items = out.par_chunks_mut((antennas * subcarriers).max(1)).zip(links.positions);
-    items.for_each_init(scratch, |(signals, ways), (h, p)| {
+    items.for_each_init(scratch, |(signals, distances), (h, p)| {
         signals.iter_mut().zip(&groups).for_each(|(signal, group)| *signal = group.signal(*p));
         for (a, h) in h.chunks_exact_mut(subcarriers).enumerate() {
-            widest(AntennaField { groups: &groups, signals, a, p: *p, per_metre: &per_metre, ways, h });
+            widest(AntennaField { groups: &groups, signals, a, p: *p, per_metre: &per_metre, distances, h });
         }
     });
     out
 }
 
-/// Computes the derivative of [`field`]: Σ ⟨`d_field`, h⟩ by means, quaternions, signals, harmonics and gates.
-pub fn field_vjp(
-    cloud: &GaussianCloud,
-    gate: Option<&[Real]>,
-    links: &ChannelInputs<'_>,
-    d_field: &[[Real; 2]],
-) -> FieldVjp {
-    assert_eq!(d_field.len(), links.len(), "one cotangent a link");
-    let groups = groups(cloud, None, links);
-    let per_metre = per_metre(links);
+/// Computes the derivative of [`field`]: Σ ⟨d, h⟩ by means, quaternions, signals, harmonics and gates, for a cotangent
+/// d `[M,A,F]`.
+pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_>, d: &[[Real; 2]]) -> FieldVjp {
+    assert_eq!(d.len(), links.value_count(), "one cotangent a link");
+    let groups = antenna_groups(cloud, None, links);
+    let per_metre = wavelengths_per_metre(links);
     let block = links.positions.len().div_ceil(BLOCKS).max(64);
     let blocks = links.positions.len().div_ceil(block);
     let tasks = (0..groups.len() * blocks).into_par_iter().map(|t| {
         let (group, from) = (&groups[t / blocks], t % blocks * block);
         let to = (from + block).min(links.positions.len());
-        widest(AntennaFieldVjp { group, links, per_metre: &per_metre, items: from..to, d_field })
+        widest(AntennaFieldVjp { group, links, per_metre: &per_metre, items: from..to, d })
     });
     let sums: Vec<Cotangents> = tasks.collect();
     let mut out = FieldVjp { cloud: cloud.zeros_like(), gate: vec![0.0; cloud.len()] };
@@ -108,7 +106,7 @@ pub fn field_vjp(
         out.cloud.signals[i] = gain(0);
         out.cloud.means[i] = [0, 1, 2].map(|k| open * total(&|b| &b.mean[k]));
         let d_rotation = [0, 1, 2].map(|r| [0, 1, 2].map(|c| f64::from(open * total(&|b| &b.rotation[r][c]))));
-        out.cloud.quats[i] = matrix_vjp(cloud.quats[i].map(f64::from), &d_rotation).map(|x| x as Real);
+        out.cloud.quats[i] = rotation_matrix_vjp(cloud.quats[i].map(f64::from), &d_rotation).map(|x| x as Real);
         if let Some(column) = more.map(|c| &mut out.cloud.extra[c]) {
             let row = &mut column.values[i * column.width..(i + 1) * column.width];
             (1..).zip(row.as_chunks_mut::<2>().0).for_each(|(k, d)| *d = gain(k));
@@ -117,19 +115,23 @@ pub fn field_vjp(
     out
 }
 
-/// Returns the wavelengths per metre `[F]`.
-fn per_metre(links: &ChannelInputs<'_>) -> Vec<Real> {
+/// Returns the wavelengths per metre f/c of the subcarriers `[F]`.
+fn wavelengths_per_metre(links: &ChannelInputs<'_>) -> Vec<Real> {
     links.frequencies.iter().map(|f| (f / SPEED_OF_LIGHT) as Real).collect()
 }
 
-fn groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_>) -> Vec<AntennaGroup> {
+/// Gathers the Gaussians in groups of LANES, with rotated antennas and gated gains; pads the last group with signal 0.
+///
+/// # Panics
+/// If the number of gates is not that of Gaussians, or if the cloud has more than [`MOST`] harmonics.
+fn antenna_groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_>) -> Vec<AntennaGroup> {
     assert!(gate.is_none_or(|g| g.len() == cloud.len()), "one gate a Gaussian");
     let more = cloud.extra(HARMONICS);
     let terms = 1 + more.map_or(0, |c| c.width / 2);
     assert!(terms <= MOST, "at most {MOST} harmonics");
     let group = |g: usize| {
         let mut out = AntennaGroup {
-            places: vec![[ZERO; 3]; links.antennas.len()],
+            antennas: vec![[ZERO; 3]; links.antennas.len()],
             means: [[0.0; 3]; LANES],
             gains: vec![[ZERO; 2]; terms],
         };
@@ -137,19 +139,19 @@ fn groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_
             let i = g * LANES + l;
             // Padding of the last group repeats its first Gaussian with signal 0.
             let row = if i < cloud.len() { i } else { g * LANES };
-            let rotation = matrix(unit(cloud.quats[row].map(f64::from)));
+            let rotation = rotation_matrix(unit_quat(cloud.quats[row].map(f64::from)));
             out.means[l] = cloud.means[row].map(f64::from);
-            for (place, r) in out.places.iter_mut().zip(links.antennas) {
-                let r = turned(&rotation, r.map(f64::from));
+            for (antenna, r) in out.antennas.iter_mut().zip(links.antennas) {
+                let r = rotate_vector(&rotation, r.map(f64::from));
                 for k in 0..3 {
-                    place[k][l] = (out.means[l][k] + r[k]) as Real;
+                    antenna[k][l] = (out.means[l][k] + r[k]) as Real;
                 }
             }
             if i < cloud.len() {
-                let open = gate.map_or(1.0, |g| g[i]);
+                let gate = gate.map_or(1.0, |g| g[i]);
                 let more = more.map_or(&[][..], |c| c.values[i * c.width..(i + 1) * c.width].as_chunks::<2>().0);
                 for (gain, [x, y]) in out.gains.iter_mut().zip(std::iter::once(&cloud.signals[i]).chain(more)) {
-                    (gain[0][l], gain[1][l]) = (open * x, open * y);
+                    (gain[0][l], gain[1][l]) = (gate * x, gate * y);
                 }
             }
         }
@@ -158,9 +160,9 @@ fn groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_
     (0..cloud.len().div_ceil(LANES)).into_par_iter().with_min_len(16).map(group).collect()
 }
 
-/// Returns the vectors from p to LANES positions, their lengths of at least [`CLOSEST`], and the reciprocals.
+/// Returns the vectors from p to LANES positions, metres, their lengths of at least [`CLOSEST`], and the reciprocals.
 #[inline(always)]
-fn way(positions: &[Lane; 3], p: [Real; 3]) -> ([Lane; 3], Lane, Lane) {
+fn path_vectors(positions: &[Lane; 3], p: [Real; 3]) -> ([Lane; 3], Lane, Lane) {
     let (mut by, mut d, mut inverse) = ([ZERO; 3], ZERO, ZERO);
     for l in 0..LANES {
         (by[0][l], by[1][l], by[2][l]) = (positions[0][l] - p[0], positions[1][l] - p[1], positions[2][l] - p[2]);
@@ -179,7 +181,7 @@ struct AntennaField<'a> {
     p: [Real; 3],
     per_metre: &'a [Real],
     /// Distances and their reciprocals, one row per group: a work buffer.
-    ways: &'a mut [[Lane; 2]],
+    distances: &'a mut [[Lane; 2]],
     h: &'a mut [[Real; 2]],
 }
 
@@ -189,28 +191,28 @@ impl pulp::WithSimd for AntennaField<'_> {
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
         for g in 0..self.groups.len() {
-            let (_, d, inverse) = way(&self.groups[g].places[self.a], self.p);
-            self.ways[g] = [d, inverse];
+            let (_, d, inverse) = path_vectors(&self.groups[g].antennas[self.a], self.p);
+            self.distances[g] = [d, inverse];
         }
         for f in 0..self.h.len() {
             let per_metre = self.per_metre[f];
             let (mut re, mut im) = (ZERO, ZERO);
             for g in 0..self.groups.len() {
-                let ([x, y], [d, inverse]) = (&self.signals[g], &self.ways[g]);
+                let ([x, y], [d, inverse]) = (&self.signals[g], &self.distances[g]);
                 for l in 0..LANES {
                     let (cos, sin) = Real::cis(d[l] * per_metre);
                     re[l] += (x[l] * cos + y[l] * sin) * inverse[l];
                     im[l] += (y[l] * cos - x[l] * sin) * inverse[l];
                 }
             }
-            self.h[f] = [sum(&re), sum(&im)];
+            self.h[f] = [lane_sum(&re), lane_sum(&im)];
         }
     }
 }
 
 /// Sums the lanes in order.
 #[inline(always)]
-fn sum(lane: &Lane) -> Real {
+fn lane_sum(lane: &Lane) -> Real {
     let mut total = 0.0;
     for l in 0..LANES {
         total += lane[l];
@@ -234,7 +236,8 @@ struct AntennaFieldVjp<'a> {
     links: &'a ChannelInputs<'a>,
     per_metre: &'a [Real],
     items: std::ops::Range<usize>,
-    d_field: &'a [[Real; 2]],
+    /// Cotangent of the field `[M,A,F]`.
+    d: &'a [[Real; 2]],
 }
 
 impl pulp::WithSimd for AntennaFieldVjp<'_> {
@@ -250,16 +253,16 @@ impl pulp::WithSimd for AntennaFieldVjp<'_> {
             let (signal, mut d_signal) = (self.group.signal(p), [ZERO; 2]);
             for a in 0..self.links.antennas.len() {
                 let first = (m * self.links.antennas.len() + a) * subcarriers;
-                let (d_h, r) = (&self.d_field[first..first + subcarriers], self.links.antennas[a]);
-                let (by, d, inverse) = way(&self.group.places[a], p);
-                let along = by_distance(&signal, &d, &inverse, self.per_metre, d_h, &mut d_signal);
+                let (d_h, r) = (&self.d[first..first + subcarriers], self.links.antennas[a]);
+                let (by, d, inverse) = path_vectors(&self.group.antennas[a], p);
+                let along = distance_vjp(&signal, &d, &inverse, self.per_metre, d_h, &mut d_signal);
                 for l in 0..LANES {
                     let along = if d[l] > CLOSEST as Real { along[l] * inverse[l] } else { 0.0 };
                     for k in 0..3 {
-                        let d_place = along * by[k][l];
-                        out.mean[k][l] += d_place;
+                        let d_antenna = along * by[k][l];
+                        out.mean[k][l] += d_antenna;
                         for c in 0..3 {
-                            out.rotation[k][c][l] += d_place * r[c];
+                            out.rotation[k][c][l] += d_antenna * r[c];
                         }
                     }
                 }
@@ -270,18 +273,18 @@ impl pulp::WithSimd for AntennaFieldVjp<'_> {
                 out.gains[0][1][l] += d_signal[1][l];
             }
             if out.gains.len() > 1 {
-                by_direction(self.group, p, &d_signal, &mut out);
+                add_direction_vjp(self.group, p, &d_signal, &mut out);
             }
         }
         out
     }
 }
 
-/// Adds the derivatives by the harmonics except the first, and by the means through the direction.
-fn by_direction(group: &AntennaGroup, p: [Real; 3], d_signal: &[Lane; 2], out: &mut Cotangents) {
+/// Adds the derivatives by the harmonics except the first, and by the means through the direction, to `out`.
+fn add_direction_vjp(group: &AntennaGroup, p: [Real; 3], d_signal: &[Lane; 2], out: &mut Cotangents) {
     for l in 0..LANES {
-        let (u, d) = direction(group.means[l], p.map(f64::from));
-        let (y, slopes, mut d_u) = (harmonics(u), slopes(u), [0.0; 3]);
+        let (u, d) = direction_and_distance(group.means[l], p.map(f64::from));
+        let (y, slopes, mut d_u) = (harmonics(u), harmonic_gradients(u), [0.0; 3]);
         for k in 1..group.gains.len() {
             let mut d_y = 0.0;
             for part in 0..2 {
@@ -290,14 +293,14 @@ fn by_direction(group: &AntennaGroup, p: [Real; 3], d_signal: &[Lane; 2], out: &
             }
             (0..3).for_each(|c| d_u[c] += d_y * slopes[k][c]);
         }
-        let d_mean = by_place(u, d, d_u);
+        let d_mean = direction_vjp(u, d, d_u);
         (0..3).for_each(|c| out.mean[c][l] += d_mean[c] as Real);
     }
 }
 
-/// Returns the derivative by the distance, and adds that by the signal to `d_signal`.
+/// Returns the derivative of ⟨`d_h`, h⟩ by the distance at LANES positions, and adds that by the signal to `d_signal`.
 #[inline(always)]
-fn by_distance(
+fn distance_vjp(
     [x, y]: &[Lane; 2],
     d: &Lane,
     inverse: &Lane,

@@ -11,10 +11,10 @@ pub(crate) const CLOSEST: f64 = 1e-3;
 /// Maximum order.
 pub(crate) const HIGHEST: usize = 3;
 /// Number of harmonics up to [`HIGHEST`].
-pub(crate) const MOST: usize = terms(HIGHEST);
+pub(crate) const MOST: usize = harmonic_count(HIGHEST);
 
 /// Returns the number of harmonics up to `order`.
-pub(crate) const fn terms(order: usize) -> usize {
+pub(crate) const fn harmonic_count(order: usize) -> usize {
     (order + 1) * (order + 1)
 }
 
@@ -29,7 +29,7 @@ const S3: [f64; 5] = [
     5.123_475_382_979_799,
 ];
 
-/// Returns the harmonics of the direction `[x, y, z]` of length 1.
+/// Returns the real spherical harmonics Y of the direction `[x, y, z]` of length 1, by order.
 pub(crate) fn harmonics([x, y, z]: [f64; 3]) -> [f64; MOST] {
     let (xx, yy, zz) = (x * x, y * y, z * z);
     [
@@ -52,8 +52,8 @@ pub(crate) fn harmonics([x, y, z]: [f64; 3]) -> [f64; MOST] {
     ]
 }
 
-/// Returns their derivatives by x, y and z, as independent variables.
-pub(crate) fn slopes([x, y, z]: [f64; 3]) -> [[f64; 3]; MOST] {
+/// Returns the derivatives of [`harmonics`] by x, y and z, as independent variables.
+pub(crate) fn harmonic_gradients([x, y, z]: [f64; 3]) -> [[f64; 3]; MOST] {
     let (xx, yy, zz) = (x * x, y * y, z * z);
     let by = |s: f64, v: [f64; 3]| v.map(|v| s * v);
     [
@@ -76,24 +76,25 @@ pub(crate) fn slopes([x, y, z]: [f64; 3]) -> [[f64; 3]; MOST] {
     ]
 }
 
-/// Returns a direction-dependent gain: Σ c·Y of `gains` `[K,2]` from `v` towards `p`.
-pub(crate) fn gain(gains: &[[f64; 2]], v: [f64; 3], p: [f64; 3]) -> [f64; 2] {
+/// Returns the complex gain Σ c·Y from `v` towards `p`, with the coefficients `gains` `[K,2]`.
+pub(crate) fn directional_gain(gains: &[[f64; 2]], v: [f64; 3], p: [f64; 3]) -> [f64; 2] {
     if let [only] = gains {
         return *only;
     }
-    let y = harmonics(direction(v, p).0);
+    let y = harmonics(direction_and_distance(v, p).0);
     gains.iter().zip(y).fold([0.0; 2], |sum, (c, y)| [sum[0] + c[0] * y, sum[1] + c[1] * y])
 }
 
 /// Returns the unit vector from `v` to `p`, and the distance of at least [`CLOSEST`].
-pub(crate) fn direction(v: [f64; 3], p: [f64; 3]) -> ([f64; 3], f64) {
+pub(crate) fn direction_and_distance(v: [f64; 3], p: [f64; 3]) -> ([f64; 3], f64) {
     let by = [0, 1, 2].map(|k| p[k] - v[k]);
     let d = (by[0] * by[0] + by[1] * by[1] + by[2] * by[2]).sqrt().max(CLOSEST);
     (by.map(|x| x / d), d)
 }
 
-/// Returns a derivative by `v`, given the derivative `d_u` by the direction from `v`.
-pub(crate) fn by_place(u: [f64; 3], d: f64, d_u: [f64; 3]) -> [f64; 3] {
+/// Returns the derivative by the start `v` of a direction u, given the derivative `d_u` by the direction: (u uᵀ − I)/d ·
+/// `d_u`, and zero within [`CLOSEST`], where the distance is constant.
+pub(crate) fn direction_vjp(u: [f64; 3], d: f64, d_u: [f64; 3]) -> [f64; 3] {
     if d <= CLOSEST {
         return [0.0; 3];
     }
@@ -143,7 +144,11 @@ mod tests {
             let (after, before) = (at(h), at(-h));
             for i in 0..MOST {
                 let expected = (after[i] - before[i]) / (2.0 * h);
-                assert!((slopes(u)[i][k] - expected).abs() < 1e-8, "{i} by {k}: {} is not {expected}", slopes(u)[i][k]);
+                assert!(
+                    (harmonic_gradients(u)[i][k] - expected).abs() < 1e-8,
+                    "{i} by {k}: {} is not {expected}",
+                    harmonic_gradients(u)[i][k]
+                );
             }
         }
     }

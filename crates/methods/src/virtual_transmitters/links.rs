@@ -1,4 +1,4 @@
-//! `ChannelInputs`: receiving positions, antennas and subcarriers. `VirtualSources`: the virtual transmitters. `snr_of`:
+//! `ChannelInputs`: receiving positions, antennas and subcarriers. `VirtualSources`: the virtual transmitters. `snr_db`:
 //! score of a channel.
 
 use crate::virtual_transmitters::harmonics::{self, HARMONICS};
@@ -16,14 +16,9 @@ pub struct ChannelInputs<'a> {
 }
 
 impl ChannelInputs<'_> {
-    /// Returns M · A · F.
-    pub fn len(&self) -> usize {
+    /// Returns the number of complex values of h: M · A · F.
+    pub fn value_count(&self) -> usize {
         self.positions.len() * self.antennas.len() * self.frequencies.len()
-    }
-
-    /// Returns whether there are no values.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 
     /// Returns the wavelength at the highest subcarrier, metres.
@@ -31,15 +26,15 @@ impl ChannelInputs<'_> {
         SPEED_OF_LIGHT / self.frequencies.iter().copied().fold(f64::MIN_POSITIVE, f64::max)
     }
 
-    /// Returns whether the array has more than one position, so that a rotation matters.
-    pub fn turns(&self) -> bool {
+    /// Returns whether an antenna is off the origin, so that a rotation of the fixed node matters.
+    pub fn has_orientation(&self) -> bool {
         self.antennas.iter().any(|a| *a != [0.0; 3])
     }
 
-    /// Checks the values, and that `channel` has matching length, is finite and not all zero; the error is a message for
-    /// users.
+    /// Checks that all inputs are finite and in range, and that `channel` has matching length, is finite and not all
+    /// zero; the error is a message for users.
     pub(crate) fn check_channel(&self, channel: &[[Real; 2]]) -> Result<(), String> {
-        if self.is_empty() {
+        if self.value_count() == 0 {
             let [m, a, f] = [self.positions.len(), self.antennas.len(), self.frequencies.len()];
             return Err(format!("{m} positions, {a} antennas and {f} subcarriers; each must be 1 or more"));
         }
@@ -52,8 +47,9 @@ impl ChannelInputs<'_> {
         if let Some(f) = self.frequencies.iter().find(|f| !(1e3..=1e13).contains(*f)) {
             return Err(format!("a subcarrier at {f} Hz; give 1e3 to 1e13 Hz, such as 2.4e9"));
         }
-        if channel.len() != self.len() {
-            return Err(format!("{} complex numbers for {} links; give one per link", channel.len(), self.len()));
+        if channel.len() != self.value_count() {
+            let expected = self.value_count();
+            return Err(format!("{} complex numbers for {} links; give one per link", channel.len(), expected));
         }
         if let Some(i) = channel.iter().position(|[re, im]| !(re.is_finite() && im.is_finite())) {
             return Err(format!("channel {i} is {:?}; give finite numbers", channel[i]));
@@ -85,13 +81,13 @@ impl VirtualSources {
     }
 
     /// Returns the number of harmonics K.
-    pub fn terms(&self) -> usize {
-        harmonics::terms(self.order)
+    pub fn harmonic_count(&self) -> usize {
+        harmonics::harmonic_count(self.order)
     }
 
     /// Returns the gains of source `g`, one per harmonic `[K]`.
-    pub fn gains_of(&self, g: usize) -> &[[f64; 2]] {
-        &self.gains[g * self.terms()..(g + 1) * self.terms()]
+    pub fn source_gains(&self, g: usize) -> &[[f64; 2]] {
+        &self.gains[g * self.harmonic_count()..(g + 1) * self.harmonic_count()]
     }
 
     /// Returns the number of sources N.
@@ -109,7 +105,7 @@ impl VirtualSources {
         self.positions.push(position);
         self.quats.push(quat);
         self.gains.push(gain);
-        self.gains.resize(self.len() * self.terms(), [0.0; 2]);
+        self.gains.resize(self.len() * self.harmonic_count(), [0.0; 2]);
     }
 
     /// Adds the sources of `other`, of equal order.
@@ -125,12 +121,12 @@ impl VirtualSources {
         for &i in rows {
             out.positions.push(self.positions[i]);
             out.quats.push(self.quats[i]);
-            out.gains.extend(self.gains_of(i));
+            out.gains.extend(self.source_gains(i));
         }
         out
     }
 
-    /// Returns all sources except one.
+    /// Returns all sources except that of index `row`.
     pub fn without(&self, row: usize) -> Self {
         self.select(&(0..self.len()).filter(|i| *i != row).collect::<Vec<_>>())
     }
@@ -142,24 +138,24 @@ impl VirtualSources {
         for i in 0..self.len() {
             cloud.means[i] = self.positions[i].map(|x| x as Real);
             cloud.quats[i] = self.quats[i].map(|x| x as Real);
-            cloud.signals[i] = self.gains_of(i)[0].map(|x| x as Real);
+            cloud.signals[i] = self.source_gains(i)[0].map(|x| x as Real);
         }
         if self.order > 0 {
-            let more = (0..self.len()).flat_map(|i| self.gains_of(i)[1..].as_flattened());
+            let more = (0..self.len()).flat_map(|i| self.source_gains(i)[1..].as_flattened());
             let values = more.map(|x| *x as Real).collect();
-            cloud.extra.push(ExtraColumn { name: HARMONICS.into(), width: 2 * (self.terms() - 1), values });
+            cloud.extra.push(ExtraColumn { name: HARMONICS.into(), width: 2 * (self.harmonic_count() - 1), values });
         }
         cloud
     }
 }
 
-/// Returns −10 log10(Σ|h' − h|²/Σ|h|²) over all links, dB.
-pub fn snr_of<'a>(predicted: &[[Real; 2]], truth: impl IntoIterator<Item = &'a [Real; 2]>) -> f64 {
-    let (mut wrong, mut all) = (0.0, 0.0);
+/// Returns the signal-to-noise ratio −10 log10(Σ|h' − h|²/Σ|h|²) of predicted channels over all links, dB.
+pub fn snr_db<'a>(predicted: &[[Real; 2]], truth: impl IntoIterator<Item = &'a [Real; 2]>) -> f64 {
+    let (mut error, mut energy) = (0.0, 0.0);
     for (p, t) in predicted.iter().zip(truth) {
         let [p, t] = [p, t].map(|z| z.map(f64::from));
-        wrong += (p[0] - t[0]).powi(2) + (p[1] - t[1]).powi(2);
-        all += t[0] * t[0] + t[1] * t[1];
+        error += (p[0] - t[0]).powi(2) + (p[1] - t[1]).powi(2);
+        energy += t[0] * t[0] + t[1] * t[1];
     }
-    -10.0 * (wrong / all).log10()
+    -10.0 * (error / energy).log10()
 }

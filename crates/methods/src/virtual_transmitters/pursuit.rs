@@ -3,9 +3,11 @@
 
 use crate::virtual_transmitters::equations::MeasurementRows;
 use crate::virtual_transmitters::field::field;
-use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources, snr_of};
-use crate::virtual_transmitters::solve::{RefineOptions, gains, refine};
-use crate::virtual_transmitters::sweep::{Peak, SearchGrid, as_peaks, images, sweep, thin, timed_sweep};
+use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources, snr_db};
+use crate::virtual_transmitters::solve::{RefineOptions, refine_positions, solve_gains};
+use crate::virtual_transmitters::sweep::{
+    Peak, SearchGrid, keep_best_peaks, mirror_images, sweep_grid, time_sweep, unscored_peaks,
+};
 use crate::virtual_transmitters::{MatchingPursuit, VirtualTransmitters, turn};
 use pwrfgs_core::{Initializer as _, Method as _, Real, evenly, rng};
 use rayon::prelude::*;
@@ -24,7 +26,7 @@ const STEPS: usize = 10;
 /// Log odds above which a candidate is accepted without a new sweep of the whole grid.
 const BEYOND_DOUBT: f64 = 10.0;
 
-/// Options of [`pursue`].
+/// Options of [`pursue_sources`].
 #[derive(Clone, Debug)]
 pub struct PursuitOptions {
     /// Grid, stop rules, ridge and candidates.
@@ -52,7 +54,7 @@ impl Default for PursuitOptions {
 ///
 /// `report_progress` receives the number of sources after every addition. Soon after `stop` is set, the search ends and
 /// returns the sources found so far. An error describes the invalid input.
-pub fn pursue(
+pub fn pursue_sources(
     links: &ChannelInputs<'_>,
     channel: &[[Real; 2]],
     options: &PursuitOptions,
@@ -67,33 +69,37 @@ pub fn pursue(
     }
     let all: Vec<usize> = (0..links.positions.len()).collect();
     let mut best = (f64::NEG_INFINITY, VirtualSources::new(options.order));
-    let (held_out, fitted) = options.held_out(links);
+    let (held_out, fitted) = options.split_held_out(links);
     let parts = (&fitted[..], &held_out[..]);
-    PursuitSearch::new((links, channel), options, stop, parts).grow(&mut best, report_progress);
+    PursuitSearch::new((links, channel), options, stop, parts).improve_best(&mut best, report_progress);
     for level in 1..=options.settings.finer {
         let before = best.0;
-        let finer = PursuitOptions { settings: options.settings.at(level), ..options.clone() };
-        PursuitSearch::new((links, channel), &finer, stop, parts).grow(&mut best, report_progress);
+        let finer = PursuitOptions { settings: options.settings.pass_settings(level), ..options.clone() };
+        PursuitSearch::new((links, channel), &finer, stop, parts).improve_best(&mut best, report_progress);
         if best.0 <= before {
             break;
         }
     }
     if !held_out.is_empty() {
-        PursuitSearch::new((links, channel), options, stop, (&all, &[])).settle(&mut best.1, 3 * STEPS);
+        PursuitSearch::new((links, channel), options, stop, (&all, &[])).refine_sources(&mut best.1, 3 * STEPS);
     }
     Ok(best.1)
 }
 
 /// Returns the shortest and longest expected time of a search, seconds: it times a few layers of the grid and one
 /// candidate.
-pub(crate) fn expected_seconds(links: &ChannelInputs<'_>, channel: &[[Real; 2]], options: &PursuitOptions) -> [f64; 2] {
+pub(crate) fn expected_pursuit_seconds(
+    links: &ChannelInputs<'_>,
+    channel: &[[Real; 2]],
+    options: &PursuitOptions,
+) -> [f64; 2] {
     let stop = AtomicBool::new(false);
-    let (held_out, fitted) = options.held_out(links);
+    let (held_out, fitted) = options.split_held_out(links);
     let pass = |level: usize| {
-        let options = PursuitOptions { settings: options.settings.at(level), ..options.clone() };
+        let options = PursuitOptions { settings: options.settings.pass_settings(level), ..options.clone() };
         let search = PursuitSearch::new((links, channel), &options, &stop, (&fitted, &held_out));
-        let (peaks, sweep) = timed_sweep(&search.coarse, &search.grid, options.peaks);
-        let [candidate, settled] = search.timed_candidate(&peaks);
+        let (peaks, sweep) = time_sweep(&search.coarse, &search.grid, options.peaks);
+        let [candidate, settled] = search.time_candidate(&peaks);
         let MatchingPursuit { most, patience, rounds, .. } = options.settings;
         // Beyond the first sweep, a candidate may come from the remaining peaks.
         let least = sweep + candidate * if level == 0 { (1 + patience).min(most) as f64 } else { 1.0 };
@@ -107,8 +113,8 @@ pub(crate) fn expected_seconds(links: &ChannelInputs<'_>, channel: &[[Real; 2]],
 }
 
 impl PursuitOptions {
-    /// Returns the held-out items, and the others.
-    fn held_out(&self, links: &ChannelInputs<'_>) -> (Vec<usize>, Vec<usize>) {
+    /// Splits the indices of the positions at random; returns those held out, and the fitted ones.
+    fn split_held_out(&self, links: &ChannelInputs<'_>) -> (Vec<usize>, Vec<usize>) {
         let mut items: Vec<usize> = (0..links.positions.len()).collect();
         let hold_out = self.settings.hold_out;
         let folds = if hold_out < 2 { 0 } else { items.len() / hold_out };
@@ -139,6 +145,7 @@ struct PursuitSearch<'a> {
 }
 
 impl<'a> PursuitSearch<'a> {
+    /// Prepares a pass over the fitted items: the grid about the positions and the rows to which sources are fitted.
     fn new(
         (links, channel): (&'a ChannelInputs<'a>, &'a [[Real; 2]]),
         options: &'a PursuitOptions,
@@ -157,7 +164,7 @@ impl<'a> PursuitSearch<'a> {
             side,
             half: (0.5 + options.settings.reach) * side,
             step: options.settings.step * wavelength,
-            quats: turn::mirrored(&antennas),
+            quats: turn::mirror_rotations(&antennas),
         };
         let [coarse, fine] = options.rows.map(|most| MeasurementRows::new(links, channel, fitted, most, options.seed));
         Self {
@@ -176,74 +183,74 @@ impl<'a> PursuitSearch<'a> {
         }
     }
 
-    fn stopped(&self) -> bool {
+    /// Returns whether the caller has stopped the search.
+    fn is_stopped(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Adds sources to the best set until `most`, until patience ends or until stopped. Then removes the least important
-    /// sources and repeats this while the score improves.
-    fn grow(mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
+    /// Adds sources to the best set, then removes the least important ones; repeats both for `rounds` while the score
+    /// improves. `best` is the best score (dB) with its sources.
+    fn improve_best(mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
         for _ in 0..=self.options.settings.rounds {
             let before = best.0;
-            self.forward(best, report_progress);
+            self.add_sources(best, report_progress);
             if !self.held_out.is_empty() {
-                self.backward(best);
+                self.remove_sources(best);
             }
-            if best.0 <= before || self.stopped() {
+            if best.0 <= before || self.is_stopped() {
                 break;
             }
         }
     }
 
-    /// Returns the expected time to refine `peaks` and add the best, and of the second part alone, seconds. The sources
-    /// are half of the maximum.
-    fn timed_candidate(&self, peaks: &[Peak]) -> [f64; 2] {
+    /// Measures the expected time to refine `peaks` and add the best, and of the second part alone, seconds, with half
+    /// the maximum number of sources.
+    fn time_candidate(&self, peaks: &[Peak]) -> [f64; 2] {
         let PursuitOptions { order, settings, .. } = self.options;
         let (none, mut sources) = (VirtualSources::new(*order), VirtualSources::new(*order));
         for peak in evenly(peaks, settings.most.div_ceil(2)) {
-            sources.push(peak.place, peak.quat, [0.0; 2]);
+            sources.push(peak.position, peak.quat, [0.0; 2]);
         }
         let begun = Instant::now();
         // All peaks of a sweep take about twice as long.
-        _ = self.refined(&self.rows.residual(&none), evenly(peaks, CLIMB), 1, &none);
+        _ = self.best_refined(&self.rows.residual(&none), evenly(peaks, CLIMB), 1, &none);
         let refined = 2.0 * begun.elapsed().as_secs_f64();
         let begun = Instant::now();
-        let ridge = vec![1e-9 * self.rows.energy(); sources.len()];
-        _ = refine(&self.rows, &mut sources, &ridge, self.walk(1));
-        let settled = (2 * STEPS) as f64 * begun.elapsed().as_secs_f64();
-        [refined + settled, settled]
+        _ = refine_positions(&self.rows, &mut sources, self.refine_options(1, 1e-9 * self.rows.energy()));
+        let added = (2 * STEPS) as f64 * begun.elapsed().as_secs_f64();
+        [refined + added, added]
     }
 
-    /// Adds sources to the best set.
-    fn forward(&mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
+    /// Adds candidates to the best set until it has `most` sources, until patience ends, or until stopped; replaces `best`
+    /// whenever the score improves.
+    fn add_sources(&mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
         let MatchingPursuit { most, patience, .. } = self.options.settings;
         let mut sources = best.1.clone();
-        let mut since = 0;
-        while sources.len() < most && since < patience && !self.stopped() {
-            let Some(peak) = self.next(&sources) else { break };
-            sources.push(peak.place, peak.quat, [0.0; 2]);
-            self.settle(&mut sources, STEPS);
+        let mut failures = 0;
+        while sources.len() < most && failures < patience && !self.is_stopped() {
+            let Some(peak) = self.next_candidate(&sources) else { break };
+            sources.push(peak.position, peak.quat, [0.0; 2]);
+            self.refine_sources(&mut sources, STEPS);
             let score = self.score(&sources);
-            since += 1;
+            failures += 1;
             if score > best.0 {
-                (*best, since) = ((score, sources.clone()), 0);
+                (*best, failures) = ((score, sources.clone()), 0);
             }
             report_progress(sources.len());
         }
     }
 
-    /// Removes one source after the other, each time that with the smallest loss of fit.
-    fn backward(&self, best: &mut (f64, VirtualSources)) {
+    /// Removes half of the best sources, one after the other, each time that with the smallest loss of fit; replaces
+    /// `best` whenever the score improves.
+    fn remove_sources(&self, best: &mut (f64, VirtualSources)) {
         let mut sources = best.1.clone();
         let (least, ridge) = (sources.len() / 2, 1e-9 * self.rows.energy());
-        while sources.len() > least.max(1) && !self.stopped() {
-            let cost = |g: usize| {
-                gains(&self.rows, &mut sources.without(g), &vec![ridge; sources.len() - 1]).unwrap_or(f64::MAX)
-            };
+        while sources.len() > least.max(1) && !self.is_stopped() {
+            let cost = |g: usize| solve_gains(&self.rows, &mut sources.without(g), ridge).unwrap_or(f64::MAX);
             let costs: Vec<f64> = (0..sources.len()).into_par_iter().map(cost).collect();
             let weakest = (0..costs.len()).fold(0, |w, g| if costs[g] < costs[w] { g } else { w });
             sources = sources.without(weakest);
-            self.settle(&mut sources, STEPS);
+            self.refine_sources(&mut sources, STEPS);
             let score = self.score(&sources);
             if score > best.0 {
                 *best = (score, sources.clone());
@@ -251,61 +258,59 @@ impl<'a> PursuitSearch<'a> {
         }
     }
 
-    /// Sets the ridge of each source during its refinement.
-    fn settle(&self, sources: &mut VirtualSources, steps: usize) {
-        let mut ridge = vec![1e-9 * self.rows.energy(); sources.len()];
-        let walk = self.walk(steps);
-        let Some(mut cost) = gains(&self.rows, sources, &ridge) else { return };
+    /// Refines all sources twice, each time with a ridge from the noise-to-signal ratio of the previous fit. Leaves
+    /// `sources` as they are if the equations have no unique solution.
+    fn refine_sources(&self, sources: &mut VirtualSources, steps: usize) {
+        let Some(mut cost) = solve_gains(&self.rows, sources, 1e-9 * self.rows.energy()) else { return };
         for _ in 0..2 {
             let noise = cost / self.rows.len() as f64;
-            let signal = self.rows.signal(sources) / sources.terms() as f64;
-            ridge.fill(
-                self.options.settings.ridge * noise / signal.max(f64::MIN_POSITIVE) + 1e-12 * self.rows.len() as f64,
-            );
-            match refine(&self.rows, sources, &ridge, walk) {
-                Some(new) => cost = new,
-                None => return,
-            }
+            let signal = self.rows.mean_signal_power(sources) / sources.harmonic_count() as f64;
+            let noise_to_signal = self.options.settings.ridge * noise / signal.max(f64::MIN_POSITIVE);
+            let ridge = noise_to_signal + 1e-12 * self.rows.len() as f64;
+            let Some(refined) = refine_positions(&self.rows, sources, self.refine_options(steps, ridge)) else {
+                return;
+            };
+            cost = refined;
         }
     }
 
-    /// Returns the candidate with the most evidence after individual refinement.
+    /// Returns the candidate with the most evidence after individual refinement; `None` if every one is close to a source.
     ///
     /// Sweeps the grid again only if neither images nor the remaining peaks are beyond doubt, or if they explain much
     /// less than the previous best: a better candidate may then exist.
-    fn next(&mut self, sources: &VirtualSources) -> Option<Peak> {
+    fn next_candidate(&mut self, sources: &VirtualSources) -> Option<Peak> {
         let residual = self.rows.residual(sources);
         let mut best = None;
         let apart = self.wavelength / 4.0;
         let away = |node: &[f64; 3]| sources.positions.iter().all(|v| distance(v, node) > apart);
-        let mut places: Vec<[f64; 3]> = self.options.node.filter(away).into_iter().collect();
+        let mut positions: Vec<[f64; 3]> = self.options.node.filter(away).into_iter().collect();
         if self.options.settings.images {
-            let sources = [&sources.positions[..], &places[..]].concat();
-            places.extend(images(&sources, &self.positions, |place| self.grid.holds(place), apart));
+            let sources = [&sources.positions[..], &positions[..]].concat();
+            positions.extend(mirror_images(&sources, &self.positions, &self.grid, apart));
         }
-        if !places.is_empty() {
-            let peaks = as_peaks(&places, &self.grid.quats);
+        if !positions.is_empty() {
+            let peaks = unscored_peaks(&positions, &self.grid.quats);
             let number = peaks.len();
-            best = self.refined(&residual, peaks, number, sources);
+            best = self.best_refined(&residual, peaks, number, sources);
         }
         let better = |best: Option<(Peak, f64)>, other: Option<(Peak, f64)>| match (best, other) {
             (Some(b), Some(other)) if b.1 >= other.1 => Some(b),
             (b, other) => other.or(b),
         };
-        best = better(best, self.refined(&residual, self.pool.clone(), self.grid.len(), sources));
+        best = better(best, self.best_refined(&residual, self.pool.clone(), self.grid.candidate_count(), sources));
         let enough = FADED * self.strongest;
         if best.is_none_or(|b| b.1 < BEYOND_DOUBT || b.0.explains < enough) {
             let coarse = self.coarse.residual(sources);
-            self.pool = sweep(&coarse, &self.grid, self.options.peaks, self.stop);
-            best = better(best, self.refined(&residual, self.pool.clone(), self.grid.len(), sources));
+            self.pool = sweep_grid(&coarse, &self.grid, self.options.peaks, self.stop);
+            best = better(best, self.best_refined(&residual, self.pool.clone(), self.grid.candidate_count(), sources));
             self.strongest = best.map_or(0.0, |b| b.0.explains);
         }
         best.map(|(peak, _)| peak)
     }
 
     /// Returns the best of the peaks after individual refinement, and the log of its odds against the best of `number`
-    /// accidents.
-    fn refined(
+    /// accidents; `None` if every peak is close to a source.
+    fn best_refined(
         &self,
         residual: &MeasurementRows,
         mut peaks: Vec<Peak>,
@@ -314,31 +319,32 @@ impl<'a> PursuitSearch<'a> {
     ) -> Option<(Peak, f64)> {
         let energy = residual.energy();
         let climb = |peak: &mut Peak, steps: usize| {
-            let walk = self.walk(steps);
             let mut one = VirtualSources::default();
-            one.push(peak.place, peak.quat, [0.0; 2]);
-            let left = refine(residual, &mut one, &[1e-12 * residual.len() as f64], walk);
-            let most = 2.0 * self.wavelength * self.grid.width(peak.place);
-            let far = (0..3).any(|k| (one.positions[0][k] - peak.place[k]).abs() > most);
+            one.push(peak.position, peak.quat, [0.0; 2]);
+            let left = refine_positions(residual, &mut one, self.refine_options(steps, 1e-12 * residual.len() as f64));
+            let most = 2.0 * self.wavelength * self.grid.peak_width(peak.position);
+            let far = (0..3).any(|k| (one.positions[0][k] - peak.position[k]).abs() > most);
             peak.explains = if far { 0.0 } else { left.map_or(0.0, |left| energy - left) };
-            (peak.place, peak.quat) = (one.positions[0], one.quats[0]);
+            (peak.position, peak.quat) = (one.positions[0], one.quats[0]);
         };
         peaks.par_iter_mut().for_each(|peak| climb(peak, 0));
-        thin(&mut peaks, CLIMB, |_| 0.0);
+        keep_best_peaks(&mut peaks, CLIMB, |_| 0.0);
         peaks.par_iter_mut().for_each(|peak| climb(peak, 8));
-        let taken = |p: &Peak| sources.positions.iter().any(|v| distance(v, &p.place) < self.wavelength / 8.0);
-        peaks.retain(|p| !taken(p));
-        thin(&mut peaks, 1, |_| 0.0);
+        let apart = self.wavelength / 8.0;
+        peaks.retain(|p| !sources.positions.iter().any(|v| distance(v, &p.position) < apart));
+        keep_best_peaks(&mut peaks, 1, |_| 0.0);
         let share = |p: &Peak| (p.explains / energy).clamp(0.0, 1.0 - 1e-12);
         let odds = |p: &Peak| -(residual.len() as f64) * (1.0 - share(p)).ln() - (number.max(1) as f64).ln();
         peaks.first().map(|p| (*p, odds(p)))
     }
 
-    fn walk(&self, steps: usize) -> RefineOptions<'_> {
+    /// Returns the options of a refinement with `steps` and a `ridge` on the gains.
+    fn refine_options(&self, steps: usize, ridge: f64) -> RefineOptions<'_> {
         RefineOptions {
             steps,
+            ridge,
             farthest: self.wavelength / 8.0,
-            turns: self.links.turns(),
+            turns: self.links.has_orientation(),
             grid: &self.grid,
             stop: self.stop,
         }
@@ -353,10 +359,11 @@ impl<'a> PursuitSearch<'a> {
         let links = ChannelInputs { positions: &positions, ..*self.links };
         let each = links.antennas.len() * links.frequencies.len();
         let truth = self.held_out.iter().flat_map(|i| &self.channel[i * each..(i + 1) * each]);
-        snr_of(&field(&sources.to_cloud(), None, &links), truth)
+        snr_db(&field(&sources.to_cloud(), None, &links), truth)
     }
 }
 
+/// Returns the distance of two positions, metres.
 fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
 }

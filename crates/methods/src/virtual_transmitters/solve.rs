@@ -3,16 +3,18 @@
 //! With fixed positions, h is linear in the signals: min Σ|h − Σ s·e|² + Σ ridge·|s|², with normal equations `(EᴴE +
 //! ridge)·s = Eᴴh`. They use two real numbers per s, so that one Cholesky decomposition serves gains and moves.
 //!
-//! [`refine`] moves all positions (and array rotations) by the Levenberg-Marquardt method, with the gains solved
+//! [`refine_positions`] moves all positions (and array rotations) by the Levenberg-Marquardt method, with the gains solved
 //! inside. One step solves the equations of gains and moves together, with damping on the moves only, which is variable
 //! projection in Kaufman's form. After each step the gains are solved exactly for the new positions. All computations
 //! use double precision.
 
 use crate::virtual_transmitters::equations::{MeasurementRows, NormalEquations};
-use crate::virtual_transmitters::harmonics::{MOST, by_place, direction, harmonics, slopes};
+use crate::virtual_transmitters::harmonics::{
+    MOST, direction_and_distance, direction_vjp, harmonic_gradients, harmonics,
+};
 use crate::virtual_transmitters::links::VirtualSources;
 use crate::virtual_transmitters::sweep::SearchGrid;
-use crate::virtual_transmitters::turn::{matrix, nudged, turned};
+use crate::virtual_transmitters::turn::{MatrixRows, rotate_quat, rotate_vector, rotation_matrix};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -39,7 +41,7 @@ pub(crate) enum Unknowns {
 
 impl Unknowns {
     /// Returns the number of real unknowns per source with `terms` harmonics.
-    pub(crate) fn each(self, terms: usize) -> usize {
+    pub(crate) fn per_source(self, terms: usize) -> usize {
         match self {
             Self::Gains => 2 * terms,
             Self::Moves => 2 * terms + 3,
@@ -48,12 +50,12 @@ impl Unknowns {
     }
 }
 
-/// Solves the best gains of `sources` at their positions, with a `ridge` `[N]` on |s|². Returns Σ|h − Σ s·e|² + Σ
-/// ridge·|s|² of the solution; if there is no unique solution, the gains are unchanged.
-pub(crate) fn gains(rows: &MeasurementRows, sources: &mut VirtualSources, ridge: &[f64]) -> Option<f64> {
+/// Sets the gains of `sources` to the best at their positions, with a `ridge` on |s|². Returns Σ|h − Σ s·e|² + Σ
+/// ridge·|s|² of the solution; without a unique solution, returns `None` and leaves the gains.
+pub(crate) fn solve_gains(rows: &MeasurementRows, sources: &mut VirtualSources, ridge: f64) -> Option<f64> {
     let silent = VirtualSources { gains: vec![[0.0; 2]; sources.gains.len()], ..sources.clone() };
-    let normal = equations(rows, &silent, Unknowns::Gains);
-    let solution = normal.solve(|i| ridge[i / (2 * sources.terms())])?;
+    let normal = normal_equations(rows, &silent, Unknowns::Gains);
+    let solution = normal.solve(|_| ridge)?;
     // At the minimum, the residual is Σ|h|² − sᵀEᴴh.
     let explained: f64 = solution.iter().zip(&normal.right).map(|(s, b)| s * b).sum();
     sources.gains = solution.as_chunks::<2>().0.to_vec();
@@ -61,56 +63,57 @@ pub(crate) fn gains(rows: &MeasurementRows, sources: &mut VirtualSources, ridge:
 }
 
 /// Returns the normal equations of a step from `sources`, without ridge or damping.
-pub(crate) fn equations(rows: &MeasurementRows, sources: &VirtualSources, unknowns: Unknowns) -> NormalEquations {
-    let p = unknowns.each(sources.terms()) * sources.len();
+fn normal_equations(rows: &MeasurementRows, sources: &VirtualSources, unknowns: Unknowns) -> NormalEquations {
+    let p = unknowns.per_source(sources.harmonic_count()) * sources.len();
     let pairs = rows.len().div_ceil(2);
     let block = pairs.div_ceil(BLOCKS).max(32);
-    let rotations: Vec<_> = sources.quats.iter().map(|q| matrix(*q)).collect();
+    let rotations: Vec<_> = sources.quats.iter().map(|q| rotation_matrix(*q)).collect();
     let gather = |b: usize| {
         let mut normal = NormalEquations::new(p);
         let mut jacobian = vec![0.0; 4 * p];
         for pair in b * block..((b + 1) * block).min(pairs) {
             jacobian.fill(0.0);
             let mut rest = [0.0; 4];
-            for (half, j) in jacobian.chunks_exact_mut((2 * p).max(1)).enumerate() {
+            for (half, jacobian) in jacobian.chunks_exact_mut((2 * p).max(1)).enumerate() {
                 let i = 2 * pair + half;
                 if i < rows.len() {
-                    let [re, im] = row(rows, i, sources, &rotations, unknowns, j);
+                    let [re, im] = fill_jacobian(rows, i, sources, &rotations, unknowns, jacobian);
                     (rest[2 * half], rest[2 * half + 1]) = (re, im);
                 }
             }
-            normal.add_four(&jacobian, rest);
+            normal.add_four_rows(&jacobian, rest);
         }
         normal
     };
     let mut total = NormalEquations::new(p);
     if rows.len() * p < ALONE {
-        (0..pairs.div_ceil(block)).for_each(|b| total.add(&gather(b)));
+        (0..pairs.div_ceil(block)).for_each(|b| total.add_equations(&gather(b)));
     } else {
         let blocks: Vec<NormalEquations> = (0..pairs.div_ceil(block)).into_par_iter().map(gather).collect();
-        blocks.iter().for_each(|b| total.add(b));
+        blocks.iter().for_each(|b| total.add_equations(b));
     }
     total
 }
 
-/// Computes the derivatives of row `i`, real part then imaginary part `[2,P]`; returns the residual of h.
-fn row(
+/// Sets `jacobian` to the derivatives of row `i` by all unknowns, real part then imaginary part `[2,P]`; returns the
+/// residual of h. `rotations` are the matrices of the quaternions of `sources`.
+fn fill_jacobian(
     rows: &MeasurementRows,
     i: usize,
     sources: &VirtualSources,
-    rotations: &[[[f64; 3]; 3]],
+    rotations: &[MatrixRows],
     unknowns: Unknowns,
-    j: &mut [f64],
+    jacobian: &mut [f64],
 ) -> [f64; 2] {
-    let (n, terms) = (sources.len(), sources.terms());
-    let (real, imaginary) = j.split_at_mut(unknowns.each(terms) * n);
+    let (n, terms) = (sources.len(), sources.harmonic_count());
+    let (real, imaginary) = jacobian.split_at_mut(unknowns.per_source(terms) * n);
     let k = std::f64::consts::TAU * rows.per_metre[i];
     let mut rest = rows.h[i];
     for g in 0..n {
-        let r = turned(&rotations[g], rows.r[i]);
+        let r = rotate_vector(&rotations[g], rows.r[i]);
         let wave = rows.wave(i, sources.positions[g], r);
-        let (gains, [re, im]) = (sources.gains_of(g), wave.e);
-        let (u, far) = direction(sources.positions[g], rows.p[i]);
+        let (gains, [re, im]) = (sources.source_gains(g), wave.e);
+        let (u, far) = direction_and_distance(sources.positions[g], rows.p[i]);
         let harmonics = if terms > 1 { harmonics(u) } else { FLAT };
         let mut received = [0.0; 2];
         for (k, [x, y]) in gains.iter().enumerate() {
@@ -144,20 +147,22 @@ fn row(
 /// Returns the derivatives of real and imaginary part of Σ c·Y(u)·e by the position, through the direction u only.
 fn direction_gradient(gains: &[[f64; 2]], u: [f64; 3], far: f64, [re, im]: [f64; 2]) -> [[f64; 3]; 2] {
     let mut d_u = [[0.0; 3]; 2];
-    for ([x, y], slope) in gains.iter().zip(slopes(u)) {
+    for ([x, y], slope) in gains.iter().zip(harmonic_gradients(u)) {
         for c in 0..3 {
             d_u[0][c] += (x * re - y * im) * slope[c];
             d_u[1][c] += (x * im + y * re) * slope[c];
         }
     }
-    d_u.map(|d_u| by_place(u, far, d_u))
+    d_u.map(|d_u| direction_vjp(u, far, d_u))
 }
 
-/// Options of [`refine`].
+/// Options of [`refine_positions`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RefineOptions<'a> {
     /// Maximum number of steps.
     pub(crate) steps: usize,
+    /// Weight of the penalty on |s|².
+    pub(crate) ridge: f64,
     /// Maximum move of a source per step, metres, at the centre of the grid; larger where maxima are wider.
     pub(crate) farthest: f64,
     pub(crate) grid: &'a SearchGrid,
@@ -170,29 +175,29 @@ pub(crate) struct RefineOptions<'a> {
 /// Relative gain in cost below which a step is the last.
 const ENOUGH: f64 = 1e-6;
 
-/// Moves `sources` downhill; returns the final cost Σ|h − Σ s·e|² + Σ ridge·|s|², or `None` without a solution.
-pub(crate) fn refine(
+/// Moves `sources` downhill by Levenberg-Marquardt steps; returns the final cost Σ|h − Σ s·e|² + Σ ridge·|s|², or `None`
+/// if the gains have no unique solution.
+pub(crate) fn refine_positions(
     rows: &MeasurementRows,
     sources: &mut VirtualSources,
-    ridge: &[f64],
-    walk: RefineOptions<'_>,
+    options: RefineOptions<'_>,
 ) -> Option<f64> {
-    let mut cost = gains(rows, sources, ridge)?;
-    let unknowns = if walk.turns { Unknowns::MovesAndTurns } else { Unknowns::Moves };
+    let ridge = options.ridge;
+    let mut cost = solve_gains(rows, sources, ridge)?;
     let mut damping = 1e-2;
-    let mut normal = with_ridge(rows, sources, unknowns, ridge);
-    for _ in 0..walk.steps {
-        if walk.stop.load(Ordering::Relaxed) {
+    let mut normal = ridge_equations(rows, sources, options);
+    for _ in 0..options.steps {
+        if options.stop.load(Ordering::Relaxed) {
             break;
         }
-        let (fixed, p) = (2 * sources.gains.len(), normal.unknowns());
+        let (fixed, p) = (2 * sources.gains.len(), normal.unknown_count());
         let Some(step) = normal.solve(|i| if i < fixed { 0.0 } else { damping * normal.matrix[i * p + i] + 1e-30 })
         else {
             damping = (damping * 10.0).max(1e-3);
             continue;
         };
-        let mut moved = apply(sources, &step, walk);
-        match gains(rows, &mut moved, ridge) {
+        let mut moved = apply_step(sources, &step, options);
+        match solve_gains(rows, &mut moved, ridge) {
             Some(new) if new < cost => {
                 let gained = (cost - new) / cost.max(f64::MIN_POSITIVE);
                 (*sources, cost) = (moved, new);
@@ -200,7 +205,7 @@ pub(crate) fn refine(
                 if gained < ENOUGH {
                     break;
                 }
-                normal = with_ridge(rows, sources, unknowns, ridge);
+                normal = ridge_equations(rows, sources, options);
             }
             _ => damping *= 5.0,
         }
@@ -211,25 +216,21 @@ pub(crate) fn refine(
     Some(cost)
 }
 
-/// Returns the equations with the ridge on the gains.
-fn with_ridge(
-    rows: &MeasurementRows,
-    sources: &VirtualSources,
-    unknowns: Unknowns,
-    ridge: &[f64],
-) -> crate::virtual_transmitters::equations::NormalEquations {
-    let mut normal = equations(rows, sources, unknowns);
-    let p = normal.unknowns();
+/// Returns the normal equations of a step from `sources`, with the ridge on the gains.
+fn ridge_equations(rows: &MeasurementRows, sources: &VirtualSources, options: RefineOptions<'_>) -> NormalEquations {
+    let unknowns = if options.turns { Unknowns::MovesAndTurns } else { Unknowns::Moves };
+    let mut normal = normal_equations(rows, sources, unknowns);
+    let p = normal.unknown_count();
     for (i, gain) in sources.gains.as_flattened().iter().enumerate() {
-        let ridge = ridge[i / (2 * sources.terms())];
-        normal.matrix[i * p + i] += ridge;
-        normal.right[i] -= ridge * gain;
+        normal.matrix[i * p + i] += options.ridge;
+        normal.right[i] -= options.ridge * gain;
     }
     normal
 }
 
-/// Returns `sources` after a step, with limited moves and rotations of at most half a radian.
-fn apply(sources: &VirtualSources, step: &[f64], walk: RefineOptions<'_>) -> VirtualSources {
+/// Returns `sources` after a step of moves and rotations, with moves limited as in `options` and rotations to half a
+/// radian. The gains stay.
+fn apply_step(sources: &VirtualSources, step: &[f64], options: RefineOptions<'_>) -> VirtualSources {
     let (n, moves) = (sources.len(), 2 * sources.gains.len());
     let mut out = sources.clone();
     let within = |by: [f64; 3], most: f64| {
@@ -238,10 +239,10 @@ fn apply(sources: &VirtualSources, step: &[f64], walk: RefineOptions<'_>) -> Vir
     };
     for g in 0..n {
         let at = |first: usize| [step[first], step[first + 1], step[first + 2]];
-        let by = within(at(moves + 3 * g), walk.farthest * walk.grid.width(out.positions[g]));
+        let by = within(at(moves + 3 * g), options.farthest * options.grid.peak_width(out.positions[g]));
         (0..3).for_each(|c| out.positions[g][c] += by[c]);
-        if walk.turns {
-            out.quats[g] = nudged(out.quats[g], within(at(moves + 3 * n + 3 * g), 0.5));
+        if options.turns {
+            out.quats[g] = rotate_quat(out.quats[g], within(at(moves + 3 * n + 3 * g), 0.5));
         }
     }
     out
@@ -251,7 +252,7 @@ fn apply(sources: &VirtualSources, step: &[f64], walk: RefineOptions<'_>) -> Vir
 mod tests {
     use super::*;
     use crate::virtual_transmitters::turn::IDENTITY;
-    use crate::virtual_transmitters::{ChannelInputs, field, snr_of};
+    use crate::virtual_transmitters::{ChannelInputs, field, snr_db};
     use pwrfgs_core::{Real, rng};
 
     #[test]
@@ -271,16 +272,16 @@ mod tests {
         let h = field(&truth.to_cloud(), None, &links);
         let rows = MeasurementRows::new(&links, &h, &(0..30).collect::<Vec<_>>(), usize::MAX, 0);
         let mut solved = VirtualSources { gains: vec![[0.0; 2]; 4], ..truth.clone() };
-        assert!(gains(&rows, &mut solved, &[0.0; 4]).is_some());
+        assert!(solve_gains(&rows, &mut solved, 0.0).is_some());
         for (a, b) in solved.gains.iter().flatten().zip(truth.gains.iter().flatten()) {
             assert!((a - b).abs() < 1e-4, "{solved:?}");
         }
         let mut twice = truth.select(&[0, 0]);
         assert!(
-            gains(&rows, &mut twice, &[0.0; 2]).is_none() || snr_of(&field(&twice.to_cloud(), None, &links), &h) > 0.0
+            solve_gains(&rows, &mut twice, 0.0).is_none() || snr_db(&field(&twice.to_cloud(), None, &links), &h) > 0.0
         );
         let mut small = truth.clone();
-        assert!(gains(&rows, &mut small, &[1e9; 4]).is_some());
+        assert!(solve_gains(&rows, &mut small, 1e9).is_some());
         assert!(small.gains.iter().flatten().all(|s| s.abs() < 1e-3), "a ridge shrinks");
     }
 }

@@ -5,15 +5,15 @@
 //! precision. Only the best are kept, one per maximum, so that memory does not grow with the grid. Maxima are
 //! wider at larger distances from the links, so that each shell of the grid is twice as coarse as the inner one.
 //!
-//! [`images`] are the expected positions of images of known sources: mirrored in the planes that pairs of sources
+//! [`mirror_images`] are the expected positions of images of known sources: mirrored in the planes that pairs of sources
 //! share. If v' is the image of v behind a wall, the wall is the plane half-way between them, and every other source
 //! has an image behind it too. There are so few such positions that little evidence distinguishes weak images of a
 //! second reflection from noise.
 
-use crate::virtual_transmitters::cis::{Cis, widest};
+use crate::virtual_transmitters::cis::Cis;
 use crate::virtual_transmitters::equations::MeasurementRows;
-use crate::virtual_transmitters::turn::{matrix, turned};
-use pwrfgs_core::evenly;
+use crate::virtual_transmitters::turn::{rotate_vector, rotation_matrix};
+use pwrfgs_core::{evenly, widest};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -41,7 +41,7 @@ pub(crate) struct SearchGrid {
 /// Candidate position of a source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Peak {
-    pub(crate) place: [f64; 3],
+    pub(crate) position: [f64; 3],
     pub(crate) quat: [f64; 4],
     /// Energy that it explains with its best gain.
     pub(crate) explains: f64,
@@ -57,23 +57,24 @@ struct Shell {
 }
 
 impl Shell {
-    /// Returns the number of positions along an edge.
-    fn count(&self) -> usize {
+    /// Returns the number of positions along an edge of the outer cube.
+    fn edge_points(&self) -> usize {
         (2.0 * self.half / self.step).ceil() as usize + 1
     }
 
-    /// Returns the coordinate of position `i`, relative to the centre of the cube.
-    fn at(&self, i: usize) -> f64 {
+    /// Returns the coordinate of position `i` along an axis, relative to the centre of the cube, metres.
+    fn coordinate(&self, i: usize) -> f64 {
         i as f64 * self.step - self.half
     }
 
-    /// Returns the segments of a line along x at `y` and `z`, as first index and number of positions.
-    fn stretches(&self, [y, z]: [f64; 2]) -> [(usize, usize); 2] {
-        let count = self.count();
+    /// Returns the segments outside the inner cube of a line along x at `y` and `z`, as first index and number of
+    /// positions; the second is empty if the line misses the inner cube.
+    fn segments(&self, [y, z]: [f64; 2]) -> [(usize, usize); 2] {
+        let count = self.edge_points();
         if y.abs().max(z.abs()) >= self.hollow {
             return [(0, count), (count, 0)];
         }
-        let inside = |i: &usize| self.at(*i).abs() < self.hollow;
+        let inside = |i: &usize| self.coordinate(*i).abs() < self.hollow;
         let first = (0..count).find(inside).unwrap_or(count);
         let last = (first..count).find(|i| !inside(i)).unwrap_or(count);
         [(0, first), (last, count - last)]
@@ -90,84 +91,87 @@ struct Layer {
 }
 
 impl Layer {
-    /// Returns the number of positions of every `stride`th line.
-    fn positions(&self, stride: usize) -> usize {
+    /// Returns the number of positions on every `stride`th line.
+    fn position_count(&self, stride: usize) -> usize {
         let Self { shell, z, .. } = self;
-        let line = |y| shell.stretches([shell.at(y), shell.at(*z)]).iter().map(|(_, count)| count).sum::<usize>();
-        (0..shell.count()).step_by(stride).map(line).sum()
+        let line = |y| {
+            shell.segments([shell.coordinate(y), shell.coordinate(*z)]).iter().map(|(_, count)| count).sum::<usize>()
+        };
+        (0..shell.edge_points()).step_by(stride).map(line).sum()
     }
 }
 
 impl SearchGrid {
-    /// Returns the width of maxima at `place`, in steps of the innermost shell, at least 1. Maximum moves and the
-    /// distance between distinct positions scale with it.
-    pub(crate) fn width(&self, position: [f64; 3]) -> f64 {
+    /// Returns the width of maxima at `position`, relative to that in the innermost shell, at least 1. Maximum moves and
+    /// the distance between distinct positions scale with it.
+    pub(crate) fn peak_width(&self, position: [f64; 3]) -> f64 {
         let off = [0, 1, 2].map(|k| (position[k] - self.centre[k]).abs());
         (2.0 * off.into_iter().fold(0.0, f64::max) / self.side).max(1.0)
     }
 
     /// Returns whether a position is inside the cube.
-    pub(crate) fn holds(&self, position: [f64; 3]) -> bool {
+    pub(crate) fn contains(&self, position: [f64; 3]) -> bool {
         (0..3).all(|k| (position[k] - self.centre[k]).abs() <= self.half)
     }
 
     /// Returns all layers of all shells, for each rotation.
     fn layers(&self) -> Vec<Layer> {
         let layers = |shell: Shell| {
-            let layer = move |q| (0..shell.count()).map(move |z| Layer { shell, q, z });
+            let layer = move |q| (0..shell.edge_points()).map(move |z| Layer { shell, q, z });
             (0..self.quats.len()).flat_map(layer)
         };
         self.shells().into_iter().flat_map(layers).collect()
     }
 
+    /// Returns the shells from the inside out, each twice as large and as coarse as the one before.
     fn shells(&self) -> Vec<Shell> {
-        let mut all = vec![Shell { hollow: 0.0, half: self.half.min(self.side), step: self.step }];
-        while let Some(last) = all.last().copied().filter(|last| last.half < self.half) {
-            all.push(Shell { hollow: last.half, half: self.half.min(2.0 * last.half), step: 2.0 * last.step });
+        let mut shells = vec![Shell { hollow: 0.0, half: self.half.min(self.side), step: self.step }];
+        while let Some(last) = shells.last().copied().filter(|last| last.half < self.half) {
+            shells.push(Shell { hollow: last.half, half: self.half.min(2.0 * last.half), step: 2.0 * last.step });
         }
-        all
+        shells
     }
 
-    /// Returns the approximate number of positions times rotations.
-    pub(crate) fn len(&self) -> usize {
+    /// Returns the approximate number of candidates: positions times rotations.
+    pub(crate) fn candidate_count(&self) -> usize {
         let cube = |edge: f64, step: f64| (edge / step).powi(3);
-        let places = |s: &Shell| cube(2.0 * s.half, s.step) - cube(2.0 * s.hollow, s.step);
-        (self.shells().iter().map(places).sum::<f64>() as usize).max(1) * self.quats.len()
+        let positions = |s: &Shell| cube(2.0 * s.half, s.step) - cube(2.0 * s.hollow, s.step);
+        (self.shells().iter().map(positions).sum::<f64>() as usize).max(1) * self.quats.len()
     }
 
-    /// Keeps the best `most`, one per maximum.
-    pub(crate) fn thin(&self, peaks: &mut Vec<Peak>, most: usize) {
-        thin(peaks, most, |peak| 2.0 * self.step * self.width(peak.place));
+    /// Sorts `peaks`, best first, and keeps the best `most`, one per maximum of the grid.
+    pub(crate) fn keep_best_peaks(&self, peaks: &mut Vec<Peak>, most: usize) {
+        keep_best_peaks(peaks, most, |peak| 2.0 * self.step * self.peak_width(peak.position));
     }
 }
 
 /// Returns the best `most` positions of `grid` for the residual `rows`, best first; the result is partial if `stop` is
 /// set.
-pub(crate) fn sweep(rows: &MeasurementRows, grid: &SearchGrid, most: usize, stop: &AtomicBool) -> Vec<Peak> {
+pub(crate) fn sweep_grid(rows: &MeasurementRows, grid: &SearchGrid, most: usize, stop: &AtomicBool) -> Vec<Peak> {
     sweep_lines(rows, grid, (&grid.layers(), 1), most, stop)
 }
 
 /// Sweeps a few lines for about [`TIMED`]; returns the best `most` positions in them, and the expected time of the whole
 /// sweep, seconds. A busy machine only makes a pass slower, so the fastest pass counts.
-pub(crate) fn timed_sweep(rows: &MeasurementRows, grid: &SearchGrid, most: usize) -> (Vec<Peak>, f64) {
+pub(crate) fn time_sweep(rows: &MeasurementRows, grid: &SearchGrid, most: usize) -> (Vec<Peak>, f64) {
     let layers = evenly(&grid.layers(), 2 * rayon::current_num_threads());
     let (all, mut best) = (Instant::now(), f64::INFINITY);
-    let mut stride = layers.iter().map(|layer| layer.shell.count()).max().unwrap_or(1);
+    let mut stride = layers.iter().map(|layer| layer.shell.edge_points()).max().unwrap_or(1);
     let mut passes = 0;
     loop {
         let begun = Instant::now();
         let peaks = sweep_lines(rows, grid, (&layers, stride), most, &AtomicBool::new(false));
-        let positions: usize = layers.iter().map(|layer| layer.positions(stride)).sum();
+        let positions: usize = layers.iter().map(|layer| layer.position_count(stride)).sum();
         best = best.min(begun.elapsed().as_secs_f64() / positions.max(1) as f64);
         passes += 1;
         if stride == 1 || (passes > 2 && all.elapsed() > TIMED) {
-            return (peaks, best * grid.len() as f64);
+            return (peaks, best * grid.candidate_count() as f64);
         }
         stride = stride.div_ceil(3);
     }
 }
 
-/// Sweeps every `stride`th line of some layers.
+/// Sweeps every `stride`th line of some layers; returns the best `most` peaks, best first.
 fn sweep_lines(
     rows: &MeasurementRows,
     grid: &SearchGrid,
@@ -175,19 +179,19 @@ fn sweep_lines(
     most: usize,
     stop: &AtomicBool,
 ) -> Vec<Peak> {
-    let turned: Vec<SweepRows> = grid.quats.iter().map(|q| SweepRows::new(rows, *q, grid.centre)).collect();
+    let measured: Vec<Vec<[f32; 6]>> = grid.quats.iter().map(|q| sweep_rows(rows, *q, grid.centre)).collect();
     let layer = |&Layer { shell, q, z }: &Layer| {
         let mut peaks = Vec::new();
         let mut least = 0.0;
-        for y in (0..shell.count()).step_by(stride) {
+        for y in (0..shell.edge_points()).step_by(stride) {
             if stop.load(Ordering::Relaxed) {
                 return peaks;
             }
-            let at = [shell.at(y), shell.at(z)];
-            for (from, count) in shell.stretches(at) {
-                let stretch = (shell.at(from), count, shell.step);
+            let at = [shell.coordinate(y), shell.coordinate(z)];
+            for (from, count) in shell.segments(at) {
+                let stretch = (shell.coordinate(from), count, shell.step);
                 widest(SweepLine {
-                    measured: &turned[q],
+                    measured: &measured[q],
                     grid,
                     stretch,
                     at,
@@ -197,27 +201,27 @@ fn sweep_lines(
                 });
             }
             if peaks.len() > 8 * most {
-                grid.thin(&mut peaks, most);
+                grid.keep_best_peaks(&mut peaks, most);
                 least = if peaks.len() == most { peaks[most - 1].explains } else { 0.0 };
             }
         }
-        grid.thin(&mut peaks, most);
+        grid.keep_best_peaks(&mut peaks, most);
         peaks
     };
     let layers: Vec<Vec<Peak>> = layers.par_iter().map(layer).collect();
     let mut peaks = layers.concat();
-    grid.thin(&mut peaks, most);
+    grid.keep_best_peaks(&mut peaks, most);
     peaks
 }
 
-/// Keeps the best `most`, none closer to a better one than `apart` of either.
-pub(crate) fn thin(peaks: &mut Vec<Peak>, most: usize, apart: impl Fn(&Peak) -> f64) {
-    peaks.sort_by(|a, b| b.explains.total_cmp(&a.explains).then_with(|| by_place(a, b)));
+/// Sorts `peaks`, best first, and keeps the best `most`, none closer to a better one than `apart` of either, metres.
+pub(crate) fn keep_best_peaks(peaks: &mut Vec<Peak>, most: usize, apart: impl Fn(&Peak) -> f64) {
+    peaks.sort_by(|a, b| b.explains.total_cmp(&a.explains).then_with(|| compare_positions(a, b)));
     let mut kept: Vec<(Peak, f64)> = Vec::with_capacity(most);
     for peak in peaks.iter() {
         let distance = apart(peak);
         let near = |(k, other): &(Peak, f64)| {
-            (0..3).map(|c| (k.place[c] - peak.place[c]).powi(2)).sum::<f64>() < distance.max(*other).powi(2)
+            (0..3).map(|c| (k.position[c] - peak.position[c]).powi(2)).sum::<f64>() < distance.max(*other).powi(2)
         };
         if !kept.iter().any(near) {
             kept.push((*peak, distance));
@@ -229,30 +233,26 @@ pub(crate) fn thin(peaks: &mut Vec<Peak>, most: usize, apart: impl Fn(&Peak) -> 
     *peaks = kept.into_iter().map(|(peak, _)| peak).collect();
 }
 
-fn by_place(a: &Peak, b: &Peak) -> std::cmp::Ordering {
-    (0..3).fold(std::cmp::Ordering::Equal, |o, k| o.then_with(|| a.place[k].total_cmp(&b.place[k])))
+/// Compares positions by x, then y, then z.
+fn compare_positions(a: &Peak, b: &Peak) -> std::cmp::Ordering {
+    (0..3).fold(std::cmp::Ordering::Equal, |o, k| o.then_with(|| a.position[k].total_cmp(&b.position[k])))
 }
 
-/// Rows for one rotation, relative to the centre of the cube: p − R r, wavelengths per metre, residual.
-struct SweepRows {
-    rows: Vec<[f32; 6]>,
-}
-
-impl SweepRows {
-    fn new(rows: &MeasurementRows, quat: [f64; 4], centre: [f64; 3]) -> Self {
-        let rotation = matrix(quat);
-        let row = |i: usize| {
-            let (p, r, [re, im]) = (rows.p[i], turned(&rotation, rows.r[i]), rows.h[i]);
-            let [x, y, z] = [0, 1, 2].map(|k| (p[k] - r[k] - centre[k]) as f32);
-            [x, y, z, rows.per_metre[i] as f32, re as f32, im as f32]
-        };
-        Self { rows: (0..rows.len()).map(row).collect() }
-    }
+/// Returns the rows `[K,6]` for one rotation: p − R r relative to the centre of the cube (metres), wavelengths per metre,
+/// real and imaginary part of the residual.
+fn sweep_rows(rows: &MeasurementRows, quat: [f64; 4], centre: [f64; 3]) -> Vec<[f32; 6]> {
+    let rotation = rotation_matrix(quat);
+    let row = |i: usize| {
+        let (p, r, [re, im]) = (rows.p[i], rotate_vector(&rotation, rows.r[i]), rows.h[i]);
+        let [x, y, z] = [0, 1, 2].map(|k| (p[k] - r[k] - centre[k]) as f32);
+        [x, y, z, rows.per_metre[i] as f32, re as f32, im as f32]
+    };
+    (0..rows.len()).map(row).collect()
 }
 
 /// Segment of one line along x.
 struct SweepLine<'a> {
-    measured: &'a SweepRows,
+    measured: &'a [[f32; 6]],
     grid: &'a SearchGrid,
     /// First position relative to the centre of the cube, metres, number of positions, and their spacing.
     stretch: (f64, usize, f64),
@@ -278,14 +278,14 @@ impl pulp::WithSimd for SweepLine<'_> {
             for l in 0..LANES {
                 x[l] = (start + (first + l) as f64 * step) as f32;
             }
-            let explains = explained(&self.measured.rows, &x, at);
+            let explains = explained_energy(self.measured, &x, at);
             for l in 0..LANES.min(count - first) {
                 // Maximum along the line: its neighbours belong to the same maximum.
-                let falls =
+                let is_peak =
                     (l == 0 || explains[l - 1] <= explains[l]) && (l + 1 == LANES || explains[l + 1] <= explains[l]);
-                if falls && f64::from(explains[l]) > self.least {
-                    let place = [f64::from(x[l]) + centre[0], self.at[0] + centre[1], self.at[1] + centre[2]];
-                    self.peaks.push(Peak { place, quat: self.quat, explains: f64::from(explains[l]) });
+                if is_peak && f64::from(explains[l]) > self.least {
+                    let position = [f64::from(x[l]) + centre[0], self.at[0] + centre[1], self.at[1] + centre[2]];
+                    self.peaks.push(Peak { position, quat: self.quat, explains: f64::from(explains[l]) });
                 }
             }
             first += LANES;
@@ -293,9 +293,9 @@ impl pulp::WithSimd for SweepLine<'_> {
     }
 }
 
-/// Returns |eᴴr|²/|e|² at LANES positions.
+/// Returns the explained energy |eᴴr|²/|e|² at LANES positions `x` (relative to the centre) of the line at y, z `at`.
 #[inline(always)]
-fn explained(rows: &[[f32; 6]], x: &[f32; LANES], at: [f32; 2]) -> [f32; LANES] {
+fn explained_energy(rows: &[[f32; 6]], x: &[f32; LANES], at: [f32; 2]) -> [f32; LANES] {
     let (mut re, mut im, mut energy) = ([0.0_f32; LANES], [0.0_f32; LANES], [0.0_f32; LANES]);
     for i in 0..rows.len() {
         let [px, py, pz, per_metre, h_re, h_im] = rows[i];
@@ -322,23 +322,18 @@ fn explained(rows: &[[f32; 6]], x: &[f32; LANES], at: [f32; 2]) -> [f32; LANES] 
 /// Share of the moving positions that may be behind a wall, for example over the edge of a table.
 const BEHIND: f64 = 0.02;
 
-/// Returns the mirror images of all `places` in all planes half-way between two of them that have nearly all of `hear`
-/// on one side. Excludes those outside the region of `holds`, and those closer than `apart` to a position or to each
-/// other.
-pub(crate) fn images(
-    places: &[[f64; 3]],
-    positions: &[[f64; 3]],
-    holds: impl Fn([f64; 3]) -> bool,
-    apart: f64,
-) -> Vec<[f64; 3]> {
+/// Returns the mirror images of all `sources` in all planes half-way between two of them that have nearly all `moving`
+/// positions on one side. Excludes images outside `grid`, and those closer than `apart` (metres) to a source or to
+/// each other.
+pub(crate) fn mirror_images(sources: &[[f64; 3]], moving: &[[f64; 3]], grid: &SearchGrid, apart: f64) -> Vec<[f64; 3]> {
     let near = |a: &[f64; 3], b: &[f64; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>() < apart * apart;
     let mut images: Vec<[f64; 3]> = Vec::new();
-    for (i, a) in places.iter().enumerate() {
-        for b in &places[..i] {
-            let Some(plane) = CutPlane::between(*a, *b).filter(|p| p.clear_of(positions)) else { continue };
-            for v in places {
+    for (i, a) in sources.iter().enumerate() {
+        for b in &sources[..i] {
+            let Some(plane) = CutPlane::between(*a, *b).filter(|p| p.is_clear_of(moving)) else { continue };
+            for v in sources {
                 let image = plane.mirrored(*v);
-                if holds(image) && !places.iter().chain(&images).any(|p| near(p, &image)) {
+                if grid.contains(image) && !sources.iter().chain(&images).any(|p| near(p, &image)) {
                     images.push(image);
                 }
             }
@@ -354,6 +349,7 @@ struct CutPlane {
 }
 
 impl CutPlane {
+    /// Creates the plane half-way between two positions; `None` if they are closer than a millimetre.
     fn between(a: [f64; 3], b: [f64; 3]) -> Option<Self> {
         let by = [0, 1, 2].map(|k| b[k] - a[k]);
         let length = by.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -364,28 +360,29 @@ impl CutPlane {
         Some(Self { n, at: (0..3).map(|k| n[k] * (a[k] + b[k]) / 2.0).sum() })
     }
 
-    fn above(&self, x: &[f64; 3]) -> f64 {
+    /// Returns the distance of `x` from the plane, metres, negative on the side of the first position.
+    fn signed_distance(&self, x: &[f64; 3]) -> f64 {
         (0..3).map(|k| self.n[k] * x[k]).sum::<f64>() - self.at
     }
 
-    fn clear_of(&self, positions: &[[f64; 3]]) -> bool {
-        let above = positions.iter().filter(|p| self.above(p) > 0.0).count() as f64 / positions.len().max(1) as f64;
+    /// Returns whether nearly all positions are on one side of the plane.
+    fn is_clear_of(&self, positions: &[[f64; 3]]) -> bool {
+        let above =
+            positions.iter().filter(|p| self.signed_distance(p) > 0.0).count() as f64 / positions.len().max(1) as f64;
         above.min(1.0 - above) <= BEHIND
     }
 
+    /// Returns the mirror image of `v`.
     fn mirrored(&self, v: [f64; 3]) -> [f64; 3] {
-        let above = self.above(&v);
-        [0, 1, 2].map(|k| v[k] - 2.0 * above * self.n[k])
+        let distance = self.signed_distance(&v);
+        [0, 1, 2].map(|k| v[k] - 2.0 * distance * self.n[k])
     }
 }
 
-/// Returns candidates without a score, each with every rotation.
-pub(crate) fn as_peaks(places: &[[f64; 3]], quats: &[[f64; 4]]) -> Vec<Peak> {
-    let all = |quat: &[f64; 4]| {
-        let quat = *quat;
-        places.iter().map(move |place| Peak { place: *place, quat, explains: 0.0 })
-    };
-    quats.iter().flat_map(all).collect()
+/// Returns a peak without explained energy per rotation and position.
+pub(crate) fn unscored_peaks(positions: &[[f64; 3]], quats: &[[f64; 4]]) -> Vec<Peak> {
+    let peak = |quat, position| Peak { position, quat, explains: 0.0 };
+    quats.iter().flat_map(|quat| positions.iter().map(|position| peak(*quat, *position))).collect()
 }
 
 #[cfg(test)]
@@ -396,9 +393,10 @@ mod tests {
     fn finds_double_reflection_from_two_images() {
         let (node, wall, floor) = ([1.0, 0.5, 1.5], [-3.0, 0.5, 1.5], [1.0, 0.5, -1.5]);
         let positions = [[0.0, 0.0, 1.0], [1.0, 1.0, 2.0]];
-        let mirrored = images(&[node, wall, floor], &positions, |_| true, 0.05);
+        let grid = SearchGrid { centre: [0.0; 3], side: 1.0, half: 100.0, step: 1.0, quats: Vec::new() };
+        let mirrored = mirror_images(&[node, wall, floor], &positions, &grid, 0.05);
         assert!(mirrored.iter().any(|p| (0..3).all(|k| (p[k] - [-3.0, 0.5, -1.5][k]).abs() < 1e-12)), "{mirrored:?}");
-        let across = images(&[node, wall], &[[-2.0, 0.0, 1.0], [1.0, 1.0, 2.0]], |_| true, 0.05);
+        let across = mirror_images(&[node, wall], &[[-2.0, 0.0, 1.0], [1.0, 1.0, 2.0]], &grid, 0.05);
         assert!(across.is_empty(), "no wall goes through where the moving end was: {across:?}");
     }
 }

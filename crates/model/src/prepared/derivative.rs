@@ -1,7 +1,7 @@
 //! Derivative of a prediction by the position of the transmitter or the pose of a moving receiver: backward through residual
 //! processes, mean and method.
 
-use super::{Member, Prepared, mean};
+use super::{Member, Prepared, mean_prediction};
 use pwrfgs_core::{Call, ForwardOutput, Image, MethodVjp, Query, Real, WantedInputs};
 
 impl Prepared<'_> {
@@ -43,33 +43,34 @@ impl Prepared<'_> {
             let (width, height) = (self.plane().width, self.plane().height);
             Image { width, height, pixels: output.numbers.clone() }
         };
-        let predicted = mean(observed.iter().map(image).collect(), task);
+        let predicted = mean_prediction(observed.iter().map(image).collect(), task);
         let corrected = self.corrected(predicted.clone(), query);
         let mut d = cotangent(&corrected);
         assert_eq!(d.len(), corrected.pixels.len(), "a cotangent for each value");
         let (mut d_tx, mut d_orientation) = ([0.0; 3], [0.0; 4]);
         if let Some(residuals) = self.residuals {
-            d_tx = residuals.correct_vjp(&mut d, query, self.members[0].model.stages.origin);
+            d_tx = residuals.correct_vjp(&mut d, query, self.setup().origin);
             task.shown_vjp(&predicted.pixels, &mut d);
         }
         let (several, share) = (self.members.len() > 1, 1.0 / self.members.len() as Real);
-        for (member, own) in self.members.iter().zip(observed) {
+        for (member, output) in self.members.iter().zip(observed) {
             let mut d: Vec<Real> = d.iter().map(|d| share * d).collect();
             if several {
-                task.shown_vjp(&own.numbers, &mut d);
+                task.shown_vjp(&output.numbers, &mut d);
             }
-            let found = member.vjp(query, own, &d);
-            (0..3).for_each(|k| d_tx[k] += found.0[k]);
-            (0..4).for_each(|k| d_orientation[k] += found.1[k]);
+            let (d_position, d_turn) = member.vjp(query, output, &d);
+            (0..3).for_each(|k| d_tx[k] += d_position[k]);
+            (0..4).for_each(|k| d_orientation[k] += d_turn[k]);
         }
         Some((corrected, d_tx, self.has_orientation_derivative().then_some(d_orientation)))
     }
 }
 
 impl Member<'_> {
+    /// Predicts one link, with the state for [`Self::vjp`].
     fn forward(&self, query: Query<'_>) -> ForwardOutput {
         let method = &self.model.stages.method;
-        self.enter(|| self.call(&[query], |call| method.forward(call, &self.ready)))
+        self.run_in_pool(|| self.run_call(&[query], |call| method.forward(call, &self.ready)))
     }
 
     /// Returns the derivatives by position and orientation, given the cotangents of the observation.
@@ -80,8 +81,8 @@ impl Member<'_> {
             let mut sums = MethodVjp::zeros(call, WantedInputs { positions: true, orientations });
             method.vjp(call, observed, d, &mut sums);
             let position = sums.positions.expect("wanted")[0].map(|d| d as f64);
-            (position, sums.orientations.map_or([0.0; 4], |all| all[0]))
+            (position, sums.orientations.map_or([0.0; 4], |d| d[0]))
         };
-        self.enter(|| self.call(&[query], run))
+        self.run_in_pool(|| self.run_call(&[query], run))
     }
 }

@@ -44,6 +44,7 @@ struct ProcessNote {
 }
 
 impl ResidualsNote {
+    /// Returns the settings of residual processes.
     pub(crate) fn of(residuals: &Residuals) -> Self {
         let process = |process: &ResidualProcess| {
             let ProcessFit { trend, variance, correlation } = process.fit;
@@ -64,7 +65,35 @@ impl ResidualsNote {
     /// # Errors
     /// The message names the mismatch.
     pub(crate) fn take(self, file: &mut Tensors, setup: &MeasurementSetup) -> Result<Residuals, String> {
+        let links = self.count_links(setup)?;
         let Self { stride, neighbours, receivers } = self;
+        let grid = CoarseGrid::new(&setup.plane, stride);
+        let link_values = grid.len();
+        let places = file.take(PLACES, &[links, 3])?;
+        if places.iter().any(|v| f64::from(v.abs() as f32) > MAX_COORDINATE_M) {
+            return Err(format!("tensor `{PLACES}` holds a position beyond {MAX_COORDINATE_M:e} m"));
+        }
+        let places: Vec<[Real; 3]> = places.as_chunks().0.to_vec();
+        let values = if stride == 1 {
+            ResidualValues::Exact(file.take(VALUES, &[links, link_values])?)
+        } else {
+            ResidualValues::Short(file.take_short(VALUES, &[links, link_values])?, file.take(UNITS, &[links])?)
+        };
+        let mut first = 0;
+        let mut process = |(note, receiver): (Option<ProcessNote>, &Receiver)| -> Result<_, String> {
+            let Some(note) = note else { return Ok(None) };
+            let rows = first..first + note.links;
+            first = rows.end;
+            let (fit, values) = (note.process_fit(setup.task, receiver)?, values.rows(rows.clone(), link_values));
+            Ok(Some(ResidualProcess::new(fit, places[rows].to_vec(), values)))
+        };
+        let processes = receivers.into_iter().zip(&setup.receivers).map(&mut process).collect::<Result<_, _>>()?;
+        Ok(Residuals { grid, neighbours, processes })
+    }
+
+    /// Checks the settings against `setup`, and returns the number of known links of all processes.
+    fn count_links(&self, setup: &MeasurementSetup) -> Result<usize, String> {
+        let Self { stride, neighbours, ref receivers } = *self;
         super::Kriged { stride, neighbours, folds: false }.check().map_err(|why| format!("residuals: {why}"))?;
         if setup.task.stride(stride) != stride {
             return Err(format!("residuals: a stride of {stride} for {}, expected 1", setup.task.plural));
@@ -76,49 +105,18 @@ impl ResidualsNote {
             let (have, need) = (receivers.len(), setup.receivers.len());
             return Err(format!("residuals of {have} receivers for a model of {need}"));
         }
-        let counts = receivers.iter().flatten().map(|note| note.links);
-        let links = counts.clone().try_fold(0, usize::checked_add).filter(|_| counts.clone().all(|n| n > 0));
-        let links = links.ok_or("residuals: each process needs a link or more")?;
-        let grid = CoarseGrid::new(&setup.plane, stride);
-        let of_each = grid.len();
-        let places = file.take(PLACES, &[links, 3])?;
-        if places.iter().any(|v| f64::from(v.abs() as f32) > MAX_COORDINATE_M) {
-            return Err(format!("tensor `{PLACES}` holds a position beyond {MAX_COORDINATE_M:e} m"));
-        }
-        let places: Vec<[Real; 3]> = places.as_chunks().0.to_vec();
-        let stored = if stride == 1 {
-            ResidualValues::Exact(file.take(VALUES, &[links, of_each])?)
-        } else {
-            ResidualValues::Short(file.take_short(VALUES, &[links, of_each])?, file.take(UNITS, &[links])?)
-        };
-        let mut first = 0;
-        let mut process = |(note, receiver): (Option<ProcessNote>, &Receiver)| -> Result<_, String> {
-            let Some(note) = note else { return Ok(None) };
-            let links_of_process = first..first + note.links;
-            first = links_of_process.end;
-            let values = match &stored {
-                ResidualValues::Exact(all) => {
-                    ResidualValues::Exact(all[links_of_process.start * of_each..links_of_process.end * of_each].into())
-                }
-                ResidualValues::Short(all, units) => ResidualValues::Short(
-                    all[links_of_process.start * of_each..links_of_process.end * of_each].into(),
-                    units[links_of_process.clone()].into(),
-                ),
-            };
-            Ok(Some(ResidualProcess::new(
-                note.fitted(setup.task, receiver)?,
-                places[links_of_process].to_vec(),
-                values,
-            )))
-        };
-        let processes = receivers.into_iter().zip(&setup.receivers).map(&mut process).collect::<Result<_, _>>()?;
-        Ok(Residuals { grid, neighbours, processes })
+        let mut counts = receivers.iter().flatten().map(|note| note.links);
+        let links = counts.try_fold(0_usize, |sum, n| sum.checked_add(n).filter(|_| n > 0));
+        links.ok_or("residuals: each process needs a link or more".into())
     }
 }
 
 impl ProcessNote {
     /// Returns the trend, variance and correlation at a `receiver`.
-    fn fitted(&self, task: Task, receiver: &Receiver) -> Result<ProcessFit, String> {
+    ///
+    /// # Errors
+    /// The message states the value out of range.
+    fn process_fit(&self, task: Task, receiver: &Receiver) -> Result<ProcessFit, String> {
         let Self { share, variance, correlation, scales_m, noise, path_loss, .. } = *self;
         let is_scale = |v: &f64| v.is_finite() && *v >= LEAST;
         if !((0.0..=1.0).contains(&share) && variance.is_finite() && variance >= 0.0) {
@@ -140,25 +138,25 @@ impl ProcessNote {
 }
 
 impl Residuals {
-    /// Adds the tensors.
+    /// Adds the positions and residuals of all processes to the file.
     pub(crate) fn put(&self, file: &mut Tensors) {
         let (mut places, mut exact, mut short, mut units) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for process in self.processes.iter().flatten() {
             places.extend_from_slice(process.places.as_flattened());
             match &process.values {
-                ResidualValues::Exact(own) => exact.extend_from_slice(own),
-                ResidualValues::Short(own, of_own) => {
-                    short.extend_from_slice(own);
-                    units.extend_from_slice(of_own);
+                ResidualValues::Exact(values) => exact.extend_from_slice(values),
+                ResidualValues::Short(values, link_units) => {
+                    short.extend_from_slice(values);
+                    units.extend_from_slice(link_units);
                 }
             }
         }
-        let (links, of_each) = (places.len() / 3, self.grid.len());
+        let (links, link_values) = (places.len() / 3, self.grid.len());
         file.put(PLACES, vec![links, 3], places);
         if self.grid.stride == 1 {
-            file.put(VALUES, vec![links, of_each], exact);
+            file.put(VALUES, vec![links, link_values], exact);
         } else {
-            file.put_short(VALUES, vec![links, of_each], short);
+            file.put_short(VALUES, vec![links, link_values], short);
             file.put(UNITS, vec![links], units);
         }
     }

@@ -19,11 +19,12 @@ pub(crate) struct CoarseGrid {
 type Node = [(usize, Real); 4];
 
 impl CoarseGrid {
+    /// Creates the grid of a `plane`. Columns wrap around if those of the plane do and `stride` divides their number.
     pub(crate) fn new(plane: &ImagePlane, stride: usize) -> Self {
         let wraps = plane.wraps && plane.width.is_multiple_of(stride);
         let size = [plane.height.div_ceil(stride), plane.width.div_ceil(stride)];
-        let rows = (0..plane.height).map(|y| node(y, stride, size[0], false)).collect();
-        let columns = (0..plane.width).map(|x| node(x, stride, size[1], wraps)).collect();
+        let rows = (0..plane.height).map(|y| cubic_node(y, stride, size[0], false)).collect();
+        let columns = (0..plane.width).map(|x| cubic_node(x, stride, size[1], wraps)).collect();
         Self { stride, rows, columns, size }
     }
 
@@ -39,26 +40,26 @@ impl CoarseGrid {
     }
 
     /// Returns the share of the variance of `images` about their mean that the grid loses; 0 without variance.
-    pub(crate) fn lost(&self, images: &[Vec<Real>]) -> f64 {
+    pub(crate) fn lost_share(&self, images: &[Vec<Real>]) -> f64 {
         let mut mean = vec![0.0; self.rows.len() * self.columns.len()];
         let share = 1.0 / images.len().max(1) as Real;
         for image in images {
             mean.iter_mut().zip(image).for_each(|(mean, v)| *mean += share * v);
         }
-        let (mut lost, mut all) = (0.0, 0.0);
+        let (mut lost, mut total) = (0.0, 0.0);
         for image in images {
             let residual: Vec<Real> = image.iter().zip(&mean).map(|(v, mean)| v - mean).collect();
             let mut restored = vec![0.0; residual.len()];
-            self.add_to(&self.sampled(&residual).collect::<Vec<_>>(), &mut restored);
+            self.add_interpolated(&self.sampled(&residual).collect::<Vec<_>>(), &mut restored);
             lost +=
                 residual.iter().zip(restored).map(|(v, restored)| (*v as f64 - restored as f64).powi(2)).sum::<f64>();
-            all += residual.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
+            total += residual.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
         }
-        if all > 0.0 { lost / all } else { 0.0 }
+        if total > 0.0 { lost / total } else { 0.0 }
     }
 
     /// Adds the interpolated `stored` pixels to `pixels`.
-    pub(crate) fn add_to(&self, stored: &[Real], pixels: &mut [Real]) {
+    pub(crate) fn add_interpolated(&self, stored: &[Real], pixels: &mut [Real]) {
         if self.stride == 1 {
             pixels.iter_mut().zip(stored).for_each(|(pixel, v)| *pixel += v);
             return;
@@ -75,8 +76,8 @@ impl CoarseGrid {
         }
     }
 
-    /// Returns the cotangents of the stored pixels of [`Self::add_to`], given those of the pixels.
-    pub(crate) fn add_to_vjp(&self, d_pixels: &[Real]) -> Vec<Real> {
+    /// Returns the cotangents of the stored pixels of [`Self::add_interpolated`], given those of the pixels.
+    pub(crate) fn add_interpolated_vjp(&self, d_pixels: &[Real]) -> Vec<Real> {
         if self.stride == 1 {
             return d_pixels.to_vec();
         }
@@ -96,9 +97,10 @@ impl CoarseGrid {
     }
 }
 
-/// Weights of a cubic convolution (Keys, IEEE Transactions on Acoustics, Speech, and Signal Processing 29, 1981) at
-/// pixel `at`. Beyond the border, the last stored pixel repeats, or the first follows.
-fn node(at: usize, stride: usize, count: usize, wraps: bool) -> Node {
+/// Returns the four stored pixels around pixel `at` and their weights of a cubic convolution (Keys, IEEE Transactions
+/// on Acoustics, Speech, and Signal Processing 29, 1981). Beyond the border, the last stored pixel repeats, or the
+/// first follows.
+fn cubic_node(at: usize, stride: usize, count: usize, wraps: bool) -> Node {
     let (left, f) = (at / stride, (at % stride) as Real / stride as Real);
     let weights = [
         -0.5 * f * f * f + f * f - 0.5 * f,
@@ -135,7 +137,7 @@ mod tests {
             let stored: Vec<Real> = grid.sampled(&image).collect();
             assert_eq!(stored.len(), grid.len());
             let mut restored = vec![0.0; image.len()];
-            grid.add_to(&stored, &mut restored);
+            grid.add_interpolated(&stored, &mut restored);
             for (i, (restored, truth)) in restored.iter().zip(&image).enumerate().filter(|(i, _)| i / 48 < 12) {
                 assert!((restored - truth).abs() <= error, "{i} with stride {stride}: {restored} instead of {truth}");
             }
@@ -151,10 +153,10 @@ mod tests {
             (0..64 * 8).map(|k| ((k % 64) as Real * std::f64::consts::TAU as Real / period + phase).sin()).collect()
         };
         let lost = |period: Real, stride| {
-            CoarseGrid::new(&plane, stride).lost(&[0.0, 1.0, 2.0].map(|phase| wave(period, phase)))
+            CoarseGrid::new(&plane, stride).lost_share(&[0.0, 1.0, 2.0].map(|phase| wave(period, phase)))
         };
         assert!(lost(64.0, 4) < 1e-4 && lost(4.0, 4) > 0.3 && lost(4.0, 1) == 0.0);
-        assert_eq!(CoarseGrid::new(&plane, 4).lost(&[vec![0.5; 64 * 8]]), 0.0);
+        assert_eq!(CoarseGrid::new(&plane, 4).lost_share(&[vec![0.5; 64 * 8]]), 0.0);
     }
 
     #[test]
@@ -162,7 +164,7 @@ mod tests {
         for (width, height, stride) in [(1, 1, 4), (5, 3, 4), (7, 1, 3), (9, 9, 64)] {
             let grid = CoarseGrid::new(&plane(width, height), stride);
             let mut pixels = vec![0.0; width * height];
-            grid.add_to(&vec![2.0; grid.len()], &mut pixels);
+            grid.add_interpolated(&vec![2.0; grid.len()], &mut pixels);
             assert!(pixels.iter().all(|p| (p - 2.0).abs() < 1e-5), "{width} x {height}: {pixels:?}");
         }
     }

@@ -94,7 +94,7 @@ fn power_far_from_known_links_is_the_trend() {
     let correlation =
         Correlation { kind: CorrelationKind::Matern32, scales: [1.0, 1.0, 1.0, f64::INFINITY], noise: 1e-6 };
     let (known, measured, predicted) = ([10.0, 0.0, 0.0], -50.0, -70.0);
-    let left = measured - trend.at(predicted, known);
+    let left = measured - trend.expected(predicted, known);
     let fit = ProcessFit { trend, variance: 1.0, correlation };
     let process = ResidualProcess::new(fit, vec![known], ResidualValues::Exact(vec![left]));
     let plane = ImagePlane::plain(1, 1);

@@ -33,9 +33,10 @@ pub(super) struct Beams {
 }
 
 impl Beams {
+    /// Computes the table of an array at the pixels of `plane`.
     pub(super) fn new(antennas: &Antennas, plane: &ImagePlane) -> Self {
         let (elements, width) = (antennas.len(), plane.width);
-        let columns = if antennas.repeat_after_half(width) { width / 2 } else { width };
+        let columns = if antennas.is_full_circle(width) { width / 2 } else { width };
         let blocks = columns.div_ceil(LANES);
         let half = elements.div_ceil(2);
         let mut table = vec![[0.0; LANES]; plane.height * blocks * elements];
@@ -43,7 +44,7 @@ impl Beams {
             let (y, first) = (block / blocks, block % blocks * LANES);
             for lane in 0..LANES.min(columns - first) {
                 let u = plane.direction((first + lane) as Real, y as Real).expect("the plane was checked");
-                for (k, p) in antennas.positions()[..half].iter().enumerate() {
+                for (k, p) in antennas.positions[..half].iter().enumerate() {
                     let (sin, cos) = (std::f64::consts::TAU * f64::from(p.dot(Vec3::from_array(u)))).sin_cos();
                     table[k][lane] = cos as Real;
                     if half + k < elements {
@@ -55,9 +56,10 @@ impl Beams {
         Self { elements, width, columns, pixels: width * plane.height, table }
     }
 
-    /// Computes images `[2B, H·W]`, real and imaginary part in turn, of the fields `[B, K]`.
+    /// Computes the images `out` `[2B, H·W]`, real and imaginary part in turn, of the fields `[B, K]`.
     pub(super) fn draw(&self, field: &[[Real; 2]], out: &mut [Real]) {
-        let coefficients: Vec<Real> = field.chunks_exact(self.elements).flat_map(|h| self.fold(h)).collect();
+        let coefficients: Vec<Real> =
+            field.chunks_exact(self.elements).flat_map(|h| self.function_coefficients(h)).collect();
         let groups = out.par_chunks_mut(GROUP * self.pixels).zip(coefficients.par_chunks(GROUP * self.elements));
         groups.for_each(|(out, coefficients)| widest(Draw { beams: self, coefficients, out }));
     }
@@ -67,7 +69,7 @@ impl Beams {
         let mut d_coefficients = vec![0.0; d_out.len() / self.pixels * self.elements];
         let groups = d_out.par_chunks(GROUP * self.pixels).zip(d_coefficients.par_chunks_mut(GROUP * self.elements));
         groups.for_each(|(d_out, d_coefficients)| widest(Back { beams: self, d_out, d_coefficients }));
-        d_coefficients.chunks_exact(2 * self.elements).flat_map(|d| self.fold_vjp(d)).collect()
+        d_coefficients.chunks_exact(2 * self.elements).flat_map(|d| self.function_coefficients_vjp(d)).collect()
     }
 
     /// Iterates over blocks of the table, each with its pixels and, if the table covers half, those at the opposite
@@ -77,14 +79,15 @@ impl Beams {
         self.table.chunks_exact(self.elements).enumerate().map(move |(block, table)| {
             let first = block % blocks * LANES;
             let start = block / blocks * self.width + first;
-            let here = start..start + LANES.min(self.columns - first);
-            let there = here.start + self.columns..here.end + self.columns;
-            (table, here, (self.columns < self.width).then_some(there))
+            let first_half = start..start + LANES.min(self.columns - first);
+            let opposite = first_half.start + self.columns..first_half.end + self.columns;
+            (table, first_half, (self.columns < self.width).then_some(opposite))
         })
     }
 
-    /// Returns the coefficients of the K functions for the real part `[K]`, then for the imaginary part.
-    fn fold(&self, h: &[[Real; 2]]) -> Vec<Real> {
+    /// Returns the coefficients of the K functions for the real part of the image of a field `h` `[K]`, then for the
+    /// imaginary part, `[2, K]`.
+    fn function_coefficients(&self, h: &[[Real; 2]]) -> Vec<Real> {
         let (k, half) = (self.elements, self.elements.div_ceil(2));
         let scale = 1.0 / k as Real;
         let mut out = vec![0.0; 2 * k];
@@ -100,8 +103,8 @@ impl Beams {
         out
     }
 
-    /// Returns the cotangent of h, given that of [`Self::fold`].
-    fn fold_vjp(&self, d: &[Real]) -> Vec<[Real; 2]> {
+    /// Returns the cotangent of h, given that of [`Self::function_coefficients`].
+    fn function_coefficients_vjp(&self, d: &[Real]) -> Vec<[Real; 2]> {
         let (k, half) = (self.elements, self.elements.div_ceil(2));
         let scale = 1.0 / k as Real;
         let mut out = vec![[0.0; 2]; k];
@@ -134,7 +137,7 @@ impl pulp::WithSimd for Draw<'_> {
     fn with_simd<S: pulp::Simd>(self, simd: S) {
         let Beams { elements, pixels, .. } = *self.beams;
         let cosines = elements.div_ceil(2);
-        for (table, here, there) in self.beams.blocks() {
+        for (table, first_half, opposite) in self.beams.blocks() {
             for (pair, coefficients) in self.coefficients.chunks_exact(2 * elements).enumerate() {
                 let (re, im) = coefficients.split_at(elements);
                 let (mut even, mut odd) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
@@ -148,9 +151,9 @@ impl pulp::WithSimd for Draw<'_> {
                             out[i] = even[i] + sign * odd[i];
                         }
                     };
-                    both(&mut out[here.clone()], 1.0);
-                    if let Some(there) = &there {
-                        both(&mut out[there.clone()], -1.0);
+                    both(&mut out[first_half.clone()], 1.0);
+                    if let Some(opposite) = &opposite {
+                        both(&mut out[opposite.clone()], -1.0);
                     }
                 }
             }
@@ -175,13 +178,13 @@ impl pulp::WithSimd for Back<'_> {
         let Beams { elements, pixels, .. } = *self.beams;
         let cosines = elements.div_ceil(2);
         let mut sums = vec![[0.0; LANES / 4]; self.d_coefficients.len()];
-        for (table, here, there) in self.beams.blocks() {
+        for (table, first_half, opposite) in self.beams.blocks() {
             for (channel, d_out) in self.d_out.chunks_exact(pixels).enumerate() {
                 let mut even = [0.0; LANES];
-                even[..here.len()].copy_from_slice(&d_out[here.clone()]);
+                even[..first_half.len()].copy_from_slice(&d_out[first_half.clone()]);
                 let mut odd = even;
-                if let Some(there) = &there {
-                    let d = &d_out[there.clone()];
+                if let Some(opposite) = &opposite {
+                    let d = &d_out[opposite.clone()];
                     let (even, odd) = (&mut even[..d.len()], &mut odd[..d.len()]);
                     for i in 0..d.len() {
                         even[i] += d[i];

@@ -1,6 +1,7 @@
 //! Wave of one splat at the antennas, and its derivative.
 
-use crate::ewa::inverse_vjp;
+use super::ArrayResponse;
+use crate::ewa::symmetric_inverse_vjp;
 use pwrfgs_core::{
     ImagePlane, JsonSchema, Real, Splats, Vec3,
     consts::{DEG, TAU},
@@ -29,7 +30,7 @@ pub enum Wavefront {
 /// Planar array in the x-y plane of the receiver, centred, and the grid whose pixels are directions.
 pub(super) struct Antennas {
     /// Antenna positions `[K]`, wavelengths, x fastest. Element K-1-k is opposite to element k.
-    positions: Vec<Vec3>,
+    pub(super) positions: Vec<Vec3>,
     widened: bool,
     /// Carrier wavelength for spherical wavefronts, metres.
     wavelength: Option<Real>,
@@ -50,14 +51,9 @@ struct Aim {
 }
 
 impl Antennas {
-    /// Creates the array from the numbers of antennas along y and x and their spacing, wavelengths.
-    pub(super) fn new(
-        (rows, columns): (usize, usize),
-        spacing: Real,
-        widened: bool,
-        wavefront: Wavefront,
-        plane: &ImagePlane,
-    ) -> Self {
+    /// Creates the antennas of an array, for a plane whose pixels are directions.
+    pub(super) fn new(array: &ArrayResponse, plane: &ImagePlane) -> Self {
+        let ArrayResponse { rows, columns, spacing_wavelengths: spacing, widened, wavefront } = *array;
         let coordinate = |index: usize, count: usize| (index as Real - (count as Real - 1.0) / 2.0) * spacing;
         let positions = (0..rows * columns)
             .map(|k| Vec3::new(coordinate(k % columns, columns), coordinate(k / columns, rows), 0.0));
@@ -79,13 +75,9 @@ impl Antennas {
         self.positions.len()
     }
 
-    pub(super) fn positions(&self) -> &[Vec3] {
-        &self.positions
-    }
-
-    /// Returns whether an image of this width covers the full circle, so that the opposite azimuth is half a width
-    /// away.
-    pub(super) fn repeat_after_half(&self, width: usize) -> bool {
+    /// Returns whether an image of `width` pixels covers the full circle and has an even width, so that the opposite
+    /// azimuth is half a width away.
+    pub(super) fn is_full_circle(&self, width: usize) -> bool {
         let turn = self.step[0] * width as Real / TAU;
         width.is_multiple_of(2) && (turn.abs() - 1.0).abs() < 1e-6
     }
@@ -95,15 +87,15 @@ impl Antennas {
         let mut waves = vec![[0.0; 2]; splats.len() * self.len()];
         waves.par_chunks_exact_mut(self.len()).enumerate().with_min_len(64).for_each(|(i, wave)| {
             if splats.radii[i] > 0.0 {
-                self.wave(splats, i, wave);
+                self.fill_wave(splats, i, wave);
             }
         });
         waves
     }
 
-    /// Computes the wave of splat `i` with signal and opacity 1.
-    pub(super) fn wave(&self, splats: &Splats, i: usize, out: &mut [[Real; 2]]) {
-        let aim = self.aim(splats, i);
+    /// Computes the wave `out` `[K]` of splat `i` with signal and opacity 1.
+    fn fill_wave(&self, splats: &Splats, i: usize, out: &mut [[Real; 2]]) {
+        let aim = self.splat_direction(splats, i);
         let distance = splats.depths[i];
         for (a, p) in out.iter_mut().zip(&self.positions) {
             let (sin, cos) = self.phase(*p, &aim, distance).0.sin_cos();
@@ -120,7 +112,7 @@ impl Antennas {
         wave: &[[Real; 2]],
         d_wave: &[[Real; 2]],
     ) -> ([Real; 2], [Real; 3], Real) {
-        let aim = self.aim(splats, i);
+        let aim = self.splat_direction(splats, i);
         let [a, b, c] = aim.cov;
         let (mut d_u, mut d_around, mut d_up) = (Vec3::ZERO, Vec3::ZERO, Vec3::ZERO);
         let (mut d_cov, mut d_depth) = ([0.0; 3], 0.0);
@@ -144,11 +136,12 @@ impl Antennas {
         ];
         let bounded = a < BOUNDLESS || c < BOUNDLESS;
         // The conic is the inverse of the covariance, and vice versa.
-        let d_conic = if self.widened && bounded { inverse_vjp(aim.cov, d_cov) } else { [0.0; 3] };
+        let d_conic = if self.widened && bounded { symmetric_inverse_vjp(aim.cov, d_cov) } else { [0.0; 3] };
         (d_mean, d_conic, d_depth)
     }
 
-    fn aim(&self, splats: &Splats, i: usize) -> Aim {
+    /// Returns the direction of splat `i`, its derivatives, and the covariance.
+    fn splat_direction(&self, splats: &Splats, i: usize) -> Aim {
         let [column, row] = splats.means2d[i];
         let [by_column, by_row] = self.step;
         let (sin_az, cos_az) = (self.first[0] + by_column * column).sin_cos();
@@ -165,12 +158,12 @@ impl Antennas {
                 aside * (-sin_el * by_column * by_row),
                 u * (-by_row * by_row),
             ],
-            cov: covariance(splats.conics[i]),
+            cov: invert_conic(splats.conics[i]),
         }
     }
 
-    /// Returns the phase at an antenna relative to the centre, and its derivatives along the direction and the
-    /// distance.
+    /// Returns the phase at an antenna `p` (wavelengths) relative to the centre, radians, and its derivatives by the
+    /// direction and by the distance (metres).
     fn phase(&self, p: Vec3, aim: &Aim, distance: Real) -> (Real, Vec3, Real) {
         let along = p.dot(aim.u);
         let Some(wavelength) = self.wavelength else { return (TAU * along, p * TAU, 0.0) };
@@ -194,7 +187,7 @@ impl Antennas {
 }
 
 /// Returns the covariance whose inverse is the conic; `BOUNDLESS` if it is lost to rounding.
-fn covariance([a, b, c]: [Real; 3]) -> [Real; 3] {
+fn invert_conic([a, b, c]: [Real; 3]) -> [Real; 3] {
     let det = a * c - b * b;
     let cov = [c / det, -b / det, a / det];
     if det > 0.0 && cov.iter().all(|v| v.is_finite()) { cov } else { [BOUNDLESS, 0.0, BOUNDLESS] }

@@ -1,5 +1,6 @@
 use super::*;
 use crate::SPEED_OF_LIGHT;
+use glam::DMat3;
 use pwrfgs_core::testing::shared;
 use std::collections::HashMap;
 
@@ -23,7 +24,7 @@ fn line_of_sight(from: DVec3, to: DVec3) -> PropagationPath {
 fn array_offsets_have_x_fastest_and_zero_mean() {
     let array = Array { rows: 2, columns: 3, spacing_wavelengths: 0.25, ..Array::default() };
     let offsets = array.offsets(4.0);
-    assert_eq!(offsets.len(), array.elements());
+    assert_eq!(offsets.len(), array.element_count());
     assert_eq!(offsets[0], DVec3::new(-1.0, -0.5, 0.0));
     assert_eq!(offsets[1], DVec3::new(0.0, -0.5, 0.0));
     assert_eq!(offsets[3], DVec3::new(-1.0, 0.5, 0.0));
@@ -65,11 +66,11 @@ fn vertical_axis_gives_theta_polarisation() {
     for (zenith, azimuth) in [(0.3, 0.1), (1.2, 2.5), (2.9, -1.0), (1e-7, 0.4), (1e-11, 0.4)] {
         let ((st, ct), (sp, cp)) = (f64::sin_cos(zenith), f64::sin_cos(azimuth));
         let direction = DVec3::new(st * cp, st * sp, ct);
-        let (amplitude, field) = response(&Element::Isotropic, DVec3::Z, direction);
+        let (amplitude, field) = Element::Isotropic.response(DVec3::Z, direction);
         assert!(field.abs_diff_eq(DVec3::new(ct * cp, ct * sp, -st), 1e-9), "{zenith}: {field}");
         assert!(field.dot(direction).abs() < 1e-15);
         assert_eq!(amplitude, 1.0);
-        let (amplitude, _) = response(&Element::Dipole, DVec3::Z, direction);
+        let (amplitude, _) = Element::Dipole.response(DVec3::Z, direction);
         assert!((amplitude - st).abs() < 1e-15);
     }
 }
@@ -79,7 +80,7 @@ fn field_on_axis_is_unit_vector() {
     for axis in [DVec3::X, DVec3::Y, DVec3::NEG_Z, DVec3::new(1.0, 2.0, -3.0).normalize()] {
         for direction in [axis, -axis] {
             for (element, amplitude) in [(Element::Isotropic, 1.0), (Element::Dipole, 0.0)] {
-                let (computed, field) = response(&element, axis, direction);
+                let (computed, field) = element.response(axis, direction);
                 assert!((computed - amplitude).abs() < 1e-15);
                 assert!((field.length() - 1.0).abs() < 1e-14 && field.dot(direction).abs() < 1e-14, "{axis} {field}");
             }
@@ -90,11 +91,11 @@ fn field_on_axis_is_unit_vector() {
 #[test]
 fn patch_antenna_has_no_backward_radiation() {
     let patch = Element::Patch { exponent: 2.0 };
-    let towards = |z: f64| response(&patch, DVec3::Y, DVec3::new((1.0 - z * z).sqrt(), 0.0, z)).0;
+    let towards = |z: f64| patch.response(DVec3::Y, DVec3::new((1.0 - z * z).sqrt(), 0.0, z)).0;
     assert_eq!([towards(1.0), towards(0.5), towards(0.0), towards(-0.5)], [1.0, 0.25, 0.0, 0.0]);
     let half_space = Element::Patch { exponent: 0.0 };
-    assert_eq!(response(&half_space, DVec3::Y, DVec3::X).0, 0.0);
-    assert_eq!(response(&half_space, DVec3::Y, DVec3::Z).0, 1.0);
+    assert_eq!(half_space.response(DVec3::Y, DVec3::X).0, 0.0);
+    assert_eq!(half_space.response(DVec3::Y, DVec3::Z).0, 1.0);
 }
 
 #[test]
@@ -106,13 +107,14 @@ fn spherical_wave_approaches_plane_wave_at_distance() {
     // The sagitta a²/(2d) of the farthest element, a = 0.35 m, makes the difference: 2π/λ · 0.06/d radians.
     for distance in [10.0, 100.0, 1000.0] {
         let path = line_of_sight(center + turn * direction * distance, center);
-        let spherical = array.channel(std::slice::from_ref(&path), center, turn, WAVELENGTH);
-        let flat = Array { wavefront: ArrayWavefront::Plane, ..array.clone() };
-        let plane = flat.channel(std::slice::from_ref(&path), center, turn, WAVELENGTH);
+        let elements: Vec<DVec3> = array.offsets(WAVELENGTH).iter().map(|offset| center + turn * *offset).collect();
+        let channel =
+            |wavefront| array_channel(std::slice::from_ref(&path), &elements, center, &[WAVELENGTH], wavefront);
+        let (spherical, plane) = (channel(ArrayWavefront::Spherical), channel(ArrayWavefront::Plane));
         let worst = spherical.iter().zip(&plane).map(|(a, b)| (a / b - 1.0).norm()).fold(0.0, f64::max);
         assert!(worst < 1.2 / distance && worst > 0.1 / distance, "{distance} m: {worst}");
         let expected =
-            |offset: &DVec3| path.baseband(WAVELENGTH) * Complex::cis(TAU / WAVELENGTH * offset.dot(direction));
+            |offset: &DVec3| path.baseband_gain(WAVELENGTH) * Complex::cis(TAU / WAVELENGTH * offset.dot(direction));
         for (h, offset) in plane.iter().zip(array.offsets(WAVELENGTH)) {
             assert!((h / expected(&offset) - 1.0).norm() < 1e-9);
         }
@@ -121,7 +123,9 @@ fn spherical_wave_approaches_plane_wave_at_distance() {
 
 #[test]
 fn channel_without_paths_is_zero() {
-    assert_eq!(Array::default().channel(&[], DVec3::ZERO, DMat3::IDENTITY, 1.0), vec![Complex::ZERO; 16]);
+    let elements = Array::default().offsets(1.0);
+    let channel = array_channel(&[], &elements, DVec3::ZERO, &[1.0], ArrayWavefront::Spherical);
+    assert_eq!(channel, vec![Complex::ZERO; 16]);
 }
 
 type Row = HashMap<String, String>;
@@ -183,8 +187,8 @@ fn channel_matches_reference_array() {
         assert_eq!((rows.len(), paths.len()), (16, 63));
         let rel = |row: &&Row| DVec3::new(number(row, "rel_x"), number(row, "rel_y"), number(row, "rel_z"));
         let elements: Vec<DVec3> = rows.iter().map(|row| CENTER + rel(row)).collect();
-        let plane = band_at(&paths, &elements, CENTER, &[wavelength], ArrayWavefront::Plane);
-        let spherical = band_at(&paths, &elements, CENTER, &[wavelength], ArrayWavefront::Spherical);
+        let plane = array_channel(&paths, &elements, CENTER, &[wavelength], ArrayWavefront::Plane);
+        let spherical = array_channel(&paths, &elements, CENTER, &[wavelength], ArrayWavefront::Spherical);
         for ((row, plane), spherical) in rows.iter().zip(plane).zip(spherical) {
             let expected =
                 |name: &str| Complex::new(number(row, &format!("{name}_re")), number(row, &format!("{name}_im")));

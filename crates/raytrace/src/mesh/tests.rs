@@ -13,7 +13,7 @@ fn read_text(name: &str, text: &[u8]) -> Result<Mesh, String> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
     std::fs::write(&path, text).unwrap();
-    read(&path).map_err(|e| e.to_string().replace(&folder.path().display().to_string(), "DIR"))
+    read_mesh(&path).map_err(|e| e.to_string().replace(&folder.path().display().to_string(), "DIR"))
 }
 
 fn cube() -> Mesh {
@@ -28,7 +28,7 @@ impl Mesh {
 
     /// Returns the number of edges of more than two triangles, as between touching bodies or for duplicate triangles.
     fn crowded_edges(&self) -> usize {
-        self.edges().filter(|triangles| *triangles > 2).count()
+        self.triangles_per_edge().filter(|triangles| *triangles > 2).count()
     }
 }
 
@@ -68,7 +68,7 @@ fn cube_is_closed_and_has_its_volume_in_every_format() {
     let ply = read_text("cube.ply", ply.as_bytes()).unwrap();
     for mesh in [&cube, &separate, &ply] {
         assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (8, 12));
-        assert_eq!((mesh.boundary_edges(), mesh.crowded_edges()), (0, 0));
+        assert_eq!((mesh.boundary_edge_count(), mesh.crowded_edges()), (0, 0));
         assert!(mesh.is_closed());
         assert_eq!(area(mesh), 6.0);
         assert!((volume(mesh) - 1.0).abs() < 1e-15);
@@ -81,10 +81,10 @@ fn cube_is_closed_and_has_its_volume_in_every_format() {
 fn open_and_duplicate_surfaces_are_not_closed() {
     let mut open = cube();
     open.triangles.truncate(10);
-    assert_eq!((open.boundary_edges(), open.crowded_edges(), open.is_closed()), (4, 0, false));
+    assert_eq!((open.boundary_edge_count(), open.crowded_edges(), open.is_closed()), (4, 0, false));
     let mut fin = cube();
     fin.triangles.push(fin.triangles[0]);
-    assert_eq!((fin.boundary_edges(), fin.crowded_edges(), fin.is_closed()), (0, 3, false));
+    assert_eq!((fin.boundary_edge_count(), fin.crowded_edges(), fin.is_closed()), (0, 3, false));
     assert!(!Mesh::default().is_closed());
 }
 
@@ -97,7 +97,7 @@ fn bodies_with_shared_edge_are_closed() {
     both.vertices.extend(beside.vertices);
     let both = both.welded();
     assert_eq!(both.vertices.len(), 14);
-    assert_eq!((both.boundary_edges(), both.crowded_edges(), both.is_closed()), (0, 1, true));
+    assert_eq!((both.boundary_edge_count(), both.crowded_edges(), both.is_closed()), (0, 1, true));
 }
 
 #[test]
@@ -148,8 +148,8 @@ fn reference_room_is_closed() {
     let Some(folder) = shared("reference/paths/sceneA/mesh") else { return };
     let mut room = Mesh::default();
     for name in ["ceiling", "floor", "wall_xneg", "wall_xpos", "wall_yneg", "wall_ypos"] {
-        let face = read(&folder.join(format!("{name}.ply"))).unwrap();
-        assert_eq!((face.vertices.len(), face.triangles.len(), face.boundary_edges()), (4, 2, 4));
+        let face = read_mesh(&folder.join(format!("{name}.ply"))).unwrap();
+        assert_eq!((face.vertices.len(), face.triangles.len(), face.boundary_edge_count()), (4, 2, 4));
         let first = room.vertices.len() as u32;
         room.triangles.extend(face.triangles.iter().map(|t| t.map(|v| v + first)));
         room.vertices.extend(face.vertices);
@@ -173,7 +173,7 @@ proptest! {
         if welded.check(Path::new("a")).is_ok() {
             prop_assert_eq!(mesh.all_corners(), welded.all_corners());
             prop_assert!(welded.all_corners().iter().all(|[a, b, c]| (b - a).cross(c - a).length() > 0.0));
-            prop_assert!(welded.boundary_edges() <= 3 * welded.triangles.len());
+            prop_assert!(welded.boundary_edge_count() <= 3 * welded.triangles.len());
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Scenario of DeepMIMO v4: receivers become base stations, transmitters become users, and paths run from base station to user.
 
-use crate::path::{Interaction, PropagationPath, angles};
+use crate::path::{Interaction, PropagationPath, azimuth_elevation_deg};
+use crate::prepared_receiver::PreparedReceiver;
 use crate::recipe::SimulationRecipe;
 use crate::simulator::Simulator;
 use glam::DVec3;
@@ -10,7 +11,7 @@ use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 use std::fs::File;
 use std::io::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use zip::{ZipWriter, result::ZipError, write::SimpleFileOptions};
 
@@ -24,25 +25,21 @@ type PathValue<'a> = &'a dyn Fn(&PropagationPath) -> f64;
 /// its strongest paths; entries without a path are NaN. Phases contain the delay at the carrier. There are no objects.
 ///
 /// # Errors
-/// Errors of [`Simulator::positions`], a failed write, or [`Error::Stopped`].
-pub(super) fn write(
+/// Errors of [`Simulator::draw_positions`], a failed write, or [`Error::Stopped`].
+pub(super) fn write_scenario(
     recipe: &SimulationRecipe,
     simulator: &Simulator,
     folder: &Path,
     progress: Progress<'_>,
     stop: &AtomicBool,
 ) -> Result<()> {
-    let (users, stations) = (simulator.positions(recipe.samples, recipe.seed)?, simulator.receivers());
+    let (users, stations) = (simulator.draw_positions(recipe.samples, recipe.seed)?, simulator.receivers());
     let (done, wavelength) = (AtomicUsize::new(0), simulator.scene().wavelength());
     let (mut active, mut most) = (vec![false; users.len()], [0; 4]);
     for (i, station) in stations.iter().enumerate() {
         let trace = |user: &DVec3| {
             check_stopped(stop)?;
-            let mut paths = station.trace(*user);
-            paths.retain(|path| path.gain.norm_sqr() > 0.0); // from behind a patch antenna
-            paths.sort_by(|a, b| b.gain.norm_sqr().total_cmp(&a.gain.norm_sqr()));
-            paths.truncate(MOST_PATHS);
-            paths.shrink_to_fit();
+            let paths = strongest_paths(station, *user);
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, stations.len() * users.len());
             Ok(paths)
         };
@@ -55,55 +52,63 @@ pub(super) fn write(
             }
         }
         let file = |name: &str| folder.join(format!("{name}_t000_tx{i:03}_r001.npz"));
-        write_paths(&paths, wavelength, |name, shape, values| npz(&file(name), name, shape, values))?;
-        let flat = |places: &[DVec3]| places.iter().flat_map(DVec3::to_array).collect::<Vec<f64>>();
-        npz(&file("rx_pos"), "rx_pos", &[users.len(), 3], &flat(&users))?;
-        npz(&file("tx_pos"), "tx_pos", &[1, 3], &station.receiver().position)?;
+        write_path_matrices(&paths, wavelength, &file)?;
+        let positions = users.iter().flat_map(DVec3::to_array).collect::<Vec<f64>>();
+        write_npz(&file("rx_pos"), "rx_pos", &[users.len(), 3], &positions)?;
+        write_npz(&file("tx_pos"), "tx_pos", &[1, 3], &station.receiver().position)?;
     }
-    npz(&folder.join("vertices.npz"), "vertices", &[0, 3], &[])?;
+    write_npz(&folder.join("vertices.npz"), "vertices", &[0, 3], &[])?;
     let sets =
         [("base stations", [stations.len(); 2]), ("users", [users.len(), active.iter().filter(|a| **a).count()])];
-    files::write(&folder.join("params.json"), parameters(simulator.scene().carrier_hz, most, sets).to_string())?;
+    let parameters = scenario_parameters(simulator.scene().carrier_hz, most, sets);
+    files::write(&folder.join("params.json"), parameters.to_string())?;
     files::write(&folder.join("objects.json"), "[]")
 }
 
-/// Writes the matrices of the paths of all users by name, shape and values.
-fn write_paths(
-    paths: &[Vec<PropagationPath>],
-    wavelength: f64,
-    put: impl Fn(&str, &[usize], &[f64]) -> Result<()>,
-) -> Result<()> {
+/// Returns the strongest paths from `user` to `station`, in descending order of gain, as many as DeepMIMO supports.
+fn strongest_paths(station: &PreparedReceiver, user: DVec3) -> Vec<PropagationPath> {
+    let mut paths = station.trace(user);
+    paths.retain(|path| path.gain.norm_sqr() > 0.0); // from behind a patch antenna
+    paths.sort_by(|a, b| b.gain.norm_sqr().total_cmp(&a.gain.norm_sqr()));
+    paths.truncate(MOST_PATHS);
+    paths.shrink_to_fit();
+    paths
+}
+
+/// Writes the matrices of the paths of all users, `[users, most paths]`, each into its `file` by name. `wavelength` in
+/// metres.
+fn write_path_matrices(paths: &[Vec<PropagationPath>], wavelength: f64, file: &dyn Fn(&str) -> PathBuf) -> Result<()> {
     let most = paths.iter().map(Vec::len).max().unwrap_or(0).max(1);
     let each = |value: PathValue<'_>| {
         let entry = |(user, k): (usize, usize)| paths[user].get(k).map_or(f64::NAN, value);
-        (0..paths.len() * most).map(|at| entry((at / most, at % most))).collect::<Vec<f64>>()
+        (0..paths.len() * most).map(|i| entry((i / most, i % most))).collect::<Vec<f64>>()
     };
     // Waves leave the base station where they arrive in the simulation. Elevations count from the zenith.
     let matrices: [(&str, PathValue<'_>); 8] = [
         ("power", &|path| 20.0 * path.gain.norm().log10()),
-        ("phase", &|path| path.baseband(wavelength).arg().to_degrees()),
+        ("phase", &|path| path.baseband_gain(wavelength).arg().to_degrees()),
         ("delay", &PropagationPath::delay),
-        ("aod_az", &|path| angles(path.arrival).0),
-        ("aod_el", &|path| 90.0 - angles(path.arrival).1),
-        ("aoa_az", &|path| angles(path.departure).0),
-        ("aoa_el", &|path| 90.0 - angles(path.departure).1),
+        ("aod_az", &|path| azimuth_elevation_deg(path.arrival).0),
+        ("aod_el", &|path| 90.0 - azimuth_elevation_deg(path.arrival).1),
+        ("aoa_az", &|path| azimuth_elevation_deg(path.departure).0),
+        ("aoa_el", &|path| 90.0 - azimuth_elevation_deg(path.departure).1),
         ("inter", &|path| interaction_digits(path).iter().fold(0.0, |number, digit| 10.0 * number + *digit as f64)),
     ];
     for (name, value) in matrices {
-        put(name, &[paths.len(), most], &each(value))?;
+        write_npz(&file(name), name, &[paths.len(), most], &each(value))?;
     }
     let depth = paths.iter().flatten().map(|path| path.interactions.len()).max().unwrap_or(0).max(1);
     let mut points = Vec::with_capacity(paths.len() * most * depth * 3);
-    for (user, k) in (0..paths.len() * most).map(|at| (at / most, at % most)) {
+    for (user, k) in (0..paths.len() * most).map(|i| (i / most, i % most)) {
         let mut interactions = paths[user].get(k).into_iter().flat_map(|path| path.interactions.iter().rev());
         (0..depth).for_each(|_| {
             points.extend(interactions.next().map_or([f64::NAN; 3], |interaction| interaction.point().to_array()));
         });
     }
-    put("inter_pos", &[paths.len(), most, depth, 3], &points)
+    write_npz(&file("inter_pos"), "inter_pos", &[paths.len(), most, depth, 3], &points)
 }
 
-/// Returns the interactions from the base station to the user as digits of DeepMIMO.
+/// Returns the interactions of a path, from the base station to the user, as digits of DeepMIMO.
 fn interaction_digits(path: &PropagationPath) -> Vec<usize> {
     let digit = |interaction: &Interaction| match interaction {
         Interaction::Reflection { .. } => 1,
@@ -116,7 +121,7 @@ fn interaction_digits(path: &PropagationPath) -> Vec<usize> {
 
 /// Returns `params.json`: the largest number of each interaction on a path, and base stations and users with their
 /// numbers of points and of active points.
-fn parameters(carrier_hz: f64, most: [usize; 4], sets: [(&str, [usize; 2]); 2]) -> Value {
+fn scenario_parameters(carrier_hz: f64, most: [usize; 4], sets: [(&str, [usize; 2]); 2]) -> Value {
     let mut ray_tracer = json!({
         "raytracer_name": "pwrfgs", "raytracer_version": env!("CARGO_PKG_VERSION"), "frequency": carrier_hz,
         "max_path_depth": most.iter().sum::<usize>(),
@@ -140,8 +145,8 @@ fn parameters(carrier_hz: f64, most: [usize; 4], sets: [(&str, [usize; 2]); 2]) 
     })
 }
 
-/// Writes an archive of NumPy with one array.
-fn npz(path: &Path, name: &str, shape: &[usize], values: &[f64]) -> Result<()> {
+/// Writes an archive of NumPy with one array of this name, shape and values.
+fn write_npz(path: &Path, name: &str, shape: &[usize], values: &[f64]) -> Result<()> {
     let write = || {
         let mut archive = ZipWriter::new(File::create(path)?);
         archive.start_file(format!("{name}.npy"), SimpleFileOptions::default())?;

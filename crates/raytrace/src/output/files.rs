@@ -16,7 +16,6 @@ use pwrfgs_data::{
     CARRIERS, POSES, base_station_yaml, gateway_yaml, npy_header, npy_header_as, poses_csv, receiver_yaml,
     transmitter_yaml,
 };
-use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -57,7 +56,7 @@ pub enum OutputLayout {
 }
 
 impl OutputLayout {
-    /// Returns an error if `recipe` does not fit the layout.
+    /// Returns an error if `recipe`, with path tables if `paths`, does not fit the layout.
     pub(super) fn check(self, recipe: &SimulationRecipe, paths: bool) -> Result<()> {
         let fits = match self {
             Self::Pictures | Self::Array => recipe.observe == ObservationKind::Spectrum,
@@ -100,13 +99,13 @@ impl OutputLayout {
     }
 
     /// Returns the number of the first sample, as in NeRF2: image names from 1, rows from 0.
-    fn first(self) -> usize {
+    fn first_id(self) -> usize {
         usize::from(matches!(self, Self::Pictures | Self::Array))
     }
 }
 
 /// Returns whether the `i`th transmitter, counted from 0, is a test sample.
-pub(crate) fn is_test(i: usize) -> bool {
+pub(crate) fn is_test_sample(i: usize) -> bool {
     (i + 1).is_multiple_of(TEST_EVERY)
 }
 
@@ -118,7 +117,7 @@ struct TextFile {
 
 /// Open files in an empty folder. With several receivers or carriers, their observations of a transmitter are consecutive.
 /// Every carrier is a row.
-pub(super) struct Files {
+pub(super) struct DatasetFiles {
     folder: PathBuf,
     layout: OutputLayout,
     /// Array of spectra or channels, unless spectra are images.
@@ -135,126 +134,93 @@ pub(super) struct Files {
     paths: Vec<(PathTable, GrowingFile)>,
 }
 
-impl Files {
-    /// Creates the files with their headers.
-    pub(super) fn begin(
-        folder: &Path,
-        simulator: &Simulator,
-        layout: OutputLayout,
-        samples: usize,
-        paths: bool,
-    ) -> Result<Self> {
+impl DatasetFiles {
+    /// Creates the files of `samples` transmitters with their headers in the empty `folder`.
+    pub(super) fn create(folder: &Path, simulator: &Simulator, layout: OutputLayout, samples: usize) -> Result<Self> {
         let (receivers, scene) = (simulator.receivers(), simulator.scene());
-        let (links, is_alone) = (samples * receivers.len(), scene.more_receivers.is_empty());
-        let array = |name, header: Vec<u8>| GrowingFile::create(folder.join(name), &header).map(Some);
-        let shape = [links, receivers[0].receiver().array.elements(), scene.frequencies().len()];
-        let channels = |name| array(name, npy_header_as("<c8", &shape));
-        // Only for one receiver; with several, the poses are in another file.
-        let gateway = || {
-            let text = gateway_yaml(&format!("{} (simulated)", scene.name), &scene.pose());
-            TextFile { name: "gateway_info.yml", text }
-        };
-        let antennas =
-            |receiver: &PreparedReceiver| receiver.antennas().iter().map(DVec3::to_array).collect::<Vec<[f64; 3]>>();
-        let absolute = || TextFile { name: POWER, text: "id,path_gain_db,low,high\n".into() };
-        let (array, table, facts) = match layout {
+        let (links, first) = (samples * receivers.len(), &receivers[0]);
+        let create = |name, header: Vec<u8>| GrowingFile::create(folder.join(name), &header).map(Some);
+        let shape = [links, first.receiver().array.element_count(), scene.frequencies().len()];
+        let array = match layout {
             OutputLayout::Pictures => {
                 let path = folder.join(PICTURES);
                 fs::create_dir(&path).map_err(|e| Error::write(&path, e))?;
-                (None, Some(absolute()), Some(gateway()))
+                None
             }
-            OutputLayout::Array => {
-                let array = array(SPECTRA, npy_header(Number::U8, &[links, HEIGHT, WIDTH]))?;
-                (array, is_alone.then(absolute), is_alone.then(gateway))
-            }
+            OutputLayout::Array => create(SPECTRA, npy_header(Number::U8, &[links, HEIGHT, WIDTH]))?,
+            OutputLayout::Channels => create(CHANNELS, npy_header_as("<c8", &shape))?,
+            OutputLayout::Csi => create("csidata.npy", npy_header_as("<c8", &shape))?,
+            OutputLayout::Rssi | OutputLayout::DeepMimo => None,
+        };
+        // Metadata of several receivers are in another file.
+        let is_alone = scene.more_receivers.is_empty();
+        let absolute = || TextFile { name: POWER, text: "id,path_gain_db,low,high\n".into() };
+        let table = match layout {
+            OutputLayout::Pictures => Some(absolute()),
+            OutputLayout::Array => is_alone.then(absolute),
             OutputLayout::Rssi => {
-                let descriptions = || receivers.iter().map(PreparedReceiver::receiver);
-                let names: Vec<&str> = descriptions().map(|receiver| &*receiver.name).collect();
-                let positions =
-                    descriptions().map(|receiver| format!("{}: {}\n", receiver.name, yaml_list(&receiver.position)));
-                let table = TextFile { name: POWERS, text: names.join(",") + "\n" };
-                (None, Some(table), Some(TextFile { name: "gateway_position.yml", text: positions.collect() }))
+                let names: Vec<&str> = receivers.iter().map(|receiver| &*receiver.receiver().name).collect();
+                Some(TextFile { name: POWERS, text: names.join(",") + "\n" })
             }
-            OutputLayout::Channels => {
-                let band = [scene.carrier_hz, scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz())];
-                let (first, hz) = (&receivers[0], scene.frequencies());
-                let name = &first.receiver().name;
-                let text = || {
-                    if scene.moving_receiver.is_none() {
-                        return receiver_yaml(name, &first.pose(), band, &hz, &antennas(first));
-                    }
-                    let to_receiver = |antenna: &[f64; 3]| first.pose().to_receiver(*antenna);
-                    let in_receiver: Vec<[f64; 3]> = antennas(first).iter().map(to_receiver).collect();
-                    receiver_yaml(name, &Pose::IDENTITY, band, &hz, &in_receiver)
-                        + &transmitter_yaml(Some(scene.receiver.position))
-                };
-                let facts = is_alone.then(|| TextFile { name: "receiver.yml", text: text() });
-                (channels(CHANNELS)?, None, facts)
-            }
-            OutputLayout::Csi => {
-                let text = base_station_yaml(&antennas(&receivers[0]));
-                (channels("csidata.npy")?, None, Some(TextFile { name: "base-station.yml", text }))
-            }
-            OutputLayout::DeepMimo => (None, None, None), // written by `deepmimo.rs`
+            OutputLayout::Channels | OutputLayout::Csi | OutputLayout::DeepMimo => None,
         };
-        let table_of = |receiver: &PreparedReceiver| {
-            let name = format!("paths-{}.csv", receiver.receiver().name);
-            let path = folder.join(if receivers.len() == 1 { PATHS } else { &name });
-            let file = GrowingFile::create(path, format!("{}\n", PathTable::HEADER).as_bytes())?;
-            Ok((PathTable::new(simulator.world(), receiver.world_from_receiver()), file))
-        };
-        let paths = if paths { receivers.iter().map(table_of).collect::<Result<_>>()? } else { Vec::new() };
+        let is_shared = matches!(layout, OutputLayout::Array | OutputLayout::Channels) && !is_alone;
+        let facts = metadata(simulator, layout).filter(|_| !is_shared);
         let positions = match scene.moving_receiver {
             Some(_) => TextFile { name: POSES, text: poses_csv(std::iter::empty()) },
             None => TextFile { name: POSITIONS, text: "x,y,z\n".into() },
         };
         let carriers_hz = scene.carriers_hz.clone();
-        Ok(Self { folder: folder.into(), layout, array, table, facts, positions, carriers_hz, paths })
+        Ok(Self { folder: folder.into(), layout, array, table, facts, positions, carriers_hz, paths: Vec::new() })
     }
 
-    /// Adds the observations of the `i`th transmitter, counted from 0; `row` is its row in the table of positions.
-    pub(super) fn add(&mut self, i: usize, row: &str, all: &[ReceiverObservation]) -> Result<()> {
-        let (rows, first) = (self.carriers_hz.len().max(1), self.layout.first());
-        let id_of = |receiver: usize| i * rows + first + if rows == 1 { 0 } else { receiver };
-        self.positions.text += &row.repeat(rows);
-        for (receiver, ((table, file), received)) in self.paths.iter_mut().zip(all).enumerate() {
-            file.add(table.rows(id_of(receiver), &received.paths).as_bytes())?;
-        }
-        for (receiver, received) in all.iter().enumerate() {
-            let id = id_of(receiver);
-            match (&received.observed, &mut self.array) {
-                (SimulatedObservation::Spectrum(spectrum), Some(array)) => array.add(&spectrum.pixels)?,
-                (SimulatedObservation::Spectrum(spectrum), None) => {
-                    write_png(&self.folder.join(format!("{PICTURES}/{id:05}.png")), &spectrum.pixels)?;
-                }
-                (SimulatedObservation::Channel(channel), Some(array)) => {
-                    let bytes = |h: &Complex| [(h.re as f32).to_le_bytes(), (h.im as f32).to_le_bytes()];
-                    array.add(&channel.iter().flat_map(bytes).flatten().collect::<Vec<u8>>())?;
-                }
-                _ => {}
-            }
-            match (&received.observed, &mut self.table) {
-                (SimulatedObservation::Spectrum(spectrum), Some(TextFile { text, .. })) => {
-                    let decibel = 10.0 * spectrum.power.log10();
-                    writeln!(text, "{id},{decibel:.4},{:.6e},{:.6e}", spectrum.low, spectrum.high)
-                }
-                (SimulatedObservation::Power(dbm), Some(TextFile { text, .. })) => {
-                    let end = if receiver + 1 == all.len() { "\n" } else { "," };
-                    if *dbm > SILENT_DBM {
-                        // Rounded readings must not equal the marker of a missing link.
-                        write!(text, "{:.3}{end}", dbm.max(SILENT_DBM + 1e-3))
-                    } else {
-                        write!(text, "{SILENT_DBM:.1}{end}")
-                    }
-                }
-                _ => Ok(()),
-            }
-            .expect("text grows");
+    /// Creates the path tables with their headers, one per receiver.
+    pub(super) fn add_path_tables(&mut self, simulator: &Simulator) -> Result<()> {
+        let receivers = simulator.receivers();
+        for receiver in receivers.iter().map(PreparedReceiver::receiver) {
+            let name = if receivers.len() == 1 { PATHS.into() } else { format!("paths-{}.csv", receiver.name) };
+            let file = GrowingFile::create(self.folder.join(name), format!("{}\n", PathTable::HEADER).as_bytes())?;
+            self.paths.push((PathTable::new(simulator.world(), receiver.world_from_receiver()), file));
         }
         Ok(())
     }
 
-    /// Writes the remaining files.
+    /// Adds the observations of the `i`th transmitter, counted from 0, at all receivers; `row` is its row in the table of
+    /// positions.
+    pub(super) fn add_transmitter(&mut self, i: usize, row: &str, received: &[ReceiverObservation]) -> Result<()> {
+        let (rows, first) = (self.carriers_hz.len().max(1), self.layout.first_id());
+        self.positions.text += &row.repeat(rows);
+        for (receiver, observation) in received.iter().enumerate() {
+            let id = i * rows + first + if rows == 1 { 0 } else { receiver };
+            if let Some((table, file)) = self.paths.get_mut(receiver) {
+                file.append(table.transmitter_rows(id, &observation.paths).as_bytes())?;
+            }
+            self.add_observation(id, &observation.observed)?;
+            if let Some(table) = &mut self.table {
+                table.text += &table_cells(id, &observation.observed, receiver + 1 == received.len());
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes the pixels of a spectrum, as image `id` or to the array, or a channel to the array; powers are only in the
+    /// table.
+    fn add_observation(&mut self, id: usize, observed: &SimulatedObservation) -> Result<()> {
+        match (observed, &mut self.array) {
+            (SimulatedObservation::Spectrum(spectrum), Some(array)) => array.append(&spectrum.pixels),
+            (SimulatedObservation::Spectrum(spectrum), None) => {
+                write_grey_png(&self.folder.join(format!("{PICTURES}/{id:05}.png")), &spectrum.pixels)
+            }
+            (SimulatedObservation::Channel(channel), Some(array)) => {
+                let bytes = |h: &Complex| [(h.re as f32).to_le_bytes(), (h.im as f32).to_le_bytes()];
+                array.append(&channel.iter().flat_map(bytes).flatten().collect::<Vec<u8>>())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Completes the arrays and path tables, and writes the remaining files of `samples` transmitters: tables, metadata,
+    /// carriers and lists of training and test samples.
     pub(super) fn finish(self, samples: usize) -> Result<()> {
         self.array.into_iter().chain(self.paths.into_iter().map(|(_, file)| file)).try_for_each(GrowingFile::finish)?;
         for TextFile { name, text } in self.facts.into_iter().chain(self.table).chain([self.positions]) {
@@ -266,23 +232,74 @@ impl Files {
             files::write(&self.folder.join(CARRIERS), text.repeat(samples))?;
         }
         for (name, is_wanted) in [("train_index.txt", false), ("test_index.txt", true)] {
-            let mut text = String::new();
-            for i in (0..samples * rows).filter(|i| is_test(i / rows) == is_wanted) {
-                match self.layout.first() {
-                    0 => writeln!(text, "{i}"),
-                    first => writeln!(text, "{:05}", i + first),
-                }
-                .expect("text grows");
-            }
-            files::write(&self.folder.join(name), text)?;
+            let ids = (0..samples * rows).filter(|i| is_test_sample(i / rows) == is_wanted);
+            let line = |i: usize| match self.layout.first_id() {
+                0 => format!("{i}\n"),
+                first => format!("{:05}\n", i + first),
+            };
+            files::write(&self.folder.join(name), ids.map(line).collect::<String>())?;
         }
         Ok(())
     }
 }
 
-/// Returns an error for a table with transmitters that no receiver receives, or receivers that receive none: readers of
-/// the layout would reject it.
-pub(super) fn check_powers(folder: &Path) -> Result<()> {
+/// Returns the metadata of the observations in a layout: poses, frequencies, antennas; `None` for DeepMIMO.
+fn metadata(simulator: &Simulator, layout: OutputLayout) -> Option<TextFile> {
+    let (receivers, scene) = (simulator.receivers(), simulator.scene());
+    let first = &receivers[0];
+    let antennas = first.antenna_positions().iter().map(DVec3::to_array).collect::<Vec<[f64; 3]>>();
+    match layout {
+        OutputLayout::Pictures | OutputLayout::Array => {
+            let text = gateway_yaml(&format!("{} (simulated)", scene.name), &scene.receiver.pose());
+            Some(TextFile { name: "gateway_info.yml", text })
+        }
+        OutputLayout::Rssi => {
+            let positions = receivers.iter().map(PreparedReceiver::receiver);
+            let positions = positions.map(|receiver| format!("{}: {:?}\n", receiver.name, receiver.position));
+            Some(TextFile { name: "gateway_position.yml", text: positions.collect() })
+        }
+        OutputLayout::Channels => {
+            let band = [scene.carrier_hz, scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz())];
+            let (name, hz) = (&first.receiver().name, scene.frequencies());
+            let text = if scene.moving_receiver.is_none() {
+                receiver_yaml(name, &first.pose(), band, &hz, &antennas)
+            } else {
+                let in_receiver: Vec<[f64; 3]> =
+                    antennas.iter().map(|antenna| first.pose().to_receiver(*antenna)).collect();
+                receiver_yaml(name, &Pose::IDENTITY, band, &hz, &in_receiver)
+                    + &transmitter_yaml(Some(scene.receiver.position))
+            };
+            Some(TextFile { name: "receiver.yml", text })
+        }
+        OutputLayout::Csi => Some(TextFile { name: "base-station.yml", text: base_station_yaml(&antennas) }),
+        OutputLayout::DeepMimo => None, // written by `deepmimo.rs`
+    }
+}
+
+/// Returns the text of an observation in the table: row `id` of absolute powers of a spectrum, or a cell of received power,
+/// the last of its row if `is_last`; empty for a channel.
+fn table_cells(id: usize, observed: &SimulatedObservation, is_last: bool) -> String {
+    match observed {
+        SimulatedObservation::Spectrum(spectrum) => {
+            let decibel = 10.0 * spectrum.power.log10();
+            format!("{id},{decibel:.4},{:.6e},{:.6e}\n", spectrum.low, spectrum.high)
+        }
+        SimulatedObservation::Power(dbm) => {
+            let end = if is_last { "\n" } else { "," };
+            if *dbm > SILENT_DBM {
+                // Rounded readings must not equal the marker of a missing link.
+                format!("{:.3}{end}", dbm.max(SILENT_DBM + 1e-3))
+            } else {
+                format!("{SILENT_DBM:.1}{end}")
+            }
+        }
+        SimulatedObservation::Channel(_) => String::new(),
+    }
+}
+
+/// Returns an error for a table of powers in `folder` with transmitters that no receiver receives, or receivers that receive
+/// none: readers of the layout would reject it.
+pub(super) fn check_power_table(folder: &Path) -> Result<()> {
     let text = files::read_string(folder.join(POWERS)).map_err(|e| Error::read(folder, e))?;
     let silent = format!("{SILENT_DBM:.1}");
     let rows = || text.lines().skip(1);
@@ -305,13 +322,8 @@ pub(super) fn check_powers(folder: &Path) -> Result<()> {
     }
 }
 
-/// Returns numbers in brackets, as YAML.
-fn yaml_list(values: &[f64]) -> String {
-    format!("[{}]", values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", "))
-}
-
-/// Writes a spectrum as a grey image.
-fn write_png(path: &Path, pixels: &[u8]) -> Result<()> {
+/// Writes the pixels of a spectrum as a grey PNG image.
+fn write_grey_png(path: &Path, pixels: &[u8]) -> Result<()> {
     let mut bytes = Vec::new();
     PngEncoder::new(&mut bytes)
         .write_image(pixels, WIDTH as u32, HEIGHT as u32, ExtendedColorType::L8)

@@ -2,7 +2,7 @@
 
 use crate::material;
 use crate::scene::{Finish, SceneFile};
-use crate::world::{self, Triangle};
+use crate::world::{Triangle, World};
 use glam::DVec3;
 use pwrfgs_core::files::{NewFolder, write_atomically};
 use pwrfgs_core::{Error, Result};
@@ -29,9 +29,9 @@ const MOST_CONDUCTIVITY: f64 = 1e12;
 /// # Errors
 /// A scene with an opening, a permittivity outside 1 to 1,000,000, a mesh that cannot be read, or a folder that cannot be
 /// written.
-pub fn export(scene: &SceneFile, out: &Path) -> Result<usize> {
+pub fn export_scene(scene: &SceneFile, out: &Path) -> Result<usize> {
     check_exportable(scene)?;
-    let world = world::from_scene(scene)?;
+    let world = World::from_scene(scene)?;
     let new_folder = NewFolder::begin(out)?;
     let meshes = new_folder.path().join("meshes");
     fs::create_dir(&meshes).map_err(|e| Error::write(&meshes, e))?;
@@ -47,9 +47,10 @@ pub fn export(scene: &SceneFile, out: &Path) -> Result<usize> {
         let mut all = iter::once(base.clone()).chain((2..).map(|k| format!("{base}-{k}")));
         let id = all.find(|id| ids.insert(id.to_lowercase())).expect("numbers do not end");
         let file = format!("meshes/{id}.ply");
-        write_atomically(&new_folder.path().join(&file), ply(triangles.map(Triangle::corners)).as_bytes())?;
-        let (source, flat) = (property("string", "filename", &file), property("boolean", "face_normals", &true));
-        let bsdf = bsdf(scene, &id, finish);
+        write_atomically(&new_folder.path().join(&file), ply_text(triangles.map(Triangle::corners)).as_bytes())?;
+        let (source, flat) =
+            (property_xml("string", "filename", &file), property_xml("boolean", "face_normals", &true));
+        let bsdf = bsdf_xml(scene, &id, finish);
         writeln!(shapes, "    <shape type=\"ply\" id=\"{id}\">\n{source}{flat}{bsdf}    </shape>").expect("text grows");
     }
     let head =
@@ -60,7 +61,7 @@ pub fn export(scene: &SceneFile, out: &Path) -> Result<usize> {
     Ok(ids.len())
 }
 
-/// Checks that the scene has no openings, and materials that the format supports.
+/// Returns an error for a scene with an opening or a permittivity that the format does not support.
 fn check_exportable(scene: &SceneFile) -> Result<()> {
     if let Some(opening) = scene.objects.iter().find(|object| object.finish().is_none()) {
         let advice = "cannot be exported; remove it, or cut the hole into a mesh";
@@ -77,39 +78,39 @@ fn check_exportable(scene: &SceneFile) -> Result<()> {
     Ok(())
 }
 
-/// Returns `name` with letters, digits, single `-` and `_` only.
+/// Returns `name` with letters, digits, single `-` and `_` only, shortened; `object` if nothing remains.
 fn plain_name(name: &str) -> String {
     let words = name.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').filter(|word| !word.is_empty());
     let joined = words.collect::<Vec<_>>().join("-");
     if joined.is_empty() { "object".into() } else { joined.chars().take(LONGEST).collect() }
 }
 
-/// Returns a property element.
-fn property(kind: &str, name: &str, value: &dyn Display) -> String {
+/// Returns the XML of a property element, one line.
+fn property_xml(kind: &str, name: &str, value: &dyn Display) -> String {
     format!("        <{kind} name=\"{name}\" value=\"{value}\"/>\n")
 }
 
-/// Returns the material of the shape `id`.
-fn bsdf(scene: &SceneFile, id: &str, finish: &Finish) -> String {
+/// Returns the XML of the material of the shape `id`.
+fn bsdf_xml(scene: &SceneFile, id: &str, finish: &Finish) -> String {
     let material = scene.material(&finish.material).expect("materials were looked up when the scene was read");
     let is_itu = !scene.materials.contains_key(&finish.material)
         && material.is_in_valid_range(scene.carrier_hz)
         && !material::ONLY_HERE.contains(&&*finish.material);
     let (permittivity, conductivity) = material.constants(scene.carrier_hz);
     let (kind, constants) = if is_itu {
-        ("itu-radio-material", property("string", "type", &finish.material))
+        ("itu-radio-material", property_xml("string", "type", &finish.material))
     } else {
-        let conductivity = property("float", "conductivity", &conductivity.min(MOST_CONDUCTIVITY));
-        ("radio-material", property("float", "relative_permittivity", &permittivity) + &conductivity)
+        let conductivity = property_xml("float", "conductivity", &conductivity.min(MOST_CONDUCTIVITY));
+        ("radio-material", property_xml("float", "relative_permittivity", &permittivity) + &conductivity)
     };
-    let thickness = property("float", "thickness", &finish.thickness_m.unwrap_or(SOLID));
+    let thickness = property_xml("float", "thickness", &finish.thickness_m.unwrap_or(SOLID));
     let roughness = finish.roughness.unwrap_or(scene.propagation.roughness);
-    let roughness = property("float", "scattering_coefficient", &roughness);
+    let roughness = property_xml("float", "scattering_coefficient", &roughness);
     format!("        <bsdf type=\"{kind}\" id=\"material-{id}\">\n{constants}{thickness}{roughness}        </bsdf>\n")
 }
 
-/// Returns the PLY text of triangles with shared vertices.
-fn ply(triangles: impl Iterator<Item = [DVec3; 3]>) -> String {
+/// Returns the triangles as a PLY text with shared vertices, rounded to 1 nm.
+fn ply_text(triangles: impl Iterator<Item = [DVec3; 3]>) -> String {
     let (mut indices, mut vertices, mut faces, mut count) = (BTreeMap::new(), String::new(), String::new(), 0);
     for corners in triangles {
         let [a, b, c] = corners.map(|corner| {

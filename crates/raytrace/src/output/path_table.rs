@@ -1,6 +1,6 @@
 //! Rows of `paths.csv`.
 
-use crate::path::{Interaction, PropagationPath, angles};
+use crate::path::{Interaction, PropagationPath, azimuth_elevation_deg};
 use crate::world::World;
 use glam::DMat3;
 use pwrfgs_core::messages::cell;
@@ -21,7 +21,7 @@ impl PathTable {
         departure_azimuth_deg,departure_elevation_deg,arrival_azimuth_deg,arrival_elevation_deg,spectrum_azimuth_deg,\
         spectrum_elevation_deg,surfaces";
 
-    /// Creates the table for a receiver with these axes.
+    /// Creates the table of a receiver with these axes, with the names of the faces and edges of `world`.
     pub(crate) fn new(world: &World, world_from_receiver: DMat3) -> Self {
         let faces: Vec<String> = world.faces.iter().map(|f| f.name.clone()).collect();
         let edge = |[a, b]: [u32; 2]| match (&faces[a as usize], &faces[b as usize]) {
@@ -32,15 +32,16 @@ impl PathTable {
         Self { receiver_from_world: world_from_receiver.transpose(), faces, edges }
     }
 
-    /// Returns the rows of transmitter `id`.
-    pub(crate) fn rows(&self, id: usize, paths: &[PropagationPath]) -> String {
+    /// Returns the rows of transmitter `id` as text, one line per path.
+    pub(crate) fn transmitter_rows(&self, id: usize, paths: &[PropagationPath]) -> String {
         let mut text = String::new();
         for (i, path) in paths.iter().enumerate() {
-            let letters: String = path.interactions.iter().map(letter).collect();
+            let letters: String = path.interactions.iter().map(interaction_letter).collect();
             let letters = if letters.is_empty() { "LOS" } else { &letters };
-            let names: Vec<&str> = path.interactions.iter().map(|interaction| self.name(interaction)).collect();
-            let [departure, arrival] = [path.departure, path.arrival].map(angles);
-            let shown = angles(self.receiver_from_world * path.arrival);
+            let names: Vec<&str> =
+                path.interactions.iter().map(|interaction| self.obstacle_name(interaction)).collect();
+            let [departure, arrival] = [path.departure, path.arrival].map(azimuth_elevation_deg);
+            let shown = azimuth_elevation_deg(self.receiver_from_world * path.arrival);
             writeln!(
                 text,
                 "{id},{},{letters},{:.6e},{:.6e},{:.3},{:.5},{:.6},{:.4},{:.4},{:.4},{:.4},{:.4},{:.4},\"{}\"",
@@ -64,7 +65,7 @@ impl PathTable {
     }
 
     /// Returns the name of the face or edge of an interaction.
-    fn name(&self, interaction: &Interaction) -> &str {
+    fn obstacle_name(&self, interaction: &Interaction) -> &str {
         match *interaction {
             Interaction::Reflection { face, .. }
             | Interaction::Transmission { face, .. }
@@ -75,7 +76,7 @@ impl PathTable {
 }
 
 /// Returns the letter of an interaction.
-fn letter(interaction: &Interaction) -> char {
+fn interaction_letter(interaction: &Interaction) -> char {
     match interaction {
         Interaction::Reflection { .. } => 'R',
         Interaction::Transmission { .. } => 'T',

@@ -23,7 +23,7 @@ const WORDS_OF_YAML: [&str; 8] = ["y", "n", "yes", "no", "on", "off", "true", "f
 pub struct SceneReceiver {
     /// Name in files and folders; default `gateway1`. The noise depends on the name, not on the position in the scene
     /// file. The default is not written out, so that data of old scenes keep their key.
-    #[serde(default = "gateway", skip_serializing_if = "is_gateway")]
+    #[serde(default = "default_name", skip_serializing_if = "is_default_name")]
     pub name: String,
     /// Centre of the array, metres.
     pub position: [f64; 3],
@@ -58,7 +58,7 @@ pub struct SceneTransmitter {
     #[serde(default)]
     pub element: Element,
     /// Polarisation axis, world frame; default vertical.
-    #[serde(default = "upright")]
+    #[serde(default = "vertical_axis")]
     pub polarization: [f64; 3],
     /// Transmit power, dBm; default 0. Used for received powers; spectra and channels ignore it. The default is not
     /// written out.
@@ -76,7 +76,8 @@ pub struct MovingReceiver {
 }
 
 impl MovingReceiver {
-    /// Validates the settings; `has_others`: the scene has further receivers.
+    /// Returns an error for an invalid angle, or if the scene has further receivers (`has_others`): the problem and the
+    /// next step.
     pub(super) fn check(&self, has_others: bool) -> Result<(), String> {
         if has_others {
             return Err("`moving_receiver` needs the only receiver; remove `more_receivers`".into());
@@ -89,12 +90,12 @@ impl MovingReceiver {
 }
 
 /// Returns the default name of a receiver.
-fn gateway() -> String {
+fn default_name() -> String {
     GATEWAY.into()
 }
 
-/// Returns whether a name is the default.
-fn is_gateway(name: &str) -> bool {
+/// Returns whether `name` is the default name of a receiver.
+fn is_default_name(name: &str) -> bool {
     name == GATEWAY
 }
 
@@ -103,7 +104,7 @@ fn is_zero(value: &f64) -> bool {
 }
 
 /// Returns the default polarisation axis of the transmitter.
-fn upright() -> [f64; 3] {
+fn vertical_axis() -> [f64; 3] {
     [0.0, 0.0, 1.0]
 }
 
@@ -113,14 +114,25 @@ impl SceneReceiver {
         Pose { position: self.position, orientation: self.orientation.quaternion() }
     }
 
-    /// Returns the name with the prefix `noun`, or `noun` alone for an unnamed receiver.
-    pub(crate) fn describe(&self, noun: &str) -> String {
-        if is_gateway(&self.name) { noun.into() } else { format!("{noun} `{}`", self.name) }
+    /// Returns the rotation from the receiver axes to the world axes.
+    pub fn world_from_receiver(&self) -> DMat3 {
+        DMat3::from_quat(DQuat::from_array(self.orientation.quaternion()).normalize())
     }
 
-    /// Returns the name of a random stream unique to this receiver.
+    /// Returns the antenna positions `[A]`, world frame, metres. Their spacing refers to the carrier `wavelength`, metres.
+    pub(crate) fn antenna_positions(&self, wavelength: f64) -> Vec<DVec3> {
+        let (center, turn) = (DVec3::from(self.position), self.world_from_receiver());
+        self.array.offsets(wavelength).into_iter().map(|offset| center + turn * offset).collect()
+    }
+
+    /// Returns the receiver in words for messages: `noun` and its name, or `noun` alone for an unnamed receiver.
+    pub(crate) fn describe(&self, noun: &str) -> String {
+        if is_default_name(&self.name) { noun.into() } else { format!("{noun} `{}`", self.name) }
+    }
+
+    /// Returns the name of the random stream for `purpose`, unique to this receiver.
     pub(crate) fn stream_name(&self, purpose: &str) -> String {
-        if is_gateway(&self.name) { purpose.into() } else { format!("{purpose} of {}", self.name) }
+        if is_default_name(&self.name) { purpose.into() } else { format!("{purpose} of {}", self.name) }
     }
 
     /// Returns an error for a name that is not valid as folder, column and key on every system.
@@ -139,12 +151,12 @@ impl SceneReceiver {
         ))
     }
 
-    /// Validates position and orientation; the error names the receiver.
+    /// Returns an error for an invalid position or orientation; it names the receiver.
     pub(super) fn check(&self) -> Result<(), String> {
         self.check_pose().map_err(|problem| format!("{}: {problem}", self.describe("receiver")))
     }
 
-    /// Validates position and orientation.
+    /// Returns an error for a position that is too far or not finite, or an orientation of wrong length.
     fn check_pose(&self) -> Result<(), String> {
         if !self.position.iter().all(|v| v.abs() <= FAR) {
             return Err(format!("`position` is {:?}; give finite metres", self.position));
@@ -168,7 +180,7 @@ impl SceneReceiver {
 }
 
 impl SceneTransmitter {
-    /// Validates polarisation, power and element.
+    /// Returns an error for an invalid polarisation, power or element: the problem and the next step.
     pub(super) fn check(&self) -> Result<(), String> {
         let axis = self.polarization;
         if DVec3::from(axis).try_normalize().is_none() {

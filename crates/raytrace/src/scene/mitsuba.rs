@@ -6,7 +6,7 @@ use super::room::{Finish, Object};
 use crate::material::{self, Material};
 use crate::mesh::MOST_TRIANGLES;
 use glam::{DAffine3, DMat4, DVec3};
-use limits::{LONGEST, check_tags, expand};
+use limits::{LONGEST, check_tags, expand_variables};
 use pwrfgs_core::messages::{quoted, strip_control};
 use pwrfgs_core::{Error, Result, did_you_mean, files};
 use roxmltree::{Document, Node};
@@ -67,14 +67,15 @@ impl MitsubaScene {
             )
         })?;
         let mut reader = Reader { path, document: &document, variables: BTreeMap::new(), finishes: BTreeMap::new() };
-        reader.scene()
+        reader.read_scene()
     }
 
-    /// Returns the default antennas: receiver position, and smallest and largest transmitter position.
+    /// Returns default positions of the antennas from the size of the meshes, metres: receiver, and smallest and largest
+    /// transmitter position.
     ///
     /// # Errors
-    /// A mesh that cannot be read.
-    pub(crate) fn antennas(&self) -> Result<[[f64; 3]; 3]> {
+    /// A mesh that cannot be read, too many triangles, or a single wall.
+    pub(crate) fn default_antennas(&self) -> Result<[[f64; 3]; 3]> {
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         let mut triangles = 0;
         for object in &self.objects {
@@ -113,18 +114,18 @@ struct Reader<'a> {
 
 type Element<'a> = Node<'a, 'a>;
 
-/// Returns the child elements.
-fn elements(node: Element<'_>) -> impl Iterator<Item = Element<'_>> {
+/// Returns the child elements of a node.
+fn child_elements(node: Element<'_>) -> impl Iterator<Item = Element<'_>> {
     node.children().filter(Node::is_element)
 }
 
-/// Returns the child element with the given `name` attribute.
-fn property<'a>(node: Element<'a>, name: &str) -> Option<Element<'a>> {
-    elements(node).find(|child| child.attribute("name") == Some(name))
+/// Returns the first child element whose attribute `name` has this value; `None` if there is none.
+fn property_element<'a>(node: Element<'a>, name: &str) -> Option<Element<'a>> {
+    child_elements(node).find(|child| child.attribute("name") == Some(name))
 }
 
 impl<'a> Reader<'a> {
-    /// Returns the error `problem` at an element.
+    /// Returns the error `problem` with line and column of an element.
     fn fault(&self, node: Element<'_>, problem: impl Display) -> Error {
         let pos = self.document.text_pos_at(node.range().start);
         Error::at(self.path, pos.row as usize, pos.col as usize, problem)
@@ -135,16 +136,16 @@ impl<'a> Reader<'a> {
         if holds { Ok(()) } else { Err(self.fault(node, problem)) }
     }
 
-    /// Reads the whole scene.
-    fn scene(&mut self) -> Result<MitsubaScene> {
+    /// Reads the whole scene: variables and materials first, then shapes.
+    fn read_scene(&mut self) -> Result<MitsubaScene> {
         let root = self.document.root_element();
         let problem = "this is not a Mitsuba scene; give a file whose first element is `scene`";
         self.require(root.has_tag_name("scene"), root, problem)?;
         let mut scene = MitsubaScene::default();
-        for node in elements(root) {
+        for node in child_elements(root) {
             match node.tag_name().name() {
-                "default" => self.define(node)?,
-                "bsdf" => drop(self.material(node, &mut scene)?),
+                "default" => self.read_variable(node)?,
+                "bsdf" => drop(self.read_material(node, &mut scene)?),
                 name => {
                     let problem = "put its shapes and materials into this file";
                     let problem = format!("unsupported element {}; {problem}", quoted(name));
@@ -152,18 +153,18 @@ impl<'a> Reader<'a> {
                 }
             }
         }
-        for node in elements(root).filter(|node| node.has_tag_name("shape")) {
+        for node in child_elements(root).filter(|node| node.has_tag_name("shape")) {
             let problem = "shapes; join the meshes of each material, or cut out a part";
             self.require(scene.objects.len() < MOST_SHAPES, node, format_args!("more than {MOST_SHAPES} {problem}"))?;
-            let object = self.shape(node, &mut scene)?;
+            let object = self.read_shape(node, &mut scene)?;
             scene.objects.push(object);
         }
         self.require(!scene.objects.is_empty(), root, "the scene has no `shape`; export its meshes too")?;
         Ok(scene)
     }
 
-    /// Reads the variable of a `default` element.
-    fn define(&mut self, node: Element<'a>) -> Result<()> {
+    /// Reads a `default` element and adds its variable to `variables`.
+    fn read_variable(&mut self, node: Element<'a>) -> Result<()> {
         let pair = node.attribute("name").zip(node.attribute("value"));
         let pair = pair.filter(|(name, value)| !name.is_empty() && !value.contains('$') && value.len() <= LONGEST);
         let problem = "`default` needs a `name` and a short `value` without `$`; correct it, and give at most 100";
@@ -172,20 +173,21 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// Returns the value of an attribute with variables replaced.
+    /// Returns the value of an attribute with variables replaced; `None` without the attribute.
     fn attribute(&self, node: Element<'_>, name: &str) -> Result<Option<String>> {
         let Some(value) = node.attribute(name) else { return Ok(None) };
-        expand(name, value, &self.variables).map(Some).map_err(|problem| self.fault(node, problem))
+        expand_variables(name, value, &self.variables).map(Some).map_err(|problem| self.fault(node, problem))
     }
 
-    /// Returns the value of a required attribute.
-    fn required(&self, node: Element<'_>, name: &str) -> Result<String> {
+    /// Returns the value of an attribute with variables replaced, or an error if it is missing.
+    fn required_attribute(&self, node: Element<'_>, name: &str) -> Result<String> {
         let missing = || self.fault(node, format!("the element has no `{name}`; add it"));
         self.attribute(node, name)?.ok_or_else(missing)
     }
 
-    /// Returns the numbers of an attribute, separated by commas or blanks.
-    fn numbers(&self, node: Element<'_>, name: &str) -> Result<Option<Vec<f64>>> {
+    /// Returns the numbers of an attribute, separated by commas or blanks; `None` without the attribute. Returns an error
+    /// unless all are finite numbers.
+    fn attribute_numbers(&self, node: Element<'_>, name: &str) -> Result<Option<Vec<f64>>> {
         let Some(text) = self.attribute(node, name)? else { return Ok(None) };
         let fields = text.split([',', ' ', '\t', '\n']).filter(|field| !field.is_empty());
         let number = |field: &str| field.parse::<f64>().ok().filter(|v| v.is_finite());
@@ -193,29 +195,30 @@ impl<'a> Reader<'a> {
         fields.map(|field| number(field).ok_or_else(|| fault(field))).collect::<Result<Vec<f64>>>().map(Some)
     }
 
-    /// Returns one number of an attribute.
-    fn number(&self, node: Element<'_>, name: &str) -> Result<Option<f64>> {
-        match self.numbers(node, name)?.as_deref() {
+    /// Returns the number of an attribute; `None` without the attribute. Returns an error unless it is one finite number.
+    fn attribute_number(&self, node: Element<'_>, name: &str) -> Result<Option<f64>> {
+        match self.attribute_numbers(node, name)?.as_deref() {
             None => Ok(None),
             Some(&[value]) => Ok(Some(value)),
             Some(_) => Err(self.fault(node, format!("`{name}` must be one number; correct it"))),
         }
     }
 
-    /// Returns the number of a property from `low` to `high`, if it is present.
-    fn value(&self, node: Element<'_>, name: &str, low: f64, high: f64) -> Result<Option<f64>> {
-        let Some(child) = property(node, name) else { return Ok(None) };
-        let value = self.number(child, "value")?.filter(|value| (low..=high).contains(value));
+    /// Returns the number of the property `name` of a node; `None` without the property. Returns an error unless it lies
+    /// between `low` and `high`.
+    fn property_number(&self, node: Element<'_>, name: &str, low: f64, high: f64) -> Result<Option<f64>> {
+        let Some(child) = property_element(node, name) else { return Ok(None) };
+        let value = self.attribute_number(child, "value")?.filter(|value| (low..=high).contains(value));
         let fault = || self.fault(child, format!("`{name}` must be a number from {low} to {high}; correct it"));
         value.ok_or_else(fault).map(Some)
     }
 
-    /// Checks the names of the properties of a radio material of Sionna RT, and that none is a texture.
+    /// Returns an error for a radio material with a texture, or a property that Sionna RT does not have.
     fn check_properties(&self, node: Element<'_>) -> Result<()> {
-        for child in elements(node) {
+        for child in child_elements(node) {
             let problem = "unsupported texture: a radio material is constant over a mesh; split the mesh by material";
             self.require(!child.has_tag_name("texture"), child, problem)?;
-            let name = self.required(child, "name")?;
+            let name = self.required_attribute(child, "name")?;
             if !PROPERTIES.contains(&&*name) {
                 let hint = did_you_mean(&name, PROPERTIES);
                 let problem =
@@ -226,11 +229,12 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// Reads a radio material.
-    fn material(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
+    /// Reads a `bsdf` element: adds its finish to `finishes`, and a material with constants of its own to `scene`. Returns
+    /// an error unless it is a radio material with a new id.
+    fn read_material(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
         let unnamed = || format!("material {}", self.finishes.len() + 1);
-        let (id, kind) = (self.attribute(node, "id")?.unwrap_or_else(unnamed), self.required(node, "type")?);
-        let (itu_names, shown) = (material::names(), quoted(&id));
+        let (id, kind) = (self.attribute(node, "id")?.unwrap_or_else(unnamed), self.required_attribute(node, "type")?);
+        let (itu_names, shown) = (material::itu_material_names(), quoted(&id));
         let plain = id.strip_prefix("mat-").unwrap_or(&id);
         let itu = plain.strip_prefix("itu_").or_else(|| plain.strip_prefix("itu-"));
         let itu = itu.filter(|_| kind != "radio-material"); // which states its own constants
@@ -238,8 +242,8 @@ impl<'a> Reader<'a> {
             self.check_properties(node)?;
         }
         let material = if kind == "itu-radio-material" || itu.is_some() {
-            let type_node = property(node, "type");
-            let stated = type_node.map(|child| self.required(child, "value")).transpose()?;
+            let type_node = property_element(node, "type");
+            let stated = type_node.map(|child| self.required_attribute(child, "value")).transpose()?;
             let name = stated.or(itu.map(str::to_owned)).unwrap_or_default();
             if !itu_names.contains(&&*name) {
                 let (hint, all) = (did_you_mean(&name, itu_names.iter().copied()), itu_names.join(", "));
@@ -252,83 +256,85 @@ impl<'a> Reader<'a> {
                         `itu-radio-material`";
             let problem = format!("material {shown} of type {} {problem}", quoted(&kind));
             self.require(kind == "radio-material", node, problem)?;
-            let a = self.value(node, "relative_permittivity", 1.0, 1e6)?.unwrap_or(1.0);
-            let c = self.value(node, "conductivity", 0.0, 1e12)?.unwrap_or(0.0);
+            let a = self.property_number(node, "relative_permittivity", 1.0, 1e6)?.unwrap_or(1.0);
+            let c = self.property_number(node, "conductivity", 0.0, 1e12)?.unwrap_or(0.0);
             // A name of ITU-R P.2040 would replace that material in the whole scene.
             let name = if itu_names.contains(&&*id) { format!("{id} (radio-material)") } else { id.clone() };
             scene.materials.insert(name.clone(), Material { a, b: 0.0, c, d: 0.0, range_ghz: (0.0, f64::INFINITY) });
             name
         };
-        if self.value(node, "xpd_coefficient", 0.0, 1.0)?.is_some_and(|xpd| xpd > 0.0) {
+        if self.property_number(node, "xpd_coefficient", 0.0, 1.0)?.is_some_and(|xpd| xpd > 0.0) {
             tracing::warn!("{}: `xpd_coefficient` of material {shown} is ignored", self.path.display());
         }
-        let thickness_m = Some(self.value(node, "thickness", 1e-6, 10.0)?.unwrap_or(THICKNESS));
-        let roughness = self.value(node, "scattering_coefficient", 0.0, 1.0)?;
+        let thickness_m = Some(self.property_number(node, "thickness", 1e-6, 10.0)?.unwrap_or(THICKNESS));
+        let roughness = self.property_number(node, "scattering_coefficient", 0.0, 1.0)?;
         let finish = Finish { material, thickness_m, roughness };
         let other = self.finishes.insert(id, finish.clone());
         self.require(other.is_none(), node, format_args!("two materials have the id {shown}; rename one of them"))?;
         Ok(finish)
     }
 
-    /// Reads a shape as an object with a mesh.
-    fn shape(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Object> {
-        let kind = quoted(&self.required(node, "type")?);
+    /// Reads a shape as an object with a hollow mesh, and adds a material inside it to `scene`.
+    fn read_shape(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Object> {
+        let kind = quoted(&self.required_attribute(node, "type")?);
         let problem = format!("unsupported shape type {kind}; export the shape as a PLY mesh");
         self.require(["`ply`", "`obj`"].contains(&&*kind), node, problem)?;
         let name = self.attribute(node, "id")?.unwrap_or(format!("shape {}", scene.objects.len() + 1));
-        let source = property(node, "filename");
+        let source = property_element(node, "filename");
         let source = source.ok_or_else(|| self.fault(node, "a shape needs a `filename`; add the path of its mesh"))?;
-        let stated = self.required(source, "value")?.replace('\\', "/");
+        let stated = self.required_attribute(source, "value")?.replace('\\', "/");
         let file = self.path.parent().unwrap_or(Path::new("")).join(&stated);
         let problem =
             "is missing: paths begin in the folder of the XML file, so copy its meshes too, or correct the path";
         self.require(file.is_file(), source, format_args!("mesh {} {problem}", quoted(&stated)))?;
-        let finish = self.finish(node, scene)?;
+        let finish = self.read_finish(node, scene)?;
         let mut matrix = None;
-        for transform in elements(node).filter(|child| child.has_tag_name("transform")) {
+        for transform in child_elements(node).filter(|child| child.has_tag_name("transform")) {
             self.require(
                 transform.attribute("name") == Some("to_world"),
                 transform,
                 "rename the transform `to_world`",
             )?;
-            let [x, y, z, _] = DMat4::from(self.transform(transform)?).transpose().to_cols_array_2d();
+            let [x, y, z, _] = DMat4::from(self.read_transform(transform)?).transpose().to_cols_array_2d();
             matrix = Some([x, y, z]);
         }
         Ok(Object::Mesh { name, file, matrix, scale: 1.0, yaw_deg: 0.0, shift: [0.0; 3], hollow: true, finish })
     }
 
-    /// Returns the material of a shape: inside it, or referenced.
-    fn finish(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
-        if let Some(inner) = elements(node).find(|child| child.has_tag_name("bsdf")) {
-            return self.material(inner, scene);
+    /// Reads the finish of a shape: inside it, which is also added to `scene`, or referenced. Returns an error if it is
+    /// missing.
+    fn read_finish(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
+        if let Some(inner) = child_elements(node).find(|child| child.has_tag_name("bsdf")) {
+            return self.read_material(inner, scene);
         }
         let is_bsdf = |child: &Element<'_>| child.attribute("name").is_none_or(|name| name == "bsdf");
-        let reference = elements(node).filter(is_bsdf).find(|child| child.has_tag_name("ref"));
+        let reference = child_elements(node).filter(is_bsdf).find(|child| child.has_tag_name("ref"));
         let problem = "the shape has no material; add <ref id=\"..\" name=\"bsdf\"/> with the id of a `bsdf`";
         let reference = reference.ok_or_else(|| self.fault(node, problem))?;
-        let id = self.required(reference, "id")?;
+        let id = self.required_attribute(reference, "id")?;
         self.finishes.get(&id).cloned().ok_or_else(|| {
             let hint = did_you_mean(&id, self.finishes.keys().map(String::as_str));
             self.fault(reference, format!("unknown material {}{hint}; add a `bsdf` with this id", quoted(&id)))
         })
     }
 
-    /// Reads a `transform` element: its steps in order.
-    fn transform(&self, node: Element<'_>) -> Result<DAffine3> {
+    /// Reads a `transform` element as one map: its steps applied in order.
+    fn read_transform(&self, node: Element<'_>) -> Result<DAffine3> {
         let mut all = DAffine3::IDENTITY;
-        for step in elements(node) {
+        for step in child_elements(node) {
             let fault = |problem: &str| self.fault(step, problem);
             let next = match step.tag_name().name() {
-                "translate" => DAffine3::from_translation(self.vector(step, 0.0)?),
-                "scale" => DAffine3::from_scale(self.vector(step, 1.0)?),
+                "translate" => DAffine3::from_translation(self.read_vector(step, 0.0)?),
+                "scale" => DAffine3::from_scale(self.read_vector(step, 1.0)?),
                 "rotate" => {
-                    let (axis, angle) = (self.vector(step, 0.0)?.try_normalize(), self.number(step, "angle")?);
+                    let (axis, angle) =
+                        (self.read_vector(step, 0.0)?.try_normalize(), self.attribute_number(step, "angle")?);
                     let Some((axis, degrees)) = axis.zip(angle) else {
                         return Err(fault("`rotate` needs an axis x, y or z, and an `angle` in degrees"));
                     };
                     DAffine3::from_axis_angle(axis, degrees.to_radians())
                 }
-                "matrix" => match self.numbers(step, "value")?.as_deref() {
+                "matrix" => match self.attribute_numbers(step, "value")?.as_deref() {
                     Some(rows @ [.., 0.0, 0.0, 0.0, 1.0]) if rows.len() == 16 => {
                         DAffine3::from_mat4(DMat4::from_cols_slice(rows).transpose())
                     }
@@ -341,14 +347,14 @@ impl<'a> Reader<'a> {
         Ok(all)
     }
 
-    /// Returns the vector from `value`, with one or three numbers, or from `x`, `y` and `z`.
-    fn vector(&self, node: Element<'_>, default: f64) -> Result<DVec3> {
-        match self.numbers(node, "value")?.as_deref() {
+    /// Reads a vector from the attribute `value`, with one or three numbers, or from `x`, `y` and `z`, each with a default.
+    fn read_vector(&self, node: Element<'_>, default: f64) -> Result<DVec3> {
+        match self.attribute_numbers(node, "value")?.as_deref() {
             Some(&[all]) => Ok(DVec3::splat(all)),
             Some(&[x, y, z]) => Ok(DVec3::new(x, y, z)),
             Some(_) => Err(self.fault(node, "`value` needs one number or three")),
             None => {
-                let axis = |name| Ok(self.number(node, name)?.unwrap_or(default));
+                let axis = |name| Ok(self.attribute_number(node, name)?.unwrap_or(default));
                 Ok(DVec3::new(axis("x")?, axis("y")?, axis("z")?))
             }
         }

@@ -96,14 +96,14 @@ impl Subcarriers {
         self.bandwidth_hz / self.count as f64
     }
 
-    /// Returns the subcarrier frequencies, Hz, ascending.
+    /// Returns the subcarrier frequencies about a carrier, Hz, ascending.
     pub fn frequencies(&self, carrier_hz: f64) -> Vec<f64> {
         let middle = (self.count as f64 - 1.0) / 2.0;
         (0..self.count).map(|i| carrier_hz + (i as f64 - middle) * self.spacing_hz()).collect()
     }
 
-    /// Returns an error for a band that reaches zero frequency.
-    pub(super) fn check_around(&self, carrier_hz: f64) -> Result<(), String> {
+    /// Returns an error if the bandwidth exceeds the carrier frequency.
+    pub(super) fn check_band(&self, carrier_hz: f64) -> Result<(), String> {
         if self.bandwidth_hz <= carrier_hz {
             return Ok(());
         }

@@ -50,7 +50,8 @@ pub enum Outline {
 }
 
 impl Outline {
-    /// Validates the outline; returns the problem and the next step.
+    /// Returns an error for an outline without an inside, with crossing walls, or that is too large: the problem and the
+    /// next step.
     pub(super) fn check(&self) -> Result<(), String> {
         match self {
             Self::Box { low, high } => check_box(*low, *high).map_err(|why| format!("room: {why}")),
@@ -76,7 +77,8 @@ impl Outline {
     }
 }
 
-/// Returns two non-adjacent walls of a plan that meet, adjacent walls that overlap, or a wall of zero length.
+/// Returns the indices of the first two non-adjacent walls of a plan that meet, or adjacent walls that overlap, or of a
+/// wall of zero length and the next; `None` for a valid plan. Wall k goes from corner k to the next.
 fn first_crossing(corners: &[[f64; 2]]) -> Option<(usize, usize)> {
     let n = corners.len();
     let corner = |i: usize| DVec2::from(corners[i % n]);
@@ -111,7 +113,7 @@ fn first_crossing(corners: &[[f64; 2]]) -> Option<(usize, usize)> {
     None
 }
 
-/// Returns an error unless the box has an inside.
+/// Returns an error unless the box between two corners, metres, has an inside.
 pub(super) fn check_box(low: [f64; 3], high: [f64; 3]) -> Result<(), String> {
     let is_valid = (0..3).all(|k| low[k].abs() <= FAR && high[k].abs() <= FAR && high[k] - low[k] > 1e-3);
     if is_valid {
@@ -232,7 +234,7 @@ impl Object {
         }
     }
 
-    /// Returns the finish for a change; `None` for an opening.
+    /// Returns the finish of the object for a change; `None` for an opening.
     pub(crate) fn finish_mut(&mut self) -> Option<&mut Finish> {
         match self {
             Self::Box { finish, .. } | Self::Panel { finish, .. } | Self::Mesh { finish, .. } => Some(finish),
@@ -240,16 +242,18 @@ impl Object {
         }
     }
 
-    /// Returns the mesh at its position; empty for an object without a file.
+    /// Reads the mesh and returns it at its position in the world, metres; empty for an object without a file. `solid`: the
+    /// mesh must be closed.
     ///
     /// # Errors
-    /// Errors of [`mesh::read_object`], or a vertex farther than 1000 km away.
+    /// Errors of [`mesh::read_object_mesh`], or a vertex farther than 1000 km away.
     pub(crate) fn placed_mesh(&self, solid: bool) -> pwrfgs_core::Result<Mesh> {
         let Self::Mesh { name, file, matrix, scale, yaw_deg, shift, .. } = self else { return Ok(Mesh::default()) };
         let matrix = matrix.map_or(DMat4::IDENTITY, |[x, y, z]| {
             DMat4::from_cols_array_2d(&[x, y, z, [0.0, 0.0, 0.0, 1.0]]).transpose()
         });
-        let mesh = mesh::read_object(file, matrix, solid, name)?.transformed(*scale, *yaw_deg, DVec3::from(*shift));
+        let mesh =
+            mesh::read_object_mesh(file, matrix, solid, name)?.transformed(*scale, *yaw_deg, DVec3::from(*shift));
         mesh.check(file)?;
         if mesh.vertices.iter().any(|v| v.abs().max_element() > FAR) {
             let problem = format!("puts `{name}` farther than 1000 km away; correct its `scale`, `shift` and `matrix`");
@@ -258,7 +262,7 @@ impl Object {
         Ok(mesh)
     }
 
-    /// Validates the object; returns the problem and the next step.
+    /// Returns an error for invalid dimensions, or a missing thickness or file: the problem and the next step.
     pub(super) fn check(&self) -> Result<(), String> {
         match self {
             Self::Box { low, high, yaw_deg, .. } => {
@@ -268,13 +272,13 @@ impl Object {
                 check_box(*low, *high)
             }
             Self::Panel { from, to, heights, finish, .. } => {
-                check_upright("panel", from, to, heights)?;
+                check_vertical_rectangle("panel", from, to, heights)?;
                 if finish.thickness_m.is_none() {
                     return Err("a panel needs a sheet material; give its finish a `thickness_m`".into());
                 }
                 Ok(())
             }
-            Self::Opening { from, to, heights, .. } => check_upright("opening", from, to, heights),
+            Self::Opening { from, to, heights, .. } => check_vertical_rectangle("opening", from, to, heights),
             Self::Mesh { file, matrix, scale, yaw_deg, shift, hollow, finish, .. } => {
                 if *hollow && finish.thickness_m.is_none() {
                     return Err("a hollow mesh needs a sheet material; give its finish a `thickness_m`".into());
@@ -293,8 +297,8 @@ impl Object {
     }
 }
 
-/// Returns an error unless it is a vertical rectangle.
-fn check_upright(kind: &str, from: &[f64; 2], to: &[f64; 2], heights: &[f64; 2]) -> Result<(), String> {
+/// Returns an error unless lower corners and heights, metres, give a vertical rectangle: a `kind` of object.
+fn check_vertical_rectangle(kind: &str, from: &[f64; 2], to: &[f64; 2], heights: &[f64; 2]) -> Result<(), String> {
     if !from.iter().chain(to).chain(heights).all(|v| v.abs() <= FAR) {
         return Err(format!("`from`, `to` and `heights` must be finite numbers in metres within {:.0} km", FAR / 1e3));
     }

@@ -85,7 +85,7 @@ pub enum Transmitters {
 }
 
 impl Transmitters {
-    /// Validates the parameters; returns the problem and the next step.
+    /// Returns an error for a box without positions, or a step out of range: the problem and the next step.
     pub fn check(&self) -> Result<(), String> {
         let (low, high) = self.corners();
         let region = Region::new(low, high)?;
@@ -112,22 +112,19 @@ impl Transmitters {
         }
     }
 
-    /// Draws `count` positions, metres, world frame. `free` tests whether a position can hold a transmitter and returns
-    /// the obstacle otherwise, such as ``inside `desk 2` ``.
+    /// Draws `count` positions in `free` space, metres, world frame.
     ///
     /// # Errors
     /// Errors of [`Self::check`]; no free space; a grid with too few points or a blocked one.
-    pub fn draw(&self, count: usize, seed: u64, free: &dyn Fn(DVec3) -> Result<(), String>) -> Result<Vec<DVec3>> {
-        self.check().map_err(config)?;
+    pub fn draw(&self, count: usize, seed: u64, free: FreeSpace<'_>) -> Result<Vec<DVec3>> {
+        self.check().map_err(position_error)?;
         let (low, high) = self.corners();
-        let region = Region::new(low, high).map_err(config)?;
-        let mut random = rng::stream(seed, "transmitters", 0);
+        let region = Region::new(low, high).map_err(position_error)?;
+        let mut sampler = Sampler { region, random: rng::stream(seed, "transmitters", 0), free };
         match *self {
-            Self::Uniform { .. } => (0..count).map(|i| region.draw_free(i, &mut random, free)).collect(),
-            Self::Grid { step_m, .. } => {
-                draw_grid(&region, grid_cells(low, high, step_m), step_m, count, &mut random, free)
-            }
-            Self::Walk { step_m, .. } => draw_walk(&region, step_m, count, &mut random, free),
+            Self::Uniform { .. } => (0..count).map(|i| sampler.draw_free_position(i)).collect(),
+            Self::Grid { step_m, .. } => sampler.draw_grid(grid_cells(low, high, step_m), step_m, count),
+            Self::Walk { step_m, .. } => sampler.draw_walk(step_m, count),
         }
     }
 
@@ -139,8 +136,11 @@ impl Transmitters {
     }
 }
 
-/// Converts a problem of the positions to an error.
-fn config(why: impl std::fmt::Display) -> Error {
+/// Tests whether a position, metres, can hold a transmitter, and returns the obstacle otherwise, such as ``inside `desk 2` ``.
+type FreeSpace<'a> = &'a dyn Fn(DVec3) -> Result<(), String>;
+
+/// Returns the error for a problem of the positions.
+fn position_error(why: impl std::fmt::Display) -> Error {
     Error::Config(format!("transmitters: {why}"))
 }
 
@@ -152,6 +152,8 @@ struct Region {
 }
 
 impl Region {
+    /// Creates the region between two corners, metres. Returns an error for corners that are too far or in wrong order, or
+    /// if the box contains no position of the grid.
     fn new(low: [f64; 3], high: [f64; 3]) -> Result<Self, String> {
         for ((low, high), axis) in low.into_iter().zip(high).zip(["x", "y", "z"]) {
             if !(low.abs() <= FAR && high.abs() <= FAR) {
@@ -183,34 +185,14 @@ impl Region {
         DVec3::from_array([0, 1, 2].map(|k| (self.high[k] - self.low[k]) as f64 / GRAINS))
     }
 
-    /// Returns the nearest position inside the box.
+    /// Returns the nearest position of the grid inside the box.
     fn nearest(&self, position: DVec3) -> DVec3 {
         let position = position.to_array();
         let grain = |k: usize| ((position[k] * GRAINS).round() as i64).clamp(self.low[k], self.high[k]);
         DVec3::from_array([0, 1, 2].map(|k| grain(k) as f64 / GRAINS))
     }
 
-    /// Draws a position of the grid, uniform in the box.
-    fn draw(&self, random: &mut Rng) -> DVec3 {
-        let mut grain = |k: usize| self.low[k] + rng::below(random, (self.high[k] - self.low[k]) as usize + 1) as i64;
-        DVec3::from_array([0, 1, 2].map(|k| grain(k) as f64 / GRAINS))
-    }
-
-    /// Returns the position of sample `number` (counted from 0): uniform in free space.
-    fn draw_free(&self, number: usize, random: &mut Rng, free: &dyn Fn(DVec3) -> Result<(), String>) -> Result<DVec3> {
-        let mut last = String::new();
-        for _ in 0..TRIES {
-            let position = self.draw(random);
-            match free(position) {
-                Ok(()) => return Ok(position),
-                Err(obstacle) => last = obstacle,
-            }
-        }
-        let problem = format!("after {number} found, {TRIES} positions in a row are not free, the last is {last}");
-        Err(config(format!("{problem}; move the box to where there is free space")))
-    }
-
-    /// Mirrors a position at the walls until it is inside, and the direction with it.
+    /// Returns the position mirrored at the walls until it is inside, and mirrors the direction with it.
     fn reflect(&self, position: DVec3, direction: &mut Direction) -> DVec3 {
         let mut inside = self.nearest(position);
         let low = self.nearest(DVec3::NEG_INFINITY);
@@ -235,95 +217,106 @@ fn grid_cells(low: [f64; 3], high: [f64; 3], step: f64) -> [f64; 3] {
     [0, 1, 2].map(|k| ((high[k] - low[k]) / step * (1.0 + 1e-12) + 1e-9).floor().max(1.0))
 }
 
-/// Draws `count` points of the grid, in their order.
-fn draw_grid(
-    region: &Region,
-    cells: [f64; 3],
-    step: f64,
-    count: usize,
-    random: &mut Rng,
-    free: &dyn Fn(DVec3) -> Result<(), String>,
-) -> Result<Vec<DVec3>> {
-    let cells = cells.map(|n| n as usize);
-    let points: usize = cells.iter().product();
-    if count > points {
-        let advice = "use a smaller `step_m`, a larger box or fewer samples";
-        return Err(config(format!("the grid has {points} points, but {count} samples are requested; {advice}")));
-    }
-    let mut chosen: Vec<usize> = (0..points).collect();
-    if count < points {
-        rng::shuffle(random, &mut chosen);
-        chosen.truncate(count);
-        chosen.sort_unstable();
-    }
-    let low = DVec3::from_array(region.low.map(|grain| grain as f64 / GRAINS));
-    let first = low + region.size() / 2.0 - step / 2.0 * DVec3::from_array(cells.map(|n| n as f64 - 1.0));
-    let position_at = |(number, index): (usize, usize)| {
-        let cell = [index % cells[0], index / cells[0] % cells[1], index / cells[0] / cells[1]];
-        let position = region.nearest(first + step * DVec3::from_array(cell.map(|i| i as f64)));
-        free(position).map(|()| position).map_err(|obstacle| {
-            let DVec3 { x, y, z } = position;
-            let problem = format!("transmitter {} at ({x}, {y}, {z}) is {obstacle}", number + 1);
-            Error::Config(format!("{problem}; move the grid or the object"))
-        })
-    };
-    chosen.into_iter().enumerate().map(position_at).collect()
+/// Random positions in the free space of a region.
+struct Sampler<'a> {
+    region: Region,
+    random: Rng,
+    free: FreeSpace<'a>,
 }
 
-/// Draws the walk of a carried transmitter, modelled on the 6,123 positions of the measured `s23` set.
-///
-/// In `s23`, a step is longer than x with a probability close to x₀/x, x₀ being half the median of 10.4 mm; the
-/// directions of two steps correlate by 0.59, 0.33, 0.25 and 0.09 at lags of 1, 3, 8 and 20 steps; and half of the
-/// steps point up or down by 25° or more. Step lengths are drawn from that distribution. The direction is a slowly
-/// wandering heading plus a wobble of yaw and pitch with a memory of a few steps; its four parameters were fitted to
-/// the correlations.
-fn draw_walk(
-    region: &Region,
-    step: f64,
-    count: usize,
-    random: &mut Rng,
-    free: &dyn Fn(DVec3) -> Result<(), String>,
-) -> Result<Vec<DVec3>> {
-    let mut positions = Vec::with_capacity(count);
-    if count > 0 {
-        positions.push(region.draw_free(0, random, free)?);
-    }
-    let mut direction = Direction::new(random);
-    while let Some(&position) = positions.last().filter(|_| positions.len() < count) {
-        positions.push(next_position(region, position, step, &mut direction, random, free)?);
-    }
-    Ok(positions)
-}
-
-/// Draws the position after `position` on a walk. A blocked step draws a new direction.
-fn next_position(
-    region: &Region,
-    position: DVec3,
-    step: f64,
-    direction: &mut Direction,
-    random: &mut Rng,
-    free: &dyn Fn(DVec3) -> Result<(), String>,
-) -> Result<DVec3> {
-    let mut last = String::new();
-    for _ in 0..TRIES {
-        let mut heading = direction.clone();
-        let to = region.reflect(position + draw_step_length(step, random) * heading.advance(random), &mut heading);
-        match free(to) {
-            Ok(()) => {
-                *direction = heading;
-                return Ok(to);
+impl Sampler<'_> {
+    /// Draws sample `number`, counted from 0: uniform in free space.
+    fn draw_free_position(&mut self, number: usize) -> Result<DVec3> {
+        let Region { low, high } = self.region;
+        let mut last = String::new();
+        for _ in 0..TRIES {
+            let grains =
+                [0, 1, 2].map(|k| low[k] + rng::below(&mut self.random, (high[k] - low[k]) as usize + 1) as i64);
+            let position = DVec3::from_array(grains.map(|grain| grain as f64 / GRAINS));
+            match (self.free)(position) {
+                Ok(()) => return Ok(position),
+                Err(obstacle) => last = obstacle,
             }
-            Err(obstacle) => last = obstacle,
         }
-        *direction = Direction::new(random);
+        let problem = format!("after {number} found, {TRIES} positions in a row are not free, the last is {last}");
+        Err(position_error(format!("{problem}; move the box to where there is free space")))
     }
-    let DVec3 { x, y, z } = position;
-    let problem =
-        format!("the walk cannot leave ({x}, {y}, {z}): {TRIES} steps end where it is not free, the last {last}");
-    Err(config(format!("{problem}; move the box to where there is free space")))
+
+    /// Draws `count` points of the grid of cubes, in the order of the grid. Returns an error if the grid has fewer points or
+    /// a point is not free.
+    fn draw_grid(&mut self, cells: [f64; 3], step: f64, count: usize) -> Result<Vec<DVec3>> {
+        let (cells, region) = (cells.map(|n| n as usize), &self.region);
+        let points: usize = cells.iter().product();
+        if count > points {
+            let advice = "use a smaller `step_m`, a larger box or fewer samples";
+            let problem = format!("the grid has {points} points, but {count} samples are requested; {advice}");
+            return Err(position_error(problem));
+        }
+        let mut chosen: Vec<usize> = (0..points).collect();
+        if count < points {
+            rng::shuffle(&mut self.random, &mut chosen);
+            chosen.truncate(count);
+            chosen.sort_unstable();
+        }
+        let low = DVec3::from_array(region.low.map(|grain| grain as f64 / GRAINS));
+        let first = low + region.size() / 2.0 - step / 2.0 * DVec3::from_array(cells.map(|n| n as f64 - 1.0));
+        let position_at = |(number, index): (usize, usize)| {
+            let cell = [index % cells[0], index / cells[0] % cells[1], index / cells[0] / cells[1]];
+            let position = region.nearest(first + step * DVec3::from_array(cell.map(|i| i as f64)));
+            (self.free)(position).map(|()| position).map_err(|obstacle| {
+                let DVec3 { x, y, z } = position;
+                let problem = format!("transmitter {} at ({x}, {y}, {z}) is {obstacle}", number + 1);
+                Error::Config(format!("{problem}; move the grid or the object"))
+            })
+        };
+        chosen.into_iter().enumerate().map(position_at).collect()
+    }
+
+    /// Draws the walk of a carried transmitter, modelled on the 6,123 positions of the measured `s23` set.
+    ///
+    /// In `s23`, a step is longer than x with a probability close to x₀/x, x₀ being half the median of 10.4 mm; the
+    /// directions of two steps correlate by 0.59, 0.33, 0.25 and 0.09 at lags of 1, 3, 8 and 20 steps; and half of the
+    /// steps point up or down by 25° or more. Step lengths are drawn from that distribution. The direction is a slowly
+    /// wandering heading plus a wobble of yaw and pitch with a memory of a few steps; its four parameters were fitted to
+    /// the correlations.
+    fn draw_walk(&mut self, step: f64, count: usize) -> Result<Vec<DVec3>> {
+        let mut positions = Vec::with_capacity(count);
+        if count > 0 {
+            positions.push(self.draw_free_position(0)?);
+        }
+        let mut direction = Direction::new(&mut self.random);
+        while let Some(&position) = positions.last().filter(|_| positions.len() < count) {
+            positions.push(self.draw_next_position(position, step, &mut direction)?);
+        }
+        Ok(positions)
+    }
+
+    /// Draws the position after `position` on a walk with a median step of `step` metres, and advances the direction. A
+    /// blocked step draws a new direction; returns an error after too many of them.
+    fn draw_next_position(&mut self, position: DVec3, step: f64, direction: &mut Direction) -> Result<DVec3> {
+        let random = &mut self.random;
+        let mut last = String::new();
+        for _ in 0..TRIES {
+            let mut heading = direction.clone();
+            let span = draw_step_length(step, random) * heading.advance(random);
+            let next = self.region.reflect(position + span, &mut heading);
+            match (self.free)(next) {
+                Ok(()) => {
+                    *direction = heading;
+                    return Ok(next);
+                }
+                Err(obstacle) => last = obstacle,
+            }
+            *direction = Direction::new(random);
+        }
+        let DVec3 { x, y, z } = position;
+        let problem =
+            format!("the walk cannot leave ({x}, {y}, {z}): {TRIES} steps end where it is not free, the last {last}");
+        Err(position_error(format!("{problem}; move the box to where there is free space")))
+    }
 }
 
-/// Draws a random step length: at least half the median, longer than x with probability x₀/x, up to the limit.
+/// Draws a random step length, metres: at least half the median, longer than x with probability x₀/x, up to the limit.
 fn draw_step_length(median: f64, random: &mut Rng) -> f64 {
     let shortest_over_longest = 0.5 / LONGEST;
     let u = shortest_over_longest + (1.0 - shortest_over_longest) * rng::uniform_f64(random);
@@ -340,6 +333,7 @@ struct Direction {
 }
 
 impl Direction {
+    /// Draws a random direction: uniform heading, normally distributed wobble.
     fn new(random: &mut Rng) -> Self {
         Self {
             heading: TAU * rng::uniform_f64(random),
@@ -347,7 +341,7 @@ impl Direction {
         }
     }
 
-    /// Advances by one step, and returns the unit vector of the next step.
+    /// Changes heading and wobble at random, and returns the unit vector of the next step.
     fn advance(&mut self, random: &mut Rng) -> DVec3 {
         self.heading = (self.heading + WANDER * rng::normal_f64(random)).rem_euclid(TAU);
         for (wobble, deviation) in self.wobble.iter_mut().zip([WOBBLE_YAW, WOBBLE_PITCH]) {

@@ -43,7 +43,7 @@ fn caches_every_observation_kind_and_remakes_damaged_entries() {
         let load = || {
             let made = AtomicUsize::new(0);
             let count = |done, _| made.store(done, Ordering::Relaxed);
-            let read = |folder: &Path| read_links(&recipe, folder);
+            let read = |folder: &Path| read_poses_and_observations(&recipe, folder);
             let (poses, observations) = open_or_make(&recipe, Some(&root), &count, read).unwrap();
             ((poses, rows(&observations, 12)), made.into_inner() > 0)
         };

@@ -35,7 +35,7 @@ fn argmin(values: &[f64]) -> usize {
 }
 
 fn normalised(values: &[f64]) -> Vec<f64> {
-    let (low, high) = range(values);
+    let (low, high) = value_range(values);
     values.iter().map(|v| (v - low) / (high - low)).collect()
 }
 
@@ -49,7 +49,7 @@ fn spectrum_matches_published_script_on_its_grid() {
     let degrees = |first: f64| AngleAxis { first, step: 1.0 };
     let beamformer = Beamformer::on_grid(&measured_array(), (360, degrees(0.0)), (90, degrees(1.0)));
     let raw = beamformer.amplitude(&sample_channel());
-    let (low, high) = range(&raw);
+    let (low, high) = value_range(&raw);
     assert_close(low, 0.001_327);
     assert_close(high, 0.927_321);
     let values = normalised(&raw);
@@ -183,7 +183,7 @@ fn amplitude_is_min_max_and_power_is_max_normalised() {
     let channel = sample_channel();
     let raw = beamformer.amplitude(&channel);
     let amplitude = beamformer.spectrum(&channel, SpectrumKind::Amplitude);
-    assert_eq!(range(&raw), (amplitude.low, amplitude.high));
+    assert_eq!(value_range(&raw), (amplitude.low, amplitude.high));
     assert_eq!(amplitude.pixels.iter().min(), Some(&0));
     assert_eq!(amplitude.pixels.iter().max(), Some(&255));
     let power = beamformer.spectrum(&channel, SpectrumKind::Power);
@@ -227,6 +227,7 @@ fn rotated_receiver_observes_inversely_rotated_wave() {
         before: 0.0,
         interactions: vec![],
     };
-    let channel = array.channel(&[path], DVec3::ZERO, turn, 0.3);
+    let elements: Vec<DVec3> = array.offsets(0.3).iter().map(|offset| turn * *offset).collect();
+    let channel = crate::array::array_channel(&[path], &elements, DVec3::ZERO, &[0.3], array.wavefront);
     assert_eq!(argmax(&beamformer.amplitude(&channel)), 37 * 360 + 211);
 }

@@ -12,7 +12,7 @@ fn wall(x: f64, width: f64, height: f64) -> [[DVec3; 3]; 2] {
 /// Samples points with the normals of the triangles.
 fn sample_on(triangles: &[[DVec3; 3]], count: usize, seed: u64) -> SurfacePoints {
     let normals: Vec<DVec3> = triangles.iter().map(|[a, b, c]| (b - a).cross(c - a).normalize_or_zero()).collect();
-    sample(triangles, &normals, count, seed)
+    sample_surfaces(triangles, &normals, count, seed)
 }
 
 /// Returns the number of points in each of `n` × `n` equal cells of the wall.

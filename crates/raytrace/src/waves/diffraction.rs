@@ -13,9 +13,13 @@ const GRAZING: f64 = 1e-9;
 /// Number of nodes of the trapezium rule for the transition function.
 const NODES: u32 = 12;
 
-/// Reflection and transmission coefficients of the two faces of an edge (te soft, tm hard).
+/// Edge of two faces with their reflection and transmission coefficients (te soft, tm hard), at angles chosen by the
+/// caller. With cos θ = sin β sin α, where α is min(φ, φ′) at face 0 and nπ - max(φ, φ′) at face n, the reflected rays are
+/// continuous at the boundaries and the diffraction coefficients are reciprocal.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sides {
+pub struct Wedge {
+    /// Exterior angle over π, in (1, 2].
+    pub n: f64,
     /// Reflection at face 0; [`Polarized::PERFECT_CONDUCTOR`] for metal.
     pub r0: Polarized,
     /// Reflection at face n.
@@ -25,53 +29,45 @@ pub struct Sides {
     pub through: Polarized,
 }
 
-/// Returns the diffraction coefficients Dₛ (`te`) and Dₕ (`tm`) of a wedge, √m: Kouyoumjian and Pathak, Proc. IEEE 62
-/// (1974), pp. 1448-1461, the reflection terms multiplied by coefficients of reflection as in Luebbers, IEEE TAP 32
-/// (1984), pp. 70-76.
-///
-/// * `n`: exterior angle over π, in (1, 2]; `k`: wave number 2π/λ, rad/m.
-/// * `distances`: s′ from the source to the edge and s from the edge to the receiver, metres.
-/// * `angles`: φ′ of the source and φ of the receiver about the edge, radians, from face 0 through air, in [0, nπ].
-/// * `sin_beta`: sine of the angle between ray and edge.
-/// * `sides`: reflection and transmission of the two faces, at angles chosen by the caller. With cos θ = sin β sin α,
-///   where
-///   α is min(φ, φ′) at face 0 and nπ - max(φ, φ′) at face n, the reflected rays are continuous at the boundaries and
-///   the coefficients are reciprocal.
-///
-/// The gain of the path is λ/(4π)·D/√(ss′(s + s′)), without the phase e^{-jk(s + s′)}. With ê along the edge so that φ
-/// turns by the right hand about it, k̂′ and k̂ along the ray before and after, φ̂′ = -ê×k̂′/sin β, φ̂ = ê×k̂/sin β,
-/// β̂′ = φ̂′×k̂′ and β̂ = φ̂×k̂ the field becomes -Dₛ(E·β̂′)β̂ - Dₕ(E·φ̂′)φ̂.
-///
-/// On a shadow or reflection boundary it is the limit from the lit side. At grazing incidence (φ′ of 0 or nπ) the
-/// incident and the reflected ray coincide, and the coefficient is halved as in Kouyoumjian and Pathak: the direct ray
-/// counts once, the reflected one not at all. A receiver on a face is not treated this way. Zero if the ray runs along
-/// the edge or an end lies on it.
-pub fn wedge(
-    n: f64,
-    k: f64,
-    distances: (f64, f64),
-    angles: (f64, f64),
-    sin_beta: f64,
-    Sides { r0, rn, through }: &Sides,
-) -> Polarized {
-    let (before, after) = distances;
-    let (phi_in, phi) = angles;
-    if !(before > 0.0 && after > 0.0 && sin_beta > 0.0) {
-        return Polarized::NOTHING;
+impl Wedge {
+    /// Returns the diffraction coefficients Dₛ (`te`) and Dₕ (`tm`), √m: Kouyoumjian and Pathak, Proc. IEEE 62 (1974), pp.
+    /// 1448-1461, the reflection terms multiplied by coefficients of reflection as in Luebbers, IEEE TAP 32 (1984), pp.
+    /// 70-76.
+    ///
+    /// * `k`: wave number 2π/λ, rad/m.
+    /// * `distances`: s′ from the source to the edge and s from the edge to the receiver, metres.
+    /// * `angles`: φ′ of the source and φ of the receiver about the edge, radians, from face 0 through air, in [0, nπ].
+    /// * `sin_beta`: sine of the angle between ray and edge.
+    ///
+    /// The gain of the path is λ/(4π)·D/√(ss′(s + s′)), without the phase e^{-jk(s + s′)}. With ê along the edge so that φ
+    /// turns by the right hand about it, k̂′ and k̂ along the ray before and after, φ̂′ = -ê×k̂′/sin β, φ̂ = ê×k̂/sin β,
+    /// β̂′ = φ̂′×k̂′ and β̂ = φ̂×k̂ the field becomes -Dₛ(E·β̂′)β̂ - Dₕ(E·φ̂′)φ̂.
+    ///
+    /// On a shadow or reflection boundary it is the limit from the lit side. At grazing incidence (φ′ of 0 or nπ) the
+    /// incident and the reflected ray coincide, and the coefficient is halved as in Kouyoumjian and Pathak: the direct ray
+    /// counts once, the reflected one not at all. A receiver on a face is not treated this way. Zero if the ray runs along
+    /// the edge or an end lies on it.
+    pub fn diffraction_coefficients(&self, k: f64, distances: [f64; 2], angles: [f64; 2], sin_beta: f64) -> Polarized {
+        let Self { n, r0, rn, through } = *self;
+        let [before, after] = distances;
+        let [phi_in, phi] = angles;
+        if !(before > 0.0 && after > 0.0 && sin_beta > 0.0) {
+            return Polarized::NOTHING;
+        }
+        let spreading = (before * after / (before + after)).sqrt(); // √L / sin β
+        let scale = (2.0 * k).sqrt() * spreading * sin_beta;
+        let side = |angle| boundary_term(n, angle, scale);
+        let incident = side(PI + (phi - phi_in)) + side(PI - (phi - phi_in));
+        let reflected_0 = side(PI - (phi + phi_in));
+        let reflected_n = side(PI + (phi + phi_in));
+        let once = if phi_in < GRAZING || phi_in > n * PI - GRAZING { 0.5 } else { 1.0 };
+        // √L cancels the 1/√(2πk) of the coefficient except for 1/√π: see `boundary_term`.
+        let front = Complex::cis(-FRAC_PI_4) * (-once * spreading / (2.0 * n * PI.sqrt()));
+        let coefficient = |r0: Complex, rn: Complex, through: Complex| {
+            front * ((1.0 - through) * incident + r0 * reflected_0 + rn * reflected_n)
+        };
+        Polarized { te: coefficient(r0.te, rn.te, through.te), tm: coefficient(r0.tm, rn.tm, through.tm) }
     }
-    let spreading = (before * after / (before + after)).sqrt(); // √L / sin β
-    let scale = (2.0 * k).sqrt() * spreading * sin_beta;
-    let side = |angle| boundary_term(n, angle, scale);
-    let incident = side(PI + (phi - phi_in)) + side(PI - (phi - phi_in));
-    let reflected_0 = side(PI - (phi + phi_in));
-    let reflected_n = side(PI + (phi + phi_in));
-    let once = if phi_in < GRAZING || phi_in > n * PI - GRAZING { 0.5 } else { 1.0 };
-    // √L cancels the 1/√(2πk) of the coefficient except for 1/√π: see `boundary_term`.
-    let front = Complex::cis(-FRAC_PI_4) * (-once * spreading / (2.0 * n * PI.sqrt()));
-    let coefficient = |r0: Complex, rn: Complex, through: Complex| {
-        front * ((1.0 - through) * incident + r0 * reflected_0 + rn * reflected_n)
-    };
-    Polarized { te: coefficient(r0.te, rn.te, through.te), tm: coefficient(r0.tm, rn.tm, through.tm) }
 }
 
 /// Returns the boundary term cot(δ/2n) F(2kL sin²(δ/2)) / √(2kL), where `scale` is √(2kL) and δ is `angle` reduced to
@@ -105,10 +101,10 @@ fn transition_over_root(v: f64) -> Complex {
     2.0 * PI.sqrt() * eighth * integral.conj()
 }
 
-/// Returns the diffraction point t on the line a + t(b - a) for the path from `tx` to `rx`: the shortest path, with
-/// equal angles before and after the edge (Keller's cone). t may lie outside [0, 1]. Midway if both ends lie on the
-/// line; 0 for an edge of zero length.
-pub fn edge_point(a: DVec3, b: DVec3, tx: DVec3, rx: DVec3) -> f64 {
+/// Returns the parameter t of the diffraction point on the line a + t(b - a) for the path from `tx` to `rx`: the shortest
+/// path, with equal angles before and after the edge (Keller's cone). t may lie outside [0, 1]. Midway if both ends lie on
+/// the line; 0 for an edge of zero length.
+pub fn edge_parameter(a: DVec3, b: DVec3, tx: DVec3, rx: DVec3) -> f64 {
     let edge = b - a;
     let length = edge.length();
     if length == 0.0 {

@@ -21,13 +21,14 @@ impl Polarized {
     /// Zero coefficients.
     pub const NOTHING: Self = Self { te: Complex::ZERO, tm: Complex::ZERO };
 
-    /// Returns the product of two interactions.
+    /// Returns the coefficients of this interaction followed by `next`.
     pub fn times(self, next: Self) -> Self {
         Self { te: self.te * next.te, tm: self.tm * next.tm }
     }
 }
 
-/// Returns the reflection by a slab of `thickness` metres, or by a half-space if `None`; ITU-R P.2040-3, section 2.2.
+/// Returns the reflection coefficients of a slab of `thickness` metres, or of a half-space if `None`; ITU-R P.2040-3,
+/// section 2.2.
 ///
 /// `eta` is the complex relative permittivity, `cos_incidence` the cosine from the normal (its sign does not matter),
 /// `wavelength` that in free space, metres. With c = cos θ, s = √(η - 1 + c²) and q = 2πds/λ a face reflects
@@ -42,12 +43,12 @@ pub fn reflection(eta: Complex, thickness: Option<f64>, cos_incidence: f64, wave
     let echo = -exp_m1(Complex::new(2.0 * path.im, -2.0 * path.re));
     face.per_polarization(|interface| {
         let r = interface.reflection();
-        interface.over_echoes(r * echo, echo, Complex::ZERO)
+        interface.divide_by_echoes(r * echo, echo, Complex::ZERO)
     })
 }
 
-/// Returns the transmission through a slab of `thickness` metres, relative to free space along the same straight line:
-/// T of ITU-R P.2040-3, section 2.2, times e^{jkd cos θ}, so that a slab of air has no effect.
+/// Returns the transmission coefficients of a slab of `thickness` metres, relative to free space along the same straight
+/// line: T of ITU-R P.2040-3, section 2.2, times e^{jkd cos θ}, so that a slab of air has no effect.
 ///
 /// T = (1 - r²)e^{-jq}/(1 - r²e^{-2jq}). The field becomes `te`·(E·ŝ)ŝ + `tm`·(E·p̂)p̂, p̂ the same before and after.
 /// Arguments as in [`reflection`]. The lateral displacement of the ray in the slab is not modelled.
@@ -57,7 +58,9 @@ pub fn transmission(eta: Complex, thickness: f64, cos_incidence: f64, wavelength
     let echo = -exp_m1(Complex::new(2.0 * path.im, -2.0 * path.re));
     let free = TAU * thickness / wavelength * cos_incidence.abs();
     let through = Complex::new(path.im, free - path.re).exp();
-    face.per_polarization(|interface| interface.over_echoes(interface.through() * through, echo, Complex::ONE))
+    face.per_polarization(|interface| {
+        interface.divide_by_echoes(interface.double_transmission() * through, echo, Complex::ONE)
+    })
 }
 
 /// Quantities common to both polarisations: cos θ outside, η and s = √(η - sin²θ) inside.
@@ -68,6 +71,7 @@ struct FaceOptics {
 }
 
 impl FaceOptics {
+    /// Computes the quantities of a face with the complex relative permittivity `eta`.
     fn new(eta: Complex, cos_incidence: f64) -> Self {
         let cos = cos_incidence.abs();
         let root = (eta - 1.0 + cos * cos).sqrt();
@@ -75,12 +79,12 @@ impl FaceOptics {
         Self { eta, cos, root: if root.im > 0.0 { root.conj() } else { root } }
     }
 
-    /// Returns the phase q = 2πds/λ.
+    /// Returns the complex phase q = 2πds/λ of one passage through a slab of `thickness` d, metres.
     fn phase(&self, thickness: f64, wavelength: f64) -> Complex {
         self.root * (TAU * thickness / wavelength)
     }
 
-    /// Evaluates `coefficient` for both polarisations.
+    /// Returns the pair of `coefficient` for the interfaces of both polarisations.
     fn per_polarization(&self, coefficient: impl Fn(Interface) -> Complex) -> Polarized {
         let (cos, root) = (self.cos, self.root);
         Polarized {
@@ -101,22 +105,22 @@ impl Interface {
         if x == s { Complex::ZERO } else { (x - s) / (x + s) }
     }
 
-    /// Returns 1 - r² without cancellation if |r| is near 1.
-    fn through(self) -> Complex {
+    /// Returns the transmission through both interfaces of a slab, 1 - r², without cancellation if |r| is near 1.
+    fn double_transmission(self) -> Complex {
         let (x, s) = (self.0, self.1);
         if x == s { Complex::ONE } else { (2.0 * x / (x + s)) * (2.0 * s / (x + s)) }
     }
 
-    /// Returns `amplitude` over 1 - r²e^{-2jq}, with `echo` = 1 - e^{-2jq}; `none` if the wave does not interact: the
-    /// slab has no thickness and the wave does not enter.
-    fn over_echoes(self, amplitude: Complex, echo: Complex, none: Complex) -> Complex {
+    /// Returns `amplitude` divided by 1 - r²e^{-2jq}, the sum over all echoes in a slab, with `echo` = 1 - e^{-2jq}; `none`
+    /// if the wave does not interact: the slab has no thickness and the wave does not enter.
+    fn divide_by_echoes(self, amplitude: Complex, echo: Complex, none: Complex) -> Complex {
         let r = self.reflection();
-        let denominator = self.through() + r * r * echo;
+        let denominator = self.double_transmission() + r * r * echo;
         if denominator == Complex::ZERO { none } else { amplitude / denominator }
     }
 }
 
-/// Returns e^z - 1, also for small z.
+/// Returns e^z - 1 without cancellation for small z.
 fn exp_m1(z: Complex) -> Complex {
     let half = (0.5 * z.im).sin();
     Complex::new(z.re.exp_m1() * z.im.cos() - 2.0 * half * half, z.re.exp() * z.im.sin())

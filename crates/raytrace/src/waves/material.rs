@@ -22,7 +22,7 @@ const EVERYWHERE: (f64, f64) = (0.0, f64::INFINITY);
 /// ```
 /// # use pwrfgs_raytrace::material::Material;
 /// let concrete: Material = ron::from_str("(a: 5.24, c: 0.0462, d: 0.7822, range_ghz: (1, 100))").unwrap();
-/// assert_eq!(Some(concrete), pwrfgs_raytrace::material::named("concrete"));
+/// assert_eq!(Some(concrete), pwrfgs_raytrace::material::itu_material("concrete"));
 /// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -42,7 +42,7 @@ pub struct Material {
     pub range_ghz: (f64, f64),
 }
 
-/// Returns the default range of validity.
+/// Returns the default range of validity, GHz.
 fn everywhere() -> (f64, f64) {
     EVERYWHERE
 }
@@ -72,7 +72,7 @@ impl Material {
         (low..=high).contains(&(frequency_hz / 1e9))
     }
 
-    /// Validates the parameters; returns the problem and the next step.
+    /// Returns an error for a parameter out of range: the problem and the next step.
     pub fn check(&self) -> Result<(), String> {
         let Self { a, b, c, d, range_ghz: (low, high) } = *self;
         if !(a > 0.0 && a <= PERFECT) {
@@ -121,13 +121,13 @@ const TABLE: [Row; 18] = [
 /// Names that other programs do not use.
 pub(crate) const ONLY_HERE: [&str; 3] = ["perfect_conductor", "glass_above_220_ghz", "ceiling_board_above_220_ghz"];
 
-/// Returns a material of Table 3 of ITU-R P.2040-3, or `perfect_conductor`.
-pub fn named(name: &str) -> Option<Material> {
+/// Returns the material `name` of Table 3 of ITU-R P.2040-3, or `perfect_conductor`; `None` for other names.
+pub fn itu_material(name: &str) -> Option<Material> {
     let (_, (a, b, c, d), range_ghz) = TABLE.into_iter().find(|row| row.0 == name)?;
     Some(Material { a, b, c, d, range_ghz })
 }
 
-/// Returns the names accepted by [`named`], in the order of the table.
-pub fn names() -> Vec<&'static str> {
+/// Returns the names accepted by [`itu_material`], in the order of the table.
+pub fn itu_material_names() -> Vec<&'static str> {
     TABLE.iter().map(|row| row.0).collect()
 }

@@ -44,7 +44,7 @@ impl Lobe {
         }
     }
 
-    /// Validates the parameters; returns the problem and the next step.
+    /// Returns an error for an exponent that is too large: the problem and the next step.
     pub fn check(&self) -> Result<(), String> {
         match *self {
             Self::Directive { exponent } if exponent > NARROWEST => {
@@ -55,7 +55,7 @@ impl Lobe {
     }
 }
 
-/// Returns the integral of ((1 + cos ψ)/2)^α over the hemisphere, sr.
+/// Returns the integral of a directive lobe, ((1 + cos ψ)/2)^α with α = `exponent`, over the hemisphere, sr.
 ///
 /// F = 2^-α Σⱼ C(α,j) Iⱼ over j = 0..α, with Iⱼ = 2π/(j + 1) for even j, and that times
 /// cos θ Σ C(2w,w) (sin²θ/4)^w over w = 0..(j - 1)/2 for odd j. All terms are positive.
@@ -89,7 +89,7 @@ fn lobe_integral(exponent: u32, cos_incidence: f64) -> f64 {
 /// * `scattering`: S, in [0, 1]; `reflection`: |Γ| of the smooth surface.
 /// * `density`: result of [`Lobe::density`], 1/sr; `area`: dA, m²; `cos_incidence`: cos θ from the normal.
 /// * `distances`: r₁ from the transmitter to the patch and r₂ on to the receiver, metres, large against the patch.
-pub fn amplitude(
+pub fn patch_amplitude(
     scattering: f64,
     reflection: f64,
     density: f64,

@@ -1,6 +1,6 @@
 //! Builds faces and edges from triangle meshes.
 
-use super::contact::{self, is_near};
+use super::contact::{self, bounding_box, is_near_face};
 use super::{Edge, Face, SolidBody, Surface, SurfaceLayer, Triangle, World};
 use crate::hierarchy::Hierarchy;
 use crate::mesh::Mesh;
@@ -45,64 +45,59 @@ pub struct WorldPart<'a> {
 
 impl WorldBuilder {
     /// Adds surface properties and returns their index.
-    pub fn surface(&mut self, surface: Surface) -> u32 {
+    pub fn add_surface(&mut self, surface: Surface) -> u32 {
         self.surfaces.push(surface);
         self.surfaces.len() as u32 - 1
     }
 
-    /// Begins an open scene: the first part is an object, not the room.
-    pub fn open(&mut self) {
+    /// Begins a scene without a room: the first part is an object.
+    pub fn begin_open_scene(&mut self) {
         self.count = 1;
     }
 
     /// Returns the number of triangles so far.
-    pub fn triangles(&self) -> usize {
+    pub fn triangle_count(&self) -> usize {
         self.triangles.len()
     }
 
-    /// Adds the room, or an object after it.
-    pub fn add(&mut self, part: &WorldPart<'_>) {
+    /// Adds the room, or an object after it: its faces except hidden ones, its edges, and its body if it is closed.
+    pub fn add_part(&mut self, part: &WorldPart<'_>) {
         let layer = match (self.count, part.closed) {
             (0, _) => SurfaceLayer::Room,
             (_, true) => SurfaceLayer::SolidBody,
             (_, false) => SurfaceLayer::Sheet,
         };
-        let triangles: Vec<Triangle> = part.mesh.triangles.iter().map(|t| triangle(part.mesh, *t)).collect();
-        let shared = edges_of(part.mesh);
-        let groups = coplanar_groups(&triangles, &shared);
-        let mut face_of = vec![u32::MAX; triangles.len()]; // hidden faces keep u32::MAX
-        for (number, group) in groups.iter().enumerate() {
+        let corners = part.mesh.triangles.iter().map(|t| part.mesh.corners(*t));
+        let mut triangles: Vec<Triangle> = corners.map(Triangle::new).collect(); // hidden ones keep the face u32::MAX
+        let owners = side_owners(part.mesh);
+        for (number, group) in coplanar_groups(&triangles, &owners).iter().enumerate() {
             let start = self.triangles.len();
-            let face = Self::face(&triangles, group, layer, number, part);
+            let members: Vec<Triangle> = group.iter().map(|&t| triangles[t]).collect();
+            let face = describe_face(&members, layer, number, part);
             if layer == SurfaceLayer::SolidBody && self.is_hidden(&face) {
                 continue;
             }
-            let id = self.faces.len() as u32;
             for &t in group {
-                face_of[t] = id;
-                self.triangles.push(Triangle { face: id, ..triangles[t] });
+                triangles[t].face = self.faces.len() as u32;
+                self.triangles.push(triangles[t]);
             }
             self.faces.push(Face { triangles: start..self.triangles.len(), ..face });
         }
-        let edges = shared
-            .iter()
-            .filter_map(|(ends, owners)| edge(part.mesh, (ends, owners), &triangles, &face_of, !part.closed));
-        self.edges.extend(edges);
+        self.edges.extend(owners.iter().filter_map(|side| face_edge(part, side, &triangles)));
         self.parts.resize(self.faces.len(), self.count);
         self.shells.resize(self.faces.len(), part.mesh.is_closed());
         self.owners.resize(self.edges.len(), self.count);
         self.count += 1;
         if part.closed {
-            let low = part.mesh.vertices.iter().copied().reduce(DVec3::min).unwrap_or_default();
-            let high = part.mesh.vertices.iter().copied().reduce(DVec3::max).unwrap_or_default();
-            self.bodies.push(SolidBody { name: part.name.into(), bounds: [low, high], triangles });
+            let bounds = bounding_box(&part.mesh.vertices, 0.0);
+            self.bodies.push(SolidBody { name: part.name.into(), bounds, triangles });
         }
     }
 
-    /// Builds the world.
+    /// Builds the world: finds coplanar faces, joins sheets and leaves out edges that lie on other parts.
     ///
     /// # Errors
-    /// Too many overlapping faces.
+    /// Too many overlapping faces or contacts.
     pub fn build(mut self) -> Result<World, String> {
         contact::find_twins(&mut self.faces)?;
         self.join_sheets();
@@ -110,7 +105,7 @@ impl WorldBuilder {
         let contacts = contact::Contacts::new(&self.faces, &self.triangles, &hierarchy, &self.parts);
         let mut edges = Vec::new();
         for (edge, part) in self.edges.iter().zip(&self.owners) {
-            if !contacts.covers(edge, *part)? {
+            if !contacts.is_covered(edge, *part)? {
                 edges.push(edge.clone());
             }
         }
@@ -118,45 +113,30 @@ impl WorldBuilder {
         Ok(World { surfaces, faces, edges, triangles, bodies, hierarchy })
     }
 
-    /// Describes the face of a group of coplanar triangles, by its largest triangle.
-    fn face(triangles: &[Triangle], group: &[usize], layer: SurfaceLayer, number: usize, part: &WorldPart<'_>) -> Face {
-        let largest = group.iter().map(|&t| &triangles[t]).max_by(|a, b| a.area().total_cmp(&b.area()));
-        let largest = largest.expect("a group has a triangle");
-        let normal = largest.normal();
-        let (name, surface) = (part.describe)(normal, number);
-        let corners = group.iter().flat_map(|&t| triangles[t].corners()).collect();
-        let hull = convex_hull(corners, normal);
-        Face {
-            name,
-            normal,
-            offset: normal.dot(largest.corner),
-            surface,
-            triangles: 0..0,
-            twins: Vec::new(),
-            hull,
-            layer,
-        }
-    }
-
     /// Returns whether a face lies back to back on a face of the room, like the underside of a cupboard: no wave
     /// reaches it.
     fn is_hidden(&self, face: &Face) -> bool {
         let middle = face.hull.iter().sum::<DVec3>() / face.hull.len() as f64;
         let is_covered_by = |wall: &Face| {
-            let near = |p: &DVec3| is_near(wall, *p, &self.triangles[wall.triangles.clone()]);
+            let near = |p: &DVec3| is_near_face(wall, *p, &self.triangles[wall.triangles.clone()]);
             face.normal.dot(wall.normal) < 0.0 && face.hull.iter().chain([&middle]).all(near)
         };
         self.faces.iter().take_while(|f| f.is_room()).any(is_covered_by)
     }
 }
 
-/// Returns a triangle of a mesh.
-fn triangle(mesh: &Mesh, [a, b, c]: [u32; 3]) -> Triangle {
-    Triangle::new([a, b, c].map(|i| mesh.vertices[i as usize]))
+/// Returns the face `number` of a part, which consists of coplanar triangles; its plane is that of the largest. The range
+/// of its triangles is not set yet.
+fn describe_face(triangles: &[Triangle], layer: SurfaceLayer, number: usize, part: &WorldPart<'_>) -> Face {
+    let largest = triangles.iter().max_by(|a, b| a.area().total_cmp(&b.area())).expect("a face has a triangle");
+    let (normal, offset) = (largest.normal(), largest.normal().dot(largest.corner));
+    let (name, surface) = (part.describe)(normal, number);
+    let hull = convex_hull(triangles.iter().flat_map(Triangle::corners).collect(), normal);
+    Face { name, normal, offset, surface, triangles: 0..0, twins: Vec::new(), hull, layer }
 }
 
-/// Returns the sides of all triangles with their triangles; sides are pairs of vertices, the lower first.
-fn edges_of(mesh: &Mesh) -> BTreeMap<[u32; 2], Vec<usize>> {
+/// Returns the indices of the triangles at each side of a triangle; sides are pairs of vertices, the lower first.
+fn side_owners(mesh: &Mesh) -> BTreeMap<[u32; 2], Vec<usize>> {
     let mut edges: BTreeMap<[u32; 2], Vec<usize>> = BTreeMap::new();
     for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
         for [p, q] in [[a, b], [b, c], [c, a]] {
@@ -166,10 +146,11 @@ fn edges_of(mesh: &Mesh) -> BTreeMap<[u32; 2], Vec<usize>> {
     edges
 }
 
-/// Returns the groups of connected coplanar triangles, in the order of their first.
-fn coplanar_groups(triangles: &[Triangle], edges: &BTreeMap<[u32; 2], Vec<usize>>) -> Vec<Vec<usize>> {
+/// Returns the groups of connected coplanar triangles, in the order of their first; each group ascends. `owners` has the
+/// triangles at each side.
+fn coplanar_groups(triangles: &[Triangle], owners: &BTreeMap<[u32; 2], Vec<usize>>) -> Vec<Vec<usize>> {
     let mut neighbours = vec![Vec::new(); triangles.len()];
-    for owners in edges.values() {
+    for owners in owners.values() {
         for &a in owners {
             neighbours[a].extend(owners.iter().copied().filter(|&b| b != a));
         }
@@ -199,32 +180,28 @@ fn coplanar_groups(triangles: &[Triangle], edges: &BTreeMap<[u32; 2], Vec<usize>
     groups
 }
 
-/// Returns the edge between the faces of `owners`, or the rim of a sheet; none inside a face, in a concave corner, or
-/// between more than two.
-fn edge(
-    mesh: &Mesh,
-    (ends, owners): (&[u32; 2], &[usize]),
-    triangles: &[Triangle],
-    face_of: &[u32],
-    sheet: bool,
-) -> Option<Edge> {
+/// Returns the edge between the faces of the triangles `owners` at a side with these `ends`, or the rim of a sheet; `None`
+/// inside a face, in a concave corner of a closed part, beside a hidden face, or between more than two.
+fn face_edge(part: &WorldPart<'_>, (ends, owners): (&[u32; 2], &Vec<usize>), triangles: &[Triangle]) -> Option<Edge> {
+    let mesh = part.mesh;
     let [p, q] = ends.map(|i| mesh.vertices[i as usize]);
     let direction = (q - p).normalize();
     let third = |t: usize| {
         let index = mesh.triangles[t].into_iter().find(|i| !ends.contains(i)).expect("a triangle has three corners");
         mesh.vertices[index as usize]
     };
-    let (faces, outer_angle, side) = match *owners {
-        [only] => ([face_of[only]; 2], 2.0, 1.0),
-        [one, other] if face_of[one] != face_of[other] => {
+    let face_of = |t: usize| triangles[t].face;
+    let (faces, outer_angle, side) = match **owners {
+        [only] => ([face_of(only); 2], 2.0, 1.0),
+        [one, other] if face_of(one) != face_of(other) => {
             let (n0, n1) = (triangles[one].normal(), triangles[other].normal());
             let turn = n0.cross(n1).length().atan2(n0.dot(n1));
             let is_convex = n0.dot(third(other) - p) < 0.0;
             // A sheet has two sides: its folds are convex on one of them.
-            if turn < FLATTEST_EDGE || !(is_convex || sheet) {
+            if turn < FLATTEST_EDGE || part.closed && !is_convex {
                 return None;
             }
-            ([face_of[one], face_of[other]], 1.0 + turn / PI, if is_convex { 1.0 } else { -1.0 })
+            ([face_of(one), face_of(other)], 1.0 + turn / PI, if is_convex { 1.0 } else { -1.0 })
         }
         _ => return None,
     };

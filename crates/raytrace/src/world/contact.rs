@@ -30,16 +30,16 @@ pub(super) struct Contacts<'a> {
 impl<'a> Contacts<'a> {
     /// Creates the contact tests; `parts` has the part of each face.
     pub(super) fn new(faces: &'a [Face], triangles: &'a [Triangle], hierarchy: &'a Hierarchy, parts: &[usize]) -> Self {
-        let owners = hierarchy.owners(|triangle| parts[triangles[triangle].face as usize]);
+        let owners = hierarchy.box_owners(|triangle| parts[triangles[triangle].face as usize]);
         Self { faces, triangles, hierarchy, owners, trials: Cell::new(0) }
     }
 
     /// Returns whether an edge of `part` lies on another part for most of its length, like the edge of a board on a
-    /// wall: it then does not diffract. Parts on the edge's own faces count only if they continue beyond the edge.
+    /// wall: it then does not diffract. Parts on the faces of the edge count only if they continue beyond the edge.
     ///
     /// # Errors
     /// Too many tests for all edges so far.
-    pub(super) fn covers(&self, edge: &Edge, part: usize) -> Result<bool, String> {
+    pub(super) fn is_covered(&self, edge: &Edge, part: usize) -> Result<bool, String> {
         let lies_on = |face: u32, host: u32| {
             let [face, host] = [face, host].map(|f| &self.faces[f as usize]);
             face.layer > host.layer && is_coplanar(face, host)
@@ -49,9 +49,10 @@ impl<'a> Contacts<'a> {
             let is_apart =
                 |face: u32| !edge.faces.contains(&face) && !edge.faces.iter().any(|host| lies_on(face, *host));
             let continues = |(host, inwards): (u32, DVec3)| {
-                self.is_near_any(point - BEYOND * inwards, part, &|face| lies_on(face, host))
+                self.is_near_other_part(point - BEYOND * inwards, part, &|face| lies_on(face, host))
             };
-            self.is_near_any(point, part, &is_apart) || edge.faces.into_iter().zip(edge.inwards()).any(continues)
+            self.is_near_other_part(point, part, &is_apart)
+                || edge.faces.into_iter().zip(edge.inward_directions()).any(continues)
         };
         let is_covered = [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter(|t| is_near(*t)).count() >= 3;
         if self.trials.get() > MOST_TRIALS { Err(TOO_MANY_TRIALS.into()) } else { Ok(is_covered) }
@@ -59,20 +60,20 @@ impl<'a> Contacts<'a> {
 
     /// Returns whether a face of a part other than `part` touches the point. Boxes of only that part are skipped: near
     /// the tip of a fan there are as many as triangles.
-    fn is_near_any(&self, point: DVec3, part: usize, is_eligible: &dyn Fn(u32) -> bool) -> bool {
+    fn is_near_other_part(&self, point: DVec3, part: usize, is_eligible: &dyn Fn(u32) -> bool) -> bool {
         let is_other = |number: usize| {
             self.trials.set(self.trials.get() + 1);
             self.owners[number] != Some(part)
         };
         self.hierarchy.near_point(point, TOUCHING, is_other).map(|i| &self.triangles[i]).any(|triangle| {
             let face = &self.faces[triangle.face as usize];
-            is_near(face, point, std::slice::from_ref(triangle)) && is_eligible(triangle.face)
+            is_near_face(face, point, std::slice::from_ref(triangle)) && is_eligible(triangle.face)
         })
     }
 }
 
 /// Returns whether a point touches a face with these triangles.
-pub(super) fn is_near(face: &Face, point: DVec3, triangles: &[Triangle]) -> bool {
+pub(super) fn is_near_face(face: &Face, point: DVec3, triangles: &[Triangle]) -> bool {
     let height = face.height(point);
     height.abs() < TOUCHING && triangles.iter().any(|t| t.contains(point - height * face.normal))
 }
@@ -82,10 +83,10 @@ pub(super) fn is_coplanar(one: &Face, other: &Face) -> bool {
     one.hull.iter().all(|p| other.height(*p).abs() < TOUCHING)
 }
 
-/// Finds coplanar faces that may overlap.
+/// Sets the `twins` of each face: coplanar faces that may overlap with it, in order.
 ///
 /// # Errors
-/// Too many pairs.
+/// Too many pairs or tests.
 pub(super) fn find_twins(faces: &mut [Face]) -> Result<(), String> {
     // Coplanar faces have the same rounded key, except near cell borders, whose neighbours are also tested.
     let key = |face: &Face, nudge: f64| {
@@ -94,14 +95,13 @@ pub(super) fn find_twins(faces: &mut [Face]) -> Result<(), String> {
         let grid = |v: f64| (sign * v * 1e3 + nudge).floor() as i64;
         [grid(n.x), grid(n.y), grid(n.z), grid(face.offset)]
     };
-    let bounds: Vec<[DVec3; 2]> = faces.iter().map(bounds).collect();
     let (mut pairs, mut trials) = (Vec::new(), 0);
     for nudge in [0.25, 0.75] {
-        let mut planes: BTreeMap<[i64; 4], Vec<u32>> = BTreeMap::new();
-        for (index, face) in faces.iter().enumerate() {
-            planes.entry(key(face, nudge)).or_default().push(index as u32);
+        let mut planes: BTreeMap<[i64; 4], Vec<(u32, [DVec3; 2])>> = BTreeMap::new();
+        for (index, face) in (0..).zip(&*faces) {
+            planes.entry(key(face, nudge)).or_default().push((index, bounding_box(&face.hull, TOUCHING)));
         }
-        planes.into_values().try_for_each(|plane| collect_pairs(plane, faces, &bounds, (&mut pairs, &mut trials)))?;
+        planes.into_values().try_for_each(|plane| collect_pairs(plane, faces, &mut pairs, &mut trials))?;
     }
     pairs.sort_unstable();
     pairs.dedup();
@@ -113,29 +113,32 @@ pub(super) fn find_twins(faces: &mut [Face]) -> Result<(), String> {
     Ok(())
 }
 
-/// Returns the bounding box of a face, with a margin.
-fn bounds(face: &Face) -> [DVec3; 2] {
-    let corners = || face.hull.iter().copied();
-    let (low, high) = (corners().reduce(DVec3::min), corners().reduce(DVec3::max));
-    [low.unwrap_or_default() - TOUCHING, high.unwrap_or_default() + TOUCHING]
+/// Returns the lowest and highest corner of the bounding box of points, larger by `margin` on each side, metres; around
+/// zero without points.
+pub(super) fn bounding_box(points: &[DVec3], margin: f64) -> [DVec3; 2] {
+    let points = || points.iter().copied();
+    let (low, high) = (points().reduce(DVec3::min), points().reduce(DVec3::max));
+    [low.unwrap_or_default() - margin, high.unwrap_or_default() + margin]
 }
 
-/// Collects the pairs among nearly coplanar faces, the earlier face first: a sweep along the longest axis.
+/// Adds the pairs of overlapping coplanar faces in `plane` (nearly coplanar faces and their bounding boxes) to `pairs`, the
+/// earlier face first, and the number of tests to `trials`: a sweep along the longest axis.
+///
+/// # Errors
+/// Too many pairs or tests so far.
 fn collect_pairs(
-    mut plane: Vec<u32>,
+    mut plane: Vec<(u32, [DVec3; 2])>,
     faces: &[Face],
-    bounds: &[[DVec3; 2]],
-    (pairs, trials): (&mut Vec<[u32; 2]>, &mut usize),
+    pairs: &mut Vec<[u32; 2]>,
+    trials: &mut usize,
 ) -> Result<(), String> {
-    let face_bounds = |face: u32| bounds[face as usize];
-    let low = plane.iter().map(|f| face_bounds(*f)[0]).reduce(DVec3::min).unwrap_or_default();
-    let high = plane.iter().map(|f| face_bounds(*f)[1]).reduce(DVec3::max).unwrap_or_default();
+    let corners: Vec<DVec3> = plane.iter().flat_map(|(_, bounds)| *bounds).collect();
+    let [low, high] = bounding_box(&corners, 0.0);
     let axis = (high - low).max_position();
-    plane.sort_by(|a, b| face_bounds(*a)[0][axis].total_cmp(&face_bounds(*b)[0][axis]));
-    for (i, &a) in plane.iter().enumerate() {
-        for &b in plane[i + 1..].iter().take_while(|b| face_bounds(**b)[0][axis] <= face_bounds(a)[1][axis]) {
-            let overlap =
-                face_bounds(a)[0].cmple(face_bounds(b)[1]).all() && face_bounds(b)[0].cmple(face_bounds(a)[1]).all();
+    plane.sort_by(|(_, [a, _]), (_, [b, _])| a[axis].total_cmp(&b[axis]));
+    for (i, &(a, [low, high])) in plane.iter().enumerate() {
+        for &(b, bounds) in plane[i + 1..].iter().take_while(|(_, bounds)| bounds[0][axis] <= high[axis]) {
+            let overlap = low.cmple(bounds[1]).all() && bounds[0].cmple(high).all();
             let (first, second) = (a.min(b), a.max(b));
             *trials += if overlap { faces[second as usize].hull.len() } else { 1 };
             if *trials > MOST_TRIALS {
@@ -174,19 +177,19 @@ mod tests {
     fn fan_edges_visit_bounded_number_of_boxes() {
         let mut builder = WorldBuilder::default();
         let (eta, lobe) = (Complex::new(4.0, 0.0), Lobe::Lambertian);
-        builder.surface(Surface { object: "a".into(), eta, thickness: Some(0.01), roughness: 0.0, lobe });
+        builder.add_surface(Surface { object: "a".into(), eta, thickness: Some(0.01), roughness: 0.0, lobe });
         let describe = |_: DVec3, _: usize| ("a".to_owned(), 0);
         let room = Mesh {
             vertices: [(-2.0, -2.0), (2.0, -2.0), (0.0, 2.0)].map(|(x, y)| DVec3::new(x, y, -1.0)).into(),
             triangles: vec![[0, 1, 2]],
         };
         for mesh in [room, fan(1_000)] {
-            builder.add(&WorldPart { name: "a", mesh: &mesh, closed: false, describe: &describe });
+            builder.add_part(&WorldPart { name: "a", mesh: &mesh, closed: false, describe: &describe });
         }
         let hierarchy = Hierarchy::new(&builder.triangles);
         let contacts = Contacts::new(&builder.faces, &builder.triangles, &hierarchy, &builder.parts);
         for (edge, part) in builder.edges.iter().zip(&builder.owners) {
-            assert!(!contacts.covers(edge, *part).unwrap());
+            assert!(!contacts.is_covered(edge, *part).unwrap());
         }
         let edges = builder.edges.len();
         assert!(edges > 1_900 && contacts.trials.get() < 100 * edges, "{} boxes", contacts.trials.get());

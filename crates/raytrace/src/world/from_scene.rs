@@ -8,28 +8,30 @@ use earcut::Earcut;
 use glam::{DMat3, DVec2, DVec3};
 use pwrfgs_core::{Error, Result};
 
-/// Builds the geometry of `scene`.
-///
-/// # Errors
-/// A mesh that cannot be read, or a solid mesh that is not closed; an opening outside any wall; too many triangles.
-pub fn from_scene(scene: &SceneFile) -> Result<World> {
-    let mut builder = WorldBuilder::default();
-    match &scene.room {
-        Some(room) => add_room(&mut builder, scene, room),
-        None => builder.open(),
-    }
-    for object in &scene.objects {
-        add_object(&mut builder, scene, object)?;
-        if builder.triangles() > MOST_TRIANGLES {
-            return Err(Error::Config(format!(
-                "scene `{}`: with `{}` it has {} triangles, more than {MOST_TRIANGLES}; simplify its meshes",
-                scene.name,
-                object.name(),
-                builder.triangles()
-            )));
+impl World {
+    /// Builds the geometry of `scene`.
+    ///
+    /// # Errors
+    /// A mesh that cannot be read, or a solid mesh that is not closed; an opening outside any wall; too many triangles.
+    pub fn from_scene(scene: &SceneFile) -> Result<Self> {
+        let mut builder = WorldBuilder::default();
+        match &scene.room {
+            Some(room) => add_room(&mut builder, scene, room),
+            None => builder.begin_open_scene(),
         }
+        for object in &scene.objects {
+            add_object(&mut builder, scene, object)?;
+            if builder.triangle_count() > MOST_TRIANGLES {
+                return Err(Error::Config(format!(
+                    "scene `{}`: with `{}` it has {} triangles, more than {MOST_TRIANGLES}; simplify its meshes",
+                    scene.name,
+                    object.name(),
+                    builder.triangle_count()
+                )));
+            }
+        }
+        builder.build().map_err(|why| Error::Config(format!("scene `{}`: {why}", scene.name)))
     }
-    builder.build().map_err(|why| Error::Config(format!("scene `{}`: {why}", scene.name)))
 }
 
 impl SceneFile {
@@ -37,8 +39,8 @@ impl SceneFile {
     ///
     /// # Errors
     /// A mesh that cannot be read, or surfaces that do not form a room.
-    pub fn open_surfaces(&self) -> Result<Vec<[[f64; 3]; 3]>> {
-        let world = from_scene(self)?;
+    pub fn surfaces_below_ceiling(&self) -> Result<Vec<[[f64; 3]; 3]>> {
+        let world = World::from_scene(self)?;
         let shown =
             world.triangles.iter().filter(|triangle| !world.faces[triangle.face as usize].name.contains("ceiling"));
         Ok(shown.map(|triangle| triangle.corners().map(|corner| corner.to_array())).collect())
@@ -46,7 +48,7 @@ impl SceneFile {
 }
 
 /// Returns the surface properties of a finish at the carrier.
-fn surface(scene: &SceneFile, owner: &str, finish: &Finish) -> Surface {
+fn surface_properties(scene: &SceneFile, owner: &str, finish: &Finish) -> Surface {
     let material = scene.material(&finish.material).expect("materials were looked up when the scene was read");
     if !material.is_in_valid_range(scene.carrier_hz) {
         tracing::debug!(
@@ -66,19 +68,19 @@ fn surface(scene: &SceneFile, owner: &str, finish: &Finish) -> Surface {
     }
 }
 
-/// Adds the room with its finishes.
+/// Adds the room with its finishes, as the first part.
 fn add_room(builder: &mut WorldBuilder, scene: &SceneFile, Room { outline, walls, floor, ceiling }: &Room) {
     let [walls, floor, ceiling] = [("walls", walls), ("floor", floor), ("ceiling", ceiling)]
-        .map(|(owner, f)| builder.surface(surface(scene, owner, f)));
+        .map(|(owner, f)| builder.add_surface(surface_properties(scene, owner, f)));
     let describe = |normal: DVec3, number: usize| match normal.z {
         z if z > 0.5 => ("floor".into(), floor),
         z if z < -0.5 => ("ceiling".into(), ceiling),
         _ => (format!("wall {}", number + 1), walls),
     };
-    builder.add(&WorldPart { name: "room", mesh: &room_mesh(outline), closed: true, describe: &describe });
+    builder.add_part(&WorldPart { name: "room", mesh: &room_mesh(outline), closed: true, describe: &describe });
 }
 
-/// Returns walls, floor and ceiling with normals inwards; the walls come first.
+/// Returns the mesh of walls, floor and ceiling with normals inwards; the walls come first.
 fn room_mesh(outline: &Outline) -> Mesh {
     let (mut plan, bottom, top) = match outline {
         Outline::Box { low: [x0, y0, z0], high: [x1, y1, z1] } => {
@@ -111,6 +113,9 @@ fn room_mesh(outline: &Outline) -> Mesh {
 }
 
 /// Adds an object, or cuts an opening into earlier parts.
+///
+/// # Errors
+/// A mesh that cannot be read or is not closed as required, or an opening outside any wall.
 fn add_object(builder: &mut WorldBuilder, scene: &SceneFile, object: &Object) -> Result<()> {
     let name = object.name();
     let upright = |from: &[f64; 2], to: &[f64; 2], [low, high]: &[f64; 2]| {
@@ -118,43 +123,43 @@ fn add_object(builder: &mut WorldBuilder, scene: &SceneFile, object: &Object) ->
         [corner(from, *low), corner(to, *low), corner(to, *high), corner(from, *high)]
     };
     if let Object::Opening { from, to, heights, .. } = object {
-        let cut = builder.cut(&upright(from, to, heights));
+        let cut = builder.cut_opening(&upright(from, to, heights));
         return cut.map_err(|why| Error::Config(format!("scene `{}`: opening `{name}` {why}", scene.name)));
     }
     let Some(finish) = object.finish() else { return Ok(()) };
     let solid = finish.thickness_m.is_none();
-    let finish = builder.surface(surface(scene, name, finish));
+    let finish = builder.add_surface(surface_properties(scene, name, finish));
     let described =
         |label: &dyn Fn(DVec3, usize) -> String, normal, number| (format!("{name}{}", label(normal, number)), finish);
     match object {
         Object::Box { low, high, yaw_deg, .. } => {
-            let mesh = cuboid(DVec3::from(*low), DVec3::from(*high), *yaw_deg);
+            let mesh = cuboid_mesh(DVec3::from(*low), DVec3::from(*high), *yaw_deg);
             let label = |normal: DVec3, number: usize| match normal.z {
                 z if z > 0.5 => "/top".into(),
                 z if z < -0.5 => "/bottom".into(),
                 _ => format!("/side {}", number + 1),
             };
             let describe = |normal, number| described(&label, normal, number);
-            builder.add(&WorldPart { name, mesh: &mesh, closed: true, describe: &describe });
+            builder.add_part(&WorldPart { name, mesh: &mesh, closed: true, describe: &describe });
         }
         Object::Panel { from, to, heights, .. } => {
             let mesh = Mesh { vertices: upright(from, to, heights).into(), triangles: vec![[0, 1, 2], [0, 2, 3]] };
             let describe = |normal, number| described(&|_, _| String::new(), normal, number);
-            builder.add(&WorldPart { name, mesh: &mesh, closed: false, describe: &describe });
+            builder.add_part(&WorldPart { name, mesh: &mesh, closed: false, describe: &describe });
         }
         Object::Opening { .. } => {}
         Object::Mesh { hollow, .. } => {
             let mesh = object.placed_mesh(solid)?;
             let closed = !hollow && mesh.is_closed();
             let describe = |normal, number| described(&|_, number| format!("/face {}", number + 1), normal, number);
-            builder.add(&WorldPart { name, mesh: &mesh, closed, describe: &describe });
+            builder.add_part(&WorldPart { name, mesh: &mesh, closed, describe: &describe });
         }
     }
     Ok(())
 }
 
-/// Returns a box rotated about its vertical axis; normals outwards, sides first.
-fn cuboid(low: DVec3, high: DVec3, yaw_deg: f64) -> Mesh {
+/// Returns the mesh of a box rotated by `yaw_deg` about its vertical axis; normals outwards, sides first.
+fn cuboid_mesh(low: DVec3, high: DVec3, yaw_deg: f64) -> Mesh {
     let middle = 0.5 * (low + high);
     let turn = DMat3::from_rotation_z(yaw_deg.to_radians());
     let corner = |i: u32| {

@@ -1,11 +1,14 @@
 //! Coincident faces of one sheet, such as the two sides of a wall: only the first face is kept.
 
 use super::build::WorldBuilder;
-use super::contact::{BEYOND, is_near};
+use super::contact::{BEYOND, bounding_box, is_near_face};
 use super::{Edge, Triangle};
 use crate::hierarchy::Hierarchy;
-use crate::polygon::{outside, sides};
+use crate::polygon::{side_planes, triangles_outside};
 use glam::DVec3;
+
+/// Margin of the boxes in which coincident faces are searched, metres.
+const MARGIN: f64 = 2.0 * BEYOND;
 
 /// Finds the triangles in a box that describe the same sheet as a face.
 type Coincident<'a> = &'a dyn Fn(u32, [DVec3; 2]) -> Vec<Triangle>;
@@ -42,9 +45,10 @@ impl WorldBuilder {
         for (index, face) in (0..).zip(&self.faces) {
             let start = triangles.len();
             for triangle in &self.triangles[face.triangles.clone()] {
-                let earlier =
-                    coincident(index, bounds(&triangle.corners())).into_iter().filter(|other| other.face < index);
-                triangles.extend(uncovered(triangle, earlier));
+                let earlier = coincident(index, bounding_box(&triangle.corners(), MARGIN))
+                    .into_iter()
+                    .filter(|other| other.face < index);
+                triangles.extend(uncovered_pieces(triangle, earlier));
             }
             ranges.push(start..triangles.len());
         }
@@ -57,8 +61,8 @@ impl WorldBuilder {
         }
     }
 
-    /// Returns whether coplanar faces describe one sheet where they coincide: those of a mesh, and those with equal
-    /// material of different parts. Bodies that touch keep their shells.
+    /// Returns whether coplanar faces describe one sheet where they coincide: faces of one mesh, and faces of different
+    /// parts with equal material. Bodies that touch keep their shells.
     fn is_same_sheet(&self, one: u32, other: u32) -> bool {
         let [one, other] = [one as usize, other as usize];
         let [a, b] = [&self.faces[one], &self.faces[other]];
@@ -68,24 +72,25 @@ impl WorldBuilder {
         a.layer == b.layer && (self.parts[one] == self.parts[other] || is_alike)
     }
 
-    /// Returns the pieces of an edge that belong to no earlier face and beyond which the sheet ends. A fold of which
-    /// earlier faces cover one side joins them.
+    /// Returns the pieces of an edge that no earlier face covers and beyond which the sheet ends. A fold of which earlier
+    /// faces cover one side becomes an edge of them.
     fn outer_edges(&self, edge: &Edge, coincident: Coincident<'_>) -> Vec<Edge> {
         let [first, second] = edge.faces;
-        let (bounds, inwards) = (bounds(&edge.ends), edge.inwards());
+        let (bounds, inwards) = (bounding_box(&edge.ends, MARGIN), edge.inward_directions());
         if first == second {
             return self.outer_rims(edge, &coincident(first, bounds));
         }
         let cover = [0, 1].map(|k| {
             let mut others = coincident(edge.faces[k], bounds);
             others.retain(|other| other.face < edge.faces[k]);
-            let at = |t: f64| {
+            let covering_face = |t: f64| {
                 let beside = edge.ends[0].lerp(edge.ends[1], t) + BEYOND * inwards[k];
-                let is_there =
-                    |other: &&Triangle| is_near(&self.faces[other.face as usize], beside, std::slice::from_ref(*other));
+                let is_there = |other: &&Triangle| {
+                    is_near_face(&self.faces[other.face as usize], beside, std::slice::from_ref(*other))
+                };
                 others.iter().find(is_there).map(|other| other.face)
             };
-            let covering: Vec<u32> = [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter_map(at).collect();
+            let covering: Vec<u32> = [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter_map(covering_face).collect();
             covering.get(2).copied() // most of its length
         });
         match cover {
@@ -95,14 +100,15 @@ impl WorldBuilder {
         }
     }
 
-    /// Returns the outer pieces of the rim of a face, given the other triangles of its sheet.
+    /// Returns the pieces of the rim of a face that are neither inside earlier faces of its sheet nor continued by others;
+    /// `others` are the triangles of the sheet near it.
     fn outer_rims(&self, edge: &Edge, others: &[Triangle]) -> Vec<Edge> {
         let face = edge.faces[0];
         let inside = others.iter().filter(|other| other.face < face).map(|other| (BEYOND, *other));
         let beyond = others.iter().map(|other| (-BEYOND, *other));
         let mut pieces = vec![edge.clone()];
         for (step, other) in inside.chain(beyond) {
-            let sides = sides(&other.corners(), other.normal());
+            let sides = side_planes(&other.corners(), other.normal());
             let cut = |piece: Edge| {
                 let probe = piece.ends.map(|end| end + step * edge.along);
                 self.cut_edge(piece, face, probe, &sides)
@@ -118,22 +124,15 @@ impl WorldBuilder {
     }
 }
 
-/// Returns the pieces of a triangle outside others.
-fn uncovered(triangle: &Triangle, others: impl Iterator<Item = Triangle>) -> Vec<Triangle> {
+/// Returns the pieces of a triangle outside other triangles in its plane.
+fn uncovered_pieces(triangle: &Triangle, others: impl Iterator<Item = Triangle>) -> Vec<Triangle> {
     let mut pieces = vec![*triangle];
     for other in others {
-        let sides = sides(&other.corners(), other.normal());
-        pieces = pieces.iter().flat_map(|piece| outside(piece, &sides)).collect();
+        let sides = side_planes(&other.corners(), other.normal());
+        pieces = pieces.iter().flat_map(|piece| triangles_outside(piece, &sides)).collect();
         if pieces.is_empty() {
             break;
         }
     }
     pieces
-}
-
-/// Returns the bounding box of points, with a margin.
-fn bounds(points: &[DVec3]) -> [DVec3; 2] {
-    let low = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
-    let high = points.iter().copied().reduce(DVec3::max).unwrap_or_default();
-    [low - 2.0 * BEYOND, high + 2.0 * BEYOND]
 }

@@ -48,7 +48,7 @@ struct Pen {
 }
 
 impl Pen {
-    /// Returns the position of a point of the font on the drawing.
+    /// Converts a point of the current glyph, in font units, to a position on the drawing.
     fn point(&self, x: f32, y: f32) -> Point {
         let (along, up) = (self.along + self.scale * f64::from(x), self.scale * f64::from(y));
         let [x, y] = self.at;
@@ -80,13 +80,13 @@ impl OutlineBuilder for Pen {
 
 /// Breaks `text` after commas into lines no wider than `width`, longer parts at spaces, but not between a word and its
 /// number; longer words are cut.
-pub fn wrapped(text: &str, width: f64) -> Vec<String> {
+pub fn wrap_text(text: &str, width: f64) -> Vec<String> {
     let lines = break_after(text, ", ", width);
     let parts = |line: &String| keep_numbers(break_after(line, " ", width), width);
-    lines.iter().flat_map(parts).map(|line| cut(&line, width)).collect()
+    lines.iter().flat_map(parts).map(|line| truncate_text(&line, width)).collect()
 }
 
-/// Moves the last word of a line to the next line if that begins with its number.
+/// Moves the last word of a line to the next line if that begins with its number, and both fit.
 fn keep_numbers(mut lines: Vec<String>, width: f64) -> Vec<String> {
     for k in 1..lines.len() {
         let is_number = lines[k].starts_with(|c: char| c.is_ascii_digit() || "=-−+.".contains(c));
@@ -99,7 +99,7 @@ fn keep_numbers(mut lines: Vec<String>, width: f64) -> Vec<String> {
     lines
 }
 
-/// Breaks `text` after `mark` into lines no wider than `width` if possible.
+/// Breaks `text` after `mark` into lines no wider than `width`; a part without `mark` may be wider.
 fn break_after(text: &str, mark: &str, width: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for part in text.split_inclusive(mark) {
@@ -111,8 +111,8 @@ fn break_after(text: &str, mark: &str, width: f64) -> Vec<String> {
     lines.iter().map(|line| line.trim_end().to_owned()).collect()
 }
 
-/// Returns the longest start of `text` that fits, with two dots if cut.
-pub fn cut(text: &str, width: f64) -> String {
+/// Returns `text` if it fits into `width`, otherwise the longest start that fits with two dots.
+pub fn truncate_text(text: &str, width: f64) -> String {
     if text_width(text) <= width {
         return text.to_owned();
     }
@@ -130,14 +130,14 @@ mod tests {
 
     #[test]
     fn breaks_and_truncates_long_names() {
-        assert_eq!(cut("lambda 0.02", 500.0), "lambda 0.02");
-        let short = cut("an initializer with a very long name", 90.0);
+        assert_eq!(truncate_text("lambda 0.02", 500.0), "lambda 0.02");
+        let short = truncate_text("an initializer with a very long name", 90.0);
         assert!(short.starts_with("an init") && short.ends_with("..") && text_width(&short) <= 90.0, "{short}");
-        assert_eq!(cut("anything", 1.0), "..");
-        assert_eq!(wrapped("init cloud, lambda 0.02", 110.0), ["init cloud,", "lambda 0.02"]);
-        assert_eq!(wrapped("pruner LightGaussian 120", 120.0), ["pruner", "LightGaussian 120"]);
-        assert_eq!(wrapped("init cloud, lambda 0.02", 500.0), ["init cloud, lambda 0.02"]);
-        assert_eq!(wrapped("pruned masks λ 0.02", text_width("pruned masks λ")), ["pruned masks", "λ 0.02"]);
+        assert_eq!(truncate_text("anything", 1.0), "..");
+        assert_eq!(wrap_text("init cloud, lambda 0.02", 110.0), ["init cloud,", "lambda 0.02"]);
+        assert_eq!(wrap_text("pruner LightGaussian 120", 120.0), ["pruner", "LightGaussian 120"]);
+        assert_eq!(wrap_text("init cloud, lambda 0.02", 500.0), ["init cloud, lambda 0.02"]);
+        assert_eq!(wrap_text("pruned masks λ 0.02", text_width("pruned masks λ")), ["pruned masks", "λ 0.02"]);
     }
 
     #[test]

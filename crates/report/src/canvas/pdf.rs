@@ -23,11 +23,11 @@ impl Canvas {
         let [width, height] = [self.width, self.height].map(|length| Short(length * scale));
         let mut page = Page::default();
         // In PDF, y points up from the bottom of the page.
-        page.put(format_args!("{scale:.6} 0 0 -{scale:.6} 0 {height} cm 1 j\n"));
-        page.shapes(&self.shapes);
+        page.append(format_args!("{scale:.6} 0 0 -{scale:.6} 0 {height} cm 1 j\n"));
+        page.draw_shapes(&self.shapes);
         let mut file = File::new();
-        file.object("<</Type/Catalog/Pages 2 0 R>>");
-        file.object("<</Type/Pages/Kids[3 0 R]/Count 1>>");
+        file.add_dictionary("<</Type/Catalog/Pages 2 0 R>>");
+        file.add_dictionary("<</Type/Pages/Kids[3 0 R]/Count 1>>");
         // Object 3 is the page, object 4 its content; masks and images follow.
         let mut images = String::new();
         let mut next = 5;
@@ -42,12 +42,12 @@ impl Canvas {
             .enumerate()
             .map(|(k, [fill, stroke])| format!("/A{k}<</ca {}/CA {}>>", Short(*fill), Short(*stroke)));
         let states: String = states.collect();
-        file.object(&format!(
+        file.add_dictionary(&format!(
             "<</Type/Page/Parent 2 0 R/MediaBox[0 0 {width} {height}]/Group<</S/Transparency/CS/DeviceRGB>>\
              /Resources<</ExtGState<<{states}>>/XObject<<{images}>>>>/Contents 4 0 R>>"
         ));
-        file.stream("", page.out.as_bytes());
-        page.images.iter().for_each(|pixels| file.image(pixels));
+        file.add_stream("", page.out.as_bytes());
+        page.images.iter().for_each(|pixels| file.add_image(pixels));
         file.finish()
     }
 }
@@ -64,39 +64,39 @@ struct Page<'a> {
 }
 
 impl<'a> Page<'a> {
-    /// Appends text to the content.
-    fn put(&mut self, text: std::fmt::Arguments<'_>) {
+    /// Appends operators to the content.
+    fn append(&mut self, text: std::fmt::Arguments<'_>) {
         self.out.write_fmt(text).expect("text takes all text");
     }
 
     /// Draws shapes, bottom first.
-    fn shapes(&mut self, shapes: &'a [Shape]) {
+    fn draw_shapes(&mut self, shapes: &'a [Shape]) {
         for shape in shapes {
             match shape {
-                Shape::Path(path, paint) => self.path(path, paint),
-                Shape::Circle(middle, radius, paint) => self.circle(*middle, *radius, paint),
-                Shape::Text(text) => self.path(&outlines(text), &Paint::fill(text.letters.colour)),
+                Shape::Path(path, paint) => self.draw_path(path, paint),
+                Shape::Circle(middle, radius, paint) => self.draw_circle(*middle, *radius, paint),
+                Shape::Text(text) => self.draw_path(&outlines(text), &Paint::fill(text.letters.colour)),
                 Shape::RasterImage([x, y], [width, height], pixels) => {
                     let (k, bottom) = (self.images.len(), Short(y + height));
                     let [x, width, height] = [*x, *width, *height].map(Short);
                     self.images.push(pixels);
                     // Images are opaque, whatever the last paint was.
-                    let opaque = self.opacity([1.0; 2]);
-                    self.put(format_args!("q /A{opaque} gs {width} 0 0 -{height} {x} {bottom} cm /I{k} Do Q\n"));
+                    let opaque = self.opacity_index([1.0; 2]);
+                    self.append(format_args!("q /A{opaque} gs {width} 0 0 -{height} {x} {bottom} cm /I{k} Do Q\n"));
                 }
                 Shape::Group([x, y], scale, shapes) => {
-                    self.put(format_args!("q {scale:.4} 0 0 {scale:.4} {} {} cm\n", Short(*x), Short(*y)));
+                    self.append(format_args!("q {scale:.4} 0 0 {scale:.4} {} {} cm\n", Short(*x), Short(*y)));
                     let before = self.paint;
-                    self.shapes(shapes);
+                    self.draw_shapes(shapes);
                     self.paint = before;
-                    self.put(format_args!("Q\n"));
+                    self.append(format_args!("Q\n"));
                 }
             }
         }
     }
 
     /// Returns the index of a pair of opacities, added at its first use.
-    fn opacity(&mut self, expected: [f64; 2]) -> usize {
+    fn opacity_index(&mut self, expected: [f64; 2]) -> usize {
         self.opacities.iter().position(|pair| *pair == expected).unwrap_or_else(|| {
             self.opacities.push(expected);
             self.opacities.len() - 1
@@ -107,17 +107,17 @@ impl<'a> Page<'a> {
     fn set_paint(&mut self, paint: &Paint) -> &'static str {
         if self.paint != Some(*paint) {
             self.paint = Some(*paint);
-            let opacity = self.opacity([paint.fill, paint.stroke].map(|c| c.map_or(1.0, |c| c.opacity)));
-            self.put(format_args!("/A{opacity} gs"));
+            let opacity = self.opacity_index([paint.fill, paint.stroke].map(|c| c.map_or(1.0, |c| c.opacity)));
+            self.append(format_args!("/A{opacity} gs"));
             for (operator, colour) in [("rg", paint.fill), ("RG", paint.stroke)] {
                 let Some(Colour { rgb, .. }) = colour else { continue };
                 let [r, g, b] = rgb.map(|part| f64::from(part) / 255.0);
-                self.put(format_args!(" {r:.3} {g:.3} {b:.3} {operator}"));
+                self.append(format_args!(" {r:.3} {g:.3} {b:.3} {operator}"));
             }
             if paint.stroke.is_some() {
                 let dash: Vec<String> = paint.dash.iter().map(f64::to_string).collect();
                 let (width, cap) = (Short(paint.width), u8::from(paint.round));
-                self.put(format_args!(" {width} w {cap} J [{}] 0 d", dash.join(" ")));
+                self.append(format_args!(" {width} w {cap} J [{}] 0 d", dash.join(" ")));
             }
             self.out.push('\n');
         }
@@ -130,46 +130,46 @@ impl<'a> Page<'a> {
     }
 
     /// Draws a path.
-    fn path(&mut self, path: &VectorPath, paint: &Paint) {
+    fn draw_path(&mut self, path: &VectorPath, paint: &Paint) {
         let operator = self.set_paint(paint);
         let mut last = [0.0; 2];
         for step in &path.0 {
             match *step {
-                Step::Move(p) => self.put(format_args!("{} {} m ", Short(p[0]), Short(p[1]))),
-                Step::Line(p) => self.put(format_args!("{} {} l ", Short(p[0]), Short(p[1]))),
+                Step::Move(p) => self.append(format_args!("{} {} m ", Short(p[0]), Short(p[1]))),
+                Step::Line(p) => self.append(format_args!("{} {} l ", Short(p[0]), Short(p[1]))),
                 // A quadratic curve is a cubic with handles at two thirds.
                 Step::Quad(c, p) => {
                     let handle = |end: Point| [0, 1].map(|k| end[k] + (c[k] - end[k]) * 2.0 / 3.0);
-                    self.curve(handle(last), handle(p), p);
+                    self.append_curve(handle(last), handle(p), p);
                 }
                 Step::Close => self.out.push_str("h "),
             }
             let (Step::Move(end) | Step::Line(end) | Step::Quad(_, end)) = *step else { continue };
             last = end;
         }
-        self.put(format_args!("{operator}\n"));
+        self.append(format_args!("{operator}\n"));
     }
 
     /// Appends a cubic curve with the handles `a` and `b`.
-    fn curve(&mut self, a: Point, b: Point, end: Point) {
+    fn append_curve(&mut self, a: Point, b: Point, end: Point) {
         let [a, b, end] = [a, b, end].map(|p| p.map(Short));
-        self.put(format_args!("{} {} {} {} {} {} c ", a[0], a[1], b[0], b[1], end[0], end[1]));
+        self.append(format_args!("{} {} {} {} {} {} c ", a[0], a[1], b[0], b[1], end[0], end[1]));
     }
 
     /// Draws a circle as four curves.
-    fn circle(&mut self, [x, y]: Point, radius: f64, paint: &Paint) {
+    fn draw_circle(&mut self, [x, y]: Point, radius: f64, paint: &Paint) {
         let operator = self.set_paint(paint);
         let at = |dx: f64, dy: f64| [x + radius * dx, y + radius * dy];
-        self.put(format_args!("{} {} m ", Short(x + radius), Short(y)));
+        self.append(format_args!("{} {} m ", Short(x + radius), Short(y)));
         for (dx, dy) in [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)] {
             let (a, b) = (at(dx - HANDLE * dy, dy + HANDLE * dx), at(HANDLE * dx - dy, HANDLE * dy + dx));
-            self.curve(a, b, at(-dy, dx));
+            self.append_curve(a, b, at(-dy, dx));
         }
-        self.put(format_args!("h {operator}\n"));
+        self.append(format_args!("h {operator}\n"));
     }
 }
 
-/// Returns whether a colour is partly transparent.
+/// Returns whether any pixel is partly transparent, so that the image needs a mask.
 fn has_mask(pixels: &RasterImage) -> bool {
     pixels.rgba.chunks_exact(4).any(|p| p[3] < 255)
 }
@@ -186,13 +186,13 @@ impl File {
         Self { bytes: b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n".to_vec(), offsets: Vec::new() }
     }
 
-    /// Adds an object.
-    fn object(&mut self, body: &str) {
+    /// Adds an object with the dictionary `body`.
+    fn add_dictionary(&mut self, body: &str) {
         self.add_object(|bytes| bytes.extend_from_slice(body.as_bytes()));
     }
 
-    /// Adds an object with a compressed stream.
-    fn stream(&mut self, entries: &str, content: &[u8]) {
+    /// Adds an object with `content` as a compressed stream; `entries` are those of its dictionary.
+    fn add_stream(&mut self, entries: &str, content: &[u8]) {
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
         let packed = encoder.write_all(content).and_then(|()| encoder.finish()).expect("memory takes all bytes");
         self.add_object(|bytes| {
@@ -212,7 +212,7 @@ impl File {
     }
 
     /// Adds an image and, if present, its mask.
-    fn image(&mut self, pixels: &RasterImage) {
+    fn add_image(&mut self, pixels: &RasterImage) {
         let (width, height, smooth) = (pixels.width, pixels.height, pixels.smooth);
         let entries = |colours: &str| {
             format!(
@@ -223,11 +223,11 @@ impl File {
         let mut rgb_entries = entries("DeviceRGB");
         if has_mask(pixels) {
             let alpha: Vec<u8> = pixels.rgba.chunks_exact(4).map(|p| p[3]).collect();
-            self.stream(&entries("DeviceGray"), &alpha);
+            self.add_stream(&entries("DeviceGray"), &alpha);
             _ = write!(rgb_entries, "/SMask {} 0 R", self.offsets.len());
         }
         let rgb: Vec<u8> = pixels.rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
-        self.stream(&rgb_entries, &rgb);
+        self.add_stream(&rgb_entries, &rgb);
     }
 
     /// Appends the table of objects, and returns the file.
@@ -282,9 +282,9 @@ mod tests {
         let mut piece = Canvas::new(10.0, 10.0);
         piece.circle([5.0, 5.0], 5.0, Paint::fill(BLACK));
         let mut canvas = Canvas::new(100.0, 50.0);
-        canvas.put([10.0, 20.0], 2.0, &piece);
+        canvas.add_drawing([10.0, 20.0], 2.0, &piece);
         canvas.text([10.0, 10.0], Anchor::Start, "(η) \\ <");
-        canvas.rect([50.0, 0.0], [10.0, 10.0], Paint::fill(INK.faint(0.5)).outlined(WHITE, 2.0));
+        canvas.rect([50.0, 0.0], [10.0, 10.0], Paint::fill(INK.with_opacity(0.5)).outlined(WHITE, 2.0));
         canvas.line(&[[0.0, 50.0], [100.0, 50.0]], Paint { dash: &[10.0, 5.0], ..Paint::stroke(BLACK, 4.0) });
         let chess =
             |alpha| RasterImage { width: 2, height: 1, rgba: vec![0, 0, 0, alpha, 9, 8, 7, 255], smooth: false };

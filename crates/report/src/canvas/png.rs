@@ -16,13 +16,13 @@ impl Canvas {
         let [width, height] = [self.width, self.height].map(|length| (length * scale).round() as u32);
         let mut paper = skia::Pixmap::new(width, height).expect("a canvas has a size");
         paper.fill(skia::Color::WHITE);
-        draw(&mut paper, &self.shapes, skia::Transform::from_scale(scale as f32, scale as f32));
-        encoded(width, height, paper.data())
+        draw_shapes(&mut paper, &self.shapes, skia::Transform::from_scale(scale as f32, scale as f32));
+        encode_png(width, height, paper.data())
     }
 }
 
 /// Encodes RGBA pixels as PNG.
-pub(super) fn encoded(width: u32, height: u32, rgba: &[u8]) -> Vec<u8> {
+pub(super) fn encode_png(width: u32, height: u32, rgba: &[u8]) -> Vec<u8> {
     let mut png = Vec::new();
     PngEncoder::new_with_quality(&mut png, CompressionType::Default, FilterType::Adaptive)
         .write_image(rgba, width, height, ExtendedColorType::Rgba8)
@@ -31,29 +31,29 @@ pub(super) fn encoded(width: u32, height: u32, rgba: &[u8]) -> Vec<u8> {
 }
 
 /// Draws shapes on the pixels, bottom first.
-fn draw(paper: &mut skia::Pixmap, shapes: &[Shape], transform: skia::Transform) {
+fn draw_shapes(paper: &mut skia::Pixmap, shapes: &[Shape], transform: skia::Transform) {
     for shape in shapes {
         match shape {
-            Shape::Path(path, paint) => draw_path(paper, outline(path), paint, transform),
+            Shape::Path(path, paint) => draw_path(paper, to_skia_path(path), paint, transform),
             Shape::Circle([x, y], radius, paint) => {
                 let circle = skia::PathBuilder::from_circle(*x as f32, *y as f32, *radius as f32);
                 draw_path(paper, circle, paint, transform);
             }
             Shape::Text(text) => {
                 let paint = Paint::fill(text.letters.colour);
-                draw_path(paper, outline(&outlines(text)), &paint, transform);
+                draw_path(paper, to_skia_path(&outlines(text)), &paint, transform);
             }
             Shape::RasterImage(at, size, pixels) => draw_pixels(paper, *at, *size, pixels, transform),
             Shape::Group([x, y], scale, shapes) => {
                 let inner = transform.pre_translate(*x as f32, *y as f32).pre_scale(*scale as f32, *scale as f32);
-                draw(paper, shapes, inner);
+                draw_shapes(paper, shapes, inner);
             }
         }
     }
 }
 
-/// Converts a path; `None` if nothing is visible.
-fn outline(path: &VectorPath) -> Option<skia::Path> {
+/// Converts a path to one of `tiny_skia`; `None` if it has no visible extent.
+fn to_skia_path(path: &VectorPath) -> Option<skia::Path> {
     let mut builder = skia::PathBuilder::new();
     let short = |[x, y]: Point| (x as f32, y as f32);
     for step in &path.0 {
@@ -71,7 +71,7 @@ fn outline(path: &VectorPath) -> Option<skia::Path> {
 fn draw_path(paper: &mut skia::Pixmap, path: Option<skia::Path>, paint: &Paint, transform: skia::Transform) {
     let Some(path) = path else { return };
     if let Some(colour) = paint.fill {
-        paper.fill_path(&path, &filling(colour), skia::FillRule::Winding, transform, None);
+        paper.fill_path(&path, &to_skia_paint(colour), skia::FillRule::Winding, transform, None);
     }
     if let Some(colour) = paint.stroke {
         let dash = paint.dash.iter().map(|length| *length as f32).collect();
@@ -82,19 +82,19 @@ fn draw_path(paper: &mut skia::Pixmap, path: Option<skia::Path>, paint: &Paint, 
             dash: skia::StrokeDash::new(dash, 0.0),
             ..skia::Stroke::default()
         };
-        paper.stroke_path(&path, &filling(colour), &stroke, transform, None);
+        paper.stroke_path(&path, &to_skia_paint(colour), &stroke, transform, None);
     }
 }
 
-/// Converts a colour to a fill.
-fn filling(colour: Colour) -> skia::Paint<'static> {
+/// Converts a colour to a paint of `tiny_skia`.
+fn to_skia_paint(colour: Colour) -> skia::Paint<'static> {
     let mut paint = skia::Paint { anti_alias: true, ..skia::Paint::default() };
     let [r, g, b] = colour.rgb;
     paint.set_color_rgba8(r, g, b, (255.0 * colour.opacity).round() as u8);
     paint
 }
 
-/// Draws an image.
+/// Draws an image with its corner at `[x, y]`, scaled to `size`.
 fn draw_pixels(paper: &mut skia::Pixmap, [x, y]: Point, size: Point, pixels: &RasterImage, transform: skia::Transform) {
     let colours = pixels.rgba.chunks_exact(4).map(|p| skia::ColorU8::from_rgba(p[0], p[1], p[2], p[3]).premultiply());
     let bytes = colours.flat_map(|c| [c.red(), c.green(), c.blue(), c.alpha()]).collect();
@@ -137,8 +137,8 @@ mod tests {
         let mut piece = Canvas::new(10.0, 10.0);
         piece.circle([5.0, 5.0], 5.0, Paint::fill(BLACK));
         let mut canvas = Canvas::new(100.0, 100.0);
-        canvas.put([0.0, 0.0], 2.0, &piece); // to (20, 20)
-        canvas.rect([50.0, 0.0], [10.0, 10.0], Paint::fill(INK.faint(0.5)));
+        canvas.add_drawing([0.0, 0.0], 2.0, &piece); // to (20, 20)
+        canvas.rect([50.0, 0.0], [10.0, 10.0], Paint::fill(INK.with_opacity(0.5)));
         canvas.line(&[[70.0, 5.0], [70.0, 5.0]], Paint { round: true, ..Paint::stroke(BLACK, 8.0) });
         canvas.line(&[[0.0, 50.0], [100.0, 50.0]], Paint { dash: &[10.0, 10.0], ..Paint::stroke(BLACK, 4.0) });
         let chess = RasterImage { width: 2, height: 1, rgba: [[0, 0, 0, 255], [255; 4]].concat(), smooth: false };

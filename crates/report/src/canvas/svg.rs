@@ -1,7 +1,7 @@
 //! Canvas as SVG text.
 
 use super::font::outlines;
-use super::png::encoded;
+use super::png::encode_png;
 use super::{Anchor, Canvas, Colour, Paint, Point, RasterImage, Shape, Step, Text, VectorPath};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 impl Canvas {
     /// Returns the SVG for a page: text uses the font of the page, and style sheets select it by `class`.
     pub fn svg(&self, class: &str, title: &str) -> String {
-        self.to_svg(&format!("class=\"{class}\" role=\"img\" aria-label=\"{}\"", xml(title)), false)
+        self.to_svg(&format!("class=\"{class}\" role=\"img\" aria-label=\"{}\"", escape_xml(title)), false)
     }
 
     /// Returns the SVG for print, `width_mm` wide: text as outlines, so no font is needed.
@@ -30,7 +30,7 @@ impl Canvas {
              {attributes}>"
         );
         let mut writer = Writer { out, open: None, outlined };
-        writer.shapes(&self.shapes);
+        writer.write_shapes(&self.shapes);
         writer.out + "</svg>"
     }
 }
@@ -45,40 +45,45 @@ struct Writer {
 
 impl Writer {
     /// Writes shapes, bottom first.
-    fn shapes(&mut self, shapes: &[Shape]) {
+    fn write_shapes(&mut self, shapes: &[Shape]) {
         for shape in shapes {
-            self.shape(shape);
+            self.write_shape(shape);
         }
         self.set_paint(None);
     }
 
     /// Writes one shape.
-    fn shape(&mut self, shape: &Shape) {
+    fn write_shape(&mut self, shape: &Shape) {
         match shape {
-            Shape::Path(path, paint) => self.path(path, *paint),
+            Shape::Path(path, paint) => self.write_path(path, *paint),
             Shape::Circle([x, y], radius, paint) => {
                 self.set_paint(Some(*paint));
-                self.put(format_args!("<circle cx=\"{}\" cy=\"{}\" r=\"{}\"/>", Short(*x), Short(*y), Short(*radius)));
+                self.append(format_args!(
+                    "<circle cx=\"{}\" cy=\"{}\" r=\"{}\"/>",
+                    Short(*x),
+                    Short(*y),
+                    Short(*radius)
+                ));
             }
-            Shape::Text(text) if self.outlined => self.path(&outlines(text), Paint::fill(text.letters.colour)),
-            Shape::Text(text) => self.text(text),
-            Shape::RasterImage(at, size, pixels) => self.pixels(*at, *size, pixels),
+            Shape::Text(text) if self.outlined => self.write_path(&outlines(text), Paint::fill(text.letters.colour)),
+            Shape::Text(text) => self.write_text(text),
+            Shape::RasterImage(at, size, pixels) => self.write_image(*at, *size, pixels),
             Shape::Group([x, y], scale, shapes) => {
                 self.set_paint(None);
                 let (x, y) = (Short(*x), Short(*y));
-                self.put(format_args!("<g transform=\"translate({x} {y}) scale({scale:.4})\">"));
-                self.shapes(shapes);
+                self.append(format_args!("<g transform=\"translate({x} {y}) scale({scale:.4})\">"));
+                self.write_shapes(shapes);
                 self.out.push_str("</g>");
             }
         }
     }
 
-    /// Appends text.
-    fn put(&mut self, text: std::fmt::Arguments<'_>) {
+    /// Appends markup.
+    fn append(&mut self, text: std::fmt::Arguments<'_>) {
         self.out.write_fmt(text).expect("text takes all text");
     }
 
-    /// Opens a group of this paint, unless it is open.
+    /// Closes the open group and opens one of this paint, unless it is open; `None` only closes.
     fn set_paint(&mut self, paint: Option<Paint>) {
         if self.open == paint {
             return;
@@ -88,18 +93,18 @@ impl Writer {
         }
         if let Some(paint) = &paint {
             self.out.push_str("<g");
-            self.put(format_args!(" fill=\"{}\"", paint.fill.map_or_else(|| "none".into(), Colour::css)));
+            self.append(format_args!(" fill=\"{}\"", paint.fill.map_or_else(|| "none".into(), Colour::css)));
             for (name, colour) in [("fill", paint.fill), ("stroke", paint.stroke)] {
                 if let Some(colour) = colour.filter(|c| c.opacity < 1.0) {
-                    self.put(format_args!(" {name}-opacity=\"{}\"", colour.opacity));
+                    self.append(format_args!(" {name}-opacity=\"{}\"", colour.opacity));
                 }
             }
             if let Some(stroke) = paint.stroke {
-                self.put(format_args!(" stroke=\"{}\" stroke-width=\"{}\"", stroke.css(), Short(paint.width)));
+                self.append(format_args!(" stroke=\"{}\" stroke-width=\"{}\"", stroke.css(), Short(paint.width)));
             }
             if !paint.dash.is_empty() {
                 let lengths: Vec<String> = paint.dash.iter().map(f64::to_string).collect();
-                self.put(format_args!(" stroke-dasharray=\"{}\"", lengths.join(" ")));
+                self.append(format_args!(" stroke-dasharray=\"{}\"", lengths.join(" ")));
             }
             self.out.push_str(if paint.round { " stroke-linecap=\"round\">" } else { ">" });
         }
@@ -107,18 +112,18 @@ impl Writer {
     }
 
     /// Writes a path.
-    fn path(&mut self, path: &VectorPath, paint: Paint) {
+    fn write_path(&mut self, path: &VectorPath, paint: Paint) {
         self.set_paint(Some(paint));
         self.out.push_str("<path d=\"");
         let mut last = None;
         for step in &path.0 {
             match step {
-                Step::Move([x, y]) => self.put(format_args!("M{} {}", Short(*x), Short(*y))),
+                Step::Move([x, y]) => self.append(format_args!("M{} {}", Short(*x), Short(*y))),
                 // A dot.
                 Step::Line(_) if last == Some(*step) => self.out.push_str("h0"),
-                Step::Line([x, y]) => self.put(format_args!("L{} {}", Short(*x), Short(*y))),
+                Step::Line([x, y]) => self.append(format_args!("L{} {}", Short(*x), Short(*y))),
                 Step::Quad([x1, y1], [x, y]) => {
-                    self.put(format_args!("Q{} {} {} {}", Short(*x1), Short(*y1), Short(*x), Short(*y)));
+                    self.append(format_args!("Q{} {} {} {}", Short(*x1), Short(*y1), Short(*x), Short(*y)));
                 }
                 Step::Close => self.out.push('Z'),
             }
@@ -129,7 +134,7 @@ impl Writer {
     }
 
     /// Writes text.
-    fn text(&mut self, text: &Text) {
+    fn write_text(&mut self, text: &Text) {
         self.set_paint(Some(Paint::fill(text.letters.colour)));
         let anchor = match text.anchor {
             Anchor::Start => "start",
@@ -139,21 +144,21 @@ impl Writer {
         let (x, y) = (Short(text.at[0]), Short(text.at[1]));
         self.out.push_str("<text ");
         if text.upright {
-            self.put(format_args!("transform=\"translate({x} {y}) rotate(-90)\""));
+            self.append(format_args!("transform=\"translate({x} {y}) rotate(-90)\""));
         } else {
-            self.put(format_args!("x=\"{x}\" y=\"{y}\""));
+            self.append(format_args!("x=\"{x}\" y=\"{y}\""));
         }
-        let (size, words) = (Short(text.letters.size), xml(&text.words));
-        self.put(format_args!(" font-size=\"{size}\" text-anchor=\"{anchor}\">{words}</text>"));
+        let (size, words) = (Short(text.letters.size), escape_xml(&text.words));
+        self.append(format_args!(" font-size=\"{size}\" text-anchor=\"{anchor}\">{words}</text>"));
     }
 
     /// Writes an image.
-    fn pixels(&mut self, [x, y]: Point, [width, height]: Point, pixels: &RasterImage) {
+    fn write_image(&mut self, [x, y]: Point, [width, height]: Point, pixels: &RasterImage) {
         self.set_paint(None);
-        let png = encoded(pixels.width as u32, pixels.height as u32, &pixels.rgba);
+        let png = encode_png(pixels.width as u32, pixels.height as u32, &pixels.rgba);
         let [x, y, width, height] = [x, y, width, height].map(Short);
         let sharp = if pixels.smooth { "" } else { " style=\"image-rendering:pixelated\"" };
-        self.put(format_args!(
+        self.append(format_args!(
             "<image x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\" preserveAspectRatio=\"none\"{sharp} \
              href=\"data:image/png;base64,{}\"/>",
             STANDARD.encode(png)
@@ -172,7 +177,7 @@ impl std::fmt::Display for Short {
 }
 
 /// Escapes text for XML and HTML, in elements and quoted attributes; keeps line breaks.
-pub fn xml(text: &str) -> String {
+pub fn escape_xml(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in messages::escape_control(text).chars() {
         match c {
@@ -191,14 +196,14 @@ pub fn xml(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::xml;
+    use super::escape_xml;
 
     #[test]
     fn escapes_xml_special_characters() {
         assert_eq!(
-            xml("\"/><a href='x'> & \u{1b}[2J\n\0"),
+            escape_xml("\"/><a href='x'> & \u{1b}[2J\n\0"),
             "&quot;/&gt;&lt;a href=&#39;x&#39;&gt; &amp; \u{fffd}[2J\n\u{fffd}"
         );
-        assert_eq!(xml("λ = 0,1 – 模"), "λ = 0,1 – 模");
+        assert_eq!(escape_xml("λ = 0,1 – 模"), "λ = 0,1 – 模");
     }
 }

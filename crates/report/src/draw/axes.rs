@@ -52,7 +52,7 @@ impl AxisScale {
     }
 
     /// Returns the position of a coordinate along the axis, from 0 to 1.
-    fn share(&self, coordinate: f64) -> f64 {
+    fn fraction(&self, coordinate: f64) -> f64 {
         (coordinate - self.ends.0) / (self.ends.1 - self.ends.0)
     }
 }
@@ -69,13 +69,14 @@ pub(super) struct PlotArea {
 
 impl PlotArea {
     /// Returns the horizontal position of a value, limited to the plot area.
-    pub(super) fn across(&self, x: f64) -> f64 {
-        (self.left + (self.right - self.left) * self.x.share(self.x.coordinate(x))).clamp(self.left, self.right)
+    pub(super) fn x_position(&self, x: f64) -> f64 {
+        (self.left + (self.right - self.left) * self.x.fraction(self.x.coordinate(x))).clamp(self.left, self.right)
     }
 
-    /// Returns the position of a value; `None` if not finite.
-    pub(super) fn at(&self, (x, y): (f64, f64)) -> Option<Point> {
-        let point = [self.across(x), self.bottom - (self.bottom - self.top) * self.y.share(self.y.coordinate(y))];
+    /// Returns the position of a value on the drawing; `None` if not finite.
+    pub(super) fn position(&self, (x, y): (f64, f64)) -> Option<Point> {
+        let point =
+            [self.x_position(x), self.bottom - (self.bottom - self.top) * self.y.fraction(self.y.coordinate(y))];
         point.iter().all(|v| v.is_finite()).then_some(point)
     }
 
@@ -85,18 +86,20 @@ impl PlotArea {
         let pixels = |length: f64| (length * GRID).round() as i32;
         let (across, up) = (self.right - self.left, self.bottom - self.top);
         let fit = |all: &[Tick]| {
-            let reach = |tick: &Tick| (across * self.x.share(tick.0), text_width(&tick.1) / 2.0);
+            let reach = |tick: &Tick| (across * self.x.fraction(tick.0), text_width(&tick.1) / 2.0);
             all.windows(2).map(|w| (reach(&w[0]), reach(&w[1]))).all(|((a, p), (b, q))| a + p + 8.0 < b - q)
         };
-        let key = |tick: Tick, scale: &AxisScale, length: f64| (pixels(length * scale.share(tick.0)), tick.1);
-        let x_ticks = ticks(self.x.ends, x.log, &fit).into_iter().map(|t| key(t, &self.x, across));
-        let y_ticks = ticks(self.y.ends, y.log, &|_| true).into_iter().map(|t| key(t, &self.y, up));
-        let [(x_keys, x_labels), (y_keys, y_labels)]: [(Vec<i32>, Vec<String>); 2] = [x_ticks.unzip(), y_ticks.unzip()];
+        let keys = |ticks: Vec<Tick>, scale: &AxisScale, length: f64| -> (Vec<i32>, Vec<String>) {
+            let key = |tick: Tick| (pixels(length * scale.fraction(tick.0)), tick.1);
+            ticks.into_iter().map(key).unzip()
+        };
+        let (x_keys, x_labels) = keys(ticks(self.x.ends, x.log, &fit), &self.x, across);
+        let (y_keys, y_labels) = keys(ticks(self.y.ends, y.log, &|_| true), &self.y, up);
         let label = |keys: &[i32], labels: &[String], key: i32| {
             keys.iter().position(|k| *k == key).map_or_else(String::new, |k| labels[k].clone())
         };
-        let line = |colour| Color::stroke_width(&plain(colour), GRID as u32);
-        let letters = ("sans-serif", TEXT * GRID).into_font().color(&plain(INK));
+        let line = |colour| Color::stroke_width(&to_rgb(colour), GRID as u32);
+        let letters = ("sans-serif", TEXT * GRID).into_font().color(&to_rgb(INK));
         let (beside, below) = (canvas.width - self.right, canvas.height - height);
         let root = PlottersBackend(canvas).into_drawing_area();
         let drawn = ChartBuilder::on(&root)
@@ -123,7 +126,7 @@ impl PlotArea {
 }
 
 /// Converts a colour for plotters.
-fn plain(colour: Colour) -> RGBColor {
+fn to_rgb(colour: Colour) -> RGBColor {
     let [r, g, b] = colour.rgb;
     RGBColor(r, g, b)
 }
@@ -137,20 +140,20 @@ pub(super) struct PlottersBackend<'a>(pub(super) &'a mut Canvas);
 /// Error of the backend; drawing into memory cannot fail.
 type DrawResult = Result<(), DrawingErrorKind<Infallible>>;
 
-/// Converts a position of plotters.
-fn point((x, y): BackendCoord) -> Point {
+/// Converts a position of plotters to units of the canvas.
+fn to_point((x, y): BackendCoord) -> Point {
     [f64::from(x) / GRID, f64::from(y) / GRID]
 }
 
 /// Converts a colour of plotters.
-fn colour(colour: BackendColor) -> Colour {
+fn to_colour(colour: BackendColor) -> Colour {
     let (r, g, b) = colour.rgb;
     Colour { rgb: [r, g, b], opacity: colour.alpha }
 }
 
-/// Converts the style of a line of plotters.
-fn stroke(style: &impl BackendStyle) -> Paint {
-    Paint::stroke(colour(style.color()), f64::from(style.stroke_width()) / GRID)
+/// Converts the style of a line of plotters to a stroke.
+fn to_stroke(style: &impl BackendStyle) -> Paint {
+    Paint::stroke(to_colour(style.color()), f64::from(style.stroke_width()) / GRID)
 }
 
 impl DrawingBackend for PlottersBackend<'_> {
@@ -169,7 +172,7 @@ impl DrawingBackend for PlottersBackend<'_> {
     }
 
     fn draw_pixel(&mut self, at: BackendCoord, ink: BackendColor) -> DrawResult {
-        self.0.rect(point(at), [1.0 / GRID; 2], Paint::fill(colour(ink)));
+        self.0.rect(to_point(at), [1.0 / GRID; 2], Paint::fill(to_colour(ink)));
         Ok(())
     }
 
@@ -178,13 +181,13 @@ impl DrawingBackend for PlottersBackend<'_> {
     }
 
     fn draw_path<S: BackendStyle, I: IntoIterator<Item = BackendCoord>>(&mut self, path: I, style: &S) -> DrawResult {
-        let points: Vec<Point> = path.into_iter().map(point).collect();
-        self.0.line(&points, stroke(style));
+        let points: Vec<Point> = path.into_iter().map(to_point).collect();
+        self.0.line(&points, to_stroke(style));
         Ok(())
     }
 
     fn draw_text<T: BackendTextStyle>(&mut self, words: &str, style: &T, at: BackendCoord) -> DrawResult {
-        let [x, y] = point(at);
+        let [x, y] = to_point(at);
         // From the given position down to the base line; the centre is that of small letters.
         let down = TEXT
             * match style.anchor().v_pos {
@@ -199,7 +202,7 @@ impl DrawingBackend for PlottersBackend<'_> {
         };
         match style.transform() {
             FontTransform::None => self.0.text([x, y + down], anchor, words),
-            _ => self.0.upright([x + down, y], words),
+            _ => self.0.upright_text([x + down, y], words),
         }
         Ok(())
     }
@@ -208,47 +211,49 @@ impl DrawingBackend for PlottersBackend<'_> {
 /// Position on the axis (the logarithm if logarithmic) and label.
 pub(crate) type Tick = (f64, String);
 
-/// Returns the ticks between two positions, as many as `fits` allows next to each other.
+/// Returns the ticks between two positions on an axis, logarithms if `log`: the densest that `fits` allows next to each
+/// other, otherwise the sparsest.
 pub(crate) fn ticks((low, high): (f64, f64), log: bool, fits: &dyn Fn(&[Tick]) -> bool) -> Vec<Tick> {
     let decades = high - low;
     let all: Vec<Vec<Tick>> = if log && decades >= 0.5 {
         let digits: [&[f64]; 4] = [&[1.0, 1.5, 2.0, 3.0, 5.0, 7.0], &[1.0, 2.0, 5.0], &[1.0, 3.0], &[1.0]];
         let densest = if decades > 3.5 { 3 } else { usize::from(decades > 1.5) };
-        digits[densest..].iter().map(|digits| powers((low, high), digits)).collect()
+        digits[densest..].iter().map(|digits| power_ticks((low, high), digits)).collect()
     } else {
         let (from, to) = if log { (10f64.powf(low), 10f64.powf(high)) } else { (low, high) };
-        let tick = |v: f64| (if log { v.log10() } else { v }, label(v));
-        [6.0, 4.0, 2.0].iter().map(|&n| multiples(from, to, n).into_iter().map(tick).collect()).collect()
+        let tick = |v: f64| (if log { v.log10() } else { v }, tick_label(v));
+        [6.0, 4.0, 2.0].iter().map(|&n| round_multiples(from, to, n).into_iter().map(tick).collect()).collect()
     };
     let sparsest = all.last().cloned().unwrap_or_default();
     all.into_iter().find(|ticks| fits(ticks)).unwrap_or(sparsest)
 }
 
-/// Returns the powers of ten times each of `digits`, between two logarithms.
-fn powers((low, high): (f64, f64), digits: &[f64]) -> Vec<Tick> {
+/// Returns ticks at the powers of ten times each of `digits`, between two logarithms; every second power over more than
+/// eight decades.
+fn power_ticks((low, high): (f64, f64), digits: &[f64]) -> Vec<Tick> {
     let stride = if high - low > 8.0 { 2 } else { 1 };
     (low.floor() as i32..=high.ceil() as i32)
         .filter(|power| power.rem_euclid(stride) == 0)
         .flat_map(|power| digits.iter().map(move |d| d * 10f64.powi(power)))
-        .map(|v| (v.log10(), label(v)))
+        .map(|v| (v.log10(), tick_label(v)))
         .filter(|(position, _)| (low..=high).contains(position))
         .collect()
 }
 
 /// Returns multiples of 1, 2 or 5 times a power of ten, four to nine of them.
 pub(crate) fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
-    multiples(low, high, 6.0)
+    round_multiples(low, high, 6.0)
 }
 
-/// Returns at most `most` round numbers within an axis.
+/// Returns at most `most` of the [`linear_ticks`], evenly chosen, within the ends.
 pub(crate) fn few_ticks(low: f64, high: f64, most: usize) -> Vec<f64> {
     let all = linear_ticks(low, high);
     let stride = all.len().div_ceil(most).max(1);
     all.into_iter().filter(|v| (low..=high).contains(v)).step_by(stride).collect()
 }
 
-/// Returns at most about `tick_count` multiples of 1, 2 or 5 times a power of ten.
-fn multiples(low: f64, high: f64, tick_count: f64) -> Vec<f64> {
+/// Returns the multiples of 1, 2 or 5 times a power of ten between two ends: at most about `tick_count`.
+fn round_multiples(low: f64, high: f64, tick_count: f64) -> Vec<f64> {
     let rough = (high - low) / tick_count;
     let power = 10f64.powf(rough.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|d| d * power).find(|s| *s >= rough).unwrap_or(power);
@@ -256,8 +261,8 @@ fn multiples(low: f64, high: f64, tick_count: f64) -> Vec<f64> {
     (first..=last).map(|k| k as f64 * step).collect()
 }
 
-/// Returns the short notation of a number.
-pub(crate) fn label(value: f64) -> String {
+/// Formats a number on an axis: thousands as `k`, millions as `M`, and a typographic minus sign.
+pub(crate) fn tick_label(value: f64) -> String {
     let text = match value.abs() {
         0.0 => "0".into(),
         s if s >= 1e6 => format!("{}M", (value / 1e4).round() / 100.0),

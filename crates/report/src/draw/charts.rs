@@ -6,7 +6,7 @@
 pub(crate) use super::axes::ChartAxis;
 use super::axes::{AxisScale, PlotArea};
 use super::marks::Style;
-use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, TEXT, TextStyle, cut, text_width};
+use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, TEXT, TextStyle, text_width, truncate_text};
 use pwrfgs_train::Training;
 
 /// Dimensions of a chart.
@@ -90,8 +90,8 @@ impl ChartLine {
         Self { name: LineName::Hidden, style, points, marks: Vec::new(), bars: Vec::new() }
     }
 
-    /// Creates a horizontal line over the whole width.
-    pub(crate) fn level(y: f64, style: Style) -> Self {
+    /// Creates a horizontal line at `y` over the whole width, without name.
+    pub(crate) fn horizontal(y: f64, style: Style) -> Self {
         Self::new(vec![(f64::NEG_INFINITY, y), (f64::INFINITY, y)], style)
     }
 
@@ -105,8 +105,8 @@ impl ChartLine {
         Self { name: LineName::AtEnd(name.into()), ..self }
     }
 
-    /// Returns the sample for the legend, if the line is listed there.
-    fn symbol(&self) -> Option<Symbol> {
+    /// Returns the symbol for the legend; `None` if the line is not listed there.
+    fn legend_symbol(&self) -> Option<Symbol> {
         let LineName::Legend(name) = &self.name else { return None };
         let (mut drawing, end) = (Canvas::new(24.0, SYMBOL), [24.0, SYMBOL / 2.0]);
         self.style.draw_line(&mut drawing, &[[0.0, end[1]], end]);
@@ -127,9 +127,9 @@ impl Chart {
         let x = AxisScale::new(&self.x, points().map(|p| p.0))?;
         let y = AxisScale::new(&self.y, points().map(|p| p.1))?;
         let ChartStyle { size: [width, height], margins: [left, top, right, bottom] } = self.style;
-        let legend = Legend::new(self.lines.iter().filter_map(ChartLine::symbol).collect(), width);
+        let legend = Legend::new(self.lines.iter().filter_map(ChartLine::legend_symbol).collect(), width);
         let mut canvas = Canvas::new(width, height + legend.height());
-        let names = self.at_ends().map(|(name, _)| text_width(name) + 12.0);
+        let names = self.end_names().map(|(name, _)| text_width(name) + 12.0);
         let right = width - names.fold(right, f64::max).min(width / 2.0);
         let frame = PlotArea { x, y, left, top, right, bottom: height - bottom };
         self.draw_bands(&mut canvas, &frame);
@@ -140,8 +140,8 @@ impl Chart {
         (!self.lines.is_empty()).then_some(canvas)
     }
 
-    /// Returns the names at the ends of lines.
-    fn at_ends(&self) -> impl Iterator<Item = (&str, &ChartLine)> {
+    /// Returns the names at the ends of lines, with their lines.
+    fn end_names(&self) -> impl Iterator<Item = (&str, &ChartLine)> {
         self.lines.iter().filter_map(|l| match &l.name {
             LineName::AtEnd(name) => Some((name.as_str(), l)),
             _ => None,
@@ -150,7 +150,8 @@ impl Chart {
 
     /// Draws lines and bars, then all marks on top.
     fn draw_lines(&self, canvas: &mut Canvas, frame: &PlotArea) {
-        let on_canvas = |points: &[(f64, f64)]| points.iter().filter_map(|p| frame.at(*p)).collect::<Vec<Point>>();
+        let on_canvas =
+            |points: &[(f64, f64)]| points.iter().filter_map(|p| frame.position(*p)).collect::<Vec<Point>>();
         for line in self.lines.iter().rev() {
             line.style.draw_line(canvas, &on_canvas(&line.points));
             for bar in &line.bars {
@@ -167,7 +168,7 @@ impl Chart {
     /// Draws the shaded ranges with their names.
     fn draw_bands(&self, canvas: &mut Canvas, frame: &PlotArea) {
         for band in &self.bands {
-            let [a, b] = [band.x.0, band.x.1].map(|x| frame.across(x));
+            let [a, b] = [band.x.0, band.x.1].map(|x| frame.x_position(x));
             if a >= b {
                 continue;
             }
@@ -186,21 +187,22 @@ impl Chart {
 
     /// Draws names at the ends of lines, moved apart if they would overlap.
     fn draw_end_names(&self, canvas: &mut Canvas, frame: &PlotArea) {
-        let end = |(name, line): (_, &ChartLine)| Some((name, line.points.iter().rev().find_map(|p| frame.at(*p))?[1]));
-        let mut names: Vec<(&str, f64)> = self.at_ends().filter_map(end).collect();
+        let end =
+            |(name, line): (_, &ChartLine)| Some((name, line.points.iter().rev().find_map(|p| frame.position(*p))?[1]));
+        let mut names: Vec<(&str, f64)> = self.end_names().filter_map(end).collect();
         names.sort_by(|a, b| a.1.total_cmp(&b.1));
         let targets: Vec<f64> = names.iter().map(|n| n.1).collect();
-        for ((name, end), y) in names.into_iter().zip(moved_apart(&targets, 12.0, (frame.top, frame.bottom))) {
+        for ((name, end), y) in names.into_iter().zip(separated_positions(&targets, 12.0, (frame.top, frame.bottom))) {
             canvas.line(&[[frame.right + 1.0, end], [frame.right + 6.0, y]], Paint::stroke(INK, 0.5));
             let left = frame.right + 8.0;
-            canvas.text([left, y + 0.27 * TEXT], Anchor::Start, cut(name, canvas.width - left));
+            canvas.text([left, y + 0.27 * TEXT], Anchor::Start, truncate_text(name, canvas.width - left));
         }
     }
 }
 
 /// Returns positions at least `step` apart and within `ends` if possible, each close to `targets` (ascending): one pass
 /// up and one pass down.
-fn moved_apart(targets: &[f64], step: f64, ends: (f64, f64)) -> Vec<f64> {
+fn separated_positions(targets: &[f64], step: f64, ends: (f64, f64)) -> Vec<f64> {
     let mut positions = targets.to_vec();
     for k in 1..positions.len() {
         positions[k] = positions[k].max(positions[k - 1] + step);
@@ -266,16 +268,16 @@ impl Legend {
         canvas.letters = TextStyle { size: SIZE, ..canvas.letters };
         for (k, Symbol { drawing, meaning }) in self.symbols.iter().enumerate() {
             let (x, middle) = (self.columns[k / self.rows], top + 4.0 + ROW * ((k % self.rows) as f64 + 0.5));
-            canvas.put([x, middle - SYMBOL / 2.0], 1.0, drawing);
+            canvas.add_drawing([x, middle - SYMBOL / 2.0], 1.0, drawing);
             let left = x + drawing.width + INDENT;
             let room = (canvas.width - left) * TEXT / SIZE;
-            canvas.text([left, middle + 0.27 * SIZE], Anchor::Start, cut(meaning, room));
+            canvas.text([left, middle + 0.27 * SIZE], Anchor::Start, truncate_text(meaning, room));
         }
     }
 }
 
-/// Returns the phases of algorithm 1 as shaded ranges.
-pub(crate) fn phases(training: &Training) -> Vec<Band> {
+/// Returns the phases of algorithm 1 as shaded ranges of training steps.
+pub(crate) fn phase_bands(training: &Training) -> Vec<Band> {
     let (d, p, end) = (training.densify_until as f64, training.prune_until as f64, training.steps as f64);
     let band = |name, x, colour| Band { name, x, colour };
     vec![
@@ -304,7 +306,7 @@ pub(crate) fn decimate_steps(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     if drawn.len() <= CORNERS { drawn } else { drawn.chunks(4 * drawn.len() / CORNERS).flat_map(extremes).collect() }
 }
 
-/// Returns the first, last, lowest and highest of some points, in their order.
+/// Returns the first, last, lowest and highest of at least one point, in their order and without repetition.
 fn extremes(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let by_height = |a: &usize, b: &usize| points[*a].1.total_cmp(&points[*b].1);
     let all = 0..points.len();
@@ -358,7 +360,7 @@ mod tests {
 
     #[test]
     fn end_labels_do_not_overlap() {
-        let apart = |targets: &[f64], ends| moved_apart(targets, 10.0, ends);
+        let apart = |targets: &[f64], ends| separated_positions(targets, 10.0, ends);
         assert_eq!(apart(&[10.0, 12.0, 13.0, 80.0], (0.0, 100.0)), [10.0, 20.0, 30.0, 80.0]);
         assert_eq!(apart(&[90.0, 95.0, 99.0], (0.0, 100.0)), [80.0, 90.0, 100.0]);
         assert_eq!(apart(&[5.0, 5.0, 5.0], (0.0, 15.0)), [0.0, 10.0, 20.0], "too many for the range");

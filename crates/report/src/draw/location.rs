@@ -35,29 +35,29 @@ impl LocationMap<'_> {
     /// Draws the map.
     pub fn draw(&self) -> Canvas {
         let ends = self.estimates.iter().flat_map(|(estimate, truth)| std::iter::once(*estimate).chain(*truth));
-        let mut corners = FloorPlan::corners(self.outlines.iter().flatten().copied().chain(ends));
+        let mut corners = FloorPlan::frame(self.outlines.iter().flatten().copied().chain(ends));
         if self.outlines.is_empty() {
-            corners = FloorPlan::corners(self.training.iter().copied().chain(corners));
+            corners = FloorPlan::frame(self.training.iter().copied().chain(corners));
         } else {
             // Half a region of surroundings on every side.
             let margin = 0.5 * (corners[1][0] - corners[0][0]).max(corners[1][1] - corners[0][1]);
             corners = [corners[0].map(|v| v - margin), corners[1].map(|v| v + margin)];
         }
         let plan = FloorPlan::of_floor(corners);
-        let mut map = plan.canvas();
+        let mut map = plan.empty_map();
         self.draw_density(&mut map, &plan, corners);
-        plan.points(&mut map, self.training.iter().copied());
+        plan.draw_points(&mut map, self.training.iter().copied());
         for outline in &self.outlines {
             let corners: Vec<Point> = outline.iter().chain(outline.first()).map(|p| plan.project(*p)).collect();
             map.line(&corners, Paint::stroke(WHITE, 2.6));
             map.line(&corners, Paint::stroke(INK, 1.2));
         }
-        self.receivers.iter().for_each(|at| plan.receiver(&mut map, *at));
+        self.receivers.iter().for_each(|at| plan.draw_receiver(&mut map, *at));
         self.draw_estimates(&mut map, &plan);
-        plan.titled(map, &self.title, &self.note(&plan))
+        plan.with_title(map, &self.title, &self.note(&plan))
     }
 
-    /// Explains the marks.
+    /// Explains the marks that the map has.
     fn note(&self, plan: &FloorPlan) -> String {
         let mut words = vec!["circle: estimate"];
         if self.estimates.iter().any(|(_, truth)| truth.is_some()) {
@@ -107,15 +107,13 @@ impl LocationMap<'_> {
     fn draw_estimates(&self, map: &mut Canvas, plan: &FloorPlan) {
         let is_single = self.estimates.len() == 1;
         let (mut lines, mut crosses) = (VectorPath::default(), VectorPath::default());
-        for (estimate, truth) in self
-            .estimates
-            .iter()
-            .filter_map(|(estimate, truth)| Some((plan.project(*estimate), plan.project((*truth)?))))
-        {
-            lines.add(&[estimate, truth]);
+        let projected =
+            |(estimate, truth): &(Point, Option<Point>)| Some([*estimate, (*truth)?].map(|p| plan.project(p)));
+        for [estimate, truth] in self.estimates.iter().filter_map(projected) {
+            lines.add_line(&[estimate, truth]);
             crosses.add_cross(truth, if is_single { 4.0 } else { 1.6 });
         }
-        map.path(lines, Paint::stroke(INK.faint(0.6), 0.7));
+        map.path(lines, Paint::stroke(INK.with_opacity(0.6), 0.7));
         map.path(crosses.clone(), Paint::stroke(WHITE, if is_single { 4.0 } else { 1.4 }));
         map.path(crosses, Paint::stroke(TRUTH, if is_single { 2.0 } else { 0.8 }));
         for (estimate, _) in &self.estimates {

@@ -151,7 +151,7 @@ impl Style {
         Self { marker: Some(Marker::Star), hollow, ..Self::line(GREY, 1.0, Stroke::None) }
     }
 
-    /// Returns the style of a line that joins variants.
+    /// Returns the style of a thin grey line, which joins variants without a name.
     pub(crate) fn thread() -> Self {
         Self::line(Colour::hex(0xaf_b3bb), 1.0, Stroke::FULL)
     }
@@ -162,15 +162,15 @@ impl Style {
             Stroke::None => {}
             Stroke::Dots => {
                 let mut dots = VectorPath::default();
-                points.iter().for_each(|at| dots.add(&[*at; 2]));
+                points.iter().for_each(|at| dots.add_line(&[*at; 2]));
                 canvas.path(dots, Paint { round: true, ..Paint::stroke(self.colour, self.width) });
             }
-            Stroke::Area => canvas.polygon(points, Paint::fill(self.colour.faint(0.2))),
+            Stroke::Area => canvas.polygon(points, Paint::fill(self.colour.with_opacity(0.2))),
             Stroke::Dashes(dash) => canvas.line(points, Paint { dash, ..Paint::stroke(self.colour, self.width) }),
         }
     }
 
-    /// Draws a mark at `at`.
+    /// Draws the mark at `at`; nothing for a style without marks.
     pub(crate) fn draw_mark(&self, canvas: &mut Canvas, at: Point) {
         let Some(marker) = self.marker else { return };
         // Marks without a line show behind others.
@@ -190,7 +190,7 @@ impl Style {
         let [dx, dy] = if a[1] == b[1] { [0.0, 3.0] } else { [3.0, 0.0] };
         let mut bar = VectorPath::of(&[a, b]);
         for [x, y] in [a, b] {
-            bar.add(&[[x - dx, y - dy], [x + dx, y + dy]]);
+            bar.add_line(&[[x - dx, y - dy], [x + dx, y + dy]]);
         }
         canvas.path(bar, Paint::stroke(self.colour, 1.0));
     }

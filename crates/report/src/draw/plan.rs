@@ -1,9 +1,9 @@
 //! Flat maps in metres with equal scales: a floor plan, the side view of a room, or values over a plane as a coloured
 //! map with colour bar, axes and receivers.
 
-use super::axes::{few_ticks, label, linear_ticks};
+use super::axes::{few_ticks, linear_ticks, tick_label};
 use crate::canvas::{
-    Anchor, BLACK, Canvas, Colour, INK, LINE, Paint, Point, RasterImage, TEXT, VectorPath, WHITE, wrapped,
+    Anchor, BLACK, Canvas, Colour, INK, LINE, Paint, Point, RasterImage, TEXT, VectorPath, WHITE, wrap_text,
 };
 use pwrfgs_core::colour::{Rgb, cyclic, sequential};
 use pwrfgs_core::statistics::bounds;
@@ -39,7 +39,7 @@ impl FloorPlan {
     }
 
     /// Returns the smallest frame with a margin around `points`; a square metre if there are none.
-    pub(crate) fn corners(points: impl IntoIterator<Item = Point>) -> [Point; 2] {
+    pub(crate) fn frame(points: impl IntoIterator<Item = Point>) -> [Point; 2] {
         let is_finite = |point: &Point| point.iter().all(|v| v.is_finite());
         let points: Vec<Point> = points.into_iter().filter(is_finite).collect();
         if points.is_empty() {
@@ -50,7 +50,7 @@ impl FloorPlan {
         [[x.0 - margin, y.0 - margin], [x.1 + margin, y.1 + margin]]
     }
 
-    /// Returns the position on the drawing.
+    /// Returns the position of a point in metres on the drawing.
     pub(crate) fn project(&self, [x, y]: Point) -> Point {
         let [left, top, ..] = MARGINS;
         [left + self.scale * (x - self.low[0]), top + self.scale * (self.high[1] - y)]
@@ -62,24 +62,24 @@ impl FloorPlan {
     }
 
     /// Returns the corner, width and height of the map on the drawing.
-    pub(crate) fn area(&self) -> (Point, Point) {
+    pub(crate) fn map_area(&self) -> (Point, Point) {
         let [a, b] = [self.project([self.low[0], self.high[1]]), self.project([self.high[0], self.low[1]])];
         (a, [b[0] - a[0], b[1] - a[1]])
     }
 
     /// Creates an empty map.
-    pub(crate) fn canvas(&self) -> Canvas {
+    pub(crate) fn empty_map(&self) -> Canvas {
         let mut canvas = Canvas::new(self.size[0], self.size[1]);
         canvas.letters.size = 10.0;
-        let (at, size) = self.area();
+        let (at, size) = self.map_area();
         canvas.rect(at, size, Paint::fill(Colour::hex(0xfa_fbfc)));
         canvas
     }
 
     /// Draws the frame with numbers in metres on top of the map. Map coordinates, which are too long for an
     /// axis, are relative to a round number in the name of the axis.
-    pub(crate) fn axes(&self, canvas: &mut Canvas) {
-        let (at, size) = self.area();
+    pub(crate) fn draw_axes(&self, canvas: &mut Canvas) {
+        let (at, size) = self.map_area();
         canvas.rect(at, size, Paint::stroke(INK, 0.7));
         let [left, bottom] = [at[0], at[1] + size[1]];
         let [(x_ticks, x_title), (y_ticks, y_title)] = [0, 1].map(|k| self.ticks_and_title(k));
@@ -94,22 +94,23 @@ impl FloorPlan {
             canvas.text([left - 5.0, py + 3.5], Anchor::End, words);
         }
         canvas.text([left + size[0] / 2.0, bottom + 2.0 * LINE + 1.0], Anchor::Middle, x_title);
-        canvas.upright([12.0, at[1] + size[1] / 2.0], y_title);
+        canvas.upright_text([12.0, at[1] + size[1] / 2.0], y_title);
     }
 
-    /// Returns the ticks of an axis and its title.
+    /// Returns the ticks of an axis, as metres and labels, and its title. Large coordinates count from a round number.
     fn ticks_and_title(&self, axis: usize) -> (Vec<(f64, String)>, String) {
         let (low, high, name) = (self.low[axis], self.high[axis], self.names[axis]);
         let far = low.abs().max(high.abs()) > 9_999.0;
         let from = if far { ((low + high) / 2e3).round() * 1e3 } else { 0.0 };
         let tick_count = (((high - low) * self.scale / 34.0) as usize).max(2);
-        let ticks = few_ticks(low - from, high - from, tick_count).into_iter().map(|v| (v + from, label(v))).collect();
+        let ticks =
+            few_ticks(low - from, high - from, tick_count).into_iter().map(|v| (v + from, tick_label(v))).collect();
         (ticks, if far { format!("{name} − {from} [m]") } else { format!("{name} [m]") })
     }
 
     /// Creates a floor plan around `points`, as large as a map.
     pub(crate) fn around(points: impl IntoIterator<Item = Point>) -> Self {
-        Self::of_floor(Self::corners(points))
+        Self::of_floor(Self::frame(points))
     }
 
     /// Creates a floor plan between two corners, metres, as large as a map.
@@ -118,13 +119,13 @@ impl FloorPlan {
     }
 
     /// Adds axes, a title above the map and a note below it, wrapped to its width.
-    pub(crate) fn titled(&self, mut map: Canvas, title: &str, note: &str) -> Canvas {
-        self.axes(&mut map);
+    pub(crate) fn with_title(&self, mut map: Canvas, title: &str, note: &str) -> Canvas {
+        self.draw_axes(&mut map);
         let width = self.size[0].max(300.0);
-        let note = wrapped(note, width * TEXT / SMALL);
+        let note = wrap_text(note, width * TEXT / SMALL);
         let mut canvas = Canvas::new(width, HEAD + self.size[1] + LINE * (note.len() as f64 + 0.5));
         canvas.text([width / 2.0, 15.0], Anchor::Middle, title);
-        canvas.put([(width - self.size[0]) / 2.0, HEAD], 1.0, &map);
+        canvas.add_drawing([(width - self.size[0]) / 2.0, HEAD], 1.0, &map);
         canvas.letters.size = SMALL;
         for (k, line) in note.iter().enumerate() {
             canvas.text([width / 2.0, HEAD + self.size[1] + LINE * (k as f64 + 0.8)], Anchor::Middle, line);
@@ -133,7 +134,7 @@ impl FloorPlan {
     }
 
     /// Writes the numbers from 1 beside `points`, with a white rim.
-    pub(crate) fn numbers(&self, canvas: &mut Canvas, points: &[Point], size: f64, [right, up]: Point) {
+    pub(crate) fn draw_numbers(&self, canvas: &mut Canvas, points: &[Point], size: f64, [right, up]: Point) {
         let letters = canvas.letters;
         canvas.letters.size = size;
         for (k, point) in points.iter().enumerate() {
@@ -147,24 +148,24 @@ impl FloorPlan {
     }
 
     /// Centres the drawing in a given width, so that a page scales maps of any shape equally.
-    pub(crate) fn widened(canvas: &Canvas, width: f64) -> Canvas {
+    pub(crate) fn centred_in(canvas: &Canvas, width: f64) -> Canvas {
         let mut wide = Canvas::new(width.max(canvas.width), canvas.height);
-        wide.put([(wide.width - canvas.width) / 2.0, 0.0], 1.0, canvas);
+        wide.add_drawing([(wide.width - canvas.width) / 2.0, 0.0], 1.0, canvas);
         wide
     }
 
-    /// Draws a receiver: a square with a dot.
-    pub(crate) fn receiver(&self, canvas: &mut Canvas, position: Point) {
+    /// Draws a receiver, a square with a dot, if it is on the map.
+    pub(crate) fn draw_receiver(&self, canvas: &mut Canvas, position: Point) {
         if self.contains(position) {
             draw_receiver(canvas, self.project(position));
         }
     }
 
-    /// Draws surface points, faintly.
-    pub(crate) fn points(&self, canvas: &mut Canvas, points: impl IntoIterator<Item = Point>) {
+    /// Draws the points that are on the map as faint dots.
+    pub(crate) fn draw_points(&self, canvas: &mut Canvas, points: impl IntoIterator<Item = Point>) {
         let mut path = VectorPath::default();
-        points.into_iter().filter(|p| self.contains(*p)).for_each(|p| path.add(&[self.project(p); 2]));
-        canvas.path(path, Paint { round: true, ..Paint::stroke(Colour::hex(0x8d_94a1).faint(0.6), 1.5) });
+        points.into_iter().filter(|p| self.contains(*p)).for_each(|p| path.add_line(&[self.project(p); 2]));
+        canvas.path(path, Paint { round: true, ..Paint::stroke(Colour::hex(0x8d_94a1).with_opacity(0.6), 1.5) });
     }
 }
 
@@ -175,7 +176,7 @@ pub(crate) fn draw_receiver(canvas: &mut Canvas, [x, y]: Point) {
     canvas.circle([x, y], 2.0, Paint::fill(BLACK));
 }
 
-/// Returns corners that differ along both axes.
+/// Widens the frame between two corners so that its shorter side is at least [`FLATTEST`] of the longer one.
 fn with_extent(mut low: Point, mut high: Point) -> [Point; 2] {
     let longest = (high[0] - low[0]).max(high[1] - low[1]);
     let least = if longest > 0.0 { FLATTEST * longest } else { 1.0 };
@@ -256,20 +257,20 @@ impl Heatmap<'_> {
         let end = |k: usize, count: usize| self.first[k] + self.step * (count.max(1) as f64 - 0.5);
         let corners = [self.first.map(|v| v - half), [end(0, self.columns), end(1, rows)]];
         let plan = FloorPlan::new(corners, self.names, WIDTH, MOST_HEIGHT);
-        let mut map = plan.canvas();
+        let mut map = plan.empty_map();
         let [a, b] = [plan.project([corners[0][0], corners[1][1]]), plan.project([corners[1][0], corners[0][1]])];
-        let (low, high) = self.range();
-        map.pixels(a, [b[0] - a[0], b[1] - a[1]], self.pixels(rows, low, high));
+        let (low, high) = self.colour_range();
+        map.pixels(a, [b[0] - a[0], b[1] - a[1]], self.to_raster_image(rows, low, high));
         self.draw_training(&mut map, &plan);
         self.draw_arrows(&mut map, &plan);
-        self.receivers.iter().for_each(|at| plan.receiver(&mut map, *at));
-        plan.axes(&mut map);
+        self.receivers.iter().for_each(|at| plan.draw_receiver(&mut map, *at));
+        plan.draw_axes(&mut map);
         let width = plan.size[0].max(300.0);
         let note = self.training_note(width);
         let mut canvas = Canvas::new(width, HEAD + plan.size[1] + FOOT + LINE * note.len() as f64);
         canvas.text([width / 2.0, 15.0], Anchor::Middle, &self.title);
-        canvas.put([(width - plan.size[0]) / 2.0, HEAD], 1.0, &map);
-        self.draw_bar(&mut canvas, HEAD + plan.size[1] + 4.0, (low, high));
+        canvas.add_drawing([(width - plan.size[0]) / 2.0, HEAD], 1.0, &map);
+        self.draw_colour_bar(&mut canvas, HEAD + plan.size[1] + 4.0, (low, high));
         canvas.letters.size = SMALL;
         for (k, line) in note.iter().enumerate() {
             let y = HEAD + plan.size[1] + 40.0 + LINE * (k + 1) as f64;
@@ -278,15 +279,16 @@ impl Heatmap<'_> {
         canvas
     }
 
-    /// Returns the lines that explain circles and hatching, at most `width` wide.
+    /// Returns the lines that explain circles and hatching, at most `width` wide; none without training positions.
     fn training_note(&self, width: f64) -> Vec<String> {
         let Some(TrainingMap { limit, .. }) = self.training else { return Vec::new() };
         let note = format!("circles: training positions; hatched: farther than {limit:.2} m from all of them");
-        wrapped(&note, width * TEXT / SMALL)
+        wrap_text(&note, width * TEXT / SMALL)
     }
 
-    /// Returns the range of the colours.
-    fn range(&self) -> (f64, f64) {
+    /// Returns the values of the first and last colour: the finite range of values, widened if they are equal; a full turn
+    /// for angles.
+    fn colour_range(&self) -> (f64, f64) {
         if self.colours == Palette::Cyclic {
             return (0.0, 360.0);
         }
@@ -299,7 +301,7 @@ impl Heatmap<'_> {
         }
     }
 
-    /// Returns the colour of a value.
+    /// Returns the colour of a value in the range; grey if it is not finite.
     fn colour(&self, value: f64, (low, high): (f64, f64)) -> Rgb {
         match self.colours {
             _ if !value.is_finite() => NOTHING,
@@ -309,7 +311,7 @@ impl Heatmap<'_> {
     }
 
     /// Returns the values as an image, highest row first.
-    fn pixels(&self, rows: usize, low: f64, high: f64) -> RasterImage {
+    fn to_raster_image(&self, rows: usize, low: f64, high: f64) -> RasterImage {
         let upwards = (0..rows).rev().flat_map(|row| &self.values[row * self.columns..][..self.columns]);
         let rgba = upwards.map(|v| self.colour(f64::from(*v), (low, high))).flat_map(|[r, g, b]| [r, g, b, 255]);
         RasterImage { width: self.columns, height: rows, rgba: rgba.collect(), smooth: false }
@@ -330,16 +332,17 @@ impl Heatmap<'_> {
             let diagonal: Vec<Point> =
                 (0..=height as usize).map(|y| [HATCH * k as f64 - height + y as f64, y as f64]).collect();
             let parts = diagonal.chunk_by(|a, b| is_beyond(*a) == is_beyond(*b)).filter(|part| is_beyond(part[0]));
-            parts.for_each(|part| lines.add(&[part[0], part[part.len() - 1]].map(|[x, y]| [left + x, bottom - y])));
+            parts
+                .for_each(|part| lines.add_line(&[part[0], part[part.len() - 1]].map(|[x, y]| [left + x, bottom - y])));
         }
-        canvas.path(lines.clone(), Paint::stroke(WHITE.faint(0.7), 2.2));
+        canvas.path(lines.clone(), Paint::stroke(WHITE.with_opacity(0.7), 2.2));
         canvas.path(lines, Paint::stroke(INK, 0.7));
         for position in positions.iter().filter(|position| plan.contains(**position)) {
             canvas.circle(plan.project(*position), 1.2, Paint::fill(WHITE).outlined(BLACK, 0.5));
         }
     }
 
-    /// Draws some of the vectors as arrows.
+    /// Draws some of the vectors as arrows, about [`ARROWS`] units apart.
     fn draw_arrows(&self, canvas: &mut Canvas, plan: &FloorPlan) {
         if self.arrows.len() != self.values.len() {
             return;
@@ -359,21 +362,21 @@ impl Heatmap<'_> {
                 let [u, v] = [u / length, -v / length].map(|part| part * 0.36 * ARROWS * length.clamp(0.25, 1.0));
                 let tip = [px + u, py + v];
                 let barb = |side: f64| [tip[0] - 0.55 * u + side * 0.35 * v, tip[1] - 0.55 * v - side * 0.35 * u];
-                lines.add(&[[px - u, py - v], tip]);
-                lines.add(&[barb(1.0), tip, barb(-1.0)]);
+                lines.add_line(&[[px - u, py - v], tip]);
+                lines.add_line(&[barb(1.0), tip, barb(-1.0)]);
             }
         }
-        canvas.path(lines.clone(), Paint::stroke(WHITE.faint(0.75), 2.6));
+        canvas.path(lines.clone(), Paint::stroke(WHITE.with_opacity(0.75), 2.6));
         canvas.path(lines, Paint::stroke(BLACK, 1.0));
     }
 
     /// Draws the colour bar with numbers and unit.
-    fn draw_bar(&self, canvas: &mut Canvas, top: f64, (low, high): (f64, f64)) {
+    fn draw_colour_bar(&self, canvas: &mut Canvas, top: f64, (low, high): (f64, f64)) {
         let width = (0.7 * canvas.width).min(300.0);
         let left = (canvas.width - width) / 2.0;
         let value = |k: i32| low + (high - low) * f64::from(k) / 255.0;
         let rgba = (0..256).map(|k| self.colour(value(k), (low, high))).flat_map(|[r, g, b]| [r, g, b, 255]).collect();
-        canvas.framed([left, top], [width, 9.0], RasterImage { width: 256, height: 1, rgba, smooth: false });
+        canvas.framed_pixels([left, top], [width, 9.0], RasterImage { width: 256, height: 1, rgba, smooth: false });
         let numbers = match self.colours {
             Palette::Cyclic => vec![0.0, 90.0, 180.0, 270.0, 360.0],
             Palette::Sequential => linear_ticks(low, high),
@@ -383,7 +386,7 @@ impl Heatmap<'_> {
         for v in numbers.into_iter().filter(|v| (low..=high).contains(v)).step_by(stride) {
             let x = left + width * (v - low) / (high - low);
             canvas.line(&[[x, top + 9.0], [x, top + 12.0]], Paint::stroke(INK, 0.8));
-            canvas.text([x, top + 22.0], Anchor::Middle, label(v));
+            canvas.text([x, top + 22.0], Anchor::Middle, tick_label(v));
         }
         canvas.text([canvas.width / 2.0, top + 36.0], Anchor::Middle, &self.unit);
     }
@@ -400,9 +403,9 @@ mod tests {
         let [o, x, y] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]].map(|p| plan.project(p));
         assert!((x[0] - o[0] - (o[1] - y[1])).abs() < 1e-9);
         assert!(plan.contains([8.0, 4.0]) && !plan.contains([8.1, 4.0]));
-        let mut canvas = plan.canvas();
-        plan.receiver(&mut canvas, [1.0, 1.0]);
-        plan.axes(&mut canvas);
+        let mut canvas = plan.empty_map();
+        plan.draw_receiver(&mut canvas, [1.0, 1.0]);
+        plan.draw_axes(&mut canvas);
         let svg = canvas.svg("map", "");
         assert!(svg.contains("x [m]") && svg.contains("y [m]") && svg.contains(">2<"), "{svg}");
     }
@@ -411,9 +414,9 @@ mod tests {
     fn draws_empty_and_flat_plans_and_map_coordinates() {
         let far = [[5_399_990.0, 1.0], [5_399_998.0, 1.0], [f64::NAN, f64::INFINITY]];
         for (points, title) in [(vec![], "x [m]"), (vec![[1.0, 2.0]], "x [m]"), (far.to_vec(), "x − 5400000 [m]")] {
-            let plan = FloorPlan::new(FloorPlan::corners(points), ["x", "y"], 200.0, 200.0);
-            let mut canvas = plan.canvas();
-            plan.axes(&mut canvas);
+            let plan = FloorPlan::new(FloorPlan::frame(points), ["x", "y"], 200.0, 200.0);
+            let mut canvas = plan.empty_map();
+            plan.draw_axes(&mut canvas);
             let svg = canvas.svg("map", "");
             assert!(svg.contains(title) && !svg.contains("NaN") && !svg.contains("inf"), "{svg}");
         }

@@ -11,7 +11,7 @@ use pwrfgs_core::{Dataset, End, Evaluation, Metric, ModelFacts, Partition, Plugi
 use pwrfgs_experiment::text::{grouped, number};
 use pwrfgs_model::Snapshot;
 use std::fmt::Write as _;
-use view::{RoomPoint, RoomView, facing};
+use view::{RoomPoint, RoomView, facing_cosine};
 
 /// Maximum numbers of drawn elements.
 const POINTS: usize = 3_000;
@@ -50,12 +50,12 @@ impl RoomFigure {
     /// Creates a frame around the scene and the Gaussians of all `clouds`, except far outliers. `text` is the text
     /// height.
     pub(crate) fn new(data: &Dataset, partition: &Partition, clouds: &[&Snapshot], text: f64) -> Self {
-        let (low, high) = limits(data, clouds);
+        let (low, high) = frame_corners(data, clouds);
         let mut view = RoomView::new(low, high, text);
         view.origin = data.scene.origin.0;
         let most = clouds.iter().map(|s| s.means.len()).max().unwrap_or(0);
         let radius = (90.0 / (most.max(1) as f64).sqrt()).clamp(2.4, 6.0);
-        let mut behind = view.canvas();
+        let mut behind = view.empty_room();
         draw_points(&mut behind, &view, data);
         let mut draw = |part: &[usize], colour, add: fn(&mut VectorPath, Point, f64), radius| {
             let mut path = VectorPath::default();
@@ -71,7 +71,7 @@ impl RoomFigure {
         let poses: Vec<Pose> = ends.into_iter().map(|pose| data.scene.origin.world_pose(pose)).collect();
         let mut receiver = None;
         if let ([pose], End::Transmitter) = (&poses[..], data.scene.moving) {
-            let only = ReceiverArrow::new(pose, &view, 0.14 * longest(low, high));
+            let only = ReceiverArrow::new(pose, &view, 0.14 * longest_edge(low, high));
             only.draw(&mut behind, view.project(pose.position));
             receiver = Some(only);
         } else {
@@ -82,9 +82,9 @@ impl RoomFigure {
     }
 
     /// Draws the panel with the Gaussians of one snapshot.
-    pub(crate) fn panel(&self, title: &str, snapshot: &Snapshot, data: &Dataset) -> Panel {
+    pub(crate) fn draw_panel(&self, title: &str, snapshot: &Snapshot, data: &Dataset) -> Panel {
         let n = snapshot.means.len();
-        let mut shown: Vec<(RoomPoint, f64)> = scattered(n)
+        let mut shown: Vec<(RoomPoint, f64)> = scattered_order(n)
             .into_iter()
             .map(|i| (snapshot.place(i), f64::from(snapshot.opacities[i])))
             .filter(|(mean, _)| self.view.contains(*mean))
@@ -94,7 +94,7 @@ impl RoomFigure {
         let inside = shown.len();
         shown.truncate(GAUSSIANS);
         let mut numbers = format!("N = {}", grouped(n as i64));
-        if let Some(distance) = chamfer(data, &snapshot.means) {
+        if let Some(distance) = chamfer_distance(data, &snapshot.means) {
             _ = write!(numbers, ", Chamfer distance {} m²", number(distance));
         }
         let mut caption = Vec::new();
@@ -104,31 +104,31 @@ impl RoomFigure {
         if inside > shown.len() {
             caption.push(format!("only the {} most opaque are drawn", grouped(shown.len() as i64)));
         }
-        Panel { title: title.into(), numbers, drawing: self.draw(&mut shown), caption: caption.join("; ") }
+        Panel { title: title.into(), numbers, drawing: self.draw_gaussians(&mut shown), caption: caption.join("; ") }
     }
 
     /// Draws the background, then Gaussians from far to near.
-    fn draw(&self, shown: &mut [(RoomPoint, f64)]) -> Canvas {
+    fn draw_gaussians(&self, shown: &mut [(RoomPoint, f64)]) -> Canvas {
         shown.sort_by(|a, b| self.view.nearness(a.0).total_cmp(&self.view.nearness(b.0)));
         let mut canvas = self.behind.clone();
         if shown.len() <= STEMS {
             let mut stems = VectorPath::default();
             for (p, _) in &*shown {
-                stems.add(&[self.view.project(*p), self.view.project([p[0], p[1], self.view.floor()])]);
+                stems.add_line(&[self.view.project(*p), self.view.project([p[0], p[1], self.view.floor_height()])]);
             }
-            canvas.path(stems, Paint::stroke(BLUE.faint(0.35), 0.6));
+            canvas.path(stems, Paint::stroke(BLUE.with_opacity(0.35), 0.6));
         }
         shown.iter().for_each(|(p, opacity)| self.draw_gaussian(&mut canvas, self.view.project(*p), *opacity));
         canvas
     }
 
-    /// Draws a circle with an area proportional to opacity.
+    /// Draws a Gaussian as a circle with an area proportional to opacity.
     fn draw_gaussian(&self, canvas: &mut Canvas, at: Point, opacity: f64) {
-        let paint = Paint::fill(BLUE.faint(0.85)).outlined(WHITE, 0.5);
+        let paint = Paint::fill(BLUE.with_opacity(0.85)).outlined(WHITE, 0.5);
         canvas.circle(at, (self.radius * opacity.sqrt()).max(0.9), paint);
     }
 
-    /// Symbols with their meanings.
+    /// Returns the symbols of the legend with their meanings.
     pub(crate) fn legend(&self) -> Vec<Symbol> {
         let symbol = |meaning: &str, path: VectorPath, paint| {
             let mut drawing = Canvas::new(12.0, SYMBOL);
@@ -141,7 +141,7 @@ impl RoomFigure {
         }
         let mut all = vec![Symbol { drawing: circles, meaning: "Gaussians of opacity 0.1, 0.5 and 1".into() }];
         let (mut dots, mut plus, mut cross) = (VectorPath::default(), VectorPath::default(), VectorPath::default());
-        [[3.0, 5.0], [9.0, 7.0], [4.0, 10.0]].iter().for_each(|dot| dots.add(&[*dot; 2]));
+        [[3.0, 5.0], [9.0, 7.0], [4.0, 10.0]].iter().for_each(|dot| dots.add_line(&[*dot; 2]));
         plus.add_plus([6.0, 7.0], 3.0);
         cross.add_cross([6.0, 7.0], 2.5);
         if self.has_points {
@@ -162,7 +162,7 @@ impl RoomFigure {
         all
     }
 
-    /// Returns a remark about the point cloud, or an empty text.
+    /// Returns a remark about a missing or thinned point cloud; empty if all its points are drawn.
     pub(crate) fn note(&self, data: &Dataset) -> String {
         let count = data.scene.points.len();
         if !self.has_points {
@@ -186,17 +186,17 @@ fn draw_points(canvas: &mut Canvas, view: &RoomView, data: &Dataset) {
         let p = data.scene.origin.world(point);
         if view.contains(p) {
             let layer = ((3.0 * view.nearness(p)) as usize).min(2);
-            layers[layer].add(&[view.project(p); 2]);
+            layers[layer].add_line(&[view.project(p); 2]);
         }
     }
     for (layer, opacity) in layers.into_iter().zip([0.7, 0.5, 0.3]) {
-        let grey = Colour::hex(0x8d_94a1).faint(opacity);
+        let grey = Colour::hex(0x8d_94a1).with_opacity(opacity);
         canvas.path(layer, Paint { round: true, ..Paint::stroke(grey, 1.3) });
     }
 }
 
 /// Returns the chamfer distance to the point cloud, as the metric of that name, m²; `None` if not applicable.
-fn chamfer(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
+fn chamfer_distance(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
     let metric = Plugin::<dyn Metric>::parse("Chamfer()").ok()?;
     let model = Some(ModelFacts { means, gaussian_bytes: 0, file_bytes: 0 });
     let measured = metric.evaluate(&Evaluation { model, ..Evaluation::of(data, &data.plane()) });
@@ -209,7 +209,7 @@ fn chamfer(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
 /// Returns the corners of the frame, slightly wider than its content and never flat. It contains the scene; without a
 /// point cloud also the central 90 % of each of `clouds`, because the walls are unknown; and every Gaussian within one
 /// scene length of the scene. Gaussians farther away would make the scene too small.
-fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (RoomPoint, RoomPoint) {
+fn frame_corners(data: &Dataset, clouds: &[&Snapshot]) -> (RoomPoint, RoomPoint) {
     let (low, high) = data.scene.bounds;
     let [mut low, mut high] = [low, high].map(|corner| data.scene.origin.world(corner));
     if data.scene.points.is_empty() {
@@ -224,7 +224,7 @@ fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (RoomPoint, RoomPoint) {
             }
         }
     }
-    let (scene, reach) = ((low, high), longest(low, high));
+    let (scene, reach) = ((low, high), longest_edge(low, high));
     for mean in clouds.iter().flat_map(|cloud| (0..cloud.means.len()).map(|i| cloud.place(i))) {
         if (0..3).all(|k| (scene.0[k] - reach..=scene.1[k] + reach).contains(&mean[k])) {
             for k in 0..3 {
@@ -232,7 +232,7 @@ fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (RoomPoint, RoomPoint) {
             }
         }
     }
-    let longest = longest(low, high);
+    let longest = longest_edge(low, high);
     for k in 0..3 {
         let margin = if high[k] - low[k] < 0.1 * longest { 0.1 } else { 0.02 } * longest;
         (low[k], high[k]) = (low[k] - margin, high[k] + margin);
@@ -240,14 +240,14 @@ fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (RoomPoint, RoomPoint) {
     (low, high)
 }
 
-/// Returns the longest edge of a box; 1 if it has none.
-fn longest(low: RoomPoint, high: RoomPoint) -> f64 {
+/// Returns the longest edge of the box between two corners; 1 if it has no extent.
+fn longest_edge(low: RoomPoint, high: RoomPoint) -> f64 {
     let longest = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
     if longest > 0.0 { longest } else { 1.0 }
 }
 
 /// Returns the numbers below `n` in an order whose start is spread over all of them (Knuth's multiplicative hash).
-fn scattered(n: usize) -> Vec<usize> {
+fn scattered_order(n: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..n).collect();
     order.sort_by_key(|&i| (i as u32).wrapping_mul(2_654_435_769));
     order
@@ -274,7 +274,7 @@ impl ReceiverArrow {
         let boresight = pose.world_from_receiver().z_axis.to_array().map(f64::from);
         let end = [0, 1, 2].map(|k| pose.position[k] + length * boresight[k]);
         let (from, to) = (view.project(pose.position), view.project(end));
-        Self { along: [to[0] - from[0], to[1] - from[1]], facing: facing(boresight) }
+        Self { along: [to[0] - from[0], to[1] - from[1]], facing: facing_cosine(boresight) }
     }
 
     /// Draws the arrow.
@@ -300,7 +300,7 @@ impl ReceiverArrow {
         canvas.line(&[at, point(length, 0.0)], Paint::stroke(BLACK, 1.4));
     }
 
-    /// Returns the description for the legend.
+    /// Returns the symbol for the legend, with the direction of the boresight.
     pub(super) fn symbol(self) -> Symbol {
         let mut drawing = Canvas::new(21.0, SYMBOL);
         Self { along: [15.0, 0.0], ..self }.draw(&mut drawing, [6.0, SYMBOL / 2.0]);

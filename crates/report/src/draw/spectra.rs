@@ -45,7 +45,7 @@ impl ColourScale {
         let (low, high) = self.range();
         let colours = (0..256).map(|i| self.colour(low + (high - low) * f64::from(i) / 255.0));
         let rgba = colours.flat_map(|[r, g, b]| [r, g, b, 255]).collect();
-        canvas.framed([left, top], [width, 8.0], RasterImage { width: 256, height: 1, rgba, smooth: false });
+        canvas.framed_pixels([left, top], [width, 8.0], RasterImage { width: 256, height: 1, rgba, smooth: false });
         for part in [0.0, 0.5, 1.0] {
             let (x, value) = (left + width * part, low + (high - low) * part);
             let sign = if value > 0.0 && low < 0.0 { "+" } else { "" };
@@ -56,18 +56,18 @@ impl ColourScale {
     }
 
     /// Draws the colour bar alone.
-    pub(crate) fn bar(self) -> Canvas {
+    pub(crate) fn draw_bar(self) -> Canvas {
         let mut canvas = Canvas::new(404.0, 28.0);
         canvas.letters = TEXT;
         self.draw(&mut canvas, [102.0, 2.0], 200.0);
         canvas
     }
 
-    /// Returns the colour of marks on this scale: white, or dark if the middle of the scale is white.
-    fn contrast(self) -> (Colour, Colour) {
+    /// Returns the colours of lines and of text on this scale: white, or dark if the middle of the scale is white.
+    fn contrasting_colours(self) -> (Colour, Colour) {
         match self {
-            Self::Power => (WHITE.faint(0.45), WHITE.faint(0.9)),
-            Self::Error(_) => (INK.faint(0.25), INK),
+            Self::Power => (WHITE.with_opacity(0.45), WHITE.with_opacity(0.9)),
+            Self::Error(_) => (INK.with_opacity(0.25), INK),
         }
     }
 }
@@ -84,7 +84,7 @@ pub(crate) enum Mark {
 impl Mark {
     /// Draws a ring or a cross, white on a dark halo.
     fn draw(self, canvas: &mut Canvas, at: Point) {
-        for paint in [Paint::stroke(BLACK.faint(0.75), 3.4), Paint::stroke(WHITE, 1.6)] {
+        for paint in [Paint::stroke(BLACK.with_opacity(0.75), 3.4), Paint::stroke(WHITE, 1.6)] {
             match self {
                 Self::Measured(_) => canvas.circle(at, 6.0, paint),
                 Self::Predicted(_) => {
@@ -96,15 +96,15 @@ impl Mark {
         }
     }
 
-    /// Returns the column and row.
-    fn pixel(self, width: usize) -> (f64, f64) {
+    /// Returns column and row of the pixel in an image of this width.
+    fn column_and_row(self, width: usize) -> (f64, f64) {
         let (Self::Measured(index) | Self::Predicted(index)) = self;
         ((index % width) as f64, (index / width) as f64)
     }
 }
 
 /// Returns the spectrum as an image, elevation upwards; the first row of an image of a camera is at the top.
-pub(crate) fn pixels(image: &Image, plane: &ImagePlane, scale: ColourScale) -> RasterImage {
+pub(crate) fn spectrum_image(image: &Image, plane: &ImagePlane, scale: ColourScale) -> RasterImage {
     let (width, height) = (image.width, image.height);
     let upwards = plane.angles.map_or(plane.camera.is_none(), |(_, elevation)| elevation.step > 0.0);
     let row = |row: usize| if upwards { height - 1 - row } else { row };
@@ -114,21 +114,25 @@ pub(crate) fn pixels(image: &Image, plane: &ImagePlane, scale: ColourScale) -> R
 }
 
 /// Draws the map: azimuth to the right, elevation upwards, in degrees; in pixels if the plane has no angles.
-pub(crate) fn map(image: &Image, plane: &ImagePlane, scale: ColourScale, marks: &[Mark]) -> Canvas {
+pub(crate) fn draw_map(image: &Image, plane: &ImagePlane, scale: ColourScale, marks: &[Mark]) -> Canvas {
     let height = MAP * image.height as f64 / image.width as f64;
     let (left, top) = (44.0, 8.0);
     let mut canvas = Canvas::new(418.0, top + height + 34.0);
     canvas.letters = TEXT;
-    canvas.framed([left, top], [MAP, height], RasterImage { smooth: true, ..pixels(image, plane, scale) });
+    canvas.framed_pixels(
+        [left, top],
+        [MAP, height],
+        RasterImage { smooth: true, ..spectrum_image(image, plane, scale) },
+    );
     draw_azimuth(&mut canvas, plane, [left, top + height], MAP);
     draw_elevation(&mut canvas, plane, [left, top], height);
     canvas.letters.colour = Colour::hex(0x7a_808b);
-    let [across, up] = names(plane);
+    let [across, up] = axis_names(plane);
     canvas.text([left + MAP / 2.0, top + height + 28.0], Anchor::Middle, across);
-    canvas.upright([9.0, top + height / 2.0], up);
+    canvas.upright_text([9.0, top + height / 2.0], up);
     let [across, up] = rulers(plane);
     for mark in marks {
-        let (column, row) = mark.pixel(image.width);
+        let (column, row) = mark.column_and_row(image.width);
         let (x, y) = (across.share_of_pixel(column), 1.0 - up.share_of_pixel(row));
         mark.draw(&mut canvas, [left + MAP * x, top + height * y]);
     }
@@ -137,13 +141,13 @@ pub(crate) fn map(image: &Image, plane: &ImagePlane, scale: ColourScale, marks: 
 
 /// Draws the sky plot: zenith (boresight) in the centre, horizon at the rim, azimuth counter-clockwise from the x axis
 /// of the receiver on the right. `None` if the plane has no angles.
-pub(crate) fn sky(image: &Image, plane: &ImagePlane, scale: ColourScale, marks: &[Mark]) -> Option<Canvas> {
+pub(crate) fn draw_sky(image: &Image, plane: &ImagePlane, scale: ColourScale, marks: &[Mark]) -> Option<Canvas> {
     let (azimuth, elevation) = plane.angles?;
     let middle @ [cx, cy] = [125.0, 114.0];
     let mut canvas = Canvas::new(250.0, 228.0);
-    canvas.pixels([cx - SKY, cy - SKY], [2.0 * SKY; 2], sky_pixels(image, plane, scale)?);
+    canvas.pixels([cx - SKY, cy - SKY], [2.0 * SKY; 2], sky_image(image, plane, scale)?);
     canvas.circle(middle, SKY, Paint::stroke(INK, 0.7));
-    let (ring, text) = scale.contrast();
+    let (ring, text) = scale.contrasting_colours();
     canvas.letters = TextStyle { size: 9.0, colour: text };
     for elevation in [30.0, 60.0] {
         let radius = SKY * (1.0 - elevation / 90.0);
@@ -161,7 +165,7 @@ pub(crate) fn sky(image: &Image, plane: &ImagePlane, scale: ColourScale, marks: 
         canvas.text([x + dx, y + dy], anchor, format!("{}°", 90 * quarter));
     }
     for mark in marks {
-        let (column, row) = mark.pixel(image.width);
+        let (column, row) = mark.column_and_row(image.width);
         let (sin, cos) = (azimuth.first + azimuth.step * column).to_radians().sin_cos();
         let radius = SKY * (1.0 - (elevation.first + elevation.step * row) / 90.0).clamp(0.0, 1.0);
         mark.draw(&mut canvas, [cx + radius * cos, cy - radius * sin]);
@@ -169,8 +173,8 @@ pub(crate) fn sky(image: &Image, plane: &ImagePlane, scale: ColourScale, marks: 
     Some(canvas)
 }
 
-/// Returns the image of the sky disc, transparent outside.
-fn sky_pixels(image: &Image, plane: &ImagePlane, scale: ColourScale) -> Option<RasterImage> {
+/// Returns the image of the sky disc, transparent outside; `None` if the plane has no angles.
+fn sky_image(image: &Image, plane: &ImagePlane, scale: ColourScale) -> Option<RasterImage> {
     let (azimuth, elevation) = plane.angles?;
     let size = SKY_PIXELS;
     let half = size as f64 / 2.0;
@@ -184,16 +188,16 @@ fn sky_pixels(image: &Image, plane: &ImagePlane, scale: ColourScale) -> Option<R
         let az = y.atan2(x).to_degrees().rem_euclid(360.0);
         let (px, py) =
             ((az - azimuth.first) / azimuth.step, (90.0 * (1.0 - radius) - elevation.first) / elevation.step);
-        let [r, g, b] = scale.colour(bilinear(image, plane.wraps, px, py));
+        let [r, g, b] = scale.colour(interpolate(image, plane.wraps, px, py));
         // The rim fades over one pixel.
         pixel.copy_from_slice(&[r, g, b, (255.0 * ((1.0 - radius) * half).min(1.0)) as u8]);
     }
     Some(RasterImage { width: size, height: size, rgba, smooth: true })
 }
 
-/// Returns the interpolated value between pixels; beyond the border the nearest pixel, or the opposite side if azimuth
-/// is periodic.
-fn bilinear(image: &Image, wraps: bool, px: f64, py: f64) -> f64 {
+/// Interpolates bilinearly between pixels at column `px` and row `py`; beyond the border the nearest pixel, or the opposite
+/// side if azimuth is periodic.
+fn interpolate(image: &Image, wraps: bool, px: f64, py: f64) -> f64 {
     let (w, h) = (image.width as i64, image.height as i64);
     let (x0, y0) = (px.floor(), py.floor());
     let (fx, fy) = (px - x0, py - y0);
@@ -224,7 +228,7 @@ pub(super) fn rulers(plane: &ImagePlane) -> [Ruler; 2] {
 }
 
 /// Returns the names of the axes.
-pub(crate) fn names(plane: &ImagePlane) -> [&'static str; 2] {
+pub(crate) fn axis_names(plane: &ImagePlane) -> [&'static str; 2] {
     if plane.angles.is_some() { ["azimuth", "elevation"] } else { ["column", "row"] }
 }
 
@@ -272,7 +276,7 @@ impl Ruler {
     }
 }
 
-/// Draws ticks and numbers below a panel; those at its ends stay inside.
+/// Draws ticks and numbers of the azimuth below a panel of this width; those at its ends stay inside.
 pub(crate) fn draw_azimuth(canvas: &mut Canvas, plane: &ImagePlane, [left, bottom]: Point, width: f64) {
     let [across, _] = rulers(plane);
     for (label, part) in across.ticks(90.0, (width / 42.0).floor().max(2.0)) {
@@ -287,7 +291,7 @@ pub(crate) fn draw_azimuth(canvas: &mut Canvas, plane: &ImagePlane, [left, botto
     }
 }
 
-/// Draws ticks and numbers left of a panel.
+/// Draws ticks and numbers of the elevation left of a panel of this height.
 pub(crate) fn draw_elevation(canvas: &mut Canvas, plane: &ImagePlane, [left, top]: Point, height: f64) {
     let [_, up] = rulers(plane);
     for (label, part) in up.ticks(30.0, (height / 16.0).floor().max(1.0)) {
@@ -304,16 +308,16 @@ mod tests {
     #[test]
     fn sky_plot_wraps_at_azimuth_zero() {
         let image = Image { width: 4, height: 1, pixels: vec![0.0, 1.0, 0.0, 1.0] };
-        assert_eq!(bilinear(&image, true, 3.5, 0.0), 0.5);
-        assert_eq!(bilinear(&image, false, 3.5, 0.0), 1.0);
+        assert_eq!(interpolate(&image, true, 3.5, 0.0), 0.5);
+        assert_eq!(interpolate(&image, false, 3.5, 0.0), 1.0);
     }
 
     #[test]
     fn plane_without_angles_has_no_sky_plot() {
         let plane = ImagePlane::plain(4, 2);
         let image = Image::zeros(4, 2);
-        assert!(sky(&image, &plane, ColourScale::Power, &[]).is_none());
-        let map = map(&image, &plane, ColourScale::Error(0.5), &[Mark::Measured(3), Mark::Predicted(5)]);
+        assert!(draw_sky(&image, &plane, ColourScale::Power, &[]).is_none());
+        let map = draw_map(&image, &plane, ColourScale::Error(0.5), &[Mark::Measured(3), Mark::Predicted(5)]);
         assert!(map.svg("map", "").contains(">column<"));
     }
 

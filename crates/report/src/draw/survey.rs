@@ -34,8 +34,8 @@ impl SurveyMap {
     pub fn draw(&self) -> Canvas {
         let framed = [&self.candidates, &self.known, &self.selected].into_iter().flatten().copied();
         let plan = FloorPlan::around(framed);
-        let mut map = plan.canvas();
-        plan.points(&mut map, self.candidates.iter().copied());
+        let mut map = plan.empty_map();
+        plan.draw_points(&mut map, self.candidates.iter().copied());
         for position in &self.known {
             map.circle(plan.project(*position), 0.7 * RADIUS, Paint::stroke(KNOWN, 1.0));
         }
@@ -44,13 +44,13 @@ impl SurveyMap {
             let fill = Paint::fill(Colour::sequential(k as f64 / last));
             map.circle(plan.project(*position), RADIUS, fill.outlined(BLACK, 0.6));
         }
-        self.receivers.iter().for_each(|receiver| plan.receiver(&mut map, *receiver));
+        self.receivers.iter().for_each(|receiver| plan.draw_receiver(&mut map, *receiver));
         let numbered = &self.selected[..self.selected.len().min(NUMBERED)];
-        plan.numbers(&mut map, numbered, SMALL, [1.4 * RADIUS, RADIUS]);
-        plan.titled(map, &self.title, &self.note(&plan))
+        plan.draw_numbers(&mut map, numbered, SMALL, [1.4 * RADIUS, RADIUS]);
+        plan.with_title(map, &self.title, &self.note(&plan))
     }
 
-    /// Explains the marks.
+    /// Explains the marks that the map has.
     fn note(&self, plan: &FloorPlan) -> String {
         let mut words = vec!["circles: selected positions, dark first".to_owned(), "grey dots: candidates".into()];
         if !self.known.is_empty() {
@@ -86,10 +86,10 @@ impl CoverageMap {
     pub fn draw(&self) -> Canvas {
         let framed = [&self.transmitters, &self.selected, &self.others].into_iter().flatten().copied();
         let plan = FloorPlan::around(framed);
-        let mut map = plan.canvas();
+        let mut map = plan.empty_map();
         let finite = self.powers.iter().copied().filter(|v| v.is_finite());
         let (low, high) = bounds(finite);
-        let [width, height] = plan.area().1;
+        let [width, height] = plan.map_area().1;
         let (share, least, most) = DOT;
         let radius = share * (width * height / self.transmitters.len().max(1) as f64).sqrt();
         for (position, power) in self.transmitters.iter().zip(&self.powers).filter(|(_, power)| power.is_finite()) {
@@ -99,12 +99,12 @@ impl CoverageMap {
         for receiver in &self.others {
             map.circle(plan.project(*receiver), 3.0, Paint::fill(WHITE).outlined(INK, 1.0));
         }
-        self.selected.iter().for_each(|receiver| plan.receiver(&mut map, *receiver));
-        plan.numbers(&mut map, &self.selected, TEXT, [8.0, 5.0]);
-        plan.titled(map, &self.title, &self.note((low, high)))
+        self.selected.iter().for_each(|receiver| plan.draw_receiver(&mut map, *receiver));
+        plan.draw_numbers(&mut map, &self.selected, TEXT, [8.0, 5.0]);
+        plan.with_title(map, &self.title, &self.note((low, high)))
     }
 
-    /// Explains the marks.
+    /// Explains the marks; `low` and `high` are the weakest and strongest power, dBm.
     fn note(&self, (low, high): (f64, f64)) -> String {
         let mut words = vec!["squares: selected receivers".to_owned()];
         if low <= high {

@@ -19,16 +19,17 @@ const PREDICTED: Colour = Colour::hex(0xd5_5e00);
 /// Dimensions of three charts in a row.
 const ROW_STYLE: ChartStyle = ChartStyle { size: [380.0, 250.0], margins: [56.0, 10.0, 16.0, 38.0] };
 
-/// Returns the examples and the map of virtual transmitters.
+/// Returns the values for the template: charts of the examples, or the complex plane for single numbers, and the views of
+/// virtual transmitters.
 pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     let data = run.data;
     let single = data.width == 1 && data.height == 2;
     context! {
-        examples => if single { Vec::new() } else { examples(run, chosen) },
-        plane => if single { plane(run) } else { None },
+        examples => if single { Vec::new() } else { example_charts(run, chosen) },
+        plane => if single { complex_plane(run) } else { None },
         over => if data.width > 1 { "subcarriers" } else { "antennas" },
-        delays => spacing(frequencies(run)).is_some(),
-        transmitters => virtual_map::map(run),
+        delays => subcarrier_spacing(frequencies(run)).is_some(),
+        transmitters => virtual_map::transmitter_views(run),
     }
 }
 
@@ -37,45 +38,41 @@ fn frequencies<'a>(run: &LoadedRun<'a>) -> &'a [f64] {
     run.data.observations.frequencies_hz()
 }
 
-/// Returns the lines of a pair. Measured: solid dark line with dots; predicted: dashed with crosses. Print needs no
-/// colour.
-fn pair(measured: Vec<(f64, f64)>, predicted: Vec<(f64, f64)>) -> Vec<ChartLine> {
-    vec![
-        marked(predicted, PREDICTED, Stroke::DASHED, Marker::Cross, "predicted"),
-        marked(measured, MEASURED, Stroke::FULL, Marker::Circle, "measured"),
-    ]
-}
-
 /// Returns the line with marks if they are few enough to distinguish, or if it is a single point.
-fn marked(points: Vec<(f64, f64)>, colour: Colour, stroke: Stroke, marker: Marker, name: &str) -> ChartLine {
+fn marked_line(points: Vec<(f64, f64)>, colour: Colour, stroke: Stroke, marker: Marker, name: &str) -> ChartLine {
     let has_marks = points.len() <= 70 || stroke == Stroke::None;
     let style = Style { marker: has_marks.then_some(marker), ..Style::line(colour, 1.6, stroke) };
     let marks = if has_marks { points.clone() } else { Vec::new() };
     ChartLine { marks, ..ChartLine::new(points, style) }.named(name)
 }
 
-/// Returns the chart of a measured and a predicted line.
-fn chart(title: &str, x: &str, y: &str, lines: Vec<ChartLine>) -> Option<Value> {
+/// Draws a chart of the measured line, solid and dark with dots, and the predicted one, dashed with crosses: print needs no
+/// colour. Returns it with its title, for the template; `None` if there is nothing to draw.
+fn draw_pair(title: &str, x: &str, y: &str, (measured, predicted): LinePair) -> Option<Value> {
+    let lines = vec![
+        marked_line(predicted, PREDICTED, Stroke::DASHED, Marker::Cross, "predicted"),
+        marked_line(measured, MEASURED, Stroke::FULL, Marker::Circle, "measured"),
+    ];
     let axis = |name: &str| ChartAxis { name: name.into(), ..ChartAxis::default() };
     let svg = Chart { style: ROW_STYLE, x: axis(x), y: axis(y), lines, ..Chart::default() }.draw()?.svg("chart", title);
     Some(context! { title, svg })
 }
 
-/// Returns the best, median and worst test link.
-fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
+/// Draws the charts of the best, median and worst test link: magnitude, phase, and delay profile if there is one.
+fn example_charts(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
     let several = run.data.scene.receivers.len() > 1;
     let example = |example: &Example| {
         let Example { score, truth, prediction, .. } = example;
         let frequencies = frequencies(run);
         let (measured, predicted) = (Gains::of(truth), Gains::of(prediction));
-        let (lines, along, antenna) = lines(&measured, &predicted, frequencies);
+        let ([magnitude, phase], along, antenna) = magnitude_and_phase(&measured, &predicted, frequencies);
         let caption = antenna.map(|k| format!("antenna {} of {} (strongest)", k + 1, measured.antennas));
         let mut charts = vec![
-            chart("Magnitude", &along, "dB relative to the maximum", pair(lines[0].0.clone(), lines[0].1.clone())),
-            chart("Phase", &along, "degrees, unwrapped", pair(lines[1].0.clone(), lines[1].1.clone())),
+            draw_pair("Magnitude", &along, "dB relative to the maximum", magnitude),
+            draw_pair("Phase", &along, "degrees, unwrapped", phase),
         ];
-        if let Some([a, b]) = profiles(&measured, &predicted, frequencies) {
-            charts.push(chart("Power delay profile", "delay, ns", "dB relative to the measured peak", pair(a, b)));
+        if let Some([a, b]) = delay_profiles(&measured, &predicted, frequencies) {
+            charts.push(draw_pair("Power delay profile", "delay, ns", "dB relative to the measured peak", (a, b)));
         }
         context! {
             several,
@@ -88,8 +85,9 @@ fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
     chosen.iter().map(example).collect()
 }
 
-/// Returns the channels of one number each as dots on the complex plane, measured and predicted joined.
-fn plane(run: &LoadedRun<'_>) -> Option<Value> {
+/// Draws channels of one number each as dots on the complex plane, measured and predicted joined; `None` without a finite
+/// channel.
+fn complex_plane(run: &LoadedRun<'_>) -> Option<Value> {
     let (mut measured, mut predicted) = (Vec::new(), Vec::new());
     super::examples::for_each_link(run, &evenly(&run.partition.test, DOTS), |_, truth, prediction| {
         let gain = |image: &Image| (image.pixels[0] as f64, image.pixels[1] as f64);
@@ -99,8 +97,8 @@ fn plane(run: &LoadedRun<'_>) -> Option<Value> {
     let reach = measured.iter().chain(&predicted).flat_map(|(a, b)| [a.abs(), b.abs()]).filter(|v| v.is_finite());
     let reach = 1.08 * reach.fold(0.0, f64::max);
     let mut lines = vec![
-        marked(predicted.clone(), PREDICTED, Stroke::None, Marker::Cross, "predicted"),
-        marked(measured.clone(), MEASURED, Stroke::None, Marker::Circle, "measured"),
+        marked_line(predicted.clone(), PREDICTED, Stroke::None, Marker::Cross, "predicted"),
+        marked_line(measured.clone(), MEASURED, Stroke::None, Marker::Circle, "measured"),
     ];
     let joined = Style::line(Colour::hex(0x8d_94a1), 0.8, Stroke::FULL);
     lines.extend(measured.iter().zip(&predicted).map(|(a, b)| ChartLine::new(vec![*a, *b], joined)));
@@ -134,31 +132,32 @@ impl Gains {
     }
 
     /// Returns the gains of an antenna over the subcarriers.
-    pub(super) fn antenna(&self, a: usize) -> &[[f64; 2]] {
+    pub(super) fn antenna_gains(&self, a: usize) -> &[[f64; 2]] {
         &self.values[a * self.subcarriers..][..self.subcarriers]
     }
 
-    /// Returns the antenna with the highest power.
-    fn strongest(&self) -> usize {
-        let energy = |a: usize| self.antenna(a).iter().map(square).sum::<f64>();
+    /// Returns the index of the antenna with the highest power.
+    fn strongest_antenna(&self) -> usize {
+        let energy = |a: usize| self.antenna_gains(a).iter().map(power).sum::<f64>();
         (0..self.antennas).max_by(|a, b| energy(*a).total_cmp(&energy(*b)).then(b.cmp(a))).unwrap_or(0)
     }
 }
 
-/// Returns the squared magnitude |h|².
-pub(super) fn square([re, im]: &[f64; 2]) -> f64 {
+/// Returns the power |h|² of a gain.
+pub(super) fn power([re, im]: &[f64; 2]) -> f64 {
     re * re + im * im
 }
 
-/// Returns the magnitude and phase of both, with name of the horizontal axis and shown antenna.
-pub(super) fn lines(
+/// Returns magnitude (dB) and phase (degrees) of both, over the subcarriers of the strongest antenna or over the antennas,
+/// with name of the horizontal axis and, if there are several, the antenna.
+pub(super) fn magnitude_and_phase(
     measured: &Gains,
     predicted: &Gains,
     frequencies: &[f64],
 ) -> ([LinePair; 2], String, Option<usize>) {
     let over_antennas = measured.subcarriers == 1;
-    let k = if over_antennas { 0 } else { measured.strongest() };
-    let pick = |gains: &Gains| if over_antennas { gains.values.clone() } else { gains.antenna(k).to_vec() };
+    let k = if over_antennas { 0 } else { measured.strongest_antenna() };
+    let pick = |gains: &Gains| if over_antennas { gains.values.clone() } else { gains.antenna_gains(k).to_vec() };
     let (a, b) = (pick(measured), pick(predicted));
     let middle = frequencies.iter().sum::<f64>() / frequencies.len().max(1) as f64;
     let span = frequencies.iter().map(|f| (f - middle).abs()).fold(0.0, f64::max);
@@ -169,9 +168,9 @@ pub(super) fn lines(
         let from = format!("{name} from {:.3} MHz", middle / 1e6);
         (frequencies.iter().map(|f| (f - middle) / unit).collect(), from)
     };
-    let peak = a.iter().map(square).fold(0.0, f64::max);
-    let level = |gains: &[[f64; 2]]| gains.iter().map(|gain| decibels(square(gain), peak)).collect::<Vec<_>>();
-    let (phase_a, phase_b) = (unwrapped(&a, None), unwrapped(&b, a.first().map(angle)));
+    let peak = a.iter().map(power).fold(0.0, f64::max);
+    let level = |gains: &[[f64; 2]]| gains.iter().map(|gain| decibels(power(gain), peak)).collect::<Vec<_>>();
+    let (phase_a, phase_b) = (unwrapped_phases(&a, None), unwrapped_phases(&b, a.first().map(phase_deg)));
     let on = |values: Vec<f64>| across.iter().copied().zip(values).collect::<Vec<_>>();
     (
         [(on(level(&a)), on(level(&b))), (on(phase_a), on(phase_b))],
@@ -186,16 +185,16 @@ pub(super) fn decibels(power: f64, reference: f64) -> f64 {
 }
 
 /// Returns the phase of a gain, degrees.
-fn angle([re, im]: &[f64; 2]) -> f64 {
+fn phase_deg([re, im]: &[f64; 2]) -> f64 {
     im.atan2(*re).to_degrees()
 }
 
 /// Returns the unwrapped phases: no jump exceeds half a turn; the first is as close to `from` as whole turns allow.
-fn unwrapped(gains: &[[f64; 2]], from: Option<f64>) -> Vec<f64> {
+fn unwrapped_phases(gains: &[[f64; 2]], from: Option<f64>) -> Vec<f64> {
     let mut last = from.unwrap_or(0.0);
     let near = |phase: f64, last: f64| phase + 360.0 * ((last - phase) / 360.0).round();
     let unwrap = |gain| {
-        last = near(angle(gain), last);
+        last = near(phase_deg(gain), last);
         last
     };
     gains.iter().map(unwrap).collect()
@@ -211,20 +210,21 @@ const BEFORE: usize = 6;
 const MOST_DELAYS: usize = 2_048;
 
 /// Returns the subcarrier spacing, Hz; `None` for too few or unequally spaced subcarriers.
-pub(super) fn spacing(frequencies: &[f64]) -> Option<f64> {
+pub(super) fn subcarrier_spacing(frequencies: &[f64]) -> Option<f64> {
     let step = (frequencies.last()? - frequencies.first()?) / (frequencies.len().max(2) - 1) as f64;
     let is_even = frequencies.windows(2).all(|pair| (pair[1] - pair[0] - step).abs() < 1e-3 * step.abs());
     (frequencies.len() >= FEWEST && is_even && step.is_finite() && step != 0.0).then_some(step.abs())
 }
 
 /// Returns the power delay profiles, measured and predicted: inverse Fourier transform over subcarriers, power summed
-/// over antennas. Delay in ns, power in dB relative to the measured peak.
-pub(super) fn profiles(measured: &Gains, predicted: &Gains, frequencies: &[f64]) -> Option<[Vec<(f64, f64)>; 2]> {
-    let step = spacing(frequencies)?;
+/// over antennas. Delay in ns, power in dB relative to the measured peak. `None` without a [`subcarrier_spacing`].
+pub(super) fn delay_profiles(measured: &Gains, predicted: &Gains, frequencies: &[f64]) -> Option<[Vec<(f64, f64)>; 2]> {
+    let step = subcarrier_spacing(frequencies)?;
     let forward = frequencies.first() <= frequencies.last();
     let delays = (FINE * frequencies.len()).min(MOST_DELAYS);
     let power = |gains: &Gains| -> Vec<f64> {
-        let at = |index: usize| (0..gains.antennas).map(|a| tap(gains.antenna(a), index, delays, forward)).sum();
+        let at =
+            |index: usize| (0..gains.antennas).map(|a| tap_power(gains.antenna_gains(a), index, delays, forward)).sum();
         (0..delays).map(at).collect()
     };
     let (measured, predicted) = (power(measured), power(predicted));
@@ -240,7 +240,7 @@ pub(super) fn profiles(measured: &Gains, predicted: &Gains, frequencies: &[f64])
 
 /// Returns |Σ h w exp(j 2π k `index`/`count`)|² with a raised-cosine window w, which keeps one path from masking all
 /// others.
-fn tap(gains: &[[f64; 2]], index: usize, count: usize, forward: bool) -> f64 {
+fn tap_power(gains: &[[f64; 2]], index: usize, count: usize, forward: bool) -> f64 {
     let subcarriers = gains.len() as f64;
     let sum = gains.iter().enumerate().fold([0.0; 2], |[x, y], (k, [re, im])| {
         let weight = 0.5 - 0.5 * (TAU * (k as f64 + 0.5) / subcarriers).cos();
@@ -248,7 +248,7 @@ fn tap(gains: &[[f64; 2]], index: usize, count: usize, forward: bool) -> f64 {
         let (sin, cos) = (if forward { turn } else { -turn }).sin_cos();
         [x + weight * (re * cos - im * sin), y + weight * (re * sin + im * cos)]
     });
-    square(&sum)
+    power(&sum)
 }
 
 #[cfg(test)]
@@ -259,16 +259,16 @@ mod tests {
     fn unwraps_phases_and_limits_decibels() {
         let turning: Vec<[f64; 2]> =
             (0..5).map(|k| f64::from(150 * k).to_radians().sin_cos()).map(|(sin, cos)| [cos, sin]).collect();
-        let phases = unwrapped(&turning, None);
+        let phases = unwrapped_phases(&turning, None);
         assert!(phases.iter().zip([0.0, 150.0, 300.0, 450.0, 600.0]).all(|(a, b)| (a - b).abs() < 1e-9), "{phases:?}");
-        assert!((unwrapped(&turning, Some(350.0))[0] - 360.0).abs() < 1e-9);
+        assert!((unwrapped_phases(&turning, Some(350.0))[0] - 360.0).abs() < 1e-9);
         assert_eq!((decibels(0.0, 1.0), decibels(1.0, 0.0)), (FLOOR_DB, FLOOR_DB));
     }
 
     #[test]
     fn one_subcarrier_is_drawn_over_antennas() {
         let rows = |v: f32| Image { width: 1, height: 4, pixels: [v, 0.0, 0.0, 2.0 * v].map(|v| v as _).to_vec() };
-        let (lines, along, antenna) = lines(&Gains::of(&rows(1.0)), &Gains::of(&rows(0.0)), &[1e9]);
+        let (lines, along, antenna) = magnitude_and_phase(&Gains::of(&rows(1.0)), &Gains::of(&rows(0.0)), &[1e9]);
         assert_eq!((along.as_str(), antenna, lines[0].0.len()), ("antenna", None, 2));
         assert_eq!(lines[0].0[1], (2.0, 0.0));
     }
@@ -280,7 +280,7 @@ mod tests {
         let phases: Vec<f64> = frequencies.iter().map(|f| -TAU * f * delay_s).collect();
         let parts = phases.iter().map(|p| p.cos()).chain(phases.iter().map(|p| p.sin()));
         let gains = Gains::of(&Image { width: 16, height: 2, pixels: parts.map(|v| v as _).collect() });
-        let [profile, same] = profiles(&gains, &gains, &frequencies).unwrap();
+        let [profile, same] = delay_profiles(&gains, &gains, &frequencies).unwrap();
         let peak = profile.iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
         assert!((peak.0 - 100.0).abs() < 13.0 && peak.1.abs() < 1e-9, "{peak:?}");
         assert_eq!(profile, same);
@@ -288,9 +288,9 @@ mod tests {
 
     #[test]
     fn delay_profile_requires_uniform_subcarriers() {
-        assert_eq!(spacing(&[1e9, 2e9, 3e9, 4e9]), Some(1e9));
+        assert_eq!(subcarrier_spacing(&[1e9, 2e9, 3e9, 4e9]), Some(1e9));
         for none in [&[][..], &[1e9], &[1e9, 2e9, 3e9], &[1e9, 2e9, 3e9, 9e9], &[1e9; 5]] {
-            assert_eq!(spacing(none), None, "{none:?}");
+            assert_eq!(subcarrier_spacing(none), None, "{none:?}");
         }
     }
 }

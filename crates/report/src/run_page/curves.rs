@@ -1,12 +1,12 @@
 //! Curves of the page: loss and N over the steps, validation score, and distribution of test scores.
 
 use crate::canvas::{Colour, INK};
-use crate::draw::charts::{Chart, ChartAxis, ChartLine, decimate_steps, phases};
+use crate::draw::charts::{Chart, ChartAxis, ChartLine, decimate_steps, phase_bands};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::{Value, context};
 use pwrfgs_core::statistics::{self, quantile};
 use pwrfgs_core::{Appearance, Headline};
-use pwrfgs_experiment::{IntervalScores, LoadedRun, record::column, scores::MODEL};
+use pwrfgs_experiment::{IntervalScores, LoadedRun, record::series_column, scores::MODEL};
 
 /// Maximum number of ranges over which the loss is averaged.
 const MOST_RANGES: usize = 150;
@@ -21,21 +21,21 @@ const LIGHT: Colour = Colour::hex(0x6e_a0dc);
 /// Heading and chart.
 type Figure = (String, String);
 
-/// Returns heading and SVG of every curve for which there are numbers.
+/// Returns heading and SVG of every figure for which there are numbers.
 pub(super) fn figures(run: &LoadedRun<'_>) -> Vec<Figure> {
     let mut figures = Vec::new();
     if !run.record.curve.is_empty() {
-        figures.extend(loss(run, &run.record.curve_of(2)));
-        figures.extend(gaussians(run, &run.record.curve_of(4)));
-        figures.extend(validation(run));
+        figures.extend(loss_figure(run, &run.record.curve_column(2)));
+        figures.extend(gaussians_figure(run, &run.record.curve_column(4)));
+        figures.extend(validation_figure(run));
     }
-    figures.extend(distribution(run));
-    figures.extend(reliability(run));
+    figures.extend(distribution_figure(run));
+    figures.extend(reliability_figure(run));
     figures
 }
 
-/// Returns the measured against nominal coverage of prediction intervals.
-fn reliability(run: &LoadedRun<'_>) -> Option<Figure> {
+/// Draws the measured against the nominal coverage of prediction intervals; `None` without intervals.
+fn reliability_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     let scores = &run.record.scores.table.intervals;
     let mut baselines = BASELINE_COLOURS.into_iter().map(Colour::hex);
     let curve = |intervals: &IntervalScores| {
@@ -53,29 +53,29 @@ fn reliability(run: &LoadedRun<'_>) -> Option<Figure> {
     lines.push(equal.named("nominal = measured"));
     let axis = |name: &str| ChartAxis { name: name.into(), ends: Some((0.0, 1.0)), log: false };
     let chart = Chart { x: axis("nominal coverage"), y: axis("measured coverage"), lines, ..Chart::default() };
-    figure("Prediction intervals: coverage of the test set", &chart)
+    draw_figure("Prediction intervals: coverage of the test set", &chart)
 }
 
 /// Returns the chart over the steps with the three phases of algorithm 1 shaded.
-fn over_steps(run: &LoadedRun<'_>, log: bool, lines: Vec<ChartLine>) -> Chart {
+fn chart_over_steps(run: &LoadedRun<'_>, log: bool, lines: Vec<ChartLine>) -> Chart {
     let training = &run.record.pipeline.training;
     let x = ChartAxis { name: "step".into(), ends: Some((0.0, training.steps as f64)), log: false };
-    Chart { x, y: ChartAxis { log, ..ChartAxis::default() }, bands: phases(training), lines, ..Chart::default() }
+    Chart { x, y: ChartAxis { log, ..ChartAxis::default() }, bands: phase_bands(training), lines, ..Chart::default() }
 }
 
 /// Returns a solid line without marks.
-fn line(points: Vec<(f64, f64)>, colour: Colour, width: f64) -> ChartLine {
+fn solid_line(points: Vec<(f64, f64)>, colour: Colour, width: f64) -> ChartLine {
     ChartLine::new(points, Style::line(colour, width, Stroke::FULL))
 }
 
 /// Draws a chart with a title; `None` if there is nothing to draw.
-fn figure(title: impl Into<String>, chart: &Chart) -> Option<Figure> {
+fn draw_figure(title: impl Into<String>, chart: &Chart) -> Option<Figure> {
     let title = title.into();
     chart.draw().map(|canvas| (title.clone(), canvas.svg("chart", &title)))
 }
 
-/// Returns the loss on a logarithmic axis: mean and range over short ranges of steps.
-fn loss(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
+/// Draws the loss on a logarithmic axis: mean and range over short ranges of steps.
+fn loss_figure(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     let ranges: Vec<&[(f64, f64)]> = points.chunks(points.len().div_ceil(MOST_RANGES).max(1)).collect();
     let middle = |s: &[(f64, f64)], y: f64| (s[s.len() / 2].0, y);
     let fold =
@@ -83,38 +83,38 @@ fn loss(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     let mean: Vec<_> = ranges.iter().map(|s| middle(s, s.iter().map(|p| p.1).sum::<f64>() / s.len() as f64)).collect();
     let upper = ranges.iter().map(|s| fold(s, f64::max));
     let range: Vec<_> = upper.chain(ranges.iter().rev().map(|s| fold(s, f64::min))).collect();
-    let mut lines = vec![line(mean, MODEL_COLOUR, 2.0)];
+    let mut lines = vec![solid_line(mean, MODEL_COLOUR, 2.0)];
     if points.len() > ranges.len() {
         lines.push(ChartLine::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)));
     }
-    figure("Training loss", &over_steps(run, true, lines))
+    draw_figure("Training loss", &chart_over_steps(run, true, lines))
 }
 
-/// Returns the chart of N on a logarithmic axis.
-fn gaussians(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
-    let lines = vec![line(decimate_steps(points), MODEL_COLOUR, 2.0)];
+/// Draws N over the steps on a logarithmic axis.
+fn gaussians_figure(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
+    let lines = vec![solid_line(decimate_steps(points), MODEL_COLOUR, 2.0)];
     let splats = run.model.is_drawn_as(Appearance::Ellipsoids);
     let title = if splats { "Number of Gaussians" } else { "Number of virtual transmitters" };
-    figure(title, &over_steps(run, true, lines))
+    draw_figure(title, &chart_over_steps(run, true, lines))
 }
 
-/// Returns the validation score, with the baselines on the same samples.
-fn validation(run: &LoadedRun<'_>) -> Option<Figure> {
+/// Draws the validation score over the steps, with the baselines on the same samples; `None` without validations.
+fn validation_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     let rows = &run.record.validation;
     if rows.is_empty() {
         return None;
     }
     let mut lines = vec![
-        line(column(rows, 1), MODEL_COLOUR, 3.0).named("model, mean"),
-        line(column(rows, 2), LIGHT, 2.0).named("model, median"),
+        solid_line(series_column(rows, 1), MODEL_COLOUR, 3.0).named("model, mean"),
+        solid_line(series_column(rows, 2), LIGHT, 2.0).named("model, median"),
     ];
     for ((name, mean), colour) in run.record.facts.validation_baselines.iter().zip(BASELINE_COLOURS.into_iter().cycle())
     {
-        lines.push(ChartLine::level(*mean, Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
+        lines.push(ChartLine::horizontal(*mean, Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
     }
     let task = run.data.task();
     let title = format!("Validation {}: {}", task.counted[1], task.headline.name);
-    figure(title, &over_steps(run, false, lines))
+    draw_figure(title, &chart_over_steps(run, false, lines))
 }
 
 /// Number of groups of test samples by spread.
@@ -122,14 +122,14 @@ const GROUPS: usize = 10;
 
 /// Returns the error against the spread of an ensemble: median and range from the 10th to the 90th percentile of groups
 /// of equal numbers of test samples, with their rank correlation. `None` for a single model.
-pub(super) fn confidence(run: &LoadedRun<'_>) -> Option<Value> {
+pub(super) fn confidence_chart(run: &LoadedRun<'_>) -> Option<Value> {
     let measured = run.record.confidence.as_ref()?;
-    let groups = measured.groups(GROUPS);
+    let groups = measured.group_by_spread(GROUPS);
     let at = |q: f64| move |(spread, errors): &(f64, Vec<f64>)| (*spread, quantile(errors, q));
     let range: Vec<_> = groups.iter().map(at(0.9)).chain(groups.iter().rev().map(at(0.1))).collect();
     let median: Vec<_> = groups.iter().map(at(0.5)).collect();
     let last = groups.last()?.0;
-    let mut middle = line(median.clone(), MODEL_COLOUR, 2.5).named("median error per group");
+    let mut middle = solid_line(median.clone(), MODEL_COLOUR, 2.5).named("median error per group");
     middle.marks = median;
     let lines = vec![
         middle,
@@ -153,17 +153,17 @@ const MOST_POINTS: usize = 400;
 /// Share of each predictor within the axis, for errors and ratios without natural limits.
 const INSIDE: f64 = 0.98;
 
-/// Returns the share of the test set below each value.
-fn distribution(run: &LoadedRun<'_>) -> Option<Figure> {
+/// Draws the share of the test set below each value of the first metric, for all predictors.
+fn distribution_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     let scores = &run.record.scores;
     let task = run.data.task();
     let headline = task.headline;
     let mut sorted: Vec<(&String, Vec<f64>)> = Vec::new();
     for (name, _) in &scores.predictors {
-        let Some(values) = scores.samples(name, headline.key) else { continue };
+        let Some(values) = scores.sample_values(name, headline.key) else { continue };
         sorted.push((name, statistics::sorted(values.iter().copied())));
     }
-    let ends = ends(&headline, &sorted);
+    let ends = axis_ends(&headline, &sorted);
     let mut baselines = BASELINE_COLOURS.into_iter().map(Colour::hex).cycle();
     let mut lines = Vec::new();
     for (name, sorted) in &sorted {
@@ -174,16 +174,17 @@ fn distribution(run: &LoadedRun<'_>) -> Option<Figure> {
         points.retain(|(value, _)| (ends.0..=ends.1).contains(value));
         let is_model = *name == MODEL;
         let colour = if is_model { MODEL_COLOUR } else { baselines.next().unwrap_or(MODEL_COLOUR) };
-        lines.push(line(points, colour, if is_model { 3.0 } else { 2.0 }).named(name));
+        lines.push(solid_line(points, colour, if is_model { 3.0 } else { 2.0 }).named(name));
     }
     let x = ChartAxis { name: headline.name.into(), ends: Some(ends), log: false };
     let y = ChartAxis { ends: Some((0.0, 1.0)), ..ChartAxis::default() };
     let title = format!("Share of test {} below an {}", task.counted[1], headline.short);
-    figure(title, &Chart { x, y, lines, ..Chart::default() })
+    draw_figure(title, &Chart { x, y, lines, ..Chart::default() })
 }
 
-/// Returns the ends of the axis.
-fn ends(headline: &Headline, sorted: &[(&String, Vec<f64>)]) -> (f64, f64) {
+/// Returns the ends of the axis of a metric for these `sorted` values: its best value, or natural limits, or nearly all
+/// values of each predictor.
+fn axis_ends(headline: &Headline, sorted: &[(&String, Vec<f64>)]) -> (f64, f64) {
     let at = |q: f64| sorted.iter().map(move |(_, values)| quantile(values, q)).filter(|v| v.is_finite());
     match (headline.best, headline.higher) {
         (Some(best), true) => {

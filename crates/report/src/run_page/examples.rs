@@ -22,7 +22,7 @@ pub(super) struct Example {
 }
 
 impl Example {
-    /// Returns the facts shown on every page.
+    /// Returns the facts of the link for the template: name, id, receiver, position and distance.
     pub(super) fn words(&self, run: &LoadedRun<'_>) -> Value {
         let sample = run.data.sample(self.sample);
         context! {
@@ -35,12 +35,15 @@ impl Example {
     }
 }
 
-/// Returns distinct examples of a run; none without test samples. They are predicted again, which gives
-/// identical bits.
-pub(super) fn examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
+/// Chooses the best, median and worst test link of a run, without repetition; none without test samples. They are predicted
+/// again, which gives identical bits.
+///
+/// # Errors
+/// An observation that cannot be read.
+pub(super) fn choose_examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
     let (data, part, model) = (run.data, &run.partition.test, run.model.prepare());
     let headline = data.task().headline;
-    let scores = if let Some(scores) = run.record.scores.samples(MODEL, headline.key) {
+    let scores = if let Some(scores) = run.record.scores.sample_values(MODEL, headline.key) {
         scores.to_vec()
     } else {
         // The pipeline does not contain this metric.
@@ -82,10 +85,11 @@ pub(super) fn for_each_link(run: &LoadedRun<'_>, links: &[usize], mut visit: imp
     }
 }
 
-/// Returns the best, median and worst test spectrum by SSIM, and their common error limit.
-pub(super) fn spectra(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f64) {
+/// Draws truth, prediction and error of the `chosen` spectra, and returns them with their common error limit; none for other
+/// tasks.
+pub(super) fn spectra_panels(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f64) {
     let chosen = if run.data.task().has_pixels { chosen } else { &[] };
-    let errors: Vec<Image> = chosen.iter().map(|e| difference(&e.prediction.clamped(), &e.truth)).collect();
+    let errors: Vec<Image> = chosen.iter().map(|e| image_difference(&e.prediction.clamped(), &e.truth)).collect();
     let largest = errors.iter().flat_map(|e| &e.pixels).fold(0.0, |m: f64, e| m.max(e.abs() as f64));
     let limit = ((largest * 10.0).ceil() / 10.0).max(0.1);
     let example = |(example, error): (&Example, &Image)| {
@@ -93,13 +97,13 @@ pub(super) fn spectra(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f
         let marks = [Mark::Measured(truth.argmax()), Mark::Predicted(prediction.argmax())];
         let plane = run.model.plane();
         let panel = |name: &str, image: &Image, scale, marks: &[Mark]| {
-            let map = spectra::map(image, plane, scale, marks).svg("map", name);
-            let sky = spectra::sky(image, plane, scale, marks).map(|canvas| canvas.svg("sky", name));
+            let map = spectra::draw_map(image, plane, scale, marks).svg("map", name);
+            let sky = spectra::draw_sky(image, plane, scale, marks).map(|canvas| canvas.svg("sky", name));
             context! { name, map, sky }
         };
         context! {
             ssim => format!("{score:.3}"),
-            peaks => peaks(run, truth, prediction),
+            peaks => describe_peaks(run, truth, prediction),
             panels => vec![
                 panel("Ground truth", truth, ColourScale::Power, &marks[..1]),
                 panel("Predicted", &prediction.clamped(), ColourScale::Power, &marks),
@@ -111,13 +115,13 @@ pub(super) fn spectra(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f
     (chosen.iter().zip(&errors).map(example).collect(), limit)
 }
 
-/// Returns the difference `a` minus `b`.
-fn difference(a: &Image, b: &Image) -> Image {
+/// Returns the difference `a` minus `b`, pixel by pixel.
+fn image_difference(a: &Image, b: &Image) -> Image {
     Image { width: a.width, height: a.height, pixels: a.pixels.iter().zip(&b.pixels).map(|(a, b)| a - b).collect() }
 }
 
-/// Returns the strongest directions in words; none if the plane has no angles.
-fn peaks(run: &LoadedRun<'_>, truth: &Image, prediction: &Image) -> String {
+/// Describes the strongest directions, azimuth and elevation in degrees; empty if the plane has no angles.
+fn describe_peaks(run: &LoadedRun<'_>, truth: &Image, prediction: &Image) -> String {
     let plane = run.model.plane();
     let direction = |image: &Image| {
         let i = image.argmax();

@@ -28,11 +28,11 @@ const PREDICTED_IN_PAGE: [&str; 3] = ["Fixed", "Mlp", "Factored"];
 /// Last statement of the script.
 const START: &str = "startReport();\n";
 
-/// Returns the values for the template: always the script, which also sorts tables; the stage only if positions are
+/// Returns the values of the interactive part for the template: always the script, which also sorts tables; the stage only if positions are
 /// known.
 pub(super) fn section(run: &LoadedRun<'_>) -> Value {
     let script = bundle(START);
-    let digest = hash(&script);
+    let digest = script_hash(&script);
     if !run.data.placed || run.partition.test.is_empty() {
         return context! { script, digest };
     }
@@ -48,22 +48,22 @@ pub(super) fn section(run: &LoadedRun<'_>) -> Value {
         digest,
         stage => STAGE,
         style => STYLE,
-        room => base64(&room_pack(run, &links).to_bytes()),
-        gaussians => gaussians.as_deref().map(base64),
-        observations => base64(&observation_pack(run, &links, &chosen, model.is_none()).to_bytes()),
-        model => model.as_deref().map(base64),
+        room => encode_base64(&room_tensors(run, &links).to_bytes()),
+        gaussians => gaussians.as_deref().map(encode_base64),
+        observations => encode_base64(&observation_tensors(run, &links, &chosen, model.is_none()).to_bytes()),
+        model => model.as_deref().map(encode_base64),
     }
 }
 
-/// Returns the hash of the only permitted script, for the content security policy.
-fn hash(script: &str) -> String {
+/// Returns the SHA-256 of the only permitted script as Base64, for the content security policy.
+fn script_hash(script: &str) -> String {
     let digits = digest(script.as_bytes());
     let byte = |k: usize| u8::from_str_radix(&digits[2 * k..2 * k + 2], 16).unwrap_or_default();
-    base64(&(0..digits.len() / 2).map(byte).collect::<Vec<_>>())
+    encode_base64(&(0..digits.len() / 2).map(byte).collect::<Vec<_>>())
 }
 
-/// Encodes bytes as text.
-fn base64(bytes: &[u8]) -> String {
+/// Encodes bytes as Base64.
+fn encode_base64(bytes: &[u8]) -> String {
     STANDARD.encode(bytes)
 }
 
@@ -72,7 +72,7 @@ fn fits_page(model: &Ensemble) -> bool {
     (1..=GAUSSIANS).contains(&model.gaussians())
 }
 
-/// Returns the model file, whole or in 8 bits, if it is one model that the page can predict.
+/// Returns the model file, whole or in 8 bits; `None` unless it is one model that the page can predict, and small enough.
 fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     let ([only], None) = (run.model.members(), run.model.residuals()) else { return None };
     let deformation = only.stages.deformation()?;
@@ -91,13 +91,14 @@ fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     compress::to_bytes(only, compress::Bits::Eight).ok().filter(|bytes| bytes.len() <= COMPRESSED_BYTES)
 }
 
-/// Returns the test links whose observations are in the page: evenly from best to worst, as many as fit.
+/// Chooses the test links whose observations are in the page: evenly from best to worst, as many as fit, `alone` or with
+/// predictions. Ascending.
 fn choose_links(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
     let task = run.data.task();
     let numbers = if task.is_scalar { run.data.scene.receivers.len() } else { run.data.width * run.data.height };
     let bytes_per_link = numbers * if task.has_pixels { 1 } else { size_of::<f32>() } * if alone { 1 } else { 2 };
     let most = OBSERVATIONS.min(BYTES / bytes_per_link.max(1)).max(1);
-    let mut test: Vec<(usize, f64)> = scored(run).collect();
+    let mut test: Vec<(usize, f64)> = scored_links(run).collect();
     test.sort_by(|a, b| a.1.total_cmp(&b.1));
     let all: Vec<usize> = test.into_iter().map(|(i, _)| i).collect();
     let mut chosen = evenly(&all, most);
@@ -105,7 +106,7 @@ fn choose_links(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
     chosen
 }
 
-/// Returns the links on the page, sorted: the selected ones, and others evenly.
+/// Returns the links on the page, ascending: the `chosen` ones, and others evenly.
 fn page_links(run: &LoadedRun<'_>, chosen: &[usize]) -> Vec<usize> {
     let all: Vec<usize> = (0..run.data.len()).collect();
     let mut shown = [&evenly(&all, LINKS)[..], chosen].concat();
@@ -114,18 +115,18 @@ fn page_links(run: &LoadedRun<'_>, chosen: &[usize]) -> Vec<usize> {
     shown
 }
 
-/// Returns the test links with their scores.
-fn scored<'a>(run: &'a LoadedRun<'_>) -> impl Iterator<Item = (usize, f64)> + 'a {
+/// Returns the test links with their scores by the first metric, NaN if unknown.
+fn scored_links<'a>(run: &'a LoadedRun<'_>) -> impl Iterator<Item = (usize, f64)> + 'a {
     let key = run.data.task().headline.key;
-    let values = run.record.scores.samples(MODEL, key).unwrap_or_default();
+    let values = run.record.scores.sample_values(MODEL, key).unwrap_or_default();
     let score = |k: usize| values.get(k).copied().unwrap_or(f64::NAN);
     run.partition.test.iter().enumerate().map(move |(k, &i)| (i, score(k)))
 }
 
-/// Returns the data of the room for the page.
-fn room_pack(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
+/// Returns the room with `links` and the properties of the model, for the page.
+fn room_tensors(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
     let mut scores = vec![f64::NAN; run.data.len()];
-    scored(run).for_each(|(i, score)| scores[i] = score);
+    scored_links(run).for_each(|(i, score)| scores[i] = score);
     let measured = PartitionedData { data: run.data, partition: run.partition, scores: &scores, links };
     let mut tensors = room(&run.model.members()[0].stages.setup, Some(measured), &[], POINTS);
     let ellipsoids = run.model.is_drawn_as(Appearance::Ellipsoids);
@@ -142,7 +143,7 @@ fn room_pack(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
 
 /// Returns the measurement of each selected link and, unless the page predicts, its prediction. Spectra have 8 bits per
 /// pixel; powers are those of all receivers. Named by index in `links`.
-fn observation_pack(run: &LoadedRun<'_>, links: &[usize], chosen: &[usize], predicted: bool) -> TensorBundle {
+fn observation_tensors(run: &LoadedRun<'_>, links: &[usize], chosen: &[usize], predicted: bool) -> TensorBundle {
     let LoadedRun { data, model, .. } = run;
     let indices: Vec<usize> = chosen.iter().filter_map(|link| links.binary_search(link).ok()).collect();
     let mut tensors = TensorBundle::new(json!({ "links": indices }));
@@ -164,7 +165,7 @@ fn observation_pack(run: &LoadedRun<'_>, links: &[usize], chosen: &[usize], pred
     let queries: Vec<Query<'_>> = chosen.iter().flat_map(queries_of).collect();
     let predictions = if predicted { model.prepare().predict_many(&queries) } else { Vec::new() };
     for (k, (index, &i)) in indices.iter().zip(chosen).enumerate() {
-        put("truth", *index, &measured(data, i));
+        put("truth", *index, &measured_images(data, i));
         if predicted {
             put("predicted", *index, &predictions[k * receivers..][..receivers]);
         }
@@ -173,7 +174,7 @@ fn observation_pack(run: &LoadedRun<'_>, links: &[usize], chosen: &[usize], pred
 }
 
 /// Returns the observation of a link; for a power, those of its transmitter at all receivers, NaN without one.
-fn measured(data: &Dataset, link: usize) -> Vec<Image> {
+fn measured_images(data: &Dataset, link: usize) -> Vec<Image> {
     if !data.task().is_scalar {
         return vec![data.image(link)];
     }

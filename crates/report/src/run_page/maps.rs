@@ -33,17 +33,17 @@ enum ErrorScale {
     Positive(f64),
 }
 
-/// Returns the maps of 1 − SSIM of the test spectra; none for other tasks, or if the pipeline lacks the metric.
-pub(super) fn of_spectra(run: &LoadedRun<'_>) -> Option<Value> {
+/// Draws the maps of 1 − SSIM of the test spectra; `None` for other tasks, or if the pipeline lacks the metric.
+pub(super) fn spectrum_error_maps(run: &LoadedRun<'_>) -> Option<Value> {
     let headline = run.data.task().headline;
-    let scores = run.record.scores.samples(MODEL, headline.key).filter(|_| run.data.task().has_pixels)?;
+    let scores = run.record.scores.sample_values(MODEL, headline.key).filter(|_| run.data.task().has_pixels)?;
     let best = headline.best?;
     let error = |(&link, score): (&usize, &f64)| LinkError { link, error: best - score };
-    maps(run, run.partition.test.iter().zip(scores).map(error).filter(|error| error.error.is_finite()).collect())
+    error_maps(run, run.partition.test.iter().zip(scores).map(error).filter(|error| error.error.is_finite()).collect())
 }
 
-/// Returns the maps of the shown receivers; none without positions.
-pub(super) fn maps(run: &LoadedRun<'_>, errors: Vec<LinkError>) -> Option<Value> {
+/// Draws a map of errors per receiver, of at most [`MAPS`] receivers, with legend; `None` without positions or errors.
+pub(super) fn error_maps(run: &LoadedRun<'_>, errors: Vec<LinkError>) -> Option<Value> {
     let data = run.data;
     if !data.placed || errors.is_empty() {
         return None;
@@ -59,7 +59,7 @@ pub(super) fn maps(run: &LoadedRun<'_>, errors: Vec<LinkError>) -> Option<Value>
         context! { name, svg, links => per_receiver[r].len() }
     };
     let (quantity, bar) = match scale {
-        ErrorScale::Signed(limit) => ("predicted minus measured, dB", Some(ColourScale::Error(limit).bar())),
+        ErrorScale::Signed(limit) => ("predicted minus measured, dB", Some(ColourScale::Error(limit).draw_bar())),
         ErrorScale::Positive(_) => ("1 − SSIM", None),
     };
     Some(context! {
@@ -68,7 +68,7 @@ pub(super) fn maps(run: &LoadedRun<'_>, errors: Vec<LinkError>) -> Option<Value>
         unshown => with_links.len().saturating_sub(MAPS),
         most => SHOWN,
         cut => per_receiver.iter().any(|errors| errors.len() > SHOWN),
-        legend => scale.legend().svg("legend", "legend of the marks"),
+        legend => scale.draw_legend().svg("legend", "legend of the marks"),
         bar => bar.map(|bar| bar.svg("bar", "colour scale of the error, dB")),
     })
 }
@@ -80,18 +80,18 @@ fn draw_map(run: &LoadedRun<'_>, receiver: usize, errors: &[LinkError], scale: E
     let ends = if data.scene.has_distances() { data.scene.fixed_ends() } else { Vec::new() };
     let fixed = ends.get(receiver).or(ends.first()).map(|pose| flat(data.scene.origin.world_pose(*pose).position));
     let links = || data.samples().filter(|sample| sample.receiver == receiver).map(|sample| flat(sample.position()));
-    let plan = FloorPlan::new(FloorPlan::corners(links().chain(fixed)), ["x", "y"], WIDTH, MOST_HEIGHT);
-    let mut canvas = plan.canvas();
+    let plan = FloorPlan::new(FloorPlan::frame(links().chain(fixed)), ["x", "y"], WIDTH, MOST_HEIGHT);
+    let mut canvas = plan.empty_map();
     let points = evenly(&data.scene.points, POINTS);
-    plan.points(&mut canvas, points.into_iter().map(|p| flat(data.scene.origin.world(p))));
+    plan.draw_points(&mut canvas, points.into_iter().map(|p| flat(data.scene.origin.world(p))));
     let mut shown = evenly(errors, SHOWN);
     shown.sort_by(|a, b| a.error.abs().total_cmp(&b.error.abs())); // the worst on top
     for error in &shown {
         scale.draw(&mut canvas, plan.project(flat(data.sample(error.link).position())), error.error);
     }
-    fixed.into_iter().for_each(|position| plan.receiver(&mut canvas, position));
-    plan.axes(&mut canvas);
-    FloorPlan::widened(&canvas, WIDTH)
+    fixed.into_iter().for_each(|position| plan.draw_receiver(&mut canvas, position));
+    plan.draw_axes(&mut canvas);
+    FloorPlan::centred_in(&canvas, WIDTH)
 }
 
 impl ErrorScale {
@@ -112,7 +112,7 @@ impl ErrorScale {
         let (Self::Signed(limit) | Self::Positive(limit)) = self;
         let part = (error / limit).clamp(-1.0, 1.0);
         let size = 2.0 + 3.4 * part.abs().sqrt();
-        let paint = |rgb| Paint::fill(Colour { rgb, opacity: 1.0 }).outlined(INK.faint(0.7), 0.5);
+        let paint = |rgb| Paint::fill(Colour { rgb, opacity: 1.0 }).outlined(INK.with_opacity(0.7), 0.5);
         if matches!(self, Self::Positive(_)) {
             return canvas.circle([x, y], size, paint(sequential(part)));
         }
@@ -121,8 +121,8 @@ impl ErrorScale {
         canvas.polygon(&[[x, y - up * size], beside(1.0), beside(-1.0)], paint(diverging(part)));
     }
 
-    /// Returns the legend of the marks.
-    fn legend(self) -> Canvas {
+    /// Draws the legend of the marks.
+    fn draw_legend(self) -> Canvas {
         let marks = match self {
             Self::Signed(limit) => vec![
                 (-limit, format!("{limit} dB too low")),
@@ -147,6 +147,6 @@ impl ErrorScale {
         draw_receiver(&mut canvas, [x + 2.0, 9.0]);
         canvas.text([x + 13.0, 13.0], Anchor::Start, "receiver");
         canvas.width = x + 80.0;
-        FloorPlan::widened(&canvas, 560.0)
+        FloorPlan::centred_in(&canvas, 560.0)
     }
 }

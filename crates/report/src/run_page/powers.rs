@@ -1,7 +1,7 @@
 //! Received powers on the page: distribution of errors, and best and worst links.
 
 use super::examples::Example;
-use super::maps::{LinkError, maps};
+use super::maps::{LinkError, error_maps};
 use crate::canvas::{BLACK, Colour};
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::{Stroke, Style};
@@ -39,27 +39,27 @@ pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     });
     pairs.retain(|pair| pair.error().is_finite());
     let errors = sorted(pairs.iter().map(PowerPair::error));
-    let figures: Vec<(&str, String)> = [histogram(&errors), scatter(&pairs)].into_iter().flatten().collect();
+    let figures: Vec<(&str, String)> = [draw_histogram(&errors), draw_scatter(&pairs)].into_iter().flatten().collect();
     let by_link = pairs.iter().map(|pair| LinkError { link: pair.link, error: pair.error() }).collect();
     context! {
         figures,
-        median => signed(quantile(&errors, 0.5)),
-        mean => signed(errors.iter().sum::<f64>() / errors.len().max(1) as f64),
+        median => signed_db(quantile(&errors, 0.5)),
+        mean => signed_db(errors.iter().sum::<f64>() / errors.len().max(1) as f64),
         dots => pairs.len().min(DOTS),
         links => pairs.len(),
-        maps => maps(run, by_link),
-        examples => examples(run, chosen),
+        maps => error_maps(run, by_link),
+        examples => example_rows(run, chosen),
     }
 }
 
-/// Returns the number with two decimals and sign.
-fn signed(db: f64) -> String {
+/// Formats decibels with two decimals and sign.
+fn signed_db(db: f64) -> String {
     format!("{db:+.2}").replace('-', "−")
 }
 
-/// Returns the histogram of errors in per cent of the test links; the outermost bars contain the last hundredth at each
-/// end.
-fn histogram(errors: &[f64]) -> Option<(&'static str, String)> {
+/// Draws the histogram of errors in per cent of the test links, with its title; the outermost bars contain the last hundredth
+/// at each end. `None` without errors, or if they are too large.
+fn draw_histogram(errors: &[f64]) -> Option<(&'static str, String)> {
     let reach = quantile(errors, 0.01).abs().max(quantile(errors, 0.99).abs());
     let reach = if reach > 0.0 { reach } else { 1.0 };
     let step = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0].into_iter().find(|s| 2.0 * reach / s <= BARS as f64)?;
@@ -80,7 +80,7 @@ fn histogram(errors: &[f64]) -> Option<(&'static str, String)> {
     let upright = |x: f64, stroke| ChartLine::new(vec![(x, 0.0), (x, 1.05 * most)], Style::line(BLACK, 1.3, stroke));
     let lines = vec![
         upright(0.0, Stroke::FULL),
-        upright(median, Stroke::DASHED).named(&format!("median, {} dB", signed(median))),
+        upright(median, Stroke::DASHED).named(&format!("median, {} dB", signed_db(median))),
         ChartLine::new(outline.clone(), Style::line(BLUE, 1.2, Stroke::FULL)),
         ChartLine::new(outline, Style::line(BLUE, 1.0, Stroke::Area)),
     ];
@@ -93,8 +93,8 @@ fn histogram(errors: &[f64]) -> Option<(&'static str, String)> {
     Some((title, Chart { x, y, lines, ..Chart::default() }.draw()?.svg("chart", title)))
 }
 
-/// Returns the predicted against measured power, with the line of equality.
-fn scatter(pairs: &[PowerPair]) -> Option<(&'static str, String)> {
+/// Draws the predicted against the measured power with the line of equality, with its title; `None` without links.
+fn draw_scatter(pairs: &[PowerPair]) -> Option<(&'static str, String)> {
     let dots: Vec<(f64, f64)> = evenly(pairs, DOTS).iter().map(|pair| (pair.measured, pair.predicted)).collect();
     let all = || dots.iter().flat_map(|(a, b)| [*a, *b]);
     let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
@@ -103,7 +103,7 @@ fn scatter(pairs: &[PowerPair]) -> Option<(&'static str, String)> {
     let lines = vec![
         ChartLine::new(vec![(ends.0, ends.0), (ends.1, ends.1)], Style::line(BLACK, 1.3, Stroke::DASHED))
             .named("predicted = measured"),
-        ChartLine::new(dots, Style::line(BLUE.faint(0.55), 2.6, Stroke::Dots)),
+        ChartLine::new(dots, Style::line(BLUE.with_opacity(0.55), 2.6, Stroke::Dots)),
     ];
     let axis = |name: &str| ChartAxis { name: name.into(), ends: Some(ends), log: false };
     let chart = Chart { x: axis("measured, dBm"), y: axis("predicted, dBm"), lines, ..Chart::default() };
@@ -111,8 +111,8 @@ fn scatter(pairs: &[PowerPair]) -> Option<(&'static str, String)> {
     if pairs.is_empty() { None } else { Some((title, chart.draw()?.svg("chart", title))) }
 }
 
-/// Returns the best, median and worst link as rows.
-fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
+/// Returns the best, median and worst link as table rows.
+fn example_rows(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
     let row = |example: &Example| {
         let Example { score, truth, prediction, .. } = example;
         context! {
@@ -131,14 +131,14 @@ mod tests {
 
     #[test]
     fn power_plots_handle_empty_equal_and_extreme_links() {
-        assert!(histogram(&[]).is_none() && scatter(&[]).is_none());
+        assert!(draw_histogram(&[]).is_none() && draw_scatter(&[]).is_none());
         let one = PowerPair { link: 0, measured: -60.0, predicted: -60.0 };
         for errors in [vec![0.0], vec![0.0; 9], vec![-300.0, 0.1, 0.2, 4000.0]] {
-            if let Some((_, svg)) = histogram(&errors) {
+            if let Some((_, svg)) = draw_histogram(&errors) {
                 assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
             }
         }
-        assert!(histogram(&[0.0]).is_some());
-        assert!(scatter(&[one, one]).unwrap().1.contains("measured, dBm"));
+        assert!(draw_histogram(&[0.0]).is_some());
+        assert!(draw_scatter(&[one, one]).unwrap().1.contains("measured, dBm"));
     }
 }

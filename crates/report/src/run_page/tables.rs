@@ -5,48 +5,25 @@ use pwrfgs_experiment::scores::{MetricRow, ScoreCell, ScoreTable};
 use pwrfgs_experiment::{LoadedRun, statistics::Summary, text::number};
 
 /// Returns the groups of columns, one per metric: per-sample metrics first, then single values such as latency.
-pub(super) fn groups(scores: &ScoreTable) -> Vec<Value> {
+pub(super) fn column_groups(scores: &ScoreTable) -> Vec<Value> {
     let mut metrics: Vec<&MetricRow> = scores.metrics.iter().collect();
     metrics.sort_by_key(|m| !m.is_per_sample());
-    metrics.into_iter().map(|metric| group(scores, metric)).collect()
+    metrics.into_iter().map(|metric| column_group(scores, metric)).collect()
 }
 
-/// Returns the columns of one metric: titles, numbers and marks.
-fn group(scores: &ScoreTable, metric: &MetricRow) -> Value {
+/// Returns the columns of one metric for the template: titles, numbers and marks.
+fn column_group(scores: &ScoreTable, metric: &MetricRow) -> Value {
     let (key, unit, samples) = (metric.key.clone(), metric.unit.clone(), metric.is_per_sample());
     let columns: &'static [&'static str] = match (samples, metric.higher_is_better) {
         (false, _) => &[""],
         (true, true) => &["mean", "median", "10th percentile"],
         (true, false) => &["mean", "median", "90th percentile"],
     };
-    let ranks: Vec<Vec<Option<usize>>> = (0..columns.len()).map(|k| scores.ranks(metric, k)).collect();
-    // A single number is not marked.
-    let rivals = |k: usize| ranks[k].iter().flatten().count() > 1;
-    // The pair of the model and a baseline is level if its paired interval contains 0.
-    let is_level = |baseline: usize| {
-        let row = scores.paired.as_ref().and_then(|pairs| pairs.row(&scores.predictors[baseline], &key));
-        ranks[0][baseline].is_some() && row.is_some_and(|row| row.verdict() == "level")
-    };
-    let is_best = |p: usize| ranks[0].get(p) == Some(&Some(0));
-    let shares_best = |p: usize| match p {
-        0 => (1..metric.cells.len()).any(|baseline| is_best(baseline) && is_level(baseline)),
-        _ => is_best(0) && is_level(p),
-    };
-    // Number of a predictor in a column, with `best` or `second`.
-    let shown = |p: usize, k: usize| match (metric.cells[p].numbers().get(k), ranks[k][p]) {
-        (None, _) => ("n/a".into(), "none"),
-        (Some(value), _) if k == 0 && shares_best(p) => (number(*value), "best"),
-        (Some(value), Some(0)) if rivals(k) => (number(*value), "best"),
-        (Some(value), Some(1)) => (number(*value), "second"),
-        (Some(value), _) => (number(*value), ""),
-    };
     // Value of the whole model, or why there is none.
     let whole = metric.cells.first().filter(|_| !samples).map(|cell| match cell {
         ScoreCell::NotApplicable(why) => format!("n/a: {why}"),
         cell => format!("{} {unit}", cell.numbers().first().map_or_else(String::new, |v| number(*v))),
     });
-    let rows: Vec<Vec<(String, &str)>> =
-        (0..metric.cells.len()).map(|p| (0..columns.len()).map(|k| shown(p, k)).collect()).collect();
     context! {
         // Key, or words above a single narrow column.
         title => if samples { key.clone() } else { key.trim_end_matches(&format!("_{unit}")).replace('_', " ") },
@@ -56,9 +33,35 @@ fn group(scores: &ScoreTable, metric: &MetricRow) -> Value {
         columns => columns.to_vec(),
         key,
         unit,
-        rows,
+        rows => marked_rows(scores, metric, columns.len()),
         whole,
     }
+}
+
+/// Formats the first `columns` statistics of each predictor by one metric, each with the mark `best`, `second`, `none`
+/// without a number, or no mark. A predictor that is level with the best one is marked as best too.
+fn marked_rows(scores: &ScoreTable, metric: &MetricRow, columns: usize) -> Vec<Vec<(String, &'static str)>> {
+    let ranks: Vec<Vec<Option<usize>>> = (0..columns).map(|k| scores.ranks(metric, k)).collect();
+    // A single number is not marked.
+    let rivals = |k: usize| ranks[k].iter().flatten().count() > 1;
+    // The pair of the model and a baseline is level if its paired interval contains 0.
+    let is_level = |baseline: usize| {
+        let row = scores.paired.as_ref().and_then(|pairs| pairs.row(&scores.predictors[baseline], &metric.key));
+        ranks[0][baseline].is_some() && row.is_some_and(|row| row.verdict() == "level")
+    };
+    let is_best = |p: usize| ranks[0].get(p) == Some(&Some(0));
+    let shares_best = |p: usize| match p {
+        0 => (1..metric.cells.len()).any(|baseline| is_best(baseline) && is_level(baseline)),
+        _ => is_best(0) && is_level(p),
+    };
+    let shown = |p: usize, k: usize| match (metric.cells[p].numbers().get(k), ranks[k][p]) {
+        (None, _) => ("n/a".into(), "none"),
+        (Some(value), _) if k == 0 && shares_best(p) => (number(*value), "best"),
+        (Some(value), Some(0)) if rivals(k) => (number(*value), "best"),
+        (Some(value), Some(1)) => (number(*value), "second"),
+        (Some(value), _) => (number(*value), ""),
+    };
+    (0..metric.cells.len()).map(|p| (0..columns).map(|k| shown(p, k)).collect()).collect()
 }
 
 /// Maximum number of rows; others are counted.
@@ -66,7 +69,7 @@ const ROWS: usize = 60;
 
 /// Returns the mean and median of the first metric over the test links of each receiver; `None` for a single receiver,
 /// or if no predictor has per-sample values.
-pub(super) fn receivers(run: &LoadedRun<'_>) -> Option<Value> {
+pub(super) fn receiver_table(run: &LoadedRun<'_>) -> Option<Value> {
     let (data, scores) = (run.data, &run.record.scores);
     let headline = data.task().headline;
     let receivers = &data.scene.receivers;
@@ -77,25 +80,26 @@ pub(super) fn receivers(run: &LoadedRun<'_>) -> Option<Value> {
     for (k, &i) in run.partition.test.iter().enumerate() {
         per_receiver[data.links[i].receiver].push(k);
     }
-    let predictors: Vec<(&String, &[f64])> =
-        scores.predictors.iter().filter_map(|(name, _)| Some((name, scores.samples(name, headline.key)?))).collect();
+    let predictors: Vec<(&String, &[f64])> = scores
+        .predictors
+        .iter()
+        .filter_map(|(name, _)| Some((name, scores.sample_values(name, headline.key)?)))
+        .collect();
     let receiving: Vec<usize> = (0..receivers.len()).filter(|&r| !per_receiver[r].is_empty()).collect();
     let row = |&r: &usize| {
-        let summaries: Vec<Summary> = predictors
-            .iter()
-            .map(|(_, values)| per_receiver[r].iter().filter_map(|&k| values.get(k).copied()).collect::<Vec<f64>>())
-            .map(|scores| Summary::of(&scores, headline.higher))
-            .collect();
-        let cells: Vec<(String, &str)> = summaries
-            .iter()
-            .flat_map(|summary| {
-                let rivals = || summaries.iter();
-                [
-                    marked(summary.mean, rivals().map(|other| other.mean), headline.higher),
-                    marked(summary.median, rivals().map(|other| other.median), headline.higher),
-                ]
-            })
-            .collect();
+        let summary = |(_, values): &(&String, &[f64])| {
+            let scores: Vec<f64> = per_receiver[r].iter().filter_map(|&k| values.get(k).copied()).collect();
+            Summary::of(&scores, headline.higher)
+        };
+        let summaries: Vec<Summary> = predictors.iter().map(summary).collect();
+        let rivals = || summaries.iter();
+        let cells = |summary: &Summary| {
+            [
+                marked_number(summary.mean, rivals().map(|other| other.mean), headline.higher),
+                marked_number(summary.median, rivals().map(|other| other.median), headline.higher),
+            ]
+        };
+        let cells: Vec<(String, &str)> = summaries.iter().flat_map(cells).collect();
         context! { name => receivers[r].name.clone(), links => per_receiver[r].len(), cells }
     };
     (!predictors.is_empty() && !receiving.is_empty()).then(|| {
@@ -109,8 +113,8 @@ pub(super) fn receivers(run: &LoadedRun<'_>) -> Option<Value> {
     })
 }
 
-/// Returns the number, and whether none is better.
-fn marked(value: f64, mut all: impl Iterator<Item = f64>, higher: bool) -> (String, &'static str) {
+/// Formats `value` with the mark `best` if none of `all` is better, otherwise no mark.
+fn marked_number(value: f64, mut all: impl Iterator<Item = f64>, higher: bool) -> (String, &'static str) {
     let is_best = value.is_finite() && all.all(|other| !(if higher { other > value } else { other < value }));
     (number(value), if is_best { "best" } else { "" })
 }
@@ -130,7 +134,7 @@ mod tests {
             let paired = Some(Paired { rows: rows.to_vec(), ..Paired::default() });
             let oracles = oracles.iter().map(|name| (*name).to_owned()).collect();
             let table = ScoreTable { predictors, metrics: vec![row.clone()], oracles, paired, ..ScoreTable::default() };
-            let rows = groups(&table)[0].get_attr("rows").unwrap();
+            let rows = column_groups(&table)[0].get_attr("rows").unwrap();
             let mark = |p: usize| {
                 rows.get_item_by_index(p).and_then(|r| r.get_item_by_index(0)).and_then(|c| c.get_item_by_index(1))
             };
@@ -155,8 +159,8 @@ mod tests {
 
     #[test]
     fn marks_best_score_of_row() {
-        assert_eq!(marked(2.0, [2.0, 3.0].into_iter(), false).1, "best");
-        assert_eq!(marked(2.0, [2.0, 3.0].into_iter(), true).1, "");
-        assert_eq!(marked(f64::NAN, [f64::NAN].into_iter(), true).1, "");
+        assert_eq!(marked_number(2.0, [2.0, 3.0].into_iter(), false).1, "best");
+        assert_eq!(marked_number(2.0, [2.0, 3.0].into_iter(), true).1, "");
+        assert_eq!(marked_number(f64::NAN, [f64::NAN].into_iter(), true).1, "");
     }
 }

@@ -66,7 +66,7 @@ impl SummaryStatistic {
         ["mean", "median", "tail10", "value"][self as usize]
     }
 
-    /// Returns the index among the numbers of a cell.
+    /// Returns the index of the statistic among the numbers of a score cell.
     fn index(self) -> usize {
         match self {
             Self::Mean | Self::Whole => 0,
@@ -75,8 +75,8 @@ impl SummaryStatistic {
         }
     }
 
-    /// Returns the words above a column.
-    pub(super) fn words(self, higher_is_better: bool) -> &'static str {
+    /// Returns the heading of a column.
+    pub(super) fn heading(self, higher_is_better: bool) -> &'static str {
         match self {
             Self::Tail10 if higher_is_better => "10th percentile",
             Self::Tail10 => "90th percentile",
@@ -85,7 +85,7 @@ impl SummaryStatistic {
     }
 }
 
-/// Returns the statistics of a metric.
+/// Returns the statistics that tables show of a metric.
 pub(super) fn statistics(metric: &MetricRow) -> &'static [SummaryStatistic] {
     if metric.is_per_sample() {
         &[SummaryStatistic::Mean, SummaryStatistic::Median, SummaryStatistic::Tail10]
@@ -105,7 +105,8 @@ pub(super) fn is_time(metric: &MetricRow) -> bool {
 }
 
 impl ComparisonRow<'_> {
-    /// Returns the values of the runs that have one.
+    /// Returns the values of the runs that have one and are not NaN; training time only of variants, and training sets only
+    /// of predictors trained here.
     pub(super) fn values(&self, metric: &MetricRow, statistic: SummaryStatistic) -> Vec<f64> {
         let value = |run: &&Record| match statistic {
             SummaryStatistic::Whole if metric.key == TRAINING => {
@@ -124,20 +125,21 @@ impl ComparisonRow<'_> {
         self.runs.iter().filter_map(value).filter(|v| !v.is_nan()).collect()
     }
 
-    /// Returns the mean and deviation over seeds. A baseline on a split that is equal for all seeds has no deviation.
+    /// Returns the mean and deviation over seeds; `None` if no run has a value. A baseline on a split that is equal for all
+    /// seeds has no deviation.
     pub(super) fn spread(&self, metric: &MetricRow, statistic: SummaryStatistic) -> Option<Spread> {
         let spread = Spread::of(&self.values(metric, statistic))?;
         let same = self.kind != RowKind::Variant && spread.deviation == Some(0.0);
         Some(if same { Spread { deviation: None, ..spread } } else { spread })
     }
 
-    /// Returns the scores of a seed by sample.
-    fn samples(&self, seed: u64, metric: &MetricRow) -> Option<BTreeMap<u32, f64>> {
-        self.runs.iter().find(|run| run.facts.seed == seed)?.scores.by_id(self.predictor, &metric.key)
+    /// Returns the scores of the run with a seed by sample; `None` without such a run or per-sample scores.
+    fn scores_by_id(&self, seed: u64, metric: &MetricRow) -> Option<BTreeMap<u32, f64>> {
+        self.runs.iter().find(|run| run.facts.seed == seed)?.scores.values_by_id(self.predictor, &metric.key)
     }
 
     /// Returns the difference of this row from `reference`, paired by seed and test sample; pairs without finite
-    /// difference are omitted.
+    /// difference are omitted. `None` without pairs.
     pub(super) fn difference_from(
         &self,
         reference: &ComparisonRow<'_>,
@@ -145,8 +147,8 @@ impl ComparisonRow<'_> {
         blocks: &Blocks,
     ) -> Option<Difference> {
         let seed_differences = |run: &&Record| {
-            let scores = self.samples(run.facts.seed, metric)?;
-            let others = reference.samples(run.facts.seed, metric)?;
+            let scores = self.scores_by_id(run.facts.seed, metric)?;
+            let others = reference.scores_by_id(run.facts.seed, metric)?;
             Some(blocks.block_sums(scores.iter().filter_map(|(id, value)| Some((*id, value - others.get(id)?)))))
         };
         Difference::of(&self.runs.iter().filter_map(seed_differences).collect::<Vec<_>>())
@@ -167,7 +169,7 @@ impl<'a> Comparison<'a> {
     /// Collects the rows and metrics of a setting.
     pub(super) fn new(setting: &'a Setting) -> Self {
         let variant = |(k, v): (usize, &'a StudyVariant)| {
-            let twin = setting.twin(k).map(|first| first.label.as_str());
+            let twin = setting.earlier_twin(k).map(|first| first.label.as_str());
             ComparisonRow {
                 label: &v.label,
                 kind: RowKind::Variant,
@@ -184,12 +186,12 @@ impl<'a> Comparison<'a> {
         Self { setting, rows, metrics: all_metrics(setting), blocks: Blocks::new(&positions) }
     }
 
-    /// Returns the row with a label.
+    /// Returns the row with a label; `None` without one.
     pub(super) fn row(&self, label: &str) -> Option<&ComparisonRow<'a>> {
         self.rows.iter().find(|row| row.label == label)
     }
 
-    /// Returns the metric with a key.
+    /// Returns the metric with a key; `None` without one.
     pub(super) fn metric(&self, key: &str) -> Option<&MetricRow> {
         self.metrics.iter().find(|m| m.key == key)
     }
@@ -230,7 +232,7 @@ impl<'a> Comparison<'a> {
     }
 
     /// Returns the groups of variants with bit-identical models, by label.
-    pub(super) fn twins(&self) -> Vec<String> {
+    pub(super) fn twin_groups(&self) -> Vec<String> {
         let group = |first: &ComparisonRow<'a>| {
             let others = self.rows.iter().filter(|row| row.twin == Some(first.label)).map(|row| row.label);
             [first.label].into_iter().chain(others).collect::<Vec<_>>()
@@ -297,13 +299,13 @@ fn all_metrics(setting: &Setting) -> Vec<MetricRow> {
 
 const HEADER: &str = "setting simulated variant kind metric unit statistic value std n reference low high";
 
-/// Returns `report.csv`: one line per number: all metrics of all rows of all settings, with references.
+/// Formats `report.csv`: one line per number: all metrics of all rows of all settings, with references.
 ///
 /// Columns: setting, simulated, variant, kind (`variant`, `external`, `baseline`, `oracle` for an oracle baseline,
 /// `ceiling`), metric, unit, statistic (`mean`, `median`, `tail10` over test samples, the last at the worse end; `value`
 /// of a whole model; `difference` for the paired mean difference from `reference`), value (mean over seeds), std (over
 /// seeds, empty for one), n (seeds), reference, low and high (ends of the interval of a difference).
-pub(super) fn csv<'a>(comparisons: impl Iterator<Item = (&'a Comparison<'a>, &'a str)>) -> String {
+pub(super) fn report_csv<'a>(comparisons: impl Iterator<Item = (&'a Comparison<'a>, &'a str)>) -> String {
     let mut names = HEADER.split(' ');
     let mut lines = Lines::<13>::new(std::array::from_fn(|_| names.next().unwrap_or_default()));
     for (comparison, reference) in comparisons {

@@ -14,7 +14,7 @@ mod tradeoff;
 
 use crate::canvas::Canvas;
 use crate::draw::charts::{Chart, ChartStyle};
-use crate::templates::sentences;
+use crate::templates::render_sentences;
 use minijinja::{Value, context};
 use pwrfgs_core::{Dataset, Error, Progress, Result, files::write_atomically};
 use pwrfgs_experiment::{NoopObserver, Setting};
@@ -62,7 +62,7 @@ impl Figure {
     }
 
     /// Creates a chart in one column; `None` if there is nothing to draw. `words` are for its caption.
-    fn chart(name: &str, setting: &Setting, words: Value, chart: Chart) -> Option<Self> {
+    fn from_chart(name: &str, setting: &Setting, words: Value, chart: Chart) -> Option<Self> {
         let mut style = ChartStyle::COLUMN;
         if !chart.bands.is_empty() {
             style.margins[1] = 40.0; // for the names of the phases
@@ -70,10 +70,10 @@ impl Figure {
         Chart { style, ..chart }.draw().map(|canvas| Self::new(name, setting, words, &canvas))
     }
 
-    /// Creates a figure with title and caption of the template, in all formats.
+    /// Creates a figure of `canvas` in all formats, with title and caption of the template, which gets `words`.
     fn new(name: &str, setting: &Setting, words: Value, canvas: &Canvas) -> Self {
-        let (least, most) = setting.seeds();
-        let words = sentences("figures.txt", context! { name, least, most, ..words });
+        let (least, most) = setting.seed_counts();
+        let words = render_sentences("figures.txt", context! { name, least, most, ..words });
         let kind = if setting.simulated { "Simulated" } else { "Measured" };
         let caption = format!("{} {kind} data: {}.", words[1], setting.title);
         let width_mm = (10.0 * canvas.width * MM).round() / 10.0;
@@ -94,20 +94,21 @@ pub struct FigureSet {
 /// Function that draws a figure from data and models.
 type FromData = fn(&Setting, &Dataset) -> Result<Option<Figure>>;
 
-/// Returns all figures for which there are numbers. `progress` counts figures.
-pub fn all(setting: &Setting, progress: Progress<'_>) -> FigureSet {
+/// Draws all figures for which there are numbers, and notes why those that need data and models are missing. `progress`
+/// counts figures.
+pub fn draw_figures(setting: &Setting, progress: Progress<'_>) -> FigureSet {
     let from_scores = [
         gaussians::figure,
-        tradeoff::first_metric,
-        tradeoff::rate_ratio,
-        tradeoff::pareto::<0>,
-        tradeoff::pareto::<1>,
-        tradeoff::pareto::<2>,
+        tradeoff::first_metric_figure,
+        tradeoff::rate_ratio_figure,
+        tradeoff::pareto_figure::<0>,
+        tradeoff::pareto_figure::<1>,
+        tradeoff::pareto_figure::<2>,
         latency::figure,
-        errors::distribution,
-        errors::distance,
+        errors::distribution_figure,
+        errors::distance_figure,
     ];
-    let from_data: &[FromData] = &[panels::room, panels::spectra, rate::figure];
+    let from_data: &[FromData] = &[panels::room_figure, panels::spectra_figure, rate::figure];
     let count = from_scores.len() + from_data.len();
     let mut figures = Vec::new();
     for (done, make) in from_scores.iter().enumerate() {

@@ -42,7 +42,7 @@ pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut 
     let check = || refuse_links(out).and_then(|()| read_list(out));
     check()?; // before the figures are drawn
     let page = StudyPage::new(study, reference, observer)?;
-    let files = files(&page)?;
+    let files = report_files(&page)?;
     let before = check()?; // another program may have written there meanwhile
     let names: BTreeSet<String> = files.iter().map(|(name, _)| name.clone()).collect();
     if let Some(foreign) = names.difference(&before.files).find(|name| out.join(name).symlink_metadata().is_ok()) {
@@ -67,7 +67,7 @@ pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut 
 
 /// Returns the names and bytes of all files except [`LIST`]. The page is the last: a new folder with a page is
 /// complete.
-fn files(page: &StudyPage) -> Result<Vec<(String, Vec<u8>)>> {
+fn report_files(page: &StudyPage) -> Result<Vec<(String, Vec<u8>)>> {
     let mut files = vec![("report.csv".into(), page.csv.clone().into())];
     for section in &page.sections {
         for figure in &section.figures {
@@ -77,7 +77,7 @@ fn files(page: &StudyPage) -> Result<Vec<(String, Vec<u8>)>> {
             files.push((format!("{stem}.png"), figure.png.clone()));
         }
     }
-    files.extend(documents(page)?.into_iter().map(|(name, text)| (name, text.into())));
+    files.extend(render_documents(page)?.into_iter().map(|(name, text)| (name, text.into())));
     Ok(files)
 }
 
@@ -115,7 +115,7 @@ fn is_report_file(name: &str) -> bool {
         || below("figures/", &[".svg", ".pdf", ".png"])
 }
 
-/// Writes the list of files.
+/// Writes the list of `files` and this version into `out`.
 fn write_list(out: &Path, files: BTreeSet<String>) -> Result<()> {
     let list = FileList { version: env!("CARGO_PKG_VERSION").into(), files };
     let text = serde_json::to_string_pretty(&list).expect("plain data") + "\n";
@@ -123,12 +123,12 @@ fn write_list(out: &Path, files: BTreeSet<String>) -> Result<()> {
 }
 
 /// Returns the names and texts of all documents: `report.tex` with one file per table, then `report.html`.
-fn documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
+fn render_documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
     let (mut all, mut sections) = (Vec::new(), Vec::new());
     for section in &page.sections {
-        let (mut message, mut tables) = (Vec::new(), Vec::new());
+        let (mut printed, mut tables) = (Vec::new(), Vec::new());
         for table in &section.tables {
-            let t = table_context(table, &mut message);
+            let t = table_context(table, &mut printed);
             let context = context! { t => t.clone(), setting => section.title.clone(), name => section.name.clone() };
             all.push((format!("tables/{}-{}.tex", section.name, table.name), render("table.tex", context)?));
             tables.push(t);
@@ -148,10 +148,10 @@ fn documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
 }
 
 /// Returns the table for a template: groups neighbouring columns of one title and lines of one kind; separates the
-/// sentences of the legend that no table above contains.
-fn table_context<'a>(table: &'a Table, message: &mut Vec<&'a str>) -> Value {
-    let fresh: Vec<&str> = table.legend.iter().map(String::as_str).filter(|s| !message.contains(s)).collect();
-    message.extend(&fresh);
+/// sentences of the legend that are not in `printed`, those of the tables above, and adds them to `printed`.
+fn table_context<'a>(table: &'a Table, printed: &mut Vec<&'a str>) -> Value {
+    let fresh: Vec<&str> = table.legend.iter().map(String::as_str).filter(|s| !printed.contains(s)).collect();
+    printed.extend(&fresh);
     let groups: Vec<&[TableColumn]> =
         table.columns.chunk_by(|a, b| (&a.title, a.arrow) == (&b.title, b.arrow)).collect();
     let sections: Vec<&[TableLine]> = table.lines.chunk_by(|a, b| a.kind == b.kind).collect();
@@ -165,13 +165,13 @@ fn table_context<'a>(table: &'a Table, message: &mut Vec<&'a str>) -> Value {
     }
 }
 
-/// Returns the tables of every setting that fit a terminal.
+/// Formats the tables of every setting that fit a terminal, with warnings and notes.
 fn text_tables(page: &StudyPage) -> String {
     let mut out = String::new();
     for section in &page.sections {
         _ = writeln!(out, "{}", section.title);
         for table in section.tables.iter().filter(|t| ["ranks", "scores", "differences"].contains(&t.name)) {
-            _ = write!(out, "\n{}\n{}", table.title, aligned(&lines(table), 1));
+            _ = write!(out, "\n{}\n{}", table.title, aligned(&text_lines(table), 1));
             let how = if table.is_marked() { "* best, + second best" } else { "[95 % interval], * excludes 0" };
             _ = writeln!(out, "{how}");
         }
@@ -186,8 +186,8 @@ fn text_tables(page: &StudyPage) -> String {
     out.split_inclusive('\n').map(|line| single_line(line.trim_end_matches('\n')) + "\n").collect()
 }
 
-/// Returns a cell as text, with its mark.
-fn cell(shown: &FormattedValue) -> String {
+/// Formats a cell with deviation or interval and its mark; `n/a` without a number.
+fn cell_text(shown: &FormattedValue) -> String {
     let mark = match shown.mark {
         RankMark::None => " ",
         RankMark::Best | RankMark::Clear => "*",
@@ -201,12 +201,13 @@ fn cell(shown: &FormattedValue) -> String {
     if shown.value.is_empty() { "n/a ".into() } else { format!("{}{more}{mark}", shown.value) }
 }
 
-/// Returns the aligned text: labels left, numbers right, below two header lines.
-fn lines(table: &Table) -> Vec<Vec<String>> {
+/// Formats the lines of a table for [`aligned`]: labels and cells below two header lines.
+fn text_lines(table: &Table) -> Vec<Vec<String>> {
     let head =
         |text: fn(&TableColumn) -> String| [String::new()].into_iter().chain(table.columns.iter().map(text)).collect();
     let heads = [head(|c| format!("{} {} ", c.title, c.arrow)), head(|c| format!("{} ", c.detail))];
-    let line = |line: &TableLine| [single_line(&line.label)].into_iter().chain(line.cells.iter().map(cell)).collect();
+    let line =
+        |line: &TableLine| [single_line(&line.label)].into_iter().chain(line.cells.iter().map(cell_text)).collect();
     heads.into_iter().chain(table.lines.iter().map(line)).collect()
 }
 
@@ -292,7 +293,7 @@ mod tests {
 
     /// Returns the text of a document.
     fn document(page: &StudyPage, name: &str) -> String {
-        documents(page).unwrap().into_iter().find(|(file, _)| file == name).unwrap().1
+        render_documents(page).unwrap().into_iter().find(|(file, _)| file == name).unwrap().1
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! `StudyPage`: content of the report, independent of the format.
 
-use super::comparison::{Comparison, ComparisonRow, RowKind, csv};
+use super::comparison::{Comparison, ComparisonRow, RowKind, report_csv};
 use super::figures::{self, Figure, FigureSet};
 use super::tables::{self, Table};
-use crate::templates::sentences;
+use crate::templates::render_sentences;
 use minijinja::{Value, context};
 use pwrfgs_core::{Error, Result, did_you_mean};
 use pwrfgs_experiment::text::{duration, grouped};
@@ -53,19 +53,19 @@ impl StudyPage {
         }
         let mut sections = Vec::new();
         for (i, comparison) in comparisons.iter().enumerate() {
-            let drawn = staged(observer, "drawing the figures", |p| figures::all(comparison.setting, p));
+            let drawn = staged(observer, "drawing the figures", |p| figures::draw_figures(comparison.setting, p));
             sections.push(Section::new(i, comparison, reference, drawn));
         }
         let unfinished = study.unfinished.iter().map(|path| format!("{}: not finished", path.display()));
         let repeated =
             study.repeated.iter().map(|path| format!("{}: repeats a run that is named before", path.display()));
         let references = sections.iter().map(|section| section.reference.as_str());
-        let csv = csv(comparisons.iter().zip(references));
+        let csv = report_csv(comparisons.iter().zip(references));
         Ok(Self { title: study.title.clone(), sections, csv, left_out: unfinished.chain(repeated).collect() })
     }
 }
 
-/// Rejects a label that no setting has.
+/// Rejects the `label` of a reference that no setting has.
 fn check_reference(comparisons: &[Comparison<'_>], label: &str) -> Result<()> {
     if comparisons.iter().any(|c| c.row(label).is_some()) {
         return Ok(());
@@ -79,25 +79,25 @@ fn check_reference(comparisons: &[Comparison<'_>], label: &str) -> Result<()> {
 }
 
 impl Section {
-    /// Creates the section of a setting.
+    /// Creates the section of a setting, number `index`, with its tables and the figures `drawn`.
     fn new(index: usize, comparison: &Comparison<'_>, reference: Option<&str>, drawn: FigureSet) -> Self {
         let setting = comparison.setting;
         let named = reference.and_then(|label| comparison.row(label));
         let compared: &ComparisonRow<'_> = named.unwrap_or(&comparison.rows[0]);
         let runs: Vec<&Record> = setting.runs().collect();
         let same_machine = runs.iter().all(|r| r.facts.machine == runs[0].facts.machine);
-        let mut message = lead(comparison, reference, compared, same_machine);
+        let mut message = lead_sentences(comparison, reference, compared, same_machine);
         let mut warnings = message.split_off(1);
         warnings.extend(distinct(runs.iter().flat_map(|run| run.facts.findings.iter().map(ToString::to_string))));
         warnings.extend(comparison.missing_score_warnings());
         warnings.extend(comparison.ambiguous_baseline_warnings());
         warnings.extend(drawn.left_out);
         let tables = [
-            tables::ranks(setting),
-            tables::scores(comparison, same_machine),
-            tables::differences(comparison, compared),
-            tables::further(comparison, same_machine),
-            tables::latency(comparison, same_machine),
+            tables::rank_table(setting),
+            tables::score_table(comparison, same_machine),
+            tables::difference_table(comparison, compared),
+            tables::further_table(comparison, same_machine),
+            tables::latency_table(comparison, same_machine),
         ];
         Self {
             name: (index + 1).to_string(),
@@ -114,7 +114,7 @@ impl Section {
 }
 
 /// Returns sentences about the data, runs and machines of a setting; all but the first are warnings.
-fn lead(
+fn lead_sentences(
     comparison: &Comparison<'_>,
     reference: Option<&str>,
     compared: &ComparisonRow<'_>,
@@ -126,7 +126,7 @@ fn lead(
         let counts = runs.iter().map(|r| r.facts.samples[k]);
         vec![counts.clone().min(), counts.max()]
     });
-    sentences(
+    render_sentences(
         "lead.txt",
         context! {
             variants => setting.variants.len(),
@@ -136,30 +136,30 @@ fn lead(
             simulated => setting.simulated,
             observations => setting.task().counted[1],
             machines_differ => !same_machine,
-            machines => distinct(setting.runs().map(machine)),
-            programs => distinct(setting.runs().map(program)),
+            machines => distinct(setting.runs().map(describe_machine)),
+            programs => distinct(setting.runs().map(describe_program)),
             precisions => distinct(setting.runs().map(|r| r.facts.real_bytes)),
             absent => reference.filter(|label| comparison.row(label).is_none()),
             reference => compared.label,
-            twins => comparison.twins(),
+            twins => comparison.twin_groups(),
         },
     )
 }
 
 /// Describes the machine of a run.
-fn machine(record: &Record) -> String {
+fn describe_machine(record: &Record) -> String {
     let machine = &record.facts.machine;
     let threads = if machine.threads == 1 { "thread" } else { "threads" };
     format!("{}, {} {threads} of {} cores, {}", machine.cpu, machine.threads, machine.cores, machine.system)
 }
 
 /// Describes the program of a run.
-fn program(record: &Record) -> String {
+fn describe_program(record: &Record) -> String {
     let id = record.facts.commit.as_ref().map(|id| id.chars().take(10).collect::<String>());
     format!("pwrfgs {}{}", record.facts.version, id.map_or_else(String::new, |id| format!(" at {id}")))
 }
 
-/// Returns the runs of a setting with seed, training, machine and folder.
+/// Returns the runs of a setting with seed, training, machine and folder, for the template.
 fn run_lines(setting: &Setting) -> Vec<Value> {
     let line = |variant: &str, record: &Record| {
         let facts = &record.facts;
@@ -167,8 +167,8 @@ fn run_lines(setting: &Setting) -> Vec<Value> {
             variant => variant.to_owned(),
             seed => facts.seed,
             training => format!("{} steps, {}", grouped(facts.steps as i64), duration(facts.training_seconds)),
-            machine => machine(record),
-            program => program(record),
+            machine => describe_machine(record),
+            program => describe_program(record),
             finished => facts.finished.clone().unwrap_or_default(),
             folder => record.folder.display().to_string(),
         }

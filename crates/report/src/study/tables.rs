@@ -2,10 +2,10 @@
 
 mod scores;
 
-pub(super) use scores::{differences, further, latency, scores};
+pub(super) use scores::{difference_table, further_table, latency_table, score_table};
 
 use super::comparison::{ComparisonRow, RowKind};
-use crate::templates::sentences;
+use crate::templates::render_sentences;
 use minijinja::context;
 use pwrfgs_experiment::text::{grouped, number};
 use pwrfgs_experiment::{ParetoComparison, Setting, statistics::Spread};
@@ -70,8 +70,8 @@ pub(super) enum RankMark {
     Clear,
 }
 
-/// Returns the title that marks simulated data.
-fn title(words: &str, setting: &Setting) -> String {
+/// Returns the title `words` of a table, which marks simulated data.
+fn table_title(words: &str, setting: &Setting) -> String {
     format!(
         "{words}{}",
         if setting.simulated { format!(" (simulated {})", setting.task().counted[1]) } else { String::new() }
@@ -100,15 +100,15 @@ impl Table {
         self.lines.iter().flat_map(|line| &line.cells).any(|cell| cell.mark == RankMark::Best)
     }
 
-    /// Returns whether a row has this type.
-    fn has(&self, kind: RowKind) -> bool {
+    /// Returns whether the table has a row of this type.
+    fn has_row_of(&self, kind: RowKind) -> bool {
         self.lines.iter().any(|line| line.kind == kind)
     }
 }
 
-/// Returns the score and rank of each method at each number of Gaussians, best mean rank first; `None` without equal
-/// numbers.
-pub(super) fn ranks(setting: &Setting) -> Option<Table> {
+/// Returns the table of score and rank of each method at each number of Gaussians, best mean rank first; `None` without
+/// equal numbers.
+pub(super) fn rank_table(setting: &Setting) -> Option<Table> {
     let pareto = ParetoComparison::of(setting)?;
     let headline = setting.headline();
     let arrow = if headline.higher { "↑" } else { "↓" };
@@ -140,9 +140,9 @@ pub(super) fn ranks(setting: &Setting) -> Option<Table> {
     });
     let lines: Vec<TableLine> = lines.collect();
     let mut table =
-        Table { name: "ranks", title: title("Ranks at equal N", setting), columns, lines, legend: Vec::new() };
-    let (least, most) = setting.seeds();
+        Table { name: "ranks", title: table_title("Ranks at equal N", setting), columns, lines, legend: Vec::new() };
+    let (least, most) = setting.seed_counts();
     table.legend =
-        sentences("legend.txt", context! { name => "ranks", families => pareto.families.len(), least, most });
+        render_sentences("legend.txt", context! { name => "ranks", families => pareto.families.len(), least, most });
     Some(table)
 }

@@ -19,8 +19,8 @@ const UNKNOWN: &str = "no known layout of data: expected spectrum/ and gateway_i
                        and gateway_position.yml (received powers); channel.npy and receiver.yml, or csidata.npy and \
                        base-station.yml (channels); sparse/0/images.txt and images/ (images of a camera); see docs/data.md";
 
-/// Creates the error of a folder without data of a known layout.
-pub fn unknown_folder(folder: &Path) -> Error {
+/// Creates the error for a folder without data of a known layout, or for a file or path in its place.
+pub fn unknown_folder_error(folder: &Path) -> Error {
     let problem = match folder.metadata() {
         Ok(entry) if entry.is_dir() => UNKNOWN.to_owned(),
         Ok(_) => format!("is a file; {}", advise_on_file(folder)),
@@ -29,13 +29,13 @@ pub fn unknown_folder(folder: &Path) -> Error {
     Error::input(folder, problem)
 }
 
-/// Suggests the next step for a file that was given instead of a folder.
+/// Suggests the next step for a file that was given in place of a data folder.
 fn advise_on_file(file: &Path) -> String {
     let folder = file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if recognise(folder).is_some() {
         return format!("give the folder of the data, {}", folder.display());
     }
-    let import = match extension(file).as_str() {
+    let import = match lowercase_extension(file).as_str() {
         "csv" => "convert a table of links with `pwrfgs import --links",
         "npy" | "npz" => "convert spectra with `pwrfgs import --spectra",
         _ => return "give a folder in a layout of docs/data.md".into(),
@@ -43,13 +43,13 @@ fn advise_on_file(file: &Path) -> String {
     format!("give a folder in a layout of docs/data.md, or {import} {} --out FOLDER`", file.display())
 }
 
-/// Returns whether `path` is a table or an array.
-pub fn is_table(path: &Path) -> bool {
-    path.is_file() && ["csv", "npy", "npz"].contains(&extension(path).as_str())
+/// Returns whether `path` is a file with the extension of a table or of NumPy arrays.
+pub fn is_table_or_array(path: &Path) -> bool {
+    path.is_file() && ["csv", "npy", "npz"].contains(&lowercase_extension(path).as_str())
 }
 
 /// Returns the extension in lower case, or an empty text.
-fn extension(path: &Path) -> String {
+fn lowercase_extension(path: &Path) -> String {
     path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_lowercase()
 }
 
@@ -69,17 +69,18 @@ pub struct DataSurvey {
 }
 
 impl DataSurvey {
-    /// Loads the data in `folder` and suggests a split.
+    /// Loads the data in `folder` and suggests a split; warns of findings on the data.
     ///
     /// # Errors
     /// No data of a known layout, or invalid data.
-    pub fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
-        let source = recognise(folder).ok_or_else(|| unknown_folder(folder))?;
+    pub fn read(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
+        let source = recognise(folder).ok_or_else(|| unknown_folder_error(folder))?;
         let data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
         Self::of_data(source, data, read_clouds(folder), observer)
     }
 
-    /// Suggests a split for `data`, which `source` reads. `clouds` are point clouds of the room by path.
+    /// Suggests a split for `data`, which `source` reads; warns of findings on the data. `clouds` are point clouds of the
+    /// room by path.
     ///
     /// # Errors
     /// Data that no split divides, or with findings that are errors.
@@ -89,7 +90,7 @@ impl DataSurvey {
         clouds: Vec<(PathBuf, Vec<[f64; 3]>)>,
         observer: &mut dyn Observer,
     ) -> Result<Self> {
-        let (split, partition) = suggested_split(&data)?;
+        let (split, partition) = suggest_split(&data)?;
         if let Some((_, points)) = clouds.first().filter(|_| data.camera().is_none()) {
             data.scene.points = points.iter().map(|point| data.scene.origin.local(*point)).collect();
         }
@@ -99,28 +100,29 @@ impl DataSurvey {
         Ok(Self { source, data, split, partition, nearest, clouds })
     }
 
-    /// Chooses the stride of training pixels: spectra of a small array are smooth.
-    pub(super) fn stride(&self) -> usize {
+    /// Returns the stride of training pixels: 3 for fine spectra whose size it divides, since spectra of a small array
+    /// are smooth; else 1.
+    pub(super) fn training_stride(&self) -> usize {
         let Dataset { width, height, .. } = self.data;
         if width >= 120 && width.is_multiple_of(3) && height.is_multiple_of(3) { 3 } else { 1 }
     }
 
-    /// Chooses the batch size: the number of training transmitters, at most `most`.
-    pub fn batch(&self, most: usize) -> usize {
+    /// Returns the batch size: the number of training transmitters, at most `most`.
+    pub fn batch_size(&self, most: usize) -> usize {
         let train = self.partition.train.iter().map(|&i| self.data.links[i].location);
         train.collect::<BTreeSet<_>>().len().clamp(1, most)
     }
 
-    /// Describes the data in one line.
-    pub fn sentence(&self) -> String {
+    /// Describes the observations and the sizes of the sets in one line.
+    pub fn describe(&self) -> String {
         let [train, validation, test] = self.partition.sizes();
         let observations = observed(&self.data);
         format!("{observations}: {train} training, {validation} validation, {test} test")
     }
 
-    /// Writes notes for the head of the pipeline file.
+    /// Lists the notes for the head of the pipeline file: data, split, frequencies and start of the Gaussians.
     pub fn notes(&self) -> Vec<String> {
-        let mut notes = vec![format!("{}: {}. Written by `pwrfgs init`.", self.data.title, self.sentence())];
+        let mut notes = vec![format!("{}: {}. Written by `pwrfgs init`.", self.data.title, self.describe())];
         let near = format!("the median distance from test to training transmitters is {:.3} m", self.nearest);
         notes.push(match (self.data.official.is_some(), self.nearest < NEAR) {
             (true, true) => format!(
@@ -164,11 +166,11 @@ fn file_name(path: &Path) -> String {
 }
 
 /// Suggests a split without leakage, as RON and applied: index files of the data, else cells of space, else a block of
-/// time.
+/// time, else random.
 ///
 /// # Errors
-/// Data that no split divides.
-pub fn suggested_split(data: &Dataset) -> Result<(String, Partition)> {
+/// No split is possible.
+pub fn suggest_split(data: &Dataset) -> Result<(String, Partition)> {
     let split_by = |text: &str| -> Result<Partition> {
         let split = Plugin::<dyn Split>::parse(text).map_err(Error::Config)?;
         split.split(data, &mut rng::stream(0, "split", 0))
@@ -191,12 +193,12 @@ pub fn suggested_split(data: &Dataset) -> Result<(String, Partition)> {
     Ok(("Random()".into(), split_by("Random()")?))
 }
 
-/// Reads the readable point clouds in the folder, by name.
+/// Reads the point clouds in the folder, in order of their file names; unreadable files are left out.
 fn read_clouds(folder: &Path) -> Vec<(PathBuf, Vec<[f64; 3]>)> {
     let is_cloud = |path: &PathBuf| {
-        let extension = extension(path);
-        let points = path.file_stem().is_some_and(|name| name.to_string_lossy().to_lowercase().contains("point"));
-        path.is_file() && (extension == "ply" || extension == "xyz" || (extension == "csv" && points))
+        let extension = lowercase_extension(path);
+        let has_name = path.file_stem().is_some_and(|name| name.to_string_lossy().to_lowercase().contains("point"));
+        path.is_file() && (extension == "ply" || extension == "xyz" || (extension == "csv" && has_name))
     };
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let mut paths: Vec<PathBuf> = entries.filter(is_cloud).collect();

@@ -12,7 +12,9 @@ const MOST: u64 = 1 << 30;
 /// File with the observations of unknown transmitters.
 struct ObservationFile<'a> {
     path: &'a Path,
+    /// Features of the observations of the model.
     features: &'a FingerprintFeatures,
+    /// Receivers of the model.
     receivers: &'a [Receiver],
 }
 
@@ -29,63 +31,161 @@ pub fn checked_features(
     receivers: &[Receiver],
 ) -> Result<Vec<Vec<f32>>> {
     let file = ObservationFile { path, features, receivers };
-    if features.task().is_scalar { file.check_powers(values) } else { file.image_features(values) }
+    if features.task().is_scalar { file.power_features(values) } else { file.image_features(values) }
 }
 
-/// Reads the features `[receivers, count]` of every transmitter in a file; NaN for unknown values.
+/// Reads the features `[receivers, count]` of each transmitter in a file; NaN for unknown values.
 ///
 /// # Errors
-/// Another kind of file or shape, or an invalid value.
+/// A file of another kind or shape than the observations of the model, or an invalid value.
 pub fn read_observations(path: &Path, features: &FingerprintFeatures, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
-    let (file, task) = (ObservationFile { path, features, receivers }, features.task());
-    match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
-        Some("npy") if task.is_scalar => file.check_powers(&read_real(path, &[receivers.len()], false)?),
-        Some("npy") if task.is_complex => file.image_features(&file.read_complex()?),
-        Some("npy") => {
-            let (width, height) = features.size();
-            file.image_features(&read_real(path, &[height, width], true)?)
+    ObservationFile { path, features, receivers }.read_features()
+}
+
+impl ObservationFile<'_> {
+    /// Reads the features `[receivers, count]` of each transmitter; NaN for unknown values. A file of another kind than
+    /// the observations of the model is an error.
+    fn read_features(&self) -> Result<Vec<Vec<f32>>> {
+        let (path, task) = (self.path, self.features.task());
+        match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
+            Some("npy") if task.is_scalar => {
+                self.power_features(&read_real_array(path, &[self.receivers.len()], false)?)
+            }
+            Some("npy") if task.is_complex => self.image_features(&self.read_channels()?),
+            Some("npy") => {
+                let (width, height) = self.features.size();
+                self.image_features(&read_real_array(path, &[height, width], true)?)
+            }
+            Some("csv") if task.is_scalar => {
+                let names: Vec<String> = self.receivers.iter().map(|receiver| receiver.name.clone()).collect();
+                self.power_features(&read_powers(path, &names)?.concat())
+            }
+            Some("png") if task.has_pixels => self.image_features(&self.read_image_pixels()?),
+            _ => {
+                let expected = match (task.has_pixels, task.is_scalar) {
+                    (true, _) => "a PNG image, or an array [B, height, width] (.npy)",
+                    (_, true) => "a CSV table with a column per receiver, or an array [B, receivers] (.npy)",
+                    _ => "an array [B, antennas, subcarriers] of complex numbers (.npy)",
+                };
+                Err(self.error(format!("is no file of {}; give {expected}", task.plural)))
+            }
         }
-        Some("csv") if task.is_scalar => {
-            let names: Vec<String> = receivers.iter().map(|receiver| receiver.name.clone()).collect();
-            file.check_powers(&read_powers(path, &names)?.concat())
+    }
+
+    /// Reads a complex array `[B, A, F]` as numbers `[B, 2 A, F]`: rows of real and imaginary parts.
+    fn read_channels(&self) -> Result<Vec<Real>> {
+        let (width, height) = self.features.size();
+        let (header, bytes) = read_array_file(self.path)?;
+        check_shape(self.path, &header, &[height / 2, width])?;
+        let number = match header.descr.as_str() {
+            "<c8" => Number::F32,
+            "<c16" => Number::F64,
+            other => {
+                let problem = format!("holds numbers of type `{other}`; channels are complex: save a.astype('<c8')");
+                return Err(self.error(problem));
+            }
+        };
+        let bytes = array_body(self.path, &header, &bytes, header.bytes(number).and_then(|half| half.checked_mul(2)))?;
+        let mut parts: Vec<Real> = Vec::with_capacity(bytes.len() / number.bytes());
+        number.each(bytes, |v| parts.push(v as Real));
+        let gains = parts.as_chunks::<2>().0;
+        Ok(gains.chunks_exact((height / 2 * width).max(1)).flat_map(|channel| rows_of(channel, width)).collect())
+    }
+
+    /// Reads the pixels of an image; an error if its size is not that of the spectra of the model.
+    fn read_image_pixels(&self) -> Result<Vec<Real>> {
+        let Image { width, height, pixels } = read_image(self.path)?;
+        let size = self.features.size();
+        if (width, height) != size {
+            return Err(self.error(format!(
+                "has {width} x {height} pixels; the model observes {} x {} (width x height)",
+                size.0, size.1
+            )));
         }
-        Some("png") if task.has_pixels => file.image_features(&file.read_picture()?),
-        _ => {
-            let expected = match (task.has_pixels, task.is_scalar) {
-                (true, _) => "a PNG image, or an array [B, height, width] (.npy)",
-                (_, true) => "a CSV table with a column per receiver, or an array [B, receivers] (.npy)",
-                _ => "an array [B, antennas, subcarriers] of complex numbers (.npy)",
-            };
-            Err(Error::input(path, format!("is no file of {}; give {expected}", task.plural)))
+        Ok(pixels)
+    }
+
+    /// Computes the features per spectrum or channel at the only receiver, from the numbers of all. Numbers that are
+    /// not finite or out of range are errors, as are several receivers.
+    fn image_features(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
+        if self.receivers.len() != 1 {
+            return Err(self.error(format!(
+                    "an array has the {} of one receiver, the model has {}; localise samples of its data set instead (leave out the file)",
+                    self.features.task().plural,
+                    self.receivers.len()
+                ),
+            ));
         }
+        let (width, height) = self.features.size();
+        let numbers = width * height;
+        if !values.len().is_multiple_of(numbers) || values.is_empty() {
+            return Err(self.error("is truncated or damaged; copy it again".into()));
+        }
+        if let Some(at) = values.iter().position(|v| !v.is_finite()) {
+            let row = at / numbers + 1;
+            return Err(self.error(format!("observation {row} has a value that is not finite; leave it out")));
+        }
+        let (has_pixels, range) = (self.features.task().has_pixels, ["up to 1e9", "linear, from 0 to 1"]);
+        let is_far = |v: &Real| if has_pixels { !is_linear(*v as f64) } else { gain_fault([*v as f64, 0.0]).is_some() };
+        if let Some(at) = values.iter().position(is_far) {
+            let (row, range) = (at / numbers + 1, range[usize::from(has_pixels)]);
+            return Err(self.error(format!("observation {row} has the value {:e}; give numbers {range}", values[at])));
+        }
+        let features = |pixels: &[Real]| self.features.extract(&Image { width, height, pixels: pixels.to_vec() });
+        Ok(values.chunks_exact(numbers).map(features).collect())
+    }
+
+    /// Returns the powers `[B, receivers]`, dBm, as features; NaN for unknown ones. A row without any known power, or
+    /// with an invalid one, is an error.
+    fn power_features(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
+        let rows = values.chunks_exact(self.receivers.len().max(1));
+        let rows: Vec<Vec<f32>> = rows.map(|row| row.iter().map(|v| *v as f32).collect()).collect();
+        for (row, number) in rows.iter().zip(1..) {
+            if row.iter().all(|v| v.is_nan()) {
+                return Err(self.error(format!("row {number}: no receiver has a power; give at least one")));
+            }
+            // Not NaN, which is unknown; -100 is a level here, not a missing link.
+            let is_stated = |dbm: &&f32| !dbm.is_nan() && **dbm != -100.0;
+            if let Some(fault) = row.iter().filter(is_stated).find_map(|dbm| power_fault(f64::from(*dbm))) {
+                let advice = "or leave the value out (NaN or an empty cell)";
+                return Err(self.error(format!("row {number}: a power {fault}, {advice}")));
+            }
+        }
+        Ok(rows)
+    }
+
+    /// Creates an error at the file.
+    fn error(&self, problem: String) -> Error {
+        Error::input(self.path, problem)
     }
 }
 
-/// Reads the numbers of a real array `[B, ..inner]`. Only pixels may be integers.
-fn read_real(path: &Path, inner: &[usize], has_pixels: bool) -> Result<Vec<Real>> {
-    let (header, bytes) = read_array(path)?;
+/// Reads the numbers of a real array `[B, ..inner]`, divided by the full scale of their type. Only pixels may be
+/// integers.
+fn read_real_array(path: &Path, inner: &[usize], has_pixels: bool) -> Result<Vec<Real>> {
+    let (header, bytes) = read_array_file(path)?;
     let Some(number) = header.number().filter(|number| has_pixels || number.is_float()) else {
         let problem = format!("holds numbers of type `{}`; save real numbers, such as a.astype('<f4')", header.descr);
         return Err(Error::input(path, problem));
     };
     check_shape(path, &header, inner)?;
-    let bytes = array_numbers(path, &header, &bytes, header.bytes(number))?;
+    let bytes = array_body(path, &header, &bytes, header.bytes(number))?;
     let mut values = Vec::with_capacity(bytes.len() / number.bytes());
     number.each(bytes, |v| values.push((v / number.full_scale()) as Real));
     Ok(values)
 }
 
 /// Reads the header of an array file, and all its bytes.
-fn read_array(path: &Path) -> Result<(Header, Vec<u8>)> {
+fn read_array_file(path: &Path) -> Result<(Header, Vec<u8>)> {
     let bytes = files::read_at_most(path, MOST).map_err(|e| Error::read(path, e))?;
     Ok((Header::read(path, &mut bytes.as_slice())?, bytes))
 }
 
-/// Returns the numbers of an array file; an error if they are not as many bytes as `expected`.
-fn array_numbers<'b>(path: &Path, header: &Header, bytes: &'b [u8], expected: Option<u64>) -> Result<&'b [u8]> {
-    let numbers = bytes.get(header.offset as usize..).unwrap_or_default();
-    if expected == Some(numbers.len() as u64) {
-        return Ok(numbers);
+/// Returns the bytes after the header of an array file; an error if they are not as many as `expected`.
+fn array_body<'b>(path: &Path, header: &Header, bytes: &'b [u8], expected: Option<u64>) -> Result<&'b [u8]> {
+    let body = bytes.get(header.offset as usize..).unwrap_or_default();
+    if expected == Some(body.len() as u64) {
+        return Ok(body);
     }
     let shape = header.shape_text();
     Err(Error::input(path, format!("has shape {shape}, but not its length; it is truncated or damaged: copy it again")))
@@ -103,91 +203,4 @@ fn check_shape(path: &Path, header: &Header, inner: &[usize]) -> Result<()> {
         return Err(Error::input(path, "holds no observation; give one row or more"));
     }
     Ok(())
-}
-
-impl ObservationFile<'_> {
-    /// Reads a complex array `[B, A, F]` as rows of real and imaginary parts.
-    fn read_complex(&self) -> Result<Vec<Real>> {
-        let (width, height) = self.features.size();
-        let (header, bytes) = read_array(self.path)?;
-        check_shape(self.path, &header, &[height / 2, width])?;
-        let number = match header.descr.as_str() {
-            "<c8" => Number::F32,
-            "<c16" => Number::F64,
-            other => {
-                let problem = format!("holds numbers of type `{other}`; channels are complex: save a.astype('<c8')");
-                return Err(self.refuse(problem));
-            }
-        };
-        let bytes =
-            array_numbers(self.path, &header, &bytes, header.bytes(number).and_then(|half| half.checked_mul(2)))?;
-        let mut parts: Vec<Real> = Vec::with_capacity(bytes.len() / number.bytes());
-        number.each(bytes, |v| parts.push(v as Real));
-        let gains = parts.as_chunks::<2>().0;
-        Ok(gains.chunks_exact((height / 2 * width).max(1)).flat_map(|channel| rows_of(channel, width)).collect())
-    }
-
-    /// Reads the pixels of an image of the size that the model observes.
-    fn read_picture(&self) -> Result<Vec<Real>> {
-        let Image { width, height, pixels } = read_image(self.path)?;
-        let size = self.features.size();
-        if (width, height) != size {
-            return Err(self.refuse(format!(
-                "has {width} x {height} pixels; the model observes {} x {} (width x height)",
-                size.0, size.1
-            )));
-        }
-        Ok(pixels)
-    }
-
-    /// Computes the features of spectra or channels at one receiver.
-    fn image_features(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
-        if self.receivers.len() != 1 {
-            return Err(self.refuse(format!(
-                "an array has the {} of one receiver, the model has {}; localise samples of its data set instead (leave out the file)",
-                self.features.task().plural,
-                self.receivers.len()
-            )));
-        }
-        let (width, height) = self.features.size();
-        let numbers = width * height;
-        if !values.len().is_multiple_of(numbers) || values.is_empty() {
-            return Err(self.refuse("is truncated or damaged; copy it again".into()));
-        }
-        if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-            let row = at / numbers + 1;
-            return Err(self.refuse(format!("observation {row} has a value that is not finite; leave it out")));
-        }
-        let (has_pixels, range) = (self.features.task().has_pixels, ["up to 1e9", "linear, from 0 to 1"]);
-        let is_far = |v: &Real| if has_pixels { !is_linear(*v as f64) } else { gain_fault([*v as f64, 0.0]).is_some() };
-        if let Some(at) = values.iter().position(is_far) {
-            let (row, range) = (at / numbers + 1, range[usize::from(has_pixels)]);
-            return Err(self.refuse(format!("observation {row} has the value {:e}; give numbers {range}", values[at])));
-        }
-        let features = |pixels: &[Real]| self.features.of(&Image { width, height, pixels: pixels.to_vec() });
-        Ok(values.chunks_exact(numbers).map(features).collect())
-    }
-
-    /// Checks rows of powers, dBm; NaN for receivers that are not known.
-    fn check_powers(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
-        let rows = values.chunks_exact(self.receivers.len().max(1));
-        let rows: Vec<Vec<f32>> = rows.map(|row| row.iter().map(|v| *v as f32).collect()).collect();
-        for (row, number) in rows.iter().zip(1..) {
-            if row.iter().all(|v| v.is_nan()) {
-                return Err(self.refuse(format!("row {number}: no receiver has a power; give at least one")));
-            }
-            // Not NaN, which is unknown; -100 is a level here, not a missing link.
-            let is_stated = |dbm: &&f32| !dbm.is_nan() && **dbm != -100.0;
-            if let Some(fault) = row.iter().filter(is_stated).find_map(|dbm| power_fault(f64::from(*dbm))) {
-                let advice = "or leave the value out (NaN or an empty cell)";
-                return Err(self.refuse(format!("row {number}: a power {fault}, {advice}")));
-            }
-        }
-        Ok(rows)
-    }
-
-    /// Creates an error at the file.
-    fn refuse(&self, problem: String) -> Error {
-        Error::input(self.path, problem)
-    }
 }

@@ -2,10 +2,10 @@
 
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::statistics::{evenly, mean, quantile, sorted};
-use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Partition, Plugin, Result};
-use pwrfgs_experiment::PairedRow;
+use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Plugin, Result};
 use pwrfgs_experiment::statistics::{Blocks, Difference};
 use pwrfgs_experiment::text::{aligned, fixed, grouped};
+use pwrfgs_experiment::{PairedRow, SplitData};
 use pwrfgs_localise::{Choice, Located, Locator, NearestFingerprints, Region, SHARES, mean_and_median};
 use rayon::prelude::*;
 use std::fmt::Write as _;
@@ -14,32 +14,27 @@ use std::fmt::Write as _;
 const EXPECTED: usize = 200;
 const CENTRE: &str = "centre of the positions";
 
-/// Formats the table of the errors of the located test samples and of the baselines, with a verdict.
-pub(super) fn table(
-    located: &[&Located],
-    locator: &Locator<'_>,
-    data: &Dataset,
-    partition: &Partition,
-) -> Result<String> {
-    let fitting = partition.known();
-    let samples = Samples::new(locator, data, data.locations_of(&partition.test));
-    let mut entries = vec![samples.entry("model", locator.choice, located)];
-    if let Some((choice, kriged)) = krige(data, fitting, &samples.observations)? {
-        let entry = samples.entry("fingerprints of Kriging", choice, &kriged.iter().collect::<Vec<_>>());
+/// Formats the table of the errors of the located test samples of `split` and of the baselines, with a verdict.
+pub(super) fn format_errors(located: &[&Located], locator: &Locator<'_>, split: &SplitData) -> Result<String> {
+    let (data, fitting) = (&split.data, split.partition.known());
+    let samples = Samples::new(locator, data, data.locations_of(&split.partition.test));
+    let mut entries = vec![samples.located_entry("model", locator.choice, located)];
+    if let Some((choice, kriged)) = samples.locate_by_kriging(fitting)? {
+        let entry = samples.located_entry("fingerprints of Kriging", choice, &kriged.iter().collect::<Vec<_>>());
         entries.extend((entry.name != entries[0].name).then_some(entry));
     }
     let nearest = NearestFingerprints::fit(data, fitting, locator.features(), locator.floor());
     let name = format!("{} nearest fingerprint{}", nearest.k, if nearest.k == 1 { "" } else { "s" });
-    entries.push(samples.baseline(name, |observation| nearest.locate(observation)));
-    entries.push(samples.centre(locator));
+    entries.push(samples.baseline_entry(name, |observation| nearest.locate(observation)));
+    entries.push(samples.centre_entry(locator));
     let header = ["", "predicted", "median (m)", "mean (m)", "90 % (m)", "regions hold", "area (m²)"];
     let lines: Vec<_> =
-        std::iter::once(header.map(String::from).to_vec()).chain(entries.iter().map(Entry::line)).collect();
+        std::iter::once(header.map(String::from).to_vec()).chain(entries.iter().map(Entry::cells)).collect();
     let heading = format!("{}: {} test positions\n", data.title, grouped(located.len() as i64));
     Ok(heading + &aligned(&lines, 1) + &samples.verdict(&entries))
 }
 
-/// Describes the errors of the validation samples, with a verdict; empty without any.
+/// Describes the errors of up to [`EXPECTED`] validation samples, with a verdict; empty without any.
 pub(super) fn describe_validation(locator: &Locator<'_>, data: &Dataset, fitting: FittingSet<'_>) -> String {
     let samples = Samples::new(locator, data, evenly(&data.locations_of(fitting.validation), EXPECTED));
     if samples.transmitters.is_empty() {
@@ -47,10 +42,10 @@ pub(super) fn describe_validation(locator: &Locator<'_>, data: &Dataset, fitting
     }
     let located = samples.observations.par_iter().map(|observation| locator.locate(observation));
     let located: Vec<Located> = located.collect();
-    let model = samples.entry("model", locator.choice, &located.iter().collect::<Vec<_>>());
+    let model = samples.located_entry("model", locator.choice, &located.iter().collect::<Vec<_>>());
     let [mean, median] = mean_and_median(model.errors.clone());
     let (count, median, mean) = (grouped(located.len() as i64), fixed(median, 3), fixed(mean, 3));
-    let verdict = samples.verdict(&[model, samples.centre(locator)]);
+    let verdict = samples.verdict(&[model, samples.centre_entry(locator)]);
     format!("{count} validation samples: median error {median} m, mean {mean} m; {verdict}")
 }
 
@@ -80,38 +75,54 @@ impl Samples<'_> {
     }
 
     /// Returns the true position of sample `k`, metres.
-    fn truth(&self, k: usize) -> [f64; 3] {
+    fn true_position(&self, k: usize) -> [f64; 3] {
         self.data.locations[self.transmitters[k]].position()
     }
 
-    /// Creates the entry of samples located with fingerprints of `predictor`, unless the choice does not use it.
-    fn entry(&self, predictor: &str, choice: Choice, located: &[&Located]) -> Entry {
+    /// Creates the entry of the samples that were located with the fingerprints and the descent of `predictor`, as far
+    /// as `choice` uses them.
+    fn located_entry(&self, predictor: &str, choice: Choice, located: &[&Located]) -> Entry {
         let name = match (choice.share > 0.0, choice.descends) {
             (true, _) => predictor.into(),
             (false, true) => format!("measured fingerprints, descent along the {predictor}"),
             (false, false) => "measured fingerprints".into(),
         };
-        let errors = located.iter().enumerate().map(|(k, result)| distance(result.position, self.truth(k))).collect();
-        let held = located.iter().enumerate().filter(|(k, result)| result.holds(self.truth(*k)) == Some(true)).count();
+        let errors =
+            located.iter().enumerate().map(|(k, result)| distance(result.position, self.true_position(k))).collect();
+        let held =
+            located.iter().enumerate().filter(|(k, result)| result.holds(self.true_position(*k)) == Some(true)).count();
         let areas: Vec<f64> = located.iter().filter_map(|result| result.region.as_ref()).map(Region::area).collect();
         let region = (!areas.is_empty()).then(|| (held as f64 / located.len() as f64, mean_and_median(areas)[1]));
         Entry { name, share: Some(choice.share), errors, region }
     }
 
-    /// Creates the entry of a baseline that locates one observation at a time.
-    fn baseline(&self, name: String, locate: impl Fn(&[f32]) -> [f64; 3] + Sync) -> Entry {
-        let error = |(k, observation): (usize, &Vec<f32>)| distance(locate(observation), self.truth(k));
+    /// Creates the entry of the baseline `name`, which locates one observation at a time.
+    fn baseline_entry(&self, name: String, locate: impl Fn(&[f32]) -> [f64; 3] + Sync) -> Entry {
+        let error = |(k, observation): (usize, &Vec<f32>)| distance(locate(observation), self.true_position(k));
         let errors = self.observations.par_iter().enumerate().map(error).collect();
         Entry { name, share: None, errors, region: None }
     }
 
-    /// Creates the entry of a baseline that locates all samples at the mean of the training positions.
-    fn centre(&self, locator: &Locator<'_>) -> Entry {
+    /// Creates the entry of the baseline that locates all samples at the mean of the training positions.
+    fn centre_entry(&self, locator: &Locator<'_>) -> Entry {
         let centre = [0, 1, 2].map(|k| mean(locator.positions().iter().map(|p| p[k])));
-        self.baseline(CENTRE.into(), |_| centre)
+        self.baseline_entry(CENTRE.into(), |_| centre)
     }
 
-    /// Compares the first entry with the best of the others, and with the centre if it is not better than that.
+    /// Locates the samples with Kriging in place of the model; `None` if Kriging does not support the data.
+    fn locate_by_kriging(&self, fitting: FittingSet<'_>) -> Result<Option<(Choice, Vec<Located>)>> {
+        let kriging = Plugin::<dyn Baseline>::parse("Kriging()").map_err(Error::Config)?;
+        if kriging.check_data(self.data).is_err() {
+            return Ok(None);
+        }
+        let predictor = kriging.fit(self.data, fitting)?;
+        let locator = Locator::fit(self.data, fitting, predictor.as_ref(), &SHARES)?;
+        let located = self.observations.par_iter().map(|observation| locator.locate(observation));
+        Ok(Some((locator.choice, located.collect())))
+    }
+
+    /// Compares the first entry with the centre if it is not better than that, else with the best of the others; empty
+    /// without an interval of the difference.
     fn verdict(&self, entries: &[Entry]) -> String {
         let transmitters = self.transmitters.iter().map(|t| self.data.locations[*t]);
         let blocks = Blocks::new(&transmitters.clone().map(|tx| (tx.id, Some(tx.position()))).collect());
@@ -129,7 +140,7 @@ impl Samples<'_> {
         let best = entries[1..].iter().min_by(|a, b| mean_error(a).total_cmp(&mean_error(b))).and_then(compare);
         let end = format!("({} minus baseline, mean error in metres ↓)", entries[0].name);
         if let Some(row) = centre.filter(|row| row.verdict() != "better") {
-            _ = writeln!(text, "no better than the {CENTRE}: {} {end}", row.number());
+            _ = writeln!(text, "no better than the {CENTRE}: {} {end}", row.difference_text());
         } else if let Some(row) = best {
             _ = writeln!(text, "{} {end}", row.sentence());
         }
@@ -138,8 +149,8 @@ impl Samples<'_> {
 }
 
 impl Entry {
-    /// Formats the cells of the entry.
-    fn line(&self) -> Vec<String> {
+    /// Formats the cells of the entry: name, share, median, mean and 90th percentile of the errors, and regions.
+    fn cells(&self) -> Vec<String> {
         let worst = quantile(&sorted(self.errors.iter().copied()), 0.9);
         let [mean, median] = mean_and_median(self.errors.clone());
         let percent = |share: f64, decimals: usize| format!("{} %", fixed(100.0 * share, decimals));
@@ -147,15 +158,4 @@ impl Entry {
         let [held, area] = self.region.map_or_else(Default::default, |(held, area)| [percent(held, 1), fixed(area, 4)]);
         vec![self.name.clone(), share, fixed(median, 4), fixed(mean, 4), fixed(worst, 4), held, area]
     }
-}
-
-/// Locates with Kriging in place of the model; `None` if it does not support the data.
-fn krige(data: &Dataset, fitting: FittingSet<'_>, observations: &[Vec<f32>]) -> Result<Option<(Choice, Vec<Located>)>> {
-    let kriging = Plugin::<dyn Baseline>::parse("Kriging()").map_err(Error::Config)?;
-    if kriging.check_data(data).is_err() {
-        return Ok(None);
-    }
-    let predictor = kriging.fit(data, fitting)?;
-    let locator = Locator::fit(data, fitting, predictor.as_ref(), &SHARES)?;
-    Ok(Some((locator.choice, observations.par_iter().map(|observation| locator.locate(observation)).collect())))
 }

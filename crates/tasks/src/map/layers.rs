@@ -42,8 +42,9 @@ pub struct MapLayer {
     pub arrows: Vec<[f32; 2]>,
 }
 
-/// Returns the quantities to map: those `requested`, or the default of the model.
-pub(super) fn quantities(setup: &MeasurementSetup, requested: &[MapQuantity]) -> Result<Vec<MapQuantity>> {
+/// Returns the quantities to map: those `requested`, or the default of the model. A requested quantity that the model
+/// does not have is an error.
+pub(super) fn select_quantities(setup: &MeasurementSetup, requested: &[MapQuantity]) -> Result<Vec<MapQuantity>> {
     let (task, has_angles) = (setup.task, setup.plane.angles.is_some());
     let (available, names): (&[MapQuantity], _) = match (task.has_pixels, has_angles) {
         (true, true) => (&[MapQuantity::Direction, MapQuantity::Level, MapQuantity::Mean], "direction, level or mean"),
@@ -71,7 +72,7 @@ struct Summary {
 }
 
 impl Summary {
-    /// Summarises an observation of `task`.
+    /// Summarises the predicted observation `image` of `task`.
     fn of(task: Task, image: &Image) -> Self {
         let strongest = image.argmax();
         let count = image.pixels.len().max(1) as f64;
@@ -80,9 +81,9 @@ impl Summary {
     }
 }
 
-/// Computes all arrays of a map from the predictions of `predict_many`, in the order of `receivers`, then that of all receivers
-/// together; `progress` receives the number of finished positions.
-pub fn layers(
+/// Computes all arrays of a map from the predictions of `predict_many`: those of each receiver, then the strongest power;
+/// `progress` receives the number of finished positions.
+pub fn compute_layers(
     setup: &MeasurementSetup,
     predict_many: &(dyn Fn(&[Query<'_>]) -> Vec<Image> + Sync),
     grid: &PlaneGrid,
@@ -92,7 +93,7 @@ pub fn layers(
 ) -> Vec<MapLayer> {
     let mut layers: Vec<MapLayer> = receivers.iter().flat_map(|&r| empty_layers(setup.task, r, quantities)).collect();
     let per_receiver = layers.len() / receivers.len().max(1);
-    let positions: Vec<usize> = (0..grid.len()).collect();
+    let positions: Vec<usize> = (0..grid.position_count()).collect();
     for chunk in positions.chunks((STEP / receivers.len().max(1)).max(1)) {
         progress(chunk[0]);
         let queries: Vec<Query<'static>> =
@@ -101,14 +102,14 @@ pub fn layers(
             queries.par_chunks(CALL).flat_map_iter(predict_many).map(|image| Summary::of(setup.task, &image)).collect();
         for (k, summary) in summaries.into_iter().enumerate() {
             let slot = k % receivers.len();
-            add_position(setup, grid, receivers[slot], summary, &mut layers[slot * per_receiver..][..per_receiver]);
+            append_values(setup, grid, receivers[slot], summary, &mut layers[slot * per_receiver..][..per_receiver]);
         }
     }
     layers.extend(strongest_layer(setup.task, &layers, receivers.len()));
     layers
 }
 
-/// Creates the empty arrays of a receiver.
+/// Creates the arrays of a receiver without values, one per quantity; a direction has two.
 fn empty_layers(task: Task, receiver: usize, quantities: &[MapQuantity]) -> Vec<MapLayer> {
     let layer = |(name, words, unit)| MapLayer {
         name,
@@ -131,8 +132,8 @@ fn empty_layers(task: Task, receiver: usize, quantities: &[MapQuantity]) -> Vec<
     quantities.iter().flat_map(names).map(layer).collect()
 }
 
-/// Adds a position to the arrays of its receiver.
-fn add_position(
+/// Appends the values at the next position to the arrays of a receiver.
+fn append_values(
     setup: &MeasurementSetup,
     grid: &PlaneGrid,
     receiver: usize,
@@ -159,7 +160,7 @@ fn add_position(
     }
 }
 
-/// Computes the largest power of all receivers at each position, if there are several.
+/// Computes the largest power of all receivers at each position, dBm; `None` for a single receiver or other tasks.
 fn strongest_layer(task: Task, layers: &[MapLayer], receivers: usize) -> Option<MapLayer> {
     let first = layers.first().filter(|_| task.is_scalar && receivers > 1)?;
     let largest = |k: usize| layers.iter().map(|layer| layer.values[k]).fold(f32::NAN, f32::max);

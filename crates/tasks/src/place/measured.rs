@@ -4,13 +4,14 @@ use super::{PlaceSettings, PlacedReceivers, Placement, RANDOM, check_count};
 use pwrfgs_core::{Dataset, Error, Result, rng, statistics::mean};
 use pwrfgs_experiment::text::{fixed, grouped};
 use pwrfgs_experiment::{Observer, staged};
-use pwrfgs_planning::{Subset, best_subset, coverage_of, greedy_subset, random_subsets, strongest_powers};
+use pwrfgs_planning::{Subset, best_subset, greedy_subset, random_subsets, strongest_powers, subset_coverage};
 use pwrfgs_report::draw::survey::CoverageMap;
 
 /// Divisor of the number of transmitters that are held out without an official split.
 const HELD_OUT: usize = 5;
 
-/// Chooses receivers of `data` by an exhaustive and a greedy search, and scores them on held-out transmitters.
+/// Chooses receivers of `data` by an exhaustive and a greedy search over the training transmitters, and scores them on
+/// held-out ones.
 ///
 /// # Errors
 /// Invalid settings, data without received powers, or fewer than two transmitters.
@@ -18,7 +19,7 @@ pub fn place_in_data(data: &Dataset, settings: &PlaceSettings, observer: &mut dy
     check_count(settings.count)?;
     let (count, total) = (settings.count, data.scene.receivers.len());
     let refuse = |problem: &str| Err(Error::Config(format!("{}: {problem}", data.title)));
-    let Some(matrix) = Matrix::new(data) else {
+    let Some(matrix) = PowerMatrix::new(data) else {
         return refuse("has no received powers; name data with received powers, or a scene");
     };
     if count > total {
@@ -35,32 +36,25 @@ pub fn place_in_data(data: &Dataset, settings: &PlaceSettings, observer: &mut dy
             grouped(train.len() as i64),
             grouped(test.len() as i64)
         ),
-        format!(
-            "{} of {} links are missing and count as {} dBm, the weakest power of the data",
-            grouped(matrix.missing as i64),
-            grouped((total * data.locations.len()) as i64),
-            fixed(matrix.weakest, 1)
-        ),
+        matrix.describe_missing(),
     ];
-    let [fitting, held_out] = [&train, &test].map(|part| matrix.part(part));
+    let powers = MeasuredPowers { data, fitting: matrix.select(&train), held_out: matrix.select(&test) };
     let [best, greedy] = staged(observer, "choosing receivers", |_| {
-        [best_subset(&fitting, count), Some(greedy_subset(&fitting, count))]
+        [best_subset(&powers.fitting, count), Some(greedy_subset(&powers.fitting, count))]
     });
     if best.is_none() {
         notes.push("more than 100,000 subsets: greedy choice only".into());
     }
-    let subsets: Vec<(&str, Subset)> = [("exhaustive", best), ("greedy", greedy)]
-        .into_iter()
-        .filter_map(|(name, subset)| Some((name, subset?)))
-        .collect();
-    let powers = MeasuredPowers { data, fitting: &fitting, held_out: &held_out };
-    let mut choices: Vec<PlacedReceivers> = subsets.iter().map(|(name, subset)| powers.choice(name, subset)).collect();
-    choices.extend(powers.references(count, settings.seed));
+    let subsets = [("exhaustive", best), ("greedy", greedy)];
+    let subsets: Vec<(&str, Subset)> = subsets.into_iter().filter_map(|(name, subset)| Some((name, subset?))).collect();
+    let mut choices: Vec<PlacedReceivers> =
+        subsets.iter().map(|(name, subset)| powers.score_subset(name, subset)).collect();
+    choices.extend(powers.reference_choices(count, settings.seed));
     let (search, chosen) = (subsets[0].0, &subsets[0].1.receivers);
-    let names: Vec<String> = chosen.iter().map(|&r| powers.receiver(r).0).collect();
+    let names: Vec<String> = chosen.iter().map(|&r| powers.name_and_position(r).0).collect();
     notes.push(format!("{search} choice: {}", names.join(", ")));
     let title = format!("{}: {simulated}coverage {} dBm", data.title, fixed(choices[0].coverage, 1));
-    let map = powers.map(title, chosen, &test);
+    let map = powers.coverage_map(title, chosen, &test);
     let header = ["training (dBm)", "held-out (dBm)", "subsets"].map(str::to_owned).to_vec();
     Ok(Placement { header, choices, notes, map })
 }
@@ -68,42 +62,42 @@ pub fn place_in_data(data: &Dataset, settings: &PlaceSettings, observer: &mut dy
 /// Data with their powers `[R][T]`, dBm, at the transmitters of the choice and at the held-out ones.
 struct MeasuredPowers<'a> {
     data: &'a Dataset,
-    fitting: &'a [Vec<f64>],
-    held_out: &'a [Vec<f64>],
+    fitting: Vec<Vec<f64>>,
+    held_out: Vec<Vec<f64>>,
 }
 
 impl MeasuredPowers<'_> {
-    /// Returns name and position of a receiver, metres, world frame.
-    fn receiver(&self, r: usize) -> (String, [f64; 3]) {
+    /// Returns the name of receiver `r` and its position, metres, world frame.
+    fn name_and_position(&self, r: usize) -> (String, [f64; 3]) {
         let receiver = &self.data.scene.receivers[r];
         (receiver.name.clone(), self.data.scene.origin.world_pose(receiver.pose).position)
     }
 
-    /// Scores the subset of a search.
-    fn choice(&self, short: &'static str, subset: &Subset) -> PlacedReceivers {
-        let coverage = coverage_of(self.held_out, &subset.receivers);
+    /// Scores the subset of the search `short` on the held-out transmitters.
+    fn score_subset(&self, short: &'static str, subset: &Subset) -> PlacedReceivers {
+        let coverage = subset_coverage(&self.held_out, &subset.receivers);
         let cells = vec![fixed(subset.coverage, 2), fixed(coverage, 2), grouped(subset.evaluations as i64)];
-        let receivers = subset.receivers.iter().map(|&r| self.receiver(r)).collect();
+        let receivers = subset.receivers.iter().map(|&r| self.name_and_position(r)).collect();
         PlacedReceivers { short, name: short.into(), receivers, coverage, cells }
     }
 
-    /// Scores random subsets of `count` receivers, and all receivers.
-    fn references(&self, count: usize, seed: u64) -> [PlacedReceivers; 2] {
+    /// Scores random subsets of `count` receivers, and all receivers, on both sets of transmitters.
+    fn reference_choices(&self, count: usize, seed: u64) -> [PlacedReceivers; 2] {
         let all: Vec<usize> = (0..self.data.scene.receivers.len()).collect();
         let draws = random_subsets(all.len(), count, RANDOM, seed);
-        let mean = |powers: &[Vec<f64>]| mean(draws.iter().map(|subset| coverage_of(powers, subset)));
-        let random = (format!("random, mean of {RANDOM} (seed {seed})"), mean(self.fitting), mean(self.held_out));
-        let whole = [self.fitting, self.held_out].map(|powers| coverage_of(powers, &all));
+        let mean = |powers: &[Vec<f64>]| mean(draws.iter().map(|subset| subset_coverage(powers, subset)));
+        let random = (format!("random, mean of {RANDOM} (seed {seed})"), mean(&self.fitting), mean(&self.held_out));
+        let whole = [&self.fitting, &self.held_out].map(|powers| subset_coverage(powers, &all));
         [random, (format!("all {} receivers", all.len()), whole[0], whole[1])].map(|(name, train, coverage)| {
             let cells = vec![fixed(train, 2), fixed(coverage, 2), String::new()];
             PlacedReceivers { short: "", name, receivers: Vec::new(), coverage, cells }
         })
     }
 
-    /// Draws the strongest held-out powers of the `chosen` receivers at the transmitters `test`.
-    fn map(&self, title: String, chosen: &[usize], test: &[usize]) -> CoverageMap {
+    /// Creates the map of the strongest power of the `chosen` receivers at the held-out transmitters `test`.
+    fn coverage_map(&self, title: String, chosen: &[usize], test: &[usize]) -> CoverageMap {
         let flat = |[x, y, _]: [f64; 3]| [x, y];
-        let point = |&r: &usize| flat(self.receiver(r).1);
+        let point = |&r: &usize| flat(self.name_and_position(r).1);
         let powers: Vec<&[f64]> = chosen.iter().map(|&r| &self.held_out[r][..]).collect();
         let placed = test.iter().filter(|_| self.data.placed);
         CoverageMap {
@@ -116,8 +110,8 @@ impl MeasuredPowers<'_> {
     }
 }
 
-/// Splits transmitters into those of the choice and those of its score: the official split, otherwise a random fifth
-/// is held out.
+/// Splits the transmitters into those of the choice and those of its score: the official split if it has both,
+/// otherwise a random fifth is held out. Also returns the name of the split.
 fn split_transmitters(data: &Dataset, seed: u64) -> ([Vec<usize>; 2], String) {
     if let Some((train, test)) = &data.official {
         let [train, test] = [train, test].map(|links| data.locations_of(links));
@@ -137,7 +131,7 @@ fn split_transmitters(data: &Dataset, seed: u64) -> ([Vec<usize>; 2], String) {
 }
 
 /// Powers of all pairs of receiver and transmitter.
-struct Matrix {
+struct PowerMatrix {
     /// dBm `[R][T]`.
     powers: Vec<Vec<f64>>,
     /// Weakest power of the data, dBm.
@@ -146,8 +140,8 @@ struct Matrix {
     missing: usize,
 }
 
-impl Matrix {
-    /// Collects the powers; `None` for other observations.
+impl PowerMatrix {
+    /// Collects the received powers of `data`; `None` for other observations.
     fn new(data: &Dataset) -> Option<Self> {
         let values = data.observations.powers()?;
         let weakest = values.iter().map(|v| *v as f64).fold(f64::INFINITY, f64::min);
@@ -159,8 +153,19 @@ impl Matrix {
         Some(Self { powers, weakest, missing: (receivers * transmitters).saturating_sub(data.links.len()) })
     }
 
-    /// Returns the powers of these transmitters, per receiver.
-    fn part(&self, transmitters: &[usize]) -> Vec<Vec<f64>> {
+    /// Describes the number of pairs without a link.
+    fn describe_missing(&self) -> String {
+        let pairs = self.powers.iter().map(Vec::len).sum::<usize>();
+        format!(
+            "{} of {} links are missing and count as {} dBm, the weakest power of the data",
+            grouped(self.missing as i64),
+            grouped(pairs as i64),
+            fixed(self.weakest, 1)
+        )
+    }
+
+    /// Returns the powers of these transmitters, dBm `[R][T]`.
+    fn select(&self, transmitters: &[usize]) -> Vec<Vec<f64>> {
         self.powers.iter().map(|row| transmitters.iter().map(|&t| row[t]).collect()).collect()
     }
 }

@@ -4,7 +4,7 @@ use super::{PlaceSettings, PlacedReceivers, Placement, RANDOM, check_count};
 use pwrfgs_core::{Error, Result, statistics::mean};
 use pwrfgs_experiment::text::{fixed, grouped, number};
 use pwrfgs_experiment::{Observer, staged};
-use pwrfgs_planning::{SceneCoverage, coverage_of, greedy_subset, random_subsets, strongest_powers};
+use pwrfgs_planning::{AscentResult, SceneCoverage, greedy_subset, random_subsets, strongest_powers, subset_coverage};
 use pwrfgs_raytrace::SceneFile;
 use pwrfgs_report::draw::survey::CoverageMap;
 use std::sync::atomic::AtomicBool;
@@ -12,7 +12,7 @@ use std::sync::atomic::AtomicBool;
 /// Largest number of receivers.
 const MOST: usize = 3;
 
-/// Chooses receivers by ascent over the floor of a scene, beside the best position on a grid.
+/// Chooses receivers by ascent over the floor of a scene, and from a grid unless that is omitted.
 ///
 /// # Errors
 /// Invalid settings, a scene without free positions, or [`Error::Stopped`].
@@ -43,7 +43,7 @@ pub fn place_in_scene(
         name: "ascent".into(),
         receivers: ascent.receivers.iter().map(|[x, y]| (String::new(), [*x, *y, floor.mount()])).collect(),
         coverage: ascent.coverage,
-        cells: cells(ascent.coverage, ascent.positions, ascent.links),
+        cells: format_cells(ascent.coverage, ascent.positions, ascent.links),
     }];
     let mut notes = vec![format!(
         "coverage: 10th percentile of the strongest simulated power over {} transmitters at {} m",
@@ -51,7 +51,7 @@ pub fn place_in_scene(
         number(settings.height)
     )];
     if !settings.no_grid {
-        let grid = staged(observer, "grid of receivers", |progress| floor.grid(stop, progress))?;
+        let grid = staged(observer, "grid of receivers", |progress| floor.grid_powers(stop, progress))?;
         let [best, random] = grid_choices(settings, &floor, &grid);
         notes.push(format!(
             "the ascent minus the grid: {} dB, with {} links instead of {}",
@@ -61,45 +61,49 @@ pub fn place_in_scene(
         ));
         choices.extend([best, random]);
     }
-    let flat = |[x, y, _]: &[f64; 3]| [*x, *y];
-    let powers: Vec<&[f64]> = ascent.powers.iter().map(Vec::as_slice).collect();
-    let map = CoverageMap {
-        title: format!("{}: simulated coverage {} dBm", scene.name, fixed(ascent.coverage, 1)),
-        transmitters: floor.transmitters.iter().map(flat).collect(),
-        powers: strongest_powers(&powers),
-        selected: ascent.receivers,
-        others: Vec::new(),
-    };
+    let map = coverage_map(&scene.name, &floor, ascent);
     let header = ["coverage (dBm)", "positions traced", "links traced"].map(str::to_owned).to_vec();
     Ok(Placement { header, choices, notes, map })
 }
 
-/// Returns the best subset of the receiver positions on the grid, and the mean of random subsets. `grid` holds the
-/// powers of all candidates, dBm `[C][T]`.
+/// Chooses the best subset of the receiver positions on the grid, and averages random subsets. `grid` holds the powers
+/// of all candidates, dBm `[C][T]`.
 fn grid_choices(settings: &PlaceSettings, floor: &SceneCoverage, grid: &[Vec<f64>]) -> [PlacedReceivers; 2] {
     let PlaceSettings { count, seed, .. } = *settings;
     let (transmitters, candidates) = (floor.transmitters.len(), floor.candidates.len());
     let best = greedy_subset(grid, count);
     let subsets = random_subsets(candidates, count, RANDOM, seed);
-    let random = mean(subsets.iter().map(|subset| coverage_of(grid, subset)));
+    let random = mean(subsets.iter().map(|subset| subset_coverage(grid, subset)));
     let best = PlacedReceivers {
         short: "grid",
         name: if count == 1 { "grid, exhaustive" } else { "grid, greedy" }.into(),
         receivers: best.receivers.iter().map(|&r| (String::new(), floor.candidates[r])).collect(),
         coverage: best.coverage,
-        cells: cells(best.coverage, candidates, transmitters * candidates),
+        cells: format_cells(best.coverage, candidates, transmitters * candidates),
     };
     let random = PlacedReceivers {
         short: "",
         name: format!("random, mean of {RANDOM} (seed {seed})"),
         receivers: Vec::new(),
         coverage: random,
-        cells: cells(random, count, count * transmitters),
+        cells: format_cells(random, count, count * transmitters),
     };
     [best, random]
 }
 
+/// Creates the map of the strongest power of the receivers of the ascent.
+fn coverage_map(scene: &str, floor: &SceneCoverage, ascent: AscentResult) -> CoverageMap {
+    let powers: Vec<&[f64]> = ascent.powers.iter().map(Vec::as_slice).collect();
+    CoverageMap {
+        title: format!("{scene}: simulated coverage {} dBm", fixed(ascent.coverage, 1)),
+        transmitters: floor.transmitters.iter().map(|[x, y, _]| [*x, *y]).collect(),
+        powers: strongest_powers(&powers),
+        selected: ascent.receivers,
+        others: Vec::new(),
+    }
+}
+
 /// Formats coverage in dBm, and the numbers of traced positions and links.
-fn cells(coverage: f64, positions: usize, links: usize) -> Vec<String> {
+fn format_cells(coverage: f64, positions: usize, links: usize) -> Vec<String> {
     vec![fixed(coverage, 2), grouped(positions as i64), grouped(links as i64)]
 }

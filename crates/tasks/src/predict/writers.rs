@@ -2,12 +2,11 @@
 
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use pwrfgs_core::files::{GrowingFile, NewFolder};
-use pwrfgs_core::{End, Error, Image, ImagePlane, Number, Pose, Real, Result, Task, gains_of};
+use pwrfgs_core::{Error, Image, Number, Pose, Real, Result, gains_of};
 use pwrfgs_data::{npy_header, npy_header_as};
 use pwrfgs_experiment::text::field;
 use pwrfgs_model::{Interval, Prepared};
 use rayon::prelude::*;
-use std::fmt::Write as _;
 
 /// NumPy type of pairs of 32-bit floats.
 const COMPLEX: &str = "<c8";
@@ -23,32 +22,23 @@ pub(super) struct PredictionRow<'a> {
     pub(super) pose: Pose,
     /// Whether the row has the orientation, of a moving receiver.
     pub(super) has_orientation: bool,
-    pub(super) receiver: usize,
     /// Name of the receiver; none for spectra at a single receiver.
     pub(super) name: Option<&'a str>,
     /// Distance to the nearest training position, metres; none if unknown.
     pub(super) training_distance: Option<f64>,
 }
 
-/// Name of the last column of `predictions.csv`.
-const DISTANCE: &str = "training_distance_m";
-
-/// Returns the names of the columns of the positions of a transmitter or the poses of a receiver.
-fn pose_columns(moving: End) -> &'static str {
-    if moving.is_receiver() { "x,y,z,qx,qy,qz,qw" } else { "x,y,z" }
-}
-
 impl PredictionRow<'_> {
-    /// Formats the first columns of the row.
-    fn start(&self) -> String {
+    /// Formats the first columns of the row: number, pose and receiver.
+    fn first_columns(&self) -> String {
         let (Pose { position: [x, y, z], orientation }, number) = (self.pose, self.number);
         let name = self.name.map_or_else(String::new, |name| format!(",{}", field(name)));
         let turn = if self.has_orientation { orientation.map(|v| format!(",{v}")).concat() } else { String::new() };
         format!("{number},{x},{y},{z}{turn}{name}")
     }
 
-    /// Formats the last columns of the row.
-    fn end(&self, milliseconds: f64) -> String {
+    /// Formats the last columns of the row: latency, and distance to the training positions.
+    fn last_columns(&self, milliseconds: f64) -> String {
         let distance = self.training_distance.map_or_else(String::new, |metres| format!("{metres:.3}"));
         format!("{milliseconds:.3},{distance}\n")
     }
@@ -66,69 +56,83 @@ pub(super) struct PredictionImage {
 /// Row with its prediction.
 pub(super) type PredictedRow<'a> = (PredictionRow<'a>, PredictionImage);
 
-/// Writer of predictions of one task.
-pub(super) trait Writer {
-    /// Returns the first line of `predictions.csv`.
-    fn header(&self) -> String;
+/// Writer of predictions into a new folder: arrays, images and `predictions.csv`.
+pub(super) struct PredictionWriter<'a> {
+    folder: &'a NewFolder,
+    model: &'a Prepared<'a>,
+    has_png: bool,
+    has_interval: bool,
+    /// Arrays of all predictions; empty if each prediction has files of its own.
+    stacks: Vec<GrowingFile>,
+    /// Text of `predictions.csv`.
+    list: String,
+}
 
-    /// Writes the next rows and adds their lines to the list.
-    fn write(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()>;
+impl<'a> PredictionWriter<'a> {
+    /// Creates the writer of predictions of `model` into `folder`.
+    pub(super) fn new(folder: &'a NewFolder, model: &'a Prepared<'a>, has_png: bool, has_interval: bool) -> Self {
+        Self { folder, model, has_png, has_interval, stacks: Vec::new(), list: list_header(model, has_interval) }
+    }
 
-    /// Completes all files except the list.
-    fn finish(self: Box<Self>) -> Result<()> {
+    /// Creates the arrays of `count` spectra or channels, which then have no files of their own, only images.
+    pub(super) fn create_stacks(&mut self, count: usize) -> Result<()> {
+        let (is_complex, plane) = (self.model.task().is_complex, self.model.plane());
+        let size = [count, if is_complex { plane.height / 2 } else { plane.height }, plane.width];
+        let floats = npy_header(Number::F32, &size);
+        let first = if is_complex { ("channels", npy_header_as(COMPLEX, &size)) } else { ("spectra", floats.clone()) };
+        let further = [("spread", has_spread(self.model)), ("lower", self.has_interval), ("upper", self.has_interval)];
+        let further = further.iter().filter(|(_, is_written)| *is_written).map(|(name, _)| (*name, floats.clone()));
+        let create = |(name, header): (&str, Vec<u8>)| {
+            GrowingFile::create(self.folder.path().join(format!("{name}.npy")), &header)
+        };
+        self.stacks = std::iter::once(first).chain(further).map(create).collect::<Result<_>>()?;
         Ok(())
     }
-}
 
-/// Creates the writer for `count` predictions of `model`, with intervals if `has_interval`.
-pub(super) fn writer<'a>(
-    folder: &OutputFolder<'_>,
-    model: &Prepared<'a>,
-    count: usize,
-    has_interval: bool,
-) -> Result<Box<dyn Writer + 'a>> {
-    let task = model.task();
-    Ok(if task.has_pixels {
-        Box::new(Spectra::begin(folder, model, count, has_interval)?)
-    } else if task.is_complex {
-        Box::new(Channels::begin(folder, model, count)?)
-    } else {
-        Box::new(Powers { moving: model.moving(), has_spread: model.models().count() > 1, has_interval })
-    })
-}
-
-/// Writer of spectra.
-struct Spectra<'a> {
-    plane: &'a ImagePlane,
-    has_names: bool,
-    moving: End,
-    has_interval: bool,
-    stacks: Vec<GrowingFile>,
-}
-
-impl<'a> Spectra<'a> {
-    /// Creates the writer, with files of all predictions if they are stacked.
-    fn begin(folder: &OutputFolder<'_>, model: &Prepared<'a>, count: usize, has_interval: bool) -> Result<Self> {
-        let plane = model.plane();
-        let size = [count, plane.height, plane.width];
-        let has_spread = model.models().count() > 1;
-        let names = [("spectra", true), ("spread", has_spread), ("lower", has_interval), ("upper", has_interval)];
-        let stack = |(name, _)| folder.stack(&format!("{name}.npy"), &npy_header(Number::F32, &size));
-        let stacks = names.into_iter().filter(|(_, is_written)| folder.stacked && *is_written).map(stack);
-        let stacks = stacks.collect::<Result<_>>()?;
-        Ok(Self { plane, has_names: model.receivers().len() > 1, moving: model.moving(), has_interval, stacks })
-    }
-}
-
-impl Writer for Spectra<'_> {
-    fn header(&self) -> String {
-        let receiver = if self.has_names { "receiver," } else { "" };
-        let bound = if self.has_interval { "ssim_bound," } else { "" };
-        let pose = pose_columns(self.moving);
-        format!("row,{pose},{receiver}azimuth_deg,elevation_deg,peak,{bound}milliseconds,{DISTANCE}\n")
+    /// Writes the files of the next rows, and adds the rows to the list.
+    pub(super) fn write(&mut self, rows: &[PredictedRow<'_>]) -> Result<()> {
+        let task = self.model.task();
+        if task.has_pixels {
+            self.write_spectra(rows)?;
+        } else if task.is_complex {
+            rows.iter().try_for_each(|(row, drawn)| self.write_channel(row.number, drawn))?;
+        }
+        for (row, drawn) in rows {
+            let [first, last] = [row.first_columns(), row.last_columns(drawn.milliseconds)];
+            self.list.extend([first, ",".into(), self.format_prediction(drawn), last]);
+        }
+        Ok(())
     }
 
-    fn write(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
+    /// Completes all files, and writes the list.
+    pub(super) fn finish(self) -> Result<()> {
+        self.stacks.into_iter().try_for_each(GrowingFile::finish)?;
+        self.folder.put("predictions.csv", self.list)
+    }
+
+    /// Formats the columns of a prediction in `predictions.csv`, each with a comma after it. Angles are empty if the
+    /// image plane has none.
+    fn format_prediction(&self, drawn: &PredictionImage) -> String {
+        let (image, interval, task) = (&drawn.image, drawn.interval.as_ref(), self.model.task());
+        if task.is_complex {
+            return format!("{:.4},", task.level(image));
+        }
+        if !task.has_pixels {
+            let ends = interval.into_iter().flat_map(|interval| [&interval.lower, &interval.upper]);
+            let values = std::iter::once(image).chain(&drawn.spread).chain(ends);
+            return values.map(|value| format!("{},", value.pixels[0])).collect::<Vec<_>>().concat();
+        }
+        let strongest = image.argmax();
+        let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
+        let angles = self.model.plane().azimuth_elevation_deg(column, line);
+        let angles = angles.map_or_else(|| ",".into(), |(azimuth, elevation)| format!("{azimuth},{elevation}"));
+        let bound =
+            interval.and_then(|interval| interval.ssim).map_or_else(String::new, |bound| format!("{bound:.4},"));
+        format!("{angles},{},{bound}", image.pixels[strongest])
+    }
+
+    /// Writes spectra with their deviations and bounds, as arrays and images.
+    fn write_spectra(&mut self, rows: &[PredictedRow<'_>]) -> Result<()> {
         let images: Vec<&Image> = rows.iter().map(|(_, drawn)| &drawn.image).collect();
         let spreads: Vec<&Image> = rows.iter().filter_map(|(_, drawn)| drawn.spread.as_ref()).collect();
         let intervals = || rows.iter().filter_map(|(_, drawn)| drawn.interval.as_ref());
@@ -136,150 +140,46 @@ impl Writer for Spectra<'_> {
         let kinds = [("", 1.0, images), (SPREAD, 2.0, spreads), ("-lower", 1.0, lower), ("-upper", 1.0, upper)];
         for (k, (suffix, gain, images)) in kinds.iter().filter(|(.., images)| !images.is_empty()).enumerate() {
             let write_image = |(image, (row, _)): (&&Image, &PredictedRow<'_>)| {
-                let name = file_name(row.number) + suffix;
+                let name = row_name(row.number) + suffix;
                 if self.stacks.is_empty() {
-                    folder.array(&name, image)?;
+                    self.write_array(&name, image)?;
                 }
-                folder.picture(&name, image, *gain as Real)
+                self.write_png(&name, image, *gain as Real)
             };
             images.par_iter().zip(rows).map(write_image).collect::<Result<Vec<()>>>()?;
             if let Some(stack) = self.stacks.get_mut(k) {
-                images.iter().try_for_each(|image| stack.add(&float_bytes(image).collect::<Vec<u8>>()))?;
+                images.iter().try_for_each(|image| stack.append(&float_bytes(image).collect::<Vec<u8>>()))?;
             }
-        }
-        list.extend(rows.iter().map(|(row, drawn)| spectrum_line(self.plane, row, drawn)));
-        Ok(())
-    }
-
-    fn finish(self: Box<Self>) -> Result<()> {
-        self.stacks.into_iter().try_for_each(GrowingFile::finish)
-    }
-}
-
-/// Formats the line of a spectrum in `predictions.csv`; without angles if the image plane has none.
-fn spectrum_line(plane: &ImagePlane, row: &PredictionRow<'_>, drawn: &PredictionImage) -> String {
-    let image = &drawn.image;
-    let strongest = image.argmax();
-    let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
-    let angles = plane.azimuth_elevation_deg(column, line);
-    let angles = angles.map_or_else(|| ",".into(), |(az, el)| format!("{az},{el}"));
-    let bound = drawn.interval.as_ref().and_then(|interval| interval.ssim);
-    let bound = bound.map_or_else(String::new, |bound| format!("{bound:.4},"));
-    format!("{},{angles},{},{bound}{}", row.start(), image.pixels[strongest], row.end(drawn.milliseconds))
-}
-
-/// Writer of received powers.
-struct Powers {
-    moving: End,
-    /// Whether there is a column with the standard deviation of an ensemble.
-    has_spread: bool,
-    /// Whether there are columns with the ends of an interval.
-    has_interval: bool,
-}
-
-impl Writer for Powers {
-    fn header(&self) -> String {
-        let spread = if self.has_spread { "spread_db," } else { "" };
-        let interval = if self.has_interval { "lower_dbm,upper_dbm," } else { "" };
-        let pose = pose_columns(self.moving);
-        format!("row,{pose},receiver,dbm,{spread}{interval}ms,{DISTANCE}\n")
-    }
-
-    fn write(&mut self, _: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
-        for (row, PredictionImage { image, spread, interval, milliseconds }) in rows {
-            let ends = interval.iter().flat_map(|interval| [&interval.lower, &interval.upper]);
-            _ = write!(list, "{},", row.start());
-            for value in std::iter::once(image).chain(spread).chain(ends) {
-                _ = write!(list, "{},", value.pixels[0]);
-            }
-            *list += &row.end(*milliseconds);
-        }
-        Ok(())
-    }
-}
-
-/// Writer of channels.
-struct Channels {
-    task: Task,
-    moving: End,
-    stacks: Vec<GrowingFile>,
-}
-
-impl Channels {
-    /// Creates the writer, with files of all predictions if they are stacked.
-    fn begin(folder: &OutputFolder<'_>, model: &Prepared<'_>, count: usize) -> Result<Self> {
-        let size = [count, model.plane().height / 2, model.plane().width];
-        let mut stacks = Vec::new();
-        if folder.stacked {
-            stacks.push(folder.stack("channels.npy", &npy_header_as(COMPLEX, &size))?);
-            if model.models().count() > 1 {
-                stacks.push(folder.stack("spread.npy", &npy_header(Number::F32, &size))?);
-            }
-        }
-        Ok(Self { task: model.task(), moving: model.moving(), stacks })
-    }
-}
-
-impl Writer for Channels {
-    fn header(&self) -> String {
-        format!("row,{},receiver,db,ms,{DISTANCE}\n", pose_columns(self.moving))
-    }
-
-    fn write(&mut self, folder: &OutputFolder<'_>, rows: &[PredictedRow<'_>], list: &mut String) -> Result<()> {
-        for (row, PredictionImage { image, spread, milliseconds, .. }) in rows {
-            let (gains, name) = (gains_of(&image.pixels, image.width), file_name(row.number));
-            let spread = spread.as_ref().map(complex_deviations);
-            if let Some(stack) = self.stacks.first_mut() {
-                stack.add(&complex_bytes(&gains).collect::<Vec<u8>>())?;
-            } else {
-                folder.gains(&name, [image.height / 2, image.width], &gains)?;
-            }
-            match (self.stacks.get_mut(1), &spread) {
-                (Some(stack), Some(spread)) => stack.add(&float_bytes(spread).collect::<Vec<u8>>())?,
-                (None, Some(spread)) => folder.array(&(name + SPREAD), spread)?,
-                _ => {}
-            }
-            _ = write!(list, "{},{:.4},{}", row.start(), self.task.level(image), row.end(*milliseconds));
         }
         Ok(())
     }
 
-    fn finish(self: Box<Self>) -> Result<()> {
-        self.stacks.into_iter().try_for_each(GrowingFile::finish)
+    /// Writes the channel of row `number` with its deviation, as arrays `[A, F]`.
+    fn write_channel(&mut self, number: usize, PredictionImage { image, spread, .. }: &PredictionImage) -> Result<()> {
+        let (gains, name) = (gains_of(&image.pixels, image.width), row_name(number));
+        if let Some(stack) = self.stacks.first_mut() {
+            stack.append(&complex_bytes(&gains).collect::<Vec<u8>>())?;
+        } else {
+            let mut npy = npy_header_as(COMPLEX, &[image.height / 2, image.width]);
+            npy.extend(complex_bytes(&gains));
+            self.folder.put(&format!("{name}.npy"), npy)?;
+        }
+        let Some(spread) = spread.as_ref().map(complex_deviations) else { return Ok(()) };
+        match self.stacks.get_mut(1) {
+            Some(stack) => stack.append(&float_bytes(&spread).collect::<Vec<u8>>()),
+            None => self.write_array(&(name + SPREAD), &spread),
+        }
     }
-}
 
-/// Computes the standard deviations of complex gains, from those of their real and imaginary parts.
-fn complex_deviations(parts: &Image) -> Image {
-    let pixels: Vec<Real> = gains_of(&parts.pixels, parts.width).iter().map(|[re, im]| re.hypot(*im)).collect();
-    Image { width: parts.width, height: parts.height / 2, pixels }
-}
-
-/// Output folder.
-pub(super) struct OutputFolder<'a> {
-    pub(super) folder: &'a NewFolder,
-    pub(super) has_png: bool,
-    /// Whether all spectra or channels are one array.
-    pub(super) stacked: bool,
-}
-
-impl OutputFolder<'_> {
-    /// Writes `NAME.npy`.
-    fn array(&self, name: &str, image: &Image) -> Result<()> {
+    /// Writes the pixels of an image as `NAME.npy`, `[H, W]`.
+    fn write_array(&self, name: &str, image: &Image) -> Result<()> {
         let mut npy = npy_header(Number::F32, &[image.height, image.width]);
         npy.extend(float_bytes(image));
-        self.put(&format!("{name}.npy"), &npy)
+        self.folder.put(&format!("{name}.npy"), npy)
     }
 
-    /// Writes complex gains as `NAME.npy`, `[A, F]`.
-    fn gains(&self, name: &str, shape: [usize; 2], gains: &[[Real; 2]]) -> Result<()> {
-        let mut npy = npy_header_as(COMPLEX, &shape);
-        npy.extend(complex_bytes(gains));
-        self.put(&format!("{name}.npy"), &npy)
-    }
-
-    /// Writes `NAME.png` (times `gain`, clamped to [0, 1]), unless images are disabled.
-    fn picture(&self, name: &str, image: &Image, gain: Real) -> Result<()> {
+    /// Writes an image as `NAME.png`, times `gain` and clamped to [0, 1], unless images are disabled.
+    fn write_png(&self, name: &str, image: &Image, gain: Real) -> Result<()> {
         if !self.has_png {
             return Ok(());
         }
@@ -288,22 +188,43 @@ impl OutputFolder<'_> {
         PngEncoder::new(&mut png)
             .write_image(&shown.to_bytes(), image.width as u32, image.height as u32, ExtendedColorType::L8)
             .map_err(|e| Error::write(self.folder.path(), std::io::Error::other(e)))?;
-        self.put(&format!("{name}.png"), &png)
-    }
-
-    /// Writes a file.
-    pub(super) fn put(&self, name: &str, bytes: &[u8]) -> Result<()> {
-        self.folder.put(name, bytes)
-    }
-
-    /// Creates an array that is written row by row.
-    fn stack(&self, name: &str, header: &[u8]) -> Result<GrowingFile> {
-        GrowingFile::create(self.folder.path().join(name), header)
+        self.folder.put(&format!("{name}.png"), png)
     }
 }
 
-/// Returns the start of the file names of a row, from 1.
-fn file_name(row: usize) -> String {
+/// Returns whether predictions have the standard deviation over the members of an ensemble.
+fn has_spread(model: &Prepared<'_>) -> bool {
+    model.models().count() > 1
+}
+
+/// Formats the first line of `predictions.csv`: the names of its columns.
+fn list_header(model: &Prepared<'_>, has_interval: bool) -> String {
+    let task = model.task();
+    let pose = if model.moving().is_receiver() { "x,y,z,qx,qy,qz,qw" } else { "x,y,z" };
+    let columns_if = |condition: bool, columns: &'static str| if condition { columns } else { "" };
+    let prediction = if task.has_pixels {
+        let receiver = columns_if(model.receivers().len() > 1, "receiver,");
+        let bound = columns_if(has_interval, "ssim_bound,");
+        format!("{receiver}azimuth_deg,elevation_deg,peak,{bound}milliseconds")
+    } else if task.is_complex {
+        "receiver,db,ms".to_owned()
+    } else {
+        let spread = columns_if(has_spread(model), "spread_db,");
+        let interval = columns_if(has_interval, "lower_dbm,upper_dbm,");
+        format!("receiver,dbm,{spread}{interval}ms")
+    };
+    format!("row,{pose},{prediction},training_distance_m\n")
+}
+
+/// Computes the standard deviations of complex gains, `[A, F]`, from those of their real and imaginary parts, `[2 A,
+/// F]`.
+fn complex_deviations(parts: &Image) -> Image {
+    let pixels: Vec<Real> = gains_of(&parts.pixels, parts.width).iter().map(|[re, im]| re.hypot(*im)).collect();
+    Image { width: parts.width, height: parts.height / 2, pixels }
+}
+
+/// Formats the start of the file names of row `row`, from 1.
+fn row_name(row: usize) -> String {
     format!("{row:05}")
 }
 

@@ -9,11 +9,11 @@ use pwrfgs_core::{
     Appearance, Call, Image, LinkSet, MethodTraits, Needs, Origin, Parameters, PixelSubset, Query, Real, Statistic,
     neighbours,
 };
-use pwrfgs_experiment::folder::{CURVE, snapshots};
+use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, snapshots};
 use pwrfgs_experiment::{record::read_series, text::grouped};
-use pwrfgs_model::{Ensemble, Model, Snapshot};
+use pwrfgs_model::{Model, Snapshot};
 use pwrfgs_report::live::{self, TensorBundle};
-use pwrfgs_tasks::map::{self, MapQuantity};
+use pwrfgs_tasks::map::{MapQuantity, compute_layers};
 use pwrfgs_tasks::plane::{MapPlane, PlaneBounds, PlaneGrid};
 use serde_json::{Value, json};
 use std::sync::Arc;
@@ -27,38 +27,40 @@ const SAME_PLACE: f64 = 1e-3;
 /// Number of positions along the longer side of a radio map.
 const ACROSS: usize = 60;
 
-/// Answers a request for arrays: the bundle called `path`.
-pub(super) fn bundle(path: &str, parameters: &QueryParams, state: &ServerState) -> Result<TensorBundle, RequestError> {
+type BundleResult = Result<TensorBundle, RequestError>;
+
+/// Creates the bundle of arrays called `path`; an error for other names.
+pub(super) fn create_bundle(path: &str, parameters: &QueryParams, state: &ServerState) -> BundleResult {
     let side = state.sides.get(parameters.side).ok_or_else(|| bad_request("query parameter `side`: no such side"))?;
     match path {
-        "room" => Ok(room(side, state)),
-        "gaussians" => gaussians(side, parameters),
-        "predict" => predict(side, parameters),
-        "link" => link(side, parameters),
-        "map" => radio_map(side, parameters),
-        "locate" => locate(side, parameters),
-        "curve" => Ok(curve(side)),
+        "room" => Ok(room_bundle(side, state)),
+        "gaussians" => gaussian_bundle(side, parameters),
+        "predict" => prediction_bundle(side, parameters),
+        "link" => link_bundle(side, parameters),
+        "map" => map_bundle(side, parameters),
+        "locate" => location_bundle(side, parameters),
+        "curve" => Ok(curve_bundle(side)),
         _ => Err((StatusCode::NOT_FOUND, "not found".into())),
     }
 }
 
-/// Returns the refusal of an invalid request.
+/// Creates the error of an invalid request.
 fn bad_request(why: &str) -> RequestError {
     (StatusCode::BAD_REQUEST, why.to_owned())
 }
 
-/// Returns the data of a side.
+/// Returns the data of a side; an error without a pipeline next to the model.
 fn loaded_data(side: &ViewPane) -> Result<&Arc<LoadedData>, RequestError> {
     side.loaded.as_ref().ok_or_else(|| bad_request("no data next to this model"))
 }
 
-/// Returns the current predictor of a side.
-fn predictor(side: &ViewPane) -> Result<Arc<Predictor>, RequestError> {
+/// Returns the current predictor of a side; an error before the first checkpoint.
+fn current_predictor(side: &ViewPane) -> Result<Arc<Predictor>, RequestError> {
     side.predictor().ok_or((StatusCode::SERVICE_UNAVAILABLE, "no model before the first checkpoint".into()))
 }
 
-/// Returns the room: receivers, surfaces, links with their scores, and all sides.
-fn room(side: &ViewPane, state: &ServerState) -> TensorBundle {
+/// Creates the bundle of the room: receivers, surfaces, links with their scores, and all sides.
+fn room_bundle(side: &ViewPane, state: &ServerState) -> TensorBundle {
     let loaded = side.loaded.as_deref();
     let links: Vec<usize> = (0..loaded.map_or(0, |loaded| loaded.data.len())).collect();
     let data = loaded.map(|loaded| live::PartitionedData {
@@ -79,7 +81,7 @@ fn room(side: &ViewPane, state: &ServerState) -> TensorBundle {
     bundle
 }
 
-/// Returns the description of a side for the page.
+/// Describes a side for the page: its kind, numbers of models, Gaussians and steps, and snapshots.
 fn describe_side(side: &ViewPane) -> Value {
     let predictor = side.predictor();
     let ensemble = predictor.as_ref().and_then(|predictor| predictor.ensemble());
@@ -91,40 +93,38 @@ fn describe_side(side: &ViewPane) -> Value {
         "ellipsoids": splats,
         "by_position": predictor.as_ref().is_none_or(|predictor| predictor.has_position_input()),
         "baseline": predictor.as_ref().is_some_and(|p| p.ensemble().is_none()),
-        "snapshots": saved_snapshots(side).iter()
+        "snapshots": read_snapshots(side).iter()
             .map(|(title, shown)| json!({ "title": title, "step": shown.step, "gaussians": shown.means.len() }))
             .collect::<Vec<_>>(),
-        "running": side.folder.as_ref().is_some_and(|folder| !folder.join(pwrfgs_experiment::folder::MODEL_FILE).is_file()),
+        "running": side.folder.as_ref().is_some_and(|folder| !folder.join(MODEL_FILE).is_file()),
         "steps": side.loaded.as_ref().map(|loaded| loaded.pipeline.training.steps),
     })
 }
 
-/// Returns the Gaussians of the model or of a snapshot, on request with their contributions to an observation.
-fn gaussians(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
+/// Creates the bundle of the Gaussians of the model or of a snapshot; those of a model on request with their
+/// contributions to an observation.
+fn gaussian_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     let origin = live::origin(&side.setup, side.loaded.as_ref().map(|loaded| &*loaded.data));
     if let Some(k) = parameters.snapshot {
-        let all = saved_snapshots(side);
+        let all = read_snapshots(side);
         let (_, snapshot) = all.get(k).ok_or_else(|| bad_request("query parameter `snapshot`: no such snapshot"))?;
         return Ok(snapshot_bundle(snapshot, origin));
     }
-    let predictor = predictor(side)?;
+    let predictor = current_predictor(side)?;
     let ensemble = predictor.ensemble().ok_or_else(|| bad_request("baselines have no Gaussians"))?;
     let mut bundle = live::gaussians(ensemble, origin, parameters.tx);
     if let Some(tx) = parameters.tx.filter(|_| parameters.with == "contribution") {
-        let all = contributions(ensemble, tx, receiver(side, parameters)?);
+        check_receiver(side, parameters)?;
+        let models = ensemble.members().iter();
+        let all: Vec<Real> = models.flat_map(|model| contributions(model, tx, parameters.receiver)).collect();
         bundle.put("contributions", &[all.len()], all);
     }
     Ok(bundle)
 }
 
-/// Returns the contribution of each Gaussian of all members to the observation of a transmitter at `tx` by `receiver`:
-/// strength times the sum of blending weights if Gaussians are blended, else strength times opacity.
-fn contributions(ensemble: &Ensemble, tx: [f64; 3], receiver: usize) -> Vec<Real> {
-    ensemble.members().iter().flat_map(|model| contributions_of(model, tx, receiver)).collect()
-}
-
-/// Returns the contributions of the Gaussians of one model, see [`contributions`].
-fn contributions_of(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
+/// Computes the contribution of each Gaussian to the observation of a transmitter at `tx` (metres, world frame) by
+/// `receiver`: strength times the sum of blending weights if Gaussians are blended, else strength times opacity.
+fn contributions(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     let gaussians = model.gaussians(Some(tx));
     let (primitives, strengths) = (&gaussians.primitives, live::strengths(&gaussians));
     let stages = &model.stages;
@@ -141,8 +141,8 @@ fn contributions_of(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     strengths.iter().zip(&statistics.weight).map(|(s, w)| s * w).collect()
 }
 
-/// Returns the gaussians of a snapshot, metres from `origin`: means and opacities and, if stored, scales, rotations,
-/// gates and IDs.
+/// Creates the bundle of the Gaussians of a snapshot, metres from `origin`: means and opacities and, if stored, scales,
+/// rotations, gates and IDs.
 fn snapshot_bundle(snapshot: &Snapshot, origin: Origin) -> TensorBundle {
     let n = snapshot.means.len();
     let mut bundle = TensorBundle::new(json!({ "gaussians": n, "step": snapshot.step }));
@@ -161,61 +161,42 @@ fn snapshot_bundle(snapshot: &Snapshot, origin: Origin) -> TensorBundle {
     bundle
 }
 
-/// Returns the requested receiver, an index.
-fn receiver(side: &ViewPane, parameters: &QueryParams) -> Result<usize, RequestError> {
-    let count = side.setup.receivers.len();
-    if parameters.receiver < count {
-        Ok(parameters.receiver)
-    } else {
-        Err(bad_request("query parameter `receiver`: no such receiver"))
+/// Rejects the index of a receiver that is out of range.
+fn check_receiver(side: &ViewPane, parameters: &QueryParams) -> Result<(), RequestError> {
+    if parameters.receiver >= side.setup.receivers.len() {
+        return Err(bad_request("query parameter `receiver`: no such receiver"));
     }
+    Ok(())
 }
 
-/// Returns the prediction for a transmitter at the requested receiver (powers: at all receivers), and its score against
-/// the nearest measurement.
-fn predict(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
-    let (predictor, receiver, task) = (predictor(side)?, receiver(side, parameters)?, side.setup.task);
-    let loaded = side.loaded.as_deref();
-    let by_position = predictor.has_position_input();
-    let turns = loaded.is_some_and(|loaded| loaded.data.scene.moving.is_receiver()); // a sample has its own pose
-    let query = match (parameters.tx, parameters.link, loaded) {
-        (Some(tx), None, _) if by_position => side.setup.query(tx, receiver),
-        (Some(tx), _, _) if by_position && !turns => side.setup.query(tx, receiver),
-        (_, Some(i), Some(loaded)) if i < loaded.data.len() => loaded.data.query(i),
-        _ => return Err(bad_request("no position; set tx=x,y,z, or link=k of the data")),
-    };
+/// Creates the bundle of the prediction for a transmitter at the requested receiver (powers: at all receivers), with
+/// its score against the nearest measurement.
+fn prediction_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
+    let predictor = current_predictor(side)?;
+    check_receiver(side, parameters)?;
+    let query = requested_query(side, parameters, &predictor);
+    let query = query.ok_or_else(|| bad_request("no position; set tx=x,y,z, or link=k of the data"))?;
     let prediction = predictor.predict(query);
-    let ensemble = predictor.ensemble();
     let (width, height) = (prediction.image.width, prediction.image.height);
-    // The requested sample, even if another sample has the same position.
-    let is_requested = |loaded: &LoadedData, i: usize| {
-        let sample = loaded.data.sample(i);
-        parameters
-            .tx
-            .is_none_or(|tx| sample.receiver == receiver && neighbours::distance(sample.position(), tx) < SAME_PLACE)
-    };
-    let nearest = match (parameters.link, loaded) {
-        (Some(i), Some(loaded)) if i < loaded.data.len() && is_requested(loaded, i) => Some((i, 0.0)),
-        (_, Some(loaded)) if loaded.data.placed => nearest(loaded, query.position(), receiver),
-        _ => None,
-    };
-    let mut bundle = TensorBundle::new(json!({ "ms": prediction.ms, "strongest": strongest(side, &prediction.image) }));
-    if let Some(training) =
-        ensemble.filter(|_| by_position).and_then(|ensemble| ensemble.training_distances(&[query.position()]))
-    {
+    let strongest = strongest_direction(side, &prediction.image);
+    let mut bundle = TensorBundle::new(json!({ "ms": prediction.ms, "strongest": strongest }));
+    let models = predictor.ensemble().filter(|_| predictor.has_position_input());
+    if let Some(training) = models.and_then(|models| models.training_distances(&[query.position()])) {
         bundle.note["training"] = json!({ "metres": training.metres[0], "limit": training.limit });
     }
-    if let (Some((i, metres)), Some(loaded)) = (nearest, loaded) {
+    if let Some(loaded) = side.loaded.as_deref()
+        && let Some((i, metres)) = compared_link(loaded, parameters, query)
+    {
         let set = loaded.partition.set_of(i);
         // A baseline stores its training samples: its error on them would be zero.
         let is_fitted = predictor.is_fitted() && matches!(set, LinkSet::Training | LinkSet::Validation);
-        let value = (!is_fitted).then(|| task.score(&prediction.image, &loaded.data.image(i)));
+        let value = (!is_fitted).then(|| side.setup.task.score(&prediction.image, &loaded.data.image(i)));
         bundle.note["nearest"] =
             json!({ "link": i, "metres": metres, "score": value, "part": set as u8, "learned": is_fitted });
     }
-    if task.is_scalar {
-        let all: Vec<Query<'_>> = (0..side.setup.receivers.len()).map(|r| Query { receiver: r, ..query }).collect();
-        let powers = predictor.predict_many(&all);
+    if side.setup.task.is_scalar {
+        let queries: Vec<Query<'_>> = (0..side.setup.receivers.len()).map(|r| Query { receiver: r, ..query }).collect();
+        let powers = predictor.predict_many(&queries);
         bundle.put("powers", &[powers.len()], powers.iter().map(|image| image.pixels[0]));
     }
     if let Some(deviation) = prediction.deviation {
@@ -227,32 +208,57 @@ fn predict(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Re
     Ok(bundle)
 }
 
-/// Returns the azimuth and elevation of the strongest pixel, degrees.
-fn strongest(side: &ViewPane, image: &Image) -> Value {
+/// Returns the query for the requested position, or for the requested link if the model takes other inputs or the
+/// receiver turns; `None` without such an input.
+fn requested_query<'a>(side: &'a ViewPane, parameters: &QueryParams, predictor: &Predictor) -> Option<Query<'a>> {
+    let loaded = side.loaded.as_deref();
+    let turns = loaded.is_some_and(|loaded| loaded.data.scene.moving.is_receiver()); // a sample has its own pose
+    match (parameters.tx.filter(|_| predictor.has_position_input()), parameters.link) {
+        (Some(tx), link) if link.is_none() || !turns => Some(side.setup.query(tx, parameters.receiver)),
+        (_, link) => loaded.and_then(|loaded| link.filter(|i| *i < loaded.data.len()).map(|i| loaded.data.query(i))),
+    }
+}
+
+/// Returns the link whose measurement the prediction is compared with, and its distance from the query in metres: the
+/// requested one, even if another link has the same position, else the nearest; `None` for data without positions.
+fn compared_link(loaded: &LoadedData, parameters: &QueryParams, query: Query<'_>) -> Option<(usize, f64)> {
+    let is_requested = |i: &usize| {
+        let sample = loaded.data.sample(*i);
+        let is_near = |tx: [f64; 3]| neighbours::distance(sample.position(), tx) < SAME_PLACE;
+        parameters.tx.is_none_or(|tx| sample.receiver == parameters.receiver && is_near(tx))
+    };
+    let requested = parameters.link.filter(|i| *i < loaded.data.len()).filter(is_requested);
+    let nearest = || nearest_link(loaded, query.position(), parameters.receiver).filter(|_| loaded.data.placed);
+    requested.map(|i| (i, 0.0)).or_else(nearest)
+}
+
+/// Returns azimuth and elevation of the strongest pixel, degrees; null if pixels have no angles.
+fn strongest_direction(side: &ViewPane, image: &Image) -> Value {
     let i = image.argmax();
     let angles = side.setup.plane.azimuth_elevation_deg((i % image.width) as Real, (i / image.width) as Real);
     angles.map_or(Value::Null, |(azimuth, elevation)| json!([azimuth, elevation]))
 }
 
-/// Returns the link of the nearest transmitter received by `receiver`, with its distance in metres.
-fn nearest(loaded: &LoadedData, tx: [f64; 3], receiver: usize) -> Option<(usize, f64)> {
+/// Returns the link at `receiver` whose transmitter is nearest to `tx`, with the distance in metres; `None` without
+/// links.
+fn nearest_link(loaded: &LoadedData, tx: [f64; 3], receiver: usize) -> Option<(usize, f64)> {
     let samples = loaded.data.samples().enumerate().filter(|(_, sample)| sample.receiver == receiver);
     let all = samples.map(|(i, sample)| (i, neighbours::distance(sample.position(), tx)));
     all.min_by(|a, b| a.1.total_cmp(&b.1))
 }
 
-/// Returns the data of a side, and the requested link.
+/// Returns the data of a side and the index of the requested link; an error without either.
 fn loaded_link<'a>(side: &'a ViewPane, parameters: &QueryParams) -> Result<(&'a LoadedData, usize), RequestError> {
     let loaded = loaded_data(side)?;
     let link = parameters.link.filter(|i| *i < loaded.data.len());
     Ok((loaded, link.ok_or_else(|| bad_request("query parameter `link`: no such link"))?))
 }
 
-/// Returns the measurement of a link; for powers, those of its transmitter at all receivers.
-fn link(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
+/// Creates the bundle of the measurement of a link; for powers, of those of its transmitter at all receivers.
+fn link_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     let (loaded, i) = loaded_link(side, parameters)?;
     let image = loaded.data.image(i);
-    let mut bundle = TensorBundle::new(json!({ "strongest": strongest(side, &image) }));
+    let mut bundle = TensorBundle::new(json!({ "strongest": strongest_direction(side, &image) }));
     if side.setup.task.is_scalar {
         let mut all = vec![Real::NAN; side.setup.receivers.len()];
         for other in loaded.data.links_of(&[loaded.data.links[i].location]) {
@@ -264,9 +270,11 @@ fn link(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Reque
     Ok(bundle)
 }
 
-/// Returns the radio map on a plane at one receiver: power in dBm, or mean power of a channel in dB.
-fn radio_map(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
-    let (predictor, receiver) = (predictor(side)?, receiver(side, parameters)?);
+/// Creates the bundle of the radio map at one receiver over a horizontal plane: power in dBm, or mean power of a
+/// channel in dB; an error for spectra.
+fn map_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
+    let predictor = current_predictor(side)?;
+    check_receiver(side, parameters)?;
     let z = parameters.z.ok_or_else(|| bad_request("no height; set z=1.2"))?;
     if side.setup.task.has_pixels {
         return Err(bad_request("maps: not available for spectra, only for powers and channels"));
@@ -280,13 +288,14 @@ fn radio_map(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, 
         [corners[0][k] + 0.5 * step, corners[0][k] + (count - 0.5) * step]
     };
     let bounds = PlaneBounds([cells(0, width), cells(1, height)]);
-    let grid = PlaneGrid::new(MapPlane { axis: 2, at: z }, bounds, step, 1).map_err(|e| bad_request(&e.to_string()))?;
+    let grid = PlaneGrid::new(MapPlane { axis: 2, coordinate: z }, bounds, step, 1)
+        .map_err(|e| bad_request(&e.to_string()))?;
     let predict = |queries: &[Query<'_>]| predictor.predict_many(queries);
-    let layers = map::layers(&side.setup, &predict, &grid, &[receiver], &[MapQuantity::Power], |_| {});
+    let layers = compute_layers(&side.setup, &predict, &grid, &[parameters.receiver], &[MapQuantity::Power], |_| {});
     let first = data.scene.origin.local(grid.position(0));
     let mut bundle = TensorBundle::new(json!({ "first": first, "step": step }));
     bundle.put("map", &[grid.rows, grid.columns], layers[0].values.iter().map(|v| *v as Real));
-    let positions: Vec<[f64; 3]> = (0..grid.len()).map(|k| grid.position(k)).collect();
+    let positions: Vec<[f64; 3]> = (0..grid.position_count()).map(|k| grid.position(k)).collect();
     if let Some(training) = predictor.ensemble().and_then(|ensemble| ensemble.training_distances(&positions)) {
         let beyond = (0..positions.len()).map(|k| u8::from(training.is_beyond(k)));
         bundle.put_bytes("extrapolated", &[grid.rows, grid.columns], beyond.collect());
@@ -294,14 +303,14 @@ fn radio_map(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, 
     Ok(bundle)
 }
 
-/// Returns the position of the transmitter of a link, located from its observations by all receivers, with the density
+/// Creates the bundle of a located transmitter: its position from the observations of all receivers, and the density
 /// over the floor. Metres, world frame. A training sample is compared without itself.
-fn locate(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, RequestError> {
-    let ((loaded, i), predictor) = (loaded_link(side, parameters)?, predictor(side)?);
+fn location_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
+    let ((loaded, i), predictor) = (loaded_link(side, parameters)?, current_predictor(side)?);
     if !predictor.has_position_input() {
         return Err(bad_request("localisation: this model takes other features than a transmitter position"));
     }
-    let fitted = side.locator(loaded, predictor).map_err(|why| bad_request(&why.to_string()))?;
+    let fitted = side.fit_locator(loaded, predictor).map_err(|why| bad_request(&why.to_string()))?;
     let (locator, data) = (fitted.borrow_dependent(), &loaded.data);
     let transmitter = data.links[i].location;
     let truth = data.locations[transmitter].position();
@@ -325,8 +334,8 @@ fn locate(side: &ViewPane, parameters: &QueryParams) -> Result<TensorBundle, Req
     Ok(bundle)
 }
 
-/// Returns the step, loss and N of the training.
-fn curve(side: &ViewPane) -> TensorBundle {
+/// Creates the bundle of the training curve: steps, losses and numbers of Gaussians, in at most about [`ROWS`] rows.
+fn curve_bundle(side: &ViewPane) -> TensorBundle {
     let rows = side.folder.as_ref().map_or(Vec::new(), |folder| read_series(&folder.join(CURVE)));
     let stride = rows.len().div_ceil(ROWS).max(1);
     let shown: Vec<_> =
@@ -337,8 +346,8 @@ fn curve(side: &ViewPane) -> TensorBundle {
     bundle
 }
 
-/// Returns the titles and snapshots; damaged snapshots are omitted.
-fn saved_snapshots(side: &ViewPane) -> Vec<(String, Snapshot)> {
+/// Reads the snapshots of a run with their titles, by step; damaged snapshots are left out.
+fn read_snapshots(side: &ViewPane) -> Vec<(String, Snapshot)> {
     let Some(folder) = &side.folder else { return Vec::new() };
     let readable = snapshots().filter_map(|(name, title)| {
         let snapshot = Snapshot::read(&folder.join(name)).ok().flatten()?;

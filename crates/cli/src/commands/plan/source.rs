@@ -35,7 +35,7 @@ pub(super) fn read_places(arguments: &PlaceOptions, progress: &mut RunProgress) 
     let places = arguments.source.as_ref().map_or_else(|| Ok(Places::default()), |path| read_known(path, progress))?;
     let (candidates, path) = match (&arguments.candidates, &arguments.floor) {
         (Some(path), _) => (read_transmitters(path)?, path),
-        (_, Some(path)) => (floor(path, arguments.step, arguments.height)?, path),
+        (_, Some(path)) => (floor_positions(path, arguments.step, arguments.height)?, path),
         _ => return Ok(places),
     };
     let places = places.with_candidates(candidates, path)?;
@@ -63,14 +63,15 @@ fn read_known(path: &Path, progress: &mut RunProgress) -> Result<Places> {
     places.ok_or_else(|| Error::input(&model, "has no training positions; name the data folder of its training"))
 }
 
-/// Creates positions on a grid over the floor of a scene, outside its objects, in rows of alternating direction.
+/// Creates positions on a grid over the floor of the scene in `path`, outside its objects, in rows of alternating
+/// direction; metres.
 #[cfg(feature = "raytrace")]
-fn floor(path: &Path, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
+fn floor_positions(path: &Path, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
     pwrfgs::planning::floor_grid(&pwrfgs::raytrace::SceneFile::read(path)?, step, height)
 }
 
 /// Rejects scenes, which need the feature `raytrace`.
 #[cfg(not(feature = "raytrace"))]
-fn floor(_: &Path, _: f64, _: f64) -> Result<Vec<[f64; 3]>> {
+fn floor_positions(_: &Path, _: f64, _: f64) -> Result<Vec<[f64; 3]>> {
     Err(Error::Config("--floor: this build has no scenes; build with the feature `raytrace`".into()))
 }

@@ -1,6 +1,6 @@
 //! Runs of a sweep on a terminal: live lines per run and in total, and an aligned table.
 
-use crate::output::{Verbosity, bars, note};
+use crate::output::{Verbosity, print_note, progress_bars};
 use crate::progress::RunProgress;
 use indicatif::{ProgressBar, ProgressStyle};
 use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepObserver, SweepPlan};
@@ -27,23 +27,23 @@ impl<'a> SweepTable<'a> {
             .progress_chars("━╸─");
         let bar = ProgressBar::new(runs as u64).with_style(style);
         // Without a terminal, the bar hides itself.
-        let bar = if verbosity == Verbosity::Quiet { ProgressBar::hidden() } else { bars().add(bar) };
+        let bar = if verbosity == Verbosity::Quiet { ProgressBar::hidden() } else { progress_bars().add(bar) };
         bar.tick();
         Self { plan, verbosity, bar, begun: Instant::now() }
     }
 
-    /// Removes the bar.
-    pub(super) fn finish(&self) {
+    /// Removes the bar over all runs.
+    pub(super) fn remove_bar(&self) {
         self.bar.finish_and_clear();
     }
 
-    /// Formats the line about the end of a run.
-    fn line(&self, run: usize, end: &Result<RunOutcome>) -> String {
+    /// Describes the end of a run in one line: its scores and time, or why it has none.
+    fn describe_end(&self, run: usize, end: &Result<RunOutcome>) -> String {
         let name = &self.plan.runs[run].folder;
         match end {
             Ok(RunOutcome::Finished { already: true, .. }) => format!("{name}: already finished"),
             Ok(RunOutcome::Finished { scores, .. }) => {
-                let score = |key| scores.of_model(key).map(|value| format!("  {key} {}", number(value)));
+                let score = |key| scores.model_score(key).map(|value| format!("  {key} {}", number(value)));
                 let time = match self.plan.state(run) {
                     RunStage::Finished(end) => format!("  {}", duration(end.1.wall_seconds)),
                     _ => String::new(),
@@ -63,24 +63,25 @@ impl<'a> SweepTable<'a> {
 }
 
 impl SweepObserver for SweepTable<'_> {
-    fn starts(&self, run: usize) -> Box<dyn Observer> {
+    fn on_run_start(&self, run: usize) -> Box<dyn Observer> {
         Box::new(RunProgress::of_run(&self.plan.runs[run].folder, self.verbosity))
     }
 
-    fn ends(&self, run: usize, end: &Result<RunOutcome>) {
+    fn on_run_end(&self, run: usize, end: &Result<RunOutcome>) {
         self.bar.inc(1);
         let (done, total) = (self.bar.position(), self.bar.length().unwrap_or(0));
         let left = self.begun.elapsed().as_secs_f64() / done.max(1) as f64 * total.saturating_sub(done) as f64;
         self.bar.set_message(format!("about {} left", duration(left)));
         let failed = end.as_ref().is_err_and(|error| !matches!(error, Error::Busy(_)));
         if self.verbosity != Verbosity::Quiet || failed {
-            note(&self.line(run, end));
+            print_note(&self.describe_end(run, end));
         }
     }
 }
 
-/// Formats the table of the progress of `runs`; `queued` names the runs in the queue of a scheduler.
-pub(super) fn status(plan: &SweepPlan, runs: &[usize], queued: &BTreeSet<String>) -> String {
+/// Formats the table of the progress of `runs` (indices in the plan); `queued` has the folders of those in the queue of
+/// a scheduler.
+pub(super) fn format_progress(plan: &SweepPlan, runs: &[usize], queued: &BTreeSet<String>) -> String {
     let states: Vec<RunStage> = runs.iter().map(|&run| plan.state(run)).collect();
     let ends = states.iter().filter_map(|state| if let RunStage::Finished(end) = state { Some(end) } else { None });
     let task = ends.clone().next().map_or_else(Task::default, |end| end.0.task);
@@ -102,7 +103,7 @@ pub(super) fn status(plan: &SweepPlan, runs: &[usize], queued: &BTreeSet<String>
             RunStage::Failed(why) => line[1] = format!("failed: {why}"),
             RunStage::Finished(end) => {
                 let (scores, facts) = &**end;
-                let score = |key| scores.of_model(key).map_or_else(|| "n/a".into(), number);
+                let score = |key| scores.model_score(key).map_or_else(|| "n/a".into(), number);
                 (line[2], line[3]) = (progress(facts.steps), grouped(facts.gaussians as i64));
                 (line[4], line[5], line[6]) =
                     (score(scores.task.headline.key), score("eta_0db"), duration(facts.wall_seconds));
@@ -111,15 +112,15 @@ pub(super) fn status(plan: &SweepPlan, runs: &[usize], queued: &BTreeSet<String>
         lines.push(line);
     }
     let head = format!("{}: {finished} of {} runs finished, in {}\n", plan.name, runs.len(), plan.folder.display());
-    let joined = plan.joined.as_ref().map_or("", |_| match Facts::finished(&plan.folder.join(JOINED)) {
+    let joined = plan.joined.as_ref().map_or("", |_| match Facts::read_finished(&plan.folder.join(JOINED)) {
         Ok(Some(_)) => "ensemble finished, in joined\n",
         _ => "the ensemble is made after the last run\n",
     });
     head + joined + &aligned(&lines, 2)
 }
 
-/// Formats the table of all runs with estimated seconds.
-pub(super) fn plan(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
+/// Formats the table of `runs` (indices in the plan) with their estimated seconds, which are 0 for finished ones.
+pub(super) fn format_estimates(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
     let mut lines = vec![["run", "state", "time"].map(str::to_owned).to_vec()];
     for (&run, seconds) in runs.iter().zip(seconds) {
         let time = if *seconds > 0.0 { format!("about {}", duration(*seconds)) } else { String::new() };
@@ -129,7 +130,7 @@ pub(super) fn plan(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usiz
     let mut text =
         format!("{}: {} runs of {combinations} combinations, in {}\n", plan.name, runs.len(), plan.folder.display());
     text += &aligned(&lines, 2);
-    text += &total(plan, runs, seconds, jobs);
+    text += &describe_total(plan, runs, seconds, jobs);
     text
 }
 
@@ -137,9 +138,9 @@ pub(super) fn plan(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usiz
 const LONG_SECONDS: f64 = 12.0 * 3600.0;
 const SLOWEST: usize = 3;
 
-/// Describes the estimated total time of `runs`; if it is long, also the slowest unfinished run of the slowest
-/// combinations.
-pub(super) fn total(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
+/// Describes the estimated total time of `runs` (indices in the plan) from their seconds; NaN counts as none. If it is
+/// long, also names the slowest run of the slowest combinations.
+pub(super) fn describe_total(plan: &SweepPlan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
     let total = seconds.iter().filter(|seconds| seconds.is_finite()).sum::<f64>() / jobs as f64;
     let mut text = format!(
         "about {} in total on this machine with --jobs {jobs}, estimated from a few steps of each combination, before and after \

@@ -88,10 +88,10 @@ fn drawn(correlation: &Correlation, count: usize) -> Dataset {
 
 /// Cases of `validation` samples, each given its 24 nearest of `train`.
 fn cases_of(data: &Dataset, train: &[usize], validation: &[usize], mean: Mean) -> HeldOutCases {
-    let nearest = Nearest::new(train.to_vec(), 4, |i| place(data, i));
-    let near = |i: usize| nearest.find(&place(data, i), FROM).1.into_iter().map(|(_, j)| j).collect();
+    let nearest = Nearest::new(train.to_vec(), 4, |i| sample_place(data, i));
+    let near = |i: usize| nearest.find(&sample_place(data, i), FROM).1.into_iter().map(|(_, j)| j).collect();
     let cases: Vec<(usize, Vec<usize>)> = validation.iter().map(|&i| (i, near(i))).collect();
-    HeldOutCases::new(&cases, mean, |i| place(data, i), |_, i| data.image(i).pixels)
+    HeldOutCases::new(&cases, mean, |i| sample_place(data, i), |_, i| data.image(i).pixels)
 }
 
 #[test]
@@ -122,8 +122,8 @@ fn likelihood_equals_density_of_predictions() {
         let cases = cases_of(&data, &(0..10).collect::<Vec<_>>(), &[10, 11], mean);
         let mut terms = Vec::new();
         for i in [10, 11] {
-            let places: Vec<Place> = (0..10).map(|j| truth.scaled(place(&data, j))).collect();
-            let Solution { weights, variance } = solve(&truth, mean, &places, truth.scaled(place(&data, i)));
+            let places: Vec<Place> = (0..10).map(|j| truth.scaled(sample_place(&data, j))).collect();
+            let Solution { weights, variance } = solve(&truth, mean, &places, truth.scaled(sample_place(&data, i)));
             let mut error = 0.0;
             for k in 0..144 {
                 let predicted: f64 = (0..10).map(|j| weights[j] * data.image(j).pixels[k] as f64).sum();
@@ -157,7 +157,7 @@ fn predictions_follow_from_parameters_in_note() {
     let [x, y, z, noise] = numbers[..] else { panic!("{note}") };
     let kind = CorrelationKind::ALL.into_iter().rev().find(|kind| note.contains(kind.words())).unwrap();
     let correlation = Correlation { kind, scales: [x, y, z, f64::INFINITY], noise };
-    let again = Process::new(Trend::of(&data, &[]), (correlation, 1.0), all, Kriging::default());
+    let again = Process::new(Trend::fit(&data, &[]), (correlation, 1.0), all, Kriging::default());
     for i in 100..120 {
         let [a, b] = [&*fitted, &again].map(|process: &dyn Predict| process.predict(data.query(i)).pixels);
         a.iter().zip(&b).for_each(|(a, b)| close(*a as f64, *b as f64, 5e-3));

@@ -12,7 +12,8 @@ const MOST_ATTRIBUTES: usize = 100;
 /// Longest value of a variable, and longest attribute with variables before and after they are replaced, bytes.
 pub(super) const LONGEST: usize = 1_000;
 
-/// Rejects text for which the parser would need much memory, or a time that grows with the square of its length.
+/// Returns an error for text with too many tags, attributes of a tag or namespaces: the parser would need much memory, or a
+/// time that grows with the square of its length. `path` is named in the error.
 pub(super) fn check_tags(path: &Path, text: &str) -> Result<()> {
     let mut namespaces = 0;
     for (i, (start, _)) in text.match_indices('<').enumerate() {
@@ -32,8 +33,9 @@ pub(super) fn check_tags(path: &Path, text: &str) -> Result<()> {
     Ok(())
 }
 
-/// Replaces the variables in `value`, the attribute `name`; returns the problem if there is one.
-pub(super) fn expand(name: &str, value: &str, variables: &BTreeMap<&str, &str>) -> Result<String, String> {
+/// Returns `value` of the attribute `name` with each `$variable` replaced by its text. Returns an error for an unknown
+/// variable or a result that is too long.
+pub(super) fn expand_variables(name: &str, value: &str, variables: &BTreeMap<&str, &str>) -> Result<String, String> {
     let Some((start, rest)) = value.split_once('$') else { return Ok(value.to_owned()) };
     let check = |length: usize| {
         let problem = || format!("`{name}` is longer than 1,000 characters; shorten it or its variables");

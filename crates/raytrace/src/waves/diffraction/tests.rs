@@ -5,9 +5,9 @@ use pwrfgs_core::testing::shared;
 const METAL: Polarized = Polarized::PERFECT_CONDUCTOR;
 const K: f64 = 2.0 * PI / 0.3258;
 
-/// Returns the opaque faces.
-fn opaque(r0: &Polarized, rn: &Polarized) -> Sides {
-    Sides { r0: *r0, rn: *rn, through: Polarized::NOTHING }
+/// Returns the wedge with opaque faces.
+fn opaque(n: f64, r0: &Polarized, rn: &Polarized) -> Wedge {
+    Wedge { n, r0: *r0, rn: *rn, through: Polarized::NOTHING }
 }
 
 /// Returns F(x) in its usual form; x ≥ 0.
@@ -83,7 +83,7 @@ fn far_from_boundaries_utd_equals_keller() {
     let (k, far, sin_beta) = (1e9, 1e3, 0.8);
     for n in [1.2, 1.5, 1.75, 2.0] {
         let (phi_in, phi) = (0.4, 0.9);
-        let coefficients = wedge(n, k, (far, far), (phi_in, phi), sin_beta, &opaque(&METAL, &METAL));
+        let coefficients = opaque(n, &METAL, &METAL).diffraction_coefficients(k, [far, far], [phi_in, phi], sin_beta);
         let front = Complex::cis(-FRAC_PI_4) * (PI / n).sin() / (n * (2.0 * PI * k).sqrt() * sin_beta);
         let part = |angle: f64| 1.0 / ((PI / n).cos() - (angle / n).cos());
         let (minus, plus) = (part(phi - phi_in), part(phi + phi_in));
@@ -109,10 +109,10 @@ fn spherical(r: f64, factor: Complex) -> Complex {
 /// edge of faces with reflection `r0` and `rn`; the source is `rise` metres higher.
 fn total(n: f64, phi_in: f64, phi: f64, rise: f64, r0: &Polarized, rn: &Polarized) -> [Complex; 2] {
     let (tx, rx) = (about_edge(2.0, phi_in, rise), about_edge(3.0, phi, 0.0));
-    let t = edge_point(DVec3::ZERO, DVec3::Z, tx, rx);
+    let t = edge_parameter(DVec3::ZERO, DVec3::Z, tx, rx);
     let point = DVec3::Z * t;
     let (before, after) = (tx.distance(point), rx.distance(point));
-    let d = wedge(n, K, (before, after), (phi_in, phi), 2.0 / before, &opaque(r0, rn));
+    let d = opaque(n, r0, rn).diffraction_coefficients(K, [before, after], [phi_in, phi], 2.0 / before);
     let spreading = Complex::cis(-K * (before + after)) / (before * after * (before + after)).sqrt();
     let direct = if (phi - phi_in).abs() <= PI { Complex::ONE } else { Complex::ZERO };
     let in_0 = phi + phi_in <= PI;
@@ -155,9 +155,10 @@ fn diffraction_is_reciprocal() {
     for n in [1.1, 1.5, 2.0] {
         for i in 1..40 {
             let (phi_in, phi) = (0.3 * n, f64::from(i) / 40.0 * n * PI);
-            let there = wedge(n, K, (1.3, 4.0), (phi_in, phi), 0.7, &opaque(&METAL, &wall));
-            let back = wedge(n, K, (4.0, 1.3), (phi, phi_in), 0.7, &opaque(&METAL, &wall));
-            let turned = wedge(n, K, (1.3, 4.0), (n * PI - phi_in, n * PI - phi), 0.7, &opaque(&wall, &METAL));
+            let there = opaque(n, &METAL, &wall).diffraction_coefficients(K, [1.3, 4.0], [phi_in, phi], 0.7);
+            let back = opaque(n, &METAL, &wall).diffraction_coefficients(K, [4.0, 1.3], [phi, phi_in], 0.7);
+            let turned =
+                opaque(n, &wall, &METAL).diffraction_coefficients(K, [1.3, 4.0], [n * PI - phi_in, n * PI - phi], 0.7);
             for ((a, b), c) in both(there).into_iter().zip(both(back)).zip(both(turned)) {
                 assert!((a - b).norm() <= 1e-13 * a.norm(), "n {n}, φ {phi}: {a} {b}");
                 assert!((a - c).norm() <= 1e-11 * a.norm(), "n {n}, φ {phi}, numbered from the other face: {a} {c}");
@@ -170,15 +171,15 @@ fn diffraction_is_reciprocal() {
 fn diffraction_is_halved_at_grazing_incidence() {
     for (n, phi) in [(1.5, 2.0), (2.0, 4.0), (1.25, 0.8)] {
         for (at, near) in [(0.0, 1e-6), (n * PI, n * PI - 1e-6)] {
-            let grazing = wedge(n, K, (2.0, 3.0), (at, phi), 1.0, &opaque(&METAL, &METAL));
-            let limit = wedge(n, K, (2.0, 3.0), (near, phi), 1.0, &opaque(&METAL, &METAL));
+            let grazing = opaque(n, &METAL, &METAL).diffraction_coefficients(K, [2.0, 3.0], [at, phi], 1.0);
+            let limit = opaque(n, &METAL, &METAL).diffraction_coefficients(K, [2.0, 3.0], [near, phi], 1.0);
             assert!((2.0 * grazing.tm - limit.tm).norm() < 1e-4 * limit.tm.norm());
             assert!(grazing.te.norm() < 1e-13 && limit.te.norm() < 1e-4 * limit.tm.norm());
         }
     }
     // Along the face and over the edge: half of the wave continues, as behind a knife edge, without a step.
     let jump = |phi| {
-        let d = wedge(2.0, K, (2.0, 3.0), (0.0, phi), 1.0, &opaque(&METAL, &METAL));
+        let d = opaque(2.0, &METAL, &METAL).diffraction_coefficients(K, [2.0, 3.0], [0.0, phi], 1.0);
         d.tm * Complex::cis(-5.0 * K) / 30f64.sqrt()
     };
     let direct = |phi: f64| spherical((4.0 + 9.0 - 12.0 * phi.cos()).sqrt(), Complex::ONE);
@@ -191,10 +192,10 @@ fn diffraction_is_always_finite() {
     for n in [1.0 + 1e-9, 1.5, 2.0] {
         for i in 0..=36 {
             for j in 0..=36 {
-                let angles = (f64::from(i) / 36.0 * n * PI, f64::from(j) / 36.0 * n * PI);
+                let angles = [f64::from(i) / 36.0 * n * PI, f64::from(j) / 36.0 * n * PI];
                 for (before, after, sin_beta) in [(1.0, 2.0, 1.0), (1e-9, 1e6, 1e-6), (0.0, 1.0, 1.0), (1.0, 1.0, 0.0)]
                 {
-                    let d = wedge(n, K, (before, after), angles, sin_beta, &opaque(&METAL, &METAL));
+                    let d = opaque(n, &METAL, &METAL).diffraction_coefficients(K, [before, after], angles, sin_beta);
                     assert!(d.te.is_finite() && d.tm.is_finite(), "n {n}, {angles:?}, {before}, {after}, {sin_beta}");
                 }
             }
@@ -206,25 +207,25 @@ fn diffraction_is_always_finite() {
 fn edge_point_minimises_path_and_equalises_angles() {
     let (a, b) = (DVec3::new(0.3, -1.0, 0.2), DVec3::new(1.0, 2.0, 1.5));
     let (tx, rx) = (DVec3::new(-2.0, 0.4, 1.0), DVec3::new(3.0, 1.0, -0.7));
-    let t = edge_point(a, b, tx, rx);
+    let t = edge_parameter(a, b, tx, rx);
     let along = |t: f64| a + t * (b - a);
     let length = |t: f64| tx.distance(along(t)) + along(t).distance(rx);
     assert!(length(t) <= length(t + 1e-3) && length(t) <= length(t - 1e-3));
     let edge = (b - a).normalize();
     let cosines = [along(t) - tx, rx - along(t)].map(|ray| ray.normalize().dot(edge));
     assert!((cosines[0] - cosines[1]).abs() < 1e-14);
-    assert!((edge_point(a, b, rx, tx) - t).abs() < 1e-14);
-    assert!((edge_point(b, a, tx, rx) - (1.0 - t)).abs() < 1e-14);
+    assert!((edge_parameter(a, b, rx, tx) - t).abs() < 1e-14);
+    assert!((edge_parameter(b, a, tx, rx) - (1.0 - t)).abs() < 1e-14);
     // Points off the edge, and degenerate cases.
-    assert_eq!(edge_point(DVec3::ZERO, DVec3::Z, DVec3::new(1.0, 0.0, 5.0), DVec3::new(0.0, 1.0, 5.0)), 5.0);
-    assert_eq!(edge_point(DVec3::ZERO, DVec3::Z, DVec3::Z * 2.0, DVec3::Z * 4.0), 3.0);
-    assert_eq!(edge_point(a, a, tx, rx), 0.0);
+    assert_eq!(edge_parameter(DVec3::ZERO, DVec3::Z, DVec3::new(1.0, 0.0, 5.0), DVec3::new(0.0, 1.0, 5.0)), 5.0);
+    assert_eq!(edge_parameter(DVec3::ZERO, DVec3::Z, DVec3::Z * 2.0, DVec3::Z * 4.0), 3.0);
+    assert_eq!(edge_parameter(a, a, tx, rx), 0.0);
 }
 
 /// Returns the coupling between two antennas across the reference edge, by the vectors of [`wedge`]: both have their
 /// field along φ̂ (`horizontal`) or θ̂ of the direction away from them. Face 0 is y = 0, x < 0, and φ grows from there
 /// through y > 0, so that the edge points down.
-fn between_antennas(d: &Polarized, (phi_in, phi): (f64, f64), horizontal: bool) -> Complex {
+fn between_antennas(d: &Polarized, [phi_in, phi]: [f64; 2], horizontal: bool) -> Complex {
     let outward = |phi: f64| DVec3::new(-phi.cos(), phi.sin(), 0.0);
     let (edge, before, after) = (-DVec3::Z, -outward(phi_in), outward(phi));
     let (phi_hat_in, phi_hat) = (-edge.cross(before), edge.cross(after));
@@ -248,8 +249,8 @@ fn metal_edge_diffraction_matches_reference() {
         let number = |name: &str| row[column(name)].parse::<f64>().unwrap();
         let (n, degrees) = (number("n"), number("phi_deg"));
         let (before, after) = (13f64.sqrt(), 4.0);
-        let angles = (2f64.atan2(3.0), degrees.to_radians());
-        let d = wedge(n, 2.0 * PI / wavelength, (before, after), angles, 1.0, &opaque(&METAL, &METAL));
+        let angles = [2f64.atan2(3.0), degrees.to_radians()];
+        let d = opaque(n, &METAL, &METAL).diffraction_coefficients(2.0 * PI / wavelength, [before, after], angles, 1.0);
         let hard = &row[column("pol")] == "H";
         let gain =
             between_antennas(&d, angles, hard) * wavelength / (4.0 * PI * (before * after * (before + after)).sqrt());

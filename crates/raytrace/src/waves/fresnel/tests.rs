@@ -1,6 +1,6 @@
 use super::*;
 use crate::SPEED_OF_LIGHT;
-use crate::waves::material::named;
+use crate::waves::material::itu_material;
 use glam::DVec3;
 use pwrfgs_core::testing::shared;
 
@@ -56,8 +56,8 @@ fn lossless_slab_conserves_energy_and_lossy_slab_absorbs() {
                     assert!((energy - 1.0).abs() < 1e-12, "η {eta}, cos {cos}, d {depth}: {energy}");
                 }
             }
-            for name in crate::waves::material::names() {
-                let eta = named(name).unwrap().permittivity(SPEED_OF_LIGHT / WAVELENGTH);
+            for name in crate::waves::material::itu_material_names() {
+                let eta = itu_material(name).unwrap().permittivity(SPEED_OF_LIGHT / WAVELENGTH);
                 let back = both(reflection(eta, Some(depth), cos, WAVELENGTH));
                 let on = both(transmission(eta, depth, cos, WAVELENGTH));
                 for (r, t) in back.iter().zip(on) {
@@ -82,7 +82,7 @@ fn tm_reflection_is_zero_at_brewster_angle() {
 
 #[test]
 fn polarisations_agree_at_normal_incidence() {
-    let eta = named("concrete").unwrap().permittivity(2.4e9);
+    let eta = itu_material("concrete").unwrap().permittivity(2.4e9);
     let n = eta.sqrt();
     let expected = (1.0 - n) / (1.0 + n);
     for thickness in [None, Some(0.01), Some(0.2)] {
@@ -100,7 +100,7 @@ fn polarisations_agree_at_normal_incidence() {
 /// those of the closed form: t₁₂t₂₁ in place of 1 - r².
 #[test]
 fn slab_equals_sum_of_internal_reflections() {
-    let eta = named("concrete").unwrap().permittivity(3.5e9);
+    let eta = itu_material("concrete").unwrap().permittivity(3.5e9);
     let (cos, depth) = (0.6, 0.02);
     let s = (eta - 1.0 + cos * cos).sqrt();
     let n = eta.sqrt();
@@ -131,7 +131,7 @@ fn slab_equals_sum_of_internal_reflections() {
 
 #[test]
 fn slab_approaches_half_space_if_thick_and_air_if_thin() {
-    let eta = named("concrete").unwrap().permittivity(SPEED_OF_LIGHT / WAVELENGTH);
+    let eta = itu_material("concrete").unwrap().permittivity(SPEED_OF_LIGHT / WAVELENGTH);
     for cos in COSINES {
         let half_space = reflection(eta, None, cos, WAVELENGTH);
         assert!(close(reflection(eta, Some(1000.0), cos, WAVELENGTH), half_space, 1e-14));
@@ -153,7 +153,7 @@ fn slab_approaches_half_space_if_thick_and_air_if_thin() {
 #[test]
 fn grazing_wave_is_fully_reflected() {
     for name in ["concrete", "wood", "metal"] {
-        let eta = named(name).unwrap().permittivity(2.4e9);
+        let eta = itu_material(name).unwrap().permittivity(2.4e9);
         for thickness in [None, Some(0.01)] {
             assert!(close(reflection(eta, thickness, 0.0, WAVELENGTH), equal_pair(-1.0), 1e-12), "{name}");
         }
@@ -164,7 +164,7 @@ fn grazing_wave_is_fully_reflected() {
 #[test]
 fn perfect_conductor_reflects_te_inverted_and_tm_unchanged() {
     for hz in [1e6, 920e6, 300e9] {
-        let eta = named("perfect_conductor").unwrap().permittivity(hz);
+        let eta = itu_material("perfect_conductor").unwrap().permittivity(hz);
         for cos in [1e-6, 0.3, 1.0] {
             for thickness in [None, Some(1e-6), Some(0.1)] {
                 let r = reflection(eta, thickness, cos, SPEED_OF_LIGHT / hz);
@@ -197,7 +197,7 @@ fn one_bounce(tx: DVec3, rx: DVec3, face: &str, thick: bool, hz: f64) -> (Comple
     let after = (rx - image) / length;
     let before = after - 2.0 * after.dot(normal) * normal;
     let s = before.cross(normal).normalize();
-    let eta = named(name).unwrap().permittivity(hz);
+    let eta = itu_material(name).unwrap().permittivity(hz);
     let wavelength = SPEED_OF_LIGHT / hz;
     let r = reflection(eta, thick.then_some(depth), before.dot(normal), wavelength);
     let (sent, received) = (polar(before), polar(-after));

@@ -72,7 +72,7 @@ fn scattered_power_is_set_share_of_incident_power() {
     for lobe in lobes() {
         let received = over_hemisphere(|out| {
             let density = lobe.density(cos, out.z, out.dot(specular));
-            amplitude(s, gamma, density, area, cos, (near, far), wavelength).powi(2) / aperture * far * far
+            patch_amplitude(s, gamma, density, area, cos, (near, far), wavelength).powi(2) / aperture * far * far
         });
         assert!((received / (s * s * gamma * gamma * fallen) - 1.0).abs() < 1e-6, "{lobe:?}");
     }
@@ -80,8 +80,8 @@ fn scattered_power_is_set_share_of_incident_power() {
 
 #[test]
 fn smooth_surface_and_back_side_do_not_scatter() {
-    assert_eq!(amplitude(0.0, 1.0, 0.3, 0.1, 0.5, (1.0, 1.0), 0.1), 0.0);
-    assert_eq!(amplitude(0.5, 1.0, 0.3, 0.1, -0.5, (1.0, 1.0), 0.1), 0.0);
+    assert_eq!(patch_amplitude(0.0, 1.0, 0.3, 0.1, 0.5, (1.0, 1.0), 0.1), 0.0);
+    assert_eq!(patch_amplitude(0.5, 1.0, 0.3, 0.1, -0.5, (1.0, 1.0), 0.1), 0.0);
 }
 
 #[test]

@@ -35,7 +35,7 @@ fn circles(panel: &Panel) -> usize {
 fn gaussians_outside_frame_are_counted_and_not_drawn() {
     let (data, partition) = room(5);
     let cloud = snapshot([[1.0, 1.0, 1.0], [3.9, 0.1, 1.9], [9.0, 1.0, 1.0], [1.0, 1.0, -7.0]]);
-    let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
+    let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).draw_panel("At the start", &cloud, &data);
     assert_eq!(circles(&panel), 2);
     assert_eq!(panel.caption, "2 of 4 are outside the frame");
     assert!(panel.numbers.starts_with("N = 4"));
@@ -45,13 +45,13 @@ fn gaussians_outside_frame_are_counted_and_not_drawn() {
 fn frame_includes_near_gaussians_and_excludes_outliers() {
     let (data, partition) = room(5);
     let cloud = snapshot([[1.0, 1.0, 1.0], [7.9, 1.0, 1.0], [1.0, -3.9, 5.9]]);
-    let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
+    let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).draw_panel("At the start", &cloud, &data);
     assert_eq!((circles(&panel), panel.caption.as_str()), (3, ""));
     // Positions that are not finite are counted and do not change the frame.
     let cloud = snapshot([[1.0, 1.0, 1.0], [Real::NAN, 1.0, 1.0], [1.0, Real::INFINITY, 1.0], [1e30, 1.0, 1.0]]);
     for points in [0, 5] {
         let (data, partition) = room(points);
-        let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
+        let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).draw_panel("At the start", &cloud, &data);
         assert_eq!((circles(&panel), panel.caption.as_str()), (1, "3 of 4 are outside the frame"));
         assert!(!svg(&panel).contains("NaN") && !svg(&panel).contains("inf"));
     }
@@ -61,7 +61,7 @@ fn frame_includes_near_gaussians_and_excludes_outliers() {
 fn frame_without_points_excludes_isolated_gaussian() {
     let (data, partition) = room(0);
     let cloud = snapshot((0..200).map(|i| [i as Real, 0.0, 0.0]).chain([[1e4, 0.0, 0.0]]));
-    let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("Final", &cloud, &data);
+    let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).draw_panel("Final", &cloud, &data);
     assert_eq!((circles(&panel), panel.caption.as_str()), (200, "1 of 201 are outside the frame"));
 }
 
@@ -69,11 +69,11 @@ fn frame_without_points_excludes_isolated_gaussian() {
 fn room_figure_limits_drawn_gaussians_and_file_size() {
     let (data, partition) = room(20_000);
     let cloud = snapshot((0..65_000).map(|i| [i as Real / 16_250.0, 1.0, 1.0]));
-    let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
+    let panel = RoomFigure::new(&data, &partition, &[&cloud], 10.5).draw_panel("At the start", &cloud, &data);
     assert!(svg(&panel).len() < 300_000, "{} bytes", svg(&panel).len());
     assert_eq!(panel.caption, "only the 3,000 most opaque are drawn");
     // Among equal Gaussians, the drawn ones are spread over the whole room.
-    let quarter = |k: usize| scattered(65_000)[..GAUSSIANS].iter().filter(|i| **i / 16_250 == k).count();
+    let quarter = |k: usize| scattered_order(65_000)[..GAUSSIANS].iter().filter(|i| **i / 16_250 == k).count();
     assert!((0..4).all(|k| (700..800).contains(&quarter(k))));
 }
 
@@ -81,7 +81,7 @@ fn room_figure_limits_drawn_gaussians_and_file_size() {
 fn draws_flat_scene_and_empty_cloud() {
     let (mut data, partition) = room(1);
     data.scene.bounds = ([1.0; 3], [1.0; 3]);
-    let panel = RoomFigure::new(&data, &partition, &[], 10.5).panel("At the start", &snapshot([]), &data);
+    let panel = RoomFigure::new(&data, &partition, &[], 10.5).draw_panel("At the start", &snapshot([]), &data);
     let svg = svg(&panel);
     assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
 }

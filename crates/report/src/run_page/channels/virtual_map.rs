@@ -25,31 +25,31 @@ struct MappedSource {
     db: f64,
 }
 
-/// Returns both views with remarks about omitted elements; `None` for a model that draws splats.
-pub(super) fn map(run: &LoadedRun<'_>) -> Option<Value> {
+/// Draws the virtual transmitters in a top and a side view, with remarks about omitted elements; `None` for a model that is
+/// not drawn as points, or has none.
+pub(super) fn transmitter_views(run: &LoadedRun<'_>) -> Option<Value> {
     if !run.model.is_drawn_as(Appearance::Points) {
         return None;
     }
-    let mut sources = strongest_first(run);
+    let mut sources = sources_by_strength(run);
     if sources.is_empty() {
         return None;
     }
     let all = sources.len();
     sources.truncate(SHOWN);
-    let view = |names, axes: [usize; 2]| draw(run, &sources, names, axes);
-    let ((plan, outside), (side, hidden)) = (view(["x", "y"], [0, 1]), view(["x", "z"], [0, 2]));
+    let [(plan, outside), (side, hidden)] = [[0, 1], [0, 2]].map(|axes| draw_view(run, &sources, axes));
     Some(context! {
         plan => plan.svg("map", "top view of the room"),
         side => side.svg("map", "side view of the room"),
-        legend => legend(!run.data.scene.points.is_empty()).svg("legend", "legend of the marks"),
+        legend => draw_legend(!run.data.scene.points.is_empty()).svg("legend", "legend of the marks"),
         count => grouped(all as i64),
         shown => (all > sources.len()).then(|| grouped(sources.len() as i64)),
         outside => outside.max(hidden),
     })
 }
 
-/// Returns all virtual transmitters in the world frame, strongest first.
-fn strongest_first(run: &LoadedRun<'_>) -> Vec<MappedSource> {
+/// Returns the virtual transmitters of all members in the world frame, strongest first, without those that are not finite.
+fn sources_by_strength(run: &LoadedRun<'_>) -> Vec<MappedSource> {
     let members = run.model.members();
     let mut all: Vec<([f64; 3], f64)> = members
         .iter()
@@ -66,46 +66,47 @@ fn strongest_first(run: &LoadedRun<'_>) -> Vec<MappedSource> {
     all.into_iter().map(|(position, s)| MappedSource { position, db: db(s) }).collect()
 }
 
-/// Returns the view along an axis, and the number of transmitters outside its frame.
-fn draw(run: &LoadedRun<'_>, sources: &[MappedSource], names: [&'static str; 2], axes: [usize; 2]) -> (Canvas, usize) {
-    let scene = &run.data.scene;
+/// Draws the view of two `axes`, and returns it with the number of transmitters outside its frame.
+fn draw_view(run: &LoadedRun<'_>, sources: &[MappedSource], axes: [usize; 2]) -> (Canvas, usize) {
+    let (scene, names) = (&run.data.scene, axes.map(|k| ["x", "y", "z"][k]));
     let flat = |p: [f64; 3]| axes.map(|k| p[k]);
     let walls = [scene.bounds.0, scene.bounds.1].map(|corner| flat(scene.origin.world(corner)));
     let positions: Vec<[f64; 2]> = sources.iter().map(|source| flat(source.position)).collect();
-    let plan = FloorPlan::new(frame(walls, &positions), names, WIDTH, 420.0);
-    let mut canvas = plan.canvas();
-    plan.points(&mut canvas, evenly(&scene.points, POINTS).into_iter().map(|p| flat(scene.origin.world(p))));
+    let plan = FloorPlan::new(view_frame(walls, &positions), names, WIDTH, 420.0);
+    let mut canvas = plan.empty_map();
+    plan.draw_points(&mut canvas, evenly(&scene.points, POINTS).into_iter().map(|p| flat(scene.origin.world(p))));
     let [a, b] = [plan.project([walls[0][0], walls[1][1]]), plan.project([walls[1][0], walls[0][1]])];
     canvas.rect(a, [b[0] - a[0], b[1] - a[1]], Paint { dash: &[6.0, 4.0], ..Paint::stroke(WALLS, 1.1) });
     let mut outside = 0;
+    let paint = Paint::fill(BLUE.with_opacity(0.6)).outlined(WHITE, 0.6);
     for source in sources {
         let position = flat(source.position);
         if plan.contains(position) {
-            canvas.circle(plan.project(position), radius(source.db), Paint::fill(BLUE.faint(0.6)).outlined(WHITE, 0.6));
+            canvas.circle(plan.project(position), disc_radius(source.db), paint);
         } else {
             outside += 1;
         }
     }
     for pose in scene.fixed_ends().into_iter().filter(|_| scene.has_distances()) {
-        plan.receiver(&mut canvas, flat(scene.origin.world_pose(pose).position));
+        plan.draw_receiver(&mut canvas, flat(scene.origin.world_pose(pose).position));
     }
-    plan.axes(&mut canvas);
-    (FloorPlan::widened(&canvas, WIDTH), outside)
+    plan.draw_axes(&mut canvas);
+    (FloorPlan::centred_in(&canvas, WIDTH), outside)
 }
 
 /// Returns the bounds of the room and its surroundings with mirror images, except the few farthest.
-fn frame(walls: [[f64; 2]; 2], positions: &[[f64; 2]]) -> [[f64; 2]; 2] {
+fn view_frame(walls: [[f64; 2]; 2], positions: &[[f64; 2]]) -> [[f64; 2]; 2] {
     let ends = |q: f64| [0, 1].map(|k| quantile(&sorted(positions.iter().map(|p| p[k])), q));
-    FloorPlan::corners(walls.into_iter().chain([ends(0.02), ends(0.98)]))
+    FloorPlan::frame(walls.into_iter().chain([ends(0.02), ends(0.98)]))
 }
 
-/// Returns the radius of a disc whose area decreases with decibels.
-fn radius(db: f64) -> f64 {
+/// Returns the radius of a disc whose area falls linearly with the level `db`, at most 0.
+fn disc_radius(db: f64) -> f64 {
     RADIUS * (1.0 + db.max(-RANGE_DB) / RANGE_DB).max(0.03).sqrt()
 }
 
-/// Returns the legend of the marks.
-fn legend(has_points: bool) -> Canvas {
+/// Draws the legend of the marks; `has_points` tells the bounds of the scene from those of the data.
+fn draw_legend(has_points: bool) -> Canvas {
     let mut canvas = Canvas::new(620.0, 24.0);
     let (mut x, y) = (12.0, 12.0);
     let add_label = |canvas: &mut Canvas, x: &mut f64, words: &str| {
@@ -113,7 +114,7 @@ fn legend(has_points: bool) -> Canvas {
         *x += 30.0 + text_width(words);
     };
     for (db, words) in [(0.0, "strongest"), (-10.0, "10 dB weaker"), (-20.0, "20 dB weaker")] {
-        canvas.circle([x, y], radius(db), Paint::fill(BLUE.faint(0.6)).outlined(WHITE, 0.6));
+        canvas.circle([x, y], disc_radius(db), Paint::fill(BLUE.with_opacity(0.6)).outlined(WHITE, 0.6));
         add_label(&mut canvas, &mut x, words);
     }
     draw_receiver(&mut canvas, [x, y]);

@@ -19,13 +19,14 @@ const MOST_BINS: usize = 8;
 /// Maximum number of variants with bands of quartiles; more bands would overlap.
 const MOST_BANDS: usize = 4;
 
-/// Returns the error against the distance to the nearest training transmitter, which reveals leakage of a split.
-pub(super) fn distance(setting: &Setting) -> Option<Figure> {
+/// Draws the error against the distance to the nearest training transmitter, which reveals leakage of a split; `None`
+/// without distances.
+pub(super) fn distance_figure(setting: &Setting) -> Option<Figure> {
     let mut lines = Vec::new();
     let banded = setting.variants.len() <= MOST_BANDS;
     let task = setting.task();
     for (k, variant) in setting.variants.iter().enumerate() {
-        let (style, bins) = (Style::variant(k), bins(&variant.runs, MODEL, task));
+        let (style, bins) = (Style::variant(k), error_bins(&variant.runs, MODEL, task));
         let quartile = |q: usize| bins.iter().map(move |b| (b.distance, b.quartiles[q]));
         let mut line = ChartLine::new(quartile(1).collect(), style).named(&variant.label);
         line.marks.clone_from(&line.points);
@@ -37,7 +38,7 @@ pub(super) fn distance(setting: &Setting) -> Option<Figure> {
     }
     for (k, name) in setting.baselines().into_iter().enumerate() {
         // Equal in all variants, except for splits that depend on the seed.
-        let bins = bins(&setting.variants[0].runs, name, task);
+        let bins = error_bins(&setting.variants[0].runs, name, task);
         let points = bins.iter().map(|b| (b.distance, b.quartiles[1])).collect();
         lines.push(ChartLine::new(points, row_style(setting, k, name)).named_at_end(name));
     }
@@ -45,7 +46,7 @@ pub(super) fn distance(setting: &Setting) -> Option<Figure> {
     let Headline { name, higher, best, .. } = task.headline;
     let name = best.filter(|_| higher).map_or_else(|| name.to_owned(), |best| format!("error {best} − {name}"));
     let chart = Chart { x, y: ChartAxis { name: name.clone(), ..ChartAxis::default() }, lines, ..Chart::default() };
-    Figure::chart("distance", setting, context! { banded, axis => name }, chart)
+    Figure::from_chart("distance", setting, context! { banded, axis => name }, chart)
 }
 
 /// Bin of test samples of similar distance.
@@ -57,21 +58,21 @@ struct Bin {
     quartiles: [f64; 3],
 }
 
-/// Returns the bins over all `runs` of one predictor; none if it has no first metric.
-fn bins(runs: &[Record], predictor: &str, task: Task) -> Vec<Bin> {
+/// Returns the bins of errors by distance over all `runs` of one predictor; none if it lacks the first metric.
+fn error_bins(runs: &[Record], predictor: &str, task: Task) -> Vec<Bin> {
     let Headline { key, higher, best, .. } = task.headline;
     let drawn = |score: f64| best.filter(|_| higher).map_or(score, |best| best - score);
     let pairs = |run: &Record| -> Vec<(f64, f64)> {
-        let samples = run.scores.by_id(predictor, key).unwrap_or_default();
+        let samples = run.scores.values_by_id(predictor, key).unwrap_or_default();
         samples.iter().filter_map(|(id, score)| Some((*run.test.nearest_train_m.get(id)?, drawn(*score)))).collect()
     };
     let samples = runs.first().map_or(0, |r| pairs(r).len());
-    binned(runs.iter().flat_map(pairs).collect(), samples / PER_BIN)
+    bin_pairs(runs.iter().flat_map(pairs).collect(), samples / PER_BIN)
 }
 
 /// Groups pairs of distance and error in `count` bins, at least 2 and at most [`MOST_BINS`]; distances of 0 or infinity
 /// are omitted, because the axis is logarithmic.
-fn binned(mut pairs: Vec<(f64, f64)>, count: usize) -> Vec<Bin> {
+fn bin_pairs(mut pairs: Vec<(f64, f64)>, count: usize) -> Vec<Bin> {
     pairs.retain(|p| p.0 > 0.0 && p.0.is_finite() && p.1.is_finite());
     pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let count = count.clamp(2, MOST_BINS).min(pairs.len());
@@ -89,16 +90,15 @@ const SHARES: usize = 200;
 /// Share of each predictor within the axis.
 const INSIDE: f64 = 0.98;
 
-/// Returns the share of the test set below each value of the first metric; not for spectra, whose SSIM has its own
-/// figure.
-pub(super) fn distribution(setting: &Setting) -> Option<Figure> {
+/// Draws the share of the test set below each value of the first metric; `None` for spectra, whose SSIM has its own figure.
+pub(super) fn distribution_figure(setting: &Setting) -> Option<Figure> {
     if setting.task().has_pixels {
         return None;
     }
     let headline = setting.headline();
     let tail = if headline.higher { 1.0 - INSIDE..=1.0 } else { 0.0..=INSIDE };
     let points = |runs: &[Record], predictor: &str| -> Vec<(f64, f64)> {
-        let samples = runs.iter().filter_map(|run| run.scores.by_id(predictor, headline.key));
+        let samples = runs.iter().filter_map(|run| run.scores.values_by_id(predictor, headline.key));
         let values = sorted(samples.flat_map(BTreeMap::into_values).filter(|v| v.is_finite()));
         let shares = (0..=SHARES).map(|k| k as f64 / SHARES as f64).filter(|share| tail.contains(share));
         if values.is_empty() { Vec::new() } else { shares.map(|share| (quantile(&values, share), share)).collect() }
@@ -116,7 +116,7 @@ pub(super) fn distribution(setting: &Setting) -> Option<Figure> {
     let y = ChartAxis { name: "share of the test set below".into(), ends: Some((0.0, 1.0)), log: false };
     let percent = (INSIDE * 100.0).round() as u32;
     let chart = Chart { x, y, lines, ..Chart::default() };
-    Figure::chart("distribution", setting, context! { axis => headline.name, percent }, chart)
+    Figure::from_chart("distribution", setting, context! { axis => headline.name, percent }, chart)
 }
 
 #[cfg(test)]
@@ -128,12 +128,12 @@ mod tests {
         let mut pairs: Vec<(f64, f64)> = (1..=10).map(|k| (f64::from(k), f64::from(k) / 10.0)).collect();
         pairs.extend([(0.0, 9.0), (f64::INFINITY, 9.0)]);
         pairs.reverse();
-        let bins = binned(pairs, 1);
+        let bins = bin_pairs(pairs, 1);
         assert_eq!(bins.len(), 2);
         assert_eq!((bins[0].distance, bins[0].quartiles), (3.0, [0.2, 0.3, 0.4]));
         assert_eq!((bins[1].distance, bins[1].quartiles), (8.0, [0.7, 0.8, 0.9]));
-        assert!(binned(Vec::new(), 5).is_empty());
-        assert_eq!(binned(vec![(1.0, 0.5)], 5).len(), 1);
-        assert_eq!(binned(vec![(1.0, 0.5); 1000], 50).len(), MOST_BINS);
+        assert!(bin_pairs(Vec::new(), 5).is_empty());
+        assert_eq!(bin_pairs(vec![(1.0, 0.5)], 5).len(), 1);
+        assert_eq!(bin_pairs(vec![(1.0, 0.5); 1000], 50).len(), MOST_BINS);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::Figure;
 use super::tradeoff::method_style;
-use crate::draw::charts::{Band, Chart, ChartAxis, ChartLine, decimate_steps, phases};
+use crate::draw::charts::{Band, Chart, ChartAxis, ChartLine, decimate_steps, phase_bands};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::context;
 use pwrfgs_experiment::{Setting, StudyVariant, VariantFamily};
@@ -15,25 +15,25 @@ const MOST_NAMES: usize = 16;
 /// End of the axis over the last step that changes N, if trainings differ in length.
 const AFTER: f64 = 1.5;
 
-/// Returns the figure; `None` if there is nothing to draw.
+/// Draws N against training steps; `None` if there is nothing to draw.
 pub(super) fn figure(setting: &Setting) -> Option<Figure> {
-    let (bands, (end, last)) = (shared_phases(setting), ends(setting));
-    let by_method = VariantFamily::all(setting).len() > 1;
+    let (bands, (end, last)) = (shared_phases(setting), axis_ends(setting));
+    let by_method = VariantFamily::group(setting).len() > 1;
     let words = context! { shaded => !bands.is_empty(), by_method, cut => end < last };
     let chart = Chart {
         x: ChartAxis { name: "training step".into(), ends: Some((0.0, end)), log: false },
         y: ChartAxis { name: "number of Gaussians N".into(), ends: None, log: true },
         bands,
-        lines: lines(setting, end),
+        lines: variant_lines(setting, end),
         ..Chart::default()
     };
-    Figure::chart("gaussians", setting, words, chart)
+    Figure::from_chart("gaussians", setting, words, chart)
 }
 
 /// Returns one line per variant up to step `end`, with the range over seeds. With several methods, the legend names the
 /// methods, and names at the ends of lines distinguish the variants of each.
-pub(super) fn lines(setting: &Setting, end: f64) -> Vec<ChartLine> {
-    let families = VariantFamily::all(setting);
+pub(super) fn variant_lines(setting: &Setting, end: f64) -> Vec<ChartLine> {
+    let families = VariantFamily::group(setting);
     let by_method = families.len() > 1;
     let (mut lines, mut names) = (Vec::new(), Vec::new());
     let (mut shift, count) = (0.5, setting.variants.len() as f64);
@@ -41,9 +41,9 @@ pub(super) fn lines(setting: &Setting, end: f64) -> Vec<ChartLine> {
         let variants = family.variants.iter().zip(&family.values).filter(|(v, _)| v.runs[0].facts.gaussians > 0);
         for (v, (variant, value)) in variants.enumerate() {
             let style = if by_method { method_style(family, m) } else { Style::variant(v) };
-            let [low, middle, high] = curves(variant, end);
+            let [low, middle, high] = seed_range(variant, end);
             let mut line = ChartLine::new(decimate_steps(&middle), style);
-            line.marks = marks(&middle, end, shift / count);
+            line.marks = select_marks(&middle, end, shift / count);
             shift += 1.0;
             if !by_method {
                 line = line.named(&variant.label);
@@ -70,7 +70,7 @@ pub(super) fn lines(setting: &Setting, end: f64) -> Vec<ChartLine> {
 
 /// Returns the end of the axis, and the last step. The axis ends soon after the last change of N if trainings differ in
 /// length.
-fn ends(setting: &Setting) -> (f64, f64) {
+fn axis_ends(setting: &Setting) -> (f64, f64) {
     let steps = || setting.runs().map(|run| run.pipeline.training.steps);
     let (least, most) = (steps().min().unwrap_or(0), steps().max().unwrap_or(0) as f64);
     let changed = |curve: Vec<(f64, f64)>| {
@@ -78,11 +78,11 @@ fn ends(setting: &Setting) -> (f64, f64) {
         let before = curve.iter().rposition(|point| !is_last(point))?;
         curve.get(before + 1).map(|point| point.0)
     };
-    let last = setting.runs().filter_map(|run| changed(run.curve_of(4))).fold(0.0, f64::max);
+    let last = setting.runs().filter_map(|run| changed(run.curve_column(4))).fold(0.0, f64::max);
     (if least as f64 == most || last == 0.0 { most } else { most.min(AFTER * last) }, most)
 }
 
-/// Returns the phases, if they are equal in all runs.
+/// Returns the phases of training as shaded ranges if they are equal in all variants; otherwise none.
 fn shared_phases(setting: &Setting) -> Vec<Band> {
     let schedule = |v: &StudyVariant| {
         let t = &v.runs[0].pipeline.training;
@@ -90,13 +90,13 @@ fn shared_phases(setting: &Setting) -> Vec<Band> {
     };
     let first = &setting.variants[0];
     let same = setting.variants.iter().all(|v| schedule(v) == schedule(first));
-    if same { phases(&first.runs[0].pipeline.training) } else { Vec::new() }
+    if same { phase_bands(&first.runs[0].pipeline.training) } else { Vec::new() }
 }
 
 /// Returns the minimum, mean and maximum N at each step up to `end` that all runs of the variant recorded.
-fn curves(variant: &StudyVariant, end: f64) -> [Vec<(f64, f64)>; 3] {
+fn seed_range(variant: &StudyVariant, end: f64) -> [Vec<(f64, f64)>; 3] {
     let mut at: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
-    for (step, n) in variant.runs.iter().flat_map(|r| r.curve_of(4)) {
+    for (step, n) in variant.runs.iter().flat_map(|r| r.curve_column(4)) {
         at.entry(step as u64).or_default().push(n);
     }
     at.retain(|step, all| *step as f64 <= end && all.len() == variant.runs.len());
@@ -106,7 +106,7 @@ fn curves(variant: &StudyVariant, end: f64) -> [Vec<(f64, f64)>; 3] {
 }
 
 /// Returns some points on the curve. `shift` in 0..1 selects them, so that the marks of two lines do not coincide.
-fn marks(points: &[(f64, f64)], end: f64, shift: f64) -> Vec<(f64, f64)> {
+fn select_marks(points: &[(f64, f64)], end: f64, shift: f64) -> Vec<(f64, f64)> {
     let step = |k: usize| end * (k as f64 + shift) / MARKS as f64;
     (0..MARKS)
         .filter_map(|k| {
@@ -118,15 +118,15 @@ fn marks(points: &[(f64, f64)], end: f64, shift: f64) -> Vec<(f64, f64)> {
 
 #[cfg(test)]
 mod tests {
-    use super::marks;
+    use super::select_marks;
 
     #[test]
     fn marks_lie_on_the_curve() {
         let points: Vec<(f64, f64)> = (1..=100).map(|k| (f64::from(k), 5.0)).collect();
-        let first = marks(&points, 100.0, 0.25);
+        let first = select_marks(&points, 100.0, 0.25);
         assert_eq!(first.len(), 6);
         assert!(first.iter().all(|p| points.contains(p)));
-        assert!(marks(&points, 100.0, 0.75).iter().all(|p| !first.contains(p)));
-        assert!(marks(&[], 100.0, 0.5).is_empty());
+        assert!(select_marks(&points, 100.0, 0.75).iter().all(|p| !first.contains(p)));
+        assert!(select_marks(&[], 100.0, 0.5).is_empty());
     }
 }

@@ -1,7 +1,7 @@
 //! Latency of a prediction by stage: stacked bars.
 
 use super::{COLUMN, Figure};
-use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, text_width, wrapped};
+use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, text_width, wrap_text};
 use crate::draw::axes::ticks;
 use crate::draw::charts::{Legend, SYMBOL, Symbol};
 use crate::draw::marks::SHADES;
@@ -39,21 +39,21 @@ impl<'a> Bar<'a> {
         Some(Self { label: &variant.label, stages: stages?, total: variant.score(TOTAL)? })
     }
 
-    /// Returns the end of the bar.
-    fn length(&self) -> f64 {
+    /// Returns the length of the bar: the sum over the stages, milliseconds.
+    fn stage_sum(&self) -> f64 {
         self.stages.iter().sum()
     }
 }
 
-/// Returns the figure; `None` without timed variants.
+/// Draws the latency by stage as stacked bars; `None` without timed variants.
 pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     let bars: Vec<Bar<'_>> = setting.variants.iter().filter_map(Bar::of).collect();
-    let longest = bars.iter().map(Bar::length).fold(0.0, f64::max);
+    let longest = bars.iter().map(Bar::stage_sum).fold(0.0, f64::max);
     if !(longest > 0.0 && longest.is_finite()) {
         return None;
     }
     let words = context! { machines => machines(setting) };
-    Some(Figure::new("latency", setting, words, &draw(&bars, longest)))
+    Some(Figure::new("latency", setting, words, &draw_bars(&bars, longest)))
 }
 
 /// Returns the machines of the measurements.
@@ -62,12 +62,12 @@ fn machines(setting: &Setting) -> Vec<String> {
 }
 
 /// Draws the bars with names, axis and legend.
-fn draw(bars: &[Bar<'_>], longest: f64) -> Canvas {
-    let labels: Vec<Vec<String>> = bars.iter().map(|b| wrapped(b.label, NAMES)).collect();
+fn draw_bars(bars: &[Bar<'_>], longest: f64) -> Canvas {
+    let labels: Vec<Vec<String>> = bars.iter().map(|b| wrap_text(b.label, NAMES)).collect();
     let names = labels.iter().flatten().map(|line| text_width(line)).fold(0.0, f64::max);
     let row = ROW + FURTHER * (labels.iter().map(Vec::len).max().unwrap_or(1) as f64 - 1.0);
     let (left, top) = (names + 12.0, 6.0);
-    let ends = bars.iter().map(|b| text_width(&b.end())).fold(0.0, f64::max);
+    let ends = bars.iter().map(|b| text_width(&b.end_text())).fold(0.0, f64::max);
     let width = COLUMN - left - ends - 10.0;
     let bottom = top + row * bars.len() as f64;
     let key = |(k, (name, _)): (usize, &(&str, &str))| {
@@ -94,7 +94,7 @@ fn draw(bars: &[Bar<'_>], longest: f64) -> Canvas {
             draw_box(&mut canvas, [x(begun), y - BAR / 2.0], [x(begun + ms) - x(begun), BAR], SHADES[stage]);
             begun += ms;
         }
-        canvas.text([x(begun) + 5.0, y + 4.0], Anchor::Start, bar.end());
+        canvas.text([x(begun) + 5.0, y + 4.0], Anchor::Start, bar.end_text());
     }
     canvas.line(&[[left, top], [left, bottom], [left + width, bottom]], thin);
     canvas.text([left + width / 2.0, bottom + 32.0], Anchor::Middle, "latency of one prediction [ms]");
@@ -110,8 +110,8 @@ fn draw_box(canvas: &mut Canvas, at: Point, size: Point, shade: u32) {
 }
 
 impl Bar<'_> {
-    /// Returns the text at the end of the bar.
-    fn end(&self) -> String {
+    /// Formats the text at the end of the bar: total and deviation, milliseconds.
+    fn end_text(&self) -> String {
         match self.total.deviation {
             // Two digits of the deviation, and as many decimals of the mean.
             Some(deviation) if deviation > 0.0 => {

@@ -1,10 +1,10 @@
 //! Panels side by side: Gaussians in the room (figure 3 of the paper) and spectra (figure 4).
 
 use super::{COLUMN, Figure, PAGE};
-use crate::canvas::{Anchor, Canvas, LINE, TEXT, text_width, wrapped};
+use crate::canvas::{Anchor, Canvas, LINE, TEXT, text_width, wrap_text};
 use crate::draw::charts::Legend;
 use crate::draw::room::{Panel, RoomFigure};
-use crate::draw::spectra::{ColourScale, draw_azimuth, draw_elevation, names, pixels};
+use crate::draw::spectra::{ColourScale, axis_names, draw_azimuth, draw_elevation, spectrum_image};
 use minijinja::context;
 use pwrfgs_core::{Dataset, Image, ImagePlane, Query, Result};
 use pwrfgs_experiment::{Setting, StudyVariant, VariantFamily, scores::MODEL};
@@ -17,8 +17,8 @@ const MOST_ROOMS: usize = 6;
 
 /// Returns one variant per method: that with the number of Gaussians that most methods reach, or the nearest. All
 /// variants of a single method.
-pub(super) fn methods(setting: &Setting) -> Vec<&StudyVariant> {
-    let families = VariantFamily::all(setting);
+pub(super) fn one_variant_per_method(setting: &Setting) -> Vec<&StudyVariant> {
+    let families = VariantFamily::group(setting);
     if families.len() == 1 {
         return setting.variants.iter().collect();
     }
@@ -29,9 +29,10 @@ pub(super) fn methods(setting: &Setting) -> Vec<&StudyVariant> {
     families.into_iter().filter_map(|family| family.variants.into_iter().min_by_key(far)).collect()
 }
 
-/// Returns the Gaussians over the point cloud of the scene with their Chamfer distances: figure 3 of the paper.
-pub(super) fn room(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
-    let methods = || methods(setting).into_iter().filter(|v| v.runs[0].facts.gaussians > 0);
+/// Draws the Gaussians over the point cloud of the scene with their Chamfer distances: figure 3 of the paper. `None`
+/// without Gaussians.
+pub(super) fn room_figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
+    let methods = || one_variant_per_method(setting).into_iter().filter(|v| v.runs[0].facts.gaussians > 0);
     let shown: Vec<&StudyVariant> = methods().take(MOST_ROOMS).collect();
     if shown.is_empty() {
         return Ok(None);
@@ -51,7 +52,8 @@ pub(super) fn room(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> 
     let partition = setting.variants[0].runs[0].partition(data)?;
     let all: Vec<&Snapshot> = clouds.iter().collect();
     let room = RoomFigure::new(data, &partition, &all, TEXT * COLUMN / width);
-    let panels: Vec<Panel> = shown.iter().zip(&clouds).map(|(v, cloud)| room.panel(&v.label, cloud, data)).collect();
+    let panels: Vec<Panel> =
+        shown.iter().zip(&clouds).map(|(v, cloud)| room.draw_panel(&v.label, cloud, data)).collect();
     let mut top = 0.0;
     for row in panels.chunks(columns) {
         top = draw_rooms(&mut canvas, row, width, top);
@@ -66,17 +68,17 @@ pub(super) fn room(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> 
 /// Draws panels in a row, each with its name above and numbers below; returns the end of the row.
 fn draw_rooms(canvas: &mut Canvas, row: &[Panel], width: f64, top: f64) -> f64 {
     let mut bottom = top;
-    let names: Vec<Vec<String>> = row.iter().map(|panel| wrapped(&panel.title, width - 10.0)).collect();
+    let names: Vec<Vec<String>> = row.iter().map(|panel| wrap_text(&panel.title, width - 10.0)).collect();
     let head = LINE * names.iter().map(Vec::len).max().unwrap_or(1) as f64 + 4.0;
     for (k, panel) in row.iter().enumerate() {
         let (left, middle) = (k as f64 * width, (k as f64 + 0.5) * width);
         canvas.lines([middle, top + head / 2.0], Anchor::Middle, &names[k]);
-        canvas.put([left, top + head], width / COLUMN, &panel.drawing);
+        canvas.add_drawing([left, top + head], width / COLUMN, &panel.drawing);
         // Leaves room for the numbers of the axes.
         let mut y = top + head + panel.drawing.height * width / COLUMN - 8.0;
         let lines = std::iter::once(panel.numbers.as_str()).chain(panel.caption.split("; "));
         for line in lines.filter(|line| !line.is_empty()) {
-            for line in wrapped(line, width - 6.0) {
+            for line in wrap_text(line, width - 6.0) {
                 y += LINE;
                 canvas.text([middle, y], Anchor::Middle, line);
             }
@@ -114,12 +116,13 @@ pub(super) struct PredictionColumn<'a> {
     predict: Box<dyn Fn(Query<'_>) -> Image + 'a>,
 }
 
-/// Returns the spectra as measured, and as predicted by the best baselines and each method: figure 4 of the paper.
-pub(super) fn spectra(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
+/// Draws the spectra as measured, and as predicted by the best baselines and each method: figure 4 of the paper. `None`
+/// for other tasks, or without common samples.
+pub(super) fn spectra_figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     if data.observations.spectra().is_none() {
         return Ok(None);
     }
-    let methods = methods(setting);
+    let methods = one_variant_per_method(setting);
     let shown = &methods[..methods.len().min(MOST_COLUMNS[1])];
     let columns = spectra_columns(setting, shown, data)?;
     let row = |(name, id): (&'static str, u32)| {
@@ -132,7 +135,7 @@ pub(super) fn spectra(setting: &Setting, data: &Dataset) -> Result<Option<Figure
     };
     let trained = &columns[columns.len() - shown.len()..];
     let scores: Vec<&BTreeMap<u32, f64>> = trained.iter().map(|column| &column.scores).collect();
-    let rows: Vec<ComparisonRow> = chosen(&scores).into_iter().filter_map(row).collect();
+    let rows: Vec<ComparisonRow> = choose_samples(&scores).into_iter().filter_map(row).collect();
     if rows.is_empty() {
         return Ok(None);
     }
@@ -142,33 +145,36 @@ pub(super) fn spectra(setting: &Setting, data: &Dataset) -> Result<Option<Figure
     Ok(Some(Figure::new("spectra", setting, words, &canvas)))
 }
 
-/// Returns the columns of the figure: baselines, then the methods.
+/// Returns the columns of the figure of spectra: baselines, then `methods`, each with the scores of its first run.
+///
+/// # Errors
+/// A damaged model file, or a baseline that cannot be fitted.
 pub(super) fn spectra_columns<'a>(
     setting: &Setting,
     methods: &[&StudyVariant],
     data: &'a Dataset,
 ) -> Result<Vec<PredictionColumn<'a>>> {
-    let mut columns = baselines(setting, data)?;
+    let mut columns = baseline_columns(setting, data)?;
     for variant in methods {
         let run = &variant.runs[0];
         let model = run.model(data)?;
-        let scores = run.scores.by_id(MODEL, "ssim").unwrap_or_default();
+        let scores = run.scores.values_by_id(MODEL, "ssim").unwrap_or_default();
         let predict = Box::new(move |query: Query<'_>| model.prepare().predict_timed(query).0);
         columns.push(PredictionColumn { label: variant.label.clone(), scores, predict });
     }
     Ok(columns)
 }
 
-/// Returns the best baselines by mean SSIM, without oracles and other programs, fitted again.
-fn baselines<'a>(setting: &Setting, data: &'a Dataset) -> Result<Vec<PredictionColumn<'a>>> {
-    let (task, score) = (setting.task(), |name: &str| setting.baseline(name, "ssim"));
+/// Returns the columns of the best baselines by mean SSIM, without oracles and other programs, fitted again.
+fn baseline_columns<'a>(setting: &Setting, data: &'a Dataset) -> Result<Vec<PredictionColumn<'a>>> {
+    let (task, score) = (setting.task(), |name: &str| setting.baseline_score(name, "ssim"));
     let is_oracle = |name: &str| setting.runs().any(|run| run.scores.table.oracles.iter().any(|oracle| oracle == name));
     let all = setting.baselines().into_iter().filter(|name| !is_oracle(name) && !setting.is_external(name));
     let mut ranked: Vec<(&str, f64)> = all.filter_map(|name| Some((name, score(name)?))).collect();
     ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut columns = Vec::new();
     for (name, _) in ranked.into_iter().take(MOST_COLUMNS[0]) {
-        let scored_run = setting.runs().find_map(|run| Some((run.scores.by_id(name, "ssim")?, run)));
+        let scored_run = setting.runs().find_map(|run| Some((run.scores.values_by_id(name, "ssim")?, run)));
         let Some((scores, run)) = scored_run else { continue };
         let Some(baseline) = run.pipeline.baselines.iter().find(|baseline| baseline.name_for(task) == name) else {
             continue;
@@ -180,8 +186,8 @@ fn baselines<'a>(setting: &Setting, data: &'a Dataset) -> Result<Vec<PredictionC
     Ok(columns)
 }
 
-/// Returns the best, median and worst by the scores of the first method, among the common ids.
-fn chosen(scores: &[&BTreeMap<u32, f64>]) -> Vec<(&'static str, u32)> {
+/// Chooses the best, median and worst sample by the first of `scores`, among the ids that all have; without repetition.
+fn choose_samples(scores: &[&BTreeMap<u32, f64>]) -> Vec<(&'static str, u32)> {
     let Some(first) = scores.first() else { return Vec::new() };
     let mut common: Vec<(f64, u32)> =
         first.iter().filter(|(id, _)| scores.iter().all(|s| s.contains_key(id))).map(|(id, s)| (*s, *id)).collect();
@@ -202,7 +208,7 @@ fn draw_spectra(predictors: &[&str], rows: &[ComparisonRow], plane: &ImagePlane)
     let left = LEFT + columns as f64 * (space - width) / 2.0;
     let x = |column: usize| left + column as f64 * (width + GAP);
     let labels = std::iter::once("ground truth").chain(predictors.iter().copied());
-    let labels: Vec<Vec<String>> = labels.map(|name| wrapped(name, width + GAP - 2.0)).collect();
+    let labels: Vec<Vec<String>> = labels.map(|name| wrap_text(name, width + GAP - 2.0)).collect();
     let head = LINE * labels.iter().map(Vec::len).max().unwrap_or(1) as f64 + 4.0;
     for (k, name) in labels.iter().enumerate() {
         canvas.lines([x(k) + width / 2.0, head - 3.0 - LINE * name.len() as f64 / 2.0], Anchor::Middle, name);
@@ -214,7 +220,7 @@ fn draw_spectra(predictors: &[&str], rows: &[ComparisonRow], plane: &ImagePlane)
         // Below the numbers of the axis of the last row.
         let below = bottom + if is_last { 2.0 * LINE + 2.0 } else { LINE };
         for (column, image) in std::iter::once(&row.truth).chain(row.predicted.iter().map(|p| &p.0)).enumerate() {
-            canvas.framed([x(column), top], [width, height], pixels(image, plane, ColourScale::Power));
+            canvas.framed_pixels([x(column), top], [width, height], spectrum_image(image, plane, ColourScale::Power));
             if is_last {
                 draw_azimuth(&mut canvas, plane, [x(column), bottom], width);
             }
@@ -228,16 +234,20 @@ fn draw_spectra(predictors: &[&str], rows: &[ComparisonRow], plane: &ImagePlane)
         canvas.text([2.0, middle + LINE - 2.0], Anchor::Start, format!("id {}", row.id));
         top = below + 8.0;
     }
-    let [across, up] = names(plane);
+    let [across, up] = axis_names(plane);
     canvas.text([x(0) + width / 2.0, top - 8.0], Anchor::Middle, across);
-    let upright_at = [left - 34.0, f64::midpoint(head, top - 2.0 * LINE - 10.0)];
-    canvas.upright(upright_at, up);
-    let words = "spectrum, normalised";
-    let bar = (canvas.width - BAR + text_width(words) + 8.0) / 2.0;
-    ColourScale::Power.draw(&mut canvas, [bar, top + 4.0], BAR);
-    canvas.text([bar - 8.0, top + 12.0], Anchor::End, words);
+    canvas.upright_text([left - 34.0, f64::midpoint(head, top - 2.0 * LINE - 10.0)], up);
+    draw_power_bar(&mut canvas, top);
     canvas.height = top + 30.0;
     canvas
+}
+
+/// Draws the colour bar of power below `top`, with its quantity, in the middle.
+fn draw_power_bar(canvas: &mut Canvas, top: f64) {
+    let words = "spectrum, normalised";
+    let bar = (canvas.width - BAR + text_width(words) + 8.0) / 2.0;
+    ColourScale::Power.draw(canvas, [bar, top + 4.0], BAR);
+    canvas.text([bar - 8.0, top + 12.0], Anchor::End, words);
 }
 
 #[cfg(test)]
@@ -248,9 +258,9 @@ mod tests {
     fn chosen_samples_are_common_to_all_runs() {
         let first: BTreeMap<u32, f64> = [(1, 0.9), (2, 0.5), (3, 0.7), (4, 0.1), (5, 0.6)].into();
         let second: BTreeMap<u32, f64> = [(2, 0.0), (3, 0.0), (4, 0.0), (9, 1.0)].into();
-        assert_eq!(chosen(&[&first, &second]), [("best", 3), ("median", 2), ("worst", 4)]);
-        assert_eq!(chosen(&[&[(7, 0.5)].into()]), [("best", 7)]);
-        assert!(chosen(&[&first, &BTreeMap::new()]).is_empty());
-        assert!(chosen(&[]).is_empty());
+        assert_eq!(choose_samples(&[&first, &second]), [("best", 3), ("median", 2), ("worst", 4)]);
+        assert_eq!(choose_samples(&[&[(7, 0.5)].into()]), [("best", 7)]);
+        assert!(choose_samples(&[&first, &BTreeMap::new()]).is_empty());
+        assert!(choose_samples(&[]).is_empty());
     }
 }

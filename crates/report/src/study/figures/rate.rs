@@ -15,13 +15,16 @@ const STEPS: usize = 20;
 /// Maximum number of predicted test spectra per run.
 const SAMPLES: usize = 200;
 
-/// Returns the figure; `None` without spectra, or if there is nothing to draw.
+/// Draws the rate loss against the signal-to-noise ratio; `None` without spectra, or if there is nothing to draw.
+///
+/// # Errors
+/// A damaged model, changed data, or a baseline that cannot be fitted.
 pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     if data.observations.spectra().is_none() {
         return Ok(None);
     }
     let metric = |snr: f64| Plugin::parse(&format!("RateRatio(snr_db: {snr:.1})")).map_err(Error::Config);
-    let metrics: Vec<Plugin<dyn Metric>> = snrs().map(metric).collect::<Result<_>>()?;
+    let metrics: Vec<Plugin<dyn Metric>> = snrs_db().map(metric).collect::<Result<_>>()?;
     let mut lines = Vec::new();
     let mut fewer = false;
     for (k, variant) in setting.variants.iter().enumerate() {
@@ -30,45 +33,45 @@ pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>
             let test = run.partition(data)?.test;
             let part = evenly(&test, SAMPLES);
             fewer |= part.len() < test.len();
-            let model = run.model(data)?;
-            let bench = EvaluationSet::new(data, &part, model.plane());
-            let model = &model.prepare();
-            curves.push(curve(&bench.model(
+            let (model, mut observer) = (run.model(data)?, NoopObserver);
+            let samples = EvaluationSet::new(data, &part, model.plane());
+            let mut session = Session::new(&mut observer);
+            curves.push(loss_curve(&samples.score_model(
                 "the model",
-                model,
+                &model.prepare(),
                 None,
                 &metrics,
-                &mut Session::new(&mut NoopObserver),
+                &mut session,
             )?));
         }
-        let mut line = ChartLine::new(mean_of(&curves), Style::variant(k)).named(&variant.label);
+        let mut line = ChartLine::new(mean_curve(&curves), Style::variant(k)).named(&variant.label);
         // Every fourth point, with a different start per line.
         line.marks = line.points.iter().skip(k % 4).step_by(4).copied().collect();
         lines.push(line);
     }
-    lines.extend(baselines(setting, data, &metrics)?);
+    lines.extend(baseline_lines(setting, data, &metrics)?);
     let words = context! { part => fewer.then_some(SAMPLES) };
-    Ok(Figure::chart("eta-snr", setting, words, chart(lines)))
+    Ok(Figure::from_chart("eta-snr", setting, words, rate_chart(lines)))
 }
 
-/// Returns the chart of rate losses.
-fn chart(lines: Vec<ChartLine>) -> Chart {
+/// Creates the chart of rate losses over the signal-to-noise ratio.
+fn rate_chart(lines: Vec<ChartLine>) -> Chart {
     let x =
         ChartAxis { name: "transmit signal-to-noise ratio ρ [dB]".into(), ends: Some((LOW_DB, HIGH_DB)), log: false };
     let y = ChartAxis { name: "rate loss 1 − η".into(), log: true, ends: None };
     Chart { x, y, lines, ..Chart::default() }
 }
 
-/// Returns the baselines, fitted to training and validation sets, on the test set of the first run.
-fn baselines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<ChartLine>> {
+/// Returns the lines of the baselines, fitted to training and validation sets, on the test set of the first run.
+fn baseline_lines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<ChartLine>> {
     let run = &setting.variants[0].runs[0];
     let (partition, model) = (run.partition(data)?, run.model(data)?);
     let bench = EvaluationSet::new(data, &evenly(&partition.test, SAMPLES), model.plane());
     let line = |(k, baseline): (usize, &Plugin<dyn pwrfgs_core::Baseline>)| {
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name();
-        let measured = bench.baseline(&name, &*fitted, metrics, &mut Session::new(&mut NoopObserver))?;
-        Ok(ChartLine::new(curve(&measured), row_style(setting, k, &name)).named_at_end(&name))
+        let measured = bench.score_baseline(&name, &*fitted, metrics, &mut Session::new(&mut NoopObserver))?;
+        Ok(ChartLine::new(loss_curve(&measured), row_style(setting, k, &name)).named_at_end(&name))
     };
     // The files of an external baseline may have been moved since the run.
     let is_readable =
@@ -77,18 +80,18 @@ fn baselines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) 
 }
 
 /// Returns the signal-to-noise ratios at which η is computed, dB.
-fn snrs() -> impl Iterator<Item = f64> {
+fn snrs_db() -> impl Iterator<Item = f64> {
     (0..=STEPS).map(|k| LOW_DB + (HIGH_DB - LOW_DB) * k as f64 / STEPS as f64)
 }
 
 /// Returns the mean loss 1 − η over samples of each measurement, at its signal-to-noise ratio. Good values of η are all
 /// near 1, so the axis of the loss is logarithmic.
-fn curve(measured: &[Measurement]) -> Vec<(f64, f64)> {
-    snrs().zip(measured.iter().map(|m| 1.0 - m.values.mean())).collect()
+fn loss_curve(measured: &[Measurement]) -> Vec<(f64, f64)> {
+    snrs_db().zip(measured.iter().map(|m| 1.0 - m.values.mean())).collect()
 }
 
-/// Returns the mean of curves over the same points.
-fn mean_of(curves: &[Vec<(f64, f64)>]) -> Vec<(f64, f64)> {
+/// Returns the mean of curves over the same points; empty without curves.
+fn mean_curve(curves: &[Vec<(f64, f64)>]) -> Vec<(f64, f64)> {
     let height = |k: usize| curves.iter().map(|c| c[k].1).sum::<f64>() / curves.len() as f64;
     let first = curves.first().map_or(&[][..], Vec::as_slice);
     first.iter().enumerate().map(|(k, point)| (point.0, height(k))).collect()
@@ -110,7 +113,7 @@ mod tests {
                 values: Values::PerSample(vec![ratio]),
                 note: None,
             };
-            curve(&snrs().map(at).collect::<Vec<_>>())
+            loss_curve(&snrs_db().map(at).collect::<Vec<_>>())
         };
         let [poor, good, best] = [0.9, 0.999, 0.9999].map(|ratio| line(ratio)[0].1.log10());
         assert!(
@@ -119,7 +122,7 @@ mod tests {
         );
         let lines = [0.9, 0.999, 1.0]
             .map(|ratio| ChartLine::new(line(ratio), Style::line(crate::canvas::INK, 1.0, Stroke::FULL)));
-        let svg = chart(lines.into()).draw().unwrap().svg("chart", "");
+        let svg = rate_chart(lines.into()).draw().unwrap().svg("chart", "");
         assert!(svg.contains(">0.01<") && svg.contains("rate loss 1 − η"), "{svg}");
     }
 }

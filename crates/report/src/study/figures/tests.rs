@@ -1,6 +1,6 @@
-use super::panels::{methods, spectra_columns};
-use super::tradeoff::strategies;
-use super::{Figure, all, gaussians};
+use super::panels::{one_variant_per_method, spectra_columns};
+use super::tradeoff::strategy_lines;
+use super::{Figure, draw_figures, gaussians};
 use crate::canvas::outside;
 use crate::draw::charts::LineName;
 use crate::page;
@@ -51,19 +51,20 @@ fn text_stays_on_its_canvas_and_each_strategy_is_one_curve() {
             variant.label = name.into();
         }
         assert_eq!(study.settings[0].variants.len(), count);
-        let lines = strategies(&study.settings[0], "ssim");
+        let lines = strategy_lines(&study.settings[0], "ssim");
         let points = lines.iter().map(|line| line.points.len()).sum::<usize>();
         assert_eq!((lines.len(), points), (curves, count), "one curve per strategy");
         if count == 6 {
             let setting = &study.settings[0];
-            let shown: Vec<&str> = methods(setting).into_iter().map(|variant| variant.label.as_str()).collect();
+            let shown: Vec<&str> =
+                one_variant_per_method(setting).into_iter().map(|variant| variant.label.as_str()).collect();
             assert_eq!(shown, ["Grid 8", "a strategy with a long name 8", "mask", "none"], "each method once");
             let data = setting.variants[0].runs[0].load_data(&mut NoopObserver).unwrap();
-            let columns = spectra_columns(setting, &methods(setting), &data).unwrap();
+            let columns = spectra_columns(setting, &one_variant_per_method(setting), &data).unwrap();
             let names: Vec<&str> = columns.iter().map(|column| column.label.as_str()).collect();
             assert!(names[..2].iter().all(|name| setting.baselines().contains(name)), "{names:?}");
             assert_eq!(names[2..], shown, "baselines first");
-            let over_steps = gaussians::lines(setting, 6.0);
+            let over_steps = gaussians::variant_lines(setting, 6.0);
             let named = |name_of: fn(&LineName) -> Option<&String>| -> Vec<&str> {
                 over_steps.iter().filter_map(|line| name_of(&line.name)).map(String::as_str).collect()
             };
@@ -72,7 +73,7 @@ fn text_stays_on_its_canvas_and_each_strategy_is_one_curve() {
             let at_ends = named(|name| if let LineName::AtEnd(name) = name { Some(name) } else { None });
             assert_eq!(at_ends, ["8", "12", "8", "12"], "variants by their numbers");
         }
-        let drawn = all(&study.settings[0], &|_, _| {});
+        let drawn = draw_figures(&study.settings[0], &|_, _| {});
         assert_eq!(drawn.left_out, None);
         let (written, texts) = outside::take();
         assert!(written == drawn.figures.len() && texts.is_empty(), "{count} variants: {texts:#?}");

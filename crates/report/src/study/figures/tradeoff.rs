@@ -36,17 +36,17 @@ struct Score {
     published: &'static [Published],
 }
 
-/// Returns the figure of the first metric against N.
-pub(super) fn first_metric(setting: &Setting) -> Option<Figure> {
+/// Draws the first metric against N; `None` without scores, or if [`pareto_figure`] compares the methods.
+pub(super) fn first_metric_figure(setting: &Setting) -> Option<Figure> {
     let Headline { key, short, name, .. } = setting.headline();
     let published: &[_] = if key == "ssim" { &PUBLISHED_SSIM } else { &[] };
     let stem = format!("{}-n", short.to_lowercase());
-    figure(setting, &Score { key, name: stem, axis: format!("mean {name}"), published })
+    score_figure(setting, &Score { key, name: stem, axis: format!("mean {name}"), published })
 }
 
-/// Returns the figure of the rate ratio against N.
-pub(super) fn rate_ratio(setting: &Setting) -> Option<Figure> {
-    figure(
+/// Draws the rate ratio against N; `None` without scores, or if [`pareto_figure`] compares the methods.
+pub(super) fn rate_ratio_figure(setting: &Setting) -> Option<Figure> {
+    score_figure(
         setting,
         &Score {
             key: "eta_0db",
@@ -57,57 +57,50 @@ pub(super) fn rate_ratio(setting: &Setting) -> Option<Figure> {
     )
 }
 
-/// Returns the figure of a score against N; `None` without scores.
-fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
+/// Draws a score against N; `None` without scores, or if [`pareto_figure`] compares the methods.
+fn score_figure(setting: &Setting, score: &Score) -> Option<Figure> {
     if ParetoComparison::of(setting).is_some() {
         return None; // too many variants for marks with names: the figures of methods have one line per method
     }
-    let mut lines = strategies(setting, score.key);
+    let mut lines = strategy_lines(setting, score.key);
     if lines.is_empty() {
         return None;
     }
     let published = is_s23(setting) && !score.published.is_empty();
-    lines.extend(score.published.iter().filter(|_| published).map(|published| reference(score.key, published)));
-    lines.extend(baselines(setting, score.key));
-    lines.extend(ceiling(setting, score.key));
+    lines.extend(score.published.iter().filter(|_| published).map(|published| published_line(score.key, published)));
+    lines.extend(baseline_lines(setting, score.key));
     let x = ChartAxis { name: "number of Gaussians N".into(), log: true, ends: None };
     let y = ChartAxis { name: score.axis.clone(), log: is_rate_ratio(score.key), ends: None };
     let chart = Chart { x, y, lines, ..Chart::default() };
-    Figure::chart(&score.name, setting, context! { axis => &score.axis, published }, chart)
+    Figure::from_chart(&score.name, setting, context! { axis => &score.axis, published }, chart)
 }
 
 /// Returns one curve per strategy over N.
-pub(super) fn strategies(setting: &Setting, key: &str) -> Vec<ChartLine> {
-    let families = VariantFamily::all(setting);
+pub(super) fn strategy_lines(setting: &Setting, key: &str) -> Vec<ChartLine> {
+    let families = VariantFamily::group(setting);
     families.iter().enumerate().filter_map(|(k, family)| family_line(family, k, &COSTS[N], key, true)).collect()
 }
 
-/// Returns the height of a score on its axis: 1 − η, on a logarithmic axis, for a rate ratio η, since good values are
+/// Returns the value of a score on its axis: 1 − η, on a logarithmic axis, for a rate ratio η, since good values are
 /// all near 1.
-fn height(key: &str, score: f64) -> f64 {
+fn axis_value(key: &str, score: f64) -> f64 {
     if is_rate_ratio(key) { 1.0 - score } else { score }
 }
 
-/// Returns the style of the `k`th row that is no variant.
+/// Returns the style of the `k`th baseline, called `name`: that of an external method or of a baseline.
 pub(super) fn row_style(setting: &Setting, k: usize, name: &str) -> Style {
     if setting.is_external(name) { Style::external(setting.variants.len() + k) } else { Style::baseline(k) }
 }
 
-/// Returns the horizontal lines over the whole width, with names at the right.
-pub(super) fn baselines(setting: &Setting, key: &str) -> Vec<ChartLine> {
+/// Returns a horizontal line at the score of each baseline that has one, and of the noise ceiling, with its name at the
+/// right.
+fn baseline_lines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let line = |(k, name): (usize, &str)| {
-        Some(
-            ChartLine::level(height(key, setting.baseline(name, key)?), row_style(setting, k, name)).named_at_end(name),
-        )
+        let score = axis_value(key, setting.baseline_score(name, key)?);
+        let title = if name == CEILING { "ceiling" } else { name };
+        Some(ChartLine::horizontal(score, row_style(setting, k, name)).named_at_end(title))
     };
-    setting.baselines().into_iter().enumerate().filter_map(line).collect()
-}
-
-/// Returns the horizontal line of the noise ceiling, if it was estimated.
-fn ceiling(setting: &Setting, key: &str) -> Option<ChartLine> {
-    let line =
-        ChartLine::level(height(key, setting.baseline(CEILING, key)?), Style::baseline(setting.baselines().len()));
-    Some(line.named_at_end("ceiling"))
+    setting.baselines().into_iter().chain([CEILING]).enumerate().filter_map(line).collect()
 }
 
 /// Returns whether these are the measured spectra of the published numbers, by the name of the data:
@@ -118,9 +111,9 @@ fn is_s23(setting: &Setting) -> bool {
 }
 
 /// Returns the published values of a method: stars, hollow for the method of the paper.
-fn reference(key: &str, (name, published): &Published) -> ChartLine {
+fn published_line(key: &str, (name, published): &Published) -> ChartLine {
     let mut line = ChartLine::new(Vec::new(), Style::published(name.starts_with("P-WRFGS"))).named(name);
-    line.marks = published.iter().map(|(n, score)| (*n, height(key, *score))).collect();
+    line.marks = published.iter().map(|(n, score)| (*n, axis_value(key, *score))).collect();
     line
 }
 
@@ -143,62 +136,61 @@ const COSTS: [CostAxis; 3] = [
     CostAxis { name: "pareto-ms", axis: "latency [ms]", value: |run| run.scores.value(MODEL, "latency_total_ms") },
 ];
 
-/// Returns the first metric of methods at equal numbers of Gaussians against cost number `K`: N, bytes or milliseconds.
-pub(super) fn pareto<const K: usize>(setting: &Setting) -> Option<Figure> {
-    let cost = &COSTS[K];
-    let mut pareto = ParetoComparison::of(setting)?;
-    let headline = setting.headline();
+/// Draws the first metric of methods at equal numbers of Gaussians against cost number `K`: N, bytes or milliseconds. `None`
+/// if there are too few methods, or none has this cost.
+pub(super) fn pareto_figure<const K: usize>(setting: &Setting) -> Option<Figure> {
+    let (cost, headline) = (&COSTS[K], setting.headline());
     // Methods that are always worse than all baselines would compress the axis.
-    let worst = worst_baseline(setting);
-    let is_worst = |family: &VariantFamily<'_>| {
-        let scores: Vec<f64> = family.places.iter().flatten().map(|(score, _)| score.mean).collect();
-        let below =
-            |score: &f64| worst.is_some_and(|worst| if headline.higher { *score < worst } else { *score > worst });
-        !scores.is_empty() && scores.iter().all(below)
-    };
-    let (left_out, families): (Vec<_>, Vec<_>) = pareto.families.into_iter().partition(is_worst);
-    pareto.families = families;
+    let is_worst = is_worse_than_baselines(setting);
+    let (left_out, families): (Vec<_>, Vec<_>) =
+        ParetoComparison::of(setting)?.families.into_iter().partition(is_worst);
     let left_out: Vec<String> = left_out.into_iter().map(|family| family.name).collect();
-    if pareto.families.is_empty() {
+    let last = families.len().checked_sub(1)?;
+    let (mut lines, mut others) = (Vec::new(), Vec::new());
+    for (k, family) in families.iter().enumerate() {
+        let is_shown = k < SHOWN || k == last;
+        let line = family_line(family, k.min(SHOWN), cost, headline.key, is_shown);
+        if is_shown { lines.extend(line) } else { others.extend(line) }
+    }
+    if lines.is_empty() {
         return None;
     }
-    let last = pareto.families.len() - 1;
-    let mut lines: Vec<ChartLine> = Vec::new();
-    let (mut shown, mut others) = (Vec::new(), Vec::new());
-    for (k, family) in pareto.families.iter().enumerate() {
-        if let Some(line) = family_line(family, k.min(SHOWN), cost, headline.key, k < SHOWN || k == last) {
-            if k < SHOWN || k == last { shown.push(line) } else { others.push(line) }
-        }
-    }
-    if shown.is_empty() {
-        return None;
-    }
-    lines.append(&mut shown);
     lines.append(&mut others);
     let published = K == N && headline.key == "ssim" && is_s23(setting);
-    lines.extend(PUBLISHED_SSIM.iter().filter(|_| published).map(|published| reference(headline.key, published)));
-    lines.extend(baselines(setting, headline.key));
-    lines.extend(ceiling(setting, headline.key));
+    lines.extend(PUBLISHED_SSIM.iter().filter(|_| published).map(|published| published_line(headline.key, published)));
+    lines.extend(baseline_lines(setting, headline.key));
     let axis = format!("mean {}", headline.name);
     let x = ChartAxis { name: cost.axis.into(), log: true, ends: None };
     let chart = Chart { x, y: ChartAxis { name: axis.clone(), ..ChartAxis::default() }, lines, ..Chart::default() };
-    let (families, shown) = (pareto.families.len(), SHOWN.min(last));
-    Figure::chart(cost.name, setting, context! { axis, families, shown, left_out, published, cost => cost.axis }, chart)
+    let (families, shown) = (families.len(), SHOWN.min(last));
+    Figure::from_chart(
+        cost.name,
+        setting,
+        context! { axis, families, shown, left_out, published, cost => cost.axis },
+        chart,
+    )
 }
 
-/// Returns the mean score of the worst baseline.
-fn worst_baseline(setting: &Setting) -> Option<f64> {
-    let headline = setting.headline();
-    let score = |name: &str| setting.baseline(name, headline.key);
-    setting.baselines().into_iter().filter_map(score).reduce(if headline.higher { f64::min } else { f64::max })
+/// Returns a function whether all scores of a strategy are worse than the mean score of the worst baseline; never without
+/// baselines.
+fn is_worse_than_baselines(setting: &Setting) -> impl Fn(&VariantFamily<'_>) -> bool {
+    let Headline { key, higher, .. } = setting.headline();
+    let baselines = setting.baselines().into_iter().filter_map(|name| setting.baseline_score(name, key));
+    let worst = baselines.reduce(if higher { f64::min } else { f64::max });
+    let is_worse = move |score: f64| worst.is_some_and(|worst| if higher { score < worst } else { score > worst });
+    move |family: &VariantFamily<'_>| {
+        let scores: Vec<f64> = family.places.iter().flatten().map(|(score, _)| score.mean).collect();
+        !scores.is_empty() && scores.into_iter().all(&is_worse)
+    }
 }
 
-/// Returns the style of strategy `k`.
+/// Returns the style of strategy `k`: that of its variant if it has only one.
 pub(super) fn method_style(family: &VariantFamily<'_>, k: usize) -> Style {
     if family.variants.len() > 1 { Style::method(k) } else { Style::variant(k) }
 }
 
-/// Returns the line of a method through its variants, with bars over seeds.
+/// Returns the line of the `k`th method through its variants, with bars over seeds; thin and without name and bars unless
+/// `shown`. `None` if no variant has both cost and score.
 fn family_line(family: &VariantFamily<'_>, k: usize, cost: &CostAxis, key: &str, shown: bool) -> Option<ChartLine> {
     let cost_and_score = |variant: &&StudyVariant| {
         let (cost_spread, score) = (variant.spread(cost.value)?, variant.score(key)?);
@@ -207,7 +199,7 @@ fn family_line(family: &VariantFamily<'_>, k: usize, cost: &CostAxis, key: &str,
     let mut pairs: Vec<(Spread, Spread)> = family.variants.iter().filter_map(cost_and_score).collect();
     pairs.sort_by(|a, b| a.0.mean.total_cmp(&b.0.mean));
     let points: Vec<(f64, f64)> =
-        pairs.iter().map(|(cost_spread, score)| (cost_spread.mean, height(key, score.mean))).collect();
+        pairs.iter().map(|(cost_spread, score)| (cost_spread.mean, axis_value(key, score.mean))).collect();
     if points.is_empty() {
         return None;
     }
@@ -217,7 +209,7 @@ fn family_line(family: &VariantFamily<'_>, k: usize, cost: &CostAxis, key: &str,
     let mut line = ChartLine::new(points.clone(), method_style(family, k)).named(&family.title);
     line.marks = points;
     let bars = |(cost_spread, score): &(Spread, Spread)| {
-        let (x, y) = (cost_spread.mean, height(key, score.mean));
+        let (x, y) = (cost_spread.mean, axis_value(key, score.mean));
         // Values near or below zero have no place on a logarithmic axis.
         let least = if is_rate_ratio(key) { 0.1 * y } else { f64::NEG_INFINITY };
         let across = cost_spread.deviation.map(|d| [((x - d).max(0.1 * x), y), (x + d, y)]);

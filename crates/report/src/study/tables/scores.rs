@@ -1,10 +1,10 @@
 //! Tables of scores, of further metrics, of latency by stage (table I), and of paired differences from a reference.
 
-use super::{FormattedValue, RankMark, Table, TableColumn, TableLine, title};
+use super::{FormattedValue, RankMark, Table, TableColumn, TableLine, table_title};
 use crate::study::comparison::{
     Comparison, ComparisonRow, RowKind, SummaryStatistic, TRAINED_ON, TRAINING, is_ranked, is_time, statistics,
 };
-use crate::templates::sentences;
+use crate::templates::render_sentences;
 use minijinja::context;
 use pwrfgs_core::statistics::sorted;
 use pwrfgs_experiment::paired::{is_compared, is_rate_ratio, signed};
@@ -15,8 +15,8 @@ use pwrfgs_experiment::text::{fixed, grouped};
 /// Requested column.
 pub(super) type ScoreColumn<'a> = (&'a MetricRow, SummaryStatistic);
 
-/// Returns the name of a metric and its unit.
-fn words(metric: &MetricRow) -> (String, String) {
+/// Returns the printed name of a metric and its unit.
+fn name_and_unit(metric: &MetricRow) -> (String, String) {
     let key = metric.key.as_str();
     let words = match key {
         "ssim" | "psnr" | "l1" => key.to_uppercase(),
@@ -37,8 +37,8 @@ fn words(metric: &MetricRow) -> (String, String) {
     (words, metric.unit.clone())
 }
 
-/// Returns the printed unit and its factor, by the largest number.
-fn scale(unit: &str, largest: f64) -> (&str, f64) {
+/// Returns the unit in which a column is printed and the factor to it, given its largest number.
+fn printed_unit(unit: &str, largest: f64) -> (&str, f64) {
     match unit {
         "B" => ("kB", 1e-3),
         "s" if largest >= 600.0 => ("min", 1.0 / 60.0),
@@ -47,7 +47,7 @@ fn scale(unit: &str, largest: f64) -> (&str, f64) {
 }
 
 /// Returns the decimals of a column: three digits of its median, at most three decimals; none for numbers of Gaussians.
-fn decimals(metric: &MetricRow, median: f64) -> usize {
+fn column_decimals(metric: &MetricRow, median: f64) -> usize {
     if ["gaussians", TRAINED_ON].contains(&metric.key.as_str()) || median >= 100.0 {
         0
     } else if median >= 10.0 {
@@ -59,8 +59,9 @@ fn decimals(metric: &MetricRow, median: f64) -> usize {
     }
 }
 
-/// Returns the column of all rows: its head and cells.
-fn column(
+/// Returns head and cells of a column, one cell per row, with the best and second best marked if `ranked`; `None` without
+/// numbers.
+fn table_column(
     rows: &[ComparisonRow<'_>],
     (metric, statistic): ScoreColumn<'_>,
     ranked: bool,
@@ -69,9 +70,9 @@ fn column(
     let sizes = sorted(spreads.iter().flatten().map(|s| s.mean.abs()).filter(|m| m.is_finite()));
     let largest = sizes.last().copied().or_else(|| spreads.iter().flatten().next().map(|_| 0.0))?;
     let median = sizes.get(sizes.len() / 2).copied().unwrap_or(largest);
-    let (words, unit) = words(metric);
-    let (unit, factor) = scale(&unit, largest);
-    let decimals = decimals(metric, median * factor);
+    let (words, unit) = name_and_unit(metric);
+    let (unit, factor) = printed_unit(&unit, largest);
+    let decimals = column_decimals(metric, median * factor);
     let shown = |spread: &Option<Spread>| {
         let Some(Spread { mean, deviation, .. }) = *spread else { return FormattedValue::default() };
         let value = fixed(mean * factor, decimals);
@@ -86,13 +87,13 @@ fn column(
     if ranked {
         let rivals =
             |row: &ComparisonRow<'_>| ![RowKind::Oracle, RowKind::Ceiling].contains(&row.kind) && row.twin.is_none();
-        mark(&mut cells, &spreads, &rows.iter().map(rivals).collect::<Vec<_>>(), metric.higher_is_better);
+        mark_best(&mut cells, &spreads, &rows.iter().map(rivals).collect::<Vec<_>>(), metric.higher_is_better);
     }
     let detail = match (statistic, unit) {
         (SummaryStatistic::Whole, "") => String::new(),
         (SummaryStatistic::Whole, unit) => format!("[{unit}]"),
-        (statistic, "") => statistic.words(metric.higher_is_better).into(),
-        (statistic, unit) => format!("{} [{unit}]", statistic.words(metric.higher_is_better)),
+        (statistic, "") => statistic.heading(metric.higher_is_better).into(),
+        (statistic, unit) => format!("{} [{unit}]", statistic.heading(metric.higher_is_better)),
     };
     let arrow = match metric.key.as_str() {
         TRAINED_ON => "",
@@ -104,7 +105,7 @@ fn column(
 
 /// Marks best and second best among competing rows. Values that round to the same printed number are
 /// ties. Several best leave no second best; a single number has no mark.
-pub(super) fn mark(
+pub(super) fn mark_best(
     cells: &mut [FormattedValue],
     spreads: &[Option<Spread>],
     competes: &[bool],
@@ -126,15 +127,15 @@ pub(super) fn mark(
     }
 }
 
-/// Returns the columns with a number, and rows with a number in any of them.
-pub(super) fn filled(
+/// Returns those of the columns `specs` that have a number, and the rows with a number in any of them.
+pub(super) fn filled_columns(
     comparison: &Comparison<'_>,
     specs: &[ScoreColumn<'_>],
     is_ranked: impl Fn(&MetricRow) -> bool,
 ) -> (Vec<TableColumn>, Vec<TableLine>) {
     let rows = &comparison.rows;
     let columns: Vec<(TableColumn, Vec<FormattedValue>)> =
-        specs.iter().filter_map(|w| column(rows, *w, is_ranked(w.0))).collect();
+        specs.iter().filter_map(|w| table_column(rows, *w, is_ranked(w.0))).collect();
     let line = |(i, row): (usize, &ComparisonRow<'_>)| {
         let cells: Vec<FormattedValue> = columns.iter().map(|(_, cells)| cells[i].clone()).collect();
         cells.iter().any(|c| !c.value.is_empty()).then(|| TableLine::new(row, cells))
@@ -161,30 +162,30 @@ const STAGES: [&str; 6] = [
 ];
 
 /// Returns the main table: the first metric of the task, such as SSIM, then η, N, size, latency and training time.
-pub(in super::super) fn scores(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
+pub(in super::super) fn score_table(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let metric = |key: &str| comparison.metric(key).into_iter();
     let first = metric(comparison.setting.headline().key).flat_map(all_statistics);
     let secondary = comparison.metrics.iter().filter(|m| is_secondary_metric(m)).map(first_statistic);
     let whole = WHOLE.iter().chain(&["latency_total_ms", TRAINING]);
     let specs: Vec<ScoreColumn<'_>> =
         first.chain(secondary).chain(whole.flat_map(|key| metric(key)).map(first_statistic)).collect();
-    table("scores", "Scores", comparison, &specs, same_machine)
+    build_table("scores", "Scores", comparison, &specs, same_machine)
 }
 
-/// Returns the table of metrics that the main table omits.
-pub(in super::super) fn further(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
+/// Returns the table of metrics that the main table omits; `None` without them.
+pub(in super::super) fn further_table(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let first = comparison.setting.headline().key;
     let shown = |m: &&MetricRow| m.key == first || is_secondary_metric(m) || is_time(m) || WHOLE.contains(&&*m.key);
     let further = comparison.metrics.iter().filter(|m| !shown(m));
     let specs: Vec<ScoreColumn<'_>> = further.map(first_statistic).collect();
-    table("further", "Further metrics", comparison, &specs, same_machine)
+    build_table("further", "Further metrics", comparison, &specs, same_machine)
 }
 
-/// Returns the table of latency by stage, milliseconds.
-pub(in super::super) fn latency(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
+/// Returns the table of latency by stage, milliseconds; `None` without times.
+pub(in super::super) fn latency_table(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let specs: Vec<ScoreColumn<'_>> =
         STAGES.iter().filter_map(|key| comparison.metric(key)).map(first_statistic).collect();
-    let mut table = table("latency", "Latency of one prediction by stage", comparison, &specs, same_machine)?;
+    let mut table = build_table("latency", "Latency of one prediction by stage", comparison, &specs, same_machine)?;
     for column in &mut table.columns {
         if column.title == "latency" {
             "total".clone_into(&mut column.title);
@@ -193,52 +194,52 @@ pub(in super::super) fn latency(comparison: &Comparison<'_>, same_machine: bool)
     Some(table)
 }
 
-/// Returns all statistics of a metric.
+/// Returns a column for each statistic of a metric.
 fn all_statistics(metric: &MetricRow) -> impl Iterator<Item = ScoreColumn<'_>> {
     statistics(metric).iter().map(move |statistic| (metric, *statistic))
 }
 
-/// Returns the mean over test samples, or the value of the whole model.
+/// Returns the column of the mean over test samples, or of the value of the whole model.
 fn first_statistic(metric: &MetricRow) -> ScoreColumn<'_> {
     (metric, statistics(metric)[0])
 }
 
 /// Creates a table with its legend; `None` without numbers.
-fn table(
+fn build_table(
     name: &'static str,
     words: &str,
     comparison: &Comparison<'_>,
     specs: &[ScoreColumn<'_>],
     same_machine: bool,
 ) -> Option<Table> {
-    let (columns, lines) = filled(comparison, specs, |metric| is_ranked(metric, same_machine));
+    let (columns, lines) = filled_columns(comparison, specs, |metric| is_ranked(metric, same_machine));
     if columns.is_empty() {
         return None;
     }
-    let mut table = Table { name, title: title(words, comparison.setting), columns, lines, legend: Vec::new() };
-    let (least, most) = comparison.setting.seeds();
+    let mut table = Table { name, title: table_title(words, comparison.setting), columns, lines, legend: Vec::new() };
+    let (least, most) = comparison.setting.seed_counts();
     let words = context! {
         name,
         observations => comparison.setting.task().counted[1],
         sampled => comparison.metrics.iter().any(MetricRow::is_per_sample),
         least,
         most,
-        baselines => table.has(RowKind::Baseline),
+        baselines => table.has_row_of(RowKind::Baseline),
         marked => table.is_marked(),
-        oracles => table.has(RowKind::Oracle),
-        external => table.has(RowKind::External),
-        twins => !comparison.twins().is_empty(),
-        ceiling => table.has(RowKind::Ceiling),
+        oracles => table.has_row_of(RowKind::Oracle),
+        external => table.has_row_of(RowKind::External),
+        twins => !comparison.twin_groups().is_empty(),
+        ceiling => table.has_row_of(RowKind::Ceiling),
         perfect => comparison.setting.task().ceiling.share < 1.0,
         machines_differ => !same_machine && specs.iter().any(|w| is_time(w.0)),
     };
-    table.legend = sentences("legend.txt", words);
+    table.legend = render_sentences("legend.txt", words);
     Some(table)
 }
 
-/// Returns the differences of every row from the reference, by the metrics that [`is_compared`] selects; by all if it
-/// selects none.
-pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &ComparisonRow<'_>) -> Option<Table> {
+/// Returns the table of differences of every row from the reference, by the metrics that [`is_compared`] selects; by all if
+/// it selects none. `None` without differences.
+pub(in super::super) fn difference_table(comparison: &Comparison<'_>, reference: &ComparisonRow<'_>) -> Option<Table> {
     let shown = |m: &&MetricRow| m.is_per_sample() && is_compared(&m.key, comparison.setting.task());
     let mut metrics: Vec<&MetricRow> = comparison.metrics.iter().filter(shown).collect();
     if metrics.is_empty() {
@@ -250,19 +251,20 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Com
             let differences: Vec<Option<Difference>> =
                 metrics.iter().map(|m| row.difference_from(reference, m, &comparison.blocks)).collect();
             let seeds = differences.iter().flatten().map(|d| d.seeds).max()?;
-            let cells = differences.iter().map(|d| d.as_ref().map_or_else(FormattedValue::default, cell)).collect();
+            let cells =
+                differences.iter().map(|d| d.as_ref().map_or_else(FormattedValue::default, difference_cell)).collect();
             Some((TableLine::new(row, cells), seeds))
         })
         .collect();
     let seeds = (lines.iter().map(|l| l.1).min()?, lines.iter().map(|l| l.1).max()?);
     let column = |m: &&MetricRow| {
-        let (title, unit) = words(m);
+        let (title, unit) = name_and_unit(m);
         let detail = if unit.is_empty() { String::new() } else { format!("[{unit}]") };
         TableColumn { title: format!("Δ {title}"), detail, arrow: if m.higher_is_better { "↑" } else { "↓" } }
     };
     let mut table = Table {
         name: "differences",
-        title: title(&format!("Paired differences from {}", reference.label), comparison.setting),
+        title: table_title(&format!("Paired differences from {}", reference.label), comparison.setting),
         columns: metrics.iter().map(column).collect(),
         lines: lines.into_iter().map(|l| l.0).collect(),
         legend: Vec::new(),
@@ -277,15 +279,15 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Com
         replicates => REPLICATES,
         edge => comparison.blocks.edge_m.map(|edge| format!("{edge:.2}")),
         cubes => comparison.blocks.count,
-        oracles => table.has(RowKind::Oracle),
-        twins => !comparison.twins().is_empty(),
+        oracles => table.has_row_of(RowKind::Oracle),
+        twins => !comparison.twin_groups().is_empty(),
     };
-    table.legend = sentences("legend.txt", words);
+    table.legend = render_sentences("legend.txt", words);
     Some(table)
 }
 
-/// Prints a paired difference with its interval.
-fn cell(difference: &Difference) -> FormattedValue {
+/// Formats a paired difference with its interval, marked if that excludes 0.
+fn difference_cell(difference: &Difference) -> FormattedValue {
     FormattedValue {
         value: signed(difference.mean),
         interval: difference.interval.map(|(low, high)| (signed(low), signed(high))),
@@ -306,7 +308,7 @@ mod tests {
             .collect();
         let spreads: Vec<Option<Spread>> =
             column.iter().map(|(value, mean)| Spread::of(&[*mean]).filter(|_| !value.is_empty())).collect();
-        mark(&mut cells, &spreads, competes, higher_is_better);
+        mark_best(&mut cells, &spreads, competes, higher_is_better);
         cells.iter().map(|c| c.mark).collect()
     }
 
