@@ -57,13 +57,14 @@ impl<F> TextRow<'_, F> {
         Err(self.fault(field.column, problem))
     }
 
-    /// Parses a position in three fields, metres; `advice` is the next step otherwise.
+    /// Parses a position in three fields as [`Self::coordinate`] does, metres; `advice` is the next step otherwise.
     pub(crate) fn position(&self, fields: [TextField<'_>; 3], advice: &str) -> Result<[f64; 3]> {
         let [x, y, z] = fields.map(|field| self.coordinate(field, advice));
         Ok([x?, y?, z?])
     }
 
-    /// Parses a power, dBm; -100 if no signal was received.
+    /// Parses a power, dBm: finite and from -300 to 300. The field holds -100 if no signal was received; another number
+    /// that rounds to -100 in single precision is rejected.
     pub(crate) fn power(&self, field: TextField<'_>) -> Result<f64> {
         let dbm = self.number(field, DBM_ADVICE)?;
         let stored = dbm as Real as f64; // rounding may give the marker of a missing link
