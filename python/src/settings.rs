@@ -34,7 +34,8 @@ impl Pipeline {
         &self.base
     }
 
-    /// Changes the pipeline completely or not at all. Checks may call Python strategies.
+    /// Changes the pipeline completely or not at all. `by` changes a copy without holding the lock, because checks may
+    /// call Python strategies; a concurrent change by another thread is overwritten.
     fn change(&self, py: Python<'_>, by: impl FnOnce(&mut Inner) -> Result<()> + Send) -> PyResult<()> {
         let mut changed = self.current();
         let changed = without_gil(py, || by(&mut changed).map(|()| changed))?;
