@@ -2,7 +2,8 @@
 
 use crate::plugin::{Plugin, registered};
 use crate::{
-    Dataset, Demand, Image, Misfit, Parts, Query, Real, Requirement, Result, Task, compatible, plugin_kind, rng::Rng,
+    Dataset, Demand, Image, Misfit, Parts, Query, Real, Requirement, Result, Task, check_compatible, plugin_kind,
+    rng::Rng,
 };
 use std::path::Path;
 
@@ -109,7 +110,7 @@ pub trait Baseline: crate::plugin::PluginObject {
         &[]
     }
 
-    /// Returns its demands, for [`compatible`](crate::compatible()).
+    /// Returns its demands, for [`check_compatible`](crate::check_compatible).
     fn demand(&self) -> Demand {
         Demand { field: "baselines", plugin: self.typetag_name(), tasks: self.tasks(), requires: self.requires() }
     }
@@ -120,7 +121,8 @@ pub trait Baseline: crate::plugin::PluginObject {
     /// # Errors
     /// The baseline does not support `data`; the message names the setting to change.
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        compatible(&Parts { data: Some(data), demands: &[self.demand()], ..Parts::default() }).map_err(Misfit::error)
+        check_compatible(&Parts { data: Some(data), demands: &[self.demand()], ..Parts::default() })
+            .map_err(Misfit::error)
     }
 
     /// Fits to the links of `fitting`. Choices use the validation set; if it is empty, samples held out of the training

@@ -235,7 +235,7 @@ impl Dataset {
     }
 
     /// Groups these links by receiver: one list per receiver, which keeps the order.
-    pub fn by_receiver(&self, links: impl IntoIterator<Item = usize>) -> Vec<Vec<usize>> {
+    pub fn group_by_receiver(&self, links: impl IntoIterator<Item = usize>) -> Vec<Vec<usize>> {
         let mut groups = vec![Vec::new(); self.scene.receivers.len()];
         links.into_iter().for_each(|i| groups[self.links[i].receiver].push(i));
         groups

@@ -130,7 +130,7 @@ pub trait Method: crate::plugin::PluginObject {
         Cost { pixels, ..Cost::default() }
     }
 
-    /// Returns names, shapes and initial values of the weights, for a setup that is [`compatible`](crate::compatible()).
+    /// Returns names, shapes and initial values of the weights, for a setup that is [`check_compatible`](crate::check_compatible).
     fn layout(&self, setup: &MeasurementSetup) -> Layout;
 
     /// Returns the image plane on which the rasterizer draws: that of the setup, or a sky that is integrated.

@@ -23,7 +23,7 @@ pub trait Metric: crate::plugin::PluginObject {
         &Task::ALL
     }
 
-    /// Returns its demands, for [`compatible`](crate::compatible()).
+    /// Returns its demands, for [`check_compatible`](crate::check_compatible).
     fn demand(&self) -> Demand {
         Demand { field: "metrics", plugin: self.typetag_name(), tasks: self.tasks(), requires: &[] }
     }

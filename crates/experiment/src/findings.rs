@@ -1,4 +1,4 @@
-//! [`findings`]: what is implausible about readable data, such as a wrong pose, unit or frame, with what mends it.
+//! [`collect_findings`]: what is implausible about readable data, such as a wrong pose, unit or frame, with what mends it.
 
 pub(crate) mod cloud;
 mod finding;
@@ -30,7 +30,7 @@ const SAMPLED: usize = 1_000;
 ///
 /// # Errors
 /// If a spectrum cannot be read.
-pub fn findings(data: &Dataset, partition: Option<&Partition>) -> Result<Vec<Finding>> {
+pub fn collect_findings(data: &Dataset, partition: Option<&Partition>) -> Result<Vec<Finding>> {
     let mut findings = Vec::new();
     if data.placed {
         findings.extend(check_positions(data));

@@ -74,7 +74,7 @@ impl Readout {
     }
 
     /// Returns the number of channels per transmitter.
-    pub fn channels(self) -> usize {
+    pub fn channel_count(self) -> usize {
         if self == Self::Real { 1 } else { 2 }
     }
 

@@ -4,7 +4,7 @@ use crate::TrainingPositions;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
     Activated, Dataset, Deformation, GaussianCloud, ImagePlane, Layout, MeasurementSetup, Method, Misfit, Origin,
-    Parameters, Parts, Real, Result, check_receivers, compatible, place_fault,
+    Parameters, Parts, Real, Result, check_compatible, check_receivers, place_fault,
 };
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
@@ -143,7 +143,7 @@ impl Stages {
         }
         check_receivers(&self.receivers)?;
         let (setup, method) = (Some(&self.setup), Some(self.method.get()));
-        compatible(&Parts { setup, method, ..Parts::default() }).map_err(|why| why.to_string())
+        check_compatible(&Parts { setup, method, ..Parts::default() }).map_err(|why| why.to_string())
     }
 
     /// Returns names, shapes and initial values of the weights.

@@ -5,7 +5,7 @@ use crate::defaults;
 use crate::pipeline::Pipeline;
 use crate::ron_tree::RonTree;
 use pwrfgs_core::plugin::{explain, name_of, ron_options, to_ron};
-use pwrfgs_core::{Dataset, Demand, Error, Misfit, Parts, Result, Task, compatible};
+use pwrfgs_core::{Dataset, Demand, Error, Misfit, Parts, Result, Task, check_compatible};
 use pwrfgs_methods::Calibration;
 use ron::error::SpannedError;
 use std::path::Path;
@@ -109,7 +109,7 @@ impl Pipeline {
             Error::Config(_) | Error::Input { .. } | Error::Read { .. } => Error::Config(format!("{field}: {error}")),
             other => other, // an exception of Python's stays one
         };
-        compatible(&Parts { data: Some(data), demands: &self.scoring_demands(), ..Parts::default() })
+        check_compatible(&Parts { data: Some(data), demands: &self.scoring_demands(), ..Parts::default() })
             .map_err(Misfit::error)?;
         for baseline in &self.baselines {
             baseline.check_data(data).map_err(|error| named("baselines", error))?;
@@ -154,7 +154,7 @@ impl Pipeline {
         let unused = task.and_then(|task| Some(Misfit::Unused(unused_field(self, task)?, task)));
         let demands = &[vec![self.initializer.demand()], self.scoring_demands()].concat();
         let parts = Parts { task, demands, ..plan.parts(self.initializer.count(), None) };
-        let checked = unused.map_or_else(|| compatible(&parts), Err);
+        let checked = unused.map_or_else(|| check_compatible(&parts), Err);
         checked.map_err(|misfit| (misfit.field(), misfit.to_string()))?;
         let is_plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
         if self.name.is_empty() || self.name.starts_with('.') || !self.name.chars().all(is_plain) {

@@ -251,8 +251,8 @@ pub trait Columns: Debug + Send + Sync {
     /// Returns observation `i` as an array of numbers.
     fn image(&self, i: usize) -> Image;
 
-    /// Writes the pixels of image `i` that `sampling` selects to `out`, row-major; all values of an observation without
-    /// pixels.
+    /// Writes the pixels of image `i` that `sampling` selects to `out`, row-major. The default, for observations without
+    /// pixels, ignores `sampling` and writes all values.
     fn sampled(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
         let _ = sampling;
         out.iter_mut().zip(self.image(i).pixels).for_each(|(out, v)| *out = v);
