@@ -46,7 +46,8 @@ impl Pipeline {
 
 #[pymethods]
 impl Pipeline {
-    /// Parses RON text; `path` is used in messages, and relative paths start at `folder`.
+    /// Parses RON text; `path` is used in messages, and relative paths start at `folder`. Raises an exception for text
+    /// that is not a valid pipeline.
     #[staticmethod]
     fn parse(py: Python<'_>, text: &str, path: PathBuf, folder: PathBuf) -> PyResult<Self> {
         let inner = without_gil(py, || Inner::parse(text, &path))?;
@@ -103,7 +104,7 @@ pub(crate) fn pipeline_text(py: Python<'_>, path: PathBuf) -> PyResult<String> {
 }
 
 /// Parses RON text to nested tuples: ("plain", text), ("text", str), ("fields", name, [(field, value)]), ("items",
-/// name, [value]).
+/// name, [value]). Raises an exception for text that is not a single value.
 #[pyfunction]
 pub(crate) fn parse_ron<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py, PyAny>> {
     let tree = RonTree::parse(text).map_err(|why| input_error(py, &why))?;

@@ -56,7 +56,7 @@ pub struct TrainingNumbers {
 /// Checks that all `parts` fit together.
 ///
 /// # Errors
-/// The first misfit.
+/// The first misfit, if two parts do not fit together or a demand is not met.
 pub fn check_compatible(parts: &Parts<'_>) -> Result<(), Misfit> {
     let data_setup = parts.data.map(|data| MeasurementSetup::of(data, data.plane()));
     let setup = parts.setup.or(data_setup.as_ref());

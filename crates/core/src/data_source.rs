@@ -76,7 +76,7 @@ pub trait Split: crate::plugin::PluginObject {
     /// Checks that the split can run here, for example that its Python class exists.
     ///
     /// # Errors
-    /// The message states the reason and the next step.
+    /// The split cannot run; the message states the reason and the next step.
     fn ready(&self) -> Result<()> {
         Ok(())
     }

@@ -136,7 +136,7 @@ pub trait Method: crate::plugin::PluginObject {
     /// Returns the image plane on which the rasterizer draws: that of the setup, or a sky that is integrated.
     ///
     /// # Errors
-    /// The projector does not draw it.
+    /// The projector does not support such a plane.
     fn plane<'a>(&self, setup: &'a MeasurementSetup) -> Result<Cow<'a, ImagePlane>, Misfit> {
         Ok(Cow::Borrowed(&setup.plane))
     }

@@ -151,7 +151,7 @@ pub(crate) fn decode_grey_png(path: &Path, depth: Depth) -> Result<Picture> {
 /// Reads a PNG or JPEG image. Colours become luminance, 16 bits become 8, and transparency is ignored.
 ///
 /// # Errors
-/// Another format, more than 2^24 pixels, or a file that is cut short or damaged.
+/// The file is missing, has another format or more than 2^24 pixels, or is cut short or damaged.
 pub fn read_image(path: &Path) -> Result<Image> {
     let Picture { width, height, bytes, .. } = decode_luminance(path, "check the path")?;
     Ok(Image::from_bytes(width, height, &bytes))

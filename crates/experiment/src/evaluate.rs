@@ -195,7 +195,7 @@ pub(crate) fn validation_baselines(
 /// Checks that a model predicts observations such as those of the data: task, size, directions, receivers and frequencies.
 ///
 /// # Errors
-/// The first difference.
+/// [`Error::Config`](pwrfgs_core::Error::Config) if they differ; the message gives the first difference.
 pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
     check_compatible(&Parts { data: Some(data), trained: Some(model.setup()), ..Parts::default() })
         .map_err(Misfit::error)

@@ -169,7 +169,7 @@ impl IntervalCalibration {
     /// Takes the calibration of a model for `task` out of its file; `None` if there is none.
     ///
     /// # Errors
-    /// The message names the tensor.
+    /// A tensor is missing, has another shape or type, or holds invalid values; the message names it.
     pub(crate) fn take(file: &mut Tensors, task: Task) -> Result<Option<Self>, String> {
         if file.shape(BLOCKS).is_none() {
             return Ok(None);

@@ -125,7 +125,8 @@ impl Stages {
     /// Checks the consistency of stages, for files from other programs.
     ///
     /// # Errors
-    /// The message names the mismatch.
+    /// The number of pixels or receivers is out of range, a position or receiver is invalid, or method and setup do not
+    /// fit together; the message names the problem.
     pub fn check(&self) -> Result<(), String> {
         let ImagePlane { width, height, .. } = self.plane;
         let pixels = width.checked_mul(height).filter(|pixels| (1..=MAX_PIXELS).contains(pixels));

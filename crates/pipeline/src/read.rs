@@ -57,7 +57,7 @@ impl Pipeline {
     /// Reads a pipeline; `path` is used only in messages.
     ///
     /// # Errors
-    /// [`Error::Input`] with line and column.
+    /// [`Error::Input`] with line and column if the text is not a valid pipeline.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         Self::read(text).map_err(|TextFault { message, at, .. }| Error::Input {
             path: path.into(),
@@ -103,7 +103,8 @@ impl Pipeline {
     /// Checks that all baselines and metrics support `data`.
     ///
     /// # Errors
-    /// The first error, with the name of its field.
+    /// A baseline or metric does not support `data`, or predictions of another program are missing or invalid; the
+    /// message names the field of the first error.
     pub fn check_data(&self, data: &Dataset) -> Result<(), Error> {
         let named = |field: &str, error: Error| match error {
             Error::Config(_) | Error::Input { .. } | Error::Read { .. } => Error::Config(format!("{field}: {error}")),
@@ -148,7 +149,7 @@ impl Pipeline {
     /// Checks that all plugins fit together, as far as this is known before loading.
     ///
     /// # Errors
-    /// The field and its problem.
+    /// Two plugins or settings do not fit together: the field and its problem.
     pub(crate) fn check(&self) -> Result<(), (String, String)> {
         let (task, plan) = (self.data.task(), self.unscaled_plan());
         let unused = task.and_then(|task| Some(Misfit::Unused(unused_field(self, task)?, task)));

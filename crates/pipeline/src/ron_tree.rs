@@ -34,7 +34,7 @@ impl RonTree {
     /// Parses `text` as a single value.
     ///
     /// # Errors
-    /// The problem with its byte position.
+    /// The text is not a single value; the message gives the problem and its byte position.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut reader = Reader { text, at: 0 };
         reader.skip_attributes()?;
@@ -148,7 +148,8 @@ impl Reader<'_> {
         &self.text[from..from + length]
     }
 
-    /// Parses a value of any type.
+    /// Parses a value of any type. Returns an error for other text, text without its end, and values nested deeper than
+    /// [`DEEPEST`].
     fn parse_value(&mut self, depth: usize) -> Result<RonTree, String> {
         if depth > DEEPEST {
             return Err("values are nested too deep".into());
@@ -214,7 +215,8 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Parses `(field: value, ..)` or `(value, ..)`.
+    /// Parses `(field: value, ..)` or `(value, ..)`. Returns an error for a missing separator or closing sign, or an
+    /// invalid value.
     fn parse_parentheses(&mut self, depth: usize) -> Result<RonBody, String> {
         let from = self.at;
         self.take_sign('(');
@@ -244,7 +246,8 @@ impl Reader<'_> {
         }
     }
 
-    /// Parses values between the signs `open` and `close`.
+    /// Parses values between the signs `open` and `close`. Returns an error for a missing separator or closing sign, or
+    /// an invalid value.
     fn parse_items(&mut self, open: char, close: char, depth: usize) -> Result<Vec<RonTree>, String> {
         let mut items = Vec::new();
         self.take_sign(open);
@@ -258,7 +261,8 @@ impl Reader<'_> {
         }
     }
 
-    /// Parses `{key: value, ..}`; returns the text ranges of the keys.
+    /// Parses `{key: value, ..}`; returns the text ranges of the keys. Returns an error for a missing separator or
+    /// closing sign, or an invalid value.
     fn parse_map(&mut self, depth: usize) -> Result<Vec<Range<usize>>, String> {
         let mut keys = Vec::new();
         self.take_sign('{');

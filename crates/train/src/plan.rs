@@ -55,7 +55,7 @@ impl TrainingPlan {
 /// Rejects pruners that this program cannot run.
 ///
 /// # Errors
-/// [`Error::Config`] with the next step.
+/// [`Error::Config`] if a pruner is [unavailable](pwrfgs_core::PrunerTraits::unavailable), with the next step.
 pub fn check_available(pruners: &[Plugin<dyn Pruner>]) -> Result<()> {
     let why = pruners.iter().find_map(|pruner| pruner.traits().unavailable);
     why.map_or(Ok(()), |why| Err(Error::Config(why)))

@@ -147,7 +147,8 @@ impl QueryParams {
     }
 }
 
-/// Parses the metres of the query parameter `name`, below 1e9; the error names it.
+/// Parses the query parameter `name`, metres. Returns an error, which names it, for text that is not a number, NaN, or
+/// an absolute value from 1e9.
 fn parse_metres(name: &str, value: &str) -> Result<f64, String> {
     let number = value.parse::<f64>().ok().filter(|v| v.abs() < 1e9);
     number.ok_or_else(|| format!("query parameter `{name}`: expected metres"))

@@ -87,7 +87,7 @@ impl ConnectionAccess {
     /// Checks a request and returns the part of its path after the token. The first admitted one acquires the slot.
     ///
     /// # Errors
-    /// Status for a rejected request, or if no slot is free.
+    /// The guard rejects the request, or no slot is free: the status of the answer.
     fn admit<'r>(&self, request: &'r Request<Incoming>) -> Result<&'r str, StatusCode> {
         let path = self.guard.admit(request.method(), request.uri(), request.headers())?;
         if !self.is_admitted() {

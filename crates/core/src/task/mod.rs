@@ -284,7 +284,7 @@ pub trait Columns: Debug + Send + Sync {
     /// Checks that all reads so far succeeded.
     ///
     /// # Errors
-    /// [`Error::Read`](crate::Error::Read) of the file of spectra.
+    /// [`Error::Read`](crate::Error::Read) if the file of spectra cannot be read.
     fn check(&self) -> Result<()> {
         Ok(())
     }
@@ -318,7 +318,7 @@ impl Observations {
     /// Returns the observations of `links`, in memory.
     ///
     /// # Errors
-    /// [`Error::Read`](crate::Error::Read) of a spectrum.
+    /// [`Error::Read`](crate::Error::Read) if a spectrum cannot be read.
     pub(crate) fn subset(&self, links: &[usize]) -> Result<Self> {
         Ok(match self {
             Self::Pictures(all) => {

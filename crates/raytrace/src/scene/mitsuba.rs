@@ -53,7 +53,8 @@ impl MitsubaScene {
     /// Reads the shapes and radio materials of an XML file; paths of meshes become relative to the current directory.
     ///
     /// # Errors
-    /// Reports line and column of an error: syntax, an element or material that is not supported, a missing mesh.
+    /// The file cannot be read, is not valid XML, has an element or material that is not supported, or names a missing
+    /// mesh; the message has line and column.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let text = files::read_text_at_most(path, MOST_BYTES)?;
         check_tags(path, &text)?;
