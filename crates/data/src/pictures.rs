@@ -157,7 +157,8 @@ pub fn read_image(path: &Path) -> Result<Image> {
     Ok(Image::from_bytes(width, height, &bytes))
 }
 
-/// Decodes a PNG or JPEG image like [`read_image`]; `advice` is the next step if it does not exist.
+/// Decodes a PNG or JPEG image like [`read_image`]; `advice` is the next step if it does not exist. Returns the errors
+/// of [`read_image`].
 pub(crate) fn decode_luminance(path: &Path, advice: &str) -> Result<Picture> {
     let file = read_bytes(path, MAX_BYTES, advice)?;
     let is_cut = file.starts_with(JPEG) && !has_end_marker(&file);

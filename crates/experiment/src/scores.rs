@@ -388,12 +388,12 @@ struct ScoreRow {
     value: Option<f64>,
 }
 
-/// Reads an integer; `None` if the field is empty.
+/// Reads an integer; `None` if the field is empty. Returns an error for other text.
 fn read_unless_empty<'de, D: Deserializer<'de>>(field: D) -> Result<Option<u32>, D::Error> {
     parse_unless("", &String::deserialize(field)?)
 }
 
-/// Reads a number; `None` for `n/a`.
+/// Reads a number; `None` for `n/a`. Returns an error for other text.
 fn read_unless_not_applicable<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f64>, D::Error> {
     parse_unless("n/a", &String::deserialize(field)?)
 }

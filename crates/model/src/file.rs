@@ -312,7 +312,8 @@ fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, St
     Ok(Model { stages, cloud, weights, training_positions })
 }
 
-/// Takes the training positions; `None` in a file of an earlier version.
+/// Takes the training positions; `None` in a file of an earlier version. Returns an error for a tensor of another shape
+/// or type.
 fn take_training_positions(file: &mut Tensors, name: &str) -> Result<Option<TrainingPositions>, String> {
     let Some(count) = file.shape(name).map(|shape| shape.first().copied().unwrap_or(0)) else { return Ok(None) };
     let positions = file.take(name, &[count.max(1), 3])?;

@@ -138,7 +138,7 @@ impl Tensors {
         Ok(values)
     }
 
-    /// Takes out a tensor of this shape and any type.
+    /// Takes out a tensor of this shape and any type. Returns the errors of [`Self::expect`].
     fn take_values(&mut self, name: &str, shape: &[usize]) -> Result<Values, String> {
         self.expect(name, shape)?;
         Ok(self.tensors.remove(name).expect("it is there").1)
@@ -233,7 +233,7 @@ impl Tensors {
         Ok(read)
     }
 
-    /// Replaces 8-bit tensors that have scales by their values.
+    /// Replaces 8-bit tensors that have scales by their values. Returns an error for scales of another shape.
     fn restore_rounded(&mut self) -> Result<(), String> {
         let is_scaled = |name: &String| self.tensors.contains_key(&format!("{name}{SCALES}"));
         let short =

@@ -106,7 +106,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Skips spaces and comments.
+    /// Skips spaces and comments. Returns an error for a comment without its end.
     fn skip_space(&mut self) -> Result<(), String> {
         loop {
             self.at += self.rest().len() - self.rest().trim_start().len();
@@ -182,7 +182,7 @@ impl Reader<'_> {
         Ok(RonTree { span: from..self.at, name, body, quoted })
     }
 
-    /// Skips a string, `"text"`.
+    /// Skips a string, `"text"`. Returns an error if it does not end.
     fn skip_string(&mut self) -> Result<(), String> {
         self.take_sign('"');
         let mut escaped = false;
@@ -198,7 +198,7 @@ impl Reader<'_> {
         Err("a text does not end; it lacks a `\"`".into())
     }
 
-    /// Skips a raw string, `r#"text"#`.
+    /// Skips a raw string, `r#"text"#`. Returns an error if it does not end.
     fn skip_raw_string(&mut self) -> Result<(), String> {
         let marks = self.rest()[1..].find('"').unwrap_or(0);
         let (start, end) = (marks + 2, format!("\"{}", "#".repeat(marks)));
@@ -207,7 +207,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Skips a character, `'c'`.
+    /// Skips a character, `'c'`. Returns an error if it does not end.
     fn skip_character(&mut self) -> Result<(), String> {
         let inside = self.rest().char_indices().skip(if self.rest().starts_with("'\\") { 3 } else { 2 });
         let end = inside.filter(|(_, c)| *c == '\'').map(|(i, _)| i).next().ok_or("a character lacks its `'`")?;
@@ -281,7 +281,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Skips a comma, which may be missing only before the sign `close`.
+    /// Skips a comma, which may be missing only before the sign `close`. Returns an error for other text.
     fn skip_comma(&mut self, close: char) -> Result<(), String> {
         self.skip_space()?;
         if self.take_sign(',') || self.peek() == Some(close) {

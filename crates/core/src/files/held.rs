@@ -45,8 +45,8 @@ pub(super) fn lock_unused(path: &Path) -> Option<File> {
     lock_with(path, |file| file.try_lock().map_err(|_no_locks| TryLockError::WouldBlock)).ok().flatten()
 }
 
-/// Opens the file at `path` and locks it with `take`; `None` if another process holds the lock. Repeats this if the name leads
-/// to another file meanwhile.
+/// Opens the file at `path` and locks it with `take`; `None` if another process holds the lock. Repeats this if the
+/// name leads to another file meanwhile. Returns an error if the file is missing, irregular or cannot be opened.
 fn lock_with(path: &Path, take: impl Fn(&File) -> Result<(), TryLockError>) -> io::Result<Option<File>> {
     loop {
         super::refuse_irregular(path)?;
