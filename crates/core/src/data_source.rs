@@ -117,7 +117,7 @@ pub trait Baseline: crate::plugin::PluginObject {
         &[]
     }
 
-    /// Returns its demands, for [`check_compatible`](crate::check_compatible).
+    /// Returns its demands, for [`check_compatible`].
     fn demand(&self) -> Demand {
         Demand { field: "baselines", plugin: self.typetag_name(), tasks: self.tasks(), requires: self.requires() }
     }

@@ -56,10 +56,10 @@ pub fn load_with_findings(
     Ok((SplitData { data, partition }, findings))
 }
 
-/// Checks the data as [`collect_findings`](crate::collect_findings) does, and warns of each finding.
+/// Checks the data as [`collect_findings`] does, and warns of each finding.
 ///
 /// # Errors
-/// As [`collect_findings`](crate::collect_findings).
+/// As [`collect_findings`].
 pub fn warn_of_findings(
     data: &Dataset,
     partition: Option<&Partition>,
