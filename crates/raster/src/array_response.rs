@@ -96,7 +96,7 @@ impl Rasterizer for ArrayResponse {
 
     fn forward_prepared(&self, splats: SignalSplats<'_>, prepared: &Cache) -> Render {
         let SignalSplats { geometry, signals, channels, plane } = splats;
-        assert_eq!(signals.len(), geometry.len() * channels, "one signal a splat and channel");
+        assert_eq!(signals.len(), geometry.len() * channels, "one signal per splat and channel");
         let Steered { waves, beams } = cached(prepared);
         let field = array_field(geometry, signals, waves, self.rows * self.columns, channels);
         let mut pixels = vec![0.0; channels * plane.width * plane.height];

@@ -103,8 +103,8 @@ fn plan_methods(arguments: &Compare, survey: &DataSurvey, verbosity: Verbosity) 
         if !is_named && !arguments.methods.is_empty() {
             continue;
         }
-        let planned =
-            with_method(&experiment, method).and_then(|experiment| arguments.plan_runs(&experiment, &base, survey));
+        let planned = restrict_to_method(&experiment, method)
+            .and_then(|experiment| arguments.plan_runs(&experiment, &base, survey));
         match planned {
             Ok(mut plan) => match &mut whole {
                 Some(whole) => {
@@ -138,8 +138,8 @@ fn read_experiment(arguments: &Compare, data: &Dataset) -> Result<Experiment> {
     Ok(experiment)
 }
 
-/// Returns the experiment with one of its methods only.
-fn with_method(experiment: &Experiment, method: &str) -> Result<Experiment> {
+/// Returns the experiment with one of its methods only. The first axis must hold the methods.
+fn restrict_to_method(experiment: &Experiment, method: &str) -> Result<Experiment> {
     let axis = &experiment.axes[0];
     let variants = axis.variants.iter().filter(|variant| variant.label == method).cloned().collect();
     let axis = Checked::new(Axis { variants, ..Axis::clone(axis) }).map_err(Error::Config)?;
