@@ -55,7 +55,7 @@ fn main() {
 
 /// Forward and back over random rays of as many spectra.
 fn step(method: &Plugin<dyn Method>, call: &Call<'_>, random: &mut rng::Rng) {
-    let pixels: Vec<usize> = (0..RAYS).map(|_| rng::below(random, call.setup.numbers())).collect();
+    let pixels: Vec<usize> = (0..RAYS).map(|_| rng::below(random, call.setup.value_count())).collect();
     let most = method.cost(call.setup, RAYS, 1).links_at_once;
     let (_, seconds) = timed(3, || {
         let mut sums = MethodVjp::zeros(call, WantedInputs::default());

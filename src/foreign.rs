@@ -45,7 +45,7 @@ pub trait Host: Send + Sync {
     /// Returns the pruner of a class.
     ///
     /// # Errors
-    /// The reason why there is no such strategy.
+    /// The host has no such class; the message gives the reason.
     fn pruner(&self, which: &Python) -> Result<Arc<dyn Pruner>>;
     /// Returns the initializer of a class.
     ///

@@ -48,7 +48,7 @@ fn model(method: &str, moving: End, seed: u64) -> Model {
     let mut weights = stages.layout().init(&mut rng::stream(seed, "network", 0));
     let random = &mut rng::stream(seed, "training", 0);
     // Training positions of `near`, and weights that are zero at first.
-    let of_network = stages.deformation().map_or(0, |own| own.layout().numbers());
+    let of_network = stages.deformation().map_or(0, |own| own.layout().weight_count());
     let positions: Vec<[Real; 3]> = (0..40).map(|_| [(); 3].map(|()| rng::normal(random))).collect();
     if let Some(deformation) = stages.deformation().filter(|own| own.traits().inputs == 3) {
         deformation.start((&positions).into(), &mut weights[..of_network]);

@@ -222,7 +222,7 @@ fn links(method: &str, size: (usize, usize), objective: Box<dyn Objective>) -> S
     step.weights = stages.layout().init(&mut rng::stream(12, "network", 0));
     let (width, random) = (stages.method.traits().inputs, &mut rng::stream(13, "links", 0));
     let conditions = (0..3 * width).map(|_| rng::normal(random)).collect();
-    let numbers = LINKS.len() * stages.setup.numbers();
+    let numbers = LINKS.len() * stages.setup.value_count();
     let truths = (0..numbers).map(|_| rng::normal(random)).collect();
     let inputs = LinkInputs { values: conditions, pairs: LINKS.to_vec(), ..LinkInputs::of(width, &stages.setup) };
     step.batch = Batch { inputs, truths, ..Batch::default() };
@@ -282,7 +282,7 @@ fn spectra_at_moving_receiver_differentiate() {
         inputs.add_link(&stages.setup, 0, pose);
     }
     step.batch.inputs = inputs;
-    step.batch.truths.truncate(3 * stages.setup.numbers());
+    step.batch.truths.truncate(3 * stages.setup.value_count());
     step.stages = Arc::new(stages);
     step.check("spectra at a moving receiver", None);
 }
@@ -327,7 +327,7 @@ fn virtual_transmitters_differentiate() {
         stages.setup.receivers.truncate(1);
         step.weights = Vec::new();
         step.batch.inputs.pairs = (0..3).map(|location| Link { location, receiver: 0 }).collect();
-        step.batch.truths.truncate(3 * stages.setup.numbers());
+        step.batch.truths.truncate(3 * stages.setup.value_count());
         step.cloud.add_missing_columns(&stages.method.traits().columns).unwrap();
         let random = &mut rng::stream(3, "harmonics", 0);
         let own = step.cloud.extra.iter_mut().filter(|column| column.name == "harmonics");

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 use pwrfgs::experiment::inspect::{Correction, DataSummary, PoseCheck, PoseVerdict};
-use pwrfgs::experiment::{Finding, NoopObserver, findings};
+use pwrfgs::experiment::{Finding, NoopObserver, collect_findings};
 use pwrfgs_core::testing::shared;
 use pwrfgs_core::{DataSource, Dataset, Location, Plugin, Pose, Sample, Spectra};
 use pwrfgs_data::Nerf2Spectrum;
@@ -50,7 +50,7 @@ fn pose_check_confirms_correct_pose_and_corrects_wrong_pose() {
 #[test]
 fn correct_pose_of_a_narrow_view_gives_no_finding() {
     let data = simulated("lab-s23");
-    assert_eq!(findings(&data, None).unwrap(), []);
+    assert_eq!(collect_findings(&data, None).unwrap(), []);
 }
 
 #[test]
@@ -117,7 +117,7 @@ fn counts_black_spectra_among_others() {
             pixels.fill(0);
         }
     });
-    let found = findings(&data, None).unwrap();
+    let found = collect_findings(&data, None).unwrap();
     let [Finding { name, count: 80, .. }] = &found[..] else { panic!("{found:?}") };
     assert_eq!(name, "constant-spectra");
 }

@@ -118,7 +118,7 @@ fn spectra_powers_and_channels_differentiate_in_every_layer() {
 #[test]
 fn subsets_and_batches_are_bit_identical_to_whole_image() {
     let room = Room::new(Task::Spectrum, "far_m: 3");
-    let (all, pixels) = (room.numbers(&room.weights, &LINKS, &PixelSubset::All), room.setup.numbers());
+    let (all, pixels) = (room.numbers(&room.weights, &LINKS, &PixelSubset::All), room.setup.value_count());
     let every: Vec<usize> = (0..pixels).collect();
     assert_eq!(room.numbers(&room.weights, &LINKS, &PixelSubset::Same(every.into())), all);
     let some = [11, 3, 3, 20, 0];
@@ -128,7 +128,7 @@ fn subsets_and_batches_are_bit_identical_to_whole_image() {
         let room = Room::new(kind, "far_m: 3");
         let all = room.numbers(&room.weights, &LINKS, &PixelSubset::All);
         for (l, link) in LINKS.iter().enumerate() {
-            let of_link = room.setup.numbers();
+            let of_link = room.setup.value_count();
             assert_eq!(
                 room.numbers(&room.weights, &[*link], &PixelSubset::All),
                 all[l * of_link..][..of_link],

@@ -312,7 +312,7 @@ fn pwrfgs_has_the_constants_of_paper_and_released_code() {
         network.2 as f64,
         f64::from(d.extent_m as f32),
         f64::from((d.large_above * d.extent_m) as f32),
-        pipeline.deformation.layout().numbers() as f64,
+        pipeline.deformation.layout().weight_count() as f64,
     ];
     for ((name, expected, source), found) in PAPER.iter().zip(found) {
         assert!((found / expected - 1.0).abs() < 1e-6, "{name}: {found}, expected {expected} ({source})");

@@ -1,7 +1,7 @@
 //! Repeatability of measurements at one place, for measured and synthetic spectra.
 
 use pwrfgs::experiment::repeatability::{PairSimilarity, ZeroDistanceEstimate};
-use pwrfgs::experiment::{Repeatability, repeatability};
+use pwrfgs::experiment::{Repeatability, measure_repeatability};
 use pwrfgs_core::testing::shared;
 use pwrfgs_core::{DataSource, Dataset, Metric, Plugin, Pose, Sample, Spectra, rng};
 use pwrfgs_data::Nerf2Spectrum;
@@ -10,7 +10,7 @@ use std::sync::atomic::AtomicBool;
 
 fn measure(data: &Dataset, metrics: &[&str]) -> Repeatability {
     let metrics: Vec<_> = metrics.iter().map(|text| Plugin::<dyn Metric>::parse(text).unwrap()).collect();
-    repeatability(data, &metrics, &AtomicBool::new(false)).unwrap()
+    measure_repeatability(data, &metrics, &AtomicBool::new(false)).unwrap()
 }
 
 fn at_zero<'a>(similarity: &'a PairSimilarity, key: &str) -> &'a Result<ZeroDistanceEstimate, String> {

@@ -108,7 +108,7 @@ fn survey_statistics_equal_single_image_statistics() {
         ["Factored(width: 12, depth: 2)", "Mlp(depth: 2, width: 8, skip: None, tx_hidden: 8, tx_features: 4)"];
     for deformation in deformations {
         let sight = Sight::new(deformation, Readout::Magnitude);
-        let pixels = sight.stages.numbers();
+        let pixels = sight.stages.value_count();
         let found = sight.survey(&EVERYTHING);
         let mut expected = PassStatistics::zeros(&Needs::of(&EVERYTHING, 0), N);
         let made = sight.observed(&sight.cloud, &[1.0; N]);

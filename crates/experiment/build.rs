@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Output of a git command in this folder, if it succeeds.
+/// Returns the output of a git command in this folder; `None` if it fails or is not UTF-8.
 fn git(arguments: &[&str]) -> Option<String> {
     let output = Command::new("git").args(arguments).output().ok().filter(|output| output.status.success())?;
     Some(String::from_utf8(output.stdout).ok()?.trim().to_owned())
 }
 
-/// Commit of the checkout; none if the crate lies in a repository of another project.
+/// Returns the commit of the checkout; `None` if the crate lies in a repository of another project, or in none.
 fn of_checkout() -> Option<String> {
     let root: PathBuf = std::env::current_dir().ok()?.ancestors().nth(2)?.canonicalize().ok()?;
     let is_own = Path::new(&git(&["rev-parse", "--show-toplevel"])?).canonicalize().ok()? == root;
@@ -24,7 +24,7 @@ fn of_checkout() -> Option<String> {
     git(&["rev-parse", "HEAD"]).filter(|_| is_own)
 }
 
-/// Commit that cargo stores in a package.
+/// Returns the commit that cargo stores in a package; `None` outside a package.
 fn of_package() -> Option<String> {
     let text = std::fs::read_to_string(".cargo_vcs_info.json").ok()?;
     Some(text.split("\"sha1\": \"").nth(1)?.split('"').next()?.to_owned())

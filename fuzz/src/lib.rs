@@ -157,7 +157,7 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// Problem of the message.
+    /// Returns the problem with the message; `None` if it is acceptable.
     fn fault(&self) -> Option<String> {
         let start: String = self.text.chars().take(200).collect();
         match () {

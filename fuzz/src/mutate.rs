@@ -49,9 +49,9 @@ pub fn mutate(seed: &[u8], other: &[u8], form: Form, rng: &mut Rng) -> Vec<u8> {
     let mut bytes = seed.to_vec();
     for _ in 0..[1, 1, 1, 2, 2, 4][below(rng, 6)] {
         let guarded = match (form, below(rng, 4)) {
-            (Form::Png, 0..=2) => inside_png(&bytes, rng),
-            (Form::Tensors, 0..=2) => inside_tensors(&bytes, rng),
-            (Form::Archive, 0..=1) => inside_archive(&bytes, rng),
+            (Form::Png, 0..=2) => mutate_png(&bytes, rng),
+            (Form::Tensors, 0..=2) => mutate_tensors(&bytes, rng),
+            (Form::Archive, 0..=1) => mutate_archive(&bytes, rng),
             (Form::Archive | Form::Jpeg, 2) => Some(bytes[..below(rng, bytes.len() + 1)].to_vec()),
             _ => None,
         };
@@ -129,8 +129,9 @@ fn runs(bytes: &[u8], kind: impl Fn(u8) -> bool) -> Vec<(usize, usize)> {
     ends.filter(|(from, _)| kind(bytes[*from])).collect()
 }
 
-/// Changes one chunk, or their order, and corrects lengths and checksums.
-fn inside_png(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
+/// Changes or repeats one chunk of a PNG file, or exchanges two, and corrects lengths and checksums. `None` for fewer
+/// than 8 bytes, or without a complete chunk.
+fn mutate_png(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
     let (start, mut rest) = bytes.split_at_checked(8)?;
     let mut chunks = Vec::new();
     while let Some((length, tail)) = rest.split_first_chunk::<4>() {
@@ -159,8 +160,8 @@ fn inside_png(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
     Some([start.to_vec(), chunks.into_iter().flat_map(whole).collect()].concat())
 }
 
-/// Changes one array, and corrects lengths and checksums.
-fn inside_archive(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
+/// Changes one array of an archive, and corrects lengths and checksums. `None` if the archive or an array cannot be read.
+fn mutate_archive(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
     let mut archive = ZipArchive::new(Cursor::new(bytes)).ok()?;
     let changed = below(rng, archive.len().max(1));
     let mut out = ZipWriter::new(Cursor::new(Vec::new()));
@@ -175,8 +176,9 @@ fn inside_archive(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
     Some(out.finish().ok()?.into_inner())
 }
 
-/// Changes the header as text, or a number after it, and corrects the header length.
-fn inside_tensors(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
+/// Changes the header of a safetensors file as text, or the data after it, and corrects the header length. `None` if
+/// the bytes end before the header does.
+fn mutate_tensors(bytes: &[u8], rng: &mut Rng) -> Option<Vec<u8>> {
     let (length, rest) = bytes.split_first_chunk::<8>()?;
     let (header, data) = rest.split_at_checked(u64::from_le_bytes(*length) as usize)?;
     let (mut header, mut data) = (header.to_vec(), data.to_vec());

@@ -122,7 +122,8 @@ pub(crate) fn poses(what: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<Pose>
     }
 }
 
-/// Reads an array of numbers of this shape, in C order, which may be infinite or NaN.
+/// Reads an array of numbers of this shape, in C order, which may be infinite or NaN. Raises an exception for another
+/// type or shape.
 pub(crate) fn numbers<T: Element + Copy>(
     what: &str,
     value: &Bound<'_, PyAny>,
@@ -198,7 +199,7 @@ pub(crate) fn array<'py, T: Element>(
 /// Checks that there is enough memory for an array of this shape.
 ///
 /// # Errors
-/// `MemoryError`.
+/// `MemoryError` if there is too little.
 pub(crate) fn check_memory<T>(shape: &[usize]) -> PyResult<()> {
     let count = shape.iter().try_fold(1_usize, |count, n| count.checked_mul(*n));
     if count.is_some_and(|count| Vec::<T>::new().try_reserve_exact(count).is_ok()) {

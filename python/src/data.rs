@@ -189,7 +189,7 @@ impl Dataset {
         Ok(())
     }
 
-    /// Data source as RON, from which it was loaded or to which it was saved.
+    /// Data source as RON, from which it was loaded or to which it was saved; `None` for data made in memory.
     #[getter(_source)]
     pub(crate) fn source(&self) -> Option<String> {
         self.source.lock().unwrap_or_else(PoisonError::into_inner).clone()

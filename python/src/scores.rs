@@ -185,7 +185,7 @@ pub(crate) fn repeatability<'py>(
     metrics: Vec<String>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let metrics = metrics.iter().map(|text| parse_plugin::<dyn Metric>(py, text)).collect::<PyResult<Vec<_>>>()?;
-    let found = run_stoppable(py, |stop| work::repeatability(&dataset.data, &metrics, stop))?;
+    let found = run_stoppable(py, |stop| work::measure_repeatability(&dataset.data, &metrics, stop))?;
     let all = PyDict::new(py);
     for (name, similarity) in [("near", &found.near), ("far", &found.far)] {
         let summary = PyDict::new(py);

@@ -34,7 +34,8 @@ impl Pipeline {
         &self.base
     }
 
-    /// Changes the pipeline completely or not at all. Checks may call Python strategies.
+    /// Changes the pipeline completely or not at all. `by` changes a copy without holding the lock, because checks may
+    /// call Python strategies; a concurrent change by another thread is overwritten.
     fn change(&self, py: Python<'_>, by: impl FnOnce(&mut Inner) -> Result<()> + Send) -> PyResult<()> {
         let mut changed = self.current();
         let changed = without_gil(py, || by(&mut changed).map(|()| changed))?;
@@ -45,7 +46,8 @@ impl Pipeline {
 
 #[pymethods]
 impl Pipeline {
-    /// Parses RON text; `path` is used in messages, and relative paths start at `folder`.
+    /// Parses RON text; `path` is used in messages, and relative paths start at `folder`. Raises an exception for text
+    /// that is not a valid pipeline.
     #[staticmethod]
     fn parse(py: Python<'_>, text: &str, path: PathBuf, folder: PathBuf) -> PyResult<Self> {
         let inner = without_gil(py, || Inner::parse(text, &path))?;
@@ -102,7 +104,7 @@ pub(crate) fn pipeline_text(py: Python<'_>, path: PathBuf) -> PyResult<String> {
 }
 
 /// Parses RON text to nested tuples: ("plain", text), ("text", str), ("fields", name, [(field, value)]), ("items",
-/// name, [value]).
+/// name, [value]). Raises an exception for text that is not a single value.
 #[pyfunction]
 pub(crate) fn parse_ron<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py, PyAny>> {
     let tree = RonTree::parse(text).map_err(|why| input_error(py, &why))?;

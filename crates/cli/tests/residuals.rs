@@ -120,7 +120,7 @@ fn joined_models_leave_out_one_fold_each() {
     let ensemble = file::read_ensemble(&joined).unwrap();
     assert_eq!((ensemble.members().len(), ensemble.residuals().unwrap().processes().len()), (3, 1));
     let known = ensemble.residuals().unwrap().processes()[0].as_ref().unwrap().len();
-    assert_eq!(ensemble.calibration().unwrap().blocks(), known, "each known transmitter is a block");
+    assert_eq!(ensemble.calibration().unwrap().block_count(), known, "each known transmitter is a block");
     for seed in 0..3 {
         let run = here.join(format!("s/seed={seed}"));
         let text = std::fs::read_to_string(run.join("pipeline.ron")).unwrap();
@@ -162,7 +162,7 @@ fn joined_models_share_the_validation_set() {
     assert!(!here.join("s").exists(), "refused before the training");
     succeed(here, &["sweep", "e.ron", "--out", "s", "-q"]);
     let ensemble = file::read_ensemble(&here.join("s/joined").join(MODEL)).unwrap();
-    assert_eq!(ensemble.calibration().unwrap().blocks(), 10, "a block per transmitter of the validation set");
+    assert_eq!(ensemble.calibration().unwrap().block_count(), 10, "a block per transmitter of the validation set");
     assert!(ensemble.residuals().unwrap().processes()[0].as_ref().unwrap().len() > 10, "all known links");
     let validation = |run: &str| {
         let text = std::fs::read_to_string(here.join(run).join("samples.csv")).unwrap();

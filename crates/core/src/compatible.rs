@@ -1,4 +1,4 @@
-//! `compatible`: whether plugins, settings, data and models fit together. No other code compares them.
+//! `check_compatible`: whether plugins, settings, data and models fit together. No other code compares them.
 
 use crate::messages::strip_control;
 use crate::plugin::{Plugin, name_of, to_ron};
@@ -56,8 +56,8 @@ pub struct TrainingNumbers {
 /// Checks that all `parts` fit together.
 ///
 /// # Errors
-/// The first misfit.
-pub fn compatible(parts: &Parts<'_>) -> Result<(), Misfit> {
+/// The first misfit, if two parts do not fit together or a demand is not met.
+pub fn check_compatible(parts: &Parts<'_>) -> Result<(), Misfit> {
     let data_setup = parts.data.map(|data| MeasurementSetup::of(data, data.plane()));
     let setup = parts.setup.or(data_setup.as_ref());
     let parts = &Parts { setup, task: setup.map(|setup| setup.task).or(parts.task), ..*parts };
@@ -181,7 +181,7 @@ fn check_training(parts: &Parts<'_>, method: &dyn Method, traits: &MethodTraits<
         let divisors: Vec<String> = (1..=width.min(height)).filter(divides).map(|s| s.to_string()).collect();
         return Err(Misfit::Stride(stride, width, height, divisors.join(", ")));
     }
-    let most = setup.numbers() / (stride * stride);
+    let most = setup.value_count() / (stride * stride);
     refuse(pixels.filter(|count| *count > most).map(|count| Misfit::TooManyPixels(count, most)))
 }
 

@@ -2,7 +2,8 @@
 
 use crate::plugin::{Plugin, registered};
 use crate::{
-    Dataset, Demand, Image, Misfit, Parts, Query, Real, Requirement, Result, Task, compatible, plugin_kind, rng::Rng,
+    Dataset, Demand, Image, Misfit, Parts, Query, Real, Requirement, Result, Task, check_compatible, plugin_kind,
+    rng::Rng,
 };
 use std::path::Path;
 
@@ -18,6 +19,9 @@ pub type Progress<'a> = &'a (dyn Fn(usize, usize) + Sync);
 pub trait DataSource: crate::plugin::PluginObject {
     /// Loads all data into memory. Relative paths are relative to `base`, the folder of the pipeline file. `progress`
     /// counts links; pass `&|_, _| {}` to ignore it.
+    ///
+    /// # Errors
+    /// The files are missing, damaged or invalid; the message has the file and, for text, line and column.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset>;
 
     /// Returns the measurement type if it is known before loading, otherwise `None`. Unsuitable pipelines are then
@@ -48,6 +52,10 @@ pub fn recognise(folder: &Path) -> Option<Plugin<dyn DataSource>> {
 #[typetag::serde]
 pub trait Split: crate::plugin::PluginObject {
     /// Returns three disjoint sorted lists; training and test set are not empty.
+    ///
+    /// # Errors
+    /// The data do not suit the split, or leave its training or test set empty; the message names the setting to
+    /// change.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition>;
 
     /// Divides `links`, in ascending order, into the units that the split holds out together, in order; a fold of a
@@ -75,7 +83,7 @@ pub trait Split: crate::plugin::PluginObject {
     /// Checks that the split can run here, for example that its Python class exists.
     ///
     /// # Errors
-    /// The message states the reason and the next step.
+    /// The split cannot run; the message states the reason and the next step.
     fn ready(&self) -> Result<()> {
         Ok(())
     }
@@ -109,7 +117,7 @@ pub trait Baseline: crate::plugin::PluginObject {
         &[]
     }
 
-    /// Returns its demands, for [`compatible`](crate::compatible()).
+    /// Returns its demands, for [`check_compatible`].
     fn demand(&self) -> Demand {
         Demand { field: "baselines", plugin: self.typetag_name(), tasks: self.tasks(), requires: self.requires() }
     }
@@ -120,11 +128,15 @@ pub trait Baseline: crate::plugin::PluginObject {
     /// # Errors
     /// The baseline does not support `data`; the message names the setting to change.
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        compatible(&Parts { data: Some(data), demands: &[self.demand()], ..Parts::default() }).map_err(Misfit::error)
+        check_compatible(&Parts { data: Some(data), demands: &[self.demand()], ..Parts::default() })
+            .map_err(Misfit::error)
     }
 
     /// Fits to the links of `fitting`. Choices use the validation set; if it is empty, samples held out of the training
     /// set.
+    ///
+    /// # Errors
+    /// The data do not suit the baseline, or an observation cannot be read.
     fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>>;
 
     /// Returns whether its predictions come from another program and are for the test set alone.

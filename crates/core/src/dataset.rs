@@ -155,7 +155,8 @@ impl Dataset {
     /// links.
     ///
     /// # Errors
-    /// [`Error::Config`] if there are no links, or they are not in ascending order; [`Error::Read`] of a spectrum.
+    /// [`Error::Config`] if there are no links, they are not in ascending order, or one is not in the data;
+    /// [`Error::Read`] if a spectrum cannot be read.
     pub fn subset(&self, links: &[usize]) -> Result<Self> {
         if links.is_empty() || !links.is_sorted_by(|a, b| a < b) || links[links.len() - 1] >= self.len() {
             let problem = "links of a subset: give at least one, in ascending order without repetition";
@@ -235,7 +236,7 @@ impl Dataset {
     }
 
     /// Groups these links by receiver: one list per receiver, which keeps the order.
-    pub fn by_receiver(&self, links: impl IntoIterator<Item = usize>) -> Vec<Vec<usize>> {
+    pub fn group_by_receiver(&self, links: impl IntoIterator<Item = usize>) -> Vec<Vec<usize>> {
         let mut groups = vec![Vec::new(); self.scene.receivers.len()];
         links.into_iter().for_each(|i| groups[self.links[i].receiver].push(i));
         groups
@@ -270,7 +271,8 @@ impl Dataset {
 /// Checks for at least one receiver, valid positions, unique names, antennas and carriers.
 ///
 /// # Errors
-/// The message names the receiver and its fault.
+/// There is no receiver; one has an invalid pose, antenna, carrier or camera, or no antenna; or two have one name. The
+/// message names the receiver.
 pub fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
     if receivers.is_empty() {
         return Err("no receiver; give at least one".into());
@@ -306,7 +308,8 @@ pub fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
 /// Converts rows to columns: every location once, and the links.
 ///
 /// # Errors
-/// The message names the ID of the first row that is out of order, or has an invalid pose or receiver.
+/// A row is out of order, has an unknown receiver or an invalid pose, or gives its ID a second position; the message
+/// names the ID of the first such row.
 fn to_columns(samples: &[Sample], ends: &Ends) -> Result<(Vec<Location>, Vec<Link>), String> {
     let (moving, receivers) = (ends.moving, ends.receivers.len());
     let end = if moving.is_receiver() { "receiver" } else { "transmitter" };

@@ -98,10 +98,10 @@ impl Error {
     }
 }
 
-/// Returns [`Error::Stopped`] once `stop` is set.
+/// Checks whether a user or program has stopped the work.
 ///
 /// # Errors
-/// As above.
+/// [`Error::Stopped`] once `stop` is set.
 pub fn check_stopped(stop: &AtomicBool) -> Result<()> {
     if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) }
 }

@@ -24,7 +24,7 @@ pub const MAX_NUMBERS: u64 = 1 << 34;
 /// until another process writes to it.
 ///
 /// # Errors
-/// The file does not exist, or is not a regular file.
+/// The file does not exist, is not a regular file, or cannot be opened.
 #[expect(clippy::disallowed_methods, reason = "this function checks the type of the file first")]
 pub fn open(path: impl AsRef<Path>) -> io::Result<File> {
     let path = path.as_ref();
@@ -37,7 +37,7 @@ pub fn open(path: impl AsRef<Path>) -> io::Result<File> {
 /// Rejects a `path` that exists but is not a regular file, such as a named pipe or a device.
 ///
 /// # Errors
-/// [`ErrorKind::InvalidInput`] with the file type.
+/// [`ErrorKind::InvalidInput`] for a named pipe, a socket, a device or a folder; the message gives the file type.
 pub fn refuse_irregular(path: &Path) -> io::Result<()> {
     match fs::metadata(path) {
         Ok(metadata) if !metadata.is_file() => {
@@ -103,7 +103,7 @@ pub fn read_at_most(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
 /// name that the file system rejects. Missing folders are accepted. A file or folder at `path` itself is not checked.
 ///
 /// # Errors
-/// [`Error::Input`] names the invalid part of the path.
+/// [`Error::Input`] for such a path; the message names its invalid part.
 pub fn check_path(path: &Path) -> Result<()> {
     let refuse = |problem: String| Err(Error::input(path, format!("{problem}; choose another path")));
     let mut missing = Vec::new();
@@ -138,7 +138,7 @@ fn parent(path: &Path) -> &Path {
 /// Rejects a path at which no file can be created: as [`check_path`], and the folder of the file must exist.
 ///
 /// # Errors
-/// [`Error::Input`] names the missing folder.
+/// [`Error::Input`] for such a path, or if it is a folder; the message names the missing folder.
 pub fn check_file_path(path: &Path) -> Result<()> {
     check_path(path)?;
     let parent = parent(path);
@@ -155,7 +155,7 @@ pub fn check_file_path(path: &Path) -> Result<()> {
 /// Writes a file of a folder that no other process reads yet.
 ///
 /// # Errors
-/// [`Error::Write`].
+/// [`Error::Write`] if the file cannot be written.
 pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
     fs::write(path, bytes).map_err(|e| Error::write(path, e))
 }
@@ -171,7 +171,7 @@ impl GrowingFile {
     /// Creates the file with its first bytes.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`] if the file cannot be written.
     pub fn create(path: PathBuf, start: &[u8]) -> Result<Self> {
         let file = File::create(&path).map_err(|e| Error::write(&path, e))?;
         let mut growing = Self { file: BufWriter::with_capacity(1 << 20, file), path };
@@ -181,7 +181,7 @@ impl GrowingFile {
     /// Appends bytes.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`] if the file cannot be written.
     pub fn append(&mut self, bytes: &[u8]) -> Result<()> {
         self.file.write_all(bytes).map_err(|e| Error::write(&self.path, e))
     }
@@ -189,7 +189,7 @@ impl GrowingFile {
     /// Writes the buffered bytes.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`] if the file cannot be written.
     pub fn finish(mut self) -> Result<()> {
         self.file.flush().map_err(|e| Error::write(&self.path, e))
     }
@@ -204,7 +204,7 @@ pub fn digest(bytes: &[u8]) -> String {
 /// Returns the content that was read from `path`; `None` if the file does not exist.
 ///
 /// # Errors
-/// [`Error::Read`].
+/// [`Error::Read`] if the file cannot be read.
 pub fn if_found<T>(path: &Path, read: io::Result<T>) -> Result<Option<T>> {
     match read {
         Ok(content) => Ok(Some(content)),
@@ -237,7 +237,8 @@ pub fn read_text_at_most(path: &Path, limit: u64) -> Result<String> {
 /// write. `expected` names the type of the folder in the message, such as `a run folder`. A missing folder is accepted.
 ///
 /// # Errors
-/// [`Error::Config`] that names the content.
+/// [`Error::Config`] for a folder with foreign content, which the message names, for an empty path, or for a file;
+/// [`Error::Input`] for an invalid path ([`check_path`]); [`Error::Read`] if the folder cannot be read.
 pub fn refuse_foreign(folder: &Path, expected: &str) -> Result<()> {
     let is_leftover = |entry: &DirEntry| {
         let path = entry.path();
@@ -254,7 +255,7 @@ pub fn refuse_foreign(folder: &Path, expected: &str) -> Result<()> {
 /// Rejects a folder that is not empty; a missing folder is accepted.
 ///
 /// # Errors
-/// [`Error::Config`] that names the content.
+/// [`Error::Config`] for a folder that is not empty; the message names a file in it. Otherwise as [`refuse_foreign`].
 pub fn refuse_occupied(folder: &Path) -> Result<()> {
     match read_entries(folder)?.first() {
         None => Ok(()),
@@ -270,7 +271,7 @@ fn occupied_problem(entry: &DirEntry) -> String {
 /// Reads the entries of a folder; none if it does not exist.
 ///
 /// # Errors
-/// The path is empty, leads to a file, or cannot be created ([`check_path`]).
+/// The path is empty, leads to a file, or cannot be created ([`check_path`]), or the folder cannot be read.
 fn read_entries(folder: &Path) -> Result<Vec<DirEntry>> {
     let folder = folder.components().as_path(); // without a trailing slash, which hides that it is a file
     match fs::read_dir(folder) {

@@ -86,7 +86,7 @@ pub trait Initializer: crate::plugin::PluginObject {
         &[]
     }
 
-    /// Returns its demands, for [`compatible`](crate::compatible()).
+    /// Returns its demands, for [`check_compatible`](crate::check_compatible).
     fn demand(&self) -> Demand {
         Demand { field: "initializer", plugin: self.typetag_name(), tasks: self.tasks(), requires: self.requires() }
     }

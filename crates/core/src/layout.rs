@@ -15,7 +15,7 @@ pub struct Layout {
 
 impl Layout {
     /// Returns the length of the flat weight vector.
-    pub fn numbers(&self) -> usize {
+    pub fn weight_count(&self) -> usize {
         self.weights.iter().map(WeightSpec::len).sum()
     }
 
@@ -36,7 +36,7 @@ impl Layout {
 
     /// Draws the flat weight vector: uniform within the bound of each tensor, or zeros.
     pub fn init(&self, rng: &mut Rng) -> Vec<Real> {
-        let mut flat = Vec::with_capacity(self.numbers());
+        let mut flat = Vec::with_capacity(self.weight_count());
         for spec in &self.weights {
             match spec.bound {
                 Some(bound) => flat.extend((0..spec.len()).map(|_| (2.0 * rng::uniform(rng) - 1.0) * bound as Real)),
@@ -51,7 +51,7 @@ impl Layout {
     /// [hidden](WeightSpec::hidden).
     pub fn draw_dropout(&self, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
         self.weights.iter().any(|spec| spec.hidden).then(|| {
-            let (mut factors, mut units) = (Vec::with_capacity(self.numbers()), Vec::new());
+            let (mut factors, mut units) = (Vec::with_capacity(self.weight_count()), Vec::new());
             for spec in &self.weights {
                 if !spec.hidden {
                     factors.resize(factors.len() + spec.len(), 1.0);
@@ -132,7 +132,7 @@ mod tests {
         ];
         let layout = Layout { weights, constants: Vec::new() };
         let factors = layout.draw_dropout(0.5, &mut rng::stream(1, "dropout", 0)).unwrap();
-        assert_eq!(factors.len(), layout.numbers());
+        assert_eq!(factors.len(), layout.weight_count());
         assert_eq!(factors[..3], [1.0; 3]);
         let (rows, biases) = factors[3..].split_at(128);
         assert!(rows.chunks(2).zip(biases).all(|(row, bias)| row == [*bias; 2]));

@@ -48,7 +48,7 @@ pub mod threads;
 
 pub use cholesky::Cholesky;
 pub use cloud::{COLUMN_NAMES, CloudEdit, ExtraColumn, GaussianCloud, RowOrigin};
-pub use compatible::{Parts, TrainingNumbers, compatible};
+pub use compatible::{Parts, TrainingNumbers, check_compatible};
 pub use data_source::{Baseline, DataSource, FittingSet, LinkSet, Partition, Predict, Progress, Split, recognise};
 pub use dataset::{Dataset, Simulation, Unmatched, check_receivers};
 pub use deformation::{

@@ -130,13 +130,13 @@ pub trait Method: crate::plugin::PluginObject {
         Cost { pixels, ..Cost::default() }
     }
 
-    /// Returns names, shapes and initial values of the weights, for a setup that is [`compatible`](crate::compatible()).
+    /// Returns names, shapes and initial values of the weights, for a setup that is [`check_compatible`](crate::check_compatible).
     fn layout(&self, setup: &MeasurementSetup) -> Layout;
 
     /// Returns the image plane on which the rasterizer draws: that of the setup, or a sky that is integrated.
     ///
     /// # Errors
-    /// The projector does not draw it.
+    /// The projector does not support such a plane.
     fn plane<'a>(&self, setup: &'a MeasurementSetup) -> Result<Cow<'a, ImagePlane>, Misfit> {
         Ok(Cow::Borrowed(&setup.plane))
     }

@@ -7,6 +7,9 @@ use crate::{Dataset, Demand, Image, ImagePlane, Link, Real, Result, Scene, Task,
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait Metric: crate::plugin::PluginObject {
     /// Returns one or more measurements.
+    ///
+    /// # Errors
+    /// A spectrum cannot be read, or a class of Python raises an exception.
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>>;
 
     /// Checks whether the metric supports the observations of `data`, as
@@ -23,7 +26,7 @@ pub trait Metric: crate::plugin::PluginObject {
         &Task::ALL
     }
 
-    /// Returns its demands, for [`compatible`](crate::compatible()).
+    /// Returns its demands, for [`check_compatible`](crate::check_compatible).
     fn demand(&self) -> Demand {
         Demand { field: "metrics", plugin: self.typetag_name(), tasks: self.tasks(), requires: &[] }
     }

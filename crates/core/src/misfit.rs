@@ -1,4 +1,4 @@
-//! `Misfit`: the messages on plugins, settings and data that do not fit together. [`compatible`](crate::compatible())
+//! `Misfit`: the messages on plugins, settings and data that do not fit together. [`check_compatible`](crate::check_compatible)
 //! finds the first.
 
 use crate::{Error, Task};

@@ -68,7 +68,8 @@ where
     /// Reads `BareName(field: value, …)`.
     ///
     /// # Errors
-    /// The message of the parser.
+    /// The text is not valid RON, names an unknown plugin or field, or has an invalid value; the message is that of the
+    /// parser.
     pub fn parse(text: &str) -> Result<Self, String> {
         ron_options().from_str(text).map_err(|e| e.to_string())
     }
@@ -126,7 +127,8 @@ pub fn name_of(plugin: &impl Serialize) -> String {
 /// Reads RON with the project's extensions; suggests the nearest known name for a misspelt one. `path` is for messages.
 ///
 /// # Errors
-/// [`Error::Input`](crate::Error::Input) with line and column.
+/// [`Error::Input`](crate::Error::Input) with line and column if the text is not valid RON, has an unknown name, or
+/// lacks a field.
 pub fn read_ron<T: de::DeserializeOwned>(text: &str, path: &Path) -> crate::Result<T> {
     ron_options().from_str(text).map_err(|e| crate::Error::at(path, e.span.end.line, e.span.end.col, explain(&e)))
 }
@@ -164,7 +166,7 @@ pub trait Check {
     /// Checks the values.
     ///
     /// # Errors
-    /// The message states problem and next step.
+    /// A value is invalid; the message states the problem and the next step.
     fn check(&self) -> Result<(), String>;
 }
 
@@ -193,7 +195,7 @@ impl<S: Check> Checked<S> {
     /// Checks settings and wraps them.
     ///
     /// # Errors
-    /// The message of the check.
+    /// As [`Check::check`].
     pub fn new(settings: S) -> Result<Self, String> {
         settings.check().map(|()| Self(settings))
     }

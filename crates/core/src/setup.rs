@@ -40,7 +40,7 @@ impl MeasurementSetup {
     }
 
     /// Returns the number of values per observation.
-    pub fn numbers(&self) -> usize {
+    pub fn value_count(&self) -> usize {
         self.plane.width * self.plane.height
     }
 

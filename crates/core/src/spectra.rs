@@ -175,7 +175,7 @@ impl Spectra {
     /// Reads all spectra into memory; later changes of the file have no effect.
     ///
     /// # Errors
-    /// [`Error::Read`].
+    /// [`Error::Read`] if the file cannot be read.
     pub fn into_memory(self) -> Result<Self> {
         let store = match self.store {
             Store::File(stored) => Store::Memory(stored.read_all()?),
@@ -263,7 +263,7 @@ impl Spectra {
     /// Checks that all reads so far succeeded. Callers must check before they use results.
     ///
     /// # Errors
-    /// [`Error::Read`] of the file.
+    /// [`Error::Read`] if the file cannot be read.
     pub fn check(&self) -> Result<()> {
         match &self.store {
             Store::Memory(_) => Ok(()),

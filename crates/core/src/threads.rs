@@ -12,7 +12,7 @@ const VARIABLES: [&str; 2] = ["RAYON_NUM_THREADS", "RAYON_RS_NUM_CPUS"];
 /// minutes.
 ///
 /// # Errors
-/// [`Error::Config`] with the name of the variable.
+/// [`Error::Config`] if a variable is no number, or beyond [`COUNTS`]; the message names it.
 pub fn check_environment() -> Result<()> {
     VARIABLES.into_iter().try_for_each(|name| {
         let value = std::env::var_os(name).unwrap_or_default();

@@ -131,7 +131,8 @@ impl<P: ReceiverPredictor> ByReceiver<P> {
     /// `fit`.
     fn fit(data: &Dataset, fitting: FittingSet<'_>, fit: impl Fn(FittingSet<'_>) -> Result<P>) -> Result<Self> {
         let receivers = &data.scene.receivers;
-        let by_receiver = [fitting.train, fitting.validation].map(|links| data.by_receiver(links.iter().copied()));
+        let by_receiver =
+            [fitting.train, fitting.validation].map(|links| data.group_by_receiver(links.iter().copied()));
         let fit_receiver = |r: usize| {
             let links = FittingSet { train: &by_receiver[0][r], validation: &by_receiver[1][r] };
             // If there is nothing to fit, `fit` returns the error.

@@ -18,7 +18,7 @@ const LONGEST_NAME: usize = 100;
 /// Returns an error for a data set that [`save`](crate::save()) cannot write or that could not be read back.
 ///
 /// # Errors
-/// [`Error::Config`] with the problem and the next step.
+/// [`Error::Config`] for such a data set, with the problem and the next step.
 pub fn check_dataset(data: &Dataset) -> Result<()> {
     dataset_fault(data).map_or(Ok(()), |fault| Err(Error::Config(format!("data set `{}`: {fault}", data.title))))
 }

@@ -165,7 +165,8 @@ fn is_data_line(line: &str) -> bool {
     !line.trim().is_empty() && !line.trim_start().starts_with('#')
 }
 
-/// Parses a whole number: an id, a width or a height. `advice` is the next step otherwise.
+/// Parses a whole number: an id, a width or a height. `advice` is the next step otherwise. Returns an error for another
+/// text, or a number beyond 32 bits.
 fn parse_whole_number(row: &TextRow<'_>, field: TextField<'_>, advice: &str) -> Result<u32> {
     let fault = || row.fault(field.column, format!("{} is not a whole number; {advice}", quoted(field.text)));
     field.text.parse().ok().ok_or_else(fault)
@@ -240,7 +241,8 @@ fn read_views(path: &Path) -> Result<Vec<View>> {
 }
 
 /// Parses the first line of an image: its name, camera and pose. The camera frame of COLMAP is v = R·x + t, so that the
-/// camera is at -Rᵀ·t.
+/// camera is at -Rᵀ·t. Returns an error for another number of fields, an invalid number or rotation, or a name that
+/// leaves the folder of images.
 fn parse_view(row: &TextRow<'_>) -> Result<View> {
     let count = row.fields.len();
     let [_, w, x, y, z, t @ .., camera, name] = &row.fields[..] else {

@@ -57,7 +57,8 @@ pub(crate) fn find_point_cloud(root: &Path) -> Option<PathBuf> {
     [POINTS, "points.ply"].map(|name| root.join(name)).into_iter().find(|path| path.exists())
 }
 
-/// Reads the point cloud of the setting `points`, a path relative to `base`: `[P,3]` in metres, empty without the setting.
+/// Reads the point cloud of the setting `points`, a path relative to `base`: `[P,3]` in metres, empty without the
+/// setting. Returns the errors of [`read_points`].
 pub(crate) fn read_point_cloud(base: &Path, points: Option<&Path>) -> Result<Vec<[f64; 3]>> {
     points.map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))
 }
@@ -174,7 +175,8 @@ pub(crate) fn read_row_carriers(root: &Path, table: &str, rows: usize) -> Result
 /// Reads one carrier per line, Hz: numbers are in GHz, and from 1e6 in Hz.
 ///
 /// # Errors
-/// A line without one valid carrier, with line and column.
+/// The file cannot be read, or a line has another number of fields than one or an invalid carrier; the message has line
+/// and column.
 pub fn read_carriers(path: &Path) -> Result<Vec<f64>> {
     let advice = "write the carrier of one sample per line, in GHz, such as 2.4";
     let text = read_text(path, MAX_TEXT, advice)?;

@@ -68,8 +68,9 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     polygons.triangulate(path, vertices)
 }
 
-/// Parses the vertex index of a corner such as `3`, `-1`, `3/1` or `3//2`, and returns it counted from 0. A negative index
-/// counts back from the last of the `so_far` vertices.
+/// Parses the vertex index of a corner such as `3`, `-1`, `3/1` or `3//2`, and returns it counted from 0. A negative
+/// index counts back from the last of the `so_far` vertices. Returns an error for 0 and for other text; the range is
+/// not checked.
 fn parse_corner_index(row: &TextRow<'_>, field: TextField<'_>, so_far: usize) -> Result<i64> {
     let mut parts = field.text.split('/');
     let index = parts.next().and_then(|text| text.parse::<i64>().ok()).filter(|&index| index != 0);
@@ -108,7 +109,8 @@ pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     Ok(points)
 }
 
-/// Parses one point per line: x, y and z between blanks.
+/// Parses one point per line: x, y and z between blanks. Returns an error for a row of fewer than three fields, or an
+/// invalid coordinate.
 fn parse_xyz_points(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
     let is_comment = |row: &str| row.starts_with('#') || row.starts_with("//");
     numbered_lines(text)
@@ -117,7 +119,8 @@ fn parse_xyz_points(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
         .collect()
 }
 
-/// Parses points between commas, below an optional header that names x, y and z.
+/// Parses points between commas, below an optional header that names x, y and z. Returns an error for an invalid
+/// header, a row that is too short or too long, or an invalid coordinate.
 fn parse_csv_points(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
     let mut rows = numbered_lines(text).peekable();
     let (mut columns, mut header) = (XyzColumns([0, 1, 2]), usize::MAX);

@@ -150,7 +150,7 @@ pub(crate) fn check_image_size(path: &Path, elevation: Elevation, stated: bool, 
 /// Reads transmitter positions `[rows,3]` from a table with the columns x, y and z, metres, such as `tx_pos.csv`.
 ///
 /// # Errors
-/// An invalid table, with line and column.
+/// The file cannot be read, or has no row or an invalid one; the message has line and column.
 pub fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
     let advice = "give every row x, y and z in metres";
     let text = read_text(path, files::MAX_TEXT, "write a table with the columns x, y and z, in metres")?;
@@ -199,7 +199,7 @@ impl LocationTable {
 /// receiver axes to world axes, in any order among other columns.
 ///
 /// # Errors
-/// An invalid table, with line and column.
+/// The file cannot be read, or has no row or an invalid one; the message has line and column.
 pub fn read_poses(path: &Path) -> Result<Vec<Pose>> {
     let advice = "give every row x, y and z in metres, and the unit quaternion qx, qy, qz and qw";
     let text = read_text(path, files::MAX_TEXT, "write a table with the columns x, y, z, qx, qy, qz and qw")?;

@@ -87,7 +87,8 @@ pub(crate) fn open_spectra(path: &Path) -> Result<Spectra> {
     Spectra::open(path, header.offset, number, shape)
 }
 
-/// Opens an array and returns its header, the file behind the header, and the number of bytes left in it.
+/// Opens an array and returns its header, the file behind the header, and the number of bytes left in it. Returns an
+/// error for a missing file, or one that is no array.
 fn open_array(path: &Path) -> Result<(Header, File, u64)> {
     let refuse = |e| Error::read(path, e);
     let mut file = files::open(path).map_err(refuse)?;
@@ -96,7 +97,8 @@ fn open_array(path: &Path) -> Result<(Header, File, u64)> {
     Ok((header, file, length))
 }
 
-/// Reads transmitter positions, `[M,3]` in metres, from a file.
+/// Reads transmitter positions, `[M,3]` in metres, from a file. Returns an error for a missing or damaged file, another
+/// type or shape, or an invalid position.
 pub(crate) fn read_positions(path: &Path) -> Result<Vec<[f64; 3]>> {
     let (header, mut file, length) = open_array(path)?;
     parse_positions(&header, path, &mut file, length)

@@ -151,13 +151,14 @@ pub(crate) fn decode_grey_png(path: &Path, depth: Depth) -> Result<Picture> {
 /// Reads a PNG or JPEG image. Colours become luminance, 16 bits become 8, and transparency is ignored.
 ///
 /// # Errors
-/// Another format, more than 2^24 pixels, or a file that is cut short or damaged.
+/// The file is missing, has another format or more than 2^24 pixels, or is cut short or damaged.
 pub fn read_image(path: &Path) -> Result<Image> {
     let Picture { width, height, bytes, .. } = decode_luminance(path, "check the path")?;
     Ok(Image::from_bytes(width, height, &bytes))
 }
 
-/// Decodes a PNG or JPEG image like [`read_image`]; `advice` is the next step if it does not exist.
+/// Decodes a PNG or JPEG image like [`read_image`]; `advice` is the next step if it does not exist. Returns the errors
+/// of [`read_image`].
 pub(crate) fn decode_luminance(path: &Path, advice: &str) -> Result<Picture> {
     let file = read_bytes(path, MAX_BYTES, advice)?;
     let is_cut = file.starts_with(JPEG) && !has_end_marker(&file);

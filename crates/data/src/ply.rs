@@ -49,7 +49,8 @@ struct BodyParser<'a> {
 }
 
 impl BodyParser<'_> {
-    /// Parses the body after the header: vertices, and faces if they are read.
+    /// Parses the body after the header: vertices, and faces if they are read. Returns an error for a body that is cut
+    /// short or has surplus content, or for an invalid vertex or face.
     fn parse_body(&self, body: &[u8]) -> Result<Contents> {
         match self.header.encoding {
             PlyEncoding::Ascii => self.parse_ascii(body),
@@ -69,7 +70,7 @@ impl BodyParser<'_> {
         Error::input(self.path, format!("{problem}; the file is cut short: copy it again"))
     }
 
-    /// Parses a body of text: one line per row.
+    /// Parses a body of text: one line per row. Returns the errors of [`Self::parse_body`].
     fn parse_ascii(&self, body: &[u8]) -> Result<Contents> {
         let Self { path, header, corners } = self;
         let text = String::from_utf8_lossy(body);
@@ -99,7 +100,7 @@ impl BodyParser<'_> {
         }
     }
 
-    /// Parses a binary body.
+    /// Parses a binary body. Returns the errors of [`Self::parse_body`].
     fn parse_binary(&self, body: &[u8]) -> Result<Contents> {
         let mut body = BinaryBody { unread: body, is_big: self.header.encoding == PlyEncoding::Big };
         let mut contents = Contents::default();
@@ -125,6 +126,7 @@ impl BodyParser<'_> {
     }
 
     /// Parses row `i` of element `e` and returns its coordinates, zero if it is no vertex; adds a face to `out`.
+    /// Returns an error if the body ends before the row does, or for an invalid face.
     fn parse_row(&self, body: &mut BinaryBody<'_>, (e, i): (usize, usize), out: &mut Contents) -> Result<[f64; 3]> {
         let Self { path, header, corners } = self;
         let element = &header.elements[e];
@@ -198,7 +200,8 @@ fn property_starts(row: &TextRow<'_>, element: &PlyElement) -> Result<Vec<usize>
     Ok(starts)
 }
 
-/// Parses a whole number in a list of corners.
+/// Parses a whole number in a list of corners. Returns an error for other text, a fraction, or a number that is not
+/// finite.
 fn parse_index(row: &TextRow<'_>, field: TextField<'_>) -> Result<i64> {
     let value = row.number(field, INDEX_ADVICE)?;
     let fault = || row.fault(field.column, format!("{} is not whole; {INDEX_ADVICE}", quoted(field.text)));

@@ -57,13 +57,14 @@ impl<F> TextRow<'_, F> {
         Err(self.fault(field.column, problem))
     }
 
-    /// Parses a position in three fields, metres; `advice` is the next step otherwise.
+    /// Parses a position in three fields as [`Self::coordinate`] does, metres; `advice` is the next step otherwise.
     pub(crate) fn position(&self, fields: [TextField<'_>; 3], advice: &str) -> Result<[f64; 3]> {
         let [x, y, z] = fields.map(|field| self.coordinate(field, advice));
         Ok([x?, y?, z?])
     }
 
-    /// Parses a power, dBm; -100 if no signal was received.
+    /// Parses a power, dBm: finite and from -300 to 300. The field holds -100 if no signal was received; another number
+    /// that rounds to -100 in single precision is rejected.
     pub(crate) fn power(&self, field: TextField<'_>) -> Result<f64> {
         let dbm = self.number(field, DBM_ADVICE)?;
         let stored = dbm as Real as f64; // rounding may give the marker of a missing link
@@ -111,7 +112,8 @@ impl<'a> TextRow<'a> {
         })
     }
 
-    /// Reads the power in the column of a receiver, dBm; -100 if no signal was received.
+    /// Reads the power in the column of a receiver, dBm; -100 if no signal was received. Returns an error if the row is
+    /// too short, or as [`Self::power`].
     pub(crate) fn read_power(&self, column: (usize, &str)) -> Result<f64> {
         self.power(self.cell(column, DBM_ADVICE)?)
     }
@@ -138,7 +140,8 @@ impl<'a> TextRow<'a> {
     }
 }
 
-/// Reads a file of at most `limit` bytes; `advice` is the next step if it does not exist.
+/// Reads a file of at most `limit` bytes; `advice` is the next step if it does not exist. Returns an error for a
+/// missing, irregular or larger file.
 pub(crate) fn read_bytes(path: &Path, limit: u64, advice: &str) -> Result<Vec<u8>> {
     files::read_at_most(path, limit).map_err(|source| unreadable_error(path, source, "file", advice))
 }
@@ -153,7 +156,8 @@ pub(crate) fn unreadable_error(path: &Path, source: std::io::Error, kind: &str, 
     }
 }
 
-/// Reads a text file of at most `limit` bytes, without a byte order mark; `advice` is the next step if it does not exist.
+/// Reads a text file of at most `limit` bytes, without a byte order mark; `advice` is the next step if it does not
+/// exist. Returns an error for a missing, irregular or larger file, or one that is not UTF-8.
 pub(crate) fn read_text(path: &Path, limit: u64, advice: &str) -> Result<String> {
     files::read_text_at_most(path, limit).map_err(|e| match e {
         Error::Read { source, .. } => unreadable_error(path, source, "file", advice),
@@ -162,7 +166,8 @@ pub(crate) fn read_text(path: &Path, limit: u64, advice: &str) -> Result<String>
 }
 
 /// Reads a YAML file; `advice` is the next step if it does not exist, `expected` describes its content. The parser
-/// limits depth, number of values and repetitions by aliases.
+/// limits depth, number of values and repetitions by aliases. Returns an error for a missing or larger file, or invalid
+/// content, with line and column.
 pub(crate) fn read_yaml<T: DeserializeOwned>(path: &Path, advice: &str, expected: &str) -> Result<T> {
     let text = read_text(path, MAX_YAML, advice)?;
     let options = serde_saphyr::options! { with_snippet: false };
@@ -249,13 +254,15 @@ pub(crate) fn table_rows<'a, const N: usize>(
 pub(crate) struct XyzColumns(pub(crate) [usize; 3]);
 
 impl XyzColumns {
-    /// Finds the columns in a header, in any order and either case, among other columns.
+    /// Finds the columns in a header, in any order and either case, among other columns. Returns an error for a missing
+    /// or repeated column.
     pub(crate) fn from_header(header: &TextRow<'_>) -> Result<Self> {
         let find = |name| header.find_column(name, "x, y and z");
         Ok(Self([find("x")?, find("y")?, find("z")?]))
     }
 
-    /// Reads the three coordinates of a row, metres.
+    /// Reads the three coordinates of a row, metres. Returns an error if the row is too short or a coordinate is
+    /// invalid.
     pub(crate) fn read(self, row: &TextRow<'_>, advice: &str) -> Result<[f64; 3]> {
         let mut point = [0.0; 3];
         for ((value, column), name) in point.iter_mut().zip(self.0).zip(["x", "y", "z"]) {

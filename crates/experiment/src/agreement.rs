@@ -35,7 +35,7 @@ impl Agreement {
     pub fn measure(model: &Ensemble, data: &Dataset, observer: &mut dyn Observer) -> Result<Self> {
         let (ready, task) = (model.prepare(), data.task());
         let calibration = model.calibration().map(|calibration| {
-            let blocks = calibration.blocks() as f64;
+            let blocks = calibration.block_count() as f64;
             let level = LEVEL.min(blocks / (blocks + 1.0));
             calibration.factors(level).map(|factors| (level, factors))
         });

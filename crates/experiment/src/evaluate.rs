@@ -7,14 +7,14 @@ use crate::evaluation_set::EvaluationSet;
 use crate::intervals::Calibrator;
 use crate::load::SplitData;
 use crate::record::Confidence;
-use crate::repeatability::noise_ceiling;
+use crate::repeatability::estimate_noise_ceiling;
 use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::{Session, staged};
 use crate::text::number;
 use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::{
     Baseline, Dataset, FittingSet, ImagePlane, Measurement, Metric, Misfit, ModelFacts, Parts, Plugin, Result, Scope,
-    check_stopped, compatible, evenly,
+    check_compatible, check_stopped, evenly,
 };
 use pwrfgs_model::{Ensemble, Prepared, ProcessFit, ResidualProcess, Residuals, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
@@ -133,7 +133,7 @@ impl OpenEvaluation<'_> {
     /// Summarises all scores, with noise ceiling, paired differences and notes.
     fn conclude(self, session: &Session<'_>) -> Result<Scores> {
         let (SplitData { data, partition }, predictors, mut table) = (self.split, self.predictors, self.table);
-        let ceiling = noise_ceiling(data, partition, &self.pipeline.metrics, session.stop)?;
+        let ceiling = estimate_noise_ceiling(data, partition, &self.pipeline.metrics, session.stop)?;
         let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
         table.samples = [partition.train.len(), partition.known().all().len(), ids.len()];
         table.notes.extend(ceiling.notes);
@@ -195,9 +195,10 @@ pub(crate) fn validation_baselines(
 /// Checks that a model predicts observations such as those of the data: task, size, directions, receivers and frequencies.
 ///
 /// # Errors
-/// The first difference.
+/// [`Error::Config`](pwrfgs_core::Error::Config) if they differ; the message gives the first difference.
 pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
-    compatible(&Parts { data: Some(data), trained: Some(model.setup()), ..Parts::default() }).map_err(Misfit::error)
+    check_compatible(&Parts { data: Some(data), trained: Some(model.setup()), ..Parts::default() })
+        .map_err(Misfit::error)
 }
 
 impl Confidence {

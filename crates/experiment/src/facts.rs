@@ -176,7 +176,7 @@ impl Facts {
     /// Verifies the files of a finished run.
     ///
     /// # Errors
-    /// The first damaged or missing file.
+    /// A file is damaged or missing; the message names the first.
     pub fn verify(&self, folder: &Path) -> Result<()> {
         self.files.keys().try_for_each(|name| self.verify_file(folder, name))
     }

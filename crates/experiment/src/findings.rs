@@ -1,4 +1,4 @@
-//! [`findings`]: what is implausible about readable data, such as a wrong pose, unit or frame, with what mends it.
+//! [`collect_findings`]: what is implausible about readable data, such as a wrong pose, unit or frame, with what mends it.
 
 pub(crate) mod cloud;
 mod finding;
@@ -30,7 +30,7 @@ const SAMPLED: usize = 1_000;
 ///
 /// # Errors
 /// If a spectrum cannot be read.
-pub fn findings(data: &Dataset, partition: Option<&Partition>) -> Result<Vec<Finding>> {
+pub fn collect_findings(data: &Dataset, partition: Option<&Partition>) -> Result<Vec<Finding>> {
     let mut findings = Vec::new();
     if data.placed {
         findings.extend(check_positions(data));
@@ -99,7 +99,7 @@ fn check_powers(powers: &[Real]) -> Option<Finding> {
     Some(Finding::new("power-unit", count, problem, "if these are milliwatts, give 10 * log10(mW)"))
 }
 
-/// Finds training and test sets that were probably swapped: more test samples than others.
+/// Finds training and test sets that were probably swapped: more test samples than others; `None` if there are not.
 fn check_split(data: &Dataset, partition: &Partition) -> Option<Finding> {
     let (training, test) = (partition.train.len() + partition.validation.len(), partition.test.len());
     let mend = if data.official.as_ref().is_some_and(|(_, official)| *official == partition.test) {
@@ -111,7 +111,7 @@ fn check_split(data: &Dataset, partition: &Partition) -> Option<Finding> {
     (test > training).then(|| Finding::new("split", test, problem, mend))
 }
 
-/// Finds observations that are all equal.
+/// Finds observations that are all equal; `None` if two differ, or there is only one.
 fn check_equal_observations(data: &Dataset) -> Option<Finding> {
     let (count, first) = (data.len(), data.observations.raw(0));
     let are_equal = count > 1 && (1..count).all(|i| data.observations.raw(i) == first);
@@ -119,7 +119,7 @@ fn check_equal_observations(data: &Dataset) -> Option<Finding> {
     are_equal.then(|| Finding::new("equal-observations", count, problem, "check the files they came from"))
 }
 
-/// Finds constant spectra, such as black ones, unless all are equal.
+/// Finds constant spectra, such as black ones; `None` if all are constant, or at most the share [`CONSTANT`].
 fn check_constant_spectra(summaries: &[spectra::SpectrumSummary]) -> Option<Finding> {
     let (count, total) = (summaries.iter().filter(|spectrum| spectrum.strongest.is_none()).count(), summaries.len());
     let problem = format!("{count} of {total} spectra have no strongest direction");

@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 /// Paths in the file are relative to the file; paths in a shipped pipeline to the current directory.
 ///
 /// # Errors
-/// [`Error::Input`](pwrfgs_core::Error::Input) with line and column, or an invalid argument.
+/// The file cannot be read; [`Error::Input`](pwrfgs_core::Error::Input) with line and column if it is invalid; an
+/// argument is invalid.
 pub fn read_pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
     parse_pipeline(&pipeline_text(path)?, path, set)
 }
@@ -41,7 +42,8 @@ pub(crate) fn read_base(folder: &Path, path: &Path) -> Result<PipelineEdit> {
     parse_base(&pipeline_text(&path)?, &path)
 }
 
-/// Parses a pipeline without applying its scale; its paths become absolute.
+/// Parses a pipeline without applying its scale; its paths become absolute. Returns an error for text that is not a
+/// valid pipeline.
 fn parse_base(text: &str, path: &Path) -> Result<PipelineEdit> {
     let mut draft = PipelineEdit::of(&Pipeline::parse(text, path)?)?;
     apply_changes(&mut draft, &[], path.parent().unwrap_or(Path::new(""))).map_err(EditFault::in_arguments)?;

@@ -8,7 +8,7 @@ use crate::facts::{free_memory, load_average, peak_memory};
 use crate::findings::{cloud, pose, spectra};
 use crate::input::resolve_pipeline;
 use crate::load::{SplitData, load, observed};
-use crate::repeatability::{is_in_time_order, noise_ceiling};
+use crate::repeatability::{estimate_noise_ceiling, is_in_time_order};
 use crate::residuals::check_residuals;
 use crate::samples::nearest_training_distances;
 use crate::scores::CEILING;
@@ -88,7 +88,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         loaded_bytes = peak_memory(); // before a step is tried, which is counted by itself
         Ok(trainer)
     })?;
-    let weights = trainer.weights();
+    let weights = trainer.weight_count();
     Ok(Preview {
         title: data.title.clone(),
         observed: observed(data),
@@ -283,7 +283,7 @@ fn splits_table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer
                 _ => "n/a".into(),
             });
         }
-        let ceiling = noise_ceiling(data, &partition, &metrics, &AtomicBool::new(false))?;
+        let ceiling = estimate_noise_ceiling(data, &partition, &metrics, &AtomicBool::new(false))?;
         line.push(ceiling.metrics.first().map_or_else(|| "n/a".into(), |(_, at_zero)| number(at_zero.summary.mean)));
         lines.push(line);
     }

@@ -145,7 +145,7 @@ impl<'a> Calibrator<'a> {
             MeasuredInterval { ends, .. } => ends.to_vec(),
         };
         let rows = intervals.iter().filter_map(|levels| Some(columns(&levels[shown?]))).collect();
-        let blocks = [calibration.blocks(), blocks.len()];
+        let blocks = [calibration.block_count(), blocks.len()];
         Ok((IntervalScores { predictor: name.to_owned(), blocks, levels }, rows))
     }
 

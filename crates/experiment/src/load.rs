@@ -1,6 +1,6 @@
-//! Loads and splits the data of a pipeline, describes their size, and warns of [findings](crate::findings()).
+//! Loads and splits the data of a pipeline, describes their size, and warns of [findings](crate::collect_findings).
 
-use crate::findings::{Finding, findings};
+use crate::findings::{Finding, collect_findings};
 use crate::session::{Observer, Session, staged};
 use crate::text::grouped;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
@@ -56,16 +56,16 @@ pub fn load_with_findings(
     Ok((SplitData { data, partition }, findings))
 }
 
-/// Checks the data as [`findings`](crate::findings()) does, and warns of each finding.
+/// Checks the data as [`collect_findings`] does, and warns of each finding.
 ///
 /// # Errors
-/// As [`findings`](crate::findings()).
+/// As [`collect_findings`].
 pub fn warn_of_findings(
     data: &Dataset,
     partition: Option<&Partition>,
     observer: &mut dyn Observer,
 ) -> Result<Vec<Finding>> {
-    let findings = findings(data, partition)?;
+    let findings = collect_findings(data, partition)?;
     findings.iter().for_each(|finding| observer.on_warning(&finding.to_string()));
     Ok(findings)
 }

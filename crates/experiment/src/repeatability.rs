@@ -8,9 +8,9 @@
 //! The result is the agreement of two measurements. The mean of all measurements at a position is slightly closer to
 //! each than they are to each other, so a perfect predictor of the mean would score slightly higher.
 //!
-//! [`noise_ceiling`] is the noise ceiling of a test set, a row in the table of baselines. If most test samples were measured
-//! shortly before or after a training sample, it uses pairs near in time, which share short-term conditions; otherwise
-//! it uses pairs far apart in time.
+//! [`estimate_noise_ceiling`] estimates the noise ceiling of a test set, a row in the table of baselines. If most test
+//! samples were measured shortly before or after a training sample, it uses pairs near in time, which share short-term
+//! conditions; otherwise it uses pairs far apart in time.
 
 mod extrapolate;
 mod pairs;
@@ -101,7 +101,11 @@ pub struct DistanceBin {
 ///
 /// # Errors
 /// A metric returns an error or a spectrum cannot be read; [`pwrfgs_core::Error::Stopped`] once `stop` is set.
-pub fn repeatability(data: &Dataset, metrics: &[Plugin<dyn Metric>], stop: &AtomicBool) -> Result<Repeatability> {
+pub fn measure_repeatability(
+    data: &Dataset,
+    metrics: &[Plugin<dyn Metric>],
+    stop: &AtomicBool,
+) -> Result<Repeatability> {
     let comparison = PairComparison::new(data, metrics, stop);
     Ok(Repeatability { near: comparison.measure(PairLag::Near, true)?, far: comparison.measure(PairLag::Far, true)? })
 }
@@ -264,8 +268,8 @@ pub struct NoiseCeiling {
 /// pairs, it has no metrics, and a note gives the reason.
 ///
 /// # Errors
-/// Same as [`crate::repeatability()`].
-pub fn noise_ceiling(
+/// Same as [`crate::measure_repeatability`].
+pub fn estimate_noise_ceiling(
     data: &Dataset,
     partition: &Partition,
     metrics: &[Plugin<dyn Metric>],

@@ -337,7 +337,7 @@ impl Scores {
     /// define the `ids`.
     ///
     /// # Errors
-    /// The difference between the rows and the table or earlier rows.
+    /// The rows do not fit the table or earlier rows; the message gives the difference.
     fn add_rows(&mut self, rows: &[ScoreRow]) -> Result<(), String> {
         let ScoreRow { predictor, metric, sample, value } = &rows[0];
         let (predictor, key) = (text_of(predictor), text_of(metric));
@@ -388,17 +388,17 @@ struct ScoreRow {
     value: Option<f64>,
 }
 
-/// Reads an integer; `None` if the field is empty.
+/// Reads an integer; `None` if the field is empty. Returns an error for other text.
 fn read_unless_empty<'de, D: Deserializer<'de>>(field: D) -> Result<Option<u32>, D::Error> {
     parse_unless("", &String::deserialize(field)?)
 }
 
-/// Reads a number; `None` for `n/a`.
+/// Reads a number; `None` for `n/a`. Returns an error for other text.
 fn read_unless_not_applicable<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f64>, D::Error> {
     parse_unless("n/a", &String::deserialize(field)?)
 }
 
-/// Parses a number; `None` if `text` equals `none`.
+/// Parses a number; `None` if `text` equals `none`. Returns an error for other text that is not a number.
 fn parse_unless<T: FromStr, E: serde::de::Error>(none: &str, text: &str) -> Result<Option<T>, E> {
     (text != none).then(|| text.parse().ok().ok_or_else(|| E::custom(format!("`{text}` is not a number")))).transpose()
 }

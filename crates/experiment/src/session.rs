@@ -129,10 +129,10 @@ impl<'a> Session<'a> {
         Self { observer, stop: &NEVER, page: None }
     }
 
-    /// Returns [`Error::Stopped`](pwrfgs_core::Error::Stopped) once `stop` is set.
+    /// Checks whether the session is stopped.
     ///
     /// # Errors
-    /// As above.
+    /// [`Error::Stopped`](pwrfgs_core::Error::Stopped) once `stop` is set.
     pub fn check_stopped(&self) -> Result<()> {
         check_stopped(self.stop)
     }

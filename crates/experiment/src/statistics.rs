@@ -110,7 +110,8 @@ impl Difference {
         Self::with_replicates(cells, REPLICATES)
     }
 
-    /// Computes the difference as [`Self::of`] does, with a number of bootstrap replicates.
+    /// Computes the difference as [`Self::of`] does, with a number of bootstrap replicates. `None` without any
+    /// difference.
     fn with_replicates(cells: &[Vec<BlockSum>], replicates: usize) -> Option<Self> {
         let cells: Vec<&[BlockSum]> =
             cells.iter().map(Vec::as_slice).filter(|c| c.iter().any(|c| c.count > 0)).collect();

@@ -202,7 +202,7 @@ pub(crate) fn activated_gaussians(
     tx: Option<[Real; 3]>,
     strengths: impl Fn(&[Real]) -> Vec<Real>,
 ) -> Activated {
-    let network = &p.weights[..deformation.layout().numbers()];
+    let network = &p.weights[..deformation.layout().weight_count()];
     let carriers = setup.carriers();
     let deform = |tx: [Real; 3]| {
         let tx = [tx];

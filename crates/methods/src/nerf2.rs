@@ -178,7 +178,7 @@ impl RayBundle {
                 in_room(plane.direction(column as Real, row as Real).unwrap_or([0.0, 0.0, 1.0]))
             };
             match pixels {
-                PixelSubset::All => (0..setup.numbers()).map(ray).collect(),
+                PixelSubset::All => (0..setup.value_count()).map(ray).collect(),
                 PixelSubset::Same(pixels) | PixelSubset::Each(pixels) => pixels.iter().map(|&p| ray(p)).collect(),
             }
         } else {

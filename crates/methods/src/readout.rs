@@ -57,10 +57,10 @@ impl Readout {
         }
     }
 
-    /// Rejects a sky without a whole number of pixels.
+    /// Rejects a sky without a whole number of pixels, or a filter out of range.
     ///
     /// # Errors
-    /// The message states the valid values.
+    /// `sky_deg` or `filter_deg2` is out of range; the message states the valid values.
     pub fn check(self) -> Result<(), String> {
         match self {
             Self::ReceivedPower { sky_deg, .. } if sky_deg == 0 || !180u32.is_multiple_of(sky_deg) || sky_deg > 60 => {
@@ -74,7 +74,7 @@ impl Readout {
     }
 
     /// Returns the number of channels per transmitter.
-    pub fn channels(self) -> usize {
+    pub fn channel_count(self) -> usize {
         if self == Self::Real { 1 } else { 2 }
     }
 

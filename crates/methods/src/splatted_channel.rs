@@ -92,7 +92,7 @@ impl SplattedChannel {
         let network_cache = ready.map_or(&None, |ready| &ready.deformation);
         let (deltas, kept) = groups::network_terms(&*self.deformation, &inputs, network_cache, is_training);
         let network = start.elapsed().as_secs_f64();
-        let mut numbers = vec![0.0; links.pairs.len() * setup.numbers()];
+        let mut numbers = vec![0.0; links.pairs.len() * setup.value_count()];
         let mut received = Vec::new();
         for group in ReceiverGroup::from_links(links, true) {
             let fresh = || Arc::new(Waves::new(setup, group.state, &p));
@@ -102,7 +102,7 @@ impl SplattedChannel {
             let (mut channels, level) =
                 (waves.superpose(&signals, group.links.len()), receiver_level(offsets, group.state.receiver));
             channels.iter_mut().for_each(|v| *v *= level);
-            group.scatter_rows(&channels, setup.numbers(), &mut numbers);
+            group.scatter_rows(&channels, setup.value_count(), &mut numbers);
             received.extend(is_training.then_some((group, waves, signals)));
         }
         let blending = start.elapsed().as_secs_f64() - network;
@@ -161,8 +161,8 @@ impl Method for SplattedChannel {
 
     fn cost(&self, setup: &MeasurementSetup, _: usize, _: usize) -> Cost {
         let deformation = self.deformation.traits();
-        let per_gaussian = deformation.kept_per_gaussian + PER_WAVE * setup.numbers() / 2;
-        Cost { per_gaussian, per_term: deformation.kept_per_term, pixels: setup.numbers(), ..Cost::default() }
+        let per_gaussian = deformation.kept_per_gaussian + PER_WAVE * setup.value_count() / 2;
+        Cost { per_gaussian, per_term: deformation.kept_per_term, pixels: setup.value_count(), ..Cost::default() }
     }
 
     fn layout(&self, setup: &MeasurementSetup) -> Layout {
@@ -188,7 +188,7 @@ impl Method for SplattedChannel {
         for (group, waves, signals) in received {
             let links = group.links.len();
             let level = receiver_level(offsets, group.state.receiver);
-            let d: Vec<Real> = group.gather_rows(d, setup.numbers()).iter().map(|d| level * d).collect();
+            let d: Vec<Real> = group.gather_rows(d, setup.value_count()).iter().map(|d| level * d).collect();
             let along: Real = waves.superpose(signals, links).iter().zip(&d).map(|(v, d)| v * d).sum();
             sums.weights[network.len() + group.state.receiver] += consts::LN_10 * along;
             let (d_signals, d_waves) = waves.superpose_vjp(signals, links, &d);

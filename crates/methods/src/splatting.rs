@@ -105,7 +105,7 @@ impl Splatting {
         Activation {
             calibration: self.calibration,
             replaces_signals: self.deformation.traits().replaces_signals,
-            channels: self.readout.channels(),
+            channels: self.readout.channel_count(),
         }
     }
 
@@ -149,7 +149,7 @@ impl Splatting {
         let fresh = || Arc::new(self.geometry(view, p, deltas, batch.start));
         let geometry = shared_geometry.cloned().unwrap_or_else(fresh);
         let signals = self.activation().signals(p.cloud, deltas, batch.clone());
-        let (channels, Geometry { splats, cache, .. }) = (self.readout.channels() * batch.len(), &*geometry);
+        let (channels, Geometry { splats, cache, .. }) = (self.readout.channel_count() * batch.len(), &*geometry);
         let render = self.rasterizer.forward_prepared(splats.with_signals(&signals, channels, &view.plane), cache);
         BlendedSignals { batch, geometry, signals, render }
     }

@@ -24,7 +24,7 @@ use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{
     Activated, Cache, Call, Deltas, Error, ForwardOutput, GaussianCloud, ImagePlane, Initializer, InitializerInput,
     JsonSchema, Layout, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp, Misfit, Parameters, Parts, Pose,
-    Real, Receiver, Requirement, Result, Scene, Task, compatible, gains_of, rows_of,
+    Real, Receiver, Requirement, Result, Scene, Task, check_compatible, gains_of, rows_of,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::Ordering;
@@ -111,13 +111,13 @@ impl Method for VirtualTransmitters {
 
     fn forward(&self, call: &Call<'_>, _: &Cache) -> ForwardOutput {
         let Call { setup, parameters: p, links, .. } = *call;
-        let mut numbers = vec![0.0; links.pairs.len() * setup.numbers()];
+        let mut numbers = vec![0.0; links.pairs.len() * setup.value_count()];
         for (group, positions) in carrier_groups(links) {
             let antennas = antenna_positions(&setup.receivers[0], group.state.pose);
             let frequencies = setup.frequencies_of(group.state.receiver);
             let part = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &frequencies };
             let channels = rows_of(&field(p.cloud, p.gate, &part), frequencies.len());
-            group.scatter_rows(&channels, setup.numbers(), &mut numbers);
+            group.scatter_rows(&channels, setup.value_count(), &mut numbers);
         }
         ForwardOutput { numbers, cache: None as Cache }
     }
@@ -127,7 +127,7 @@ impl Method for VirtualTransmitters {
         for (group, positions) in carrier_groups(links) {
             let antennas = antenna_positions(&setup.receivers[0], group.state.pose);
             let frequencies = setup.frequencies_of(group.state.receiver);
-            let d_gains = gains_of(&group.gather_rows(d, setup.numbers()), frequencies.len());
+            let d_gains = gains_of(&group.gather_rows(d, setup.value_count()), frequencies.len());
             // The field depends on distances and directions only: its derivative by a position is that by a common move
             // of all Gaussians the other way, link by link.
             let block = if sums.positions.is_none() { positions.len() } else { 1 };
@@ -242,7 +242,7 @@ impl MatchingPursuit {
     /// fit the search.
     fn training_channels(&self, input: &InitializerInput<'_>) -> Result<ObservedChannels> {
         let (data, demands) = (input.data, &[self.demand()]);
-        compatible(&Parts { data: Some(data), method: Some(input.method), demands, ..Parts::default() })
+        check_compatible(&Parts { data: Some(data), method: Some(input.method), demands, ..Parts::default() })
             .map_err(Misfit::error)?;
         let (channels, scene) = (data.observations.channels().expect("the method predicts channels"), &data.scene);
         // Carriers ascend; the longest wavelength has the fewest local maxima.

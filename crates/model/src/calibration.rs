@@ -129,7 +129,7 @@ impl IntervalCalibration {
     }
 
     /// Returns the number of blocks.
-    pub fn blocks(&self) -> usize {
+    pub fn block_count(&self) -> usize {
         self.blocks
     }
 
@@ -169,7 +169,7 @@ impl IntervalCalibration {
     /// Takes the calibration of a model for `task` out of its file; `None` if there is none.
     ///
     /// # Errors
-    /// The message names the tensor.
+    /// A tensor is missing, has another shape or type, or holds invalid values; the message names it.
     pub(crate) fn take(file: &mut Tensors, task: Task) -> Result<Option<Self>, String> {
         if file.shape(BLOCKS).is_none() {
             return Ok(None);
@@ -275,7 +275,7 @@ mod tests {
     #[test]
     fn invalid_levels_and_empty_blocks_are_refused() {
         let calibration = calibration(&[vec![], vec![1.0, 2.0], vec![3.0]]);
-        assert_eq!((calibration.blocks(), calibration.factors(0.6).unwrap().half_width), (2, 3.0));
+        assert_eq!((calibration.block_count(), calibration.factors(0.6).unwrap().half_width), (2, 3.0));
         for level in [0.0, 1.0, 1.5, -0.5, f64::NAN, f64::INFINITY] {
             assert!(calibration.factors(level).unwrap_err().to_string().contains("expected a number above 0"));
         }

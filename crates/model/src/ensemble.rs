@@ -25,7 +25,7 @@ impl Ensemble {
     /// Creates an ensemble of one or more models with one pixel grid, named by their numbers from 1.
     ///
     /// # Errors
-    /// The message names the mismatch.
+    /// There is no model, or one has another image plane or receiver than the first; the message gives its number.
     pub fn new(members: Vec<Model>) -> Result<Self, String> {
         Self::named((1..).map(|number: usize| number.to_string()).zip(members).collect())
     }
@@ -33,7 +33,7 @@ impl Ensemble {
     /// Creates an ensemble of named models.
     ///
     /// # Errors
-    /// The message names the mismatch.
+    /// As [`Self::new`].
     pub fn named(members: Vec<(String, Model)>) -> Result<Self, String> {
         let Some((_, first)) = members.first() else { return Err("an ensemble needs at least one model".into()) };
         let other = members.iter().position(|(_, model)| model.stages.setup != first.stages.setup);
@@ -51,7 +51,7 @@ impl Ensemble {
     /// Returns the ensemble if all models differ: equal models have no deviation and count twice in the mean.
     ///
     /// # Errors
-    /// The first two equal models.
+    /// Two models are equal; the message gives the numbers of the first two.
     pub fn distinct(self) -> Result<Self, String> {
         let is_same = |a: &Model, b: &Model| {
             let method = |model: &Model| serde_json::to_string(&*model.stages.method).ok();

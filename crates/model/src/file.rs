@@ -90,7 +90,7 @@ const TRAINING: &str = "training_positions";
 /// Writes `model` to `path` atomically.
 ///
 /// # Errors
-/// [`Error::Write`].
+/// [`Error::Write`] if the file cannot be written.
 pub fn write(path: &Path, model: &Model) -> Result<()> {
     write_atomically(path, &to_bytes(model))
 }
@@ -103,7 +103,7 @@ pub fn to_bytes(model: &Model) -> Vec<u8> {
 /// Writes several models that predict together to one file, atomically; a single model as [`write()`] does.
 ///
 /// # Errors
-/// [`Error::Write`].
+/// [`Error::Write`] if the file cannot be written.
 pub fn write_ensemble(path: &Path, ensemble: &Ensemble) -> Result<()> {
     write_atomically(path, &ensemble_to_bytes(ensemble))
 }
@@ -235,7 +235,8 @@ pub fn read_ensemble(path: &Path) -> Result<Ensemble> {
 /// Reads the bytes of a model file.
 ///
 /// # Errors
-/// The message names the fault.
+/// The bytes are damaged or of another format or version, a tensor is missing or has another shape or type, a value is
+/// invalid, or a plugin is not linked.
 pub fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
     let mut file = Tensors::from_bytes(bytes)?;
     let ensemble = take_predictor(&mut file)?;
@@ -246,7 +247,7 @@ pub fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
 /// Takes the models of a file and their residuals, without calibration.
 ///
 /// # Errors
-/// The message names the fault, and the member in which it is.
+/// As [`from_bytes`]; the message names the member with the fault.
 fn take_predictor(file: &mut Tensors) -> Result<Ensemble, String> {
     let unreadable = |e: serde_json::Error| format!("not a pwrfgs model ({e})");
     let Head { format, version } = serde_json::from_str(&file.note).map_err(unreadable)?;
@@ -296,7 +297,7 @@ fn check_version(format: &str, version: u32) -> Result<(), String> {
 /// Takes a model from the tensors with `prefix` before their names, and checks that it can predict.
 ///
 /// # Errors
-/// The message names the fault.
+/// The version or the plugin is unknown, settings do not fit together, or a tensor is missing or invalid.
 fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, String> {
     check_version(&note.format, note.version)?;
     if let Some(fault) = note.origin.fault() {
@@ -311,7 +312,8 @@ fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, St
     Ok(Model { stages, cloud, weights, training_positions })
 }
 
-/// Takes the training positions; `None` in a file of an earlier version.
+/// Takes the training positions; `None` in a file of an earlier version. Returns an error for a tensor of another shape
+/// or type.
 fn take_training_positions(file: &mut Tensors, name: &str) -> Result<Option<TrainingPositions>, String> {
     let Some(count) = file.shape(name).map(|shape| shape.first().copied().unwrap_or(0)) else { return Ok(None) };
     let positions = file.take(name, &[count.max(1), 3])?;
@@ -352,7 +354,7 @@ fn plugin_text<T: ?Sized + erased_serde::Serialize>(plugin: &Plugin<T>) -> Strin
     ron_options().to_string_pretty(plugin, config).expect("a plugin is plain data")
 }
 
-/// Creates the method that a model file names.
+/// Creates the method that a model file names. Returns an error for invalid text or a plugin that is not linked.
 fn parse_method(text: &str) -> Result<Plugin<dyn Method>, String> {
     Plugin::parse(text).map_err(|e| format!("cannot create `{text}`: {e}; use a program with this plugin"))
 }
@@ -368,7 +370,7 @@ pub fn put_cloud(file: &mut Tensors, prefix: &str, cloud: &GaussianCloud) {
 /// Checks the lengths of the columns before allocating memory, because `n` may be any number.
 ///
 /// # Errors
-/// The message names the missing tensor.
+/// A tensor is missing, has another shape or type, or holds a number that is not finite; the message names it.
 pub fn take_cloud(
     file: &mut Tensors,
     prefix: &str,
@@ -402,7 +404,7 @@ pub fn put_weights(file: &mut Tensors, prefix: &str, weights: &[Real], stages: &
 /// Takes the tensors of the network under `prefix`, and returns them as a flat weight vector.
 ///
 /// # Errors
-/// The message names the missing tensor.
+/// A tensor is missing, has another shape or type, or holds a number that is not finite; the message names it.
 pub fn take_weights(file: &mut Tensors, prefix: &str, stages: &Stages) -> Result<Vec<Real>, String> {
     let mut weights = Vec::new();
     for spec in stages.layout().weights {

@@ -4,7 +4,7 @@ use crate::TrainingPositions;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
     Activated, Dataset, Deformation, GaussianCloud, ImagePlane, Layout, MeasurementSetup, Method, Misfit, Origin,
-    Parameters, Parts, Real, Result, check_receivers, compatible, place_fault,
+    Parameters, Parts, Real, Result, check_compatible, check_receivers, place_fault,
 };
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
@@ -125,7 +125,8 @@ impl Stages {
     /// Checks the consistency of stages, for files from other programs.
     ///
     /// # Errors
-    /// The message names the mismatch.
+    /// The number of pixels or receivers is out of range, a position or receiver is invalid, or method and setup do not
+    /// fit together; the message names the problem.
     pub fn check(&self) -> Result<(), String> {
         let ImagePlane { width, height, .. } = self.plane;
         let pixels = width.checked_mul(height).filter(|pixels| (1..=MAX_PIXELS).contains(pixels));
@@ -143,7 +144,7 @@ impl Stages {
         }
         check_receivers(&self.receivers)?;
         let (setup, method) = (Some(&self.setup), Some(self.method.get()));
-        compatible(&Parts { setup, method, ..Parts::default() }).map_err(|why| why.to_string())
+        check_compatible(&Parts { setup, method, ..Parts::default() }).map_err(|why| why.to_string())
     }
 
     /// Returns names, shapes and initial values of the weights.

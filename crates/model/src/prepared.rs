@@ -150,7 +150,7 @@ impl<'a> Prepared<'a> {
     /// # Panics
     /// If the length of `numbers` is not that of the observations.
     pub fn predict_into(&self, queries: &[Query<'_>], numbers: &mut [Real]) {
-        let link_values = self.setup().numbers();
+        let link_values = self.setup().value_count();
         assert_eq!(numbers.len(), queries.len() * link_values, "numbers of {} observations", queries.len());
         for (group, numbers) in queries.chunks(GROUP).zip(numbers.chunks_mut(GROUP * link_values)) {
             if let ([member], None) = (self.members.as_slice(), self.residuals) {

@@ -73,7 +73,7 @@ impl Snapshot {
     /// Writes the snapshot to `path` atomically; equal snapshots give equal bytes.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`] if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let n = self.means.len();
         let note = Note { format: FORMAT.into(), version: VERSION, step: self.step, gaussians: n, origin: self.origin };
@@ -105,7 +105,8 @@ impl Snapshot {
     /// Reads the bytes of a snapshot.
     ///
     /// # Errors
-    /// The message names the fault.
+    /// The bytes are damaged or of another format or version, a tensor is missing or has another shape or type, or an
+    /// opacity is not between 0 and 1.
     fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let mut file = Tensors::from_bytes(bytes)?;
         let note: Note = serde_json::from_str(&file.note).map_err(|e| format!("not a snapshot of pwrfgs ({e})"))?;

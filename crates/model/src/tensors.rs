@@ -105,7 +105,7 @@ impl Tensors {
     /// Takes out a tensor of 8-bit integers of this shape.
     ///
     /// # Errors
-    /// The message names the tensor and the expected shape.
+    /// The tensor is missing or has another shape or type; the message names it.
     pub fn take_short(&mut self, name: &str, shape: &[usize]) -> Result<Vec<i8>, String> {
         match self.take_values(name, shape)? {
             Values::Bytes(values) => Ok(values),
@@ -116,7 +116,7 @@ impl Tensors {
     /// Takes out a tensor of `n` identifiers.
     ///
     /// # Errors
-    /// The message names the tensor and the expected shape.
+    /// The tensor is missing or has another shape or type; the message names it.
     pub fn take_ids(&mut self, name: &str, n: usize) -> Result<Vec<u32>, String> {
         match self.take_values(name, &[n])? {
             Values::Ids(ids) => Ok(ids),
@@ -127,7 +127,7 @@ impl Tensors {
     /// Takes out a tensor of this shape.
     ///
     /// # Errors
-    /// The message names the tensor and the expected shape.
+    /// The tensor is missing, has another shape or type, or holds a number that is not finite; the message names it.
     pub fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<Real>, String> {
         let Values::Reals(values) = self.take_values(name, shape)? else {
             return Err(format!("tensor `{name}` is not of type F16, F32 or F64"));
@@ -138,7 +138,7 @@ impl Tensors {
         Ok(values)
     }
 
-    /// Takes out a tensor of this shape and any type.
+    /// Takes out a tensor of this shape and any type. Returns the errors of [`Self::expect`].
     fn take_values(&mut self, name: &str, shape: &[usize]) -> Result<Values, String> {
         self.expect(name, shape)?;
         Ok(self.tensors.remove(name).expect("it is there").1)
@@ -147,7 +147,7 @@ impl Tensors {
     /// Checks for a tensor of this shape.
     ///
     /// # Errors
-    /// The message names the tensor and the expected shape.
+    /// The tensor is missing or has another shape; the message names it.
     pub fn expect(&self, name: &str, shape: &[usize]) -> Result<(), String> {
         match self.shape(name) {
             None => Err(format!("tensor `{name}` is missing")),
@@ -179,7 +179,7 @@ impl Tensors {
     /// Returns the bytes of the file, with 16-bit floating-point numbers (F16) for tensors whose name is `short`.
     ///
     /// # Errors
-    /// The message names a tensor with a number beyond ±65504, the largest of F16.
+    /// A number is beyond ±65504, the largest of F16; the message names its tensor.
     pub fn to_bytes_half(&self, short: impl Fn(&str) -> bool) -> Result<Vec<u8>, String> {
         let too_large = |v: &Real| !half::f16::from_f64(f64::from(*v)).is_finite();
         let fault = |(name, (_, values)): &(&String, &(_, Values))| match values {
@@ -213,7 +213,8 @@ impl Tensors {
     /// Reads the bytes of a file.
     ///
     /// # Errors
-    /// The message describes the damage.
+    /// The bytes are damaged, are no safetensors file of pwrfgs, or hold a tensor of an unsupported type or
+    /// with scales that do not fit.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let damaged = |e: safetensors::SafeTensorError| format!("damaged or not a safetensors file ({e})");
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(damaged)?;
@@ -232,7 +233,7 @@ impl Tensors {
         Ok(read)
     }
 
-    /// Replaces 8-bit tensors that have scales by their values.
+    /// Replaces 8-bit tensors that have scales by their values. Returns an error for scales of another shape.
     fn restore_rounded(&mut self) -> Result<(), String> {
         let is_scaled = |name: &String| self.tensors.contains_key(&format!("{name}{SCALES}"));
         let short =

@@ -3,7 +3,7 @@
 use crate::{Model, file};
 use pwrfgs_core::{
     Error, GaussianCloud, ImagePlane, Initializer, InitializerInput, JsonSchema, MeasurementSetup, Parts, Real, Result,
-    Scene, compatible, rng::Rng,
+    Scene, check_compatible, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -44,7 +44,7 @@ impl Initializer for Trained {
         let Model { stages, weights, .. } = file::read(&self.model)?;
         let setup = MeasurementSetup::of(input.data, input.plane.clone());
         let (method, start) = (Some(input.method), Some((stages.method.get(), &stages.setup)));
-        compatible(&Parts { setup: Some(&setup), method, start, ..Parts::default() })
+        check_compatible(&Parts { setup: Some(&setup), method, start, ..Parts::default() })
             .map_err(|why| Error::input(&self.model, why))?;
         Ok(Some(weights))
     }

@@ -82,7 +82,7 @@ impl Factored {
         };
         let white = matches!(tx_encoding, Encoder::Features(..))
             .then(|| plan.unbiased("tx.white", tx_width, tx_width, (3.0 / tx_width as f64).sqrt()));
-        let stack = (0..self.depth).map(|l| plan.relu(&format!("tx.{l}"), inputs(l), width)).collect();
+        let stack = (0..self.depth).map(|l| plan.linear_before_relu(&format!("tx.{l}"), inputs(l), width)).collect();
         let waves = self.position_encoding.width() - 3;
         // Factors have the variance 1/width, so that initial signals have the magnitude of one feature.
         let bound = WAVE_MEAN * (6.0 * waves as f64 / width as f64).sqrt();

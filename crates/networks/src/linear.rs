@@ -162,9 +162,9 @@ impl LayoutBuilder {
         self.heads(&[(name, outputs)], inputs, 1.0)
     }
 
-    /// Adds a layer before a ReLU with He's initial values: weights uniform within ±√(6/inputs), biases 0. The
+    /// Adds a linear layer before a ReLU, with He's initial values: weights uniform within ±√(6/inputs), biases 0. The
     /// magnitude of activations is then constant for any depth of the stack. Dropout applies to its outputs.
-    pub fn relu(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
+    pub fn linear_before_relu(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
         let layer = self.unbiased(name, inputs, outputs, (6.0 / inputs as f64).sqrt());
         self.tensors.iter_mut().rev().take(2).for_each(|spec| spec.hidden = true);
         layer
@@ -193,7 +193,7 @@ impl LayoutBuilder {
     }
 
     /// Returns the length of the flat vector.
-    pub fn numbers(&self) -> usize {
+    pub fn weight_count(&self) -> usize {
         self.len
     }
 
@@ -215,7 +215,7 @@ pub fn lay_out<N>(build: impl FnOnce(&mut LayoutBuilder) -> N) -> (N, LayoutBuil
 /// If the number of weights is not that of the layout.
 pub fn lay_out_for<N>(weights: &[Real], build: impl FnOnce(&mut LayoutBuilder) -> N) -> N {
     let (network, plan) = lay_out(build);
-    assert_eq!(weights.len(), plan.numbers(), "as many weights as the layout says");
+    assert_eq!(weights.len(), plan.weight_count(), "as many weights as the layout says");
     network
 }
 

@@ -144,7 +144,7 @@ mod tests {
     #[test]
     fn correlations_fall_with_distance_and_unused_positions_have_none() {
         let (layer, plan) = lay_out(|plan| Near { count: 3, length_m: 0.1 }.plan_layer(plan, 4));
-        let mut weights = vec![0.0; plan.numbers()];
+        let mut weights = vec![0.0; plan.weight_count()];
         layer.set_positions(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], &mut weights);
         let txs = [[0.0, 0.3, 0.4], [1.0, 0.0, 0.1], [9.0, 0.0, 0.0]];
         let computed = layer.correlations(&weights, Conditions::from(&txs[..]));
@@ -160,7 +160,7 @@ mod tests {
     #[test]
     fn correlation_has_no_derivative_at_its_position() {
         let (layer, plan) = lay_out(|plan| Near { count: 1, length_m: 0.1 }.plan_layer(plan, 1));
-        let mut weights = vec![1.0; plan.numbers()];
+        let mut weights = vec![1.0; plan.weight_count()];
         layer.set_positions(&[[0.5, 0.0, 0.0]], &mut weights);
         let (txs, mut d_txs) = ([[0.5, 0.0, 0.0], [9.0, 0.0, 0.0]], [[0.0; 3]; 2]);
         let correlations = layer.correlations(&weights, Conditions::from(&txs));
@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn more_training_positions_are_thinned() {
         let (layer, plan) = lay_out(|plan| Near { count: 2, length_m: 0.1 }.plan_layer(plan, 1));
-        let mut weights = vec![0.0; plan.numbers()];
+        let mut weights = vec![0.0; plan.weight_count()];
         layer.set_positions(&(0..10).map(|i| [i as Real, 0.0, 0.0]).collect::<Vec<_>>(), &mut weights);
         assert!(weights[..6].iter().all(|x| *x < 10.0) && weights[0] != weights[3]);
         assert_eq!(weights[6..], [0.0; 4]);

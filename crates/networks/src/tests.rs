@@ -186,7 +186,7 @@ fn networks_read_the_carrier_if_it_is_set() {
 
 #[test]
 fn networks_have_published_sizes() {
-    let count = |d: &dyn Deformation| d.layout().numbers();
+    let count = |d: &dyn Deformation| d.layout().weight_count();
     assert_eq!(count(&Mlp::default()), 574_819);
     assert_eq!(count(&Wrfgs::default()), 189_636);
     assert_eq!(count(&Fixed::default()), 0);

@@ -77,7 +77,7 @@ impl PipelineEdit {
     /// Returns the validated pipeline.
     ///
     /// # Errors
-    /// The first problem, with the changes that caused it.
+    /// The pipeline is invalid: its first problem, with the changes that caused it.
     pub fn finish(&self) -> Result<Pipeline, EditFault> {
         Pipeline::read(&self.text).map_err(|fault| self.blame(fault))
     }
@@ -171,7 +171,8 @@ impl Pipeline {
     /// Applies all `changes` or none, and validates the result once.
     ///
     /// # Errors
-    /// [`Error::Config`] with the names of invalid changes.
+    /// [`Error::Config`] if a path is unknown, a value is invalid, or the result does not fit together; the message
+    /// names the changes to blame.
     pub fn change(&mut self, changes: &[Change]) -> Result<()> {
         let mut draft = PipelineEdit::of(self)?;
         let changed = changes.iter().try_for_each(|change| draft.set(change)).and_then(|()| draft.finish());

@@ -5,7 +5,7 @@ use crate::defaults;
 use crate::pipeline::Pipeline;
 use crate::ron_tree::RonTree;
 use pwrfgs_core::plugin::{explain, name_of, ron_options, to_ron};
-use pwrfgs_core::{Dataset, Demand, Error, Misfit, Parts, Result, Task, compatible};
+use pwrfgs_core::{Dataset, Demand, Error, Misfit, Parts, Result, Task, check_compatible};
 use pwrfgs_methods::Calibration;
 use ron::error::SpannedError;
 use std::path::Path;
@@ -57,7 +57,7 @@ impl Pipeline {
     /// Reads a pipeline; `path` is used only in messages.
     ///
     /// # Errors
-    /// [`Error::Input`] with line and column.
+    /// [`Error::Input`] with line and column if the text is not a valid pipeline.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         Self::read(text).map_err(|TextFault { message, at, .. }| Error::Input {
             path: path.into(),
@@ -103,13 +103,14 @@ impl Pipeline {
     /// Checks that all baselines and metrics support `data`.
     ///
     /// # Errors
-    /// The first error, with the name of its field.
+    /// A baseline or metric does not support `data`, or predictions of another program are missing or invalid; the
+    /// message names the field of the first error.
     pub fn check_data(&self, data: &Dataset) -> Result<(), Error> {
         let named = |field: &str, error: Error| match error {
             Error::Config(_) | Error::Input { .. } | Error::Read { .. } => Error::Config(format!("{field}: {error}")),
             other => other, // an exception of Python's stays one
         };
-        compatible(&Parts { data: Some(data), demands: &self.scoring_demands(), ..Parts::default() })
+        check_compatible(&Parts { data: Some(data), demands: &self.scoring_demands(), ..Parts::default() })
             .map_err(Misfit::error)?;
         for baseline in &self.baselines {
             baseline.check_data(data).map_err(|error| named("baselines", error))?;
@@ -148,13 +149,13 @@ impl Pipeline {
     /// Checks that all plugins fit together, as far as this is known before loading.
     ///
     /// # Errors
-    /// The field and its problem.
+    /// Two plugins or settings do not fit together: the field and its problem.
     pub(crate) fn check(&self) -> Result<(), (String, String)> {
         let (task, plan) = (self.data.task(), self.unscaled_plan());
         let unused = task.and_then(|task| Some(Misfit::Unused(unused_field(self, task)?, task)));
         let demands = &[vec![self.initializer.demand()], self.scoring_demands()].concat();
         let parts = Parts { task, demands, ..plan.parts(self.initializer.count(), None) };
-        let checked = unused.map_or_else(|| compatible(&parts), Err);
+        let checked = unused.map_or_else(|| check_compatible(&parts), Err);
         checked.map_err(|misfit| (misfit.field(), misfit.to_string()))?;
         let is_plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
         if self.name.is_empty() || self.name.starts_with('.') || !self.name.chars().all(is_plain) {

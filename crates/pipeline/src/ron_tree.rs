@@ -34,7 +34,7 @@ impl RonTree {
     /// Parses `text` as a single value.
     ///
     /// # Errors
-    /// The problem with its byte position.
+    /// The text is not a single value; the message gives the problem and its byte position.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut reader = Reader { text, at: 0 };
         reader.skip_attributes()?;
@@ -106,7 +106,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Skips spaces and comments.
+    /// Skips spaces and comments. Returns an error for a comment without its end.
     fn skip_space(&mut self) -> Result<(), String> {
         loop {
             self.at += self.rest().len() - self.rest().trim_start().len();
@@ -148,7 +148,8 @@ impl Reader<'_> {
         &self.text[from..from + length]
     }
 
-    /// Parses a value of any type.
+    /// Parses a value of any type. Returns an error for other text, text without its end, and values nested deeper than
+    /// [`DEEPEST`].
     fn parse_value(&mut self, depth: usize) -> Result<RonTree, String> {
         if depth > DEEPEST {
             return Err("values are nested too deep".into());
@@ -181,7 +182,7 @@ impl Reader<'_> {
         Ok(RonTree { span: from..self.at, name, body, quoted })
     }
 
-    /// Skips a string, `"text"`.
+    /// Skips a string, `"text"`. Returns an error if it does not end.
     fn skip_string(&mut self) -> Result<(), String> {
         self.take_sign('"');
         let mut escaped = false;
@@ -197,7 +198,7 @@ impl Reader<'_> {
         Err("a text does not end; it lacks a `\"`".into())
     }
 
-    /// Skips a raw string, `r#"text"#`.
+    /// Skips a raw string, `r#"text"#`. Returns an error if it does not end.
     fn skip_raw_string(&mut self) -> Result<(), String> {
         let marks = self.rest()[1..].find('"').unwrap_or(0);
         let (start, end) = (marks + 2, format!("\"{}", "#".repeat(marks)));
@@ -206,7 +207,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Skips a character, `'c'`.
+    /// Skips a character, `'c'`. Returns an error if it does not end.
     fn skip_character(&mut self) -> Result<(), String> {
         let inside = self.rest().char_indices().skip(if self.rest().starts_with("'\\") { 3 } else { 2 });
         let end = inside.filter(|(_, c)| *c == '\'').map(|(i, _)| i).next().ok_or("a character lacks its `'`")?;
@@ -214,7 +215,8 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Parses `(field: value, ..)` or `(value, ..)`.
+    /// Parses `(field: value, ..)` or `(value, ..)`. Returns an error for a missing separator or closing sign, or an
+    /// invalid value.
     fn parse_parentheses(&mut self, depth: usize) -> Result<RonBody, String> {
         let from = self.at;
         self.take_sign('(');
@@ -244,7 +246,8 @@ impl Reader<'_> {
         }
     }
 
-    /// Parses values between the signs `open` and `close`.
+    /// Parses values between the signs `open` and `close`. Returns an error for a missing separator or closing sign, or
+    /// an invalid value.
     fn parse_items(&mut self, open: char, close: char, depth: usize) -> Result<Vec<RonTree>, String> {
         let mut items = Vec::new();
         self.take_sign(open);
@@ -258,7 +261,8 @@ impl Reader<'_> {
         }
     }
 
-    /// Parses `{key: value, ..}`; returns the text ranges of the keys.
+    /// Parses `{key: value, ..}`; returns the text ranges of the keys. Returns an error for a missing separator or
+    /// closing sign, or an invalid value.
     fn parse_map(&mut self, depth: usize) -> Result<Vec<Range<usize>>, String> {
         let mut keys = Vec::new();
         self.take_sign('{');
@@ -277,7 +281,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Skips a comma, which may be missing only before the sign `close`.
+    /// Skips a comma, which may be missing only before the sign `close`. Returns an error for other text.
     fn skip_comma(&mut self, close: char) -> Result<(), String> {
         self.skip_space()?;
         if self.take_sign(',') || self.peek() == Some(close) {

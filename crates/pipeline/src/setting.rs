@@ -23,7 +23,7 @@ impl<'a> Setting<'a> {
     /// Finds the value at `path` in the `tree` of a pipeline.
     ///
     /// # Errors
-    /// The first unknown step, with the valid ones.
+    /// A step of the path is unknown; the message lists the valid ones.
     pub(crate) fn at(path: &str, tree: &'a RonTree) -> Result<Self, String> {
         let mut setting = Self { name: String::new(), tree, kind: Some(DocKind::Of(Docs::of::<Pipeline>())) };
         for step in path.trim().split('.') {

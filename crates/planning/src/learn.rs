@@ -27,7 +27,7 @@ pub fn learn_correlation(data: &Dataset, transmitters: &[usize]) -> Option<Corre
         return None;
     }
     rng::shuffle(&mut rng::stream(0, "plan", 0), &mut links);
-    let by_receiver = data.by_receiver(links);
+    let by_receiver = data.group_by_receiver(links);
     let trends: Vec<Trend<'_>> = by_receiver.iter().map(|links| Trend::fit(data, links)).collect();
     let cases: Vec<_> = by_receiver.iter().flat_map(|links| vecchia_cases(data, links, NEIGHBOURS)).collect();
     if cases.len() < 2 {

@@ -92,7 +92,7 @@ impl SceneCoverage {
     /// Checks the number of links of [`Self::grid_powers`].
     ///
     /// # Errors
-    /// More than 4,000,000.
+    /// [`Error::Config`] for more than 4,000,000 links.
     pub fn check_grid(&self) -> Result<()> {
         let (transmitters, receivers) = (self.transmitters.len(), self.candidates.len());
         if transmitters.saturating_mul(receivers) <= MOST_LINKS {

@@ -86,7 +86,7 @@ impl Pruner for Lp3dgs {
             .then(|| keep_logits(cloud).sigmoid().mean::<Rank0, _>() * self.lambda)
     }
 
-    /// Updates the importance of the Gaussians without changing the Gaussians.
+    /// Updates the importance of the Gaussians without changing the Gaussians; `None` without statistics or Gaussians.
     fn edit(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Option<CloudEdit> {
         let importance = &stats.requested.largest_weight;
         if importance.len() != cloud.len() || cloud.is_empty() {

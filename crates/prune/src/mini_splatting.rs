@@ -1,8 +1,8 @@
 //! Pruners by blending weight: weighted random sample, cumulated weight or quantile.
 
-use crate::rounds::{check_share, quantile, requested_statistic, without_lowest_share};
+use crate::rounds::{check_share, quantile, requested_statistic, rounded_share};
 use pwrfgs_core::{
-    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, rng,
+    Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, best, rng,
 };
 use serde::{Deserialize, Serialize};
 
@@ -111,4 +111,10 @@ impl Pruner for MiniSplatting {
     fn check(&self) -> Result<(), String> {
         check_share("rule", self.rule.share())
     }
+}
+
+/// Returns whether each Gaussian is kept: all except the lowest `share` by `scores`.
+fn without_lowest_share(scores: &[Real], share: Real) -> Vec<bool> {
+    let removed = rounded_share(scores.len(), share).floor() as usize;
+    best(scores.len() - removed.min(scores.len()), scores, |_| true)
 }

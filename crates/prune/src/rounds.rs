@@ -1,6 +1,6 @@
 //! Shared parts of score-based strategies: traits, ranking, checks of settings.
 
-use pwrfgs_core::{Budget, GaussianCloud, PrunerTraits, Real, best};
+use pwrfgs_core::{Budget, GaussianCloud, PrunerTraits, Real};
 
 /// Returns the traits of a pruner that only ranks Gaussians: the number to keep is that of the target.
 pub(crate) fn ranking_traits() -> PrunerTraits {
@@ -11,12 +11,6 @@ pub(crate) fn ranking_traits() -> PrunerTraits {
 pub(crate) fn rounded_share(n: usize, share: Real) -> f64 {
     let part = n as f64 * f64::from(share);
     if (part - part.round()).abs() <= 1e-6 * n as f64 { part.round() } else { part }
-}
-
-/// Returns whether each Gaussian is kept: all except the lowest `share` by `scores`.
-pub(crate) fn without_lowest_share(scores: &[Real], share: Real) -> Vec<bool> {
-    let removed = rounded_share(scores.len(), share).floor() as usize;
-    best(scores.len() - removed.min(scores.len()), scores, |_| true)
 }
 
 /// Returns a requested statistic; the opacity logits if the pass did not compute it, so that zeros never decide.

@@ -48,7 +48,7 @@ impl Rasterizer for AlphaBlending {
 
     fn forward_prepared(&self, splats: SignalSplats<'_>, prepared: &Cache) -> Render {
         let SignalSplats { signals, channels, plane, .. } = splats;
-        assert_eq!(signals.len(), splats.geometry.len() * channels, "one signal a splat and channel");
+        assert_eq!(signals.len(), splats.geometry.len() * channels, "one signal per splat and channel");
         let lists: &TileLists = cached(prepared);
         let size = plane.width * plane.height;
         let (mut pixels, mut transmittance) = (vec![0.0; size * channels], vec![1.0; size]);

@@ -90,13 +90,13 @@ impl Rasterizer for ArrayResponse {
     }
 
     fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
-        let waves = Antennas::new(self, plane).waves(splats);
+        let waves = self.antennas(plane).waves(splats);
         Some(Arc::new(Steered { waves, beams: self.beams(plane) }))
     }
 
     fn forward_prepared(&self, splats: SignalSplats<'_>, prepared: &Cache) -> Render {
         let SignalSplats { geometry, signals, channels, plane } = splats;
-        assert_eq!(signals.len(), geometry.len() * channels, "one signal a splat and channel");
+        assert_eq!(signals.len(), geometry.len() * channels, "one signal per splat and channel");
         let Steered { waves, beams } = cached(prepared);
         let field = array_field(geometry, signals, waves, self.rows * self.columns, channels);
         let mut pixels = vec![0.0; channels * plane.width * plane.height];
@@ -106,7 +106,7 @@ impl Rasterizer for ArrayResponse {
 
     fn backward(&self, splats: SignalSplats<'_>, render: &Render, d_pixels: &[Real]) -> RenderVjp {
         let SignalSplats { geometry: splats, signals, channels, plane } = splats;
-        let antennas = Antennas::new(self, plane);
+        let antennas = self.antennas(plane);
         let elements = antennas.len();
         let Steered { waves, beams } = cached(&render.cache);
         let d_field = beams.draw_vjp(d_pixels);
@@ -169,6 +169,12 @@ impl Rasterizer for ArrayResponse {
 }
 
 impl ArrayResponse {
+    /// Creates the antennas for a plane whose pixels are directions.
+    fn antennas(&self, plane: &ImagePlane) -> Antennas {
+        let Self { rows, columns, spacing_wavelengths, widened, wavefront } = *self;
+        Antennas::new([rows, columns], spacing_wavelengths, widened, wavefront, plane)
+    }
+
     /// Returns the beams of the array at every pixel, from the cache or computed and added to it.
     fn beams(&self, plane: &ImagePlane) -> Arc<Beams> {
         let grid = (self.rows, self.columns, self.spacing_wavelengths, plane.clone());
@@ -177,7 +183,7 @@ impl ArrayResponse {
             return Arc::clone(beams);
         }
         drop(tables);
-        let beams = Arc::new(Beams::new(&Antennas::new(self, plane), plane));
+        let beams = Arc::new(Beams::new(&self.antennas(plane), plane));
         let mut tables = TABLES.write().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, stored)) = tables.iter().find(|(stored, _)| *stored == grid) {
             return Arc::clone(stored); // another thread was faster; all threads share its table

@@ -60,8 +60,9 @@ pub trait CameraModel: Sync {
         0.3
     }
 
-    /// Returns whether the splat with this centre, covariance (a, b, c) and radius reaches the image, that is, some
-    /// pixel may have a γ of 1/255. On an image that wraps, every column is inside.
+    /// Returns whether a splat reaches the image, that is, some pixel may have a γ of at least 1/255: `centre` in px,
+    /// covariance `cov` (a, b, c) in px², `radius` in px. On an image that wraps, every column is inside. The default
+    /// uses the covariance and ignores `radius`, which is for overrides.
     fn is_on_image(&self, centre: [Real; 2], cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
         let _ = radius;
         let inside = |at: Real, variance: Real, pixels: usize| {

@@ -98,7 +98,7 @@ impl SceneFile {
     /// directory. A Mitsuba XML file is a scene with a default carrier, receiver and transmitter region.
     ///
     /// # Errors
-    /// Reports file, line and column of an error.
+    /// The file cannot be read, or is not a valid scene; the message has line and column.
     pub fn read(path: &Path) -> Result<Self> {
         if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("xml")) {
             return Self::read_mitsuba(path);
@@ -156,7 +156,7 @@ impl SceneFile {
     /// Parses and checks a scene; `path` is used only in messages.
     ///
     /// # Errors
-    /// Reports line and column of an error.
+    /// The text is not a valid scene; the message has line and column.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         read_ron::<Self>(text, path)?.validated(path, text)
     }

@@ -82,8 +82,8 @@ fn plan_methods(settings: &CompareSettings, survey: &DataSurvey, observer: &mut 
         if !is_named && !settings.methods.is_empty() {
             continue;
         }
-        let planned =
-            with_method(&experiment, method).and_then(|experiment| settings.plan_runs(&experiment, &base, survey));
+        let planned = restrict_to_method(&experiment, method)
+            .and_then(|experiment| settings.plan_runs(&experiment, &base, survey));
         match planned {
             Ok(mut plan) => match &mut whole {
                 Some(whole) => {
@@ -119,8 +119,8 @@ fn read_experiment(settings: &CompareSettings, data: &Dataset) -> Result<Experim
     Ok(experiment)
 }
 
-/// Returns the experiment with one of its methods only.
-fn with_method(experiment: &Experiment, method: &str) -> Result<Experiment> {
+/// Returns the experiment with one of its methods only. The first axis must hold the methods.
+fn restrict_to_method(experiment: &Experiment, method: &str) -> Result<Experiment> {
     let axis = &experiment.axes[0];
     let variants = axis.variants.iter().filter(|variant| variant.label == method).cloned().collect();
     let axis = Checked::new(Axis { variants, ..Axis::clone(axis) }).map_err(Error::Config)?;

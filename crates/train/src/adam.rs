@@ -60,7 +60,7 @@ impl Adam {
     /// Updates the columns of the cloud.
     ///
     /// # Errors
-    /// The name of the first column that is no longer finite.
+    /// A column is no longer finite; the message is the name of the first.
     pub(crate) fn step_cloud(
         &mut self,
         rates: Rates<'_>,
@@ -86,7 +86,7 @@ impl Adam {
     /// Updates the learned weights of the network.
     ///
     /// # Errors
-    /// The name of the network, if a weight is no longer finite.
+    /// A weight is no longer finite; the message is the name of the network.
     pub(crate) fn step_weights(
         &mut self,
         rates: Rates<'_>,

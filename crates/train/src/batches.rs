@@ -37,7 +37,7 @@ impl Batches {
     }
 
     /// Returns the number of transmitters in the training set.
-    pub(crate) fn transmitters(&self) -> usize {
+    pub(crate) fn transmitter_count(&self) -> usize {
         self.transmitters.len()
     }
 
@@ -54,12 +54,12 @@ impl Batches {
         let random = &mut rng::stream(seed, "rays", step);
         let pixels = match settings.rays {
             Rays::All => PixelSubset::All,
-            Rays::Same(count) => PixelSubset::Same(draw_rays(count, stages.numbers(), random)),
+            Rays::Same(count) => PixelSubset::Same(draw_rays(count, stages.value_count(), random)),
             Rays::Each(count) => {
                 let mut links: Vec<usize> =
                     (0..count).map(|_| self.train[rng::below(random, self.train.len())]).collect();
                 links.sort_unstable();
-                let pixels = PixelSubset::Each(draw_rays(count, stages.numbers(), random));
+                let pixels = PixelSubset::Each(draw_rays(count, stages.value_count(), random));
                 return build_batch(&links, data, stages, pixels, &mut shift);
             }
         };
@@ -158,7 +158,7 @@ fn network_inputs(links: &[usize], data: &Dataset, stages: &Stages, each: bool, 
 /// Reads the selected values of the observations of some links, `[L, values]`: those that `stages` draws, stretched if
 /// its method stretches sampled spectra. `data.observations.check` reports failed reads.
 fn read_truths(links: &[usize], data: &Dataset, stages: &Stages, pixels: &PixelSubset) -> Vec<Real> {
-    let link_values = pixels.count_per_link(stages.numbers());
+    let link_values = pixels.count_per_link(stages.value_count());
     let sampling = stages.plane.sampling;
     let stretches = sampling.stride > 1 && stages.method.traits().stretches;
     let mut truths = vec![0.0; links.len() * link_values];

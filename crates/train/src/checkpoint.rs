@@ -95,7 +95,7 @@ impl<'a> Trainer<'a> {
     /// Reads the state from the bytes of a checkpoint.
     ///
     /// # Errors
-    /// The message states the damage, or the difference from this training.
+    /// The bytes are damaged, are of another version, or belong to another training; the message states the difference.
     fn read_checkpoint(&mut self, bytes: &[u8]) -> Result<(), String> {
         let mut file = Tensors::from_bytes(bytes)?;
         let Sealed { digest, note } = serde_json::from_str(&file.note)

@@ -123,11 +123,6 @@ pub(crate) fn reset_opacities(limit: Real, cloud: &mut GaussianCloud, adam: &mut
     adam.cloud.iter_mut().for_each(|moments| moments.opacity_logits.fill(0.0));
 }
 
-/// Returns half the diagonal of the bounds of a scene, metres: its extent, if the pipeline does not set it.
-pub(crate) fn half_diagonal((low, high): ([Real; 3], [Real; 3])) -> Real {
-    0.5 * (Vec3::from_array(high) - Vec3::from_array(low)).length()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

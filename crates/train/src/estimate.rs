@@ -52,7 +52,7 @@ const PATIENCE: Duration = Duration::from_millis(1_500);
 
 /// Returns the bytes that the network of `deformation` needs in training; it does not create the network.
 pub fn network_bytes(deformation: &dyn Deformation) -> u64 {
-    let weights = deformation.layout().numbers() as u64;
+    let weights = deformation.layout().weight_count() as u64;
     weights * (PER_WEIGHT * size_of::<Real>()) as u64
 }
 
@@ -97,13 +97,13 @@ impl Trainer<'_> {
         let setup = &self.stages.setup;
         let receivers = self.data.len().div_ceil(self.data.locations.len().max(1));
         let (links, pixels) = match self.plan.training.rays {
-            Rays::All => (batch * receivers, setup.numbers()),
+            Rays::All => (batch * receivers, setup.value_count()),
             Rays::Same(rays) => (batch * receivers, rays),
             Rays::Each(pairs) => (pairs, 1),
         };
         let cost = self.stages.method.cost(setup, links, pixels);
         let numbers = n * (PER_GAUSSIAN + cost.per_gaussian + batch * PER_TERM) + links * cost.pixels * PER_PIXEL;
-        let weights = (self.weights() * PER_WEIGHT * size_of::<Real>()) as u64;
+        let weights = (self.weight_count() * PER_WEIGHT * size_of::<Real>()) as u64;
         let kept = (n * batch * cost.per_term * size_of::<Real>()).min(KEPT_BYTES);
         (numbers * size_of::<Real>() + kept) as u64 + weights + cost.bytes
     }

@@ -136,7 +136,7 @@ pub fn loss_and_gradients(
     context: &StepContext,
 ) -> Result<LossAndGradients> {
     let pass = |part: &Batch| run_graph(stages, cloud, weights, part, objective, pruners, context);
-    let pixels = batch.pixels.count_per_link(stages.numbers());
+    let pixels = batch.pixels.count_per_link(stages.value_count());
     let at_once = stages.method.cost(&stages.setup, batch.inputs.pairs.len(), pixels).links_at_once;
     let Some(parts) = batch.split(at_once) else { return pass(batch) };
     let mut sum = LossAndGradients {

@@ -22,7 +22,7 @@ pub struct TrainingPlan {
 }
 
 impl TrainingPlan {
-    /// Returns the parts of [`compatible`](pwrfgs_core::compatible()), without data; the numbers of `initial` Gaussians and
+    /// Returns the parts of [`check_compatible`](pwrfgs_core::check_compatible), without data; the numbers of `initial` Gaussians and
     /// of the `transmitters` of the training set, if known.
     pub fn parts(&self, initial: Option<usize>, transmitters: Option<usize>) -> Parts<'_> {
         let Training { rays, stride, batch, prune_until, densify_until, target_count: target, .. } = *self.training;
@@ -55,7 +55,7 @@ impl TrainingPlan {
 /// Rejects pruners that this program cannot run.
 ///
 /// # Errors
-/// [`Error::Config`] with the next step.
+/// [`Error::Config`] if a pruner is [unavailable](pwrfgs_core::PrunerTraits::unavailable), with the next step.
 pub fn check_available(pruners: &[Plugin<dyn Pruner>]) -> Result<()> {
     let why = pruners.iter().find_map(|pruner| pruner.traits().unavailable);
     why.map_or(Ok(()), |why| Err(Error::Config(why)))

@@ -165,7 +165,7 @@ impl Trainer<'_> {
             stages.setup.plane = plane_of_pass(&self.plane, &self.plan, self.data.task(), (context.step, part));
             stages
         };
-        let transmitters = needs.draw_transmitters(self.batches.transmitters(), context.seed, context.step);
+        let transmitters = needs.draw_transmitters(self.batches.transmitter_count(), context.seed, context.step);
         for batch in self.batches.of_pass(transmitters, self.data, stages_of) {
             let (stages, batch) = batch?;
             if draws {

@@ -8,7 +8,7 @@ use crate::plan::{TrainingPlan, check_available, requested_columns};
 use crate::trainer::Trainer;
 use pwrfgs_core::{
     CloudStats, Dataset, Error, ExtraColumn, GaussianCloud, InitializerInput, Misfit, Partition, Parts, Phase,
-    Progress, Real, Result, compatible, rng, rng::Rng,
+    Progress, Real, Result, check_compatible, rng, rng::Rng,
 };
 use pwrfgs_model::Stages;
 use std::sync::atomic::AtomicBool;
@@ -82,9 +82,9 @@ impl<'a> Trainer<'a> {
             return Err(Error::Config("the training set is empty; use another split".into()));
         }
         let batches = Batches::new(data, partition.train.clone());
-        let (parts, demands) = (plan.parts(None, Some(batches.transmitters())), &[plan.initializer.demand()]);
+        let (parts, demands) = (plan.parts(None, Some(batches.transmitter_count())), &[plan.initializer.demand()]);
         let parts = Parts { setup: Some(&whole.setup), data: Some(data), demands, ..parts };
-        compatible(&parts).map_err(Misfit::error)?;
+        check_compatible(&parts).map_err(Misfit::error)?;
         whole.check().map_err(Error::Config)?;
         let (plane, mut stages) = (whole.plane.clone(), whole);
         stages.setup.plane = plane_of_step(&plane, &plan, data.task(), 1);
@@ -131,7 +131,7 @@ impl<'a> Trainer<'a> {
             return refuse(format!("column `{name}` has a number that is not finite; give finite numbers"));
         }
         if self.phase(self.done + 1) != Phase::Finetune {
-            compatible(&self.plan.parts(Some(n), None)).map_err(Misfit::error)?;
+            check_compatible(&self.plan.parts(Some(n), None)).map_err(Misfit::error)?;
         }
         for column in &cloud.extra {
             if self.cloud.extra(&column.name).is_none_or(|present| present.width != column.width) {
@@ -163,7 +163,7 @@ impl<'a> Trainer<'a> {
         if cloud.is_empty() && self.stages.method.traits().has_gaussians() {
             return Err(Error::Config("the initializer created no Gaussian; raise its count, or use Random()".into()));
         }
-        compatible(&self.plan.parts(Some(cloud.len()), None)).map_err(Misfit::error)?;
+        check_compatible(&self.plan.parts(Some(cloud.len()), None)).map_err(Misfit::error)?;
         let Stages { method, setup } = &*self.stages;
         cloud.add_missing_columns(&method.traits().columns).map_err(Error::Config)?;
         for spec in &self.specs {

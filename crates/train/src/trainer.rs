@@ -86,7 +86,7 @@ impl Trainer<'_> {
     }
 
     /// Returns the number of learned weights besides the Gaussians.
-    pub fn weights(&self) -> usize {
+    pub fn weight_count(&self) -> usize {
         self.weights.len()
     }
 

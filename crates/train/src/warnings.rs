@@ -1,11 +1,11 @@
 //! Warnings before the first step about settings without effect or with too little data, and a report of large removals.
 
 use crate::adam::BETAS;
-use crate::densify::{self, SIZE_RULE, SPLIT_SHRINK, half_diagonal, largest_scale};
+use crate::densify::{self, SIZE_RULE, SPLIT_SHRINK, largest_scale};
 use crate::settings::Densify;
 use crate::trainer::Trainer;
 use pwrfgs_core::plugin::name_of;
-use pwrfgs_core::{Error, ImagePlane, Real, Result};
+use pwrfgs_core::{Error, ImagePlane, Real, Result, Vec3};
 
 impl Trainer<'_> {
     /// Returns one sentence per setting that has no effect, or too few pixels, with the initial Gaussians.
@@ -214,6 +214,11 @@ fn removed_by_text(rules: &[(String, usize)]) -> String {
     Some(format_counts(rules))
         .filter(|text| !text.is_empty())
         .map_or_else(String::new, |text| format!(", removed by {text}"))
+}
+
+/// Returns half the diagonal of the bounds of a scene, metres: its extent, if the pipeline does not set it.
+fn half_diagonal((low, high): ([Real; 3], [Real; 3])) -> Real {
+    0.5 * (Vec3::from_array(high) - Vec3::from_array(low)).length()
 }
 
 /// Returns the first step at which densification checks sizes; `None` if it never does.

@@ -35,7 +35,8 @@ impl Guard {
     /// Checks a request and returns the part of its path after the token.
     ///
     /// # Errors
-    /// Status for a rejected request.
+    /// The request has another host, origin or method, a body, too long a path, or no valid token: the status of the
+    /// answer.
     pub(crate) fn admit<'a>(&self, method: &Method, uri: &'a Uri, headers: &HeaderMap) -> Result<&'a str, StatusCode> {
         let is_server = |text: &str| self.hosts.iter().any(|host| host == text);
         if !single_value(headers, &HOST).is_some_and(is_server) {

@@ -6,7 +6,7 @@ use crate::state::{ServerState, WatcherGuard};
 use http_body_util::combinators::BoxBody;
 use http_body_util::{BodyExt as _, Full};
 use hyper::body::{Body as _, Bytes, Frame};
-use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY};
+use hyper::header::{CONTENT_TYPE, HeaderValue};
 use hyper::{Response, StatusCode};
 use pwrfgs_report::canvas::escape_xml;
 use pwrfgs_report::live::{FILES, PAGE_STYLE, STAGE, STYLE};
@@ -24,10 +24,6 @@ pub(crate) type PageResponse = Response<BoxBody<Bytes, Infallible>>;
 
 /// Status and message of a rejected request.
 pub(crate) type RequestError = (StatusCode, String);
-
-/// Content security policy: only own scripts, style and data; `blob:` and `data:` are images that the page makes.
-const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data: \
-    blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// Answers a request for `path`, the part after the token: a file of the page, its events, or arrays.
 ///
@@ -67,22 +63,6 @@ fn bytes_response(status: StatusCode, kind: &str, bytes: Vec<u8>) -> PageRespons
     *response.status_mut() = status;
     if let Ok(kind) = HeaderValue::from_str(kind) {
         response.headers_mut().insert(CONTENT_TYPE, kind);
-    }
-    response
-}
-
-/// Adds headers to a response, so that no other page can load, frame or store it.
-pub(crate) fn with_security_headers(mut response: PageResponse) -> PageResponse {
-    let headers = [
-        (CONTENT_SECURITY_POLICY, POLICY),
-        (REFERRER_POLICY, "no-referrer"),
-        (CACHE_CONTROL, "no-store"),
-        (HeaderName::from_static("x-content-type-options"), "nosniff"),
-        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
-        (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
-    ];
-    for (name, value) in headers {
-        response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
     response
 }
@@ -147,7 +127,8 @@ impl QueryParams {
     }
 }
 
-/// Parses the metres of the query parameter `name`, below 1e9; the error names it.
+/// Parses the query parameter `name`, metres. Returns an error, which names it, for text that is not a number, NaN, or
+/// an absolute value from 1e9.
 fn parse_metres(name: &str, value: &str) -> Result<f64, String> {
     let number = value.parse::<f64>().ok().filter(|v| v.abs() < 1e9);
     number.ok_or_else(|| format!("query parameter `{name}`: expected metres"))

@@ -4,7 +4,7 @@ use crate::guard::Guard;
 use crate::routes::{self, PageResponse};
 use crate::state::ServerState;
 use hyper::body::Incoming;
-use hyper::header::{CONNECTION, HeaderValue};
+use hyper::header::{CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, HeaderName, HeaderValue, REFERRER_POLICY};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{Request, StatusCode};
@@ -34,6 +34,9 @@ const MAX_HEAD_BYTES: usize = 16 << 10;
 const TICK: Duration = Duration::from_millis(100);
 /// Time without an open page after which the server stops; a reload takes less.
 const IDLE_LIMIT: Duration = Duration::from_secs(4);
+/// Content security policy: only own scripts, style and data; `blob:` and `data:` are images that the page makes.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data: \
+    blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// Serves `state` on a free loopback port until `stop` is set or the last page is closed. `ready` receives the address
 /// with the token.
@@ -87,7 +90,7 @@ impl ConnectionAccess {
     /// Checks a request and returns the part of its path after the token. The first admitted one acquires the slot.
     ///
     /// # Errors
-    /// Status for a rejected request, or if no slot is free.
+    /// The guard rejects the request, or no slot is free: the status of the answer.
     fn admit<'r>(&self, request: &'r Request<Incoming>) -> Result<&'r str, StatusCode> {
         let path = self.guard.admit(request.method(), request.uri(), request.headers())?;
         if !self.is_admitted() {
@@ -142,5 +145,21 @@ async fn respond(request: Request<Incoming>, access: &ConnectionAccess, state: &
             Ok(refusal)
         }
     };
-    routes::with_security_headers(answer.unwrap_or_else(|(status, why)| routes::plain_text_response(status, &why)))
+    with_security_headers(answer.unwrap_or_else(|(status, why)| routes::plain_text_response(status, &why)))
+}
+
+/// Adds headers to a response, so that no other page can load, frame or store it.
+fn with_security_headers(mut response: PageResponse) -> PageResponse {
+    let headers = [
+        (CONTENT_SECURITY_POLICY, POLICY),
+        (REFERRER_POLICY, "no-referrer"),
+        (CACHE_CONTROL, "no-store"),
+        (HeaderName::from_static("x-content-type-options"), "nosniff"),
+        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+        (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
+    ];
+    for (name, value) in headers {
+        response.headers_mut().insert(name, HeaderValue::from_static(value));
+    }
+    response
 }

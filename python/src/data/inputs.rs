@@ -4,7 +4,7 @@ use crate::arrays::{self, Gain, array_shape, axis_count, input_array, numbers, p
 use crate::border::{input_error, reject, without_gil};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods as _};
 use pwrfgs::data::{UnlinkedNode, power_fault, unlinked_node};
-use pwrfgs::experiment::findings;
+use pwrfgs::experiment::collect_findings;
 use pwrfgs_core::{Channels, Dataset, Error, Number, Observations, Origin, Pose, Real, Receiver, Sample, Spectra};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
@@ -82,7 +82,7 @@ pub(super) fn receiver_object<'py>(
 pub(super) fn warn_findings(py: Python<'_>, data: &Dataset) -> PyResult<()> {
     let warnings = py.import("warnings")?;
     let warn = |text| warnings.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 2)).map(drop);
-    let found = without_gil(py, || findings(data, None))?;
+    let found = without_gil(py, || collect_findings(data, None))?;
     found.iter().map(ToString::to_string).try_for_each(warn)
 }
 

@@ -9,7 +9,8 @@ impl Dataset {
     /// unless they also have equal carriers.
     ///
     /// # Errors
-    /// Several receivers, features, another number of carriers than links, or a carrier out of range.
+    /// [`Error::Config`] for several receivers, features, another number of carriers than links, or a carrier out of
+    /// range; [`Error::Read`] if a spectrum cannot be read.
     pub fn with_carriers(mut self, carriers_hz: &[f64]) -> Result<Self> {
         self.check_carriers(carriers_hz)
             .map_err(|fault| Error::Config(format!("data set `{}`: {fault}", self.title)))?;

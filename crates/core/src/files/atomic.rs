@@ -63,7 +63,7 @@ pub fn create(path: &Path, bytes: &[u8]) -> Result<()> {
 /// write the same file at once, one gets `true`.
 ///
 /// # Errors
-/// [`Error::Write`].
+/// [`Error::Write`] if the file cannot be written.
 pub fn write_new(path: &Path, bytes: &[u8]) -> Result<bool> {
     if path.symlink_metadata().is_ok() {
         return Ok(false);

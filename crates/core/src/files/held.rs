@@ -10,7 +10,7 @@ use std::time::Duration;
 /// more than a moment.
 ///
 /// # Errors
-/// If there is no such file, or it cannot be opened.
+/// There is no such file, it is not a regular file, or it cannot be opened.
 pub fn try_lock(path: &Path) -> io::Result<Option<File>> {
     lock_with(path, |file| {
         for _ in 0..20 {
@@ -26,7 +26,7 @@ pub fn try_lock(path: &Path) -> io::Result<Option<File>> {
 /// Locks the file at `path` until the returned file is dropped, and waits for other processes.
 ///
 /// # Errors
-/// If there is no such file, or it cannot be opened.
+/// There is no such file, it is not a regular file, or it cannot be opened.
 pub fn lock(path: &Path) -> io::Result<File> {
     let lock = lock_with(path, |file| {
         loop {
@@ -45,8 +45,8 @@ pub(super) fn lock_unused(path: &Path) -> Option<File> {
     lock_with(path, |file| file.try_lock().map_err(|_no_locks| TryLockError::WouldBlock)).ok().flatten()
 }
 
-/// Opens the file at `path` and locks it with `take`; `None` if another process holds the lock. Repeats this if the name leads
-/// to another file meanwhile.
+/// Opens the file at `path` and locks it with `take`; `None` if another process holds the lock. Repeats this if the
+/// name leads to another file meanwhile. Returns an error if the file is missing, irregular or cannot be opened.
 fn lock_with(path: &Path, take: impl Fn(&File) -> Result<(), TryLockError>) -> io::Result<Option<File>> {
     loop {
         super::refuse_irregular(path)?;
@@ -92,7 +92,7 @@ impl HeldFolder {
     /// Opens the folder at the path `name`.
     ///
     /// # Errors
-    /// If there is no such folder.
+    /// On Linux, [`Error::Write`] if there is no such folder, or it cannot be opened; other systems do not check it.
     pub fn open(name: &Path) -> Result<Self> {
         let by_name = || Self { name: name.into(), path: name.into(), folder: None };
         #[cfg(target_os = "linux")]
@@ -140,7 +140,7 @@ impl HeldFolder {
     /// Checks that the name still leads to the folder.
     ///
     /// # Errors
-    /// [`Error::Write`] with the current path of the files.
+    /// [`Error::Write`] if the name leads elsewhere; the message gives the current path of the files.
     pub fn check_name(&self) -> Result<()> {
         match &self.folder {
             Some(folder) if !is_file_at(folder, &self.name).unwrap_or(false) => {

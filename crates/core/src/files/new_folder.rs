@@ -50,7 +50,7 @@ impl NewFolder {
     /// Begins a temporary folder next to `out`, whatever `out` contains.
     ///
     /// # Errors
-    /// Writing fails.
+    /// [`Error::Write`] if the temporary folder or a folder above it cannot be created.
     pub fn begin_next_to(out: &Path) -> Result<Self> {
         static COUNT: AtomicUsize = AtomicUsize::new(0); // one process may create the same folder twice concurrently
         let parent = parent(out);
@@ -75,7 +75,7 @@ impl NewFolder {
     /// Removes a published folder; it is renamed first, so that no process reads a partial folder.
     ///
     /// # Errors
-    /// Removal fails.
+    /// [`Error::Write`] if the folder cannot be renamed.
     pub fn remove(folder: &Path) -> Result<()> {
         let grave = Self::begin_next_to(folder)?;
         fs::rename(folder, grave.path.join(GRAVE)).map_err(|e| Error::write(folder, e))
@@ -105,7 +105,7 @@ impl NewFolder {
     /// Writes one of its files.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`] if the file cannot be written.
     pub fn put(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
         super::write(&self.path.join(name), bytes)
     }

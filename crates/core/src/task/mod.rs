@@ -251,8 +251,8 @@ pub trait Columns: Debug + Send + Sync {
     /// Returns observation `i` as an array of numbers.
     fn image(&self, i: usize) -> Image;
 
-    /// Writes the pixels of image `i` that `sampling` selects to `out`, row-major; all values of an observation without
-    /// pixels.
+    /// Writes the pixels of image `i` that `sampling` selects to `out`, row-major. The default, for observations without
+    /// pixels, ignores `sampling` and writes all values.
     fn sampled(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
         let _ = sampling;
         out.iter_mut().zip(self.image(i).pixels).for_each(|(out, v)| *out = v);
@@ -284,7 +284,7 @@ pub trait Columns: Debug + Send + Sync {
     /// Checks that all reads so far succeeded.
     ///
     /// # Errors
-    /// [`Error::Read`](crate::Error::Read) of the file of spectra.
+    /// [`Error::Read`](crate::Error::Read) if the file of spectra cannot be read.
     fn check(&self) -> Result<()> {
         Ok(())
     }
@@ -318,7 +318,7 @@ impl Observations {
     /// Returns the observations of `links`, in memory.
     ///
     /// # Errors
-    /// [`Error::Read`](crate::Error::Read) of a spectrum.
+    /// [`Error::Read`](crate::Error::Read) if a spectrum cannot be read.
     pub(crate) fn subset(&self, links: &[usize]) -> Result<Self> {
         Ok(match self {
             Self::Pictures(all) => {

@@ -48,7 +48,7 @@ impl Baseline for LogDistance {
 
     fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
-        let links_by_receiver = data.by_receiver(fitting_samples(fitting)?);
+        let links_by_receiver = data.group_by_receiver(fitting_samples(fitting)?);
         let points: Vec<_> = links_by_receiver.iter().map(|links| path_loss_points(data, links)).collect();
         let groups: Vec<&[(f64, f64)]> = points.iter().map(Vec::as_slice).collect();
         let (shared, levels) = PathLoss::fit_groups(&groups);

@@ -248,7 +248,7 @@ impl Baseline for NearestCarrier {
     fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
         let lookup = |links: Vec<usize>| Nearest::new(links, 3, |i| data.sample(i).position().to_vec());
-        let links = data.by_receiver(fitting_samples(fitting)?).into_iter().enumerate();
+        let links = data.group_by_receiver(fitting_samples(fitting)?).into_iter().enumerate();
         let carriers = links.filter(|(_, links)| !links.is_empty()).map(|(carrier, links)| (carrier, lookup(links)));
         Ok(Box::new(CarrierLookup { data, carriers: carriers.collect() }))
     }

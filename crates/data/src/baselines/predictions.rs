@@ -64,17 +64,17 @@ enum Prediction {
 }
 
 impl Predictions {
-    /// Sets `digest` to that of the files of predictions for `data`.
+    /// Computes and stores the digest of the predictions for `data` and of its positions.
     ///
     /// # Errors
-    /// A file that cannot be read.
+    /// The folder or a file is missing or cannot be read, two files have one id, or the table of powers has a missing
+    /// column or an invalid or repeated row.
     pub fn set_digest(&mut self, data: &Dataset) -> Result<()> {
         self.digest = self.compute_digest(data)?;
         Ok(())
     }
 
-    /// Returns the digest of all predictions for `data` and of its positions. Returns an error for a file that cannot be
-    /// read.
+    /// Returns the digest of all predictions for `data` and of its positions. Returns the errors of [`Self::set_digest`].
     fn compute_digest(&self, data: &Dataset) -> Result<String> {
         let mut all = String::new();
         (0..data.len()).for_each(|i| _ = writeln!(all, "{:?}", data.sample(i).position()));

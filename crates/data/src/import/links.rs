@@ -13,12 +13,12 @@ const COLUMNS: [&str; 8] = ["x", "y", "z", "receiver", "rx_x", "rx_y", "rx_z", "
 const MOST_CELLS: usize = 10_000_000;
 const ADVICE: &str = "write one row per link with the columns x, y, z, receiver, rx_x, rx_y, rx_z and dbm";
 
-/// Reads the links in `path` as a data set called `title`: columns x, y and z of the transmitter, metres; name and position of the receiver; power in
-/// dBm, -100 if no signal was received. Rows with equal x, y and z are one transmitter. Also returns the number of rows with
-/// -100.
+/// Reads the links in `path` as a data set called `title`: columns x, y and z of the transmitter, metres; name and
+/// position of the receiver; power in dBm, -100 if no signal was received. Rows with equal x, y and z are one
+/// transmitter. Also returns the number of rows with -100.
 ///
 /// # Errors
-/// An invalid row, two positions of one receiver, or two rows of one link.
+/// The file cannot be read, has an invalid row, gives one receiver two positions, or has two rows for one link.
 pub fn read_links(path: &Path, title: &str, simulated: bool) -> Result<(Dataset, usize)> {
     let text = read_text(path, MAX_TEXT, ADVICE)?;
     let (mut positions, mut lines, mut links) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());

@@ -124,8 +124,8 @@ fn read_images(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Returns the result of `read` on an array of an archive, its path, bytes and length: the array `name`, else `usual`, else
-/// the only one.
+/// Returns the result of `read` on an array of an archive, its path, bytes and length: the array `name`, else `usual`,
+/// else the only one. Returns an error for a damaged archive, repeated names, or no such array.
 fn read_archive<T>(
     path: &Path,
     name: Option<String>,

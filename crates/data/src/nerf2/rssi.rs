@@ -199,7 +199,8 @@ fn find_columns<'a>(header: &TextRow<'a>, names: &[String], unknown: [&str; 2]) 
 /// receivers without a column.
 ///
 /// # Errors
-/// An invalid table, with line and column.
+/// The file cannot be read, has an invalid row, or has a column of an unknown receiver; the message has line and
+/// column.
 pub fn read_powers(path: &Path, receivers: &[String]) -> Result<Vec<Vec<Real>>> {
     const ADVICE: &str =
         "write one column per receiver and one row per transmitter, in dBm; leave unknown powers empty";

@@ -3,7 +3,7 @@
 use super::{DEFAULT_VALIDATION, check_test_share, check_validation_share, partition_of_locations, share_count};
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{
-    Dataset, Demand, Error, JsonSchema, Misfit, Partition, Parts, Requirement, Result, Split, compatible,
+    Dataset, Demand, Error, JsonSchema, Misfit, Partition, Parts, Requirement, Result, Split, check_compatible,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -152,7 +152,7 @@ fn decimal_digits(v: f64) -> (i128, i32) {
 impl Split for Voxel {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         let demands = &[Demand::of("split", "Voxel", &[Requirement::Positions])];
-        compatible(&Parts { data: Some(data), demands, ..Parts::default() }).map_err(Misfit::error)?;
+        check_compatible(&Parts { data: Some(data), demands, ..Parts::default() }).map_err(Misfit::error)?;
         let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
         for (i, location) in data.locations.iter().enumerate() {
             cells.entry(self.cell(location.position())).or_default().push(i);

@@ -45,7 +45,7 @@ impl MetricScale {
     /// near pairs, gives the mean; values moved along it give median and tail percentile.
     ///
     /// # Errors
-    /// The reason why the pairs do not determine the mean.
+    /// The pairs do not determine the mean; the message gives the reason.
     pub(super) fn extrapolate(&self, pairs: &[SamplePair], values: &[f64]) -> Result<ZeroDistanceEstimate, String> {
         if values.iter().any(|value| !value.is_finite()) {
             return Err("some pairs have values that are not finite".into());

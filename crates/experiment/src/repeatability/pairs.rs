@@ -69,7 +69,7 @@ impl SamplePair {
 /// Finds the pairs of one kind, the closest first. Near in time: all pairs. Far apart in time: all close pairs (of
 /// 8,192 samples with any other), and a random part of the distant ones.
 pub(super) fn find_pairs(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
-    let receivers = data.by_receiver(0..data.len());
+    let receivers = data.group_by_receiver(0..data.len());
     let pairs_of = |links: &Vec<usize>| match lag {
         PairLag::Near => near_pairs(data, links),
         PairLag::Far => far_pairs(data, links, receivers.len()),
@@ -129,14 +129,14 @@ fn draw_pairs(data: &Dataset, links: &[usize], count: usize) -> impl Iterator<It
 /// of time.
 pub fn is_in_time_order(data: &Dataset) -> bool {
     let median = |pairs: Vec<SamplePair>| median(pairs.iter().map(|pair| pair.distance));
-    let links = data.by_receiver(0..data.len()).into_iter().max_by_key(Vec::len).unwrap_or_default();
+    let links = data.group_by_receiver(0..data.len()).into_iter().max_by_key(Vec::len).unwrap_or_default();
     let next = links.windows(2).map(|pair| SamplePair::of(data, pair[0], pair[1])).collect();
     median(next) < 0.5 * median(draw_unrelated_pairs(data))
 }
 
 /// Draws random pairs of any two samples of one receiver, about [`UNRELATED`] in all.
 pub(super) fn draw_unrelated_pairs(data: &Dataset) -> Vec<SamplePair> {
-    let receivers = data.by_receiver(0..data.len());
+    let receivers = data.group_by_receiver(0..data.len());
     let each = UNRELATED.div_ceil(receivers.len());
     receivers.iter().flat_map(|links| draw_pairs(data, links, each)).collect()
 }

@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 /// initialiser. The observer gets warnings once per combination. Returns the unfinished runs.
 ///
 /// # Errors
-/// The first invalid run, by name; no files are written in that case.
+/// A run is invalid; the message names the first. No files are written in that case.
 pub fn check(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
     let runs = unfinished_runs(plan, runs)?;
     initialize_unfinished(plan, &runs, &|_| false, observer)?;

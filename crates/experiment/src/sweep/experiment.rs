@@ -129,7 +129,7 @@ impl Experiment {
     /// Reads an experiment; `path` is for messages only.
     ///
     /// # Errors
-    /// [`Error::Input`](pwrfgs_core::Error::Input) with line and column.
+    /// [`Error::Input`](pwrfgs_core::Error::Input) with line and column if the text is not a valid experiment.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         read_ron::<Checked<Self>>(text, path).map(|e| Self::clone(&e))
     }

@@ -71,7 +71,7 @@ impl Listing {
     /// Writes the listing into the sweep folder.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`] if the file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<()> {
         write_atomically(&folder.join(LISTING), self.to_json().as_bytes())
     }

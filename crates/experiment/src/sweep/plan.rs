@@ -344,7 +344,7 @@ fn align_runs(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
 /// Checks that the models of `runs` have distinct names and settings, and the same data, split, residuals and plane.
 ///
 /// # Errors
-/// The first run that does not fit the earlier ones.
+/// A run does not fit the earlier ones; the message names the first such run.
 fn check_joinable(runs: &[PlannedRun]) -> Result<(), String> {
     let first = &runs[0];
     let settings_of_models: Vec<String> = runs.iter().map(|run| model_settings(&run.pipeline)).collect();

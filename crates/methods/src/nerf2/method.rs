@@ -127,7 +127,8 @@ impl Nerf2 {
         chunks: impl Iterator<Item = (usize, Range<usize>, Passes)>,
     ) -> Vec<[Real; 2]> {
         let setup = call.setup;
-        let width = if setup.task.has_pixels { call.pixels.count_per_link(setup.numbers()) } else { band_count(setup) };
+        let width =
+            if setup.task.has_pixels { call.pixels.count_per_link(setup.value_count()) } else { band_count(setup) };
         let mut totals = vec![[0.0; 2]; call.links.pairs.len() * width];
         for (group, rays, passes) in chunks {
             let bands = band_count(setup);
@@ -257,7 +258,7 @@ impl Method for Nerf2 {
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
         let network = lay_out_for(p.weights, |plan| self.plan_network(setup, plan));
-        let rays = if setup.task.has_pixels { setup.numbers() } else { self.sky_directions().len() };
+        let rays = if setup.task.has_pixels { setup.value_count() } else { self.sky_directions().len() };
         let of_sample = network.width() + network.outputs;
         let bytes = setup.receivers.len() * rays * self.samples * of_sample * size_of::<Real>();
         if bytes > MOST_CACHED {

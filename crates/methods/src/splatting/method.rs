@@ -105,7 +105,7 @@ impl Splatting {
         let network_cache = ready.map_or(&None, |ready| &ready.deformation);
         let (deltas, kept) = self.network_terms(call, network_cache, is_training);
         let mut times = StageTimes { network: start.elapsed().as_secs_f64(), ..StageTimes::default() };
-        let (sky, numbers) = (self.sky(setup), setup.numbers());
+        let (sky, numbers) = (self.sky(setup), setup.value_count());
         let one = |group: ReceiverGroup| {
             let start = Instant::now();
             let view = ReceiverView { pose: group.state.pose, plane: sky.clone() };
@@ -159,7 +159,7 @@ impl Method for Splatting {
             projector: Some(&self.projector),
             rasterizer: Some(&self.rasterizer),
             deformation: Some(&self.deformation),
-            channels: self.readout.channels(),
+            channels: self.readout.channel_count(),
             shows_colours: self.calibration == Calibration::AsReleased,
             supports_existence_gate: true,
             blends: self.rasterizer.blends(),
@@ -237,7 +237,7 @@ impl Method for Splatting {
         let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
         let (mut grads, rows) = (ActivationVjp::zeros(p.cloud, deltas), (0..p.cloud.len()).collect::<Vec<_>>());
         for (group, view, drawing) in drawings {
-            let d = group.gather_rows(d, setup.numbers());
+            let d = group.gather_rows(d, setup.value_count());
             let d_law = d_offsets
                 .get_mut(group.state.receiver)
                 .zip(d_exponents.get_mut(group.state.receiver))
@@ -306,7 +306,7 @@ impl Method for Splatting {
     }
 
     fn gaussians(&self, setup: &MeasurementSetup, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
-        let (n, channels) = (p.cloud.len(), self.readout.channels());
+        let (n, channels) = (p.cloud.len(), self.readout.channel_count());
         let strengths = |signals: &[Real]| {
             let planar: Vec<Real> =
                 (0..channels).flat_map(|c| signals.iter().skip(c).step_by(channels).copied()).collect();

@@ -72,7 +72,7 @@ impl Splatting {
         let [offset, exponent] = &mut [0.0; 2];
         let d_law =
             self.split_weights(setup, p.weights).1.receiver_law(link.state.receiver).map(|_| [offset, exponent]);
-        self.read_out_vjp(view, d_law, &link.distances(request.call), blended, &vec![1.0; setup.numbers()])
+        self.read_out_vjp(view, d_law, &link.distances(request.call), blended, &vec![1.0; setup.value_count()])
     }
 
     /// Returns the statistics of all links of a geometry together: the blending weights are equal, only `signals`
@@ -85,7 +85,7 @@ impl Splatting {
         geometry: &Geometry,
         needs: &Needs,
     ) -> PassStatistics {
-        let (splats, channels) = (&geometry.splats, self.readout.channels());
+        let (splats, channels) = (&geometry.splats, self.readout.channel_count());
         let n = splats.len();
         // Only blending weights are needed, so that the signals are arbitrary.
         let render =
@@ -119,8 +119,8 @@ impl Splatting {
     ) -> PassStatistics {
         let SurveyRequest { call: Call { setup, .. }, truths, needs } = *request;
         let BlendedSignals { geometry, signals, render, .. } = drawing;
-        let (splats, channels) = (&geometry.splats, self.readout.channels());
-        let truth = &truths[link.first_link() * setup.numbers()..][..setup.numbers()];
+        let (splats, channels) = (&geometry.splats, self.readout.channel_count());
+        let truth = &truths[link.first_link() * setup.value_count()..][..setup.value_count()];
         let predicted = self.read_out(request.call, view, link, &self.clamp_as_released(&render.pixels));
         let slopes = self.observation_slopes(request, view, link, &render.pixels);
         let asks = |matches: fn(&Statistic) -> bool| needs.statistics.iter().copied().find(matches);
@@ -170,7 +170,7 @@ impl Splatting {
         if splats.existence.is_empty() {
             splats.existence = vec![1.0; splats.len()];
         }
-        let channels = self.readout.channels();
+        let channels = self.readout.channel_count();
         let d = self.rasterizer.backward(splats.with_signals(signals, channels, &view.plane), render, slopes);
         for (i, stats) in splat_stats.iter_mut().enumerate() {
             stats.sensitivity = (splats.existence[i] * d.splats.existence[i]).powi(2);

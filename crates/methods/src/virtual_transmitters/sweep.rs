@@ -58,7 +58,7 @@ struct Shell {
 
 impl Shell {
     /// Returns the number of positions along an edge of the outer cube.
-    fn edge_points(&self) -> usize {
+    fn edge_point_count(&self) -> usize {
         (2.0 * self.half / self.step).ceil() as usize + 1
     }
 
@@ -70,7 +70,7 @@ impl Shell {
     /// Returns the segments outside the inner cube of a line along x at `y` and `z`, as first index and number of
     /// positions; the second is empty if the line misses the inner cube.
     fn segments(&self, [y, z]: [f64; 2]) -> [(usize, usize); 2] {
-        let count = self.edge_points();
+        let count = self.edge_point_count();
         if y.abs().max(z.abs()) >= self.hollow {
             return [(0, count), (count, 0)];
         }
@@ -97,7 +97,7 @@ impl Layer {
         let line = |y| {
             shell.segments([shell.coordinate(y), shell.coordinate(*z)]).iter().map(|(_, count)| count).sum::<usize>()
         };
-        (0..shell.edge_points()).step_by(stride).map(line).sum()
+        (0..shell.edge_point_count()).step_by(stride).map(line).sum()
     }
 }
 
@@ -117,7 +117,7 @@ impl SearchGrid {
     /// Returns all layers of all shells, for each rotation.
     fn layers(&self) -> Vec<Layer> {
         let layers = |shell: Shell| {
-            let layer = move |q| (0..shell.edge_points()).map(move |z| Layer { shell, q, z });
+            let layer = move |q| (0..shell.edge_point_count()).map(move |z| Layer { shell, q, z });
             (0..self.quats.len()).flat_map(layer)
         };
         self.shells().into_iter().flat_map(layers).collect()
@@ -156,7 +156,7 @@ pub(crate) fn sweep_grid(rows: &MeasurementRows, grid: &SearchGrid, most: usize,
 pub(crate) fn time_sweep(rows: &MeasurementRows, grid: &SearchGrid, most: usize) -> (Vec<Peak>, f64) {
     let layers = evenly(&grid.layers(), 2 * rayon::current_num_threads());
     let (all, mut best) = (Instant::now(), f64::INFINITY);
-    let mut stride = layers.iter().map(|layer| layer.shell.edge_points()).max().unwrap_or(1);
+    let mut stride = layers.iter().map(|layer| layer.shell.edge_point_count()).max().unwrap_or(1);
     let mut passes = 0;
     loop {
         let begun = Instant::now();
@@ -183,7 +183,7 @@ fn sweep_lines(
     let layer = |&Layer { shell, q, z }: &Layer| {
         let mut peaks = Vec::new();
         let mut least = 0.0;
-        for y in (0..shell.edge_points()).step_by(stride) {
+        for y in (0..shell.edge_point_count()).step_by(stride) {
             if stop.load(Ordering::Relaxed) {
                 return peaks;
             }

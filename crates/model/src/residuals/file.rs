@@ -63,7 +63,7 @@ impl ResidualsNote {
     /// Takes the residual processes of a model for `setup` out of its file.
     ///
     /// # Errors
-    /// The message names the mismatch.
+    /// The settings do not fit `setup`, a value is out of range, or a tensor is missing or has another shape or type.
     pub(crate) fn take(self, file: &mut Tensors, setup: &MeasurementSetup) -> Result<Residuals, String> {
         let links = self.count_links(setup)?;
         let Self { stride, neighbours, receivers } = self;
@@ -115,7 +115,7 @@ impl ProcessNote {
     /// Returns the trend, variance and correlation at a `receiver`.
     ///
     /// # Errors
-    /// The message states the value out of range.
+    /// A value is out of range; the message states it.
     fn process_fit(&self, task: Task, receiver: &Receiver) -> Result<ProcessFit, String> {
         let Self { share, variance, correlation, scales_m, noise, path_loss, .. } = *self;
         let is_scale = |v: &f64| v.is_finite() && *v >= LEAST;

@@ -1,7 +1,7 @@
 //! `Kriged`: settings of residual processes.
 
 use pwrfgs_core::plugin::Check;
-use pwrfgs_core::{Dataset, Demand, Error, JsonSchema, Misfit, Parts, Requirement, Result, compatible};
+use pwrfgs_core::{Dataset, Demand, Error, JsonSchema, Misfit, Parts, Requirement, Result, check_compatible};
 use serde::{Deserialize, Serialize};
 
 /// Kriging of residuals: after training, a Gaussian process over the transmitter position predicts the difference between
@@ -67,7 +67,7 @@ impl Kriged {
     pub fn check_data(&self, data: &Dataset, is_left_out: bool) -> Result<()> {
         let requires = &[Requirement::Positions, Requirement::NoFeatures, Requirement::FixedReceiver];
         let demands = &[Demand::of("residuals", "Kriged", requires)];
-        compatible(&Parts { data: Some(data), demands, ..Parts::default() }).map_err(Misfit::error)?;
+        check_compatible(&Parts { data: Some(data), demands, ..Parts::default() }).map_err(Misfit::error)?;
         if is_left_out {
             return Ok(());
         }

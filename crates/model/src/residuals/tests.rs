@@ -19,7 +19,7 @@ fn model(shift: Real) -> Model {
     let method = Plugin::<dyn Method>::parse(text).unwrap();
     let plane = method.traits().projector.unwrap().plane(SIZE.0, SIZE.1);
     let stages = Stages { method, setup: MeasurementSetup::spectra(Origin::ZERO, Pose::IDENTITY, plane) };
-    let weights = vec![0.0; stages.layout().numbers()];
+    let weights = vec![0.0; stages.layout().weight_count()];
     let mut cloud = GaussianCloud::zeros(2);
     cloud.means = vec![[1.0 + shift, 0.5, 1.0], [-1.0, 1.0, 1.5]];
     cloud.quats = vec![[1.0, 0.0, 0.0, 0.0]; 2];
@@ -138,7 +138,7 @@ fn residuals_of_good_model_are_noisier_than_observations() {
                 rasterizer: AlphaBlending(), calibration: Physical, readout: Magnitude)";
     varying.stages.method = Plugin::parse(text).unwrap();
     let random = &mut rng::stream(7, "weights", 0);
-    varying.weights = (0..varying.stages.layout().numbers()).map(|_| 0.5 * rng::normal(random)).collect();
+    varying.weights = (0..varying.stages.layout().weight_count()).map(|_| 0.5 * rng::normal(random)).collect();
     let base = Ensemble::of(varying);
     let data = data(&base, |i, _| 0.02 * rng::normal(&mut rng::stream(8, "noise", i as u64)));
     let residuals = fit(&Kriged { stride: 1, ..Kriged::default() }, &base, &data).unwrap();

@@ -1,6 +1,5 @@
 //! Wave of one splat at the antennas, and its derivative.
 
-use super::ArrayResponse;
 use crate::ewa::symmetric_inverse_vjp;
 use pwrfgs_core::{
     ImagePlane, JsonSchema, Real, Splats, Vec3,
@@ -51,9 +50,15 @@ struct Aim {
 }
 
 impl Antennas {
-    /// Creates the antennas of an array, for a plane whose pixels are directions.
-    pub(super) fn new(array: &ArrayResponse, plane: &ImagePlane) -> Self {
-        let ArrayResponse { rows, columns, spacing_wavelengths: spacing, widened, wavefront } = *array;
+    /// Creates the antennas of an array of `[rows, columns]`, their `spacing` in wavelengths, for a plane whose pixels are
+    /// directions.
+    pub(super) fn new(
+        [rows, columns]: [usize; 2],
+        spacing: Real,
+        widened: bool,
+        wavefront: Wavefront,
+        plane: &ImagePlane,
+    ) -> Self {
         let coordinate = |index: usize, count: usize| (index as Real - (count as Real - 1.0) / 2.0) * spacing;
         let positions = (0..rows * columns)
             .map(|k| Vec3::new(coordinate(k % columns, columns), coordinate(k / columns, rows), 0.0));

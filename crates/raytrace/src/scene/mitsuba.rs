@@ -53,7 +53,8 @@ impl MitsubaScene {
     /// Reads the shapes and radio materials of an XML file; paths of meshes become relative to the current directory.
     ///
     /// # Errors
-    /// Reports line and column of an error: syntax, an element or material that is not supported, a missing mesh.
+    /// The file cannot be read, is not valid XML, has an element or material that is not supported, or names a missing
+    /// mesh; the message has line and column.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let text = files::read_text_at_most(path, MOST_BYTES)?;
         check_tags(path, &text)?;
@@ -173,7 +174,8 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// Returns the value of an attribute with variables replaced; `None` without the attribute.
+    /// Returns the value of an attribute with variables replaced; `None` without the attribute. Returns an error for an
+    /// unknown variable.
     fn attribute(&self, node: Element<'_>, name: &str) -> Result<Option<String>> {
         let Some(value) = node.attribute(name) else { return Ok(None) };
         expand_variables(name, value, &self.variables).map(Some).map_err(|problem| self.fault(node, problem))
@@ -274,7 +276,8 @@ impl<'a> Reader<'a> {
         Ok(finish)
     }
 
-    /// Reads a shape as an object with a hollow mesh, and adds a material inside it to `scene`.
+    /// Reads a shape as an object with a hollow mesh, and adds a material inside it to `scene`. Returns an error for an
+    /// unsupported shape or transform, or a missing mesh or material.
     fn read_shape(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Object> {
         let kind = quoted(&self.required_attribute(node, "type")?);
         let problem = format!("unsupported shape type {kind}; export the shape as a PLY mesh");
@@ -318,7 +321,8 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Reads a `transform` element as one map: its steps applied in order.
+    /// Reads a `transform` element as one map: its steps applied in order. Returns an error for an unsupported step or
+    /// an invalid number.
     fn read_transform(&self, node: Element<'_>) -> Result<DAffine3> {
         let mut all = DAffine3::IDENTITY;
         for step in child_elements(node) {

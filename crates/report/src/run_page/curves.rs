@@ -74,7 +74,7 @@ fn draw_figure(title: impl Into<String>, chart: &Chart) -> Option<Figure> {
     chart.draw().map(|canvas| (title.clone(), canvas.svg("chart", &title)))
 }
 
-/// Draws the loss on a logarithmic axis: mean and range over short ranges of steps.
+/// Draws the loss on a logarithmic axis: mean and range over short ranges of steps. `None` without points.
 fn loss_figure(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     let ranges: Vec<&[(f64, f64)]> = points.chunks(points.len().div_ceil(MOST_RANGES).max(1)).collect();
     let middle = |s: &[(f64, f64)], y: f64| (s[s.len() / 2].0, y);
@@ -90,7 +90,7 @@ fn loss_figure(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     draw_figure("Training loss", &chart_over_steps(run, true, lines))
 }
 
-/// Draws N over the steps on a logarithmic axis.
+/// Draws N over the steps on a logarithmic axis. `None` without points.
 fn gaussians_figure(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     let lines = vec![solid_line(decimate_steps(points), MODEL_COLOUR, 2.0)];
     let splats = run.model.is_drawn_as(Appearance::Ellipsoids);
@@ -153,7 +153,8 @@ const MOST_POINTS: usize = 400;
 /// Share of each predictor within the axis, for errors and ratios without natural limits.
 const INSIDE: f64 = 0.98;
 
-/// Draws the share of the test set below each value of the first metric, for all predictors.
+/// Draws the share of the test set below each value of the first metric, for all predictors. `None` without per-sample
+/// values.
 fn distribution_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     let scores = &run.record.scores;
     let task = run.data.task();

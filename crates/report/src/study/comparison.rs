@@ -271,7 +271,7 @@ fn baseline_rows(setting: &Setting) -> Vec<ComparisonRow<'_>> {
     rows
 }
 
-/// Returns the row of the noise ceiling, if it was estimated.
+/// Returns the row of the noise ceiling; `None` if no run estimated it.
 fn ceiling_row(setting: &Setting) -> Option<ComparisonRow<'_>> {
     let mut runs: Vec<&Record> = Vec::new();
     for run in setting.runs().filter(|run| run.scores.table.predictors.iter().any(|name| name == CEILING)) {

@@ -134,7 +134,7 @@ fn contributions(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     }
     let links = &stages.setup.inputs(inputs, std::iter::once(stages.query(tx, receiver)));
     let parameters = Parameters { cloud: &model.cloud, gate: None, existence: None, weights: &model.weights };
-    let truth = vec![0.0; stages.setup.numbers()];
+    let truth = vec![0.0; stages.setup.value_count()];
     let needs = Needs::of(&[Statistic::Weight], 0);
     let call = Call { setup: &stages.setup, parameters, links, pixels: &PixelSubset::All };
     let statistics = stages.method.survey(&call, &truth, &needs);
