@@ -5,7 +5,7 @@ use crate::border::{input_error, reject, run_stoppable, stop_progress, without_g
 use crate::data::Dataset;
 use crate::model::Model;
 use crate::settings::field_list;
-use pwrfgs::experiment::{Observer, SplitData, findings as findings_of, load, read_pipeline};
+use pwrfgs::experiment::{Observer, SplitData, collect_findings, load, read_pipeline};
 use pwrfgs::localise::Region;
 use pwrfgs::model::compress::Bits;
 use pwrfgs::planning::floor_grid;
@@ -188,7 +188,7 @@ pub(crate) fn compress(py: Python<'_>, model: &Model, bits: u8) -> PyResult<(Mod
 /// Finds implausible properties of data: (name, problem, mend).
 #[pyfunction]
 pub(crate) fn findings(py: Python<'_>, data: &Dataset) -> PyResult<Vec<(String, String, String)>> {
-    let all = without_gil(py, || findings_of(&data.data, None))?;
+    let all = without_gil(py, || collect_findings(&data.data, None))?;
     Ok(all.into_iter().map(|finding| (finding.name, finding.problem, finding.mend)).collect())
 }
 
