@@ -10,7 +10,7 @@ use numpy::PyArrayDyn;
 use pwrfgs::experiment::{folder::PIPELINE, model_file};
 use pwrfgs::model::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
-use pwrfgs::tasks::predict::{extrapolation_warning, interval_factors};
+use pwrfgs::tasks::predict::interval_factors;
 use pwrfgs::tasks::read_models;
 use pwrfgs_core::files::{check_file_path, write_atomically};
 use pwrfgs_core::{Activated, End, Error, Pose, Query, Real};
@@ -82,17 +82,6 @@ impl Model {
     /// Returns method and setup of the first member.
     fn stages(&self) -> &Stages {
         &self.ensemble.members()[0].stages
-    }
-
-    /// Warns of positions that are far from all training positions.
-    fn warn_of_extrapolations(&self, links: &Links) {
-        if links.features.is_empty() {
-            let positions: Vec<[f64; 3]> = links.poses.iter().map(|pose| pose.position).collect();
-            let distances = self.ensemble.training_distances(&positions);
-            if let Some(warning) = distances.as_ref().and_then(extrapolation_warning) {
-                crate::tasks::log_message("warning", &warning);
-            }
-        }
     }
 
     /// Reads the links of a call from its arguments: those of one receiver, or of all.

@@ -4,6 +4,7 @@ use super::{Links, Model};
 use crate::arrays::{array, check_memory, observation_rows, observations};
 use crate::border::{LOOK, reject, to_plugin_error, without_gil};
 use pwrfgs::model::IntervalFactors;
+use pwrfgs::tasks::predict::extrapolation_warning;
 use pwrfgs_core::{Error, MeasurementSetup, Predict as _, Query, Real, Result};
 use pyo3::prelude::*;
 use rayon::prelude::*;
@@ -13,6 +14,17 @@ use std::time::Instant;
 const CHUNK: usize = 16;
 
 impl Model {
+    /// Warns of positions that are far from all training positions.
+    pub(super) fn warn_of_extrapolations(&self, links: &Links) {
+        if links.features.is_empty() {
+            let positions: Vec<[f64; 3]> = links.poses.iter().map(|pose| pose.position).collect();
+            let distances = self.ensemble.training_distances(&positions);
+            if let Some(warning) = distances.as_ref().and_then(extrapolation_warning) {
+                crate::tasks::log_message("warning", &warning);
+            }
+        }
+    }
+
     /// Returns an array of predicted observations of `links`; `work` fills the numbers of the queries of a chunk, chunk by
     /// chunk in order.
     pub(super) fn predicted_array<'py>(
