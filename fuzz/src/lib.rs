@@ -85,7 +85,7 @@ impl Bench {
         Ok(Self { folder: folder.into(), seeds })
     }
 
-    /// Seed files of target number `target`.
+    /// Returns the contents of the seed files of target number `target`.
     pub fn seeds(&self, target: usize) -> &[Vec<u8>] {
         &self.seeds[target]
     }

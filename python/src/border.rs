@@ -239,7 +239,7 @@ fn argument_names(text: &str) -> String {
         let is_flag =
             flag.starts_with(|c: char| c.is_ascii_lowercase()) && !before.ends_with(|c: char| c.is_alphanumeric());
         names += before;
-        names += &if is_flag { flag.replace('-', "_") } else { format!("--{flag}") };
+        names += &if is_flag { flag.replace('-', "_") } else { ["--", flag].concat() };
         rest = tail;
     }
     names + rest

@@ -26,16 +26,6 @@ struct View {
     plane: ImagePlane,
 }
 
-/// Reads the pose of a receiver: position, and orientation as x, y, z, w.
-fn read_pose(pose: &Bound<'_, PyAny>) -> PyResult<Pose> {
-    let (position, orientation): ([f64; 3], [f64; 4]) = pose.extract()?;
-    let parsed = Pose { position, orientation };
-    match parsed.fault() {
-        Some((_, fault)) => reject(pose.py(), &format!("pose: {fault}")),
-        None => Ok(parsed),
-    }
-}
-
 impl View {
     /// Parses projector, rasterizer and pose, and creates the plane of an image of this size.
     fn new(
@@ -55,6 +45,16 @@ impl View {
         let plane = plane.map_err(|why| input_error(py, &why.to_string()))?;
         rasterizer.check_plane(&plane).map_err(|why| input_error(py, &why.to_string()))?;
         Ok(Self { projector, rasterizer, pose: read_pose(pose)?, plane })
+    }
+}
+
+/// Reads the pose of a receiver: position, and orientation as x, y, z, w.
+fn read_pose(pose: &Bound<'_, PyAny>) -> PyResult<Pose> {
+    let (position, orientation): ([f64; 3], [f64; 4]) = pose.extract()?;
+    let parsed = Pose { position, orientation };
+    match parsed.fault() {
+        Some((_, fault)) => reject(pose.py(), &format!("pose: {fault}")),
+        None => Ok(parsed),
     }
 }
 

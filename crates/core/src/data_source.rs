@@ -132,7 +132,7 @@ pub trait Baseline: crate::plugin::PluginObject {
             .map_err(Misfit::error)
     }
 
-    /// Fits to the links of `fitting`. Choices use the validation set; if it is empty, samples held out of the training
+    /// Fits the baseline to the links of `fitting` and returns its predictor. Choices use the validation set; if it is empty, samples held out of the training
     /// set.
     ///
     /// # Errors

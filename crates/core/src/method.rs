@@ -151,7 +151,8 @@ pub trait Method: crate::plugin::PluginObject {
     /// parameters, or `None`; both give bit-identical results.
     fn forward(&self, call: &Call<'_>, prepared: &Cache) -> ForwardOutput;
 
-    /// Adds to `sums`, given the cotangents `d` of [`ForwardOutput::numbers`].
+    /// Adds the derivatives of the parameters and the statistics to `sums`, given the cotangents `d` of
+    /// [`ForwardOutput::numbers`]. `observed` is the result of [`Self::forward`] for the same call.
     fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp);
 
     /// Returns statistics of each Gaussian's effect on the observations, with measured values `truths` `[L, numbers]`.

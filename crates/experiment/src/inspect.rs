@@ -147,10 +147,10 @@ impl DataSummary {
     }
 }
 
-/// Writes the text of `pwrfgs inspect`: the summary of `data`, and all splits with their baselines.
+/// Formats the text of `pwrfgs inspect`: the summary of `data`, and all splits with their baselines.
 ///
 /// # Errors
-/// If a baseline or a metric refuses, or a spectrum cannot be read.
+/// If a baseline or a metric does not support the data, or a spectrum cannot be read.
 pub fn inspect(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer) -> Result<String> {
     let summary = DataSummary::of(data, INSPECTED, observer)?;
     let is_marked = !data.is_simulated() || data.title.to_lowercase().contains("simulated");

@@ -52,8 +52,8 @@ pub(crate) struct Calibrator<'a> {
 }
 
 impl<'a> Calibrator<'a> {
-    /// Creates a calibrator with the links that the `members` of a model left out, which a run or a joined sweep of
-    /// `pipeline` trained.
+    /// Creates a calibrator for a model of `members` members, trained by a run or a joined sweep of `pipeline`, from the
+    /// links that they left out.
     ///
     /// # Errors
     /// As [`Pipeline::partition`].

@@ -161,7 +161,7 @@ impl ScoreCell {
         }
     }
 
-    /// Returns mean, median and worse percentile of per-sample values, or the value of a whole model; empty if the metric
+    /// Returns mean, median and 10th percentile (90th for errors) of per-sample values, or the value of a whole model; empty if the metric
     /// is not applicable.
     pub fn numbers(&self) -> Vec<f64> {
         match self {

@@ -169,7 +169,8 @@ fn member_prefix(member: usize) -> String {
     format!("members.{member}.")
 }
 
-/// Returns the metadata of a model, with poses in the user's frame and the lowest version that can read it.
+/// Returns the metadata of a model, with the lowest version that can read it. Poses are in the user's frame; a moving
+/// receiver has its pose in the query, so the stored one is not converted.
 fn describe_model(model: &Model) -> Note {
     let s = &model.stages;
     let world = |pose: Pose| if s.moving.is_receiver() { pose } else { s.origin.world_pose(pose) };

@@ -191,7 +191,8 @@ impl WrfgsLayers {
         parts.iter().map(|part| part.along_gain).sum()
     }
 
-    /// Runs the backward pass of one chunk for all transmitters; recomputes its forward pass first.
+    /// Runs the backward pass of one chunk for all transmitters, given the cotangents `d` of the outputs; recomputes its
+    /// forward pass first, and adds to `d_weights` and `sum`.
     fn item_vjp(
         &self,
         inputs: &DeformationInputs<'_>,

@@ -63,7 +63,7 @@ impl Changes {
     /// if it is given.
     #[must_use]
     pub fn located(&self, name: &str, map: Option<&RonTree>, text: &str) -> Self {
-        let mut keys = map.map_or_else(Vec::new, |map| map.keys(text)).into_iter();
+        let mut keys = map.map_or_else(Vec::new, |map| map.key_spans(text)).into_iter();
         let mut with_position = |change: &Change| {
             let at = keys.next().map(|key| line_and_column(text, key.start));
             Change { name: name.into(), at, ..change.clone() }

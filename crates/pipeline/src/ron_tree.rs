@@ -58,8 +58,9 @@ impl RonTree {
         if let RonBody::Items(items) = &self.body { items } else { &[] }
     }
 
-    /// Returns the text ranges of the keys of a map, bytes; none for other values.
-    pub fn keys(&self, text: &str) -> Vec<Range<usize>> {
+    /// Returns the ranges of the keys of a map in `text`, from which this tree was parsed; none for other values. Keys are
+    /// not stored, so the map is parsed again.
+    pub fn key_spans(&self, text: &str) -> Vec<Range<usize>> {
         let mut reader = Reader { text, at: self.span.start };
         if reader.peek() == Some('{') { reader.parse_map(0).unwrap_or_default() } else { Vec::new() }
     }

@@ -8,7 +8,7 @@ use pwrfgs_model::{Ensemble, Model, file};
 /// Number of training positions at which predictions are compared.
 const COMPARED: usize = 200;
 
-/// Result of [`compress`].
+/// Result of [`compress()`].
 #[derive(Debug)]
 pub struct CompressedModel {
     /// Content of the model file.

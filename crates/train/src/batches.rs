@@ -76,7 +76,7 @@ impl Batches {
         build_batch(&self.links_of(&transmitters), data, stages, pixels, &mut shift)
     }
 
-    /// Returns the links of some transmitters.
+    /// Returns the training links of `transmitters`, indices into `self.transmitters`.
     fn links_of(&self, transmitters: &[usize]) -> Vec<usize> {
         transmitters.iter().flat_map(|&t| &self.train[self.transmitters[t].clone()]).copied().collect()
     }

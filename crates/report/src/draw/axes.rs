@@ -261,7 +261,8 @@ fn round_multiples(low: f64, high: f64, tick_count: f64) -> Vec<f64> {
     (first..=last).map(|k| k as f64 * step).collect()
 }
 
-/// Formats a number on an axis: thousands as `k`, millions as `M`, and a typographic minus sign.
+/// Formats a number on an axis: from 10,000 as `k`, from a million as `M`, below 1e-4 with an exponent, with a typographic
+/// minus sign.
 pub(crate) fn tick_label(value: f64) -> String {
     let text = match value.abs() {
         0.0 => "0".into(),

@@ -38,7 +38,8 @@ impl FloorPlan {
         Self { low, high, names, scale, size: [left + scale * across + right, top + scale * up + bottom] }
     }
 
-    /// Returns the smallest frame with a margin around `points`; a square metre if there are none.
+    /// Returns the low and high corner, metres, of the smallest frame with a margin around the finite `points`; a square
+    /// metre if there are none.
     pub(crate) fn frame(points: impl IntoIterator<Item = Point>) -> [Point; 2] {
         let is_finite = |point: &Point| point.iter().all(|v| v.is_finite());
         let points: Vec<Point> = points.into_iter().filter(is_finite).collect();
