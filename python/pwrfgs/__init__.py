@@ -21,8 +21,8 @@ from ._kernels import project, rasterize, rasterize_with_vjp
 from ._pipeline import Pipeline
 from ._plugins import *  # noqa: F403  one class for each plugin
 from ._pwrfgs import Dataset, Model, __version__
-from ._run import Run, evaluate, report, run, simulate
 from ._results import Finding, Interval, Located, Placement, Plan, RadioMap
+from ._run import Run, evaluate, report, run, simulate
 from ._spectrum import spectrum
 from ._strategies import Baseline, Deformation, Initializer, Metric, Pruner, Split
 from ._sweep import SweepError, sweep
@@ -36,11 +36,12 @@ from .metrics import repeatability
 from . import _plugins
 
 __all__: List[str] = [
-    "Baseline", "Cloud", "Column", "Dataset", "Deformation", "Error", "Finding", "Gaussians", "Initializer", "InputError", "Interval", "Links",
-    "Located", "Metric", "Model", "Partition", "Pipeline", "Placement", "Plan", "Pose", "Pruner", "RadioMap", "Receiver", "ReceiverSample", "Room", "Run", "Sample",
-    "Splats", "Split", "Stats", "StepContext", "SweepError", "Trainer", "Value", "__version__", "baselines", "convert", "datasets", "evaluate",
-    "init", "metrics", "place", "plan", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability", "report", "run", "settings", "simulate",
-    "spectrum", "sweep",
+    "Baseline", "Cloud", "Column", "Dataset", "Deformation", "Error", "Finding", "Gaussians", "Initializer",
+    "InputError", "Interval", "Links", "Located", "Metric", "Model", "Partition", "Pipeline", "Placement", "Plan",
+    "Pose", "Pruner", "RadioMap", "Receiver", "ReceiverSample", "Room", "Run", "Sample", "Splats", "Split", "Stats",
+    "StepContext", "SweepError", "Trainer", "Value", "__version__", "baselines", "convert", "datasets", "evaluate",
+    "init", "metrics", "place", "plan", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability",
+    "report", "run", "settings", "simulate", "spectrum", "sweep",
 ]
 __all__ += _plugins.__all__
 

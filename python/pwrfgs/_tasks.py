@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import inspect
 import os
-from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple, Union
+from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple, TypeVar, Union
 
 from . import _pwrfgs
 from ._errors import InputError
@@ -18,6 +18,7 @@ from ._values import to_ron, unknown
 _FIELDS: Dict[str, List[Tuple[str, str, str, bool]]] = _pwrfgs.task_settings()
 #: Settings that are text on the command line, numbers separated by commas.
 _BOXES = ("bounds", "prior", "region")
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def settings_text(task: str, given: Mapping[str, Any]) -> str:
@@ -31,17 +32,19 @@ def settings_text(task: str, given: Mapping[str, Any]) -> str:
             continue
         if name in _BOXES and not isinstance(value, str):
             value = ",".join(repr(float(number)) for number in value)
-        if known[name].startswith("list of") and isinstance(value, str):
-            value = [value]
-        plain = known[name] == "list of MapQuantity"
-        texts.append(f"{name}: {('[' + ', '.join(value) + ']') if plain else to_ron(value)}")
+        if known[name].startswith("list of"):
+            value = [value] if isinstance(value, str) else list(value)
+        if known[name] == "list of MapQuantity":  # names without quotes
+            texts.append(f"{name}: [{', '.join(map(str, value))}]")
+        else:
+            texts.append(f"{name}: {to_ron(value)}")
     return f"({', '.join(texts)})"
 
 
-def documented(task: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def documented(task: str) -> Callable[[_Function], _Function]:
     """Decorator that adds the settings of a task, which are those of its command, to signature and docstring."""
 
-    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+    def add(function: _Function) -> _Function:
         fields = _FIELDS[task]
         own = list(inspect.signature(function).parameters.values())[:-1]  # the last takes the settings
         parameters = [
@@ -59,9 +62,9 @@ def documented(task: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 
 
 @documented("map")
-def radio_map(model: "_pwrfgs.Model", **settings: Any) -> RadioMap:
+def radio_map(self: "_pwrfgs.Model", **settings: Any) -> RadioMap:
     """Map the predictions of a model over a plane: ``model.map(plane="z=1.2", step=0.25)``."""
-    values = _pwrfgs.radio_map(model, settings_text("map", settings))
+    values = _pwrfgs.radio_map(self, settings_text("map", settings))
     layers = values["layers"]
     return RadioMap(
         layers={name: array for name, _, _, array in layers},
@@ -73,42 +76,42 @@ def radio_map(model: "_pwrfgs.Model", **settings: Any) -> RadioMap:
 
 
 @documented("locate")
-def locate(model: "_pwrfgs.Model", observations: Any = None, **settings: Any) -> Located:
+def locate(self: "_pwrfgs.Model", observations: Any = None, **settings: Any) -> Located:
     """Locate transmitters from their observations: powers [B, R] in dBm (NaN: not known), spectra [B, H, W] or channels [B, A, F].
     Without observations, locate the test samples of the data of the model and compare the errors with those of baselines.
 
     The model must come from a run folder: its data are the known positions."""
-    return Located(**_pwrfgs.locate(model, observations, settings_text("locate", settings)))
+    return Located(**_pwrfgs.locate(self, observations, settings_text("locate", settings)))
 
 
-def update(model: "_pwrfgs.Model", data: "_pwrfgs.Dataset", *, accept_far: bool = False) -> "_pwrfgs.Model":
+def update(self: "_pwrfgs.Model", data: "_pwrfgs.Dataset", *, accept_far: bool = False) -> "_pwrfgs.Model":
     """Add new measurements to the residual process of a model, without training, and return the new model.
 
     ``accept_far`` accepts data of which most links lie outside the 99 % intervals of the model, such as after a change of the
     room."""
-    updated, added, agreement = _pwrfgs.update(model, data, accept_far)
+    updated, added, agreement = _pwrfgs.update(self, data, accept_far)
     log.info("%d links added; new data against the model: %s", added, agreement)
     return updated
 
 
-def compress(model: "_pwrfgs.Model", bits: int = 8) -> "_pwrfgs.Model":
+def compress(self: "_pwrfgs.Model", bits: int = 8) -> "_pwrfgs.Model":
     """Return the model with network weights in 8 or 16 bits, and everything else in 16 bits."""
-    small, notes = _pwrfgs.compress(model, bits)
+    small, notes = _pwrfgs.compress(self, bits)
     for note in notes:
         log.info("%s", note)
     return small
 
 
-def findings(data: "_pwrfgs.Dataset") -> List[Finding]:
+def findings(self: "_pwrfgs.Dataset") -> List[Finding]:
     """Implausible properties of the data: the warnings of the command line, each with what mends it."""
-    return [Finding(*entry) for entry in _pwrfgs.findings(data)]
+    return [Finding(*entry) for entry in _pwrfgs.findings(self)]
 
 
 def init(data: "_pwrfgs.Dataset", name: str = "pipeline") -> Pipeline:
     """Pipeline for data: the shipped pipeline for their kind, with split and settings for their size, as ``pwrfgs init`` writes
     it."""
     source = to_ron(data)
-    return Pipeline(_pwrfgs.suggested(data, source, name))
+    return Pipeline(_pwrfgs.suggest_pipeline(data, source, name))
 
 
 @documented("plan")

@@ -38,6 +38,8 @@ pub(crate) struct Model {
     ready: OnceLock<PreparedEnsemble>,
     /// Model file or run folder from which it was loaded.
     path: Option<PathBuf>,
+    /// Content of the model file, of a compressed model: its numbers have fewer bits than those in memory.
+    compressed: Option<Vec<u8>>,
 }
 
 /// Links of a call.
@@ -63,7 +65,12 @@ impl Links {
 impl Model {
     /// Wraps a model or an ensemble.
     pub(crate) fn new(ensemble: Ensemble) -> Self {
-        Self { ensemble: Arc::new(ensemble), ready: OnceLock::new(), path: None }
+        Self { ensemble: Arc::new(ensemble), ready: OnceLock::new(), path: None, compressed: None }
+    }
+
+    /// Wraps a compressed model with the content of its file.
+    pub(crate) fn new_compressed(ensemble: Ensemble, bytes: Vec<u8>) -> Self {
+        Self { compressed: Some(bytes), ..Self::new(ensemble) }
     }
 
     /// Returns the pipeline next to the model file, if there is one.
@@ -238,7 +245,7 @@ impl Model {
         interval: Option<f64>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let links = self.read_links(py, receiver, [tx, rx_pose, features])?;
-        self.warn_of_extrapolations(&links);
+        self.warn_of_extrapolations(py, &links)?;
         match (vjp, interval) {
             (Some(_), Some(_)) => return reject(py, "give one of vjp and interval"),
             (Some(cotangents), None) => return self.predict_vjp(py, &links, cotangents),
@@ -306,15 +313,16 @@ impl Model {
     }
 
     /// Write the model file, complete or not at all; replaces an existing file. `half` stores the networks in 16-bit
-    /// numbers, at half the size.
+    /// numbers, at half the size. A result of `compress` is stored as it is.
     #[pyo3(signature = (path, *, half=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, half: bool) -> PyResult<()> {
         without_gil(py, || {
             check_file_path(&path)?;
-            if half {
-                return write_atomically(&path, &file::to_bytes_half(&self.ensemble)?);
+            match &self.compressed {
+                Some(bytes) => write_atomically(&path, bytes),
+                None if half => write_atomically(&path, &file::to_bytes_half(&self.ensemble)?),
+                None => file::write_ensemble(&path, &self.ensemble),
             }
-            file::write_ensemble(&path, &self.ensemble)
         })
     }
 

@@ -182,7 +182,7 @@ pub(crate) fn compress(py: Python<'_>, model: &Model, bits: u8) -> PyResult<(Mod
         other => return reject(py, &format!("bits is {other}, expected 8 or 16")),
     };
     let small = without_gil(py, || tasks::compress::compress((*model.ensemble).clone(), bits))?;
-    Ok((Model::new(small.ensemble), small.notes))
+    Ok((Model::new_compressed(small.ensemble, small.bytes), small.notes))
 }
 
 /// Finds implausible properties of data: (name, problem, mend).

@@ -15,7 +15,7 @@ pub struct CompressedModel {
     pub bytes: Vec<u8>,
     /// Model of this file.
     pub ensemble: Ensemble,
-    /// Sizes of both files, and the mean difference of predictions if the model has training positions; one line each.
+    /// First the sizes of both files, then the mean difference of predictions if the model has training positions; one line each.
     pub notes: Vec<String>,
 }
 

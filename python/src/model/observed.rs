@@ -14,15 +14,17 @@ use std::time::Instant;
 const CHUNK: usize = 16;
 
 impl Model {
-    /// Warns of positions that are far from all training positions.
-    pub(super) fn warn_of_extrapolations(&self, links: &Links) {
-        if links.features.is_empty() {
-            let positions: Vec<[f64; 3]> = links.poses.iter().map(|pose| pose.position).collect();
-            let distances = self.ensemble.training_distances(&positions);
-            if let Some(warning) = distances.as_ref().and_then(extrapolation_warning) {
-                crate::tasks::log_message("warning", &warning);
-            }
+    /// Warns of positions that are far from all training positions; an error in a forked process.
+    pub(super) fn warn_of_extrapolations(&self, py: Python<'_>, links: &Links) -> PyResult<()> {
+        if !links.features.is_empty() {
+            return Ok(());
         }
+        let positions: Vec<[f64; 3]> = links.poses.iter().map(|pose| pose.position).collect();
+        let distances = without_gil(py, || Ok(self.ensemble.training_distances(&positions)))?;
+        if let Some(warning) = distances.as_ref().and_then(extrapolation_warning) {
+            crate::tasks::log_message("warning", &warning);
+        }
+        Ok(())
     }
 
     /// Returns an array of predicted observations of `links`; `work` fills the numbers of the queries of a chunk, chunk by

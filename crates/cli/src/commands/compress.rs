@@ -37,8 +37,9 @@ pub(crate) struct Compress {
 pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
-    let CompressedModel { bytes, notes, .. } = compress_model(ensemble, arguments.bits)?;
+    let CompressedModel { bytes, mut notes, .. } = compress_model(ensemble, arguments.bits)?;
     create(&arguments.out, &bytes)?;
+    notes[0] += &format!(", in {}", arguments.out.display());
     notes.iter().for_each(|note| verbosity.print_note(note));
     Ok(())
 }

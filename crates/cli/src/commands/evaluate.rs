@@ -47,7 +47,7 @@ pub(crate) struct Evaluate {
 /// Runs `pwrfgs evaluate`: prints the score table and writes the files of `--out`.
 pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()> {
     let models: Vec<PathBuf> = arguments.models.iter().map(|model| model_file(model)).collect::<Result<_>>()?;
-    let ensemble = read_models(&models)?;
+    let ensemble = read_numbered_models(&models)?;
     let first = &models[0];
     let beside = first.with_file_name(PIPELINE);
     let path = arguments.pipeline.as_ref().unwrap_or(&beside);
@@ -91,6 +91,15 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
         }
     }
     output::print_result(&text)
+}
+
+/// Reads the models as one ensemble. Members of several files have numbers as names, since paths are wide in a table.
+fn read_numbered_models(paths: &[PathBuf]) -> Result<Ensemble> {
+    let ensemble = read_models(paths)?;
+    if paths.len() == 1 {
+        return Ok(ensemble);
+    }
+    Ensemble::new(ensemble.members().to_vec()).map_err(Error::Config)
 }
 
 /// Returns the number of training samples of the models, from their run folders; 0 if unknown or different.
