@@ -7,7 +7,6 @@ use crate::arrays::{self, Gain, array, axis_count, numbers, position, positions,
 use crate::border::{reject, to_exception, without_gil};
 use crate::data::plane_angles;
 use numpy::PyArrayDyn;
-use pwrfgs::experiment::{folder::PIPELINE, model_file};
 use pwrfgs::model::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs::tasks::predict::interval_factors;
@@ -37,7 +36,7 @@ pub(crate) struct Model {
     pub(crate) ensemble: Arc<Ensemble>,
     ready: OnceLock<PreparedEnsemble>,
     /// Model file or run folder from which it was loaded.
-    path: Option<PathBuf>,
+    pub(crate) path: Option<PathBuf>,
     /// Content of the model file, of a compressed model: its numbers have fewer bits than those in memory.
     compressed: Option<Vec<u8>>,
 }
@@ -71,12 +70,6 @@ impl Model {
     /// Wraps a compressed model with the content of its file.
     pub(crate) fn new_compressed(ensemble: Ensemble, bytes: Vec<u8>) -> Self {
         Self { compressed: Some(bytes), ..Self::new(ensemble) }
-    }
-
-    /// Returns the pipeline next to the model file, if there is one.
-    pub(crate) fn pipeline_path(&self) -> Option<PathBuf> {
-        let file = model_file(self.path.as_ref()?).ok()?;
-        Some(file.with_file_name(PIPELINE)).filter(|path| path.is_file())
     }
 
     /// Returns the models with their cached results, which the first call computes.

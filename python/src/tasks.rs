@@ -5,7 +5,7 @@ use crate::border::{input_error, reject, run_stoppable, stop_progress, without_g
 use crate::data::Dataset;
 use crate::model::Model;
 use crate::settings::field_list;
-use pwrfgs::experiment::{Observer, SplitData, collect_findings, load, read_pipeline};
+use pwrfgs::experiment::{Observer, SplitData, collect_findings, folder::PIPELINE, load, model_file, read_pipeline};
 use pwrfgs::localise::Region;
 use pwrfgs::model::compress::Bits;
 use pwrfgs::planning::floor_grid;
@@ -94,7 +94,9 @@ pub(crate) fn radio_map<'py>(py: Python<'py>, model: &Model, text: &str) -> PyRe
 
 /// Loads data and split of the pipeline next to the file of a model; an error for a model without one.
 fn load_split(model: &Model, observer: &mut TaskObserver<'_>) -> Result<SplitData> {
-    let path = model.pipeline_path().ok_or_else(|| {
+    let file = model.path.as_ref().and_then(|path| model_file(path).ok());
+    let beside = file.map(|file| file.with_file_name(PIPELINE)).filter(|path| path.is_file());
+    let path = beside.ok_or_else(|| {
         let problem = "the model has no pipeline.ron next to its file; localisation needs its data: load the model of a run folder";
         pwrfgs_core::Error::Config(problem.into())
     })?;

@@ -39,7 +39,7 @@ pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()>
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
     let CompressedModel { bytes, mut notes, .. } = compress_model(ensemble, arguments.bits)?;
     create(&arguments.out, &bytes)?;
-    notes[0] += &format!(", in {}", arguments.out.display());
+    notes[0] = format!("{}, in {}", notes[0], arguments.out.display());
     notes.iter().for_each(|note| verbosity.print_note(note));
     Ok(())
 }
