@@ -85,7 +85,7 @@ class RadioMap(Result):
         for name, values in self.layers.items():
             finite = values[np.isfinite(values)]
             ends = f"{finite.min():.4g} to {finite.max():.4g} {self.units[name]}" if finite.size else "no finite value"
-            lines.append(f"{name}: {self.words[name]}, {ends}")
+            lines.append(f"{name}: {self.words[name]}, {ends.rstrip()}")
         return "\n".join(lines) + "\n"
 
     def __repr__(self) -> str:

@@ -240,7 +240,7 @@ def run(
         other content is an error.
     callback
         Called with every event, a dict with ``what``: "step" (step, phase, loss, penalty, gaussians), "validation", "stage",
-        "start" or "message". An exception in it stops the run at the next step, with a checkpoint.
+        "start", "message" or "warning". An exception in it stops the run at the next step, with a checkpoint.
     pruners, baselines, metrics
         Custom strategies or plugins **in addition to** those of the pipeline: a Gaussian is kept if all pruners keep it.
         ``set={"pruners": []}`` removes those of the pipeline.

@@ -161,10 +161,12 @@ def plane(
 
 
 def radio_map(result: Any, layer: str, ax: Any = None) -> Any:
-    """Plot a layer of a ``RadioMap``; extrapolations are hatched."""
+    """Plot a layer of a ``RadioMap``; azimuths have cyclic colours, extrapolations are hatched."""
     unit = result.units[layer]
     ax = plane(result[layer], result.x, result.y, ax, f"{layer}, {unit}" if unit else layer, f"{result.words[layer]}, {result.plane}")
     ax.set(xlabel=f"{result.axes[0]}, metres", ylabel=f"{result.axes[1]}, metres")
+    if layer.startswith("azimuth"):
+        ax.collections[0].set(cmap="twilight", clim=(0.0, 360.0))
     if result.extrapolated is not None and result.extrapolated.any():
         ax.contourf(result.x, result.y, result.extrapolated, levels=[0.5, 1.5], colors="none", hatches=["///"])
     return ax
@@ -174,6 +176,7 @@ def _map(ax: Any) -> Any:
     """Axes of a map from above."""
     ax = _axes(ax, figsize=(5.0, 4.4))
     ax.set(xlabel="x, metres", ylabel="y, metres", aspect="equal")
+    ax.margins(0.1)
     return ax
 
 

@@ -291,6 +291,14 @@ pub(crate) fn without_position(error: Error) -> Error {
     }
 }
 
+/// Logs a message under the name "pwrfgs"; a failure of the logger is ignored.
+pub(crate) fn log_message(level: &str, text: &str) {
+    Python::attach(|py| {
+        let logger = py.import("pwrfgs._log").and_then(|module| module.getattr("log"));
+        _ = logger.and_then(|logger| logger.call_method1(level, ("%s", text)));
+    });
+}
+
 /// Forwards warnings to Python's `logging` under the name "pwrfgs"; by default they are printed on the error stream.
 pub(crate) fn log_warnings() {
     _ = tracing::subscriber::set_global_default(Logger); // an earlier logger is kept
@@ -319,7 +327,7 @@ impl Subscriber for Logger {
     fn event(&self, event: &Event<'_>) {
         let mut text = Text::default();
         event.record(&mut text);
-        crate::tasks::log_message("warning", &text.0);
+        log_message("warning", &text.0);
     }
 
     fn new_span(&self, _: &Attributes<'_>) -> Id {

@@ -1,7 +1,7 @@
 //! What one does with data or a finished model; `pwrfgs/_tasks.py` makes methods and functions of these.
 
 use crate::arrays::{array, array_shape, complex_pairs, numbers, positions, vector};
-use crate::border::{input_error, reject, run_stoppable, stop_progress, without_gil, without_position};
+use crate::border::{input_error, log_message, reject, run_stoppable, stop_progress, without_gil, without_position};
 use crate::data::Dataset;
 use crate::model::Model;
 use crate::settings::field_list;
@@ -40,14 +40,6 @@ impl Observer for TaskObserver<'_> {
     fn on_warning(&mut self, warning: &str) {
         log_message("warning", warning);
     }
-}
-
-/// Logs a message under the name "pwrfgs"; a failure of the logger is ignored.
-pub(crate) fn log_message(level: &str, text: &str) {
-    Python::attach(|py| {
-        let logger = py.import("pwrfgs._log").and_then(|module| module.getattr("log"));
-        _ = logger.and_then(|logger| logger.call_method1(level, ("%s", text)));
-    });
 }
 
 /// Lists the fields of the settings of each task: (task, [(name, type, doc, optional)]).

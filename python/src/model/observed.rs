@@ -2,7 +2,7 @@
 
 use super::{Links, Model};
 use crate::arrays::{array, check_memory, observation_rows, observations};
-use crate::border::{LOOK, reject, to_plugin_error, without_gil};
+use crate::border::{LOOK, log_message, reject, to_plugin_error, without_gil};
 use pwrfgs::model::IntervalFactors;
 use pwrfgs::tasks::predict::extrapolation_warning;
 use pwrfgs_core::{Error, MeasurementSetup, Predict as _, Query, Real, Result};
@@ -22,7 +22,7 @@ impl Model {
         let positions: Vec<[f64; 3]> = links.poses.iter().map(|pose| pose.position).collect();
         let distances = without_gil(py, || Ok(self.ensemble.training_distances(&positions)))?;
         if let Some(warning) = distances.as_ref().and_then(extrapolation_warning) {
-            crate::tasks::log_message("warning", &warning);
+            log_message("warning", &warning);
         }
         Ok(())
     }
