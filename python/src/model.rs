@@ -224,7 +224,7 @@ impl Model {
     /// With `interval`, such as 0.9, it gives a named tuple (prediction, lower, upper): the ends of the intervals that hold with
     /// this probability. The model needs a calibration, from a run with validation samples. Not for channels.
     ///
-    /// A warning counts extrapolations: positions farther from all training positions than 3 times their spacing.
+    /// Without `vjp`, a warning counts extrapolations: positions farther from all training positions than 3 times their spacing.
     #[pyo3(signature = (tx=None, receiver=None, *, rx_pose=None, features=None, vjp=None, interval=None))]
     #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
     fn predict<'py>(
@@ -238,7 +238,9 @@ impl Model {
         interval: Option<f64>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let links = self.read_links(py, receiver, [tx, rx_pose, features])?;
-        self.warn_of_extrapolations(py, &links)?;
+        if vjp.is_none() {
+            self.warn_of_extrapolations(py, &links)?; // a loop that descends would repeat it
+        }
         match (vjp, interval) {
             (Some(_), Some(_)) => return reject(py, "give one of vjp and interval"),
             (Some(cotangents), None) => return self.predict_vjp(py, &links, cotangents),

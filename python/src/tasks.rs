@@ -61,11 +61,7 @@ fn read_settings<S: DeserializeOwned>(text: &str) -> Result<S> {
 /// Maps a model over a plane: a dict with the grid and the layers.
 #[pyfunction]
 pub(crate) fn radio_map<'py>(py: Python<'py>, model: &Model, text: &str) -> PyResult<Bound<'py, PyDict>> {
-    let map = run_stoppable(py, |stop| {
-        let map = tasks::map(&model.ensemble, &read_settings(text)?, &mut TaskObserver(stop))?;
-        map.bounds_note.iter().for_each(|note| log_message("info", note));
-        Ok(map)
-    })?;
+    let map = run_stoppable(py, |stop| tasks::map(&model.ensemble, &read_settings(text)?, &mut TaskObserver(stop)))?;
     let (grid, dict) = (map.grid, PyDict::new(py));
     let along = |axis: usize, count: usize| (0..count).map(|k| grid.first[axis] + grid.step * k as f64).collect();
     dict.set_item("axes", grid.plane.axis_names())?;

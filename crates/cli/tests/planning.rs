@@ -205,7 +205,7 @@ fn place_rejects_invalid_input_with_advice() {
         (&["box.ron", "--count", "1", "--mount", "-1"], &["height of -1 m", "give one inside"]),
         (&["box.ron", "--count", "3", "--step", "9"], &["1 receiver position", "smaller --step"]),
         (&["open.ron", "--count", "1"], &["scene is empty", "give it a `room`"]),
-        (&["data", "--count", "1"], &["no received powers", "name data"]),
+        (&["data", "--count", "1"], &["data: the data have no received powers", "name data"]),
         (&["nothing", "--count", "1"], &["no data found", "docs/data.md"]),
         (&["missing", "--count", "1"], &["missing"]),
     ];

@@ -50,7 +50,7 @@ fn every_command_reads_a_model_with_residuals() {
     assert!(file::read_ensemble(&here.join("half.safetensors")).unwrap().calibration().is_some());
     let two = ["predict", model, "half.safetensors", "--tx", "0,0,1", "--out", "no"];
     refuse(here, &two, 2, &["has a residual process", "give it as the only model"]);
-    refuse(here, &["compress", model, "--out", "no"], 2, &["has a residual process"]);
+    refuse(here, &["compress", model, "--out", "no"], 2, &[&format!("{model}: the model has a residual process")]);
 
     // Stopped between training and the fit: the model of the training alone is on disk.
     let plain = file::read_ensemble(&here.join(model)).unwrap().with_residuals(None);
@@ -210,7 +210,7 @@ fn update_adds_measurements_and_refuses_other_data() {
     succeed(here, &["predict", "new.safetensors", "--tx", "0.3,1.0,0.5", "--interval", "0.5", "--out", "predicted"]);
 
     refuse(here, &update(model, "data", "new.safetensors"), 2, &["new.safetensors exists"]);
-    refuse(here, &update("plain/model.safetensors", "data", "no"), 2, &["has no residual process", "Kriged()"]);
+    refuse(here, &update("plain/model.safetensors", "data", "no"), 2, &["plain/model.safetensors: the model has no residual process", "Kriged()"]);
     refuse(here, &update(model, "r", "no"), 2, &["no known layout of data"]);
     let pose = here.join("data/gateway_info.yml");
     let text = std::fs::read_to_string(&pose).unwrap();

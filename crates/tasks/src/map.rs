@@ -68,8 +68,6 @@ pub struct RadioMap {
     pub layers: Vec<MapLayer>,
     /// Extrapolations, and the training positions near the plane; `None` if the model has no training positions.
     pub training: Option<TrainingMap>,
-    /// Description of the default bounds; `None` for given bounds.
-    pub bounds_note: Option<String>,
     /// Receivers of the model.
     pub receivers: Vec<Receiver>,
     /// Poses of all receivers, world frame.
@@ -78,7 +76,7 @@ pub struct RadioMap {
     mapped: Vec<usize>,
 }
 
-/// Maps the predictions of a model over a plane; `observer` receives the progress.
+/// Maps the predictions of a model over a plane; `observer` receives the progress, and a description of default bounds.
 ///
 /// # Errors
 /// Invalid settings, or a model whose input is not a position.
@@ -93,13 +91,14 @@ pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Obser
     let mapped = select_receivers(model.receivers(), &settings.receiver)?;
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
-    let (bounds, bounds_note) = if let Some(bounds) = bounds {
-        (bounds, None)
+    let bounds = if let Some(bounds) = bounds {
+        bounds
     } else {
         let positions: Vec<[f64; 2]> = mapped.iter().map(|&r| plane.project(poses[r].position)).collect();
         let (bounds, source) = default_bounds(ensemble, plane, positions)?;
         let bounds = bounds.rounded_outwards(settings.step);
-        (bounds, Some(describe_bounds(plane, bounds, source)))
+        observer.on_message(&describe_bounds(plane, bounds, source));
+        bounds
     };
     let grid = PlaneGrid::new(plane, bounds, settings.step, mapped.len())?;
     let (predict, total) = (|queries: &[Query<'_>]| model.predict_many(queries), grid.position_count());
@@ -108,7 +107,7 @@ pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Obser
     let (layer, training) = training_layer(ensemble, &grid).unzip();
     layers.extend(layer);
     let receivers = model.receivers().to_vec();
-    Ok(RadioMap { grid, layers, training, bounds_note, receivers, poses, mapped })
+    Ok(RadioMap { grid, layers, training, receivers, poses, mapped })
 }
 
 /// Returns bounds around all training positions and `receivers` (metres in the plane), and their description. A model

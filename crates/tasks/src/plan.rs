@@ -80,8 +80,8 @@ impl Places {
     /// Data without positions.
     pub fn of_data(data: Dataset) -> Result<Self> {
         if !data.placed || data.features.is_some() {
-            let problem = "has no transmitter positions; name data with positions";
-            return Err(Error::Config(format!("{}: {problem}", data.title)));
+            let problem = "the data have no transmitter positions; name data with positions";
+            return Err(Error::Config(problem.into()));
         }
         let position = |receiver: &Receiver| data.scene.origin.world_pose(receiver.pose).position;
         Ok(Self {

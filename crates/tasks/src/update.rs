@@ -3,7 +3,7 @@
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Dataset, Error, MeasurementSetup, Receiver, Result};
 use pwrfgs_experiment::{Agreement, Observer, check_alike, warn_of_findings};
-use pwrfgs_model::Ensemble;
+use pwrfgs_model::{Ensemble, Residuals};
 use std::time::Instant;
 
 /// Name of the finding that most links lie outside the intervals of the model.
@@ -33,22 +33,18 @@ pub fn update(
     accepts_far: bool,
     observer: &mut dyn Observer,
 ) -> Result<UpdatedModel> {
-    let refuse = |problem: String| Error::Config(format!("new data: {problem}"));
-    let Some(residuals) = model.residuals() else {
-        let problem = "the model has no residual process; set `residuals: Kriged()` in its pipeline and run it again";
-        return Err(Error::Config(problem.into()));
-    };
+    let residuals = check_residuals(model)?;
     let ready = model.prepare();
     check_alike(&ready, data)?;
     if !data.placed || data.features.is_some() {
-        return Err(refuse("no transmitter positions; give data with positions".into()));
+        return Err(Error::Config("no transmitter positions; give data with positions".into()));
     }
-    check_poses(ready.setup(), data).map_err(refuse)?;
+    check_poses(ready.setup(), data).map_err(Error::Config)?;
     warn_of_findings(data, None, observer)?;
     let agreement = Agreement::measure(model, data, observer)?;
     if agreement.is_far() && !accepts_far {
-        return Err(refuse(format!(
-            "far from the model: {agreement}; check the order, units, axes and poses of the data, or add `--accept {FAR}` if the \
+        return Err(Error::Config(format!(
+            "new data are far from the model: {agreement}; check the order, units, axes and poses of the data, or add `--accept {FAR}` if the \
              room has changed"
         )));
     }
@@ -56,10 +52,19 @@ pub fn update(
     let (updated, added) = residuals.updated(model, data)?;
     let ensemble = model.clone().with_residuals(Some(updated)).with_calibration(model.calibration().cloned());
     if added == 0 {
-        return Err(refuse("no link at a receiver with a residual process".into()));
+        return Err(Error::Config("no link at a receiver with a residual process".into()));
     }
     let milliseconds = 1e3 * begun.elapsed().as_secs_f64() / added as f64;
     Ok(UpdatedModel { ensemble, added, agreement: agreement.to_string(), milliseconds })
+}
+
+/// Returns the residual process of a model.
+///
+/// # Errors
+/// The model has none.
+pub fn check_residuals(model: &Ensemble) -> Result<&Residuals> {
+    let problem = "the model has no residual process; set `residuals: Kriged()` in its pipeline and run it again";
+    model.residuals().ok_or_else(|| Error::Config(problem.into()))
 }
 
 /// Rejects data in which a receiver has another pose than in the model; the error names the first one.

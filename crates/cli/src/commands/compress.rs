@@ -1,5 +1,6 @@
 //! `pwrfgs compress`: writes a smaller model file.
 
+use super::options::in_file;
 use crate::output::Verbosity;
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
@@ -37,7 +38,8 @@ pub(crate) struct Compress {
 pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
-    let CompressedModel { bytes, mut notes, .. } = compress_model(ensemble, arguments.bits)?;
+    let CompressedModel { bytes, mut notes, .. } =
+        compress_model(ensemble, arguments.bits).map_err(in_file(&arguments.model))?;
     create(&arguments.out, &bytes)?;
     notes[0] = format!("{}, in {}", notes[0], arguments.out.display());
     notes.iter().for_each(|note| verbosity.print_note(note));

@@ -45,7 +45,6 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
     let folder = NewFolder::begin(&arguments.out)?;
     let map = RunProgress::observe(verbosity, |progress| map_model(&ensemble, &arguments.settings, progress))?;
-    map.bounds_note.iter().for_each(|note| verbosity.print_note(note));
     map.write(&folder)?;
     folder.publish()?;
     let missing = map.missing();

@@ -53,6 +53,14 @@ pub(super) fn resolve_pipeline(path: &Path) -> Result<(PathBuf, Option<PathBuf>)
     Err(Error::input(path, why))
 }
 
+/// Returns a function that names `path` in an error that names no file; errors of an option stay as they are.
+pub(super) fn in_file(path: &Path) -> impl FnOnce(Error) -> Error {
+    move |error| match error {
+        Error::Config(message) if !message.starts_with("--") => Error::input(path, message),
+        other => other,
+    }
+}
+
 /// Parses a number of threads, jobs or seeds; the error states the valid numbers.
 pub(crate) fn parse_count(text: &str) -> Result<usize, String> {
     match text.parse() {

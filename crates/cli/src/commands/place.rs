@@ -1,5 +1,6 @@
 //! `pwrfgs place`: positions of receivers with the largest coverage.
 
+use super::options::in_file;
 use crate::interrupt::stop_flag;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
@@ -39,7 +40,7 @@ pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<()> {
     let placement = RunProgress::observe(verbosity, |progress| match recognise(&arguments.source) {
         Some(source) => {
             let data = staged(progress, "data", |progress| source.load(Path::new(""), progress))?;
-            place_in_data(&data, &arguments.settings, progress)
+            place_in_data(&data, &arguments.settings, progress).map_err(in_file(&arguments.source))
         }
         None => choose_in_scene(arguments, &stop, progress),
     })?;

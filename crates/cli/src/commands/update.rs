@@ -1,5 +1,6 @@
 //! `pwrfgs update`: adds new measurements to the residual process of a trained model.
 
+use super::options::in_file;
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::Args;
@@ -8,7 +9,7 @@ use pwrfgs::experiment::text::grouped;
 use pwrfgs::model::file;
 use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs::tasks::read_models;
-use pwrfgs::tasks::update::{FAR, UpdatedModel, update as update_model};
+use pwrfgs::tasks::update::{FAR, UpdatedModel, check_residuals, update as update_model};
 use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::{Result, recognise};
 use std::path::{Path, PathBuf};
@@ -41,11 +42,12 @@ pub(crate) struct Update {
 pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let model = read_models(std::slice::from_ref(&arguments.model))?;
+    check_residuals(&model).map_err(in_file(&arguments.model))?;
     let source = recognise(&arguments.data).ok_or_else(|| unknown_folder_error(&arguments.data))?;
     let mut progress = RunProgress::new(verbosity);
     let data = staged(&mut progress, "new data", |progress| source.load(Path::new(""), progress))?;
-    let UpdatedModel { ensemble, added, agreement, milliseconds } =
-        update_model(&model, &data, !arguments.accept.is_empty(), &mut progress)?;
+    let updated = update_model(&model, &data, !arguments.accept.is_empty(), &mut progress);
+    let UpdatedModel { ensemble, added, agreement, milliseconds } = updated.map_err(in_file(&arguments.data))?;
     progress.remove_bar();
     verbosity.print_note(&format!("new data against the model: {agreement}"));
     create(&arguments.out, &file::ensemble_to_bytes(&ensemble))?;

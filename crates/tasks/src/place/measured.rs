@@ -18,16 +18,16 @@ const HELD_OUT: usize = 5;
 pub fn place_in_data(data: &Dataset, settings: &PlaceSettings, observer: &mut dyn Observer) -> Result<Placement> {
     check_count(settings.count)?;
     let (count, total) = (settings.count, data.scene.receivers.len());
-    let refuse = |problem: &str| Err(Error::Config(format!("{}: {problem}", data.title)));
+    let refuse = |problem: &str| Err(Error::Config(problem.into()));
     let Some(matrix) = PowerMatrix::new(data) else {
-        return refuse("has no received powers; name data with received powers, or a scene");
+        return refuse("the data have no received powers; name data with received powers, or a scene");
     };
     if count > total {
         return Err(Error::Config(format!("--count {count}: the data have {total} receivers; lower --count")));
     }
     let ([train, test], split) = split_transmitters(data, settings.seed);
     if train.is_empty() || test.is_empty() {
-        return refuse("has fewer than two transmitters; name data with more");
+        return refuse("the data have fewer than two transmitters; name data with more");
     }
     let simulated = if data.is_simulated() { "simulated " } else { "" };
     let mut notes = vec![

@@ -1,5 +1,6 @@
 //! Positions of a plan: candidates, and known measurements.
 
+use crate::commands::options::in_file;
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::read_transmitters;
@@ -51,7 +52,8 @@ fn stem(path: &Path) -> String {
 /// Reads the positions of a data folder, run folder or model.
 fn read_known(path: &Path, progress: &mut RunProgress) -> Result<Places> {
     if let Some(source) = recognise(path) {
-        return Places::of_data(staged(progress, "data", |progress| source.load(Path::new(""), progress))?);
+        let data = staged(progress, "data", |progress| source.load(Path::new(""), progress))?;
+        return Places::of_data(data).map_err(in_file(path));
     }
     // Sweeps and unfinished runs have errors of their own.
     if path.is_dir() && ![MODEL_FILE, PIPELINE, LISTING].iter().any(|name| path.join(name).is_file()) {
