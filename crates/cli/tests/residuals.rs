@@ -210,7 +210,12 @@ fn update_adds_measurements_and_refuses_other_data() {
     succeed(here, &["predict", "new.safetensors", "--tx", "0.3,1.0,0.5", "--interval", "0.5", "--out", "predicted"]);
 
     refuse(here, &update(model, "data", "new.safetensors"), 2, &["new.safetensors exists"]);
-    refuse(here, &update("plain/model.safetensors", "data", "no"), 2, &["plain/model.safetensors: the model has no residual process", "Kriged()"]);
+    refuse(
+        here,
+        &update("plain/model.safetensors", "data", "no"),
+        2,
+        &["safetensors: the model has no residual process", "Kriged()"],
+    );
     refuse(here, &update(model, "r", "no"), 2, &["no known layout of data"]);
     let pose = here.join("data/gateway_info.yml");
     let text = std::fs::read_to_string(&pose).unwrap();
