@@ -16,13 +16,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import types
 import urllib.parse
-import warnings
 from pathlib import Path
 
+import python_pages
+
 ROOT = Path(__file__).resolve().parent.parent
-LINK = re.compile(r"(\]\()([^)\s]+)\)")
+LINK = re.compile(r"(\[(?:[^\[\]]|!\[[^\]]*\]\([^)]*\))*\])\(([^)\s]+)\)")
 
 
 def anchor(heading: str) -> str:
@@ -51,7 +51,14 @@ def split_reference(text: str) -> dict[str, str]:
 
 def place(page: str) -> str:
     """Where a page of the repository is in the book."""
-    return os.path.normpath(page).removeprefix("site/").replace("README.md", "index.md")
+    return os.path.normpath(page).removeprefix("site/").replace("README.md", "index.md").replace(".ipynb", ".md")
+
+
+def page_text(page: str, source: Path) -> str:
+    """Text of a page of the repository; a notebook as Markdown, with its pictures."""
+    if not page.endswith(".ipynb"):
+        return (ROOT / page).read_text()
+    return python_pages.notebook_page(ROOT / page, (source / place(page)).parent / "pictures")
 
 
 def collect(source: Path, program: str, repository: str) -> None:
@@ -60,43 +67,37 @@ def collect(source: Path, program: str, repository: str) -> None:
     of_summary = [os.path.normpath("site/" + page) for _, page in LINK.findall(summary)]
     markdown = subprocess.run([program, "plugins", "--markdown"], check=True, capture_output=True, text=True).stdout
     reference = split_reference(markdown)
-    pages = {place(page): (ROOT / page).read_text() for page in of_summary if page not in reference} | reference
+    api = python_pages.reference_pages()
+    written = {page: page_text(page, source) for page in of_summary if page not in reference and page not in api}
+    pages = {place(page): text for page, text in written.items()} | reference | api
 
-    def target(page: str, link: str) -> str:
+    def linked(page: str, text: str, link: str) -> str:
         path = os.path.normpath(os.path.join(os.path.dirname(page), link.partition("#")[0]))
-        if "://" in link or link.startswith("#") or place(path) in pages or path.endswith(".html"):
-            return link.replace("README.md", "index.md")
+        known = "://" in link or link.startswith("#") or place(path) in pages or path.endswith(".html") or (source / path).is_file()
         if path.startswith("docs/images/"):
             (source / path).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / path, source / path)
-            return link
-        return f"{repository}/blob/main/{path}"
+        elif known:
+            link = link if "://" in link else link.replace("README.md", "index.md").replace(".ipynb", ".md")
+        elif "example.invalid" in repository:  # the owner has not filled in the address
+            return text[1:-1]
+        else:
+            link = f"{repository}/blob/main/{path}"
+        return f"{text}({link})"
 
     for page, text in pages.items():
         (source / page).parent.mkdir(parents=True, exist_ok=True)
-        (source / page).write_text(LINK.sub(lambda link: f"{link[1]}{target(page, link[2])})", text))
-    _, *chapters = [f"    - [{text.split()[1].rstrip(':')}]({page})\n" for page, text in reference.items()]
-    summary = LINK.sub(lambda link: f"{link[1]}{place('site/' + link[2])})", summary)
-    head, line, tail = re.split(r"(.*docs/reference\.md\)\n)", summary)
-    (source / "SUMMARY.md").write_text(head + line + "".join(chapters) + tail)
-
-
-def python_api(out: Path) -> None:
-    """The Python package, from its docstrings. A module that needs torch is documented without it."""
-    import pdoc
-
-    try:
-        import torch  # noqa: F401
-    except ModuleNotFoundError:
-        function = types.ModuleType("torch.autograd.function")
-        function.once_differentiable = staticmethod
-        torch = types.ModuleType("torch")
-        torch.autograd = types.SimpleNamespace(Function=object)
-        torch.float32 = torch.float64 = torch.complex64 = torch.complex128 = None
-        sys.modules.update({"torch": torch, "torch.autograd.function": function})
-    warnings.filterwarnings("ignore", module="pdoc")  # types that only type checkers import
-    pdoc.render.configure(docformat="numpy", show_source=False, template_directory=ROOT / "site/pdoc")
-    pdoc.pdoc("pwrfgs", "pwrfgs.torch", output_directory=out)
+        (source / page).write_text(LINK.sub(lambda link: linked(page, link[1], link[2]), text))
+    summary = LINK.sub(lambda link: f"{link[1]}({place('site/' + link[2])})", summary)
+    for contents, *chapters in (list(reference.items()), list(api.items())):
+        topics = {f"python/api/{topic.lower().replace(' ', '-')}.md" for topic in python_pages.TOPICS}
+        lines = [
+            f"{'    ' * (1 + ('/api/' in page and page not in topics))}- [{re.match('# (.*?):?$', text, re.M)[1]}]({page})\n"
+            for page, text in chapters
+        ]
+        head, line, tail = re.split(f"(.*{re.escape(contents[0])}\\)\n)", summary)
+        summary = head + line + "".join(lines) + tail
+    (source / "SUMMARY.md").write_text(summary)
 
 
 class Page(html.parser.HTMLParser):
@@ -147,7 +148,6 @@ def main() -> None:
         (book / "src").mkdir()
         collect(book / "src", options.program, repository)
         subprocess.run(["mdbook", "build", book, "--dest-dir", book / "site"], check=True)
-        python_api(book / "site/api")
         (book / "site/live").mkdir()
         shutil.copy(options.run / "report.html", book / "site/live")
         save = [options.program, "view", options.run, "--save", book / "site/live/view.html"]

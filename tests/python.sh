@@ -52,9 +52,22 @@ test_torch() {
         : # it was among the tests
     elif "${torch[0]}" -c "import numpy, torch" 2>/dev/null; then
         PYTHONPATH=$(cd "$target/python-package/$1" && pwd) "${torch[@]}"
+        if [ "$1" = f32 ]; then test_torch_notebook; fi
     elif [ "$1" = f64 ]; then # at the end
         skip "no torch (Debian: apt-get install python3-torch), so nobody ran gradcheck"
     fi
+}
+
+# Its notebook, with a matplotlib and a kernel that know the NumPy of that torch.
+test_torch_notebook() {
+    local torch=$target/python-torch-env
+    if [ ! -f "$torch/complete" ]; then
+        rm -rf "$torch" && /usr/bin/python3 -m venv --system-site-packages "$torch" &&
+            "$torch/bin/pip" install -q --disable-pip-version-check "numpy<2" matplotlib nbclient nbformat ipykernel pytest tqdm >"$env/log" 2>&1 ||
+            { tail -n 3 "$env/log"; (skip "pip cannot install what the notebook of PyTorch imports"); return; }
+        touch "$torch/complete"
+    fi
+    env=$torch test_package f32 python/tests/test_notebooks.py -k torch
 }
 
 # A wheel that pip builds from the source distribution, outside of the repository. Not optimised and with the features of the
