@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import base64
+import importlib
 import inspect
 import json
 import re
 import sys
-import types
 from pathlib import Path
 from typing import Any
 
@@ -28,21 +28,23 @@ TOPICS = {
 }
 
 
-def load_package() -> Any:
-    """The package; a module that needs torch or scikit-learn is documented without it."""
-    try:
-        import torch  # noqa: F401
-    except ModuleNotFoundError:
-        function = types.ModuleType("torch.autograd.function")
-        function.once_differentiable = staticmethod
-        torch = types.ModuleType("torch")
-        torch.Tensor = type("Tensor", (), {})
-        torch.autograd = types.SimpleNamespace(Function=object)
-        torch.float32 = torch.float64 = torch.complex64 = torch.complex128 = None
-        sys.modules.update({"torch": torch, "torch.autograd.function": function})
-    import pwrfgs
+class Absent(type):
+    """Stands for a module that is not installed, and for everything in it."""
 
-    return pwrfgs
+    def __getattr__(cls, name: str) -> Absent:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return Absent(name, (), {})
+
+
+def load_package() -> Any:
+    """The package; its modules for PyTorch and scikit-learn are documented without them too."""
+    for names in (["torch"], ["sklearn", "sklearn.base", "sklearn.metrics", "sklearn.utils.validation"]):
+        try:
+            importlib.import_module(names[0])
+        except ModuleNotFoundError:
+            sys.modules.update({name: Absent(name, (), {}) for name in names})
+    return importlib.import_module("pwrfgs")
 
 
 def signature(item: Any) -> str:
