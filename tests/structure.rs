@@ -30,7 +30,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "tasks",
         &["core", "data", "experiment", "localise", "model", "pipeline", "planning", "raytrace", "report", "train"],
     ),
-    ("viewer", &["core", "experiment", "localise", "model", "pipeline", "report", "tasks", "train"]),
+    ("viewer", &["core", "experiment", "localise", "model", "pipeline", "raytrace", "report", "tasks", "train"]),
 ];
 /// Code lines of a file.
 const OF_FILE: usize = 300;

@@ -16,11 +16,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, List
 
 from . import baselines, convert, datasets, metrics, plot, settings
+from ._compare import Comparison, compare
 from ._errors import Error, InputError
 from ._kernels import project, rasterize, rasterize_with_vjp
 from ._pipeline import Pipeline
 from ._plugins import *  # noqa: F403  one class for each plugin
-from ._pwrfgs import Dataset, Model, __version__
+from ._pwrfgs import Dataset, Model, View, __version__
 from ._results import Finding, Interval, Located, Placement, Plan, RadioMap
 from ._run import Run, evaluate, report, run, simulate
 from ._spectrum import spectrum
@@ -36,10 +37,10 @@ from .metrics import repeatability
 from . import _plugins
 
 __all__: List[str] = [
-    "Baseline", "Cloud", "Column", "Dataset", "Deformation", "Error", "Finding", "Gaussians", "Initializer",
+    "Baseline", "Cloud", "Column", "Comparison", "Dataset", "Deformation", "Error", "Finding", "Gaussians", "Initializer",
     "InputError", "Interval", "Links", "Located", "Metric", "Model", "Partition", "Pipeline", "Placement", "Plan",
     "Pose", "Pruner", "RadioMap", "Receiver", "ReceiverSample", "Room", "Run", "Sample", "Splats", "Split", "Stats",
-    "StepContext", "SweepError", "Trainer", "Value", "__version__", "baselines", "convert", "datasets", "evaluate",
+    "StepContext", "SweepError", "Trainer", "Value", "View", "__version__", "baselines", "compare", "convert", "datasets", "evaluate",
     "init", "metrics", "place", "plan", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability",
     "report", "run", "settings", "simulate", "spectrum", "sweep",
 ]

@@ -12,7 +12,7 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Union
 
 import numpy as np
 
-from . import _html, _pwrfgs, _strategies
+from . import _html, _pwrfgs, _strategies, _view
 from ._errors import InputError, missing
 from ._log import event as log_event
 from ._pipeline import Pipeline, is_text
@@ -108,6 +108,10 @@ class Run:
         """Path of the report, an HTML file."""
         return self._file("report.html")
 
+    def view(self, beside: Any = None) -> "_pwrfgs.View":
+        """Show an interactive page of the run, see ``Model.view``; a run in progress shows its last checkpoint."""
+        return _view.show(self.folder, None, beside)
+
     def __repr__(self) -> str:
         if not self.finished:
             return f"<Run {self.folder}: not finished>"
@@ -159,8 +163,7 @@ def _columns(path: str) -> Dict[str, Array]:
 
 def _is_interactive() -> bool:
     """Whether the error stream is a terminal, or the program a notebook."""
-    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    return hasattr(shell, "kernel") or (sys.stderr is not None and sys.stderr.isatty())
+    return _view.in_notebook() or (sys.stderr is not None and sys.stderr.isatty())
 
 
 class _Progress:

@@ -67,7 +67,11 @@ def sweep(
 
 
 def _performed(experiment: PathLike, set: Optional[Mapping[str, Any]], out: Optional[PathLike], jobs: int) -> List[Run]:
-    folder, ends = _pwrfgs.sweep(experiment, _arguments(set), out, jobs)
+    return finished_runs(_pwrfgs.sweep(experiment, _arguments(set), out, jobs)[1])
+
+
+def finished_runs(ends: Sequence[Tuple[PathLike, Optional[str]]]) -> List[Run]:
+    """Runs of folders; an error if one has the reason of a failure."""
     failed = {os.fspath(run): reason for run, reason in ends if reason}
     if failed:
         first = next(iter(failed.items()))

@@ -211,3 +211,20 @@ def placement(result: Any, ax: Any = None) -> Any:
         ax.scatter(*positions[:, :2].T, s=50, marker=marker, color=colour, label=f"{name}: {coverage:.1f} dBm")
     ax.legend(fontsize="small", frameon=False, loc="center left", bbox_to_anchor=(1.02, 0.5))
     return ax
+
+
+def comparison(result: Any, ax: Any = None) -> Any:
+    """Plot the main metric of each method and baseline of a ``Comparison``; lines are standard deviations over seeds."""
+    first = result.rows[0]
+    same = ("setting", "metric", "statistic")
+    rows = [row for row in result.rows if all(row[name] == first[name] for name in same)]
+    ax = _axes(ax, figsize=(5.6, 0.8 + 0.3 * len(rows)))
+    for place, row in enumerate(rows):
+        colour = RECEIVER if row["kind"] == "variant" else TRAINING
+        ax.errorbar(row["value"], place, xerr=np.nan_to_num(row["std"]), fmt="o", color=colour)
+    unit = f", {first['unit']}" if first["unit"] else ""
+    ax.set(xlabel=f"{first['metric']}, {first['statistic']}{unit}", yticks=range(len(rows)))
+    ax.set_yticklabels([row["variant"] for row in rows])
+    ax.invert_yaxis()
+    ax.set_title(first["setting"], loc="left", fontsize="medium")
+    return ax

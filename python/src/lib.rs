@@ -11,6 +11,7 @@
 
 mod arrays;
 mod border;
+mod compare;
 mod data;
 mod kernels;
 mod looped;
@@ -20,11 +21,14 @@ mod scores;
 mod settings;
 mod strategies;
 mod tasks;
+mod view;
 
 use pyo3::prelude::*;
 
 #[pymodule]
 mod _pwrfgs {
+    #[pymodule_export]
+    use super::compare::compare;
     #[pymodule_export]
     use super::data::Dataset;
     #[pymodule_export]
@@ -43,6 +47,8 @@ mod _pwrfgs {
     use super::settings::{Pipeline, complete, parse_ron, pipeline_text, registry, types};
     #[pymodule_export]
     use super::tasks::{compress, findings, locate, place, plan, radio_map, suggest_pipeline, task_settings, update};
+    #[pymodule_export]
+    use super::view::{View, view};
     use pyo3::prelude::*;
 
     // Records the process, registers the host of Python strategies, and adds the constants of the build.

@@ -164,7 +164,7 @@ pub(crate) fn predict_baseline<'py>(
     }
     let txs = positions("tx", tx)?;
     let found: Vec<Image> = run_stoppable(py, |stop| {
-        let predictor = baseline.fit(data, FittingSet::train(&train))?;
+        let predictor = baseline.fit(data, FittingSet::train(&train).stopped_by(stop))?;
         let mut found = Vec::new();
         for txs in txs.chunks(CHUNK) {
             check_stopped(stop)?;

@@ -10,6 +10,7 @@ use pwrfgs::localise::Region;
 use pwrfgs::model::compress::Bits;
 use pwrfgs::planning::floor_grid;
 use pwrfgs::raytrace::SceneFile;
+use pwrfgs::tasks::compare::CompareSettings;
 use pwrfgs::tasks::init::DataSurvey;
 use pwrfgs::tasks::locate::{Localisation, LocateSettings, LocatedRow, ReadFeatures, checked_features};
 use pwrfgs::tasks::place::{PlaceSettings, Placement, place_in_data, place_in_scene};
@@ -26,7 +27,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 /// Observer that ends work after Ctrl-C and logs messages and warnings.
-struct TaskObserver<'a>(&'a AtomicBool);
+pub(crate) struct TaskObserver<'a>(pub(crate) &'a AtomicBool);
 
 impl Observer for TaskObserver<'_> {
     fn on_stage(&mut self, _: &str, done: usize, total: usize) {
@@ -50,11 +51,12 @@ pub(crate) fn task_settings<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyDict>
     all.set_item("locate", field_list(py, Docs::of::<LocateSettings>().fields())?)?;
     all.set_item("plan", field_list(py, Docs::of::<PlanSettings>().fields())?)?;
     all.set_item("place", field_list(py, Docs::of::<PlaceSettings>().fields())?)?;
+    all.set_item("compare", field_list(py, Docs::of::<CompareSettings>().fields())?)?;
     Ok(all)
 }
 
 /// Reads settings from RON text.
-fn read_settings<S: DeserializeOwned>(text: &str) -> Result<S> {
+pub(crate) fn read_settings<S: DeserializeOwned>(text: &str) -> Result<S> {
     read_ron(text, Path::new("settings")).map_err(without_position)
 }
 

@@ -209,3 +209,42 @@ def test_ctrl_c_ends_a_long_prediction(run):
     )
     # CPython 3.11 does not catch what is raised where a loop begins anew if the loop is the first statement of its `try`.
     assert interrupted(code, run.folder, after=0.5) == "stopped\n"
+
+
+def test_batches_bound_the_memory_of_many_predictions():
+    """The whole result has 389 MB; in batches, the process grows by less than 100 MB."""
+    code = """
+import numpy as np, pwrfgs, resource, sys
+tx = np.random.default_rng(0).uniform(0, 4, (3000, 3))
+model = pwrfgs.Model.from_arrays(
+    tx[:2], np.tile([1.0, 0, 0, 0], (2, 1)), np.full((2, 3), 0.2), [0.5, 0.5], [0.5, 0.5], pwrfgs.Pose((2, 2, 0))
+)
+peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024 if sys.platform == "linux" else 1024**2)
+model.predict(tx[:100])
+before, count = peak(), 0
+for spectra in model.predict(tx, batch_size=100):
+    assert spectra.shape == (100, 90, 360)
+    count += len(spectra)
+assert count == 3000
+print(peak() - before)
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=120)
+    assert float(done.stdout) < 100
+
+
+def test_batches_have_the_bits_of_one_call(model):
+    places = np.random.default_rng(0).normal(size=(7, 3))
+    batches = list(model.predict(places, batch_size=3))
+    assert [len(batch) for batch in batches] == [3, 3, 1]
+    assert np.array_equal(np.concatenate(batches), model.predict(places))
+    assert list(model.predict(places[:0], batch_size=3)) == []
+    for arguments, problem in [
+        (dict(tx=places, batch_size=0), "batch_size is 0, expected 1 or more"),
+        (dict(tx=places[0], batch_size=3), "batch_size needs one position per row"),
+        (dict(tx=places, batch_size=3, vjp=np.zeros((7, 15, 60))), "give one of vjp and batch_size"),
+        (dict(tx=places[:, :2], batch_size=3), "tx has shape"),
+        (dict(batch_size=3), "tx is missing"),
+    ]:
+        with pytest.raises(pwrfgs.InputError) as error:
+            model.predict(**arguments)
+        assert problem in str(error.value)

@@ -115,6 +115,20 @@ def test_ctrl_c_ends_a_long_call(call):
     assert time.monotonic() - begun < 15
 
 
+def test_ctrl_c_ends_the_fit_of_a_baseline():
+    """The fit at 40 receivers takes several seconds: the call ends within one."""
+    code = (
+        "import numpy as np, pwrfgs, time\nrng = np.random.default_rng(0)\n"
+        "tx, gateways = rng.uniform(0, 10, (400, 3)), rng.uniform(0, 10, (40, 3))\n"
+        "rssi = -20 * np.log10(np.linalg.norm(tx[:, None] - gateways, axis=2)) + rng.normal(size=(400, 40))\n"
+        "data = pwrfgs.Dataset.from_arrays(tx, rssi=rssi, receivers=gateways)\n"
+        "print('there', flush=True); begun = time.monotonic()\n"
+        "try:\n    pass\n    pwrfgs.baselines.kriging(data, tx[:1])\n    print('not stopped', flush=True)\n"
+        "except KeyboardInterrupt: print(time.monotonic() - begun, flush=True)\n"
+    )
+    assert 0.3 < float(interrupted(code, after=0.4)) < 1.4
+
+
 def test_ctrl_c_in_a_terminal(run, tmp_path):
     """The signal itself, in a process of its own; what goes on then is what would have been."""
     code = (

@@ -31,8 +31,6 @@ mod update;
 #[cfg(feature = "viewer")]
 mod view;
 
-pub(crate) use options::parse_count;
-
 use crate::output::{SUCCESS, Verbosity};
 use clap::Subcommand;
 use pwrfgs_core::Result;

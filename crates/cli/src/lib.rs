@@ -12,8 +12,9 @@ mod progress;
 mod reference;
 
 use clap::{ArgAction, CommandFactory as _, Parser};
-use commands::{Command, parse_count};
+use commands::Command;
 use output::{FAILED, INTERRUPTED, INVALID, Verbosity};
+use pwrfgs_core::threads::parse_count;
 use pwrfgs_core::{Error, Result};
 use std::ffi::OsString;
 use std::process::ExitCode;

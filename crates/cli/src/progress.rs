@@ -3,7 +3,7 @@
 use crate::interrupt::InterruptibleRun;
 use crate::output::{self, Verbosity, print_note, progress_bars};
 use indicatif::{ProgressBar, ProgressStyle};
-use pwrfgs::experiment::text::{duration, grouped};
+use pwrfgs::experiment::text::{duration, gigabytes, grouped};
 use pwrfgs::experiment::{Observer, Start, Validation};
 use pwrfgs::train::StepReport;
 use std::collections::VecDeque;
@@ -183,7 +183,7 @@ impl Observer for RunProgress {
             None => print_note(&format!("{on} {steps} steps in {}", start.folder.display())),
             Some(_) => self.print_line(&format!("{on} {steps} steps")),
         }
-        let memory = format_gigabytes(start.step_bytes);
+        let memory = gigabytes(start.step_bytes);
         self.print_line(&match start.gaussians {
             0 => format!("about {memory} per step"),
             n => format!("N = {}, about {memory} per step", grouped(n as i64)),
@@ -242,14 +242,4 @@ impl Observer for RunProgress {
         self.remove_bar();
         output::print_warning(warning);
     }
-}
-
-/// Formats a number of bytes in gigabytes: `0.41 GB`.
-pub(crate) fn format_gigabytes(bytes: u64) -> String {
-    format!("{:.2} GB", bytes as f64 / 1e9)
-}
-
-/// Formats the seconds of a training step, in milliseconds below one second: `12.0 ms` or `26.1 s`.
-pub(crate) fn format_step_time(seconds: f64) -> String {
-    if seconds < 1.0 { format!("{:.1} ms", 1e3 * seconds) } else { format!("{seconds:.1} s") }
 }

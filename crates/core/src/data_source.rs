@@ -2,10 +2,11 @@
 
 use crate::plugin::{Plugin, registered};
 use crate::{
-    Dataset, Demand, Image, Misfit, Parts, Query, Real, Requirement, Result, Task, check_compatible, plugin_kind,
-    rng::Rng,
+    Dataset, Demand, Image, Misfit, Parts, Query, Real, Requirement, Result, Task, check_compatible, check_stopped,
+    plugin_kind, rng::Rng,
 };
 use std::path::Path;
+use std::sync::atomic::AtomicBool;
 
 /// Progress callback (done, total) of a long operation, called from any thread and in any order.
 pub type Progress<'a> = &'a (dyn Fn(usize, usize) + Sync);
@@ -212,7 +213,7 @@ pub struct Partition {
 impl Partition {
     /// Returns all links except the test set.
     pub fn known(&self) -> FittingSet<'_> {
-        FittingSet { train: &self.train, validation: &self.validation }
+        FittingSet { train: &self.train, validation: &self.validation, stop: None }
     }
 
     /// Returns the sizes of training, validation and test set.
@@ -244,18 +245,34 @@ pub enum LinkSet {
 }
 
 /// Links for the fit of a baseline: two disjoint lists of indices into [`Dataset::links`](crate::Dataset::links).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct FittingSet<'a> {
     /// Training links, as for models.
     pub train: &'a [usize],
     /// Validation links. Baselines first use them for choices, then for the fit like training links.
     pub validation: &'a [usize],
+    /// Flag that ends the fit; `None` if it cannot be interrupted.
+    pub stop: Option<&'a AtomicBool>,
 }
 
 impl<'a> FittingSet<'a> {
     /// Creates a training set without validation.
     pub fn train(train: &'a [usize]) -> Self {
-        Self { train, validation: &[] }
+        Self { train, ..Self::default() }
+    }
+
+    /// Returns the set with a flag that ends the fit.
+    #[must_use]
+    pub fn stopped_by(self, stop: &'a AtomicBool) -> Self {
+        Self { stop: Some(stop), ..self }
+    }
+
+    /// Checks the flag; a long fit calls this several times per second.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`](crate::Error::Stopped) once the flag is set.
+    pub fn check_stopped(&self) -> Result<()> {
+        self.stop.map_or(Ok(()), check_stopped)
     }
 
     /// Returns training and validation links together, sorted.

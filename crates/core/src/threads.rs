@@ -5,6 +5,17 @@ use std::ops::RangeInclusive;
 
 /// Accepted numbers of threads.
 pub const COUNTS: RangeInclusive<usize> = 1..=1024;
+/// Parses a number of threads, jobs or seeds.
+///
+/// # Errors
+/// A text that is not one of [`COUNTS`]; the message states them.
+pub fn parse_count(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count) if COUNTS.contains(&count) => Ok(count),
+        _ => Err(format!("expected a number from {} to {}", COUNTS.start(), COUNTS.end())),
+    }
+}
+
 /// Variables that set the size of rayon's thread pool; 0 selects one thread per processor.
 const VARIABLES: [&str; 2] = ["RAYON_NUM_THREADS", "RAYON_RS_NUM_CPUS"];
 

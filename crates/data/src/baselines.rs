@@ -134,7 +134,8 @@ impl<P: ReceiverPredictor> ByReceiver<P> {
         let by_receiver =
             [fitting.train, fitting.validation].map(|links| data.group_by_receiver(links.iter().copied()));
         let fit_receiver = |r: usize| {
-            let links = FittingSet { train: &by_receiver[0][r], validation: &by_receiver[1][r] };
+            fitting.check_stopped()?;
+            let links = FittingSet { train: &by_receiver[0][r], validation: &by_receiver[1][r], ..fitting };
             // If there is nothing to fit, `fit` returns the error.
             let is_deaf = links.train.is_empty() && links.validation.is_empty() && receivers.len() > 1;
             Ok((strip_control(&receivers[r].name), if is_deaf { None } else { Some(fit(links)?) }))

@@ -113,7 +113,7 @@ impl OpenEvaluation<'_> {
     /// Fits `baseline` to training and validation samples and scores it; with a calibrator, also its intervals.
     fn score_baseline(&mut self, baseline: &Plugin<dyn Baseline>, session: &mut Session<'_>) -> Result<()> {
         let (SplitData { data, partition }, table) = (self.split, &mut self.table);
-        let fitted = baseline.fit(data, partition.known())?;
+        let fitted = baseline.fit(data, partition.known().stopped_by(session.stop))?;
         let name = baseline.name_for(data.task());
         // Reading a file has no latency of a method.
         let is_measured = |metric: &&Plugin<dyn Metric>| !baseline.is_external() || metric.scope() != Scope::Model;
@@ -184,7 +184,7 @@ pub(crate) fn validation_baselines(
     let mut all = Vec::new();
     for baseline in pipeline.baselines.iter().filter(|baseline| !baseline.is_external()) {
         session.check_stopped()?;
-        let fitted = baseline.fit(data, FittingSet::train(&partition.train))?;
+        let fitted = baseline.fit(data, FittingSet::train(&partition.train).stopped_by(session.stop))?;
         let name = baseline.name_for(data.task());
         let measured = bench.score_baseline(&name, &*fitted, &metrics, session)?;
         all.extend(measured.first().map(|m| m.values.mean()).filter(|mean| mean.is_finite()).map(|mean| (name, mean)));

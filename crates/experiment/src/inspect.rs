@@ -1,6 +1,8 @@
 //! Checks before training: [`preview`] for `pwrfgs check` (size and cost of a run, with a [`DataSummary`]), and
 //! [`inspect`] for `pwrfgs inspect` (the summary, and all splits with their baselines).
 
+mod cost;
+
 pub use crate::findings::pose::{Correction, PoseCheck, PoseVerdict};
 
 use crate::evaluation_set::EvaluationSet;

@@ -10,6 +10,7 @@ mod experiment;
 mod listing;
 mod plan;
 pub mod slurm;
+mod table;
 
 pub use check::{RunStage, check, estimate_run_seconds};
 pub use experiment::{Axis, Experiment, Slurm, SweepVariant};

@@ -30,6 +30,11 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
+/// Formats a number of bytes in gigabytes: `0.41 GB`.
+pub fn gigabytes(bytes: u64) -> String {
+    format!("{:.2} GB", bytes as f64 / 1e9)
+}
+
 /// Formats a length in a suitable unit: `3.1 mm`, `42 cm`, `1.50 m`; `n/a` if it is not finite.
 pub fn format_length(metres: f64) -> String {
     match metres {

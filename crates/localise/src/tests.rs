@@ -53,7 +53,7 @@ fn hall() -> (Dataset, [Vec<usize>; 3]) {
 #[test]
 fn model_locates_better_than_nearest_fingerprints_and_regions_hold_nine_of_ten() {
     let (data, [train, validation, test]) = hall();
-    let links = FittingSet { train: &train, validation: &validation };
+    let links = FittingSet { train: &train, validation: &validation, ..FittingSet::default() };
     let locator = Locator::fit(&data, links, &PathLoss, &[0.0, 0.5, 1.0]).unwrap();
     assert!(locator.choice.share > 0.0, "the exact law is better than noisy measurements: {:?}", locator.choice);
     let transmitters = data.locations_of(&test);
@@ -75,7 +75,7 @@ fn model_locates_better_than_nearest_fingerprints_and_regions_hold_nine_of_ten()
 #[test]
 fn unknown_powers_are_ignored_and_invalid_boxes_refused() {
     let (data, [train, validation, _]) = hall();
-    let links = FittingSet { train: &train, validation: &validation };
+    let links = FittingSet { train: &train, validation: &validation, ..FittingSet::default() };
     let locator = Locator::fit(&data, links, &PathLoss, &[1.0]).unwrap();
     let whole = locator.observations(&data, &[305]).remove(0);
     let some = [whole[0], f32::NAN, whole[2], whole[3]];
@@ -136,7 +136,7 @@ fn estimate_between_two_areas_is_in_one_of_them() {
     let receiver = Receiver::new("r", Pose { position: RECEIVERS[0], ..Pose::IDENTITY });
     let data = Dataset::of_links("areas", vec![receiver], vec![], &samples, Observations::from(powers)).unwrap();
     let (train, validation): (Vec<usize>, Vec<usize>) = ((0..140).collect(), (140..200).collect());
-    let links = FittingSet { train: &train, validation: &validation };
+    let links = FittingSet { train: &train, validation: &validation, ..FittingSet::default() };
     let locator = Locator::fit(&data, links, &PathLoss, &[0.0, 1.0]).unwrap();
     assert!(locator.validates_between_training());
     let mut several = 0;
@@ -168,7 +168,7 @@ impl Predict for FromSamples {
 #[test]
 fn model_of_samples_is_used_without_validation_samples() {
     let (data, [train, validation, _]) = hall();
-    let links = FittingSet { train: &train, validation: &validation };
+    let links = FittingSet { train: &train, validation: &validation, ..FittingSet::default() };
     let [without, path_loss] = [&FromSamples as &dyn Predict, &PathLoss].map(|model| {
         let locator = Locator::fit(&data, links, model, &[1.0]).unwrap();
         locator.locate(&locator.observations(&data, &[305])[0]).position

@@ -85,7 +85,7 @@ impl Residuals {
         data.observations.check()?;
         let mut by_receiver = vec![Vec::new(); data.scene.receivers.len()];
         (0..known.links.len()).for_each(|k| by_receiver[samples.receiver_of(k)].push(k));
-        let fit = samples.most_likely_fit(&by_receiver);
+        let fit = samples.most_likely_fit(&by_receiver, stop)?;
         let process =
             |links: &Vec<usize>| Some(samples.build_process(links, fit?)).filter(|process| !process.is_empty());
         let processes = by_receiver.iter().map(process).collect();
@@ -325,13 +325,13 @@ impl<'a> Samples<'a> {
     ///
     /// Kind and length scales of the correlation are those of the observations: of residuals of left-out links, there are
     /// too few.
-    fn most_likely_fit(&self, by_receiver: &[Vec<usize>]) -> Option<Fit> {
+    fn most_likely_fit(&self, by_receiver: &[Vec<usize>], stop: &AtomicBool) -> Result<Option<Fit>> {
         let cases_of = |is_observed| {
             by_receiver.iter().flat_map(|links| self.select_cases(links, is_observed)).collect::<Vec<_>>()
         };
         let cases = cases_of(false);
         if cases.is_empty() {
-            return None;
+            return Ok(None);
         }
         let scales: Vec<Real> = by_receiver.iter().map(|links| self.observation_scale(links)).collect();
         let law = |receiver: usize, left_out| self.fit_path_loss(&by_receiver[receiver], left_out);
@@ -339,7 +339,8 @@ impl<'a> Samples<'a> {
         let observed =
             |_, k| self.residuals(k, &ResidualTrend { share: 0.0, path_loss: laws[self.receiver_of(k)] }, &self.mean);
         let space = SearchSpace { kinds: &KINDS, isotropic: self.link_values == 1, time: false };
-        let correlation = most_likely(&self.held_out_cases(&cases_of(true), &scales, observed), space).1;
+        let observed = self.held_out_cases(&cases_of(true), &scales, observed);
+        let correlation = most_likely(&observed, space, &|| check_stopped(stop))?.1;
         // The path-loss model that decides about a left-out link is not fitted to it.
         let group = |c: usize| (self.receiver_of(cases[c].0), self.known.left_out_by[cases[c].0]);
         let laws: BTreeMap<_, _> = (0..cases.len()).map(|c| (group(c), law(group(c).0, Some(group(c).1)))).collect();
@@ -357,7 +358,7 @@ impl<'a> Samples<'a> {
         // Links of one transmitter are not independent: all of its receivers count as one case.
         let least_gain = by_receiver.len() as f64 * CLEARLY;
         let choose = |best: Fit, next: Fit| if next.0 > best.0 + least_gain { next } else { best };
-        SHARES.into_iter().filter_map(fit).reduce(choose)
+        Ok(SHARES.into_iter().filter_map(fit).reduce(choose))
     }
 
     /// Builds the process of a receiver from its known links and the common fit.

@@ -72,7 +72,7 @@ pub fn kriging_scores(data: &Dataset, transmitters: &[usize], test: &[usize]) ->
     let links = |part: &[(usize, usize)]| data.links_of(&part.iter().map(|(_, t)| *t).collect::<Vec<_>>());
     let (train, validation) = (links(&others), links(&held_out));
     let (kriging, task) = (Kriging::default(), data.task());
-    let fitted = kriging.fit(data, FittingSet { train: &train, validation: &validation })?;
+    let fitted = kriging.fit(data, FittingSet { train: &train, validation: &validation, ..FittingSet::default() })?;
     let score = |&i: &usize| task.score(&task.shown(fitted.predict(data.query(i))), &data.image(i));
     let scores = test.par_iter().map(score).collect();
     data.observations.check()?;

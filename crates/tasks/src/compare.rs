@@ -1,28 +1,54 @@
 //! All methods, baselines and predictions of other programs on one data set.
 
 use crate::init::{DataSurvey, suggest_pipeline};
+use clap::Args;
 use pwrfgs_core::plugin::{Checked, name_of as plugin_name, registered};
+use pwrfgs_core::threads::{COUNTS, parse_count};
 use pwrfgs_core::{Baseline, Dataset, Error, Partition, Plugin, Real, Result, ShippedFile, did_you_mean};
 use pwrfgs_data::Predictions;
 use pwrfgs_experiment::sweep::{Axis, Experiment, ListedRun, Listing, PlannedRun, SweepPlan};
 use pwrfgs_experiment::{CEILING, Observer, scores::MODEL};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::{Rays, Trainer, Training};
+use schemars::JsonSchema;
+use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 /// Settings of [`plan_comparison`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Args, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct CompareSettings {
+    /// Score the predictions in this folder as NAME; repeatable
+    #[arg(long, value_name = "NAME=FOLDER")]
+    #[serde(default)]
+    pub predictions: Vec<String>,
+    /// Methods to train; default: all that can predict the data.
+    #[arg(
+        long,
+        value_name = "NAMES",
+        value_delimiter = ',',
+        help = "Train only these methods, separated by commas [default: all that can predict the data]"
+    )]
+    #[serde(default)]
+    pub methods: Vec<String>,
+    /// Number of seeds per method
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = parse_count)]
+    #[serde(default = "default_seeds")]
+    pub seeds: usize,
+}
+
+/// Returns the default number of seeds per method.
+fn default_seeds() -> usize {
+    3
+}
+
+/// Names and changes of the runs of a comparison.
+#[derive(Clone, Debug)]
+pub struct ComparedRuns {
     /// Name of the data in the names of the runs.
     pub name: String,
-    /// Methods to train; empty for all that can predict the data.
-    pub methods: Vec<String>,
-    /// Number of seeds per method.
-    pub seeds: usize,
     /// Changes of all pipelines, in the form of `--set`.
     pub changes: Vec<String>,
-    /// Folders with predictions of other programs, each as `NAME=FOLDER`.
-    pub predictions: Vec<String>,
     /// Output folder; `None` for `runs/compare-NAME`.
     pub out: Option<PathBuf>,
 }
@@ -46,9 +72,13 @@ pub struct Comparison {
 pub fn plan_comparison(
     survey: &DataSurvey,
     settings: &CompareSettings,
+    named: &ComparedRuns,
     observer: &mut dyn Observer,
 ) -> Result<Comparison> {
-    let mut plan = plan_methods(settings, survey, observer)?;
+    if !COUNTS.contains(&settings.seeds) {
+        return Err(Error::Config(format!("--seeds {}: expected a number from 1 to {}", settings.seeds, COUNTS.end())));
+    }
+    let mut plan = plan_methods(settings, named, survey, observer)?;
     let partition = plan.runs[0].pipeline.partition(&survey.data)?;
     let external = settings.read_predictions(&plan, &survey.data, &partition.test)?;
     // Baselines and predictions are equal for all methods: the runs of the first method score them.
@@ -66,15 +96,20 @@ pub fn plan_comparison(
 
 /// Plans the runs of the methods that support the data, all with the same split. A method that was not named and
 /// cannot predict the data is left out, with a note.
-fn plan_methods(settings: &CompareSettings, survey: &DataSurvey, observer: &mut dyn Observer) -> Result<SweepPlan> {
-    let experiment = read_experiment(settings, &survey.data)?;
+fn plan_methods(
+    settings: &CompareSettings,
+    named: &ComparedRuns,
+    survey: &DataSurvey,
+    observer: &mut dyn Observer,
+) -> Result<SweepPlan> {
+    let experiment = read_experiment(settings.seeds, &named.name, &survey.data)?;
     let labels: Vec<&str> = experiment.axes[0].variants.iter().map(|variant| variant.label.as_str()).collect();
     if let Some(name) = settings.methods.iter().find(|name| !labels.contains(&name.as_str())) {
         let near = did_you_mean(name, labels.iter().copied());
         let why = format!("--methods {name}: no such method for these data{near} (methods: {})", labels.join(", "));
         return Err(Error::Config(why));
     }
-    let mut base = suggest_pipeline(survey, &settings.name, Path::new("compare.ron"))?;
+    let mut base = suggest_pipeline(survey, &named.name, Path::new("compare.ron"))?;
     (base.split_seed, base.baselines) = (Some(0), applicable_baselines(&survey.data));
     let mut whole: Option<SweepPlan> = None;
     for method in labels {
@@ -82,8 +117,8 @@ fn plan_methods(settings: &CompareSettings, survey: &DataSurvey, observer: &mut 
         if !is_named && !settings.methods.is_empty() {
             continue;
         }
-        let planned = restrict_to_method(&experiment, method)
-            .and_then(|experiment| settings.plan_runs(&experiment, &base, survey));
+        let planned =
+            restrict_to_method(&experiment, method).and_then(|experiment| named.plan_runs(&experiment, &base, survey));
         match planned {
             Ok(mut plan) => match &mut whole {
                 Some(whole) => {
@@ -105,8 +140,8 @@ fn plan_methods(settings: &CompareSettings, survey: &DataSurvey, observer: &mut 
     })
 }
 
-/// Reads the shipped experiment with the methods for the task of `data`, and sets its name and seeds.
-fn read_experiment(settings: &CompareSettings, data: &Dataset) -> Result<Experiment> {
+/// Reads the shipped experiment with the methods for the task of `data`, and sets its name, with that of the data, and seeds.
+fn read_experiment(seeds: usize, data_name: &str, data: &Dataset) -> Result<Experiment> {
     let name = match &data.features {
         Some(_) => "methods-uplink",
         None => data.task().comparison,
@@ -114,8 +149,8 @@ fn read_experiment(settings: &CompareSettings, data: &Dataset) -> Result<Experim
     let file = ShippedFile::all(ShippedFile::EXPERIMENTS).into_iter().find(|file| file.name == name);
     let text = file.expect("the facade registers its experiments").source;
     let mut experiment = Experiment::parse(text, Path::new(name))?;
-    experiment.name = format!("compare-{}", settings.name);
-    experiment.seeds = (0..settings.seeds as u64).collect();
+    experiment.name = format!("compare-{data_name}");
+    experiment.seeds = (0..seeds as u64).collect();
     Ok(experiment)
 }
 
@@ -127,7 +162,7 @@ fn restrict_to_method(experiment: &Experiment, method: &str) -> Result<Experimen
     Ok(Experiment { axes: vec![axis], ..experiment.clone() })
 }
 
-impl CompareSettings {
+impl ComparedRuns {
     /// Plans the runs of an experiment with a single method, and checks them with the data.
     fn plan_runs(&self, experiment: &Experiment, base: &Pipeline, survey: &DataSurvey) -> Result<SweepPlan> {
         // No text: positions in it would be those of all methods.
@@ -145,7 +180,9 @@ impl CompareSettings {
         Trainer::sketch(&pipeline.plan()?, data, &pipeline.partition(data)?)?;
         Ok(plan)
     }
+}
 
+impl CompareSettings {
     /// Reads the predictions of other programs as baselines. Each needs a name of its own, and a prediction per link of
     /// `test`.
     fn read_predictions(&self, plan: &SweepPlan, data: &Dataset, test: &[usize]) -> Result<Vec<Plugin<dyn Baseline>>> {

@@ -9,7 +9,7 @@ use clap::Args;
 pub use observations::{checked_features, read_observations};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Dataset, Error, Receiver, Result};
+use pwrfgs_core::{Dataset, Error, FittingSet, Predict, Receiver, Result};
 use pwrfgs_experiment::text::{aligned, fixed, grouped};
 use pwrfgs_experiment::{Observer, SplitData, check_alike};
 use pwrfgs_localise::{FingerprintFeatures, Located, Locator, Region, SHARES};
@@ -91,7 +91,7 @@ pub fn locate(
     let unbiased = ensemble.without_validation(data, fitting)?;
     let model = unbiased.as_ref().unwrap_or(ensemble).prepare();
     observer.on_stage("fingerprints", 0, 0);
-    let locator = Locator::fit(data, fitting, &model, &SHARES)?;
+    let locator = fit_locator(data, fitting, &model)?;
     match locator.missing_regions().filter(|_| locator.validation == 0) {
         Some(why) => observer.on_warning(why),
         None => observer.on_message(&describe_locator(&locator)),
@@ -158,6 +158,29 @@ fn locate_observations(locator: &Locator<'_>, observations: &[Vec<f32>]) -> Vec<
     observations.par_iter().enumerate().map(row).collect()
 }
 
+/// Locates the transmitter `t` of the data from its observation; one of the known positions (`is_known`) is compared without
+/// itself.
+pub fn locate_transmitter(
+    locator: &Locator<'_>,
+    data: &Dataset,
+    t: usize,
+    observation: &[f32],
+    is_known: bool,
+) -> LocatedRow {
+    let transmitter = data.locations[t];
+    let truth = transmitter.position();
+    let located = locator.locate_without(observation, is_known.then_some(truth));
+    LocatedRow { name: format!("{:05}", transmitter.id), located, truth: Some(truth) }
+}
+
+/// Fits a locator to the positions of `links` with the fingerprints of a model.
+///
+/// # Errors
+/// Data without positions or with a moving receiver, or an observation that cannot be read.
+pub fn fit_locator<'a>(data: &Dataset, links: FittingSet<'_>, model: &'a dyn Predict) -> Result<Locator<'a>> {
+    Locator::fit(data, links, model, &SHARES)
+}
+
 /// Locates the transmitters of the test samples from their observations.
 fn locate_test_samples(locator: &Locator<'_>, split: &SplitData, observer: &mut dyn Observer) -> Vec<LocatedRow> {
     let data = &split.data;
@@ -166,11 +189,12 @@ fn locate_test_samples(locator: &Locator<'_>, split: &SplitData, observer: &mut 
     let mut rows = Vec::with_capacity(test.len());
     for (chunk, chunk_observations) in test.chunks(CHUNK).zip(observations.chunks(CHUNK)) {
         observer.on_stage("locating", rows.len(), test.len());
-        rows.par_extend(chunk.par_iter().zip(chunk_observations).map(|(t, observation)| {
-            let transmitter = data.locations[*t];
-            let (name, located) = (format!("{:05}", transmitter.id), locator.locate(observation));
-            LocatedRow { name, located, truth: Some(transmitter.position()) }
-        }));
+        rows.par_extend(
+            chunk
+                .par_iter()
+                .zip(chunk_observations)
+                .map(|(t, observation)| locate_transmitter(locator, data, *t, observation, false)),
+        );
     }
     rows
 }

@@ -146,7 +146,7 @@ fn describe_bounds(plane: MapPlane, PlaneBounds([across, up]): PlaneBounds, sour
 
 /// Computes the distances from the grid to the nearest training position as a layer. Also returns which positions are
 /// extrapolations, and the training positions near the plane. `None` for models without training positions.
-fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, TrainingMap)> {
+pub fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer, TrainingMap)> {
     let positions: Vec<[f64; 3]> = (0..grid.position_count()).map(|k| grid.position(k)).collect();
     let distances = ensemble.training_distances(&positions)?;
     let (is_beyond, limit) = ((0..positions.len()).map(|k| distances.is_beyond(k)).collect(), distances.limit);

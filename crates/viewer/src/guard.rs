@@ -16,20 +16,27 @@ const MAX_QUERY_BYTES: usize = 2_000;
 pub(crate) struct Guard {
     token: String,
     hosts: [String; 2],
+    /// Whether pages of other origins on this machine, such as a notebook, may show the page in a frame.
+    is_framed: bool,
 }
 
 impl Guard {
     /// Creates the access control of a page on `port`, with a random token.
-    pub(crate) fn new(port: u16) -> Result<Self, getrandom::Error> {
+    pub(crate) fn new(port: u16, is_framed: bool) -> Result<Self, getrandom::Error> {
         let mut bytes = [0u8; 16];
         getrandom::fill(&mut bytes)?;
         let token = format!("{:032x}", u128::from_be_bytes(bytes));
-        Ok(Self { token, hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")] })
+        Ok(Self { token, hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")], is_framed })
     }
 
     /// Returns the address of the page, with the token.
     pub(crate) fn address(&self) -> String {
         format!("http://{}/{}/", self.hosts[0], self.token)
+    }
+
+    /// Returns whether other pages may show the page in a frame.
+    pub(crate) fn is_framed(&self) -> bool {
+        self.is_framed
     }
 
     /// Checks a request and returns the part of its path after the token.
@@ -46,10 +53,10 @@ impl Guard {
         if headers.contains_key(ORIGIN) && !single_value(headers, &ORIGIN).is_some_and(is_server_origin) {
             return Err(StatusCode::FORBIDDEN);
         }
-        let site = HeaderName::from_static("sec-fetch-site");
-        if headers.contains_key(&site)
-            && !single_value(headers, &site).is_some_and(|v| ["same-origin", "none"].contains(&v))
-        {
+        let fetch = |name| headers.contains_key(name).then(|| single_value(headers, &HeaderName::from_static(name)));
+        let is_own = fetch("sec-fetch-site").is_none_or(|site| matches!(site, Some("same-origin" | "none")));
+        let is_frame = self.is_framed && fetch("sec-fetch-dest") == Some(Some("iframe"));
+        if !is_own && !is_frame {
             return Err(StatusCode::FORBIDDEN);
         }
         if method != Method::GET {
@@ -94,7 +101,7 @@ mod tests {
 
     #[test]
     fn admits_requests_with_token_from_own_origin() {
-        let guard = Guard::new(4711).unwrap();
+        let guard = Guard::new(4711, false).unwrap();
         let path = format!("/{}/predict?tx=1,2,3", guard.token);
         let host = ("host", "127.0.0.1:4711");
         assert_eq!(status_of(&guard, &path, &[host]).unwrap(), "predict");
@@ -103,8 +110,23 @@ mod tests {
             "predict"
         );
         assert_eq!(status_of(&guard, &path, &[host, ("sec-fetch-site", "same-origin")]).unwrap(), "predict");
-        assert_ne!(Guard::new(4711).unwrap().token, guard.token, "tokens differ");
+        assert_ne!(Guard::new(4711, false).unwrap().token, guard.token, "tokens differ");
         assert_eq!(guard.token.len(), 32);
+    }
+
+    #[test]
+    fn admits_frames_of_other_origins_only_in_notebooks() {
+        let headers = |dest| [("host", "localhost:4711"), ("sec-fetch-site", "same-site"), ("sec-fetch-dest", dest)];
+        for (is_framed, dest, expected) in
+            [(true, "iframe", Ok("".to_owned())), (true, "script", Err(403)), (false, "iframe", Err(403))]
+        {
+            let guard = Guard::new(4711, is_framed).unwrap();
+            assert_eq!(
+                status_of(&guard, &format!("/{}/", guard.token), &headers(dest)),
+                expected,
+                "{is_framed} {dest}"
+            );
+        }
     }
 
     /// Path, headers, and expected status.
@@ -112,7 +134,7 @@ mod tests {
 
     #[test]
     fn rejects_requests_without_token_or_from_other_origins() {
-        let guard = Guard::new(4711).unwrap();
+        let guard = Guard::new(4711, false).unwrap();
         let path = format!("/{}/predict", guard.token);
         let host = ("host", "127.0.0.1:4711");
         let cases: &[Case<'_>] = &[

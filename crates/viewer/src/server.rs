@@ -1,5 +1,6 @@
-//! HTTP server of one page, on the loopback interface, until the last page is closed.
+//! HTTP server of one page, on the loopback interface.
 
+use crate::PageHost;
 use crate::guard::Guard;
 use crate::routes::{self, PageResponse};
 use crate::state::ServerState;
@@ -37,13 +38,22 @@ const IDLE_LIMIT: Duration = Duration::from_secs(4);
 /// Content security policy: only own scripts, style and data; `blob:` and `data:` are images that the page makes.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data: \
     blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+/// Policy of a page in a notebook: pages on this machine may show it in a frame, and those of Visual Studio Code.
+const FRAMED_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src \
+    'self' data: blob:; base-uri 'none'; form-action 'none'; frame-ancestors http://localhost:* http://127.0.0.1:* \
+    vscode-webview:";
 
-/// Serves `state` on a free loopback port until `stop` is set or the last page is closed. `ready` receives the address
-/// with the token.
+/// Serves `state` on a free loopback port until `stop` is set or, in a browser, the last page is closed. `ready` receives
+/// the address with the token.
 ///
 /// # Errors
 /// If the system provides no port or no random numbers.
-pub(crate) fn serve(state: &Arc<ServerState>, ready: impl FnOnce(&str), stop: &AtomicBool) -> Result<()> {
+pub(crate) fn serve(
+    state: &Arc<ServerState>,
+    host: PageHost,
+    ready: impl FnOnce(&str),
+    stop: &AtomicBool,
+) -> Result<()> {
     let failed = |action: &str, e: &dyn std::fmt::Display| Error::Config(format!("cannot {action}: {e}"));
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
@@ -54,10 +64,11 @@ pub(crate) fn serve(state: &Arc<ServerState>, ready: impl FnOnce(&str), stop: &A
         let listener =
             TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.map_err(|e| failed("listen on 127.0.0.1", &e))?;
         let port = listener.local_addr().map_err(|e| failed("listen on 127.0.0.1", &e))?.port();
-        let guard = Guard::new(port).map_err(|e| failed("create a random token", &e))?;
+        let is_framed = host == PageHost::Notebook;
+        let guard = Guard::new(port, is_framed).map_err(|e| failed("create a random token", &e))?;
         ready(&guard.address());
         let accepting = tokio::task::spawn_local(accept_connections(listener, Arc::new(guard), Arc::clone(state)));
-        wait_for_end(state, stop).await;
+        wait_for_end(state, host, stop).await;
         accepting.abort();
         Ok(())
     });
@@ -65,12 +76,12 @@ pub(crate) fn serve(state: &Arc<ServerState>, ready: impl FnOnce(&str), stop: &A
     served
 }
 
-/// Waits until `stop` is set, or no page has been open for [`IDLE_LIMIT`] after the first one.
-async fn wait_for_end(state: &ServerState, stop: &AtomicBool) {
+/// Waits until `stop` is set or, in a browser, no page has been open for [`IDLE_LIMIT`] after the first one.
+async fn wait_for_end(state: &ServerState, host: PageHost, stop: &AtomicBool) {
     let mut idle = Duration::ZERO;
     while !stop.load(Ordering::Relaxed) && idle < IDLE_LIMIT {
         tokio::time::sleep(TICK).await;
-        idle = if state.is_abandoned() { idle + TICK } else { Duration::ZERO };
+        idle = if host == PageHost::Browser && state.is_abandoned() { idle + TICK } else { Duration::ZERO };
     }
 }
 
@@ -145,13 +156,14 @@ async fn respond(request: Request<Incoming>, access: &ConnectionAccess, state: &
             Ok(refusal)
         }
     };
-    with_security_headers(answer.unwrap_or_else(|(status, why)| routes::plain_text_response(status, &why)))
+    let answer = answer.unwrap_or_else(|(status, why)| routes::plain_text_response(status, &why));
+    with_security_headers(answer, access.guard.is_framed())
 }
 
-/// Adds headers to a response, so that no other page can load, frame or store it.
-fn with_security_headers(mut response: PageResponse) -> PageResponse {
+/// Adds headers to a response, so that no other page can load or store it, or frame it unless `is_framed`.
+fn with_security_headers(mut response: PageResponse, is_framed: bool) -> PageResponse {
     let headers = [
-        (CONTENT_SECURITY_POLICY, POLICY),
+        (CONTENT_SECURITY_POLICY, if is_framed { FRAMED_POLICY } else { POLICY }),
         (REFERRER_POLICY, "no-referrer"),
         (CACHE_CONTROL, "no-store"),
         (HeaderName::from_static("x-content-type-options"), "nosniff"),

@@ -1,13 +1,15 @@
 //! `ViewPane`: one half of the page, with a model, a run in progress or a baseline.
 
 use crate::predictor::{FittedBaseline, Predictor};
+use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Baseline, Dataset, Error, MeasurementSetup, Partition, Plugin, Predict, Result, files};
 use pwrfgs_experiment::folder::{CHECKPOINT, MODEL_FILE, PIPELINE, SCORES};
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::{Facts, Observer, Scores, SplitData, check_alike, load, model_file, read_pipeline};
-use pwrfgs_localise::{Locator, SHARES};
+use pwrfgs_localise::Locator;
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
+use pwrfgs_tasks::locate::fit_locator;
 use pwrfgs_train::Trainer;
 use self_cell::self_cell;
 use std::path::{Path, PathBuf};
@@ -85,14 +87,53 @@ impl ViewPane {
         })
     }
 
-    /// Returns the text of the scene of simulated data; `None` for other data.
-    pub fn scene_text(&self) -> Option<&str> {
-        self.loaded.as_ref()?.data.simulation.as_ref()?.scene.as_deref()
+    /// Creates a pane with models that have no file.
+    pub fn of_models(models: Ensemble) -> Self {
+        Self {
+            name: "model".into(),
+            folder: None,
+            loaded: None,
+            setup: models.members()[0].stages.setup.clone(),
+            surfaces: Vec::new(),
+            predictor: RwLock::new(Some(Arc::new(Predictor::new(models)))),
+            locator: Mutex::default(),
+        }
     }
 
-    /// Sets the displayed surfaces: corners of triangles `[T,3,3]`, metres, world frame.
-    pub fn set_surfaces(&mut self, surfaces: Vec<[[f64; 3]; 3]>) {
-        self.surfaces = surfaces;
+    /// Opens what `text` names beside this pane: a model file, a run folder, or a baseline for the data of this pane.
+    ///
+    /// # Errors
+    /// As [`Self::open`] and [`Self::fit_baseline`]; a text that is neither a path nor a baseline.
+    pub fn open_beside(&self, text: &str, observer: &mut dyn Observer) -> Result<Self> {
+        if Path::new(text).exists() {
+            return Self::open(Path::new(text), observer);
+        }
+        let whole = if text.contains('(') { text.to_owned() } else { format!("{text}()") };
+        let baseline = Plugin::<dyn Baseline>::parse(&whole).map_err(|why| {
+            Error::Config(format!(
+                "{}: neither a file, a folder nor a baseline: {why}; write a baseline as NearestNeighbours(k: 5)",
+                strip_control(text)
+            ))
+        })?;
+        Self::fit_baseline(&baseline, self)
+    }
+
+    /// Adds the surfaces of the room of simulated data; panes of other data stay as they are.
+    #[cfg(feature = "raytrace")]
+    pub(crate) fn add_surfaces(&mut self) -> Result<()> {
+        let simulation = self.loaded.as_ref().and_then(|loaded| loaded.data.simulation.as_ref());
+        if let Some(text) = simulation.and_then(|simulation| simulation.scene.as_deref()) {
+            let scene = pwrfgs_raytrace::SceneFile::parse(text, Path::new("the scene of the data"))?;
+            self.surfaces = scene.surfaces_below_ceiling()?;
+        }
+        Ok(())
+    }
+
+    /// Leaves the pane as it is: surfaces need the feature `raytrace`.
+    #[cfg(not(feature = "raytrace"))]
+    #[allow(clippy::unnecessary_wraps, clippy::unused_self)] // same signature as above
+    pub(crate) fn add_surfaces(&mut self) -> Result<()> {
+        Ok(())
     }
 
     /// Creates a pane with a baseline that is fitted to the data of the pane `beside`.
@@ -147,7 +188,7 @@ impl ViewPane {
                 Predictor::Model(ready) => ready.borrow_dependent(),
                 Predictor::Baseline(baseline) => baseline.borrow_dependent().as_ref(),
             };
-            pool.install(|| Locator::fit(&loaded.data, loaded.partition.known(), model, &SHARES))
+            pool.install(|| fit_locator(&loaded.data, loaded.partition.known(), model))
         })?;
         let (_, fitted) = cached.insert((predictor, Arc::new(fitted)));
         Ok(Arc::clone(fitted))

@@ -2,9 +2,8 @@
 
 use super::{Links, Model};
 use crate::arrays::{array, check_memory, observation_rows, observations};
-use crate::border::{LOOK, log_message, reject, to_plugin_error, without_gil};
-use pwrfgs::model::IntervalFactors;
-use pwrfgs::tasks::predict::extrapolation_warning;
+use crate::border::{LOOK, log_message, reject, to_exception, to_plugin_error, without_gil};
+use pwrfgs::tasks::predict::{extrapolation_warning, interval_factors};
 use pwrfgs_core::{Error, MeasurementSetup, Predict as _, Query, Real, Result};
 use pyo3::prelude::*;
 use rayon::prelude::*;
@@ -45,13 +44,14 @@ impl Model {
         observations(py, *task, size, lead, all)
     }
 
-    /// Returns the named tuple (prediction, lower, upper) of these links.
+    /// Returns the named tuple (prediction, lower, upper) of these links, with intervals of this level.
     pub(super) fn predict_interval<'py>(
         &self,
         py: Python<'py>,
         links: &Links,
-        factors: &IntervalFactors,
+        level: f64,
     ) -> PyResult<Bound<'py, PyAny>> {
+        let factors = interval_factors(&self.ensemble, level).map_err(|error| to_exception(py, error))?;
         let (ready, setup) = (self.prepared(), &self.stages().setup);
         let size = (setup.plane.width, setup.plane.height);
         let mut ends = [Vec::new(), Vec::new()];

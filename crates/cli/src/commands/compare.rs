@@ -1,12 +1,12 @@
 //! `pwrfgs compare`: all methods, all baselines and the predictions of other programs on one data folder.
 
-use super::options::{ChangeOptions, parse_count};
+use super::options::ChangeOptions;
 use super::sweep::SelectedRuns;
 use crate::output::{self, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::samples;
-use pwrfgs::tasks::compare::{CompareSettings, check_earlier_runs, plan_comparison, without_position};
+use pwrfgs::tasks::compare::{CompareSettings, ComparedRuns, check_earlier_runs, plan_comparison, without_position};
 use pwrfgs::tasks::init::{DataSurvey, pipeline_name};
 use pwrfgs_core::Result;
 use pwrfgs_core::files::{check_new_file, create};
@@ -26,15 +26,8 @@ pub(crate) struct Compare {
     /// Folder with the data
     #[arg(value_name = "FOLDER")]
     pub(crate) folder: PathBuf,
-    /// Score the predictions in this folder as NAME; repeatable
-    #[arg(long, value_name = "NAME=FOLDER")]
-    pub(crate) predictions: Vec<String>,
-    /// Train only these methods, separated by commas [default: all that can predict the data]
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    pub(crate) methods: Vec<String>,
-    /// Number of seeds per method
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = parse_count)]
-    pub(crate) seeds: usize,
+    #[command(flatten)]
+    pub(crate) settings: CompareSettings,
     #[command(flatten)]
     pub(crate) changes: ChangeOptions,
     /// Output folder [default: runs/compare-NAME, from the data folder]
@@ -52,15 +45,13 @@ pub(crate) struct Compare {
 pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     let folder = arguments.folder.canonicalize().unwrap_or_else(|_| arguments.folder.clone());
     let survey = RunProgress::observe(verbosity, |progress| DataSurvey::read(&folder, progress))?;
-    let settings = CompareSettings {
+    let named = ComparedRuns {
         name: pipeline_name(&folder),
-        methods: arguments.methods.clone(),
-        seeds: arguments.seeds,
         changes: arguments.changes.assignments(),
-        predictions: arguments.predictions.clone(),
         out: arguments.out.clone(),
     };
-    let comparison = RunProgress::observe(verbosity, |progress| plan_comparison(&survey, &settings, progress))?;
+    let comparison =
+        RunProgress::observe(verbosity, |progress| plan_comparison(&survey, &arguments.settings, &named, progress))?;
     let plan = &comparison.plan;
     if let Some(path) = &arguments.split_csv {
         check_new_file(path)?;

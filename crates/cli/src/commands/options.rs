@@ -1,9 +1,8 @@
-//! Arguments that several commands share: pipelines, changes and counts.
+//! Arguments that several commands share: pipelines and changes.
 
 use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::sweep::Listing;
-use pwrfgs_core::threads::COUNTS;
 use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -58,13 +57,5 @@ pub(super) fn in_file(path: &Path) -> impl FnOnce(Error) -> Error {
     move |error| match error {
         Error::Config(message) if !message.starts_with("--") => Error::input(path, message),
         other => other,
-    }
-}
-
-/// Parses a number of threads, jobs or seeds; the error states the valid numbers.
-pub(crate) fn parse_count(text: &str) -> Result<usize, String> {
-    match text.parse() {
-        Ok(count) if COUNTS.contains(&count) => Ok(count),
-        _ => Err(format!("expected a number from {} to {}", COUNTS.start(), COUNTS.end())),
     }
 }

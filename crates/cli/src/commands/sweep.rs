@@ -2,7 +2,7 @@
 
 mod table;
 
-use super::options::{ChangeOptions, parse_count};
+use super::options::ChangeOptions;
 use crate::interrupt::stop_flag;
 use crate::output::{self, FAILED, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
@@ -12,6 +12,7 @@ use pwrfgs::experiment::sweep::{
     JOINED, RunStage, SweepEnd, SweepPlan, check, estimate_run_seconds, execute, run_pool, slurm,
 };
 use pwrfgs::experiment::{RunOutcome, Session};
+use pwrfgs_core::threads::parse_count;
 use pwrfgs_core::{Error, Result, ShippedFile};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -92,7 +93,7 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
     let plan = SweepPlan::read(&arguments.experiment, &arguments.changes.assignments(), arguments.out.as_deref())?;
     let runs = select_runs(&plan, arguments)?;
     if arguments.status {
-        output::print_result(&table::format_progress(&plan, &runs, &queued_runs(&plan)))?;
+        output::print_result(&plan.progress_table(&runs, &queued_runs(&plan)))?;
         return Ok(SUCCESS);
     }
     let (jobs, available) = (arguments.jobs, rayon::current_num_threads());
@@ -138,7 +139,7 @@ impl SelectedRuns<'_> {
         }
         let seconds = self.estimate_seconds()?;
         if seconds.iter().any(|seconds| *seconds > 0.0) {
-            output::print_note(table::describe_total(plan, indices, &seconds, jobs).trim_end());
+            output::print_note(plan.describe_total(indices, &seconds, jobs).trim_end());
         }
         Ok(())
     }
@@ -154,7 +155,7 @@ impl SelectedRuns<'_> {
     /// Prints all runs with estimated times; returns the exit code.
     pub(super) fn print_estimates(self) -> Result<u8> {
         let seconds = self.estimate_seconds()?;
-        output::print_result(&table::format_estimates(self.plan, self.indices, &seconds, self.jobs))?;
+        output::print_result(&self.plan.estimate_table(self.indices, &seconds, self.jobs))?;
         Ok(SUCCESS)
     }
 
@@ -170,7 +171,7 @@ impl SelectedRuns<'_> {
         });
         board.remove_bar();
         #[cfg(feature = "report")]
-        let reported = if !stop.load(Ordering::Relaxed) && has_ended(plan) {
+        let reported = if !stop.load(Ordering::Relaxed) && plan.has_ended() {
             // If the last runs of two processes end together, one writes after the other.
             plan.claim().and_then(|_held| super::report::report_sweep(&plan.folder, reference, verbosity))
         } else {
@@ -179,7 +180,7 @@ impl SelectedRuns<'_> {
         let SweepEnd { runs: ends, joined } = end?;
         #[cfg(feature = "report")]
         reported?;
-        output::print_result(&table::format_progress(plan, indices, &queued_runs(plan)))?;
+        output::print_result(&plan.progress_table(indices, &queued_runs(plan)))?;
         if let Some(RunOutcome::Finished { scores, .. }) = joined {
             let folder = plan.folder.join(JOINED);
             let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", folder.join(REPORT).display()));
@@ -218,15 +219,6 @@ fn select_runs(plan: &SweepPlan, arguments: &Sweep) -> Result<Vec<usize>> {
     }
     let Shard { index, count } = arguments.shard.unwrap_or(Shard { index: 1, count: 1 });
     Ok((0..plan.runs.len()).filter(|run| run % count == index - 1).collect())
-}
-
-/// Returns whether all runs have finished or failed, and some have finished, so that no other process writes the
-/// report.
-#[cfg(feature = "report")]
-fn has_ended(plan: &SweepPlan) -> bool {
-    let states = plan.states();
-    let is_over = |state: &RunStage| matches!(state, RunStage::Finished(_) | RunStage::Failed(_));
-    states.iter().all(is_over) && states.iter().any(|state| matches!(state, RunStage::Finished(_)))
 }
 
 /// Submits to Slurm the `unfinished` runs that are not running or queued; returns the exit code.

@@ -6,11 +6,9 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::{model_file, with_run};
 use pwrfgs::report::room_page;
-use pwrfgs::viewer::{ViewPane, view as show};
+use pwrfgs::viewer::{PageHost, ViewPane, view as show};
 use pwrfgs_core::files::{check_new_file, create};
-use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::plugin::Plugin;
-use pwrfgs_core::{Baseline, Error, Result};
+use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -63,7 +61,7 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
             output::print_note("cannot start a browser; open the address yourself");
         }
     };
-    show(sides, ready, &stop)
+    show(sides, PageHost::Browser, ready, &stop)
 }
 
 /// Writes the room of a finished run as a page; `sides` must be this run alone.
@@ -84,42 +82,9 @@ fn save_page(sides: &[String], file: &Path, verbosity: Verbosity) -> Result<()> 
 
 /// Opens one or two sides of the page: runs or models; the second may be a baseline on the data of the first.
 fn open_panes(sides: &[String], progress: &mut RunProgress) -> Result<Vec<ViewPane>> {
-    let mut first = ViewPane::open(Path::new(&sides[0]), progress)?;
-    add_surfaces(&mut first)?;
-    let second = match sides.get(1) {
-        None => return Ok(vec![first]),
-        Some(path) if Path::new(path).exists() => ViewPane::open(Path::new(path), progress)?,
-        Some(text) => ViewPane::fit_baseline(&parse_baseline(text)?, &first)?,
-    };
-    Ok(vec![first, second])
-}
-
-/// Shows the surfaces of the room in a pane of simulated data; other panes are unchanged.
-#[cfg(feature = "raytrace")]
-fn add_surfaces(pane: &mut ViewPane) -> Result<()> {
-    let Some(text) = pane.scene_text() else { return Ok(()) };
-    let surfaces =
-        pwrfgs::raytrace::SceneFile::parse(text, Path::new("the scene of the data"))?.surfaces_below_ceiling()?;
-    pane.set_surfaces(surfaces);
-    Ok(())
-}
-
-/// Leaves the pane as it is: surfaces need the feature `raytrace`.
-#[cfg(not(feature = "raytrace"))]
-#[allow(clippy::unnecessary_wraps)] // same signature as above
-fn add_surfaces(_: &mut ViewPane) -> Result<()> {
-    Ok(())
-}
-
-/// Parses a baseline from its RON text, or from its name for default settings.
-fn parse_baseline(text: &str) -> Result<Plugin<dyn Baseline>> {
-    let whole = if text.contains('(') { text.to_owned() } else { format!("{text}()") };
-    Plugin::<dyn Baseline>::parse(&whole).map_err(|why| {
-        Error::Config(format!(
-            "{}: neither a file, a folder nor a baseline: {why}; write a baseline as NearestNeighbours(k: 5)",
-            strip_control(text)
-        ))
-    })
+    let first = ViewPane::open(Path::new(&sides[0]), progress)?;
+    let second = sides.get(1).map(|text| first.open_beside(text, progress)).transpose()?;
+    Ok(std::iter::once(first).chain(second).collect())
 }
 
 /// Opens `address` in the default browser; returns whether that succeeded.

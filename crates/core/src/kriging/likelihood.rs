@@ -1,7 +1,7 @@
 //! Maximum-likelihood fit of correlation, scales and noise.
 
 use super::{Correlation, CorrelationKind, Mean, Place, Solution, solve};
-use crate::{Real, neighbours, statistics::sorted};
+use crate::{Real, Result, neighbours, statistics::sorted};
 use rayon::prelude::*;
 
 /// Range of the noise; below it, coinciding positions are dominated by rounding.
@@ -115,16 +115,24 @@ impl HeldOutCase {
 }
 
 /// Finds the most likely correlation, and returns it after its log-likelihood: coordinate search with step factors from
-/// 4 down to 1.09.
-pub fn most_likely(cases: &HeldOutCases, space: SearchSpace<'_>) -> (f64, Correlation) {
+/// 4 down to 1.09. `check` is called several times per second and ends the search with its error.
+///
+/// # Errors
+/// An error of `check`.
+pub fn most_likely(
+    cases: &HeldOutCases,
+    space: SearchSpace<'_>,
+    check: &dyn Fn() -> Result<()>,
+) -> Result<(f64, Correlation)> {
     let best_of_kind = |&kind: &CorrelationKind| {
         let time = if space.time { TIME_START } else { f64::INFINITY };
         let length = 8.0 * cases.typical_m;
         let start = Correlation { kind, scales: [length, length, length, time], noise: 0.1 };
-        if cases.cases.is_empty() { (0.0, start) } else { search_coordinates(cases, start, space) }
+        if cases.cases.is_empty() { Ok((0.0, start)) } else { search_coordinates(cases, start, space, check) }
     };
-    let candidates = space.kinds.iter().map(best_of_kind);
-    candidates.reduce(|best, next| if next.0 > best.0 { next } else { best }).expect("a kind is given")
+    let candidates = space.kinds.iter().map(best_of_kind).collect::<Result<Vec<_>>>()?;
+    let best = candidates.into_iter().reduce(|best, next| if next.0 > best.0 { next } else { best });
+    Ok(best.expect("a kind is given"))
 }
 
 /// Correlations that are compared.
@@ -139,8 +147,13 @@ pub struct SearchSpace<'a> {
 }
 
 /// Searches from `start` along one parameter at a time, with smaller and smaller steps, while the likelihood improves.
-/// Returns the log-likelihood and the correlation.
-fn search_coordinates(cases: &HeldOutCases, start: Correlation, space: SearchSpace<'_>) -> (f64, Correlation) {
+/// Returns the log-likelihood and the correlation, or an error of `check`.
+fn search_coordinates(
+    cases: &HeldOutCases,
+    start: Correlation,
+    space: SearchSpace<'_>,
+    check: &dyn Fn() -> Result<()>,
+) -> Result<(f64, Correlation)> {
     let mut best = (cases.log_likelihood(&start), start);
     let is_searched = |parameter: &usize| match parameter {
         1..=3 => !space.isotropic,
@@ -154,6 +167,7 @@ fn search_coordinates(cases: &HeldOutCases, start: Correlation, space: SearchSpa
             for parameter in (0..7).filter(is_searched) {
                 for factor in [step.exp2(), (-step).exp2()] {
                     while let Some(next) = scaled_parameter(&best.1, parameter, factor, cases.typical_m) {
+                        check()?;
                         let likelihood = cases.log_likelihood(&next);
                         if likelihood.is_nan() || likelihood <= best.0 + 1e-6 * best.0.abs() {
                             break;
@@ -167,7 +181,7 @@ fn search_coordinates(cases: &HeldOutCases, start: Correlation, space: SearchSpa
             }
         }
     }
-    best
+    Ok(best)
 }
 
 /// Multiplies one parameter of `from` by `factor`: all length scales, one of three, the noise, length scales and noise

@@ -81,7 +81,7 @@ impl Baseline for Kriging {
         let fit = |fitting: FittingSet<'_>| {
             let all = fitting_samples(fitting)?;
             let trend = Trend::fit(data, &all);
-            let fitted = trend.fit_correlation(&all, fitting, self.time);
+            let fitted = trend.fit_correlation(&all, fitting, self.time)?;
             data.observations.check()?;
             Ok(Process::new(trend, fitted, all, self.clone()))
         };
@@ -138,7 +138,7 @@ impl<'a> Trend<'a> {
     /// samples, each given its nearest training samples. Powers: of at most [`POWERS`] samples, each given the nearest
     /// of those before it in random order. Their densities multiply to the joint density (Vecchia, Journal of the Royal
     /// Statistical Society B 50, 1988), and the first samples constrain long distances. `time`: with a scale of time.
-    fn fit_correlation(&self, all: &[usize], fitting: FittingSet<'_>, time: bool) -> (Correlation, f64) {
+    fn fit_correlation(&self, all: &[usize], fitting: FittingSet<'_>, time: bool) -> Result<(Correlation, f64)> {
         let is_power = self.law.is_some();
         let cases: Vec<_> = if is_power {
             let mut order = evenly(all, POWERS);
@@ -154,8 +154,9 @@ impl<'a> Trend<'a> {
             |i| sample_place(self.data, i),
             |_, i| self.residual_values(i, PIXELS),
         );
-        let correlation = most_likely(&cases, SearchSpace { kinds, isotropic: is_power, time }).1;
-        (correlation, cases.variance(&correlation))
+        let space = SearchSpace { kinds, isotropic: is_power, time };
+        let correlation = most_likely(&cases, space, &|| fitting.check_stopped())?.1;
+        Ok((correlation, cases.variance(&correlation)))
     }
 
     /// Returns at most [`CASES`] validation samples, each with its [`FROM`] nearest training samples; with `time`, half of

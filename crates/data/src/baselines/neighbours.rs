@@ -106,7 +106,7 @@ impl Baseline for NearestNeighbours {
                 Neighbours::Number(k) => (k, false),
                 Neighbours::Auto => {
                     let (train, validation) = selection_sets(fitting);
-                    let k = best_neighbour_count(data, train, &evenly(&validation, CHOSEN_ON));
+                    let k = best_neighbour_count(data, train, &evenly(&validation, CHOSEN_ON), fitting)?;
                     data.observations.check()?;
                     (k, true)
                 }
@@ -125,17 +125,24 @@ impl Baseline for NearestNeighbours {
 }
 
 /// Returns the k that best predicts `validation` from `train`, the smallest in a tie; 3 if there is nothing to compare.
-fn best_neighbour_count(data: &Dataset, train: Vec<usize>, validation: &[usize]) -> usize {
+/// The flag of `fitting` ends the search.
+fn best_neighbour_count(
+    data: &Dataset,
+    train: Vec<usize>,
+    validation: &[usize],
+    fitting: FittingSet<'_>,
+) -> Result<usize> {
     let choices: Vec<usize> = CHOICES.iter().copied().filter(|k| *k <= train.len()).collect();
-    let Some(most) = choices.last() else { return 3 };
+    let Some(most) = choices.last() else { return Ok(3) };
     let lookup = Lookup::new(data, train, *most);
-    let scores: Vec<Vec<f64>> = validation.par_iter().map(|&i| lookup.scores(i, &choices)).collect();
+    let score = |&i: &usize| fitting.check_stopped().map(|()| lookup.scores(i, &choices));
+    let scores = validation.par_iter().map(score).collect::<Result<Vec<Vec<f64>>>>()?;
     if scores.is_empty() {
-        return 3;
+        return Ok(3);
     }
     let totals: Vec<f64> = (0..choices.len()).map(|c| scores.iter().map(|scores| scores[c]).sum()).collect();
     let first_best = |best: usize, c: usize| if totals[c] > totals[best] { c } else { best };
-    choices[(1..choices.len()).fold(0, first_best)]
+    Ok(choices[(1..choices.len()).fold(0, first_best)])
 }
 
 /// Nearest-neighbour lookup in the training samples.

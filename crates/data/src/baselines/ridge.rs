@@ -44,7 +44,7 @@ impl Baseline for Ridge {
 
     fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
-        let fit = |fitting: FittingSet<'_>| LinearMap::fit(data, &fitting_samples(fitting)?, self.weight);
+        let fit = |fitting: FittingSet<'_>| LinearMap::fit(data, fitting, self.weight);
         Ok(Box::new(ByReceiver::fit(data, fitting, fit)?))
     }
 
@@ -69,7 +69,8 @@ struct LinearMap {
 impl LinearMap {
     /// Fits the map to links by ridge regression, a system of D x D equations: see [`Ridge`]. Returns an error if the
     /// features are too large.
-    fn fit(data: &Dataset, links: &[usize], weight: f64) -> Result<Self> {
+    fn fit(data: &Dataset, fitting: FittingSet<'_>, weight: f64) -> Result<Self> {
+        let links = fitting_samples(fitting)?;
         let xs: Vec<&[Real]> = links.iter().filter_map(|&i| data.query(i).features).collect();
         let ys: Vec<Vec<Real>> = links.iter().map(|&i| data.image(i).pixels).collect();
         let (d, m) = (xs[0].len(), ys[0].len());
@@ -81,24 +82,28 @@ impl LinearMap {
         let wide = |row: &[Real]| row.iter().map(|v| *v as f64).collect::<Vec<f64>>();
         let (x_mean, y_mean) = (mean(d, &|k| wide(xs[k])), mean(m, &|k| wide(&ys[k])));
         let mut gram = vec![0.0; d * d];
-        gram.par_chunks_exact_mut(d).enumerate().for_each(|(i, sums)| {
+        gram.par_chunks_exact_mut(d).enumerate().try_for_each(|(i, sums)| {
+            fitting.check_stopped()?;
             for row in &xs {
                 let x = row[i] as f64 - x_mean[i];
                 (0..=i).for_each(|j| sums[j] += x * (row[j] as f64 - x_mean[j]));
             }
-        });
+            Result::Ok(())
+        })?;
         let ridge = weight * (0..d).map(|k| gram[k * d + k]).sum::<f64>() / d as f64 + f64::MIN_POSITIVE;
         (0..d).for_each(|k| gram[k * d + k] += ridge);
         let no = || Error::Config("Ridge(): features are too large for a linear map; scale them".into());
         let factor = Cholesky::new(gram, d).ok_or_else(no)?;
         let mut slopes = vec![0.0; m * d];
-        slopes.par_chunks_exact_mut(d).enumerate().for_each(|(n, slope)| {
+        slopes.par_chunks_exact_mut(d).enumerate().try_for_each(|(n, slope)| {
+            fitting.check_stopped()?;
             for (x, y) in xs.iter().zip(&ys) {
                 let y = y[n] as f64 - y_mean[n];
                 slope.iter_mut().zip(*x).zip(&x_mean).for_each(|((sum, x), mean)| *sum += y * (*x as f64 - mean));
             }
             factor.solve(slope);
-        });
+            Result::Ok(())
+        })?;
         Ok(Self { means: [x_mean, y_mean], slopes, size: [data.width, data.height] })
     }
 }

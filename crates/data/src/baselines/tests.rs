@@ -91,7 +91,9 @@ fn auto_selects_more_neighbours_for_noisy_spectra() {
         let k = note.strip_prefix("k-NN uses k = ").and_then(|rest| rest.split(',').next()).unwrap();
         k.parse::<usize>().unwrap()
     };
-    for known in [FittingSet { train: &train, validation: &validation }, FittingSet::train(&train)] {
+    for known in
+        [FittingSet { train: &train, validation: &validation, ..FittingSet::default() }, FittingSet::train(&train)]
+    {
         let [clean, noisy] = [0.0, 0.2].map(|noise| chosen(noise, known));
         assert!(clean <= 5 && noisy >= 20, "{clean} and {noisy}");
     }
@@ -109,11 +111,11 @@ fn auto_selects_best_k() {
     };
     let best =
         [1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120, 160].into_iter().max_by(|a, b| score(*a).total_cmp(&score(*b)));
-    let known = FittingSet { train: &train, validation: &validation };
+    let known = FittingSet { train: &train, validation: &validation, ..FittingSet::default() };
     let fitted = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap();
     assert!(fitted.note().unwrap().starts_with(&format!("k-NN uses k = {},", best.unwrap())));
     // The prediction uses both training and validation samples.
-    let known = FittingSet { train: &[0], validation: &[1] };
+    let known = FittingSet { train: &[0], validation: &[1], ..FittingSet::default() };
     let fitted = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap();
     assert_eq!(fitted.predict([1.0, 0.0, 0.0].into()), data.image(1));
 }

@@ -183,7 +183,7 @@ fn validation_links_are_unknown_to_models_that_choose_by_them() {
     let data = data(&base, smooth);
     let whole = base.clone().with_residuals(Some(fit(&Kriged::default(), &base, &data).unwrap()));
     let (validation, train): (Vec<usize>, Vec<usize>) = (0..200).partition(|i: &usize| i.is_multiple_of(4));
-    let known = FittingSet { train: &train, validation: &validation };
+    let known = FittingSet { train: &train, validation: &validation, ..FittingSet::default() };
     let links = |ensemble: &Ensemble| ensemble.residuals().unwrap().processes()[0].as_ref().unwrap().len();
     let fair = whole.without_validation(&data, known).unwrap().unwrap();
     assert_eq!((links(&whole), links(&fair)), (200, 150));

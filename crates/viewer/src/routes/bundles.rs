@@ -13,7 +13,8 @@ use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, snapshots};
 use pwrfgs_experiment::{record::read_series, text::grouped};
 use pwrfgs_model::{Model, Snapshot};
 use pwrfgs_report::live::{self, TensorBundle};
-use pwrfgs_tasks::map::{MapQuantity, compute_layers};
+use pwrfgs_tasks::locate::{LocatedRow, locate_transmitter};
+use pwrfgs_tasks::map::{MapQuantity, compute_layers, training_layer};
 use pwrfgs_tasks::plane::{MapPlane, PlaneBounds, PlaneGrid};
 use serde_json::{Value, json};
 use std::sync::Arc;
@@ -295,9 +296,8 @@ fn map_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     let first = data.scene.origin.local(grid.position(0));
     let mut bundle = TensorBundle::new(json!({ "first": first, "step": step }));
     bundle.put("map", &[grid.rows, grid.columns], layers[0].values.iter().map(|v| *v as Real));
-    let positions: Vec<[f64; 3]> = (0..grid.position_count()).map(|k| grid.position(k)).collect();
-    if let Some(training) = predictor.ensemble().and_then(|ensemble| ensemble.training_distances(&positions)) {
-        let beyond = (0..positions.len()).map(|k| u8::from(training.is_beyond(k)));
+    if let Some((_, training)) = predictor.ensemble().and_then(|ensemble| training_layer(ensemble, &grid)) {
+        let beyond = training.is_beyond.into_iter().map(u8::from);
         bundle.put_bytes("extrapolated", &[grid.rows, grid.columns], beyond.collect());
     }
     Ok(bundle)
@@ -316,7 +316,7 @@ fn location_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     let truth = data.locations[transmitter].position();
     let is_known = data.locations_of(&loaded.partition.train).contains(&transmitter);
     let observation = locator.observations(data, &[transmitter]).concat();
-    let located = locator.locate_without(&observation, is_known.then_some(truth));
+    let LocatedRow { located, .. } = locate_transmitter(locator, data, transmitter, &observation, is_known);
     let mut bundle = TensorBundle::new(json!({
         "estimate": located.position, "truth": truth, "error_m": neighbours::distance(located.position, truth),
         "misfit": located.misfit, "part": loaded.partition.set_of(i) as u8, "left_out": is_known,

@@ -1,0 +1,112 @@
+//! `compare`, as on the command line: all methods, baselines and predictions of other programs on one data set.
+
+use crate::arrays::vector;
+use crate::border::{log_message, run_stoppable};
+use crate::data::Dataset;
+use crate::tasks::{TaskObserver, read_settings};
+use pwrfgs::experiment::sweep::{SweepObserver, SweepPlan, check, estimate_run_seconds, execute};
+use pwrfgs::experiment::{NoopObserver, Observer, RunOutcome, Session};
+use pwrfgs::report::{Study, write};
+use pwrfgs::tasks::compare::{ComparedRuns, Comparison, check_earlier_runs, plan_comparison, without_position};
+use pwrfgs::tasks::init::{DataSurvey, pipeline_name};
+use pwrfgs_core::{DataSource, Error, Partition, Plugin, Result, check_stopped};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// Observer that logs the end of each run of a comparison.
+struct LoggedRuns<'a>(&'a SweepPlan);
+
+impl SweepObserver for LoggedRuns<'_> {
+    fn on_run_start(&self, _: usize) -> Box<dyn Observer> {
+        Box::new(NoopObserver)
+    }
+
+    fn on_run_end(&self, run: usize, end: &Result<RunOutcome>) {
+        log_message(if end.is_err() { "warning" } else { "info" }, &self.0.describe_end(run, end));
+    }
+}
+
+/// Runs of a comparison, with the reason of each failure, and its tables.
+struct ComparedData {
+    folder: PathBuf,
+    partition: Partition,
+    /// IDs of the test links, as in the files of other programs.
+    test_ids: Vec<u32>,
+    runs: Vec<(PathBuf, Option<String>)>,
+    text: String,
+}
+
+/// Performs the runs of a comparison and writes their report; with `dry_run`, only estimates their times.
+fn perform(
+    comparison: Comparison,
+    data: &pwrfgs_core::Dataset,
+    dry_run: bool,
+    stop: &AtomicBool,
+) -> Result<ComparedData> {
+    let Comparison { plan, partition, reference } = comparison;
+    let test_ids = partition.test.iter().map(|&i| data.label(i)).collect();
+    let (observer, indices) = (&mut TaskObserver(stop), (0..plan.runs.len()).collect::<Vec<usize>>());
+    if dry_run {
+        let seconds = estimate_run_seconds(&plan, &indices, observer).map_err(without_position)?;
+        let text = plan.estimate_table(&indices, &seconds, 1);
+        return Ok(ComparedData { folder: plan.folder, partition, test_ids, runs: Vec::new(), text });
+    }
+    check_earlier_runs(&plan)?;
+    check(&plan, &indices, observer).map_err(without_position)?;
+    let mut session = Session { observer, stop, page: pwrfgs::PAGE };
+    let ends = execute(&plan, &indices, 1, &LoggedRuns(&plan), &mut session)?.runs;
+    check_stopped(stop)?;
+    let text = if plan.has_ended() {
+        let _held = plan.claim()?;
+        let study = Study::read(std::slice::from_ref(&plan.folder))?;
+        write(&study, reference.as_deref(), &plan.folder.join("report"), &mut TaskObserver(stop))?
+    } else {
+        String::new()
+    };
+    let runs = ends.into_iter().map(|(run, end)| (plan.run_folder(run), end.err().map(|error| error.to_string())));
+    Ok(ComparedData { runs: runs.collect(), folder: plan.folder, partition, test_ids, text })
+}
+
+/// Compares methods, see `pwrfgs.compare`. `data` are a data set, which `source` reads, or a data folder.
+#[pyfunction]
+#[pyo3(signature = (data, source, text, changes, out, dry_run))]
+pub(crate) fn compare<'py>(
+    py: Python<'py>,
+    data: &Bound<'py, PyAny>,
+    source: Option<String>,
+    text: &str,
+    changes: Vec<String>,
+    out: Option<PathBuf>,
+    dry_run: bool,
+) -> PyResult<Bound<'py, PyDict>> {
+    crate::strategies::forget_objects();
+    let held = data.cast::<Dataset>().ok().map(|data| Arc::clone(&data.get().data));
+    let is_held = held.is_some();
+    let path: PathBuf = if is_held { PathBuf::new() } else { data.extract()? };
+    let compared = run_stoppable(py, |stop| {
+        let observer = &mut TaskObserver(stop);
+        let survey = match (held, source) {
+            (Some(data), Some(source)) => {
+                let source = Plugin::<dyn DataSource>::parse(&source).map_err(Error::Config)?;
+                DataSurvey::of_data(source, (*data).clone(), Vec::new(), observer)?
+            }
+            _ => DataSurvey::read(&path.canonicalize().unwrap_or_else(|_| path.clone()), observer)?,
+        };
+        let named_by = if is_held { Path::new(&survey.data.title) } else { &path };
+        let named = ComparedRuns { name: pipeline_name(named_by), changes, out };
+        perform(plan_comparison(&survey, &read_settings(text)?, &named, observer)?, &survey.data, dry_run, stop)
+    })?;
+    let (dict, indices) = (PyDict::new(py), |set: &[usize]| set.iter().map(|&i| i as i64).collect::<Vec<_>>());
+    let Partition { train, validation, test } = &compared.partition;
+    dict.set_item("folder", compared.folder)?;
+    dict.set_item("runs", compared.runs)?;
+    dict.set_item("text", compared.text)?;
+    dict.set_item("test_ids", vector(py, compared.test_ids)?)?;
+    for (name, set) in [("train", train), ("validation", validation), ("test", test)] {
+        dict.set_item(name, vector(py, indices(set))?)?;
+    }
+    Ok(dict)
+}
