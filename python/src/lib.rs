@@ -42,7 +42,9 @@ mod _pwrfgs {
     #[pymodule_export]
     use super::settings::{Pipeline, complete, parse_ron, pipeline_text, registry, types};
     #[pymodule_export]
-    use super::tasks::{compress, findings, locate, place, plan, radio_map, suggest_pipeline, task_settings, update};
+    use super::tasks::{
+        calibrate, compress, findings, locate, place, plan, radio_map, suggest_pipeline, task_settings, update,
+    };
     use pyo3::prelude::*;
 
     // Records the process, registers the host of Python strategies, and adds the constants of the build.
