@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Dict, List, Mapping, Optional, Tuple, Uni
 from . import _pwrfgs
 from ._errors import InputError
 from ._fields import PipelineFields
+from ._unsaved import named_in, source_text
 from ._values import from_ron, own, to_ron, unknown
 
 Source = Union[str, "os.PathLike[str]", "Pipeline"]
@@ -36,8 +37,10 @@ class Pipeline(PipelineFields):
     Relative paths start at the folder of the file, or at the current directory.
     """
 
-    __slots__ = ("_inner",)
+    __slots__ = ("_inner", "_data")
     _inner: _pwrfgs.Pipeline
+    # Data set in memory, until it is saved; None for data in a folder.
+    _data: Optional["_pwrfgs.Dataset"]
 
     def __init__(self, source: Optional[Source] = None, **fields: Any) -> None:
         if isinstance(source, Pipeline):
@@ -53,9 +56,24 @@ class Pipeline(PipelineFields):
                 path = os.path.join(path, "pipeline.ron")
             text = _pwrfgs.pipeline_text(path)
             inner = _pwrfgs.Pipeline.parse(text, os.path.relpath(path), os.path.dirname(os.path.abspath(path)))
-        object.__setattr__(self, "_inner", inner)
+        self._begin(inner)
         if fields:
             self.set(fields)
+
+    def _begin(self, inner: _pwrfgs.Pipeline) -> None:
+        object.__setattr__(self, "_inner", inner)
+        self._hold()
+
+    def _hold(self) -> None:
+        """Keep the data in memory to which the text refers."""
+        object.__setattr__(self, "_data", named_in(self._inner.text()))
+
+    @classmethod
+    def for_data(cls, data: "_pwrfgs.Dataset", name: str = "pipeline") -> "Pipeline":
+        """Pipeline for data: the shipped pipeline for their kind, with split and settings for their size, as ``pwrfgs init``
+        writes it. The data need no folder: ``pwrfgs.run(pwrfgs.Pipeline.for_data(data))`` writes them into the run folder."""
+        source = to_ron(data)
+        return cls(_pwrfgs.suggest_pipeline(data, source, from_ron(source)._fields.get("root"), name))
 
     def get(self, path: str) -> Any:
         """Return the value at ``path``, such as ``"training.steps"`` or ``"pruners.LearnableMask.lambda"``."""
@@ -76,22 +94,36 @@ class Pipeline(PipelineFields):
         """Set values by path, all or none: ``pipeline.set({"training.steps": 2000})``."""
         every = {**dict(values), **more}
         self._inner.set([(path, to_ron(value)) for path, value in every.items()])
+        self._hold()
         return self
 
+    def _set_arguments(self, arguments: List[str]) -> None:
+        """Set values by arguments of ``--set``."""
+        self._inner.set_arguments(arguments)
+        self._hold()
+
+    def _settled(self) -> "Pipeline":
+        """Pipeline with data in a folder, if the data in memory were saved since or a run begins."""
+        return self if self._data is None else self.copy().set({"data": self._data})
+
     def __reduce__(self) -> Tuple[Any, ...]:
-        return _read, (self._inner.text(), self.folder)
+        return _read, (self._inner.text(), self.folder, self._data)
 
     def copy(self) -> "Pipeline":
         """Return a copy."""
         return Pipeline(self)
 
     def save(self, path: Union[str, "os.PathLike[str]"]) -> None:
-        """Write a new pipeline file for the command line; relative paths become absolute."""
-        self._inner.save(os.fspath(path))
+        """Write a new pipeline file for the command line; relative paths become absolute. Data in memory are an error: a file
+        refers to data by path."""
+        settled = self._settled()
+        if settled._data is not None:
+            raise InputError("a pipeline file refers to data by path; call save(path) of the data first")
+        settled._inner.save(os.fspath(path))
 
     def load_data(self) -> "_pwrfgs.Dataset":
-        """Load the data set of the pipeline."""
-        return self._inner.data()
+        """Load the data set of the pipeline; data in memory are returned as they are."""
+        return self._inner.data() if self._data is None else self._data
 
     @property
     def folder(self) -> str:
@@ -132,8 +164,10 @@ class Pipeline(PipelineFields):
         return hash(str(self))
 
 
-def _read(text: str, folder: str) -> Pipeline:
-    """Restore a pickled pipeline."""
+def _read(text: str, folder: str, data: Optional["_pwrfgs.Dataset"]) -> Pipeline:
+    """Restore a pickled pipeline with its data in memory."""
+    if data is not None:
+        source_text(data)
     pipeline = Pipeline.__new__(Pipeline)
-    object.__setattr__(pipeline, "_inner", _pwrfgs.Pipeline.parse(text, "pipeline", folder))
+    pipeline._begin(_pwrfgs.Pipeline.parse(text, "pipeline", folder))
     return pipeline

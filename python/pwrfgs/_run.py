@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import os
@@ -16,6 +17,7 @@ from ._errors import InputError, missing
 from ._log import event as log_event
 from ._pipeline import Pipeline, is_text
 from ._types import Array
+from ._unsaved import storing
 from ._values import KINDS, from_ron, plugin_text, to_ron
 
 PathLike = Union[str, "os.PathLike[str]"]
@@ -237,7 +239,7 @@ def run(
         Settings by path, as in ``--set``: ``{"training.steps": 2000, "split": "Voxel()"}``.
     out
         Run folder, default ``runs/NAME``. An interrupted run is resumed there, a finished one is opened, and a folder with
-        other content is an error.
+        other content is an error. Data in memory are written to its folder ``data`` first.
     callback
         Called with every event, a dict with ``what``: "step" (step, phase, loss, penalty, gaussians), "validation", "stage",
         "start", "message" or "warning". An exception in it stops the run at the next step, with a checkpoint.
@@ -264,7 +266,7 @@ def run(
     else:
         chosen = Pipeline(pipeline)
     if set:
-        chosen._inner.set_arguments(_arguments(set))
+        chosen._set_arguments(_arguments(set))
     for field, more in (("pruners", pruners), ("baselines", baselines), ("metrics", metrics)):
         if more:
             there, named = chosen.get(field), [_named(field, item) for item in more]
@@ -277,10 +279,8 @@ def run(
     _strategies.check(chosen)
     folder = os.fspath(out) if out is not None else os.path.join("runs", chosen.name)
     bar = _Progress(progress)
-    try:
-        _pwrfgs.run(chosen._inner, folder, _listener(bar, callback))
-    finally:
-        bar.close()
+    with storing(folder), contextlib.closing(bar):
+        _pwrfgs.run(chosen._settled()._inner, folder, _listener(bar, callback))
     return Run(folder)
 
 
@@ -302,10 +302,8 @@ def evaluate(
     _strategies.check(chosen)
     folder = os.fspath(out) if out is not None else os.path.join("runs", chosen.name)
     bar = _Progress(progress)
-    try:
-        _pwrfgs.score(model, chosen._inner, folder, _listener(bar, callback))
-    finally:
-        bar.close()
+    with storing(folder), contextlib.closing(bar):
+        _pwrfgs.score(model, chosen._settled()._inner, folder, _listener(bar, callback))
     return Run(folder)
 
 

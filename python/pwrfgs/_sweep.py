@@ -12,6 +12,7 @@ from . import _pwrfgs, _strategies
 from ._errors import InputError
 from ._pipeline import Pipeline
 from ._run import PathLike, Run, _arguments
+from ._unsaved import storing
 from ._values import Value, quoted, ron_name, to_ron
 
 # Values of one path: a list, or a dict that gives each value a label.
@@ -53,7 +54,8 @@ def sweep(
     base = Pipeline(experiment)
     names = _axis_names(list(axes))
     chosen = name or "-".join([base.name, *names])
-    with tempfile.TemporaryDirectory(prefix="pwrfgs-sweep-") as folder:
+    where = os.path.join("runs", chosen) if out is None else os.fspath(out)
+    with tempfile.TemporaryDirectory(prefix="pwrfgs-sweep-") as folder, storing(where):
         base.save(os.path.join(folder, "base.ron"))
         lines = [_axis(short, path, axes[path]) for short, path in zip(names, axes)]
         text = f"Experiment(name: {quoted(chosen)}, base: \"base.ron\", seeds: {to_ron([int(s) for s in seeds])}, "

@@ -108,10 +108,8 @@ def findings(self: "_pwrfgs.Dataset") -> List[Finding]:
 
 
 def init(data: "_pwrfgs.Dataset", name: str = "pipeline") -> Pipeline:
-    """Pipeline for data: the shipped pipeline for their kind, with split and settings for their size, as ``pwrfgs init`` writes
-    it."""
-    source = to_ron(data)
-    return Pipeline(_pwrfgs.suggest_pipeline(data, source, name))
+    """Pipeline for data, as ``pwrfgs init`` writes it; the same as ``Pipeline.for_data``."""
+    return Pipeline.for_data(data, name)
 
 
 @documented("plan")

@@ -14,6 +14,7 @@ import numpy as np
 from . import _pwrfgs
 from ._errors import InputError
 from ._prose import prose
+from ._unsaved import source_text
 
 # Letters in a line of a docstring.
 WIDTH = 110
@@ -212,10 +213,7 @@ def to_ron(value: Any) -> str:
     if isinstance(value, tuple):
         return "(" + ", ".join(map(to_ron, value)) + ")"
     if isinstance(value, _pwrfgs.Dataset):
-        source = value._source
-        if source is None:
-            raise InputError("a pipeline refers to data by path; call dataset.save(path) first")
-        return source
+        return source_text(value)
     if isinstance(value, type) and issubclass(value, Value):
         return to_ron(value())
     from . import _strategies

@@ -23,7 +23,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 ///
 /// Load one with `Dataset.load(path)`, or create one with `Dataset.from_arrays(...)`. Its length is the number of links
 /// L: one per transmitter if there is one receiver.
-#[pyclass(frozen, module = "pwrfgs")]
+#[pyclass(frozen, weakref, module = "pwrfgs")]
 pub(crate) struct Dataset {
     pub(crate) data: Arc<Data>,
     /// Data source as RON; `None` until it is saved.
@@ -189,10 +189,28 @@ impl Dataset {
         Ok(())
     }
 
+    /// Write the new folder `path`, or find the same data there, for a run; returns its source as RON.
+    #[pyo3(name = "_store")]
+    fn store(&self, py: Python<'_>, path: PathBuf) -> PyResult<String> {
+        without_gil(py, || {
+            let saved = if path.is_dir() { Ok(()) } else { save(&self.data, &path).map(drop) };
+            // Another process may have written it since.
+            recognise(&path).map(|source| to_ron(&source)).ok_or_else(|| {
+                saved.err().unwrap_or_else(|| Error::input(&path, "damaged data of a run; remove the folder"))
+            })
+        })
+    }
+
     /// Data source as RON, from which it was loaded or to which it was saved; `None` for data made in memory.
     #[getter(_source)]
     pub(crate) fn source(&self) -> Option<String> {
         self.source.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// First 16 digits of the SHA-256 of the content.
+    #[getter(_digest)]
+    fn digest(&self, py: Python<'_>) -> PyResult<String> {
+        without_gil(py, || self.data_digest())
     }
 
     fn __len__(&self) -> usize {

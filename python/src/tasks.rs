@@ -20,7 +20,7 @@ use pwrfgs::tasks::plan::{Places, PlanSettings};
 use pwrfgs::tasks::update::UpdatedModel;
 use pwrfgs::tasks::{self, MapSettings};
 use pwrfgs_core::docs::Docs;
-use pwrfgs_core::plugin::read_ron;
+use pwrfgs_core::plugin::{read_ron, to_ron};
 use pwrfgs_core::{DataSource, Partition, Plugin, Real, Result, recognise, rows_of};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -207,12 +207,23 @@ pub(crate) fn findings(py: Python<'_>, data: &Dataset) -> PyResult<Vec<(String, 
     Ok(all.into_iter().map(|finding| (finding.name, finding.problem, finding.mend)).collect())
 }
 
-/// Returns the text of the pipeline that `pwrfgs init` suggests for data.
+/// Returns the text of the pipeline that `pwrfgs init` suggests for data; `root` is the folder of their `source`, if there is one.
 #[pyfunction]
-pub(crate) fn suggest_pipeline(py: Python<'_>, data: &Dataset, source: &str, name: &str) -> PyResult<String> {
+#[pyo3(signature = (data, source, root, name))]
+pub(crate) fn suggest_pipeline(
+    py: Python<'_>,
+    data: &Dataset,
+    source: &str,
+    root: Option<PathBuf>,
+    name: &str,
+) -> PyResult<String> {
     run_stoppable(py, |stop| {
         let source = Plugin::<dyn DataSource>::parse(source).map_err(pwrfgs_core::Error::Config)?;
-        let survey = DataSurvey::of_data(source, (*data.data).clone(), Vec::new(), &mut TaskObserver(stop))?;
+        // Settings of the source may select another point cloud than the command finds.
+        let is_found = |root: &PathBuf| recognise(root).is_some_and(|found| to_ron(&found) == to_ron(&source));
+        let root = root.filter(is_found);
+        let survey =
+            DataSurvey::of_data(source.clone(), (*data.data).clone(), root.as_deref(), &mut TaskObserver(stop))?;
         tasks::init::suggest_pipeline(&survey, name, Path::new("pipeline"))?.to_ron()
     })
 }

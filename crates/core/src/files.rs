@@ -234,15 +234,18 @@ pub fn read_text_at_most(path: &Path, limit: u64) -> Result<String> {
 }
 
 /// Rejects a folder with foreign content, that is anything except temporary files and empty folders of a killed first
-/// write. `expected` names the type of the folder in the message, such as `a run folder`. A missing folder is accepted.
+/// write, and the entry called `accepted`. `expected` names the type of the folder in the message, such as `a run folder`. A
+/// missing folder is accepted.
 ///
 /// # Errors
 /// [`Error::Config`] for a folder with foreign content, which the message names, for an empty path, or for a file;
 /// [`Error::Input`] for an invalid path ([`check_path`]); [`Error::Read`] if the folder cannot be read.
-pub fn refuse_foreign(folder: &Path, expected: &str) -> Result<()> {
+pub fn refuse_foreign(folder: &Path, expected: &str, accepted: &str) -> Result<()> {
     let is_leftover = |entry: &DirEntry| {
         let path = entry.path();
-        path.extension().is_some_and(|e| e == "tmp") || path.read_dir().is_ok_and(|mut e| e.next().is_none())
+        entry.file_name() == accepted
+            || path.extension().is_some_and(|e| e == "tmp")
+            || path.read_dir().is_ok_and(|mut e| e.next().is_none())
     };
     match read_entries(folder)?.into_iter().find(|entry| !is_leftover(entry)) {
         None => Ok(()),
@@ -336,18 +339,22 @@ mod tests {
     fn refuses_folder_with_other_files() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("out");
-        refuse_foreign(&out, "a run folder").unwrap();
+        refuse_foreign(&out, "a run folder", "data").unwrap();
         fs::create_dir_all(out.join("figures")).unwrap();
         fs::write(out.join(".report.md.7.tmp"), "half").unwrap();
-        refuse_foreign(&out, "a run folder").unwrap();
+        fs::create_dir_all(out.join("data").join("mine")).unwrap();
+        refuse_foreign(&out, "a run folder", "data").unwrap();
         fs::write(out.join("thesis.tex"), "x").unwrap();
-        let message = refuse_foreign(&out, "a run folder").unwrap_err();
+        let message = refuse_foreign(&out, "a run folder", "data").unwrap_err();
         assert!(message.is_input() && message.to_string().contains("(it holds `thesis.tex`)"), "{message}");
         assert!(
-            refuse_foreign(&out.join("thesis.tex"), "a run folder").unwrap_err().to_string().contains("not a folder")
+            refuse_foreign(&out.join("thesis.tex"), "a run folder", "data")
+                .unwrap_err()
+                .to_string()
+                .contains("not a folder")
         );
         fs::remove_file(out.join("thesis.tex")).unwrap();
-        refuse_foreign(&out, "a run folder").unwrap();
+        refuse_foreign(&out, "a run folder", "data").unwrap();
         let message = refuse_occupied(&out).unwrap_err();
         assert!(message.is_input() && message.to_string().contains("is not empty (it holds `"), "{message}");
         refuse_occupied(&out.join("figures")).unwrap();

@@ -2,6 +2,8 @@
 
 /// Pipeline file; its presence marks a run folder.
 pub const PIPELINE: &str = "pipeline.ron";
+/// Folder of data sets that were in memory when a run or sweep began; it may exist before the run.
+pub const DATA: &str = "data";
 /// Checkpoint for resuming.
 pub const CHECKPOINT: &str = "checkpoint.safetensors";
 /// The trained model.

@@ -1,7 +1,7 @@
 //! `RunFolder`: one folder per run, locked by one process at a time.
 
 use crate::facts::Facts;
-use crate::folder::{CHECKPOINT, FACTS, PIPELINE, sealed_files};
+use crate::folder::{CHECKPOINT, DATA, FACTS, PIPELINE, sealed_files};
 use crate::input;
 use crate::load::SplitData;
 use crate::scores::ScoreTable;
@@ -67,7 +67,7 @@ impl RunFolder {
         let file = path.join(PIPELINE);
         match files::if_found(&file, files::read_string(&file))? {
             Some(text) => compare_pipelines(path, &file, &text, pipeline),
-            None => match refuse_foreign(path, "a run folder") {
+            None => match refuse_foreign(path, "a run folder", DATA) {
                 // Another process has created the run since.
                 Err(_) if file.is_file() => Self::inspect(path, pipeline),
                 foreign => foreign.map(|()| RunState::New),

@@ -69,6 +69,19 @@ pub fn suggest_pipeline(survey: &DataSurvey, name: &str, out: &Path) -> Result<P
     Ok(pipeline)
 }
 
+/// Creates a pipeline called `name` for `data`, which `source` reads (RON): the split of [`suggest_pipeline`], and the defaults
+/// for the kind of data.
+///
+/// # Errors
+/// An invalid source or name.
+pub fn default_pipeline(source: &str, data: &Dataset, name: &str) -> Result<Pipeline> {
+    // Data without any valid split are described too.
+    let split = suggest_split(data).map_or_else(|_| String::new(), |(split, _)| format!("split: {split}, "));
+    // Missing fields then get the defaults for this kind of data.
+    let text = format!("Pipeline(name: {name:?}, data: {source}, {split}initializer: Random())");
+    Pipeline::parse(&text, Path::new("pipeline"))
+}
+
 /// Formats a path as a text in RON; an error if it is not UTF-8.
 fn quote_path(path: &Path) -> Result<String> {
     let text = path.to_str().map(|text| format!("{text:?}"));
@@ -123,6 +136,7 @@ fn select_spectrum_template(survey: &DataSurvey, cloud: Option<String>, set: &mu
             set.push(format!("data.points={path}"));
             set.push("initializer=PointCloud(max_points: 300)".into());
         }
+        None if !survey.data.scene.points.is_empty() => set.push("initializer=PointCloud(max_points: 300)".into()),
         None => set.push("initializer=Grid(count: 220, overlap: 1.0, opacity: 0.12)".into()),
     }
     let (start, batch) = if survey.nearest < CLOSE_M {

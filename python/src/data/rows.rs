@@ -3,6 +3,7 @@
 use super::{Dataset, inputs};
 use crate::arrays::{self, array, link_indices, numbers, observations, positions};
 use crate::border::{input_error, reject, run_stoppable, stop_progress, to_exception, without_gil};
+use pwrfgs_core::files::digest;
 use pwrfgs_core::{
     Camera, Dataset as Data, Elevation, End, Ends, Features, Number, Observations, Pose, Real, Sample, Simulation,
     Spectra,
@@ -53,6 +54,31 @@ impl Dataset {
             return reject(py, &format!("link {twice} is listed twice; list it once"));
         }
         without_gil(py, || self.data.subset(&links)).map(|data| Self::new(data, None))
+    }
+
+    /// Returns a digest of all columns, 16 hexadecimal digits.
+    pub(super) fn data_digest(&self) -> pwrfgs_core::Result<String> {
+        let Data {
+            title,
+            scene,
+            elevation,
+            locations,
+            links,
+            observations,
+            features,
+            placed,
+            official,
+            simulation,
+            ..
+        } = &*self.data;
+        let size = (observations.size(), observations.number(), observations.frequencies_hz());
+        let mut text = format!(
+            "{:?}",
+            (title, scene, elevation, locations, links, size, (features, placed, official, simulation))
+        );
+        (0..self.data.len()).for_each(|i| text += &digest(&observations.raw(i)));
+        observations.check()?;
+        Ok(digest(text.as_bytes())[..16].to_owned())
     }
 
     /// Returns the state for [`Self::restore`]: the source of data that stay in their file, otherwise all columns.

@@ -1,5 +1,6 @@
 //! `sweep.json`: the runs of a sweep folder.
 
+use crate::folder::DATA;
 use crate::text::listed;
 use pwrfgs_core::files::{self, refuse_foreign, write_atomically, write_new};
 use pwrfgs_core::{Error, Result};
@@ -94,7 +95,7 @@ impl Listing {
             other => other,
         };
         let Some(existing) = Self::read(folder).map_err(with_advice)? else {
-            return match refuse_foreign(folder, "a sweep folder") {
+            return match refuse_foreign(folder, "a sweep folder", DATA) {
                 // Another process has created it since.
                 Err(_) if path.is_file() => self.inspect(folder),
                 foreign => foreign.map(|()| None),

@@ -96,7 +96,7 @@ fn refuse_links(out: &Path) -> Result<()> {
 fn read_list(out: &Path) -> Result<FileList> {
     let path = out.join(LIST);
     let Some(text) = files::if_found(&path, files::read_string(&path))? else {
-        return refuse_foreign(out, "a report's folder").map(|()| FileList::default());
+        return refuse_foreign(out, "a report's folder", "").map(|()| FileList::default());
     };
     // Only names of report files: nothing else is removed, whatever the list contains.
     serde_json::from_str::<FileList>(&text)

@@ -76,20 +76,21 @@ impl DataSurvey {
     pub fn read(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let source = recognise(folder).ok_or_else(|| unknown_folder_error(folder))?;
         let data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
-        Self::of_data(source, data, read_clouds(folder), observer)
+        Self::of_data(source, data, Some(folder), observer)
     }
 
-    /// Suggests a split for `data`, which `source` reads; warns of findings on the data. `clouds` are point clouds of the
-    /// room by path.
+    /// Suggests a split for `data`, which `source` reads; warns of findings on the data. Point clouds of the room are those in
+    /// `folder`.
     ///
     /// # Errors
     /// Data that no split divides, or with findings that are errors.
     pub fn of_data(
         source: Plugin<dyn DataSource>,
         mut data: Dataset,
-        clouds: Vec<(PathBuf, Vec<[f64; 3]>)>,
+        folder: Option<&Path>,
         observer: &mut dyn Observer,
     ) -> Result<Self> {
+        let clouds = folder.map(read_clouds).unwrap_or_default();
         let (split, partition) = suggest_split(&data)?;
         if let Some((_, points)) = clouds.first().filter(|_| data.camera().is_none()) {
             data.scene.points = points.iter().map(|point| data.scene.origin.local(*point)).collect();

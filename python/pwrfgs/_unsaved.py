@@ -1,0 +1,90 @@
+"""Data sets in memory that pipelines refer to. The text of a pipeline names them by a digest of their content; a run writes
+them into its folder first.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import contextvars
+import glob
+import os
+import re
+import shutil
+from typing import Iterator, List, Optional, Tuple
+from weakref import WeakValueDictionary
+
+from . import _pwrfgs
+from ._errors import InputError
+from ._log import log
+
+# Data source of each kind of data, as `Dataset.save` writes them.
+_SOURCES = {"spectrum": "Arrays", "power": "Nerf2Rssi", "channel": "Channels"}
+_KNOWN: "WeakValueDictionary[str, _pwrfgs.Dataset]" = WeakValueDictionary()
+# Folder of the run or sweep that is about to start, and the data folders that were written for it.
+_STARTING: "contextvars.ContextVar[Optional[Tuple[str, List[str]]]]" = contextvars.ContextVar("starting", default=None)
+
+
+def source_text(data: "_pwrfgs.Dataset") -> str:
+    """RON text of the source of data: that of their folder, or for data in memory one with a digest in its place."""
+    if data._source is not None:
+        return data._source
+    starting = _STARTING.get()
+    if starting is not None:
+        return _stored(data, *starting)
+    name = f"unsaved:{data._digest}"
+    _KNOWN[name] = data
+    return f'{_SOURCES[data.kind]}(root: "{name}")'
+
+
+def named_in(text: str) -> Optional["_pwrfgs.Dataset"]:
+    """Data in memory that the text of a pipeline names; None if its data are in a folder."""
+    name = re.search(r'"(unsaved:[0-9a-f]{16})"', text)
+    if name is None:
+        return None
+    data = _KNOWN.get(name[1])
+    if data is None:
+        raise InputError(f"the data {name[1]} of the pipeline were never saved and are no longer in memory; set its `data`")
+    return data
+
+
+@contextlib.contextmanager
+def storing(folder: str) -> Iterator[None]:
+    """Write data in memory to ``folder/data`` when a text refers to them; remove them again if no run of the folder begins
+    with them."""
+    written: List[str] = []
+    token = _STARTING.set((os.path.abspath(folder), written))
+    try:
+        yield
+    finally:
+        _STARTING.reset(token)
+        pipelines = [_text(path) for path in _pipelines(folder)]
+        for path in written:
+            if not any(os.path.basename(path) in text for text in pipelines):
+                shutil.rmtree(path, ignore_errors=True)
+                for parent in (os.path.dirname(path), folder):
+                    with contextlib.suppress(OSError):  # not empty
+                        os.rmdir(parent)
+
+
+def _stored(data: "_pwrfgs.Dataset", folder: str, written: List[str]) -> str:
+    """Write data to a folder named by their digest, unless an earlier start has; returns their source."""
+    path = os.path.join(folder, "data", data._digest)
+    own = os.path.join(folder, "pipeline.ron")
+    if os.path.isfile(own) and os.path.basename(path) not in _text(own):
+        raise InputError(f"{folder} holds a run on other data; choose another folder with `out`, or remove it")
+    if not os.path.isdir(path):
+        written.append(path)
+        log.info("writing the data to %s", path)
+    return data._store(path)
+
+
+def _pipelines(folder: str) -> List[str]:
+    """Pipeline files of a run or of the runs of a sweep."""
+    inside = glob.escape(folder)
+    return glob.glob(os.path.join(inside, "pipeline.ron")) + glob.glob(os.path.join(inside, "*", "pipeline.ron"))
+
+
+def _text(path: str) -> str:
+    with contextlib.suppress(OSError), open(path, encoding="utf-8") as file:
+        return file.read()
+    return ""
