@@ -22,4 +22,7 @@ class InputError(Error, ValueError):
 
 def missing(package: str, extra: str) -> ImportError:
     """Exception for an optional package that is not installed; ``extra`` of pwrfgs installs it."""
-    return ImportError(f"{package} is missing; install it with: pip install 'pwrfgs[{extra}]'", name=package)
+    install = f"'pwrfgs[{extra}]'"
+    if package == "torch":  # the build for processors alone is smaller by gigabytes, and an extra cannot name its index
+        install = "torch --index-url https://download.pytorch.org/whl/cpu"
+    return ImportError(f"{package} is missing; install it with: pip install {install}", name=package)

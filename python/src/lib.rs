@@ -46,7 +46,9 @@ mod _pwrfgs {
     #[pymodule_export]
     use super::settings::{Pipeline, complete, parse_ron, pipeline_text, registry, types};
     #[pymodule_export]
-    use super::tasks::{compress, findings, locate, place, plan, radio_map, suggest_pipeline, task_settings, update};
+    use super::tasks::{
+        calibrate, compress, findings, locate, place, plan, radio_map, suggest_pipeline, task_settings, update,
+    };
     #[pymodule_export]
     use super::view::{View, view};
     use pyo3::prelude::*;

@@ -4,8 +4,11 @@ use crate::arrays::{array, array_shape, complex_pairs, numbers, positions, vecto
 use crate::border::{input_error, log_message, reject, run_stoppable, stop_progress, without_gil, without_position};
 use crate::data::Dataset;
 use crate::model::Model;
-use crate::settings::field_list;
-use pwrfgs::experiment::{Observer, SplitData, collect_findings, folder::PIPELINE, load, model_file, read_pipeline};
+use crate::settings::{Pipeline, field_list};
+use pwrfgs::experiment::{
+    Observer, Session, SplitData, calibrate_model, collect_findings, folder::PIPELINE, load, model_file, read_pipeline,
+    rebased,
+};
 use pwrfgs::localise::Region;
 use pwrfgs::model::compress::Bits;
 use pwrfgs::planning::floor_grid;
@@ -19,7 +22,7 @@ use pwrfgs::tasks::update::UpdatedModel;
 use pwrfgs::tasks::{self, MapSettings};
 use pwrfgs_core::docs::Docs;
 use pwrfgs_core::plugin::{read_ron, to_ron};
-use pwrfgs_core::{DataSource, Plugin, Real, Result, recognise, rows_of};
+use pwrfgs_core::{DataSource, Partition, Plugin, Real, Result, recognise, rows_of};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use serde::de::DeserializeOwned;
@@ -163,6 +166,28 @@ pub(crate) fn update(py: Python<'_>, model: &Model, data: &Dataset, accept: bool
     let UpdatedModel { ensemble, added, agreement, .. } =
         run_stoppable(py, |stop| tasks::update::update(&model.ensemble, &data.data, accept, &mut TaskObserver(stop)))?;
     Ok((Model::new(ensemble), added, agreement))
+}
+
+/// Fits the residual process of a pipeline to a model trained on the links `train`, and calibrates its intervals on the links
+/// `validation`; returns the new model.
+#[pyfunction]
+pub(crate) fn calibrate(
+    py: Python<'_>,
+    model: &Model,
+    pipeline: &Pipeline,
+    data: &Dataset,
+    train: &Bound<'_, PyAny>,
+    validation: &Bound<'_, PyAny>,
+) -> PyResult<Model> {
+    let (settings, base) = (pipeline.current(), pipeline.base().to_owned());
+    let (train, validation) = (data.indices("train", train)?, data.indices("validation", validation)?);
+    let calibrated = run_stoppable(py, |stop| {
+        let partition = Partition { train, validation, ..Partition::default() };
+        let split = SplitData { data: (*data.data).clone(), partition };
+        let mut session = Session { observer: &mut TaskObserver(stop), stop, page: None };
+        calibrate_model(&rebased(&settings, &base)?, &split, (*model.ensemble).clone(), &mut session)
+    })?;
+    Ok(Model::new(calibrated))
 }
 
 /// Stores a model with 8 or 16 bits per weight; returns the model of the smaller file, and a description.

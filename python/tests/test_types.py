@@ -198,6 +198,8 @@ TORCH = {
     "__init__.pyi": """
 from typing import Any
 from . import nn as nn, optim as optim
+class Tensor:
+    def abs(self) -> Any: ...
 float32: Any
 def tensor(data: Any, *, dtype: Any = ...) -> Any: ...
 def cat(tensors: Any, dim: int = ...) -> Any: ...
@@ -228,6 +230,21 @@ class Adam:
     def zero_grad(self) -> None: ...
 """,
 }
+TENSORS = """
+import torch
+
+import pwrfgs
+
+def check(x: torch.Tensor, model: pwrfgs.Model) -> None:
+    image: torch.Tensor = pwrfgs.torch.rasterize(x, x, x, x, x, pwrfgs.Pose())
+    image = pwrfgs.torch.rasterize(x, x, x, x, x, (x, x), 12, 48)
+    image = pwrfgs.torch.predict(model, x)
+    image = pwrfgs.torch.predict(model, rx_pose=x)
+    pwrfgs.torch.rasterize([[0.0, 0.0, 1.0]], x, x, x, x, pwrfgs.Pose())  # error
+    pwrfgs.torch.predict(model, [1.0, 2.0, 3.0])  # error
+    number: float = pwrfgs.torch.predict(model, x)  # error
+    pwrfgs.torch.loss(lambda found, truth: found.no_such_name)  # error
+"""
 # What the snippets of the README take for given.
 GIVES = "import numpy as np\nimport pwrfgs\nfrom given import *\n"
 GIVEN = """
@@ -270,6 +287,18 @@ def test_examples_are_clean_in_strict_mode_and_the_readme_in_standard_mode(tmp_p
     faults = json.loads(done.stdout)["generalDiagnostics"]
     found = [f"{Path(f['file']).name}:{f['range']['start']['line'] + 1}: {f['message']}" for f in faults]
     assert found == [], "\n".join(found)
+
+
+@needs_mypy
+def test_functions_of_torch_take_and_return_tensors(cache: Path, tmp_path: Path) -> None:
+    (tmp_path / "torch").mkdir()
+    for name, text in TORCH.items():
+        (tmp_path / "torch" / name).write_text(text, encoding="utf-8")
+    (tmp_path / "tensors.py").write_text(TENSORS, encoding="utf-8")
+    found = re.findall(r"tensors\.py:(\d+): error", mypy(cache, str(tmp_path / "tensors.py")))
+    assert [int(line) for line in found] == [
+        number for number, line in enumerate(TENSORS.splitlines(), 1) if line.endswith("# error")
+    ]
 
 
 @needs_mypy

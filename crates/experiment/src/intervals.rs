@@ -1,7 +1,7 @@
 //! Prediction intervals of a run: calibration on links that a predictor was not fitted to, coverage on the test set.
 
 use crate::load::{ActiveRun, SplitData};
-use crate::residuals::left_out_links;
+use crate::residuals::{check_residuals, left_out_links};
 use crate::scores::{IntervalScores, LEVEL, LevelScores};
 use crate::session::{Session, staged};
 use pwrfgs_core::{Error, Image, Predict, Result, check_stopped};
@@ -9,6 +9,7 @@ use pwrfgs_model::{Ensemble, HeldOutScores, Interval, IntervalCalibration, Inter
 use pwrfgs_pipeline::Pipeline;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+use std::time::Instant;
 
 /// Number of links predicted together.
 const CHUNK: usize = 64;
@@ -17,6 +18,23 @@ const LEVELS: [f64; 10] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, LEVEL, 0.95];
 
 /// Scores of links that a predictor was not fitted to, by link.
 type LinkScores = BTreeMap<usize, HeldOutScores>;
+
+/// Fits the residual process that `pipeline` selects to a model trained on the training set of `split`, and calibrates its
+/// intervals on the validation set.
+///
+/// # Errors
+/// Data that residuals do not support, a prediction that is not finite, or [`Error::Stopped`].
+pub fn calibrate_model(
+    pipeline: &Pipeline,
+    split: &SplitData,
+    model: Ensemble,
+    session: &mut Session<'_>,
+) -> Result<Ensemble> {
+    check_residuals(pipeline, split, false)?;
+    let mut run = ActiveRun { pipeline, split, session, begun: Instant::now() };
+    let fitted = run.fit_residuals(model, 1)?;
+    run.calibrate(fitted)
+}
 
 impl ActiveRun<'_, '_> {
     /// Returns the ensemble with a calibration, unless it has one, there are no links that its members did not train

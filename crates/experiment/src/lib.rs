@@ -42,6 +42,7 @@ pub use facts::{Facts, FileDigest, Machine, VERSION};
 pub use findings::{Finding, collect_findings};
 pub use input::{pipeline_text, read_pipeline, rebased};
 pub use inspect::{Preview, preview};
+pub use intervals::calibrate_model;
 pub use load::{SplitData, load, load_with_findings, observed, warn_of_findings};
 pub use model_file::model_file;
 pub use page::{rebuild_page, with_run, write_results};
