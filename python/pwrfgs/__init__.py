@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, List
 
 from . import baselines, convert, datasets, metrics, plot, settings
+from ._check import Check, check
 from ._compare import Comparison, compare
 from ._errors import Error, InputError
 from ._kernels import project, rasterize, rasterize_with_vjp
@@ -37,10 +38,10 @@ from .metrics import repeatability
 from . import _plugins
 
 __all__: List[str] = [
-    "Baseline", "Cloud", "Column", "Comparison", "Dataset", "Deformation", "Error", "Finding", "Gaussians", "Initializer",
+    "Baseline", "Check", "Cloud", "Column", "Comparison", "Dataset", "Deformation", "Error", "Finding", "Gaussians", "Initializer",
     "InputError", "Interval", "Links", "Located", "Metric", "Model", "Partition", "Pipeline", "Placement", "Plan",
     "Pose", "Pruner", "RadioMap", "Receiver", "ReceiverSample", "Room", "Run", "Sample", "Splats", "Split", "Stats",
-    "StepContext", "SweepError", "Trainer", "Value", "View", "__version__", "baselines", "compare", "convert", "datasets", "evaluate",
+    "StepContext", "SweepError", "Trainer", "Value", "View", "__version__", "baselines", "check", "compare", "convert", "datasets", "evaluate",
     "init", "metrics", "place", "plan", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability",
     "report", "run", "settings", "simulate", "spectrum", "sweep",
 ]

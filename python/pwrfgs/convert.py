@@ -25,7 +25,7 @@ from ._run import _Progress
 from ._spectrum import SPEED_OF_LIGHT, spectrum
 from ._types import Array, Receiver
 
-__all__ = ["from_deepmimo", "from_sionna", "to_deepmimo"]
+__all__ = ["from_deepmimo", "from_sionna", "to_deepmimo", "to_sionna"]
 
 PathLike = Union[str, "os.PathLike[str]"]
 Observed = Literal["spectrum", "channel", "power"]
@@ -316,6 +316,14 @@ def to_deepmimo(scene: PathLike, out: PathLike, *, samples: int = 200, seed: int
         _pwrfgs.simulate(scene, out, "DeepMIMO", samples, seed, 0, None, None, True, lambda done, total: bar.to(done))
     finally:
         bar.close()
+
+
+def to_sionna(scene: PathLike, out: PathLike) -> int:
+    """Write a scene as Mitsuba XML with a PLY mesh per object into the new folder ``out``, for ``sionna.rt.load_scene``, as
+    ``pwrfgs export-scene`` does; returns the number of meshes. ``scene`` is a file or the name of a scene in the package.
+
+    Sheets keep material and thickness; solids become sheets of 10 m. Antennas are not written: set them in Sionna RT."""
+    return _pwrfgs.export_scene(scene, out)
 
 
 def _dataset(

@@ -16,6 +16,7 @@ mod data;
 mod kernels;
 mod looped;
 mod model;
+mod preview;
 mod run;
 mod scores;
 mod settings;
@@ -40,7 +41,9 @@ mod _pwrfgs {
     #[pymodule_export]
     use super::model::made::model_of;
     #[pymodule_export]
-    use super::run::{facts, program, report, run, score, simulate, sweep};
+    use super::preview::check;
+    #[pymodule_export]
+    use super::run::{export_scene, facts, program, report, run, score, simulate, sweep};
     #[pymodule_export]
     use super::scores::{chamfer, measure, predict_baseline, repeatability};
     #[pymodule_export]

@@ -1,13 +1,13 @@
 //! `run`, `simulate`, `sweep` and `report`, as on the command line; events of a run are passed to Python.
 
-use crate::border::{reject, run_stoppable, run_with_events, stop_progress, to_exception};
+use crate::border::{reject, run_stoppable, run_with_events, stop_progress, to_exception, without_gil};
 use crate::model::Model;
 use crate::settings::Pipeline;
 use pwrfgs::experiment::sweep::{JOINED, SweepEnd, SweepPlan, check, execute};
 use pwrfgs::experiment::{Observer, RunOutcome, ScoreTable, Session, Start, Validation, score_model};
 use pwrfgs::prelude::{NoopObserver, StepReport};
-use pwrfgs::raytrace::output::{self as folder, OutputLayout};
-use pwrfgs::raytrace::{ObservationKind, SimulationRecipe};
+use pwrfgs::raytrace::output::{self as folder, OutputLayout, mitsuba};
+use pwrfgs::raytrace::{ObservationKind, SceneFile, SimulationRecipe};
 use pwrfgs::report::{Study, write};
 use pwrfgs_core::{Error, Result};
 use pyo3::prelude::*;
@@ -151,6 +151,12 @@ pub(crate) fn score_dict<'py>(py: Python<'py>, table: &ScoreTable) -> PyResult<B
         all.set_item(name, metrics)?;
     }
     Ok(all)
+}
+
+/// Writes a scene as Mitsuba XML with meshes into a new folder; returns the number of meshes.
+#[pyfunction]
+pub(crate) fn export_scene(py: Python<'_>, scene: PathBuf, out: PathBuf) -> PyResult<usize> {
+    without_gil(py, || mitsuba::export_scene(&SceneFile::read(&scene)?, &out))
 }
 
 /// Content of `run.json` of a folder: (facts as JSON text, scores, scores as text); scores are `None` before the
