@@ -13,8 +13,9 @@ from typing import Any
 
 #: Public names by topic: a class has its own page, a function stands on the page of its topic.
 TOPICS = {
-    "Data": ["Dataset", "Receiver", "Pose", "Partition", "Finding", "simulate", "spectrum", "convert", "datasets"],
-    "Runs": ["run", "Run", "evaluate", "report", "sweep", "SweepError"],
+    "Data": ["Dataset", "Receiver", "Pose", "Partition", "inspect", "Inspection", "Finding", "simulate"]
+    + ["spectrum", "convert", "datasets"],
+    "Runs": ["run", "Run", "check", "Check", "evaluate", "report", "sweep", "SweepError", "compare", "Comparison", "View"],
     "Pipelines": ["Pipeline", "Value", "settings", "init"],
     "Models": ["Model", "Gaussians", "Interval"],
     "Tasks": ["RadioMap", "Located", "plan", "Plan", "place", "Placement"],

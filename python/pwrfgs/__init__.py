@@ -19,6 +19,7 @@ from . import baselines, convert, datasets, metrics, plot, settings
 from ._check import Check, check
 from ._compare import Comparison, compare
 from ._errors import Error, InputError
+from ._inspection import Inspection, inspect
 from ._kernels import project, rasterize, rasterize_with_vjp
 from ._pipeline import Pipeline
 from ._plugins import *  # noqa: F403  one class for each plugin
@@ -38,12 +39,13 @@ from .metrics import repeatability
 from . import _plugins
 
 __all__: List[str] = [
-    "Baseline", "Check", "Cloud", "Column", "Comparison", "Dataset", "Deformation", "Error", "Finding", "Gaussians", "Initializer",
-    "InputError", "Interval", "Links", "Located", "Metric", "Model", "Partition", "Pipeline", "Placement", "Plan",
-    "Pose", "Pruner", "RadioMap", "Receiver", "ReceiverSample", "Room", "Run", "Sample", "Splats", "Split", "Stats",
-    "StepContext", "SweepError", "Trainer", "Value", "View", "__version__", "baselines", "check", "compare", "convert", "datasets", "evaluate",
-    "init", "metrics", "place", "plan", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability",
-    "report", "run", "settings", "simulate", "spectrum", "sweep",
+    "Baseline", "Check", "Cloud", "Column", "Comparison", "Dataset", "Deformation", "Error", "Finding", "Gaussians",
+    "Initializer", "InputError", "Inspection", "Interval", "Links", "Located", "Metric", "Model", "Partition",
+    "Pipeline", "Placement", "Plan", "Pose", "Pruner", "RadioMap", "Receiver", "ReceiverSample", "Room", "Run",
+    "Sample", "Splats", "Split", "Stats", "StepContext", "SweepError", "Trainer", "Value", "View", "__version__",
+    "baselines", "check", "compare", "convert", "datasets", "evaluate", "init", "inspect", "metrics", "place", "plan",
+    "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability", "report", "run", "settings", "simulate",
+    "spectrum", "sweep",
 ]
 __all__ += _plugins.__all__
 

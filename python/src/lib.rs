@@ -13,6 +13,7 @@ mod arrays;
 mod border;
 mod compare;
 mod data;
+mod inspect;
 mod kernels;
 mod looped;
 mod model;
@@ -32,6 +33,8 @@ mod _pwrfgs {
     use super::compare::compare;
     #[pymodule_export]
     use super::data::Dataset;
+    #[pymodule_export]
+    use super::inspect::{default_pipeline, inspect};
     #[pymodule_export]
     use super::kernels::{Drawing, draw, project};
     #[pymodule_export]
