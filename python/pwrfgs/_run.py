@@ -7,6 +7,7 @@ import csv
 import json
 import os
 import sys
+import warnings
 from collections.abc import Mapping as Mappings
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Union
 
@@ -178,7 +179,9 @@ class _Progress:
     def begin(self, name: str, total: Optional[int], done: int = 0) -> None:
         self.close()
         if self.shown:
-            from tqdm.auto import tqdm
+            with warnings.catch_warnings():  # without ipywidgets, a notebook has a bar of text
+                warnings.simplefilter("ignore")
+                from tqdm.auto import tqdm
 
             self.name = name
             self.bar = tqdm(total=total or None, initial=done, desc=name, leave=name == "training", mininterval=0.2)
@@ -234,6 +237,9 @@ def run(
 ) -> Run:
     """Train, prune, score and report: ``run("quickstart")``.
 
+    Ctrl-C stops at the next step and writes a checkpoint. Repeat the call to resume; the result is identical to an
+    uninterrupted run.
+
     Parameters
     ----------
     pipeline
@@ -253,9 +259,6 @@ def run(
         Custom strategy or plugin that replaces that of the pipeline.
     progress
         Whether to show a progress bar, in a terminal or a notebook.
-
-    Ctrl-C stops at the next step and writes a checkpoint. Repeat the call to resume; the result is identical to an
-    uninterrupted run.
     """
     for name, many in (("pruners", pruners), ("baselines", baselines), ("metrics", metrics)):
         if not isinstance(many, (list, tuple)):
