@@ -1,4 +1,5 @@
-"""PyTorch: ``rasterize`` and ``predict`` support autograd; ``loss`` and ``Deformation`` make a loss and a network of your own for training.
+"""PyTorch: ``rasterize`` and ``predict`` support autograd, and from PyTorch 2.0 on ``torch.func`` and ``torch.vmap``, which calls
+them item by item; ``loss`` and ``Deformation`` make a loss and a network of your own for training.
 Requires torch, which is imported only here."""
 
 from __future__ import annotations
