@@ -1,4 +1,4 @@
-//! Predictions of other programs as a baseline: paths, and the note under every table.
+//! Predictions of other programs as a baseline: paths, and the note under every table. A metric of a user in every table.
 
 use pwrfgs::core::Query;
 use pwrfgs::experiment::RunOutcome;
@@ -39,6 +39,22 @@ impl Predict for Grey {
 
     fn note(&self) -> Option<String> {
         Some("grey <is> no competitor".into())
+    }
+}
+
+/// Largest error of a pixel; its key begins as that of a built-in metric.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+struct WorstPixel {}
+
+#[typetag::serde]
+impl Metric for WorstPixel {
+    fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
+        let error = |(a, b): (&Image, &Image)| {
+            a.pixels.iter().zip(&b.pixels).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max)
+        };
+        let values = Values::PerSample(evaluation.predictions.iter().zip(evaluation.truths).map(error).collect());
+        Ok(vec![Measurement { key: "latency_worst".into(), unit: "%".into(), goal: Goal::Lower, values, note: None }])
     }
 }
 
@@ -90,4 +106,31 @@ fn own_baseline_paths_resolve_and_note_is_under_every_table() {
     assert_eq!(resolved.matches(absolute.to_str().unwrap()).count(), 2, "{resolved}");
     let report = std::fs::read_to_string(out.join("report.html")).unwrap();
     assert!(report.contains("grey &lt;is&gt; no competitor"));
+}
+
+#[test]
+fn own_metric_is_in_every_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = r#"Pipeline(
+        name: "worst",
+        data: Teacher(gaussians: 4, samples: 20, width: 24, height: 12),
+        initializer: Grid(count: 4),
+        deformation: Fixed(),
+        training: (steps: 2, densify_until: 0, prune_until: 0),
+        baselines: [MeanSpectrum()],
+        metrics: [Ssim(), Psnr(), WorstPixel()],
+    )"#;
+    let pipeline = Pipeline::parse(text, Path::new("worst.ron")).unwrap();
+    let out = folder.path().join("run");
+    run(&pipeline, Path::new(""), &out, &mut NoopObserver, &AtomicBool::new(false)).unwrap();
+    let study = pwrfgs::experiment::Study::read(&[out]).unwrap();
+    let report = folder.path().join("report");
+    let printed = pwrfgs::report::write(&study, None, &report, &mut NoopObserver).unwrap();
+    assert_eq!(printed.matches(" latency worst ↓").count(), 2, "scores and differences: {printed}");
+    for name in ["report.html", "tables/1-scores.tex", "tables/1-differences.tex"] {
+        let text = std::fs::read_to_string(report.join(name)).unwrap();
+        assert!(text.contains("latency worst"), "{name}: {text}");
+    }
+    let further = std::fs::read_to_string(report.join("tables/1-further.tex")).unwrap();
+    assert!(further.contains("PSNR") && !further.contains("worst"), "{further}");
 }

@@ -25,7 +25,7 @@ where
 }
 
 /// Plugins of these tests themselves.
-pub(crate) const OF_TESTS: [&str; 6] = ["Counted", "Factor", "GreyOfAFile", "Literal", "Terms", "There"];
+pub(crate) const OF_TESTS: [&str; 7] = ["Counted", "Factor", "GreyOfAFile", "Literal", "Terms", "There", "WorstPixel"];
 
 /// What another language has to fill (`src/foreign.rs`).
 pub(crate) const FOREIGN: &str = "Python";

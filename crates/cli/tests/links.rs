@@ -253,7 +253,7 @@ fn predicts_powers(here: &Path) {
     }
     let out = ["--tx", "1,2,1", "--out", "no"];
     let two = [&["predict", MODEL, HALF, "--interval", "0.5"][..], &out].concat();
-    refuse(here, &two, 2, &["--interval: the model has no calibration", "one model file"]);
+    refuse(here, &two, 2, &["--interval: the model has no calibration", "the model of a single run"]);
     refuse(here, &[&["predict", MODEL, "--stacked"][..], &out].concat(), 2, &["--stacked", "predictions.csv"]);
     let wrong = [&["predict", MODEL, "--receiver", "nort"][..], &out].concat();
     refuse(here, &wrong, 2, &["--receiver nort", "did you mean `north`?", "north, south"]);

@@ -119,9 +119,35 @@ impl PairedRow {
     }
 }
 
-/// Returns whether tables of differences include a metric: the first one of the task and every rate ratio.
+/// Returns whether tables of differences include a metric: the first one of the task, every rate ratio, and those of users.
 pub fn is_compared(key: &str, task: Task) -> bool {
-    key == task.headline.key || is_rate_ratio(key)
+    key == task.headline.key || is_rate_ratio(key) || is_custom(key)
+}
+
+/// Returns whether a metric is written by a user, as a plugin or in Python: tables show it beside the first one of the task.
+pub fn is_custom(key: &str) -> bool {
+    match key {
+        "ssim"
+        | "l1"
+        | "psnr"
+        | "direction_error"
+        | "power_error_db"
+        | "snr_db"
+        | "snr_all_db"
+        | "chamfer"
+        | "gaussians"
+        | "gaussian_bytes"
+        | "model_bytes"
+        | "latency_prepare_ms"
+        | "latency_network_ms"
+        | "latency_projection_ms"
+        | "latency_sort_ms"
+        | "latency_blending_ms"
+        | "latency_total_ms" => false,
+        // Columns that a comparison of runs adds.
+        "trained_on" | "training_s" => false,
+        _ => !is_rate_ratio(key),
+    }
 }
 
 /// Returns whether a metric is a rate ratio η.

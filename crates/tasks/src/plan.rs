@@ -166,7 +166,8 @@ pub fn plan(places: &Places, settings: &PlanSettings, observer: &mut dyn Observe
 /// Rejects a number of positions that is 0 or larger than `total`, that of the candidates, and too many candidates.
 fn check_count(count: usize, total: usize) -> Result<()> {
     if total == 0 {
-        let problem = "a model has no candidates; set --candidates FILE or --floor SCENE, or name a data folder";
+        let problem =
+            "a model has no candidates; set --candidates FILE or --floor SCENE, or give data in place of the model";
         return Err(Error::Config(problem.into()));
     }
     if total > MOST {

@@ -89,7 +89,7 @@ pub fn interval_factors(ensemble: &Ensemble, level: f64) -> Result<IntervalFacto
     match ensemble.calibration() {
         Some(calibration) => calibration.factors(level),
         None => {
-            refuse("the model has no calibration; give one model file, as a run with a `validation` share wrote it")
+            refuse("the model has no calibration; use the model of a single run whose split has a `validation` share")
         }
     }
 }

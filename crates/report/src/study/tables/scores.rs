@@ -7,7 +7,7 @@ use crate::study::comparison::{
 use crate::templates::render_sentences;
 use minijinja::context;
 use pwrfgs_core::statistics::sorted;
-use pwrfgs_experiment::paired::{is_compared, is_rate_ratio, signed};
+use pwrfgs_experiment::paired::{is_compared, is_custom, is_rate_ratio, signed};
 use pwrfgs_experiment::scores::MetricRow;
 use pwrfgs_experiment::statistics::{CONFIDENCE, Difference, REPLICATES, Spread};
 use pwrfgs_experiment::text::{fixed, grouped};
@@ -29,6 +29,7 @@ fn name_and_unit(metric: &MetricRow) -> (String, String) {
         "power_error_db" => "error".into(),
         "snr_db" => "SNR".into(),
         "snr_all_db" => "SNR over all".into(),
+        _ if is_custom(key) => key.replace('_', " "),
         _ => match key.strip_prefix("eta_").and_then(|snr| snr.strip_suffix("db")) {
             Some(snr) => format!("η at {snr} dB"),
             None => key.trim_end_matches(&format!("_{}", metric.unit)).trim_start_matches("latency_").replace('_', " "),
@@ -149,7 +150,7 @@ const WHOLE: [&str; 3] = [TRAINED_ON, "gaussians", "model_bytes"];
 
 /// Returns whether a metric is shown next to the first metric of its task.
 fn is_secondary_metric(metric: &MetricRow) -> bool {
-    is_rate_ratio(&metric.key) || metric.key == "snr_all_db"
+    is_rate_ratio(&metric.key) || metric.key == "snr_all_db" || is_custom(&metric.key)
 }
 
 const STAGES: [&str; 6] = [
@@ -161,7 +162,8 @@ const STAGES: [&str; 6] = [
     "latency_total_ms",
 ];
 
-/// Returns the main table: the first metric of the task, such as SSIM, then η, N, size, latency and training time.
+/// Returns the main table: the first metric of the task, such as SSIM, then η, metrics of users, N, size, latency and training
+/// time.
 pub(in super::super) fn score_table(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let metric = |key: &str| comparison.metric(key).into_iter();
     let first = metric(comparison.setting.headline().key).flat_map(all_statistics);
