@@ -89,7 +89,7 @@ def model(gaussians: Any, stages: Any, view: Any, weights: Optional[Mapping[str,
 
 
 def batches(
-    model: "_pwrfgs.Model", size: int, receiver: Any, inputs: Tuple[Any, Any, Any], vjp: Any, interval: Optional[float]
+    model: Any, size: int, receiver: Any, inputs: Tuple[Any, Any, Any], vjp: Any, interval: Optional[float]
 ) -> Iterator[Any]:
     """Iterator over the predictions of ``size`` positions each; invalid arguments are errors before the first prediction."""
     if size < 1:

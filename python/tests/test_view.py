@@ -86,7 +86,7 @@ def test_views_of_nothing(run, model, tmp_path):
         (lambda: run.view("Kirging"), "neither a file, a folder nor a baseline"),
         (lambda: run.view(tmp_path), "run"),
         (lambda: run.view(model), "beside is a Model; give the path of its file or run folder"),
-        (lambda: model.view(3), "Baseline"),
+        (lambda: model.view(3), "3: neither"),
     ]:
         with pytest.raises(pwrfgs.InputError) as error:
             call()
