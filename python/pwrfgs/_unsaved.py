@@ -31,19 +31,18 @@ def source_text(data: "_pwrfgs.Dataset") -> str:
     starting = _STARTING.get()
     if starting is not None:
         return _stored(data, *starting)
-    name = f"unsaved:{data._digest}"
-    _KNOWN[name] = data
-    return f'{_SOURCES[data.kind]}(root: "{name}")'
+    _KNOWN[data._digest] = data
+    return f'{_SOURCES[data.kind]}(root: "unsaved:{data._digest}")'
 
 
-def named_in(text: str) -> Optional["_pwrfgs.Dataset"]:
-    """Data in memory that the text of a pipeline names; None if its data are in a folder."""
-    name = re.search(r'"(unsaved:[0-9a-f]{16})"', text)
+def named_in(text: str, held: Optional["_pwrfgs.Dataset"]) -> Optional["_pwrfgs.Dataset"]:
+    """Data in memory that the text of a pipeline names, of which it has ``held``; None if its data are in a folder."""
+    name = re.search(r'"unsaved:([0-9a-f]{16})"', text)
     if name is None:
         return None
-    data = _KNOWN.get(name[1])
+    data = held if held is not None and held._digest == name[1] else _KNOWN.get(name[1])
     if data is None:
-        raise InputError(f"the data {name[1]} of the pipeline were never saved and are no longer in memory; set its `data`")
+        raise InputError(f"the data {name[0]} of the pipeline were never saved and are no longer in memory; set its `data`")
     return data
 
 

@@ -6,7 +6,7 @@ mod rows;
 use crate::arrays::{array, numbers, observation_array, positions, read_elevation, vector};
 use crate::border::{parse_plugin, plugin_text, reject, run_stoppable, stop_progress, to_exception, without_gil};
 use numpy::PyArrayDyn;
-use pwrfgs::data::{check_dataset, save, shape_fault};
+use pwrfgs::data::{LINKS, check_dataset, save, shape_fault, write_links};
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{
     DataSource, Dataset as Data, Elevation, End, Ends, Error, ImagePlane, Observations, Partition, Plugin, Pose, Real,
@@ -28,14 +28,19 @@ pub(crate) struct Dataset {
     pub(crate) data: Arc<Data>,
     /// Data source as RON; `None` until it is saved.
     source: Mutex<Option<String>>,
+    /// Source and link indices of the data set of which this is a part; `None` if it has no source.
+    subset_of: Option<(String, Vec<usize>)>,
     /// Read-only array of all observations, once it has been requested.
     all: PyOnceLock<Py<PyAny>>,
+    /// Digest of the content, once it has been requested.
+    digest: PyOnceLock<String>,
 }
 
 impl Dataset {
     /// Wraps a data set; `source` is its data source as RON, if it has one.
     pub(crate) fn new(data: Data, source: Option<String>) -> Self {
-        Self { data: Arc::new(data), source: Mutex::new(source), all: PyOnceLock::new() }
+        let (all, digest) = (PyOnceLock::new(), PyOnceLock::new());
+        Self { data: Arc::new(data), source: Mutex::new(source), subset_of: None, all, digest }
     }
 
     /// Returns all observations as a read-only array, which the first call creates; `None` unless `is_requested`.
@@ -189,15 +194,26 @@ impl Dataset {
         Ok(())
     }
 
-    /// Write the new folder `path`, or find the same data there, for a run; returns its source as RON.
+    /// Write the new folder `path`, or find the same data there, for a run; returns its source as RON. If no layout holds the
+    /// data, they must be links of a source: the folder then lists these.
     #[pyo3(name = "_store")]
     fn store(&self, py: Python<'_>, path: PathBuf) -> PyResult<String> {
+        let file = path.join(LINKS);
+        let stored = || match &self.subset_of {
+            Some((source, _)) if file.is_file() => Some(format!("Subset(data: {source}, links: {})", to_ron(&file))),
+            _ => recognise(&path).map(|source| to_ron(&source)),
+        };
         without_gil(py, || {
-            let saved = if path.is_dir() { Ok(()) } else { save(&self.data, &path).map(drop) };
+            if let Some(source) = stored() {
+                return Ok(source);
+            }
+            let saved = match (save(&self.data, &path), &self.subset_of) {
+                (Err(error), Some((_, links))) if error.is_input() => write_links(&path, links).map(drop),
+                (saved, _) => saved.map(drop),
+            };
             // Another process may have written it since.
-            recognise(&path).map(|source| to_ron(&source)).ok_or_else(|| {
-                saved.err().unwrap_or_else(|| Error::input(&path, "damaged data of a run; remove the folder"))
-            })
+            stored()
+                .map_or_else(|| Err(saved.err().unwrap_or_else(|| Error::input(&path, "is damaged; remove it"))), Ok)
         })
     }
 
@@ -210,7 +226,7 @@ impl Dataset {
     /// First 16 digits of the SHA-256 of the content.
     #[getter(_digest)]
     fn digest(&self, py: Python<'_>) -> PyResult<String> {
-        without_gil(py, || self.data_digest())
+        self.digest.get_or_try_init(py, || without_gil(py, || rows::digest_of(&self.data))).cloned()
     }
 
     fn __len__(&self) -> usize {

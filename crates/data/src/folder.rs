@@ -105,7 +105,7 @@ pub(crate) const IDS: &str = "ids.txt";
 pub(crate) fn restore_saved(root: &Path, mut data: Dataset) -> Result<Dataset> {
     let path = root.join(IDS);
     if path.exists() {
-        let ids = read_ids(&path)?;
+        let ids = read_ascending(&path, "ID")?;
         if ids.len() != data.locations.len() {
             let (lines, locations) = (ids.len(), data.locations.len());
             let problem =
@@ -116,7 +116,9 @@ pub(crate) fn restore_saved(root: &Path, mut data: Dataset) -> Result<Dataset> {
     }
     if let Some(Manifest { title, bounds, .. }) = Manifest::read(root) {
         data.title = title.map_or(data.title, |title| strip_control(&title));
-        let is_valid = |bounds: &[[f64; 3]; 2]| bounds.iter().all(|corner| place_fault(*corner).is_none());
+        let is_valid = |[low, high]: &[[f64; 3]; 2]| {
+            [low, high].iter().all(|corner| place_fault(**corner).is_none()) && (0..3).all(|k| low[k] <= high[k])
+        };
         if let Some(bounds) = bounds.filter(is_valid) {
             data.scene.bounds = bounds.map(|corner| data.scene.origin.local(corner)).into();
         }
@@ -124,21 +126,23 @@ pub(crate) fn restore_saved(root: &Path, mut data: Dataset) -> Result<Dataset> {
     Ok(data)
 }
 
-/// Reads the IDs of [`restore_saved`], one per line, ascending.
-fn read_ids(path: &Path) -> Result<Vec<u32>> {
-    let advice = "write one ID per line, in ascending order, such as 17";
-    let text = read_text(path, MAX_TEXT, advice)?;
-    let mut ids: Vec<u32> = Vec::new();
+/// Reads numbers in ascending order, one `noun` per line.
+///
+/// # Errors
+/// The file cannot be read, or a line is no number above that of the line before; the message has the line.
+pub(crate) fn read_ascending(path: &Path, noun: &str) -> Result<Vec<u32>> {
+    let advice = format!("write one {noun} per line, in ascending order, such as 17");
+    let text = read_text(path, MAX_TEXT, &advice)?;
+    let mut numbers: Vec<u32> = Vec::new();
     for (line, word) in (1..).zip(text.trim_end().lines()) {
-        match word.trim().parse() {
-            Ok(id) if ids.last().is_none_or(|last| *last < id) => ids.push(id),
-            Ok(id) => {
-                return Err(Error::at(path, line, 1, format!("the ID {id} is not above the one before; {advice}")));
-            }
-            Err(_) => return Err(Error::at(path, line, 1, format!("{} is not an ID; {advice}", quoted(word)))),
+        let fault = |problem: &str| Error::at(path, line, 1, format!("{} is {problem}; {advice}", quoted(word)));
+        let number = word.trim().parse().map_err(|_| fault("not a number from 0"))?;
+        if numbers.last().is_some_and(|last| *last >= number) {
+            return Err(fault("not above the number before"));
         }
+        numbers.push(number);
     }
-    Ok(ids)
+    Ok(numbers)
 }
 
 /// Returns the title of the data set `name` in a layout, as [`dataset_title`], and its simulation, as [`read_simulation`].

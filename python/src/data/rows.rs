@@ -53,32 +53,13 @@ impl Dataset {
         if let Some([twice, _]) = links.array_windows().find(|[a, b]| a == b) {
             return reject(py, &format!("link {twice} is listed twice; list it once"));
         }
-        without_gil(py, || self.data.subset(&links)).map(|data| Self::new(data, None))
-    }
-
-    /// Returns a digest of all columns, 16 hexadecimal digits.
-    pub(super) fn data_digest(&self) -> pwrfgs_core::Result<String> {
-        let Data {
-            title,
-            scene,
-            elevation,
-            locations,
-            links,
-            observations,
-            features,
-            placed,
-            official,
-            simulation,
-            ..
-        } = &*self.data;
-        let size = (observations.size(), observations.number(), observations.frequencies_hz());
-        let mut text = format!(
-            "{:?}",
-            (title, scene, elevation, locations, links, size, (features, placed, official, simulation))
-        );
-        (0..self.data.len()).for_each(|i| text += &digest(&observations.raw(i)));
-        observations.check()?;
-        Ok(digest(text.as_bytes())[..16].to_owned())
+        let data = without_gil(py, || self.data.subset(&links))?;
+        let subset_of = match (self.source(), &self.subset_of) {
+            (Some(source), _) => Some((source, links)),
+            (None, Some((source, outer))) => Some((source.clone(), links.iter().map(|&i| outer[i]).collect())),
+            (None, None) => None,
+        };
+        Ok(Self { subset_of, ..Self::new(data, None) })
     }
 
     /// Returns the state for [`Self::restore`]: the source of data that stay in their file, otherwise all columns.
@@ -173,6 +154,19 @@ impl Dataset {
         };
         Ok(Self::new(data, get("origin")?.extract()?))
     }
+}
+
+/// Returns a digest of all columns of data, 16 hexadecimal digits.
+pub(super) fn digest_of(data: &Data) -> pwrfgs_core::Result<String> {
+    let Data {
+        title, scene, elevation, locations, links, observations, features, placed, official, simulation, ..
+    } = data;
+    let size = (observations.size(), observations.number(), observations.frequencies_hz());
+    let details = (size, features, placed, official, simulation);
+    let mut text = format!("{:?}", (title, scene, elevation, locations, links, details));
+    (0..data.len()).for_each(|i| text += &digest(&observations.raw(i)));
+    observations.check()?;
+    Ok(digest(text.as_bytes())[..16].to_owned())
 }
 
 /// Returns the link features of a pickled data set with `count` links; `None` without features.
