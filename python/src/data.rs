@@ -10,8 +10,8 @@ use numpy::PyArrayDyn;
 use pwrfgs::data::{check_dataset, save, shape_fault};
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{
-    DataSource, Dataset as Data, Elevation, End, Ends, Error, ImagePlane, Observations, Partition, Plugin, Pose, Real,
-    Receiver, Sample, Simulation, Split, recognise, rng,
+    DataSource, Dataset as Data, Elevation, End, Ends, Error, ImagePlane, Observations, Plugin, Pose, Real, Receiver,
+    Sample, Simulation, Split, recognise, rng,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::prelude::*;
@@ -386,15 +386,8 @@ impl Dataset {
         };
         let split = parse_plugin::<dyn Split>(py, &text)?;
         let partition = without_gil(py, || split.split(&self.data, &mut rng::stream(seed, "split", 0)))?;
-        partition_object(py, &partition)
+        rows::partition_object(py, &partition)
     }
-}
-
-/// Converts a partition to the named tuple `Split`.
-fn partition_object<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyAny>> {
-    let list = |part: &[usize]| vector(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>());
-    let all = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
-    py.import("pwrfgs._types")?.getattr("Partition")?.call1(all)
 }
 
 /// Returns the angles of rows `[H]` and columns `[W]` of a plane, degrees; `None` for a plane without angles.

@@ -1,11 +1,11 @@
 //! Single links, subsets and pickling of a data set.
 
 use super::{Dataset, inputs};
-use crate::arrays::{self, array, link_indices, numbers, observation_array, observations, positions};
+use crate::arrays::{self, array, link_indices, numbers, observation_array, observations, positions, vector};
 use crate::border::{input_error, reject, run_stoppable, stop_progress, to_exception, without_gil};
 use pwrfgs_core::{
-    Camera, Dataset as Data, Elevation, End, Ends, Features, Number, Observations, Pose, Real, Sample, Simulation,
-    Spectra,
+    Camera, Dataset as Data, Elevation, End, Ends, Features, Number, Observations, Partition, Pose, Real, Sample,
+    Simulation, Spectra,
 };
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
@@ -167,6 +167,13 @@ impl Dataset {
         };
         Ok(Self::new(data, get("origin")?.extract()?))
     }
+}
+
+/// Converts a partition to the named tuple `Split`.
+pub(super) fn partition_object<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyAny>> {
+    let list = |part: &[usize]| vector(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>());
+    let all = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
+    py.import("pwrfgs._types")?.getattr("Partition")?.call1(all)
 }
 
 /// Returns the link features of a pickled data set with `count` links; `None` without features.
