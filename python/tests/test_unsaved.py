@@ -70,8 +70,10 @@ def test_run_on_data_in_memory_equals_one_on_saved_data(small, tmp_path, caplog)
     assert re.search(f"writing the data to {re.escape(str(tmp_path / 'a'))}.data.[0-9a-f]{{16}}$", caplog.text, re.MULTILINE)
     data = small.load_data()
     data.save(tmp_path / "data")
+    assert pwrfgs.run(small, out=tmp_path / "a", progress=False).finished
     small.data = data
     saved = pwrfgs.run(small, out=tmp_path / "b", progress=False)
+    assert saved.pipeline.data.root == str(tmp_path / "data") and not (tmp_path / "b/data").exists()
     differing = ("pipeline.ron", "checkpoint.safetensors")
     assert {n: b for n, b in files(run.folder).items() if n not in differing} == {
         n: b for n, b in files(saved.folder).items() if n not in differing
@@ -101,12 +103,13 @@ def test_interrupted_run_resumes_with_equal_data_only(small, tmp_path):
 
 def test_failed_start_leaves_no_files(small, tmp_path):
     (tmp_path / "foreign").mkdir()
+    (tmp_path / "empty").mkdir()
     (tmp_path / "foreign/thesis.tex").write_text("x")
-    for out, set, problem in [("new/run", {"training.batch": 99}, "training.batch is 99"), ("foreign", {}, "holds `thesis.tex`")]:
+    batch = {"training.batch": 99}
+    for out, set, problem in [("new", batch, "batch is 99"), ("empty", batch, "batch is 99"), ("foreign", {}, "holds `thesis.tex`")]:
         with pytest.raises(pwrfgs.InputError, match=problem):
             pwrfgs.run(small, set=set, out=tmp_path / out, progress=False)
-    assert [path.name for path in tmp_path.rglob("*")] == ["foreign", "thesis.tex"] or not (tmp_path / "new/run").exists()
-    assert list((tmp_path / "foreign").iterdir()) == [tmp_path / "foreign/thesis.tex"]
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["empty", "foreign", "thesis.tex"]
 
 
 def test_subset_trains_everywhere(small, tmp_path):

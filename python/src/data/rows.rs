@@ -1,12 +1,11 @@
 //! Single links, subsets and pickling of a data set.
 
 use super::{Dataset, inputs};
-use crate::arrays::{self, array, link_indices, numbers, observations, positions};
+use crate::arrays::{self, array, link_indices, numbers, observation_array, observations, positions, vector};
 use crate::border::{input_error, reject, run_stoppable, stop_progress, to_exception, without_gil};
-use pwrfgs_core::files::digest;
 use pwrfgs_core::{
-    Camera, Dataset as Data, Elevation, End, Ends, Features, Number, Observations, Pose, Real, Sample, Simulation,
-    Spectra,
+    Camera, Dataset as Data, Elevation, End, Ends, Features, Number, Observations, Partition, Pose, Real, Sample,
+    Simulation, Spectra,
 };
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
@@ -17,6 +16,20 @@ const FORMATS: [(&str, Number); 4] =
     [("u1", Number::U8), ("u2", Number::U16), ("f4", Number::F32), ("f8", Number::F64)];
 
 impl Dataset {
+    /// Returns all observations as a read-only array, which the first call creates; `None` unless `is_requested`.
+    pub(super) fn observation_view<'py>(
+        &self,
+        py: Python<'py>,
+        is_requested: bool,
+    ) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let convert = || {
+            let array = observation_array(py, &self.data, &(0..self.data.len()).collect::<Vec<_>>())?;
+            array.getattr("flags")?.setattr("writeable", false)?;
+            PyResult::Ok(array.unbind())
+        };
+        is_requested.then(|| Ok(self.all.get_or_try_init(py, convert)?.bind(py).clone())).transpose()
+    }
+
     /// Reads valid link indices given by a user.
     pub(crate) fn indices(&self, what: &str, links: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
         link_indices(what, links, self.data.len())
@@ -156,17 +169,11 @@ impl Dataset {
     }
 }
 
-/// Returns a digest of all columns of data, 16 hexadecimal digits.
-pub(super) fn digest_of(data: &Data) -> pwrfgs_core::Result<String> {
-    let Data {
-        title, scene, elevation, locations, links, observations, features, placed, official, simulation, ..
-    } = data;
-    let size = (observations.size(), observations.number(), observations.frequencies_hz());
-    let details = (size, features, placed, official, simulation);
-    let mut text = format!("{:?}", (title, scene, elevation, locations, links, details));
-    (0..data.len()).for_each(|i| text += &digest(&observations.raw(i)));
-    observations.check()?;
-    Ok(digest(text.as_bytes())[..16].to_owned())
+/// Converts a partition to the named tuple `Split`.
+pub(super) fn partition_object<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyAny>> {
+    let list = |part: &[usize]| vector(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>());
+    let all = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
+    py.import("pwrfgs._types")?.getattr("Partition")?.call1(all)
 }
 
 /// Returns the link features of a pickled data set with `count` links; `None` without features.
