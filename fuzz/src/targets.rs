@@ -97,6 +97,11 @@ pub const TARGETS: &[Target] = &[
     of(8, "predicted/00004.npy", &[], Plain, |bench| predicted(bench, "measured.ron")),
     of(8, "predicted/predictions.csv", &[], Plain, |bench| predicted(bench, "powers.ron")),
     of(4, "rssi/train_index.txt", &["rssi/test_index.txt"], Plain, |bench| step(bench, "powers.ron")),
+    of(4, "rssi/ids.txt", &[], Plain, |bench| step(bench, "powers.ron")),
+    of(4, "rssi/manifest.json", &[], Plain, |bench| step(bench, "powers.ron")),
+    of(4, "rssi/links.txt", &[], Plain, |bench| {
+        load(bench, "Subset(data: Nerf2Rssi(root: \"rssi\"), links: \"rssi/links.txt\")")
+    }),
     of(16, "channels/receiver.yml", &[], Plain, channels),
     of(16, "channels/channel.npy", &[], Plain, channels),
     of(8, "csi/base-station.yml", &[], Plain, csi),

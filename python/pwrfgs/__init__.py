@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, List
 
 from . import baselines, convert, datasets, metrics, plot, settings
 from ._errors import Error, InputError
+from ._inspection import Inspection, inspect
 from ._kernels import project, rasterize, rasterize_with_vjp
 from ._pipeline import Pipeline
 from ._plugins import *  # noqa: F403  one class for each plugin
@@ -37,10 +38,10 @@ from . import _plugins
 
 __all__: List[str] = [
     "Baseline", "Cloud", "Column", "Dataset", "Deformation", "Error", "Finding", "Gaussians", "Initializer",
-    "InputError", "Interval", "Links", "Located", "Metric", "Model", "Partition", "Pipeline", "Placement", "Plan",
+    "InputError", "Inspection", "Interval", "Links", "Located", "Metric", "Model", "Partition", "Pipeline", "Placement", "Plan",
     "Pose", "Pruner", "RadioMap", "Receiver", "ReceiverSample", "Room", "Run", "Sample", "Splats", "Split", "Stats",
     "StepContext", "SweepError", "Trainer", "Value", "__version__", "baselines", "convert", "datasets", "evaluate",
-    "init", "metrics", "place", "plan", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability",
+    "init", "inspect", "metrics", "place", "plan", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability",
     "report", "run", "settings", "simulate", "spectrum", "sweep",
 ]
 __all__ += _plugins.__all__

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Dict, List, Mapping, Optional, Tuple, Uni
 from . import _pwrfgs
 from ._errors import InputError
 from ._fields import PipelineFields
-from ._unsaved import named_in, source_text
+from ._unsaved import named_in
 from ._values import from_ron, own, to_ron, unknown
 
 Source = Union[str, "os.PathLike[str]", "Pipeline"]
@@ -56,17 +56,18 @@ class Pipeline(PipelineFields):
                 path = os.path.join(path, "pipeline.ron")
             text = _pwrfgs.pipeline_text(path)
             inner = _pwrfgs.Pipeline.parse(text, os.path.relpath(path), os.path.dirname(os.path.abspath(path)))
-        self._begin(inner)
+        self._begin(inner, source._data if isinstance(source, Pipeline) else None)
         if fields:
             self.set(fields)
 
-    def _begin(self, inner: _pwrfgs.Pipeline) -> None:
+    def _begin(self, inner: _pwrfgs.Pipeline, data: Optional["_pwrfgs.Dataset"]) -> None:
         object.__setattr__(self, "_inner", inner)
+        object.__setattr__(self, "_data", data)
         self._hold()
 
     def _hold(self) -> None:
         """Keep the data in memory to which the text refers."""
-        object.__setattr__(self, "_data", named_in(self._inner.text()))
+        object.__setattr__(self, "_data", named_in(self._inner.text(), self._data))
 
     @classmethod
     def for_data(cls, data: "_pwrfgs.Dataset", name: str = "pipeline") -> "Pipeline":
@@ -166,8 +167,6 @@ class Pipeline(PipelineFields):
 
 def _read(text: str, folder: str, data: Optional["_pwrfgs.Dataset"]) -> Pipeline:
     """Restore a pickled pipeline with its data in memory."""
-    if data is not None:
-        source_text(data)
     pipeline = Pipeline.__new__(Pipeline)
-    pipeline._begin(_pwrfgs.Pipeline.parse(text, "pipeline", folder))
+    pipeline._begin(_pwrfgs.Pipeline.parse(text, "pipeline", folder), data)
     return pipeline

@@ -26,24 +26,25 @@ _STARTING: "contextvars.ContextVar[Optional[Tuple[str, List[str]]]]" = contextva
 
 def source_text(data: "_pwrfgs.Dataset") -> str:
     """RON text of the source of data: that of their folder, or for data in memory one with a digest in its place."""
-    if data._source is not None:
-        return data._source
     starting = _STARTING.get()
     if starting is not None:
-        return _stored(data, *starting)
-    name = f"unsaved:{data._digest}"
-    _KNOWN[name] = data
-    return f'{_SOURCES[data.kind]}(root: "{name}")'
+        path = os.path.join(starting[0], "data", data._digest)
+        if data._source is None or os.path.isdir(path):
+            return _stored(data, path, *starting)
+    if data._source is not None:
+        return data._source
+    _KNOWN[data._digest] = data
+    return f'{_SOURCES[data.kind]}(root: "unsaved:{data._digest}")'
 
 
-def named_in(text: str) -> Optional["_pwrfgs.Dataset"]:
-    """Data in memory that the text of a pipeline names; None if its data are in a folder."""
-    name = re.search(r'"(unsaved:[0-9a-f]{16})"', text)
+def named_in(text: str, held: Optional["_pwrfgs.Dataset"]) -> Optional["_pwrfgs.Dataset"]:
+    """Data in memory that the text of a pipeline names, of which it has ``held``; None if its data are in a folder."""
+    name = re.search(r'"unsaved:([0-9a-f]{16})"', text)
     if name is None:
         return None
-    data = _KNOWN.get(name[1])
+    data = held if held is not None and held._digest == name[1] else _KNOWN.get(name[1])
     if data is None:
-        raise InputError(f"the data {name[1]} of the pipeline were never saved and are no longer in memory; set its `data`")
+        raise InputError(f"the data {name[0]} of the pipeline were never saved and are no longer in memory; set its `data`")
     return data
 
 
@@ -52,6 +53,7 @@ def storing(folder: str) -> Iterator[None]:
     """Write data in memory to ``folder/data`` when a text refers to them; remove them again if no run of the folder begins
     with them."""
     written: List[str] = []
+    is_new = not os.path.isdir(folder)
     token = _STARTING.set((os.path.abspath(folder), written))
     try:
         yield
@@ -61,14 +63,13 @@ def storing(folder: str) -> Iterator[None]:
         for path in written:
             if not any(os.path.basename(path) in text for text in pipelines):
                 shutil.rmtree(path, ignore_errors=True)
-                for parent in (os.path.dirname(path), folder):
+                for parent in (os.path.dirname(path), folder)[: 1 + is_new]:
                     with contextlib.suppress(OSError):  # not empty
                         os.rmdir(parent)
 
 
-def _stored(data: "_pwrfgs.Dataset", folder: str, written: List[str]) -> str:
-    """Write data to a folder named by their digest, unless an earlier start has; returns their source."""
-    path = os.path.join(folder, "data", data._digest)
+def _stored(data: "_pwrfgs.Dataset", path: str, folder: str, written: List[str]) -> str:
+    """Write data to the folder ``path``, named by their digest, unless an earlier start has; returns their source."""
     own = os.path.join(folder, "pipeline.ron")
     if os.path.isfile(own) and os.path.basename(path) not in _text(own):
         raise InputError(f"{folder} holds a run on other data; choose another folder with `out`, or remove it")

@@ -2,6 +2,7 @@
 
 mod inputs;
 mod rows;
+mod stored;
 
 use crate::arrays::{array, numbers, observation_array, positions, read_elevation, vector};
 use crate::border::{parse_plugin, plugin_text, reject, run_stoppable, stop_progress, to_exception, without_gil};
@@ -9,8 +10,8 @@ use numpy::PyArrayDyn;
 use pwrfgs::data::{check_dataset, save, shape_fault};
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{
-    DataSource, Dataset as Data, Elevation, End, Ends, Error, ImagePlane, Observations, Partition, Plugin, Pose, Real,
-    Receiver, Sample, Simulation, Split, recognise, rng,
+    DataSource, Dataset as Data, Elevation, End, Ends, Error, ImagePlane, Observations, Plugin, Pose, Real, Receiver,
+    Sample, Simulation, Split, recognise, rng,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::prelude::*;
@@ -28,24 +29,19 @@ pub(crate) struct Dataset {
     pub(crate) data: Arc<Data>,
     /// Data source as RON; `None` until it is saved.
     source: Mutex<Option<String>>,
+    /// Source and link indices of the data set of which this is a part; `None` if it has no source.
+    subset_of: Option<(String, Vec<usize>)>,
     /// Read-only array of all observations, once it has been requested.
     all: PyOnceLock<Py<PyAny>>,
+    /// Digest of the content, once it has been requested.
+    digest: PyOnceLock<String>,
 }
 
 impl Dataset {
     /// Wraps a data set; `source` is its data source as RON, if it has one.
     pub(crate) fn new(data: Data, source: Option<String>) -> Self {
-        Self { data: Arc::new(data), source: Mutex::new(source), all: PyOnceLock::new() }
-    }
-
-    /// Returns all observations as a read-only array, which the first call creates; `None` unless `is_requested`.
-    fn observation_view<'py>(&self, py: Python<'py>, is_requested: bool) -> PyResult<Option<Bound<'py, PyAny>>> {
-        let convert = || {
-            let array = observation_array(py, &self.data, &(0..self.data.len()).collect::<Vec<_>>())?;
-            array.getattr("flags")?.setattr("writeable", false)?;
-            PyResult::Ok(array.unbind())
-        };
-        is_requested.then(|| Ok(self.all.get_or_try_init(py, convert)?.bind(py).clone())).transpose()
+        let (all, digest) = (PyOnceLock::new(), PyOnceLock::new());
+        Self { data: Arc::new(data), source: Mutex::new(source), subset_of: None, all, digest }
     }
 }
 
@@ -181,7 +177,8 @@ impl Dataset {
     }
 
     /// Write a new folder for `Dataset.load` and the command line: spectra as arrays, powers and channels in the
-    /// layouts of NeRF2's BLE set and of `pwrfgs simulate`. A folder that is not empty is an error.
+    /// layouts of NeRF2's BLE set and of `pwrfgs simulate`. IDs, title and bounds of the room are kept in `ids.txt` and
+    /// `manifest.json`, which other programs ignore. A folder that is not empty is an error.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let out: PathBuf = py.import("os.path")?.call_method1("abspath", (&path,))?.extract()?;
         let text = without_gil(py, || save(&self.data, &out).map(|source| to_ron(&Plugin::from(source))))?;
@@ -192,13 +189,7 @@ impl Dataset {
     /// Write the new folder `path`, or find the same data there, for a run; returns its source as RON.
     #[pyo3(name = "_store")]
     fn store(&self, py: Python<'_>, path: PathBuf) -> PyResult<String> {
-        without_gil(py, || {
-            let saved = if path.is_dir() { Ok(()) } else { save(&self.data, &path).map(drop) };
-            // Another process may have written it since.
-            recognise(&path).map(|source| to_ron(&source)).ok_or_else(|| {
-                saved.err().unwrap_or_else(|| Error::input(&path, "damaged data of a run; remove the folder"))
-            })
-        })
+        without_gil(py, || self.write_for_run(&path))
     }
 
     /// Data source as RON, from which it was loaded or to which it was saved; `None` for data made in memory.
@@ -210,7 +201,7 @@ impl Dataset {
     /// First 16 digits of the SHA-256 of the content.
     #[getter(_digest)]
     fn digest(&self, py: Python<'_>) -> PyResult<String> {
-        without_gil(py, || self.data_digest())
+        self.digest.get_or_try_init(py, || without_gil(py, || stored::digest_of(&self.data))).cloned()
     }
 
     fn __len__(&self) -> usize {
@@ -234,8 +225,8 @@ impl Dataset {
         builtins.call_method1("map", (slf.getattr("__getitem__")?, places))
     }
 
-    /// Data set of these links: indices, or a mask [L]. The order is that of this data set. Receivers and bounds of the
-    /// room stay those of all links.
+    /// Data set of these links: indices, or a mask [L]. The order is that of this data set. IDs, receivers and bounds of
+    /// the room stay those of all links.
     fn subset(&self, py: Python<'_>, links: &Bound<'_, PyAny>) -> PyResult<Self> {
         self.select_links(py, links)
     }
@@ -395,15 +386,8 @@ impl Dataset {
         };
         let split = parse_plugin::<dyn Split>(py, &text)?;
         let partition = without_gil(py, || split.split(&self.data, &mut rng::stream(seed, "split", 0)))?;
-        partition_object(py, &partition)
+        rows::partition_object(py, &partition)
     }
-}
-
-/// Converts a partition to the named tuple `Split`.
-fn partition_object<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyAny>> {
-    let list = |part: &[usize]| vector(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>());
-    let all = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
-    py.import("pwrfgs._types")?.getattr("Partition")?.call1(all)
 }
 
 /// Returns the angles of rows `[H]` and columns `[W]` of a plane, degrees; `None` for a plane without angles.

@@ -12,6 +12,7 @@
 mod arrays;
 mod border;
 mod data;
+mod inspect;
 mod kernels;
 mod looped;
 mod model;
@@ -27,6 +28,8 @@ use pyo3::prelude::*;
 mod _pwrfgs {
     #[pymodule_export]
     use super::data::Dataset;
+    #[pymodule_export]
+    use super::inspect::{default_pipeline, inspect};
     #[pymodule_export]
     use super::kernels::{Drawing, draw, project};
     #[pymodule_export]

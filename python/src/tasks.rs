@@ -29,7 +29,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 /// Observer that ends work after Ctrl-C and logs messages and warnings.
-struct TaskObserver<'a>(&'a AtomicBool);
+pub(crate) struct TaskObserver<'a>(pub(crate) &'a AtomicBool);
 
 impl Observer for TaskObserver<'_> {
     fn on_stage(&mut self, _: &str, done: usize, total: usize) {

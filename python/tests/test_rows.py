@@ -129,8 +129,6 @@ def test_invalid_indices_are_reported(spectra):
     for links, said in [([], "at least one"), ([1, 1], "link 1 is listed twice"), ([99], "invalid link index 99"), ("x", "links: give indices")]:
         with pytest.raises(pwrfgs.InputError, match=said):
             spectra.subset(links)
-    with pytest.raises(pwrfgs.InputError, match="call dataset.save"):
-        pwrfgs.Pipeline(name="a", data=spectra[:3], initializer=pwrfgs.Random())
 
 
 def test_source_of_data_is_pickled(spectra, tmp_path):

@@ -238,8 +238,7 @@ def test_init_gives_a_pipeline_that_trains(powers, tmp_path):
     assert pipeline.name == "first" and pipeline.training.batch <= len(np.unique(powers.positions[train], axis=0))
     run = pwrfgs.run(pipeline, set={"training.scale": 0.01}, out=tmp_path / "run", progress=False)
     assert run.finished and run.model.predict(TX).shape == (80, 3)
-    with pytest.raises(pwrfgs.InputError, match="call dataset.save"):
-        pwrfgs.init(powers[:40])
+    assert pwrfgs.init(powers[:40]).load_data().ids.tolist() == powers[:40].ids.tolist()
 
 
 def test_plan_equals_the_program(powers, command):

@@ -6,7 +6,7 @@ mod tests;
 use crate::checks::spectrum_fault;
 use crate::folder::{
     check_root, existing_root, find_point_cloud, folder_name, read_point_cloud, read_row_carriers, read_title,
-    recognised_root,
+    recognised_root, restore_saved,
 };
 use crate::nerf2::{LocationTable, POSES, check_image_size, index, receivers::Gateway};
 use crate::npy;
@@ -31,7 +31,8 @@ const IN_MEMORY: u64 = 1 << 29;
 ///                          or float32 and float64 from 0 to 1
 /// root/freq.txt            optional, for several carriers: line k is the carrier of spectrum k, GHz; numbers from 1e6 are
 ///                          Hz. Every carrier is a receiver with a name such as `2400MHz`
-/// root/train_index.txt     sample ids, one per line, counted from 1; the files train_index.txt and
+/// root/ids.txt             optional: id of each transmitter position, ascending; without it, rows are counted from 1
+/// root/train_index.txt     rows, one per line, counted from 1; the files train_index.txt and
 /// root/test_index.txt      test_index.txt must both exist or both be absent
 /// ```
 ///
@@ -103,10 +104,11 @@ impl DataSource for Arrays {
         let ends = locations.link_ends(vec![gateway.receiver()], Some(gateway.pose.position));
         let data = Dataset::of_links(title, ends, points, &samples, spectra.into())?;
         let data = Dataset { elevation, official, simulation, ..data };
-        match read_row_carriers(&root, table, data.len())? {
-            Some(carriers) => data.with_carriers(&carriers),
-            None => Ok(data),
-        }
+        let data = match read_row_carriers(&root, table, data.len())? {
+            Some(carriers) => data.with_carriers(&carriers)?,
+            None => data,
+        };
+        restore_saved(&root, data)
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {

@@ -6,7 +6,7 @@ mod tests;
 use crate::checks::{check_frequencies, name_fault, uniform_subcarriers};
 use crate::folder::{
     check_root, dataset_title, existing_root, find_point_cloud, folder_name, read_point_cloud, read_simulation,
-    recognised_root,
+    recognised_root, restore_saved,
 };
 use crate::nerf2::{LocationTable, index};
 use crate::npy::{ComplexArray, read_complex_array};
@@ -173,11 +173,12 @@ impl DataSource for Channels {
         progress(data.len(), data.len());
         let data = Dataset { simulation, official, ..data };
         if carriers == 1 {
-            return Ok(data);
+            return restore_saved(&root, data);
         }
         let lowest_hz = data.observations.frequencies_hz().iter().copied().fold(carrier_hz, f64::min);
         let carriers = self.all_carriers(&path, carrier_hz, lowest_hz)?;
-        data.with_carriers(&carriers.iter().flat_map(|hz| vec![*hz; count]).collect::<Vec<_>>())
+        let carriers: Vec<f64> = carriers.iter().flat_map(|hz| vec![*hz; count]).collect();
+        restore_saved(&root, data.with_carriers(&carriers)?)
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {

@@ -3,8 +3,8 @@
 use crate::geometry::read_points;
 use crate::text::{TextRow, read_text};
 use pwrfgs_core::files::MAX_TEXT;
-use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::{Error, Pose, Result, Simulation, carrier_fault, files};
+use pwrfgs_core::messages::{quoted, strip_control};
+use pwrfgs_core::{Dataset, Error, Pose, Result, Simulation, carrier_fault, files, place_fault};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -68,21 +68,81 @@ pub(crate) fn folder_name(root: &Path) -> String {
     strip_control(&root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy()))
 }
 
-/// `manifest.json` as written by `pwrfgs simulate`.
-#[derive(Deserialize)]
+/// `manifest.json` as written by `pwrfgs simulate` and by [`save`](crate::save).
+#[derive(Default, Deserialize)]
 struct Manifest {
     simulated: bool,
     scene: Option<String>,
+    /// Title and bounds of the scene (metres, user's frame) of saved data.
+    title: Option<String>,
+    bounds: Option<[[f64; 3]; 2]>,
+}
+
+impl Manifest {
+    /// Reads the manifest in `root`; `None` without a valid one.
+    fn read(root: &Path) -> Option<Self> {
+        serde_json::from_str(&files::read_string(root.join("manifest.json")).ok()?).ok()
+    }
 }
 
 /// Returns the simulation of the data set `name` according to `manifest.json` in `root`, else according to its name; `None`
 /// for measured data.
 pub(crate) fn read_simulation(root: &Path, name: &str) -> Option<Simulation> {
-    let manifest =
-        files::read_string(root.join("manifest.json")).ok().and_then(|text| serde_json::from_str(&text).ok());
-    let by_name = || Manifest { simulated: name.to_lowercase().contains("simulated"), scene: None };
-    let Manifest { simulated, scene } = manifest.unwrap_or_else(by_name);
+    let by_name = || Manifest { simulated: name.to_lowercase().contains("simulated"), ..Manifest::default() };
+    let Manifest { simulated, scene, .. } = Manifest::read(root).unwrap_or_else(by_name);
     simulated.then_some(Simulation { scene })
+}
+
+/// File of the IDs of the transmitter positions, or of the poses of a moving receiver, one per line.
+pub(crate) const IDS: &str = "ids.txt";
+
+/// Restores the properties that [`save`](crate::save) writes beside the layout in `root`: IDs from [`IDS`], title and bounds of
+/// the scene from `manifest.json`. Folders without them stay as they are.
+///
+/// # Errors
+/// A line of [`IDS`] is not an ID above that of the line before, or there is another number of lines than of locations; the
+/// message has the line.
+pub(crate) fn restore_saved(root: &Path, mut data: Dataset) -> Result<Dataset> {
+    let path = root.join(IDS);
+    if path.exists() {
+        let ids = read_ascending(&path, "ID")?;
+        if ids.len() != data.locations.len() {
+            let (lines, locations) = (ids.len(), data.locations.len());
+            let problem =
+                format!("has {lines} lines, but the data have {locations} positions; write one ID per position");
+            return Err(Error::input(&path, problem));
+        }
+        data.locations.iter_mut().zip(ids).for_each(|(location, id)| location.id = id);
+    }
+    if let Some(Manifest { title, bounds, .. }) = Manifest::read(root) {
+        data.title = title.map_or(data.title, |title| strip_control(&title));
+        let is_valid = |[low, high]: &[[f64; 3]; 2]| {
+            [low, high].iter().all(|corner| place_fault(**corner).is_none()) && (0..3).all(|k| low[k] <= high[k])
+        };
+        if let Some(bounds) = bounds.filter(is_valid) {
+            data.scene.bounds = bounds.map(|corner| data.scene.origin.local(corner)).into();
+        }
+    }
+    Ok(data)
+}
+
+/// Reads numbers in ascending order, one `noun` per line.
+///
+/// # Errors
+/// The file cannot be read, or a line is no number above that of the line before; the message has the line.
+pub(crate) fn read_ascending(path: &Path, noun: &str) -> Result<Vec<u32>> {
+    let advice = format!("write one {noun} per line, in ascending order, such as 17");
+    let text = read_text(path, MAX_TEXT, &advice)?;
+    let mut numbers: Vec<u32> = Vec::new();
+    for (line, word) in (1..).zip(text.trim_end().lines()) {
+        let fault = |problem: &str| Error::at(path, line, 1, format!("{} is {problem}; {advice}", quoted(word)));
+        let number = word.trim().parse().map_err(|_| fault("not a number from 0"))?;
+        if numbers.last().is_some_and(|last| *last >= number) {
+            return Err(fault("not above the number before"));
+        }
+        numbers.push(number);
+    }
+    Ok(numbers)
 }
 
 /// Returns the title of the data set `name` in a layout, as [`dataset_title`], and its simulation, as [`read_simulation`].

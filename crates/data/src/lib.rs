@@ -5,6 +5,7 @@
 //! * [`Colmap`] reads images of a moving camera with their poses, in the text format of COLMAP.
 //! * [`Nerf2Rssi`] reads received powers at many gateways, [`Nerf2Csi`] uplink and downlink channels of a base station,
 //!   both in the NeRF2 layout; [`Channels`] reads channels from a NumPy array.
+//! * [`Subset`] has some links of another source.
 //! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ or PLY.
 //! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] split transmitters, [`RandomLinks`] links,
 //!   [`LeaveReceiverOut`] receivers.
@@ -28,6 +29,7 @@ mod ply;
 mod polygons;
 mod save;
 mod splits;
+mod subset;
 mod teacher;
 mod text;
 
@@ -49,4 +51,5 @@ pub use polygons::Triangles;
 pub use pwrfgs_core::npy::{npy_header, npy_header_as};
 pub use save::{pose_row, poses_csv, save};
 pub use splits::{Fold, LeaveReceiverOut, Official, Random, RandomLinks, Sparse, TimeBlock, Voxel};
+pub use subset::{LINKS, Subset, write_links};
 pub use teacher::Teacher;

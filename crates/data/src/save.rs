@@ -5,7 +5,7 @@ mod tests;
 
 use crate::checks::{NOT_RECEIVED, check_dataset};
 use crate::folder::{
-    CARRIERS, POINTS, gateway_positions_yaml, gateway_yaml, quote_yaml, receiver_yaml, transmitter_yaml,
+    CARRIERS, IDS, POINTS, gateway_positions_yaml, gateway_yaml, quote_yaml, receiver_yaml, transmitter_yaml,
 };
 use crate::nerf2::POSES;
 use crate::npy::{MAX_BYTES, MOST_POSITIONS};
@@ -15,13 +15,13 @@ use crate::{npy_header, npy_header_as};
 use pwrfgs_core::files::{self, GrowingFile, MAX_TEXT, NewFolder};
 use pwrfgs_core::messages::cell;
 use pwrfgs_core::{
-    DataSource, Dataset, Elevation, End, Error, Number, Observations, Pose, Real, Receiver, Result, Spectra,
+    DataSource, Dataset, Elevation, End, Error, Number, Observations, Pose, Real, Receiver, Result, Sample, Spectra,
 };
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Writes the new folder `out`, complete or not at all, and returns its source: [`Arrays`] for spectra, [`Nerf2Rssi`]
-/// for powers, [`Channels`] for channels. Transmitters are renumbered in order.
+/// for powers, [`Channels`] for channels. Other programs read the same files without the IDs (`ids.txt`).
 ///
 /// # Errors
 /// The layout cannot hold the data, `out` is not empty, or a write failed.
@@ -50,6 +50,7 @@ pub fn save(data: &Dataset, out: &Path) -> Result<Box<dyn DataSource>> {
             Box::new(Channels { root: out.into(), points, ..Channels::default() })
         }
     };
+    writer.write_ids()?;
     writer.write_manifest()?;
     writer.write_index_files()?;
     folder.publish()?;
@@ -246,13 +247,35 @@ impl FolderWriter<'_> {
         self.write_file("channel.npy", header.into_iter().chain(bytes).collect::<Vec<u8>>())
     }
 
-    /// Writes the program version, the title, and whether the data are simulated.
+    /// Writes the IDs of the locations, unless they are those that the reader assigns: rows of spectra from 1, others from 0.
+    fn write_ids(&self) -> Result<()> {
+        let Dataset { locations, links, .. } = self.data;
+        let first_row = |l: usize| 1 + links.partition_point(|link| link.location < l);
+        let assigned = |l: usize| if self.data.task().has_pixels { first_row(l) } else { l };
+        if locations.iter().enumerate().all(|(l, location)| location.id as usize == assigned(l)) {
+            return Ok(());
+        }
+        self.write_file(IDS, locations.iter().map(|location| format!("{}\n", location.id)).collect::<String>())
+    }
+
+    /// Writes the program version, the title, whether the data are simulated, and the bounds of the scene if they are not those
+    /// of the data, such as in a subset.
     fn write_manifest(&self) -> Result<()> {
-        let manifest = serde_json::json!({
+        let (data, scene) = (self.data, &self.data.scene);
+        let mut manifest = serde_json::json!({
             "program": concat!("pwrfgs ", env!("CARGO_PKG_VERSION")),
-            "simulated": self.data.is_simulated(),
-            "name": self.data.title,
+            "simulated": data.is_simulated(),
+            "name": data.title,
+            "title": data.title,
         });
+        let points = scene.points.iter().map(|point| scene.origin.world(*point)).collect();
+        let samples: Vec<Sample> = data.samples().collect();
+        let nothing = Observations::Powers(vec![0.0; samples.len()]);
+        let read = Dataset::of_links("", scene.ends(), points, &samples, nothing)?.scene;
+        if (read.origin, read.bounds) != (scene.origin, scene.bounds) {
+            let (low, high) = scene.bounds;
+            manifest["bounds"] = serde_json::json!([low, high].map(|corner| scene.origin.world(corner)));
+        }
         self.write_file("manifest.json", format!("{manifest:#}\n"))
     }
 

@@ -1,40 +1,29 @@
 //! Checks before training: [`preview`] for `pwrfgs check` (size and cost of a run, with a [`DataSummary`]), and
-//! [`inspect`] for `pwrfgs inspect` (the summary, and all splits with their baselines).
+//! [`Inspection`] for `pwrfgs inspect` (the summary, and all splits with their baselines).
+
+mod inspection;
 
 pub use crate::findings::pose::{Correction, PoseCheck, PoseVerdict};
+pub use inspection::{Inspection, SplitScores};
 
-use crate::evaluation_set::EvaluationSet;
 use crate::facts::{free_memory, load_average, peak_memory};
 use crate::findings::{cloud, pose, spectra};
 use crate::input::resolve_pipeline;
 use crate::load::{SplitData, load, observed};
-use crate::repeatability::{estimate_noise_ceiling, is_in_time_order};
+use crate::repeatability::is_in_time_order;
 use crate::residuals::check_residuals;
 use crate::samples::nearest_training_distances;
-use crate::scores::CEILING;
-use crate::session::{Observer, Session, staged};
-use crate::statistics::Summary;
-use crate::text::{aligned, format_length, grouped, number, wrapped};
+use crate::session::{Observer, staged};
+use crate::text::{format_length, grouped, number};
 use crate::training::new_trainer;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::statistics::{median, quantile, sorted};
-use pwrfgs_core::{
-    Dataset, Metric, Partition, Plugin, Result, Scope, Split, Unmatched, Values, evenly, registered, rng,
-};
+use pwrfgs_core::{Dataset, Partition, Result, Unmatched};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::{TimeEstimate, Trainer};
 use std::fmt::Write as _;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 
-/// Largest number of spectra that `inspect` reads.
-const INSPECTED: usize = 20_000;
-/// Width of text lines, and of the names in front.
-const WIDTH: usize = 100;
-const INDENT: usize = 15;
-/// Largest number of test samples for the scores of baselines.
-const TESTED: usize = 300;
 /// Largest number of spectra that a preview reads for its summary.
 const SUMMARIZED: usize = 1_000;
 
@@ -147,24 +136,6 @@ impl DataSummary {
     }
 }
 
-/// Formats the text of `pwrfgs inspect`: the summary of `data`, and all splits with their baselines.
-///
-/// # Errors
-/// If a baseline or a metric does not support the data, or a spectrum cannot be read.
-pub fn inspect(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer) -> Result<String> {
-    let summary = DataSummary::of(data, INSPECTED, observer)?;
-    let is_marked = !data.is_simulated() || data.title.to_lowercase().contains("simulated");
-    let mut text = format!("{}{}\n\n", data.title, if is_marked { "" } else { " (simulated)" });
-    let ids = [data.locations.first(), data.locations.last()].map(|t| t.map_or(0, |t| t.id));
-    text += &format_entry("samples", &format!("{}, ids {} to {}", observed(data), ids[0], ids[1]));
-    summary.facts.iter().for_each(|(name, words)| text += &format_entry(name, words));
-    if let Some(pose) = &summary.pose {
-        text += &format_entry("pose", pose.verdict.title());
-        pose.sentences().iter().for_each(|sentence| text += &format_entry("", sentence));
-    }
-    Ok(text + "\n" + &splits_table(pipeline, data, observer)?)
-}
-
 /// Describes extent and repeated positions of the moving end, and the steps between consecutive ids if there are any; after
 /// their names.
 fn describe_positions(data: &Dataset) -> Vec<(&'static str, String)> {
@@ -226,71 +197,8 @@ fn describe_levels(data: &Dataset) -> (&'static str, String) {
     ("level", format!("{name} {middle} {unit} (median; {tenth} to {last}, 10 % to 90 %; {low} to {high} in all)"))
 }
 
-/// Wraps `words` into lines; `name` starts the first, and the others are indented.
-fn format_entry(name: &str, words: &str) -> String {
-    wrapped(words, [&format!("{name:<INDENT$}"), &" ".repeat(INDENT)], WIDTH)
-}
-
 /// Returns the median distance from a test transmitter to the nearest other training transmitter, metres.
 pub fn test_distance(data: &Dataset, partition: &Partition) -> f64 {
     let nearest = nearest_training_distances(data, partition);
     median(partition.test.iter().map(|&i| nearest[i] as f64))
-}
-
-/// Lists the split of `pipeline`, marked `*`, and all other registered splits that need no settings, with their names.
-fn list_splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
-    let ron = to_ron(&pipeline.split);
-    let name = ron.split_whitespace().collect::<Vec<_>>().join(" ").replace("( ", "(").replace(", )", ")");
-    // A fold has the test set of another split.
-    let others = registered::<dyn Split>().into_iter().filter(|name| *name != "Fold").filter_map(|name| {
-        let split = Plugin::<dyn Split>::parse(&format!("{name}()")).ok()?;
-        (split.ready().is_ok() && to_ron(&split) != ron).then(|| (split, format!("{name}()")))
-    });
-    [(pipeline.split.clone(), name + " *")].into_iter().chain(others).collect()
-}
-
-/// Formats one line per split: sizes, distance and the mean of the first metric of every baseline, then the noise
-/// ceiling.
-///
-/// # Errors
-/// If a baseline or a metric refuses, or a spectrum cannot be read.
-fn splits_table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer) -> Result<String> {
-    let of_predictions = |m: &&Plugin<dyn Metric>| m.scope() != Scope::Model;
-    let metrics: Vec<Plugin<dyn Metric>> = pipeline.metrics.iter().filter(of_predictions).take(1).cloned().collect();
-    let baselines = || pipeline.baselines.iter().filter(|baseline| !baseline.is_external());
-    let names: Vec<String> = baselines().map(|baseline| baseline.name_for(data.task())).collect();
-    let head = ["split", "train", "test", "nearest training"].map(str::to_owned).into_iter();
-    let mut lines: Vec<Vec<String>> = vec![head.chain(names.clone()).chain([CEILING.to_owned()]).collect()];
-    let (mut refused, mut key, plane) = (String::new(), String::new(), data.plane());
-    for (split, name) in list_splits(pipeline) {
-        let seed = pipeline.split_seed.unwrap_or(pipeline.seed);
-        let partition = match split.split(data, &mut rng::stream(seed, "split", 0)) {
-            Ok(partition) => partition,
-            Err(why) => {
-                _ = writeln!(refused, "{name}: {why}");
-                continue;
-            }
-        };
-        let mut line = vec![name, partition.train.len().to_string(), partition.test.len().to_string()];
-        line.push(format_length(test_distance(data, &partition)));
-        let test = EvaluationSet::new(data, &evenly(&partition.test, TESTED), &plane);
-        for (baseline, name) in baselines().zip(&names) {
-            let fitted = baseline.fit(data, partition.known())?;
-            let measurements = test.score_baseline(name, &*fitted, &metrics, &mut Session::new(observer))?;
-            measurements.first().into_iter().for_each(|measurement| key.clone_from(&measurement.key));
-            line.push(match measurements.first().map(|measurement| &measurement.values) {
-                Some(Values::PerSample(values)) => number(Summary::of(values, true).mean),
-                _ => "n/a".into(),
-            });
-        }
-        let ceiling = estimate_noise_ceiling(data, &partition, &metrics, &AtomicBool::new(false))?;
-        line.push(ceiling.metrics.first().map_or_else(|| "n/a".into(), |(_, at_zero)| number(at_zero.summary.mean)));
-        lines.push(line);
-    }
-    Ok(format!(
-        "{}{refused}note: mean {key} of baselines on up to {TESTED} test {}; nearest training: median distance from a test \
-         transmitter; *: the split of the pipeline, or of `pwrfgs init` for a folder of data\n",
-        aligned(&lines, 1),
-        data.task().counted[1]
-    ))
 }

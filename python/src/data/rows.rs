@@ -1,12 +1,11 @@
 //! Single links, subsets and pickling of a data set.
 
 use super::{Dataset, inputs};
-use crate::arrays::{self, array, link_indices, numbers, observations, positions};
+use crate::arrays::{self, array, link_indices, numbers, observation_array, observations, positions, vector};
 use crate::border::{input_error, reject, run_stoppable, stop_progress, to_exception, without_gil};
-use pwrfgs_core::files::digest;
 use pwrfgs_core::{
-    Camera, Dataset as Data, Elevation, End, Ends, Features, Number, Observations, Pose, Real, Sample, Simulation,
-    Spectra,
+    Camera, Dataset as Data, Elevation, End, Ends, Features, Number, Observations, Partition, Pose, Real, Sample,
+    Simulation, Spectra,
 };
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
@@ -17,6 +16,20 @@ const FORMATS: [(&str, Number); 4] =
     [("u1", Number::U8), ("u2", Number::U16), ("f4", Number::F32), ("f8", Number::F64)];
 
 impl Dataset {
+    /// Returns all observations as a read-only array, which the first call creates; `None` unless `is_requested`.
+    pub(super) fn observation_view<'py>(
+        &self,
+        py: Python<'py>,
+        is_requested: bool,
+    ) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let convert = || {
+            let array = observation_array(py, &self.data, &(0..self.data.len()).collect::<Vec<_>>())?;
+            array.getattr("flags")?.setattr("writeable", false)?;
+            PyResult::Ok(array.unbind())
+        };
+        is_requested.then(|| Ok(self.all.get_or_try_init(py, convert)?.bind(py).clone())).transpose()
+    }
+
     /// Reads valid link indices given by a user.
     pub(crate) fn indices(&self, what: &str, links: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
         link_indices(what, links, self.data.len())
@@ -53,32 +66,13 @@ impl Dataset {
         if let Some([twice, _]) = links.array_windows().find(|[a, b]| a == b) {
             return reject(py, &format!("link {twice} is listed twice; list it once"));
         }
-        without_gil(py, || self.data.subset(&links)).map(|data| Self::new(data, None))
-    }
-
-    /// Returns a digest of all columns, 16 hexadecimal digits.
-    pub(super) fn data_digest(&self) -> pwrfgs_core::Result<String> {
-        let Data {
-            title,
-            scene,
-            elevation,
-            locations,
-            links,
-            observations,
-            features,
-            placed,
-            official,
-            simulation,
-            ..
-        } = &*self.data;
-        let size = (observations.size(), observations.number(), observations.frequencies_hz());
-        let mut text = format!(
-            "{:?}",
-            (title, scene, elevation, locations, links, size, (features, placed, official, simulation))
-        );
-        (0..self.data.len()).for_each(|i| text += &digest(&observations.raw(i)));
-        observations.check()?;
-        Ok(digest(text.as_bytes())[..16].to_owned())
+        let data = without_gil(py, || self.data.subset(&links))?;
+        let subset_of = match (self.source(), &self.subset_of) {
+            (Some(source), _) => Some((source, links)),
+            (None, Some((source, outer))) => Some((source.clone(), links.iter().map(|&i| outer[i]).collect())),
+            (None, None) => None,
+        };
+        Ok(Self { subset_of, ..Self::new(data, None) })
     }
 
     /// Returns the state for [`Self::restore`]: the source of data that stay in their file, otherwise all columns.
@@ -173,6 +167,13 @@ impl Dataset {
         };
         Ok(Self::new(data, get("origin")?.extract()?))
     }
+}
+
+/// Converts a partition to the named tuple `Split`.
+pub(super) fn partition_object<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyAny>> {
+    let list = |part: &[usize]| vector(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>());
+    let all = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
+    py.import("pwrfgs._types")?.getattr("Partition")?.call1(all)
 }
 
 /// Returns the link features of a pickled data set with `count` links; `None` without features.

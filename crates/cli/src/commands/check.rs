@@ -5,12 +5,12 @@ use super::options::{ChangeOptions, resolve_pipeline};
 use crate::output::{self, Verbosity};
 use crate::progress::{RunProgress, format_gigabytes, format_step_time};
 use clap::Args;
-use pwrfgs::experiment::inspect::inspect as summary;
+use pwrfgs::experiment::inspect::Inspection;
 use pwrfgs::experiment::sweep::LISTING;
 use pwrfgs::experiment::text::{aligned, duration, format_length, grouped};
-use pwrfgs::experiment::{Observer as _, Preview, preview, read_pipeline, staged, warn_of_findings};
+use pwrfgs::experiment::{Observer as _, Preview, Session, preview, read_pipeline, staged, warn_of_findings};
 use pwrfgs::prelude::Pipeline;
-use pwrfgs::tasks::init::{is_table_or_array, pipeline_name, suggest_split, unknown_folder_error};
+use pwrfgs::tasks::init::{default_pipeline, is_table_or_array, pipeline_name, unknown_folder_error};
 use pwrfgs::train::{Rays, TimeEstimate, Training};
 use pwrfgs_core::plugin::{name_of as plugin_name, try_to_ron};
 use pwrfgs_core::{DataSource, Dataset, Error, Plugin, Result, recognise};
@@ -188,7 +188,7 @@ pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
         let (pipeline, data) = open_data(&arguments.data, &arguments.set, progress)?;
         let partition = pipeline.partition(&data).ok().filter(|_| !pipeline.split.is_sparse());
         warn_of_findings(&data, partition.as_ref(), progress)?;
-        summary(&pipeline, &data, progress)
+        Ok(Inspection::of(&pipeline, &data, &mut Session::new(progress))?.to_text())
     });
     output::print_result(&text?)
 }
@@ -204,11 +204,7 @@ fn open_data(path: &Path, set: &[String], observer: &mut RunProgress) -> Result<
     };
     let ron = |source: &Plugin<dyn DataSource>| try_to_ron(source).map_err(|why| Error::input(path, why));
     let (root, data) = (ron(&source)?, load(&source)?);
-    // Data without any valid split are described too.
-    let split = suggest_split(&data).map_or_else(|_| String::new(), |(split, _)| format!("split: {split}, "));
-    // Missing fields then get the defaults for this kind of data.
-    let text = format!("Pipeline(name: {:?}, data: {root}, {split}initializer: Random())", pipeline_name(path));
-    let mut pipeline = Pipeline::parse(&text, path)?;
+    let mut pipeline = default_pipeline(&root, &data, &pipeline_name(path))?;
     pipeline.set_all(set)?;
     let data = if ron(&pipeline.data)? == root { data } else { load(&pipeline.data)? };
     Ok((pipeline, data))

@@ -8,6 +8,7 @@ use super::{LocationTable, POSES, index};
 use crate::checks::{NOT_RECEIVED, UnlinkedNode, unlinked_node};
 use crate::folder::{
     check_root, existing_root, find_point_cloud, folder_name, read_point_cloud, read_title, recognised_root,
+    restore_saved,
 };
 use crate::text::{TextRow, numbered_lines, read_text};
 use pwrfgs_core::files::MAX_TEXT;
@@ -33,7 +34,7 @@ const LAYOUT: &str = "a NeRF2 folder of powers holds gateway_position.yml, gatew
 /// ```
 ///
 /// A link is a transmitter and a gateway that received it; -100 dBm marks a missing link. The id of a transmitter is
-/// its row, counted from 0 as in the index files (ids of spectra count from 1). The split of the index files assigns
+/// its row, counted from 0 as in the index files (ids of spectra count from 1), or line k of `ids.txt`, if there is one. The split of the index files assigns
 /// all links of a transmitter to one set. Gateways are receivers of the same name, in the order of
 /// `gateway_position.yml`.
 ///
@@ -98,7 +99,7 @@ impl DataSource for Nerf2Rssi {
         let data = Dataset::of_links(title, ends, points, &samples, powers.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
         progress(data.len(), data.len());
-        Ok(Dataset { official, simulation, ..data })
+        restore_saved(&root, Dataset { official, simulation, ..data })
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {

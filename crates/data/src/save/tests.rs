@@ -19,9 +19,10 @@ fn read_back(data: &Dataset) -> Dataset {
 
 fn assert_same(data: &Dataset, read_back: &Dataset) {
     assert_eq!((data.len(), data.width, data.height), (read_back.len(), read_back.width, read_back.height));
-    let links = |data: &Dataset| data.samples().map(|s| (s.position(), s.receiver)).collect::<Vec<_>>();
+    let links = |data: &Dataset| data.samples().map(|s| (s.id, s.position(), s.receiver)).collect::<Vec<_>>();
     assert_eq!(links(data), links(read_back));
     assert_eq!((&data.official, &data.scene.points), (&read_back.official, &read_back.scene.points));
+    assert_eq!((&data.title, data.scene.bounds), (&read_back.title, read_back.scene.bounds));
     assert!((0..data.len()).all(|i| data.observations.raw(i) == read_back.observations.raw(i)));
     if let (Observations::Channels(first), Observations::Channels(second)) =
         (&data.observations, &read_back.observations)
