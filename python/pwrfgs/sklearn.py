@@ -217,8 +217,8 @@ class PowerRegressor(_Regressor):
     seed
         Random seed; default: that of the pipeline.
     validation_fraction
-        Share of the positions that ``fit`` does not train on: their errors calibrate the standard deviations. With 0, all are
-        training samples, and ``predict`` has no ``return_std``.
+        Share of the positions that ``fit`` does not train on: their errors calibrate the standard deviations. With 0, all
+        positions are training samples; ``residuals`` has no effect, and ``predict`` has no ``return_std``.
     """
 
     def __init__(
