@@ -11,8 +11,8 @@ import numpy as np
 from . import _pwrfgs, _strategies
 from ._errors import InputError
 from ._pipeline import Pipeline
-from ._run import PathLike, Run, _arguments
-from ._values import Value, quoted, ron_name, to_ron
+from ._run import PathLike, Run
+from ._values import Value, arguments, quoted, ron_name, to_ron
 
 # Values of one path: a list, or a dict that gives each value a label.
 Values = Union[Sequence[Any], Mapping[str, Any]]
@@ -65,7 +65,7 @@ def sweep(
 
 
 def _performed(experiment: PathLike, set: Optional[Mapping[str, Any]], out: Optional[PathLike], jobs: int) -> List[Run]:
-    folder, ends = _pwrfgs.sweep(experiment, _arguments(set), out, jobs)
+    folder, ends = _pwrfgs.sweep(experiment, arguments(set), out, jobs)
     failed = {os.fspath(run): reason for run, reason in ends if reason}
     if failed:
         first = next(iter(failed.items()))
@@ -123,7 +123,7 @@ def _differing(values: List[Any]) -> Any:
 
     def fields(value: Any) -> Dict[str, Any]:
         if isinstance(value, Value):
-            return dict(value._fields)
+            return dict(value._named)
         return _strategies.settings_of(value) if isinstance(value, _strategies.Strategy) else {}
 
     others = [fields(item) for value in values for item in flat(value)]
