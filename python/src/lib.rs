@@ -19,6 +19,7 @@ mod run;
 mod scores;
 mod settings;
 mod strategies;
+mod sweep;
 mod tasks;
 
 use pyo3::prelude::*;
@@ -36,11 +37,13 @@ mod _pwrfgs {
     #[pymodule_export]
     use super::model::made::model_of;
     #[pymodule_export]
-    use super::run::{facts, program, report, run, score, simulate, sweep};
+    use super::run::{facts, program, report, run, score, simulate};
     #[pymodule_export]
     use super::scores::{chamfer, measure, predict_baseline, repeatability};
     #[pymodule_export]
     use super::settings::{Pipeline, complete, parse_ron, pipeline_text, registry, types};
+    #[pymodule_export]
+    use super::sweep::{sweep, sweep_runs};
     #[pymodule_export]
     use super::tasks::{compress, findings, locate, place, plan, radio_map, suggest_pipeline, task_settings, update};
     use pyo3::prelude::*;
