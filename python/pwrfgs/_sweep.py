@@ -6,7 +6,7 @@ import os
 import tempfile
 import uuid
 from concurrent.futures import Executor, as_completed
-from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple, Union
+from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple, Union
 
 import numpy as np
 
@@ -129,11 +129,21 @@ def _submitted(executor: Executor, runs: List[Tuple[int, Any, str]], threads: in
     return dict(sorted(failures.items()))
 
 
+# Calls of `sweep` that Ctrl-C has ended in this process: an executor may start a waiting task after the one that it ended.
+_ENDED: Set[str] = set()
+
+
 def _perform(pipeline: str, folder: str, threads: int, call: str) -> None:
     """Perform one run of a sweep in a process of an executor."""
+    if call in _ENDED:
+        raise KeyboardInterrupt
     chosen = Pipeline(pipeline)
     _strategies.check(chosen)
-    _pwrfgs.run(chosen._inner, folder, log_event, threads)
+    try:
+        _pwrfgs.run(chosen._inner, folder, log_event, threads)
+    except KeyboardInterrupt:
+        _ENDED.add(call)
+        raise
 
 
 def _axis_names(paths: List[str]) -> List[str]:

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import pathlib
+import signal
+import subprocess
+import sys
+import time
 import traceback
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -78,6 +83,38 @@ def test_an_experiment_says_how_many_threads_a_run_has(pipeline, tmp_path, monke
     assert [run.facts["machine"]["threads"] for run in runs] == [1, 1]
     assert joined.folder.endswith("joined") and joined.finished and joined.facts["started"] == again[-1].facts["started"]
     assert (tmp_path / "runs/e/report/report.html").is_file()
+
+
+INTERRUPTED = """
+import multiprocessing, signal, sys
+from concurrent.futures import ProcessPoolExecutor
+import pwrfgs
+from conftest import SMALL
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        pwrfgs.sweep(pwrfgs.Pipeline(SMALL), {"training.steps": 10**6}, sys.argv[1], axes={"training.batch": [1, 2]}, executor=pool)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_an_interrupt_ends_all_runs_of_an_executor(tmp_path):
+    (tmp_path / "interrupted.py").write_text(INTERRUPTED)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([os.path.dirname(__file__), *sys.path])}
+    child = subprocess.Popen(
+        [sys.executable, "interrupted.py", "s"], cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    curve = tmp_path / "s/batch=1,seed=0/curve.csv"
+    try:
+        while child.poll() is None and not curve.exists():
+            time.sleep(0.1)
+        os.killpg(child.pid, signal.SIGINT)
+        assert "KeyboardInterrupt" in child.communicate(timeout=60)[1]
+    finally:
+        if child.poll() is None:
+            os.killpg(child.pid, signal.SIGKILL)
+    assert (tmp_path / "s/batch=1,seed=0/checkpoint.safetensors").is_file() and not (tmp_path / "s/batch=2,seed=0").exists()
 
 
 def test_other_executors_are_refused(pipeline, tmp_path):
