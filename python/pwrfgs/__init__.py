@@ -59,7 +59,6 @@ else:
             import importlib
 
             return importlib.import_module(f"pwrfgs.{name}")
-        from ._values import CLASSES, unknown
+        from ._values import unknown
 
-        known = [*__all__, *map(str, CLASSES)]
-        raise AttributeError(unknown("pwrfgs", name, known).replace("field", "name", 1).split(" (there")[0])
+        raise AttributeError(unknown("pwrfgs", name, __all__).replace("field", "name", 1).split(" (there")[0])

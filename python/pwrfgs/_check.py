@@ -10,8 +10,8 @@ from . import _pwrfgs, _strategies
 from ._log import log
 from ._pipeline import Pipeline
 from ._results import Result
-from ._run import _arguments
 from ._unsaved import storing
+from ._values import arguments
 
 
 @dataclass(repr=False)
@@ -53,7 +53,7 @@ def check(pipeline: Any, set: Optional[Mapping[str, Any]] = None) -> Check:
     """
     chosen = Pipeline(pipeline)
     if set:
-        chosen._set_arguments(_arguments(set))
+        chosen._set_arguments(arguments(set))
     _strategies.check(chosen)
     with tempfile.TemporaryDirectory(prefix="pwrfgs-check-") as folder, storing(folder):
         found = Check(**_pwrfgs.check(chosen._settled()._inner))

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from dataclasses import dataclass, field
 from typing import Any, Dict, List, Mapping, Optional, Union
 
 from . import _pwrfgs, plot
 from ._errors import InputError
 from ._results import Result
-from ._run import PathLike, Run, _arguments, _rows, _unquoted
+from ._run import PathLike, Run, _rows, _unquoted
 from ._sweep import finished_runs
 from ._tasks import documented, settings_text
 from ._types import Array, Partition
-from ._values import to_ron
+from ._unsaved import storing
+from ._values import arguments, to_ron
 
 
 @dataclass(repr=False)
@@ -66,7 +68,7 @@ def compare(
     """Compare all methods, all baselines and the predictions of other programs on data, with one split:
     ``pwrfgs.compare("data/s23", seeds=1, set={"training.scale": 0.1})``.
 
-    Every method that can predict the data is trained with each seed. ``data`` is a data folder or a saved data set; ``set`` are
+    Every method that can predict the data is trained with each seed. ``data`` is a data folder or a data set; ``set`` are
     changes of all pipelines, ``out`` is the output folder, by default ``runs/compare-NAME``. ``dry_run`` lists the runs with
     estimated times and runs nothing. Repeat the call to resume, or with new predictions: trained models are kept.
     ``pwrfgs.report`` compares runs that are finished.
@@ -75,14 +77,19 @@ def compare(
     ``test_ids``: NNNNN.npy per ID, or predictions.csv with the columns id (link for several receivers) and dbm.
 
     Raises ``SweepError`` if runs failed, after all others have finished."""
-    saved = isinstance(data, _pwrfgs.Dataset)
-    if not saved and not isinstance(data, (str, os.PathLike)):
+    if not isinstance(data, (_pwrfgs.Dataset, str, os.PathLike)):
         raise InputError("data: expected a Dataset or a data folder; pwrfgs.report compares finished runs")
     predictions = settings.get("predictions")
     if isinstance(predictions, Mapping):
         settings["predictions"] = [f"{name}={os.fspath(folder)}" for name, folder in predictions.items()]
-    text, source = settings_text("compare", settings), to_ron(data) if saved else None
-    found = _pwrfgs.compare(data, source, text, _arguments(set), out, dry_run)
+    text = settings_text("compare", settings)
+    if isinstance(data, _pwrfgs.Dataset):
+        if out is None:
+            out = os.path.join("runs", "compare-" + (re.sub(r"\W+", "-", data.title).strip("-") or "data"))
+        with storing(os.fspath(out)):
+            found = _pwrfgs.compare(data, to_ron(data), text, arguments(set), out, dry_run)
+    else:
+        found = _pwrfgs.compare(data, None, text, arguments(set), out, dry_run)
     folder, split = os.fspath(found["folder"]), Partition(found["train"], found["validation"], found["test"])
     runs = finished_runs(found["runs"])
     lines = _rows(os.path.join(folder, "report", "report.csv")) if runs else []

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
-from typing import TYPE_CHECKING, Any, Dict, List, Mapping, Optional, Tuple, Union
+from typing import TYPE_CHECKING, Any, List, Mapping, Optional, Tuple, Union
 
 from . import _pwrfgs
+from ._classes import Field, listing
 from ._errors import InputError
 from ._fields import PipelineFields
 from ._unsaved import named_in
-from ._values import from_ron, own, to_ron, unknown
+from ._values import Value, from_ron, own, ron_name, to_ron, unknown, with_objects
 
 Source = Union[str, "os.PathLike[str]", "Pipeline"]
 
@@ -33,6 +35,8 @@ class Pipeline(PipelineFields):
     ``Pipeline("my.ron")`` reads a file, ``Pipeline("quickstart")`` a pipeline of the package (``pwrfgs pipelines`` lists them),
     ``Pipeline("Pipeline(name: ..)")`` a text, and ``Pipeline(name="first", data=Teacher(), initializer=Random())`` combines values. Fields are attributes, at any depth:
     ``pipeline.training.steps = 2000``. Each change is validated at once. ``str`` is RON with every default written out.
+    ``help(pipeline.training)`` lists the settings of a group. A strategy in Python is read as an object of its class, if its
+    module can be imported.
 
     Relative paths start at the folder of the file, or at the current directory.
     """
@@ -78,8 +82,8 @@ class Pipeline(PipelineFields):
 
     def get(self, path: str) -> Any:
         """Return the value at ``path``, such as ``"training.steps"`` or ``"pruners.LearnableMask.lambda"``."""
-        value: Any = from_ron(self._inner.text())
-        own(value, self, "")
+        value: Any = self._values()
+        field = ""
         for step in path.split(".") if path else ():
             if isinstance(value, list):
                 named = [item for item in value if getattr(item, "_name", None) == step]
@@ -88,7 +92,14 @@ class Pipeline(PipelineFields):
                 except (ValueError, IndexError):
                     raise InputError(f"{path}: unknown entry `{step}`") from None
             else:
-                value = getattr(value, step)
+                field = ron_name(step)
+                value = value._field(step) if isinstance(value, Value) else getattr(value, step)
+        return with_objects(value, field)
+
+    def _values(self) -> Value:
+        """All fields as one value."""
+        value: Value = from_ron(self._inner.text(), "Pipeline")
+        own(value, self, "")
         return value
 
     def set(self, values: Mapping[str, Any], **more: Any) -> "Pipeline":
@@ -136,9 +147,7 @@ class Pipeline(PipelineFields):
         def __getattr__(self, name: str) -> Any:
             if name.startswith("_"):
                 raise AttributeError(name)
-            value = from_ron(self._inner.text())
-            own(value, self, "")
-            return getattr(value, name)
+            return getattr(self._values(), name)
 
         def __setattr__(self, name: str, value: Any) -> None:
             if name not in self._field_names():
@@ -146,14 +155,15 @@ class Pipeline(PipelineFields):
             self.set({name: value})
 
     def _field_names(self) -> List[str]:
-        fields: Dict[str, Any] = from_ron(self._inner.text())._fields
-        return list(fields)
+        return list(self._values()._named)
 
     def __dir__(self) -> List[str]:
         return [*super().__dir__(), *self._field_names()]
 
     def __repr__(self) -> str:
-        return f"<Pipeline {self.name}: {self.data._name}, {self.initializer._name}, {self.training.steps} steps>"
+        fields = self._values()._named
+        data, initializer = (fields[field]._named.get("class", fields[field]._name) for field in ("data", "initializer"))
+        return f"<Pipeline {self.name}: {data}, {initializer}, {self.training.steps} steps>"
 
     def __str__(self) -> str:
         return self._inner.text()
@@ -163,6 +173,12 @@ class Pipeline(PipelineFields):
 
     def __hash__(self) -> int:
         return hash(str(self))
+
+
+_FIELDS: List[Field] = next(entry["fields"] for entry in _pwrfgs.types() if entry["name"] == "Pipeline")
+Pipeline.__doc__ = inspect.cleandoc(Pipeline.__doc__ or "") + listing(
+    [name for name, _, _, _ in _FIELDS], _FIELDS, [inspect.Parameter.empty] * len(_FIELDS)
+)
 
 
 def _read(text: str, folder: str, data: Optional["_pwrfgs.Dataset"]) -> Pipeline:

@@ -2,7 +2,7 @@
 
 from typing import List
 
-from . import _values
+from . import _classes
 
-globals().update({name: made for name, made in _values.CLASSES.items() if name})
-__all__: List[str] = sorted(name for name in _values.CLASSES if name)
+globals().update(_classes.CLASSES)
+__all__: List[str] = sorted(_classes.CLASSES)

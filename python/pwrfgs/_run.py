@@ -8,7 +8,6 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Mapping as Mappings
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Union
 
 import numpy as np
@@ -19,7 +18,7 @@ from ._log import event as log_event
 from ._pipeline import Pipeline, is_text
 from ._types import Array
 from ._unsaved import storing
-from ._values import KINDS, from_ron, plugin_text, to_ron
+from ._values import KINDS, arguments, from_ron, plugin_text, to_ron
 
 PathLike = Union[str, "os.PathLike[str]"]
 Event = Dict[str, Any]
@@ -215,13 +214,6 @@ class _Progress:
             self.note = f", validation {event['mean']:.3f}"
 
 
-def _arguments(values: Optional[Mapping[str, Any]]) -> List[str]:
-    """Convert settings to ``--set`` arguments: strings unchanged, everything else as RON."""
-    if values is not None and not isinstance(values, Mappings):
-        raise InputError(f'set is {values!r}; give a dict, such as {{"training.steps": 2000}}')
-    return [f"{path}={value if isinstance(value, str) else to_ron(value)}" for path, value in (values or {}).items()]
-
-
 def run(
     pipeline: Any,
     set: Optional[Mapping[str, Any]] = None,
@@ -272,7 +264,7 @@ def run(
     else:
         chosen = Pipeline(pipeline)
     if set:
-        chosen._set_arguments(_arguments(set))
+        chosen._set_arguments(arguments(set))
     for field, more in (("pruners", pruners), ("baselines", baselines), ("metrics", metrics)):
         if more:
             there, named = chosen.get(field), [_named(field, item) for item in more]
@@ -327,11 +319,12 @@ def _refuse_twice(there: List[Any], more: List[Any]) -> None:
     """Raise an error for a pruner that the pipeline already has."""
 
     def of_class(value: Any) -> Any:
-        return value._name, value._fields.get("module"), value._fields.get("class")
+        read = from_ron(to_ron(value))  # also that of an object
+        return read._named.get("class", read._name), read._named.get("module")
 
     for place, value in enumerate(more):
         if of_class(value) in map(of_class, [*there, *more[:place]]):
-            name = value._fields["class"] if value._name == "Python" else value._name
+            name = of_class(value)[0]
             raise InputError(
                 f"the pipeline has {name} already; change its settings with `set`, or remove the pruners of the pipeline with "
                 'set={"pruners": []}'

@@ -10,7 +10,7 @@ import json
 import linecache
 import sys
 import types
-from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple, Union
+from typing import TYPE_CHECKING, Any, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple, Union
 
 from ._errors import InputError
 from ._types import Array, Cloud, Column, Links, StepContext, Room, Stats
@@ -27,6 +27,15 @@ class Strategy:
         super().__init_subclass__(**given)
         if not cls.__module__.startswith("pwrfgs."):
             setattr(cls, TEXT, source(cls))
+
+    if not TYPE_CHECKING:  # to checkers, an object would have every attribute
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            """Set an attribute. A setting of an object that was read from a pipeline changes the pipeline too."""
+            place, holder = vars(self).get("_place", (None, None))
+            if holder == id(self) and name in inspect.signature(type(self)).parameters:  # not in a copy of the object
+                place.replace(self, type(self)(**{**settings_of(self), name: value}))
+            object.__setattr__(self, name, value)
 
 
 class Pruner(Strategy):
@@ -163,6 +172,8 @@ FIELDS = {
     "pruners": "Pruner", "initializer": "Initializer", "split": "Split", "baselines": "Baseline", "metrics": "Metric",
     "deformation": "Deformation",
 }  # fmt: skip
+# What a pipeline records of an object.
+RECORD = ("module", "class", "settings", "source")
 # A class of a kind implements at least one of these methods.
 REQUIRED = {
     "Deformation": ["forward"],
@@ -309,7 +320,7 @@ def check(pipeline: Any) -> None:
         values = pipeline.get(field)
         for value in values if isinstance(values, list) else [values]:
             if getattr(value, "_name", None) == "Python":
-                made(kind, *(value._fields[name] for name in ("module", "class", "settings", "source")))
+                made(kind, *(value._named[name] for name in RECORD))
 
 
 def made(kind: str, module: str, name: str, settings: str, source: str) -> Any:

@@ -15,7 +15,8 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from . import _pwrfgs
 from ._prose import prose, wrap
-from ._values import CLASSES, python_name
+from ._classes import SETTINGS
+from ._values import CLASSES, GROUPS, python_name
 
 WIDTH = 120
 HEAD = "# Written by `python -m pwrfgs._stubs` from the doc comments of the program.\n\n"
@@ -134,7 +135,7 @@ def plugins() -> str:
 def settings() -> str:
     """The text of ``settings.pyi``."""
     entries = sorted((entry for entry in _pwrfgs.types() if "variants" in entry), key=lambda entry: str(entry["name"]))
-    text = exports([entry["name"] for entry in entries])
+    text = exports(sorted(SETTINGS))
     for entry in entries:
         text += f"\nclass {entry['name']}(metaclass=Choice):\n" + docstring(prose(entry["doc"], WIDTH - 4, 3), "    ")
         for variant, comment, named, fields in entry["variants"]:
@@ -154,7 +155,10 @@ def settings() -> str:
             text += function(variant, parameters, "Value", "    ", "" if said else " ...")
             if said:
                 text += docstring(said, "        ")
-    return HEAD + imports(text, ["Choice", "Value"]) + "\n" + text
+    names = [f"    {name} as {name},\n" for name in sorted(SETTINGS) if name in GROUPS]
+    groups = f"from ._fields import (\n{''.join(names)})\n"
+    head = imports(text, ["Value"]).replace("from ._values", f"from ._classes import Choice\n{groups}from ._values")
+    return HEAD + head + "\n" + text
 
 
 def fields() -> str:
@@ -167,13 +171,26 @@ def fields() -> str:
     for name, entry in sorted(groups.items(), key=lambda group: (group[0] == "Pipeline", group[0])):
         own, base = ("PipelineFields", "") if name == "Pipeline" else (name, "(Settings)")
         text += f"\nclass {own}{base}:\n" + docstring(prose(entry["doc"] or name, WIDTH - 4, 3), "    ")
-        for field, words, comment, _ in entry["fields"]:
+        parameters = ["self", "*"]
+        for field, words, comment, default in entry["fields"]:
+            _, write = types_of(words, groups)
+            parameters.append(f"{python_name(field)}: {write}" + (" = ..." if default is not None else ""))
             text += property_of(python_name(field), words, prose(comment, WIDTH - 8, 3), groups)
+        if base:
+            text += "\n" + function("__init__", parameters, "None", "    ", " ...")
     return HEAD + imports(PATH + text, ["Value"], "from typing_extensions import Self, TypeAlias") + "\n" + PATH + text
 
 
 def property_of(name: str, words: str, said: Sequence[str], groups: Dict[str, Any]) -> str:
-    """Property of a field: plugins and settings are values, and are set from more types than they are read as."""
+    """Property of a field."""
+    read, write = types_of(words, groups)
+    text = f"\n    @property\n    def {name}(self) -> {read}:{'' if said else ' ...'}\n"
+    text += docstring(said, "        ") if said else ""
+    return text + f"    @{name}.setter\n" + function(name, ["self", f"value: {write}"], "None", "    ", " ...")
+
+
+def types_of(words: str, groups: Dict[str, Any]) -> Tuple[str, str]:
+    """Types that a field is read as and set from: plugins and settings are values, and are set from more types."""
     bare = words[: -len(" or None")] if words.endswith(" or None") else words
     held = annotation(words)
     if bare in groups:
@@ -184,9 +201,7 @@ def property_of(name: str, words: str, said: Sequence[str], groups: Dict[str, An
         read = write = held
     if bare != words and "Optional" not in read:
         read, write = f"Optional[{read}]", write if write == "Any" else f"Optional[{write}]"
-    text = f"\n    @property\n    def {name}(self) -> {read}:{'' if said else ' ...'}\n"
-    text += docstring(said, "        ") if said else ""
-    return text + f"    @{name}.setter\n" + function(name, ["self", f"value: {write}"], "None", "    ", " ...")
+    return read, write
 
 
 def imports(text: str, values: Sequence[str], extensions: str = "from typing_extensions import TypeAlias") -> str:

@@ -4,25 +4,30 @@ from __future__ import annotations
 
 import os
 import tempfile
-from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple, Union
+import uuid
+from concurrent.futures import Executor, as_completed
+from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple, Union
 
 import numpy as np
 
 from . import _pwrfgs, _strategies
-from ._errors import InputError
+from ._errors import Error, InputError
+from ._log import event as log_event
 from ._pipeline import Pipeline
-from ._run import PathLike, Run, _arguments
+from ._run import PathLike, Run
 from ._unsaved import storing
-from ._values import Value, quoted, ron_name, to_ron
+from ._values import Value, arguments, quoted, ron_name, to_ron
 
 # Values of one path: a list, or a dict that gives each value a label.
 Values = Union[Sequence[Any], Mapping[str, Any]]
 
 
 class SweepError(InputError):
-    """Failed runs of a sweep; ``reasons`` maps folders to messages."""
+    """Failed runs of a sweep: ``reasons`` maps folders to messages, ``exceptions`` to exceptions with their tracebacks. The first
+    of these is the cause of this error, so that its traceback is printed."""
 
     reasons: Dict[str, str] = {}
+    exceptions: Dict[str, BaseException] = {}
 
 
 def sweep(
@@ -35,6 +40,7 @@ def sweep(
     seeds: Iterable[int] = (0,),
     name: Optional[str] = None,
     join: bool = False,
+    executor: Optional[Executor] = None,
 ) -> List[Run]:
     """Perform all unfinished runs of a sweep and write its report. Returns the runs in order, followed by the joined model if
     ``join`` is set.
@@ -48,9 +54,23 @@ def sweep(
     ``out`` is the sweep folder, default ``runs/NAME``; ``name`` is by default the name of the base and of the axes.
 
     Repeat the call to resume after Ctrl-C. Raises ``SweepError`` if runs failed, after all others have finished.
+
+    ``jobs`` runs share the threads of this process. With an ``executor`` of ``concurrent.futures``, also of Dask
+    (``client.get_executor()``) or MPI (``mpi4py.futures.MPIPoolExecutor()``), each unfinished run is a task of it::
+
+        with ProcessPoolExecutor(8, mp_context=multiprocessing.get_context("spawn")) as executor:
+            sweep("paper-office", out="runs/office", executor=executor)
+
+    Its processes need this package, the modules of your own classes, and a disk in common. Each run uses ``slurm.cpus``
+    threads, a field of the experiment file with the default 2. The calling process validates all runs before the first task,
+    and joins the models and writes the report after the last.
     """
+    if executor is not None and not isinstance(executor, Executor):
+        raise InputError(f"executor is {executor!r}; give a concurrent.futures.Executor, for Dask client.get_executor()")
+    if executor is not None and jobs != 1:
+        raise InputError("jobs has no effect with an executor, which decides how many runs are performed at a time; leave it out")
     if axes is None:
-        return _performed(experiment, set, out, jobs)
+        return _performed(experiment, set, out, jobs, executor)
     base = Pipeline(experiment)
     names = _axis_names(list(axes))
     chosen = name or "-".join([base.name, *names])
@@ -63,22 +83,72 @@ def sweep(
         path = os.path.join(folder, f"{os.path.basename(chosen) or 'sweep'}.ron")
         with open(path, "w", encoding="utf-8") as file:
             file.write(text)
-        return _performed(path, set, out, jobs)
+        return _performed(path, set, out, jobs, executor)
 
 
-def _performed(experiment: PathLike, set: Optional[Mapping[str, Any]], out: Optional[PathLike], jobs: int) -> List[Run]:
-    return finished_runs(_pwrfgs.sweep(experiment, _arguments(set), out, jobs)[1])
+def _performed(
+    experiment: PathLike, set: Optional[Mapping[str, Any]], out: Optional[PathLike], jobs: int, executor: Optional[Executor]
+) -> List[Run]:
+    changes = arguments(set)
+    if executor is None:
+        return finished_runs(_pwrfgs.sweep(experiment, changes, out, jobs))
+    failures = _submitted(executor, *_pwrfgs.sweep_runs(experiment, changes, out))
+    ends = _pwrfgs.sweep(experiment, changes, out, jobs, [(place, _reason(why)) for place, why in failures.items()])
+    return finished_runs([(run, failures.get(place, why)) for place, (run, why) in enumerate(ends)])
 
 
-def finished_runs(ends: Sequence[Tuple[PathLike, Optional[str]]]) -> List[Run]:
-    """Runs of folders; an error if one has the reason of a failure."""
-    failed = {os.fspath(run): reason for run, reason in ends if reason}
+def finished_runs(ends: Sequence[Tuple[PathLike, Optional[BaseException]]]) -> List[Run]:
+    """Runs of folders; an error if one has an exception."""
+    failed = {os.fspath(run): why for run, why in ends if why is not None}
     if failed:
-        first = next(iter(failed.items()))
-        error = SweepError(f"{len(failed)} of {len(ends)} runs failed, {first[0]}: {first[1]}")
-        error.reasons = failed
-        raise error
+        folder, first = next(iter(failed.items()))
+        error = SweepError(f"{len(failed)} of {len(ends)} runs failed, {folder}: {_reason(first)}")
+        error.reasons = {run: _reason(why) for run, why in failed.items()}
+        error.exceptions = failed
+        raise error from first
     return [Run(run) for run, _ in ends]
+
+
+def _reason(error: BaseException) -> str:
+    """Message of an exception; its class too, if it is not of this package."""
+    return str(error) if isinstance(error, Error) else f"{type(error).__name__}: {error}"
+
+
+def _submitted(executor: Executor, runs: List[Tuple[int, Any, str]], threads: int) -> Dict[int, BaseException]:
+    """Perform runs by an executor; returns the exceptions of those that failed, by place."""
+    # Dask returns the result of an earlier task with the same arguments, and a failed run is repeated.
+    call = uuid.uuid4().hex
+    tasks = {
+        executor.submit(_perform, pipeline, os.path.abspath(folder), threads, call): place
+        for place, folder, pipeline in runs
+    }
+    failures: Dict[int, BaseException] = {}
+    try:
+        for task in as_completed(tasks):
+            error = task.exception()
+            if error is not None:
+                failures[tasks[task]] = error
+    finally:
+        for task in tasks:
+            task.cancel()  # after Ctrl-C; a task that has ended or runs is not affected
+    return dict(sorted(failures.items()))
+
+
+# Calls of `sweep` that Ctrl-C has ended in this process: an executor may start a waiting task after the one that it ended.
+_ENDED: Set[str] = set()
+
+
+def _perform(pipeline: str, folder: str, threads: int, call: str) -> None:
+    """Perform one run of a sweep in a process of an executor."""
+    if call in _ENDED:
+        raise KeyboardInterrupt
+    chosen = Pipeline(pipeline)
+    _strategies.check(chosen)
+    try:
+        _pwrfgs.run(chosen._inner, folder, log_event, threads)
+    except KeyboardInterrupt:
+        _ENDED.add(call)
+        raise
 
 
 def _axis_names(paths: List[str]) -> List[str]:
@@ -129,7 +199,7 @@ def _differing(values: List[Any]) -> Any:
 
     def fields(value: Any) -> Dict[str, Any]:
         if isinstance(value, Value):
-            return dict(value._fields)
+            return dict(value._named)
         return _strategies.settings_of(value) if isinstance(value, _strategies.Strategy) else {}
 
     others = [fields(item) for value in values for item in flat(value)]

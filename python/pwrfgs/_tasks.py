@@ -6,16 +6,17 @@ from __future__ import annotations
 
 import inspect
 import os
-from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple, TypeVar, Union
+from typing import Any, Callable, Dict, List, Mapping, Optional, TypeVar, Union
 
 from . import _pwrfgs
+from ._classes import Field, defaults_of, listing
 from ._errors import InputError
 from ._log import log
 from ._pipeline import Pipeline
 from ._results import Finding, Located, Placement, Plan, RadioMap
-from ._values import to_ron, unknown
+from ._values import arguments, to_ron, unknown
 
-_FIELDS: Dict[str, List[Tuple[str, str, str, bool]]] = _pwrfgs.task_settings()
+_FIELDS: Dict[str, List[Field]] = _pwrfgs.task_settings()
 #: Settings that are text on the command line, numbers separated by commas.
 _BOXES = ("bounds", "prior", "region")
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -47,15 +48,15 @@ def documented(task: str) -> Callable[[_Function], _Function]:
     def add(function: _Function) -> _Function:
         fields = _FIELDS[task]
         own = list(inspect.signature(function).parameters.values())[:-1]  # the last takes the settings
+        fixed = {name: default for name, default in defaults_of(fields).items() if default != []}  # None omits a setting too
+        names = [name for name, _, _, _ in fields]
+        defaults = [inspect.Parameter.empty if default is None else fixed.get(name) for name, _, _, default in fields]
         parameters = [
-            inspect.Parameter(
-                name, inspect.Parameter.KEYWORD_ONLY, default=None if optional else inspect.Parameter.empty
-            )
-            for name, _, _, optional in fields
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default)
+            for name, default in zip(names, defaults)
         ]
         setattr(function, "__signature__", inspect.Signature([*own, *parameters]))
-        listing = "\n".join(f"{name} : {words}\n    {text}" for name, words, text, _ in fields)
-        function.__doc__ = f"{inspect.cleandoc(function.__doc__ or '')}\n\nParameters\n----------\n{listing}"
+        function.__doc__ = inspect.cleandoc(function.__doc__ or "") + listing(names, fields, defaults)
         return function
 
     return add
@@ -76,12 +77,15 @@ def radio_map(self: "_pwrfgs.Model", **settings: Any) -> RadioMap:
 
 
 @documented("locate")
-def locate(self: "_pwrfgs.Model", observations: Any = None, **settings: Any) -> Located:
+def locate(
+    self: "_pwrfgs.Model", observations: Any = None, *, set: Optional[Mapping[str, Any]] = None, **settings: Any
+) -> Located:
     """Locate transmitters from their observations: powers [B, R] in dBm (NaN: not known), spectra [B, H, W] or channels [B, A, F].
     Without observations, locate the test samples of the data of the model and compare the errors with those of baselines.
 
-    The model must come from a run folder: its data are the known positions."""
-    return Located(**_pwrfgs.locate(self, observations, settings_text("locate", settings)))
+    The model must come from a run folder: its data are the known positions. ``set`` changes settings of its pipeline, as in
+    ``run``: ``{"data.root": "data/ble"}``."""
+    return Located(**_pwrfgs.locate(self, observations, arguments(set), settings_text("locate", settings)))
 
 
 def update(self: "_pwrfgs.Model", data: "_pwrfgs.Dataset", *, accept_far: bool = False) -> "_pwrfgs.Model":

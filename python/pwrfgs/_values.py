@@ -1,23 +1,19 @@
-"""Values of a pipeline: plugins, settings and choices, and their RON text."""
+"""Values of a pipeline: plugins, settings and enums, their text in Python and in RON."""
 
 from __future__ import annotations
 
 import functools
-import inspect
 import keyword
 import math
 import os
-from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Mapping, Optional, Protocol, Set, Tuple
+from collections.abc import Mapping as Mappings
+from typing import Any, ClassVar, Dict, List, Mapping, Optional, Protocol, Set, Tuple, Type
 
 import numpy as np
 
-from . import _pwrfgs
+from . import _pwrfgs, _strategies
 from ._errors import InputError
-from ._prose import prose
 from ._unsaved import source_text
-
-# Letters in a line of a docstring.
-WIDTH = 110
 
 
 class Owner(Protocol):
@@ -42,58 +38,75 @@ def ron_name(name: str) -> str:
 class Value:
     """Value of a pipeline with a name and fields, such as ``LearnableMask(lambda_=0.02)``.
 
-    Fields are attributes; ``repr`` is RON. Setting a field of a value from a pipeline changes that pipeline.
+    Fields are attributes; ``repr`` is Python, without fields that have their default, and ``str`` is RON. Setting a field of a
+    value from a pipeline changes that pipeline.
     """
 
-    __slots__ = ("_name", "_fields", "_items", "_owner")
+    __slots__ = ("_name", "_named", "_items", "_owner")
 
+    # Name of the class in Python, type that it belongs to, and types and defaults of its fields.
+    _path: ClassVar[str] = ""
+    _type: ClassVar[str] = ""
+    _types: ClassVar[Dict[str, str]] = {}
+    _defaults: ClassVar[Dict[str, Any]] = {}
     _name: Optional[str]
-    _fields: Dict[str, Any]
+    _named: Dict[str, Any]
     _items: Tuple[Any, ...]
     _owner: Optional[Tuple[Owner, str]]
 
     @classmethod
     def _make(cls, name: Optional[str], fields: Dict[str, Any], items: Tuple[Any, ...] = ()) -> "Value":
-        value: Value = Value.__new__(CLASSES.get(name, Value) if name else Value)
-        object.__setattr__(value, "_name", name)
-        object.__setattr__(value, "_fields", fields)
-        object.__setattr__(value, "_items", items)
-        object.__setattr__(value, "_owner", None)
+        value: Value = object.__new__(cls)
+        value._fill(name, fields, items)
         return value
+
+    def _fill(self, name: Optional[str], fields: Dict[str, Any], items: Tuple[Any, ...] = ()) -> None:
+        for slot, content in (("_name", name), ("_named", fields), ("_items", items), ("_owner", None)):
+            object.__setattr__(self, slot, content)
 
     def _own(self, pipeline: Owner, path: str) -> None:
         object.__setattr__(self, "_owner", (pipeline, path))
-        for name, field in self._fields.items():
+        for name, field in self._named.items():
             own(field, pipeline, f"{path}.{name}" if path else name)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        fields = object.__getattribute__(self, "_fields")
+        return with_objects(self._field(name), ron_name(name))
+
+    def _field(self, name: str) -> Any:
+        """Value of a field, in which strategies in Python are values too."""
+        fields = object.__getattribute__(self, "_named")
         try:
             return fields[ron_name(name)]
         except KeyError:
-            raise AttributeError(unknown(self._name or "this value", name, fields)) from None
+            raise AttributeError(unknown(self._title(), name, fields)) from None
+
+    def _title(self) -> str:
+        return self._name or self._type or "this value"
 
     def __setattr__(self, name: str, value: Any) -> None:
         field = ron_name(name)
-        if field not in self._fields:
-            raise AttributeError(unknown(self._name or "this value", name, self._fields))
+        if field not in self._named:
+            raise AttributeError(unknown(self._title(), name, self._named))
         if self._owner is not None:
             pipeline, path = self._owner
             current(self, pipeline, path)
             pipeline.set({f"{path}.{field}": value})
-            self._fields[field] = pipeline.get(f"{path}.{field}")
+            self._named[field] = pipeline.get(f"{path}.{field}")
         else:
-            self._fields.update(self.replace(**{name: value})._fields)
+            self._named.update(self.replace(**{name: value})._named)
 
     def __reduce__(self) -> Tuple[Any, ...]:
-        return from_ron, (to_ron(self),)
+        return from_ron, (to_ron(self), self._type)
 
     def __dir__(self) -> List[str]:
-        return [*super().__dir__(), *map(python_name, self._fields)]
+        return [*super().__dir__(), *map(python_name, self._named)]
 
     def __repr__(self) -> str:
+        return python_text(self)
+
+    def __str__(self) -> str:
         return to_ron(self)
 
     def __eq__(self, other: object) -> bool:
@@ -104,12 +117,10 @@ class Value:
 
     def replace(self, **fields: Any) -> "Value":
         """Return a copy with some fields replaced."""
-        merged = {**self._fields, **{ron_name(name): value for name, value in fields.items()}}
-        if self._name in KINDS:
-            made = CLASSES[self._name](**{python_name(name): value for name, value in merged.items()})
-            assert isinstance(made, Value)
-            return made
-        return Value._make(self._name, merged, self._items)
+        merged = {**self._named, **{ron_name(name): value for name, value in fields.items()}}
+        if self._path and not self._items:
+            return type(self)(**{python_name(name): value for name, value in merged.items()})
+        return self._make(self._name, merged, self._items)
 
 
 def unknown(what: str, name: str, fields: Any) -> str:
@@ -133,8 +144,11 @@ class Items(List[Any]):
         for place, item in enumerate(self):
             own(item, pipeline, f"{path}.{place}")
 
+    def __repr__(self) -> str:
+        return python_text(list(self))
+
     def __reduce__(self) -> Tuple[Any, ...]:
-        return from_ron, (to_ron(self),)
+        return Items, (list(self),)
 
 
 def changing(method: str) -> Any:
@@ -166,23 +180,101 @@ def own(value: Any, pipeline: Owner, path: str) -> None:
     """Connect values from a pipeline to it, so that changes apply to it."""
     if isinstance(value, (Value, Items)):
         value._own(pipeline, path)
+    elif isinstance(value, _strategies.Strategy):
+        vars(value)["_place"] = Place(pipeline, path), id(value)
+
+
+class Place:
+    """Place of a strategy in a pipeline."""
+
+    def __init__(self, pipeline: Owner, path: str) -> None:
+        self.pipeline, self.path = pipeline, path
+
+    def replace(self, before: Any, after: Any) -> None:
+        """Set the strategy at this place."""
+        current(before, self.pipeline, self.path)
+        self.pipeline.set({self.path: after})
 
 
 def current(value: Any, pipeline: Owner, path: str) -> None:
     """Raise an error for a value that is no longer at its path: a change would affect another value."""
     try:
-        there = pipeline.get(path)
+        there = to_ron(pipeline.get(path))
     except (InputError, AttributeError):
-        there = None
-    if there != value:
+        there = ""
+    if there != to_ron(value):
         raise InputError(f"`{path}` of the pipeline has changed since this value was read; read it again")
 
 
-# Kinds of plugins by their name (`Random` is an initializer and a split), and the classes made of them.
+def with_objects(value: Any, field: str) -> Any:
+    """Value of a field with objects in place of recorded strategies in Python; a strategy that cannot be created remains a
+    value."""
+    if isinstance(value, Items):
+        for place, item in enumerate(value):
+            list.__setitem__(value, place, with_objects(item, field))
+    elif isinstance(value, Value) and value._name == "Python" and field in _strategies.FIELDS:
+        try:
+            made = _strategies.made(_strategies.FIELDS[field], *(value._named[name] for name in _strategies.RECORD))
+        except Exception:  # whatever a module of a user raises; a run reports it
+            return value
+        if value._owner is not None:
+            own(made, *value._owner)
+        return made
+    return value
+
+
+# Kinds of plugins by their name (`Random` is an initializer and a split).
 KINDS: Dict[str, List[str]] = {}
 # Variants without fields, such as `Real`: they are written without parentheses.
 UNITS: Set[str] = set()
-CLASSES: Dict[Optional[str], type] = {}
+# Classes of plugins and of groups of settings by name, and those of the variants of each enum.
+CLASSES: Dict[str, Type[Value]] = {}
+GROUPS: Dict[str, Type[Value]] = {}
+VARIANTS: Dict[str, Dict[str, Type[Value]]] = {}
+
+
+def without_none(words: str) -> str:
+    """Type of a field without "or None"."""
+    return words[: -len(" or None")] if words.endswith(" or None") else words
+
+
+def class_of(name: Optional[str], words: str) -> Type[Value]:
+    """Class of a value with this name, in a field of the type ``words``."""
+    bare = without_none(words)
+    if bare in GROUPS:
+        return GROUPS[bare]
+    if name in VARIANTS.get(bare, ()):
+        return VARIANTS[bare][str(name)]
+    if name in CLASSES:
+        return CLASSES[str(name)]
+    found = [variants[str(name)] for variants in VARIANTS.values() if name in variants]
+    return found[0] if len(found) == 1 else Value
+
+
+def python_text(value: Any) -> str:
+    """Python expression of a value."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return f'float("{value}")'
+    if isinstance(value, list):
+        return f"[{', '.join(map(python_text, value))}]"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(python_text, value))}{',' if len(value) == 1 else ''})"
+    if not isinstance(value, Value):
+        return repr(value)
+    if value._name == "Python":
+        fields = value._named
+        return f"<{fields['class']} of the module {fields['module']}, settings {fields['settings']}>"
+    if not value._path:
+        return repr(value._name) if value._name in UNITS else f"<{to_ron(value)}>"
+    if value._items:
+        return f"{value._path}({', '.join(map(python_text, value._items))})"
+    if value._name in UNITS:
+        return value._path
+    defaults = value._defaults
+    told = {name: field for name, field in value._named.items() if name not in defaults or to_ron(defaults[name]) != to_ron(field)}
+    if type(value)(**{python_name(name): field for name, field in told.items()}) != value:
+        told = value._named  # without fields, `Random` may be of another kind
+    return f"{value._path}({', '.join(f'{python_name(name)}={python_text(field)}' for name, field in told.items())})"
 
 
 def to_ron(value: Any) -> str:
@@ -216,8 +308,6 @@ def to_ron(value: Any) -> str:
         return source_text(value)
     if isinstance(value, type) and issubclass(value, Value):
         return to_ron(value())
-    from . import _strategies
-
     return _strategies.described(value)
 
 
@@ -236,35 +326,57 @@ def quoted(text: str) -> str:
 
 def value_text(value: Value) -> str:
     """RON text ``Name(field: value)``."""
-    inside = [f"{name}: {to_ron(field)}" for name, field in value._fields.items()]
+    inside = [f"{name}: {to_ron(field)}" for name, field in value._named.items()]
     inside += [to_ron(item) for item in value._items]
     name = value._name or ""
     bare = name and not inside and name in UNITS
     return name if bare else f"{name}({', '.join(inside)})"
 
 
-def from_ron(text: str) -> Any:
-    """Parse a RON text to a value."""
-    return from_node(_pwrfgs.parse_ron(text))
+def from_ron(text: str, words: str = "") -> Any:
+    """Parse a RON text to a value of the type ``words``."""
+    return from_node(_pwrfgs.parse_ron(text), words)
 
 
-def from_node(node: Any) -> Any:
+def from_node(node: Any, words: str) -> Any:
     kind = node[0]
     if kind == "text":
         return node[1]
     if kind == "plain":
-        return plain(node[1])
+        return plain(node[1], words)
     if kind == "fields":
-        return Value._make(node[1], {name: from_node(field) for name, field in node[2]})
-    name, items = node[1], [from_node(item) for item in node[2]]
+        made = class_of(node[1], words)
+        return made._make(node[1] or made._type or None, {name: from_node(field, made._types.get(name, "")) for name, field in node[2]})
+    name, inner = node[1], words[len("list of ") :] if words.startswith("list of ") else ""
     if kind == "list":
-        return Items(items)
-    if name == "Some" and len(items) == 1:
-        return items[0]
-    return Value._make(name, {}, tuple(items)) if name else tuple(items)
+        return Items(from_node(item, inner) for item in node[2])
+    if name == "Some" and len(node[2]) == 1:
+        return from_node(node[2][0], words)
+    made, items = class_of(name, words), tuple(from_node(item, "") for item in node[2])
+    return made._make(name, {}, items) if name else items
 
 
-def plain(text: str) -> Any:
+def from_json(value: Any, words: str) -> Any:
+    """Convert the JSON form of a default to a value of the type ``words``."""
+    if isinstance(value, list):
+        inner = words[len("list of ") :] if words.startswith("list of ") else ""
+        items = [from_json(item, inner) for item in value]
+        return Items(items) if words.startswith("list of ") else tuple(items)
+    if isinstance(value, float) and float(np.float32(value)) == value:
+        return float(str(np.float32(value)))  # JSON has all digits of single precision
+    bare = without_none(words)
+    if isinstance(value, str) and bare in VARIANTS:
+        return VARIANTS[bare][value]._make(value, {})
+    if not isinstance(value, dict):
+        return value
+    name, content = (bare, value) if bare in GROUPS else next(iter(value.items()))
+    made = class_of(name, bare)
+    if isinstance(content, dict):
+        return made._make(name, {field: from_json(inner, made._types.get(field, "")) for field, inner in content.items()})
+    return made._make(name, {}, (from_json(content, ""),))
+
+
+def plain(text: str, words: str = "") -> Any:
     named = {"true": True, "false": False, "None": None, "inf": math.inf, "-inf": -math.inf, "NaN": math.nan}
     if text in named:
         return named[text]
@@ -274,7 +386,7 @@ def plain(text: str) -> Any:
     except ValueError:
         if text.isidentifier() and text not in KINDS:
             UNITS.add(text)
-        return Value._make(text, {})
+        return class_of(text, words)._make(text, {})
 
 
 def plugin_text(kind: str, value: Any, settings: Optional[Dict[str, Any]]) -> str:
@@ -295,6 +407,13 @@ def plugin_text(kind: str, value: Any, settings: Optional[Dict[str, Any]]) -> st
     return to_ron(value)
 
 
+def arguments(values: Optional[Mapping[str, Any]]) -> List[str]:
+    """Convert settings to ``--set`` arguments: strings unchanged, everything else as RON."""
+    if values is not None and not isinstance(values, Mappings):
+        raise InputError(f'set is {values!r}; give a dict, such as {{"training.steps": 2000}}')
+    return [f"{path}={value if isinstance(value, str) else to_ron(value)}" for path, value in (values or {}).items()]
+
+
 def fitting(words: str, value: Any) -> Any:
     """Convert between lists and tuples as required by the field."""
     if isinstance(value, np.ndarray):
@@ -303,157 +422,10 @@ def fitting(words: str, value: Any) -> Any:
         return list(value)
     if isinstance(value, list) and words.startswith(("(", "two numbers")):
         return tuple(value)
-    if isinstance(value, str) and words in CHOICE_NAMES:
-        return Value._make(value, {}) if value in CHOICE_NAMES[words] else value
+    if isinstance(value, dict) and without_none(words) in GROUPS:
+        return GROUPS[without_none(words)](**value)
+    if isinstance(value, str) and value in UNITS and value in VARIANTS.get(words, ()):
+        return VARIANTS[words][value]._make(value, {})
+    if isinstance(value, str) and value != "None" and value in words.split(" or ")[1:]:  # "whole number or Auto"
+        return plain(value)
     return value
-
-
-def blamed(name: str, kinds: List[str], named: Dict[str, Any], fields: Dict[str, Tuple[str, str]], fault: str) -> str:
-    """Message with the invalid field, if a single field is invalid."""
-    if name in fault and "`" in fault:
-        return fault
-    for field, value in named.items():
-        text = f"{name}({field}: {to_ron(value)})"
-        tried = []
-        for kind in kinds:
-            try:
-                _pwrfgs.complete(kind, text)
-                break
-            except InputError as error:
-                tried.append(str(error))
-        else:
-            if fault in tried:
-                wanted = f"; it takes a {fields[field][0]}" if field in fields else ""
-                return f"{name}: `{python_name(field)}` is {value!r}: {fault}{wanted}"
-    return fault if name in fault else f"{name}: {fault}"
-
-
-def make_class(name: str, entries: List[Dict[str, Any]]) -> type:
-    """Create the class of a plugin from the registry."""
-    kinds = [entry["kind"] for entry in entries]
-    fields: Dict[str, Tuple[str, str]] = {}
-    for entry in entries:
-        for field, words, doc, _ in entry["fields"]:
-            fields.setdefault(field, (words, doc))
-
-    def __init__(self: Value, *items: Any, **given: Any) -> None:
-        if items:
-            first = next(iter(fields), None)
-            form = f"{python_name(first)}={items[0]!r}" if first else ""
-            raise TypeError(f"{name} takes its settings by name, such as {name}({form})" if first else f"{name} has no settings")
-        named = {ron_name(field): value for field, value in given.items()}
-        for field in given:
-            if entries[0]["doc"] is not None and ron_name(field) not in fields:
-                raise InputError(unknown(name, field, fields))
-        named = {field: fitting(fields[field][0], value) if field in fields else value for field, value in named.items()}
-        text = f"{name}({', '.join(f'{field}: {to_ron(value)}' for field, value in named.items())})"
-        whole: List[Dict[str, Any]] = []
-        fault: Optional[InputError] = None
-        for kind in kinds:
-            try:
-                made = from_ron(_pwrfgs.complete(kind, text))
-                whole.append(dict(made._fields) if isinstance(made, Value) else {})
-            except InputError as error:
-                fault = fault or error
-        if not whole:
-            raise InputError(blamed(name, kinds, named, fields, str(fault)))
-        object.__setattr__(self, "_name", name)
-        # A name that means two things, and could be either still, says no more than it was given.
-        object.__setattr__(self, "_fields", whole[0] if len(whole) == 1 else named)
-        object.__setattr__(self, "_items", ())
-        object.__setattr__(self, "_owner", None)
-
-    defaults: Dict[str, Any] = {}
-    for entry in entries:
-        if entry["text"]:
-            whole = from_ron(entry["text"])
-            defaults.update(whole._fields if isinstance(whole, Value) else {})
-    parameters = [
-        inspect.Parameter(
-            python_name(field), inspect.Parameter.KEYWORD_ONLY, default=defaults.get(field, inspect.Parameter.empty)
-        )
-        for field in fields
-    ]
-    about = "\n\n".join("\n".join(prose(f"{entry['kind']}. {entry['doc'] or ''}", WIDTH)) for entry in entries)
-    listing = "\n".join(f"{python_name(field)} : {words}\n    {doc}" for field, (words, doc) in fields.items())
-    body = {
-        "__init__": __init__,
-        "__slots__": (),
-        "__doc__": about + (f"\n\nParameters\n----------\n{listing}" if listing else ""),
-        "__signature__": inspect.Signature(parameters),
-        "__module__": "pwrfgs",
-    }
-    return type(name, (Value,), body)
-
-
-class Choice(type):
-    """Enum of settings, with variants as attributes."""
-
-    def __iter__(cls) -> Iterator[str]:
-        return iter(getattr(cls, "_variants"))
-
-    if not TYPE_CHECKING:  # a checker would take every name for one that is there
-
-        def __getattr__(cls, name: str) -> Any:
-            if name.startswith("_"):
-                raise AttributeError(name)
-            raise AttributeError(unknown(cls.__name__, name, cls).replace("has no field", "has no variant"))
-
-
-def make_choice(entry: Dict[str, Any]) -> type:
-    """Create the namespace of enum variants, such as ``Rays.Same(400)`` and ``Readout.Real``."""
-    body: Dict[str, Any] = {"__doc__": entry["doc"], "__module__": "pwrfgs.settings", "_variants": []}
-    for variant, doc, named, fields in entry["variants"]:
-        body["_variants"].append(variant)
-        if not fields:
-            UNITS.add(variant)
-            body[variant] = Value._make(variant, {})
-            continue
-
-        def build(
-            *items: Any, _variant: str = variant, _named: bool = named, _fields: Any = fields, **given: Any
-        ) -> Value:
-            names = [field[0] for field in _fields]
-            if not _named:
-                if given or len(items) != len(names):
-                    raise InputError(f"{_variant} takes {len(names)} positional values, such as {_variant}(..)")
-                return Value._make(_variant, {}, items)
-            if items:
-                raise InputError(f"{_variant} needs named fields: {', '.join(names)}")
-            missing = [field[0] for field in _fields if not field[3] and field[0] not in map(ron_name, given)]
-            if missing:
-                raise InputError(f"{_variant} lacks {', '.join(map(python_name, missing))}")
-            for field in given:
-                if ron_name(field) not in names:
-                    raise InputError(unknown(_variant, field, names))
-            return Value._make(_variant, {ron_name(field): value for field, value in given.items()})
-
-        names = [python_name(field[0] if named else field[0].strip("_0") or "value") for field in fields]
-        listing = "\n".join(f"{name} : {field[1]}\n    {field[2]}" for name, field in zip(names, fields))
-        build.__name__ = build.__qualname__ = variant
-        build.__doc__ = f"{doc}\n\nParameters\n----------\n{listing}"
-        kind = inspect.Parameter.KEYWORD_ONLY if named else inspect.Parameter.POSITIONAL_ONLY
-        parameters = [inspect.Parameter(name, kind) for name in names]
-        build.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        body[variant] = staticmethod(build)
-    return Choice(entry["name"], (), body)
-
-
-def fill() -> None:
-    """Create a class for every plugin."""
-    by_name: Dict[str, List[Dict[str, Any]]] = {}
-    for entry in _pwrfgs.registry():
-        if entry["name"] != "Python":
-            by_name.setdefault(entry["name"], []).append(entry)
-    for name, entries in by_name.items():
-        KINDS[name] = [entry["kind"] for entry in entries]
-        CLASSES[name] = make_class(name, entries)
-
-
-TYPES = [entry for entry in _pwrfgs.types() if "variants" in entry]
-# Variants of a type that have no fields: a text may name them.
-CHOICE_NAMES: Dict[str, Set[str]] = {
-    entry["name"]: {variant for variant, _, _, fields in entry["variants"] if not fields} for entry in TYPES
-}
-fill()
-CHOICES: Dict[str, type] = {entry["name"]: make_choice(entry) for entry in TYPES}

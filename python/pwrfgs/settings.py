@@ -1,11 +1,12 @@
-"""Enums of settings, by type name: ``Schedule.Cosine(first=1e-3)``, ``Rays.Same(400)``, ``Readout.Real``.
+"""Groups of settings and enums, by type name: ``Training(steps=2000)``, ``Schedule.Cosine(first=1e-3, last=1e-6)``,
+``Rays.Same(400)``, ``Readout.Real``.
 
-Plain settings are dicts: ``pipeline.training = dict(steps=2000, batch=8)``.
+A dict also sets a group: ``pipeline.training = dict(steps=2000, batch=8)``.
 """
 
 from typing import List
 
-from . import _values
+from . import _classes
 
-globals().update(_values.CHOICES)
-__all__: List[str] = sorted(_values.CHOICES)
+globals().update(_classes.SETTINGS)
+__all__: List[str] = sorted(_classes.SETTINGS)

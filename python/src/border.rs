@@ -172,8 +172,8 @@ impl<E> AssertSend<'_, E> {
 fn python_result<T>(py: Python<'_>, done: Result<Result<T>, Box<dyn Any + Send>>) -> PyResult<T> {
     match done {
         Ok(done) => done.map_err(|error| to_exception(py, error)),
-        Err(panic) => Err(match panic.downcast::<PyErr>() {
-            Ok(error) => *error,
+        Err(panic) => Err(match panic.downcast::<Error>() {
+            Ok(error) => to_exception(py, *error),
             Err(panic) => {
                 let text = panic.downcast_ref::<String>().map(String::as_str);
                 let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no reason given");
@@ -196,7 +196,12 @@ pub(crate) fn to_exception(py: Python<'_>, error: Error) -> PyErr {
     match error {
         Error::Plugin(inner) => match inner.downcast::<PyErr>() {
             Ok(error) => *error, // an exception of a strategy, with its traceback
-            Err(_) => new_exception(py, "InputError", &message),
+            Err(inner) => {
+                let made = new_exception(py, "InputError", &message);
+                let cause = inner.source().and_then(|cause| cause.downcast_ref::<PyErr>());
+                made.set_cause(py, cause.map(|cause| cause.clone_ref(py)));
+                made
+            }
         },
         Error::Stopped => PyKeyboardInterrupt::new_err(message),
         Error::Input { path, at, .. } => {
@@ -213,10 +218,11 @@ pub(crate) fn to_exception(py: Python<'_>, error: Error) -> PyErr {
 }
 
 /// Parts of messages for the command line that have a text of their own in Python.
-const PYTHON_TEXTS: [(&str, &str); 4] = [
+const PYTHON_TEXTS: [(&str, &str); 5] = [
     ("--set ", ""),
     ("another --out", "another `out`"),
     ("--scale ", "scale="),
+    ("--candidates FILE or --floor SCENE", "`candidates` or `floor`"),
     ("`--accept far-from-model`", "`accept_far=True`"),
 ];
 
@@ -255,9 +261,10 @@ pub(crate) fn reject<T>(py: Python<'_>, message: &str) -> PyResult<T> {
     Err(input_error(py, message))
 }
 
-/// Throws an exception through code without exceptions: it unwinds to [`without_gil`] or [`run_with_events`].
+/// Throws an exception through code without exceptions: it unwinds to [`without_gil`] or [`run_with_events`], or ends a run
+/// of a sweep.
 pub(crate) fn throw(error: PyErr) -> ! {
-    std::panic::resume_unwind(Box::new(error))
+    std::panic::resume_unwind(Box::new(to_plugin_error(error)))
 }
 
 /// Wraps an exception as an error of the toolkit, from which [`to_exception`] recovers it.

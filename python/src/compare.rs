@@ -3,6 +3,7 @@
 use crate::arrays::vector;
 use crate::border::{log_message, run_stoppable};
 use crate::data::Dataset;
+use crate::sweep::exception_of;
 use crate::tasks::{TaskObserver, read_settings};
 use pwrfgs::experiment::sweep::{SweepObserver, SweepPlan, check, estimate_run_seconds, execute};
 use pwrfgs::experiment::{NoopObserver, Observer, RunOutcome, Session};
@@ -29,13 +30,13 @@ impl SweepObserver for LoggedRuns<'_> {
     }
 }
 
-/// Runs of a comparison, with the reason of each failure, and its tables.
+/// Runs of a comparison, with their ends, and its tables.
 struct ComparedData {
     folder: PathBuf,
     partition: Partition,
     /// IDs of the test links, as in the files of other programs.
     test_ids: Vec<u32>,
-    runs: Vec<(PathBuf, Option<String>)>,
+    runs: Vec<(PathBuf, Result<RunOutcome>)>,
     text: String,
 }
 
@@ -66,7 +67,7 @@ fn perform(
     } else {
         String::new()
     };
-    let runs = ends.into_iter().map(|(run, end)| (plan.run_folder(run), end.err().map(|error| error.to_string())));
+    let runs = ends.into_iter().map(|(run, end)| (plan.run_folder(run), end));
     Ok(ComparedData { runs: runs.collect(), folder: plan.folder, partition, test_ids, text })
 }
 
@@ -91,7 +92,7 @@ pub(crate) fn compare<'py>(
         let survey = match (held, source) {
             (Some(data), Some(source)) => {
                 let source = Plugin::<dyn DataSource>::parse(&source).map_err(Error::Config)?;
-                DataSurvey::of_data(source, (*data).clone(), Vec::new(), observer)?
+                DataSurvey::of_data(source, (*data).clone(), None, observer)?
             }
             _ => DataSurvey::read(&path.canonicalize().unwrap_or_else(|_| path.clone()), observer)?,
         };
@@ -102,7 +103,8 @@ pub(crate) fn compare<'py>(
     let (dict, indices) = (PyDict::new(py), |set: &[usize]| set.iter().map(|&i| i as i64).collect::<Vec<_>>());
     let Partition { train, validation, test } = &compared.partition;
     dict.set_item("folder", compared.folder)?;
-    dict.set_item("runs", compared.runs)?;
+    let runs = compared.runs.into_iter().map(|(folder, end)| (folder, exception_of(py, end)));
+    dict.set_item("runs", runs.collect::<Vec<_>>())?;
     dict.set_item("text", compared.text)?;
     dict.set_item("test_ids", vector(py, compared.test_ids)?)?;
     for (name, set) in [("train", train), ("validation", validation), ("test", test)] {

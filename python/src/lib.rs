@@ -22,6 +22,7 @@ mod run;
 mod scores;
 mod settings;
 mod strategies;
+mod sweep;
 mod tasks;
 mod view;
 
@@ -46,11 +47,13 @@ mod _pwrfgs {
     #[pymodule_export]
     use super::preview::check;
     #[pymodule_export]
-    use super::run::{export_scene, facts, program, report, run, score, simulate, sweep};
+    use super::run::{export_scene, facts, program, report, run, score, simulate};
     #[pymodule_export]
     use super::scores::{chamfer, measure, predict_baseline, repeatability};
     #[pymodule_export]
     use super::settings::{Pipeline, complete, parse_ron, pipeline_text, registry, types};
+    #[pymodule_export]
+    use super::sweep::{sweep, sweep_runs};
     #[pymodule_export]
     use super::tasks::{
         calibrate, compress, findings, locate, place, plan, radio_map, suggest_pipeline, task_settings, update,

@@ -1,11 +1,11 @@
-//! `run`, `simulate`, `sweep` and `report`, as on the command line; events of a run are passed to Python.
+//! `run`, `simulate` and `report`, as on the command line; events of a run are passed to Python.
 
 use crate::border::{reject, run_stoppable, run_with_events, stop_progress, to_exception, without_gil};
 use crate::model::Model;
 use crate::settings::Pipeline;
-use pwrfgs::experiment::sweep::{JOINED, SweepEnd, SweepPlan, check, execute};
+use pwrfgs::experiment::sweep::thread_pool;
 use pwrfgs::experiment::{Observer, RunOutcome, ScoreTable, Session, Start, Validation, score_model};
-use pwrfgs::prelude::{NoopObserver, StepReport};
+use pwrfgs::prelude::StepReport;
 use pwrfgs::raytrace::output::{self as folder, OutputLayout, mitsuba};
 use pwrfgs::raytrace::{ObservationKind, SceneFile, SimulationRecipe};
 use pwrfgs::report::{Study, write};
@@ -94,13 +94,27 @@ pub(crate) fn set_step_fields(dict: &Bound<'_, PyDict>, report: &StepReport) -> 
 }
 
 /// Runs a pipeline in `out`; `send_event` is called with every event. Returns whether the run was not finished before.
+/// With `threads`, the run has a thread pool of its own.
 #[pyfunction]
-pub(crate) fn run(py: Python<'_>, pipeline: &Pipeline, out: PathBuf, send_event: &Bound<'_, PyAny>) -> PyResult<bool> {
+#[pyo3(signature = (pipeline, out, send_event, threads=None))]
+pub(crate) fn run(
+    py: Python<'_>,
+    pipeline: &Pipeline,
+    out: PathBuf,
+    send_event: &Bound<'_, PyAny>,
+    threads: Option<usize>,
+) -> PyResult<bool> {
     crate::strategies::forget_objects();
     let inner = pipeline.current();
     let base = pipeline.base().to_owned();
     let send_event = |event| send_event.call1((event_dict(py, event)?,)).map(|_| ());
-    let work = |events, stop: &_| pwrfgs::run(&inner, &base, &out, &mut EventSender(events), stop);
+    let work = |events, stop: &_| {
+        let run = || pwrfgs::run(&inner, &base, &out, &mut EventSender(events), stop);
+        match threads {
+            None => run(),
+            Some(threads) => thread_pool(threads)?.install(run),
+        }
+    };
     match run_with_events(py, work, send_event)? {
         RunOutcome::Finished { already, .. } => Ok(!already),
         RunOutcome::Interrupted { .. } | RunOutcome::Unscored => Err(to_exception(py, Error::Stopped)),
@@ -228,44 +242,6 @@ pub(crate) fn program(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
     py.detach(|| pwrfgs_cli::run(&arguments))
 }
 
-/// Folders of every run, followed by the joined model, each with the reason of a failure.
-type Ends = Vec<(PathBuf, Option<String>)>;
-
-/// Performs a sweep, see `pwrfgs.sweep`: returns the sweep folder, and every run folder with the reason of a failure.
-#[pyfunction]
-pub(crate) fn sweep(
-    py: Python<'_>,
-    experiment: PathBuf,
-    arguments: Vec<String>,
-    out: Option<PathBuf>,
-    jobs: usize,
-) -> PyResult<(PathBuf, Ends)> {
-    let plan = SweepPlan::read(&experiment, &arguments, out.as_deref()).map_err(|error| to_exception(py, error))?;
-    let runs: Vec<usize> = (0..plan.runs.len()).collect();
-    let work = |stop: &AtomicBool| {
-        check(&plan, &runs, &mut Stopping(stop))?;
-        let mut session = Session { observer: &mut NoopObserver, stop, page: pwrfgs::PAGE };
-        let SweepEnd { runs: ends, joined } = execute(&plan, &runs, jobs, &NoopObserver, &mut session)?;
-        let whole =
-            ends.len() == runs.len() && ends.iter().all(|(_, end)| matches!(end, Ok(RunOutcome::Finished { .. })));
-        if whole {
-            let _held = plan.claim()?;
-            let study = Study::read(std::slice::from_ref(&plan.folder))?;
-            write(&study, None, &plan.folder.join("report"), &mut Stopping(stop))?;
-        }
-        Ok((ends, joined))
-    };
-    let (ends, joined) = run_stoppable(py, work)?;
-    let failed = |end: Result<RunOutcome>| match end {
-        Err(error) => Some(error.to_string()),
-        Ok(RunOutcome::Finished { .. }) => None,
-        Ok(RunOutcome::Interrupted { .. } | RunOutcome::Unscored) => Some("stopped; repeat the call to resume".into()),
-    };
-    let runs = ends.into_iter().map(|(run, end)| (plan.run_folder(run), failed(end)));
-    let joined = joined.map(|end| (plan.folder.join(JOINED), failed(Ok(end))));
-    Ok((plan.folder.clone(), runs.chain(joined).collect()))
-}
-
 /// Compares runs, see `pwrfgs.report`: returns the tables as text.
 #[pyfunction]
 pub(crate) fn report(py: Python<'_>, runs: Vec<PathBuf>, out: PathBuf, reference: Option<String>) -> PyResult<String> {
@@ -276,7 +252,7 @@ pub(crate) fn report(py: Python<'_>, runs: Vec<PathBuf>, out: PathBuf, reference
 }
 
 /// Observer that ends work after Ctrl-C, see [`stop_progress`].
-struct Stopping<'a>(&'a AtomicBool);
+pub(crate) struct Stopping<'a>(pub(crate) &'a AtomicBool);
 
 impl Observer for Stopping<'_> {
     fn on_stage(&mut self, _: &str, done: usize, total: usize) {

@@ -166,11 +166,12 @@ pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     Ok(all)
 }
 
-/// Converts the documentation of fields to tuples (name, type, text, whether it is optional).
+/// Converts the documentation of fields to tuples (name, type, text, default as JSON text: `None` for a required field).
 pub(crate) fn field_list<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::DocField]) -> PyResult<Bound<'py, PyList>> {
     let list = PyList::empty(py);
     for field in fields {
-        list.append((field.name, field.kind.words(), field.text, field.optional))?;
+        let default = field.default.as_ref().map_or_else(|| "null".to_owned(), ToString::to_string);
+        list.append((field.name, field.kind.words(), field.text, field.optional.then_some(default)))?;
     }
     Ok(list)
 }

@@ -46,7 +46,7 @@ impl Observer for TaskObserver<'_> {
     }
 }
 
-/// Lists the fields of the settings of each task: (task, [(name, type, doc, optional)]).
+/// Lists the fields of the settings of each task by [`field_list`].
 #[pyfunction]
 pub(crate) fn task_settings<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
     let all = PyDict::new(py);
@@ -85,15 +85,15 @@ pub(crate) fn radio_map<'py>(py: Python<'py>, model: &Model, text: &str) -> PyRe
     Ok(dict)
 }
 
-/// Loads data and split of the pipeline next to the file of a model; an error for a model without one.
-fn load_split(model: &Model, observer: &mut TaskObserver<'_>) -> Result<SplitData> {
+/// Loads data and split of the pipeline next to the file of a model, changed by `set`; an error for a model without one.
+fn load_split(model: &Model, set: &[String], observer: &mut TaskObserver<'_>) -> Result<SplitData> {
     let file = model.path.as_ref().and_then(|path| model_file(path).ok());
     let beside = file.map(|file| file.with_file_name(PIPELINE)).filter(|path| path.is_file());
     let path = beside.ok_or_else(|| {
         let problem = "the model has no pipeline.ron next to its file; localisation needs its data: load the model of a run folder";
         pwrfgs_core::Error::Config(problem.into())
     })?;
-    load(&read_pipeline(&path, &[])?, Path::new(""), observer)
+    load(&read_pipeline(&path, set)?, Path::new(""), observer)
 }
 
 /// Reads observations of unknown transmitters: powers `[B, R]`, spectra `[B, H, W]`, or channels `[B, A, F]` as rows of real and
@@ -132,11 +132,12 @@ fn location_dict<'py>(py: Python<'py>, rows: &[LocatedRow]) -> PyResult<Bound<'p
 
 /// Locates transmitters: a dict with an array per column. Without observations, locates the test samples.
 #[pyfunction]
-#[pyo3(signature = (model, observations, text))]
+#[pyo3(signature = (model, observations, set, text))]
 pub(crate) fn locate<'py>(
     py: Python<'py>,
     model: &Model,
     observations: Option<&Bound<'py, PyAny>>,
+    set: Vec<String>,
     text: &str,
 ) -> PyResult<Bound<'py, PyDict>> {
     if let Some(value) = observations
@@ -147,7 +148,7 @@ pub(crate) fn locate<'py>(
     let values = observations.map(|value| read_observations(model, value)).transpose()?;
     let Localisation { rows, text, .. } = run_stoppable(py, |stop| {
         let observer = &mut TaskObserver(stop);
-        let split = load_split(model, observer)?;
+        let split = load_split(model, &set, observer)?;
         let receivers = &split.data.scene.receivers;
         let read = values
             .as_ref()

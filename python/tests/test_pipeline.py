@@ -29,11 +29,11 @@ def test_every_plugin_is_a_class_whose_text_is_its_value():
 def test_values():
     mask = pwrfgs.LearnableMask(lambda_=0.02)
     assert mask.lambda_ == 0.02 and mask.adam is True
-    assert repr(mask).startswith("LearnableMask(lambda: 0.02, ")
+    assert repr(mask) == "pwrfgs.LearnableMask(lambda_=0.02)" and str(mask).startswith("LearnableMask(lambda: 0.02, ")
     assert "lambda_" in dir(mask) and mask == pwrfgs.LearnableMask(lambda_=0.02) != mask.replace(lambda_=0.1)
     assert pwrfgs.Random(count=5).count == 5 and pwrfgs.Random(test=0.3).test == 0.3
-    assert repr(pwrfgs.settings.Rays.Same(400)) == "Same(400)" and repr(pwrfgs.settings.Readout.Real) == "Real"
-    assert repr(pwrfgs.settings.Schedule.Cosine(first=1e-3, last=1e-6)) == "Cosine(first: 0.001, last: 1e-06)"
+    assert str(pwrfgs.settings.Rays.Same(400)) == "Same(400)" and str(pwrfgs.settings.Readout.Real) == "Real"
+    assert repr(pwrfgs.settings.Schedule.Cosine(first=1e-3, last=1e-6)) == "pwrfgs.settings.Schedule.Cosine(first=0.001, last=1e-06)"
     for wrong, said in [(dict(lamda=1), "did you mean `lambda_`"), (dict(lambda_=-1.0), "lambda"), (dict(lambda_="a"), "LearnableMask")]:
         with pytest.raises(pwrfgs.InputError) as told:
             pwrfgs.LearnableMask(**wrong)
@@ -58,7 +58,7 @@ def test_fields_are_attributes(pipeline):
     pipeline.set({"training.batch": 2, "seed": 4})
     assert (pipeline.training.steps, pipeline.training.batch, pipeline.seed) == (80, 2, 4)
     assert pipeline.get("pruners.LearnableMask.lambda") == 0.5 and pipeline.pruners[0].epsilon == 0.1
-    assert repr(pipeline.training.optimizer.network) == "Constant(0.001)"
+    assert repr(pipeline.training.optimizer.network) == "pwrfgs.settings.Schedule.Constant(0.001)"
     assert pwrfgs.Pipeline(str(pipeline)) == pipeline
     assert repr(pipeline) == "<Pipeline small: Teacher, Random, 80 steps>"
     other = pipeline.copy()

@@ -15,6 +15,7 @@ import pytest
 from conftest import SMALL, files
 
 import pwrfgs
+from pwrfgs._values import from_ron
 
 
 @dataclass
@@ -115,9 +116,17 @@ def test_all_kinds_take_part(tmp_path):
     assert run.facts["samples"] == [60, 0, 60] and run.curve["gaussians"][0] == 40 and run.model.n < 40
     assert scores["nearest of mine"]["ssim"] == scores["1-NN"]["ssim"]
     assert 0 < scores["model"]["squares"]["mean"] < 1
-    recorded = [p for p in run.pipeline.pruners if p._name == "Python"][0]
+    recorded = from_ron(str(run.pipeline))._named["pruners"][1]
     assert recorded.module == __name__ and getattr(recorded, "class_") == "Thin" and json.loads(recorded.settings) == {"share": 0.25}
     assert len(recorded.source) == 64
+    again = run.pipeline
+    assert again.pruners[1:] == [Thin(0.25), Mask(rate=0.05)] and again.initializer == Box(40)
+    assert [type(value) for value in (again.split, again.baselines[2], again.metrics[-1])] == [Odd, Nearest, Squares]
+    assert "squares ↓" in str(run) and "squares_mean" in run.table().columns
+    printed = pwrfgs.report(run, tmp_path / "report")
+    assert printed.count("squares ↓") == 2, printed  # scores and differences
+    for name in ("report.html", "tables/1-scores.tex", "tables/1-differences.tex", "report.csv"):
+        assert "squares" in (tmp_path / "report" / name).read_text(), name
 
 
 def test_a_mask_by_hand_is_the_papers(tmp_path):

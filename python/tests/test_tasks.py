@@ -112,7 +112,10 @@ def test_map_takes_the_settings_of_the_command(model):
 
 
 def test_settings_are_in_signatures_and_docstrings():
-    assert list(inspect.signature(pwrfgs.Model.map).parameters) == ["self", "plane", "step", "bounds", "receiver", "of"]
+    parameters = inspect.signature(pwrfgs.Model.map).parameters
+    assert list(parameters) == ["self", "plane", "step", "bounds", "receiver", "of"]
+    assert parameters["step"].default == 0.1 and parameters["plane"].default is inspect.Parameter.empty
+    assert "step : number, default 0.1\n    Grid spacing" in pwrfgs.Model.map.__doc__
     for function, setting in [(pwrfgs.Model.map, "step"), (pwrfgs.Model.locate, "prior"), (pwrfgs.plan, "region"), (pwrfgs.place, "mount")]:
         assert f"\n{setting} : " in function.__doc__
 
@@ -136,7 +139,7 @@ def test_intervals_equal_those_of_the_program(calibrated, model, dataset, comman
     with pytest.raises(pwrfgs.InputError, match="lower the level"):
         calibrated.model.predict(tx, interval=0.999)
     uncalibrated = pwrfgs.Trainer(pwrfgs.Pipeline(SMALL), dataset).model()
-    with pytest.raises(pwrfgs.InputError, match="^interval: the model has no calibration"):
+    with pytest.raises(pwrfgs.InputError, match="^interval: the model has no calibration; use the model of a single run"):
         uncalibrated.predict(tx, interval=0.9)
 
 
@@ -159,6 +162,15 @@ def test_locate_equals_the_program(calibrated, command):
         assert result.truth[:, k].tolist() == [float(row[f"true_{axis}"]) for row in rows]
     assert [f"{area:.6f}" for area in result.region_m2] == [row["region_m2"] for row in rows]
     check_result(result, ["observation", "x", "y", "z", "misfit", "region_m2", "true_x", "error_m"], len(rows))
+
+
+def test_locate_changes_settings_of_the_pipeline(calibrated, command):
+    change = pwrfgs.Random(test=0.1, validation=0.2)
+    names = calibrated.model.locate(set={"split": change}).names
+    rows = table(command("locate", calibrated.folder, "--set", f"split={change}", "--pictures", "0") / "locations.csv")
+    assert names == [row["observation"] for row in rows] and len(names) == 12
+    with pytest.raises(pwrfgs.InputError, match="^splt=1: .*did you mean `split`"):
+        calibrated.model.locate(set={"splt": 1})
 
 
 def test_locate_observations(calibrated, dataset, monkeypatch, tmp_path):
@@ -257,7 +269,7 @@ def test_plan_takes_candidates_and_scenes(model, powers):
     assert np.array_equal(result.positions, candidates[result.order]) and (np.diff(result.variances) <= 0).all()
     assert len(pwrfgs.plan(model, candidates=model.training_positions[:20] + 0.1, count=2).order) == 2
     for call, problem in [
-        (lambda: pwrfgs.plan(model, count=3), "set candidates FILE or floor SCENE"),
+        (lambda: pwrfgs.plan(model, count=3), "set `candidates` or `floor`, or give data"),
         (lambda: pwrfgs.plan(powers, count=81), "lower count"),
         (lambda: pwrfgs.plan(powers, cuont=3), "plan has no field `cuont`; did you mean `count`?"),
         (lambda: pwrfgs.plan(3, count=3), "source: expected a Dataset or a Model"),

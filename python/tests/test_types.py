@@ -26,6 +26,7 @@ needs_pyright = pytest.mark.skipif(importlib.util.find_spec("basedpyright") is N
 SAMPLE = """
 from __future__ import annotations
 
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, List
@@ -87,6 +88,9 @@ pipeline.training.stps = 20  # error
 pipeline.training.steps = "20"  # error
 pipeline.training.optimizer.network = Schedule.Cosine(first=1e-3, last=1e-5)
 pipeline.training = dict(steps=20)
+pipeline.training = settings.Training(steps=20, optimizer=settings.Optimizer(network=Schedule.Constant(1e-3)))
+settings.Training(stps=20)  # error
+settings.Near()  # error
 decay: float = pipeline.training.optimizer.network_decay
 pipeline.trainig  # error
 pipeline.pruners = [mask, Thin()]
@@ -130,6 +134,8 @@ own = pwrfgs.Model.from_arrays(*model.gaussians(), pwrfgs.Pose(), 15, 60, readou
 own = pwrfgs.Model.from_arrays(*model.gaussians())  # error
 run = pwrfgs.evaluate(own, pipeline)
 runs: List[pwrfgs.Run] = pwrfgs.sweep(pipeline, axes={"training.steps": [1, 2]}, seeds=range(2))
+pwrfgs.sweep("paper-office", executor=ProcessPoolExecutor(2))
+model.locate(set={"data.root": "data"}, prior=(0.0, 1.0, 0.0, 1.0))
 picture, vjp = pwrfgs.rasterize_with_vjp(*model.gaussians(), pwrfgs.Pose())
 d_means = vjp(np.ones_like(picture))[0]
 """

@@ -77,6 +77,8 @@ pub struct DocField {
     pub text: &'static str,
     /// Whether the field may be omitted.
     pub optional: bool,
+    /// Value of an omitted field as JSON; `None` if it is required, or has no fixed default.
+    pub default: Option<Value>,
     /// Type of the field.
     pub kind: DocKind,
 }
@@ -213,7 +215,8 @@ impl Reader<'_> {
 
     /// Returns the documentation of one field.
     fn field(&self, name: &str, schema: &Value, optional: bool) -> DocField {
-        DocField { name: leak(name), text: description(schema), optional, kind: self.kind(schema) }
+        let default = schema.get("default").cloned();
+        DocField { name: leak(name), text: description(schema), optional, default, kind: self.kind(schema) }
     }
 
     /// Returns the type of a schema.

@@ -112,7 +112,14 @@ pub fn execute(
 /// # Errors
 /// Threads cannot be started.
 pub fn run_pool(jobs: usize) -> Result<ThreadPool> {
-    let threads = (rayon::current_num_threads() / jobs).max(1);
+    thread_pool((rayon::current_num_threads() / jobs).max(1))
+}
+
+/// Creates a pool of `threads`.
+///
+/// # Errors
+/// Threads cannot be started.
+pub fn thread_pool(threads: usize) -> Result<ThreadPool> {
     let pool = ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}")))
 }
@@ -124,16 +131,22 @@ fn perform_run(plan: &SweepPlan, index: usize, session: &mut Session<'_>) -> Res
     // A panic is a bug in one run, for example of a plugin; the other runs are unaffected.
     let work = || run(pipeline, Path::new(""), &folder, session);
     let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
-        let message =
-            panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
-        Err(Error::Config(format!("the program panicked: {}", message.unwrap_or("no message"))))
+        // A plugin unwinds with an error from methods that cannot return one.
+        Err(panic.downcast::<Error>().map_or_else(
+            |panic| {
+                let text = panic.downcast_ref::<String>().map(String::as_str);
+                let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
+                Error::Config(format!("the program panicked: {text}"))
+            },
+            |error| *error,
+        ))
     });
     // Another process may have claimed it meanwhile.
     if let Err(error) = &outcome
         && !matches!(error, Error::Busy(_))
     {
         // The failure is returned in any case.
-        _ = plan.store_failure(index, error);
+        _ = plan.store_failure(index, &error.to_string());
     }
     outcome
 }

@@ -126,7 +126,7 @@ fn initialize_each<R>(
     for &run in runs {
         let pipeline = &plan.runs[run].pipeline;
         let key = data_key(pipeline);
-        let named = |e: Error| if e.is_input() { plan.start_error(run, &e) } else { e };
+        let named = |e: Error| if e.is_input() { plan.start_error(run, e) } else { e };
         if loaded.as_ref().is_none_or(|(k, _)| *k != key) {
             drop(loaded.take()); // before the next is loaded
             loaded = Some((key, load(pipeline, Path::new(""), observer).map_err(named)?));
@@ -210,15 +210,18 @@ impl SweepPlan {
     }
 
     /// Stores the reason why a run failed, for [`Self::state`].
-    pub(super) fn store_failure(&self, run: usize, error: &Error) -> Result<()> {
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn store_failure(&self, run: usize, reason: &str) -> Result<()> {
         let path = self.failure_path(run);
         let folder = self.folder.join(FAILURES);
         std::fs::create_dir_all(&folder).map_err(|e| Error::write(&folder, e))?;
-        write_atomically(&path, format!("{error}\n").as_bytes())
+        write_atomically(&path, format!("{reason}\n").as_bytes())
     }
 
     /// Removes the stored failure of a run, if there is one.
-    pub(super) fn remove_failure(&self, run: usize) {
+    pub fn remove_failure(&self, run: usize) {
         _ = std::fs::remove_file(self.failure_path(run));
         _ = std::fs::remove_dir(self.folder.join(FAILURES)); // succeeds after the last one
     }

@@ -115,12 +115,20 @@ impl SweepPlan {
         })
     }
 
-    /// Creates the error of a run that cannot start, at the responsible variant.
-    pub(super) fn start_error(&self, run: usize, error: &Error) -> Error {
+    /// Creates the error of a run that cannot start, at the responsible variant; that of a plugin remains its source.
+    pub(super) fn start_error(&self, run: usize, error: Error) -> Error {
         let PlannedRun { folder, start, .. } = &self.runs[run];
         let message = format!("{folder}: {error}");
-        let Some(VariantStart { title, at }) = start else { return Error::input(&self.source, message) };
-        Error::Input { path: self.source.clone(), at: *at, message: format!("{title}: {message}") }
+        let named = match start {
+            Some(VariantStart { title, at }) => {
+                Error::Input { path: self.source.clone(), at: *at, message: format!("{title}: {message}") }
+            }
+            None => Error::input(&self.source, message),
+        };
+        match error {
+            Error::Plugin(source) => Error::Plugin(Box::new(StartFailure { message: named.to_string(), source })),
+            _ => named,
+        }
     }
 
     /// Returns the folder of a run.
@@ -154,6 +162,14 @@ impl SweepPlan {
             Error::Config(format!("unknown run `{name}` of {}{hint}", self.name))
         })
     }
+}
+
+/// Error of a plugin in a run that cannot start.
+#[derive(Debug, thiserror::Error)]
+#[error("{message}")]
+struct StartFailure {
+    message: String,
+    source: Box<dyn std::error::Error + Send + Sync>,
 }
 
 /// Combination of variants of some axes.

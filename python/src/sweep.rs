@@ -1,0 +1,88 @@
+//! `sweep`: many runs, in this process or by an executor.
+
+use crate::border::{run_stoppable, to_exception};
+use crate::run::Stopping;
+use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepEnd, SweepPlan, check, execute};
+use pwrfgs::experiment::{RunOutcome, Session};
+use pwrfgs::prelude::NoopObserver;
+use pwrfgs::report::{Study, write};
+use pwrfgs_core::{Error, Result};
+use pyo3::prelude::*;
+use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
+
+/// Folder of a run, and its exception if it failed.
+type End<'py> = (PathBuf, Option<Bound<'py, PyAny>>);
+
+/// Performs a sweep, see `pwrfgs.sweep`: returns the folder of every run, and of the joined model, with the exception of a
+/// failure. With `failures`, an executor has performed the runs of [`sweep_runs`]: places and reasons of those that failed.
+#[pyfunction]
+#[pyo3(signature = (experiment, arguments, out, jobs, failures=None))]
+pub(crate) fn sweep<'py>(
+    py: Python<'py>,
+    experiment: PathBuf,
+    arguments: Vec<String>,
+    out: Option<PathBuf>,
+    jobs: usize,
+    failures: Option<Vec<(usize, String)>>,
+) -> PyResult<Vec<End<'py>>> {
+    let plan = SweepPlan::read(&experiment, &arguments, out.as_deref()).map_err(|error| to_exception(py, error))?;
+    let work = |stop: &AtomicBool| {
+        let runs: Vec<usize> = if failures.is_some() { Vec::new() } else { (0..plan.runs.len()).collect() };
+        if failures.is_none() {
+            check(&plan, &runs, &mut Stopping(stop))?;
+        }
+        for (run, reason) in failures.into_iter().flatten() {
+            plan.store_failure(run, &reason)?;
+        }
+        let mut session = Session { observer: &mut NoopObserver, stop, page: pwrfgs::PAGE };
+        let end = execute(&plan, &runs, jobs, &NoopObserver, &mut session)?;
+        if plan.states().iter().all(|state| matches!(state, RunStage::Finished(_))) {
+            let _held = plan.claim()?;
+            let study = Study::read(std::slice::from_ref(&plan.folder))?;
+            write(&study, None, &plan.folder.join("report"), &mut Stopping(stop))?;
+        }
+        Ok(end)
+    };
+    let SweepEnd { runs, joined } = run_stoppable(py, work)?;
+    let mut ends: Vec<End<'py>> = (0..plan.runs.len()).map(|run| (plan.run_folder(run), None)).collect();
+    for (run, end) in runs {
+        ends[run].1 = exception_of(py, end);
+    }
+    ends.extend(joined.map(|end| (plan.folder.join(JOINED), exception_of(py, Ok(end)))));
+    Ok(ends)
+}
+
+/// Returns the exception of a run that has not finished.
+pub(crate) fn exception_of(py: Python<'_>, end: Result<RunOutcome>) -> Option<Bound<'_, PyAny>> {
+    let error = match end {
+        Ok(RunOutcome::Finished { .. }) => return None,
+        Ok(RunOutcome::Interrupted { .. } | RunOutcome::Unscored) => {
+            Error::Config("stopped; repeat the call to resume".into())
+        }
+        Err(error) => error,
+    };
+    Some(to_exception(py, error).into_value(py).into_bound(py).into_any())
+}
+
+/// Checks a sweep and creates its folder. Returns the unfinished runs for an executor: place, folder and pipeline as RON with
+/// absolute paths. The second number is that of the threads of each run, `slurm.cpus` of the experiment.
+#[pyfunction]
+pub(crate) fn sweep_runs(
+    py: Python<'_>,
+    experiment: PathBuf,
+    arguments: Vec<String>,
+    out: Option<PathBuf>,
+) -> PyResult<(Vec<(usize, PathBuf, String)>, usize)> {
+    run_stoppable(py, |stop| {
+        let plan = SweepPlan::read(&experiment, &arguments, out.as_deref())?;
+        let all: Vec<usize> = (0..plan.runs.len()).collect();
+        let open = check(&plan, &all, &mut Stopping(stop))?;
+        drop(plan.claim()?);
+        let task = |run: usize| {
+            plan.remove_failure(run);
+            Ok((run, plan.run_folder(run), plan.runs[run].pipeline.to_ron()?))
+        };
+        Ok((open.into_iter().map(task).collect::<Result<_>>()?, plan.slurm.cpus))
+    })
+}
