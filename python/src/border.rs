@@ -218,7 +218,11 @@ pub(crate) fn to_exception(py: Python<'_>, error: Error) -> PyErr {
 }
 
 /// Parts of messages for the command line that have a text of their own in Python.
-const PYTHON_TEXTS: [(&str, &str); 5] = [
+const PYTHON_TEXTS: [(&str, &str); 6] = [
+    (
+        "give it to `import --orientation`, or as `orientation` in gateway_info.yml",
+        "give it as `orientation` of the receiver",
+    ),
     ("--set ", ""),
     ("another --out", "another `out`"),
     ("--scale ", "scale="),
@@ -228,7 +232,7 @@ const PYTHON_TEXTS: [(&str, &str); 5] = [
 
 /// Returns a message with command-line flags replaced by the names of Python arguments: `no_grid` for `--no-grid`. Commands
 /// between backticks are unchanged.
-fn replace_flags(message: &str) -> String {
+pub(crate) fn replace_flags(message: &str) -> String {
     let message = PYTHON_TEXTS.iter().fold(message.to_owned(), |message, (flag, text)| message.replace(flag, text));
     let is_command = |k: usize, part: &str| k % 2 == 1 && !part.starts_with("--");
     let parts = message.split('`').enumerate();

@@ -1,7 +1,9 @@
 //! What one does with data or a finished model; `pwrfgs/_tasks.py` makes methods and functions of these.
 
 use crate::arrays::{array, array_shape, complex_pairs, numbers, positions, vector};
-use crate::border::{input_error, log_message, reject, run_stoppable, stop_progress, without_gil, without_position};
+use crate::border::{
+    input_error, log_message, reject, replace_flags, run_stoppable, stop_progress, without_gil, without_position,
+};
 use crate::data::Dataset;
 use crate::model::Model;
 use crate::settings::{Pipeline, field_list};
@@ -207,7 +209,7 @@ pub(crate) fn compress(py: Python<'_>, model: &Model, bits: u8) -> PyResult<(Mod
 #[pyfunction]
 pub(crate) fn findings(py: Python<'_>, data: &Dataset) -> PyResult<Vec<(String, String, String)>> {
     let all = without_gil(py, || collect_findings(&data.data, None))?;
-    Ok(all.into_iter().map(|finding| (finding.name, finding.problem, finding.mend)).collect())
+    Ok(all.into_iter().map(|finding| (finding.name, finding.problem, replace_flags(&finding.mend))).collect())
 }
 
 /// Returns the text of the pipeline that `pwrfgs init` suggests for data; `root` is the folder of their `source`, if there is one.

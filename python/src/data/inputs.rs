@@ -1,7 +1,7 @@
 //! Validation of user arrays for a data set: receivers, spectra, powers, channels.
 
 use crate::arrays::{self, Gain, array_shape, axis_count, input_array, numbers, positions};
-use crate::border::{input_error, reject, without_gil};
+use crate::border::{input_error, reject, replace_flags, without_gil};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods as _};
 use pwrfgs::data::{UnlinkedNode, power_fault, unlinked_node};
 use pwrfgs::experiment::collect_findings;
@@ -83,7 +83,7 @@ pub(super) fn warn_findings(py: Python<'_>, data: &Dataset) -> PyResult<()> {
     let warnings = py.import("warnings")?;
     let warn = |text| warnings.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 2)).map(drop);
     let found = without_gil(py, || collect_findings(data, None))?;
-    found.iter().map(ToString::to_string).try_for_each(warn)
+    found.iter().map(|finding| replace_flags(&finding.to_string())).try_for_each(warn)
 }
 
 /// Reads `count` spectra of one size; bytes stay bytes.
