@@ -123,18 +123,29 @@ def make_plugin(name: str, entries: List[Dict[str, Any]]) -> List[Field]:
     return fields
 
 
-def make_group(name: str, fields: Sequence[Field]) -> None:
-    """Create the class of a group of settings, such as ``Training``."""
+def by_name(name: str, fields: Sequence[Field]) -> Callable[..., None]:
+    """``__init__`` of a group of settings, or of a variant with named fields; omitted fields have their default."""
 
     def __init__(self: Value, *items: Any, **given: Any) -> None:
         refuse_items(name, items, fields)
         told = {**self._defaults, **named(name, given, self._types)}
-        missing = [python_name(field) for field in self._types if field not in told]
+        missing = [python_name(field) for field, _, _, default in fields if default is None and field not in told]
         if missing:
             raise InputError(f"{name} lacks {', '.join(missing)}")
-        self._fill(name, {field: told[field] for field in self._types})
+        self._fill(name, {field: told[field] for field in self._types if field in told})
 
-    GROUPS[name] = new_class(name, "pwrfgs.settings", fields, __init__, name)
+    return __init__
+
+
+def in_order(name: str, count: int) -> Callable[..., None]:
+    """``__init__`` of a variant without names of its fields."""
+
+    def __init__(self: Value, *items: Any, **given: Any) -> None:
+        if given or len(items) != count:
+            raise InputError(f"{name} takes {count} positional values, such as {name}(..)")
+        self._fill(name, {}, items)
+
+    return __init__
 
 
 class Choice(type):
@@ -149,28 +160,6 @@ class Choice(type):
             if name.startswith("_"):
                 raise AttributeError(name)
             raise AttributeError(unknown(cls.__name__, name, cls).replace("has no field", "has no variant"))
-
-
-def make_variant(enum: str, variant: str, is_named: bool, fields: Sequence[Field]) -> None:
-    """Create the class of a variant of an enum, such as ``Rays.Same`` and ``Readout.Real``."""
-    names = [python_name(field) for field, _, _, _ in fields]
-
-    def __init__(self: Value, *items: Any, **given: Any) -> None:
-        if not is_named:
-            if given or len(items) != len(names):
-                raise InputError(f"{variant} takes {len(names)} positional values, such as {variant}(..)")
-            return self._fill(variant, {}, items)
-        if items:
-            raise InputError(f"{variant} needs named fields: {', '.join(names)}")
-        told = named(variant, given, self._types)
-        missing = [python_name(field) for field, _, _, default in fields if default is None and field not in told]
-        if missing:
-            raise InputError(f"{variant} lacks {', '.join(missing)}")
-        self._fill(variant, told)
-
-    if not fields:
-        UNITS.add(variant)
-    VARIANTS.setdefault(enum, {})[variant] = new_class(variant, "pwrfgs.settings", fields, __init__, enum, enum)
 
 
 def make_choice(entry: Dict[str, Any]) -> type:
@@ -189,31 +178,37 @@ def defaults_of(fields: Sequence[Field]) -> Dict[str, Any]:
 def fill() -> Dict[str, type]:
     """Create all classes; returns groups and enums by name, for ``pwrfgs.settings``."""
     types = _pwrfgs.types()
-    by_name: Dict[str, List[Dict[str, Any]]] = {}
+    entries_of: Dict[str, List[Dict[str, Any]]] = {}
     for entry in _pwrfgs.registry():
         if entry["name"] != "Python":
-            by_name.setdefault(entry["name"], []).append(entry)
+            entries_of.setdefault(entry["name"], []).append(entry)
     # First all classes, because a field may have any type; then defaults, which documentation shows.
-    plugins = {name: make_plugin(name, entries) for name, entries in by_name.items()}
+    plugins = {name: make_plugin(name, entries) for name, entries in entries_of.items()}
+    settings: List[Tuple[Any, str, Sequence[Field], bool]] = []
     for entry in types:
+        name = entry["name"]
         if "fields" in entry:
-            make_group(entry["name"], entry["fields"])
-        for variant, _, is_named, fields in entry.get("variants", ()):
-            make_variant(entry["name"], variant, is_named, fields)
+            module = "pwrfgs" if name == "Pipeline" else "pwrfgs.settings"
+            GROUPS[name] = new_class(name, module, entry["fields"], by_name(name, entry["fields"]), name)
+            settings.append((GROUPS[name], entry["doc"], entry["fields"], True))
+        for variant, doc, is_named, fields in entry.get("variants", ()):
+            init = by_name(variant, fields) if is_named else in_order(variant, len(fields))
+            made = new_class(variant, "pwrfgs.settings", fields, init, name, name)
+            VARIANTS.setdefault(name, {})[variant] = made
+            settings.append((made, doc, fields, is_named))
+            if not fields:
+                UNITS.add(variant)
     for name in plugins:
-        for entry in by_name[name]:
+        for entry in entries_of[name]:
             CLASSES[name]._defaults.update(from_ron(entry["text"])._named if entry["text"] else {})
-    for entry in types:
-        if "fields" in entry and entry["name"] != "Pipeline":  # its plugins depend on the data
-            GROUPS[entry["name"]]._defaults = defaults_of(entry["fields"])
-    for name, entries in by_name.items():
+    for made, _, fields, is_named in settings:
+        if is_named and made is not GROUPS["Pipeline"]:  # whose plugins depend on the data
+            made._defaults = defaults_of(fields)
+    for name, entries in entries_of.items():
         about = "\n\n".join("\n".join(prose(f"{entry['kind']}. {entry['doc'] or ''}", WIDTH)) for entry in entries)
         document(CLASSES[name], about, plugins[name])
-    for entry in types:
-        if "fields" in entry:
-            document(GROUPS[entry["name"]], "\n".join(prose(entry["doc"], WIDTH)), entry["fields"])
-        for variant, doc, is_named, fields in entry.get("variants", ()):
-            document(VARIANTS[entry["name"]][variant], "\n".join(prose(doc, WIDTH)), fields, not is_named)
+    for made, doc, fields, is_named in settings:
+        document(made, "\n".join(prose(doc, WIDTH)), fields, not is_named)
     groups = {name: made for name, made in GROUPS.items() if name != "Pipeline"}
     return {**groups, **{entry["name"]: make_choice(entry) for entry in types if "variants" in entry}}
 

@@ -49,6 +49,7 @@ def test_groups_of_settings_are_classes(pipeline):
     for value in (pipeline.training, pipeline.training.optimizer.network, settings.Readout.Real):
         for copied in (copy.copy(value), copy.deepcopy(value), pickle.loads(pickle.dumps(value))):
             assert copied == value and type(copied) is type(value)
+    assert settings.Schedule.Cosine(first=1.0, last=0.5) == settings.Schedule.Cosine(first=1.0, last=0.5, steps=0)
     assert pipeline.training.replace(steps=7).steps == 7 and settings.Schedule.Cosine(first=1.0, last=0.5).replace(last=0.1).last == 0.1
     with pytest.raises(pwrfgs.InputError, match="Training has no field `stps`; did you mean `steps`"):
         settings.Training(stps=3)
@@ -60,7 +61,7 @@ def test_groups_of_settings_are_classes(pipeline):
     ("value", "lines"),
     [
         ("training", ["class Training(", "steps : whole number, default 200000", "    Number of training steps", "optimizer : Optimizer, default pwrfgs.settings.Optimizer()"]),
-        ("training.optimizer", ["network : Schedule, default pwrfgs.settings.Schedule.LogLinear(first=0.0008, last=1.6e-06, steps=0)", "eps : number, default 1e-15"]),
+        ("training.optimizer", ["network : Schedule, default pwrfgs.settings.Schedule.LogLinear(first=0.0008, last=1.6e-06)", "eps : number, default 1e-15"]),
         ("training.optimizer.network", ["class LogLinear(", "first : number", "    Rate at step 1."]),
         ("readout", ["class Magnitude("]),
         ("pruners.0", ["class OpacityThreshold(", "epsilon : number, default "]),
