@@ -126,6 +126,16 @@ def test_subset_trains_everywhere(small, tmp_path):
     assert [run.finished for run in pwrfgs.sweep(small, {"training.steps": 45}, tmp_path / "sweep", axes=axes)] == [True, True]
 
 
+def test_sweep_of_an_experiment_file_takes_data_in_memory(tmp_path):
+    (tmp_path / "base.ron").write_text(SMALL)
+    (tmp_path / "e.ron").write_text('Experiment(name: "e", base: "base.ron", seeds: [0, 1])')
+    change = {"data": made("spectrum"), "training.steps": 45}
+    with pytest.raises(pwrfgs.InputError, match="give it as `out`"):
+        pwrfgs.sweep(tmp_path / "e.ron", change)
+    runs = pwrfgs.sweep(tmp_path / "e.ron", change, tmp_path / "sweep")
+    assert [len(run.pipeline.load_data()) for run in runs] == [30, 30]
+
+
 def test_subset_in_memory_and_saved_trains_alike(tmp_path):
     whole = made("spectrum")
     part = whole[whole.positions[:, 0] < 2]
