@@ -50,7 +50,10 @@ def sweep(
     Repeat the call to resume after Ctrl-C. Raises ``SweepError`` if runs failed, after all others have finished.
     """
     if axes is None:
-        return _performed(experiment, set, out, jobs)
+        if out is None and any(isinstance(value, _pwrfgs.Dataset) and value._source is None for value in (set or {}).values()):
+            raise InputError("set: data in memory are written to the sweep folder; give it as `out`")
+        with storing(os.fspath(out or "")):
+            return _performed(experiment, set, out, jobs)
     base = Pipeline(experiment)
     names = _axis_names(list(axes))
     chosen = name or "-".join([base.name, *names])

@@ -41,6 +41,13 @@ fn assert_same(data: &Dataset, read_back: &Dataset) {
     }
 }
 
+/// Checks that `data` and a part of them are read back with their IDs, bounds and title.
+fn assert_round_trip(data: &Dataset) {
+    assert_same(data, &read_back(data));
+    let part = data.subset(&[0, data.len() - 1]).unwrap();
+    assert_same(&part, &read_back(&part));
+}
+
 #[test]
 fn reads_saved_data_back() {
     let pose = Pose { position: [0.25, 1.0, 2.0], ..Pose::IDENTITY };
@@ -49,9 +56,9 @@ fn reads_saved_data_back() {
     let mut data = Dataset::new("room", pose, vec![[1.0, 2.0, 0.125]], samples.clone(), spectra).unwrap();
     data.official = Some((vec![0, 2], vec![1]));
     data.simulation = Some(Simulation::default());
-    assert_same(&data, &read_back(&data));
+    assert_round_trip(&data);
     data.elevation = Elevation { first: 80.0, last: -10.0 }; // pixels that are not square, from above to below
-    assert_same(&data, &read_back(&data));
+    assert_round_trip(&data);
 
     let spectra = Spectra::grey((30, 8), (0..960).map(|v| (v % 256) as u8).collect()).unwrap();
     let samples = (1..=4).map(|i| Sample::new(i, [f64::from(i % 2), 0.5, 1.0])).collect();
@@ -74,7 +81,7 @@ fn reads_saved_data_back() {
     let powers = Observations::Powers(vec![-61.5, -70.25, -80.0]);
     let data =
         Dataset::of_links("hall", vec![receiver("=n()", 0.0), receiver("s", 9.0)], vec![], &samples, powers).unwrap();
-    assert_same(&data, &read_back(&data));
+    assert_round_trip(&data);
     let mut stated = data.clone();
     stated.scene.receivers.iter_mut().for_each(|receiver| receiver.carrier_hz = Some(2.4e9));
     assert!(refused(&stated).contains("powers at stated carriers"));
