@@ -78,7 +78,7 @@ class Pipeline(PipelineFields):
         """Pipeline for data: the shipped pipeline for their kind, with split and settings for their size, as ``pwrfgs init``
         writes it. The data need no folder: ``pwrfgs.run(pwrfgs.Pipeline.for_data(data))`` writes them into the run folder."""
         source = to_ron(data)
-        return cls(_pwrfgs.suggest_pipeline(data, source, from_ron(source)._fields.get("root"), name))
+        return cls(_pwrfgs.suggest_pipeline(data, source, from_ron(source)._named.get("root"), name))
 
     def get(self, path: str) -> Any:
         """Return the value at ``path``, such as ``"training.steps"`` or ``"pruners.LearnableMask.lambda"``."""

@@ -70,7 +70,10 @@ def sweep(
     if executor is not None and jobs != 1:
         raise InputError("jobs has no effect with an executor, which decides how many runs are performed at a time; leave it out")
     if axes is None:
-        return _performed(experiment, set, out, jobs, executor)
+        if out is None and any(isinstance(value, _pwrfgs.Dataset) and value._source is None for value in (set or {}).values()):
+            raise InputError("set: data in memory are written to the sweep folder; give it as `out`")
+        with storing(os.fspath(out or "")):
+            return _performed(experiment, set, out, jobs, executor)
     base = Pipeline(experiment)
     names = _axis_names(list(axes))
     chosen = name or "-".join([base.name, *names])

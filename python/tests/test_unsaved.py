@@ -126,6 +126,16 @@ def test_subset_trains_everywhere(small, tmp_path):
     assert [run.finished for run in pwrfgs.sweep(small, {"training.steps": 45}, tmp_path / "sweep", axes=axes)] == [True, True]
 
 
+def test_sweep_of_an_experiment_file_takes_data_in_memory(tmp_path):
+    (tmp_path / "base.ron").write_text(SMALL)
+    (tmp_path / "e.ron").write_text('Experiment(name: "e", base: "base.ron", seeds: [0, 1])')
+    change = {"data": made("spectrum"), "training.steps": 45}
+    with pytest.raises(pwrfgs.InputError, match="give it as `out`"):
+        pwrfgs.sweep(tmp_path / "e.ron", change)
+    runs = pwrfgs.sweep(tmp_path / "e.ron", change, tmp_path / "sweep")
+    assert [len(run.pipeline.load_data()) for run in runs] == [30, 30]
+
+
 def test_subset_in_memory_and_saved_trains_alike(tmp_path):
     whole = made("spectrum")
     part = whole[whole.positions[:, 0] < 2]
@@ -141,8 +151,9 @@ def test_subset_in_memory_and_saved_trains_alike(tmp_path):
 
 def test_subset_that_no_folder_holds_refers_to_its_source(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    pwrfgs.simulate("office", "data/csi", layout="csi", samples=60, progress=False)
-    part = pwrfgs.Dataset.load(pwrfgs.Nerf2Csi(root="data/csi"))[10:][:40]
+    pwrfgs.simulate("office-csi", "data/csi", layout="csi", samples=60, progress=False)
+    whole = pwrfgs.Dataset.load(pwrfgs.Nerf2Csi(root="data/csi"))
+    part = whole[10:][:40]
     with pytest.raises(pwrfgs.InputError, match="no layout holds transmitters without positions"):
         part.save("data/part")
     pipeline = pwrfgs.Pipeline.for_data(part)
@@ -150,10 +161,10 @@ def test_subset_that_no_folder_holds_refers_to_its_source(tmp_path, monkeypatch)
     loaded = run.pipeline.load_data()
     assert isinstance(run.pipeline.data, pwrfgs.Subset) and run.pipeline.data.data.root == str(tmp_path / "data/csi")
     assert np.array_equal(loaded.csi, part.csi) and np.array_equal(loaded.features, part.features)
-    assert loaded.ids.tolist() == part.ids.tolist() == list(range(10, 50))
+    assert loaded.ids.tolist() == part.ids.tolist() == whole.ids[10:50].tolist()
     assert pwrfgs.run(pipeline, set=SHORT, progress=False).finished
     links = pathlib.Path(run.pipeline.data.links)
-    for text, problem in [("", "at least one"), ("60\n", "indices of links below 60"), ("2\n1\n", ":2:1: `1` is not above")]:
+    for text, problem in [("", "at least one"), (f"{len(whole)}\n", f"indices of links below {len(whole)}"), ("2\n1\n", ":2:1: `1` is not above")]:
         links.write_text(text)
         with pytest.raises(pwrfgs.InputError, match=problem):
             run.pipeline.load_data()

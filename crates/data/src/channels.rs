@@ -38,7 +38,8 @@ const SHAPE: &str = "channels are [M, A, F]: M transmitters, A antennas of the r
 ///
 /// Carrier, spacing and receiver that are left out are read from `root/receiver.yml`, which `pwrfgs simulate --layout
 /// channels` writes. If neither carrier nor spacing is set, its `frequencies_hz` are used, which need not be evenly
-/// spaced. If `train_index.txt` and `test_index.txt` exist, they hold the ids for `split: Official()`.
+/// spaced. If `train_index.txt` and `test_index.txt` exist, they hold the rows for `split: Official()`, counted from 0. If
+/// `ids.txt` exists, line k is the id of row k.
 ///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
