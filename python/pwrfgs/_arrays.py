@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, Iterator, Mapping, Optional, Tuple
+from typing import Any, Dict, Mapping, Optional, Tuple
 
 import numpy as np
 
@@ -86,24 +86,3 @@ def model(gaussians: Any, stages: Any, view: Any, weights: Optional[Mapping[str,
     return _pwrfgs.model_of(
         cloud, method, given, (name, position, orientation), size, elevation_deg, None if tx is None else np.atleast_2d(tx)
     )
-
-
-def batches(
-    model: Any, size: int, receiver: Any, inputs: Tuple[Any, Any, Any], vjp: Any, interval: Optional[float]
-) -> Iterator[Any]:
-    """Iterator over the predictions of ``size`` positions each; invalid arguments are errors before the first prediction."""
-    if size < 1:
-        raise InputError(f"batch_size is {size}, expected 1 or more")
-    if vjp is not None:
-        raise InputError("give one of vjp and batch_size")
-    given = {name: np.asarray(rows) for name, rows in zip(("tx", "rx_pose", "features"), inputs) if rows is not None}
-    if any(rows.ndim != 2 for rows in given.values()):
-        raise InputError("batch_size needs one position per row, such as tx [B, 3]")
-
-    def batch(rows: slice) -> Any:
-        chosen = {name: values[rows] for name, values in given.items()}
-        return model.predict(receiver=receiver, interval=interval, **chosen)
-
-    batch(slice(0, 0))  # checks all arguments
-    count = max(map(len, given.values()))
-    return (batch(slice(first, first + size)) for first in range(0, count, size))

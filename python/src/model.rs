@@ -7,6 +7,7 @@ use crate::arrays::{self, Gain, array, axis_count, numbers, position, positions,
 use crate::border::{reject, without_gil};
 use crate::data::plane_angles;
 use numpy::PyArrayDyn;
+use observed::Batches;
 use pwrfgs::model::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs::tasks::read_models;
@@ -240,25 +241,17 @@ impl Model {
         batch_size: Option<usize>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let (model, py) = (slf.get(), slf.py());
-        if let Some(size) = batch_size {
-            let call = (slf, size, receiver, (tx, rx_pose, features), vjp, interval);
-            return py.import("pwrfgs._arrays")?.call_method1("batches", call);
-        }
         let links = model.read_links(py, receiver, [tx, rx_pose, features])?;
         if vjp.is_none() {
             model.warn_of_extrapolations(py, &links)?; // a loop that descends would repeat it
         }
-        match (vjp, interval) {
-            (Some(_), Some(_)) => return reject(py, "give one of vjp and interval"),
-            (Some(cotangents), None) => return model.predict_vjp(py, &links, cotangents),
-            (None, Some(level)) => return model.predict_interval(py, &links, level),
-            (None, None) => {}
+        match (vjp, batch_size) {
+            (Some(_), Some(_)) => reject(py, "give one of vjp and batch_size"),
+            (Some(_), None) if interval.is_some() => reject(py, "give one of vjp and interval"),
+            (Some(cotangents), None) => model.predict_vjp(py, &links, cotangents),
+            (None, Some(size)) => Batches::start(slf, links, size, interval),
+            (None, None) => model.predict_links(py, &links, interval),
         }
-        // A single link as on the command line, many in groups that share work: bit-identical.
-        model.predicted_array(py, &links, |queries, numbers| match queries {
-            [query] => numbers.copy_from_slice(&model.prepared().predict_timed(*query).0.pixels),
-            queries => model.prepared().predict_into(queries, numbers),
-        })
     }
 
     /// Standard deviation between ensemble members, in the shape of `predict`; 0 for a single model. Large values mark

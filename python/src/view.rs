@@ -13,9 +13,10 @@ use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{JoinHandle, spawn};
 
-/// Interactive page of a model, on a port of this machine, until ``close()`` or until the object is deleted.
+/// Interactive page of a model on a port of this machine; ``close()`` stops it, as does deleting this object.
 ///
-/// A notebook shows the page; in a browser on this machine, open ``address``. Only who knows the address can load the page.
+/// A notebook shows the page. In a browser on this machine, open ``address``, which has a random token: other programs and
+/// users of the machine cannot load the page without it.
 #[pyclass(frozen, module = "pwrfgs")]
 pub(crate) struct View {
     /// Address of the page.

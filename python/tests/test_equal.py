@@ -110,7 +110,8 @@ def positions_file(case, folder):
 
 
 def test_map(case, both):
-    result, out = both("map", lambda: case.model.map(plane="z=1.2", step=1.0), "map", case.run.folder, "--plane", "z=1.2", "--step", "1")
+    arguments = ["map", case.run.folder, "--plane", "z=1.2", "--step", "1"]
+    result, out = both("map", lambda: case.model.map(plane="z=1.2", step=1.0), *arguments)
     assert set(result.layers) == {path.stem for path in out.glob("*.npy")}
     for name, values in result.layers.items():
         assert np.array_equal(values, np.load(out / f"{name}.npy"), equal_nan=True), name
@@ -205,12 +206,12 @@ def test_evaluate(case, both, tmp_path):
 
 
 def test_compare(case, both, tmp_path):
-    method = {"spectra": "P-WRFGS", "moving": "P-WRFGS", "powers": "P-WRFGS", "channels": "virtual transmitters of order 0"}[case.kind]
+    methods = ["virtual transmitters of order 0" if case.kind == "channels" else "P-WRFGS"]
+    python, scale = tmp_path / "python", {"training.scale": 0.002}
+    arguments = ["compare", case.folder, "--seeds", "1", "--methods", *methods, "--scale", "0.002"]
     result, out = both(
-        "compare",
-        lambda: pwrfgs.compare(str(case.folder), seeds=1, methods=[method], set={"training.scale": 0.002}, out=tmp_path / "python"),
-        "compare", case.folder, "--seeds", "1", "--methods", method, "--scale", "0.002",
+        "compare", lambda: pwrfgs.compare(case.folder, seeds=1, methods=methods, set=scale, out=python), *arguments
     )  # fmt: skip
-    assert without_times(out / "report/report.csv") == without_times(tmp_path / "python/report/report.csv")
-    assert [row["value"] for row in result.rows] == [float(row["value"]) for row in table(tmp_path / "python/report/report.csv")]
+    assert without_times(out / "report/report.csv") == without_times(python / "report/report.csv")
+    assert [row["value"] for row in result.rows] == [float(row["value"]) for row in table(python / "report/report.csv")]
     assert len(result.runs) == 1 and result.split.train.size > result.split.test.size > 0

@@ -236,12 +236,15 @@ print(count, batches - before, peak() - before, whole.nbytes / 1024**2)
     assert count == 3000 and batches < 100 and array / 1.05 < whole < array + 100
 
 
-def test_batches_have_the_bits_of_one_call(model):
+def test_batches_have_the_bits_of_one_call(model, caplog):
     places = np.random.default_rng(0).normal(size=(7, 3))
     batches = list(model.predict(places, batch_size=3))
     assert [len(batch) for batch in batches] == [3, 3, 1]
     assert np.array_equal(np.concatenate(batches), model.predict(places))
     assert list(model.predict(places[:0], batch_size=3)) == []
+    caplog.clear()
+    list(model.predict(places + 60, batch_size=3))
+    assert [record.getMessage()[:16] for record in caplog.records] == ["7 of 7 predictio"]  # one warning for all
     for arguments, problem in [
         (dict(tx=places, batch_size=0), "batch_size is 0, expected 1 or more"),
         (dict(tx=places[0], batch_size=3), "batch_size needs one position per row"),

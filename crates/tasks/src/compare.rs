@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Args, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CompareSettings {
-    /// Score the predictions in this folder as NAME; repeatable
-    #[arg(long, value_name = "NAME=FOLDER")]
+    /// Predictions of other programs, each as `NAME=FOLDER`.
+    #[arg(long, value_name = "NAME=FOLDER", help = "Score the predictions in this folder as NAME; repeatable")]
     #[serde(default)]
     pub predictions: Vec<String>,
     /// Methods to train; default: all that can predict the data.

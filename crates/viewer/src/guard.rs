@@ -118,7 +118,7 @@ mod tests {
     fn admits_frames_of_other_origins_only_in_notebooks() {
         let headers = |dest| [("host", "localhost:4711"), ("sec-fetch-site", "same-site"), ("sec-fetch-dest", dest)];
         for (is_framed, dest, expected) in
-            [(true, "iframe", Ok("".to_owned())), (true, "script", Err(403)), (false, "iframe", Err(403))]
+            [(true, "iframe", Ok(String::new())), (true, "script", Err(403)), (false, "iframe", Err(403))]
         {
             let guard = Guard::new(4711, is_framed).unwrap();
             assert_eq!(

@@ -7,6 +7,7 @@ use pwrfgs::tasks::predict::{extrapolation_warning, interval_factors};
 use pwrfgs_core::{Error, MeasurementSetup, Predict as _, Query, Real, Result};
 use pyo3::prelude::*;
 use rayon::prelude::*;
+use std::ops::Range;
 use std::time::Instant;
 
 /// Number of links per library call: one group of the library, so that results stay in cache.
@@ -24,6 +25,23 @@ impl Model {
             log_message("warning", &warning);
         }
         Ok(())
+    }
+
+    /// Returns the predictions of `links` as an array, or with intervals of the level `interval`.
+    pub(super) fn predict_links<'py>(
+        &self,
+        py: Python<'py>,
+        links: &Links,
+        interval: Option<f64>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        if let Some(level) = interval {
+            return self.predict_interval(py, links, level);
+        }
+        // A single link as on the command line, many in groups that share work: bit-identical.
+        self.predicted_array(py, links, |queries, numbers| match queries {
+            [query] => numbers.copy_from_slice(&self.prepared().predict_timed(*query).0.pixels),
+            queries => self.prepared().predict_into(queries, numbers),
+        })
     }
 
     /// Returns an array of predicted observations of `links`; `work` fills the numbers of the queries of a chunk, chunk by
@@ -45,12 +63,7 @@ impl Model {
     }
 
     /// Returns the named tuple (prediction, lower, upper) of these links, with intervals of this level.
-    pub(super) fn predict_interval<'py>(
-        &self,
-        py: Python<'py>,
-        links: &Links,
-        level: f64,
-    ) -> PyResult<Bound<'py, PyAny>> {
+    fn predict_interval<'py>(&self, py: Python<'py>, links: &Links, level: f64) -> PyResult<Bound<'py, PyAny>> {
         let factors = interval_factors(&self.ensemble, level).map_err(|error| to_exception(py, error))?;
         let (ready, setup) = (self.prepared(), &self.stages().setup);
         let size = (setup.plane.width, setup.plane.height);
@@ -137,5 +150,67 @@ impl Model {
         let batch = links.lead.len() > usize::from(receivers > 1);
         let shape = if batch { vec![links.poses.len(), width] } else { vec![width] };
         Ok((observed, array(py, all, &shape)?).into_pyobject(py)?.into_any())
+    }
+}
+
+impl Links {
+    /// Returns the links of the rows `rows` of several poses or features.
+    fn rows(&self, rows: Range<usize>) -> Self {
+        let width = self.features.len() / self.poses.len().max(1);
+        let mut lead = self.lead.clone();
+        lead[0] = rows.len();
+        let features = self.features[rows.start * width..rows.end * width].to_vec();
+        Self { poses: self.poses[rows].to_vec(), features, receivers: self.receivers.clone(), lead }
+    }
+}
+
+/// Iterator over the predictions of many positions, some at a time.
+#[pyclass(module = "pwrfgs")]
+pub(super) struct Batches {
+    model: Py<Model>,
+    links: Links,
+    /// Number of positions per batch.
+    size: usize,
+    /// Number of predicted positions.
+    done: usize,
+    interval: Option<f64>,
+}
+
+impl Batches {
+    /// Creates the iterator; an error for invalid settings, before the first prediction.
+    pub(super) fn start<'py>(
+        model: &Bound<'py, Model>,
+        links: Links,
+        size: usize,
+        interval: Option<f64>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let py = model.py();
+        if size == 0 {
+            return reject(py, "batch_size is 0, expected 1 or more");
+        }
+        if links.lead.len() == usize::from(links.receivers.len() > 1) {
+            return reject(py, "batch_size needs one position per row, such as tx [B, 3]");
+        }
+        if let Some(level) = interval {
+            interval_factors(&model.get().ensemble, level).map_err(|error| to_exception(py, error))?;
+        }
+        let batches = Self { model: model.clone().unbind(), links, size, done: 0, interval };
+        Ok(Bound::new(py, batches)?.into_any())
+    }
+}
+
+#[pymethods]
+impl Batches {
+    fn __iter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __next__<'py>(&mut self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let (first, count) = (self.done, self.links.poses.len());
+        if first >= count {
+            return Ok(None);
+        }
+        self.done = first.saturating_add(self.size).min(count);
+        self.model.get().predict_links(py, &self.links.rows(first..self.done), self.interval).map(Some)
     }
 }
