@@ -124,30 +124,32 @@ pub fn is_compared(key: &str, task: Task) -> bool {
     key == task.headline.key || is_rate_ratio(key) || is_custom(key)
 }
 
+/// Keys of the metrics of this toolkit except rate ratios, and of the columns that a comparison of runs adds.
+const BUILT_IN: [&str; 19] = [
+    "ssim",
+    "l1",
+    "psnr",
+    "direction_error",
+    "power_error_db",
+    "snr_db",
+    "snr_all_db",
+    "chamfer",
+    "gaussians",
+    "gaussian_bytes",
+    "model_bytes",
+    "latency_prepare_ms",
+    "latency_network_ms",
+    "latency_projection_ms",
+    "latency_sort_ms",
+    "latency_blending_ms",
+    "latency_total_ms",
+    "trained_on",
+    "training_s",
+];
+
 /// Returns whether a metric is written by a user, as a plugin or in Python: tables show it beside the first one of the task.
 pub fn is_custom(key: &str) -> bool {
-    match key {
-        "ssim"
-        | "l1"
-        | "psnr"
-        | "direction_error"
-        | "power_error_db"
-        | "snr_db"
-        | "snr_all_db"
-        | "chamfer"
-        | "gaussians"
-        | "gaussian_bytes"
-        | "model_bytes"
-        | "latency_prepare_ms"
-        | "latency_network_ms"
-        | "latency_projection_ms"
-        | "latency_sort_ms"
-        | "latency_blending_ms"
-        | "latency_total_ms" => false,
-        // Columns that a comparison of runs adds.
-        "trained_on" | "training_s" => false,
-        _ => !is_rate_ratio(key),
-    }
+    !BUILT_IN.contains(&key) && !is_rate_ratio(key)
 }
 
 /// Returns whether a metric is a rate ratio η.
