@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Dict, List, Mapping, Optional, Tuple, Uni
 from . import _pwrfgs
 from ._errors import InputError
 from ._fields import PipelineFields
-from ._unsaved import named_in
+from ._unsaved import Store, named_in
 from ._values import from_ron, own, to_ron, unknown
 
 Source = Union[str, "os.PathLike[str]", "Pipeline"]
@@ -103,9 +103,15 @@ class Pipeline(PipelineFields):
         self._inner.set_arguments(arguments)
         self._hold()
 
-    def _settled(self) -> "Pipeline":
-        """Pipeline with data in a folder, if the data in memory were saved since or a run begins."""
-        return self if self._data is None else self.copy().set({"data": self._data})
+    def _settled(self, store: Optional[Store] = None) -> "Pipeline":
+        """Pipeline with data in a folder: where data in memory were saved since, or where ``store`` writes them."""
+        text = None if self._data is None else self._data._source if store is None else store(self._data)
+        if text is None:
+            return self
+        settled = self.copy()
+        settled._inner.set([("data", text)])
+        settled._hold()
+        return settled
 
     def __reduce__(self) -> Tuple[Any, ...]:
         return _read, (self._inner.text(), self.folder, self._data)
