@@ -55,8 +55,8 @@ def check(pipeline: Any, set: Optional[Mapping[str, Any]] = None) -> Check:
     if set:
         chosen._set_arguments(arguments(set))
     _strategies.check(chosen)
-    with tempfile.TemporaryDirectory(prefix="pwrfgs-check-") as folder, storing(folder):
-        found = Check(**_pwrfgs.check(chosen._settled()._inner))
+    with tempfile.TemporaryDirectory(prefix="pwrfgs-check-") as folder, storing(folder) as store:
+        found = Check(**_pwrfgs.check(chosen._settled(store)._inner))
     for warning in found.warnings:
         log.warning("%s", warning)
     return found

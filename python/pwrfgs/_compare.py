@@ -16,7 +16,7 @@ from ._sweep import finished_runs
 from ._tasks import documented, settings_text
 from ._types import Array, Partition
 from ._unsaved import storing
-from ._values import arguments, to_ron
+from ._values import arguments
 
 
 @dataclass(repr=False)
@@ -86,8 +86,8 @@ def compare(
     if isinstance(data, _pwrfgs.Dataset):
         if out is None:
             out = os.path.join("runs", "compare-" + (re.sub(r"\W+", "-", data.title).strip("-") or "data"))
-        with storing(os.fspath(out)):
-            found = _pwrfgs.compare(data, to_ron(data), text, arguments(set), out, dry_run)
+        with storing(os.fspath(out)) as store:
+            found = _pwrfgs.compare(data, store(data), text, arguments(set), out, dry_run)
     else:
         found = _pwrfgs.compare(data, None, text, arguments(set), out, dry_run)
     folder, split = os.fspath(found["folder"]), Partition(found["train"], found["validation"], found["test"])

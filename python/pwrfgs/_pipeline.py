@@ -11,7 +11,7 @@ from . import _pwrfgs
 from ._classes import Field, listing
 from ._errors import InputError
 from ._fields import PipelineFields
-from ._unsaved import named_in
+from ._unsaved import Store, named_in
 from ._values import Value, from_ron, own, ron_name, to_ron, unknown, with_objects
 
 Source = Union[str, "os.PathLike[str]", "Pipeline"]
@@ -114,9 +114,15 @@ class Pipeline(PipelineFields):
         self._inner.set_arguments(arguments)
         self._hold()
 
-    def _settled(self) -> "Pipeline":
-        """Pipeline with data in a folder, if the data in memory were saved since or a run begins."""
-        return self if self._data is None else self.copy().set({"data": self._data})
+    def _settled(self, store: Optional[Store] = None) -> "Pipeline":
+        """Pipeline with data in a folder: where data in memory were saved since, or where ``store`` writes them."""
+        text = None if self._data is None else self._data._source if store is None else store(self._data)
+        if text is None:
+            return self
+        settled = self.copy()
+        settled._inner.set([("data", text)])
+        settled._hold()
+        return settled
 
     def __reduce__(self) -> Tuple[Any, ...]:
         return _read, (self._inner.text(), self.folder, self._data)

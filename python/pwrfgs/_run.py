@@ -277,8 +277,8 @@ def run(
     _strategies.check(chosen)
     folder = os.fspath(out) if out is not None else os.path.join("runs", chosen.name)
     bar = _Progress(progress)
-    with storing(folder), contextlib.closing(bar):
-        _pwrfgs.run(chosen._settled()._inner, folder, _listener(bar, callback))
+    with storing(folder) as store, contextlib.closing(bar):
+        _pwrfgs.run(chosen._settled(store)._inner, folder, _listener(bar, callback))
     return Run(folder)
 
 
@@ -300,8 +300,8 @@ def evaluate(
     _strategies.check(chosen)
     folder = os.fspath(out) if out is not None else os.path.join("runs", chosen.name)
     bar = _Progress(progress)
-    with storing(folder), contextlib.closing(bar):
-        _pwrfgs.score(model, chosen._settled()._inner, folder, _listener(bar, callback))
+    with storing(folder) as store, contextlib.closing(bar):
+        _pwrfgs.score(model, chosen._settled(store)._inner, folder, _listener(bar, callback))
     return Run(folder)
 
 

@@ -15,8 +15,8 @@ from ._errors import Error, InputError
 from ._log import event as log_event
 from ._pipeline import Pipeline
 from ._run import PathLike, Run
-from ._unsaved import storing
-from ._values import Value, arguments, quoted, ron_name, to_ron
+from ._unsaved import Store, storing
+from ._values import Value, arguments, from_ron, quoted, ron_name, to_ron
 
 # Values of one path: a list, or a dict that gives each value a label.
 Values = Union[Sequence[Any], Mapping[str, Any]]
@@ -72,21 +72,30 @@ def sweep(
     if axes is None:
         if out is None and any(isinstance(value, _pwrfgs.Dataset) and value._source is None for value in (set or {}).values()):
             raise InputError("set: data in memory are written to the sweep folder; give it as `out`")
-        with storing(os.fspath(out or "")):
-            return _performed(experiment, set, out, jobs, executor)
+        with storing(os.fspath(out or "")) as store:
+            return _performed(experiment, _settled(set, store), out, jobs, executor)
     base = Pipeline(experiment)
     names = _axis_names(list(axes))
     chosen = name or "-".join([base.name, *names])
     where = os.path.join("runs", chosen) if out is None else os.fspath(out)
-    with tempfile.TemporaryDirectory(prefix="pwrfgs-sweep-") as folder, storing(where):
-        base.save(os.path.join(folder, "base.ron"))
-        lines = [_axis(short, path, axes[path]) for short, path in zip(names, axes)]
+    with tempfile.TemporaryDirectory(prefix="pwrfgs-sweep-") as folder, storing(where) as store:
+        base._settled(store).save(os.path.join(folder, "base.ron"))
+        lines = [_axis(short, path, _settled(axes[path], store)) for short, path in zip(names, axes)]
         text = f"Experiment(name: {quoted(chosen)}, base: \"base.ron\", seeds: {to_ron([int(s) for s in seeds])}, "
         text += f"join: {to_ron(join)}, axes: [{', '.join(lines)}])"
         path = os.path.join(folder, f"{os.path.basename(chosen) or 'sweep'}.ron")
         with open(path, "w", encoding="utf-8") as file:
             file.write(text)
-        return _performed(path, set, out, jobs, executor)
+        return _performed(path, _settled(set, store), out, jobs, executor)
+
+
+def _settled(value: Any, store: Store) -> Any:
+    """Value with data in memory replaced by their source in the sweep folder."""
+    if isinstance(value, _pwrfgs.Dataset) and value._source is None:
+        return from_ron(store(value))
+    if isinstance(value, Mapping):
+        return {name: _settled(item, store) for name, item in value.items()}
+    return type(value)(_settled(item, store) for item in value) if type(value) in (list, tuple) else value
 
 
 def _performed(

@@ -101,6 +101,17 @@ def test_interrupted_run_resumes_with_equal_data_only(small, tmp_path):
     assert all(resumed[name] == whole[name] for name in whole if name != "pipeline.ron" and name != "checkpoint.safetensors")
 
 
+def test_other_data_of_a_callback_are_not_written(small, tmp_path):
+    others = []
+
+    def build(event):
+        if not others:
+            others.append(pwrfgs.Pipeline.for_data(made("power")))
+
+    pwrfgs.run(small, out=tmp_path / "a", callback=build, progress=False)
+    assert len(list((tmp_path / "a/data").iterdir())) == 1 and others[0].data.root.startswith("unsaved:")
+
+
 def test_failed_start_leaves_no_files(small, tmp_path):
     (tmp_path / "foreign").mkdir()
     (tmp_path / "empty").mkdir()

@@ -6,6 +6,7 @@ use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::{quoted, strip_control};
 use pwrfgs_core::{Dataset, Error, Pose, Result, Simulation, carrier_fault, files, place_fault};
 use serde::Deserialize;
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// File name of the point cloud in written folders.
@@ -126,6 +127,13 @@ pub(crate) fn restore_saved(root: &Path, mut data: Dataset) -> Result<Dataset> {
     Ok(data)
 }
 
+/// Formats numbers, one per line.
+pub(crate) fn format_lines(numbers: impl IntoIterator<Item = usize>) -> String {
+    let mut text = String::new();
+    numbers.into_iter().for_each(|number| writeln!(text, "{number}").expect("text grows"));
+    text
+}
+
 /// Reads numbers in ascending order, one `noun` per line.
 ///
 /// # Errors
@@ -136,7 +144,7 @@ pub(crate) fn read_ascending(path: &Path, noun: &str) -> Result<Vec<u32>> {
     let mut numbers: Vec<u32> = Vec::new();
     for (line, word) in (1..).zip(text.trim_end().lines()) {
         let fault = |problem: &str| Error::at(path, line, 1, format!("{} is {problem}; {advice}", quoted(word)));
-        let number = word.trim().parse().map_err(|_| fault("not a number from 0"))?;
+        let number = word.trim().parse().ok().ok_or_else(|| fault("not a number from 0"))?;
         if numbers.last().is_some_and(|last| *last >= number) {
             return Err(fault("not above the number before"));
         }

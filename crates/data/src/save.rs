@@ -5,7 +5,8 @@ mod tests;
 
 use crate::checks::{NOT_RECEIVED, check_dataset};
 use crate::folder::{
-    CARRIERS, IDS, POINTS, gateway_positions_yaml, gateway_yaml, quote_yaml, receiver_yaml, transmitter_yaml,
+    CARRIERS, IDS, POINTS, format_lines, gateway_positions_yaml, gateway_yaml, quote_yaml, receiver_yaml,
+    transmitter_yaml,
 };
 use crate::nerf2::POSES;
 use crate::npy::{MAX_BYTES, MOST_POSITIONS};
@@ -255,7 +256,7 @@ impl FolderWriter<'_> {
         if locations.iter().enumerate().all(|(l, location)| location.id as usize == assigned(l)) {
             return Ok(());
         }
-        self.write_file(IDS, locations.iter().map(|location| format!("{}\n", location.id)).collect::<String>())
+        self.write_file(IDS, format_lines(locations.iter().map(|location| location.id as usize)))
     }
 
     /// Writes the program version, the title, whether the data are simulated, and the bounds of the scene if they are not those
@@ -288,9 +289,7 @@ impl FolderWriter<'_> {
         for (name, links) in [("train_index.txt", train), ("test_index.txt", test)] {
             let mut rows: Vec<usize> = links.iter().map(row).collect();
             rows.dedup();
-            let mut text = String::new();
-            rows.iter().for_each(|row| writeln!(text, "{row}").expect("text grows"));
-            self.write_file(name, text)?;
+            self.write_file(name, format_lines(rows))?;
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! `Subset`: some links of another data source.
 
 use crate::Nerf2Spectrum;
-use crate::folder::read_ascending;
+use crate::folder::{format_lines, read_ascending};
 use pwrfgs_core::files::{NewFolder, write};
 use pwrfgs_core::{DataSource, Dataset, Error, JsonSchema, Plugin, Progress, Result, Task};
 use serde::{Deserialize, Serialize};
@@ -67,6 +67,6 @@ impl DataSource for Subset {
 /// `out` is not empty, or a write failed.
 pub fn write_links(out: &Path, links: &[usize]) -> Result<()> {
     let folder = NewFolder::begin(out)?;
-    write(&folder.path().join(LINKS), links.iter().map(|link| format!("{link}\n")).collect::<String>())?;
+    write(&folder.path().join(LINKS), format_lines(links.iter().copied()))?;
     folder.publish()
 }

@@ -143,7 +143,7 @@ impl Inspection {
             let scores = split.means.iter().chain([&split.ceiling]).map(|score| number(*score));
             sizes.chain([format_length(split.nearest_m)]).chain(scores).collect()
         }));
-        let refused: String = self.refused.iter().map(|(name, why)| format!("{name}: {why}\n")).collect();
+        let refused: String = self.refused.iter().flat_map(|(name, why)| [name, ": ", why, "\n"]).collect();
         format!(
             "{text}\n{}{refused}note: mean {} of baselines on up to {TESTED} test {}; nearest training: median distance from a \
              test transmitter; *: the split of the pipeline, or of `pwrfgs init` for a folder of data\n",
