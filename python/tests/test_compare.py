@@ -42,6 +42,12 @@ def test_compare_trains_and_scores(powers, tmp_path):
     assert (tmp_path / "out/report/report.html").is_file()
 
 
+def test_compare_of_data_in_memory_writes_them_into_its_folder(tmp_path):
+    pwrfgs.compare(made("powers"), seeds=1, methods="P-WRFGS", set=SHORT, out=tmp_path / "out")
+    (folder,) = (tmp_path / "out/data").iterdir()
+    assert str(folder) in (tmp_path / "out/method=P-WRFGS,seed=0/pipeline.ron").read_text()
+
+
 def test_compare_refuses(powers, run, tmp_path):
     for call, problem in [
         (lambda: pwrfgs.compare([run, run]), "data: expected a Dataset or a data folder; pwrfgs.report compares finished runs"),
@@ -51,7 +57,6 @@ def test_compare_refuses(powers, run, tmp_path):
         (lambda: pwrfgs.compare(powers, sedes=1), "compare has no field `sedes`; did you mean `seeds`?"),
         (lambda: pwrfgs.compare(powers, predictions={"mine": tmp_path / "none"}), "predictions mine="),
         (lambda: pwrfgs.compare(powers, methods=["P-WRFGS"], set={"training.stesp": 1}), "stesp"),
-        (lambda: pwrfgs.compare(powers[:20], seeds=1), "call dataset.save"),
     ]:
         with pytest.raises(pwrfgs.InputError) as error:
             call()
