@@ -14,6 +14,9 @@ use std::sync::atomic::AtomicBool;
 /// Folder of a run, and its exception if it failed.
 type End<'py> = (PathBuf, Option<Bound<'py, PyAny>>);
 
+/// Run for an executor: place, folder, and pipeline as RON with absolute paths.
+type Task = (usize, PathBuf, String);
+
 /// Performs a sweep, see `pwrfgs.sweep`: returns the folder of every run, and of the joined model, with the exception of a
 /// failure. With `failures`, an executor has performed the runs of [`sweep_runs`]: places and reasons of those that failed.
 #[pyfunction]
@@ -65,15 +68,15 @@ pub(crate) fn exception_of(py: Python<'_>, end: Result<RunOutcome>) -> Option<Bo
     Some(to_exception(py, error).into_value(py).into_bound(py).into_any())
 }
 
-/// Checks a sweep and creates its folder. Returns the unfinished runs for an executor: place, folder and pipeline as RON with
-/// absolute paths. The second number is that of the threads of each run, `slurm.cpus` of the experiment.
+/// Checks a sweep and creates its folder. Returns the unfinished runs, and the number of threads of each, `slurm.cpus` of the
+/// experiment.
 #[pyfunction]
 pub(crate) fn sweep_runs(
     py: Python<'_>,
     experiment: PathBuf,
     arguments: Vec<String>,
     out: Option<PathBuf>,
-) -> PyResult<(Vec<(usize, PathBuf, String)>, usize)> {
+) -> PyResult<(Vec<Task>, usize)> {
     run_stoppable(py, |stop| {
         let plan = SweepPlan::read(&experiment, &arguments, out.as_deref())?;
         let all: Vec<usize> = (0..plan.runs.len()).collect();
