@@ -69,7 +69,7 @@ pub(crate) fn folder_name(root: &Path) -> String {
     strip_control(&root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy()))
 }
 
-/// `manifest.json` as written by `pwrfgs simulate` and by [`save`](crate::save).
+/// `manifest.json` as written by `pwrfgs simulate` and by [`save`](crate::save()).
 #[derive(Default, Deserialize)]
 struct Manifest {
     simulated: bool,
@@ -97,7 +97,7 @@ pub(crate) fn read_simulation(root: &Path, name: &str) -> Option<Simulation> {
 /// File of the IDs of the transmitter positions, or of the poses of a moving receiver, one per line.
 pub(crate) const IDS: &str = "ids.txt";
 
-/// Restores the properties that [`save`](crate::save) writes beside the layout in `root`: IDs from [`IDS`], title and bounds of
+/// Restores the properties that [`save`](crate::save()) writes beside the layout in `root`: IDs from [`IDS`], title and bounds of
 /// the scene from `manifest.json`. Folders without them stay as they are.
 ///
 /// # Errors
