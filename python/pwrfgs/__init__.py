@@ -61,4 +61,6 @@ else:
             return importlib.import_module(f"pwrfgs.{name}")
         from ._values import unknown
 
+        if name in settings.__all__:
+            raise AttributeError(f"pwrfgs has no name `{name}`; it is pwrfgs.settings.{name}")
         raise AttributeError(unknown("pwrfgs", name, __all__).replace("field", "name", 1).split(" (there")[0])

@@ -7,12 +7,12 @@ import os
 import re
 from typing import TYPE_CHECKING, Any, List, Mapping, Optional, Tuple, Union
 
-from . import _pwrfgs
+from . import _pwrfgs, _strategies
 from ._classes import Field, listing
 from ._errors import InputError
 from ._fields import PipelineFields
 from ._unsaved import Store, named_in
-from ._values import Value, from_ron, own, ron_name, to_ron, unknown, with_objects
+from ._values import Value, from_ron, own, plugin_text, ron_name, to_ron, unknown, with_objects
 
 Source = Union[str, "os.PathLike[str]", "Pipeline"]
 
@@ -27,6 +27,18 @@ def is_text(source: Any) -> bool:
 def without_comments(text: str) -> str:
     """RON text without leading comments."""
     return re.sub(r"\A(?:\s+|//[^\n]*|/\*.*?\*/|#!\[[^\]]*\])*", "", text, flags=re.DOTALL)
+
+
+def field_text(path: str, value: Any) -> str:
+    """RON text of a value for a field. Fields of plugins take their names too, such as "voxel"."""
+    kind = _strategies.FIELDS.get(path)
+    if kind is None:
+        return to_ron(value)
+    if path not in _strategies.LISTS:
+        return plugin_text(kind, value, None)
+    if not isinstance(value, (list, tuple)):
+        raise InputError(f"{path} is {value!r}; give a list, such as [{value!r}]")
+    return f"[{', '.join(plugin_text(kind, item, None) for item in value)}]"
 
 
 class Pipeline(PipelineFields):
@@ -50,10 +62,12 @@ class Pipeline(PipelineFields):
         if isinstance(source, Pipeline):
             inner = source._inner.copied()
         elif source is None:
-            text = ", ".join(f"{name}: {to_ron(value)}" for name, value in fields.items())
+            text = ", ".join(f"{name}: {field_text(name, value)}" for name, value in fields.items())
             inner, fields = _pwrfgs.Pipeline.parse(f"Pipeline({text})", "pipeline", os.getcwd()), {}
         elif isinstance(source, str) and is_text(source):
             inner = _pwrfgs.Pipeline.parse(source, "pipeline", os.getcwd())
+        elif isinstance(source, _pwrfgs.Dataset):
+            raise InputError("expected a pipeline, got a Dataset; give Pipeline.for_data(data)")
         else:
             path = os.fspath(source)
             if os.path.isdir(path):
@@ -77,6 +91,8 @@ class Pipeline(PipelineFields):
     def for_data(cls, data: "_pwrfgs.Dataset", name: str = "pipeline") -> "Pipeline":
         """Pipeline for data: the shipped pipeline for their kind, with split and settings for their size, as ``pwrfgs init``
         writes it. The data need no folder: ``pwrfgs.run(pwrfgs.Pipeline.for_data(data))`` writes them into the run folder."""
+        if not isinstance(data, _pwrfgs.Dataset):
+            raise InputError(f"data: expected a Dataset, got {type(data).__name__}; Dataset.from_arrays makes one")
         source = to_ron(data)
         return cls(_pwrfgs.suggest_pipeline(data, source, from_ron(source)._named.get("root"), name))
 
@@ -105,7 +121,7 @@ class Pipeline(PipelineFields):
     def set(self, values: Mapping[str, Any], **more: Any) -> "Pipeline":
         """Set values by path, all or none: ``pipeline.set({"training.steps": 2000})``."""
         every = {**dict(values), **more}
-        self._inner.set([(path, to_ron(value)) for path, value in every.items()])
+        self._inner.set([(path, field_text(path, value)) for path, value in every.items()])
         self._hold()
         return self
 

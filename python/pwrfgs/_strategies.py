@@ -172,6 +172,8 @@ FIELDS = {
     "pruners": "Pruner", "initializer": "Initializer", "split": "Split", "baselines": "Baseline", "metrics": "Metric",
     "deformation": "Deformation",
 }  # fmt: skip
+# Fields that hold lists.
+LISTS = ("pruners", "baselines", "metrics")
 # What a pipeline records of an object.
 RECORD = ("module", "class", "settings", "source")
 # A class of a kind implements at least one of these methods.

@@ -47,7 +47,7 @@ def sweep(
 
     ``experiment`` is an experiment file or its name in ``pwrfgs pipelines``, or with ``axes`` the base pipeline::
 
-        sweep("quickstart", axes={"training.steps": [500, 2000], "split": {"voxel": pwrfgs.Voxel()}}, seeds=range(3))
+        sweep("quickstart", axes={"training.scale": [0.1, 0.5], "split": {"voxel": pwrfgs.Voxel()}}, seeds=range(3))
 
     Each axis is the path of a setting with its values: every combination runs with each of the ``seeds``. A dict gives the
     values labels for folders, tables and figures; the label of a plugin in a list is its name with the settings that differ.

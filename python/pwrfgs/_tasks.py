@@ -8,6 +8,8 @@ import inspect
 import os
 from typing import Any, Callable, Dict, List, Mapping, Optional, TypeVar, Union
 
+import numpy as np
+
 from . import _pwrfgs
 from ._classes import Field, defaults_of, listing
 from ._errors import InputError
@@ -32,12 +34,14 @@ def settings_text(task: str, given: Mapping[str, Any]) -> str:
         if value is None:
             continue
         if name in _BOXES and not isinstance(value, str):
-            value = ",".join(repr(float(number)) for number in value)
+            value = ",".join(repr(number) for number in np.ravel(np.asarray(value, float)).tolist())
         if known[name].startswith("list of"):
-            value = [value] if isinstance(value, str) else list(value)
+            value = list(value) if isinstance(value, (list, tuple)) else [value]
         if known[name] == "list of MapQuantity":  # names without quotes
             texts.append(f"{name}: [{', '.join(map(str, value))}]")
         else:
+            if known[name] == "text" and not isinstance(value, str):
+                raise InputError(f"{name} is {value!r}, expected a str")
             texts.append(f"{name}: {to_ron(value)}")
     return f"({', '.join(texts)})"
 
@@ -65,6 +69,8 @@ def documented(task: str) -> Callable[[_Function], _Function]:
 @documented("map")
 def radio_map(self: "_pwrfgs.Model", **settings: Any) -> RadioMap:
     """Map the predictions of a model over a plane: ``model.map(plane="z=1.2", step=0.25)``."""
+    if isinstance(settings.get("receiver"), int):
+        settings["receiver"] = self.receivers[settings["receiver"]]
     values = _pwrfgs.radio_map(self, settings_text("map", settings))
     layers = values["layers"]
     return RadioMap(

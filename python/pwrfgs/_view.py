@@ -26,7 +26,7 @@ def show(path: Optional[str], model: Optional["_pwrfgs.Model"], beside: Any) -> 
         beside = os.fspath(named) if isinstance(named, (str, os.PathLike)) else plugin_text("Baseline", beside, None)
     view = _pwrfgs.view(path, model, beside)
     if not in_notebook():
-        print(f"{view.address}\nopen this address in a browser on this machine; close() stops the page")
+        print(f"{view.address}\nopen this address in a browser on this machine; the page ends with this program, or with its result")
     return view
 
 

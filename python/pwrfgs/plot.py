@@ -162,8 +162,8 @@ def plane(
 
 def radio_map(result: Any, layer: str, ax: Any = None) -> Any:
     """Plot a layer of a ``RadioMap``; azimuths have cyclic colours, extrapolations are hatched."""
-    unit = result.units[layer]
-    ax = plane(result[layer], result.x, result.y, ax, f"{layer}, {unit}" if unit else layer, f"{result.words[layer]}, {result.plane}")
+    values, unit = result[layer], result.units[layer]
+    ax = plane(values, result.x, result.y, ax, f"{layer}, {unit}" if unit else layer, f"{result.words[layer]}, {result.plane}")
     ax.set(xlabel=f"{result.axes[0]}, metres", ylabel=f"{result.axes[1]}, metres")
     if layer.startswith("azimuth"):
         ax.collections[0].set(cmap="twilight", clim=(0.0, 360.0))

@@ -147,7 +147,7 @@ class SpectrumRegressor(_Regressor):
     ``X`` are positions [M, 3] in metres. ``y`` are spectra [M, H, W] from 0 to 1, or rows [M, H * W] if ``shape`` is set;
     scorers such as ``scoring="r2"`` need rows. ``score`` is the mean SSIM.
     All samples of ``fit`` are training samples; searches and cross-validation of scikit-learn hold out others.
-    Settings are parameters too: ``GridSearchCV(SpectrumRegressor(), {"training__steps": [500, 2000]})``.
+    Settings are parameters too: ``GridSearchCV(SpectrumRegressor(), {"training__scale": [0.1, 0.5]})``.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ class PowerRegressor(_Regressor):
 
     ``X`` are positions [M, 3] in metres. ``y`` are powers [M, R] in dBm, or [M] of one receiver; NaN means not received.
     ``score`` is R², the mean over the receivers, without powers that are NaN.
-    Settings are parameters too: ``GridSearchCV(PowerRegressor(receivers=gateways), {"training__steps": [500, 2000]})``.
+    Settings are parameters too: ``GridSearchCV(PowerRegressor(receivers=gateways), {"training__scale": [0.1, 0.5]})``.
 
     Parameters
     ----------

@@ -218,7 +218,8 @@ pub(crate) fn to_exception(py: Python<'_>, error: Error) -> PyErr {
 }
 
 /// Parts of messages for the command line that have a text of their own in Python.
-const PYTHON_TEXTS: [(&str, &str); 6] = [
+const PYTHON_TEXTS: [(&str, &str); 7] = [
+    ("`residuals: Kriged()`", "`residuals=pwrfgs.settings.Kriged()`"),
     (
         "give it to `import --orientation`, or as `orientation` in gateway_info.yml",
         "give it as `orientation` of the receiver",

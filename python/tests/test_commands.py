@@ -15,7 +15,7 @@ FUNCTIONS = {
     "run": ("pwrfgs.run(pipeline)", "`Run`: scores, training curve, model"),
     "pipelines": ('pwrfgs.Pipeline("quickstart")', "`Pipeline`: settings as attributes; `print` shows its text"),
     "check": ("pwrfgs.check(pipeline)", "`Check`: memory, time, warnings"),
-    "sweep": ('pwrfgs.sweep(pipeline, axes={"training.steps": [500, 2000]})', "list of `Run`; `executor=` runs them elsewhere"),
+    "sweep": ('pwrfgs.sweep(pipeline, axes={"training.scale": [0.1, 0.5]})', "list of `Run`; `executor=` runs them elsewhere"),
     "compare": ("pwrfgs.compare(data)", "`Comparison`: scores of all methods and baselines"),
     "predict": ("model.predict(tx)", "array; `Interval` with `interval=0.9`; iterator of arrays with `batch_size=`"),
     "map": ('model.map(plane="z=1.2", step=0.25)', "`RadioMap`: layers [rows, columns] with units"),

@@ -179,3 +179,21 @@ def test_pipelines_of_the_package_have_names(tmp_path, monkeypatch):
         pwrfgs.Pipeline("s23-lptop")
     (tmp_path / "quickstart").write_text(str(pipeline.copy().set({"seed": 7})))
     assert pwrfgs.Pipeline("quickstart").seed == 7
+
+
+def test_fields_of_plugins_take_names_and_say_what_they_expect(pipeline):
+    pipeline.split = "voxel"
+    pipeline.metrics = ["Ssim", pwrfgs.Psnr()]
+    assert pipeline.split == pwrfgs.Voxel() and pipeline.metrics == [pwrfgs.Ssim(), pwrfgs.Psnr()]
+    for field, value, problem in [
+        ("pruners", pwrfgs.OpacityThreshold(), r"pruners is pwrfgs.OpacityThreshold\(.*; give a list, such as \["),
+        ("split", "voxle", "did you mean `Voxel`"),
+        ("training.steps", 100.5, "training.steps = 100.5: invalid value; it takes a whole number"),
+    ]:
+        with pytest.raises(pwrfgs.InputError, match=problem):
+            pipeline.set({field: value})
+    with pytest.raises(AttributeError, match="it is pwrfgs.settings.Kriged"):
+        pwrfgs.Kriged  # noqa: B018
+    for call in (lambda: pwrfgs.Pipeline.for_data(np.zeros((2, 3))), lambda: pwrfgs.run(pipeline.load_data())):
+        with pytest.raises(pwrfgs.InputError, match="Dataset"):
+            call()

@@ -311,3 +311,13 @@ def test_warnings_of_a_run_have_their_level(pipeline, tmp_path, caplog):
         pwrfgs.run(pipeline, out=tmp_path / "run", progress=False)
     (warning,) = warnings_of(caplog)
     assert warning.endswith("nothing was pruned: 60 Gaussians remain, and no pruner has removed any")
+
+
+def test_settings_take_nested_boxes_and_refuse_other_types(model):
+    nested = model.map(plane="z=1", step=1.0, bounds=((0, 2), (0, 1)))
+    assert list(nested.x) == list(model.map(plane="z=1", step=1.0, bounds="0,2,0,1").x)
+    assert nested.layers.keys() == model.map(plane="z=1", step=1.0, bounds=[0, 2, 0, 1], receiver=0).layers.keys()
+    with pytest.raises(pwrfgs.InputError, match="plane is 1, expected a str"):
+        model.map(plane=1)
+    with pytest.raises(pwrfgs.InputError, match=r"no layer 'pwr' \(layers: "):
+        nested.plot("pwr")

@@ -110,6 +110,11 @@ impl PipelineEdit {
             && (hint == TypeHint::Always
                 || hint == TypeHint::AtLeaf && tree.fields().is_empty() && tree.items().is_empty())
         {
+            // A parser says where it stopped, which does not help who set a value.
+            let stopped = ["Expected comma", "Expected opening", "Expected identifier", "Integer is out of bounds"];
+            if stopped.iter().any(|start| message.starts_with(start)) {
+                message = "invalid value".into();
+            }
             message = format!("{message}; it takes a {}", kind.words());
         }
         EditFault { message, blamed: blamed.into_iter().map(|k| self.changes[k].clone()).collect() }
