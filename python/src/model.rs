@@ -7,7 +7,6 @@ use crate::arrays::{self, Gain, array, axis_count, numbers, position, positions,
 use crate::border::{reject, without_gil};
 use crate::data::plane_angles;
 use numpy::PyArrayDyn;
-use observed::Batches;
 use pwrfgs::model::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs::tasks::read_models;
@@ -249,7 +248,7 @@ impl Model {
             (Some(_), Some(_)) => reject(py, "give one of vjp and batch_size"),
             (Some(_), None) if interval.is_some() => reject(py, "give one of vjp and interval"),
             (Some(cotangents), None) => model.predict_vjp(py, &links, cotangents),
-            (None, Some(size)) => Batches::start(slf, links, size, interval),
+            (None, Some(size)) => Self::start_batches(slf, links, size, interval),
             (None, None) => model.predict_links(py, &links, interval),
         }
     }

@@ -68,7 +68,7 @@ def both(case, cli, tmp_path):
     same message."""
 
     def plain(text):
-        return re.sub(r"[-_`\s]+", " ", text.replace("--", ""))
+        return re.sub(r"[-_`\s]+", " ", text.replace("--", "").replace("=pwrfgs.settings.", ": "))
 
     def call(task, python, *arguments, file="out"):
         out = tmp_path / file

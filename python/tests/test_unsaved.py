@@ -186,7 +186,7 @@ def test_pipeline_keeps_data_in_memory(small, tmp_path):
     for copy in (small.copy(), pickle.loads(pickle.dumps(small)), pwrfgs.Pipeline(str(small))):
         assert copy == small and np.array_equal(copy.load_data().spectra, data.spectra)
     small.training.steps = 50
-    assert small.load_data() is data and repr(small.data).startswith('Arrays(root: "unsaved:')
+    assert small.load_data() is data and repr(small.data).startswith("pwrfgs.Arrays(root='unsaved:")
     with pytest.raises(pwrfgs.InputError, match=r"call save\(path\) of the data first"):
         small.save(tmp_path / "p.ron")
     data.save(tmp_path / "data")
@@ -263,3 +263,12 @@ def test_measured_subset_keeps_its_noise_ceiling(tmp_path):
     part.save(tmp_path / "part")
     ceilings = [pwrfgs.repeatability(one)["near"]["ssim"]["mean"] for one in (part, pwrfgs.Dataset.load(tmp_path / "part"))]
     assert ceilings[0] == ceilings[1] == pytest.approx(0.962, abs=0.001)
+
+
+def test_moved_run_folder_finds_its_data(small, tmp_path):
+    pwrfgs.run(small, out=tmp_path / "runs/first", progress=False)
+    (tmp_path / "runs/first").rename(tmp_path / "moved")
+    run = pwrfgs.Run(tmp_path / "moved")
+    assert np.array_equal(run.pipeline.load_data().positions, TX)
+    assert len(run.model.locate(SPECTRA[:1]).positions) == 1
+    assert pwrfgs.run(tmp_path / "moved", progress=False).scores == run.scores

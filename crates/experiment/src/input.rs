@@ -84,11 +84,19 @@ pub fn rebased(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
     pipeline.rebased(&|path| absolute_path(base, path))
 }
 
-/// Returns the absolute form of `path`, relative to `base`; the name of a shipped scene stays as it is.
+/// Returns the absolute form of `path`, relative to `base`; the name of a shipped scene stays as it is. Data that a run in
+/// Python wrote into its folder are found in `base` if that folder was moved since.
 pub(crate) fn absolute_path(base: &Path, path: &Path) -> PathBuf {
     if ShippedFile::find(ShippedFile::SCENES, base, path).is_some() {
         return path.into();
     }
-    let joined = base.join(path);
+    let mut joined = base.join(path);
+    if !joined.exists()
+        && let (Some(name), true) = (path.file_name(), path.parent().is_some_and(|parent| parent.ends_with("data")))
+        && let moved = base.join("data").join(name)
+        && moved.exists()
+    {
+        joined = moved;
+    }
     joined.canonicalize().or_else(|_| std::path::absolute(&joined)).unwrap_or(joined)
 }

@@ -69,7 +69,7 @@ const MOST: usize = 100_000;
 
 /// Selected receivers.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Subset {
+pub struct ReceiverSubset {
     /// Receivers: ascending after an exhaustive search, in the order of selection after a greedy search.
     pub receivers: Vec<usize>,
     /// Coverage, dBm.
@@ -80,18 +80,18 @@ pub struct Subset {
 
 /// Returns the best `count` receivers of all subsets, the first of equal ones; `None` if there are more than 100,000
 /// subsets. `powers` holds powers in dBm `[T]` per receiver.
-pub fn best_subset(powers: &[Vec<f64>], count: usize) -> Option<Subset> {
+pub fn best_subset(powers: &[Vec<f64>], count: usize) -> Option<ReceiverSubset> {
     let subsets = combinations(powers.len(), count)?;
     let all: Vec<f64> = subsets.par_iter().map(|subset| subset_coverage(powers, subset)).collect();
     let pairs = all.into_iter().enumerate();
     let (best, coverage) = pairs.reduce(|best, next| if next.1 > best.1 { next } else { best })?;
-    Some(Subset { receivers: subsets[best].clone(), coverage, evaluations: subsets.len() })
+    Some(ReceiverSubset { receivers: subsets[best].clone(), coverage, evaluations: subsets.len() })
 }
 
 /// Selects `count` receivers one after another, each raising the coverage most; of equal ones the first that raises the mean of
 /// the strongest powers most. (A few receivers may leave more than a tenth of the transmitters without a link.)
-pub fn greedy_subset(powers: &[Vec<f64>], count: usize) -> Subset {
-    let mut subset = Subset { receivers: Vec::new(), coverage: f64::NAN, evaluations: 0 };
+pub fn greedy_subset(powers: &[Vec<f64>], count: usize) -> ReceiverSubset {
+    let mut subset = ReceiverSubset { receivers: Vec::new(), coverage: f64::NAN, evaluations: 0 };
     let mut strongest: Vec<f64> = vec![f64::NEG_INFINITY; powers.first().map_or(0, Vec::len)];
     while subset.receivers.len() < count.min(powers.len()) {
         let free: Vec<usize> = (0..powers.len()).filter(|r| !subset.receivers.contains(r)).collect();

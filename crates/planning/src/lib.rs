@@ -16,8 +16,8 @@ mod survey;
 
 pub use ascent::{AscentResult, ascend};
 pub use coverage::{
-    Subset, best_subset, combinations, coverage, greedy_subset, random_subsets, soft_coverage, strongest_powers,
-    subset_coverage,
+    ReceiverSubset, best_subset, combinations, coverage, greedy_subset, random_subsets, soft_coverage,
+    strongest_powers, subset_coverage,
 };
 pub use learn::{kriging_scores, learn_correlation};
 #[cfg(feature = "raytrace")]

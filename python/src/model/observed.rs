@@ -166,7 +166,7 @@ impl Links {
 
 /// Iterator over the predictions of many positions, some at a time.
 #[pyclass(module = "pwrfgs")]
-pub(super) struct Batches {
+struct Batches {
     model: Py<Model>,
     links: Links,
     /// Number of positions per batch.
@@ -176,10 +176,11 @@ pub(super) struct Batches {
     interval: Option<f64>,
 }
 
-impl Batches {
-    /// Creates the iterator; an error for invalid settings, before the first prediction.
-    pub(super) fn start<'py>(
-        model: &Bound<'py, Model>,
+impl Model {
+    /// Creates an iterator over the predictions of `size` links each; an error for invalid settings, before the first
+    /// prediction.
+    pub(super) fn start_batches<'py>(
+        model: &Bound<'py, Self>,
         links: Links,
         size: usize,
         interval: Option<f64>,
@@ -194,7 +195,7 @@ impl Batches {
         if let Some(level) = interval {
             interval_factors(&model.get().ensemble, level).map_err(|error| to_exception(py, error))?;
         }
-        let batches = Self { model: model.clone().unbind(), links, size, done: 0, interval };
+        let batches = Batches { model: model.clone().unbind(), links, size, done: 0, interval };
         Ok(Bound::new(py, batches)?.into_any())
     }
 }

@@ -4,7 +4,7 @@ use super::{PlaceSettings, PlacedReceivers, Placement, RANDOM, check_count};
 use pwrfgs_core::{Dataset, Error, Result, rng, statistics::mean};
 use pwrfgs_experiment::text::{fixed, grouped};
 use pwrfgs_experiment::{Observer, staged};
-use pwrfgs_planning::{Subset, best_subset, greedy_subset, random_subsets, strongest_powers, subset_coverage};
+use pwrfgs_planning::{ReceiverSubset, best_subset, greedy_subset, random_subsets, strongest_powers, subset_coverage};
 use pwrfgs_report::draw::survey::CoverageMap;
 
 /// Divisor of the number of transmitters that are held out without an official split.
@@ -46,7 +46,8 @@ pub fn place_in_data(data: &Dataset, settings: &PlaceSettings, observer: &mut dy
         notes.push("more than 100,000 subsets: greedy choice only".into());
     }
     let subsets = [("exhaustive", best), ("greedy", greedy)];
-    let subsets: Vec<(&str, Subset)> = subsets.into_iter().filter_map(|(name, subset)| Some((name, subset?))).collect();
+    let subsets: Vec<(&str, ReceiverSubset)> =
+        subsets.into_iter().filter_map(|(name, subset)| Some((name, subset?))).collect();
     let mut choices: Vec<PlacedReceivers> =
         subsets.iter().map(|(name, subset)| powers.score_subset(name, subset)).collect();
     choices.extend(powers.reference_choices(count, settings.seed));
@@ -74,7 +75,7 @@ impl MeasuredPowers<'_> {
     }
 
     /// Scores the subset of the search `short` on the held-out transmitters.
-    fn score_subset(&self, short: &'static str, subset: &Subset) -> PlacedReceivers {
+    fn score_subset(&self, short: &'static str, subset: &ReceiverSubset) -> PlacedReceivers {
         let coverage = subset_coverage(&self.held_out, &subset.receivers);
         let cells = vec![fixed(subset.coverage, 2), fixed(coverage, 2), grouped(subset.evaluations as i64)];
         let receivers = subset.receivers.iter().map(|&r| self.name_and_position(r)).collect();
