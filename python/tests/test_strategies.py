@@ -469,3 +469,9 @@ def test_pruners_stand_beside_those_of_the_pipeline(pipeline, tmp_path, caplog):
     with pytest.raises(pwrfgs.Error, match="one Gaussian is left at step 30"):
         pwrfgs.run(pipeline, set={"pruners": []}, pruners=[Nothing()], **out)
     assert "would remove all Gaussians" in caplog.text
+
+
+def test_messages_name_the_class_of_a_pruner(pipeline, tmp_path, caplog):
+    caplog.set_level("INFO", "pwrfgs")
+    pwrfgs.run(pipeline, pruners=[Thin(0.7)], set={"pruners": []}, out=tmp_path / "run", progress=False)
+    assert "`Thin`" in caplog.text and "`Python`" not in caplog.text

@@ -1,7 +1,7 @@
 //! `check_compatible`: whether plugins, settings, data and models fit together. No other code compares them.
 
 use crate::messages::strip_control;
-use crate::plugin::{Plugin, name_of, to_ron};
+use crate::plugin::{Plugin, name_of, title_of, to_ron};
 use crate::pruner::{PruneTarget, prune_contexts};
 use crate::{
     Dataset, Demand, GaussianCloud, ImagePlane, MeasurementSetup, Method, MethodTraits, Misfit, Phase, Projector,
@@ -131,7 +131,7 @@ fn check_pruners(parts: &Parts<'_>, traits: &MethodTraits<'_>) -> Result<(), Mis
     let is_repeated = |(k, pruner): &(usize, &Plugin<dyn Pruner>)| {
         !pruner.traits().columns.is_empty() && pruners[..*k].iter().any(|other| kind(other) == kind(pruner))
     };
-    refuse(pruners.iter().enumerate().find(is_repeated).map(|(_, pruner)| Misfit::ListedTwice(name_of(pruner))))?;
+    refuse(pruners.iter().enumerate().find(is_repeated).map(|(_, pruner)| Misfit::ListedTwice(title_of(pruner))))?;
     refuse(parts.training.and_then(|training| target_misfit(&training, pruners)))?;
     let target = parts.training.map(|training| training.target).filter(|target| *target > 0);
     let moment = StepContext { round: 1, passed: 1, rounds: 1, target, ..StepContext::new(1, Phase::Prune, 0) };
@@ -139,10 +139,10 @@ fn check_pruners(parts: &Parts<'_>, traits: &MethodTraits<'_>) -> Result<(), Mis
         let needs = pruner.needs(&GaussianCloud::zeros(0), &context).statistics;
         let rasterizer = if task.is_some_and(|task| task.is_complex) { "" } else { "rasterizer: AlphaBlending() or " };
         let needs_blending = !traits.blends && needs.iter().any(|statistic| statistic.requires_blending());
-        refuse(needs_blending.then(|| Misfit::NeedsBlending(name_of(pruner), rasterizer)))?;
+        refuse(needs_blending.then(|| Misfit::NeedsBlending(title_of(pruner), rasterizer)))?;
         let requires_pixels = |s: &Statistic| matches!(s, Statistic::Error { .. } | Statistic::Top { .. });
         let needs_pixels = task.is_some_and(|task| !task.has_pixels) && needs.iter().any(requires_pixels);
-        refuse(needs_pixels.then(|| Misfit::NeedsPixels(name_of(pruner))))?;
+        refuse(needs_pixels.then(|| Misfit::NeedsPixels(title_of(pruner))))?;
     }
     Ok(())
 }
@@ -155,12 +155,12 @@ fn target_misfit(training: &TrainingNumbers, pruners: &[Plugin<dyn Pruner>]) -> 
         return Some(Misfit::TargetUnsupported(target));
     }
     let is_idle = |k: &usize| pruners[*k].traits().requires_target && goal.is_none_or(|goal| goal.pruner != *k);
-    if let Some(idle) = (0..pruners.len()).find(is_idle).map(|k| name_of(&pruners[k])) {
-        let first = goal.map(|goal| name_of(&pruners[goal.pruner]));
+    if let Some(idle) = (0..pruners.len()).find(is_idle).map(|k| title_of(&pruners[k])) {
+        let first = goal.map(|goal| title_of(&pruners[goal.pruner]));
         return Some(first.map_or(Misfit::TargetMissing(idle.clone()), |first| Misfit::TargetTaken(first, idle)));
     }
     let goal = goal.filter(PruneTarget::is_exact)?;
-    let no_step = || Misfit::NoPruneStep(name_of(&pruners[goal.pruner]), target);
+    let no_step = || Misfit::NoPruneStep(title_of(&pruners[goal.pruner]), target);
     let few = training.initial.filter(|n| target > *n && !goal.can_reach(pruners, training.densified, target));
     (!training.prunes).then(no_step).or(few.map(|n| Misfit::TargetAboveStart(target, n)))
 }

@@ -124,6 +124,13 @@ pub fn name_of(plugin: &impl Serialize) -> String {
     text.split(['(', '{']).next().unwrap_or_default().trim().to_owned()
 }
 
+/// Returns the name of a plugin for messages: of a plugin in Python, such as `Python(.., class: "Thin", ..)`, that of its class.
+pub fn title_of(plugin: &impl Serialize) -> String {
+    let (name, text) = (name_of(plugin), to_ron(plugin));
+    let class = || text.split_once("class:")?.1.split('"').nth(1);
+    if name == "Python" { class().unwrap_or(&name).to_owned() } else { name }
+}
+
 /// Reads RON with the project's extensions; suggests the nearest known name for a misspelt one. `path` is for messages.
 ///
 /// # Errors

@@ -6,7 +6,7 @@ use crate::edit::{self, RemovalsByRule};
 use crate::graph::{Batch, gate_product};
 use crate::loss::Objective;
 use crate::trainer::{StepStart, Trainer};
-use pwrfgs_core::plugin::{Plugin, name_of};
+use pwrfgs_core::plugin::{Plugin, title_of};
 use pwrfgs_core::{
     Budget, CloudStats, Needs, Parameters, PassStatistics, Phase, PruneTarget, Pruner, Real, Result, RowOrigin,
     Statistic, StepContext, best, prune_contexts,
@@ -83,7 +83,7 @@ impl Trainer<'_> {
             }
             let votes = pruner.keep(cloud, stats, &context);
             assert_eq!(votes.len(), keep.len(), "a pruner answers for every Gaussian");
-            rules.push((format!("`{}`", name_of(pruner)), count_removed(&votes)));
+            rules.push((format!("`{}`", title_of(pruner)), count_removed(&votes)));
             if pruner.traits().mask_rate().is_some() {
                 open.iter_mut().zip(&votes).for_each(|(open, vote)| *open &= *vote);
             }

@@ -4,7 +4,7 @@ use crate::adam::BETAS;
 use crate::densify::{self, SIZE_RULE, SPLIT_SHRINK, largest_scale};
 use crate::settings::Densify;
 use crate::trainer::Trainer;
-use pwrfgs_core::plugin::name_of;
+use pwrfgs_core::plugin::title_of;
 use pwrfgs_core::{Error, ImagePlane, Real, Result, Vec3};
 
 impl Trainer<'_> {
@@ -55,7 +55,7 @@ impl Trainer<'_> {
             format!(
                 "pruners: a mask of `{}` needs about {needed} steps to close and pruning ends after step {until}, so it \
                  removes none; raise its `learning_rate`, or training.prune_until",
-                name_of(pruner)
+                title_of(pruner)
             )
         })
     }
@@ -117,7 +117,7 @@ impl Trainer<'_> {
         Some(format!(
             "masks closed {closed} of {before} Gaussians, less than a tenth; raise λ, the penalty weight of \
              `{}`, or training.prune_until",
-            name_of(pruner)
+            title_of(pruner)
         ))
     }
 
