@@ -45,8 +45,9 @@ def small():
 def test_arrays_to_scores_in_three_statements(kind, tmp_path, monkeypatch, cli):
     monkeypatch.chdir(tmp_path)
     data = made(kind)
+    short = {**SHORT, "initializer.step": 1.0} if kind == "channel" else SHORT
     pipeline = pwrfgs.Pipeline.for_data(data)
-    run = pwrfgs.run(pipeline, set=SHORT, progress=False)
+    run = pwrfgs.run(pipeline, set=short, progress=False)
     assert run.folder == "runs/pipeline" and run.finished and run.scores["model"]
     assert data._source is None and pipeline.load_data() is data
     (stored,) = (tmp_path / "runs/pipeline/data").iterdir()
@@ -58,7 +59,7 @@ def test_arrays_to_scores_in_three_statements(kind, tmp_path, monkeypatch, cli):
     assert again == pipeline and hash(again) == hash(pipeline)
     model = (tmp_path / "runs/pipeline/model.safetensors").read_bytes()
     for pipeline in (again, "runs/pipeline"):
-        assert pwrfgs.run(pipeline, set=SHORT if pipeline is again else None, progress=False).finished
+        assert pwrfgs.run(pipeline, set=short if pipeline is again else None, progress=False).finished
     subprocess.run([cli, "run", "runs/pipeline", "-q"], check=True, capture_output=True)
     subprocess.run([cli, "report", "runs/pipeline", "--out", "page", "-q"], check=True, capture_output=True)
     assert (tmp_path / "runs/pipeline/model.safetensors").read_bytes() == model
@@ -200,10 +201,12 @@ def test_pipeline_keeps_data_in_memory(small, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["spectrum", "power", "channel"])
-@pytest.mark.parametrize("count", [2, 3, 7])
+@pytest.mark.parametrize("count", [2, 7])
 def test_small_data_train_without_repairs(kind, count, tmp_path):
     data = made(kind, count)
     pipeline = pwrfgs.Pipeline.for_data(data)
+    if kind == "channel":
+        pipeline.initializer.step = 1.0  # the search takes most of the time
     pwrfgs.Trainer(pipeline, data, train=np.arange(len(data))).step()
     assert pwrfgs.run(pipeline, set=SHORT, out=tmp_path / "run", progress=False).finished
 
