@@ -89,7 +89,7 @@ impl Dataset {
     /// position of the fixed transmitter, if it is known, and the positions of `receivers` are ignored. `carriers_hz` [M] are the carriers of spectra or channels at one receiver: each carrier then
     /// is a receiver, with a name such as `2400MHz`. `points` [P, 3] are
     /// surface points of the room. `elevation_deg` are the elevations of the upper edge of the top row and the lower
-    /// edge of the bottom row of spectra, (0, 90) by default. Set `simulated=True` for data that were not measured.
+    /// edge of the bottom row of spectra, (0, 90) by default. Set `simulated=True` for data that were not measured; the title then says so.
     #[staticmethod]
     #[pyo3(signature = (tx=None, spectra=None, rssi=None, csi=None, *, rx_pose=None, transmitter=None, receivers=None, carriers_hz=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
     #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
@@ -151,6 +151,7 @@ impl Dataset {
         let data = without_gil(py, || {
             let made = Data::of_links(title, ends, points, &samples, observations)?;
             let made = Data { elevation, simulation, ..made };
+            let made = Data { title: made.marked_title(), ..made };
             let data = if let Some(carriers) = carriers { made.with_carriers(&carriers)? } else { made };
             check_dataset(&data).map(|()| data)
         })?;

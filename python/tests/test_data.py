@@ -24,7 +24,7 @@ def test_spectra_come_and_go(tmp_path):
     given = spectra()
     receiver = pwrfgs.Receiver("gate", (1.0, 2.0, 3.0), (0.0, 0.0, 0.6, 0.8))
     data = pwrfgs.Dataset.from_arrays(TX, given, receivers=[receiver], points=[[1, 2, 3.0]], title="mine", simulated=True)
-    assert len(data) == 30 and data.kind == "spectrum" and data.simulated and data.title == "mine"
+    assert len(data) == 30 and data.kind == "spectrum" and data.simulated and data.title == "mine (simulated)"
     assert np.allclose(data.spectra, given) and np.array_equal(data.tx, TX) and data.rssi is None and data.csi is None
     assert data.receivers == [receiver] and np.array_equal(data.points, [[1, 2, 3]])
     assert np.array_equal(data.observations([3, 1]), data.spectra[[3, 1]])

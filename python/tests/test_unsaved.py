@@ -275,3 +275,10 @@ def test_moved_run_folder_finds_its_data(small, tmp_path):
     assert np.array_equal(run.pipeline.load_data().positions, TX)
     assert len(run.model.locate(SPECTRA[:1]).positions) == 1
     assert pwrfgs.run(tmp_path / "moved", progress=False).scores == run.scores
+
+
+def test_simulated_data_say_so_after_they_are_saved(tmp_path):
+    data = pwrfgs.Dataset.from_arrays(TX, SPECTRA, title="toy", simulated=True)
+    data.save(tmp_path / "toy")
+    assert data.title == pwrfgs.Dataset.load(tmp_path / "toy").title == "toy (simulated)"
+    assert str(pwrfgs.inspect(data)).startswith("toy (simulated)\n")

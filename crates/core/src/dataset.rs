@@ -242,6 +242,12 @@ impl Dataset {
         groups
     }
 
+    /// Returns the title, followed by "(simulated)" if the data are simulated and it does not say so.
+    pub fn marked_title(&self) -> String {
+        let is_marked = !self.is_simulated() || self.title.to_lowercase().contains("simulated");
+        format!("{}{}", self.title, if is_marked { "" } else { " (simulated)" })
+    }
+
     /// Returns whether the data are simulated.
     pub fn is_simulated(&self) -> bool {
         self.simulation.is_some()

@@ -116,7 +116,10 @@ pub(crate) fn restore_saved(root: &Path, mut data: Dataset) -> Result<Dataset> {
         data.locations.iter_mut().zip(ids).for_each(|(location, id)| location.id = id);
     }
     if let Some(Manifest { title, bounds, .. }) = Manifest::read(root) {
-        data.title = title.map_or(data.title, |title| strip_control(&title));
+        if let Some(title) = title {
+            data.title = strip_control(&title);
+            data.title = data.marked_title();
+        }
         let is_valid = |[low, high]: &[[f64; 3]; 2]| {
             [low, high].iter().all(|corner| place_fault(**corner).is_none()) && (0..3).all(|k| low[k] <= high[k])
         };

@@ -65,13 +65,12 @@ impl Inspection {
     /// If a baseline or a metric does not support the data, or a spectrum cannot be read.
     pub fn of(pipeline: &Pipeline, data: &Dataset, session: &mut Session<'_>) -> Result<Self> {
         let summary = DataSummary::of(data, INSPECTED, session.observer)?;
-        let is_marked = !data.is_simulated() || data.title.to_lowercase().contains("simulated");
         let ids = [data.locations.first(), data.locations.last()].map(|t| t.map_or(0, |t| t.id));
         let samples = ("samples", format!("{}, ids {} to {}", observed(data), ids[0], ids[1]));
         let of_predictions = |m: &&Plugin<dyn Metric>| m.scope() != Scope::Model;
         let metrics: Vec<_> = pipeline.metrics.iter().filter(of_predictions).take(1).cloned().collect();
         let mut inspection = Self {
-            title: format!("{}{}", data.title, if is_marked { "" } else { " (simulated)" }),
+            title: data.marked_title(),
             facts: [samples].into_iter().chain(summary.facts).collect(),
             pose: summary.pose,
             baselines: fitted_baselines(pipeline).map(|baseline| baseline.name_for(data.task())).collect(),
