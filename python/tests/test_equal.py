@@ -14,16 +14,18 @@ import pwrfgs
 
 POSITIONS = np.random.default_rng(0).uniform((0, 0, 1), (4, 3, 1.5), (60, 3))
 GATEWAYS = np.array([[0.0, 0.0, 2.5], [4.0, 3.0, 2.5]])
-KINDS = ("spectra", "powers", "channels", "moving")
-pytestmark = pytest.mark.filterwarnings("ignore:orientation")  # of the spectra; `test_findings` has it
+KINDS = ("quickstart", "powers", "channels", "moving")
+pytestmark = pytest.mark.filterwarnings("ignore:orientation")  # of the moving receiver; `test_findings` has it
 # Kinds of data for which a task is not available.
 REFUSED = {
-    "locate": ["moving"], "place": ["spectra", "channels", "moving"], "interval": ["channels"], "update": ["moving"],
+    "locate": ["moving"], "place": ["quickstart", "channels", "moving"], "interval": ["channels"], "update": ["moving"],
 }  # fmt: skip
 
 
 def made(kind):
-    """Data of a kind: received power falls with distance, spectra are bright in the direction of the transmitter."""
+    """Data of a kind: those of the quickstart, or a toy in which received power falls with distance."""
+    if kind == "quickstart":
+        return pwrfgs.Pipeline("quickstart").set({"data.samples": 60}).load_data()
     noise = np.random.default_rng(1)
     distance = np.linalg.norm(POSITIONS[:, None] - GATEWAYS, axis=2)
     if kind == "powers":
@@ -39,8 +41,6 @@ def made(kind):
     columns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     spectra = np.exp(np.cos(columns - azimuth[:, None]) - 1)[:, None] * np.linspace(0.9, 0.3, 6)[:, None]
     spectra = (spectra * noise.uniform(0.95, 1.0, spectra.shape)).astype(np.float32)
-    if kind == "spectra":
-        return pwrfgs.Dataset.from_arrays(POSITIONS, spectra)
     poses = np.concatenate([POSITIONS, np.tile([0.0, 0.0, 0.0, 1.0], (60, 1))], axis=1)
     return pwrfgs.Dataset.from_arrays(spectra=spectra, rx_pose=poses, transmitter=(0.0, 0.0, 2.5))
 
@@ -51,7 +51,8 @@ def case(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
     data = made(request.param)
     data.save(folder / "data")
-    pipeline = pwrfgs.init(data, name="case")
+    pipeline = pwrfgs.Pipeline("quickstart") if request.param == "quickstart" else pwrfgs.Pipeline.for_data(data, name="case")
+    pipeline.data = data
     pipeline.split, pipeline.baselines = pwrfgs.Random(test=0.2, validation=0.2), [pwrfgs.NearestNeighbours(k=3)]
     pipeline.training.batch = 8
     if request.param != "moving":
