@@ -22,7 +22,7 @@ fn assert_same(data: &Dataset, read_back: &Dataset) {
     let links = |data: &Dataset| data.samples().map(|s| (s.id, s.position(), s.receiver)).collect::<Vec<_>>();
     assert_eq!(links(data), links(read_back));
     assert_eq!((&data.official, &data.scene.points), (&read_back.official, &read_back.scene.points));
-    assert_eq!((&data.title, data.scene.bounds), (&read_back.title, read_back.scene.bounds));
+    assert_eq!((data.marked_title(), data.scene.bounds), (read_back.title.clone(), read_back.scene.bounds));
     assert!((0..data.len()).all(|i| data.observations.raw(i) == read_back.observations.raw(i)));
     if let (Observations::Channels(first), Observations::Channels(second)) =
         (&data.observations, &read_back.observations)
@@ -41,7 +41,7 @@ fn assert_same(data: &Dataset, read_back: &Dataset) {
     }
 }
 
-/// Checks that `data` and a part of them are read back with their IDs, bounds and title.
+/// Checks that `data` and a part of them are read back with their IDs, bounds and title, which says that simulated data are simulated.
 fn assert_round_trip(data: &Dataset) {
     assert_same(data, &read_back(data));
     let part = data.subset(&[0, data.len() - 1]).unwrap();
