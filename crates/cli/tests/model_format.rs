@@ -150,6 +150,7 @@ fn virtual_transmitters(order: usize) -> Model {
         frequencies_hz,
         moving: End::Transmitter,
         transmitter: None,
+        geodetic: None,
     };
     let method: Plugin<dyn Method> = Plugin::parse(&format!("VirtualTransmitters(order: {order})")).unwrap();
     let mut cloud = cloud();

@@ -39,6 +39,8 @@ pub struct Dataset {
     pub simulation: Option<Simulation>,
     /// Positions and spectra without a counterpart in the source.
     pub unmatched: Unmatched,
+    /// Names of findings that the user accepted when the data were imported.
+    pub accepted: Vec<String>,
 }
 
 /// Numbers of incomplete samples, which a source leaves out.
@@ -148,6 +150,7 @@ impl Dataset {
             official: None,
             simulation: None,
             unmatched: Unmatched::default(),
+            accepted: Vec::new(),
         })
     }
 
@@ -178,6 +181,7 @@ impl Dataset {
             placed: self.placed,
             official: official.filter(|(train, test)| !train.is_empty() && !test.is_empty()),
             simulation: self.simulation.clone(),
+            accepted: self.accepted.clone(),
             ..subset
         })
     }
@@ -284,7 +288,7 @@ pub fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
         return Err("no receiver; give at least one".into());
     }
     let mut names = BTreeSet::new();
-    for Receiver { name, pose, antennas, carrier_hz, camera } in receivers {
+    for Receiver { name, pose, antennas, carrier_hz, camera, .. } in receivers {
         let subject =
             if receivers.len() == 1 { "receiver".to_owned() } else { format!("receiver `{}`", strip_control(name)) };
         if let Some((_, fault)) = pose.fault() {
@@ -372,7 +376,7 @@ fn build_scene(ends: Ends, points: Vec<[f64; 3]>, locations: &[Location]) -> Sce
     let fixed = fixed.into_iter().map(|position| origin.local_pose(position.into()).origin().to_array());
     let occupied = positions().map(|position| origin.local(position)).chain(points.iter().copied());
     let bounds = bounding_box(occupied.chain(fixed));
-    Scene { origin, moving, transmitter, receivers, bounds, points }
+    Scene { origin, moving, transmitter, receivers, bounds, points, geodetic: None }
 }
 
 /// Returns the smallest and largest corner of the given points.

@@ -17,6 +17,7 @@ mod deformation;
 pub mod docs;
 mod error;
 pub mod files;
+mod geodetic;
 mod image;
 mod initializer;
 pub mod kriging;
@@ -56,6 +57,7 @@ pub use deformation::{
 };
 pub use docs::{JsonSchema, schemars};
 pub use error::{Error, Result, check_stopped, did_you_mean};
+pub use geodetic::Geodetic;
 pub use image::{AngleAxis, Camera, Elevation, Image, ImagePlane, Sampling, stretch};
 pub use initializer::{Initializer, InitializerInput};
 pub use layout::{Layout, WeightGroup, WeightSpec};

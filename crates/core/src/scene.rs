@@ -1,6 +1,6 @@
 //! Geometry of a measurement: `Origin`, `Pose`, receivers, locations of the moving end, and links.
 
-use crate::{Camera, JsonSchema, Mat3, Real, Vec3};
+use crate::{Camera, Geodetic, JsonSchema, Mat3, Real, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Maximum coordinate, metres. Double precision resolves 15 nm at this distance, and no map has larger coordinates.
@@ -23,6 +23,8 @@ pub struct Scene {
     pub bounds: ([Real; 3], [Real; 3]),
     /// Surface points `[P,3]` in metres from the origin, empty without a point cloud.
     pub points: Vec<[Real; 3]>,
+    /// Latitude and longitude of the user's frame; `None` if the data have none.
+    pub geodetic: Option<Geodetic>,
 }
 
 impl Scene {
@@ -36,9 +38,12 @@ impl Scene {
         Ends { moving: self.moving, transmitter: self.transmitter, receivers: self.receivers.clone() }
     }
 
-    /// Returns whether the length of a link is known: its fixed end has a position.
+    /// Returns whether the length of a link is known: its fixed end has a position that was measured.
     pub fn has_distances(&self) -> bool {
-        self.moving == End::Transmitter || self.transmitter.is_some()
+        match self.moving {
+            End::Transmitter => self.receivers.iter().all(|receiver| !receiver.is_estimated),
+            End::Receiver => self.transmitter.is_some(),
+        }
     }
 
     /// Returns the poses of the ends that do not move, one or more, relative to the origin: of all receivers, or of the
@@ -114,12 +119,15 @@ pub struct Receiver {
     /// Camera of its images; `None` for spectra over angles and other observations.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<Camera>,
+    /// Whether the data do not state the position, and it is an estimate from the strongest observations.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub is_estimated: bool,
 }
 
 impl Receiver {
     /// Creates a receiver with one antenna at its position.
     pub fn new(name: impl Into<String>, pose: Pose) -> Self {
-        Self { name: name.into(), pose, antennas: vec![[0.0; 3]], carrier_hz: None, camera: None }
+        Self { name: name.into(), pose, antennas: vec![[0.0; 3]], carrier_hz: None, camera: None, is_estimated: false }
     }
 
     /// Returns this receiver at one of several carriers, Hz, with the name of the carrier, such as `2400MHz`.

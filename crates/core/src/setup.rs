@@ -2,7 +2,7 @@
 //! reads them.
 
 use crate::{
-    Conditions, Dataset, Elevation, End, ImagePlane, Link, Origin, Pose, Query, Real, Receiver, Scene, Task, Vec3,
+    Conditions, Dataset, Elevation, End, Geodetic, ImagePlane, Link, Origin, Pose, Query, Real, Receiver, Scene, Task, Vec3,
 };
 
 /// Receivers and measurement type: all properties of a data set that a trained model needs.
@@ -22,21 +22,23 @@ pub struct MeasurementSetup {
     pub plane: ImagePlane,
     /// Subcarrier frequencies of a channel, Hz; otherwise empty.
     pub frequencies_hz: Vec<f64>,
+    /// Latitude and longitude of the user's frame; `None` if the data have none.
+    pub geodetic: Option<Geodetic>,
 }
 
 impl MeasurementSetup {
     /// Creates the setup for `data` on the image plane `plane`.
     pub fn of(data: &Dataset, plane: ImagePlane) -> Self {
         let frequencies_hz = data.observations.frequencies_hz().to_vec();
-        let Scene { origin, moving, transmitter, receivers, .. } = data.scene.clone();
-        Self { origin, moving, transmitter, receivers, task: data.task(), plane, frequencies_hz }
+        let Scene { origin, moving, transmitter, receivers, geodetic, .. } = data.scene.clone();
+        Self { origin, moving, transmitter, receivers, task: data.task(), plane, frequencies_hz, geodetic }
     }
 
     /// Creates the setup for spectra at one receiver.
     pub fn spectra(origin: Origin, pose: Pose, plane: ImagePlane) -> Self {
         let receivers = vec![Receiver::new("receiver", pose)];
         let (moving, transmitter, task) = (End::Transmitter, None, Task::default());
-        Self { origin, moving, transmitter, receivers, task, plane, frequencies_hz: Vec::new() }
+        Self { origin, moving, transmitter, receivers, task, plane, frequencies_hz: Vec::new(), geodetic: None }
     }
 
     /// Returns the number of values per observation.

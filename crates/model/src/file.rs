@@ -6,7 +6,7 @@ use crate::{Ensemble, IntervalCalibration, Model, Stages, TrainingPositions};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, ron_options};
 use pwrfgs_core::{
-    COLUMN_NAMES, End, Error, ExtraColumn, GaussianCloud, ImagePlane, MeasurementSetup, Method, Origin, Pose, Real,
+    COLUMN_NAMES, End, Error, ExtraColumn, GaussianCloud, Geodetic, ImagePlane, MeasurementSetup, Method, Origin, Pose, Real,
     Receiver, Result, Task,
 };
 use serde::{Deserialize, Serialize};
@@ -65,6 +65,9 @@ struct LinksNote {
     /// Subcarrier frequencies, Hz.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     frequencies_hz: Vec<f64>,
+    /// Latitude and longitude of the user's frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    geodetic: Option<Geodetic>,
 }
 
 const FORMAT: &str = "pwrfgs-model";
@@ -190,6 +193,7 @@ fn describe_model(model: &Model) -> Note {
             transmitter: s.transmitter.map(|position| s.origin.world_pose(position.into()).position),
             receivers: s.receivers.iter().map(receiver).collect(),
             frequencies_hz: s.frequencies_hz.clone(),
+            geodetic: s.geodetic,
         },
         origin: s.origin,
         plane: s.plane.clone(),
@@ -324,12 +328,12 @@ fn take_training_positions(file: &mut Tensors, name: &str) -> Result<Option<Trai
 /// Returns the measurement setup of a model file, with poses relative to the origin.
 fn setup_of_note(note: &Note) -> MeasurementSetup {
     let (origin, plane) = (note.origin, note.plane.clone());
-    let LinksNote { kind, moving, transmitter, receivers, frequencies_hz } = note.links.clone();
+    let LinksNote { kind, moving, transmitter, receivers, frequencies_hz, geodetic } = note.links.clone();
     let moving = moving.unwrap_or_default();
     let local = |pose: Pose| if moving.is_receiver() { pose } else { origin.local_pose(pose) };
     let receivers = receivers.into_iter().map(|r| Receiver { pose: local(r.pose), ..r }).collect();
     let transmitter = transmitter.map(|position| origin.local_pose(position.into()).position);
-    MeasurementSetup { origin, moving, transmitter, receivers, task: kind, plane, frequencies_hz }
+    MeasurementSetup { origin, moving, transmitter, receivers, task: kind, plane, frequencies_hz, geodetic }
 }
 
 /// Rejects a file whose constants differ from those that its deformation computes here, because predictions would

@@ -44,6 +44,7 @@ impl Dataset {
             official,
             simulation: self.simulation,
             unmatched: self.unmatched,
+            accepted: self.accepted,
             ..columns
         })
     }
