@@ -3,7 +3,8 @@
 
 use crate::folder::copy;
 use crate::mutate::Form;
-use pwrfgs::data::import::{Import, read_links};
+use pwrfgs::data::TableImport;
+use pwrfgs::data::import::Import;
 use pwrfgs::data::{Predictions, check_dataset};
 use pwrfgs::experiment::sweep::SweepPlan;
 use pwrfgs::experiment::{self, Session, read_pipeline};
@@ -84,7 +85,8 @@ pub const TARGETS: &[Target] = &[
     of(8, "rssi/gateway_position.yml", &[], Plain, |bench| step(bench, "powers.ron")),
     of(24, "rssi/gateway_rssi.csv", &[], Plain, |bench| step(bench, "powers.ron")),
     of(8, "links.csv", &[], Plain, |bench| {
-        read_links(&bench.join("links.csv"), "links", false).and_then(|(data, _)| check_dataset(&data))
+        let table = TableImport { files: vec![bench.join("links.csv").into()], title: "links".into(), ..TableImport::default() };
+        table.read().and_then(|imported| check_dataset(&imported.data))
     }),
     of(8, "poses.csv", &[], Plain, |bench| pwrfgs::data::read_poses(&bench.join("poses.csv")).map(drop)),
     of(8, "colmap/sparse/0/cameras.txt", &[], Plain, cameras),

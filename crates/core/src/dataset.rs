@@ -119,16 +119,34 @@ impl Dataset {
     ) -> Result<Self> {
         let (title, ends) = (strip_control(&title.into()), ends.into());
         let refuse = |fault: String| Error::Config(format!("data set `{title}`: {fault}"));
-        check_receivers(&ends.receivers).map_err(refuse)?;
-        if let Some(fault) = observations.fault() {
-            return Err(refuse(fault));
-        }
         if samples.len() != observations.len() {
             let (count, needed, plural) = (observations.len(), samples.len(), observations.task().plural);
             let locations = if ends.moving.is_receiver() { "receiver poses" } else { "transmitters" };
             return Err(refuse(format!("{count} {plural} for {needed} {locations}; give as many of each")));
         }
         let (locations, links) = to_columns(samples, &ends).map_err(refuse)?;
+        Self::of_columns(title, ends, points, locations, links, observations)
+    }
+
+    /// Creates a data set as [`Self::of_links`] does, from columns: locations of ascending IDs, and links in ascending order,
+    /// one per observation.
+    ///
+    /// # Errors
+    /// As [`Self::of_links`], for receivers, observations and points.
+    pub fn of_columns(
+        title: impl Into<String>,
+        ends: Ends,
+        points: Vec<[f64; 3]>,
+        locations: Vec<Location>,
+        links: Vec<Link>,
+        observations: Observations,
+    ) -> Result<Self> {
+        let title = strip_control(&title.into());
+        let refuse = |fault: String| Error::Config(format!("data set `{title}`: {fault}"));
+        check_receivers(&ends.receivers).map_err(refuse)?;
+        if let Some(fault) = observations.fault() {
+            return Err(refuse(fault));
+        }
         if let Some((point, fault)) = points.iter().find_map(|point| Some((point, place_fault(*point)?))) {
             return Err(refuse(format!("a point at {point:?} {fault}")));
         }

@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// Tolerance for spectrum values outside 0 to 1, due to rounding.
 pub(crate) const ROUNDING: f64 = 1e-6;
-/// Entry of a power table if no signal was received, dBm.
+/// Cell of a table of powers for a link without a signal, in folders that declare nothing else, dBm.
 pub(crate) const NOT_RECEIVED: f64 = -100.0;
 /// Largest plausible absolute power, dBm; larger values have another unit.
 const LARGEST_DBM: f64 = 300.0;
@@ -72,12 +72,8 @@ pub fn unlinked_node(
     unlinked(&sends).map(UnlinkedNode::Transmitter).or_else(|| unlinked(&receives).map(UnlinkedNode::Receiver))
 }
 
-/// Returns the problem with a received power in dBm: implausible, or the marker of a missing link; `None` if it is valid.
+/// Returns the problem with a received power in dBm that is implausible; `None` if it is valid.
 pub fn power_fault(dbm: f64) -> Option<String> {
-    if dbm == NOT_RECEIVED {
-        let problem = format!("is {dbm} dBm, which marks a missing link in a power table");
-        return Some(format!("{problem}; leave the link out, or give -99.99 if it was measured"));
-    }
     (dbm.is_nan() || dbm.abs() > LARGEST_DBM).then(|| format!("is {dbm}, no power in dBm; give dBm"))
 }
 

@@ -4,7 +4,7 @@ use crate::geometry::read_points;
 use crate::text::{TextRow, read_text};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::{quoted, strip_control};
-use pwrfgs_core::{Dataset, Error, Pose, Result, Simulation, carrier_fault, files, place_fault};
+use pwrfgs_core::{Dataset, Error, Geodetic, Pose, Receiver, Result, Simulation, carrier_fault, files, place_fault};
 use serde::Deserialize;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -71,12 +71,21 @@ pub(crate) fn folder_name(root: &Path) -> String {
 
 /// `manifest.json` as written by `pwrfgs simulate` and by [`save`](crate::save()).
 #[derive(Default, Deserialize)]
+#[serde(default)]
 struct Manifest {
-    simulated: bool,
+    simulated: Option<bool>,
     scene: Option<String>,
     /// Title and bounds of the scene (metres, user's frame) of saved data.
     title: Option<String>,
     bounds: Option<[[f64; 3]; 2]>,
+    /// Values of a table of powers that mean "not received", beside empty cells; absent in folders that declare none.
+    missing: Option<Vec<f64>>,
+    /// Latitude and longitude of the zero of the frame.
+    geodetic: Option<Geodetic>,
+    /// Receivers whose position is an estimate.
+    estimated_receivers: Vec<String>,
+    /// Findings that the user accepted.
+    accepted: Vec<String>,
 }
 
 impl Manifest {
@@ -86,12 +95,17 @@ impl Manifest {
     }
 }
 
+/// Returns the values of a table of powers that mean "not received" according to `manifest.json` in `root`; `None` if it declares
+/// none.
+pub(crate) fn read_missing(root: &Path) -> Option<Vec<f64>> {
+    Manifest::read(root)?.missing
+}
+
 /// Returns the simulation of the data set `name` according to `manifest.json` in `root`, else according to its name; `None`
 /// for measured data.
 pub(crate) fn read_simulation(root: &Path, name: &str) -> Option<Simulation> {
-    let by_name = || Manifest { simulated: name.to_lowercase().contains("simulated"), ..Manifest::default() };
-    let Manifest { simulated, scene, .. } = Manifest::read(root).unwrap_or_else(by_name);
-    simulated.then_some(Simulation { scene })
+    let Manifest { simulated, scene, .. } = Manifest::read(root).unwrap_or_default();
+    simulated.unwrap_or_else(|| name.to_lowercase().contains("simulated")).then_some(Simulation { scene })
 }
 
 /// File of the IDs of the transmitter positions, or of the poses of a moving receiver, one per line.
@@ -115,7 +129,11 @@ pub(crate) fn restore_saved(root: &Path, mut data: Dataset) -> Result<Dataset> {
         }
         data.locations.iter_mut().zip(ids).for_each(|(location, id)| location.id = id);
     }
-    if let Some(Manifest { title, bounds, .. }) = Manifest::read(root) {
+    if let Some(Manifest { title, bounds, geodetic, estimated_receivers, accepted, .. }) = Manifest::read(root) {
+        data.accepted = accepted;
+        data.scene.geodetic = geodetic.filter(|geodetic| geodetic.is_valid());
+        let is_estimated = |receiver: &Receiver| estimated_receivers.contains(&receiver.name);
+        data.scene.receivers.iter_mut().for_each(|receiver| receiver.is_estimated = is_estimated(receiver));
         if let Some(title) = title {
             data.title = strip_control(&title);
             data.title = data.marked_title();

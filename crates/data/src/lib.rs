@@ -30,6 +30,7 @@ mod polygons;
 mod save;
 mod splits;
 mod subset;
+mod table;
 mod teacher;
 mod text;
 
@@ -52,4 +53,5 @@ pub use pwrfgs_core::npy::{npy_header, npy_header_as};
 pub use save::{pose_row, poses_csv, save};
 pub use splits::{Fold, LeaveReceiverOut, Official, Random, RandomLinks, Sparse, TimeBlock, Voxel};
 pub use subset::{LINKS, Subset, write_links};
+pub use table::{ColumnChoice, ImportedTable, PowerUnit, TableFile, TableImport};
 pub use teacher::Teacher;

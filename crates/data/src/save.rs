@@ -63,6 +63,11 @@ fn refuse<T>(problem: &str) -> Result<T> {
     Err(Error::Config(format!("save: {problem}")))
 }
 
+/// Returns whether no power equals [`NOT_RECEIVED`], the mark of a missing link.
+fn is_code_free(powers: &[Real]) -> bool {
+    powers.iter().all(|dbm| *dbm as f64 != NOT_RECEIVED)
+}
+
 /// Returns a name as a cell of a CSV table, quoted if needed.
 fn csv_cell(name: &str) -> String {
     let (is_plain, name) = (name.chars().all(|c| c.is_ascii() && c != ','), cell(name));
@@ -211,14 +216,21 @@ impl FolderWriter<'_> {
         let gateways = receivers.iter().map(|receiver| receiver.name.as_str()).zip(self.fixed_poses());
         self.write_file("gateway_position.yml", gateway_positions_yaml(gateways))?;
         self.write_locations()?;
-        let mut cells = vec![NOT_RECEIVED; self.data.locations.len() * receivers.len()];
+        // Other programs know -100; where it is a reading, the cell is empty.
+        let missing = if is_code_free(powers) { NOT_RECEIVED } else { f64::NAN };
+        let mut cells = vec![missing; self.data.locations.len() * receivers.len()];
         for (link, dbm) in self.data.links.iter().zip(powers) {
             cells[link.location * receivers.len() + link.receiver] = *dbm as f64;
         }
         let names: Vec<String> = receivers.iter().map(|receiver| csv_cell(&receiver.name)).collect();
         let mut text = names.join(",") + "\n";
         for row in cells.chunks(receivers.len().max(1)) {
-            text += &row.iter().map(|dbm| format!("{dbm:?}")).collect::<Vec<_>>().join(",");
+            for (k, dbm) in row.iter().enumerate() {
+                text.push_str(if k == 0 { "" } else { "," });
+                if !dbm.is_nan() {
+                    write!(text, "{dbm:?}").expect("text grows");
+                }
+            }
             text.push('\n');
         }
         self.write_file("gateway_rssi.csv", text)
@@ -269,6 +281,19 @@ impl FolderWriter<'_> {
             "name": data.title,
             "title": data.title,
         });
+        if let Some(powers) = data.observations.powers() {
+            manifest["missing"] = serde_json::json!(if is_code_free(powers) { vec![NOT_RECEIVED] } else { vec![] });
+            manifest["unit"] = "dBm".into();
+        }
+        if let Some(geodetic) = scene.geodetic {
+            manifest["geodetic"] = serde_json::json!(geodetic);
+        }
+        let estimated: Vec<&str> = scene.receivers.iter().filter(|r| r.is_estimated).map(|r| &*r.name).collect();
+        for (key, names) in [("estimated_receivers", estimated), ("accepted", data.accepted.iter().map(|n| &**n).collect())] {
+            if !names.is_empty() {
+                manifest[key] = serde_json::json!(names);
+            }
+        }
         let points = scene.points.iter().map(|point| scene.origin.world(*point)).collect();
         let samples: Vec<Sample> = data.samples().collect();
         let nothing = Observations::Powers(vec![0.0; samples.len()]);

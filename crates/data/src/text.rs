@@ -3,7 +3,7 @@
 //! Rows are split here because the `csv` crate gives no column of a field; a quoted field may contain commas but no
 //! line end.
 
-use crate::checks::{NOT_RECEIVED, power_fault};
+use crate::checks::power_fault;
 use pwrfgs_core::{Error, MAX_COORDINATE_M, Real, Result, coordinate_fault, files, messages::quoted};
 use serde::de::DeserializeOwned;
 use serde_saphyr::{Spanned, UserMessageFormatter};
@@ -15,7 +15,7 @@ const MOST_FIELDS: usize = 1_000_000;
 pub(crate) const MAX_YAML: u64 = 1 << 20;
 
 pub(crate) const POINT_ADVICE: &str = "give every point a finite x, y and z in metres, or remove it";
-const DBM_ADVICE: &str = "give the power in dBm, or -100 if the gateway received no signal";
+const DBM_ADVICE: &str = "give the power in dBm, or leave the cell empty if the receiver received no signal";
 pub(crate) const VERTEX_ADVICE: &str = "give every vertex a finite x, y and z";
 
 /// Field of a line.
@@ -63,16 +63,21 @@ impl<F> TextRow<'_, F> {
         Ok([x?, y?, z?])
     }
 
-    /// Parses a power, dBm: finite and from -300 to 300. The field holds -100 if no signal was received; another number
-    /// that rounds to -100 in single precision is rejected.
-    pub(crate) fn power(&self, field: TextField<'_>) -> Result<f64> {
+    /// Parses a power, dBm: from -300 to 300. `None` for an empty cell and for the values `missing`, which mean that no signal was
+    /// received.
+    pub(crate) fn power(&self, field: TextField<'_>, missing: &[f64]) -> Result<Option<f64>> {
+        if is_empty_cell(field.text) {
+            return Ok(None);
+        }
         let dbm = self.number(field, DBM_ADVICE)?;
-        let stored = dbm as Real as f64; // rounding may give the marker of a missing link
-        if dbm != NOT_RECEIVED && [dbm, stored].into_iter().find_map(power_fault).is_some() {
+        if missing.contains(&dbm) {
+            return Ok(None);
+        }
+        if power_fault(dbm).is_some() {
             let problem = format!("{} is not a power in dBm; {DBM_ADVICE}", quoted(field.text));
             return Err(self.fault(field.column, problem));
         }
-        Ok(dbm)
+        Ok(Some(dbm))
     }
 }
 
@@ -112,10 +117,9 @@ impl<'a> TextRow<'a> {
         })
     }
 
-    /// Reads the power in the column of a receiver, dBm; -100 if no signal was received. Returns an error if the row is
-    /// too short, or as [`Self::power`].
-    pub(crate) fn read_power(&self, column: (usize, &str)) -> Result<f64> {
-        self.power(self.cell(column, DBM_ADVICE)?)
+    /// Reads the power in the column of a receiver as [`Self::power`] does. Returns an error if the row is too short.
+    pub(crate) fn read_power(&self, column: (usize, &str), missing: &[f64]) -> Result<Option<f64>> {
+        self.power(self.cell(column, DBM_ADVICE)?, missing)
     }
 
     /// Returns the index of the column `name` of a header, in either case; `names` lists every column that the file needs.
@@ -191,6 +195,14 @@ pub(crate) fn numbered_lines(text: &str) -> impl Iterator<Item = (usize, &str)> 
     text.lines().enumerate().map(|(i, line)| (i + 1, line)).filter(|(_, line)| !line.trim().is_empty())
 }
 
+/// Cells without a value, in either case.
+const EMPTY: [&str; 8] = ["", "-", "na", "n/a", "nan", "null", "none", "nil"];
+
+/// Returns whether a cell holds no value.
+pub(crate) fn is_empty_cell(cell: &str) -> bool {
+    EMPTY.iter().any(|word| cell.eq_ignore_ascii_case(word))
+}
+
 /// Splits a line at commas into fields without surrounding blanks and quotes; stops after [`MOST_FIELDS`].
 fn split_commas(line: &str) -> Vec<TextField<'_>> {
     let mut quoted = false;
@@ -198,16 +210,18 @@ fn split_commas(line: &str) -> Vec<TextField<'_>> {
         quoted ^= c == '"';
         c == ',' && !quoted
     });
-    let fields = parts.take(MOST_FIELDS).map(|part| {
-        let text = part.trim();
-        text.strip_prefix('"').and_then(|text| text.strip_suffix('"')).unwrap_or(text).trim()
-    });
-    locate_fields(line, fields)
+    locate_fields(line, parts.take(MOST_FIELDS).map(unquoted))
+}
+
+/// Returns a field without surrounding blanks and quotes.
+pub(crate) fn unquoted(part: &str) -> &str {
+    let text = part.trim();
+    text.strip_prefix('"').and_then(|text| text.strip_suffix('"')).unwrap_or(text).trim()
 }
 
 /// Returns slices of `line`, in order, each with its column: characters, counted from 1. Columns are counted incrementally:
 /// a face of a mesh may have a million corners in one line.
-fn locate_fields<'a>(line: &'a str, parts: impl Iterator<Item = &'a str>) -> Vec<TextField<'a>> {
+pub(crate) fn locate_fields<'a>(line: &'a str, parts: impl Iterator<Item = &'a str>) -> Vec<TextField<'a>> {
     let (mut last, mut column) = (0, 1);
     let field = |text: &'a str| {
         let start = text.as_ptr() as usize - line.as_ptr() as usize;

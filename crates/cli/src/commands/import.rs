@@ -1,15 +1,17 @@
-//! `pwrfgs import`: converts spectra and positions, or a table of links, into a data folder.
+//! `pwrfgs import`: converts spectra and positions, or tables of powers, into a data folder.
+
+mod table;
 
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::data::import::{Import as Work, read_links};
-use pwrfgs::data::save;
-use pwrfgs::experiment::{observed, staged, warn_of_findings};
+use pwrfgs::data::import::Import as Work;
+use pwrfgs::experiment::{staged, warn_of_findings};
 use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs::tasks::plane::{parse_numbers, parse_position};
 use pwrfgs_core::{Elevation, Error, Number, Pose, Result, recognise};
 use std::path::{Path, PathBuf};
+use table::TableArguments;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -25,15 +27,15 @@ EXAMPLES
   pwrfgs import --spectra s.npy --tx tx.npy --receiver 5,1,0 --orientation 0,0,0,1 --out data/my2
   pwrfgs import --spectra images --tx tx.csv --receiver 5,1,0 --orientation 0,0,0,1 --out data/my3
   printf 'x,y,z,receiver,rx_x,rx_y,rx_z,dbm\\n1,2,1,hall,0,0,2,-61\\n2,2,1,hall,0,0,2,-64\\n' > links.csv
-  pwrfgs import --links links.csv --out data/my4")]
-#[command(group(clap::ArgGroup::new("what").required(true).args(["spectra", "links"])))]
+  pwrfgs import --table links.csv --out data/my4
+  pwrfgs import --table survey.csv --receivers aps.csv --missing 100 --dry-run")]
+#[command(group(clap::ArgGroup::new("what").required(true).args(["spectra", "table"])))]
 pub(crate) struct Import {
     /// Spectra: .npy, .npz or .npz:NAME, or folder of grey PNG (8, 16 bits)
     #[arg(long, value_name = "PATH", requires_all = ["receiver", "orientation"])]
     pub(crate) spectra: Option<PathBuf>,
-    /// Received powers: .csv with one row per link (columns: see example)
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["tx", "receiver", "orientation", "elevation", "scale"])]
-    pub(crate) links: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) table: TableArguments,
     /// Transmitter positions in metres.
     #[arg(
         long,
@@ -41,7 +43,7 @@ pub(crate) struct Import {
         help = "Transmitter positions in metres: .npy or .npz [M, 3], or .csv with\ncolumns x, y, z [default: array tx of the .npz of the spectra]"
     )]
     pub(crate) tx: Option<PathBuf>,
-    /// Receiver position in metres
+    /// Receiver position in metres; with --table its column, or its name
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) receiver: Option<String>,
     /// Unit quaternion x,y,z,w, receiver to world; 0,0,0,1: no rotation
@@ -51,8 +53,8 @@ pub(crate) struct Import {
     #[arg(long, value_name = "FIRST,LAST", allow_hyphen_values = true)]
     pub(crate) elevation: Option<String>,
     /// Output folder; must be new or empty
-    #[arg(long, value_name = "DIR")]
-    pub(crate) out: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "dry_run")]
+    pub(crate) out: Option<PathBuf>,
     /// Name of the data set [default: name of the folder]
     #[arg(long)]
     pub(crate) name: Option<String>,
@@ -66,12 +68,14 @@ pub(crate) struct Import {
 
 /// Runs `pwrfgs import`: writes the data folder, and warns of findings on its data.
 pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
-    let folder_name =
-        || arguments.out.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
+    let out = arguments.out.clone();
+    let folder = out.as_ref().and_then(|out| out.file_name());
+    let folder_name = || folder.map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
     let name = arguments.name.clone().unwrap_or_else(folder_name);
-    if let Some(path) = &arguments.links {
-        return import_links(arguments, path, &name, verbosity);
+    if !arguments.table.table.is_empty() {
+        return table::import_table(arguments, &name, verbosity);
     }
+    let out = out.unwrap_or_default();
     let work = Work {
         spectra: arguments.spectra.clone().unwrap_or_default(),
         tx: arguments.tx.clone(),
@@ -85,8 +89,8 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         simulated: arguments.simulated,
     };
     let imported = RunProgress::observe(verbosity, |progress| {
-        let imported = staged(progress, "spectra", |progress| work.write(&arguments.out, progress))?;
-        let source = recognise(&arguments.out).ok_or_else(|| unknown_folder_error(&arguments.out))?;
+        let imported = staged(progress, "spectra", |progress| work.write(&out, progress))?;
+        let source = recognise(&out).ok_or_else(|| unknown_folder_error(&out))?;
         let data = staged(progress, "new folder", |progress| source.load(Path::new(""), progress))?;
         warn_of_findings(&data, None, progress)?;
         Ok::<_, Error>(imported)
@@ -98,24 +102,13 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
             Number::U16 => "16-bit",
             Number::F32 | Number::F64 => "32-bit floats",
         };
-        let out = arguments.out.display();
+        let folder = out.display();
         output::print_note(&format!(
-            "{m} spectra of {w} x {h} pixels ({kind}, {low:.4} to {high:.4}) in {out}; in a pipeline:"
+            "{m} spectra of {w} x {h} pixels ({kind}, {low:.4} to {high:.4}) in {folder}; in a pipeline:"
         ));
-        output::print_note(&format!("    data: Arrays(root: {:?}),", arguments.out.to_string_lossy()));
+        output::print_note(&format!("    data: Arrays(root: {:?}),", out.to_string_lossy()));
         output::print_note("    split: Random(test: 0.2),");
     }
-    Ok(())
-}
-
-/// Converts the table of links in `path` into a data folder called `name`, and warns of findings on its data.
-fn import_links(arguments: &Import, path: &Path, name: &str, verbosity: Verbosity) -> Result<()> {
-    let (data, silent) = read_links(path, name, arguments.simulated)?;
-    save(&data, &arguments.out)?;
-    warn_of_findings(&data, None, &mut RunProgress::new(verbosity))?;
-    let out = arguments.out.display();
-    let left_out = if silent == 0 { String::new() } else { format!("; rows of -100 dBm, not received: {silent}") };
-    verbosity.print_note(&format!("{} in {out}{left_out}; next: `pwrfgs init {out}`", observed(&data)));
     Ok(())
 }
 

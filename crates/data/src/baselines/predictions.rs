@@ -108,7 +108,9 @@ fn read_power_predictions(path: &Path, key: &str) -> Result<BTreeMap<u32, Predic
         let [id, power] = row.fields;
         let fault = |problem| row.fault(id.column, format!("{key} {} {problem}; {ADVICE}", quoted(id.text)));
         let label = id.text.parse().ok().ok_or_else(|| fault("is not a whole number"))?;
-        let power = Prediction::Power(row.power(power)? as Real);
+        let dbm = row.power(power, &[])?;
+        let dbm = dbm.ok_or_else(|| row.fault(power.column, "no power; give one per link, or remove the row"))?;
+        let power = Prediction::Power(dbm as Real);
         if predictions.insert(label, power).is_some() {
             return Err(fault("occurs twice"));
         }

@@ -5,15 +5,15 @@ mod tests;
 
 use super::receivers::read_gateways;
 use super::{LocationTable, POSES, index};
-use crate::checks::{NOT_RECEIVED, UnlinkedNode, unlinked_node};
+use crate::checks::NOT_RECEIVED;
 use crate::folder::{
-    check_root, existing_root, find_point_cloud, folder_name, read_point_cloud, read_title, recognised_root,
+    check_root, existing_root, find_point_cloud, folder_name, read_missing, read_point_cloud, read_title, recognised_root,
     restore_saved,
 };
 use crate::text::{TextRow, numbered_lines, read_text};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::{quoted, strip_control, text_of};
-use pwrfgs_core::{DataSource, Dataset, Error, JsonSchema, Progress, Real, Receiver, Result, Sample, did_you_mean};
+use pwrfgs_core::{DataSource, Dataset, Error, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample, did_you_mean};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ const LAYOUT: &str = "a NeRF2 folder of powers holds gateway_position.yml, gatew
 /// ```text
 /// root/gateway_position.yml    g01: [x, y, z], one line per gateway; metres; with a rotation:
 ///                              g01: {position: [x, y, z], orientation: [x, y, z, w]}, a unit quaternion
-/// root/gateway_rssi.csv        header with the gateway names; row k: received powers, dBm; -100: no signal
+/// root/gateway_rssi.csv        header with the gateway names; row k: received powers, dBm; empty cell, NaN or -100: no signal
 /// root/tx_pos.csv              header with x, y, z among others; row k is the transmitter; metres
 /// root/rx_pose.csv             instead of tx_pos.csv, if the receivers move: columns x, y, z, qx, qy, qz, qw of their pose;
 ///                              gateway_position.yml then has the position of the fixed transmitter under each name
@@ -33,7 +33,9 @@ const LAYOUT: &str = "a NeRF2 folder of powers holds gateway_position.yml, gatew
 /// root/test_index.txt          test_index.txt must both exist or both be absent
 /// ```
 ///
-/// A link is a transmitter and a gateway that received it; -100 dBm marks a missing link. The id of a transmitter is
+/// A link is a transmitter and a gateway that received it. An empty cell and NaN mark a missing link, and so does -100, unless
+/// `manifest.json` declares other values: `"missing": []` where -100 dBm is a reading. Gateways that received nothing are left
+/// out with a warning. The id of a transmitter is
 /// its row, counted from 0 as in the index files (ids of spectra count from 1), or line k of `ids.txt`, if there is one. The split of the index files assigns
 /// all links of a transmitter to one set. Gateways are receivers of the same name, in the order of
 /// `gateway_position.yml`.
@@ -78,21 +80,24 @@ impl DataSource for Nerf2Rssi {
         let gateways = read_gateways(&root.join("gateway_position.yml"), LAYOUT)?;
         let locations = LocationTable::read(&root, &root.join("tx_pos.csv"))?;
         let names: Vec<String> = gateways.iter().map(|(name, _)| name.clone()).collect();
-        let received = read_power_table(&root.join("gateway_rssi.csv"), &names, locations.poses.len(), LAYOUT)?;
+        let missing = read_missing(&root);
+        let mut received = PowerTable { missing: missing.as_deref().unwrap_or(&[NOT_RECEIVED]), gateways: &names }
+            .read(&root.join("gateway_rssi.csv"), locations.poses.len())?;
+        warn_of_low_powers(&root, missing.is_some(), &received);
         let table = if locations.moving.is_receiver() { POSES } else { "tx_pos.csv" };
         let rows = index::read_sets(&root, &|word| index::parse_row(word, table, locations.poses.len()))?;
         let points = read_point_cloud(base, self.points.as_deref())?;
-        let samples: Vec<Sample> = received
-            .iter()
-            .map(|link| Sample { receiver: link.gateway, ..Sample::new(link.row as u32, locations.poses[link.row]) })
-            .collect();
-        let powers: Vec<Real> = received.iter().map(|link| link.dbm as Real).collect();
         let transmitter = gateways[0].1.position;
         if locations.moving.is_receiver() && gateways.iter().any(|(_, pose)| pose.position != transmitter) {
             let problem = format!("the receivers move ({POSES}), but the position of their transmitter differs");
             return Err(Error::input(&root.join("gateway_position.yml"), format!("{problem}; give one position")));
         }
-        let receivers = gateways.into_iter().map(|(name, pose)| Receiver::new(name, pose)).collect();
+        let receivers = heard_gateways(&root, gateways, &mut received);
+        let samples: Vec<Sample> = received
+            .iter()
+            .map(|link| Sample { receiver: link.gateway, ..Sample::new(link.row as u32, locations.poses[link.row]) })
+            .collect();
+        let powers: Vec<Real> = received.iter().map(|link| link.dbm as Real).collect();
         let ends = locations.link_ends(receivers, Some(transmitter));
         let name = folder_name(&root);
         let (title, simulation) = read_title(&root, &name, "NeRF2 layout");
@@ -121,44 +126,74 @@ struct PowerRow {
     dbm: f64,
 }
 
-/// Reads all received powers, by row, then gateway. Returns an error unless every gateway has a column, each of the `rows`
-/// transmitters a row, and each of them at least one received power.
-fn read_power_table(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Result<Vec<PowerRow>> {
-    let text = read_text(path, MAX_TEXT, advice)?;
-    let mut contents = numbered_lines(&text);
-    let Some(header) = contents.next() else {
-        let advice = "write a header with the names of the gateways and one row per transmitter";
-        return Err(Error::input(path, format!("is empty; {advice}")));
-    };
-    let header = TextRow::at_commas(path, header);
-    let columns = gateway_columns(&header, gateways)?;
-    let (mut received, mut line_numbers): (Vec<PowerRow>, Vec<usize>) = (Vec::new(), Vec::new());
-    for (row, content) in contents.enumerate() {
-        let cells = TextRow::at_commas(path, content);
-        cells.check_length(header.fields.len())?;
-        for (gateway, &column) in columns.iter().enumerate() {
-            let dbm = cells.read_power((column, &gateways[gateway]))?;
-            received.extend((dbm != NOT_RECEIVED).then_some(PowerRow { row, gateway, dbm }));
-        }
-        line_numbers.push(cells.line);
+/// Returns the gateways that received something as receivers, and renumbers the links; warns of the others.
+fn heard_gateways(root: &Path, gateways: Vec<(String, Pose)>, received: &mut [PowerRow]) -> Vec<Receiver> {
+    let mut is_heard = vec![false; gateways.len()];
+    received.iter().for_each(|link| is_heard[link.gateway] = true);
+    let deaf: Vec<String> =
+        gateways.iter().zip(&is_heard).filter(|(_, heard)| !**heard).map(|((name, _), _)| quoted(name)).collect();
+    if !deaf.is_empty() {
+        tracing::warn!("{}: these gateways received nothing and are left out: {}", root.display(), deaf.join(", "));
     }
-    let count = line_numbers.len();
-    if count != rows {
-        let problem = format!("holds {count} rows of powers, but tx_pos.csv {rows} transmitters");
-        return Err(Error::input(path, format!("{problem}; give as many of each")));
+    received.iter_mut().for_each(|link| link.gateway = is_heard[..link.gateway].iter().filter(|heard| **heard).count());
+    let heard = gateways.into_iter().zip(is_heard).filter(|(_, heard)| *heard);
+    heard.map(|((name, pose), _)| Receiver::new(name, pose)).collect()
+}
+
+/// Warns if the value that marks a missing link may be a reading, because lower ones exist.
+fn warn_of_low_powers(root: &Path, is_declared: bool, received: &[PowerRow]) {
+    let lower = received.iter().filter(|link| link.dbm < NOT_RECEIVED).count();
+    if lower > 0 && !is_declared {
+        tracing::warn!(
+            "{}: {lower} powers are below -100 dBm, and -100 was read as not received; if it is a reading, write \
+             {{\"missing\": []}} to manifest.json",
+            root.display()
+        );
     }
-    match unlinked_node(rows, gateways.len(), received.iter().map(|link| (link.row, link.gateway))) {
-        Some(UnlinkedNode::Transmitter(row)) => {
-            let problem = "no gateway heard this transmitter (-100 in all columns)";
-            let advice = "remove the row here and in tx_pos.csv, and number the index files anew";
-            Err(Error::at(path, line_numbers[row], 1, format!("{problem}; {advice}")))
+}
+
+/// Table of powers with a column per gateway.
+struct PowerTable<'a> {
+    /// Values that mean that no signal was received.
+    missing: &'a [f64],
+    gateways: &'a [String],
+}
+
+impl PowerTable<'_> {
+    /// Reads all received powers, by row, then gateway. Returns an error unless every gateway has a column, each of the `rows`
+    /// transmitters a row, and each of them at least one received power.
+    fn read(&self, path: &Path, rows: usize) -> Result<Vec<PowerRow>> {
+        let text = read_text(path, MAX_TEXT, LAYOUT)?;
+        let mut contents = numbered_lines(&text);
+        let Some(header) = contents.next() else {
+            let advice = "write a header with the names of the gateways and one row per transmitter";
+            return Err(Error::input(path, format!("is empty; {advice}")));
+        };
+        let header = TextRow::at_commas(path, header);
+        let columns = gateway_columns(&header, self.gateways)?;
+        let (mut received, mut count): (Vec<PowerRow>, usize) = (Vec::new(), 0);
+        for (row, content) in contents.enumerate() {
+            let cells = TextRow::at_commas(path, content);
+            cells.check_length(header.fields.len())?;
+            let before = received.len();
+            for (gateway, &column) in columns.iter().enumerate() {
+                let power = cells.read_power((column, &self.gateways[gateway]), self.missing)?;
+                received.extend(power.map(|dbm| PowerRow { row, gateway, dbm }));
+            }
+            if received.len() == before && row < rows {
+                let advice = "remove the row here and in tx_pos.csv, and number the index files anew";
+                return Err(Error::at(path, cells.line, 1, format!("no gateway heard this transmitter; {advice}")));
+            }
+            count += 1;
         }
-        Some(UnlinkedNode::Receiver(gateway)) => {
-            let problem = format!("{} received no transmitter (-100 in all rows)", quoted(&gateways[gateway]));
-            let advice = "remove its column here and its line in gateway_position.yml";
-            Err(header.fault(header.fields[columns[gateway]].column, format!("{problem}; {advice}")))
+        if count != rows {
+            let problem = format!("holds {count} rows of powers, but tx_pos.csv {rows} transmitters");
+            return Err(Error::input(path, format!("{problem}; give as many of each")));
         }
-        None => Ok(received),
+        if received.is_empty() {
+            return Err(Error::input(path, "holds no received power; check the file"));
+        }
+        Ok(received)
     }
 }
 
@@ -215,10 +250,10 @@ pub fn read_powers(path: &Path, receivers: &[String]) -> Result<Vec<Vec<Real>>> 
         let row = TextRow::at_commas(path, row);
         row.check_length(header.fields.len())?;
         let power = |name: &String| match column_by_name.get(name.as_str()) {
-            Some(column) => match row.cell((*column, name), ADVICE)? {
-                field if field.text.is_empty() || field.text.eq_ignore_ascii_case("nan") => Ok(Real::NAN),
-                field => Ok(row.power(field)? as Real),
-            },
+            Some(column) => {
+                let field = row.cell((*column, name), ADVICE)?;
+                Ok(row.power(field, &[])?.map_or(Real::NAN, |dbm| dbm as Real))
+            }
             None => Ok(Real::NAN),
         };
         receivers.iter().map(power).collect()

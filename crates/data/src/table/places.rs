@@ -1,0 +1,135 @@
+//! Positions in tables: of rows, places and receivers, in metres or degrees.
+
+use super::TableImport;
+use super::columns::{ColumnSearch, PlaceColumns};
+use super::dialect::TableText;
+use crate::text::TextRow;
+use pwrfgs_core::{Error, Geodetic, Result, place_fault};
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+
+/// Positions closer than this are one, metres.
+const SAME_M: f64 = 1e-3;
+
+/// Frame of the positions, set by the first position in degrees.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Frame {
+    /// Zero of the frame; `None` while all positions are in metres.
+    pub(super) geodetic: Option<Geodetic>,
+}
+
+impl Frame {
+    /// Reads the position in a row, metres; `height` where the table has none. Returns an error for an empty or invalid
+    /// coordinate.
+    pub(super) fn read(&mut self, table: &TableText, row: &TextRow<'_>, columns: PlaceColumns, height: f64) -> Result<[f64; 3]> {
+        let coordinate = |k: usize| -> Result<f64> {
+            let field = row.cell((k, &table.names[k]), "give every row a position")?;
+            let value = table.number(row, field, "coordinate")?;
+            value.ok_or_else(|| row.fault(field.column, "no coordinate; give every row a position, or remove the row"))
+        };
+        let [a, b] = [coordinate(columns.plane[0])?, coordinate(columns.plane[1])?];
+        let z = columns.height.map_or(Ok(height), coordinate)?;
+        let [x, y] = if columns.is_geodetic { self.metres(row, [b, a])? } else { [a, b] };
+        let position = [x + 0.0, y + 0.0, z + 0.0]; // no negative zero
+        place_fault(position).map_or(Ok(position), |fault| Err(row.fault(1, format!("the transmitter {fault}"))))
+    }
+
+    /// Converts latitude and longitude to metres. The first position, rounded to a hundredth of a degree, is the zero.
+    fn metres(&mut self, row: &TextRow<'_>, [latitude, longitude]: [f64; 2]) -> Result<[f64; 2]> {
+        let rounded = |degrees: f64| (degrees * 100.0).round() / 100.0;
+        let zero = self.geodetic.unwrap_or(Geodetic { latitude: rounded(latitude), longitude: rounded(longitude) });
+        if !zero.is_valid() || !(Geodetic { latitude, longitude }).is_valid() {
+            let problem = format!("latitude {latitude} and longitude {longitude} are no place on the Earth");
+            return Err(row.fault(1, format!("{problem}; exchange the two, or leave --lat-lon out")));
+        }
+        self.geodetic = Some(zero);
+        Ok(zero.metres([latitude, longitude]))
+    }
+}
+
+/// Reads a table of names and positions: places, or receivers.
+///
+/// # Errors
+/// A table without a name or a position, or with two positions for one name.
+pub(super) fn read_named(import: &TableImport, path: &Path, frame: &mut Frame) -> Result<BTreeMap<String, [f64; 3]>> {
+    let table = TableText::read(path, None)?;
+    let choice = super::ColumnChoice::default();
+    let search = ColumnSearch::new(&table, &choice)?;
+    let columns = search.place(import.is_lat_lon)?;
+    let columns = columns.ok_or_else(|| search.fault("no position; write a table with the columns name, x, y and z"))?;
+    let name = search.name(columns).ok_or_else(|| search.fault("no column of names; add one called `name`"))?;
+    let mut places = BTreeMap::new();
+    for row in table.rows() {
+        let row = row?;
+        let field = row.cell((name, &table.names[name]), "give every row a name")?;
+        let position = frame.read(&table, &row, columns, import.height.unwrap_or(0.0))?;
+        if places.insert(field.text.to_owned(), position).is_some_and(|earlier| distance(earlier, position) > SAME_M) {
+            return Err(row.fault(field.column, "a second position for this name; give one"));
+        }
+    }
+    Ok(places)
+}
+
+/// Reads the positions of rows, one per row of the readings.
+pub(super) fn read_rows(import: &TableImport, path: &Path, frame: &mut Frame) -> Result<Vec<[f64; 3]>> {
+    let table = TableText::read(path, None)?;
+    let choice = super::ColumnChoice { wide: Vec::new(), ..import.columns.clone() };
+    let search = ColumnSearch::new(&table, &choice)?;
+    let columns = match search.place(import.is_lat_lon)? {
+        Some(columns) => columns,
+        None if table.header.is_none() && table.names.len() >= 2 => {
+            let height = (table.names.len() > 2).then_some(2);
+            PlaceColumns { plane: [0, 1], height, is_geodetic: import.is_lat_lon }
+        }
+        None => return Err(search.fault("no position; write the columns x, y and z")),
+    };
+    let height = import.height.unwrap_or(0.0);
+    table.rows().map(|row| frame.read(&table, &row?, columns, height)).collect()
+}
+
+/// Returns the distance between two positions, metres.
+pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
+}
+
+/// Positions so far, each once within [`SAME_M`].
+#[derive(Default)]
+pub(super) struct Places {
+    pub(super) positions: Vec<[f64; 3]>,
+    /// Places in each cube of that edge.
+    cells: HashMap<[i64; 3], Vec<u32>>,
+    /// Number of positions that were joined with another one.
+    pub(super) joined: usize,
+}
+
+impl Places {
+    /// Returns the index of a position, or of one so far within [`SAME_M`].
+    pub(super) fn index(&mut self, position: [f64; 3]) -> u32 {
+        let cell = position.map(|v| (v / SAME_M).floor() as i64);
+        let offsets = (0..27).map(|k| [k / 9 - 1, k / 3 % 3 - 1, k % 3 - 1]);
+        let near = offsets.filter_map(|offset| self.cells.get(&[0, 1, 2].map(|k| cell[k] + offset[k])));
+        let same = near.flatten().copied().find(|place| distance(self.positions[*place as usize], position) < SAME_M);
+        if let Some(place) = same {
+            self.joined += usize::from(self.positions[place as usize] != position);
+            return place;
+        }
+        let place = self.positions.len() as u32;
+        self.positions.push(position);
+        self.cells.entry(cell).or_default().push(place);
+        place
+    }
+}
+
+/// Returns the estimate of a receiver's position: the mean of the places of its strongest readings, which are those within
+/// 6 dB of the strongest, weighted by power. `readings` are positions and dBm. Returns an error without a reading.
+pub(crate) fn strongest_place(readings: impl Iterator<Item = ([f64; 3], f64)> + Clone) -> Result<[f64; 3]> {
+    const NEAR_DB: f64 = 6.0;
+    let strongest = readings.clone().map(|(_, dbm)| dbm).fold(f64::NEG_INFINITY, f64::max);
+    let (mut sum, mut total) = ([0.0; 3], 0.0);
+    for (position, dbm) in readings.filter(|(_, dbm)| strongest - dbm <= NEAR_DB) {
+        let weight = 10_f64.powf((dbm - strongest) / 10.0);
+        (0..3).for_each(|k| sum[k] += weight * position[k]);
+        total += weight;
+    }
+    if total > 0.0 { Ok(sum.map(|v| v / total)) } else { Err(Error::Config("a receiver has no reading".into())) }
+}
