@@ -42,8 +42,16 @@ fn model(method: &str, moving: End, seed: u64) -> Model {
         End::Transmitter => (vec![receiver], None),
         End::Receiver => (vec![Receiver { pose: Pose::IDENTITY, ..receiver }], Some(pose.position)),
     };
-    let setup =
-        MeasurementSetup { origin: ORIGIN, moving, transmitter, receivers, task, plane, frequencies_hz, geodetic: None };
+    let setup = MeasurementSetup {
+        origin: ORIGIN,
+        moving,
+        transmitter,
+        receivers,
+        task,
+        plane,
+        frequencies_hz,
+        geodetic: None,
+    };
     let stages = Stages { method, setup };
     stages.check().unwrap();
     let mut weights = stages.layout().init(&mut rng::stream(seed, "network", 0));

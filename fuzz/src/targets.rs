@@ -85,7 +85,11 @@ pub const TARGETS: &[Target] = &[
     of(8, "rssi/gateway_position.yml", &[], Plain, |bench| step(bench, "powers.ron")),
     of(24, "rssi/gateway_rssi.csv", &[], Plain, |bench| step(bench, "powers.ron")),
     of(8, "links.csv", &[], Plain, |bench| {
-        let table = TableImport { files: vec![bench.join("links.csv").into()], title: "links".into(), ..TableImport::default() };
+        let table = TableImport {
+            files: vec![bench.join("links.csv").into()],
+            title: "links".into(),
+            ..TableImport::default()
+        };
         table.read().and_then(|imported| check_dataset(&imported.data))
     }),
     of(8, "poses.csv", &[], Plain, |bench| pwrfgs::data::read_poses(&bench.join("poses.csv")).map(drop)),

@@ -1,6 +1,7 @@
 //! `Dataset`: observations and their positions, in columns.
 
 mod carriers;
+mod receivers;
 
 use crate::messages::strip_control;
 use crate::{

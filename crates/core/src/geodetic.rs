@@ -20,6 +20,9 @@ pub struct Geodetic {
 }
 
 impl Geodetic {
+    /// Names of the columns of [`Self::cells`] in the header of a table.
+    pub const COLUMNS: &str = ",latitude,longitude";
+
     /// Returns metres per degree of longitude (east) and of latitude (north).
     fn metres_per_degree(self) -> [f64; 2] {
         let (sin, cos) = self.latitude.to_radians().sin_cos();
@@ -39,6 +42,12 @@ impl Geodetic {
     pub fn degrees(self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [east, north] = self.metres_per_degree();
         [self.latitude + y / north, self.longitude + x / east]
+    }
+
+    /// Returns the last cells of a row of a table at a position in the user's frame, metres: latitude and longitude, degrees.
+    pub fn cells(self, [x, y, _]: [f64; 3]) -> String {
+        let [latitude, longitude] = self.degrees([x, y]);
+        format!(",{latitude:.7},{longitude:.7}")
     }
 
     /// Returns whether both angles are finite and on the Earth, away from its poles.

@@ -30,8 +30,8 @@ pub enum Requirement {
     /// One antenna per receiver of channels.
     #[error("one antenna per receiver, but a receiver has more; make each a receiver, as Nerf2Csi(together: false)")]
     OneAntenna,
-    /// Position of the transmitter, if the receiver moves.
-    #[error("the position of the fixed transmitter, which is unknown; state it, or leave it out")]
+    /// Position of the end that does not move.
+    #[error("the position of the fixed end of the links, which is unknown; state it, or leave it out")]
     Distances,
     /// One antenna at the centre of a moving receiver.
     #[error("one antenna at the centre of a receiver that moves; use method: SplattedChannel()")]

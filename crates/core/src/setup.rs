@@ -2,7 +2,8 @@
 //! reads them.
 
 use crate::{
-    Conditions, Dataset, Elevation, End, Geodetic, ImagePlane, Link, Origin, Pose, Query, Real, Receiver, Scene, Task, Vec3,
+    Conditions, Dataset, Elevation, End, Geodetic, ImagePlane, Link, Origin, Pose, Query, Real, Receiver, Scene, Task,
+    Vec3,
 };
 
 /// Receivers and measurement type: all properties of a data set that a trained model needs.

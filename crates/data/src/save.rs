@@ -289,7 +289,9 @@ impl FolderWriter<'_> {
             manifest["geodetic"] = serde_json::json!(geodetic);
         }
         let estimated: Vec<&str> = scene.receivers.iter().filter(|r| r.is_estimated).map(|r| &*r.name).collect();
-        for (key, names) in [("estimated_receivers", estimated), ("accepted", data.accepted.iter().map(|n| &**n).collect())] {
+        for (key, names) in
+            [("estimated_receivers", estimated), ("accepted", data.accepted.iter().map(|n| &**n).collect())]
+        {
             if !names.is_empty() {
                 manifest[key] = serde_json::json!(names);
             }

@@ -44,12 +44,19 @@ pub fn load_with_findings(
     base: &Path,
     observer: &mut dyn Observer,
 ) -> Result<(SplitData, Vec<Finding>)> {
-    let data = staged(observer, "spectra", |progress| pipeline.data.load(base, progress))?;
+    let mut data = staged(observer, "spectra", |progress| pipeline.data.load(base, progress))?;
     let partition = pipeline.partition(&data)?;
     for (part, name) in [(&partition.train, "training"), (&partition.test, "test")] {
         if part.is_empty() {
             return Err(Error::Config(format!("split: no sample is left for the {name} set; change `split`")));
         }
+    }
+    let estimated = data.estimate_receivers(&partition.train);
+    if estimated > 0 {
+        let ends = if estimated == 1 { "receiver is" } else { "receivers are" };
+        observer.on_warning(&format!(
+            "the positions of {estimated} {ends} unknown; they start from their strongest training links"
+        ));
     }
     let judged = (!pipeline.split.is_sparse()).then_some(&partition);
     let findings = warn_of_findings(&data, judged, observer)?;

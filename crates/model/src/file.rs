@@ -6,8 +6,8 @@ use crate::{Ensemble, IntervalCalibration, Model, Stages, TrainingPositions};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, ron_options};
 use pwrfgs_core::{
-    COLUMN_NAMES, End, Error, ExtraColumn, GaussianCloud, Geodetic, ImagePlane, MeasurementSetup, Method, Origin, Pose, Real,
-    Receiver, Result, Task,
+    COLUMN_NAMES, End, Error, ExtraColumn, GaussianCloud, Geodetic, ImagePlane, MeasurementSetup, Method, Origin, Pose,
+    Real, Receiver, Result, Task,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;

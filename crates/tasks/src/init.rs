@@ -79,7 +79,9 @@ pub fn default_pipeline(source: &str, data: &Dataset, name: &str) -> Result<Pipe
     let split = suggest_split(data).map_or_else(|_| String::new(), |(split, _)| format!("split: {split}, "));
     // Missing fields then get the defaults for this kind of data.
     let text = format!("Pipeline(name: {name:?}, data: {source}, {split}initializer: Random())");
-    Pipeline::parse(&text, Path::new("pipeline"))
+    let mut pipeline = Pipeline::parse(&text, Path::new("pipeline"))?;
+    pipeline.baselines.retain(|baseline| baseline.check_data(data).is_ok());
+    Ok(pipeline)
 }
 
 /// Formats a path as a text in RON; an error if it is not UTF-8.

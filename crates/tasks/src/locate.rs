@@ -9,7 +9,7 @@ use clap::Args;
 pub use observations::{checked_features, read_observations};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Dataset, Error, FittingSet, Predict, Receiver, Result};
+use pwrfgs_core::{Dataset, Error, FittingSet, Geodetic, Predict, Receiver, Result};
 use pwrfgs_experiment::text::{aligned, fixed, grouped};
 use pwrfgs_experiment::{Observer, SplitData, check_alike};
 use pwrfgs_localise::{FingerprintFeatures, Located, Locator, Region, SHARES};
@@ -64,6 +64,7 @@ pub struct Localisation {
     /// Table of estimates or of errors, with a verdict.
     pub text: String,
     title: String,
+    geodetic: Option<Geodetic>,
     /// Map without samples.
     map: LocationMap<'static>,
 }
@@ -109,11 +110,17 @@ pub fn locate(
         None => locate_test_samples(&locator, split, observer),
     };
     let table = match expected {
-        Some(expected) => format_positions(&rows) + &expected,
+        Some(expected) => format_positions(&rows, data.scene.geodetic) + &expected,
         None => scores::format_errors(&rows.iter().map(|row| &row.located).collect::<Vec<_>>(), &locator, split)?,
     };
     let text = table + &describe_regions(&rows, &locator);
-    Ok(Localisation { rows, text, title: data.title.clone(), map: empty_map(&locator, data) })
+    Ok(Localisation {
+        rows,
+        text,
+        title: data.title.clone(),
+        geodetic: data.scene.geodetic,
+        map: empty_map(&locator, data),
+    })
 }
 
 /// Describes the number of regions with several parts, and the calibration of the regions; empty without such facts.
@@ -200,9 +207,10 @@ fn locate_test_samples(locator: &Locator<'_>, split: &SplitData, observer: &mut 
 }
 
 /// Formats the table of the estimated positions.
-fn format_positions(rows: &[LocatedRow]) -> String {
-    let mut lines =
-        vec![["observation", "x (m)", "y (m)", "z (m)", "misfit", "region (m²)", "parts"].map(String::from).to_vec()];
+fn format_positions(rows: &[LocatedRow], geodetic: Option<Geodetic>) -> String {
+    let degrees = if geodetic.is_some() { &["latitude", "longitude"][..] } else { &[] };
+    let names = ["observation", "x (m)", "y (m)", "z (m)", "misfit", "region (m²)", "parts"];
+    let mut lines = vec![names.iter().chain(degrees).map(|name| (*name).to_owned()).collect::<Vec<_>>()];
     for LocatedRow { name, located, .. } in rows {
         let [area, parts] = located
             .region
@@ -211,6 +219,8 @@ fn format_positions(rows: &[LocatedRow]) -> String {
         let mut line = vec![name.clone()];
         line.extend(located.position.map(|v| fixed(v, 3)));
         line.extend([fixed(located.misfit, 2), area, parts]);
+        let [x, y, _] = located.position;
+        line.extend(geodetic.iter().flat_map(|geodetic| geodetic.degrees([x, y]).map(|v| fixed(v, 6))));
         lines.push(line);
     }
     aligned(&lines, 1)
@@ -238,8 +248,9 @@ impl Localisation {
     /// # Errors
     /// A file cannot be written.
     pub fn write(&self, folder: &NewFolder, pictures: usize) -> Result<()> {
-        let mut list =
-            "observation,x,y,z,misfit,region_m2,parts,true_x,true_y,true_z,error_m,region_holds\n".to_owned();
+        let mut list = "observation,x,y,z,misfit,region_m2,parts,true_x,true_y,true_z,error_m,region_holds".to_owned();
+        list += if self.geodetic.is_some() { Geodetic::COLUMNS } else { "" };
+        list.push('\n');
         let mut regions = Vec::new();
         for (k, row) in self.rows.iter().enumerate() {
             let LocatedRow { name, located, truth } = row;
@@ -249,9 +260,10 @@ impl Localisation {
             let area = region.map_or_else(String::new, |region| format!("{:.6}", region.area()));
             _ = writeln!(
                 list,
-                "{name},{x:.4},{y:.4},{z:.4},{:.4},{area},{parts},{}",
+                "{name},{x:.4},{y:.4},{z:.4},{:.4},{area},{parts},{}{}",
                 located.misfit,
-                row.truth_columns()
+                row.truth_columns(),
+                self.geodetic.map_or_else(String::new, |geodetic| geodetic.cells(located.position))
             );
             regions.push(json!({ "observation": name, "position": located.position, "outlines": outlines }));
             if let Some(region) = region.filter(|_| k < pictures) {

@@ -8,7 +8,7 @@ use clap::Args;
 use layers::select_quantities;
 pub use layers::{MapLayer, MapQuantity, compute_layers};
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{Error, Number, Pose, Query, Receiver, Result};
+use pwrfgs_core::{Error, Geodetic, Number, Pose, Query, Receiver, Result};
 use pwrfgs_data::npy_header;
 use pwrfgs_experiment::{Observer, text::field};
 use pwrfgs_model::Ensemble;
@@ -21,7 +21,7 @@ use std::fmt::Write as _;
 /// Width of an image in print, millimetres.
 const WIDTH_MM: f64 = 120.0;
 const HEADER: &str = "array,image,quantity,unit,receiver,columns_axis,first_column_m,columns,rows_axis,first_row_m,rows,\
-                      step_m,plane,smallest,largest,training_limit_m,extrapolated\n";
+                      step_m,plane,smallest,largest,training_limit_m,extrapolated";
 
 /// Settings of [`map`].
 #[derive(Clone, Debug, Args, Deserialize, JsonSchema)]
@@ -74,6 +74,8 @@ pub struct RadioMap {
     poses: Vec<Pose>,
     /// Indices of the mapped receivers.
     mapped: Vec<usize>,
+    /// Latitude and longitude of the frame.
+    geodetic: Option<Geodetic>,
 }
 
 /// Maps the predictions of a model over a plane; `observer` receives the progress, and a description of default bounds.
@@ -107,7 +109,7 @@ pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Obser
     let (layer, training) = training_layer(ensemble, &grid).unzip();
     layers.extend(layer);
     let receivers = model.receivers().to_vec();
-    Ok(RadioMap { grid, layers, training, receivers, poses, mapped })
+    Ok(RadioMap { grid, layers, training, receivers, poses, mapped, geodetic: setup.geodetic })
 }
 
 /// Returns bounds around all training positions and `receivers` (metres in the plane), and their description. A model
@@ -178,11 +180,17 @@ impl RadioMap {
             },
         );
         let mut list = HEADER.to_owned();
+        // Degrees of a horizontal map, at its first cell and per step.
+        let geodetic = self.geodetic.filter(|_| self.grid.plane.axis_names() == ["x", "y"]);
+        list += if geodetic.is_some() { ",first_latitude,first_longitude,last_latitude,last_longitude" } else { "" };
+        list.push('\n');
+        let corner = |k: usize| geodetic.map(|geodetic| geodetic.cells(self.grid.position(k)));
+        let degrees = [0, self.grid.position_count() - 1].map(corner).into_iter().flatten().collect::<String>();
         for (layer, name) in self.layers.iter().zip(self.names()) {
             let receiver = layer.receiver.map(|r| self.receivers[r].name.as_str());
             folder.put(&format!("{name}.npy"), self.encode_npy(&layer.values))?;
             folder.put(&format!("{name}.png"), self.draw_png(layer, receiver))?;
-            _ = writeln!(list, "{},{extrapolated}", self.csv_line(layer, &name, receiver.unwrap_or("")));
+            _ = writeln!(list, "{},{extrapolated}{degrees}", self.csv_line(layer, &name, receiver.unwrap_or("")));
         }
         folder.put("map.csv", list)
     }

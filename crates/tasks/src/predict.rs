@@ -132,6 +132,7 @@ impl RowPredictor<'_> {
             has_orientation: model.moving().is_receiver(),
             name: is_named.then(|| model.receivers()[receiver].name.as_str()),
             training_distance: self.distances.as_ref().map(|distances| distances.metres[p]),
+            geodetic: self.model.setup().geodetic,
         };
         let query = Query::at(row.pose, receiver);
         let (image, spread, times) = if model.models().count() == 1 {

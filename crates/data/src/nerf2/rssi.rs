@@ -7,13 +7,15 @@ use super::receivers::read_gateways;
 use super::{LocationTable, POSES, index};
 use crate::checks::NOT_RECEIVED;
 use crate::folder::{
-    check_root, existing_root, find_point_cloud, folder_name, read_missing, read_point_cloud, read_title, recognised_root,
-    restore_saved,
+    check_root, existing_root, find_point_cloud, folder_name, read_missing, read_point_cloud, read_title,
+    recognised_root, restore_saved,
 };
 use crate::text::{TextRow, numbered_lines, read_text};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::{quoted, strip_control, text_of};
-use pwrfgs_core::{DataSource, Dataset, Error, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample, did_you_mean};
+use pwrfgs_core::{
+    DataSource, Dataset, Error, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample, did_you_mean,
+};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

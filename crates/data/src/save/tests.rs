@@ -2,7 +2,7 @@
 
 use super::*;
 use proptest::prelude::*;
-use pwrfgs_core::{Channels as Gains, Pose, Receiver, Sample, Simulation};
+use pwrfgs_core::{Channels as Gains, Geodetic, Pose, Receiver, Sample, Simulation};
 use std::fs;
 
 /// The data set read back from a folder.
@@ -223,7 +223,6 @@ fn rejects_unsavable_data_with_advice() {
     };
     for (message, words) in [
         (named(&["a", "b"], &[-60.0]), "receiver `b` received no transmitter; leave it out"),
-        (named(&["a"], &[-60.0, -100.0]), "powers[1] is -100 dBm, which marks a missing link"),
         (named(&["a"], &[-301.0]), "powers[0] is -301, no power in dBm"),
         (named(&["a\"b"], &[-60.0]), "is invalid; use 1 to 100 characters"),
         (spectra((12, 36), 0.5).unwrap_err().to_string(), "save s.transpose(0, 2, 1)"),
@@ -232,4 +231,30 @@ fn rejects_unsavable_data_with_advice() {
         assert!(message.starts_with("data set `d`: ") && message.contains(words), "{message}");
     }
     assert!(spectra((36, 12), 0.5).is_ok());
+}
+
+/// Whether -100 dBm is a reading or a missing link, the folder declares it.
+#[test]
+fn power_of_minus_100_is_kept() {
+    let at = |name: &str, x: f64| Receiver::new(name, Pose::from([x, 0.0, 2.0]));
+    let sample = |id: u32, receiver: usize| Sample { receiver, ..Sample::new(id, [f64::from(id), 1.0, 1.0]) };
+    let samples = [sample(0, 0), sample(0, 1), sample(1, 1), sample(2, 0)];
+    for (first, cells) in
+        [(-100.0, "-100.0,-70.5\n,-107.0\n-60.0,\n"), (-90.0, "-90.0,-70.5\n-100.0,-107.0\n-60.0,-100.0\n")]
+    {
+        let powers = vec![first, -70.5, -107.0, -60.0];
+        let receivers = vec![at("a", 0.0), Receiver { is_estimated: true, ..at("b", 5.0) }];
+        let mut data = Dataset::of_links("d", receivers, vec![], &samples, powers.clone().into()).unwrap();
+        data.scene.geodetic = Some(Geodetic { latitude: 48.14, longitude: 11.58 });
+        data.accepted = vec!["lone-value".into()];
+        let folder = tempfile::tempdir().unwrap();
+        let read = save(&data, &folder.path().join("d")).unwrap().load(Path::new(""), &|_, _| {}).unwrap();
+        let text = fs::read_to_string(folder.path().join("d/gateway_rssi.csv")).unwrap();
+        assert_eq!(text, format!("a,b\n{cells}"));
+        assert_eq!(read.observations.powers().unwrap(), &powers[..]);
+        assert_eq!(
+            (read.scene.geodetic, &read.scene.receivers, read.accepted),
+            (data.scene.geodetic, &data.scene.receivers, data.accepted)
+        );
+    }
 }

@@ -49,17 +49,153 @@ pub(super) enum PowerColumns {
 }
 
 /// Names of a column, in lower case without blanks, marks and units.
-const X: &[&str] = &["x", "xm", "xpos", "posx", "xcoord", "coordx", "xcoordinate", "xposition", "positionx", "locx", "txx", "uex", "east", "easting", "ecoord"];
-const Y: &[&str] = &["y", "ym", "ypos", "posy", "ycoord", "coordy", "ycoordinate", "yposition", "positiony", "locy", "txy", "uey", "north", "northing", "ncoord"];
-const Z: &[&str] = &["z", "zm", "zpos", "posz", "zcoord", "coordz", "zposition", "positionz", "locz", "txz", "uez", "height", "heightm", "alt", "altitude", "altitudem", "altitudemeters", "elevation", "hcoord"];
+const X: &[&str] = &[
+    "x",
+    "xm",
+    "xpos",
+    "posx",
+    "xcoord",
+    "coordx",
+    "xcoordinate",
+    "xposition",
+    "positionx",
+    "locx",
+    "txx",
+    "uex",
+    "east",
+    "easting",
+    "ecoord",
+];
+const Y: &[&str] = &[
+    "y",
+    "ym",
+    "ypos",
+    "posy",
+    "ycoord",
+    "coordy",
+    "ycoordinate",
+    "yposition",
+    "positiony",
+    "locy",
+    "txy",
+    "uey",
+    "north",
+    "northing",
+    "ncoord",
+];
+const Z: &[&str] = &[
+    "z",
+    "zm",
+    "zpos",
+    "posz",
+    "zcoord",
+    "coordz",
+    "zposition",
+    "positionz",
+    "locz",
+    "txz",
+    "uez",
+    "height",
+    "heightm",
+    "alt",
+    "altitude",
+    "altitudem",
+    "altitudemeters",
+    "elevation",
+    "hcoord",
+];
 const LAT: &[&str] = &["lat", "latitude", "gpslat", "gpslatitude", "currentlatitude", "latdeg", "txlat"];
-const LON: &[&str] = &["lon", "lng", "long", "longitude", "gpslon", "gpslng", "gpslong", "gpslongitude", "currentlongitude", "londeg", "txlon"];
+const LON: &[&str] = &[
+    "lon",
+    "lng",
+    "long",
+    "longitude",
+    "gpslon",
+    "gpslng",
+    "gpslong",
+    "gpslongitude",
+    "currentlongitude",
+    "londeg",
+    "txlon",
+];
 const FLOOR: &[&str] = &["floor", "floorid", "storey", "floornumber"];
 const TX_ID: &[&str] = &["tx", "txid", "transmitter", "transmitterid"];
-const RECEIVER: &[&str] = &["receiver", "receiverid", "rx", "rxid", "gateway", "gatewayid", "gw", "gwid", "ap", "apid", "bssid", "mac", "macaddress", "anchor", "anchorid", "beacon", "beaconid", "router", "station", "basestation", "cell", "cellid", "pci"];
-const POWER: &[&str] = &["dbm", "power", "powerdbm", "rssi", "rssidbm", "rss", "rsrp", "rsrpdbm", "rxpower", "receivedpower", "signal", "signalstrength", "signaldbm", "prx"];
+const RECEIVER: &[&str] = &[
+    "receiver",
+    "receiverid",
+    "rx",
+    "rxid",
+    "gateway",
+    "gatewayid",
+    "gw",
+    "gwid",
+    "ap",
+    "apid",
+    "bssid",
+    "mac",
+    "macaddress",
+    "anchor",
+    "anchorid",
+    "beacon",
+    "beaconid",
+    "router",
+    "station",
+    "basestation",
+    "cell",
+    "cellid",
+    "pci",
+];
+const POWER: &[&str] = &[
+    "dbm",
+    "power",
+    "powerdbm",
+    "rssi",
+    "rssidbm",
+    "rss",
+    "rsrp",
+    "rsrpdbm",
+    "rxpower",
+    "receivedpower",
+    "signal",
+    "signalstrength",
+    "signaldbm",
+    "prx",
+];
 /// Names of columns that are neither positions nor powers.
-const OTHER: &[&str] = &["id", "index", "row", "no", "number", "time", "timestamp", "date", "datetime", "firstseen", "user", "userid", "phone", "phoneid", "scene", "sceneid", "building", "buildingid", "space", "spaceid", "relativeposition", "sampletimes", "samples", "count", "channel", "frequency", "snr", "accuracy", "accuracymeters", "speed", "heading", "battery"];
+const OTHER: &[&str] = &[
+    "id",
+    "index",
+    "row",
+    "no",
+    "number",
+    "time",
+    "timestamp",
+    "date",
+    "datetime",
+    "firstseen",
+    "user",
+    "userid",
+    "phone",
+    "phoneid",
+    "scene",
+    "sceneid",
+    "building",
+    "buildingid",
+    "space",
+    "spaceid",
+    "relativeposition",
+    "sampletimes",
+    "samples",
+    "count",
+    "channel",
+    "frequency",
+    "snr",
+    "accuracy",
+    "accuracymeters",
+    "speed",
+    "heading",
+    "battery",
+];
 
 /// Returns a column name in lower case, without units in brackets, blanks and marks.
 fn normalized(name: &str) -> String {
@@ -106,7 +242,10 @@ impl<'a> ColumnSearch<'a> {
     fn chosen(&self, option: &str, name: &str) -> Result<usize> {
         self.named(name).ok_or_else(|| {
             let hint = did_you_mean(name, self.table.names.iter().map(String::as_str));
-            self.fault(&format!("{option} {name}: no such column{hint}; the columns are {}", self.list(0..self.names.len())))
+            self.fault(&format!(
+                "{option} {name}: no such column{hint}; the columns are {}",
+                self.list(0..self.names.len())
+            ))
         })
     }
 
@@ -141,9 +280,7 @@ impl<'a> ColumnSearch<'a> {
                 Err(self.fault(&format!("{problem}; name one pair with --x and --y, or with --lat and --lon")))
             }
             ([Some(x), Some(y)], _) if are_metres_chosen || degrees == [None; 2] => {
-                // Without the names, latitude stands first, as people say it.
-                let plane = if is_lat_lon { [y, x] } else { [x, y] };
-                Ok(Some(PlaceColumns { plane, height, is_geodetic: is_lat_lon }))
+                Ok(Some(oriented([x, y], height, is_lat_lon)))
             }
             (_, [Some(lon), Some(lat)]) => {
                 let is_in = |k: usize, limit: f64| self.values(k).all(|v| v.abs() <= limit);
@@ -155,36 +292,43 @@ impl<'a> ColumnSearch<'a> {
         }
     }
 
-    /// Returns the columns of the received powers. `named` is whether the receiver is named outside the columns. Returns an error
-    /// if none or several suit.
-    pub(super) fn powers(&self, used: &[usize]) -> Result<PowerColumns> {
+    /// Returns the columns of the received powers, none of which are in `used`. Returns an error if none or several suit.
+    pub(super) fn powers(&self, used: &[usize], is_lat_lon: bool) -> Result<PowerColumns> {
         if !self.choice.wide.is_empty() {
             return self.chosen_wide().map(PowerColumns::Wide);
         }
         let power = self.find("--power", self.choice.power.as_ref(), POWER)?;
         if let Some(power) = power {
-            let again = |k: &usize| *k != power && self.choice.power.is_none() && POWER.contains(&self.names[*k].trim_end_matches(|c: char| c.is_ascii_digit()));
+            let again = |k: &usize| {
+                *k != power
+                    && self.choice.power.is_none()
+                    && POWER.contains(&self.names[*k].trim_end_matches(|c: char| c.is_ascii_digit()))
+            };
             let others: Vec<usize> = (0..self.names.len()).filter(again).chain([power]).collect();
             if others.len() > 1 {
                 let problem = format!("{} could each be the power", self.list(others));
-                return Err(self.fault(&format!("{problem}; name one with --power, or those of all receivers with --columns")));
+                return Err(
+                    self.fault(&format!("{problem}; name one with --power, or those of all receivers with --columns"))
+                );
             }
             let is_name = self.choice.receiver.as_ref().is_some_and(|name| self.named(name).is_none());
-            let receiver = if is_name { None } else { self.find("--receiver", self.choice.receiver.as_ref(), RECEIVER)? };
-            return Ok(PowerColumns::Long { power, receiver, place: self.receiver_place() });
+            let receiver =
+                if is_name { None } else { self.find("--receiver", self.choice.receiver.as_ref(), RECEIVER)? };
+            return Ok(PowerColumns::Long { power, receiver, place: self.receiver_place(is_lat_lon) });
         }
         self.recognised_wide(used).map(PowerColumns::Wide)
     }
 
     /// Returns the columns of the receiver's position beside a reading, such as `rx_x`; `None` without them.
-    fn receiver_place(&self) -> Option<PlaceColumns> {
+    fn receiver_place(&self, is_lat_lon: bool) -> Option<PlaceColumns> {
         let prefixed = |ends: &[&str]| {
-            let is_named = |name: &String| RECEIVER.iter().any(|start| ends.iter().any(|end| *name == format!("{start}{end}")));
+            let is_named =
+                |name: &String| RECEIVER.iter().any(|start| ends.iter().any(|end| *name == format!("{start}{end}")));
             self.names.iter().position(is_named)
         };
         let height = prefixed(&["z", "height", "altitude", "alt"]);
         let pair = |a: &[&str], b: &[&str]| Some([prefixed(a)?, prefixed(b)?]);
-        let metres = pair(&["x"], &["y"]).map(|plane| PlaceColumns { plane, height, is_geodetic: false });
+        let metres = pair(&["x"], &["y"]).map(|[x, y]| oriented([x, y], height, is_lat_lon));
         let degrees = || pair(&["lon", "longitude", "lng"], &["lat", "latitude"]);
         metres.or_else(|| degrees().map(|plane| PlaceColumns { plane, height, is_geodetic: true }))
     }
@@ -193,9 +337,13 @@ impl<'a> ColumnSearch<'a> {
     fn chosen_wide(&self) -> Result<Vec<usize>> {
         let mut columns = Vec::new();
         for pattern in &self.choice.wide {
-            let matching: Vec<usize> = (0..self.names.len()).filter(|k| matches(pattern, &self.table.names[*k])).collect();
+            let matching: Vec<usize> =
+                (0..self.names.len()).filter(|k| matches(pattern, &self.table.names[*k])).collect();
             if matching.is_empty() {
-                return Err(self.fault(&format!("--columns {pattern}: no column has such a name; the columns are {}", self.list(0..self.names.len()))));
+                return Err(self.fault(&format!(
+                    "--columns {pattern}: no column has such a name; the columns are {}",
+                    self.list(0..self.names.len())
+                )));
             }
             columns.extend(matching);
         }
@@ -232,7 +380,11 @@ impl<'a> ColumnSearch<'a> {
     fn stem(&self, k: usize) -> String {
         let name = &self.table.names[k];
         let is_address = name.len() == 17 && name.chars().all(|c| c.is_ascii_hexdigit() || c == ':' || c == '-');
-        if is_address { "address".into() } else { name.split(|c: char| c.is_ascii_digit()).filter(|part| !part.is_empty()).collect::<Vec<_>>().join("0") }
+        if is_address {
+            "address".into()
+        } else {
+            name.split(|c: char| c.is_ascii_digit()).filter(|part| !part.is_empty()).collect::<Vec<_>>().join("0")
+        }
     }
 
     /// Returns whether a column holds powers: numbers and empty cells, not all equal to whole numbers above 300.
@@ -256,7 +408,9 @@ impl<'a> ColumnSearch<'a> {
 
     /// Returns the column of names in a table of places or receivers: the chosen one, else the first that is not a coordinate.
     pub(super) fn name(&self, place: PlaceColumns) -> Option<usize> {
-        let is_name = |k: &usize| RECEIVER.contains(&&*self.names[*k]) || ["name", "place", "location", "point"].contains(&&*self.names[*k]);
+        let is_name = |k: &usize| {
+            RECEIVER.contains(&&*self.names[*k]) || ["name", "place", "location", "point"].contains(&&*self.names[*k])
+        };
         let is_other = |k: &usize| !place.plane.contains(k) && place.height != Some(*k);
         (0..self.names.len()).find(is_name).or_else(|| (0..self.names.len()).find(is_other))
     }
@@ -273,6 +427,22 @@ impl<'a> ColumnSearch<'a> {
         let time = self.choice.time.as_ref().map(|name| self.chosen("--time", name)).transpose()?;
         Ok(id.into_iter().chain(time).collect())
     }
+}
+
+impl PlaceColumns {
+    /// Returns whether coordinates taken as metres look like degrees: a site of less than 20 cm, metres away from zero.
+    pub(super) fn looks_like_degrees(self, search: &ColumnSearch<'_>) -> bool {
+        let is_small = |k: usize| {
+            let (low, high) = search.values(k).fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
+            (0.0..0.2).contains(&(high - low)) && low.abs().min(high.abs()) > 1.0 && high.abs() <= 180.0
+        };
+        !self.is_geodetic && self.plane.into_iter().all(is_small)
+    }
+}
+
+/// Returns columns called x and y. In degrees, the first is the latitude, as people say it.
+fn oriented([x, y]: [usize; 2], height: Option<usize>, is_geodetic: bool) -> PlaceColumns {
+    PlaceColumns { plane: if is_geodetic { [y, x] } else { [x, y] }, height, is_geodetic }
 }
 
 /// Returns whether a name matches a pattern in which `*` stands for any text; either case.

@@ -5,6 +5,7 @@ use flate2::read::MultiGzDecoder;
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Result};
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -66,8 +67,7 @@ impl TableText {
     /// Sets separator, decimal mark, header and names from the first lines. Returns an error for an empty table.
     fn recognise(&mut self) -> Result<()> {
         let text = std::mem::take(&mut self.text);
-        let lines: Vec<(usize, &str)> =
-            numbered(&text).filter(|(_, line)| !is_comment(line)).take(EXAMINED).collect();
+        let lines: Vec<(usize, &str)> = numbered(&text).filter(|(_, line)| !is_comment(line)).take(EXAMINED).collect();
         let (mark, width) = best_separator(&lines);
         self.mark = mark;
         let fits = |line: &&(usize, &str)| split(line.1, mark).len() == width;
@@ -84,7 +84,8 @@ impl TableText {
         // A header names a column that holds numbers.
         let names_numbers = |names: &[&str]| {
             let is_named = |k: usize| {
-                let mut values = rows.iter().filter_map(|row| row.get(k)).filter(|cell| !is_empty_cell(cell)).peekable();
+                let mut values =
+                    rows.iter().filter_map(|row| row.get(k)).filter(|cell| !is_empty_cell(cell)).peekable();
                 !is_number(names[k]) && values.peek().is_some() && values.all(|cell| is_number(cell))
             };
             names.len() == width && (0..width).any(is_named)
@@ -147,7 +148,8 @@ impl TableText {
             None => "blanks".to_owned(),
         };
         let decimals = if self.has_decimal_commas { ", decimal commas" } else { "" };
-        let header = self.header.map_or("no header: columns by number".to_owned(), |line| format!("header in line {line}"));
+        let header =
+            self.header.map_or("no header: columns by number".to_owned(), |line| format!("header in line {line}"));
         format!("{}: separated by {separator}{decimals}, {header}", self.path.display())
     }
 
@@ -198,7 +200,8 @@ fn best_separator(lines: &[(usize, &str)]) -> (Option<char>, usize) {
     let measured = candidates.map(|mark| {
         let mut counts: BTreeMap<usize, usize> = BTreeMap::new();
         lines.iter().for_each(|(_, line)| *counts.entry(split(line, mark).len()).or_default() += 1);
-        let (width, support) = counts.into_iter().filter(|(width, _)| *width > 1).max_by_key(|(_, n)| *n).unwrap_or((1, 0));
+        let several = counts.into_iter().filter(|(width, _)| *width > 1);
+        let (width, support) = several.max_by_key(|(width, n)| (*n, Reverse(*width))).unwrap_or((1, 0));
         (mark, width, support)
     });
     let most = measured.clone().map(|(.., support)| support).max().unwrap_or(0);

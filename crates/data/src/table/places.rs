@@ -4,7 +4,7 @@ use super::TableImport;
 use super::columns::{ColumnSearch, PlaceColumns};
 use super::dialect::TableText;
 use crate::text::TextRow;
-use pwrfgs_core::{Error, Geodetic, Result, place_fault};
+use pwrfgs_core::{Geodetic, Result, place_fault};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -21,7 +21,13 @@ pub(super) struct Frame {
 impl Frame {
     /// Reads the position in a row, metres; `height` where the table has none. Returns an error for an empty or invalid
     /// coordinate.
-    pub(super) fn read(&mut self, table: &TableText, row: &TextRow<'_>, columns: PlaceColumns, height: f64) -> Result<[f64; 3]> {
+    pub(super) fn read(
+        &mut self,
+        table: &TableText,
+        row: &TextRow<'_>,
+        columns: PlaceColumns,
+        height: f64,
+    ) -> Result<[f64; 3]> {
         let coordinate = |k: usize| -> Result<f64> {
             let field = row.cell((k, &table.names[k]), "give every row a position")?;
             let value = table.number(row, field, "coordinate")?;
@@ -56,7 +62,8 @@ pub(super) fn read_named(import: &TableImport, path: &Path, frame: &mut Frame) -
     let choice = super::ColumnChoice::default();
     let search = ColumnSearch::new(&table, &choice)?;
     let columns = search.place(import.is_lat_lon)?;
-    let columns = columns.ok_or_else(|| search.fault("no position; write a table with the columns name, x, y and z"))?;
+    let columns =
+        columns.ok_or_else(|| search.fault("no position; write a table with the columns name, x, y and z"))?;
     let name = search.name(columns).ok_or_else(|| search.fault("no column of names; add one called `name`"))?;
     let mut places = BTreeMap::new();
     for row in table.rows() {
@@ -118,18 +125,4 @@ impl Places {
         self.cells.entry(cell).or_default().push(place);
         place
     }
-}
-
-/// Returns the estimate of a receiver's position: the mean of the places of its strongest readings, which are those within
-/// 6 dB of the strongest, weighted by power. `readings` are positions and dBm. Returns an error without a reading.
-pub(crate) fn strongest_place(readings: impl Iterator<Item = ([f64; 3], f64)> + Clone) -> Result<[f64; 3]> {
-    const NEAR_DB: f64 = 6.0;
-    let strongest = readings.clone().map(|(_, dbm)| dbm).fold(f64::NEG_INFINITY, f64::max);
-    let (mut sum, mut total) = ([0.0; 3], 0.0);
-    for (position, dbm) in readings.filter(|(_, dbm)| strongest - dbm <= NEAR_DB) {
-        let weight = 10_f64.powf((dbm - strongest) / 10.0);
-        (0..3).for_each(|k| sum[k] += weight * position[k]);
-        total += weight;
-    }
-    if total > 0.0 { Ok(sum.map(|v| v / total)) } else { Err(Error::Config("a receiver has no reading".into())) }
 }

@@ -2,7 +2,7 @@
 
 use super::columns::{ColumnSearch, PowerColumns};
 use super::dialect::TableText;
-use super::places::{Frame, Places, distance, read_named, read_rows, strongest_place};
+use super::places::{Frame, Places, distance, read_named, read_rows};
 use super::{ImportedTable, TableFile, TableImport};
 use crate::checks::power_fault;
 use crate::text::{TextField, TextRow};
@@ -109,6 +109,10 @@ impl<'a> Survey<'a> {
         }
         let search = ColumnSearch::new(&table, &self.import.columns)?;
         let reader = RowReader::new(self, &table, &search)?;
+        if matches!(reader.place, RowPlace::Columns(columns) if columns.looks_like_degrees(&search)) {
+            let problem = "the positions look like degrees; add --lat-lon, or --lat COLUMN --lon COLUMN";
+            return Err(Error::input(&file.path, problem));
+        }
         self.notes.push(reader.describe(&search));
         match &reader.powers {
             PowerColumns::Long { .. } => self.add_long(&reader, is_test),
@@ -153,7 +157,8 @@ impl<'a> Survey<'a> {
                 }
             }
             let Some(dbm) = self.dbm(reader.table, &row, cell(power)?)? else { continue };
-            let cells = reader.transmitter.iter().map(|k| cell(*k).map(|field| field.text)).collect::<Result<Vec<_>>>()?;
+            let cells =
+                reader.transmitter.iter().map(|k| cell(*k).map(|field| field.text)).collect::<Result<Vec<_>>>()?;
             let cells = cells.join("\u{1f}");
             let repetition = self.repetitions.entry((place, cells.clone(), is_test, receiver)).or_default();
             let group = (place, cells, is_test, *repetition);
@@ -220,55 +225,60 @@ impl<'a> Survey<'a> {
             self.silent += 1;
             return Ok(None);
         };
-        power_fault(dbm).map_or(Ok(Some(dbm as Real)), |fault| Err(row.fault(field.column, format!("the power {fault}, or set --unit"))))
+        power_fault(dbm).map_or(Ok(Some(dbm as Real)), |fault| {
+            Err(row.fault(field.column, format!("the power {fault}, or set --unit")))
+        })
     }
 
     /// Makes the data set. Returns an error if no power was received, or the floors have no height.
     pub(super) fn finish(mut self) -> Result<ImportedTable> {
         let path = &self.import.files.first().map(|file| file.path.clone()).unwrap_or_default();
         if self.rows.as_mut().is_some_and(|rows| rows.next().is_some()) {
-            return Err(Error::input(path, "the file of --tx has more rows than the readings; give a position per row"));
+            return Err(Error::input(
+                path,
+                "the file of --tx has more rows than the readings; give a position per row",
+            ));
         }
         if self.floors.len() > 1 && self.import.floor_height.is_none() {
             let floors = list(self.floors.iter().map(String::as_str));
-            return Err(Error::input(path, format!("has the floors {floors}; give their height with --floor-height METRES")));
+            return Err(Error::input(
+                path,
+                format!("has the floors {floors}; give their height with --floor-height METRES"),
+            ));
         }
         if self.readings.is_empty() {
             let problem = "holds no received power; write one row per reading, or check --missing";
             return Err(Error::input(path, problem));
         }
         self.readings.sort_by_key(|reading| (reading.location, reading.receiver));
-        let receivers = self.place_receivers()?;
-        self.describe();
+        let receivers = self.heard_receivers();
+        self.describe(&receivers);
         let (locations, links) = self.number_links(&receivers);
         let powers: Vec<Real> = self.readings.iter().map(|reading| reading.dbm).collect();
-        let is_test: Vec<bool> = self.readings.iter().map(|reading| self.spots[reading.location as usize].is_test).collect();
-        let receivers = receivers.into_iter().flatten().collect();
-        let mut data = Dataset::of_columns(&self.import.title, Vec::into(receivers), vec![], locations, links, powers.into())?;
+        let is_test: Vec<bool> =
+            self.readings.iter().map(|reading| self.spots[reading.location as usize].is_test).collect();
+        let receivers: Vec<Receiver> = receivers.into_iter().flatten().collect();
+        let mut data =
+            Dataset::of_columns(&self.import.title, receivers.into(), vec![], locations, links, powers.into())?;
         let part = |test: bool| (0..is_test.len()).filter(|i| is_test[*i] == test).collect::<Vec<usize>>();
         data.official = (!self.import.test.is_empty()).then(|| (part(false), part(true)));
+        data.estimate_receivers(&(0..data.len()).collect::<Vec<_>>());
         data.scene.geodetic = self.frame.geodetic;
         data.simulation = self.import.is_simulated.then(Simulation::default);
         let after = preview(&data);
         Ok(ImportedTable { data, notes: self.notes, before: self.before, after })
     }
 
-    /// Returns the receivers, `None` for those that heard nothing; estimates the positions that are unknown.
-    fn place_receivers(&mut self) -> Result<Vec<Option<Receiver>>> {
-        let mut readings: Vec<Vec<([f64; 3], f64)>> = vec![Vec::new(); self.receivers.len()];
-        for reading in &self.readings {
-            let place = self.spots[reading.location as usize].place as usize;
-            readings[reading.receiver as usize].push((self.places.positions[place], reading.dbm as f64));
-        }
-        let place = |(receiver, heard): (&NamedReceiver, Vec<([f64; 3], f64)>)| {
-            if heard.is_empty() {
-                return Ok(None);
-            }
-            let position = receiver.position.map_or_else(|| strongest_place(heard.into_iter()), Ok)?;
-            let pose = Pose { position, ..Pose::IDENTITY };
-            Ok(Some(Receiver { is_estimated: receiver.position.is_none(), ..Receiver::new(&*receiver.name, pose) }))
+    /// Returns the receivers, `None` for those that heard nothing. Those of unknown position stand at the first place.
+    fn heard_receivers(&self) -> Vec<Option<Receiver>> {
+        let mut is_heard = vec![false; self.receivers.len()];
+        self.readings.iter().for_each(|reading| is_heard[reading.receiver as usize] = true);
+        let place = |(receiver, is_heard): (&NamedReceiver, bool)| {
+            let pose = Pose::from(receiver.position.unwrap_or(self.places.positions[0]));
+            let named = Receiver { is_estimated: receiver.position.is_none(), ..Receiver::new(&*receiver.name, pose) };
+            is_heard.then_some(named)
         };
-        self.receivers.iter().zip(readings).map(place).collect()
+        self.receivers.iter().zip(is_heard).map(place).collect()
     }
 
     /// Numbers the locations that were heard, from 0, and the receivers that heard one. Returns the columns of the data set.
@@ -291,28 +301,53 @@ impl<'a> Survey<'a> {
     }
 
     /// Notes what was joined, left out and assumed.
-    fn describe(&mut self) {
-        let mut heard = vec![false; self.receivers.len()];
+    fn describe(&mut self, receivers: &[Option<Receiver>]) {
         let mut sends = vec![false; self.spots.len()];
-        for reading in &self.readings {
-            (heard[reading.receiver as usize], sends[reading.location as usize]) = (true, true);
-        }
+        self.readings.iter().for_each(|reading| sends[reading.location as usize] = true);
         let mut note = |count: usize, text: String| self.notes.extend((count > 0).then_some(text));
         for (code, count) in self.import.missing.iter().zip(&self.coded) {
             note(1, format!("{count} cells are {code}, not heard"));
         }
         note(self.silent, format!("{} cells are empty, not heard", self.silent));
-        let deaf: Vec<&str> = self.receivers.iter().zip(&heard).filter(|(_, heard)| !**heard).map(|(r, _)| &*r.name).collect();
-        note(deaf.len(), format!("{} receivers heard nothing and are left out: {}", deaf.len(), list(deaf.iter().copied())));
+        let deaf = self.receivers.iter().zip(receivers).filter(|(_, heard)| heard.is_none()).map(|(r, _)| &*r.name);
+        let deaf: Vec<&str> = deaf.collect();
+        note(
+            deaf.len(),
+            format!("{} receivers heard nothing and are left out: {}", deaf.len(), list(deaf.iter().copied())),
+        );
         let unheard = sends.iter().filter(|sends| !**sends).count();
         note(unheard, format!("{unheard} rows were heard by no receiver and are left out"));
-        note(self.repeated, format!("{} readings repeat a link: each has a location at the same position", self.repeated));
-        note(self.places.joined, format!("{} positions are within 1 mm of another and are joined with it", self.places.joined));
-        note(self.respelled.len(), format!("{} receiver names differ from another only by case and are joined: {}", self.respelled.len(), list(self.respelled.iter().map(String::as_str))));
-        let unknown = self.receivers.iter().zip(&heard).filter(|(receiver, heard)| **heard && receiver.position.is_none()).count();
-        note(unknown, format!("the positions of {unknown} receivers are unknown and estimated from their strongest readings; --receivers FILE if they are known"));
+        note(
+            self.repeated,
+            format!("{} readings repeat a link: each has a location at the same position", self.repeated),
+        );
+        note(
+            self.places.joined,
+            format!("{} positions are within 1 mm of another and are joined with it", self.places.joined),
+        );
+        note(
+            self.respelled.len(),
+            format!(
+                "{} receiver names differ from another only by case and are joined: {}",
+                self.respelled.len(),
+                list(self.respelled.iter().map(String::as_str))
+            ),
+        );
+        let unknown = receivers.iter().flatten().filter(|receiver| receiver.is_estimated).count();
+        note(
+            unknown,
+            format!(
+                "the positions of {unknown} receivers are unknown and estimated from their strongest readings; --receivers FILE if they are known"
+            ),
+        );
         if let Some(zero) = self.frame.geodetic {
-            note(1, format!("degrees become metres east and north of latitude {}, longitude {}", zero.latitude, zero.longitude));
+            note(
+                1,
+                format!(
+                    "degrees become metres east and north of latitude {}, longitude {}",
+                    zero.latitude, zero.longitude
+                ),
+            );
         }
     }
 }
@@ -362,12 +397,14 @@ impl<'a> RowReader<'a> {
             RowPlace::Name(column) => vec![column],
             RowPlace::Next => Vec::new(),
         };
-        let powers = search.powers(&used)?;
+        let powers = search.powers(&used, import.is_lat_lon)?;
         let stem = table.path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         let is_one_of_many = import.files.len() > 1;
         let receiver_name = match (&import.columns.receiver, &powers) {
             (Some(name), _) => name.clone(),
-            (None, PowerColumns::Long { power, .. }) if !is_one_of_many && table.header.is_some() => table.names[*power].clone(),
+            (None, PowerColumns::Long { power, .. }) if !is_one_of_many && table.header.is_some() => {
+                table.names[*power].clone()
+            }
             _ if is_one_of_many => stem,
             _ => "receiver".into(),
         };
@@ -381,7 +418,8 @@ impl<'a> RowReader<'a> {
             RowPlace::Columns(columns) => {
                 used.extend(columns.plane.into_iter().chain(columns.height));
                 let unit = if columns.is_geodetic { "degrees" } else { "metres" };
-                let height = columns.height.map_or("no height".to_owned(), |k| format!("height in {}", search.list([k])));
+                let height =
+                    columns.height.map_or("no height".to_owned(), |k| format!("height in {}", search.list([k])));
                 format!("positions in {} ({unit}), {height}", search.list(columns.plane))
             }
             RowPlace::Name(column) => {
@@ -394,17 +432,26 @@ impl<'a> RowReader<'a> {
             PowerColumns::Long { power, receiver, place } => {
                 used.extend([*power].into_iter().chain(*receiver));
                 used.extend(place.iter().flat_map(|place| place.plane.into_iter().chain(place.height)));
-                let receiver = receiver.map_or_else(|| format!("of receiver {}", quoted(&self.receiver_name)), |k| format!("at the receivers in {}", search.list([k])));
+                let receiver = receiver.map_or_else(
+                    || format!("of receiver {}", quoted(&self.receiver_name)),
+                    |k| format!("at the receivers in {}", search.list([k])),
+                );
                 format!("powers in {} {receiver}", search.list([*power]))
             }
             PowerColumns::Wide(columns) => {
                 used.extend(columns);
                 let (first, last) = (columns.first().copied(), columns.last().copied());
-                format!("powers of {} receivers in columns, {}", columns.len(), search.list(first.into_iter().chain(last)))
+                format!(
+                    "powers of {} receivers in columns, {}",
+                    columns.len(),
+                    search.list(first.into_iter().chain(last))
+                )
             }
         };
-        let unused: Vec<&str> = (0..self.table.names.len()).filter(|k| !used.contains(k)).map(|k| &*self.table.names[k]).collect();
-        let unused = if unused.is_empty() { String::new() } else { format!("; not used: {}", list(unused.iter().copied())) };
+        let unused: Vec<&str> =
+            (0..self.table.names.len()).filter(|k| !used.contains(k)).map(|k| &*self.table.names[k]).collect();
+        let unused =
+            if unused.is_empty() { String::new() } else { format!("; not used: {}", list(unused.iter().copied())) };
         format!("{place}; {powers}{unused}")
     }
 }
@@ -422,7 +469,9 @@ fn preview(data: &Dataset) -> Vec<String> {
     let line = |l: usize| {
         let [x, y, z] = data.locations[l].position();
         let links = data.links_of(&[l]);
-        let power = |i: &usize| format!("{} {} dBm", data.scene.receivers[data.links[*i].receiver].name, data.image(*i).pixels[0]);
+        let power = |i: &usize| {
+            format!("{} {} dBm", data.scene.receivers[data.links[*i].receiver].name, data.image(*i).pixels[0])
+        };
         let powers: Vec<String> = links.iter().take(SHOWN).map(power).collect();
         let more = if links.len() > SHOWN { format!(", and {} more", links.len() - SHOWN) } else { String::new() };
         format!("({x:.3}, {y:.3}, {z:.3}) m: {}{more}", powers.join(", "))

@@ -2,7 +2,7 @@
 
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use pwrfgs_core::files::{GrowingFile, NewFolder};
-use pwrfgs_core::{Error, Image, Number, Pose, Real, Result, gains_of};
+use pwrfgs_core::{Error, Geodetic, Image, Number, Pose, Real, Result, gains_of};
 use pwrfgs_data::{npy_header, npy_header_as};
 use pwrfgs_experiment::text::field;
 use pwrfgs_model::{Interval, Prepared};
@@ -26,6 +26,8 @@ pub(super) struct PredictionRow<'a> {
     pub(super) name: Option<&'a str>,
     /// Distance to the nearest training position, metres; none if unknown.
     pub(super) training_distance: Option<f64>,
+    /// Latitude and longitude of the frame.
+    pub(super) geodetic: Option<Geodetic>,
 }
 
 impl PredictionRow<'_> {
@@ -37,10 +39,11 @@ impl PredictionRow<'_> {
         format!("{number},{x},{y},{z}{turn}{name}")
     }
 
-    /// Formats the last columns of the row: latency, and distance to the training positions.
+    /// Formats the last columns of the row: latency, distance to the training positions, and degrees of a frame that has them.
     fn last_columns(&self, milliseconds: f64) -> String {
         let distance = self.training_distance.map_or_else(String::new, |metres| format!("{metres:.3}"));
-        format!("{milliseconds:.3},{distance}\n")
+        let degrees = self.geodetic.map_or_else(String::new, |geodetic| geodetic.cells(self.pose.position));
+        format!("{milliseconds:.3},{distance}{degrees}\n")
     }
 }
 
@@ -213,7 +216,8 @@ fn list_header(model: &Prepared<'_>, has_interval: bool) -> String {
         let interval = columns_if(has_interval, "lower_dbm,upper_dbm,");
         format!("receiver,dbm,{spread}{interval}ms")
     };
-    format!("row,{pose},{prediction},training_distance_m\n")
+    let degrees = columns_if(model.setup().geodetic.is_some(), Geodetic::COLUMNS);
+    format!("row,{pose},{prediction},training_distance_m{degrees}\n")
 }
 
 /// Computes the standard deviations of complex gains, `[A, F]`, from those of their real and imaginary parts, `[2 A,

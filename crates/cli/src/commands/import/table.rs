@@ -81,7 +81,8 @@ impl TableArguments {
         let unit = self.unit.as_deref().map_or(Ok(PowerUnit::Dbm), str::parse);
         let files = |paths: &[PathBuf]| paths.iter().cloned().map(TableFile::from).collect();
         let Self { x, y, z, lat, lon, floor, tx_id, power, time, columns, .. } = self;
-        let [x, y, z, lat, lon, floor, tx_id, power, time] = [x, y, z, lat, lon, floor, tx_id, power, time].map(Clone::clone);
+        let [x, y, z, lat, lon, floor, tx_id, power, time] =
+            [x, y, z, lat, lon, floor, tx_id, power, time].map(Clone::clone);
         let receiver = arguments.receiver.clone();
         Ok(TableImport {
             files: files(&self.table),

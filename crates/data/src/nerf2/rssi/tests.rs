@@ -57,6 +57,17 @@ fn reads_valid_rssi_folder() {
 }
 
 #[test]
+fn reads_empty_cells_and_leaves_out_deaf_gateways() {
+    let folder = Folder::new();
+    folder.write("gateway_rssi.csv", "b,a\n,-61\nNaN,-63\n-100,-62\n");
+    let data = folder.try_load().unwrap();
+    assert_eq!(data.observations.powers().unwrap(), [-61.0, -63.0, -62.0]);
+    assert_eq!(data.scene.receivers.iter().map(|receiver| &*receiver.name).collect::<Vec<_>>(), ["a"]);
+    folder.write("manifest.json", r#"{"missing": []}"#);
+    assert_eq!(folder.try_load().unwrap().observations.powers().unwrap(), [-61.0, -63.0, -62.0, -100.0]);
+}
+
+#[test]
 fn reports_position_of_invalid_input() {
     let folder = Folder::new();
     let cases = [
@@ -87,8 +98,8 @@ fn reports_position_of_invalid_input() {
         ("gateway_rssi.csv", "", "DIR/gateway_rssi.csv: is empty"),
         (
             "gateway_rssi.csv",
-            "a,b\n-60,-61\n-62,NaN\n",
-            "DIR/gateway_rssi.csv:3:5: `NaN` is not finite; give the power in dBm",
+            "a,b\n-60,-61\n-62,inf\n",
+            "DIR/gateway_rssi.csv:3:5: `inf` is not finite; give the power in dBm",
         ),
         ("gateway_rssi.csv", "a,b\n-60,x\n", "DIR/gateway_rssi.csv:2:5: `x` is not a number"),
         ("gateway_rssi.csv", "a,b\n-60\n", "DIR/gateway_rssi.csv:2:4: the row ends after 1"),
@@ -98,13 +109,9 @@ fn reports_position_of_invalid_input() {
         (
             "gateway_rssi.csv",
             "a,b\n-60,-61\n-100,-100.0\n-1,-1\n",
-            "DIR/gateway_rssi.csv:3:1: no gateway heard this transmitter (-100 in all columns)",
+            "DIR/gateway_rssi.csv:3:1: no gateway heard this transmitter; remove the row",
         ),
-        (
-            "gateway_rssi.csv",
-            "a,b\n-60,-100\n-61,-100\n-62,-100\n",
-            "DIR/gateway_rssi.csv:1:3: `b` received no transmitter (-100 in all rows)",
-        ),
+        ("gateway_rssi.csv", "a,b\n-100,\nNaN,-100\n,\n", "DIR/gateway_rssi.csv:2:1: no gateway heard this"),
         ("gateway_rssi.csv", "a,b\n-60,-61\n", "DIR/gateway_rssi.csv: holds 1 rows of powers, but tx_pos.csv 3"),
         ("tx_pos.csv", "x,y,z\n1,2,3\n1,2,inf\n", "DIR/tx_pos.csv:3:5: `inf` is not finite"),
         (
