@@ -5,7 +5,11 @@
 
 mod columns;
 mod dialect;
+mod finish;
+mod names;
 mod places;
+mod powers;
+mod rows;
 mod survey;
 #[cfg(test)]
 mod tests;
@@ -41,11 +45,11 @@ pub struct TableImport {
     /// Tables whose rows are the test set; those of `files` are then the training set.
     pub test: Vec<TableFile>,
     /// Positions of the rows of `files` and `test`, row by row.
-    pub tx: Option<PathBuf>,
+    pub tx: Option<TableFile>,
     /// Positions of the places that the rows name.
-    pub places: Option<PathBuf>,
+    pub places: Option<TableFile>,
     /// Positions of the receivers, by name. Receivers without one are estimated from their strongest readings.
-    pub receivers: Option<PathBuf>,
+    pub receivers: Option<TableFile>,
     /// Chosen columns.
     pub columns: ColumnChoice,
     /// Whether positions are latitude and longitude, also if the columns are not called so.

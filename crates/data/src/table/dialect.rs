@@ -1,5 +1,6 @@
 //! `TableText`: a table of any dialect: separators, decimal commas, comment lines, lines before the header, compression.
 
+use super::TableFile;
 use crate::text::{TextField, TextRow, is_empty_cell, locate_fields, read_bytes, unquoted};
 use flate2::read::MultiGzDecoder;
 use pwrfgs_core::files::MAX_TEXT;
@@ -31,13 +32,14 @@ pub(super) struct TableText {
 }
 
 impl TableText {
-    /// Reads a table, compressed with gzip or not; `bytes` replace the file if they are given.
+    /// Reads a table, compressed with gzip or not.
     ///
     /// # Errors
     /// A file that cannot be read, has more than [`MAX_TEXT`] bytes, also expanded, or is no table.
-    pub(super) fn read(path: &Path, bytes: Option<Vec<u8>>) -> Result<Self> {
+    pub(super) fn read(file: &TableFile) -> Result<Self> {
+        let path = &file.path;
         let refuse = |problem: &str| Err(Error::input(path, problem));
-        let bytes = bytes.map_or_else(|| read_bytes(path, MAX_TEXT, "check the path of the table"), Ok)?;
+        let bytes = file.bytes.clone().map_or_else(|| read_bytes(path, MAX_TEXT, "check the path of the table"), Ok)?;
         if bytes.starts_with(b"PK") {
             return refuse("is an archive, as .xlsx is; save the sheet as CSV and import that");
         }

@@ -1,15 +1,14 @@
 //! Positions in tables: of rows, places and receivers, in metres or degrees.
 
-use super::TableImport;
 use super::columns::{ColumnSearch, PlaceColumns};
 use super::dialect::TableText;
+use super::{TableFile, TableImport};
 use crate::text::TextRow;
 use pwrfgs_core::{Geodetic, Result, place_fault};
 use std::collections::{BTreeMap, HashMap};
-use std::path::Path;
 
 /// Positions closer than this are one, metres.
-const SAME_M: f64 = 1e-3;
+pub(super) const SAME_M: f64 = 1e-3;
 
 /// Frame of the positions, set by the first position in degrees.
 #[derive(Clone, Copy, Debug, Default)]
@@ -57,14 +56,18 @@ impl Frame {
 ///
 /// # Errors
 /// A table without a name or a position, or with two positions for one name.
-pub(super) fn read_named(import: &TableImport, path: &Path, frame: &mut Frame) -> Result<BTreeMap<String, [f64; 3]>> {
-    let table = TableText::read(path, None)?;
+pub(super) fn read_named(
+    import: &TableImport,
+    file: &TableFile,
+    frame: &mut Frame,
+) -> Result<BTreeMap<String, [f64; 3]>> {
+    let table = TableText::read(file)?;
     let choice = super::ColumnChoice::default();
     let search = ColumnSearch::new(&table, &choice)?;
     let columns = search.place(import.is_lat_lon)?;
     let columns =
         columns.ok_or_else(|| search.fault("no position; write a table with the columns name, x, y and z"))?;
-    let name = search.name(columns).ok_or_else(|| search.fault("no column of names; add one called `name`"))?;
+    let name = search.names_of(columns)?;
     let mut places = BTreeMap::new();
     for row in table.rows() {
         let row = row?;
@@ -78,8 +81,8 @@ pub(super) fn read_named(import: &TableImport, path: &Path, frame: &mut Frame) -
 }
 
 /// Reads the positions of rows, one per row of the readings.
-pub(super) fn read_rows(import: &TableImport, path: &Path, frame: &mut Frame) -> Result<Vec<[f64; 3]>> {
-    let table = TableText::read(path, None)?;
+pub(super) fn read_rows(import: &TableImport, file: &TableFile, frame: &mut Frame) -> Result<Vec<[f64; 3]>> {
+    let table = TableText::read(file)?;
     let choice = super::ColumnChoice { wide: Vec::new(), ..import.columns.clone() };
     let search = ColumnSearch::new(&table, &choice)?;
     let columns = match search.place(import.is_lat_lon)? {

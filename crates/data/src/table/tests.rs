@@ -103,7 +103,7 @@ fn wide_columns_are_recognised_or_chosen() {
     );
     let notes = imported.notes.join("\n");
     for note in [
-        "powers of 3 receivers in columns, `MAC1`, `MAC10`",
+        "powers of 3 receivers in columns: `MAC1`, `MAC2`, `MAC10`",
         "not used: `UserID`, `RTT1`, `RTT2`",
         "3 cells are 100, not heard",
         "1 receivers heard nothing and are left out: `MAC10`",
@@ -192,7 +192,7 @@ fn other_files_state_places_receivers_and_test_set() {
     let write = |name: &str, text: &str| {
         let path = folder.path().join(name);
         std::fs::write(&path, text).unwrap();
-        Some(path)
+        Some(TableFile::from(path))
     };
     let rooms = "cell,b1,b2\nO02,-60,-200\nP01,-70,-71\nO02,-61,-200\n";
     let import = TableImport {
@@ -264,7 +264,7 @@ fn refuses_what_it_cannot_know() {
         ("x,y,rssi,rsrp\n0,0,-40,-50\n", "`rssi`, `rsrp` could each be the column of --power; name one with --power"),
         (
             "x,y,rssi,rssi2\n0,0,-40,-50\n",
-            "`rssi2`, `rssi` could each be the power; name one with --power, or those of all",
+            "`rssi`, `rssi2` could each be the power; name one with --power, or those of all",
         ),
         ("x,y,lat,lon,rssi\n0,0,48.1,11.5,-40\n", "`x`, `y` and `lat`, `lon` could each be the position"),
         ("x,y,ap,mac,rssi\n0,0,a,b,-40\n", "could each be the column of --receiver; name one with --receiver"),

@@ -79,6 +79,7 @@ impl TableArguments {
     /// Returns the import that the options describe. Returns an error for an unknown unit.
     fn to_import(&self, arguments: &Import, name: &str) -> Result<TableImport> {
         let unit = self.unit.as_deref().map_or(Ok(PowerUnit::Dbm), str::parse);
+        let file = |path: Option<&PathBuf>| path.cloned().map(TableFile::from);
         let files = |paths: &[PathBuf]| paths.iter().cloned().map(TableFile::from).collect();
         let Self { x, y, z, lat, lon, floor, tx_id, power, time, columns, .. } = self;
         let [x, y, z, lat, lon, floor, tx_id, power, time] =
@@ -87,9 +88,9 @@ impl TableArguments {
         Ok(TableImport {
             files: files(&self.table),
             test: files(&self.test),
-            tx: arguments.tx.clone(),
-            places: self.places.clone(),
-            receivers: self.receivers.clone(),
+            tx: file(arguments.tx.as_ref()),
+            places: file(self.places.as_ref()),
+            receivers: file(self.receivers.as_ref()),
             columns: ColumnChoice { x, y, z, lat, lon, floor, tx_id, receiver, power, time, wide: columns.clone() },
             is_lat_lon: self.lat_lon,
             height: self.height,

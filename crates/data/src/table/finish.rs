@@ -1,0 +1,140 @@
+//! Makes a data set of the readings of a survey.
+
+use super::ImportedTable;
+use super::columns::{SHOWN, list};
+use super::survey::{NamedReceiver, PREVIEW, Survey};
+use pwrfgs_core::{Dataset, Error, Link, Location, Pose, Real, Receiver, Result, Simulation};
+
+impl Survey<'_> {
+    /// Makes the data set. Returns an error if no power was received, or the floors have no height.
+    pub(super) fn finish(mut self) -> Result<ImportedTable> {
+        let path = &self.import.files.first().map(|file| file.path.clone()).unwrap_or_default();
+        if self.rows.as_mut().is_some_and(|rows| rows.next().is_some()) {
+            let problem = "the file of --tx has more rows than the readings; give a position per row";
+            return Err(Error::input(path, problem));
+        }
+        if self.floors.len() > 1 && self.import.floor_height.is_none() {
+            let floors = list(self.floors.iter().map(String::as_str));
+            let problem = format!("has the floors {floors}; give their height with --floor-height METRES");
+            return Err(Error::input(path, problem));
+        }
+        if self.readings.is_empty() {
+            let problem = "holds no received power; write one row per reading, or check --missing";
+            return Err(Error::input(path, problem));
+        }
+        self.readings.sort_by_key(|reading| (reading.location, reading.receiver));
+        let receivers = self.heard_receivers();
+        self.add_notes(&receivers);
+        let (locations, links) = self.number_links(&receivers);
+        let powers: Vec<Real> = self.readings.iter().map(|reading| reading.dbm).collect();
+        let is_test: Vec<bool> =
+            self.readings.iter().map(|reading| self.spots[reading.location as usize].is_test).collect();
+        let receivers: Vec<Receiver> = receivers.into_iter().flatten().collect();
+        let mut data =
+            Dataset::of_columns(&self.import.title, receivers.into(), vec![], locations, links, powers.into())?;
+        let part = |test: bool| (0..is_test.len()).filter(|i| is_test[*i] == test).collect::<Vec<usize>>();
+        data.official = (!self.import.test.is_empty()).then(|| (part(false), part(true)));
+        data.estimate_receivers(&(0..data.len()).collect::<Vec<_>>());
+        data.scene.geodetic = self.frame.geodetic;
+        data.simulation = self.import.is_simulated.then(Simulation::default);
+        let after = preview(&data);
+        Ok(ImportedTable { data, notes: self.notes, before: self.before, after })
+    }
+
+    /// Returns the receivers, `None` for those that heard nothing. Those of unknown position stand at the first place.
+    fn heard_receivers(&self) -> Vec<Option<Receiver>> {
+        let mut is_heard = vec![false; self.receivers.len()];
+        self.readings.iter().for_each(|reading| is_heard[reading.receiver as usize] = true);
+        let place = |(receiver, is_heard): (&NamedReceiver, bool)| {
+            let pose = Pose::from(receiver.position.unwrap_or(self.places.positions[0]));
+            let named = Receiver { is_estimated: receiver.position.is_none(), ..Receiver::new(&*receiver.name, pose) };
+            is_heard.then_some(named)
+        };
+        self.receivers.iter().zip(is_heard).map(place).collect()
+    }
+
+    /// Numbers the locations that were heard, from 0, and the receivers that heard one. Returns the columns of the data set.
+    fn number_links(&self, receivers: &[Option<Receiver>]) -> (Vec<Location>, Vec<Link>) {
+        let mut new_receivers = vec![0; receivers.len()];
+        for (next, receiver) in (0..receivers.len()).filter(|r| receivers[*r].is_some()).enumerate() {
+            new_receivers[receiver] = next;
+        }
+        let (mut locations, mut links, mut last) = (Vec::new(), Vec::with_capacity(self.readings.len()), None);
+        for reading in &self.readings {
+            if last != Some(reading.location) {
+                let place = self.spots[reading.location as usize].place as usize;
+                let pose = Pose::from(self.places.positions[place]);
+                locations.push(Location { id: locations.len() as u32, pose });
+                last = Some(reading.location);
+            }
+            links.push(Link { location: locations.len() - 1, receiver: new_receivers[reading.receiver as usize] });
+        }
+        (locations, links)
+    }
+
+    /// Notes what was joined, left out and assumed.
+    fn add_notes(&mut self, receivers: &[Option<Receiver>]) {
+        let mut sends = vec![false; self.spots.len()];
+        self.readings.iter().for_each(|reading| sends[reading.location as usize] = true);
+        let mut note = |count: usize, text: String| self.notes.extend((count > 0).then_some(text));
+        for (code, count) in self.import.missing.iter().zip(&self.coded) {
+            note(1, format!("{count} cells are {code}, not heard"));
+        }
+        note(self.silent, format!("{} cells are empty, not heard", self.silent));
+        let deaf = self.receivers.iter().zip(receivers).filter(|(_, heard)| heard.is_none()).map(|(r, _)| &*r.name);
+        let deaf: Vec<&str> = deaf.collect();
+        note(
+            deaf.len(),
+            format!("{} receivers heard nothing and are left out: {}", deaf.len(), list(deaf.iter().copied())),
+        );
+        let unheard = sends.iter().filter(|sends| !**sends).count();
+        note(unheard, format!("{unheard} rows were heard by no receiver and are left out"));
+        note(
+            self.repeated,
+            format!("{} readings repeat a link: each has a location at the same position", self.repeated),
+        );
+        note(
+            self.places.joined,
+            format!("{} positions are within 1 mm of another and are joined with it", self.places.joined),
+        );
+        note(
+            self.respelled.len(),
+            format!(
+                "{} receiver names differ from another only by case and are joined: {}",
+                self.respelled.len(),
+                list(self.respelled.iter().map(String::as_str))
+            ),
+        );
+        let unknown = receivers.iter().flatten().filter(|receiver| receiver.is_estimated).count();
+        note(
+            unknown,
+            format!(
+                "the positions of {unknown} receivers are unknown and estimated from their strongest readings; --receivers FILE if they are known"
+            ),
+        );
+        if let Some(zero) = self.frame.geodetic {
+            note(
+                1,
+                format!(
+                    "degrees become metres east and north of latitude {}, longitude {}",
+                    zero.latitude, zero.longitude
+                ),
+            );
+        }
+    }
+}
+
+/// Describes the first transmitters and their powers, a line each.
+fn preview(data: &Dataset) -> Vec<String> {
+    let line = |l: usize| {
+        let [x, y, z] = data.locations[l].position();
+        let links = data.links_of(&[l]);
+        let power = |i: &usize| {
+            format!("{} {} dBm", data.scene.receivers[data.links[*i].receiver].name, data.image(*i).pixels[0])
+        };
+        let powers: Vec<String> = links.iter().take(SHOWN).map(power).collect();
+        let more = if links.len() > SHOWN { format!(", and {} more", links.len() - SHOWN) } else { String::new() };
+        format!("({x:.3}, {y:.3}, {z:.3}) m: {}{more}", powers.join(", "))
+    };
+    (0..data.locations.len().min(PREVIEW)).map(line).collect()
+}

@@ -1,0 +1,121 @@
+//! Columns of received powers: one of all readings, or one per receiver.
+
+use super::columns::{ColumnSearch, PlaceColumns};
+use super::names::{FLOOR, LAT, LON, OTHER, POWER, RECEIVER, TX_ID, X, Y, Z, is_one_of};
+use crate::text::is_empty_cell;
+use pwrfgs_core::Result;
+use std::collections::BTreeMap;
+
+/// Largest absolute power, in any unit.
+const LARGEST: f64 = 300.0;
+
+/// Columns of received powers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum PowerColumns {
+    /// A row per reading: column of the power, of the receiver, and of the position of the receiver.
+    Long { power: usize, receiver: Option<usize>, place: Option<PlaceColumns> },
+    /// A row per transmitter, a column per receiver.
+    Wide(Vec<usize>),
+}
+
+impl ColumnSearch<'_> {
+    /// Returns the columns of the received powers, none of which are in `used`. Returns an error if none or several suit.
+    pub(super) fn powers(&self, used: &[usize], is_lat_lon: bool) -> Result<PowerColumns> {
+        if !self.choice.wide.is_empty() {
+            return self.chosen_wide().map(PowerColumns::Wide);
+        }
+        let Some(power) = self.find("--power", self.choice.power.as_ref(), POWER)? else {
+            return self.recognised_wide(used).map(PowerColumns::Wide);
+        };
+        let stem = |k: usize| self.names[k].trim_end_matches(|c: char| c.is_ascii_digit());
+        let is_similar = |k: &usize| *k != power && self.choice.power.is_none() && is_one_of(stem(*k), POWER);
+        let similar: Vec<usize> = (0..self.names.len()).filter(is_similar).collect();
+        if !similar.is_empty() {
+            let problem = format!("{} could each be the power", self.list([&[power], &similar[..]].concat()));
+            let advice = "name one with --power, or those of all receivers with --columns";
+            return Err(self.fault(format!("{problem}; {advice}")));
+        }
+        let is_name = |name: &String| self.named(name).is_none();
+        let receiver = match &self.choice.receiver {
+            Some(name) if is_name(name) => None,
+            choice => self.find("--receiver", choice.as_ref(), RECEIVER)?,
+        };
+        Ok(PowerColumns::Long { power, receiver, place: self.receiver_place(is_lat_lon) })
+    }
+
+    /// Returns the columns of the receiver's position beside a reading, such as `rx_x`; `None` without them.
+    fn receiver_place(&self, is_lat_lon: bool) -> Option<PlaceColumns> {
+        let prefixed = |ends: &str| {
+            let is_end = |name: &String, start: &str| name.strip_prefix(start).is_some_and(|end| is_one_of(end, ends));
+            self.names.iter().position(|name| RECEIVER.split(' ').any(|start| is_end(name, start)))
+        };
+        let height = prefixed("z height altitude alt");
+        let pair = |a: &str, b: &str| Some([prefixed(a)?, prefixed(b)?]);
+        let metres = pair("x", "y").map(|plane| PlaceColumns::new(plane, height, is_lat_lon));
+        metres.or_else(|| pair("lat latitude", "lon longitude lng").map(|plane| PlaceColumns::new(plane, height, true)))
+    }
+
+    /// Returns the columns that match the patterns of the user. Returns an error for a pattern without a column.
+    fn chosen_wide(&self) -> Result<Vec<usize>> {
+        let all = 0..self.names.len();
+        for pattern in &self.choice.wide {
+            if !all.clone().any(|k| matches(pattern, &self.table.names[k])) {
+                let columns = self.list(all);
+                let problem = format!("--columns {pattern}: no column has such a name; the columns are {columns}");
+                return Err(self.fault(problem));
+            }
+        }
+        let is_chosen = |k: &usize| self.choice.wide.iter().any(|pattern| matches(pattern, &self.table.names[*k]));
+        Ok(all.filter(is_chosen).collect())
+    }
+
+    /// Recognises the columns of receivers: the largest group of names that differ in numbers alone, else all columns that hold
+    /// powers. Returns an error if there is none, or if two groups are equal in size.
+    fn recognised_wide(&self, used: &[usize]) -> Result<Vec<usize>> {
+        let is_known =
+            |name: &str| [X, Y, Z, LAT, LON, FLOOR, TX_ID, RECEIVER, OTHER].iter().any(|names| is_one_of(name, names));
+        let is_free = |k: &usize| !used.contains(k) && !is_known(&self.names[*k]) && self.holds_powers(*k);
+        let free: Vec<usize> = (0..self.names.len()).filter(is_free).collect();
+        let mut groups: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+        free.iter().for_each(|&k| groups.entry(stem(&self.table.names[k])).or_default().push(k));
+        let size = groups.values().map(Vec::len).max().unwrap_or(0);
+        let largest: Vec<Vec<usize>> = groups.into_values().filter(|group| group.len() == size).collect();
+        match &largest[..] {
+            [] => {
+                let columns = self.list(0..self.names.len());
+                let problem = format!("no column of received powers was recognised among {columns}");
+                let advice = "name it with --power, or those of all receivers with --columns";
+                Err(self.fault(format!("{problem}; {advice}")))
+            }
+            [group] if size > 1 => Ok(group.clone()),
+            [group, other, ..] if size > 1 => {
+                let [first, second] = [group[0], other[0]].map(|k| self.list([k]));
+                let problem = format!("{first} .. and {second} .. could each be the received powers");
+                Err(self.fault(format!("{problem}; name those of one kind with --columns, such as --columns 'AP*'")))
+            }
+            _ => Ok(free),
+        }
+    }
+
+    /// Returns whether a column holds numbers within [`LARGEST`], and empty cells.
+    fn holds_powers(&self, k: usize) -> bool {
+        let cells = self.rows.iter().filter_map(|row| row.fields.get(k)).filter(|field| !is_empty_cell(field.text));
+        cells.count() == self.values(k).count() && self.values(k).all(|v| v.abs() <= LARGEST)
+    }
+}
+
+/// Returns a name with its numbers replaced; MAC addresses have one stem.
+fn stem(name: &str) -> String {
+    let is_address = name.len() == 17 && name.chars().all(|c| c.is_ascii_hexdigit() || c == ':' || c == '-');
+    let parts = name.split(|c: char| c.is_ascii_digit()).filter(|part| !part.is_empty());
+    if is_address { "address".into() } else { parts.collect::<Vec<_>>().join("0") }
+}
+
+/// Returns whether a name matches a pattern in which `*` stands for any text; either case.
+fn matches(pattern: &str, name: &str) -> bool {
+    let (pattern, name) = (pattern.to_lowercase(), name.to_lowercase());
+    let parts: Vec<&str> = pattern.split('*').collect();
+    let [first, middle @ .., last] = &parts[..] else { return name == pattern };
+    let Some(rest) = name.strip_prefix(first).and_then(|rest| rest.strip_suffix(last)) else { return false };
+    middle.iter().try_fold(rest, |rest, part| rest.find(part).map(|at| &rest[at + part.len()..])).is_some()
+}

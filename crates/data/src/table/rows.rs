@@ -1,0 +1,102 @@
+//! `RowReader`: where the rows of one table have their position and their powers.
+
+use super::TableImport;
+use super::columns::{ColumnSearch, PlaceColumns, list};
+use super::dialect::TableText;
+use super::powers::PowerColumns;
+use pwrfgs_core::Result;
+use pwrfgs_core::messages::quoted;
+use std::collections::BTreeMap;
+
+/// Position of a row.
+pub(super) enum RowPlace {
+    Columns(PlaceColumns),
+    /// Column with the name of a place.
+    Name(usize),
+    /// Next row of another file.
+    Next,
+}
+
+/// Columns of one table.
+pub(super) struct RowReader<'a> {
+    pub(super) table: &'a TableText,
+    pub(super) place: RowPlace,
+    pub(super) floor: Option<usize>,
+    pub(super) powers: PowerColumns,
+    pub(super) transmitter: Vec<usize>,
+    /// Name of the receiver of a table without such a column.
+    pub(super) receiver_name: String,
+}
+
+impl<'a> RowReader<'a> {
+    /// Recognises the columns of a table; `named` are the positions of places. Returns an error for missing or ambiguous columns.
+    pub(super) fn new(
+        import: &TableImport,
+        named: &BTreeMap<String, [f64; 3]>,
+        table: &'a TableText,
+        search: &ColumnSearch<'_>,
+    ) -> Result<Self> {
+        let place = if import.tx.is_some() {
+            RowPlace::Next
+        } else if import.places.is_some() {
+            RowPlace::Name(search.named_places(named)?)
+        } else {
+            let advice = "name its columns with --x and --y or --lat and --lon, give the positions row by row with --tx \
+                          FILE, or of places with --places FILE. Positions in another table that share only the time \
+                          must be joined first";
+            let columns = search.place(import.is_lat_lon)?;
+            RowPlace::Columns(columns.ok_or_else(|| search.fault(format!("no position was recognised; {advice}")))?)
+        };
+        let has_height = matches!(place, RowPlace::Columns(columns) if columns.height.is_some());
+        let floor = if has_height { None } else { search.floor()? };
+        let used = match place {
+            RowPlace::Columns(columns) => columns.all().chain(floor).collect(),
+            RowPlace::Name(column) => vec![column],
+            RowPlace::Next => Vec::new(),
+        };
+        let powers = search.powers(&used, import.is_lat_lon)?;
+        let receiver_name = match (&import.columns.receiver, &powers) {
+            (Some(name), _) => name.clone(),
+            (None, PowerColumns::Long { power, .. }) if import.files.len() == 1 && table.header.is_some() => {
+                table.names[*power].clone()
+            }
+            _ => table.path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+        };
+        Ok(Self { table, place, floor, powers, transmitter: search.transmitter()?, receiver_name })
+    }
+
+    /// Describes the columns in one sentence, with those that are not used.
+    pub(super) fn describe(&self, search: &ColumnSearch<'_>) -> String {
+        let mut used: Vec<usize> = self.floor.into_iter().chain(self.transmitter.iter().copied()).collect();
+        let place = match self.place {
+            RowPlace::Columns(columns) => {
+                used.extend(columns.all());
+                let unit = if columns.is_geodetic { "degrees" } else { "metres" };
+                let height =
+                    columns.height.map_or("no height".to_owned(), |k| format!("height in {}", search.list([k])));
+                format!("positions in {} ({unit}), {height}", search.list(columns.plane))
+            }
+            RowPlace::Name(column) => {
+                used.push(column);
+                format!("places in {}", search.list([column]))
+            }
+            RowPlace::Next => "positions row by row from another file".into(),
+        };
+        let powers = match &self.powers {
+            PowerColumns::Long { power, receiver, place } => {
+                used.extend([*power].into_iter().chain(*receiver).chain(place.iter().flat_map(|place| place.all())));
+                let at =
+                    receiver.map_or(quoted(&self.receiver_name), |k| format!("the receivers in {}", search.list([k])));
+                format!("powers in {} at {at}", search.list([*power]))
+            }
+            PowerColumns::Wide(columns) => {
+                used.extend(columns);
+                format!("powers of {} receivers in columns: {}", columns.len(), search.list(columns.iter().copied()))
+            }
+        };
+        let unused = (0..self.table.names.len()).filter(|k| !used.contains(k)).map(|k| &*self.table.names[k]);
+        let unused = list(unused);
+        let unused = if unused.is_empty() { unused } else { format!("; not used: {unused}") };
+        format!("{place}; {powers}{unused}")
+    }
+}
