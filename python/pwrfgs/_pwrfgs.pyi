@@ -15,6 +15,7 @@ from typing import (
     Mapping,
     Literal,
     Optional,
+    Protocol,
     Sequence,
     SupportsIndex,
     Tuple,
@@ -41,6 +42,13 @@ _Degrees: TypeAlias = Tuple[NDArray[np.float64], NDArray[np.float64]]
 _Plugin: TypeAlias = Union[Value, Type[Value], str]
 # Position and orientation x, y, z, w: `Pose`, or two sequences.
 _Pose: TypeAlias = Tuple[Sequence[float], Sequence[float]]
+class _Frame(Protocol):
+    to_csv: Any
+
+# Path of a table, or a `pandas.DataFrame`.
+_Table: TypeAlias = Union[_Path, _Frame]
+# Name of a column.
+_Column: TypeAlias = Union[str, int]
 # Metres as x0, x1, y0, y1.
 _Box: TypeAlias = Union[str, Sequence[float]]
 # Name, type, doc and default as JSON text per setting of a task; no default of a required one.
@@ -70,6 +78,33 @@ class Dataset:
         points: Optional[ArrayLike] = None,
         elevation_deg: Optional[Sequence[float]] = None,
         title: str = "arrays",
+        simulated: bool = False,
+    ) -> Dataset: ...
+    @staticmethod
+    def from_table(
+        table: Union[_Table, Sequence[_Table]],
+        *,
+        x: Optional[_Column] = None,
+        y: Optional[_Column] = None,
+        z: Optional[_Column] = None,
+        lat: Optional[_Column] = None,
+        lon: Optional[_Column] = None,
+        floor: Optional[_Column] = None,
+        receiver: Optional[_Column] = None,
+        power: Optional[_Column] = None,
+        time: Optional[_Column] = None,
+        tx_id: Optional[_Column] = None,
+        columns: Union[None, _Column, Sequence[_Column]] = None,
+        tx: Optional[_Table] = None,
+        places: Optional[_Table] = None,
+        receivers: Optional[_Table] = None,
+        test: Union[None, _Table, Sequence[_Table]] = None,
+        missing: Union[None, float, Sequence[float]] = None,
+        unit: str = "dBm",
+        lat_lon: bool = False,
+        height: Optional[float] = None,
+        floor_height: Optional[float] = None,
+        title: str = "table",
         simulated: bool = False,
     ) -> Dataset: ...
     def save(self, path: _Path) -> None: ...

@@ -6,10 +6,12 @@ use numpy::{
     Element, IntoPyArray as _, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn, PyUntypedArrayMethods as _,
 };
 use numpy::{PyArrayDescrMethods as _, dtype};
-use pwrfgs_core::{Dataset, Elevation, Pose, Real, Spectra, Task, check_stopped, gains_of, rows_of};
+use pwrfgs_core::{
+    AngleAxis, Dataset, Elevation, ImagePlane, Pose, Real, Spectra, Task, check_stopped, gains_of, rows_of,
+};
 use pyo3::exceptions::PyMemoryError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyTuple};
 use rayon::prelude::*;
 
 /// Contiguous array given by a user.
@@ -255,4 +257,13 @@ pub(crate) fn observation_array<'py>(py: Python<'py>, data: &Dataset, links: &[u
         data.observations.spectra().map_or(Ok(()), Spectra::check).map(|()| rows)
     })?;
     observations(py, data.task(), (data.width, data.height), &[links.len()], rows)
+}
+
+/// Returns the angles of rows `[H]` and columns `[W]` of a plane, degrees; `None` for a plane without angles.
+pub(crate) fn plane_angles<'py>(py: Python<'py>, plane: &ImagePlane) -> PyResult<Option<Bound<'py, PyTuple>>> {
+    let Some((azimuth, elevation)) = plane.angles else { return Ok(None) };
+    let degrees = |axis: AngleAxis, n: usize| (0..n).map(|i| axis.first + i as f64 * axis.step).collect();
+    let rows = vector::<f64>(py, degrees(elevation, plane.height))?;
+    let columns = vector::<f64>(py, degrees(azimuth, plane.width))?;
+    PyTuple::new(py, [rows, columns]).map(Some)
 }

@@ -3,15 +3,16 @@
 mod inputs;
 mod rows;
 mod stored;
+mod table;
 
-use crate::arrays::{array, numbers, observation_array, positions, read_elevation, vector};
+use crate::arrays::{array, numbers, observation_array, plane_angles, positions, read_elevation, vector};
 use crate::border::{parse_plugin, plugin_text, reject, run_stoppable, stop_progress, to_exception, without_gil};
 use numpy::PyArrayDyn;
 use pwrfgs::data::{check_dataset, save, shape_fault};
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{
-    DataSource, Dataset as Data, Elevation, End, Ends, Error, ImagePlane, Observations, Plugin, Pose, Real, Receiver,
-    Sample, Simulation, Split, recognise, rng,
+    DataSource, Dataset as Data, Elevation, End, Ends, Error, Observations, Plugin, Pose, Real, Receiver, Sample,
+    Simulation, Split, recognise, rng,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::prelude::*;
@@ -156,6 +157,32 @@ impl Dataset {
             check_dataset(&data).map(|()| data)
         })?;
         inputs::warn_findings(py, &data)?;
+        Ok(Self::new(data, None))
+    }
+
+    /// Create a data set from a table of received powers with positions: a pandas `DataFrame`, the path of a file (CSV, TSV,
+    /// with gzip or not), or a list of these, whose rows follow each other. Rows are readings, or transmitters with a column per
+    /// receiver. Columns are recognised by their names; pass the name of one to choose it. The options are those of `pwrfgs
+    /// import --table`:
+    ///
+    /// * `x`, `y`, `z`, or `lat`, `lon`, `floor`, `receiver`, `power`, `time`, `tx_id`: names of columns. `receiver` can also be
+    ///   the name of the only receiver.
+    /// * `columns`: the columns of the receivers, a list of names in which `*` stands for any text.
+    /// * `tx`, `places`, `receivers`, `test`: tables of positions row by row, of named places, of receivers, and of the test set.
+    /// * `missing`: values that mean "not heard". Empty cells and NaN always do.
+    /// * `unit`: "dBm", "positive-dBm", "percent", "dB:FLOOR", "mW" or "W".
+    /// * `lat_lon`: positions are degrees. `height` (metres, where there is none) and `floor_height`.
+    /// * `title`, `simulated`.
+    ///
+    /// What was understood is logged to the logger `pwrfgs` at level INFO.
+    #[staticmethod]
+    #[pyo3(signature = (table, **options))]
+    #[pyo3(
+        text_signature = "(table, *, x=None, y=None, z=None, lat=None, lon=None, floor=None, receiver=None, power=None, time=None, tx_id=None, columns=None, tx=None, places=None, receivers=None, test=None, missing=None, unit='dBm', lat_lon=False, height=None, floor_height=None, title='table', simulated=False)"
+    )]
+    fn from_table(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let data = table::read(table, options)?;
+        inputs::warn_findings(table.py(), &data)?;
         Ok(Self::new(data, None))
     }
 
@@ -389,13 +416,4 @@ impl Dataset {
         let partition = without_gil(py, || split.split(&self.data, &mut rng::stream(seed, "split", 0)))?;
         rows::partition_object(py, &partition)
     }
-}
-
-/// Returns the angles of rows `[H]` and columns `[W]` of a plane, degrees; `None` for a plane without angles.
-pub(crate) fn plane_angles<'py>(py: Python<'py>, plane: &ImagePlane) -> PyResult<Option<Bound<'py, PyTuple>>> {
-    let Some((azimuth, elevation)) = plane.angles else { return Ok(None) };
-    let degrees = |axis: pwrfgs_core::AngleAxis, n: usize| (0..n).map(|i| axis.first + i as f64 * axis.step).collect();
-    let rows = vector::<f64>(py, degrees(elevation, plane.height))?;
-    let columns = vector::<f64>(py, degrees(azimuth, plane.width))?;
-    PyTuple::new(py, [rows, columns]).map(Some)
 }

@@ -3,9 +3,8 @@
 pub(crate) mod made;
 mod observed;
 
-use crate::arrays::{self, Gain, array, axis_count, numbers, position, positions, vector};
+use crate::arrays::{self, Gain, array, axis_count, numbers, plane_angles, position, positions, vector};
 use crate::border::{reject, without_gil};
-use crate::data::plane_angles;
 use numpy::PyArrayDyn;
 use pwrfgs::model::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};

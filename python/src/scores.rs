@@ -84,6 +84,7 @@ fn evaluation<'a>([predictions, truths]: [&'a [Image]; 2], plane: &'a ImagePlane
 /// Returns a scene with surface points and one receiver at the origin.
 fn empty_scene(points: Vec<[Real; 3]>) -> Scene {
     Scene {
+        geodetic: None,
         origin: Origin::ZERO,
         moving: End::Transmitter,
         transmitter: None,

@@ -1,0 +1,91 @@
+//! Tables of received powers: files and data frames.
+
+use crate::border::{input_error, reject, without_gil};
+use pwrfgs::data::{ColumnChoice, TableFile, TableImport};
+use pwrfgs_core::Dataset as Data;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::PathBuf;
+
+/// Reads a table, or several, with the options of `pwrfgs import --table`.
+pub(super) fn read(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Data> {
+    let mut import = TableImport { files: read_files(table)?, title: "table".into(), ..TableImport::default() };
+    for (key, value) in options.into_iter().flatten() {
+        if !value.is_none() {
+            let key: String = key.extract()?;
+            set_option(&mut import, &key, &value)?;
+        }
+    }
+    let imported = without_gil(table.py(), || import.read())?;
+    imported.notes.iter().for_each(|note| tracing::info!("{note}"));
+    Ok(imported.data)
+}
+
+/// Sets one option.
+fn set_option(import: &mut TableImport, key: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
+    let ColumnChoice { x, y, z, lat, lon, floor, tx_id, receiver, power, time, wide } = &mut import.columns;
+    // Names of columns are texts or, as pandas has them, numbers.
+    let name = || value.str().map(|name| Some(name.to_string()));
+    let file = || read_file(value).map(Some);
+    match key {
+        "x" => *x = name()?,
+        "y" => *y = name()?,
+        "z" => *z = name()?,
+        "lat" => *lat = name()?,
+        "lon" => *lon = name()?,
+        "floor" => *floor = name()?,
+        "tx_id" => *tx_id = name()?,
+        "receiver" => *receiver = name()?,
+        "power" => *power = name()?,
+        "time" => *time = name()?,
+        "columns" => {
+            *wide = each(value)?.iter().map(|item| item.str().map(|name| name.to_string())).collect::<PyResult<_>>()?
+        }
+        "tx" => import.tx = file()?,
+        "places" => import.places = file()?,
+        "receivers" => import.receivers = file()?,
+        "test" => import.test = read_files(value)?,
+        "missing" => import.missing = each(value)?.iter().map(|item| item.extract()).collect::<PyResult<_>>()?,
+        "unit" => {
+            let unit: String = value.extract()?;
+            import.unit = unit.parse().map_err(|fault: String| input_error(value.py(), &format!("unit={fault}")))?;
+        }
+        "lat_lon" => import.is_lat_lon = value.extract()?,
+        "height" => import.height = value.extract()?,
+        "floor_height" => import.floor_height = value.extract()?,
+        "title" => import.title = value.extract()?,
+        "simulated" => import.is_simulated = value.extract()?,
+        _ => {
+            return reject(
+                value.py(),
+                &format!("from_table has no option `{key}`; help(pwrfgs.Dataset.from_table) lists them"),
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Returns the items of a list or tuple, or the only item.
+fn each<'py>(value: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+    let is_list = value.is_instance_of::<pyo3::types::PyList>() || value.is_instance_of::<pyo3::types::PyTuple>();
+    if is_list { value.try_iter()?.collect() } else { Ok(vec![value.clone()]) }
+}
+
+/// Reads one table, or a list of tables.
+fn read_files(value: &Bound<'_, PyAny>) -> PyResult<Vec<TableFile>> {
+    each(value)?.iter().map(read_file).collect()
+}
+
+/// Reads a path, or a data frame as CSV.
+fn read_file(value: &Bound<'_, PyAny>) -> PyResult<TableFile> {
+    if let Ok(path) = value.extract::<PathBuf>() {
+        return Ok(path.into());
+    }
+    if !value.hasattr("to_csv")? {
+        return reject(value.py(), "a table is the path of a file, or a pandas DataFrame");
+    }
+    let keywords = PyDict::new(value.py());
+    keywords.set_item("index", false)?;
+    let text: String = value.call_method("to_csv", (), Some(&keywords))?.extract()?;
+    Ok(TableFile { path: "data frame".into(), bytes: Some(text.into_bytes()) })
+}
