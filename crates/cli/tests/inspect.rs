@@ -85,10 +85,10 @@ fn rejects_folder_without_data() {
         here,
         &["inspect", "links.csv"],
         2,
-        &["links.csv: is a file", "`pwrfgs import --links links.csv --out FOLDER`"],
+        &["links.csv: is a file", "`pwrfgs import --table links.csv --out FOLDER`"],
     );
     refuse(here, &["inspect", "s.NPY"], 2, &["s.NPY: is a file", "`pwrfgs import --spectra s.NPY --out FOLDER`"]);
-    succeed(here, &["import", "--links", "links.csv", "--out", "data", "-q"]);
+    succeed(here, &["import", "--table", "links.csv", "--out", "data", "-q"]);
     refuse(
         here,
         &["inspect", "data/tx_pos.csv"],

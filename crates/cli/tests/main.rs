@@ -35,6 +35,7 @@ mod shipped_models;
 mod simulate;
 mod slurm;
 mod sweep;
+mod tables;
 mod tasks;
 mod view;
 mod warnings;

@@ -1,6 +1,6 @@
 //! Tables of received powers: files and data frames.
 
-use crate::border::{input_error, reject, without_gil};
+use crate::border::{input_error, log_message, reject, without_gil};
 use pwrfgs::data::{ColumnChoice, TableFile, TableImport};
 use pwrfgs_core::Dataset as Data;
 use pyo3::prelude::*;
@@ -17,7 +17,7 @@ pub(super) fn read(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>
         }
     }
     let imported = without_gil(table.py(), || import.read())?;
-    imported.notes.iter().for_each(|note| tracing::info!("{note}"));
+    imported.notes.iter().for_each(|note| log_message("info", note));
     Ok(imported.data)
 }
 

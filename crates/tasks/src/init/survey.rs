@@ -36,7 +36,7 @@ fn advise_on_file(file: &Path) -> String {
         return format!("give the folder of the data, {}", folder.display());
     }
     let import = match lowercase_extension(file).as_str() {
-        "csv" => "convert a table of links with `pwrfgs import --links",
+        "csv" => "convert a table of powers with `pwrfgs import --table",
         "npy" | "npz" => "convert spectra with `pwrfgs import --spectra",
         _ => return "give a folder in a layout of docs/data.md".into(),
     };
