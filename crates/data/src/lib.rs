@@ -47,7 +47,7 @@ pub use folder::{
 pub use geometry::{read_mesh, read_points};
 pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, POSES, read_poses, read_powers, read_transmitters};
 pub use pictures::read_image;
-pub use polygons::Triangles;
+pub use polygons::{MOST_TRIANGLES, Triangles};
 pub use pwrfgs_core::npy::{npy_header, npy_header_as};
 pub use save::{pose_row, poses_csv, save};
 pub use splits::{Fold, LeaveReceiverOut, Official, Random, RandomLinks, Sparse, TimeBlock, Voxel};
