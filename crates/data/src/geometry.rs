@@ -45,8 +45,7 @@ fn without_mark(bytes: &[u8]) -> &[u8] {
 }
 
 /// OBJ statements that do not describe the surface; they are ignored.
-const IGNORED: &str =
-    "vn vt vp o g s mg l p mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj";
+const IGNORED: &str = "vn vt vp o g s mg l p mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj";
 
 /// Parses the statements `v` and `f` of an OBJ file; polygons are cut into triangles. Returns an error with line and column
 /// for an invalid statement.
@@ -76,7 +75,8 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
         }
     }
     if materials.len() > 1 {
-        let advice = "the whole mesh has the finish of its object; for one finish per material, split the mesh by material";
+        let advice =
+            "the whole mesh has the finish of its object; for one finish per material, split the mesh by material";
         tracing::warn!("{}: {} materials (`usemtl`) are ignored; {advice}", path.display(), materials.len());
     }
     polygons.triangulate(path, vertices)
@@ -259,7 +259,10 @@ mod obj_tests {
     fn continued_lines_keep_line_numbers() {
         let text = "v 0 0 0 # C:\\a\\\r\nv 1 \\\r\n0 0\n\nv 0 1 0\nf 1 2 \\\n\\\n3\n";
         assert_eq!(read(text).unwrap().1, [[0, 1, 2]]);
-        assert_eq!(read(&format!("{text}f 1 2 x\n")).unwrap_err().split(';').next().unwrap(), "a.obj:9:7: `x` is not a vertex index (1 and up, or -1 and down from the end)");
+        assert_eq!(
+            read(&format!("{text}f 1 2 x\n")).unwrap_err().split(';').next().unwrap(),
+            "a.obj:9:7: `x` is not a vertex index (1 and up, or -1 and down from the end)"
+        );
         assert_eq!(read(&text.replace(['\n', '\r'], "\r")).unwrap().1, [[0, 1, 2]], "CR ends a line");
         assert!(read("v 0 0 0\nf 1 1 1\\").unwrap().1.is_empty());
     }

@@ -49,7 +49,9 @@ impl Polygons {
     /// strip. Returns the problems of [`Self::push`].
     pub(crate) fn push_strips(&mut self, corners: &[i64], vertices: usize) -> Result<(), String> {
         let windows = corners.split(|corner| *corner < 0).flat_map(|strip| strip.windows(3).enumerate());
-        windows.map(|(k, t)| if k % 2 == 0 { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] }).try_for_each(|triangle| self.push(&triangle, vertices))
+        windows
+            .map(|(k, t)| if k % 2 == 0 { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] })
+            .try_for_each(|triangle| self.push(&triangle, vertices))
     }
 
     /// Returns the number of triangles of all faces.
@@ -78,7 +80,9 @@ impl Polygons {
         triangles.retain(|t| has_area(t.map(|corner| vertices[corner as usize])));
         match all - triangles.len() {
             0 => {}
-            left_out => tracing::warn!("{}: {left_out} of {all} triangles have no area and are left out", path.display()),
+            left_out => {
+                tracing::warn!("{}: {left_out} of {all} triangles have no area and are left out", path.display())
+            }
         }
         Ok((vertices, triangles))
     }
@@ -267,11 +271,17 @@ mod tests {
         let advice = "triangulate the mesh where it was made";
         let bow = [[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]];
         assert_eq!(triangles(&bow).unwrap_err(), format!("a.obj: face 1 of 4 corners crosses itself; {advice}"));
-        let (outside, inside) = ([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0], [0.0, 0.0]], [[1.0, 1.0], [1.0, 2.0], [2.0, 2.0], [2.0, 1.0], [1.0, 1.0]]);
+        let (outside, inside) = (
+            [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0], [0.0, 0.0]],
+            [[1.0, 1.0], [1.0, 2.0], [2.0, 2.0], [2.0, 1.0], [1.0, 1.0]],
+        );
         let hole = [&outside[..], &inside].concat();
         let message = triangles(&hole).unwrap_err();
         assert_eq!(message, format!("a.obj: face 1 of 10 corners touches itself, as around a hole; {advice}"));
-        assert_eq!(triangles(&comb(3_000)).unwrap_err(), format!("a.obj: face 1 of 6003 corners is too intricate; {advice}"));
+        assert_eq!(
+            triangles(&comb(3_000)).unwrap_err(),
+            format!("a.obj: face 1 of 6003 corners is too intricate; {advice}")
+        );
         assert_eq!(triangles(&bow[..2]).unwrap_err(), "a face has 2 corners; give at least three, or remove it");
         for (corner, name) in [(3, "3"), (-1, "-1"), (1 << 40, "1099511627776")] {
             let message = Polygons::default().push(&[0, 1, corner], 3).unwrap_err();

@@ -123,7 +123,8 @@ impl<'a> TextRow<'a> {
     /// missing or repeated column, or one in another unit.
     fn find_column(&self, name: &str, names: &str) -> Result<usize> {
         let fields = &self.fields;
-        let mut columns = fields.iter().enumerate().filter(|(_, field)| split_unit(field.text).0.eq_ignore_ascii_case(name));
+        let mut columns =
+            fields.iter().enumerate().filter(|(_, field)| split_unit(field.text).0.eq_ignore_ascii_case(name));
         let (column, field) = columns.next().ok_or_else(|| {
             let is_separator = |mark: &&str| fields.len() == 1 && fields[0].text.contains(mark);
             let problem = match [";", "\t"].into_iter().find(is_separator) {

@@ -49,7 +49,7 @@ impl SimulationRecipe {
             return Err(Error::Config(format!("scene `{}`: {subject} are {problem}", scene.name)));
         }
         let file = |object: &Object| match object {
-            Object::Mesh { file, .. } => Some(file.clone()),
+            Object::Mesh { file, .. } if mesh::named_mesh(file).is_none() => Some(file.clone()),
             _ => None,
         };
         let mut hashes = BTreeMap::new(); // many objects may have one mesh

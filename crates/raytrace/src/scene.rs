@@ -15,6 +15,7 @@ pub use transmitters::Transmitters;
 
 use crate::SPEED_OF_LIGHT;
 use crate::material::{self, Material};
+use crate::mesh::named_mesh;
 use crate::spectrum::SpectrumKind;
 use glam::{DQuat, DVec3};
 use mitsuba::MitsubaScene;
@@ -110,17 +111,20 @@ impl SceneFile {
         }
         let folder = path.parent().unwrap_or(Path::new(""));
         for object in &mut scene.objects {
-            if let Object::Mesh { file, .. } = object {
+            if let Object::Mesh { file, .. } = object
+                && named_mesh(file).is_none()
+            {
                 *file = folder.join(&*file);
             }
         }
         let Some(file) = scene.mitsuba.take() else { return Ok(scene) };
-        scene.with_meshes(MitsubaScene::read(&folder.join(file))?, (path, &text))
+        let meshes = MitsubaScene::read(&folder.join(file), scene.materials.keys())?;
+        scene.with_meshes(meshes, (path, &text))
     }
 
     /// Reads a Mitsuba file as a scene with a default carrier, and isotropic antennas at positions that suit its size.
     fn read_mitsuba(path: &Path) -> Result<Self> {
-        let meshes = MitsubaScene::read(path)?;
+        let meshes = MitsubaScene::read(path, std::iter::empty())?;
         let mut scene: Self = read_ron(MITSUBA_DEFAULTS, path)?;
         // Sionna RT and Blender name files `scene.xml`.
         let folder =

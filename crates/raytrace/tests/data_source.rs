@@ -317,7 +317,7 @@ fn reports_position_of_scene_errors() {
     file(folder.path(), "open.obj", "v 1 1 0\nv 2 1 0\nv 2 2 0\nv 1 1 1\nf 1 2 3\nf 1 2 4\n");
     file(folder.path(), "flat.obj", "v 1 1 0\nv 2 1 0\nv 3 1 0\nf 1 2 3\n");
     assert!(error_of(&mesh("open.obj")).contains("DIR/open.obj: the surface of `desk` is open"));
-    assert!(error_of(&mesh("flat.obj")).contains("has no area"));
+    assert!(error_of(&mesh("flat.obj")).contains("holds no triangle with an area"));
     assert!(error_of(&mesh("gone.obj")).contains("cannot read DIR/gone.obj"));
     // A thin sheet may be open.
     let sheet = mesh("open.obj").replace("(material: \"metal\")", "(material: \"metal\", thickness_m: 0.001)");

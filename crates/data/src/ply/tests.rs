@@ -204,7 +204,10 @@ fn reports_invalid_faces() {
             "a.ply:12:1: a face names vertex 4, counted from 0, of 4; correct the index".to_owned(),
         ),
         (edit("1 2 3 -5", "1 2.5 3 -5"), "a.ply:12:13: `2.5` is not whole; correct the index of the vertex".to_owned()),
-        (edit("1 2 3 -5", "1 two 3 -5"), "a.ply:12:13: `two` is not a number; correct the index of the vertex".to_owned()),
+        (
+            edit("1 2 3 -5", "1 two 3 -5"),
+            "a.ply:12:13: `two` is not a number; correct the index of the vertex".to_owned(),
+        ),
         (
             edit("4 0 1 2 3 -5", "2 0 1 -5"),
             "a.ply:12:1: a face has 2 corners; give at least three, or remove it".to_owned(),
@@ -232,7 +235,8 @@ fn reports_invalid_faces() {
 fn unused_numbers_are_not_parsed() {
     let whole = String::from_utf8(ascii()).unwrap();
     let points = read(whole.as_bytes()).unwrap();
-    for (from, to) in [("200 3 0", "300 3 0"), ("200 3 0", "255.0 3 0"), ("7 -7", "7 -nan(ind)"), ("1 9\n", "1 nine\n")] {
+    for (from, to) in [("200 3 0", "300 3 0"), ("200 3 0", "255.0 3 0"), ("7 -7", "7 -nan(ind)"), ("1 9\n", "1 nine\n")]
+    {
         assert!(whole.contains(from));
         assert_eq!(read(whole.replace(from, to).as_bytes()).unwrap(), points, "{to}");
     }
@@ -250,9 +254,15 @@ fn reads_dialects_of_other_programs() {
         assert_eq!(read(&longer).unwrap(), plate, "a final line end");
     }
     let strips = text.replace("face", "tristrips").replace("4 0 1 2 3", "9 0 1 3 2 -1 0 1 2 -1");
-    assert_eq!(read(strips.replace("uint vertex", "int vertex").as_bytes()).unwrap().1, [[0, 1, 3], [3, 1, 2], [0, 1, 2]]);
+    assert_eq!(
+        read(strips.replace("uint vertex", "int vertex").as_bytes()).unwrap().1,
+        [[0, 1, 3], [3, 1, 2], [0, 1, 2]]
+    );
     let many = text.replace("face 1", "face 300001");
-    assert_eq!(read(many.as_bytes()).unwrap_err(), "a.ply:3:1: the mesh has 300001 faces, more than 300000; simplify it");
+    assert_eq!(
+        read(many.as_bytes()).unwrap_err(),
+        "a.ply:3:1: the mesh has 300001 faces, more than 300000; simplify it"
+    );
 }
 
 #[test]
