@@ -47,6 +47,77 @@ fn simulated_data_set_is_trainable() {
 }
 
 #[test]
+fn positions_of_a_file_are_simulated_in_every_layout() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    fs::write(here.join("walk.csv"), "id,x,y,z\n7,3,2,1.1\n8,4.1234567,3,1.2\n9,2,2.5,1\n").unwrap();
+    fs::write(here.join("poses.csv"), "x,y,z,qx,qy,qz,qw\n3,2,1.1,0,0,0,1\n4.5,3,1.2,0,0,0.6,0.8\n").unwrap();
+    let make = |scene: &str, out: &str, more: &str| {
+        let arguments: Vec<&str> = more.split_whitespace().collect();
+        succeed(here, &[&["simulate", scene, "--out", out, "--points", "10", "-q"][..], &arguments].concat());
+        if out != "deepmimo" {
+            succeed(here, &["inspect", out, "-q"]);
+        }
+        ["tx_pos.csv", "rx_pose.csv"].map(|name| fs::read_to_string(here.join(out).join(name)).unwrap_or_default())
+    };
+    for (scene, layout, more) in [
+        ("office", "spectra", ""),
+        ("office", "spectra", "--npy"),
+        ("office", "rssi", ""),
+        ("office", "channels", ""),
+        ("office-csi", "csi", ""),
+        ("office-channel", "deepmimo", ""),
+    ] {
+        let out = format!("{layout}{more}");
+        let [txs, _] = make(scene, &out, &format!("--tx-csv walk.csv --layout {layout} {more}"));
+        assert!(layout == "deepmimo" || txs == "x,y,z\n3,2,1.1\n4.1234567,3,1.2\n2,2.5,1\n", "{out}: {txs}");
+    }
+    let [one, _] = make("office", "one", "--tx 3,2,1.1 --no-paths --npy");
+    assert_eq!(one, "x,y,z\n3,2,1.1\n");
+    let pixels = |name: &str| fs::read(here.join(name).join("spectra.npy")).unwrap();
+    let (first, all) = (pixels("one"), pixels("spectra--npy"));
+    assert_eq!(first[first.len() - 90 * 360..], all[all.len() - 3 * 90 * 360..][..90 * 360]);
+    let users = fs::read_to_string(here.join("deepmimo/params.json")).unwrap();
+    assert!(users.contains("\"num_rx\": 3") || users.contains("3"), "{users}");
+    for more in ["--npy", "--layout rssi", "--layout channels"] {
+        let [_, poses] =
+            make("office", &format!("m{more}"), &format!("--rx-pose-csv poses.csv --tx 1,1,2 --no-paths {more}"));
+        assert_eq!(poses.lines().nth(2), Some("4.5,3.0,1.2,0.0,0.0,0.6,0.8"));
+    }
+    let [_, pose] = make("office-moving", "pose", "--rx-pose 3,2,1.1,0,0,0,1 --no-paths --layout rssi");
+    assert_eq!(pose.lines().count(), 2);
+    for (arguments, expected) in [
+        (
+            ["office", "--tx-csv", "poses.csv", "--samples", "9"],
+            "'--tx-csv <FILE>' cannot be used with '--samples <N>'",
+        ),
+        (
+            ["office", "--rx-pose-csv", "poses.csv", "--layout", "rssi"],
+            "its transmitter moves; add the position of a fixed one with --tx",
+        ),
+        (["office-moving", "--tx", "3,2,1", "--layout", "rssi"], "its receiver moves; give poses with --rx-pose or"),
+        (["office", "--rx-pose", "3,2,1", "--tx", "1,1,1"], "--rx-pose 3,2,1: expected x,y,z,qx,qy,qz,qw"),
+    ] {
+        let refused = call(here, &[&["simulate", "--out", "refused"][..], &arguments].concat());
+        assert!(refused.status.code() == Some(2) && stderr(&refused).contains(expected), "{}", stderr(&refused));
+    }
+    fs::write(
+        here.join("mine.ron"),
+        SCENE.replace("Uniform(low: (1, 0.5, 0.5), high: (2.5, 1.5, 2))", "Csv(\"walk.csv\")"),
+    )
+    .unwrap();
+    fs::write(here.join("walk.csv"), "x,y,z\n2,1,1\n1.5,1,1\n").unwrap();
+    let [txs, _] = make("mine.ron", "mine", "--no-paths");
+    assert_eq!(txs, "x,y,z\n2,1,1\n1.5,1,1\n");
+    let refused = call(here, &["simulate", "mine.ron", "--samples", "9", "--out", "refused"]);
+    assert!(
+        stderr(&refused).contains("--samples: the scene states 2 positions; remove --samples"),
+        "{}",
+        stderr(&refused)
+    );
+}
+
+#[test]
 fn exported_scene_is_simulated_with_given_carrier_and_receiver() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
