@@ -19,6 +19,7 @@ mod baselines;
 mod channels;
 mod checks;
 mod colmap;
+mod colormap;
 mod folder;
 mod geometry;
 pub mod import;
@@ -41,6 +42,7 @@ pub use baselines::{
 pub use channels::{CarrierFile, Channels, ReceiverPlace};
 pub use checks::{UnlinkedNode, check_dataset, is_linear, power_fault, shape_fault, unlinked_node};
 pub use colmap::Colmap;
+pub use colormap::Colormap;
 pub use folder::{
     CARRIERS, base_station_yaml, gateway_positions_yaml, gateway_yaml, read_carriers, receiver_yaml, transmitter_yaml,
 };

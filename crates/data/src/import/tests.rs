@@ -33,6 +33,7 @@ impl Folder {
             elevation: Some((-90.0, 90.0).into()),
             name: "mine".into(),
             scale: None,
+            colormap: None,
             simulated: false,
         }
     }
