@@ -47,6 +47,38 @@ fn simulated_data_set_is_trainable() {
 }
 
 #[test]
+fn warns_once_of_what_meshes_lose() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let plate = "v -5 -4 0\nv 5 -4 0\nv 5 4 0\nv -5 4 0\n";
+    fs::write(here.join("flat.obj"), format!("{plate}f 1 2 3 4\nf 1 1 2\nf 1 2 2 3\n")).unwrap();
+    fs::write(here.join("two.obj"), format!("{plate}usemtl a\nf 1 2 3\nusemtl b\nf 1 3 4\n")).unwrap();
+    fs::write(here.join("one.obj"), format!("{plate}usemtl a\nf 1 2 3\nusemtl a\nf 1 3 4\n")).unwrap();
+    let room = "v -5 0 -4\nv 5 0 -4\nv 5 0 4\nv -5 0 4\nv -5 3 -4\nv 5 3 -4\nf 1 2 3 4\nf 1 2 6 5\n";
+    fs::write(here.join("up.obj"), room).unwrap();
+    let turned = "<transform name=\"to_world\"><rotate x=\"1\" angle=\"90\"/></transform>";
+    for (name, more, expected) in [
+        ("flat", "", "flat.obj: 2 of 5 triangles have no area and are left out"),
+        ("two", "", "two.obj: 2 materials (`usemtl`) are ignored"),
+        ("one", "", ""),
+        ("up", "", "up.obj: y seems to point up (y from 0.00 to 3.00, z from -4.00 to 4.00)"),
+        ("up", turned, ""),
+    ] {
+        let mesh = format!("<string name=\"filename\" value=\"{name}.obj\"/>{more}<ref id=\"itu_wood\"/>");
+        let bsdf = "<bsdf type=\"diffuse\" id=\"itu_wood\"/>";
+        fs::write(here.join("s.xml"), format!("<scene>{bsdf}<shape type=\"obj\">{mesh}</shape></scene>")).unwrap();
+        let out = format!("{name}{}", more.len());
+        let made = succeed(
+            here,
+            &["simulate", "s.xml", "--samples", "5", "--points", "9", "--npy", "--no-paths", "--out", &out],
+        );
+        let warnings: Vec<_> = stderr(&made).lines().filter(|line| line.contains("WARN")).map(str::to_owned).collect();
+        assert_eq!(warnings.len(), usize::from(!expected.is_empty()), "{warnings:?}");
+        assert!(warnings.iter().all(|line| line.contains(expected)), "{warnings:?}");
+    }
+}
+
+#[test]
 fn positions_of_a_file_are_simulated_in_every_layout() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

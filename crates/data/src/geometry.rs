@@ -8,7 +8,9 @@
 
 use crate::ply;
 use crate::polygons::{Polygons, Triangles};
-use crate::text::{POINT_ADVICE, TextField, TextRow, VERTEX_ADVICE, XyzColumns, numbered_lines, read_bytes, read_text};
+use crate::text::{
+    POINT_ADVICE, TextField, TextRow, VERTEX_ADVICE, XyzColumns, numbered_lines, read_bytes, read_text, warn_once,
+};
 use pwrfgs_core::files::MAX_NUMBERS;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Result};
@@ -77,7 +79,7 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     if materials.len() > 1 {
         let advice =
             "the whole mesh has the finish of its object; for one finish per material, split the mesh by material";
-        tracing::warn!("{}: {} materials (`usemtl`) are ignored; {advice}", path.display(), materials.len());
+        warn_once(path, format_args!("{} materials (`usemtl`) are ignored; {advice}", materials.len()));
     }
     polygons.triangulate(path, vertices)
 }

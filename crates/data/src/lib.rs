@@ -55,3 +55,4 @@ pub use save::{pose_row, poses_csv, save};
 pub use splits::{Fold, LeaveReceiverOut, Official, Random, RandomLinks, Sparse, TimeBlock, Voxel};
 pub use subset::{LINKS, Subset, write_links};
 pub use teacher::Teacher;
+pub use text::warn_once;

@@ -1,5 +1,6 @@
 //! Polygons and their triangulation.
 
+use crate::text::warn_once;
 use earcut::Earcut;
 use glam::{DVec2, DVec3};
 use pwrfgs_core::{Error, Result};
@@ -78,11 +79,9 @@ impl Polygons {
             })?;
         }
         triangles.retain(|t| has_area(t.map(|corner| vertices[corner as usize])));
-        match all - triangles.len() {
-            0 => {}
-            left_out => {
-                tracing::warn!("{}: {left_out} of {all} triangles have no area and are left out", path.display())
-            }
+        let left_out = all - triangles.len();
+        if left_out > 0 {
+            warn_once(path, format_args!("{left_out} of {all} triangles have no area and are left out"));
         }
         Ok((vertices, triangles))
     }

@@ -7,6 +7,8 @@ use crate::checks::{NOT_RECEIVED, power_fault};
 use pwrfgs_core::{Error, MAX_COORDINATE_M, Real, Result, coordinate_fault, files, messages::quoted};
 use serde::de::DeserializeOwned;
 use serde_saphyr::{Spanned, UserMessageFormatter};
+use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
 use std::{fmt::Display, io::ErrorKind, path::Path};
 
 /// Largest number of fields of a line: a field needs far more memory than its comma. No table has as many receivers.
@@ -144,6 +146,15 @@ impl<'a> TextRow<'a> {
             }
             None => Ok(column),
         }
+    }
+}
+
+/// Warns of a `problem` in a file, once per process: a simulation reads a mesh several times.
+pub fn warn_once(path: &Path, problem: impl Display) {
+    static SHOWN: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let text = format!("{}: {problem}", path.display());
+    if SHOWN.lock().unwrap_or_else(PoisonError::into_inner).insert(text.clone()) {
+        tracing::warn!("{text}");
     }
 }
 

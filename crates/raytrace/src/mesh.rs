@@ -8,6 +8,7 @@ use crate::polygon::{side_planes, triangles_outside};
 use glam::{DMat3, DMat4, DVec3};
 use pwrfgs_core::{Error, Result};
 pub(crate) use pwrfgs_data::MOST_TRIANGLES;
+use pwrfgs_data::warn_once;
 use std::{cell::Cell, collections::HashMap, fs, path::Path};
 
 /// Ratio of height to longest side below which a triangle is degenerate.
@@ -270,11 +271,9 @@ impl Mesh {
         let area = areas.sum::<DVec3>();
         if area.y > area.z {
             let extent = format!("y from {:.2} to {:.2}, z from {:.2} to {:.2}", low.y, high.y, low.z, high.z);
-            tracing::warn!(
-                "{}: y seems to point up ({extent}), and z points up in scenes; export the mesh with z up, or turn it: \
-                 `matrix: ((1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0))`, in XML <rotate x=\"1\" angle=\"90\"/>",
-                file.display()
-            );
+            let advice = "export the mesh with z up, or turn it: `matrix: ((1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0))`, in XML \
+                          <rotate x=\"1\" angle=\"90\"/>";
+            warn_once(file, format_args!("y seems to point up ({extent}), and z points up in scenes; {advice}"));
         }
     }
 

@@ -133,7 +133,7 @@ fn stated_positions_that_cannot_be_used_are_named() {
         (
             walk,
             "x,y,z\n1,2,1\n1.5,1.5,0.2\n",
-            "scene `small`: transmitter 2 at (1.5, 1.5, 0.2) is inside `desk`; move it or",
+            "scene `small`: transmitter 2 at (1.5, 1.5, 0.2) is inside `desk`; move the positions or",
         ),
         (walk, "x,y,z\n1,two,1\n", "DIR/walk.csv:2:3: `two` is not a number"),
         (walk, "x,y,z\n", "DIR/walk.csv: has a header but no row"),

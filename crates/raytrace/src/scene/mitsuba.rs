@@ -9,6 +9,7 @@ use glam::{DAffine3, DMat3, DMat4, DVec3};
 use limits::{LONGEST, check_tags, expand_variables};
 use pwrfgs_core::messages::{quoted, strip_control};
 use pwrfgs_core::{Error, Result, did_you_mean, files};
+use pwrfgs_data::warn_once;
 use roxmltree::{Document, Node};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
@@ -279,7 +280,7 @@ impl<'a> Reader<'a> {
             if kind == "radio-material" {
                 let reason =
                     "has the constants of ITU-R P.2040, as in Sionna RT, not those in the file; rename it to keep them";
-                tracing::warn!("{}: material {shown} {reason}", self.path.display());
+                warn_once(self.path, format_args!("material {shown} {reason}"));
             }
             let type_node = property_element(node, "type");
             let stated = type_node.map(|child| self.required_attribute(child, "value")).transpose()?;

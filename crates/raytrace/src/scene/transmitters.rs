@@ -214,7 +214,10 @@ fn check_listed(positions: &[[f64; 3]], orientations: &[[f64; 4]]) -> Result<(),
 fn check_free(number: usize, position: DVec3, free: FreeSpace<'_>) -> Result<DVec3> {
     free(position).map(|()| position).map_err(|obstacle| {
         let DVec3 { x, y, z } = position;
-        Error::Config(format!("transmitter {} at ({x}, {y}, {z}) is {obstacle}; move it or the object", number + 1))
+        Error::Config(format!(
+            "transmitter {} at ({x}, {y}, {z}) is {obstacle}; move the positions or the object",
+            number + 1
+        ))
     })
 }
 
