@@ -218,6 +218,7 @@ fn imported(bench: &Path) -> Result<()> {
         elevation: None,
         name: "imported".into(),
         scale: None,
+        colormap: None,
         simulated: false,
     };
     import.write(&out, &|_, _| {})?;

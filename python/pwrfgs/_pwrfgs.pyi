@@ -392,6 +392,8 @@ def simulate(
     noise_db: Optional[float],
     snr_db: Optional[float],
     paths: bool,
+    tx: Union[_Path, ArrayLike, None],
+    rx_pose: Union[_Path, ArrayLike, None],
     send_event: Callable[[int, int], Any],
 ) -> None: ...
 def sweep(

@@ -11,6 +11,7 @@ import warnings
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Union
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from . import _html, _pwrfgs, _strategies, _view
 from ._errors import InputError, missing
@@ -352,12 +353,17 @@ def simulate(
     noise_db: Optional[float] = None,
     snr_db: Optional[float] = None,
     paths: bool = False,
+    tx: Union[PathLike, ArrayLike, None] = None,
+    rx_pose: Union[PathLike, ArrayLike, None] = None,
     progress: bool = True,
 ) -> "_pwrfgs.Dataset":
     """Simulate a scene into the new folder ``out`` and load it: ``simulate("office", "data/office")``. ``scene`` is a file, or
     the name of a scene in the package.
 
     ``layout`` is "spectra", "arrays", "rssi" (with noise of ``noise_db``), "channels" or "csi" (with an SNR of ``snr_db``).
+    ``tx`` states transmitter positions in metres instead of ``samples``: an array [M, 3] or [3], or a CSV file with the columns
+    x, y, z. ``rx_pose`` states poses of a moving receiver: an array [M, 7] or [7] of x, y, z, qx, qy, qz, qw, or a CSV file
+    with these columns; ``tx`` [3] is then the fixed transmitter. Rows keep their order.
     Ctrl-C stops without leaving files. With several receivers, each has a folder inside ``out`` (except for "rssi"); the
     first is loaded.
     """
@@ -365,13 +371,24 @@ def simulate(
     bar.begin("simulating", samples)
     try:
         _pwrfgs.simulate(
-            scene, out, layout, samples, seed, points, noise_db, snr_db, paths, lambda done, total: bar.to(done)
+            scene,
+            out,
+            layout,
+            samples,
+            seed,
+            points,
+            noise_db,
+            snr_db,
+            paths,
+            tx,
+            rx_pose,
+            lambda done, total: bar.to(done),
         )
     finally:
         bar.close()
     folder = os.fspath(out)
     inner = sorted(entry.path for entry in os.scandir(folder) if entry.is_dir() and entry.name != "spectrum")
-    alone = any(os.path.isfile(os.path.join(folder, name)) for name in ("tx_pos.csv", "tx.npy"))
+    alone = any(os.path.isfile(os.path.join(folder, name)) for name in ("tx_pos.csv", "rx_pose.csv", "tx.npy"))
     return _pwrfgs.Dataset.load(folder if alone or not inner else inner[0])
 
 

@@ -304,16 +304,26 @@ def _check_size(shape: Sequence[int], is_real: bool) -> None:
         raise ValueError(f"it has {math.prod(shape):,} values, and at most {_MOST_VALUES:,} are read")
 
 
-def to_deepmimo(scene: PathLike, out: PathLike, *, samples: int = 200, seed: int = 0, progress: bool = True) -> None:
+def to_deepmimo(
+    scene: PathLike,
+    out: PathLike,
+    *,
+    samples: int = 200,
+    seed: int = 0,
+    tx: Union[PathLike, ArrayLike, None] = None,
+    progress: bool = True,
+) -> None:
     """Simulate a scene into the new folder ``out`` as a scenario of DeepMIMO v4, like ``pwrfgs simulate --layout deepmimo``.
 
     Receivers become base stations, and transmitters become users. Each user keeps its 25 strongest paths. The scenario has no
-    objects. ``deepmimo.load("NAME")`` reads ``deepmimo_scenarios/NAME``; NAME must be in lower case.
+    objects. ``tx`` states the positions of the users instead of ``samples``, as for `simulate`. ``deepmimo.load("NAME")`` reads ``deepmimo_scenarios/NAME``; NAME must be in lower case.
     """
     bar = _Progress(progress)
     bar.begin("simulating", samples)
     try:
-        _pwrfgs.simulate(scene, out, "DeepMIMO", samples, seed, 0, None, None, True, lambda done, total: bar.to(done))
+        _pwrfgs.simulate(
+            scene, out, "DeepMIMO", samples, seed, 0, None, None, True, tx, None, lambda done, total: bar.to(done)
+        )
     finally:
         bar.close()
 

@@ -1,8 +1,10 @@
 //! `run`, `simulate` and `report`, as on the command line; events of a run are passed to Python.
 
+use crate::arrays;
 use crate::border::{reject, run_stoppable, run_with_events, stop_progress, to_exception, without_gil};
 use crate::model::Model;
 use crate::settings::Pipeline;
+use pwrfgs::data::{read_poses, read_transmitters};
 use pwrfgs::experiment::sweep::thread_pool;
 use pwrfgs::experiment::{Observer, RunOutcome, ScoreTable, Session, Start, Validation, score_model};
 use pwrfgs::prelude::StepReport;
@@ -205,6 +207,8 @@ pub(crate) fn simulate(
     noise_db: Option<f64>,
     snr_db: Option<f64>,
     paths: bool,
+    tx: Option<&Bound<'_, PyAny>>,
+    rx_pose: Option<&Bound<'_, PyAny>>,
     send_event: &Bound<'_, PyAny>,
 ) -> PyResult<()> {
     if snr_db.is_some() && !matches!(layout, "channels" | "csi") {
@@ -227,13 +231,44 @@ pub(crate) fn simulate(
             return reject(py, &format!("layout: unknown value `{other}`{hint} (use {})", all.join(", ")));
         }
     };
-    let recipe = SimulationRecipe::read(&scene, samples, seed, points).and_then(|recipe| recipe.observing(observe));
+    let recipe = SimulationRecipe::read(&scene, samples, seed, points).map_err(|error| to_exception(py, error))?;
+    let scene = stated_positions(recipe.scene.clone(), tx, rx_pose)?;
+    let recipe = recipe.with_scene(scene).and_then(|recipe| recipe.observing(observe));
     let recipe = recipe.map_err(|error| to_exception(py, error))?;
     let work = |events: SyncSender<(usize, usize)>, stop: &_| {
         let send = |done, total| _ = events.try_send((done, total));
         folder::write_dataset(&recipe, layout, paths, &out, &send, stop)
     };
     run_with_events(py, work, |(done, total)| send_event.call1((done, total)).map(|_| ()))
+}
+
+/// Returns the scene with the stated positions of transmitters, or poses of its receiver, if any: arrays or CSV files.
+fn stated_positions(
+    scene: SceneFile,
+    tx: Option<&Bound<'_, PyAny>>,
+    rx_pose: Option<&Bound<'_, PyAny>>,
+) -> PyResult<SceneFile> {
+    match (tx, rx_pose) {
+        (None, None) => Ok(scene),
+        (Some(tx), None) => {
+            let py = tx.py();
+            let positions = match tx.extract::<PathBuf>() {
+                Ok(file) => read_transmitters(&file).map_err(|error| to_exception(py, error))?,
+                Err(_) if arrays::axis_count(tx)? == 1 => vec![arrays::position("tx", tx)?],
+                Err(_) => arrays::positions("tx", tx)?,
+            };
+            scene.with_transmitters(positions).map_err(|error| to_exception(py, error))
+        }
+        (tx, Some(rx_pose)) => {
+            let py = rx_pose.py();
+            let poses = match rx_pose.extract::<PathBuf>() {
+                Ok(file) => read_poses(&file).map_err(|error| to_exception(py, error))?,
+                Err(_) => arrays::poses("rx_pose", rx_pose)?.0,
+            };
+            let fixed = tx.map(|tx| arrays::position("tx", tx)).transpose()?;
+            scene.with_receiver_poses(&poses, fixed).map_err(|error| to_exception(py, error))
+        }
+    }
 }
 
 /// Runs the program `pwrfgs`; the first argument is its path. Returns the exit code.

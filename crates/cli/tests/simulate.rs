@@ -47,6 +47,109 @@ fn simulated_data_set_is_trainable() {
 }
 
 #[test]
+fn warns_once_of_what_meshes_lose() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let plate = "v -5 -4 0\nv 5 -4 0\nv 5 4 0\nv -5 4 0\n";
+    fs::write(here.join("flat.obj"), format!("{plate}f 1 2 3 4\nf 1 1 2\nf 1 2 2 3\n")).unwrap();
+    fs::write(here.join("two.obj"), format!("{plate}usemtl a\nf 1 2 3\nusemtl b\nf 1 3 4\n")).unwrap();
+    fs::write(here.join("one.obj"), format!("{plate}usemtl a\nf 1 2 3\nusemtl a\nf 1 3 4\n")).unwrap();
+    let room = "v -5 0 -4\nv 5 0 -4\nv 5 0 4\nv -5 0 4\nv -5 3 -4\nv 5 3 -4\nf 1 2 3 4\nf 1 2 6 5\n";
+    fs::write(here.join("up.obj"), room).unwrap();
+    let turned = "<transform name=\"to_world\"><rotate x=\"1\" angle=\"90\"/></transform>";
+    for (name, more, expected) in [
+        ("flat", "", "flat.obj: 2 of 5 triangles have no area and are left out"),
+        ("two", "", "two.obj: 2 materials (`usemtl`) are ignored"),
+        ("one", "", ""),
+        ("up", "", "up.obj: y seems to point up (y from 0.00 to 3.00, z from -4.00 to 4.00)"),
+        ("up", turned, ""),
+    ] {
+        let mesh = format!("<string name=\"filename\" value=\"{name}.obj\"/>{more}<ref id=\"itu_wood\"/>");
+        let bsdf = "<bsdf type=\"diffuse\" id=\"itu_wood\"/>";
+        fs::write(here.join("s.xml"), format!("<scene>{bsdf}<shape type=\"obj\">{mesh}</shape></scene>")).unwrap();
+        let out = format!("{name}{}", more.len());
+        let made = succeed(
+            here,
+            &["simulate", "s.xml", "--samples", "5", "--points", "9", "--npy", "--no-paths", "--out", &out],
+        );
+        let warnings: Vec<_> = stderr(&made).lines().filter(|line| line.contains("WARN")).map(str::to_owned).collect();
+        assert_eq!(warnings.len(), usize::from(!expected.is_empty()), "{warnings:?}");
+        assert!(warnings.iter().all(|line| line.contains(expected)), "{warnings:?}");
+    }
+}
+
+#[test]
+fn positions_of_a_file_are_simulated_in_every_layout() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    fs::write(here.join("walk.csv"), "id,x,y,z\n7,3,2,1.1\n8,4.1234567,3,1.2\n9,2,2.5,1\n").unwrap();
+    fs::write(here.join("poses.csv"), "x,y,z,qx,qy,qz,qw\n3,2,1.1,0,0,0,1\n4.5,3,1.2,0,0,0.6,0.8\n").unwrap();
+    let make = |scene: &str, out: &str, more: &str| {
+        let arguments: Vec<&str> = more.split_whitespace().collect();
+        succeed(here, &[&["simulate", scene, "--out", out, "--points", "10", "-q"][..], &arguments].concat());
+        if out != "deepmimo" {
+            succeed(here, &["inspect", out, "-q"]);
+        }
+        ["tx_pos.csv", "rx_pose.csv"].map(|name| fs::read_to_string(here.join(out).join(name)).unwrap_or_default())
+    };
+    for (scene, layout, more) in [
+        ("office", "spectra", ""),
+        ("office", "spectra", "--npy"),
+        ("office", "rssi", ""),
+        ("office", "channels", ""),
+        ("office-csi", "csi", ""),
+        ("office-channel", "deepmimo", ""),
+    ] {
+        let out = format!("{layout}{more}");
+        let [txs, _] = make(scene, &out, &format!("--tx-csv walk.csv --layout {layout} {more}"));
+        assert!(layout == "deepmimo" || txs == "x,y,z\n3,2,1.1\n4.1234567,3,1.2\n2,2.5,1\n", "{out}: {txs}");
+    }
+    let [one, _] = make("office", "one", "--tx 3,2,1.1 --no-paths --npy");
+    assert_eq!(one, "x,y,z\n3,2,1.1\n");
+    let pixels = |name: &str| fs::read(here.join(name).join("spectra.npy")).unwrap();
+    let (first, all) = (pixels("one"), pixels("spectra--npy"));
+    assert_eq!(first[first.len() - 90 * 360..], all[all.len() - 3 * 90 * 360..][..90 * 360]);
+    let users = fs::read_to_string(here.join("deepmimo/params.json")).unwrap();
+    assert!(users.contains("\"num_rx\": 3") || users.contains("3"), "{users}");
+    for more in ["--npy", "--layout rssi", "--layout channels"] {
+        let [_, poses] =
+            make("office", &format!("m{more}"), &format!("--rx-pose-csv poses.csv --tx 1,1,2 --no-paths {more}"));
+        assert_eq!(poses.lines().nth(2), Some("4.5,3.0,1.2,0.0,0.0,0.6,0.8"));
+    }
+    let [_, pose] = make("office-moving", "pose", "--rx-pose 3,2,1.1,0,0,0,1 --no-paths --layout rssi");
+    assert_eq!(pose.lines().count(), 2);
+    for (arguments, expected) in [
+        (
+            ["office", "--tx-csv", "poses.csv", "--samples", "9"],
+            "'--tx-csv <FILE>' cannot be used with '--samples <N>'",
+        ),
+        (
+            ["office", "--rx-pose-csv", "poses.csv", "--layout", "rssi"],
+            "its transmitter moves; add the position of a fixed one with --tx",
+        ),
+        (["office-moving", "--tx", "3,2,1", "--layout", "rssi"], "its receiver moves; give poses with --rx-pose or"),
+        (["office", "--rx-pose", "3,2,1", "--tx", "1,1,1"], "--rx-pose 3,2,1: expected x,y,z,qx,qy,qz,qw"),
+    ] {
+        let refused = call(here, &[&["simulate", "--out", "refused"][..], &arguments].concat());
+        assert!(refused.status.code() == Some(2) && stderr(&refused).contains(expected), "{}", stderr(&refused));
+    }
+    fs::write(
+        here.join("mine.ron"),
+        SCENE.replace("Uniform(low: (1, 0.5, 0.5), high: (2.5, 1.5, 2))", "Csv(\"walk.csv\")"),
+    )
+    .unwrap();
+    fs::write(here.join("walk.csv"), "x,y,z\n2,1,1\n1.5,1,1\n").unwrap();
+    let [txs, _] = make("mine.ron", "mine", "--no-paths");
+    assert_eq!(txs, "x,y,z\n2,1,1\n1.5,1,1\n");
+    let refused = call(here, &["simulate", "mine.ron", "--samples", "9", "--out", "refused"]);
+    assert!(
+        stderr(&refused).contains("--samples: the scene states 2 positions; remove --samples"),
+        "{}",
+        stderr(&refused)
+    );
+}
+
+#[test]
 fn exported_scene_is_simulated_with_given_carrier_and_receiver() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

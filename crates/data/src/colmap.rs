@@ -3,6 +3,7 @@
 #[cfg(test)]
 mod tests;
 
+use crate::colormap::Colormap;
 use crate::folder::{
     check_root, existing_root, find_point_cloud, folder_name, read_point_cloud, read_title, recognised_root,
 };
@@ -69,11 +70,14 @@ pub struct Colmap {
     pub points: Option<PathBuf>,
     /// Position of the fixed transmitter, metres, world frame, for `inspect` and figures. Predictions do not depend on it.
     pub transmitter: Option<[f64; 3]>,
+    /// Colour map of images that were saved as figures; pixels are then the values of its colours.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub colormap: Option<Colormap>,
 }
 
 impl Default for Colmap {
     fn default() -> Self {
-        Self { root: "data/lobby".into(), images: "images".into(), points: None, transmitter: None }
+        Self { root: "data/lobby".into(), images: "images".into(), points: None, transmitter: None, colormap: None }
     }
 }
 
@@ -98,8 +102,8 @@ impl DataSource for Colmap {
         };
         let paths: Vec<PathBuf> = views.iter().map(|view| root.join(&self.images).join(&view.name)).collect();
         let paths: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
-        let decode =
-            |path: &Path| pictures::decode_luminance(path, "add the image, or remove its two lines from images.txt");
+        let advice = "add the image, or remove its two lines from images.txt";
+        let decode = |path: &Path| pictures::decode_luminance(path, advice, self.colormap);
         let spectra = pictures::load_spectra(&paths, &decode, progress)?;
         let size = (spectra.width(), spectra.height());
         if size != shared.size {

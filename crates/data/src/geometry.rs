@@ -8,24 +8,29 @@
 
 use crate::ply;
 use crate::polygons::{Polygons, Triangles};
-use crate::text::{POINT_ADVICE, TextField, TextRow, VERTEX_ADVICE, XyzColumns, numbered_lines, read_bytes, read_text};
+use crate::text::{
+    POINT_ADVICE, TextField, TextRow, VERTEX_ADVICE, XyzColumns, numbered_lines, read_bytes, read_text, warn_once,
+};
 use pwrfgs_core::files::MAX_NUMBERS;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Result};
+use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::path::Path;
 
 const MESH_ADVICE: &str = "check the path of the mesh";
 
-/// Reads the surface of a mesh file; polygons are cut into triangles.
+/// Reads the surface of a mesh file; polygons are cut into triangles. Triangles without area and repeated corners are left
+/// out, with a warning that counts them.
 ///
 /// * `.obj`: `v` and `f`, with positive and negative indices; groups, normals, textures, materials, lines and points
-///   are ignored, and free-form surfaces are an error.
-/// * `.ply`: ascii or binary of either byte order, with an element `face` and its list `vertex_indices`.
+///   are ignored, with a warning for several materials, and free-form surfaces are an error.
+/// * `.ply`: ascii or binary of either byte order, with an element `face` or `tristrips` and its list `vertex_indices`.
 ///
 /// # Errors
 /// Reports the file, with line and column for text: truncated, not a number, not finite, an index out of range, a face
-/// of fewer than three corners, a polygon that cannot be triangulated as a fan, unknown extension. A file without faces
-/// is valid.
+/// of fewer than three corners, a polygon with a hole or that crosses itself, more than [`MOST_TRIANGLES`](crate::MOST_TRIANGLES), unknown
+/// extension. A file without faces is valid.
 pub fn read_mesh(path: &Path) -> Result<Triangles> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let parse = match extension.as_str() {
@@ -33,18 +38,23 @@ pub fn read_mesh(path: &Path) -> Result<Triangles> {
         "ply" => ply::parse_mesh,
         _ => return Err(Error::input(path, "unsupported mesh format; export it as .obj or .ply")),
     };
-    parse(path, &read_bytes(path, MAX_NUMBERS, MESH_ADVICE)?)
+    parse(path, without_mark(&read_bytes(path, MAX_NUMBERS, MESH_ADVICE)?))
+}
+
+/// Returns the content of a file without a byte order mark.
+fn without_mark(bytes: &[u8]) -> &[u8] {
+    bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
 }
 
 /// OBJ statements that do not describe the surface; they are ignored.
-const IGNORED: &str =
-    "vn vt vp o g s mg l p usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj";
+const IGNORED: &str = "vn vt vp o g s mg l p mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj";
 
 /// Parses the statements `v` and `f` of an OBJ file; polygons are cut into triangles. Returns an error with line and column
 /// for an invalid statement.
 fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     let text = String::from_utf8_lossy(bytes);
-    let statement = |line| str::split(line, '#').next().unwrap_or_default(); // without its comment
+    let text = join_continued_lines(&text);
+    let mut materials = BTreeSet::new();
     let rows = || numbered_lines(&text).map(|(line, content)| TextRow::at_blanks(path, (line, statement(content))));
     // A face may use a vertex defined after it.
     let count = rows().filter(|row| row.fields.first().is_some_and(|field| field.text == "v")).count();
@@ -58,6 +68,7 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
                 let corners = row.fields[1..].iter().map(index).collect::<Result<Vec<i64>>>()?;
                 polygons.push(&corners, count).map_err(|fault| row.fault(keyword.column, fault))?;
             }
+            "usemtl" => _ = materials.insert(row.fields.get(1).map_or("", |field| field.text)),
             word if IGNORED.split(' ').any(|ignored| ignored == word) => {}
             word => {
                 let problem = "is not a vertex or face statement; export triangles from the modelling program";
@@ -65,7 +76,37 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
             }
         }
     }
+    if materials.len() > 1 {
+        let advice =
+            "the whole mesh has the finish of its object; for one finish per material, split the mesh by material";
+        warn_once(path, format_args!("{} materials (`usemtl`) are ignored; {advice}", materials.len()));
+    }
     polygons.triangulate(path, vertices)
+}
+
+/// Returns the statement of an OBJ line, without its comment.
+fn statement(line: &str) -> &str {
+    line.split('#').next().unwrap_or_default()
+}
+
+/// Returns the text with each statement in one line: a backslash at the end continues it. Line numbers are kept.
+fn join_continued_lines(text: &str) -> Cow<'_, str> {
+    if !text.contains('\\') {
+        return text.into();
+    }
+    let (mut joined, mut last) = (String::with_capacity(text.len()), 1);
+    let mut is_continued = false;
+    for (line, content) in numbered_lines(text) {
+        if !is_continued {
+            joined.extend(std::iter::repeat_n('\n', line - last));
+            last = line;
+        }
+        let head = statement(content).trim_end().strip_suffix('\\');
+        joined.push_str(head.unwrap_or(content));
+        joined.push(' ');
+        is_continued = head.is_some();
+    }
+    joined.into()
 }
 
 /// Parses the vertex index of a corner such as `3`, `-1`, `3/1` or `3//2`, and returns it counted from 0. A negative
@@ -89,8 +130,9 @@ const ADVICE: &str = "check the path of the point cloud";
 /// Reads the points `[P,3]` of a file, which holds at least one.
 ///
 /// * `.ply`: ascii or binary of either byte order; `x`, `y` and `z` anywhere among the properties of `vertex`.
-/// * `.xyz`, `.txt`: x y z and further columns, one point per line; lines that start with `#` or `//` are ignored.
-/// * `.csv`: the same between commas, or with a header that names x, y and z in any order.
+/// * `.xyz`, `.txt`: x y z and further columns, one point per line; lines that start with `#` or `//` are ignored, and the
+///   first of the others may hold the number of points alone, as CloudCompare writes it.
+/// * `.csv`: the same between commas, or with a header that names x, y and z in any order, such as `//X,Y,Z` or `x [m]`.
 ///
 /// # Errors
 /// Reports the file, with line and column for text: truncated, empty, not a number, not finite, beyond 1e8 m, unknown
@@ -98,7 +140,7 @@ const ADVICE: &str = "check the path of the point cloud";
 pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let points = match extension.as_str() {
-        "ply" => ply::parse_points(path, &read_bytes(path, MAX_NUMBERS, ADVICE)?)?,
+        "ply" => ply::parse_points(path, without_mark(&read_bytes(path, MAX_NUMBERS, ADVICE)?))?,
         "xyz" | "txt" => parse_xyz_points(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
         "csv" => parse_csv_points(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
         _ => return Err(Error::input(path, "unsupported point cloud format; use .ply, .xyz or .csv")),
@@ -109,14 +151,22 @@ pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     Ok(points)
 }
 
-/// Parses one point per line: x, y and z between blanks. Returns an error for a row of fewer than three fields, or an
-/// invalid coordinate.
+/// Parses one point per line: x, y and z between blanks, below an optional line with their number. Returns an error for a
+/// row of fewer than three fields, an invalid coordinate, or fewer points than that number.
 fn parse_xyz_points(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
     let is_comment = |row: &str| row.starts_with('#') || row.starts_with("//");
-    numbered_lines(text)
-        .filter(|(_, row)| !is_comment(row.trim_start()))
-        .map(|row| XyzColumns([0, 1, 2]).read(&TextRow::at_blanks(path, row), POINT_ADVICE))
-        .collect()
+    let mut rows = numbered_lines(text).filter(|(_, row)| !is_comment(row.trim_start())).peekable();
+    let count = rows.peek().and_then(|&(line, row)| Some((line, row.trim().parse::<usize>().ok()?)));
+    rows.next_if(|_| count.is_some());
+    let points = rows.map(|row| XyzColumns([0, 1, 2]).read(&TextRow::at_blanks(path, row), POINT_ADVICE));
+    let points = points.collect::<Result<Vec<_>>>()?;
+    match count {
+        Some((line, count)) if count != points.len() => {
+            let problem = format!("announces {count} points, but {} follow; copy the file again", points.len());
+            Err(Error::at(path, line, 1, problem))
+        }
+        _ => Ok(points),
+    }
 }
 
 /// Parses points between commas, below an optional header that names x, y and z. Returns an error for an invalid
@@ -208,6 +258,18 @@ mod obj_tests {
     }
 
     #[test]
+    fn continued_lines_keep_line_numbers() {
+        let text = "v 0 0 0 # C:\\a\\\r\nv 1 \\\r\n0 0\n\nv 0 1 0\nf 1 2 \\\n\\\n3\n";
+        assert_eq!(read(text).unwrap().1, [[0, 1, 2]]);
+        assert_eq!(
+            read(&format!("{text}f 1 2 x\n")).unwrap_err().split(';').next().unwrap(),
+            "a.obj:9:7: `x` is not a vertex index (1 and up, or -1 and down from the end)"
+        );
+        assert_eq!(read(&text.replace(['\n', '\r'], "\r")).unwrap().1, [[0, 1, 2]], "CR ends a line");
+        assert!(read("v 0 0 0\nf 1 1 1\\").unwrap().1.is_empty());
+    }
+
+    #[test]
     fn reports_position_of_invalid_input() {
         let v = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
         let index = "is not a vertex index (1 and up, or -1 and down from the end); correct the index";
@@ -257,13 +319,22 @@ mod point_tests {
         let points = vec![[1.0, -2.0, 0.5], [0.0, 1e-3, 3.0]];
         assert_eq!(read("a.xyz", b"# room\n1 -2 0.5 255 0 0\n\n0\t1e-3 3\n").unwrap(), points);
         assert_eq!(read("a.csv", b"1,-2,0.5\r\n0,1e-3,3,extra\r\n").unwrap(), points);
+        assert_eq!(read("a.csv", b"//X,Y,Z,R\n1,-2,0.5,9\n0,1e-3,3,255.0\n").unwrap(), points);
+        assert_eq!(read("a.csv", b"x [m],Y (m),z [metres]\r1,-2,0.5\r0,1e-3,3\r").unwrap(), points);
+        assert_eq!(read("a.txt", b"//X Y Z\n2\n1 -2 0.5\n0 1e-3 3\n").unwrap(), points);
         assert_eq!(read("a.CSV", b"\"z\",name,X,y\n0.5,\"a,b\",1,-2\n3,c,0,1e-3\n").unwrap(), points);
     }
 
     #[test]
     fn reports_position_of_invalid_text() {
         let advice = POINT_ADVICE;
-        let cases: [(&str, &[u8], String); 11] = [
+        let cases: [(&str, &[u8], String); 13] = [
+            (
+                "a.csv",
+                b"x [mm],y [mm],z [mm]\n1,2,3\n",
+                "DIR/a.csv:1:1: `x [mm]` is not in metres; convert the column, and name it `x`".into(),
+            ),
+            ("a.txt", b"3\n1 2 3\n", "DIR/a.txt:1:1: announces 3 points, but 1 follow; copy the file again".into()),
             ("a.csv", b"x,y,z,X\n1,2,3,4\n", "DIR/a.csv:1:7: a second column `x`; name each of x, y and z once".into()),
             (
                 "a.csv",

@@ -8,6 +8,7 @@ mod source;
 mod tests;
 
 use crate::checks::{ROUNDING, shape_fault};
+use crate::colormap::Colormap;
 use crate::folder::gateway_yaml;
 use crate::npy_header;
 use pwrfgs_core::files::NewFolder;
@@ -32,6 +33,8 @@ pub struct Import {
     pub name: String,
     /// Factor applied to every value, so that all are between 0 and 1.
     pub scale: Option<f64>,
+    /// Colour map of the images of a folder; values are then those of its colours.
+    pub colormap: Option<Colormap>,
     /// Whether the spectra are simulated, not measured.
     pub simulated: bool,
 }
@@ -65,7 +68,7 @@ impl Import {
         let txs = source::read_positions(self.tx.as_deref().unwrap_or(&self.spectra), self.tx.is_none())?;
         let folder = NewFolder::begin(out)?;
         let mut sink = Sink::new(self, folder.path().join("spectra.npy"), progress);
-        source::read_spectra(&self.spectra, txs.len(), &mut sink)?;
+        source::read_spectra(&self.spectra, txs.len(), self.colormap, &mut sink)?;
         let imported = sink.finish(&self.spectra)?;
         let numbers = txs.as_flattened().iter().flat_map(|v| v.to_le_bytes());
         folder
@@ -78,6 +81,7 @@ impl Import {
             "simulated": self.simulated,
             "name": self.name,
             "scale": self.scale,
+            "colormap": self.colormap,
         });
         folder.put("manifest.json", format!("{manifest:#}\n"))?;
         folder.publish()?;

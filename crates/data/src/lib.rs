@@ -19,6 +19,7 @@ mod baselines;
 mod channels;
 mod checks;
 mod colmap;
+mod colormap;
 mod folder;
 mod geometry;
 pub mod import;
@@ -42,16 +43,18 @@ pub use baselines::{
 pub use channels::{CarrierFile, Channels, ReceiverPlace};
 pub use checks::{UnlinkedNode, check_dataset, is_linear, power_fault, shape_fault, unlinked_node};
 pub use colmap::Colmap;
+pub use colormap::Colormap;
 pub use folder::{
     CARRIERS, base_station_yaml, gateway_positions_yaml, gateway_yaml, read_carriers, receiver_yaml, transmitter_yaml,
 };
 pub use geometry::{read_mesh, read_points};
 pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, POSES, read_poses, read_powers, read_transmitters};
 pub use pictures::read_image;
-pub use polygons::Triangles;
+pub use polygons::{MOST_TRIANGLES, Triangles};
 pub use pwrfgs_core::npy::{npy_header, npy_header_as};
 pub use save::{pose_row, poses_csv, save};
 pub use splits::{Fold, LeaveReceiverOut, Official, Random, RandomLinks, Sparse, TimeBlock, Voxel};
 pub use subset::{LINKS, Subset, write_links};
 pub use table::{ColumnChoice, ImportedTable, PowerUnit, TableFile, TableImport};
 pub use teacher::Teacher;
+pub use text::warn_once;

@@ -111,8 +111,11 @@ impl DataSource for Nerf2Spectrum {
         }
         let points = read_point_cloud(base, self.points.as_deref())?;
         let paths: Vec<&Path> = ids.iter().map(|id| files[id].as_path()).collect();
-        let spectra =
-            pictures::load_spectra(&paths, &|path| pictures::decode_grey_png(path, pictures::Depth::Eight), progress)?;
+        let spectra = pictures::load_spectra(
+            &paths,
+            &|path| pictures::decode_grey_png(path, pictures::Depth::Eight, None),
+            progress,
+        )?;
         let stated = self.elevation.or(gateway.elevation);
         let elevation = stated.unwrap_or(Elevation::UPPER);
         check_image_size(paths[0], elevation, stated.is_some(), (spectra.width(), spectra.height()))?;

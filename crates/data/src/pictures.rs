@@ -1,5 +1,6 @@
 //! `spectrum/NNNNN.png` and other images: all of one size, decoded in parallel.
 
+use crate::colormap::Colormap;
 use crate::text::{read_bytes, unreadable_error};
 use image::{
     ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageError, ImageFormat, ImageReader, ImageResult,
@@ -120,8 +121,12 @@ impl Picture {
     }
 }
 
-/// Decodes a grey PNG image of at most this `depth`. Returns an error for another format, or a damaged or too large file.
-pub(crate) fn decode_grey_png(path: &Path, depth: Depth) -> Result<Picture> {
+/// Decodes a grey PNG image of at most this `depth`, or one of colours of `map`. Returns an error for another format, or a
+/// damaged or too large file.
+pub(crate) fn decode_grey_png(path: &Path, depth: Depth, map: Option<Colormap>) -> Result<Picture> {
+    if map.is_some() {
+        return decode_luminance(path, "add the image", map);
+    }
     let file = read_bytes(path, MAX_BYTES, "add the image")?;
     if !file.starts_with(&SIGNATURE[..SIGNATURE.len().min(file.len()).max(1)]) {
         return Err(Error::input(path, "is not a PNG image; save the spectrum as 8-bit grey PNG"));
@@ -132,6 +137,7 @@ pub(crate) fn decode_grey_png(path: &Path, depth: Depth) -> Result<Picture> {
         (ExtendedColorType::L8, ColorType::L8) => Number::U8,
         (ExtendedColorType::L16, ColorType::L16) if depth == Depth::Sixteen => Number::U16,
         (original, _) => {
+            decode_luminance(path, "add the image", None)?; // names a colour map
             let (kind, needed) =
                 (describe_color(original), if depth == Depth::Sixteen { "8-bit or 16-bit" } else { "8-bit" });
             let problem = format!("is {kind}; a spectrum is {needed} grey with one channel: convert it");
@@ -151,15 +157,16 @@ pub(crate) fn decode_grey_png(path: &Path, depth: Depth) -> Result<Picture> {
 /// Reads a PNG or JPEG image. Colours become luminance, 16 bits become 8, and transparency is ignored.
 ///
 /// # Errors
-/// The file is missing, has another format or more than 2^24 pixels, or is cut short or damaged.
+/// The file is missing, has another format or more than 2^24 pixels, is cut short or damaged, or has the colours of a
+/// [`Colormap`].
 pub fn read_image(path: &Path) -> Result<Image> {
-    let Picture { width, height, bytes, .. } = decode_luminance(path, "check the path")?;
+    let Picture { width, height, bytes, .. } = decode_luminance(path, "check the path", None)?;
     Ok(Image::from_bytes(width, height, &bytes))
 }
 
-/// Decodes a PNG or JPEG image like [`read_image`]; `advice` is the next step if it does not exist. Returns the errors
-/// of [`read_image`].
-pub(crate) fn decode_luminance(path: &Path, advice: &str) -> Result<Picture> {
+/// Decodes a PNG or JPEG image like [`read_image`], or the values of colours of `map`; `advice` is the next step if it does
+/// not exist. Returns the errors of [`read_image`], and an error for other colours than those of `map`.
+pub(crate) fn decode_luminance(path: &Path, advice: &str, map: Option<Colormap>) -> Result<Picture> {
     let file = read_bytes(path, MAX_BYTES, advice)?;
     let is_cut = file.starts_with(JPEG) && !has_end_marker(&file);
     let guessed = ImageReader::new(Cursor::new(file)).with_guessed_format();
@@ -174,7 +181,26 @@ pub(crate) fn decode_luminance(path: &Path, advice: &str) -> Result<Picture> {
     let decoder = reader.into_decoder().map_err(|e| damage_error(path, &e))?;
     let (width, height) = checked_size(path, &decoder)?;
     let image = DynamicImage::from_decoder(decoder).map_err(|e| damage_error(path, &e))?;
-    Ok(Picture { width, height, number: Number::U8, bytes: image.into_luma8().into_raw() })
+    let bytes = match (map, image.color().has_color()) {
+        (Some(map), true) => map.invert(&image.into_rgb8()).map_err(|problem| Error::input(path, problem))?,
+        (Some(map), false) => {
+            let problem = format!("is grey, not in colours of {}; remove --colormap or `colormap`", map.name());
+            return Err(Error::input(path, problem));
+        }
+        (None, true) => {
+            let image = image.into_rgb8();
+            if let Some(map) = Colormap::recognise(&image) {
+                let name = map.name();
+                let problem = format!("has the colours of the colour map {name}, whose luminance is not the value");
+                let advice =
+                    format!("save grey images, or give --colormap {name} (`pwrfgs import --spectra`, `pwrfgs init`)");
+                return Err(Error::input(path, format!("{problem}; {advice} or `colormap: {map:?}` of `Colmap`")));
+            }
+            DynamicImage::from(image).into_luma8().into_raw()
+        }
+        (None, false) => image.into_luma8().into_raw(),
+    };
+    Ok(Picture { width, height, number: Number::U8, bytes })
 }
 
 /// Returns whether a JPEG file has its end marker; the decoder fills missing pixels with grey.

@@ -10,7 +10,7 @@ mod tests;
 
 use crate::polygons::{Polygons, Triangles};
 use crate::text::{POINT_ADVICE, TextField, TextRow, XyzColumns, numbered_lines, point_fault};
-use header::{PlyElement, PlyEncoding, PlyHeader, PropertyKind, Scalar};
+use header::{PlyElement, PlyEncoding, PlyHeader, PropertyKind, STRIPS, Scalar};
 use pwrfgs_core::{Error, Result, messages::quoted};
 use std::path::Path;
 
@@ -70,6 +70,14 @@ impl BodyParser<'_> {
         Error::input(self.path, format!("{problem}; the file is cut short: copy it again"))
     }
 
+    /// Adds the corners of a row of `face`, or of `tristrips`. Returns the problem with an invalid face.
+    fn add_face(&self, corners: &[i64], out: &mut Polygons) -> Result<(), String> {
+        let Self { header, corners: face, .. } = self;
+        let is_strip = face.is_some_and(|(e, _)| header.elements[e].name == STRIPS);
+        let push = if is_strip { Polygons::push_strips } else { Polygons::push };
+        push(out, corners, header.elements[header.vertex].count)
+    }
+
     /// Parses a body of text: one line per row. Returns the errors of [`Self::parse_body`].
     fn parse_ascii(&self, body: &[u8]) -> Result<Contents> {
         let Self { path, header, corners } = self;
@@ -89,8 +97,7 @@ impl BodyParser<'_> {
                     let length = row.fields[starts[property]].text.parse().unwrap_or(0);
                     let listed = row.fields[starts[property] + 1..].iter().take(length);
                     let corners = listed.map(|field| parse_index(&row, *field)).collect::<Result<Vec<i64>>>()?;
-                    let vertices = header.elements[header.vertex].count;
-                    contents.polygons.push(&corners, vertices).map_err(|fault| row.fault(1, fault))?;
+                    self.add_face(&corners, &mut contents.polygons).map_err(|fault| row.fault(1, fault))?;
                 }
             }
         }
@@ -116,9 +123,10 @@ impl BodyParser<'_> {
                 }
             }
         }
-        match body.unread.len() {
-            0 => Ok(contents),
+        match body.unread {
+            [] | b"\n" | b"\r\n" => Ok(contents), // some programs end every file with a line end
             surplus => {
+                let surplus = surplus.len();
                 let problem = format!("{surplus} bytes follow the last row; correct the header's counts");
                 Err(Error::input(self.path, problem))
             }
@@ -145,8 +153,8 @@ impl BodyParser<'_> {
                         let index = |raw| to_integer(item.to_number(raw, body.is_big)).unwrap_or(-1); // out of range
                         out.indices.clear();
                         out.indices.extend(bytes.chunks_exact(item.size()).map(index));
-                        let fault = |fault| Error::input(path, format!("row {} of `face`: {fault}", i + 1));
-                        out.polygons.push(&out.indices, header.elements[header.vertex].count).map_err(fault)?;
+                        let fault = |fault| Error::input(path, format!("row {} of `{}`: {fault}", i + 1, element.name));
+                        self.add_face(&out.indices, &mut out.polygons).map_err(fault)?;
                     }
                 }
             }
@@ -156,36 +164,20 @@ impl BodyParser<'_> {
 }
 
 /// Returns the index of the first field of each property in a row: a list has a length field followed by that many fields.
-/// Returns an error for a field of another type, or a row with too many or too few fields.
+/// Numbers that are not used are not parsed: some programs write `-nan(ind)`, or `255.0` as a `uchar`. Returns an error for
+/// a row with too many or too few fields.
 fn property_starts(row: &TextRow<'_>, element: &PlyElement) -> Result<Vec<usize>> {
     let mut starts = Vec::with_capacity(element.properties.len());
     let mut next = 0;
     for property in &element.properties {
         starts.push(next);
-        let fits = |field: &TextField<'_>, scalar: Scalar| match scalar.misfit(field.text) {
-            Some(expected) => {
-                let problem = format!("{} is not {expected}, as property `{}` is", quoted(field.text), property.name);
-                Err(row.fault(field.column, problem + "; correct the row or the header"))
-            }
-            None => Ok(()),
-        };
         let count = match (property.kind, row.fields.get(next)) {
-            (PropertyKind::List { length: kind, item }, Some(field)) => {
-                let length: Option<usize> = field.text.parse().ok();
+            (PropertyKind::List { .. }, Some(field)) => {
                 let fault = || format!("{} is not the length of a list; correct the row", quoted(field.text));
-                let length = length.ok_or_else(|| row.fault(field.column, fault()))?;
-                fits(field, kind)?;
-                row.fields[next + 1..].iter().take(length).try_for_each(|field| fits(field, item))?;
+                let length = field.text.parse::<usize>().ok().ok_or_else(|| row.fault(field.column, fault()))?;
                 length.saturating_add(1)
             }
-            // The point parser reports this in more detail.
-            (PropertyKind::Scalar(Scalar::F32 | Scalar::F64), _)
-                if ["x", "y", "z"].contains(&property.name.as_str()) =>
-            {
-                1
-            }
-            (PropertyKind::Scalar(scalar), Some(field)) => fits(field, scalar).map(|()| 1)?,
-            (_, None) => 1,
+            _ => 1,
         };
         next = next.saturating_add(count);
     }

@@ -1,14 +1,22 @@
 //! Polygons and their triangulation.
 
-use glam::DVec3;
+use crate::text::warn_once;
+use earcut::Earcut;
+use glam::{DVec2, DVec3};
 use pwrfgs_core::{Error, Result};
 use std::path::Path;
 
 /// Vertices `[V,3]` as read, in double precision, and triangle indices `[F,3]`, counted from 0.
 pub type Triangles = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 
+/// Largest number of triangles of a mesh: more take minutes and gigabytes before the first path.
+pub const MOST_TRIANGLES: usize = 300_000;
+/// Ratio of height to longest side below which a triangle has no area.
+const FLAT: f64 = 1e-9;
 /// Limit of side tests per corner of a polygon; most polygons need two.
 const TESTS: usize = 64;
+/// Largest number of corners of a polygon that no fan fills.
+const MOST_CORNERS: usize = 5_000;
 
 /// Faces of three or more corners with valid indices.
 #[derive(Debug, Default)]
@@ -19,11 +27,14 @@ pub(crate) struct Polygons {
 }
 
 impl Polygons {
-    /// Adds a face with corner indices from 0 to below `vertices`. Returns the problem with fewer than three corners or an
-    /// index out of range.
+    /// Adds a face with corner indices from 0 to below `vertices`. Returns the problem with fewer than three corners, an
+    /// index out of range, or more than [`MOST_TRIANGLES`].
     pub(crate) fn push(&mut self, corners: &[i64], vertices: usize) -> Result<(), String> {
         if corners.len() < 3 {
             return Err(format!("a face has {} corners; give at least three, or remove it", corners.len()));
+        }
+        if self.triangle_count() + corners.len() - 2 > MOST_TRIANGLES {
+            return Err(format!("the mesh has more than {MOST_TRIANGLES} triangles; simplify it"));
         }
         for &corner in corners {
             let index = u32::try_from(corner).ok().filter(|&index| (index as usize) < vertices);
@@ -35,36 +46,97 @@ impl Polygons {
         Ok(())
     }
 
-    /// Splits every face into a fan of triangles with the same orientation. Returns an error for a face without such a fan.
+    /// Adds the triangles of a strip, of which every second has the opposite orientation; a negative index begins a new
+    /// strip. Returns the problems of [`Self::push`].
+    pub(crate) fn push_strips(&mut self, corners: &[i64], vertices: usize) -> Result<(), String> {
+        let windows = corners.split(|corner| *corner < 0).flat_map(|strip| strip.windows(3).enumerate());
+        windows
+            .map(|(k, t)| if k % 2 == 0 { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] })
+            .try_for_each(|triangle| self.push(&triangle, vertices))
+    }
+
+    /// Returns the number of triangles of all faces.
+    fn triangle_count(&self) -> usize {
+        self.corners.len() - 2 * self.ends.len()
+    }
+
+    /// Splits every face into triangles with the same orientation. Triangles without area and repeated corners are left
+    /// out, with a warning that counts them. Returns an error for a face with a hole, or one that crosses itself.
     pub(crate) fn triangulate(self, path: &Path, vertices: Vec<[f64; 3]>) -> Result<Triangles> {
-        let mut triangles = Vec::with_capacity(self.corners.len().saturating_sub(2 * self.ends.len()));
-        let mut start = 0;
+        let (all, mut triangles, mut start) = (self.triangle_count(), Vec::new(), 0);
+        triangles.reserve(all);
         for (face, end) in self.ends.into_iter().enumerate() {
-            let corners = &self.corners[start..end];
+            let mut corners = self.corners[start..end].to_vec();
             start = end;
-            let apex = find_fan_apex(&vertices, corners, TESTS * corners.len()).map_err(|fault| {
+            corners.dedup_by_key(|corner| vertices[*corner as usize]);
+            while corners.len() > 1 && vertices[corners[0] as usize] == vertices[corners[corners.len() - 1] as usize] {
+                corners.pop();
+            }
+            let count = corners.len();
+            split_polygon(&vertices, &corners, &mut triangles).map_err(|fault| {
                 let advice = "triangulate the mesh where it was made";
-                Error::input(path, format!("face {} of {} corners {fault}; {advice}", face + 1, corners.len()))
+                Error::input(path, format!("face {} of {count} corners {fault}; {advice}", face + 1))
             })?;
-            let corner = |k: usize| corners[(apex + k) % corners.len()];
-            triangles.extend((1..corners.len() - 1).map(|k| [corner(0), corner(k), corner(k + 1)]));
+        }
+        triangles.retain(|t| has_area(t.map(|corner| vertices[corner as usize])));
+        let left_out = all - triangles.len();
+        if left_out > 0 {
+            warn_once(path, format_args!("{left_out} of {all} triangles have no area and are left out"));
         }
         Ok((vertices, triangles))
     }
 }
 
-/// Returns the first corner whose triangle fan has the orientation of the whole polygon.
+/// Adds the triangles of a polygon, of which neighbouring corners differ; none for fewer than three corners, or corners on
+/// a line. Returns the problem with a polygon that has no inside of its own.
+fn split_polygon(vertices: &[[f64; 3]], corners: &[u32], out: &mut Vec<[u32; 3]>) -> Result<(), &'static str> {
+    let n = corners.len();
+    let corner = |k: usize| corners[k % n];
+    let position = |k: usize| vertices[corner(k) as usize];
+    let is_line = (2..n).all(|k| !has_area([position(0), position(k - 1), position(k)]));
+    if is_line {
+        return Ok(());
+    }
+    let normal = (2..n).fold(DVec3::ZERO, |sum, k| sum + double_area(position(0), position(k - 1), position(k)));
+    if let Some(apex) = find_fan_apex(vertices, corners, normal, TESTS * n) {
+        out.extend((1..n - 1).map(|k| [corner(apex), corner(apex + k), corner(apex + k + 1)]));
+        return Ok(());
+    }
+    let mut sorted: Vec<[u64; 3]> = (0..n).map(|k| position(k).map(|v| (v + 0.0).to_bits())).collect();
+    sorted.sort_unstable();
+    if sorted.windows(2).any(|pair| pair[0] == pair[1]) {
+        return Err("touches itself, as around a hole");
+    }
+    if n > MOST_CORNERS {
+        return Err("is too intricate");
+    }
+    let axis = if normal.abs().max_element() == 0.0 { 2 } else { normal.abs().max_position() };
+    let flat = |p: [f64; 3]| DVec2::new(p[(axis + 1) % 3], p[(axis + 2) % 3]);
+    let plan: Vec<[f64; 2]> = (0..n).map(|k| (flat(position(k)) - flat(position(0))).to_array()).collect();
+    let (mut ears, mut covered) = (Vec::<u32>::new(), 0.0);
+    Earcut::new().earcut_slice(&plan, &[], &mut ears);
+    for [a, b, c] in ears.as_chunks().0 {
+        let [p, q, r] = [a, b, c].map(|k| DVec2::from(plan[*k as usize]));
+        let area = (q - p).perp_dot(r - p) * normal[axis].signum();
+        covered += area.abs();
+        let [b, c] = if area < 0.0 { [c, b] } else { [b, c] };
+        out.push([a, b, c].map(|k| corners[*k as usize]));
+    }
+    // Ears of a polygon that crosses itself cover another area than the polygon.
+    if covered > 0.0 && (covered - normal[axis].abs()).abs() <= 1e-6 * covered { Ok(()) } else { Err("crosses itself") }
+}
+
+/// Returns the first corner whose triangle fan has the orientation of the whole polygon, along `normal`.
 ///
 /// The fan then covers a simple polygon once, convex or not: an L has such a corner, a U has none. The side that
 /// excluded the last corner is tested first, since it excludes most of its neighbours: about two tests per corner.
-/// Returns the problem if there is no such corner, or none within `most` tests.
-fn find_fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<usize, &'static str> {
+/// `None` if there is no such corner, or none within `most` tests.
+fn find_fan_apex(vertices: &[[f64; 3]], corners: &[u32], normal: DVec3, most: usize) -> Option<usize> {
     let n = corners.len();
     if n == 3 {
-        return Ok(0);
+        return Some(0);
     }
     let corner = |k: usize| vertices[corners[k % n] as usize];
-    let normal = (1..n - 1).fold(DVec3::ZERO, |sum, k| sum + double_area(corner(0), corner(k), corner(k + 1)));
     // Sides at the apex make no triangle.
     let rules_out = |side: usize, apex: usize| {
         side != apex
@@ -74,18 +146,25 @@ fn find_fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<
     let (mut last, mut tests) = (0, 0);
     for apex in 0..n {
         let mut sides = std::iter::once(last).chain((1..n - 1).map(|k| (apex + k) % n));
-        match sides.find(|&side| {
+        last = match sides.find(|&side| {
             tests += 1;
             rules_out(side, apex)
         }) {
-            Some(side) => last = side,
-            None => return Ok(apex),
-        }
+            Some(side) => side,
+            None => return Some(apex),
+        };
         if tests > most {
-            return Err("is too intricate to be filled by a fan of triangles");
+            break;
         }
     }
-    Err("is not filled by any fan of triangles")
+    None
+}
+
+/// Returns whether a triangle has an area: its height exceeds [`FLAT`] of its longest side.
+fn has_area([a, b, c]: [[f64; 3]; 3]) -> bool {
+    let longest = [[a, b], [b, c], [c, a]].map(|[p, q]| DVec3::from(p).distance_squared(DVec3::from(q)));
+    // Twice the area over the squared longest side is the height relative to that side.
+    double_area(a, b, c).length() > FLAT * longest.into_iter().fold(0.0, f64::max)
 }
 
 /// Returns twice the area of a triangle, as a vector along its normal.
@@ -150,28 +229,64 @@ mod tests {
     fn finds_fan_with_few_tests_per_corner() {
         for n in [8, 500, 60_000] {
             let (vertices, corners) = (dented(n), (0..n as u32).collect::<Vec<_>>());
-            let apex = find_fan_apex(&vertices, &corners, 4 * n).unwrap();
+            let apex = find_fan_apex(&vertices, &corners, DVec3::Z, 4 * n).unwrap();
             let corner = |k: usize| vertices[(apex + k) % n];
             assert!((1..n - 1).all(|k| double_area(corner(0), corner(k), corner(k + 1))[2] > 0.0), "{n} corners");
         }
         let (vertices, corners) = (dented(500), (0..500).collect::<Vec<u32>>());
-        let error = find_fan_apex(&vertices, &corners, 100).unwrap_err();
-        assert_eq!(error, "is too intricate to be filled by a fan of triangles");
+        assert_eq!(find_fan_apex(&vertices, &corners, DVec3::Z, 100), None);
+    }
+
+    #[test]
+    fn concave_polygons_are_cut_by_ears() {
+        let u = [[0.0, 0.0], [6.0, 0.0], [6.0, 5.0], [4.0, 5.0], [4.0, 2.0], [2.0, 2.0], [2.0, 5.0], [0.0, 5.0]];
+        let (mut reversed, comb) = (u, comb(400));
+        reversed.reverse();
+        for (polygon, area) in [(&u[..], 24.0), (&reversed, -24.0), (&comb, 600.0)] {
+            let cut = triangles(polygon).unwrap();
+            assert_eq!(cut.1.len(), polygon.len() - 2);
+            assert_eq!(signed_area(&cut), area);
+            assert!(cut.1.iter().all(|t| area * signed_area(&(cut.0.clone(), vec![*t])) > 0.0));
+        }
+    }
+
+    /// Returns a comb of `n` teeth of width 1 and height 1 on a bar of height 1: area 3 `n` / 2.
+    fn comb(n: usize) -> Vec<[f64; 2]> {
+        let teeth = (0..n).rev().map(|k| k as f64).flat_map(|x| [[x + 1.0, 1.0], [x + 0.5, 2.0]]);
+        [[0.0, 0.0], [n as f64, 0.0]].into_iter().chain(teeth).chain([[0.0, 1.0]]).collect()
+    }
+
+    #[test]
+    fn repeated_corners_and_flat_faces_are_left_out() {
+        let twice = [[0.0, 0.0], [2.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0], [0.0, 0.0]];
+        let cut = triangles(&twice).unwrap();
+        assert_eq!((cut.1.len(), signed_area(&cut)), (2, 4.0));
+        let flat = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]];
+        assert_eq!(triangles(&flat).unwrap().1, [[0; 3]; 0]);
     }
 
     #[test]
     fn reports_polygons_that_cannot_be_filled() {
-        let u = [[0.0, 0.0], [3.0, 0.0], [3.0, 3.0], [2.0, 3.0], [2.0, 1.0], [1.0, 1.0], [1.0, 3.0], [0.0, 3.0]];
-        let advice = "is not filled by any fan of triangles; triangulate the mesh where it was made";
-        assert_eq!(triangles(&u).unwrap_err(), format!("a.obj: face 1 of 8 corners {advice}"));
-        let flat = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]];
-        assert_eq!(triangles(&flat).unwrap_err(), format!("a.obj: face 1 of 4 corners {advice}"));
+        let advice = "triangulate the mesh where it was made";
         let bow = [[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]];
-        assert_eq!(triangles(&bow).unwrap_err(), format!("a.obj: face 1 of 4 corners {advice}"));
-        assert_eq!(triangles(&u[..2]).unwrap_err(), "a face has 2 corners; give at least three, or remove it");
+        assert_eq!(triangles(&bow).unwrap_err(), format!("a.obj: face 1 of 4 corners crosses itself; {advice}"));
+        let (outside, inside) = (
+            [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0], [0.0, 0.0]],
+            [[1.0, 1.0], [1.0, 2.0], [2.0, 2.0], [2.0, 1.0], [1.0, 1.0]],
+        );
+        let hole = [&outside[..], &inside].concat();
+        let message = triangles(&hole).unwrap_err();
+        assert_eq!(message, format!("a.obj: face 1 of 10 corners touches itself, as around a hole; {advice}"));
+        assert_eq!(
+            triangles(&comb(3_000)).unwrap_err(),
+            format!("a.obj: face 1 of 6003 corners is too intricate; {advice}")
+        );
+        assert_eq!(triangles(&bow[..2]).unwrap_err(), "a face has 2 corners; give at least three, or remove it");
         for (corner, name) in [(3, "3"), (-1, "-1"), (1 << 40, "1099511627776")] {
             let message = Polygons::default().push(&[0, 1, corner], 3).unwrap_err();
             assert_eq!(message, format!("a face names vertex {name}, counted from 0, of 3; correct the index"));
         }
+        let message = Polygons::default().push(&vec![0; MOST_TRIANGLES + 3], 3).unwrap_err();
+        assert_eq!(message, "the mesh has more than 300000 triangles; simplify it");
     }
 }

@@ -7,6 +7,8 @@ use crate::checks::power_fault;
 use pwrfgs_core::{Error, MAX_COORDINATE_M, Real, Result, coordinate_fault, files, messages::quoted};
 use serde::de::DeserializeOwned;
 use serde_saphyr::{Spanned, UserMessageFormatter};
+use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
 use std::{fmt::Display, io::ErrorKind, path::Path};
 
 /// Largest number of fields of a line: a field needs far more memory than its comma. No table has as many receivers.
@@ -123,11 +125,13 @@ impl<'a> TextRow<'a> {
     }
 
     /// Returns the index of the column `name` of a header, in either case; `names` lists every column that the file needs.
-    /// Returns an error for a missing or repeated column.
+    /// A name may begin with a comment mark, as in CloudCompare, and end with its unit, as `x [m]`. Returns an error for a
+    /// missing or repeated column, or one in another unit.
     fn find_column(&self, name: &str, names: &str) -> Result<usize> {
         let fields = &self.fields;
-        let mut columns = fields.iter().enumerate().filter(|(_, field)| field.text.eq_ignore_ascii_case(name));
-        let (column, _) = columns.next().ok_or_else(|| {
+        let mut columns =
+            fields.iter().enumerate().filter(|(_, field)| split_unit(field.text).0.eq_ignore_ascii_case(name));
+        let (column, field) = columns.next().ok_or_else(|| {
             let is_separator = |mark: &&str| fields.len() == 1 && fields[0].text.contains(mark);
             let problem = match [";", "\t"].into_iter().find(is_separator) {
                 Some(mark) => format!("columns are separated by {mark:?}; separate them by commas"),
@@ -135,12 +139,26 @@ impl<'a> TextRow<'a> {
             };
             self.fault(1, problem)
         })?;
+        let unit = split_unit(field.text).1;
+        if ["x", "y", "z"].contains(&name) && !["", "m", "metre", "metres", "meter", "meters"].contains(&unit) {
+            let problem = format!("{} is not in metres; convert the column, and name it `{name}`", quoted(field.text));
+            return Err(self.fault(field.column, problem));
+        }
         match columns.next() {
             Some((_, second)) => {
                 Err(self.fault(second.column, format!("a second column `{name}`; name each of {names} once")))
             }
             None => Ok(column),
         }
+    }
+}
+
+/// Warns of a `problem` in a file, once per process: a simulation reads a mesh several times.
+pub fn warn_once(path: &Path, problem: impl Display) {
+    static SHOWN: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let text = format!("{}: {problem}", path.display());
+    if SHOWN.lock().unwrap_or_else(PoisonError::into_inner).insert(text.clone()) {
+        tracing::warn!("{text}");
     }
 }
 
@@ -190,9 +208,17 @@ pub(crate) fn yaml_fault<T>(path: &Path, value: &Spanned<T>, problem: impl Displ
     Error::at(path, value.referenced.line() as usize, value.referenced.column() as usize, problem)
 }
 
-/// Returns the lines that are not empty, with their numbers, counted from 1.
+/// Returns the lines that are not empty, with their numbers, counted from 1; they end by LF, CR LF, or CR alone.
 pub(crate) fn numbered_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
-    text.lines().enumerate().map(|(i, line)| (i + 1, line)).filter(|(_, line)| !line.trim().is_empty())
+    let lines = (1..).zip(text.split(if text.contains('\n') { '\n' } else { '\r' }));
+    lines.map(|(i, line)| (i, line.strip_suffix('\r').unwrap_or(line))).filter(|(_, line)| !line.trim().is_empty())
+}
+
+/// Splits the name of a column into the plain name and the unit in brackets, which is empty if there is none.
+fn split_unit(text: &str) -> (&str, &str) {
+    let text = text.trim_start_matches(['/', '#']).trim_start();
+    let (name, unit) = text.split_once(['[', '(']).unwrap_or((text, ""));
+    (name.trim_end(), unit.trim_end_matches([']', ')']).trim())
 }
 
 /// Cells without a value, in either case.

@@ -7,13 +7,13 @@ use crate::hierarchy::{Hierarchy, Triangle};
 use crate::polygon::{side_planes, triangles_outside};
 use glam::{DMat3, DMat4, DVec3};
 use pwrfgs_core::{Error, Result};
+pub(crate) use pwrfgs_data::MOST_TRIANGLES;
+use pwrfgs_data::warn_once;
 use std::{cell::Cell, collections::HashMap, fs, path::Path};
 
 /// Ratio of height to longest side below which a triangle is degenerate.
 const FLAT: f64 = 1e-9;
 
-/// Largest number of triangles of a scene: more take minutes and gigabytes before the first path.
-pub(crate) const MOST_TRIANGLES: usize = 300_000;
 /// Largest mesh file, bytes.
 pub(crate) const MOST_BYTES: u64 = 128 << 20;
 /// Largest number of triangles that share an edge.
@@ -33,21 +33,36 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Reads a mesh with extension `.obj` or `.ply`; vertices are welded and the mesh is validated.
+/// Returns the mesh called `cube`, from -1 to 1 on each axis, or `rectangle`, from -1 to 1 in x and y, as in Mitsuba; `None`
+/// for other names.
+pub(crate) fn named_mesh(name: &Path) -> Option<Mesh> {
+    // Bit k of the index of a corner is its side on axis k.
+    const SIDES: [[u32; 4]; 6] = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let (corners, sides, z) = match name.to_str()? {
+        "cube" => (8, &SIDES[..], 1.0),
+        "rectangle" => (4, &[[0, 1, 3, 2]][..], 0.0),
+        _ => return None,
+    };
+    let corner =
+        |i: u32| DVec3::from([0, 1, 2].map(|k| if i >> k & 1 == 1 { 1.0 } else { -1.0 })) * DVec3::new(1.0, 1.0, z);
+    let triangles = sides.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+    Some(Mesh { vertices: (0..corners).map(corner).collect(), triangles })
+}
+
+/// Reads a mesh with extension `.obj` or `.ply`, or a [`named_mesh`]; vertices are welded and the mesh is validated.
 ///
 /// # Errors
 /// Errors of [`pwrfgs_data::read_mesh`] and of [`Mesh::check`].
 pub fn read_mesh(path: &Path) -> Result<Mesh> {
+    if let Some(mesh) = named_mesh(path) {
+        return Ok(mesh);
+    }
     let bytes = fs::metadata(path).map_err(|e| Error::read(path, e))?.len();
     if bytes > MOST_BYTES {
         let problem = format!("has {} MB, and at most {} can be read; simplify it", bytes >> 20, MOST_BYTES >> 20);
         return Err(Error::input(path, problem));
     }
     let (vertices, triangles) = pwrfgs_data::read_mesh(path)?;
-    if triangles.len() > MOST_TRIANGLES {
-        let problem = format!("has {} triangles; simplify it to {MOST_TRIANGLES} at most", triangles.len());
-        return Err(Error::input(path, problem));
-    }
     let mesh = Mesh { vertices: vertices.into_iter().map(DVec3::from_array).collect(), triangles }.welded();
     mesh.check(path)?;
     Ok(mesh)
@@ -62,6 +77,7 @@ pub fn read_mesh(path: &Path) -> Result<Mesh> {
 pub(crate) fn read_object_mesh(file: &Path, matrix: DMat4, solid: bool, name: &str) -> Result<Mesh> {
     let mut mesh = read_mesh(file)?;
     mesh.vertices.iter_mut().for_each(|vertex| *vertex = matrix.transform_point3(*vertex));
+    mesh.warn_of_y_up(file);
     let Some(mut mesh) = mesh.one_sided() else {
         return Err(Error::input(file, "its triangles overlap in too many places; simplify the mesh"));
     };
@@ -152,8 +168,7 @@ impl Mesh {
         let mut kept = is_kept.iter();
         let mut single = self.clone();
         single.triangles.retain(|_| kept.next() == Some(&true));
-        let (low, high) =
-            self.vertices.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(a, b), p| (a.min(*p), b.max(*p)));
+        let (low, high) = self.bounds();
         let is_body = self.is_closed() && signed_volume(&self).abs() > FLAT * (high - low).length().powi(3);
         Some(if is_body && !single.is_closed() { self } else { single.welded() })
     }
@@ -165,7 +180,7 @@ impl Mesh {
     /// triangles. Triangles are counted from 1, in file order.
     pub fn check(&self, path: &Path) -> Result<()> {
         if self.triangles.is_empty() {
-            return Err(Error::input(path, "holds no triangle; export a surface with faces"));
+            return Err(Error::input(path, "holds no triangle with an area; export a surface with faces"));
         }
         for (number, triangle) in (1..).zip(&self.triangles) {
             let fault = |problem: String| Err(Error::input(path, format!("triangle {number} {problem}")));
@@ -235,6 +250,31 @@ impl Mesh {
     /// Returns the corners of a triangle, metres.
     pub(crate) fn corners(&self, triangle: [u32; 3]) -> [DVec3; 3] {
         triangle.map(|v| self.vertices[v as usize])
+    }
+
+    /// Returns the smallest and largest coordinates, metres.
+    fn bounds(&self) -> (DVec3, DVec3) {
+        let ends = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        self.vertices.iter().fold(ends, |(low, high), vertex| (low.min(*vertex), high.max(*vertex)))
+    }
+
+    /// Warns if y seems to point up, as in files of many modelling programs: the mesh is low and wide along y, stands on
+    /// y = 0, goes below z = 0, and more of its area faces y than z.
+    fn warn_of_y_up(&self, file: &Path) {
+        let (low, high) = self.bounds();
+        let size = high - low;
+        let is_low = size.y > 0.02 * size.max_element() && size.y < size.x.min(size.z);
+        if !is_low || low.y.abs() > 0.02 * size.y || low.z > -0.25 * size.z {
+            return;
+        }
+        let areas = self.triangles.iter().map(|t| self.corners(*t)).map(|[a, b, c]| (b - a).cross(c - a).abs());
+        let area = areas.sum::<DVec3>();
+        if area.y > area.z {
+            let extent = format!("y from {:.2} to {:.2}, z from {:.2} to {:.2}", low.y, high.y, low.z, high.z);
+            let advice = "export the mesh with z up, or turn it: `matrix: ((1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0))`, in XML \
+                          <rotate x=\"1\" angle=\"90\"/>";
+            warn_once(file, format_args!("y seems to point up ({extent}), and z points up in scenes; {advice}"));
+        }
     }
 
     /// Returns the number of triangles at each edge, in no particular order.

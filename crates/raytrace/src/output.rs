@@ -30,7 +30,7 @@ pub const POINTS: &str = "points.ply";
 ///
 /// ```text
 /// out/tx_pos.csv            x,y,z; one row per transmitter; rx_pose.csv for a moving receiver
-/// out/train_index.txt, test_index.txt    every fifth sample is a test sample
+/// out/train_index.txt, test_index.txt    every fifth sample is a test sample; only from five samples
 /// out/paths.csv             one row per path, with `paths`; paths-NAME.csv for several receivers in one folder
 /// out/points.ply            points on all surfaces, with normals
 /// out/manifest.json         the recipe

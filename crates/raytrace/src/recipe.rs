@@ -22,7 +22,7 @@ const MOST_POINTS: usize = 50_000_000;
 pub struct SimulationRecipe {
     /// The parsed scene.
     pub scene: SceneFile,
-    /// Number of transmitters.
+    /// Number of transmitters, or of poses of a moving receiver.
     pub samples: usize,
     /// Random seed of transmitter positions and receiver errors.
     pub seed: u64,
@@ -42,14 +42,8 @@ impl SimulationRecipe {
     pub fn read(scene: &Path, samples: usize, seed: u64, points: usize) -> Result<Self> {
         check_counts(samples, points).map_err(Error::Config)?;
         let scene = SceneFile::read(scene)?;
-        let receivers = scene.receivers().count() * scene.carriers_hz.len().max(1);
-        if samples * receivers > MOST_SAMPLES {
-            let problem = format!("more than {MOST_SAMPLES} links; give fewer samples");
-            let subject = format!("{samples} samples at {receivers} receivers");
-            return Err(Error::Config(format!("scene `{}`: {subject} are {problem}", scene.name)));
-        }
         let file = |object: &Object| match object {
-            Object::Mesh { file, .. } => Some(file.clone()),
+            Object::Mesh { file, .. } if mesh::named_mesh(file).is_none() => Some(file.clone()),
             _ => None,
         };
         let mut hashes = BTreeMap::new(); // many objects may have one mesh
@@ -61,7 +55,27 @@ impl SimulationRecipe {
             Ok(hashes.entry(file).or_insert(format!("{:016x}", fnv1a_hash(&bytes))).clone())
         };
         let meshes = scene.objects.iter().filter_map(file).map(hash).collect::<Result<Vec<_>>>()?;
-        Ok(Self { scene, samples, seed, points, observe: ObservationKind::Spectrum, meshes })
+        Self { scene, samples, seed, points, observe: ObservationKind::Spectrum, meshes }.checked()
+    }
+
+    /// Returns the recipe with a changed `scene` of the same meshes; stated positions set the number of samples.
+    ///
+    /// # Errors
+    /// Too many links.
+    pub fn with_scene(self, scene: SceneFile) -> Result<Self> {
+        Self { scene, ..self }.checked()
+    }
+
+    /// Returns the recipe with as many samples as the scene states. Returns an error for too many links.
+    fn checked(mut self) -> Result<Self> {
+        self.samples = self.scene.transmitter.positions.listed_count().unwrap_or(self.samples);
+        let (samples, receivers) = (self.samples, self.scene.receivers().count() * self.scene.carriers_hz.len().max(1));
+        if samples * receivers > MOST_SAMPLES {
+            let problem = format!("more than {MOST_SAMPLES} links; give fewer samples");
+            let subject = format!("{samples} samples at {receivers} receivers");
+            return Err(Error::Config(format!("scene `{}`: {subject} are {problem}", self.scene.name)));
+        }
+        Ok(self)
     }
 
     /// Returns the recipe with another observation type.

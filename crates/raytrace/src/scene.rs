@@ -15,6 +15,7 @@ pub use transmitters::Transmitters;
 
 use crate::SPEED_OF_LIGHT;
 use crate::material::{self, Material};
+use crate::mesh::named_mesh;
 use crate::spectrum::SpectrumKind;
 use glam::{DQuat, DVec3};
 use mitsuba::MitsubaScene;
@@ -105,22 +106,26 @@ impl SceneFile {
         }
         let text = ShippedFile::read(ShippedFile::SCENES, path, MOST_BYTES)?;
         let mut scene: Self = read_ron(&text, path)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        scene.transmitter.positions.read_file(folder, scene.moving_receiver.is_some())?;
         if scene.mitsuba.is_none() {
             scene = scene.validated(path, &text)?; // otherwise its objects may have materials of the XML file
         }
-        let folder = path.parent().unwrap_or(Path::new(""));
         for object in &mut scene.objects {
-            if let Object::Mesh { file, .. } = object {
+            if let Object::Mesh { file, .. } = object
+                && named_mesh(file).is_none()
+            {
                 *file = folder.join(&*file);
             }
         }
         let Some(file) = scene.mitsuba.take() else { return Ok(scene) };
-        scene.with_meshes(MitsubaScene::read(&folder.join(file))?, (path, &text))
+        let meshes = MitsubaScene::read(&folder.join(file), scene.materials.keys())?;
+        scene.with_meshes(meshes, (path, &text))
     }
 
     /// Reads a Mitsuba file as a scene with a default carrier, and isotropic antennas at positions that suit its size.
     fn read_mitsuba(path: &Path) -> Result<Self> {
-        let meshes = MitsubaScene::read(path)?;
+        let meshes = MitsubaScene::read(path, std::iter::empty())?;
         let mut scene: Self = read_ron(MITSUBA_DEFAULTS, path)?;
         // Sionna RT and Blender name files `scene.xml`.
         let folder =
@@ -149,6 +154,40 @@ impl SceneFile {
             (self.carrier_hz, self.carriers_hz) = (only, Vec::new());
         }
         self.receiver.position = receiver.unwrap_or(self.receiver.position);
+        self.checked()
+    }
+
+    /// Returns the scene with transmitters at these positions, metres.
+    ///
+    /// # Errors
+    /// No position or one that is too far, or a scene whose receiver moves.
+    pub fn with_transmitters(mut self, positions: Vec<[f64; 3]>) -> Result<Self> {
+        if self.moving_receiver.is_some() {
+            let problem = "its receiver moves; give poses with --rx-pose or --rx-pose-csv (in Python `rx_pose`)";
+            return Err(Error::Config(format!("scene `{}`: {problem}", self.name)));
+        }
+        self.transmitter.positions = Transmitters::Listed { positions, orientations: Vec::new() };
+        self.checked()
+    }
+
+    /// Returns the scene with its receiver at these poses, about a transmitter at `tx`, metres; `None`: where a scene with
+    /// `moving_receiver` has it.
+    ///
+    /// # Errors
+    /// No pose or an invalid one, no transmitter, or several receivers.
+    pub fn with_receiver_poses(mut self, poses: &[Pose], tx: Option<[f64; 3]>) -> Result<Self> {
+        if self.moving_receiver.is_none() && tx.is_none() {
+            let problem = "its transmitter moves; add the position of a fixed one with --tx (in Python `tx`)";
+            return Err(Error::Config(format!("scene `{}`: {problem}", self.name)));
+        }
+        self.moving_receiver = Some(MovingReceiver { turn_deg: 0.0 });
+        self.receiver.position = tx.unwrap_or(self.receiver.position);
+        self.transmitter.positions = Transmitters::of_poses(poses);
+        self.checked()
+    }
+
+    /// Returns the scene, or an error for its first problem.
+    fn checked(self) -> Result<Self> {
         let fault = self.first_fault().map(|problem| Error::Config(format!("scene `{}`: {problem}", self.name)));
         fault.map_or(Ok(self), Err)
     }
@@ -202,12 +241,18 @@ impl SceneFile {
         std::iter::once(&self.receiver).chain(&self.more_receivers)
     }
 
-    /// Returns the receiver at the `i`th `position` that `transmitter` draws, metres, at a random angle; `None` if the
-    /// receiver is fixed.
+    /// Returns the receiver at the `i`th `position` of `transmitter`, metres, with its stated orientation or at a random
+    /// angle; `None` if the receiver is fixed.
     pub(crate) fn moved_receiver(&self, i: usize, position: DVec3, seed: u64) -> Option<SceneReceiver> {
+        let moving = self.moving_receiver.as_ref()?;
         let share = 2.0 * rng::uniform(&mut rng::stream(seed, "turn", i as u64)) - 1.0;
-        let turn = DQuat::from_rotation_z((self.moving_receiver.as_ref()?.turn_deg * f64::from(share)).to_radians());
-        let [x, y, z, w] = (turn * DQuat::from_array(self.receiver.orientation.quaternion())).normalize().to_array();
+        let turn = DQuat::from_rotation_z((moving.turn_deg * f64::from(share)).to_radians());
+        let stated = match &self.transmitter.positions {
+            Transmitters::Listed { orientations, .. } => orientations.get(i).copied(),
+            _ => None,
+        };
+        let turned = || (turn * DQuat::from_array(self.receiver.orientation.quaternion())).normalize().to_array();
+        let [x, y, z, w] = stated.unwrap_or_else(turned);
         let orientation = Orientation::Quaternion(x, y, z, w);
         Some(SceneReceiver { position: position.to_array(), orientation, ..self.receiver.clone() })
     }

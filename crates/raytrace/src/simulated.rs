@@ -45,7 +45,7 @@ pub struct Simulated {
     /// Scene file, relative to the pipeline file, or the name of a shipped scene, such as `office`.
     #[schemars(extend("format" = "path"))]
     pub scene: PathBuf,
-    /// Number of transmitters; with one receiver, number of spectra.
+    /// Number of transmitters; with one receiver, number of spectra. A scene with stated positions has as many as these.
     pub samples: usize,
     /// Random seed of transmitter positions and receiver errors, independent of the seed of the pipeline.
     pub seed: u64,
@@ -81,7 +81,7 @@ impl Simulated {
         } else {
             link_dataset(recipe, folder, points)?
         };
-        let links = self.samples * recipe.scene.carriers_hz.len().max(1);
+        let links = recipe.samples * recipe.scene.carriers_hz.len().max(1);
         if (is_single && data.len() != links) || data.scene.points.len() != self.points {
             return Err(Error::input(folder, "holds an unexpected number of spectra or points"));
         }

@@ -68,6 +68,95 @@ fn spectrum(observation: ReceiverObservation) -> Spectrum {
 }
 
 #[test]
+fn stated_positions_keep_their_order_and_their_spectra() {
+    let folder = tempfile::tempdir().unwrap();
+    let [rows, back] = [["2.5,1.25,1.1", "1,2.123456,1.2", "3,2,0.9"], ["3,2,0.9", "1,2.123456,1.2", "2.5,1.25,1.1"]];
+    let box_of = "Uniform(low: (0.9, 0.9, 0.4), high: (3.5, 2.5, 1.5))";
+    let load = |name: &str, positions: &str| {
+        let text = scene_text("").replace(box_of, positions);
+        assert_ne!(text, scene_text(""));
+        let path = file(folder.path(), name, &text);
+        let source = format!("Simulated(scene: {path:?}, points: 20, cache: false)");
+        Plugin::<dyn DataSource>::parse(&source).unwrap().load(Path::new(""), &|_, _| {}).unwrap()
+    };
+    let csv = |rows: [&str; 3]| "note,x,y,z\n".to_owned() + &rows.map(|row| format!("a,{row}\n")).concat();
+    file(folder.path(), "walk.csv", &csv(rows));
+    file(folder.path(), "back.csv", &csv(back));
+    let walk = load("walk.ron", "Csv(\"walk.csv\")");
+    let positions = [[2.5, 1.25, 1.1], [1.0, 2.123_456, 1.2], [3.0, 2.0, 0.9]];
+    assert_eq!(walk.locations.iter().map(|location| location.pose.position).collect::<Vec<_>>(), positions);
+    let listed = load("listed.ron", &format!("Listed(positions: [({}), ({}), ({})])", rows[0], rows[1], rows[2]));
+    let back = load("back.ron", "Csv(\"back.csv\")");
+    for i in 0..3 {
+        let pixels = |data: &Dataset, i: usize| data.observations.spectra().unwrap().image(i);
+        assert_eq!(pixels(&walk, i), pixels(&listed, i));
+        assert_eq!(pixels(&walk, i), pixels(&back, 2 - i), "{i}");
+    }
+}
+
+#[test]
+fn stated_poses_of_a_moving_receiver_keep_order_and_orientation() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = scene_text("moving_receiver: (),")
+        .replace("Uniform(low: (0.9, 0.9, 0.4), high: (3.5, 2.5, 1.5))", "Csv(\"rx_pose.csv\")");
+    file(folder.path(), "rx_pose.csv", "x,y,z,qx,qy,qz,qw\n3,2,1.1,0,0,0.6,0.8\n1,2.5,1.2,0,0,0,1\n");
+    let scene = SceneFile::read(&file(folder.path(), "moving.ron", &text)).unwrap();
+    let fixed = SceneFile::parse(&scene_text(""), Path::new("fixed.ron")).unwrap();
+    let poses = pwrfgs_data::read_poses(&folder.path().join("rx_pose.csv")).unwrap();
+    assert_eq!(
+        fixed.clone().with_receiver_poses(&poses, Some(fixed.receiver.position)).unwrap(),
+        SceneFile {
+            transmitter: scene.transmitter.clone(),
+            moving_receiver: scene.moving_receiver.clone(),
+            ..fixed.clone()
+        }
+    );
+    let source = format!("Simulated(scene: {:?}, points: 20, cache: false)", folder.path().join("moving.ron"));
+    let data = Plugin::<dyn DataSource>::parse(&source).unwrap().load(Path::new(""), &|_, _| {}).unwrap();
+    assert_eq!(data.locations.iter().map(|location| location.pose).collect::<Vec<_>>(), poses);
+    let refused = fixed.with_receiver_poses(&poses, None).unwrap_err().to_string();
+    assert!(refused.contains("its transmitter moves; add the position of a fixed one"), "{refused}");
+}
+
+#[test]
+fn stated_positions_that_cannot_be_used_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = |positions: &str, csv: &str| {
+        file(folder.path(), "walk.csv", csv);
+        let text = scene_text("").replace("Uniform(low: (0.9, 0.9, 0.4), high: (3.5, 2.5, 1.5))", positions);
+        let recipe = SimulationRecipe::read(&file(folder.path(), "s.ron", &text), 5, 0, 5);
+        let error = recipe.and_then(|recipe| write(&recipe, OutputLayout::Array, false, &folder.path().join("out")));
+        error.unwrap_err().to_string().replace(&folder.path().display().to_string(), "DIR")
+    };
+    let walk = "Csv(\"walk.csv\")";
+    for (positions, csv, expected) in [
+        (
+            walk,
+            "x,y,z\n1,2,1\n1.5,1.5,0.2\n",
+            "scene `small`: transmitter 2 at (1.5, 1.5, 0.2) is inside `desk`; move the positions or",
+        ),
+        (walk, "x,y,z\n1,two,1\n", "DIR/walk.csv:2:3: `two` is not a number"),
+        (walk, "x,y,z\n", "DIR/walk.csv: has a header but no row"),
+        (walk, "x,y,z\n1,2e7,1\n", "position 1 is [1.0, 20000000.0, 1.0]; give finite metres within 1000 km"),
+        ("Csv(\"gone.csv\")", "", "cannot read DIR/gone.csv: no such file; write a table with the columns x, y and z"),
+        ("Listed(positions: [])", "", "`positions` is empty; give at least one"),
+        (
+            "Listed(positions: [(1, 2, 1)], orientations: [(0, 0, 0, 2)])",
+            "",
+            "orientation 1 is [0.0, 0.0, 0.0, 2.0]; give a unit",
+        ),
+        (
+            "Listed(positions: [(1, 2, 1)], orientations: [(0, 0, 0, 1), (0, 0, 0, 1)])",
+            "",
+            "2 orientations for 1 positions",
+        ),
+    ] {
+        let message = error(positions, csv);
+        assert!(message.contains(expected), "{message}");
+    }
+}
+
+#[test]
 fn moving_receiver_has_spectra_of_fixed_receivers() {
     let folder = tempfile::tempdir().unwrap();
     let text = scene_text("moving_receiver: (turn_deg: 40),");
@@ -317,7 +406,7 @@ fn reports_position_of_scene_errors() {
     file(folder.path(), "open.obj", "v 1 1 0\nv 2 1 0\nv 2 2 0\nv 1 1 1\nf 1 2 3\nf 1 2 4\n");
     file(folder.path(), "flat.obj", "v 1 1 0\nv 2 1 0\nv 3 1 0\nf 1 2 3\n");
     assert!(error_of(&mesh("open.obj")).contains("DIR/open.obj: the surface of `desk` is open"));
-    assert!(error_of(&mesh("flat.obj")).contains("has no area"));
+    assert!(error_of(&mesh("flat.obj")).contains("holds no triangle with an area"));
     assert!(error_of(&mesh("gone.obj")).contains("cannot read DIR/gone.obj"));
     // A thin sheet may be open.
     let sheet = mesh("open.obj").replace("(material: \"metal\")", "(material: \"metal\", thickness_m: 0.001)");

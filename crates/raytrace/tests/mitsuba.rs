@@ -92,15 +92,65 @@ fn three_spellings_of_a_material_give_equal_paths() {
 }
 
 #[test]
-fn radio_material_with_id_of_itu_keeps_its_constants() {
-    let material = |eta: f64| {
+fn radio_material_with_id_of_itu_has_constants_of_itu() {
+    let finish = |id: &str| {
+        let constant = "<float name=\"relative_permittivity\" value=\"5\"/>";
+        let material = format!("<bsdf type=\"radio-material\" id=\"{id}\">{constant}</bsdf>");
+        let scene = scene(&format!("{material}{}", SHAPE.replace("wall", id)), "");
+        scene.objects[0].finish().unwrap().material.clone()
+    };
+    assert_eq!(finish("mat-itu_glass"), "glass");
+    assert_eq!(finish("itu_glass"), "glass");
+    assert_eq!(finish("glass"), "glass (radio-material)");
+    assert_eq!(finish("mat-itu_mine"), "mat-itu_mine");
+}
+
+#[test]
+fn materials_of_scene_file_have_precedence_over_those_of_xml_file() {
+    let materials = "materials: { \"wall\": (a: 4, c: 0.1), \"itu_glass\": (a: 3, c: 0) },";
+    for (kind, id, expected) in [
+        ("diffuse", "wall", "wall"),
+        ("diffuse", "mat-wall", "wall"),
+        ("twosided", "mat-itu_glass", "itu_glass"),
+        ("radio-material", "wall", "wall"),
+        ("diffuse", "mat-itu_wood", "wood"),
+    ] {
+        let bsdf = format!("<bsdf type=\"{kind}\" id=\"{id}\"><float name=\"thickness\" value=\"0.2\"/></bsdf>");
+        let scene = scene(&format!("{bsdf}{}", SHAPE.replace("id=\"wall\"", &format!("id=\"{id}\""))), materials);
+        let finish = scene.objects[0].finish().unwrap();
+        assert_eq!((&*finish.material, finish.thickness_m), (expected, Some(0.2)), "{kind} {id}");
+    }
+}
+
+#[test]
+fn cubes_and_rectangles_are_placed_by_their_transforms() {
+    let shape = |kind: &str, id: &str, steps: &str| {
+        let reference = "<ref id=\"wall\" name=\"bsdf\"/>";
         format!(
-            "<bsdf type=\"radio-material\" id=\"itu_concrete\"><float name=\"relative_permittivity\" value=\"{eta}\"/></bsdf>"
+            "<shape type=\"{kind}\" id=\"{id}\"><transform name=\"to_world\">{steps}</transform>{reference}</shape>"
         )
     };
-    let shape = SHAPE.replace("\"wall\"", "\"itu_concrete\"");
-    let [low, high] = [2.0, 9.0].map(|eta| traced(&scene(&format!("{}{shape}", material(eta)), "")));
-    assert!((low[1].gain - high[1].gain).norm() > 0.1 * high[1].gain.norm(), "{:?} {:?}", low[1].gain, high[1].gain);
+    let cube = shape("cube", "crate", "<scale x=\"0.5\" y=\"2\" z=\"1.5\"/><translate x=\"3\" z=\"1.6\"/>");
+    let floor = |id: &str, more: &str| shape("rectangle", id, &format!("<scale x=\"5\" y=\"4\"/>{more}"));
+    let plates = floor("floor", "") + &floor("low", "<translate z=\"-1\"/>");
+    for (shapes, triangles, area) in [(floor("floor", "") + &cube, 14, 118.0), (plates, 4, 160.0)] {
+        let scene = scene(&format!("{GLASS}{shapes}"), "");
+        let world = Simulator::new(&scene).unwrap();
+        let world = world.world();
+        let sum: f64 = world.triangles.iter().map(|t| t.area()).sum();
+        assert!(world.triangles.len() == triangles && (sum - area).abs() < 1e-9, "{} {sum}", world.triangles.len());
+        let saved = SceneFile::parse(&scene.to_ron(), Path::new("saved.ron")).unwrap();
+        assert_eq!(Simulator::new(&saved).unwrap().world().triangles.len(), triangles, "needs no file");
+    }
+}
+
+#[test]
+fn alias_names_a_material_again_and_unused_materials_are_ignored() {
+    let visual = "<bsdf type=\"twosided\" id=\"default-bsdf\"><bsdf type=\"diffuse\"/></bsdf>";
+    let alias = "<alias id=\"wall\" as=\"second\"/><alias id=\"second\" as=\"third\"/>";
+    let shape = SHAPE.replace("id=\"wall\"", "id=\"third\"");
+    let scene = scene(&format!("{visual}{GLASS}{alias}{SHAPE}{}", shape.replace("id=\"plate\"", "id=\"other\"")), "");
+    assert_eq!(scene.objects.iter().map(|o| &*o.finish().unwrap().material).collect::<Vec<_>>(), ["glass"; 2]);
 }
 
 #[test]
@@ -134,7 +184,8 @@ fn variables_and_transforms_place_a_mesh() {
         Simulator::new(&scene(&text, "")).unwrap().world().faces[0].hull.clone()
     };
     let expected = [(0.5, -1.5), (2.5, -1.5), (2.5, 0.5), (0.5, 0.5)].map(|(x, z)| DVec3::new(x, 0.0, z));
-    for inner in [steps, matrix] {
+    let three = "<matrix value=\"0.5 0 0, 0 0 -0.5, 0 0.5 0\"/><translate z=\"$h\" x=\"1.5\"/>";
+    for inner in [steps, matrix, three] {
         let hull = corners(inner);
         let is_corner = |p: &DVec3| hull.iter().any(|q| p.distance(*q) < 1e-12);
         assert!(hull.len() == 4 && expected.iter().all(is_corner), "{hull:?}");
@@ -253,6 +304,7 @@ fn errors_name_line_column_and_next_step() {
         ("</shape>", &transform("<lookat/>"), "unsupported transform; use translate, scale, rotate or matrix"),
         ("</shape>", &transform("<rotate angle=\"5\"/>"), "`rotate` needs an axis x, y or z"),
         ("</shape>", &transform("<matrix value=\"1 2\"/>"), "`matrix` needs 16 numbers"),
+        ("</shape>", &transform("<matrix value=\"1 2 3 4 5 6 7 8\"/>"), "or 9 without translation"),
         ("</shape>", &transform("<scale value=\"0\"/>"), "plate.ply: triangle 1 at (0, 0, 0) has no area"),
         (SHAPE, "", "scene.xml:1:1: the scene has no `shape`"),
         ("<shape type", &format!("{GLASS}<shape type"), "two materials have the id `wall`; rename one"),

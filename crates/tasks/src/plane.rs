@@ -1,6 +1,6 @@
 //! Positions and bounds as text, the axis-parallel plane of a map, and the grid of positions on it.
 
-use pwrfgs_core::{Error, MAX_COORDINATE_M, Result, coordinate_fault, place_fault};
+use pwrfgs_core::{Error, MAX_COORDINATE_M, Pose, Result, coordinate_fault, place_fault};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 /// Maximum number of positions of a map.
@@ -20,6 +20,19 @@ pub fn parse_position(option: &str, text: &str) -> Result<[f64; 3]> {
     let wrong =
         || Error::Config(format!("{option} {text}: expected x,y,z in metres, each at most 1e8, such as 3.5,2.2,1.2"));
     parse_numbers(text).filter(|position| place_fault(*position).is_none()).ok_or_else(wrong)
+}
+
+/// Parses `x,y,z,qx,qy,qz,qw`, metres and a unit quaternion from receiver axes to world axes, the value of `option`.
+///
+/// # Errors
+/// Text that is not seven numbers, or an invalid pose.
+pub fn parse_pose(option: &str, text: &str) -> Result<Pose> {
+    let refuse = |fault: &str| Err(Error::Config(format!("{option} {text}: {fault}")));
+    let Some([x, y, z, orientation @ ..]) = parse_numbers::<7>(text) else {
+        return refuse("expected x,y,z,qx,qy,qz,qw, such as 3.5,2.2,1.2,0,0,0,1 for no rotation");
+    };
+    let pose = Pose { position: [x, y, z], orientation };
+    pose.fault().map_or(Ok(pose), |(_, fault)| refuse(&fault))
 }
 
 /// Plane with one fixed coordinate.

@@ -5,6 +5,7 @@ mod table;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
+use pwrfgs::data::Colormap;
 use pwrfgs::data::import::Import as Work;
 use pwrfgs::experiment::{staged, warn_of_findings};
 use pwrfgs::tasks::init::unknown_folder_error;
@@ -61,6 +62,9 @@ pub(crate) struct Import {
     /// Factor for all values, so that they range from 0 to 1
     #[arg(long, value_name = "FACTOR", allow_hyphen_values = true)]
     pub(crate) scale: Option<f64>,
+    /// Colour map of a folder of images, inverted to values: jet, turbo or viridis
+    #[arg(long, value_name = "NAME", value_parser = Colormap::parse, conflicts_with = "links")]
+    pub(crate) colormap: Option<Colormap>,
     /// Mark the spectra as simulated in titles and tables
     #[arg(long)]
     pub(crate) simulated: bool,
@@ -86,6 +90,7 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         elevation: arguments.elevation.as_deref().map(parse_elevation).transpose()?,
         name,
         scale: arguments.scale,
+        colormap: arguments.colormap,
         simulated: arguments.simulated,
     };
     let imported = RunProgress::observe(verbosity, |progress| {

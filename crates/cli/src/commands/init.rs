@@ -5,12 +5,15 @@ use crate::progress::RunProgress;
 use crate::reference::commented::{CommentStyle, Value};
 use crate::reference::example_pipeline;
 use clap::Args;
+use pwrfgs::data::Colormap;
+use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::wrapped;
 use pwrfgs::prelude::Pipeline;
-use pwrfgs::tasks::init::{DataSurvey, pipeline_name, suggest_pipeline};
+use pwrfgs::tasks::init::{DataSurvey, pipeline_name, suggest_pipeline, unknown_folder_error};
 use pwrfgs_core::docs::Docs;
 use pwrfgs_core::files::{check_path, write_new};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::plugin::to_ron;
+use pwrfgs_core::{DataSource, Error, Plugin, Result, recognise};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
@@ -30,6 +33,9 @@ pub(crate) struct Init {
     /// Pipeline file [default: ./NAME.ron, from the name of the folder]
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
+    /// Colour map of camera images, inverted to values: jet, turbo or viridis
+    #[arg(long, value_name = "NAME", value_parser = Colormap::parse)]
+    pub(crate) colormap: Option<Colormap>,
 }
 
 /// Fields of a pipeline in the file; others are shown if they differ from their default.
@@ -53,7 +59,14 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     let is_beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
     let absolute = (!is_beside).then(|| std::path::absolute(folder).ok()).flatten();
     let root = absolute.unwrap_or_else(|| folder.clone());
-    let survey = RunProgress::observe(verbosity, |progress| DataSurvey::read(&root, progress))?;
+    let survey = RunProgress::observe(verbosity, |progress| match arguments.colormap {
+        None => DataSurvey::read(&root, progress),
+        Some(map) => {
+            let source = coloured_source(&root, map)?;
+            let data = staged(progress, "observations", |progress| source.load(Path::new(""), progress))?;
+            DataSurvey::of_data(source, data, Some(&root), progress)
+        }
+    })?;
     let pipeline = suggest_pipeline(&survey, &pipeline_name(folder), &out)?;
     let text = format_pipeline(&survey, &pipeline)?;
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
@@ -63,6 +76,16 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
         return Err(exists());
     }
     output::print_result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.describe(), out.display()))
+}
+
+/// Returns the source for `folder` with a colour map. Returns an error for a layout without a field `colormap`.
+fn coloured_source(folder: &Path, map: Colormap) -> Result<Plugin<dyn DataSource>> {
+    let source = recognise(folder).ok_or_else(|| unknown_folder_error(folder))?;
+    let text = to_ron(&source);
+    let fields = text.trim_end().strip_suffix(')').unwrap_or_default().trim_end().trim_end_matches(',');
+    let text = format!("{fields}, colormap: {map:?})");
+    let only = "--colormap: only for camera images; for a folder of spectra use `pwrfgs import --spectra`";
+    Plugin::parse(&text).map_err(|_| Error::Config(only.into()))
 }
 
 /// Formats the pipeline file, with notes on the data and comments on the settings; an error if the text does not parse

@@ -5,7 +5,7 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::{read_poses, read_transmitters};
 use pwrfgs::experiment::text::grouped;
-use pwrfgs::tasks::plane::{parse_numbers, parse_position};
+use pwrfgs::tasks::plane::{parse_pose, parse_position};
 use pwrfgs::tasks::predict::{PredictSettings, PredictionCount, extrapolation_warning, write_predictions};
 use pwrfgs::tasks::read_models;
 use pwrfgs_core::files::NewFolder;
@@ -94,14 +94,7 @@ fn read_moving_poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
     match (tx, tx_csv, rx_pose, rx_pose_csv) {
         (Some(text), ..) => Ok(vec![parse_position("--tx", text)?.into()]),
         (_, Some(path), ..) => Ok(read_transmitters(path)?.into_iter().map(Pose::from).collect()),
-        (.., Some(text), _) => {
-            let refuse = |fault: &str| Err(Error::Config(format!("--rx-pose {text}: {fault}")));
-            let Some([x, y, z, orientation @ ..]) = parse_numbers::<7>(text) else {
-                return refuse("expected x,y,z,qx,qy,qz,qw, such as 3.5,2.2,1.2,0,0,0,1 for no rotation");
-            };
-            let pose = Pose { position: [x, y, z], orientation };
-            pose.fault().map_or(Ok(vec![pose]), |(_, fault)| refuse(&fault))
-        }
+        (.., Some(text), _) => Ok(vec![parse_pose("--rx-pose", text)?]),
         (.., Some(path)) => read_poses(path),
         _ => Err(Error::Config("no positions; set --tx x,y,z or --tx-csv FILE".into())),
     }

@@ -4,10 +4,11 @@ use crate::interrupt::stop_flag;
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::{Args, ValueEnum};
+use pwrfgs::data::{read_poses, read_transmitters};
 use pwrfgs::experiment::staged;
 use pwrfgs::raytrace::output::{self as folder, OutputLayout};
 use pwrfgs::raytrace::{ObservationKind, SceneFile, SimulationRecipe, mitsuba};
-use pwrfgs::tasks::plane::parse_position;
+use pwrfgs::tasks::plane::{parse_pose, parse_position};
 use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 use std::time::Instant;
@@ -31,6 +32,7 @@ point, unless set here or in a scene file with `mitsuba: ..` (docs/simulator.md)
 
 EXAMPLES
   pwrfgs simulate office --out data/office
+  pwrfgs simulate office --tx-csv walk.csv --layout rssi --no-paths --out data/walk   (where you measured)
   pwrfgs simulate scenes/office.ron --samples 100000 --no-paths --npy --out data/many
   pwrfgs simulate scenes/office-links.ron --layout rssi --noise-db 3 --no-paths --out data/rssi
   pwrfgs simulate scene.xml --carrier-hz 28e9 --receiver 0,0,10 --no-paths --out data/canyon
@@ -58,9 +60,21 @@ pub(crate) struct Simulate {
     /// Standard deviation of received powers in dB, for rssi [default: 0]
     #[arg(long, value_name = "DB")]
     pub(crate) noise_db: Option<f64>,
-    /// Number of transmitters
-    #[arg(long, value_name = "N", default_value_t = 1000)]
-    pub(crate) samples: usize,
+    /// One transmitter position in metres, world frame; with --rx-pose or --rx-pose-csv that of the fixed transmitter
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "tx_csv")]
+    pub(crate) tx: Option<String>,
+    /// CSV file of transmitter positions: columns x, y, z in metres; others are ignored. Rows keep their order
+    #[arg(long, value_name = "FILE")]
+    pub(crate) tx_csv: Option<PathBuf>,
+    /// One pose of a moving receiver: position, and orientation as a quaternion from receiver to world axes
+    #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", allow_hyphen_values = true, conflicts_with_all = ["tx_csv", "rx_pose_csv"])]
+    pub(crate) rx_pose: Option<String>,
+    /// CSV file of poses of a moving receiver: columns x, y, z, qx, qy, qz, qw; others are ignored
+    #[arg(long, value_name = "FILE", conflicts_with = "tx_csv")]
+    pub(crate) rx_pose_csv: Option<PathBuf>,
+    /// Number of drawn transmitters [default: 1000]
+    #[arg(long, value_name = "N", conflicts_with_all = ["tx", "tx_csv", "rx_pose", "rx_pose_csv"])]
+    pub(crate) samples: Option<usize>,
     /// Random seed for transmitter positions and receiver noise
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     pub(crate) seed: u64,
@@ -91,6 +105,18 @@ pub(crate) enum SimulateFormat {
 }
 
 impl Simulate {
+    /// Returns the scene with the stated positions of transmitters, or poses of its receiver, if any.
+    fn with_positions(&self, scene: SceneFile) -> Result<SceneFile> {
+        let tx = self.tx.as_deref().map(|text| parse_position("--tx", text)).transpose()?;
+        match (tx, &self.tx_csv, &self.rx_pose, &self.rx_pose_csv) {
+            (_, _, Some(text), _) => scene.with_receiver_poses(&[parse_pose("--rx-pose", text)?], tx),
+            (_, _, _, Some(file)) => scene.with_receiver_poses(&read_poses(file)?, tx),
+            (_, Some(file), ..) => scene.with_transmitters(read_transmitters(file)?),
+            (Some(tx), ..) => scene.with_transmitters(vec![tx]),
+            _ => Ok(scene),
+        }
+    }
+
     /// Returns the kind of observation and the layout of its files; an option that the layout does not support is an
     /// error.
     fn observation_and_layout(&self) -> Result<(ObservationKind, OutputLayout)> {
@@ -156,9 +182,14 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()>
     let stop = stop_flag();
     let (observe, layout) = arguments.observation_and_layout()?;
     let receiver = arguments.receiver.as_deref().map(|text| parse_position("--receiver", text)).transpose()?;
-    let mut recipe = SimulationRecipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?;
-    recipe.scene = recipe.scene.with_overrides(arguments.carrier_hz, receiver)?;
-    let recipe = recipe.observing(observe)?;
+    let samples = arguments.samples.unwrap_or(1000);
+    let recipe = SimulationRecipe::read(&arguments.scene, samples, arguments.seed, arguments.points)?;
+    if arguments.samples.is_some_and(|samples| samples != recipe.samples) {
+        let count = recipe.samples;
+        return Err(Error::Config(format!("--samples: the scene states {count} positions; remove --samples")));
+    }
+    let scene = recipe.scene.clone().with_overrides(arguments.carrier_hz, receiver)?;
+    let recipe = recipe.with_scene(arguments.with_positions(scene)?)?.observing(observe)?;
     if arguments.scene.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("xml")) {
         let (scene, (low, high)) = (&recipe.scene, recipe.scene.transmitter.positions.corners());
         let (n, hz, at) = (scene.objects.len(), scene.carrier_hz, scene.receiver.position);

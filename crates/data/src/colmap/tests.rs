@@ -74,6 +74,26 @@ fn reads_poses_camera_points_and_luminance() {
     crate::check_dataset(&data).unwrap();
 }
 
+/// The shared folder of images in colours of jet, and that of the same images in grey.
+#[test]
+fn images_of_a_colour_map_are_refused_or_inverted() {
+    let Some(cases) = pwrfgs_core::testing::shared("cases/radio") else { return };
+    let load = |name: &str, colormap| {
+        Colmap { root: cases.join(name), colormap, ..Colmap::default() }.load(Path::new(""), &|_, _| {})
+    };
+    let (grey, jet) = (load("images-grey", None).unwrap(), load("images-jet", Some(Colormap::Jet)).unwrap());
+    for k in 0..12 {
+        let pair = (grey.observations.raw(k), jet.observations.raw(k));
+        let far = pair.0.iter().zip(pair.1.iter()).filter(|(a, b)| a.abs_diff(**b) > 2).count();
+        assert!(far <= 2, "six values have one colour: {far} pixels");
+    }
+    let refused = load("images-jet", None).unwrap_err().to_string();
+    assert!(refused.contains("the colour map jet") && refused.contains("`colormap: Jet` of `Colmap`"), "{refused}");
+    assert!(
+        load("images-grey", Some(Colormap::Jet)).unwrap_err().to_string().contains("is grey, not in colours of jet")
+    );
+}
+
 #[test]
 fn reads_split_distortion_of_zero_and_other_folders() {
     let folder = Folder::new();

@@ -1,6 +1,7 @@
 //! Readers of positions and spectra: NumPy arrays and archives, tables, folders of images.
 
 use super::Sink;
+use crate::colormap::Colormap;
 use crate::nerf2::read_transmitters;
 use crate::npy;
 use crate::pictures::{self, Depth};
@@ -39,11 +40,15 @@ pub(super) fn read_positions(path: &Path, with_spectra: bool) -> Result<Vec<[f64
     Ok(txs)
 }
 
-/// Passes all spectra to `sink`. Returns an error unless their number equals the `count` of transmitters.
-pub(super) fn read_spectra(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result<()> {
+/// Passes all spectra to `sink`; images have colours of `map`, if any. Returns an error unless their number equals the
+/// `count` of transmitters.
+pub(super) fn read_spectra(path: &Path, count: usize, map: Option<Colormap>, sink: &mut Sink<'_>) -> Result<()> {
     let (file, name) = split_array_name(path);
     if file.is_dir() {
-        return read_images(&file, count, sink);
+        return read_images(&file, count, map, sink);
+    }
+    if map.is_some() {
+        return Err(Error::input(&file, "has numbers, not colours; remove --colormap"));
     }
     match extension(&file) {
         "npz" => read_archive(&file, name, "spectra", |path, array, bytes| read_array(path, array, bytes, count, sink)),
@@ -90,7 +95,7 @@ fn read_array(path: &Path, array: &mut dyn Read, bytes: u64, count: usize, sink:
 
 /// Passes the images `NNNNN.png` of a folder to `sink`: number k, counted from 1, is the spectrum of row k. Returns an error
 /// unless there are `count` images of one size and depth.
-fn read_images(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result<()> {
+fn read_images(path: &Path, count: usize, map: Option<Colormap>, sink: &mut Sink<'_>) -> Result<()> {
     let files = pictures::list_images(path, SPECTRA)?;
     let missing = (1..=count as u32).find(|id| !files.contains_key(id));
     if let Some(id) = missing {
@@ -103,7 +108,7 @@ fn read_images(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result<()> {
     }
     let mut first: Option<((usize, usize), Number, String)> = None;
     for (_, file) in files {
-        let picture = pictures::decode_grey_png(&file, Depth::Sixteen)?;
+        let picture = pictures::decode_grey_png(&file, Depth::Sixteen, map)?;
         let size = (picture.width, picture.height);
         match &first {
             None => {

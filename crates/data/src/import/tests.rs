@@ -33,6 +33,7 @@ impl Folder {
             elevation: Some((-90.0, 90.0).into()),
             name: "mine".into(),
             scale: None,
+            colormap: None,
             simulated: false,
         }
     }
@@ -119,6 +120,44 @@ fn reads_images_of_8_and_16_bits() {
     assert!(folder.fault(&folder.work("p")).contains("holds 5 images, but there are 4 transmitters"));
     fs::remove_file(folder.path("p/00002.png")).unwrap();
     assert!(folder.fault(&folder.work("p")).contains("holds no image 00002.png"));
+}
+
+#[test]
+fn coloured_images_are_refused_or_inverted() {
+    let folder = Folder::new();
+    for (name, colours) in [("grey", false), ("jet", true)] {
+        fs::create_dir(folder.path(name)).unwrap();
+        for id in 1..=4u32 {
+            let value = |x: u32, y: u32| (8 * x + y + id) as u8;
+            // From cyan to yellow, jet is linear.
+            let level = |v: u8| ((f64::from(v) / 255.0 - 0.375) / 0.265).clamp(0.0, 1.0);
+            let jet = |v: u8| {
+                let t = 0.375 + 0.265 * level(v);
+                [(t - 0.35) / 0.31, 1.0, (0.65 - t) / 0.31].map(|c| (255.0 * c).round() as u8)
+            };
+            let pixel = |x, y| 96 + value(x, y) % 64;
+            let path = folder.path(&format!("{name}/{id:05}.png"));
+            if colours {
+                image::RgbImage::from_fn(36, 9, |x, y| image::Rgb(jet(pixel(x, y)))).save(path).unwrap();
+            } else {
+                ImageBuffer::<Luma<u8>, _>::from_fn(36, 9, |x, y| Luma([pixel(x, y)])).save(path).unwrap();
+            }
+        }
+    }
+    let refused = folder.fault(&folder.work("jet"));
+    assert!(refused.contains("DIR/jet/00001.png: has the colours of the colour map jet"), "{refused}");
+    assert!(refused.contains("or give --colormap jet"), "{refused}");
+    let work = Import { colormap: Some(Colormap::Jet), ..folder.work("grey") };
+    assert!(folder.fault(&work).contains("is grey, not in colours of jet; remove --colormap"));
+    let work = Import { colormap: Some(Colormap::Jet), ..folder.floats("a.npy", 23, 0.5) };
+    assert!(folder.fault(&work).contains("has numbers, not colours; remove --colormap"));
+    let grey = folder.import(&folder.work("grey")).1;
+    let work = Import { colormap: Some(Colormap::Jet), ..folder.work("jet") };
+    let jet = folder.import(&work).1;
+    for k in 0..4 {
+        let pair = (grey.observations.raw(k), jet.observations.raw(k));
+        assert!(pair.0.iter().zip(pair.1.iter()).all(|(a, b)| a.abs_diff(*b) <= 1), "{pair:?}");
+    }
 }
 
 #[test]

@@ -1,9 +1,12 @@
 //! The header of a PLY file: encoding, elements and their properties.
 
+use crate::polygons::MOST_TRIANGLES;
 use crate::text::TextRow;
 use pwrfgs_core::{Error, Result, messages::quoted};
 use std::path::Path;
 
+/// Element of triangle strips, as the Stanford models have.
+pub(super) const STRIPS: &str = "tristrips";
 /// Largest number of lines of a header: each name is compared with all others.
 const MOST_LINES: usize = 10_000;
 
@@ -24,6 +27,8 @@ pub(super) enum Scalar {
     U16,
     I32,
     U32,
+    I64,
+    U64,
     F32,
     F64,
 }
@@ -75,6 +80,8 @@ impl Scalar {
             "ushort" | "uint16" => Self::U16,
             "int" | "int32" => Self::I32,
             "uint" | "uint32" => Self::U32,
+            "int64" => Self::I64,
+            "uint64" => Self::U64,
             "float" | "float32" => Self::F32,
             "double" | "float64" => Self::F64,
             _ => return None,
@@ -87,23 +94,8 @@ impl Scalar {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
             Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
+            Self::I64 | Self::U64 | Self::F64 => 8,
         }
-    }
-
-    /// Returns the expected format of a number in an ascii file if the text does not match it; `None` if it does.
-    pub(super) fn misfit(self, text: &str) -> Option<&'static str> {
-        let whole = |low: i64, high: i64| text.parse().is_ok_and(|v: i64| (low..=high).contains(&v));
-        let (fits, expected) = match self {
-            Self::I8 => (whole(-0x80, 0x7f), "a char, a whole number from -128 to 127"),
-            Self::U8 => (whole(0, 0xff), "a uchar, a whole number from 0 to 255"),
-            Self::I16 => (whole(-0x8000, 0x7fff), "a short, a whole number from -32768 to 32767"),
-            Self::U16 => (whole(0, 0xffff), "a ushort, a whole number from 0 to 65535"),
-            Self::I32 => (whole(i64::from(i32::MIN), i64::from(i32::MAX)), "an int, a whole number of 32 bits"),
-            Self::U32 => (whole(0, i64::from(u32::MAX)), "a uint, a whole number of 32 bits"),
-            Self::F32 | Self::F64 => (text.parse::<f64>().is_ok(), "a number"),
-        };
-        (!fits).then_some(expected)
     }
 
     /// Converts the number in `raw`, which is [`Self::size`] bytes long, big or little endian.
@@ -121,6 +113,8 @@ impl Scalar {
             Self::U16 => f64::from(u16::from_le_bytes([a, b])),
             Self::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
             Self::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
+            Self::I64 => i64::from_le_bytes(bytes) as f64,
+            Self::U64 => u64::from_le_bytes(bytes) as f64,
             Self::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
             Self::F64 => f64::from_le_bytes(bytes),
         }
@@ -128,12 +122,15 @@ impl Scalar {
 }
 
 impl PlyHeader {
-    /// Parses the header, up to and including `end_header`. Returns an error for an invalid or missing line.
+    /// Parses the header, up to and including `end_header`; its lines end by LF, CR LF, or CR alone. Returns an error for an
+    /// invalid or missing line.
     pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<Self> {
+        let is_cr = bytes.starts_with(b"ply\r") && !bytes.starts_with(b"ply\r\n");
+        let line_end = if is_cr { b'\r' } else { b'\n' };
         let (mut encoding, mut elements) = (None, Vec::new());
         let (mut start, mut line) = (0, 0);
         loop {
-            let Some(length) = bytes[start..].iter().position(|&b| b == b'\n') else {
+            let Some(length) = bytes[start..].iter().position(|&b| b == line_end) else {
                 return Err(Error::input(path, if bytes.starts_with(b"ply") { UNENDED } else { NOT_PLY }));
             };
             let text = String::from_utf8_lossy(&bytes[start..start + length]);
@@ -160,11 +157,18 @@ impl PlyHeader {
         Ok(Self { encoding, elements, vertex, xyz, bytes: start, lines: line })
     }
 
-    /// Returns the index of the element `face`, and of its list of corners. Returns an error if one is missing.
+    /// Returns the index of the element `face` or `tristrips`, and of its list of corners. Returns an error if one is missing,
+    /// or for too many faces.
     pub(super) fn find_corner_list(&self, path: &Path) -> Result<(usize, usize)> {
-        let Some(face) = self.elements.iter().position(|e| e.name == "face") else {
+        let named = |name: &str| self.elements.iter().position(|e| e.name == name);
+        let Some(face) = named("face").or_else(|| named(STRIPS)) else {
             return Err(Error::input(path, "has no element `face`; export a mesh, not a point cloud"));
         };
+        let count = self.elements[face].count;
+        if count > MOST_TRIANGLES {
+            let problem = format!("the mesh has {count} faces, more than {MOST_TRIANGLES}; simplify it");
+            return Err(Error::at(path, self.elements[face].line, 1, problem));
+        }
         let is_corner_list = |p: &Property| {
             ["vertex_indices", "vertex_index"].contains(&p.name.as_str()) && matches!(p.kind, PropertyKind::List { .. })
         };
@@ -181,7 +185,7 @@ const UNOWNED: &str = "precedes any element; write an `element` line first";
 const UNFORMATTED: &str = "has no `format` line; write `format ascii 1.0` or a binary one";
 const NOT_PLY: &str = "is not a PLY file, which begins with the line `ply`; check the file or its extension";
 const FORMATS: &str = "is not a format; use ascii, binary_little_endian or binary_big_endian";
-const TYPES: &str = "is not a type; use char, uchar, short, ushort, int, uint, float or double";
+const TYPES: &str = "is not a type; use char, uchar, short, ushort, int, uint, int64, uint64, float or double";
 
 impl PlyEncoding {
     /// Parses the name of an encoding; `None` for other words.

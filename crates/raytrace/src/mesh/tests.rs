@@ -1,6 +1,7 @@
 //! A cube in every file format, and errors of invalid surfaces.
 
 use super::*;
+use crate::scene::SceneFile;
 use proptest::prelude::*;
 use pwrfgs_core::testing::shared;
 
@@ -122,16 +123,20 @@ fn mesh_is_scaled_then_rotated_then_shifted() {
 #[test]
 fn reports_invalid_surfaces() {
     let sample = |text: &str| read_text("a.obj", text.as_bytes()).unwrap_err();
-    assert_eq!(sample("v 0 0 0\n"), "DIR/a.obj: holds no triangle; export a surface with faces");
-    let advice = "has no area; remove degenerate faces in the modelling program";
+    let empty = "DIR/a.obj: holds no triangle with an area; export a surface with faces";
+    assert_eq!(sample("v 0 0 0\n"), empty);
     let v = "v 0 0 0\nv 1 0 0\nv 2 0 0\nv 0 1 0\nv 2 1e-9 0\nv 0 0 0\n";
     for face in ["1 2 3", "1 2 2", "1 2 5", "1 6 4"] {
-        assert_eq!(sample(&format!("{v}f 1 2 4\nf {face}\n")), format!("DIR/a.obj: triangle 2 at (0, 0, 0) {advice}"));
+        let mesh = read_text("a.obj", format!("{v}f 1 2 4\nf {face}\n").as_bytes()).unwrap();
+        assert_eq!(area(&mesh), 0.5, "a triangle without area is left out");
+        assert_eq!(sample(&format!("{v}f {face}\n")), empty);
     }
     assert!(read_text("a.obj", format!("{v}v 2 1e-6 0\nf 1 2 7\n").as_bytes()).is_ok(), "a sliver is a triangle");
     let by_hand = |vertices: Vec<DVec3>, triangle: [u32; 3]| {
         Mesh { vertices, triangles: vec![triangle] }.check(Path::new("a")).unwrap_err().to_string()
     };
+    let flat = by_hand(vec![DVec3::ZERO, DVec3::X, 2.0 * DVec3::X], [0, 1, 2]);
+    assert_eq!(flat, "a: triangle 1 at (0, 0, 0) has no area; remove degenerate faces in the modelling program");
     let corners = vec![DVec3::ZERO, DVec3::X, DVec3::new(0.0, f64::NAN, 0.0)];
     assert_eq!(
         by_hand(corners.clone(), [0, 1, 3]),
@@ -141,6 +146,83 @@ fn reports_invalid_surfaces() {
         by_hand(corners, [0, 1, 2]),
         "a: triangle 1 has a vertex that is not finite; give every vertex a finite x, y and z"
     );
+}
+
+/// Plate of 10 m by 8 m, as OBJ without its faces.
+const PLATE: &str = "v -5 -4 0\nv 5 -4 0\nv 5 4 0\nv -5 4 0\n";
+
+#[test]
+fn meshes_of_other_programs_have_their_area() {
+    let ply = |elements: &str, rows: &str| {
+        let vertices = PLATE.replace("v ", "");
+        let xyz = "property float x\nproperty float y\nproperty float z";
+        format!("ply\nformat ascii 1.0\nelement vertex 4\n{xyz}\nelement {elements}\nend_header\n{vertices}{rows}\n")
+    };
+    let faces = |count: usize| format!("face {count}\nproperty list uchar int vertex_indices");
+    let cases = [
+        ("degenerate.ply", ply(&faces(3), "3 0 1 2\n3 0 2 3\n3 0 0 1"), 2, 80.0),
+        ("quad-corner-twice.obj", format!("{PLATE}f 1 2 2 3\nf 1 3 4 4\n"), 2, 80.0),
+        (
+            "concave-U.obj",
+            "v 0 0 0\nv 6 0 0\nv 6 5 0\nv 4 5 0\nv 4 2 0\nv 2 2 0\nv 2 5 0\nv 0 5 0\nf 1 2 3 4 5 6 7 8\n".into(),
+            6,
+            24.0,
+        ),
+        ("continued-line.obj", format!("{PLATE}f 1 2 \\\n3 4\n"), 2, 80.0),
+        ("bom.obj", format!("\u{feff}{PLATE}f 1 2 3 4\n"), 2, 80.0),
+        ("cr-lines.ply", ply(&faces(2), "3 0 1 2\n3 0 2 3").replace('\n', "\r"), 2, 80.0),
+        ("tristrips.ply", ply("tristrips 1\nproperty list int int vertex_indices", "5 0 1 3 2 -1"), 2, 80.0),
+    ];
+    for (name, text, triangles, size) in cases {
+        let mesh = read_text(name, text.as_bytes()).unwrap();
+        assert_eq!((mesh.triangles.len(), area(&mesh)), (triangles, size), "{name}");
+        let up = mesh.all_corners().iter().all(|[a, b, c]| (b - a).cross(c - a).z > 0.0);
+        assert!(up, "{name}");
+    }
+    let Some(folder) = shared("cases/scenes/mesh") else { return };
+    for (name, triangles, size) in [
+        "degenerate.ply",
+        "quad-corner-twice.obj",
+        "continued-line.obj",
+        "bom.obj",
+        "cr-lines.ply",
+        "final-newline.ply",
+        "tristrips.ply",
+    ]
+    .map(|name| (name, 2, 80.0))
+    .into_iter()
+    .chain([("concave-U.obj", 6, 24.0)])
+    {
+        let mesh = read_mesh(&folder.join(name)).unwrap();
+        assert_eq!((mesh.triangles.len(), area(&mesh)), (triangles, size), "{name}");
+    }
+}
+
+#[test]
+fn shared_xml_files_give_their_right_answers() {
+    let Some(folder) = shared("cases/scenes/xml") else { return };
+    for (name, triangles, size) in [
+        ("cube.xml", 14, 118.0),
+        ("rectangle.xml", 4, 160.0),
+        ("unused-visual-material.xml", 2, 80.0),
+        ("radio-material-named-itu.xml", 2, 80.0),
+    ] {
+        let scene = SceneFile::read(&folder.join(name)).unwrap();
+        let meshes: Vec<Mesh> = scene.objects.iter().map(|object| object.placed_mesh(false).unwrap()).collect();
+        let count = meshes.iter().map(|mesh| mesh.triangles.len()).sum::<usize>();
+        assert!((count, meshes.iter().map(area).sum()) == (triangles, size), "{name}");
+        let glass = name.starts_with("radio-material");
+        let materials = scene.objects.iter().map(|object| &*object.finish().unwrap().material);
+        assert!(materials.into_iter().all(|material| material == if glass { "glass" } else { "concrete" }), "{name}");
+    }
+}
+
+#[test]
+fn named_meshes_are_those_of_mitsuba() {
+    let [cube, plate] = ["cube", "rectangle"].map(|name| read_mesh(Path::new(name)).unwrap());
+    assert!(cube.is_closed() && (volume(&cube), area(&cube), cube.triangles.len()) == (8.0, 24.0, 12));
+    assert_eq!((area(&plate), plate.triangles.len()), (4.0, 2));
+    assert!(plate.all_corners().iter().all(|[a, b, c]| (b - a).cross(c - a) == 4.0 * DVec3::Z));
 }
 
 #[test]

@@ -231,7 +231,9 @@ impl DatasetFiles {
             let text = self.carriers_hz.iter().map(|hz| format!("{hz:?}\n")).collect::<Vec<_>>().concat();
             files::write(&self.folder.join(CARRIERS), text.repeat(samples))?;
         }
-        for (name, is_wanted) in [("train_index.txt", false), ("test_index.txt", true)] {
+        let lists = [("train_index.txt", false), ("test_index.txt", true)];
+        // Readers reject an empty list.
+        for (name, is_wanted) in lists.into_iter().filter(|_| samples >= TEST_EVERY) {
             let ids = (0..samples * rows).filter(|i| is_test_sample(i / rows) == is_wanted);
             let line = |i: usize| match self.layout.first_id() {
                 0 => format!("{i}\n"),

@@ -67,11 +67,13 @@ pub struct SceneTransmitter {
 }
 
 /// A moving receiver and a fixed transmitter, which stands at the position of `receiver`. The array stands at the positions
-/// that `transmitter` draws.
+/// of `transmitter`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MovingReceiver {
-    /// Each orientation is that of `receiver`, turned about the vertical by a uniform angle of up to ± this, degrees.
+    /// Each orientation is that of `receiver`, turned about the vertical by a uniform angle of up to ± this, degrees;
+    /// default 0. Not used if `transmitter` states the orientations.
+    #[serde(default)]
     pub turn_deg: f64,
 }
 

@@ -5,14 +5,15 @@ mod limits;
 use super::room::{Finish, Object};
 use crate::material::{self, Material};
 use crate::mesh::MOST_TRIANGLES;
-use glam::{DAffine3, DMat4, DVec3};
+use glam::{DAffine3, DMat3, DMat4, DVec3};
 use limits::{LONGEST, check_tags, expand_variables};
 use pwrfgs_core::messages::{quoted, strip_control};
 use pwrfgs_core::{Error, Result, did_you_mean, files};
+use pwrfgs_data::warn_once;
 use roxmltree::{Document, Node};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Largest XML file, bytes.
 const MOST_BYTES: u64 = 8 << 20;
@@ -50,12 +51,13 @@ pub(crate) struct MitsubaScene {
 }
 
 impl MitsubaScene {
-    /// Reads the shapes and radio materials of an XML file; paths of meshes become relative to the current directory.
+    /// Reads the shapes of an XML file and the materials that they use; paths of meshes become relative to the current
+    /// directory. Names in `own` are materials of the scene file, which have precedence.
     ///
     /// # Errors
     /// The file cannot be read, is not valid XML, has an element or material that is not supported, or names a missing
     /// mesh; the message has line and column.
-    pub(crate) fn read(path: &Path) -> Result<Self> {
+    pub(crate) fn read<'s>(path: &Path, own: impl Iterator<Item = &'s String>) -> Result<Self> {
         let text = files::read_text_at_most(path, MOST_BYTES)?;
         check_tags(path, &text)?;
         let document = Document::parse(&text).map_err(|e| {
@@ -67,8 +69,9 @@ impl MitsubaScene {
                 format!("invalid XML: {}; export the scene again", strip_control(&e.to_string())),
             )
         })?;
-        let mut reader = Reader { path, document: &document, variables: BTreeMap::new(), finishes: BTreeMap::new() };
-        reader.read_scene()
+        let own = own.map(String::as_str).collect();
+        let (variables, materials, finishes) = Default::default();
+        Reader { path, document: &document, own, variables, materials, finishes }.read_scene()
     }
 
     /// Returns default positions of the antennas from the size of the meshes, metres: receiver, and smallest and largest
@@ -107,9 +110,13 @@ impl MitsubaScene {
 struct Reader<'a> {
     path: &'a Path,
     document: &'a Document<'a>,
+    /// Names of the materials of the scene file.
+    own: BTreeSet<&'a str>,
     /// Values of `<default>`, inserted for `$name`.
     variables: BTreeMap<&'a str, &'a str>,
-    /// Materials so far, by id.
+    /// Elements of materials, by id and alias.
+    materials: BTreeMap<String, Element<'a>>,
+    /// Materials that shapes use so far, by id.
     finishes: BTreeMap<String, Finish>,
 }
 
@@ -146,7 +153,12 @@ impl<'a> Reader<'a> {
         for node in child_elements(root) {
             match node.tag_name().name() {
                 "default" => self.read_variable(node)?,
-                "bsdf" => drop(self.read_material(node, &mut scene)?),
+                "bsdf" => self.declare_material(node, &mut scene)?,
+                "alias" => {
+                    let [id, alias] = ["id", "as"].map(|name| self.required_attribute(node, name));
+                    let named = self.materials.get(&id?).copied();
+                    self.materials.extend(named.map(|node| alias.map(|alias| (alias, node))).transpose()?);
+                }
                 name => {
                     let problem = "put its shapes and materials into this file";
                     let problem = format!("unsupported element {}; {problem}", quoted(name));
@@ -231,19 +243,45 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
+    /// Adds a `bsdf` element to `materials`, and reads a radio material; others are read when a shape uses them. Returns an
+    /// error for a repeated id, or an invalid radio material.
+    fn declare_material(&mut self, node: Element<'a>, scene: &mut MitsubaScene) -> Result<()> {
+        let Some(id) = self.attribute(node, "id")? else { return Ok(()) };
+        let problem = format!("two materials have the id {}; rename one of them", quoted(&id));
+        let other = self.materials.insert(id, node);
+        self.require(other.is_none(), node, problem)?;
+        let is_radio = node.attribute("type").is_some_and(|kind| kind.ends_with("radio-material"));
+        if is_radio { self.finish_of(node, scene).map(drop) } else { Ok(()) }
+    }
+
+    /// Returns the finish of a `bsdf` element, which is read at its first use. Returns the errors of
+    /// [`Self::read_material`].
+    fn finish_of(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
+        let known = self.attribute(node, "id")?.and_then(|id| self.finishes.get(&id).cloned());
+        known.map_or_else(|| self.read_material(node, scene), Ok)
+    }
+
     /// Reads a `bsdf` element: adds its finish to `finishes`, and a material with constants of its own to `scene`. Returns
-    /// an error unless it is a radio material with a new id.
+    /// an error unless it is a radio material, or one of the scene file.
     fn read_material(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
         let unnamed = || format!("material {}", self.finishes.len() + 1);
         let (id, kind) = (self.attribute(node, "id")?.unwrap_or_else(unnamed), self.required_attribute(node, "type")?);
         let (itu_names, shown) = (material::itu_material_names(), quoted(&id));
         let plain = id.strip_prefix("mat-").unwrap_or(&id);
         let itu = plain.strip_prefix("itu_").or_else(|| plain.strip_prefix("itu-"));
-        let itu = itu.filter(|_| kind != "radio-material"); // which states its own constants
+        let itu = itu.filter(|name| kind != "radio-material" || itu_names.contains(name));
+        let own = [&*id, plain].into_iter().find(|name| self.own.contains(name));
         if ["radio-material", "itu-radio-material"].contains(&&*kind) {
             self.check_properties(node)?;
         }
-        let material = if kind == "itu-radio-material" || itu.is_some() {
+        let material = if let Some(name) = own {
+            name.to_owned()
+        } else if kind == "itu-radio-material" || itu.is_some() {
+            if kind == "radio-material" {
+                let reason =
+                    "has the constants of ITU-R P.2040, as in Sionna RT, not those in the file; rename it to keep them";
+                warn_once(self.path, format_args!("material {shown} {reason}"));
+            }
             let type_node = property_element(node, "type");
             let stated = type_node.map(|child| self.required_attribute(child, "value")).transpose()?;
             let name = stated.or(itu.map(str::to_owned)).unwrap_or_default();
@@ -254,8 +292,8 @@ impl<'a> Reader<'a> {
             }
             name
         } else {
-            let problem = "is not a radio material; rename it to `itu_concrete` or another ITU material, or set its type to \
-                        `itu-radio-material`";
+            let problem = "is not a radio material; rename it to `itu_concrete` or another ITU material, set its type to \
+                        `itu-radio-material`, or give its constants in `materials` of a scene file";
             let problem = format!("material {shown} of type {} {problem}", quoted(&kind));
             self.require(kind == "radio-material", node, problem)?;
             let a = self.property_number(node, "relative_permittivity", 1.0, 1e6)?.unwrap_or(1.0);
@@ -271,25 +309,23 @@ impl<'a> Reader<'a> {
         let thickness_m = Some(self.property_number(node, "thickness", 1e-6, 10.0)?.unwrap_or(THICKNESS));
         let roughness = self.property_number(node, "scattering_coefficient", 0.0, 1.0)?;
         let finish = Finish { material, thickness_m, roughness };
-        let other = self.finishes.insert(id, finish.clone());
-        self.require(other.is_none(), node, format_args!("two materials have the id {shown}; rename one of them"))?;
+        self.finishes.insert(id, finish.clone());
         Ok(finish)
     }
 
     /// Reads a shape as an object with a hollow mesh, and adds a material inside it to `scene`. Returns an error for an
     /// unsupported shape or transform, or a missing mesh or material.
-    fn read_shape(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Object> {
-        let kind = quoted(&self.required_attribute(node, "type")?);
-        let problem = format!("unsupported shape type {kind}; export the shape as a PLY mesh");
-        self.require(["`ply`", "`obj`"].contains(&&*kind), node, problem)?;
+    fn read_shape(&mut self, node: Element<'a>, scene: &mut MitsubaScene) -> Result<Object> {
+        let kind = self.required_attribute(node, "type")?;
         let name = self.attribute(node, "id")?.unwrap_or(format!("shape {}", scene.objects.len() + 1));
-        let source = property_element(node, "filename");
-        let source = source.ok_or_else(|| self.fault(node, "a shape needs a `filename`; add the path of its mesh"))?;
-        let stated = self.required_attribute(source, "value")?.replace('\\', "/");
-        let file = self.path.parent().unwrap_or(Path::new("")).join(&stated);
-        let problem =
-            "is missing: paths begin in the folder of the XML file, so copy its meshes too, or correct the path";
-        self.require(file.is_file(), source, format_args!("mesh {} {problem}", quoted(&stated)))?;
+        let file = match &*kind {
+            "ply" | "obj" => self.mesh_file(node)?,
+            "cube" | "rectangle" => (&kind).into(),
+            _ => {
+                let problem = format!("unsupported shape type {}; export the shape as a PLY mesh", quoted(&kind));
+                return Err(self.fault(node, problem));
+            }
+        };
         let finish = self.read_finish(node, scene)?;
         let mut matrix = None;
         for transform in child_elements(node).filter(|child| child.has_tag_name("transform")) {
@@ -304,21 +340,35 @@ impl<'a> Reader<'a> {
         Ok(Object::Mesh { name, file, matrix, scale: 1.0, yaw_deg: 0.0, shift: [0.0; 3], hollow: true, finish })
     }
 
+    /// Returns the path of the mesh of a shape. Returns an error if it is missing.
+    fn mesh_file(&self, node: Element<'_>) -> Result<PathBuf> {
+        let source = property_element(node, "filename");
+        let source = source.ok_or_else(|| self.fault(node, "a shape needs a `filename`; add the path of its mesh"))?;
+        let stated = self.required_attribute(source, "value")?.replace('\\', "/");
+        let file = self.path.parent().unwrap_or(Path::new("")).join(&stated);
+        let problem =
+            "is missing: paths begin in the folder of the XML file, so copy its meshes too, or correct the path";
+        self.require(file.is_file(), source, format_args!("mesh {} {problem}", quoted(&stated)))?;
+        Ok(file)
+    }
+
     /// Reads the finish of a shape: inside it, which is also added to `scene`, or referenced. Returns an error if it is
     /// missing.
-    fn read_finish(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
+    fn read_finish(&mut self, node: Element<'a>, scene: &mut MitsubaScene) -> Result<Finish> {
         if let Some(inner) = child_elements(node).find(|child| child.has_tag_name("bsdf")) {
-            return self.read_material(inner, scene);
+            self.declare_material(inner, scene)?;
+            return self.finish_of(inner, scene);
         }
         let is_bsdf = |child: &Element<'_>| child.attribute("name").is_none_or(|name| name == "bsdf");
         let reference = child_elements(node).filter(is_bsdf).find(|child| child.has_tag_name("ref"));
         let problem = "the shape has no material; add <ref id=\"..\" name=\"bsdf\"/> with the id of a `bsdf`";
         let reference = reference.ok_or_else(|| self.fault(node, problem))?;
         let id = self.required_attribute(reference, "id")?;
-        self.finishes.get(&id).cloned().ok_or_else(|| {
-            let hint = did_you_mean(&id, self.finishes.keys().map(String::as_str));
+        let material = self.materials.get(&id).copied().ok_or_else(|| {
+            let hint = did_you_mean(&id, self.materials.keys().map(String::as_str));
             self.fault(reference, format!("unknown material {}{hint}; add a `bsdf` with this id", quoted(&id)))
-        })
+        })?;
+        self.finish_of(material, scene)
     }
 
     /// Reads a `transform` element as one map: its steps applied in order. Returns an error for an unsupported step or
@@ -342,7 +392,12 @@ impl<'a> Reader<'a> {
                     Some(rows @ [.., 0.0, 0.0, 0.0, 1.0]) if rows.len() == 16 => {
                         DAffine3::from_mat4(DMat4::from_cols_slice(rows).transpose())
                     }
-                    _ => return Err(fault("`matrix` needs 16 numbers, row by row, the last row 0 0 0 1")),
+                    Some(rows) if rows.len() == 9 => DAffine3::from_mat3(DMat3::from_cols_slice(rows).transpose()),
+                    _ => {
+                        return Err(fault(
+                            "`matrix` needs 16 numbers, row by row, the last row 0 0 0 1, or 9 without translation",
+                        ));
+                    }
                 },
                 _ => return Err(fault("unsupported transform; use translate, scale, rotate or matrix")),
             };

@@ -187,7 +187,8 @@ pub enum Object {
     Mesh {
         /// Name of the object.
         name: String,
-        /// OBJ or PLY file, relative to the scene file.
+        /// OBJ or PLY file, relative to the scene file; or `cube`, from -1 to 1 on each axis; or `rectangle`, from -1 to 1
+        /// in x and y.
         file: PathBuf,
         /// Affine map before scaling, rotation and shift: the first three rows of a 4 x 4 matrix; default none.
         #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -6,9 +6,11 @@ mod tests;
 use super::room::FAR;
 use glam::DVec3;
 use pwrfgs_core::rng::{self, Rng};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Pose, Result};
+use pwrfgs_data::{read_poses, read_transmitters};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
 
 /// Resolution of positions, metres, so that the four decimals of `tx_pos.csv` are exact.
 const GRAIN: f64 = 1e-4;
@@ -33,9 +35,9 @@ const STEEPEST: f64 = 1.4;
 /// Correlation of the wobble between consecutive steps.
 const MEMORY: f64 = 0.45;
 
-/// Transmitter positions of a simulated scene: in a box of the world frame, metres.
+/// Transmitter positions of a simulated scene: drawn in a box of the world frame, or stated; metres.
 ///
-/// Positions are multiples of 0.1 mm inside the box, as in measured files. Equal seeds give equal positions.
+/// Drawn positions are multiples of 0.1 mm inside the box, as in measured files. Equal seeds give equal positions.
 ///
 /// * `Uniform(low, high)`: independent positions, uniform in the free space of the box. A longer draw begins with the
 ///   shorter one.
@@ -46,6 +48,9 @@ const MEMORY: f64 = 0.45;
 /// * `Walk(low, high, step_m)`: a carried transmitter, as in the measured `s23` set. Steps have a median length of
 ///   `step_m` and a heavy tail (a recording with gaps), the heading wanders and wobbles, walls of the box reflect, and
 ///   the walk turns away from obstacles. A longer draw begins with the shorter one.
+/// * `Csv(file)`: the rows of a file in their order, with the columns x, y and z; for a moving receiver its poses, with the
+///   columns qx, qy, qz and qw too. There are as many samples as rows.
+/// * `Listed(positions)`: these positions in their order. There are as many samples as positions.
 ///
 /// ```
 /// # use pwrfgs_raytrace::scene::Transmitters;
@@ -82,15 +87,28 @@ pub enum Transmitters {
         /// Median length of a step, metres; 0.0104 in the measured `s23` set.
         step_m: f64,
     },
+    /// Rows of a file, relative to the scene file; [`crate::SceneFile::read`] replaces it with `Listed`.
+    Csv(PathBuf),
+    /// Stated positions.
+    Listed {
+        /// Positions, metres.
+        positions: Vec<[f64; 3]>,
+        /// Orientation of a moving receiver at each position: quaternions x, y, z, w; default that of the scene.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        orientations: Vec<[f64; 4]>,
+    },
 }
 
 impl Transmitters {
     /// Returns an error for a box without positions, or a step out of range: the problem and the next step.
     pub fn check(&self) -> Result<(), String> {
+        if let Self::Listed { positions, orientations } = self {
+            return check_listed(positions, orientations);
+        }
         let (low, high) = self.corners();
         let region = Region::new(low, high)?;
         match *self {
-            Self::Uniform { .. } => Ok(()),
+            Self::Uniform { .. } | Self::Csv(_) | Self::Listed { .. } => Ok(()),
             Self::Grid { step_m, .. } => {
                 if !(GRAIN..=FAR).contains(&step_m) {
                     return Err(format!("`step_m` of the grid is {step_m}; give a length of 0.0001 m or more"));
@@ -118,6 +136,10 @@ impl Transmitters {
     /// Errors of [`Self::check`]; no free space; a grid with too few points or a blocked one.
     pub fn draw(&self, count: usize, seed: u64, free: FreeSpace<'_>) -> Result<Vec<DVec3>> {
         self.check().map_err(position_error)?;
+        if let Self::Listed { positions, .. } = self {
+            let checked = |(number, position): (usize, &[f64; 3])| check_free(number, DVec3::from(*position), free);
+            return positions.iter().take(count).enumerate().map(checked).collect();
+        }
         let (low, high) = self.corners();
         let region = Region::new(low, high).map_err(position_error)?;
         let mut sampler = Sampler { region, random: rng::stream(seed, "transmitters", 0), free };
@@ -125,15 +147,78 @@ impl Transmitters {
             Self::Uniform { .. } => (0..count).map(|i| sampler.draw_free_position(i)).collect(),
             Self::Grid { step_m, .. } => sampler.draw_grid(grid_cells(low, high, step_m), step_m, count),
             Self::Walk { step_m, .. } => sampler.draw_walk(step_m, count),
+            Self::Csv(_) | Self::Listed { .. } => Err(position_error("the file of positions is not read yet")),
         }
     }
 
-    /// Returns the smallest and largest corner of the box, metres.
+    /// Returns the smallest and largest corner of the box, or of the stated positions, metres; zero for a file.
     pub fn corners(&self) -> ([f64; 3], [f64; 3]) {
-        match *self {
-            Self::Uniform { low, high } | Self::Grid { low, high, .. } | Self::Walk { low, high, .. } => (low, high),
+        match self {
+            Self::Uniform { low, high } | Self::Grid { low, high, .. } | Self::Walk { low, high, .. } => (*low, *high),
+            Self::Csv(_) => ([0.0; 3], [0.0; 3]),
+            Self::Listed { positions, .. } => {
+                let ends = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+                let (low, high) = positions.iter().fold(ends, |(low, high), p| {
+                    let p = DVec3::from(*p);
+                    (low.min(p), high.max(p))
+                });
+                (low.to_array(), high.to_array())
+            }
         }
     }
+
+    /// Creates the list of the positions and orientations of a moving receiver.
+    pub(super) fn of_poses(poses: &[Pose]) -> Self {
+        let orientations = poses.iter().map(|pose| pose.orientation).collect();
+        Self::Listed { positions: poses.iter().map(|pose| pose.position).collect(), orientations }
+    }
+
+    /// Returns the number of stated positions; `None` if they are drawn.
+    pub(crate) fn listed_count(&self) -> Option<usize> {
+        if let Self::Listed { positions, .. } = self { Some(positions.len()) } else { None }
+    }
+
+    /// Replaces a file, relative to `folder`, by its rows: poses if the receiver moves (`with_poses`), else positions.
+    /// Returns the errors of its reader.
+    pub(super) fn read_file(&mut self, folder: &Path, with_poses: bool) -> Result<()> {
+        let Self::Csv(file) = self else { return Ok(()) };
+        let file = folder.join(file);
+        *self = if with_poses {
+            Self::of_poses(&read_poses(&file)?)
+        } else {
+            Self::Listed { positions: read_transmitters(&file)?, orientations: Vec::new() }
+        };
+        Ok(())
+    }
+}
+
+/// Returns an error for no position, one that is too far, or another number of orientations or one of wrong length.
+fn check_listed(positions: &[[f64; 3]], orientations: &[[f64; 4]]) -> Result<(), String> {
+    if positions.is_empty() {
+        return Err("`positions` is empty; give at least one".into());
+    }
+    if let Some(i) = positions.iter().position(|p| !p.iter().all(|v| v.abs() <= FAR)) {
+        return Err(format!("position {} is {:?}; give finite metres within {:.0} km", i + 1, positions[i], FAR / 1e3));
+    }
+    let is_unit = |q: &[f64; 4]| (q.iter().map(|v| v * v).sum::<f64>().sqrt() - 1.0).abs() < 0.01;
+    if let Some(i) = orientations.iter().position(|q| !is_unit(q)) {
+        return Err(format!("orientation {} is {:?}; give a unit quaternion x, y, z, w", i + 1, orientations[i]));
+    }
+    if orientations.is_empty() || orientations.len() == positions.len() {
+        return Ok(());
+    }
+    Err(format!("{} orientations for {} positions; give as many of each", orientations.len(), positions.len()))
+}
+
+/// Returns the position of sample `number`, counted from 0, or an error if it is not free.
+fn check_free(number: usize, position: DVec3, free: FreeSpace<'_>) -> Result<DVec3> {
+    free(position).map(|()| position).map_err(|obstacle| {
+        let DVec3 { x, y, z } = position;
+        Error::Config(format!(
+            "transmitter {} at ({x}, {y}, {z}) is {obstacle}; move the positions or the object",
+            number + 1
+        ))
+    })
 }
 
 /// Tests whether a position, metres, can hold a transmitter, and returns the obstacle otherwise, such as ``inside `desk 2` ``.
@@ -263,11 +348,7 @@ impl Sampler<'_> {
         let position_at = |(number, index): (usize, usize)| {
             let cell = [index % cells[0], index / cells[0] % cells[1], index / cells[0] / cells[1]];
             let position = region.nearest(first + step * DVec3::from_array(cell.map(|i| i as f64)));
-            (self.free)(position).map(|()| position).map_err(|obstacle| {
-                let DVec3 { x, y, z } = position;
-                let problem = format!("transmitter {} at ({x}, {y}, {z}) is {obstacle}", number + 1);
-                Error::Config(format!("{problem}; move the grid or the object"))
-            })
+            check_free(number, position, self.free)
         };
         chosen.into_iter().enumerate().map(position_at).collect()
     }

@@ -108,7 +108,7 @@ fn reports_grid_position_inside_object() {
     let free = |p: DVec3| if p.x > 0.5 { Err("inside `desk 2`".to_owned()) } else { Ok(()) };
     assert_eq!(
         message(&grid([0.0; 3], [1.0, 0.2, 0.1], 0.1), 20, &free),
-        "transmitter 6 at (0.55, 0.05, 0.05) is inside `desk 2`; move the grid or the object"
+        "transmitter 6 at (0.55, 0.05, 0.05) is inside `desk 2`; move the positions or the object"
     );
 }
 
