@@ -5,7 +5,7 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::import::{Import as Work, read_links};
 use pwrfgs::data::save;
-use pwrfgs::experiment::{observed, staged, warn_of_findings};
+use pwrfgs::experiment::{check_findings, observed, staged};
 use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs::tasks::plane::{parse_numbers, parse_position};
 use pwrfgs_core::{Elevation, Error, Number, Pose, Result, recognise};
@@ -62,6 +62,9 @@ pub(crate) struct Import {
     /// Mark the spectra as simulated in titles and tables
     #[arg(long)]
     pub(crate) simulated: bool,
+    /// Accept a finding that would stop the import; repeatable
+    #[arg(long, value_name = "FINDING")]
+    pub(crate) accept: Vec<String>,
 }
 
 /// Runs `pwrfgs import`: writes the data folder, and warns of findings on its data.
@@ -88,7 +91,8 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         let imported = staged(progress, "spectra", |progress| work.write(&arguments.out, progress))?;
         let source = recognise(&arguments.out).ok_or_else(|| unknown_folder_error(&arguments.out))?;
         let data = staged(progress, "new folder", |progress| source.load(Path::new(""), progress))?;
-        warn_of_findings(&data, None, progress)?;
+        let checked = check_findings(&data, None, Some(&arguments.accept), progress);
+        checked.inspect_err(|_| drop(std::fs::remove_dir_all(&arguments.out)))?; // was new or empty
         Ok::<_, Error>(imported)
     })?;
     if verbosity != Verbosity::Quiet {
@@ -111,8 +115,8 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
 /// Converts the table of links in `path` into a data folder called `name`, and warns of findings on its data.
 fn import_links(arguments: &Import, path: &Path, name: &str, verbosity: Verbosity) -> Result<()> {
     let (data, silent) = read_links(path, name, arguments.simulated)?;
+    check_findings(&data, None, Some(&arguments.accept), &mut RunProgress::new(verbosity))?;
     save(&data, &arguments.out)?;
-    warn_of_findings(&data, None, &mut RunProgress::new(verbosity))?;
     let out = arguments.out.display();
     let left_out = if silent == 0 { String::new() } else { format!("; rows of -100 dBm, not received: {silent}") };
     verbosity.print_note(&format!("{} in {out}{left_out}; next: `pwrfgs init {out}`", observed(&data)));

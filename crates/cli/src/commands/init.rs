@@ -30,6 +30,9 @@ pub(crate) struct Init {
     /// Pipeline file [default: ./NAME.ron, from the name of the folder]
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
+    /// Accept a finding on the data, such as lone-value; repeatable
+    #[arg(long, value_name = "FINDING")]
+    pub(crate) accept: Vec<String>,
 }
 
 /// Fields of a pipeline in the file; others are shown if they differ from their default.
@@ -53,7 +56,7 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     let is_beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
     let absolute = (!is_beside).then(|| std::path::absolute(folder).ok()).flatten();
     let root = absolute.unwrap_or_else(|| folder.clone());
-    let survey = RunProgress::observe(verbosity, |progress| DataSurvey::read(&root, progress))?;
+    let survey = RunProgress::observe(verbosity, |progress| DataSurvey::read(&root, &arguments.accept, progress))?;
     let pipeline = suggest_pipeline(&survey, &pipeline_name(folder), &out)?;
     let text = format_pipeline(&survey, &pipeline)?;
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
