@@ -20,11 +20,13 @@ const HEIGHT_M: f64 = 300.0;
 const STEEP: f64 = 0.1;
 /// Largest median of power plus free-space loss over the distance at 433 MHz: 4 W are received with 11 dBm at 1 m.
 const STRONGEST_DBM: f64 = 11.0;
-/// Smallest number of rows that rise by equal steps, and largest relative deviation from these.
+/// Smallest number of rows in which a coordinate may be an index, largest deviation of its steps from their mean as a share, and
+/// number of rows per turn of another coordinate.
 const ROWS: usize = 20;
-const EQUAL: f64 = 1e-4;
-/// Names of the coordinates.
-const AXES: [&str; 3] = ["x", "y", "z"];
+const UNEVEN: f64 = 0.5;
+const TURNS: usize = 5;
+/// Standard deviation of the steps of a coordinate that changes, metres.
+const MOVED_M: f64 = 1e-3;
 
 /// Finds positions that are probably not in metres, that are all equal, or in which a coordinate is an index or a time.
 pub(super) fn check_positions(data: &Dataset) -> Vec<Finding> {
@@ -39,24 +41,28 @@ pub(super) fn check_positions(data: &Dataset) -> Vec<Finding> {
     check_index(data, &positions).into_iter().chain(unit).collect()
 }
 
-/// Finds a coordinate that rises with the row by equal steps while another goes to and fro.
+/// Finds a coordinate that rises with the row as an index or a time does, while another is no walk along it.
 fn check_index(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
-    let steps = |k: usize| positions.windows(2).map(move |pair| pair[1][k] - pair[0][k]);
-    let turns = |k: usize| {
-        let steps: Vec<f64> = steps(k).collect();
-        steps.windows(2).filter(|pair| pair[0] * pair[1] < 0.0).count()
+    let steps = |k: usize| positions.windows(2).map(|pair| pair[1][k] - pair[0][k]).collect::<Vec<f64>>();
+    let steps = [steps(0), steps(1), steps(2)];
+    let middle = |k: usize| mean(steps[k].iter().copied());
+    let is_whole = |k: usize| positions.iter().all(|position| position[k].fract() == 0.0);
+    let is_index = |k: &usize| {
+        let (step, others) = (middle(*k), (0..3).filter(|other| other != k));
+        let turns = |k: usize| steps[k].windows(2).filter(|pair| pair[0] * pair[1] < 0.0).count();
+        let spread = |k: usize| mean(steps[k].iter().map(|value| (value - middle(k)).powi(2))).sqrt();
+        let is_to_and_fro = |k: usize| TURNS * turns(k) > positions.len() && spread(k) > UNEVEN * step;
+        let is_counted = steps[*k].iter().all(|value| *value == 1.0) && is_whole(*k);
+        let is_even = step > 0.0 && steps[*k].iter().all(|value| (value - step).abs() <= UNEVEN * step);
+        let mut others = others.filter(|other| {
+            is_even && (is_to_and_fro(*other) || is_counted && !is_whole(*other) && spread(*other) > MOVED_M)
+        });
+        others.next().is_some()
     };
-    let rises = |k: &usize| {
-        let step = mean(steps(*k));
-        let is_even = |other: f64| (other - step).abs() <= EQUAL * step.abs();
-        let is_irregular = (0..3).any(|other| other != *k && 5 * turns(other) > positions.len());
-        step != 0.0 && steps(*k).all(is_even) && is_irregular
-    };
-    let axis = (0..3).find(rises).filter(|_| positions.len() >= ROWS)?;
-    let (step, id) = (mean(steps(axis)), data.locations[0].id);
+    let axis = (0..3).find(is_index).filter(|_| positions.len() >= ROWS)?;
+    let (name, step, at, id) = (["x", "y", "z"][axis], middle(axis), positions[0][axis], data.locations[0].id);
     let problem = format!(
-        "{} rises by {step} from row to row, as an index or a time (for example {} at transmitter {id})",
-        AXES[axis], positions[0][axis]
+        "{name} rises by {step:.3} from row to row, as an index or a time does (for example {at} at transmitter {id})"
     );
     Some(Finding::new("index-coordinate", positions.len(), problem, "give x, y and z in metres"))
 }
