@@ -13,6 +13,7 @@ mod documentation;
 mod elevations;
 mod examples;
 mod figures;
+mod findings;
 mod gates;
 mod gradients;
 mod inspect;

@@ -6,7 +6,7 @@ import math
 import os
 import re
 from dataclasses import dataclass, field
-from typing import Any, Dict, List, Mapping, Optional, Union
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Union
 
 from . import _pwrfgs, plot
 from ._errors import InputError
@@ -61,6 +61,7 @@ def compare(
     data: Union["_pwrfgs.Dataset", PathLike],
     *,
     set: Optional[Mapping[str, Any]] = None,
+    accept: Sequence[str] = (),
     out: Optional[PathLike] = None,
     dry_run: bool = False,
     **settings: Any,
@@ -69,7 +70,7 @@ def compare(
     ``pwrfgs.compare("data/s23", seeds=1, set={"training.scale": 0.1})``.
 
     Every method that can predict the data is trained with each seed. ``data`` is a data folder or a data set; ``set`` are
-    changes of all pipelines, ``out`` is the output folder, by default ``runs/compare-NAME``. ``dry_run`` lists the runs with
+    changes of all pipelines, ``accept`` are names of accepted findings, ``out`` is the output folder, by default ``runs/compare-NAME``. ``dry_run`` lists the runs with
     estimated times and runs nothing. Repeat the call to resume, or with new predictions: trained models are kept.
     ``pwrfgs.report`` compares runs that are finished.
 
@@ -87,9 +88,9 @@ def compare(
         if out is None:
             out = os.path.join("runs", "compare-" + (re.sub(r"\W+", "-", data.title).strip("-") or "data"))
         with storing(os.fspath(out)) as store:
-            found = _pwrfgs.compare(data, store(data), text, arguments(set), out, dry_run)
+            found = _pwrfgs.compare(data, store(data), text, arguments(set), list(accept), out, dry_run)
     else:
-        found = _pwrfgs.compare(data, None, text, arguments(set), out, dry_run)
+        found = _pwrfgs.compare(data, None, text, arguments(set), list(accept), out, dry_run)
     folder, split = os.fspath(found["folder"]), Partition(found["train"], found["validation"], found["test"])
     runs = finished_runs(found["runs"])
     lines = _rows(os.path.join(folder, "report", "report.csv")) if runs else []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import re
-from typing import TYPE_CHECKING, Any, List, Mapping, Optional, Tuple, Union
+from typing import TYPE_CHECKING, Any, List, Mapping, Optional, Sequence, Tuple, Union
 
 from . import _pwrfgs, _strategies
 from ._classes import Field, listing
@@ -88,13 +88,14 @@ class Pipeline(PipelineFields):
         object.__setattr__(self, "_data", named_in(self._inner.text(), self._data))
 
     @classmethod
-    def for_data(cls, data: "_pwrfgs.Dataset", name: str = "pipeline") -> "Pipeline":
+    def for_data(cls, data: "_pwrfgs.Dataset", name: str = "pipeline", *, accept: Sequence[str] = ()) -> "Pipeline":
         """Pipeline for data: the shipped pipeline for their kind, with split and settings for their size, as ``pwrfgs init``
-        writes it. The data need no folder: ``pwrfgs.run(pwrfgs.Pipeline.for_data(data))`` writes them into the run folder."""
+        writes it. The data need no folder: ``pwrfgs.run(pwrfgs.Pipeline.for_data(data))`` writes them into the run folder.
+        ``accept`` are names of ``data.findings()`` that are accepted."""
         if not isinstance(data, _pwrfgs.Dataset):
             raise InputError(f"data: expected a Dataset, got {type(data).__name__}; Dataset.from_arrays makes one")
         source = to_ron(data)
-        return cls(_pwrfgs.suggest_pipeline(data, source, from_ron(source)._named.get("root"), name))
+        return cls(_pwrfgs.suggest_pipeline(data, source, from_ron(source)._named.get("root"), name, list(accept)))
 
     def get(self, path: str) -> Any:
         """Return the value at ``path``, such as ``"training.steps"`` or ``"pruners.LearnableMask.lambda"``."""

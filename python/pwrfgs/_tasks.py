@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import inspect
 import os
-from typing import Any, Callable, Dict, List, Mapping, Optional, TypeVar, Union
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, TypeVar, Union
 
 import numpy as np
 
@@ -84,22 +84,27 @@ def radio_map(self: "_pwrfgs.Model", **settings: Any) -> RadioMap:
 
 @documented("locate")
 def locate(
-    self: "_pwrfgs.Model", observations: Any = None, *, set: Optional[Mapping[str, Any]] = None, **settings: Any
+    self: "_pwrfgs.Model",
+    observations: Any = None,
+    *,
+    set: Optional[Mapping[str, Any]] = None,
+    accept: Sequence[str] = (),
+    **settings: Any,
 ) -> Located:
     """Locate transmitters from their observations: powers [B, R] in dBm (NaN: not known), spectra [B, H, W] or channels [B, A, F].
     Without observations, locate the test samples of the data of the model and compare the errors with those of baselines.
 
     The model must come from a run folder: its data are the known positions. ``set`` changes settings of its pipeline, as in
-    ``run``: ``{"data.root": "data/ble"}``."""
-    return Located(**_pwrfgs.locate(self, observations, arguments(set), settings_text("locate", settings)))
+    ``run``: ``{"data.root": "data/ble"}``. ``accept`` are names of findings on data or observations that are accepted."""
+    return Located(**_pwrfgs.locate(self, observations, arguments(set), list(accept), settings_text("locate", settings)))
 
 
-def update(self: "_pwrfgs.Model", data: "_pwrfgs.Dataset", *, accept_far: bool = False) -> "_pwrfgs.Model":
+def update(self: "_pwrfgs.Model", data: "_pwrfgs.Dataset", *, accept: Sequence[str] = ()) -> "_pwrfgs.Model":
     """Add new measurements to the residual process of a model, without training, and return the new model.
 
-    ``accept_far`` accepts data of which most links lie outside the 99 % intervals of the model, such as after a change of the
-    room."""
-    updated, added, agreement = _pwrfgs.update(self, data, accept_far)
+    ``accept`` are names of findings that are accepted, such as ``"far-from-model"``: most links lie outside the 99 % intervals of
+    the model, as after a change of the room."""
+    updated, added, agreement = _pwrfgs.update(self, data, list(accept))
     log.info("%d links added; new data against the model: %s", added, agreement)
     return updated
 
@@ -117,9 +122,9 @@ def findings(self: "_pwrfgs.Dataset") -> List[Finding]:
     return [Finding(*entry) for entry in _pwrfgs.findings(self)]
 
 
-def init(data: "_pwrfgs.Dataset", name: str = "pipeline") -> Pipeline:
+def init(data: "_pwrfgs.Dataset", name: str = "pipeline", *, accept: Sequence[str] = ()) -> Pipeline:
     """Pipeline for data, as ``pwrfgs init`` writes it; the same as ``Pipeline.for_data``."""
-    return Pipeline.for_data(data, name)
+    return Pipeline.for_data(data, name, accept=accept)
 
 
 @documented("plan")

@@ -228,7 +228,7 @@ const PYTHON_TEXTS: [(&str, &str); 7] = [
     ("another --out", "another `out`"),
     ("--scale ", "scale="),
     ("--candidates FILE or --floor SCENE", "`candidates` or `floor`"),
-    ("`--accept far-from-model`", "`accept_far=True`"),
+    ("--accept ", "accept="),
 ];
 
 /// Returns a message with command-line flags replaced by the names of Python arguments: `no_grid` for `--no-grid`. Commands

@@ -73,13 +73,15 @@ fn perform(
 
 /// Compares methods, see `pwrfgs.compare`. `data` are a data set, which `source` reads, or a data folder.
 #[pyfunction]
-#[pyo3(signature = (data, source, text, changes, out, dry_run))]
+#[pyo3(signature = (data, source, text, changes, accept, out, dry_run))]
+#[allow(clippy::too_many_arguments)] // the keywords of `pwrfgs.compare`
 pub(crate) fn compare<'py>(
     py: Python<'py>,
     data: &Bound<'py, PyAny>,
     source: Option<String>,
     text: &str,
     changes: Vec<String>,
+    accept: Vec<String>,
     out: Option<PathBuf>,
     dry_run: bool,
 ) -> PyResult<Bound<'py, PyDict>> {
@@ -92,9 +94,9 @@ pub(crate) fn compare<'py>(
         let survey = match (held, source) {
             (Some(data), Some(source)) => {
                 let source = Plugin::<dyn DataSource>::parse(&source).map_err(Error::Config)?;
-                DataSurvey::of_data(source, (*data).clone(), None, observer)?
+                DataSurvey::of_data(source, (*data).clone(), None, &accept, observer)?
             }
-            _ => DataSurvey::read(&path.canonicalize().unwrap_or_else(|_| path.clone()), observer)?,
+            _ => DataSurvey::read(&path.canonicalize().unwrap_or_else(|_| path.clone()), &accept, observer)?,
         };
         let named_by = if is_held { Path::new(&survey.data.title) } else { &path };
         let named = ComparedRuns { name: pipeline_name(named_by), changes, out };

@@ -87,15 +87,23 @@ pub(crate) fn radio_map<'py>(py: Python<'py>, model: &Model, text: &str) -> PyRe
     Ok(dict)
 }
 
-/// Loads data and split of the pipeline next to the file of a model, changed by `set`; an error for a model without one.
-fn load_split(model: &Model, set: &[String], observer: &mut TaskObserver<'_>) -> Result<SplitData> {
+/// Loads data and split of the pipeline next to the file of a model, changed by `set` and with findings to `accept`, also with the
+/// names of all accepted findings; an error for a model without one.
+fn load_split(
+    model: &Model,
+    set: &[String],
+    accept: Vec<String>,
+    observer: &mut TaskObserver<'_>,
+) -> Result<(SplitData, Vec<String>)> {
     let file = model.path.as_ref().and_then(|path| model_file(path).ok());
     let beside = file.map(|file| file.with_file_name(PIPELINE)).filter(|path| path.is_file());
     let path = beside.ok_or_else(|| {
         let problem = "the model has no pipeline.ron next to its file; localisation needs its data: load the model of a run folder";
         pwrfgs_core::Error::Config(problem.into())
     })?;
-    load(&read_pipeline(&path, set)?, Path::new(""), observer)
+    let mut pipeline = read_pipeline(&path, set)?;
+    pipeline.accept.extend(accept);
+    Ok((load(&pipeline, Path::new(""), observer)?, pipeline.accept))
 }
 
 /// Reads observations of unknown transmitters: powers `[B, R]`, spectra `[B, H, W]`, or channels `[B, A, F]` as rows of real and
@@ -134,12 +142,13 @@ fn location_dict<'py>(py: Python<'py>, rows: &[LocatedRow]) -> PyResult<Bound<'p
 
 /// Locates transmitters: a dict with an array per column. Without observations, locates the test samples.
 #[pyfunction]
-#[pyo3(signature = (model, observations, set, text))]
+#[pyo3(signature = (model, observations, set, accept, text))]
 pub(crate) fn locate<'py>(
     py: Python<'py>,
     model: &Model,
     observations: Option<&Bound<'py, PyAny>>,
     set: Vec<String>,
+    accept: Vec<String>,
     text: &str,
 ) -> PyResult<Bound<'py, PyDict>> {
     if let Some(value) = observations
@@ -150,11 +159,11 @@ pub(crate) fn locate<'py>(
     let values = observations.map(|value| read_observations(model, value)).transpose()?;
     let Localisation { rows, text, .. } = run_stoppable(py, |stop| {
         let observer = &mut TaskObserver(stop);
-        let split = load_split(model, &set, observer)?;
-        let receivers = &split.data.scene.receivers;
-        let read = values
-            .as_ref()
-            .map(|values| move |features: &_| checked_features(Path::new("observations"), values, features, receivers));
+        let (split, accepted) = load_split(model, &set, accept, observer)?;
+        let (data, accepted) = (&split.data, &accepted);
+        let read = values.as_ref().map(|values| {
+            move |features: &_| checked_features(Path::new("observations"), values, features, data, accepted)
+        });
         let read = read.as_ref().map(|read| read as ReadFeatures<'_>);
         tasks::locate::locate(&model.ensemble, &split, read, &read_settings(text)?, observer)
     })?;
@@ -165,9 +174,14 @@ pub(crate) fn locate<'py>(
 
 /// Adds the links of `data` to the residual process of a model; returns the model, the number of links and their agreement.
 #[pyfunction]
-pub(crate) fn update(py: Python<'_>, model: &Model, data: &Dataset, accept: bool) -> PyResult<(Model, usize, String)> {
+pub(crate) fn update(
+    py: Python<'_>,
+    model: &Model,
+    data: &Dataset,
+    accept: Vec<String>,
+) -> PyResult<(Model, usize, String)> {
     let UpdatedModel { ensemble, added, agreement, .. } =
-        run_stoppable(py, |stop| tasks::update::update(&model.ensemble, &data.data, accept, &mut TaskObserver(stop)))?;
+        run_stoppable(py, |stop| tasks::update::update(&model.ensemble, &data.data, &accept, &mut TaskObserver(stop)))?;
     Ok((Model::new(ensemble), added, agreement))
 }
 
@@ -214,21 +228,22 @@ pub(crate) fn findings(py: Python<'_>, data: &Dataset) -> PyResult<Vec<(String, 
 
 /// Returns the text of the pipeline that `pwrfgs init` suggests for data; `root` is the folder of their `source`, if there is one.
 #[pyfunction]
-#[pyo3(signature = (data, source, root, name))]
+#[pyo3(signature = (data, source, root, name, accept))]
 pub(crate) fn suggest_pipeline(
     py: Python<'_>,
     data: &Dataset,
     source: &str,
     root: Option<PathBuf>,
     name: &str,
+    accept: Vec<String>,
 ) -> PyResult<String> {
     run_stoppable(py, |stop| {
         let source = Plugin::<dyn DataSource>::parse(source).map_err(pwrfgs_core::Error::Config)?;
         // Settings of the source may select another point cloud than the command finds.
         let is_found = |root: &PathBuf| recognise(root).is_some_and(|found| to_ron(&found) == to_ron(&source));
         let root = root.filter(is_found);
-        let survey =
-            DataSurvey::of_data(source.clone(), (*data.data).clone(), root.as_deref(), &mut TaskObserver(stop))?;
+        let (data, observer) = ((*data.data).clone(), &mut TaskObserver(stop));
+        let survey = DataSurvey::of_data(source.clone(), data, root.as_deref(), &accept, observer)?;
         tasks::init::suggest_pipeline(&survey, name, Path::new("pipeline"))?.to_ron()
     })
 }

@@ -171,7 +171,7 @@ def test_place(case, both):
 
 def test_update(case, both, tmp_path):
     arguments = ["update", case.run.folder, "--data", case.folder, "--accept", "far-from-model"]
-    found = both("update", lambda: case.model.update(case.data, accept_far=True), *arguments, file="new.safetensors")
+    found = both("update", lambda: case.model.update(case.data, accept=["far-from-model"]), *arguments, file="new.safetensors")
     if found is not None:
         found[0].save(tmp_path / "python.safetensors")
         assert (tmp_path / "python.safetensors").read_bytes() == found[1].read_bytes()

@@ -228,7 +228,7 @@ def test_update_adds_links(powers, tmp_path, caplog):
     model = pwrfgs.run(pipeline, set=settings, out=tmp_path / "run", progress=False).model
     new = powers[:30]
     with caplog.at_level(logging.INFO, "pwrfgs"):
-        updated = model.update(new, accept_far=True)
+        updated = model.update(new, accept=["far-from-model"])
     assert "30 links added; " in caplog.text
     assert not np.array_equal(updated.predict(TX), model.predict(TX))
     moved = pwrfgs.Dataset.from_arrays(TX, rssi=np.full((80, 3), -40.0), receivers=GATEWAYS + 1)

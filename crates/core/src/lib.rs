@@ -30,6 +30,7 @@ pub mod neighbours;
 pub mod npy;
 pub mod numbers;
 pub mod plugin;
+mod powers;
 mod pruner;
 mod rasterizer;
 mod real;
@@ -68,6 +69,7 @@ pub use method::{
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
 pub use misfit::{Demand, Misfit, Requirement, SetupDifference};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};
+pub use powers::{LoneValue, PowerUnit, lone_values, shared_values};
 pub use pruner::{Budget, ColumnSpec, PruneTarget, Pruner, PrunerTraits, best, prune_contexts};
 pub use rasterizer::{Projector, Rasterizer, Render, RenderVjp, SplatStats, SurveyInputs};
 pub use real::{Lanes, Mat3, Real, Vec3, consts, logit, sigmoid, widest};

@@ -1,26 +1,20 @@
 //! [`collect_findings`]: what is implausible about readable data, such as a wrong pose, unit or frame, with what mends it.
 
 pub(crate) mod cloud;
+mod directions;
 mod finding;
 pub(crate) mod pose;
+mod positions;
+mod powers;
+mod relation;
 mod rotation;
 pub(crate) mod spectra;
 
-pub use finding::Finding;
+pub use finding::{Finding, reject_findings};
+pub use powers::check_observed;
 
-use pwrfgs_core::neighbours::nearest_other_squared;
-use pwrfgs_core::statistics::median;
-use pwrfgs_core::{Dataset, Partition, Real, Result};
+use pwrfgs_core::{Dataset, Partition, Result};
 
-/// Largest and smallest plausible site and largest spacing of transmitters in metres; other positions are probably in
-/// another unit.
-const SITE_M: f64 = 100.0;
-const SPACING_M: f64 = 3.0;
-const SMALL_SITE_M: f64 = 0.05;
-/// Median received power above which values are probably in another unit, dBm.
-const STRONG_DBM: f64 = 30.0;
-/// Absolute value below which all powers are probably in milliwatts.
-const FAINT_MW: f64 = 0.1;
 /// Share of constant spectra above which they are a finding.
 const CONSTANT: f64 = 0.05;
 /// Largest number of spectra that are read.
@@ -33,70 +27,30 @@ const SAMPLED: usize = 1_000;
 pub fn collect_findings(data: &Dataset, partition: Option<&Partition>) -> Result<Vec<Finding>> {
     let mut findings = Vec::new();
     if data.placed {
-        findings.extend(check_positions(data));
+        findings.extend(positions::check_positions(data));
         // The cloud of a camera is of the same reconstruction, without a unit, and cameras may stand around it.
         findings.extend(cloud::check_cloud(data).filter(|_| data.camera().is_none()));
     }
-    findings.extend(data.observations.powers().and_then(check_powers));
+    if let Some(powers) = data.observations.powers() {
+        findings.extend(powers::check_powers(data, powers));
+        // Powers with codes or in another unit do not fall with the distance.
+        if findings.iter().all(|finding| !finding.is_error()) {
+            findings.extend(relation::check_levels(data).or_else(|| relation::check_power_rows(data)));
+        }
+    }
     findings.extend(partition.and_then(|partition| check_split(data, partition)));
     findings.extend(check_equal_observations(data));
     if data.observations.spectra().is_some() && data.camera().is_none() {
         let summaries = spectra::summarize(data, SAMPLED, &|_, _| {})?;
         findings.extend(check_constant_spectra(&summaries));
-        findings.extend(pose::check_pose(data, &summaries).and_then(|pose| pose.finding(data)));
+        // Positions that are wrong do not fit the spectra.
+        let is_right = findings.iter().all(|finding| !finding.is_error());
+        let pose = if is_right { pose::check_pose(data, &summaries) } else { None };
+        findings.extend(
+            pose.and_then(|pose| directions::check_directions(data, &summaries, &pose).or_else(|| pose.finding(data))),
+        );
     }
     Ok(findings)
-}
-
-/// Finds positions that are probably not in metres, or that are all equal; `None` if they are plausible.
-fn check_positions(data: &Dataset) -> Option<Finding> {
-    let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
-    let (first, count) = (*positions.first()?, positions.len());
-    if count > 1 && positions.iter().all(|position| *position == first) {
-        let problem = format!("all {count} transmitters are at {first:?}");
-        return Some(Finding::new("equal-positions", count, problem, "give each transmitter its own position"));
-    }
-    let side = |k: usize| {
-        let ends = |pick: fn(f64, f64) -> f64| positions.iter().map(|p| p[k]).fold(first[k], pick);
-        ends(f64::max) - ends(f64::min)
-    };
-    let site = (0..3).map(side).fold(0.0, f64::max);
-    let unit = |problem, units| {
-        Some(Finding::new("position-unit", count, problem, format!("if these are {units}, convert them to metres")))
-    };
-    // The model of a camera has no unit.
-    if count > 1 && site < SMALL_SITE_M && data.camera().is_none() {
-        return unit(format!("the site is only {:.3} mm long", 1e3 * site), "kilometres or degrees");
-    }
-    if site <= SITE_M {
-        return None;
-    }
-    let local = |position: &[f64; 3]| [0, 1, 2].map(|k| (position[k] - first[k]) as Real);
-    let squared = nearest_other_squared(&positions.iter().map(local).collect::<Vec<_>>());
-    let spacing = median(squared.into_iter().map(|d| (d as f64).sqrt()));
-    let problem =
-        format!("the site is {site:.0} m long and the median distance to the nearest transmitter is {spacing:.1} m");
-    if spacing > SPACING_M { unit(problem, "centimetres, millimetres or degrees") } else { None }
-}
-
-/// Finds powers that are probably not in dBm, or codes among them; `None` if they are plausible.
-fn check_powers(powers: &[Real]) -> Option<Finding> {
-    let powers: Vec<f64> = powers.iter().map(|dbm| *dbm as f64).collect();
-    let (count, strong) = (powers.len(), powers.iter().filter(|dbm| **dbm > STRONG_DBM).count());
-    let problem = if powers.iter().all(|dbm| dbm.abs() <= FAINT_MW) {
-        format!("all lie within {FAINT_MW} of zero")
-    } else if powers.iter().all(|dbm| *dbm >= 0.0) {
-        "none is below 0 dBm, which is a milliwatt".to_owned()
-    } else {
-        let median = median(powers);
-        if median <= STRONG_DBM {
-            let problem = format!("{strong} of {count} are above {STRONG_DBM} dBm, which is a watt");
-            let mend = "if these mean that nothing was received, leave them out (-100 in gateway_rssi.csv)";
-            return (strong > 0).then(|| Finding::new("power-code", strong, problem, mend));
-        }
-        format!("the median is {median:.1} dBm")
-    };
-    Some(Finding::new("power-unit", count, problem, "if these are milliwatts, give 10 * log10(mW)"))
 }
 
 /// Finds training and test sets that were probably swapped: more test samples than others; `None` if there are not.

@@ -1,6 +1,6 @@
-//! Loads and splits the data of a pipeline, describes their size, and warns of [findings](crate::collect_findings).
+//! Loads and splits the data of a pipeline, describes their size, and checks them for [findings](crate::collect_findings).
 
-use crate::findings::{Finding, collect_findings};
+use crate::findings::{Finding, collect_findings, reject_findings};
 use crate::session::{Observer, Session, staged};
 use crate::text::grouped;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
@@ -27,21 +27,24 @@ pub(crate) struct ActiveRun<'a, 's> {
     pub(crate) begun: Instant,
 }
 
-/// Loads the data of a pipeline and splits them.
+/// Loads the data of a pipeline, splits and checks them.
 ///
 /// # Errors
-/// Invalid data, or a split without training or test samples.
+/// Invalid data, a split without training or test samples, or findings that make results meaningless and that the pipeline
+/// does not accept.
 pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<SplitData> {
-    load_with_findings(pipeline, base, observer).map(|(split, _)| split)
+    load_with_findings(pipeline, base, Some(&pipeline.accept), observer).map(|(split, _)| split)
 }
 
-/// Loads and splits the data as [`load`] does, also with the findings on them.
+/// Loads, splits and checks the data as [`load`] does, also with the findings on them. `accepted` are the names of accepted
+/// findings; `None` accepts all, for data of a run that has begun.
 ///
 /// # Errors
 /// As [`load`].
 pub fn load_with_findings(
     pipeline: &Pipeline,
     base: &Path,
+    accepted: Option<&[String]>,
     observer: &mut dyn Observer,
 ) -> Result<(SplitData, Vec<Finding>)> {
     let mut data = staged(observer, "spectra", |progress| pipeline.data.load(base, progress))?;
@@ -59,20 +62,25 @@ pub fn load_with_findings(
         ));
     }
     let judged = (!pipeline.split.is_sparse()).then_some(&partition);
-    let findings = warn_of_findings(&data, judged, observer)?;
+    let findings = check_findings(&data, judged, accepted, observer)?;
     Ok((SplitData { data, partition }, findings))
 }
 
-/// Checks the data as [`collect_findings`] does, and warns of each finding.
+/// Checks the data as [`collect_findings`] does, and warns of each finding. Findings that make results meaningless are errors
+/// unless their names are `accepted`; `None` accepts all.
 ///
 /// # Errors
-/// As [`collect_findings`].
-pub fn warn_of_findings(
+/// As [`collect_findings`] and [`reject_findings`].
+pub fn check_findings(
     data: &Dataset,
     partition: Option<&Partition>,
+    accepted: Option<&[String]>,
     observer: &mut dyn Observer,
 ) -> Result<Vec<Finding>> {
     let findings = collect_findings(data, partition)?;
+    if let Some(accepted) = accepted {
+        reject_findings(&findings, &[accepted, &data.accepted].concat())?;
+    }
     findings.iter().for_each(|finding| observer.on_warning(&finding.to_string()));
     Ok(findings)
 }

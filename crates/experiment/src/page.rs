@@ -4,7 +4,7 @@ use crate::evaluate::EvaluationResult;
 use crate::facts::{Facts, FileDigest, utc_now};
 use crate::folder::{CONFIDENCE, PIPELINE, REPORT, SAMPLES, SCORES};
 use crate::input::read_pipeline;
-use crate::load::{ActiveRun, SplitData, load};
+use crate::load::{ActiveRun, SplitData, load_with_findings};
 use crate::record::Record;
 use crate::run_folder::RunFolder;
 use crate::samples::samples_csv;
@@ -22,7 +22,7 @@ impl Record {
     /// # Errors
     /// Invalid data, or data that have changed since the run.
     pub fn load_data(&self, observer: &mut dyn Observer) -> Result<Dataset> {
-        let SplitData { data, .. } = load(&self.pipeline, Path::new(""), observer)?;
+        let (SplitData { data, .. }, _) = load_with_findings(&self.pipeline, Path::new(""), None, observer)?;
         self.partition(&data).map(|_| data)
     }
 }

@@ -100,7 +100,9 @@ fn start_or_resume(
         }
         check_resumable(folder, out)?;
     }
-    let (split, findings) = load_with_findings(pipeline, base, session.observer)?;
+    // A run that has begun has accepted its data.
+    let accepted = held.is_none().then_some(&pipeline.accept[..]);
+    let (split, findings) = load_with_findings(pipeline, base, accepted, session.observer)?;
     pipeline.check_data(&split.data)?;
     check_residuals(pipeline, &split, false)?;
     let mut run = ActiveRun { pipeline, split: &split, session, begun };

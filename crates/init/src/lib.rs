@@ -49,6 +49,7 @@ mod tests {
         let orientation = [0.512_916_02, -0.486_741_36, -0.486_741_36, 0.512_916_02];
         Scene {
             origin: Origin::ZERO,
+            geodetic: None,
             moving: End::Transmitter,
             transmitter: None,
             receivers: vec![Receiver::new("gateway1", Pose { position: [5.0, 0.26, 0.0], orientation })],

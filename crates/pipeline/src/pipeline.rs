@@ -69,6 +69,9 @@ pub struct Pipeline {
     /// Whether the run writes an event file for TensorBoard.
     #[serde(default)]
     pub tensorboard: bool,
+    /// Names of accepted findings: properties of the data that would otherwise stop the run, such as `"lone-value"`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub accept: Vec<String>,
 }
 
 impl Pipeline {
@@ -140,9 +143,10 @@ impl Pipeline {
         Self { split: split.into(), ..self.clone() }
     }
 
-    /// Returns the pipeline without settings that do not affect the result: TensorBoard and checkpoint interval.
+    /// Returns the pipeline without settings that do not affect the result: TensorBoard, accepted findings and
+    /// checkpoint interval.
     pub fn essential(&self) -> Self {
         let training = Checked::new(self.training.of_run()).unwrap_or_else(|_| self.training.clone());
-        Self { tensorboard: false, training, ..self.clone() }
+        Self { tensorboard: false, accept: Vec::new(), training, ..self.clone() }
     }
 }

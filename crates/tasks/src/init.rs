@@ -63,6 +63,7 @@ pub fn suggest_pipeline(survey: &DataSurvey, name: &str, out: &Path) -> Result<P
     let (start, batch, baselines) = select_template(survey, &mut set)?;
     set.push(format!("training.batch={}", survey.batch_size(batch)));
     set.push(format!("baselines=[{baselines}]"));
+    set.extend((!survey.accepted.is_empty()).then(|| format!("accept={:?}", survey.accepted)));
     let shipped = ShippedFile::all(ShippedFile::PIPELINES).into_iter().find(|file| file.name == start);
     let mut pipeline = Pipeline::parse(shipped.expect("the facade registers its pipelines").source, out)?;
     pipeline.set_all(&set)?;

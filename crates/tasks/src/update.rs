@@ -2,12 +2,9 @@
 
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Dataset, Error, MeasurementSetup, Receiver, Result};
-use pwrfgs_experiment::{Agreement, Observer, check_alike, warn_of_findings};
+use pwrfgs_experiment::{Agreement, Finding, Observer, check_alike, collect_findings, reject_findings};
 use pwrfgs_model::{Ensemble, Residuals};
 use std::time::Instant;
-
-/// Name of the finding that most links lie outside the intervals of the model.
-pub const FAR: &str = "far-from-model";
 
 /// Result of [`update`].
 #[derive(Debug)]
@@ -22,15 +19,16 @@ pub struct UpdatedModel {
     pub milliseconds: f64,
 }
 
-/// Adds all links of `data` to the residual process of `model`, without training. `accepts_far` accepts data of which most links
-/// lie outside the 99 % intervals of the model. `observer` receives the progress and findings on the data.
+/// Adds all links of `data` to the residual process of `model`, without training. `accepted` are the names of accepted
+/// findings, such as `far-from-model`: most links lie outside the 99 % intervals of the model. `observer` receives the progress and findings on the data.
 ///
 /// # Errors
-/// A model without residual process; data of another scene or far from the model, or without a link at a receiver of the process.
+/// A model without residual process; data of another scene, with findings that make results meaningless, or without a link at a
+/// receiver of the process.
 pub fn update(
     model: &Ensemble,
     data: &Dataset,
-    accepts_far: bool,
+    accepted: &[String],
     observer: &mut dyn Observer,
 ) -> Result<UpdatedModel> {
     let residuals = check_residuals(model)?;
@@ -40,14 +38,12 @@ pub fn update(
         return Err(Error::Config("no transmitter positions; give data with positions".into()));
     }
     check_poses(ready.setup(), data).map_err(Error::Config)?;
-    warn_of_findings(data, None, observer)?;
+    let mut findings = collect_findings(data, None)?;
     let agreement = Agreement::measure(model, data, observer)?;
-    if agreement.is_far() && !accepts_far {
-        return Err(Error::Config(format!(
-            "new data are far from the model: {agreement}; check the order, units, axes and poses of the data, or add `--accept {FAR}` if the \
-             room has changed"
-        )));
-    }
+    let far = || Finding::far_from_model(data.len(), format!("new data are far from the model: {agreement}"));
+    findings.extend(agreement.is_far().then(far));
+    reject_findings(&findings, accepted)?;
+    findings.iter().for_each(|finding| observer.on_warning(&finding.to_string()));
     let begun = Instant::now();
     let (updated, added) = residuals.updated(model, data)?;
     let ensemble = model.clone().with_residuals(Some(updated)).with_calibration(model.calibration().cloned());

@@ -5,7 +5,9 @@ use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Baseline, Dataset, Error, MeasurementSetup, Partition, Plugin, Predict, Result, files};
 use pwrfgs_experiment::folder::{CHECKPOINT, MODEL_FILE, PIPELINE, SCORES};
 use pwrfgs_experiment::scores::MODEL;
-use pwrfgs_experiment::{Facts, Observer, Scores, SplitData, check_alike, load, model_file, read_pipeline};
+use pwrfgs_experiment::{
+    Facts, Observer, Scores, SplitData, check_alike, load_with_findings, model_file, read_pipeline,
+};
 use pwrfgs_localise::Locator;
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
@@ -233,7 +235,7 @@ impl LoadedData {
     /// Loads the data and the split of the pipeline `file`, with the scores in `folder`.
     fn load(file: &Path, folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let pipeline = read_pipeline(file, &[])?;
-        let SplitData { data, partition } = load(&pipeline, Path::new(""), observer)?;
+        let (SplitData { data, partition }, _) = load_with_findings(&pipeline, Path::new(""), None, observer)?;
         let scores = read_link_scores(folder, &data);
         Ok(Self { pipeline, data: Arc::new(data), partition, scores })
     }

@@ -7,7 +7,7 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::inspect::Inspection;
 use pwrfgs::experiment::sweep::LISTING;
-use pwrfgs::experiment::{Observer as _, Session, preview, read_pipeline, staged, warn_of_findings};
+use pwrfgs::experiment::{Observer as _, Session, check_findings, preview, read_pipeline, staged};
 use pwrfgs::prelude::Pipeline;
 use pwrfgs::tasks::init::{default_pipeline, is_table_or_array, pipeline_name, unknown_folder_error};
 use pwrfgs_core::plugin::try_to_ron;
@@ -65,7 +65,7 @@ pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
     let text = RunProgress::observe(verbosity, |progress| {
         let (pipeline, data) = open_data(&arguments.data, &arguments.set, progress)?;
         let partition = pipeline.partition(&data).ok().filter(|_| !pipeline.split.is_sparse());
-        warn_of_findings(&data, partition.as_ref(), progress)?;
+        check_findings(&data, partition.as_ref(), None, progress)?;
         Ok(Inspection::of(&pipeline, &data, &mut Session::new(progress))?.to_text())
     });
     output::print_result(&text?)

@@ -44,7 +44,8 @@ pub(crate) struct Compare {
 /// Runs `pwrfgs compare`: writes the split, lists the runs, or executes them; returns the exit code.
 pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     let folder = arguments.folder.canonicalize().unwrap_or_else(|_| arguments.folder.clone());
-    let survey = RunProgress::observe(verbosity, |progress| DataSurvey::read(&folder, progress))?;
+    let survey =
+        RunProgress::observe(verbosity, |progress| DataSurvey::read(&folder, &arguments.changes.accept, progress))?;
     let named = ComparedRuns {
         name: pipeline_name(&folder),
         changes: arguments.changes.assignments(),

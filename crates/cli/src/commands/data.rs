@@ -4,7 +4,7 @@ use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::{Args, Subcommand};
 use pwrfgs::experiment::text::{aligned, grouped};
-use pwrfgs::experiment::{observed, staged, warn_of_findings};
+use pwrfgs::experiment::{check_findings, observed, staged};
 use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs_core::files::{digest, if_found, read};
 use pwrfgs_core::plugin::name_of;
@@ -162,7 +162,7 @@ fn describe_folder(folder: &Path, verbosity: Verbosity) -> Result<String> {
     };
     let data = RunProgress::observe(verbosity, |progress| {
         let data = staged(progress, "observations", |bar| source.load(Path::new(""), bar))?;
-        warn_of_findings(&data, None, progress)?;
+        check_findings(&data, None, None, progress)?;
         Ok(data)
     })?;
     let none = || "digests: no file of a known public data set; `pwrfgs data` lists them\n".to_owned();

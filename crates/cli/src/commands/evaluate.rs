@@ -57,7 +57,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     let pipeline = read_pipeline(path, &arguments.set)?;
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
     let mut progress = RunProgress::new(verbosity);
-    let (split, findings) = load_with_findings(&pipeline, Path::new(""), &mut progress)?;
+    let (split, findings) = load_with_findings(&pipeline, Path::new(""), Some(&pipeline.accept), &mut progress)?;
     if verbosity != Verbosity::Quiet {
         let (data, test) = (&split.data, split.partition.test.len());
         output::print_note(&format!("{}: scoring {test} test {}", data.title, data.task().counted[1]));

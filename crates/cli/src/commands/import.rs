@@ -7,7 +7,7 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::Colormap;
 use pwrfgs::data::import::Import as Work;
-use pwrfgs::experiment::{staged, warn_of_findings};
+use pwrfgs::experiment::{check_findings, staged};
 use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs::tasks::plane::{parse_numbers, parse_position};
 use pwrfgs_core::{Elevation, Error, Number, Pose, Result, recognise};
@@ -68,6 +68,9 @@ pub(crate) struct Import {
     /// Mark the spectra as simulated in titles and tables
     #[arg(long)]
     pub(crate) simulated: bool,
+    /// Accept a finding that would stop the import; repeatable
+    #[arg(long, value_name = "FINDING")]
+    pub(crate) accept: Vec<String>,
 }
 
 /// Runs `pwrfgs import`: writes the data folder, and warns of findings on its data.
@@ -97,7 +100,8 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         let imported = staged(progress, "spectra", |progress| work.write(&out, progress))?;
         let source = recognise(&out).ok_or_else(|| unknown_folder_error(&out))?;
         let data = staged(progress, "new folder", |progress| source.load(Path::new(""), progress))?;
-        warn_of_findings(&data, None, progress)?;
+        let checked = check_findings(&data, None, Some(&arguments.accept), progress);
+        checked.inspect_err(|_| drop(std::fs::remove_dir_all(&out)))?; // was new or empty
         Ok::<_, Error>(imported)
     })?;
     if verbosity != Verbosity::Quiet {

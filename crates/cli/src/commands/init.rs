@@ -36,6 +36,9 @@ pub(crate) struct Init {
     /// Colour map of camera images, inverted to values: jet, turbo or viridis
     #[arg(long, value_name = "NAME", value_parser = Colormap::parse)]
     pub(crate) colormap: Option<Colormap>,
+    /// Accept a finding on the data, such as lone-value; repeatable
+    #[arg(long, value_name = "FINDING")]
+    pub(crate) accept: Vec<String>,
 }
 
 /// Fields of a pipeline in the file; others are shown if they differ from their default.
@@ -60,11 +63,11 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     let absolute = (!is_beside).then(|| std::path::absolute(folder).ok()).flatten();
     let root = absolute.unwrap_or_else(|| folder.clone());
     let survey = RunProgress::observe(verbosity, |progress| match arguments.colormap {
-        None => DataSurvey::read(&root, progress),
+        None => DataSurvey::read(&root, &arguments.accept, progress),
         Some(map) => {
             let source = coloured_source(&root, map)?;
             let data = staged(progress, "observations", |progress| source.load(Path::new(""), progress))?;
-            DataSurvey::of_data(source, data, Some(&root), progress)
+            DataSurvey::of_data(source, data, Some(&root), &arguments.accept, progress)
         }
     })?;
     let pipeline = suggest_pipeline(&survey, &pipeline_name(folder), &out)?;

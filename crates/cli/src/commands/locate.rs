@@ -50,6 +50,9 @@ pub(crate) struct Locate {
     /// Change a setting of the pipeline, such as data.root=data/ble; repeatable
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
+    /// Accept a finding on data or observations, such as lone-value; repeatable
+    #[arg(long, value_name = "FINDING")]
+    pub(crate) accept: Vec<String>,
     /// Number of samples whose density is drawn
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub(crate) pictures: usize,
@@ -62,12 +65,13 @@ pub(crate) struct Locate {
 pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
     check_positions(&ensemble)?;
-    let pipeline = read_pipeline_of_model(arguments)?;
+    let mut pipeline = read_pipeline_of_model(arguments)?;
+    pipeline.accept.extend(arguments.accept.iter().cloned());
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
     let split = RunProgress::observe(verbosity, |progress| load(&pipeline, Path::new(""), progress))?;
-    let receivers = &split.data.scene.receivers;
-    let read =
-        arguments.observations.as_ref().map(|path| move |features: &_| read_observations(path, features, receivers));
+    let (data, accepted) = (&split.data, &pipeline.accept);
+    let read = arguments.observations.as_ref();
+    let read = read.map(|path| move |features: &_| read_observations(path, features, data, accepted));
     let observations = read.as_ref().map(|read| read as ReadFeatures<'_>);
     let located = RunProgress::observe(verbosity, |progress| {
         locate_model(&ensemble, &split, observations, &arguments.settings, progress)

@@ -22,13 +22,17 @@ pub(crate) struct ChangeOptions {
         help = "Multiply all step counts, such as 0.25; below 1, also divide the\nlearning rates of masks by it (up to 0.1), so that they still close"
     )]
     scale: Option<f64>,
+    /// Accept a finding on the data, such as lone-value.
+    #[arg(long, value_name = "FINDING", help = "Accept a finding on the data, such as lone-value; repeatable")]
+    pub(super) accept: Vec<String>,
 }
 
 impl ChangeOptions {
-    /// Lists the changes of `--set` and `--scale`, each as `FIELD=VALUE`.
+    /// Lists the changes of `--set`, `--scale` and `--accept`, each as `FIELD=VALUE`.
     pub(super) fn assignments(&self) -> Vec<String> {
         let scale = self.scale.map(|scale| format!("training.scale={scale:?}"));
-        self.set.iter().cloned().chain(scale).collect()
+        let accept = (!self.accept.is_empty()).then(|| format!("accept={:?}", self.accept));
+        self.set.iter().cloned().chain(scale).chain(accept).collect()
     }
 }
 

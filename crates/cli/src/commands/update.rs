@@ -9,7 +9,7 @@ use pwrfgs::experiment::text::grouped;
 use pwrfgs::model::file;
 use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs::tasks::read_models;
-use pwrfgs::tasks::update::{FAR, UpdatedModel, check_residuals, update as update_model};
+use pwrfgs::tasks::update::{UpdatedModel, check_residuals, update as update_model};
 use pwrfgs_core::files::{check_new_file, create};
 use pwrfgs_core::{Result, recognise};
 use std::path::{Path, PathBuf};
@@ -33,8 +33,8 @@ pub(crate) struct Update {
     /// Model file to write; must not exist
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
-    /// Accept data that are far from the model, such as after a change of the room
-    #[arg(long, value_name = "FINDING", value_parser = [FAR])]
+    /// Accept a finding, such as far-from-model after a change of the room; repeatable
+    #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
 }
 
@@ -46,7 +46,7 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     let source = recognise(&arguments.data).ok_or_else(|| unknown_folder_error(&arguments.data))?;
     let mut progress = RunProgress::new(verbosity);
     let data = staged(&mut progress, "new data", |progress| source.load(Path::new(""), progress))?;
-    let updated = update_model(&model, &data, !arguments.accept.is_empty(), &mut progress);
+    let updated = update_model(&model, &data, &arguments.accept, &mut progress);
     let UpdatedModel { ensemble, added, agreement, milliseconds } = updated.map_err(in_file(&arguments.data))?;
     progress.remove_bar();
     verbosity.print_note(&format!("new data against the model: {agreement}"));

@@ -198,7 +198,7 @@ pub enum PoseVerdict {
 const SMALL_DEG: f64 = 2.0;
 /// Largest ratio of remaining angle to the angle of a constant direction for which the strongest direction follows the
 /// line of sight.
-const FOLLOWS: f64 = 0.6;
+pub(super) const FOLLOWS: f64 = 0.6;
 /// Angle above which the strongest direction is not the line of sight, degrees.
 const WIDE_DEG: f64 = 20.0;
 /// Correction of the orientations of a moving receiver.
@@ -342,6 +342,6 @@ impl PoseCheck {
 }
 
 /// Returns whether transmitters are in a room, so that direct paths exist: simulated spectra of `Teacher` have none.
-fn has_room(data: &Dataset) -> bool {
+pub(super) fn has_room(data: &Dataset) -> bool {
     data.simulation.as_ref().is_none_or(|simulation| simulation.scene.is_some())
 }

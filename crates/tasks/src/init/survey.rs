@@ -4,7 +4,7 @@ use pwrfgs_core::plugin::name_of as plugin_name;
 use pwrfgs_core::{DataSource, Dataset, Error, Partition, Plugin, Result, Split, recognise, rng};
 use pwrfgs_data::read_points;
 use pwrfgs_experiment::inspect::test_distance;
-use pwrfgs_experiment::{Observer, observed, staged, warn_of_findings};
+use pwrfgs_experiment::{Observer, check_findings, observed, staged};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -59,6 +59,8 @@ pub struct DataSurvey {
     pub(super) source: Plugin<dyn DataSource>,
     /// The data.
     pub data: Dataset,
+    /// Names of accepted findings.
+    pub(super) accepted: Vec<String>,
     /// Suggested split, as RON.
     pub(super) split: String,
     partition: Partition,
@@ -69,25 +71,26 @@ pub struct DataSurvey {
 }
 
 impl DataSurvey {
-    /// Loads the data in `folder` and suggests a split; warns of findings on the data.
+    /// Loads the data in `folder` and suggests a split; warns of findings on the data. `accepted` are the names of accepted findings.
     ///
     /// # Errors
-    /// No data of a known layout, or invalid data.
-    pub fn read(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
+    /// No data of a known layout, invalid data, or errors of [`Self::of_data`].
+    pub fn read(folder: &Path, accepted: &[String], observer: &mut dyn Observer) -> Result<Self> {
         let source = recognise(folder).ok_or_else(|| unknown_folder_error(folder))?;
         let data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
-        Self::of_data(source, data, Some(folder), observer)
+        Self::of_data(source, data, Some(folder), accepted, observer)
     }
 
     /// Suggests a split for `data`, which `source` reads; warns of findings on the data. Point clouds of the room are those in
     /// `folder`.
     ///
     /// # Errors
-    /// Data that no split divides, or with findings that are errors.
+    /// Data that no split divides, or findings that make results meaningless and are not `accepted`.
     pub fn of_data(
         source: Plugin<dyn DataSource>,
         mut data: Dataset,
         folder: Option<&Path>,
+        accepted: &[String],
         observer: &mut dyn Observer,
     ) -> Result<Self> {
         let clouds = folder.map(read_clouds).unwrap_or_default();
@@ -95,10 +98,10 @@ impl DataSurvey {
         if let Some((_, points)) = clouds.first().filter(|_| data.camera().is_none()) {
             data.scene.points = points.iter().map(|point| data.scene.origin.local(*point)).collect();
         }
-        warn_of_findings(&data, Some(&partition), observer)?;
+        check_findings(&data, Some(&partition), Some(accepted), observer)?;
         let nearest = test_distance(&data, &partition);
         let clouds = clouds.into_iter().map(|(path, points)| (path, points.len())).collect();
-        Ok(Self { source, data, split, partition, nearest, clouds })
+        Ok(Self { source, data, accepted: accepted.to_vec(), split, partition, nearest, clouds })
     }
 
     /// Returns the stride of training pixels: 3 for fine spectra whose size it divides, since spectra of a small array

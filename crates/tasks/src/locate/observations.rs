@@ -1,8 +1,9 @@
 //! Observations of unknown transmitters: NumPy arrays, tables of powers, images.
 
 use pwrfgs_core::npy::Header;
-use pwrfgs_core::{Error, Image, Number, Real, Receiver, Result, files, gain_fault, rows_of};
+use pwrfgs_core::{Dataset, Error, Image, Number, Real, Receiver, Result, files, gain_fault, rows_of};
 use pwrfgs_data::{is_linear, power_fault, read_image, read_powers};
+use pwrfgs_experiment::{check_observed, reject_findings};
 use pwrfgs_localise::FingerprintFeatures;
 use std::path::Path;
 
@@ -14,32 +15,42 @@ struct ObservationFile<'a> {
     path: &'a Path,
     /// Features of the observations of the model.
     features: &'a FingerprintFeatures,
-    /// Receivers of the model.
+    /// Known data of the model.
+    data: &'a Dataset,
     receivers: &'a [Receiver],
+    /// Names of accepted findings.
+    accepted: &'a [String],
 }
 
 /// Computes the features of observations of `features.task()` in an array, after the checks of a file called `path`: powers
 /// `[B, receivers]` in dBm, NaN if unknown; spectra `[B, height, width]`, or channels as rows of real and imaginary parts, at
-/// one receiver.
+/// one receiver. `data` are the known data of the model.
 ///
 /// # Errors
-/// An invalid value; the error has its row.
+/// An invalid value, the error has its row; powers far from those of `data`, unless the finding is `accepted`.
 pub fn checked_features(
     path: &Path,
     values: &[Real],
     features: &FingerprintFeatures,
-    receivers: &[Receiver],
+    data: &Dataset,
+    accepted: &[String],
 ) -> Result<Vec<Vec<f32>>> {
-    let file = ObservationFile { path, features, receivers };
+    let file = ObservationFile { path, features, data, receivers: &data.scene.receivers, accepted };
     if features.task().is_scalar { file.power_features(values) } else { file.image_features(values) }
 }
 
-/// Reads the features `[receivers, count]` of each transmitter in a file; NaN for unknown values.
+/// Reads the features `[receivers, count]` of each transmitter in a file; NaN for unknown values. `data` are the known data of
+/// the model.
 ///
 /// # Errors
-/// A file of another kind or shape than the observations of the model, or an invalid value.
-pub fn read_observations(path: &Path, features: &FingerprintFeatures, receivers: &[Receiver]) -> Result<Vec<Vec<f32>>> {
-    ObservationFile { path, features, receivers }.read_features()
+/// A file of another kind or shape than the observations of the model, or as [`checked_features`].
+pub fn read_observations(
+    path: &Path,
+    features: &FingerprintFeatures,
+    data: &Dataset,
+    accepted: &[String],
+) -> Result<Vec<Vec<f32>>> {
+    ObservationFile { path, features, data, receivers: &data.scene.receivers, accepted }.read_features()
 }
 
 impl ObservationFile<'_> {
@@ -151,6 +162,8 @@ impl ObservationFile<'_> {
                 return Err(self.error(format!("row {number}: a power {fault}, {advice}")));
             }
         }
+        let finding: Vec<_> = check_observed(self.data, values).into_iter().collect();
+        reject_findings(&finding, self.accepted).map_err(|refused| self.error(refused.to_string()))?;
         Ok(rows)
     }
 

@@ -5,7 +5,7 @@ use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::{ColumnChoice, PowerUnit, TableFile, TableImport, save};
-use pwrfgs::experiment::{observed, staged, warn_of_findings};
+use pwrfgs::experiment::{observed, staged, check_findings};
 use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 
@@ -108,9 +108,10 @@ impl TableArguments {
 pub(super) fn import_table(arguments: &Import, name: &str, verbosity: Verbosity) -> Result<()> {
     let import = arguments.table.to_import(arguments, name)?;
     let (imported, out) = RunProgress::observe(verbosity, |progress| {
-        let imported = staged(progress, "rows", |_| import.read())?;
+        let mut imported = staged(progress, "rows", |_| import.read())?;
+        imported.data.accepted.clone_from(&arguments.accept);
         imported.notes.iter().for_each(|note| verbosity.print_note(note));
-        warn_of_findings(&imported.data, None, progress)?;
+        check_findings(&imported.data, None, Some(&arguments.accept), progress)?;
         let out = arguments.out.as_ref().filter(|_| !arguments.table.dry_run);
         out.map(|out| save(&imported.data, out)).transpose()?;
         Ok::<_, Error>((imported, out))

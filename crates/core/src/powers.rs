@@ -1,0 +1,191 @@
+//! Codes and units of received powers: values that are probably not readings, and the probable unit of values.
+
+use crate::Real;
+use crate::statistics::median;
+
+/// Distance of a code from the next value, dB.
+const GAP_DB: f64 = 20.0;
+/// Smallest number of equal powers that are a code.
+const SEVERAL: usize = 3;
+/// Powers outside this range are no readings, dBm: a watt, and less than the thermal noise in some hertz.
+const RANGE_DBM: std::ops::RangeInclusive<f64> = -150.0..=30.0;
+/// Share of the powers at the lowest value above which it is a code.
+const LOWEST: f64 = 0.2;
+/// Share of the powers with one value above which it is notable.
+const SHARED: f64 = 0.05;
+/// Absolute value below which all powers are probably linear.
+const FAINT: f64 = 0.1;
+
+/// Value of received powers that is probably a code, such as "not received".
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LoneValue {
+    /// The value.
+    pub value: Real,
+    /// Number of powers with this value.
+    pub count: usize,
+    /// Index of the first of them.
+    pub first: usize,
+    /// Distance to the nearest other value, dB; infinite if there is none.
+    pub gap: f64,
+}
+
+/// Finds values of `powers` in dBm that are probably codes: several equal powers at either end, more than 20 dB from the next
+/// value; powers above 30 dBm or below -150 dBm; and a lowest value that more than a fifth of the powers have. NaN is ignored.
+///
+/// ```
+/// let powers = [-61.0, 100.0, -70.5, 100.0, -64.0, 100.0];
+/// let [code] = pwrfgs_core::lone_values(&powers)[..] else { panic!() };
+/// assert_eq!((code.value, code.count, code.first, code.gap), (100.0, 3, 1, 161.0));
+/// ```
+pub fn lone_values(powers: &[Real]) -> Vec<LoneValue> {
+    let all = histogram(powers);
+    let mut rest = &all[..];
+    let mut codes = take_ends(&mut rest, |entry| entry.count >= SEVERAL && entry.gap > GAP_DB);
+    let readings = || rest.iter().flat_map(|entry| std::iter::repeat_n(entry.value as f64, entry.count));
+    // The middle of powers in another unit may lie outside.
+    if RANGE_DBM.contains(&median(readings())) {
+        codes.extend(take_ends(&mut rest, |entry| !RANGE_DBM.contains(&(entry.value as f64))));
+    }
+    let lowest = rest.first().zip(rest.get(1)).filter(|_| rest.len() > 2);
+    let is_code = |entry: &LoneValue, next: &LoneValue| {
+        entry.count >= SEVERAL.max(2 * next.count) && entry.count as f64 > LOWEST * powers.len() as f64
+    };
+    codes.extend(lowest.filter(|(entry, next)| is_code(entry, next)).map(|(entry, _)| *entry));
+    codes
+}
+
+/// Finds values that more than 5 % of the powers have, and four times as many as the fourth most frequent value;
+/// [`lone_values`] may be among them. NaN is ignored.
+pub fn shared_values(powers: &[Real]) -> Vec<LoneValue> {
+    let mut all = histogram(powers);
+    all.sort_by_key(|entry| std::cmp::Reverse(entry.count));
+    let usual = all.get(3).map_or(usize::MAX, |entry| 4 * entry.count);
+    let is_shared = |entry: &LoneValue| entry.count as f64 > SHARED * powers.len() as f64 && entry.count > usual;
+    all.into_iter().take(3).filter(is_shared).collect()
+}
+
+/// Takes entries that `is_code` from either end of `rest`, which keeps at least two.
+fn take_ends(rest: &mut &[LoneValue], is_code: impl Fn(&LoneValue) -> bool) -> Vec<LoneValue> {
+    let mut codes = Vec::new();
+    while let [first, second, .., before, last] | [first, second @ before, last] = *rest {
+        let with_gap = |entry: &LoneValue, next: &LoneValue| LoneValue {
+            gap: (next.value as f64 - entry.value as f64).abs(),
+            ..*entry
+        };
+        let (low, high) = (with_gap(first, second), with_gap(last, before));
+        if is_code(&low) {
+            codes.push(low);
+            *rest = &rest[1..];
+        } else if is_code(&high) {
+            codes.push(high);
+            *rest = &rest[..rest.len() - 1];
+        } else {
+            break;
+        }
+    }
+    codes
+}
+
+/// Lists the distinct values in ascending order, each with its distance to the nearest other one.
+fn histogram(powers: &[Real]) -> Vec<LoneValue> {
+    let mut order: Vec<usize> = (0..powers.len()).filter(|i| powers[*i].is_finite()).collect();
+    order.sort_by(|a, b| powers[*a].total_cmp(&powers[*b]).then(a.cmp(b)));
+    let groups: Vec<&[usize]> = order.chunk_by(|a, b| powers[*a] == powers[*b]).collect();
+    let value = |k: usize| groups.get(k).map_or(f64::INFINITY, |group| powers[group[0]] as f64);
+    let entry = |(k, group): (usize, &&[usize])| {
+        let below = if k == 0 { f64::INFINITY } else { value(k) - value(k - 1) };
+        let gap = below.min(value(k + 1) - value(k));
+        LoneValue { value: powers[group[0]], count: group.len(), first: group[0], gap }
+    };
+    groups.iter().enumerate().map(entry).collect()
+}
+
+/// Unit of received powers other than dBm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PowerUnit {
+    /// dBm without the minus sign.
+    PositiveDbm,
+    /// Signal quality from 0 to 100 %.
+    Percent,
+    /// Decibels over a floor.
+    OverFloor,
+    /// Milliwatts.
+    Milliwatts,
+    /// Watts.
+    Watts,
+}
+
+impl PowerUnit {
+    /// Returns the units that `powers` probably have; none if they are plausible in dBm. [`lone_values`] should be left out.
+    pub fn guess(powers: &[Real]) -> &'static [Self] {
+        let values = || powers.iter().map(|value| *value as f64).filter(|value| value.is_finite());
+        let (low, high) = crate::statistics::bounds(values());
+        if low > high {
+            &[]
+        } else if low.abs().max(high.abs()) <= FAINT || low > 0.0 && high > 1e3 * low {
+            &[Self::Milliwatts, Self::Watts]
+        } else if low < 0.0 && median(values()) <= *RANGE_DBM.end() {
+            &[]
+        } else if high <= 100.0 {
+            &[Self::PositiveDbm, Self::Percent, Self::OverFloor]
+        } else if high <= -RANGE_DBM.start() {
+            &[Self::PositiveDbm, Self::OverFloor]
+        } else {
+            &[Self::Milliwatts]
+        }
+    }
+
+    /// Returns the value of the option `--unit`, the name in a sentence, and the conversion to dBm.
+    pub fn words(self) -> [&'static str; 3] {
+        match self {
+            Self::PositiveDbm => ["positive-dBm", "-dBm (the minus sign is missing)", "negate them"],
+            Self::Percent => ["percent", "per cent of quality", "give value / 2 - 100"],
+            Self::OverFloor => ["dB", "decibels over a floor", "add the floor in dBm, such as -100"],
+            Self::Milliwatts => ["mW", "milliwatts", "give 10 * log10(mW)"],
+            Self::Watts => ["W", "watts", "give 10 * log10(W) + 30"],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn codes(powers: &[Real]) -> Vec<(Real, usize)> {
+        lone_values(powers).iter().map(|code| (code.value, code.count)).collect()
+    }
+
+    #[test]
+    fn finds_codes_at_either_end() {
+        let readings = || (0..30).map(|k| -50.0 - k as Real);
+        for code in [0.0, 1.0, 100.0, -110.0, -200.0, 60.0, -999.0] {
+            let powers: Vec<Real> = readings().chain([code; 4]).collect();
+            assert_eq!(codes(&powers), [(code, 4)]);
+        }
+        let both: Vec<Real> = readings().chain([100.0; 90]).chain([-200.0; 3]).chain([45.0]).collect();
+        assert_eq!(codes(&both), [(-200.0, 3), (100.0, 90), (45.0, 1)]);
+        assert_eq!(codes(&readings().collect::<Vec<_>>()), []);
+    }
+
+    #[test]
+    fn lowest_value_is_a_code_if_a_fifth_has_it() {
+        let powers = |lowest: Real| (0..70).map(|k| -90.0 + k as Real / 2.0).chain([lowest; 30]).collect::<Vec<_>>();
+        assert_eq!(codes(&powers(-100.0)), [(-100.0, 30)]);
+        // A reading, since lower values exist; the number is still notable.
+        let twin: Vec<Real> = powers(-100.0).into_iter().chain([-101.0, -107.0]).collect();
+        assert_eq!(codes(&twin), []);
+        assert_eq!(shared_values(&twin).iter().map(|v| (v.value, v.count)).collect::<Vec<_>>(), [(-100.0, 30)]);
+        assert_eq!(codes(&[-60.0, Real::NAN]), []);
+    }
+
+    #[test]
+    fn guesses_units() {
+        use PowerUnit::*;
+        assert_eq!(PowerUnit::guess(&[-60.0, -90.0, 3.0]), []);
+        assert_eq!(PowerUnit::guess(&[5.1e-8, 1.2e-9]), [Milliwatts, Watts]);
+        assert_eq!(PowerUnit::guess(&[42.9, 59.2]), [PositiveDbm, Percent, OverFloor]);
+        assert_eq!(PowerUnit::guess(&[42.9, 109.2]), [PositiveDbm, OverFloor]);
+        assert_eq!(PowerUnit::guess(&[]), []);
+        assert!(lone_values(&[42.0, 43.0, 44.0, 61.0]).is_empty());
+    }
+}

@@ -1,0 +1,49 @@
+//! Checks whether the strongest directions of spectra depend on the recorded positions: another unit, or another order of rows.
+
+use super::finding::Finding;
+use super::pose::{FOLLOWS, PoseCheck, PoseVerdict, has_room};
+use super::positions::round;
+use super::relation::{MEANINGS, check_rows};
+use super::rotation::angle;
+use super::spectra::SpectrumSummary;
+use glam::{DQuat, DVec3};
+use pwrfgs_core::{Dataset, statistics::median};
+
+/// Median angle of the lines of sight from their middle below which neighbours need not differ from random pairs, degrees.
+const WIDE_DEG: f64 = 10.0;
+
+/// Finds positions in another unit, or in another order than the spectra, where the recorded pose does not fit.
+pub(super) fn check_directions(data: &Dataset, spectra: &[SpectrumSummary], pose: &PoseCheck) -> Option<Finding> {
+    if pose.verdict == PoseVerdict::Right || !has_room(data) {
+        return None;
+    }
+    let seen: Vec<(usize, DVec3)> = spectra.iter().filter_map(|s| Some((s.sample, s.strongest?))).collect();
+    let fixed = data.scene.origin.world_pose(data.scene.pose());
+    let angle_by = |meaning: fn([f64; 3]) -> [f64; 3]| {
+        let degrees = |&(sample, strongest): &(usize, DVec3)| {
+            let moved = data.sample(sample).pose;
+            let (a, b) = (DVec3::from_array(meaning(moved.position)), DVec3::from_array(fixed.position));
+            let (sight, by) = if data.scene.moving.is_receiver() { (b - a, moved) } else { (a - b, fixed) };
+            let by = DQuat::from_array(by.orientation).normalize();
+            angle(by.inverse() * sight.normalize_or_zero(), strongest).to_degrees()
+        };
+        median(seen.iter().filter(|(sample, _)| data.sample(*sample).receiver == 0).map(degrees))
+    };
+    let units = MEANINGS.iter().filter(|meaning| meaning.0 == "position-unit");
+    let best = units.map(|meaning| (angle_by(meaning.3), meaning)).min_by(|a, b| a.0.total_cmp(&b.0))?;
+    if best.0 < (0.5 * pose.recorded).min(pose.turned).min(FOLLOWS * pose.constant) {
+        let (degrees, (name, words, mend, _)) = best;
+        let problem = format!(
+            "the strongest direction is {:.1}° from the line of sight, and {degrees:.1}° if positions are {words} (for example \
+             transmitter {} at {:?})",
+            pose.recorded,
+            data.sample(seen[0].0).id,
+            round(data.sample(seen[0].0).position())
+        );
+        return Some(Finding::new(name, pose.pairs, problem, *mend));
+    }
+    let is_open = matches!(pose.verdict, PoseVerdict::NotDirect | PoseVerdict::Unclear) && pose.spread >= WIDE_DEG;
+    let rows: Vec<usize> = seen.iter().map(|(sample, _)| data.links[*sample].location).collect();
+    let has_rows = is_open && data.scene.receivers.len() == 1 && !data.scene.moving.is_receiver();
+    has_rows.then(|| check_rows(data, &rows, &|a, b| angle(seen[a].1, seen[b].1))).flatten()
+}

@@ -1,0 +1,132 @@
+//! Checks of the positions: equal ones, their unit, degrees, and an index or a time in place of a coordinate.
+
+use super::cloud::{extent, longest_side};
+use super::finding::Finding;
+use pwrfgs_core::neighbours::{distance, nearest_other_squared};
+use pwrfgs_core::statistics::{mean, median};
+use pwrfgs_core::{Dataset, Real};
+
+/// Largest and smallest plausible site and largest spacing of transmitters in metres; other positions are probably in
+/// another unit.
+const SITE_M: f64 = 100.0;
+const SPACING_M: f64 = 3.0;
+const SMALL_SITE_M: f64 = 0.05;
+/// Longest side of a site in degrees, largest spacing there, and smallest ratio of distance from zero to the longest side.
+const SITE_DEG: f64 = 1.0;
+const SPACING_DEG: f64 = 0.002;
+const OFFSET: f64 = 20.0;
+/// Difference of the heights of both ends above which these are not in metres, and its ratio to the site.
+const HEIGHT_M: f64 = 300.0;
+const STEEP: f64 = 0.1;
+/// Largest median of power plus free-space loss over the distance at 433 MHz: 4 W are received with 11 dBm at 1 m.
+const STRONGEST_DBM: f64 = 11.0;
+/// Smallest number of rows in which a coordinate may be an index, largest deviation of its steps from their mean as a share, and
+/// number of rows per turn of another coordinate.
+const ROWS: usize = 20;
+const UNEVEN: f64 = 0.5;
+const TURNS: usize = 5;
+/// Standard deviation of the steps of a coordinate that changes, metres.
+const MOVED_M: f64 = 1e-3;
+
+/// Finds positions that are probably not in metres, that are all equal, or in which a coordinate is an index or a time.
+pub(super) fn check_positions(data: &Dataset) -> Vec<Finding> {
+    let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
+    let Some(first) = positions.first().filter(|_| positions.len() > 1) else { return Vec::new() };
+    let count = positions.len();
+    if positions.iter().all(|position| position == first) {
+        let problem = format!("all {count} transmitters are at {first:?}");
+        return vec![Finding::new("equal-positions", count, problem, "give each transmitter its own position")];
+    }
+    let unit = if data.camera().is_some() { None } else { check_unit(data, &positions) };
+    check_index(data, &positions).into_iter().chain(unit).collect()
+}
+
+/// Finds a coordinate that rises with the row as an index or a time does, while another is no walk along it.
+fn check_index(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
+    let steps = |k: usize| positions.windows(2).map(|pair| pair[1][k] - pair[0][k]).collect::<Vec<f64>>();
+    let steps = [steps(0), steps(1), steps(2)];
+    let middle = |k: usize| mean(steps[k].iter().copied());
+    let is_whole = |k: usize| positions.iter().all(|position| position[k].fract() == 0.0);
+    let is_index = |k: &usize| {
+        let (step, others) = (middle(*k), (0..3).filter(|other| other != k));
+        let turns = |k: usize| steps[k].windows(2).filter(|pair| pair[0] * pair[1] < 0.0).count();
+        let spread = |k: usize| mean(steps[k].iter().map(|value| (value - middle(k)).powi(2))).sqrt();
+        let is_to_and_fro = |k: usize| TURNS * turns(k) > positions.len() && spread(k) > UNEVEN * step;
+        let is_counted = steps[*k].iter().all(|value| *value == 1.0) && is_whole(*k);
+        let is_even = step > 0.0 && steps[*k].iter().all(|value| (value - step).abs() <= UNEVEN * step);
+        let mut others = others.filter(|other| {
+            is_even && (is_to_and_fro(*other) || is_counted && !is_whole(*other) && spread(*other) > MOVED_M)
+        });
+        others.next().is_some()
+    };
+    let axis = (0..3).find(is_index).filter(|_| positions.len() >= ROWS)?;
+    let (name, step, at, id) = (["x", "y", "z"][axis], middle(axis), positions[0][axis], data.locations[0].id);
+    let problem = format!(
+        "{name} rises by {step:.3} from row to row, as an index or a time does (for example {at} at transmitter {id})"
+    );
+    Some(Finding::new("index-coordinate", positions.len(), problem, "give x, y and z in metres"))
+}
+
+/// Finds positions that are probably in degrees or in another unit of length.
+fn check_unit(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
+    let [low, high] = extent(positions.iter().copied())?.map(round);
+    let (site, id) = (longest_side([low, high]), data.locations[0].id);
+    let spacing = median_spacing(positions);
+    let finding = |name: &str, problem: String, mend: &str| {
+        let problem = format!("{problem} (for example transmitter {id} at {:?})", round(positions[0]));
+        Some(Finding::new(name, positions.len(), problem, mend))
+    };
+    let flat = (high[0] - low[0]).max(high[1] - low[1]);
+    let is_angle = low[0].abs().max(high[0].abs()) <= 180.0 && low[1].abs().max(high[1].abs()) <= 180.0;
+    let flat_spacing = median_spacing(&positions.iter().map(|p| [p[0], p[1], 0.0]).collect::<Vec<_>>());
+    if is_angle && flat < SITE_DEG && flat_spacing < SPACING_DEG && low[0].hypot(low[1]) > OFFSET * flat && flat > 0.0 {
+        let problem = format!("x and y look like degrees: x {} to {}, y {} to {}", low[0], high[0], low[1], high[1]);
+        let mend = "convert latitude and longitude to metres (`--lat-lon` of `pwrfgs import --table`)";
+        return finding("position-unit", problem, mend);
+    }
+    if site < SMALL_SITE_M {
+        let problem = format!("the site is only {:.3} mm long", 1e3 * site);
+        return finding("position-unit", problem, "if these are kilometres or degrees, convert them to metres");
+    }
+    if site <= SITE_M || spacing <= SPACING_M {
+        return None;
+    }
+    let problem =
+        format!("the site is {site:.0} m long and the median distance to the nearest transmitter is {spacing:.1} m");
+    let mend = "if these are millimetres or centimetres, convert them to metres";
+    match data.observations.powers() {
+        Some(powers) => finding("large-site", format!("{problem}, {}", large_site_fault(data, powers, site)?), mend),
+        None => finding("large-site", problem, mend),
+    }
+}
+
+/// Rounds a position to 1e-7, a centimetre in degrees.
+pub(super) fn round(position: [f64; 3]) -> [f64; 3] {
+    position.map(|v| (v * 1e7).round() / 1e7)
+}
+
+/// Returns the median distance to the nearest other position.
+fn median_spacing(positions: &[[f64; 3]]) -> f64 {
+    let local = |position: &[f64; 3]| [0, 1, 2].map(|k| (position[k] - positions[0][k]) as Real);
+    let squared = nearest_other_squared(&positions.iter().map(local).collect::<Vec<_>>());
+    median(squared.into_iter().map(|d| (d as f64).sqrt()))
+}
+
+/// Returns what contradicts a large site in metres: heights, or links stronger than free space allows; `None` for a campus.
+fn large_site_fault(data: &Dataset, powers: &[Real], site: f64) -> Option<String> {
+    if !data.scene.has_distances() {
+        return None;
+    }
+    let fixed: Vec<[f64; 3]> =
+        data.scene.fixed_ends().into_iter().map(|pose| data.scene.origin.world_pose(pose).position).collect();
+    let end = |i: usize| fixed[if data.scene.moving.is_receiver() { 0 } else { data.links[i].receiver }];
+    let links = || (0..data.len()).map(|i| (data.sample(i).position(), end(i), powers[i] as f64));
+    let height = median(links().map(|(a, b, _)| (a[2] - b[2]).abs()));
+    let strength = median(links().map(|(a, b, dbm)| dbm + 20.0 * distance(a, b).max(1.0).log10()));
+    if height > HEIGHT_M.max(STEEP * site) {
+        return Some(format!("and the heights of both ends differ by {height:.0} m"));
+    }
+    let limit =
+        format!("and the links are {:.0} dB stronger than those of 4 W in free space", strength - STRONGEST_DBM);
+    (strength > STRONGEST_DBM).then_some(limit)
+}

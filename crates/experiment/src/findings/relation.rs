@@ -1,0 +1,212 @@
+//! Checks whether observations depend on the recorded positions: level against distance, with other meanings of the positions,
+//! and whether neighbours are more alike than random pairs.
+
+use super::finding::{Finding, name_link};
+use pwrfgs_core::neighbours::{distance, k_nearest};
+use pwrfgs_core::statistics::{evenly, mean};
+use pwrfgs_core::{Dataset, Link, Real, rng};
+
+/// Smallest number of locations, and largest number that are compared.
+const LOCATIONS: std::ops::RangeInclusive<usize> = 50..=500;
+/// Largest number of receivers whose order is searched.
+const RECEIVERS: usize = 40;
+/// Smallest share of the variance of levels that another meaning of the positions explains, and largest share of that which
+/// the recorded one explains; the latter is larger where the other meaning explains half.
+const EXPLAINED: f64 = 0.15;
+const RECORDED: f64 = 0.25;
+const HALF: [f64; 2] = [0.5, 0.6];
+/// Standard deviation of free-space loss that the distances to a receiver cause, dB: with less, noise may hide the relation.
+const SPREAD_DB: f64 = 2.5;
+/// Number of random pairings, and their standard deviations by which neighbours must be more alike.
+const DRAWS: usize = 20;
+const ALIKE: f64 = 3.0;
+
+/// Position `[x, y, z]` in metres.
+type Position = [f64; 3];
+/// Another meaning of transmitter positions: name of the finding, words, correction, and the position.
+type Meaning = (&'static str, &'static str, &'static str, fn(Position) -> Position);
+/// Meanings of positions; units first.
+pub(super) const MEANINGS: [Meaning; 8] = [
+    ("position-unit", "in millimetres", "divide them by 1000", |p| p.map(|v| v / 1000.0)),
+    ("position-unit", "in centimetres", "divide them by 100", |p| p.map(|v| v / 100.0)),
+    ("position-unit", "in feet", "multiply them by 0.3048", |p| p.map(|v| 0.3048 * v)),
+    ("position-unit", "in inches", "multiply them by 0.0254", |p| p.map(|v| 0.0254 * v)),
+    ("position-unit", "in kilometres", "multiply them by 1000", |p| p.map(|v| 1000.0 * v)),
+    ("axes", "y, x, z", "exchange x and y", |[x, y, z]| [y, x, z]),
+    ("axes", "x, z, y", "exchange y and z", |[x, y, z]| [x, z, y]),
+    ("axes", "z, y, x", "exchange x and z", |[x, y, z]| [z, y, x]),
+];
+
+/// Levels of links with received powers, and both ends.
+pub(super) struct LevelLinks {
+    /// Location, fixed end and level of each link.
+    links: Vec<(usize, usize, f64)>,
+    locations: Vec<Position>,
+    fixed: Vec<Position>,
+}
+
+impl LevelLinks {
+    /// Collects the links of at most 500 evenly chosen locations; `None` for other observations, or without distances.
+    pub(super) fn of(data: &Dataset) -> Option<Self> {
+        let powers = data.observations.powers().filter(|_| data.placed && data.scene.has_distances())?;
+        let chosen = evenly(&(0..data.locations.len()).collect::<Vec<_>>(), *LOCATIONS.end());
+        let end = |link: &Link| if data.scene.moving.is_receiver() { 0 } else { link.receiver };
+        let row = |i: usize| (data.links[i].location, end(&data.links[i]), powers[i] as f64);
+        let fixed = data.scene.fixed_ends().into_iter();
+        Some(Self {
+            links: data.links_of(&chosen).into_iter().map(row).collect(),
+            locations: data.locations.iter().map(pwrfgs_core::Location::position).collect(),
+            fixed: fixed.map(|pose| data.scene.origin.world_pose(pose).position).collect(),
+        })
+    }
+
+    /// Returns the share of the variance that a straight line over the logarithm of the distance explains, and its slope,
+    /// dB per decade.
+    pub(super) fn recorded(&self) -> (f64, f64) {
+        self.fit(&|_| true, &|location| self.locations[location], &|end| self.fixed[end])
+    }
+
+    /// Fits the levels of the links at the fixed ends that are `used` over the distance between `location` and `fixed`, as
+    /// [`Self::recorded`].
+    fn fit(
+        &self,
+        used: &dyn Fn(usize) -> bool,
+        location: &dyn Fn(usize) -> Position,
+        fixed: &dyn Fn(usize) -> Position,
+    ) -> (f64, f64) {
+        let pair = |&(at, end, level): &(usize, usize, f64)| (distance(location(at), fixed(end)).log10(), level);
+        let pairs = self.links.iter().filter(|link| used(link.1)).map(pair).filter(|(x, _)| x.is_finite());
+        let mut sums = [0.0; 6];
+        for (x, y) in pairs {
+            [1.0, x, y, x * x, x * y, y * y].iter().zip(&mut sums).for_each(|(value, sum)| *sum += value);
+        }
+        let [n, x, y, xx, xy, yy] = sums;
+        let (var_x, var_y, covariance) = (n * xx - x * x, n * yy - y * y, n * xy - x * y);
+        if var_x <= 1e-9 * n * xx || var_y <= 0.0 {
+            return (0.0, 0.0);
+        }
+        (covariance * covariance / (var_x * var_y), covariance / var_x)
+    }
+
+    /// Returns the share of the variance that a falling line explains.
+    fn falling(&self, location: &dyn Fn(usize) -> Position, fixed: &dyn Fn(usize) -> Position) -> f64 {
+        let (share, slope) = self.fit(&|_| true, location, fixed);
+        if slope < 0.0 { share } else { 0.0 }
+    }
+
+    /// Returns the order of the fixed ends that fits the level at each best: the position for each end.
+    fn best_order(&self) -> Vec<usize> {
+        let count = self.fixed.len();
+        let mut fits = Vec::new();
+        for (end, slot) in (0..count * count).map(|k| (k / count, k % count)) {
+            let (share, slope) = self.fit(&|used| used == end, &|at| self.locations[at], &|_| self.fixed[slot]);
+            fits.push((if slope < 0.0 { share } else { 0.0 }, end, slot));
+        }
+        fits.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let (mut order, mut is_taken) = (vec![usize::MAX; count], vec![false; count]);
+        for (_, end, slot) in fits {
+            if order[end] == usize::MAX && !is_taken[slot] {
+                (order[end], is_taken[slot]) = (slot, true);
+            }
+        }
+        order
+    }
+
+    /// Returns the mean standard deviation of free-space loss over the links at a fixed end, dB.
+    fn spread_db(&self) -> f64 {
+        let spread = |end: usize| {
+            let links = self.links.iter().filter(|link| link.1 == end);
+            let loss = links.map(|link| 20.0 * distance(self.locations[link.0], self.fixed[end]).max(1e-9).log10());
+            let loss: Vec<f64> = loss.collect();
+            let middle = mean(loss.iter().copied());
+            mean(loss.iter().map(|value| (value - middle).powi(2))).sqrt()
+        };
+        mean((0..self.fixed.len()).map(spread).filter(|spread| spread.is_finite()))
+    }
+}
+
+/// Finds levels that do not fall with the recorded distance, but with that by another meaning, row order or receiver order.
+pub(super) fn check_levels(data: &Dataset) -> Option<Finding> {
+    let links = LevelLinks::of(data).filter(|_| data.locations.len() >= *LOCATIONS.start())?;
+    let (location, fixed) = (|at: usize| links.locations[at], |end: usize| links.fixed[end]);
+    let recorded = links.falling(&location, &fixed);
+    let by_meaning = MEANINGS.map(|(name, words, mend, meaning)| {
+        let share = links.falling(&|at| meaning(location(at)), &fixed);
+        (share, name, format!("positions of the transmitters {words}"), mend.to_owned())
+    });
+    let last = links.locations.len() - 1;
+    let reversed = links.falling(&|at| location(last - at), &fixed);
+    let rows =
+        (reversed, "row-order", "the rows in reverse order".to_owned(), "reverse the rows of one file".to_owned());
+    let count = links.fixed.len();
+    let orders = [(0..count).rev().collect(), if count <= RECEIVERS { links.best_order() } else { Vec::new() }];
+    let by_order = orders.into_iter().filter(|order: &Vec<usize>| order.len() == count && count > 1).map(|order| {
+        let names: Vec<&str> = order.iter().map(|slot| data.scene.receivers[*slot].name.as_str()).take(5).collect();
+        let words = format!("the columns of the receivers in the order {}", names.join(", "));
+        (links.falling(&location, &|end| fixed(order[end])), "receiver-order", words, "correct the header".to_owned())
+    });
+    let all = by_meaning.into_iter().chain([rows]).chain(by_order);
+    let (share, name, words, mend) = all.reduce(|best, other| if other.0 > best.0 { other } else { best })?;
+    let problem = format!(
+        "the level of the links does not follow the distance (it explains {:.0} % of the variance), but does with {words} \
+         ({:.0} %; for example {})",
+        100.0 * recorded,
+        100.0 * share,
+        name_link(data, 0)
+    );
+    let is_wrong = share >= EXPLAINED && recorded <= share * if share >= HALF[0] { HALF[1] } else { RECORDED };
+    is_wrong.then(|| Finding::new(name, links.links.len(), problem, mend))
+}
+
+/// Finds powers that are at neighbouring transmitters no more alike than at random ones, although distances differ.
+pub(super) fn check_power_rows(data: &Dataset) -> Option<Finding> {
+    let (powers, links) = (data.observations.powers()?, LevelLinks::of(data)?);
+    let rows: Vec<usize> = (0..data.locations.len()).collect();
+    if links.spread_db() < SPREAD_DB {
+        return None;
+    }
+    let levels: Vec<Vec<(usize, f64)>> = rows
+        .iter()
+        .map(|row| data.links_of(&[*row]).into_iter().map(|i| (data.links[i].receiver, powers[i] as f64)).collect())
+        .collect();
+    check_rows(data, &rows, &|a, b| {
+        let other = |receiver: usize| levels[b].binary_search_by_key(&receiver, |entry| entry.0).ok();
+        let shared = levels[a].iter().filter_map(|(receiver, level)| {
+            let other = other(*receiver)?;
+            Some((level - levels[b][other].1).abs())
+        });
+        mean(shared)
+    })
+}
+
+/// Compares the `difference` between observations of neighbours with that of random pairs; `rows` are the locations of the
+/// observations. A difference that is not finite is left out.
+pub(super) fn check_rows(data: &Dataset, rows: &[usize], difference: &dyn Fn(usize, usize) -> f64) -> Option<Finding> {
+    let origin = data.locations.first().filter(|_| rows.len() >= *LOCATIONS.start())?.position();
+    let local = |row: &usize| {
+        let position = data.locations[*row].position();
+        [0, 1, 2].map(|k| (position[k] - origin[k]) as Real)
+    };
+    let positions: Vec<[Real; 3]> = rows.iter().map(local).collect();
+    let chosen = evenly(&(0..rows.len()).collect::<Vec<_>>(), *LOCATIONS.end());
+    let from: Vec<[Real; 3]> = chosen.iter().map(|row| positions[*row]).collect();
+    let neighbours = k_nearest(&from, &positions, 2);
+    let nearest = |(row, found): (&usize, &Vec<(usize, Real)>)| found.iter().map(|n| n.0).find(|other| other != row);
+    let nearest: Vec<usize> = chosen.iter().zip(&neighbours).filter_map(nearest).collect();
+    let average = |other: &mut dyn FnMut(usize) -> usize| {
+        mean((0..nearest.len()).map(|k| difference(chosen[k], other(k))).filter(|value| value.is_finite()))
+    };
+    let near = average(&mut |k| nearest[k]);
+    let mut random = rng::stream(0, "findings", 0);
+    let draws: Vec<f64> = (0..DRAWS).map(|_| average(&mut |_| rng::below(&mut random, rows.len()))).collect();
+    let middle = mean(draws.iter().copied());
+    let deviation = mean(draws.iter().map(|draw| (draw - middle).powi(2))).sqrt();
+    let problem = format!(
+        "observations of neighbours are no more alike than of random pairs (for example transmitters {} and {})",
+        data.locations[rows[chosen[0]]].id,
+        data.locations[rows[*nearest.first()?]].id
+    );
+    let mend = "if the rows of positions and observations have another order, give both in one order";
+    let is_unrelated = near.is_finite() && near > middle - ALIKE * deviation;
+    is_unrelated.then(|| Finding::new("row-order", rows.len(), problem, mend))
+}
