@@ -84,6 +84,7 @@ mod fixture {
     pub(crate) fn scene(points: &[[Real; 3]]) -> Scene {
         Scene {
             origin: Origin::ZERO,
+            geodetic: None,
             moving: End::Transmitter,
             transmitter: None,
             receivers: vec![Receiver::new("receiver", Pose::IDENTITY)],

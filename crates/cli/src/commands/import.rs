@@ -63,7 +63,7 @@ pub(crate) struct Import {
     #[arg(long, value_name = "FACTOR", allow_hyphen_values = true)]
     pub(crate) scale: Option<f64>,
     /// Colour map of a folder of images, inverted to values: jet, turbo or viridis
-    #[arg(long, value_name = "NAME", value_parser = Colormap::parse, conflicts_with = "links")]
+    #[arg(long, value_name = "NAME", value_parser = Colormap::parse, conflicts_with = "table")]
     pub(crate) colormap: Option<Colormap>,
     /// Mark the spectra as simulated in titles and tables
     #[arg(long)]
