@@ -16,7 +16,7 @@ use crate::{npy_header, npy_header_as};
 use pwrfgs_core::files::{self, GrowingFile, MAX_TEXT, NewFolder};
 use pwrfgs_core::messages::cell;
 use pwrfgs_core::{
-    DataSource, Dataset, Elevation, End, Error, Number, Observations, Pose, Real, Receiver, Result, Sample, Spectra,
+    DataSource, Dataset, Elevation, End, Error, Number, Observations, Pose, Real, Receiver, Result, Spectra,
 };
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -297,9 +297,8 @@ impl FolderWriter<'_> {
             }
         }
         let points = scene.points.iter().map(|point| scene.origin.world(*point)).collect();
-        let samples: Vec<Sample> = data.samples().collect();
-        let nothing = Observations::Powers(vec![0.0; samples.len()]);
-        let read = Dataset::of_links("", scene.ends(), points, &samples, nothing)?.scene;
+        let (locations, links) = (data.locations.clone(), data.links[..1].to_vec());
+        let read = Dataset::of_columns("", scene.ends(), points, locations, links, vec![0.0].into())?.scene;
         if (read.origin, read.bounds) != (scene.origin, scene.bounds) {
             let (low, high) = scene.bounds;
             manifest["bounds"] = serde_json::json!([low, high].map(|corner| scene.origin.world(corner)));
