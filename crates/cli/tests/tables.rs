@@ -175,3 +175,32 @@ fn dry_run_writes_nothing() {
         assert_eq!(call(here, &[&["import", "--out", "bad"][..], wrong].concat()).status.code(), Some(2));
     }
 }
+
+/// The results of a drive test in degrees are degrees.
+#[test]
+fn results_of_degrees_are_degrees() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    walk(&here.join("drive.csv"), "lat,lon,cell,rsrp\n", 120, |k, x, y| {
+        let cell = k % 2;
+        format!("{},{},c{cell},{}", 48.1 + y * 1e-5, 11.5 + x * 1e-5, dbm(x, y, 3.0 * cell as f64, 2.0) - 30.0)
+    });
+    succeed(here, &["import", "--table", "drive.csv", "--out", "drive"]);
+    succeed(here, &["init", "drive", "--out", "drive.ron"]);
+    let said =
+        stderr(&succeed(here, &["run", "drive.ron", "--scale", "0.01", "--set", "split=Random()", "--out", "run"]));
+    assert!(said.contains("the positions of 2 receivers are unknown"), "{said}");
+    write(&here.join("there.csv"), "longitude,latitude\n11.50003,48.10004\n");
+    succeed(here, &["predict", "run", "--tx-csv", "there.csv", "--out", "predicted"]);
+    let table = fs::read_to_string(here.join("predicted/predictions.csv")).unwrap();
+    let mut lines = table.lines();
+    assert!(lines.next().unwrap().ends_with(",training_distance_m,latitude,longitude"), "{table}");
+    assert!(lines.next().unwrap().ends_with(",48.1000400,11.5000300"), "{table}");
+    succeed(here, &["map", "run", "--plane", "z=0", "--step", "0.1", "--out", "map"]);
+    let table = fs::read_to_string(here.join("map/map.csv")).unwrap();
+    assert!(table.lines().next().unwrap().ends_with("first_latitude,first_longitude,last_latitude,last_longitude"));
+    succeed(here, &["locate", "run", "--out", "located"]);
+    let table = fs::read_to_string(here.join("located/locations.csv")).unwrap();
+    let last: Vec<f64> = table.lines().nth(1).unwrap().rsplit(',').take(2).map(|cell| cell.parse().unwrap()).collect();
+    assert!((last[0] - 11.5).abs() < 0.001 && (last[1] - 48.1).abs() < 0.001, "{table}");
+}

@@ -18,9 +18,10 @@ mod unit;
 pub use columns::ColumnChoice;
 pub use unit::PowerUnit;
 
+use crate::nerf2::read_transmitters;
 use crate::table::survey::Survey;
-use pwrfgs_core::{Dataset, Error, Result};
-use std::path::PathBuf;
+use pwrfgs_core::{Dataset, Error, Geodetic, Result};
+use std::path::{Path, PathBuf};
 
 /// File of a table, or its content under the name of a file.
 #[derive(Clone, Debug)]
@@ -98,4 +99,16 @@ impl TableImport {
         self.test.iter().try_for_each(|file| survey.add(file, true))?;
         survey.finish()
     }
+}
+
+/// Reads the positions `[rows,3]` of a table in the frame of a model, metres: columns x, y and z, or latitude and longitude
+/// where the frame has them.
+///
+/// # Errors
+/// A file that cannot be read or is no table, or a row without a position; the message has line and column.
+pub fn read_frame_positions(path: &Path, geodetic: Option<Geodetic>) -> Result<Vec<[f64; 3]>> {
+    if geodetic.is_none() {
+        return read_transmitters(path);
+    }
+    places::read_rows(&TableImport::default(), &path.to_owned().into(), &mut places::Frame { geodetic })
 }

@@ -275,8 +275,16 @@ pub fn estimate_noise_ceiling(
     metrics: &[Plugin<dyn Metric>],
     stop: &AtomicBool,
 ) -> Result<NoiseCeiling> {
-    let (lag, why) = choose_lag(data, &id_gaps(data, partition));
-    let similarity = PairComparison::new(data, metrics, stop).measure(lag, false)?;
+    let (mut lag, mut why) = choose_lag(data, &id_gaps(data, partition));
+    let comparison = PairComparison::new(data, metrics, stop);
+    let mut similarity = comparison.measure(lag, false)?;
+    if similarity.closest < LEAST {
+        let all = comparison.measure(PairLag::Any, false)?;
+        if all.closest >= LEAST {
+            why = format!("since only {} close pairs are {}", similarity.closest, lag.describe());
+            (lag, similarity) = (PairLag::Any, all);
+        }
+    }
     let estimate = |m: &MetricSimilarity| Some((m.key.clone(), m.at_zero.as_ref().ok().copied()?));
     let ceilings: Vec<MetricCeiling> = similarity.metrics.iter().filter_map(estimate).collect();
     let missing = similarity.metrics.iter().filter_map(|m| Some((&m.key, m.at_zero.as_ref().err()?)));

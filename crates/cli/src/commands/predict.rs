@@ -3,13 +3,13 @@
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::data::{read_poses, read_transmitters};
+use pwrfgs::data::{read_frame_positions, read_poses};
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::tasks::plane::{parse_pose, parse_position};
 use pwrfgs::tasks::predict::{PredictSettings, PredictionCount, extrapolation_warning, write_predictions};
 use pwrfgs::tasks::read_models;
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{End, Error, Pose, Result};
+use pwrfgs_core::{Error, MeasurementSetup, Pose, Result};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
@@ -43,7 +43,7 @@ pub(crate) struct Predict {
     /// One transmitter position in metres, world frame
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) tx: Option<String>,
-    /// CSV file of transmitter positions: columns x, y, z in metres; others are ignored
+    /// CSV file of transmitter positions: columns x, y, z in metres, or latitude, longitude
     #[arg(long, value_name = "FILE")]
     pub(crate) tx_csv: Option<PathBuf>,
     /// One pose of a moving receiver: position, and orientation as a quaternion from receiver to world axes
@@ -63,7 +63,7 @@ pub(crate) struct Predict {
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
     let setup = &ensemble.members()[0].stages;
-    let poses = read_moving_poses(arguments, setup.setup.moving)?;
+    let poses = read_moving_poses(arguments, &setup.setup)?;
     let folder = NewFolder::begin(&arguments.out)?;
     let PredictionCount { count, distances } = RunProgress::observe(verbosity, |progress| {
         write_predictions(&ensemble, &poses, &arguments.settings, &folder, progress)
@@ -80,7 +80,8 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
 
 /// Reads the positions or poses of the end that moves, at which to predict; an error if the arguments give the other
 /// end.
-fn read_moving_poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
+fn read_moving_poses(arguments: &Predict, setup: &MeasurementSetup) -> Result<Vec<Pose>> {
+    let moving = setup.moving;
     let Predict { tx, tx_csv, rx_pose, rx_pose_csv, .. } = arguments;
     let refuse =
         |end: &str, advice: &str| Err(Error::Config(format!("the {end} of this model moves; give its {advice}")));
@@ -93,7 +94,7 @@ fn read_moving_poses(arguments: &Predict, moving: End) -> Result<Vec<Pose>> {
     }
     match (tx, tx_csv, rx_pose, rx_pose_csv) {
         (Some(text), ..) => Ok(vec![parse_position("--tx", text)?.into()]),
-        (_, Some(path), ..) => Ok(read_transmitters(path)?.into_iter().map(Pose::from).collect()),
+        (_, Some(path), ..) => Ok(read_frame_positions(path, setup.geodetic)?.into_iter().map(Pose::from).collect()),
         (.., Some(text), _) => Ok(vec![parse_pose("--rx-pose", text)?]),
         (.., Some(path)) => read_poses(path),
         _ => Err(Error::Config("no positions; set --tx x,y,z or --tx-csv FILE".into())),

@@ -25,6 +25,8 @@ pub enum PairLag {
     Near,
     /// Far apart in time: more than [`FAR_IDS`] ids apart.
     Far,
+    /// Any two samples, for data with few pairs of the other kinds, such as repeated readings in a table.
+    Any,
 }
 
 impl PairLag {
@@ -33,6 +35,7 @@ impl PairLag {
         match self {
             Self::Near => format!("near in time (at most {NEAR_IDS} ids apart)"),
             Self::Far => format!("far apart in time (more than {FAR_IDS} ids)"),
+            Self::Any => "at any times".into(),
         }
     }
 }
@@ -72,7 +75,8 @@ pub(super) fn find_pairs(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
     let receivers = data.group_by_receiver(0..data.len());
     let pairs_of = |links: &Vec<usize>| match lag {
         PairLag::Near => near_pairs(data, links),
-        PairLag::Far => far_pairs(data, links, receivers.len()),
+        PairLag::Far => far_pairs(data, links, receivers.len(), FAR_IDS),
+        PairLag::Any => far_pairs(data, links, receivers.len(), 0),
     };
     let mut pairs: Vec<SamplePair> = receivers.iter().flat_map(pairs_of).collect();
     pairs.sort_by_key(|pair| (pair.earlier, pair.later));
@@ -93,9 +97,9 @@ fn near_pairs(data: &Dataset, links: &[usize]) -> Vec<SamplePair> {
     links.iter().enumerate().flat_map(later_pairs).collect()
 }
 
-/// Lists pairs far apart in time among the `links` of one receiver: all pairs of some samples up to a horizon, and random
+/// Lists pairs more than `least` ids apart among the `links` of one receiver: all pairs of some samples up to a horizon, and random
 /// pairs beyond. The `receivers` receivers share the limits on samples and random pairs.
-fn far_pairs(data: &Dataset, links: &[usize], receivers: usize) -> Vec<SamplePair> {
+fn far_pairs(data: &Dataset, links: &[usize], receivers: usize, least: u32) -> Vec<SamplePair> {
     let positions: Vec<[Real; 3]> = links.iter().map(|&i| data.scene.origin.local(data.sample(i).position())).collect();
     let sampled = evenly(&(0..positions.len()).collect::<Vec<_>>(), ASKED.div_ceil(receivers));
     let from: Vec<[Real; 3]> = sampled.iter().map(|&i| positions[i]).collect();
@@ -104,7 +108,7 @@ fn far_pairs(data: &Dataset, links: &[usize], receivers: usize) -> Vec<SamplePai
     let ends = sorted(neighbours.iter().filter_map(|list| list.last()).map(|(_, d)| (*d as f64).sqrt()));
     let complete = neighbours.iter().any(|list| list.len() == positions.len());
     let horizon = if complete { f64::INFINITY } else { ends.get(ends.len() / 10).copied().unwrap_or(0.0) };
-    let is_far = |pair: &SamplePair| pair.id_gap(data) > FAR_IDS;
+    let is_far = |pair: &SamplePair| pair.id_gap(data) > least;
     let pairs = |(&k, list): (&usize, &Vec<(usize, Real)>)| -> Vec<SamplePair> {
         list.iter().map(|(j, _)| SamplePair::of(data, links[k], links[*j])).collect()
     };

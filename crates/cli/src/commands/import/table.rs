@@ -5,7 +5,7 @@ use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::{ColumnChoice, PowerUnit, TableFile, TableImport, save};
-use pwrfgs::experiment::{observed, staged, check_findings};
+use pwrfgs::experiment::{check_findings, observed, staged};
 use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 
