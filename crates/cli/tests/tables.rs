@@ -204,3 +204,84 @@ fn results_of_degrees_are_degrees() {
     let last: Vec<f64> = table.lines().nth(1).unwrap().rsplit(',').take(2).map(|cell| cell.parse().unwrap()).collect();
     assert!((last[0] - 11.5).abs() < 0.001 && (last[1] - 48.1).abs() < 0.001, "{table}");
 }
+
+/// Sixty links of 20 transmitters on a grid at 3 receivers: path loss of 22 dB per decade, noise of 1.5 dB.
+const LINKS: &str = include_str!("tables/links.csv");
+
+/// Imports a table and returns the scores of `inspect` on a random split: mean of the receiver, log-distance, 5-NN, Kriging.
+fn scores(here: &Path, text: &str, options: &[&str]) -> Vec<String> {
+    write(&here.join("links.csv"), text);
+    succeed(here, &[&["import", "--table", "links.csv", "--out", "links"], options].concat());
+    let shown = stdout(&succeed(here, &["inspect", "links"]));
+    fs::remove_dir_all(here.join("links")).unwrap();
+    let line = shown.lines().find(|line| line.starts_with("Random()")).unwrap();
+    line.split_whitespace().skip(5).map(str::to_owned).collect()
+}
+
+/// Dialects, codes, degrees and repeated readings of one table: scores of an independent program to four digits.
+#[test]
+fn scores_do_not_depend_on_the_dialect() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let clean = ["3.906", "0.7063", "1.934", "0.7241", "n/a"];
+    let dialects = [
+        LINKS.to_owned(),
+        LINKS.replace(',', ";").replace('.', ","),
+        format!("# survey of floor 2\n# 2024-05-01\n{LINKS}"),
+        format!("WigleWifi-1.4,appRelease=1,model=x\n{LINKS}"),
+        LINKS.replacen("b,8,", "b,8.000000000001,", 1),
+    ];
+    for text in dialects {
+        assert_eq!(scores(here, &text, &[]), clean);
+    }
+    // Rows in which nothing was heard, and what they hold.
+    let silent = [2, 6, 10, 17, 25, 32, 36, 39, 40, 42, 56, 60];
+    for code in ["100", "-200", "0", "NaN", ""] {
+        let line = |(k, line): (usize, &str)| {
+            let (head, _) = line.rsplit_once(',').unwrap();
+            if silent.contains(&(k + 1)) { format!("{head},{code}\n") } else { format!("{line}\n") }
+        };
+        let text: String = LINKS.lines().enumerate().map(line).collect();
+        let options = ["--missing", code];
+        let is_number = code.parse::<f64>().is_ok_and(f64::is_finite);
+        if is_number {
+            write(&here.join("links.csv"), &text);
+            let words = [&*format!("12 are {code}, "), &*format!("`--missing {code}`"), "--accept lone-value"];
+            refuse(here, &["import", "--table", "links.csv", "--out", "bad"], 2, &words);
+        }
+        assert_eq!(scores(here, &text, if is_number { &options } else { &[] })[3], "0.8529", "{code}");
+    }
+    // Units, and what the refusal advises.
+    for (unit, convert) in [("W", (|v| 10_f64.powf(v / 10.0 - 3.0)) as fn(f64) -> f64), ("positive-dBm", |v| -v)] {
+        let line = |line: &str| {
+            let (head, dbm) = line.rsplit_once(',').unwrap();
+            dbm.parse().map_or_else(|_| format!("{line}\n"), |dbm: f64| format!("{head},{:?}\n", convert(dbm)))
+        };
+        let text: String = LINKS.lines().map(line).collect();
+        write(&here.join("links.csv"), &text);
+        refuse(here, &["import", "--table", "links.csv", "--out", "bad"], 2, &[&format!("`--unit {unit}`")]);
+        assert_eq!(scores(here, &text, &["--unit", unit]), clean);
+    }
+    // Each link twice, 1 dB apart: 0.5 dB is the noise of both readings about their mean.
+    let again: String = LINKS.lines().skip(1).fold(String::new(), |text, line| {
+        let (head, dbm) = line.rsplit_once(',').unwrap();
+        text + &format!("{head},{:.1}\n", dbm.parse::<f64>().unwrap() + 1.0)
+    });
+    let twice = scores(here, &format!("{LINKS}{again}"), &[]);
+    assert_eq!(twice[4], "0.7071", "1 dB between two readings is a standard deviation of 0.7071 dB each");
+    // Latitude and longitude as x and y.
+    let degrees = |line: &str| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        for (k, zero, metres) in [(0, 48.137, 111_195.0), (1, 11.575, 74_210.0), (4, 48.137, 111_195.0), (5, 11.575, 74_210.0)] {
+            cells[k] = cells[k].parse().map_or(cells[k].clone(), |v: f64| format!("{:.7}", zero + v / metres));
+        }
+        cells.join(",") + "\n"
+    };
+    let text: String = LINKS.lines().map(degrees).collect();
+    write(&here.join("links.csv"), &text);
+    refuse(here, &["import", "--table", "links.csv", "--out", "bad"], 2, &["look like degrees; add --lat-lon"]);
+    let found: Vec<f64> = scores(here, &text, &["--lat-lon"])[..4].iter().map(|score| score.parse().unwrap()).collect();
+    for (found, expected) in found.iter().zip(clean) {
+        assert!((found - expected.parse::<f64>().unwrap()).abs() < 0.05, "{found} {expected}");
+    }
+}

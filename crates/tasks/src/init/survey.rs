@@ -36,7 +36,7 @@ fn advise_on_file(file: &Path) -> String {
         return format!("give the folder of the data, {}", folder.display());
     }
     let import = match lowercase_extension(file).as_str() {
-        "csv" => "convert a table of powers with `pwrfgs import --table",
+        "csv" | "tsv" | "txt" | "gz" => "convert a table of powers with `pwrfgs import --table",
         "npy" | "npz" => "convert spectra with `pwrfgs import --spectra",
         _ => return "give a folder in a layout of docs/data.md".into(),
     };
@@ -45,7 +45,7 @@ fn advise_on_file(file: &Path) -> String {
 
 /// Returns whether `path` is a file with the extension of a table or of NumPy arrays.
 pub fn is_table_or_array(path: &Path) -> bool {
-    path.is_file() && ["csv", "npy", "npz"].contains(&lowercase_extension(path).as_str())
+    path.is_file() && ["csv", "tsv", "gz", "npy", "npz"].contains(&lowercase_extension(path).as_str())
 }
 
 /// Returns the extension in lower case, or an empty text.
