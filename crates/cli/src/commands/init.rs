@@ -85,7 +85,7 @@ fn coloured_source(folder: &Path, map: Colormap) -> Result<Plugin<dyn DataSource
     let fields = text.trim_end().strip_suffix(')').unwrap_or_default().trim_end().trim_end_matches(',');
     let text = format!("{fields}, colormap: {map:?})");
     let only = "--colormap: only for camera images; for a folder of spectra use `pwrfgs import --spectra`";
-    Plugin::parse(&text).map_err(|_| Error::Config(only.into()))
+    Plugin::parse(&text).ok().ok_or_else(|| Error::Config(only.into()))
 }
 
 /// Formats the pipeline file, with notes on the data and comments on the settings; an error if the text does not parse
