@@ -248,27 +248,25 @@ fn stated_positions(
     tx: Option<&Bound<'_, PyAny>>,
     rx_pose: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<SceneFile> {
-    match (tx, rx_pose) {
-        (None, None) => Ok(scene),
-        (Some(tx), None) => {
-            let py = tx.py();
-            let positions = match tx.extract::<PathBuf>() {
-                Ok(file) => read_transmitters(&file).map_err(|error| to_exception(py, error))?,
-                Err(_) if arrays::axis_count(tx)? == 1 => vec![arrays::position("tx", tx)?],
-                Err(_) => arrays::positions("tx", tx)?,
-            };
-            scene.with_transmitters(positions).map_err(|error| to_exception(py, error))
+    let Some(stated) = rx_pose.or(tx) else { return Ok(scene) };
+    let py = stated.py();
+    let file = stated.extract::<PathBuf>().ok();
+    let scene = match (file, rx_pose) {
+        (Some(file), None) => read_transmitters(&file).and_then(|positions| scene.with_transmitters(positions)),
+        (None, None) if arrays::axis_count(stated)? == 1 => {
+            scene.with_transmitters(vec![arrays::position("tx", stated)?])
         }
-        (tx, Some(rx_pose)) => {
-            let py = rx_pose.py();
-            let poses = match rx_pose.extract::<PathBuf>() {
-                Ok(file) => read_poses(&file).map_err(|error| to_exception(py, error))?,
-                Err(_) => arrays::poses("rx_pose", rx_pose)?.0,
-            };
+        (None, None) => scene.with_transmitters(arrays::positions("tx", stated)?),
+        (file, Some(_)) => {
             let fixed = tx.map(|tx| arrays::position("tx", tx)).transpose()?;
-            scene.with_receiver_poses(&poses, fixed).map_err(|error| to_exception(py, error))
+            let poses = file.map_or_else(
+                || Ok(arrays::poses("rx_pose", stated)?.0),
+                |file| read_poses(&file).map_err(|error| to_exception(py, error)),
+            )?;
+            scene.with_receiver_poses(poses, fixed)
         }
-    }
+    };
+    scene.map_err(|error| to_exception(py, error))
 }
 
 /// Runs the program `pwrfgs`; the first argument is its path. Returns the exit code.

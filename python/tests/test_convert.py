@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import pathlib
 import re
 import sys
 import tracemalloc
@@ -367,6 +369,16 @@ def test_phases_get_the_delay_that_their_ray_tracer_leaves_out(scenario, tracer,
     assert np.abs(data.csi[:, 0, 0] - wanted).max() < 1e-5 * np.abs(wanted).max()
     messages = [str(warning.message) for warning in told]
     assert len(messages) == bool(said) and all(said in message for message in messages), messages
+
+
+@pytest.mark.skipif("PWRFGS_SHARED" not in os.environ, reason="needs the shared cases in PWRFGS_SHARED")
+def test_shared_scenario_without_direct_paths_has_its_right_channels():
+    folder = pathlib.Path(os.environ["PWRFGS_SHARED"]) / "cases/scenes/deepmimo-no-direct"
+    re, im, _ = np.loadtxt(folder / "expected_channel_at_one_antenna.csv", delimiter=",", skiprows=1).T
+    receiver = pwrfgs.Receiver("bs", antennas=[(0, 0, 0)])
+    data = convert.from_deepmimo(folder, observe="channel", receiver=receiver)
+    wanted = re + 1j * im
+    assert (np.abs(data.csi[:, 0, 0] - wanted) < 1e-5 * np.abs(wanted)).all()
 
 
 def test_few_direct_paths_do_not_contradict_a_known_ray_tracer(scenario):

@@ -166,6 +166,30 @@ def test_a_saved_pipeline_means_the_same_data(tmp_path):
     assert pwrfgs.Pipeline(commented).name == there.name
 
 
+def test_stated_positions_are_simulated_in_their_order(tmp_path):
+    def make(out, **settings):
+        return pwrfgs.simulate("office", tmp_path / out, points=10, progress=False, **settings)
+
+    tx = np.array([[3, 2, 1.1], [4.1234567, 3, 1.2], [2, 2.5, 1]])
+    (tmp_path / "walk.csv").write_text("x,y,z\n" + "".join(f"{x},{y},{z}\n" for x, y, z in tx))
+    arrays = make("arrays", tx=tx, layout="arrays")
+    assert np.array_equal(arrays.tx, tx)
+    for out, layout in [("file", "arrays"), ("powers", "rssi"), ("channels", "channels")]:
+        data = make(out, tx=tmp_path / "walk.csv", layout=layout)
+        assert np.array_equal(data.tx, tx), layout
+    assert np.array_equal(pwrfgs.Dataset.load(tmp_path / "file").spectra, arrays.spectra)
+    assert np.array_equal(make("one", tx=tx[0], layout="arrays").spectra[0], arrays.spectra[0])
+    poses = np.array([[3, 2, 1.1, 0, 0, 0, 1], [4.5, 3, 1.2, 0, 0, 0.6, 0.8]])
+    moved = make("moved", rx_pose=poses, tx=(1, 1, 2), layout="rssi")
+    assert np.array_equal(moved.rx_pose, poses) and len(moved) == 2
+    pwrfgs.convert.to_deepmimo("office-channel", tmp_path / "users", tx=tx, progress=False)
+    assert np.allclose(pwrfgs.convert.from_deepmimo(tmp_path / "users", observe="power").tx, tx, atol=1e-6)
+    with pytest.raises(pwrfgs.InputError, match="its transmitter moves; add the position of a fixed one"):
+        make("refused", rx_pose=poses)
+    with pytest.raises(pwrfgs.InputError, match="transmitter 1 at .* is outside the room"):
+        make("refused", tx=[(30, 2, 1)])
+
+
 def test_pipelines_of_the_package_have_names(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     pipeline = pwrfgs.Pipeline("quickstart")

@@ -23,12 +23,14 @@ const JET: [&[(f64, f64)]; 3] = [
 ];
 /// Colours of turbo (Mikhailov, Google, 2019) and viridis (van der Walt and Smith, 2015) at 33 equidistant values; linear
 /// interpolation differs from the maps by at most 2 of 255.
+#[allow(clippy::unreadable_literal)] // red, green, blue
 const TURBO: [u32; 33] = [
     0x30123b, 0x392a73, 0x4040a1, 0x4456c7, 0x466be3, 0x467ff6, 0x4293ff, 0x37a7fa, 0x29bbec, 0x1dcdd8, 0x18dcc3,
     0x1ee8b0, 0x31f299, 0x4cf97e, 0x6bfd64, 0x8aff4d, 0xa3fd3c, 0xb8f735, 0xcced34, 0xdee037, 0xedd03a, 0xf8c03a,
     0xfdae35, 0xfe982c, 0xfb8022, 0xf56817, 0xec520f, 0xe04009, 0xd23105, 0xc02302, 0xac1701, 0x950d01, 0x7a0403,
 ];
 /// Colours of viridis, see [`TURBO`].
+#[allow(clippy::unreadable_literal)] // red, green, blue
 const VIRIDIS: [u32; 33] = [
     0x440154, 0x470d60, 0x48186a, 0x482374, 0x472d7b, 0x453681, 0x424086, 0x3f4989, 0x3b528b, 0x375a8d, 0x33638d,
     0x2f6a8e, 0x2c728e, 0x297a8e, 0x26818e, 0x23898e, 0x21908c, 0x1f988b, 0x1f9f88, 0x21a685, 0x28ae80, 0x31b57b,
@@ -142,7 +144,7 @@ fn nearest(table: &[[i32; 3]; 256], colour: [u8; 3]) -> (u8, i32) {
             last = i;
         }
     }
-    (((first + last) / 2) as u8, least)
+    (usize::midpoint(first, last) as u8, least)
 }
 
 /// Returns the value at `x` of the line through `nodes`, which begin at 0 and end at 1.

@@ -131,7 +131,7 @@ const ADVICE: &str = "check the path of the point cloud";
 ///
 /// * `.ply`: ascii or binary of either byte order; `x`, `y` and `z` anywhere among the properties of `vertex`.
 /// * `.xyz`, `.txt`: x y z and further columns, one point per line; lines that start with `#` or `//` are ignored, and the
-///   first of the others may hold the number of points alone, as CloudCompare writes it.
+///   first of the others may hold the number of points alone, as `CloudCompare` writes it.
 /// * `.csv`: the same between commas, or with a header that names x, y and z in any order, such as `//X,Y,Z` or `x [m]`.
 ///
 /// # Errors

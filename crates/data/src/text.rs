@@ -125,7 +125,7 @@ impl<'a> TextRow<'a> {
     }
 
     /// Returns the index of the column `name` of a header, in either case; `names` lists every column that the file needs.
-    /// A name may begin with a comment mark, as in CloudCompare, and end with its unit, as `x [m]`. Returns an error for a
+    /// A name may begin with a comment mark, as in `CloudCompare`, and end with its unit, as `x [m]`. Returns an error for a
     /// missing or repeated column, or one in another unit.
     fn find_column(&self, name: &str, names: &str) -> Result<usize> {
         let fields = &self.fields;

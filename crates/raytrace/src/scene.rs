@@ -1,6 +1,7 @@
 //! Scene files: room, objects, transmitter and receivers.
 
 mod antennas;
+mod changes;
 mod mitsuba;
 mod noise;
 mod propagation;
@@ -17,11 +18,10 @@ use crate::SPEED_OF_LIGHT;
 use crate::material::{self, Material};
 use crate::mesh::named_mesh;
 use crate::spectrum::SpectrumKind;
-use glam::{DQuat, DVec3};
 use mitsuba::MitsubaScene;
 use propagation::check_carriers;
 use pwrfgs_core::plugin::{Checked, read_ron};
-use pwrfgs_core::{Error, Pose, Receiver, Result, ShippedFile, did_you_mean, files, rng};
+use pwrfgs_core::{Error, Result, ShippedFile, did_you_mean, files};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -145,53 +145,6 @@ impl SceneFile {
         self.validated(path, text)
     }
 
-    /// Returns the scene with another carrier and another position of the first receiver, if given.
-    ///
-    /// # Errors
-    /// A value out of range.
-    pub fn with_overrides(mut self, carrier_hz: Option<f64>, receiver: Option<[f64; 3]>) -> Result<Self> {
-        if let Some(only) = carrier_hz {
-            (self.carrier_hz, self.carriers_hz) = (only, Vec::new());
-        }
-        self.receiver.position = receiver.unwrap_or(self.receiver.position);
-        self.checked()
-    }
-
-    /// Returns the scene with transmitters at these positions, metres.
-    ///
-    /// # Errors
-    /// No position or one that is too far, or a scene whose receiver moves.
-    pub fn with_transmitters(mut self, positions: Vec<[f64; 3]>) -> Result<Self> {
-        if self.moving_receiver.is_some() {
-            let problem = "its receiver moves; give poses with --rx-pose or --rx-pose-csv (in Python `rx_pose`)";
-            return Err(Error::Config(format!("scene `{}`: {problem}", self.name)));
-        }
-        self.transmitter.positions = Transmitters::Listed { positions, orientations: Vec::new() };
-        self.checked()
-    }
-
-    /// Returns the scene with its receiver at these poses, about a transmitter at `tx`, metres; `None`: where a scene with
-    /// `moving_receiver` has it.
-    ///
-    /// # Errors
-    /// No pose or an invalid one, no transmitter, or several receivers.
-    pub fn with_receiver_poses(mut self, poses: &[Pose], tx: Option<[f64; 3]>) -> Result<Self> {
-        if self.moving_receiver.is_none() && tx.is_none() {
-            let problem = "its transmitter moves; add the position of a fixed one with --tx (in Python `tx`)";
-            return Err(Error::Config(format!("scene `{}`: {problem}", self.name)));
-        }
-        self.moving_receiver = Some(MovingReceiver { turn_deg: 0.0 });
-        self.receiver.position = tx.unwrap_or(self.receiver.position);
-        self.transmitter.positions = Transmitters::of_poses(poses);
-        self.checked()
-    }
-
-    /// Returns the scene, or an error for its first problem.
-    fn checked(self) -> Result<Self> {
-        let fault = self.first_fault().map(|problem| Error::Config(format!("scene `{}`: {problem}", self.name)));
-        fault.map_or(Ok(self), Err)
-    }
-
     /// Parses and checks a scene; `path` is used only in messages.
     ///
     /// # Errors
@@ -239,38 +192,6 @@ impl SceneFile {
     /// Returns all receivers: `receiver` first, then `more_receivers`.
     pub fn receivers(&self) -> impl Iterator<Item = &SceneReceiver> + Clone {
         std::iter::once(&self.receiver).chain(&self.more_receivers)
-    }
-
-    /// Returns the receiver at the `i`th `position` of `transmitter`, metres, with its stated orientation or at a random
-    /// angle; `None` if the receiver is fixed.
-    pub(crate) fn moved_receiver(&self, i: usize, position: DVec3, seed: u64) -> Option<SceneReceiver> {
-        let moving = self.moving_receiver.as_ref()?;
-        let share = 2.0 * rng::uniform(&mut rng::stream(seed, "turn", i as u64)) - 1.0;
-        let turn = DQuat::from_rotation_z((moving.turn_deg * f64::from(share)).to_radians());
-        let stated = match &self.transmitter.positions {
-            Transmitters::Listed { orientations, .. } => orientations.get(i).copied(),
-            _ => None,
-        };
-        let turned = || (turn * DQuat::from_array(self.receiver.orientation.quaternion())).normalize().to_array();
-        let [x, y, z, w] = stated.unwrap_or_else(turned);
-        let orientation = Orientation::Quaternion(x, y, z, w);
-        Some(SceneReceiver { position: position.to_array(), orientation, ..self.receiver.clone() })
-    }
-
-    /// Returns the scene at each of its carriers, with a receiver of this name, which sets its noise; the scene itself
-    /// if it has one carrier.
-    pub(crate) fn per_carrier(&self) -> Vec<Self> {
-        let at = |hz: &f64| {
-            let mut receiver = self.receiver.clone();
-            receiver.name = Receiver::new("", Pose::IDENTITY).at_carrier(*hz).name;
-            Self { carrier_hz: *hz, carriers_hz: Vec::new(), receiver, ..self.clone() }
-        };
-        if self.carriers_hz.is_empty() { vec![self.clone()] } else { self.carriers_hz.iter().map(at).collect() }
-    }
-
-    /// Returns the scene with only one of its receivers.
-    pub fn with_receiver(&self, receiver: &SceneReceiver) -> Self {
-        Self { receiver: receiver.clone(), more_receivers: Vec::new(), ..self.clone() }
     }
 
     /// Returns the frequencies of channels and powers, Hz, ascending: subcarriers, or the carrier alone.

@@ -9,11 +9,10 @@ use pwrfgs::data::Colormap;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::wrapped;
 use pwrfgs::prelude::Pipeline;
-use pwrfgs::tasks::init::{DataSurvey, pipeline_name, suggest_pipeline, unknown_folder_error};
+use pwrfgs::tasks::init::{DataSurvey, pipeline_name, suggest_pipeline};
 use pwrfgs_core::docs::Docs;
 use pwrfgs_core::files::{check_path, write_new};
-use pwrfgs_core::plugin::to_ron;
-use pwrfgs_core::{DataSource, Error, Plugin, Result, recognise};
+use pwrfgs_core::{DataSource, Error, Plugin, Result};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
@@ -65,7 +64,8 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     let survey = RunProgress::observe(verbosity, |progress| match arguments.colormap {
         None => DataSurvey::read(&root, &arguments.accept, progress),
         Some(map) => {
-            let source = coloured_source(&root, map)?;
+            let source = format!("Colmap(root: {root:?}, colormap: {map:?})");
+            let source = Plugin::<dyn DataSource>::parse(&source).map_err(Error::Config)?;
             let data = staged(progress, "observations", |progress| source.load(Path::new(""), progress))?;
             DataSurvey::of_data(source, data, Some(&root), &arguments.accept, progress)
         }
@@ -79,16 +79,6 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
         return Err(exists());
     }
     output::print_result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.describe(), out.display()))
-}
-
-/// Returns the source for `folder` with a colour map. Returns an error for a layout without a field `colormap`.
-fn coloured_source(folder: &Path, map: Colormap) -> Result<Plugin<dyn DataSource>> {
-    let source = recognise(folder).ok_or_else(|| unknown_folder_error(folder))?;
-    let text = to_ron(&source);
-    let fields = text.trim_end().strip_suffix(')').unwrap_or_default().trim_end().trim_end_matches(',');
-    let text = format!("{fields}, colormap: {map:?})");
-    let only = "--colormap: only for camera images; for a folder of spectra use `pwrfgs import --spectra`";
-    Plugin::parse(&text).map_err(|_| Error::Config(only.into()))
 }
 
 /// Formats the pipeline file, with notes on the data and comments on the settings; an error if the text does not parse

@@ -109,8 +109,8 @@ impl Simulate {
     fn with_positions(&self, scene: SceneFile) -> Result<SceneFile> {
         let tx = self.tx.as_deref().map(|text| parse_position("--tx", text)).transpose()?;
         match (tx, &self.tx_csv, &self.rx_pose, &self.rx_pose_csv) {
-            (_, _, Some(text), _) => scene.with_receiver_poses(&[parse_pose("--rx-pose", text)?], tx),
-            (_, _, _, Some(file)) => scene.with_receiver_poses(&read_poses(file)?, tx),
+            (_, _, Some(text), _) => scene.with_receiver_poses(vec![parse_pose("--rx-pose", text)?], tx),
+            (_, _, _, Some(file)) => scene.with_receiver_poses(read_poses(file)?, tx),
             (_, Some(file), ..) => scene.with_transmitters(read_transmitters(file)?),
             (Some(tx), ..) => scene.with_transmitters(vec![tx]),
             _ => Ok(scene),

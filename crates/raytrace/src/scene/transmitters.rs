@@ -50,7 +50,7 @@ const MEMORY: f64 = 0.45;
 ///   the walk turns away from obstacles. A longer draw begins with the shorter one.
 /// * `Csv(file)`: the rows of a file in their order, with the columns x, y and z; for a moving receiver its poses, with the
 ///   columns qx, qy, qz and qw too. There are as many samples as rows.
-/// * `Listed(positions)`: these positions in their order. There are as many samples as positions.
+/// * `Listed(poses)`: these poses in their order; transmitters have no orientation. There are as many samples as poses.
 ///
 /// ```
 /// # use pwrfgs_raytrace::scene::Transmitters;
@@ -89,26 +89,20 @@ pub enum Transmitters {
     },
     /// Rows of a file, relative to the scene file; [`crate::SceneFile::read`] replaces it with `Listed`.
     Csv(PathBuf),
-    /// Stated positions.
-    Listed {
-        /// Positions, metres.
-        positions: Vec<[f64; 3]>,
-        /// Orientation of a moving receiver at each position: quaternions x, y, z, w; default that of the scene.
-        #[serde(default, skip_serializing_if = "Vec::is_empty")]
-        orientations: Vec<[f64; 4]>,
-    },
+    /// Stated positions, with the orientations of a moving receiver.
+    Listed(Vec<Pose>),
 }
 
 impl Transmitters {
     /// Returns an error for a box without positions, or a step out of range: the problem and the next step.
     pub fn check(&self) -> Result<(), String> {
-        if let Self::Listed { positions, orientations } = self {
-            return check_listed(positions, orientations);
+        if let Self::Listed(poses) = self {
+            return check_listed(poses);
         }
         let (low, high) = self.corners();
         let region = Region::new(low, high)?;
         match *self {
-            Self::Uniform { .. } | Self::Csv(_) | Self::Listed { .. } => Ok(()),
+            Self::Uniform { .. } | Self::Csv(_) | Self::Listed(_) => Ok(()),
             Self::Grid { step_m, .. } => {
                 if !(GRAIN..=FAR).contains(&step_m) {
                     return Err(format!("`step_m` of the grid is {step_m}; give a length of 0.0001 m or more"));
@@ -136,9 +130,9 @@ impl Transmitters {
     /// Errors of [`Self::check`]; no free space; a grid with too few points or a blocked one.
     pub fn draw(&self, count: usize, seed: u64, free: FreeSpace<'_>) -> Result<Vec<DVec3>> {
         self.check().map_err(position_error)?;
-        if let Self::Listed { positions, .. } = self {
-            let checked = |(number, position): (usize, &[f64; 3])| check_free(number, DVec3::from(*position), free);
-            return positions.iter().take(count).enumerate().map(checked).collect();
+        if let Self::Listed(poses) = self {
+            let checked = |(number, pose): (usize, &Pose)| check_free(number, pose.position.into(), free);
+            return poses.iter().take(count).enumerate().map(checked).collect();
         }
         let (low, high) = self.corners();
         let region = Region::new(low, high).map_err(position_error)?;
@@ -147,7 +141,7 @@ impl Transmitters {
             Self::Uniform { .. } => (0..count).map(|i| sampler.draw_free_position(i)).collect(),
             Self::Grid { step_m, .. } => sampler.draw_grid(grid_cells(low, high, step_m), step_m, count),
             Self::Walk { step_m, .. } => sampler.draw_walk(step_m, count),
-            Self::Csv(_) | Self::Listed { .. } => Err(position_error("the file of positions is not read yet")),
+            Self::Csv(_) | Self::Listed(_) => Err(position_error("the file of positions is not read yet")),
         }
     }
 
@@ -156,58 +150,39 @@ impl Transmitters {
         match self {
             Self::Uniform { low, high } | Self::Grid { low, high, .. } | Self::Walk { low, high, .. } => (*low, *high),
             Self::Csv(_) => ([0.0; 3], [0.0; 3]),
-            Self::Listed { positions, .. } => {
-                let ends = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-                let (low, high) = positions.iter().fold(ends, |(low, high), p| {
-                    let p = DVec3::from(*p);
-                    (low.min(p), high.max(p))
-                });
-                (low.to_array(), high.to_array())
+            Self::Listed(poses) => {
+                let positions = || poses.iter().map(|pose| DVec3::from(pose.position));
+                let (low, high) = (positions().reduce(DVec3::min), positions().reduce(DVec3::max));
+                (low.unwrap_or_default().to_array(), high.unwrap_or_default().to_array())
             }
         }
     }
 
-    /// Creates the list of the positions and orientations of a moving receiver.
-    pub(super) fn of_poses(poses: &[Pose]) -> Self {
-        let orientations = poses.iter().map(|pose| pose.orientation).collect();
-        Self::Listed { positions: poses.iter().map(|pose| pose.position).collect(), orientations }
-    }
-
     /// Returns the number of stated positions; `None` if they are drawn.
     pub(crate) fn listed_count(&self) -> Option<usize> {
-        if let Self::Listed { positions, .. } = self { Some(positions.len()) } else { None }
+        if let Self::Listed(poses) = self { Some(poses.len()) } else { None }
     }
 
     /// Replaces a file, relative to `folder`, by its rows: poses if the receiver moves (`with_poses`), else positions.
     /// Returns the errors of its reader.
     pub(super) fn read_file(&mut self, folder: &Path, with_poses: bool) -> Result<()> {
-        let Self::Csv(file) = self else { return Ok(()) };
-        let file = folder.join(file);
-        *self = if with_poses {
-            Self::of_poses(&read_poses(&file)?)
-        } else {
-            Self::Listed { positions: read_transmitters(&file)?, orientations: Vec::new() }
-        };
+        if let Self::Csv(file) = self {
+            let file = folder.join(file);
+            let positions = || Ok(read_transmitters(&file)?.into_iter().map(Pose::from).collect());
+            *self = Self::Listed(if with_poses { read_poses(&file)? } else { positions()? });
+        }
         Ok(())
     }
 }
 
-/// Returns an error for no position, one that is too far, or another number of orientations or one of wrong length.
-fn check_listed(positions: &[[f64; 3]], orientations: &[[f64; 4]]) -> Result<(), String> {
-    if positions.is_empty() {
-        return Err("`positions` is empty; give at least one".into());
+/// Returns an error for no pose, or one that is invalid or too far away.
+fn check_listed(poses: &[Pose]) -> Result<(), String> {
+    let is_far = |pose: &Pose| pose.position.iter().any(|v| v.abs() > FAR);
+    let fault = |pose: &Pose| pose.fault().map(|(_, fault)| fault).or(is_far(pose).then(|| "is too far away".into()));
+    if let Some((pose, fault)) = poses.iter().find_map(|pose| Some((pose, fault(pose)?))) {
+        return Err(format!("the position {:?} {fault}; give metres within {:.0} km", pose.position, FAR / 1e3));
     }
-    if let Some(i) = positions.iter().position(|p| !p.iter().all(|v| v.abs() <= FAR)) {
-        return Err(format!("position {} is {:?}; give finite metres within {:.0} km", i + 1, positions[i], FAR / 1e3));
-    }
-    let is_unit = |q: &[f64; 4]| (q.iter().map(|v| v * v).sum::<f64>().sqrt() - 1.0).abs() < 0.01;
-    if let Some(i) = orientations.iter().position(|q| !is_unit(q)) {
-        return Err(format!("orientation {} is {:?}; give a unit quaternion x, y, z, w", i + 1, orientations[i]));
-    }
-    if orientations.is_empty() || orientations.len() == positions.len() {
-        return Ok(());
-    }
-    Err(format!("{} orientations for {} positions; give as many of each", orientations.len(), positions.len()))
+    if poses.is_empty() { Err("`positions` is empty; give at least one".into()) } else { Ok(()) }
 }
 
 /// Returns the position of sample `number`, counted from 0, or an error if it is not free.

@@ -1,0 +1,132 @@
+//! Materials of a Mitsuba file.
+
+use super::{Element, MitsubaScene, Reader, child_elements, property_element};
+use crate::material::{self, Material};
+use crate::scene::room::Finish;
+use pwrfgs_core::messages::quoted;
+use pwrfgs_core::{Result, did_you_mean};
+use pwrfgs_data::warn_once;
+
+/// Thickness of a material that states none, as in Sionna RT, metres.
+const THICKNESS: f64 = 0.1;
+/// Properties of radio materials in Sionna RT, the last three of scattering patterns.
+const PROPERTIES: [&str; 11] = [
+    "type",
+    "relative_permittivity",
+    "conductivity",
+    "thickness",
+    "scattering_coefficient",
+    "xpd_coefficient",
+    "scattering_pattern",
+    "color",
+    "alpha_r",
+    "alpha_i",
+    "lambda_",
+];
+
+impl<'a> Reader<'a> {
+    /// Returns an error for a radio material with a texture, or a property that Sionna RT does not have.
+    fn check_properties(&self, node: Element<'_>) -> Result<()> {
+        for child in child_elements(node) {
+            let problem = "unsupported texture: a radio material is constant over a mesh; split the mesh by material";
+            self.require(!child.has_tag_name("texture"), child, problem)?;
+            let name = self.required_attribute(child, "name")?;
+            if !PROPERTIES.contains(&&*name) {
+                let hint = did_you_mean(&name, PROPERTIES);
+                let problem =
+                    format!("unknown property {}{hint} of a radio material; correct or remove it", quoted(&name));
+                return Err(self.fault(child, problem));
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds a `bsdf` element to `materials`, and reads a radio material; others are read when a shape uses them. Returns an
+    /// error for a repeated id, or an invalid radio material.
+    pub(super) fn declare_material(&mut self, node: Element<'a>, scene: &mut MitsubaScene) -> Result<()> {
+        let Some(id) = self.attribute(node, "id")? else { return Ok(()) };
+        let problem = format!("two materials have the id {}; rename one of them", quoted(&id));
+        let other = self.materials.insert(id, node);
+        self.require(other.is_none(), node, problem)?;
+        let is_radio = node.attribute("type").is_some_and(|kind| kind.ends_with("radio-material"));
+        if is_radio { self.finish_of(node, scene).map(drop) } else { Ok(()) }
+    }
+
+    /// Returns the finish of a `bsdf` element, which is read at its first use. Returns the errors of
+    /// [`Self::read_material`].
+    fn finish_of(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
+        let known = self.attribute(node, "id")?.and_then(|id| self.finishes.get(&id).cloned());
+        known.map_or_else(|| self.read_material(node, scene), Ok)
+    }
+
+    /// Reads a `bsdf` element: adds its finish to `finishes`, and a material with constants of its own to `scene`. Returns
+    /// an error unless it is a radio material, or one of the scene file.
+    fn read_material(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
+        let unnamed = || format!("material {}", self.finishes.len() + 1);
+        let (id, kind) = (self.attribute(node, "id")?.unwrap_or_else(unnamed), self.required_attribute(node, "type")?);
+        let (itu_names, shown) = (material::itu_material_names(), quoted(&id));
+        let plain = id.strip_prefix("mat-").unwrap_or(&id);
+        let itu = plain.strip_prefix("itu_").or_else(|| plain.strip_prefix("itu-"));
+        let itu = itu.filter(|name| kind != "radio-material" || itu_names.contains(name));
+        let own = [&*id, plain].into_iter().find(|name| self.own.contains(name));
+        if ["radio-material", "itu-radio-material"].contains(&&*kind) {
+            self.check_properties(node)?;
+        }
+        let material = if let Some(name) = own {
+            name.to_owned()
+        } else if kind == "itu-radio-material" || itu.is_some() {
+            if kind == "radio-material" {
+                let reason =
+                    "has the constants of ITU-R P.2040, as in Sionna RT, not those in the file; rename it to keep them";
+                warn_once(self.path, format_args!("material {shown} {reason}"));
+            }
+            let type_node = property_element(node, "type");
+            let stated = type_node.map(|child| self.required_attribute(child, "value")).transpose()?;
+            let name = stated.or(itu.map(str::to_owned)).unwrap_or_default();
+            if !itu_names.contains(&&*name) {
+                let (hint, all) = (did_you_mean(&name, itu_names.iter().copied()), itu_names.join(", "));
+                let problem = format!("unknown ITU material {}{hint}; its `type` is one of {all}", quoted(&name));
+                return Err(self.fault(type_node.unwrap_or(node), problem));
+            }
+            name
+        } else {
+            let problem = "is not a radio material; rename it to `itu_concrete` or another ITU material, set its type to \
+                        `itu-radio-material`, or give its constants in `materials` of a scene file";
+            let problem = format!("material {shown} of type {} {problem}", quoted(&kind));
+            self.require(kind == "radio-material", node, problem)?;
+            let a = self.property_number(node, "relative_permittivity", 1.0, 1e6)?.unwrap_or(1.0);
+            let c = self.property_number(node, "conductivity", 0.0, 1e12)?.unwrap_or(0.0);
+            // A name of ITU-R P.2040 would replace that material in the whole scene.
+            let name = if itu_names.contains(&&*id) { format!("{id} (radio-material)") } else { id.clone() };
+            scene.materials.insert(name.clone(), Material { a, b: 0.0, c, d: 0.0, range_ghz: (0.0, f64::INFINITY) });
+            name
+        };
+        if self.property_number(node, "xpd_coefficient", 0.0, 1.0)?.is_some_and(|xpd| xpd > 0.0) {
+            tracing::warn!("{}: `xpd_coefficient` of material {shown} is ignored", self.path.display());
+        }
+        let thickness_m = Some(self.property_number(node, "thickness", 1e-6, 10.0)?.unwrap_or(THICKNESS));
+        let roughness = self.property_number(node, "scattering_coefficient", 0.0, 1.0)?;
+        let finish = Finish { material, thickness_m, roughness };
+        self.finishes.insert(id, finish.clone());
+        Ok(finish)
+    }
+
+    /// Reads the finish of a shape: inside it, which is also added to `scene`, or referenced. Returns an error if it is
+    /// missing.
+    pub(super) fn read_finish(&mut self, node: Element<'a>, scene: &mut MitsubaScene) -> Result<Finish> {
+        if let Some(inner) = child_elements(node).find(|child| child.has_tag_name("bsdf")) {
+            self.declare_material(inner, scene)?;
+            return self.finish_of(inner, scene);
+        }
+        let is_bsdf = |child: &Element<'_>| child.attribute("name").is_none_or(|name| name == "bsdf");
+        let reference = child_elements(node).filter(is_bsdf).find(|child| child.has_tag_name("ref"));
+        let problem = "the shape has no material; add <ref id=\"..\" name=\"bsdf\"/> with the id of a `bsdf`";
+        let reference = reference.ok_or_else(|| self.fault(node, problem))?;
+        let id = self.required_attribute(reference, "id")?;
+        let material = self.materials.get(&id).copied().ok_or_else(|| {
+            let hint = did_you_mean(&id, self.materials.keys().map(String::as_str));
+            self.fault(reference, format!("unknown material {}{hint}; add a `bsdf` with this id", quoted(&id)))
+        })?;
+        self.finish_of(material, scene)
+    }
+}
