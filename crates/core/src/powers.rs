@@ -120,7 +120,7 @@ impl PowerUnit {
     pub fn guess(powers: &[Real]) -> &'static [Self] {
         let values = || powers.iter().map(|value| *value as f64).filter(|value| value.is_finite());
         let (low, high) = crate::statistics::bounds(values());
-        if low > high {
+        if low > high || low == 0.0 && high == 0.0 {
             &[]
         } else if low.abs().max(high.abs()) <= FAINT || low > 0.0 && high > 1e3 * low {
             &[Self::Milliwatts, Self::Watts]
@@ -185,7 +185,7 @@ mod tests {
         assert_eq!(PowerUnit::guess(&[5.1e-8, 1.2e-9]), [Milliwatts, Watts]);
         assert_eq!(PowerUnit::guess(&[42.9, 59.2]), [PositiveDbm, Percent, OverFloor]);
         assert_eq!(PowerUnit::guess(&[42.9, 109.2]), [PositiveDbm, OverFloor]);
-        assert_eq!(PowerUnit::guess(&[]), []);
+        assert_eq!([PowerUnit::guess(&[]), PowerUnit::guess(&[0.0])], [&[]; 2]);
         assert!(lone_values(&[42.0, 43.0, 44.0, 61.0]).is_empty());
     }
 }
