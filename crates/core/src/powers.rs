@@ -9,8 +9,8 @@ const GAP_DB: f64 = 20.0;
 const SEVERAL: usize = 3;
 /// Powers outside this range are no readings, dBm: a watt, and less than the thermal noise in some hertz.
 const RANGE_DBM: std::ops::RangeInclusive<f64> = -150.0..=30.0;
-/// Share of the powers at the lowest value above which it is a code.
-const LOWEST: f64 = 0.2;
+/// Smallest number of powers, and share of all powers above which the lowest value is a code.
+const LOWEST: (usize, f64) = (10, 0.2);
 /// Share of the powers with one value above which it is notable.
 const SHARED: f64 = 0.05;
 /// Absolute value below which all powers are probably linear.
@@ -30,7 +30,8 @@ pub struct LoneValue {
 }
 
 /// Finds values of `powers` in dBm that are probably codes: several equal powers at either end, more than 20 dB from the next
-/// value; powers above 30 dBm or below -150 dBm; and a lowest value that more than a fifth of the powers have. NaN is ignored.
+/// value; powers above 30 dBm or below -150 dBm; and the lowest value if at least ten powers, more than a fifth of
+/// all and twice as many as the next value have it. NaN is ignored.
 ///
 /// ```
 /// let powers = [-61.0, 100.0, -70.5, 100.0, -64.0, 100.0];
@@ -48,7 +49,7 @@ pub fn lone_values(powers: &[Real]) -> Vec<LoneValue> {
     }
     let lowest = rest.first().zip(rest.get(1)).filter(|_| rest.len() > 2);
     let is_code = |entry: &LoneValue, next: &LoneValue| {
-        entry.count >= SEVERAL.max(2 * next.count) && entry.count as f64 > LOWEST * powers.len() as f64
+        entry.count >= LOWEST.0.max(2 * next.count) && entry.count as f64 > LOWEST.1 * powers.len() as f64
     };
     codes.extend(lowest.filter(|(entry, next)| is_code(entry, next)).map(|(entry, _)| *entry));
     codes
