@@ -1,6 +1,6 @@
 //! Data in wrong units or wrong order: every command that loads them warns once, with the next step.
 
-use crate::common::{SMALL, stderr, stdout, succeed, write};
+use crate::common::{SMALL, refuse, stderr, stdout, succeed, write};
 use pwrfgs::data::{npy_header, save};
 use pwrfgs_core::{Dataset, Number, Observations, Pose, Real, Receiver, Sample};
 use std::path::Path;
@@ -41,21 +41,21 @@ fn warned(here: &Path, arguments: &[&str]) -> Vec<String> {
 }
 
 #[test]
-fn warns_once_of_wrong_units_and_axis_order() {
+fn reports_wrong_units_and_orders_once() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let with_positions = |change: &dyn Fn([f64; 3]) -> [f64; 3]| (hall().0.into_iter().map(change).collect(), hall().1);
     let with_powers = |change: &dyn Fn(f64) -> f64| (hall().0, hall().1.into_iter().map(change).collect());
-    for (name, data, is_swapped, words) in [
-        ("right", hall(), false, ""),
-        ("centimetres", with_positions(&|p| p.map(|v| 100.0 * v)), false, "convert them to metres"),
-        ("alike", with_positions(&|_| [1.0, 2.0, 1.0]), false, "all 60 transmitters are at [1.0, 2.0, 1.0]"),
-        ("milliwatts", with_powers(&|dbm| 10_f64.powf(dbm / 10.0)), false, "all lie within 0.1 of zero"),
-        ("strong", with_powers(&|dbm| dbm + 91.0), false, "give 10 * log10(mW)"),
-        ("codes", with_powers(&|dbm| if dbm < -58.0 { 100.0 } else { dbm }), false, "above 30 dBm, which is a watt"),
-        ("kilometres", with_positions(&|p| p.map(|v| v / 1000.0)), false, "the site is only"),
-        ("equal", with_powers(&|_| -60.0), false, "all 60 received powers are equal"),
-        ("swapped", hall(), true, "exchange train_index.txt and test_index.txt"),
+    for (name, data, is_swapped, words, error) in [
+        ("right", hall(), false, "", ""),
+        ("centimetres", with_positions(&|p| p.map(|v| 100.0 * v)), false, "convert them to metres", ""),
+        ("alike", with_positions(&|_| [1.0, 2.0, 1.0]), false, "all 60 transmitters are at [1.0, 2.0, 1.0]", ""),
+        ("milliwatts", with_powers(&|dbm| 10_f64.powf(dbm / 10.0)), false, "give 10 * log10(mW)", "power-unit"),
+        ("strong", with_powers(&|dbm| dbm + 91.0), false, "decibels over a floor, add the floor", "power-unit"),
+        ("codes", with_powers(&|dbm| if dbm < -58.0 { 100.0 } else { dbm }), false, "`--missing 100`", "lone-value"),
+        ("kilometres", with_positions(&|p| p.map(|v| v / 1000.0)), false, "the site is only", "position-unit"),
+        ("equal", with_powers(&|_| -60.0), false, "all 60 received powers are equal", ""),
+        ("swapped", hall(), true, "exchange train_index.txt and test_index.txt", ""),
     ] {
         powers(here, name, data, is_swapped);
         let (pipeline, written) = (format!("{name}.ron"), format!("{name}-new.ron"));
@@ -66,7 +66,12 @@ fn warns_once_of_wrong_units_and_axis_order() {
             &["check", &pipeline],
             &["run", &pipeline, "--out", &run],
         ] {
-            let found = warned(here, arguments);
+            let mut arguments = arguments.to_vec();
+            if !error.is_empty() && arguments[0] != "inspect" {
+                refuse(here, &arguments, 2, &[error, words, &format!("`--accept {error}`")]);
+                arguments.extend(["--accept", error]);
+            }
+            let found = warned(here, &arguments);
             let expected = usize::from(!words.is_empty());
             assert!(found.len() == expected && found.iter().all(|one| one.contains(words)), "{arguments:?}: {found:?}");
         }
@@ -79,6 +84,45 @@ fn warns_once_of_wrong_units_and_axis_order() {
     write(&here.join("e.ron"), "Experiment(name: \"e\", join: true, base: \"swapped.ron\", seeds: [0, 1])");
     assert_eq!(warned(here, &["sweep", "e.ron", "--dry-run"]).len(), 1);
     assert_eq!(warned(here, &["sweep", "e.ron"]).len(), 1);
+}
+
+/// Codes in the powers stop every command, until they are accepted; a pipeline keeps what `init` has accepted.
+#[test]
+fn errors_stop_every_command_until_accepted() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let coded = || (hall().0, hall().1.into_iter().map(|dbm| if dbm < -58.0 { 100.0 } else { dbm }).collect());
+    powers(here, "right", hall(), false);
+    powers(here, "codes", coded(), false);
+    succeed(here, &["run", "right.ron", "--out", "model", "-q"]);
+    write(&here.join("e.ron"), "Experiment(name: \"e\", base: \"codes.ron\", seeds: [0])");
+    let table =
+        std::iter::zip(coded().0, coded().1).map(|(p, dbm)| format!("{},{},{},hall,0,0,2.5,{dbm}\n", p[0], p[1], p[2]));
+    write(&here.join("codes.csv"), "x,y,z,receiver,rx_x,rx_y,rx_z,dbm\n".to_owned() + &table.collect::<String>());
+    write(&here.join("watts.csv"), "hall\n1e-9\n");
+    write(&here.join("zero.csv"), "hall\n0\n");
+    for arguments in [
+        &["import", "--links", "codes.csv", "--out", "imported"][..],
+        &["init", "codes", "--out", "new.ron"],
+        &["check", "codes.ron"],
+        &["run", "codes.ron", "--out", "run"],
+        &["sweep", "e.ron", "--dry-run"],
+        &["compare", "codes", "--dry-run", "--seeds", "1", "--set", "training.scale=0.001"],
+        &["locate", "model", "--set", "data.root=codes"],
+        &["locate", "model", "zero.csv"],
+    ] {
+        refuse(here, arguments, 2, &["lone-value: ", "`--accept lone-value`"]);
+        let accepting = [arguments, &["--accept", "lone-value"]].concat();
+        succeed(here, &accepting);
+    }
+    refuse(here, &["locate", "model", "watts.csv"], 2, &["watts.csv", "power-unit: ", "give 10 * log10(W) + 30"]);
+    refuse(here, &["check", "codes.ron", "--accept", "lone-valu"], 2, &["did you mean `lone-value`"]);
+    // The run and its pipeline keep the name: nothing else needs it.
+    succeed(here, &["check", "new.ron"]);
+    succeed(here, &["run", "run"]);
+    succeed(here, &["run", "run", "--set", "metrics=[PowerError()]"]);
+    succeed(here, &["evaluate", "run"]);
+    succeed(here, &["report", "run", "--out", "page.html"]);
 }
 
 #[test]

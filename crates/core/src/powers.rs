@@ -9,8 +9,8 @@ const GAP_DB: f64 = 20.0;
 const SEVERAL: usize = 3;
 /// Powers outside this range are no readings, dBm: a watt, and less than the thermal noise in some hertz.
 const RANGE_DBM: std::ops::RangeInclusive<f64> = -150.0..=30.0;
-/// Share of the powers at the lowest value above which it is a code.
-const LOWEST: f64 = 0.2;
+/// Smallest number of powers, and share of all powers above which the lowest value is a code.
+const LOWEST: (usize, f64) = (10, 0.2);
 /// Share of the powers with one value above which it is notable.
 const SHARED: f64 = 0.05;
 /// Absolute value below which all powers are probably linear.
@@ -30,7 +30,8 @@ pub struct LoneValue {
 }
 
 /// Finds values of `powers` in dBm that are probably codes: several equal powers at either end, more than 20 dB from the next
-/// value; powers above 30 dBm or below -150 dBm; and a lowest value that more than a fifth of the powers have. NaN is ignored.
+/// value; powers above 30 dBm or below -150 dBm; and the lowest value if at least ten powers, more than a fifth of
+/// all and twice as many as the next value have it. NaN is ignored.
 ///
 /// ```
 /// let powers = [-61.0, 100.0, -70.5, 100.0, -64.0, 100.0];
@@ -48,7 +49,7 @@ pub fn lone_values(powers: &[Real]) -> Vec<LoneValue> {
     }
     let lowest = rest.first().zip(rest.get(1)).filter(|_| rest.len() > 2);
     let is_code = |entry: &LoneValue, next: &LoneValue| {
-        entry.count >= SEVERAL.max(2 * next.count) && entry.count as f64 > LOWEST * powers.len() as f64
+        entry.count >= LOWEST.0.max(2 * next.count) && entry.count as f64 > LOWEST.1 * powers.len() as f64
     };
     codes.extend(lowest.filter(|(entry, next)| is_code(entry, next)).map(|(entry, _)| *entry));
     codes
@@ -120,7 +121,7 @@ impl PowerUnit {
     pub fn guess(powers: &[Real]) -> &'static [Self] {
         let values = || powers.iter().map(|value| *value as f64).filter(|value| value.is_finite());
         let (low, high) = crate::statistics::bounds(values());
-        if low > high {
+        if low > high || low == 0.0 && high == 0.0 {
             &[]
         } else if low.abs().max(high.abs()) <= FAINT || low > 0.0 && high > 1e3 * low {
             &[Self::Milliwatts, Self::Watts]
@@ -185,7 +186,7 @@ mod tests {
         assert_eq!(PowerUnit::guess(&[5.1e-8, 1.2e-9]), [Milliwatts, Watts]);
         assert_eq!(PowerUnit::guess(&[42.9, 59.2]), [PositiveDbm, Percent, OverFloor]);
         assert_eq!(PowerUnit::guess(&[42.9, 109.2]), [PositiveDbm, OverFloor]);
-        assert_eq!(PowerUnit::guess(&[]), []);
+        assert_eq!([PowerUnit::guess(&[]), PowerUnit::guess(&[0.0])], [&[]; 2]);
         assert!(lone_values(&[42.0, 43.0, 44.0, 61.0]).is_empty());
     }
 }

@@ -70,7 +70,7 @@ pub struct Pipeline {
     #[serde(default)]
     pub tensorboard: bool,
     /// Names of accepted findings: properties of the data that would otherwise stop the run, such as `"lone-value"`.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default)]
     pub accept: Vec<String>,
 }
 

@@ -34,7 +34,10 @@ impl SpectrumIds<'_> {
     pub(crate) fn parse_id(&self, word: &str) -> Result<IndexEntry, String> {
         let table = self.table;
         let id = match word.parse() {
-            Ok(0) => return Err(format!("invalid id 0; ids count from 1, the first row of {table}")),
+            Ok(0) => {
+                let advice = "if both index files count from 0, add 1 to each number";
+                return Err(format!("invalid id 0; ids count from 1, the first row of {table}; {advice}"));
+            }
             Ok(id) => id,
             Err(_) => return Err(format!("{} is not a sample id; write one a line, such as 00001", quoted(word))),
         };
@@ -55,7 +58,14 @@ impl SpectrumIds<'_> {
 pub(crate) fn parse_row(word: &str, table: &str, rows: usize) -> Result<IndexEntry, String> {
     match word.parse::<u32>() {
         Ok(id) if (id as usize) < rows => Ok(IndexEntry { id, sample: id as usize }),
-        Ok(id) => Err(format!("invalid row {id} of {table}, which has {rows} rows counted from 0; remove the number")),
+        Ok(id) => {
+            let advice = if id as usize == rows {
+                "if both index files count from 1, subtract 1 from each number"
+            } else {
+                "remove the number"
+            };
+            Err(format!("invalid row {id} of {table}, which has {rows} rows counted from 0; {advice}"))
+        }
         Err(_) => Err(format!("{} is not a row of {table}; write one a line, counted from 0", quoted(word))),
     }
 }

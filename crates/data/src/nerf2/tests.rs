@@ -280,7 +280,11 @@ fn reports_line_and_column_in_tx_pos() {
 #[test]
 fn reports_line_and_column_in_index_files() {
     let cases = [
-        ("00001\n0\n", "train_index.txt:2:1: invalid id 0; ids count from 1, the first row of tx_pos.csv"),
+        (
+            "00001\n0\n",
+            "train_index.txt:2:1: invalid id 0; ids count from 1, the first row of tx_pos.csv; if both index files count from 0, \
+             add 1 to each number",
+        ),
         ("1\n\n 5\n", "train_index.txt:3:2: id 5 has no row in tx_pos.csv, which has 4; add the row or remove the id"),
         ("4\n", "train_index.txt:1:1: id 4 has no image spectrum/00004.png; add the image or remove the id"),
         ("a.png\n", "train_index.txt:1:1: `a.png` is not a sample id; write one a line, such as 00001"),

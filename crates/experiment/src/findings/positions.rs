@@ -16,8 +16,8 @@ const SITE_DEG: f64 = 1.0;
 const SPACING_DEG: f64 = 0.002;
 const OFFSET: f64 = 20.0;
 /// Difference of the heights of both ends above which these are not in metres, and its ratio to the site.
-const HEIGHT_M: f64 = 300.0;
-const STEEP: f64 = 0.1;
+const HEIGHT_M: f64 = 50.0;
+const STEEP: f64 = 0.08;
 /// Largest median of power plus free-space loss over the distance at 433 MHz: 4 W are received with 11 dBm at 1 m.
 const STRONGEST_DBM: f64 = 11.0;
 /// Smallest number of rows in which a coordinate may be an index, largest deviation of its steps from their mean as a share, and

@@ -45,10 +45,9 @@ pub fn check_observed(data: &Dataset, observed: &[Real]) -> Option<Finding> {
     let outside = |value: &&Real| (**value as f64) < low - FAR_DB || **value as f64 > high + FAR_DB;
     let first = observed.iter().find(outside)?;
     let count = observed.iter().filter(outside).count();
-    let problem = format!(
-        "{count} powers are more than {FAR_DB} dB from the known ones, {low} to {high} dBm (for example {})",
-        show(*first as f64)
-    );
+    let [low, high, first] = [low, high, *first as f64].map(show);
+    let known = format!("the known ones, {low} to {high} dBm");
+    let problem = format!("{count} powers are more than {FAR_DB} dB from {known} (for example {first})");
     let units: Vec<String> = PowerUnit::guess(observed).iter().map(|unit| mend_unit(*unit)).collect();
     Some(match &units[..] {
         [] => {
