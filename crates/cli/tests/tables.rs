@@ -272,7 +272,9 @@ fn scores_do_not_depend_on_the_dialect() {
     // Latitude and longitude as x and y.
     let degrees = |line: &str| {
         let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
-        for (k, zero, metres) in [(0, 48.137, 111_195.0), (1, 11.575, 74_210.0), (4, 48.137, 111_195.0), (5, 11.575, 74_210.0)] {
+        for (k, zero, metres) in
+            [(0, 48.137, 111_195.0), (1, 11.575, 74_210.0), (4, 48.137, 111_195.0), (5, 11.575, 74_210.0)]
+        {
             cells[k] = cells[k].parse().map_or(cells[k].clone(), |v: f64| format!("{:.7}", zero + v / metres));
         }
         cells.join(",") + "\n"

@@ -2,6 +2,7 @@
 
 use crate::Real;
 use crate::statistics::median;
+use std::str::FromStr;
 
 /// Distance of a code from the next value, dB.
 const GAP_DB: f64 = 20.0;
@@ -101,18 +102,21 @@ fn histogram(powers: &[Real]) -> Vec<LoneValue> {
     groups.iter().enumerate().map(entry).collect()
 }
 
-/// Unit of received powers other than dBm.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Unit of received powers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum PowerUnit {
+    /// dBm.
+    #[default]
+    Dbm,
     /// dBm without the minus sign.
     PositiveDbm,
-    /// Signal quality from 0 to 100 %.
+    /// Signal quality from 0 to 100 %: 0 is -100 dBm, 100 is -50 dBm.
     Percent,
-    /// Decibels over a floor.
-    OverFloor,
-    /// Milliwatts.
+    /// Decibels over a floor, dBm.
+    OverFloor(f64),
+    /// Milliwatts; 0 is no signal.
     Milliwatts,
-    /// Watts.
+    /// Watts; 0 is no signal.
     Watts,
 }
 
@@ -128,9 +132,9 @@ impl PowerUnit {
         } else if low < 0.0 && median(values()) <= *RANGE_DBM.end() {
             &[]
         } else if high <= 100.0 {
-            &[Self::PositiveDbm, Self::Percent, Self::OverFloor]
+            &[Self::PositiveDbm, Self::Percent, Self::OverFloor(-100.0)]
         } else if high <= -RANGE_DBM.start() {
-            &[Self::PositiveDbm, Self::OverFloor]
+            &[Self::PositiveDbm, Self::OverFloor(-100.0)]
         } else {
             &[Self::Milliwatts]
         }
@@ -139,12 +143,42 @@ impl PowerUnit {
     /// Returns the value of the option `--unit`, the name in a sentence, and the conversion to dBm.
     pub fn words(self) -> [&'static str; 3] {
         match self {
+            Self::Dbm => ["dBm", "dBm", "keep them"],
             Self::PositiveDbm => ["positive-dBm", "-dBm (the minus sign is missing)", "negate them"],
             Self::Percent => ["percent", "per cent of quality", "give value / 2 - 100"],
-            Self::OverFloor => ["dB", "decibels over a floor", "add the floor in dBm, such as -100"],
+            Self::OverFloor(_) => ["dB:-100", "decibels over a floor", "add the floor in dBm, such as -100"],
             Self::Milliwatts => ["mW", "milliwatts", "give 10 * log10(mW)"],
             Self::Watts => ["W", "watts", "give 10 * log10(W) + 30"],
         }
+    }
+
+    /// Converts a value to dBm; `None` for no signal.
+    pub fn dbm(self, value: f64) -> Option<f64> {
+        let dbm = match self {
+            Self::Dbm => value,
+            Self::PositiveDbm => -value,
+            Self::Percent => 0.5 * value - 100.0,
+            Self::OverFloor(floor) => value + floor,
+            Self::Milliwatts => 10.0 * value.log10(),
+            Self::Watts => 10.0 * value.log10() + 30.0,
+        };
+        (dbm != f64::NEG_INFINITY).then_some(dbm)
+    }
+}
+
+impl FromStr for PowerUnit {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let floor = || text.strip_prefix("dB:")?.parse().ok().filter(|floor: &f64| floor.is_finite());
+        let named = [Self::Dbm, Self::PositiveDbm, Self::Percent, Self::Milliwatts, Self::Watts];
+        let unit = named.into_iter().find(|unit| unit.words()[0] == text).or_else(|| floor().map(Self::OverFloor));
+        unit.ok_or_else(|| {
+            format!(
+                "{text}: expected dBm, positive-dBm (sign lost), percent (percent / 2 - 100 dBm), dB:FLOOR (over a floor in \
+                 dBm, such as dB:-95), mW or W"
+            )
+        })
     }
 }
 
@@ -184,8 +218,8 @@ mod tests {
         use PowerUnit::*;
         assert_eq!(PowerUnit::guess(&[-60.0, -90.0, 3.0]), []);
         assert_eq!(PowerUnit::guess(&[5.1e-8, 1.2e-9]), [Milliwatts, Watts]);
-        assert_eq!(PowerUnit::guess(&[42.9, 59.2]), [PositiveDbm, Percent, OverFloor]);
-        assert_eq!(PowerUnit::guess(&[42.9, 109.2]), [PositiveDbm, OverFloor]);
+        assert_eq!(PowerUnit::guess(&[42.9, 59.2]), [PositiveDbm, Percent, OverFloor(-100.0)]);
+        assert_eq!(PowerUnit::guess(&[42.9, 109.2]), [PositiveDbm, OverFloor(-100.0)]);
         assert_eq!([PowerUnit::guess(&[]), PowerUnit::guess(&[0.0])], [&[]; 2]);
         assert!(lone_values(&[42.0, 43.0, 44.0, 61.0]).is_empty());
     }

@@ -55,6 +55,6 @@ pub use pwrfgs_core::npy::{npy_header, npy_header_as};
 pub use save::{pose_row, poses_csv, save};
 pub use splits::{Fold, LeaveReceiverOut, Official, Random, RandomLinks, Sparse, TimeBlock, Voxel};
 pub use subset::{LINKS, Subset, write_links};
-pub use table::{ColumnChoice, ImportedTable, PowerUnit, TableFile, TableImport, read_frame_positions};
+pub use table::{ColumnChoice, ImportedTable, TableFile, TableImport, read_frame_positions};
 pub use teacher::Teacher;
 pub use text::warn_once;

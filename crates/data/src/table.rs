@@ -13,14 +13,12 @@ mod rows;
 mod survey;
 #[cfg(test)]
 mod tests;
-mod unit;
 
 pub use columns::ColumnChoice;
-pub use unit::PowerUnit;
 
 use crate::nerf2::read_transmitters;
 use crate::table::survey::Survey;
-use pwrfgs_core::{Dataset, Error, Geodetic, Result};
+use pwrfgs_core::{Dataset, Error, Geodetic, PowerUnit, Result};
 use std::path::{Path, PathBuf};
 
 /// File of a table, or its content under the name of a file.

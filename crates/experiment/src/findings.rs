@@ -14,7 +14,10 @@ pub use finding::{Finding, reject_findings};
 pub use powers::check_observed;
 
 use pwrfgs_core::{Dataset, Partition, Result};
+use std::collections::BTreeSet;
 
+/// Share of test samples at training positions above which they are a finding.
+const REPEATED: f64 = 0.05;
 /// Share of constant spectra above which they are a finding.
 const CONSTANT: f64 = 0.05;
 /// Largest number of spectra that are read.
@@ -39,6 +42,7 @@ pub fn collect_findings(data: &Dataset, partition: Option<&Partition>) -> Result
         }
     }
     findings.extend(partition.and_then(|partition| check_split(data, partition)));
+    findings.extend(partition.and_then(|partition| check_repeated(data, partition)));
     findings.extend(check_equal_observations(data));
     if data.observations.spectra().is_some() && data.camera().is_none() {
         let summaries = spectra::summarize(data, SAMPLED, &|_, _| {})?;
@@ -63,6 +67,18 @@ fn check_split(data: &Dataset, partition: &Partition) -> Option<Finding> {
     };
     let problem = format!("{test} test {}, but only {training} to learn from", data.task().counted[1]);
     (test > training).then(|| Finding::new("split", test, problem, mend))
+}
+
+/// Finds test locations exactly at training locations, such as repeated readings of a place; `None` for at most the share
+/// [`REPEATED`].
+fn check_repeated(data: &Dataset, partition: &Partition) -> Option<Finding> {
+    let at = |i: &usize| (data.sample(*i).pose.coordinates().map(f64::to_bits), data.sample(*i).receiver);
+    let known: BTreeSet<_> = partition.train.iter().map(at).collect();
+    let (count, total) = (partition.test.iter().filter(|i| known.contains(&at(i))).count(), partition.test.len());
+    let problem = format!("{count} of {total} test samples are exactly where training samples are");
+    let mend = "use `split: Voxel()`, which keeps a position in one set";
+    (data.placed && count as f64 > REPEATED * total as f64)
+        .then(|| Finding::new("repeated-positions", count, problem, mend))
 }
 
 /// Finds observations that are all equal; `None` if two differ, or there is only one.

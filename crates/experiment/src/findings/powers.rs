@@ -93,9 +93,9 @@ fn check_unit(data: &Dataset, readings: &[Real]) -> Option<Finding> {
     let ((low, high), middle) = (bounds(values()), median(values()));
     let convert = |unit: &PowerUnit| {
         let option = unit.words()[0];
-        let dbm = |value: f64| 10.0 * value.log10() + if *unit == PowerUnit::Watts { 30.0 } else { 0.0 };
         let is_linear = matches!(unit, PowerUnit::Milliwatts | PowerUnit::Watts) && middle > 0.0;
-        let result = if is_linear { format!(", median {:.1} dBm", dbm(middle)) } else { String::new() };
+        let dbm = unit.dbm(middle).filter(|_| is_linear);
+        let result = dbm.map_or_else(String::new, |dbm| format!(", median {dbm:.1} dBm"));
         format!("{} (`--unit {option}` of `pwrfgs import --table`){result}", mend_unit(*unit))
     };
     let mends: Vec<String> = units.map(convert).collect();

@@ -4,9 +4,9 @@ use super::Import;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::data::{ColumnChoice, PowerUnit, TableFile, TableImport, save};
+use pwrfgs::data::{ColumnChoice, TableFile, TableImport, save};
 use pwrfgs::experiment::{check_findings, observed, staged};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, PowerUnit, Result};
 use std::path::PathBuf;
 
 /// Options of `--table`.
