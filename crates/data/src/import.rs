@@ -3,11 +3,13 @@
 //! Spectra are converted one at a time, so memory use does not depend on their number. 8-bit and 16-bit values are
 //! kept, floats are stored with 32 bits. Implausible input is an error with the next step.
 
+mod channels;
 mod links;
 mod source;
 #[cfg(test)]
 mod tests;
 
+pub use channels::ChannelImport;
 pub use links::read_links;
 
 use crate::checks::{ROUNDING, shape_fault};
