@@ -1,9 +1,12 @@
-//! `pwrfgs import`: converts spectra and positions, or a table of links, into a data folder.
+//! `pwrfgs import`: converts spectra and positions, channels, or a table of links, into a data folder.
 
+mod channels;
+
+use self::channels::{ChannelOptions, import_channels};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::data::import::{Import as Work, read_links};
+use pwrfgs::data::import::{ChannelImport, Import as Work, read_links};
 use pwrfgs::data::save;
 use pwrfgs::experiment::{observed, staged, warn_of_findings};
 use pwrfgs::tasks::init::unknown_folder_error;
@@ -25,8 +28,10 @@ EXAMPLES
   pwrfgs import --spectra s.npy --tx tx.npy --receiver 5,1,0 --orientation 0,0,0,1 --out data/my2
   pwrfgs import --spectra images --tx tx.csv --receiver 5,1,0 --orientation 0,0,0,1 --out data/my3
   printf 'x,y,z,receiver,rx_x,rx_y,rx_z,dbm\\n1,2,1,hall,0,0,2,-61\\n2,2,1,hall,0,0,2,-64\\n' > links.csv
-  pwrfgs import --links links.csv --out data/my4")]
-#[command(group(clap::ArgGroup::new("what").required(true).args(["spectra", "links"])))]
+  pwrfgs import --links links.csv --out data/my4
+  python3 -c \"from numpy import *; r = random.randn; savez('h.npz', channels=r(9,3,8,2), tx=r(9,3))\"
+  pwrfgs import --channels h.npz --axes m,a,f,ri --powers --receiver 0,0,2 --out data/my5")]
+#[command(group(clap::ArgGroup::new("what").required(true).args(["spectra", "links", "channels"])))]
 pub(crate) struct Import {
     /// Spectra: .npy, .npz or .npz:NAME, or folder of grey PNG (8, 16 bits)
     #[arg(long, value_name = "PATH", requires_all = ["receiver", "orientation"])]
@@ -62,6 +67,8 @@ pub(crate) struct Import {
     /// Mark the spectra as simulated in titles and tables
     #[arg(long)]
     pub(crate) simulated: bool,
+    #[command(flatten)]
+    pub(crate) channels: ChannelOptions,
 }
 
 /// Runs `pwrfgs import`: writes the data folder, and warns of findings on its data.
@@ -72,13 +79,19 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     if let Some(path) = &arguments.links {
         return import_links(arguments, path, &name, verbosity);
     }
+    let receiver = Pose {
+        position: parse_position("--receiver", arguments.receiver.as_deref().unwrap_or_default())?,
+        orientation: parse_quaternion(arguments.orientation.as_deref().unwrap_or("0,0,0,1"))?,
+    };
+    if !arguments.channels.channels.is_empty() {
+        let (tx, simulated) = (arguments.tx.clone(), arguments.simulated);
+        let import = ChannelImport { tx, receiver, name, simulated, ..arguments.channels.settings() };
+        return import_channels(&import, &arguments.out, verbosity);
+    }
     let work = Work {
         spectra: arguments.spectra.clone().unwrap_or_default(),
         tx: arguments.tx.clone(),
-        receiver: Pose {
-            position: parse_position("--receiver", arguments.receiver.as_deref().unwrap_or_default())?,
-            orientation: parse_quaternion(arguments.orientation.as_deref().unwrap_or_default())?,
-        },
+        receiver,
         elevation: arguments.elevation.as_deref().map(parse_elevation).transpose()?,
         name,
         scale: arguments.scale,
