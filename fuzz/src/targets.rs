@@ -4,7 +4,7 @@
 use crate::folder::copy;
 use crate::mutate::Form;
 use pwrfgs::data::TableImport;
-use pwrfgs::data::import::Import;
+use pwrfgs::data::import::{ChannelImport, Import};
 use pwrfgs::data::{Predictions, check_dataset};
 use pwrfgs::experiment::sweep::SweepPlan;
 use pwrfgs::experiment::{self, Session, read_pipeline};
@@ -110,6 +110,7 @@ pub const TARGETS: &[Target] = &[
     }),
     of(16, "channels/receiver.yml", &[], Plain, channels),
     of(16, "channels/channel.npy", &[], Plain, channels),
+    of(16, "pairs.npy", &[], Plain, imported_channels),
     of(8, "csi/base-station.yml", &[], Plain, csi),
     of(8, "csi/csidata.npy", &[], Plain, csi),
     of(32, "cloud/mesh.ply", &["cloud/binary/mesh.ply"], Plain, surface),
@@ -223,6 +224,25 @@ fn imported(bench: &Path) -> Result<()> {
     };
     import.write(&out, &|_, _| {})?;
     load(bench, "Arrays(root: \"imported\")")
+}
+
+/// Imports pairs of imaginary and real parts as channels, and as powers.
+fn imported_channels(bench: &Path) -> Result<()> {
+    let import = ChannelImport {
+        channels: vec![bench.join("pairs.npy")],
+        imag: Vec::new(),
+        axes: "ir,f,m".into(),
+        tx: Some(bench.join("channels/tx_pos.csv")),
+        receiver: Pose::IDENTITY,
+        antennas: None,
+        carrier_hz: Some(2e9),
+        spacing_hz: Some(1e6),
+        powers: false,
+        name: "imported".into(),
+        simulated: false,
+    };
+    check_dataset(&import.read()?.0)?;
+    check_dataset(&ChannelImport { powers: true, ..import }.read()?.0)
 }
 
 /// Checks predictions for the test set of a pipeline on the bench.

@@ -1,7 +1,7 @@
 //! `pwrfgs import`: NumPy files become data for training, and failed imports write no files.
 
 use crate::common::{SMALL, call, python, refuse, stderr, stdout, succeed, write};
-use pwrfgs::data::npy_header;
+use pwrfgs::data::{npy_header, npy_header_as};
 use pwrfgs_core::Number;
 use std::fs;
 use std::io::{Cursor, Write as _};
@@ -224,4 +224,99 @@ fn import_rejects_shape_that_contradicts_angles() {
     succeed(here, &[&import[..], &["--elevation", "-90,90"]].concat());
     let message = stdout(&succeed(here, &["init", "mine", "--out", "mine.ron"]));
     assert!(message.contains("20 spectra of 36 x 18 pixels"), "{message}");
+}
+
+/// Folder of simulated channels with other gains, as `change` makes them of the position, and real and imaginary part.
+fn changed(here: &Path, name: &str, change: impl Fn(usize, [f32; 2]) -> [f32; 2]) {
+    let bytes = fs::read(here.join("right/channel.npy")).unwrap();
+    let parts: Vec<f32> = bytes[128..].as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+    let gains = parts.as_chunks().0.iter().enumerate().flat_map(|(i, gain)| change(i / 256, *gain));
+    let body = gains.flat_map(f32::to_le_bytes).collect::<Vec<u8>>();
+    for file in ["tx_pos.csv", "receiver.yml"] {
+        write(&here.join(name).join(file), fs::read(here.join("right").join(file)).unwrap());
+    }
+    write(&here.join(name).join("channel.npy"), [&bytes[..128], &body].concat());
+}
+
+#[test]
+fn wrong_channels_are_noticed_and_right_ones_are_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let size = ["--samples", "60", "--points", "100", "--snr-db", "30"];
+    succeed(
+        here,
+        &[&["simulate", "office-channel", "--layout", "channels", "--no-paths", "--out", "right", "-q"][..], &size]
+            .concat(),
+    );
+    let turned = |m: usize, [re, im]: [f32; 2]| {
+        let (sin, cos) = (2.4 * (m * m) as f32).sin_cos();
+        [re * cos - im * sin, re * sin + im * cos]
+    };
+    changed(here, "conjugated", |_, [re, im]| [re, -im]);
+    changed(here, "magnitudes", |_, [re, im]| [re.hypot(im), 0.0]);
+    changed(here, "decibels", |_, [re, im]| [20.0 * re.hypot(im).log10(), 0.0]);
+    changed(here, "phases", turned);
+    changed(here, "zeros", |m, gain| if m % 4 == 0 { [0.0; 2] } else { gain });
+    for (name, words) in [
+        ("right", ""),
+        ("conjugated", "conjugate: the conjugate fits better: the direct path has "),
+        (
+            "magnitudes",
+            "channel-phase: all imaginary parts are 0: these are amplitudes, which have no phase; use powers",
+        ),
+        (
+            "decibels",
+            "channel-phase: all imaginary parts are 0: these are levels in dB, which have no phase; use powers",
+        ),
+        ("phases", "phase-coherence: the phases of neighbouring positions are not coherent"),
+        ("zeros", "zero-channels: 15 of 60 channels are zero, not received, and are left out"),
+    ] {
+        let pipeline = format!("{name}.ron");
+        for command in [&["inspect", name][..], &["init", name, "--out", &pipeline]] {
+            let message = stderr(&succeed(here, command));
+            let is_right = if words.is_empty() { !message.contains("warning") } else { message.contains(words) };
+            assert!(is_right, "{command:?}: {message}");
+        }
+    }
+    let message = stdout(&succeed(here, &["inspect", "phases"]));
+    assert!(message.contains("phases         not coherent; if the chip"), "{message}");
+}
+
+#[test]
+fn channels_of_a_chip_become_powers_or_channels() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("tx.csv"), "x,y,z\n1,2,1\n2,2,1\n3,2,1\n");
+    // Pairs of imaginary and real parts [M, F, 2] of one antenna; nothing is received at the first position.
+    let numbers = (0..3 * 4 * 2).map(|i: i16| if i < 8 { 0 } else { 3 * i - 40 });
+    write(
+        &here.join("csi.npy"),
+        [npy_header_as("<i2", &[3, 4, 2]), numbers.flat_map(i16::to_le_bytes).collect::<Vec<u8>>()].concat(),
+    );
+    let import = ["import", "--channels", "csi.npy", "--tx", "tx.csv", "--receiver", "0,0,2"];
+    let band = ["--axes", "m,f,ir", "--carrier-hz", "2.437e9", "--spacing-hz", "312500", "--out", "csi"];
+    let message = stderr(&succeed(here, &[&import[..], &band].concat()));
+    assert!(message.contains("3 positions, 1 antennas, 4 subcarriers of complex numbers (axes m,f,ir)"), "{message}");
+    assert!(message.contains("1 of 3 channels are zero, not received, and left out; the first is 0"), "{message}");
+    assert!(message.contains("2 channels of 1 antenna x 4 subcarriers in csi; next: `pwrfgs init csi`"), "{message}");
+    let powers = ["--axes", "m,f,ir", "--powers", "--out", "powers"];
+    let message = stderr(&succeed(here, &[&import[..], &powers].concat()));
+    assert!(message.contains("8 received powers at 4 receivers in powers"), "{message}");
+    assert!(
+        fs::read_to_string(here.join("powers/gateway_rssi.csv")).unwrap().starts_with("subcarrier 0,subcarrier 1,")
+    );
+    refuse(
+        here,
+        &[&import[..], &["--out", "bad"]].concat(),
+        2,
+        &["these are real numbers of both signs, without imaginary"],
+    );
+    write(&here.join("csi.mat"), "MATLAB");
+    let mat = ["import", "--channels", "csi.mat", "--tx", "tx.csv", "--receiver", "0,0,2", "--out", "bad"];
+    let line = "import numpy, scipy.io; numpy.save('csi.npy', scipy.io.loadmat('csi.mat')['NAME'])";
+    refuse(here, &mat, 2, &["csi.mat: is a MATLAB file; convert it in Python", line]);
+    for wrong in [&["--axes", "m,f,ir"][..], &["--channels", "csi.npy"], &["--channels", "csi.npy", "--scale", "2"]] {
+        assert_eq!(call(here, &[&["import", "--out", "bad"][..], wrong].concat()).status.code(), Some(2));
+    }
+    assert!(!here.join("bad").exists());
 }

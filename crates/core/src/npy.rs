@@ -82,6 +82,12 @@ impl Header {
         self.shape.iter().try_fold(number.bytes() as u64, |bytes, n| bytes.checked_mul(*n as u64))
     }
 
+    /// Returns the axes in the order of the file, the one that varies fastest first.
+    pub fn fastest_first(&self) -> Vec<usize> {
+        let axes = 0..self.shape.len();
+        if self.fortran { axes.collect() } else { axes.rev().collect() }
+    }
+
     /// Returns the shape in Python notation, such as `[3, 90, 360]`.
     pub fn shape_text(&self) -> String {
         format!("[{}]", self.shape.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "))

@@ -12,8 +12,8 @@ use crate::nerf2::{LocationTable, index};
 use crate::npy::{ComplexArray, read_complex_array};
 use crate::text::{read_yaml, yaml_fault};
 use pwrfgs_core::{
-    Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Pose, Progress, Real, Receiver, Result,
-    Sample, Simulation, carrier_fault,
+    Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Observations, Pose, Progress, Real, Receiver,
+    Result, Sample, Simulation, Unmatched, carrier_fault,
 };
 use serde::{Deserialize, Serialize};
 use serde_saphyr::Spanned;
@@ -32,7 +32,8 @@ const SHAPE: &str = "channels are [M, A, F]: M transmitters, A antennas of the r
 ///                   receiver.yml are then in its frame, and `transmitter: [x, y, z]` there may state the fixed transmitter
 /// ```
 ///
-/// The id of a transmitter is its row, counted from 0 as in NumPy. Values are not scaled. Subcarriers are evenly spaced
+/// The id of a transmitter is its row, counted from 0 as in NumPy. Channels that are zero were not received and are left
+/// out with a warning. Values are not scaled. Subcarriers are evenly spaced
 /// about `carrier_hz`. By reciprocity, uplink and downlink are equal: if the fixed node is the transmitter, enter it as
 /// the receiver.
 ///
@@ -174,12 +175,12 @@ impl DataSource for Channels {
         progress(data.len(), data.len());
         let data = Dataset { simulation, official, ..data };
         if carriers == 1 {
-            return restore_saved(&root, data);
+            return without_zeros(restore_saved(&root, data)?, &path);
         }
         let lowest_hz = data.observations.frequencies_hz().iter().copied().fold(carrier_hz, f64::min);
         let carriers = self.all_carriers(&path, carrier_hz, lowest_hz)?;
         let carriers: Vec<f64> = carriers.iter().flat_map(|hz| vec![*hz; count]).collect();
-        restore_saved(&root, data.with_carriers(&carriers)?)
+        without_zeros(restore_saved(&root, data.with_carriers(&carriers)?)?, &path)
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
@@ -194,7 +195,7 @@ impl DataSource for Channels {
                 return Err(format!("`{name}` is empty; name a file in `root`"));
             }
         }
-        check_frequencies(self.carrier_hz.unwrap_or(1.0), self.spacing_hz.unwrap_or(1.0))?;
+        check_frequencies(self.carrier_hz.unwrap_or(1e9), self.spacing_hz.unwrap_or(1.0))?;
         if let Some(fault) = self.more_carriers.iter().find_map(|file| carrier_fault(file.carrier_hz)) {
             return Err(format!("`more_carriers`: {fault}"));
         }
@@ -241,6 +242,22 @@ impl Channels {
             }
         }
         Ok(carriers)
+    }
+}
+
+/// Leaves out the links whose channel is zero, which was not received, and counts them. Returns an error if all are; it names
+/// the array at `path`.
+fn without_zeros(data: Dataset, path: &Path) -> Result<Dataset> {
+    let Observations::Channels(channels) = &data.observations else { return Ok(data) };
+    let is_received = |link: &usize| channels.of(*link).iter().flatten().any(|part| *part != 0.0);
+    let links: Vec<usize> = (0..data.len()).filter(is_received).collect();
+    match data.len() - links.len() {
+        0 => Ok(data),
+        _ if links.is_empty() => Err(Error::input(path, "is zero throughout; give channels that were received")),
+        zeros => {
+            let unmatched = Unmatched { positions: zeros, ..Unmatched::default() };
+            Ok(Dataset { unmatched, ..data.subset(&links)? })
+        }
     }
 }
 
@@ -301,6 +318,9 @@ impl ChannelMetadata {
         let is_finite = |antenna: &[f64; 3]| antenna.iter().all(|x| x.is_finite());
         if !(file.antennas.iter().all(is_finite) && file.carrier_hz.is_finite() && file.spacing_hz.is_finite()) {
             return Err(Error::input(&path, format!("holds a number that is not finite; {expected}")));
+        }
+        if let Some(fault) = carrier_fault(file.carrier_hz) {
+            return Err(Error::input(&path, fault));
         }
         let antennas = file.antennas.iter().map(|antenna| pose.to_receiver(*antenna)).collect();
         let receiver = ReceiverPlace { position, orientation, antennas };

@@ -2,7 +2,7 @@
 //! and read back unchanged.
 
 use pwrfgs_core::messages::{quoted, strip_control};
-use pwrfgs_core::{Dataset, Elevation, Error, Real, Receiver, Result, Spectra};
+use pwrfgs_core::{Dataset, Elevation, Error, Real, Receiver, Result, Spectra, carrier_fault};
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -170,12 +170,13 @@ pub(crate) fn uniform_subcarriers(path: &Path, carrier_hz: f64, spacing_hz: f64,
     }
 }
 
-/// Returns an error unless carrier and subcarrier spacing are finite and above 0 Hz.
+/// Returns an error unless the carrier is from 1e6 to 1e12 Hz and the subcarrier spacing finite and above 0 Hz.
 pub(crate) fn check_frequencies(carrier_hz: f64, spacing_hz: f64) -> Result<(), String> {
-    for (name, hz, example) in [("carrier_hz", carrier_hz, "2.4e9"), ("spacing_hz", spacing_hz, "312500")] {
-        if !(hz.is_finite() && hz > 0.0) {
-            return Err(format!("`{name}` is {hz}; give Hz above 0, such as {example}"));
-        }
+    if let Some(fault) = carrier_fault(carrier_hz) {
+        return Err(format!("`carrier_hz`: {fault}"));
+    }
+    if !(spacing_hz.is_finite() && spacing_hz > 0.0) {
+        return Err(format!("`spacing_hz` is {spacing_hz}; give Hz above 0, such as 312500"));
     }
     Ok(())
 }

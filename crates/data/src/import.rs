@@ -3,9 +3,12 @@
 //! Spectra are converted one at a time, so memory use does not depend on their number. 8-bit and 16-bit values are
 //! kept, floats are stored with 32 bits. Implausible input is an error with the next step.
 
+mod channels;
 mod source;
 #[cfg(test)]
 mod tests;
+
+pub use channels::ChannelImport;
 
 use crate::checks::{ROUNDING, shape_fault};
 use crate::colormap::Colormap;

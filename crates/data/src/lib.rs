@@ -49,6 +49,7 @@ pub use folder::{
 };
 pub use geometry::{read_mesh, read_points};
 pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, POSES, read_poses, read_powers, read_transmitters};
+pub use npy::real_channels_fault;
 pub use pictures::read_image;
 pub use polygons::{MOST_TRIANGLES, Triangles};
 pub use pwrfgs_core::npy::{npy_header, npy_header_as};

@@ -120,14 +120,13 @@ pub(crate) fn read_complex_array(path: &Path, expected: &str) -> Result<ComplexA
     let (header, mut file, length) = open_array(path)?;
     let refuse = |problem: String| Error::input(path, problem);
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
-    let is_double = match header.descr.as_str() {
-        "<c8" => false,
-        "<c16" => true,
-        other => {
-            let advice = "channels are complex64 or complex128, little endian: save a.astype('<c8')";
-            return Err(refuse(format!("holds numbers of type `{other}`; {advice}")));
+    if !matches!(header.descr.as_str(), "<c8" | "<c16") {
+        if header.descr.contains(['f', 'i', 'u']) {
+            return Err(refuse(real_channels_fault(&header.shape)));
         }
-    };
+        let advice = "channels are complex64 or complex128, little endian: save a.astype('<c8')";
+        return Err(refuse(format!("holds numbers of type `{}`; {advice}", header.descr)));
+    }
     let Ok(shape) = <[usize; 3]>::try_from(header.shape.as_slice()) else {
         return Err(refuse(format!("has shape {}; {expected}; use a.reshape", header.shape_text())));
     };
@@ -137,28 +136,83 @@ pub(crate) fn read_complex_array(path: &Path, expected: &str) -> Result<ComplexA
     if shape.contains(&0) {
         return Err(refuse(format!("has shape {} and is empty; {expected}", header.shape_text())));
     }
-    let number_bytes = if is_double { 16_u64 } else { 8 };
-    if header.shape.iter().try_fold(number_bytes, |bytes, n| bytes.checked_mul(*n as u64)) != Some(length) {
-        let problem = "do not fit its length; the file is truncated or damaged: copy it again";
-        return Err(refuse(format!("numbers of shape {} {problem}", header.shape_text())));
-    }
-    if length > MAX_BYTES {
-        return Err(refuse(format!("holds {length} bytes, more than {MAX_BYTES}; give fewer channels")));
-    }
-    let mut bytes = vec![0; length as usize];
-    file.read_exact(&mut bytes).map_err(|e| Error::read(path, e))?;
-    let single = |b: &[u8; 4]| f64::from(f32::from_le_bytes(*b));
-    let parts: Vec<f64> = if is_double {
-        bytes.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
-    } else {
-        bytes.as_chunks().0.iter().map(single).collect()
+    let parts = parse_numbers(&header, path, &mut file, length)?;
+    Ok(ComplexArray { shape, values: parts.as_chunks().0.to_vec() })
+}
+
+/// Returns the problem with channels of real numbers of this shape, with the next step.
+pub fn real_channels_fault(shape: &[usize]) -> String {
+    let pair = |parts: &str| {
+        format!("holds real numbers in pairs; if these are real and imaginary parts, save {parts} as complex64")
     };
-    let array = ComplexArray { shape, values: parts.as_chunks().0.to_vec() };
-    if let Some(i) = parts.iter().position(|v| !(*v as Real).is_finite()) {
-        let [re, im] = array.values[i / 2];
-        return Err(refuse(format!("{} is {:?}; give finite numbers", array.element_name(path, i / 2), (re, im))));
+    match shape {
+        [_, _, .., 2] => pair("a[..., 0] + 1j * a[..., 1]"),
+        [2, _, _, _, ..] => pair("a[0] + 1j * a[1]"),
+        _ => "holds real numbers; amplitudes and dB have no phase: use powers, \
+              `pwrfgs import --channels FILE --powers ..`"
+            .into(),
     }
-    Ok(array)
+}
+
+/// Reads the numbers of an array from the `size` bytes of `file` after the header, in the order of the file. A complex
+/// number is two: real and imaginary part. Returns an error for another type or length, too many numbers, or one that is
+/// not finite.
+pub(crate) fn parse_numbers(header: &Header, path: &Path, file: &mut dyn Read, size: u64) -> Result<Vec<f64>> {
+    let refuse = |problem: String| Err(Error::input(path, problem));
+    let (order, kind) = header.descr.split_at_checked(1).unwrap_or_default();
+    let (parts, part) = match kind {
+        "c8" => (2, "f4"),
+        "c16" => (2, "f8"),
+        "f4" | "f8" | "i1" | "i2" | "i4" | "u1" | "u2" | "u4" => (1, kind),
+        _ => {
+            let advice =
+                "give complex numbers, floats of 32 or 64 bits, or integers: save a.astype('<c8') or a.astype('<f4')";
+            return refuse(format!("holds numbers of type `{}`; {advice}", header.descr));
+        }
+    };
+    let bytes = usize::from(part.as_bytes()[1] - b'0');
+    if header.shape.iter().try_fold((parts * bytes) as u64, |all, n| all.checked_mul(*n as u64)) != Some(size) {
+        let problem = "do not fit its length; the file is truncated or damaged: copy it again";
+        return refuse(format!("numbers of shape {} {problem}", header.shape_text()));
+    }
+    if size.max((size_of::<Real>() * header.shape.iter().product::<usize>() * parts) as u64) > MAX_BYTES {
+        return refuse(format!("holds {size} bytes, more than {MAX_BYTES} or too many numbers; give fewer channels"));
+    }
+    let mut content = vec![0; size as usize];
+    file.read_exact(&mut content).and_then(|()| check_end(file)).map_err(|e| Error::read(path, e))?;
+    let number = |number: &[u8]| {
+        let mut word = [0; 8];
+        word[..bytes].copy_from_slice(number);
+        if order == ">" {
+            word[..bytes].reverse();
+        }
+        let word = u64::from_le_bytes(word);
+        let unused = 64 - 8 * bytes;
+        match part {
+            "f4" => f64::from(f32::from_bits(word as u32)),
+            "f8" => f64::from_bits(word),
+            _ if part.starts_with('i') => ((word << unused).cast_signed() >> unused) as f64,
+            _ => word as f64,
+        }
+    };
+    let numbers: Vec<f64> = content.chunks_exact(bytes).map(number).collect();
+    if let Some(i) = numbers.iter().position(|v| !(*v as Real).is_finite()) {
+        let value = &numbers[i / parts * parts..][..parts];
+        let value = if let [re, im] = value { format!("{:?}", (re, im)) } else { format!("{:?}", value[0]) };
+        let name = element_name(path, &header.shape, &header.fastest_first(), i / parts);
+        return refuse(format!("{name} is {value}; give finite numbers"));
+    }
+    Ok(numbers)
+}
+
+/// Returns the name and index of number `i` in the order of the file, in Python notation.
+fn element_name(path: &Path, shape: &[usize], fastest_first: &[usize], mut i: usize) -> String {
+    let mut index = vec![0; shape.len()];
+    for &k in fastest_first {
+        index[k] = i % shape[k];
+        i /= shape[k];
+    }
+    format!("{}{index:?}", path.file_stem().unwrap_or_default().to_string_lossy())
 }
 
 impl ComplexArray {
@@ -166,16 +220,11 @@ impl ComplexArray {
     pub(crate) fn check_size(&self, path: &Path) -> Result<()> {
         let mut faults = self.values.iter().map(|gain| gain_fault(*gain)).enumerate();
         match faults.find_map(|(i, fault)| Some((i, fault?))) {
-            Some((i, fault)) => Err(Error::input(path, format!("{} {fault}", self.element_name(path, i)))),
+            Some((i, fault)) => {
+                Err(Error::input(path, format!("{} {fault}", element_name(path, &self.shape, &[2, 1, 0], i))))
+            }
             None => Ok(()),
         }
-    }
-
-    /// Returns the name and index of number `i` in Python notation.
-    fn element_name(&self, path: &Path, i: usize) -> String {
-        let [_, a, f] = self.shape;
-        let name = path.file_stem().unwrap_or_default().to_string_lossy();
-        format!("{name}[{}, {}, {}]", i / (a * f), i / f % a, i % f)
     }
 
     /// Divides all numbers by the largest modulus of the rows `train`, or of all rows. Returns an error if it is zero.

@@ -1,5 +1,6 @@
 //! [`collect_findings`]: what is implausible about readable data, such as a wrong pose, unit or frame, with what mends it.
 
+pub(crate) mod channels;
 pub(crate) mod cloud;
 mod directions;
 mod finding;
@@ -44,6 +45,7 @@ pub fn collect_findings(data: &Dataset, partition: Option<&Partition>) -> Result
     findings.extend(partition.and_then(|partition| check_split(data, partition)));
     findings.extend(partition.and_then(|partition| check_repeated(data, partition)));
     findings.extend(check_equal_observations(data));
+    findings.extend(channels::check_channels(data));
     if data.observations.spectra().is_some() && data.camera().is_none() {
         let summaries = spectra::summarize(data, SAMPLED, &|_, _| {})?;
         findings.extend(check_constant_spectra(&summaries));

@@ -9,6 +9,7 @@ pub use crate::findings::pose::{Correction, PoseCheck, PoseVerdict};
 pub use inspection::{Inspection, SplitScores};
 
 use crate::facts::{free_memory, load_average, peak_memory};
+use crate::findings::channels::PhaseCheck;
 use crate::findings::{cloud, pose, spectra};
 use crate::input::resolve_pipeline;
 use crate::load::{SplitData, load, observed};
@@ -121,6 +122,7 @@ impl DataSummary {
         summary.facts.push(("point cloud", describe_points(data)));
         if data.observations.spectra().is_none() {
             summary.facts.push(describe_levels(data));
+            summary.facts.extend(PhaseCheck::of(data).map(|phases| ("phases", phases.describe())));
             return Ok(summary);
         }
         let spectra = staged(observer, "reading the spectra", |progress| spectra::summarize(data, most, progress))?;

@@ -3,7 +3,7 @@
 use crate::arrays::{self, Gain, array_shape, axis_count, input_array, numbers, positions};
 use crate::border::{input_error, reject, replace_flags, without_gil};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods as _};
-use pwrfgs::data::{UnlinkedNode, power_fault, unlinked_node};
+use pwrfgs::data::{UnlinkedNode, power_fault, real_channels_fault, unlinked_node};
 use pwrfgs::experiment::collect_findings;
 use pwrfgs_core::{Channels, Dataset, Error, Number, Observations, Origin, Pose, Real, Receiver, Sample, Spectra};
 use pyo3::exceptions::PyUserWarning;
@@ -153,6 +153,10 @@ pub(super) fn read_channels(
     let frequencies_hz = numbers::<f64>("frequencies_hz", frequencies_hz, &[None])?;
     if frequencies_hz.is_empty() || !frequencies_hz.iter().all(|f| f.is_finite() && *f > 0.0) {
         return reject(py, "frequencies_hz: give one frequency above 0 Hz per subcarrier");
+    }
+    let array = py.import("numpy")?.call_method1("asarray", (csi,))?;
+    if "fiu".contains(&array.getattr("dtype")?.getattr("kind")?.extract::<String>()?) {
+        return reject(py, &format!("csi {}", real_channels_fault(&array_shape(&array)?)));
     }
     let all = input_array::<Gain>("csi", csi, &[Some(count), None, Some(frequencies_hz.len())])?;
     let antennas = all.shape()[1];

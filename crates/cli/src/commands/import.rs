@@ -1,12 +1,14 @@
-//! `pwrfgs import`: converts spectra and positions, or tables of powers, into a data folder.
+//! `pwrfgs import`: converts spectra and positions, channels, or tables of powers, into a data folder.
 
+mod channels;
 mod table;
 
+use self::channels::{ChannelOptions, import_channels};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::Colormap;
-use pwrfgs::data::import::Import as Work;
+use pwrfgs::data::import::{ChannelImport, Import as Work};
 use pwrfgs::experiment::{check_findings, staged};
 use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs::tasks::plane::{parse_numbers, parse_position};
@@ -29,8 +31,10 @@ EXAMPLES
   pwrfgs import --spectra images --tx tx.csv --receiver 5,1,0 --orientation 0,0,0,1 --out data/my3
   printf 'x,y,z,receiver,rx_x,rx_y,rx_z,dbm\\n1,2,1,hall,0,0,2,-61\\n2,2,1,hall,0,0,2,-64\\n' > links.csv
   pwrfgs import --table links.csv --out data/my4
-  pwrfgs import --table survey.csv --receivers aps.csv --missing 100 --dry-run")]
-#[command(group(clap::ArgGroup::new("what").required(true).args(["spectra", "table"])))]
+  pwrfgs import --table survey.csv --receivers aps.csv --missing 100 --dry-run
+  python3 -c \"from numpy import *; r = random.randn; savez('h.npz', channels=r(9,3,8,2), tx=r(9,3))\"
+  pwrfgs import --channels h.npz --axes m,a,f,ri --powers --receiver 0,0,2 --out data/my5")]
+#[command(group(clap::ArgGroup::new("what").required(true).args(["spectra", "table", "channels"])))]
 pub(crate) struct Import {
     /// Spectra: .npy, .npz or .npz:NAME, or folder of grey PNG (8, 16 bits)
     #[arg(long, value_name = "PATH", requires_all = ["receiver", "orientation"])]
@@ -71,6 +75,8 @@ pub(crate) struct Import {
     /// Accept a finding that would stop the import; repeatable
     #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
+    #[command(flatten)]
+    pub(crate) channels: ChannelOptions,
 }
 
 /// Runs `pwrfgs import`: writes the data folder, and warns of findings on its data.
@@ -83,13 +89,19 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         return table::import_table(arguments, &name, verbosity);
     }
     let out = out.unwrap_or_default();
+    let receiver = Pose {
+        position: parse_position("--receiver", arguments.receiver.as_deref().unwrap_or_default())?,
+        orientation: parse_quaternion(arguments.orientation.as_deref().unwrap_or("0,0,0,1"))?,
+    };
+    if !arguments.channels.channels.is_empty() {
+        let (tx, simulated) = (arguments.tx.clone(), arguments.simulated);
+        let import = ChannelImport { tx, receiver, name, simulated, ..arguments.channels.settings() };
+        return import_channels(&import, &out, &arguments.accept, verbosity);
+    }
     let work = Work {
         spectra: arguments.spectra.clone().unwrap_or_default(),
         tx: arguments.tx.clone(),
-        receiver: Pose {
-            position: parse_position("--receiver", arguments.receiver.as_deref().unwrap_or_default())?,
-            orientation: parse_quaternion(arguments.orientation.as_deref().unwrap_or_default())?,
-        },
+        receiver,
         elevation: arguments.elevation.as_deref().map(parse_elevation).transpose()?,
         name,
         scale: arguments.scale,

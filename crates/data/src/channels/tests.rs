@@ -190,3 +190,53 @@ fn nearest_neighbours_hardly_predict_newrf_channels() {
         assert!(ratios.iter().all(|snr| *snr < 2.0), "{file}: {ratios:?}");
     }
 }
+
+#[test]
+fn leaves_out_zero_channels() {
+    let folder = folder([2, 1, 3]);
+    fs::write(folder.path().join("train_index.txt"), "0\n").unwrap();
+    fs::write(folder.path().join("test_index.txt"), "1\n").unwrap();
+    let path = folder.path().join("h.npy");
+    let mut bytes = fs::read(&path).unwrap();
+    bytes[128..152].fill(0);
+    fs::write(&path, &bytes).unwrap();
+    let load = || source(folder.path().into()).load(".".as_ref(), &|_, _| {});
+    let data = load().unwrap();
+    assert_eq!((data.len(), data.sample(0).id, data.unmatched.positions), (1, 1, 1));
+    assert_eq!((data.sample(0).position(), data.official.as_ref()), ([4.0, 5.0, 6.0], None));
+    assert_eq!(data.image(0).pixels, [6.0, 8.0, 10.0, 7.0, 9.0, 11.0]);
+    bytes[128..].fill(0);
+    fs::write(&path, &bytes).unwrap();
+    assert!(load().unwrap_err().to_string().contains("is zero throughout"));
+}
+
+#[test]
+fn real_arrays_are_refused_with_what_makes_them_complex() {
+    let folder = folder([2, 1, 3]);
+    for (shape, descr, words) in [
+        (&[2, 1, 3, 2][..], "<f4", "save a[..., 0] + 1j * a[..., 1] as complex64"),
+        (&[2, 2, 1, 3], "<f8", "save a[0] + 1j * a[1] as complex64"),
+        (&[2, 1, 3], "<f4", "amplitudes and dB have no phase: use powers, `pwrfgs import --channels FILE --powers ..`"),
+        (&[2, 1, 3], "<i2", "holds real numbers"),
+        (&[2, 1, 3], ">c8", "holds numbers of type `>c8`; channels are complex64"),
+    ] {
+        fs::write(folder.path().join("h.npy"), npy_header_as(descr, shape)).unwrap();
+        let message = source(folder.path().into()).load(".".as_ref(), &|_, _| {}).unwrap_err().to_string();
+        assert!(message.contains(words), "{message}");
+    }
+}
+
+#[test]
+fn rejects_carrier_that_is_not_in_hz() {
+    let folder = folder([2, 1, 3]);
+    let bare = Channels { carrier_hz: None, spacing_hz: None, receiver: None, ..source(folder.path().into()) };
+    let text = crate::receiver_yaml("ap", &Pose::IDENTITY, [2400.0, 1.0], &[2.4e9, 2.401e9, 2.402e9], &[[0.0; 3]]);
+    fs::write(folder.path().join("receiver.yml"), text).unwrap();
+    let message = bare.load(".".as_ref(), &|_, _| {}).unwrap_err().to_string();
+    assert!(
+        message.contains("receiver.yml: the carrier is 2400.0 Hz; give a frequency between 1e6 and 1e12 Hz"),
+        "{message}"
+    );
+    let set = Channels { carrier_hz: Some(2.4), ..bare };
+    assert!(set.check().unwrap_err().contains("`carrier_hz`: the carrier is 2.4 Hz"));
+}

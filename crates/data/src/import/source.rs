@@ -43,23 +43,34 @@ pub(super) fn read_positions(path: &Path, with_spectra: bool) -> Result<Vec<[f64
 /// Passes all spectra to `sink`; images have colours of `map`, if any. Returns an error unless their number equals the
 /// `count` of transmitters.
 pub(super) fn read_spectra(path: &Path, count: usize, map: Option<Colormap>, sink: &mut Sink<'_>) -> Result<()> {
-    let (file, name) = split_array_name(path);
-    if file.is_dir() {
-        return read_images(&file, count, map, sink);
+    if path.is_dir() {
+        return read_images(path, count, map, sink);
     }
     if map.is_some() {
-        return Err(Error::input(&file, "has numbers, not colours; remove --colormap"));
+        return Err(Error::input(path, "has numbers, not colours; remove --colormap"));
     }
+    read_array_file(path, "spectra", SPECTRA, |path, array, bytes| read_array(path, array, bytes, count, sink))
+}
+
+/// Returns the result of `read` on an array `.npy`, or on one of an archive `.npz`, as [`read_archive`] does: on its path,
+/// bytes and length, header included. Returns an error with the `expected` formats for another file.
+pub(super) fn read_array_file<T>(
+    path: &Path,
+    usual: &str,
+    expected: &str,
+    read: impl FnOnce(&Path, &mut dyn Read, u64) -> Result<T>,
+) -> Result<T> {
+    let (file, name) = split_array_name(path);
     match extension(&file) {
-        "npz" => read_archive(&file, name, "spectra", |path, array, bytes| read_array(path, array, bytes, count, sink)),
+        "npz" => read_archive(&file, name, usual, read),
         "npy" => {
             let refuse = |e| Error::read(&file, e);
             let array = files::open(&file).map_err(refuse)?;
             let bytes = array.metadata().map_err(refuse)?.len();
-            read_array(&file, &mut BufReader::with_capacity(1 << 20, array), bytes, count, sink)
+            read(&file, &mut BufReader::with_capacity(1 << 20, array), bytes)
         }
-        _ if !file.exists() => Err(Error::input(&file, format!("no such file or folder; {SPECTRA}"))),
-        _ => Err(Error::input(&file, SPECTRA)),
+        _ if !file.exists() => Err(Error::input(&file, format!("no such file or folder; {expected}"))),
+        _ => Err(Error::input(&file, expected)),
     }
 }
 
@@ -179,6 +190,6 @@ fn split_array_name(path: &Path) -> (PathBuf, Option<String>) {
 }
 
 /// Returns the extension of a file, empty without one; all supported ones are lower case.
-fn extension(path: &Path) -> &str {
+pub(super) fn extension(path: &Path) -> &str {
     path.extension().and_then(OsStr::to_str).unwrap_or_default()
 }

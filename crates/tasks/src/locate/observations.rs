@@ -2,7 +2,7 @@
 
 use pwrfgs_core::npy::Header;
 use pwrfgs_core::{Dataset, Error, Image, Number, Real, Receiver, Result, files, gain_fault, rows_of};
-use pwrfgs_data::{is_linear, power_fault, read_image, read_powers};
+use pwrfgs_data::{is_linear, power_fault, read_image, read_powers, real_channels_fault};
 use pwrfgs_experiment::{check_observed, reject_findings};
 use pwrfgs_localise::FingerprintFeatures;
 use std::path::Path;
@@ -91,10 +91,11 @@ impl ObservationFile<'_> {
         let number = match header.descr.as_str() {
             "<c8" => Number::F32,
             "<c16" => Number::F64,
-            other => {
-                let problem = format!("holds numbers of type `{other}`; channels are complex: save a.astype('<c8')");
+            other if other.contains('c') => {
+                let problem = format!("holds numbers of type `{other}`; channels are complex64: save a.astype('<c8')");
                 return Err(self.error(problem));
             }
+            _ => return Err(self.error(real_channels_fault(&header.shape))),
         };
         let bytes = array_body(self.path, &header, &bytes, header.bytes(number).and_then(|half| half.checked_mul(2)))?;
         let mut parts: Vec<Real> = Vec::with_capacity(bytes.len() / number.bytes());

@@ -98,7 +98,7 @@ fn reports_position_of_invalid_input() {
         ),
         (
             [npy_header(Number::F32, &[3, 2, 4]), vec![0; 96]].concat(),
-            "holds numbers of type `<f4`; channels are complex64 or complex128",
+            "holds real numbers; amplitudes and dB have no phase",
         ),
         (complex(&[1, 2, 2000], vec![1.0; 8000]), "has 2000 subcarriers, of which the lowest would be at"),
         (b"PK".to_vec(), "is not a NumPy array"),
