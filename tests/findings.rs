@@ -50,6 +50,9 @@ fn expect(data: &Dataset, name: &str, words: &[&str]) -> Finding {
 fn right_data_have_no_finding() {
     let at = hall();
     assert_eq!(found(&data(&at, RECEIVERS, &levels(&at))), []);
+    // Receivers with other gains.
+    let gains = levels(&at).iter().map(|row| [row[0] + 15.0, row[1] - 15.0, row[2], row[3] - 5.0]).collect::<Vec<_>>();
+    assert_eq!(found(&data(&at, RECEIVERS, &gains)), []);
     // The metre-frame of a campus, at a corner far from zero.
     let large = |p: Position| [4_000.0 + 150.0 * p[0], 9_000.0 + 150.0 * p[1], 12.0 * p[2]];
     let (wide, masts) = (at.iter().map(|p| large(*p)).collect::<Vec<_>>(), RECEIVERS.map(large));

@@ -14,7 +14,7 @@ const RECEIVERS: usize = 40;
 /// the recorded one explains; the latter is larger where the other meaning explains half.
 const EXPLAINED: f64 = 0.15;
 const RECORDED: f64 = 0.25;
-const HALF: [f64; 2] = [0.5, 0.6];
+const HALF: [f64; 2] = [0.5, 0.75];
 /// Standard deviation of free-space loss that the distances to a receiver cause, dB: with less, noise may hide the relation.
 const SPREAD_DB: f64 = 2.5;
 /// Number of random pairings, and their standard deviations by which neighbours must be more alike.
@@ -60,8 +60,8 @@ impl LevelLinks {
         })
     }
 
-    /// Returns the share of the variance that a straight line over the logarithm of the distance explains, and its slope,
-    /// dB per decade.
+    /// Returns the share of the variance at each fixed end that a common slope over the logarithm of the distance explains, and
+    /// that slope, dB per decade.
     pub(super) fn recorded(&self) -> (f64, f64) {
         self.fit(&|_| true, &|location| self.locations[location], &|end| self.fixed[end])
     }
@@ -74,15 +74,19 @@ impl LevelLinks {
         location: &dyn Fn(usize) -> Position,
         fixed: &dyn Fn(usize) -> Position,
     ) -> (f64, f64) {
-        let pair = |&(at, end, level): &(usize, usize, f64)| (distance(location(at), fixed(end)).log10(), level);
-        let pairs = self.links.iter().filter(|link| used(link.1)).map(pair).filter(|(x, _)| x.is_finite());
-        let mut sums = [0.0; 6];
-        for (x, y) in pairs {
-            [1.0, x, y, x * x, x * y, y * y].iter().zip(&mut sums).for_each(|(value, sum)| *sum += value);
+        let mut ends = vec![[0.0; 6]; self.fixed.len()];
+        for &(at, end, level) in self.links.iter().filter(|link| used(link.1)) {
+            let x = distance(location(at), fixed(end)).log10();
+            let terms = if x.is_finite() { [1.0, x, level, x * x, x * level, level * level] } else { [0.0; 6] };
+            terms.iter().zip(&mut ends[end]).for_each(|(term, sum)| *sum += term);
         }
-        let [n, x, y, xx, xy, yy] = sums;
-        let (var_x, var_y, covariance) = (n * xx - x * x, n * yy - y * y, n * xy - x * y);
-        if var_x <= 1e-9 * n * xx || var_y <= 0.0 {
+        // Deviations from the mean of each end, since powers and gains differ.
+        let [mut var_x, mut covariance, mut var_y, mut size] = [0.0; 4];
+        for [n, x, y, xx, xy, yy] in ends.into_iter().filter(|sums| sums[0] > 0.0) {
+            (var_x, covariance, var_y) = (var_x + xx - x * x / n, covariance + xy - x * y / n, var_y + yy - y * y / n);
+            size += xx;
+        }
+        if var_x <= 1e-9 * size || var_y <= 0.0 {
             return (0.0, 0.0);
         }
         (covariance * covariance / (var_x * var_y), covariance / var_x)
