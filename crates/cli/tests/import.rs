@@ -272,8 +272,11 @@ fn wrong_channels_are_noticed_and_right_ones_are_not() {
         ("zeros", "zero-channels: 15 of 60 channels are zero, not received, and are left out"),
     ] {
         let pipeline = format!("{name}.ron");
+        let is_error = ["conjugated", "magnitudes", "decibels"].contains(&name);
         for command in [&["inspect", name][..], &["init", name, "--out", &pipeline]] {
-            let message = stderr(&succeed(here, command));
+            let output = call(here, command);
+            let message = stderr(&output);
+            assert_eq!(output.status.code(), Some(if is_error && command[0] == "init" { 2 } else { 0 }), "{message}");
             let is_right = if words.is_empty() { !message.contains("warning") } else { message.contains(words) };
             assert!(is_right, "{command:?}: {message}");
         }

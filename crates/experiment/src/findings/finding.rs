@@ -6,8 +6,18 @@ use std::collections::BTreeSet;
 use std::fmt::{self, Display, Formatter};
 
 /// Names of the findings that make results meaningless: they stop a command that does not accept them. The others warn.
-const ERRORS: [&str; 8] =
-    ["axes", FAR, "index-coordinate", "lone-value", "position-unit", "power-unit", "receiver-order", "row-order"];
+const ERRORS: [&str; 10] = [
+    "axes",
+    "channel-phase",
+    "conjugate",
+    FAR,
+    "index-coordinate",
+    "lone-value",
+    "position-unit",
+    "power-unit",
+    "receiver-order",
+    "row-order",
+];
 /// Name of the finding that most links of new data lie outside the intervals of a model.
 const FAR: &str = "far-from-model";
 
