@@ -137,7 +137,7 @@ fn cubes_and_rectangles_are_placed_by_their_transforms() {
         let scene = scene(&format!("{GLASS}{shapes}"), "");
         let world = Simulator::new(&scene).unwrap();
         let world = world.world();
-        let sum: f64 = world.triangles.iter().map(|t| t.area()).sum();
+        let sum: f64 = world.triangles.iter().map(pwrfgs_raytrace::world::Triangle::area).sum();
         assert!(world.triangles.len() == triangles && (sum - area).abs() < 1e-9, "{} {sum}", world.triangles.len());
         let saved = SceneFile::parse(&scene.to_ron(), Path::new("saved.ron")).unwrap();
         assert_eq!(Simulator::new(&saved).unwrap().world().triangles.len(), triangles, "needs no file");

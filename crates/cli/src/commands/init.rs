@@ -64,7 +64,7 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     let survey = RunProgress::observe(verbosity, |progress| match arguments.colormap {
         None => DataSurvey::read(&root, &arguments.accept, progress),
         Some(map) => {
-            let source = format!("Colmap(root: {root:?}, colormap: {map:?})");
+            let source = format!("Colmap(root: {:?}, colormap: {map:?})", root.to_string_lossy());
             let source = Plugin::<dyn DataSource>::parse(&source).map_err(Error::Config)?;
             let data = staged(progress, "observations", |progress| source.load(Path::new(""), progress))?;
             DataSurvey::of_data(source, data, Some(&root), &arguments.accept, progress)
