@@ -65,6 +65,7 @@ fn links(criterion: &mut Criterion) {
             frequencies_hz: Vec::new(),
             moving: End::Transmitter,
             transmitter: None,
+            geodetic: None,
         };
         let stages = Stages::new(splatting, setup);
         let weights = stages.layout().init(&mut rng::stream(1, "weights", 0));

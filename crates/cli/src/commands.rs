@@ -76,7 +76,7 @@ pub(crate) enum Command {
     /// Convert a trained model for splat viewers or Python
     Export(export::Export),
     /// Import your own spectra or received powers from NumPy, PNG or CSV
-    Import(import::Import),
+    Import(Box<import::Import>),
     #[cfg(feature = "raytrace")]
     /// Simulate a data set in a room by ray tracing
     Simulate(simulate::Simulate),

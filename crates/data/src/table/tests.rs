@@ -78,7 +78,7 @@ fn columns_without_header_are_chosen_by_number() {
     let import = |name: Option<&str>| {
         columns(|c| {
             (c.x, c.y, c.power, c.receiver) =
-                (Some("1".into()), Some("2".into()), Some("3".into()), name.map(str::to_owned))
+                (Some("1".into()), Some("2".into()), Some("3".into()), name.map(str::to_owned));
         })
     };
     let imported = read(rows, import(Some("007"))).unwrap();
