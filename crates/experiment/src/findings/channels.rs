@@ -146,9 +146,9 @@ impl PhaseCheck {
         let [plain, conjugate] = self.fits;
         if self.sign() == Some(1) {
             let [all, other] = [plain.all, conjugate.all].map(|share| 100.0 * share);
-            let problem = format!(
-                "the conjugate fits better: the direct path has {other:.0} % of its power, and {all:.0} % here"
-            );
+            let share =
+                format!("the direct path has {other:.0} % of its power, but {all:.0} % of that of the channels");
+            let problem = format!("the conjugate fits better: {share}");
             return Some(Finding::new("conjugate", self.count, problem, "save numpy.conj of the channels"));
         }
         let (high, low) = (plain.within.max(conjugate.within), plain.within.min(conjugate.within));
