@@ -25,7 +25,7 @@ pub(super) fn read(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>
 fn set_option(import: &mut TableImport, key: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
     let ColumnChoice { x, y, z, lat, lon, floor, tx_id, receiver, power, time, wide } = &mut import.columns;
     // Names of columns are texts or, as pandas has them, numbers.
-    let name = || value.str().map(|name| Some(name.to_string()));
+    let name = || name_text(value).map(Some);
     let file = || read_file(value).map(Some);
     match key {
         "x" => *x = name()?,
@@ -38,14 +38,12 @@ fn set_option(import: &mut TableImport, key: &str, value: &Bound<'_, PyAny>) -> 
         "receiver" => *receiver = name()?,
         "power" => *power = name()?,
         "time" => *time = name()?,
-        "columns" => {
-            *wide = each(value)?.iter().map(|item| item.str().map(|name| name.to_string())).collect::<PyResult<_>>()?
-        }
+        "columns" => *wide = each(value)?.iter().map(name_text).collect::<PyResult<_>>()?,
         "tx" => import.tx = file()?,
         "places" => import.places = file()?,
         "receivers" => import.receivers = file()?,
         "test" => import.test = read_files(value)?,
-        "missing" => import.missing = each(value)?.iter().map(|item| item.extract()).collect::<PyResult<_>>()?,
+        "missing" => import.missing = each(value)?.iter().map(PyAnyMethods::extract).collect::<PyResult<_>>()?,
         "unit" => {
             let unit: String = value.extract()?;
             import.unit = unit.parse().map_err(|fault: String| input_error(value.py(), &format!("unit={fault}")))?;
@@ -63,6 +61,11 @@ fn set_option(import: &mut TableImport, key: &str, value: &Bound<'_, PyAny>) -> 
         }
     }
     Ok(())
+}
+
+/// Returns the name of a column as text.
+fn name_text(value: &Bound<'_, PyAny>) -> PyResult<String> {
+    value.str().map(|name| name.to_string())
 }
 
 /// Returns the items of a list or tuple, or the only item.
