@@ -101,7 +101,7 @@ fn finds_units_of_powers() {
         (|v| 10f64.powf(v / 10.0 - 3.0), ["watts, give 10 * log10(W) + 30 (`--unit W`", median]),
         (|v| -v, ["the minus sign is missing), negate them", "`--unit positive-dBm`"]),
         (|v| (2.0 * (v + 100.0)).clamp(0.0, 100.0), ["per cent of quality, give value / 2 - 100", "`--unit percent`"]),
-        (|v| v + 110.0, ["decibels over a floor, add the floor", "`--unit dB`"]),
+        (|v| v + 110.0, ["decibels over a floor, add the floor", "`--unit dB:-100`"]),
     ] {
         let finding = expect(&changed(change), "power-unit", &words);
         assert_eq!(finding.mend.contains("negate"), words[0].contains("negate"), "only one of both: {finding}");

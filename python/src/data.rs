@@ -403,17 +403,6 @@ impl Dataset {
         seed: u64,
         settings: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        crate::strategies::forget_objects();
-        let text = match how {
-            Some(how) => plugin_text("Split", how, settings)?,
-            None if settings.is_some_and(|settings| !settings.is_empty()) => {
-                let what = "split: settings need a split name";
-                return reject(py, &format!("{what}, such as split(\"random\", test=0.2)"));
-            }
-            None => "Official()".into(),
-        };
-        let split = parse_plugin::<dyn Split>(py, &text)?;
-        let partition = without_gil(py, || split.split(&self.data, &mut rng::stream(seed, "split", 0)))?;
-        rows::partition_object(py, &partition)
+        rows::split(py, &self.data, how, seed, settings)
     }
 }

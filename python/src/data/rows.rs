@@ -200,3 +200,25 @@ fn pickled_observations(state: &Bound<'_, PyDict>) -> PyResult<Observations> {
     let count = csi.len()?;
     inputs::read_channels(&csi, count, Some(&state.as_any().get_item("frequencies_hz")?))
 }
+
+/// Splits the links of `data` by a split with settings; without one, by the split of the data.
+pub(super) fn split<'py>(
+    py: Python<'py>,
+    data: &Data,
+    how: Option<&Bound<'py, PyAny>>,
+    seed: u64,
+    settings: Option<&Bound<'py, PyDict>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    crate::strategies::forget_objects();
+    let text = match how {
+        Some(how) => plugin_text("Split", how, settings)?,
+        None if settings.is_some_and(|settings| !settings.is_empty()) => {
+            let what = "split: settings need a split name";
+            return reject(py, &format!("{what}, such as split(\"random\", test=0.2)"));
+        }
+        None => "Official()".into(),
+    };
+    let split = parse_plugin::<dyn Split>(py, &text)?;
+    let partition = without_gil(py, || split.split(data, &mut rng::stream(seed, "split", 0)))?;
+    partition_object(py, &partition)
+}

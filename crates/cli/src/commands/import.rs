@@ -4,17 +4,17 @@ mod channels;
 mod table;
 
 use self::channels::{ChannelOptions, import_channels};
+use self::table::{TableArguments, import_table};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::data::Colormap;
 use pwrfgs::data::import::{ChannelImport, Import as Work};
+use pwrfgs::data::{Colormap, TableImport};
 use pwrfgs::experiment::{check_findings, staged};
 use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs::tasks::plane::{parse_numbers, parse_position};
 use pwrfgs_core::{Elevation, Error, Number, Pose, Result, recognise};
 use std::path::{Path, PathBuf};
-use table::TableArguments;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -86,7 +86,10 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     let folder_name = || folder.map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
     let name = arguments.name.clone().unwrap_or_else(folder_name);
     if !arguments.table.table.is_empty() {
-        return table::import_table(arguments, &name, verbosity);
+        let settings = arguments.table.settings(arguments.tx.as_ref(), arguments.receiver.as_ref())?;
+        let import = TableImport { title: name, is_simulated: arguments.simulated, ..settings };
+        let out = out.as_deref().filter(|_| !arguments.table.dry_run);
+        return import_table(&import, out, &arguments.accept, verbosity);
     }
     let out = out.unwrap_or_default();
     let receiver = Pose {

@@ -2,6 +2,7 @@
 
 use super::dialect::TableText;
 use super::names::{FLOOR, LAT, LON, PLACE, RECEIVER, TX_ID, X, Y, Z, is_one_of, normalized};
+use super::options::ColumnChoice;
 use crate::text::TextRow;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Result, did_you_mean};
@@ -11,25 +12,6 @@ use std::collections::BTreeMap;
 const EXAMINED: usize = 500;
 /// Number of names in a list.
 pub(super) const SHOWN: usize = 5;
-
-/// Columns that the user chose: names, or numbers from 1. `None`: recognised by name.
-#[derive(Clone, Debug, Default)]
-#[allow(missing_docs, reason = "each is the column of that quantity")]
-pub struct ColumnChoice {
-    pub x: Option<String>,
-    pub y: Option<String>,
-    pub z: Option<String>,
-    pub lat: Option<String>,
-    pub lon: Option<String>,
-    pub floor: Option<String>,
-    pub tx_id: Option<String>,
-    /// Column of the receiver in a table with a row per reading; else the name of the only receiver.
-    pub receiver: Option<String>,
-    pub power: Option<String>,
-    pub time: Option<String>,
-    /// Columns of receivers in a table with a row per transmitter: names, in which `*` stands for any text.
-    pub wide: Vec<String>,
-}
 
 /// Columns of a position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,6 +1,5 @@
 //! `TableText`: a table of any dialect: separators, decimal commas, comment lines, lines before the header, compression.
 
-use super::TableFile;
 use crate::text::{TextField, TextRow, is_empty_cell, locate_fields, read_bytes, unquoted};
 use flate2::read::MultiGzDecoder;
 use pwrfgs_core::files::MAX_TEXT;
@@ -15,6 +14,21 @@ use std::path::{Path, PathBuf};
 const EXAMINED: usize = 60;
 /// Marks that separate fields, in order of preference.
 const MARKS: [char; 4] = ['\t', ';', ',', '|'];
+
+/// File of a table, or its content under the name of a file.
+#[derive(Clone, Debug)]
+pub struct TableFile {
+    /// Path, for messages too.
+    pub path: PathBuf,
+    /// Content; `None`: that of the file.
+    pub bytes: Option<Vec<u8>>,
+}
+
+impl From<PathBuf> for TableFile {
+    fn from(path: PathBuf) -> Self {
+        Self { path, bytes: None }
+    }
+}
 
 /// Table in memory.
 pub(super) struct TableText {

@@ -1,7 +1,7 @@
 //! Makes a data set of the readings of a survey.
 
-use super::ImportedTable;
 use super::columns::{SHOWN, list};
+use super::options::ImportedTable;
 use super::survey::{NamedReceiver, PREVIEW, Survey};
 use pwrfgs_core::{Dataset, Error, Link, Location, Pose, Real, Receiver, Result, Simulation};
 

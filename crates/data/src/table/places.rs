@@ -1,8 +1,8 @@
 //! Positions in tables: of rows, places and receivers, in metres or degrees.
 
 use super::columns::{ColumnSearch, PlaceColumns};
-use super::dialect::TableText;
-use super::{TableFile, TableImport};
+use super::dialect::{TableFile, TableText};
+use super::options::{ColumnChoice, TableImport};
 use crate::text::TextRow;
 use pwrfgs_core::{Geodetic, Result, place_fault};
 use std::collections::{BTreeMap, HashMap};
@@ -62,7 +62,7 @@ pub(super) fn read_named(
     frame: &mut Frame,
 ) -> Result<BTreeMap<String, [f64; 3]>> {
     let table = TableText::read(file)?;
-    let choice = super::ColumnChoice::default();
+    let choice = ColumnChoice::default();
     let search = ColumnSearch::new(&table, &choice)?;
     let columns = search.place(import.is_lat_lon)?;
     let columns =
@@ -83,7 +83,7 @@ pub(super) fn read_named(
 /// Reads the positions of rows, one per row of the readings.
 pub(super) fn read_rows(import: &TableImport, file: &TableFile, frame: &mut Frame) -> Result<Vec<[f64; 3]>> {
     let table = TableText::read(file)?;
-    let choice = super::ColumnChoice { wide: Vec::new(), ..import.columns.clone() };
+    let choice = ColumnChoice { wide: Vec::new(), ..import.columns.clone() };
     let search = ColumnSearch::new(&table, &choice)?;
     let columns = match search.place(import.is_lat_lon)? {
         Some(columns) => columns,

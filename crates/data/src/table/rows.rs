@@ -1,8 +1,8 @@
 //! `RowReader`: where the rows of one table have their position and their powers.
 
-use super::TableImport;
 use super::columns::{ColumnSearch, PlaceColumns, list};
 use super::dialect::TableText;
+use super::options::TableImport;
 use super::powers::PowerColumns;
 use pwrfgs_core::Result;
 use pwrfgs_core::messages::quoted;

@@ -1,11 +1,11 @@
 //! `Survey`: collects readings from tables.
 
 use super::columns::ColumnSearch;
-use super::dialect::TableText;
+use super::dialect::{TableFile, TableText};
+use super::options::TableImport;
 use super::places::{Frame, Places, SAME_M, distance, read_named, read_rows};
 use super::powers::PowerColumns;
 use super::rows::{RowPlace, RowReader};
-use super::{TableFile, TableImport};
 use crate::checks::power_fault;
 use crate::text::{TextField, TextRow};
 use pwrfgs_core::messages::{quoted, strip_control};

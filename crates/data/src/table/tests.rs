@@ -1,4 +1,5 @@
 use super::*;
+use pwrfgs_core::PowerUnit;
 use flate2::{Compression, write::GzEncoder};
 use std::fmt::Write as _;
 use std::io::Write as _;

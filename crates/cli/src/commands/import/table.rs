@@ -1,13 +1,12 @@
 //! `pwrfgs import --table`: received powers from anybody's table.
 
-use super::Import;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::{ColumnChoice, TableFile, TableImport, save};
 use pwrfgs::experiment::{check_findings, observed, staged};
 use pwrfgs_core::{Error, PowerUnit, Result};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Options of `--table`.
 #[derive(Debug, Default, Args)]
@@ -72,23 +71,23 @@ pub(crate) struct TableArguments {
     unit: Option<String>,
     /// Print what was understood, and write nothing
     #[arg(long, requires = "table")]
-    dry_run: bool,
+    pub(super) dry_run: bool,
 }
 
 impl TableArguments {
-    /// Returns the import that the options describe. Returns an error for an unknown unit.
-    fn to_import(&self, arguments: &Import, name: &str) -> Result<TableImport> {
+    /// Returns the import that the options describe, of data without a title. Returns an error for an unknown unit.
+    pub(super) fn settings(&self, tx: Option<&PathBuf>, receiver: Option<&String>) -> Result<TableImport> {
         let unit = self.unit.as_deref().map_or(Ok(PowerUnit::Dbm), str::parse);
         let file = |path: Option<&PathBuf>| path.cloned().map(TableFile::from);
         let files = |paths: &[PathBuf]| paths.iter().cloned().map(TableFile::from).collect();
         let Self { x, y, z, lat, lon, floor, tx_id, power, time, columns, .. } = self;
         let [x, y, z, lat, lon, floor, tx_id, power, time] =
             [x, y, z, lat, lon, floor, tx_id, power, time].map(Clone::clone);
-        let receiver = arguments.receiver.clone();
+        let receiver = receiver.cloned();
         Ok(TableImport {
             files: files(&self.table),
             test: files(&self.test),
-            tx: file(arguments.tx.as_ref()),
+            tx: file(tx),
             places: file(self.places.as_ref()),
             receivers: file(self.receivers.as_ref()),
             columns: ColumnChoice { x, y, z, lat, lon, floor, tx_id, receiver, power, time, wide: columns.clone() },
@@ -97,24 +96,27 @@ impl TableArguments {
             floor_height: self.floor_height,
             missing: self.missing.clone(),
             unit: unit.map_err(|fault| Error::Config(format!("--unit {fault}")))?,
-            title: name.to_owned(),
-            is_simulated: arguments.simulated,
+            title: String::new(),
+            is_simulated: false,
         })
     }
 }
 
-/// Converts the tables into a data folder called `name`, and warns of findings on the data; with `--dry-run` prints what was
-/// understood.
-pub(super) fn import_table(arguments: &Import, name: &str, verbosity: Verbosity) -> Result<()> {
-    let import = arguments.table.to_import(arguments, name)?;
-    let (imported, out) = RunProgress::observe(verbosity, |progress| {
+/// Converts the tables into the data folder `out`, unless findings on its data are errors that are not `accepted`; without a
+/// folder, prints what was understood.
+pub(super) fn import_table(
+    import: &TableImport,
+    out: Option<&Path>,
+    accepted: &[String],
+    verbosity: Verbosity,
+) -> Result<()> {
+    let imported = RunProgress::observe(verbosity, |progress| {
         let mut imported = staged(progress, "rows", |_| import.read())?;
-        imported.data.accepted.clone_from(&arguments.accept);
         imported.notes.iter().for_each(|note| verbosity.print_note(note));
-        check_findings(&imported.data, None, Some(&arguments.accept), progress)?;
-        let out = arguments.out.as_ref().filter(|_| !arguments.table.dry_run);
+        check_findings(&imported.data, None, Some(accepted), progress)?;
+        imported.data.accepted = accepted.to_vec();
         out.map(|out| save(&imported.data, out)).transpose()?;
-        Ok::<_, Error>((imported, out))
+        Ok::<_, Error>(imported)
     })?;
     let Some(out) = out else {
         let [before, after] = [&imported.before, &imported.after].map(|lines| lines.join("\n  "));
