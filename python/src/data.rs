@@ -12,7 +12,7 @@ use pwrfgs::data::{check_dataset, save, shape_fault};
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{
     DataSource, Dataset as Data, Elevation, End, Ends, Error, Observations, Plugin, Pose, Real, Receiver, Sample,
-    Simulation, Split, recognise, rng,
+    Simulation, recognise,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::prelude::*;

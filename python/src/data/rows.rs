@@ -2,10 +2,12 @@
 
 use super::{Dataset, inputs};
 use crate::arrays::{self, array, link_indices, numbers, observation_array, observations, positions, vector};
-use crate::border::{input_error, reject, run_stoppable, stop_progress, to_exception, without_gil};
+use crate::border::{
+    input_error, parse_plugin, plugin_text, reject, run_stoppable, stop_progress, to_exception, without_gil,
+};
 use pwrfgs_core::{
     Camera, Dataset as Data, Elevation, End, Ends, Features, Number, Observations, Partition, Pose, Real, Sample,
-    Simulation, Spectra,
+    Simulation, Spectra, Split, rng,
 };
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;

@@ -1,6 +1,6 @@
 use super::*;
-use pwrfgs_core::PowerUnit;
 use flate2::{Compression, write::GzEncoder};
+use pwrfgs_core::PowerUnit;
 use std::fmt::Write as _;
 use std::io::Write as _;
 
