@@ -104,7 +104,7 @@ fn twins_of_public_tables_need_one_command() {
         (
             "--table training.csv --test testing.csv --receivers aps.csv --missing 100 --floor-height 4",
             "108 received powers at 3 receivers",
-            &["1 receivers heard nothing and are left out: `MAC15`", "the positions of 1 receivers are unknown"],
+            &["1 receivers heard nothing and are left out: `MAC15`", "the positions of these receivers are unknown"],
         ),
         (
             "--table campus.csv",

@@ -363,7 +363,7 @@ fn compare_rejects_invalid_predictions() {
         ("spectra", "short", "does not have the length of its shape"),
         ("powers", "missing", "test links without prediction: 1, such as ID"),
         ("powers", "twice", "predictions.csv:3:1: link `ID` occurs twice"),
-        ("powers", "nan", "`NaN` is not finite; give the power in dBm"),
+        ("powers", "nan", "no power; give one per link, or remove the row"),
         ("powers", "loud", "`1e30` is not a power in dBm; give the power in dBm"),
         ("powers", "header", "predictions.csv:1:1: no column `dbm`; the first line must name the columns link, dbm"),
     ] {

@@ -43,13 +43,14 @@ impl TableImport {
 }
 
 /// Reads the positions `[rows,3]` of a table in the frame of a model, metres: columns x, y and z, or latitude and longitude
-/// where the frame has them.
+/// where the frame has them. A table of degrees without heights has this `height`, metres.
 ///
 /// # Errors
 /// A file that cannot be read or is no table, or a row without a position; the message has line and column.
-pub fn read_frame_positions(path: &Path, geodetic: Option<Geodetic>) -> Result<Vec<[f64; 3]>> {
+pub fn read_frame_positions(path: &Path, geodetic: Option<Geodetic>, height: f64) -> Result<Vec<[f64; 3]>> {
     if geodetic.is_none() {
         return read_transmitters(path);
     }
-    places::read_rows(&TableImport::default(), &path.to_owned().into(), &mut places::Frame { geodetic })
+    let import = TableImport { height: Some(height), ..TableImport::default() };
+    places::read_rows(&import, &path.to_owned().into(), &mut places::Frame { geodetic })
 }

@@ -140,7 +140,7 @@ impl<'a> TextRow<'a> {
             self.fault(1, problem)
         })?;
         let unit = split_unit(field.text).1;
-        if ["x", "y", "z"].contains(&name) && !["", "m", "metre", "metres", "meter", "meters"].contains(&unit) {
+        if ["x", "y", "z"].contains(&name) && !is_metre(unit) {
             let problem = format!("{} is not in metres; convert the column, and name it `{name}`", quoted(field.text));
             return Err(self.fault(field.column, problem));
         }
@@ -215,10 +215,15 @@ pub(crate) fn numbered_lines(text: &str) -> impl Iterator<Item = (usize, &str)> 
 }
 
 /// Splits the name of a column into the plain name and the unit in brackets, which is empty if there is none.
-fn split_unit(text: &str) -> (&str, &str) {
+pub(crate) fn split_unit(text: &str) -> (&str, &str) {
     let text = text.trim_start_matches(['/', '#']).trim_start();
     let (name, unit) = text.split_once(['[', '(']).unwrap_or((text, ""));
     (name.trim_end(), unit.trim_end_matches([']', ')']).trim())
+}
+
+/// Returns whether the unit of a coordinate is the metre, or not stated.
+pub(crate) fn is_metre(unit: &str) -> bool {
+    ["", "m", "metre", "metres", "meter", "meters"].iter().any(|name| unit.eq_ignore_ascii_case(name))
 }
 
 /// Cells without a value, in either case.

@@ -9,7 +9,8 @@ use pwrfgs::tasks::plane::{parse_pose, parse_position};
 use pwrfgs::tasks::predict::{PredictSettings, PredictionCount, extrapolation_warning, write_predictions};
 use pwrfgs::tasks::read_models;
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{Error, MeasurementSetup, Pose, Result};
+use pwrfgs_core::statistics::median;
+use pwrfgs_core::{Error, Geodetic, MeasurementSetup, Pose, Result};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
@@ -63,7 +64,14 @@ pub(crate) struct Predict {
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
     let setup = &ensemble.members()[0].stages;
-    let poses = read_moving_poses(arguments, &setup.setup)?;
+    let height = median(ensemble.training_positions().into_iter().map(|position| position[2]));
+    let poses = read_moving_poses(arguments, &setup.setup, if height.is_nan() { 0.0 } else { height })?;
+    if let (Some(zero), true) = (setup.geodetic, arguments.tx.is_some()) {
+        let Geodetic { latitude, longitude } = zero;
+        verbosity.print_note(&format!(
+            "note: --tx is in metres east and north of latitude {latitude}, longitude {longitude}; --tx-csv takes degrees too"
+        ));
+    }
     let folder = NewFolder::begin(&arguments.out)?;
     let PredictionCount { count, distances } = RunProgress::observe(verbosity, |progress| {
         write_predictions(&ensemble, &poses, &arguments.settings, &folder, progress)
@@ -78,9 +86,9 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-/// Reads the positions or poses of the end that moves, at which to predict; an error if the arguments give the other
-/// end.
-fn read_moving_poses(arguments: &Predict, setup: &MeasurementSetup) -> Result<Vec<Pose>> {
+/// Reads the positions or poses of the end that moves, at which to predict; `height` is that of degrees without one. Returns an
+/// error if the arguments give the other end.
+fn read_moving_poses(arguments: &Predict, setup: &MeasurementSetup, height: f64) -> Result<Vec<Pose>> {
     let moving = setup.moving;
     let Predict { tx, tx_csv, rx_pose, rx_pose_csv, .. } = arguments;
     let refuse =
@@ -94,7 +102,10 @@ fn read_moving_poses(arguments: &Predict, setup: &MeasurementSetup) -> Result<Ve
     }
     match (tx, tx_csv, rx_pose, rx_pose_csv) {
         (Some(text), ..) => Ok(vec![parse_position("--tx", text)?.into()]),
-        (_, Some(path), ..) => Ok(read_frame_positions(path, setup.geodetic)?.into_iter().map(Pose::from).collect()),
+        (_, Some(path), ..) => {
+            let positions = read_frame_positions(path, setup.geodetic, height)?;
+            Ok(positions.into_iter().map(Pose::from).collect())
+        }
         (.., Some(text), _) => Ok(vec![parse_pose("--rx-pose", text)?]),
         (.., Some(path)) => read_poses(path),
         _ => Err(Error::Config("no positions; set --tx x,y,z or --tx-csv FILE".into())),

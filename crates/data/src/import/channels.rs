@@ -5,7 +5,7 @@ mod array;
 mod tests;
 
 use super::source::read_positions;
-use crate::checks::{NOT_RECEIVED, check_frequencies, uniform_subcarriers};
+use crate::checks::{check_frequencies, uniform_subcarriers};
 use array::ChannelArray;
 use pwrfgs_core::{Channels, Dataset, Error, Observations, Pose, Real, Receiver, Result, Sample, Simulation};
 use std::path::PathBuf;
@@ -121,8 +121,8 @@ impl ChannelImport {
             }
         }
         let strongest = powers.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let relative = |db: f64| if db - strongest == NOT_RECEIVED { -99.99 } else { (db - strongest) as Real };
-        let powers: Observations = powers.into_iter().map(relative).collect::<Vec<Real>>().into();
+        let powers: Observations =
+            powers.into_iter().map(|db: f64| (db - strongest) as Real).collect::<Vec<Real>>().into();
         let receivers: Vec<Receiver> =
             listed.iter().map(|k| Receiver::new(format!("{noun} {k}"), self.receiver)).collect();
         Dataset::of_links(format!("{} (relative dB)", self.name), receivers, vec![], &samples, powers)

@@ -3,7 +3,7 @@
 use super::dialect::TableText;
 use super::names::{FLOOR, LAT, LON, PLACE, RECEIVER, TX_ID, X, Y, Z, is_one_of, normalized};
 use super::options::ColumnChoice;
-use crate::text::TextRow;
+use crate::text::{TextRow, is_metre, split_unit};
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Result, did_you_mean};
 use std::collections::BTreeMap;
@@ -104,6 +104,13 @@ impl<'a> ColumnSearch<'a> {
         let degrees = [self.find("--lat", lat.as_ref(), LAT)?, self.find("--lon", lon.as_ref(), LON)?];
         let metres = [self.find("--x", x.as_ref(), X)?, self.find("--y", y.as_ref(), Y)?];
         let (has_metres, has_degrees) = (x.is_some() || y.is_some(), lat.is_some() || lon.is_some());
+        for k in metres.into_iter().chain([height]).flatten() {
+            let (_, unit) = split_unit(&self.table.names[k]);
+            if !is_lat_lon && !is_metre(unit) {
+                let problem = format!("{} is not in metres", self.list([k]));
+                return Err(self.fault(format!("{problem}; convert the column, and leave its unit out")));
+            }
+        }
         match (metres, degrees) {
             ([Some(x), Some(y)], [Some(lat), Some(lon)]) if has_metres == has_degrees => {
                 let problem = format!("{} and {} could each be the position", self.list([x, y]), self.list([lat, lon]));

@@ -1,6 +1,6 @@
 //! `TableText`: a table of any dialect: separators, decimal commas, comment lines, lines before the header, compression.
 
-use crate::text::{TextField, TextRow, is_empty_cell, locate_fields, read_bytes, unquoted};
+use crate::text::{TextField, TextRow, is_empty_cell, locate_fields, numbered_lines, read_bytes, unquoted};
 use flate2::read::MultiGzDecoder;
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::quoted;
@@ -59,14 +59,13 @@ impl TableText {
         }
         let bytes = if bytes.starts_with(&[0x1f, 0x8b]) { expand(path, &bytes)? } else { bytes };
         if bytes.contains(&0) {
-            return refuse("is not text; save the table as CSV");
+            return refuse("is not text; save the table as CSV in UTF-8");
         }
         // Latin-1, as older spreadsheets write it, is a character a byte.
         let text = String::from_utf8(bytes)
             .unwrap_or_else(|e| e.as_bytes().iter().map(|byte| char::from(*byte)).collect())
             .trim_start_matches('\u{feff}')
-            .replace("\r\n", "\n")
-            .replace('\r', "\n");
+            .to_owned();
         let mut table = Self {
             path: path.to_owned(),
             text,
@@ -83,7 +82,8 @@ impl TableText {
     /// Sets separator, decimal mark, header and names from the first lines. Returns an error for an empty table.
     fn recognise(&mut self) -> Result<()> {
         let text = std::mem::take(&mut self.text);
-        let lines: Vec<(usize, &str)> = numbered(&text).filter(|(_, line)| !is_comment(line)).take(EXAMINED).collect();
+        let lines: Vec<(usize, &str)> =
+            numbered_lines(&text).filter(|(_, line)| !is_comment(line)).take(EXAMINED).collect();
         let (mark, width) = best_separator(&lines);
         self.mark = mark;
         let fits = |line: &&(usize, &str)| split(line.1, mark).len() == width;
@@ -92,6 +92,9 @@ impl TableText {
         };
         let rows: Vec<Vec<&str>> =
             lines.iter().filter(|(line, _)| *line > first_line).map(|(_, line)| split(line, mark)).collect();
+        if rows.is_empty() && split(first, mark).iter().all(|cell| cell.parse::<f64>().is_err()) {
+            return Err(Error::input(&self.path, "has a header but no row; write one row per reading"));
+        }
         let cells = || rows.iter().flatten().copied();
         let is_decimal_comma = |cell: &str| cell.contains(',') && cell.replacen(',', ".", 1).parse::<f64>().is_ok();
         let has_point = cells().any(|cell| cell.contains('.') && cell.parse::<f64>().is_ok());
@@ -106,7 +109,8 @@ impl TableText {
             };
             names.len() == width && (0..width).any(is_named)
         };
-        let above = numbered(&text).take_while(|(line, _)| *line < first_line).filter(|(_, line)| is_comment(line));
+        let above =
+            numbered_lines(&text).take_while(|(line, _)| *line < first_line).filter(|(_, line)| is_comment(line));
         let comment = above.last().map(|(line, content)| (line, content.trim_start_matches(['#', '/', ' ', '%'])));
         let first = split(first, mark);
         let (header, names) = match comment.map(|(line, content)| (line, split(content, mark))) {
@@ -125,7 +129,7 @@ impl TableText {
 
     /// Returns the rows below the header. Returns an error for a row with more fields than the header.
     pub(super) fn rows(&self) -> impl Iterator<Item = Result<TextRow<'_>>> {
-        let rows = numbered(&self.text).filter(|(line, content)| *line > self.skipped && !is_comment(content));
+        let rows = numbered_lines(&self.text).filter(|(line, content)| *line > self.skipped && !is_comment(content));
         rows.map(|(line, content)| {
             let fields = locate_fields(content, split(content, self.mark).into_iter());
             let row = TextRow { path: &self.path, line, fields };
@@ -146,7 +150,9 @@ impl TableText {
         }
         let value = self.parse_number(field.text).filter(|value| value.is_finite());
         value.map(Some).ok_or_else(|| {
-            let is_list = field.text.starts_with('[') || field.text.split([';', ',', ' ']).nth(1).is_some();
+            let mut parts = field.text.split([';', ',', ' ']).filter(|part| !part.is_empty()).skip(1);
+            let is_list =
+                field.text.starts_with('[') || parts.next().is_some_and(|part| self.parse_number(part).is_some());
             let problem = if is_list {
                 "is a list; write one row per reading, or one column per value".to_owned()
             } else {
@@ -171,7 +177,7 @@ impl TableText {
 
     /// Returns the first lines of rows, unchanged.
     pub(super) fn head(&self, count: usize) -> Vec<String> {
-        let rows = numbered(&self.text).filter(|(line, _)| Some(*line) == self.header || *line > self.skipped);
+        let rows = numbered_lines(&self.text).filter(|(line, _)| Some(*line) == self.header || *line > self.skipped);
         rows.take(count + 1).map(|(_, line)| line.to_owned()).collect()
     }
 }
@@ -186,11 +192,6 @@ fn expand(path: &Path, bytes: &[u8]) -> Result<Vec<u8>> {
         return Err(Error::input(path, format!("{problem}; import the table in parts")));
     }
     Ok(expanded)
-}
-
-/// Returns the lines that are not blank, numbered from 1.
-fn numbered(text: &str) -> impl Iterator<Item = (usize, &str)> {
-    (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty())
 }
 
 /// Returns whether a line is a comment.

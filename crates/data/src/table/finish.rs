@@ -105,11 +105,14 @@ impl Survey<'_> {
                 list(self.respelled.iter().map(String::as_str))
             ),
         );
-        let unknown = receivers.iter().flatten().filter(|receiver| receiver.is_estimated).count();
+        let unknown =
+            receivers.iter().flatten().filter(|receiver| receiver.is_estimated).map(|receiver| &*receiver.name);
+        let unknown = list(unknown);
         note(
-            unknown,
+            unknown.len(),
             format!(
-                "the positions of {unknown} receivers are unknown and estimated from their strongest readings; --receivers FILE if they are known"
+                "the positions of these receivers are unknown and estimated from their strongest readings: {unknown}; \
+                 --receivers FILE if they are known"
             ),
         );
         if let Some(zero) = self.frame.geodetic {

@@ -1,5 +1,7 @@
 //! Names under which people write the columns of tables.
 
+use crate::text::split_unit;
+
 /// Coordinates across, metres.
 pub(super) const X: &str =
     "x xm xpos posx xcoord coordx xcoordinate xposition positionx locx txx uex east easting ecoord";
@@ -32,8 +34,7 @@ pub(super) const OTHER: &str = "id index row no number time timestamp date datet
 
 /// Returns a column name in lower case, without units in brackets, blanks and marks.
 pub(super) fn normalized(name: &str) -> String {
-    let bare = name.split(['[', '(']).next().unwrap_or_default();
-    bare.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+    split_unit(name).0.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }
 
 /// Returns whether a normalized name is one of a list of names.

@@ -4,7 +4,7 @@ use super::columns::{ColumnSearch, PlaceColumns};
 use super::names::{FLOOR, LAT, LON, OTHER, POWER, RECEIVER, TX_ID, X, Y, Z, is_one_of};
 use crate::text::is_empty_cell;
 use pwrfgs_core::Result;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Largest absolute power, in any unit.
 const LARGEST: f64 = 300.0;
@@ -24,8 +24,13 @@ impl ColumnSearch<'_> {
         if !self.choice.wide.is_empty() {
             return self.chosen_wide().map(PowerColumns::Wide);
         }
-        let Some(power) = self.find("--power", self.choice.power.as_ref(), POWER)? else {
-            return self.recognised_wide(used).map(PowerColumns::Wide);
+        let power = match self.find("--power", self.choice.power.as_ref(), POWER)? {
+            Some(power) => power,
+            None => match &self.recognised_wide(used)?[..] {
+                // One column of powers under another name.
+                [power] => *power,
+                columns => return Ok(PowerColumns::Wide(columns.to_vec())),
+            },
         };
         let stem = |k: usize| self.names[k].trim_end_matches(|c: char| c.is_ascii_digit());
         let is_similar = |k: &usize| *k != power && self.choice.power.is_none() && is_one_of(stem(*k), POWER);
@@ -40,7 +45,20 @@ impl ColumnSearch<'_> {
             Some(name) if is_name(name) => None,
             choice => self.find("--receiver", choice.as_ref(), RECEIVER)?,
         };
+        let names = |k: &usize| !used.contains(k) && !is_one_of(&self.names[*k], OTHER) && self.holds_names(*k);
+        if let (None, None, Some(column)) = (&self.choice.receiver, receiver, (0..self.names.len()).find(names)) {
+            let column = self.list([column]);
+            let advice = "name it with --receiver, or give --receiver NAME if there is one receiver";
+            return Err(self.fault(format!("{column} may be the column of the receivers; {advice}")));
+        }
         Ok(PowerColumns::Long { power, receiver, place: self.receiver_place(is_lat_lon) })
+    }
+
+    /// Returns whether a column holds several names, each in several rows.
+    fn holds_names(&self, k: usize) -> bool {
+        let cells = || self.rows.iter().filter_map(|row| row.fields.get(k)).filter(|field| !is_empty_cell(field.text));
+        let distinct: BTreeSet<&str> = cells().map(|field| field.text).collect();
+        self.values(k).next().is_none() && distinct.len() > 1 && 2 * distinct.len() <= cells().count()
     }
 
     /// Returns the columns of the receiver's position beside a reading, such as `rx_x`; `None` without them.

@@ -72,8 +72,11 @@ impl<'a> RowReader<'a> {
             RowPlace::Columns(columns) => {
                 used.extend(columns.all());
                 let unit = if columns.is_geodetic { "degrees" } else { "metres" };
-                let height =
-                    columns.height.map_or("no height".to_owned(), |k| format!("height in {}", search.list([k])));
+                let height = match (columns.height, self.floor) {
+                    (Some(k), _) => format!("height in {}", search.list([k])),
+                    (None, Some(k)) => format!("height by the floor in {}", search.list([k])),
+                    (None, None) => "no column of the height".into(),
+                };
                 format!("positions in {} ({unit}), {height}", search.list(columns.plane))
             }
             RowPlace::Name(column) => {

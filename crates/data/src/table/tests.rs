@@ -108,7 +108,7 @@ fn wide_columns_are_recognised_or_chosen() {
         "not used: `UserID`, `RTT1`, `RTT2`",
         "3 cells are 100, not heard",
         "1 receivers heard nothing and are left out: `MAC10`",
-        "positions of 2 receivers are unknown",
+        "the positions of these receivers are unknown and estimated from their strongest readings: `MAC1`, `MAC2`",
     ] {
         assert!(notes.contains(note), "{note}: {notes}");
     }
@@ -132,6 +132,15 @@ fn wide_columns_are_recognised_or_chosen() {
             .unwrap_err()
             .contains("`a1` .. and `b1` .. could each be the received powers")
     );
+}
+
+/// A column of powers under another name stands beside the names of the receivers.
+#[test]
+fn only_column_of_powers_is_that_of_all_receivers() {
+    for header in ["x,y,bssid,level", "x,y,AP,value", "x,y,station,dB"] {
+        let imported = read(&format!("{header}\n0,0,a,-40\n0,0,b,-50\n"), TableImport::default()).unwrap();
+        assert_eq!(links(&imported), [([0.0; 3], "a", -40.0), ([0.0; 3], "b", -50.0)], "{header}");
+    }
 }
 
 #[test]
@@ -269,6 +278,12 @@ fn refuses_what_it_cannot_know() {
         ),
         ("x,y,lat,lon,rssi\n0,0,48.1,11.5,-40\n", "`x`, `y` and `lat`, `lon` could each be the position"),
         ("x,y,ap,mac,rssi\n0,0,a,b,-40\n", "could each be the column of --receiver; name one with --receiver"),
+        ("X [mm],Y [mm],rssi\n0,0,-40\n", "`X [mm]` is not in metres; convert the column"),
+        (
+            "x,y,ssid,rssi\n0,0,a,-40\n0,0,b,-50\n0,1,a,-40\n0,1,b,-50\n",
+            "`ssid` may be the column of the receivers; name it with --receiver",
+        ),
+        ("x,y,ap,rssi\n", "has a header but no row; write one row per reading"),
         ("x,rssi\n0,-40\n", "only one coordinate of the position was recognised"),
         ("time,ap,rssi\n1,a,-40\n", "that share only the time must be joined first"),
         ("x,y,ap,rssi\n0,0,a,[-40 -41]\n", "survey.csv:2:7: `[-40 -41]` is a list; write one row per reading"),

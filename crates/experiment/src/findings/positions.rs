@@ -20,6 +20,10 @@ const HEIGHT_M: f64 = 50.0;
 const STEEP: f64 = 0.08;
 /// Largest median of power plus free-space loss over the distance at 433 MHz: 4 W are received with 11 dBm at 1 m.
 const STRONGEST_DBM: f64 = 11.0;
+/// Longest side of a site above which positions without distances may be in another unit, metres.
+const WIDE_M: f64 = 5e3;
+/// Distance of all receivers from all transmitters above which they are in different frames, metres.
+const APART_M: f64 = 1e5;
 /// Smallest number of rows in which a coordinate may be an index, largest deviation of its steps from their mean as a share, and
 /// number of rows per turn of another coordinate.
 const ROWS: usize = 20;
@@ -37,8 +41,22 @@ pub(super) fn check_positions(data: &Dataset) -> Vec<Finding> {
         let problem = format!("all {count} transmitters are at {first:?}");
         return vec![Finding::new("equal-positions", count, problem, "give each transmitter its own position")];
     }
-    let unit = if data.camera().is_some() { None } else { check_unit(data, &positions) };
+    let unit = if data.camera().is_some() {
+        None
+    } else {
+        check_apart(data, &positions).or_else(|| check_unit(data, &positions))
+    };
     check_index(data, &positions).into_iter().chain(unit).collect()
+}
+
+/// Finds fixed ends that are far from all positions, such as those with latitude and longitude exchanged.
+fn check_apart(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
+    let fixed = data.scene.fixed_ends().into_iter().map(|pose| data.scene.origin.world_pose(pose).position);
+    let apart = fixed.flat_map(|end| positions.iter().map(move |at| distance(end, *at))).fold(f64::INFINITY, f64::min);
+    let problem = format!("the fixed ends of the links are {:.0} km from all positions", apart / 1e3);
+    let mend = "give both in one frame; latitude and longitude of one may be exchanged";
+    (data.scene.has_distances() && apart > APART_M)
+        .then(|| Finding::new("position-unit", positions.len(), problem, mend))
 }
 
 /// Finds a coordinate that rises with the row as an index or a time does, while another is no walk along it.
@@ -115,7 +133,7 @@ fn median_spacing(positions: &[[f64; 3]]) -> f64 {
 /// Returns what contradicts a large site in metres: heights, or links stronger than free space allows; `None` for a campus.
 fn large_site_fault(data: &Dataset, powers: &[Real], site: f64) -> Option<String> {
     if !data.scene.has_distances() {
-        return None;
+        return (site > WIDE_M).then(|| "and the positions of the receivers are unknown".into());
     }
     let fixed: Vec<[f64; 3]> =
         data.scene.fixed_ends().into_iter().map(|pose| data.scene.origin.world_pose(pose).position).collect();

@@ -76,7 +76,8 @@ fn shared_finding(data: &Dataset, shared: Vec<LoneValue>) -> Option<Finding> {
         data.len(),
         name_link(data, first)
     );
-    let mend = "if this is a code or the limit of the receiver, use `--missing` of `pwrfgs import --table`";
+    let mend =
+        format!("if it is a code or the limit of the receiver, use `--missing {value}` of `pwrfgs import --table`");
     Some(Finding::new("shared-power", count, problem, mend))
 }
 

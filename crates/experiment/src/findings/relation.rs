@@ -17,6 +17,8 @@ const RECORDED: f64 = 0.25;
 const HALF: [f64; 2] = [0.5, 0.75];
 /// Standard deviation of free-space loss that the distances to a receiver cause, dB: with less, noise may hide the relation.
 const SPREAD_DB: f64 = 2.5;
+/// Standard deviation of the levels at a receiver of unknown position above which they vary over the site, dB.
+const LEVELS_DB: f64 = 6.0;
 /// Number of random pairings, and their standard deviations by which neighbours must be more alike.
 const DRAWS: usize = 20;
 const ALIKE: f64 = 3.0;
@@ -164,9 +166,13 @@ pub(super) fn check_levels(data: &Dataset) -> Option<Finding> {
 
 /// Finds powers that are at neighbouring transmitters no more alike than at random ones, although distances differ.
 pub(super) fn check_power_rows(data: &Dataset) -> Option<Finding> {
-    let (powers, links) = (data.observations.powers()?, LevelLinks::of(data)?);
+    let powers = data.observations.powers().filter(|_| data.placed)?;
     let rows: Vec<usize> = (0..data.locations.len()).collect();
-    if links.spread_db() < SPREAD_DB {
+    let is_spread = match LevelLinks::of(data) {
+        Some(links) => links.spread_db() >= SPREAD_DB,
+        None => level_spread(data, powers) >= LEVELS_DB,
+    };
+    if !is_spread {
         return None;
     }
     let levels: Vec<Vec<(usize, f64)>> = rows
@@ -181,6 +187,17 @@ pub(super) fn check_power_rows(data: &Dataset) -> Option<Finding> {
         });
         mean(shared)
     })
+}
+
+/// Returns the mean standard deviation of the levels at a receiver, dB.
+fn level_spread(data: &Dataset, powers: &[Real]) -> f64 {
+    let spread = |links: Vec<usize>| {
+        let level = |i: &usize| powers[*i] as f64;
+        let middle = mean(links.iter().map(level));
+        mean(links.iter().map(|i| (level(i) - middle).powi(2))).sqrt()
+    };
+    let groups = data.group_by_receiver(0..data.len()).into_iter();
+    mean(groups.filter(|links| links.len() > 1).map(spread))
 }
 
 /// Compares the `difference` between observations of neighbours with that of random pairs; `rows` are the locations of the

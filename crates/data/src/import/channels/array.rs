@@ -7,7 +7,8 @@ use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
 
 const AXES: &str = "--axes names every axis once, in order: m (positions), a (antennas), f (subcarriers), and of real arrays ri or \
-                    ir (length 2: real and imaginary part, or imaginary part first), such as --axes m,a,f,ri";
+                    ir (length 2: real and imaginary part, or imaginary part first), such as --axes m,a,f,ri; save pairs in one row with \
+                    a.reshape(len(a), -1, 2)";
 
 /// Array of any number of axes; of complex numbers, the last axis has real and imaginary part.
 pub(super) struct ChannelArray {
