@@ -163,7 +163,10 @@ impl Refusal {
         match () {
             () if !self.is_input => Some(format!("blames the machine: {start:?}")),
             () if self.text.len() > LONGEST_MESSAGE => Some(format!("says {} bytes: {start:?}", self.text.len())),
-            () if self.text.contains(char::is_control) => Some(format!("says a control character: {start:?}")),
+            // Findings have a line each.
+            () if self.text.contains(|c: char| c.is_control() && c != '\n') => {
+                Some(format!("says a control character: {start:?}"))
+            }
             () => None,
         }
     }

@@ -28,7 +28,7 @@ FUNCTIONS = {
     "update": ("model.update(data)", "`Model` with new measurements in its residual process, without training"),
     "compress": ("model.compress(bits=8)", "`Model` with weights in 8 or 16 bits"),
     "export": ("model.gaussians()", "`Gaussians`: arrays; `model.to_ply(path)` writes a file for splat viewers"),
-    "import": ("pwrfgs.Dataset.from_arrays(tx, spectra)", "`Dataset`"),
+    "import": ("pwrfgs.Dataset.from_table(frame)", "`Dataset`"),
     "simulate": ('pwrfgs.simulate("office", "data/office")', "`Dataset` of a new folder"),
     "export-scene": ('pwrfgs.convert.to_sionna("office", "office-xml")', "number of meshes in the new folder"),
     "plugins": ("help(pwrfgs.LearnableMask)", "documentation of a plugin, each of which is a class"),

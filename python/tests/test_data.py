@@ -85,7 +85,6 @@ def test_powers_and_channels(tmp_path):
         (dict(rssi=np.tile([-60.0, np.nan], (30, 1)), receivers=[[0, 0, 2], [4, 4, 2]]), "rssi[:, 1] is NaN throughout"),
         (dict(rssi=np.full(30, -60.0), receivers=ONE, elevation_deg=(0, 90)), "only valid for spectra"),
         (dict(rssi=np.full(30, -60.0), receivers=ONE, frequencies_hz=[1e9]), "only valid for csi"),
-        (dict(rssi=np.full(30, -100.0), receivers=ONE), "marks a missing link"),
         (dict(rssi=np.full(30, 1e6), receivers=ONE), "no power in dBm"),
         (dict(rssi=np.full(30, -60.0), receivers=[pwrfgs.Receiver('a"b')]), "1 to 100 characters"),
         (dict(rssi=np.zeros((30, 3)), receivers=ONE), "rssi has shape [30, 3], expected [30, 1]"),

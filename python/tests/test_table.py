@@ -15,7 +15,7 @@ WIDE = "x,y,MAC1,MAC2,MAC3\n0,0,-40,-50,100\n0,3,100,-55,100\n4,3,-61,-52,100\n"
 
 def same(a, b):
     assert a.receivers == b.receivers
-    for name in ("tx", "rssi", "receiver", "id"):
+    for name in ("tx", "rssi", "receiver", "ids"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
@@ -31,7 +31,7 @@ def test_frame_and_files_give_the_same_data(survey, tmp_path, caplog):
         data = pwrfgs.Dataset.from_table(survey, missing=100, title="hall")
     assert "powers of 3 receivers in columns" in caplog.text
     assert [receiver.name for receiver in data.receivers] == ["MAC1", "MAC2"]
-    np.testing.assert_array_equal(data.rssi, np.float32([[-40, -50], [np.nan, -55], [-61, -52]]))
+    np.testing.assert_array_equal(data.rssi, [-40, -50, -55, -61, -52])
     frame = pandas.read_csv(survey)
     same(data, pwrfgs.Dataset.from_table(frame, missing=[100.0], title="hall"))
     same(data, pwrfgs.Dataset.from_table(frame.replace(100, np.nan), title="hall"))
