@@ -2,6 +2,7 @@
 
 import gzip
 import logging
+import pickle
 
 import numpy as np
 import pytest
@@ -71,3 +72,11 @@ def test_wrong_options_are_errors(survey, options, words):
         pwrfgs.Dataset.from_table(survey, missing=100, **options)
     with pytest.raises(pwrfgs.InputError, match="path of a file, or a pandas DataFrame"):
         pwrfgs.Dataset.from_table(3)
+
+
+def test_pickles_know_what_was_estimated():
+    frame = pandas.DataFrame({"lat": [48.137, 48.138], "lon": [11.575, 11.575], "ap": ["a", "a"], "rssi": [-40, -50]})
+    data = pwrfgs.Dataset.from_table(frame)
+    again = pickle.loads(pickle.dumps(data))
+    same(again, data)
+    assert again._digest == data._digest, "the digest covers the degrees and the estimated receiver"

@@ -104,7 +104,7 @@ fn twins_of_public_tables_need_one_command() {
         (
             "--table training.csv --test testing.csv --receivers aps.csv --missing 100 --floor-height 4",
             "108 received powers at 3 receivers",
-            &["1 receivers heard nothing and are left out: `MAC15`", "the positions of these receivers are unknown"],
+            &["1 receivers heard nothing and are left out: `MAC15`", "the positions of 1 of 3 receivers are unknown"],
         ),
         (
             "--table campus.csv",
@@ -189,7 +189,7 @@ fn results_of_degrees_are_degrees() {
     succeed(here, &["init", "drive", "--out", "drive.ron"]);
     let said =
         stderr(&succeed(here, &["run", "drive.ron", "--scale", "0.01", "--set", "split=Random()", "--out", "run"]));
-    assert!(said.contains("the positions of 2 receivers are unknown"), "{said}");
+    assert!(said.contains("the positions of 2 of 2 receivers are unknown"), "{said}");
     write(&here.join("there.csv"), "longitude,latitude\n11.50003,48.10004\n");
     succeed(here, &["predict", "run", "--tx-csv", "there.csv", "--out", "predicted"]);
     let table = fs::read_to_string(here.join("predicted/predictions.csv")).unwrap();

@@ -14,6 +14,7 @@ pub(crate) mod spectra;
 pub use finding::{Finding, reject_findings};
 pub use powers::check_observed;
 
+use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Dataset, Partition, Result};
 use std::collections::BTreeSet;
 
@@ -45,6 +46,7 @@ pub fn collect_findings(data: &Dataset, partition: Option<&Partition>) -> Result
     findings.extend(partition.and_then(|partition| check_split(data, partition)));
     findings.extend(partition.and_then(|partition| check_repeated(data, partition)));
     findings.extend(check_equal_observations(data));
+    findings.extend(check_estimated(data));
     findings.extend(channels::check_channels(data));
     if data.observations.spectra().is_some() && data.camera().is_none() {
         let summaries = spectra::summarize(data, SAMPLED, &|_, _| {})?;
@@ -82,6 +84,19 @@ fn check_repeated(data: &Dataset, partition: &Partition) -> Option<Finding> {
     let is_placed = data.placed && known.len() > data.scene.receivers.len(); // not all at one position
     (is_placed && count as f64 > REPEATED * total as f64)
         .then(|| Finding::new("repeated-positions", count, problem, mend))
+}
+
+/// Finds receivers whose position is an estimate; `None` without any.
+fn check_estimated(data: &Dataset) -> Option<Finding> {
+    let estimated: Vec<&str> =
+        data.scene.receivers.iter().filter(|receiver| receiver.is_estimated).map(|receiver| &*receiver.name).collect();
+    let (count, first) = (estimated.len(), strip_control(estimated.first()?));
+    let problem = format!(
+        "the positions of {count} of {} receivers are unknown and estimated from their strongest links (for example {first})",
+        data.scene.receivers.len()
+    );
+    let mend = "give them with `--receivers FILE` of `pwrfgs import --table` if they are known";
+    Some(Finding::new("receiver-positions", count, problem, mend))
 }
 
 /// Finds observations that are all equal; `None` if two differ, or there is only one.

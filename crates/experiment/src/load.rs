@@ -54,13 +54,7 @@ pub fn load_with_findings(
             return Err(Error::Config(format!("split: no sample is left for the {name} set; change `split`")));
         }
     }
-    let estimated = data.estimate_receivers(&partition.train);
-    if estimated > 0 {
-        let ends = if estimated == 1 { "receiver is" } else { "receivers are" };
-        observer.on_warning(&format!(
-            "the positions of {estimated} {ends} unknown; they start from their strongest training links"
-        ));
-    }
+    data.estimate_receivers(&partition.train);
     let judged = (!pipeline.split.is_sparse()).then_some(&partition);
     let findings = check_findings(&data, judged, accepted, observer)?;
     Ok((SplitData { data, partition }, findings))

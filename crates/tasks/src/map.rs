@@ -222,6 +222,7 @@ impl RadioMap {
         let grid = &self.grid;
         let suffix = receiver.map_or_else(String::new, |name| format!(" at {name}"));
         let shown = layer.receiver.map_or_else(|| self.mapped.clone(), |r| vec![r]);
+        let known = shown.iter().filter(|r| !self.receivers[**r].is_estimated);
         let heat = Heatmap {
             title: format!("{}{suffix}, {}", layer.words, grid.plane.describe()),
             unit: layer.unit.into(),
@@ -231,7 +232,7 @@ impl RadioMap {
             columns: grid.columns,
             values: &layer.values,
             colours: if layer.name == "azimuth" { Palette::Cyclic } else { Palette::Sequential },
-            receivers: shown.iter().map(|&r| grid.plane.project(self.poses[r].position)).collect(),
+            receivers: known.map(|&r| grid.plane.project(self.poses[r].position)).collect(),
             arrows: &layer.arrows,
             training: self.training.as_ref(),
         };

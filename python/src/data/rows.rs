@@ -6,8 +6,8 @@ use crate::border::{
     input_error, parse_plugin, plugin_text, reject, run_stoppable, stop_progress, to_exception, without_gil,
 };
 use pwrfgs_core::{
-    Camera, Dataset as Data, Elevation, End, Ends, Features, Number, Observations, Partition, Pose, Real, Sample,
-    Simulation, Spectra, Split, rng,
+    Camera, Dataset as Data, Elevation, End, Ends, Features, Geodetic, Number, Observations, Partition, Pose, Real,
+    Sample, Simulation, Spectra, Split, rng,
 };
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
@@ -97,6 +97,9 @@ impl Dataset {
         state.set_item("bounds", data.scene.bounds)?;
         state.set_item("elevation", (data.elevation.first, data.elevation.last))?;
         state.set_item("placed", data.placed)?;
+        state.set_item("estimated", data.scene.receivers.iter().map(|r| r.is_estimated).collect::<Vec<_>>())?;
+        state.set_item("geodetic", data.scene.geodetic.map(|zero| (zero.latitude, zero.longitude)))?;
+        state.set_item("accepted", &data.accepted)?;
         state.set_item("official", data.official.clone())?;
         state.set_item("simulation", data.simulation.as_ref().map(|simulation| (simulation.scene.clone(),)))?;
         state.set_item("features", self.features(py)?)?;
@@ -158,11 +161,16 @@ impl Dataset {
         let made = without_gil(py, || Data::of_links(title, ends, points, &samples, observations))?;
         let mut scene = made.scene.clone();
         scene.bounds = get("bounds")?.extract()?;
+        let estimated: Vec<bool> = get("estimated")?.extract()?;
+        scene.receivers.iter_mut().zip(estimated).for_each(|(receiver, flag)| receiver.is_estimated = flag);
+        let geodetic: Option<(f64, f64)> = get("geodetic")?.extract()?;
+        scene.geodetic = geodetic.map(|(latitude, longitude)| Geodetic { latitude, longitude });
         let data = Data {
             scene,
             elevation: Elevation { first, last },
             features,
             placed: get("placed")?.extract()?,
+            accepted: get("accepted")?.extract()?,
             official: get("official")?.extract()?,
             simulation: simulation.map(|(scene,)| Simulation { scene }),
             ..made

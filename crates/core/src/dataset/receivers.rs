@@ -8,16 +8,14 @@ const NEAR_DB: f64 = 6.0;
 impl Dataset {
     /// Places the receivers of unknown position ([`is_estimated`](crate::Receiver::is_estimated)) by received powers of these
     /// links: at the mean of the locations of their strongest readings, within 6 dB of the strongest, weighted by power. A
-    /// receiver without such a link keeps its position. Returns the number of estimated receivers.
-    pub fn estimate_receivers(&mut self, links: &[usize]) -> usize {
-        let Some(powers) = self.observations.powers() else { return 0 };
+    /// receiver without such a link keeps its position.
+    pub fn estimate_receivers(&mut self, links: &[usize]) {
+        let Some(powers) = self.observations.powers() else { return };
         let origin = self.scene.origin;
-        let mut estimated = 0;
         for (receiver, links) in self.group_by_receiver(links.iter().copied()).into_iter().enumerate() {
             if !self.scene.receivers[receiver].is_estimated {
                 continue;
             }
-            estimated += 1;
             let dbm = |i: &usize| powers[*i] as f64;
             let strongest = links.iter().map(dbm).fold(f64::NEG_INFINITY, f64::max);
             let (mut sum, mut total) = ([0.0; 3], 0.0);
@@ -31,7 +29,6 @@ impl Dataset {
                 self.scene.receivers[receiver].pose.position = pose.position;
             }
         }
-        estimated
     }
 }
 
@@ -47,7 +44,7 @@ mod tests {
             [0.0, 3.0, 90.0].iter().zip(0..).map(|(x, id)| Sample::new(id, [*x, 2.0, 1.0])).collect();
         let powers = vec![-40.0, -43.010_3, -60.0];
         let mut data = Dataset::of_links("hall", vec![receiver], vec![], &samples, powers.into()).unwrap();
-        assert_eq!(data.estimate_receivers(&[0, 1, 2]), 1);
+        data.estimate_receivers(&[0, 1, 2]);
         let [x, y, z] = data.scene.receivers[0].pose.position;
         assert!((x - 1.0).abs() < 1e-6 && (y, z) == (2.0, 1.0), "{x}");
         assert!(!data.scene.has_distances());

@@ -105,16 +105,6 @@ impl Survey<'_> {
                 list(self.respelled.iter().map(String::as_str))
             ),
         );
-        let unknown =
-            receivers.iter().flatten().filter(|receiver| receiver.is_estimated).map(|receiver| &*receiver.name);
-        let unknown = list(unknown);
-        note(
-            unknown.len(),
-            format!(
-                "the positions of these receivers are unknown and estimated from their strongest readings: {unknown}; \
-                 --receivers FILE if they are known"
-            ),
-        );
         if let Some(zero) = self.frame.geodetic {
             note(
                 1,
