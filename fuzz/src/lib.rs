@@ -253,7 +253,7 @@ fn models(folder: &Path) -> Result<()> {
     let half = path("half.safetensors");
     fs::write(&half, file::to_bytes_half(&trained)?).map_err(|e| Error::write(&half, e))?;
     let small = path("compressed.safetensors");
-    let bytes = compress::to_bytes(&trained.members()[0], compress::Bits::Eight)?;
+    let bytes = compress::to_bytes(&trained, compress::Bits::Eight)?;
     fs::write(&small, bytes).map_err(|e| Error::write(&small, e))?;
     let pair = Ensemble::new([trained.members(), trained.members()].concat()).map_err(Error::Config)?;
     file::write_ensemble(&path("pair.safetensors"), &pair)?;

@@ -215,7 +215,7 @@ pub(crate) fn compress(py: Python<'_>, model: &Model, bits: u8) -> PyResult<(Mod
         16 => Bits::Sixteen,
         other => return reject(py, &format!("bits is {other}, expected 8 or 16")),
     };
-    let small = without_gil(py, || tasks::compress::compress((*model.ensemble).clone(), bits))?;
+    let small = without_gil(py, || tasks::compress::compress(&model.ensemble, bits))?;
     Ok((Model::new_compressed(small.ensemble, small.bytes), small.notes))
 }
 

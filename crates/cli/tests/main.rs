@@ -18,6 +18,7 @@ mod inspect;
 mod links;
 mod locate;
 mod maps;
+mod members;
 mod model_format;
 mod my_pruner;
 mod paths;

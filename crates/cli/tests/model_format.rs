@@ -253,7 +253,7 @@ fn page_lists_every_tensor() {
     let listed = |bytes: &[u8]| assert_eq!(unlisted(bytes), [""; 0]);
     models().for_each(|model| listed(&file::to_bytes(&model)));
     listed(&file::to_bytes(&virtual_transmitters(2)));
-    let small = models().find_map(|model| compress::to_bytes(&model, compress::Bits::Eight).ok());
+    let small = models().find_map(|model| compress::to_bytes(&Ensemble::of(model), compress::Bits::Eight).ok());
     listed(&small.unwrap());
 }
 

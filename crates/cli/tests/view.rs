@@ -5,7 +5,7 @@ use crate::common::{SMALL, copy_small_run, pwrfgs, refuse, small_run, stderr, su
 use crate::links::{free_space, hall};
 use crate::locate::hall_with_validation;
 use crate::model_format::models;
-use pwrfgs::model::{compress, file};
+use pwrfgs::model::{Ensemble, compress, file};
 use pwrfgs_core::testing::skipped;
 use serde_json::{Value, json};
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
@@ -259,7 +259,7 @@ fn page_predictions_equal_program_predictions() {
     page.wait("document.querySelector('[data-ready]')");
     let mut seen = 0;
     for model in models() {
-        let small = compress::to_bytes(&model, compress::Bits::Eight).unwrap();
+        let small = compress::to_bytes(&Ensemble::of(model.clone()), compress::Bits::Eight).unwrap();
         let restored = file::from_bytes(&small).unwrap().into_only().unwrap();
         let files = [(file::to_bytes(&model), model, [1.0, 0.5, 0.2]), (small, restored, [-2.0, 1.5, 0.9])];
         for (bytes, model, tx) in files {

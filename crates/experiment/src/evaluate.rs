@@ -135,7 +135,10 @@ impl OpenEvaluation<'_> {
         let (SplitData { data, partition }, predictors, mut table) = (self.split, self.predictors, self.table);
         let ceiling = estimate_noise_ceiling(data, partition, &self.pipeline.metrics, session.stop)?;
         let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
-        table.samples = [partition.train.len(), partition.known().all().len(), ids.len()];
+        let known = partition.known().all().len();
+        // Each of several models leaves out another part.
+        let trained = if self.pipeline.members > 1 { known } else { partition.train.len() };
+        table.samples = [trained, known, ids.len()];
         table.notes.extend(ceiling.notes);
         table.notes.extend(table.intervals.iter().map(|scores| scores.note(data.task(), &table.intervals[0])));
         let measured = predictors.iter().flat_map(|(name, all)| all.iter().map(move |one| (name, one)));

@@ -7,7 +7,7 @@ use pwrfgs_core::files::{self, digest, if_found, write_atomically};
 use pwrfgs_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Facts of a run. `finished` is empty until model, scores and report are written.
@@ -36,8 +36,8 @@ pub struct Facts {
     pub steps: u64,
     /// Number of Gaussians.
     pub gaussians: usize,
-    /// Run folders of the joined models, relative to the sweep folder; steps, training seconds and Gaussians are then
-    /// sums over these.
+    /// Run folders of the models of an ensemble, relative to the sweep folder or, with `members` in the pipeline, to the run
+    /// folder; steps, training seconds and Gaussians are then sums over these.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub members: Vec<String>,
     /// Seconds of training and evaluation, summed over all starts.
@@ -131,6 +131,22 @@ impl Facts {
             files: BTreeMap::new(),
             ..old
         })
+    }
+
+    /// Sets steps and training seconds to the sums over the runs in `folders`, and raises the peak memory to the largest of
+    /// them.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub(crate) fn sum_members(&mut self, folders: impl Iterator<Item = PathBuf>) -> Result<()> {
+        (self.steps, self.training_seconds) = (0, 0.0);
+        for folder in folders {
+            let member = Self::read(&folder)?.unwrap_or_default();
+            self.steps += member.steps;
+            self.training_seconds += member.training_seconds;
+            self.peak_memory_bytes = self.peak_memory_bytes.max(member.peak_memory_bytes);
+        }
+        Ok(())
     }
 
     /// Reads the facts in `folder`; `None` without `run.json`.

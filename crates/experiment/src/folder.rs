@@ -1,5 +1,7 @@
 //! Names of the files in a run folder: sealed files, files that can be recreated, and snapshots.
 
+use std::path::{Path, PathBuf};
+
 /// Pipeline file; its presence marks a run folder.
 pub const PIPELINE: &str = "pipeline.ron";
 /// Folder of data sets that were in memory when a run or sweep began; it may exist before the run.
@@ -33,6 +35,19 @@ pub const CURVE: &str = "curve.csv";
 pub const VALIDATION: &str = "validation.csv";
 /// TensorBoard file of loss, N, validation and scores, if the pipeline sets `tensorboard`.
 pub const EVENTS: &str = "events.out.tfevents.pwrfgs";
+/// Returns the folder of model `index`, counted from 0, of a run with several models, relative to the run folder.
+pub fn member_folder(index: usize) -> String {
+    format!("members/{}", index + 1)
+}
+
+/// Returns the folder of the curve of the run in `run`: that of the last model that was begun, else `run`; also returns the number
+/// of models before it.
+pub fn training_folder(run: &Path) -> (usize, PathBuf) {
+    let begun = |index: &usize| run.join(member_folder(*index)).is_dir();
+    let index = (0..).take_while(begun).last();
+    (index.unwrap_or(0), index.map_or_else(|| run.to_owned(), |index| run.join(member_folder(index))))
+}
+
 /// All scores.
 pub const SCORES: &str = "scores.csv";
 /// All transmitters.

@@ -49,7 +49,7 @@ pub struct Preview {
     pub outlook: Vec<String>,
     /// Memory of a step with the initial Gaussians in addition to the loaded data, bytes.
     pub step_bytes: u64,
-    /// Time of the training.
+    /// Time of the training of one model.
     pub time: TimeEstimate,
     /// Load average of the machine in the minute before, and its number of cores; `None` if unavailable.
     pub load: Option<(f64, usize)>,
@@ -74,18 +74,19 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     let SplitData { data, partition } = &split;
     pipeline.check_data(data)?;
     check_residuals(&pipeline, &split, false)?;
+    let member = pipeline.member(0);
+    let member_partition = member.partition(data)?;
     let mut loaded_bytes = 0;
-    let trainer = new_trainer(&pipeline, || {
-        let trainer = Trainer::sketch(&pipeline.plan()?, data, partition)?;
+    let trainer = new_trainer(&member, || {
+        let trainer = Trainer::sketch(&member.plan()?, data, &member_partition)?;
         loaded_bytes = peak_memory(); // before a step is tried, which is counted by itself
         Ok(trainer)
     })?;
-    let weights = trainer.weight_count();
     Ok(Preview {
         title: data.title.clone(),
         observed: observed(data),
         samples: partition.sizes(),
-        weights,
+        weights: trainer.weight_count(),
         summary: DataSummary::of(data, SUMMARIZED, observer)?,
         test_distance: test_distance(data, partition),
         warnings: trainer.warnings(),

@@ -17,6 +17,7 @@ pub mod inspect;
 mod intervals;
 mod journal;
 mod load;
+mod members;
 mod model_file;
 mod page;
 pub mod paired;

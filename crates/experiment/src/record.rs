@@ -28,7 +28,7 @@ pub struct Record {
     pub test: TestSamples,
     /// Rows of `curve.csv`; empty without training, as for an ensemble.
     pub curve: Vec<Vec<Option<f64>>>,
-    /// Rows of `validation.csv`.
+    /// Rows of `validation.csv`; of several models, each with its own fold, their mean.
     pub validation: Vec<Vec<Option<f64>>>,
     /// Spread and error of an ensemble.
     pub confidence: Option<Confidence>,
@@ -52,15 +52,22 @@ impl Record {
     /// A file is damaged or missing.
     pub fn of(folder: &Path, pipeline: &Pipeline, facts: Facts) -> Result<Self> {
         let path = |name: &str| folder.join(name);
-        let trained = facts.members.is_empty() && facts.steps > 0;
+        let trained = (facts.members.is_empty() || pipeline.members > 1) && facts.steps > 0;
+        let models: Vec<PathBuf> = match &facts.members[..] {
+            [] => vec![folder.into()],
+            members => members.iter().map(|member| folder.join(member)).collect(),
+        };
+        let last = facts.steps / models.len() as u64;
+        let curves = models.iter().map(|model| read_whole_series(&model.join(CURVE), last));
+        let validations = models.iter().map(|model| read_series(&model.join(VALIDATION)));
         let confidence = path(CONFIDENCE);
         Ok(Self {
             folder: folder.into(),
             pipeline: pipeline.clone(),
             scores: Scores::read(&path(SCORES), facts.scores.clone().unwrap_or_default())?,
             test: TestSamples::read(&path(SAMPLES))?,
-            curve: if trained { read_whole_series(&path(CURVE), facts.steps)? } else { Vec::new() },
-            validation: if trained { read_series(&path(VALIDATION)) } else { Vec::new() },
+            curve: if trained { mean_series(curves.collect::<Result<_>>()?) } else { Vec::new() },
+            validation: if trained { mean_series(validations.collect()) } else { Vec::new() },
             confidence: confidence.is_file().then(|| Confidence::read(&confidence)).transpose()?,
             facts,
         })
@@ -73,7 +80,8 @@ impl Record {
     /// As [`Pipeline::to_ron`].
     pub fn variant_key(&self) -> Result<String> {
         let nameless = Pipeline { name: String::new(), seed: 0, ..self.pipeline.clone() };
-        let joined = self.facts.files.get(MODEL_FILE).filter(|_| !self.facts.members.is_empty());
+        let is_joined = self.pipeline.members == 1 && !self.facts.members.is_empty();
+        let joined = self.facts.files.get(MODEL_FILE).filter(|_| is_joined);
         Ok(nameless.to_ron()? + joined.map_or("", |mark| &mark.sha256))
     }
 
@@ -142,6 +150,20 @@ pub fn read_whole_series(path: &Path, last: u64) -> Result<Vec<Vec<Option<f64>>>
 /// Returns the pairs of step and value of `column`, from rows in which both are numbers.
 pub fn series_column(rows: &[Vec<Option<f64>>], column: usize) -> Vec<(f64, f64)> {
     rows.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(column)?)?))).collect()
+}
+
+/// Returns the mean of series with the same steps, number by number: of one series the series itself.
+fn mean_series(mut series: Vec<Vec<Vec<Option<f64>>>>) -> Vec<Vec<Option<f64>>> {
+    if series.len() == 1 {
+        return series.swap_remove(0);
+    }
+    let mean = |row: usize, column: usize| {
+        let numbers = series.iter().map(|rows| *rows.get(row)?.get(column)?);
+        numbers.sum::<Option<f64>>().map(|sum| sum / series.len() as f64)
+    };
+    let columns = |row: &Vec<_>| row.len();
+    let rows = series.first().map_or(&[][..], Vec::as_slice).iter().map(columns).enumerate();
+    rows.map(|(row, columns)| (0..columns).map(|column| mean(row, column)).collect()).collect()
 }
 
 /// Reads the rows of a series as numbers, `None` for other fields; empty without a file.

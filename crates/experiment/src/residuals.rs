@@ -6,26 +6,28 @@ use pwrfgs_core::{Error, Result};
 use pwrfgs_model::{Ensemble, KnownLinks, LeftOutBy, Residuals};
 use pwrfgs_pipeline::Pipeline;
 
-/// Returns an error if the residuals of a model of `pipeline` cannot be predicted: of one run, or `joined` of several.
+/// Returns an error if the residuals of a model of `pipeline` cannot be predicted: of one run, or `joined` of several runs.
 ///
 /// # Errors
 /// Folds of one run, or as [`check_data`](pwrfgs_model::Kriged::check_data).
 pub(crate) fn check_residuals(pipeline: &Pipeline, split: &SplitData, joined: bool) -> Result<()> {
     let Some(residuals) = &pipeline.residuals else { return Ok(()) };
-    if residuals.folds && !joined {
-        let advice = "write `Kriged()`, or join several models";
-        return Err(Error::Config(format!("residuals: `folds` needs an experiment with `join: true`; {advice}")));
+    let is_folded = residuals.folds || pipeline.members > 1;
+    if is_folded && !joined && pipeline.members == 1 {
+        let advice = "write `Kriged()`, or give the pipeline `members: 4`";
+        return Err(Error::Config(format!("residuals: `folds` needs several models; {advice}")));
     }
-    residuals.check_data(&split.data, residuals.folds || !split.partition.validation.is_empty())
+    residuals.check_data(&split.data, is_folded || !split.partition.validation.is_empty())
 }
 
-/// Lists the links that members did not train on: one list per member if a sweep gave each of `folds` members a fold,
+/// Lists the links that members did not train on: one list per member if each of `folds` members left out a fold,
 /// otherwise one list, the validation set, for all members.
 ///
 /// # Errors
 /// As [`Pipeline::partition`].
 pub(crate) fn left_out_links(pipeline: &Pipeline, split: &SplitData, folds: usize) -> Result<Vec<Vec<usize>>> {
-    if folds == 1 || !pipeline.residuals.as_ref().is_some_and(|residuals| residuals.folds) {
+    let is_folded = pipeline.members > 1 || pipeline.residuals.as_ref().is_some_and(|residuals| residuals.folds);
+    if folds == 1 || !is_folded {
         return Ok(vec![split.partition.validation.clone()]);
     }
     (0..folds).map(|index| Ok(pipeline.folded(index, folds).partition(&split.data)?.validation)).collect()

@@ -2,7 +2,7 @@
 
 use crate::evaluate::{check_alike, evaluate, validation_baselines};
 use crate::facts::Facts;
-use crate::folder::{CURVE, MODEL_FILE};
+use crate::folder::{CURVE, MODEL_FILE, member_folder};
 use crate::input::resolve_pipeline;
 use crate::journal::Journal;
 use crate::load::{ActiveRun, load, load_with_findings};
@@ -98,7 +98,7 @@ fn start_or_resume(
         if let Some(scores) = folder.settle(folder.state().read_verified(folder.path(), reported))? {
             return Ok(already(scores));
         }
-        check_resumable(folder, out)?;
+        check_resumable(folder, pipeline, out)?;
     }
     // A run that has begun has accepted its data.
     let accepted = held.is_none().then_some(&pipeline.accept[..]);
@@ -106,9 +106,10 @@ fn start_or_resume(
     pipeline.check_data(&split.data)?;
     check_residuals(pipeline, &split, false)?;
     let mut run = ActiveRun { pipeline, split: &split, session, begun };
-    // Created before a new folder is claimed: invalid settings must not leave files.
+    // Before a new folder is claimed: invalid settings must not leave files.
     let trainer = match &held {
         Some(folder) if folder.file(MODEL_FILE).is_file() => None,
+        _ if pipeline.members > 1 => run.check_members().map(|()| None)?,
         held => match run.start_trainer(held.as_ref()) {
             Err(Error::Stopped) => return Ok(Some(RunOutcome::Interrupted { step: 0 })),
             trainer => Some(trainer?),
@@ -121,19 +122,20 @@ fn start_or_resume(
             _ => return Ok(None), // another process has begun this run since, and may have ended it
         },
     };
-    let facts = folder.begin(pipeline, &split, Facts { findings, ..Facts::default() });
+    let members = (0..pipeline.members).filter(|_| pipeline.members > 1).map(member_folder).collect();
+    let facts = folder.begin(pipeline, &split, Facts { findings, members, ..Facts::default() });
     let facts = folder.settle(facts)?;
     let ended = run.complete(trainer, &folder, facts);
     folder.settle(ended).map(Some)
 }
 
-/// Checks that a run can resume in the claimed `folder`, which messages call `out`.
+/// Checks that a run of `pipeline` can resume in the claimed `folder`, which messages call `out`.
 ///
 /// # Errors
-/// A joined model, or a damaged model file.
-fn check_resumable(folder: &RunFolder, out: &Path) -> Result<()> {
+/// The joined model of a sweep, or a damaged model file.
+fn check_resumable(folder: &RunFolder, pipeline: &Pipeline, out: &Path) -> Result<()> {
     let facts = Facts::read(folder.path())?.unwrap_or_default();
-    if !facts.members.is_empty() {
+    if pipeline.members == 1 && !facts.members.is_empty() {
         return Err(Error::input(out, "holds the joined model of a sweep; repeat `pwrfgs sweep` with its file"));
     }
     if folder.file(MODEL_FILE).is_file() {
@@ -143,16 +145,15 @@ fn check_resumable(folder: &RunFolder, out: &Path) -> Result<()> {
 }
 
 impl<'a> ActiveRun<'a, '_> {
-    /// Completes training, unless the model exists (`None` as trainer), and scores the model. The outcome is `Interrupted`
+    /// Completes training, unless the model exists, and scores the model. Without a trainer, it trains all members. The outcome is `Interrupted`
     /// or `Unscored` if the session is stopped.
     fn complete(mut self, trainer: Option<Trainer<'a>>, folder: &RunFolder, mut facts: Facts) -> Result<RunOutcome> {
         let model = match trainer {
-            None => file::read_ensemble(&folder.file(MODEL_FILE))?,
-            Some(trainer) => match self.train(trainer, folder, &mut facts)? {
-                Some(model) => Ensemble::of(model),
-                None => return Ok(RunOutcome::Interrupted { step: facts.steps }),
-            },
+            Some(trainer) => self.train(trainer, folder, &mut facts)?.map(Ensemble::of),
+            None if folder.file(MODEL_FILE).is_file() => Some(file::read_ensemble(&folder.file(MODEL_FILE))?),
+            None => self.train_members(folder, &mut facts)?,
         };
+        let Some(model) = model else { return Ok(RunOutcome::Interrupted { step: facts.steps }) };
         match self.score(model, folder, facts) {
             Err(Error::Stopped) => Ok(RunOutcome::Unscored),
             scores => Ok(RunOutcome::Finished { scores: scores?.into(), already: false }),
@@ -160,13 +161,14 @@ impl<'a> ActiveRun<'a, '_> {
     }
 
     /// Fits residuals and intervals to the model, scores it, and writes all results. Returns the scores.
-    fn score(&mut self, mut model: Ensemble, folder: &RunFolder, mut facts: Facts) -> Result<ScoreTable> {
+    pub(crate) fn score(&mut self, mut model: Ensemble, folder: &RunFolder, mut facts: Facts) -> Result<ScoreTable> {
         let (pipeline, split, begun) = (self.pipeline, self.split, Instant::now());
         // The links that a model of `score_model` was trained on are unknown, so it is not calibrated.
-        let is_trained_here = folder.file(CURVE).is_file();
+        let (is_ensemble, count) = (!facts.members.is_empty(), facts.members.len().max(1));
+        let is_trained_here = is_ensemble || folder.file(CURVE).is_file();
         let parts = |model: &Ensemble| (model.residuals().is_some(), model.calibration().is_some());
         let before = parts(&model);
-        model = self.fit_residuals(model, 1)?;
+        model = self.fit_residuals(model, count)?;
         if is_trained_here {
             model = self.calibrate(model)?;
         }
@@ -176,8 +178,12 @@ impl<'a> ActiveRun<'a, '_> {
         let (task, test) = (split.data.task(), split.partition.test.len());
         self.session.observer.on_message(&format!("scoring {test} test {}", task.counted[1]));
         let mut result = evaluate(&model, pipeline, split, self.session)?;
-        facts.validation_baselines = validation_baselines(model.plane(), pipeline, split, self.session)?;
-        if is_trained_here {
+        if !is_ensemble {
+            facts.validation_baselines = validation_baselines(model.plane(), pipeline, split, self.session)?;
+        }
+        if is_ensemble {
+            // Each model has its own validation, and the steps are sums.
+        } else if is_trained_here {
             facts.steps = pipeline.training.steps;
         } else {
             // `score_model`: nothing is known of the training.
@@ -186,7 +192,7 @@ impl<'a> ActiveRun<'a, '_> {
             table.notes.push("the model was trained outside of this run, not with the settings of its pipeline".into());
         }
         facts.wall_seconds += begun.elapsed().as_secs_f64();
-        if pipeline.tensorboard {
+        if pipeline.tensorboard && !is_ensemble {
             Journal::open(folder, pipeline, task, pipeline.training.steps)?.record_scores(&result.scores.table)?;
         }
         self.conclude(folder, facts, &model, result)

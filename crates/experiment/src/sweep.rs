@@ -17,15 +17,12 @@ pub use experiment::{Axis, Experiment, Slurm, SweepVariant};
 pub use listing::{LISTING, ListedRun, Listing};
 pub use plan::{JOINED, PlannedRun, SweepPlan};
 
-use crate::evaluate::evaluate;
 use crate::facts::{Facts, FileDigest};
 use crate::folder::MODEL_FILE;
 use crate::load::{ActiveRun, load_with_findings};
 use crate::run_folder::RunFolder;
 use crate::runner::{RunOutcome, run};
-use crate::scores::ScoreTable;
 use crate::session::{NoopObserver, Observer, Session};
-use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Error, Result};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
@@ -193,9 +190,10 @@ impl SweepPlan {
         pipeline.check_data(&split.data)?;
         let members = self.runs.iter().map(|run| run.folder.clone()).collect();
         let mut facts = folder.begin(pipeline, &split, Facts { findings, members, ..Facts::default() })?;
-        self.sum_members(&mut facts)?;
+        facts.sum_members((0..self.runs.len()).map(|run| self.run_folder(run)))?;
+        file::write_ensemble(&folder.file(MODEL_FILE), &ensemble)?;
         let mut run = ActiveRun { pipeline, split: &split, session, begun };
-        match run.score_joined(ensemble, folder, facts) {
+        match run.score(ensemble, folder, facts) {
             Err(Error::Stopped) => Ok(RunOutcome::Unscored),
             scores => Ok(RunOutcome::Finished { scores: scores?.into(), already: false }),
         }
@@ -212,32 +210,5 @@ impl SweepPlan {
         };
         let members = self.runs.iter().enumerate().map(member).collect::<Result<_>>()?;
         Ensemble::named(members).map_err(Error::Config)
-    }
-
-    /// Sets steps and training seconds of the joined model to the sums over all runs, and raises its peak memory to the
-    /// largest of them.
-    fn sum_members(&self, facts: &mut Facts) -> Result<()> {
-        (facts.steps, facts.training_seconds) = (0, 0.0);
-        for index in 0..self.runs.len() {
-            let member = Facts::read(&self.run_folder(index))?.unwrap_or_default();
-            facts.steps += member.steps;
-            facts.training_seconds += member.training_seconds;
-            facts.peak_memory_bytes = facts.peak_memory_bytes.max(member.peak_memory_bytes);
-        }
-        Ok(())
-    }
-}
-
-impl ActiveRun<'_, '_> {
-    /// Fits residuals and intervals to a joined model, scores it, and writes all results. Returns the scores.
-    fn score_joined(&mut self, ensemble: Ensemble, folder: &RunFolder, mut facts: Facts) -> Result<ScoreTable> {
-        let fitted = self.fit_residuals(ensemble, facts.members.len())?;
-        let ensemble = self.calibrate(fitted)?;
-        write_atomically(&folder.file(MODEL_FILE), &file::ensemble_to_bytes(&ensemble))?;
-        let (counted, test) = (self.split.data.task().counted[1], self.split.partition.test.len());
-        self.session.observer.on_message(&format!("scoring {test} test {counted}"));
-        let result = evaluate(&ensemble, self.pipeline, self.split, self.session)?;
-        facts.wall_seconds += self.begun.elapsed().as_secs_f64();
-        self.conclude(folder, facts, &ensemble, result)
     }
 }

@@ -1,7 +1,8 @@
 //! Compressed model files.
 
-use crate::Model;
-use crate::file::{CONSTANTS, NETWORK, model_tensors};
+use crate::Ensemble;
+use crate::file::{CONSTANTS, NETWORK, model_prefixes, predictor_tensors};
+use crate::residuals::RESIDUALS;
 use crate::tensors::SCALES;
 use pwrfgs_core::{Error, Result};
 use std::collections::BTreeSet;
@@ -17,20 +18,27 @@ pub enum Bits {
 
 /// Returns the bytes of a model file with 8 or 16 bits per number; every reader of model files reads it.
 ///
-/// Weights `[out, in]` of the network are I8 with a scale per row, or F16. Biases, Gaussians and training positions are
-/// F16. Scales and tensors that the network does not learn stay as they are.
+/// Weights `[out, in]` of networks are I8 with a scale per row, or F16. Biases, Gaussians and training positions are F16. Scales,
+/// residual processes and tensors that a network does not learn stay as they are. The calibration of intervals is left
+/// out.
 ///
 /// # Errors
 /// A number exceeds the range of 16 bits.
-pub fn to_bytes(model: &Model, bits: Bits) -> Result<Vec<u8>> {
-    let mut file = model_tensors(model);
-    let weights = model.stages.layout().weights;
-    let named = |name: &str| format!("{NETWORK}{name}");
-    let fixed: BTreeSet<String> = weights.iter().filter(|spec| !spec.learns).map(|spec| named(&spec.name)).collect();
-    if bits == Bits::Eight {
-        let matrices = weights.iter().filter(|spec| spec.shape.len() == 2 && spec.learns);
-        matrices.for_each(|spec| file.round_to_bytes(&named(&spec.name)));
+pub fn to_bytes(ensemble: &Ensemble, bits: Bits) -> Result<Vec<u8>> {
+    let mut file = predictor_tensors(ensemble);
+    let mut fixed = BTreeSet::new();
+    for (prefix, model) in model_prefixes(ensemble) {
+        for spec in model.stages.layout().weights {
+            let name = format!("{prefix}{NETWORK}{}", spec.name);
+            if !spec.learns {
+                fixed.insert(name);
+            } else if bits == Bits::Eight && spec.shape.len() == 2 {
+                file.round_to_bytes(&name);
+            }
+        }
     }
-    let is_whole = |name: &str| name.starts_with(CONSTANTS) || name.ends_with(SCALES) || fixed.contains(name);
+    let is_whole = |name: &str| {
+        name.contains(CONSTANTS) || name.starts_with(RESIDUALS) || name.ends_with(SCALES) || fixed.contains(name)
+    };
     file.to_bytes_half(|name| !is_whole(name)).map_err(Error::Config)
 }

@@ -148,7 +148,7 @@ fn ensemble_tensors(ensemble: &Ensemble) -> Tensors {
 
 /// Returns the tensors of a file of all models with their residuals; that of [`model_tensors`] for a single model
 /// without them.
-fn predictor_tensors(ensemble: &Ensemble) -> Tensors {
+pub(crate) fn predictor_tensors(ensemble: &Ensemble) -> Tensors {
     if let ([model], None) = (ensemble.members(), ensemble.residuals()) {
         return model_tensors(model);
     }
@@ -161,10 +161,17 @@ fn predictor_tensors(ensemble: &Ensemble) -> Tensors {
     if let Some(residuals) = ensemble.residuals() {
         residuals.put(&mut file);
     }
-    for (k, model) in ensemble.members().iter().enumerate() {
-        put_model(&mut file, &member_prefix(k), model);
+    for (prefix, model) in model_prefixes(ensemble) {
+        put_model(&mut file, &prefix, model);
     }
     file
+}
+
+/// Returns the models with the prefixes of their tensor names: none for a single model without residuals.
+pub(crate) fn model_prefixes(ensemble: &Ensemble) -> impl Iterator<Item = (String, &Model)> {
+    let is_plain = ensemble.members().len() == 1 && ensemble.residuals().is_none();
+    let prefix = move |k: usize| if is_plain { String::new() } else { member_prefix(k) };
+    ensemble.members().iter().enumerate().map(move |(k, model)| (prefix(k), model))
 }
 
 /// Returns the prefix of the tensor names of a member.

@@ -14,7 +14,7 @@ mod kriged;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use file::ResidualsNote;
+pub(crate) use file::{RESIDUALS, ResidualsNote};
 pub(crate) use grid::CoarseGrid;
 pub use kriged::Kriged;
 

@@ -15,6 +15,11 @@ macro_rules! plugins {
     };
 }
 
+/// Returns the number of models of a run.
+pub fn members() -> usize {
+    1
+}
+
 /// Returns the default split: the one of the data set.
 pub fn split() -> Plugin<dyn Split> {
     Plugin::from(Box::new(Official::default()) as Box<dyn Split>)

@@ -57,6 +57,11 @@ pub struct Pipeline {
     /// Training settings (algorithm 1 of the paper).
     #[serde(default)]
     pub training: Checked<Training>,
+    /// Number of models, 1 to 100. Several are trained one after another, with seeds from `seed` on; each leaves out its own
+    /// part of the training and validation sets, in blocks of the split. Their mean predicts, and residuals and intervals
+    /// are fitted to the left-out parts, so the split needs no `validation` share. The time is that of all models.
+    #[serde(default = "defaults::members")]
+    pub members: usize,
     /// Gaussian process that predicts the residuals of the trained model, such as `Kriged()`; without it, the model
     /// predicts alone.
     pub residuals: Option<Checked<Kriged>>,
@@ -141,6 +146,24 @@ impl Pipeline {
     pub fn folded(&self, index: usize, count: usize) -> Self {
         let split: Box<dyn Split> = Box::new(Fold { of: self.split.clone(), index, count });
         Self { split: split.into(), ..self.clone() }
+    }
+
+    /// Returns the pipeline that trains model `index`: of a run with several `members` without the fold `index`, residuals
+    /// and baselines.
+    #[must_use]
+    pub fn member(&self, index: usize) -> Self {
+        if self.members == 1 {
+            return self.clone();
+        }
+        Self {
+            name: format!("{}.{}", self.name, index + 1),
+            seed: self.seed.wrapping_add(index as u64),
+            split_seed: Some(self.split_seed.unwrap_or(self.seed)),
+            members: 1,
+            residuals: None,
+            baselines: Vec::new(),
+            ..self.folded(index, self.members)
+        }
     }
 
     /// Returns the pipeline without settings that do not affect the result: TensorBoard, accepted findings and

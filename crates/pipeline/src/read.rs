@@ -7,6 +7,7 @@ use crate::ron_tree::RonTree;
 use pwrfgs_core::plugin::{explain, name_of, ron_options, to_ron};
 use pwrfgs_core::{Dataset, Demand, Error, Misfit, Parts, Result, Task, check_compatible};
 use pwrfgs_methods::Calibration;
+use pwrfgs_model::file::MOST_MEMBERS;
 use ron::error::SpannedError;
 use std::path::Path;
 
@@ -162,6 +163,10 @@ impl Pipeline {
             let name = shortened(&self.name);
             let problem = format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`");
             return Err(("name".into(), problem));
+        }
+        if !(1..=MOST_MEMBERS).contains(&self.members) {
+            let problem = format!("members: {} models; give 1 to {MOST_MEMBERS}, such as 4", self.members);
+            return Err(("members".into(), problem));
         }
         self.readout.check().map_err(|problem| ("readout".into(), problem))?;
         if self.method.as_ref().is_some_and(|method| name_of(method) == "Splatting") {

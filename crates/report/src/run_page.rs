@@ -101,7 +101,7 @@ fn task_words(run: &LoadedRun<'_>) -> Value {
 
 /// Returns the pipeline text; for an ensemble, the one that scores it.
 fn pipeline_text(run: &LoadedRun<'_>) -> Result<String> {
-    let is_joined = run.model.members().len() > 1;
+    let is_joined = run.record.pipeline.members == 1 && run.model.members().len() > 1;
     let note = "// pipeline that scores the ensemble; each member has its own pipeline:\n";
     Ok(if is_joined { note } else { "" }.to_owned() + &run.record.pipeline.to_ron()?)
 }
@@ -110,8 +110,8 @@ fn pipeline_text(run: &LoadedRun<'_>) -> Result<String> {
 fn member_pages(run: &LoadedRun<'_>) -> Vec<Value> {
     let models = run.model.names().iter().zip(run.model.members());
     let member = |(folder, (name, model)): (&String, (&String, &Model))| {
-        let page = format!("../{folder}/{REPORT}");
-        context! { name, page, gaussians => model.cloud.len() }
+        let page = (run.record.pipeline.members == 1).then(|| format!("../{folder}/{REPORT}"));
+        context! { name, page, folder, gaussians => model.cloud.len() }
     };
     run.record.facts.members.iter().zip(models).map(member).collect()
 }

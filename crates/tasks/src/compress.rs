@@ -3,7 +3,7 @@
 use pwrfgs_core::{Error, Query, Result, Task, evenly};
 use pwrfgs_experiment::text::grouped;
 use pwrfgs_model::compress::{self, Bits};
-use pwrfgs_model::{Ensemble, Model, file};
+use pwrfgs_model::{Ensemble, file};
 
 /// Number of training positions at which predictions are compared.
 const COMPARED: usize = 200;
@@ -23,32 +23,25 @@ pub struct CompressedModel {
 /// since it is that of the exact predictions.
 ///
 /// # Errors
-/// An ensemble of several models, or a model with a residual process.
-pub fn compress(ensemble: Ensemble, bits: Bits) -> Result<CompressedModel> {
-    if ensemble.residuals().is_some() {
-        return Err(Error::Config("the model has a residual process, expected a model without one".into()));
-    }
-    let (before, count) = (file::size(&ensemble), ensemble.members().len());
-    let several = || {
-        Error::Config(format!(
-            "the model is an ensemble of {count} models, expected one; compress the file of each member"
-        ))
-    };
-    let model = ensemble.into_only().ok_or_else(several)?;
-    let bytes = compress::to_bytes(&model, bits)?;
+/// A number exceeds the range of 16 bits.
+pub fn compress(ensemble: &Ensemble, bits: Bits) -> Result<CompressedModel> {
+    let before = file::size(ensemble);
+    let bytes = compress::to_bytes(ensemble, bits)?;
     let small = file::from_bytes(&bytes).map_err(Error::Config)?;
     let kilobytes = |bytes: usize| grouped((bytes as f64 / 1e3).round() as i64);
     let sizes = format!("whole file {} kB instead of {} kB", kilobytes(bytes.len()), kilobytes(before));
-    let notes = std::iter::once(sizes).chain(describe_difference(&model, &small.members()[0])).collect();
+    let notes = std::iter::once(sizes).chain(describe_difference(ensemble, &small)).collect();
     Ok(CompressedModel { bytes, ensemble: small, notes })
 }
 
 /// Describes the mean difference of the predictions of two models at training positions, over all receivers; `None` for
 /// models without training positions.
-fn describe_difference(model: &Model, small: &Model) -> Option<String> {
-    let (training, stages) = (model.training_positions.as_ref()?, &model.stages);
-    let positions: Vec<[f64; 3]> =
-        evenly(training.positions(), COMPARED).into_iter().map(|p| stages.origin.world(p)).collect();
+fn describe_difference(model: &Ensemble, small: &Ensemble) -> Option<String> {
+    let stages = &model.members()[0].stages;
+    let positions = evenly(&model.training_positions(), COMPARED);
+    if positions.is_empty() {
+        return None;
+    }
     let receivers = 0..stages.receivers.len();
     let queries: Vec<Query<'_>> =
         positions.iter().flat_map(|&tx| receivers.clone().map(move |r| stages.query(tx, r))).collect();

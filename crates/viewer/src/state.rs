@@ -2,10 +2,10 @@
 
 use crate::side::ViewPane;
 use pwrfgs_experiment::Facts;
-use pwrfgs_experiment::folder::{CHECKPOINT, CURVE, FACTS, MODEL_FILE};
+use pwrfgs_experiment::folder::{CHECKPOINT, CURVE, FACTS, MODEL_FILE, training_folder};
 use pwrfgs_experiment::record::read_series;
 use serde_json::json;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, SystemTime};
@@ -57,8 +57,10 @@ impl ServerState {
     /// Sends an event to all pages if the files of the run in `folder` changed since `times`, which it updates: those
     /// of the curve, and of model or checkpoint. Returns whether the run is finished.
     fn send_change(&self, side: usize, folder: &Path, times: &mut [Option<SystemTime>; 2]) -> bool {
-        let changed = |name: &str| std::fs::metadata(folder.join(name)).and_then(|file| file.modified()).ok();
-        let now = [changed(CURVE), changed(MODEL_FILE).or_else(|| changed(CHECKPOINT))];
+        let training = training_folder(folder).1;
+        let changed = |path: PathBuf| std::fs::metadata(path).and_then(|file| file.modified()).ok();
+        let model = changed(folder.join(MODEL_FILE)).or_else(|| changed(training.join(CHECKPOINT)));
+        let now = [changed(training.join(CURVE)), model];
         if *times == now {
             return false;
         }
@@ -66,7 +68,7 @@ impl ServerState {
         *times = now;
         let ended = reload && self.sides[side].reload().unwrap_or(false);
         let loaded = self.sides[side].loaded.as_ref();
-        let rows = read_series(&folder.join(CURVE));
+        let rows = read_series(&training.join(CURVE));
         let field = |k: usize| rows.last().and_then(|row| row.get(k).copied().flatten());
         let finished = ended && folder.join(FACTS).is_file() && matches!(Facts::read(folder), Ok(Some(_)));
         let event = json!({

@@ -16,7 +16,7 @@ use std::path::PathBuf;
 8   network weights in 8 bits with a scale per row, everything else in 16 bits
 16  everything in 16 bits
 All commands, Python and pages read the file. The command prints both sizes and the mean difference
-of predictions at up to 200 training positions. Ensembles are refused: compress each member.
+of predictions at up to 200 training positions. Known residuals of a model stay as they are.
 The calibration for predict --interval is left out, since it is that of the exact predictions.
 
 EXAMPLES
@@ -39,7 +39,7 @@ pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()>
     check_new_file(&arguments.out)?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
     let CompressedModel { bytes, mut notes, .. } =
-        compress_model(ensemble, arguments.bits).map_err(in_file(&arguments.model))?;
+        compress_model(&ensemble, arguments.bits).map_err(in_file(&arguments.model))?;
     create(&arguments.out, &bytes)?;
     notes[0] = format!("{}, in {}", notes[0], arguments.out.display());
     notes.iter().for_each(|note| verbosity.print_note(note));

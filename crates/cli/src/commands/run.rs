@@ -57,7 +57,7 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<u8> {
         RunOutcome::Interrupted { step } => {
             output::print_note(&format!(
                 "stopped after step {step} of {}; the checkpoint is in {}; repeat the command to resume",
-                pipeline.training.steps,
+                pipeline.training.steps * pipeline.members as u64,
                 out.display()
             ));
             Ok(INTERRUPTED)

@@ -12,6 +12,13 @@ const IDLE: f64 = 0.25;
 const STEADY: f64 = 1.25;
 
 impl Preview {
+    /// Returns the time of the training of all models.
+    fn time_of_all(&self) -> TimeEstimate {
+        let models = self.pipeline.members as f64;
+        let seconds = self.time.seconds.map(|seconds| models * seconds);
+        TimeEstimate { seconds, search_seconds: self.time.search_seconds.map(|s| models * s), ..self.time.clone() }
+    }
+
     /// Formats size and cost of the run as a table.
     pub fn table(&self) -> String {
         let (training, n) = (&self.pipeline.training, |count: usize| grouped(count as i64));
@@ -34,10 +41,14 @@ impl Preview {
             ("steps", describe_steps(training)),
             ("phases", describe_phases(training)),
             ("memory", format!("about {}{free}", gigabytes(self.loaded_bytes + self.step_bytes))),
-            ("time", describe_time(&self.time, has_unlimited_densification(training))),
+            ("time", describe_time(&self.time_of_all(), has_unlimited_densification(training))),
             ("machine", describe_machine(self)),
         ];
         let pose = self.summary.pose.as_ref().map(|pose| ("pose", pose.verdict.title().to_owned()));
+        let models = self.pipeline.members;
+        let each =
+            || format!("{models}, one after another, each without a part of the known samples; the time is of all");
+        rows.extend((models > 1).then(|| ("models", each())));
         rows.splice(1..1, self.summary.facts.iter().cloned().chain(pose));
         rows.extend(self.outlook.iter().map(|sentence| ("pruning", sentence.clone())));
         aligned(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)

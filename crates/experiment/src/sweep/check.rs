@@ -3,7 +3,7 @@
 
 use super::plan::{JOINED, PlannedRun, SweepPlan};
 use crate::facts::Facts;
-use crate::folder::{CURVE, PIPELINE};
+use crate::folder::{CURVE, PIPELINE, training_folder};
 use crate::load::{SplitData, load};
 use crate::record::read_series;
 use crate::residuals::check_residuals;
@@ -50,7 +50,7 @@ pub fn estimate_run_seconds(plan: &SweepPlan, runs: &[usize], observer: &mut dyn
         initialize_unfinished(plan, &open, &|combination| finished_seconds(combination).is_none(), observer)?;
     let seconds = |&run: &usize| {
         let PlannedRun { combination, pipeline, .. } = &plan.runs[run];
-        let steps = pipeline.training.steps as f64;
+        let steps = (pipeline.training.steps * pipeline.members as u64) as f64;
         let left = match states[run] {
             RunStage::Finished(_) => 0.0,
             RunStage::Running { step } | RunStage::Stopped { step } => 1.0 - step as f64 / steps,
@@ -99,7 +99,8 @@ fn initialize_unfinished(
         let failed = time.as_ref().and_then(|time| time.as_ref().err()).map(ToString::to_string);
         warnings.into_iter().chain(failed).for_each(|warning| observer.on_warning(&format!("{folder}: {warning}")));
         if let Some(Ok(time)) = time {
-            seconds.insert(*combination, time.seconds[1] + middle(time.search_seconds));
+            let models = plan.runs[run].pipeline.members as f64;
+            seconds.insert(*combination, models * (time.seconds[1] + middle(time.search_seconds)));
         }
     }
     Ok(seconds)
@@ -136,8 +137,10 @@ fn initialize_each<R>(
             let mut scored = std::iter::once(pipeline).chain(&plan.joined);
             scored.try_for_each(|pipeline| pipeline.check_data(&split.data)).map_err(named)?;
             plan.joined.iter().try_for_each(|joined| check_residuals(joined, split, true)).map_err(named)?;
-            let sketch = || Trainer::sketch(&pipeline.plan()?, &split.data, &split.partition);
-            let trainer = new_trainer(pipeline, sketch).map_err(named)?;
+            let (member, data) = (pipeline.member(0), &split.data);
+            let partition = member.partition(data).map_err(named)?;
+            let sketch = || Trainer::sketch(&member.plan()?, data, &partition);
+            let trainer = new_trainer(&member, sketch).map_err(named)?;
             results.push(visit(run, trainer).map_err(named)?);
         }
     }
@@ -197,8 +200,10 @@ impl SweepPlan {
             Ok(None) => {}
             Err(error) => return RunStage::Failed(error.to_string()),
         }
-        let curve = read_series(&folder.join(CURVE));
-        let step = curve.last().and_then(|row| *row.first()?).map_or(0, |step| step as u64);
+        let (before, training) = training_folder(&folder);
+        let step =
+            read_series(&training.join(CURVE)).last().and_then(|row| *row.first()?).map_or(0, |step| step as u64);
+        let step = before as u64 * self.runs[run].pipeline.training.steps + step;
         if RunFolder::is_busy(&folder) {
             return RunStage::Running { step };
         }

@@ -367,6 +367,9 @@ fn check_joinable(runs: &[PlannedRun]) -> Result<(), String> {
     for (index, run) in runs.iter().enumerate() {
         let PlannedRun { folder, pipeline, .. } = run;
         let model = run.member_name();
+        if pipeline.members > 1 {
+            return Err(format!("`{folder}` has {} members; join runs of one model each", pipeline.members));
+        }
         if runs[..index].iter().any(|other| other.member_name().eq_ignore_ascii_case(&model)) {
             return Err(format!("two models have the name `{model}`; change a label"));
         }

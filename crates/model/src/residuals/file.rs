@@ -7,6 +7,8 @@ use pwrfgs_core::plugin::Check as _;
 use pwrfgs_core::{MAX_COORDINATE_M, MeasurementSetup, Real, Receiver, Task};
 use serde::{Deserialize, Serialize};
 
+/// Prefix of the names of the tensors.
+pub(crate) const RESIDUALS: &str = "residuals.";
 /// Names of the tensors.
 const PLACES: &str = "residuals.places";
 const VALUES: &str = "residuals.values";

@@ -68,6 +68,12 @@ fn solid_line(points: Vec<(f64, f64)>, colour: Colour, width: f64) -> ChartLine 
     ChartLine::new(points, Style::line(colour, width, Stroke::FULL))
 }
 
+/// Returns the addition to the title of a training curve: `, mean of 4 models`; empty for one model.
+fn of_models(run: &LoadedRun<'_>) -> String {
+    let models = run.record.pipeline.members;
+    if models > 1 { format!(", mean of {models} models") } else { String::new() }
+}
+
 /// Draws a chart with a title; `None` if there is nothing to draw.
 fn draw_figure(title: impl Into<String>, chart: &Chart) -> Option<Figure> {
     let title = title.into();
@@ -87,7 +93,7 @@ fn loss_figure(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     if points.len() > ranges.len() {
         lines.push(ChartLine::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)));
     }
-    draw_figure("Training loss", &chart_over_steps(run, true, lines))
+    draw_figure(format!("Training loss{}", of_models(run)), &chart_over_steps(run, true, lines))
 }
 
 /// Draws N over the steps on a logarithmic axis. `None` without points.
@@ -95,7 +101,7 @@ fn gaussians_figure(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure
     let lines = vec![solid_line(decimate_steps(points), MODEL_COLOUR, 2.0)];
     let splats = run.model.is_drawn_as(Appearance::Ellipsoids);
     let title = if splats { "Number of Gaussians" } else { "Number of virtual transmitters" };
-    draw_figure(title, &chart_over_steps(run, true, lines))
+    draw_figure(format!("{title}{}", of_models(run)), &chart_over_steps(run, true, lines))
 }
 
 /// Draws the validation score over the steps, with the baselines on the same samples; `None` without validations.
@@ -113,7 +119,7 @@ fn validation_figure(run: &LoadedRun<'_>) -> Option<Figure> {
         lines.push(ChartLine::horizontal(*mean, Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
     }
     let task = run.data.task();
-    let title = format!("Validation {}: {}", task.counted[1], task.headline.name);
+    let title = format!("Validation {}: {}{}", task.counted[1], task.headline.name, of_models(run));
     draw_figure(title, &chart_over_steps(run, false, lines))
 }
 

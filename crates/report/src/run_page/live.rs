@@ -88,7 +88,7 @@ fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     if only.gaussian_bytes() + only.network_bytes() <= MODEL_BYTES {
         return Some(file::to_bytes(only));
     }
-    compress::to_bytes(only, compress::Bits::Eight).ok().filter(|bytes| bytes.len() <= COMPRESSED_BYTES)
+    compress::to_bytes(run.model, compress::Bits::Eight).ok().filter(|bytes| bytes.len() <= COMPRESSED_BYTES)
 }
 
 /// Chooses the test links whose observations are in the page: evenly from best to worst, as many as fit, `alone` or with

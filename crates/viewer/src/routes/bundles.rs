@@ -9,7 +9,7 @@ use pwrfgs_core::{
     Appearance, Call, Image, LinkSet, MethodTraits, Needs, Origin, Parameters, PixelSubset, Query, Real, Statistic,
     neighbours,
 };
-use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, snapshots};
+use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, snapshots, training_folder};
 use pwrfgs_experiment::{record::read_series, text::grouped};
 use pwrfgs_model::{Model, Snapshot};
 use pwrfgs_report::live::{self, TensorBundle};
@@ -336,7 +336,7 @@ fn location_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
 
 /// Creates the bundle of the training curve: steps, losses and numbers of Gaussians, in at most about [`ROWS`] rows.
 fn curve_bundle(side: &ViewPane) -> TensorBundle {
-    let rows = side.folder.as_ref().map_or(Vec::new(), |folder| read_series(&folder.join(CURVE)));
+    let rows = side.folder.as_ref().map_or(Vec::new(), |folder| read_series(&training_folder(folder).1.join(CURVE)));
     let stride = rows.len().div_ceil(ROWS).max(1);
     let shown: Vec<_> =
         rows.iter().enumerate().filter(|(k, _)| (k + 1).is_multiple_of(stride) || k + 1 == rows.len()).collect();

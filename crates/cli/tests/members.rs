@@ -1,0 +1,81 @@
+//! Runs of several models: folders, resumed runs, and equality with a sweep of folds.
+
+use crate::common::{SMALL, pwrfgs, refuse, stderr, stdout, succeed, wait_for_step, write};
+use pwrfgs::model::file;
+use std::path::Path;
+use std::process::Stdio;
+
+const MODEL: &str = "model.safetensors";
+
+fn members() -> String {
+    SMALL.replace("name: \"small\",", "name: \"small\", members: 3, residuals: Kriged(), baselines: [Kriging()],")
+}
+
+fn bytes(path: &Path) -> Vec<u8> {
+    std::fs::read(path).unwrap()
+}
+
+#[test]
+fn members_equal_a_joined_sweep_of_folds() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), members());
+    assert!(stdout(&succeed(here, &["check", "p.ron"])).contains("3, one after another"));
+    let table = stdout(&succeed(here, &["run", "p.ron", "--out", "r"]));
+    for predictor in ["model", "member 1", "member 3", "Kriging", "90 % intervals of model"] {
+        assert!(table.contains(predictor), "{predictor}: {table}");
+    }
+    let folds = members().replace("members: 3, ", "").replace("Kriged()", "Kriged(folds: true)");
+    write(&here.join("folds.ron"), folds);
+    write(&here.join("e.ron"), "Experiment(name: \"folds\", join: true, base: \"folds.ron\", seeds: [0, 1, 2])");
+    succeed(here, &["sweep", "e.ron", "--out", "s", "-q"]);
+    for index in 0..3 {
+        let [own, swept] = [format!("r/members/{}", index + 1), format!("s/seed={index}")];
+        let model = |run: &str| file::to_bytes(&file::read(&here.join(run).join(MODEL)).unwrap());
+        assert!(model(&own) == model(&swept), "{own}");
+        let validation = |run: &str| bytes(&here.join(run).join("validation.csv"));
+        assert!(validation(&own) == validation(&swept), "{own}");
+    }
+    let [own, swept] = ["r", "s/joined"].map(|run| bytes(&here.join(run).join("samples.csv")));
+    assert!(own == swept, "the ensembles predict the same");
+    let page = std::fs::read_to_string(here.join("r/report.html")).unwrap();
+    for text in ["Training loss, mean of 3 models", "members/3"] {
+        assert!(page.contains(text), "{text}");
+    }
+    succeed(here, &["compress", "r", "--out", "small.safetensors"]);
+    let small = file::read_ensemble(&here.join("small.safetensors")).unwrap();
+    assert_eq!((small.members().len(), small.residuals().is_some()), (3, true));
+    write(&here.join("m.ron"), "Experiment(name: \"m\", join: true, base: \"p.ron\", seeds: [0, 1])");
+    refuse(here, &["sweep", "m.ron", "--out", "no"], 2, &["join: `seed=0` has 3 members"]);
+}
+
+#[test]
+fn killed_run_of_members_resumes_to_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), members());
+    succeed(here, &["run", "p.ron", "--out", "whole", "-q"]);
+    let mut child = pwrfgs(here).args(["run", "p.ron", "--out", "r", "-q"]).stdout(Stdio::null()).spawn().unwrap();
+    while !here.join("r/members/2").is_dir() {
+        assert!(child.try_wait().unwrap().is_none(), "the run has ended before its second model");
+    }
+    wait_for_step(&mut child, &here.join("r/members/2"), 20);
+    child.kill().unwrap();
+    child.wait().unwrap();
+    succeed(here, &["run", "p.ron", "--out", "r", "-q", "--threads", "1"]);
+    for name in [MODEL, "samples.csv", "members/1/model.safetensors", "members/2/validation.csv"] {
+        assert!(bytes(&here.join("r").join(name)) == bytes(&here.join("whole").join(name)), "{name}");
+    }
+    assert!(stderr(&succeed(here, &["run", "p.ron", "--out", "r"])).contains("nothing to do"));
+}
+
+#[test]
+fn members_need_enough_known_samples() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), SMALL);
+    let run = |set: &'static str| ["run", "p.ron", "--out", "r", "-q", "--set", set];
+    refuse(here, &run("members=0"), 2, &["members: 0 models; give 1 to 100"]);
+    refuse(here, &run("members=99"), 2, &["parts, fewer than 99 folds"]);
+    assert!(!here.join("r").exists(), "refused before files are written");
+}
