@@ -79,3 +79,33 @@ fn members_need_enough_known_samples() {
     refuse(here, &run("members=99"), 2, &["parts, fewer than 99 folds"]);
     assert!(!here.join("r").exists(), "refused before files are written");
 }
+
+/// The kept model is the one that scored best on the validation set after pruning, also after a kill.
+#[test]
+fn best_validated_model_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let best = SMALL.replace("validate_every: 20,", "validate_every: 5, keep: Best,").replace("steps: 60", "steps: 80");
+    write(&here.join("p.ron"), &best);
+    write(&here.join("last.ron"), best.replace("keep: Best,", ""));
+    succeed(here, &["run", "p.ron", "--out", "whole", "-q"]);
+    succeed(here, &["run", "last.ron", "--out", "last", "-q"]);
+    let rows = std::fs::read_to_string(here.join("whole/validation.csv")).unwrap();
+    assert_eq!(rows, std::fs::read_to_string(here.join("last/validation.csv")).unwrap());
+    let row = |line: &str| line.split(',').map(|field| field.parse::<f64>().unwrap()).take(2).collect::<Vec<_>>();
+    let rows: Vec<Vec<f64>> = rows.lines().skip(1).map(row).filter(|row| row[0] > 40.0).collect();
+    let best = rows.iter().max_by(|a, b| a[1].total_cmp(&b[1])).unwrap();
+    let kept = bytes(&here.join("whole").join(MODEL));
+    let is_last = kept == bytes(&here.join("last").join(MODEL));
+    assert_eq!(is_last, best[0] == 80.0, "{best:?}");
+
+    let mut child = pwrfgs(here).args(["run", "p.ron", "--out", "r", "-q"]).stdout(Stdio::null()).spawn().unwrap();
+    wait_for_step(&mut child, &here.join("r"), 55);
+    child.kill().unwrap();
+    child.wait().unwrap();
+    succeed(here, &["run", "p.ron", "--out", "r", "-q"]);
+    assert!(kept == bytes(&here.join("r").join(MODEL)), "another model after a kill");
+    let run = |set: &'static str| ["run", "p.ron", "--out", "no", "-q", "--set", set];
+    refuse(here, &run("training.validate_every=0"), 2, &["`keep: Best` chooses by validation"]);
+    refuse(here, &run("split=Official(validation: 0.0)"), 2, &["training.keep: `Best` needs a validation set"]);
+}

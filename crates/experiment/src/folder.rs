@@ -8,6 +8,8 @@ pub const PIPELINE: &str = "pipeline.ron";
 pub const DATA: &str = "data";
 /// Checkpoint for resuming.
 pub const CHECKPOINT: &str = "checkpoint.safetensors";
+/// Model of the best validation so far, with `keep: Best`.
+pub const BEST_MODEL: &str = "best.safetensors";
 /// The trained model.
 pub const MODEL_FILE: &str = "model.safetensors";
 /// Gaussians before the first step.

@@ -53,13 +53,9 @@ impl Record {
     pub fn of(folder: &Path, pipeline: &Pipeline, facts: Facts) -> Result<Self> {
         let path = |name: &str| folder.join(name);
         let trained = (facts.members.is_empty() || pipeline.members > 1) && facts.steps > 0;
-        let models: Vec<PathBuf> = match &facts.members[..] {
-            [] => vec![folder.into()],
-            members => members.iter().map(|member| folder.join(member)).collect(),
-        };
+        let models = model_folders(folder, &facts);
         let last = facts.steps / models.len() as u64;
         let curves = models.iter().map(|model| read_whole_series(&model.join(CURVE), last));
-        let validations = models.iter().map(|model| read_series(&model.join(VALIDATION)));
         let confidence = path(CONFIDENCE);
         Ok(Self {
             folder: folder.into(),
@@ -67,7 +63,7 @@ impl Record {
             scores: Scores::read(&path(SCORES), facts.scores.clone().unwrap_or_default())?,
             test: TestSamples::read(&path(SAMPLES))?,
             curve: if trained { mean_series(curves.collect::<Result<_>>()?) } else { Vec::new() },
-            validation: if trained { mean_series(validations.collect()) } else { Vec::new() },
+            validation: if trained { read_validation(folder, &facts) } else { Vec::new() },
             confidence: confidence.is_file().then(|| Confidence::read(&confidence)).transpose()?,
             facts,
         })
@@ -150,6 +146,19 @@ pub fn read_whole_series(path: &Path, last: u64) -> Result<Vec<Vec<Option<f64>>>
 /// Returns the pairs of step and value of `column`, from rows in which both are numbers.
 pub fn series_column(rows: &[Vec<Option<f64>>], column: usize) -> Vec<(f64, f64)> {
     rows.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(column)?)?))).collect()
+}
+
+/// Returns the folders of the trainings of a run: its own, or those of its models.
+fn model_folders(folder: &Path, facts: &Facts) -> Vec<PathBuf> {
+    match &facts.members[..] {
+        [] => vec![folder.into()],
+        members => members.iter().map(|member| folder.join(member)).collect(),
+    }
+}
+
+/// Reads the rows of `validation.csv` of a run, of several models their mean; empty without validations.
+pub(crate) fn read_validation(folder: &Path, facts: &Facts) -> Vec<Vec<Option<f64>>> {
+    mean_series(model_folders(folder, facts).iter().map(|model| read_series(&model.join(VALIDATION))).collect())
 }
 
 /// Returns the mean of series with the same steps, number by number: of one series the series itself.

@@ -6,14 +6,17 @@ use crate::folder::{CURVE, MODEL_FILE, member_folder};
 use crate::input::resolve_pipeline;
 use crate::journal::Journal;
 use crate::load::{ActiveRun, load, load_with_findings};
+use crate::record::{read_validation, series_column};
 use crate::residuals::check_residuals;
 use crate::run_folder::{RunFolder, RunState};
 use crate::scores::ScoreTable;
 use crate::session::Session;
-use pwrfgs_core::{Error, Result, files};
+use crate::text::{grouped, number};
+use crate::training::is_better;
+use pwrfgs_core::{Error, Result, Task, files};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
-use pwrfgs_train::Trainer;
+use pwrfgs_train::{Keep, Trainer, Training};
 use std::path::Path;
 use std::time::Instant;
 
@@ -144,6 +147,17 @@ fn check_resumable(folder: &RunFolder, pipeline: &Pipeline, out: &Path) -> Resul
     Ok(())
 }
 
+/// States the step with the best validation in `rows`, if it was clearly better than the last: by more than a hundredth.
+fn best_step_note(rows: &[Vec<Option<f64>>], training: &Training, task: Task) -> Option<String> {
+    let values = series_column(rows, 1);
+    let (_, end) = *values.last()?;
+    let best = values.iter().copied().reduce(|best, next| if is_better(task, next.1, best.1) { next } else { best });
+    let (step, value) = best.filter(|(_, value)| (value - end).abs() > 0.01 * end.abs())?;
+    let kept = if training.keep == Keep::Best { "; the model is the best one after pruning" } else { "" };
+    let (name, step, [value, end]) = (task.headline.name, grouped(step as i64), [value, end].map(number));
+    Some(format!("validation {name} was best at step {step} ({value}), at the end {end}{kept}"))
+}
+
 impl<'a> ActiveRun<'a, '_> {
     /// Completes training, unless the model exists, and scores the model. Without a trainer, it trains all members. The outcome is `Interrupted`
     /// or `Unscored` if the session is stopped.
@@ -191,10 +205,32 @@ impl<'a> ActiveRun<'a, '_> {
             (table.samples[0], table.trained_elsewhere) = (0, true);
             table.notes.push("the model was trained outside of this run, not with the settings of its pipeline".into());
         }
+        if is_trained_here && (!is_ensemble || pipeline.members > 1) {
+            let rows = read_validation(folder.path(), &facts);
+            result.scores.table.notes.extend(best_step_note(&rows, &pipeline.training, task));
+        }
         facts.wall_seconds += begun.elapsed().as_secs_f64();
         if pipeline.tensorboard && !is_ensemble {
             Journal::open(folder, pipeline, task, pipeline.training.steps)?.record_scores(&result.scores.table)?;
         }
         self.conclude(folder, facts, &model, result)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Some rows of a training on 197 transmitters that fits noise after 500 steps.
+    #[test]
+    fn states_the_best_step_of_an_overfitted_training() {
+        let series = [(100, 2.3693), (500, 2.0783), (1_000, 2.3492), (4_000, 2.4719)];
+        let rows: Vec<_> = series.map(|(step, error)| vec![Some(f64::from(step)), Some(error)]).to_vec();
+        let note = |rows, keep| best_step_note(rows, &Training { keep, ..Training::default() }, Task::Power);
+        let sentence = "validation error [dB] was best at step 500 (2.078), at the end 2.472";
+        assert_eq!(note(&rows, Keep::Last).as_deref(), Some(sentence));
+        assert_eq!(note(&rows, Keep::Best).unwrap(), format!("{sentence}; the model is the best one after pruning"));
+        assert_eq!(note(&rows[..2], Keep::Last), None);
+        assert_eq!(note(&[], Keep::Last), None);
     }
 }

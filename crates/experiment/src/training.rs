@@ -6,18 +6,21 @@
 
 use crate::evaluation_set::EvaluationSet;
 use crate::facts::{Facts, free_memory};
-use crate::folder::{CHECKPOINT, MODEL_FILE, START_SNAPSHOT, UNPRUNED_SNAPSHOT, pruned_snapshot};
+use crate::folder::{
+    BEST_MODEL, CHECKPOINT, MODEL_FILE, START_SNAPSHOT, UNPRUNED_SNAPSHOT, VALIDATION, pruned_snapshot,
+};
 use crate::journal::Journal;
 use crate::load::{ActiveRun, SplitData};
+use crate::record::{read_series, series_column};
 use crate::run_folder::RunFolder;
 use crate::session::{NoopObserver, Session, Start, Validation, staged};
 use crate::statistics::Summary;
 use pwrfgs_core::files::{self, if_found, write_atomically};
-use pwrfgs_core::{Dataset, Error, Progress, Result, Values, evenly};
+use pwrfgs_core::{Dataset, Error, Progress, Result, Task, Values, evenly};
 use pwrfgs_model::Snapshot;
 use pwrfgs_model::{Model, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
-use pwrfgs_train::{PruneStepState, Trainer, check_available, network_bytes};
+use pwrfgs_train::{Keep, PruneStepState, Trainer, check_available, network_bytes};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
@@ -30,6 +33,11 @@ impl<'a> ActiveRun<'a, '_> {
         let (pipeline, SplitData { data, partition }) = (self.pipeline, self.split);
         // Invalid strategies are reported before an error of the checkpoint.
         check_available(&pipeline.pruners)?;
+        if pipeline.training.keep == Keep::Best && partition.validation.is_empty() {
+            let problem =
+                "training.keep: `Best` needs a validation set; give the split a `validation` share, such as 0.1";
+            return Err(Error::Config(problem.into()));
+        }
         let restored = |folder: &RunFolder| {
             let path = folder.file(CHECKPOINT);
             let Some(bytes) = if_found(&path, files::read(&path))? else { return Ok(None) };
@@ -60,6 +68,7 @@ impl<'a> ActiveRun<'a, '_> {
             journal: Journal::open(folder, self.pipeline, data.task(), trainer.done())?,
             validation: evenly(&partition.validation, settings.validation_samples),
             most_gaussians: 0,
+            best: best_value(&read_series(&folder.file(VALIDATION)), settings.prune_until, data.task()),
             earlier_seconds: facts.wall_seconds,
             run: self,
             trainer,
@@ -121,6 +130,8 @@ struct Training<'r, 'a, 's> {
     validation: Vec<usize>,
     /// Largest number of Gaussians before a prune step; 0 until the first removal.
     most_gaussians: usize,
+    /// Best value of the validations after pruning; `None` before the first.
+    best: Option<f64>,
     /// Seconds of earlier starts.
     earlier_seconds: f64,
 }
@@ -165,16 +176,31 @@ impl Training<'_, '_, '_> {
         }
         let (every, data) = (self.run.pipeline.training.validate_every, &self.run.split.data);
         let validates = every > 0 && report.step.is_multiple_of(every) && !self.validation.is_empty();
-        let validate = || validate(report.step, &self.trainer.validated_model(), data, &self.validation);
-        let validation = validates.then(validate).transpose()?;
+        let validated = validates.then(|| self.trainer.validated_model());
+        let validate = |model: &Model| validate(report.step, model, data, &self.validation);
+        let validation = validated.as_ref().map(validate).transpose()?;
         self.journal.record_step(&report, seconds)?;
-        if let Some(validation) = &validation {
+        if let (Some(validation), Some(model)) = (&validation, &validated) {
+            self.keep_best(validation, model)?;
             self.journal.record_validation(validation)?;
             self.run.session.observer.on_validation(validation);
         }
         self.run.session.observer.on_step(&report);
         self.facts.gaussians = report.gaussians;
         Ok(())
+    }
+
+    /// Writes the validated model if it is to be kept and is the best so far after pruning. A resumed run writes it again
+    /// at the same step.
+    fn keep_best(&mut self, validation: &Validation, model: &Model) -> Result<()> {
+        let settings = &self.run.pipeline.training;
+        let value = validation.values[0];
+        let is_better = |best: f64| is_better(validation.task, value, best);
+        if settings.keep == Keep::Last || validation.step <= settings.prune_until || !self.best.is_none_or(is_better) {
+            return Ok(());
+        }
+        self.best = Some(value);
+        file::write(&self.folder.file(BEST_MODEL), model)
     }
 
     /// Writes the current Gaussians, with their ids and gates, as the snapshot `name` after `step`.
@@ -193,9 +219,13 @@ impl Training<'_, '_, '_> {
         self.facts.write(self.folder.path())
     }
 
-    /// Writes the trained model, and warns of pruners without effect.
+    /// Writes the trained model, or the best of the validations if it is to be kept, and warns of pruners without effect.
     fn finish(mut self) -> Result<Model> {
-        let (model, pruners) = (self.trainer.model(), &self.run.pipeline.pruners);
+        let model = match self.best {
+            Some(_) if self.run.pipeline.training.keep == Keep::Best => file::read(&self.folder.file(BEST_MODEL))?,
+            _ => self.trainer.model(),
+        };
+        let pruners = &self.run.pipeline.pruners;
         let prunes = !pruners.is_empty() && !pruners.iter().any(|pruner| pruner.traits().grows);
         if prunes && self.most_gaussians == 0 && !model.cloud.is_empty() {
             let n = model.cloud.len();
@@ -219,6 +249,17 @@ impl Training<'_, '_, '_> {
             self.run.session.observer.on_message(&format!("the last checkpoint is kept in {}", path.display()));
         }
     }
+}
+
+/// Returns whether a validation `value` is better than `other`.
+pub(crate) fn is_better(task: Task, value: f64, other: f64) -> bool {
+    if task.headline.higher { value > other } else { value < other }
+}
+
+/// Returns the best mean of the validations in `rows` after step `from`; `None` without one.
+fn best_value(rows: &[Vec<Option<f64>>], from: u64, task: Task) -> Option<f64> {
+    let values = series_column(rows, 1).into_iter().filter(|(step, _)| *step > from as f64).map(|(_, value)| value);
+    values.reduce(|best, value| if is_better(task, value, best) { value } else { best })
 }
 
 /// Scores the samples `part`: mean and median of the first metric, then the mean of the second metric, or the tail

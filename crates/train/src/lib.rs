@@ -24,5 +24,5 @@ pub use estimate::{TimeEstimate, TimedSteps, network_bytes};
 pub use graph::{Batch, LossAndGradients, loss_and_gradients};
 pub use loss::{ChannelLoss, LinkLoss, Objective, RenderingLoss};
 pub use plan::{TrainingPlan, check_available};
-pub use settings::{Densify, Loss, Optimizer, PixelLoss, Rays, Schedule, Training};
+pub use settings::{Densify, Keep, Loss, Optimizer, PixelLoss, Rays, Schedule, Training};
 pub use trainer::{PruneStepState, StepReport, Trainer};

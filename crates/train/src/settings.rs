@@ -26,6 +26,17 @@ pub enum Rays {
     Each(usize),
 }
 
+/// Step whose model a training returns.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum Keep {
+    /// The last step.
+    #[default]
+    Last,
+    /// The step after pruning whose model was best on the validation set. A set of a few positions cannot choose: use it with
+    /// a hundred or more.
+    Best,
+}
+
 /// Settings of a training of `scale` times the steps.
 trait Scaled {
     /// Multiplies the numbers of steps.
@@ -43,7 +54,7 @@ impl Scaled for u64 {
 macro_rules! unscaled {
     ($($ty:ty)*) => { $(impl Scaled for $ty { fn scaled(&self, _: f64) -> Self { *self } })* };
 }
-unscaled! { usize f32 f64 bool PixelLoss Rays }
+unscaled! { usize f32 f64 bool PixelLoss Rays Keep }
 
 /// Declares settings structs with default values.
 macro_rules! settings {
@@ -247,6 +258,8 @@ settings! {
         validate_every: u64 = 1_000,
         /// Validation samples per evaluation, spread evenly over the validation set.
         validation_samples: usize = 100,
+        /// Step whose model is returned.
+        keep: Keep = Keep::Last,
         /// Steps between two checkpoints.
         checkpoint_every: u64 = 1_000,
         /// Loss function.
@@ -281,9 +294,13 @@ impl Training {
         Self { checkpoint_every: Self::default().checkpoint_every, ..self.clone() }
     }
 
-    /// Returns the settings that affect the trained model: those of [`Self::of_run`], and not the validation.
+    /// Returns the settings that affect the trained model: those of [`Self::of_run`], and not the validation unless it chooses
+    /// the step.
     #[must_use]
     pub fn of_model(&self) -> Self {
+        if self.keep == Keep::Best {
+            return self.of_run();
+        }
         let Self { validate_every, validation_samples, .. } = Self::default();
         Self { validate_every, validation_samples, ..self.of_run() }
     }
@@ -311,6 +328,8 @@ impl Check for Training {
             "SSIM needs whole spectra, but `rays` selects single pixels; set loss.ssim_weight to 0, or rays to All",
         )?;
         require(self.prune_every >= 1, "`prune_every` is 0; give at least 1")?;
+        let is_validated = self.keep == Keep::Last || self.validate_every > 0;
+        require(is_validated, "`keep: Best` chooses by validation; give a `validate_every` above 0")?;
         require(self.checkpoint_every >= 1, "`checkpoint_every` is 0; give at least 1")?;
         require(
             self.tx_jitter_m >= 0.0 && self.tx_jitter_m.is_finite(),
