@@ -88,14 +88,18 @@ class Pipeline(PipelineFields):
         object.__setattr__(self, "_data", named_in(self._inner.text(), self._data))
 
     @classmethod
-    def for_data(cls, data: "_pwrfgs.Dataset", name: str = "pipeline", *, accept: Sequence[str] = ()) -> "Pipeline":
+    def for_data(
+        cls, data: "_pwrfgs.Dataset", name: str = "pipeline", *, effort: str = "normal", accept: Sequence[str] = ()
+    ) -> "Pipeline":
         """Pipeline for data: the shipped pipeline for their kind, with split and settings for their size, as ``pwrfgs init``
         writes it. The data need no folder: ``pwrfgs.run(pwrfgs.Pipeline.for_data(data))`` writes them into the run folder.
+        ``effort`` is ``fast`` (one model), ``normal`` (two minutes for small sets) or ``best`` (more models).
         ``accept`` are names of ``data.findings()`` that are accepted."""
         if not isinstance(data, _pwrfgs.Dataset):
             raise InputError(f"data: expected a Dataset, got {type(data).__name__}; Dataset.from_arrays makes one")
         source = to_ron(data)
-        return cls(_pwrfgs.suggest_pipeline(data, source, from_ron(source)._named.get("root"), name, list(accept)))
+        root = from_ron(source)._named.get("root")
+        return cls(_pwrfgs.suggest_pipeline(data, source, root, name, effort, list(accept)))
 
     def get(self, path: str) -> Any:
         """Return the value at ``path``, such as ``"training.steps"`` or ``"pruners.LearnableMask.lambda"``."""

@@ -16,7 +16,7 @@ use pwrfgs::model::compress::Bits;
 use pwrfgs::planning::floor_grid;
 use pwrfgs::raytrace::SceneFile;
 use pwrfgs::tasks::compare::CompareSettings;
-use pwrfgs::tasks::init::DataSurvey;
+use pwrfgs::tasks::init::{DataSurvey, Effort};
 use pwrfgs::tasks::locate::{Localisation, LocateSettings, LocatedRow, ReadFeatures, checked_features};
 use pwrfgs::tasks::place::{PlaceSettings, Placement, place_in_data, place_in_scene};
 use pwrfgs::tasks::plan::{Places, PlanSettings};
@@ -228,23 +228,25 @@ pub(crate) fn findings(py: Python<'_>, data: &Dataset) -> PyResult<Vec<(String, 
 
 /// Returns the text of the pipeline that `pwrfgs init` suggests for data; `root` is the folder of their `source`, if there is one.
 #[pyfunction]
-#[pyo3(signature = (data, source, root, name, accept))]
+#[pyo3(signature = (data, source, root, name, effort, accept))]
 pub(crate) fn suggest_pipeline(
     py: Python<'_>,
     data: &Dataset,
     source: &str,
     root: Option<PathBuf>,
     name: &str,
+    effort: &str,
     accept: Vec<String>,
 ) -> PyResult<String> {
     run_stoppable(py, |stop| {
+        let effort = Effort::parse(effort).map_err(|why| pwrfgs_core::Error::Config(format!("effort: {why}")))?;
         let source = Plugin::<dyn DataSource>::parse(source).map_err(pwrfgs_core::Error::Config)?;
         // Settings of the source may select another point cloud than the command finds.
         let is_found = |root: &PathBuf| recognise(root).is_some_and(|found| to_ron(&found) == to_ron(&source));
         let root = root.filter(is_found);
         let (data, observer) = ((*data.data).clone(), &mut TaskObserver(stop));
         let survey = DataSurvey::of_data(source.clone(), data, root.as_deref(), &accept, observer)?;
-        tasks::init::suggest_pipeline(&survey, name, Path::new("pipeline"))?.to_ron()
+        tasks::init::suggest_pipeline(&survey, name, effort, Path::new("pipeline"))?.0.to_ron()
     })
 }
 

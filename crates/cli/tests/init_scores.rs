@@ -1,5 +1,5 @@
 //! `pwrfgs init` for spectra whose lobes move, appear or cross with the transmitter: its pipeline scores above neighbours.
-use crate::common::{stdout, succeed, write};
+use crate::common::{refuse, stdout, succeed, write};
 use pwrfgs::data::npy_header;
 use pwrfgs_core::Number;
 use std::path::Path;
@@ -69,12 +69,12 @@ fn folder(place: &Path, lobes: Lobes) {
 fn pipeline_of_init_is_ahead_of_neighbours_on_moving_lobes() {
     let here = tempfile::tempdir().unwrap();
     let here = here.path();
-    // Shorter than the pipeline of `init`, for a quick test.
-    let short = ["--scale", "0.3", "--set", "training.batch=8", "--set", "initializer.count=60"];
+    // One model with fewer Gaussians and without residuals, for a quick test of what the Gaussians learn.
+    let short = ["--set", "residuals=None", "--set", "training.batch=8", "--set", "initializer.count=60"];
     let sets: [(&str, Lobes); 3] = [("moving", moving), ("appearing", appearing), ("crossing", crossing)];
     for (name, lobes) in sets {
         folder(&here.join(name), lobes);
-        succeed(here, &["init", name]);
+        succeed(here, &["init", name, "--effort", "fast"]);
         let text = std::fs::read_to_string(here.join(format!("{name}.ron"))).unwrap();
         assert!(text.contains("k: Auto") && text.contains("Kriging("), "{text}");
         let table = stdout(&succeed(here, &[&["run", &format!("{name}.ron")][..], &short].concat()));
@@ -83,4 +83,30 @@ fn pipeline_of_init_is_ahead_of_neighbours_on_moving_lobes() {
         let [model, _, one, several, _] = scores[..] else { panic!("{row}") };
         assert!(model > one.max(several) + 0.01, "{name}: {row}");
     }
+}
+
+/// The three efforts of a small set: number of models, steps and jitter follow the places.
+#[test]
+fn efforts_of_small_powers_are_one_four_and_eight_models() {
+    let here = tempfile::tempdir().unwrap();
+    let here = here.path();
+    let powers = |i: usize| (-40.0 - 20.0 * ((1 + i % 9) as f64).log10() - (i % 7) as f64, -50.0 - (i % 11) as f64);
+    let row = |i: usize| format!("{},{},1,{:.1},{:.1}\n", i % 10, i / 10, powers(i).0, powers(i).1);
+    let table: String = (0..90).map(row).collect();
+    write(&here.join("walk.csv"), format!("x,y,z,ap1,ap2\n{table}"));
+    succeed(here, &["import", "--table", "walk.csv", "--columns", "ap*", "--out", "walk"]);
+    for (effort, members, width) in [("fast", 1, 48), ("normal", 4, 48), ("best", 8, 64)] {
+        let out = format!("{effort}.ron");
+        let said = stdout(&succeed(here, &["init", "walk", "--effort", effort, "--out", &out]));
+        assert!(said.contains("known places are few"), "{said}");
+        let text = std::fs::read_to_string(here.join(&out)).unwrap();
+        for setting in ["steps: 400", "tx_jitter_m: 0.225", "residuals: Kriged(", &format!("width: {width}")] {
+            assert!(text.contains(setting), "{effort}: {setting}: {text}");
+        }
+        assert_eq!(text.contains("members: "), members > 1);
+        assert!(members == 1 || text.contains(&format!("members: {members}")));
+    }
+    let table = stdout(&succeed(here, &["run", "normal.ron", "--out", "r", "-q"]));
+    assert!(table.contains("share") && table.contains("member 4"), "{table}");
+    refuse(here, &["init", "walk", "--effort", "most", "--out", "no.ron"], 2, &["fast, normal or best"]);
 }

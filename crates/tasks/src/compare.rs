@@ -1,6 +1,6 @@
 //! All methods, baselines and predictions of other programs on one data set.
 
-use crate::init::{DataSurvey, suggest_pipeline};
+use crate::init::{DataSurvey, Effort, suggest_pipeline};
 use clap::Args;
 use pwrfgs_core::plugin::{Checked, name_of as plugin_name, registered};
 use pwrfgs_core::threads::{COUNTS, parse_count};
@@ -109,7 +109,9 @@ fn plan_methods(
         let why = format!("--methods {name}: no such method for these data{near} (methods: {})", labels.join(", "));
         return Err(Error::Config(why));
     }
-    let mut base = suggest_pipeline(survey, &named.name, Path::new("compare.ron"))?;
+    let (mut base, _) = suggest_pipeline(survey, &named.name, Effort::Normal, Path::new("compare.ron"))?;
+    // Methods are compared by what one model of each learns.
+    (base.members, base.residuals) = (1, None);
     (base.split_seed, base.baselines) = (Some(0), applicable_baselines(&survey.data));
     let mut whole: Option<SweepPlan> = None;
     for method in labels {

@@ -1,7 +1,10 @@
 //! A pipeline for data: the shipped pipeline for their kind, with settings for their size.
 
+mod effort;
 mod survey;
 
+pub use effort::Effort;
+use effort::Sizing;
 use pwrfgs_core::plugin::try_to_ron;
 use pwrfgs_core::{Dataset, Error, Result, ShippedFile};
 use pwrfgs_pipeline::Pipeline;
@@ -50,11 +53,17 @@ const TURNING_ARRAY: [&str; 4] = [
 /// Number of trained pixels per image of a camera above which there is a stride.
 const PIXELS: usize = 40_000;
 
-/// Suggests a pipeline called `name` for the data of a survey, whose paths it takes over; errors name the file `out`.
+/// Suggests a pipeline called `name` for the data of a survey, whose paths it takes over; errors name the file `out`. Also
+/// returns notes on the settings that depend on the number of places, the first on models and steps.
 ///
 /// # Errors
 /// A path that is not UTF-8.
-pub fn suggest_pipeline(survey: &DataSurvey, name: &str, out: &Path) -> Result<Pipeline> {
+pub fn suggest_pipeline(
+    survey: &DataSurvey,
+    name: &str,
+    effort: Effort,
+    out: &Path,
+) -> Result<(Pipeline, Vec<String>)> {
     let mut set = vec![
         format!("name={name}"),
         format!("data={}", try_to_ron(&survey.source).map_err(Error::Config)?),
@@ -62,12 +71,14 @@ pub fn suggest_pipeline(survey: &DataSurvey, name: &str, out: &Path) -> Result<P
     ];
     let (start, batch, baselines) = select_template(survey, &mut set)?;
     set.push(format!("training.batch={}", survey.batch_size(batch)));
+    let sizing = Sizing::of(survey, effort);
+    set.extend(sizing.set);
     set.push(format!("baselines=[{baselines}]"));
     set.extend((!survey.accepted.is_empty()).then(|| format!("accept={:?}", survey.accepted)));
     let shipped = ShippedFile::all(ShippedFile::PIPELINES).into_iter().find(|file| file.name == start);
     let mut pipeline = Pipeline::parse(shipped.expect("the facade registers its pipelines").source, out)?;
     pipeline.set_all(&set)?;
-    Ok(pipeline)
+    Ok((pipeline, sizing.notes))
 }
 
 /// Creates a pipeline called `name` for `data`, which `source` reads (RON): the split of [`suggest_pipeline`], and the defaults

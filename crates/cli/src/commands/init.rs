@@ -9,7 +9,7 @@ use pwrfgs::data::Colormap;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::wrapped;
 use pwrfgs::prelude::Pipeline;
-use pwrfgs::tasks::init::{DataSurvey, pipeline_name, suggest_pipeline};
+use pwrfgs::tasks::init::{DataSurvey, Effort, pipeline_name, suggest_pipeline};
 use pwrfgs_core::docs::Docs;
 use pwrfgs_core::files::{check_path, write_new};
 use pwrfgs_core::{DataSource, Error, Plugin, Result};
@@ -32,6 +32,9 @@ pub(crate) struct Init {
     /// Pipeline file [default: ./NAME.ron, from the name of the folder]
     #[arg(long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
+    /// Time of training: fast (one model), normal (two minutes for small sets), best (more models)
+    #[arg(long, value_name = "EFFORT", default_value = "normal", value_parser = Effort::parse)]
+    pub(crate) effort: Effort,
     /// Colour map of camera images, inverted to values: jet, turbo or viridis
     #[arg(long, value_name = "NAME", value_parser = Colormap::parse)]
     pub(crate) colormap: Option<Colormap>,
@@ -70,20 +73,26 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
             DataSurvey::of_data(source, data, Some(&root), &arguments.accept, progress)
         }
     })?;
-    let pipeline = suggest_pipeline(&survey, &pipeline_name(folder), &out)?;
-    let text = format_pipeline(&survey, &pipeline)?;
+    let (pipeline, sizing) = suggest_pipeline(&survey, &pipeline_name(folder), arguments.effort, &out)?;
+    let text = format_pipeline(&[survey.notes(), sizing.clone()].concat(), &pipeline)?;
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
         std::fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
     }
     if !write_new(&out, text.as_bytes())? {
         return Err(exists());
     }
-    output::print_result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.describe(), out.display()))
+    output::print_result(&format!(
+        "{}: {}\n{}\nnext: pwrfgs run {}\n",
+        out.display(),
+        survey.describe(),
+        sizing[0],
+        out.display()
+    ))
 }
 
-/// Formats the pipeline file, with notes on the data and comments on the settings; an error if the text does not parse
+/// Formats the pipeline file, with notes on the data and its size, and comments on the settings; an error if the text does not parse
 /// to the same pipeline.
-fn format_pipeline(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
+fn format_pipeline(notes: &[String], pipeline: &Pipeline) -> Result<String> {
     let default = example_pipeline().map_err(Error::Config)?;
     let value = Value::new(pipeline.to_ron()?).map_err(Error::Config)?;
     let differs = |path: &[&str]| value.text_at(path) != default.text_at(path);
@@ -97,8 +106,8 @@ fn format_pipeline(survey: &DataSurvey, pipeline: &Pipeline) -> Result<String> {
     let style = CommentStyle { opens: &|field| field != "receiver", shows: &shows };
     let body = style.write(&value, Some(Docs::of::<Pipeline>()), "");
     let mut text = String::new();
-    for line in survey.notes() {
-        text += &wrapped(&line, ["// "; 2], 100);
+    for line in notes {
+        text += &wrapped(line, ["// "; 2], 100);
     }
     text += "//\n// Brackets show the type of a setting. Settings that are not listed have their defaults: `pwrfgs plugins` lists \
              them,\n// and `pwrfgs plugins NAME` describes them.\n";

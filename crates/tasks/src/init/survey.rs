@@ -111,6 +111,12 @@ impl DataSurvey {
         if width >= 120 && width.is_multiple_of(3) && height.is_multiple_of(3) { 3 } else { 1 }
     }
 
+    /// Returns the number of places of the training and validation sets.
+    pub(super) fn known_places(&self) -> usize {
+        let known = self.partition.known().all();
+        known.iter().map(|&i| self.data.links[i].location).collect::<BTreeSet<_>>().len()
+    }
+
     /// Returns the batch size: the number of training transmitters, at most `most`.
     pub fn batch_size(&self, most: usize) -> usize {
         let train = self.partition.train.iter().map(|&i| self.data.links[i].location);

@@ -1,0 +1,116 @@
+//! `Effort`: how long a proposed pipeline trains, and the settings that fit the number of places.
+
+use super::longest_side;
+use super::survey::DataSurvey;
+
+/// Number of known places below which a set is small: training is short, and several models share the noise.
+pub(super) const SMALL: usize = 1_000;
+
+/// Training of a proposed pipeline: its time, and number of models.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Effort {
+    /// One model: seconds for small sets.
+    Fast,
+    /// The default: up to two minutes on two cores for small sets.
+    #[default]
+    Normal,
+    /// Twice as many models, with wider networks.
+    Best,
+}
+
+impl Effort {
+    /// Reads `fast`, `normal` or `best`.
+    ///
+    /// # Errors
+    /// Another word; the message lists the three.
+    pub fn parse(word: &str) -> Result<Self, String> {
+        match word {
+            "fast" => Ok(Self::Fast),
+            "normal" => Ok(Self::Normal),
+            "best" => Ok(Self::Best),
+            _ => Err(format!("`{word}` is no effort; give fast, normal or best")),
+        }
+    }
+
+    /// Returns one of three values.
+    fn pick<T>(self, fast: T, normal: T, best: T) -> T {
+        match self {
+            Self::Fast => fast,
+            Self::Normal => normal,
+            Self::Best => best,
+        }
+    }
+}
+
+/// Settings for the number of known places and the effort, with their reasons.
+pub(super) struct Sizing {
+    /// Changes of the template.
+    pub(super) set: Vec<String>,
+    /// Number of models and steps in one sentence, then the reasons, one note each.
+    pub(super) notes: Vec<String>,
+}
+
+impl Sizing {
+    /// Chooses the settings for the data of a survey.
+    pub(super) fn of(survey: &DataSurvey, effort: Effort) -> Self {
+        let data = &survey.data;
+        let has_residuals = data.features.is_none() && !data.scene.moving.is_receiver() && !data.task().is_complex;
+        let mut sizing = if survey.known_places() < SMALL && has_residuals {
+            Self::small(survey, effort)
+        } else {
+            Self::large(survey, effort)
+        };
+        sizing.set.extend(has_residuals.then(|| "residuals=Kriged()".into()));
+        sizing
+    }
+
+    /// Chooses the settings for many places: those of the template, with more or less time.
+    fn large(survey: &DataSurvey, effort: Effort) -> Self {
+        let mut set = vec![format!("members={}", effort.pick(1, 1, 4))];
+        set.extend((effort == Effort::Fast).then(|| "training.scale=0.25".into()));
+        if survey.data.task().is_scalar {
+            // As many as the 4,000 of the template, which has 3,840 places.
+            set.push(format!("training.steps={}", survey.known_places().clamp(1_200, 4_000)));
+        }
+        let models = effort.pick("one model, a quarter of the steps", "one model", "four models, four times as long");
+        Self { set, notes: vec![format!("{models}; `pwrfgs check` measures the time.")] }
+    }
+
+    /// Chooses the settings for few places: several models, each without a part of the places, and short training against
+    /// learning noise. Steps, jitter, width and decay were chosen by held-out blocks of five training sets
+    /// (docs/lab/small-data.md).
+    fn small(survey: &DataSurvey, effort: Effort) -> Self {
+        let (data, places, models) = (&survey.data, survey.known_places(), effort.pick(1, 4, 8));
+        let is_power = data.task().is_scalar;
+        let (steps, batch) = if is_power { ((4 * places).clamp(400, 1_200), 32) } else { (600, 16) };
+        let mut set = vec![
+            format!("members={models}"),
+            "pruners=[]".into(),
+            "training.densify_until=0".into(),
+            "training.prune_until=0".into(),
+            "training.target_count=0".into(),
+            format!("training.steps={steps}"),
+            format!("training.batch={}", survey.batch_size(batch)),
+        ];
+        if is_power {
+            set.push(format!("deformation.width={}", effort.pick(48, 48, 64)));
+            set.push(format!("training.tx_jitter_m={:.3}", longest_side(data) / 40.0));
+            let others = ["initializer.count=150", "deformation.depth=2", "training.optimizer.network_decay=1.0"];
+            set.extend(others.map(str::to_owned));
+        }
+        let each = if models > 1 {
+            format!("{models} models, each without a part of them, in")
+        } else {
+            "one model in".into()
+        };
+        let mut notes = vec![format!("{places} known places are few: {each} {steps} steps.")];
+        let against_noise = "Shifted positions, a small network and weight decay keep models from learning noise.";
+        notes.extend(is_power.then(|| against_noise.into()));
+        notes.push(
+            "Masks cannot close in so few steps, so training starts with as many Gaussians as it ends with. To prune: \
+             `pruners: [LearnableMask()]`, with `steps: 4000` and `prune_until: 1000` in `training`."
+                .into(),
+        );
+        Self { set, notes }
+    }
+}
