@@ -1,5 +1,6 @@
 //! Names of the files in a run folder: sealed files, files that can be recreated, and snapshots.
 
+use pwrfgs_model::file::MOST_MEMBERS;
 use std::path::{Path, PathBuf};
 
 /// Pipeline file; its presence marks a run folder.
@@ -46,7 +47,7 @@ pub fn member_folder(index: usize) -> String {
 /// of models before it.
 pub fn training_folder(run: &Path) -> (usize, PathBuf) {
     let begun = |index: &usize| run.join(member_folder(*index)).is_dir();
-    let index = (0..).take_while(begun).last();
+    let index = (0..MOST_MEMBERS).take_while(begun).last();
     (index.unwrap_or(0), index.map_or_else(|| run.to_owned(), |index| run.join(member_folder(index))))
 }
 

@@ -100,7 +100,7 @@ pub fn write(path: &Path, model: &Model) -> Result<()> {
 
 /// Returns the bytes of a model file; equal models give equal bytes.
 pub fn to_bytes(model: &Model) -> Vec<u8> {
-    model_tensors(model).to_bytes()
+    ensemble_to_bytes(&Ensemble::of(model.clone()))
 }
 
 /// Writes several models that predict together to one file, atomically; a single model as [`write()`] does.
@@ -132,13 +132,6 @@ pub fn size(ensemble: &Ensemble) -> usize {
     ensemble.read_bytes().unwrap_or_else(|| ensemble_to_bytes(ensemble).len())
 }
 
-/// Returns the tensors of a file with one model, without residuals and calibration.
-pub(crate) fn model_tensors(model: &Model) -> Tensors {
-    let mut file = Tensors::new(&describe_model(model));
-    put_model(&mut file, "", model);
-    file
-}
-
 /// Returns the tensors of a file of all models, with residuals and calibration.
 fn ensemble_tensors(ensemble: &Ensemble) -> Tensors {
     let mut file = predictor_tensors(ensemble);
@@ -146,24 +139,20 @@ fn ensemble_tensors(ensemble: &Ensemble) -> Tensors {
     file
 }
 
-/// Returns the tensors of a file of all models with their residuals; that of [`model_tensors`] for a single model
-/// without them.
+/// Returns the tensors of a file of all models with their residuals.
 pub(crate) fn predictor_tensors(ensemble: &Ensemble) -> Tensors {
-    if let ([model], None) = (ensemble.members(), ensemble.residuals()) {
-        return model_tensors(model);
-    }
     let named = || ensemble.names().iter().zip(ensemble.members());
-    let members =
-        named().map(|(name, model)| MemberNote { name: name.clone(), model: describe_model(model) }).collect();
-    let residuals = ensemble.residuals().map(ResidualsNote::of);
-    let version = if residuals.is_some() { RESIDUALS_VERSION } else { ENSEMBLE_VERSION };
-    let mut file = Tensors::new(&EnsembleNote { format: ENSEMBLE_FORMAT.into(), version, members, residuals });
-    if let Some(residuals) = ensemble.residuals() {
-        residuals.put(&mut file);
-    }
-    for (prefix, model) in model_prefixes(ensemble) {
-        put_model(&mut file, &prefix, model);
-    }
+    let member = |(name, model): (&String, &Model)| MemberNote { name: name.clone(), model: describe_model(model) };
+    let mut file = match (ensemble.members(), ensemble.residuals()) {
+        ([model], None) => Tensors::new(&describe_model(model)),
+        (_, residuals) => {
+            let version = if residuals.is_some() { RESIDUALS_VERSION } else { ENSEMBLE_VERSION };
+            let (members, residuals) = (named().map(member).collect(), residuals.map(ResidualsNote::of));
+            Tensors::new(&EnsembleNote { format: ENSEMBLE_FORMAT.into(), version, members, residuals })
+        }
+    };
+    ensemble.residuals().into_iter().for_each(|residuals| residuals.put(&mut file));
+    model_prefixes(ensemble).for_each(|(prefix, model)| put_model(&mut file, &prefix, model));
     file
 }
 

@@ -9,6 +9,7 @@ use pwrfgs_core::plugin::try_to_ron;
 use pwrfgs_core::{Dataset, Error, Result, ShippedFile};
 use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
+use survey::longest_side;
 pub use survey::{DataSurvey, is_table_or_array, suggest_split, unknown_folder_error};
 
 /// Median distance from test transmitters to the nearest training transmitter below which training learns fine detail,
@@ -195,15 +196,6 @@ fn camera_settings(data: &Dataset) -> Vec<String> {
     set.push(format!("training.optimizer.means.first={:.6}", 0.001 * extent));
     set.push(format!("initializer={start}"));
     set
-}
-
-/// Returns the longest side of the bounding box of the positions, metres.
-fn longest_side(data: &Dataset) -> f64 {
-    let ends = |k: usize| {
-        let coordinates = data.samples().map(move |sample| sample.position()[k]);
-        coordinates.clone().fold(f64::NEG_INFINITY, f64::max) - coordinates.fold(f64::INFINITY, f64::min)
-    };
-    (0..3).map(ends).fold(0.0, f64::max)
 }
 
 /// Returns the name of the folder as a valid name of a pipeline: other characters become dashes; `pipeline` if none is

@@ -16,7 +16,7 @@ impl Preview {
     fn time_of_all(&self) -> TimeEstimate {
         let models = self.pipeline.members as f64;
         let seconds = self.time.seconds.map(|seconds| models * seconds);
-        TimeEstimate { seconds, search_seconds: self.time.search_seconds.map(|s| models * s), ..self.time.clone() }
+        TimeEstimate { seconds, search_seconds: self.time.search_seconds.map(|s| models * s), ..self.time }
     }
 
     /// Formats size and cost of the run as a table.

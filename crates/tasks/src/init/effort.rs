@@ -1,7 +1,6 @@
 //! `Effort`: how long a proposed pipeline trains, and the settings that fit the number of places.
 
-use super::longest_side;
-use super::survey::DataSurvey;
+use super::survey::{DataSurvey, longest_side};
 
 /// Number of known places below which a set is small: training is short, and several models share the noise.
 pub(super) const SMALL: usize = 1_000;

@@ -203,6 +203,15 @@ pub fn suggest_split(data: &Dataset) -> Result<(String, Partition)> {
     Ok(("Random()".into(), split_by("Random()")?))
 }
 
+/// Returns the longest side of the bounding box of the positions, metres.
+pub(super) fn longest_side(data: &Dataset) -> f64 {
+    let ends = |k: usize| {
+        let coordinates = data.samples().map(move |sample| sample.position()[k]);
+        coordinates.clone().fold(f64::NEG_INFINITY, f64::max) - coordinates.fold(f64::INFINITY, f64::min)
+    };
+    (0..3).map(ends).fold(0.0, f64::max)
+}
+
 /// Reads the point clouds in the folder, in order of their file names; unreadable files are left out.
 fn read_clouds(folder: &Path) -> Vec<(PathBuf, Vec<[f64; 3]>)> {
     let is_cloud = |path: &PathBuf| {
