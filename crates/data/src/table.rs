@@ -4,7 +4,6 @@
 //! their names; each can be chosen. Readings of a link that repeat are kept, in a location each at the same position.
 
 mod columns;
-mod dialect;
 mod finish;
 mod names;
 mod options;
@@ -15,7 +14,6 @@ mod survey;
 #[cfg(test)]
 mod tests;
 
-pub use dialect::TableFile;
 pub use options::{ColumnChoice, ImportedTable, TableImport};
 
 use self::survey::Survey;

@@ -1,6 +1,6 @@
 //! `TableImport`: tables and how to read them, and what comes of it.
 
-use super::dialect::TableFile;
+use crate::dialect::TableFile;
 use pwrfgs_core::{Dataset, PowerUnit};
 
 /// Columns that the user chose: names, or numbers from 1. `None`: recognised by name.

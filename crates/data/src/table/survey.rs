@@ -1,12 +1,12 @@
 //! `Survey`: collects readings from tables.
 
 use super::columns::ColumnSearch;
-use super::dialect::{TableFile, TableText};
 use super::options::TableImport;
 use super::places::{Frame, Places, SAME_M, distance, read_named, read_rows};
 use super::powers::PowerColumns;
 use super::rows::{RowPlace, RowReader};
 use crate::checks::power_fault;
+use crate::dialect::{TableFile, TableText};
 use crate::text::{TextField, TextRow};
 use pwrfgs_core::messages::{quoted, strip_control};
 use pwrfgs_core::{Real, Result};
@@ -129,7 +129,7 @@ impl<'a> Survey<'a> {
             for (&column, &receiver) in columns.iter().zip(&names) {
                 // A row may end early: its last cells are empty.
                 let Some(field) = row.fields.get(column) else { break };
-                if let Some(dbm) = self.dbm(reader.table, &row, *field)? {
+                if let Some(dbm) = self.dbm(&row, *field)? {
                     self.readings.push(Reading { location, receiver, dbm });
                 }
             }
@@ -154,7 +154,7 @@ impl<'a> Survey<'a> {
                     return Err(row.fault(1, format!("{problem}; give one position per receiver")));
                 }
             }
-            let Some(dbm) = self.dbm(reader.table, &row, cell(power)?)? else { continue };
+            let Some(dbm) = self.dbm(&row, cell(power)?)? else { continue };
             let cells =
                 reader.transmitter.iter().map(|k| cell(*k).map(|field| field.text)).collect::<Result<Vec<_>>>()?;
             let count = self.groups.len() as u32;
@@ -177,7 +177,7 @@ impl<'a> Survey<'a> {
         let mut height = height.unwrap_or(0.0);
         if let Some(column) = reader.floor {
             let field = row.cell((column, &reader.table.names[column]), "give every row a floor")?;
-            let floor = reader.table.number(row, field, "floor")?.unwrap_or(0.0);
+            let floor = row.optional(field, "give the floor as a number, or leave the cell empty")?.unwrap_or(0.0);
             self.floors.insert(field.text.to_owned());
             height += floor * floor_height.unwrap_or(0.0);
         }
@@ -210,8 +210,8 @@ impl<'a> Survey<'a> {
     }
 
     /// Returns the power in a cell, dBm; `None` if nothing was heard.
-    fn dbm(&mut self, table: &TableText, row: &TextRow<'_>, field: TextField<'_>) -> Result<Option<Real>> {
-        let Some(value) = table.number(row, field, "power")? else {
+    fn dbm(&mut self, row: &TextRow<'_>, field: TextField<'_>) -> Result<Option<Real>> {
+        let Some(value) = row.optional(field, "give the power as a number, or leave the cell empty")? else {
             self.silent += 1;
             return Ok(None);
         };

@@ -1,4 +1,5 @@
 use super::*;
+use crate::TableFile;
 use flate2::{Compression, write::GzEncoder};
 use pwrfgs_core::PowerUnit;
 use std::fmt::Write as _;
