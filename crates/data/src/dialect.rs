@@ -13,6 +13,7 @@ use pwrfgs_core::{Error, Result};
 use std::borrow::Cow;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
@@ -32,9 +33,9 @@ pub struct TableFile {
     pub bytes: Option<Vec<u8>>,
 }
 
-impl From<PathBuf> for TableFile {
-    fn from(path: PathBuf) -> Self {
-        Self { path, bytes: None }
+impl From<OsString> for TableFile {
+    fn from(path: OsString) -> Self {
+        Self { path: path.into(), bytes: None }
     }
 }
 

@@ -82,7 +82,7 @@ fn read_files(value: &Bound<'_, PyAny>) -> PyResult<Vec<TableFile>> {
 /// Reads a path, or a data frame as CSV.
 fn read_file(value: &Bound<'_, PyAny>) -> PyResult<TableFile> {
     if let Ok(path) = value.extract::<PathBuf>() {
-        return Ok(path.into());
+        return Ok(path.into_os_string().into());
     }
     if !value.hasattr("to_csv")? {
         return reject(value.py(), "a table is the path of a file, or a pandas DataFrame");

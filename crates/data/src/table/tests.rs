@@ -202,7 +202,7 @@ fn other_files_state_places_receivers_and_test_set() {
     let write = |name: &str, text: &str| {
         let path = folder.path().join(name);
         std::fs::write(&path, text).unwrap();
-        Some(TableFile::from(path))
+        Some(TableFile::from(path.into_os_string()))
     };
     let rooms = "cell,b1,b2\nO02,-60,-200\nP01,-70,-71\nO02,-61,-200\n";
     let import = TableImport {
