@@ -305,6 +305,16 @@ fn channels_of_a_chip_become_powers_or_channels() {
     let powers = ["--axes", "m,f,ir", "--powers", "--out", "powers"];
     let message = stderr(&succeed(here, &[&import[..], &powers].concat()));
     assert!(message.contains("8 received powers at 4 receivers in powers"), "{message}");
+    assert!(fs::read_to_string(here.join("powers/manifest.json")).unwrap().contains("\"unit\": \"dB (relative)\""));
+    let facts = stdout(&succeed(here, &["inspect", "powers"]));
+    assert!(facts.contains("relative received power") && !facts.contains("dBm"), "{facts}");
+    let pipeline = "(data: Nerf2Rssi(root: \"powers\"), split: Random(test: 0.5, validation: 0.0), baselines: [], \
+                    setup: (task: Power), training: (steps: 1))";
+    write(&here.join("powers.ron"), pipeline);
+    succeed(here, &["run", "powers.ron", "--out", "run", "-q"]);
+    succeed(here, &["map", "run", "--plane", "z=1", "--step", "1", "--out", "map", "-q"]);
+    let map = fs::read_to_string(here.join("map/map.csv")).unwrap();
+    assert!(map.contains(",relative received power,dB,") && !map.contains("dBm"), "{map}");
     assert!(
         fs::read_to_string(here.join("powers/gateway_rssi.csv")).unwrap().starts_with("subcarrier 0,subcarrier 1,")
     );

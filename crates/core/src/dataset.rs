@@ -8,7 +8,7 @@ use crate::{
     Camera, Elevation, End, Ends, Error, Features, Image, ImagePlane, Link, Location, Observations, Origin, Pose,
     Query, Real, Receiver, Result, Sample, Scene, Spectra, Task, Vec3, carrier_fault, place_fault,
 };
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// All data of a source, in columns: locations of the moving end, receivers, links between them, and the observation of
 /// each link.
@@ -395,7 +395,7 @@ fn build_scene(ends: Ends, points: Vec<[f64; 3]>, locations: &[Location]) -> Sce
     let fixed = fixed.into_iter().map(|position| origin.local_pose(position.into()).origin().to_array());
     let occupied = positions().map(|position| origin.local(position)).chain(points.iter().copied());
     let bounds = bounding_box(occupied.chain(fixed));
-    Scene { origin, moving, transmitter, receivers, bounds, points, geodetic: None }
+    Scene { origin, moving, transmitter, receivers, bounds, points, geodetic: None, floors: BTreeMap::new() }
 }
 
 /// Returns the smallest and largest corner of the given points.

@@ -10,15 +10,19 @@ use std::path::PathBuf;
 /// Reads a table, or several, with the options of `pwrfgs import --table`.
 pub(super) fn read(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Data> {
     let mut import = TableImport { files: read_files(table)?, title: "table".into(), ..TableImport::default() };
+    let mut accepted = Vec::new();
     for (key, value) in options.into_iter().flatten() {
         if !value.is_none() {
             let key: String = key.extract()?;
-            set_option(&mut import, &key, &value)?;
+            match &*key {
+                "accept" => accepted = each(&value)?.iter().map(PyAnyMethods::extract).collect::<PyResult<_>>()?,
+                key => set_option(&mut import, key, &value)?,
+            }
         }
     }
     let imported = without_gil(table.py(), || import.read())?;
     imported.notes.iter().for_each(|note| log_message("info", note));
-    Ok(imported.data)
+    Ok(Data { accepted, ..imported.data })
 }
 
 /// Sets one option.

@@ -135,8 +135,9 @@ impl ChannelImport {
         let strongest = powers.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let powers: Observations =
             powers.into_iter().map(|db: f64| (db - strongest) as Real).collect::<Vec<Real>>().into();
-        let receivers: Vec<Receiver> =
-            listed.iter().map(|k| Receiver::new(format!("{noun} {k}"), self.receiver)).collect();
+        let receiver =
+            |k: &usize| Receiver { is_relative: true, ..Receiver::new(format!("{noun} {k}"), self.receiver) };
+        let receivers: Vec<Receiver> = listed.iter().map(receiver).collect();
         Dataset::of_links(format!("{} (relative dB)", self.name), receivers, vec![], &samples, powers)
     }
 }

@@ -14,7 +14,7 @@ impl Survey<'_> {
             return Err(Error::input(path, problem));
         }
         if self.floors.len() > 1 && self.import.floor_height.is_none() {
-            let floors = list(self.floors.iter().map(String::as_str));
+            let floors = list(self.floors.keys().map(String::as_str));
             let problem = format!("has the floors {floors}; give their height with --floor-height METRES");
             return Err(Error::input(path, problem));
         }
@@ -35,7 +35,7 @@ impl Survey<'_> {
         let part = |test: bool| (0..is_test.len()).filter(|i| is_test[*i] == test).collect::<Vec<usize>>();
         data.official = (!self.import.test.is_empty()).then(|| (part(false), part(true)));
         data.estimate_receivers(&(0..data.len()).collect::<Vec<_>>());
-        data.scene.geodetic = self.frame.geodetic;
+        (data.scene.geodetic, data.scene.floors) = (self.frame.geodetic, std::mem::take(&mut self.floors));
         data.simulation = self.import.is_simulated.then(Simulation::default);
         let after = preview(&data);
         Ok(ImportedTable { data, notes: self.notes, before: self.before, after })

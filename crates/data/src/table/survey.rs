@@ -56,7 +56,8 @@ pub(super) struct Survey<'a> {
     pub(super) receivers: Vec<NamedReceiver>,
     pub(super) receiver_indices: HashMap<String, u32>,
     pub(super) readings: Vec<Reading>,
-    pub(super) floors: BTreeSet<String>,
+    /// Height on each floor, metres.
+    pub(super) floors: BTreeMap<String, f64>,
     /// Spellings of receiver names that were joined with another one.
     pub(super) respelled: BTreeSet<String>,
     /// Number of cells with each code for "not heard".
@@ -87,7 +88,7 @@ impl<'a> Survey<'a> {
             receivers: Vec::new(),
             receiver_indices: HashMap::new(),
             readings: Vec::new(),
-            floors: BTreeSet::new(),
+            floors: BTreeMap::new(),
             respelled: BTreeSet::new(),
             coded: vec![0; import.missing.len()],
             silent: 0,
@@ -178,8 +179,8 @@ impl<'a> Survey<'a> {
         if let Some(column) = reader.floor {
             let field = row.cell((column, &reader.table.names[column]), "give every row a floor")?;
             let floor = row.optional(field, "give the floor as a number, or leave the cell empty")?.unwrap_or(0.0);
-            self.floors.insert(field.text.to_owned());
             height += floor * floor_height.unwrap_or(0.0);
+            self.floors.insert(field.text.to_owned(), height);
         }
         let position = match reader.place {
             RowPlace::Columns(columns) => self.frame.read(reader.table, row, columns, height)?,
