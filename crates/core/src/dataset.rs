@@ -239,6 +239,16 @@ impl Dataset {
         Query { pose, features, receiver, id: Some(id) }
     }
 
+    /// Returns the poses of transmitter and receiver of link `i` in the user's frame; an end of unknown position has an arbitrary
+    /// one.
+    pub fn link_ends(&self, i: usize) -> [Pose; 2] {
+        let (moved, scene) = (self.locations[self.links[i].location].pose, &self.scene);
+        match scene.moving {
+            End::Transmitter => [moved, scene.origin.world_pose(scene.receivers[self.links[i].receiver].pose)],
+            End::Receiver => [scene.origin.world_pose(scene.transmitter.unwrap_or_default().into()), moved],
+        }
+    }
+
     /// Returns the measurement type.
     pub fn task(&self) -> Task {
         self.observations.task()

@@ -62,7 +62,14 @@ pub(crate) struct Import {
     #[arg(long, value_name = "FACTOR", allow_hyphen_values = true, conflicts_with = "files")]
     pub(crate) scale: Option<f64>,
     /// Colour map of a folder of images, inverted to values: jet, turbo or viridis
-    #[arg(long, value_name = "NAME", value_parser = Colormap::parse, conflicts_with = "files")]
+    #[arg(
+        long,
+        value_name = "NAME",
+        value_enum,
+        ignore_case = true,
+        hide_possible_values = true,
+        conflicts_with = "files"
+    )]
     pub(crate) colormap: Option<Colormap>,
     /// Mark the spectra as simulated in titles and tables
     #[arg(long)]
