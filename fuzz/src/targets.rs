@@ -84,14 +84,8 @@ pub const TARGETS: &[Target] = &[
     of(40, "data/spectrum/00002.png", &["data/spectrum"], Png, |bench| step(bench, "measured.ron")),
     of(8, "rssi/gateway_position.yml", &[], Plain, |bench| step(bench, "powers.ron")),
     of(24, "rssi/gateway_rssi.csv", &[], Plain, |bench| step(bench, "powers.ron")),
-    of(8, "links.csv", &[], Plain, |bench| {
-        let table = TableImport {
-            files: vec![bench.join("links.csv").into()],
-            title: "links".into(),
-            ..TableImport::default()
-        };
-        table.read().and_then(|imported| check_dataset(&imported.data))
-    }),
+    of(8, "links.csv", &[], Plain, |bench| table(bench, "links.csv")),
+    of(2, "links.csv.gz", &[], Plain, |bench| table(bench, "links.csv.gz")),
     of(8, "poses.csv", &[], Plain, |bench| pwrfgs::data::read_poses(&bench.join("poses.csv")).map(drop)),
     of(8, "colmap/sparse/0/cameras.txt", &[], Plain, cameras),
     of(16, "colmap/sparse/0/images.txt", &[], Plain, cameras),
@@ -149,6 +143,13 @@ pub const TARGETS: &[Target] = &[
     program("sweep/a/scores.csv", Plain, &["report", "sweep", "--out", "compared", "-q"]),
     program("scene.ron", Plain, &["simulate", "scene.ron", "--out", "simulated", "--samples", "5", "-q"]),
 ];
+
+/// Reads a table of powers.
+fn table(bench: &Path, name: &str) -> Result<()> {
+    let files = vec![bench.join(name).into_os_string().into()];
+    let import = TableImport { files, title: "links".into(), ..TableImport::default() };
+    import.read().and_then(|imported| check_dataset(&imported.data))
+}
 
 fn pipeline(bench: &Path) -> Result<()> {
     let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;

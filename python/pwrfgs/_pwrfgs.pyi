@@ -106,6 +106,7 @@ class Dataset:
         floor_height: Optional[float] = None,
         title: str = "table",
         simulated: bool = False,
+        accept: Union[str, Sequence[str]] = (),
     ) -> Dataset: ...
     def save(self, path: _Path) -> None: ...
     def observations(self, links: ArrayLike) -> _Observed: ...
@@ -238,7 +239,7 @@ class Model:
         self,
         *,
         plane: str,
-        step: float = 0.1,
+        step: Optional[float] = None,
         bounds: Optional[_Box] = None,
         receiver: Optional[Union[str, Sequence[str]]] = None,
         of: Optional[Union[str, Sequence[str]]] = None,

@@ -71,7 +71,7 @@ impl Dataset {
             (text, reader)
         };
         let data = run_stoppable(py, |stop| reader.load(Path::new(""), &stop_progress(stop)))?;
-        inputs::warn_findings(py, &data)?;
+        inputs::warn_findings(py, &data, None)?;
         Ok(Self::new(data, Some(text)))
     }
 
@@ -156,7 +156,7 @@ impl Dataset {
             let data = if let Some(carriers) = carriers { made.with_carriers(&carriers)? } else { made };
             check_dataset(&data).map(|()| data)
         })?;
-        inputs::warn_findings(py, &data)?;
+        inputs::warn_findings(py, &data, None)?;
         Ok(Self::new(data, None))
     }
 
@@ -173,16 +173,17 @@ impl Dataset {
     /// * `unit`: "dBm", "positive-dBm", "percent", "dB:FLOOR", "mW" or "W".
     /// * `lat_lon`: positions are degrees. `height` (metres, where there is none) and `floor_height`.
     /// * `title`, `simulated`.
+    /// * `accept`: names of findings that are right, such as `["lone-value"]`. Others that make results meaningless are errors.
     ///
     /// What was understood is logged to the logger `pwrfgs` at level INFO.
     #[staticmethod]
     #[pyo3(signature = (table, **options))]
     #[pyo3(
-        text_signature = "(table, *, x=None, y=None, z=None, lat=None, lon=None, floor=None, receiver=None, power=None, time=None, tx_id=None, columns=None, tx=None, places=None, receivers=None, test=None, missing=None, unit='dBm', lat_lon=False, height=None, floor_height=None, title='table', simulated=False)"
+        text_signature = "(table, *, x=None, y=None, z=None, lat=None, lon=None, floor=None, receiver=None, power=None, time=None, tx_id=None, columns=None, tx=None, places=None, receivers=None, test=None, missing=None, unit='dBm', lat_lon=False, height=None, floor_height=None, title='table', simulated=False, accept=())"
     )]
     fn from_table(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let data = table::read(table, options)?;
-        inputs::warn_findings(table.py(), &data)?;
+        inputs::warn_findings(table.py(), &data, Some(&data.accepted))?;
         Ok(Self::new(data, None))
     }
 

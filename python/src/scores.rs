@@ -12,6 +12,7 @@ use pwrfgs_core::{
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 /// Reads observations `[.., axes of one]` of `task`, one image each.
@@ -85,6 +86,7 @@ fn evaluation<'a>([predictions, truths]: [&'a [Image]; 2], plane: &'a ImagePlane
 fn empty_scene(points: Vec<[Real; 3]>) -> Scene {
     Scene {
         geodetic: None,
+        floors: BTreeMap::new(),
         origin: Origin::ZERO,
         moving: End::Transmitter,
         transmitter: None,

@@ -1,8 +1,11 @@
 """Tables of received powers: files and data frames give the same data."""
 
 import gzip
+import json
 import logging
 import pickle
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -72,6 +75,33 @@ def test_wrong_options_are_errors(survey, options, words):
         pwrfgs.Dataset.from_table(survey, missing=100, **options)
     with pytest.raises(pwrfgs.InputError, match="path of a file, or a pandas DataFrame"):
         pwrfgs.Dataset.from_table(3)
+
+
+def test_findings_are_errors_unless_accepted(tmp_path):
+    rows = [f"{k},{j},{-40 - k - j / 3:.1f}" for k in range(8) for j in range(8)] + ["9,9,100"] * 4
+    path = tmp_path / "codes.csv"
+    path.write_text("\n".join(["x,y,rssi", *rows]))
+    with pytest.raises(pwrfgs.InputError, match="lone-value: of 68 received powers, 4 are 100") as error:
+        pwrfgs.Dataset.from_table(path)
+    assert 'accept=["lone-value"]' in str(error.value) or "accept" in str(error.value)
+    with pytest.warns(UserWarning, match="lone-value"):
+        data = pwrfgs.Dataset.from_table(path, accept=["lone-value"])
+    assert len(data) == 68
+    data.save(tmp_path / "accepted")
+    assert '"lone-value"' in (tmp_path / "accepted" / "manifest.json").read_text()
+    assert len(pwrfgs.Dataset.from_table(path, missing=100)) == 64
+
+
+def test_frame_and_command_line_give_the_same_data(tmp_path):
+    frame = pandas.DataFrame({"x": [0, 1, 0, 1], "y": 0.0, "floor": [0, 0, 2, 2], "a1": [-40, -45, -60, 1], "a2": -50.5})
+    frame.to_csv(tmp_path / "a.csv", index=False, sep=";", decimal=",")
+    options = ["--missing", "1", "--floor-height", "3.5", "--height", "1", "--name", "hall"]
+    command = ["import", "--table", str(tmp_path / "a.csv"), *options, "--out", str(tmp_path / "out"), "-q"]
+    subprocess.run([sys.executable, "-m", "pwrfgs", *command], check=True)
+    data = pwrfgs.Dataset.from_table(frame, missing=1, floor_height=3.5, height=1, title="hall")
+    same(data, pwrfgs.Dataset.load(tmp_path / "out"))
+    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["floors"] == {"0": 1.0, "2": 8.0}
+    assert pickle.loads(pickle.dumps(data))._digest == data._digest
 
 
 def test_pickles_know_what_was_estimated():

@@ -305,6 +305,21 @@ fn channels_of_a_chip_become_powers_or_channels() {
     let powers = ["--axes", "m,f,ir", "--powers", "--out", "powers"];
     let message = stderr(&succeed(here, &[&import[..], &powers].concat()));
     assert!(message.contains("8 received powers at 4 receivers in powers"), "{message}");
+    assert!(fs::read_to_string(here.join("powers/manifest.json")).unwrap().contains("\"unit\": \"dB (relative)\""));
+    let facts = stdout(&succeed(here, &["inspect", "powers"]));
+    assert!(facts.contains("relative received power") && !facts.contains("dBm"), "{facts}");
+    let positions: Vec<u8> = (0..90).flat_map(|i| f64::from(i * i % 37).to_le_bytes()).collect();
+    write(&here.join("tx.npy"), [npy_header(Number::F64, &[30, 3]), positions].concat());
+    let numbers: Vec<u8> = (0..30 * 2).flat_map(|i: i16| (1 + i * i % 59).to_le_bytes()).collect();
+    write(&here.join("amplitudes.npy"), [npy_header_as("<i2", &[30, 2]), numbers].concat());
+    let many = ["import", "--channels", "amplitudes.npy", "--tx", "tx.npy", "--receiver", "0,0,2", "--axes", "m,f"];
+    let all = ["--powers", "--accept", "row-order", "--accept", "position-unit", "--out", "many"];
+    succeed(here, &[&many[..], &all].concat());
+    succeed(here, &["init", "many", "--out", "many.ron"]);
+    succeed(here, &["run", "many.ron", "--scale", "0.001", "--set", "split=Random()", "--out", "run", "-q"]);
+    succeed(here, &["map", "run", "--plane", "z=1", "--step", "1", "--out", "map", "-q"]);
+    let map = fs::read_to_string(here.join("map/map.csv")).unwrap();
+    assert!(map.contains(",relative received power,dB,") && !map.contains("dBm"), "{map}");
     assert!(
         fs::read_to_string(here.join("powers/gateway_rssi.csv")).unwrap().starts_with("subcarrier 0,subcarrier 1,")
     );

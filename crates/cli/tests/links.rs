@@ -311,7 +311,7 @@ fn maps_powers(here: &Path) {
         (&["--plane", "z=1", "--step", "0"], &["--step 0"]),
         (&["--plane", "z=1", "--step", "1e300"], &["--step 1e300: expected"]),
         (&["--plane", "z=1", "--bounds", "2,1,0,1"], &["--bounds 2,1,0,1", "the smaller first"]),
-        (&["--plane", "z=1", "--bounds", "0,90000,0,90000"], &["too large", "increase --step"]),
+        (&["--plane", "z=1", "--bounds", "0,90000,0,90000", "--step", "0.1"], &["too large", "increase --step"]),
         (&["--plane", "z=1", "--of", "direction"], &["--of direction", "received powers"]),
         (&["--plane", "z=1", "--receiver", "x"], &["--receiver x", "north, south"]),
     ] {

@@ -199,6 +199,16 @@ fn results_of_degrees_are_degrees() {
     succeed(here, &["map", "run", "--plane", "z=0", "--step", "0.1", "--out", "map"]);
     let table = fs::read_to_string(here.join("map/map.csv")).unwrap();
     assert!(table.lines().next().unwrap().ends_with("first_latitude,first_longitude,last_latitude,last_longitude"));
+    let bounds = |bounds: &str, out: &str| {
+        let said = stderr(&succeed(here, &["map", "run", "--plane", "z=0", "--bounds", bounds, "--out", out]));
+        (said, fs::read_to_string(here.join(out).join("map.csv")).unwrap())
+    };
+    // A hundredth of a degree is 1,112 m, or 743 m along a circle of latitude.
+    let (said, table) = bounds("48.1,48.11,11.5,11.51", "degrees");
+    assert!(said.contains("grid spacing 2 m, chosen for the size of the map; set --step to change this"), "{said}");
+    let cells: Vec<&str> = table.lines().nth(1).unwrap().split(',').collect();
+    assert_eq!((cells[7], cells[10], cells[11], cells[17]), ("373", "556", "2", "48.1000000"), "{table}");
+    assert!(bounds("-2500,2500,-2500,2500", "wide").0.contains("grid spacing 20 m"));
     succeed(here, &["locate", "run", "--out", "located"]);
     let table = fs::read_to_string(here.join("located/locations.csv")).unwrap();
     let last: Vec<f64> = table.lines().nth(1).unwrap().rsplit(',').take(2).map(|cell| cell.parse().unwrap()).collect();

@@ -8,7 +8,7 @@ use crate::{
     Camera, Elevation, End, Ends, Error, Features, Image, ImagePlane, Link, Location, Observations, Origin, Pose,
     Query, Real, Receiver, Result, Sample, Scene, Spectra, Task, Vec3, carrier_fault, place_fault,
 };
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// All data of a source, in columns: locations of the moving end, receivers, links between them, and the observation of
 /// each link.
@@ -239,6 +239,16 @@ impl Dataset {
         Query { pose, features, receiver, id: Some(id) }
     }
 
+    /// Returns the poses of transmitter and receiver of link `i` in the user's frame; an end of unknown position has an arbitrary
+    /// one.
+    pub fn link_ends(&self, i: usize) -> [Pose; 2] {
+        let (moved, scene) = (self.locations[self.links[i].location].pose, &self.scene);
+        match scene.moving {
+            End::Transmitter => [moved, scene.origin.world_pose(scene.receivers[self.links[i].receiver].pose)],
+            End::Receiver => [scene.origin.world_pose(scene.transmitter.unwrap_or_default().into()), moved],
+        }
+    }
+
     /// Returns the measurement type.
     pub fn task(&self) -> Task {
         self.observations.task()
@@ -395,7 +405,7 @@ fn build_scene(ends: Ends, points: Vec<[f64; 3]>, locations: &[Location]) -> Sce
     let fixed = fixed.into_iter().map(|position| origin.local_pose(position.into()).origin().to_array());
     let occupied = positions().map(|position| origin.local(position)).chain(points.iter().copied());
     let bounds = bounding_box(occupied.chain(fixed));
-    Scene { origin, moving, transmitter, receivers, bounds, points, geodetic: None }
+    Scene { origin, moving, transmitter, receivers, bounds, points, geodetic: None, floors: BTreeMap::new() }
 }
 
 /// Returns the smallest and largest corner of the given points.

@@ -2,6 +2,7 @@
 
 use crate::{Camera, Geodetic, JsonSchema, Mat3, Real, Vec3};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Maximum coordinate, metres. Double precision resolves 15 nm at this distance, and no map has larger coordinates.
 pub const MAX_COORDINATE_M: f64 = 1e8;
@@ -25,6 +26,8 @@ pub struct Scene {
     pub points: Vec<[Real; 3]>,
     /// Latitude and longitude of the user's frame; `None` if the data have none.
     pub geodetic: Option<Geodetic>,
+    /// Height of the moving end on each floor, by its name, metres; empty if the data name no floors.
+    pub floors: BTreeMap<String, f64>,
 }
 
 impl Scene {
@@ -122,12 +125,16 @@ pub struct Receiver {
     /// Whether the data do not state the position, and it is an estimate from the strongest observations.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub is_estimated: bool,
+    /// Whether its powers are relative, in dB, because it is not calibrated.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub is_relative: bool,
 }
 
 impl Receiver {
     /// Creates a receiver with one antenna at its position.
     pub fn new(name: impl Into<String>, pose: Pose) -> Self {
-        Self { name: name.into(), pose, antennas: vec![[0.0; 3]], carrier_hz: None, camera: None, is_estimated: false }
+        let (name, antennas) = (name.into(), vec![[0.0; 3]]);
+        Self { name, pose, antennas, carrier_hz: None, camera: None, is_estimated: false, is_relative: false }
     }
 
     /// Returns this receiver at one of several carriers, Hz, with the name of the carrier, such as `2400MHz`.

@@ -6,6 +6,12 @@ pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
     sum / count
 }
 
+/// Returns the standard deviation of values from their mean; NaN without values.
+pub fn deviation(values: &[f64]) -> f64 {
+    let middle = mean(values.iter().copied());
+    mean(values.iter().map(|value| (value - middle).powi(2))).sqrt()
+}
+
 /// Returns at most `count` of the `items`, evenly spaced.
 pub fn evenly<T: Clone>(items: &[T], count: usize) -> Vec<T> {
     let n = items.len().min(count);

@@ -1,11 +1,12 @@
 //! Colour maps of spectra that were saved as figures, and the values that their colours stand for.
 
+use clap::ValueEnum;
 use image::RgbImage;
-use pwrfgs_core::{JsonSchema, did_you_mean};
+use pwrfgs_core::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Colour map of images, from 0 to 1.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ValueEnum)]
 pub enum Colormap {
     /// `jet` of Matplotlib: dark blue, cyan, yellow, dark red.
     Jet,
@@ -46,27 +47,9 @@ const SAMPLED: usize = 10_000;
 const FEWEST: usize = 16;
 
 impl Colormap {
-    /// All colour maps.
-    pub const ALL: [Self; 3] = [Self::Jet, Self::Turbo, Self::Viridis];
-
     /// Returns the name in Matplotlib.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Jet => "jet",
-            Self::Turbo => "turbo",
-            Self::Viridis => "viridis",
-        }
-    }
-
-    /// Parses the name in Matplotlib, in either case.
-    ///
-    /// # Errors
-    /// An unknown name: the problem with the nearest one.
-    pub fn parse(name: &str) -> Result<Self, String> {
-        Self::ALL.into_iter().find(|map| map.name().eq_ignore_ascii_case(name)).ok_or_else(|| {
-            let hint = did_you_mean(name, Self::ALL.map(Self::name));
-            format!("unknown colour map `{name}`{hint}; known are {}", Self::ALL.map(Self::name).join(", "))
-        })
+    pub fn name(self) -> String {
+        format!("{self:?}").to_lowercase()
     }
 
     /// Returns the colour of a value from 0 to 1: red, green and blue from 0 to 255.
@@ -127,7 +110,7 @@ impl Colormap {
             let is_on_map = values.len() >= FEWEST && 10 * near >= 9 * pixels.len();
             is_on_map.then(|| (distances.iter().map(|squared| i64::from(*squared)).sum::<i64>(), map))
         };
-        Self::ALL.into_iter().filter_map(distance).min_by_key(|(total, _)| *total).map(|(_, map)| map)
+        Self::value_variants().iter().copied().filter_map(distance).min_by_key(|(total, _)| *total).map(|(_, map)| map)
     }
 }
 
@@ -190,21 +173,19 @@ mod tests {
 
     #[test]
     fn colours_are_inverted_and_their_map_is_recognised() {
-        for map in Colormap::ALL {
+        for map in [Colormap::Jet, Colormap::Turbo, Colormap::Viridis] {
             let (image, values) = image(map);
             assert_eq!(Colormap::recognise(&image), Some(map));
             let inverted = map.invert(&image).unwrap();
             let error = |(a, b): (&u8, &u8)| a.abs_diff(*b);
             let largest = inverted.iter().zip(&values).map(error).max().unwrap();
             assert!(largest <= 2, "{map:?}: {largest}");
-            for other in Colormap::ALL.into_iter().filter(|other| *other != map) {
+            for other in [Colormap::Jet, Colormap::Turbo].into_iter().filter(|other| *other != map) {
                 let message = other.invert(&image).unwrap_err();
                 assert!(message.contains(&format!("of its pixels are not colours of {}", other.name())), "{message}");
             }
-            assert_eq!(Colormap::parse(&map.name().to_uppercase()), Ok(map));
+            assert_eq!(Colormap::from_str(&map.name().to_uppercase(), true), Ok(map));
         }
-        let message = Colormap::parse("jett").unwrap_err();
-        assert_eq!(message, "unknown colour map `jett`; did you mean `jet`?; known are jet, turbo, viridis");
     }
 
     #[test]

@@ -6,6 +6,7 @@ use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::{quoted, strip_control};
 use pwrfgs_core::{Dataset, Error, Geodetic, Pose, Receiver, Result, Simulation, carrier_fault, files, place_fault};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -69,6 +70,9 @@ pub(crate) fn folder_name(root: &Path) -> String {
     strip_control(&root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy()))
 }
 
+/// Unit of received powers of receivers that are not calibrated.
+pub(crate) const RELATIVE: &str = "dB (relative)";
+
 /// `manifest.json` as written by `pwrfgs simulate` and by [`save`](crate::save()).
 #[derive(Default, Deserialize)]
 #[serde(default)]
@@ -86,6 +90,10 @@ struct Manifest {
     estimated_receivers: Vec<String>,
     /// Findings that the user accepted.
     accepted: Vec<String>,
+    /// Unit of the powers, if it is not dBm: [`RELATIVE`].
+    unit: Option<String>,
+    /// Height of the transmitters on each floor, metres.
+    floors: BTreeMap<String, f64>,
 }
 
 impl Manifest {
@@ -129,11 +137,16 @@ pub(crate) fn restore_saved(root: &Path, mut data: Dataset) -> Result<Dataset> {
         }
         data.locations.iter_mut().zip(ids).for_each(|(location, id)| location.id = id);
     }
-    if let Some(Manifest { title, bounds, geodetic, estimated_receivers, accepted, .. }) = Manifest::read(root) {
-        data.accepted = accepted;
+    if let Some(Manifest { title, bounds, geodetic, estimated_receivers, accepted, unit, floors, .. }) =
+        Manifest::read(root)
+    {
+        (data.accepted, data.scene.floors) = (accepted, floors);
         data.scene.geodetic = geodetic.filter(|geodetic| geodetic.is_valid());
         let is_estimated = |receiver: &Receiver| estimated_receivers.contains(&receiver.name);
-        data.scene.receivers.iter_mut().for_each(|receiver| receiver.is_estimated = is_estimated(receiver));
+        for receiver in &mut data.scene.receivers {
+            receiver.is_estimated = is_estimated(receiver);
+            receiver.is_relative = unit.as_deref() == Some(RELATIVE);
+        }
         if let Some(title) = title {
             data.title = strip_control(&title);
             data.title = data.marked_title();

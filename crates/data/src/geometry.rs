@@ -6,11 +6,10 @@
 //! `mesh-loader` 0.1.13 rejects an OBJ file in which only some objects have textures. Neither reports line and column
 //! of every error.
 
+use crate::dialect::{TableText, is_named};
 use crate::ply;
 use crate::polygons::{Polygons, Triangles};
-use crate::text::{
-    POINT_ADVICE, TextField, TextRow, VERTEX_ADVICE, XyzColumns, numbered_lines, read_bytes, read_text, warn_once,
-};
+use crate::text::{POINT_ADVICE, TextField, TextRow, VERTEX_ADVICE, XyzColumns, numbered_lines, read_bytes, warn_once};
 use pwrfgs_core::files::MAX_NUMBERS;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Result};
@@ -130,9 +129,8 @@ const ADVICE: &str = "check the path of the point cloud";
 /// Reads the points `[P,3]` of a file, which holds at least one.
 ///
 /// * `.ply`: ascii or binary of either byte order; `x`, `y` and `z` anywhere among the properties of `vertex`.
-/// * `.xyz`, `.txt`: x y z and further columns, one point per line; lines that start with `#` or `//` are ignored, and the
-///   first of the others may hold the number of points alone, as `CloudCompare` writes it.
-/// * `.csv`: the same between commas, or with a header that names x, y and z in any order, such as `//X,Y,Z` or `x [m]`.
+/// * `.xyz`, `.txt`, `.csv`: x y z and further columns, one point per line, or with a header that names x, y and z in any
+///   order, such as `//X,Y,Z` or `x [m]`. The first row may hold the number of points alone, as `CloudCompare` writes it.
 ///
 /// # Errors
 /// Reports the file, with line and column for text: truncated, empty, not a number, not finite, beyond 1e8 m, unknown
@@ -141,8 +139,7 @@ pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let points = match extension.as_str() {
         "ply" => ply::parse_points(path, without_mark(&read_bytes(path, MAX_NUMBERS, ADVICE)?))?,
-        "xyz" | "txt" => parse_xyz_points(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
-        "csv" => parse_csv_points(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
+        "xyz" | "txt" | "csv" => read_table_points(path)?,
         _ => return Err(Error::input(path, "unsupported point cloud format; use .ply, .xyz or .csv")),
     };
     if points.is_empty() {
@@ -151,15 +148,18 @@ pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     Ok(points)
 }
 
-/// Parses one point per line: x, y and z between blanks, below an optional line with their number. Returns an error for a
-/// row of fewer than three fields, an invalid coordinate, or fewer points than that number.
-fn parse_xyz_points(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
-    let is_comment = |row: &str| row.starts_with('#') || row.starts_with("//");
-    let mut rows = numbered_lines(text).filter(|(_, row)| !is_comment(row.trim_start())).peekable();
-    let count = rows.peek().and_then(|&(line, row)| Some((line, row.trim().parse::<usize>().ok()?)));
+/// Reads a point per row, below an optional header and an optional line with their number. Returns an error for an invalid
+/// header, a row that is too short or too long, an invalid coordinate, or fewer points than that number.
+fn read_table_points(path: &Path) -> Result<Vec<[f64; 3]>> {
+    let is_name = |cell: &str| ["x", "y", "z"].iter().any(|name| is_named(cell, name));
+    let table = TableText::with_names(path, MAX_NUMBERS, ADVICE, &is_name)?;
+    let column = |name| table.column(name, "x, y and z");
+    let columns = if table.header.is_some() { [column("x")?, column("y")?, column("z")?] } else { [0, 1, 2] };
+    let mut rows = table.rows().peekable();
+    let lone = |row: &TextRow<'_>| if row.fields.len() == 1 { row.fields[0].text.parse::<usize>().ok() } else { None };
+    let count = rows.peek().and_then(|row| row.as_ref().ok()).and_then(|row| Some((row.line, lone(row)?)));
     rows.next_if(|_| count.is_some());
-    let points = rows.map(|row| XyzColumns([0, 1, 2]).read(&TextRow::at_blanks(path, row), POINT_ADVICE));
-    let points = points.collect::<Result<Vec<_>>>()?;
+    let points = rows.map(|row| XyzColumns(columns).read(&row?, POINT_ADVICE)).collect::<Result<Vec<_>>>()?;
     match count {
         Some((line, count)) if count != points.len() => {
             let problem = format!("announces {count} points, but {} follow; copy the file again", points.len());
@@ -167,27 +167,6 @@ fn parse_xyz_points(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
         }
         _ => Ok(points),
     }
-}
-
-/// Parses points between commas, below an optional header that names x, y and z. Returns an error for an invalid
-/// header, a row that is too short or too long, or an invalid coordinate.
-fn parse_csv_points(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
-    let mut rows = numbered_lines(text).peekable();
-    let (mut columns, mut header) = (XyzColumns([0, 1, 2]), usize::MAX);
-    if let Some(first) = rows.peek() {
-        let first = TextRow::at_commas(path, *first);
-        if first.fields.iter().all(|field| field.text.parse::<f64>().is_err()) {
-            columns = XyzColumns::from_header(&first)?;
-            header = first.fields.len();
-            rows.next();
-        }
-    }
-    let read = |row| {
-        let row = TextRow::at_commas(path, row);
-        row.check_length(header)?;
-        columns.read(&row, POINT_ADVICE)
-    };
-    rows.map(read).collect()
 }
 
 #[cfg(test)]
@@ -356,7 +335,7 @@ mod point_tests {
                 "DIR/a.csv:1:1: no column `z`; the first line must name the columns x, y and z".into(),
             ),
             ("a.csv", b"x,y,z\n", "DIR/a.csv: holds no point; give at least one, or leave `points` out".into()),
-            ("a.xyz", b"", "DIR/a.xyz: holds no point; give at least one, or leave `points` out".into()),
+            ("a.xyz", b"", "DIR/a.xyz: is empty; check the path of the point cloud".into()),
             ("a.las", b"", "DIR/a.las: unsupported point cloud format; use .ply, .xyz or .csv".into()),
         ];
         for (name, bytes, message) in cases {

@@ -20,6 +20,7 @@ mod channels;
 mod checks;
 mod colmap;
 mod colormap;
+mod dialect;
 mod folder;
 mod geometry;
 pub mod import;
@@ -44,6 +45,7 @@ pub use channels::{CarrierFile, Channels, ReceiverPlace};
 pub use checks::{UnlinkedNode, check_dataset, is_linear, power_fault, shape_fault, unlinked_node};
 pub use colmap::Colmap;
 pub use colormap::Colormap;
+pub use dialect::TableFile;
 pub use folder::{
     CARRIERS, base_station_yaml, gateway_positions_yaml, gateway_yaml, read_carriers, receiver_yaml, transmitter_yaml,
 };
@@ -56,6 +58,6 @@ pub use pwrfgs_core::npy::{npy_header, npy_header_as};
 pub use save::{pose_row, poses_csv, save};
 pub use splits::{Fold, LeaveReceiverOut, Official, Random, RandomLinks, Sparse, TimeBlock, Voxel};
 pub use subset::{LINKS, Subset, write_links};
-pub use table::{ColumnChoice, ImportedTable, TableFile, TableImport, read_frame_positions};
+pub use table::{ColumnChoice, ImportedTable, TableImport, read_frame_positions};
 pub use teacher::Teacher;
 pub use text::warn_once;

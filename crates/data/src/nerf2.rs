@@ -11,15 +11,15 @@ pub use csi::Nerf2Csi;
 pub use rssi::{Nerf2Rssi, read_powers};
 
 use crate::checks::shape_fault;
+use crate::dialect::read_columns;
 use crate::folder::{
     check_root, existing_root, find_point_cloud, folder_name, read_point_cloud, read_row_carriers, read_title,
     recognised_root,
 };
 use crate::pictures;
-use crate::text::{TextField, TextRow, read_text, table_rows};
 use pwrfgs_core::{
     DataSource, Dataset, Elevation, End, Ends, Error, JsonSchema, Pose, Progress, Receiver, Result, Sample, Unmatched,
-    files, messages::strip_control,
+    messages::strip_control,
 };
 use receivers::Gateway;
 use serde::{Deserialize, Serialize};
@@ -156,14 +156,8 @@ pub(crate) fn check_image_size(path: &Path, elevation: Elevation, stated: bool, 
 /// The file cannot be read, or has no row or an invalid one; the message has line and column.
 pub fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
     let advice = "give every row x, y and z in metres";
-    let text = read_text(path, files::MAX_TEXT, "write a table with the columns x, y and z, in metres")?;
-    let rows = table_rows(path, &text, ["x", "y", "z"], advice)?;
-    if rows.is_empty() {
-        return Err(Error::input(path, "has a header but no row; write one row per position, in metres"));
-    }
-    rows.iter().map(|row| row.position(row.fields, advice)).collect()
+    read_columns(path, ["x", "y", "z"], advice, |row| row.position(row.fields, advice))
 }
-
 /// Poses of moving receivers, instead of the table of transmitter positions.
 pub const POSES: &str = "rx_pose.csv";
 
@@ -205,16 +199,10 @@ impl LocationTable {
 /// The file cannot be read, or has no row or an invalid one; the message has line and column.
 pub fn read_poses(path: &Path) -> Result<Vec<Pose>> {
     let advice = "give every row x, y and z in metres, and the unit quaternion qx, qy, qz and qw";
-    let text = read_text(path, files::MAX_TEXT, "write a table with the columns x, y, z, qx, qy, qz and qw")?;
-    let rows = table_rows(path, &text, ["x", "y", "z", "qx", "qy", "qz", "qw"], advice)?;
-    if rows.is_empty() {
-        return Err(Error::input(path, "has a header but no row; write one row per pose"));
-    }
-    let pose = |row: &TextRow<'_, [TextField<'_>; 7]>| {
+    read_columns(path, ["x", "y", "z", "qx", "qy", "qz", "qw"], advice, |row| {
         let [x, y, z, quaternion @ ..] = row.fields;
         let [qx, qy, qz, qw] = quaternion.map(|field| row.coordinate(field, advice));
         let pose = Pose { position: row.position([x, y, z], advice)?, orientation: [qx?, qy?, qz?, qw?] };
         pose.fault().map_or(Ok(pose), |(_, fault)| Err(row.fault(quaternion[0].column, fault)))
-    };
-    rows.iter().map(pose).collect()
+    })
 }

@@ -5,7 +5,7 @@ mod tests;
 
 use crate::checks::{NOT_RECEIVED, check_dataset};
 use crate::folder::{
-    CARRIERS, IDS, POINTS, format_lines, gateway_positions_yaml, gateway_yaml, quote_yaml, receiver_yaml,
+    CARRIERS, IDS, POINTS, RELATIVE, format_lines, gateway_positions_yaml, gateway_yaml, quote_yaml, receiver_yaml,
     transmitter_yaml,
 };
 use crate::nerf2::POSES;
@@ -283,10 +283,13 @@ impl FolderWriter<'_> {
         });
         if let Some(powers) = data.observations.powers() {
             manifest["missing"] = serde_json::json!(if is_code_free(powers) { vec![NOT_RECEIVED] } else { vec![] });
-            manifest["unit"] = "dBm".into();
+            manifest["unit"] = if scene.receivers.iter().any(|r| r.is_relative) { RELATIVE } else { "dBm" }.into();
         }
         if let Some(geodetic) = scene.geodetic {
             manifest["geodetic"] = serde_json::json!(geodetic);
+        }
+        if !scene.floors.is_empty() {
+            manifest["floors"] = serde_json::json!(scene.floors);
         }
         let estimated: Vec<&str> = scene.receivers.iter().filter(|r| r.is_estimated).map(|r| &*r.name).collect();
         for (key, names) in

@@ -4,7 +4,6 @@
 //! their names; each can be chosen. Readings of a link that repeat are kept, in a location each at the same position.
 
 mod columns;
-mod dialect;
 mod finish;
 mod names;
 mod options;
@@ -15,7 +14,6 @@ mod survey;
 #[cfg(test)]
 mod tests;
 
-pub use dialect::TableFile;
 pub use options::{ColumnChoice, ImportedTable, TableImport};
 
 use self::survey::Survey;
@@ -52,5 +50,5 @@ pub fn read_frame_positions(path: &Path, geodetic: Option<Geodetic>, height: f64
         return read_transmitters(path);
     }
     let import = TableImport { height: Some(height), ..TableImport::default() };
-    places::read_rows(&import, &path.to_owned().into(), &mut places::Frame { geodetic })
+    places::read_rows(&import, &path.as_os_str().to_owned().into(), &mut places::Frame { geodetic })
 }

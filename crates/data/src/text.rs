@@ -1,7 +1,4 @@
 //! Text files whose errors are reported with line and column, both counted from 1.
-//!
-//! Rows are split here because the `csv` crate gives no column of a field; a quoted field may contain commas but no
-//! line end.
 
 use crate::checks::power_fault;
 use pwrfgs_core::{Error, MAX_COORDINATE_M, Real, Result, coordinate_fault, files, messages::quoted};
@@ -11,13 +8,11 @@ use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 use std::{fmt::Display, io::ErrorKind, path::Path};
 
-/// Largest number of fields of a line: a field needs far more memory than its comma. No table has as many receivers.
-const MOST_FIELDS: usize = 1_000_000;
 /// Largest YAML file that is read, bytes.
 pub(crate) const MAX_YAML: u64 = 1 << 20;
 
 pub(crate) const POINT_ADVICE: &str = "give every point a finite x, y and z in metres, or remove it";
-const DBM_ADVICE: &str = "give the power in dBm, or leave the cell empty if the receiver received no signal";
+pub(crate) const DBM_ADVICE: &str = "give the power in dBm, or leave the cell empty if the receiver received no signal";
 pub(crate) const VERTEX_ADVICE: &str = "give every vertex a finite x, y and z";
 
 /// Field of a line.
@@ -33,6 +28,7 @@ pub(crate) struct TextRow<'a, F = Vec<TextField<'a>>> {
     pub(crate) path: &'a Path,
     /// Line number, counted from 1.
     pub(crate) line: usize,
+    pub(crate) has_decimal_commas: bool,
     pub(crate) fields: F,
 }
 
@@ -44,9 +40,23 @@ impl<F> TextRow<'_, F> {
 
     /// Parses a finite number in a field of this line; `advice` is the next step otherwise.
     pub(crate) fn number(&self, field: TextField<'_>, advice: &str) -> Result<f64> {
-        let fault = |problem: &str| self.fault(field.column, format!("{} is {problem}; {advice}", quoted(field.text)));
-        let value: f64 = field.text.parse().ok().ok_or_else(|| fault("not a number"))?;
-        if (value as Real).is_finite() { Ok(value) } else { Err(fault("not finite")) }
+        let parse = |text: &str| parse_number(text, self.has_decimal_commas);
+        let value = parse(field.text).filter(|value| (*value as Real).is_finite());
+        value.ok_or_else(|| {
+            let mut parts = field.text.split([';', ',', ' ']).filter(|part| !part.is_empty()).skip(1);
+            let is_list = field.text.starts_with('[') || parts.next().is_some_and(|part| parse(part).is_some());
+            let problem = match parse(field.text) {
+                Some(_) => format!("is not finite; {advice}"),
+                None if is_list => "is a list; write one row per reading, or one column per value".to_owned(),
+                None => format!("is not a number; {advice}"),
+            };
+            self.fault(field.column, format!("{} {problem}", quoted(field.text)))
+        })
+    }
+
+    /// Parses a number as [`Self::number`] does; `None` for an empty cell.
+    pub(crate) fn optional(&self, field: TextField<'_>, advice: &str) -> Result<Option<f64>> {
+        if is_empty_cell(field.text) { Ok(None) } else { self.number(field, advice).map(Some) }
     }
 
     /// Parses a coordinate, metres: finite and at most 1e8 m; `advice` is the next step otherwise.
@@ -68,46 +78,30 @@ impl<F> TextRow<'_, F> {
     /// Parses a power, dBm: from -300 to 300. `None` for an empty cell and for the values `missing`, which mean that no signal was
     /// received.
     pub(crate) fn power(&self, field: TextField<'_>, missing: &[f64]) -> Result<Option<f64>> {
-        if is_empty_cell(field.text) {
-            return Ok(None);
-        }
-        let dbm = self.number(field, DBM_ADVICE)?;
-        if missing.contains(&dbm) {
-            return Ok(None);
-        }
-        if power_fault(dbm).is_some() {
+        let dbm = self.optional(field, DBM_ADVICE)?.filter(|dbm| !missing.contains(dbm));
+        if dbm.is_some_and(|dbm| power_fault(dbm).is_some()) {
             let problem = format!("{} is not a power in dBm; {DBM_ADVICE}", quoted(field.text));
             return Err(self.fault(field.column, problem));
         }
-        Ok(Some(dbm))
+        Ok(dbm)
     }
 }
 
 impl<'a> TextRow<'a> {
-    /// Splits the content of a line at commas.
-    pub(crate) fn at_commas(path: &'a Path, (line, content): (usize, &'a str)) -> Self {
-        Self { path, line, fields: split_commas(content) }
+    /// Splits the content of a line at blanks.
+    pub(crate) fn at_blanks(path: &'a Path, line: (usize, &'a str)) -> Self {
+        Self::split(path, line, char::is_whitespace)
     }
 
-    /// Splits the content of a line at blanks.
-    pub(crate) fn at_blanks(path: &'a Path, (line, content): (usize, &'a str)) -> Self {
-        Self { path, line, fields: locate_fields(content, content.split_whitespace()) }
+    /// Splits the content of a line at one or more separators.
+    pub(crate) fn split(path: &'a Path, (line, content): (usize, &'a str), at: impl Fn(char) -> bool) -> Self {
+        let fields = locate_fields(content, content.split(at).filter(|part| !part.is_empty()));
+        Self { path, line, has_decimal_commas: false, fields }
     }
 
     /// Returns the column behind the last field.
     pub(crate) fn end_column(&self) -> usize {
         self.fields.last().map_or(1, |field| field.column + field.text.chars().count())
-    }
-
-    /// Returns an error for a row with more fields than the header, for example due to decimal commas.
-    pub(crate) fn check_length(&self, header: usize) -> Result<()> {
-        match self.fields.get(header..).and_then(|surplus| surplus.iter().find(|field| !field.text.is_empty())) {
-            Some(field) => {
-                let (count, advice) = (self.fields.len(), "write decimals with a point, and one value per column");
-                Err(self.fault(field.column, format!("the row has {count} fields, its header {header}; {advice}")))
-            }
-            None => Ok(()),
-        }
     }
 
     /// Returns the field in the column with this index and name. Returns an error if the row is too short.
@@ -117,39 +111,6 @@ impl<'a> TextRow<'a> {
             let problem = format!("the row ends after {count} of the {needed} columns that {name} needs");
             self.fault(self.end_column(), format!("{problem}; {advice}"))
         })
-    }
-
-    /// Reads the power in the column of a receiver as [`Self::power`] does. Returns an error if the row is too short.
-    pub(crate) fn read_power(&self, column: (usize, &str), missing: &[f64]) -> Result<Option<f64>> {
-        self.power(self.cell(column, DBM_ADVICE)?, missing)
-    }
-
-    /// Returns the index of the column `name` of a header, in either case; `names` lists every column that the file needs.
-    /// A name may begin with a comment mark, as in `CloudCompare`, and end with its unit, as `x [m]`. Returns an error for a
-    /// missing or repeated column, or one in another unit.
-    fn find_column(&self, name: &str, names: &str) -> Result<usize> {
-        let fields = &self.fields;
-        let mut columns =
-            fields.iter().enumerate().filter(|(_, field)| split_unit(field.text).0.eq_ignore_ascii_case(name));
-        let (column, field) = columns.next().ok_or_else(|| {
-            let is_separator = |mark: &&str| fields.len() == 1 && fields[0].text.contains(mark);
-            let problem = match [";", "\t"].into_iter().find(is_separator) {
-                Some(mark) => format!("columns are separated by {mark:?}; separate them by commas"),
-                None => format!("no column `{name}`; the first line must name the columns {names}"),
-            };
-            self.fault(1, problem)
-        })?;
-        let unit = split_unit(field.text).1;
-        if ["x", "y", "z"].contains(&name) && !is_metre(unit) {
-            let problem = format!("{} is not in metres; convert the column, and name it `{name}`", quoted(field.text));
-            return Err(self.fault(field.column, problem));
-        }
-        match columns.next() {
-            Some((_, second)) => {
-                Err(self.fault(second.column, format!("a second column `{name}`; name each of {names} once")))
-            }
-            None => Ok(column),
-        }
     }
 }
 
@@ -234,20 +195,15 @@ pub(crate) fn is_empty_cell(cell: &str) -> bool {
     EMPTY.iter().any(|word| cell.eq_ignore_ascii_case(word))
 }
 
-/// Splits a line at commas into fields without surrounding blanks and quotes; stops after [`MOST_FIELDS`].
-fn split_commas(line: &str) -> Vec<TextField<'_>> {
-    let mut quoted = false;
-    let parts = line.split(|c| {
-        quoted ^= c == '"';
-        c == ',' && !quoted
-    });
-    locate_fields(line, parts.take(MOST_FIELDS).map(unquoted))
+/// Parses a number, with a decimal comma or not; `None` for other text.
+pub(crate) fn parse_number(cell: &str, has_decimal_comma: bool) -> Option<f64> {
+    if has_decimal_comma { cell.replacen(',', ".", 1).parse().ok() } else { cell.parse().ok() }
 }
 
-/// Returns a field without surrounding blanks and quotes.
-pub(crate) fn unquoted(part: &str) -> &str {
-    let text = part.trim();
-    text.strip_prefix('"').and_then(|text| text.strip_suffix('"')).unwrap_or(text).trim()
+/// Returns whether a line is a comment.
+pub(crate) fn is_comment(line: &str) -> bool {
+    let line = line.trim_start();
+    line.starts_with('#') || line.starts_with("//")
 }
 
 /// Returns slices of `line`, in order, each with its column: characters, counted from 1. Columns are counted incrementally:
@@ -269,43 +225,11 @@ pub(crate) fn point_fault(point: [f64; 3]) -> Option<String> {
     Some(if wrong.is_finite() { format!("beyond {MAX_COORDINATE_M:e} m") } else { "not finite".into() })
 }
 
-/// Returns the rows of a table, each with its fields in the columns `names`, which the header names among others. Returns an
-/// error for a missing column or field, or a row with more fields than the header.
-pub(crate) fn table_rows<'a, const N: usize>(
-    path: &'a Path,
-    text: &'a str,
-    names: [&str; N],
-    advice: &str,
-) -> Result<Vec<TextRow<'a, [TextField<'a>; N]>>> {
-    let mut rows = numbered_lines(text);
-    let header = rows.next().ok_or_else(|| Error::input(path, format!("is empty; {advice}")))?;
-    let (header, all_names) = (TextRow::at_commas(path, header), names.join(", "));
-    let columns = names.map(|name| header.find_column(name, &all_names));
-    let columns = columns.into_iter().collect::<Result<Vec<usize>>>()?;
-    let read = |row| {
-        let row = TextRow::at_commas(path, row);
-        row.check_length(header.fields.len())?;
-        let mut fields = [TextField { text: "", column: 1 }; N];
-        for (k, field) in fields.iter_mut().enumerate() {
-            *field = row.cell((columns[k], names[k]), advice)?;
-        }
-        Ok(TextRow { path, line: row.line, fields })
-    };
-    rows.map(read).collect()
-}
-
 /// Columns of x, y and z.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct XyzColumns(pub(crate) [usize; 3]);
 
 impl XyzColumns {
-    /// Finds the columns in a header, in any order and either case, among other columns. Returns an error for a missing
-    /// or repeated column.
-    pub(crate) fn from_header(header: &TextRow<'_>) -> Result<Self> {
-        let find = |name| header.find_column(name, "x, y and z");
-        Ok(Self([find("x")?, find("y")?, find("z")?]))
-    }
-
     /// Reads the three coordinates of a row, metres. Returns an error if the row is too short or a coordinate is
     /// invalid.
     pub(crate) fn read(self, row: &TextRow<'_>, advice: &str) -> Result<[f64; 3]> {
@@ -314,23 +238,5 @@ impl XyzColumns {
             *value = row.coordinate(row.cell((column, name), advice)?, advice)?;
         }
         Ok(point)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn split_fields_have_their_columns() {
-        let fields = split_commas(" a, \"b,c\" ,,é,d");
-        let got: Vec<_> = fields.iter().map(|f| (f.text, f.column)).collect();
-        assert_eq!(got, [("a", 2), ("b,c", 6), ("", 12), ("é", 13), ("d", 15)]);
-        let last = split_commas(&"é, ".repeat(500_000)).last().map(|f| (f.text.to_owned(), f.column));
-        assert_eq!(last, Some((String::new(), 3 * 500_000)), "a long line");
-        assert_eq!(split_commas(&",".repeat(2_000_000)).len(), MOST_FIELDS);
-        let got: Vec<_> =
-            TextRow::at_blanks(Path::new("a"), (1, "1  2\t3")).fields.iter().map(|f| (f.text, f.column)).collect();
-        assert_eq!(got, [("1", 1), ("2", 4), ("3", 6)]);
     }
 }

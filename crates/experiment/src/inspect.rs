@@ -195,7 +195,7 @@ fn describe_points(data: &Dataset) -> String {
 
 /// Describes median and range of the levels of all links, after their name.
 fn describe_levels(data: &Dataset) -> (&'static str, String) {
-    let [name, unit] = data.task().level_name;
+    let [name, unit] = data.task().level_name_at(&data.scene.receivers);
     let level = |link: usize| data.task().level(&data.image(link));
     let levels = sorted((0..data.len()).map(level).filter(|level| level.is_finite()));
     let [low, tenth, middle, last, high] = [0.0, 0.1, 0.5, 0.9, 1.0].map(|q| number(quantile(&levels, q)));

@@ -89,9 +89,10 @@ impl<'a> Locator<'a> {
         let weakest = |powers: &[Real]| links.train.iter().map(|i| powers[*i] as f32).fold(f32::INFINITY, f32::min);
         let floor = data.observations.powers().map_or(f32::NEG_INFINITY, weakest);
         let builder = FingerprintBuilder { data, features: &features, floor };
-        let measured = builder.measured(&train);
+        let places = builder.places(&train);
+        let measured = builder.measured_at(&places);
         let is_used = |share: &f32| *share > 0.0;
-        let predicted = shares.iter().any(is_used).then(|| builder.predicted(&train, used));
+        let predicted = shares.iter().any(is_used).then(|| builder.predicted(&places, used));
         let samples = builder.measured(&validation);
         let sample =
             |k: usize| ValidationSample { observation: samples.row(k).to_vec(), position: samples.positions[k] };

@@ -106,7 +106,7 @@ fn describe_room(setup: &MeasurementSetup, measured: Option<PartitionedData<'_>>
         "format": "pwrfgs-room",
         "has_pixels": setup.task.has_pixels,
         "is_scalar": setup.task.is_scalar,
-        "unit": setup.task.level_name[1],
+        "unit": setup.task.level_name_at(&setup.receivers)[1],
         "score": { "name": setup.task.headline.name, "higher": setup.task.headline.higher },
         "origin": origin.0,
         "plane": { "width": plane.width, "height": plane.height, "wraps": plane.wraps, "angles": plane.angles,

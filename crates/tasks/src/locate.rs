@@ -30,7 +30,7 @@ const CHUNK: usize = 64;
 #[derive(Clone, Debug, Default, Args, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LocateSettings {
-    /// Only positions in this box, metres
+    /// Only positions in this box, metres or degrees
     #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true, requires = "observations")]
     pub prior: Option<String>,
 }
@@ -86,6 +86,7 @@ pub fn locate(
     observer: &mut dyn Observer,
 ) -> Result<Localisation> {
     let prior = settings.prior.as_deref().map(|text| PlaneBounds::parse("--prior", text, ["x", "y"])).transpose()?;
+    let prior = prior.map(|bounds| bounds.in_metres(split.data.scene.geodetic));
     check_positions(ensemble)?;
     let (data, fitting) = (&split.data, split.partition.known());
     check_alike(&ensemble.prepare(), data)?;

@@ -8,6 +8,7 @@ use clap::Args;
 use layers::select_quantities;
 pub use layers::{MapLayer, MapQuantity, compute_layers};
 use pwrfgs_core::files::NewFolder;
+use pwrfgs_core::statistics::sorted;
 use pwrfgs_core::{Error, Geodetic, Number, Pose, Query, Receiver, Result};
 use pwrfgs_data::npy_header;
 use pwrfgs_experiment::{Observer, text::field};
@@ -20,6 +21,8 @@ use std::fmt::Write as _;
 
 /// Width of an image in print, millimetres.
 const WIDTH_MM: f64 = 120.0;
+/// Difference of height between positions of one floor and of another, metres.
+const FLOOR_GAP_M: f64 = 2.0;
 const HEADER: &str = "array,image,quantity,unit,receiver,columns_axis,first_column_m,columns,rows_axis,first_row_m,rows,\
                       step_m,plane,smallest,largest,training_limit_m,extrapolated";
 
@@ -30,11 +33,11 @@ pub struct MapSettings {
     /// Plane, by its fixed coordinate in metres: z=1.2, x=0.5 or y=-3
     #[arg(long, value_name = "AXIS=M")]
     pub plane: String,
-    /// Grid spacing in metres
-    #[arg(long, value_name = "M", default_value_t = 0.1)]
-    #[serde(default = "default_step")]
-    pub step: f64,
-    /// Extent in metres of the first and second free coordinate
+    /// Grid spacing in metres [default: 0.1, or more for a large site]
+    #[arg(long, value_name = "M")]
+    #[serde(default)]
+    pub step: Option<f64>,
+    /// Extent in metres of the two free coordinates, or in degrees
     #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true)]
     #[serde(default)]
     pub bounds: Option<String>,
@@ -52,11 +55,6 @@ pub struct MapSettings {
     )]
     #[serde(default)]
     pub of: Vec<MapQuantity>,
-}
-
-/// Returns the default grid spacing, metres.
-fn default_step() -> f64 {
-    0.1
 }
 
 /// Maps of a model over a plane.
@@ -84,8 +82,8 @@ pub struct RadioMap {
 /// Invalid settings, or a model whose input is not a position.
 pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Observer) -> Result<RadioMap> {
     let plane = MapPlane::parse(&settings.plane)?;
-    let bounds =
-        settings.bounds.as_ref().map(|text| PlaneBounds::parse("--bounds", text, plane.axis_names())).transpose()?;
+    let names = plane.axis_names();
+    let bounds = settings.bounds.as_ref().map(|text| PlaneBounds::parse("--bounds", text, names)).transpose()?;
     check_positions(ensemble)?;
     let model = ensemble.prepare();
     let setup = &ensemble.members()[0].stages.setup;
@@ -93,16 +91,24 @@ pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Obser
     let mapped = select_receivers(model.receivers(), &settings.receiver)?;
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
-    let bounds = if let Some(bounds) = bounds {
-        bounds
+    let mut default_step = |bounds: PlaneBounds| {
+        let step = bounds.default_step(mapped.len());
+        let text = format!("grid spacing {step} m, chosen for the size of the map; set --step to change this");
+        (step > PlaneBounds::STEP).then(|| observer.on_message(&text));
+        step
+    };
+    let (bounds, step) = if let Some(bounds) = bounds {
+        let bounds = bounds.in_metres(setup.geodetic.filter(|_| names == ["x", "y"]));
+        (bounds, settings.step.unwrap_or_else(|| default_step(bounds)))
     } else {
         let positions: Vec<[f64; 2]> = mapped.iter().map(|&r| plane.project(poses[r].position)).collect();
         let (bounds, source) = default_bounds(ensemble, plane, positions)?;
-        let bounds = bounds.rounded_outwards(settings.step);
+        let step = settings.step.unwrap_or_else(|| default_step(bounds));
+        let bounds = bounds.rounded_outwards(step);
         observer.on_message(&describe_bounds(plane, bounds, source));
-        bounds
+        (bounds, step)
     };
-    let grid = PlaneGrid::new(plane, bounds, settings.step, mapped.len())?;
+    let grid = PlaneGrid::new(plane, bounds, step, mapped.len())?;
     let (predict, total) = (|queries: &[Query<'_>]| model.predict_many(queries), grid.position_count());
     let mut layers =
         compute_layers(setup, &predict, &grid, &mapped, &quantities, |done| observer.on_stage("mapping", done, total));
@@ -160,11 +166,24 @@ pub fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer
         values: distances.metres.into_iter().map(|metres| metres as f32).collect(),
         arrows: Vec::new(),
     };
-    let plane = grid.plane;
-    let near = |position: &[f64; 3]| (position[plane.axis] - plane.coordinate).abs() <= limit;
-    let positions =
-        ensemble.training_positions().into_iter().filter(near).map(|position| plane.project(position)).collect();
+    let (plane, training) = (grid.plane, ensemble.training_positions());
+    let [low, high] = shown_floor(plane, &training);
+    let near = |position: &&[f64; 3]| {
+        let at = position[plane.axis];
+        (at - plane.coordinate).abs() <= limit && (low..=high).contains(&at)
+    };
+    let positions = training.iter().filter(near).map(|position| plane.project(*position)).collect();
     Some((layer, TrainingMap { is_beyond, limit, positions }))
+}
+
+/// Returns the lowest and highest of `positions` on the floor that a horizontal `plane` shows: those without a gap of
+/// [`FLOOR_GAP_M`] from the one nearest to the plane. All, for other planes.
+fn shown_floor(plane: MapPlane, positions: &[[f64; 3]]) -> [f64; 2] {
+    let heights = sorted(positions.iter().map(|position| position[2]));
+    let floors = heights.chunk_by(|a, b| b - a < FLOOR_GAP_M).map(|floor| [floor[0], floor[floor.len() - 1]]);
+    let distance = |[low, high]: &[f64; 2]| (low - plane.coordinate).max(plane.coordinate - high).max(0.0);
+    let shown = floors.filter(|_| plane.axis == 2).min_by(|a, b| distance(a).total_cmp(&distance(b)));
+    shown.unwrap_or([f64::NEG_INFINITY, f64::INFINITY])
 }
 
 impl RadioMap {
@@ -265,6 +284,18 @@ fn unique_file_name(layer: &str, receiver: Option<&str>, taken: &mut BTreeSet<St
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn shown_floor_ends_at_gaps() {
+        let positions = [1.0, 1.2, 4.5, 4.6, 8.0].map(|z| [0.0, 0.0, z]);
+        let floor = |axis, coordinate| shown_floor(MapPlane { axis, coordinate }, &positions);
+        assert_eq!(
+            (floor(2, 1.1), floor(2, 4.0), floor(2, 6.0), floor(2, 90.0)),
+            ([1.0, 1.2], [4.5, 4.6], [4.5, 4.6], [8.0, 8.0])
+        );
+        assert_eq!(floor(0, 4.5), [f64::NEG_INFINITY, f64::INFINITY]);
+        assert_eq!(shown_floor(MapPlane { axis: 2, coordinate: 0.0 }, &[]), [f64::NEG_INFINITY, f64::INFINITY]);
+    }
 
     #[test]
     fn map_file_names_are_plain_and_unique() {

@@ -1,10 +1,12 @@
 //! Positions and bounds as text, the axis-parallel plane of a map, and the grid of positions on it.
 
-use pwrfgs_core::{Error, MAX_COORDINATE_M, Pose, Result, coordinate_fault, place_fault};
+use pwrfgs_core::{Error, Geodetic, MAX_COORDINATE_M, Pose, Result, coordinate_fault, place_fault};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 /// Maximum number of positions of a map.
 const MOST: f64 = 4e6;
+/// Largest number of positions of a map of default grid spacing, if the smallest spacing is too small.
+const USUAL: f64 = 2.5e5;
 
 /// Parses `N` numbers separated by commas; `None` for other text.
 pub fn parse_numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
@@ -122,6 +124,35 @@ impl PlaneBounds {
         self.0.iter().zip(point).all(|([low, high], v)| (*low..=*high).contains(&v))
     }
 
+    /// Smallest default grid spacing, metres.
+    pub const STEP: f64 = 0.1;
+
+    /// Returns the default grid spacing of a map with `layers` values per position: [`Self::STEP`], or for a map that is then too
+    /// large the first of 1, 2, 5, 10 .. m with at most [`USUAL`] positions.
+    pub fn default_step(self, layers: usize) -> f64 {
+        let count = |step: f64| self.0.iter().map(|[low, high]| (high - low) / step + 2.0).product::<f64>();
+        let most = USUAL.min(16.0 * MOST / layers.max(1) as f64);
+        let is_small = count(Self::STEP) <= MOST.min(16.0 * MOST / layers.max(1) as f64);
+        let steps = (0..10).flat_map(|power| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(power)));
+        let mut steps =
+            std::iter::once(Self::STEP).filter(|_| is_small).chain(steps.filter(|step| count(*step) <= most));
+        steps.next().unwrap_or(MAX_COORDINATE_M)
+    }
+
+    /// Returns the bounds in metres of a frame with latitude and longitude. Bounds that are both within a degree of its zero are in
+    /// degrees: latitudes, then longitudes, or the reverse. Others are in metres.
+    #[must_use]
+    pub fn in_metres(self, geodetic: Option<Geodetic>) -> Self {
+        let Some(zero) = geodetic else { return self };
+        let is_near = |ends: [f64; 2], zero: f64| ends.iter().all(|v| (v - zero).abs() < 1.0);
+        let is_angle = |[a, b]: &[[f64; 2]; 2]| is_near(*a, zero.latitude) && is_near(*b, zero.longitude);
+        let Some([latitudes, longitudes]) = [self.0, [self.0[1], self.0[0]]].into_iter().find(is_angle) else {
+            return self;
+        };
+        let [low, high] = [0, 1].map(|k| zero.metres([latitudes[k], longitudes[k]]));
+        Self([0, 1].map(|k| [low[k], high[k]]))
+    }
+
     /// Returns the bounds extended to multiples of `step`; unchanged if these are not finite.
     pub fn rounded_outwards(self, step: f64) -> Self {
         let rounded = |[low, high]: [f64; 2]| [(low / step).floor() * step, (high / step).ceil() * step];
@@ -221,6 +252,32 @@ mod tests {
         for wrong in ["", "0,1,2", "1,0,0,1", "0,1,0,inf", "0,1,0,1,2"] {
             assert!(PlaneBounds::parse("--bounds", wrong, ["x", "y"]).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn default_step_keeps_grids_below_the_limit() {
+        let step = |side: f64, layers| PlaneBounds([[0.0, side], [0.0, side]]).default_step(layers);
+        assert_eq!([step(8.0, 1), step(190.0, 1), step(600.0, 1), step(5e3, 1)], [0.1, 0.1, 2.0, 20.0]);
+        assert_eq!([step(600.0, 520), step(5e3, 520), step(1e8, 1)], [2.0, 20.0, 500_000.0]);
+        for side in [600.0, 5e3, 1e8] {
+            let bounds = PlaneBounds([[0.0, side], [-side, 0.0]]);
+            let step = bounds.default_step(520);
+            let plane = MapPlane { axis: 2, coordinate: 1.0 };
+            assert!(PlaneGrid::new(plane, bounds.rounded_outwards(step), step, 520).is_ok(), "{side}");
+        }
+    }
+
+    #[test]
+    fn bounds_near_the_zero_of_degrees_are_degrees() {
+        let zero = Some(Geodetic { latitude: 48.14, longitude: 11.58 });
+        let box_of = |ends: [[f64; 2]; 2]| PlaneBounds(ends).in_metres(zero).0;
+        let expected = box_of([[48.13, 48.15], [11.57, 11.59]]);
+        assert!((expected[1][1] - 1112.0).abs() < 2.0 && (expected[0][0] + 744.0).abs() < 2.0, "{expected:?}");
+        assert_eq!(box_of([[11.57, 11.59], [48.13, 48.15]]), expected, "longitudes first");
+        let metres = [[-300.0, 300.0], [0.0, 11.6]];
+        assert_eq!(box_of(metres), metres);
+        let degrees = PlaneBounds([[48.13, 48.15], [11.57, 11.59]]);
+        assert_eq!(degrees.in_metres(None), degrees);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use crate::arrays::{self, Gain, array_shape, axis_count, input_array, numbers, p
 use crate::border::{input_error, reject, replace_flags, without_gil};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods as _};
 use pwrfgs::data::{UnlinkedNode, power_fault, real_channels_fault, unlinked_node};
-use pwrfgs::experiment::collect_findings;
+use pwrfgs::experiment::{collect_findings, reject_findings};
 use pwrfgs_core::{Channels, Dataset, Error, Number, Observations, Origin, Pose, Real, Receiver, Sample, Spectra};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
@@ -78,11 +78,14 @@ pub(super) fn receiver_object<'py>(
     class.call1((&receiver.name, position, orientation, receiver.antennas.clone(), receiver.carrier_hz))
 }
 
-/// Warns about valid but implausible data.
-pub(super) fn warn_findings(py: Python<'_>, data: &Dataset) -> PyResult<()> {
+/// Warns about valid but implausible data. With names of `accepted` findings, others that make results meaningless are errors.
+pub(super) fn warn_findings(py: Python<'_>, data: &Dataset, accepted: Option<&[String]>) -> PyResult<()> {
     let warnings = py.import("warnings")?;
     let warn = |text| warnings.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 2)).map(drop);
-    let found = without_gil(py, || collect_findings(data, None))?;
+    let found = without_gil(py, || {
+        let found = collect_findings(data, None)?;
+        accepted.map_or(Ok(()), |accepted| reject_findings(&found, accepted)).map(|()| found)
+    })?;
     found.iter().map(|finding| replace_flags(&finding.to_string())).try_for_each(warn)
 }
 

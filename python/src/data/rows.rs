@@ -97,7 +97,9 @@ impl Dataset {
         state.set_item("bounds", data.scene.bounds)?;
         state.set_item("elevation", (data.elevation.first, data.elevation.last))?;
         state.set_item("placed", data.placed)?;
-        state.set_item("estimated", data.scene.receivers.iter().map(|r| r.is_estimated).collect::<Vec<_>>())?;
+        let marks = data.scene.receivers.iter().map(|r| (r.is_estimated, r.is_relative));
+        state.set_item("marks", marks.collect::<Vec<_>>())?;
+        state.set_item("floors", &data.scene.floors)?;
         state.set_item("geodetic", data.scene.geodetic.map(|zero| (zero.latitude, zero.longitude)))?;
         state.set_item("accepted", &data.accepted)?;
         state.set_item("official", data.official.clone())?;
@@ -161,8 +163,11 @@ impl Dataset {
         let made = without_gil(py, || Data::of_links(title, ends, points, &samples, observations))?;
         let mut scene = made.scene.clone();
         scene.bounds = get("bounds")?.extract()?;
-        let estimated: Vec<bool> = get("estimated")?.extract()?;
-        scene.receivers.iter_mut().zip(estimated).for_each(|(receiver, flag)| receiver.is_estimated = flag);
+        let marks: Vec<(bool, bool)> = get("marks")?.extract()?;
+        for (receiver, marks) in scene.receivers.iter_mut().zip(marks) {
+            (receiver.is_estimated, receiver.is_relative) = marks;
+        }
+        scene.floors = get("floors")?.extract()?;
         let geodetic: Option<(f64, f64)> = get("geodetic")?.extract()?;
         scene.geodetic = geodetic.map(|(latitude, longitude)| Geodetic { latitude, longitude });
         let data = Data {

@@ -10,15 +10,19 @@ use std::path::PathBuf;
 /// Reads a table, or several, with the options of `pwrfgs import --table`.
 pub(super) fn read(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Data> {
     let mut import = TableImport { files: read_files(table)?, title: "table".into(), ..TableImport::default() };
+    let mut accepted = Vec::new();
     for (key, value) in options.into_iter().flatten() {
         if !value.is_none() {
             let key: String = key.extract()?;
-            set_option(&mut import, &key, &value)?;
+            match &*key {
+                "accept" => accepted = each(&value)?.iter().map(PyAnyMethods::extract).collect::<PyResult<_>>()?,
+                key => set_option(&mut import, key, &value)?,
+            }
         }
     }
     let imported = without_gil(table.py(), || import.read())?;
     imported.notes.iter().for_each(|note| log_message("info", note));
-    Ok(imported.data)
+    Ok(Data { accepted, ..imported.data })
 }
 
 /// Sets one option.
@@ -82,7 +86,7 @@ fn read_files(value: &Bound<'_, PyAny>) -> PyResult<Vec<TableFile>> {
 /// Reads a path, or a data frame as CSV.
 fn read_file(value: &Bound<'_, PyAny>) -> PyResult<TableFile> {
     if let Ok(path) = value.extract::<PathBuf>() {
-        return Ok(path.into());
+        return Ok(path.into_os_string().into());
     }
     if !value.hasattr("to_csv")? {
         return reject(value.py(), "a table is the path of a file, or a pandas DataFrame");

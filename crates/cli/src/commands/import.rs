@@ -1,16 +1,11 @@
 //! `pwrfgs import`: converts spectra and positions, channels, or tables of powers, into a data folder.
 
-mod channels;
-mod table;
-
-use self::channels::{ChannelOptions, import_channels};
-use self::table::{TableArguments, import_table};
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::import::{ChannelImport, Import as Work};
-use pwrfgs::data::{Colormap, TableImport};
-use pwrfgs::experiment::{check_findings, staged};
+use pwrfgs::data::{Colormap, ImportedTable, TableImport, save};
+use pwrfgs::experiment::{check_findings, observed, staged};
 use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs::tasks::plane::{parse_numbers, parse_position};
 use pwrfgs_core::{Elevation, Error, Number, Pose, Result, recognise};
@@ -34,13 +29,13 @@ EXAMPLES
   pwrfgs import --table survey.csv --receivers aps.csv --missing 100 --dry-run
   python3 -c \"from numpy import *; r = random.randn; savez('h.npz', channels=r(9,3,8,2), tx=r(9,3))\"
   pwrfgs import --channels h.npz --axes m,a,f,ri --powers --receiver 0,0,2 --out data/my5")]
-#[command(group(clap::ArgGroup::new("what").required(true).args(["spectra", "table", "channels"])))]
+#[command(group(clap::ArgGroup::new("what").required(true).args(["spectra", "files", "channels"])))]
 pub(crate) struct Import {
     /// Spectra: .npy, .npz or .npz:NAME, or folder of grey PNG (8, 16 bits)
     #[arg(long, value_name = "PATH", requires_all = ["receiver", "orientation"])]
     pub(crate) spectra: Option<PathBuf>,
     #[command(flatten)]
-    pub(crate) table: TableArguments,
+    pub(crate) table: TableImport,
     /// Transmitter positions in metres.
     #[arg(
         long,
@@ -52,10 +47,10 @@ pub(crate) struct Import {
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) receiver: Option<String>,
     /// Unit quaternion x,y,z,w, receiver to world; 0,0,0,1: no rotation
-    #[arg(long, value_name = "QUAT", allow_hyphen_values = true)]
+    #[arg(long, value_name = "QUAT", allow_hyphen_values = true, conflicts_with = "files")]
     pub(crate) orientation: Option<String>,
     /// Elevation of the top and bottom edge, degrees [default: 0,90]
-    #[arg(long, value_name = "FIRST,LAST", allow_hyphen_values = true)]
+    #[arg(long, value_name = "FIRST,LAST", allow_hyphen_values = true, conflicts_with = "files")]
     pub(crate) elevation: Option<String>,
     /// Output folder; must be new or empty
     #[arg(long, value_name = "DIR", required_unless_present = "dry_run")]
@@ -64,10 +59,17 @@ pub(crate) struct Import {
     #[arg(long)]
     pub(crate) name: Option<String>,
     /// Factor for all values, so that they range from 0 to 1
-    #[arg(long, value_name = "FACTOR", allow_hyphen_values = true)]
+    #[arg(long, value_name = "FACTOR", allow_hyphen_values = true, conflicts_with = "files")]
     pub(crate) scale: Option<f64>,
     /// Colour map of a folder of images, inverted to values: jet, turbo or viridis
-    #[arg(long, value_name = "NAME", value_parser = Colormap::parse, conflicts_with = "table")]
+    #[arg(
+        long,
+        value_name = "NAME",
+        value_enum,
+        ignore_case = true,
+        hide_possible_values = true,
+        conflicts_with = "files"
+    )]
     pub(crate) colormap: Option<Colormap>,
     /// Mark the spectra as simulated in titles and tables
     #[arg(long)]
@@ -75,8 +77,11 @@ pub(crate) struct Import {
     /// Accept a finding that would stop the import; repeatable
     #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
+    /// Print what was understood of a table, and write nothing
+    #[arg(long, requires = "files")]
+    pub(crate) dry_run: bool,
     #[command(flatten)]
-    pub(crate) channels: ChannelOptions,
+    pub(crate) channels: ChannelImport,
 }
 
 /// Runs `pwrfgs import`: writes the data folder, and warns of findings on its data.
@@ -85,11 +90,12 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     let folder = out.as_ref().and_then(|out| out.file_name());
     let folder_name = || folder.map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
     let name = arguments.name.clone().unwrap_or_else(folder_name);
-    if !arguments.table.table.is_empty() {
-        let settings = arguments.table.settings(arguments.tx.as_ref(), arguments.receiver.as_ref())?;
-        let import = TableImport { title: name, is_simulated: arguments.simulated, ..settings };
-        let out = out.as_deref().filter(|_| !arguments.table.dry_run);
-        return import_table(&import, out, &arguments.accept, verbosity);
+    if !arguments.table.files.is_empty() {
+        let tx = arguments.tx.clone().map(|path| path.into_os_string().into());
+        let mut import = TableImport { title: name, is_simulated: arguments.simulated, tx, ..arguments.table.clone() };
+        import.columns.receiver.clone_from(&arguments.receiver);
+        let out = out.as_deref().filter(|_| !arguments.dry_run);
+        return import_data(|| import.read(), out, &arguments.accept, verbosity);
     }
     let out = out.unwrap_or_default();
     let receiver = Pose {
@@ -98,8 +104,10 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     };
     if !arguments.channels.channels.is_empty() {
         let (tx, simulated) = (arguments.tx.clone(), arguments.simulated);
-        let import = ChannelImport { tx, receiver, name, simulated, ..arguments.channels.settings() };
-        return import_channels(&import, &out, &arguments.accept, verbosity);
+        let import = ChannelImport { tx, receiver, name, simulated, ..arguments.channels.clone() };
+        let read =
+            || import.read().map(|(data, notes)| ImportedTable { data, notes, before: Vec::new(), after: Vec::new() });
+        return import_data(read, Some(&out), &arguments.accept, verbosity);
     }
     let work = Work {
         spectra: arguments.spectra.clone().unwrap_or_default(),
@@ -133,6 +141,31 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         output::print_note(&format!("    data: Arrays(root: {:?}),", out.to_string_lossy()));
         output::print_note("    split: Random(test: 0.2),");
     }
+    Ok(())
+}
+
+/// Writes the data that `read` returns into the folder `out`, unless findings on them are errors that are not `accepted`; without
+/// a folder, prints what was understood.
+fn import_data(
+    read: impl FnOnce() -> Result<ImportedTable>,
+    out: Option<&Path>,
+    accepted: &[String],
+    verbosity: Verbosity,
+) -> Result<()> {
+    let imported = RunProgress::observe(verbosity, |progress| {
+        let mut imported = staged(progress, "rows", |_| read())?;
+        imported.notes.iter().for_each(|note| verbosity.print_note(note));
+        check_findings(&imported.data, None, Some(accepted), progress)?;
+        imported.data.accepted = accepted.to_vec();
+        out.map(|out| save(&imported.data, out)).transpose()?;
+        Ok::<_, Error>(imported)
+    })?;
+    let Some(out) = out else {
+        let [before, after] = [&imported.before, &imported.after].map(|lines| lines.join("\n  "));
+        return output::print_result(&format!("before:\n  {before}\nafter:\n  {after}\n"));
+    };
+    let out = out.display();
+    verbosity.print_note(&format!("{} in {out}; next: `pwrfgs init {out}`", observed(&imported.data)));
     Ok(())
 }
 

@@ -36,7 +36,7 @@ pub(crate) struct Init {
     #[arg(long, value_name = "EFFORT", default_value = "normal", value_parser = Effort::parse)]
     pub(crate) effort: Effort,
     /// Colour map of camera images, inverted to values: jet, turbo or viridis
-    #[arg(long, value_name = "NAME", value_parser = Colormap::parse)]
+    #[arg(long, value_name = "NAME", value_enum, ignore_case = true, hide_possible_values = true)]
     pub(crate) colormap: Option<Colormap>,
     /// Accept a finding on the data, such as lone-value; repeatable
     #[arg(long, value_name = "FINDING")]

@@ -7,7 +7,7 @@ mod channel;
 mod power;
 mod spectrum;
 
-use crate::{Elevation, Image, ImagePlane, JsonSchema, Number, Real, Result, Sampling, Spectra, ssim};
+use crate::{Elevation, Image, ImagePlane, JsonSchema, Number, Real, Receiver, Result, Sampling, Spectra, ssim};
 pub use channel::{Channels, gain_fault, gain_indices, gains_of, rows_of};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -48,6 +48,14 @@ impl Deref for Task {
             Self::Power => &power::POWER,
             Self::Channel => &channel::CHANNEL,
         }
+    }
+}
+
+impl Task {
+    /// Returns name and unit of the level of observations at `receivers`: those of receivers that are not calibrated are relative.
+    pub fn level_name_at(self, receivers: &[Receiver]) -> [&'static str; 2] {
+        let is_relative = self.is_scalar && receivers.iter().any(|receiver| receiver.is_relative);
+        if is_relative { ["relative received power", "dB"] } else { self.level_name }
     }
 }
 

@@ -68,7 +68,7 @@ fn reads_and_saves_poses_of_a_moving_receiver() {
         (&["1,2,3,0,0,0,1", "1,2,3,0,0,0,2"], "rx_pose.csv:3:9: the quaternion has length 2.000000, expected 1"),
         (&["1,2,3,0,0,0"], "rx_pose.csv:2"),
         (&["1,NaN,3,0,0,0,1"], "rx_pose.csv:2:5"),
-        (&[], "has a header but no row; write one row per pose"),
+        (&[], "has a header but no row; give every row x, y and z in metres, and the unit quaternion"),
     ];
     for (rows, what) in cases {
         folder.write("rx_pose.csv", table(rows));

@@ -1,8 +1,9 @@
 //! `Predictions`: predictions of another program for the test set, read from a folder.
 
+use crate::dialect::read_columns;
 use crate::npy::MAX_BYTES;
 use crate::pictures::list_numbered_files;
-use crate::text::{read_bytes, read_text, table_rows};
+use crate::text::read_bytes;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::npy::Header;
 use pwrfgs_core::{
@@ -102,19 +103,16 @@ impl Predictions {
 /// Reads a table of powers with the columns `key` and `dbm`: the predictions by label. Returns an error for an invalid or
 /// repeated row.
 fn read_power_predictions(path: &Path, key: &str) -> Result<BTreeMap<u32, Prediction>> {
-    let text = read_text(path, files::MAX_TEXT, ADVICE)?;
     let mut predictions = BTreeMap::new();
-    for row in table_rows(path, &text, [key, "dbm"], ADVICE)? {
+    read_columns(path, [key, "dbm"], ADVICE, |row| {
         let [id, power] = row.fields;
         let fault = |problem| row.fault(id.column, format!("{key} {} {problem}; {ADVICE}", quoted(id.text)));
         let label = id.text.parse().ok().ok_or_else(|| fault("is not a whole number"))?;
         let dbm = row.power(power, &[])?;
         let dbm = dbm.ok_or_else(|| row.fault(power.column, "no power; give one per link, or remove the row"))?;
         let power = Prediction::Power(dbm as Real);
-        if predictions.insert(label, power).is_some() {
-            return Err(fault("occurs twice"));
-        }
-    }
+        predictions.insert(label, power).map_or(Ok(()), |_| Err(fault("occurs twice")))
+    })?;
     Ok(predictions)
 }
 

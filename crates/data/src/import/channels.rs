@@ -7,35 +7,47 @@ mod tests;
 use super::source::read_positions;
 use crate::checks::{check_frequencies, uniform_subcarriers};
 use array::ChannelArray;
+use clap::Args;
 use pwrfgs_core::{Channels, Dataset, Error, Observations, Pose, Real, Receiver, Result, Sample, Simulation};
 use std::path::PathBuf;
 
 /// Input files and settings of an import of channels.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Channels")]
 pub struct ChannelImport {
-    /// Arrays: `.npy` or `.npz` (`FILE.npz:NAME` selects an array), concatenated along the axis of positions.
+    /// Channels (CSI): .npy, .npz or .npz:NAME; several are concatenated
+    #[arg(long, value_name = "FILE", num_args = 1.., requires = "receiver", conflicts_with_all = ["elevation", "scale"])]
     pub channels: Vec<PathBuf>,
-    /// Imaginary parts, if they have arrays of their own: one per file of `channels`.
+    /// Imaginary parts, if they are in files of their own
+    #[arg(long, value_name = "FILE", num_args = 1.., requires = "channels")]
     pub imag: Vec<PathBuf>,
-    /// Names of the axes in order, such as `m,a,f`: positions, antennas, subcarriers, `ri` (real and imaginary part) or
-    /// `ir` (imaginary part first). Axes that are not named have length 1.
+    /// Axes: positions m, antennas a, subcarriers f, parts ri or ir
+    #[arg(long, value_name = "NAMES", default_value = "m,a,f", requires = "channels")]
     pub axes: String,
     /// Transmitter positions: `.npy`, `.npz` or `.csv` with columns x, y, z, metres; `None`: the array `tx` in the first
     /// archive of channels.
+    #[arg(skip)]
     pub tx: Option<PathBuf>,
     /// Receiver pose.
+    #[arg(skip = Pose::IDENTITY)]
     pub receiver: Pose,
-    /// Antenna positions in the frame of the receiver, in the formats of `tx`; `None`: one antenna.
+    /// Antenna positions in the receiver's frame, metres: as --tx
+    #[arg(long, value_name = "FILE", requires = "channels")]
     pub antennas: Option<PathBuf>,
-    /// Centre frequency of the subcarriers, Hz; not needed for powers.
+    /// Centre frequency of the subcarriers, Hz
+    #[arg(long, value_name = "HZ", requires = "channels", allow_hyphen_values = true)]
     pub carrier_hz: Option<f64>,
-    /// Subcarrier spacing, Hz; not needed for powers, or for one subcarrier.
+    /// Subcarrier spacing, Hz
+    #[arg(long, value_name = "HZ", requires = "channels", allow_hyphen_values = true)]
     pub spacing_hz: Option<f64>,
-    /// Whether to write powers instead of channels.
+    /// Write powers, relative dB: a receiver per subcarrier (or antenna)
+    #[arg(long, requires = "channels")]
     pub powers: bool,
     /// Name of the data set.
+    #[arg(skip)]
     pub name: String,
     /// Whether the channels are simulated, not measured.
+    #[arg(skip)]
     pub simulated: bool,
 }
 
@@ -123,8 +135,9 @@ impl ChannelImport {
         let strongest = powers.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let powers: Observations =
             powers.into_iter().map(|db: f64| (db - strongest) as Real).collect::<Vec<Real>>().into();
-        let receivers: Vec<Receiver> =
-            listed.iter().map(|k| Receiver::new(format!("{noun} {k}"), self.receiver)).collect();
+        let receiver =
+            |k: &usize| Receiver { is_relative: true, ..Receiver::new(format!("{noun} {k}"), self.receiver) };
+        let receivers: Vec<Receiver> = listed.iter().map(receiver).collect();
         Dataset::of_links(format!("{} (relative dB)", self.name), receivers, vec![], &samples, powers)
     }
 }

@@ -1,6 +1,6 @@
 //! `train_index.txt` and `test_index.txt`: sample ids of each set, one per line, zero-padded or not.
 
-use crate::text::{TextRow, numbered_lines, read_text};
+use crate::text::{TextRow, is_comment, numbered_lines, read_text};
 use pwrfgs_core::{Error, Result, files::MAX_TEXT, messages::quoted};
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -95,8 +95,8 @@ fn read_list(path: &Path, parse: &ParseEntry<'_>, seen: &mut BTreeMap<u32, Strin
     let text = read_text(path, MAX_TEXT, "give both index files or neither")?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut list = Vec::new();
-    for line in numbered_lines(&text) {
-        let row = TextRow::at_blanks(path, line);
+    for line in numbered_lines(&text).filter(|(_, line)| !is_comment(line)) {
+        let row = TextRow::split(path, line, |c| c.is_whitespace() || c == ',' || c == ';');
         for field in &row.fields {
             let IndexEntry { id, sample } = parse(field.text).map_err(|fault| row.fault(field.column, fault))?;
             list.push(sample);

@@ -6,11 +6,12 @@ mod tests;
 use super::receivers::read_gateways;
 use super::{LocationTable, POSES, index};
 use crate::checks::NOT_RECEIVED;
+use crate::dialect::TableText;
 use crate::folder::{
     check_root, existing_root, find_point_cloud, folder_name, read_missing, read_point_cloud, read_title,
     recognised_root, restore_saved,
 };
-use crate::text::{TextRow, numbered_lines, read_text};
+use crate::text::{DBM_ADVICE, TextRow};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::{quoted, strip_control, text_of};
 use pwrfgs_core::{
@@ -83,8 +84,8 @@ impl DataSource for Nerf2Rssi {
         let locations = LocationTable::read(&root, &root.join("tx_pos.csv"))?;
         let names: Vec<String> = gateways.iter().map(|(name, _)| name.clone()).collect();
         let missing = read_missing(&root);
-        let mut received = PowerTable { missing: missing.as_deref().unwrap_or(&[NOT_RECEIVED]), gateways: &names }
-            .read(&root.join("gateway_rssi.csv"), locations.poses.len())?;
+        let codes = missing.as_deref().unwrap_or(&[NOT_RECEIVED]);
+        let mut received = read_links(&root.join("gateway_rssi.csv"), &names, codes, locations.poses.len())?;
         warn_of_low_powers(&root, missing.is_some(), &received);
         let table = if locations.moving.is_receiver() { POSES } else { "tx_pos.csv" };
         let rows = index::read_sets(&root, &|word| index::parse_row(word, table, locations.poses.len()))?;
@@ -154,83 +155,72 @@ fn warn_of_low_powers(root: &Path, is_declared: bool, received: &[PowerRow]) {
     }
 }
 
-/// Table of powers with a column per gateway.
-struct PowerTable<'a> {
-    /// Values that mean that no signal was received.
-    missing: &'a [f64],
-    gateways: &'a [String],
-}
-
-impl PowerTable<'_> {
-    /// Reads all received powers, by row, then gateway. Returns an error unless every gateway has a column, each of the `rows`
-    /// transmitters a row, and each of them at least one received power.
-    fn read(&self, path: &Path, rows: usize) -> Result<Vec<PowerRow>> {
-        let text = read_text(path, MAX_TEXT, LAYOUT)?;
-        let mut contents = numbered_lines(&text);
-        let Some(header) = contents.next() else {
-            let advice = "write a header with the names of the gateways and one row per transmitter";
-            return Err(Error::input(path, format!("is empty; {advice}")));
-        };
-        let header = TextRow::at_commas(path, header);
-        let columns = gateway_columns(&header, self.gateways)?;
-        let (mut received, mut count): (Vec<PowerRow>, usize) = (Vec::new(), 0);
-        for (row, content) in contents.enumerate() {
-            let cells = TextRow::at_commas(path, content);
-            cells.check_length(header.fields.len())?;
-            let before = received.len();
-            for (gateway, &column) in columns.iter().enumerate() {
-                let power = cells.read_power((column, &self.gateways[gateway]), self.missing)?;
-                received.extend(power.map(|dbm| PowerRow { row, gateway, dbm }));
-            }
-            if received.len() == before && row < rows {
-                let advice = "remove the row here and in tx_pos.csv, and number the index files anew";
-                return Err(Error::at(path, cells.line, 1, format!("no gateway heard this transmitter; {advice}")));
-            }
-            count += 1;
+/// Reads all received powers of a table with a column per gateway, by row, then gateway; `missing` are the values that mean that
+/// no signal was received. Returns an error unless every gateway has a column, each of the `rows` transmitters a row, and each of
+/// them at least one received power.
+fn read_links(path: &Path, gateways: &[String], missing: &[f64], rows: usize) -> Result<Vec<PowerRow>> {
+    let unknown = ["has no position in gateway_position.yml", "add it there, or remove the column"];
+    let unnamed = "a gateway that has a position; add one, or remove its line in gateway_position.yml";
+    let table = read_power_rows(path, LAYOUT, gateways, missing, unknown, Some(unnamed))?;
+    let mut received = Vec::new();
+    for (row, (line, powers)) in table.iter().enumerate() {
+        let links =
+            powers.iter().enumerate().filter_map(|(gateway, dbm)| Some(PowerRow { row, gateway, dbm: (*dbm)? }));
+        received.extend(links);
+        if row < rows && powers.iter().all(Option::is_none) {
+            let advice = "remove the row here and in tx_pos.csv, and number the index files anew";
+            return Err(Error::at(path, *line, 1, format!("no gateway heard this transmitter; {advice}")));
         }
-        if count != rows {
-            let problem = format!("holds {count} rows of powers, but tx_pos.csv {rows} transmitters");
-            return Err(Error::input(path, format!("{problem}; give as many of each")));
-        }
-        if received.is_empty() {
-            return Err(Error::input(path, "holds no received power; check the file"));
-        }
-        Ok(received)
     }
+    if table.len() != rows {
+        let problem = format!("holds {} rows of powers, but tx_pos.csv {rows} transmitters", table.len());
+        return Err(Error::input(path, format!("{problem}; give as many of each")));
+    }
+    Ok(received)
 }
 
-/// Returns the column index of each gateway in a header. Returns an error for a missing, repeated or unknown column.
-fn gateway_columns(header: &TextRow<'_>, gateways: &[String]) -> Result<Vec<usize>> {
-    let advice = ["has no position in gateway_position.yml", "add it there, or remove the column"];
-    let column_by_name = find_columns(header, gateways, advice)?;
-    let column = |name: &String| {
-        column_by_name.get(name.as_str()).copied().ok_or_else(|| {
-            let problem = format!("no column `{}`, a gateway that has a position", strip_control(name));
-            header.fault(1, format!("{problem}; add one, or remove its line in gateway_position.yml"))
-        })
-    };
-    gateways.iter().map(column).collect()
-}
+/// Received powers in a row of a table, dBm, after its line number.
+type TableRow = (usize, Vec<Option<f64>>);
 
-/// Returns the column indices of a header by name. Returns an error for a repeated name, or one that is not in `names`:
-/// `unknown` is its problem and the next step.
-fn find_columns<'a>(header: &TextRow<'a>, names: &[String], unknown: [&str; 2]) -> Result<BTreeMap<&'a str, usize>> {
+/// Reads a table with a column per receiver in `names`. Returns an error for a column of another name, which is `unknown`: its
+/// problem and the next step; for a receiver without a column, if `unnamed` describes one; and for an invalid row.
+fn read_power_rows(
+    path: &Path,
+    advice: &str,
+    names: &[String],
+    missing: &[f64],
+    unknown: [&str; 2],
+    unnamed: Option<&str>,
+) -> Result<Vec<TableRow>> {
     let valid: BTreeSet<&str> = names.iter().map(String::as_str).collect();
-    let mut column_by_name = BTreeMap::new();
-    for (k, field) in header.fields.iter().enumerate() {
-        let text = text_of(field.text);
-        let name = if valid.contains(text) { text } else { field.text };
-        if column_by_name.insert(name, k).is_some() {
-            let problem = format!("a second column {}; name each receiver once", quoted(field.text));
-            return Err(header.fault(field.column, problem));
+    let table =
+        TableText::with_names(path, MAX_TEXT, advice, &|cell| valid.contains(cell) || valid.contains(text_of(cell)))?;
+    let mut columns = BTreeMap::new();
+    for (k, cell) in table.names.iter().enumerate() {
+        let name = if valid.contains(text_of(cell)) { text_of(cell) } else { cell };
+        if columns.insert(name, k).is_some() {
+            let problem = format!("a second column {}; name each receiver once", quoted(cell));
+            return Err(table.fault(Some(k), problem));
         }
         if !valid.contains(name) {
-            let hint = did_you_mean(field.text, names.iter().map(String::as_str));
-            let problem = format!("{} {}{hint}; {}", quoted(field.text), unknown[0], unknown[1]);
-            return Err(header.fault(field.column, problem));
+            let hint = did_you_mean(cell, names.iter().map(String::as_str));
+            return Err(table.fault(Some(k), format!("{} {}{hint}; {}", quoted(cell), unknown[0], unknown[1])));
         }
     }
-    Ok(column_by_name)
+    let column = |name: &String| match (columns.get(name.as_str()), unnamed) {
+        (None, Some(unnamed)) => Err(table.fault(None, format!("no column `{}`, {unnamed}", strip_control(name)))),
+        (column, _) => Ok(column.copied()),
+    };
+    let columns = names.iter().map(column).collect::<Result<Vec<_>>>()?;
+    let power = |row: &TextRow<'_>, (column, name): (&Option<usize>, &String)| match column {
+        Some(column) => row.power(row.cell((*column, name), DBM_ADVICE)?, missing),
+        None => Ok(None),
+    };
+    let read = |row: Result<TextRow<'_>>| {
+        let row = row?;
+        Ok((row.line, columns.iter().zip(names).map(|cell| power(&row, cell)).collect::<Result<_>>()?))
+    };
+    table.rows().map(read).collect()
 }
 
 /// Reads received powers `[rows, receivers]` from a table with one column per receiver, dBm; NaN for empty cells and for
@@ -242,24 +232,12 @@ fn find_columns<'a>(header: &TextRow<'a>, names: &[String], unknown: [&str; 2]) 
 pub fn read_powers(path: &Path, receivers: &[String]) -> Result<Vec<Vec<Real>>> {
     const ADVICE: &str =
         "write one column per receiver and one row per transmitter, in dBm; leave unknown powers empty";
-    let text = read_text(path, MAX_TEXT, ADVICE)?;
-    let mut rows = numbered_lines(&text);
-    let header = rows.next().ok_or_else(|| Error::input(path, format!("is empty; {ADVICE}")))?;
-    let header = TextRow::at_commas(path, header);
-    let advice = ["is no receiver of the model", "name one, or remove the column"];
-    let column_by_name = find_columns(&header, receivers, advice)?;
-    let read = |row| {
-        let row = TextRow::at_commas(path, row);
-        row.check_length(header.fields.len())?;
-        let power = |name: &String| match column_by_name.get(name.as_str()) {
-            Some(column) => {
-                let field = row.cell((*column, name), ADVICE)?;
-                Ok(row.power(field, &[])?.map_or(Real::NAN, |dbm| dbm as Real))
-            }
-            None => Ok(Real::NAN),
-        };
-        receivers.iter().map(power).collect()
-    };
-    let powers = rows.map(read).collect::<Result<Vec<Vec<Real>>>>()?;
-    if powers.is_empty() { Err(Error::input(path, format!("has a header but no row; {ADVICE}"))) } else { Ok(powers) }
+    let unknown = ["is no receiver of the model", "name one, or remove the column"];
+    let rows = read_power_rows(path, ADVICE, receivers, &[], unknown, None)?;
+    if rows.is_empty() {
+        return Err(Error::input(path, format!("has a header but no row; {ADVICE}")));
+    }
+    let values =
+        |(_, powers): TableRow| powers.into_iter().map(|dbm| dbm.map_or(Real::NAN, |dbm| dbm as Real)).collect();
+    Ok(rows.into_iter().map(values).collect())
 }

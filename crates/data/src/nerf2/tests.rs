@@ -215,7 +215,7 @@ fn reports_missing_file() {
         fault_without("s/gateway_info.yml"),
         format!("cannot read DIR/s/gateway_info.yml: no such file; {LAYOUT}")
     );
-    let table = "write a table with the columns x, y and z, in metres";
+    let table = "write a table with the columns x, y, z; give every row x, y and z in metres";
     assert_eq!(fault_without("s/tx_pos.csv"), format!("cannot read DIR/s/tx_pos.csv: no such file; {table}"));
     assert_eq!(
         fault_without("s/train_index.txt"),
@@ -260,8 +260,8 @@ fn reports_unreadable_file() {
 fn reports_line_and_column_in_tx_pos() {
     let advice = "give every row x, y and z in metres";
     let cases: [(&str, String); 9] = [
-        ("", format!(": is empty; {advice}")),
-        ("x,y,z\n", ": has a header but no row; write one row per position, in metres".into()),
+        ("", format!(": is empty; write a table with the columns x, y, z; {advice}")),
+        ("x,y,z\n", ": has a header but no row; give every row x, y and z in metres".into()),
         ("x,y\n1,2\n", ":1:1: no column `z`; the first line must name the columns x, y, z".into()),
         ("1,2,3\n", ":1:1: no column `x`; the first line must name the columns x, y, z".into()),
         ("x,y,z\n1,2,3\n4,5\n", format!(":3:4: the row ends after 2 of the 3 columns that `z` needs; {advice}")),

@@ -1,8 +1,8 @@
 //! `ColumnSearch`: which column of a table is which, by name or by the user's choice.
 
-use super::dialect::TableText;
 use super::names::{FLOOR, LAT, LON, PLACE, RECEIVER, TX_ID, X, Y, Z, is_one_of, normalized};
 use super::options::ColumnChoice;
+use crate::dialect::TableText;
 use crate::text::{TextRow, is_metre, split_unit};
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Result, did_you_mean};
@@ -38,7 +38,7 @@ impl PlaceColumns {
 
 /// Search for columns in one table.
 pub(super) struct ColumnSearch<'a> {
-    pub(super) table: &'a TableText,
+    pub(super) table: &'a TableText<'a>,
     pub(super) choice: &'a ColumnChoice,
     /// Names in lower case, without units.
     pub(super) names: Vec<String>,
@@ -48,7 +48,7 @@ pub(super) struct ColumnSearch<'a> {
 
 impl<'a> ColumnSearch<'a> {
     /// Creates a search. Returns an error if one of the first rows is longer than the header.
-    pub(super) fn new(table: &'a TableText, choice: &'a ColumnChoice) -> Result<Self> {
+    pub(super) fn new(table: &'a TableText<'a>, choice: &'a ColumnChoice) -> Result<Self> {
         let rows = table.rows().take(EXAMINED).collect::<Result<Vec<_>>>()?;
         let names = table.names.iter().map(|name| normalized(name)).collect();
         Ok(Self { table, choice, names, rows })
@@ -56,7 +56,7 @@ impl<'a> ColumnSearch<'a> {
 
     /// Returns the error `problem` at the header.
     pub(super) fn fault(&self, problem: impl std::fmt::Display) -> Error {
-        Error::at(&self.table.path, self.table.header.unwrap_or(1), 1, problem)
+        self.table.fault(None, problem)
     }
 
     /// Lists columns.
@@ -146,7 +146,7 @@ impl<'a> ColumnSearch<'a> {
 
     /// Returns the numbers of a column in the first rows.
     pub(super) fn values(&self, k: usize) -> impl Iterator<Item = f64> + '_ {
-        self.rows.iter().filter_map(move |row| self.table.number(row, *row.fields.get(k)?, "").ok().flatten())
+        self.rows.iter().filter_map(move |row| row.optional(*row.fields.get(k)?, "").ok().flatten())
     }
 
     /// Returns the column that holds only names out of `names`. Returns an error if there is none.

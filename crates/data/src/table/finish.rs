@@ -3,7 +3,7 @@
 use super::columns::{SHOWN, list};
 use super::options::ImportedTable;
 use super::survey::{NamedReceiver, PREVIEW, Survey};
-use pwrfgs_core::{Dataset, Error, Link, Location, Pose, Real, Receiver, Result, Simulation};
+use pwrfgs_core::{Dataset, Error, Geodetic, Link, Location, Pose, Real, Receiver, Result, Simulation};
 
 impl Survey<'_> {
     /// Makes the data set. Returns an error if no power was received, or the floors have no height.
@@ -14,7 +14,7 @@ impl Survey<'_> {
             return Err(Error::input(path, problem));
         }
         if self.floors.len() > 1 && self.import.floor_height.is_none() {
-            let floors = list(self.floors.iter().map(String::as_str));
+            let floors = list(self.floors.keys().map(String::as_str));
             let problem = format!("has the floors {floors}; give their height with --floor-height METRES");
             return Err(Error::input(path, problem));
         }
@@ -35,7 +35,7 @@ impl Survey<'_> {
         let part = |test: bool| (0..is_test.len()).filter(|i| is_test[*i] == test).collect::<Vec<usize>>();
         data.official = (!self.import.test.is_empty()).then(|| (part(false), part(true)));
         data.estimate_receivers(&(0..data.len()).collect::<Vec<_>>());
-        data.scene.geodetic = self.frame.geodetic;
+        (data.scene.geodetic, data.scene.floors) = (self.frame.geodetic, std::mem::take(&mut self.floors));
         data.simulation = self.import.is_simulated.then(Simulation::default);
         let after = preview(&data);
         Ok(ImportedTable { data, notes: self.notes, before: self.before, after })
@@ -76,44 +76,28 @@ impl Survey<'_> {
     fn add_notes(&mut self, receivers: &[Option<Receiver>]) {
         let mut sends = vec![false; self.spots.len()];
         self.readings.iter().for_each(|reading| sends[reading.location as usize] = true);
-        let mut note = |count: usize, text: String| self.notes.extend((count > 0).then_some(text));
-        for (code, count) in self.import.missing.iter().zip(&self.coded) {
-            note(1, format!("{count} cells are {code}, not heard"));
-        }
-        note(self.silent, format!("{} cells are empty, not heard", self.silent));
+        let coded = self.import.missing.iter().zip(&self.coded);
+        self.notes.extend(coded.map(|(code, count)| format!("{count} cells are {code}, not heard")));
         let deaf = self.receivers.iter().zip(receivers).filter(|(_, heard)| heard.is_none()).map(|(r, _)| &*r.name);
-        let deaf: Vec<&str> = deaf.collect();
-        note(
-            deaf.len(),
-            format!("{} receivers heard nothing and are left out: {}", deaf.len(), list(deaf.iter().copied())),
-        );
-        let unheard = sends.iter().filter(|sends| !**sends).count();
-        note(unheard, format!("{unheard} rows were heard by no receiver and are left out"));
-        note(
-            self.repeated,
-            format!("{} readings repeat a link: each has a location at the same position", self.repeated),
-        );
-        note(
-            self.places.joined,
-            format!("{} positions are within 1 mm of another and are joined with it", self.places.joined),
-        );
-        note(
-            self.respelled.len(),
-            format!(
-                "{} receiver names differ from another only by case and are joined: {}",
+        let (deaf, respelled) = (deaf.collect::<Vec<&str>>(), self.respelled.iter().map(String::as_str));
+        let counted = [
+            (self.silent, "cells are empty, not heard".to_owned()),
+            (deaf.len(), format!("receivers heard nothing and are left out: {}", list(deaf.iter().copied()))),
+            (sends.iter().filter(|sends| !**sends).count(), "rows were heard by no receiver and are left out".into()),
+            (self.repeated, "readings repeat a link: each has a location at the same position".into()),
+            (self.places.joined, "positions are within 1 mm of another and are joined with it".into()),
+            (
                 self.respelled.len(),
-                list(self.respelled.iter().map(String::as_str))
+                format!("receiver names differ from another only by case and are joined: {}", list(respelled)),
             ),
-        );
-        if let Some(zero) = self.frame.geodetic {
-            note(
-                1,
-                format!(
-                    "degrees become metres east and north of latitude {}, longitude {}",
-                    zero.latitude, zero.longitude
-                ),
-            );
-        }
+        ];
+        let counted = counted.into_iter().filter(|(count, _)| *count > 0);
+        self.notes.extend(counted.map(|(count, text)| format!("{count} {text}")));
+        let zero = self.frame.geodetic.map(|zero| {
+            let Geodetic { latitude, longitude } = zero;
+            format!("degrees become metres east and north of latitude {latitude}, longitude {longitude}")
+        });
+        self.notes.extend(zero);
     }
 }
 

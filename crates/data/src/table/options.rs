@@ -1,55 +1,89 @@
-//! `TableImport`: tables and how to read them, and what comes of it.
+//! `TableImport`: tables and how to read them, which are also the options of `import --table`, and what comes of it.
 
-use super::dialect::TableFile;
+use crate::dialect::TableFile;
+use clap::Args;
 use pwrfgs_core::{Dataset, PowerUnit};
 
 /// Columns that the user chose: names, or numbers from 1. `None`: recognised by name.
-#[derive(Clone, Debug, Default)]
-#[allow(missing_docs, reason = "each is the column of that quantity")]
+#[derive(Clone, Debug, Default, Args)]
 pub struct ColumnChoice {
+    /// Receivers' columns; * is any text [default: recognised]
+    #[arg(long = "columns", value_name = "PATTERN", num_args = 1.., requires = "files")]
+    pub wide: Vec<String>,
+    /// Column of x, a name or a number from 1 [default: recognised]
+    #[arg(long, value_name = "COLUMN", requires = "files")]
     pub x: Option<String>,
+    /// Column of y
+    #[arg(long, value_name = "COLUMN", requires = "files")]
     pub y: Option<String>,
+    /// Column of the height
+    #[arg(long, value_name = "COLUMN", requires = "files")]
     pub z: Option<String>,
+    /// Column of the latitude, degrees
+    #[arg(long, value_name = "COLUMN", requires = "files")]
     pub lat: Option<String>,
+    /// Column of the longitude, degrees
+    #[arg(long, value_name = "COLUMN", requires = "files")]
     pub lon: Option<String>,
+    /// Column of the floor, a number
+    #[arg(long, value_name = "COLUMN", requires = "files")]
     pub floor: Option<String>,
+    /// Column that identifies a transmitter
+    #[arg(long, value_name = "COLUMN", requires = "files")]
     pub tx_id: Option<String>,
     /// Column of the receiver in a table with a row per reading; else the name of the only receiver.
+    #[arg(skip)]
     pub receiver: Option<String>,
+    /// Column of the power
+    #[arg(long, value_name = "COLUMN", requires = "files")]
     pub power: Option<String>,
+    /// Column of the time: readings of one place and time belong together
+    #[arg(long, value_name = "COLUMN", requires = "files")]
     pub time: Option<String>,
-    /// Columns of receivers in a table with a row per transmitter: names, in which `*` stands for any text.
-    pub wide: Vec<String>,
 }
 
 /// Tables of received powers, and how to read them.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Args)]
+#[command(next_help_heading = "Tables of received powers")]
 pub struct TableImport {
-    /// Tables of readings, one or more; their rows follow each other.
+    /// Tables of powers: a row per reading, or a column per receiver
+    #[arg(long = "table", alias = "links", value_name = "FILE", num_args = 1..)]
     pub files: Vec<TableFile>,
-    /// Tables whose rows are the test set; those of `files` are then the training set.
+    /// Tables of the test set; the others are then the training set
+    #[arg(long, value_name = "FILE", num_args = 1.., requires = "files")]
     pub test: Vec<TableFile>,
     /// Positions of the rows of `files` and `test`, row by row.
+    #[arg(skip)]
     pub tx: Option<TableFile>,
-    /// Positions of the places that the rows name.
-    pub places: Option<TableFile>,
-    /// Positions of the receivers, by name. Receivers without one are estimated from their strongest readings.
+    /// Positions of the receivers: columns name, x, y, z
+    #[arg(long, value_name = "FILE", requires = "files")]
     pub receivers: Option<TableFile>,
+    /// Positions of places that rows name: columns name, x, y, z
+    #[arg(long, value_name = "FILE", requires = "files")]
+    pub places: Option<TableFile>,
     /// Chosen columns.
+    #[command(flatten)]
     pub columns: ColumnChoice,
-    /// Whether positions are latitude and longitude, also if the columns are not called so.
+    /// Positions are latitude, longitude in degrees
+    #[arg(long = "lat-lon", requires = "files")]
     pub is_lat_lon: bool,
-    /// Height where the table has none, metres; above the floor if it has floors.
-    pub height: Option<f64>,
-    /// Height of a floor, metres.
+    /// Height of a floor in metres
+    #[arg(long, value_name = "METRES", requires = "files", allow_hyphen_values = true)]
     pub floor_height: Option<f64>,
-    /// Values that mean "not heard", as the table writes them.
+    /// Height where the table has none, in metres [default: 0]
+    #[arg(long, value_name = "METRES", requires = "files", allow_hyphen_values = true)]
+    pub height: Option<f64>,
+    /// Value that means "not heard", such as 100; may repeat
+    #[arg(long, value_name = "VALUE", requires = "files", allow_hyphen_values = true)]
     pub missing: Vec<f64>,
-    /// Unit of the powers.
+    /// dBm, positive-dBm, percent, dB:FLOOR, mW or W
+    #[arg(long, value_name = "UNIT", requires = "files", default_value = "dBm")]
     pub unit: PowerUnit,
     /// Title of the data set.
+    #[arg(skip)]
     pub title: String,
     /// Whether the data are simulated.
+    #[arg(skip)]
     pub is_simulated: bool,
 }
 

@@ -1,8 +1,8 @@
 //! Positions in tables: of rows, places and receivers, in metres or degrees.
 
 use super::columns::{ColumnSearch, PlaceColumns};
-use super::dialect::{TableFile, TableText};
 use super::options::{ColumnChoice, TableImport};
+use crate::dialect::{TableFile, TableText};
 use crate::text::TextRow;
 use pwrfgs_core::{Geodetic, Result, place_fault};
 use std::collections::{BTreeMap, HashMap};
@@ -22,14 +22,14 @@ impl Frame {
     /// coordinate.
     pub(super) fn read(
         &mut self,
-        table: &TableText,
+        table: &TableText<'_>,
         row: &TextRow<'_>,
         columns: PlaceColumns,
         height: f64,
     ) -> Result<[f64; 3]> {
         let coordinate = |k: usize| -> Result<f64> {
             let field = row.cell((k, &table.names[k]), "give every row a position")?;
-            let value = table.number(row, field, "coordinate")?;
+            let value = row.optional(field, "give the coordinate as a number")?;
             value.ok_or_else(|| row.fault(field.column, "no coordinate; give every row a position, or remove the row"))
         };
         let [a, b] = [coordinate(columns.plane[0])?, coordinate(columns.plane[1])?];

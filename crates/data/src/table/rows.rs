@@ -1,9 +1,9 @@
 //! `RowReader`: where the rows of one table have their position and their powers.
 
 use super::columns::{ColumnSearch, PlaceColumns, list};
-use super::dialect::TableText;
 use super::options::TableImport;
 use super::powers::PowerColumns;
+use crate::dialect::TableText;
 use pwrfgs_core::Result;
 use pwrfgs_core::messages::quoted;
 use std::collections::BTreeMap;
@@ -19,7 +19,7 @@ pub(super) enum RowPlace {
 
 /// Columns of one table.
 pub(super) struct RowReader<'a> {
-    pub(super) table: &'a TableText,
+    pub(super) table: &'a TableText<'a>,
     pub(super) place: RowPlace,
     pub(super) floor: Option<usize>,
     pub(super) powers: PowerColumns,
@@ -33,7 +33,7 @@ impl<'a> RowReader<'a> {
     pub(super) fn new(
         import: &TableImport,
         named: &BTreeMap<String, [f64; 3]>,
-        table: &'a TableText,
+        table: &'a TableText<'a>,
         search: &ColumnSearch<'_>,
     ) -> Result<Self> {
         let place = if import.tx.is_some() {

@@ -1,12 +1,12 @@
 //! `Survey`: collects readings from tables.
 
 use super::columns::ColumnSearch;
-use super::dialect::{TableFile, TableText};
 use super::options::TableImport;
 use super::places::{Frame, Places, SAME_M, distance, read_named, read_rows};
 use super::powers::PowerColumns;
 use super::rows::{RowPlace, RowReader};
 use crate::checks::power_fault;
+use crate::dialect::{TableFile, TableText};
 use crate::text::{TextField, TextRow};
 use pwrfgs_core::messages::{quoted, strip_control};
 use pwrfgs_core::{Real, Result};
@@ -56,7 +56,8 @@ pub(super) struct Survey<'a> {
     pub(super) receivers: Vec<NamedReceiver>,
     pub(super) receiver_indices: HashMap<String, u32>,
     pub(super) readings: Vec<Reading>,
-    pub(super) floors: BTreeSet<String>,
+    /// Height on each floor, metres.
+    pub(super) floors: BTreeMap<String, f64>,
     /// Spellings of receiver names that were joined with another one.
     pub(super) respelled: BTreeSet<String>,
     /// Number of cells with each code for "not heard".
@@ -87,7 +88,7 @@ impl<'a> Survey<'a> {
             receivers: Vec::new(),
             receiver_indices: HashMap::new(),
             readings: Vec::new(),
-            floors: BTreeSet::new(),
+            floors: BTreeMap::new(),
             respelled: BTreeSet::new(),
             coded: vec![0; import.missing.len()],
             silent: 0,
@@ -129,7 +130,7 @@ impl<'a> Survey<'a> {
             for (&column, &receiver) in columns.iter().zip(&names) {
                 // A row may end early: its last cells are empty.
                 let Some(field) = row.fields.get(column) else { break };
-                if let Some(dbm) = self.dbm(reader.table, &row, *field)? {
+                if let Some(dbm) = self.dbm(&row, *field)? {
                     self.readings.push(Reading { location, receiver, dbm });
                 }
             }
@@ -154,7 +155,7 @@ impl<'a> Survey<'a> {
                     return Err(row.fault(1, format!("{problem}; give one position per receiver")));
                 }
             }
-            let Some(dbm) = self.dbm(reader.table, &row, cell(power)?)? else { continue };
+            let Some(dbm) = self.dbm(&row, cell(power)?)? else { continue };
             let cells =
                 reader.transmitter.iter().map(|k| cell(*k).map(|field| field.text)).collect::<Result<Vec<_>>>()?;
             let count = self.groups.len() as u32;
@@ -177,9 +178,9 @@ impl<'a> Survey<'a> {
         let mut height = height.unwrap_or(0.0);
         if let Some(column) = reader.floor {
             let field = row.cell((column, &reader.table.names[column]), "give every row a floor")?;
-            let floor = reader.table.number(row, field, "floor")?.unwrap_or(0.0);
-            self.floors.insert(field.text.to_owned());
+            let floor = row.optional(field, "give the floor as a number, or leave the cell empty")?.unwrap_or(0.0);
             height += floor * floor_height.unwrap_or(0.0);
+            self.floors.insert(field.text.to_owned(), height);
         }
         let position = match reader.place {
             RowPlace::Columns(columns) => self.frame.read(reader.table, row, columns, height)?,
@@ -210,8 +211,8 @@ impl<'a> Survey<'a> {
     }
 
     /// Returns the power in a cell, dBm; `None` if nothing was heard.
-    fn dbm(&mut self, table: &TableText, row: &TextRow<'_>, field: TextField<'_>) -> Result<Option<Real>> {
-        let Some(value) = table.number(row, field, "power")? else {
+    fn dbm(&mut self, row: &TextRow<'_>, field: TextField<'_>) -> Result<Option<Real>> {
+        let Some(value) = row.optional(field, "give the power as a number, or leave the cell empty")? else {
             self.silent += 1;
             return Ok(None);
         };

@@ -1,4 +1,5 @@
 use super::*;
+use crate::TableFile;
 use flate2::{Compression, write::GzEncoder};
 use pwrfgs_core::PowerUnit;
 use std::fmt::Write as _;
@@ -201,7 +202,7 @@ fn other_files_state_places_receivers_and_test_set() {
     let write = |name: &str, text: &str| {
         let path = folder.path().join(name);
         std::fs::write(&path, text).unwrap();
-        Some(TableFile::from(path))
+        Some(TableFile::from(path.into_os_string()))
     };
     let rooms = "cell,b1,b2\nO02,-60,-200\nP01,-70,-71\nO02,-61,-200\n";
     let import = TableImport {
@@ -241,7 +242,16 @@ fn floors_need_a_height() {
             .contains("has the floors `0`, `2`; give their height with --floor-height")
     );
     let import = TableImport { floor_height: Some(3.5), height: Some(1.0), ..TableImport::default() };
-    assert_eq!(links(&read(text, import).unwrap())[2].0, [0.0, 0.0, 8.0]);
+    let imported = read(text, import).unwrap();
+    assert_eq!(links(&imported)[2].0, [0.0, 0.0, 8.0]);
+    let floors = &imported.data.scene.floors;
+    assert_eq!(floors.iter().map(|(name, z)| (&**name, *z)).collect::<Vec<_>>(), [("0", 1.0), ("2", 8.0)]);
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("saved");
+    let saved = crate::save(&imported.data, &out).unwrap().load(Path::new(""), &|_, _| {}).unwrap();
+    assert_eq!(&saved.scene.floors, floors);
+    let manifest = std::fs::read_to_string(out.join("manifest.json")).unwrap();
+    assert!(manifest.replace([' ', '\n'], "").contains(r#""floors":{"0":1.0,"2":8.0}"#), "{manifest}");
     let one = read(&text.replace(",2,", ",0,"), TableImport::default()).unwrap();
     assert_eq!(links(&one)[2].0, [0.0; 3]);
 }

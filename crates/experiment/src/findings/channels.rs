@@ -179,9 +179,7 @@ impl PhaseCheck {
 
 /// Returns link `i` at the first receiver.
 fn snapshot(data: &Dataset, channels: &Channels, i: usize) -> Snapshot {
-    let (query, fixed) = (data.query(i), data.scene.origin.world_pose(data.scene.pose()));
-    let (receiver, transmitter) =
-        if data.scene.moving.is_receiver() { (query.pose, fixed) } else { (fixed, query.pose) };
+    let [transmitter, receiver] = data.link_ends(i);
     let far = |antenna: &[f64; 3]| {
         let from = DVec3::from_array(receiver.position) + DVec3::from_array(receiver.turned(*antenna));
         from.distance(DVec3::from_array(transmitter.position))
@@ -189,7 +187,7 @@ fn snapshot(data: &Dataset, channels: &Channels, i: usize) -> Snapshot {
     let gains: Vec<DVec2> = channels.of(i).iter().map(|gain| DVec2::from_array(gain.map(|v| v as f64))).collect();
     let size = gains.iter().map(|gain| gain.length_squared()).sum::<f64>().sqrt();
     let distances = data.scene.receivers[0].antennas.iter().map(far).collect();
-    (query.position(), gains.into_iter().map(|gain| gain / size).collect(), distances)
+    (data.sample(i).position(), gains.into_iter().map(|gain| gain / size).collect(), distances)
 }
 
 impl Coherence {

@@ -18,14 +18,14 @@ pub(super) fn check_directions(data: &Dataset, spectra: &[SpectrumSummary], pose
         return None;
     }
     let seen: Vec<(usize, DVec3)> = spectra.iter().filter_map(|s| Some((s.sample, s.strongest?))).collect();
-    let fixed = data.scene.origin.world_pose(data.scene.pose());
     let angle_by = |meaning: fn([f64; 3]) -> [f64; 3]| {
         let degrees = |&(sample, strongest): &(usize, DVec3)| {
-            let moved = data.sample(sample).pose;
-            let (a, b) = (DVec3::from_array(meaning(moved.position)), DVec3::from_array(fixed.position));
-            let (sight, by) = if data.scene.moving.is_receiver() { (b - a, moved) } else { (a - b, fixed) };
-            let by = DQuat::from_array(by.orientation).normalize();
-            angle(by.inverse() * sight.normalize_or_zero(), strongest).to_degrees()
+            let mut ends = data.link_ends(sample);
+            let moved = &mut ends[usize::from(data.scene.moving.is_receiver())].position;
+            *moved = meaning(*moved);
+            let [transmitter, receiver] = ends.map(|end| DVec3::from_array(end.position));
+            let by = DQuat::from_array(ends[1].orientation).normalize();
+            angle(by.inverse() * (transmitter - receiver).normalize_or_zero(), strongest).to_degrees()
         };
         median(seen.iter().filter(|(sample, _)| data.sample(*sample).receiver == 0).map(degrees))
     };

@@ -122,15 +122,15 @@ pub(crate) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
 /// Lists the sightings of at most [`PAIRS`] evenly chosen spectra of the first receiver, since each receiver has its own
 /// pose; spectra without a strongest direction or a line of sight are omitted.
 fn list_sightings(data: &Dataset, spectra: &[SpectrumSummary]) -> Vec<Sighting> {
-    // The transmitter if the receiver moves.
-    let fixed = data.scene.origin.world_pose(data.scene.pose());
     let sighting = |spectrum: &SpectrumSummary| {
-        let query = data.query(spectrum.sample);
-        let (receiver, transmitter) =
-            if data.scene.moving.is_receiver() { (query.pose, fixed) } else { (fixed, query.pose) };
+        let [transmitter, receiver] = data.link_ends(spectrum.sample);
         let sight = (DVec3::from_array(transmitter.position) - DVec3::from_array(receiver.position)).try_normalize()?;
         let recorded = DQuat::from_array(receiver.orientation).normalize();
-        (query.receiver == 0).then_some(Sighting { sight, recorded, strongest: spectrum.strongest? })
+        (data.links[spectrum.sample].receiver == 0).then_some(Sighting {
+            sight,
+            recorded,
+            strongest: spectrum.strongest?,
+        })
     };
     evenly(&spectra.iter().filter_map(sighting).collect::<Vec<_>>(), PAIRS)
 }

@@ -3,7 +3,7 @@
 use super::cloud::{extent, longest_side};
 use super::finding::Finding;
 use pwrfgs_core::neighbours::{distance, nearest_other_squared};
-use pwrfgs_core::statistics::{mean, median};
+use pwrfgs_core::statistics::{deviation, mean, median};
 use pwrfgs_core::{Dataset, Real};
 
 /// Largest and smallest plausible site and largest spacing of transmitters in metres; other positions are probably in
@@ -68,12 +68,11 @@ fn check_index(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
     let is_index = |k: &usize| {
         let (step, others) = (middle(*k), (0..3).filter(|other| other != k));
         let turns = |k: usize| steps[k].windows(2).filter(|pair| pair[0] * pair[1] < 0.0).count();
-        let spread = |k: usize| mean(steps[k].iter().map(|value| (value - middle(k)).powi(2))).sqrt();
-        let is_to_and_fro = |k: usize| TURNS * turns(k) > positions.len() && spread(k) > UNEVEN * step;
+        let is_to_and_fro = |k: usize| TURNS * turns(k) > positions.len() && deviation(&steps[k]) > UNEVEN * step;
         let is_counted = steps[*k].iter().all(|value| *value == 1.0) && is_whole(*k);
         let is_even = step > 0.0 && steps[*k].iter().all(|value| (value - step).abs() <= UNEVEN * step);
         let mut others = others.filter(|other| {
-            is_even && (is_to_and_fro(*other) || is_counted && !is_whole(*other) && spread(*other) > MOVED_M)
+            is_even && (is_to_and_fro(*other) || is_counted && !is_whole(*other) && deviation(&steps[*other]) > MOVED_M)
         });
         others.next().is_some()
     };
@@ -135,12 +134,10 @@ fn large_site_fault(data: &Dataset, powers: &[Real], site: f64) -> Option<String
     if !data.scene.has_distances() {
         return (site > WIDE_M).then(|| "and the positions of the receivers are unknown".into());
     }
-    let fixed: Vec<[f64; 3]> =
-        data.scene.fixed_ends().into_iter().map(|pose| data.scene.origin.world_pose(pose).position).collect();
-    let end = |i: usize| fixed[if data.scene.moving.is_receiver() { 0 } else { data.links[i].receiver }];
-    let links = || (0..data.len()).map(|i| (data.sample(i).position(), end(i), powers[i] as f64));
-    let height = median(links().map(|(a, b, _)| (a[2] - b[2]).abs()));
-    let strength = median(links().map(|(a, b, dbm)| dbm + 20.0 * distance(a, b).max(1.0).log10()));
+    let ends = |i: usize| data.link_ends(i).map(|pose| pose.position);
+    let height = median((0..data.len()).map(|i| (ends(i)[0][2] - ends(i)[1][2]).abs()));
+    let loss = |i: usize| 20.0 * distance(ends(i)[0], ends(i)[1]).max(1.0).log10();
+    let strength = median((0..data.len()).map(|i| powers[i] as f64 + loss(i)));
     if height > HEIGHT_M.max(STEEP * site) {
         return Some(format!("and the heights of both ends differ by {height:.0} m"));
     }

@@ -3,7 +3,7 @@
 
 use super::finding::{Finding, name_link};
 use pwrfgs_core::neighbours::{distance, k_nearest};
-use pwrfgs_core::statistics::{evenly, mean};
+use pwrfgs_core::statistics::{deviation, evenly, mean};
 use pwrfgs_core::{Dataset, Link, Real, rng};
 
 /// Smallest number of locations, and largest number that are compared.
@@ -123,9 +123,7 @@ impl LevelLinks {
         let spread = |end: usize| {
             let links = self.links.iter().filter(|link| link.1 == end);
             let loss = links.map(|link| 20.0 * distance(self.locations[link.0], self.fixed[end]).max(1e-9).log10());
-            let loss: Vec<f64> = loss.collect();
-            let middle = mean(loss.iter().copied());
-            mean(loss.iter().map(|value| (value - middle).powi(2))).sqrt()
+            deviation(&loss.collect::<Vec<f64>>())
         };
         mean((0..self.fixed.len()).map(spread).filter(|spread| spread.is_finite()))
     }
@@ -191,11 +189,7 @@ pub(super) fn check_power_rows(data: &Dataset) -> Option<Finding> {
 
 /// Returns the mean standard deviation of the levels at a receiver, dB.
 fn level_spread(data: &Dataset, powers: &[Real]) -> f64 {
-    let spread = |links: Vec<usize>| {
-        let level = |i: &usize| powers[*i] as f64;
-        let middle = mean(links.iter().map(level));
-        mean(links.iter().map(|i| (level(i) - middle).powi(2))).sqrt()
-    };
+    let spread = |links: Vec<usize>| deviation(&links.iter().map(|i| powers[*i] as f64).collect::<Vec<f64>>());
     let groups = data.group_by_receiver(0..data.len()).into_iter();
     mean(groups.filter(|links| links.len() > 1).map(spread))
 }
@@ -220,8 +214,7 @@ pub(super) fn check_rows(data: &Dataset, rows: &[usize], difference: &dyn Fn(usi
     let near = average(&mut |k| nearest[k]);
     let mut random = rng::stream(0, "findings", 0);
     let draws: Vec<f64> = (0..DRAWS).map(|_| average(&mut |_| rng::below(&mut random, rows.len()))).collect();
-    let middle = mean(draws.iter().copied());
-    let deviation = mean(draws.iter().map(|draw| (draw - middle).powi(2))).sqrt();
+    let (middle, deviation) = (mean(draws.iter().copied()), deviation(&draws));
     let problem = format!(
         "observations of neighbours are no more alike than of random pairs (for example transmitters {} and {})",
         data.locations[rows[chosen[0]]].id,

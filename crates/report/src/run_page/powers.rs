@@ -39,7 +39,9 @@ pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
     });
     pairs.retain(|pair| pair.error().is_finite());
     let errors = sorted(pairs.iter().map(PowerPair::error));
-    let figures: Vec<(&str, String)> = [draw_histogram(&errors), draw_scatter(&pairs)].into_iter().flatten().collect();
+    let [_, unit] = run.data.task().level_name_at(&run.data.scene.receivers);
+    let figures: Vec<(&str, String)> =
+        [draw_histogram(&errors), draw_scatter(&pairs, unit)].into_iter().flatten().collect();
     let by_link = pairs.iter().map(|pair| LinkError { link: pair.link, error: pair.error() }).collect();
     context! {
         figures,
@@ -94,7 +96,7 @@ fn draw_histogram(errors: &[f64]) -> Option<(&'static str, String)> {
 }
 
 /// Draws the predicted against the measured power with the line of equality, with its title; `None` without links.
-fn draw_scatter(pairs: &[PowerPair]) -> Option<(&'static str, String)> {
+fn draw_scatter(pairs: &[PowerPair], unit: &str) -> Option<(&'static str, String)> {
     let dots: Vec<(f64, f64)> = evenly(pairs, DOTS).iter().map(|pair| (pair.measured, pair.predicted)).collect();
     let all = || dots.iter().flat_map(|(a, b)| [*a, *b]);
     let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
@@ -105,8 +107,8 @@ fn draw_scatter(pairs: &[PowerPair]) -> Option<(&'static str, String)> {
             .named("predicted = measured"),
         ChartLine::new(dots, Style::line(BLUE.with_opacity(0.55), 2.6, Stroke::Dots)),
     ];
-    let axis = |name: &str| ChartAxis { name: name.into(), ends: Some(ends), log: false };
-    let chart = Chart { x: axis("measured, dBm"), y: axis("predicted, dBm"), lines, ..Chart::default() };
+    let axis = |name: &str| ChartAxis { name: format!("{name}, {unit}"), ends: Some(ends), log: false };
+    let chart = Chart { x: axis("measured"), y: axis("predicted"), lines, ..Chart::default() };
     let title = "Predicted against measured";
     if pairs.is_empty() { None } else { Some((title, chart.draw()?.svg("chart", title))) }
 }
@@ -139,6 +141,6 @@ mod tests {
             }
         }
         assert!(draw_histogram(&[0.0]).is_some());
-        assert!(draw_scatter(&[one, one]).unwrap().1.contains("measured, dBm"));
+        assert!(draw_scatter(&[one, one], "dBm").unwrap().1.contains("measured, dBm"));
     }
 }

@@ -91,7 +91,7 @@ pub fn compute_layers(
     quantities: &[MapQuantity],
     mut progress: impl FnMut(usize),
 ) -> Vec<MapLayer> {
-    let mut layers: Vec<MapLayer> = receivers.iter().flat_map(|&r| empty_layers(setup.task, r, quantities)).collect();
+    let mut layers: Vec<MapLayer> = receivers.iter().flat_map(|&r| empty_layers(setup, r, quantities)).collect();
     let per_receiver = layers.len() / receivers.len().max(1);
     let positions: Vec<usize> = (0..grid.position_count()).collect();
     for chunk in positions.chunks((STEP / receivers.len().max(1)).max(1)) {
@@ -110,7 +110,7 @@ pub fn compute_layers(
 }
 
 /// Creates the arrays of a receiver without values, one per quantity; a direction has two.
-fn empty_layers(task: Task, receiver: usize, quantities: &[MapQuantity]) -> Vec<MapLayer> {
+fn empty_layers(setup: &MeasurementSetup, receiver: usize, quantities: &[MapQuantity]) -> Vec<MapLayer> {
     let layer = |(name, words, unit)| MapLayer {
         name,
         words,
@@ -119,7 +119,7 @@ fn empty_layers(task: Task, receiver: usize, quantities: &[MapQuantity]) -> Vec<
         values: Vec::new(),
         arrows: Vec::new(),
     };
-    let [level, unit] = task.level_name;
+    let [level, unit] = setup.task.level_name_at(&setup.receivers);
     let names = |quantity: &MapQuantity| match quantity {
         MapQuantity::Power => vec![("power", level, unit)],
         MapQuantity::Level => vec![("level", level, unit)],
@@ -167,7 +167,11 @@ fn strongest_layer(task: Task, layers: &[MapLayer], receivers: usize) -> Option<
     let values = (0..first.values.len()).map(largest).collect();
     Some(MapLayer {
         name: "strongest",
-        words: "power at the strongest receiver",
+        words: if first.unit == "dB" {
+            "relative power at the strongest receiver"
+        } else {
+            "power at the strongest receiver"
+        },
         receiver: None,
         values,
         ..first.clone()
