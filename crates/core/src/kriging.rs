@@ -4,10 +4,12 @@
 //! the correlation.
 
 mod likelihood;
+mod pooled;
 
 use crate::Cholesky;
 use crate::neighbours::{Nearest, distance};
 pub use likelihood::{HeldOutCases, SearchSpace, most_likely};
+pub use pooled::{PooledFit, PowerLink, fit_pooled};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::LN_10;
 

@@ -1,0 +1,89 @@
+//! Blocks of space that are held out together: cubes that follow the spacing of places and the size of the site.
+
+use crate::neighbours::nearest_other_squared;
+use crate::{Real, statistics};
+use std::collections::BTreeMap;
+
+/// Edge of blocks in units of the spacing, and in parts of the longest side of the site: the larger one applies. Smaller
+/// blocks leave a known neighbour next to almost every place, so they test repetition.
+const SPACINGS: f64 = 3.0;
+const SITE_PARTS: f64 = 20.0;
+
+/// Spacing and size of a set of places.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SiteSize {
+    /// Median distance from a place to the nearest other one, metres; 1 for fewer than two different places.
+    pub spacing: f64,
+    /// Longest side of the box of all places, metres.
+    pub longest: f64,
+}
+
+impl SiteSize {
+    /// Measures `places`, metres, which may repeat.
+    pub fn new(places: impl IntoIterator<Item = [f64; 3]>) -> Self {
+        let mut places: Vec<[f64; 3]> =
+            places.into_iter().filter(|place| place.iter().all(|v| v.is_finite())).collect();
+        places.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2])));
+        places.dedup();
+        let Some(&first) = places.first() else { return Self { spacing: 1.0, longest: 0.0 } };
+        let side = |k: usize| {
+            let (low, high) = statistics::bounds(places.iter().map(|place| place[k]));
+            high - low
+        };
+        // Single precision suffices for distances from one of the places.
+        let near: Vec<[Real; 3]> = places.iter().map(|at| [0, 1, 2].map(|k| (at[k] - first[k]) as Real)).collect();
+        let nearest = nearest_other_squared(&near).into_iter().map(|squared| f64::from(squared as f32).sqrt());
+        let spacing = statistics::median(nearest.filter(|distance| *distance > 0.0 && distance.is_finite()));
+        Self { spacing: if spacing.is_finite() { spacing } else { 1.0 }, longest: (0..3).map(side).fold(0.0, f64::max) }
+    }
+
+    /// Returns the edge of blocks that are held out together, metres.
+    pub fn block_edge(&self) -> f64 {
+        (SPACINGS * self.spacing).max(self.longest / SITE_PARTS)
+    }
+}
+
+/// Returns the block of a place: a cube of `edge` metres.
+pub fn block_of(place: [f64; 3], edge: f64) -> [i64; 3] {
+    place.map(|v| (v / edge).floor() as i64)
+}
+
+/// Returns the mean of values and its standard error, if the values of one block depend on each other; NaN without values.
+pub fn block_mean(values: impl IntoIterator<Item = ([i64; 3], f64)>) -> (f64, f64) {
+    let mut blocks: BTreeMap<[i64; 3], (f64, f64)> = BTreeMap::new();
+    for (block, value) in values {
+        let (sum, count) = blocks.entry(block).or_default();
+        *sum += value;
+        *count += 1.0;
+    }
+    let (sum, count) = blocks.values().fold((0.0, 0.0), |total, block| (total.0 + block.0, total.1 + block.1));
+    let mean = sum / count;
+    let squares: f64 = blocks.values().map(|(sum, count)| (sum - mean * count).powi(2)).sum();
+    (mean, squares.sqrt() / count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn block_edges_follow_spacing_and_site() {
+        let line =
+            |count: usize, step: f64| SiteSize::new((0..count).map(move |i| [4e6 + step * (i / 2) as f64, 1.0, 0.0]));
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6 * b, "{a} instead of {b}");
+        near(line(40, 1.0).spacing, 1.0);
+        near(line(40, 1.0).block_edge(), 3.0);
+        near(line(1_002, 2.0).block_edge(), 50.0);
+        for count in [0, 1, 2] {
+            assert_eq!(line(count, 1.0), SiteSize { spacing: 1.0, longest: 0.0 });
+        }
+        assert_eq!(block_of([2.5, -0.1, 0.0], 1.0), [2, -1, 0]);
+    }
+
+    #[test]
+    fn standard_errors_count_blocks() {
+        let values = [(0, 1.0), (0, 1.0), (1, 3.0), (1, 3.0)].map(|(block, value)| ([block, 0, 0], value));
+        assert_eq!(block_mean(values), (2.0, 8f64.sqrt() / 4.0));
+        assert!(block_mean([]).0.is_nan());
+    }
+}
