@@ -4,11 +4,13 @@
 //! the correlation.
 
 mod likelihood;
+mod spectra;
 
 use crate::Cholesky;
 use crate::neighbours::{Nearest, distance};
 pub use likelihood::{HeldOutCases, SearchSpace, most_likely};
 use serde::{Deserialize, Serialize};
+pub use spectra::{JointLikelihood, fit_spectra};
 use std::f64::consts::LN_10;
 
 /// Position of a sample: x, y and z in metres, and its time in samples, 0 for processes over space alone.

@@ -10,6 +10,8 @@ mod neighbours;
 mod predictions;
 mod ridge;
 #[cfg(test)]
+mod scratch;
+#[cfg(test)]
 mod tests;
 
 pub use kriging::{Kriging, Trend, vecchia_cases};

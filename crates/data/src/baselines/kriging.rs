@@ -1,10 +1,10 @@
 //! `Kriging`: a Gaussian process over the transmitter position.
 
 use super::log_distance::{fixed_end_position, log_distance, path_loss_points};
-use super::{ByReceiver, ReceiverPredictor, fitting_samples, selection_sets, weighted_mean};
+use super::{ByReceiver, ReceiverPredictor, fitting_samples, weighted_mean};
 use pwrfgs_core::kriging::{
-    Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, SearchSpace, Solution, in_space,
-    most_likely,
+    Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, SearchSpace, Solution,
+    fit_spectra, in_space, most_likely,
 };
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
@@ -14,10 +14,6 @@ use pwrfgs_core::{
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Largest number of samples predicted in the fit.
-const CASES: usize = 160;
-/// Largest number of neighbours per prediction.
-const FROM: usize = 24;
 /// Largest number of powers predicted in the fit.
 const POWERS: usize = 320;
 const FROM_POWERS: usize = 16;
@@ -27,15 +23,15 @@ const PIXELS: usize = 2_000;
 /// Ordinary kriging, a standard for radio coverage maps: best linear unbiased prediction of a Gaussian process over the
 /// transmitter position.
 ///
-/// Spectra are modelled as one Gaussian process. Its correlation over distance is exponential (Matern 1/2), Matern 3/2
-/// or squared exponential, with one length scale per axis, plus independent noise per spectrum. All pixels share that
-/// correlation, and so do all principal components of the spectra. The prediction is a weighted sum of training
-/// spectra; weights add up to 1 and may be negative.
+/// Spectra are modelled as one Gaussian process. Its correlation over distance is exponential (Matern 1/2) or Matern 3/2,
+/// with one length scale per axis, plus independent noise per spectrum. All pixels share that correlation, and so do
+/// all principal components of the spectra. The prediction is a weighted sum of training spectra; weights add up to 1 and
+/// may be negative.
 ///
-/// Correlation, length scales and noise maximise the likelihood of at most 160 validation spectra, each given its 24
-/// nearest training spectra (the variance follows in closed form). Without a validation set, every tenth training
-/// sample is held out for this. The prediction then uses the nearest training and validation samples, in units of the
-/// length scales. A note under the tables reports the fit.
+/// Correlation, length scales and noise maximise the restricted likelihood of the training and validation spectra, with an
+/// unknown mean per pixel; the variance follows in closed form. Spectra are fitted in compact blocks of at most 128; with more
+/// than 8 blocks, 8 are chosen evenly. The prediction uses the nearest training and validation samples, in units of the length
+/// scales. A note under the tables reports the fit.
 ///
 /// Each receiver has its own process; a receiver without training links is predicted from all links. For received
 /// powers, the process models the residual of a least-squares path-loss model, RSSI = T - 10 gamma log10(d). Far from
@@ -134,49 +130,23 @@ impl<'a> Trend<'a> {
         }
     }
 
-    /// Returns the most likely correlation, and its process variance summed over values. Spectra: of validation
-    /// samples, each given its nearest training samples. Powers: of at most [`POWERS`] samples, each given the nearest
-    /// of those before it in random order. Their densities multiply to the joint density (Vecchia, Journal of the Royal
-    /// Statistical Society B 50, 1988), and the first samples constrain long distances. `time`: with a scale of time.
+    /// Returns the most likely correlation, and its process variance per value. Spectra: as [`fit_spectra`]. Powers: of at
+    /// most [`POWERS`] samples, each given the nearest of those before it in random order. Their densities multiply to the joint
+    /// density (Vecchia, Journal of the Royal Statistical Society B 50, 1988), and the first samples constrain long distances.
+    /// `time`: with a scale of time.
     fn fit_correlation(&self, all: &[usize], fitting: FittingSet<'_>, time: bool) -> Result<(Correlation, f64)> {
-        let is_power = self.law.is_some();
-        let cases: Vec<_> = if is_power {
-            let mut order = evenly(all, POWERS);
-            rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
-            vecchia_cases(self.data, &order, FROM_POWERS)
-        } else {
-            self.validation_cases(fitting, time)
-        };
-        let kinds = if is_power { &[CorrelationKind::Matern32][..] } else { &CorrelationKind::ALL };
-        let cases = HeldOutCases::new(
-            &cases,
-            Mean::Unknown,
-            |i| sample_place(self.data, i),
-            |_, i| self.residual_values(i, PIXELS),
-        );
-        let space = SearchSpace { kinds, isotropic: is_power, time };
-        let correlation = most_likely(&cases, space, &|| fitting.check_stopped())?.1;
+        let check = || fitting.check_stopped();
+        let place = |i: usize| sample_place(self.data, i);
+        if self.law.is_none() {
+            return fit_spectra(all.len(), |k| place(all[k]), |k| self.residual_values(all[k], PIXELS), time, &check);
+        }
+        let mut order = evenly(all, POWERS);
+        rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
+        let cases = vecchia_cases(self.data, &order, FROM_POWERS);
+        let cases = HeldOutCases::new(&cases, Mean::Unknown, place, |_, i| self.residual_values(i, PIXELS));
+        let space = SearchSpace { kinds: &[CorrelationKind::Matern32], isotropic: true, time };
+        let correlation = most_likely(&cases, space, &check)?.1;
         Ok((correlation, cases.variance(&correlation)))
-    }
-
-    /// Returns at most [`CASES`] validation samples, each with its [`FROM`] nearest training samples; with `time`, half of
-    /// them are nearest in space and half in time.
-    fn validation_cases(&self, fitting: FittingSet<'_>, time: bool) -> Vec<(usize, Vec<usize>)> {
-        let (train, validation) = selection_sets(fitting);
-        let position = |i: usize| self.data.sample(i).position();
-        let in_time = |i: usize| [f64::from(self.data.sample(i).id)];
-        let nearest_in_time = time.then(|| Nearest::new(train.clone(), 1, in_time));
-        let nearest = Nearest::new(train, 3, position);
-        let case = |&i: &usize| {
-            let count = if time { FROM / 2 } else { FROM };
-            let mut near: Vec<usize> = nearest.find(&position(i), count).1.into_iter().map(|(_, j)| j).collect();
-            if let Some(nearest_in_time) = &nearest_in_time {
-                let others = nearest_in_time.find(&in_time(i), FROM).1.into_iter().map(|(_, j)| j);
-                near.extend(others.filter(|j| !near.contains(j)).take(FROM / 2).collect::<Vec<_>>());
-            }
-            (i, near)
-        };
-        evenly(&validation, CASES).par_iter().map(case).collect()
     }
 
     /// Returns at most about `most` values of the residual of link `i`: every n-th column of every n-th row.

@@ -89,7 +89,7 @@ fn drawn(correlation: &Correlation, count: usize) -> Dataset {
 /// Cases of `validation` samples, each given its 24 nearest of `train`.
 fn cases_of(data: &Dataset, train: &[usize], validation: &[usize], mean: Mean) -> HeldOutCases {
     let nearest = Nearest::new(train.to_vec(), 4, |i| sample_place(data, i));
-    let near = |i: usize| nearest.find(&sample_place(data, i), FROM).1.into_iter().map(|(_, j)| j).collect();
+    let near = |i: usize| nearest.find(&sample_place(data, i), 24).1.into_iter().map(|(_, j)| j).collect();
     let cases: Vec<(usize, Vec<usize>)> = validation.iter().map(|&i| (i, near(i))).collect();
     HeldOutCases::new(&cases, mean, |i| sample_place(data, i), |_, i| data.image(i).pixels)
 }
@@ -110,6 +110,22 @@ fn likelihood_recovers_true_parameters() {
         // Length scale and variance of an exponential are hard to separate; anisotropy is not.
         let stretch = found.scales[2] / found.scales[0];
         assert!((2.0..8.0).contains(&stretch), "{found:?}");
+    }
+}
+
+#[test]
+fn fit_to_all_spectra_recovers_true_parameters() {
+    for kind in [CorrelationKind::Exponential, CorrelationKind::Matern32] {
+        let truth = Correlation { kind, scales: [0.3, 0.3, 1.2, f64::INFINITY], noise: 0.1 };
+        let data = drawn(&truth, 260);
+        let place = |i| in_space(data.sample(i).position());
+        let (found, variance) = fit_spectra(260, place, |i| data.image(i).pixels, false, &|| Ok(())).unwrap();
+        println!("{found:?} and {variance} for {truth:?}");
+        assert_eq!(found.kind, kind);
+        assert!((0.05..0.2).contains(&found.noise), "{found:?}");
+        let stretch = found.scales[2] / found.scales[0];
+        assert!((2.5..6.0).contains(&stretch), "{found:?}");
+        close(variance * found.noise, truth.noise, 0.03);
     }
 }
 
