@@ -7,6 +7,7 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+mod blocks;
 mod cholesky;
 mod cloud;
 pub mod colour;
@@ -48,6 +49,7 @@ mod task;
 pub mod testing;
 pub mod threads;
 
+pub use blocks::{SiteSize, block_of};
 pub use cholesky::Cholesky;
 pub use cloud::{COLUMN_NAMES, CloudEdit, ExtraColumn, GaussianCloud, RowOrigin};
 pub use compatible::{Parts, TrainingNumbers, check_compatible};

@@ -10,8 +10,6 @@ mod neighbours;
 mod predictions;
 mod ridge;
 #[cfg(test)]
-mod scratch;
-#[cfg(test)]
 mod tests;
 
 pub use kriging::{Kriging, Trend, vecchia_cases};

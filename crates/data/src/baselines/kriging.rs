@@ -1,15 +1,14 @@
 //! `Kriging`: a Gaussian process over the transmitter position.
 
 use super::log_distance::{fixed_end_position, log_distance, path_loss_points};
-use super::{ByReceiver, ReceiverPredictor, fitting_samples, weighted_mean};
+use super::{ByReceiver, ReceiverPredictor, fitting_samples};
 use pwrfgs_core::kriging::{
-    Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, SearchSpace, Solution,
-    fit_spectra, in_space, most_likely,
+    Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, ProcessFit, SearchSpace, Solution,
+    fit_observations, link_place, most_likely,
 };
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
-    Baseline, Dataset, FittingSet, Image, JsonSchema, Pose, Predict, Query, Real, Requirement, Result, Sample,
-    Sampling, evenly, rng,
+    Baseline, Dataset, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result, Sampling, evenly, rng,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -17,8 +16,6 @@ use serde::{Deserialize, Serialize};
 /// Largest number of powers predicted in the fit.
 const POWERS: usize = 320;
 const FROM_POWERS: usize = 16;
-/// Approximate number of pixels per spectrum used in the fit: every n-th row and column.
-const PIXELS: usize = 2_000;
 
 /// Ordinary kriging, a standard for radio coverage maps: best linear unbiased prediction of a Gaussian process over the
 /// transmitter position.
@@ -130,20 +127,21 @@ impl<'a> Trend<'a> {
         }
     }
 
-    /// Returns the most likely correlation, and its process variance per value. Spectra: as [`fit_spectra`]. Powers: of at
+    /// Returns the most likely correlation, and its process variance per value. Spectra: as [`fit_observations`]. Powers: of at
     /// most [`POWERS`] samples, each given the nearest of those before it in random order. Their densities multiply to the joint
     /// density (Vecchia, Journal of the Royal Statistical Society B 50, 1988), and the first samples constrain long distances.
     /// `time`: with a scale of time.
     fn fit_correlation(&self, all: &[usize], fitting: FittingSet<'_>, time: bool) -> Result<(Correlation, f64)> {
         let check = || fitting.check_stopped();
-        let place = |i: usize| sample_place(self.data, i);
         if self.law.is_none() {
-            return fit_spectra(all.len(), |k| place(all[k]), |k| self.residual_values(all[k], PIXELS), time, &check);
+            let ProcessFit { correlation, variance, .. } = fit_observations(self.data, all, time, &check)?;
+            return Ok((correlation, variance));
         }
         let mut order = evenly(all, POWERS);
         rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
         let cases = vecchia_cases(self.data, &order, FROM_POWERS);
-        let cases = HeldOutCases::new(&cases, Mean::Unknown, place, |_, i| self.residual_values(i, PIXELS));
+        let cases =
+            HeldOutCases::new(&cases, Mean::Unknown, |i| link_place(self.data, i), |_, i| self.residual_values(i, 1));
         let space = SearchSpace { kinds: &[CorrelationKind::Matern32], isotropic: true, time };
         let correlation = most_likely(&cases, space, &check)?.1;
         Ok((correlation, cases.variance(&correlation)))
@@ -159,12 +157,6 @@ impl<'a> Trend<'a> {
     }
 }
 
-/// Returns the position of link `i` in space and time, metres and its id.
-fn sample_place(data: &Dataset, i: usize) -> Place {
-    let Sample { id, pose: Pose { position: [x, y, z], .. }, .. } = data.sample(i);
-    [x, y, z, f64::from(id)]
-}
-
 struct Process<'a> {
     trend: Trend<'a>,
     samples: Vec<usize>,
@@ -178,11 +170,18 @@ struct Process<'a> {
 
 impl Predict for Process<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
+        let Dataset { width, height, .. } = *self.trend.data;
+        if self.trend.law.is_none() {
+            let mut values = vec![0.0; width * height];
+            let add = |k: usize, weight: f64, sum: &mut [f64]| {
+                self.trend.write_residual(self.samples[k], 1, &mut values);
+                sum.iter_mut().zip(&values).for_each(|(sum, v)| *sum += weight * *v as f64);
+            };
+            let sum = self.kriging.weighted_sum(self.query_place(query), self.settings.neighbours, width * height, add);
+            return Image { width, height, pixels: sum.into_iter().map(|v| v as Real).collect() };
+        }
         let (near, Solution { weights, .. }) = self.solve_weights(query);
         let weighted = near.into_iter().map(|k| self.samples[k]).zip(weights);
-        if self.trend.law.is_none() {
-            return weighted_mean(self.trend.data, &weighted.collect::<Vec<_>>());
-        }
         let residual = |(i, weight): (usize, f64)| {
             let mut one = [0.0];
             self.trend.write_residual(i, 1, &mut one);
@@ -228,7 +227,7 @@ impl<'a> Process<'a> {
         let (data, (correlation, variance)) = (trend.data, fitted);
         let in_space = settings.time.then(|| Nearest::new(samples.clone(), 3, |i| data.sample(i).position()));
         let mean = if trend.law.is_some() { Mean::Zero } else { Mean::Unknown };
-        let kriging = LocalKriging::new(correlation, mean, samples.iter().map(|&i| sample_place(data, i)));
+        let kriging = LocalKriging::new(correlation, mean, samples.iter().map(|&i| link_place(data, i)));
         Self { trend, samples, kriging, in_space, variance, settings }
     }
 
@@ -240,9 +239,9 @@ impl<'a> Process<'a> {
     /// Returns the position of a query in space and time. Without an id, its time is that of the nearest sample in space;
     /// for a process over position alone, its time is not used.
     fn query_place(&self, query: Query<'_>) -> Place {
-        let Some(in_space) = &self.in_space else { return self::in_space(query.position()) };
+        let [x, y, z] = self.trend.data.scene.origin.local(query.position()).map(|v| v as f64);
+        let Some(in_space) = &self.in_space else { return [x, y, z, 0.0] };
         let nearest = || in_space.find(&query.position(), 1).1.first().map(|(_, i)| self.trend.data.sample(*i).id);
-        let [x, y, z] = query.position();
         [x, y, z, query.id.or_else(nearest).map_or(0.0, f64::from)]
     }
 }

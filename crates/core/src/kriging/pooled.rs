@@ -1,0 +1,238 @@
+//! Pooled fit of received powers at several receivers: RSSI = T + t_j - (G + g_j) log10(d) + s_j(x) + noise.
+//!
+//! The processes s_j are independent and share correlation, variance and noise. Levels t_j ~ N(0, 15 dB) and slopes
+//! g_j ~ N(0, 8 dB per decade) are marginalised in closed form (`marginal.rs`), as are T and G with wide priors, so the
+//! likelihood is block diagonal by receiver plus a low rank. Each block follows the approximation of Vecchia (Journal of
+//! the Royal Statistical Society B 50, 1988): the density of every power given the nearest of those before it in random
+//! order.
+
+mod marginal;
+
+use super::{Correlation, CorrelationKind, Mean, PathLoss, Place, Solution, solve};
+use crate::blocks::{SiteSize, block_of};
+use crate::neighbours::Nearest;
+use crate::{Result, evenly, rng, statistics};
+use marginal::{Moments, best_variance, trends};
+use rayon::prelude::*;
+
+/// Largest number of powers of a receiver in the likelihood: half of them the first in random order, whose density is a
+/// joint one, the others from the rest, whose neighbours are near. Each is given some powers before it.
+const CASES: usize = 320;
+const GIVEN: usize = 20;
+/// Largest number of powers of all receivers in the search; above it, fewer receivers take part.
+const SEARCHED: usize = 2_400;
+/// Prior of the length: median in units of the spacing of places, and standard deviation of its logarithm.
+const LENGTH: f64 = 4.0;
+const LENGTH_SPREAD: f64 = 1.5;
+/// Shortest length in units of the spacing, and longest in units of the longest side of the site.
+const LENGTHS: [f64; 2] = [0.5, 2.0];
+/// Range and start of the noise, in units of the process variance.
+const NOISE: [f64; 2] = [1e-4, 1e2];
+const NOISE_START: f64 = 0.3;
+/// Step sizes of the search over length and noise, in powers of two.
+const STEPS: [f64; 5] = [2.0, 1.0, 0.5, 0.25, 0.125];
+/// Largest number of powers that compare correlation functions, and of neighbours that predict each.
+const COMPARED: usize = 1_200;
+const NEIGHBOURS: usize = 48;
+
+/// Power of one link.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PowerLink {
+    /// Index of the receiver.
+    pub receiver: usize,
+    /// Place of the moving end, metres.
+    pub place: Place,
+    /// log10 of the distance of both ends in metres; `None` if it is unknown.
+    pub log_distance: Option<f64>,
+    /// Power, dB.
+    pub value: f64,
+}
+
+/// Pooled fit of all receivers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PooledFit {
+    /// Posterior mean of the path-loss model of each receiver. Without links it is the shared model; without distances
+    /// its slope is 0.
+    pub laws: Vec<PathLoss>,
+    /// Correlation and noise of the processes about these models.
+    pub correlation: Correlation,
+    /// Variance of the processes, dB².
+    pub variance: f64,
+}
+
+/// Fits the pooled model of `receivers` receivers to at most 320 powers each. Exponential and Matern 3/2 correlations, each
+/// the most probable of its kind, are compared by the mean absolute error of held-out blocks. `check` is called several
+/// times per second.
+///
+/// # Errors
+/// An error of `check`.
+///
+/// # Panics
+/// If a link has a receiver of `receivers` or more.
+pub fn fit_pooled(links: &[PowerLink], receivers: usize, check: &dyn Fn() -> Result<()>) -> Result<PooledFit> {
+    let powers = Powers::new(links, receivers);
+    let candidate = |kind| {
+        let fit = powers.most_probable(kind, check)?;
+        Ok((powers.block_error(&fit), fit))
+    };
+    let (rough, smooth) = (candidate(CorrelationKind::Exponential)?, candidate(CorrelationKind::Matern32)?);
+    Ok(if smooth.0 < rough.0 { smooth.1 } else { rough.1 })
+}
+
+/// Powers, and how the likelihood uses them.
+struct Powers<'a> {
+    links: &'a [PowerLink],
+    /// Links of each receiver.
+    by_receiver: Vec<Vec<usize>>,
+    /// Links of each receiver in the likelihood, each with links that it is given.
+    cases: Vec<Vec<(usize, Vec<usize>)>>,
+    /// Power about its mean, 1, and log-distance about its mean (0 if unknown) of each link.
+    rows: Vec<[f64; 3]>,
+    /// Mean power and mean log-distance.
+    mean: [f64; 2],
+    site: SiteSize,
+}
+
+impl<'a> Powers<'a> {
+    fn new(links: &'a [PowerLink], receivers: usize) -> Self {
+        let mean =
+            |values: &mut dyn Iterator<Item = f64>| Some(statistics::mean(values)).filter(|mean| mean.is_finite());
+        let level = mean(&mut links.iter().map(|l| l.value)).unwrap_or(0.0);
+        let log = mean(&mut links.iter().filter_map(|l| l.log_distance)).unwrap_or(0.0);
+        let rows = links.iter().map(|l| [l.value - level, 1.0, l.log_distance.map_or(0.0, |own| own - log)]).collect();
+        let mut by_receiver = vec![Vec::new(); receivers];
+        links.iter().enumerate().for_each(|(i, link)| by_receiver[link.receiver].push(i));
+        let cases = by_receiver.par_iter().map(|own| select_cases(links, own)).collect();
+        let site = SiteSize::new(links.iter().map(|link| in_metres(link.place)));
+        Self { links, by_receiver, cases, rows, mean: [level, log], site }
+    }
+
+    /// Returns the most probable fit with one kind of correlation: a pattern search over length and noise, with the best
+    /// variance at each point.
+    fn most_probable(&self, kind: CorrelationKind, check: &dyn Fn() -> Result<()>) -> Result<PooledFit> {
+        let correlation = |[length, noise]: [f64; 2]| {
+            let length = length.exp();
+            Correlation { kind, scales: [length, length, length, f64::INFINITY], noise: noise.exp() }
+        };
+        let most = self.cases.iter().map(Vec::len).max().unwrap_or(0).max(1);
+        let heard: Vec<usize> = (0..self.cases.len()).filter(|&j| !self.cases[j].is_empty()).collect();
+        let searched = evenly(&heard, (SEARCHED / most).max(1));
+        let scale = statistics::mean(self.rows.iter().map(|row| row[0] * row[0]));
+        let middle = (LENGTH * self.site.spacing).ln();
+        let evaluate = |at: [f64; 2]| -> Result<(f64, f64)> {
+            check()?;
+            let (variance, value) = best_variance(&self.moments(&searched, &correlation(at)), scale);
+            Ok((value - 0.5 * ((at[0] - middle) / LENGTH_SPREAD).powi(2), variance))
+        };
+        let longest = (LENGTHS[1] * self.site.longest).max(LENGTH * self.site.spacing);
+        let ranges = [[LENGTHS[0] * self.site.spacing, longest], NOISE].map(|range| range.map(f64::ln));
+        let mut at = [middle, NOISE_START.ln()];
+        let mut best = evaluate(at)?;
+        for step in STEPS.map(|step| step * std::f64::consts::LN_2) {
+            let mut is_better = true;
+            while is_better {
+                is_better = false;
+                for [x, y] in [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0], [1.0, -1.0], [-1.0, 1.0]] {
+                    let next = [at[0] + step * x, at[1] + step * y];
+                    if next.iter().zip(ranges).any(|(v, [low, high])| *v < low || *v > high) {
+                        continue;
+                    }
+                    let value = evaluate(next)?;
+                    if value.0 > best.0 + 1e-6 * best.0.abs() {
+                        (best, at, is_better) = (value, next, true);
+                    }
+                }
+            }
+        }
+        let (correlation, variance) = (correlation(at), best.1);
+        let all: Vec<usize> = (0..self.cases.len()).collect();
+        let trends = trends(&self.moments(&all, &correlation), variance);
+        Ok(PooledFit {
+            laws: trends.into_iter().zip(&self.by_receiver).map(|(t, own)| self.law(t, own)).collect(),
+            correlation,
+            variance,
+        })
+    }
+
+    /// Computes the moments of the whitened powers of some receivers.
+    fn moments(&self, receivers: &[usize], correlation: &Correlation) -> Vec<Moments> {
+        let whiten = |(i, given): &(usize, Vec<usize>)| {
+            let scaled = |i: usize| correlation.scaled(self.links[i].place);
+            let places: Vec<Place> = given.iter().map(|&k| scaled(k)).collect();
+            let Solution { weights, variance } = if given.is_empty() {
+                Solution { weights: Vec::new(), variance: 1.0 + correlation.noise }
+            } else {
+                solve(correlation, Mean::Zero, &places, scaled(*i))
+            };
+            let mut row = self.rows[*i];
+            for (k, weight) in given.iter().zip(weights) {
+                row.iter_mut().zip(self.rows[*k]).for_each(|(v, other)| *v -= weight * other);
+            }
+            (row.map(|v| v / variance.sqrt()), variance)
+        };
+        let sum = |&j: &usize| {
+            let rows: Vec<_> = self.cases[j].par_iter().map(whiten).collect();
+            let mut moments = Moments::default();
+            rows.into_iter().for_each(|(row, variance)| moments.add(row, variance));
+            moments
+        };
+        receivers.iter().map(sum).collect()
+    }
+
+    /// Returns the path-loss model of a receiver with these links, from its level and rise about the means.
+    fn law(&self, [level, rise]: [f64; 2], own: &[usize]) -> PathLoss {
+        let has_distances = own.is_empty() || own.iter().any(|&i| self.links[i].log_distance.is_some());
+        let slope = if has_distances { 0.0 - rise } else { 0.0 };
+        PathLoss { level: self.mean[0] + level + slope * self.mean[1], slope }
+    }
+
+    /// Returns the mean absolute error of predictions from links of other blocks; 0 without such predictions.
+    fn block_error(&self, fit: &PooledFit) -> f64 {
+        let edge = self.site.block_edge();
+        let block = |i: usize| block_of(in_metres(self.links[i].place), edge);
+        let residual = |i: usize| {
+            let link = &self.links[i];
+            link.value - fit.laws[link.receiver].power(link.log_distance.unwrap_or(0.0))
+        };
+        let each = COMPARED / self.by_receiver.iter().filter(|own| !own.is_empty()).count().max(1);
+        let errors_of = |own: &Vec<usize>| {
+            let scaled = |i: usize| fit.correlation.scaled(self.links[i].place);
+            let error = |&i: &usize| {
+                let outside: Vec<usize> = own.iter().copied().filter(|&k| block(k) != block(i)).collect();
+                let near = Nearest::new(outside, 4, scaled).find(&scaled(i), NEIGHBOURS).1;
+                let places: Vec<Place> = near.iter().map(|(_, k)| scaled(*k)).collect();
+                let weights =
+                    (!near.is_empty()).then(|| solve(&fit.correlation, Mean::Zero, &places, scaled(i)).weights)?;
+                let predicted: f64 = near.iter().zip(weights).map(|((_, k), weight)| weight * residual(*k)).sum();
+                Some((residual(i) - predicted).abs())
+            };
+            evenly(own, each.max(1)).par_iter().filter_map(error).collect::<Vec<f64>>()
+        };
+        let mean = statistics::mean(self.by_receiver.iter().flat_map(errors_of));
+        if mean.is_finite() { mean } else { 0.0 }
+    }
+}
+
+/// Returns the links of one receiver that enter the likelihood, at most [`CASES`], each with the nearest of those before it
+/// in random order.
+fn select_cases(links: &[PowerLink], own: &[usize]) -> Vec<(usize, Vec<usize>)> {
+    let mut order = own.to_vec();
+    rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
+    let first = (CASES / 2).min(order.len());
+    let rest: Vec<usize> = (first..order.len()).collect();
+    let ranks: Vec<usize> = (0..first).chain(evenly(&rest, CASES - first)).collect();
+    let case = |&rank: &usize| {
+        let before = Nearest::new(order[..rank].to_vec(), 4, |i| links[i].place);
+        let near = if rank == 0 { Vec::new() } else { before.find(&links[order[rank]].place, GIVEN).1 };
+        (order[rank], near.into_iter().map(|(_, i)| i).collect())
+    };
+    ranks.par_iter().map(case).collect()
+}
+
+/// Returns a place without its time.
+fn in_metres([x, y, z, _]: Place) -> [f64; 3] {
+    [x, y, z]
+}
+
+#[cfg(test)]
+mod tests;
