@@ -2,6 +2,7 @@
 
 use crate::neighbours::nearest_other_squared;
 use crate::{Real, statistics};
+use std::collections::BTreeMap;
 
 /// Edge of blocks in units of the spacing, and in parts of the longest side of the site: the larger one applies. Smaller
 /// blocks leave a known neighbour next to almost every place, so they test repetition.
@@ -45,4 +46,44 @@ impl SiteSize {
 /// Returns the block of a place: a cube of `edge` metres.
 pub fn block_of(place: [f64; 3], edge: f64) -> [i64; 3] {
     place.map(|v| (v / edge).floor() as i64)
+}
+
+/// Returns the mean of values and its standard error, if the values of one block depend on each other; NaN without values.
+pub fn block_mean(values: impl IntoIterator<Item = ([i64; 3], f64)>) -> (f64, f64) {
+    let mut blocks: BTreeMap<[i64; 3], (f64, f64)> = BTreeMap::new();
+    for (block, value) in values {
+        let (sum, count) = blocks.entry(block).or_default();
+        *sum += value;
+        *count += 1.0;
+    }
+    let (sum, count) = blocks.values().fold((0.0, 0.0), |total, block| (total.0 + block.0, total.1 + block.1));
+    let mean = sum / count;
+    let squares: f64 = blocks.values().map(|(sum, count)| (sum - mean * count).powi(2)).sum();
+    (mean, squares.sqrt() / count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn block_edges_follow_spacing_and_site() {
+        let line =
+            |count: usize, step: f64| SiteSize::new((0..count).map(move |i| [4e6 + step * (i / 2) as f64, 1.0, 0.0]));
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6 * b, "{a} instead of {b}");
+        near(line(40, 1.0).spacing, 1.0);
+        near(line(40, 1.0).block_edge(), 3.0);
+        near(line(1_002, 2.0).block_edge(), 50.0);
+        for count in [0, 1, 2] {
+            assert_eq!(line(count, 1.0), SiteSize { spacing: 1.0, longest: 0.0 });
+        }
+        assert_eq!(block_of([2.5, -0.1, 0.0], 1.0), [2, -1, 0]);
+    }
+
+    #[test]
+    fn standard_errors_count_blocks() {
+        let values = [(0, 1.0), (0, 1.0), (1, 3.0), (1, 3.0)].map(|(block, value)| ([block, 0, 0], value));
+        assert_eq!(block_mean(values), (2.0, 8f64.sqrt() / 4.0));
+        assert!(block_mean([]).0.is_nan());
+    }
 }

@@ -49,7 +49,7 @@ mod task;
 pub mod testing;
 pub mod threads;
 
-pub use blocks::{SiteSize, block_of};
+pub use blocks::{SiteSize, block_mean, block_of};
 pub use cholesky::Cholesky;
 pub use cloud::{COLUMN_NAMES, CloudEdit, ExtraColumn, GaussianCloud, RowOrigin};
 pub use compatible::{Parts, TrainingNumbers, check_compatible};

@@ -1,7 +1,7 @@
-//! Pooled fit of received powers at several receivers: RSSI = T + t_j - (G + g_j) log10(d) + s_j(x) + noise.
+//! Pooled fit of received powers at receivers j: `RSSI = T + t_j - (G + g_j) log10(d) + s_j(x) + noise`.
 //!
-//! The processes s_j are independent and share correlation, variance and noise. Levels t_j ~ N(0, 15 dB) and slopes
-//! g_j ~ N(0, 8 dB per decade) are marginalised in closed form (`marginal.rs`), as are T and G with wide priors, so the
+//! The processes `s_j` are independent and share correlation, variance and noise. Levels `t_j` ~ N(0, 15 dB) and slopes
+//! `g_j` ~ N(0, 8 dB per decade) are marginalised in closed form (`marginal.rs`), as are T and G with wide priors, so the
 //! likelihood is block diagonal by receiver plus a low rank. Each block follows the approximation of Vecchia (Journal of
 //! the Royal Statistical Society B 50, 1988): the density of every power given the nearest of those before it in random
 //! order.
@@ -9,7 +9,7 @@
 mod marginal;
 
 use super::{Correlation, CorrelationKind, Mean, PathLoss, Place, Solution, solve};
-use crate::blocks::{SiteSize, block_of};
+use crate::blocks::{SiteSize, block_mean, block_of};
 use crate::neighbours::Nearest;
 use crate::{Result, evenly, rng, statistics};
 use marginal::{Moments, best_variance, trends};
@@ -18,9 +18,10 @@ use rayon::prelude::*;
 /// Largest number of powers of a receiver in the likelihood: half of them the first in random order, whose density is a
 /// joint one, the others from the rest, whose neighbours are near. Each is given some powers before it.
 const CASES: usize = 320;
-const GIVEN: usize = 20;
-/// Largest number of powers of all receivers in the search; above it, fewer receivers take part.
-const SEARCHED: usize = 2_400;
+const GIVEN: usize = 16;
+/// Largest number of powers of all receivers in the search, and smallest of each; above it, fewer receivers take part.
+const SEARCHED: usize = 1_600;
+const LEAST: usize = 40;
 /// Prior of the length: median in units of the spacing of places, and standard deviation of its logarithm.
 const LENGTH: f64 = 4.0;
 const LENGTH_SPREAD: f64 = 1.5;
@@ -30,7 +31,7 @@ const LENGTHS: [f64; 2] = [0.5, 2.0];
 const NOISE: [f64; 2] = [1e-4, 1e2];
 const NOISE_START: f64 = 0.3;
 /// Step sizes of the search over length and noise, in powers of two.
-const STEPS: [f64; 5] = [2.0, 1.0, 0.5, 0.25, 0.125];
+const STEPS: [f64; 4] = [2.0, 1.0, 0.5, 0.25];
 /// Largest number of powers that compare correlation functions, and of neighbours that predict each.
 const COMPARED: usize = 1_200;
 const NEIGHBOURS: usize = 48;
@@ -60,9 +61,9 @@ pub struct PooledFit {
     pub variance: f64,
 }
 
-/// Fits the pooled model of `receivers` receivers to at most 320 powers each. Exponential and Matern 3/2 correlations, each
-/// the most probable of its kind, are compared by the mean absolute error of held-out blocks. `check` is called several
-/// times per second.
+/// Fits the pooled model of `receivers` receivers to at most 320 powers each. The correlation is exponential, unless Matern
+/// 3/2 lowers the mean absolute error of held-out blocks by more than one standard error over blocks. `check` is called
+/// several times per second.
 ///
 /// # Errors
 /// An error of `check`.
@@ -71,13 +72,15 @@ pub struct PooledFit {
 /// If a link has a receiver of `receivers` or more.
 pub fn fit_pooled(links: &[PowerLink], receivers: usize, check: &dyn Fn() -> Result<()>) -> Result<PooledFit> {
     let powers = Powers::new(links, receivers);
-    let candidate = |kind| {
-        let fit = powers.most_probable(kind, check)?;
-        Ok((powers.block_error(&fit), fit))
-    };
-    let (rough, smooth) = (candidate(CorrelationKind::Exponential)?, candidate(CorrelationKind::Matern32)?);
-    Ok(if smooth.0 < rough.0 { smooth.1 } else { rough.1 })
+    let (rough, at) = powers.most_probable(CorrelationKind::Exponential, powers.start(), check)?;
+    let (smooth, _) = powers.most_probable(CorrelationKind::Matern32, at, check)?;
+    let errors = powers.block_errors(&rough).into_iter().zip(powers.block_errors(&smooth));
+    let (gain, error) = block_mean(errors.map(|((block, rough), (_, smooth))| (block, rough - smooth)));
+    Ok(if gain > error { smooth } else { rough })
 }
+
+/// Link in the likelihood, and the links that it is given.
+type Case = (usize, Vec<usize>);
 
 /// Powers, and how the likelihood uses them.
 struct Powers<'a> {
@@ -85,7 +88,7 @@ struct Powers<'a> {
     /// Links of each receiver.
     by_receiver: Vec<Vec<usize>>,
     /// Links of each receiver in the likelihood, each with links that it is given.
-    cases: Vec<Vec<(usize, Vec<usize>)>>,
+    cases: Vec<Vec<Case>>,
     /// Power about its mean, 1, and log-distance about its mean (0 if unknown) of each link.
     rows: Vec<[f64; 3]>,
     /// Mean power and mean log-distance.
@@ -107,26 +110,35 @@ impl<'a> Powers<'a> {
         Self { links, by_receiver, cases, rows, mean: [level, log], site }
     }
 
-    /// Returns the most probable fit with one kind of correlation: a pattern search over length and noise, with the best
-    /// variance at each point.
-    fn most_probable(&self, kind: CorrelationKind, check: &dyn Fn() -> Result<()>) -> Result<PooledFit> {
+    /// Returns the first point of the search: logarithms of length and noise.
+    fn start(&self) -> [f64; 2] {
+        [(LENGTH * self.site.spacing).ln(), NOISE_START.ln()]
+    }
+
+    /// Returns the most probable fit with one kind of correlation, and its logarithms of length and noise: a pattern search
+    /// from `at`, with the best variance at each point.
+    fn most_probable(
+        &self,
+        kind: CorrelationKind,
+        mut at: [f64; 2],
+        check: &dyn Fn() -> Result<()>,
+    ) -> Result<(PooledFit, [f64; 2])> {
         let correlation = |[length, noise]: [f64; 2]| {
             let length = length.exp();
             Correlation { kind, scales: [length, length, length, f64::INFINITY], noise: noise.exp() }
         };
-        let most = self.cases.iter().map(Vec::len).max().unwrap_or(0).max(1);
-        let heard: Vec<usize> = (0..self.cases.len()).filter(|&j| !self.cases[j].is_empty()).collect();
-        let searched = evenly(&heard, (SEARCHED / most).max(1));
+        let heard: Vec<&Vec<Case>> = self.cases.iter().filter(|cases| !cases.is_empty()).collect();
+        let each = (SEARCHED / heard.len().max(1)).max(LEAST);
+        let searched: Vec<Vec<Case>> =
+            evenly(&heard, SEARCHED / LEAST).into_iter().map(|cases| evenly(cases, each)).collect();
         let scale = statistics::mean(self.rows.iter().map(|row| row[0] * row[0]));
-        let middle = (LENGTH * self.site.spacing).ln();
         let evaluate = |at: [f64; 2]| -> Result<(f64, f64)> {
             check()?;
             let (variance, value) = best_variance(&self.moments(&searched, &correlation(at)), scale);
-            Ok((value - 0.5 * ((at[0] - middle) / LENGTH_SPREAD).powi(2), variance))
+            Ok((value - 0.5 * ((at[0] - self.start()[0]) / LENGTH_SPREAD).powi(2), variance))
         };
         let longest = (LENGTHS[1] * self.site.longest).max(LENGTH * self.site.spacing);
         let ranges = [[LENGTHS[0] * self.site.spacing, longest], NOISE].map(|range| range.map(f64::ln));
-        let mut at = [middle, NOISE_START.ln()];
         let mut best = evaluate(at)?;
         for step in STEPS.map(|step| step * std::f64::consts::LN_2) {
             let mut is_better = true;
@@ -145,18 +157,14 @@ impl<'a> Powers<'a> {
             }
         }
         let (correlation, variance) = (correlation(at), best.1);
-        let all: Vec<usize> = (0..self.cases.len()).collect();
-        let trends = trends(&self.moments(&all, &correlation), variance);
-        Ok(PooledFit {
-            laws: trends.into_iter().zip(&self.by_receiver).map(|(t, own)| self.law(t, own)).collect(),
-            correlation,
-            variance,
-        })
+        let trends = trends(&self.moments(&self.cases, &correlation), variance);
+        let laws = trends.into_iter().zip(&self.by_receiver).map(|(trend, own)| self.law(trend, own)).collect();
+        Ok((PooledFit { laws, correlation, variance }, at))
     }
 
-    /// Computes the moments of the whitened powers of some receivers.
-    fn moments(&self, receivers: &[usize], correlation: &Correlation) -> Vec<Moments> {
-        let whiten = |(i, given): &(usize, Vec<usize>)| {
+    /// Computes the moments of the whitened powers of each receiver.
+    fn moments(&self, cases: &[Vec<Case>], correlation: &Correlation) -> Vec<Moments> {
+        let whiten = |(i, given): &Case| {
             let scaled = |i: usize| correlation.scaled(self.links[i].place);
             let places: Vec<Place> = given.iter().map(|&k| scaled(k)).collect();
             let Solution { weights, variance } = if given.is_empty() {
@@ -170,13 +178,13 @@ impl<'a> Powers<'a> {
             }
             (row.map(|v| v / variance.sqrt()), variance)
         };
-        let sum = |&j: &usize| {
-            let rows: Vec<_> = self.cases[j].par_iter().map(whiten).collect();
+        let sum = |cases: &Vec<Case>| {
+            let rows: Vec<_> = cases.par_iter().map(whiten).collect();
             let mut moments = Moments::default();
             rows.into_iter().for_each(|(row, variance)| moments.add(row, variance));
             moments
         };
-        receivers.iter().map(sum).collect()
+        cases.iter().map(sum).collect()
     }
 
     /// Returns the path-loss model of a receiver with these links, from its level and rise about the means.
@@ -186,8 +194,8 @@ impl<'a> Powers<'a> {
         PathLoss { level: self.mean[0] + level + slope * self.mean[1], slope }
     }
 
-    /// Returns the mean absolute error of predictions from links of other blocks; 0 without such predictions.
-    fn block_error(&self, fit: &PooledFit) -> f64 {
+    /// Returns the absolute errors of predictions from links of other blocks, each after its block.
+    fn block_errors(&self, fit: &PooledFit) -> Vec<([i64; 3], f64)> {
         let edge = self.site.block_edge();
         let block = |i: usize| block_of(in_metres(self.links[i].place), edge);
         let residual = |i: usize| {
@@ -204,18 +212,17 @@ impl<'a> Powers<'a> {
                 let weights =
                     (!near.is_empty()).then(|| solve(&fit.correlation, Mean::Zero, &places, scaled(i)).weights)?;
                 let predicted: f64 = near.iter().zip(weights).map(|((_, k), weight)| weight * residual(*k)).sum();
-                Some((residual(i) - predicted).abs())
+                Some((block(i), (residual(i) - predicted).abs()))
             };
-            evenly(own, each.max(1)).par_iter().filter_map(error).collect::<Vec<f64>>()
+            evenly(own, each.max(1)).par_iter().filter_map(error).collect::<Vec<_>>()
         };
-        let mean = statistics::mean(self.by_receiver.iter().flat_map(errors_of));
-        if mean.is_finite() { mean } else { 0.0 }
+        self.by_receiver.iter().flat_map(errors_of).collect()
     }
 }
 
 /// Returns the links of one receiver that enter the likelihood, at most [`CASES`], each with the nearest of those before it
 /// in random order.
-fn select_cases(links: &[PowerLink], own: &[usize]) -> Vec<(usize, Vec<usize>)> {
+fn select_cases(links: &[PowerLink], own: &[usize]) -> Vec<Case> {
     let mut order = own.to_vec();
     rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
     let first = (CASES / 2).min(order.len());

@@ -3,7 +3,8 @@
 use super::{ByReceiver, ReceiverPredictor, fitting_samples, selection_sets, weighted_mean};
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
-    Baseline, Dataset, End, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result, evenly,
+    Baseline, Dataset, End, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result, SiteSize,
+    block_of, evenly,
 };
 use rayon::prelude::*;
 use ron::value::RawValue;
@@ -11,8 +12,9 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 /// Candidate values of k for `Auto`.
 const CHOICES: [usize; 13] = [1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120, 160];
-/// Largest number of samples used to choose k.
-const CHOSEN_ON: usize = 240;
+/// Largest number of observations, and of single numbers, used to choose k.
+const CHOSEN_ON: usize = 120;
+const CHOSEN_ON_NUMBERS: usize = 2_400;
 
 /// Mean of the spectra of the k nearest training transmitters, weighted by inverse distance.
 ///
@@ -21,11 +23,11 @@ const CHOSEN_ON: usize = 240;
 /// such as an uplink channel, distance is measured between features. For a moving receiver, the square of the distance
 /// includes those between the ends of its x axes and between those of its z axes, each 1 m long.
 ///
-/// `k: Auto` selects the k from 1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120 and 160 that best predicts the validation
-/// set from the training set: mean SSIM over at most 240 samples (absolute error for powers, squared error for
-/// channels). It then learns from both sets. Without a validation set, every tenth training sample is held out for the
-/// choice. For `TimeBlock` and `Voxel` splits, set a validation share, or k is too small. A note under the table
-/// reports k.
+/// `k: Auto` selects the k from 1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120 and 160 that best predicts known samples from
+/// those in other blocks: mean SSIM over at most 120 samples (channels: squared error; powers: absolute error over at
+/// most 2,400). All receivers share k. Blocks are cubes of three spacings of the samples, or of a twentieth of the site if
+/// this is more. Without positions it predicts the validation set from the training set. A note under the table reports
+/// k.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
@@ -45,7 +47,7 @@ pub struct NearestNeighbours {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema)]
 #[schemars(inline, with = "usize", title = "whole number or Auto", extend("type" = ["integer", "string"]))]
 pub enum Neighbours {
-    /// Number with the best score on the validation set.
+    /// Number with the best score on held-out blocks, the same for all receivers.
     Auto,
     /// Fixed number of neighbours.
     Number(usize),
@@ -100,19 +102,11 @@ impl Baseline for NearestNeighbours {
 
     fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
-        let fit = |fitting: FittingSet<'_>| {
-            let all = fitting_samples(fitting)?;
-            let (k, chosen) = match self.k {
-                Neighbours::Number(k) => (k, false),
-                Neighbours::Auto => {
-                    let (train, validation) = selection_sets(fitting);
-                    let k = best_neighbour_count(data, train, &evenly(&validation, CHOSEN_ON), fitting)?;
-                    data.observations.check()?;
-                    (k, true)
-                }
-            };
-            Ok(Lookup { chosen, ..Lookup::new(data, all, k) })
+        let (k, chosen) = match self.k {
+            Neighbours::Number(k) => (k, false),
+            Neighbours::Auto => (best_neighbour_count(data, fitting)?, true),
         };
+        let fit = |fitting: FittingSet<'_>| Ok(Lookup { chosen, ..Lookup::new(data, fitting_samples(fitting)?, k) });
         Ok(Box::new(ByReceiver::fit(data, fitting, fit)?))
     }
 
@@ -124,25 +118,29 @@ impl Baseline for NearestNeighbours {
     }
 }
 
-/// Returns the k that best predicts `validation` from `train`, the smallest in a tie; 3 if there is nothing to compare.
+/// Returns the k of all receivers that best predicts known links from those of their receiver in other blocks, the smallest
+/// in a tie; 3 if there is nothing to compare. Without positions it predicts the validation links from the training links.
 /// The flag of `fitting` ends the search.
-fn best_neighbour_count(
-    data: &Dataset,
-    train: Vec<usize>,
-    validation: &[usize],
-    fitting: FittingSet<'_>,
-) -> Result<usize> {
-    let choices: Vec<usize> = CHOICES.iter().copied().filter(|k| *k <= train.len()).collect();
-    let Some(most) = choices.last() else { return Ok(3) };
-    let lookup = Lookup::new(data, train, *most);
-    let score = |&i: &usize| fitting.check_stopped().map(|()| lookup.scores(i, &choices));
-    let scores = validation.par_iter().map(score).collect::<Result<Vec<Vec<f64>>>>()?;
-    if scores.is_empty() {
+fn best_neighbour_count(data: &Dataset, fitting: FittingSet<'_>) -> Result<usize> {
+    let known = fitting_samples(fitting)?;
+    let (train, held_out) = if data.placed { (known.clone(), known) } else { selection_sets(fitting) };
+    let most = if data.task().is_scalar { CHOSEN_ON_NUMBERS } else { CHOSEN_ON };
+    let edge = SiteSize::new(train.iter().map(|&i| data.sample(i).position())).block_edge();
+    let block = |i: usize| data.placed.then(|| block_of(data.sample(i).position(), edge));
+    let by_receiver = data.group_by_receiver(train);
+    let score = |&i: &usize| {
+        fitting.check_stopped()?;
+        let is_other = |j: &usize| *j != i && (block(*j) != block(i) || !data.placed);
+        let others: Vec<usize> = by_receiver[data.links[i].receiver].iter().copied().filter(is_other).collect();
+        Ok(if others.is_empty() { Vec::new() } else { Lookup::new(data, others, CHOICES[CHOICES.len() - 1]).scores(i) })
+    };
+    let scores = evenly(&held_out, most).par_iter().map(score).collect::<Result<Vec<Vec<f64>>>>()?;
+    data.observations.check()?;
+    if scores.iter().all(Vec::is_empty) {
         return Ok(3);
     }
-    let totals: Vec<f64> = (0..choices.len()).map(|c| scores.iter().map(|scores| scores[c]).sum()).collect();
-    let first_best = |best: usize, c: usize| if totals[c] > totals[best] { c } else { best };
-    Ok(choices[(1..choices.len()).fold(0, first_best)])
+    let total = |c: usize| scores.iter().filter_map(|scores| scores.get(c)).sum::<f64>();
+    Ok(CHOICES[(1..CHOICES.len()).fold(0, |best, c| if total(c) > total(best) { c } else { best })])
 }
 
 /// Nearest-neighbour lookup in the training samples.
@@ -178,8 +176,8 @@ impl<'a> Lookup<'a> {
         }
     }
 
-    /// Returns the score of the prediction of sample `i` for each k of `choices`, ascending; higher is better.
-    fn scores(&self, i: usize, choices: &[usize]) -> Vec<f64> {
+    /// Returns the score of the prediction of sample `i` for each k of [`CHOICES`]; higher is better.
+    fn scores(&self, i: usize) -> Vec<f64> {
         let truth = self.data.image(i);
         // Samples at the exact position all count, for any k.
         let (exact, neighbours) =
@@ -196,7 +194,7 @@ impl<'a> Lookup<'a> {
             let pixels = sum.iter().map(|s| (s / scale) as Real).collect();
             self.data.task().likeness(&Image { pixels, ..truth }, &truth)
         };
-        choices.iter().map(score).collect()
+        CHOICES.iter().map(score).collect()
     }
 }
 
@@ -219,12 +217,8 @@ impl Predict for Lookup<'_> {
 impl ReceiverPredictor for Lookup<'_> {
     fn combined_note(each: &[(&str, &Self)]) -> Option<String> {
         let (_, first) = each.first().filter(|(_, lookup)| lookup.chosen)?;
-        let reason = format!("best on validation {}", first.data.task().plural.trim_start_matches("spatial "));
-        if each.iter().all(|(_, lookup)| lookup.k == first.k) {
-            return Some(format!("k-NN uses k = {}, {reason}", first.k));
-        }
-        let list: Vec<String> = each.iter().map(|(name, lookup)| format!("{} ({name})", lookup.k)).collect();
-        Some(format!("k-NN uses k = {}, each {reason}", list.join(", ")))
+        let on = if first.data.placed { "held-out blocks" } else { "the validation set" };
+        Some(format!("k-NN uses k = {}, best on {on}", first.k))
     }
 }
 

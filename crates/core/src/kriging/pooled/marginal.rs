@@ -62,7 +62,7 @@ pub(super) fn log_likelihood(moments: &[Moments], variance: f64) -> f64 {
     -0.5 * (squares - dot(shared.sum, mean) + logs + log_determinant)
 }
 
-/// Returns the posterior means of level and slope of each receiver (T + t_j, and the rise -(G + g_j)), about the means of
+/// Returns the posterior means of level and slope of each receiver, `T + t_j` and the rise `-(G + g_j)`, about the means of
 /// the data.
 pub(super) fn trends(moments: &[Moments], variance: f64) -> Vec<[f64; 2]> {
     let shared = marginalise(moments, variance).0;

@@ -52,7 +52,7 @@ fn likelihood_trends_and_predictions_match_dense_covariances() {
     let powers = Powers::new(&links, 4);
     for (kind, gain, laws, prediction) in expected {
         let correlation = Correlation { kind, scales: [2.0, 2.0, 2.0, f64::INFINITY], noise: 0.2 };
-        let moments = powers.moments(&[0, 1, 2, 3], &correlation);
+        let moments = powers.moments(&powers.cases, &correlation);
         close(log_likelihood(&moments, 9.0) - log_likelihood(&moments, 12.0), gain);
         let found: Vec<PathLoss> = trends(&moments, 9.0)
             .into_iter()

@@ -1,0 +1,132 @@
+//! Kriging of received powers: path loss and process of all receivers, fitted together.
+
+use super::{Kriging, format_digits};
+use crate::baselines::fitting_samples;
+use pwrfgs_core::kriging::{Correlation, LocalKriging, PathLoss, Place, ProcessFit, fit_powers, link_place};
+use pwrfgs_core::messages::strip_control;
+use pwrfgs_core::{Dataset, FittingSet, Image, Predict, Query, Real, Result};
+
+/// Pooled Kriging of the powers of all receivers.
+pub(super) struct PooledKriging<'a> {
+    data: &'a Dataset,
+    /// Fits of the receivers, with a common correlation and variance.
+    fits: Vec<ProcessFit>,
+    processes: Vec<Process>,
+    neighbours: usize,
+}
+
+/// Known links of one receiver.
+struct Process {
+    links: Vec<usize>,
+    /// Differences of their powers from the path-loss model, dB.
+    residuals: Vec<Real>,
+    kriging: LocalKriging,
+}
+
+impl<'a> PooledKriging<'a> {
+    /// Fits path loss and process to the known powers.
+    pub(super) fn fit(data: &'a Dataset, fitting: FittingSet<'_>, settings: &Kriging) -> Result<Self> {
+        let known = fitting_samples(fitting)?;
+        let fits = fit_powers(data, &known, &|| fitting.check_stopped())?;
+        data.observations.check()?;
+        Ok(Self::new(data, fits, data.group_by_receiver(known), settings.neighbours))
+    }
+
+    /// Creates the predictor of fits from the known links of each receiver.
+    fn new(data: &'a Dataset, fits: Vec<ProcessFit>, known: Vec<Vec<usize>>, neighbours: usize) -> Self {
+        let process = |(links, fit): (Vec<usize>, &ProcessFit)| {
+            let residual =
+                |&i: &usize| (data.image(i).pixels[0] as f64 - fit.trend.expected(0.0, link_place(data, i))) as Real;
+            let kriging = fit.process(links.iter().map(|&i| link_place(data, i)));
+            Process { residuals: links.iter().map(residual).collect(), links, kriging }
+        };
+        let processes = known.into_iter().zip(&fits).map(process).collect();
+        Self { data, fits, processes, neighbours }
+    }
+
+    /// Returns the fit of the receiver of a query, or of the first one for an unknown receiver.
+    fn fit_of(&self, query: Query<'_>) -> &ProcessFit {
+        self.fits.get(query.receiver).or(self.fits.first()).expect("data have a receiver")
+    }
+
+    /// Returns the place of a query, metres from the origin.
+    fn place(&self, query: Query<'_>) -> Place {
+        let [x, y, z] = self.data.scene.origin.local(query.position()).map(|v| v as f64);
+        [x, y, z, 0.0]
+    }
+
+    /// Returns the known links of the receiver of a query; `None` without any.
+    fn process(&self, query: Query<'_>) -> Option<&Process> {
+        self.processes.get(query.receiver).filter(|process| !process.links.is_empty())
+    }
+}
+
+impl Predict for PooledKriging<'_> {
+    fn predict(&self, query: Query<'_>) -> Image {
+        let (trend, at) = (&self.fit_of(query).trend, self.place(query));
+        let residual = |process: &Process| {
+            let add = |k: usize, weight: f64, sum: &mut [f64]| sum[0] += weight * process.residuals[k] as f64;
+            process.kriging.weighted_sum(at, self.neighbours, 1, add)[0]
+        };
+        let dbm = trend.expected(0.0, at) + self.process(query).map_or(0.0, residual);
+        Image { width: 1, height: 1, pixels: vec![dbm as Real] }
+    }
+
+    fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
+        let (image, at) = (self.predict(query), self.place(query));
+        let d = f64::from(cotangent(&image)[0]);
+        let slope = self.fit_of(query).trend.path_loss_vjp(d, at);
+        let residual =
+            |process: &Process| process.kriging.solve_vjp(at, self.neighbours, |k| d * process.residuals[k] as f64);
+        let gradient = self.process(query).map_or([0.0; 3], residual);
+        Some((image, [0, 1, 2].map(|k| slope[k] + gradient[k])))
+    }
+
+    fn deviation(&self, query: Query<'_>) -> Option<f64> {
+        let fit = self.fit_of(query);
+        let relative = self.process(query).map_or(1.0 + fit.correlation.noise, |process| {
+            process.kriging.solve(self.place(query), self.neighbours).1.variance
+        });
+        Some((fit.variance * relative).sqrt())
+    }
+
+    fn without(&self, links: &[usize]) -> Option<Box<dyn Predict + '_>> {
+        let others = |process: &Process| {
+            process.links.iter().copied().filter(|link| links.binary_search(link).is_err()).collect::<Vec<usize>>()
+        };
+        let known: Vec<Vec<usize>> = self.processes.iter().map(others).collect();
+        let is_known = known.iter().any(|links| !links.is_empty());
+        is_known.then(|| Box::new(Self::new(self.data, self.fits.clone(), known, self.neighbours)) as Box<dyn Predict>)
+    }
+
+    fn note(&self) -> Option<String> {
+        let ProcessFit { correlation: Correlation { kind, scales, noise }, variance, .. } = self.fits.first()?;
+        let laws: Vec<PathLoss> = self.fits.iter().filter_map(|fit| Some(fit.trend.path_loss?.0)).collect();
+        let names: Vec<String> = self.data.scene.receivers.iter().map(|r| strip_control(&r.name)).collect();
+        let has_distances = self.data.scene.has_distances();
+        let law = |(law, name): (&PathLoss, &String)| {
+            let slope = if has_distances { format!(", {}", format_digits(law.slope)) } else { String::new() };
+            let name = if names.len() > 1 { format!("{name}: ") } else { String::new() };
+            format!("{name}{}{slope}", format_digits(law.level))
+        };
+        let list: Vec<String> = laws.iter().zip(&names).map(law).collect();
+        let trend = if has_distances { "path loss in dBm at 1 m and dB per decade" } else { "mean in dBm" };
+        let found = format!(
+            "Kriging found one correlation for all receivers, {} with a length scale of {} m, a variance of {} dB² and noise of \
+             {} of the variance, {trend} ({})",
+            kind.words(),
+            format_digits(scales[0]),
+            format_digits(*variance),
+            format_digits(*noise),
+            list.join("; "),
+        );
+        let deaf: Vec<&str> =
+            names.iter().zip(&self.processes).filter(|(_, p)| p.links.is_empty()).map(|(n, _)| n.as_str()).collect();
+        let deaf = (!deaf.is_empty())
+            .then(|| format!("; {} has no training link and shares the mean path loss", deaf.join(", ")));
+        Some(found + &deaf.unwrap_or_default())
+    }
+}
+
+#[cfg(test)]
+mod tests;
