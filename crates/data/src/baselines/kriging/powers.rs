@@ -1,6 +1,5 @@
 //! Kriging of received powers: path loss and process of all receivers, fitted together.
 
-use super::{Kriging, format_digits};
 use crate::baselines::fitting_samples;
 use pwrfgs_core::kriging::{Correlation, LocalKriging, PathLoss, Place, ProcessFit, fit_powers, link_place};
 use pwrfgs_core::messages::strip_control;
@@ -25,11 +24,11 @@ struct Process {
 
 impl<'a> PooledKriging<'a> {
     /// Fits path loss and process to the known powers.
-    pub(super) fn fit(data: &'a Dataset, fitting: FittingSet<'_>, settings: &Kriging) -> Result<Self> {
+    pub(super) fn fit(data: &'a Dataset, fitting: FittingSet<'_>, neighbours: usize) -> Result<Self> {
         let known = fitting_samples(fitting)?;
         let fits = fit_powers(data, &known, &|| fitting.check_stopped())?;
         data.observations.check()?;
-        Ok(Self::new(data, fits, data.group_by_receiver(known), settings.neighbours))
+        Ok(Self::new(data, fits, data.group_by_receiver(known), neighbours))
     }
 
     /// Creates the predictor of fits from the known links of each receiver.
@@ -126,6 +125,12 @@ impl Predict for PooledKriging<'_> {
             .then(|| format!("; {} has no training link and shares the mean path loss", deaf.join(", ")));
         Some(found + &deaf.unwrap_or_default())
     }
+}
+
+/// Formats a number with four significant digits, enough to reproduce a score.
+pub(super) fn format_digits(value: f64) -> String {
+    let decimals = if value == 0.0 { 0.0 } else { (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) };
+    format!("{value:.0$}", decimals as usize)
 }
 
 #[cfg(test)]

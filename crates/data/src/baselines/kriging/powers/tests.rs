@@ -1,5 +1,6 @@
 //! Pooled Kriging of invented powers.
 
+use super::super::Kriging;
 use super::*;
 use pwrfgs_core::{Baseline, Observations, Pose, Receiver, Sample};
 
