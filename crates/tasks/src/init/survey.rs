@@ -245,7 +245,7 @@ mod tests {
     fn cells_follow_spacing_and_site() {
         // A walk of 1 km with a position every 2 m; a survey of 1 m in an office; a dense scan of 10 x 10 m.
         for (count, columns, step, edge) in
-            [(500, 500, 2.0, Some(50.0)), (108, 27, 1.0, Some(3.0)), (10_000, 100, 0.1, Some(1.0)), (8, 8, 1.0, None)]
+            [(500, 500, 2.0, Some(30.0)), (108, 27, 1.0, Some(3.0)), (10_000, 100, 0.1, Some(1.0)), (8, 8, 1.0, None)]
         {
             assert_eq!(suggest_cell_edge(&grid(count, columns, step)), edge, "{count} positions");
         }
