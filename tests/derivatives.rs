@@ -181,7 +181,7 @@ fn ensembles_and_residual_processes_differentiate() {
         let (data, links) = (data(task, &base), (0..LINKS).collect::<Vec<_>>());
         let by = |&i: &usize| if i % 4 == 0 { LeftOutBy::NoMember } else { LeftOutBy::Member(0) };
         let left_out_by: Vec<LeftOutBy> = links.iter().map(by).collect();
-        let known = || KnownLinks { data: &data, links: &links, left_out_by: &left_out_by };
+        let known = || KnownLinks { data: &data, links: &links, left_out_by: &left_out_by, blocks: &links };
         let strides = if task.has_pixels { &[4, 1][..] } else { &[1] };
         for settings in strides.iter().map(|&stride| Kriged { stride, ..Kriged::default() }) {
             let found = Residuals::fit(&settings, &base, known(), &AtomicBool::new(false), &|_, _| {}).unwrap();

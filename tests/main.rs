@@ -31,6 +31,7 @@ mod registry;
 mod repeatability;
 mod robustness;
 mod sampling;
+mod shares;
 mod stopping;
 mod streaming;
 mod structure;

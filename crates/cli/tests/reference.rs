@@ -70,7 +70,7 @@ fn init_writes_runnable_pipeline_and_never_overwrites() {
     let text = std::fs::read_to_string(here.join("my--data-.ron")).unwrap();
     for words in [
         "split: Official(",
-        "// Batch size: transmitters per step. [whole number]",
+        "// Batch size: transmitters per step, at most those of the training set. [whole number]",
         "batch: 3,",
         "points: None",
         "Grid(",
@@ -79,7 +79,8 @@ fn init_writes_runnable_pipeline_and_never_overwrites() {
     }
     let few = ["training.steps=6", "training.densify_until=2", "training.prune_until=5", "deformation.width=8"];
     let few: Vec<&str> = few.iter().flat_map(|set| ["--set", set]).collect();
-    succeed(here, &[&["run", "my--data-.ron", "-q"][..], &few].concat());
+    // A batch is limited to the training set.
+    succeed(here, &[&["run", "my--data-.ron", "-q", "--set", "training.batch=1000"][..], &few].concat());
     refuse(here, &["init", "my \"data\""], 2, &["my--data-.ron", "not overwritten", "--out"]);
     assert_eq!(std::fs::read_to_string(here.join("my--data-.ron")).unwrap(), text);
     refuse(here, &["init", "nowhere"], 2, &["nowhere: no such folder"]);

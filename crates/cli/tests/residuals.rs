@@ -34,10 +34,13 @@ fn every_command_reads_a_model_with_residuals() {
     let model = "r/model.safetensors";
     let whole = bytes(&here.join(model));
     let saved = file::read_ensemble(&here.join(model)).unwrap();
-    let share = saved.residuals().unwrap().processes()[0].as_ref().unwrap().fit.trend.share;
-    let note = format!("the residuals of the model are Kriged (share of the model b = {share}, ");
+    let residuals = saved.residuals().unwrap();
+    let sentence = residuals.describe_share(pwrfgs_core::Task::Spectrum).unwrap();
+    let note = format!("{sentence}; residuals are Kriged (");
+    assert!(table.contains(&format!("model (b = {})", residuals.share().unwrap())), "{table}");
     assert!(table.contains(&note), "{table}");
-    succeed(here, &["predict", model, "--tx", "0.3,0.1,0.9", "--out", "predicted"]);
+    let predicted = succeed(here, &["predict", model, "--tx", "0.3,0.1,0.9", "--out", "predicted"]);
+    assert!(stderr(&predicted).contains(&sentence), "{}", stderr(&predicted));
     predicts_intervals(here, model);
     assert!(stdout(&succeed(here, &["evaluate", model])).contains(&note));
     succeed(here, &["map", model, "--plane", "z=0.5", "--out", "map"]);
@@ -60,6 +63,38 @@ fn every_command_reads_a_model_with_residuals() {
     succeed(here, &["run", "p.ron", "--out", "r", "--threads", "1", "-q"]);
     assert!(bytes(&here.join(model)) == whole, "another model after a restart with another number of threads");
     assert!(stderr(&succeed(here, &["run", "p.ron", "--out", "r"])).contains("nothing to do"));
+}
+
+/// A finished run takes residuals without training, as baselines and metrics; also if it is stopped between fit and scores.
+#[test]
+fn residuals_are_added_to_a_finished_run_without_training() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("with.ron"), kriged());
+    write(&here.join("without.ron"), kriged().replace(" residuals: Kriged(),", ""));
+    succeed(here, &["run", "with.ron", "--out", "fresh", "-q"]);
+    succeed(here, &["run", "without.ron", "--out", "r", "-q"]);
+    let log = bytes(&here.join("r/curve.csv"));
+    let table = stdout(&succeed(here, &["run", "with.ron", "--out", "r"]));
+    assert!(table.contains("residuals are Kriged"), "{table}");
+    let fresh = bytes(&here.join("fresh").join(MODEL));
+    assert!(bytes(&here.join("r").join(MODEL)) == fresh, "as if it had been trained with residuals");
+    assert!(bytes(&here.join("r/curve.csv")) == log, "trained again");
+    assert!(stderr(&succeed(here, &["run", "with.ron", "--out", "r"])).contains("nothing to do"));
+    let other = "holds a run of another pipeline";
+    refuse(here, &["run", "without.ron", "--out", "r"], 2, &[other, "residuals"]);
+    refuse(here, &["run", "with.ron", "--set", "residuals=Kriged(stride: 1)", "--out", "r"], 2, &[other, "stride: 1"]);
+
+    // Stopped after the fit, before the scores.
+    std::fs::remove_file(here.join("r/run.json")).unwrap();
+    succeed(here, &["run", "with.ron", "--out", "r", "-q"]);
+    assert!(bytes(&here.join("r").join(MODEL)) == fresh);
+    // Stopped before the fit: the model of the training alone is on disk.
+    let plain = file::read_ensemble(&here.join("r").join(MODEL)).unwrap().with_residuals(None);
+    file::write_ensemble(&here.join("r").join(MODEL), &plain).unwrap();
+    std::fs::remove_file(here.join("r/run.json")).unwrap();
+    succeed(here, &["run", "with.ron", "--out", "r", "-q"]);
+    assert!(bytes(&here.join("r").join(MODEL)) == fresh);
 }
 
 /// The validation set has 10 transmitters, so the highest level is 10/11.

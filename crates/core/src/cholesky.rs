@@ -45,6 +45,11 @@ impl Cholesky {
         }
     }
 
+    /// Returns L `[n,n]`; values above the diagonal are those of A.
+    pub fn into_factor(self) -> Vec<f64> {
+        self.lower
+    }
+
     /// Returns L⁻¹ `[n,n]`, zero above the diagonal.
     pub fn inverse_of_factor(&self) -> Vec<f64> {
         let (l, n) = (&self.lower, self.n);

@@ -39,10 +39,6 @@ pub struct TrainingNumbers {
     pub stride: usize,
     /// Number of selected pixels per spectrum; `None` for all, 0 for one per pair of a spectrum and a pixel.
     pub pixels: Option<usize>,
-    /// Number of transmitters per step.
-    pub batch: usize,
-    /// Number of transmitters of the training set, if known.
-    pub transmitters: Option<usize>,
     /// Initial number of Gaussians, if known.
     pub initial: Option<usize>,
     /// Largest number of Gaussians after densification; 0 if there is none.
@@ -168,12 +164,11 @@ fn target_misfit(training: &TrainingNumbers, pruners: &[Plugin<dyn Pruner>]) -> 
 /// Checks the settings of the training against method and data.
 fn check_training(parts: &Parts<'_>, method: &dyn Method, traits: &MethodTraits<'_>) -> Result<(), Misfit> {
     let Some(training) = parts.training else { return Ok(()) };
-    let TrainingNumbers { stride, pixels, batch, transmitters, target, .. } = training;
+    let TrainingNumbers { stride, pixels, target, .. } = training;
     let selects = traits.supports_pixel_subset && parts.task.is_none_or(|task| task.has_pixels);
     refuse((pixels.is_some() && !selects).then_some(Misfit::SelectedPixels))?;
     let prunes = !parts.pruners.is_empty() || target > 0;
     refuse((prunes && !traits.has_gaussians()).then(|| Misfit::NothingToPrune(method.typetag_name())))?;
-    refuse(transmitters.filter(|most| batch > *most).map(|most| Misfit::Batch(batch, most)))?;
     let Some(setup) = parts.setup.filter(|setup| setup.task.has_pixels) else { return Ok(()) };
     let ImagePlane { width, height, .. } = setup.plane;
     let divides = |stride: &usize| width.is_multiple_of(*stride) && height.is_multiple_of(*stride);

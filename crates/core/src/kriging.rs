@@ -5,12 +5,16 @@
 
 mod likelihood;
 mod pooled;
+mod process;
+mod spectra;
 
 use crate::Cholesky;
 use crate::neighbours::{Nearest, distance};
 pub use likelihood::{HeldOutCases, SearchSpace, most_likely};
 pub use pooled::{PooledFit, PowerLink, fit_pooled};
+pub use process::{ProcessFit, ResidualTrend, fit_observations, fit_powers, link_place};
 use serde::{Deserialize, Serialize};
+pub use spectra::{JointLikelihood, fit_spectra};
 use std::f64::consts::LN_10;
 
 /// Position of a sample: x, y and z in metres, and its time in samples, 0 for processes over space alone.
@@ -97,6 +101,21 @@ impl LocalKriging {
         let (samples, places) = self.find_nearest(at, count);
         let solution = solve(&self.correlation, self.mean, &places, at);
         (samples, solution)
+    }
+
+    /// Returns the weighted sum `[values]` of the samples that predict a measurement at `at`; `add` adds a weight times the values
+    /// of a sample.
+    pub fn weighted_sum(
+        &self,
+        at: Place,
+        count: usize,
+        values: usize,
+        mut add: impl FnMut(usize, f64, &mut [f64]),
+    ) -> Vec<f64> {
+        let (samples, Solution { weights, .. }) = self.solve(at, count);
+        let mut sum = vec![0.0; values];
+        samples.into_iter().zip(weights).for_each(|(k, weight)| add(k, weight, &mut sum));
+        sum
     }
 
     /// Finds the samples nearest to `at`, and their places, all in units of the length scales.

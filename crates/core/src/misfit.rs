@@ -149,9 +149,6 @@ pub enum Misfit {
     /// Stride, columns, rows, and the strides that divide both.
     #[error("training.stride {0} does not divide {1} columns and {2} rows of the spectra; use one of {3}")]
     Stride(usize, usize, usize, String),
-    /// Transmitters of a step and of the training set.
-    #[error("training.batch is {0}, expected at most {1} (transmitters of the training set); lower training.batch")]
-    Batch(usize, usize),
 
     /// Readout of one channel, and a rasterizer that adds waves.
     #[error("readout: this rasterizer adds waves, and Real takes one channel of each; use MinMax, Magnitude or Power")]

@@ -11,12 +11,12 @@ use crate::repeatability::estimate_noise_ceiling;
 use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::{Session, staged};
 use crate::text::number;
-use pwrfgs_core::kriging::Correlation;
+use pwrfgs_core::kriging::{Correlation, ProcessFit};
 use pwrfgs_core::{
     Baseline, Dataset, FittingSet, ImagePlane, Measurement, Metric, Misfit, ModelFacts, Parts, Plugin, Result, Scope,
-    check_compatible, check_stopped, evenly,
+    Task, check_compatible, check_stopped, evenly,
 };
-use pwrfgs_model::{Ensemble, Prepared, ProcessFit, ResidualProcess, Residuals, file};
+use pwrfgs_model::{Ensemble, Prepared, ResidualProcess, Residuals, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -61,7 +61,8 @@ pub fn evaluate(
         }
         confidence = Some(Confidence::measure(ready, data, &partition.test, session)?);
     }
-    evaluation.table.notes.extend(model.residuals().map(residuals_note));
+    evaluation.table.notes.extend(model.residuals().map(|residuals| residuals_note(residuals, data.task())));
+    evaluation.table.share = model.residuals().and_then(Residuals::share);
     let mut columns = Vec::new();
     if let Some(calibration) = model.calibration() {
         let calibrator = evaluation.calibrator.insert(Calibrator::new(pipeline, split, model.members().len())?);
@@ -154,18 +155,17 @@ impl OpenEvaluation<'_> {
     }
 }
 
-/// Describes the residual processes of a model, which share their fit.
-fn residuals_note(residuals: &Residuals) -> String {
+/// Describes the share of a model and its residual processes.
+fn residuals_note(residuals: &Residuals, task: Task) -> String {
     let describe = |process: &ResidualProcess| {
-        let ProcessFit { trend, correlation: Correlation { kind, scales: [x, y, z, _], noise }, .. } = process.fit;
+        let ProcessFit { correlation: Correlation { kind, scales: [x, y, z, _], noise }, .. } = process.fit;
         let [x, y, z, noise] = [x, y, z, noise].map(number);
-        let law = trend.path_loss.map_or_else(String::new, |_| format!(", of the path loss {}", 1.0 - trend.share));
-        let share = format!("share of the model b = {}{law}", trend.share);
-        format!("{share}, {} with {x}, {y}, {z} m, noise {noise}", kind.words())
+        format!("{} with {x}, {y}, {z} m, noise {noise}", kind.words())
     };
     let mut notes: Vec<String> = residuals.processes().iter().flatten().map(describe).collect();
     notes.dedup();
-    format!("the residuals of the model are Kriged ({})", notes.join("; "))
+    let share = residuals.describe_share(task).unwrap_or_default();
+    format!("{share}; residuals are Kriged ({})", notes.join("; "))
 }
 
 /// Returns the mean of the first validation metric for each baseline, fitted on the training set alone, on the samples

@@ -1,9 +1,9 @@
 //! Checks before training: [`preview`] for `pwrfgs check` (size and cost of a run, with a [`DataSummary`]), and
 //! [`Inspection`] for `pwrfgs inspect` (the summary, and all splits with their baselines).
 
-mod inspection;
-
 mod cost;
+mod floor;
+mod inspection;
 
 pub use crate::findings::pose::{Correction, PoseCheck, PoseVerdict};
 pub use inspection::{Inspection, SplitScores};
@@ -69,7 +69,7 @@ pub struct Preview {
 /// All errors of [`crate::run`] before its first step.
 pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<Preview> {
     let load_before = load_average();
-    let pipeline = resolve_pipeline(pipeline, base)?;
+    let mut pipeline = resolve_pipeline(pipeline, base)?;
     let split = load(&pipeline, base, observer)?;
     let SplitData { data, partition } = &split;
     pipeline.check_data(data)?;
@@ -82,6 +82,8 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         loaded_bytes = peak_memory(); // before a step is tried, which is counted by itself
         Ok(trainer)
     })?;
+    let batch = pipeline.training.batch.min(data.locations_of(&member_partition.train).len());
+    pipeline.set_all(&[format!("training.batch={batch}")])?; // as the trainer limits it
     Ok(Preview {
         title: data.title.clone(),
         observed: observed(data),

@@ -2,9 +2,10 @@
 
 use crate::load::{ActiveRun, SplitData};
 use crate::session::staged;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, SiteSize, block_of};
 use pwrfgs_model::{Ensemble, KnownLinks, LeftOutBy, Residuals};
 use pwrfgs_pipeline::Pipeline;
+use std::collections::BTreeMap;
 
 /// Returns an error if the residuals of a model of `pipeline` cannot be predicted: of one run, or `joined` of several runs.
 ///
@@ -33,6 +34,25 @@ pub(crate) fn left_out_links(pipeline: &Pipeline, split: &SplitData, folds: usiz
     (0..folds).map(|index| Ok(pipeline.folded(index, folds).partition(&split.data)?.validation)).collect()
 }
 
+/// Returns the block of each of `links`, ascending: that of the split, or a cube of places if its blocks are single locations.
+fn label_blocks(pipeline: &Pipeline, SplitData { data, .. }: &SplitData, links: &[usize]) -> Vec<usize> {
+    let of_split = pipeline.split.blocks(data, links);
+    let location = |link: usize| data.links[link].location;
+    if of_split.iter().any(|block| block.iter().any(|link| location(*link) != location(block[0]))) {
+        let labels: BTreeMap<usize, usize> =
+            of_split.iter().enumerate().flat_map(|(k, block)| block.iter().map(move |link| (*link, k))).collect();
+        return links.iter().map(|link| labels.get(link).copied().unwrap_or(of_split.len())).collect();
+    }
+    let position = |link: &usize| data.sample(*link).position();
+    let edge = SiteSize::new(links.iter().map(position)).block_edge();
+    let mut labels = BTreeMap::new();
+    let label = |link: &usize| {
+        let next = labels.len();
+        *labels.entry(block_of(position(link), edge)).or_insert(next)
+    };
+    links.iter().map(label).collect()
+}
+
 impl ActiveRun<'_, '_> {
     /// Fits residual processes of the trained ensemble to all known links, if the pipeline selects them and it has
     /// none. `folds` is the number of members of a joined sweep, 1 for a model of one run.
@@ -52,7 +72,8 @@ impl ActiveRun<'_, '_> {
                 left_out_by[k] = if lists.len() == 1 { LeftOutBy::All } else { LeftOutBy::Member(member) };
             }
         }
-        let links = KnownLinks { data: &self.split.data, links: &links, left_out_by: &left_out_by };
+        let blocks = label_blocks(self.pipeline, self.split, &links);
+        let links = KnownLinks { data: &self.split.data, links: &links, left_out_by: &left_out_by, blocks: &blocks };
         let stop = self.session.stop;
         let fitted = staged(self.session.observer, "fitting residuals", |progress| {
             Residuals::fit(settings, &ensemble, links, stop, progress)

@@ -23,7 +23,7 @@ pub enum RunState {
     New,
     /// The run, unfinished or finished.
     Begun,
-    /// The same run with other baselines or metrics: it must be scored again.
+    /// The same run with other baselines or metrics, or with residuals added: it must be scored again.
     ScoredOtherwise,
 }
 
@@ -90,7 +90,7 @@ impl RunFolder {
     }
 
     /// Opens `run.json` for another start on the data, with the findings and, for a joined model, the members of `new`.
-    /// Replaces `pipeline.ron` if its baselines or metrics changed. From now on the run counts as unfinished, since
+    /// Replaces `pipeline.ron` if its baselines or metrics changed, or residuals were added. From now on the run counts as unfinished, since
     /// earlier checksums and baselines may become invalid.
     ///
     /// The new `pipeline.ron` is locked before it is renamed, so that no other process can lock the folder in between.
@@ -209,9 +209,11 @@ fn compare_pipelines(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) 
     }
 }
 
-/// Returns `pipeline` with the baselines and metrics of `other`, which do not affect training.
+/// Returns `pipeline` with the baselines and metrics of `other`, which do not affect training, and without residuals if
+/// `other` has none: they are fitted to the trained model.
 fn scored_as(pipeline: &Pipeline, other: &Pipeline) -> Pipeline {
-    Pipeline { baselines: other.baselines.clone(), metrics: other.metrics.clone(), ..pipeline.clone() }
+    let residuals = pipeline.residuals.clone().filter(|_| other.residuals.is_some());
+    Pipeline { baselines: other.baselines.clone(), metrics: other.metrics.clone(), residuals, ..pipeline.clone() }
 }
 
 /// Removes temporary files of killed starts, such as `.checkpoint.safetensors.123.tmp`. Failures are ignored.

@@ -1,6 +1,6 @@
 //! Score table as text for a terminal.
 
-use crate::scores::{CEILING, ScoreCell, ScoreTable};
+use crate::scores::{CEILING, MODEL, ScoreCell, ScoreTable};
 use crate::text::{aligned, grouped, number};
 
 impl ScoreTable {
@@ -39,7 +39,13 @@ impl ScoreTable {
     /// Formats aligned text for a terminal: heading, one line per metric and statistic, one column per predictor. The
     /// best value of a line is marked `*`, an oracle baseline `†`. Paired differences and notes follow.
     pub fn to_text(&self) -> String {
-        let name = |name: &String| format!("{name}{}", if self.oracles.contains(name) { " †" } else { "" });
+        let share = self.share.map_or_else(String::new, |share| format!(" (b = {share})"));
+        let mark = |name: &String| match () {
+            () if self.oracles.contains(name) => " †",
+            () if name == MODEL => &share,
+            () => "",
+        };
+        let name = |name: &String| format!("{name}{}", mark(name));
         let head = ["metric".to_owned(), String::new()].into_iter().chain(self.predictors.iter().map(name));
         let mut lines: Vec<Vec<String>> = vec![head.collect()];
         for row in &self.metrics {

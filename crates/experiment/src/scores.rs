@@ -52,6 +52,9 @@ pub struct ScoreTable {
     /// Whether the model may be trained on other data or another split than the baselines.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub trained_elsewhere: bool,
+    /// Share b of the model in its predictions; `None` without residuals.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub share: Option<f64>,
     /// Paired differences between the model and each baseline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub paired: Option<Paired>,

@@ -24,7 +24,7 @@ pub use ensemble::Ensemble;
 pub use model::{Model, Stages};
 pub use prepared::Prepared;
 pub use residual_fit::{KnownLinks, LeftOutBy};
-pub use residuals::{Kriged, ProcessFit, ResidualProcess, ResidualTrend, Residuals};
+pub use residuals::{Kriged, ResidualProcess, Residuals, ShareGain};
 pub use snapshot::Snapshot;
 pub use trained::Trained;
 pub use training_positions::{TrainingDistances, TrainingPositions};

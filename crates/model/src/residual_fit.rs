@@ -1,43 +1,19 @@
-//! Fit of residual processes to known links, and their update with new links.
+//! Fit of residual processes to known links, and their update with new links; `share.rs` chooses the share of the model.
+
+mod share;
 
 use crate::ensemble::Ensemble;
-use crate::residuals::{
-    CoarseGrid, Kriged, ProcessFit, ResidualProcess, ResidualTrend, ResidualValues, Residuals, place,
-};
+use crate::residuals::{CoarseGrid, Kriged, ResidualProcess, ResidualValues, Residuals, place};
 use crate::tensors::quantise;
-use pwrfgs_core::kriging::{
-    Correlation, CorrelationKind, HeldOutCases, Mean, PathLoss, SearchSpace, log_distance, most_likely,
-};
-use pwrfgs_core::neighbours::Nearest;
-use pwrfgs_core::{
-    Dataset, Error, FittingSet, MeasurementSetup, Progress, Query, Real, Receiver, Result, check_stopped, evenly,
-};
-use std::collections::BTreeMap;
+use pwrfgs_core::kriging::{ProcessFit, ResidualTrend, fit_observations, fit_powers};
+use pwrfgs_core::{Dataset, Error, FittingSet, Progress, Query, Real, Result, check_stopped, evenly};
 use std::sync::atomic::AtomicBool;
 
-/// Number of links that are predicted in the fit: of all receivers, and at least of each. Too few choose a wrong correlation
-/// (docs/lab/residuals.md).
-const CASES: usize = 600;
-const LEAST_CASES: usize = 40;
-/// Number of neighbours of such a link; half of it for received powers.
-const FROM: usize = 48;
-/// Shares of the prediction of the model that are compared.
-const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
-/// Compared factors on the noise of the observations: what a good model leaves is mostly noise.
-const NOISES: [f64; 5] = [1.0, 4.0, 16.0, 64.0, 256.0];
-/// Log-likelihood by which a smaller share must be better: differences below it are noise of the search.
-const CLEARLY: f64 = 0.5;
-/// Smoothness 3/2 and 1/2.
-const KINDS: [CorrelationKind; 2] = [CorrelationKind::Matern32, CorrelationKind::Exponential];
 /// Share of the variance of spectra that a coarse grid may lose, and the number of spectra that measure it.
 const LOST: f64 = 1e-3;
 const EXAMPLES: usize = 64;
-/// Smallest number of known links of a receiver for a path-loss model.
-const LEAST_LINKS: usize = 10;
 /// Number of links per prediction call.
 const CHUNK: usize = 64;
-/// Log-likelihood, share, variance in units of the scale, and correlation.
-type Fit = (f64, f64, f64, Correlation);
 
 /// Known links, and which of them a member did not train on.
 #[derive(Clone, Copy, Debug)]
@@ -48,6 +24,8 @@ pub struct KnownLinks<'a> {
     pub links: &'a [usize],
     /// Members that did not train on the link, in the same order.
     pub left_out_by: &'a [LeftOutBy],
+    /// Block of each link, in the same order: links of a block are not independent.
+    pub blocks: &'a [usize],
 }
 
 /// Members of an ensemble that did not train on a link.
@@ -78,18 +56,29 @@ impl Residuals {
         settings.check_data(data, known.left_out_by.iter().any(|by| *by != LeftOutBy::NoMember))?;
         let mut grid = CoarseGrid::new(ensemble.plane(), data.task().stride(settings.stride));
         let examples: Vec<Vec<Real>> = evenly(known.links, EXAMPLES).iter().map(|&i| data.image(i).pixels).collect();
-        while grid.stride > 1 && grid.lost_share(&examples) > LOST {
-            grid = CoarseGrid::new(ensemble.plane(), grid.stride / 2);
-        }
-        let samples = Samples::new(ensemble, known, &grid, stop, progress)?;
+        let refine = |grid: &mut CoarseGrid, is_centred: bool| {
+            while grid.stride > 1 && grid.lost_share(&examples, is_centred) > LOST {
+                *grid = CoarseGrid::new(ensemble.plane(), grid.stride / 2);
+            }
+        };
+        refine(&mut grid, true);
+        let mut samples = Samples::new(ensemble, known, &grid, stop, progress)?;
         data.observations.check()?;
         let mut by_receiver = vec![Vec::new(); data.scene.receivers.len()];
         (0..known.links.len()).for_each(|k| by_receiver[samples.receiver_of(k)].push(k));
-        let fit = samples.most_likely_fit(&by_receiver, stop)?;
-        let process =
-            |links: &Vec<usize>| Some(samples.build_process(links, fit?)).filter(|process| !process.is_empty());
-        let processes = by_receiver.iter().map(process).collect();
-        Ok(Self { grid, neighbours: settings.neighbours, processes })
+        let kriging = samples.fit_kriging(None, stop)?;
+        let (choice, gain) = samples.choose_share(&by_receiver, &kriging, settings.neighbours, stop)?;
+        if choice.share == 0.0 {
+            // Whole spectra are stored, not what a model leaves of them.
+            refine(&mut grid, false);
+            samples.observe(&grid);
+        }
+        let process = |(links, fit): (&Vec<usize>, &Option<ProcessFit>)| {
+            let fit = fit.as_ref().filter(|fit| !links.is_empty() && fit.variance.is_finite())?;
+            Some(samples.build_process(links, choice.apply(fit)))
+        };
+        let processes = by_receiver.iter().zip(&kriging).map(process).collect();
+        Ok(Self { grid, neighbours: settings.neighbours, processes, gain })
     }
 
     /// Returns the processes of `ensemble` with only `links` of `data` as known links. Share, correlation and variance
@@ -133,7 +122,7 @@ impl Residuals {
             let Some(process) = self.process(query.receiver) else { continue };
             let predicted = data.task().shown(predicted);
             let (observed, at) = (data.image(i), origin.local(query.position()));
-            let residual = |(y, f): (&Real, &Real)| y - process.fit.trend.expected(*f, at);
+            let residual = |(y, f): (&Real, &Real)| (*y as f64 - process.fit.trend.expected(*f, place(at))) as Real;
             let residuals: Vec<Real> = observed.pixels.iter().zip(&predicted.pixels).map(residual).collect();
             if residuals.iter().any(|v| !v.is_finite()) {
                 let problem = format!("the prediction at {:?} is not finite; leave this link out", query.position());
@@ -185,7 +174,6 @@ impl Ensemble {
 /// Observations and predictions of all known links on the coarse grid.
 struct Samples<'a> {
     known: KnownLinks<'a>,
-    receivers: &'a [Receiver],
     places: Vec<[Real; 3]>,
     /// Number of values per link.
     link_values: usize,
@@ -233,13 +221,21 @@ impl<'a> Samples<'a> {
             let problem = "predicts numbers that are not finite; train it again with lower learning rates";
             return Err(Error::Config(format!("residuals: model {} {problem}", member + 1)));
         }
-        let MeasurementSetup { origin, receivers, .. } = &ensemble.members()[0].stages.setup;
+        let origin = ensemble.members()[0].stages.setup.origin;
         let places = links.iter().map(|&i| origin.local(data.sample(i).position())).collect();
         let mut mean = vec![0.0; observed.len()];
         predicted.iter().for_each(|predictions| mean.iter_mut().zip(predictions).for_each(|(sum, v)| *sum += v));
         mean.iter_mut().for_each(|v| *v /= predicted.len() as Real);
         let (link_values, is_exact) = (grid.len(), grid.stride == 1);
-        Ok(Self { known, receivers, places, link_values, is_exact, observed, predicted, mean })
+        Ok(Self { known, places, link_values, is_exact, observed, predicted, mean })
+    }
+
+    /// Takes the observations on another grid, without predictions.
+    fn observe(&mut self, grid: &CoarseGrid) {
+        let KnownLinks { data, links, .. } = self.known;
+        self.observed = links.iter().flat_map(|&i| grid.sampled(&data.image(i).pixels).collect::<Vec<_>>()).collect();
+        (self.link_values, self.is_exact) = (grid.len(), grid.stride == 1);
+        self.mean = vec![0.0; self.observed.len()];
     }
 
     /// Returns the predictions of all links by the members that `left_out` a link: the mean of all, or one.
@@ -249,69 +245,9 @@ impl<'a> Samples<'a> {
 
     /// Returns the residuals of known link `k` from the trend, given `predicted` values of all links.
     fn residuals(&self, k: usize, trend: &ResidualTrend, predicted: &[Real]) -> Vec<Real> {
-        let values = k * self.link_values..(k + 1) * self.link_values;
+        let (values, at) = (k * self.link_values..(k + 1) * self.link_values, place(self.places[k]));
         let pairs = self.observed[values.clone()].iter().zip(&predicted[values]);
-        pairs.map(|(y, f)| y - trend.expected(*f, self.places[k])).collect()
-    }
-
-    /// Fits a path-loss model to `links_of_receiver` without those `left_out`; returns it with the position of the
-    /// receiver. `None` for observations without path loss, and for fewer than [`LEAST_LINKS`] links.
-    fn fit_path_loss(&self, links_of_receiver: &[usize], left_out: Option<LeftOutBy>) -> Option<(PathLoss, [f64; 3])> {
-        let KnownLinks { data, links, left_out_by } = self.known;
-        let receiver = self.receivers[data.links[links[*links_of_receiver.first()?]].receiver].pose.position;
-        let links_of_receiver: Vec<usize> =
-            links_of_receiver.iter().copied().filter(|&k| Some(left_out_by[k]) != left_out).collect();
-        let point = |&k: &usize| (log_distance(self.places[k].map(|v| v as f64), receiver), self.observed[k] as f64);
-        let is_fitted = data.task().has_path_loss && links_of_receiver.len() >= LEAST_LINKS;
-        is_fitted.then(|| (PathLoss::fit(&links_of_receiver.iter().map(point).collect::<Vec<_>>()), receiver))
-    }
-
-    /// Returns the links to predict, evenly from those that a member left out, each with the nearest links
-    /// that the same members trained on. If `is_observed`, all links with their nearest others.
-    fn select_cases(&self, links_of_receiver: &[usize], is_observed: bool) -> Vec<(usize, Vec<usize>)> {
-        let left_out_by = |k: usize| if is_observed { LeftOutBy::NoMember } else { self.known.left_out_by[k] };
-        let is_case = |k: &usize| is_observed || left_out_by(*k) != LeftOutBy::NoMember;
-        let held_out: Vec<usize> = links_of_receiver.iter().copied().filter(is_case).collect();
-        let mut trained: BTreeMap<LeftOutBy, Nearest> = BTreeMap::new();
-        for group in held_out.iter().map(|&k| left_out_by(k)) {
-            trained.entry(group).or_insert_with(|| {
-                let is_trained = |k: &usize| is_observed || left_out_by(*k) != group;
-                let others = links_of_receiver.iter().copied().filter(is_trained).collect();
-                Nearest::new(others, 4, |k| place(self.places[k]))
-            });
-        }
-        let count = (CASES / self.known.data.scene.receivers.len()).max(LEAST_CASES);
-        let count_near = if self.link_values == 1 { FROM / 2 } else { FROM };
-        let case = |k: usize| {
-            let near =
-                trained[&left_out_by(k)].find(&place(self.places[k]), count_near + 1).1.into_iter().map(|(_, j)| j);
-            let near: Vec<usize> = near.filter(|j| *j != k).take(count_near).collect();
-            (!near.is_empty()).then_some((k, near))
-        };
-        evenly(&held_out, count).into_iter().filter_map(case).collect()
-    }
-
-    /// Returns the scale of the observations of a receiver with these known links: their root mean square about the
-    /// path-loss model, or 1 if there is one receiver.
-    fn observation_scale(&self, links_of_receiver: &[usize]) -> Real {
-        let trend = ResidualTrend { share: 0.0, path_loss: self.fit_path_loss(links_of_receiver, None) };
-        let squares = |&k: &usize| self.residuals(k, &trend, &self.mean).iter().map(|v| v * v).sum::<Real>();
-        let mean = links_of_receiver.iter().map(squares).sum::<Real>()
-            / (links_of_receiver.len() * self.link_values).max(1) as Real;
-        if self.receivers.len() == 1 || mean == 0.0 { 1.0 } else { mean.sqrt() }
-    }
-
-    /// Returns the cases of all receivers with their `values`, in units of the scales. `values` returns those of a
-    /// link, given the number of the case and the link.
-    fn held_out_cases(
-        &self,
-        cases: &[(usize, Vec<usize>)],
-        scales: &[Real],
-        values: impl Fn(usize, usize) -> Vec<Real> + Sync,
-    ) -> HeldOutCases {
-        let scaled = |c: usize, k: usize| values(c, k).into_iter().map(|v| v / scales[self.receiver_of(k)]).collect();
-        let mean = if self.known.data.task().has_path_loss { Mean::Zero } else { Mean::Unknown };
-        HeldOutCases::new(cases, mean, |k| place(self.places[k]), scaled)
+        pairs.map(|(y, f)| (*y as f64 - trend.expected(*f, at)) as Real).collect()
     }
 
     /// Returns the receiver of known link `k`.
@@ -319,55 +255,24 @@ impl<'a> Samples<'a> {
         self.known.data.links[self.known.links[k]].receiver
     }
 
-    /// Returns the most likely share, variance and correlation for the known links of each receiver, for observations
-    /// in units of their scales; `None` if no link was left out. All receivers share them, since one receiver may have
-    /// few links.
-    ///
-    /// Kind and length scales of the correlation are those of the observations: of residuals of left-out links, there are
-    /// too few.
-    fn most_likely_fit(&self, by_receiver: &[Vec<usize>], stop: &AtomicBool) -> Result<Option<Fit>> {
-        let cases_of = |is_observed| {
-            by_receiver.iter().flat_map(|links| self.select_cases(links, is_observed)).collect::<Vec<_>>()
-        };
-        let cases = cases_of(false);
-        if cases.is_empty() {
-            return Ok(None);
+    /// Fits Kriging to the known links of each receiver, without those that are `left_out`; `None` without links.
+    fn fit_kriging(&self, left_out: Option<LeftOutBy>, stop: &AtomicBool) -> Result<Vec<Option<ProcessFit>>> {
+        let KnownLinks { data, links, left_out_by, .. } = self.known;
+        let is_known = |(_, by): &(&usize, &LeftOutBy)| Some(**by) != left_out;
+        let links: Vec<usize> = links.iter().zip(left_out_by).filter(is_known).map(|(link, _)| *link).collect();
+        let check = || check_stopped(stop);
+        if data.task().has_path_loss {
+            return Ok(fit_powers(data, &links, &check)?.into_iter().map(Some).collect());
         }
-        let scales: Vec<Real> = by_receiver.iter().map(|links| self.observation_scale(links)).collect();
-        let law = |receiver: usize, left_out| self.fit_path_loss(&by_receiver[receiver], left_out);
-        let laws: Vec<_> = (0..by_receiver.len()).map(|receiver| law(receiver, None)).collect();
-        let observed =
-            |_, k| self.residuals(k, &ResidualTrend { share: 0.0, path_loss: laws[self.receiver_of(k)] }, &self.mean);
-        let space = SearchSpace { kinds: &KINDS, isotropic: self.link_values == 1, time: false };
-        let observed = self.held_out_cases(&cases_of(true), &scales, observed);
-        let correlation = most_likely(&observed, space, &|| check_stopped(stop))?.1;
-        // The path-loss model that decides about a left-out link is not fitted to it.
-        let group = |c: usize| (self.receiver_of(cases[c].0), self.known.left_out_by[cases[c].0]);
-        let laws: BTreeMap<_, _> = (0..cases.len()).map(|c| (group(c), law(group(c).0, Some(group(c).1)))).collect();
-        let fit = |share: f64| {
-            let values = |c: usize, k: usize| {
-                self.residuals(k, &ResidualTrend { share, path_loss: laws[&group(c)] }, self.predictions(group(c).1))
-            };
-            let held_out = self.held_out_cases(&cases, &scales, values);
-            let with_noise = |factor: f64| {
-                let noisy = Correlation { noise: factor * correlation.noise, ..correlation };
-                (held_out.log_likelihood(&noisy), share, held_out.variance(&noisy) / self.link_values as f64, noisy)
-            };
-            NOISES.map(with_noise).into_iter().reduce(|best, next| if next.0 > best.0 { next } else { best })
-        };
-        // Links of one transmitter are not independent: all of its receivers count as one case.
-        let least_gain = by_receiver.len() as f64 * CLEARLY;
-        let choose = |best: Fit, next: Fit| if next.0 > best.0 + least_gain { next } else { best };
-        Ok(SHARES.into_iter().filter_map(fit).reduce(choose))
+        let fit =
+            |links: Vec<usize>| (!links.is_empty()).then(|| fit_observations(data, &links, false, &check)).transpose();
+        data.group_by_receiver(links).into_iter().map(fit).collect()
     }
 
-    /// Builds the process of a receiver from its known links and the common fit.
-    fn build_process(&self, links_of_receiver: &[usize], fit: Fit) -> ResidualProcess {
-        let (_, share, variance, correlation) = fit;
-        let trend = ResidualTrend { share, path_loss: self.fit_path_loss(links_of_receiver, None) };
-        let variance = variance * f64::from(self.observation_scale(links_of_receiver) as f32).powi(2);
+    /// Builds the process of a receiver from its known links and the fit.
+    fn build_process(&self, links_of_receiver: &[usize], fit: ProcessFit) -> ResidualProcess {
         let residuals: Vec<Real> =
-            links_of_receiver.iter().flat_map(|&k| self.residuals(k, &trend, &self.mean)).collect();
+            links_of_receiver.iter().flat_map(|&k| self.residuals(k, &fit.trend, &self.mean)).collect();
         let values = if self.is_exact {
             ResidualValues::Exact(residuals)
         } else {
@@ -375,6 +280,6 @@ impl<'a> Samples<'a> {
             ResidualValues::Short(short, units)
         };
         let places = links_of_receiver.iter().map(|&k| self.places[k]).collect();
-        ResidualProcess::new(ProcessFit { trend, variance, correlation }, places, values)
+        ResidualProcess::new(fit, places, values)
     }
 }

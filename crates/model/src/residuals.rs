@@ -5,8 +5,9 @@
 //! Geosciences 33, 2007). The weights w add up to 1. For received powers, (1 − b) times a path-loss model is added to
 //! b f(x), and the weights are those of a process with mean zero: far from all known links, they vanish.
 //!
-//! Residuals of a model at positions that it trained on are too small. The share and the variance therefore maximise the
-//! likelihood of links that a model did not train on, each given the residuals of the same model at other links (`residual_fit.rs`).
+//! With b = 0, the process is the Kriging baseline. Residuals of a model at positions that it trained on are too small. Whether
+//! a share is better is therefore decided by the errors at links that a model did not train on, each predicted from the
+//! residuals of the same model at other links (`residual_fit.rs`).
 
 mod file;
 mod grid;
@@ -19,8 +20,9 @@ pub(crate) use grid::CoarseGrid;
 pub use kriged::Kriged;
 
 use crate::tensors::quantise;
-use pwrfgs_core::kriging::{Correlation, LocalKriging, Mean, PathLoss, Place, in_space, log_distance};
-use pwrfgs_core::{Image, Origin, Query, Real};
+use pwrfgs_core::kriging::{LocalKriging, Place, ProcessFit, in_space};
+use pwrfgs_core::{Image, Origin, Query, Real, Task, statistics};
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 /// Residual processes of a model, one per receiver.
@@ -31,35 +33,28 @@ pub struct Residuals {
     pub(crate) neighbours: usize,
     /// Processes in the order of the receivers; `None` for a receiver that the model predicts alone.
     pub(crate) processes: Vec<Option<ResidualProcess>>,
+    /// What the best share above 0 gained; `None` in files that do not say it.
+    pub(crate) gain: Option<ShareGain>,
 }
 
-/// What residuals are differences from. With a path-loss model, it is the prediction far from all known links.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ResidualTrend {
-    /// Share b of the prediction of the model, 0 to 1.
-    pub share: f64,
-    /// For received powers, the path-loss model with share 1 − b, and the position of the receiver, metres from the origin.
-    pub path_loss: Option<(PathLoss, [f64; 3])>,
+/// How much smaller the mean absolute error of held-out blocks is with the best share of the model than without.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ShareGain {
+    /// Mean over the blocks, in the unit of the observations; negative if the model raises the error.
+    pub mean: f64,
+    /// Standard error of the mean over the blocks.
+    pub standard_error: f64,
+    /// Number of blocks.
+    pub blocks: usize,
 }
 
-impl ResidualTrend {
-    /// Returns the expected value for `predicted` by the model and a transmitter `at` a position (metres from the
-    /// origin).
-    pub(crate) fn expected(&self, predicted: Real, at: [Real; 3]) -> Real {
-        let law = |(law, receiver): (PathLoss, _)| law.power(log_distance(at.map(|v| v as f64), receiver));
-        self.share as Real * predicted + ((1.0 - self.share) * self.path_loss.map_or(0.0, law)) as Real
+impl ShareGain {
+    /// Computes mean and standard error of the gains of blocks.
+    pub(crate) fn of(gains: &[f64]) -> Self {
+        let (blocks, mean) = (gains.len(), statistics::mean(gains.iter().copied()));
+        let squares = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>();
+        Self { mean, standard_error: (squares / (blocks * blocks.saturating_sub(1)).max(1) as f64).sqrt(), blocks }
     }
-}
-
-/// Settings of a residual process, learned from links that the model did not train on.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ProcessFit {
-    /// Expected value that residuals are differences from.
-    pub trend: ResidualTrend,
-    /// Process variance of a value at a position that the model did not train on.
-    pub variance: f64,
-    /// Correlation of the residuals.
-    pub correlation: Correlation,
 }
 
 /// Residual process at one receiver.
@@ -113,16 +108,15 @@ impl ResidualValues {
     }
 
     /// Adds `weight` times the residuals of link `i` to `sum`.
-    fn add_weighted(&self, i: usize, weight: f64, sum: &mut [Real]) {
+    fn add_weighted(&self, i: usize, weight: f64, sum: &mut [f64]) {
         let n = sum.len();
         match self {
             Self::Exact(values) => {
-                let weight = weight as Real;
-                sum.iter_mut().zip(&values[i * n..][..n]).for_each(|(sum, v)| *sum += weight * v);
+                sum.iter_mut().zip(&values[i * n..][..n]).for_each(|(sum, v)| *sum += weight * *v as f64);
             }
             Self::Short(values, units) => {
-                let weight = weight as Real * units[i];
-                sum.iter_mut().zip(&values[i * n..][..n]).for_each(|(sum, v)| *sum += weight * Real::from(*v));
+                let weight = weight * units[i] as f64;
+                sum.iter_mut().zip(&values[i * n..][..n]).for_each(|(sum, v)| *sum += weight * f64::from(*v));
             }
         }
     }
@@ -143,8 +137,7 @@ impl ResidualValues {
 impl ResidualProcess {
     /// Creates the process from residuals at known links; their mean is zero with a path-loss model, otherwise unknown.
     pub(crate) fn new(fit: ProcessFit, places: Vec<[Real; 3]>, values: ResidualValues) -> Self {
-        let mean = if fit.trend.path_loss.is_some() { Mean::Zero } else { Mean::Unknown };
-        let kriging = LocalKriging::new(fit.correlation, mean, places.iter().map(|&at| place(at)));
+        let kriging = fit.process(places.iter().map(|&at| place(at)));
         Self { fit, places, values, kriging }
     }
 
@@ -175,6 +168,28 @@ impl Residuals {
         self.grid.stride
     }
 
+    /// Returns the share of the prediction of the model; `None` without a process.
+    pub fn share(&self) -> Option<f64> {
+        self.processes.iter().flatten().map(|process| process.fit.trend.share).next()
+    }
+
+    /// Returns a sentence about the share for observations of `task`: `share 0.5: the network lowers the error by 0.15 dB [..]`.
+    pub fn describe_share(&self, task: Task) -> Option<String> {
+        let share = self.share()?;
+        let Some(ShareGain { mean, standard_error, blocks }) = self.gain else {
+            return Some(format!("share {share}: the part of the network in the prediction"));
+        };
+        if share == 0.0 {
+            return Some("share 0: the network adds nothing here; this is Kriging".into());
+        }
+        let (digits, unit) = if task.has_path_loss { (2, " dB") } else { (4, "") };
+        let [low, high] = [-1.96, 1.96].map(|z| mean + z * standard_error);
+        Some(format!(
+            "share {share}: the network lowers the error by {mean:.digits$}{unit} [{low:.digits$}, {high:.digits$}] \
+             ({blocks} held-out blocks)"
+        ))
+    }
+
     /// Returns the process of a receiver; `None` if the model predicts alone.
     pub(crate) fn process(&self, receiver: usize) -> Option<&ResidualProcess> {
         self.processes.get(receiver)?.as_ref()
@@ -183,26 +198,27 @@ impl Residuals {
     /// Adds the expected residual of a link to the prediction `image` of the model, from the nearest known links.
     pub(crate) fn correct(&self, image: &mut Image, query: Query<'_>, origin: Origin) {
         let Some(process) = self.process(query.receiver) else { return };
-        let at = origin.local(query.position());
-        let (near, solution) = process.kriging.solve(place(at), self.neighbours);
-        let mut sum = vec![0.0; self.grid.len()];
-        near.iter().zip(&solution.weights).for_each(|(&i, weight)| process.values.add_weighted(i, *weight, &mut sum));
-        image.pixels.iter_mut().for_each(|pixel| *pixel = process.fit.trend.expected(*pixel, at));
-        self.grid.add_interpolated(&sum, &mut image.pixels);
+        let (at, trend) = (place(origin.local(query.position())), &process.fit.trend);
+        let add = |i: usize, weight: f64, sum: &mut [f64]| process.values.add_weighted(i, weight, sum);
+        let sum = process.kriging.weighted_sum(at, self.neighbours, self.grid.len(), add);
+        if self.grid.stride == 1 {
+            // As the Kriging baseline rounds: with a share of 0, both predict the same bits.
+            let exact = |(pixel, sum): (&mut Real, f64)| *pixel = (trend.expected(*pixel, at) + sum) as Real;
+            return image.pixels.iter_mut().zip(sum).for_each(exact);
+        }
+        image.pixels.iter_mut().for_each(|pixel| *pixel = trend.expected(*pixel, at) as Real);
+        self.grid.add_interpolated(&sum.into_iter().map(|v| v as Real).collect::<Vec<_>>(), &mut image.pixels);
     }
 
     /// Backward pass of [`Self::correct`]: returns the cotangent of the position, given those of the corrected values,
     /// which become those of the prediction of the model.
     pub(crate) fn correct_vjp(&self, d: &mut [Real], query: Query<'_>, origin: Origin) -> [f64; 3] {
         let Some(process) = self.process(query.receiver) else { return [0.0; 3] };
-        let (at, trend) = (origin.local(query.position()), &process.fit.trend);
+        let (at, trend) = (place(origin.local(query.position())), &process.fit.trend);
         let d_sum = self.grid.add_interpolated_vjp(d);
-        let mut d_at = process.kriging.solve_vjp(place(at), self.neighbours, |i| process.values.dot(i, &d_sum));
-        if let Some((law, receiver)) = trend.path_loss {
-            let d_power = (1.0 - trend.share) * d.iter().map(|d| *d as f64).sum::<f64>();
-            let slope = law.power_gradient(at.map(|v| v as f64), receiver);
-            (0..3).for_each(|k| d_at[k] += d_power * slope[k]);
-        }
+        let mut d_at = process.kriging.solve_vjp(at, self.neighbours, |i| process.values.dot(i, &d_sum));
+        let law = trend.path_loss_vjp(d.iter().map(|d| *d as f64).sum(), at);
+        (0..3).for_each(|k| d_at[k] += law[k]);
         d.iter_mut().for_each(|d| *d *= trend.share as Real);
         d_at
     }

@@ -155,7 +155,7 @@ impl Pipeline {
         let (task, plan) = (self.data.task(), self.unscaled_plan());
         let unused = task.and_then(|task| Some(Misfit::Unused(unused_field(self, task)?, task)));
         let demands = &[vec![self.initializer.demand()], self.scoring_demands()].concat();
-        let parts = Parts { task, demands, ..plan.parts(self.initializer.count(), None) };
+        let parts = Parts { task, demands, ..plan.parts(self.initializer.count()) };
         let checked = unused.map_or_else(|| check_compatible(&parts), Err);
         checked.map_err(|misfit| (misfit.field(), misfit.to_string()))?;
         let is_plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);

@@ -11,8 +11,6 @@ const CASES: usize = 320;
 const NEIGHBOURS: usize = 16;
 /// Approximate number of values per observation in the likelihood.
 const VALUES: usize = 500;
-/// One of so many transmitters of a choice fits the correlation of its Kriging.
-const HELD_OUT: usize = 4;
 
 /// Estimates the exponential correlation of the measurements at these transmitters by maximum likelihood; `None` if fewer
 /// than two can be compared, or if the data have no positions.
@@ -60,19 +58,15 @@ fn most_likely(cases: &HeldOutCases, reach: f64) -> Correlation {
     correlation(best_point.map_or([4, 5], |(at, _)| at))
 }
 
-/// Returns the main metric of Kriging, fitted on these transmitters, for each link of `test`. Every fourth transmitter
-/// fits the correlation; predictions use all.
+/// Returns the main metric of Kriging, fitted on these transmitters, for each link of `test`.
 ///
 /// # Errors
 /// Data without positions, or an observation that cannot be read.
 pub fn kriging_scores(data: &Dataset, transmitters: &[usize], test: &[usize]) -> Result<Vec<f64>> {
     let mut sorted = transmitters.to_vec();
     sorted.sort_unstable();
-    let (held_out, others): (Vec<_>, Vec<_>) = sorted.iter().copied().enumerate().partition(|(k, _)| k % HELD_OUT == 0);
-    let links = |part: &[(usize, usize)]| data.links_of(&part.iter().map(|(_, t)| *t).collect::<Vec<_>>());
-    let (train, validation) = (links(&others), links(&held_out));
-    let (kriging, task) = (Kriging::default(), data.task());
-    let fitted = kriging.fit(data, FittingSet { train: &train, validation: &validation, ..FittingSet::default() })?;
+    let (links, task) = (data.links_of(&sorted), data.task());
+    let fitted = Kriging::default().fit(data, FittingSet::train(&links))?;
     let score = |&i: &usize| task.score(&task.shown(fitted.predict(data.query(i))), &data.image(i));
     let scores = test.par_iter().map(score).collect();
     data.observations.check()?;

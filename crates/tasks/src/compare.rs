@@ -172,10 +172,9 @@ impl ComparedRuns {
         let mut plan = plan.map_err(without_position)?;
         let data = &survey.data;
         for PlannedRun { pipeline, .. } in &mut plan.runs {
-            let batch = format!("training.batch={}", survey.batch_size(pipeline.training.batch));
             let is_rays = pipeline.method.as_ref().is_some_and(|method| plugin_name(method) == "Nerf2");
             let rays = if is_rays { ray_settings(data, &pipeline.training) } else { Vec::new() };
-            pipeline.set_all(&[vec![batch], rays].concat())?;
+            pipeline.set_all(&rays)?;
         }
         let pipeline = &plan.runs[0].pipeline;
         pipeline.check_data(data)?;

@@ -22,13 +22,13 @@ pub struct TrainingPlan {
 }
 
 impl TrainingPlan {
-    /// Returns the parts of [`check_compatible`](pwrfgs_core::check_compatible), without data; the numbers of `initial` Gaussians and
-    /// of the `transmitters` of the training set, if known.
-    pub fn parts(&self, initial: Option<usize>, transmitters: Option<usize>) -> Parts<'_> {
-        let Training { rays, stride, batch, prune_until, densify_until, target_count: target, .. } = *self.training;
+    /// Returns the parts of [`check_compatible`](pwrfgs_core::check_compatible), without data; the number of `initial` Gaussians, if
+    /// known.
+    pub fn parts(&self, initial: Option<usize>) -> Parts<'_> {
+        let Training { rays, stride, prune_until, densify_until, target_count: target, .. } = *self.training;
         let pixels = (rays != Rays::All).then_some(if let Rays::Same(count) = rays { count } else { 0 });
         let (densified, prunes) = (self.max_densified(), prune_until > densify_until);
-        let training = TrainingNumbers { stride, pixels, batch, transmitters, initial, densified, target, prunes };
+        let training = TrainingNumbers { stride, pixels, initial, densified, target, prunes };
         let (method, training) = (Some(self.method.get()), Some(training));
         Parts { method, pruners: &self.pruners, training, ..Parts::default() }
     }

@@ -229,7 +229,7 @@ settings! {
         /// least 1. A factor below 1 also multiplies `validation_samples`, not below 50, and divides the learning rates of
         /// masks, up to 0.1 (without Adam: ten times the rate), so that masks close within the shorter training.
         scale: f64 = 1.0,
-        /// Batch size: transmitters per step.
+        /// Batch size: transmitters per step, at most those of the training set.
         batch: usize = 1,
         /// Densification ends after this step (`M_d`).
         densify_until: u64 = 20_000,

@@ -5,9 +5,10 @@ use crate::batches::{Batches, plane_of_step};
 use crate::edit::GaussianIds;
 use crate::loss::create_objective;
 use crate::plan::{TrainingPlan, check_available, requested_columns};
+use crate::settings::Training;
 use crate::trainer::Trainer;
 use pwrfgs_core::{
-    CloudStats, Dataset, Error, ExtraColumn, GaussianCloud, InitializerInput, Misfit, Partition, Parts, Phase,
+    Checked, CloudStats, Dataset, Error, ExtraColumn, GaussianCloud, InitializerInput, Misfit, Partition, Parts, Phase,
     Progress, Real, Result, check_compatible, rng, rng::Rng,
 };
 use pwrfgs_model::Stages;
@@ -75,14 +76,16 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// Plan and data do not fit together, or the training set is empty.
     pub(crate) fn blank(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
-        let plan = plan.clone();
+        let mut plan = plan.clone();
         check_available(&plan.pruners)?;
         let whole = Stages::of(plan.method.clone(), data)?;
         if partition.train.is_empty() {
             return Err(Error::Config("the training set is empty; use another split".into()));
         }
         let batches = Batches::new(data, partition.train.clone());
-        let (parts, demands) = (plan.parts(None, Some(batches.transmitter_count())), &[plan.initializer.demand()]);
+        let batch = plan.training.batch.min(batches.transmitter_count());
+        plan.training = Checked::new(Training { batch, ..Training::clone(&plan.training) }).map_err(Error::Config)?;
+        let (parts, demands) = (plan.parts(None), &[plan.initializer.demand()]);
         let parts = Parts { setup: Some(&whole.setup), data: Some(data), demands, ..parts };
         check_compatible(&parts).map_err(Misfit::error)?;
         whole.check().map_err(Error::Config)?;
@@ -131,7 +134,7 @@ impl<'a> Trainer<'a> {
             return refuse(format!("column `{name}` has a number that is not finite; give finite numbers"));
         }
         if self.phase(self.done + 1) != Phase::Finetune {
-            check_compatible(&self.plan.parts(Some(n), None)).map_err(Misfit::error)?;
+            check_compatible(&self.plan.parts(Some(n))).map_err(Misfit::error)?;
         }
         for column in &cloud.extra {
             if self.cloud.extra(&column.name).is_none_or(|present| present.width != column.width) {
@@ -163,7 +166,7 @@ impl<'a> Trainer<'a> {
         if cloud.is_empty() && self.stages.method.traits().has_gaussians() {
             return Err(Error::Config("the initializer created no Gaussian; raise its count, or use Random()".into()));
         }
-        check_compatible(&self.plan.parts(Some(cloud.len()), None)).map_err(Misfit::error)?;
+        check_compatible(&self.plan.parts(Some(cloud.len()))).map_err(Misfit::error)?;
         let Stages { method, setup } = &*self.stages;
         cloud.add_missing_columns(&method.traits().columns).map_err(Error::Config)?;
         for spec in &self.specs {

@@ -81,6 +81,9 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
         Some(distances) => extrapolation_warning(distances).iter().for_each(|warning| output::print_warning(warning)),
         None => verbosity.print_note("note: the model has no training positions, so extrapolations are not marked"),
     }
+    if let Some(sentence) = ensemble.residuals().and_then(|residuals| residuals.describe_share(setup.task)) {
+        verbosity.print_note(&sentence);
+    }
     let kind = if count == 1 { setup.task.singular } else { setup.task.plural };
     verbosity.print_note(&format!("{} {kind} in {}", grouped(count as i64), arguments.out.display()));
     Ok(())

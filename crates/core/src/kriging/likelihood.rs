@@ -122,15 +122,26 @@ impl HeldOutCase {
 pub fn most_likely(
     cases: &HeldOutCases,
     space: SearchSpace<'_>,
-    check: &dyn Fn() -> Result<()>,
+    check: &(dyn Fn() -> Result<()> + Sync),
+) -> Result<(f64, Correlation)> {
+    search(&|correlation| cases.log_likelihood(correlation), cases.typical_m, space, check)
+}
+
+/// Finds the correlation with the largest `log_likelihood` as [`most_likely`]; the search starts at eight times
+/// `typical_m`, metres.
+pub(super) fn search(
+    log_likelihood: &(dyn Fn(&Correlation) -> f64 + Sync),
+    typical_m: f64,
+    space: SearchSpace<'_>,
+    check: &(dyn Fn() -> Result<()> + Sync),
 ) -> Result<(f64, Correlation)> {
     let best_of_kind = |&kind: &CorrelationKind| {
         let time = if space.time { TIME_START } else { f64::INFINITY };
-        let length = 8.0 * cases.typical_m;
+        let length = 8.0 * typical_m;
         let start = Correlation { kind, scales: [length, length, length, time], noise: 0.1 };
-        if cases.cases.is_empty() { Ok((0.0, start)) } else { search_coordinates(cases, start, space, check) }
+        search_coordinates(log_likelihood, typical_m, start, space, check)
     };
-    let candidates = space.kinds.iter().map(best_of_kind).collect::<Result<Vec<_>>>()?;
+    let candidates = space.kinds.par_iter().map(best_of_kind).collect::<Result<Vec<_>>>()?;
     let best = candidates.into_iter().reduce(|best, next| if next.0 > best.0 { next } else { best });
     Ok(best.expect("a kind is given"))
 }
@@ -149,12 +160,13 @@ pub struct SearchSpace<'a> {
 /// Searches from `start` along one parameter at a time, with smaller and smaller steps, while the likelihood improves.
 /// Returns the log-likelihood and the correlation, or an error of `check`.
 fn search_coordinates(
-    cases: &HeldOutCases,
+    log_likelihood: &dyn Fn(&Correlation) -> f64,
+    typical_m: f64,
     start: Correlation,
     space: SearchSpace<'_>,
     check: &dyn Fn() -> Result<()>,
 ) -> Result<(f64, Correlation)> {
-    let mut best = (cases.log_likelihood(&start), start);
+    let mut best = (log_likelihood(&start), start);
     let is_searched = |parameter: &usize| match parameter {
         1..=3 => !space.isotropic,
         6 => space.time,
@@ -166,9 +178,9 @@ fn search_coordinates(
             let before = best.0;
             for parameter in (0..7).filter(is_searched) {
                 for factor in [step.exp2(), (-step).exp2()] {
-                    while let Some(next) = scaled_parameter(&best.1, parameter, factor, cases.typical_m) {
+                    while let Some(next) = scaled_parameter(&best.1, parameter, factor, typical_m) {
                         check()?;
-                        let likelihood = cases.log_likelihood(&next);
+                        let likelihood = log_likelihood(&next);
                         if likelihood.is_nan() || likelihood <= best.0 + 1e-6 * best.0.abs() {
                             break;
                         }

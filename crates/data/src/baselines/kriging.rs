@@ -3,42 +3,35 @@
 mod powers;
 
 use super::log_distance::{fixed_end_position, log_distance, path_loss_points};
-use super::{ByReceiver, ReceiverPredictor, fitting_samples, selection_sets, weighted_mean};
-use powers::PooledKriging;
+use super::{ByReceiver, ReceiverPredictor, fitting_samples};
+use powers::{PooledKriging, format_digits};
 use pwrfgs_core::kriging::{
-    Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, SearchSpace, Solution, in_space,
-    most_likely,
+    Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, ProcessFit, SearchSpace, Solution,
+    fit_observations, link_place, most_likely,
 };
 use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::{
-    Baseline, Dataset, FittingSet, Image, JsonSchema, Pose, Predict, Query, Real, Requirement, Result, Sample,
-    Sampling, evenly, rng,
+    Baseline, Dataset, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result, Sampling, evenly, rng,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Largest number of samples predicted in the fit.
-const CASES: usize = 160;
-/// Largest number of neighbours per prediction.
-const FROM: usize = 24;
 /// Largest number of powers predicted in the fit.
 const POWERS: usize = 320;
 const FROM_POWERS: usize = 16;
-/// Approximate number of pixels per spectrum used in the fit: every n-th row and column.
-const PIXELS: usize = 2_000;
 
 /// Ordinary kriging, a standard for radio coverage maps: best linear unbiased prediction of a Gaussian process over the
 /// transmitter position.
 ///
-/// Spectra are modelled as one Gaussian process. Its correlation over distance is exponential (Matern 1/2), Matern 3/2
-/// or squared exponential, with one length scale per axis, plus independent noise per spectrum. All pixels share that
-/// correlation, and so do all principal components of the spectra. The prediction is a weighted sum of training
-/// spectra; weights add up to 1 and may be negative.
+/// Spectra are modelled as one Gaussian process. Its correlation over distance is exponential (Matern 1/2) or Matern 3/2,
+/// with one length scale per axis, plus independent noise per spectrum. All pixels share that correlation, and so do
+/// all principal components of the spectra. The prediction is a weighted sum of training spectra; weights add up to 1 and
+/// may be negative.
 ///
-/// Correlation, length scales and noise maximise the likelihood of at most 160 validation spectra, each given its 24
-/// nearest training spectra (the variance follows in closed form). Without a validation set, every tenth training
-/// sample is held out for this. The prediction then uses the nearest training and validation samples, in units of the
-/// length scales. A note under the tables reports the fit.
+/// Correlation, length scales and noise maximise the restricted likelihood of the training and validation spectra, with an
+/// unknown mean per pixel; the variance follows in closed form. Spectra are fitted in compact blocks of at most 128; with more
+/// than 8 blocks, 8 are chosen evenly. The prediction uses the nearest training and validation samples, in units of the length
+/// scales. A note under the tables reports the fit.
 ///
 /// Each receiver has its own process; a receiver without training links is predicted from all links.
 ///
@@ -87,7 +80,7 @@ impl Baseline for Kriging {
     fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
         if data.task().has_path_loss && !self.time {
-            return Ok(Box::new(PooledKriging::fit(data, fitting, self)?));
+            return Ok(Box::new(PooledKriging::fit(data, fitting, self.neighbours)?));
         }
         let fit = |fitting: FittingSet<'_>| {
             let all = fitting_samples(fitting)?;
@@ -145,49 +138,24 @@ impl<'a> Trend<'a> {
         }
     }
 
-    /// Returns the most likely correlation, and its process variance summed over values. Spectra: of validation
-    /// samples, each given its nearest training samples. Powers: of at most [`POWERS`] samples, each given the nearest
-    /// of those before it in random order. Their densities multiply to the joint density (Vecchia, Journal of the Royal
-    /// Statistical Society B 50, 1988), and the first samples constrain long distances. `time`: with a scale of time.
+    /// Returns the most likely correlation, and its process variance per value. Spectra: as [`fit_observations`]. Powers: of at
+    /// most [`POWERS`] samples, each given the nearest of those before it in random order. Their densities multiply to the joint
+    /// density (Vecchia, Journal of the Royal Statistical Society B 50, 1988), and the first samples constrain long distances.
+    /// `time`: with a scale of time.
     fn fit_correlation(&self, all: &[usize], fitting: FittingSet<'_>, time: bool) -> Result<(Correlation, f64)> {
-        let is_power = self.law.is_some();
-        let cases: Vec<_> = if is_power {
-            let mut order = evenly(all, POWERS);
-            rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
-            vecchia_cases(self.data, &order, FROM_POWERS)
-        } else {
-            self.validation_cases(fitting, time)
-        };
-        let kinds = if is_power { &[CorrelationKind::Matern32][..] } else { &CorrelationKind::ALL };
-        let cases = HeldOutCases::new(
-            &cases,
-            Mean::Unknown,
-            |i| sample_place(self.data, i),
-            |_, i| self.residual_values(i, PIXELS),
-        );
-        let space = SearchSpace { kinds, isotropic: is_power, time };
-        let correlation = most_likely(&cases, space, &|| fitting.check_stopped())?.1;
+        let check = || fitting.check_stopped();
+        if self.law.is_none() {
+            let ProcessFit { correlation, variance, .. } = fit_observations(self.data, all, time, &check)?;
+            return Ok((correlation, variance));
+        }
+        let mut order = evenly(all, POWERS);
+        rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
+        let cases = vecchia_cases(self.data, &order, FROM_POWERS);
+        let cases =
+            HeldOutCases::new(&cases, Mean::Unknown, |i| link_place(self.data, i), |_, i| self.residual_values(i, 1));
+        let space = SearchSpace { kinds: &[CorrelationKind::Matern32], isotropic: true, time };
+        let correlation = most_likely(&cases, space, &check)?.1;
         Ok((correlation, cases.variance(&correlation)))
-    }
-
-    /// Returns at most [`CASES`] validation samples, each with its [`FROM`] nearest training samples; with `time`, half of
-    /// them are nearest in space and half in time.
-    fn validation_cases(&self, fitting: FittingSet<'_>, time: bool) -> Vec<(usize, Vec<usize>)> {
-        let (train, validation) = selection_sets(fitting);
-        let position = |i: usize| self.data.sample(i).position();
-        let in_time = |i: usize| [f64::from(self.data.sample(i).id)];
-        let nearest_in_time = time.then(|| Nearest::new(train.clone(), 1, in_time));
-        let nearest = Nearest::new(train, 3, position);
-        let case = |&i: &usize| {
-            let count = if time { FROM / 2 } else { FROM };
-            let mut near: Vec<usize> = nearest.find(&position(i), count).1.into_iter().map(|(_, j)| j).collect();
-            if let Some(nearest_in_time) = &nearest_in_time {
-                let others = nearest_in_time.find(&in_time(i), FROM).1.into_iter().map(|(_, j)| j);
-                near.extend(others.filter(|j| !near.contains(j)).take(FROM / 2).collect::<Vec<_>>());
-            }
-            (i, near)
-        };
-        evenly(&validation, CASES).par_iter().map(case).collect()
     }
 
     /// Returns at most about `most` values of the residual of link `i`: every n-th column of every n-th row.
@@ -198,12 +166,6 @@ impl<'a> Trend<'a> {
         self.write_residual(i, stride, &mut pixels);
         pixels
     }
-}
-
-/// Returns the position of link `i` in space and time, metres and its id.
-fn sample_place(data: &Dataset, i: usize) -> Place {
-    let Sample { id, pose: Pose { position: [x, y, z], .. }, .. } = data.sample(i);
-    [x, y, z, f64::from(id)]
 }
 
 struct Process<'a> {
@@ -219,11 +181,18 @@ struct Process<'a> {
 
 impl Predict for Process<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
+        let Dataset { width, height, .. } = *self.trend.data;
+        if self.trend.law.is_none() {
+            let mut values = vec![0.0; width * height];
+            let add = |k: usize, weight: f64, sum: &mut [f64]| {
+                self.trend.write_residual(self.samples[k], 1, &mut values);
+                sum.iter_mut().zip(&values).for_each(|(sum, v)| *sum += weight * *v as f64);
+            };
+            let sum = self.kriging.weighted_sum(self.query_place(query), self.settings.neighbours, width * height, add);
+            return Image { width, height, pixels: sum.into_iter().map(|v| v as Real).collect() };
+        }
         let (near, Solution { weights, .. }) = self.solve_weights(query);
         let weighted = near.into_iter().map(|k| self.samples[k]).zip(weights);
-        if self.trend.law.is_none() {
-            return weighted_mean(self.trend.data, &weighted.collect::<Vec<_>>());
-        }
         let residual = |(i, weight): (usize, f64)| {
             let mut one = [0.0];
             self.trend.write_residual(i, 1, &mut one);
@@ -269,7 +238,7 @@ impl<'a> Process<'a> {
         let (data, (correlation, variance)) = (trend.data, fitted);
         let in_space = settings.time.then(|| Nearest::new(samples.clone(), 3, |i| data.sample(i).position()));
         let mean = if trend.law.is_some() { Mean::Zero } else { Mean::Unknown };
-        let kriging = LocalKriging::new(correlation, mean, samples.iter().map(|&i| sample_place(data, i)));
+        let kriging = LocalKriging::new(correlation, mean, samples.iter().map(|&i| link_place(data, i)));
         Self { trend, samples, kriging, in_space, variance, settings }
     }
 
@@ -281,9 +250,9 @@ impl<'a> Process<'a> {
     /// Returns the position of a query in space and time. Without an id, its time is that of the nearest sample in space;
     /// for a process over position alone, its time is not used.
     fn query_place(&self, query: Query<'_>) -> Place {
-        let Some(in_space) = &self.in_space else { return self::in_space(query.position()) };
+        let [x, y, z] = self.trend.data.scene.origin.local(query.position()).map(|v| v as f64);
+        let Some(in_space) = &self.in_space else { return [x, y, z, 0.0] };
         let nearest = || in_space.find(&query.position(), 1).1.first().map(|(_, i)| self.trend.data.sample(*i).id);
-        let [x, y, z] = query.position();
         [x, y, z, query.id.or_else(nearest).map_or(0.0, f64::from)]
     }
 }
@@ -348,12 +317,6 @@ fn describe_fits(each: &[(&str, &Process<'_>)]) -> String {
         each.len(),
         list.join("; ")
     )
-}
-
-/// Formats a number with four significant digits, enough to reproduce a score.
-fn format_digits(value: f64) -> String {
-    let decimals = if value == 0.0 { 0.0 } else { (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) };
-    format!("{value:.0$}", decimals as usize)
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! `Inspection`: properties of data, and the scores of baselines by split.
 
+use super::floor::describe_floor;
 use super::{DataSummary, PoseCheck, test_distance};
 use crate::evaluation_set::EvaluationSet;
 use crate::load::observed;
@@ -66,12 +67,13 @@ impl Inspection {
     pub fn of(pipeline: &Pipeline, data: &Dataset, session: &mut Session<'_>) -> Result<Self> {
         let summary = DataSummary::of(data, INSPECTED, session.observer)?;
         let ids = [data.locations.first(), data.locations.last()].map(|t| t.map_or(0, |t| t.id));
+        let floor = describe_floor(data)?;
         let samples = ("samples", format!("{}, ids {} to {}", observed(data), ids[0], ids[1]));
         let of_predictions = |m: &&Plugin<dyn Metric>| m.scope() != Scope::Model;
         let metrics: Vec<_> = pipeline.metrics.iter().filter(of_predictions).take(1).cloned().collect();
         let mut inspection = Self {
             title: data.marked_title(),
-            facts: [samples].into_iter().chain(summary.facts).collect(),
+            facts: [samples].into_iter().chain(summary.facts).chain(floor).collect(),
             pose: summary.pose,
             baselines: fitted_baselines(pipeline).map(|baseline| baseline.name_for(data.task())).collect(),
             metric: String::new(),

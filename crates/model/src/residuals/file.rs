@@ -1,8 +1,8 @@
 //! Residual processes in the model file: settings in the note, positions and residuals in tensors.
 
-use super::{CoarseGrid, ProcessFit, ResidualProcess, ResidualTrend, ResidualValues, Residuals};
+use super::{CoarseGrid, ResidualProcess, ResidualValues, Residuals, ShareGain};
 use crate::tensors::Tensors;
-use pwrfgs_core::kriging::{Correlation, CorrelationKind, PathLoss};
+use pwrfgs_core::kriging::{Correlation, CorrelationKind, PathLoss, ProcessFit, ResidualTrend};
 use pwrfgs_core::plugin::Check as _;
 use pwrfgs_core::{MAX_COORDINATE_M, MeasurementSetup, Real, Receiver, Task};
 use serde::{Deserialize, Serialize};
@@ -27,6 +27,9 @@ pub(crate) struct ResidualsNote {
     neighbours: usize,
     /// Processes in the order of the receivers.
     receivers: Vec<Option<ProcessNote>>,
+    /// What the best share of the model gained.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    gain: Option<ShareGain>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -59,6 +62,7 @@ impl ResidualsNote {
             stride: residuals.grid.stride,
             neighbours: residuals.neighbours,
             receivers: residuals.processes.iter().map(|fitted| fitted.as_ref().map(process)).collect(),
+            gain: residuals.gain,
         }
     }
 
@@ -68,7 +72,7 @@ impl ResidualsNote {
     /// The settings do not fit `setup`, a value is out of range, or a tensor is missing or has another shape or type.
     pub(crate) fn take(self, file: &mut Tensors, setup: &MeasurementSetup) -> Result<Residuals, String> {
         let links = self.count_links(setup)?;
-        let Self { stride, neighbours, receivers } = self;
+        let Self { stride, neighbours, receivers, gain } = self;
         let grid = CoarseGrid::new(&setup.plane, stride);
         let link_values = grid.len();
         let places = file.take(PLACES, &[links, 3])?;
@@ -90,12 +94,12 @@ impl ResidualsNote {
             Ok(Some(ResidualProcess::new(fit, places[rows].to_vec(), values)))
         };
         let processes = receivers.into_iter().zip(&setup.receivers).map(&mut process).collect::<Result<_, _>>()?;
-        Ok(Residuals { grid, neighbours, processes })
+        Ok(Residuals { grid, neighbours, processes, gain })
     }
 
     /// Checks the settings against `setup`, and returns the number of known links of all processes.
     fn count_links(&self, setup: &MeasurementSetup) -> Result<usize, String> {
-        let Self { stride, neighbours, ref receivers } = *self;
+        let Self { stride, neighbours, ref receivers, .. } = *self;
         super::Kriged { stride, neighbours, folds: false }.check().map_err(|why| format!("residuals: {why}"))?;
         if setup.task.stride(stride) != stride {
             return Err(format!("residuals: a stride of {stride} for {}, expected 1", setup.task.plural));

@@ -39,8 +39,9 @@ impl CoarseGrid {
         rows.flat_map(|row| row.iter().step_by(self.stride).copied())
     }
 
-    /// Returns the share of the variance of `images` about their mean that the grid loses; 0 without variance.
-    pub(crate) fn lost_share(&self, images: &[Vec<Real>]) -> f64 {
+    /// Returns what the grid loses of `images`, or of their differences from their mean if `is_centred`, in parts of the variance
+    /// about the mean; 0 without variance.
+    pub(crate) fn lost_share(&self, images: &[Vec<Real>], is_centred: bool) -> f64 {
         let mut mean = vec![0.0; self.rows.len() * self.columns.len()];
         let share = 1.0 / images.len().max(1) as Real;
         for image in images {
@@ -48,12 +49,12 @@ impl CoarseGrid {
         }
         let (mut lost, mut total) = (0.0, 0.0);
         for image in images {
-            let residual: Vec<Real> = image.iter().zip(&mean).map(|(v, mean)| v - mean).collect();
-            let mut restored = vec![0.0; residual.len()];
-            self.add_interpolated(&self.sampled(&residual).collect::<Vec<_>>(), &mut restored);
-            lost +=
-                residual.iter().zip(restored).map(|(v, restored)| (*v as f64 - restored as f64).powi(2)).sum::<f64>();
-            total += residual.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
+            let centred: Vec<Real> = image.iter().zip(&mean).map(|(v, mean)| v - mean).collect();
+            let stored = if is_centred { &centred } else { image };
+            let mut restored = vec![0.0; stored.len()];
+            self.add_interpolated(&self.sampled(stored).collect::<Vec<_>>(), &mut restored);
+            lost += stored.iter().zip(restored).map(|(v, restored)| (*v as f64 - restored as f64).powi(2)).sum::<f64>();
+            total += centred.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
         }
         if total > 0.0 { lost / total } else { 0.0 }
     }
@@ -153,10 +154,10 @@ mod tests {
             (0..64 * 8).map(|k| ((k % 64) as Real * std::f64::consts::TAU as Real / period + phase).sin()).collect()
         };
         let lost = |period: Real, stride| {
-            CoarseGrid::new(&plane, stride).lost_share(&[0.0, 1.0, 2.0].map(|phase| wave(period, phase)))
+            CoarseGrid::new(&plane, stride).lost_share(&[0.0, 1.0, 2.0].map(|phase| wave(period, phase)), true)
         };
         assert!(lost(64.0, 4) < 1e-4 && lost(4.0, 4) > 0.3 && lost(4.0, 1) == 0.0);
-        assert_eq!(CoarseGrid::new(&plane, 4).lost_share(&[vec![0.5; 64 * 8]]), 0.0);
+        assert_eq!(CoarseGrid::new(&plane, 4).lost_share(&[vec![0.5; 64 * 8]], true), 0.0);
     }
 
     #[test]

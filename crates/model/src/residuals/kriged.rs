@@ -8,16 +8,17 @@ use serde::{Deserialize, Serialize};
 /// measurements and predictions, per receiver. The model file contains it.
 ///
 /// The prediction is b times that of the model, plus a weighted sum of residuals of the nearest known links. For received
-/// powers, 1 - b times a path-loss model is added, to which predictions far from all known links revert.
+/// powers, 1 - b times a path-loss model is added, to which predictions far from all known links revert. With b = 0, the
+/// prediction is that of the baseline `Kriging()`.
 ///
-/// The share b and the variance maximise the likelihood of links that the model did not train on: its validation set, so
-/// the split needs one. An experiment with `join: true` gives all models the same validation set. With `folds`, it divides
-/// all known links into as many folds as there are models, and each model leaves one fold out. The correlation (Matern 1/2
-/// or 3/2, one length scale per axis for spectra and channels) is that of the observations. Its noise is multiplied by 1 to
-/// 256, by the same likelihood: residuals of a good model are mostly noise.
+/// The share b of 0, 0.25, 0.5, 0.75 or 1 is the one with the smallest error at links that the model did not train on: its
+/// validation set, so the split needs one. It is above 0 only if the gain over Kriging exceeds one standard error over blocks:
+/// those of the split, or cubes of places. An experiment with `join: true` gives all models the same validation set. With
+/// `folds`, it divides all known links into as many folds as there are models, and each model leaves one fold out. The
+/// correlation is that of the baseline. If b is above 0, its noise is multiplied by 1 to 256, by the same errors: residuals
+/// of a good model are mostly noise.
 ///
-/// Data need transmitter positions. A receiver without known links keeps the prediction of the model. All receivers share b
-/// and the correlation.
+/// Data need transmitter positions. A receiver without known links keeps the prediction of the model. All receivers share b.
 ///
 /// ```
 /// # use pwrfgs_core::{Checked, plugin::ron_options};

@@ -3,9 +3,10 @@
 use super::*;
 use crate::tensors::Tensors;
 use crate::{Ensemble, HeldOutScores, IntervalCalibration, KnownLinks, LeftOutBy, Model, Stages, file};
+use pwrfgs_core::kriging::{Correlation, CorrelationKind, PathLoss, ResidualTrend, fit_observations};
 use pwrfgs_core::{
     Dataset, Error, FittingSet, GaussianCloud, ImagePlane, MeasurementSetup, Method, Plugin, Pose, Predict as _,
-    Sample, Spectra, kriging::CorrelationKind, rng,
+    Sample, Spectra, rng,
 };
 use pwrfgs_methods as _;
 use std::sync::atomic::AtomicBool;
@@ -25,6 +26,17 @@ fn model(shift: Real) -> Model {
     cloud.quats = vec![[1.0, 0.0, 0.0, 0.0]; 2];
     cloud.signals = vec![[0.5, 0.2]; 2];
     Model { stages, cloud, weights, training_positions: None }
+}
+
+/// A model that depends on the transmitter.
+fn varying_model() -> Model {
+    let mut varying = model(0.0);
+    let text = "Splatting(deformation: Factored(depth: 1, width: 8, tx_encoding: Octaves(1)), projector: Mercator(), \
+                rasterizer: AlphaBlending(), calibration: Physical, readout: Magnitude)";
+    varying.stages.method = Plugin::parse(text).unwrap();
+    let random = &mut rng::stream(7, "weights", 0);
+    varying.weights = (0..varying.stages.layout().weight_count()).map(|_| 0.5 * rng::normal(random)).collect();
+    varying
 }
 
 /// Transmitters at random positions in a cube of 1 m; `left` is what the prediction of `base` lacks at a position.
@@ -49,7 +61,7 @@ fn fit(settings: &Kriged, base: &Ensemble, data: &Dataset) -> pwrfgs_core::Resul
     let links: Vec<usize> = (0..200).collect();
     let by = |i: &usize| if i.is_multiple_of(4) { LeftOutBy::Member(0) } else { LeftOutBy::NoMember };
     let left_out_by: Vec<LeftOutBy> = links.iter().map(by).collect();
-    let known = KnownLinks { data, links: &links, left_out_by: &left_out_by };
+    let known = KnownLinks { data, links: &links, left_out_by: &left_out_by, blocks: &links };
     Residuals::fit(settings, base, known, &AtomicBool::new(false), &|_, _| {})
 }
 
@@ -86,6 +98,49 @@ fn kriged_residuals_predict_what_the_model_lacks() {
     }
 }
 
+/// A model that ignores the transmitter changes nothing in Kriging, so every share ties.
+#[test]
+fn tie_goes_to_kriging() {
+    let base = Ensemble::of(model(0.0));
+    let data = data(&base, smooth);
+    let fitted = fit(&Kriged { stride: 1, ..Kriged::default() }, &base, &data).unwrap();
+    let links: Vec<usize> = (0..200).collect();
+    let kriging = fit_observations(&data, &links, false, &|| Ok(())).unwrap();
+    assert_eq!(fitted.processes()[0].as_ref().unwrap().fit, kriging);
+    let sentence = fitted.describe_share(Task::Spectrum).unwrap();
+    assert_eq!(sentence, "share 0: the network adds nothing here; this is Kriging");
+}
+
+/// Files hold what the model gains; earlier ones did not.
+#[test]
+fn useful_model_is_kept_and_file_holds_its_gain() {
+    let base = Ensemble::of(varying_model());
+    let data = data(&base, |i, _| 0.02 * rng::normal(&mut rng::stream(8, "noise", i as u64)));
+    let whole = base.clone().with_residuals(Some(fit(&Kriged::default(), &base, &data).unwrap()));
+    let sentence = |ensemble: &Ensemble| ensemble.residuals().unwrap().describe_share(Task::Spectrum).unwrap();
+    let text = sentence(&whole);
+    assert!(text.contains(": the network lowers the error by 0.") && text.ends_with("(50 held-out blocks)"), "{text}");
+    let bytes = file::ensemble_to_bytes(&whole);
+    assert_eq!(sentence(&file::from_bytes(&bytes).unwrap()), text);
+    let mut tensors = Tensors::from_bytes(&bytes).unwrap();
+    let last = "\"blocks\":50}";
+    let (start, end) = (tensors.note.find(",\"gain\":{").unwrap(), tensors.note.find(last).unwrap() + last.len());
+    tensors.note.replace_range(start..end, "");
+    let old = file::from_bytes(&tensors.to_bytes()).unwrap();
+    assert_eq!(error(&old, &data).to_bits(), error(&whole, &data).to_bits());
+    let share = old.residuals().unwrap().share().unwrap();
+    assert!(share > 0.0);
+    assert_eq!(sentence(&old), format!("share {share}: the part of the network in the prediction"));
+}
+
+#[test]
+fn gain_is_mean_with_standard_error_over_blocks() {
+    let gain = ShareGain::of(&[1.0, 2.0, 3.0, 6.0]);
+    assert_eq!((gain.mean, gain.blocks), (3.0, 4));
+    assert!((gain.standard_error - (14.0f64 / 12.0).sqrt()).abs() < 1e-12);
+    assert!(ShareGain::of(&[]).mean.is_nan());
+}
+
 /// With a path-loss model, a power is the measured one at a known link, and b f + (1 − b) path loss far away.
 #[test]
 fn power_far_from_known_links_is_the_trend() {
@@ -94,11 +149,12 @@ fn power_far_from_known_links_is_the_trend() {
     let correlation =
         Correlation { kind: CorrelationKind::Matern32, scales: [1.0, 1.0, 1.0, f64::INFINITY], noise: 1e-6 };
     let (known, measured, predicted) = ([10.0, 0.0, 0.0], -50.0, -70.0);
-    let left = measured - trend.expected(predicted, known);
+    let left = measured - trend.expected(predicted, place(known)) as Real;
     let fit = ProcessFit { trend, variance: 1.0, correlation };
     let process = ResidualProcess::new(fit, vec![known], ResidualValues::Exact(vec![left]));
     let plane = ImagePlane::plain(1, 1);
-    let residuals = Residuals { grid: CoarseGrid::new(&plane, 1), neighbours: 4, processes: vec![Some(process)] };
+    let residuals =
+        Residuals { grid: CoarseGrid::new(&plane, 1), neighbours: 4, processes: vec![Some(process)], gain: None };
     let power = |x: f64| {
         let mut image = Image { width: 1, height: 1, pixels: vec![predicted] };
         residuals.correct(&mut image, [x, 0.0, 0.0].into(), Origin::ZERO);
@@ -113,8 +169,8 @@ fn power_far_from_known_links_is_the_trend() {
 /// random; a process fitted to the residuals of all links alike would be nearly certain.
 #[test]
 fn memorised_links_do_not_lower_the_variance() {
-    let base = Ensemble::of(model(0.0));
-    let amplitude = 0.2;
+    let base = Ensemble::of(varying_model());
+    let amplitude = 0.02;
     let noise = |i: usize, _: [f64; 3]| {
         let sign = if rng::uniform(&mut rng::stream(1, "sign", i as u64)) < 0.5 { -1.0 } else { 1.0 };
         if i.is_multiple_of(4) { sign * amplitude } else { 0.0 }
@@ -133,17 +189,13 @@ fn memorised_links_do_not_lower_the_variance() {
 /// the process would add the noise of neighbours to its predictions.
 #[test]
 fn residuals_of_good_model_are_noisier_than_observations() {
-    let mut varying = model(0.0);
-    let text = "Splatting(deformation: Factored(depth: 1, width: 8, tx_encoding: Octaves(1)), projector: Mercator(), \
-                rasterizer: AlphaBlending(), calibration: Physical, readout: Magnitude)";
-    varying.stages.method = Plugin::parse(text).unwrap();
-    let random = &mut rng::stream(7, "weights", 0);
-    varying.weights = (0..varying.stages.layout().weight_count()).map(|_| 0.5 * rng::normal(random)).collect();
-    let base = Ensemble::of(varying);
+    let base = Ensemble::of(varying_model());
     let data = data(&base, |i, _| 0.02 * rng::normal(&mut rng::stream(8, "noise", i as u64)));
     let residuals = fit(&Kriged { stride: 1, ..Kriged::default() }, &base, &data).unwrap();
     let ProcessFit { trend, correlation, .. } = residuals.processes()[0].as_ref().unwrap().fit;
-    assert!(trend.share >= 0.75 && correlation.noise > 0.2, "{trend:?}, {correlation:?}");
+    let links: Vec<usize> = (0..200).collect();
+    let kriging = fit_observations(&data, &links, false, &|| Ok(())).unwrap().correlation;
+    assert!(trend.share >= 0.75 && correlation.noise > 3.0 * kriging.noise, "{trend:?}, {correlation:?}, {kriging:?}");
     let whole = base.clone().with_residuals(Some(residuals));
     assert!(error(&whole, &data) < 1.1 * error(&base, &data), "{} {}", error(&whole, &data), error(&base, &data));
 }
@@ -243,7 +295,7 @@ fn fit_needs_left_out_links_and_positions_and_can_stop() {
     let mut data = data(&base, smooth);
     let links = [0, 1, 2];
     let try_fit = |data: &Dataset, left_out_by: &[LeftOutBy], stop| {
-        let known = KnownLinks { data, links: &links, left_out_by };
+        let known = KnownLinks { data, links: &links, left_out_by, blocks: &links };
         Residuals::fit(&Kriged::default(), &base, known, &AtomicBool::new(stop), &|_, _| {}).unwrap_err()
     };
     assert!(try_fit(&data, &[LeftOutBy::NoMember; 3], false).to_string().contains("`validation` share"));
@@ -284,7 +336,16 @@ fn residuals_are_the_same_bytes_at_any_number_of_threads_and_from_the_file() {
 #[test]
 fn invalid_residuals_of_a_file_are_refused() {
     let base = Ensemble::of(model(0.0));
-    let data = data(&base, smooth);
+    let full = data(&base, smooth);
+    let grey = base.prepare().predict_timed([0.5; 3]).0.clamped();
+    // Smooth spectra, of which a coarse grid loses little.
+    let smooth = |i: usize| {
+        let pixels = full.image(i).pixels;
+        pixels.iter().zip(&grey.pixels).map(|(v, grey)| (0.5 + v - grey) as f32).collect::<Vec<_>>()
+    };
+    let pixels: Vec<f32> = (0..240).flat_map(smooth).collect();
+    let samples = (0..240).map(|i| Sample::new(i as u32, full.sample(i).position())).collect();
+    let data = Dataset::new("room", Pose::IDENTITY, vec![], samples, Spectra::float(SIZE, &pixels).unwrap()).unwrap();
     let whole =
         file::ensemble_to_bytes(&base.clone().with_residuals(Some(fit(&Kriged::default(), &base, &data).unwrap())));
     let folder = tempfile::tempdir().unwrap();
@@ -308,7 +369,7 @@ fn invalid_residuals_of_a_file_are_refused() {
     edited("\"neighbours\":48", "\"neighbours\":100000", "`neighbours` is 100000");
     edited("\"links\":200", "\"links\":0", "needs a link");
     edited("\"links\":200", "\"links\":18446744073709551615", "expected [18446744073709551615, 3]");
-    edited("\"share\":", "\"share\":-", "a share of");
+    edited("\"share\":", "\"share\":2", "a share of");
     edited("\"noise\":", "\"noise\":-", "noise of");
     edited("\"noise\":", "\"path_loss\":[-40,20],\"noise\":", "a path loss of");
     edited("\"version\":3", "\"version\":2", "version 3");

@@ -12,6 +12,9 @@ pub(super) const TRAINING: &str = "training_s";
 /// Key of the number of training samples, which is not a metric.
 pub(super) const TRAINED_ON: &str = "trained_on";
 
+/// Key of the share b of the model in its predictions, which is not a metric.
+pub(super) const SHARE: &str = "share";
+
 /// Type of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(super) enum RowKind {
@@ -96,7 +99,7 @@ pub(super) fn statistics(metric: &MetricRow) -> &'static [SummaryStatistic] {
 
 /// Returns whether the best value of a metric is marked: not for times of several machines or sizes of training sets.
 pub(super) fn is_ranked(metric: &MetricRow, same_machine: bool) -> bool {
-    metric.key != TRAINED_ON && (same_machine || !is_time(metric))
+    ![TRAINED_ON, SHARE].contains(&metric.key.as_str()) && (same_machine || !is_time(metric))
 }
 
 /// Returns whether a metric is a time, which depends on the machine.
@@ -111,6 +114,9 @@ impl ComparisonRow<'_> {
         let value = |run: &&Record| match statistic {
             SummaryStatistic::Whole if metric.key == TRAINING => {
                 (self.kind == RowKind::Variant).then_some(run.facts.training_seconds)
+            }
+            SummaryStatistic::Whole if metric.key == SHARE => {
+                run.scores.table.share.filter(|_| self.kind == RowKind::Variant)
             }
             SummaryStatistic::Whole if metric.key == TRAINED_ON => {
                 let [train, validation, _] = run.facts.samples;
@@ -283,7 +289,7 @@ fn ceiling_row(setting: &Setting) -> Option<ComparisonRow<'_>> {
     (!row.runs.is_empty()).then_some(row)
 }
 
-/// Returns the metrics in the order of the runs, then training set and training time.
+/// Returns the metrics in the order of the runs, then training set, training time and, with residuals, share.
 fn all_metrics(setting: &Setting) -> Vec<MetricRow> {
     let mut metrics: Vec<MetricRow> = Vec::new();
     for metric in setting.runs().flat_map(|run| &run.scores.table.metrics) {
@@ -291,7 +297,9 @@ fn all_metrics(setting: &Setting) -> Vec<MetricRow> {
             metrics.push(metric.clone());
         }
     }
-    for (key, unit, higher_is_better) in [(TRAINED_ON, setting.task().counted[1], true), (TRAINING, "s", false)] {
+    let has_share = setting.runs().any(|run| run.scores.table.share.is_some());
+    let facts = [(TRAINED_ON, setting.task().counted[1], true), (TRAINING, "s", false), (SHARE, "", true)];
+    for (key, unit, higher_is_better) in facts.into_iter().filter(|(key, ..)| *key != SHARE || has_share) {
         metrics.push(MetricRow { key: key.into(), unit: unit.into(), higher_is_better, cells: Vec::new() });
     }
     metrics

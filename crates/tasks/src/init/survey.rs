@@ -1,17 +1,22 @@
 //! `DataSurvey`: content of a data folder, and a split without leakage.
 
 use pwrfgs_core::plugin::name_of as plugin_name;
-use pwrfgs_core::{DataSource, Dataset, Error, Partition, Plugin, Result, Split, recognise, rng};
+use pwrfgs_core::{
+    DataSource, Dataset, Error, Location, Partition, Plugin, Result, SiteSize, Split, block_of, recognise, rng,
+};
 use pwrfgs_data::read_points;
 use pwrfgs_experiment::inspect::test_distance;
 use pwrfgs_experiment::{Observer, check_findings, observed, staged};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Candidate cell edges of a split that holds out space, metres; the first with enough cells is used.
-const EDGES: [f64; 9] = [2.0, 1.0, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01];
-/// Minimum number of cells for such a split.
+/// Candidate cell edges of a split that holds out space, in powers of ten of a metre; the first with enough cells is used.
+const EDGES: [f64; 4] = [5.0, 3.0, 2.0, 1.0];
+const POWERS: std::ops::RangeInclusive<i32> = -2..=5;
+/// Number of cells that suffices for such a split; and for edges of at most three spacings of the positions, below which
+/// cells are no regions.
 const CELLS: usize = 50;
+const LEAST_CELLS: usize = 12;
 /// Distance of test to training transmitters below which the file has a note, metres.
 const NEAR: f64 = 0.05;
 
@@ -188,11 +193,7 @@ pub fn suggest_split(data: &Dataset) -> Result<(String, Partition)> {
     if data.official.is_some() {
         return Ok(("Official()".into(), split_by("Official()")?));
     }
-    let cells = |edge: f64| {
-        let cell = |tx: [f64; 3]| tx.map(|v| (v / edge).floor() as i64);
-        data.samples().map(|s| cell(s.position())).collect::<BTreeSet<_>>().len()
-    };
-    let edge = EDGES.into_iter().find(|&edge| cells(edge) >= CELLS).map(|edge| format!("Voxel(size_m: {edge})"));
+    let edge = suggest_cell_edge(data).map(|edge| format!("Voxel(size_m: {edge})"));
     let choices = edge.into_iter().chain(["TimeBlock()".into(), "Random()".into()]);
     let fits = |partition: &Partition| !partition.train.is_empty() && !partition.test.is_empty();
     for choice in choices {
@@ -205,11 +206,19 @@ pub fn suggest_split(data: &Dataset) -> Result<(String, Partition)> {
 
 /// Returns the longest side of the bounding box of the positions, metres.
 pub(super) fn longest_side(data: &Dataset) -> f64 {
-    let ends = |k: usize| {
-        let coordinates = data.samples().map(move |sample| sample.position()[k]);
-        coordinates.clone().fold(f64::NEG_INFINITY, f64::max) - coordinates.fold(f64::INFINITY, f64::min)
-    };
-    (0..3).map(ends).fold(0.0, f64::max)
+    SiteSize::new(data.locations.iter().map(Location::position)).longest
+}
+
+/// Suggests the edge of cells that are held out, metres: the largest with enough cells, at least two spacings of the
+/// positions; `None` if no edge has.
+fn suggest_cell_edge(data: &Dataset) -> Option<f64> {
+    let positions = || data.locations.iter().map(Location::position);
+    let site = SiteSize::new(positions());
+    let edges = POWERS.rev().flat_map(|power| EDGES.map(|edge| format!("{edge}e{power}").parse().unwrap_or(edge)));
+    edges.into_iter().take_while(|edge| *edge >= 2.0 * site.spacing).find(|&edge: &f64| {
+        let cells = positions().map(|position| block_of(position, edge)).collect::<BTreeSet<_>>().len();
+        cells >= if edge <= site.block_edge() { LEAST_CELLS } else { CELLS }
+    })
 }
 
 /// Reads the point clouds in the folder, in order of their file names; unreadable files are left out.
@@ -227,4 +236,29 @@ fn read_clouds(folder: &Path) -> Vec<(PathBuf, Vec<[f64; 3]>)> {
         Some((path, points))
     };
     paths.into_iter().filter_map(read).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::{Observations, Pose, Receiver, Sample};
+
+    /// Powers at `count` positions, `step` metres apart in rows of `columns`.
+    fn grid(count: u32, columns: u32, step: f64) -> Dataset {
+        let place = |id: u32| [step * f64::from(id % columns), step * f64::from(id / columns), 0.0];
+        let samples: Vec<Sample> = (0..count).map(|id| Sample::new(id, place(id))).collect();
+        let receivers = vec![Receiver::new("a", Pose::IDENTITY)];
+        let powers = Observations::Powers(vec![-60.0; count as usize]);
+        Dataset::of_links("grid", receivers, vec![], &samples, powers).unwrap()
+    }
+
+    #[test]
+    fn cells_follow_spacing_and_site() {
+        // A walk of 1 km with a position every 2 m; a survey of 1 m in an office; a dense scan of 10 x 10 m.
+        for (count, columns, step, edge) in
+            [(500, 500, 2.0, Some(30.0)), (108, 27, 1.0, Some(3.0)), (10_000, 100, 0.1, Some(1.0)), (8, 8, 1.0, None)]
+        {
+            assert_eq!(suggest_cell_edge(&grid(count, columns, step)), edge, "{count} positions");
+        }
+    }
 }

@@ -1,16 +1,15 @@
 //! Kriging of received powers: path loss and process of all receivers, fitted together.
 
-use super::{Kriging, format_digits};
 use crate::baselines::fitting_samples;
-use crate::baselines::log_distance::{fixed_end_position, log_distance};
-use pwrfgs_core::kriging::{LocalKriging, Mean, PathLoss, PooledFit, PowerLink, Solution, fit_pooled, in_space};
+use pwrfgs_core::kriging::{Correlation, LocalKriging, PathLoss, Place, ProcessFit, fit_powers, link_place};
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Dataset, FittingSet, Image, Predict, Query, Real, Result};
 
 /// Pooled Kriging of the powers of all receivers.
 pub(super) struct PooledKriging<'a> {
     data: &'a Dataset,
-    fit: PooledFit,
+    /// Fits of the receivers, with a common correlation and variance.
+    fits: Vec<ProcessFit>,
     processes: Vec<Process>,
     neighbours: usize,
 }
@@ -19,48 +18,40 @@ pub(super) struct PooledKriging<'a> {
 struct Process {
     links: Vec<usize>,
     /// Differences of their powers from the path-loss model, dB.
-    residuals: Vec<f64>,
+    residuals: Vec<Real>,
     kriging: LocalKriging,
 }
 
 impl<'a> PooledKriging<'a> {
     /// Fits path loss and process to the known powers.
-    pub(super) fn fit(data: &'a Dataset, fitting: FittingSet<'_>, settings: &Kriging) -> Result<Self> {
+    pub(super) fn fit(data: &'a Dataset, fitting: FittingSet<'_>, neighbours: usize) -> Result<Self> {
         let known = fitting_samples(fitting)?;
-        let has_distances = data.scene.has_distances();
-        let link = |&i: &usize| PowerLink {
-            receiver: data.links[i].receiver,
-            place: in_space(data.sample(i).position()),
-            log_distance: has_distances.then(|| log_distance(data, data.query(i))),
-            value: data.image(i).pixels[0] as f64,
-        };
-        let links: Vec<PowerLink> = known.iter().map(link).collect();
+        let fits = fit_powers(data, &known, &|| fitting.check_stopped())?;
         data.observations.check()?;
-        let fit = fit_pooled(&links, data.scene.receivers.len(), &|| fitting.check_stopped())?;
-        Ok(Self::new(data, fit, data.group_by_receiver(known), settings.neighbours))
+        Ok(Self::new(data, fits, data.group_by_receiver(known), neighbours))
     }
 
-    /// Creates the predictor of a fit from the known links of each receiver.
-    fn new(data: &'a Dataset, fit: PooledFit, known: Vec<Vec<usize>>, neighbours: usize) -> Self {
-        let process = |(links, law): (Vec<usize>, &PathLoss)| Process {
-            kriging: LocalKriging::new(
-                fit.correlation,
-                Mean::Zero,
-                links.iter().map(|&i| in_space(data.sample(i).position())),
-            ),
-            residuals: links
-                .iter()
-                .map(|&i| data.image(i).pixels[0] as f64 - power(data, law, data.query(i)))
-                .collect(),
-            links,
+    /// Creates the predictor of fits from the known links of each receiver.
+    fn new(data: &'a Dataset, fits: Vec<ProcessFit>, known: Vec<Vec<usize>>, neighbours: usize) -> Self {
+        let process = |(links, fit): (Vec<usize>, &ProcessFit)| {
+            let residual =
+                |&i: &usize| (data.image(i).pixels[0] as f64 - fit.trend.expected(0.0, link_place(data, i))) as Real;
+            let kriging = fit.process(links.iter().map(|&i| link_place(data, i)));
+            Process { residuals: links.iter().map(residual).collect(), links, kriging }
         };
-        let processes = known.into_iter().zip(&fit.laws).map(process).collect();
-        Self { data, fit, processes, neighbours }
+        let processes = known.into_iter().zip(&fits).map(process).collect();
+        Self { data, fits, processes, neighbours }
     }
 
-    /// Returns the path-loss model of the receiver of a query, or of the first one for an unknown receiver.
-    fn law(&self, query: Query<'_>) -> PathLoss {
-        *self.fit.laws.get(query.receiver).or(self.fit.laws.first()).expect("data have a receiver")
+    /// Returns the fit of the receiver of a query, or of the first one for an unknown receiver.
+    fn fit_of(&self, query: Query<'_>) -> &ProcessFit {
+        self.fits.get(query.receiver).or(self.fits.first()).expect("data have a receiver")
+    }
+
+    /// Returns the place of a query, metres from the origin.
+    fn place(&self, query: Query<'_>) -> Place {
+        let [x, y, z] = self.data.scene.origin.local(query.position()).map(|v| v as f64);
+        [x, y, z, 0.0]
     }
 
     /// Returns the known links of the receiver of a query; `None` without any.
@@ -69,37 +60,33 @@ impl<'a> PooledKriging<'a> {
     }
 }
 
-/// Returns the power of a path-loss model, dBm.
-fn power(data: &Dataset, law: &PathLoss, query: Query<'_>) -> f64 {
-    law.power(log_distance(data, query))
-}
-
 impl Predict for PooledKriging<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
+        let (trend, at) = (&self.fit_of(query).trend, self.place(query));
         let residual = |process: &Process| {
-            let (near, Solution { weights, .. }) = process.kriging.solve(in_space(query.position()), self.neighbours);
-            near.into_iter().zip(weights).map(|(k, weight)| weight * process.residuals[k]).sum::<f64>()
+            let add = |k: usize, weight: f64, sum: &mut [f64]| sum[0] += weight * process.residuals[k] as f64;
+            process.kriging.weighted_sum(at, self.neighbours, 1, add)[0]
         };
-        let dbm = power(self.data, &self.law(query), query) + self.process(query).map_or(0.0, residual);
+        let dbm = trend.expected(0.0, at) + self.process(query).map_or(0.0, residual);
         Image { width: 1, height: 1, pixels: vec![dbm as Real] }
     }
 
     fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
-        let image = self.predict(query);
+        let (image, at) = (self.predict(query), self.place(query));
         let d = f64::from(cotangent(&image)[0]);
-        let slope = self.law(query).power_gradient(query.position(), fixed_end_position(self.data, query));
-        let residual = |process: &Process| {
-            process.kriging.solve_vjp(in_space(query.position()), self.neighbours, |k| process.residuals[k])
-        };
+        let slope = self.fit_of(query).trend.path_loss_vjp(d, at);
+        let residual =
+            |process: &Process| process.kriging.solve_vjp(at, self.neighbours, |k| d * process.residuals[k] as f64);
         let gradient = self.process(query).map_or([0.0; 3], residual);
-        Some((image, [0, 1, 2].map(|k| d * (slope[k] + gradient[k]))))
+        Some((image, [0, 1, 2].map(|k| slope[k] + gradient[k])))
     }
 
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
-        let relative = self.process(query).map_or(1.0 + self.fit.correlation.noise, |process| {
-            process.kriging.solve(in_space(query.position()), self.neighbours).1.variance
+        let fit = self.fit_of(query);
+        let relative = self.process(query).map_or(1.0 + fit.correlation.noise, |process| {
+            process.kriging.solve(self.place(query), self.neighbours).1.variance
         });
-        Some((self.fit.variance * relative).sqrt())
+        Some((fit.variance * relative).sqrt())
     }
 
     fn without(&self, links: &[usize]) -> Option<Box<dyn Predict + '_>> {
@@ -108,11 +95,12 @@ impl Predict for PooledKriging<'_> {
         };
         let known: Vec<Vec<usize>> = self.processes.iter().map(others).collect();
         let is_known = known.iter().any(|links| !links.is_empty());
-        is_known.then(|| Box::new(Self::new(self.data, self.fit.clone(), known, self.neighbours)) as Box<dyn Predict>)
+        is_known.then(|| Box::new(Self::new(self.data, self.fits.clone(), known, self.neighbours)) as Box<dyn Predict>)
     }
 
     fn note(&self) -> Option<String> {
-        let PooledFit { laws, correlation, variance } = &self.fit;
+        let ProcessFit { correlation: Correlation { kind, scales, noise }, variance, .. } = self.fits.first()?;
+        let laws: Vec<PathLoss> = self.fits.iter().filter_map(|fit| Some(fit.trend.path_loss?.0)).collect();
         let names: Vec<String> = self.data.scene.receivers.iter().map(|r| strip_control(&r.name)).collect();
         let has_distances = self.data.scene.has_distances();
         let law = |(law, name): (&PathLoss, &String)| {
@@ -125,10 +113,10 @@ impl Predict for PooledKriging<'_> {
         let found = format!(
             "Kriging found one correlation for all receivers, {} with a length scale of {} m, a variance of {} dB² and noise of \
              {} of the variance, {trend} ({})",
-            correlation.kind.words(),
-            format_digits(correlation.scales[0]),
+            kind.words(),
+            format_digits(scales[0]),
             format_digits(*variance),
-            format_digits(correlation.noise),
+            format_digits(*noise),
             list.join("; "),
         );
         let deaf: Vec<&str> =
@@ -137,6 +125,12 @@ impl Predict for PooledKriging<'_> {
             .then(|| format!("; {} has no training link and shares the mean path loss", deaf.join(", ")));
         Some(found + &deaf.unwrap_or_default())
     }
+}
+
+/// Formats a number with four significant digits, enough to reproduce a score.
+pub(super) fn format_digits(value: f64) -> String {
+    let decimals = if value == 0.0 { 0.0 } else { (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) };
+    format!("{value:.0$}", decimals as usize)
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::splits::testing::line_of_samples;
-use pwrfgs_core::kriging::solve;
+use pwrfgs_core::kriging::{fit_spectra, in_space, solve};
 use pwrfgs_core::{Pose, Sample, Spectra, rng};
 
 const PLACES: [Place; 6] = [
@@ -88,10 +88,10 @@ fn drawn(correlation: &Correlation, count: usize) -> Dataset {
 
 /// Cases of `validation` samples, each given its 24 nearest of `train`.
 fn cases_of(data: &Dataset, train: &[usize], validation: &[usize], mean: Mean) -> HeldOutCases {
-    let nearest = Nearest::new(train.to_vec(), 4, |i| sample_place(data, i));
-    let near = |i: usize| nearest.find(&sample_place(data, i), FROM).1.into_iter().map(|(_, j)| j).collect();
+    let nearest = Nearest::new(train.to_vec(), 4, |i| link_place(data, i));
+    let near = |i: usize| nearest.find(&link_place(data, i), 24).1.into_iter().map(|(_, j)| j).collect();
     let cases: Vec<(usize, Vec<usize>)> = validation.iter().map(|&i| (i, near(i))).collect();
-    HeldOutCases::new(&cases, mean, |i| sample_place(data, i), |_, i| data.image(i).pixels)
+    HeldOutCases::new(&cases, mean, |i| link_place(data, i), |_, i| data.image(i).pixels)
 }
 
 #[test]
@@ -113,6 +113,22 @@ fn likelihood_recovers_true_parameters() {
     }
 }
 
+#[test]
+fn fit_to_all_spectra_recovers_true_parameters() {
+    for kind in [CorrelationKind::Exponential, CorrelationKind::Matern32] {
+        let truth = Correlation { kind, scales: [0.3, 0.3, 1.2, f64::INFINITY], noise: 0.1 };
+        let data = drawn(&truth, 260);
+        let place = |i| in_space(data.sample(i).position());
+        let (found, variance) = fit_spectra(260, place, |i| data.image(i).pixels, false, &|| Ok(())).unwrap();
+        println!("{found:?} and {variance} for {truth:?}");
+        assert_eq!(found.kind, kind);
+        assert!((0.05..0.2).contains(&found.noise), "{found:?}");
+        let stretch = found.scales[2] / found.scales[0];
+        assert!((2.5..6.0).contains(&stretch), "{found:?}");
+        close(variance * found.noise, truth.noise, 0.03);
+    }
+}
+
 /// Density of one sample given its neighbours, written out.
 #[test]
 fn likelihood_equals_density_of_predictions() {
@@ -122,8 +138,8 @@ fn likelihood_equals_density_of_predictions() {
         let cases = cases_of(&data, &(0..10).collect::<Vec<_>>(), &[10, 11], mean);
         let mut terms = Vec::new();
         for i in [10, 11] {
-            let places: Vec<Place> = (0..10).map(|j| truth.scaled(sample_place(&data, j))).collect();
-            let Solution { weights, variance } = solve(&truth, mean, &places, truth.scaled(sample_place(&data, i)));
+            let places: Vec<Place> = (0..10).map(|j| truth.scaled(link_place(&data, j))).collect();
+            let Solution { weights, variance } = solve(&truth, mean, &places, truth.scaled(link_place(&data, i)));
             let mut error = 0.0;
             for k in 0..144 {
                 let predicted: f64 = (0..10).map(|j| weights[j] * data.image(j).pixels[k] as f64).sum();

@@ -2,7 +2,7 @@
 
 use super::{FormattedValue, RankMark, Table, TableColumn, TableLine, table_title};
 use crate::study::comparison::{
-    Comparison, ComparisonRow, RowKind, SummaryStatistic, TRAINED_ON, TRAINING, is_ranked, is_time, statistics,
+    Comparison, ComparisonRow, RowKind, SHARE, SummaryStatistic, TRAINED_ON, TRAINING, is_ranked, is_time, statistics,
 };
 use crate::templates::render_sentences;
 use minijinja::context;
@@ -97,7 +97,7 @@ fn table_column(
         (statistic, unit) => format!("{} [{unit}]", statistic.heading(metric.higher_is_better)),
     };
     let arrow = match metric.key.as_str() {
-        TRAINED_ON => "",
+        TRAINED_ON | SHARE => "",
         _ if metric.higher_is_better => "↑",
         _ => "↓",
     };
@@ -146,7 +146,7 @@ pub(super) fn filled_columns(
 }
 
 /// Values of the whole model that are shown first.
-const WHOLE: [&str; 3] = [TRAINED_ON, "gaussians", "model_bytes"];
+const WHOLE: [&str; 4] = [SHARE, TRAINED_ON, "gaussians", "model_bytes"];
 
 /// Returns whether a metric is shown next to the first metric of its task.
 fn is_secondary_metric(metric: &MetricRow) -> bool {

@@ -1,5 +1,6 @@
 //! Pooled Kriging of invented powers.
 
+use super::super::Kriging;
 use super::*;
 use pwrfgs_core::{Baseline, Observations, Pose, Receiver, Sample};
 
@@ -40,7 +41,7 @@ fn receivers_share_process_and_path_loss() {
     let fall = (at(4.0) - at(80.0)) / (log(80.0) - log(4.0));
     assert!((5.0..28.0).contains(&fall), "{fall} dB per decade");
     let note = fitted.note().unwrap();
-    assert!(note.contains("one correlation for all receivers, ") && note.contains("(a: -4"), "{note}");
+    assert!(note.contains("one correlation for all receivers, Matern 3/2 with") && note.contains("(a: -5"), "{note}");
     assert!(note.ends_with("; c has no training link and shares the mean path loss"), "{note}");
     // Without positions of receivers there is no path loss: the mean is constant.
     let mut data = data.clone();

@@ -1,0 +1,170 @@
+//! Share of a model in its predictions, chosen by the errors at links that it did not train on.
+
+use super::{LeftOutBy, Samples};
+use crate::residuals::{ShareGain, place};
+use pwrfgs_core::kriging::{Correlation, LocalKriging, ProcessFit, ResidualTrend};
+use pwrfgs_core::{Result, check_stopped, evenly, statistics::mean};
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::AtomicBool;
+
+/// Number of links that choose the share: of all receivers, and at least of each.
+const CASES: usize = 600;
+const LEAST_CASES: usize = 40;
+/// Compared shares of the prediction of the model, 0 first.
+const SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+/// Compared factors on the noise of the observations for shares above 0, 1 first: what a good model leaves is mostly noise.
+const NOISES: [f64; 5] = [1.0, 4.0, 16.0, 64.0, 256.0];
+/// Smallest gain in parts of the error: what is below is rounding.
+const LEAST_GAIN: f64 = 1e-6;
+/// Share of the model, and factors on noise and variance of Kriging.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Choice {
+    pub(super) share: f64,
+    noise: f64,
+    variance: f64,
+}
+
+impl Choice {
+    /// Kriging without the model.
+    const KRIGING: Self = Self { share: 0.0, noise: 1.0, variance: 1.0 };
+
+    /// Returns the fit of residuals, given that of Kriging.
+    pub(super) fn apply(self, fit: &ProcessFit) -> ProcessFit {
+        let correlation = Correlation { noise: self.noise * fit.correlation.noise, ..fit.correlation };
+        let trend = ResidualTrend { share: self.share, ..fit.trend };
+        ProcessFit { trend, variance: self.variance * fit.variance, correlation }
+    }
+}
+
+/// Mean absolute error of a held-out link, and its mean squared error in units of the predicted variance.
+#[derive(Clone, Copy, Debug)]
+struct CaseError {
+    absolute: f64,
+    relative_square: f64,
+}
+
+impl Samples<'_> {
+    /// Chooses the share of the model with the smallest error at left-out links, if its gain over Kriging exceeds one standard
+    /// error over blocks, and measures that gain.
+    ///
+    /// Kind and length scales of the correlation stay those of the observations: of residuals of left-out links, there are too
+    /// few.
+    pub(super) fn choose_share(
+        &self,
+        by_receiver: &[Vec<usize>],
+        kriging: &[Option<ProcessFit>],
+        neighbours: usize,
+        stop: &AtomicBool,
+    ) -> Result<(Choice, Option<ShareGain>)> {
+        let with_noise = |share: f64| NOISES.map(|noise| Choice { share, noise, variance: 1.0 });
+        let candidates = SHARES.map(with_noise).concat();
+        let groups: BTreeSet<LeftOutBy> =
+            self.known.left_out_by.iter().copied().filter(|by| *by != LeftOutBy::NoMember).collect();
+        let mut errors: BTreeMap<usize, Vec<Vec<CaseError>>> = BTreeMap::new();
+        for group in groups {
+            // The path-loss models that decide about a left-out link are not fitted to it.
+            let refitted = if self.known.data.task().has_path_loss {
+                self.fit_kriging(Some(group), stop)?
+            } else {
+                kriging.to_vec()
+            };
+            for (links, fit) in by_receiver.iter().zip(refitted) {
+                let Some(fit) = fit.filter(|fit| fit.variance > 0.0) else { continue };
+                let cases = self.held_out_errors(links, group, &fit, &candidates, neighbours);
+                cases.into_iter().for_each(|(k, error)| errors.entry(self.known.blocks[k]).or_default().push(error));
+            }
+            check_stopped(stop)?;
+        }
+        let gain_over = |reference: usize, c: usize| {
+            let of_case = |case: &Vec<CaseError>| case[reference].absolute - case[c].absolute;
+            ShareGain::of(&errors.values().map(|cases| mean(cases.iter().map(of_case))).collect::<Vec<_>>())
+        };
+        // More noise could help without the model, so the same noise must be worse without it.
+        let gain = |c: usize| {
+            let (kriging, same_noise) = (gain_over(0, c), gain_over(c % NOISES.len(), c));
+            if same_noise.mean < kriging.mean { same_noise } else { kriging }
+        };
+        let all = (NOISES.len()..candidates.len()).map(|c| (c, gain(c))).filter(|(_, gain)| gain.mean.is_finite());
+        let best = all.reduce(|best, next| if next.1.mean > best.1.mean { next } else { best });
+        let least = LEAST_GAIN * mean(errors.values().flatten().map(|case| case[0].absolute));
+        Ok(match best {
+            Some((c, gain)) if gain.blocks > 1 && gain.mean > gain.standard_error.max(least) => {
+                let variance = mean(errors.values().flatten().map(|case| case[c].relative_square));
+                (Choice { variance, ..candidates[c] }, Some(gain))
+            }
+            best => (Choice::KRIGING, best.map(|(_, gain)| gain)),
+        })
+    }
+
+    /// Returns known links of a receiver that `group` left out, evenly chosen, each with the errors of all candidates that know
+    /// the links which `group` trained on.
+    fn held_out_errors(
+        &self,
+        links_of_receiver: &[usize],
+        group: LeftOutBy,
+        fit: &ProcessFit,
+        candidates: &[Choice],
+        neighbours: usize,
+    ) -> Vec<(usize, Vec<CaseError>)> {
+        let (held_out, trained): (Vec<usize>, Vec<usize>) =
+            links_of_receiver.iter().partition(|&&k| self.known.left_out_by[k] == group);
+        if trained.is_empty() {
+            return Vec::new();
+        }
+        let processes = NOISES.map(|noise| {
+            let places = trained.iter().map(|&k| place(self.places[k]));
+            Choice { noise, ..Choice::KRIGING }.apply(fit).process(places)
+        });
+        let share = held_out.len() as f64 / self.left_out_count(links_of_receiver) as f64;
+        let count = (CASES / self.known.data.scene.receivers.len()).max(LEAST_CASES) as f64 * share;
+        let case = |k: usize| {
+            let combinations =
+                processes.each_ref().map(|process| self.combine(k, &trained, process, fit, group, neighbours));
+            let error = |choice: &Choice| {
+                let index = NOISES.iter().position(|noise| *noise == choice.noise).unwrap_or(0);
+                let (pairs, variance) = &combinations[index];
+                let errors = || pairs.iter().map(|[y, f]| y - choice.share * f);
+                let scale = variance * fit.variance;
+                CaseError {
+                    absolute: mean(errors().map(f64::abs)),
+                    relative_square: mean(errors().map(|e| e * e / scale)),
+                }
+            };
+            (k, candidates.iter().map(error).collect())
+        };
+        evenly(&held_out, count.ceil() as usize).into_par_iter().map(case).collect()
+    }
+
+    /// Returns the number of links of a receiver that a member left out.
+    fn left_out_count(&self, links_of_receiver: &[usize]) -> usize {
+        links_of_receiver.iter().filter(|&&k| self.known.left_out_by[k] != LeftOutBy::NoMember).count()
+    }
+
+    /// Returns the errors at known link `k` of Kriging the observations and of Kriging the predictions, both less their path
+    /// loss, from the links `trained`, and the variance relative to that of the process. With a share b, the error is the first
+    /// minus b times the second.
+    fn combine(
+        &self,
+        k: usize,
+        trained: &[usize],
+        process: &LocalKriging,
+        fit: &ProcessFit,
+        group: LeftOutBy,
+        neighbours: usize,
+    ) -> (Vec<[f64; 2]>, f64) {
+        let predicted = self.predictions(group);
+        let (near, solution) = process.solve(place(self.places[k]), neighbours);
+        let mut errors = vec![[0.0; 2]; self.link_values];
+        let terms = near.into_iter().map(|j| trained[j]).zip(solution.weights.iter().map(|weight| -weight));
+        for (link, weight) in std::iter::once((k, 1.0)).chain(terms) {
+            let law = fit.trend.expected(0.0, place(self.places[link]));
+            let values = link * self.link_values..(link + 1) * self.link_values;
+            for ((error, y), f) in errors.iter_mut().zip(&self.observed[values.clone()]).zip(&predicted[values]) {
+                error[0] += weight * (*y as f64 - law);
+                error[1] += weight * (*f as f64 - law);
+            }
+        }
+        (errors, solution.variance)
+    }
+}
