@@ -1,10 +1,8 @@
 //! `Kriging`: a Gaussian process over the transmitter position.
 
-mod powers;
-
 use super::log_distance::{fixed_end_position, log_distance, path_loss_points};
+use super::pooled_kriging::{PooledKriging, format_digits};
 use super::{ByReceiver, ReceiverPredictor, fitting_samples, selection_sets, weighted_mean};
-use powers::PooledKriging;
 use pwrfgs_core::kriging::{
     Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, SearchSpace, Solution, in_space,
     most_likely,
@@ -87,7 +85,7 @@ impl Baseline for Kriging {
     fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
         if data.task().has_path_loss && !self.time {
-            return Ok(Box::new(PooledKriging::fit(data, fitting, self)?));
+            return Ok(Box::new(PooledKriging::fit(data, fitting, self.neighbours)?));
         }
         let fit = |fitting: FittingSet<'_>| {
             let all = fitting_samples(fitting)?;
@@ -348,12 +346,6 @@ fn describe_fits(each: &[(&str, &Process<'_>)]) -> String {
         each.len(),
         list.join("; ")
     )
-}
-
-/// Formats a number with four significant digits, enough to reproduce a score.
-fn format_digits(value: f64) -> String {
-    let decimals = if value == 0.0 { 0.0 } else { (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) };
-    format!("{value:.0$}", decimals as usize)
 }
 
 #[cfg(test)]

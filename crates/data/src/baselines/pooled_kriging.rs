@@ -1,8 +1,7 @@
 //! Kriging of received powers: path loss and process of all receivers, fitted together.
 
-use super::{Kriging, format_digits};
-use crate::baselines::fitting_samples;
-use crate::baselines::log_distance::{fixed_end_position, log_distance};
+use super::fitting_samples;
+use super::log_distance::{fixed_end_position, log_distance};
 use pwrfgs_core::kriging::{LocalKriging, Mean, PathLoss, PooledFit, PowerLink, Solution, fit_pooled, in_space};
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Dataset, FittingSet, Image, Predict, Query, Real, Result};
@@ -25,7 +24,7 @@ struct Process {
 
 impl<'a> PooledKriging<'a> {
     /// Fits path loss and process to the known powers.
-    pub(super) fn fit(data: &'a Dataset, fitting: FittingSet<'_>, settings: &Kriging) -> Result<Self> {
+    pub(super) fn fit(data: &'a Dataset, fitting: FittingSet<'_>, neighbours: usize) -> Result<Self> {
         let known = fitting_samples(fitting)?;
         let has_distances = data.scene.has_distances();
         let link = |&i: &usize| PowerLink {
@@ -37,7 +36,7 @@ impl<'a> PooledKriging<'a> {
         let links: Vec<PowerLink> = known.iter().map(link).collect();
         data.observations.check()?;
         let fit = fit_pooled(&links, data.scene.receivers.len(), &|| fitting.check_stopped())?;
-        Ok(Self::new(data, fit, data.group_by_receiver(known), settings.neighbours))
+        Ok(Self::new(data, fit, data.group_by_receiver(known), neighbours))
     }
 
     /// Creates the predictor of a fit from the known links of each receiver.
@@ -137,6 +136,12 @@ impl Predict for PooledKriging<'_> {
             .then(|| format!("; {} has no training link and shares the mean path loss", deaf.join(", ")));
         Some(found + &deaf.unwrap_or_default())
     }
+}
+
+/// Formats a number with four significant digits, enough to reproduce a score.
+pub(super) fn format_digits(value: f64) -> String {
+    let decimals = if value == 0.0 { 0.0 } else { (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) };
+    format!("{value:.0$}", decimals as usize)
 }
 
 #[cfg(test)]
