@@ -7,6 +7,7 @@ mod kriging;
 mod link_tests;
 mod log_distance;
 mod neighbours;
+mod pooled_kriging;
 mod predictions;
 mod ridge;
 #[cfg(test)]

@@ -1,10 +1,8 @@
 //! `Kriging`: a Gaussian process over the transmitter position.
 
-mod powers;
-
 use super::log_distance::{fixed_end_position, log_distance, path_loss_points};
+use super::pooled_kriging::{PooledKriging, format_digits};
 use super::{ByReceiver, ReceiverPredictor, fitting_samples};
-use powers::{PooledKriging, format_digits};
 use pwrfgs_core::kriging::{
     Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, ProcessFit, SearchSpace, Solution,
     fit_observations, link_place, most_likely,

@@ -2,7 +2,11 @@
 
 use super::super::Kriging;
 use super::*;
-use pwrfgs_core::{Baseline, Observations, Pose, Receiver, Sample};
+use pwrfgs_core::{Baseline, Observations, Plugin, Pose, Receiver, Sample};
+
+fn kriging() -> Plugin<dyn Baseline> {
+    Plugin::<dyn Baseline>::parse("Kriging()").unwrap()
+}
 
 const RECEIVERS: [[f64; 3]; 3] = [[-3.0, 0.0, 2.0], [12.0, 3.0, 2.0], [4.0, -5.0, 2.0]];
 
@@ -30,7 +34,7 @@ fn receivers_share_process_and_path_loss() {
     // One place in three is left out; of receiver c all.
     let known: Vec<usize> =
         (0..data.len()).filter(|&i| data.links[i].location % 3 != 1 && data.links[i].receiver < 2).collect();
-    let fitted = Kriging::default().fit(&data, FittingSet::train(&known)).unwrap();
+    let fitted = kriging().fit(&data, FittingSet::train(&known)).unwrap();
     let error = |receiver: usize, x: f64| {
         let at = [x, 2.4, 0.0];
         (fitted.predict(Query::at(at, receiver)).pixels[0] as f64 - true_power(receiver, at)).abs()
@@ -46,7 +50,7 @@ fn receivers_share_process_and_path_loss() {
     // Without positions of receivers there is no path loss: the mean is constant.
     let mut data = data.clone();
     data.scene.receivers.iter_mut().for_each(|receiver| receiver.is_estimated = true);
-    let fitted = Kriging::default().fit(&data, FittingSet::train(&known)).unwrap();
+    let fitted = kriging().fit(&data, FittingSet::train(&known)).unwrap();
     let far = [1e3, 1e6].map(|x| fitted.predict(Query::at([x, 0.0, 0.0], 0)).pixels[0]);
     assert_eq!(far[0], far[1]);
     assert!(fitted.note().unwrap().contains("mean in dBm (a: -"), "{:?}", fitted.note());
@@ -61,7 +65,7 @@ fn process_without_links_keeps_its_fit() {
     let data = powers_on_grid();
     let all: Vec<usize> = (0..data.len()).collect();
     let (left_out, others): (Vec<usize>, Vec<usize>) = all.iter().partition(|i| data.links[**i].location < 20);
-    let fitted = Kriging::default().fit(&data, FittingSet::train(&all)).unwrap();
+    let fitted = kriging().fit(&data, FittingSet::train(&all)).unwrap();
     let without = fitted.without(&left_out).unwrap();
     assert!(without.without(&others).is_none(), "no link is left");
     for &i in &left_out {

@@ -1,6 +1,6 @@
 //! Kriging of received powers: path loss and process of all receivers, fitted together.
 
-use crate::baselines::fitting_samples;
+use super::fitting_samples;
 use pwrfgs_core::kriging::{Correlation, LocalKriging, PathLoss, Place, ProcessFit, fit_powers, link_place};
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Dataset, FittingSet, Image, Predict, Query, Real, Result};
