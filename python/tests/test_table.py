@@ -5,7 +5,6 @@ import json
 import logging
 import pickle
 import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -83,7 +82,7 @@ def test_findings_are_errors_unless_accepted(tmp_path):
     path.write_text("\n".join(["x,y,rssi", *rows]))
     with pytest.raises(pwrfgs.InputError, match="lone-value: of 68 received powers, 4 are 100") as error:
         pwrfgs.Dataset.from_table(path)
-    assert 'accept=["lone-value"]' in str(error.value) or "accept" in str(error.value)
+    assert "accept=lone-value" in str(error.value)
     with pytest.warns(UserWarning, match="lone-value"):
         data = pwrfgs.Dataset.from_table(path, accept=["lone-value"])
     assert len(data) == 68
@@ -92,12 +91,12 @@ def test_findings_are_errors_unless_accepted(tmp_path):
     assert len(pwrfgs.Dataset.from_table(path, missing=100)) == 64
 
 
-def test_frame_and_command_line_give_the_same_data(tmp_path):
+def test_frame_and_command_line_give_the_same_data(tmp_path, cli):
     frame = pandas.DataFrame({"x": [0, 1, 0, 1], "y": 0.0, "floor": [0, 0, 2, 2], "a1": [-40, -45, -60, 1], "a2": -50.5})
     frame.to_csv(tmp_path / "a.csv", index=False, sep=";", decimal=",")
     options = ["--missing", "1", "--floor-height", "3.5", "--height", "1", "--name", "hall"]
     command = ["import", "--table", str(tmp_path / "a.csv"), *options, "--out", str(tmp_path / "out"), "-q"]
-    subprocess.run([sys.executable, "-m", "pwrfgs", *command], check=True)
+    subprocess.run([cli, *command], check=True)
     data = pwrfgs.Dataset.from_table(frame, missing=1, floor_height=3.5, height=1, title="hall")
     same(data, pwrfgs.Dataset.load(tmp_path / "out"))
     assert json.loads((tmp_path / "out" / "manifest.json").read_text())["floors"] == {"0": 1.0, "2": 8.0}

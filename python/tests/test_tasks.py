@@ -114,8 +114,8 @@ def test_map_takes_the_settings_of_the_command(model):
 def test_settings_are_in_signatures_and_docstrings():
     parameters = inspect.signature(pwrfgs.Model.map).parameters
     assert list(parameters) == ["self", "plane", "step", "bounds", "receiver", "of"]
-    assert parameters["step"].default == 0.1 and parameters["plane"].default is inspect.Parameter.empty
-    assert "step : number, default 0.1\n    Grid spacing" in pwrfgs.Model.map.__doc__
+    assert parameters["step"].default is None and parameters["plane"].default is inspect.Parameter.empty
+    assert "step : number or None, default None\n    Grid spacing" in pwrfgs.Model.map.__doc__
     for function, setting in [(pwrfgs.Model.map, "step"), (pwrfgs.Model.locate, "prior"), (pwrfgs.plan, "region"), (pwrfgs.place, "mount")]:
         assert f"\n{setting} : " in function.__doc__
 

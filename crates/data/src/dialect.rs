@@ -84,15 +84,10 @@ impl<'a> TableText<'a> {
         let known = |line: &str, mark| split(line, mark).filter(|cell| is_name(cell)).count();
         let ranked = lines.flat_map(|line| MARKS.map(|mark| (known(line.2, mark), mark, line)));
         let best = ranked.reduce(|best, other| if other.0 > best.0 { other } else { best });
-        table.mark = separator(&text).0;
-        let header = match best.filter(|(count, ..)| *count > 0) {
-            Some((_, mark, line)) => {
-                table.mark = mark;
-                Some(line)
-            }
-            None => Some((first.0, first.1, first.1))
-                .filter(|line| split(line.2, table.mark).all(|cell| cell.parse::<f64>().is_err())),
-        };
+        let best = best.filter(|(count, ..)| *count > 0);
+        table.mark = best.map_or_else(|| separator(&text).0, |(_, mark, _)| mark);
+        let has_number = split(first.1, table.mark).any(|cell| cell.parse::<f64>().is_ok());
+        let header = best.map(|(.., line)| line).or((!has_number).then_some((first.0, first.1, first.1)));
         table.skipped = header.map_or(first.0 - 1, |(line, ..)| line);
         table.set_names(header, split(first.1, table.mark).count());
         table.has_decimal_commas = table.has_decimal_commas_in(&text);
@@ -341,7 +336,7 @@ mod tests {
         let fields = |line| locate_fields(line, split(line, Some(','))).into_iter().map(|f| (f.text, f.column));
         let got: Vec<_> = fields(" a, \"b,c\" ,,é,d").collect();
         assert_eq!(got, [("a", 2), ("b,c", 6), ("", 12), ("é", 13), ("d", 15)]);
-        assert_eq!(fields(&"é, ".repeat(500_000)).last(), Some(("", 3 * 500_000)), "a long line");
+        assert_eq!(fields(&"é, ".repeat(500_000)).next_back(), Some(("", 3 * 500_000)), "a long line");
         assert_eq!(split(&",".repeat(2_000_000), Some(',')).count(), MOST_FIELDS);
         let blanks = "1  2\t3";
         let got: Vec<_> = locate_fields(blanks, split(blanks, None)).iter().map(|f| (f.text, f.column)).collect();

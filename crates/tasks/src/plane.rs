@@ -128,7 +128,7 @@ impl PlaneBounds {
     pub const STEP: f64 = 0.1;
 
     /// Returns the default grid spacing of a map with `layers` values per position: [`Self::STEP`], or for a map that is then too
-    /// large the first of 1, 2, 5, 10 .. m with at most [`USUAL`] positions.
+    /// large the first of 1, 2, 5, 10 .. m with at most 250,000 positions.
     pub fn default_step(self, layers: usize) -> f64 {
         let count = |step: f64| self.0.iter().map(|[low, high]| (high - low) / step + 2.0).product::<f64>();
         let most = USUAL.min(16.0 * MOST / layers.max(1) as f64);

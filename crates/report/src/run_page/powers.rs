@@ -133,7 +133,7 @@ mod tests {
 
     #[test]
     fn power_plots_handle_empty_equal_and_extreme_links() {
-        assert!(draw_histogram(&[]).is_none() && draw_scatter(&[]).is_none());
+        assert!(draw_histogram(&[]).is_none() && draw_scatter(&[], "dBm").is_none());
         let one = PowerPair { link: 0, measured: -60.0, predicted: -60.0 };
         for errors in [vec![0.0], vec![0.0; 9], vec![-300.0, 0.1, 0.2, 4000.0]] {
             if let Some((_, svg)) = draw_histogram(&errors) {
