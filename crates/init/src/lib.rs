@@ -50,6 +50,7 @@ mod tests {
         Scene {
             origin: Origin::ZERO,
             geodetic: None,
+            floors: std::collections::BTreeMap::new(),
             moving: End::Transmitter,
             transmitter: None,
             receivers: vec![Receiver::new("gateway1", Pose { position: [5.0, 0.26, 0.0], orientation })],

@@ -90,6 +90,7 @@ mod fixture {
             receivers: vec![Receiver::new("receiver", Pose::IDENTITY)],
             bounds: ([0.0; 3], [1.0; 3]),
             points: points.to_vec(),
+            floors: std::collections::BTreeMap::new(),
         }
     }
 

@@ -1,6 +1,5 @@
 //! Pooled Kriging of invented powers.
 
-use super::super::Kriging;
 use super::*;
 use pwrfgs_core::{Baseline, Observations, Plugin, Pose, Receiver, Sample};
 
