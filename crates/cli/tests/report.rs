@@ -201,15 +201,16 @@ fn runs_with_different_validation_sets_share_table() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("small.ron"), SMALL.replace("steps: 60", "steps: 40"));
-    let floors = "baselines=[MeanSpectrum(), NearestNeighbours(k: Auto)]";
     for (run, split) in [
         ("runs/all", "split.validation=0.0"),
         ("runs/held", "split.validation=0.4"),
         ("runs/other", "split=Random(test: 0.3)"),
         ("runs/links", "split=RandomLinks(test: 0.3)"), // fields of the same names, and another split
     ] {
+        let neighbours = if run == "runs/held" { 4 } else { 48 };
+        let floors = format!("baselines=[MeanSpectrum(), Kriging(neighbours: {neighbours})]");
         let message =
-            stdout(&succeed(here, &["run", "small.ron", "-q", "--out", run, "--set", split, "--set", floors]));
+            stdout(&succeed(here, &["run", "small.ron", "-q", "--out", run, "--set", split, "--set", &floors]));
         let heading = message.lines().next().unwrap();
         let expected = match run {
             "runs/all" => "8 test spectra; model and baselines are trained on the same 32",
@@ -237,7 +238,7 @@ fn runs_with_different_validation_sets_share_table() {
         let row = |(row, n): &(&str, &str)| [&format!("{data}; {split}"), *row, "spectra", *n].map(str::to_owned);
         rows.concat().iter().map(row).collect::<Vec<_>>()
     };
-    let floors = |n| [("mean spectrum", n), ("k-NN", n)];
+    let floors = |n| [("mean spectrum", n), ("Kriging", n)];
     let expected = [
         setting(
             "Official(validation: 0.0) and Official(validation: 0.4)",
@@ -247,7 +248,7 @@ fn runs_with_different_validation_sets_share_table() {
         setting("RandomLinks(test: 0.3, validation: 0.1)", [&[("links", "25")], &floors("28")]),
     ];
     assert_eq!(trained, expected.concat());
-    assert!(message.contains("warning: k-NN differs between the runs of seed 0"), "{message}");
+    assert!(message.contains("warning: Kriging differs between the runs of seed 0"), "{message}");
 }
 
 /// The end of a run, its page and `run.json` say what `report` says of the same pairs.
