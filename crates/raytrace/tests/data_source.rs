@@ -141,7 +141,7 @@ fn stated_positions_that_cannot_be_used_are_named() {
         (walk, "x,y,z\n1,two,1\n", "DIR/walk.csv:2:3: `two` is not a number"),
         (walk, "x,y,z\n", "DIR/walk.csv: has a header but no row"),
         (walk, "x,y,z\n1,2e7,1\n", "the position [1.0, 20000000.0, 1.0] is too far away; give metres within 1000 km"),
-        ("Csv(\"gone.csv\")", "", "cannot read DIR/gone.csv: no such file; write a table with the columns x, y and z"),
+        ("Csv(\"gone.csv\")", "", "cannot read DIR/gone.csv: no such file; write a table with the columns x, y, z"),
         ("Listed([])", "", "`positions` is empty; give at least one"),
         (
             "Listed([(position: (1, 2, 1), orientation: (0, 0, 0, 2))])",
