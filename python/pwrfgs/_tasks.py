@@ -122,9 +122,11 @@ def findings(self: "_pwrfgs.Dataset") -> List[Finding]:
     return [Finding(*entry) for entry in _pwrfgs.findings(self)]
 
 
-def init(data: "_pwrfgs.Dataset", name: str = "pipeline", *, accept: Sequence[str] = ()) -> Pipeline:
+def init(
+    data: "_pwrfgs.Dataset", name: str = "pipeline", *, effort: str = "normal", accept: Sequence[str] = ()
+) -> Pipeline:
     """Pipeline for data, as ``pwrfgs init`` writes it; the same as ``Pipeline.for_data``."""
-    return Pipeline.for_data(data, name, accept=accept)
+    return Pipeline.for_data(data, name, effort=effort, accept=accept)
 
 
 @documented("plan")

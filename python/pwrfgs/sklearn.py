@@ -98,7 +98,7 @@ class _Regressor(RegressorMixin, BaseEstimator):  # type: ignore[misc, unused-ig
         order = np.random.default_rng(self.seed or 0).permutation(np.unique(data.ids))
         is_held_out = np.isin(data.ids, order[: self.n_held_out_])
         train, validation = np.flatnonzero(~is_held_out), np.flatnonzero(is_held_out)
-        pipeline = Pipeline.for_data(data.subset(train)) if self.pipeline is None else Pipeline(self.pipeline)
+        pipeline = Pipeline.for_data(data.subset(train), effort="fast") if self.pipeline is None else Pipeline(self.pipeline)
         seed = {} if self.seed is None else {"seed": self.seed}
         pipeline.set({**(self.set or {}), **seed, "split": Random()})
         trainer = Trainer(pipeline, data, train=train)

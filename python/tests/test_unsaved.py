@@ -117,8 +117,8 @@ def test_failed_start_leaves_no_files(small, tmp_path):
     (tmp_path / "foreign").mkdir()
     (tmp_path / "empty").mkdir()
     (tmp_path / "foreign/thesis.tex").write_text("x")
-    batch = {"training.batch": 99}
-    for out, set, problem in [("new", batch, "batch is 99"), ("empty", batch, "batch is 99"), ("foreign", {}, "holds `thesis.tex`")]:
+    ridge = {"baselines": [pwrfgs.Ridge()]}  # needs features
+    for out, set, problem in [("new", ridge, "Ridge"), ("empty", ridge, "Ridge"), ("foreign", {}, "holds `thesis.tex`")]:
         with pytest.raises(pwrfgs.InputError, match=problem):
             pwrfgs.run(small, set=set, out=tmp_path / out, progress=False)
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["empty", "foreign", "thesis.tex"]

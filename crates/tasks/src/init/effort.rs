@@ -43,6 +43,8 @@ impl Effort {
 
 /// Settings for the number of known places and the effort, with their reasons.
 pub(super) struct Sizing {
+    /// Number of models.
+    models: usize,
     /// Changes of the template.
     pub(super) set: Vec<String>,
     /// Number of models and steps in one sentence, then the reasons, one note each.
@@ -59,31 +61,33 @@ impl Sizing {
         } else {
             Self::large(survey, effort)
         };
-        sizing.set.extend(has_residuals.then(|| "residuals=Kriged()".into()));
+        let held_out = sizing.models > 1 || survey.has_validation();
+        sizing.set.push(format!("members={}", sizing.models));
+        sizing.set.extend((has_residuals && held_out).then(|| "residuals=Kriged()".into()));
         sizing
     }
 
     /// Chooses the settings for many places: those of the template, with more or less time.
     fn large(survey: &DataSurvey, effort: Effort) -> Self {
-        let mut set = vec![format!("members={}", effort.pick(1, 1, 4))];
-        set.extend((effort == Effort::Fast).then(|| "training.scale=0.25".into()));
+        let mut set: Vec<String> = (effort == Effort::Fast).then(|| "training.scale=0.25".into()).into_iter().collect();
         if survey.data.task().is_scalar {
             // As many as the 4,000 of the template, which has 3,840 places.
             set.push(format!("training.steps={}", survey.known_places().clamp(1_200, 4_000)));
         }
         let models = effort.pick("one model, a quarter of the steps", "one model", "four models, four times as long");
-        Self { set, notes: vec![format!("{models}; `pwrfgs check` measures the time.")] }
+        let notes = vec![format!("{models}; `pwrfgs check` measures the time.")];
+        Self { models: effort.pick(1, 1, 4).min(survey.known_parts().max(1)), set, notes }
     }
 
     /// Chooses the settings for few places: several models, each without a part of the places, and short training against
     /// learning noise. Steps, jitter, width and decay were chosen by held-out blocks of five training sets
     /// (docs/lab/small-data.md).
     fn small(survey: &DataSurvey, effort: Effort) -> Self {
-        let (data, places, models) = (&survey.data, survey.known_places(), effort.pick(1, 4, 8));
+        let (data, places) = (&survey.data, survey.known_places());
+        let models = effort.pick(1, 4, 8).min(survey.known_parts().max(1)); // each leaves out a part
         let is_power = data.task().is_scalar;
         let (steps, batch) = if is_power { ((4 * places).clamp(400, 1_200), 32) } else { (600, 16) };
         let mut set = vec![
-            format!("members={models}"),
             "pruners=[]".into(),
             "training.densify_until=0".into(),
             "training.prune_until=0".into(),
@@ -110,6 +114,6 @@ impl Sizing {
              `pruners: [LearnableMask()]`, with `steps: 4000` and `prune_until: 1000` in `training`."
                 .into(),
         );
-        Self { set, notes }
+        Self { models, set, notes }
     }
 }

@@ -122,6 +122,18 @@ impl DataSurvey {
         known.iter().map(|&i| self.data.links[i].location).collect::<BTreeSet<_>>().len()
     }
 
+    /// Returns the number of parts that the split holds out together, of the training and validation sets: the largest number
+    /// of folds.
+    pub(super) fn known_parts(&self) -> usize {
+        let split = Plugin::<dyn Split>::parse(&self.split);
+        split.map_or(0, |split| split.units(&self.data, &self.partition.known().all()).len())
+    }
+
+    /// Returns whether the validation set has samples.
+    pub(super) fn has_validation(&self) -> bool {
+        !self.partition.validation.is_empty()
+    }
+
     /// Returns the batch size: the number of training transmitters, at most `most`.
     pub fn batch_size(&self, most: usize) -> usize {
         let train = self.partition.train.iter().map(|&i| self.data.links[i].location);
