@@ -108,5 +108,7 @@ fn efforts_of_small_powers_are_one_four_and_eight_models() {
     }
     let table = stdout(&succeed(here, &["run", "normal.ron", "--out", "r", "-q"]));
     assert!(table.contains("share") && table.contains("member 4"), "{table}");
+    // Positions of these receivers are estimated, in each data folder anew.
+    succeed(here, &["update", "r", "--data", "walk", "--out", "updated.safetensors"]);
     refuse(here, &["init", "walk", "--effort", "most", "--out", "no.ron"], 2, &["fast, normal or best"]);
 }

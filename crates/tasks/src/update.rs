@@ -63,11 +63,12 @@ pub fn check_residuals(model: &Ensemble) -> Result<&Residuals> {
     model.residuals().ok_or_else(|| Error::Config(problem.into()))
 }
 
-/// Rejects data in which a receiver has another pose than in the model; the error names the first one.
+/// Rejects data in which a receiver has another pose than in the model; the error names the first one. Estimated positions
+/// follow the data of each file, and the model keeps its own.
 fn check_poses(setup: &MeasurementSetup, data: &Dataset) -> Result<(), String> {
     let mut pairs = setup.receivers.iter().zip(&data.scene.receivers);
     let is_moved = |(receiver, other): &(&Receiver, &Receiver)| {
-        setup.origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose)
+        !other.is_estimated && setup.origin.world_pose(receiver.pose) != data.scene.origin.world_pose(other.pose)
     };
     pairs.find(is_moved).map_or(Ok(()), |(_, receiver)| {
         let name = strip_control(&receiver.name);
