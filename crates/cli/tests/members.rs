@@ -2,6 +2,7 @@
 
 use crate::common::{SMALL, pwrfgs, refuse, stderr, stdout, succeed, wait_for_step, write};
 use pwrfgs::model::file;
+use pwrfgs::pipeline::Pipeline;
 use std::path::Path;
 use std::process::Stdio;
 
@@ -50,6 +51,18 @@ fn members_equal_a_joined_sweep_of_folds() {
 }
 
 #[test]
+fn more_than_four_members_share_four_parts() {
+    let pipeline = Pipeline::parse(&members().replace("members: 3", "members: 6"), Path::new("p.ron")).unwrap();
+    let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
+    let left_out = |index: usize| pipeline.member(index).partition(&data).unwrap().validation;
+    assert_eq!((left_out(4), left_out(5)), (left_out(0), left_out(1)));
+    let mut all: Vec<usize> = (0..4).flat_map(left_out).collect();
+    all.sort_unstable();
+    assert_eq!(all, pipeline.partition(&data).unwrap().known().all());
+    assert_ne!(pipeline.member(0).seed, pipeline.member(4).seed);
+}
+
+#[test]
 fn killed_run_of_members_resumes_to_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
@@ -73,10 +86,11 @@ fn killed_run_of_members_resumes_to_the_same_bytes() {
 fn members_need_enough_known_samples() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    write(&here.join("p.ron"), SMALL);
+    let few = SMALL.replace("samples: 40", "samples: 4").replace("Official(validation: 0.2)", "Random(test: 0.3)");
+    write(&here.join("p.ron"), few);
     let run = |set: &'static str| ["run", "p.ron", "--out", "r", "-q", "--set", set];
     refuse(here, &run("members=0"), 2, &["members: 0 models; give 1 to 100"]);
-    refuse(here, &run("members=99"), 2, &["parts, fewer than 99 folds"]);
+    refuse(here, &run("members=99"), 2, &["parts, fewer than 4 folds"]);
     assert!(!here.join("r").exists(), "refused before files are written");
 }
 

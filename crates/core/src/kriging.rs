@@ -157,11 +157,14 @@ pub enum CorrelationKind {
     Matern32,
     /// exp(-d^2 / 2): smooth.
     SquaredExponential,
+    /// 1 / (1 + d): exponentials of all lengths, rough and with a long tail (generalised Cauchy; Gneiting and Schlather, SIAM
+    /// Review 46, 2004).
+    LongTail,
 }
 
 impl CorrelationKind {
     /// All functions.
-    pub const ALL: [Self; 3] = [Self::Exponential, Self::Matern32, Self::SquaredExponential];
+    pub const ALL: [Self; 4] = [Self::Exponential, Self::Matern32, Self::SquaredExponential, Self::LongTail];
 
     /// Returns its name for use in a sentence.
     pub fn words(self) -> &'static str {
@@ -169,16 +172,18 @@ impl CorrelationKind {
             Self::Exponential => "exponential",
             Self::Matern32 => "Matern 3/2",
             Self::SquaredExponential => "squared exponential",
+            Self::LongTail => "long-tailed",
         }
     }
 
-    /// Returns ρ′(d)/d of the correlation ρ of [`Self::at`]; 0 for the exponential at d = 0, where it has no derivative.
+    /// Returns ρ′(d)/d of the correlation ρ of [`Self::at`]; 0 at d = 0 where it has no derivative.
     fn slope_over_distance(self, d: f64) -> f64 {
         match self {
-            Self::Exponential if d == 0.0 => 0.0,
+            Self::Exponential | Self::LongTail if d == 0.0 => 0.0,
             Self::Exponential => -(-d).exp() / d,
             Self::Matern32 => -3.0 * (-3f64.sqrt() * d).exp(),
             Self::SquaredExponential => -(-0.5 * d * d).exp(),
+            Self::LongTail => -1.0 / ((1.0 + d) * (1.0 + d) * d),
         }
     }
 
@@ -191,6 +196,7 @@ impl CorrelationKind {
                 (1.0 + d) * (-d).exp()
             }
             Self::SquaredExponential => (-0.5 * d * d).exp(),
+            Self::LongTail => 1.0 / (1.0 + d),
         }
     }
 }

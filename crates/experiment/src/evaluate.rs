@@ -23,6 +23,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Number of test spectra predicted together.
 const CHUNK: usize = 64;
+/// Largest number of members with scores of their own.
+const MOST_SHOWN: usize = 4;
 
 /// Scores of a model and of the baselines.
 #[derive(Clone, Debug)]
@@ -54,7 +56,8 @@ pub fn evaluate(
     evaluation.score_model(MODEL, model, ready, session)?;
     let mut confidence = None;
     if model.members().len() > 1 {
-        for (name, member) in model.names().iter().zip(model.members()) {
+        let shown = if model.members().len() > MOST_SHOWN { &[] } else { model.members() };
+        for (name, member) in model.names().iter().zip(shown) {
             let (name, member) = (format!("member {name}"), Ensemble::of(member.clone()));
             evaluation.score_model(&name, &member, &member.prepare(), session)?;
             evaluation.table.members.push(name);

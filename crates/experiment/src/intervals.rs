@@ -51,9 +51,9 @@ impl ActiveRun<'_, '_> {
         let calibrator = Calibrator::new(self.pipeline, split, count)?;
         let mut scores = LinkScores::new();
         for (index, left_out) in calibrator.left_out.iter().enumerate().filter(|(_, links)| !links.is_empty()) {
-            let members = if calibrator.left_out.len() == count { index..index + 1 } else { 0..count };
+            let members: Vec<usize> = (index..count).step_by(calibrator.left_out.len()).collect();
             let trained = calibrator.known_links_without(left_out);
-            let held_out = ensemble.held_out(&members.collect::<Vec<_>>(), &split.data, &trained)?;
+            let held_out = ensemble.held_out(&members, &split.data, &trained)?;
             scores.extend(calibrator.score_held_out(&held_out.prepare(), left_out, self.session)?);
         }
         let calibration = calibrator.calibrate_by(scores);

@@ -3,7 +3,7 @@
 use crate::load::{ActiveRun, SplitData};
 use crate::session::staged;
 use pwrfgs_core::{Error, Result, SiteSize, block_of};
-use pwrfgs_model::{Ensemble, KnownLinks, LeftOutBy, Residuals};
+use pwrfgs_model::{Ensemble, KnownLinks, Residuals};
 use pwrfgs_pipeline::Pipeline;
 use std::collections::BTreeMap;
 
@@ -21,17 +21,18 @@ pub(crate) fn check_residuals(pipeline: &Pipeline, split: &SplitData, joined: bo
     residuals.check_data(&split.data, is_folded || !split.partition.validation.is_empty())
 }
 
-/// Lists the links that members did not train on: one list per member if each of `folds` members left out a fold,
-/// otherwise one list, the validation set, for all members.
+/// Lists the parts of the known links that models left out: model k did not train on list k modulo their number. For
+/// `models` of a joined sweep with folds it is one list per model; without folds it is one list, the validation set.
 ///
 /// # Errors
 /// As [`Pipeline::partition`].
-pub(crate) fn left_out_links(pipeline: &Pipeline, split: &SplitData, folds: usize) -> Result<Vec<Vec<usize>>> {
-    let is_folded = pipeline.members > 1 || pipeline.residuals.as_ref().is_some_and(|residuals| residuals.folds);
-    if folds == 1 || !is_folded {
+pub(crate) fn left_out_links(pipeline: &Pipeline, split: &SplitData, models: usize) -> Result<Vec<Vec<usize>>> {
+    let is_folded = pipeline.residuals.as_ref().is_some_and(|residuals| residuals.folds);
+    let parts = if pipeline.members == 1 && is_folded { models } else { pipeline.parts() };
+    if parts == 1 {
         return Ok(vec![split.partition.validation.clone()]);
     }
-    (0..folds).map(|index| Ok(pipeline.folded(index, folds).partition(&split.data)?.validation)).collect()
+    (0..parts).map(|index| Ok(pipeline.folded(index, parts).partition(&split.data)?.validation)).collect()
 }
 
 /// Returns the block of each of `links`, ascending: that of the split, or a cube of places if its blocks are single locations.
@@ -62,18 +63,19 @@ impl ActiveRun<'_, '_> {
     pub(crate) fn fit_residuals(&mut self, ensemble: Ensemble, folds: usize) -> Result<Ensemble> {
         let (Some(settings), None) = (&self.pipeline.residuals, ensemble.residuals()) else { return Ok(ensemble) };
         let links = self.split.partition.known().all();
-        let mut left_out_by = vec![LeftOutBy::NoMember; links.len()];
+        let mut left_out = vec![None; links.len()];
         let lists = left_out_links(self.pipeline, self.split, folds)?;
-        for (member, left_out) in lists.iter().enumerate() {
-            for link in left_out {
+        for (part, list) in lists.iter().enumerate() {
+            for link in list {
                 let Ok(k) = links.binary_search(link) else {
                     return Err(Error::Config("residuals: a model left out a test sample; train it again".into()));
                 };
-                left_out_by[k] = if lists.len() == 1 { LeftOutBy::All } else { LeftOutBy::Member(member) };
+                left_out[k] = Some(part);
             }
         }
         let blocks = label_blocks(self.pipeline, self.split, &links);
-        let links = KnownLinks { data: &self.split.data, links: &links, left_out_by: &left_out_by, blocks: &blocks };
+        let (data, parts) = (&self.split.data, lists.len());
+        let links = KnownLinks { data, links: &links, left_out: &left_out, parts, blocks: &blocks };
         let stop = self.session.stop;
         let fitted = staged(self.session.observer, "fitting residuals", |progress| {
             Residuals::fit(settings, &ensemble, links, stop, progress)

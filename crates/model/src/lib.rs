@@ -23,7 +23,7 @@ pub use calibration::{HeldOutScores, Interval, IntervalCalibration, IntervalFact
 pub use ensemble::Ensemble;
 pub use model::{Model, Stages};
 pub use prepared::Prepared;
-pub use residual_fit::{KnownLinks, LeftOutBy};
+pub use residual_fit::KnownLinks;
 pub use residuals::{Kriged, ResidualProcess, Residuals, ShareGain};
 pub use snapshot::Snapshot;
 pub use trained::Trained;

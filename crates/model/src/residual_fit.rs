@@ -22,21 +22,12 @@ pub struct KnownLinks<'a> {
     pub data: &'a Dataset,
     /// All known links, ascending.
     pub links: &'a [usize],
-    /// Members that did not train on the link, in the same order.
-    pub left_out_by: &'a [LeftOutBy],
+    /// Part of the links that some members left out, in the same order; `None` for a training link of all members.
+    pub left_out: &'a [Option<usize>],
+    /// Number of parts, at least 1: member m left out part m modulo this number.
+    pub parts: usize,
     /// Block of each link, in the same order: links of a block are not independent.
     pub blocks: &'a [usize],
-}
-
-/// Members of an ensemble that did not train on a link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum LeftOutBy {
-    /// The link is a training link of all.
-    NoMember,
-    /// One member, by its index.
-    Member(usize),
-    /// All members.
-    All,
 }
 
 impl Residuals {
@@ -53,7 +44,7 @@ impl Residuals {
         progress: Progress<'_>,
     ) -> Result<Self> {
         let data = known.data;
-        settings.check_data(data, known.left_out_by.iter().any(|by| *by != LeftOutBy::NoMember))?;
+        settings.check_data(data, known.left_out.iter().any(Option::is_some))?;
         let mut grid = CoarseGrid::new(ensemble.plane(), data.task().stride(settings.stride));
         let examples: Vec<Vec<Real>> = evenly(known.links, EXAMPLES).iter().map(|&i| data.image(i).pixels).collect();
         let refine = |grid: &mut CoarseGrid, is_centred: bool| {
@@ -171,6 +162,17 @@ impl Ensemble {
     }
 }
 
+/// Returns the mean of predictions of `count` numbers each.
+fn mean_of<'a>(predictions: impl Iterator<Item = &'a Vec<Real>>, count: usize) -> Vec<Real> {
+    let (mut mean, mut members) = (vec![0.0; count], 0);
+    for prediction in predictions {
+        mean.iter_mut().zip(prediction).for_each(|(sum, v)| *sum += v);
+        members += 1;
+    }
+    mean.iter_mut().for_each(|v| *v /= members as Real);
+    mean
+}
+
 /// Observations and predictions of all known links on the coarse grid.
 struct Samples<'a> {
     known: KnownLinks<'a>,
@@ -181,9 +183,9 @@ struct Samples<'a> {
     is_exact: bool,
     /// Observations `[links, link_values]`.
     observed: Vec<Real>,
-    /// Predictions `[links, link_values]` of each member.
+    /// Mean predictions `[links, link_values]` of the members that left out each part.
     predicted: Vec<Vec<Real>>,
-    /// Their mean.
+    /// Mean predictions of all members.
     mean: Vec<Real>,
 }
 
@@ -223,10 +225,10 @@ impl<'a> Samples<'a> {
         }
         let origin = ensemble.members()[0].stages.setup.origin;
         let places = links.iter().map(|&i| origin.local(data.sample(i).position())).collect();
-        let mut mean = vec![0.0; observed.len()];
-        predicted.iter().for_each(|predictions| mean.iter_mut().zip(predictions).for_each(|(sum, v)| *sum += v));
-        mean.iter_mut().for_each(|v| *v /= predicted.len() as Real);
+        let mean = mean_of(predicted.iter(), observed.len());
+        let part = |part: usize| mean_of(predicted.iter().skip(part).step_by(known.parts), observed.len());
         let (link_values, is_exact) = (grid.len(), grid.stride == 1);
+        let predicted = (0..known.parts).map(part).collect();
         Ok(Self { known, places, link_values, is_exact, observed, predicted, mean })
     }
 
@@ -236,11 +238,6 @@ impl<'a> Samples<'a> {
         self.observed = links.iter().flat_map(|&i| grid.sampled(&data.image(i).pixels).collect::<Vec<_>>()).collect();
         (self.link_values, self.is_exact) = (grid.len(), grid.stride == 1);
         self.mean = vec![0.0; self.observed.len()];
-    }
-
-    /// Returns the predictions of all links by the members that `left_out` a link: the mean of all, or one.
-    fn predictions(&self, left_out: LeftOutBy) -> &[Real] {
-        if let LeftOutBy::Member(member) = left_out { &self.predicted[member] } else { &self.mean }
     }
 
     /// Returns the residuals of known link `k` from the trend, given `predicted` values of all links.
@@ -255,11 +252,11 @@ impl<'a> Samples<'a> {
         self.known.data.links[self.known.links[k]].receiver
     }
 
-    /// Fits Kriging to the known links of each receiver, without those that are `left_out`; `None` without links.
-    fn fit_kriging(&self, left_out: Option<LeftOutBy>, stop: &AtomicBool) -> Result<Vec<Option<ProcessFit>>> {
-        let KnownLinks { data, links, left_out_by, .. } = self.known;
-        let is_known = |(_, by): &(&usize, &LeftOutBy)| Some(**by) != left_out;
-        let links: Vec<usize> = links.iter().zip(left_out_by).filter(is_known).map(|(link, _)| *link).collect();
+    /// Fits Kriging to the known links of each receiver `without` a part; `None` without links.
+    fn fit_kriging(&self, without: Option<usize>, stop: &AtomicBool) -> Result<Vec<Option<ProcessFit>>> {
+        let KnownLinks { data, links, left_out, .. } = self.known;
+        let is_known = |(_, part): &(&usize, &Option<usize>)| part.is_none() || **part != without;
+        let links: Vec<usize> = links.iter().zip(left_out).filter(is_known).map(|(link, _)| *link).collect();
         let check = || check_stopped(stop);
         if data.task().has_path_loss {
             return Ok(fit_powers(data, &links, &check)?.into_iter().map(Some).collect());

@@ -12,6 +12,9 @@ use pwrfgs_model::{Kriged, Stages};
 use pwrfgs_train::{Training, TrainingPlan};
 use serde::{Deserialize, Serialize};
 
+/// Largest number of parts of the known samples that models of a run leave out.
+const MOST_PARTS: usize = 4;
+
 /// All settings of one run. `name`, `data` and, for methods with Gaussians, `initializer` are required; all other
 /// fields have defaults. The defaults of method, readout, baselines and metrics depend on the data. Read a file with
 /// [`Pipeline::parse`].
@@ -57,8 +60,8 @@ pub struct Pipeline {
     /// Training settings (algorithm 1 of the paper).
     #[serde(default)]
     pub training: Checked<Training>,
-    /// Number of models, 1 to 100. Several are trained one after another, with seeds from `seed` on; each leaves out its own
-    /// part of the training and validation sets, in blocks of the split. Their mean predicts, and residuals and intervals
+    /// Number of models, 1 to 100. Several are trained one after another, with seeds from `seed` on; each leaves out a
+    /// part of the training and validation sets, in blocks of the split: its own, or one of four. Their mean predicts, and residuals and intervals
     /// are fitted to the left-out parts, so the split needs no `validation` share. The time is that of all models.
     #[serde(default = "defaults::members")]
     pub members: usize,
@@ -148,8 +151,14 @@ impl Pipeline {
         Self { split: split.into(), ..self.clone() }
     }
 
-    /// Returns the pipeline that trains model `index`: of a run with several `members` without the fold `index`, residuals
-    /// and baselines.
+    /// Returns the number of parts of the known samples that `members` leave out: of more than four, several leave out the
+    /// same one, so that a mean is tested as it predicts.
+    pub fn parts(&self) -> usize {
+        self.members.min(MOST_PARTS)
+    }
+
+    /// Returns the pipeline that trains model `index`: of a run with several `members` without its part, residuals and
+    /// baselines.
     #[must_use]
     pub fn member(&self, index: usize) -> Self {
         if self.members == 1 {
@@ -162,7 +171,7 @@ impl Pipeline {
             members: 1,
             residuals: None,
             baselines: Vec::new(),
-            ..self.folded(index, self.members)
+            ..self.folded(index % self.parts(), self.parts())
         }
     }
 

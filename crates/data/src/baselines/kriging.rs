@@ -38,9 +38,10 @@ const FROM_POWERS: usize = 16;
 /// `g_j` have normal priors of 15 dB and 8 dB per decade, T and G wide ones; without receiver positions the terms of the
 /// distance are left out. Length scale and noise maximise the likelihood of at most 320 training and validation powers per
 /// receiver, each given the 16 nearest before it in random order, times a prior of the length scale: log-normal about four
-/// spacings of the positions, at most twice the site. The correlation is exponential, or Matern 3/2 if this lowers the error
-/// on held-out blocks by more than its standard error. Far from all measurements, and for a receiver without training
-/// links, the prediction is the path-loss model. Data with link features in place of positions are an error.
+/// spacings of the positions, at most twice the site. The correlation is exponential or 1/(1 + distance), a long tail,
+/// whichever is more probable; Matern 3/2 if this lowers the error on held-out blocks by more than its standard error. Far
+/// from all measurements, and for a receiver without training links, the prediction is the path-loss model. Data with link
+/// features in place of positions are an error.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};

@@ -1,6 +1,6 @@
 //! Share of a model in its predictions, chosen by the errors at links that it did not train on.
 
-use super::{LeftOutBy, Samples};
+use super::Samples;
 use crate::residuals::{ShareGain, place};
 use pwrfgs_core::kriging::{Correlation, LocalKriging, ProcessFit, ResidualTrend};
 use pwrfgs_core::{Result, check_stopped, evenly, statistics::mean};
@@ -59,19 +59,18 @@ impl Samples<'_> {
     ) -> Result<(Choice, Option<ShareGain>)> {
         let with_noise = |share: f64| NOISES.map(|noise| Choice { share, noise, variance: 1.0 });
         let candidates = SHARES.map(with_noise).concat();
-        let groups: BTreeSet<LeftOutBy> =
-            self.known.left_out_by.iter().copied().filter(|by| *by != LeftOutBy::NoMember).collect();
+        let parts: BTreeSet<usize> = self.known.left_out.iter().copied().flatten().collect();
         let mut errors: BTreeMap<usize, Vec<Vec<CaseError>>> = BTreeMap::new();
-        for group in groups {
+        for part in parts {
             // The path-loss models that decide about a left-out link are not fitted to it.
             let refitted = if self.known.data.task().has_path_loss {
-                self.fit_kriging(Some(group), stop)?
+                self.fit_kriging(Some(part), stop)?
             } else {
                 kriging.to_vec()
             };
             for (links, fit) in by_receiver.iter().zip(refitted) {
                 let Some(fit) = fit.filter(|fit| fit.variance > 0.0) else { continue };
-                let cases = self.held_out_errors(links, group, &fit, &candidates, neighbours);
+                let cases = self.held_out_errors(links, part, &fit, &candidates, neighbours);
                 cases.into_iter().for_each(|(k, error)| errors.entry(self.known.blocks[k]).or_default().push(error));
             }
             check_stopped(stop)?;
@@ -97,18 +96,18 @@ impl Samples<'_> {
         })
     }
 
-    /// Returns known links of a receiver that `group` left out, evenly chosen, each with the errors of all candidates that know
-    /// the links which `group` trained on.
+    /// Returns links of a receiver in a left-out `part`, evenly chosen, each with the errors of all candidates that know the
+    /// other links.
     fn held_out_errors(
         &self,
         links_of_receiver: &[usize],
-        group: LeftOutBy,
+        part: usize,
         fit: &ProcessFit,
         candidates: &[Choice],
         neighbours: usize,
     ) -> Vec<(usize, Vec<CaseError>)> {
         let (held_out, trained): (Vec<usize>, Vec<usize>) =
-            links_of_receiver.iter().partition(|&&k| self.known.left_out_by[k] == group);
+            links_of_receiver.iter().partition(|&&k| self.known.left_out[k] == Some(part));
         if trained.is_empty() {
             return Vec::new();
         }
@@ -120,7 +119,7 @@ impl Samples<'_> {
         let count = (CASES / self.known.data.scene.receivers.len()).max(LEAST_CASES) as f64 * share;
         let case = |k: usize| {
             let combinations =
-                processes.each_ref().map(|process| self.combine(k, &trained, process, fit, group, neighbours));
+                processes.each_ref().map(|process| self.combine(k, &trained, process, fit, part, neighbours));
             let error = |choice: &Choice| {
                 let index = NOISES.iter().position(|noise| *noise == choice.noise).unwrap_or(0);
                 let (pairs, variance) = &combinations[index];
@@ -138,7 +137,7 @@ impl Samples<'_> {
 
     /// Returns the number of links of a receiver that a member left out.
     fn left_out_count(&self, links_of_receiver: &[usize]) -> usize {
-        links_of_receiver.iter().filter(|&&k| self.known.left_out_by[k] != LeftOutBy::NoMember).count()
+        links_of_receiver.iter().filter(|&&k| self.known.left_out[k].is_some()).count()
     }
 
     /// Returns the errors at known link `k` of Kriging the observations and of Kriging the predictions, both less their path
@@ -150,10 +149,10 @@ impl Samples<'_> {
         trained: &[usize],
         process: &LocalKriging,
         fit: &ProcessFit,
-        group: LeftOutBy,
+        part: usize,
         neighbours: usize,
     ) -> (Vec<[f64; 2]>, f64) {
-        let predicted = self.predictions(group);
+        let predicted = &self.predicted[part];
         let (near, solution) = process.solve(place(self.places[k]), neighbours);
         let mut errors = vec![[0.0; 2]; self.link_values];
         let terms = near.into_iter().map(|j| trained[j]).zip(solution.weights.iter().map(|weight| -weight));

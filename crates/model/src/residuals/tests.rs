@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::tensors::Tensors;
-use crate::{Ensemble, HeldOutScores, IntervalCalibration, KnownLinks, LeftOutBy, Model, Stages, file};
+use crate::{Ensemble, HeldOutScores, IntervalCalibration, KnownLinks, Model, Stages, file};
 use pwrfgs_core::kriging::{Correlation, CorrelationKind, PathLoss, ResidualTrend, fit_observations};
 use pwrfgs_core::{
     Dataset, Error, FittingSet, GaussianCloud, ImagePlane, MeasurementSetup, Method, Plugin, Pose, Predict as _,
@@ -59,9 +59,8 @@ fn data(base: &Ensemble, left: impl Fn(usize, [f64; 3]) -> Real) -> Dataset {
 /// Fit to the first 200 links, of which every fourth was left out.
 fn fit(settings: &Kriged, base: &Ensemble, data: &Dataset) -> pwrfgs_core::Result<Residuals> {
     let links: Vec<usize> = (0..200).collect();
-    let by = |i: &usize| if i.is_multiple_of(4) { LeftOutBy::Member(0) } else { LeftOutBy::NoMember };
-    let left_out_by: Vec<LeftOutBy> = links.iter().map(by).collect();
-    let known = KnownLinks { data, links: &links, left_out_by: &left_out_by, blocks: &links };
+    let left_out: Vec<Option<usize>> = links.iter().map(|i| i.is_multiple_of(4).then_some(0)).collect();
+    let known = KnownLinks { data, links: &links, left_out: &left_out, parts: base.members().len(), blocks: &links };
     Residuals::fit(settings, base, known, &AtomicBool::new(false), &|_, _| {})
 }
 
@@ -294,21 +293,15 @@ fn fit_needs_left_out_links_and_positions_and_can_stop() {
     let base = Ensemble::of(model(0.0));
     let mut data = data(&base, smooth);
     let links = [0, 1, 2];
-    let try_fit = |data: &Dataset, left_out_by: &[LeftOutBy], stop| {
-        let known = KnownLinks { data, links: &links, left_out_by, blocks: &links };
+    let try_fit = |data: &Dataset, left_out: &[Option<usize>], stop| {
+        let known = KnownLinks { data, links: &links, left_out, parts: 1, blocks: &links };
         Residuals::fit(&Kriged::default(), &base, known, &AtomicBool::new(stop), &|_, _| {}).unwrap_err()
     };
-    assert!(try_fit(&data, &[LeftOutBy::NoMember; 3], false).to_string().contains("`validation` share"));
-    assert!(matches!(
-        try_fit(&data, &[LeftOutBy::All, LeftOutBy::NoMember, LeftOutBy::NoMember], true),
-        Error::Stopped
-    ));
+    assert!(try_fit(&data, &[None; 3], false).to_string().contains("`validation` share"));
+    assert!(matches!(try_fit(&data, &[Some(0), None, None], true), Error::Stopped));
     data.placed = false;
-    assert!(
-        try_fit(&data, &[LeftOutBy::All, LeftOutBy::NoMember, LeftOutBy::NoMember], false)
-            .to_string()
-            .contains("`Kriged` needs transmitter positions")
-    );
+    let error = try_fit(&data, &[Some(0), None, None], false).to_string();
+    assert!(error.contains("`Kriged` needs transmitter positions"));
 }
 
 #[test]

@@ -13,7 +13,7 @@ pub enum Effort {
     /// The default: up to two minutes on two cores for small sets.
     #[default]
     Normal,
-    /// Twice as many models, with wider networks.
+    /// Twice as many models for few places, with wider networks; four for many places.
     Best,
 }
 
@@ -84,8 +84,11 @@ impl Sizing {
     /// (docs/lab/small-data.md).
     fn small(survey: &DataSurvey, effort: Effort) -> Self {
         let (data, places) = (&survey.data, survey.known_places());
-        let models = effort.pick(1, 4, 8).min(survey.known_parts().max(1)); // each leaves out a part
         let is_power = data.task().is_scalar;
+        // Of the parts of four models, two of eight leave out each, so the share of a mean is chosen.
+        let models = if is_power { effort.pick(1, 8, 16) } else { effort.pick(1, 4, 8) };
+        let models =
+            Some(survey.known_parts().max(1)).filter(|parts| *parts < 4).map_or(models, |parts| models.min(parts));
         let (steps, batch) = if is_power { ((4 * places).clamp(400, 1_200), 32) } else { (600, 16) };
         let mut set = vec![
             "pruners=[]".into(),

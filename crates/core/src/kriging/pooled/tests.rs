@@ -47,6 +47,17 @@ fn likelihood_trends_and_predictions_match_dense_covariances() {
             ],
             -61.174_343_724_026_36,
         ),
+        (
+            CorrelationKind::LongTail,
+            -0.641_999_642_919_302,
+            [
+                (-49.618_827_893_314_13, 21.823_678_356_056_575),
+                (-43.925_135_281_589_32, 24.170_736_561_006_55),
+                (-35.117_538_329_304_84, 29.080_063_717_751_216),
+                (-43.333_603_240_549_92, 24.445_380_163_289_77),
+            ],
+            -61.858_940_946_531_45,
+        ),
     ];
     let (links, at) = (links(), [1.0, 1.0, 0.0, 0.0]);
     let powers = Powers::new(&links, 4);
@@ -70,6 +81,27 @@ fn likelihood_trends_and_predictions_match_dense_covariances() {
         let residual = |link: &PowerLink| link.value - found[1].power(link.log_distance.unwrap());
         let sum: f64 = own.iter().zip(weights).map(|(link, weight)| weight * residual(link)).sum();
         close(found[1].power(super::super::log_distance(in_metres(at), [5.0, 5.0, 2.0])) + sum, prediction);
+    }
+}
+
+#[test]
+fn fit_tells_long_tails_from_exponentials() {
+    let mut random = rng::stream(3, "places", 0);
+    let places: Vec<Place> = (0..300)
+        .map(|_| [60.0 * rng::uniform_f64(&mut random), 60.0 * rng::uniform_f64(&mut random), 0.0, 0.0])
+        .collect();
+    for kind in [CorrelationKind::Exponential, CorrelationKind::LongTail] {
+        let correlation = Correlation { kind, scales: [6.0, 6.0, 6.0, f64::INFINITY], noise: 0.02 };
+        let scaled: Vec<Place> = places.iter().map(|place| correlation.scaled(*place)).collect();
+        let factor = super::super::factor_covariance(&correlation, &scaled).into_factor();
+        let powers = |receiver: usize| {
+            let draws: Vec<f64> = places.iter().map(|_| 5.0 * rng::normal_f64(&mut random)).collect();
+            let value = |i: usize| -70.0 + (0..=i).map(|k| factor[i * places.len() + k] * draws[k]).sum::<f64>();
+            let link = |i: usize| PowerLink { receiver, place: places[i], log_distance: None, value: value(i) };
+            (0..places.len()).map(link).collect::<Vec<_>>()
+        };
+        let links: Vec<PowerLink> = (0..3).flat_map(powers).collect();
+        assert_eq!(fit_pooled(&links, 3, &|| Ok(())).unwrap().correlation.kind, kind);
     }
 }
 
