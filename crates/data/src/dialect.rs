@@ -9,7 +9,7 @@ use crate::text::{
 use flate2::read::MultiGzDecoder;
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::quoted;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Progress, Result};
 use std::borrow::Cow;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -194,6 +194,19 @@ impl<'a> TableText<'a> {
                 Err(row.fault(field.column, format!("the row has {count} fields, its header {width}; {advice}")))
             }
             None => Ok(row),
+        })
+    }
+
+    /// Returns the rows as [`Self::rows`]; `progress` counts lines.
+    pub(crate) fn counted_rows(&self, progress: Progress<'_>) -> impl Iterator<Item = Result<TextRow<'_>>> {
+        const STEP: usize = 256;
+        let total = numbered_lines(&self.text).count();
+        self.rows().inspect(move |row| {
+            if let Ok(TextRow { line, .. }) = row
+                && line % STEP == 0
+            {
+                progress(*line, total);
+            }
         })
     }
 

@@ -18,24 +18,24 @@ pub use options::{ColumnChoice, ImportedTable, TableImport};
 
 use self::survey::Survey;
 use crate::nerf2::read_transmitters;
-use pwrfgs_core::{Error, Geodetic, Result};
+use pwrfgs_core::{Error, Geodetic, Progress, Result};
 use std::path::Path;
 
 impl TableImport {
-    /// Reads the tables.
+    /// Reads the tables; `progress` counts lines.
     ///
     /// # Errors
     /// A file that cannot be read or is no table; columns that are missing or ambiguous; a cell that is no number; rows without a
     /// position; no received power at all.
-    pub fn read(&self) -> Result<ImportedTable> {
+    pub fn read(&self, progress: Progress<'_>) -> Result<ImportedTable> {
         for (option, value) in [("--height", self.height), ("--floor-height", self.floor_height)] {
             if let Some(value) = value.filter(|value| !value.is_finite()) {
                 return Err(Error::Config(format!("{option} {value}: give metres")));
             }
         }
         let mut survey = Survey::new(self)?;
-        self.files.iter().try_for_each(|file| survey.add(file, false))?;
-        self.test.iter().try_for_each(|file| survey.add(file, true))?;
+        self.files.iter().try_for_each(|file| survey.add(file, false, progress))?;
+        self.test.iter().try_for_each(|file| survey.add(file, true, progress))?;
         survey.finish()
     }
 }

@@ -20,7 +20,7 @@ pub(super) fn read(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>
             }
         }
     }
-    let imported = without_gil(table.py(), || import.read())?;
+    let imported = without_gil(table.py(), || import.read(&|_, _| {}))?;
     imported.notes.iter().for_each(|note| log_message("info", note));
     Ok(Data { accepted, ..imported.data })
 }

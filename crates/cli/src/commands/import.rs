@@ -8,7 +8,7 @@ use pwrfgs::data::{Colormap, ImportedTable, TableImport, save};
 use pwrfgs::experiment::{check_findings, observed, staged};
 use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs::tasks::plane::{parse_numbers, parse_position};
-use pwrfgs_core::{Elevation, Error, Number, Pose, Result, recognise};
+use pwrfgs_core::{Elevation, Error, Number, Pose, Progress, Result, recognise};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
@@ -95,7 +95,7 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         let mut import = TableImport { title: name, is_simulated: arguments.simulated, tx, ..arguments.table.clone() };
         import.columns.receiver.clone_from(&arguments.receiver);
         let out = out.as_deref().filter(|_| !arguments.dry_run);
-        return import_data(|| import.read(), out, &arguments.accept, verbosity);
+        return import_data(|progress| import.read(progress), out, &arguments.accept, verbosity);
     }
     let out = out.unwrap_or_default();
     let receiver = Pose {
@@ -105,8 +105,9 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     if !arguments.channels.channels.is_empty() {
         let (tx, simulated) = (arguments.tx.clone(), arguments.simulated);
         let import = ChannelImport { tx, receiver, name, simulated, ..arguments.channels.clone() };
-        let read =
-            || import.read().map(|(data, notes)| ImportedTable { data, notes, before: Vec::new(), after: Vec::new() });
+        let read = |_: Progress<'_>| {
+            import.read().map(|(data, notes)| ImportedTable { data, notes, before: Vec::new(), after: Vec::new() })
+        };
         return import_data(read, Some(&out), &arguments.accept, verbosity);
     }
     let work = Work {
@@ -147,13 +148,13 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
 /// Writes the data that `read` returns into the folder `out`, unless findings on them are errors that are not `accepted`; without
 /// a folder, prints what was understood.
 fn import_data(
-    read: impl FnOnce() -> Result<ImportedTable>,
+    read: impl FnOnce(Progress<'_>) -> Result<ImportedTable>,
     out: Option<&Path>,
     accepted: &[String],
     verbosity: Verbosity,
 ) -> Result<()> {
     let imported = RunProgress::observe(verbosity, |progress| {
-        let mut imported = staged(progress, "rows", |_| read())?;
+        let mut imported = staged(progress, "rows", read)?;
         imported.notes.iter().for_each(|note| verbosity.print_note(note));
         check_findings(&imported.data, None, Some(accepted), progress)?;
         imported.data.accepted = accepted.to_vec();

@@ -2,8 +2,9 @@
 
 use super::columns::{SHOWN, list};
 use super::options::ImportedTable;
-use super::survey::{NamedReceiver, PREVIEW, Survey};
+use super::survey::{NamedReceiver, PREVIEW, Reading, Spot, Survey};
 use pwrfgs_core::{Dataset, Error, Geodetic, Link, Location, Pose, Real, Receiver, Result, Simulation};
+use std::collections::HashMap;
 
 impl Survey<'_> {
     /// Makes the data set. Returns an error if no power was received, or the floors have no height.
@@ -22,6 +23,8 @@ impl Survey<'_> {
             let problem = "holds no received power; write one row per reading, or check --missing";
             return Err(Error::input(path, problem));
         }
+        self.groups = HashMap::new();
+        self.separate_repetitions();
         self.readings.sort_by_key(|reading| (reading.location, reading.receiver));
         let receivers = self.heard_receivers();
         self.add_notes(&receivers);
@@ -41,6 +44,39 @@ impl Survey<'_> {
         Ok(ImportedTable { data, notes: self.notes, before: self.before, after })
     }
 
+    /// Gives readings that repeat a link locations of their own: locations are in the order of their first reading.
+    fn separate_repetitions(&mut self) {
+        let link = |k: &u32| (self.readings[*k as usize].location, self.readings[*k as usize].receiver);
+        let mut order: Vec<u32> = (0..self.readings.len() as u32).collect();
+        order.sort_by_key(link);
+        let (mut repetition, mut repeats) = (0, Vec::new());
+        for pair in order.windows(2) {
+            repetition = if link(&pair[0]) == link(&pair[1]) { repetition + 1 } else { 0 };
+            repeats.extend((repetition > 0).then_some((pair[1] as usize, repetition)));
+        }
+        drop(order);
+        self.repeated = repeats.len();
+        let mut separate: HashMap<(u32, usize), u32> = HashMap::new();
+        for (k, repetition) in repeats {
+            let Reading { location, .. } = &mut self.readings[k];
+            *location = *separate.entry((*location, repetition)).or_insert_with(|| {
+                self.spots.push(self.spots[*location as usize]);
+                self.spots.len() as u32 - 1
+            });
+        }
+        let (mut new, mut spots) = (vec![u32::MAX; self.spots.len()], Vec::with_capacity(self.spots.len()));
+        for reading in &mut self.readings {
+            let location = &mut new[reading.location as usize];
+            if *location == u32::MAX {
+                *location = spots.len() as u32;
+                spots.push(self.spots[reading.location as usize]);
+            }
+            reading.location = *location;
+        }
+        self.deaf_rows = self.spots.len() - spots.len();
+        self.spots = spots;
+    }
+
     /// Returns the receivers, `None` for those that heard nothing. Those of unknown position stand at the first place.
     fn heard_receivers(&self) -> Vec<Option<Receiver>> {
         let mut is_heard = vec![false; self.receivers.len()];
@@ -53,29 +89,23 @@ impl Survey<'_> {
         self.receivers.iter().zip(is_heard).map(place).collect()
     }
 
-    /// Numbers the locations that were heard, from 0, and the receivers that heard one. Returns the columns of the data set.
+    /// Numbers the receivers that heard a location. Returns the columns of the data set.
     fn number_links(&self, receivers: &[Option<Receiver>]) -> (Vec<Location>, Vec<Link>) {
         let mut new_receivers = vec![0; receivers.len()];
         for (next, receiver) in (0..receivers.len()).filter(|r| receivers[*r].is_some()).enumerate() {
             new_receivers[receiver] = next;
         }
-        let (mut locations, mut links, mut last) = (Vec::new(), Vec::with_capacity(self.readings.len()), None);
-        for reading in &self.readings {
-            if last != Some(reading.location) {
-                let place = self.spots[reading.location as usize].place as usize;
-                let pose = Pose::from(self.places.positions[place]);
-                locations.push(Location { id: locations.len() as u32, pose });
-                last = Some(reading.location);
-            }
-            links.push(Link { location: locations.len() - 1, receiver: new_receivers[reading.receiver as usize] });
-        }
-        (locations, links)
+        let pose = |spot: &Spot| Pose::from(self.places.positions[spot.place as usize]);
+        let locations = self.spots.iter().enumerate().map(|(id, spot)| Location { id: id as u32, pose: pose(spot) });
+        let link = |reading: &Reading| Link {
+            location: reading.location as usize,
+            receiver: new_receivers[reading.receiver as usize],
+        };
+        (locations.collect(), self.readings.iter().map(link).collect())
     }
 
     /// Notes what was joined, left out and assumed.
     fn add_notes(&mut self, receivers: &[Option<Receiver>]) {
-        let mut sends = vec![false; self.spots.len()];
-        self.readings.iter().for_each(|reading| sends[reading.location as usize] = true);
         let coded = self.import.missing.iter().zip(&self.coded);
         self.notes.extend(coded.map(|(code, count)| format!("{count} cells are {code}, not heard")));
         let deaf = self.receivers.iter().zip(receivers).filter(|(_, heard)| heard.is_none()).map(|(r, _)| &*r.name);
@@ -83,7 +113,7 @@ impl Survey<'_> {
         let counted = [
             (self.silent, "cells are empty, not heard".to_owned()),
             (deaf.len(), format!("receivers heard nothing and are left out: {}", list(deaf.iter().copied()))),
-            (sends.iter().filter(|sends| !**sends).count(), "rows were heard by no receiver and are left out".into()),
+            (self.deaf_rows, "rows were heard by no receiver and are left out".into()),
             (self.repeated, "readings repeat a link: each has a location at the same position".into()),
             (self.places.joined, "positions are within 1 mm of another and are joined with it".into()),
             (

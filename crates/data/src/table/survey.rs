@@ -9,7 +9,7 @@ use crate::checks::power_fault;
 use crate::dialect::{TableFile, TableText};
 use crate::text::{TextField, TextRow};
 use pwrfgs_core::messages::{quoted, strip_control};
-use pwrfgs_core::{Real, Result};
+use pwrfgs_core::{Progress, Real, Result};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// Number of rows in a preview.
@@ -47,12 +47,8 @@ pub(super) struct Survey<'a> {
     pub(super) rows: Option<std::vec::IntoIter<[f64; 3]>>,
     pub(super) places: Places,
     pub(super) spots: Vec<Spot>,
-    /// Groups of rows of one transmitter: place, cells of its ID and time, test set.
-    pub(super) groups: HashMap<(u32, String, bool), u32>,
-    /// Number of readings of a group at a receiver.
-    pub(super) repetitions: HashMap<(u32, u32), u32>,
-    /// Index in `spots` of each repetition of a group.
-    pub(super) repeats: HashMap<(u32, u32), u32>,
+    /// Transmitters of rows of one reading each: place, cells of its ID and time, test set.
+    pub(super) groups: HashMap<(u32, Box<str>, bool), u32>,
     pub(super) receivers: Vec<NamedReceiver>,
     pub(super) receiver_indices: HashMap<String, u32>,
     pub(super) readings: Vec<Reading>,
@@ -64,6 +60,7 @@ pub(super) struct Survey<'a> {
     pub(super) coded: Vec<usize>,
     pub(super) silent: usize,
     pub(super) repeated: usize,
+    pub(super) deaf_rows: usize,
     pub(super) notes: Vec<String>,
     pub(super) before: Vec<String>,
 }
@@ -83,8 +80,6 @@ impl<'a> Survey<'a> {
             places: Places::default(),
             spots: Vec::new(),
             groups: HashMap::new(),
-            repetitions: HashMap::new(),
-            repeats: HashMap::new(),
             receivers: Vec::new(),
             receiver_indices: HashMap::new(),
             readings: Vec::new(),
@@ -93,6 +88,7 @@ impl<'a> Survey<'a> {
             coded: vec![0; import.missing.len()],
             silent: 0,
             repeated: 0,
+            deaf_rows: 0,
             notes: Vec::new(),
             before: Vec::new(),
         };
@@ -103,8 +99,8 @@ impl<'a> Survey<'a> {
         Ok(survey)
     }
 
-    /// Adds the readings of a table, of the test set or not.
-    pub(super) fn add(&mut self, file: &TableFile, is_test: bool) -> Result<()> {
+    /// Adds the readings of a table, of the test set or not; `progress` counts lines.
+    pub(super) fn add(&mut self, file: &TableFile, is_test: bool, progress: Progress<'_>) -> Result<()> {
         let table = TableText::read(file)?;
         self.notes.push(table.describe());
         if self.before.is_empty() {
@@ -114,15 +110,21 @@ impl<'a> Survey<'a> {
         let reader = RowReader::new(self.import, &self.named, &table, &search)?;
         self.notes.push(reader.describe(&search));
         match &reader.powers {
-            PowerColumns::Long { .. } => self.add_long(&reader, is_test),
-            PowerColumns::Wide(columns) => self.add_wide(&reader, columns, is_test),
+            PowerColumns::Long { .. } => self.add_long(&reader, is_test, progress),
+            PowerColumns::Wide(columns) => self.add_wide(&reader, columns, is_test, progress),
         }
     }
 
     /// Adds a table with a row per transmitter.
-    fn add_wide(&mut self, reader: &RowReader<'_>, columns: &[usize], is_test: bool) -> Result<()> {
+    fn add_wide(
+        &mut self,
+        reader: &RowReader<'_>,
+        columns: &[usize],
+        is_test: bool,
+        progress: Progress<'_>,
+    ) -> Result<()> {
         let names: Vec<u32> = columns.iter().map(|k| self.receiver(&reader.table.names[*k])).collect();
-        for row in reader.table.rows() {
+        for row in reader.table.counted_rows(progress) {
             let row = row?;
             let place = self.place(reader, &row)?;
             let location = self.spots.len() as u32;
@@ -138,10 +140,10 @@ impl<'a> Survey<'a> {
         Ok(())
     }
 
-    /// Adds a table with a row per reading. Readings of a group at one receiver that repeat have a location each.
-    fn add_long(&mut self, reader: &RowReader<'_>, is_test: bool) -> Result<()> {
+    /// Adds a table with a row per reading.
+    fn add_long(&mut self, reader: &RowReader<'_>, is_test: bool, progress: Progress<'_>) -> Result<()> {
         let PowerColumns::Long { power, receiver, place: receiver_place } = reader.powers else { return Ok(()) };
-        for row in reader.table.rows() {
+        for row in reader.table.counted_rows(progress) {
             let row = row?;
             let place = self.place(reader, &row)?;
             let cell = |k: usize| row.cell((k, &reader.table.names[k]), "give every row all columns");
@@ -158,15 +160,11 @@ impl<'a> Survey<'a> {
             let Some(dbm) = self.dbm(&row, cell(power)?)? else { continue };
             let cells =
                 reader.transmitter.iter().map(|k| cell(*k).map(|field| field.text)).collect::<Result<Vec<_>>>()?;
-            let count = self.groups.len() as u32;
-            let group = *self.groups.entry((place, cells.join("\u{1f}"), is_test)).or_insert(count);
-            let repetition = self.repetitions.entry((group, receiver)).or_default();
-            self.repeated += usize::from(*repetition > 0);
-            let location = *self.repeats.entry((group, *repetition)).or_insert_with(|| {
+            let group = (place, cells.join("\u{1f}").into(), is_test);
+            let location = *self.groups.entry(group).or_insert_with(|| {
                 self.spots.push(Spot { place, is_test });
                 self.spots.len() as u32 - 1
             });
-            *repetition += 1;
             self.readings.push(Reading { location, receiver, dbm });
         }
         Ok(())

@@ -16,7 +16,7 @@ fn read(text: &str, import: TableImport) -> Result<ImportedTable, String> {
 }
 
 fn read_all(import: TableImport) -> Result<ImportedTable, String> {
-    TableImport { title: "hall".into(), ..import }.read().map_err(|e| e.to_string())
+    TableImport { title: "hall".into(), ..import }.read(&|_, _| {}).map_err(|e| e.to_string())
 }
 
 /// Returns position, receiver and power of each link, rounded to thousandths.
