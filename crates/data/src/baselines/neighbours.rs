@@ -128,11 +128,13 @@ fn best_neighbour_count(data: &Dataset, fitting: FittingSet<'_>) -> Result<usize
     let edge = SiteSize::new(train.iter().map(|&i| data.sample(i).position())).block_edge();
     let block = |i: usize| data.placed.then(|| block_of(data.sample(i).position(), edge));
     let by_receiver = data.group_by_receiver(train);
+    let lookups: Vec<Lookup<'_>> =
+        by_receiver.iter().map(|links| Lookup::new(data, links.clone(), CHOICES[CHOICES.len() - 1])).collect();
     let score = |&i: &usize| {
         fitting.check_stopped()?;
-        let is_other = |j: &usize| *j != i && (block(*j) != block(i) || !data.placed);
-        let others: Vec<usize> = by_receiver[data.links[i].receiver].iter().copied().filter(is_other).collect();
-        Ok(if others.is_empty() { Vec::new() } else { Lookup::new(data, others, CHOICES[CHOICES.len() - 1]).scores(i) })
+        let (receiver, own) = (data.links[i].receiver, block(i));
+        let is_other = |j: usize| j != i && (block(j) != own || !data.placed);
+        Ok(lookups[receiver].scores(i, |k| is_other(by_receiver[receiver][k])))
     };
     let scores = evenly(&held_out, most).par_iter().map(score).collect::<Result<Vec<Vec<f64>>>>()?;
     data.observations.check()?;
@@ -166,9 +168,9 @@ impl<'a> Lookup<'a> {
     }
 
     /// Returns the samples to average for a link at `coordinates`, with their weights: all that lie exactly there (`true`),
-    /// else the k nearest (`false`).
-    fn weighted_neighbours(&self, coordinates: &[f64]) -> (bool, Vec<(usize, f64)>) {
-        let (exact, near) = self.nearest.find(coordinates, self.k);
+    /// else the k nearest (`false`); only those whose index in the list of samples `is_wanted`.
+    fn weighted_neighbours(&self, coordinates: &[f64], is_wanted: impl Fn(usize) -> bool) -> (bool, Vec<(usize, f64)>) {
+        let (exact, near) = self.nearest.find_where(coordinates, self.k, is_wanted);
         if exact.is_empty() {
             (false, near.into_iter().map(|(distance, i)| (i, 1.0 / distance)).collect())
         } else {
@@ -176,12 +178,16 @@ impl<'a> Lookup<'a> {
         }
     }
 
-    /// Returns the score of the prediction of sample `i` for each k of [`CHOICES`]; higher is better.
-    fn scores(&self, i: usize) -> Vec<f64> {
+    /// Returns the score of the prediction of sample `i` from those whose index in the list of samples `is_other`, for each k of
+    /// [`CHOICES`]; higher is better. Empty without others.
+    fn scores(&self, i: usize, is_other: impl Fn(usize) -> bool) -> Vec<f64> {
         let truth = self.data.image(i);
         // Samples at the exact position all count, for any k.
         let (exact, neighbours) =
-            self.weighted_neighbours(&link_coordinates(self.data.scene.moving, self.data.query(i)));
+            self.weighted_neighbours(&link_coordinates(self.data.scene.moving, self.data.query(i)), is_other);
+        if neighbours.is_empty() {
+            return Vec::new();
+        }
         let (mut sum, mut total, mut taken) = (vec![0.0; truth.pixels.len()], 0.0, 0);
         let score = |k: &usize| {
             let until = if exact { neighbours.len() } else { *k.min(&neighbours.len()) };
@@ -210,7 +216,8 @@ fn link_coordinates(moving: End, query: Query<'_>) -> Vec<f64> {
 
 impl Predict for Lookup<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        weighted_mean(self.data, &self.weighted_neighbours(&link_coordinates(self.data.scene.moving, query)).1)
+        let coordinates = link_coordinates(self.data.scene.moving, query);
+        weighted_mean(self.data, &self.weighted_neighbours(&coordinates, |_| true).1)
     }
 }
 
