@@ -81,10 +81,9 @@ fn build_tree(points: &[[Real; 3]]) -> Option<Tree> {
 /// one box: they are scanned.
 #[derive(Clone, Debug)]
 pub struct Nearest {
-    samples: Vec<usize>,
     width: usize,
-    /// Index in `samples` of each position, box by box.
-    order: Vec<usize>,
+    /// Index in the list of samples and sample of each position, box by box.
+    samples: Vec<(usize, usize)>,
     /// Coordinates `[S,width]`, row-major, in the same order.
     coordinates: Vec<f64>,
     /// Smallest and largest coordinates of boxes, `[boxes,2,width]`; box b has the halves 2b + 1 and 2b + 2.
@@ -105,7 +104,7 @@ impl Nearest {
         let mut boxes = vec![0.0; ((2 << levels) - 1) * 2 * width];
         divide(0, &mut order, &given, width, &mut boxes);
         let coordinates = order.iter().flat_map(|&k| &given[k * width..][..width]).copied().collect();
-        Self { samples, width, order, coordinates, boxes }
+        Self { width, samples: order.into_iter().map(|k| (k, samples[k])).collect(), coordinates, boxes }
     }
 
     /// Returns all samples exactly at `at`, and the `k` nearest (or fewer if there are not enough), nearest first, with
@@ -123,10 +122,10 @@ impl Nearest {
     ) -> (Vec<usize>, Vec<(f64, usize)>) {
         let (exact, near) = (Vec::new(), BinaryHeap::new());
         let mut search = Search { among: self, at, k: k.max(1), is_wanted, exact, near };
-        search.visit(0, 0, self.order.len());
+        search.visit(0, 0, self.samples.len());
         search.exact.sort_unstable();
         let near = search.near.into_sorted_vec().into_iter().map(|(bits, sample)| (f64::from_bits(bits), sample));
-        (search.exact.into_iter().map(|k| self.samples[k]).collect(), near.collect())
+        (search.exact.into_iter().map(|(_, sample)| sample).collect(), near.collect())
     }
 
     /// Returns the least distance from `at` to the positions in a box.
@@ -162,8 +161,8 @@ struct Search<'a, W> {
     at: &'a [f64],
     k: usize,
     is_wanted: W,
-    /// Indices of the samples at the position.
-    exact: Vec<usize>,
+    /// Indices of the samples at the position, and the samples.
+    exact: Vec<(usize, usize)>,
     /// Nearest samples, after the bits of their distances: those of positive numbers are in the order of the numbers.
     near: BinaryHeap<(u64, usize)>,
 }
@@ -192,15 +191,18 @@ impl<W: Fn(usize) -> bool> Search<'_, W> {
 
     /// Compares the positions `start..end`. A distance that is not a number is that of no neighbour.
     fn scan(&mut self, start: usize, end: usize) {
-        let Nearest { samples, width, order, coordinates, .. } = self.among;
+        let Nearest { samples, width, coordinates, .. } = self.among;
         let positions = coordinates[start * width..end * width].chunks_exact(*width);
-        for (position, &k) in positions.zip(&order[start..end]).filter(|(_, k)| (self.is_wanted)(**k)) {
+        for (position, &(k, sample)) in positions.zip(&samples[start..end]) {
+            if !(self.is_wanted)(k) {
+                continue;
+            }
             let distance = slice_distance(position, self.at);
             if distance == 0.0 {
-                self.exact.push(k);
+                self.exact.push((k, sample));
             }
             if distance <= self.limit() {
-                self.near.push((distance.to_bits(), samples[k]));
+                self.near.push((distance.to_bits(), sample));
                 if self.near.len() > self.k {
                     self.near.pop();
                 }

@@ -206,13 +206,15 @@ impl<'a> Powers<'a> {
         let errors_of = |own: &Vec<usize>| {
             let scaled = |i: usize| fit.correlation.scaled(self.links[i].place);
             let nearest = Nearest::new(own.clone(), 4, scaled);
+            let blocks: Vec<[i64; 3]> = own.iter().map(|&i| block(i)).collect();
             let error = |&i: &usize| {
-                let near = nearest.find_where(&scaled(i), NEIGHBOURS, |k| block(own[k]) != block(i)).1;
+                let at = block(i);
+                let near = nearest.find_where(&scaled(i), NEIGHBOURS, |k| blocks[k] != at).1;
                 let places: Vec<Place> = near.iter().map(|(_, k)| scaled(*k)).collect();
                 let weights =
                     (!near.is_empty()).then(|| solve(&fit.correlation, Mean::Zero, &places, scaled(i)).weights)?;
                 let predicted: f64 = near.iter().zip(weights).map(|((_, k), weight)| weight * residual(*k)).sum();
-                Some((block(i), (residual(i) - predicted).abs()))
+                Some((at, (residual(i) - predicted).abs()))
             };
             evenly(own, each.max(1)).par_iter().filter_map(error).collect::<Vec<_>>()
         };

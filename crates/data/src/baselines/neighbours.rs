@@ -130,11 +130,12 @@ fn best_neighbour_count(data: &Dataset, fitting: FittingSet<'_>) -> Result<usize
     let by_receiver = data.group_by_receiver(train);
     let lookups: Vec<Lookup<'_>> =
         by_receiver.iter().map(|links| Lookup::new(data, links.clone(), CHOICES[CHOICES.len() - 1])).collect();
+    let blocks: Vec<Vec<_>> = by_receiver.iter().map(|links| links.iter().map(|&i| block(i)).collect()).collect();
     let score = |&i: &usize| {
         fitting.check_stopped()?;
         let (receiver, own) = (data.links[i].receiver, block(i));
-        let is_other = |j: usize| j != i && (block(j) != own || !data.placed);
-        Ok(lookups[receiver].scores(i, |k| is_other(by_receiver[receiver][k])))
+        let is_other = |k: usize| by_receiver[receiver][k] != i && (blocks[receiver][k] != own || !data.placed);
+        Ok(lookups[receiver].scores(i, is_other))
     };
     let scores = evenly(&held_out, most).par_iter().map(score).collect::<Result<Vec<Vec<f64>>>>()?;
     data.observations.check()?;
