@@ -96,7 +96,7 @@ const WIDEST: usize = 9;
 
 impl Nearest {
     /// Creates a lookup for samples with coordinates of `width` numbers each, in metres or any other unit.
-    pub fn new<P: AsRef<[f64]>>(samples: Vec<usize>, width: usize, position: impl Fn(usize) -> P) -> Self {
+    pub fn new<P: AsRef<[f64]>>(samples: &[usize], width: usize, position: impl Fn(usize) -> P) -> Self {
         let (width, mut given) = (width.max(1), Vec::with_capacity(samples.len() * width));
         samples.iter().for_each(|&i| given.extend_from_slice(position(i).as_ref()));
         let mut order: Vec<usize> = (0..given.len() / width).collect();
@@ -224,7 +224,7 @@ pub fn nearest_before<P: AsRef<[f64]>>(
     // Each lookup is at most twice as long as the list before a rank.
     let size = |rank: usize| rank.next_power_of_two().max(2 * LEAF).min(order.len());
     let sizes: BTreeSet<usize> = ranks.iter().map(|rank| size(*rank)).collect();
-    let lookup = |size| (size, Nearest::new(order[..size].to_vec(), width, &position));
+    let lookup = |size| (size, Nearest::new(&order[..size], width, &position));
     let lookups: BTreeMap<usize, Nearest> = sizes.into_iter().map(lookup).collect();
     let near = |&rank: &usize| {
         let near = lookups[&size(rank)].find_where(position(order[rank]).as_ref(), k, |other| other < rank).1;
@@ -334,7 +334,7 @@ mod tests {
             0 => 100.0 * rng::uniform_f64(random),
             1 => rng::below(random, if width > 4 { 3 } else { 12 }) as f64 * 0.1 + 4e6,
             2 => rng::below(random, 2) as f64 * 1e-170,
-            3 if rank % 7 == 0 => [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e200][rng::below(random, 4)],
+            3 if rank.is_multiple_of(7) => [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e200][rng::below(random, 4)],
             _ => (rng::below(random, 1 << 20) as f64).exp2().min(1e3) - 500.0 * rng::uniform_f64(random),
         };
         (0..count).map(|rank| (0..width).map(|_| place(rank)).collect()).collect()
@@ -349,7 +349,7 @@ mod tests {
                 let mut samples: Vec<usize> = (0..count).map(|k| 3 * k + 1).collect();
                 rng::shuffle(&mut random, &mut samples);
                 let rank_of = |sample: usize| samples.iter().position(|other| *other == sample).unwrap();
-                let nearest = Nearest::new(samples.clone(), width, |i| places[rank_of(i)].clone());
+                let nearest = Nearest::new(&samples, width, |i| places[rank_of(i)].clone());
                 let mut queries = draw(&mut random, kind, 12, width);
                 queries.extend(places.iter().take(6).cloned());
                 for at in &queries {
@@ -377,7 +377,7 @@ mod tests {
         let ranks: Vec<usize> = (0..700).step_by(3).collect();
         let found = nearest_before(&order, &ranks, 8, 3, |i| &places[i]);
         for (rank, found) in ranks.into_iter().zip(found) {
-            let nearest = Nearest::new(order[..rank].to_vec(), 3, |i| &places[i]);
+            let nearest = Nearest::new(&order[..rank], 3, |i| &places[i]);
             let expected: Vec<usize> = nearest.find(&places[order[rank]], 8).1.into_iter().map(|n| n.1).collect();
             assert_eq!(found, expected, "rank {rank}");
         }
@@ -399,7 +399,7 @@ mod tests {
                 }
             };
             let places: Vec<Vec<f64>> = (0..count + 200).map(place).collect();
-            let nearest = Nearest::new((0..count).collect(), places[0].len(), |i| &places[i]);
+            let nearest = Nearest::new(&(0..count).collect::<Vec<_>>(), places[0].len(), |i| &places[i]);
             let distances = Cell::new(0);
             for at in &places[count..] {
                 nearest.find_where(at, 48, |_| {
@@ -412,7 +412,6 @@ mod tests {
         for kind in 0..4 {
             let [few, many] = [8_000, 80_000].map(|count| count_distances(kind, count));
             assert!(few < 2_000 && many < 2 * few, "positions {kind}: {few} and {many} distances per query");
-            println!("{kind}: {few} {many}");
         }
     }
 }

@@ -205,7 +205,7 @@ impl<'a> Powers<'a> {
         let each = COMPARED / self.by_receiver.iter().filter(|own| !own.is_empty()).count().max(1);
         let errors_of = |own: &Vec<usize>| {
             let scaled = |i: usize| fit.correlation.scaled(self.links[i].place);
-            let nearest = Nearest::new(own.clone(), 4, scaled);
+            let nearest = Nearest::new(own, 4, scaled);
             let blocks: Vec<[i64; 3]> = own.iter().map(|&i| block(i)).collect();
             let error = |&i: &usize| {
                 let at = block(i);

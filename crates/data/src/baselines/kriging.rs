@@ -230,7 +230,7 @@ impl<'a> Process<'a> {
     /// Creates the process of `samples` with a fitted correlation and its process variance.
     fn new(trend: Trend<'a>, fitted: (Correlation, f64), samples: Vec<usize>, settings: Kriging) -> Self {
         let (data, (correlation, variance)) = (trend.data, fitted);
-        let in_space = settings.time.then(|| Nearest::new(samples.clone(), 3, |i| data.sample(i).position()));
+        let in_space = settings.time.then(|| Nearest::new(&samples, 3, |i| data.sample(i).position()));
         let mean = if trend.law.is_some() { Mean::Zero } else { Mean::Unknown };
         let kriging = LocalKriging::new(correlation, mean, samples.iter().map(|&i| link_place(data, i)));
         Self { trend, samples, kriging, in_space, variance, settings }

@@ -106,7 +106,7 @@ impl Baseline for NearestNeighbours {
             Neighbours::Number(k) => (k, false),
             Neighbours::Auto => (best_neighbour_count(data, fitting)?, true),
         };
-        let fit = |fitting: FittingSet<'_>| Ok(Lookup { chosen, ..Lookup::new(data, fitting_samples(fitting)?, k) });
+        let fit = |fitting: FittingSet<'_>| Ok(Lookup { chosen, ..Lookup::new(data, &fitting_samples(fitting)?, k) });
         Ok(Box::new(ByReceiver::fit(data, fitting, fit)?))
     }
 
@@ -129,7 +129,7 @@ fn best_neighbour_count(data: &Dataset, fitting: FittingSet<'_>) -> Result<usize
     let block = |i: usize| data.placed.then(|| block_of(data.sample(i).position(), edge));
     let by_receiver = data.group_by_receiver(train);
     let lookups: Vec<Lookup<'_>> =
-        by_receiver.iter().map(|links| Lookup::new(data, links.clone(), CHOICES[CHOICES.len() - 1])).collect();
+        by_receiver.iter().map(|links| Lookup::new(data, links, CHOICES[CHOICES.len() - 1])).collect();
     let blocks: Vec<Vec<_>> = by_receiver.iter().map(|links| links.iter().map(|&i| block(i)).collect()).collect();
     let score = |&i: &usize| {
         fitting.check_stopped()?;
@@ -157,7 +157,7 @@ struct Lookup<'a> {
 
 impl<'a> Lookup<'a> {
     /// Creates a lookup of the `k` nearest among `samples`.
-    fn new(data: &'a Dataset, samples: Vec<usize>, k: usize) -> Self {
+    fn new(data: &'a Dataset, samples: &[usize], k: usize) -> Self {
         let positions = if data.scene.moving.is_receiver() { 9 } else { 3 };
         let width = data.features.as_ref().map_or(positions, |features| features.width);
         Self {
@@ -256,9 +256,9 @@ impl Baseline for NearestCarrier {
 
     fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
-        let lookup = |links: Vec<usize>| Nearest::new(links, 3, |i| data.sample(i).position().to_vec());
+        let lookup = |links: &[usize]| Nearest::new(links, 3, |i| data.sample(i).position().to_vec());
         let links = data.group_by_receiver(fitting_samples(fitting)?).into_iter().enumerate();
-        let carriers = links.filter(|(_, links)| !links.is_empty()).map(|(carrier, links)| (carrier, lookup(links)));
+        let carriers = links.filter(|(_, links)| !links.is_empty()).map(|(carrier, links)| (carrier, lookup(&links)));
         Ok(Box::new(CarrierLookup { data, carriers: carriers.collect() }))
     }
 }
