@@ -189,6 +189,7 @@ impl Observer for RunProgress {
             n => format!("N = {}, about {memory} per step", grouped(n as i64)),
         });
         self.steps = start.steps;
+        self.pace.clear();
         self.draw_bar(start.steps);
         if let Some(bar) = &self.bar {
             bar.set_position(start.done);

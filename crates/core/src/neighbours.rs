@@ -5,9 +5,10 @@
 //! A kd-tree (kiddo) processes all points in parallel. Ties among the k nearest depend on the points only; distances do
 //! not depend on ties.
 
-use crate::Real;
+use crate::{Real, statistics};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use std::num::NonZero;
 
 type Tree = ImmutableKdTree<Real, 3>;
@@ -73,60 +74,171 @@ fn build_tree(points: &[[Real; 3]]) -> Option<Tree> {
     (!points.is_empty()).then(|| Tree::new_from_slice(points).expect("a tree of some points can be built"))
 }
 
-/// Positions of any dimension, with their samples: exact search through all of them; 80,000 take less than a millisecond.
+/// Positions of any dimension, with their samples: exact search in double precision.
+///
+/// A k-d tree of bounding boxes holds up to [`WIDEST`] coordinates. Boxes have equally many positions, so many equal positions
+/// do not make it deep. The bound of a box rounds as the distances do, so it never skips a neighbour. More coordinates are in
+/// one box: they are scanned.
 #[derive(Clone, Debug)]
 pub struct Nearest {
-    /// Coordinates `[S,width]`, row-major.
-    coordinates: Vec<f64>,
     width: usize,
-    samples: Vec<usize>,
+    /// Index in the list of samples and sample of each position, box by box.
+    samples: Vec<(usize, usize)>,
+    /// Coordinates `[S,width]`, row-major, in the same order.
+    coordinates: Vec<f64>,
+    /// Smallest and largest coordinates of boxes, `[boxes,2,width]`; box b has the halves 2b + 1 and 2b + 2.
+    boxes: Vec<f64>,
 }
+
+/// Largest number of positions in a box without halves, and of coordinates in a tree: those of a pose.
+const LEAF: usize = 16;
+const WIDEST: usize = 9;
 
 impl Nearest {
     /// Creates a lookup for samples with coordinates of `width` numbers each, in metres or any other unit.
-    pub fn new<P: AsRef<[f64]>>(samples: Vec<usize>, width: usize, position: impl Fn(usize) -> P) -> Self {
-        let mut coordinates = Vec::with_capacity(samples.len() * width);
-        samples.iter().for_each(|&i| coordinates.extend_from_slice(position(i).as_ref()));
-        Self { coordinates, width: width.max(1), samples }
+    pub fn new<P: AsRef<[f64]>>(samples: &[usize], width: usize, position: impl Fn(usize) -> P) -> Self {
+        let (width, mut given) = (width.max(1), Vec::with_capacity(samples.len() * width));
+        samples.iter().for_each(|&i| given.extend_from_slice(position(i).as_ref()));
+        let mut order: Vec<usize> = (0..given.len() / width).collect();
+        let levels = (order.len() / LEAF).checked_ilog2().filter(|_| width <= WIDEST).map_or(0, |level| level + 1);
+        let mut boxes = vec![0.0; ((2 << levels) - 1) * 2 * width];
+        divide(0, &mut order, &given, width, &mut boxes);
+        let coordinates = order.iter().flat_map(|&k| &given[k * width..][..width]).copied().collect();
+        Self { width, samples: order.into_iter().map(|k| (k, samples[k])).collect(), coordinates, boxes }
     }
 
     /// Returns all samples exactly at `at`, and the `k` nearest (or fewer if there are not enough), nearest first, with
     /// distances. Ties go to the lower sample index.
     pub fn find(&self, at: &[f64], k: usize) -> (Vec<usize>, Vec<(f64, usize)>) {
-        /// Number of candidates beyond k that are kept before the worst are dropped.
-        const SPARE: usize = 1024;
-        let k = k.clamp(1, self.samples.len().max(1));
-        let by_distance = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
-        let keep_nearest = |near: &mut Vec<(f64, usize)>| {
-            if near.len() > k {
-                near.select_nth_unstable_by(k - 1, by_distance);
-                near.truncate(k);
+        self.find_where(at, k, |_| true)
+    }
+
+    /// Returns the samples as [`Self::find`], of those whose index in the list of samples `is_wanted`.
+    pub fn find_where(
+        &self,
+        at: &[f64],
+        k: usize,
+        is_wanted: impl Fn(usize) -> bool,
+    ) -> (Vec<usize>, Vec<(f64, usize)>) {
+        let (exact, near) = (Vec::new(), BinaryHeap::new());
+        let mut search = Search { among: self, at, k: k.max(1), is_wanted, exact, near };
+        search.visit(0, 0, self.samples.len());
+        search.exact.sort_unstable();
+        let near = search.near.into_sorted_vec().into_iter().map(|(bits, sample)| (f64::from_bits(bits), sample));
+        (search.exact.into_iter().map(|(_, sample)| sample).collect(), near.collect())
+    }
+
+    /// Returns the least distance from `at` to the positions in a box.
+    fn bound(&self, index: usize, at: &[f64]) -> f64 {
+        let (low, high) = self.boxes[index * 2 * self.width..][..2 * self.width].split_at(self.width);
+        let outside = low.iter().zip(high).zip(at).map(|((low, high), at)| (low - at).max(at - high).max(0.0));
+        outside.map(|outside| outside.powi(2)).sum::<f64>().sqrt()
+    }
+}
+
+/// Divides the positions `order` of a box into halves along its longest side, if it has halves, and writes all boxes.
+fn divide(index: usize, order: &mut [usize], given: &[f64], width: usize, boxes: &mut [f64]) {
+    let side = |axis: usize| statistics::bounds(order.iter().map(|&k| given[k * width + axis]));
+    let sides: Vec<(f64, f64)> = (0..width).map(side).collect();
+    let (low, high) = boxes[index * 2 * width..][..2 * width].split_at_mut(width);
+    (0..width).for_each(|axis| (low[axis], high[axis]) = sides[axis]);
+    if (2 * index + 3) * 2 * width > boxes.len() {
+        return;
+    }
+    let length = |axis: usize| sides[axis].1 - sides[axis].0;
+    let longest = (0..width).reduce(|a, b| if length(b) > length(a) { b } else { a }).unwrap_or(0);
+    let middle = order.len() / 2;
+    let along = |k: &usize| given[k * width + longest];
+    order.select_nth_unstable_by(middle, |a, b| along(a).total_cmp(&along(b)));
+    let (lower, upper) = order.split_at_mut(middle);
+    divide(2 * index + 1, lower, given, width, boxes);
+    divide(2 * index + 2, upper, given, width, boxes);
+}
+
+/// Search for the neighbours of one position.
+struct Search<'a, W> {
+    among: &'a Nearest,
+    at: &'a [f64],
+    k: usize,
+    is_wanted: W,
+    /// Indices of the samples at the position, and the samples.
+    exact: Vec<(usize, usize)>,
+    /// Nearest samples, after the bits of their distances: those of positive numbers are in the order of the numbers.
+    near: BinaryHeap<(u64, usize)>,
+}
+
+impl<W: Fn(usize) -> bool> Search<'_, W> {
+    /// Returns the distance beyond which samples are no neighbours.
+    fn limit(&self) -> f64 {
+        self.near.peek().filter(|_| self.near.len() == self.k).map_or(f64::INFINITY, |worst| f64::from_bits(worst.0))
+    }
+
+    /// Searches the positions `start..end` of a box, the nearer half first.
+    fn visit(&mut self, index: usize, start: usize, end: usize) {
+        if (2 * index + 3) * 2 * self.among.width > self.among.boxes.len() {
+            return self.scan(start, end);
+        }
+        let middle = start + (end - start) / 2;
+        let half = |index, start, end| (self.among.bound(index, self.at), index, start, end);
+        let mut halves = [half(2 * index + 1, start, middle), half(2 * index + 2, middle, end)];
+        halves.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (bound, index, start, end) in halves {
+            if bound <= self.limit() {
+                self.visit(index, start, end);
             }
-        };
-        let (mut exact, mut near, mut worst) = (Vec::new(), Vec::with_capacity(k + SPARE), f64::INFINITY);
-        for (position, &sample) in self.coordinates.chunks_exact(self.width).zip(&self.samples) {
-            let distance = slice_distance(position, at);
+        }
+    }
+
+    /// Compares the positions `start..end`. A distance that is not a number is that of no neighbour.
+    fn scan(&mut self, start: usize, end: usize) {
+        let Nearest { samples, width, coordinates, .. } = self.among;
+        let positions = coordinates[start * width..end * width].chunks_exact(*width);
+        for (position, &(k, sample)) in positions.zip(&samples[start..end]) {
+            if !(self.is_wanted)(k) {
+                continue;
+            }
+            let distance = slice_distance(position, self.at);
             if distance == 0.0 {
-                exact.push(sample);
+                self.exact.push((k, sample));
             }
-            if distance <= worst {
-                near.push((distance, sample));
-                if near.len() == k + SPARE {
-                    keep_nearest(&mut near);
-                    worst = near.iter().fold(0.0, |worst, n| worst.max(n.0));
+            if distance <= self.limit() {
+                self.near.push((distance.to_bits(), sample));
+                if self.near.len() > self.k {
+                    self.near.pop();
                 }
             }
         }
-        keep_nearest(&mut near);
-        near.sort_unstable_by(by_distance);
-        (exact, near)
     }
+}
+
+/// Returns the `k` samples nearest to `order[rank]` among those before it in `order`, nearest first, for each of `ranks`: the
+/// conditioning sets of a likelihood (Vecchia, Journal of the Royal Statistical Society B 50, 1988). Positions have `width`
+/// coordinates.
+pub fn nearest_before<P: AsRef<[f64]>>(
+    order: &[usize],
+    ranks: &[usize],
+    k: usize,
+    width: usize,
+    position: impl Fn(usize) -> P + Sync,
+) -> Vec<Vec<usize>> {
+    // Each lookup is at most twice as long as the list before a rank.
+    let size = |rank: usize| rank.next_power_of_two().max(2 * LEAF).min(order.len());
+    let sizes: BTreeSet<usize> = ranks.iter().map(|rank| size(*rank)).collect();
+    let lookup = |size| (size, Nearest::new(&order[..size], width, &position));
+    let lookups: BTreeMap<usize, Nearest> = sizes.into_iter().map(lookup).collect();
+    let near = |&rank: &usize| {
+        let near = lookups[&size(rank)].find_where(position(order[rank]).as_ref(), k, |other| other < rank).1;
+        near.into_iter().map(|(_, sample)| sample).collect()
+    };
+    ranks.par_iter().map(near).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::rng;
+    use std::cell::Cell;
+    use std::f64::consts::TAU;
 
     fn cloud(n: usize, name: &str) -> Vec<[Real; 3]> {
         let mut random = rng::stream(1, name, 0);
@@ -197,5 +309,109 @@ mod tests {
         let points = [[0.0; 3], [Real::NAN, 0.0, 0.0], [1.0, 0.0, 0.0]];
         assert_eq!(nearest_other_squared(&points).len(), 3);
         assert_eq!(nearest_squared(&points, &points).len(), 3);
+    }
+
+    /// Returns the samples as [`Nearest::find_where`], by a scan of all positions.
+    fn scan(
+        samples: &[usize],
+        places: &[Vec<f64>],
+        at: &[f64],
+        k: usize,
+        is_wanted: &dyn Fn(usize) -> bool,
+    ) -> (Vec<usize>, Vec<(f64, usize)>) {
+        let distance = |k: &usize| slice_distance(&places[*k], at);
+        let wanted: Vec<usize> = (0..samples.len()).filter(|&k| is_wanted(k) && !distance(&k).is_nan()).collect();
+        let exact = wanted.iter().filter(|k| distance(k) == 0.0).map(|&k| samples[k]).collect();
+        let mut near: Vec<(f64, usize)> = wanted.iter().map(|k| (distance(k), samples[*k])).collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        near.truncate(k.max(1));
+        (exact, near)
+    }
+
+    /// Draws `count` positions: random ones, of a grid with ties, of few distinct places, or of huge and odd numbers.
+    fn draw(random: &mut rng::Rng, kind: usize, count: usize, width: usize) -> Vec<Vec<f64>> {
+        let mut place = |rank: usize| match kind {
+            0 => 100.0 * rng::uniform_f64(random),
+            1 => rng::below(random, if width > 4 { 3 } else { 12 }) as f64 * 0.1 + 4e6,
+            2 => rng::below(random, 2) as f64 * 1e-170,
+            3 if rank.is_multiple_of(7) => [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e200][rng::below(random, 4)],
+            _ => (rng::below(random, 1 << 20) as f64).exp2().min(1e3) - 500.0 * rng::uniform_f64(random),
+        };
+        (0..count).map(|rank| (0..width).map(|_| place(rank)).collect()).collect()
+    }
+
+    #[test]
+    fn tree_finds_what_a_scan_finds() {
+        let mut random = rng::stream(1, "tree", 0);
+        for (width, kind) in [1, 3, 4, 9, 12].into_iter().flat_map(|width| (0..4).map(move |kind| (width, kind))) {
+            for count in [0, 1, 15, 16, 17, 100, 1_500] {
+                let places = draw(&mut random, kind, count, width);
+                let mut samples: Vec<usize> = (0..count).map(|k| 3 * k + 1).collect();
+                rng::shuffle(&mut random, &mut samples);
+                let rank_of = |sample: usize| samples.iter().position(|other| *other == sample).unwrap();
+                let nearest = Nearest::new(&samples, width, |i| places[rank_of(i)].clone());
+                let mut queries = draw(&mut random, kind, 12, width);
+                queries.extend(places.iter().take(6).cloned());
+                for at in &queries {
+                    for k in [0, 1, 5, 48, 2_000] {
+                        let same = |a: &(Vec<usize>, Vec<(f64, usize)>), b: &(Vec<usize>, Vec<(f64, usize)>)| {
+                            let bits = |near: &[(f64, usize)]| near.iter().map(|n| (n.0.to_bits(), n.1)).collect();
+                            let [a_near, b_near]: [Vec<(u64, usize)>; 2] = [bits(&a.1), bits(&b.1)];
+                            assert_eq!((&a.0, a_near), (&b.0, b_near), "{width} wide, kind {kind}, {count}, k {k}");
+                        };
+                        same(&nearest.find(at, k), &scan(&samples, &places, at, k, &|_| true));
+                        let third = |k: usize| k % 3 == 1;
+                        same(&nearest.find_where(at, k, third), &scan(&samples, &places, at, k, &third));
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn neighbours_before_each_rank_are_those_of_the_list_before_it() {
+        let mut random = rng::stream(1, "before", 0);
+        let places = draw(&mut random, 1, 700, 3);
+        let mut order: Vec<usize> = (0..700).collect();
+        rng::shuffle(&mut random, &mut order);
+        let ranks: Vec<usize> = (0..700).step_by(3).collect();
+        let found = nearest_before(&order, &ranks, 8, 3, |i| &places[i]);
+        for (rank, found) in ranks.into_iter().zip(found) {
+            let nearest = Nearest::new(&order[..rank], 3, |i| &places[i]);
+            let expected: Vec<usize> = nearest.find(&places[order[rank]], 8).1.into_iter().map(|n| n.1).collect();
+            assert_eq!(found, expected, "rank {rank}");
+        }
+    }
+
+    /// Positions on a floor, in a volume, over time, and poses on a floor with a heading.
+    #[test]
+    fn distances_per_query_grow_less_than_twofold_from_8_000_to_80_000_positions() {
+        let count_distances = |kind: usize, count: usize| {
+            let mut random = rng::stream(1, "growth", kind as u64);
+            let place = |_: usize| {
+                let [x, y, z, turn] = [(); 4].map(|()| rng::uniform_f64(&mut random));
+                let (sin, cos) = (TAU * turn).sin_cos();
+                match kind {
+                    0 => vec![100.0 * x, 60.0 * y, 1.5],
+                    1 => vec![100.0 * x, 60.0 * y, 3.0 * z],
+                    2 => vec![100.0 * x, 60.0 * y, 1.5, 0.0],
+                    _ => vec![100.0 * x, 60.0 * y, 1.5, cos, sin, 0.0, 0.0, 0.0, 1.0],
+                }
+            };
+            let places: Vec<Vec<f64>> = (0..count + 200).map(place).collect();
+            let nearest = Nearest::new(&(0..count).collect::<Vec<_>>(), places[0].len(), |i| &places[i]);
+            let distances = Cell::new(0);
+            for at in &places[count..] {
+                nearest.find_where(at, 48, |_| {
+                    distances.set(distances.get() + 1);
+                    true
+                });
+            }
+            distances.get() / 200
+        };
+        for kind in 0..4 {
+            let [few, many] = [8_000, 80_000].map(|count| count_distances(kind, count));
+            assert!(few < 2_000 && many < 2 * few, "positions {kind}: {few} and {many} distances per query");
+        }
     }
 }

@@ -33,7 +33,7 @@ pub struct Scene {
 impl Scene {
     /// Returns the pose of the first of [`Self::fixed_ends`]: of the receiver, usually the only one for spectra.
     pub fn pose(&self) -> Pose {
-        self.fixed_ends()[0]
+        self.fixed_end(0)
     }
 
     /// Returns the ends of the links, relative to the origin.
@@ -53,12 +53,18 @@ impl Scene {
     /// transmitter if the receivers move. It stands at the centre of the bounds if it is unknown, and has the usual orientation
     /// of the first receiver.
     pub fn fixed_ends(&self) -> Vec<Pose> {
+        let count = if self.moving == End::Transmitter { self.receivers.len() } else { 1 };
+        (0..count).map(|receiver| self.fixed_end(receiver)).collect()
+    }
+
+    /// Returns the pose of the fixed end of links at a receiver, as [`Self::fixed_ends`]; of the first one if it is unknown.
+    pub fn fixed_end(&self, receiver: usize) -> Pose {
         if self.moving == End::Transmitter {
-            return self.receivers.iter().map(|receiver| receiver.pose).collect();
+            return self.receivers.get(receiver).unwrap_or(&self.receivers[0]).pose;
         }
         let (low, high) = self.bounds;
         let center = || [0, 1, 2].map(|k| f64::midpoint(low[k] as f64, high[k] as f64));
-        vec![Pose { position: self.transmitter.unwrap_or_else(center), ..self.receivers[0].pose }]
+        Pose { position: self.transmitter.unwrap_or_else(center), ..self.receivers[0].pose }
     }
 }
 

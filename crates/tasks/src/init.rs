@@ -72,13 +72,14 @@ pub fn suggest_pipeline(
     ];
     let (start, batch, baselines) = select_template(survey, &mut set)?;
     set.push(format!("training.batch={}", survey.batch_size(batch)));
-    let sizing = Sizing::of(survey, effort);
+    let mut sizing = Sizing::of(survey, effort);
     set.extend(sizing.set);
     set.push(format!("baselines=[{baselines}]"));
     set.extend((!survey.accepted.is_empty()).then(|| format!("accept={:?}", survey.accepted)));
     let shipped = ShippedFile::all(ShippedFile::PIPELINES).into_iter().find(|file| file.name == start);
     let mut pipeline = Pipeline::parse(shipped.expect("the facade registers its pipelines").source, out)?;
     pipeline.set_all(&set)?;
+    sizing.notes.extend(survey.batch_note(pipeline.training.batch));
     Ok((pipeline, sizing.notes))
 }
 

@@ -10,7 +10,7 @@ mod marginal;
 
 use super::{Correlation, CorrelationKind, Mean, PathLoss, Place, Solution, solve};
 use crate::blocks::{SiteSize, block_mean, block_of};
-use crate::neighbours::Nearest;
+use crate::neighbours::{Nearest, nearest_before};
 use crate::{Result, evenly, rng, statistics};
 use marginal::{Moments, best_variance, trends};
 use rayon::prelude::*;
@@ -207,14 +207,16 @@ impl<'a> Powers<'a> {
         let each = COMPARED / self.by_receiver.iter().filter(|own| !own.is_empty()).count().max(1);
         let errors_of = |own: &Vec<usize>| {
             let scaled = |i: usize| fit.correlation.scaled(self.links[i].place);
+            let nearest = Nearest::new(own, 4, scaled);
+            let blocks: Vec<[i64; 3]> = own.iter().map(|&i| block(i)).collect();
             let error = |&i: &usize| {
-                let outside: Vec<usize> = own.iter().copied().filter(|&k| block(k) != block(i)).collect();
-                let near = Nearest::new(outside, 4, scaled).find(&scaled(i), NEIGHBOURS).1;
+                let at = block(i);
+                let near = nearest.find_where(&scaled(i), NEIGHBOURS, |k| blocks[k] != at).1;
                 let places: Vec<Place> = near.iter().map(|(_, k)| scaled(*k)).collect();
                 let weights =
                     (!near.is_empty()).then(|| solve(&fit.correlation, Mean::Zero, &places, scaled(i)).weights)?;
                 let predicted: f64 = near.iter().zip(weights).map(|((_, k), weight)| weight * residual(*k)).sum();
-                Some((block(i), (residual(i) - predicted).abs()))
+                Some((at, (residual(i) - predicted).abs()))
             };
             evenly(own, each.max(1)).par_iter().filter_map(error).collect::<Vec<_>>()
         };
@@ -230,12 +232,8 @@ fn select_cases(links: &[PowerLink], own: &[usize]) -> Vec<Case> {
     let first = (CASES / 2).min(order.len());
     let rest: Vec<usize> = (first..order.len()).collect();
     let ranks: Vec<usize> = (0..first).chain(evenly(&rest, CASES - first)).collect();
-    let case = |&rank: &usize| {
-        let before = Nearest::new(order[..rank].to_vec(), 4, |i| links[i].place);
-        let near = if rank == 0 { Vec::new() } else { before.find(&links[order[rank]].place, GIVEN).1 };
-        (order[rank], near.into_iter().map(|(_, i)| i).collect())
-    };
-    ranks.par_iter().map(case).collect()
+    let given = nearest_before(&order, &ranks, GIVEN, 4, |i| links[i].place);
+    ranks.iter().map(|rank| order[*rank]).zip(given).collect()
 }
 
 /// Returns a place without its time.

@@ -7,11 +7,10 @@ use pwrfgs_core::kriging::{
     Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, ProcessFit, SearchSpace, Solution,
     fit_observations, link_place, most_likely,
 };
-use pwrfgs_core::neighbours::Nearest;
+use pwrfgs_core::neighbours::{Nearest, nearest_before};
 use pwrfgs_core::{
     Baseline, Dataset, FittingSet, Image, JsonSchema, Predict, Query, Real, Requirement, Result, Sampling, evenly, rng,
 };
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Largest number of powers predicted in the fit.
@@ -102,12 +101,9 @@ impl Baseline for Kriging {
 /// Returns the links of `order` after the first, each with the `count` nearest of those before it: the conditioning
 /// sets of the Vecchia approximation of a likelihood (Vecchia 1988).
 pub fn vecchia_cases(data: &Dataset, order: &[usize], count: usize) -> Vec<(usize, Vec<usize>)> {
-    let position = |i: usize| data.sample(i).position();
-    let case = |n: usize| {
-        let near = Nearest::new(order[..n].to_vec(), 3, position).find(&position(order[n]), count).1;
-        (order[n], near.into_iter().map(|(_, j)| j).collect())
-    };
-    (1..order.len()).into_par_iter().map(case).collect()
+    let ranks: Vec<usize> = (1..order.len()).collect();
+    let near = nearest_before(order, &ranks, count, 3, |i| data.sample(i).position());
+    order.iter().copied().skip(1).zip(near).collect()
 }
 
 /// Trend that is subtracted from every observation: a path-loss model for received powers, none for others.
@@ -235,7 +231,7 @@ impl<'a> Process<'a> {
     /// Creates the process of `samples` with a fitted correlation and its process variance.
     fn new(trend: Trend<'a>, fitted: (Correlation, f64), samples: Vec<usize>, settings: Kriging) -> Self {
         let (data, (correlation, variance)) = (trend.data, fitted);
-        let in_space = settings.time.then(|| Nearest::new(samples.clone(), 3, |i| data.sample(i).position()));
+        let in_space = settings.time.then(|| Nearest::new(&samples, 3, |i| data.sample(i).position()));
         let mean = if trend.law.is_some() { Mean::Zero } else { Mean::Unknown };
         let kriging = LocalKriging::new(correlation, mean, samples.iter().map(|&i| link_place(data, i)));
         Self { trend, samples, kriging, in_space, variance, settings }

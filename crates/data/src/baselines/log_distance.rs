@@ -113,8 +113,7 @@ pub(super) fn log_distance(data: &Dataset, query: Query<'_>) -> f64 {
 /// Returns the position of the fixed end of a link, metres, world frame: its receiver, or the transmitter if receivers
 /// move.
 pub(super) fn fixed_end_position(data: &Dataset, query: Query<'_>) -> [f64; 3] {
-    let ends = data.scene.fixed_ends();
-    data.scene.origin.world_pose(*ends.get(query.receiver).unwrap_or(&ends[0])).position
+    data.scene.origin.world_pose(data.scene.fixed_end(query.receiver)).position
 }
 
 /// Returns the points to fit a path-loss model to, one per power link: log10 of the distance in metres, and dBm.

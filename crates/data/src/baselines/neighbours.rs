@@ -106,7 +106,7 @@ impl Baseline for NearestNeighbours {
             Neighbours::Number(k) => (k, false),
             Neighbours::Auto => (best_neighbour_count(data, fitting)?, true),
         };
-        let fit = |fitting: FittingSet<'_>| Ok(Lookup { chosen, ..Lookup::new(data, fitting_samples(fitting)?, k) });
+        let fit = |fitting: FittingSet<'_>| Ok(Lookup { chosen, ..Lookup::new(data, &fitting_samples(fitting)?, k) });
         Ok(Box::new(ByReceiver::fit(data, fitting, fit)?))
     }
 
@@ -128,11 +128,14 @@ fn best_neighbour_count(data: &Dataset, fitting: FittingSet<'_>) -> Result<usize
     let edge = SiteSize::new(train.iter().map(|&i| data.sample(i).position())).block_edge();
     let block = |i: usize| data.placed.then(|| block_of(data.sample(i).position(), edge));
     let by_receiver = data.group_by_receiver(train);
+    let lookups: Vec<Lookup<'_>> =
+        by_receiver.iter().map(|links| Lookup::new(data, links, CHOICES[CHOICES.len() - 1])).collect();
+    let blocks: Vec<Vec<_>> = by_receiver.iter().map(|links| links.iter().map(|&i| block(i)).collect()).collect();
     let score = |&i: &usize| {
         fitting.check_stopped()?;
-        let is_other = |j: &usize| *j != i && (block(*j) != block(i) || !data.placed);
-        let others: Vec<usize> = by_receiver[data.links[i].receiver].iter().copied().filter(is_other).collect();
-        Ok(if others.is_empty() { Vec::new() } else { Lookup::new(data, others, CHOICES[CHOICES.len() - 1]).scores(i) })
+        let (receiver, own) = (data.links[i].receiver, block(i));
+        let is_other = |k: usize| by_receiver[receiver][k] != i && (blocks[receiver][k] != own || !data.placed);
+        Ok(lookups[receiver].scores(i, is_other))
     };
     let scores = evenly(&held_out, most).par_iter().map(score).collect::<Result<Vec<Vec<f64>>>>()?;
     data.observations.check()?;
@@ -154,7 +157,7 @@ struct Lookup<'a> {
 
 impl<'a> Lookup<'a> {
     /// Creates a lookup of the `k` nearest among `samples`.
-    fn new(data: &'a Dataset, samples: Vec<usize>, k: usize) -> Self {
+    fn new(data: &'a Dataset, samples: &[usize], k: usize) -> Self {
         let positions = if data.scene.moving.is_receiver() { 9 } else { 3 };
         let width = data.features.as_ref().map_or(positions, |features| features.width);
         Self {
@@ -166,9 +169,9 @@ impl<'a> Lookup<'a> {
     }
 
     /// Returns the samples to average for a link at `coordinates`, with their weights: all that lie exactly there (`true`),
-    /// else the k nearest (`false`).
-    fn weighted_neighbours(&self, coordinates: &[f64]) -> (bool, Vec<(usize, f64)>) {
-        let (exact, near) = self.nearest.find(coordinates, self.k);
+    /// else the k nearest (`false`); only those whose index in the list of samples `is_wanted`.
+    fn weighted_neighbours(&self, coordinates: &[f64], is_wanted: impl Fn(usize) -> bool) -> (bool, Vec<(usize, f64)>) {
+        let (exact, near) = self.nearest.find_where(coordinates, self.k, is_wanted);
         if exact.is_empty() {
             (false, near.into_iter().map(|(distance, i)| (i, 1.0 / distance)).collect())
         } else {
@@ -176,12 +179,16 @@ impl<'a> Lookup<'a> {
         }
     }
 
-    /// Returns the score of the prediction of sample `i` for each k of [`CHOICES`]; higher is better.
-    fn scores(&self, i: usize) -> Vec<f64> {
+    /// Returns the score of the prediction of sample `i` from those whose index in the list of samples `is_other`, for each k of
+    /// [`CHOICES`]; higher is better. Empty without others.
+    fn scores(&self, i: usize, is_other: impl Fn(usize) -> bool) -> Vec<f64> {
         let truth = self.data.image(i);
         // Samples at the exact position all count, for any k.
         let (exact, neighbours) =
-            self.weighted_neighbours(&link_coordinates(self.data.scene.moving, self.data.query(i)));
+            self.weighted_neighbours(&link_coordinates(self.data.scene.moving, self.data.query(i)), is_other);
+        if neighbours.is_empty() {
+            return Vec::new();
+        }
         let (mut sum, mut total, mut taken) = (vec![0.0; truth.pixels.len()], 0.0, 0);
         let score = |k: &usize| {
             let until = if exact { neighbours.len() } else { *k.min(&neighbours.len()) };
@@ -210,7 +217,8 @@ fn link_coordinates(moving: End, query: Query<'_>) -> Vec<f64> {
 
 impl Predict for Lookup<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        weighted_mean(self.data, &self.weighted_neighbours(&link_coordinates(self.data.scene.moving, query)).1)
+        let coordinates = link_coordinates(self.data.scene.moving, query);
+        weighted_mean(self.data, &self.weighted_neighbours(&coordinates, |_| true).1)
     }
 }
 
@@ -248,9 +256,9 @@ impl Baseline for NearestCarrier {
 
     fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.check_data(data)?;
-        let lookup = |links: Vec<usize>| Nearest::new(links, 3, |i| data.sample(i).position().to_vec());
+        let lookup = |links: &[usize]| Nearest::new(links, 3, |i| data.sample(i).position().to_vec());
         let links = data.group_by_receiver(fitting_samples(fitting)?).into_iter().enumerate();
-        let carriers = links.filter(|(_, links)| !links.is_empty()).map(|(carrier, links)| (carrier, lookup(links)));
+        let carriers = links.filter(|(_, links)| !links.is_empty()).map(|(carrier, links)| (carrier, lookup(&links)));
         Ok(Box::new(CarrierLookup { data, carriers: carriers.collect() }))
     }
 }

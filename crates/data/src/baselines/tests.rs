@@ -54,7 +54,7 @@ fn finds_nearest_of_thousands_of_samples() {
     let places: Vec<[f64; 3]> = (0..5000).map(|i| [f64::from(i * 7919 % 5000), f64::from(i % 3), 0.0]).collect();
     let data = samples_at(&places);
     for k in [1, 3, 700, 5000] {
-        let nearest = Nearest::new((0..5000).collect(), 3, |i| data.sample(i).position());
+        let nearest = Nearest::new(&(0..5000).collect::<Vec<_>>(), 3, |i| data.sample(i).position());
         let tx = [2500.25, 1.0, 0.0];
         let mut all: Vec<(f64, usize)> =
             places.iter().enumerate().map(|(i, place)| (distance(*place, tx), i)).collect();
@@ -62,7 +62,7 @@ fn finds_nearest_of_thousands_of_samples() {
         assert_eq!(nearest.find(&tx, k), (vec![], all[..k].to_vec()), "{k}");
     }
     let same = samples_at(&vec![[1.0; 3]; 3000]);
-    let nearest = Nearest::new((0..3000).collect(), 3, |i| same.sample(i).position());
+    let nearest = Nearest::new(&(0..3000).collect::<Vec<_>>(), 3, |i| same.sample(i).position());
     let (exact, near) = nearest.find(&[1.0; 3], 2);
     assert_eq!((exact.len(), near), (3000, vec![(0.0, 0), (0.0, 1)]), "all that stand there");
 }

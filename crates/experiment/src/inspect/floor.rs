@@ -31,7 +31,7 @@ pub(super) fn describe_floor(data: &Dataset) -> Result<Option<(&'static str, Str
     let heard = by_receiver.iter().filter(|links| links.len() > 1).count().max(1);
     let most = (if task.is_scalar { NUMBERS } else { PAIRS }).div_ceil(heard);
     let pairs_of = |links: &Vec<usize>| {
-        let nearest = Nearest::new(links.clone(), 3, position);
+        let nearest = Nearest::new(links, 3, position);
         let pair = |&i: &usize| {
             let (distance, j) =
                 nearest.find(&position(i), SEARCHED).1.into_iter().find(|(distance, _)| *distance > 0.0)?;

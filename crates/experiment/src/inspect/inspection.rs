@@ -6,12 +6,13 @@ use crate::evaluation_set::EvaluationSet;
 use crate::load::observed;
 use crate::repeatability::estimate_noise_ceiling;
 use crate::scores::CEILING;
-use crate::session::Session;
+use crate::session::{NoopObserver, Session, staged};
 use crate::statistics::Summary;
 use crate::text::{aligned, format_length, number, wrapped};
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{Baseline, Dataset, Metric, Plugin, Result, Scope, Split, Values, evenly, registered, rng};
 use pwrfgs_pipeline::Pipeline;
+use std::sync::atomic::AtomicBool;
 
 /// Largest number of spectra that are read.
 const INSPECTED: usize = 20_000;
@@ -81,21 +82,30 @@ impl Inspection {
             splits: Vec::new(),
             refused: Vec::new(),
         };
-        for (split, name) in list_splits(pipeline) {
-            inspection.add_split(pipeline, data, (&split, name), &metrics, session)?;
-        }
-        Ok(inspection)
+        let splits = list_splits(pipeline);
+        let (stop, each) = (session.stop, inspection.baselines.len() + 1);
+        staged(session.observer, "scoring baselines by split", |progress| {
+            for (k, (split, name)) in splits.iter().enumerate() {
+                let scored = |baselines| progress(k * each + baselines, splits.len() * each);
+                inspection.add_split(pipeline, data, (split, name.clone()), &metrics, stop, &scored)?;
+                scored(each);
+            }
+            Ok(inspection)
+        })
     }
 
-    /// Adds the sizes of a split and its scores by `metrics`, or the reason why the data do not support it.
+    /// Adds the sizes of a split and its scores by `metrics`, or the reason why the data do not support it; reports the
+    /// number of baselines `scored`.
     fn add_split(
         &mut self,
         pipeline: &Pipeline,
         data: &Dataset,
         (split, name): (&Plugin<dyn Split>, String),
         metrics: &[Plugin<dyn Metric>],
-        session: &mut Session<'_>,
+        stop: &AtomicBool,
+        scored: &dyn Fn(usize),
     ) -> Result<()> {
+        let mut session = Session { observer: &mut NoopObserver, stop, page: None };
         let seed = pipeline.split_seed.unwrap_or(pipeline.seed);
         let partition = match split.split(data, &mut rng::stream(seed, "split", 0)) {
             Ok(partition) => partition,
@@ -108,15 +118,16 @@ impl Inspection {
         let test = EvaluationSet::new(data, &evenly(&partition.test, TESTED), &plane);
         let mut means = Vec::new();
         for (baseline, name) in fitted_baselines(pipeline).zip(&self.baselines) {
-            let fitted = baseline.fit(data, partition.known())?;
-            let measurements = test.score_baseline(name, &*fitted, metrics, session)?;
+            let fitted = baseline.fit(data, partition.known().stopped_by(stop))?;
+            let measurements = test.score_baseline(name, &*fitted, metrics, &mut session)?;
             measurements.first().into_iter().for_each(|measurement| self.metric.clone_from(&measurement.key));
             means.push(match measurements.first().map(|measurement| &measurement.values) {
                 Some(Values::PerSample(values)) => Summary::of(values, true).mean,
                 _ => f64::NAN,
             });
+            scored(means.len());
         }
-        let ceiling = estimate_noise_ceiling(data, &partition, metrics, session.stop)?;
+        let ceiling = estimate_noise_ceiling(data, &partition, metrics, stop)?;
         self.splits.push(SplitScores {
             name,
             train: partition.train.len(),

@@ -17,6 +17,8 @@ const POWERS: std::ops::RangeInclusive<i32> = -2..=5;
 /// cells are no regions.
 const CELLS: usize = 50;
 const LEAST_CELLS: usize = 12;
+/// Number of links per step above which a batch has fewer transmitters; `ble` has 128 transmitters at 21 receivers.
+const LINKS: usize = 2_720;
 /// Distance of test to training transmitters below which the file has a note, metres.
 const NEAR: f64 = 0.05;
 
@@ -134,10 +136,25 @@ impl DataSurvey {
         !self.partition.validation.is_empty()
     }
 
-    /// Returns the batch size: the number of training transmitters, at most `most`.
+    /// Returns the batch size: the number of training transmitters, at most `most` and those of about [`LINKS`] links.
     pub fn batch_size(&self, most: usize) -> usize {
-        let train = self.partition.train.iter().map(|&i| self.data.links[i].location);
-        train.collect::<BTreeSet<_>>().len().clamp(1, most)
+        let transmitters = self.data.locations_of(&self.partition.train).len();
+        transmitters.min(LINKS / self.links_each()).clamp(1, most)
+    }
+
+    /// Returns the number of training links per transmitter, at least 1.
+    fn links_each(&self) -> usize {
+        self.partition.train.len().div_ceil(self.data.locations_of(&self.partition.train).len().max(1)).max(1)
+    }
+
+    /// Describes the size of a `batch` that the number of links limits.
+    pub(super) fn batch_note(&self, batch: usize) -> Option<String> {
+        let each = self.links_each();
+        (batch == (LINKS / each).max(1)).then(|| {
+            format!(
+                "`batch` is the number of transmitters per step: {batch} of {each} links each are about 2,500 links."
+            )
+        })
     }
 
     /// Describes the observations and the sizes of the sets in one line.

@@ -88,7 +88,7 @@ fn drawn(correlation: &Correlation, count: usize) -> Dataset {
 
 /// Cases of `validation` samples, each given its 24 nearest of `train`.
 fn cases_of(data: &Dataset, train: &[usize], validation: &[usize], mean: Mean) -> HeldOutCases {
-    let nearest = Nearest::new(train.to_vec(), 4, |i| link_place(data, i));
+    let nearest = Nearest::new(train, 4, |i| link_place(data, i));
     let near = |i: usize| nearest.find(&link_place(data, i), 24).1.into_iter().map(|(_, j)| j).collect();
     let cases: Vec<(usize, Vec<usize>)> = validation.iter().map(|&i| (i, near(i))).collect();
     HeldOutCases::new(&cases, mean, |i| link_place(data, i), |_, i| data.image(i).pixels)
