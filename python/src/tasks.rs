@@ -165,7 +165,7 @@ pub(crate) fn locate<'py>(
             move |features: &_| checked_features(Path::new("observations"), values, features, data, accepted)
         });
         let read = read.as_ref().map(|read| read as ReadFeatures<'_>);
-        tasks::locate::locate(&model.ensemble, &split, read, &read_settings(text)?, observer)
+        tasks::locate::locate(&model.ensemble, &split, read, &read_settings(text)?, 0, observer)
     })?;
     let dict = location_dict(py, &rows)?;
     dict.set_item("text", text)?;

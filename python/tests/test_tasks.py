@@ -162,6 +162,9 @@ def test_locate_equals_the_program(calibrated, command):
         assert result.truth[:, k].tolist() == [float(row[f"true_{axis}"]) for row in rows]
     assert [f"{area:.6f}" for area in result.region_m2] == [row["region_m2"] for row in rows]
     check_result(result, ["observation", "x", "y", "z", "misfit", "region_m2", "true_x", "error_m"], len(rows))
+    without = calibrated.model.locate(no_kriging=True)
+    assert "Kriging" in result.text and "Kriging" not in without.text
+    assert without.positions.tolist() == result.positions.tolist()
 
 
 def test_locate_changes_settings_of_the_pipeline(calibrated, command):

@@ -114,7 +114,7 @@ impl Command {
             #[cfg(feature = "raytrace")]
             Self::ExportScene(export) => simulate::export_scene(export, verbosity),
             Self::Check(check) => check::check(check, verbosity),
-            Self::Predict(predict) => predict::predict(predict, verbosity),
+            Self::Predict(predict) => return predict::predict(predict, verbosity),
             #[cfg(feature = "report")]
             Self::Map(map) => map::map(map, verbosity),
             #[cfg(feature = "report")]

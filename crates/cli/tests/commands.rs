@@ -116,7 +116,7 @@ fn predicts(here: &Path) {
     succeed(&lonely, &["predict", "m.safetensors", "--tx-csv", "tx.csv", "--out", "many"]);
     succeed(&lonely, &["predict", "m.safetensors", "--tx", "-0.2,0.1,0.9", "--out", "one"]);
     let list = read(&lonely.join("many/predictions.csv"));
-    let header = "row,x,y,z,azimuth_deg,elevation_deg,peak,milliseconds,training_distance_m\n";
+    let header = "row,x,y,z,azimuth_deg,elevation_deg,peak,training_distance_m\n";
     assert!(list.starts_with(&format!("{header}1,0.2,0.1,0.9,")), "{list}");
     assert_eq!(list.lines().count(), 3);
     let bytes = std::fs::read(lonely.join("many/00002.npy")).unwrap();

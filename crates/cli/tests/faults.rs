@@ -185,12 +185,14 @@ fn next_start_removes_what_killed_command_left() {
     write(&here.join("tiny.ron"), TINY);
     succeed(here, &["run", "tiny.ron", "--out", "r", "-q"]);
     let all = std::env::var_os("PWRFGS_FAULTS").is_some_and(|which| which == "all");
-    let commands: [(&[&str], usize); 7] = [
+    write(&here.join("tx.csv"), "x,y,z\n0.3,0.1,0.9\n0.1,0.2,0.8\n");
+    let commands: [(&[&str], usize); 8] = [
         (&["compress", "r/model.safetensors", "--out", "new"], 1),
         (&["export", "r/model.safetensors", "--npz", "new"], 1),
         (&["view", "r", "--save", "new"], 2),
         (&["update", "kriged/model.safetensors", "--data", "data", "--out", "new"], 2),
         (&["predict", "r/model.safetensors", "--tx", "0.3,0.1,0.9", "--out", "new"], 2),
+        (&["predict", "r/model.safetensors", "--tx-csv", "tx.csv", "--stacked", "--no-png", "--out", "new"], 2),
         (&["evaluate", "r/model.safetensors", "--out", "new"], 4),
         (&["report", "r", "--out", "new"], 23),
     ];
@@ -225,6 +227,7 @@ fn next_start_removes_what_killed_command_left() {
             assert!(again.status.success() || is_complete, "{arguments:?}, call {at}: {}", stderr(&again));
             assert!(content() == whole, "{arguments:?}, call {at}");
             assert_eq!(temporaries(here), [] as [PathBuf; 0], "{arguments:?}, call {at}");
+            assert!(!here.join("new.partial").exists(), "{arguments:?}, call {at}");
             remove();
         }
     }

@@ -232,20 +232,20 @@ fn predicts_powers(here: &Path) {
     succeed(here, &["predict", MODEL, "--tx-csv", "tx.csv", "--out", "all"]);
     let list = read(&here.join("all/predictions.csv"));
     let rows: Vec<&str> = list.lines().collect();
-    assert_eq!((rows[0], rows.len()), ("row,x,y,z,receiver,dbm,ms,training_distance_m", 5));
+    assert_eq!((rows[0], rows.len()), ("row,x,y,z,receiver,dbm,training_distance_m", 5));
     assert!(rows[1].starts_with("1,1,2,1,north,-") && rows[4].starts_with("4,3,4,1,south,-"), "{list}");
     assert_eq!(names(&here.join("all")), ["predictions.csv".to_owned()].into());
     succeed(here, &["export", MODEL, "--half", HALF]);
     succeed(here, &["predict", MODEL, HALF, "--tx", "1,2,1", "--receiver", "south", "--out", "two"]);
     let two = read(&here.join("two/predictions.csv"));
-    assert!(two.starts_with("row,x,y,z,receiver,dbm,spread_db,ms,training_distance_m\n1,1,2,1,south,-"), "{two}");
+    assert!(two.starts_with("row,x,y,z,receiver,dbm,spread_db,training_distance_m\n1,1,2,1,south,-"), "{two}");
     let distance = |list: &str| list.lines().nth(1).unwrap().rsplit(',').next().unwrap().to_owned();
     assert!(distance(&two) == distance(&list) && distance(&two).parse::<f64>().is_ok(), "{two}\n{list}");
     let spread: f64 = two.lines().nth(1).unwrap().split(',').nth(6).unwrap().parse().unwrap();
     assert!((0.0..0.1).contains(&spread), "{two}");
     succeed(here, &["predict", MODEL, "--tx", "1,2,1", "--interval", "0.5", "--out", "band"]);
     let band = read(&here.join("band/predictions.csv"));
-    assert!(band.starts_with("row,x,y,z,receiver,dbm,lower_dbm,upper_dbm,ms,training_distance_m\n"), "{band}");
+    assert!(band.starts_with("row,x,y,z,receiver,dbm,lower_dbm,upper_dbm,training_distance_m\n"), "{band}");
     for row in band.lines().skip(1) {
         let numbers: Vec<f64> = row.split(',').skip(5).take(3).map(|v| v.parse().unwrap()).collect();
         let [dbm, lower, upper] = numbers[..] else { panic!("{band}") };
@@ -321,11 +321,9 @@ fn maps_powers(here: &Path) {
     assert!(!here.join("no").exists());
 }
 
-#[test]
+/// A model of channels of an office in `run`, trained in six steps.
 #[cfg(feature = "raytrace")]
-fn channels_are_reported_predicted_and_mapped() {
-    let folder = tempfile::tempdir().unwrap();
-    let here = folder.path();
+pub(crate) fn office(here: &Path) {
     let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/office-channel.ron");
     let text = format!(
         "Pipeline(name: \"office\", data: Simulated(scene: \"{scene}\", samples: 24, points: 200, observe: \
@@ -336,6 +334,14 @@ fn channels_are_reported_predicted_and_mapped() {
     );
     write(&here.join("p.ron"), text);
     succeed(here, &["run", "p.ron", "--out", "run"]);
+}
+
+#[test]
+#[cfg(feature = "raytrace")]
+fn channels_are_reported_predicted_and_mapped() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    office(here);
     let page = page_of(&here.join("run"));
     for words in ["Power delay profile", "16 antennas × 16 subcarriers", "degrees, unwrapped", "below an SNR"] {
         assert!(page.contains(words), "`{words}` is not in the page");

@@ -56,6 +56,9 @@ fn test_samples_are_located_beside_baselines() {
     assert!(table.contains("minus baseline, mean error in metres ↓)"), "{table}");
     assert!(table.contains("the validation samples lie between the training positions"), "{table}");
     assert!(table.contains("measured") && stderr(&message).contains("validation positions"), "{table}");
+    let quick = stdout(&succeed(here, &["locate", MODEL, "--no-kriging"]));
+    assert!(!quick.contains("Kriging") && quick.contains("nearest fingerprint"), "{quick}");
+    assert_eq!(quick.lines().nth(2), Some(rows[0]), "the row of the model does not change");
     let read = |name: &str| std::fs::read_to_string(here.join("located").join(name)).unwrap();
     let list = read("locations.csv");
     assert_eq!(list.lines().count(), 1 + 15, "{list}");

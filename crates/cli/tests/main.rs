@@ -23,6 +23,7 @@ mod model_format;
 mod my_pruner;
 mod paths;
 mod planning;
+mod predicting;
 mod prose;
 mod pruning;
 mod races;

@@ -105,7 +105,10 @@ fn predicts_intervals(here: &Path, model: &str) {
     let widths = [("0.5", "band"), ("0.9", "wide")].map(|(level, out)| {
         succeed(here, &predict(level, out));
         let table = std::fs::read_to_string(here.join(out).join("predictions.csv")).unwrap();
-        assert!(table.starts_with("row,x,y,z,azimuth_deg,elevation_deg,peak,ssim_bound,milliseconds,"), "{table}");
+        assert!(
+            table.starts_with("row,x,y,z,azimuth_deg,elevation_deg,peak,ssim_bound,training_distance_m"),
+            "{table}"
+        );
         let [lower, image, upper] =
             ["-lower", "", "-upper"].map(|end| array(&here.join(out).join(format!("00001{end}.npy"))));
         let is_inside =

@@ -3,15 +3,17 @@
 mod atomic;
 mod held;
 mod new_folder;
+mod partial_folder;
 
 pub use atomic::{check_new_file, create, remove, remove_temporaries, replace, write_atomically, write_new};
 pub use held::{HeldFolder, lock, try_lock};
 pub use new_folder::NewFolder;
+pub use partial_folder::PartialFolder;
 
 use crate::{Error, Result};
 use sha2::{Digest as _, Sha256};
-use std::fs::{self, DirEntry, File, FileType};
-use std::io::{self, BufWriter, ErrorKind, Read as _, Write as _};
+use std::fs::{self, DirEntry, File, FileType, OpenOptions};
+use std::io::{self, BufWriter, ErrorKind, Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 
 /// Maximum size of a text file, bytes: 256 MiB. Text written by people is far smaller, and parsers need several times
@@ -173,9 +175,22 @@ impl GrowingFile {
     /// # Errors
     /// [`Error::Write`] if the file cannot be written.
     pub fn create(path: PathBuf, start: &[u8]) -> Result<Self> {
-        let file = File::create(&path).map_err(|e| Error::write(&path, e))?;
+        Self::resume(path, start, 0)
+    }
+
+    /// Opens the file after its first `length` bytes and drops later ones; creates it with the bytes `start` if `length` is 0.
+    ///
+    /// # Errors
+    /// [`Error::Write`] if the file cannot be written.
+    pub fn resume(path: PathBuf, start: &[u8], length: u64) -> Result<Self> {
+        let open = || {
+            let mut file = OpenOptions::new().write(true).create(true).truncate(length == 0).open(&path)?;
+            file.set_len(length)?;
+            file.seek(SeekFrom::End(0)).map(|_| file)
+        };
+        let file = open().map_err(|e| Error::write(&path, e))?;
         let mut growing = Self { file: BufWriter::with_capacity(1 << 20, file), path };
-        growing.append(start).map(|()| growing)
+        growing.append(if length == 0 { start } else { &[] }).map(|()| growing)
     }
 
     /// Appends bytes.
@@ -190,8 +205,16 @@ impl GrowingFile {
     ///
     /// # Errors
     /// [`Error::Write`] if the file cannot be written.
-    pub fn finish(mut self) -> Result<()> {
+    pub fn flush(&mut self) -> Result<()> {
         self.file.flush().map_err(|e| Error::write(&self.path, e))
+    }
+
+    /// Writes the buffered bytes of a complete file.
+    ///
+    /// # Errors
+    /// [`Error::Write`] if the file cannot be written.
+    pub fn finish(mut self) -> Result<()> {
+        self.flush()
     }
 }
 

@@ -33,6 +33,9 @@ pub struct Choice {
     pub descends: bool,
 }
 
+/// Fingerprints of least misfit: indices and misfits, least first.
+pub(crate) type Nearest = Vec<(u32, f32)>;
+
 /// Validation sample.
 #[derive(Clone, Debug)]
 pub(crate) struct ValidationSample {
@@ -44,17 +47,16 @@ pub(crate) struct ValidationSample {
 
 impl Choice {
     /// Returns the settings with the highest mean log density at the true positions of `samples`; default settings without
-    /// samples. `misfits` are those of each sample to the fingerprints at `positions`; `spacing` is half the distance of
+    /// samples. `nearest` are the fingerprints at `positions` of least misfit per sample; `spacing` is half the distance of
     /// neighbouring positions, metres.
     pub(crate) fn most_likely(
         share: f32,
         positions: &[[f64; 3]],
         samples: &[ValidationSample],
-        misfits: &[Vec<f32>],
+        nearest: &[Nearest],
         spacing: f64,
     ) -> Self {
-        let least = |misfits: &Vec<f32>| f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
-        let typical = median(misfits.iter().map(least).filter(|m| m.is_finite()));
+        let typical = median(nearest.iter().map(|near| least_misfit(near)).filter(|m| m.is_finite()));
         let scale = if typical > 0.0 { typical } else { 1.0 };
         let settings = |(sharpness, width): (f64, f64)| Self {
             share,
@@ -66,9 +68,9 @@ impl Choice {
             descends: false,
         };
         let all: Vec<Self> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| settings((s, b)))).collect();
-        let densities = |(misfits, ValidationSample { position: [x, y, _], .. }): (&Vec<f32>, &ValidationSample)| {
+        let densities = |(near, ValidationSample { position: [x, y, _], .. }): (&Nearest, &ValidationSample)| {
             let per_sharpness = all.chunks(BANDWIDTHS.len()).flat_map(|choices| {
-                let mut density = choices[0].density(misfits, positions);
+                let mut density = choices[0].density(near, positions);
                 choices.iter().map(move |choice| {
                     density.bandwidth = choice.bandwidth;
                     density.value_at([*x, *y]).ln()
@@ -76,7 +78,7 @@ impl Choice {
             });
             per_sharpness.collect()
         };
-        let densities: Vec<Vec<f64>> = misfits.par_iter().zip(samples).map(densities).collect();
+        let densities: Vec<Vec<f64>> = nearest.par_iter().zip(samples).map(densities).collect();
         let score = |k: usize| mean(densities.iter().map(|values| values[k]));
         let scored =
             all.iter().enumerate().map(|(k, choice)| (score(k), *choice)).filter(|(score, _)| score.is_finite());
@@ -84,21 +86,19 @@ impl Choice {
         best.map_or_else(|| settings(DEFAULTS), |(_, choice)| choice)
     }
 
-    /// Returns the density over the floor, given the misfits `[K]` of an observation.
-    pub(crate) fn density(&self, misfits: &[f32], positions: &[[f64; 3]]) -> Density {
-        Density::new(&sample_weights(misfits, self.sharpness / self.scale), positions, self.bandwidth)
+    /// Returns the density over the floor, given the fingerprints of least misfit of an observation. Their weights are
+    /// exp(-s·misfit/scale); equal ones if no misfit is finite.
+    pub(crate) fn density(&self, near: &[(u32, f32)], positions: &[[f64; 3]]) -> Density {
+        let (gain, least) = (self.sharpness / self.scale, least_misfit(near));
+        // Without a common feature with any fingerprint, all are equal.
+        let weight = |m: f32| if least.is_finite() { (-gain * (f64::from(m) - least)).exp() } else { 1.0 };
+        Density::new(near.iter().map(|(k, m)| (weight(*m), positions[*k as usize])).collect(), self.bandwidth)
     }
 }
 
-/// Returns the weights exp(-gain·misfit) of positions, which sum to 1; equal ones if no misfit is finite.
-fn sample_weights(misfits: &[f32], gain: f64) -> Vec<f64> {
-    let least = f64::from(misfits.iter().copied().fold(f32::INFINITY, f32::min));
-    if !least.is_finite() {
-        return vec![1.0 / misfits.len() as f64; misfits.len()]; // no common feature with any fingerprint
-    }
-    let weights: Vec<f64> = misfits.iter().map(|m| (-gain * (f64::from(*m) - least)).exp()).collect();
-    let sum: f64 = weights.iter().sum();
-    weights.iter().map(|w| w / sum).collect()
+/// Returns the least misfit; infinite without any.
+pub(crate) fn least_misfit(near: &[(u32, f32)]) -> f64 {
+    near.first().map_or(f64::INFINITY, |(_, misfit)| f64::from(*misfit))
 }
 
 /// Returns the level of the regions that hold nine of ten true positions of `samples`, with the rank of split conformal
@@ -106,14 +106,14 @@ fn sample_weights(misfits: &[f32], gain: f64) -> Vec<f64> {
 pub(crate) fn region_level(
     positions: &[[f64; 3]],
     samples: &[ValidationSample],
-    misfits: &[Vec<f32>],
+    nearest: &[Nearest],
     choice: Choice,
 ) -> Option<f32> {
     // The smallest of n values holds n/(n + 1) of new ones.
     let last = ((samples.len() + 1) / MISSED).checked_sub(1)?;
-    let level = |(misfits, ValidationSample { position: [x, y, _], .. }): (&Vec<f32>, &ValidationSample)| {
-        f64::from(choice.density(misfits, positions).grid().level_at([*x, *y]))
+    let level = |(near, ValidationSample { position: [x, y, _], .. }): (&Nearest, &ValidationSample)| {
+        f64::from(choice.density(near, positions).grid().level_at([*x, *y]))
     };
-    let levels = sorted(misfits.par_iter().zip(samples).map(level).collect::<Vec<f64>>());
+    let levels = sorted(nearest.par_iter().zip(samples).map(level).collect::<Vec<f64>>());
     Some(levels[last] as f32)
 }

@@ -1,7 +1,8 @@
 //! `Fingerprints`: features of the observations at known positions, and the baseline that searches them.
 
-use crate::{FingerprintFeatures, mean_and_median};
+use crate::{FingerprintFeatures, MOST_SAMPLES};
 use pwrfgs_core::neighbours::distance;
+use pwrfgs_core::statistics::{evenly, mean};
 use pwrfgs_core::{Dataset, FittingSet, Predict};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -42,9 +43,14 @@ impl FingerprintBuilder<'_> {
         self.build(places, |link| self.features.extract(&self.data.image(link)))
     }
 
-    /// Returns the predicted fingerprints of `places`, for the same links as [`Self::measured_at`].
-    pub(crate) fn predicted(&self, places: &[Vec<usize>], model: &dyn Predict) -> Fingerprints {
-        self.build(places, |link| self.features.extract(&model.predict(self.data.query(link))))
+    /// Returns the predicted fingerprints of `places`, for the same links as [`Self::measured_at`]; `done` is called after every
+    /// link.
+    pub(crate) fn predicted(&self, places: &[Vec<usize>], model: &dyn Predict, done: impl Fn() + Sync) -> Fingerprints {
+        self.build(places, |link| {
+            let features = self.features.extract(&model.predict(self.data.query(link)));
+            done();
+            features
+        })
     }
 
     /// Groups `transmitters` by position, so that repeated readings of powers make one fingerprint. Other observations stay
@@ -134,10 +140,36 @@ impl Fingerprints {
         Self { positions: kept.iter().map(|k| self.positions[*k]).collect(), values, weights, width: self.width }
     }
 
-    /// Returns the weighted mean squared difference of an observation `[D]` from every fingerprint, `[K]`, over the features
-    /// that both contain; infinite if there are none.
-    pub fn misfits(&self, observation: &[f32]) -> Vec<f32> {
-        (0..self.len()).map(|k| mean_squared_difference(observation, self.row(k), self.row_weights(k))).collect()
+    /// Returns the `count` fingerprints of least misfit, the weighted mean squared difference from an observation `[D]` over the
+    /// features that both contain: indices and misfits, least first; ties in the order of the positions. The misfit is
+    /// infinite without a common feature, and at the position `left_out`.
+    pub(crate) fn nearest(&self, observation: &[f32], count: usize, left_out: Option<[f64; 3]>) -> Vec<(u32, f32)> {
+        let by_misfit = |a: &(u32, f32), b: &(u32, f32)| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0));
+        let keep_nearest = |near: &mut Vec<(u32, f32)>| {
+            if near.len() > count {
+                near.select_nth_unstable_by(count, by_misfit);
+                near.truncate(count);
+            }
+        };
+        let (mut near, mut worst) = (Vec::with_capacity(2 * count), f32::INFINITY);
+        for (k, position) in self.positions.iter().enumerate() {
+            let misfit = if left_out == Some(*position) {
+                f32::INFINITY
+            } else {
+                mean_squared_difference(observation, self.row(k), self.row_weights(k))
+            };
+            // Later positions lose ties.
+            if misfit < worst || near.len() < count {
+                near.push((k as u32, misfit));
+                if near.len() == 2 * count {
+                    keep_nearest(&mut near);
+                    worst = near.iter().fold(0.0, |worst, (_, misfit)| worst.max(*misfit));
+                }
+            }
+        }
+        keep_nearest(&mut near);
+        near.sort_unstable_by(by_misfit);
+        near
     }
 }
 
@@ -147,6 +179,10 @@ const LANES: usize = 16;
 /// Returns the weighted mean squared difference of features over those that both contain; infinite if there are none. Sums of
 /// [`LANES`] run side by side, for vector instructions.
 fn mean_squared_difference(a: &[f32], b: &[f32], weights: &[f32]) -> f32 {
+    if let (&[a], &[b], &[weight]) = (a, b, weights) {
+        let d = a - b;
+        return if d.is_nan() || weight == 0.0 { f32::INFINITY } else { weight * (d * d) / weight };
+    }
     let (mut sums, mut totals) = ([0.0_f32; LANES], [0.0_f32; LANES]);
     let mut add = |k: usize, a: f32, b: f32, weight: f32| {
         let d = a - b;
@@ -180,12 +216,15 @@ impl NearestFingerprints {
     pub fn fit(data: &Dataset, links: FittingSet<'_>, features: &FingerprintFeatures, floor: f32) -> Self {
         let builder = FingerprintBuilder { data, features, floor };
         let fingerprints = builder.measured_at(&builder.places(&data.locations_of(links.train)));
-        let truths = builder.measured(&data.locations_of(links.validation));
+        let truths = builder.measured(&evenly(&data.locations_of(links.validation), MOST_SAMPLES));
         let mut best = Self { fingerprints, k: 1 };
         if !truths.is_empty() {
+            let most = COUNTS[COUNTS.len() - 1];
+            let nearest = |i: usize| best.fingerprints.nearest(truths.row(i), most, None);
+            let nearest: Vec<Vec<(u32, f32)>> = (0..truths.len()).into_par_iter().map(nearest).collect();
             let error = |k: usize| {
-                let sample_error = |i: usize| distance(best.nearest_position(truths.row(i), k), truths.positions[i]);
-                mean_and_median((0..truths.len()).into_par_iter().map(sample_error).collect())[0]
+                let errors = nearest.iter().zip(&truths.positions);
+                mean(errors.map(|(near, truth)| distance(best.mean_position(&near[..k.min(near.len())]), *truth)))
             };
             best.k = COUNTS.map(|k| (error(k), k)).into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).map_or(1, |(_, k)| k);
         }
@@ -194,18 +233,15 @@ impl NearestFingerprints {
 
     /// Returns the position of an observation, metres.
     pub fn locate(&self, observation: &[f32]) -> [f64; 3] {
-        self.nearest_position(observation, self.k)
+        self.mean_position(&self.fingerprints.nearest(observation, self.k, None))
     }
 
-    /// Returns the mean position of the `k` fingerprints of least misfit, metres.
-    fn nearest_position(&self, observation: &[f32], k: usize) -> [f64; 3] {
-        let misfits = self.fingerprints.misfits(observation);
-        let mut order: Vec<usize> = (0..misfits.len()).collect();
-        order.sort_by(|a, b| misfits[*a].total_cmp(&misfits[*b]));
-        order.truncate(k);
+    /// Returns the mean position of fingerprints, metres.
+    fn mean_position(&self, near: &[(u32, f32)]) -> [f64; 3] {
         let mut mean = [0.0; 3];
-        for neighbour in &order {
-            (0..3).for_each(|axis| mean[axis] += self.fingerprints.positions[*neighbour][axis] / order.len() as f64);
+        for (neighbour, _) in near {
+            let position = self.fingerprints.positions[*neighbour as usize];
+            (0..3).for_each(|axis| mean[axis] += position[axis] / near.len() as f64);
         }
         mean
     }
@@ -227,6 +263,26 @@ mod tests {
         assert_eq!(mean_squared_difference(&a, &b, &ones), 4.0);
         assert_eq!(mean_squared_difference(&[f32::NAN], &[1.0], &[1.0]), f32::INFINITY);
         assert_eq!(mean_squared_difference(&[1.0, 5.0], &[0.0, 3.0], &[1.0, 0.5]), 2.0);
+    }
+
+    #[test]
+    fn nearest_fingerprints_are_those_of_a_full_sort() {
+        let values: Vec<f32> = (0..900).map(|k| (k * 7 % 23) as f32).collect();
+        let positions: Vec<[f64; 3]> = (0..900).map(|k| [f64::from(k), 0.0, 0.0]).collect();
+        let all = Fingerprints { positions, values, weights: vec![1.0], width: 1 };
+        for (observed, left_out) in [(4.4, None), (11.0, Some([5.0, 0.0, 0.0])), (f32::NAN, None)] {
+            let misfit = |k: u32| {
+                let is_left_out = left_out.is_some_and(|[x, ..]: [f64; 3]| x as u32 == k);
+                let misfit = (observed - all.values[k as usize]).powi(2);
+                if is_left_out || observed.is_nan() { f32::INFINITY } else { misfit }
+            };
+            let mut sorted: Vec<(u32, f32)> = (0..900).map(|k| (k, misfit(k))).collect();
+            sorted.sort_by(|a, b| a.1.total_cmp(&b.1)); // stable: ties in the order of positions
+            for count in [1, 100, 900, 2_000] {
+                let expected = &sorted[..count.min(900)];
+                assert_eq!(all.nearest(&[observed], count, left_out), expected, "{observed} {count}");
+            }
+        }
     }
 
     /// Three readings at the first position, of which one receiver has two, and one at the second.

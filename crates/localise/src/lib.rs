@@ -6,7 +6,7 @@
 //! observation [D] ── misfits [K] ── weights exp(-s·misfit/scale) ── density over the floor ── level ─► region, in parts
 //!                                           mode of the most probable part ── descent along the model ─► position
 //! ```
-//! All choices use the validation set: the share of the model in the fingerprints, the sharpness s and the kernel width by
+//! All choices use at most 1,000 samples of the validation set: the share of the model in the fingerprints, the sharpness s and the kernel width by
 //! the density at the true positions, the kernel width of the mode and whether to descend by the mean error, and the level
 //! of the region. The level holds nine of ten validation samples (the rank of split conformal prediction). That
 //! is no guarantee for new samples, because the same samples choose the other settings.
@@ -25,6 +25,9 @@ pub use locator::{Located, Locator, SHARES};
 pub use region::Region;
 
 use pwrfgs_core::statistics::{mean, median};
+
+/// Maximum number of validation samples that choose settings and calibrate regions; of more, evenly spaced ones.
+pub const MOST_SAMPLES: usize = 1_000;
 
 /// Returns the mean distance and the median distance of pairs of positions, metres; NaN without pairs.
 pub fn mean_and_median(errors: Vec<f64>) -> [f64; 2] {

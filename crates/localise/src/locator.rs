@@ -1,14 +1,15 @@
 //! `Locator`: positions from observations.
 
-use crate::choice::{Choice, ValidationSample, region_level};
+use crate::choice::{Choice, Nearest, ValidationSample, least_misfit, region_level};
 use crate::descent::descend;
 use crate::fingerprints::FingerprintBuilder;
-use crate::region::Density;
-use crate::{FingerprintFeatures, Fingerprints, Region};
+use crate::region::{Density, KERNELS};
+use crate::{FingerprintFeatures, Fingerprints, MOST_SAMPLES, Region};
 use pwrfgs_core::neighbours::{distance, nearest_other_squared};
-use pwrfgs_core::statistics::{mean, median};
-use pwrfgs_core::{Dataset, Error, FittingSet, Image, Predict, Query, Real, Result};
+use pwrfgs_core::statistics::{evenly, mean, median};
+use pwrfgs_core::{Dataset, Error, FittingSet, Image, Predict, Progress, Query, Real, Result};
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Shares of the model in the fingerprints among which validation samples choose, in `locate` and in `view`.
 pub const SHARES: [f32; 3] = [0.5, 1.0, 0.0];
@@ -18,6 +19,8 @@ const WIDER: [f64; 5] = [1.0, 2.0, 4.0, 8.0, 16.0];
 const SHARPNESSES: [f64; 5] = [1.0, 0.25, 0.5, 2.0, 4.0];
 /// Maximum number of validation samples on which settings of the mode are compared, and descent with no descent.
 const COMPARED: usize = 100;
+/// Work of a validation sample for a share, in units of that of a prediction.
+const EFFORT: usize = 50;
 /// Level of the parts among which the most probable one is chosen, if there are too few validation samples for regions.
 const LEVEL: f32 = 0.1;
 /// Distance of validation samples from training samples up to which they lie between them, in units of the distance between
@@ -44,7 +47,7 @@ pub struct Locator<'a> {
     spacing: f64,
     /// Area of [`Self::within`].
     area: Option<Box<dyn Fn([f64; 2]) -> bool + Send + Sync + 'a>>,
-    /// Number of validation positions.
+    /// Number of validation positions that chose the settings, at most [`MOST_SAMPLES`].
     pub validation: usize,
     /// Median distance of a validation position to the nearest training position, metres; NaN without validation samples.
     pub validation_distance: f64,
@@ -76,13 +79,20 @@ impl Located {
 impl<'a> Locator<'a> {
     /// Fits to the training links `links.train` of `data`. `shares` are the shares of the model among which the
     /// validation links choose; without validation links the first is taken. A model that can leave samples out
-    /// ([`Predict::without`]), such as Kriging, is used without the validation links.
+    /// ([`Predict::without`]), such as Kriging, is used without the validation links. `progress` counts links and samples.
     ///
     /// # Errors
     /// Data without positions, or with a moving receiver.
-    pub fn fit(data: &Dataset, links: FittingSet<'_>, model: &'a dyn Predict, shares: &[f32]) -> Result<Self> {
+    pub fn fit(
+        data: &Dataset,
+        links: FittingSet<'_>,
+        model: &'a dyn Predict,
+        shares: &[f32],
+        progress: Progress<'_>,
+    ) -> Result<Self> {
         check_locatable(data)?;
-        let (train, validation) = (data.locations_of(links.train), data.locations_of(links.validation));
+        let train = data.locations_of(links.train);
+        let validation = evenly(&data.locations_of(links.validation), MOST_SAMPLES);
         let without = if validation.is_empty() { None } else { model.without(links.validation) };
         let used = without.as_deref().unwrap_or(model);
         let features = FingerprintFeatures::new(data, links.train);
@@ -92,7 +102,10 @@ impl<'a> Locator<'a> {
         let places = builder.places(&train);
         let measured = builder.measured_at(&places);
         let is_used = |share: &f32| *share > 0.0;
-        let predicted = shares.iter().any(is_used).then(|| builder.predicted(&places, used));
+        let total = links.train.len() + EFFORT * shares.len() * validation.len();
+        let count = AtomicUsize::new(0);
+        let work = |more: usize| progress(count.fetch_add(more, Ordering::Relaxed) + more, total);
+        let predicted = shares.iter().any(is_used).then(|| builder.predicted(&places, used, || work(1)));
         let samples = builder.measured(&validation);
         let sample =
             |k: usize| ValidationSample { observation: samples.row(k).to_vec(), position: samples.positions[k] };
@@ -115,29 +128,33 @@ impl<'a> Locator<'a> {
             validation_distance,
             level: None,
         };
-        let error = locator.choose_share(shares, &measured, predicted.as_ref(), &samples)?;
+        let error = locator.choose_share(shares, &measured, predicted.as_ref(), &samples, &|| work(EFFORT))?;
         data.observations.check()?;
         locator.choose_descent(&samples, error);
         Ok(locator)
     }
 
     /// Chooses the share of the model, with the level and the settings of the mode, by the mean error of validation
-    /// samples. Returns this error, metres.
+    /// samples. Returns this error, metres. `done` is called after every sample of a share.
     fn choose_share(
         &mut self,
         shares: &[f32],
         measured: &Fingerprints,
         predicted: Option<&Fingerprints>,
         samples: &[ValidationSample],
+        done: &(dyn Fn() + Sync),
     ) -> Result<f64> {
         let mut best: Option<(f64, Choice, Option<f32>, Fingerprints)> = None;
         for share in shares {
             self.fingerprints = predicted.map_or_else(|| measured.clone(), |other| measured.blended(other, *share));
-            let misfits: Vec<Vec<f32>> =
-                samples.par_iter().map(|sample| self.fingerprints.misfits(&sample.observation)).collect();
+            let nearest = |sample: &ValidationSample| {
+                done();
+                self.fingerprints.nearest(&sample.observation, KERNELS, None)
+            };
+            let nearest: Vec<Nearest> = samples.par_iter().map(nearest).collect();
             let positions = &self.fingerprints.positions;
-            self.choice = Choice::most_likely(*share, positions, samples, &misfits, self.spacing);
-            self.level = region_level(positions, samples, &misfits, self.choice);
+            self.choice = Choice::most_likely(*share, positions, samples, &nearest, self.spacing);
+            self.level = region_level(positions, samples, &nearest, self.choice);
             let error = self.choose_mode(samples);
             if best.as_ref().is_none_or(|(least, ..)| error < *least) {
                 best = Some((error, self.choice, self.level, self.fingerprints.clone()));
@@ -213,20 +230,16 @@ impl<'a> Locator<'a> {
     pub fn locate_without(&self, observation: &[f32], left_out: Option<[f64; 3]>) -> Located {
         let raised = |v: &f32| if *v < self.floor { self.floor } else { *v };
         let observation = &observation.iter().map(raised).collect::<Vec<f32>>()[..];
-        let mut misfits = self.fingerprints.misfits(observation);
-        let excluded =
-            misfits.iter_mut().zip(&self.fingerprints.positions).filter(|(_, position)| left_out == Some(**position));
-        excluded.for_each(|(misfit, _)| *misfit = f32::INFINITY);
-        let least = misfits.iter().copied().fold(f32::INFINITY, f32::min);
-        let (density, region) = self.density_and_region(&misfits);
+        let near = self.fingerprints.nearest(observation, KERNELS, left_out);
+        let (density, region) = self.density_and_region(&near);
         let position = self.estimate(observation, &density, &region);
         let region = self.level.map(|_| region);
-        Located { position, misfit: f64::from(least) / self.choice.scale, region }
+        Located { position, misfit: least_misfit(&near) / self.choice.scale, region }
     }
 
-    /// Returns the density over the floor and its region, given the misfits `[K]`.
-    fn density_and_region(&self, misfits: &[f32]) -> (Density, Region) {
-        let density = self.choice.density(misfits, &self.fingerprints.positions);
+    /// Returns the density over the floor and its region, given the fingerprints of least misfit.
+    fn density_and_region(&self, near: &[(u32, f32)]) -> (Density, Region) {
+        let density = self.choice.density(near, &self.fingerprints.positions);
         let region = density.grid().region(self.level.unwrap_or(LEVEL));
         (density, region)
     }
@@ -314,7 +327,8 @@ impl<'a> Locator<'a> {
         let selected: Vec<&ValidationSample> =
             samples.iter().step_by(samples.len().div_ceil(COMPARED).max(1)).collect();
         let with_density = |sample: &'t ValidationSample| {
-            let (density, region) = self.density_and_region(&self.fingerprints.misfits(&sample.observation));
+            let (density, region) =
+                self.density_and_region(&self.fingerprints.nearest(&sample.observation, KERNELS, None));
             ComparedSample { sample, density, region }
         };
         selected.into_par_iter().map(with_density).collect()

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::f64::consts::PI;
 
 /// Largest number of kernels of a density, those of the largest weights; and of kernels at which its maximum is sought.
-const KERNELS: usize = 500;
+pub(crate) const KERNELS: usize = 500;
 const PEAKS: usize = 100;
 /// Number of cells along the longer side of the grid.
 const CELLS: f64 = 64.0;
@@ -27,29 +27,29 @@ pub(crate) struct Density {
 }
 
 impl Density {
-    /// Creates the density with the kernels of the largest weights, which then sum to 1.
-    pub(crate) fn new(weights: &[f64], positions: &[[f64; 3]], bandwidth: f64) -> Self {
-        let mut order: Vec<usize> = (0..weights.len()).collect();
-        let by_weight = |a: &usize, b: &usize| weights[*b].total_cmp(&weights[*a]).then(a.cmp(b));
-        if order.len() > KERNELS {
-            order.select_nth_unstable_by(KERNELS, by_weight);
-            order.truncate(KERNELS);
-        }
-        order.sort_by(by_weight);
-        let sum: f64 = order.iter().map(|k| weights[*k]).sum();
-        Self { kernels: order.iter().map(|k| (weights[*k] / sum, positions[*k])).collect(), bandwidth }
+    /// Creates the density with kernels, largest weight first; the weights are scaled to the sum 1.
+    pub(crate) fn new(mut kernels: Vec<(f64, [f64; 3])>, bandwidth: f64) -> Self {
+        let sum: f64 = kernels.iter().map(|(w, _)| w).sum();
+        kernels.iter_mut().for_each(|(w, _)| *w /= sum);
+        Self { kernels, bandwidth }
     }
 
-    /// Returns 1/(1 + r²) at `point` for the kernel at `centre`, with r the horizontal distance in kernel widths.
-    fn closeness(&self, point: [f64; 2], centre: &[f64; 3]) -> f64 {
-        let r = [0, 1].map(|k| (point[k] - centre[k]) / self.bandwidth);
-        1.0 / (1.0 + r[0] * r[0] + r[1] * r[1])
+    /// Returns the weights with 1/(1 + r²) at a point for each kernel, with r the horizontal distance in kernel widths.
+    fn closeness(&self, [x, y]: [f64; 2]) -> impl Iterator<Item = (f64, f64, &[f64; 3])> {
+        let scale = 1.0 / (self.bandwidth * self.bandwidth);
+        self.kernels.iter().map(move |(w, p)| {
+            let (dx, dy) = (x - p[0], y - p[1]);
+            (*w, 1.0 / (1.0 + scale * (dx * dx + dy * dy)), p)
+        })
     }
 
     /// Returns the density at a point, per square metre.
     pub(crate) fn value_at(&self, point: [f64; 2]) -> f64 {
-        let kernels = self.kernels.iter().map(|(w, p)| w * self.closeness(point, p).powi(2));
-        kernels.sum::<f64>() / (PI * self.bandwidth * self.bandwidth)
+        let mut sum = 0.0;
+        for (w, near, _) in self.closeness(point) {
+            sum += w * near * near;
+        }
+        sum / (PI * self.bandwidth * self.bandwidth)
     }
 
     /// Returns the mode, by ascent from the position of the highest density among those of the largest weights; `None`
@@ -65,7 +65,7 @@ impl Density {
     /// for which the mean is the point if the gradient is 0 (mean shift).
     fn ascend(&self, mut point: [f64; 2]) -> [f64; 2] {
         for _ in 0..STEPS {
-            let next = self.weighted_mean(point, 3);
+            let next = self.weighted_mean(point, true);
             let length = (next[0] - point[0]).hypot(next[1] - point[1]);
             point = [next[0], next[1]];
             if length < END * self.bandwidth {
@@ -75,15 +75,18 @@ impl Density {
         point
     }
 
-    /// Returns the mean of the positions, weighted by their weights times a power of the closeness to a point.
-    fn weighted_mean(&self, point: [f64; 2], power: i32) -> [f64; 3] {
-        let (mut sum, mut total) = ([0.0; 3], 0.0);
-        for (w, p) in &self.kernels {
-            let weight = w * self.closeness(point, p).powi(power);
+    /// Returns the mean of the positions, weighted by their weights times a power of the closeness to a point: 2, or 3 if
+    /// `is_gradient`.
+    fn weighted_mean(&self, point: [f64; 2], is_gradient: bool) -> [f64; 3] {
+        let (mut x, mut y, mut z, mut total) = (0.0, 0.0, 0.0, 0.0);
+        for (w, near, p) in self.closeness(point) {
+            let weight = w * near * near * if is_gradient { near } else { 1.0 };
             total += weight;
-            (0..3).for_each(|k| sum[k] += weight * p[k]);
+            x += weight * p[0];
+            y += weight * p[1];
+            z += weight * p[2];
         }
-        sum.map(|v| v / total)
+        [x / total, y / total, z / total]
     }
 
     /// Returns the root mean square distances along the axes of the selected positions from a position, metres; 0
@@ -107,7 +110,8 @@ impl Density {
         grid.low = grid.cell_at(ends.map(|(low, _)| low - reach));
         grid.high = grid.cell_at(ends.map(|(_, high)| high + reach));
         if let Some(mode) = self.mode() {
-            grid.highest = self.value_at(grid.centre(grid.cell_at(mode)));
+            let cell = grid.cell_at(mode);
+            grid.highest = grid.values(cell, cell)[0];
         }
         grid
     }
@@ -122,8 +126,8 @@ pub(crate) struct Grid<'a> {
     /// First and last cell: numbers of cells from the origin.
     low: [i64; 2],
     high: [i64; 2],
-    /// Density in the cell of the highest mode.
-    highest: f64,
+    /// Value in the cell of the highest mode.
+    highest: f32,
 }
 
 impl Grid<'_> {
@@ -132,29 +136,40 @@ impl Grid<'_> {
         point.map(|v| (v / self.step).floor() as i64)
     }
 
-    /// Returns the centre of a cell, metres.
-    fn centre(&self, cell: [i64; 2]) -> [f64; 2] {
-        cell.map(|k| (k as f64 + 0.5) * self.step)
-    }
-
-    /// Returns the density in a cell, relative to the highest.
-    fn relative_density(&self, cell: [i64; 2]) -> f32 {
-        (self.density.value_at(self.centre(cell)) / self.highest) as f32
+    /// Returns the density at the centres of the cells from `low` to `high`, row by row, relative to [`Self::highest`]. A row at a
+    /// time in 32 bits, for vector instructions; a value does not depend on the other cells.
+    fn values(&self, low: [i64; 2], high: [i64; 2]) -> Vec<f32> {
+        let (columns, rows) = ((high[0] - low[0] + 1) as usize, (high[1] - low[1] + 1) as usize);
+        let (mut across, mut values) = (vec![0.0_f32; columns], vec![0.0_f32; columns * rows]);
+        for (w, p) in &self.density.kernels {
+            let square = |axis: usize, k: usize| {
+                let r = ((low[axis] + k as i64) as f64 + 0.5) * self.step - p[axis];
+                (r / self.density.bandwidth).powi(2) as f32
+            };
+            let weight = *w as f32;
+            across.iter_mut().enumerate().for_each(|(k, x)| *x = square(0, k));
+            for (k, row) in values.chunks_exact_mut(columns).enumerate() {
+                let y = 1.0 + square(1, k);
+                for (value, x) in row.iter_mut().zip(&across) {
+                    *value += weight / ((x + y) * (x + y));
+                }
+            }
+        }
+        values.iter_mut().for_each(|value| *value /= self.highest);
+        values
     }
 
     /// Returns the highest level of a region that holds a point, at most 1; 0 for a point outside of the grid.
     pub(crate) fn level_at(&self, point: [f64; 2]) -> f32 {
         let cell = self.cell_at(point);
         let is_on_grid = (0..2).all(|k| (self.low[k]..=self.high[k]).contains(&cell[k]));
-        if is_on_grid { self.relative_density(cell).min(1.0) } else { 0.0 }
+        if is_on_grid { self.values(cell, cell)[0].min(1.0) } else { 0.0 }
     }
 
     /// Returns the region with at least `level` of the highest density.
     pub(crate) fn region(&self, level: f32) -> Region {
-        let ([left, bottom], [right, top]) = (self.low, self.high);
-        let cells = (bottom..=top).flat_map(|y| (left..=right).map(move |x| [x, y]));
-        let values: Vec<f32> = cells.map(|cell| self.relative_density(cell)).collect();
-        let (columns, parts) = ((right - left + 1) as usize, vec![0; values.len()]);
+        let values = self.values(self.low, self.high);
+        let (columns, parts) = ((self.high[0] - self.low[0] + 1) as usize, vec![0; values.len()]);
         let mut region = Region { low: self.low, step: self.step, columns, values, level, parts, count: 0 };
         region.number_parts();
         region
@@ -170,13 +185,13 @@ pub struct Region {
     pub step: f64,
     /// Number of columns.
     pub columns: usize,
-    /// Density relative to the highest, row by row, lowest row first.
+    /// Density relative to the highest, row by row, lowest row first; empty after [`Self::without_values`].
     pub values: Vec<f32>,
     /// Density at the edge, relative to the highest.
     pub level: f32,
     /// Part of every cell, counted from 1; 0 outside.
-    parts: Vec<u32>,
-    count: u32,
+    parts: Vec<u16>,
+    count: u16,
 }
 
 impl Region {
@@ -191,14 +206,14 @@ impl Region {
     }
 
     /// Returns the part of a cell in a column and a row, counted from 1; 0 outside.
-    fn part_of_cell(&self, [column, row]: [i64; 2]) -> u32 {
+    fn part_of_cell(&self, [column, row]: [i64; 2]) -> u16 {
         let is_on_grid = (0..self.columns as i64).contains(&column) && row >= 0;
         let cell = is_on_grid.then_some((row * self.columns as i64 + column) as usize);
         cell.and_then(|cell| self.parts.get(cell)).copied().unwrap_or(0)
     }
 
     /// Returns the part at a point, counted from 1; 0 outside.
-    pub(crate) fn part_at(&self, point: [f64; 2]) -> u32 {
+    pub(crate) fn part_at(&self, point: [f64; 2]) -> u16 {
         self.part_of_cell([0, 1].map(|k| (point[k] / self.step).floor() as i64 - self.low[k]))
     }
 
@@ -237,7 +252,7 @@ impl Region {
     }
 
     /// Returns the part with the largest probability; 0 without parts.
-    fn most_probable_part(&self) -> u32 {
+    fn most_probable_part(&self) -> u16 {
         let mut sums = vec![0.0; self.parts() + 1];
         self.parts.iter().zip(&self.values).for_each(|(part, value)| sums[*part as usize] += f64::from(*value));
         (1..=self.count).max_by(|a, b| sums[*a as usize].total_cmp(&sums[*b as usize])).unwrap_or(0)
@@ -246,7 +261,7 @@ impl Region {
     /// Returns the most probable part and its mode, with the mean height of the positions there, metres. The mode is that of
     /// the kernels in the part, at a width of `bandwidth` and with weights to the power of `sharpness`; if it is outside of
     /// the part, that of its kernels at the width of the density.
-    pub(crate) fn most_probable_mode(&self, density: &Density, bandwidth: f64, sharpness: f64) -> (u32, [f64; 3]) {
+    pub(crate) fn most_probable_mode(&self, density: &Density, bandwidth: f64, sharpness: f64) -> (u16, [f64; 3]) {
         let part = self.most_probable_part();
         let is_in_part = |point: [f64; 2]| self.part_at(point) == part;
         let inner_kernels = || density.kernels.iter().filter(|(_, [x, y, _])| is_in_part([*x, *y]));
@@ -259,15 +274,22 @@ impl Region {
         };
         let mode = Density { kernels: sharper, bandwidth }.mode().filter(is_mode_inside).or_else(plain);
         let [x, y] = mode.unwrap_or_else(|| self.highest_centre(part));
-        (part, [x, y, density.weighted_mean([x, y], 2)[2]])
+        (part, [x, y, density.weighted_mean([x, y], false)[2]])
     }
 
     /// Returns the centre of the cell of the highest density in `part`, metres; of the first cell if it has none.
-    fn highest_centre(&self, part: u32) -> [f64; 2] {
+    fn highest_centre(&self, part: u16) -> [f64; 2] {
         let cells = (0..self.values.len()).filter(|k| self.parts[*k] == part);
         let highest = cells.max_by(|a, b| self.values[*a].total_cmp(&self.values[*b])).unwrap_or(0);
         let ([x, y], (row, column)) = (self.first(), (highest / self.columns, highest % self.columns));
         [x + column as f64 * self.step, y + row as f64 * self.step]
+    }
+
+    /// Returns the region without the density, which only a picture needs.
+    #[must_use]
+    pub fn without_values(mut self) -> Self {
+        self.values = Vec::new();
+        self
     }
 
     /// Returns the area of all parts, square metres.
@@ -278,7 +300,7 @@ impl Region {
 
     /// Returns the closed outlines, metres: counter-clockwise around parts, clockwise around holes.
     pub fn outlines(&self) -> Vec<Vec<[f64; 2]>> {
-        let (columns, rows) = (self.columns as i64, (self.values.len() / self.columns.max(1)) as i64);
+        let (columns, rows) = (self.columns as i64, (self.parts.len() / self.columns.max(1)) as i64);
         // Edges of cells with the inside on their left, from corner to corner.
         let mut edges: BTreeSet<[[i64; 2]; 2]> = BTreeSet::new();
         let cells =
@@ -360,7 +382,7 @@ mod tests {
 
     #[test]
     fn density_is_that_of_its_kernels_and_sums_to_one() {
-        let density = Density::new(&[0.5, 0.5], &[[0.0, 0.0, 1.0], [3.0, 0.0, 2.0]], 0.5);
+        let density = Density::new(vec![(0.5, [0.0, 0.0, 1.0]), (0.5, [3.0, 0.0, 2.0])], 0.5);
         let step = 0.05;
         let grid = (-400..400).flat_map(|y| (-400..400).map(move |x| [f64::from(x) * step, f64::from(y) * step]));
         let sum = grid.map(|point| density.value_at(point)).sum::<f64>() * step * step;
@@ -373,7 +395,7 @@ mod tests {
     fn estimate_is_the_mode_of_the_most_probable_part() {
         // The highest mode has one position; three others close together are more probable.
         let positions = [[0.0, 0.0, 1.0], [6.0, 0.0, 2.0], [6.9, 0.0, 2.0], [7.8, 0.0, 2.0]];
-        let density = Density::new(&[0.34, 0.22, 0.22, 0.22], &positions, 0.4);
+        let density = Density::new([0.34, 0.22, 0.22, 0.22].into_iter().zip(positions).collect(), 0.4);
         let region = density.grid().region(0.1);
         let (_, [x, y, z]) = region.most_probable_mode(&density, 0.4, 1.0);
         assert_eq!(region.parts(), 2);
@@ -386,7 +408,7 @@ mod tests {
         let positions: Vec<[f64; 3]> = (0..60).map(|k| [f64::from(k * 7 % 20), f64::from(k * 11 % 13), 0.0]).collect();
         let weights: Vec<f64> = (0..60).map(|k| 0.9_f64.powi(k)).collect();
         for bandwidth in [0.2, 1.0, 5.0] {
-            let density = Density::new(&weights, &positions, bandwidth);
+            let density = Density::new(weights.iter().copied().zip(positions.iter().copied()).collect(), bandwidth);
             let grid = density.grid();
             for k in 0..200 {
                 let point = [f64::from(k * 37 % 101) * 0.31 - 5.0, f64::from(k * 53 % 103) * 0.2 - 4.0];

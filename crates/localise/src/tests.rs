@@ -4,6 +4,7 @@ use crate::{FingerprintFeatures, Locator, NearestFingerprints, mean_and_median};
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Channels, Spectra, rng};
 use pwrfgs_core::{Dataset, Elevation, FittingSet, Image, Observations, Pose, Predict, Query, Real, Receiver, Sample};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 const RECEIVERS: [[f64; 3]; 4] = [[0.0, 0.0, 3.0], [10.0, 0.0, 3.0], [0.0, 6.0, 3.0], [10.0, 6.0, 3.0]];
 
@@ -30,11 +31,16 @@ impl Predict for PathLoss {
 
 /// Returns 300 training positions 0.4 to 0.5 m apart, then 120 validation and 120 test positions at random.
 fn hall() -> (Dataset, [Vec<usize>; 3]) {
+    hall_of(240)
+}
+
+/// Returns the hall with `further` positions at random after the training positions; the first 120 are for validation.
+fn hall_of(further: u32) -> (Dataset, [Vec<usize>; 3]) {
     let random = &mut rng::stream(0, "hall", 0);
     let grid = (0..300).map(|k| [0.25 + 0.5 * f64::from(k % 20), 0.2 + 0.4 * f64::from(k / 20), 1.0]);
     let mut positions: Vec<[f64; 3]> = grid.collect();
     let mut uniform = |size: f64| size * f64::from(rng::uniform(random) as f32);
-    positions.extend((0..240).map(|_| [uniform(10.0), uniform(6.0), 1.0]));
+    positions.extend((0..further).map(|_| [uniform(10.0), uniform(6.0), 1.0]));
     let samples = positions
         .iter()
         .enumerate()
@@ -54,7 +60,7 @@ fn hall() -> (Dataset, [Vec<usize>; 3]) {
 fn model_locates_better_than_nearest_fingerprints_and_regions_hold_nine_of_ten() {
     let (data, [train, validation, test]) = hall();
     let links = FittingSet { train: &train, validation: &validation, ..FittingSet::default() };
-    let locator = Locator::fit(&data, links, &PathLoss, &[0.0, 0.5, 1.0]).unwrap();
+    let locator = Locator::fit(&data, links, &PathLoss, &[0.0, 0.5, 1.0], &|_, _| {}).unwrap();
     assert!(locator.choice.share > 0.0, "the exact law is better than noisy measurements: {:?}", locator.choice);
     let transmitters = data.locations_of(&test);
     let observations = locator.observations(&data, &transmitters);
@@ -73,17 +79,42 @@ fn model_locates_better_than_nearest_fingerprints_and_regions_hold_nine_of_ten()
 }
 
 #[test]
+fn at_most_a_thousand_validation_samples_choose() {
+    let (data, [train, ..]) = hall_of(1_300);
+    let all: Vec<usize> = (1_200..6_400).collect();
+    let fit = |validation: &[usize], most: &AtomicUsize| {
+        let links = FittingSet { train: &train, validation, ..FittingSet::default() };
+        let progress = |done: usize, total: usize| {
+            assert!(done <= total);
+            most.fetch_max(1_000 * done / total, Ordering::Relaxed);
+        };
+        Locator::fit(&data, links, &PathLoss, &[1.0], &progress).unwrap()
+    };
+    let most = AtomicUsize::default();
+    let (thinned, few) = (fit(&all, &most), fit(&all[..1_200], &most));
+    assert_eq!((thinned.validation, few.validation, most.into_inner()), (1_000, 300, 1_000));
+    assert_eq!(thinned.choice.sharpness, few.choice.sharpness);
+    let held = thinned.observations(&data, &(300..1_600).collect::<Vec<_>>());
+    let held = held
+        .iter()
+        .enumerate()
+        .filter(|(k, observation)| thinned.locate(observation).holds(data.locations[300 + k].position()) == Some(true));
+    let share = held.count() as f64 / 1_300.0;
+    assert!((0.88..=0.92).contains(&share), "{share}");
+}
+
+#[test]
 fn unknown_powers_are_ignored_and_invalid_boxes_refused() {
     let (data, [train, validation, _]) = hall();
     let links = FittingSet { train: &train, validation: &validation, ..FittingSet::default() };
-    let locator = Locator::fit(&data, links, &PathLoss, &[1.0]).unwrap();
+    let locator = Locator::fit(&data, links, &PathLoss, &[1.0], &|_, _| {}).unwrap();
     let whole = locator.observations(&data, &[305]).remove(0);
     let some = [whole[0], f32::NAN, whole[2], whole[3]];
     let apart = distance(locator.locate(&whole).position, locator.locate(&some).position);
     assert!(apart < 1.5, "three receivers are enough: {apart} m apart");
     let weak = |dbm: f32| locator.locate(&[whole[0], dbm, whole[2], whole[3]]).position;
     assert_eq!(weak(locator.floor()), weak(-200.0), "powers below the floor count as the floor");
-    let without_model = Locator::fit(&data, links, &PathLoss, &[0.0]).unwrap();
+    let without_model = Locator::fit(&data, links, &PathLoss, &[0.0], &|_, _| {}).unwrap();
     let (first, position) = (without_model.observations(&data, &[0]).remove(0), data.locations[0].position());
     assert_eq!(without_model.locate(&first).misfit, 0.0, "a training sample has its own fingerprint");
     assert!(without_model.locate_without(&first, Some(position)).misfit > 0.0);
@@ -137,7 +168,7 @@ fn estimate_between_two_areas_is_in_one_of_them() {
     let data = Dataset::of_links("areas", vec![receiver], vec![], &samples, Observations::from(powers)).unwrap();
     let (train, validation): (Vec<usize>, Vec<usize>) = ((0..140).collect(), (140..200).collect());
     let links = FittingSet { train: &train, validation: &validation, ..FittingSet::default() };
-    let locator = Locator::fit(&data, links, &PathLoss, &[0.0, 1.0]).unwrap();
+    let locator = Locator::fit(&data, links, &PathLoss, &[0.0, 1.0], &|_, _| {}).unwrap();
     assert!(locator.validates_between_training());
     let mut several = 0;
     for observation in locator.observations(&data, &(140..200).collect::<Vec<_>>()) {
@@ -170,7 +201,7 @@ fn model_of_samples_is_used_without_validation_samples() {
     let (data, [train, validation, _]) = hall();
     let links = FittingSet { train: &train, validation: &validation, ..FittingSet::default() };
     let [without, path_loss] = [&FromSamples as &dyn Predict, &PathLoss].map(|model| {
-        let locator = Locator::fit(&data, links, model, &[1.0]).unwrap();
+        let locator = Locator::fit(&data, links, model, &[1.0], &|_, _| {}).unwrap();
         locator.locate(&locator.observations(&data, &[305])[0]).position
     });
     assert_eq!(without, path_loss);

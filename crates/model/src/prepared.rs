@@ -98,18 +98,18 @@ impl<'a> Prepared<'a> {
     pub fn predict_with_deviation<'q>(&self, query: impl Into<Query<'q>>) -> (Image, Image, StageTimes) {
         let query = query.into();
         let (predictions, times) = self.member_predictions(query);
-        let count = predictions.len() as Real;
-        let clamped: Vec<Image> = predictions.iter().map(|prediction| self.task().shown(prediction.clone())).collect();
-        let mean = mean_prediction(predictions, self.task());
-        let mut deviation = Image::zeros(mean.width, mean.height);
-        if clamped.len() > 1 {
-            for prediction in &clamped {
-                let squares = prediction.pixels.iter().zip(&mean.pixels).map(|(p, m)| (p - m) * (p - m));
-                deviation.pixels.iter_mut().zip(squares).for_each(|(sum, square)| *sum += square);
-            }
-            deviation.pixels.iter_mut().for_each(|sum| *sum = (*sum / count).sqrt());
-        }
+        let (mean, deviation) = mean_and_deviation(predictions, self.task());
         (self.corrected(mean, query), deviation, times)
+    }
+
+    /// Runs [`Self::predict_with_deviation`] for many links, without times; it is fastest if links of one transmitter are
+    /// adjacent.
+    pub fn predict_many_with_deviation(&self, queries: &[Query<'_>]) -> Vec<(Image, Image)> {
+        let correct = |(predictions, query): (Vec<Image>, &Query<'_>)| {
+            let (mean, deviation) = mean_and_deviation(predictions, self.task());
+            (self.corrected(mean, *query), deviation)
+        };
+        self.predictions_of_many(queries).into_par_iter().zip(queries).map(correct).collect()
     }
 
     /// Returns the prediction with the expected residual added; unchanged without residual processes.
@@ -139,10 +139,15 @@ impl<'a> Prepared<'a> {
 
     /// Predicts many links; it is fastest if links of one transmitter are adjacent.
     pub fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
+        let correct =
+            |(all, query): (Vec<Image>, &Query<'_>)| self.corrected(mean_prediction(all, self.task()), *query);
+        self.predictions_of_many(queries).into_par_iter().zip(queries).map(correct).collect()
+    }
+
+    /// Returns the predictions of all members for each link, not clamped.
+    fn predictions_of_many(&self, queries: &[Query<'_>]) -> Vec<Vec<Image>> {
         let mut by_member: Vec<_> = self.members.iter().map(|m| m.predict_many(queries).into_iter()).collect();
-        let mean = |_| mean_prediction(by_member.iter_mut().filter_map(Iterator::next).collect(), self.task());
-        let means: Vec<Image> = queries.iter().map(mean).collect();
-        means.into_par_iter().zip(queries).map(|(mean, query)| self.corrected(mean, *query)).collect()
+        queries.iter().map(|_| by_member.iter_mut().filter_map(Iterator::next).collect()).collect()
     }
 
     /// Runs [`Self::predict_many`] into `numbers`, as contiguous observations.
@@ -262,6 +267,22 @@ impl<'a> Member<'a> {
         let parameters = Parameters { cloud: &self.cloud, gate: None, existence: None, weights };
         run(&Call { setup, parameters, links, pixels: &PixelSubset::All })
     }
+}
+
+/// Returns the mean of the observations as [`mean_prediction`], and their standard deviation for every value; 0 for one.
+fn mean_and_deviation(predictions: Vec<Image>, task: Task) -> (Image, Image) {
+    let count = predictions.len() as Real;
+    let clamped: Vec<Image> = predictions.iter().map(|prediction| task.shown(prediction.clone())).collect();
+    let mean = mean_prediction(predictions, task);
+    let mut deviation = Image::zeros(mean.width, mean.height);
+    if clamped.len() > 1 {
+        for prediction in &clamped {
+            let squares = prediction.pixels.iter().zip(&mean.pixels).map(|(p, m)| (p - m) * (p - m));
+            deviation.pixels.iter_mut().zip(squares).for_each(|(sum, square)| *sum += square);
+        }
+        deviation.pixels.iter_mut().for_each(|sum| *sum = (*sum / count).sqrt());
+    }
+    (mean, deviation)
 }
 
 /// Returns a single observation unchanged, or the mean of several; spectra are each clamped to [0, 1].

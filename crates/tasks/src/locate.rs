@@ -9,9 +9,9 @@ use clap::Args;
 pub use observations::{checked_features, read_observations};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Dataset, Error, FittingSet, Geodetic, Predict, Receiver, Result};
+use pwrfgs_core::{Dataset, Error, FittingSet, Geodetic, Predict, Progress, Receiver, Result};
 use pwrfgs_experiment::text::{aligned, fixed, grouped};
-use pwrfgs_experiment::{Observer, SplitData, check_alike};
+use pwrfgs_experiment::{Observer, SplitData, check_alike, staged};
 use pwrfgs_localise::{FingerprintFeatures, Located, Locator, Region, SHARES};
 use pwrfgs_model::Ensemble;
 use pwrfgs_report::draw::location::LocationMap;
@@ -33,6 +33,9 @@ pub struct LocateSettings {
     /// Only positions in this box, metres or degrees
     #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true, requires = "observations")]
     pub prior: Option<String>,
+    /// Leave out the errors with fingerprints of Kriging, which take longest for many positions
+    #[arg(long)]
+    pub no_kriging: bool,
 }
 
 /// A located transmitter.
@@ -74,7 +77,8 @@ pub type ReadFeatures<'a> = &'a dyn Fn(&FingerprintFeatures) -> Result<Vec<Vec<f
 
 /// Locates transmitters by comparison with the training positions of `split`. With `observations`, estimates the positions of
 /// unknown transmitters and the errors of validation samples. Without, locates the test samples and compares their errors with
-/// those of baselines. `observer` receives the progress and a description of the fit.
+/// those of baselines. The regions of the first `pictures` rows keep their densities. `observer` receives the progress and a
+/// description of the fit.
 ///
 /// # Errors
 /// Data of another scene than the model, without positions or with a moving receiver; invalid observations or settings.
@@ -83,6 +87,7 @@ pub fn locate(
     split: &SplitData,
     observations: Option<ReadFeatures<'_>>,
     settings: &LocateSettings,
+    pictures: usize,
     observer: &mut dyn Observer,
 ) -> Result<Localisation> {
     let prior = settings.prior.as_deref().map(|text| PlaneBounds::parse("--prior", text, ["x", "y"])).transpose()?;
@@ -92,11 +97,10 @@ pub fn locate(
     check_alike(&ensemble.prepare(), data)?;
     let unbiased = ensemble.without_validation(data, fitting)?;
     let model = unbiased.as_ref().unwrap_or(ensemble).prepare();
-    observer.on_stage("fingerprints", 0, 0);
-    let locator = fit_locator(data, fitting, &model)?;
+    let locator = staged(observer, "fingerprints", |progress| fit_locator(data, fitting, &model, progress))?;
     match locator.missing_regions().filter(|_| locator.validation == 0) {
         Some(why) => observer.on_warning(why),
-        None => observer.on_message(&describe_locator(&locator)),
+        None => observer.on_message(&describe_locator(&locator, data.locations_of(fitting.validation).len())),
     }
     let expected = observations.is_some().then(|| scores::describe_validation(&locator, data, fitting));
     let locator = match prior {
@@ -107,12 +111,27 @@ pub fn locate(
         None => locator,
     };
     let rows = match observations {
-        Some(read) => locate_observations(&locator, &read(locator.features())?),
-        None => locate_test_samples(&locator, split, observer),
+        Some(read) => {
+            let observations = read(locator.features())?;
+            locate_rows(observations.len(), pictures, observer, |k| LocatedRow {
+                name: format!("{:05}", k + 1),
+                located: locator.locate(&observations[k]),
+                truth: None,
+            })
+        }
+        None => {
+            let test = data.locations_of(&split.partition.test);
+            let observations = locator.observations(data, &test);
+            let locate = |k: usize| locate_transmitter(&locator, data, test[k], &observations[k], false);
+            locate_rows(test.len(), pictures, observer, locate)
+        }
     };
     let table = match expected {
         Some(expected) => format_positions(&rows, data.scene.geodetic) + &expected,
-        None => scores::format_errors(&rows.iter().map(|row| &row.located).collect::<Vec<_>>(), &locator, split)?,
+        None => {
+            let located: Vec<&Located> = rows.iter().map(|row| &row.located).collect();
+            scores::format_errors(&located, &locator, split, !settings.no_kriging, observer)?
+        }
     };
     let text = table + &describe_regions(&rows, &locator);
     Ok(Localisation {
@@ -142,28 +161,41 @@ fn describe_regions(rows: &[LocatedRow], locator: &Locator<'_>) -> String {
     text
 }
 
-/// Describes the chosen settings of a locator in one line.
-fn describe_locator(locator: &Locator<'_>) -> String {
+/// Describes the chosen settings of a locator in one line; `validation` is the number of all validation positions.
+fn describe_locator(locator: &Locator<'_>, validation: usize) -> String {
     let (choice, missing) = (locator.choice, locator.missing_regions());
     let descent = if choice.descends { "descent along the model" } else { "no descent" };
     format!(
-        "{} fingerprints; chosen on {} validation positions: {} % model in the fingerprints, sharpness {}, {descent}{}",
+        "{} fingerprints; chosen on {}{} validation positions: {} % model in the fingerprints, sharpness {}, {descent}{}",
         grouped(locator.positions().len() as i64),
         grouped(locator.validation as i64),
+        if validation > locator.validation { format!(" of {}", grouped(validation as i64)) } else { String::new() },
         fixed(f64::from(choice.share) * 100.0, 0),
         choice.sharpness,
         missing.map_or_else(String::new, |why| format!("; {why}"))
     )
 }
 
-/// Locates observations, in their order; their true positions are unknown.
-fn locate_observations(locator: &Locator<'_>, observations: &[Vec<f32>]) -> Vec<LocatedRow> {
-    let row = |(k, observation): (usize, &Vec<f32>)| LocatedRow {
-        name: format!("{:05}", k + 1),
-        located: locator.locate(observation),
-        truth: None,
+/// Locates `count` transmitters by `locate`, in their order; the regions of the first `pictures` keep their densities.
+fn locate_rows(
+    count: usize,
+    pictures: usize,
+    observer: &mut dyn Observer,
+    locate: impl Fn(usize) -> LocatedRow + Sync,
+) -> Vec<LocatedRow> {
+    let without_density = |k: usize| {
+        let mut row = locate(k);
+        row.located.region =
+            row.located.region.map(|region| if k < pictures { region } else { region.without_values() });
+        row
     };
-    observations.par_iter().enumerate().map(row).collect()
+    let mut rows = Vec::with_capacity(count);
+    for first in (0..count).step_by(CHUNK) {
+        observer.on_stage("locating", first, count);
+        rows.par_extend((first..(first + CHUNK).min(count)).into_par_iter().map(without_density));
+    }
+    observer.on_stage("locating", count, count);
+    rows
 }
 
 /// Locates the transmitter `t` of the data from its observation; one of the known positions (`is_known`) is compared without
@@ -181,30 +213,17 @@ pub fn locate_transmitter(
     LocatedRow { name: format!("{:05}", transmitter.id), located, truth: Some(truth) }
 }
 
-/// Fits a locator to the positions of `links` with the fingerprints of a model.
+/// Fits a locator to the positions of `links` with the fingerprints of a model; `progress` counts links and samples.
 ///
 /// # Errors
 /// Data without positions or with a moving receiver, or an observation that cannot be read.
-pub fn fit_locator<'a>(data: &Dataset, links: FittingSet<'_>, model: &'a dyn Predict) -> Result<Locator<'a>> {
-    Locator::fit(data, links, model, &SHARES)
-}
-
-/// Locates the transmitters of the test samples from their observations.
-fn locate_test_samples(locator: &Locator<'_>, split: &SplitData, observer: &mut dyn Observer) -> Vec<LocatedRow> {
-    let data = &split.data;
-    let test = data.locations_of(&split.partition.test);
-    let observations = locator.observations(data, &test);
-    let mut rows = Vec::with_capacity(test.len());
-    for (chunk, chunk_observations) in test.chunks(CHUNK).zip(observations.chunks(CHUNK)) {
-        observer.on_stage("locating", rows.len(), test.len());
-        rows.par_extend(
-            chunk
-                .par_iter()
-                .zip(chunk_observations)
-                .map(|(t, observation)| locate_transmitter(locator, data, *t, observation, false)),
-        );
-    }
-    rows
+pub fn fit_locator<'a>(
+    data: &Dataset,
+    links: FittingSet<'_>,
+    model: &'a dyn Predict,
+    progress: Progress<'_>,
+) -> Result<Locator<'a>> {
+    Locator::fit(data, links, model, &SHARES, progress)
 }
 
 /// Formats the table of the estimated positions.
@@ -243,17 +262,17 @@ fn empty_map(locator: &Locator<'_>, data: &Dataset) -> LocationMap<'static> {
 }
 
 impl Localisation {
-    /// Writes the list of positions, the outlines of the regions, the map of the errors, and images of the first `pictures`
-    /// regions into `folder`.
+    /// Writes the list of positions, the outlines of the regions, the map of the errors, and images of the regions with densities
+    /// into `folder`.
     ///
     /// # Errors
     /// A file cannot be written.
-    pub fn write(&self, folder: &NewFolder, pictures: usize) -> Result<()> {
+    pub fn write(&self, folder: &NewFolder) -> Result<()> {
         let mut list = "observation,x,y,z,misfit,region_m2,parts,true_x,true_y,true_z,error_m,region_holds".to_owned();
         list += if self.geodetic.is_some() { Geodetic::COLUMNS } else { "" };
         list.push('\n');
         let mut regions = Vec::new();
-        for (k, row) in self.rows.iter().enumerate() {
+        for row in &self.rows {
             let LocatedRow { name, located, truth } = row;
             let ([x, y, z], region) = (located.position, located.region.as_ref());
             let outlines = region.map(Region::outlines).unwrap_or_default();
@@ -267,7 +286,7 @@ impl Localisation {
                 self.geodetic.map_or_else(String::new, |geodetic| geodetic.cells(located.position))
             );
             regions.push(json!({ "observation": name, "position": located.position, "outlines": outlines }));
-            if let Some(region) = region.filter(|_| k < pictures) {
+            if let Some(region) = region.filter(|region| !region.values.is_empty()) {
                 let image = LocationMap {
                     title: format!("{}: observation {name}", self.title),
                     grid: (region.first(), region.step),

@@ -4,14 +4,26 @@ mod writers;
 
 use crate::models::{check_positions, select_receivers};
 use clap::Args;
-use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{Error, Pose, Predict as _, Query, Result, Task};
+use pwrfgs_core::files::{PartialFolder, digest};
+use pwrfgs_core::statistics::median;
+use pwrfgs_core::{Error, Image, Pose, Predict as _, Query, Result, Task, check_stopped};
 use pwrfgs_experiment::{Observer, text::grouped};
-use pwrfgs_model::{Ensemble, IntervalFactors, Prepared, TrainingDistances};
+use pwrfgs_model::{Ensemble, IntervalFactors, Prepared, TrainingDistances, file};
+use rayon::prelude::*;
+use std::ops::Range;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
 use writers::{PredictedRow, PredictionImage, PredictionRow, PredictionWriter};
 
-/// Number of predictions in memory at a time.
-const CHUNK: usize = 64;
+/// Number of predictions per call of the model.
+const CALL: usize = 64;
+/// Most values and most predictions that are in memory, and lost if the process is killed.
+const VALUES: usize = 1 << 22;
+const ROWS: usize = 2_048;
+/// Largest number of single predictions, and their time, from which the latency is measured.
+const TIMED: usize = 64;
+const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Settings of [`write_predictions`].
 #[derive(Clone, Debug, Default, Args)]
@@ -37,44 +49,60 @@ pub struct PredictionCount {
     pub count: usize,
     /// Distances of the positions to the training positions; `None` if the model has none.
     pub distances: Option<TrainingDistances>,
+    /// Number of single predictions that were timed, and their median time in milliseconds.
+    pub latency: (usize, f64),
 }
 
-/// Predicts at the `poses` of the end that moves, and writes the predictions into `folder`. `observer` receives the progress.
+/// Predicts at the `poses` of the end that moves, and writes the predictions into the folder `out`. What is complete stays in
+/// `out` with the suffix `.partial`, from which the same call continues. `observer` receives the progress.
 ///
 /// # Errors
-/// Invalid settings, a model whose input is not a position, a prediction that is not finite, or a file that cannot be written.
+/// Invalid settings, a model whose input is not a position, a prediction that is not finite, or a file that cannot be written;
+/// `out` is not empty, or its partial folder has predictions of other models, positions or settings; [`Error::Stopped`] once
+/// `stop` is set.
 pub fn write_predictions(
     ensemble: &Ensemble,
     poses: &[Pose],
     settings: &PredictSettings,
-    folder: &NewFolder,
+    out: &Path,
     observer: &mut dyn Observer,
+    stop: &AtomicBool,
 ) -> Result<PredictionCount> {
     check_positions(ensemble)?;
-    let positions: Vec<[f64; 3]> = poses.iter().map(|pose| pose.position).collect();
-    let distances = ensemble.training_distances(&positions);
-    let model = ensemble.prepare();
-    let task = model.task();
-    let receivers = select_receivers(model.receivers(), &settings.receiver)?;
-    let count = poses.len() * receivers.len();
+    let task = ensemble.members()[0].stages.task;
+    let receivers = select_receivers(&ensemble.members()[0].stages.setup.receivers, &settings.receiver)?;
     if settings.stacked && task.shape((1, 1)).is_empty() {
         let why = "--stacked: not supported for received powers, which are all in predictions.csv; remove --stacked";
         return Err(Error::Config(why.into()));
     }
     let factors = settings.interval.map(|level| interval_factors(ensemble, level)).transpose()?;
-    let mut writer = PredictionWriter::new(folder, &model, !settings.no_png, factors.is_some());
-    if settings.stacked {
-        writer.create_stacks(count)?;
-    }
-    let predictor = RowPredictor { model: &model, poses, receivers, distances, factors };
-    for first in (0..count).step_by(CHUNK) {
-        observer.on_stage("predicting", first, count);
-        let rows = (first..(first + CHUNK).min(count)).map(|k| predictor.predict_row(k));
-        writer.write(&rows.collect::<Result<Vec<_>>>()?)?;
-    }
-    observer.on_stage("predicting", count, count);
-    writer.finish()?;
-    Ok(PredictionCount { count, distances: predictor.distances })
+    let folder = PartialFolder::begin(out, &describe_request(ensemble, poses, settings))?;
+    let positions: Vec<[f64; 3]> = poses.iter().map(|pose| pose.position).collect();
+    let distances = ensemble.training_distances(&positions);
+    let model = ensemble.prepare();
+    let (count, latency) = {
+        let predictor = RowPredictor { model: &model, poses, receivers, distances: distances.as_ref(), factors };
+        match predictor.write(&folder, settings, observer, stop) {
+            Err(error) if error.is_input() => {
+                folder.discard(); // other positions, and so another request, are the only remedy
+                return Err(error);
+            }
+            written => written?,
+        }
+        (predictor.count(), predictor.measure_latency())
+    };
+    folder.publish()?;
+    Ok(PredictionCount { count, distances, latency })
+}
+
+/// Describes what determines the output: names of its parts, and their digests.
+fn describe_request(ensemble: &Ensemble, poses: &[Pose], settings: &PredictSettings) -> [(&'static str, String); 4] {
+    let numbers = poses.iter().flat_map(|pose| pose.position.into_iter().chain(pose.orientation));
+    let bytes: Vec<u8> = numbers.flat_map(f64::to_le_bytes).collect();
+    let version = env!("CARGO_PKG_VERSION").to_owned();
+    let options = digest(format!("{settings:?}").as_bytes());
+    let models = digest(&file::ensemble_to_bytes(ensemble));
+    [("program", version), ("models", models), ("positions", digest(&bytes)), ("options", options)]
 }
 
 /// Returns the factors of prediction intervals of this `level`, a probability.
@@ -115,14 +143,43 @@ struct RowPredictor<'a> {
     /// Indices of the receivers.
     receivers: Vec<usize>,
     /// Distances of the poses to the training positions; none if unknown.
-    distances: Option<TrainingDistances>,
+    distances: Option<&'a TrainingDistances>,
     factors: Option<IntervalFactors>,
 }
 
 impl RowPredictor<'_> {
-    /// Predicts row `k`, receiver by receiver; an error if the prediction is not finite. Rows are predicted one after
-    /// another, so that each latency is measured without other load.
-    fn predict_row(&self, k: usize) -> Result<PredictedRow<'_>> {
+    /// Returns the number of rows.
+    fn count(&self) -> usize {
+        self.poses.len() * self.receivers.len()
+    }
+
+    /// Predicts and writes the rows that `folder` does not have yet.
+    fn write(
+        &self,
+        folder: &PartialFolder,
+        settings: &PredictSettings,
+        observer: &mut dyn Observer,
+        stop: &AtomicBool,
+    ) -> Result<()> {
+        let (model, count) = (self.model, self.count());
+        let stacked = settings.stacked.then_some(count);
+        let (mut writer, first) =
+            PredictionWriter::resume(folder, model, !settings.no_png, self.factors.is_some(), stacked)?;
+        if first > 0 {
+            observer.on_message(&format!("resuming after row {} of {}", grouped(first as i64), grouped(count as i64)));
+        }
+        let step = (VALUES / model.setup().value_count().max(1)).clamp(CALL, ROWS);
+        for row in (first..count).step_by(step) {
+            check_stopped(stop)?;
+            observer.on_stage("predicting", row - first, count - first);
+            writer.write(&self.predict_rows(row..(row + step).min(count))?)?;
+        }
+        observer.on_stage("predicting", count - first, count - first);
+        Ok(())
+    }
+
+    /// Returns row `k`, receiver by receiver, and its query.
+    fn row(&self, k: usize) -> (PredictionRow<'_>, Query<'static>) {
         let (model, task) = (self.model, self.model.task());
         let (p, receiver) = (k / self.receivers.len(), self.receivers[k % self.receivers.len()]);
         let is_named = !task.has_pixels || model.receivers().len() > 1;
@@ -131,25 +188,54 @@ impl RowPredictor<'_> {
             pose: self.poses[p],
             has_orientation: model.moving().is_receiver(),
             name: is_named.then(|| model.receivers()[receiver].name.as_str()),
-            training_distance: self.distances.as_ref().map(|distances| distances.metres[p]),
-            geodetic: self.model.setup().geodetic,
+            training_distance: self.distances.map(|distances| distances.metres[p]),
+            geodetic: model.setup().geodetic,
         };
-        let query = Query::at(row.pose, receiver);
-        let (image, spread, times) = if model.models().count() == 1 {
-            let (image, times) = model.predict_timed(query);
-            (image, None, times)
-        } else {
-            let (image, spread, times) = model.predict_with_deviation(query);
-            (image, Some(spread), times)
+        (row, Query::at(row.pose, receiver))
+    }
+
+    /// Predicts rows in calls of [`CALL`]; an error if a prediction is not finite.
+    fn predict_rows(&self, rows: Range<usize>) -> Result<Vec<PredictedRow<'_>>> {
+        let rows: Vec<_> = rows.map(|k| self.row(k)).collect();
+        let predict = |rows: &[(PredictionRow<'_>, Query<'_>)]| {
+            let queries: Vec<Query<'_>> = rows.iter().map(|(_, query)| *query).collect();
+            if self.model.models().count() > 1 {
+                let with_spread = |(image, spread)| (image, Some(spread));
+                return self.model.predict_many_with_deviation(&queries).into_iter().map(with_spread).collect();
+            }
+            self.model.predict_many(&queries).into_iter().map(|image| (image, None)).collect::<Vec<_>>()
         };
+        let predicted: Vec<_> = rows.par_chunks(CALL).flat_map_iter(predict).collect();
+        let complete = |((image, spread), (row, query))| self.complete_row(row, query, image, spread);
+        predicted.into_par_iter().zip(rows).map(complete).collect()
+    }
+
+    /// Adds the interval to a prediction; an error if it is not finite.
+    fn complete_row<'r>(
+        &self,
+        row: PredictionRow<'r>,
+        query: Query<'_>,
+        image: Image,
+        spread: Option<Image>,
+    ) -> Result<PredictedRow<'r>> {
+        let task = self.model.task();
         if !image.pixels.iter().all(|p| p.is_finite()) {
             return Err(not_finite_error(task, &row));
         }
         let interval = self.factors.as_ref().map(|factors| {
-            let deviation = model.deviation(query).unwrap_or(1.0);
+            let deviation = self.model.deviation(query).unwrap_or(1.0);
             factors.interval(task, &task.shown(image.clone()), deviation)
         });
-        Ok((row, PredictionImage { image, spread, interval, milliseconds: 1e3 * times.total }))
+        Ok((row, PredictionImage { image, spread, interval }))
+    }
+
+    /// Measures the times of single predictions at evenly spaced rows: their number, and their median in milliseconds.
+    fn measure_latency(&self) -> (usize, f64) {
+        let (begun, count) = (Instant::now(), self.count());
+        let timed = count.min(TIMED);
+        let time = |k: usize| self.model.predict_timed(self.row(k * count / timed).1).1.total;
+        let times: Vec<f64> = (0..timed).take_while(|k| *k == 0 || begun.elapsed() < PATIENCE).map(time).collect();
+        (times.len(), 1e3 * median(times))
     }
 }
 

@@ -190,7 +190,7 @@ impl ViewPane {
                 Predictor::Model(ready) => ready.borrow_dependent(),
                 Predictor::Baseline(baseline) => baseline.borrow_dependent().as_ref(),
             };
-            pool.install(|| fit_locator(&loaded.data, loaded.partition.known(), model))
+            pool.install(|| fit_locator(&loaded.data, loaded.partition.known(), model, &|_, _| {}))
         })?;
         let (_, fitted) = cached.insert((predictor, Arc::new(fitted)));
         Ok(Arc::clone(fitted))

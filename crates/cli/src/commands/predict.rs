@@ -1,6 +1,7 @@
 //! `pwrfgs predict`: predictions at transmitter positions or receiver poses, from the model file alone.
 
-use crate::output::{self, Verbosity};
+use crate::interrupt::stop_flag;
+use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::{read_frame_positions, read_poses};
@@ -8,15 +9,15 @@ use pwrfgs::experiment::text::grouped;
 use pwrfgs::tasks::plane::{parse_pose, parse_position};
 use pwrfgs::tasks::predict::{PredictSettings, PredictionCount, extrapolation_warning, write_predictions};
 use pwrfgs::tasks::read_models;
-use pwrfgs_core::files::NewFolder;
+use pwrfgs_core::files::PartialFolder;
 use pwrfgs_core::statistics::median;
 use pwrfgs_core::{Error, Geodetic, MeasurementSetup, Pose, Result};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Needs only the model. Writes all files or none. predictions.csv has a row per position and
-receiver, with the latency in ms, the distance to the nearest training position in metres and:
+Needs only the model. predictions.csv has a row per position and receiver, with the distance to
+the nearest training position in metres and:
   spectra   azimuth and elevation of the strongest direction in degrees, and its value
   powers    power in dBm
   channels  mean power of the gains in dB
@@ -26,6 +27,9 @@ An ensemble predicts the mean of its members (spectra clamped to [0, 1]) and wri
 deviation: 00001-spread.npy and .png (white: 0.5), spread.npy, or column spread_db for powers.
 --interval adds a band per pixel (00001-lower.npy and -upper.npy with .png, or lower.npy and upper.npy)
 and column ssim_bound, or columns lower_dbm and upper_dbm. Not for channels.
+Until all are written, the predictions are in DIR.partial. If the command is stopped or killed,
+repeat it to resume; a command with other models, positions or options is refused. Remove
+DIR.partial to start again.
 A warning counts extrapolations: positions farther from all training positions than 3 times their
 spacing (95th percentile of nearest-neighbour distances).
 
@@ -60,8 +64,8 @@ pub(crate) struct Predict {
     pub(crate) settings: PredictSettings,
 }
 
-/// Runs `pwrfgs predict`: writes the predictions and warns of extrapolations.
-pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
+/// Runs `pwrfgs predict`: writes the predictions and warns of extrapolations; returns the exit code.
+pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<u8> {
     let ensemble = read_models(&arguments.models)?;
     let setup = &ensemble.members()[0].stages;
     let height = median(ensemble.training_positions().into_iter().map(|position| position[2]));
@@ -72,11 +76,17 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
             "note: --tx is in metres east and north of latitude {latitude}, longitude {longitude}; --tx-csv takes degrees too"
         ));
     }
-    let folder = NewFolder::begin(&arguments.out)?;
-    let PredictionCount { count, distances } = RunProgress::observe(verbosity, |progress| {
-        write_predictions(&ensemble, &poses, &arguments.settings, &folder, progress)
-    })?;
-    folder.publish()?;
+    let stop = stop_flag();
+    let written = RunProgress::observe(verbosity, |progress| {
+        write_predictions(&ensemble, &poses, &arguments.settings, &arguments.out, progress, &stop)
+    });
+    if let Err(Error::Stopped) = written {
+        let partial = PartialFolder::path_for(&arguments.out);
+        let partial = partial.display();
+        output::print_note(&format!("stopped; the predictions so far are in {partial}; repeat the command to resume"));
+        return Ok(INTERRUPTED);
+    }
+    let PredictionCount { count, distances, latency: (timed, milliseconds) } = written?;
     match &distances {
         Some(distances) => extrapolation_warning(distances).iter().for_each(|warning| output::print_warning(warning)),
         None => verbosity.print_note("note: the model has no training positions, so extrapolations are not marked"),
@@ -86,7 +96,9 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     }
     let kind = if count == 1 { setup.task.singular } else { setup.task.plural };
     verbosity.print_note(&format!("{} {kind} in {}", grouped(count as i64), arguments.out.display()));
-    Ok(())
+    let timed = if timed == 1 { "a single prediction".into() } else { format!("median of {timed} single predictions") };
+    verbosity.print_note(&format!("latency: {milliseconds:.3} ms, {timed}"));
+    Ok(SUCCESS)
 }
 
 /// Reads the positions or poses of the end that moves, at which to predict; `height` is that of degrees without one. Returns an

@@ -132,7 +132,7 @@ impl Drop for NewFolder {
 }
 
 /// Rejects a target that is not empty or has no folder name.
-fn check_target(out: &Path) -> Result<()> {
+pub(super) fn check_target(out: &Path) -> Result<()> {
     if out.file_name().is_none() || out.is_symlink() {
         return Err(Error::input(out, "is not a valid name for a new folder; choose another"));
     }

@@ -5,7 +5,7 @@ use pwrfgs_core::statistics::{evenly, mean, quantile, sorted};
 use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Plugin, Result};
 use pwrfgs_experiment::statistics::{Blocks, Difference};
 use pwrfgs_experiment::text::{aligned, fixed, grouped};
-use pwrfgs_experiment::{PairedRow, SplitData};
+use pwrfgs_experiment::{Observer, PairedRow, SplitData, staged};
 use pwrfgs_localise::{Choice, Located, Locator, NearestFingerprints, Region, SHARES, mean_and_median};
 use rayon::prelude::*;
 use std::fmt::Write as _;
@@ -14,12 +14,20 @@ use std::fmt::Write as _;
 const EXPECTED: usize = 200;
 const CENTRE: &str = "centre of the positions";
 
-/// Formats the table of the errors of the located test samples of `split` and of the baselines, with a verdict.
-pub(super) fn format_errors(located: &[&Located], locator: &Locator<'_>, split: &SplitData) -> Result<String> {
+/// Formats the table of the errors of the located test samples of `split` and of the baselines, with a verdict; `has_kriging`:
+/// also those with fingerprints of Kriging.
+pub(super) fn format_errors(
+    located: &[&Located],
+    locator: &Locator<'_>,
+    split: &SplitData,
+    has_kriging: bool,
+    observer: &mut dyn Observer,
+) -> Result<String> {
     let (data, fitting) = (&split.data, split.partition.known());
     let samples = Samples::new(locator, data, data.locations_of(&split.partition.test));
     let mut entries = vec![samples.located_entry("model", locator.choice, located)];
-    if let Some((choice, kriged)) = samples.locate_by_kriging(fitting)? {
+    let kriged = if has_kriging { samples.locate_by_kriging(fitting, observer)? } else { None };
+    if let Some((choice, kriged)) = kriged {
         let entry = samples.located_entry("fingerprints of Kriging", choice, &kriged.iter().collect::<Vec<_>>());
         entries.extend((entry.name != entries[0].name).then_some(entry));
     }
@@ -110,13 +118,19 @@ impl Samples<'_> {
     }
 
     /// Locates the samples with Kriging in place of the model; `None` if Kriging does not support the data.
-    fn locate_by_kriging(&self, fitting: FittingSet<'_>) -> Result<Option<(Choice, Vec<Located>)>> {
+    fn locate_by_kriging(
+        &self,
+        fitting: FittingSet<'_>,
+        observer: &mut dyn Observer,
+    ) -> Result<Option<(Choice, Vec<Located>)>> {
         let kriging = Plugin::<dyn Baseline>::parse("Kriging()").map_err(Error::Config)?;
         if kriging.check_data(self.data).is_err() {
             return Ok(None);
         }
         let predictor = kriging.fit(self.data, fitting)?;
-        let locator = Locator::fit(self.data, fitting, predictor.as_ref(), &SHARES)?;
+        let locator = staged(observer, "fingerprints of Kriging", |progress| {
+            Locator::fit(self.data, fitting, predictor.as_ref(), &SHARES, progress)
+        })?;
         let located = self.observations.par_iter().map(|observation| locator.locate(observation));
         Ok(Some((locator.choice, located.collect())))
     }

@@ -1,15 +1,19 @@
 //! Output files of predictions: arrays, images and the lines of `predictions.csv`.
 
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
-use pwrfgs_core::files::{GrowingFile, NewFolder};
+use pwrfgs_core::files::{self, GrowingFile, PartialFolder};
 use pwrfgs_core::{Error, Geodetic, Image, Number, Pose, Real, Result, gains_of};
 use pwrfgs_data::{npy_header, npy_header_as};
 use pwrfgs_experiment::text::field;
 use pwrfgs_model::{Interval, Prepared};
 use rayon::prelude::*;
+use std::io::{BufRead as _, BufReader};
+use std::path::Path;
 
 /// NumPy type of pairs of 32-bit floats.
 const COMPLEX: &str = "<c8";
+/// Table of all rows.
+const LIST: &str = "predictions.csv";
 /// Suffix of files with the standard deviation of an ensemble.
 const SPREAD: &str = "-spread";
 
@@ -39,11 +43,11 @@ impl PredictionRow<'_> {
         format!("{number},{x},{y},{z}{turn}{name}")
     }
 
-    /// Formats the last columns of the row: latency, distance to the training positions, and degrees of a frame that has them.
-    fn last_columns(&self, milliseconds: f64) -> String {
+    /// Formats the last columns of the row: distance to the training positions, and degrees of a frame that has them.
+    fn last_columns(&self) -> String {
         let distance = self.training_distance.map_or_else(String::new, |metres| format!("{metres:.3}"));
         let degrees = self.geodetic.map_or_else(String::new, |geodetic| geodetic.cells(self.pose.position));
-        format!("{milliseconds:.3},{distance}{degrees}\n")
+        format!("{distance}{degrees}\n")
     }
 }
 
@@ -53,46 +57,48 @@ pub(super) struct PredictionImage {
     /// Standard deviation over the members of an ensemble.
     pub(super) spread: Option<Image>,
     pub(super) interval: Option<Interval>,
-    pub(super) milliseconds: f64,
 }
 
 /// Row with its prediction.
 pub(super) type PredictedRow<'a> = (PredictionRow<'a>, PredictionImage);
 
-/// Writer of predictions into a new folder: arrays, images and `predictions.csv`.
+/// Writer of predictions into a folder: arrays, images and `predictions.csv`. A row is complete once it is in `predictions.csv`,
+/// after its other files.
 pub(super) struct PredictionWriter<'a> {
-    folder: &'a NewFolder,
+    folder: &'a PartialFolder,
     model: &'a Prepared<'a>,
     has_png: bool,
-    has_interval: bool,
     /// Arrays of all predictions; empty if each prediction has files of its own.
     stacks: Vec<GrowingFile>,
-    /// Text of `predictions.csv`.
-    list: String,
+    list: GrowingFile,
 }
 
 impl<'a> PredictionWriter<'a> {
-    /// Creates the writer of predictions of `model` into `folder`.
-    pub(super) fn new(folder: &'a NewFolder, model: &'a Prepared<'a>, has_png: bool, has_interval: bool) -> Self {
-        Self { folder, model, has_png, has_interval, stacks: Vec::new(), list: list_header(model, has_interval) }
-    }
-
-    /// Creates the arrays of `count` spectra or channels, which then have no files of their own, only images.
-    pub(super) fn create_stacks(&mut self, count: usize) -> Result<()> {
-        let (is_complex, plane) = (self.model.task().is_complex, self.model.plane());
-        let size = [count, if is_complex { plane.height / 2 } else { plane.height }, plane.width];
-        let floats = npy_header(Number::F32, &size);
-        let first = if is_complex { ("channels", npy_header_as(COMPLEX, &size)) } else { ("spectra", floats.clone()) };
-        let further = [("spread", has_spread(self.model)), ("lower", self.has_interval), ("upper", self.has_interval)];
-        let further = further.iter().filter(|(_, is_written)| *is_written).map(|(name, _)| (*name, floats.clone()));
-        let create = |(name, header): (&str, Vec<u8>)| {
-            GrowingFile::create(self.folder.path().join(format!("{name}.npy")), &header)
+    /// Creates the writer of predictions of `model` into `folder`, after the complete rows that it has; also returns their
+    /// number. `stacked` is the number of all spectra or channels if they are in common arrays, not in files of their own.
+    pub(super) fn resume(
+        folder: &'a PartialFolder,
+        model: &'a Prepared<'a>,
+        has_png: bool,
+        has_interval: bool,
+        stacked: Option<usize>,
+    ) -> Result<(Self, usize)> {
+        let stacks: Vec<Stack> = stacked.map_or_else(Vec::new, |count| stacks_of(model, has_interval, count));
+        let path = |name: &str| folder.path().join(name);
+        let limits = stacks.iter().map(|stack| stack.complete_rows(&path(&stack.name)));
+        let limit = limits.min().map_or(usize::MAX, |rows| rows + 1);
+        let (lines, bytes) = complete_lines(&path(LIST), limit)?;
+        let rows = lines.saturating_sub(1);
+        let list = GrowingFile::resume(path(LIST), list_header(model, has_interval).as_bytes(), bytes)?;
+        let open = |Stack { name, header, row_bytes }: Stack| {
+            let length = if rows > 0 { header.len() + rows * row_bytes } else { 0 };
+            GrowingFile::resume(path(&name), &header, length as u64)
         };
-        self.stacks = std::iter::once(first).chain(further).map(create).collect::<Result<_>>()?;
-        Ok(())
+        let stacks = stacks.into_iter().map(open).collect::<Result<_>>()?;
+        Ok((Self { folder, model, has_png, stacks, list }, rows))
     }
 
-    /// Writes the files of the next rows, and adds the rows to the list.
+    /// Writes the files of the next rows, and then adds the rows to the list.
     pub(super) fn write(&mut self, rows: &[PredictedRow<'_>]) -> Result<()> {
         let task = self.model.task();
         if task.has_pixels {
@@ -100,17 +106,13 @@ impl<'a> PredictionWriter<'a> {
         } else if task.is_complex {
             rows.iter().try_for_each(|(row, drawn)| self.write_channel(row.number, drawn))?;
         }
-        for (row, drawn) in rows {
-            let [first, last] = [row.first_columns(), row.last_columns(drawn.milliseconds)];
-            self.list.extend([first, ",".into(), self.format_prediction(drawn), last]);
-        }
-        Ok(())
-    }
-
-    /// Completes all files, and writes the list.
-    pub(super) fn finish(self) -> Result<()> {
-        self.stacks.into_iter().try_for_each(GrowingFile::finish)?;
-        self.folder.put("predictions.csv", self.list)
+        self.stacks.iter_mut().try_for_each(GrowingFile::flush)?;
+        let line = |(row, drawn): &PredictedRow<'_>| {
+            format!("{},{}{}", row.first_columns(), self.format_prediction(drawn), row.last_columns())
+        };
+        let lines: Vec<String> = rows.par_iter().map(line).collect();
+        self.list.append(lines.concat().as_bytes())?;
+        self.list.flush()
     }
 
     /// Formats the columns of a prediction in `predictions.csv`, each with a comma after it. Angles are empty if the
@@ -208,16 +210,68 @@ fn list_header(model: &Prepared<'_>, has_interval: bool) -> String {
     let prediction = if task.has_pixels {
         let receiver = columns_if(model.receivers().len() > 1, "receiver,");
         let bound = columns_if(has_interval, "ssim_bound,");
-        format!("{receiver}azimuth_deg,elevation_deg,peak,{bound}milliseconds")
+        format!("{receiver}azimuth_deg,elevation_deg,peak,{bound}")
     } else if task.is_complex {
-        "receiver,db,ms".to_owned()
+        "receiver,db,".to_owned()
     } else {
         let spread = columns_if(has_spread(model), "spread_db,");
         let interval = columns_if(has_interval, "lower_dbm,upper_dbm,");
-        format!("receiver,dbm,{spread}{interval}ms")
+        format!("receiver,dbm,{spread}{interval}")
     };
     let degrees = columns_if(model.setup().geodetic.is_some(), Geodetic::COLUMNS);
-    format!("row,{pose},{prediction},training_distance_m{degrees}\n")
+    format!("row,{pose},{prediction}training_distance_m{degrees}\n")
+}
+
+/// Array of all predictions, `NAME.npy`.
+struct Stack {
+    name: String,
+    header: Vec<u8>,
+    row_bytes: usize,
+}
+
+impl Stack {
+    /// Returns the number of rows that a partial file has in full.
+    fn complete_rows(&self, path: &Path) -> usize {
+        let bytes = path.metadata().map_or(0, |metadata| metadata.len() as usize);
+        bytes.saturating_sub(self.header.len()) / self.row_bytes.max(1)
+    }
+}
+
+/// Returns the arrays of `count` spectra or channels, with their deviations and bounds.
+fn stacks_of(model: &Prepared<'_>, has_interval: bool, count: usize) -> Vec<Stack> {
+    let (is_complex, plane) = (model.task().is_complex, model.plane());
+    let size = [count, if is_complex { plane.height / 2 } else { plane.height }, plane.width];
+    let stack = |name: &str, header: Vec<u8>, bytes: usize| Stack {
+        name: format!("{name}.npy"),
+        header,
+        row_bytes: bytes * size[1] * size[2],
+    };
+    let floats = npy_header(Number::F32, &size);
+    let first = if is_complex {
+        stack("channels", npy_header_as(COMPLEX, &size), 8)
+    } else {
+        stack("spectra", floats.clone(), 4)
+    };
+    let further = [("spread", has_spread(model)), ("lower", has_interval), ("upper", has_interval)];
+    let further = further.iter().filter(|(_, is_written)| *is_written).map(|(name, _)| stack(name, floats.clone(), 4));
+    std::iter::once(first).chain(further).collect()
+}
+
+/// Counts the complete lines at the start of a partial table, at most `limit`, and their bytes; a quoted cell may have line
+/// breaks. None if there is no such file.
+fn complete_lines(path: &Path, limit: usize) -> Result<(usize, u64)> {
+    let Some(file) = files::if_found(path, files::open(path))? else { return Ok((0, 0)) };
+    let (mut reader, mut line) = (BufReader::new(file), Vec::new());
+    let (mut lines, mut bytes, mut read, mut is_quoted) = (0, 0, 0, false);
+    while lines < limit && reader.read_until(b'\n', &mut line).map_err(|e| Error::read(path, e))? > 0 {
+        read += line.len() as u64;
+        is_quoted ^= line.iter().filter(|byte| **byte == b'"').count() % 2 == 1;
+        if line.ends_with(b"\n") && !is_quoted {
+            (lines, bytes) = (lines + 1, read);
+        }
+        line.clear();
+    }
+    Ok((lines, bytes))
 }
 
 /// Computes the standard deviations of complex gains, `[A, F]`, from those of their real and imaginary parts, `[2 A,
