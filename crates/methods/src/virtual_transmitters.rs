@@ -9,6 +9,7 @@ mod pursuit;
 mod solve;
 mod sweep;
 mod turn;
+mod windows;
 
 pub use field::{FieldVjp, field, field_vjp};
 pub use harmonics::HARMONICS;
@@ -169,6 +170,13 @@ impl Method for VirtualTransmitters {
 /// uses training data only, and the final fit includes the held-out links. For `method: VirtualTransmitters()`, with
 /// gains of its `order`. If only the scene is needed (`pwrfgs check`), it places `most` of them arbitrarily.
 ///
+/// The search of the grid goes from coarse to fine, so that its time grows with the logarithm of the site in
+/// wavelengths. A coarse cell counts what it explains in windows of neighbouring positions and subcarriers, each with a
+/// gain of its own. The band of a window resolves ranges, and its antennas resolve directions. Each level divides the
+/// best 4,096 cells into eight and doubles the width of the windows; the last level is coherent over all positions, on a
+/// subset of the links. No position explains more coherently than in windows, so the search skips a position only if 4,096
+/// cells explain more in windows of the same width. A grid of at most 131,072 cells is searched completely.
+///
 /// ```
 /// # use pwrfgs_core::{Initializer, Plugin};
 /// # use pwrfgs_methods as _;
@@ -193,9 +201,6 @@ pub struct MatchingPursuit {
     pub hold_out: usize,
     /// Number of rounds that remove the least important virtual transmitters and search for replacements.
     pub rounds: usize,
-    /// Number of finer passes after the first, each with half the `step`, twice the `reach` and twice `most`. A pass ends
-    /// at the first addition that does not raise the score on the held-out links.
-    pub finer: usize,
     /// Weight of the ridge penalty on gains, relative to the noise-to-signal ratio estimated by the fit.
     pub ridge: f64,
     /// Whether mirror images of virtual transmitters already found are candidates.
@@ -214,7 +219,6 @@ impl Default for MatchingPursuit {
             patience: 8,
             hold_out: 5,
             rounds: 2,
-            finer: 0,
             ridge: 1.0,
             images: true,
             searches: 1,
@@ -224,20 +228,8 @@ impl Default for MatchingPursuit {
 
 /// Maximum number of virtual transmitters per search.
 const MOST: usize = 1_000;
-/// Maximum number of finer passes.
-const FINEST: usize = 4;
 
 impl MatchingPursuit {
-    /// Returns the settings of pass `level`, from 0: each pass halves the `step` and doubles `reach` and `most`.
-    fn pass_settings(&self, level: usize) -> Self {
-        if level == 0 {
-            return self.clone();
-        }
-        let factor = f64::from(1_u32 << level);
-        let (reach, step) = (self.reach * factor, self.step / factor);
-        Self { most: self.most << level, reach, step, patience: 1, rounds: 0, ..self.clone() }
-    }
-
     /// Returns the training channels at the lowest carrier, which the search reads; an error if data or method do not
     /// fit the search.
     fn training_channels(&self, input: &InitializerInput<'_>) -> Result<ObservedChannels> {
@@ -298,14 +290,16 @@ impl Initializer for MatchingPursuit {
     fn search(&self, input: &InitializerInput<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
         let observed = self.training_channels(input)?;
         let mut all = VirtualSources::new(harmonics_order(&input.method.traits().columns));
-        // The last unit is the refinement after the last addition.
-        let total = self.searches * self.most + 1;
+        // Hundred units per addition, and for the refinement after the last one.
+        let total = 100 * (self.searches * self.most + 1);
         (input.progress)(0, total);
         for search in 0..self.searches {
             let seed = (0..4).fold(0, |seed, _| seed << 16 | rng::below(rng, 1 << 16) as u64);
             let options = self.pursuit_options(input, seed);
-            let report_progress =
-                &mut |sources: usize| (input.progress)(search * self.most + sources.min(self.most), total);
+            let report_progress = &mut |sources: f64| {
+                let done = 100.0 * ((search * self.most) as f64 + sources.min(self.most as f64));
+                (input.progress)(done as usize, total);
+            };
             let sources = pursue_sources(&observed.inputs(), &observed.channel, &options, input.stop, report_progress);
             if input.stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);
@@ -345,12 +339,6 @@ impl Initializer for MatchingPursuit {
         }
         if !(1..=MOST).contains(&self.most) {
             return Err(format!("`most` is {}; give 1 to {MOST}, such as 32", self.most));
-        }
-        if self.finer > FINEST || (self.finer > 0 && self.hold_out < 2) {
-            return Err(format!(
-                "`finer` is {} and `hold_out` is {}; give 0 to {FINEST} finer passes, and a hold_out of 2 or more for them",
-                self.finer, self.hold_out
-            ));
         }
         if self.patience == 0 {
             return Err("`patience` is 0; give 1 or more, such as 8".into());

@@ -32,7 +32,7 @@ fn settings() -> MatchingPursuit {
 }
 
 fn options() -> PursuitOptions {
-    PursuitOptions { settings: settings(), rows: [256, 1024], peaks: 32, ..PursuitOptions::default() }
+    PursuitOptions { settings: settings(), rows: [256, 1024, 1024], peaks: 32, ..PursuitOptions::default() }
 }
 
 fn nearest(found: &VirtualSources, v: [f64; 3]) -> f64 {
@@ -49,7 +49,7 @@ fn finds_virtual_transmitters_of_room() {
     let (mut reports, stop) = (0, AtomicBool::new(false));
     let mut report_progress = |sources| {
         reports += 1;
-        stop.store(sources >= 6, Relaxed);
+        stop.store(sources >= 6.0, Relaxed);
     };
     let found = pursue_sources(&links, &h, &options(), &stop, &mut report_progress).unwrap();
     assert!(reports >= 4);
@@ -79,7 +79,7 @@ fn finds_rotation_of_mirrored_array() {
     let h = field(&truth.to_cloud(), None, &links);
     let stop = AtomicBool::new(false);
     let found =
-        pursue_sources(&links, &h, &options(), &stop, &mut |sources| stop.store(sources >= 5, Relaxed)).unwrap();
+        pursue_sources(&links, &h, &options(), &stop, &mut |sources| stop.store(sources >= 5.0, Relaxed)).unwrap();
     for v in &truth.positions {
         assert!(nearest(&found, *v) < 0.03, "{v:?}: {found:?}");
     }
@@ -112,20 +112,6 @@ fn finds_direction_dependent_gains() {
     let ((flat, _), (directed, found)) = (score(0), score(2));
     assert!(directed > 30.0 && directed > flat + 10.0, "{directed} dB, and {flat} dB without directions");
     assert!(truth.positions.iter().all(|v| nearest(&found, *v) < 0.02), "{found:?}");
-}
-
-#[test]
-#[cfg_attr(feature = "f64", ignore = "searched in single precision")]
-fn finer_pass_runs_while_held_out_score_rises() {
-    let (positions, truth) = (places(120), truth([IDENTITY; 4]));
-    let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
-    let found = |finer: usize, sources: VirtualSources| {
-        let h = field(&sources.to_cloud(), None, &links);
-        let settings = MatchingPursuit { most: 2, reach: 0.4, step: 0.7, finer, ..settings() };
-        pursue_sources(&links, &h, &PursuitOptions { settings, ..options() }, &NEVER, &mut |_| ()).unwrap().len()
-    };
-    assert_eq!([found(0, truth.clone()), found(1, truth.clone())], [2, 4]);
-    assert_eq!(found(1, truth.select(&[0, 1])), 2, "two sources leave nothing to find");
 }
 
 #[test]

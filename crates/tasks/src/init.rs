@@ -41,9 +41,6 @@ const CAMERA_IMAGES: [&str; 5] = [
     "training.moving_stride=true",
     "training.tx_jitter_m=0.0",
 ];
-/// Changes to `CHANNELS`: the search begins on a coarse grid and takes a finer one only if held-out links gain.
-const COARSE_SEARCH: &str =
-    "initializer=MatchingPursuit(most: 10, reach: 1.0, step: 0.5, patience: 4, rounds: 0, finer: 1)";
 /// Changes to `UPLINKS` for channels at an array that moves and turns.
 const TURNING_ARRAY: [&str; 4] = [
     "method.deformation.tx_encoding=Wavelengths(count: 24, longest_m: 4.0, shortest_m: 0.3, seed: 0)",
@@ -132,10 +129,7 @@ fn select_template(survey: &DataSurvey, set: &mut Vec<String>) -> Result<Templat
             set.extend(TURNING_ARRAY.map(str::to_owned));
             (UPLINKS, 32, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
         }
-        None => {
-            set.push(COARSE_SEARCH.into());
-            (CHANNELS, 256, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()")
-        }
+        None => (CHANNELS, 256, "Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()"),
     })
 }
 

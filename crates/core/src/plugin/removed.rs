@@ -34,6 +34,7 @@ pub const REMOVED_FIELDS: &[(&[&str], &str, &str)] = &[
     (&["AroundReceivers", "Grid", "PointCloud", "Random"], "signal_scale", "remove it (fixed at 1.0)"),
     (&["Teacher"], "wavelength_m", "remove it (fixed at 1 to 2 m)"),
     (&["Teacher"], "rasterizer", "remove it (fixed at AlphaBlending())"),
+    (&["MatchingPursuit"], "finer", "remove it (the search always goes from coarse to fine, down to `step`)"),
     (&["Nerf2"], "cache_mb", "remove it (fixed at 2500)"),
 ];
 

@@ -33,6 +33,17 @@ impl NormalEquations {
         self.square += other.square;
     }
 
+    /// Returns the equations without these unknowns.
+    pub(crate) fn without(&self, unknowns: std::ops::Range<usize>) -> Self {
+        let p = self.unknown_count();
+        let kept: Vec<usize> = (0..p).filter(|i| !unknowns.contains(i)).collect();
+        Self {
+            matrix: kept.iter().flat_map(|i| kept.iter().map(move |k| self.matrix[i * p + k])).collect(),
+            right: kept.iter().map(|i| self.right[*i]).collect(),
+            square: self.square,
+        }
+    }
+
     /// Returns the number of unknowns P.
     pub(crate) fn unknown_count(&self) -> usize {
         self.right.len()
@@ -131,7 +142,7 @@ impl pulp::WithSimd for AddRows<'_> {
             let row = &mut matrix[i * p..=i * p + i];
             let (j0, j1, j2, j3) = (&j0[..row.len()], &j1[..row.len()], &j2[..row.len()], &j3[..row.len()]);
             for k in 0..row.len() {
-                row[k] += (a * j0[k] + b * j1[k]) + (c * j2[k] + d * j3[k]);
+                row[k] = a.mul_add(j0[k], b.mul_add(j1[k], c.mul_add(j2[k], d.mul_add(j3[k], row[k]))));
             }
             right[i] += (a * self.r[0] + b * self.r[1]) + (c * self.r[2] + d * self.r[3]);
         }
@@ -155,16 +166,23 @@ pub(crate) struct MeasurementRows {
 }
 
 impl MeasurementRows {
-    /// Creates the rows of the channel `h` `[M,A,F]` at the listed positions (`items`); above `most` rows, an equal number per item, drawn at random.
-    pub(crate) fn new(links: &ChannelInputs<'_>, h: &[[Real; 2]], items: &[usize], most: usize, seed: u64) -> Self {
+    /// Creates the rows of the channel `h` `[M,A,F]` at the listed positions (`items`) and `values` of A·F; above `most`
+    /// rows, an equal number per item, drawn at random.
+    pub(crate) fn new(
+        links: &ChannelInputs<'_>,
+        h: &[[Real; 2]],
+        (items, values): (&[usize], &[usize]),
+        most: usize,
+        seed: u64,
+    ) -> Self {
         let subcarriers = links.frequencies.len();
         let each = links.antennas.len() * subcarriers;
-        let taken = (most / items.len().max(1)).clamp(1, each);
+        let taken = (most / items.len().max(1)).clamp(1, values.len());
         let items = evenly(items, most);
-        let mut order: Vec<usize> = (0..each).collect();
+        let mut order = values.to_vec();
         let mut out = Self::default();
         for m in items {
-            if taken < each {
+            if taken < values.len() {
                 rng::shuffle(&mut rng::stream(seed, "rows", m as u64), &mut order);
             }
             for &k in &order[..taken] {
@@ -175,6 +193,14 @@ impl MeasurementRows {
             }
         }
         out
+    }
+
+    /// Adds the rows of `other`.
+    pub(crate) fn extend(&mut self, other: Self) {
+        self.p.extend(other.p);
+        self.r.extend(other.r);
+        self.per_metre.extend(other.per_metre);
+        self.h.extend(other.h);
     }
 
     /// Returns the number of rows K.

@@ -4,10 +4,9 @@
 use crate::virtual_transmitters::equations::MeasurementRows;
 use crate::virtual_transmitters::field::field;
 use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources, snr_db};
-use crate::virtual_transmitters::solve::{RefineOptions, refine_positions, solve_gains};
-use crate::virtual_transmitters::sweep::{
-    Peak, SearchGrid, keep_best_peaks, mirror_images, sweep_grid, time_sweep, unscored_peaks,
-};
+use crate::virtual_transmitters::solve::{RefineOptions, costs_without_each, refine_positions, solve_gains};
+use crate::virtual_transmitters::sweep::{Cell, SearchGrid, compare_cells, mirror_images, score_cells, sweep_cells};
+use crate::virtual_transmitters::windows::SearchLevel;
 use crate::virtual_transmitters::{MatchingPursuit, VirtualTransmitters, turn};
 use pwrfgs_core::{Initializer as _, Method as _, Real, evenly, rng};
 use rayon::prelude::*;
@@ -26,13 +25,19 @@ const STEPS: usize = 10;
 /// Log odds above which a candidate is accepted without a new sweep of the whole grid.
 const BEYOND_DOUBT: f64 = 10.0;
 
+/// Part of an addition that its sweep counts in the progress.
+const SWEEP: f64 = 0.5;
+
+/// The estimate of the search time sweeps one of this number of cells.
+const SHARE: usize = 16;
+
 /// Options of [`pursue_sources`].
 #[derive(Clone, Debug)]
 pub struct PursuitOptions {
     /// Grid, stop rules, ridge and candidates.
     pub settings: MatchingPursuit,
-    /// Maximum number of values for the scores of the grid, and for the refinement of positions.
-    pub rows: [usize; 2],
+    /// Maximum number of values for the scores of the grid, for refinement after an addition, and for the last refinement.
+    pub rows: [usize; 3],
     /// Number of grid peaks that are refined before the best is selected.
     pub peaks: usize,
     /// Position of the fixed node, metres, if known: a candidate that needs little evidence.
@@ -46,20 +51,21 @@ pub struct PursuitOptions {
 impl Default for PursuitOptions {
     fn default() -> Self {
         let settings = MatchingPursuit::default();
-        Self { settings, rows: [2048, 16_384], peaks: 256, node: None, order: 0, seed: 0 }
+        Self { settings, rows: [2048, 4096, 16_384], peaks: 256, node: None, order: 0, seed: 0 }
     }
 }
 
 /// Searches for the virtual transmitters of `channel` `[M,A,F]`.
 ///
-/// `report_progress` receives the number of sources after every addition. Soon after `stop` is set, the search ends and
-/// returns the sources found so far. An error describes the invalid input.
+/// `report_progress` receives the number of sources after every addition, and during a sweep with the part of the next
+/// one. Soon after `stop` is set, the search ends and returns the sources found so far. An error describes the invalid
+/// input.
 pub fn pursue_sources(
     links: &ChannelInputs<'_>,
     channel: &[[Real; 2]],
     options: &PursuitOptions,
     stop: &AtomicBool,
-    report_progress: &mut dyn FnMut(usize),
+    report_progress: &mut dyn FnMut(f64),
 ) -> Result<VirtualSources, String> {
     links.check_channel(channel)?;
     options.settings.check()?;
@@ -72,22 +78,13 @@ pub fn pursue_sources(
     let (held_out, fitted) = options.split_held_out(links);
     let parts = (&fitted[..], &held_out[..]);
     PursuitSearch::new((links, channel), options, stop, parts).improve_best(&mut best, report_progress);
-    for level in 1..=options.settings.finer {
-        let before = best.0;
-        let finer = PursuitOptions { settings: options.settings.pass_settings(level), ..options.clone() };
-        PursuitSearch::new((links, channel), &finer, stop, parts).improve_best(&mut best, report_progress);
-        if best.0 <= before {
-            break;
-        }
-    }
-    if !held_out.is_empty() {
-        PursuitSearch::new((links, channel), options, stop, (&all, &[])).refine_sources(&mut best.1, 3 * STEPS);
-    }
+    let [grid, _, last] = options.rows;
+    let options = &PursuitOptions { rows: [grid, last, last], ..options.clone() };
+    PursuitSearch::new((links, channel), options, stop, (&all, &[])).refine_sources(&mut best.1, STEPS);
     Ok(best.1)
 }
 
-/// Returns the shortest and longest expected time of a search, seconds: it times a few layers of the grid and one
-/// candidate.
+/// Returns the shortest and longest expected time of a search, seconds: it times a share of a sweep and one candidate.
 pub(crate) fn expected_pursuit_seconds(
     links: &ChannelInputs<'_>,
     channel: &[[Real; 2]],
@@ -95,21 +92,19 @@ pub(crate) fn expected_pursuit_seconds(
 ) -> [f64; 2] {
     let stop = AtomicBool::new(false);
     let (held_out, fitted) = options.split_held_out(links);
-    let pass = |level: usize| {
-        let options = PursuitOptions { settings: options.settings.pass_settings(level), ..options.clone() };
-        let search = PursuitSearch::new((links, channel), &options, &stop, (&fitted, &held_out));
-        let (peaks, sweep) = time_sweep(&search.coarse, &search.grid, options.peaks);
-        let [candidate, settled] = search.time_candidate(&peaks);
-        let MatchingPursuit { most, patience, rounds, .. } = options.settings;
-        // Beyond the first sweep, a candidate may come from the remaining peaks.
-        let least = sweep + candidate * if level == 0 { (1 + patience).min(most) as f64 } else { 1.0 };
-        let added = most + rounds * patience;
-        let removed = if held_out.is_empty() { 0 } else { (1 + rounds) * most / 2 };
-        [least, (sweep + candidate) * added as f64 + settled * removed as f64]
-    };
-    let passes: Vec<[f64; 2]> = (0..=options.settings.finer).map(pass).collect();
-    let second = passes.get(1).map_or(0.0, |pass| pass[0]);
-    [passes[0][0] + second, passes.iter().map(|pass| pass[1]).sum()]
+    let search = PursuitSearch::new((links, channel), options, &stop, (&fitted, &held_out));
+    let (none, begun) = (VirtualSources::new(options.order), Instant::now());
+    let peaks = sweep_cells((&search.levels, &search.grid), &none, (options.peaks, SHARE), &stop, &mut |_, _| ());
+    let sweep = SHARE as f64 * begun.elapsed().as_secs_f64();
+    let [candidate, settled] = search.time_candidate(&peaks);
+    let MatchingPursuit { most, patience, rounds, .. } = options.settings;
+    // Beyond the first sweep, a candidate may come from the remaining peaks.
+    let least = sweep + candidate * (1 + patience).min(most) as f64;
+    let added = most + rounds * patience;
+    let removed = if held_out.is_empty() { 0 } else { (1 + rounds) * most / 2 };
+    // The last refinement has up to twice the sources, which is four times the work per row.
+    let last = settled * 4.0 * options.rows[2] as f64 / options.rows[1] as f64;
+    [least, (sweep + candidate) * added as f64 + settled * removed as f64 + last]
 }
 
 impl PursuitOptions {
@@ -126,6 +121,15 @@ impl PursuitOptions {
     }
 }
 
+/// Candidate after refinement.
+#[derive(Clone, Copy, Debug)]
+struct Peak {
+    position: [f64; 3],
+    quat: [f64; 4],
+    /// Energy that it explains with its best gain.
+    explains: f64,
+}
+
 /// One pass of the search.
 struct PursuitSearch<'a> {
     links: &'a ChannelInputs<'a>,
@@ -133,14 +137,15 @@ struct PursuitSearch<'a> {
     options: &'a PursuitOptions,
     stop: &'a AtomicBool,
     held_out: &'a [usize],
-    /// Rows for the grid, and for refinement.
-    coarse: MeasurementRows,
+    /// Rows for refinement.
     rows: MeasurementRows,
+    /// Levels of the sweep, from fine to coarse.
+    levels: Vec<SearchLevel>,
     grid: SearchGrid,
     positions: Vec<[f64; 3]>,
     wavelength: f64,
     /// Remaining peaks of the last sweep, and the energy that its best peak explained.
-    pool: Vec<Peak>,
+    pool: Vec<Cell>,
     strongest: f64,
 }
 
@@ -166,15 +171,16 @@ impl<'a> PursuitSearch<'a> {
             step: options.settings.step * wavelength,
             quats: turn::mirror_rotations(&antennas),
         };
-        let [coarse, fine] = options.rows.map(|most| MeasurementRows::new(links, channel, fitted, most, options.seed));
+        let values: Vec<usize> = (0..links.antennas.len() * links.frequencies.len()).collect();
+        let [most, most_refined, _] = options.rows;
         Self {
             links,
             channel,
             options,
             stop,
             held_out,
-            coarse,
-            rows: fine,
+            rows: MeasurementRows::new(links, channel, (fitted, &values), most_refined, options.seed),
+            levels: SearchLevel::all(links, channel, (fitted, most), &grid, options.seed),
             grid,
             positions,
             wavelength,
@@ -190,7 +196,7 @@ impl<'a> PursuitSearch<'a> {
 
     /// Adds sources to the best set, then removes the least important ones; repeats both for `rounds` while the score
     /// improves. `best` is the best score (dB) with its sources.
-    fn improve_best(mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
+    fn improve_best(mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(f64)) {
         for _ in 0..=self.options.settings.rounds {
             let before = best.0;
             self.add_sources(best, report_progress);
@@ -205,15 +211,15 @@ impl<'a> PursuitSearch<'a> {
 
     /// Measures the expected time to refine `peaks` and add the best, and of the second part alone, seconds, with half
     /// the maximum number of sources.
-    fn time_candidate(&self, peaks: &[Peak]) -> [f64; 2] {
+    fn time_candidate(&self, peaks: &[Cell]) -> [f64; 2] {
         let PursuitOptions { order, settings, .. } = self.options;
         let (none, mut sources) = (VirtualSources::new(*order), VirtualSources::new(*order));
         for peak in evenly(peaks, settings.most.div_ceil(2)) {
-            sources.push(peak.position, peak.quat, [0.0; 2]);
+            sources.push(peak.centre, self.grid.quats[peak.q], [0.0; 2]);
         }
         let begun = Instant::now();
         // All peaks of a sweep take about twice as long.
-        _ = self.best_refined(&self.rows.residual(&none), evenly(peaks, CLIMB), 1, &none);
+        _ = self.best_refined(&self.rows.residual(&none), peaks.to_vec(), 1, &none);
         let refined = 2.0 * begun.elapsed().as_secs_f64();
         let begun = Instant::now();
         _ = refine_positions(&self.rows, &mut sources, self.refine_options(1, 1e-9 * self.rows.energy()));
@@ -223,12 +229,12 @@ impl<'a> PursuitSearch<'a> {
 
     /// Adds candidates to the best set until it has `most` sources, until patience ends, or until stopped; replaces `best`
     /// whenever the score improves.
-    fn add_sources(&mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
+    fn add_sources(&mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(f64)) {
         let MatchingPursuit { most, patience, .. } = self.options.settings;
         let mut sources = best.1.clone();
         let mut failures = 0;
         while sources.len() < most && failures < patience && !self.is_stopped() {
-            let Some(peak) = self.next_candidate(&sources) else { break };
+            let Some(peak) = self.next_candidate(&sources, report_progress) else { break };
             sources.push(peak.position, peak.quat, [0.0; 2]);
             self.refine_sources(&mut sources, STEPS);
             let score = self.score(&sources);
@@ -236,7 +242,7 @@ impl<'a> PursuitSearch<'a> {
             if score > best.0 {
                 (*best, failures) = ((score, sources.clone()), 0);
             }
-            report_progress(sources.len());
+            report_progress(sources.len() as f64);
         }
     }
 
@@ -246,8 +252,7 @@ impl<'a> PursuitSearch<'a> {
         let mut sources = best.1.clone();
         let (least, ridge) = (sources.len() / 2, 1e-9 * self.rows.energy());
         while sources.len() > least.max(1) && !self.is_stopped() {
-            let cost = |g: usize| solve_gains(&self.rows, &mut sources.without(g), ridge).unwrap_or(f64::MAX);
-            let costs: Vec<f64> = (0..sources.len()).into_par_iter().map(cost).collect();
+            let costs = costs_without_each(&self.rows, &sources, ridge);
             let weakest = (0..costs.len()).fold(0, |w, g| if costs[g] < costs[w] { g } else { w });
             sources = sources.without(weakest);
             self.refine_sources(&mut sources, STEPS);
@@ -276,9 +281,9 @@ impl<'a> PursuitSearch<'a> {
 
     /// Returns the candidate with the most evidence after individual refinement; `None` if every one is close to a source.
     ///
-    /// Sweeps the grid again only if neither images nor the remaining peaks are beyond doubt, or if they explain much
+    /// Sweeps the cells again only if neither images nor the remaining peaks are beyond doubt, or if they explain much
     /// less than the previous best: a better candidate may then exist.
-    fn next_candidate(&mut self, sources: &VirtualSources) -> Option<Peak> {
+    fn next_candidate(&mut self, sources: &VirtualSources, report_progress: &mut dyn FnMut(f64)) -> Option<Peak> {
         let residual = self.rows.residual(sources);
         let mut best = None;
         let apart = self.wavelength / 4.0;
@@ -289,7 +294,7 @@ impl<'a> PursuitSearch<'a> {
             positions.extend(mirror_images(&sources, &self.positions, &self.grid, apart));
         }
         if !positions.is_empty() {
-            let peaks = unscored_peaks(&positions, &self.grid.quats);
+            let peaks = self.grid.candidates(&positions);
             let number = peaks.len();
             best = self.best_refined(&residual, peaks, number, sources);
         }
@@ -297,45 +302,53 @@ impl<'a> PursuitSearch<'a> {
             (Some(b), Some(other)) if b.1 >= other.1 => Some(b),
             (b, other) => other.or(b),
         };
-        best = better(best, self.best_refined(&residual, self.pool.clone(), self.grid.candidate_count(), sources));
+        best = better(
+            best,
+            self.best_refined(&residual, self.pool.clone(), self.grid.cell_count(self.grid.step), sources),
+        );
         let enough = FADED * self.strongest;
         if best.is_none_or(|b| b.1 < BEYOND_DOUBT || b.0.explains < enough) {
-            let coarse = self.coarse.residual(sources);
-            self.pool = sweep_grid(&coarse, &self.grid, self.options.peaks, self.stop);
-            best = better(best, self.best_refined(&residual, self.pool.clone(), self.grid.candidate_count(), sources));
+            let report = &mut |done: usize, total: usize| {
+                report_progress(sources.len() as f64 + SWEEP * done as f64 / total as f64);
+            };
+            self.pool = sweep_cells((&self.levels, &self.grid), sources, (self.options.peaks, 1), self.stop, report);
+            best = better(
+                best,
+                self.best_refined(&residual, self.pool.clone(), self.grid.cell_count(self.grid.step), sources),
+            );
             self.strongest = best.map_or(0.0, |b| b.0.explains);
         }
         best.map(|(peak, _)| peak)
     }
 
-    /// Returns the best of the peaks after individual refinement, and the log of its odds against the best of `number`
-    /// accidents; `None` if every peak is close to a source.
+    /// Returns the best of `cells` after individual refinement, and the log of its odds against the best of `number`
+    /// accidents; `None` if every cell is close to a source.
     fn best_refined(
         &self,
         residual: &MeasurementRows,
-        mut peaks: Vec<Peak>,
+        mut cells: Vec<Cell>,
         number: usize,
         sources: &VirtualSources,
     ) -> Option<(Peak, f64)> {
-        let energy = residual.energy();
-        let climb = |peak: &mut Peak, steps: usize| {
+        let (energy, finest) = (residual.energy(), &self.levels[0]);
+        cells.sort_by_key(|cell| cell.q);
+        score_cells((&finest.rows.residual(sources), &finest.ends), &self.grid, &mut cells);
+        cells.sort_by(compare_cells);
+        cells.truncate(CLIMB);
+        let climb = |cell: &Cell| {
             let mut one = VirtualSources::default();
-            one.push(peak.position, peak.quat, [0.0; 2]);
-            let left = refine_positions(residual, &mut one, self.refine_options(steps, 1e-12 * residual.len() as f64));
-            let most = 2.0 * self.wavelength * self.grid.peak_width(peak.position);
-            let far = (0..3).any(|k| (one.positions[0][k] - peak.position[k]).abs() > most);
-            peak.explains = if far { 0.0 } else { left.map_or(0.0, |left| energy - left) };
-            (peak.position, peak.quat) = (one.positions[0], one.quats[0]);
+            one.push(cell.centre, self.grid.quats[cell.q], [0.0; 2]);
+            let left = refine_positions(residual, &mut one, self.refine_options(8, 1e-12 * residual.len() as f64))?;
+            let (position, most) = (one.positions[0], 2.0 * self.wavelength * self.grid.peak_width(cell.centre));
+            let far = (0..3).any(|k| (position[k] - cell.centre[k]).abs() > most);
+            let apart = self.wavelength / 8.0;
+            let taken = sources.positions.iter().any(|v| distance(v, &position) < apart);
+            (!far && !taken).then_some(Peak { position, quat: one.quats[0], explains: energy - left })
         };
-        peaks.par_iter_mut().for_each(|peak| climb(peak, 0));
-        keep_best_peaks(&mut peaks, CLIMB, |_| 0.0);
-        peaks.par_iter_mut().for_each(|peak| climb(peak, 8));
-        let apart = self.wavelength / 8.0;
-        peaks.retain(|p| !sources.positions.iter().any(|v| distance(v, &p.position) < apart));
-        keep_best_peaks(&mut peaks, 1, |_| 0.0);
-        let share = |p: &Peak| (p.explains / energy).clamp(0.0, 1.0 - 1e-12);
-        let odds = |p: &Peak| -(residual.len() as f64) * (1.0 - share(p)).ln() - (number.max(1) as f64).ln();
-        peaks.first().map(|p| (*p, odds(p)))
+        let peaks: Vec<Option<Peak>> = cells.par_iter().map(climb).collect();
+        let best = peaks.into_iter().flatten().reduce(|a, b| if b.explains > a.explains { b } else { a })?;
+        let share = (best.explains / energy).clamp(0.0, 1.0 - 1e-12);
+        Some((best, -(residual.len() as f64) * (1.0 - share).ln() - (number.max(1) as f64).ln()))
     }
 
     /// Returns the options of a refinement with `steps` and a `ridge` on the gains.

@@ -62,6 +62,20 @@ pub(crate) fn solve_gains(rows: &MeasurementRows, sources: &mut VirtualSources, 
     Some((normal.square - explained).max(0.0))
 }
 
+/// Returns the cost of [`solve_gains`] without each source in turn `[N]`; `f64::MAX` without a unique solution.
+pub(crate) fn costs_without_each(rows: &MeasurementRows, sources: &VirtualSources, ridge: f64) -> Vec<f64> {
+    let silent = VirtualSources { gains: vec![[0.0; 2]; sources.gains.len()], ..sources.clone() };
+    let normal = normal_equations(rows, &silent, Unknowns::Gains);
+    let each = Unknowns::Gains.per_source(sources.harmonic_count());
+    let cost = |g: usize| {
+        let rest = normal.without(g * each..(g + 1) * each);
+        let solution = rest.solve(|_| ridge)?;
+        let explained: f64 = solution.iter().zip(&rest.right).map(|(s, b)| s * b).sum();
+        Some((rest.square - explained).max(0.0))
+    };
+    (0..sources.len()).into_par_iter().map(|g| cost(g).unwrap_or(f64::MAX)).collect()
+}
+
 /// Returns the normal equations of a step from `sources`, without ridge or damping.
 fn normal_equations(rows: &MeasurementRows, sources: &VirtualSources, unknowns: Unknowns) -> NormalEquations {
     let p = unknowns.per_source(sources.harmonic_count()) * sources.len();
@@ -270,11 +284,16 @@ mod tests {
         }
         let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
         let h = field(&truth.to_cloud(), None, &links);
-        let rows = MeasurementRows::new(&links, &h, &(0..30).collect::<Vec<_>>(), usize::MAX, 0);
+        let rows = MeasurementRows::new(&links, &h, (&(0..30).collect::<Vec<_>>(), &[0]), usize::MAX, 0);
         let mut solved = VirtualSources { gains: vec![[0.0; 2]; 4], ..truth.clone() };
         assert!(solve_gains(&rows, &mut solved, 0.0).is_some());
         for (a, b) in solved.gains.iter().flatten().zip(truth.gains.iter().flatten()) {
             assert!((a - b).abs() < 1e-4, "{solved:?}");
+        }
+        let costs = costs_without_each(&rows, &truth, 1e-6);
+        for (g, cost) in costs.into_iter().enumerate() {
+            let expected = solve_gains(&rows, &mut truth.without(g), 1e-6).unwrap();
+            assert!((cost - expected).abs() < 1e-9 * expected, "{g}: {cost} is not {expected}");
         }
         let mut twice = truth.select(&[0, 0]);
         assert!(

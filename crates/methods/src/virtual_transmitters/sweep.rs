@@ -1,9 +1,14 @@
-//! Grid search: the part of the residual that one more transmitter would explain, at every position of a cube about the
-//! links.
+//! Coarse-to-fine search for the part of the residual that one more transmitter would explain, in a cube about the links.
 //!
-//! A position e explains |eᴴr|²/|e|² with its best gain. Blocks of [`LANES`] positions along x are evaluated in single
-//! precision. Only the best are kept, one per maximum, so that memory does not grow with the grid. Maxima are
-//! wider at larger distances from the links, so that each shell of the grid is twice as coarse as the inner one.
+//! A position e explains |eᴴr|²/|e|² with its best gain. In windows of rows, each with a gain of its own, it explains Σ
+//! |eᴴr|²/|e|² over windows, which is at least as much (Cauchy-Schwarz) and varies 2^l times slower over space if windows are
+//! 2^l times narrower. The sweep scores all cells of a coarse grid in narrow windows, keeps the best [`KEPT`], divides
+//! each into eight and doubles the width of the windows, until all rows are one window and cells have the spacing of the
+//! grid. Blocks of [`LANES`] cells are evaluated in single precision. Maxima are wider at larger distances from the
+//! links, so that each shell of the grid is twice as coarse as the inner one.
+//!
+//! The bound of what a sweep skips: a cell is dropped only if [`KEPT`] others explain more in windows of the same level,
+//! and no position explains more coherently than in windows. A grid of at most [`START`] cells is scored completely.
 //!
 //! [`mirror_images`] are the expected positions of images of known sources: mirrored in the planes that pairs of sources
 //! share. If v' is the image of v behind a wall, the wall is the plane half-way between them, and every other source
@@ -12,17 +17,21 @@
 
 use crate::virtual_transmitters::cis::Cis;
 use crate::virtual_transmitters::equations::MeasurementRows;
+use crate::virtual_transmitters::links::VirtualSources;
 use crate::virtual_transmitters::turn::{rotate_vector, rotation_matrix};
-use pwrfgs_core::{evenly, widest};
+use crate::virtual_transmitters::windows::SearchLevel;
+use pwrfgs_core::widest;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
 
-/// Number of positions that are evaluated together.
+/// Number of cells that are evaluated together.
 const LANES: usize = 32;
-
-/// Time of the lines that are timed.
-const TIMED: Duration = Duration::from_millis(400);
+/// Number of cells between two reports of progress.
+const BATCH: usize = 1 << 14;
+/// Maximum number of cells at which a sweep starts.
+pub(crate) const START: usize = 1 << 17;
+/// Number of cells that are divided per level.
+const KEPT: usize = 1 << 12;
 
 /// Cube in shells, metres, and the rotations that are evaluated at each position.
 #[derive(Clone, Debug)]
@@ -38,67 +47,25 @@ pub(crate) struct SearchGrid {
     pub(crate) quats: Vec<[f64; 4]>,
 }
 
-/// Candidate position of a source.
+/// Candidate position of a source: a cell of the grid, for one rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Peak {
-    pub(crate) position: [f64; 3],
-    pub(crate) quat: [f64; 4],
-    /// Energy that it explains with its best gain.
+pub(crate) struct Cell {
+    pub(crate) centre: [f64; 3],
+    /// Edge, metres.
+    size: f64,
+    /// Index of the rotation.
+    pub(crate) q: usize,
+    /// Energy that it explains with its best gain per window.
     pub(crate) explains: f64,
 }
 
-/// Positions between two cubes, with the spacing `step`.
+/// Cells between two cubes, with the spacing `step`.
 #[derive(Clone, Copy, Debug)]
 struct Shell {
     /// Half an edge of the inner and of the outer cube.
     hollow: f64,
     half: f64,
     step: f64,
-}
-
-impl Shell {
-    /// Returns the number of positions along an edge of the outer cube.
-    fn edge_point_count(&self) -> usize {
-        (2.0 * self.half / self.step).ceil() as usize + 1
-    }
-
-    /// Returns the coordinate of position `i` along an axis, relative to the centre of the cube, metres.
-    fn coordinate(&self, i: usize) -> f64 {
-        i as f64 * self.step - self.half
-    }
-
-    /// Returns the segments outside the inner cube of a line along x at `y` and `z`, as first index and number of
-    /// positions; the second is empty if the line misses the inner cube.
-    fn segments(&self, [y, z]: [f64; 2]) -> [(usize, usize); 2] {
-        let count = self.edge_point_count();
-        if y.abs().max(z.abs()) >= self.hollow {
-            return [(0, count), (count, 0)];
-        }
-        let inside = |i: &usize| self.coordinate(*i).abs() < self.hollow;
-        let first = (0..count).find(inside).unwrap_or(count);
-        let last = (first..count).find(|i| !inside(i)).unwrap_or(count);
-        [(0, first), (last, count - last)]
-    }
-}
-
-/// Positions of a shell at one height, for one rotation.
-#[derive(Clone, Copy, Debug)]
-struct Layer {
-    shell: Shell,
-    /// Index of the rotation.
-    q: usize,
-    z: usize,
-}
-
-impl Layer {
-    /// Returns the number of positions on every `stride`th line.
-    fn position_count(&self, stride: usize) -> usize {
-        let Self { shell, z, .. } = self;
-        let line = |y| {
-            shell.segments([shell.coordinate(y), shell.coordinate(*z)]).iter().map(|(_, count)| count).sum::<usize>()
-        };
-        (0..shell.edge_point_count()).step_by(stride).map(line).sum()
-    }
 }
 
 impl SearchGrid {
@@ -114,128 +81,136 @@ impl SearchGrid {
         (0..3).all(|k| (position[k] - self.centre[k]).abs() <= self.half)
     }
 
-    /// Returns all layers of all shells, for each rotation.
-    fn layers(&self) -> Vec<Layer> {
-        let layers = |shell: Shell| {
-            let layer = move |q| (0..shell.edge_point_count()).map(move |z| Layer { shell, q, z });
-            (0..self.quats.len()).flat_map(layer)
-        };
-        self.shells().into_iter().flat_map(layers).collect()
-    }
-
-    /// Returns the shells from the inside out, each twice as large and as coarse as the one before.
-    fn shells(&self) -> Vec<Shell> {
-        let mut shells = vec![Shell { hollow: 0.0, half: self.half.min(self.side), step: self.step }];
+    /// Returns the shells from the inside out, each twice as large and as coarse as the one before; `step` is the spacing
+    /// in the innermost shell.
+    fn shells(&self, step: f64) -> Vec<Shell> {
+        let mut shells = vec![Shell { hollow: 0.0, half: self.half.min(self.side), step }];
         while let Some(last) = shells.last().copied().filter(|last| last.half < self.half) {
             shells.push(Shell { hollow: last.half, half: self.half.min(2.0 * last.half), step: 2.0 * last.step });
         }
         shells
     }
 
-    /// Returns the approximate number of candidates: positions times rotations.
-    pub(crate) fn candidate_count(&self) -> usize {
+    /// Returns the largest spacing if that in the innermost shell is `step`, metres.
+    pub(crate) fn widest_step(&self, step: f64) -> f64 {
+        self.shells(step).last().map_or(step, |shell| shell.step)
+    }
+
+    /// Returns the approximate number of cells with the spacing `step` in the innermost shell: positions times rotations.
+    pub(crate) fn cell_count(&self, step: f64) -> usize {
         let cube = |edge: f64, step: f64| (edge / step).powi(3);
         let positions = |s: &Shell| cube(2.0 * s.half, s.step) - cube(2.0 * s.hollow, s.step);
-        (self.shells().iter().map(positions).sum::<f64>() as usize).max(1) * self.quats.len()
+        (self.shells(step).iter().map(positions).sum::<f64>() as usize).max(1) * self.quats.len()
     }
 
-    /// Sorts `peaks`, best first, and keeps the best `most`, one per maximum of the grid.
-    pub(crate) fn keep_best_peaks(&self, peaks: &mut Vec<Peak>, most: usize) {
-        keep_best_peaks(peaks, most, |peak| 2.0 * self.step * self.peak_width(peak.position));
+    /// Iterates over the cells with the spacing `step` in the innermost shell, by rotation.
+    fn cells(&self, step: f64) -> impl Iterator<Item = Cell> {
+        let shells = self.shells(step);
+        (0..self.quats.len() * shells.len()).flat_map(move |i| {
+            let (q, shell) = (i / shells.len(), shells[i % shells.len()]);
+            let count = (2.0 * shell.half / shell.step).ceil() as usize + 1;
+            let cell = move |i: usize| {
+                let by =
+                    [i % count, i / count % count, i / (count * count)].map(|i| i as f64 * shell.step - shell.half);
+                let centre = [0, 1, 2].map(|k| self.centre[k] + by[k]);
+                let outside = shell.hollow == 0.0 || by.iter().any(|x| x.abs() >= shell.hollow);
+                outside.then_some(Cell { centre, size: shell.step, q, explains: 0.0 })
+            };
+            (0..count * count * count).filter_map(cell)
+        })
     }
-}
 
-/// Returns the best `most` positions of `grid` for the residual `rows`, best first; the result is partial if `stop` is
-/// set.
-pub(crate) fn sweep_grid(rows: &MeasurementRows, grid: &SearchGrid, most: usize, stop: &AtomicBool) -> Vec<Peak> {
-    sweep_lines(rows, grid, (&grid.layers(), 1), most, stop)
-}
-
-/// Sweeps a few lines for about [`TIMED`]; returns the best `most` positions in them, and the expected time of the whole
-/// sweep, seconds. A busy machine only makes a pass slower, so the fastest pass counts.
-pub(crate) fn time_sweep(rows: &MeasurementRows, grid: &SearchGrid, most: usize) -> (Vec<Peak>, f64) {
-    let layers = evenly(&grid.layers(), 2 * rayon::current_num_threads());
-    let (all, mut best) = (Instant::now(), f64::INFINITY);
-    let mut stride = layers.iter().map(|layer| layer.shell.edge_point_count()).max().unwrap_or(1);
-    let mut passes = 0;
-    loop {
-        let begun = Instant::now();
-        let peaks = sweep_lines(rows, grid, (&layers, stride), most, &AtomicBool::new(false));
-        let positions: usize = layers.iter().map(|layer| layer.position_count(stride)).sum();
-        best = best.min(begun.elapsed().as_secs_f64() / positions.max(1) as f64);
-        passes += 1;
-        if stride == 1 || (passes > 2 && all.elapsed() > TIMED) {
-            return (peaks, best * grid.candidate_count() as f64);
-        }
-        stride = stride.div_ceil(3);
+    /// Returns a candidate per rotation at each of `positions`.
+    pub(crate) fn candidates(&self, positions: &[[f64; 3]]) -> Vec<Cell> {
+        let cell = |q: usize| move |centre: &[f64; 3]| Cell { centre: *centre, size: self.step, q, explains: 0.0 };
+        (0..self.quats.len()).flat_map(|q| positions.iter().map(cell(q))).collect()
     }
 }
 
-/// Sweeps every `stride`th line of some layers; returns the best `most` peaks, best first.
-fn sweep_lines(
-    rows: &MeasurementRows,
-    grid: &SearchGrid,
-    (layers, stride): (&[Layer], usize),
-    most: usize,
+/// Returns the best `most` positions of `grid` for the channel less the field of `sources`, best first; the result is
+/// partial if `stop` is set. `levels` are from fine to coarse. The sweep starts from one of `share` cells, and keeps that
+/// share of cells per level. `report` receives the number of scored cells, and of all cells.
+pub(crate) fn sweep_cells(
+    (levels, grid): (&[SearchLevel], &SearchGrid),
+    sources: &VirtualSources,
+    (most, share): (usize, usize),
     stop: &AtomicBool,
-) -> Vec<Peak> {
-    let measured: Vec<Vec<[f32; 6]>> = grid.quats.iter().map(|q| sweep_rows(rows, *q, grid.centre)).collect();
-    let layer = |&Layer { shell, q, z }: &Layer| {
-        let mut peaks = Vec::new();
-        let mut least = 0.0;
-        for y in (0..shell.edge_point_count()).step_by(stride) {
-            if stop.load(Ordering::Relaxed) {
-                return peaks;
-            }
-            let at = [shell.coordinate(y), shell.coordinate(z)];
-            for (from, count) in shell.segments(at) {
-                let stretch = (shell.coordinate(from), count, shell.step);
-                widest(SweepLine {
-                    measured: &measured[q],
-                    grid,
-                    stretch,
-                    at,
-                    quat: grid.quats[q],
-                    peaks: &mut peaks,
-                    least,
-                });
-            }
-            if peaks.len() > 8 * most {
-                grid.keep_best_peaks(&mut peaks, most);
-                least = if peaks.len() == most { peaks[most - 1].explains } else { 0.0 };
+    report: &mut dyn FnMut(usize, usize),
+) -> Vec<Cell> {
+    let (mut best, mut done): (Vec<Cell>, usize) = (Vec::new(), 0);
+    let divided = (KEPT / share).max(1);
+    for (l, level) in levels.iter().enumerate().rev() {
+        let start = l + 1 == levels.len();
+        let eighths = if start { Vec::new() } else { divide_best_cells(std::mem::take(&mut best), divided) };
+        let whole = if start { grid.cell_count(level.step) / share } else { eighths.len() };
+        let total = done + whole + 8 * l * divided;
+        let grid_cells = start.then(|| grid.cells(level.step).step_by(share)).into_iter().flatten();
+        let mut cells = grid_cells.chain(eighths).peekable();
+        let residual = level.rows.residual(sources);
+        while cells.peek().is_some() && !stop.load(Ordering::Relaxed) {
+            let mut batch: Vec<Cell> = cells.by_ref().take(BATCH).collect();
+            score_cells((&residual, &level.ends), grid, &mut batch);
+            done += batch.len();
+            report(done, total.max(done));
+            best.extend(batch);
+            // Bounds the memory if windows with enough values still leave a fine grid.
+            if best.len() > 16 * KEPT {
+                best.sort_by(compare_cells);
+                best.truncate(8 * KEPT);
             }
         }
-        grid.keep_best_peaks(&mut peaks, most);
-        peaks
-    };
-    let layers: Vec<Vec<Peak>> = layers.par_iter().map(layer).collect();
-    let mut peaks = layers.concat();
-    grid.keep_best_peaks(&mut peaks, most);
-    peaks
+    }
+    keep_best_cells(&mut best, most, |cell| 2.0 * grid.step * grid.peak_width(cell.centre));
+    best
 }
 
-/// Sorts `peaks`, best first, and keeps the best `most`, none closer to a better one than `apart` of either, metres.
-pub(crate) fn keep_best_peaks(peaks: &mut Vec<Peak>, most: usize, apart: impl Fn(&Peak) -> f64) {
-    peaks.sort_by(|a, b| b.explains.total_cmp(&a.explains).then_with(|| compare_positions(a, b)));
-    let mut kept: Vec<(Peak, f64)> = Vec::with_capacity(most);
-    for peak in peaks.iter() {
-        let distance = apart(peak);
-        let near = |(k, other): &(Peak, f64)| {
-            (0..3).map(|c| (k.position[c] - peak.position[c]).powi(2)).sum::<f64>() < distance.max(*other).powi(2)
+/// Sets the explained energy of `cells`, which are sorted by rotation, for a residual in windows with these ends.
+pub(crate) fn score_cells((residual, ends): (&MeasurementRows, &[usize]), grid: &SearchGrid, cells: &mut [Cell]) {
+    for cells in cells.chunk_by_mut(|a, b| a.q == b.q) {
+        let rows = &sweep_rows(residual, grid.quats[cells[0].q], grid.centre);
+        let score = |cells| widest(CellBlock { rows, ends, centre: grid.centre, cells });
+        cells.par_chunks_mut(LANES).for_each(score);
+    }
+}
+
+/// Returns the eighths of the best `most` cells, by rotation.
+fn divide_best_cells(mut cells: Vec<Cell>, most: usize) -> Vec<Cell> {
+    cells.sort_by(compare_cells);
+    cells.truncate(most);
+    cells.sort_by_key(|cell| cell.q);
+    let eighth = |cell: Cell| {
+        (0..8).map(move |i| {
+            let by = |k: usize| if i >> k & 1 == 1 { cell.size / 4.0 } else { -cell.size / 4.0 };
+            Cell { centre: [0, 1, 2].map(|k| cell.centre[k] + by(k)), size: cell.size / 2.0, ..cell }
+        })
+    };
+    cells.into_iter().flat_map(eighth).collect()
+}
+
+/// Sorts `cells`, best first, and keeps the best `most`, none closer to a better one than `apart` of either, metres.
+fn keep_best_cells(cells: &mut Vec<Cell>, most: usize, apart: impl Fn(&Cell) -> f64) {
+    cells.sort_by(compare_cells);
+    let mut kept: Vec<(Cell, f64)> = Vec::with_capacity(most);
+    for cell in cells.iter() {
+        let distance = apart(cell);
+        let near = |(k, other): &(Cell, f64)| {
+            (0..3).map(|c| (k.centre[c] - cell.centre[c]).powi(2)).sum::<f64>() < distance.max(*other).powi(2)
         };
         if !kept.iter().any(near) {
-            kept.push((*peak, distance));
+            kept.push((*cell, distance));
             if kept.len() == most {
                 break;
             }
         }
     }
-    *peaks = kept.into_iter().map(|(peak, _)| peak).collect();
+    *cells = kept.into_iter().map(|(cell, _)| cell).collect();
 }
 
-/// Compares positions by x, then y, then z.
-fn compare_positions(a: &Peak, b: &Peak) -> std::cmp::Ordering {
-    (0..3).fold(std::cmp::Ordering::Equal, |o, k| o.then_with(|| a.position[k].total_cmp(&b.position[k])))
+/// Compares cells by explained energy, best first, then by position and rotation.
+pub(crate) fn compare_cells(a: &Cell, b: &Cell) -> std::cmp::Ordering {
+    let by_energy = b.explains.total_cmp(&a.explains);
+    let by_position = (0..3).fold(by_energy, |o, k| o.then_with(|| a.centre[k].total_cmp(&b.centre[k])));
+    by_position.then(a.q.cmp(&b.q))
 }
 
 /// Returns the rows `[K,6]` for one rotation: p − R r relative to the centre of the cube (metres), wavelengths per metre,
@@ -250,60 +225,46 @@ fn sweep_rows(rows: &MeasurementRows, quat: [f64; 4], centre: [f64; 3]) -> Vec<[
     (0..rows.len()).map(row).collect()
 }
 
-/// Segment of one line along x.
-struct SweepLine<'a> {
-    measured: &'a [[f32; 6]],
-    grid: &'a SearchGrid,
-    /// First position relative to the centre of the cube, metres, number of positions, and their spacing.
-    stretch: (f64, usize, f64),
-    /// Coordinates y and z relative to the centre of the cube, metres.
-    at: [f64; 2],
-    quat: [f64; 4],
-    peaks: &'a mut Vec<Peak>,
-    /// Smallest explained energy that is kept.
-    least: f64,
+/// Up to [`LANES`] cells of one rotation.
+struct CellBlock<'a> {
+    rows: &'a [[f32; 6]],
+    /// End of each window in `rows`.
+    ends: &'a [usize],
+    centre: [f64; 3],
+    cells: &'a mut [Cell],
 }
 
-impl pulp::WithSimd for SweepLine<'_> {
+impl pulp::WithSimd for CellBlock<'_> {
     type Output = ();
 
+    /// Sets the explained energy Σ |eᴴr|²/|e|² over windows of each cell.
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
-        let (start, count, step) = self.stretch;
-        let centre = self.grid.centre;
-        let at = self.at.map(|x| x as f32);
-        let mut first = 0;
-        while first < count {
-            let mut x = [0.0_f32; LANES];
-            for l in 0..LANES {
-                x[l] = (start + (first + l) as f64 * step) as f32;
-            }
-            let explains = explained_energy(self.measured, &x, at);
-            for l in 0..LANES.min(count - first) {
-                // Maximum along the line: its neighbours belong to the same maximum.
-                let is_peak =
-                    (l == 0 || explains[l - 1] <= explains[l]) && (l + 1 == LANES || explains[l + 1] <= explains[l]);
-                if is_peak && f64::from(explains[l]) > self.least {
-                    let position = [f64::from(x[l]) + centre[0], self.at[0] + centre[1], self.at[1] + centre[2]];
-                    self.peaks.push(Peak { position, quat: self.quat, explains: f64::from(explains[l]) });
-                }
-            }
-            first += LANES;
+        let mut at = [[0.0_f32; LANES]; 3];
+        for (l, cell) in self.cells.iter().enumerate() {
+            (0..3).for_each(|k| at[k][l] = (cell.centre[k] - self.centre[k]) as f32);
         }
+        let (mut explains, mut first) = ([0.0_f32; LANES], 0);
+        for end in self.ends {
+            let window = explained_energy(&self.rows[first..*end], &at);
+            for l in 0..LANES {
+                explains[l] += window[l];
+            }
+            first = *end;
+        }
+        self.cells.iter_mut().zip(explains).for_each(|(cell, explains)| cell.explains = f64::from(explains));
     }
 }
 
-/// Returns the explained energy |eᴴr|²/|e|² at LANES positions `x` (relative to the centre) of the line at y, z `at`.
+/// Returns the explained energy |eᴴr|²/|e|² of one window at LANES positions relative to the centre.
 #[inline(always)]
-fn explained_energy(rows: &[[f32; 6]], x: &[f32; LANES], at: [f32; 2]) -> [f32; LANES] {
+fn explained_energy(rows: &[[f32; 6]], [x, y, z]: &[[f32; LANES]; 3]) -> [f32; LANES] {
     let (mut re, mut im, mut energy) = ([0.0_f32; LANES], [0.0_f32; LANES], [0.0_f32; LANES]);
     for i in 0..rows.len() {
         let [px, py, pz, per_metre, h_re, h_im] = rows[i];
-        let across = (at[0] - py) * (at[0] - py) + (at[1] - pz) * (at[1] - pz) + 1e-6;
         for l in 0..LANES {
-            let dx = x[l] - px;
-            let d2 = dx.mul_add(dx, across);
-            let d = d2.sqrt();
+            let (dx, dy, dz) = (x[l] - px, y[l] - py, z[l] - pz);
+            let d = dx.mul_add(dx, dy.mul_add(dy, dz.mul_add(dz, 1e-6))).sqrt();
             let inverse = 1.0 / d;
             let (cos, sin) = f32::cis(d * per_metre);
             // conj(e)·r with e = exp(-jkd)/d.
@@ -377,12 +338,6 @@ impl CutPlane {
         let distance = self.signed_distance(&v);
         [0, 1, 2].map(|k| v[k] - 2.0 * distance * self.n[k])
     }
-}
-
-/// Returns a peak without explained energy per rotation and position.
-pub(crate) fn unscored_peaks(positions: &[[f64; 3]], quats: &[[f64; 4]]) -> Vec<Peak> {
-    let peak = |quat, position| Peak { position, quat, explains: 0.0 };
-    quats.iter().flat_map(|quat| positions.iter().map(|position| peak(*quat, *position))).collect()
 }
 
 #[cfg(test)]
