@@ -32,6 +32,30 @@ const OPEN: &str = r#"(
 const NEW: &str = "x,y,z\n0.1,1.1,0.5\n0.3,1.2,0.5\n0.5,1.1,0.5\n";
 
 #[test]
+fn many_candidates_are_thinned_to_the_farthest() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    measured(here);
+    let row = |k: usize| format!("{},{},0.5\n", (k % 150) as f64 * 0.01, (k / 150) as f64 * 0.01);
+    write(&here.join("many.csv"), format!("x,y,z\n{}", (0..20_100).map(row).collect::<String>()));
+    let line = ["plan", "data", "--candidates", "many.csv", "--length-scale", "0.5", "--count"];
+    let output = stdout(&succeed(here, &[&line[..], &["2"]].concat()));
+    assert!(output.contains("20,100 candidates, 6 known measurements"), "{output}");
+    assert!(output.contains("selected among 20,000 candidates, the farthest from each other"), "{output}");
+    let list = std::fs::read_to_string(here.join("plan/plan.csv")).unwrap();
+    for line in list.lines().skip(1) {
+        let cells: Vec<&str> = line.split(',').collect();
+        assert_eq!(row(cells[1].parse::<usize>().unwrap() - 1).trim(), cells[2..5].join(","), "{list}");
+    }
+    refuse(
+        here,
+        &[&line[..], &["20001", "--out", "b"]].concat(),
+        2,
+        &["--count 20001: a plan has at most 20,000 positions"],
+    );
+}
+
+#[test]
 fn plan_writes_order_and_picture_and_prints_other_choices() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

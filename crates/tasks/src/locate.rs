@@ -110,28 +110,24 @@ pub fn locate(
         }
         None => locator,
     };
-    let rows = match observations {
-        Some(read) => {
-            let observations = read(locator.features())?;
-            locate_rows(observations.len(), pictures, observer, |k| LocatedRow {
-                name: format!("{:05}", k + 1),
-                located: locator.locate(&observations[k]),
-                truth: None,
-            })
-        }
-        None => {
-            let test = data.locations_of(&split.partition.test);
-            let observations = locator.observations(data, &test);
-            let locate = |k: usize| locate_transmitter(&locator, data, test[k], &observations[k], false);
-            locate_rows(test.len(), pictures, observer, locate)
-        }
+    let rows = if let Some(read) = observations {
+        let observations = read(locator.features())?;
+        locate_rows(observations.len(), pictures, observer, |k| LocatedRow {
+            name: format!("{:05}", k + 1),
+            located: locator.locate(&observations[k]),
+            truth: None,
+        })
+    } else {
+        let test = data.locations_of(&split.partition.test);
+        let observations = locator.observations(data, &test);
+        let locate = |k: usize| locate_transmitter(&locator, data, test[k], &observations[k], false);
+        locate_rows(test.len(), pictures, observer, locate)
     };
-    let table = match expected {
-        Some(expected) => format_positions(&rows, data.scene.geodetic) + &expected,
-        None => {
-            let located: Vec<&Located> = rows.iter().map(|row| &row.located).collect();
-            scores::format_errors(&located, &locator, split, !settings.no_kriging, observer)?
-        }
+    let table = if let Some(expected) = expected {
+        format_positions(&rows, data.scene.geodetic) + &expected
+    } else {
+        let located: Vec<&Located> = rows.iter().map(|row| &row.located).collect();
+        scores::format_errors(&located, &locator, split, !settings.no_kriging, observer)?
     };
     let text = table + &describe_regions(&rows, &locator);
     Ok(Localisation {

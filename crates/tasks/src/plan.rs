@@ -1,17 +1,19 @@
 //! Positions to measure next.
 
+mod checks;
+
 use crate::plane::PlaneBounds;
+use checks::{MOST, check_count, check_distance};
 use clap::Args;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::kriging::Correlation;
-use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::statistics::{self, evenly, mean};
 use pwrfgs_core::{Dataset, Error, Location, Receiver, Result, check_stopped, evenly as thinned};
 use pwrfgs_experiment::statistics::{Blocks, Difference};
 use pwrfgs_experiment::text::{Lines, aligned, fixed, grouped, number};
 use pwrfgs_experiment::{Observer, staged};
 use pwrfgs_model::Ensemble;
-use pwrfgs_planning::{Survey, SurveyPlan, default_correlation, kriging_scores, learn_correlation};
+use pwrfgs_planning::{Survey, SurveyPlan, default_correlation, kriging_scores, learn_correlation, select_farthest};
 use pwrfgs_report::draw::survey::SurveyMap;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -25,13 +27,10 @@ const TESTED: usize = 500;
 const ALIKE: f64 = 0.02;
 /// Width of the image in print, millimetres.
 const WIDTH_MM: f64 = 120.0;
-/// Largest number of candidates, and of covariances between candidates and region.
-const MOST: usize = 20_000;
+/// Largest number of covariances between candidates and region.
 const MOST_PAIRS: usize = 1 << 25;
 /// Largest number of known measurements that are used, evenly chosen.
 const MOST_KNOWN: usize = 2_000;
-/// Largest distance of the candidates from the known measurements, in diagonals of these.
-const FAR: f64 = 10.0;
 
 /// Settings of [`plan`].
 #[derive(Clone, Debug, Args, Deserialize, JsonSchema)]
@@ -118,7 +117,7 @@ impl Places {
     fn thinned_candidates(&self, is_inside: impl Fn([f64; 3]) -> bool) -> Vec<[f64; 3]> {
         let positions: Vec<[f64; 3]> =
             self.candidates.iter().copied().filter(|position| is_inside(*position)).collect();
-        thinned(&positions, MOST_PAIRS / self.candidates.len().max(1))
+        thinned(&positions, MOST_PAIRS / self.candidates.len().clamp(1, MOST))
     }
 
     /// Returns `simulated ` if the observations are, else an empty text.
@@ -141,14 +140,23 @@ pub struct Plan {
 /// Selects positions to measure next, of the candidates of `places`. `observer` receives the progress; `stop` ends the search.
 ///
 /// # Errors
-/// Invalid settings, no candidates or too many, no candidate in the region, or [`Error::Stopped`].
+/// Invalid settings, no candidates, no candidate in the region, or [`Error::Stopped`].
 pub fn plan(places: &Places, settings: &PlanSettings, observer: &mut dyn Observer, stop: &AtomicBool) -> Result<Plan> {
     check_count(settings.count, places.candidates.len())?;
     let region = select_region(settings, places)?;
-    let survey = Survey::new(&places.candidates, &region, &places.measured);
+    let subset = staged(observer, "thinning candidates", |progress| {
+        select_farthest(&places.candidates, MOST, |done| {
+            progress(done, MOST);
+            !stop.load(Ordering::Relaxed)
+        })
+    });
+    check_stopped(stop)?;
+    let candidates: Vec<[f64; 3]> = subset.iter().map(|&j| places.candidates[j]).collect();
+    let survey = Survey::new(&candidates, &region, &places.measured);
     let start = first_correlation(settings, places, &region)?;
+    let of_all = |order: &[usize]| order.iter().map(|&j| subset[j]).collect::<Vec<usize>>();
     let learn = |order: &[usize]| {
-        places.data.as_ref().filter(|_| settings.simulate).and_then(|data| learn_correlation(data, order))
+        places.data.as_ref().filter(|_| settings.simulate).and_then(|data| learn_correlation(data, &of_all(order)))
     };
     let selected = staged(observer, "selecting positions", |progress| {
         survey.select(start, settings.count, learn, |done| {
@@ -158,33 +166,11 @@ pub fn plan(places: &Places, settings: &PlanSettings, observer: &mut dyn Observe
     });
     check_stopped(stop)?;
     let mut choices = list_choices(&survey, &selected, settings.seed);
+    choices.iter_mut().for_each(|choice| choice.order = of_all(&choice.order));
     let gain = score_choices(&mut choices, places, observer, stop)?;
     let text = format_table(&choices, gain, &selected.correlation, places);
-    Ok(Plan { order: selected.order, variances: choices.swap_remove(0).variances, text })
-}
-
-/// Rejects a number of positions that is 0 or larger than `total`, that of the candidates, and too many candidates.
-fn check_count(count: usize, total: usize) -> Result<()> {
-    if total == 0 {
-        let problem =
-            "a model has no candidates; set --candidates FILE or --floor SCENE, or give data in place of the model";
-        return Err(Error::Config(problem.into()));
-    }
-    if total > MOST {
-        let (count, most) = (grouped(total as i64), grouped(MOST as i64));
-        return Err(Error::Config(format!(
-            "{count} candidates, expected at most {most}; give fewer, or a larger --step"
-        )));
-    }
-    if (1..=total).contains(&count) {
-        return Ok(());
-    }
-    let problem = if count == 0 {
-        "give at least 1".to_owned()
-    } else {
-        format!("there are {} candidates; lower --count, or give more candidates", grouped(total as i64))
-    };
-    Err(Error::Config(format!("--count {count}: {problem}")))
+    let Choice { order, variances, .. } = choices.swap_remove(0);
+    Ok(Plan { order, variances, text })
 }
 
 /// Returns the candidates in the region of `--region`, all without it; an error if it has none.
@@ -342,6 +328,10 @@ fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Corr
         number(*length),
         number(*noise)
     );
+    if places.candidates.len() > MOST {
+        let most = grouped(MOST as i64);
+        _ = writeln!(text, "positions are selected among {most} candidates, the farthest from each other");
+    }
     if let Some(task) = task {
         let (test, data) = (grouped(choices[0].scores.len() as i64), places.simulated_prefix());
         _ = writeln!(text, "scores are those of {test} {data}{} in no choice", task.counted[1]);
@@ -360,25 +350,4 @@ fn describe_verdict(plan: &Choice, regular: &Choice, gain: Option<Difference>) -
     } else {
         "the regular choice is as good: measure every k-th candidate if that is simpler\n"
     }
-}
-
-/// Rejects candidates of which all are far from the known measurements: probably another frame or unit. `path` is their
-/// file.
-fn check_distance(candidates: &[[f64; 3]], measured: &[[f64; 3]], path: &Path) -> Result<()> {
-    let Some(first) = measured.first() else { return Ok(()) };
-    let extent = measured.iter().map(|position| distance(*position, *first)).fold(0.0, f64::max).max(1.0);
-    let gap =
-        |position: &[f64; 3]| measured.iter().map(|near| distance(*near, *position)).fold(f64::INFINITY, f64::min);
-    let nearest = thinned(candidates, 100).iter().map(gap).fold(f64::INFINITY, f64::min);
-    if nearest <= FAR * extent {
-        return Ok(());
-    }
-    let [gap, extent] = [nearest, extent].map(number);
-    Err(Error::input(
-        path,
-        format!(
-            "candidates are {gap} m from the nearest known measurement, and these extend over {extent} m; give both in metres \
-             in one frame"
-        ),
-    ))
 }

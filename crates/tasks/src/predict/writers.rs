@@ -265,7 +265,7 @@ fn complete_lines(path: &Path, limit: usize) -> Result<(usize, u64)> {
     let (mut lines, mut bytes, mut read, mut is_quoted) = (0, 0, 0, false);
     while lines < limit && reader.read_until(b'\n', &mut line).map_err(|e| Error::read(path, e))? > 0 {
         read += line.len() as u64;
-        is_quoted ^= line.iter().filter(|byte| **byte == b'"').count() % 2 == 1;
+        is_quoted = line.iter().fold(is_quoted, |is_quoted, byte| is_quoted ^ (*byte == b'"'));
         if line.ends_with(b"\n") && !is_quoted {
             (lines, bytes) = (lines + 1, read);
         }
