@@ -76,7 +76,7 @@ fn build_tree(points: &[[Real; 3]]) -> Option<Tree> {
 
 /// Positions of any dimension, with their samples: exact search in double precision.
 ///
-/// A k-d tree of bounding boxes holds up to [`WIDEST`] coordinates. Boxes have equally many positions, so many equal positions
+/// A k-d tree of bounding boxes holds up to nine coordinates. Boxes have equally many positions, so many equal positions
 /// do not make it deep. The bound of a box rounds as the distances do, so it never skips a neighbour. More coordinates are in
 /// one box: they are scanned.
 #[derive(Clone, Debug)]

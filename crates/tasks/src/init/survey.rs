@@ -136,7 +136,7 @@ impl DataSurvey {
         !self.partition.validation.is_empty()
     }
 
-    /// Returns the batch size: the number of training transmitters, at most `most` and those of about [`LINKS`] links.
+    /// Returns the batch size: the number of training transmitters, at most `most`, with about 2,500 links at most.
     pub fn batch_size(&self, most: usize) -> usize {
         let transmitters = self.data.locations_of(&self.partition.train).len();
         transmitters.min(LINKS / self.links_each()).clamp(1, most)
@@ -289,5 +289,30 @@ mod tests {
         {
             assert_eq!(suggest_cell_edge(&grid(count, columns, step)), edge, "{count} positions");
         }
+    }
+
+    #[test]
+    fn step_has_at_most_about_2_500_links() {
+        let batch = |receivers: usize, most: usize| {
+            let sample = |k: usize| Sample {
+                receiver: k % receivers,
+                ..Sample::new((k / receivers) as u32, [(k / receivers) as f64, 0.0, 0.0])
+            };
+            let samples: Vec<Sample> = (0..200 * receivers).map(sample).collect();
+            let ends: Vec<Receiver> = (0..receivers).map(|k| Receiver::new(format!("g{k}"), Pose::IDENTITY)).collect();
+            let powers = Observations::Powers(vec![-60.0; samples.len()]);
+            let data = Dataset::of_links("many", ends, vec![], &samples, powers).unwrap();
+            let partition = Partition { train: (0..data.len()).collect(), validation: vec![], test: vec![] };
+            let source = Plugin::parse("Nerf2Rssi(root: \"many\")").unwrap();
+            let (split, nearest) = ("Random()".to_owned(), 1.0);
+            let survey = DataSurvey { source, data, accepted: vec![], split, partition, nearest, clouds: vec![] };
+            (survey.batch_size(most), survey.batch_note(survey.batch_size(most)).is_some())
+        };
+        assert_eq!(batch(1, 128), (128, false));
+        assert_eq!(batch(1, 500), (200, false), "as many as there are");
+        assert_eq!(batch(21, 128), (128, false), "as `ble`");
+        assert_eq!(batch(500, 32), (5, true));
+        assert_eq!(batch(500, 4), (4, false));
+        assert_eq!(batch(3_000, 32), (1, true));
     }
 }
