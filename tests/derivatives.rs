@@ -4,7 +4,7 @@
 use crate::common::{cloud, plugin};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{FittingSet, GaussianCloud, MeasurementSetup, Origin, Projector, Query, Receiver, rng};
-use pwrfgs::model::{Ensemble, KnownLinks, Kriged, LeftOutBy, Model, Prepared, Residuals, Stages};
+use pwrfgs::model::{Ensemble, KnownLinks, Kriged, Model, Prepared, Residuals, Stages};
 use pwrfgs::prelude::*;
 use std::sync::atomic::AtomicBool;
 
@@ -179,9 +179,8 @@ fn ensembles_and_residual_processes_differentiate() {
         let base = Ensemble::new(members).unwrap();
         check(&format!("mean, {rest}"), &base.prepare(), AT.map(f64::from).into());
         let (data, links) = (data(task, &base), (0..LINKS).collect::<Vec<_>>());
-        let by = |&i: &usize| if i % 4 == 0 { LeftOutBy::NoMember } else { LeftOutBy::Member(0) };
-        let left_out_by: Vec<LeftOutBy> = links.iter().map(by).collect();
-        let known = || KnownLinks { data: &data, links: &links, left_out_by: &left_out_by, blocks: &links };
+        let left_out: Vec<Option<usize>> = links.iter().map(|i| (i % 4 != 0).then_some(0)).collect();
+        let known = || KnownLinks { data: &data, links: &links, left_out: &left_out, parts: 2, blocks: &links };
         let strides = if task.has_pixels { &[4, 1][..] } else { &[1] };
         for settings in strides.iter().map(|&stride| Kriged { stride, ..Kriged::default() }) {
             let found = Residuals::fit(&settings, &base, known(), &AtomicBool::new(false), &|_, _| {}).unwrap();

@@ -6,7 +6,7 @@ use pwrfgs::core::{
     Spectra, rng,
 };
 use pwrfgs::data::Kriging;
-use pwrfgs::model::{Ensemble, KnownLinks, Kriged, LeftOutBy, Model, Residuals, Stages, file};
+use pwrfgs::model::{Ensemble, KnownLinks, Kriged, Model, Residuals, Stages, file};
 use std::sync::atomic::AtomicBool;
 
 /// Spectra that vary smoothly with the transmitter, 16 x 8 pixels.
@@ -60,9 +60,8 @@ fn constant_model(data: &Dataset, readout: &str) -> Ensemble {
 fn check(data: &Dataset, base: &Ensemble) {
     let links: Vec<usize> = (0..data.len() - 20).collect();
     let blocks: Vec<usize> = links.iter().map(|&k| data.links[k].location).collect();
-    let left_out_by: Vec<LeftOutBy> =
-        blocks.iter().map(|k| if k % 5 == 0 { LeftOutBy::All } else { LeftOutBy::NoMember }).collect();
-    let known = KnownLinks { data, links: &links, left_out_by: &left_out_by, blocks: &blocks };
+    let left_out: Vec<Option<usize>> = blocks.iter().map(|k| (k % 5 == 0).then_some(0)).collect();
+    let known = KnownLinks { data, links: &links, left_out: &left_out, parts: 1, blocks: &blocks };
     let settings = Kriged { stride: 1, ..Kriged::default() };
     let residuals = Residuals::fit(&settings, base, known, &AtomicBool::new(false), &|_, _| {}).unwrap();
     assert_eq!(residuals.share(), Some(0.0));

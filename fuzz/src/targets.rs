@@ -148,7 +148,7 @@ pub const TARGETS: &[Target] = &[
 fn table(bench: &Path, name: &str) -> Result<()> {
     let files = vec![bench.join(name).into_os_string().into()];
     let import = TableImport { files, title: "links".into(), ..TableImport::default() };
-    import.read().and_then(|imported| check_dataset(&imported.data))
+    import.read(&|_, _| {}).and_then(|imported| check_dataset(&imported.data))
 }
 
 fn pipeline(bench: &Path) -> Result<()> {
