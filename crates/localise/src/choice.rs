@@ -34,7 +34,7 @@ pub struct Choice {
 }
 
 /// Fingerprints of least misfit: indices and misfits, least first.
-pub(crate) type Nearest = Vec<(u32, f32)>;
+pub(crate) type NearestList = Vec<(u32, f32)>;
 
 /// Validation sample.
 #[derive(Clone, Debug)]
@@ -53,7 +53,7 @@ impl Choice {
         share: f32,
         positions: &[[f64; 3]],
         samples: &[ValidationSample],
-        nearest: &[Nearest],
+        nearest: &[NearestList],
         spacing: f64,
     ) -> Self {
         let typical = median(nearest.iter().map(|near| least_misfit(near)).filter(|m| m.is_finite()));
@@ -68,7 +68,7 @@ impl Choice {
             descends: false,
         };
         let all: Vec<Self> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| settings((s, b)))).collect();
-        let densities = |(near, ValidationSample { position: [x, y, _], .. }): (&Nearest, &ValidationSample)| {
+        let densities = |(near, ValidationSample { position: [x, y, _], .. }): (&NearestList, &ValidationSample)| {
             let per_sharpness = all.chunks(BANDWIDTHS.len()).flat_map(|choices| {
                 let mut density = choices[0].density(near, positions);
                 choices.iter().map(move |choice| {
@@ -106,12 +106,12 @@ pub(crate) fn least_misfit(near: &[(u32, f32)]) -> f64 {
 pub(crate) fn region_level(
     positions: &[[f64; 3]],
     samples: &[ValidationSample],
-    nearest: &[Nearest],
+    nearest: &[NearestList],
     choice: Choice,
 ) -> Option<f32> {
     // The smallest of n values holds n/(n + 1) of new ones.
     let last = ((samples.len() + 1) / MISSED).checked_sub(1)?;
-    let level = |(near, ValidationSample { position: [x, y, _], .. }): (&Nearest, &ValidationSample)| {
+    let level = |(near, ValidationSample { position: [x, y, _], .. }): (&NearestList, &ValidationSample)| {
         f64::from(choice.density(near, positions).grid().level_at([*x, *y]))
     };
     let levels = sorted(nearest.par_iter().zip(samples).map(level).collect::<Vec<f64>>());

@@ -1,6 +1,6 @@
 //! `Locator`: positions from observations.
 
-use crate::choice::{Choice, Nearest, ValidationSample, least_misfit, region_level};
+use crate::choice::{Choice, NearestList, ValidationSample, least_misfit, region_level};
 use crate::descent::descend;
 use crate::fingerprints::FingerprintBuilder;
 use crate::region::{Density, KERNELS};
@@ -151,7 +151,7 @@ impl<'a> Locator<'a> {
                 done();
                 self.fingerprints.nearest(&sample.observation, KERNELS, None)
             };
-            let nearest: Vec<Nearest> = samples.par_iter().map(nearest).collect();
+            let nearest: Vec<NearestList> = samples.par_iter().map(nearest).collect();
             let positions = &self.fingerprints.positions;
             self.choice = Choice::most_likely(*share, positions, samples, &nearest, self.spacing);
             self.level = region_level(positions, samples, &nearest, self.choice);
