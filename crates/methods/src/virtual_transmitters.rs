@@ -3,6 +3,7 @@
 mod cis;
 mod equations;
 mod field;
+mod grid;
 mod harmonics;
 mod links;
 mod pursuit;
@@ -174,8 +175,8 @@ impl Method for VirtualTransmitters {
 /// wavelengths. A coarse cell counts what it explains in windows of neighbouring positions and subcarriers, each with a
 /// gain of its own. The band of a window resolves ranges, and its antennas resolve directions. Each level divides the
 /// best 4,096 cells into eight and doubles the width of the windows; the last level is coherent over all positions, on a
-/// subset of the links. No position explains more coherently than in windows, so the search skips a position only if 4,096
-/// cells explain more in windows of the same width. A grid of at most 131,072 cells is searched completely.
+/// subset of the links. No position explains more coherently than in windows, so a cell is skipped only if 4,096 others
+/// explain more in windows of the same width. A grid of at most 131,072 cells is searched completely.
 ///
 /// ```
 /// # use pwrfgs_core::{Initializer, Plugin};

@@ -3,9 +3,10 @@
 
 use crate::virtual_transmitters::equations::MeasurementRows;
 use crate::virtual_transmitters::field::field;
+use crate::virtual_transmitters::grid::{Cell, SearchGrid, distance};
 use crate::virtual_transmitters::links::{ChannelInputs, VirtualSources, snr_db};
 use crate::virtual_transmitters::solve::{RefineOptions, costs_without_each, refine_positions, solve_gains};
-use crate::virtual_transmitters::sweep::{Cell, SearchGrid, compare_cells, mirror_images, score_cells, sweep_cells};
+use crate::virtual_transmitters::sweep::{compare_cells, mirror_images, score_cells, sweep_cells};
 use crate::virtual_transmitters::windows::SearchLevel;
 use crate::virtual_transmitters::{MatchingPursuit, VirtualTransmitters, turn};
 use pwrfgs_core::{Initializer as _, Method as _, Real, evenly, rng};
@@ -302,20 +303,15 @@ impl<'a> PursuitSearch<'a> {
             (Some(b), Some(other)) if b.1 >= other.1 => Some(b),
             (b, other) => other.or(b),
         };
-        best = better(
-            best,
-            self.best_refined(&residual, self.pool.clone(), self.grid.cell_count(self.grid.step), sources),
-        );
+        let cells = self.grid.cell_count(self.grid.step);
+        best = better(best, self.best_refined(&residual, self.pool.clone(), cells, sources));
         let enough = FADED * self.strongest;
         if best.is_none_or(|b| b.1 < BEYOND_DOUBT || b.0.explains < enough) {
             let report = &mut |done: usize, total: usize| {
                 report_progress(sources.len() as f64 + SWEEP * done as f64 / total as f64);
             };
             self.pool = sweep_cells((&self.levels, &self.grid), sources, (self.options.peaks, 1), self.stop, report);
-            best = better(
-                best,
-                self.best_refined(&residual, self.pool.clone(), self.grid.cell_count(self.grid.step), sources),
-            );
+            best = better(best, self.best_refined(&residual, self.pool.clone(), cells, sources));
             self.strongest = best.map_or(0.0, |b| b.0.explains);
         }
         best.map(|(peak, _)| peak)
@@ -374,9 +370,4 @@ impl<'a> PursuitSearch<'a> {
         let truth = self.held_out.iter().flat_map(|i| &self.channel[i * each..(i + 1) * each]);
         snr_db(&field(&sources.to_cloud(), None, &links), truth)
     }
-}
-
-/// Returns the distance of two positions, metres.
-fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
 }

@@ -9,11 +9,11 @@
 //! use double precision.
 
 use crate::virtual_transmitters::equations::{MeasurementRows, NormalEquations};
+use crate::virtual_transmitters::grid::SearchGrid;
 use crate::virtual_transmitters::harmonics::{
     MOST, direction_and_distance, direction_vjp, harmonic_gradients, harmonics,
 };
 use crate::virtual_transmitters::links::VirtualSources;
-use crate::virtual_transmitters::sweep::SearchGrid;
 use crate::virtual_transmitters::turn::{MatrixRows, rotate_quat, rotate_vector, rotation_matrix};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -5,8 +5,8 @@
 //! windows of subcarriers to c/4s. A window thereby resolves ranges to c/B, and the array resolves directions.
 
 use crate::virtual_transmitters::equations::MeasurementRows;
+use crate::virtual_transmitters::grid::{START, SearchGrid};
 use crate::virtual_transmitters::links::ChannelInputs;
-use crate::virtual_transmitters::sweep::{START, SearchGrid};
 use pwrfgs_core::{Real, SPEED_OF_LIGHT, evenly};
 
 /// Minimum mean number of measured values per window.
