@@ -80,6 +80,7 @@ fn killed_predictions_of_powers_resume_to_identical_result() {
     survives_kill(here, &predict);
 
     // Another request does not touch the partial folder.
+    walk(here, 60_000);
     let mut child = start(here, &predict);
     refuse(here, &[&predict[..], &["--out", "killed"]].concat(), 2, &["killed.partial is in use by another"]);
     let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();

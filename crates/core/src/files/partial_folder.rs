@@ -40,7 +40,8 @@ impl PartialFolder {
         fs::create_dir_all(&path).map_err(|e| Error::write(&path, e))?;
         let lines: Vec<String> = request.iter().map(|(part, digest)| format!("{part} {digest}\n")).collect();
         write_new(&record, lines.concat().as_bytes())?;
-        let locked = try_lock(&record).map_err(|e| Error::read(&record, e))?;
+        // Without a record, another process has just published the folder.
+        let locked = if_found(&record, try_lock(&record))?.flatten();
         let lock = locked.ok_or_else(|| Error::Busy(path.clone()))?;
         let known = if_found(&record, read_string(&record))?.unwrap_or_default();
         let differs = |(line, _): &(&String, _)| !known.contains(line.as_str());
