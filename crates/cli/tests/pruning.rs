@@ -119,6 +119,7 @@ fn shorter_training_still_prunes() {
     assert!(gaussians(&here.join("short")) < 40);
     let pipeline = std::fs::read_to_string(here.join("short/pipeline.ron")).unwrap();
     assert!(pipeline.contains("prune_until: 250") && pipeline.contains("learning_rate: 0.08"), "{pipeline}");
+    assert!(pipeline.contains("validate_every: 30"), "ten times in 300 steps: {pipeline}");
     let samples = |scale: &str, out: &str, count: &str| {
         let count = format!("training.validation_samples={count}");
         succeed(

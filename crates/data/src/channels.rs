@@ -12,7 +12,7 @@ use crate::nerf2::{LocationTable, index};
 use crate::npy::{ComplexArray, read_complex_array};
 use crate::text::{read_yaml, yaml_fault};
 use pwrfgs_core::{
-    Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Observations, Pose, Progress, Real, Receiver,
+    Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Observations, Pose, Progress, Receiver,
     Result, Sample, Simulation, Unmatched, carrier_fault,
 };
 use serde::{Deserialize, Serialize};
@@ -164,8 +164,7 @@ impl DataSource for Channels {
         let poses = locations.poses.repeat(carriers);
         let array = self.with_more_carriers(&root, array)?;
         let samples: Vec<Sample> = (0..).zip(poses).map(|(id, pose)| Sample::new(id, pose)).collect();
-        let gains = array.values.into_iter().map(|gain| gain.map(|v| v as Real)).collect();
-        let channels = ObservedChannels { antennas, frequencies_hz, gains };
+        let channels = ObservedChannels { antennas, frequencies_hz, gains: array.values };
         let name = folder_name(&root);
         let simulation = read_simulation(&root, &name).or_else(|| self.simulated.then(Simulation::default));
         let title = dataset_title(&name, simulation.as_ref(), "channels");

@@ -109,7 +109,7 @@ pub(crate) fn read_positions(path: &Path) -> Result<Vec<[f64; 3]>> {
 pub(crate) struct ComplexArray {
     pub(crate) shape: [usize; 3],
     /// Real and imaginary parts.
-    pub(crate) values: Vec<[f64; 2]>,
+    pub(crate) values: Vec<[Real; 2]>,
 }
 
 /// Reads the complex array of a file; `expected` describes its three dimensions in words.
@@ -136,8 +136,11 @@ pub(crate) fn read_complex_array(path: &Path, expected: &str) -> Result<ComplexA
     if shape.contains(&0) {
         return Err(refuse(format!("has shape {} and is empty; {expected}", header.shape_text())));
     }
-    let parts = parse_numbers(&header, path, &mut file, length)?;
-    Ok(ComplexArray { shape, values: parts.as_chunks().0.to_vec() })
+    let mut values = Vec::new();
+    let pairs =
+        |piece: &[f64]| values.extend(piece.as_chunks().0.iter().map(|gain: &[f64; 2]| gain.map(|v| v as Real)));
+    read_numbers(&header, path, &mut file, length, pairs)?;
+    Ok(ComplexArray { shape, values })
 }
 
 /// Returns the problem with channels of real numbers of this shape, with the next step.
@@ -154,10 +157,24 @@ pub fn real_channels_fault(shape: &[usize]) -> String {
     }
 }
 
-/// Reads the numbers of an array from the `size` bytes of `file` after the header, in the order of the file. A complex
-/// number is two: real and imaginary part. Returns an error for another type or length, too many numbers, or one that is
-/// not finite.
+/// Returns the numbers of an array, as [`read_numbers`].
 pub(crate) fn parse_numbers(header: &Header, path: &Path, file: &mut dyn Read, size: u64) -> Result<Vec<f64>> {
+    let mut numbers = Vec::new();
+    read_numbers(header, path, file, size, |piece| numbers.extend_from_slice(piece))?;
+    Ok(numbers)
+}
+
+/// Reads the numbers of an array from the `size` bytes of `file` after the header, in the order of the file. A complex
+/// number is two: real and imaginary part. `take` gets pieces of them, so that they are not in memory twice. Returns an error
+/// for another type or length, too many numbers, or one that is not finite.
+fn read_numbers(
+    header: &Header,
+    path: &Path,
+    file: &mut dyn Read,
+    size: u64,
+    mut take: impl FnMut(&[f64]),
+) -> Result<()> {
+    const PIECE: usize = 1 << 16;
     let refuse = |problem: String| Err(Error::input(path, problem));
     let (order, kind) = header.descr.split_at_checked(1).unwrap_or_default();
     let (parts, part) = match kind {
@@ -178,8 +195,6 @@ pub(crate) fn parse_numbers(header: &Header, path: &Path, file: &mut dyn Read, s
     if size.max((size_of::<Real>() * header.shape.iter().product::<usize>() * parts) as u64) > MAX_BYTES {
         return refuse(format!("holds {size} bytes, more than {MAX_BYTES} or too many numbers; give fewer channels"));
     }
-    let mut content = vec![0; size as usize];
-    file.read_exact(&mut content).and_then(|()| check_end(file)).map_err(|e| Error::read(path, e))?;
     let number = |number: &[u8]| {
         let mut word = [0; 8];
         word[..bytes].copy_from_slice(number);
@@ -195,14 +210,21 @@ pub(crate) fn parse_numbers(header: &Header, path: &Path, file: &mut dyn Read, s
             _ => word as f64,
         }
     };
-    let numbers: Vec<f64> = content.chunks_exact(bytes).map(number).collect();
-    if let Some(i) = numbers.iter().position(|v| !(*v as Real).is_finite()) {
-        let value = &numbers[i / parts * parts..][..parts];
-        let value = if let [re, im] = value { format!("{:?}", (re, im)) } else { format!("{:?}", value[0]) };
-        let name = element_name(path, &header.shape, &header.fastest_first(), i / parts);
-        return refuse(format!("{name} is {value}; give finite numbers"));
+    let (count, mut content, mut numbers) = (size as usize / bytes, vec![0; PIECE * bytes], Vec::with_capacity(PIECE));
+    for start in (0..count).step_by(PIECE) {
+        let content = &mut content[..PIECE.min(count - start) * bytes];
+        file.read_exact(content).map_err(|e| Error::read(path, e))?;
+        numbers.clear();
+        numbers.extend(content.chunks_exact(bytes).map(number));
+        if let Some(i) = numbers.iter().position(|v| !(*v as Real).is_finite()) {
+            let value = &numbers[i / parts * parts..][..parts];
+            let value = if let [re, im] = value { format!("{:?}", (re, im)) } else { format!("{:?}", value[0]) };
+            let name = element_name(path, &header.shape, &header.fastest_first(), (start + i) / parts);
+            return refuse(format!("{name} is {value}; give finite numbers"));
+        }
+        take(&numbers);
     }
-    Ok(numbers)
+    check_end(file).map_err(|e| Error::read(path, e))
 }
 
 /// Returns the name and index of number `i` in the order of the file, in Python notation.
@@ -218,7 +240,7 @@ fn element_name(path: &Path, shape: &[usize], fastest_first: &[usize], mut i: us
 impl ComplexArray {
     /// Returns an error for numbers that are too large to compute with.
     pub(crate) fn check_size(&self, path: &Path) -> Result<()> {
-        let mut faults = self.values.iter().map(|gain| gain_fault(*gain)).enumerate();
+        let mut faults = self.values.iter().map(|gain| gain_fault(gain.map(|v| v as f64))).enumerate();
         match faults.find_map(|(i, fault)| Some((i, fault?))) {
             Some((i, fault)) => {
                 Err(Error::input(path, format!("{} {fault}", element_name(path, &self.shape, &[2, 1, 0], i))))
@@ -229,7 +251,8 @@ impl ComplexArray {
 
     /// Divides all numbers by the largest modulus of the rows `train`, or of all rows. Returns an error if it is zero.
     pub(crate) fn normalise(&mut self, path: &Path, train: Option<&[usize]>) -> Result<()> {
-        let largest_in = |values: &[[f64; 2]]| values.iter().map(|[re, im]| re.hypot(*im)).fold(0.0, f64::max);
+        let modulus = |gain: &[Real; 2]| (gain[0] as f64).hypot(gain[1] as f64);
+        let largest_in = |values: &[[Real; 2]]| values.iter().map(modulus).fold(0.0, f64::max);
         let [_, antennas, frequencies] = self.shape;
         let row = |&i: &usize| largest_in(&self.values[i * antennas * frequencies..][..antennas * frequencies]);
         let largest = train.map_or_else(|| largest_in(&self.values), |rows| rows.iter().map(row).fold(0.0, f64::max));
@@ -237,7 +260,7 @@ impl ComplexArray {
             let part = if train.is_some() { "in its training part" } else { "throughout" };
             return Err(Error::input(path, format!("is zero {part}; give channels that were measured")));
         }
-        self.values.iter_mut().flatten().for_each(|v| *v /= largest);
+        self.values.iter_mut().flatten().for_each(|v| *v = (*v as f64 / largest) as Real);
         Ok(())
     }
 }

@@ -226,8 +226,9 @@ settings! {
         steps: u64 = 200_000,
         /// Factor on all numbers of steps: here, in `densify` and in the schedules of `optimizer`. It is applied last:
         /// 0.25 gives a quarter of the training in the same proportions. Results are rounded; values above 0 stay at
-        /// least 1. A factor below 1 also multiplies `validation_samples`, not below 50, and divides the learning rates of
-        /// masks, up to 0.1 (without Adam: ten times the rate), so that masks close within the shorter training.
+        /// least 1. A factor below 1 also multiplies `validation_samples`, not below 50, validates at most ten times, and
+        /// divides the learning rates of masks, up to 0.1 (without Adam: ten times the rate), so that masks close within the
+        /// shorter training.
         scale: f64 = 1.0,
         /// Batch size: transmitters per step, at most those of the training set.
         batch: usize = 1,
@@ -271,8 +272,9 @@ settings! {
     }
 }
 
-/// Validation samples of a shorter training, unless the pipeline has fewer.
+/// Validation samples of a shorter training, unless the pipeline has fewer, and its most validations.
 const LEAST_VALIDATED: usize = 50;
+const MOST_VALIDATIONS: u64 = 10;
 
 impl Training {
     /// Returns the settings with `scale` applied to all numbers of steps, and `scale` set to 1.
@@ -284,6 +286,8 @@ impl Training {
         if self.scale < 1.0 {
             let fewer = (self.validation_samples as f64 * self.scale).round() as usize;
             resolved.validation_samples = fewer.max(self.validation_samples.min(LEAST_VALIDATED));
+            let often = if self.validate_every > 0 { resolved.steps.div_ceil(MOST_VALIDATIONS) } else { 0 };
+            resolved.validate_every = resolved.validate_every.max(often);
         }
         resolved
     }

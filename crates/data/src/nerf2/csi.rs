@@ -165,8 +165,8 @@ fn split_links(array: &mut ComplexArray) -> (Vec<Real>, Vec<[Real; 2]>) {
     let (mut uplinks, mut downlinks) = (Vec::with_capacity(array.values.len()), Vec::new());
     for link in std::mem::take(&mut array.values).chunks_exact(subcarriers) {
         let (up, down) = link.split_at(subcarriers / 2);
-        (0..2).for_each(|part| uplinks.extend(up.iter().map(|gain| gain[part] as Real)));
-        downlinks.extend(down.iter().map(|gain| gain.map(|v| v as Real)));
+        (0..2).for_each(|part| uplinks.extend(up.iter().map(|gain| gain[part])));
+        downlinks.extend_from_slice(down);
     }
     (uplinks, downlinks)
 }
