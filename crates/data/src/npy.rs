@@ -136,7 +136,8 @@ pub(crate) fn read_complex_array(path: &Path, expected: &str) -> Result<ComplexA
     if shape.contains(&0) {
         return Err(refuse(format!("has shape {} and is empty; {expected}", header.shape_text())));
     }
-    let mut values = Vec::new();
+    // A complex number has at least 8 bytes; growing the list would copy it.
+    let mut values = Vec::with_capacity((length.min(MAX_BYTES) / 8) as usize);
     let pairs =
         |piece: &[f64]| values.extend(piece.as_chunks().0.iter().map(|gain: &[f64; 2]| gain.map(|v| v as Real)));
     read_numbers(&header, path, &mut file, length, pairs)?;
