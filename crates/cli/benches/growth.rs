@@ -191,7 +191,10 @@ fn channels(folder: &Path, positions: usize) -> Result<String> {
     std::fs::write(folder.join(format!("{name}.npy")), bytes)?;
     let row = |i: usize| format!("{:.3},{:.3},1.2\n", position(i, positions)[0], position(i, positions)[1]);
     std::fs::write(folder.join("tx.csv"), format!("x,y,z\n{}", (0..positions).map(row).collect::<String>()))?;
-    Ok(format!("import --channels {name}.npy --tx tx.csv --receiver 0,0,2 --out {name}"))
+    let antennas = (0..16).map(|k| format!("0,{},{}\n", 0.06 * f64::from(k % 4), 0.06 * f64::from(k / 4)));
+    std::fs::write(folder.join("antennas.csv"), format!("x,y,z\n{}", antennas.collect::<String>()))?;
+    let place = "--receiver 0,0,2 --antennas antennas.csv --carrier-hz 2.4e9 --spacing-hz 625e3";
+    Ok(format!("import --channels {name}.npy --tx tx.csv {place} --accept channel-phase --out {name}"))
 }
 
 fn sweep(folder: &Path, runs: usize) -> Result<String> {
