@@ -115,12 +115,8 @@ impl NewFolder {
     /// # Errors
     /// As [`Self::begin`], if something has appeared at the target since; renaming fails.
     pub fn publish(self) -> Result<()> {
-        let refuse = |e| Error::write(&self.out, e);
         let _held = lock_under_way(); // a folder emptied by `abandon_all` must not be published
-        // If the target is missing or not empty, the rename reports the relevant error.
-        let _ = fs::remove_dir(&self.out);
-        fs::rename(&self.path, &self.out).map_err(|e| check_target(&self.out).err().unwrap_or_else(|| refuse(e)))?;
-        fs::remove_file(self.out.join(LOCK)).map_err(refuse)
+        rename_to_target(&self.path, &self.out, LOCK)
     }
 }
 
@@ -129,6 +125,14 @@ impl Drop for NewFolder {
         lock_under_way().retain(|path| *path != self.path);
         let _ = fs::remove_dir_all(&self.path); // already renamed if published; otherwise the next start retries
     }
+}
+
+/// Renames the finished folder `path` to `out`, where an empty folder is replaced, and then removes its `marker`.
+pub(super) fn rename_to_target(path: &Path, out: &Path, marker: &str) -> Result<()> {
+    let refuse = |e| Error::write(out, e);
+    let _ = fs::remove_dir(out); // if it is missing or not empty, the rename reports the relevant error
+    fs::rename(path, out).map_err(|e| check_target(out).err().unwrap_or_else(|| refuse(e)))?;
+    fs::remove_file(out.join(marker)).map_err(refuse)
 }
 
 /// Rejects a target that is not empty or has no folder name.

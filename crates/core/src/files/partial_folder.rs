@@ -1,7 +1,7 @@
 //! `PartialFolder`: a folder that several starts of one command fill.
 
 use super::held::lock_unused;
-use super::new_folder::check_target;
+use super::new_folder::{check_target, rename_to_target};
 use super::{if_found, read_string, refuse_foreign, try_lock, write_new};
 use crate::{Error, Result};
 use std::fs::{self, File};
@@ -81,10 +81,7 @@ impl PartialFolder {
     /// # Errors
     /// Something has appeared at the target since [`Self::begin`]; renaming fails.
     pub fn publish(self) -> Result<()> {
-        let refuse = |e| Error::write(&self.out, e);
-        let _ = fs::remove_dir(&self.out); // if it is missing or not empty, the rename reports the relevant error
-        fs::rename(&self.path, &self.out).map_err(|e| check_target(&self.out).err().unwrap_or_else(|| refuse(e)))?;
-        fs::remove_file(self.out.join(REQUEST)).map_err(refuse)
+        rename_to_target(&self.path, &self.out, REQUEST)
     }
 
     /// Removes the folder, which no request can complete.
