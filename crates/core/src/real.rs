@@ -66,10 +66,13 @@ pub trait Lanes: Sized {
     /// Computes two weighted sums of the same rows, each row loaded once: `sums[c] = Σ scales[c][k] · rows[k]`. N is a
     /// multiple of 64, so that every vector width forms whole groups of four, which stay in registers.
     fn two_sums<S: Simd, const N: usize>(simd: S, sums: &mut [[Self; N]; 2], scales: [&[Self]; 2], rows: &[[Self; N]]);
+    /// Computes the scalar products of each vector of `a` with each of `b`, all of one length. The order of the additions
+    /// depends on that length only.
+    fn dots<S: Simd, const M: usize, const N: usize>(simd: S, a: [&[Self]; M], b: [&[Self]; N]) -> [[Self; N]; M];
 }
 
 macro_rules! lanes {
-    ($real:ty, $vectors:ident, $vectors_mut:ident, $splat:ident, $mul_add:ident) => {
+    ($real:ty, $vectors:ident, $vectors_mut:ident, $splat:ident, $mul_add:ident, $load:ident, $sum:ident) => {
         impl Lanes for $real {
             #[inline(always)]
             fn add_scaled<S: Simd, const N: usize>(simd: S, sum: &mut [Self; N], scale: Self, x: &[Self; N]) {
@@ -119,11 +122,46 @@ macro_rules! lanes {
                     (first[g], second[g]) = (a, b);
                 }
             }
+            #[inline(always)]
+            fn dots<S: Simd, const M: usize, const N: usize>(
+                simd: S,
+                a: [&[Self]; M],
+                b: [&[Self]; N],
+            ) -> [[Self; N]; M] {
+                let mut sums = [[simd.$splat(0.0); N]; M];
+                let mut results = [[0.0; N]; M];
+                let (mut xs, mut ys) = ([S::$vectors(&[]); M], [S::$vectors(&[]); N]);
+                for i in 0..M {
+                    xs[i] = S::$vectors(a[i]);
+                }
+                for j in 0..N {
+                    ys[j] = S::$vectors(&b[j][..a[0].len()]);
+                }
+                for k in 0..xs[0].0.len() {
+                    for i in 0..M {
+                        for j in 0..N {
+                            sums[i][j] = simd.$mul_add(xs[i].0[k], ys[j].0[k], sums[i][j]);
+                        }
+                    }
+                }
+                for i in 0..M {
+                    let x = simd.$load(xs[i].1);
+                    for j in 0..N {
+                        sums[i][j] = simd.$mul_add(x, simd.$load(ys[j].1), sums[i][j]);
+                    }
+                }
+                for i in 0..M {
+                    for j in 0..N {
+                        results[i][j] = simd.$sum(sums[i][j]);
+                    }
+                }
+                results
+            }
         }
     };
 }
-lanes!(f32, as_simd_f32s, as_mut_simd_f32s, splat_f32s, mul_add_f32s);
-lanes!(f64, as_simd_f64s, as_mut_simd_f64s, splat_f64s, mul_add_f64s);
+lanes!(f32, as_simd_f32s, as_mut_simd_f32s, splat_f32s, mul_add_f32s, partial_load_f32s, reduce_sum_f32s);
+lanes!(f64, as_simd_f64s, as_mut_simd_f64s, splat_f64s, mul_add_f64s, partial_load_f64s, reduce_sum_f64s);
 
 /// Runs `work` with the widest vectors of this processor. `with_simd` and all functions that it calls must be
 /// `#[inline(always)]`: functions that are not inlined are compiled for the narrowest vectors. (Closures are not

@@ -297,6 +297,31 @@ pub fn add_assign(a: &mut [Real], b: &[Real]) {
     );
 }
 
+/// Adds the `rows`, each times its scale, to `sum`, one after the other.
+pub fn add_scaled_rows<'a>(sum: &mut [Real], rows: &(impl Iterator<Item = (Real, &'a [Real])> + Clone)) {
+    const LANES: usize = 64; // they stay in registers
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            let (blocks, rest) = sum.as_chunks_mut::<LANES>();
+            let first = blocks.len() * LANES;
+            for (k, block) in blocks.iter_mut().enumerate() {
+                let mut lanes = *block;
+                for (scale, row) in rows.clone() {
+                    let row = &row[k * LANES..][..LANES];
+                    for i in 0..LANES {
+                        lanes[i] += scale * row[i];
+                    }
+                }
+                *block = lanes;
+            }
+            for (scale, row) in rows.clone() {
+                rest.iter_mut().zip(&row[first..]).for_each(|(sum, x)| *sum += scale * x);
+            }
+        },
+    );
+}
+
 /// Adds all `sums` to `total`, in the order of the list for each element; elements are divided among threads.
 pub fn add_in_order(total: &mut [Real], sums: &[&[Real]]) {
     const PIECE: usize = 8192;

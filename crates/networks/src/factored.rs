@@ -6,7 +6,7 @@ use crate::factored_network::{FactoredLayers, WAVE_MEAN};
 use crate::linear::{LayoutBuilder, lay_out, lay_out_for};
 use crate::near::Near;
 use crate::trunk::check_stack;
-use crate::wave_mixture::Basis;
+use crate::wave_mixture::{Basis, WaveMixture};
 use pwrfgs_core::{
     Cache, Cholesky, Conditions, Deformation, DeformationInputs, DeformationTraits, DeformationVjp, Deltas, JsonSchema,
     Layout, LinearPart, Pose, Real, cached,
@@ -50,6 +50,9 @@ pub struct Factored {
     /// factors let signals vary faster from one carrier to the next. 0 ignores the carrier.
     pub carrier: f64,
 }
+
+/// Encoded centres, and the coefficients of their waves for each transmitter.
+type Kept = (Basis, Vec<WaveMixture>);
 
 const WAVES: Encoding = Encoding::Waves { count: 32, reach: 4.0, seed: 0 };
 
@@ -117,7 +120,13 @@ impl Deformation for Factored {
         let fresh = || self.prepare(inputs.weights, inputs.means, inputs.pose);
         let prepared = prepared.clone().or_else(fresh);
         let (network, basis): &(FactoredLayers, Basis) = cached(&prepared);
-        network.forward(inputs.weights, basis, inputs.txs)
+        network.forward(basis, &network.wave_mixtures(inputs.weights, inputs.txs))
+    }
+
+    fn forward_for_vjp(&self, inputs: &DeformationInputs<'_>) -> (Deltas, Cache) {
+        let network = lay_out_for(inputs.weights, |plan| self.plan_layers(plan));
+        let kept: Kept = (network.basis(inputs.means), network.wave_mixtures(inputs.weights, inputs.txs));
+        (network.forward(&kept.0, &kept.1), Some(Arc::new(kept)))
     }
 
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
@@ -127,7 +136,8 @@ impl Deformation for Factored {
     }
 
     fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
-        lay_out_for(inputs.weights, |plan| self.plan_layers(plan)).vjp(inputs, d, sums);
+        let kept = inputs.kept.clone().or_else(|| self.forward_for_vjp(inputs).1);
+        lay_out_for(inputs.weights, |plan| self.plan_layers(plan)).vjp(inputs, cached::<Kept>(&kept), d, sums);
     }
 
     fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], training: Conditions<'_>) -> Option<LinearPart> {

@@ -10,12 +10,14 @@ pub mod dense;
 pub mod encoding;
 mod factored;
 mod factored_network;
+mod factored_vjp;
 pub mod linear;
 mod mlp;
 mod mlp_branch;
 mod near;
 #[cfg(test)]
 mod oracle;
+mod relu_rows;
 #[cfg(test)]
 mod tests;
 pub mod trunk;

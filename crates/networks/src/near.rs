@@ -1,6 +1,6 @@
 //! `Near`: correlations of the transmitter with training positions, as features of [`crate::Factored`].
 
-use crate::dense::{Matrix, MatrixMut, StoreMode, product};
+use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
 use crate::linear::LayoutBuilder;
 use pwrfgs_core::{Conditions, JsonSchema, Real, evenly};
 use serde::{Deserialize, Serialize};
@@ -66,6 +66,16 @@ impl NearLayer {
         positions.iter_mut().zip(evenly(training, self.count)).for_each(|(position, z)| *position = z);
     }
 
+    /// Returns the correlation of a transmitter with a position of the layer, times [`GAIN`].
+    fn correlation(&self, tx: &[Real; 3], z: &[Real; 3]) -> Real {
+        let square: Real = (0..3).map(|k| (tx[k] - z[k]) * (tx[k] - z[k])).sum();
+        if square < (END * self.length) * (END * self.length) {
+            GAIN * (-square.sqrt() / self.length).exp()
+        } else {
+            0.0
+        }
+    }
+
     /// Returns the correlations `[count, B]`, times [`GAIN`].
     pub(super) fn correlations(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Real> {
         let rows = txs.len();
@@ -73,22 +83,24 @@ impl NearLayer {
         let positions = weights[self.positions..][..3 * self.count].as_chunks::<3>().0;
         for (row, z) in correlations.chunks_exact_mut(rows.max(1)).zip(positions) {
             for (value, p) in row.iter_mut().zip(txs.positions()) {
-                let square: Real = (0..3).map(|k| (p[k] - z[k]) * (p[k] - z[k])).sum();
-                if square < (END * self.length) * (END * self.length) {
-                    *value = GAIN * (-square.sqrt() / self.length).exp();
-                }
+                *value = self.correlation(p, z);
             }
         }
         correlations
     }
 
-    /// Adds the coefficients of the waves of channel `c` that follow from the correlations `[count, B]` to `out`
-    /// `[waves, B]`.
-    pub(super) fn add_wave_coefficients(&self, weights: &[Real], c: usize, correlations: &[Real], out: &mut [Real]) {
-        let batch = correlations.len() / self.count;
-        let table = Matrix::new(&weights[self.channel_offset(c)..][..self.count * self.waves], self.count, self.waves);
-        let correlations = Matrix::new(correlations, self.count, batch);
-        product(MatrixMut::new(out, self.waves, batch), StoreMode::Add, table.t(), correlations);
+    /// Adds the coefficients of the waves of both channels that follow from the correlations of the transmitter at `tx` to
+    /// `out`.
+    pub(super) fn add_wave_coefficients(&self, weights: &[Real], tx: &[Real; 3], out: &mut [Vec<Real>; 2]) {
+        let positions = weights[self.positions..][..3 * self.count].as_chunks::<3>().0;
+        let correlations =
+            positions.iter().map(|z| self.correlation(tx, z)).enumerate().filter(|(_, value)| *value != 0.0);
+        let correlations: Vec<(usize, Real)> = correlations.collect();
+        for (c, out) in out.iter_mut().enumerate() {
+            let table = &weights[self.channel_offset(c)..][..self.count * self.waves];
+            let rows = correlations.iter().map(|&(k, value)| (value, &table[k * self.waves..][..self.waves]));
+            dense::add_scaled_rows(out, &rows);
+        }
     }
 
     /// Adds the derivatives of the weights of channel `c` to `d_weights`, given those `d_waves` `[waves, B]` of the

@@ -25,6 +25,15 @@ impl WaveMixture {
         Self { waves: [(); 2].map(|()| vec![0.0; waves * batch]), base: [(); 2].map(|()| vec![0.0; batch]) }
     }
 
+    /// Joins the coefficients of single transmitters.
+    pub(super) fn joined(each: &[Self]) -> Self {
+        let waves = each.first().map_or(0, |mixed| mixed.waves[0].len());
+        Self {
+            waves: [0, 1].map(|c| (0..waves).flat_map(|k| each.iter().map(move |mixed| mixed.waves[c][k])).collect()),
+            base: [0, 1].map(|c| each.iter().map(|mixed| mixed.base[c][0]).collect()),
+        }
+    }
+
     /// Adds the coefficients of `other`.
     pub(super) fn add_mixture(&mut self, other: &Self) {
         for c in 0..2 {
