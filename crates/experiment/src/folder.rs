@@ -11,6 +11,8 @@ pub const DATA: &str = "data";
 pub const CHECKPOINT: &str = "checkpoint.safetensors";
 /// Model of the best validation so far, with `keep: Best`.
 pub const BEST_MODEL: &str = "best.safetensors";
+/// Files that only a resumed training reads. A run removes them with its scores complete, unless the session keeps them.
+pub const RESUME_ONLY: [&str; 2] = [CHECKPOINT, BEST_MODEL];
 /// The trained model.
 pub const MODEL_FILE: &str = "model.safetensors";
 /// Gaussians before the first step.
