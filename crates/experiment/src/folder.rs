@@ -53,6 +53,8 @@ pub fn training_folder(run: &Path) -> (usize, PathBuf) {
     (index.unwrap_or(0), index.map_or_else(|| run.to_owned(), |index| run.join(member_folder(index))))
 }
 
+/// Results of a scoring in progress; removed with its scores complete.
+pub(crate) const PARTIAL_SCORES: &str = "scoring.partial";
 /// All scores.
 pub const SCORES: &str = "scores.csv";
 /// All transmitters.

@@ -2,7 +2,7 @@
 
 use crate::evaluate::EvaluationResult;
 use crate::facts::{Facts, FileDigest, utc_now};
-use crate::folder::{CONFIDENCE, PIPELINE, REPORT, RESUME_ONLY, SAMPLES, SCORES, member_folder};
+use crate::folder::{CONFIDENCE, PARTIAL_SCORES, PIPELINE, REPORT, RESUME_ONLY, SAMPLES, SCORES, member_folder};
 use crate::input::read_pipeline;
 use crate::load::{ActiveRun, SplitData, load_with_findings};
 use crate::record::Record;
@@ -74,6 +74,7 @@ impl ActiveRun<'_, '_> {
         if !self.session.keep_checkpoint {
             self.remove_resume_files(folder);
         }
+        files::remove(&folder.file(PARTIAL_SCORES));
         facts.write(path)?;
         self.session.observer.on_evaluation(&result.scores.table);
         Ok(result.scores.table)

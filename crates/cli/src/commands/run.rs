@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Repeat the command to resume an interrupted run; the result is identical to an uninterrupted run.
-A finished run removes its checkpoint, most of the folder; --keep-checkpoint keeps it.
+A finished run removes its checkpoint, which only a resumed run reads; --keep-checkpoint keeps it.
 If only baselines or metrics changed, it scores the trained model again without training.
 A folder with other files is never changed. Paths in a pipeline are relative to its file, paths on
 the command line to the current directory. docs/guide.md describes the run folder.
