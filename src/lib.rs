@@ -51,7 +51,7 @@ pub const PAGE: Option<experiment::PageBuilder> = Some(report::page);
 #[cfg(not(feature = "report"))]
 pub const PAGE: Option<experiment::PageBuilder> = None;
 
-/// Runs a pipeline, see [`experiment::run`], with the report of this build.
+/// Runs a pipeline, see [`experiment::run`], with the report of this build. The finished run keeps no checkpoint.
 ///
 /// # Errors
 /// Same as [`experiment::run`].
@@ -62,7 +62,8 @@ pub fn run(
     observer: &mut dyn Observer,
     stop: &AtomicBool,
 ) -> Result<experiment::RunOutcome> {
-    experiment::run(pipeline, base, out, &mut experiment::Session { observer, stop, page: PAGE })
+    let session = experiment::Session::new(observer);
+    experiment::run(pipeline, base, out, &mut experiment::Session { stop, page: PAGE, ..session })
 }
 
 /// Imports for plugins and small programs.

@@ -64,6 +64,7 @@ def compare(
     accept: Sequence[str] = (),
     out: Optional[PathLike] = None,
     dry_run: bool = False,
+    keep_checkpoint: bool = False,
     **settings: Any,
 ) -> Comparison:
     """Compare all methods, all baselines and the predictions of other programs on data, with one split:
@@ -72,6 +73,7 @@ def compare(
     Every method that can predict the data is trained with each seed. ``data`` is a data folder or a data set; ``set`` are
     changes of all pipelines, ``accept`` are names of accepted findings, ``out`` is the output folder, by default ``runs/compare-NAME``. ``dry_run`` lists the runs with
     estimated times and runs nothing. Repeat the call to resume, or with new predictions: trained models are kept.
+    ``keep_checkpoint`` keeps the training states of finished runs.
     ``pwrfgs.report`` compares runs that are finished.
 
     ``predictions`` is a dict of folders by name. Another program trains on ``split.train`` and ``split.validation``, and predicts
@@ -88,9 +90,9 @@ def compare(
         if out is None:
             out = os.path.join("runs", "compare-" + (re.sub(r"\W+", "-", data.title).strip("-") or "data"))
         with storing(os.fspath(out)) as store:
-            found = _pwrfgs.compare(data, store(data), text, arguments(set), list(accept), out, dry_run)
+            found = _pwrfgs.compare(data, store(data), text, arguments(set), list(accept), out, dry_run, keep_checkpoint)
     else:
-        found = _pwrfgs.compare(data, None, text, arguments(set), list(accept), out, dry_run)
+        found = _pwrfgs.compare(data, None, text, arguments(set), list(accept), out, dry_run, keep_checkpoint)
     folder, split = os.fspath(found["folder"]), Partition(found["train"], found["validation"], found["test"])
     runs = finished_runs(found["runs"])
     lines = _rows(os.path.join(folder, "report", "report.csv")) if runs else []

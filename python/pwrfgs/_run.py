@@ -227,6 +227,7 @@ def run(
     baselines: Sequence[Any] = (),
     metrics: Sequence[Any] = (),
     progress: bool = True,
+    keep_checkpoint: bool = False,
 ) -> Run:
     """Train, prune, score and report: ``run("quickstart")``.
 
@@ -252,6 +253,8 @@ def run(
         Custom strategy or plugin that replaces that of the pipeline.
     progress
         Whether to show a progress bar, in a terminal or a notebook.
+    keep_checkpoint
+        Whether the finished run keeps its training state ``checkpoint.safetensors``, for ``Trainer.load``.
     """
     for name, many in (("pruners", pruners), ("baselines", baselines), ("metrics", metrics)):
         if not isinstance(many, (list, tuple)):
@@ -279,7 +282,7 @@ def run(
     folder = os.fspath(out) if out is not None else os.path.join("runs", chosen.name)
     bar = _Progress(progress)
     with storing(folder) as store, contextlib.closing(bar):
-        _pwrfgs.run(chosen._settled(store)._inner, folder, _listener(bar, callback))
+        _pwrfgs.run(chosen._settled(store)._inner, folder, _listener(bar, callback), keep_checkpoint)
     return Run(folder)
 
 

@@ -41,6 +41,7 @@ def sweep(
     name: Optional[str] = None,
     join: bool = False,
     executor: Optional[Executor] = None,
+    keep_checkpoint: bool = False,
 ) -> List[Run]:
     """Perform all unfinished runs of a sweep and write its report. Returns the runs in order, followed by the joined model if
     ``join`` is set.
@@ -54,6 +55,7 @@ def sweep(
     ``out`` is the sweep folder, default ``runs/NAME``; ``name`` is by default the name of the base and of the axes.
 
     Repeat the call to resume after Ctrl-C. Raises ``SweepError`` if runs failed, after all others have finished.
+    ``keep_checkpoint`` keeps the training states of finished runs.
 
     ``jobs`` runs share the threads of this process. With an ``executor`` of ``concurrent.futures``, also of Dask
     (``client.get_executor()``) or MPI (``mpi4py.futures.MPIPoolExecutor()``), each unfinished run is a task of it::
@@ -73,7 +75,7 @@ def sweep(
         if out is None and any(isinstance(value, _pwrfgs.Dataset) and value._source is None for value in (set or {}).values()):
             raise InputError("set: data in memory are written to the sweep folder; give it as `out`")
         with storing(os.fspath(out or "")) as store:
-            return _performed(experiment, _settled(set, store), out, jobs, executor)
+            return _performed(experiment, _settled(set, store), out, jobs, executor, keep_checkpoint)
     base = Pipeline(experiment)
     names = _axis_names(list(axes))
     chosen = name or "-".join([base.name, *names])
@@ -86,7 +88,7 @@ def sweep(
         path = os.path.join(folder, f"{os.path.basename(chosen) or 'sweep'}.ron")
         with open(path, "w", encoding="utf-8") as file:
             file.write(text)
-        return _performed(path, _settled(set, store), out, jobs, executor)
+        return _performed(path, _settled(set, store), out, jobs, executor, keep_checkpoint)
 
 
 def _settled(value: Any, store: Store) -> Any:
@@ -99,13 +101,19 @@ def _settled(value: Any, store: Store) -> Any:
 
 
 def _performed(
-    experiment: PathLike, set: Optional[Mapping[str, Any]], out: Optional[PathLike], jobs: int, executor: Optional[Executor]
+    experiment: PathLike,
+    set: Optional[Mapping[str, Any]],
+    out: Optional[PathLike],
+    jobs: int,
+    executor: Optional[Executor],
+    keep_checkpoint: bool,
 ) -> List[Run]:
     changes = arguments(set)
     if executor is None:
-        return finished_runs(_pwrfgs.sweep(experiment, changes, out, jobs))
-    failures = _submitted(executor, *_pwrfgs.sweep_runs(experiment, changes, out))
-    ends = _pwrfgs.sweep(experiment, changes, out, jobs, [(place, _reason(why)) for place, why in failures.items()])
+        return finished_runs(_pwrfgs.sweep(experiment, changes, out, jobs, keep_checkpoint))
+    failures = _submitted(executor, *_pwrfgs.sweep_runs(experiment, changes, out), keep_checkpoint)
+    reasons = [(place, _reason(why)) for place, why in failures.items()]
+    ends = _pwrfgs.sweep(experiment, changes, out, jobs, keep_checkpoint, reasons)
     return finished_runs([(run, failures.get(place, why)) for place, (run, why) in enumerate(ends)])
 
 
@@ -126,12 +134,14 @@ def _reason(error: BaseException) -> str:
     return str(error) if isinstance(error, Error) else f"{type(error).__name__}: {error}"
 
 
-def _submitted(executor: Executor, runs: List[Tuple[int, Any, str]], threads: int) -> Dict[int, BaseException]:
+def _submitted(
+    executor: Executor, runs: List[Tuple[int, Any, str]], threads: int, keep_checkpoint: bool
+) -> Dict[int, BaseException]:
     """Perform runs by an executor; returns the exceptions of those that failed, by place."""
     # Dask returns the result of an earlier task with the same arguments, and a failed run is repeated.
     call = uuid.uuid4().hex
     tasks = {
-        executor.submit(_perform, pipeline, os.path.abspath(folder), threads, call): place
+        executor.submit(_perform, pipeline, os.path.abspath(folder), threads, keep_checkpoint, call): place
         for place, folder, pipeline in runs
     }
     failures: Dict[int, BaseException] = {}
@@ -150,14 +160,14 @@ def _submitted(executor: Executor, runs: List[Tuple[int, Any, str]], threads: in
 _ENDED: Set[str] = set()
 
 
-def _perform(pipeline: str, folder: str, threads: int, call: str) -> None:
+def _perform(pipeline: str, folder: str, threads: int, keep_checkpoint: bool, call: str) -> None:
     """Perform one run of a sweep in a process of an executor."""
     if call in _ENDED:
         raise KeyboardInterrupt
     chosen = Pipeline(pipeline)
     _strategies.check(chosen)
     try:
-        _pwrfgs.run(chosen._inner, folder, log_event, threads)
+        _pwrfgs.run(chosen._inner, folder, log_event, keep_checkpoint, threads)
     except KeyboardInterrupt:
         _ENDED.add(call)
         raise

@@ -70,7 +70,8 @@ class Trainer:
         loss: Optional[Loss] = None,
     ) -> "Trainer":
         """Trainer at the checkpoint ``path``, which ``save_checkpoint`` or a run wrote with the same settings, data and
-        training set. The next steps are bit-identical to those without the interruption; pass the same ``loss``."""
+        training set; a finished run keeps it with ``keep_checkpoint``. The next steps are bit-identical to those without
+        the interruption; pass the same ``loss``."""
         trainer = cls.__new__(cls)
         trainer._begin(pipeline, dataset, train, loss, path)
         return trainer

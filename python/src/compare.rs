@@ -45,6 +45,7 @@ fn perform(
     comparison: Comparison,
     data: &pwrfgs_core::Dataset,
     dry_run: bool,
+    keep_checkpoint: bool,
     stop: &AtomicBool,
 ) -> Result<ComparedData> {
     let Comparison { plan, partition, reference } = comparison;
@@ -57,7 +58,7 @@ fn perform(
     }
     check_earlier_runs(&plan)?;
     check(&plan, &indices, observer).map_err(without_position)?;
-    let mut session = Session { observer, stop, page: pwrfgs::PAGE };
+    let mut session = Session { observer, stop, page: pwrfgs::PAGE, keep_checkpoint };
     let ends = execute(&plan, &indices, 1, &LoggedRuns(&plan), &mut session)?.runs;
     check_stopped(stop)?;
     let text = if plan.has_ended() {
@@ -73,7 +74,7 @@ fn perform(
 
 /// Compares methods, see `pwrfgs.compare`. `data` are a data set, which `source` reads, or a data folder.
 #[pyfunction]
-#[pyo3(signature = (data, source, text, changes, accept, out, dry_run))]
+#[pyo3(signature = (data, source, text, changes, accept, out, dry_run, keep_checkpoint))]
 #[allow(clippy::too_many_arguments)] // the keywords of `pwrfgs.compare`
 pub(crate) fn compare<'py>(
     py: Python<'py>,
@@ -84,6 +85,7 @@ pub(crate) fn compare<'py>(
     accept: Vec<String>,
     out: Option<PathBuf>,
     dry_run: bool,
+    keep_checkpoint: bool,
 ) -> PyResult<Bound<'py, PyDict>> {
     crate::strategies::forget_objects();
     let held = data.cast::<Dataset>().ok().map(|data| Arc::clone(&data.get().data));
@@ -100,7 +102,8 @@ pub(crate) fn compare<'py>(
         };
         let named_by = if is_held { Path::new(&survey.data.title) } else { &path };
         let named = ComparedRuns { name: pipeline_name(named_by), changes, out };
-        perform(plan_comparison(&survey, &read_settings(text)?, &named, observer)?, &survey.data, dry_run, stop)
+        let comparison = plan_comparison(&survey, &read_settings(text)?, &named, observer)?;
+        perform(comparison, &survey.data, dry_run, keep_checkpoint, stop)
     })?;
     let (dict, indices) = (PyDict::new(py), |set: &[usize]| set.iter().map(|&i| i as i64).collect::<Vec<_>>());
     let Partition { train, validation, test } = &compared.partition;

@@ -23,7 +23,7 @@ pub(crate) fn inspect<'py>(py: Python<'py>, data: &Dataset, pipeline: &Pipeline)
     crate::strategies::forget_objects();
     let inner = pipeline.current();
     let inspection = run_stoppable(py, |stop| {
-        let session = &mut Session { observer: &mut TaskObserver(stop), stop, page: None };
+        let session = &mut Session { observer: &mut TaskObserver(stop), stop, page: None, keep_checkpoint: false };
         Inspection::of(&inner, &data.data, session)
     })?;
     let dict = PyDict::new(py);

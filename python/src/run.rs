@@ -96,14 +96,16 @@ pub(crate) fn set_step_fields(dict: &Bound<'_, PyDict>, report: &StepReport) -> 
 }
 
 /// Runs a pipeline in `out`; `send_event` is called with every event. Returns whether the run was not finished before.
-/// With `threads`, the run has a thread pool of its own.
+/// The finished run keeps its checkpoint if
+/// `keep_checkpoint`. With `threads`, the run has a thread pool of its own.
 #[pyfunction]
-#[pyo3(signature = (pipeline, out, send_event, threads=None))]
+#[pyo3(signature = (pipeline, out, send_event, keep_checkpoint, threads=None))]
 pub(crate) fn run(
     py: Python<'_>,
     pipeline: &Pipeline,
     out: PathBuf,
     send_event: &Bound<'_, PyAny>,
+    keep_checkpoint: bool,
     threads: Option<usize>,
 ) -> PyResult<bool> {
     crate::strategies::forget_objects();
@@ -111,7 +113,10 @@ pub(crate) fn run(
     let base = pipeline.base().to_owned();
     let send_event = |event| send_event.call1((event_dict(py, event)?,)).map(|_| ());
     let work = |events, stop: &_| {
-        let run = || pwrfgs::run(&inner, &base, &out, &mut EventSender(events), stop);
+        let run = || {
+            let mut session = Session { observer: &mut EventSender(events), stop, page: pwrfgs::PAGE, keep_checkpoint };
+            pwrfgs::experiment::run(&inner, &base, &out, &mut session)
+        };
         match threads {
             None => run(),
             Some(threads) => thread_pool(threads)?.install(run),
@@ -136,7 +141,8 @@ pub(crate) fn score(
     let (inner, base) = (pipeline.current(), pipeline.base().to_owned());
     let send_event = |event| send_event.call1((event_dict(py, event)?,)).map(|_| ());
     let work = |events, stop: &AtomicBool| {
-        let mut session = Session { observer: &mut EventSender(events), stop, page: pwrfgs::PAGE };
+        let observer = &mut EventSender(events);
+        let mut session = Session { stop, page: pwrfgs::PAGE, ..Session::new(observer) };
         score_model(&model.ensemble, &inner, &base, &out, &mut session)
     };
     match run_with_events(py, work, send_event)? {

@@ -20,13 +20,14 @@ type Task = (usize, PathBuf, String);
 /// Performs a sweep, see `pwrfgs.sweep`: returns the folder of every run, and of the joined model, with the exception of a
 /// failure. With `failures`, an executor has performed the runs of [`sweep_runs`]: places and reasons of those that failed.
 #[pyfunction]
-#[pyo3(signature = (experiment, arguments, out, jobs, failures=None))]
+#[pyo3(signature = (experiment, arguments, out, jobs, keep_checkpoint, failures=None))]
 pub(crate) fn sweep<'py>(
     py: Python<'py>,
     experiment: PathBuf,
     arguments: Vec<String>,
     out: Option<PathBuf>,
     jobs: usize,
+    keep_checkpoint: bool,
     failures: Option<Vec<(usize, String)>>,
 ) -> PyResult<Vec<End<'py>>> {
     let plan = SweepPlan::read(&experiment, &arguments, out.as_deref()).map_err(|error| to_exception(py, error))?;
@@ -38,7 +39,7 @@ pub(crate) fn sweep<'py>(
         for (run, reason) in failures.into_iter().flatten() {
             plan.store_failure(run, &reason)?;
         }
-        let mut session = Session { observer: &mut NoopObserver, stop, page: pwrfgs::PAGE };
+        let mut session = Session { observer: &mut NoopObserver, stop, page: pwrfgs::PAGE, keep_checkpoint };
         let end = execute(&plan, &runs, jobs, &NoopObserver, &mut session)?;
         if plan.states().iter().all(|state| matches!(state, RunStage::Finished(_))) {
             let _held = plan.claim()?;

@@ -201,7 +201,7 @@ pub(crate) fn calibrate(
     let calibrated = run_stoppable(py, |stop| {
         let partition = Partition { train, validation, ..Partition::default() };
         let split = SplitData { data: (*data.data).clone(), partition };
-        let mut session = Session { observer: &mut TaskObserver(stop), stop, page: None };
+        let mut session = Session { observer: &mut TaskObserver(stop), stop, page: None, keep_checkpoint: false };
         calibrate_model(&rebased(&settings, &base)?, &split, (*model.ensemble).clone(), &mut session)
     })?;
     Ok(Model::new(calibrated))

@@ -43,9 +43,10 @@ def test_compare_trains_and_scores(powers, tmp_path):
 
 
 def test_compare_of_data_in_memory_writes_them_into_its_folder(tmp_path):
-    pwrfgs.compare(made("powers"), seeds=1, methods="P-WRFGS", set=SHORT, out=tmp_path / "out")
+    pwrfgs.compare(made("powers"), seeds=1, methods="P-WRFGS", set=SHORT, out=tmp_path / "out", keep_checkpoint=True)
     (folder,) = (tmp_path / "out/data").iterdir()
     assert str(folder) in (tmp_path / "out/method=P-WRFGS,seed=0/pipeline.ron").read_text()
+    assert (tmp_path / "out/method=P-WRFGS,seed=0/checkpoint.safetensors").is_file()
 
 
 def test_compare_refuses(powers, run, tmp_path):

@@ -53,7 +53,7 @@ def test_runs_of_an_executor_are_those_of_one_process(executor, pipeline, tmp_pa
     there = tmp_path / "there"
     there.touch()
     axes = {"pruners": {"thin": [Thin(0.1)], "wrong": [Thin(0.2, str(there))]}}
-    call = dict(set=QUICK, axes=axes, seeds=[1], name="s")
+    call = dict(set=QUICK, axes=axes, seeds=[1], name="s", keep_checkpoint=True)
     with pytest.raises(pwrfgs.SweepError, match="1 of 2 runs failed, .*wrong,seed=1: ZeroDivisionError: not at step 1") as told:
         pwrfgs.sweep(pipeline, out=tmp_path / "s", executor=executor, **call)
     folder = str(tmp_path / "s/pruners=wrong,seed=1")
@@ -66,7 +66,7 @@ def test_runs_of_an_executor_are_those_of_one_process(executor, pipeline, tmp_pa
 
     there.unlink()
     runs = pwrfgs.sweep(pipeline, out=tmp_path / "s", executor=executor, **call)
-    assert runs[0].facts["started"] == done
+    assert runs[0].facts["started"] == done and (tmp_path / "s/pruners=thin,seed=1/checkpoint.safetensors").is_file()
     assert (tmp_path / "s/report/report.html").is_file() and not (tmp_path / "s/failures").exists()
     alone = pwrfgs.sweep(pipeline, out=tmp_path / "alone", **call)
     assert [files(run.folder) for run in runs] == [files(run.folder) for run in alone]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import pathlib
 import subprocess
 import sys
 import time
@@ -94,8 +95,12 @@ def test_stopped_and_resumed_it_ends_in_the_same_files(run, tmp_path):
         with pytest.raises(KeyboardInterrupt):
             pwrfgs.run(pwrfgs.Pipeline(SMALL), out=tmp_path / "r", callback=stop_at(step), progress=False)
         assert (tmp_path / "r/checkpoint.safetensors").is_file() and not pwrfgs.Run(tmp_path / "r").finished
-    resumed = pwrfgs.run(tmp_path / "r", progress=False)
+    resumed = pwrfgs.run(tmp_path / "r", progress=False, keep_checkpoint=True)
     assert files(resumed.folder) == files(run.folder)
+    ours, theirs = (pathlib.Path(one.folder, "checkpoint.safetensors") for one in (resumed, run))
+    assert ours.read_bytes() == theirs.read_bytes()
+    once = pwrfgs.run(pwrfgs.Pipeline(SMALL), out=tmp_path / "once", progress=False)
+    assert files(once.folder) == files(run.folder) and not (tmp_path / "once/checkpoint.safetensors").exists()
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 use crate::interrupt::InterruptibleRun;
 use crate::output::{self, Verbosity, print_note, progress_bars};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 use pwrfgs::experiment::text::{duration, gigabytes, grouped};
 use pwrfgs::experiment::{Observer, Start, Validation};
 use pwrfgs::train::StepReport;
@@ -87,13 +87,33 @@ impl RunProgress {
 
     /// Replaces the bar by one of `length` steps; without a new one if the output is quiet or stderr is no terminal.
     fn draw_bar(&mut self, length: u64) {
+        let style = ProgressStyle::with_template("{prefix}{bar:24.cyan/dim} {pos}/{len}  {msg}")
+            .unwrap_or_else(|_| ProgressStyle::default_bar())
+            .progress_chars("━╸─");
+        self.replace_bar(ProgressBar::new(length).with_style(style));
+    }
+
+    /// Replaces the bar by the name of a stage and its seconds so far, shown once they exceed [`PATIENCE`].
+    fn draw_waiting(&mut self, name: &str) {
+        let name = name.to_owned();
+        let words = move |state: &ProgressState, text: &mut dyn std::fmt::Write| {
+            if state.elapsed() > PATIENCE {
+                _ = write!(text, "{name}  {}", duration(state.elapsed().as_secs_f64()));
+            }
+        };
+        let style =
+            ProgressStyle::with_template("{prefix}{words}").unwrap_or_else(|_| ProgressStyle::default_spinner());
+        self.replace_bar(ProgressBar::no_length().with_style(style.with_key("words", words)));
+    }
+
+    /// Replaces the bar by `bar`; without a new one if the output is quiet or stderr is no terminal.
+    fn replace_bar(&mut self, bar: ProgressBar) {
         self.remove_bar();
         if self.verbosity != Verbosity::Quiet && std::io::stderr().is_terminal() {
-            let style = ProgressStyle::with_template("{prefix}{bar:24.cyan/dim} {pos}/{len}  {msg}")
-                .unwrap_or_else(|_| ProgressStyle::default_bar())
-                .progress_chars("━╸─");
             let prefix = self.name.as_ref().map_or_else(String::new, |name| format!("{name}  "));
-            self.bar = Some(progress_bars().add(ProgressBar::new(length).with_style(style).with_prefix(prefix)));
+            let bar = progress_bars().add(bar.with_prefix(prefix));
+            bar.enable_steady_tick(PATIENCE);
+            self.bar = Some(bar);
         }
     }
 
@@ -146,9 +166,12 @@ impl Observer for RunProgress {
         if done == 0 || done >= total {
             self.remove_bar();
             (self.stage, self.shown) = (now, now);
+            if done == 0 {
+                self.draw_waiting(name);
+            }
         } else if now - self.stage > PATIENCE {
             let terminal = std::io::stderr().is_terminal();
-            if self.bar.is_none() {
+            if self.bar.as_ref().is_none_or(|bar| bar.length().is_none()) {
                 self.draw_bar(total as u64);
             }
             let left = duration((now - self.stage).as_secs_f64() / done as f64 * (total - done) as f64);

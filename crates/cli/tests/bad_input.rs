@@ -255,7 +255,7 @@ fn reports_line_and_column_of_invalid_positions() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), SMALL);
-    succeed(here, &["run", "p.ron", "--out", "r", "-q", "--scale", "0.02"]);
+    succeed(here, &["run", "p.ron", "--out", "r", "-q", "--scale", "0.02", "--keep-checkpoint"]);
     let model = "r/model.safetensors";
     let csv = |text: &str, words: &[&str]| {
         write(&here.join("tx.csv"), text);

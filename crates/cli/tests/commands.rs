@@ -61,9 +61,10 @@ fn run_folder_predicts_and_evaluates() {
     assert!(stderr(&output).contains("step 60/60"), "plain lines where there is no terminal: {}", stderr(&output));
 
     let run = here.join("runs/small");
-    for name in ["pipeline.ron", "model.safetensors", "checkpoint.safetensors", "start.safetensors", "validation.csv"] {
+    for name in ["pipeline.ron", "model.safetensors", "start.safetensors", "validation.csv"] {
         assert!(run.join(name).is_file(), "{name}");
     }
+    assert!(!run.join("checkpoint.safetensors").exists());
     let curve = read(&run.join("curve.csv"));
     assert_eq!(curve.lines().next(), Some("step,phase,loss,penalty,gaussians,seconds"));
     assert_eq!(curve.lines().count(), 61);

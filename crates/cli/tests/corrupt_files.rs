@@ -68,7 +68,9 @@ fn rejects_checkpoint_of_other_run_or_with_flipped_bit() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), SMALL);
-    let run = |out: &'static str, seed: &'static str| ["run", "p.ron", "--out", out, "-q", "--set", seed];
+    let run = |out: &'static str, seed: &'static str| {
+        ["run", "p.ron", "--out", out, "-q", "--keep-checkpoint", "--set", seed]
+    };
     copy_small_run(here, "a");
     succeed(here, &run("b", "seed=1"));
     let checkpoint = here.join("a/checkpoint.safetensors");

@@ -152,7 +152,7 @@ fn run_all(here: &Path) -> Vec<Content> {
     let mut all = Vec::new();
     for name in RUNS {
         let command = if name == "joined" { "sweep" } else { "run" };
-        succeed(here, &[command, &format!("{name}.ron"), "--out", name, "-q"]);
+        succeed(here, &[command, &format!("{name}.ron"), "--out", name, "-q", "--keep-checkpoint"]);
         let folder = here.join(name);
         let scored = if name == "joined" { folder.join("joined") } else { folder.clone() };
         all.extend(tensors(&scored.join("model.safetensors"), &format!("{name}/model")));

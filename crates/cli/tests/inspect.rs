@@ -104,3 +104,19 @@ fn rejects_folder_without_data() {
         &["nonsense"],
     );
 }
+
+/// On a terminal, a stage without a bar shows its name and its seconds.
+#[test]
+#[cfg(target_os = "linux")]
+fn check_of_many_gaussians_shows_what_it_does() {
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder.path().join("p.ron"), SMALL);
+    let many = "initializer=Random(count: 400_000)";
+    let command = format!("{} check p.ron --threads 1 --set '{many}'", env!("CARGO_BIN_EXE_pwrfgs"));
+    let mut script = std::process::Command::new("script");
+    let Ok(output) = script.args(["-qec", &command, "/dev/null"]).current_dir(folder.path()).output() else {
+        return pwrfgs_core::testing::skipped("the program `script` is missing");
+    };
+    let text = stdout(&output);
+    assert!(output.status.success() && text.contains("timing a few steps  1 s"), "{text}");
+}

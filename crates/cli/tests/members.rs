@@ -7,6 +7,7 @@ use std::path::Path;
 use std::process::Stdio;
 
 const MODEL: &str = "model.safetensors";
+const CHECKPOINT: &str = "checkpoint.safetensors";
 
 fn members() -> String {
     SMALL.replace("name: \"small\",", "name: \"small\", members: 3, residuals: Kriged(), baselines: [Kriging()],")
@@ -42,6 +43,14 @@ fn members_equal_a_joined_sweep_of_folds() {
     let page = std::fs::read_to_string(here.join("r/report.html")).unwrap();
     for text in ["Training loss, mean of 3 models", "members/3"] {
         assert!(page.contains(text), "{text}");
+    }
+    let checkpoints =
+        || ["r/members/1", "r/members/3", "s/seed=0"].map(|run| here.join(run).join(CHECKPOINT).is_file());
+    assert_eq!(checkpoints(), [false; 3]);
+    succeed(here, &["run", "p.ron", "--out", "kept", "-q", "--keep-checkpoint"]);
+    succeed(here, &["sweep", "e.ron", "--out", "swept", "-q", "--keep-checkpoint"]);
+    for kept in ["kept/members/1", "kept/members/3", "swept/seed=0"] {
+        assert!(here.join(kept).join(CHECKPOINT).is_file(), "{kept}");
     }
     succeed(here, &["compress", "r", "--out", "small.safetensors"]);
     let small = file::read_ensemble(&here.join("small.safetensors")).unwrap();
@@ -104,6 +113,7 @@ fn best_validated_model_is_kept() {
     write(&here.join("last.ron"), best.replace("keep: Best,", ""));
     succeed(here, &["run", "p.ron", "--out", "whole", "-q"]);
     succeed(here, &["run", "last.ron", "--out", "last", "-q"]);
+    assert!(!here.join("whole/best.safetensors").exists());
     let rows = std::fs::read_to_string(here.join("whole/validation.csv")).unwrap();
     assert_eq!(rows, std::fs::read_to_string(here.join("last/validation.csv")).unwrap());
     let row = |line: &str| line.split(',').map(|field| field.parse::<f64>().unwrap()).take(2).collect::<Vec<_>>();
@@ -112,6 +122,9 @@ fn best_validated_model_is_kept() {
     let kept = bytes(&here.join("whole").join(MODEL));
     let is_last = kept == bytes(&here.join("last").join(MODEL));
     assert_eq!(is_last, best[0] == 80.0, "{best:?}");
+    std::fs::remove_file(here.join("whole").join(MODEL)).unwrap();
+    succeed(here, &["run", "p.ron", "--out", "whole", "-q"]);
+    assert!(kept == bytes(&here.join("whole").join(MODEL)), "trained again without a checkpoint");
 
     let mut child = pwrfgs(here).args(["run", "p.ron", "--out", "r", "-q"]).stdout(Stdio::null()).spawn().unwrap();
     wait_for_step(&mut child, &here.join("r"), 55);

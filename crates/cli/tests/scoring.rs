@@ -24,9 +24,9 @@ fn text(path: &Path) -> String {
 }
 
 /// When training last wrote into a run folder.
-fn trained(run: &Path) -> [SystemTime; 3] {
+fn trained(run: &Path) -> [SystemTime; 2] {
     let written = |name: &str| run.join(name).metadata().unwrap().modified().unwrap();
-    ["model.safetensors", "checkpoint.safetensors", "curve.csv"].map(written)
+    ["model.safetensors", "curve.csv"].map(written)
 }
 
 #[test]
@@ -183,4 +183,56 @@ fn rescoring_locks_folder_and_survives_kill() {
     succeed(here, &["run", "p.ron", "--out", "r", "-q", "--set", "metrics=[L1()]"]);
     assert!(text(&here.join("r/scores.csv")).contains("model,l1,"));
     assert_eq!(trained(&here.join("r")), before);
+}
+
+/// Kills a scoring after some predictors, several times: measured latencies of earlier starts stay, the rest is equal.
+#[test]
+fn killed_scoring_goes_on_where_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), SMALL);
+    let set = [
+        "baselines=[MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: 3), Kriging()]",
+        "metrics=[Ssim(), Latency(repeats: 3_000, warm_up: 3_000)]",
+    ];
+    let run = |out| ["run", "p.ron", "--out", out, "-q", "--set", set[0], "--set", set[1]];
+    succeed(here, &run("whole"));
+    let partial = here.join("r/scoring.partial");
+    let mut held = String::new();
+    for count in [1, 3, 5] {
+        let mut child = pwrfgs(here).args(run("r")).stdout(Stdio::null()).spawn().unwrap();
+        let lines = || std::fs::read_to_string(&partial).map_or(0, |text| text.matches('\n').count());
+        while lines() < count {
+            assert!(child.try_wait().unwrap().is_none(), "the run ended before line {count}");
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let now = text(&partial);
+        assert!(now.starts_with(&held), "a predictor was scored again");
+        held = now[..=now.rfind('\n').unwrap()].to_owned();
+        // An incomplete line, and one that was changed: both are scored again.
+        let changed = held.lines().last().unwrap().replacen("ssim", "ssin", 1);
+        let damaged = if count == 3 { &held[..9] } else { &changed };
+        write(&partial, format!("{held}{damaged}\n"));
+    }
+    succeed(here, &run("r"));
+    let rows = |run: &str, is_timed: bool| {
+        let scores = text(&here.join(run).join("scores.csv"));
+        scores.lines().filter(|row| row.contains("latency") == is_timed).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(rows("r", false), rows("whole", false));
+    let timed = rows("r", true);
+    let total = timed.iter().find_map(|row| row.strip_prefix("model,latency_total_ms,,")).unwrap();
+    assert!(held.lines().next().unwrap().contains(total), "{total}: the latency of the first start");
+    for name in ["model.safetensors", "samples.csv"] {
+        assert!(
+            std::fs::read(here.join("r").join(name)).unwrap() == std::fs::read(here.join("whole").join(name)).unwrap()
+        );
+    }
+    assert!(!partial.exists());
+    // Results of other metrics do not count.
+    write(&partial, &held);
+    succeed(here, &["run", "r", "-q", "--set", "metrics=[Ssim(), L1()]"]);
+    assert!(!partial.exists() && text(&here.join("r/scores.csv")).contains("model,l1,"));
 }

@@ -1,6 +1,7 @@
 //! `Metric`: quality of predictions.
 
 use crate::{Dataset, Demand, Image, ImagePlane, Link, Real, Result, Scene, Task, plugin_kind};
+use serde::{Deserialize, Serialize};
 
 /// Scores predictions or a whole model.
 #[typetag::serde]
@@ -129,7 +130,7 @@ pub struct StageTimes {
 }
 
 /// Direction of improvement.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Goal {
     /// Larger is better.
     Higher,
@@ -138,7 +139,7 @@ pub enum Goal {
 }
 
 /// Result of a metric.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measurement {
     /// Column name in `scores.csv`, such as `ssim` or `eta_0db`.
     pub key: String,
@@ -153,7 +154,7 @@ pub struct Measurement {
 }
 
 /// Values of a [`Measurement`].
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Values {
     /// One value per test sample; reported as mean, median and 10th (for errors 90th) percentile.
     PerSample(Vec<f64>),

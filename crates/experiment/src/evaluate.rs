@@ -6,9 +6,10 @@
 use crate::evaluation_set::EvaluationSet;
 use crate::intervals::Calibrator;
 use crate::load::SplitData;
+use crate::partial_scores::PartialScores;
 use crate::record::Confidence;
 use crate::repeatability::estimate_noise_ceiling;
-use crate::scores::{MODEL, ScoreTable, Scores};
+use crate::scores::{IntervalScores, MODEL, ScoreTable, Scores};
 use crate::session::{Session, staged};
 use crate::text::number;
 use pwrfgs_core::kriging::{Correlation, ProcessFit};
@@ -19,6 +20,7 @@ use pwrfgs_core::{
 use pwrfgs_model::{Ensemble, Prepared, ResidualProcess, Residuals, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Number of test spectra predicted together.
@@ -47,36 +49,56 @@ pub fn evaluate(
     split: &SplitData,
     session: &mut Session<'_>,
 ) -> Result<EvaluationResult> {
+    evaluate_parts(model, pipeline, split, session, &mut PartialScores::default())
+}
+
+/// Scores as [`evaluate`] does; takes the results that an earlier start has written to `partial`, and adds the others.
+///
+/// # Errors
+/// As [`evaluate`]; a file that cannot be written.
+pub(crate) fn evaluate_parts(
+    model: &Ensemble,
+    pipeline: &Pipeline,
+    split: &SplitData,
+    session: &mut Session<'_>,
+    partial: &mut PartialScores,
+) -> Result<EvaluationResult> {
     let SplitData { data, partition } = split;
     let ready = &model.prepare();
     check_alike(ready, data)?;
     let table = ScoreTable { task: data.task(), ..ScoreTable::default() };
     let test = EvaluationSet::new(data, &partition.test, model.plane());
     let mut evaluation = OpenEvaluation { pipeline, split, test, calibrator: None, predictors: Vec::new(), table };
-    evaluation.score_model(MODEL, model, ready, session)?;
+    evaluation.score_model(MODEL, model, ready, session, partial)?;
     let mut confidence = None;
     if model.members().len() > 1 {
         let shown = if model.members().len() > MOST_SHOWN { &[] } else { model.members() };
         for (name, member) in model.names().iter().zip(shown) {
             let (name, member) = (format!("member {name}"), Ensemble::of(member.clone()));
-            evaluation.score_model(&name, &member, &member.prepare(), session)?;
+            evaluation.score_model(&name, &member, &member.prepare(), session, partial)?;
             evaluation.table.members.push(name);
         }
-        confidence = Some(Confidence::measure(ready, data, &partition.test, session)?);
+        let measure = || Confidence::measure(ready, data, &partition.test, session);
+        confidence = Some(partial.complete("confidence", measure)?);
     }
     evaluation.table.notes.extend(model.residuals().map(|residuals| residuals_note(residuals, data.task())));
     evaluation.table.share = model.residuals().and_then(Residuals::share);
     let mut columns = Vec::new();
     if let Some(calibration) = model.calibration() {
         let calibrator = evaluation.calibrator.insert(Calibrator::new(pipeline, split, model.members().len())?);
-        let (scores, rows) = calibrator.measure_intervals((MODEL, ready), calibration, session)?;
+        let measure = || calibrator.measure_intervals((MODEL, ready), calibration, session);
+        let (scores, rows) = partial.complete("intervals", measure)?;
         evaluation.table.intervals.push(scores);
         columns = rows;
     }
     pipeline.check_external(data, &partition.test)?;
-    for baseline in &pipeline.baselines {
+    for (index, baseline) in pipeline.baselines.iter().enumerate() {
         session.check_stopped()?;
-        evaluation.score_baseline(baseline, session)?;
+        let mut score = || evaluation.score_baseline(baseline, session);
+        // The file of predictions may have been mended since.
+        let scored =
+            if baseline.is_external() { score()? } else { partial.complete(&format!("baseline {index}"), score)? };
+        evaluation.add_baseline(scored);
     }
     Ok(EvaluationResult { scores: Scores { intervals: columns, ..evaluation.conclude(session)? }, confidence })
 }
@@ -94,6 +116,17 @@ struct OpenEvaluation<'a> {
     table: ScoreTable,
 }
 
+/// Scores of one baseline.
+#[derive(Serialize, Deserialize)]
+struct ScoredBaseline {
+    name: String,
+    measured: Vec<Measurement>,
+    is_oracle: bool,
+    intervals: Option<IntervalScores>,
+    /// What readers must know of the baseline.
+    note: Option<String>,
+}
+
 impl OpenEvaluation<'_> {
     /// Scores `model`, the model or a member, as predictor `name`.
     fn score_model(
@@ -102,6 +135,7 @@ impl OpenEvaluation<'_> {
         model: &Ensemble,
         ready: &Prepared<'_>,
         session: &mut Session<'_>,
+        partial: &mut PartialScores,
     ) -> Result<()> {
         let title = if name == MODEL { "the model" } else { name };
         let facts = ModelFacts {
@@ -109,29 +143,37 @@ impl OpenEvaluation<'_> {
             gaussian_bytes: model.gaussian_bytes(),
             file_bytes: file::size(model),
         };
-        let measured = self.test.score_model(title, ready, Some(facts), &self.pipeline.metrics, session)?;
+        let score = || self.test.score_model(title, ready, Some(facts), &self.pipeline.metrics, session);
+        let measured = partial.complete(name, score)?;
         self.predictors.push((name.to_owned(), measured));
         Ok(())
     }
 
     /// Fits `baseline` to training and validation samples and scores it; with a calibrator, also its intervals.
-    fn score_baseline(&mut self, baseline: &Plugin<dyn Baseline>, session: &mut Session<'_>) -> Result<()> {
-        let (SplitData { data, partition }, table) = (self.split, &mut self.table);
+    fn score_baseline(&self, baseline: &Plugin<dyn Baseline>, session: &mut Session<'_>) -> Result<ScoredBaseline> {
+        let SplitData { data, partition } = self.split;
         let fitted = baseline.fit(data, partition.known().stopped_by(session.stop))?;
         let name = baseline.name_for(data.task());
         // Reading a file has no latency of a method.
         let is_measured = |metric: &&Plugin<dyn Metric>| !baseline.is_external() || metric.scope() != Scope::Model;
         let metrics: Vec<_> = self.pipeline.metrics.iter().filter(is_measured).cloned().collect();
         let measured = self.test.score_baseline(&name, &*fitted, &metrics, session)?;
-        table.oracles.extend(fitted.is_oracle().then(|| name.clone()));
+        let mut intervals = None;
         if let Some(calibrator) = self.calibrator.as_ref().filter(|_| !fitted.is_oracle())
             && let Some(calibration) = calibrator.calibrate_baseline(&*fitted, session)?
         {
-            table.intervals.push(calibrator.measure_intervals((&name, &*fitted), &calibration, session)?.0);
+            intervals = Some(calibrator.measure_intervals((&name, &*fitted), &calibration, session)?.0);
         }
+        Ok(ScoredBaseline { name, measured, is_oracle: fitted.is_oracle(), intervals, note: fitted.note() })
+    }
+
+    /// Adds the scores of a baseline.
+    fn add_baseline(&mut self, ScoredBaseline { name, measured, is_oracle, intervals, note }: ScoredBaseline) {
+        let table = &mut self.table;
+        table.oracles.extend(is_oracle.then(|| name.clone()));
+        table.intervals.extend(intervals);
+        table.notes.extend(note.filter(|note| !table.notes.contains(note)));
         self.predictors.push((name, measured));
-        table.notes.extend(fitted.note().filter(|note| !table.notes.contains(note)));
-        Ok(())
     }
 
     /// Summarises all scores, with noise ceiling, paired differences and notes.
@@ -181,6 +223,7 @@ pub(crate) fn validation_baselines(
     pipeline: &Pipeline,
     SplitData { data, partition }: &SplitData,
     session: &mut Session<'_>,
+    partial: &mut PartialScores,
 ) -> Result<Vec<(String, f64)>> {
     let part = evenly(&partition.validation, pipeline.training.validation_samples);
     if part.is_empty() || pipeline.training.validate_every == 0 {
@@ -188,12 +231,14 @@ pub(crate) fn validation_baselines(
     }
     let (bench, metrics) = (EvaluationSet::new(data, &part, plane), defaults::validation(data.task()));
     let mut all = Vec::new();
-    for baseline in pipeline.baselines.iter().filter(|baseline| !baseline.is_external()) {
+    for (index, baseline) in pipeline.baselines.iter().enumerate().filter(|(_, baseline)| !baseline.is_external()) {
         session.check_stopped()?;
-        let fitted = baseline.fit(data, FittingSet::train(&partition.train).stopped_by(session.stop))?;
-        let name = baseline.name_for(data.task());
-        let measured = bench.score_baseline(&name, &*fitted, &metrics, session)?;
-        all.extend(measured.first().map(|m| m.values.mean()).filter(|mean| mean.is_finite()).map(|mean| (name, mean)));
+        all.extend(partial.complete(&format!("validation of baseline {index}"), || {
+            let fitted = baseline.fit(data, FittingSet::train(&partition.train).stopped_by(session.stop))?;
+            let name = baseline.name_for(data.task());
+            let measured = bench.score_baseline(&name, &*fitted, &metrics, session)?;
+            Ok(measured.first().map(|m| m.values.mean()).filter(|mean| mean.is_finite()).map(|mean| (name, mean)))
+        })?);
     }
     Ok(all)
 }

@@ -210,10 +210,10 @@ impl Facts {
             Some(bytes) => format!("it has {} bytes, expected {}", bytes.len(), expected.bytes),
             None => "it is missing".into(),
         };
-        let advice = if REMADE.contains(&name) {
-            "copy it again, or remove it and let `pwrfgs run` recreate it"
-        } else {
-            "copy it again, or remove the folder and run again"
+        let advice = match name {
+            MODEL_FILE => "copy it again, or remove it and let `pwrfgs run` train it again",
+            _ if REMADE.contains(&name) => "copy it again, or remove it and let `pwrfgs run` recreate it",
+            _ => "copy it again, or remove the folder and run again",
         };
         Err(Error::input(&path, format!("does not match {FACTS}: {problem}; {advice}")))
     }

@@ -11,6 +11,8 @@ pub const DATA: &str = "data";
 pub const CHECKPOINT: &str = "checkpoint.safetensors";
 /// Model of the best validation so far, with `keep: Best`.
 pub const BEST_MODEL: &str = "best.safetensors";
+/// Files that only a resumed training reads. A run removes them with its scores complete, unless the session keeps them.
+pub const RESUME_ONLY: [&str; 2] = [CHECKPOINT, BEST_MODEL];
 /// The trained model.
 pub const MODEL_FILE: &str = "model.safetensors";
 /// Gaussians before the first step.
@@ -51,6 +53,8 @@ pub fn training_folder(run: &Path) -> (usize, PathBuf) {
     (index.unwrap_or(0), index.map_or_else(|| run.to_owned(), |index| run.join(member_folder(index))))
 }
 
+/// Results of a scoring in progress; removed with its scores complete.
+pub(crate) const PARTIAL_SCORES: &str = "scoring.partial";
 /// All scores.
 pub const SCORES: &str = "scores.csv";
 /// All transmitters.

@@ -77,11 +77,12 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     let member = pipeline.member(0);
     let member_partition = member.partition(data)?;
     let mut loaded_bytes = 0;
-    let trainer = new_trainer(&member, || {
+    let make = || {
         let trainer = Trainer::sketch(&member.plan()?, data, &member_partition)?;
         loaded_bytes = peak_memory(); // before a step is tried, which is counted by itself
         Ok(trainer)
-    })?;
+    };
+    let trainer = staged(observer, "initialising", |_| new_trainer(&member, make))?;
     let batch = pipeline.training.batch.min(data.locations_of(&member_partition.train).len());
     pipeline.set_all(&[format!("training.batch={batch}")])?; // as the trainer limits it
     Ok(Preview {

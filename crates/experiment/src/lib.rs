@@ -21,6 +21,7 @@ mod members;
 mod model_file;
 mod page;
 pub mod paired;
+mod partial_scores;
 pub mod record;
 pub mod repeatability;
 mod residuals;

@@ -2,7 +2,7 @@
 
 use crate::evaluate::EvaluationResult;
 use crate::facts::{Facts, FileDigest, utc_now};
-use crate::folder::{CONFIDENCE, PIPELINE, REPORT, SAMPLES, SCORES};
+use crate::folder::{CONFIDENCE, PARTIAL_SCORES, PIPELINE, REPORT, RESUME_ONLY, SAMPLES, SCORES, member_folder};
 use crate::input::read_pipeline;
 use crate::load::{ActiveRun, SplitData, load_with_findings};
 use crate::record::Record;
@@ -52,7 +52,7 @@ pub fn write_results(
 
 impl ActiveRun<'_, '_> {
     /// Concludes the run in `folder`: writes the scores, the report if the session has a `page`, the checksums and
-    /// `run.json`. Returns the summary of the scores, which the observer also gets.
+    /// `run.json`, and removes the checkpoint unless the session keeps it. Returns the summary of the scores, which the observer also gets.
     ///
     /// # Errors
     /// [`Error::Write`]; a damaged training file.
@@ -71,9 +71,21 @@ impl ActiveRun<'_, '_> {
         facts.update_peak_memory(); // here, so that report and run.json agree
         write_results(path, self.pipeline, &facts, self.split, model, &result, self.session.page)?;
         facts.seal(path)?;
+        if !self.session.keep_checkpoint {
+            self.remove_resume_files(folder);
+        }
+        files::remove(&folder.file(PARTIAL_SCORES));
         facts.write(path)?;
         self.session.observer.on_evaluation(&result.scores.table);
         Ok(result.scores.table)
+    }
+
+    /// Removes what only a resumed training reads, from the folder of the run and of its models. Failures are ignored.
+    fn remove_resume_files(&self, folder: &RunFolder) {
+        let members = (0..self.pipeline.members).map(|index| folder.file(&member_folder(index)));
+        for part in members.chain([folder.path().to_owned()]) {
+            RESUME_ONLY.iter().for_each(|name| files::remove(&part.join(name)));
+        }
     }
 }
 

@@ -11,6 +11,7 @@ use pwrfgs_core::statistics::{mean, sorted};
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Content of the folder of an evaluated model.
@@ -182,7 +183,7 @@ pub fn read_series(path: &Path) -> Vec<Vec<Option<f64>>> {
 }
 
 /// Spread of the members and error of their mean for each test sample.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Confidence {
     /// Ids of the test samples.
     pub ids: Vec<u32>,

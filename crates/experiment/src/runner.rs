@@ -1,11 +1,12 @@
 //! `run`: trains, evaluates and reports a pipeline; resumes earlier starts.
 
-use crate::evaluate::{check_alike, evaluate, validation_baselines};
+use crate::evaluate::{check_alike, evaluate_parts, validation_baselines};
 use crate::facts::Facts;
 use crate::folder::{CURVE, MODEL_FILE, member_folder};
 use crate::input::resolve_pipeline;
 use crate::journal::Journal;
 use crate::load::{ActiveRun, load, load_with_findings};
+use crate::partial_scores::PartialScores;
 use crate::record::{read_validation, series_column};
 use crate::residuals::check_residuals;
 use crate::run_folder::{RunFolder, RunState};
@@ -180,20 +181,23 @@ impl<'a> ActiveRun<'a, '_> {
         // The links that a model of `score_model` was trained on are unknown, so it is not calibrated.
         let (is_ensemble, count) = (!facts.members.is_empty(), facts.members.len().max(1));
         let is_trained_here = is_ensemble || folder.file(CURVE).is_file();
-        let parts = |model: &Ensemble| (model.residuals().is_some(), model.calibration().is_some());
-        let before = parts(&model);
-        model = self.fit_residuals(model, count)?;
-        if is_trained_here {
-            model = self.calibrate(model)?;
+        // Written one after the other: a stopped start keeps what it has fitted.
+        let write = |model: &Ensemble| file::write_ensemble(&folder.file(MODEL_FILE), model);
+        if pipeline.residuals.is_some() && model.residuals().is_none() {
+            model = self.fit_residuals(model, count)?;
+            write(&model)?;
         }
-        if parts(&model) != before {
-            file::write_ensemble(&folder.file(MODEL_FILE), &model)?;
+        if is_trained_here && model.calibration().is_none() {
+            model = self.calibrate(model)?;
+            model.calibration().map_or(Ok(()), |_| write(&model))?;
         }
         let (task, test) = (split.data.task(), split.partition.test.len());
         self.session.observer.on_message(&format!("scoring {test} test {}", task.counted[1]));
-        let mut result = evaluate(&model, pipeline, split, self.session)?;
+        let mut partial = PartialScores::open(self, folder)?;
+        let mut result = evaluate_parts(&model, pipeline, split, self.session, &mut partial)?;
         if !is_ensemble {
-            facts.validation_baselines = validation_baselines(model.plane(), pipeline, split, self.session)?;
+            facts.validation_baselines =
+                validation_baselines(model.plane(), pipeline, split, self.session, &mut partial)?;
         }
         if is_ensemble {
             // Each model has its own validation, and the steps are sums.

@@ -114,19 +114,25 @@ pub struct Session<'a> {
     pub stop: &'a AtomicBool,
     /// Makes `report.html`; `None` writes none.
     pub page: Option<PageBuilder>,
+    /// Whether finished runs keep their files for resuming, see [`RESUME_ONLY`](crate::folder::RESUME_ONLY).
+    pub keep_checkpoint: bool,
 }
 
 impl std::fmt::Debug for Session<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Session").field("stop", self.stop).field("page", &self.page.is_some()).finish_non_exhaustive()
+        f.debug_struct("Session")
+            .field("stop", self.stop)
+            .field("page", &self.page.is_some())
+            .field("keep_checkpoint", &self.keep_checkpoint)
+            .finish_non_exhaustive()
     }
 }
 
 impl<'a> Session<'a> {
-    /// Creates a session that never stops early and writes no report.
+    /// Creates a session that never stops early, writes no report, and keeps no checkpoint of a finished run.
     pub fn new(observer: &'a mut dyn Observer) -> Self {
         static NEVER: AtomicBool = AtomicBool::new(false);
-        Self { observer, stop: &NEVER, page: None }
+        Self { observer, stop: &NEVER, page: None, keep_checkpoint: false }
     }
 
     /// Checks whether the session is stopped.

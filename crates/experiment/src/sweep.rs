@@ -76,7 +76,7 @@ pub fn execute(
     drop(plan.claim()?);
     let jobs = jobs.clamp(1, runs.len().max(1));
     let pools = (0..jobs).map(|_| run_pool(jobs)).collect::<Result<Vec<_>>>()?;
-    let (stop, page) = (session.stop, session.page);
+    let (stop, page, keep_checkpoint) = (session.stop, session.page, session.keep_checkpoint);
     let next = AtomicUsize::new(0);
     let ends = Mutex::new(Vec::new());
     std::thread::scope(|scope| {
@@ -91,7 +91,8 @@ pub fn execute(
                         Err(Error::Busy(folder))
                     } else {
                         let mut observer = board.on_run_start(run);
-                        pool.install(|| perform_run(plan, run, &mut Session { observer: &mut *observer, stop, page }))
+                        let mut session = Session { observer: &mut *observer, stop, page, keep_checkpoint };
+                        pool.install(|| perform_run(plan, run, &mut session))
                     };
                     board.on_run_end(run, &end);
                     ends.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((run, end));

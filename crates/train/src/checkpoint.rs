@@ -146,6 +146,11 @@ pub(crate) fn fingerprint(plan: &TrainingPlan, data: &Dataset, train: &[usize]) 
     digest(parts.join("\n").as_bytes())
 }
 
+/// Returns a digest of the values of `data`: points, poses, links and observations. It reads all observations.
+pub fn data_digest(data: &Dataset) -> String {
+    digest(describe_data(data).as_bytes())
+}
+
 /// Returns receivers and size of the data as text, with digests of points, links, and every 64 samples.
 fn describe_data(data: &Dataset) -> String {
     let digest_samples = |samples: &[(usize, Sample)]| {

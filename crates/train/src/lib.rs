@@ -20,6 +20,7 @@ mod start;
 mod trainer;
 mod warnings;
 
+pub use checkpoint::data_digest;
 pub use estimate::{TimeEstimate, TimedSteps, network_bytes};
 pub use graph::{Batch, LossAndGradients, loss_and_gradients};
 pub use loss::{ChannelLoss, LinkLoss, Objective, RenderingLoss};

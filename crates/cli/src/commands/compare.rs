@@ -39,6 +39,9 @@ pub(crate) struct Compare {
     /// Write id, position and set of all samples to a file; run nothing
     #[arg(long, value_name = "FILE", conflicts_with = "dry_run")]
     pub(crate) split_csv: Option<PathBuf>,
+    /// Keep the training state of finished runs, checkpoint.safetensors
+    #[arg(long)]
+    pub(crate) keep_checkpoint: bool,
 }
 
 /// Runs `pwrfgs compare`: writes the split, lists the runs, or executes them; returns the exit code.
@@ -62,7 +65,8 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
         return Ok(SUCCESS);
     }
     let runs: Vec<usize> = (0..plan.runs.len()).collect();
-    let selected = SelectedRuns { plan, indices: &runs, jobs: 1, verbosity };
+    let selected =
+        SelectedRuns { plan, indices: &runs, jobs: 1, keep_checkpoint: arguments.keep_checkpoint, verbosity };
     if arguments.dry_run {
         return selected.print_estimates().map_err(without_position);
     }

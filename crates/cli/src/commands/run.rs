@@ -6,13 +6,14 @@ use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
-use pwrfgs::experiment::{RunOutcome, read_pipeline};
+use pwrfgs::experiment::{RunOutcome, Session, read_pipeline};
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Repeat the command to resume an interrupted run; the result is identical to an uninterrupted run.
+A finished run removes its checkpoint, which only a resumed run reads; --keep-checkpoint keeps it.
 If only baselines or metrics changed, it scores the trained model again without training.
 A folder with other files is never changed. Paths in a pipeline are relative to its file, paths on
 the command line to the current directory. docs/guide.md describes the run folder.
@@ -32,6 +33,9 @@ pub(crate) struct Run {
     /// Run folder [default: runs/NAME, from the name of the pipeline]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+    /// Keep the training state of the finished run, checkpoint.safetensors
+    #[arg(long)]
+    pub(crate) keep_checkpoint: bool,
 }
 
 /// Runs `pwrfgs run`: trains and scores a pipeline; returns the exit code.
@@ -40,8 +44,11 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<u8> {
     let pipeline = read_pipeline(&file, &arguments.changes.assignments())?;
     let out = arguments.out.clone().or(folder).unwrap_or_else(|| Path::new("runs").join(&pipeline.name));
     let stop = stop_flag();
-    let outcome =
-        RunProgress::observe(verbosity, |progress| pwrfgs::run(&pipeline, Path::new(""), &out, progress, &stop));
+    let outcome = RunProgress::observe(verbosity, |observer| {
+        let keep_checkpoint = arguments.keep_checkpoint;
+        let mut session = Session { observer, stop: &stop, page: pwrfgs::PAGE, keep_checkpoint };
+        pwrfgs::experiment::run(&pipeline, Path::new(""), &out, &mut session)
+    });
     match outcome? {
         RunOutcome::Unscored => {
             output::print_note(&format!(

@@ -59,6 +59,9 @@ pub(crate) struct Sweep {
     /// Run only this run, by the name of its folder
     #[arg(long, value_name = "RUN", conflicts_with = "shard")]
     pub(crate) only: Option<String>,
+    /// Keep the training state of finished runs, checkpoint.safetensors
+    #[arg(long)]
+    pub(crate) keep_checkpoint: bool,
     /// Submit the runs to a scheduler and return; NAME is slurm
     #[arg(long, value_name = "NAME", hide_possible_values = true, conflicts_with_all = ["dry_run", "status"])]
     pub(crate) launcher: Option<Launcher>,
@@ -101,7 +104,8 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
         let problem = format!("more than the {available} available threads; set at most {available}");
         return Err(Error::Config(format!("--jobs {jobs}: {problem}")));
     }
-    let selected = SelectedRuns { plan: &plan, indices: &runs, jobs, verbosity };
+    let selected =
+        SelectedRuns { plan: &plan, indices: &runs, jobs, keep_checkpoint: arguments.keep_checkpoint, verbosity };
     if arguments.dry_run {
         return selected.print_estimates();
     }
@@ -124,6 +128,8 @@ pub(super) struct SelectedRuns<'a> {
     pub(super) indices: &'a [usize],
     /// Number of parallel runs.
     pub(super) jobs: usize,
+    /// Whether finished runs keep their checkpoints.
+    pub(super) keep_checkpoint: bool,
     pub(super) verbosity: Verbosity,
 }
 
@@ -131,7 +137,7 @@ impl SelectedRuns<'_> {
     /// Validates the runs. Also prints their estimated total time, unless the output is quiet or the estimate would
     /// take long compared with the runs.
     pub(super) fn announce(self) -> Result<()> {
-        let Self { plan, indices, jobs, verbosity } = self;
+        let Self { plan, indices, jobs, verbosity, .. } = self;
         let steps: u64 = indices.iter().map(|run| plan.runs[*run].pipeline.training.steps).sum();
         let combinations = indices.iter().map(|run| plan.runs[*run].combination).collect::<BTreeSet<_>>().len() as u64;
         if verbosity == Verbosity::Quiet || steps < WORTH_STEPS * combinations {
@@ -162,11 +168,11 @@ impl SelectedRuns<'_> {
     /// Executes the runs in this process and prints their table; returns the exit code. The process that ends the last
     /// run of the sweep writes the report, in which `reference` is that of the paired differences.
     pub(super) fn execute(self, reference: Option<&str>) -> Result<u8> {
-        let Self { plan, indices, jobs, verbosity } = self;
+        let Self { plan, indices, jobs, keep_checkpoint, verbosity } = self;
         let stop = stop_flag();
         let board = SweepTable::new(plan, indices.len(), verbosity);
-        let end = RunProgress::observe(verbosity, |progress| {
-            let mut session = Session { observer: progress, stop: &stop, page: pwrfgs::PAGE };
+        let end = RunProgress::observe(verbosity, |observer| {
+            let mut session = Session { observer, stop: &stop, page: pwrfgs::PAGE, keep_checkpoint };
             execute(plan, indices, jobs, &board, &mut session)
         });
         board.remove_bar();
@@ -260,6 +266,7 @@ fn task_command(plan: &SweepPlan, arguments: &Sweep, threads: usize) -> Result<V
     let experiment = shipped.map_or_else(|| text(&arguments.experiment), |file| Ok(file.name.into()))?;
     words.extend([experiment, "--out".into(), text(&plan.folder)?]);
     words.extend(arguments.changes.assignments().into_iter().flat_map(|set| ["--set".into(), set]));
+    words.extend(arguments.keep_checkpoint.then(|| "--keep-checkpoint".into()));
     words.extend(["--threads".into(), threads.to_string(), "--quiet".into(), "--only".into()]);
     Ok(words)
 }

@@ -63,14 +63,14 @@ pub(crate) fn refuse(folder: &Path, arguments: &[&str], code: i32, words: &[&str
     }
 }
 
-/// A folder with `SMALL` in `p.ron` and its finished run in `run`, trained once for all tests, which change nothing in it.
+/// A folder with `SMALL` in `p.ron` and its finished run with checkpoint in `run`, trained once for all tests, which change nothing in it.
 pub(crate) fn small_run() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     FOLDER.get_or_init(|| {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("small-run");
         _ = std::fs::remove_dir_all(&folder);
         write(&folder.join("p.ron"), SMALL);
-        succeed(&folder, &["run", "p.ron", "--out", "run", "-q"]);
+        succeed(&folder, &["run", "p.ron", "--out", "run", "-q", "--keep-checkpoint"]);
         folder
     })
 }

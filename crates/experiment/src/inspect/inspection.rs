@@ -105,7 +105,7 @@ impl Inspection {
         stop: &AtomicBool,
         scored: &dyn Fn(usize),
     ) -> Result<()> {
-        let mut session = Session { observer: &mut NoopObserver, stop, page: None };
+        let mut session = Session { observer: &mut NoopObserver, stop, page: None, keep_checkpoint: false };
         let seed = pipeline.split_seed.unwrap_or(pipeline.seed);
         let partition = match split.split(data, &mut rng::stream(seed, "split", 0)) {
             Ok(partition) => partition,
