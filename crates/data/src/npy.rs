@@ -276,3 +276,24 @@ impl ComplexArray {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::npy_header_as;
+    use std::fs::{self, File};
+
+    #[test]
+    fn large_channels_are_rejected_by_the_memory_they_need() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("channel.npy");
+        let positions = 1 << 30;
+        let header = npy_header_as("<c8", &[positions, 16, 64]);
+        fs::write(&path, &header).unwrap();
+        File::options().write(true).open(&path).unwrap().set_len((header.len() + (positions << 13)) as u64).unwrap();
+        let message = read_complex_array(&path, "").unwrap_err().to_string();
+        let needed = if size_of::<Real>() == 4 { "8796.1" } else { "17592.2" };
+        assert!(message.contains(&format!("channel.npy: needs {needed} GB of memory, more than the ")), "{message}");
+        assert!(message.ends_with(" GB that are available; give fewer positions, or split the file"), "{message}");
+    }
+}

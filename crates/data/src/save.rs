@@ -13,7 +13,7 @@ use crate::npy::MOST_POSITIONS;
 use crate::text::MAX_YAML;
 use crate::{Arrays, Channels, Nerf2Rssi};
 use crate::{npy_header, npy_header_as};
-use pwrfgs_core::files::{self, GrowingFile, MAX_TEXT, NewFolder};
+use pwrfgs_core::files::{self, GrowingFile, MAX_NUMBERS, MAX_TEXT, NewFolder};
 use pwrfgs_core::messages::cell;
 use pwrfgs_core::{
     DataSource, Dataset, Elevation, End, Error, Number, Observations, Pose, Real, Receiver, Result, Spectra,
@@ -95,13 +95,12 @@ impl FolderWriter<'_> {
     fn write_file(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
         let (path, length) = (self.path.join(name), bytes.as_ref().len() as u64);
         let limit = match path.extension().and_then(|extension| extension.to_str()) {
-            Some("yml") => MAX_YAML,
-            Some("npy") => u64::MAX,
+            Some("yml") => MAX_YAML.into(),
+            Some("npy") => MAX_NUMBERS,
             _ => MAX_TEXT,
         };
-        if length > limit {
-            let problem = format!("{name} would have {length} bytes, more than the {limit} that can be read");
-            return refuse(&format!("{problem}; save parts"));
+        if let Err(problem) = limit.check(length) {
+            return refuse(&format!("{name} would have {length} bytes, but its reader {problem}"));
         }
         files::write(&path, bytes)
     }
