@@ -8,6 +8,7 @@
 
 use std::error::Error;
 use std::fmt::Write as _;
+use std::fs::File;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use wait4::Wait4;
@@ -23,7 +24,7 @@ struct Row {
     prepare: fn(&Path, usize) -> Result<String>,
 }
 
-const ROWS: [Row; 11] = [
+const ROWS: [Row; 13] = [
     Row { name: "import", unit: "readings", sizes: [10_000, 100_000, 1_000_000], prepare: import },
     Row { name: "inspect", unit: "receivers", sizes: [5, 50, 500], prepare: inspect },
     Row { name: "init", unit: "positions", sizes: [1_000, 10_000, 100_000], prepare: init },
@@ -34,6 +35,8 @@ const ROWS: [Row; 11] = [
     Row { name: "locate", unit: "positions", sizes: [1_000, 10_000, 100_000], prepare: locate },
     Row { name: "predict", unit: "positions", sizes: [1_000, 10_000, 100_000], prepare: predict },
     Row { name: "channels", unit: "positions", sizes: [1_000, 4_000, 16_000], prepare: channels },
+    Row { name: "search", unit: "MHz", sizes: [300, 600, 1_200], prepare: search },
+    Row { name: "report", unit: "test positions", sizes: [100, 1_000, 10_000], prepare: report },
     Row { name: "sweep", unit: "runs", sizes: [2, 8, 32], prepare: sweep },
 ];
 
@@ -70,17 +73,16 @@ fn program(folder: &Path, arguments: &str) -> Command {
 
 /// Runs the program, unmeasured, if `made` is not there.
 fn run(folder: &Path, made: &str, arguments: &str) -> Result<()> {
-    if !folder.join(made).exists() && !program(folder, arguments).status()?.success() {
-        return Err(format!("pwrfgs {arguments} failed").into());
-    }
-    Ok(())
+    if folder.join(made).exists() { Ok(()) } else { measure(folder, arguments).map(drop) }
 }
 
 /// Returns the processor time in seconds and the peak memory in bytes of a run of the program.
 fn measure(folder: &Path, arguments: &str) -> Result<(f64, f64)> {
-    let used = program(folder, arguments).spawn()?.wait4()?;
+    // Warnings would stand between the rows of the table.
+    let log = folder.join("stderr.txt");
+    let used = program(folder, arguments).stderr(File::create(&log)?).spawn()?.wait4()?;
     if !used.status.success() {
-        return Err(format!("pwrfgs {arguments} failed").into());
+        return Err(format!("pwrfgs {arguments} failed: {}", std::fs::read_to_string(log)?).into());
     }
     Ok(((used.rusage.utime + used.rusage.stime).as_secs_f64(), used.rusage.maxrss as f64))
 }
@@ -195,6 +197,20 @@ fn channels(folder: &Path, positions: usize) -> Result<String> {
     std::fs::write(folder.join("antennas.csv"), format!("x,y,z\n{}", antennas.collect::<String>()))?;
     let place = "--receiver 0,0,2 --antennas antennas.csv --carrier-hz 2.4e9 --spacing-hz 625e3";
     Ok(format!("import --channels {name}.npy --tx tx.csv {place} --accept channel-phase --out {name}"))
+}
+
+/// Simulates 200 channels at a carrier, and returns arguments of a search for two virtual transmitters.
+fn search(folder: &Path, carrier_mhz: usize) -> Result<String> {
+    let name = format!("f{carrier_mhz}");
+    let layout = "--layout channels --samples 200 --no-paths --points 1000";
+    run(folder, &name, &format!("simulate office-channel {layout} --carrier-hz {carrier_mhz}e6 --out {name}"))?;
+    run(folder, &format!("{name}.ron"), &format!("init {name} --effort fast --out {name}.ron"))?;
+    let settings = "--set initializer.most=2 --set training.steps=1 --set baselines=[]";
+    Ok(format!("run {name}.ron {settings} --out searched-{carrier_mhz}"))
+}
+
+fn report(folder: &Path, positions: usize) -> Result<String> {
+    Ok(format!("report {}", trained(folder, 10 * positions)?))
 }
 
 fn sweep(folder: &Path, runs: usize) -> Result<String> {

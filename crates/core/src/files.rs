@@ -10,17 +10,47 @@ pub use held::{HeldFolder, lock, try_lock};
 pub use new_folder::NewFolder;
 pub use partial_folder::PartialFolder;
 
-use crate::{Error, Result};
+use crate::{Error, Result, check_memory};
 use sha2::{Digest as _, Sha256};
 use std::fs::{self, DirEntry, File, FileType, OpenOptions};
 use std::io::{self, BufWriter, ErrorKind, Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 
-/// Maximum size of a text file, bytes: 256 MiB. Text written by people is far smaller, and parsers need several times
-/// as much memory.
-pub const MAX_TEXT: u64 = 1 << 28;
-/// Maximum size of a binary file that is read whole, bytes: 16 GiB.
-pub const MAX_NUMBERS: u64 = 1 << 34;
+/// Limit of a text file: its values take up to ten times its bytes.
+pub const MAX_TEXT: ReadLimit = ReadLimit::Held(10);
+/// Limit of a binary file that is read whole: its bytes and its numbers.
+pub const MAX_NUMBERS: ReadLimit = ReadLimit::Held(2);
+
+/// Limit of a file that is read whole.
+#[derive(Clone, Copy, Debug)]
+pub enum ReadLimit {
+    /// Maximum size, bytes: of a format that people write, whose parser needs unknown memory.
+    Bytes(u64),
+    /// Memory that the reader holds per byte of the file, bytes; all of it must be available.
+    Held(u64),
+}
+
+impl From<u64> for ReadLimit {
+    fn from(bytes: u64) -> Self {
+        Self::Bytes(bytes)
+    }
+}
+
+impl ReadLimit {
+    /// Rejects a file of `size` bytes beyond the limit.
+    ///
+    /// # Errors
+    /// The message begins with a verb and has the next step; its subject is the file.
+    pub fn check(self, size: u64) -> Result<(), String> {
+        match self {
+            Self::Bytes(limit) if size > limit => {
+                Err(format!("is larger than the limit of {limit} bytes; check the path"))
+            }
+            Self::Bytes(_) => Ok(()),
+            Self::Held(per_byte) => check_memory(size.saturating_mul(per_byte), "check the path, or split the file"),
+        }
+    }
+}
 
 /// Opens a file for reading. All readers of the toolkit use this function: opening a named pipe would otherwise block
 /// until another process writes to it.
@@ -64,7 +94,7 @@ fn describe_file_type(file_type: FileType) -> &'static str {
     if file_type.is_dir() { "a folder" } else { "a device" }
 }
 
-/// Reads the bytes of a regular file of at most [`MAX_NUMBERS`].
+/// Reads the bytes of a regular file within [`MAX_NUMBERS`].
 ///
 /// # Errors
 /// As [`read_at_most`].
@@ -72,7 +102,7 @@ pub fn read(path: impl AsRef<Path>) -> io::Result<Vec<u8>> {
     read_at_most(path.as_ref(), MAX_NUMBERS)
 }
 
-/// Reads the text of a regular file of at most [`MAX_TEXT`], unchanged. For files written by people, see [`read_text`].
+/// Reads the text of a regular file within [`MAX_TEXT`], unchanged. For files written by people, see [`read_text`].
 ///
 /// # Errors
 /// As [`read_at_most`], and for text that is not UTF-8.
@@ -84,21 +114,20 @@ pub fn read_string(path: impl AsRef<Path>) -> io::Result<String> {
 /// Reads the bytes of a regular file.
 ///
 /// # Errors
-/// The file cannot be opened or read, is not regular ([`open`]), or has more than `limit` bytes.
-pub fn read_at_most(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
-    let file = open(path)?;
+/// The file cannot be opened or read, is not regular ([`open`]), or exceeds the `limit`, in bytes or otherwise.
+pub fn read_at_most(path: &Path, limit: impl Into<ReadLimit>) -> io::Result<Vec<u8>> {
+    let (file, limit) = (open(path)?, limit.into());
     let size = file.metadata()?.len(); // 0 for some files of the system
-    let refuse = || {
-        let problem = format!("the file is larger than the limit of {limit} bytes; check the path");
-        Err(io::Error::new(ErrorKind::FileTooLarge, problem))
+    let check = |size| {
+        let refuse = |problem| io::Error::new(ErrorKind::FileTooLarge, format!("the file {problem}"));
+        limit.check(size).map_err(refuse)
     };
-    if size > limit {
-        return refuse();
-    }
+    check(size)?;
     let mut bytes = Vec::new();
     bytes.try_reserve_exact(size as usize)?;
-    file.take(limit + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > limit { refuse() } else { Ok(bytes) }
+    let most = if let ReadLimit::Bytes(limit) = limit { limit } else { size.max(1 << 28) };
+    file.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
+    check(bytes.len() as u64).map(|()| bytes)
 }
 
 /// Rejects a path at which neither a file nor a folder can be created: below a file, below a broken link, or with a
@@ -236,7 +265,7 @@ pub fn if_found<T>(path: &Path, read: io::Result<T>) -> Result<Option<T>> {
     }
 }
 
-/// Reads a text file written by a person: UTF-8, with or without a byte order mark, of at most [`MAX_TEXT`] bytes.
+/// Reads a text file written by a person: UTF-8, with or without a byte order mark, within [`MAX_TEXT`].
 ///
 /// # Errors
 /// The file cannot be read, or is not such text.
@@ -244,11 +273,11 @@ pub fn read_text(path: &Path) -> Result<String> {
     read_text_at_most(path, MAX_TEXT)
 }
 
-/// Reads a text file with another `limit`, bytes.
+/// Reads a text file with another `limit`.
 ///
 /// # Errors
-/// The file cannot be read, has more bytes, or is not such text.
-pub fn read_text_at_most(path: &Path, limit: u64) -> Result<String> {
+/// The file cannot be read, exceeds the limit, or is not such text.
+pub fn read_text_at_most(path: &Path, limit: impl Into<ReadLimit>) -> Result<String> {
     let text = String::from_utf8(read_at_most(path, limit).map_err(|e| Error::read(path, e))?).map_err(|e| {
         let line = e.as_bytes()[..e.utf8_error().valid_up_to()].split(|b| *b == b'\n').count();
         Error::at(path, line, 1, "this is not text; save the file as UTF-8")

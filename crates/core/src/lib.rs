@@ -23,6 +23,7 @@ mod image;
 mod initializer;
 pub mod kriging;
 mod layout;
+mod memory;
 pub mod messages;
 mod method;
 mod metric;
@@ -64,6 +65,7 @@ pub use geodetic::Geodetic;
 pub use image::{AngleAxis, Camera, Elevation, Image, ImagePlane, Sampling, stretch};
 pub use initializer::{Initializer, InitializerInput};
 pub use layout::{Layout, WeightGroup, WeightSpec};
+pub use memory::{check_memory, free_memory, memory_limit, peak_memory};
 pub use method::{
     Activated, Appearance, Call, Cost, ForwardOutput, Method, MethodTraits, MethodVjp, Parameters, PixelSubset,
     WantedInputs,

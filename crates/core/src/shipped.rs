@@ -3,7 +3,7 @@
 //! The facade `pwrfgs` registers the files of the repository; a program without it has none.
 
 use crate::error::{Error, Result, did_you_mean};
-use crate::files::read_text_at_most;
+use crate::files::{ReadLimit, read_text_at_most};
 use std::path::Path;
 
 /// Pipeline, experiment or scene of the repository, stored in the program.
@@ -41,11 +41,11 @@ impl ShippedFile {
         (!base.join(path).is_file()).then_some(shipped)
     }
 
-    /// Returns the text of the shipped file named `path`, or else of the file at `path`, of at most `limit` bytes.
+    /// Returns the text of the shipped file named `path`, or else of the file at `path`, within `limit`.
     ///
     /// # Errors
     /// As [`read_text_at_most`]; the message for a missing file without extension suggests a shipped file.
-    pub fn read(folder: &str, path: &Path, limit: u64) -> Result<String> {
+    pub fn read(folder: &str, path: &Path, limit: impl Into<ReadLimit>) -> Result<String> {
         if let Some(file) = Self::find(folder, Path::new(""), path) {
             return Ok(file.text());
         }

@@ -7,7 +7,7 @@ use crate::text::{
     split_unit,
 };
 use flate2::read::MultiGzDecoder;
-use pwrfgs_core::files::MAX_TEXT;
+use pwrfgs_core::files::{MAX_TEXT, ReadLimit};
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Progress, Result};
 use std::borrow::Cow;
@@ -21,6 +21,8 @@ use std::path::{Path, PathBuf};
 const EXAMINED: usize = 60;
 /// Separators in order of preference; `None`: blanks.
 const MARKS: [Option<char>; 5] = [Some('\t'), Some(';'), Some(','), Some('|'), None];
+/// Largest size of a compressed table after expansion, bytes: a thousandth of it may be in the file.
+const MAX_EXPANDED: u64 = 1 << 28;
 /// Largest number of fields of a line: a field needs far more memory than its comma. No table has as many receivers.
 const MOST_FIELDS: usize = 1_000_000;
 
@@ -60,7 +62,7 @@ impl<'a> TableText<'a> {
     /// Reads a table, compressed with gzip or not; its header is recognised by the numbers below it.
     ///
     /// # Errors
-    /// A file that cannot be read, has more than [`MAX_TEXT`] bytes, also expanded, or is no table.
+    /// A file that cannot be read, does not fit into memory ([`MAX_TEXT`]), expands beyond [`MAX_EXPANDED`], or is no table.
     pub(crate) fn read(file: &'a TableFile) -> Result<Self> {
         let bytes = match &file.bytes {
             Some(bytes) => Cow::Borrowed(&bytes[..]),
@@ -71,9 +73,14 @@ impl<'a> TableText<'a> {
         Ok(table)
     }
 
-    /// Reads a file of at most `limit` bytes whose header has names that `is_name` accepts; `advice` is the next step for a missing
+    /// Reads a file within `limit` whose header has names that `is_name` accepts; `advice` is the next step for a missing
     /// or empty file.
-    pub(crate) fn with_names(path: &'a Path, limit: u64, advice: &str, is_name: &dyn Fn(&str) -> bool) -> Result<Self> {
+    pub(crate) fn with_names(
+        path: &'a Path,
+        limit: ReadLimit,
+        advice: &str,
+        is_name: &dyn Fn(&str) -> bool,
+    ) -> Result<Self> {
         let mut table = Self::of(path, read_bytes(path, limit, advice)?.into())?;
         let text = std::mem::take(&mut table.text);
         let Some(first) = numbered_lines(&text).find(|(_, line)| !is_comment(line)) else {
@@ -290,13 +297,13 @@ pub(crate) fn is_named(cell: &str, name: &str) -> bool {
     split_unit(cell).0.eq_ignore_ascii_case(name)
 }
 
-/// Returns the content of a gzip file. Returns an error for a damaged file, or one that expands beyond [`MAX_TEXT`].
+/// Returns the content of a gzip file. Returns an error for a damaged file, or one that expands beyond [`MAX_EXPANDED`].
 fn expand(path: &Path, bytes: &[u8]) -> Result<Vec<u8>> {
     let mut expanded = Vec::new();
-    let read = MultiGzDecoder::new(bytes).take(MAX_TEXT + 1).read_to_end(&mut expanded);
+    let read = MultiGzDecoder::new(bytes).take(MAX_EXPANDED + 1).read_to_end(&mut expanded);
     read.map_err(|e| Error::input(path, format!("cannot be expanded: {e}; compress the table again")))?;
-    if expanded.len() as u64 > MAX_TEXT {
-        let problem = format!("expands beyond the limit of {MAX_TEXT} bytes");
+    if expanded.len() as u64 > MAX_EXPANDED {
+        let problem = format!("expands beyond the limit of {MAX_EXPANDED} bytes");
         return Err(Error::input(path, format!("{problem}; import the table in parts")));
     }
     Ok(expanded)

@@ -10,7 +10,7 @@ use crate::dialect::{TableText, is_named};
 use crate::ply;
 use crate::polygons::{Polygons, Triangles};
 use crate::text::{POINT_ADVICE, TextField, TextRow, VERTEX_ADVICE, XyzColumns, numbered_lines, read_bytes, warn_once};
-use pwrfgs_core::files::MAX_NUMBERS;
+use pwrfgs_core::files::{MAX_NUMBERS, MAX_TEXT};
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Result};
 use std::borrow::Cow;
@@ -37,7 +37,7 @@ pub fn read_mesh(path: &Path) -> Result<Triangles> {
         "ply" => ply::parse_mesh,
         _ => return Err(Error::input(path, "unsupported mesh format; export it as .obj or .ply")),
     };
-    parse(path, without_mark(&read_bytes(path, MAX_NUMBERS, MESH_ADVICE)?))
+    parse(path, without_mark(&read_bytes(path, MAX_TEXT, MESH_ADVICE)?))
 }
 
 /// Returns the content of a file without a byte order mark.
@@ -152,7 +152,7 @@ pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
 /// header, a row that is too short or too long, an invalid coordinate, or fewer points than that number.
 fn read_table_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     let is_name = |cell: &str| ["x", "y", "z"].iter().any(|name| is_named(cell, name));
-    let table = TableText::with_names(path, MAX_NUMBERS, ADVICE, &is_name)?;
+    let table = TableText::with_names(path, MAX_TEXT, ADVICE, &is_name)?;
     let column = |name| table.column(name, "x, y and z");
     let columns = if table.header.is_some() { [column("x")?, column("y")?, column("z")?] } else { [0, 1, 2] };
     let mut rows = table.rows().peekable();

@@ -2,13 +2,11 @@
 //! read.
 
 use pwrfgs_core::npy::Header;
-use pwrfgs_core::{Error, Number, Real, Result, Spectra, files, gain_fault, place_fault};
+use pwrfgs_core::{Error, Number, Real, Result, Spectra, check_memory, files, gain_fault, place_fault};
 use std::fs::File;
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 
-/// Largest array that is read into memory, bytes.
-pub(crate) const MAX_BYTES: u64 = 1 << 30;
 /// Largest number of positions in an array: an archive of a megabyte may expand to a gigabyte.
 pub(crate) const MOST_POSITIONS: usize = 2_000_000;
 
@@ -136,12 +134,19 @@ pub(crate) fn read_complex_array(path: &Path, expected: &str) -> Result<ComplexA
     if shape.contains(&0) {
         return Err(refuse(format!("has shape {} and is empty; {expected}", header.shape_text())));
     }
-    // A complex number has at least 8 bytes; growing the list would copy it.
-    let mut values = Vec::with_capacity((length.min(MAX_BYTES) / 8) as usize);
-    let pairs =
-        |piece: &[f64]| values.extend(piece.as_chunks().0.iter().map(|gain: &[f64; 2]| gain.map(|v| v as Real)));
-    read_numbers(&header, path, &mut file, length, pairs)?;
+    let numbers = NumberReader::begin(&header, path, length)?;
+    check_gains(path, numbers.count / 2)?;
+    let mut values = Vec::with_capacity(numbers.count / 2); // growing the list would copy it
+    numbers.read(&mut file, |piece| {
+        values.extend(piece.as_chunks().0.iter().map(|gain: &[f64; 2]| gain.map(|v| v as Real)));
+    })?;
     Ok(ComplexArray { shape, values })
+}
+
+/// Rejects more gains than fit into memory.
+pub(crate) fn check_gains(path: &Path, count: usize) -> Result<()> {
+    let bytes = size_of::<[Real; 2]>() as u64 * count as u64;
+    check_memory(bytes, "give fewer positions, or split the file").map_err(|fault| Error::input(path, fault))
 }
 
 /// Returns the problem with channels of real numbers of this shape, with the next step.
@@ -158,74 +163,80 @@ pub fn real_channels_fault(shape: &[usize]) -> String {
     }
 }
 
-/// Returns the numbers of an array, as [`read_numbers`].
-pub(crate) fn parse_numbers(header: &Header, path: &Path, file: &mut dyn Read, size: u64) -> Result<Vec<f64>> {
-    let mut numbers = Vec::new();
-    read_numbers(header, path, file, size, |piece| numbers.extend_from_slice(piece))?;
-    Ok(numbers)
+/// Numbers of an array whose type and length were checked before the first is read. A complex number is two: real and
+/// imaginary part.
+#[derive(Debug)]
+pub(crate) struct NumberReader<'a> {
+    header: &'a Header,
+    path: &'a Path,
+    /// Type of a part without byte order, such as `f4`, its bytes, and the number of parts of a number.
+    part: &'a str,
+    bytes: usize,
+    parts: usize,
+    /// Number of parts in the array.
+    pub(crate) count: usize,
 }
 
-/// Reads the numbers of an array from the `size` bytes of `file` after the header, in the order of the file. A complex
-/// number is two: real and imaginary part. `take` gets pieces of them, so that they are not in memory twice. Returns an error
-/// for another type or length, too many numbers, or one that is not finite.
-fn read_numbers(
-    header: &Header,
-    path: &Path,
-    file: &mut dyn Read,
-    size: u64,
-    mut take: impl FnMut(&[f64]),
-) -> Result<()> {
-    const PIECE: usize = 1 << 16;
-    let refuse = |problem: String| Err(Error::input(path, problem));
-    let (order, kind) = header.descr.split_at_checked(1).unwrap_or_default();
-    let (parts, part) = match kind {
-        "c8" => (2, "f4"),
-        "c16" => (2, "f8"),
-        "f4" | "f8" | "i1" | "i2" | "i4" | "u1" | "u2" | "u4" => (1, kind),
-        _ => {
-            let advice =
-                "give complex numbers, floats of 32 or 64 bits, or integers: save a.astype('<c8') or a.astype('<f4')";
-            return refuse(format!("holds numbers of type `{}`; {advice}", header.descr));
+impl<'a> NumberReader<'a> {
+    /// Checks an array of `size` bytes after the header. Returns an error for another type or length.
+    pub(crate) fn begin(header: &'a Header, path: &'a Path, size: u64) -> Result<Self> {
+        let refuse = |problem: String| Err(Error::input(path, problem));
+        let (parts, part) = match header.descr.get(1..).unwrap_or_default() {
+            "c8" => (2, "f4"),
+            "c16" => (2, "f8"),
+            kind @ ("f4" | "f8" | "i1" | "i2" | "i4" | "u1" | "u2" | "u4") => (1, kind),
+            _ => {
+                let advice = "give complex numbers, floats of 32 or 64 bits, or integers: save a.astype('<c8') or \
+                              a.astype('<f4')";
+                return refuse(format!("holds numbers of type `{}`; {advice}", header.descr));
+            }
+        };
+        let bytes = usize::from(part.as_bytes()[1] - b'0');
+        if header.shape.iter().try_fold((parts * bytes) as u64, |all, n| all.checked_mul(*n as u64)) != Some(size) {
+            let problem = "do not fit its length; the file is truncated or damaged: copy it again";
+            return refuse(format!("numbers of shape {} {problem}", header.shape_text()));
         }
-    };
-    let bytes = usize::from(part.as_bytes()[1] - b'0');
-    if header.shape.iter().try_fold((parts * bytes) as u64, |all, n| all.checked_mul(*n as u64)) != Some(size) {
-        let problem = "do not fit its length; the file is truncated or damaged: copy it again";
-        return refuse(format!("numbers of shape {} {problem}", header.shape_text()));
+        let count = size as usize / bytes;
+        Ok(Self { header, path, part, bytes, parts, count })
     }
-    if size.max((size_of::<Real>() * header.shape.iter().product::<usize>() * parts) as u64) > MAX_BYTES {
-        return refuse(format!("holds {size} bytes, more than {MAX_BYTES} or too many numbers; give fewer channels"));
+
+    /// Reads the numbers from `file`, in its order. `take` gets pieces of them, so that they are not in memory twice. Returns an
+    /// error for a number that is not finite.
+    pub(crate) fn read(self, file: &mut dyn Read, mut take: impl FnMut(&[f64])) -> Result<()> {
+        const PIECE: usize = 1 << 16;
+        let Self { header, path, part, bytes, parts, count } = self;
+        let is_big_endian = header.descr.starts_with('>');
+        let number = |number: &[u8]| {
+            let mut word = [0; 8];
+            word[..bytes].copy_from_slice(number);
+            if is_big_endian {
+                word[..bytes].reverse();
+            }
+            let word = u64::from_le_bytes(word);
+            let unused = 64 - 8 * bytes;
+            match part {
+                "f4" => f64::from(f32::from_bits(word as u32)),
+                "f8" => f64::from_bits(word),
+                _ if part.starts_with('i') => ((word << unused).cast_signed() >> unused) as f64,
+                _ => word as f64,
+            }
+        };
+        let (mut content, mut numbers) = (vec![0; PIECE * bytes], Vec::with_capacity(PIECE));
+        for start in (0..count).step_by(PIECE) {
+            let content = &mut content[..PIECE.min(count - start) * bytes];
+            file.read_exact(content).map_err(|e| Error::read(path, e))?;
+            numbers.clear();
+            numbers.extend(content.chunks_exact(bytes).map(number));
+            if let Some(i) = numbers.iter().position(|v| !(*v as Real).is_finite()) {
+                let value = &numbers[i / parts * parts..][..parts];
+                let value = if let [re, im] = value { format!("{:?}", (re, im)) } else { format!("{:?}", value[0]) };
+                let name = element_name(path, &header.shape, &header.fastest_first(), (start + i) / parts);
+                return Err(Error::input(path, format!("{name} is {value}; give finite numbers")));
+            }
+            take(&numbers);
+        }
+        check_end(file).map_err(|e| Error::read(path, e))
     }
-    let number = |number: &[u8]| {
-        let mut word = [0; 8];
-        word[..bytes].copy_from_slice(number);
-        if order == ">" {
-            word[..bytes].reverse();
-        }
-        let word = u64::from_le_bytes(word);
-        let unused = 64 - 8 * bytes;
-        match part {
-            "f4" => f64::from(f32::from_bits(word as u32)),
-            "f8" => f64::from_bits(word),
-            _ if part.starts_with('i') => ((word << unused).cast_signed() >> unused) as f64,
-            _ => word as f64,
-        }
-    };
-    let (count, mut content, mut numbers) = (size as usize / bytes, vec![0; PIECE * bytes], Vec::with_capacity(PIECE));
-    for start in (0..count).step_by(PIECE) {
-        let content = &mut content[..PIECE.min(count - start) * bytes];
-        file.read_exact(content).map_err(|e| Error::read(path, e))?;
-        numbers.clear();
-        numbers.extend(content.chunks_exact(bytes).map(number));
-        if let Some(i) = numbers.iter().position(|v| !(*v as Real).is_finite()) {
-            let value = &numbers[i / parts * parts..][..parts];
-            let value = if let [re, im] = value { format!("{:?}", (re, im)) } else { format!("{:?}", value[0]) };
-            let name = element_name(path, &header.shape, &header.fastest_first(), (start + i) / parts);
-            return refuse(format!("{name} is {value}; give finite numbers"));
-        }
-        take(&numbers);
-    }
-    check_end(file).map_err(|e| Error::read(path, e))
 }
 
 /// Returns the name and index of number `i` in the order of the file, in Python notation.
@@ -263,5 +274,26 @@ impl ComplexArray {
         }
         self.values.iter_mut().flatten().for_each(|v| *v = (*v as f64 / largest) as Real);
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::npy_header_as;
+    use std::fs::{self, File};
+
+    #[test]
+    fn large_channels_are_rejected_by_the_memory_they_need() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("channel.npy");
+        let positions = 1 << 30;
+        let header = npy_header_as("<c8", &[positions, 16, 64]);
+        fs::write(&path, &header).unwrap();
+        File::options().write(true).open(&path).unwrap().set_len((header.len() + (positions << 13)) as u64).unwrap();
+        let message = read_complex_array(&path, "").unwrap_err().to_string();
+        let needed = if size_of::<Real>() == 4 { "8796.1" } else { "17592.2" };
+        assert!(message.contains(&format!("channel.npy: needs {needed} GB of memory, more than the ")), "{message}");
+        assert!(message.ends_with(" GB that are available; give fewer positions, or split the file"), "{message}");
     }
 }

@@ -9,11 +9,11 @@ use crate::folder::{
     transmitter_yaml,
 };
 use crate::nerf2::POSES;
-use crate::npy::{MAX_BYTES, MOST_POSITIONS};
+use crate::npy::MOST_POSITIONS;
 use crate::text::MAX_YAML;
 use crate::{Arrays, Channels, Nerf2Rssi};
 use crate::{npy_header, npy_header_as};
-use pwrfgs_core::files::{self, GrowingFile, MAX_TEXT, NewFolder};
+use pwrfgs_core::files::{self, GrowingFile, MAX_NUMBERS, MAX_TEXT, NewFolder};
 use pwrfgs_core::messages::cell;
 use pwrfgs_core::{
     DataSource, Dataset, Elevation, End, Error, Number, Observations, Pose, Real, Receiver, Result, Spectra,
@@ -95,13 +95,12 @@ impl FolderWriter<'_> {
     fn write_file(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
         let (path, length) = (self.path.join(name), bytes.as_ref().len() as u64);
         let limit = match path.extension().and_then(|extension| extension.to_str()) {
-            Some("yml") => MAX_YAML,
-            Some("npy") => MAX_BYTES,
+            Some("yml") => MAX_YAML.into(),
+            Some("npy") => MAX_NUMBERS,
             _ => MAX_TEXT,
         };
-        if length > limit {
-            let problem = format!("{name} would have {length} bytes, more than the {limit} that can be read");
-            return refuse(&format!("{problem}; save parts"));
+        if let Err(problem) = limit.check(length) {
+            return refuse(&format!("{name} would have {length} bytes, but its reader {problem}"));
         }
         files::write(&path, bytes)
     }
@@ -256,8 +255,10 @@ impl FolderWriter<'_> {
         self.write_locations()?;
         let descr = if size_of::<Real>() == 8 { "<c16" } else { "<c8" };
         let header = npy_header_as(descr, &[self.data.len(), channels.antennas, hz.len()]);
-        let bytes = channels.gains.iter().flatten().flat_map(|part| part.to_le_bytes());
-        self.write_file("channel.npy", header.into_iter().chain(bytes).collect::<Vec<u8>>())
+        let mut file = GrowingFile::create(self.path.join("channel.npy"), &header)?;
+        let bytes = |i: usize| channels.of(i).iter().flatten().flat_map(|part| part.to_le_bytes()).collect::<Vec<u8>>();
+        (0..self.data.len()).try_for_each(|i| file.append(&bytes(i)))?;
+        file.finish()
     }
 
     /// Writes the IDs of the locations, unless they are those that the reader assigns: rows of spectra from 1, others from 0.

@@ -1,6 +1,7 @@
 //! Text files whose errors are reported with line and column, both counted from 1.
 
 use crate::checks::power_fault;
+use pwrfgs_core::files::ReadLimit;
 use pwrfgs_core::{Error, MAX_COORDINATE_M, Real, Result, coordinate_fault, files, messages::quoted};
 use serde::de::DeserializeOwned;
 use serde_saphyr::{Spanned, UserMessageFormatter};
@@ -123,9 +124,9 @@ pub fn warn_once(path: &Path, problem: impl Display) {
     }
 }
 
-/// Reads a file of at most `limit` bytes; `advice` is the next step if it does not exist. Returns an error for a
+/// Reads a file within `limit`; `advice` is the next step if it does not exist. Returns an error for a
 /// missing, irregular or larger file.
-pub(crate) fn read_bytes(path: &Path, limit: u64, advice: &str) -> Result<Vec<u8>> {
+pub(crate) fn read_bytes(path: &Path, limit: impl Into<ReadLimit>, advice: &str) -> Result<Vec<u8>> {
     files::read_at_most(path, limit).map_err(|source| unreadable_error(path, source, "file", advice))
 }
 
@@ -139,9 +140,9 @@ pub(crate) fn unreadable_error(path: &Path, source: std::io::Error, kind: &str, 
     }
 }
 
-/// Reads a text file of at most `limit` bytes, without a byte order mark; `advice` is the next step if it does not
+/// Reads a text file within `limit`, without a byte order mark; `advice` is the next step if it does not
 /// exist. Returns an error for a missing, irregular or larger file, or one that is not UTF-8.
-pub(crate) fn read_text(path: &Path, limit: u64, advice: &str) -> Result<String> {
+pub(crate) fn read_text(path: &Path, limit: impl Into<ReadLimit>, advice: &str) -> Result<String> {
     files::read_text_at_most(path, limit).map_err(|e| match e {
         Error::Read { source, .. } => unreadable_error(path, source, "file", advice),
         other => other,

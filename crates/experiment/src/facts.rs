@@ -4,7 +4,7 @@ use crate::findings::Finding;
 use crate::folder::{FACTS, MODEL_FILE, REMADE, REPORT, SAMPLES, SCORES, sealed_files};
 use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, digest, if_found, write_atomically};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, peak_memory};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -257,19 +257,6 @@ fn format_time(seconds: u64) -> String {
     format!("{year:04}-{month:02}-{:02}T{hours:02}:{minutes:02}:{seconds:02}Z", days + 1)
 }
 
-/// Returns the largest resident memory of this process, bytes; 0 if unavailable.
-pub(crate) fn peak_memory() -> u64 {
-    let status = files::read_string("/proc/self/status").unwrap_or_default();
-    memory_entry(&status, "VmHWM:").unwrap_or(0)
-}
-
-/// Returns the memory available to this process, bytes: the minimum of free memory, the limit of the control group (a
-/// job of Slurm, a container) and `ulimit -v`; `None` if unavailable.
-pub(crate) fn free_memory() -> Option<u64> {
-    let machine = memory_entry(&files::read_string("/proc/meminfo").unwrap_or_default(), "MemAvailable:");
-    [machine, free_control_group_memory(), free_address_space()].into_iter().flatten().min()
-}
-
 /// Returns the load average of the machine over the last minute, and its number of cores; `None` if the system does
 /// not report it.
 pub(crate) fn load_average() -> Option<(f64, usize)> {
@@ -279,30 +266,6 @@ pub(crate) fn load_average() -> Option<(f64, usize)> {
     let info = files::read_string("/proc/cpuinfo").ok()?;
     let cores = info.lines().filter(|line| line.starts_with("processor")).count();
     (cores > 0).then_some((load, cores))
-}
-
-/// Returns the bytes that follow `name` in a `text` of lines such as `VmHWM:  1234 kB`; `None` without such a line.
-fn memory_entry(text: &str, name: &str) -> Option<u64> {
-    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
-    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
-}
-
-/// Returns the remaining memory of the control group (version 2), bytes; `None` without a limit.
-fn free_control_group_memory() -> Option<u64> {
-    let groups = files::read_string("/proc/self/cgroup").ok()?;
-    let path = groups.lines().find_map(|line| line.strip_prefix("0::"))?.trim();
-    let number =
-        |file: &str| files::read_string(format!("/sys/fs/cgroup{path}/{file}")).ok()?.trim().parse::<u64>().ok();
-    Some(number("memory.max")?.saturating_sub(number("memory.current")?))
-}
-
-/// Returns the remaining address space of `ulimit -v`, bytes; `None` without a limit.
-fn free_address_space() -> Option<u64> {
-    let limits = files::read_string("/proc/self/limits").ok()?;
-    let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
-    let limit = line.split_whitespace().next()?.parse::<u64>().ok()?;
-    let used = memory_entry(&files::read_string("/proc/self/status").ok()?, "VmSize:")?;
-    Some(limit.saturating_sub(used))
 }
 
 #[cfg(test)]
@@ -336,14 +299,5 @@ mod tests {
         assert_eq!(format_time(0), "1970-01-01T00:00:00Z");
         assert_eq!(format_time(951_782_400), "2000-02-29T00:00:00Z");
         assert_eq!(format_time(1_795_254_559), "2026-11-21T09:49:19Z");
-    }
-
-    #[test]
-    fn reads_peak_and_free_memory_on_linux() {
-        if cfg!(target_os = "linux") {
-            assert!(peak_memory() > 1_000_000 && free_memory().is_some_and(|bytes| bytes > 1_000_000));
-        }
-        assert_eq!(memory_entry("VmRSS:\t  12 kB\nVmHWM:\t    7 kB\n", "VmHWM:"), Some(7 * 1024));
-        assert_eq!(memory_entry("VmHWM: unlimited\n", "VmHWM:"), None);
     }
 }

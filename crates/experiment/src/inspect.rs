@@ -8,7 +8,7 @@ mod inspection;
 pub use crate::findings::pose::{Correction, PoseCheck, PoseVerdict};
 pub use inspection::{Inspection, SplitScores};
 
-use crate::facts::{free_memory, load_average, peak_memory};
+use crate::facts::load_average;
 use crate::findings::channels::PhaseCheck;
 use crate::findings::{cloud, pose, spectra};
 use crate::input::resolve_pipeline;
@@ -21,7 +21,7 @@ use crate::text::{format_length, grouped, number};
 use crate::training::new_trainer;
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::statistics::{median, quantile, sorted};
-use pwrfgs_core::{Dataset, Partition, Result, Unmatched};
+use pwrfgs_core::{Dataset, Partition, Result, Unmatched, free_memory, peak_memory};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::{TimeEstimate, Trainer};
 use std::fmt::Write as _;

@@ -5,7 +5,7 @@
 //! Snapshots depend only on the step and are written before its checkpoint; a resumed run rewrites them.
 
 use crate::evaluation_set::EvaluationSet;
-use crate::facts::{Facts, free_memory};
+use crate::facts::Facts;
 use crate::folder::{
     BEST_MODEL, CHECKPOINT, MODEL_FILE, START_SNAPSHOT, UNPRUNED_SNAPSHOT, VALIDATION, pruned_snapshot,
 };
@@ -16,7 +16,7 @@ use crate::run_folder::RunFolder;
 use crate::session::{NoopObserver, Session, Start, Validation, staged};
 use crate::statistics::Summary;
 use pwrfgs_core::files::{self, if_found, write_atomically};
-use pwrfgs_core::{Dataset, Error, Progress, Result, Task, Values, evenly};
+use pwrfgs_core::{Dataset, Error, Progress, Result, Task, Values, evenly, free_memory};
 use pwrfgs_model::Snapshot;
 use pwrfgs_model::{Model, file};
 use pwrfgs_pipeline::{Pipeline, defaults};

@@ -63,13 +63,15 @@ fn main() {
             seed: set("SEED", 0.0) as u64,
             ..defaults
         };
+        let each: Vec<&[[Real; 2]]> = h.chunks(1).collect();
         let start = Instant::now();
         let mut report_progress = |sources| {
             if verbose {
                 eprintln!("{:6.1} s {sources} sources", start.elapsed().as_secs_f64());
             }
         };
-        let found = pursue_sources(&links(before), h, &options, &AtomicBool::new(false), &mut report_progress).unwrap();
+        let found =
+            pursue_sources(&links(before), &each, &options, &AtomicBool::new(false), &mut report_progress).unwrap();
         let seconds = start.elapsed().as_secs_f64();
         let cloud = found.to_cloud();
         let fitted = snr_db(&field(&cloud, None, &links(before)), h);

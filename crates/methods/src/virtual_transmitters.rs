@@ -233,7 +233,7 @@ const MOST: usize = 1_000;
 impl MatchingPursuit {
     /// Returns the training channels at the lowest carrier, which the search reads; an error if data or method do not
     /// fit the search.
-    fn training_channels(&self, input: &InitializerInput<'_>) -> Result<ObservedChannels> {
+    fn training_channels<'a>(&self, input: &InitializerInput<'a>) -> Result<ObservedChannels<'a>> {
         let (data, demands) = (input.data, &[self.demand()]);
         check_compatible(&Parts { data: Some(data), method: Some(input.method), demands, ..Parts::default() })
             .map_err(Misfit::error)?;
@@ -246,7 +246,7 @@ impl MatchingPursuit {
             positions: train.iter().map(|&i| scene.origin.local(input.data.sample(i).position())).collect(),
             antennas: antenna_positions(&scene.receivers[0], scene.pose()),
             frequencies: MeasurementSetup::of(input.data, input.data.plane()).frequencies_of(lowest),
-            channel: train.iter().flat_map(|&i| channels.of(i)).copied().collect(),
+            channel: train.iter().map(|&i| channels.of(i)).collect(),
         })
     }
 
@@ -260,14 +260,15 @@ impl MatchingPursuit {
 }
 
 /// Training channels at the lowest carrier.
-struct ObservedChannels {
+struct ObservedChannels<'a> {
     positions: Vec<[Real; 3]>,
     antennas: Vec<[Real; 3]>,
     frequencies: Vec<f64>,
-    channel: Vec<[Real; 2]>,
+    /// Gains `[A,F]` per position, those of the data.
+    channel: Vec<&'a [[Real; 2]]>,
 }
 
-impl ObservedChannels {
+impl ObservedChannels<'_> {
     /// Returns positions, antennas and subcarriers of the channels.
     fn inputs(&self) -> ChannelInputs<'_> {
         let Self { positions, antennas, frequencies, .. } = self;

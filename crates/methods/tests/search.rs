@@ -35,6 +35,11 @@ fn options() -> PursuitOptions {
     PursuitOptions { settings: settings(), rows: [256, 1024, 1024], peaks: 32, ..PursuitOptions::default() }
 }
 
+/// Returns the `each` = A·F gains of every position.
+fn per_position(h: &[[Real; 2]], each: usize) -> Vec<&[[Real; 2]]> {
+    h.chunks(each).collect()
+}
+
 fn nearest(found: &VirtualSources, v: [f64; 3]) -> f64 {
     let by = |p: &[f64; 3]| (0..3).map(|k| (p[k] - v[k]).powi(2)).sum::<f64>().sqrt();
     found.positions.iter().map(by).fold(f64::MAX, f64::min)
@@ -51,7 +56,7 @@ fn finds_virtual_transmitters_of_room() {
         reports += 1;
         stop.store(sources >= 6.0, Relaxed);
     };
-    let found = pursue_sources(&links, &h, &options(), &stop, &mut report_progress).unwrap();
+    let found = pursue_sources(&links, &per_position(&h, 1), &options(), &stop, &mut report_progress).unwrap();
     assert!(reports >= 4);
     for v in &truth.positions {
         assert!(nearest(&found, *v) < 0.02, "{v:?}: {found:?}");
@@ -60,7 +65,7 @@ fn finds_virtual_transmitters_of_room() {
     let once = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let two = PursuitOptions { settings: MatchingPursuit { most: 2, ..settings() }, ..options() };
-        pool.install(|| pursue_sources(&links, &h, &two, &NEVER, &mut |_| ()).unwrap())
+        pool.install(|| pursue_sources(&links, &per_position(&h, 1), &two, &NEVER, &mut |_| ()).unwrap())
     };
     assert_eq!(once(1), once(3), "the same bits on any number of threads");
 }
@@ -78,8 +83,9 @@ fn finds_rotation_of_mirrored_array() {
     let links = ChannelInputs { positions: &positions, antennas: &antennas, frequencies: &[0.4e9, 0.43e9] };
     let h = field(&truth.to_cloud(), None, &links);
     let stop = AtomicBool::new(false);
+    let h_of = per_position(&h, 18);
     let found =
-        pursue_sources(&links, &h, &options(), &stop, &mut |sources| stop.store(sources >= 5.0, Relaxed)).unwrap();
+        pursue_sources(&links, &h_of, &options(), &stop, &mut |sources| stop.store(sources >= 5.0, Relaxed)).unwrap();
     for v in &truth.positions {
         assert!(nearest(&found, *v) < 0.03, "{v:?}: {found:?}");
     }
@@ -106,7 +112,7 @@ fn finds_direction_dependent_gains() {
     let h = field(&truth.to_cloud(), None, &links);
     let score = |order: usize| {
         let options = PursuitOptions { settings: MatchingPursuit { most: 2, ..settings() }, order, ..options() };
-        let found = pursue_sources(&links, &h, &options, &NEVER, &mut |_| ()).unwrap();
+        let found = pursue_sources(&links, &per_position(&h, 1), &options, &NEVER, &mut |_| ()).unwrap();
         (snr_db(&field(&found.to_cloud(), None, &links), &h), found)
     };
     let ((flat, _), (directed, found)) = (score(0), score(2));
@@ -133,8 +139,11 @@ fn reports_unsupported_search_input() {
         (links, &h[..], PursuitOptions { order: 4, ..options() }, "`order`"),
         (links, &h[..], PursuitOptions { peaks: 0, ..options() }, "`peaks`"),
     ] {
-        let why = pursue_sources(&links, h, &options, &NEVER, none).unwrap_err();
+        let why = pursue_sources(&links, &per_position(h, 1), &options, &NEVER, none).unwrap_err();
         assert!(why.contains(word), "{why}");
     }
-    assert!(pursue_sources(&links, &h, &options(), &NEVER, none).is_ok(), "three links are enough not to panic");
+    assert!(
+        pursue_sources(&links, &per_position(&h, 1), &options(), &NEVER, none).is_ok(),
+        "three links are enough not to panic"
+    );
 }

@@ -9,13 +9,11 @@ use glam::{DMat3, DMat4, DVec3};
 use pwrfgs_core::{Error, Result};
 pub(crate) use pwrfgs_data::MOST_TRIANGLES;
 use pwrfgs_data::warn_once;
-use std::{cell::Cell, collections::HashMap, fs, path::Path};
+use std::{cell::Cell, collections::HashMap, path::Path};
 
 /// Ratio of height to longest side below which a triangle is degenerate.
 const FLAT: f64 = 1e-9;
 
-/// Largest mesh file, bytes.
-pub(crate) const MOST_BYTES: u64 = 128 << 20;
 /// Largest number of triangles that share an edge.
 const MOST_SHARED: usize = 64;
 /// Ratio of distance to size below which triangles coincide, and of areas below which nothing remains.
@@ -56,11 +54,6 @@ pub(crate) fn named_mesh(name: &Path) -> Option<Mesh> {
 pub fn read_mesh(path: &Path) -> Result<Mesh> {
     if let Some(mesh) = named_mesh(path) {
         return Ok(mesh);
-    }
-    let bytes = fs::metadata(path).map_err(|e| Error::read(path, e))?.len();
-    if bytes > MOST_BYTES {
-        let problem = format!("has {} MB, and at most {} can be read; simplify it", bytes >> 20, MOST_BYTES >> 20);
-        return Err(Error::input(path, problem));
     }
     let (vertices, triangles) = pwrfgs_data::read_mesh(path)?;
     let mesh = Mesh { vertices: vertices.into_iter().map(DVec3::from_array).collect(), triangles }.welded();

@@ -3,7 +3,7 @@
 use crate::mesh;
 use crate::observe::ObservationKind;
 use crate::scene::{Object, SceneFile, SceneReceiver};
-use pwrfgs_core::{Error, Result, files};
+use pwrfgs_core::{Error, Result, check_memory, files};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -12,8 +12,6 @@ const EDITION: u32 = 3;
 /// Largest number of links of a data set: 32 GB of spectra as an array. Fewer are allowed as images
 /// ([`crate::output::write_dataset`]).
 const MOST_SAMPLES: usize = 1_000_000;
-/// Largest size of all channels of a data set, bytes; training needs them in memory.
-const MOST_BYTES: usize = 8 << 30;
 /// Largest number of points of a cloud.
 const MOST_POINTS: usize = 50_000_000;
 
@@ -51,7 +49,7 @@ impl SimulationRecipe {
             if let Some(hash) = hashes.get(&file) {
                 return Ok(String::clone(hash));
             }
-            let bytes = files::read_at_most(&file, mesh::MOST_BYTES).map_err(|e| Error::read(&file, e))?;
+            let bytes = files::read(&file).map_err(|e| Error::read(&file, e))?;
             Ok(hashes.entry(file).or_insert(format!("{:016x}", fnv1a_hash(&bytes))).clone())
         };
         let meshes = scene.objects.iter().filter_map(file).map(hash).collect::<Result<Vec<_>>>()?;
@@ -139,7 +137,7 @@ pub(crate) fn check_counts(samples: usize, points: usize) -> Result<(), String> 
     Ok(())
 }
 
-/// Returns an error if receivers have different numbers of antennas, or all channels exceed [`MOST_BYTES`].
+/// Returns an error if receivers have different numbers of antennas, or all channels do not fit into memory.
 fn check_channels(scene: &SceneFile, samples: usize) -> Result<()> {
     let elements = |receiver: &SceneReceiver| receiver.array.element_count();
     let (first, count) = (&scene.receiver, elements(&scene.receiver));
@@ -155,16 +153,10 @@ fn check_channels(scene: &SceneFile, samples: usize) -> Result<()> {
     }
     let numbers = [scene.receivers().count(), count, scene.frequencies().len()].into_iter().product::<usize>();
     let bytes = numbers.saturating_mul(samples).saturating_mul(8);
-    if bytes > MOST_BYTES {
-        return Err(Error::Config(format!(
-            "scene `{}`: channels of {samples} transmitters would take {} GB, more than {}; give fewer samples, antennas or \
-             subcarriers",
-            scene.name,
-            bytes >> 30,
-            MOST_BYTES >> 30
-        )));
-    }
-    Ok(())
+    // Training needs them in memory.
+    check_memory(bytes as u64, "give fewer samples, antennas or subcarriers").map_err(|fault| {
+        Error::Config(format!("scene `{}`: training with channels of {samples} transmitters {fault}", scene.name))
+    })
 }
 
 /// Returns the 64-bit FNV-1a hash: equal on every machine and in every version.

@@ -20,6 +20,7 @@ use crate::mesh::named_mesh;
 use crate::spectrum::SpectrumKind;
 use mitsuba::MitsubaScene;
 use propagation::check_carriers;
+use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::plugin::{Checked, read_ron};
 use pwrfgs_core::{Error, Result, ShippedFile, did_you_mean, files};
 use serde::{Deserialize, Serialize};
@@ -28,8 +29,6 @@ use std::path::{Path, PathBuf};
 
 /// Longest name, characters.
 const LONGEST_NAME: usize = 200;
-/// Largest scene file, bytes.
-const MOST_BYTES: u64 = 64 << 20;
 /// Smallest and largest real part of the relative permittivity; outside, coefficients round or overflow.
 const LEAST_PERMITTIVITY: f64 = 1e-6;
 const MOST_PERMITTIVITY: f64 = 1e70;
@@ -104,7 +103,7 @@ impl SceneFile {
         if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("xml")) {
             return Self::read_mitsuba(path);
         }
-        let text = ShippedFile::read(ShippedFile::SCENES, path, MOST_BYTES)?;
+        let text = ShippedFile::read(ShippedFile::SCENES, path, MAX_TEXT)?;
         let mut scene: Self = read_ron(&text, path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         scene.transmitter.positions.read_file(folder, scene.moving_receiver.is_some())?;

@@ -1,9 +1,9 @@
 //! `Predictions`: predictions of another program for the test set, read from a folder.
 
 use crate::dialect::read_columns;
-use crate::npy::MAX_BYTES;
 use crate::pictures::list_numbered_files;
 use crate::text::read_bytes;
+use pwrfgs_core::files::MAX_NUMBERS;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::npy::Header;
 use pwrfgs_core::{
@@ -126,7 +126,7 @@ impl Prediction {
             Self::File(path) => path,
         };
         let refuse = |problem: String| Err(Error::input(path, problem));
-        let bytes = read_bytes(path, MAX_BYTES, ADVICE)?;
+        let bytes = read_bytes(path, MAX_NUMBERS, ADVICE)?;
         let Header { descr, fortran, shape, offset } = Header::read(path, &mut &bytes[..])?;
         let (expected, size, axes, parts) = if task.is_complex {
             ("<c8", [height / 2, width], "[antennas, subcarriers]", 2)

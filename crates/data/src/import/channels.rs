@@ -6,7 +6,7 @@ mod tests;
 
 use super::source::read_positions;
 use crate::checks::{check_frequencies, uniform_subcarriers};
-use array::ChannelArray;
+use array::Part;
 use clap::Args;
 use pwrfgs_core::{Channels, Dataset, Error, Observations, Pose, Real, Receiver, Result, Sample, Simulation};
 use std::path::PathBuf;
@@ -85,12 +85,17 @@ impl ChannelImport {
             }
         }
         let data =
-            if self.powers { self.powers(&grid, kind, &received, &tx)? } else { self.gains(&grid, &received, &tx)? };
+            if self.powers { self.powers(&grid, kind, &received, &tx)? } else { self.gains(grid, &received, &tx)? };
         Ok((Dataset { simulation: self.simulated.then(Simulation::default), ..data }, notes))
     }
 
     /// Creates the channels of the positions, antennas and subcarriers that were `received`.
-    fn gains(&self, grid: &Grid, [rows, antennas, subcarriers]: &[Vec<usize>; 3], tx: &[[f64; 3]]) -> Result<Dataset> {
+    fn gains(
+        &self,
+        mut grid: Grid,
+        [rows, antennas, subcarriers]: &[Vec<usize>; 3],
+        tx: &[[f64; 3]],
+    ) -> Result<Dataset> {
         let (path, [_, count, width]) = (&self.channels[0], grid.size);
         let missing =
             || Error::Config("--carrier-hz is missing; give the centre frequency in Hz, such as 2.437e9".into());
@@ -103,11 +108,18 @@ impl ChannelImport {
             let advice = "give the position of each in the receiver's frame, or correct --axes";
             return Err(Error::input(path, format!("{problem}; {advice}")));
         }
-        let cells = |m: &usize| grid.cells(*m, antennas, subcarriers);
+        // The rows of the gains that were received stay in their order.
+        let is_in = |list: &[usize], n| (0..n).map(|i| list.binary_search(&i).is_ok()).collect::<Vec<_>>();
+        let kept = [is_in(rows, grid.size[0]), is_in(antennas, count), is_in(subcarriers, width)];
+        let mut i = 0;
+        grid.gains.retain(|_| {
+            i += 1;
+            kept[0][(i - 1) / (count * width)] && kept[1][(i - 1) / width % count] && kept[2][(i - 1) % width]
+        });
         let channels = Channels {
             antennas: antennas.len(),
             frequencies_hz: subcarriers.iter().map(|f| hz[*f]).collect(),
-            gains: rows.iter().flat_map(|m| cells(m).map(|gain| gain.map(|v| v as Real)).collect::<Vec<_>>()).collect(),
+            gains: grid.gains,
         };
         let antennas = antennas.iter().map(|a| places[*a]).collect();
         let receiver = Receiver { antennas, ..Receiver::new("receiver", self.receiver) };
@@ -147,7 +159,7 @@ struct Grid {
     /// Numbers of positions, antennas and subcarriers.
     size: [usize; 3],
     /// Real and imaginary parts.
-    gains: Vec<[f64; 2]>,
+    gains: Vec<[Real; 2]>,
 }
 
 impl Grid {
@@ -161,12 +173,11 @@ impl Grid {
         }
         let (mut size, mut gains) = ([0; 3], Vec::new());
         for (k, path) in files.iter().enumerate() {
-            let array = ChannelArray::read(path, if imag.is_empty() { "channels" } else { "real" })?;
-            let array = match imag.get(k) {
-                Some(imag) => array.with_imaginary(ChannelArray::read(imag, "imag")?)?,
-                None => array,
-            };
-            let [m, a, f] = array.append_to(&mut gains, &import.axes)?;
+            let part = if imag.is_empty() { Part::Whole } else { Part::Real };
+            let here @ [m, a, f] = part.read(path, &import.axes, &mut gains, [0; 3])?;
+            if let Some(imag) = imag.get(k) {
+                Part::Imaginary.read(imag, &import.axes, &mut gains, here)?;
+            }
             if k > 0 && [a, f] != size[1..] {
                 let problem =
                     format!("has {a} antennas and {f} subcarriers, but the first file {} and {}", size[1], size[2]);
@@ -190,7 +201,9 @@ impl Grid {
         subcarriers: &'a [usize],
     ) -> impl Iterator<Item = [f64; 2]> + 'a {
         let [_, count, width] = self.size;
-        antennas.iter().flat_map(move |a| subcarriers.iter().map(move |f| self.gains[(m * count + a) * width + f]))
+        antennas.iter().flat_map(move |a| {
+            subcarriers.iter().map(move |f| self.gains[(m * count + a) * width + f].map(|v| v as f64))
+        })
     }
 
     /// Returns the indices of the positions, of the antennas and of the subcarriers that have a gain other than zero.
@@ -205,7 +218,7 @@ impl Grid {
 
     /// Returns the meaning of the numbers; `None` for real numbers of both signs.
     fn kind(&self) -> Option<Kind> {
-        let any = |is: fn(&[f64; 2]) -> bool| self.gains.iter().any(is);
+        let any = |is: fn(&[Real; 2]) -> bool| self.gains.iter().any(is);
         match (any(|[_, im]| *im != 0.0), any(|[re, _]| *re < 0.0), any(|[re, _]| *re > 0.0)) {
             (true, ..) => Some(Kind::Complex),
             (false, false, _) => Some(Kind::Amplitude),

@@ -98,9 +98,6 @@ pub(crate) struct PhaseCheck {
     step: [f64; 2],
 }
 
-/// Position, channel of unit energy `[A,F]`, and distance to each antenna `[A]`.
-type Snapshot = ([f64; 3], Vec<DVec2>, Vec<f64>);
-
 impl PhaseCheck {
     /// Compares at most [`MOST_GAINS`] gains; `None` for other observations, unknown positions, gains without phase, or fewer
     /// than [`FEWEST`] snapshots.
@@ -117,14 +114,14 @@ impl PhaseCheck {
             return None;
         }
         let hz = MeasurementSetup::of(data, data.plane()).frequencies_of(0);
-        let snapshots: Vec<Snapshot> = links.iter().map(|i| snapshot(data, channels, *i)).collect();
+        let snapshots: Vec<Snapshot<'_>> = links.iter().map(|i| Snapshot::of(data, channels, *i)).collect();
         let points: Vec<[Real; 3]> =
-            snapshots.iter().map(|(position, ..)| data.scene.origin.local(*position)).collect();
+            snapshots.iter().map(|snapshot| data.scene.origin.local(snapshot.position)).collect();
         let other = |(i, near): (usize, &Vec<(usize, Real)>)| near.iter().find(|(j, _)| *j != i).copied();
         let nearest: Vec<(usize, Real)> =
             k_nearest(&points, &points, 2).iter().enumerate().map(|each| other(each).unwrap_or_default()).collect();
         let step = median(nearest.iter().map(|(_, squared)| (*squared as f64).sqrt()));
-        let fits = [1.0, -1.0].map(|sign| Coherence::of(&snapshots, &hz, &nearest, sign));
+        let fits = Coherence::of(&snapshots, &hz, &nearest);
         let carrier_hz = hz.iter().sum::<f64>() / hz.len() as f64;
         Some(Self { count: links.len(), fits, step: [step, step * carrier_hz / SPEED_OF_LIGHT] })
     }
@@ -177,39 +174,74 @@ impl PhaseCheck {
     }
 }
 
-/// Returns link `i` at the first receiver.
-fn snapshot(data: &Dataset, channels: &Channels, i: usize) -> Snapshot {
-    let [transmitter, receiver] = data.link_ends(i);
-    let far = |antenna: &[f64; 3]| {
-        let from = DVec3::from_array(receiver.position) + DVec3::from_array(receiver.turned(*antenna));
-        from.distance(DVec3::from_array(transmitter.position))
-    };
-    let gains: Vec<DVec2> = channels.of(i).iter().map(|gain| DVec2::from_array(gain.map(|v| v as f64))).collect();
-    let size = gains.iter().map(|gain| gain.length_squared()).sum::<f64>().sqrt();
-    let distances = data.scene.receivers[0].antennas.iter().map(far).collect();
-    (data.sample(i).position(), gains.into_iter().map(|gain| gain / size).collect(), distances)
+/// Channel of one position: a view of the data, because copies of all would double their memory.
+struct Snapshot<'a> {
+    position: [f64; 3],
+    /// Gains `[A,F]`, and the root of their energy.
+    gains: &'a [[Real; 2]],
+    size: f64,
+    /// Distance to each antenna `[A]`, metres.
+    distances: Vec<f64>,
+}
+
+impl<'a> Snapshot<'a> {
+    /// Returns link `i` at the first receiver.
+    fn of(data: &Dataset, channels: &'a Channels, i: usize) -> Self {
+        let [transmitter, receiver] = data.link_ends(i);
+        let far = |antenna: &[f64; 3]| {
+            let from = DVec3::from_array(receiver.position) + DVec3::from_array(receiver.turned(*antenna));
+            from.distance(DVec3::from_array(transmitter.position))
+        };
+        let (position, gains) = (data.sample(i).position(), channels.of(i));
+        let size = gains.iter().map(|gain| vector(gain).length_squared()).sum::<f64>().sqrt();
+        Self { position, gains, size, distances: data.scene.receivers[0].antennas.iter().map(far).collect() }
+    }
+
+    /// Returns the gains of unit energy `[A,F]` after removal of the delay of the direct path, by both signs of time.
+    fn turned<'b>(&'b self, hz: &'b [f64]) -> impl Iterator<Item = [DVec2; 2]> + 'b {
+        let phase = |i: usize| TAU * hz[i % hz.len()] * self.distances[i / hz.len()] / SPEED_OF_LIGHT;
+        self.gains.iter().enumerate().map(move |(i, gain)| {
+            let (wave, gain) = (DVec2::from_angle(phase(i)), vector(gain) / self.size);
+            [wave, conjugate(wave)].map(|wave| wave.rotate(gain))
+        })
+    }
+}
+
+/// Returns a gain as a vector.
+fn vector(gain: &[Real; 2]) -> DVec2 {
+    DVec2::from_array(gain.map(|v| v as f64))
+}
+
+/// Returns the complex conjugate.
+fn conjugate(v: DVec2) -> DVec2 {
+    DVec2::new(v.x, -v.y)
 }
 
 impl Coherence {
-    /// Computes the coherence of the snapshots by the `sign` of time, each also with the `nearest` other.
-    fn of(snapshots: &[Snapshot], hz: &[f64], nearest: &[(usize, Real)], sign: f64) -> Self {
-        let turned = |(_, gains, distances): &Snapshot| -> Vec<DVec2> {
-            let phase = |i: usize| sign * TAU * hz[i % hz.len()] * distances[i / hz.len()] / SPEED_OF_LIGHT;
-            gains.iter().enumerate().map(|(i, gain)| DVec2::from_angle(phase(i)).rotate(*gain)).collect()
-        };
-        let turned: Vec<Vec<DVec2>> = snapshots.iter().map(turned).collect();
-        let (count, width) = (turned.len() as f64, turned[0].len());
-        let total = |i: usize| turned.iter().map(|gains| gains[i]).sum::<DVec2>().length_squared();
-        let conjugate = |v: DVec2| DVec2::new(v.x, -v.y);
-        let pair = |(i, (j, _)): (usize, &(usize, Real))| {
-            turned[i].iter().zip(&turned[*j]).map(|(a, b)| conjugate(*a).rotate(*b)).sum::<DVec2>()
-        };
-        let within = turned.iter().map(|gains| gains.iter().sum::<DVec2>().length_squared()).sum::<f64>();
-        Self {
-            all: (0..width).map(total).sum::<f64>() / count.powi(2),
-            near: nearest.iter().enumerate().map(pair).sum::<DVec2>().length() / count,
-            within: within / (count * width as f64),
+    /// Computes the coherence of the snapshots by both signs of time, each also with the `nearest` other.
+    fn of(snapshots: &[Snapshot<'_>], hz: &[f64], nearest: &[(usize, Real)]) -> [Self; 2] {
+        let (count, width) = (snapshots.len() as f64, snapshots[0].gains.len());
+        let mut totals = vec![[DVec2::ZERO; 2]; width];
+        let (mut within, mut near) = ([0.0; 2], [DVec2::ZERO; 2]);
+        for (snapshot, (other, _)) in snapshots.iter().zip(nearest) {
+            let (mut sums, mut products) = ([DVec2::ZERO; 2], [DVec2::ZERO; 2]);
+            for (total, (a, b)) in totals.iter_mut().zip(snapshot.turned(hz).zip(snapshots[*other].turned(hz))) {
+                for sign in 0..2 {
+                    total[sign] += a[sign];
+                    sums[sign] += a[sign];
+                    products[sign] += conjugate(a[sign]).rotate(b[sign]);
+                }
+            }
+            for sign in 0..2 {
+                within[sign] += sums[sign].length_squared();
+                near[sign] += products[sign];
+            }
         }
+        [0, 1].map(|sign| Self {
+            all: totals.iter().map(|total| total[sign].length_squared()).sum::<f64>() / count.powi(2),
+            near: near[sign].length() / count,
+            within: within[sign] / (count * width as f64),
+        })
     }
 }
 

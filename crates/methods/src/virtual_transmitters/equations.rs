@@ -166,17 +166,16 @@ pub(crate) struct MeasurementRows {
 }
 
 impl MeasurementRows {
-    /// Creates the rows of the channel `h` `[M,A,F]` at the listed positions (`items`) and `values` of A·F; above `most`
+    /// Creates the rows of the channel `h`, `[A,F]` per position, at the listed positions (`items`) and `values` of A·F; above `most`
     /// rows, an equal number per item, drawn at random.
     pub(crate) fn new(
         links: &ChannelInputs<'_>,
-        h: &[[Real; 2]],
+        h: &[&[[Real; 2]]],
         (items, values): (&[usize], &[usize]),
         most: usize,
         seed: u64,
     ) -> Self {
         let subcarriers = links.frequencies.len();
-        let each = links.antennas.len() * subcarriers;
         let taken = (most / items.len().max(1)).clamp(1, values.len());
         let items = evenly(items, most);
         let mut order = values.to_vec();
@@ -189,7 +188,7 @@ impl MeasurementRows {
                 out.p.push(links.positions[m].map(f64::from));
                 out.r.push(links.antennas[k / subcarriers].map(f64::from));
                 out.per_metre.push(links.frequencies[k % subcarriers] / SPEED_OF_LIGHT);
-                out.h.push(h[m * each + k].map(f64::from));
+                out.h.push(h[m][k].map(f64::from));
             }
         }
         out

@@ -33,7 +33,7 @@ impl ChannelInputs<'_> {
 
     /// Checks that all inputs are finite and in range, and that `channel` has matching length, is finite and not all
     /// zero; the error is a message for users.
-    pub(crate) fn check_channel(&self, channel: &[[Real; 2]]) -> Result<(), String> {
+    pub(crate) fn check_channel(&self, channel: &[&[[Real; 2]]]) -> Result<(), String> {
         if self.value_count() == 0 {
             let [m, a, f] = [self.positions.len(), self.antennas.len(), self.frequencies.len()];
             return Err(format!("{m} positions, {a} antennas and {f} subcarriers; each must be 1 or more"));
@@ -47,14 +47,16 @@ impl ChannelInputs<'_> {
         if let Some(f) = self.frequencies.iter().find(|f| !(1e3..=1e13).contains(*f)) {
             return Err(format!("a subcarrier at {f} Hz; give 1e3 to 1e13 Hz, such as 2.4e9"));
         }
-        if channel.len() != self.value_count() {
-            let expected = self.value_count();
-            return Err(format!("{} complex numbers for {} links; give one per link", channel.len(), expected));
+        let each = self.antennas.len() * self.frequencies.len();
+        if channel.len() != self.positions.len() || channel.iter().any(|h| h.len() != each) {
+            let (given, expected) = (channel.iter().map(|h| h.len()).sum::<usize>(), self.value_count());
+            return Err(format!("{given} complex numbers for {expected} links; give one per link"));
         }
-        if let Some(i) = channel.iter().position(|[re, im]| !(re.is_finite() && im.is_finite())) {
-            return Err(format!("channel {i} is {:?}; give finite numbers", channel[i]));
+        let values = || channel.iter().copied().flatten();
+        if let Some((i, value)) = values().enumerate().find(|(_, value)| !value.iter().all(|part| part.is_finite())) {
+            return Err(format!("channel {i} is {value:?}; give finite numbers"));
         }
-        if channel.iter().all(|h| *h == [0.0; 2]) {
+        if values().all(|h| *h == [0.0; 2]) {
             return Err("the channel is zero everywhere; check the data".into());
         }
         Ok(())

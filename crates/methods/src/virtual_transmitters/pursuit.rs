@@ -56,14 +56,14 @@ impl Default for PursuitOptions {
     }
 }
 
-/// Searches for the virtual transmitters of `channel` `[M,A,F]`.
+/// Searches for the virtual transmitters of `channel`: `[A,F]` per position.
 ///
 /// `report_progress` receives the number of sources after every addition, and during a sweep with the part of the next
 /// one. Soon after `stop` is set, the search ends and returns the sources found so far. An error describes the invalid
 /// input.
 pub fn pursue_sources(
     links: &ChannelInputs<'_>,
-    channel: &[[Real; 2]],
+    channel: &[&[[Real; 2]]],
     options: &PursuitOptions,
     stop: &AtomicBool,
     report_progress: &mut dyn FnMut(f64),
@@ -88,7 +88,7 @@ pub fn pursue_sources(
 /// Returns the shortest and longest expected time of a search, seconds: it times a share of a sweep and one candidate.
 pub(crate) fn expected_pursuit_seconds(
     links: &ChannelInputs<'_>,
-    channel: &[[Real; 2]],
+    channel: &[&[[Real; 2]]],
     options: &PursuitOptions,
 ) -> [f64; 2] {
     let stop = AtomicBool::new(false);
@@ -134,7 +134,7 @@ struct Peak {
 /// One pass of the search.
 struct PursuitSearch<'a> {
     links: &'a ChannelInputs<'a>,
-    channel: &'a [[Real; 2]],
+    channel: &'a [&'a [[Real; 2]]],
     options: &'a PursuitOptions,
     stop: &'a AtomicBool,
     held_out: &'a [usize],
@@ -153,7 +153,7 @@ struct PursuitSearch<'a> {
 impl<'a> PursuitSearch<'a> {
     /// Prepares a pass over the fitted items: the grid about the positions and the rows to which sources are fitted.
     fn new(
-        (links, channel): (&'a ChannelInputs<'a>, &'a [[Real; 2]]),
+        (links, channel): (&'a ChannelInputs<'a>, &'a [&'a [[Real; 2]]]),
         options: &'a PursuitOptions,
         stop: &'a AtomicBool,
         (fitted, held_out): (&[usize], &'a [usize]),
@@ -366,8 +366,7 @@ impl<'a> PursuitSearch<'a> {
         }
         let positions: Vec<[Real; 3]> = self.held_out.iter().map(|i| self.links.positions[*i]).collect();
         let links = ChannelInputs { positions: &positions, ..*self.links };
-        let each = links.antennas.len() * links.frequencies.len();
-        let truth = self.held_out.iter().flat_map(|i| &self.channel[i * each..(i + 1) * each]);
+        let truth = self.held_out.iter().flat_map(|i| self.channel[*i]);
         snr_db(&field(&sources.to_cloud(), None, &links), truth)
     }
 }

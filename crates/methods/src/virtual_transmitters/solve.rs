@@ -284,7 +284,13 @@ mod tests {
         }
         let links = ChannelInputs { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
         let h = field(&truth.to_cloud(), None, &links);
-        let rows = MeasurementRows::new(&links, &h, (&(0..30).collect::<Vec<_>>(), &[0]), usize::MAX, 0);
+        let rows = MeasurementRows::new(
+            &links,
+            &h.chunks(1).collect::<Vec<_>>(),
+            (&(0..30).collect::<Vec<_>>(), &[0]),
+            usize::MAX,
+            0,
+        );
         let mut solved = VirtualSources { gains: vec![[0.0; 2]; 4], ..truth.clone() };
         assert!(solve_gains(&rows, &mut solved, 0.0).is_some());
         for (a, b) in solved.gains.iter().flatten().zip(truth.gains.iter().flatten()) {

@@ -7,9 +7,6 @@ use pwrfgs_experiment::{check_observed, reject_findings};
 use pwrfgs_localise::FingerprintFeatures;
 use std::path::Path;
 
-/// Largest array that is read, bytes.
-const MOST: u64 = 1 << 30;
-
 /// File with the observations of unknown transmitters.
 struct ObservationFile<'a> {
     path: &'a Path,
@@ -191,7 +188,7 @@ fn read_real_array(path: &Path, inner: &[usize], has_pixels: bool) -> Result<Vec
 
 /// Reads the header of an array file, and all its bytes.
 fn read_array_file(path: &Path) -> Result<(Header, Vec<u8>)> {
-    let bytes = files::read_at_most(path, MOST).map_err(|e| Error::read(path, e))?;
+    let bytes = files::read(path).map_err(|e| Error::read(path, e))?;
     Ok((Header::read(path, &mut bytes.as_slice())?, bytes))
 }
 

@@ -1,0 +1,98 @@
+//! One limit on the memory that a reader or a computation holds, which is compared with its need before the work.
+
+use crate::files;
+use std::path::Path;
+
+/// Maximum memory of one reader or computation, bytes: 16 GiB.
+const MOST: u64 = 1 << 34;
+
+/// Amount below which the system is not asked, bytes.
+const LITTLE: u64 = 1 << 26;
+
+/// Returns the memory that one reader or computation may hold, bytes: [`free_memory`], at most 16 GiB.
+pub fn memory_limit() -> u64 {
+    free_memory().map_or(MOST, |bytes| bytes.min(MOST))
+}
+
+/// Rejects work that holds more than [`memory_limit`].
+///
+/// # Errors
+/// The message states both amounts and the next step, which is `advice`; its subject is the file or the work.
+pub fn check_memory(bytes: u64, advice: &str) -> Result<(), String> {
+    if bytes <= LITTLE {
+        return Ok(());
+    }
+    let limit = memory_limit();
+    if bytes <= limit {
+        return Ok(());
+    }
+    let [needed, limit] = [bytes, limit].map(|bytes| bytes as f64 / 1e9);
+    Err(format!("needs {needed:.1} GB of memory, more than the {limit:.1} GB that are available; {advice}"))
+}
+
+/// Returns the largest resident memory of this process, bytes; 0 if unavailable.
+pub fn peak_memory() -> u64 {
+    let status = system_text("/proc/self/status").unwrap_or_default();
+    memory_entry(&status, "VmHWM:").unwrap_or(0)
+}
+
+/// Returns the memory available to this process, bytes: the minimum of free memory, the limit of the control group (a
+/// job of Slurm, a container) and `ulimit -v`; `None` if unavailable.
+pub fn free_memory() -> Option<u64> {
+    let machine = memory_entry(&system_text("/proc/meminfo").unwrap_or_default(), "MemAvailable:");
+    [machine, free_control_group_memory(), free_address_space()].into_iter().flatten().min()
+}
+
+/// Returns the bytes that follow `name` in a `text` of lines such as `VmHWM:  1234 kB`; `None` without such a line.
+fn memory_entry(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
+}
+
+/// Returns the remaining memory of the control group (version 2), bytes; `None` without a limit.
+fn free_control_group_memory() -> Option<u64> {
+    let groups = system_text("/proc/self/cgroup")?;
+    let path = groups.lines().find_map(|line| line.strip_prefix("0::"))?.trim();
+    let number = |file: &str| system_text(&format!("/sys/fs/cgroup{path}/{file}"))?.trim().parse::<u64>().ok();
+    Some(number("memory.max")?.saturating_sub(number("memory.current")?))
+}
+
+/// Returns the remaining address space of `ulimit -v`, bytes; `None` without a limit.
+fn free_address_space() -> Option<u64> {
+    let limits = system_text("/proc/self/limits")?;
+    let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
+    let limit = line.split_whitespace().next()?.parse::<u64>().ok()?;
+    let used = memory_entry(&system_text("/proc/self/status")?, "VmSize:")?;
+    Some(limit.saturating_sub(used))
+}
+
+/// Returns the text of a file of the system; `None` if there is none.
+fn system_text(path: &str) -> Option<String> {
+    let bytes = files::read_at_most(Path::new(path), 1 << 20).ok()?;
+    String::from_utf8(bytes).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reads_available_memory_of_system() {
+        let text = "MemTotal:       24641680 kB\nMemFree:  11 kB\nMemAvailable:   20123456 kB\n";
+        assert_eq!(memory_entry(text, "MemAvailable:"), Some(20_123_456 << 10));
+        assert_eq!(memory_entry("VmRSS:\t  12 kB\nVmHWM:\t    7 kB\n", "VmHWM:"), Some(7 * 1024));
+        assert_eq!(memory_entry("VmHWM: unlimited\n", "VmHWM:"), None);
+        assert!((1_000_000..=MOST).contains(&memory_limit()));
+        if cfg!(target_os = "linux") {
+            assert!(peak_memory() > 1_000_000 && free_memory().is_some_and(|bytes| bytes > 1_000_000));
+        }
+    }
+
+    #[test]
+    fn rejects_work_beyond_limit_with_both_amounts() {
+        assert_eq!(check_memory(1 << 10, ""), Ok(()));
+        let fault = check_memory(1 << 60, "give fewer channels").unwrap_err();
+        assert!(fault.starts_with("needs 1152921504.6 GB of memory, more than the "), "{fault}");
+        assert!(fault.ends_with(" GB that are available; give fewer channels"), "{fault}");
+    }
+}
