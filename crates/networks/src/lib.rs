@@ -10,6 +10,9 @@ pub mod dense;
 pub mod encoding;
 mod factored;
 mod factored_network;
+#[cfg(feature = "gpu")]
+#[cfg(test)]
+mod gpu_tests;
 pub mod linear;
 mod mlp;
 mod mlp_branch;
