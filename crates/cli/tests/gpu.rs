@@ -1,6 +1,6 @@
 //! `--device`: messages of programs with and without GPU support; a training on a GPU, a software one if there is no other.
 
-use crate::common::{SMALL, call, refuse, succeed, write};
+use crate::common::{refuse, succeed};
 use std::path::Path;
 
 #[test]
@@ -34,7 +34,7 @@ fn program_without_gpu_support_says_how_to_get_it() {
 #[cfg(feature = "gpu")]
 mod with_gpu {
     use super::*;
-    use crate::common::{pwrfgs, stderr, stdout, wait_for_step};
+    use crate::common::{SMALL, call, pwrfgs, stderr, stdout, wait_for_step, write};
     use crate::resume::curve;
     use pwrfgs_core::testing::skipped;
     use std::process::{Command, Output, Stdio};

@@ -2,6 +2,8 @@
 //! Arguments: the number of steps, by default 200, and the largest number of Gaussians, by default 65,469. A row ends after five
 //! seconds. `tests/gpu.sh` runs it.
 
+#![allow(clippy::print_stdout)] // its result
+
 use pwrfgs_core::device::{self, DeviceChoice};
 use pwrfgs_core::{Deformation, DeformationInputs, DeformationVjp, Plugin, Pose, Real, rng};
 use pwrfgs_networks as _;
