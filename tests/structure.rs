@@ -12,7 +12,8 @@ use std::process::Command;
 const ALLOWED: &[(&str, &[&str])] = &[
     ("core", &[]),
     ("raster", &["core"]),
-    ("networks", &["core"]),
+    ("gpu", &["core"]),
+    ("networks", &["core", "gpu"]),
     ("init", &["core"]),
     ("prune", &["core"]),
     ("metrics", &["core"]),

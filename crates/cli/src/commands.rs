@@ -5,6 +5,7 @@ mod compare;
 mod completions;
 mod compress;
 mod data;
+mod devices;
 mod evaluate;
 mod export;
 mod import;
@@ -30,6 +31,8 @@ mod sweep;
 mod update;
 #[cfg(feature = "viewer")]
 mod view;
+
+pub(crate) use devices::set_device;
 
 use crate::output::{SUCCESS, Verbosity};
 use clap::Subcommand;
@@ -87,6 +90,8 @@ pub(crate) enum Command {
     Plugins(plugins::Plugins),
     /// List public data sets, or check a downloaded one
     Data(data::Data),
+    /// List the GPUs of this machine for `--device`
+    Devices,
     /// Check a data set before training, with splits and baselines
     Inspect(check::Inspect),
     /// Write a commented pipeline for the data in a folder
@@ -131,6 +136,7 @@ impl Command {
             Self::Pipelines(pipelines) => pipelines::list_or_copy_pipelines(pipelines),
             Self::Plugins(plugins) => plugins::print_reference(plugins),
             Self::Data(data) => data::print_data(data, verbosity),
+            Self::Devices => devices::print_devices(),
             Self::Inspect(inspect) => check::inspect(inspect, verbosity),
             Self::Init(init) => init::init(init, verbosity),
             Self::Completions(completions) => completions::print_completions(completions, program),

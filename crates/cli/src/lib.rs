@@ -12,8 +12,9 @@ mod progress;
 mod reference;
 
 use clap::{ArgAction, CommandFactory as _, Parser};
-use commands::Command;
+use commands::{Command, set_device};
 use output::{FAILED, INTERRUPTED, INVALID, Verbosity};
+use pwrfgs_core::device::{self, DeviceChoice};
 use pwrfgs_core::threads::parse_count;
 use pwrfgs_core::{Error, Result};
 use std::ffi::OsString;
@@ -40,6 +41,9 @@ struct Arguments {
     /// Number of threads, without effect on results [default: all processors]
     #[arg(long, global = true, value_name = "N", value_parser = parse_count)]
     threads: Option<usize>,
+    /// Where the networks `Mlp` and `Wrfgs` run: cpu, gpu, auto, or a number from `pwrfgs devices` [default: cpu]
+    #[arg(long, global = true, value_name = "DEVICE")]
+    device: Option<DeviceChoice>,
     /// Print only errors, warnings and results
     #[arg(short, long, global = true, action = ArgAction::SetTrue, conflicts_with = "verbose")]
     quiet: bool,
@@ -75,11 +79,13 @@ pub fn run(arguments: &[OsString]) -> u8 {
     output::set_program_path(arguments.first());
     interrupt::survive_file_limit();
     let arguments = Arguments::parse_from(arguments);
-    let (threads, verbosity) = (arguments.threads, arguments.verbosity());
+    let (threads, chosen, verbosity) = (arguments.threads, arguments.device, arguments.verbosity());
     output::start_logging(verbosity);
     let outcome = set_threads(threads)
+        .and_then(|()| set_device(chosen))
         .and_then(|()| interrupt::start_listener())
-        .and_then(|()| arguments.command.execute(threads, verbosity, Arguments::command()));
+        .and_then(|()| arguments.command.execute(threads, verbosity, Arguments::command()))
+        .and_then(|code| device::check().map(|()| code));
     interrupt::wait_if_ending();
     outcome.unwrap_or_else(|error| match error {
         Error::Stopped => {

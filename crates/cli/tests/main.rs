@@ -12,6 +12,7 @@ mod export;
 mod failure;
 mod faults;
 mod golden;
+mod gpu;
 mod import;
 mod init_scores;
 mod inspect;

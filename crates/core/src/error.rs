@@ -63,6 +63,9 @@ pub enum Error {
     /// The operation was cancelled.
     #[error("stopped before completion")]
     Stopped,
+    /// The GPU failed, or its memory did not suffice.
+    #[error("--device: {}", sanitize_message(.0))]
+    Device(String),
     /// Error of a plugin.
     #[error("{}", sanitize_message(&.0.to_string()))]
     Plugin(#[source] Box<dyn std::error::Error + Send + Sync>),

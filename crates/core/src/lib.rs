@@ -15,6 +15,7 @@ mod compatible;
 mod data_source;
 mod dataset;
 mod deformation;
+pub mod device;
 pub mod docs;
 mod error;
 pub mod files;

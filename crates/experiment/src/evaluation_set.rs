@@ -125,6 +125,7 @@ impl<'a> EvaluationSet<'a> {
         let mut measurements: Vec<Vec<Measurement>> = vec![Vec::new(); metrics.len()];
         let images = self.measure_chunks(predictor, &mut measurements, session)?;
         session.check_stopped()?;
+        pwrfgs_core::device::check()?;
         if self.part.is_empty() || metrics.iter().any(|m| m.scope() != Scope::Sample) {
             self.measure_whole(predictor, &images, &mut measurements, session)?;
         }

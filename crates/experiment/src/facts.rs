@@ -95,6 +95,9 @@ pub struct Machine {
     pub threads: usize,
     /// Operating system and architecture.
     pub system: String,
+    /// Name of the GPU that ran the networks; `None` for the CPU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub device: Option<String>,
 }
 
 impl Machine {
@@ -107,6 +110,7 @@ impl Machine {
             cores: std::thread::available_parallelism().map_or(1, usize::from),
             threads: rayon::current_num_threads(),
             system: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
+            device: pwrfgs_core::device::name().map(str::to_owned),
         }
     }
 }

@@ -16,13 +16,16 @@ use crate::run_folder::RunFolder;
 use crate::session::{NoopObserver, Session, Start, Validation, staged};
 use crate::statistics::Summary;
 use pwrfgs_core::files::{self, if_found, write_atomically};
-use pwrfgs_core::{Dataset, Error, Progress, Result, Task, Values, evenly, free_memory};
+use pwrfgs_core::{Dataset, Error, Progress, Result, Task, Values, device, evenly, free_memory};
 use pwrfgs_model::Snapshot;
 use pwrfgs_model::{Model, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
 use pwrfgs_train::{Keep, PruneStepState, Trainer, check_available, network_bytes};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
+
+/// Number of Gaussians below which a step on a GPU takes about as long as on the CPU: starting its passes takes longer than they do.
+const FEW_GAUSSIANS: usize = 1000;
 
 impl<'a> ActiveRun<'a, '_> {
     /// Creates the trainer, from the checkpoint in the folder `held` if there is one, otherwise before the first step.
@@ -48,6 +51,7 @@ impl<'a> ActiveRun<'a, '_> {
             if let Some(folder) = held
                 && let Some(trainer) = folder.settle(restored(folder))?
             {
+                trainer.check_device()?;
                 return Ok(trainer);
             }
             let stop = self.session.stop;
@@ -166,6 +170,9 @@ impl Training<'_, '_, '_> {
         let begun = Instant::now();
         let report = self.trainer.step().inspect_err(|_| self.report_last_checkpoint())?;
         let seconds = begun.elapsed().as_secs_f64();
+        if report.step == 1 {
+            self.warn_of_device();
+        }
         if let Some(PruneStepState { cloud, gaussian_ids, gates, round }) = &report.pruned {
             if cloud.len() > self.most_gaussians {
                 self.most_gaussians = cloud.len();
@@ -207,6 +214,17 @@ impl Training<'_, '_, '_> {
     fn write_snapshot(&self, name: &str, step: u64) -> Result<()> {
         let snapshot = Snapshot::of(step, self.trainer.cloud(), self.run.split.data.scene.origin);
         snapshot.known(self.trainer.gaussian_ids(), self.trainer.gates()).write(&self.folder.file(name))
+    }
+
+    /// Warns of a GPU without effect, or with little, after the first step.
+    fn warn_of_device(&mut self) {
+        let Some(name) = device::name() else { return };
+        let n = self.trainer.cloud().len();
+        if !device::is_used() {
+            self.warn(&format!("no part of this pipeline runs on {name}; only the networks `Mlp` and `Wrfgs` do"));
+        } else if n < FEW_GAUSSIANS {
+            self.warn(&format!("N = {n}: a GPU step is not faster than the CPU"));
+        }
     }
 
     /// Writes the checkpoint, after the rows that it counts, and then `run.json`.

@@ -11,6 +11,9 @@ pub mod encoding;
 mod factored;
 mod factored_network;
 mod factored_vjp;
+#[cfg(feature = "gpu")]
+#[cfg(test)]
+mod gpu_tests;
 pub mod linear;
 mod mlp;
 mod mlp_branch;

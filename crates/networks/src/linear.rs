@@ -126,6 +126,27 @@ impl LayerPart {
     }
 }
 
+#[cfg(feature = "gpu")]
+impl Linear {
+    /// Returns the layer with only the first outputs.
+    pub(crate) fn with_outputs(&self, outputs: usize) -> Self {
+        Self { outputs, ..*self }
+    }
+}
+
+#[cfg(feature = "gpu")]
+impl LayerPart {
+    /// Returns the columns of W as a matrix in a buffer of the flat vector.
+    pub(crate) fn block(&self, slot: usize) -> pwrfgs_gpu::Block {
+        pwrfgs_gpu::Block::new(slot, self.layer.weight + self.columns.start, self.layer.inputs)
+    }
+
+    /// Returns the numbers of outputs and of columns.
+    pub(crate) fn shape(&self) -> (usize, usize) {
+        (self.layer.outputs, self.columns.len())
+    }
+}
+
 /// Tensors of a network, in order, during the layout of its layers.
 #[derive(Debug, Default)]
 pub struct LayoutBuilder {

@@ -5,6 +5,9 @@
 //! γ(μ) ─────────────────────────────┴→ trunk.0 … trunk.{depth-1} → heads: rotation 4, scaling 3, signal 2
 //! ```
 
+#[cfg(feature = "gpu")]
+mod gpu;
+
 use crate::check_carrier;
 use crate::dense::{self, StoreMode};
 use crate::encoding::{self, check_frequencies, encode};
@@ -17,6 +20,7 @@ use pwrfgs_core::{
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// The network of P-WRFGS: additive changes of signal, rotation and scale per Gaussian and transmitter.
@@ -84,7 +88,7 @@ impl Default for Mlp {
 
 impl Mlp {
     /// Plans the layers in the order of the weight vector.
-    fn plan_layers(&self, plan: &mut LayoutBuilder) -> MlpLayers {
+    pub(super) fn plan_layers(&self, plan: &mut LayoutBuilder) -> MlpLayers {
         let carrier = (self.carrier != 0.0).then_some(self.carrier as Real);
         let tx_inputs = encoding::encoded_width(self.tx_frequencies) + usize::from(carrier.is_some());
         let layers =
@@ -120,18 +124,36 @@ impl Deformation for Mlp {
 
     fn forward(&self, inputs: &DeformationInputs<'_>, _: &Cache) -> Deltas {
         let network = lay_out_for(inputs.weights, |plan| self.plan_layers(plan));
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = pwrfgs_gpu::current() {
+            return network
+                .gpu_forward(gpu, inputs, false)
+                .map_or_else(|e| network.failed(e, inputs), |(terms, _)| terms);
+        }
         network.forward(inputs, false).0
     }
 
     fn forward_for_vjp(&self, inputs: &DeformationInputs<'_>) -> (Deltas, Cache) {
         let network = lay_out_for(inputs.weights, |plan| self.plan_layers(plan));
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = pwrfgs_gpu::current() {
+            return match network.gpu_forward(gpu, inputs, true) {
+                Ok((deltas, kept)) => (deltas, Some(Arc::new(kept))),
+                Err(error) => (network.failed(error, inputs), None),
+            };
+        }
         let (deltas, kept) = network.forward(inputs, true);
         (deltas, Some(Arc::new(kept)))
     }
 
     fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, sums: DeformationVjp<'_>) {
         assert_eq!(sums.weights.len(), inputs.weights.len(), "a derivative for each weight");
-        lay_out_for(inputs.weights, |plan| self.plan_layers(plan)).vjp(inputs, d, sums);
+        let network = lay_out_for(inputs.weights, |plan| self.plan_layers(plan));
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = pwrfgs_gpu::current() {
+            return network.gpu_vjp(gpu, inputs, d, sums).unwrap_or_else(pwrfgs_core::device::fail);
+        }
+        network.vjp(inputs, d, sums);
     }
 
     fn check(&self) -> Result<(), String> {
@@ -232,11 +254,7 @@ impl MlpLayers {
             let txs = &items[start].txs;
             let chunks = items[start..].iter().take_while(|item| item.txs == *txs).count();
             for b in 0..txs.len() {
-                for piece in &pieces[start..start + chunks] {
-                    all.scales.extend_from_slice(&piece[b].scales);
-                    all.quats.extend_from_slice(&piece[b].quats);
-                    all.signals.extend_from_slice(&piece[b].signals);
-                }
+                pieces[start..start + chunks].iter().for_each(|piece| append(&mut all, &piece[b]));
             }
             start += chunks;
         }
@@ -250,6 +268,11 @@ impl MlpLayers {
         let h = &slots[self.trunk.last_slot(slots.len())];
         let rows = h.len() / self.trunk.width;
         self.heads.apply(weights, h, out);
+        self.gather_terms(out, rows)
+    }
+
+    /// Returns the terms in the outputs of the heads `[outputs, R]`.
+    fn gather_terms(&self, out: &[Real], rows: usize) -> Deltas {
         match self.outputs {
             Outputs::All => Deltas {
                 quats: gather_rows(out, 0, rows),
@@ -314,14 +337,7 @@ impl MlpLayers {
                 &*slots
             };
             let here = b * n + item.rows.start..b * n + item.rows.end;
-            match self.outputs {
-                Outputs::All => {
-                    scatter_rows(d.quats.get(here.clone()), out, 0, rows);
-                    scatter_rows(d.scales.get(here.clone()), out, 4, rows);
-                    scatter_rows(d.signals.get(here), out, 7, rows);
-                }
-                Outputs::Signals => scatter_rows(d.signals.get(here), out, 0, rows),
-            }
+            self.scatter_cotangents(d, here, out);
             let h = &slots[self.trunk.depth() - 1];
             self.heads.apply_vjp(weights, (h, out), d_weights, (d_h, StoreMode::Set));
             let into = TrunkGradient { weights: d_weights, shared: &mut d_shared, folded: d_folded.tx_part(b, width) };
@@ -329,6 +345,26 @@ impl MlpLayers {
         }
         self.trunk.share_gamma_vjp(weights, gamma, &d_shared, d_weights, None);
     }
+
+    /// Writes the cotangents of some terms to `out` `[outputs, R]`, as the heads output them.
+    fn scatter_cotangents(&self, d: &Deltas, terms: Range<usize>, out: &mut [Real]) {
+        let rows = terms.len();
+        match self.outputs {
+            Outputs::All => {
+                scatter_rows(d.quats.get(terms.clone()), out, 0, rows);
+                scatter_rows(d.scales.get(terms.clone()), out, 4, rows);
+                scatter_rows(d.signals.get(terms), out, 7, rows);
+            }
+            Outputs::Signals => scatter_rows(d.signals.get(terms), out, 0, rows),
+        }
+    }
+}
+
+/// Appends terms.
+fn append(all: &mut Deltas, terms: &Deltas) {
+    all.scales.extend_from_slice(&terms.scales);
+    all.quats.extend_from_slice(&terms.quats);
+    all.signals.extend_from_slice(&terms.signals);
 }
 
 /// Returns the features `from..from + K` of `[F, R]` as R rows.

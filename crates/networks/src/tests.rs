@@ -6,9 +6,9 @@ use pwrfgs_core::{
     Conditions, Deformation, DeformationInputs, DeformationVjp, Deltas, Plugin, Pose, Real, rng, testing::check_vjp,
 };
 
-const POSE: Pose = Pose { position: [0.5, -0.3, 0.2], orientation: [0.0, 0.0, 0.0, 1.0] };
+pub(crate) const POSE: Pose = Pose { position: [0.5, -0.3, 0.2], orientation: [0.0, 0.0, 0.0, 1.0] };
 
-fn points(n: usize, name: &str) -> Vec<[Real; 3]> {
+pub(crate) fn points(n: usize, name: &str) -> Vec<[Real; 3]> {
     let mut random = rng::stream(11, name, 0);
     (0..n).map(|_| std::array::from_fn(|_| rng::normal(&mut random))).collect()
 }

@@ -5,6 +5,9 @@
 //! transmitters of the batch. W·e is computed once per transmitter and added to the bias. Only h → h remains for each
 //! pair.
 
+#[cfg(feature = "gpu")]
+pub(crate) mod gpu;
+
 use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
 use crate::linear::{LayerPart, LayoutBuilder, Linear, WIDEST};
 use pwrfgs_core::Real;

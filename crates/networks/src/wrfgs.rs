@@ -65,6 +65,11 @@ impl Wrfgs {
         self.gain.unwrap_or_else(|| RELEASED_GAIN * Self::cloud_norm(means, pose))
     }
 
+    /// Returns the terms of S·A, `[B, N]`.
+    fn signals(gain: Real, products: Vec<Real>) -> Deltas {
+        Deltas { signals: products.into_iter().map(|sa| [gain * sa, 0.0]).collect(), ..Deltas::default() }
+    }
+
     /// Plans the layers in the order of the weight vector.
     pub(super) fn plan_layers(&self, plan: &mut LayoutBuilder) -> WrfgsLayers {
         let &Self { depth, width, frequencies, skip, .. } = self;
@@ -102,6 +107,17 @@ impl Deformation for Wrfgs {
     fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas {
         let &DeformationInputs { weights, means, txs, pose, .. } = inputs;
         let gain = self.gain(means, pose) as Real;
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = pwrfgs_gpu::current() {
+            let products = self.planned_layers(weights).gpu_forward(gpu, inputs);
+            return Self::signals(
+                gain,
+                products.unwrap_or_else(|error| {
+                    pwrfgs_core::device::fail(error);
+                    vec![0.0; means.len() * txs.len()]
+                }),
+            );
+        }
         let txs = txs.positions();
         let products = if prepared.is_some() {
             let (network, trunk_output): &(WrfgsLayers, Vec<TrunkOutput>) = cached(prepared);
@@ -109,10 +125,14 @@ impl Deformation for Wrfgs {
         } else {
             self.planned_layers(weights).forward(weights, means, txs, None)
         };
-        Deltas { signals: products.into_iter().map(|sa| [gain * sa, 0.0]).collect(), ..Deltas::default() }
+        Self::signals(gain, products)
     }
 
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
+        #[cfg(feature = "gpu")]
+        if pwrfgs_gpu::current().is_some() {
+            return None; // the GPU computes the trunk again
+        }
         let network = self.planned_layers(weights);
         let trunk_output = network.trunk_outputs(weights, means);
         Some(Arc::new((network, trunk_output)))
@@ -126,6 +146,15 @@ impl Deformation for Wrfgs {
         assert_eq!(sums.weights.len(), inputs.weights.len(), "a derivative for each weight");
         let gain = self.gain(inputs.means, inputs.pose);
         let d_products: Vec<Real> = d.signals.iter().map(|d| gain as Real * d[0]).collect();
+        #[cfg(feature = "gpu")]
+        let along_gain = match pwrfgs_gpu::current() {
+            Some(gpu) => network.gpu_vjp(gpu, inputs, &d_products, &mut sums).unwrap_or_else(|error| {
+                pwrfgs_core::device::fail(error);
+                0.0
+            }),
+            None => network.vjp(inputs, &d_products, &mut sums),
+        };
+        #[cfg(not(feature = "gpu"))]
         let along_gain = network.vjp(inputs, &d_products, &mut sums);
         let norm = Self::cloud_norm(inputs.means, inputs.pose);
         if let Some(d_means) = sums.means.filter(|_| self.gain.is_none() && norm > 0.0) {

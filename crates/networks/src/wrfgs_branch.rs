@@ -23,7 +23,7 @@ pub(super) struct Branch {
 /// Activations per transmitter: γ(p), and the bias of `sig.0` including W·γ(p).
 pub(super) struct TxSide {
     gamma: Vec<Real>,
-    folded: Vec<Real>,
+    pub(super) folded: Vec<Real>,
 }
 
 /// Buffers for one chunk and transmitter, reused.

@@ -5,6 +5,9 @@
 //!                          └→ feat → signal branch → S    (once a Gaussian and transmitter, see `wrfgs_branch`)
 //! ```
 
+#[cfg(feature = "gpu")]
+mod gpu;
+
 use crate::dense::{self, StoreMode, amplitude, amplitude_slope};
 use crate::encoding::{self, encode, encode_vjp};
 use crate::linear::{Item, Linear, sum_groups, work_items};

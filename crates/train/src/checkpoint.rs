@@ -38,6 +38,9 @@ struct Note {
     /// Numbers of closed masks and of Gaussians before pruning.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     masks: Option<(usize, usize)>,
+    /// Name of the GPU; `None` for the CPU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    device: Option<String>,
 }
 
 const FORMAT: &str = "pwrfgs-checkpoint";
@@ -60,6 +63,7 @@ impl<'a> Trainer<'a> {
             extra: self.cloud.extra.iter().map(|c| (c.name.clone(), c.width)).collect(),
             next_gaussian_id: self.gaussian_ids.next,
             masks: self.masks,
+            device: self.device.clone(),
         };
         let mut file = Tensors::new(&note);
         let clouds = [("value", &self.cloud), ("first", &self.adam.cloud[0]), ("second", &self.adam.cloud[1])];
@@ -122,7 +126,7 @@ impl<'a> Trainer<'a> {
             *values = file.take(&format!("stats.{name}"), &[n])?;
         }
         self.gaussian_ids = GaussianIds { rows: file.take_ids("gaussian_ids", n)?, next: note.next_gaussian_id };
-        (self.done, self.masks) = (note.done, note.masks);
+        (self.done, self.masks, self.device) = (note.done, note.masks, note.device);
         Ok(())
     }
 }

@@ -109,6 +109,7 @@ impl<'a> Trainer<'a> {
             weights: Arc::default(),
             groups,
             masks: None,
+            device: pwrfgs_core::device::name().map(str::to_owned),
             before_reset: None,
             done: 0,
             fingerprint: OnceLock::new(),

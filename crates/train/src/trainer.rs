@@ -9,7 +9,7 @@ use crate::loss::Objective;
 use crate::plan::TrainingPlan;
 use pwrfgs_core::{
     CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Origin, Phase, PruneTarget, Real, Result,
-    StepContext, WeightGroup, prune_contexts, rng,
+    StepContext, WeightGroup, device, prune_contexts, rng,
 };
 use pwrfgs_model::{Model, Stages, TrainingPositions};
 use std::sync::{Arc, OnceLock};
@@ -71,6 +71,8 @@ pub struct Trainer<'a> {
     /// Numbers of closed masks and of Gaussians before pruning, from the first prune step on.
     pub(crate) masks: Option<(usize, usize)>,
     pub(crate) done: u64,
+    /// Name of the GPU that trains; `None` for the CPU.
+    pub(crate) device: Option<String>,
     /// Opacity logits before the reset of the last step, if it had one.
     pub(crate) before_reset: Option<Vec<Real>>,
     /// Fingerprint (see `checkpoint.rs`), computed when the first checkpoint is written or read.
@@ -83,6 +85,18 @@ impl Trainer<'_> {
     /// Returns the number of completed steps.
     pub fn done(&self) -> u64 {
         self.done
+    }
+
+    /// Checks that the process uses the device that trained so far: another one rounds differently.
+    ///
+    /// # Errors
+    /// [`Error::Config`] with the name of that device.
+    pub fn check_device(&self) -> Result<()> {
+        if self.device.as_deref() == device::name() {
+            return Ok(());
+        }
+        let trained = self.device.as_deref().unwrap_or("the CPU");
+        Err(Error::Config(format!("this run was trained on {trained}; resume there, or start again")))
     }
 
     /// Returns the number of learned weights besides the Gaussians.
@@ -173,7 +187,8 @@ impl Trainer<'_> {
     /// Runs one step: batch, gradients, Adam, then densification or pruning if due.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] with step and tensor; the trainer cannot be used afterwards. [`Error::Read`] of a spectrum.
+    /// [`Error::NonFinite`] with step and tensor, [`Error::Device`] of the GPU; the trainer cannot be used afterwards.
+    /// [`Error::Read`] of a spectrum.
     pub fn step(&mut self) -> Result<StepReport> {
         // Runs on a thread of the pool, so that parallel loops need not enter it again.
         rayon::scope(|_| self.run_step())
@@ -194,6 +209,7 @@ impl Trainer<'_> {
         };
         let mut gradients =
             loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &*self.objective, &pruners, &context)?;
+        device::check()?;
         drop(weights); // the optimiser then updates them in place
         if let Some(factors) = &dropout {
             gradients.d_weights = multiply(factors, &gradients.d_weights);
@@ -211,6 +227,7 @@ impl Trainer<'_> {
             let gates = self.gates_of(&cloud, &context);
             PruneStepState { cloud, gaussian_ids, gates, round: (context.round, context.rounds) }
         });
+        device::check()?;
         self.done = step;
         let (loss, penalty, gaussians) = (gradients.loss as f64, gradients.penalty as f64, self.cloud.len());
         Ok(StepReport { step, phase: context.phase, loss, penalty, gaussians, pruned })

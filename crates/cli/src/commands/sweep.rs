@@ -12,6 +12,7 @@ use pwrfgs::experiment::sweep::{
     JOINED, RunStage, SweepEnd, SweepPlan, check, estimate_run_seconds, execute, run_pool, slurm,
 };
 use pwrfgs::experiment::{RunOutcome, Session};
+use pwrfgs_core::device::{self, DeviceChoice};
 use pwrfgs_core::threads::parse_count;
 use pwrfgs_core::{Error, Result, ShippedFile};
 use std::collections::BTreeSet;
@@ -261,7 +262,11 @@ fn task_command(plan: &SweepPlan, arguments: &Sweep, threads: usize) -> Result<V
     let current =
         std::env::current_dir().map_err(|e| Error::Config(format!("cannot read the current directory: {e}")))?;
     // Paths in --set are relative to the current directory, also in a task.
-    let mut words = vec!["env".into(), format!("--chdir={}", text(&current)?), text(&program)?, "sweep".into()];
+    let mut words = vec!["env".into(), format!("--chdir={}", text(&current)?)];
+    if device::choice() != DeviceChoice::Cpu {
+        words.push(format!("{}={}", device::VARIABLE, device::choice()));
+    }
+    words.extend([text(&program)?, "sweep".into()]);
     let shipped = ShippedFile::find(ShippedFile::EXPERIMENTS, Path::new(""), &arguments.experiment);
     let experiment = shipped.map_or_else(|| text(&arguments.experiment), |file| Ok(file.name.into()))?;
     words.extend([experiment, "--out".into(), text(&plan.folder)?]);

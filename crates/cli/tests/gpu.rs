@@ -1,0 +1,159 @@
+//! `--device`: messages of programs with and without GPU support; a training on a GPU, a software one if there is no other.
+
+use crate::common::{refuse, succeed};
+use std::path::Path;
+
+#[test]
+fn unknown_devices_are_refused() {
+    let here = Path::new(".");
+    refuse(
+        here,
+        &["pipelines", "--device", "gpu0"],
+        2,
+        &["expected cpu, gpu, auto, or a number from `pwrfgs devices`"],
+    );
+    let output = crate::common::pwrfgs(here).arg("pipelines").env("PWRFGS_DEVICE", "cuda").output().unwrap();
+    let message = crate::common::stderr(&output);
+    assert!(message.contains("PWRFGS_DEVICE is `cuda`: expected cpu, gpu, auto"), "{message}");
+    assert_eq!(output.status.code(), Some(2));
+    succeed(here, &["pipelines", "--device", "cpu"]);
+    succeed(here, &["pipelines", "--device", "auto"]);
+}
+
+#[test]
+#[cfg(not(feature = "gpu"))]
+fn program_without_gpu_support_says_how_to_get_it() {
+    let here = Path::new(".");
+    let words =
+        ["this program was compiled without GPU support; compile it with `cargo build --release --features gpu`"];
+    refuse(here, &["pipelines", "--device", "gpu"], 2, &[words[0], "--device gpu: "]);
+    refuse(here, &["pipelines", "--device", "0"], 2, &words);
+    refuse(here, &["devices"], 2, &words);
+}
+
+#[cfg(feature = "gpu")]
+mod with_gpu {
+    use super::*;
+    use crate::common::{SMALL, call, pwrfgs, stderr, stdout, wait_for_step, write};
+    use crate::resume::curve;
+    use pwrfgs_core::testing::skipped;
+    use std::process::{Command, Output, Stdio};
+
+    /// The program with a GPU of any kind.
+    fn on_gpu(folder: &Path) -> Command {
+        let mut command = pwrfgs(folder);
+        command.env("PWRFGS_DEVICE_SOFTWARE", "1").env("PWRFGS_DEVICE", "gpu").env("XDG_RUNTIME_DIR", folder);
+        command
+    }
+
+    fn run(folder: &Path, arguments: &[&str]) -> Output {
+        on_gpu(folder).args(arguments).output().unwrap()
+    }
+
+    /// Whether the machine has a GPU; reports a skipped test without one.
+    fn has_gpu() -> bool {
+        let listed = stdout(&succeed(Path::new("."), &["devices"]));
+        let found = !listed.starts_with("no GPU found");
+        if !found {
+            skipped("no GPU here, nor Debian's mesa-vulkan-drivers and libvulkan1");
+        }
+        found
+    }
+
+    /// `SMALL`, in which Gaussians appear and vanish, with a row of the curve per step.
+    fn busy() -> String {
+        SMALL.replace("lambda: 0.02, learning_rate: 0.1", "lambda: 0.5, learning_rate: 0.3")
+    }
+
+    #[test]
+    fn software_gpus_are_refused() {
+        let listed = stdout(&succeed(Path::new("."), &["devices"]));
+        let hardware = |line: &&str| !line.trim().is_empty() && !line.contains("a software GPU");
+        if listed.lines().any(|line| hardware(&line)) {
+            return skipped("this machine has a GPU, or no adapter at all");
+        }
+        let words = ["--device gpu: only ", ", a software GPU slower than the CPU, was found"];
+        refuse(Path::new("."), &["pipelines", "--device", "gpu"], 2, &words);
+        let output = call(Path::new("."), &["pipelines", "--device", "auto"]);
+        assert!(output.status.success());
+    }
+
+    #[test]
+    fn training_on_the_gpu_matches_the_cpu_and_resumes_to_the_same_bytes() {
+        if !has_gpu() {
+            return;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let here = folder.path();
+        for deformation in ["Mlp(depth: 2, width: 16, skip: None)", "Wrfgs(depth: 2, width: 16, skip: None, gain: 50)"]
+        {
+            let text = busy().replace("Mlp(depth: 2, width: 16, skip: None)", deformation);
+            let [cpu, gpu, killed] = ["cpu", "gpu", "killed"].map(|name| format!("{name}-{}", &deformation[..3]));
+            write(&here.join("p.ron"), text);
+            succeed(here, &["run", "p.ron", "--out", &cpu, "-q"]);
+            let output = run(here, &["run", "p.ron", "--out", &gpu, "-q"]);
+            assert!(output.status.success(), "{}", stderr(&output));
+            assert!(stderr(&output).contains("N = 8: a GPU step is not faster than the CPU"), "{}", stderr(&output));
+            let [expected, found] = [&cpu, &gpu].map(|name| curve(&here.join(name)));
+            assert_eq!(expected.len(), found.len());
+            for (expected, found) in expected.iter().zip(&found).skip(1).take(30) {
+                let [expected, found]: [Vec<&str>; 2] = [expected, found].map(|row| row.split(',').collect());
+                assert_eq!((expected[0], expected[4]), (found[0], found[4]), "steps and numbers of Gaussians");
+                let [a, b] = [expected[2], found[2]].map(|loss| loss.parse::<f64>().unwrap());
+                assert!((a - b).abs() <= 1e-4, "step {}: loss {a} on the CPU, {b} on the GPU", expected[0]);
+            }
+
+            let facts = |name: &str| std::fs::read_to_string(here.join(name).join("run.json")).unwrap();
+            assert!(facts(&gpu).contains("\"device\": \"") && !facts(&cpu).contains("\"device\""));
+
+            let arguments = ["run", "p.ron", "--out", &killed, "-q"];
+            let mut child = on_gpu(here).args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+            wait_for_step(&mut child, &here.join(&killed), 15);
+            child.kill().unwrap();
+            assert!(!child.wait().unwrap().success());
+            // The CPU rounds differently, so it does not take over.
+            refuse(here, &arguments, 2, &["this run was trained on ", "; resume there, or start again"]);
+            assert!(run(here, &arguments).status.success());
+            let model = |name: &str| std::fs::read(here.join(name).join("model.safetensors")).unwrap();
+            assert!(
+                model(&killed) == model(&gpu) && curve(&here.join(&killed)) == curve(&here.join(&gpu)),
+                "{deformation}"
+            );
+            // A finished model predicts on any device.
+            succeed(here, &["predict", &gpu, "--tx", "0.5,0.5,0.5", "--out", &format!("predicted-{gpu}"), "-q"]);
+        }
+    }
+
+    #[test]
+    fn gpu_without_effect_is_named() {
+        if !has_gpu() {
+            return;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let text = SMALL.replace("Mlp(depth: 2, width: 16, skip: None)", "Factored(depth: 2, width: 16)");
+        write(&folder.path().join("p.ron"), text);
+        let message = stderr(&run(folder.path(), &["run", "p.ron", "--out", "r", "-q"]));
+        assert!(message.contains("no part of this pipeline runs on "), "{message}");
+        assert!(message.contains("; only the networks `Mlp` and `Wrfgs` do"), "{message}");
+    }
+
+    #[test]
+    fn too_little_memory_is_refused_before_the_step() {
+        if !has_gpu() {
+            return;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        write(&folder.path().join("p.ron"), SMALL.replace("Mlp(depth: 2, width: 16,", "Mlp(depth: 2, width: 512,"));
+        let output = on_gpu(folder.path())
+            .args(["run", "p.ron", "--out", "r", "-q"])
+            .env("PWRFGS_DEVICE_MEMORY", "2")
+            .output()
+            .unwrap();
+        let message = stderr(&output);
+        for words in ["error: --device: a step needs ", " MB of GPU memory, and ", " has 2 MB; use a smaller `width`"] {
+            assert!(message.contains(words), "{message}");
+        }
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(!folder.path().join("r/model.safetensors").exists());
+    }
+}

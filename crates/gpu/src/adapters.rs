@@ -1,0 +1,243 @@
+//! GPUs of the machine, and the one of the process.
+
+use crate::workspace::Workspace;
+use crate::{MOST_ROWS, SLICE};
+use pwrfgs_core::device::{self, DeviceChoice};
+use pwrfgs_core::{Error, Result};
+use std::future::Future;
+use std::pin::pin;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::task::{Context, Poll, Waker};
+use wgpu::{Adapter, Backends, DeviceType, InstanceDescriptor};
+
+/// Variable that admits software adapters, for tests.
+const SOFTWARE: &str = "PWRFGS_DEVICE_SOFTWARE";
+
+/// Variable that limits the memory of the GPU, MB: for tests, and for cards that others use too.
+const MEMORY: &str = "PWRFGS_DEVICE_MEMORY";
+
+/// GPU of the process: device, queue, kernels, and buffers that steps reuse.
+#[derive(Debug)]
+pub struct Gpu {
+    pub(crate) device: wgpu::Device,
+    pub(crate) queue: wgpu::Queue,
+    pub(crate) layout: wgpu::BindGroupLayout,
+    /// Pipelines in the order of [`KERNELS`].
+    pub(crate) kernels: Vec<wgpu::ComputePipeline>,
+    /// Largest buffer, bytes.
+    pub(crate) most_bytes: u64,
+    /// Most bytes that a step may use.
+    pub(crate) memory: u64,
+    pub(crate) workspace: Mutex<Workspace>,
+    /// First error since the last check, which the driver reports at any time.
+    pub(crate) failure: Arc<Mutex<Option<String>>>,
+    name: String,
+}
+
+/// Entry points of `kernels.wgsl`.
+pub(crate) const KERNELS: [&str; 7] =
+    ["product", "sum_planes", "sum_rows", "bias_relu", "add", "amplitudes_vjp", "encode_vjp"];
+
+/// GPU of the machine, as `pwrfgs devices` lists it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct GpuLine {
+    /// Name, with interface and driver: `NVIDIA H100 (Vulkan, 580.159)`.
+    pub name: String,
+    /// Whether it is a program on the CPU, which `--device` refuses.
+    pub is_software: bool,
+}
+
+/// Returns the result of a future of wgpu, which needs no executor.
+pub(crate) fn wait_for<T>(future: impl Future<Output = T>) -> T {
+    let (mut future, mut context) = (pin!(future), Context::from_waker(Waker::noop()));
+    loop {
+        match future.as_mut().poll(&mut context) {
+            Poll::Ready(result) => return result,
+            Poll::Pending => std::thread::yield_now(),
+        }
+    }
+}
+
+/// Returns the adapters of the machine, in the order of their numbers: GPUs with memory of their own first.
+pub(crate) fn adapters() -> Vec<Adapter> {
+    let instance = wgpu::Instance::new(InstanceDescriptor {
+        backends: Backends::PRIMARY,
+        memory_budget_thresholds: wgpu::MemoryBudgetThresholds {
+            for_resource_creation: Some(97), // percent: rather an error than memory of the CPU, which is slow
+            for_device_loss: None,
+        },
+        ..InstanceDescriptor::new_without_display_handle()
+    });
+    let mut all = wait_for(instance.enumerate_adapters(Backends::PRIMARY));
+    all.sort_by_key(|adapter| match adapter.get_info().device_type {
+        DeviceType::DiscreteGpu => 0,
+        DeviceType::VirtualGpu => 1,
+        DeviceType::IntegratedGpu => 2,
+        DeviceType::Other => 3,
+        DeviceType::Cpu => 4,
+    });
+    all
+}
+
+/// Returns an adapter as a line of the list.
+fn line(adapter: &Adapter) -> GpuLine {
+    let info = adapter.get_info();
+    let backend = format!("{:?}", info.backend);
+    let driver = if info.driver_info.is_empty() { &info.driver } else { &info.driver_info };
+    let details: Vec<&str> = [&*backend, driver].into_iter().filter(|part| !part.is_empty()).collect();
+    let name = format!("{} ({})", info.name, details.join(", "));
+    GpuLine { name, is_software: info.device_type == DeviceType::Cpu }
+}
+
+/// Returns the GPUs of the machine; their numbers are their indices.
+pub fn list() -> Vec<GpuLine> {
+    adapters().iter().map(line).collect()
+}
+
+static CURRENT: OnceLock<Gpu> = OnceLock::new();
+
+/// Returns the GPU of the process; `None` if networks run on the CPU.
+pub fn current() -> Option<&'static Gpu> {
+    CURRENT.get()
+}
+
+/// Returns a GPU for tests, a software adapter if there is no other; reports `skipped` tests without one. It is not the
+/// GPU of the process.
+pub fn for_tests() -> Option<&'static Gpu> {
+    static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
+    let gpu = GPU.get_or_init(|| adapters().first().and_then(|adapter| Gpu::open(adapter).ok()));
+    if gpu.is_none() {
+        pwrfgs_core::testing::skipped("no GPU here, nor Debian's mesa-vulkan-drivers and libvulkan1");
+    }
+    gpu.as_ref()
+}
+
+/// Selects the device of the process, once.
+///
+/// # Errors
+/// [`Error::Config`] if there is no such GPU, or it is a software adapter and `PWRFGS_DEVICE_SOFTWARE` is not 1.
+pub fn select(choice: DeviceChoice) -> Result<()> {
+    if choice == DeviceChoice::Cpu || CURRENT.get().is_some() {
+        return Ok(());
+    }
+    let adapters = adapters();
+    let admits_software = std::env::var_os(SOFTWARE).is_some_and(|value| value == "1");
+    let lines: Vec<GpuLine> = adapters.iter().map(line).collect();
+    let index = match pick(choice, &lines, admits_software) {
+        Ok(Some(index)) => index,
+        Ok(None) => return Ok(()),
+        Err(why) => return Err(Error::Config(format!("--device {choice}: {why}"))),
+    };
+    let gpu = Gpu::open(&adapters[index]).map_err(|why| Error::Device(format!("{}: {why}", lines[index].name)))?;
+    device::set_name(&gpu.name);
+    CURRENT.get_or_init(|| gpu);
+    Ok(())
+}
+
+/// Returns the index of the chosen GPU in the list; `None` for the CPU.
+pub(crate) fn pick(choice: DeviceChoice, lines: &[GpuLine], admits_software: bool) -> Result<Option<usize>, String> {
+    let software = |name: &str| {
+        let short = name.split(" (").next().unwrap_or(name);
+        format!("only {short}, a software GPU slower than the CPU, was found")
+    };
+    let usable = |line: &GpuLine| admits_software || !line.is_software;
+    let first = lines.iter().position(usable);
+    match choice {
+        DeviceChoice::Cpu => Ok(None),
+        DeviceChoice::Auto => Ok(first),
+        DeviceChoice::Gpu => match (first, lines.first()) {
+            (Some(first), _) => Ok(Some(first)),
+            (None, Some(line)) => Err(software(&line.name)),
+            (None, None) => {
+                Err("no GPU found (Vulkan, Metal, DX12); install a driver, on a cluster set VK_DRIVER_FILES, or \
+                                 leave --device out"
+                    .to_owned())
+            }
+        },
+        DeviceChoice::Number(number) => match lines.get(number) {
+            Some(line) if usable(line) => Ok(Some(number)),
+            Some(line) => Err(format!("{} is a software GPU slower than the CPU; see `pwrfgs devices`", line.name)),
+            None => Err(format!(
+                "{} found; see `pwrfgs devices`",
+                match lines.len() {
+                    0 => "no GPU was".to_owned(),
+                    1 => "one GPU, number 0, was".to_owned(),
+                    n => format!("GPUs 0 to {} were", n - 1),
+                }
+            )),
+        },
+    }
+}
+
+/// Keeps the reason of a failure, if it is the first.
+pub(crate) fn keep_first(failure: &Mutex<Option<String>>, why: String) {
+    failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
+}
+
+impl Gpu {
+    /// Opens an adapter and compiles the kernels.
+    pub(crate) fn open(adapter: &Adapter) -> Result<Self, String> {
+        let limits = adapter.limits();
+        let request = wgpu::DeviceDescriptor { required_limits: limits.clone(), ..Default::default() };
+        let (device, queue) = wait_for(adapter.request_device(&request)).map_err(|e| e.to_string())?;
+        // Without handlers wgpu ends the process.
+        let failure = Arc::new(Mutex::new(None));
+        let (other, lost) = (Arc::clone(&failure), Arc::clone(&failure));
+        device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| keep_first(&other, e.to_string())));
+        device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                let message = message.trim();
+                keep_first(&lost, format!("the GPU was lost ({message}); repeat the command to resume a run"));
+            }
+        });
+        let storage = |read_only| wgpu::BufferBindingType::Storage { read_only };
+        let entry = |binding, ty, has_dynamic_offset| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None },
+            count: None,
+        };
+        let mut entries = vec![entry(0, wgpu::BufferBindingType::Uniform, true)];
+        entries.extend((1..=5).map(|binding| entry(binding, storage(binding < 5), false)));
+        let layout =
+            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries });
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some("kernels"),
+            source: wgpu::ShaderSource::Wgsl(include_str!("kernels.wgsl").into()),
+        });
+        let of_all = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let kernel = |name: &&str| {
+            device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(name),
+                layout: Some(&of_all),
+                module: &module,
+                entry_point: Some(name),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                cache: None,
+            })
+        };
+        let kernels = KERNELS.iter().map(kernel).collect();
+        let most_bytes = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
+        let workspace = Mutex::default();
+        let name = line(adapter).name;
+        let megabytes = std::env::var(MEMORY).ok().and_then(|text| text.parse::<u64>().ok());
+        let memory = megabytes.map_or(u64::MAX, |megabytes| megabytes << 20);
+        Ok(Self { device, queue, layout, kernels, most_bytes, memory, workspace, failure, name })
+    }
+
+    /// Returns the name, with interface and driver.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Returns the number of rows per chunk, if a row has up to `width` numbers: at most 65,536, such that buffers of the
+    /// chunk are not too large for the GPU.
+    pub fn chunk_rows(&self, width: usize) -> usize {
+        let fit = self.most_bytes as usize / (size_of::<f32>() * width.max(1)) / SLICE * SLICE;
+        fit.clamp(SLICE, MOST_ROWS)
+    }
+}

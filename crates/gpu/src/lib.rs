@@ -1,0 +1,33 @@
+//! Passes of networks on a GPU through wgpu (Vulkan, Metal, DX12), in single precision.
+//!
+//! [`select`] chooses the GPU of the process, [`current`] returns it. A [`GpuStep`] holds the GPU for one network pass:
+//! upload, products and other passes over [`Block`]s of its buffers, read. The kernels are in `kernels.wgsl`. They use
+//! no atomics and no subgroups, and add in an order that depends only on the shapes: on one GPU with one driver, equal
+//! inputs give equal bits.
+
+mod adapters;
+mod block;
+mod passes;
+mod step;
+#[cfg(test)]
+mod tests;
+mod workspace;
+
+pub use adapters::{Gpu, GpuLine, current, for_tests, list, select};
+pub use block::{Block, Epilogue};
+pub use step::GpuStep;
+
+/// Slot with the planes of sums.
+pub const SCRATCH: usize = 0;
+
+/// Number of rows that are summed together.
+pub const SLICE: usize = 1024;
+
+/// Most rows of a chunk.
+const MOST_ROWS: usize = 65_536;
+
+/// Returns the number of values that slot [`SCRATCH`] needs for the derivative of a matrix with `numbers` numbers, over
+/// `rows` rows.
+pub fn scratch_len(rows: usize, numbers: usize) -> usize {
+    rows.div_ceil(SLICE) * numbers
+}

@@ -1,0 +1,262 @@
+//! `GpuStep`: passes over the buffers of the GPU, which a step holds for itself.
+
+use crate::adapters::{Gpu, KERNELS, keep_first, wait_for};
+use crate::block::Block;
+use crate::workspace::Workspace;
+use pwrfgs_core::{Error, Real, Result, device};
+use std::sync::{MutexGuard, PoisonError};
+use wgpu::{Buffer, BufferUsages};
+
+/// Arguments of a kernel, in numbers: `Op` of `kernels.wgsl`.
+const ARGUMENTS: usize = 16;
+
+/// Distance of arguments in their buffer, bytes: the largest alignment of any GPU.
+const ALIGNMENT: usize = 256;
+
+/// Commands after which recorded passes are sent to the GPU.
+const SENT_TOGETHER: usize = 512;
+
+/// Recorded command.
+#[derive(Debug)]
+enum Command {
+    Pass { kernel: usize, slots: [usize; 5], argument: u32, groups: [u32; 3] },
+    Clear { slot: usize, bytes: u64 },
+    Read { slot: usize, offset: u64, bytes: u64 },
+}
+
+/// Network pass on a GPU, which it holds until it is dropped.
+#[derive(Debug)]
+pub struct GpuStep<'g> {
+    gpu: &'g Gpu,
+    workspace: MutexGuard<'g, Workspace>,
+    commands: Vec<Command>,
+    arguments: Vec<u32>,
+    /// Numbers per slot.
+    sizes: Vec<usize>,
+    /// Buffers with results that were sent, and the lengths of the results.
+    sent: Vec<(Buffer, Vec<u64>)>,
+}
+
+/// Returns a number of bytes as text.
+fn describe_bytes(bytes: u64) -> String {
+    if bytes < 1 << 30 { format!("{} MB", bytes.div_ceil(1 << 20)) } else { format!("{:.1} GB", bytes as f64 / 1e9) }
+}
+
+impl Gpu {
+    /// Begins a step with buffers of at least `sizes` numbers by slot.
+    ///
+    /// # Errors
+    /// [`Error::Config`] if the memory of the GPU does not suffice, before any work is done.
+    pub fn step(&self, sizes: &[usize]) -> Result<GpuStep<'_>> {
+        device::mark_used();
+        let mut workspace = self.workspace.lock().unwrap_or_else(PoisonError::into_inner);
+        workspace.steps += 1;
+        let needed = |size: &usize| (size_of::<f32>() * (*size).max(1)) as u64;
+        let total: u64 = sizes.iter().map(needed).sum();
+        let refuse = |limit: String| {
+            let total = describe_bytes(total);
+            Error::Config(format!(
+                "--device: a step needs {total} of GPU memory{limit}; use a smaller `width` or `depth`, or the CPU"
+            ))
+        };
+        if let Some(largest) = sizes.iter().map(needed).max().filter(|bytes| *bytes > self.most_bytes) {
+            let (largest, most) = (describe_bytes(largest), describe_bytes(self.most_bytes));
+            return Err(refuse(format!(
+                ", {largest} of them in one buffer, and the limit of {} is {most}",
+                self.name()
+            )));
+        }
+        if total > self.memory {
+            return Err(refuse(format!(", and {} has {}", self.name(), describe_bytes(self.memory))));
+        }
+        for (slot, size) in sizes.iter().enumerate() {
+            let bytes = needed(size);
+            if workspace.buffers.get(slot).is_some_and(|buffer| buffer.size() >= bytes) {
+                continue;
+            }
+            workspace.changed = workspace.steps;
+            let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
+            let Ok(buffer) = self.buffer(bytes, usage) else {
+                workspace.release();
+                return Err(refuse(format!(", and {} has less free", self.name())));
+            };
+            match workspace.buffers.get_mut(slot) {
+                Some(old) => *old = buffer,
+                None => workspace.buffers.push(buffer),
+            }
+        }
+        Ok(GpuStep {
+            gpu: self,
+            workspace,
+            commands: Vec::new(),
+            arguments: Vec::new(),
+            sizes: sizes.to_vec(),
+            sent: Vec::new(),
+        })
+    }
+
+    /// Creates a buffer of `bytes` bytes.
+    pub(crate) fn buffer(&self, bytes: u64, usage: BufferUsages) -> Result<Buffer, String> {
+        let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let limits = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: None,
+            size: bytes,
+            usage,
+            mapped_at_creation: false,
+        });
+        let errors = [wait_for(limits.pop()), wait_for(memory.pop())];
+        errors.into_iter().flatten().next().map_or(Ok(buffer), |error| Err(error.to_string()))
+    }
+}
+
+impl GpuStep<'_> {
+    /// Returns the number of the step. Buffers keep their content until the next step.
+    pub fn number(&self) -> u64 {
+        self.workspace.steps
+    }
+
+    /// Returns whether the buffers still hold what step `number` left in them.
+    pub fn follows(&self, number: u64) -> bool {
+        self.workspace.steps == number + 1 && self.workspace.changed <= number
+    }
+
+    /// Writes values to a slot, after all passes recorded so far.
+    pub fn upload(&mut self, slot: usize, start: usize, values: &[Real]) {
+        self.send();
+        let single: Vec<f32>;
+        let bytes: &[u8] = if size_of::<Real>() == size_of::<f32>() {
+            bytemuck::cast_slice(values)
+        } else {
+            single = values.iter().map(|value| *value as f32).collect();
+            bytemuck::cast_slice(&single)
+        };
+        self.gpu.queue.write_buffer(&self.workspace.buffers[slot], (size_of::<f32>() * start) as u64, bytes);
+    }
+
+    /// Sets the first `len` numbers of a slot to zero.
+    pub fn clear(&mut self, slot: usize, len: usize) {
+        self.commands.push(Command::Clear { slot, bytes: (size_of::<f32>() * len) as u64 });
+    }
+
+    /// Requests `len` numbers of a slot from `start`, as they are after the passes recorded so far: the next result of
+    /// [`Self::finish`].
+    pub fn read(&mut self, slot: usize, start: usize, len: usize) {
+        let bytes = |numbers: usize| (size_of::<f32>() * numbers) as u64;
+        self.commands.push(Command::Read { slot, offset: bytes(start), bytes: bytes(len) });
+    }
+
+    /// Checks that a matrix with this shape lies inside its slot: the GPU ignores what is outside.
+    pub(crate) fn check(&self, block: Block, (rows, columns): (usize, usize)) {
+        let last = |count: usize, stride: usize| count.saturating_sub(1) * stride;
+        let end = block.start + last(rows, block.strides.0) + last(columns, block.strides.1);
+        assert!(rows * columns == 0 || end < self.sizes[block.slot], "a matrix lies inside its slot");
+    }
+
+    /// Records a kernel. `slots` are those of A, B, H, E and C.
+    pub(crate) fn pass(&mut self, name: &str, slots: [usize; 5], arguments: [usize; ARGUMENTS], groups: [usize; 3]) {
+        if groups.contains(&0) {
+            return;
+        }
+        let kernel = KERNELS.iter().position(|kernel| *kernel == name).expect("a kernel of that name");
+        let argument = (self.arguments.len() * size_of::<u32>()) as u32;
+        self.arguments.extend(arguments.map(|number| number as u32));
+        self.arguments.resize(self.arguments.len().next_multiple_of(ALIGNMENT / size_of::<u32>()), 0);
+        self.commands.push(Command::Pass { kernel, slots, argument, groups: groups.map(|n| n as u32) });
+        if self.commands.len() >= SENT_TOGETHER {
+            self.send();
+        }
+    }
+
+    /// Sends the recorded commands to the GPU, which runs them while the CPU goes on.
+    pub fn send(&mut self) {
+        let (commands, arguments) = (std::mem::take(&mut self.commands), std::mem::take(&mut self.arguments));
+        if commands.is_empty() {
+            return;
+        }
+        let reads =
+            commands.iter().filter_map(|c| if let Command::Read { bytes, .. } = c { Some(*bytes) } else { None });
+        let reads: Vec<u64> = reads.collect();
+        let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
+        let results = self.gpu.buffer(reads.iter().sum::<u64>().max(4), usage);
+        let uniform = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
+        let uniforms = self.gpu.buffer((size_of::<u32>() * arguments.len()).max(ALIGNMENT) as u64, uniform);
+        let (results, uniforms) = match (results, uniforms) {
+            (Ok(results), Ok(uniforms)) => (results, uniforms),
+            (Err(why), _) | (_, Err(why)) => return keep_first(&self.gpu.failure, why),
+        };
+        self.gpu.queue.write_buffer(&uniforms, 0, bytemuck::cast_slice(&arguments));
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let mut place = 0;
+        let mut rest = commands.as_slice();
+        while let Some(command) = rest.first() {
+            let passes = rest.iter().take_while(|c| matches!(c, Command::Pass { .. })).count();
+            match command {
+                Command::Pass { .. } => self.encode_passes(&mut encoder, &uniforms, &rest[..passes]),
+                Command::Clear { slot, bytes } => encoder.clear_buffer(&self.workspace.buffers[*slot], 0, Some(*bytes)),
+                Command::Read { slot, offset, bytes } => {
+                    encoder.copy_buffer_to_buffer(&self.workspace.buffers[*slot], *offset, &results, place, *bytes);
+                    place += bytes;
+                }
+            }
+            rest = &rest[passes.max(1)..];
+        }
+        self.gpu.queue.submit([encoder.finish()]);
+        if !reads.is_empty() {
+            self.sent.push((results, reads));
+        }
+    }
+
+    /// Encodes neighbouring passes.
+    fn encode_passes(&self, encoder: &mut wgpu::CommandEncoder, uniforms: &Buffer, passes: &[Command]) {
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        let size = std::num::NonZeroU64::new((size_of::<u32>() * ARGUMENTS) as u64);
+        for command in passes {
+            let Command::Pass { kernel, slots, argument, groups } = command else { continue };
+            let arguments = wgpu::BufferBinding { buffer: uniforms, offset: 0, size };
+            let mut entries =
+                vec![wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::Buffer(arguments) }];
+            entries.extend((1..).zip(slots).map(|(binding, slot)| wgpu::BindGroupEntry {
+                binding,
+                resource: self.workspace.buffers[*slot].as_entire_binding(),
+            }));
+            let group = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: None,
+                layout: &self.gpu.layout,
+                entries: &entries,
+            });
+            pass.set_pipeline(&self.gpu.kernels[*kernel]);
+            pass.set_bind_group(0, &group, &[*argument]);
+            pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
+        }
+    }
+
+    /// Waits for all passes; returns the requested numbers in the order of the requests.
+    ///
+    /// # Errors
+    /// [`Error::Device`] if the GPU failed, for example out of memory; results are then lost.
+    pub fn finish(mut self) -> Result<Vec<Vec<Real>>> {
+        self.send();
+        let failed = |e: &dyn std::fmt::Display| Error::Device(format!("{}: {e}", self.gpu.name()));
+        for (buffer, _) in &self.sent {
+            buffer.map_async(wgpu::MapMode::Read, .., |_| ()); // an error of mapping is one of the range below
+        }
+        let poll = self.gpu.device.poll(wgpu::PollType::wait_indefinitely());
+        if let Some(why) = self.gpu.failure.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            return Err(failed(&why));
+        }
+        poll.map_err(|e| failed(&e))?;
+        let mut all = Vec::new();
+        for (buffer, reads) in &self.sent {
+            let view = buffer.get_mapped_range(..).map_err(|e| failed(&e))?;
+            let mut rest: &[u8] = &view;
+            for bytes in reads {
+                let (part, after) = rest.split_at(*bytes as usize);
+                let values: Vec<f32> = bytemuck::pod_collect_to_vec(part);
+                all.push(values.into_iter().map(|value| value as Real).collect());
+                rest = after;
+            }
+        }
+        Ok(all)
+    }
+}

@@ -1,0 +1,144 @@
+//! `Mlp` on the GPU: chunks of up to 65,536 Gaussians, transmitter by transmitter.
+
+use super::{MlpLayers, append};
+use crate::dense;
+use crate::trunk::gpu::{D, D_FOLDED, D_WEIGHTS, GAMMA, GpuTrunk, OWN, WEIGHTS, chunk_rows, encode_chunk};
+use pwrfgs_core::{DeformationInputs, DeformationVjp, Deltas, Error, Real, Result};
+use pwrfgs_gpu::{Block, Epilogue, Gpu};
+
+/// Slot of the outputs of the heads `[outputs, R]`, and of their cotangents.
+const OUT: usize = OWN;
+
+/// Number of the step whose activations are still on the GPU.
+pub(crate) struct KeptStep(u64);
+
+impl MlpLayers {
+    /// Returns the trunk for chunks of `rows` rows.
+    fn on_gpu(&self, rows: usize, is_derived: bool) -> GpuTrunk<'_> {
+        let slots = if is_derived { self.trunk.depth() } else { 2 };
+        GpuTrunk { trunk: &self.trunk, rows, first: OUT + 1, slots }
+    }
+
+    /// Returns the sizes of all slots for a trunk with its chunk.
+    fn gpu_sizes(&self, on: GpuTrunk<'_>, weights: usize, batch: usize, is_derived: bool) -> Vec<usize> {
+        let mut sizes = on.sizes(weights, batch, self.heads.outputs, is_derived);
+        sizes.push(self.heads.outputs * on.rows);
+        sizes.resize(on.first + on.slots, self.trunk.width * on.rows);
+        sizes
+    }
+
+    /// Returns the most rows of a chunk.
+    fn most_rows(&self, gpu: &Gpu) -> usize {
+        chunk_rows(gpu, self.trunk.width, crate::encoding::encoded_width(self.position_frequencies))
+    }
+
+    /// Returns the terms of all Gaussians and transmitters, as [`Self::forward`]; with `is_kept`, the GPU keeps the
+    /// activations of the last chunk and transmitter for the derivative.
+    ///
+    /// # Errors
+    /// The GPU failed.
+    pub(crate) fn gpu_forward(
+        &self,
+        gpu: &Gpu,
+        inputs: &DeformationInputs<'_>,
+        is_kept: bool,
+    ) -> Result<(Deltas, KeptStep)> {
+        let DeformationInputs { weights, means, txs, .. } = *inputs;
+        let sides = self.branch.tx_sides(weights, &self.trunk, txs);
+        let most = self.most_rows(gpu);
+        let sizes = self.gpu_sizes(self.on_gpu(means.len().min(most), is_kept), weights.len(), sides.len(), is_kept);
+        let mut step = gpu.step(&sizes)?;
+        let number = step.number();
+        step.upload(WEIGHTS, 0, weights);
+        for means in means.chunks(most) {
+            let on = self.on_gpu(means.len(), is_kept);
+            step.upload(GAMMA, 0, &encode_chunk(means, self.position_frequencies));
+            on.share_gamma(&mut step);
+            for side in &sides {
+                on.upload_folded(&mut step, &side.folded);
+                on.forward(&mut step);
+                let bias = Epilogue { bias: Some((WEIGHTS, self.heads.bias)), ..Epilogue::default() };
+                on.apply(&mut step, &self.heads.whole(), on.last(), OUT, bias);
+                step.read(OUT, 0, self.heads.outputs * means.len());
+                step.send();
+            }
+        }
+        let outputs = step.finish()?;
+        let mut all = Deltas::default();
+        for b in 0..sides.len() {
+            let of_chunks = outputs.iter().skip(b).step_by(sides.len());
+            of_chunks.for_each(|out| append(&mut all, &self.gather_terms(out, out.len() / self.heads.outputs)));
+        }
+        Ok((all, KeptStep(number)))
+    }
+
+    /// Runs the backward pass of [`Self::gpu_forward`], as [`Self::vjp`]. Begins with the last transmitter, whose
+    /// activations may still be on the GPU.
+    ///
+    /// # Errors
+    /// The GPU failed; `sums` are then unchanged.
+    pub(crate) fn gpu_vjp(
+        &self,
+        gpu: &Gpu,
+        inputs: &DeformationInputs<'_>,
+        d: &Deltas,
+        sums: DeformationVjp<'_>,
+    ) -> Result<()> {
+        let DeformationInputs { weights, means, txs, .. } = *inputs;
+        let kept = inputs.kept.as_ref().and_then(|kept| kept.downcast_ref::<KeptStep>());
+        let sides = self.branch.tx_sides(weights, &self.trunk, txs);
+        let (most, width, batch) = (self.most_rows(gpu), self.trunk.width, sides.len());
+        let sizes = self.gpu_sizes(self.on_gpu(means.len().min(most), true), weights.len(), batch, true);
+        let mut step = gpu.step(&sizes)?;
+        let is_kept = means.len() <= most && kept.is_some_and(|kept| step.follows(kept.0));
+        if !is_kept {
+            step.upload(WEIGHTS, 0, weights);
+        }
+        step.clear(D_WEIGHTS, weights.len());
+        step.clear(D_FOLDED, 2 * width * batch);
+        let mut first = 0;
+        for means in means.chunks(most) {
+            let on = self.on_gpu(means.len(), true);
+            if !is_kept {
+                step.upload(GAMMA, 0, &encode_chunk(means, self.position_frequencies));
+                on.share_gamma(&mut step);
+            }
+            on.clear_shared(&mut step);
+            for (b, side) in sides.iter().enumerate().rev() {
+                if !(is_kept && b + 1 == batch) {
+                    on.upload_folded(&mut step, &side.folded);
+                    on.forward(&mut step);
+                }
+                let start = b * inputs.means.len() + first;
+                let mut out = vec![0.0; self.heads.outputs * means.len()];
+                self.scatter_cotangents(d, start..start + means.len(), &mut out);
+                step.upload(OUT, 0, &out);
+                let d_out = Block::new(OUT, 0, means.len());
+                on.weight_vjp(&mut step, &self.heads.whole(), on.last(), d_out);
+                step.add_row_sums((self.heads.outputs, means.len()), (OUT, 0), (D_WEIGHTS, self.heads.bias));
+                let mask = Epilogue { mask: Some(on.last()), ..Epilogue::default() };
+                on.input_vjp(&mut step, &self.heads.whole(), d_out, D, mask);
+                on.backward(&mut step, [b * width, (batch + b) * width]);
+            }
+            on.share_gamma_vjp(&mut step, None);
+            first += means.len();
+        }
+        step.read(D_WEIGHTS, 0, weights.len());
+        step.read(D_FOLDED, 0, 2 * width * batch);
+        let [d_weights, d_folded]: [Vec<Real>; 2] = step.finish()?.try_into().expect("two results");
+        dense::add_assign(sums.weights, &d_weights);
+        let (first, joined) = d_folded.split_at(width * batch);
+        let mut d_folded = self.trunk.zero_joints(width * batch);
+        dense::add_assign(&mut d_folded.first, first);
+        dense::add_assign(&mut d_folded.joined, joined);
+        self.branch.vjp(weights, &self.trunk, &sides, &d_folded, sums.weights, sums.positions);
+        Ok(())
+    }
+
+    /// Records the error of a failed pass; returns zeros in place of its terms.
+    pub(crate) fn failed(&self, error: Error, inputs: &DeformationInputs<'_>) -> Deltas {
+        pwrfgs_core::device::fail(error);
+        let terms = inputs.means.len() * inputs.txs.len();
+        self.gather_terms(&vec![0.0; self.heads.outputs * terms], terms)
+    }
+}

@@ -1,0 +1,256 @@
+//! `Wrfgs` on the GPU: chunks of up to 65,536 Gaussians; the trunk once, the signal branch for each transmitter.
+
+use super::WrfgsLayers;
+use crate::dense::{self, amplitude};
+use crate::encoding::encoded_width;
+use crate::linear::LayerPart;
+use crate::trunk::gpu::{D, D_FOLDED, D_WEIGHTS, GAMMA, GpuTrunk, OWN, SPARE, WEIGHTS, chunk_rows, encode_chunk};
+use crate::wrfgs_branch::TxSide;
+use pwrfgs_core::{DeformationInputs, DeformationVjp, Real, Result};
+use pwrfgs_gpu::{Block, Epilogue, Gpu, GpuStep};
+
+/// Slots of the trunk outputs: attenuation before |lrelu| `[R]`, feature and W·feature `[width, R]`, with the cotangent.
+const ATTENUATION: usize = OWN;
+const FEATURE: usize = OWN + 1;
+const FROM_FEATURE: usize = OWN + 2;
+const D_FROM_FEATURE: usize = OWN + 3;
+/// Slots of the branch: γ(X - p) `[gamma, R]`, folded bias `[width]`, hidden layers, signal before |lrelu| `[R]`.
+const OFFSET: usize = OWN + 4;
+const SIDE: usize = OWN + 5;
+const HIDDEN: [usize; 2] = [OWN + 6, OWN + 7];
+const SIGNAL: usize = OWN + 8;
+/// Slots of cotangents: the output `[R]`; `[3, R]` of signal, attenuation and logarithm of the gain; folded biases `[B, width]`.
+const D_OUT: usize = OWN + 9;
+const D_AMPLITUDES: usize = OWN + 10;
+const D_SIDES: usize = OWN + 11;
+/// Slots of cotangents of an encoding `[gamma, R]`, of the offsets and the centres `[3, R]`, and of the transmitters `[B, 3]`.
+const D_GAMMA: usize = OWN + 12;
+const D_OFFSETS: usize = OWN + 13;
+const D_MEANS: usize = OWN + 14;
+const D_TXS: usize = OWN + 15;
+const FIRST: usize = OWN + 16;
+
+/// Derivatives by positions that are wanted.
+#[derive(Clone, Copy)]
+struct Wanted {
+    means: bool,
+    txs: bool,
+}
+
+impl WrfgsLayers {
+    /// Returns the trunk for chunks of `rows` rows.
+    fn on_gpu(&self, rows: usize, is_derived: bool) -> GpuTrunk<'_> {
+        GpuTrunk { trunk: &self.trunk, rows, first: FIRST, slots: if is_derived { self.trunk.depth() } else { 2 } }
+    }
+
+    /// Returns the number of components of every encoding.
+    fn encoded(&self) -> usize {
+        encoded_width(self.branch.frequencies)
+    }
+
+    /// Returns the most rows of a chunk.
+    fn most_rows(&self, gpu: &Gpu) -> usize {
+        chunk_rows(gpu, self.trunk.width, self.encoded())
+    }
+
+    /// Returns the first output, which alone is used, of the heads of the attenuation and of the signal.
+    fn first_outputs(&self) -> [LayerPart; 2] {
+        [&self.attenuation, &self.branch.out].map(|layer| layer.with_outputs(1).whole())
+    }
+
+    /// Begins a step with the weights and the biases of the trunk on the GPU.
+    fn begin<'g>(&self, gpu: &'g Gpu, inputs: &DeformationInputs<'_>, derived: Option<Wanted>) -> Result<GpuStep<'g>> {
+        let (batch, width) = (inputs.txs.len(), self.trunk.width);
+        let rows = inputs.means.len().min(self.most_rows(gpu));
+        let on = self.on_gpu(rows, derived.is_some());
+        let mut sizes = on.sizes(inputs.weights.len(), 1, 3, derived.is_some());
+        sizes.resize(FIRST, 1);
+        let (chunk, encoded) = (width * rows, self.encoded() * rows);
+        (sizes[ATTENUATION], sizes[SIGNAL], sizes[SIDE]) = (rows, rows, width);
+        (sizes[FEATURE], sizes[FROM_FEATURE], sizes[OFFSET]) = (chunk, chunk, encoded);
+        [sizes[HIDDEN[0]], sizes[HIDDEN[1]]] = [chunk, width / 2 * rows];
+        if let Some(wanted) = derived {
+            (sizes[D_FROM_FEATURE], sizes[D_OUT], sizes[D_AMPLITUDES]) = (chunk, rows, 3 * rows);
+            sizes[D_SIDES] = width * batch;
+            if wanted.means || wanted.txs {
+                (sizes[D_GAMMA], sizes[D_OFFSETS], sizes[D_MEANS], sizes[D_TXS]) =
+                    (encoded, 3 * rows, 3 * rows, 3 * batch);
+            }
+        }
+        sizes.resize(FIRST + on.slots, chunk);
+        let mut step = gpu.step(&sizes)?;
+        step.upload(WEIGHTS, 0, inputs.weights);
+        on.upload_folded(&mut step, &self.trunk.fold_biases(inputs.weights, &[]));
+        Ok(step)
+    }
+
+    /// Runs the trunk for the centres of a chunk.
+    fn gpu_trunk(&self, step: &mut GpuStep<'_>, on: GpuTrunk<'_>, means: &[[Real; 3]]) {
+        step.upload(GAMMA, 0, &encode_chunk(means, self.branch.frequencies));
+        on.share_gamma(step);
+        on.forward(step);
+        let bias = |bias| Epilogue { bias: Some((WEIGHTS, bias)), ..Epilogue::default() };
+        on.apply(step, &self.first_outputs()[0], on.last(), ATTENUATION, bias(self.attenuation.bias));
+        on.apply(step, &self.feature.whole(), on.last(), FEATURE, bias(self.feature.bias));
+        on.apply(step, &self.branch.first_layer_parts()[0], FEATURE, FROM_FEATURE, Epilogue::default());
+    }
+
+    /// Runs the signal branch of a chunk for a transmitter.
+    fn gpu_branch(&self, step: &mut GpuStep<'_>, on: GpuTrunk<'_>, means: &[[Real; 3]], tx: [Real; 3], side: &TxSide) {
+        let offsets: Vec<[Real; 3]> = means.iter().map(|x| std::array::from_fn(|k| x[k] - tx[k])).collect();
+        step.upload(OFFSET, 0, &encode_chunk(&offsets, self.branch.frequencies));
+        step.upload(SIDE, 0, &side.folded);
+        let with = Epilogue { relu: true, ..Epilogue::default() };
+        let first = Epilogue { plus: Some(FROM_FEATURE), bias: Some((SIDE, 0)), ..with };
+        on.apply(step, &self.branch.first_layer_parts()[2], OFFSET, HIDDEN[0], first);
+        let second = &self.branch.signal[1];
+        on.apply(step, &second.whole(), HIDDEN[0], HIDDEN[1], Epilogue { bias: Some((WEIGHTS, second.bias)), ..with });
+        let bias = Epilogue { bias: Some((WEIGHTS, self.branch.out.bias)), ..Epilogue::default() };
+        on.apply(step, &self.first_outputs()[1], HIDDEN[1], SIGNAL, bias);
+    }
+
+    /// Returns S·A, `[B, N]`, as [`Self::forward`].
+    ///
+    /// # Errors
+    /// The GPU failed.
+    pub(crate) fn gpu_forward(&self, gpu: &Gpu, inputs: &DeformationInputs<'_>) -> Result<Vec<Real>> {
+        let (means, txs) = (inputs.means, inputs.txs.positions());
+        let sides = self.branch.tx_sides(inputs.weights, txs);
+        let mut step = self.begin(gpu, inputs, None)?;
+        for means in means.chunks(self.most_rows(gpu)) {
+            let on = self.on_gpu(means.len(), false);
+            self.gpu_trunk(&mut step, on, means);
+            step.read(ATTENUATION, 0, means.len());
+            for (tx, side) in txs.iter().zip(&sides) {
+                self.gpu_branch(&mut step, on, means, *tx, side);
+                step.read(SIGNAL, 0, means.len());
+                step.send();
+            }
+        }
+        let results = step.finish()?;
+        let mut all = Vec::with_capacity(means.len() * txs.len());
+        for b in 1..=txs.len() {
+            for chunk in results.chunks_exact(1 + txs.len()) {
+                all.extend(chunk[b].iter().zip(&chunk[0]).map(|(&s, &a)| amplitude(s) * amplitude(a)));
+            }
+        }
+        Ok(all)
+    }
+
+    /// Runs the backward pass of [`Self::gpu_forward`], as [`Self::vjp`].
+    ///
+    /// # Errors
+    /// The GPU failed; `sums` are then unchanged.
+    pub(crate) fn gpu_vjp(
+        &self,
+        gpu: &Gpu,
+        inputs: &DeformationInputs<'_>,
+        d: &[Real],
+        sums: &mut DeformationVjp<'_>,
+    ) -> Result<f64> {
+        let (n, txs, width) = (inputs.means.len(), inputs.txs.positions(), self.trunk.width);
+        let wanted = Wanted { means: sums.means.is_some(), txs: sums.positions.is_some() };
+        let sides = self.branch.tx_sides(inputs.weights, txs);
+        let mut step = self.begin(gpu, inputs, Some(wanted))?;
+        step.clear(D_WEIGHTS, inputs.weights.len());
+        step.clear(D_FOLDED, 2 * width);
+        step.clear(D_SIDES, width * txs.len());
+        step.clear(D_TXS, if wanted.txs { 3 * txs.len() } else { 0 });
+        let mut first = 0;
+        for means in inputs.means.chunks(self.most_rows(gpu)) {
+            let (on, rows) = (self.on_gpu(means.len(), true), means.len());
+            self.gpu_trunk(&mut step, on, means);
+            step.clear(D_FROM_FEATURE, width * rows);
+            step.clear(D_AMPLITUDES, 3 * rows);
+            step.clear(D_MEANS, if wanted.means { 3 * rows } else { 0 });
+            for (b, (tx, side)) in txs.iter().zip(&sides).enumerate() {
+                self.gpu_branch(&mut step, on, means, *tx, side);
+                step.upload(D_OUT, 0, &d[b * n + first..][..rows]);
+                self.gpu_branch_vjp(&mut step, on, b, wanted);
+                step.send();
+            }
+            self.gpu_trunk_vjp(&mut step, on, wanted);
+            step.read(D_AMPLITUDES, 2 * rows, rows);
+            step.read(D_MEANS, 0, if wanted.means { 3 * rows } else { 0 });
+            first += rows;
+        }
+        step.read(D_WEIGHTS, 0, inputs.weights.len());
+        step.read(D_FOLDED, 0, 2 * width);
+        step.read(D_SIDES, 0, width * txs.len());
+        step.read(D_TXS, 0, if wanted.txs { 3 * txs.len() } else { 0 });
+        let mut results = step.finish()?;
+        let [d_weights, d_folded, d_sides, d_txs]: [Vec<Real>; 4] =
+            results.split_off(results.len() - 4).try_into().expect("four results");
+        dense::add_assign(sums.weights, &d_weights);
+        let (first, joined) = d_folded.split_at(width);
+        let mut d_biases = self.trunk.zero_joints(width);
+        dense::add_assign(&mut d_biases.first, first);
+        dense::add_assign(&mut d_biases.joined, joined);
+        self.trunk.add_joint_biases(sums.weights, &d_biases);
+        let positions = sums.positions.as_deref_mut();
+        self.branch.tx_sides_vjp(inputs.weights, &sides, &d_sides, sums.weights, positions);
+        if let Some(positions) = &mut sums.positions {
+            positions.as_flattened_mut().iter_mut().zip(&d_txs).for_each(|(sum, d)| *sum -= d);
+        }
+        if let Some(d_means) = &mut sums.means {
+            let chunks = d_means.chunks_mut(self.most_rows(gpu)).zip(results.chunks_exact(2));
+            for (d_means, results) in chunks {
+                let rows = d_means.len();
+                (d_means.iter_mut().enumerate())
+                    .for_each(|(r, d)| (0..3).for_each(|k| d[k] += results[1][k * rows + r]));
+            }
+        }
+        Ok(results.iter().step_by(2).flatten().map(|&d| f64::from(d)).sum())
+    }
+
+    /// Runs the backward pass of [`Self::gpu_branch`] for transmitter `b`, given the cotangents in slot [`D_OUT`].
+    fn gpu_branch_vjp(&self, step: &mut GpuStep<'_>, on: GpuTrunk<'_>, b: usize, wanted: Wanted) {
+        let (rows, width, second) = (on.rows, self.trunk.width, &self.branch.signal[1]);
+        let (out, [_, _, offset_part]) = (&self.first_outputs()[1], self.branch.first_layer_parts());
+        let mask = |slot| Epilogue { mask: Some(slot), ..Epilogue::default() };
+        step.amplitudes_vjp(rows, [SIGNAL, ATTENUATION, D_OUT, D_AMPLITUDES]);
+        on.weight_vjp(step, out, HIDDEN[1], on.chunk(D_AMPLITUDES));
+        step.add_row_sums((1, rows), (D_AMPLITUDES, 0), (D_WEIGHTS, self.branch.out.bias));
+        on.input_vjp(step, out, on.chunk(D_AMPLITUDES), SPARE, mask(HIDDEN[1]));
+        on.weight_vjp(step, &second.whole(), HIDDEN[0], on.chunk(SPARE));
+        step.add_row_sums((width / 2, rows), (SPARE, 0), (D_WEIGHTS, second.bias));
+        on.input_vjp(step, &second.whole(), on.chunk(SPARE), D, mask(HIDDEN[0]));
+        step.add_row_sums((width, rows), (D, 0), (D_SIDES, b * width));
+        step.add(width * rows, D, D_FROM_FEATURE);
+        on.weight_vjp(step, &offset_part, OFFSET, on.chunk(D));
+        if !(wanted.means || wanted.txs) {
+            return;
+        }
+        on.input_vjp(step, &offset_part, on.chunk(D), D_GAMMA, Epilogue::default());
+        step.clear(D_OFFSETS, 3 * rows);
+        step.encode_vjp((self.branch.frequencies, rows), [OFFSET, D_GAMMA, D_OFFSETS]);
+        if wanted.means {
+            step.add(3 * rows, D_OFFSETS, D_MEANS);
+        }
+        if wanted.txs {
+            step.add_row_sums((3, rows), (D_OFFSETS, 0), (D_TXS, 3 * b));
+        }
+    }
+
+    /// Runs the backward pass of [`Self::gpu_trunk`], given the cotangents in [`D_AMPLITUDES`] and [`D_FROM_FEATURE`].
+    fn gpu_trunk_vjp(&self, step: &mut GpuStep<'_>, on: GpuTrunk<'_>, wanted: Wanted) {
+        let (rows, width) = (on.rows, self.trunk.width);
+        let ([feature_part, ..], feature) = (self.branch.first_layer_parts(), self.feature.whole());
+        let mask = Epilogue { mask: Some(on.last()), ..Epilogue::default() };
+        on.weight_vjp(step, &feature_part, FEATURE, on.chunk(D_FROM_FEATURE));
+        on.input_vjp(step, &feature_part, on.chunk(D_FROM_FEATURE), SPARE, Epilogue::default());
+        on.weight_vjp(step, &feature, on.last(), on.chunk(SPARE));
+        step.add_row_sums((width, rows), (SPARE, 0), (D_WEIGHTS, self.feature.bias));
+        on.input_vjp(step, &feature, on.chunk(SPARE), D, mask);
+        let (attenuation, d_attenuation) = (&self.first_outputs()[0], Block::new(D_AMPLITUDES, rows, rows));
+        on.weight_vjp(step, attenuation, on.last(), d_attenuation);
+        step.add_row_sums((1, rows), (D_AMPLITUDES, rows), (D_WEIGHTS, self.attenuation.bias));
+        on.input_vjp(step, attenuation, d_attenuation, D, Epilogue { add: true, ..mask });
+        on.clear_shared(step);
+        on.backward(step, [0, width]);
+        on.share_gamma_vjp(step, wanted.means.then_some(D_GAMMA));
+        if wanted.means {
+            step.encode_vjp((self.branch.frequencies, rows), [GAMMA, D_GAMMA, D_MEANS]);
+        }
+    }
+}
