@@ -13,7 +13,9 @@ beside=(example_plugin_is_swept_by_name published_pruners_work_outside_the_works
 # The program and the Python package are here for their dependencies alone: with them all crates of others are those of the
 # first pass, and the Python package in double precision is built of these.
 formulas=(-p pwrfgs -p pwrfgs-core -p pwrfgs-methods -p pwrfgs-networks -p pwrfgs-prune -p pwrfgs-raster -p pwrfgs-train -p pwrfgs-cli
-    -p pwrfgs-python)
+    -p pwrfgs-python -p pwrfgs-gpu)
+# Networks on a GPU, which is a software GPU here. Compiled with the rest; skipped without a driver.
+gpu=(--features pwrfgs/gpu,pwrfgs-cli/gpu)
 # Tests of files, texts and whole runs: no formula, so single precision is enough.
 once=(baselines:: changes:: determinism:: documentation:: examples:: figures:: inspect:: learning:: maps:: names:: own_baseline::
     pipelines:: registry:: repeatability:: stopping:: streaming:: structure:: supply_chain::)
@@ -22,18 +24,18 @@ notes=$(mktemp -d)
 export PWRFGS_SKIPPED=$notes/skipped # pwrfgs_core::testing::skipped writes there
 failed=()
 
-cargo test "$@" --workspace --no-run
-cargo test "$@" --workspace --no-fail-fast --test cli --test fuzz -- "${beside[@]}" >"$notes/beside" 2>&1 &
+cargo test "$@" --workspace "${gpu[@]}" --no-run
+cargo test "$@" --workspace "${gpu[@]}" --no-fail-fast --test cli --test fuzz -- "${beside[@]}" >"$notes/beside" 2>&1 &
 beside_pid=$!
 trap 'kill $beside_pid 2>/dev/null || true; rm -r "$notes"' EXIT
 
 echo "== all tests, f32: every formula as it is used"
-cargo test "$@" --workspace --no-fail-fast -- "${beside[@]/#/--skip=}" || failed+=("f32")
+cargo test "$@" --workspace "${gpu[@]}" --no-fail-fast -- "${beside[@]/#/--skip=}" || failed+=("f32")
 echo "== where formulas are, f64: derivatives against central differences"
 double=("$@" "${formulas[@]}" --features pwrfgs/f64)
 cargo test "${double[@]}" --no-fail-fast --lib --test all -- "${once[@]/#/--skip=}" || failed+=("f64")
 echo "== the Python package"
-PWRFGS_FORMULAS="${formulas[*]}" tests/python.sh "$@" || failed+=("the Python package")
+PWRFGS_FORMULAS="${formulas[*]}" PWRFGS_FEATURES="${gpu[*]}" tests/python.sh "$@" || failed+=("the Python package")
 echo "== beside them: the example plugin, Slurm, kills and full disks, broken files"
 wait $beside_pid || failed+=("what ran beside the rest")
 cat "$notes/beside"

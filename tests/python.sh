@@ -101,7 +101,7 @@ test_site() {
 
 # Targets are those of the other tests, tests too, so that features are the same and nothing is compiled twice.
 echo "== Python, f32"
-cargo build "$@" --workspace --lib --bins --tests
+cargo build "$@" --workspace ${PWRFGS_FEATURES:-} --lib --bins --tests
 together f32
 test_package f32 python/tests --ignore python/tests/test_types.py --ignore python/tests/test_wheel.py # from a wheel below
 test_torch f32
