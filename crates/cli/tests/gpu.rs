@@ -100,7 +100,11 @@ mod with_gpu {
             succeed(here, &["run", "p.ron", "--out", &cpu, "-q"]);
             let output = run(here, &["run", "p.ron", "--out", &gpu, "-q"]);
             assert!(output.status.success(), "{}", stderr(&output));
-            assert!(stderr(&output).contains("N = 8: a GPU step is not faster than the CPU"), "{}", stderr(&output));
+            assert!(
+                stderr(&output).contains("N = 8: a step on a GPU is probably not faster than on the CPU"),
+                "{}",
+                stderr(&output)
+            );
             let [expected, found] = [&cpu, &gpu].map(|name| curve(&here.join(name)));
             assert_eq!(expected.len(), found.len());
             for (expected, found) in expected.iter().zip(&found).skip(1).take(30) {

@@ -52,7 +52,8 @@ pub fn write_results(
 
 impl ActiveRun<'_, '_> {
     /// Concludes the run in `folder`: writes the scores, the report if the session has a `page`, the checksums and
-    /// `run.json`, and removes the checkpoint unless the session keeps it. Returns the summary of the scores, which the observer also gets.
+    /// `run.json`, and removes the checkpoint unless the session keeps it. Returns the summary of the scores, which the
+    /// observer also gets.
     ///
     /// # Errors
     /// [`Error::Write`]; a damaged training file.

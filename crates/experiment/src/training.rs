@@ -24,7 +24,8 @@ use pwrfgs_train::{Keep, PruneStepState, Trainer, check_available, network_bytes
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-/// Number of Gaussians below which a step on a GPU takes about as long as on the CPU: starting its passes takes longer than they do.
+/// Number of Gaussians below which a step on a GPU is expected to take as long as on the CPU: starting the passes takes longer
+/// than they do. An estimate, not measured on a GPU.
 const FEW_GAUSSIANS: usize = 1000;
 
 impl<'a> ActiveRun<'a, '_> {
@@ -223,7 +224,7 @@ impl Training<'_, '_, '_> {
         if !device::is_used() {
             self.warn(&format!("no part of this pipeline runs on {name}; only the networks `Mlp` and `Wrfgs` do"));
         } else if n < FEW_GAUSSIANS {
-            self.warn(&format!("N = {n}: a GPU step is not faster than the CPU"));
+            self.warn(&format!("N = {n}: a step on a GPU is probably not faster than on the CPU"));
         }
     }
 

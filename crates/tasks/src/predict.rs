@@ -6,7 +6,7 @@ use crate::models::{check_positions, select_receivers};
 use clap::Args;
 use pwrfgs_core::files::{PartialFolder, digest};
 use pwrfgs_core::statistics::median;
-use pwrfgs_core::{Error, Image, Pose, Predict as _, Query, Result, Task, check_stopped};
+use pwrfgs_core::{Error, Image, Pose, Predict as _, Query, Result, Task, check_stopped, device};
 use pwrfgs_experiment::{Observer, text::grouped};
 use pwrfgs_model::{Ensemble, IntervalFactors, Prepared, TrainingDistances, file};
 use rayon::prelude::*;
@@ -194,7 +194,7 @@ impl RowPredictor<'_> {
         (row, Query::at(row.pose, receiver))
     }
 
-    /// Predicts rows in calls of [`CALL`]; an error if a prediction is not finite.
+    /// Predicts rows in calls of [`CALL`]; an error if a prediction is not finite or the GPU failed.
     fn predict_rows(&self, rows: Range<usize>) -> Result<Vec<PredictedRow<'_>>> {
         let rows: Vec<_> = rows.map(|k| self.row(k)).collect();
         let predict = |rows: &[(PredictionRow<'_>, Query<'_>)]| {
@@ -206,6 +206,7 @@ impl RowPredictor<'_> {
             self.model.predict_many(&queries).into_iter().map(|image| (image, None)).collect::<Vec<_>>()
         };
         let predicted: Vec<_> = rows.par_chunks(CALL).flat_map_iter(predict).collect();
+        device::check()?; // before zeros of a failed GPU are written
         let complete = |((image, spread), (row, query))| self.complete_row(row, query, image, spread);
         predicted.into_par_iter().zip(rows).map(complete).collect()
     }

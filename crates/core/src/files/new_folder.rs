@@ -2,7 +2,7 @@
 
 use super::held::lock_unused;
 use super::{parent, refuse_occupied};
-use crate::{Error, Result};
+use crate::{Error, Result, device};
 use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind};
 use std::mem;
@@ -127,8 +127,10 @@ impl Drop for NewFolder {
     }
 }
 
-/// Renames the finished folder `path` to `out`, where an empty folder is replaced, and then removes its `marker`.
+/// Renames the finished folder `path` to `out`, where an empty folder is replaced, and then removes its `marker`. Fails if the
+/// GPU did: numbers in the folder may then be zeros.
 pub(super) fn rename_to_target(path: &Path, out: &Path, marker: &str) -> Result<()> {
+    device::check()?;
     let refuse = |e| Error::write(out, e);
     let _ = fs::remove_dir(out); // if it is missing or not empty, the rename reports the relevant error
     fs::rename(path, out).map_err(|e| check_target(out).err().unwrap_or_else(|| refuse(e)))?;
