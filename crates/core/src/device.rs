@@ -68,7 +68,20 @@ pub fn from_environment() -> Result<DeviceChoice> {
 static CHOICE: OnceLock<DeviceChoice> = OnceLock::new();
 static NAME: OnceLock<String> = OnceLock::new();
 static USED: AtomicBool = AtomicBool::new(false);
-static FAILURE: Mutex<Option<Error>> = Mutex::new(None);
+static FAILURE: FirstError = FirstError(Mutex::new(None));
+
+/// First error that was kept and not yet reported.
+struct FirstError(Mutex<Option<Error>>);
+
+impl FirstError {
+    fn keep(&self, error: Error) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+    }
+
+    fn report(&self) -> Result<()> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).take().map_or(Ok(()), Err)
+    }
+}
 
 /// Returns the choice of the process; the CPU until [`set_choice`].
 pub fn choice() -> DeviceChoice {
@@ -102,7 +115,7 @@ pub fn mark_used() {
 
 /// Records an error of the GPU, for [`check`]; only the first is kept.
 pub fn fail(error: Error) {
-    FAILURE.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+    FAILURE.keep(error);
 }
 
 /// Checks that the GPU has not failed. A failed network pass returns zeros, which callers must not use.
@@ -110,7 +123,7 @@ pub fn fail(error: Error) {
 /// # Errors
 /// The error of the first failure; the next call succeeds.
 pub fn check() -> Result<()> {
-    FAILURE.lock().unwrap_or_else(PoisonError::into_inner).take().map_or(Ok(()), Err)
+    FAILURE.report()
 }
 
 #[cfg(test)]
@@ -135,9 +148,10 @@ mod tests {
 
     #[test]
     fn first_failure_is_reported_once() {
-        fail(Error::Device("out of memory".to_owned()));
-        fail(Error::Device("later".to_owned()));
-        assert_eq!(check().unwrap_err().to_string(), "--device: out of memory");
-        assert!(check().is_ok());
+        let errors = FirstError(Mutex::new(None)); // that of the process would reach other tests
+        errors.keep(Error::Device("out of memory".to_owned()));
+        errors.keep(Error::Device("later".to_owned()));
+        assert_eq!(errors.report().unwrap_err().to_string(), "--device: out of memory");
+        assert!(errors.report().is_ok());
     }
 }
