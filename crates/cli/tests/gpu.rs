@@ -76,7 +76,9 @@ mod with_gpu {
         // With a folder for Mesa, which complains otherwise.
         let here = Path::new(".");
         let arguments = ["pipelines", "--device", "gpu"];
-        let output = pwrfgs(here).env("XDG_RUNTIME_DIR", std::env::temp_dir()).args(arguments).output().unwrap();
+        let mut command = pwrfgs(here);
+        command.env("XDG_RUNTIME_DIR", std::env::temp_dir()).env_remove("PWRFGS_DEVICE_SOFTWARE");
+        let output = command.args(arguments).output().unwrap();
         let (message, whole) =
             (stderr(&output), "error: --device gpu: only .*, a software GPU slower than the CPU, was found\n");
         assert_eq!(output.status.code(), Some(2), "{message}");
