@@ -1,6 +1,6 @@
 //! Predictions at many positions: equal to single ones, and continued after a kill.
 
-use crate::common::{copy_small_run, files, npy, pwrfgs, refuse, stderr, succeed, write};
+use crate::common::{copy_small_run, files, npy, pwrfgs, refuse, signal, stderr, succeed, write};
 use crate::links::hall;
 use pwrfgs::model::file;
 use std::collections::BTreeMap;
@@ -82,9 +82,9 @@ fn killed_predictions_of_powers_resume_to_identical_result() {
     // Another request does not touch the partial folder.
     walk(here, 60_000);
     let mut child = start(here, &predict);
+    signal(&child, "-STOP");
     refuse(here, &[&predict[..], &["--out", "killed"]].concat(), 2, &["killed.partial is in use by another"]);
-    let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(interrupt.success());
+    ["-INT", "-CONT"].iter().for_each(|name| signal(&child, name));
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(130), "{}", stderr(&output));
     assert!(stderr(&output).contains("are in killed.partial; repeat the command to resume"), "{}", stderr(&output));

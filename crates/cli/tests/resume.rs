@@ -1,5 +1,5 @@
 //! Killed and interrupted runs: a resumed run has the same bytes.
-use crate::common::{SMALL, pwrfgs, refuse, succeed, wait_for_step, write};
+use crate::common::{SMALL, pwrfgs, refuse, signal, succeed, wait_for_step, write};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::sync::OnceLock;
@@ -88,10 +88,10 @@ fn interrupted_run_prints_resume_command() {
     let mut child =
         pwrfgs(here).args(["run", "p.ron", "--out", "r"]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     wait_for_step(&mut child, &here.join("r"), 70);
+    signal(&child, "-STOP");
     // The folder of a running process is locked for others.
     refuse(here, &["run", "p.ron", "--out", "r"], 2, &["r is in use by another pwrfgs process"]);
-    let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(interrupt.success());
+    ["-INT", "-CONT"].iter().for_each(|name| signal(&child, name));
     let output = child.wait_with_output().unwrap();
     let message = crate::common::stderr(&output);
     assert_eq!(output.status.code(), Some(130), "{message}");

@@ -1,5 +1,7 @@
 //! Baselines and metrics: checked before the first step, and changed without a new training.
-use crate::common::{SMALL, copy_small_run, measured, pwrfgs, refuse, stderr, stdout, succeed, wait_for_step, write};
+use crate::common::{
+    SMALL, copy_small_run, measured, pwrfgs, refuse, signal, stderr, stdout, succeed, wait_for_step, write,
+};
 use std::path::Path;
 use std::process::Stdio;
 use std::time::SystemTime;
@@ -176,6 +178,7 @@ fn rescoring_locks_folder_and_survives_kill() {
         assert!(child.try_wait().unwrap().is_none(), "the run has ended");
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
+    signal(&child, "-STOP");
     refuse(here, &["run", "p.ron", "--out", "r"], 2, &["r is in use by another pwrfgs process"]);
     refuse(here, &["run", "r", "--set", "metrics=[L1()]"], 2, &["r is in use by another pwrfgs process"]);
     child.kill().unwrap();

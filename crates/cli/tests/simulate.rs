@@ -1,8 +1,8 @@
 //! `pwrfgs simulate`: folders that the other commands read, and failed simulations, which write no files.
-use crate::common::{call, pwrfgs, stderr, stdout, succeed};
+use crate::common::{call, pwrfgs, signal, stderr, stdout, succeed};
 use std::fs;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 const SCENE: &str = r#"(
@@ -387,7 +387,7 @@ fn stopped_simulation_leaves_no_files_and_next_one_cleans_up_after_kill() {
     let folder = folder.path();
     fs::write(folder.join("closet.ron"), SCENE).unwrap();
     let mut child = begun(folder);
-    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    signal(&child, "-INT");
     assert_eq!(child.wait().unwrap().code(), Some(130));
     assert_eq!(entries(folder), ["closet.ron"]);
 
@@ -413,7 +413,7 @@ fn stopped_simulation_leaves_no_files_and_next_one_cleans_up_after_kill() {
 /// Sends Ctrl-C and waits for the end; what is said.
 #[cfg(unix)]
 fn interrupted(mut child: Child) -> String {
-    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    signal(&child, "-INT");
     let end = Instant::now() + Duration::from_mins(1); // a second is meant, and the machine may be busy
     while child.try_wait().unwrap().is_none() {
         if Instant::now() > end {

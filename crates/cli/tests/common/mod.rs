@@ -98,6 +98,11 @@ pub(crate) fn wait_for_step(child: &mut Child, run: &Path, step: u64) {
     }
 }
 
+/// Sends a signal such as `-INT`. A child that was sent `-STOP` cannot end before a test has done what it does meanwhile.
+pub(crate) fn signal(child: &Child, name: &str) {
+    assert!(Command::new("kill").args([name, &child.id().to_string()]).status().unwrap().success());
+}
+
 /// Writes a file, with the folders above it.
 pub(crate) fn write(path: &Path, content: impl AsRef<[u8]>) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
