@@ -120,19 +120,18 @@ impl Nearest {
         k: usize,
         is_wanted: impl Fn(usize) -> bool,
     ) -> (Vec<usize>, Vec<(f64, usize)>) {
-        let (exact, near) = (Vec::new(), BinaryHeap::new());
-        let mut search = Search { among: self, at, k: k.max(1), is_wanted, exact, near };
+        let mut search = Search::new(self, at, k, is_wanted);
         search.visit(0, 0, self.samples.len());
         search.exact.sort_unstable();
         let near = search.near.into_sorted_vec().into_iter().map(|(bits, sample)| (f64::from_bits(bits), sample));
         (search.exact.into_iter().map(|(_, sample)| sample).collect(), near.collect())
     }
 
-    /// Returns the least distance from `at` to the positions in a box.
+    /// Returns the least squared distance from `at` to the positions in a box.
     fn bound(&self, index: usize, at: &[f64]) -> f64 {
         let (low, high) = self.boxes[index * 2 * self.width..][..2 * self.width].split_at(self.width);
         let outside = low.iter().zip(high).zip(at).map(|((low, high), at)| (low - at).max(at - high).max(0.0));
-        outside.map(|outside| outside.powi(2)).sum::<f64>().sqrt()
+        outside.map(|outside| outside.powi(2)).sum()
     }
 }
 
@@ -165,12 +164,29 @@ struct Search<'a, W> {
     exact: Vec<(usize, usize)>,
     /// Nearest samples, after the bits of their distances: those of positive numbers are in the order of the numbers.
     near: BinaryHeap<(u64, usize)>,
+    /// Distance beyond which samples are no neighbours, and a bound of its square.
+    limit: f64,
+    limit_squared: f64,
+    /// Number of positions that were compared.
+    compared: usize,
 }
 
-impl<W: Fn(usize) -> bool> Search<'_, W> {
-    /// Returns the distance beyond which samples are no neighbours.
-    fn limit(&self) -> f64 {
-        self.near.peek().filter(|_| self.near.len() == self.k).map_or(f64::INFINITY, |worst| f64::from_bits(worst.0))
+impl<'a, W: Fn(usize) -> bool> Search<'a, W> {
+    fn new(among: &'a Nearest, at: &'a [f64], k: usize, is_wanted: W) -> Self {
+        let (exact, near, limit) = (Vec::new(), BinaryHeap::new(), f64::INFINITY);
+        Self { among, at, k: k.max(1), is_wanted, exact, near, limit, limit_squared: limit, compared: 0 }
+    }
+
+    /// Adds a neighbour. Sums of squares that round to the same distance are within the bound of its square.
+    fn insert(&mut self, distance: f64, sample: usize) {
+        self.near.push((distance.to_bits(), sample));
+        if self.near.len() > self.k {
+            self.near.pop();
+        }
+        if let Some(worst) = self.near.peek().filter(|_| self.near.len() == self.k) {
+            self.limit = f64::from_bits(worst.0);
+            self.limit_squared = self.limit.powi(2) * (1.0 + 4.0 * f64::EPSILON) + f64::MIN_POSITIVE;
+        }
     }
 
     /// Searches the positions `start..end` of a box, the nearer half first.
@@ -183,7 +199,7 @@ impl<W: Fn(usize) -> bool> Search<'_, W> {
         let mut halves = [half(2 * index + 1, start, middle), half(2 * index + 2, middle, end)];
         halves.sort_by(|a, b| a.0.total_cmp(&b.0));
         for (bound, index, start, end) in halves {
-            if bound <= self.limit() {
+            if bound <= self.limit_squared {
                 self.visit(index, start, end);
             }
         }
@@ -192,20 +208,16 @@ impl<W: Fn(usize) -> bool> Search<'_, W> {
     /// Compares the positions `start..end`. A distance that is not a number is that of no neighbour.
     fn scan(&mut self, start: usize, end: usize) {
         let Nearest { samples, width, coordinates, .. } = self.among;
+        self.compared += end - start;
         let positions = coordinates[start * width..end * width].chunks_exact(*width);
-        for (position, &(k, sample)) in positions.zip(&samples[start..end]) {
-            if !(self.is_wanted)(k) {
-                continue;
-            }
+        for (position, rank) in positions.zip(start..) {
             let distance = slice_distance(position, self.at);
-            if distance == 0.0 {
-                self.exact.push((k, sample));
-            }
-            if distance <= self.limit() {
-                self.near.push((distance.to_bits(), sample));
-                if self.near.len() > self.k {
-                    self.near.pop();
+            if distance <= self.limit && (self.is_wanted)(samples[rank].0) {
+                let (k, sample) = samples[rank];
+                if distance == 0.0 {
+                    self.exact.push((k, sample));
                 }
+                self.insert(distance, sample);
             }
         }
     }
@@ -237,7 +249,6 @@ pub fn nearest_before<P: AsRef<[f64]>>(
 mod tests {
     use super::*;
     use crate::rng;
-    use std::cell::Cell;
     use std::f64::consts::TAU;
 
     fn cloud(n: usize, name: &str) -> Vec<[Real; 3]> {
@@ -400,14 +411,12 @@ mod tests {
             };
             let places: Vec<Vec<f64>> = (0..count + 200).map(place).collect();
             let nearest = Nearest::new(&(0..count).collect::<Vec<_>>(), places[0].len(), |i| &places[i]);
-            let distances = Cell::new(0);
-            for at in &places[count..] {
-                nearest.find_where(at, 48, |_| {
-                    distances.set(distances.get() + 1);
-                    true
-                });
-            }
-            distances.get() / 200
+            let compared = |at: &Vec<f64>| {
+                let mut search = Search::new(&nearest, at, 48, |_| true);
+                search.visit(0, 0, count);
+                search.compared
+            };
+            places[count..].iter().map(compared).sum::<usize>() / 200
         };
         for kind in 0..4 {
             let [few, many] = [8_000, 80_000].map(|count| count_distances(kind, count));
