@@ -1,6 +1,6 @@
 //! Baselines and metrics: checked before the first step, and changed without a new training.
 use crate::common::{
-    SMALL, copy_small_run, measured, pwrfgs, refuse, signal, stderr, stdout, succeed, wait_for_step, write,
+    SMALL, copy_small_run, files, measured, pwrfgs, refuse, signal, stderr, stdout, succeed, wait_for_step, write,
 };
 use std::path::Path;
 use std::process::Stdio;
@@ -238,4 +238,51 @@ fn killed_scoring_goes_on_where_it_was() {
     write(&partial, &held);
     succeed(here, &["run", "r", "-q", "--set", "metrics=[Ssim(), L1()]"]);
     assert!(!partial.exists() && text(&here.join("r/scores.csv")).contains("model,l1,"));
+}
+
+/// Kills `evaluate` after its first predictors; the same command goes on to the same files.
+#[test]
+fn killed_evaluation_goes_on_where_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    copy_small_run(here, "r");
+    let set = "baselines=[MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: 3), Kriging()]";
+    let slow = "metrics=[Ssim(), Latency(repeats: 3_000, warm_up: 3_000)]";
+    let evaluate = |out| ["evaluate", "r", "--out", out, "--set", set, "--set", slow];
+    succeed(here, &evaluate("whole"));
+    let partial = here.join("killed.partial/scoring.partial");
+    let lines = || std::fs::read_to_string(&partial).map_or(0, |text| text.matches('\n').count());
+    for count in [1, 3] {
+        let mut child =
+            pwrfgs(here).args(evaluate("killed")).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        while lines() < count {
+            assert!(child.try_wait().unwrap().is_none(), "the evaluation ended before line {count}");
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    let other = ["evaluate", "r", "--out", "killed", "--set", "metrics=[L1()]"];
+    refuse(here, &other, 2, &["killed.partial holds unfinished output of other settings; repeat the command"]);
+    assert!(stderr(&succeed(here, &evaluate("killed"))).contains("resuming the scoring in "));
+    assert!(!here.join("killed.partial").exists());
+    let names =
+        |out: &str| files(&here.join(out)).into_keys().map(|path| path.file_name().unwrap().to_owned()).collect();
+    let [whole, killed]: [Vec<_>; 2] = ["whole", "killed"].map(names);
+    assert_eq!(whole, killed);
+    let equal = |out: &str| {
+        let scores = text(&here.join(out).join("scores.csv"));
+        scores.lines().filter(|row| !row.contains("latency")).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(equal("whole"), equal("killed"));
+    assert_eq!(text(&here.join("whole/samples.csv")), text(&here.join("killed/samples.csv")));
+
+    // Wrong input leaves no folder.
+    refuse(
+        here,
+        &["evaluate", "r", "--out", "none", "--set", "data=Simulated(scene: \"nowhere.ron\", samples: 10)"],
+        2,
+        &[],
+    );
+    assert!(!here.join("none").exists() && !here.join("none.partial").exists());
 }

@@ -21,6 +21,7 @@ use pwrfgs_model::{Ensemble, Prepared, ResidualProcess, Residuals, file};
 use pwrfgs_pipeline::{Pipeline, defaults};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Number of test spectra predicted together.
@@ -50,6 +51,21 @@ pub fn evaluate(
     session: &mut Session<'_>,
 ) -> Result<EvaluationResult> {
     evaluate_parts(model, pipeline, split, session, &mut PartialScores::default())
+}
+
+/// Scores as [`evaluate`] does. The results of an earlier start with the same request are taken from `folder`, and each
+/// further result is written there, to [`PARTIAL_SCORES`](crate::folder::PARTIAL_SCORES).
+///
+/// # Errors
+/// As [`evaluate`]; a file that cannot be read or written.
+pub fn evaluate_into(
+    folder: &Path,
+    model: &Ensemble,
+    pipeline: &Pipeline,
+    split: &SplitData,
+    session: &mut Session<'_>,
+) -> Result<EvaluationResult> {
+    evaluate_parts(model, pipeline, split, session, &mut PartialScores::open(folder, model, pipeline, split)?)
 }
 
 /// Scores as [`evaluate`] does; takes the results that an earlier start has written to `partial`, and adds the others.

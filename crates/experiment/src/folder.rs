@@ -54,7 +54,7 @@ pub fn training_folder(run: &Path) -> (usize, PathBuf) {
 }
 
 /// Results of a scoring in progress; removed with its scores complete.
-pub(crate) const PARTIAL_SCORES: &str = "scoring.partial";
+pub const PARTIAL_SCORES: &str = "scoring.partial";
 /// All scores.
 pub const SCORES: &str = "scores.csv";
 /// All transmitters.

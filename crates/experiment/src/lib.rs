@@ -38,7 +38,7 @@ pub mod text;
 mod training;
 
 pub use agreement::Agreement;
-pub use evaluate::{EvaluationResult, check_alike, evaluate};
+pub use evaluate::{EvaluationResult, check_alike, evaluate, evaluate_into};
 pub use evaluation_set::{EvaluationSet, append_measurements};
 pub use facts::{Facts, FileDigest, Machine, VERSION};
 pub use findings::{Finding, check_observed, collect_findings, reject_findings};

@@ -1,15 +1,16 @@
-//! `PartialScores`: results of a scoring that several starts of a run complete.
+//! `PartialScores`: results of a scoring that several starts of a command complete.
 
-use crate::folder::{MODEL_FILE, PARTIAL_SCORES};
-use crate::load::ActiveRun;
-use crate::run_folder::RunFolder;
+use crate::folder::PARTIAL_SCORES;
 use crate::{VERSION, load::SplitData};
 use pwrfgs_core::files::{self, GrowingFile, digest, if_found};
 use pwrfgs_core::{Error, Real, Result};
+use pwrfgs_model::{Ensemble, file};
+use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::data_digest;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
+use std::path::Path;
 
 /// Results of the parts of a scoring, such as the measurements of one predictor. Each is a line of the file
 /// [`PARTIAL_SCORES`]: a digest of request and result, the name of the part, and the result as JSON.
@@ -19,21 +20,21 @@ pub(crate) struct PartialScores {
     request: String,
     /// Results of earlier starts as JSON, by part.
     known: BTreeMap<String, String>,
-    /// File that grows by each further part; `None` without a run folder.
+    /// File that grows by each further part; `None` without a folder.
     file: Option<GrowingFile>,
 }
 
 impl PartialScores {
-    /// Opens the results of earlier starts that scored the model in `folder` on the same data, with the same settings.
+    /// Opens the results in `folder` of earlier starts that scored the same model on the same data, with the same settings.
     /// The file is cut before the first line of another request, or the first incomplete line.
     ///
     /// # Errors
     /// A file that cannot be read or written.
-    pub(crate) fn open(run: &ActiveRun<'_, '_>, folder: &RunFolder) -> Result<Self> {
-        let (model, path) = (folder.file(MODEL_FILE), folder.file(PARTIAL_SCORES));
-        let model = digest(&files::read(&model).map_err(|e| Error::read(&model, e))?);
-        let SplitData { data, partition } = run.split;
-        let (settings, data) = (run.pipeline.to_ron()?, data_digest(data));
+    pub(crate) fn open(folder: &Path, model: &Ensemble, pipeline: &Pipeline, split: &SplitData) -> Result<Self> {
+        let path = folder.join(PARTIAL_SCORES);
+        let model = digest(&file::ensemble_to_bytes(model));
+        let SplitData { data, partition } = split;
+        let (settings, data) = (pipeline.to_ron()?, data_digest(data));
         let request =
             digest(format!("{VERSION} {} {settings} {model} {data} {partition:?}", size_of::<Real>()).as_bytes());
         let text = if_found(&path, files::read(&path))?.unwrap_or_default();

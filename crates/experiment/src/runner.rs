@@ -193,7 +193,7 @@ impl<'a> ActiveRun<'a, '_> {
         }
         let (task, test) = (split.data.task(), split.partition.test.len());
         self.session.observer.on_message(&format!("scoring {test} test {}", task.counted[1]));
-        let mut partial = PartialScores::open(self, folder)?;
+        let mut partial = PartialScores::open(folder.path(), &model, pipeline, split)?;
         let mut result = evaluate_parts(&model, pipeline, split, self.session, &mut partial)?;
         if !is_ensemble {
             facts.validation_baselines =

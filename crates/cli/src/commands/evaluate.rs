@@ -3,17 +3,18 @@
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::experiment::folder::{PIPELINE, REPORT};
+use pwrfgs::experiment::folder::{PARTIAL_SCORES, PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::{listed, number};
 use pwrfgs::experiment::{
-    Facts, Machine, Session, evaluate as score, load_with_findings, model_file, read_pipeline, write_results,
+    self, Facts, Machine, Session, evaluate_into, load_with_findings, model_file, read_pipeline, write_results,
 };
-use pwrfgs::model::Ensemble;
+use pwrfgs::model::{Ensemble, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs::tasks::read_models;
+use pwrfgs_core::files::{PartialFolder, digest};
 use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::{Dataset, Error, Receiver, Result, files::NewFolder};
+use pwrfgs_core::{Dataset, Error, Receiver, Result, files};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -21,6 +22,7 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "\
 Data, split, metrics and baselines come from pipeline.ron next to the model; --set changes them.
 Prints the score table; --out also writes scores.csv, samples.csv and report.html.
+With --out, a command that was stopped resumes after its last predictor when it is repeated.
 Several models are scored as an ensemble: the mean of their predictions, spectra clamped to [0, 1].
 They need a common test set: use runs whose split does not depend on the seed.
 
@@ -55,27 +57,56 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
         return Err(Error::input(first, format!("no {PIPELINE} next to this model; set --pipeline FILE")));
     }
     let pipeline = read_pipeline(path, &arguments.set)?;
-    let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
+    let folder = arguments.out.as_ref().map(|out| begin(out, &ensemble, &pipeline, verbosity)).transpose()?;
+    let text = score(&models, &ensemble, &pipeline, folder.as_ref(), verbosity);
+    match (folder, text) {
+        (Some(folder), Err(error)) if error.is_input() => {
+            folder.discard(); // another command is the remedy
+            Err(error)
+        }
+        (Some(folder), text) => {
+            let mut text = text?;
+            folder.publish()?;
+            let report = arguments.out.iter().map(|out| out.join(REPORT)).find(|report| report.is_file());
+            report.iter().for_each(|report| _ = writeln!(text, "\nreport: {}", report.display()));
+            output::print_result(&text)
+        }
+        (None, text) => output::print_result(&text?),
+    }
+}
+
+/// Scores the ensemble that was read from the files `models`, writes its results to `folder`, and returns the score table.
+fn score(
+    models: &[PathBuf],
+    ensemble: &Ensemble,
+    pipeline: &Pipeline,
+    folder: Option<&PartialFolder>,
+    verbosity: Verbosity,
+) -> Result<String> {
     let mut progress = RunProgress::new(verbosity);
-    let (split, findings) = load_with_findings(&pipeline, Path::new(""), Some(&pipeline.accept), &mut progress)?;
+    let (split, findings) = load_with_findings(pipeline, Path::new(""), Some(&pipeline.accept), &mut progress)?;
     if verbosity != Verbosity::Quiet {
         let (data, test) = (&split.data, split.partition.test.len());
         output::print_note(&format!("{}: scoring {test} test {}", data.title, data.task().counted[1]));
     }
-    warn_of_moved_receivers(&split.data, &ensemble);
-    let scored = score(&ensemble, &pipeline, &split, &mut Session::new(&mut progress));
+    warn_of_moved_receivers(&split.data, ensemble);
+    let mut session = Session::new(&mut progress);
+    let scored = match folder {
+        Some(folder) => evaluate_into(folder.path(), ensemble, pipeline, &split, &mut session),
+        None => experiment::evaluate(ensemble, pipeline, &split, &mut session),
+    };
     progress.remove_bar();
     let mut result = scored?;
-    let scores = &mut result.scores;
-    scores.table.samples[0] = count_training_samples(&models);
-    scores.table.trained_elsewhere = !models.iter().all(|model| has_same_data(model, &pipeline));
-    let mut text = scores.table.to_text();
+    let table = &mut result.scores.table;
+    table.samples[0] = count_training_samples(models);
+    table.trained_elsewhere = !models.iter().all(|model| has_same_data(model, pipeline));
+    let mut text = table.to_text();
     if let Some(confidence) = &result.confidence {
         let members = ensemble.members().len();
         let rank = number(confidence.rank_correlation());
         _ = writeln!(text, "\nmodel: mean of {members} models; rank correlation of spread and error {rank}");
     }
-    if let (Some(folder), Some(out)) = (folder, &arguments.out) {
+    if let Some(folder) = folder {
         let facts = Facts {
             version: env!("CARGO_PKG_VERSION").into(),
             machine: Machine::current(),
@@ -84,13 +115,22 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
             scores: Some(result.scores.table.clone()),
             ..Facts::default()
         };
-        write_results(folder.path(), &pipeline, &facts, &split, &ensemble, &result, pwrfgs::PAGE)?;
-        folder.publish()?;
-        if pwrfgs::PAGE.is_some() {
-            _ = writeln!(text, "\nreport: {}", out.join(REPORT).display());
-        }
+        write_results(folder.path(), pipeline, &facts, &split, ensemble, &result, pwrfgs::PAGE)?;
+        files::remove(&folder.path().join(PARTIAL_SCORES));
     }
-    output::print_result(&text)
+    Ok(text)
+}
+
+/// Begins the folder that will be `out`, or continues that of a stopped start.
+fn begin(out: &Path, model: &Ensemble, pipeline: &Pipeline, verbosity: Verbosity) -> Result<PartialFolder> {
+    let settings = digest(pipeline.to_ron()?.as_bytes());
+    let request = [("models", digest(&file::ensemble_to_bytes(model))), ("settings", settings)];
+    let is_resumed = PartialFolder::path_for(out).exists();
+    let folder = PartialFolder::begin(out, &request)?;
+    if is_resumed {
+        verbosity.print_note(&format!("resuming the scoring in {}", folder.path().display()));
+    }
+    Ok(folder)
 }
 
 /// Reads the models as one ensemble. Members of several files have numbers as names, since paths are wide in a table.
