@@ -1,7 +1,7 @@
 //! Blocks of space that are held out together: cubes that follow the spacing of places and the size of the site.
 
-use crate::neighbours::nearest_other_squared;
-use crate::{Real, statistics};
+use crate::neighbours::nearest_others;
+use crate::statistics;
 use std::collections::BTreeMap;
 
 /// Edge of blocks in units of the spacing, and in parts of the longest side of the site: the larger one applies. Smaller
@@ -25,15 +25,14 @@ impl SiteSize {
             places.into_iter().filter(|place| place.iter().all(|v| v.is_finite())).collect();
         places.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2])));
         places.dedup();
-        let Some(&first) = places.first() else { return Self { spacing: 1.0, longest: 0.0 } };
+        if places.is_empty() {
+            return Self { spacing: 1.0, longest: 0.0 };
+        }
         let side = |k: usize| {
             let (low, high) = statistics::bounds(places.iter().map(|place| place[k]));
             high - low
         };
-        // Single precision suffices for distances from one of the places.
-        let near: Vec<[Real; 3]> = places.iter().map(|at| [0, 1, 2].map(|k| (at[k] - first[k]) as Real)).collect();
-        let nearest = nearest_other_squared(&near).into_iter().map(|squared| f64::from(squared as f32).sqrt());
-        let spacing = statistics::median(nearest.filter(|distance| *distance > 0.0 && distance.is_finite()));
+        let spacing = statistics::median(nearest_others(&places).into_iter().flatten().map(|other| other.0));
         Self { spacing: if spacing.is_finite() { spacing } else { 1.0 }, longest: (0..3).map(side).fold(0.0, f64::max) }
     }
 

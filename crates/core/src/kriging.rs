@@ -91,7 +91,7 @@ impl LocalKriging {
     /// Creates the predictor from samples at `places` (metres).
     pub fn new(correlation: Correlation, mean: Mean, places: impl Iterator<Item = Place>) -> Self {
         let places: Vec<Place> = places.map(|position| correlation.scaled(position)).collect();
-        let nearest = Nearest::new(&(0..places.len()).collect::<Vec<_>>(), 4, |i| places[i]);
+        let nearest = Nearest::of(&places);
         Self { correlation, mean, places, nearest }
     }
 

@@ -1,9 +1,11 @@
-//! Distances between points in space: the nearest other point (d² of the paper's initial covariance d²·I), the mean
-//! over the k nearest (the released initial scale), the nearest point of another set (Chamfer distance), and the k
-//! nearest points. Points `[N,3]` in metres, results in m².
+//! Neighbours in space.
 //!
-//! A kd-tree (kiddo) processes all points in parallel. Ties among the k nearest depend on the points only; distances do
-//! not depend on ties.
+//! Of Gaussians and point clouds, in the precision of the rasterizer: the nearest other point (d² of the paper's initial
+//! covariance d²·I), the mean over the k nearest (the released initial scale), the nearest point of another set (Chamfer
+//! distance), and the k nearest points. Points `[N,3]` in metres, results in m². A kd-tree (kiddo) processes all points in
+//! parallel. Ties among the k nearest depend on the points only; distances do not depend on ties.
+//!
+//! Of measured positions, in double precision: [`Nearest`].
 
 use crate::{Real, statistics};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -107,6 +109,17 @@ impl Nearest {
         Self { width, samples: order.into_iter().map(|k| (k, samples[k])).collect(), coordinates, boxes }
     }
 
+    /// Creates a lookup for positions, whose samples are 0 to N − 1.
+    pub fn of<P: AsRef<[f64]>>(positions: &[P]) -> Self {
+        let width = positions.first().map_or(1, |position| position.as_ref().len());
+        Self::new(&(0..positions.len()).collect::<Vec<_>>(), width, |i| &positions[i])
+    }
+
+    /// Returns the distance from `at` to the nearest position; infinity if there is none.
+    pub fn distance(&self, at: &[f64]) -> f64 {
+        self.find(at, 1).1.first().map_or(f64::INFINITY, |nearest| nearest.0)
+    }
+
     /// Returns all samples exactly at `at`, and the `k` nearest (or fewer if there are not enough), nearest first, with
     /// distances. Ties go to the lower sample index.
     pub fn find(&self, at: &[f64], k: usize) -> (Vec<usize>, Vec<(f64, usize)>) {
@@ -133,6 +146,14 @@ impl Nearest {
         let outside = low.iter().zip(high).zip(at).map(|((low, high), at)| (low - at).max(at - high).max(0.0));
         outside.map(|outside| outside.powi(2)).sum()
     }
+}
+
+/// Returns the nearest other position of each, `[N]`: its distance, 0 for a duplicate, and its index. `None` for a single
+/// position, and where no distance is a number.
+pub fn nearest_others(positions: &[[f64; 3]]) -> Vec<Option<(f64, usize)>> {
+    let nearest = Nearest::of(positions);
+    let other = |(i, at): (usize, &[f64; 3])| nearest.find(at, 2).1.into_iter().find(|(_, j)| *j != i);
+    positions.par_iter().enumerate().map(other).collect()
 }
 
 /// Divides the positions `order` of a box into halves along its longest side, if it has halves, and writes all boxes.
@@ -410,7 +431,7 @@ mod tests {
                 }
             };
             let places: Vec<Vec<f64>> = (0..count + 200).map(place).collect();
-            let nearest = Nearest::new(&(0..count).collect::<Vec<_>>(), places[0].len(), |i| &places[i]);
+            let nearest = Nearest::of(&places[..count]);
             let compared = |at: &Vec<f64>| {
                 let mut search = Search::new(&nearest, at, 48, |_| true);
                 search.visit(0, 0, count);

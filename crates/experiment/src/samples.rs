@@ -1,8 +1,10 @@
 //! Samples of a data set: `samples.csv` (position and set of each sample, distance to the nearest training transmitter).
 
 use crate::text::{field, read_csv_rows};
-use pwrfgs_core::{Dataset, Partition, Real, Result, neighbours};
+use pwrfgs_core::neighbours::{Nearest, nearest_others};
+use pwrfgs_core::{Dataset, Partition, Real, Result};
 use pwrfgs_pipeline::Pipeline;
+use rayon::prelude::*;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -57,22 +59,22 @@ pub fn samples_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]
 /// Returns the distance from the transmitter of each link to the nearest other transmitter with a training link,
 /// metres; infinity if there is none. Zero if the link is not a training link but another link of its transmitter is.
 pub fn nearest_training_distances(data: &Dataset, partition: &Partition) -> Vec<Real> {
-    let positions: Vec<[Real; 3]> = data.locations.iter().map(|t| data.scene.origin.local(t.position())).collect();
     let mut trained: Vec<usize> = partition.train.iter().map(|&i| data.links[i].location).collect();
     trained.sort_unstable();
     trained.dedup();
-    let train: Vec<[Real; 3]> = trained.iter().map(|&t| positions[t]).collect();
-    let nearest = neighbours::nearest_squared(&positions, &train);
+    let train: Vec<[f64; 3]> = trained.iter().map(|&t| data.locations[t].position()).collect();
+    let lookup = Nearest::of(&train);
+    let nearest: Vec<f64> = data.locations.par_iter().map(|at| lookup.distance(&at.position())).collect();
     let mut others = nearest.clone();
-    for (&t, distance) in trained.iter().zip(neighbours::nearest_other_squared(&train)) {
-        others[t] = distance;
+    for (&t, other) in trained.iter().zip(nearest_others(&train)) {
+        others[t] = other.map_or(f64::INFINITY, |other| other.0);
     }
     let mut is_training = vec![false; data.len()];
     partition.train.iter().for_each(|&i| is_training[i] = true);
-    let squared = |(link, is_training): (&pwrfgs_core::Link, bool)| {
+    let distance = |(link, is_training): (&pwrfgs_core::Link, bool)| {
         if is_training { others[link.location] } else { nearest[link.location] }
     };
-    data.links.iter().zip(is_training).map(squared).map(Real::sqrt).collect()
+    data.links.iter().zip(is_training).map(|link| distance(link) as Real).collect()
 }
 
 /// Test samples, by label as in `scores.csv`.

@@ -5,7 +5,7 @@ use crate::descent::descend;
 use crate::fingerprints::FingerprintBuilder;
 use crate::region::{Density, KERNELS};
 use crate::{FingerprintFeatures, Fingerprints, MOST_SAMPLES, Region};
-use pwrfgs_core::neighbours::{distance, nearest_other_squared};
+use pwrfgs_core::neighbours::{distance, nearest_others};
 use pwrfgs_core::statistics::{evenly, mean, median};
 use pwrfgs_core::{Dataset, Error, FittingSet, Image, Predict, Progress, Query, Real, Result};
 use rayon::prelude::*;
@@ -360,8 +360,7 @@ fn check_locatable(data: &Dataset) -> Result<()> {
 
 /// Returns half the median distance of a position to its nearest neighbour, metres; at least 0.1 mm.
 fn half_spacing(positions: &[[f64; 3]]) -> f64 {
-    let points: Vec<[Real; 3]> = positions.iter().map(|p| p.map(|v| v as Real)).collect();
-    let squares = nearest_other_squared(&points);
-    let typical = median(squares.iter().map(|s| (*s as f64).sqrt()).filter(|d| *d > 0.0 && d.is_finite()));
+    let distances = nearest_others(positions).into_iter().flatten().map(|other| other.0);
+    let typical = median(distances.filter(|distance| *distance > 0.0));
     if typical.is_finite() { (typical / 2.0).max(1e-4) } else { 1e-4 }
 }

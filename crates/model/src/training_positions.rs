@@ -1,7 +1,9 @@
 //! `TrainingPositions`: transmitter positions of the training set, thinned, to recognise extrapolations.
 
 use pwrfgs_core::Real;
-use pwrfgs_core::neighbours::{nearest_other_squared, nearest_squared};
+use pwrfgs_core::neighbours::{Nearest, nearest_others};
+use pwrfgs_core::statistics::sorted;
+use rayon::prelude::*;
 
 /// Maximum number of positions.
 const MOST: usize = 1_024;
@@ -50,11 +52,12 @@ impl TrainingPositions {
 
     /// Creates the set from thinned positions; `None` without positions.
     pub(crate) fn of(positions: Vec<[Real; 3]>) -> Option<Self> {
-        let mut spacings = nearest_other_squared(&positions);
-        spacings.sort_by(Real::total_cmp);
-        let spacing = spacings.get((SPACING * spacings.len().saturating_sub(1) as f64).round() as usize)?.sqrt();
+        let precise: Vec<[f64; 3]> = positions.iter().map(|at| at.map(f64::from)).collect();
+        let spacings = sorted(nearest_others(&precise).into_iter().flatten().map(|other| other.0));
+        let last = positions.len().checked_sub(1)?;
         // A single position has no neighbour.
-        let limit = if spacing.is_finite() { LIMIT * spacing } else { 0.0 };
+        let spacing = spacings.get((SPACING * last as f64).round() as usize).copied().unwrap_or(0.0);
+        let limit = LIMIT * spacing as Real;
         Some(Self { positions, limit })
     }
 
@@ -71,7 +74,9 @@ impl TrainingPositions {
 
     /// Returns the distance of each of `places` (metres from the origin of the model) to the nearest position, metres.
     pub fn distances(&self, places: &[[Real; 3]]) -> Vec<Real> {
-        nearest_squared(places, &self.positions).into_iter().map(Real::sqrt).collect()
+        let precise = |at: &[Real; 3]| at.map(f64::from);
+        let nearest = Nearest::of(&self.positions.iter().map(precise).collect::<Vec<_>>());
+        places.par_iter().map(|at| nearest.distance(&precise(at)) as Real).collect()
     }
 }
 

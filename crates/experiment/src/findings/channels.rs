@@ -7,7 +7,7 @@
 use super::finding::Finding;
 use crate::text::format_length;
 use glam::{DVec2, DVec3};
-use pwrfgs_core::neighbours::{distance, k_nearest};
+use pwrfgs_core::neighbours::{distance, nearest_others};
 use pwrfgs_core::statistics::median;
 use pwrfgs_core::{Channels, Dataset, MeasurementSetup, Observations, Real, SPEED_OF_LIGHT, carrier_fault, evenly};
 use std::f64::consts::TAU;
@@ -115,12 +115,10 @@ impl PhaseCheck {
         }
         let hz = MeasurementSetup::of(data, data.plane()).frequencies_of(0);
         let snapshots: Vec<Snapshot<'_>> = links.iter().map(|i| Snapshot::of(data, channels, *i)).collect();
-        let points: Vec<[Real; 3]> =
-            snapshots.iter().map(|snapshot| data.scene.origin.local(snapshot.position)).collect();
-        let other = |(i, near): (usize, &Vec<(usize, Real)>)| near.iter().find(|(j, _)| *j != i).copied();
-        let nearest: Vec<(usize, Real)> =
-            k_nearest(&points, &points, 2).iter().enumerate().map(|each| other(each).unwrap_or_default()).collect();
-        let step = median(nearest.iter().map(|(_, squared)| (*squared as f64).sqrt()));
+        let positions: Vec<[f64; 3]> = snapshots.iter().map(|snapshot| snapshot.position).collect();
+        let nearest: Vec<(f64, usize)> =
+            nearest_others(&positions).into_iter().map(Option::unwrap_or_default).collect();
+        let step = median(nearest.iter().map(|(distance, _)| *distance));
         let fits = Coherence::of(&snapshots, &hz, &nearest);
         let carrier_hz = hz.iter().sum::<f64>() / hz.len() as f64;
         Some(Self { count: links.len(), fits, step: [step, step * carrier_hz / SPEED_OF_LIGHT] })
@@ -219,11 +217,11 @@ fn conjugate(v: DVec2) -> DVec2 {
 
 impl Coherence {
     /// Computes the coherence of the snapshots by both signs of time, each also with the `nearest` other.
-    fn of(snapshots: &[Snapshot<'_>], hz: &[f64], nearest: &[(usize, Real)]) -> [Self; 2] {
+    fn of(snapshots: &[Snapshot<'_>], hz: &[f64], nearest: &[(f64, usize)]) -> [Self; 2] {
         let (count, width) = (snapshots.len() as f64, snapshots[0].gains.len());
         let mut totals = vec![[DVec2::ZERO; 2]; width];
         let (mut within, mut near) = ([0.0; 2], [DVec2::ZERO; 2]);
-        for (snapshot, (other, _)) in snapshots.iter().zip(nearest) {
+        for (snapshot, (_, other)) in snapshots.iter().zip(nearest) {
             let (mut sums, mut products) = ([DVec2::ZERO; 2], [DVec2::ZERO; 2]);
             for (total, (a, b)) in totals.iter_mut().zip(snapshot.turned(hz).zip(snapshots[*other].turned(hz))) {
                 for sign in 0..2 {

@@ -2,7 +2,7 @@
 
 use super::cloud::{extent, longest_side};
 use super::finding::Finding;
-use pwrfgs_core::neighbours::{distance, nearest_other_squared};
+use pwrfgs_core::neighbours::{distance, nearest_others};
 use pwrfgs_core::statistics::{deviation, mean, median};
 use pwrfgs_core::{Dataset, Real};
 
@@ -124,9 +124,7 @@ pub(super) fn round(position: [f64; 3]) -> [f64; 3] {
 
 /// Returns the median distance to the nearest other position.
 fn median_spacing(positions: &[[f64; 3]]) -> f64 {
-    let local = |position: &[f64; 3]| [0, 1, 2].map(|k| (position[k] - positions[0][k]) as Real);
-    let squared = nearest_other_squared(&positions.iter().map(local).collect::<Vec<_>>());
-    median(squared.into_iter().map(|d| (d as f64).sqrt()))
+    median(nearest_others(positions).into_iter().flatten().map(|other| other.0))
 }
 
 /// Returns what contradicts a large site in metres: heights, or links stronger than free space allows; `None` for a campus.

@@ -2,7 +2,7 @@
 //! and whether neighbours are more alike than random pairs.
 
 use super::finding::{Finding, name_link};
-use pwrfgs_core::neighbours::{distance, k_nearest};
+use pwrfgs_core::neighbours::{Nearest, distance};
 use pwrfgs_core::statistics::{deviation, evenly, mean};
 use pwrfgs_core::{Dataset, Link, Real, rng};
 
@@ -197,17 +197,14 @@ fn level_spread(data: &Dataset, powers: &[Real]) -> f64 {
 /// Compares the `difference` between observations of neighbours with that of random pairs; `rows` are the locations of the
 /// observations. A difference that is not finite is left out.
 pub(super) fn check_rows(data: &Dataset, rows: &[usize], difference: &dyn Fn(usize, usize) -> f64) -> Option<Finding> {
-    let origin = data.locations.first().filter(|_| rows.len() >= *LOCATIONS.start())?.position();
-    let local = |row: &usize| {
-        let position = data.locations[*row].position();
-        [0, 1, 2].map(|k| (position[k] - origin[k]) as Real)
-    };
-    let positions: Vec<[Real; 3]> = rows.iter().map(local).collect();
+    if rows.len() < *LOCATIONS.start() {
+        return None;
+    }
+    let positions: Vec<[f64; 3]> = rows.iter().map(|row| data.locations[*row].position()).collect();
     let chosen = evenly(&(0..rows.len()).collect::<Vec<_>>(), *LOCATIONS.end());
-    let from: Vec<[Real; 3]> = chosen.iter().map(|row| positions[*row]).collect();
-    let neighbours = k_nearest(&from, &positions, 2);
-    let nearest = |(row, found): (&usize, &Vec<(usize, Real)>)| found.iter().map(|n| n.0).find(|other| other != row);
-    let nearest: Vec<usize> = chosen.iter().zip(&neighbours).filter_map(nearest).collect();
+    let lookup = Nearest::of(&positions);
+    let other = |row: &usize| lookup.find(&positions[*row], 2).1.into_iter().map(|n| n.1).find(|other| other != row);
+    let nearest: Vec<usize> = chosen.iter().filter_map(other).collect();
     let average = |other: &mut dyn FnMut(usize) -> usize| {
         mean((0..nearest.len()).map(|k| difference(chosen[k], other(k))).filter(|value| value.is_finite()))
     };

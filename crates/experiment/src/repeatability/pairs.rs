@@ -1,7 +1,9 @@
 //! Selection of sample pairs for comparison.
 
+use pwrfgs_core::neighbours::Nearest;
 use pwrfgs_core::statistics::{median, sorted};
-use pwrfgs_core::{Dataset, End, Real, evenly, neighbours, rng};
+use pwrfgs_core::{Dataset, End, evenly, rng};
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Largest difference of ids that counts as near in time.
@@ -100,17 +102,18 @@ fn near_pairs(data: &Dataset, links: &[usize]) -> Vec<SamplePair> {
 /// Lists pairs more than `least` ids apart among the `links` of one receiver: all pairs of some samples up to a horizon, and random
 /// pairs beyond. The `receivers` receivers share the limits on samples and random pairs.
 fn far_pairs(data: &Dataset, links: &[usize], receivers: usize, least: u32) -> Vec<SamplePair> {
-    let positions: Vec<[Real; 3]> = links.iter().map(|&i| data.scene.origin.local(data.sample(i).position())).collect();
-    let sampled = evenly(&(0..positions.len()).collect::<Vec<_>>(), ASKED.div_ceil(receivers));
-    let from: Vec<[Real; 3]> = sampled.iter().map(|&i| positions[i]).collect();
-    let neighbours = neighbours::k_nearest(&from, &positions, 2 * FAR_IDS as usize + 1 + NEIGHBOURS);
+    let position = |i: usize| data.sample(i).position();
+    let sampled = evenly(links, ASKED.div_ceil(receivers));
+    let nearest = Nearest::new(links, 3, position);
+    let count = 2 * FAR_IDS as usize + 1 + NEIGHBOURS;
+    let neighbours: Vec<Vec<(f64, usize)>> = sampled.par_iter().map(|&i| nearest.find(&position(i), count).1).collect();
     // Beyond the horizon the lists of some samples end, and the others are not a fair sample.
-    let ends = sorted(neighbours.iter().filter_map(|list| list.last()).map(|(_, d)| (*d as f64).sqrt()));
-    let complete = neighbours.iter().any(|list| list.len() == positions.len());
+    let ends = sorted(neighbours.iter().filter_map(|list| list.last()).map(|(distance, _)| *distance));
+    let complete = neighbours.iter().any(|list| list.len() == links.len());
     let horizon = if complete { f64::INFINITY } else { ends.get(ends.len() / 10).copied().unwrap_or(0.0) };
     let is_far = |pair: &SamplePair| pair.id_gap(data) > least;
-    let pairs = |(&k, list): (&usize, &Vec<(usize, Real)>)| -> Vec<SamplePair> {
-        list.iter().map(|(j, _)| SamplePair::of(data, links[k], links[*j])).collect()
+    let pairs = |(&i, list): (&usize, &Vec<(f64, usize)>)| -> Vec<SamplePair> {
+        list.iter().map(|(_, j)| SamplePair::of(data, i, *j)).collect()
     };
     let listed = sampled.iter().zip(&neighbours).flat_map(pairs);
     let listed = listed.filter(|pair| pair.distance <= horizon && is_far(pair));
