@@ -75,13 +75,15 @@ impl SamplePair {
 /// 8,192 samples with any other), and a random part of the distant ones.
 pub(super) fn find_pairs(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
     let receivers = data.group_by_receiver(0..data.len());
-    let pairs_of = |links: &Vec<usize>| match lag {
-        PairLag::Near => near_pairs(data, links),
-        PairLag::Far => far_pairs(data, links, receivers.len(), FAR_IDS),
-        PairLag::Any => far_pairs(data, links, receivers.len(), 0),
-    };
-    let mut pairs: Vec<SamplePair> = receivers.iter().flat_map(pairs_of).collect();
-    pairs.sort_by_key(|pair| (pair.earlier, pair.later));
+    let mut pairs = Vec::new(); // the largest list of an evaluation, so it is not copied
+    for links in &receivers {
+        match lag {
+            PairLag::Near => pairs.extend(near_pairs(data, links)),
+            PairLag::Far => add_far_pairs(&mut pairs, data, links, receivers.len(), FAR_IDS),
+            PairLag::Any => add_far_pairs(&mut pairs, data, links, receivers.len(), 0),
+        }
+    }
+    pairs.sort_unstable_by_key(|pair| (pair.earlier, pair.later));
     pairs.dedup();
     // Equal distances, common for positions in whole millimetres, are not ordered by id.
     rng::shuffle(&mut rng::stream(0, "repeatability order", 0), &mut pairs);
@@ -90,18 +92,18 @@ pub(super) fn find_pairs(data: &Dataset, lag: PairLag) -> Vec<SamplePair> {
 }
 
 /// Lists all pairs near in time among the `links` of one receiver, which are in the order of ids.
-fn near_pairs(data: &Dataset, links: &[usize]) -> Vec<SamplePair> {
-    let later_pairs = |(k, &i): (usize, &usize)| {
+fn near_pairs(data: &Dataset, links: &[usize]) -> impl Iterator<Item = SamplePair> {
+    let later_pairs = move |(k, &i): (usize, &usize)| {
         let last = data.sample(i).id.saturating_add(NEAR_IDS);
         let next = links[k + 1..].iter().copied().take_while(move |&j| data.sample(j).id <= last);
         next.map(move |j| SamplePair::of(data, i, j))
     };
-    links.iter().enumerate().flat_map(later_pairs).collect()
+    links.iter().enumerate().flat_map(later_pairs)
 }
 
-/// Lists pairs more than `least` ids apart among the `links` of one receiver: all pairs of some samples up to a horizon, and random
+/// Adds pairs more than `least` ids apart among the `links` of one receiver: all pairs of some samples up to a horizon, and random
 /// pairs beyond. The `receivers` receivers share the limits on samples and random pairs.
-fn far_pairs(data: &Dataset, links: &[usize], receivers: usize, least: u32) -> Vec<SamplePair> {
+fn add_far_pairs(all: &mut Vec<SamplePair>, data: &Dataset, links: &[usize], receivers: usize, least: u32) {
     let position = |i: usize| data.sample(i).position();
     let sampled = evenly(links, ASKED.div_ceil(receivers));
     let nearest = Nearest::new(links, 3, position);
@@ -112,14 +114,13 @@ fn far_pairs(data: &Dataset, links: &[usize], receivers: usize, least: u32) -> V
     let complete = neighbours.iter().any(|list| list.len() == links.len());
     let horizon = if complete { f64::INFINITY } else { ends.get(ends.len() / 10).copied().unwrap_or(0.0) };
     let is_far = |pair: &SamplePair| pair.id_gap(data) > least;
-    let pairs = |(&i, list): (&usize, &Vec<(f64, usize)>)| -> Vec<SamplePair> {
-        list.iter().map(|(_, j)| SamplePair::of(data, i, *j)).collect()
-    };
-    let listed = sampled.iter().zip(&neighbours).flat_map(pairs);
-    let listed = listed.filter(|pair| pair.distance <= horizon && is_far(pair));
-    let drawn =
-        draw_pairs(data, links, DRAWN.div_ceil(receivers)).filter(|pair| pair.distance > horizon && is_far(pair));
-    listed.chain(drawn).collect()
+    all.reserve(neighbours.iter().map(Vec::len).sum());
+    for (&i, list) in sampled.iter().zip(neighbours) {
+        let pairs = list.into_iter().map(|(_, j)| SamplePair::of(data, i, j));
+        all.extend(pairs.filter(|pair| pair.distance <= horizon && is_far(pair)));
+    }
+    let drawn = draw_pairs(data, links, DRAWN.div_ceil(receivers));
+    all.extend(drawn.filter(|pair| pair.distance > horizon && is_far(pair)));
 }
 
 /// Draws `count` random pairs of `links`, without those of a link with itself; none if there are fewer than two links.
