@@ -231,6 +231,13 @@ impl Default for MatchingPursuit {
 const MOST: usize = 1_000;
 
 impl MatchingPursuit {
+    /// Returns the largest number of additions and removals of one search.
+    pub fn most_changes(&self) -> usize {
+        let half = self.most / 2;
+        let removed = if self.hold_out < 2 { 0 } else { half };
+        self.most + removed + self.rounds * (half + removed)
+    }
+
     /// Returns the training channels at the lowest carrier, which the search reads; an error if data or method do not
     /// fit the search.
     fn training_channels<'a>(&self, input: &InitializerInput<'a>) -> Result<ObservedChannels<'a>> {
@@ -292,14 +299,14 @@ impl Initializer for MatchingPursuit {
     fn search(&self, input: &InitializerInput<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
         let observed = self.training_channels(input)?;
         let mut all = VirtualSources::new(harmonics_order(&input.method.traits().columns));
-        // Hundred units per addition, and for the refinement after the last one.
-        let total = 100 * (self.searches * self.most + 1);
+        // Hundred units per addition or removal, and for the refinement after the last one.
+        let total = 100 * (self.searches * self.most_changes() + 1);
         (input.progress)(0, total);
         for search in 0..self.searches {
             let seed = (0..4).fold(0, |seed, _| seed << 16 | rng::below(rng, 1 << 16) as u64);
             let options = self.pursuit_options(input, seed);
-            let report_progress = &mut |sources: f64| {
-                let done = 100.0 * ((search * self.most) as f64 + sources.min(self.most as f64));
+            let report_progress = &mut |changes: f64| {
+                let done = 100.0 * ((search * self.most_changes()) as f64 + changes);
                 (input.progress)(done as usize, total);
             };
             let sources = pursue_sources(&observed.inputs(), &observed.channel, &options, input.stop, report_progress);

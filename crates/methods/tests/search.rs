@@ -65,7 +65,14 @@ fn finds_virtual_transmitters_of_room() {
     let once = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let two = PursuitOptions { settings: MatchingPursuit { most: 2, ..settings() }, ..options() };
-        pool.install(|| pursue_sources(&links, &per_position(&h, 1), &two, &NEVER, &mut |_| ()).unwrap())
+        let mut reports = vec![0.0];
+        let found = pool.install(|| {
+            pursue_sources(&links, &per_position(&h, 1), &two, &NEVER, &mut |done| reports.push(done)).unwrap()
+        });
+        assert!(reports.is_sorted() && reports.contains(&2.0), "additions: {reports:?}");
+        let last = reports[reports.len() - 1];
+        assert!(last > 2.0 && last <= two.settings.most_changes() as f64, "removals: {reports:?}");
+        found
     };
     assert_eq!(once(1), once(3), "the same bits on any number of threads");
 }

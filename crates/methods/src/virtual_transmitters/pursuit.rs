@@ -58,8 +58,8 @@ impl Default for PursuitOptions {
 
 /// Searches for the virtual transmitters of `channel`: `[A,F]` per position.
 ///
-/// `report_progress` receives the number of sources after every addition, and during a sweep with the part of the next
-/// one. Soon after `stop` is set, the search ends and returns the sources found so far. An error describes the invalid
+/// `report_progress` receives the number of additions and removals, of at most [`MatchingPursuit::most_changes`], with the
+/// part of the next addition during a sweep. Soon after `stop` is set, the search ends and returns the sources found so far. An error describes the invalid
 /// input.
 pub fn pursue_sources(
     links: &ChannelInputs<'_>,
@@ -198,11 +198,18 @@ impl<'a> PursuitSearch<'a> {
     /// Adds sources to the best set, then removes the least important ones; repeats both for `rounds` while the score
     /// improves. `best` is the best score (dB) with its sources.
     fn improve_best(mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(f64)) {
-        for _ in 0..=self.options.settings.rounds {
-            let before = best.0;
-            self.add_sources(best, report_progress);
+        let settings = &self.options.settings;
+        let mut done = 0;
+        for round in 0..=settings.rounds {
+            let (before, first) = (best.0, best.1.len() as f64);
+            let most = if round == 0 { settings.most } else { settings.most / 2 };
+            self.add_sources(best, &mut |sources| {
+                report_progress(done as f64 + (sources - first).clamp(0.0, most as f64));
+            });
+            done += most;
             if !self.held_out.is_empty() {
-                self.remove_sources(best);
+                self.remove_sources(best, &mut |removed| report_progress((done + removed) as f64));
+                done += settings.most / 2;
             }
             if best.0 <= before || self.is_stopped() {
                 break;
@@ -249,9 +256,10 @@ impl<'a> PursuitSearch<'a> {
 
     /// Removes half of the best sources, one after the other, each time that with the smallest loss of fit; replaces
     /// `best` whenever the score improves.
-    fn remove_sources(&self, best: &mut (f64, VirtualSources)) {
+    fn remove_sources(&self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
         let mut sources = best.1.clone();
-        let (least, ridge) = (sources.len() / 2, 1e-9 * self.rows.energy());
+        let (all, ridge) = (sources.len(), 1e-9 * self.rows.energy());
+        let least = all / 2;
         while sources.len() > least.max(1) && !self.is_stopped() {
             let costs = costs_without_each(&self.rows, &sources, ridge);
             let weakest = (0..costs.len()).fold(0, |w, g| if costs[g] < costs[w] { g } else { w });
@@ -261,6 +269,7 @@ impl<'a> PursuitSearch<'a> {
             if score > best.0 {
                 *best = (score, sources.clone());
             }
+            report_progress(all - sources.len());
         }
     }
 
