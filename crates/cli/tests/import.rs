@@ -1,12 +1,14 @@
 //! `pwrfgs import`: NumPy files become data for training, and failed imports write no files.
 
-use crate::common::{SMALL, call, python, refuse, stderr, stdout, succeed, write};
+use crate::common::{SMALL, call, pwrfgs, python, refuse, stderr, stdout, succeed, write};
 use pwrfgs::data::{npy_header, npy_header_as};
 use pwrfgs_core::Number;
+use std::fmt::Write as _;
 use std::fs;
 use std::io::{Cursor, Write as _};
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
+use wait4::Wait4;
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
 /// Pictures of a lobe that follows the transmitter, in every form that is understood and some that are not.
@@ -337,4 +339,33 @@ fn channels_of_a_chip_become_powers_or_channels() {
         assert_eq!(call(here, &[&["import", "--out", "bad"][..], wrong].concat()).status.code(), Some(2));
     }
     assert!(!here.join("bad").exists());
+}
+
+/// Peak memory of imports of powers: at most 90 bytes held a reading, with many and with few receivers.
+#[test]
+#[cfg(target_os = "linux")]
+fn import_holds_at_most_90_bytes_a_reading() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let peak = |positions: usize, receivers: usize| {
+        let mut text = "x,y,z".to_owned();
+        (0..receivers).for_each(|r| _ = write!(text, ",ap{r}"));
+        for i in 0..positions {
+            let [x, y] = [0.754_877_666_2, 0.569_840_291].map(|ratio| 100.0 * (i as f64 * ratio).fract());
+            _ = write!(text, "\n{x:.3},{y:.3},1.2");
+            (0..receivers).for_each(|r| _ = write!(text, ",{:.1}", -40.0 - 0.2 * (x - 10.0 * r as f64).abs()));
+        }
+        std::fs::write(here.join("t.csv"), text).unwrap();
+        let out = format!("{positions}-{receivers}");
+        let mut import = pwrfgs(here);
+        import.args(["import", "--table", "t.csv", "--out", &out, "-q"]).stderr(Stdio::null());
+        let used = import.spawn().unwrap().wait4().unwrap();
+        assert!(used.status.success());
+        used.rusage.maxrss as f64
+    };
+    for (receivers, positions) in [(5, [4_000, 84_000]), (20, [1_000, 21_000])] {
+        let [few, many] = positions.map(|positions| peak(positions, receivers));
+        let each = (many - few) / (receivers * (positions[1] - positions[0])) as f64;
+        assert!(each < 90.0, "{each} bytes a reading of {receivers} receivers");
+    }
 }

@@ -23,15 +23,16 @@ impl Survey<'_> {
             let problem = "holds no received power; write one row per reading, or check --missing";
             return Err(Error::input(path, problem));
         }
-        self.groups = HashMap::new();
+        (self.groups, self.places.first) = Default::default(); // no row follows
         self.separate_repetitions();
-        self.readings.sort_by_key(|reading| (reading.location, reading.receiver));
+        self.readings.sort_unstable_by_key(|reading| (reading.location, reading.receiver));
         let receivers = self.heard_receivers();
         self.add_notes(&receivers);
         let (locations, links) = self.number_links(&receivers);
         let powers: Vec<Real> = self.readings.iter().map(|reading| reading.dbm).collect();
         let is_test: Vec<bool> =
             self.readings.iter().map(|reading| self.spots[reading.location as usize].is_test).collect();
+        (self.readings, self.spots, self.places) = Default::default(); // the data set has them now
         let receivers: Vec<Receiver> = receivers.into_iter().flatten().collect();
         let mut data =
             Dataset::of_columns(&self.import.title, receivers.into(), vec![], locations, links, powers.into())?;

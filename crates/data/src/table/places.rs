@@ -6,6 +6,7 @@ use crate::dialect::{TableFile, TableText};
 use crate::text::TextRow;
 use pwrfgs_core::{Geodetic, Result, place_fault};
 use std::collections::{BTreeMap, HashMap};
+use std::num::NonZero;
 
 /// Positions closer than this are one, metres.
 pub(super) const SAME_M: f64 = 1e-3;
@@ -106,8 +107,9 @@ pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 #[derive(Default)]
 pub(super) struct Places {
     pub(super) positions: Vec<[f64; 3]>,
-    /// Places in each cube of that edge.
-    cells: HashMap<[i64; 3], Vec<u32>>,
+    /// First place in each cube of that edge, and the next one in the cube of each place.
+    pub(super) first: HashMap<[i64; 3], u32>,
+    next: Vec<Option<NonZero<u32>>>,
     /// Number of positions that were joined with another one.
     pub(super) joined: usize,
 }
@@ -117,15 +119,26 @@ impl Places {
     pub(super) fn index(&mut self, position: [f64; 3]) -> u32 {
         let cell = position.map(|v| (v / SAME_M).floor() as i64);
         let offsets = (0..27).map(|k| [k / 9 - 1, k / 3 % 3 - 1, k % 3 - 1]);
-        let near = offsets.filter_map(|offset| self.cells.get(&[0, 1, 2].map(|k| cell[k] + offset[k])));
-        let same = near.flatten().copied().find(|place| distance(self.positions[*place as usize], position) < SAME_M);
+        let is_same = |place: &u32| distance(self.positions[*place as usize], position) < SAME_M;
+        let same = offsets.flat_map(|offset| self.cube([0, 1, 2].map(|k| cell[k] + offset[k]))).find(is_same);
         if let Some(place) = same {
             self.joined += usize::from(self.positions[place as usize] != position);
             return place;
         }
         let place = self.positions.len() as u32;
         self.positions.push(position);
-        self.cells.entry(cell).or_default().push(place);
+        let last = self.cube(cell).last();
+        match last {
+            Some(last) => self.next[last as usize] = NonZero::new(place),
+            None => _ = self.first.insert(cell, place),
+        }
+        self.next.push(None);
         place
+    }
+
+    /// Returns the places in a cube, in their order.
+    fn cube(&self, cell: [i64; 3]) -> impl Iterator<Item = u32> {
+        let next = |place: &u32| self.next[*place as usize].map(NonZero::get);
+        std::iter::successors(self.first.get(&cell).copied(), next)
     }
 }
