@@ -1,5 +1,6 @@
 //! `pwrfgs evaluate`: scores of a trained model on a data set.
 
+use super::devices::choose_for_predictions;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
@@ -62,6 +63,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
         let (data, test) = (&split.data, split.partition.test.len());
         output::print_note(&format!("{}: scoring {test} test {}", data.title, data.task().counted[1]));
     }
+    choose_for_predictions(&ensemble, split.data.locations_of(&split.partition.test).len(), verbosity);
     warn_of_moved_receivers(&split.data, &ensemble);
     let scored = score(&ensemble, &pipeline, &split, &mut Session::new(&mut progress));
     progress.remove_bar();
