@@ -48,12 +48,12 @@ fn no_gpu_support(what: &str) -> Error {
     ))
 }
 
+#[cfg(any(feature = "f64", not(feature = "gpu")))]
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    #[cfg(any(feature = "f64", not(feature = "gpu")))]
     fn gpu_is_refused_with_the_reason() {
         let is_double = size_of::<Real>() == size_of::<f64>();
         let why = if is_double {
