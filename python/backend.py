@@ -98,6 +98,8 @@ def _add_licences(information):
 def third_party_licences():
     """Licence texts of the crates that are compiled into the package, each text once, after the crates that have it."""
     command = ["cargo", "metadata", "--format-version", "1", "--manifest-path", str(ROOT / "python/Cargo.toml")]
+    features = re.findall(r"--features[= ](\S+)", os.environ.get("MATURIN_PEP517_ARGS", ""))
+    command += ["--features", ",".join(features)]
     metadata = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
     packages = {package["id"]: package for package in metadata["packages"]}
     nodes = {node["id"]: node for node in metadata["resolve"]["nodes"]}

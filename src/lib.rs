@@ -37,6 +37,7 @@ pub use pwrfgs_train as train;
 #[cfg(feature = "viewer")]
 pub use pwrfgs_viewer as viewer;
 
+pub mod device;
 pub mod foreign;
 mod shipped;
 

@@ -23,7 +23,7 @@ from ._inspection import Inspection, inspect
 from ._kernels import project, rasterize, rasterize_with_vjp
 from ._pipeline import Pipeline
 from ._plugins import *  # noqa: F403  one class for each plugin
-from ._pwrfgs import Dataset, Model, View, __version__
+from ._pwrfgs import Dataset, Model, View, __version__, devices, use_device
 from ._results import Finding, Interval, Located, Placement, Plan, RadioMap
 from ._run import Run, evaluate, report, run, simulate
 from ._spectrum import spectrum
@@ -43,9 +43,9 @@ __all__: List[str] = [
     "Initializer", "InputError", "Inspection", "Interval", "Links", "Located", "Metric", "Model", "Partition",
     "Pipeline", "Placement", "Plan", "Pose", "Pruner", "RadioMap", "Receiver", "ReceiverSample", "Room", "Run",
     "Sample", "Splats", "Split", "Stats", "StepContext", "SweepError", "Trainer", "Value", "View", "__version__",
-    "baselines", "check", "compare", "convert", "datasets", "evaluate", "init", "inspect", "metrics", "place", "plan",
-    "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability", "report", "run", "settings", "simulate",
-    "spectrum", "sweep",
+    "baselines", "check", "compare", "convert", "datasets", "devices", "evaluate", "init", "inspect", "metrics", "place",
+    "plan", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability", "report", "run", "settings",
+    "simulate", "spectrum", "sweep", "use_device",
 ]
 __all__ += _plugins.__all__
 

@@ -218,12 +218,19 @@ pub(crate) fn to_exception(py: Python<'_>, error: Error) -> PyErr {
 }
 
 /// Parts of messages for the command line that have a text of their own in Python.
-const PYTHON_TEXTS: [(&str, &str); 7] = [
+const PYTHON_TEXTS: [(&str, &str); 11] = [
     ("`residuals: Kriged()`", "`residuals=pwrfgs.settings.Kriged()`"),
     (
         "give it to `import --orientation`, or as `orientation` in gateway_info.yml",
         "give it as `orientation` of the receiver",
     ),
+    (
+        "this program was compiled without GPU support; compile it with `cargo build --release --features gpu`",
+        "this package was compiled without GPU support; install it with `MATURIN_PEP517_ARGS='--features gpu' pip install ./python`",
+    ),
+    ("leave --device out", "use the CPU"),
+    ("`pwrfgs devices`", "pwrfgs.devices()"),
+    ("--device", "use_device"),
     ("--set ", ""),
     ("another --out", "another `out`"),
     ("--scale ", "scale="),

@@ -13,6 +13,7 @@ mod arrays;
 mod border;
 mod compare;
 mod data;
+mod device;
 mod inspect;
 mod kernels;
 mod looped;
@@ -34,6 +35,8 @@ mod _pwrfgs {
     use super::compare::compare;
     #[pymodule_export]
     use super::data::Dataset;
+    #[pymodule_export]
+    use super::device::{devices, use_device};
     #[pymodule_export]
     use super::inspect::{default_pipeline, inspect};
     #[pymodule_export]

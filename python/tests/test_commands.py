@@ -33,7 +33,7 @@ FUNCTIONS = {
     "export-scene": ('pwrfgs.convert.to_sionna("office", "office-xml")', "number of meshes in the new folder"),
     "plugins": ("help(pwrfgs.LearnableMask)", "documentation of a plugin, each of which is a class"),
     "data": ("pwrfgs.Dataset.load(path)", "`Dataset`; `pwrfgs data` prints where public data sets are"),
-    "devices": "lists the GPUs for `--device`; the functions run on the CPU",
+    "devices": ("pwrfgs.devices()", 'names of the GPUs; `pwrfgs.use_device("gpu")` selects one for this process'),
     "inspect": ("pwrfgs.inspect(data)", "`Inspection`: positions, values, splits, baselines"),
     "init": ("pwrfgs.Pipeline.for_data(data)", "`Pipeline` for your data"),
     "completions": "completes commands in a shell",

@@ -64,6 +64,10 @@ pwrfgs.LearnableMask(target=200)  # error
 pwrfgs.LernableMask()  # error
 pwrfgs.Ssim(window=7)  # error
 
+gpus: List[str] = pwrfgs.devices()
+device: str = pwrfgs.use_device(0)
+pwrfgs.use_device(gpus)  # error
+
 share: float = pwrfgs.Random(test=0.1).test
 count: int = pwrfgs.Random(count=1_000).count
 pwrfgs.LeaveReceiverOut(receivers=["g1"])

@@ -51,4 +51,4 @@ def test_licences_of_all_compiled_crates_are_included():
     assert names == ["LICENSE-APACHE", "LICENSE-MIT", "LICENSE-THIRD-PARTY"]
     texts = [distribution.read_text(f"licenses/{name}") or "" for name in names]
     assert "Apache License" in texts[0] and "Permission is hereby granted" in texts[1]
-    assert all(f"\n{crate} " in texts[2] for crate in ("clap", "dfdx", "gemm", "pyo3", "rayon", "ron"))
+    assert all(f"\n{crate} " in texts[2] for crate in ("clap", "dfdx", "gemm", "libloading", "pyo3", "rayon", "ron", "wgpu"))

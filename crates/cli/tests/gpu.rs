@@ -66,6 +66,19 @@ mod with_gpu {
         SMALL.replace("lambda: 0.02, learning_rate: 0.1", "lambda: 0.5, learning_rate: 0.3")
     }
 
+    /// A method without Gaussians.
+    const NERF2: &str = "Pipeline(
+    name: \"nerf2\",
+    data: Teacher(gaussians: 4, samples: 40, width: 48, height: 12),
+    split: Official(validation: 0.2),
+    method: Nerf2(depth: 2, width: 16, samples: 6),
+    training: (
+        steps: 60, batch: 2, densify_until: 0, prune_until: 0, rays: Same(100), validate_every: 20, checkpoint_every: 10,
+        loss: (ssim_weight: 0, pixel: Squared),
+    ),
+)
+";
+
     #[test]
     fn software_gpus_are_refused() {
         let listed = stdout(&succeed(Path::new("."), &["devices"]));
@@ -88,25 +101,42 @@ mod with_gpu {
     }
 
     #[test]
+    #[cfg(target_os = "linux")]
+    fn missing_gpu_is_explained() {
+        // Without drivers, as in a container.
+        let run = |arguments: &[&str]| {
+            let mut command = on_gpu(Path::new("."));
+            ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"].iter().for_each(|name| _ = command.env(name, "/dev/null"));
+            command.args(arguments).output().unwrap()
+        };
+        let advice = "install a driver, on a cluster set VK_DRIVER_FILES";
+        let output = run(&["pipelines", "--device", "gpu"]);
+        let whole =
+            format!("error: --device gpu: no GPU found (Vulkan, Metal, DX12); {advice}, or leave --device out\n");
+        assert_eq!((output.status.code(), stderr(&output)), (Some(2), whole));
+        let listed = stdout(&run(&["devices", "--device", "cpu"]));
+        assert_eq!(listed, format!("no GPU found (Vulkan, Metal, DX12); {advice}\n"));
+        assert!(run(&["pipelines", "--device", "auto"]).status.success());
+    }
+
+    #[test]
     fn training_on_the_gpu_matches_the_cpu_and_resumes_to_the_same_bytes() {
         if !has_gpu() {
             return;
         }
         let folder = tempfile::tempdir().unwrap();
         let here = folder.path();
-        for deformation in ["Mlp(depth: 2, width: 16, skip: None)", "Wrfgs(depth: 2, width: 16, skip: None, gain: 50)"]
-        {
-            let text = busy().replace("Mlp(depth: 2, width: 16, skip: None)", deformation);
-            let [cpu, gpu, killed] = ["cpu", "gpu", "killed"].map(|name| format!("{name}-{}", &deformation[..3]));
+        let wrfgs = "Wrfgs(depth: 2, width: 16, skip: None, gain: 50)";
+        let wrfgs = busy().replace("Mlp(depth: 2, width: 16, skip: None)", wrfgs);
+        for (network, text) in [("Mlp", busy()), ("Wrfgs", wrfgs), ("Nerf2", NERF2.to_owned())] {
+            let [cpu, gpu, killed] = ["cpu", "gpu", "killed"].map(|name| format!("{name}-{network}"));
             write(&here.join("p.ron"), text);
             succeed(here, &["run", "p.ron", "--out", &cpu, "-q"]);
             let output = run(here, &["run", "p.ron", "--out", &gpu, "-q"]);
             assert!(output.status.success(), "{}", stderr(&output));
-            assert!(
-                stderr(&output).contains("N = 8: a step on a GPU is probably not faster than on the CPU"),
-                "{}",
-                stderr(&output)
-            );
+            let gains_little =
+                stderr(&output).contains("N = 8: a step on a GPU is probably not faster than on the CPU");
+            assert_eq!(gains_little, network != "Nerf2", "{}", stderr(&output));
             let [expected, found] = [&cpu, &gpu].map(|name| curve(&here.join(name)));
             assert_eq!(expected.len(), found.len());
             for (expected, found) in expected.iter().zip(&found).skip(1).take(30) {
@@ -126,11 +156,22 @@ mod with_gpu {
             assert!(!child.wait().unwrap().success());
             // The CPU rounds differently, so it does not take over.
             refuse(here, &arguments, 2, &["this run was trained on ", "; resume there, or start again"]);
+            if network == "Mlp" {
+                let arguments = ["run", "p.ron", "--out", "killed-on-cpu", "-q"];
+                let mut child =
+                    pwrfgs(here).args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+                wait_for_step(&mut child, &here.join("killed-on-cpu"), 15);
+                child.kill().unwrap();
+                child.wait().unwrap();
+                let message = stderr(&run(here, &arguments));
+                let whole = "this run was trained on the CPU; resume there, or start again";
+                assert!(message.contains(whole), "{message}");
+            }
             assert!(run(here, &arguments).status.success());
             let model = |name: &str| std::fs::read(here.join(name).join("model.safetensors")).unwrap();
             assert!(
                 model(&killed) == model(&gpu) && curve(&here.join(&killed)) == curve(&here.join(&gpu)),
-                "{deformation}"
+                "{network}"
             );
             // A finished model predicts on any device.
             succeed(here, &["predict", &gpu, "--tx", "0.5,0.5,0.5", "--out", &format!("predicted-{gpu}"), "-q"]);
@@ -147,7 +188,93 @@ mod with_gpu {
         write(&folder.path().join("p.ron"), text);
         let message = stderr(&run(folder.path(), &["run", "p.ron", "--out", "r", "-q"]));
         assert!(message.contains("no part of this pipeline runs on "), "{message}");
-        assert!(message.contains("; only the networks `Mlp` and `Wrfgs` do"), "{message}");
+        assert!(message.contains("; only the networks `Mlp`, `Wrfgs` and that of `Nerf2` do"), "{message}");
+        let message = stderr(&run(folder.path(), &["check", "p.ron"]));
+        assert!(message.contains("no part of this pipeline runs on "), "{message}");
+        let predict = ["predict", "r", "--tx", "0.5,0.5,0.5", "--out", "predicted"];
+        let message = stderr(&run(folder.path(), &predict));
+        assert!(
+            message.contains("note: the CPU predicts, not ")
+                && message.contains(": no part of this model runs on a GPU")
+        );
+    }
+
+    #[test]
+    fn predictions_use_the_gpu_where_it_wins() {
+        if !has_gpu() {
+            return;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let here = folder.path();
+        let large = SMALL
+            .replace("Mlp(depth: 2, width: 16,", "Mlp(depth: 1, width: 4, tx_hidden: 2, tx_features: 2,")
+            .replace("Grid(count: 8)", "Grid(count: 1728)");
+        for (name, text) in [("small", SMALL.to_owned()), ("large", large)] {
+            write(&here.join("p.ron"), text);
+            succeed(here, &["run", "p.ron", "--out", name, "-q", "--set", "training.steps=1", "--set", "pruners=[]"]);
+        }
+        let note = |arguments: &[&str]| -> String {
+            let message = stderr(&run(here, arguments));
+            message.lines().find(|line| line.starts_with("note: the CPU predicts, not ")).unwrap_or_default().to_owned()
+        };
+        // Few Gaussians; many, but few transmitters; many of both.
+        let one = ["--tx", "0.5,0.5,0.5"];
+        let walk: Vec<String> = (0..200).map(|k| format!("0.5,{},0.5", f64::from(k) / 200.0)).collect();
+        write(&here.join("walk.csv"), format!("x,y,z\n{}\n", walk.join("\n")));
+        let predict = |model: &'static str, tx: [&'static str; 2], out: &'static str| {
+            ["predict", model, tx[0], tx[1], "--no-png", "--stacked", "--out", out]
+        };
+        let few = note(&predict("small", one, "a"));
+        assert!(few.ends_with(": N = 8, and a GPU helps from about 1,000"), "{few}");
+        let short = note(&predict("large", one, "b"));
+        assert!(short.ends_with(": 1 position, and a GPU helps from about 145"), "{short}");
+        assert_eq!(note(&predict("large", ["--tx-csv", "walk.csv"], "c")), "");
+        succeed(here, &predict("large", ["--tx-csv", "walk.csv"], "d"));
+        let numbers = |out: &str| -> Vec<f32> {
+            let bytes = std::fs::read(here.join(out).join("spectra.npy")).unwrap();
+            pwrfgs_core::testing::npy(&bytes).1.into_iter().map(|x| x as f32).collect()
+        };
+        let (gpu, cpu) = (numbers("c"), numbers("d"));
+        assert!(gpu.len() == cpu.len() && gpu.iter().zip(&cpu).all(|(a, b)| (a - b).abs() <= 1e-4));
+        assert!(note(&["evaluate", "small"]).contains("N = 8"), "evaluate");
+        assert!(note(&["map", "small", "--plane", "z=0.5", "--out", "m"]).contains("N = 8"), "map");
+    }
+
+    #[test]
+    fn check_times_a_step_on_the_gpu() {
+        if !has_gpu() {
+            return;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        write(&folder.path().join("p.ron"), SMALL);
+        let output = run(folder.path(), &["check", "p.ron"]);
+        let table = stdout(&output);
+        assert!(table.contains("device") && table.contains("network on "), "{table}");
+        assert!(stderr(&output).contains("N = 8: a step on a GPU is probably not faster than on the CPU"));
+        assert!(!stdout(&succeed(folder.path(), &["check", "p.ron"])).contains("network on "));
+    }
+
+    #[test]
+    fn memory_that_runs_out_within_a_step_ends_the_run() {
+        if !has_gpu() {
+            return;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        write(&folder.path().join("p.ron"), SMALL.replace("Mlp(depth: 2, width: 16,", "Mlp(depth: 2, width: 512,"));
+        let limited = |megabytes: &str| {
+            let mut command = on_gpu(folder.path());
+            command.args(["run", "p.ron", "--out", "r", "-q"]).env("PWRFGS_DEVICE_MEMORY", megabytes);
+            command.output().unwrap()
+        };
+        // What the buffers of a step need, in whole megabytes; the derivative that is read back has more than one.
+        let message = stderr(&limited("1"));
+        let needed = Regex::new("a step needs ([0-9]+) MB").unwrap().captures(&message).expect(&message)[1].to_owned();
+        let output = limited(&needed);
+        let message = stderr(&output);
+        let whole = format!(": out of memory, of which it has {needed} MB");
+        assert!(message.contains("error: --device: ") && message.contains(&whole), "{message}");
+        assert_eq!(output.status.code(), Some(1), "{message}");
+        assert!(!folder.path().join("r/model.safetensors").exists(), "no other device takes over");
     }
 
     #[test]

@@ -81,6 +81,8 @@ pub struct DeformationTraits {
     pub kept_per_term: usize,
     /// Whether [`Deformation::vjp`] supports the derivative by the positions of the transmitters.
     pub differentiates_positions: bool,
+    /// Whether it runs on a GPU, in programs that support one.
+    pub runs_on_gpu: bool,
 }
 
 impl Default for DeformationTraits {
@@ -96,6 +98,7 @@ impl Default for DeformationTraits {
             kept_per_gaussian: 0,
             kept_per_term: 0,
             differentiates_positions: false,
+            runs_on_gpu: false,
         }
     }
 }

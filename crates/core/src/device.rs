@@ -66,7 +66,8 @@ pub fn from_environment() -> Result<DeviceChoice> {
 }
 
 static CHOICE: OnceLock<DeviceChoice> = OnceLock::new();
-static NAME: OnceLock<String> = OnceLock::new();
+static NAME: OnceLock<Option<String>> = OnceLock::new();
+static LEFT: AtomicBool = AtomicBool::new(false);
 static USED: AtomicBool = AtomicBool::new(false);
 static FAILURE: FirstError = FirstError(Mutex::new(None));
 
@@ -93,14 +94,21 @@ pub fn set_choice(choice: DeviceChoice) {
     CHOICE.get_or_init(|| choice);
 }
 
-/// Returns the name of the GPU that the process uses, such as `NVIDIA H100 (Vulkan, 580.159)`; `None` for the CPU.
+/// Returns the name of the GPU that the process uses, such as `NVIDIA H100 (Vulkan, 580.159)`; `None` for the CPU. The first
+/// call settles the device, since it precedes a computation.
 pub fn name() -> Option<&'static str> {
-    NAME.get().map(String::as_str)
+    NAME.get_or_init(|| None).as_deref().filter(|_| !LEFT.load(Ordering::Relaxed))
 }
 
-/// Sets the name of the GPU; only the first call has an effect.
-pub fn set_name(name: &str) {
-    NAME.get_or_init(|| name.to_owned());
+/// Leaves this process to the CPU although a GPU was selected: for programs that compute only what a GPU does not shorten, before
+/// they compute.
+pub fn leave_gpu() {
+    LEFT.store(true, Ordering::Relaxed);
+}
+
+/// Sets the name of the GPU; returns whether the process uses it, which is `false` once another device is settled.
+pub fn set_name(name: &str) -> bool {
+    NAME.get_or_init(|| Some(name.to_owned())).as_deref() == Some(name)
 }
 
 /// Returns whether a network has run on the GPU.

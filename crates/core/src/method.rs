@@ -306,10 +306,22 @@ pub struct Cost {
     /// Maximum number of links with [a pixel each](PixelSubset::Each) per call, so that the backward pass fits in memory.
     /// Larger steps are split.
     pub links_at_once: usize,
+    /// Whether its network runs on a GPU, in programs that support one.
+    pub runs_on_gpu: bool,
+    /// Number of rows of its network per transmitter in addition to those of the Gaussians.
+    pub network_rows: usize,
 }
 
 impl Default for Cost {
     fn default() -> Self {
-        Self { per_gaussian: 0, per_term: 0, pixels: 0, bytes: 0, links_at_once: usize::MAX }
+        Self {
+            per_gaussian: 0,
+            per_term: 0,
+            pixels: 0,
+            bytes: 0,
+            links_at_once: usize::MAX,
+            runs_on_gpu: false,
+            network_rows: 0,
+        }
     }
 }

@@ -18,10 +18,10 @@ use crate::residuals::check_residuals;
 use crate::samples::nearest_training_distances;
 use crate::session::{Observer, staged};
 use crate::text::{format_length, grouped, number};
-use crate::training::new_trainer;
+use crate::training::{device_warning, new_trainer};
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::statistics::{median, quantile, sorted};
-use pwrfgs_core::{Dataset, Partition, Result, Unmatched, free_memory, peak_memory};
+use pwrfgs_core::{Dataset, Partition, Result, Unmatched, device, free_memory, peak_memory};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::{TimeEstimate, Trainer};
 use std::fmt::Write as _;
@@ -57,6 +57,8 @@ pub struct Preview {
     pub summary: DataSummary,
     /// Median distance from a test transmitter to the nearest training transmitter, metres.
     pub test_distance: f64,
+    /// Name of the GPU on which the network of the timed steps ran; `None` for the CPU.
+    pub device: Option<&'static str>,
     /// Memory of this process with all data loaded, bytes; 0 if unavailable.
     pub loaded_bytes: u64,
     /// Remaining free memory, bytes; `None` if unavailable.
@@ -85,7 +87,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     let trainer = staged(observer, "initialising", |_| new_trainer(&member, make))?;
     let batch = pipeline.training.batch.min(data.locations_of(&member_partition.train).len());
     pipeline.set_all(&[format!("training.batch={batch}")])?; // as the trainer limits it
-    Ok(Preview {
+    let mut preview = Preview {
         title: data.title.clone(),
         observed: observed(data),
         samples: partition.sizes(),
@@ -99,8 +101,12 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         load: load_before,
         loaded_bytes,
         free_bytes: free_memory(),
+        device: device::name().filter(|_| device::is_used()),
         pipeline,
-    })
+    };
+    device::check()?;
+    preview.warnings.extend(device_warning(preview.time.start.gaussians));
+    Ok(preview)
 }
 
 /// Positions, values and pose of a data set.

@@ -3,7 +3,7 @@
 use crate::folder::PARTIAL_SCORES;
 use crate::{VERSION, load::SplitData};
 use pwrfgs_core::files::{self, GrowingFile, digest, if_found};
-use pwrfgs_core::{Error, Real, Result};
+use pwrfgs_core::{Error, Real, Result, device};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::data_digest;
@@ -35,8 +35,8 @@ impl PartialScores {
         let model = digest(&file::ensemble_to_bytes(model));
         let SplitData { data, partition } = split;
         let (settings, data) = (pipeline.to_ron()?, data_digest(data));
-        let request =
-            digest(format!("{VERSION} {} {settings} {model} {data} {partition:?}", size_of::<Real>()).as_bytes());
+        let rounding = (size_of::<Real>(), device::name());
+        let request = digest(format!("{VERSION} {rounding:?} {settings} {model} {data} {partition:?}").as_bytes());
         let text = if_found(&path, files::read(&path))?.unwrap_or_default();
         let text = String::from_utf8_lossy(&text);
         let mut all = Self { request, ..Self::default() };

@@ -28,6 +28,17 @@ use std::time::Instant;
 /// than they do. An estimate, not measured on a GPU.
 const FEW_GAUSSIANS: usize = 1000;
 
+/// Describes a GPU without effect, or with little, after a step with N Gaussians; `None` on the CPU and otherwise.
+pub(crate) fn device_warning(n: usize) -> Option<String> {
+    let name = device::name()?;
+    if !device::is_used() {
+        let parts = "only the networks `Mlp`, `Wrfgs` and that of `Nerf2` do";
+        return Some(format!("no part of this pipeline runs on {name}; {parts}"));
+    }
+    let is_small = (1..FEW_GAUSSIANS).contains(&n); // a network without Gaussians has many rows
+    is_small.then(|| format!("N = {n}: a step on a GPU is probably not faster than on the CPU"))
+}
+
 impl<'a> ActiveRun<'a, '_> {
     /// Creates the trainer, from the checkpoint in the folder `held` if there is one, otherwise before the first step.
     ///
@@ -219,13 +230,8 @@ impl Training<'_, '_, '_> {
 
     /// Warns of a GPU without effect, or with little, after the first step.
     fn warn_of_device(&mut self) {
-        let Some(name) = device::name() else { return };
-        let n = self.trainer.cloud().len();
-        if !device::is_used() {
-            self.warn(&format!("no part of this pipeline runs on {name}; only the networks `Mlp` and `Wrfgs` do"));
-        } else if n < FEW_GAUSSIANS {
-            self.warn(&format!("N = {n}: a step on a GPU is probably not faster than on the CPU"));
-        }
+        let warning = device_warning(self.trainer.cloud().len());
+        warning.into_iter().for_each(|warning| self.warn(&warning));
     }
 
     /// Writes the checkpoint, after the rows that it counts, and then `run.json`.

@@ -96,9 +96,9 @@ pub fn list() -> Vec<GpuLine> {
 
 static CURRENT: OnceLock<Gpu> = OnceLock::new();
 
-/// Returns the GPU of the process; `None` if networks run on the CPU.
+/// Returns the GPU of the process; `None` if networks run on the CPU. The first call settles the device.
 pub fn current() -> Option<&'static Gpu> {
-    CURRENT.get()
+    device::name().and_then(|_| CURRENT.get())
 }
 
 /// Returns a GPU for tests, a software adapter if there is no other; reports `skipped` tests without one. It is not the
@@ -112,13 +112,20 @@ pub fn for_tests() -> Option<&'static Gpu> {
     gpu.as_ref()
 }
 
-/// Selects the device of the process, once.
+/// Selects a GPU for the process, or leaves it to the CPU.
 ///
 /// # Errors
-/// [`Error::Config`] if there is no such GPU, or it is a software adapter and `PWRFGS_DEVICE_SOFTWARE` is not 1.
+/// [`Error::Config`] if there is no such GPU, or it is a software adapter and `PWRFGS_DEVICE_SOFTWARE` is not 1, or the process
+/// computes on another device.
 pub fn select(choice: DeviceChoice) -> Result<()> {
-    if choice == DeviceChoice::Cpu || CURRENT.get().is_some() {
-        return Ok(());
+    let settled = || {
+        let used = CURRENT.get().map_or("the CPU", Gpu::name);
+        Err(Error::Config(format!(
+            "--device {choice}: this process computes on {used}; select the device before the first computation"
+        )))
+    };
+    if choice == DeviceChoice::Cpu {
+        return if CURRENT.get().is_some() { settled() } else { Ok(()) };
     }
     let adapters = adapters();
     let admits_software = std::env::var_os(SOFTWARE).is_some_and(|value| value == "1");
@@ -128,8 +135,14 @@ pub fn select(choice: DeviceChoice) -> Result<()> {
         Ok(None) => return Ok(()),
         Err(why) => return Err(Error::Config(format!("--device {choice}: {why}"))),
     };
-    let gpu = Gpu::open(&adapters[index]).map_err(|why| Error::Device(format!("{}: {why}", lines[index].name)))?;
-    device::set_name(&gpu.name);
+    let name = &lines[index].name;
+    if let Some(gpu) = CURRENT.get() {
+        return if gpu.name == *name { Ok(()) } else { settled() };
+    }
+    let gpu = Gpu::open(&adapters[index]).map_err(|why| Error::Device(format!("{name}: {why}")))?;
+    if !device::set_name(name) {
+        return settled();
+    }
     CURRENT.get_or_init(|| gpu);
     Ok(())
 }

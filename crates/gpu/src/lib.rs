@@ -7,6 +7,7 @@
 
 mod adapters;
 mod block;
+mod kept;
 mod passes;
 mod step;
 #[cfg(test)]
@@ -15,6 +16,7 @@ mod workspace;
 
 pub use adapters::{Gpu, GpuLine, current, for_tests, list, select};
 pub use block::{Block, Epilogue};
+pub use kept::KeptBuffer;
 pub use step::GpuStep;
 
 /// Slot with the planes of sums.

@@ -18,10 +18,11 @@ const SENT_TOGETHER: usize = 512;
 
 /// Recorded command.
 #[derive(Debug)]
-enum Command {
+pub(crate) enum Command {
     Pass { kernel: usize, slots: [usize; 5], argument: u32, groups: [u32; 3] },
     Clear { slot: usize, bytes: u64 },
     Read { slot: usize, offset: u64, bytes: u64 },
+    Copy { from: Buffer, to: Buffer, bytes: u64 },
 }
 
 /// Network pass on a GPU, which it holds until it is dropped.
@@ -35,6 +36,8 @@ pub struct GpuStep<'g> {
     sizes: Vec<usize>,
     /// Buffers with results that were sent, and the lengths of the results.
     sent: Vec<(Buffer, Vec<u64>)>,
+    /// Bytes of all buffers of the step.
+    bytes: u64,
 }
 
 /// Returns a number of bytes as text.
@@ -92,6 +95,7 @@ impl Gpu {
             arguments: Vec::new(),
             sizes: sizes.to_vec(),
             sent: Vec::new(),
+            bytes: total,
         })
     }
 
@@ -146,6 +150,16 @@ impl GpuStep<'_> {
         self.commands.push(Command::Read { slot, offset: bytes(start), bytes: bytes(len) });
     }
 
+    /// Returns the buffer of a slot.
+    pub(crate) fn buffer_of(&self, slot: usize) -> Buffer {
+        self.workspace.buffers[slot].clone()
+    }
+
+    /// Records a command.
+    pub(crate) fn record(&mut self, command: Command) {
+        self.commands.push(command);
+    }
+
     /// Checks that a matrix with this shape lies inside its slot: the GPU ignores what is outside.
     pub(crate) fn check(&self, block: Block, (rows, columns): (usize, usize)) {
         let last = |count: usize, stride: usize| count.saturating_sub(1) * stride;
@@ -178,6 +192,13 @@ impl GpuStep<'_> {
             commands.iter().filter_map(|c| if let Command::Read { bytes, .. } = c { Some(*bytes) } else { None });
         let reads: Vec<u64> = reads.collect();
         let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
+        self.bytes += reads.iter().sum::<u64>();
+        if self.bytes > self.gpu.memory {
+            return keep_first(
+                &self.gpu.failure,
+                format!("out of memory, of which it has {}", describe_bytes(self.gpu.memory)),
+            );
+        }
         let results = self.gpu.buffer(reads.iter().sum::<u64>().max(4), usage);
         let uniform = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
         let uniforms = self.gpu.buffer((size_of::<u32>() * arguments.len()).max(ALIGNMENT) as u64, uniform);
@@ -198,6 +219,7 @@ impl GpuStep<'_> {
                     encoder.copy_buffer_to_buffer(&self.workspace.buffers[*slot], *offset, &results, place, *bytes);
                     place += bytes;
                 }
+                Command::Copy { from, to, bytes } => encoder.copy_buffer_to_buffer(from, 0, to, 0, *bytes),
             }
             rest = &rest[passes.max(1)..];
         }

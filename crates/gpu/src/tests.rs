@@ -237,9 +237,31 @@ fn memory_that_runs_out_within_a_step_is_an_error() {
     step.read(1, 4, 4); // beyond the buffer
     let error = step.finish().unwrap_err();
     assert!(matches!(error, pwrfgs_core::Error::Device(_)), "{error}");
+    // Results of a step that are larger than any buffer.
+    let mut step = gpu.step(&[1, 1 << 22]).unwrap();
+    let reads = gpu.device.limits().max_buffer_size >> 24;
+    (0..=reads).for_each(|_| step.read(1, 0, 1 << 22));
+    let error = step.finish().unwrap_err();
+    assert!(matches!(error, pwrfgs_core::Error::Device(_)) && error.to_string().contains(gpu.name()), "{error}");
     let mut step = gpu.step(&[1, 4]).unwrap();
     step.read(1, 0, 4);
     assert_eq!(step.finish().unwrap()[0].len(), 4, "usable afterwards");
+}
+
+#[test]
+fn kept_buffers_outlive_steps() {
+    let Some(gpu) = for_tests() else { return };
+    let kept = gpu.keep(3).unwrap();
+    let mut step = gpu.step(&[1, 4]).unwrap();
+    step.upload(1, 0, &[1.0, 2.0, 3.0, 4.0]);
+    step.save(1, 3, &kept);
+    step.clear(1, 4);
+    step.finish().unwrap();
+    let mut step = gpu.step(&[1, 4]).unwrap();
+    step.load(1, 3, &kept);
+    step.read(1, 0, 4);
+    assert_eq!(step.finish().unwrap(), [[1.0, 2.0, 3.0, 0.0]]);
+    assert!(gpu.keep(gpu.most_bytes as usize).is_none());
 }
 
 #[test]

@@ -8,13 +8,19 @@
 //!
 //! [`Nerf2`] is the method and [`RayBundle`] are the rays of a receiver. `network` holds the layers, `path` the emission of
 //! samples and the attenuation along the ray, `walk` the forward and backward pass of a chunk of rays, `group` the
-//! links that share rays. The trunk does not depend on the transmitter: it is computed once for all transmitters of a
+//! links that share rays, `totals` the sums over rays, `gpu` the network on a GPU. The trunk does not depend on the transmitter: it is computed once for all transmitters of a
 //! call, and cached for predictions.
 
+#[cfg(feature = "gpu")]
+mod gpu;
+#[cfg(feature = "gpu")]
+#[cfg(test)]
+mod gpu_tests;
 mod group;
 mod method;
 mod network;
 mod path;
+mod totals;
 mod walk;
 
 #[cfg(test)]

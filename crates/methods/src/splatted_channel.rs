@@ -162,7 +162,9 @@ impl Method for SplattedChannel {
     fn cost(&self, setup: &MeasurementSetup, _: usize, _: usize) -> Cost {
         let deformation = self.deformation.traits();
         let per_gaussian = deformation.kept_per_gaussian + PER_WAVE * setup.value_count() / 2;
-        Cost { per_gaussian, per_term: deformation.kept_per_term, pixels: setup.value_count(), ..Cost::default() }
+        let runs_on_gpu = deformation.runs_on_gpu;
+        let pixels = setup.value_count();
+        Cost { per_gaussian, per_term: deformation.kept_per_term, pixels, runs_on_gpu, ..Cost::default() }
     }
 
     fn layout(&self, setup: &MeasurementSetup) -> Layout {

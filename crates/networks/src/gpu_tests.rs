@@ -86,7 +86,9 @@ impl Twin for Wrfgs {
 
     fn on_gpu(&self, gpu: &Gpu, inputs: &DeformationInputs<'_>, mut sums: DeformationVjp<'_>) -> (Vec<Real>, f64) {
         let network = lay_out(|plan| self.plan_layers(plan)).0;
-        let products = network.gpu_forward(gpu, inputs).unwrap();
+        let products = network.gpu_forward(gpu, inputs, None).unwrap();
+        let prepared = network.gpu_prepare(gpu, inputs.weights, inputs.means).unwrap();
+        assert!(network.gpu_forward(gpu, inputs, prepared.as_ref()).unwrap() == products, "the same trunk, kept");
         // Without derivatives by positions, those by weights are the same.
         let (mut alone, d) = (sums.weights.to_vec(), cotangents(products.len()));
         network.gpu_vjp(gpu, inputs, &d, &mut DeformationVjp::of_weights(&mut alone)).unwrap();

@@ -137,12 +137,12 @@ impl Linear {
 #[cfg(feature = "gpu")]
 impl LayerPart {
     /// Returns the columns of W as a matrix in a buffer of the flat vector.
-    pub(crate) fn block(&self, slot: usize) -> pwrfgs_gpu::Block {
+    pub fn block(&self, slot: usize) -> pwrfgs_gpu::Block {
         pwrfgs_gpu::Block::new(slot, self.layer.weight + self.columns.start, self.layer.inputs)
     }
 
     /// Returns the numbers of outputs and of columns.
-    pub(crate) fn shape(&self) -> (usize, usize) {
+    pub fn shape(&self) -> (usize, usize) {
         (self.layer.outputs, self.columns.len())
     }
 }

@@ -114,6 +114,7 @@ impl Deformation for Mlp {
             reads_carrier: self.carrier != 0.0,
             kept_per_term: self.depth * self.width,
             differentiates_positions: true,
+            runs_on_gpu: true,
             ..DeformationTraits::default()
         }
     }

@@ -6,7 +6,7 @@
 //! pair.
 
 #[cfg(feature = "gpu")]
-pub(crate) mod gpu;
+pub mod gpu;
 
 use crate::dense::{self, Matrix, MatrixMut, StoreMode, product};
 use crate::linear::{LayerPart, LayoutBuilder, Linear, WIDEST};

@@ -96,6 +96,7 @@ impl Deformation for Wrfgs {
             replaces_signals: true,
             couples_gaussians,
             differentiates_positions: true,
+            runs_on_gpu: true,
             ..DeformationTraits::default()
         }
     }
@@ -109,7 +110,8 @@ impl Deformation for Wrfgs {
         let gain = self.gain(means, pose) as Real;
         #[cfg(feature = "gpu")]
         if let Some(gpu) = pwrfgs_gpu::current() {
-            let products = self.planned_layers(weights).gpu_forward(gpu, inputs);
+            let kept = prepared.as_ref().and_then(|kept| kept.downcast_ref());
+            let products = self.planned_layers(weights).gpu_forward(gpu, inputs, kept);
             return Self::signals(
                 gain,
                 products.unwrap_or_else(|error| {
@@ -130,8 +132,14 @@ impl Deformation for Wrfgs {
 
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
         #[cfg(feature = "gpu")]
-        if pwrfgs_gpu::current().is_some() {
-            return None; // the GPU computes the trunk again
+        if let Some(gpu) = pwrfgs_gpu::current() {
+            return match self.planned_layers(weights).gpu_prepare(gpu, weights, means) {
+                Ok(kept) => kept.map(|kept| Arc::new(kept) as Arc<_>),
+                Err(error) => {
+                    pwrfgs_core::device::fail(error);
+                    None
+                }
+            };
         }
         let network = self.planned_layers(weights);
         let trunk_output = network.trunk_outputs(weights, means);

@@ -6,7 +6,7 @@
 //! ```
 
 #[cfg(feature = "gpu")]
-mod gpu;
+pub(crate) mod gpu;
 
 use crate::dense::{self, StoreMode, amplitude, amplitude_slope};
 use crate::encoding::{self, encode, encode_vjp};

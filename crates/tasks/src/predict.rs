@@ -96,13 +96,14 @@ pub fn write_predictions(
 }
 
 /// Describes what determines the output: names of its parts, and their digests.
-fn describe_request(ensemble: &Ensemble, poses: &[Pose], settings: &PredictSettings) -> [(&'static str, String); 4] {
+fn describe_request(ensemble: &Ensemble, poses: &[Pose], settings: &PredictSettings) -> [(&'static str, String); 5] {
     let numbers = poses.iter().flat_map(|pose| pose.position.into_iter().chain(pose.orientation));
     let bytes: Vec<u8> = numbers.flat_map(f64::to_le_bytes).collect();
     let version = env!("CARGO_PKG_VERSION").to_owned();
     let options = digest(format!("{settings:?}").as_bytes());
     let models = digest(&file::ensemble_to_bytes(ensemble));
-    [("program", version), ("models", models), ("positions", digest(&bytes)), ("options", options)]
+    let device = digest(device::name().unwrap_or("CPU").as_bytes()); // devices round differently
+    [("program", version), ("models", models), ("positions", digest(&bytes)), ("options", options), ("device", device)]
 }
 
 /// Returns the factors of prediction intervals of this `level`, a probability.

@@ -20,10 +20,12 @@ Loads the data, makes the split and the initial Gaussians and times a few steps;
 Reports the errors that `pwrfgs run` would report, and warns of settings without effect.
 Describes the data briefly; `pwrfgs inspect` gives the details. The time is that of an initial search
 and of training, with the initial Gaussians and after pruning. Densification increases memory and time.
+With --device the timed steps use that GPU.
 
 EXAMPLES
   pwrfgs check pipelines/s23-laptop.ron
-  pwrfgs check pipelines/pwrfgs.ron --scale 0.1")]
+  pwrfgs check pipelines/pwrfgs.ron --scale 0.1
+  pwrfgs check pipelines/pwrfgs.ron --device gpu")]
 pub(crate) struct Check {
     /// Pipeline file, name in `pwrfgs pipelines`, or run folder
     #[arg(value_name = "PIPELINE")]

@@ -1,55 +1,64 @@
 //! `--device` and `pwrfgs devices`: selects the GPU of the process, and lists those of the machine.
 
+use crate::output::Verbosity;
+use pwrfgs::experiment::text::grouped;
+use pwrfgs::model::{Ensemble, Model};
 use pwrfgs_core::device::{self, DeviceChoice};
-use pwrfgs_core::{Error, Real, Result};
+use pwrfgs_core::{Cost, Result};
+
+/// Rows of a network per transmitter, and in all, below which a GPU does not shorten predictions: starting passes and GPU takes
+/// longer than two cores need. Estimates, not measured on a GPU.
+const FEW_ROWS: usize = 1_000;
+const FEW_TERMS: usize = 250_000;
 
 /// Selects the device of `--device`, or of the environment without it.
 ///
 /// # Errors
-/// [`Error::Config`] if there is no such GPU, or this program cannot use it.
+/// [`Error::Config`](pwrfgs_core::Error) if there is no such GPU, or this program cannot use it.
 pub(crate) fn set_device(choice: Option<DeviceChoice>) -> Result<()> {
-    let choice = choice.map_or_else(device::from_environment, Ok)?;
-    device::set_choice(choice);
-    let needs_gpu = !matches!(choice, DeviceChoice::Cpu | DeviceChoice::Auto);
-    if size_of::<Real>() != size_of::<f32>() {
-        let why = "this program computes in double precision, which is for the CPU; leave --device out";
-        return if needs_gpu { Err(Error::Config(format!("--device {choice}: {why}"))) } else { Ok(()) };
-    }
-    #[cfg(feature = "gpu")]
-    return pwrfgs_gpu::select(choice);
-    #[cfg(not(feature = "gpu"))]
-    if needs_gpu { Err(no_gpu_support(&format!("--device {choice}"))) } else { Ok(()) }
+    choice.map_or_else(device::from_environment, Ok).and_then(pwrfgs::device::select)
 }
 
-/// Returns the error of a program that was compiled without the feature `gpu`.
-#[cfg(not(feature = "gpu"))]
-fn no_gpu_support(what: &str) -> Error {
-    Error::Config(format!(
-        "{what}: this program was compiled without GPU support; compile it with `cargo build --release --features gpu`, or use \
-         the CPU"
-    ))
+/// Leaves `count` predictions per receiver to the CPU where a GPU does not shorten them, and says why in a line.
+pub(crate) fn choose_for_predictions(ensemble: &Ensemble, count: usize, verbosity: Verbosity) {
+    let Some(name) = device::name() else { return };
+    let reasons: Option<Vec<String>> = ensemble.members().iter().map(|model| reason_for_cpu(model, count)).collect();
+    if let Some(reason) = reasons.and_then(|reasons| reasons.into_iter().next()) {
+        device::leave_gpu();
+        verbosity.print_note(&format!("note: the CPU predicts, not {name}: {reason}"));
+    }
+}
+
+/// Returns why a GPU is not expected to shorten `count` predictions per receiver; `None` if it is.
+fn reason_for_cpu(model: &Model, count: usize) -> Option<String> {
+    let (setup, n) = (&model.stages.setup, model.cloud.len());
+    let Cost { runs_on_gpu, network_rows, .. } = model.stages.method.cost(setup, 1, setup.value_count());
+    let rows = n + network_rows;
+    if !runs_on_gpu {
+        return Some("no part of this model runs on a GPU".to_owned());
+    }
+    let shown = |number: usize| grouped(number as i64);
+    if rows < FEW_ROWS {
+        return Some(format!("N = {}, and a GPU helps from about {}", shown(n), shown(FEW_ROWS)));
+    }
+    let least = FEW_TERMS.div_ceil(rows);
+    let positions = if count == 1 { "position" } else { "positions" };
+    (count < least).then(|| format!("{} {positions}, and a GPU helps from about {}", shown(count), shown(least)))
 }
 
 /// Runs `pwrfgs devices`: prints number and name of each GPU.
 ///
 /// # Errors
-/// [`Error::Config`] in a program without GPU support; [`Error::Write`] to the output.
-#[cfg(feature = "gpu")]
+/// [`Error::Config`](pwrfgs_core::Error) in a program without GPU support, or the output cannot be written.
 pub(crate) fn print_devices() -> Result<()> {
-    let number = |(number, line): (usize, pwrfgs_gpu::GpuLine)| {
-        let note = if line.is_software { "a software GPU, slower than the CPU" } else { "" };
-        vec![number.to_string(), line.name, note.to_owned()]
+    let number = |(number, (name, is_software)): (usize, (String, bool))| {
+        let note = if is_software { "a software GPU, slower than the CPU" } else { "" };
+        vec![number.to_string(), name, note.to_owned()]
     };
-    let rows: Vec<Vec<String>> = pwrfgs_gpu::list().into_iter().enumerate().map(number).collect();
+    let rows: Vec<Vec<String>> = pwrfgs::device::list()?.into_iter().enumerate().map(number).collect();
     if rows.is_empty() {
         let advice = "install a driver, on a cluster set VK_DRIVER_FILES";
         return crate::output::print_result(&format!("no GPU found (Vulkan, Metal, DX12); {advice}\n"));
     }
     crate::output::print_result(&pwrfgs::experiment::text::aligned(&rows, 0))
-}
-
-/// Runs `pwrfgs devices` without GPU support: refuses.
-#[cfg(not(feature = "gpu"))]
-pub(crate) fn print_devices() -> Result<()> {
-    Err(no_gpu_support("devices"))
 }

@@ -1,5 +1,6 @@
 //! `pwrfgs evaluate`: scores of a trained model on a data set.
 
+use super::devices::choose_for_predictions;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
@@ -89,6 +90,7 @@ fn score(
         let (data, test) = (&split.data, split.partition.test.len());
         output::print_note(&format!("{}: scoring {test} test {}", data.title, data.task().counted[1]));
     }
+    choose_for_predictions(ensemble, split.data.locations_of(&split.partition.test).len(), verbosity);
     warn_of_moved_receivers(&split.data, ensemble);
     let mut session = Session::new(&mut progress);
     let scored = match folder {

@@ -1,5 +1,6 @@
 //! `pwrfgs map`: radio maps of a model over a plane, as images and arrays.
 
+use super::devices::choose_for_predictions;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
@@ -43,6 +44,7 @@ pub(crate) struct Map {
 /// Runs `pwrfgs map`: writes the arrays and images of all maps.
 pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
+    choose_for_predictions(&ensemble, usize::MAX, verbosity); // a map has many positions
     let folder = NewFolder::begin(&arguments.out)?;
     let map = RunProgress::observe(verbosity, |progress| map_model(&ensemble, &arguments.settings, progress))?;
     map.write(&folder)?;

@@ -1,5 +1,6 @@
 //! `pwrfgs predict`: predictions at transmitter positions or receiver poses, from the model file alone.
 
+use super::devices::choose_for_predictions;
 use crate::interrupt::stop_flag;
 use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
@@ -76,6 +77,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<u8> {
             "note: --tx is in metres east and north of latitude {latitude}, longitude {longitude}; --tx-csv takes degrees too"
         ));
     }
+    choose_for_predictions(&ensemble, poses.len(), verbosity);
     let stop = stop_flag();
     let written = RunProgress::observe(verbosity, |progress| {
         write_predictions(&ensemble, &poses, &arguments.settings, &arguments.out, progress, &stop)

@@ -49,6 +49,7 @@ impl Preview {
         let each =
             || format!("{models}, one after another, each without a part of the known samples; the time is of all");
         rows.extend((models > 1).then(|| ("models", each())));
+        rows.extend(self.device.map(|name| ("device", format!("network on {name}"))));
         rows.splice(1..1, self.summary.facts.iter().cloned().chain(pose));
         rows.extend(self.outlook.iter().map(|sentence| ("pruning", sentence.clone())));
         aligned(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)

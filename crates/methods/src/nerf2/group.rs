@@ -49,7 +49,7 @@ impl GroupLinks {
     }
 
     /// Returns the row of the transmitter per ray of a chunk, in a pass.
-    fn pass_locations(&self, pass: usize, chunk: &Range<usize>) -> Vec<usize> {
+    pub(crate) fn pass_locations(&self, pass: usize, chunk: &Range<usize>) -> Vec<usize> {
         match self {
             Self::All(links) => vec![links[pass].1; chunk.len()],
             Self::Own(links) => links[chunk.clone()].iter().map(|(_, tx)| *tx).collect(),
@@ -74,7 +74,7 @@ impl RayGroup<'_> {
         let one = |pass: usize| {
             let mut signal = Signal::default();
             self.walk.run_signal_network(&shared, &self.links.pass_locations(pass, rays), &mut signal);
-            let sums = self.walk.ray_sums(&shared, &signal);
+            let sums = self.walk.ray_sums(&shared, &signal.raw);
             (signal, sums)
         };
         let (signals, sums) = (0..self.links.pass_count()).map(one).unzip();
@@ -94,7 +94,7 @@ impl RayGroup<'_> {
         let Some(shared) = ready.or(made.as_ref()) else { return Passes::new() };
         let one = |pass: usize| {
             self.walk.run_signal_network(shared, &self.links.pass_locations(pass, rays), signal);
-            self.walk.ray_sums(shared, signal)
+            self.walk.ray_sums(shared, &signal.raw)
         };
         (0..self.links.pass_count()).map(one).collect()
     }

@@ -1,8 +1,11 @@
 //! `Nerf2` as a method: from links to observations.
 
+#[cfg(feature = "gpu")]
+use crate::nerf2::gpu::{GpuActivations, GpuNerf2, GpuReady};
 use crate::nerf2::group::{GroupLinks, GroupScratch, Passes, RayActivations, RayGroup};
 use crate::nerf2::network::Nerf2Network;
 use crate::nerf2::path::PropagationLaw;
+use crate::nerf2::totals::{band_count, collect_sums, observations, observations_vjp, total_index};
 use crate::nerf2::walk::{RayWalk, SharedActivations, Sums, TrunkActivations};
 use crate::nerf2::{Nerf2, RayBundle};
 use pwrfgs_core::{
@@ -30,6 +33,9 @@ struct Chunk {
 /// State of the forward pass for [`Method::vjp`].
 struct Nerf2Cache {
     chunks: Vec<Chunk>,
+    /// Instead of `chunks`, on a GPU.
+    #[cfg(feature = "gpu")]
+    on_gpu: Vec<GpuActivations>,
     /// Sums over the samples `[L, pixels]`, or over the whole sky `[L, bands]`.
     totals: Vec<[Real; 2]>,
 }
@@ -44,6 +50,12 @@ impl Nerf2 {
             return PropagationLaw::Spectrum;
         }
         PropagationLaw::Wave { wavenumber: (2.0 * std::f64::consts::PI * self.carrier_hz / SPEED_OF_LIGHT) as Real }
+    }
+
+    /// Returns the network on the GPU of the process; `None` for the CPU.
+    #[cfg(feature = "gpu")]
+    fn on_gpu<'a>(&self, network: &'a Nerf2Network, weights: &'a [Real]) -> Option<GpuNerf2<'a>> {
+        pwrfgs_gpu::current().map(|gpu| GpuNerf2 { gpu, network, weights, samples: self.samples })
     }
 
     /// Plans the layers of the network for the setup.
@@ -97,67 +109,6 @@ impl Nerf2 {
         };
         (0..setup.receivers.len()).filter_map(group).collect()
     }
-
-    /// Converts sums over rays `[L, pixels or bands]` to observations.
-    fn observations(setup: &MeasurementSetup, totals: &[[Real; 2]]) -> Vec<Real> {
-        if setup.task.is_complex {
-            return pwrfgs_core::rows_of(totals, band_count(setup));
-        }
-        let size = totals.iter().map(|[re, im]| re.hypot(*im));
-        if setup.task.is_scalar { size.map(|size| 100.0 * size - 100.0).collect() } else { size.collect() }
-    }
-
-    /// Returns the cotangents of the sums, given those of the observations.
-    fn observations_vjp(setup: &MeasurementSetup, totals: &[[Real; 2]], d: &[Real]) -> Vec<[Real; 2]> {
-        let along = |([re, im], d): (&[Real; 2], &Real)| {
-            let size = re.hypot(*im);
-            if size > 0.0 { [d * re / size, d * im / size] } else { [0.0; 2] }
-        };
-        if setup.task.is_complex {
-            return pwrfgs_core::gains_of(d, band_count(setup));
-        }
-        let each = totals.iter().zip(d).map(along);
-        if setup.task.is_scalar { each.map(|d| d.map(|d| 100.0 * d)).collect() } else { each.collect() }
-    }
-
-    /// Adds up the sums of chunks (group, rays, sums), in order; returns the totals `[L, pixels or bands]`.
-    fn collect_sums(
-        call: &Call<'_>,
-        groups: &[RayGroup<'_>],
-        chunks: impl Iterator<Item = (usize, Range<usize>, Passes)>,
-    ) -> Vec<[Real; 2]> {
-        let setup = call.setup;
-        let width =
-            if setup.task.has_pixels { call.pixels.count_per_link(setup.value_count()) } else { band_count(setup) };
-        let mut totals = vec![[0.0; 2]; call.links.pairs.len() * width];
-        for (group, rays, passes) in chunks {
-            let bands = band_count(setup);
-            for (pass, sums) in passes.into_iter().enumerate() {
-                for (i, sum) in sums.into_iter().enumerate() {
-                    let (ray, band) = (rays.start + i / bands, i % bands);
-                    let total = &mut totals[total_index(setup, &groups[group].links, width, [pass, ray, band])];
-                    total[0] += sum[0];
-                    total[1] += sum[1];
-                }
-            }
-        }
-        totals
-    }
-}
-
-/// Returns the index of the total to which a ray contributes, for totals of `width` values per link.
-fn total_index(setup: &MeasurementSetup, links: &GroupLinks, width: usize, [pass, ray, band]: [usize; 3]) -> usize {
-    let link = links.link_index(pass, ray);
-    match (setup.task.has_pixels, links) {
-        (true, GroupLinks::All(_)) => link * width + ray,
-        (true, GroupLinks::Own(_)) => link,
-        _ => link * width + band,
-    }
-}
-
-/// Returns the number of complex outputs per sample.
-fn band_count(setup: &MeasurementSetup) -> usize {
-    setup.frequencies_hz.len().max(1)
 }
 
 #[typetag::serde]
@@ -185,6 +136,8 @@ impl Method for Nerf2 {
         Cost {
             pixels,
             bytes: network.activation_bytes(self.samples, rays, passes).min(KEPT) as u64,
+            runs_on_gpu: true,
+            network_rows: rays * self.samples / passes.max(1),
             links_at_once: (KEPT / network.activation_bytes(self.samples, 1, 1)).max(1),
             ..Cost::default()
         }
@@ -199,6 +152,19 @@ impl Method for Nerf2 {
         let network = lay_out_for(p.weights, |plan| self.plan_network(setup, plan));
         let emission = network.emission(p.weights, &links.conditions(), self.unit_m);
         let groups = self.ray_groups(call, (&network, p.weights), &emission);
+        #[cfg(feature = "gpu")]
+        if let Some(on) = self.on_gpu(&network, p.weights) {
+            let results = on.forward(&groups, &on.items(&groups, None), |activations| activations);
+            let results = results.unwrap_or_else(|error| {
+                pwrfgs_core::device::fail(error);
+                Vec::new()
+            });
+            let (on_gpu, sums): (Vec<GpuActivations>, Vec<Passes>) = results.into_iter().unzip();
+            let sums = on_gpu.iter().zip(sums).map(|(chunk, sums)| (chunk.group, chunk.rays.clone(), sums));
+            let totals = collect_sums(call, &groups, sums);
+            let numbers = observations(setup, &totals);
+            return ForwardOutput { numbers, cache: Some(Arc::new(Nerf2Cache { chunks: Vec::new(), on_gpu, totals })) };
+        }
         let mut room = KEPT;
         let mut items = Vec::new();
         for (g, group) in groups.iter().enumerate() {
@@ -221,20 +187,44 @@ impl Method for Nerf2 {
         let results: Vec<_> = items.into_par_iter().map_init(GroupScratch::default, one).collect();
         let (chunks, sums): (Vec<Chunk>, Vec<Passes>) = results.into_iter().unzip();
         let sums = chunks.iter().zip(sums).map(|(chunk, sums)| (chunk.group, chunk.rays.clone(), sums));
-        let totals = Self::collect_sums(call, &groups, sums);
-        let numbers = Self::observations(setup, &totals);
-        ForwardOutput { numbers, cache: Some(Arc::new(Nerf2Cache { chunks, totals })) }
+        let totals = collect_sums(call, &groups, sums);
+        let numbers = observations(setup, &totals);
+        ForwardOutput {
+            numbers,
+            cache: Some(Arc::new(Nerf2Cache {
+                chunks,
+                #[cfg(feature = "gpu")]
+                on_gpu: Vec::new(),
+                totals,
+            })),
+        }
     }
 
     fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
         let Call { setup, parameters: p, links, .. } = *call;
-        let Nerf2Cache { chunks, totals } = cached(&observed.cache);
+        let Nerf2Cache { chunks, totals, .. } = cached(&observed.cache);
         let network = lay_out_for(p.weights, |plan| self.plan_network(setup, plan));
         let emission = network.emission(p.weights, &links.conditions(), self.unit_m);
         let groups = self.ray_groups(call, (&network, p.weights), &emission);
-        let d_totals = Self::observations_vjp(setup, totals, d);
+        let d_totals = observations_vjp(setup, totals, d);
         let width = totals.len() / links.pairs.len().max(1);
-        let parts = sum_groups(chunks, &mut sums.weights, |chunks, weights| {
+        let MethodVjp { weights: d_weights, positions: d_positions, .. } = sums;
+        let conditions = links.conditions();
+        #[cfg(feature = "gpu")]
+        if let Some(on) = self.on_gpu(&network, p.weights) {
+            let Nerf2Cache { on_gpu, .. } = cached(&observed.cache);
+            let d = |chunk: &GpuActivations, sum: [usize; 3]| {
+                d_totals[total_index(setup, &groups[chunk.group].links, width, sum)]
+            };
+            return match on.backward(&groups, on_gpu, d, d_weights) {
+                Ok(d_emission) => {
+                    let into = (&mut d_weights[..], d_positions.as_deref_mut());
+                    network.emission_vjp(p.weights, &conditions, self.unit_m, &d_emission, into);
+                }
+                Err(error) => pwrfgs_core::device::fail(error),
+            };
+        }
+        let parts = sum_groups(chunks, d_weights, |chunks, weights| {
             let mut into = Sums { weights, emission: vec![0.0; emission.len()] };
             let mut scratch = GroupScratch::default();
             for Chunk { group, rays, activations } in chunks {
@@ -246,14 +236,8 @@ impl Method for Nerf2 {
         });
         let mut d_emission = vec![0.0; emission.len()];
         add_in_order(&mut d_emission, &parts.iter().map(Vec::as_slice).collect::<Vec<_>>());
-        let MethodVjp { weights: d_weights, positions: d_positions, .. } = sums;
-        network.emission_vjp(
-            p.weights,
-            &links.conditions(),
-            self.unit_m,
-            &d_emission,
-            (d_weights, d_positions.as_deref_mut()),
-        );
+        let into = (&mut d_weights[..], d_positions.as_deref_mut());
+        network.emission_vjp(p.weights, &conditions, self.unit_m, &d_emission, into);
     }
 
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
@@ -263,6 +247,19 @@ impl Method for Nerf2 {
         let bytes = setup.receivers.len() * rays * self.samples * of_sample * size_of::<Real>();
         if bytes > MOST_CACHED {
             return None;
+        }
+        #[cfg(feature = "gpu")]
+        if let Some(on) = self.on_gpu(&network, p.weights) {
+            let mut ready: Vec<Vec<GpuReady>> = Vec::new();
+            for receiver in 0..setup.receivers.len() {
+                let walk = self.ray_walk(setup, (&network, p.weights), (receiver, &PixelSubset::All), &[]);
+                let prepared = on.prepare(&RayGroup { receiver, walk, links: GroupLinks::All(Vec::new()) });
+                ready.push(prepared.unwrap_or_else(|error| {
+                    pwrfgs_core::device::fail(error);
+                    None
+                })?);
+            }
+            return Some(Arc::new(ready));
         }
         let chunks_of_sky = |receiver: usize| {
             let walk = self.ray_walk(setup, (&network, p.weights), (receiver, &PixelSubset::All), &[]);
@@ -282,6 +279,21 @@ impl Method for Nerf2 {
         let network = lay_out_for(p.weights, |plan| self.plan_network(setup, plan));
         let emission = network.emission(p.weights, &links.conditions(), self.unit_m);
         let groups = self.ray_groups(call, (&network, p.weights), &emission);
+        #[cfg(feature = "gpu")]
+        if let Some(on) = self.on_gpu(&network, p.weights) {
+            let kept = prepared.as_ref().filter(|_| *pixels == PixelSubset::All);
+            let kept = kept.and_then(|kept| kept.downcast_ref::<Vec<Vec<GpuReady>>>());
+            let items = on.items(&groups, kept.map(Vec::as_slice));
+            let results = on.forward(&groups, &items, |activations| (activations.group, activations.rays));
+            let results = results.unwrap_or_else(|error| {
+                pwrfgs_core::device::fail(error);
+                Vec::new()
+            });
+            let totals =
+                collect_sums(call, &groups, results.into_iter().map(|((group, rays), sums)| (group, rays, sums)));
+            let total = start.elapsed().as_secs_f64();
+            return (observations(setup, &totals), StageTimes { network: total, total, ..StageTimes::default() });
+        }
         let ready: Option<&Ready> = (prepared.is_some() && *pixels == PixelSubset::All).then(|| cached(prepared));
         let chunks = |g: usize| groups[g].walk.chunks().enumerate().map(move |(c, rays)| (g, c, rays));
         let items: Vec<_> = (0..groups.len()).flat_map(chunks).collect();
@@ -291,8 +303,8 @@ impl Method for Nerf2 {
             (g, rays, sums)
         };
         let results: Vec<_> = items.into_par_iter().map_init(GroupScratch::default, one).collect();
-        let totals = Self::collect_sums(call, &groups, results.into_iter());
-        let numbers = Self::observations(setup, &totals);
+        let totals = collect_sums(call, &groups, results.into_iter());
+        let numbers = observations(setup, &totals);
         let total = start.elapsed().as_secs_f64();
         (numbers, StageTimes { network: total, total, ..StageTimes::default() })
     }

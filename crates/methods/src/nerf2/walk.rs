@@ -52,7 +52,7 @@ pub(crate) struct Signal {
     first: Vec<Real>,
     second: Vec<Real>,
     /// Raw amplitudes and phases `[2 bands, live]`.
-    raw: Vec<Real>,
+    pub(crate) raw: Vec<Real>,
 }
 
 /// Derivatives with respect to all learned parameters.
@@ -75,7 +75,39 @@ impl SharedActivations {
     }
 }
 
+#[cfg(feature = "gpu")]
+impl SharedActivations {
+    /// Returns the values of the samples in use, of those `[features, rays, samples]` of a chunk.
+    pub(crate) fn select_live(&self, all: &[Real], samples: usize) -> Vec<Real> {
+        let rows = all.chunks_exact((self.segments.len() * samples).max(1));
+        let of_ray = |row: &'_ [Real]| -> Vec<Real> {
+            let rays = row.chunks_exact(samples).zip(&self.segments);
+            rays.flat_map(|(ray, segment)| &ray[..segment.len()]).copied().collect()
+        };
+        rows.flat_map(of_ray).collect()
+    }
+
+    /// Returns the values of all samples of a chunk `[features, rays, samples]`, given those in use; the others are 0.
+    pub(crate) fn spread_live(&self, live: &[Real], (features, samples): (usize, usize)) -> Vec<Real> {
+        let mut all = vec![0.0; features * self.segments.len() * samples];
+        let rows = all.chunks_exact_mut((self.segments.len() * samples).max(1));
+        for (row, live) in rows.zip(live.chunks_exact(self.live_count().max(1))) {
+            for (ray, segment) in row.chunks_exact_mut(samples).zip(&self.segments) {
+                ray[..segment.len()].copy_from_slice(&live[segment.clone()]);
+            }
+        }
+        all
+    }
+}
+
 impl RayWalk<'_> {
+    /// Returns the paths of a chunk from its raw attenuations, without hidden contributions.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn paths(&self, attenuation: &[Real], rays: usize) -> SharedActivations {
+        let (factors, segments) = self.path_factors(attenuation, rays);
+        SharedActivations { segments, factors, hidden: Vec::new() }
+    }
+
     /// Returns the number of complex outputs per sample.
     fn band_count(&self) -> usize {
         self.network.outputs / 2
@@ -171,11 +203,11 @@ impl RayWalk<'_> {
     }
 
     /// Returns the received sums over the samples of each ray, `[rays, bands]`.
-    pub(crate) fn ray_sums(&self, shared: &SharedActivations, signal: &Signal) -> Vec<[Real; 2]> {
+    pub(crate) fn ray_sums(&self, shared: &SharedActivations, raw: &[Real]) -> Vec<[Real; 2]> {
         let (bands, rays) = (self.band_count(), shared.segments.len());
         let one = |i: usize| {
             let (ray, band) = (i / bands, i % bands);
-            let raw = self.emissions(&signal.raw, shared, band, ray);
+            let raw = self.emissions(raw, shared, band, ray);
             ray_sum(raw, self.ray_factors(shared, band, ray), self.law.phase_offset())
         };
         (0..rays * bands).map(one).collect()
@@ -185,6 +217,35 @@ impl RayWalk<'_> {
     fn ray_factors<'a>(&self, shared: &'a SharedActivations, band: usize, ray: usize) -> &'a [[Real; 2]] {
         let at = (band * shared.segments.len() + ray) * self.rays.sample_count();
         &shared.factors[at..at + shared.segments[ray].len()]
+    }
+
+    /// Returns the cotangents of the raw values `[2 bands, live]`, given cotangents `d` `[rays, bands]` of [`Self::ray_sums`]; adds
+    /// to those of the path factors.
+    pub(crate) fn ray_sums_vjp(
+        &self,
+        shared: &SharedActivations,
+        raw: &[Real],
+        d: &[[Real; 2]],
+        d_factors: &mut [[Real; 2]],
+    ) -> Vec<Real> {
+        let (bands, rays, live) = (self.band_count(), shared.segments.len(), shared.live_count());
+        let mut d_raw = vec![0.0; raw.len()];
+        let (d_amplitudes, d_phases) = d_raw.split_at_mut(bands * live);
+        for (i, d) in d.iter().enumerate() {
+            let (ray, band) = (i / bands, i % bands);
+            let segment = shared.segments[ray].clone();
+            let samples_of_ray = band * live + segment.start..band * live + segment.end;
+            let on_path = (band * rays + ray) * self.rays.sample_count();
+            ray_sum_vjp(
+                self.emissions(raw, shared, band, ray),
+                self.ray_factors(shared, band, ray),
+                self.law.phase_offset(),
+                *d,
+                [&mut d_amplitudes[samples_of_ray.clone()], &mut d_phases[samples_of_ray]],
+                &mut d_factors[on_path..on_path + segment.len()],
+            );
+        }
+        d_raw
     }
 
     /// Runs the backward pass of one [`Self::run_signal_network`], given cotangents `d` `[rays, bands]` of the sums. Adds to `into`
@@ -197,23 +258,7 @@ impl RayWalk<'_> {
         into: &mut Sums<'_>,
     ) {
         let (network, weights, width, live) = (self.network, self.weights, self.network.width(), shared.live_count());
-        let (bands, rays, samples) = (self.band_count(), shared.segments.len(), self.rays.sample_count());
-        let mut d_raw = vec![0.0; signal.raw.len()];
-        let (d_amplitudes, d_phases) = d_raw.split_at_mut(bands * live);
-        for (i, d) in d.iter().enumerate() {
-            let (ray, band) = (i / bands, i % bands);
-            let segment = shared.segments[ray].clone();
-            let samples_of_ray = band * live + segment.start..band * live + segment.end;
-            let on_path = (band * rays + ray) * samples;
-            ray_sum_vjp(
-                self.emissions(&signal.raw, shared, band, ray),
-                self.ray_factors(shared, band, ray),
-                self.law.phase_offset(),
-                *d,
-                [&mut d_amplitudes[samples_of_ray.clone()], &mut d_phases[samples_of_ray]],
-                &mut d_factors[on_path..on_path + segment.len()],
-            );
-        }
+        let d_raw = self.ray_sums_vjp(shared, &signal.raw, d, d_factors);
         let (second, mut d_second) = (&signal.second, Vec::new());
         network.emission.apply_vjp(weights, (second, &d_raw), into.weights, (&mut d_second, StoreMode::Set));
         let layer = &network.signal[1];
@@ -259,20 +304,7 @@ impl RayWalk<'_> {
         let mut d_feature = vec![0.0; trunk_activations.feature.len()];
         network.feature_columns().input_vjp(weights, &d_hidden, &mut d_feature, StoreMode::Set);
 
-        let mut d_attenuation = vec![0.0; trunk_activations.attenuation.len()];
-        let (d_amplitudes, d_phases) = d_attenuation.split_at_mut(self.band_count() * rays * samples);
-        for ray in 0..rays {
-            for band in 0..self.band_count() {
-                let all = (band * rays + ray) * samples..(band * rays + ray + 1) * samples;
-                self.law.fill_factors_vjp(
-                    &self.rays.samples,
-                    self.ray_attenuations(&trunk_activations.attenuation, band, ray, rays),
-                    &shared.factors[all.clone()],
-                    &d_factors[all.start..all.start + shared.segments[ray].len()],
-                    [&mut d_amplitudes[all.clone()], &mut d_phases[all]],
-                );
-            }
-        }
+        let d_attenuation = self.paths_vjp(shared, &trunk_activations.attenuation, d_factors);
         let (h, mut d_h) = (&trunk_activations.slots[network.trunk.depth() - 1], Vec::new());
         network.feature.apply_vjp(weights, (h, &d_feature), into.weights, (&mut d_h, StoreMode::Set));
         network.attenuation.apply_vjp(weights, (h, &d_attenuation), into.weights, (&mut d_h, StoreMode::Add));
@@ -282,6 +314,31 @@ impl RayWalk<'_> {
         network.trunk.backward(weights, &trunk_activations.slots, &mut d_h, &mut d_feature, trunk);
         network.trunk.add_joint_biases(into.weights, &d_folded);
         network.trunk.share_gamma_vjp(weights, &trunk_activations.gamma, &d_shared, into.weights, None);
+    }
+
+    /// Returns the cotangents of the raw attenuations `[2 bands, rays, samples]`, given those of the path factors.
+    pub(crate) fn paths_vjp(
+        &self,
+        shared: &SharedActivations,
+        attenuation: &[Real],
+        d_factors: &[[Real; 2]],
+    ) -> Vec<Real> {
+        let (rays, samples) = (shared.segments.len(), self.rays.sample_count());
+        let mut d_attenuation = vec![0.0; attenuation.len()];
+        let (d_amplitudes, d_phases) = d_attenuation.split_at_mut(self.band_count() * rays * samples);
+        for ray in 0..rays {
+            for band in 0..self.band_count() {
+                let all = (band * rays + ray) * samples..(band * rays + ray + 1) * samples;
+                self.law.fill_factors_vjp(
+                    &self.rays.samples,
+                    self.ray_attenuations(attenuation, band, ray, rays),
+                    &shared.factors[all.clone()],
+                    &d_factors[all.start..all.start + shared.segments[ray].len()],
+                    [&mut d_amplitudes[all.clone()], &mut d_phases[all]],
+                );
+            }
+        }
+        d_attenuation
     }
 
     /// Returns raw amplitudes and phases of the emission in a band, for the samples of a ray that are in use.

@@ -176,6 +176,7 @@ impl Method for Splatting {
         Cost {
             per_gaussian: deformation.kept_per_gaussian,
             per_term: deformation.kept_per_term,
+            runs_on_gpu: deformation.runs_on_gpu,
             pixels,
             ..Cost::default()
         }

@@ -7,42 +7,48 @@ use crate::trunk::{Joints, Trunk};
 use pwrfgs_core::Real;
 use pwrfgs_gpu::{Block, Epilogue, Gpu, GpuStep, SCRATCH, SLICE, scratch_len};
 
-/// Slots: the flat vector of weights and its derivative.
-pub(crate) const WEIGHTS: usize = SCRATCH + 1;
-pub(crate) const D_WEIGHTS: usize = WEIGHTS + 1;
+/// Slot of the flat vector of weights.
+pub const WEIGHTS: usize = SCRATCH + 1;
+/// Slot of its derivative.
+pub const D_WEIGHTS: usize = WEIGHTS + 1;
 /// Slot of γ of the chunk, `[gamma, R]`.
-pub(crate) const GAMMA: usize = D_WEIGHTS + 1;
+pub const GAMMA: usize = D_WEIGHTS + 1;
 /// Slots of W·γ of both layers with inputs γ and e, `[width, R]`, and of the cotangents.
 const SHARED: [usize; 2] = [GAMMA + 1, GAMMA + 2];
 const D_SHARED: [usize; 2] = [GAMMA + 3, GAMMA + 4];
-/// Slots of the folded biases of both layers, `[2, width]`, and of the cotangents.
-pub(crate) const FOLDED: usize = GAMMA + 5;
-pub(crate) const D_FOLDED: usize = FOLDED + 1;
-/// Slots of the cotangent of the last layer `[width, R]`, and of a work buffer of the same size.
-pub(crate) const D: usize = D_FOLDED + 1;
-pub(crate) const SPARE: usize = D + 1;
+/// Slot of the folded biases of both layers, `[2, width]`.
+pub const FOLDED: usize = GAMMA + 5;
+/// Slot of their cotangents.
+pub const D_FOLDED: usize = FOLDED + 1;
+/// Slot of the cotangent of the last layer, `[width, R]`.
+pub const D: usize = D_FOLDED + 1;
+/// Slot of a work buffer of the same size.
+pub const SPARE: usize = D + 1;
 /// First slot of a network.
-pub(crate) const OWN: usize = SPARE + 1;
+pub const OWN: usize = SPARE + 1;
 
 /// Trunk with a chunk of rows on the GPU. Layer l writes slot `first + l % slots`.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct GpuTrunk<'a> {
-    pub(crate) trunk: &'a Trunk,
-    pub(crate) rows: usize,
-    pub(crate) first: usize,
+pub struct GpuTrunk<'a> {
+    /// Layers.
+    pub trunk: &'a Trunk,
+    /// Number of rows R of the chunk.
+    pub rows: usize,
+    /// Slot of the output of the first layer.
+    pub first: usize,
     /// 2 for predictions, or one per layer for derivatives.
-    pub(crate) slots: usize,
+    pub slots: usize,
 }
 
 /// Returns the number of rows per chunk for layers of `width` units with inputs of up to `inputs` components.
-pub(crate) fn chunk_rows(gpu: &Gpu, width: usize, inputs: usize) -> usize {
+pub fn chunk_rows(gpu: &Gpu, width: usize, inputs: usize) -> usize {
     let widest = width.max(inputs);
     gpu.chunk_rows(widest.max((width * widest).div_ceil(SLICE)))
 }
 
 /// Encodes R points with octaves, `[3 + 6L, R]`. Uses threads of its own: a thread of the pool that waits for others could
 /// take up work that waits for the GPU.
-pub(crate) fn encode_chunk(points: &[[Real; 3]], frequencies: usize) -> Vec<Real> {
+pub fn encode_chunk(points: &[[Real; 3]], frequencies: usize) -> Vec<Real> {
     const LEAST: usize = 2048;
     let width = encoded_width(frequencies);
     let one = |points: &[[Real; 3]]| {
@@ -71,7 +77,7 @@ pub(crate) fn encode_chunk(points: &[[Real; 3]], frequencies: usize) -> Vec<Real
 impl GpuTrunk<'_> {
     /// Returns the sizes of the slots before [`OWN`], for `weights` weights, `batch` folded biases per layer, and heads with
     /// `outputs` outputs. Derivatives need more than predictions.
-    pub(crate) fn sizes(&self, weights: usize, batch: usize, outputs: usize, is_derived: bool) -> Vec<usize> {
+    pub fn sizes(&self, weights: usize, batch: usize, outputs: usize, is_derived: bool) -> Vec<usize> {
         let &Self { trunk, rows, .. } = self;
         let (width, gamma) = (trunk.width, trunk.gamma);
         let chunk = width * rows;
@@ -94,54 +100,47 @@ impl GpuTrunk<'_> {
     }
 
     /// Returns the slot of the output of the last layer.
-    pub(crate) fn last(&self) -> usize {
+    pub fn last(&self) -> usize {
         self.hidden(self.trunk.depth() - 1)
     }
 
     /// Returns a chunk of R rows in a slot.
-    pub(crate) fn chunk(&self, slot: usize) -> Block {
+    pub fn chunk(&self, slot: usize) -> Block {
         Block::new(slot, 0, self.rows)
     }
 
     /// Computes W·x of a part of a layer, from slot `x` to slot `y`, with the `epilogue`.
-    pub(crate) fn apply(&self, step: &mut GpuStep<'_>, part: &LayerPart, x: usize, y: usize, epilogue: Epilogue) {
+    pub fn apply(&self, step: &mut GpuStep<'_>, part: &LayerPart, x: usize, y: usize, epilogue: Epilogue) {
         let (outputs, inputs) = part.shape();
         step.product((outputs, self.rows, inputs), part.block(WEIGHTS), self.chunk(x), self.chunk(y), epilogue);
     }
 
     /// Adds the derivative by W of [`Self::apply`], given `x` and the cotangent `d_y`.
-    pub(crate) fn weight_vjp(&self, step: &mut GpuStep<'_>, part: &LayerPart, x: usize, d_y: Block) {
+    pub fn weight_vjp(&self, step: &mut GpuStep<'_>, part: &LayerPart, x: usize, d_y: Block) {
         step.add_gradient(part.shape(), self.rows, d_y, self.chunk(x).t(), part.block(D_WEIGHTS));
     }
 
     /// Computes the cotangent of `x` of [`Self::apply`] in slot `d_x`, with the `epilogue`.
-    pub(crate) fn input_vjp(
-        &self,
-        step: &mut GpuStep<'_>,
-        part: &LayerPart,
-        d_y: Block,
-        d_x: usize,
-        epilogue: Epilogue,
-    ) {
+    pub fn input_vjp(&self, step: &mut GpuStep<'_>, part: &LayerPart, d_y: Block, d_x: usize, epilogue: Epilogue) {
         let (outputs, inputs) = part.shape();
         step.product((inputs, self.rows, outputs), part.block(WEIGHTS).t(), d_y, self.chunk(d_x), epilogue);
     }
 
     /// Writes the folded biases of a transmitter.
-    pub(crate) fn upload_folded(&self, step: &mut GpuStep<'_>, folded: &Joints) {
+    pub fn upload_folded(&self, step: &mut GpuStep<'_>, folded: &Joints) {
         step.upload(FOLDED, 0, &folded.first);
         step.upload(FOLDED, self.trunk.width, &folded.joined);
     }
 
     /// Computes W·γ of the layers with input γ.
-    pub(crate) fn share_gamma(&self, step: &mut GpuStep<'_>) {
+    pub fn share_gamma(&self, step: &mut GpuStep<'_>) {
         for (layer, shared) in self.trunk.joints().zip(SHARED) {
             self.apply(step, &layer.part(0..self.trunk.gamma), GAMMA, shared, Epilogue::default());
         }
     }
 
     /// Runs all layers for the transmitter of the folded biases.
-    pub(crate) fn forward(&self, step: &mut GpuStep<'_>) {
+    pub fn forward(&self, step: &mut GpuStep<'_>) {
         let &Self { trunk, rows, .. } = self;
         step.bias_relu((trunk.width, rows), SHARED[0], (FOLDED, 0), self.hidden(0));
         for l in 1..trunk.depth() {
@@ -156,13 +155,13 @@ impl GpuTrunk<'_> {
     }
 
     /// Sets the cotangents of [`Self::share_gamma`] to zero.
-    pub(crate) fn clear_shared(&self, step: &mut GpuStep<'_>) {
+    pub fn clear_shared(&self, step: &mut GpuStep<'_>) {
         D_SHARED.iter().take(self.trunk.joints().count()).for_each(|&d| step.clear(d, self.trunk.width * self.rows));
     }
 
     /// Runs the backward pass of [`Self::forward`], given the cotangent of the last layer in slot [`D`], which is zero where
     /// its output is. `folded` are the places of the cotangents of the folded biases.
-    pub(crate) fn backward(&self, step: &mut GpuStep<'_>, folded: [usize; 2]) {
+    pub fn backward(&self, step: &mut GpuStep<'_>, folded: [usize; 2]) {
         let &Self { trunk, rows, .. } = self;
         let (mut d, mut spare) = (D, SPARE);
         for l in (0..trunk.depth()).rev() {
@@ -183,7 +182,7 @@ impl GpuTrunk<'_> {
     }
 
     /// Runs the backward pass of [`Self::share_gamma`]; sets the cotangent of γ in slot `d_gamma`, if given.
-    pub(crate) fn share_gamma_vjp(&self, step: &mut GpuStep<'_>, d_gamma: Option<usize>) {
+    pub fn share_gamma_vjp(&self, step: &mut GpuStep<'_>, d_gamma: Option<usize>) {
         for (j, layer) in self.trunk.joints().enumerate() {
             let part = layer.part(0..self.trunk.gamma);
             self.weight_vjp(step, &part, GAMMA, self.chunk(D_SHARED[j]));

@@ -7,7 +7,7 @@ use crate::linear::LayerPart;
 use crate::trunk::gpu::{D, D_FOLDED, D_WEIGHTS, GAMMA, GpuTrunk, OWN, SPARE, WEIGHTS, chunk_rows, encode_chunk};
 use crate::wrfgs_branch::TxSide;
 use pwrfgs_core::{DeformationInputs, DeformationVjp, Real, Result};
-use pwrfgs_gpu::{Block, Epilogue, Gpu, GpuStep};
+use pwrfgs_gpu::{Block, Epilogue, Gpu, GpuStep, KeptBuffer};
 
 /// Slots of the trunk outputs: attenuation before |lrelu| `[R]`, feature and W·feature `[width, R]`, with the cotangent.
 const ATTENUATION: usize = OWN;
@@ -29,6 +29,9 @@ const D_OFFSETS: usize = OWN + 13;
 const D_MEANS: usize = OWN + 14;
 const D_TXS: usize = OWN + 15;
 const FIRST: usize = OWN + 16;
+
+/// Trunk outputs that all predictions share, chunk by chunk: attenuations before |lrelu|, and W·feature on the GPU.
+pub(crate) struct GpuTrunkOutput(Vec<(Vec<Real>, KeptBuffer)>);
 
 /// Derivatives by positions that are wanted.
 #[derive(Clone, Copy)]
@@ -58,12 +61,18 @@ impl WrfgsLayers {
         [&self.attenuation, &self.branch.out].map(|layer| layer.with_outputs(1).whole())
     }
 
-    /// Begins a step with the weights and the biases of the trunk on the GPU.
-    fn begin<'g>(&self, gpu: &'g Gpu, inputs: &DeformationInputs<'_>, derived: Option<Wanted>) -> Result<GpuStep<'g>> {
-        let (batch, width) = (inputs.txs.len(), self.trunk.width);
-        let rows = inputs.means.len().min(self.most_rows(gpu));
+    /// Begins a step for N centres and B transmitters with the weights and the biases of the trunk on the GPU.
+    fn begin<'g>(
+        &self,
+        gpu: &'g Gpu,
+        weights: &[Real],
+        (n, batch): (usize, usize),
+        derived: Option<Wanted>,
+    ) -> Result<GpuStep<'g>> {
+        let width = self.trunk.width;
+        let rows = n.min(self.most_rows(gpu));
         let on = self.on_gpu(rows, derived.is_some());
-        let mut sizes = on.sizes(inputs.weights.len(), 1, 3, derived.is_some());
+        let mut sizes = on.sizes(weights.len(), 1, 3, derived.is_some());
         sizes.resize(FIRST, 1);
         let (chunk, encoded) = (width * rows, self.encoded() * rows);
         (sizes[ATTENUATION], sizes[SIGNAL], sizes[SIDE]) = (rows, rows, width);
@@ -79,9 +88,32 @@ impl WrfgsLayers {
         }
         sizes.resize(FIRST + on.slots, chunk);
         let mut step = gpu.step(&sizes)?;
-        step.upload(WEIGHTS, 0, inputs.weights);
-        on.upload_folded(&mut step, &self.trunk.fold_biases(inputs.weights, &[]));
+        step.upload(WEIGHTS, 0, weights);
+        on.upload_folded(&mut step, &self.trunk.fold_biases(weights, &[]));
         Ok(step)
+    }
+
+    /// Computes the trunk outputs for predictions; `None` if the memory of the GPU does not suffice for them.
+    ///
+    /// # Errors
+    /// The GPU failed.
+    pub(crate) fn gpu_prepare(
+        &self,
+        gpu: &Gpu,
+        weights: &[Real],
+        means: &[[Real; 3]],
+    ) -> Result<Option<GpuTrunkOutput>> {
+        let mut step = self.begin(gpu, weights, (means.len(), 0), None)?;
+        let mut kept = Vec::new();
+        for means in means.chunks(self.most_rows(gpu)) {
+            let (on, len) = (self.on_gpu(means.len(), false), self.trunk.width * means.len());
+            let Some(buffer) = gpu.keep(len) else { return Ok(None) };
+            self.gpu_trunk(&mut step, on, means);
+            step.read(ATTENUATION, 0, means.len());
+            step.save(FROM_FEATURE, len, &buffer);
+            kept.push(buffer);
+        }
+        Ok(Some(GpuTrunkOutput(step.finish()?.into_iter().zip(kept).collect())))
     }
 
     /// Runs the trunk for the centres of a chunk.
@@ -109,18 +141,27 @@ impl WrfgsLayers {
         on.apply(step, &self.first_outputs()[1], HIDDEN[1], SIGNAL, bias);
     }
 
-    /// Returns S·A, `[B, N]`, as [`Self::forward`].
+    /// Returns S·A, `[B, N]`, as [`Self::forward`], from the result of [`Self::gpu_prepare`] if given.
     ///
     /// # Errors
     /// The GPU failed.
-    pub(crate) fn gpu_forward(&self, gpu: &Gpu, inputs: &DeformationInputs<'_>) -> Result<Vec<Real>> {
+    pub(crate) fn gpu_forward(
+        &self,
+        gpu: &Gpu,
+        inputs: &DeformationInputs<'_>,
+        prepared: Option<&GpuTrunkOutput>,
+    ) -> Result<Vec<Real>> {
         let (means, txs) = (inputs.means, inputs.txs.positions());
         let sides = self.branch.tx_sides(inputs.weights, txs);
-        let mut step = self.begin(gpu, inputs, None)?;
-        for means in means.chunks(self.most_rows(gpu)) {
+        let mut step = self.begin(gpu, inputs.weights, (means.len(), txs.len()), None)?;
+        for (chunk, means) in means.chunks(self.most_rows(gpu)).enumerate() {
             let on = self.on_gpu(means.len(), false);
-            self.gpu_trunk(&mut step, on, means);
-            step.read(ATTENUATION, 0, means.len());
+            if let Some(GpuTrunkOutput(chunks)) = prepared {
+                step.load(FROM_FEATURE, self.trunk.width * means.len(), &chunks[chunk].1);
+            } else {
+                self.gpu_trunk(&mut step, on, means);
+            }
+            step.read(ATTENUATION, 0, if prepared.is_none() { means.len() } else { 0 });
             for (tx, side) in txs.iter().zip(&sides) {
                 self.gpu_branch(&mut step, on, means, *tx, side);
                 step.read(SIGNAL, 0, means.len());
@@ -130,8 +171,9 @@ impl WrfgsLayers {
         let results = step.finish()?;
         let mut all = Vec::with_capacity(means.len() * txs.len());
         for b in 1..=txs.len() {
-            for chunk in results.chunks_exact(1 + txs.len()) {
-                all.extend(chunk[b].iter().zip(&chunk[0]).map(|(&s, &a)| amplitude(s) * amplitude(a)));
+            for (c, chunk) in results.chunks_exact(1 + txs.len()).enumerate() {
+                let attenuation = prepared.map_or(&chunk[0], |GpuTrunkOutput(chunks)| &chunks[c].0);
+                all.extend(chunk[b].iter().zip(attenuation).map(|(&s, &a)| amplitude(s) * amplitude(a)));
             }
         }
         Ok(all)
@@ -151,7 +193,7 @@ impl WrfgsLayers {
         let (n, txs, width) = (inputs.means.len(), inputs.txs.positions(), self.trunk.width);
         let wanted = Wanted { means: sums.means.is_some(), txs: sums.positions.is_some() };
         let sides = self.branch.tx_sides(inputs.weights, txs);
-        let mut step = self.begin(gpu, inputs, Some(wanted))?;
+        let mut step = self.begin(gpu, inputs.weights, (n, txs.len()), Some(wanted))?;
         step.clear(D_WEIGHTS, inputs.weights.len());
         step.clear(D_FOLDED, 2 * width);
         step.clear(D_SIDES, width * txs.len());
