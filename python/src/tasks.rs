@@ -8,7 +8,7 @@ use crate::data::Dataset;
 use crate::model::Model;
 use crate::settings::{Pipeline, field_list};
 use pwrfgs::experiment::{
-    Observer, Session, SplitData, calibrate_model, collect_findings, folder::PIPELINE, load, model_file, read_pipeline,
+    ActiveRun, Observer, Session, SplitData, collect_findings, folder::PIPELINE, load, model_file, read_pipeline,
     rebased,
 };
 use pwrfgs::localise::Region;
@@ -103,7 +103,7 @@ fn load_split(
     })?;
     let mut pipeline = read_pipeline(&path, set)?;
     pipeline.accept.extend(accept);
-    Ok((load(&pipeline, Path::new(""), observer)?, pipeline.accept))
+    Ok((load(&pipeline, observer)?, pipeline.accept))
 }
 
 /// Reads observations of unknown transmitters: powers `[B, R]`, spectra `[B, H, W]`, or channels `[B, A, F]` as rows of real and
@@ -201,8 +201,8 @@ pub(crate) fn calibrate(
     let calibrated = run_stoppable(py, |stop| {
         let partition = Partition { train, validation, ..Partition::default() };
         let split = SplitData { data: (*data.data).clone(), partition };
-        let mut session = Session { observer: &mut TaskObserver(stop), stop, page: None, keep_checkpoint: false };
-        calibrate_model(&rebased(&settings, &base)?, &split, (*model.ensemble).clone(), &mut session)
+        let session = &mut Session { observer: &mut TaskObserver(stop), stop, page: None, keep_checkpoint: false };
+        ActiveRun::new(&rebased(&settings, &base)?, &split, session).calibrate_model((*model.ensemble).clone())
     })?;
     Ok(Model::new(calibrated))
 }

@@ -70,7 +70,7 @@ pub struct Preview {
 pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<Preview> {
     let load_before = load_average();
     let mut pipeline = resolve_pipeline(pipeline, base)?;
-    let split = load(&pipeline, base, observer)?;
+    let split = load(&pipeline, observer)?;
     let SplitData { data, partition } = &split;
     pipeline.check_data(data)?;
     check_residuals(&pipeline, &split, false)?;

@@ -18,7 +18,8 @@ pub struct SplitData {
 }
 
 /// Run in progress: its pipeline, data and session.
-pub(crate) struct ActiveRun<'a, 's> {
+#[derive(Debug)]
+pub struct ActiveRun<'a, 's> {
     /// Pipeline with absolute paths, scaled.
     pub(crate) pipeline: &'a Pipeline,
     pub(crate) split: &'a SplitData,
@@ -27,13 +28,20 @@ pub(crate) struct ActiveRun<'a, 's> {
     pub(crate) begun: Instant,
 }
 
-/// Loads the data of a pipeline, splits and checks them.
+impl<'a, 's> ActiveRun<'a, 's> {
+    /// Starts a run of `pipeline`, which has absolute paths and is scaled, on its data.
+    pub fn new(pipeline: &'a Pipeline, split: &'a SplitData, session: &'a mut Session<'s>) -> Self {
+        Self { pipeline, split, session, begun: Instant::now() }
+    }
+}
+
+/// Loads the data of a pipeline with absolute paths, splits and checks them.
 ///
 /// # Errors
 /// Invalid data, a split without training or test samples, or findings that make results meaningless and that the pipeline
 /// does not accept.
-pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<SplitData> {
-    load_with_findings(pipeline, base, Some(&pipeline.accept), observer).map(|(split, _)| split)
+pub fn load(pipeline: &Pipeline, observer: &mut dyn Observer) -> Result<SplitData> {
+    load_with_findings(pipeline, Some(&pipeline.accept), observer).map(|(split, _)| split)
 }
 
 /// Loads, splits and checks the data as [`load`] does, also with the findings on them. `accepted` are the names of accepted
@@ -43,11 +51,10 @@ pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Re
 /// As [`load`].
 pub fn load_with_findings(
     pipeline: &Pipeline,
-    base: &Path,
     accepted: Option<&[String]>,
     observer: &mut dyn Observer,
 ) -> Result<(SplitData, Vec<Finding>)> {
-    let mut data = staged(observer, "spectra", |progress| pipeline.data.load(base, progress))?;
+    let mut data = staged(observer, "spectra", |progress| pipeline.data.load(Path::new(""), progress))?;
     let partition = pipeline.partition(&data)?;
     for (part, name) in [(&partition.train, "training"), (&partition.test, "test")] {
         if part.is_empty() {

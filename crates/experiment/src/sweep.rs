@@ -187,7 +187,7 @@ impl SweepPlan {
         {
             return Ok(RunOutcome::Finished { scores: scores.into(), already: true });
         }
-        let (split, findings) = load_with_findings(pipeline, Path::new(""), None, session.observer)?;
+        let (split, findings) = load_with_findings(pipeline, None, session.observer)?;
         pipeline.check_data(&split.data)?;
         let members = self.runs.iter().map(|run| run.folder.clone()).collect();
         let mut facts = folder.begin(pipeline, &split, Facts { findings, members, ..Facts::default() })?;

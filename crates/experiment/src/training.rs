@@ -4,7 +4,7 @@
 //! and a resumed run truncates the series to its checkpoint, so its files equal those of an uninterrupted run.
 //! Snapshots depend only on the step and are written before its checkpoint; a resumed run rewrites them.
 
-use crate::evaluation_set::EvaluationSet;
+use crate::evaluation_set::{EvaluationSet, Predictor, ScoredPredictor};
 use crate::facts::Facts;
 use crate::folder::{
     BEST_MODEL, CHECKPOINT, MODEL_FILE, START_SNAPSHOT, UNPRUNED_SNAPSHOT, VALIDATION, pruned_snapshot,
@@ -286,7 +286,8 @@ fn best_value(rows: &[Vec<Option<f64>>], from: u64, task: Task) -> Option<f64> {
 fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let samples = EvaluationSet::new(data, part, &model.stages.plane);
     let (task, model, metrics) = (data.task(), &model.prepare(), defaults::validation(data.task()));
-    let measured = samples.score_model("the model", model, None, &metrics, &mut Session::new(&mut NoopObserver))?;
+    let scored = ScoredPredictor { name: "the model", predictor: Predictor::Model(model, None), metrics: &metrics };
+    let measured = samples.score(scored, &mut Session::new(&mut NoopObserver))?;
     let Summary { mean, median, tail10 } = match measured.first().map(|m| &m.values) {
         Some(Values::PerSample(values)) => Summary::of(values, task.headline.higher),
         whole => {

@@ -235,7 +235,7 @@ impl LoadedData {
     /// Loads the data and the split of the pipeline `file`, with the scores in `folder`.
     fn load(file: &Path, folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let pipeline = read_pipeline(file, &[])?;
-        let (SplitData { data, partition }, _) = load_with_findings(&pipeline, Path::new(""), None, observer)?;
+        let (SplitData { data, partition }, _) = load_with_findings(&pipeline, None, observer)?;
         let scores = read_link_scores(folder, &data);
         Ok(Self { pipeline, data: Arc::new(data), partition, scores })
     }

@@ -6,9 +6,7 @@ use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::{listed, number};
-use pwrfgs::experiment::{
-    Facts, Machine, Session, evaluate as score, load_with_findings, model_file, read_pipeline, write_results,
-};
+use pwrfgs::experiment::{ActiveRun, Facts, Machine, Session, load_with_findings, model_file, read_pipeline};
 use pwrfgs::model::Ensemble;
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs::tasks::read_models;
@@ -57,13 +55,13 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     let pipeline = read_pipeline(path, &arguments.set)?;
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
     let mut progress = RunProgress::new(verbosity);
-    let (split, findings) = load_with_findings(&pipeline, Path::new(""), Some(&pipeline.accept), &mut progress)?;
+    let (split, findings) = load_with_findings(&pipeline, Some(&pipeline.accept), &mut progress)?;
     if verbosity != Verbosity::Quiet {
         let (data, test) = (&split.data, split.partition.test.len());
         output::print_note(&format!("{}: scoring {test} test {}", data.title, data.task().counted[1]));
     }
     warn_of_moved_receivers(&split.data, &ensemble);
-    let scored = score(&ensemble, &pipeline, &split, &mut Session::new(&mut progress));
+    let scored = ActiveRun::new(&pipeline, &split, &mut Session::new(&mut progress)).evaluate(&ensemble);
     progress.remove_bar();
     let mut result = scored?;
     let scores = &mut result.scores;
@@ -84,7 +82,8 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
             scores: Some(result.scores.table.clone()),
             ..Facts::default()
         };
-        write_results(folder.path(), &pipeline, &facts, &split, &ensemble, &result, pwrfgs::PAGE)?;
+        let session = &mut Session { page: pwrfgs::PAGE, ..Session::new(&mut progress) };
+        ActiveRun::new(&pipeline, &split, session).write_results(folder.path(), &facts, &ensemble, &result)?;
         folder.publish()?;
         if pwrfgs::PAGE.is_some() {
             _ = writeln!(text, "\nreport: {}", out.join(REPORT).display());

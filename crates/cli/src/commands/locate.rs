@@ -11,7 +11,7 @@ use pwrfgs::tasks::locate::{LocateSettings, ReadFeatures, locate as locate_model
 use pwrfgs::tasks::{check_positions, read_models};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Result};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -69,7 +69,7 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     let mut pipeline = read_pipeline_of_model(arguments)?;
     pipeline.accept.extend(arguments.accept.iter().cloned());
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
-    let split = RunProgress::observe(verbosity, |progress| load(&pipeline, Path::new(""), progress))?;
+    let split = RunProgress::observe(verbosity, |progress| load(&pipeline, progress))?;
     let (data, accepted) = (&split.data, &pipeline.accept);
     let read = arguments.observations.as_ref();
     let read = read.map(|path| move |features: &_| read_observations(path, features, data, accepted));

@@ -2,7 +2,7 @@
 
 use super::floor::describe_floor;
 use super::{DataSummary, PoseCheck, test_distance};
-use crate::evaluation_set::EvaluationSet;
+use crate::evaluation_set::{EvaluationSet, Predictor, ScoredPredictor};
 use crate::load::observed;
 use crate::repeatability::estimate_noise_ceiling;
 use crate::scores::CEILING;
@@ -119,7 +119,8 @@ impl Inspection {
         let mut means = Vec::new();
         for (baseline, name) in fitted_baselines(pipeline).zip(&self.baselines) {
             let fitted = baseline.fit(data, partition.known().stopped_by(stop))?;
-            let measurements = test.score_baseline(name, &*fitted, metrics, &mut session)?;
+            let measurements =
+                test.score(ScoredPredictor { name, predictor: Predictor::Baseline(&*fitted), metrics }, &mut session)?;
             measurements.first().into_iter().for_each(|measurement| self.metric.clone_from(&measurement.key));
             means.push(match measurements.first().map(|measurement| &measurement.values) {
                 Some(Values::PerSample(values)) => Summary::of(values, true).mean,
