@@ -6,10 +6,10 @@ mod scores;
 use crate::models::check_positions;
 use crate::plane::PlaneBounds;
 use clap::Args;
-pub use observations::{checked_features, read_observations};
+pub use observations::UnlocatedObservations;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Dataset, Error, FittingSet, Geodetic, Predict, Progress, Receiver, Result};
+use pwrfgs_core::{Dataset, Error, Geodetic, Receiver, Result};
 use pwrfgs_experiment::text::{aligned, fixed, grouped};
 use pwrfgs_experiment::{Observer, SplitData, check_alike, staged};
 use pwrfgs_localise::{FingerprintFeatures, Located, Locator, Region, SHARES};
@@ -97,7 +97,7 @@ pub fn locate(
     check_alike(&ensemble.prepare(), data)?;
     let unbiased = ensemble.without_validation(data, fitting)?;
     let model = unbiased.as_ref().unwrap_or(ensemble).prepare();
-    let locator = staged(observer, "fingerprints", |progress| fit_locator(data, fitting, &model, progress))?;
+    let locator = staged(observer, "fingerprints", |progress| Locator::fit(data, fitting, &model, &SHARES, progress))?;
     match locator.missing_regions().filter(|_| locator.validation == 0) {
         Some(why) => observer.on_warning(why),
         None => observer.on_message(&describe_locator(&locator, data.locations_of(fitting.validation).len())),
@@ -120,8 +120,11 @@ pub fn locate(
     } else {
         let test = data.locations_of(&split.partition.test);
         let observations = locator.observations(data, &test);
-        let locate = |k: usize| locate_transmitter(&locator, data, test[k], &observations[k], false);
-        locate_rows(test.len(), pictures, observer, locate)
+        locate_rows(test.len(), pictures, observer, |k| LocatedRow {
+            name: format!("{:05}", data.locations[test[k]].id),
+            located: locator.locate(&observations[k]),
+            truth: Some(data.locations[test[k]].position()),
+        })
     };
     let table = if let Some(expected) = expected {
         format_positions(&rows, data.scene.geodetic) + &expected
@@ -192,34 +195,6 @@ fn locate_rows(
     }
     observer.on_stage("locating", count, count);
     rows
-}
-
-/// Locates the transmitter `t` of the data from its observation; one of the known positions (`is_known`) is compared without
-/// itself.
-pub fn locate_transmitter(
-    locator: &Locator<'_>,
-    data: &Dataset,
-    t: usize,
-    observation: &[f32],
-    is_known: bool,
-) -> LocatedRow {
-    let transmitter = data.locations[t];
-    let truth = transmitter.position();
-    let located = locator.locate_without(observation, is_known.then_some(truth));
-    LocatedRow { name: format!("{:05}", transmitter.id), located, truth: Some(truth) }
-}
-
-/// Fits a locator to the positions of `links` with the fingerprints of a model; `progress` counts links and samples.
-///
-/// # Errors
-/// Data without positions or with a moving receiver, or an observation that cannot be read.
-pub fn fit_locator<'a>(
-    data: &Dataset,
-    links: FittingSet<'_>,
-    model: &'a dyn Predict,
-    progress: Progress<'_>,
-) -> Result<Locator<'a>> {
-    Locator::fit(data, links, model, &SHARES, progress)
 }
 
 /// Formats the table of the estimated positions.

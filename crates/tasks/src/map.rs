@@ -6,7 +6,7 @@ use crate::models::{check_positions, select_receivers};
 use crate::plane::{MapPlane, PlaneBounds, PlaneGrid};
 use clap::Args;
 use layers::select_quantities;
-pub use layers::{MapLayer, MapQuantity, compute_layers};
+pub use layers::{MapLayer, MapQuantity, MapRequest};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::statistics::sorted;
 use pwrfgs_core::{Error, Geodetic, Number, Pose, Query, Receiver, Result};
@@ -110,8 +110,8 @@ pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Obser
     };
     let grid = PlaneGrid::new(plane, bounds, step, mapped.len())?;
     let (predict, total) = (|queries: &[Query<'_>]| model.predict_many(queries), grid.position_count());
-    let mut layers =
-        compute_layers(setup, &predict, &grid, &mapped, &quantities, |done| observer.on_stage("mapping", done, total));
+    let request = MapRequest { setup, grid: &grid, receivers: &mapped, quantities: &quantities };
+    let mut layers = request.layers(&predict, |done| observer.on_stage("mapping", done, total));
     let (layer, training) = training_layer(ensemble, &grid).unzip();
     layers.extend(layer);
     let receivers = model.receivers().to_vec();

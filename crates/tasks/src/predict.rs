@@ -6,13 +6,12 @@ use crate::models::{check_positions, select_receivers};
 use clap::Args;
 use pwrfgs_core::files::{PartialFolder, digest};
 use pwrfgs_core::statistics::median;
-use pwrfgs_core::{Error, Image, Pose, Predict as _, Query, Result, Task, check_stopped, device};
-use pwrfgs_experiment::{Observer, text::grouped};
+use pwrfgs_core::{Error, Image, Pose, Predict as _, Query, Result, Task, device};
+use pwrfgs_experiment::{Session, text::grouped};
 use pwrfgs_model::{Ensemble, IntervalFactors, Prepared, TrainingDistances, file};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 use writers::{PredictedRow, PredictionImage, PredictionRow, PredictionWriter};
 
@@ -54,19 +53,18 @@ pub struct PredictionCount {
 }
 
 /// Predicts at the `poses` of the end that moves, and writes the predictions into the folder `out`. What is complete stays in
-/// `out` with the suffix `.partial`, from which the same call continues. `observer` receives the progress.
+/// `out` with the suffix `.partial`, from which the same call continues.
 ///
 /// # Errors
 /// Invalid settings, a model whose input is not a position, a prediction that is not finite, or a file that cannot be written;
 /// `out` is not empty, or its partial folder has predictions of other models, positions or settings; [`Error::Stopped`] once
-/// `stop` is set.
+/// the session is stopped.
 pub fn write_predictions(
     ensemble: &Ensemble,
     poses: &[Pose],
     settings: &PredictSettings,
     out: &Path,
-    observer: &mut dyn Observer,
-    stop: &AtomicBool,
+    session: &mut Session<'_>,
 ) -> Result<PredictionCount> {
     check_positions(ensemble)?;
     let task = ensemble.members()[0].stages.task;
@@ -82,7 +80,7 @@ pub fn write_predictions(
     let model = ensemble.prepare();
     let (count, latency) = {
         let predictor = RowPredictor { model: &model, poses, receivers, distances: distances.as_ref(), factors };
-        match predictor.write(&folder, settings, observer, stop) {
+        match predictor.write(&folder, settings, session) {
             Err(error) if error.is_input() => {
                 folder.discard(); // other positions, and so another request, are the only remedy
                 return Err(error);
@@ -154,27 +152,25 @@ impl RowPredictor<'_> {
     }
 
     /// Predicts and writes the rows that `folder` does not have yet.
-    fn write(
-        &self,
-        folder: &PartialFolder,
-        settings: &PredictSettings,
-        observer: &mut dyn Observer,
-        stop: &AtomicBool,
-    ) -> Result<()> {
+    fn write(&self, folder: &PartialFolder, settings: &PredictSettings, session: &mut Session<'_>) -> Result<()> {
         let (model, count) = (self.model, self.count());
         let stacked = settings.stacked.then_some(count);
         let (mut writer, first) =
             PredictionWriter::resume(folder, model, !settings.no_png, self.factors.is_some(), stacked)?;
         if first > 0 {
-            observer.on_message(&format!("resuming after row {} of {}", grouped(first as i64), grouped(count as i64)));
+            session.observer.on_message(&format!(
+                "resuming after row {} of {}",
+                grouped(first as i64),
+                grouped(count as i64)
+            ));
         }
         let step = (VALUES / model.setup().value_count().max(1)).clamp(CALL, ROWS);
         for row in (first..count).step_by(step) {
-            check_stopped(stop)?;
-            observer.on_stage("predicting", row - first, count - first);
+            session.check_stopped()?;
+            session.observer.on_stage("predicting", row - first, count - first);
             writer.write(&self.predict_rows(row..(row + step).min(count))?)?;
         }
-        observer.on_stage("predicting", count - first, count - first);
+        session.observer.on_stage("predicting", count - first, count - first);
         Ok(())
     }
 

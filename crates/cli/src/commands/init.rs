@@ -9,7 +9,7 @@ use pwrfgs::data::Colormap;
 use pwrfgs::experiment::staged;
 use pwrfgs::experiment::text::wrapped;
 use pwrfgs::prelude::Pipeline;
-use pwrfgs::tasks::init::{DataSurvey, Effort, pipeline_name, suggest_pipeline};
+use pwrfgs::tasks::init::{DataSurvey, Effort, pipeline_name};
 use pwrfgs_core::docs::Docs;
 use pwrfgs_core::files::{check_path, write_new};
 use pwrfgs_core::{DataSource, Error, Plugin, Result};
@@ -73,7 +73,7 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
             DataSurvey::of_data(source, data, Some(&root), &arguments.accept, progress)
         }
     })?;
-    let (pipeline, sizing) = suggest_pipeline(&survey, &pipeline_name(folder), arguments.effort, &out)?;
+    let (pipeline, sizing) = survey.suggest_pipeline(&pipeline_name(folder), arguments.effort, &out)?;
     let text = format_pipeline(&[survey.notes(), sizing.clone()].concat(), &pipeline)?;
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
         std::fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;

@@ -7,7 +7,7 @@ use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::experiment::{load, model_file, read_pipeline};
 use pwrfgs::pipeline::Pipeline;
-use pwrfgs::tasks::locate::{LocateSettings, ReadFeatures, locate as locate_model, read_observations};
+use pwrfgs::tasks::locate::{LocateSettings, ReadFeatures, UnlocatedObservations, locate as locate_model};
 use pwrfgs::tasks::{check_positions, read_models};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Result};
@@ -72,7 +72,8 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     let split = RunProgress::observe(verbosity, |progress| load(&pipeline, progress))?;
     let (data, accepted) = (&split.data, &pipeline.accept);
     let read = arguments.observations.as_ref();
-    let read = read.map(|path| move |features: &_| read_observations(path, features, data, accepted));
+    let read =
+        read.map(|path| move |features: &_| UnlocatedObservations { path, features, data, accepted }.read_features());
     let observations = read.as_ref().map(|read| read as ReadFeatures<'_>);
     let pictures = if folder.is_some() { arguments.pictures } else { 0 };
     let located = RunProgress::observe(verbosity, |progress| {
