@@ -75,10 +75,10 @@ impl ActiveRun<'_, '_> {
         }
         let blocks = label_blocks(self.pipeline, self.split, &links);
         let (data, parts) = (&self.split.data, lists.len());
-        let links = KnownLinks { data, links: &links, left_out: &left_out, parts, blocks: &blocks };
         let stop = self.session.stop;
+        let links = KnownLinks { data, links: &links, left_out: &left_out, parts, blocks: &blocks, stop };
         let fitted = staged(self.session.observer, "fitting residuals", |progress| {
-            Residuals::fit(settings, &ensemble, links, stop, progress)
+            Residuals::fit(settings, &ensemble, links, progress)
         })?;
         Ok(ensemble.with_residuals(Some(fitted)))
     }
