@@ -7,7 +7,7 @@ use crate::text::{
     split_unit,
 };
 use flate2::read::MultiGzDecoder;
-use pwrfgs_core::files::{MAX_TEXT, ReadLimit};
+use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Progress, Result};
 use std::borrow::Cow;
@@ -73,15 +73,10 @@ impl<'a> TableText<'a> {
         Ok(table)
     }
 
-    /// Reads a file within `limit` whose header has names that `is_name` accepts; `advice` is the next step for a missing
-    /// or empty file.
-    pub(crate) fn with_names(
-        path: &'a Path,
-        limit: ReadLimit,
-        advice: &str,
-        is_name: &dyn Fn(&str) -> bool,
-    ) -> Result<Self> {
-        let mut table = Self::of(path, read_bytes(path, limit, advice)?.into())?;
+    /// Reads a file of at most [`MAX_TEXT`] whose header has names that `is_name` accepts; `advice` is the next step for a
+    /// missing or empty file.
+    pub(crate) fn with_names(path: &'a Path, advice: &str, is_name: &dyn Fn(&str) -> bool) -> Result<Self> {
+        let mut table = Self::of(path, read_bytes(path, MAX_TEXT, advice)?.into())?;
         let text = std::mem::take(&mut table.text);
         let Some(first) = numbered_lines(&text).find(|(_, line)| !is_comment(line)) else {
             return Err(Error::input(path, format!("is empty; {advice}")));
@@ -278,7 +273,7 @@ pub(crate) fn read_columns<T, const N: usize>(
     let list = names.join(", ");
     let missing = format!("write a table with the columns {list}; {advice}");
     let is_name = |cell: &str| names.iter().any(|name| is_named(cell, name));
-    let table = TableText::with_names(path, MAX_TEXT, &missing, &is_name)?;
+    let table = TableText::with_names(path, &missing, &is_name)?;
     let columns = names.iter().map(|name| table.column(name, &list)).collect::<Result<Vec<usize>>>()?;
     let rows = table.rows().map(|row| {
         let row = row?;

@@ -107,22 +107,17 @@ impl<'a> Survey<'a> {
             self.before = table.head(PREVIEW);
         }
         let search = ColumnSearch::new(&table, &self.import.columns)?;
-        let reader = RowReader::new(self.import, &self.named, &table, &search)?;
+        let reader = RowReader::new(self.import, &self.named, &search)?;
         self.notes.push(reader.describe(&search));
         match &reader.powers {
             PowerColumns::Long { .. } => self.add_long(&reader, is_test, progress),
-            PowerColumns::Wide(columns) => self.add_wide(&reader, columns, is_test, progress),
+            PowerColumns::Wide(_) => self.add_wide(&reader, is_test, progress),
         }
     }
 
     /// Adds a table with a row per transmitter.
-    fn add_wide(
-        &mut self,
-        reader: &RowReader<'_>,
-        columns: &[usize],
-        is_test: bool,
-        progress: Progress<'_>,
-    ) -> Result<()> {
+    fn add_wide(&mut self, reader: &RowReader<'_>, is_test: bool, progress: Progress<'_>) -> Result<()> {
+        let PowerColumns::Wide(columns) = &reader.powers else { return Ok(()) };
         let names: Vec<u32> = columns.iter().map(|k| self.receiver(&reader.table.names[*k])).collect();
         for row in reader.table.counted_rows(progress) {
             let row = row?;
