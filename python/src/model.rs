@@ -246,7 +246,7 @@ impl Model {
         match (vjp, batch_size) {
             (Some(_), Some(_)) => reject(py, "give one of vjp and batch_size"),
             (Some(_), None) if interval.is_some() => reject(py, "give one of vjp and interval"),
-            (Some(cotangents), None) => model.predict_vjp(py, &links, cotangents),
+            (Some(cotangents), None) => model.predict_vjp(&links, cotangents),
             (None, Some(size)) => Self::start_batches(slf, links, size, interval),
             (None, None) => model.predict_links(py, &links, interval),
         }

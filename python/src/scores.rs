@@ -1,6 +1,6 @@
 //! Metrics, baselines and repeatability for any arrays.
 
-use crate::arrays::{CHUNK, array_shape, observation_rows, observations, positions, vector};
+use crate::arrays::{CHUNK, ObservationShape, array_shape, positions, vector};
 use crate::border::{input_error, parse_plugin, plugin_text, reject, run_stoppable, without_gil};
 use crate::data::Dataset;
 use pwrfgs::experiment::append_measurements;
@@ -26,7 +26,7 @@ fn read_images(what: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec
     if width * height == 0 {
         return reject(py, &format!("{what} is empty"));
     }
-    let rows = observation_rows(what, value, task, (width, height), &shape[..lead])?;
+    let rows = ObservationShape { task, size: (width, height), lead: &shape[..lead] }.read(what, value)?;
     Ok(rows.chunks_exact(width * height).map(|rows| Image { width, height, pixels: rows.to_vec() }).collect())
 }
 
@@ -177,7 +177,7 @@ pub(crate) fn predict_baseline<'py>(
     })?;
     let count = found.len();
     let rows = found.into_iter().flat_map(|image| image.pixels).collect();
-    observations(py, data.task(), (data.width, data.height), &[count], rows)
+    ObservationShape::of_data(data, &[count]).array(py, rows)
 }
 
 /// Estimates the repeatability; see `pwrfgs.repeatability`.
