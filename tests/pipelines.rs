@@ -1,9 +1,9 @@
 //! Every shipped pipeline parses, is written as the same text, and trains some steps on a small teacher.
 use pwrfgs::core::ShippedFile;
-use pwrfgs::experiment::sweep::{JOINED, SweepPlan, execute};
+use pwrfgs::experiment::sweep::{JOINED, SweepPlan};
 use pwrfgs::experiment::{RunOutcome, Session, SplitData};
 use pwrfgs::prelude::*;
-use pwrfgs::raytrace::output::OutputLayout;
+use pwrfgs::raytrace::output::{DatasetWriter, OutputLayout};
 use pwrfgs::raytrace::{ObservationKind, SimulationRecipe};
 use pwrfgs::train::Rays;
 use std::path::{Path, PathBuf};
@@ -65,7 +65,8 @@ fn every_pipeline_round_trips_through_ron() {
 fn simulated(scene: &str, observe: ObservationKind, layout: OutputLayout, folder: &Path) -> String {
     let recipe = SimulationRecipe::read(Path::new(scene), 20, 0, 100).unwrap().observing(observe).unwrap();
     let out = folder.join("simulated");
-    pwrfgs::raytrace::output::write_dataset(&recipe, layout, false, &out, &|_, _| {}, &AtomicBool::new(false)).unwrap();
+    let stop = &AtomicBool::new(false);
+    DatasetWriter { layout, has_paths: false, progress: &|_, _| {}, stop }.write(&recipe, &out).unwrap();
     format!("data.root={:?}", out.display().to_string())
 }
 
@@ -166,7 +167,8 @@ fn joined_sweeps_score_mean_of_their_models() {
             run.pipeline.set(short).unwrap();
         }
         let runs: Vec<usize> = (0..plan.runs.len()).collect();
-        let end = execute(&plan, &runs, 2, &NoopObserver, &mut Session::new(&mut NoopObserver))
+        let end = plan
+            .execute(&runs, 2, &NoopObserver, &mut Session::new(&mut NoopObserver))
             .unwrap_or_else(|e| panic!("{e}"));
         assert!(matches!(end.joined, Some(RunOutcome::Finished { already: false, .. })), "{end:?}");
         let model = pwrfgs::model::file::read_ensemble(&folder.path().join(JOINED).join("model.safetensors")).unwrap();

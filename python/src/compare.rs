@@ -5,7 +5,7 @@ use crate::border::{log_message, run_stoppable};
 use crate::data::Dataset;
 use crate::sweep::exception_of;
 use crate::tasks::{TaskObserver, read_settings};
-use pwrfgs::experiment::sweep::{SweepObserver, SweepPlan, check, estimate_run_seconds, execute};
+use pwrfgs::experiment::sweep::{SweepObserver, SweepPlan, check, estimate_run_seconds};
 use pwrfgs::experiment::{NoopObserver, Observer, RunOutcome, Session};
 use pwrfgs::report::{Study, write};
 use pwrfgs::tasks::compare::{ComparedRuns, Comparison, check_earlier_runs, without_position};
@@ -50,7 +50,7 @@ fn perform(comparison: Comparison, dry_run: bool, keep_checkpoint: bool, stop: &
     check_earlier_runs(&plan)?;
     check(&plan, &indices, observer).map_err(without_position)?;
     let mut session = Session { observer, stop, page: pwrfgs::PAGE, keep_checkpoint };
-    let ends = execute(&plan, &indices, 1, &LoggedRuns(&plan), &mut session)?.runs;
+    let ends = plan.execute(&indices, 1, &LoggedRuns(&plan), &mut session)?.runs;
     check_stopped(stop)?;
     let text = if plan.has_ended() {
         let _held = plan.claim()?;
