@@ -217,7 +217,8 @@ fn every_experiment_resolves_and_its_variants_train() {
                 pipeline.set("initializer.count=600").unwrap();
             }
             shrink(&mut pipeline);
-            let SplitData { data, partition } = pwrfgs::experiment::load(&pipeline, &mut NoopObserver).unwrap();
+            let SplitData { data, partition } =
+                pwrfgs::experiment::load_split_data(&pipeline, &mut NoopObserver).unwrap();
             let mut trainer = match pipeline.trainer(&data, &partition) {
                 Ok(trainer) => trainer,
                 Err(_) if run.folder.contains("point-cloud") => continue, // only this needs a scene
@@ -343,7 +344,7 @@ fn wrfgs_densifies_at_steps_of_released_code() {
     let mut pipeline = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/wrfgs.ron"));
     pipeline.set("data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)").unwrap();
     pipeline.set("initializer.count=20").unwrap();
-    let SplitData { data, partition } = pwrfgs::experiment::load(&pipeline, &mut NoopObserver).unwrap();
+    let SplitData { data, partition } = pwrfgs::experiment::load_split_data(&pipeline, &mut NoopObserver).unwrap();
     let trainer = pipeline.trainer(&data, &partition).unwrap();
     let densify = &pipeline.training.densify;
     let is_due = |step: &u64| step.is_multiple_of(densify.every) && *step > densify.from;

@@ -379,11 +379,11 @@ impl Model {
     }
 
     fn __repr__(&self) -> String {
-        let several = if self.ensemble.members().len() > 1 {
+        let members = if self.ensemble.members().len() > 1 {
             format!("{} members, ", self.ensemble.members().len())
         } else {
             String::new()
         };
-        format!("<Model: {}{} Gaussians, predicts a {}>", several, self.n(), self.kind())
+        format!("<Model: {}{} Gaussians, predicts a {}>", members, self.n(), self.kind())
     }
 }

@@ -8,8 +8,8 @@ use crate::data::Dataset;
 use crate::model::Model;
 use crate::settings::{Pipeline, field_list};
 use pwrfgs::experiment::{
-    ActiveRun, Observer, Session, SplitData, collect_findings, folder::PIPELINE, load, model_file, read_pipeline,
-    rebased,
+    ActiveRun, Observer, Session, SplitData, collect_findings, folder::PIPELINE, load_split_data, model_file,
+    read_pipeline, rebased,
 };
 use pwrfgs::localise::Region;
 use pwrfgs::model::compress::Bits;
@@ -110,7 +110,7 @@ fn load_split(
     })?;
     let mut pipeline = read_pipeline(&path, set)?;
     pipeline.accept.extend(accept);
-    Ok((load(&pipeline, observer)?, pipeline.accept))
+    Ok((load_split_data(&pipeline, observer)?, pipeline.accept))
 }
 
 /// Reads observations of unknown transmitters: powers `[B, R]`, spectra `[B, H, W]`, or channels `[B, A, F]` as rows of real and

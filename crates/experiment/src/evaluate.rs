@@ -10,7 +10,7 @@ use crate::record::Confidence;
 use crate::repeatability::estimate_noise_ceiling;
 use crate::residuals::left_out_links;
 use crate::scores::{IntervalScores, MODEL, ScoreTable, Scores};
-use crate::session::{Session, staged};
+use crate::session::{Session, run_stage};
 use crate::text::number;
 use pwrfgs_core::kriging::{Correlation, ProcessFit};
 use pwrfgs_core::{
@@ -282,7 +282,7 @@ impl Confidence {
     /// A spectrum that cannot be read; [`pwrfgs_core::Error::Stopped`] once the session is stopped.
     pub fn measure(model: &Prepared<'_>, data: &Dataset, part: &[usize], session: &mut Session<'_>) -> Result<Self> {
         let stop = session.stop;
-        staged(session.observer, "measuring the spread of members", |progress| {
+        run_stage(session.observer, "measuring the spread of members", |progress| {
             let mut all = Self { ids: part.iter().map(|&i| data.label(i)).collect(), ..Self::default() };
             let done = AtomicUsize::new(0);
             let measure_link = |&i: &usize| {

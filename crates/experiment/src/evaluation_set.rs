@@ -3,7 +3,7 @@
 //! Only the predictions and spectra of one chunk are in memory (unless a metric needs all), so memory does not grow
 //! with the number of samples.
 
-use crate::session::{Session, staged};
+use crate::session::{Session, run_stage};
 use pwrfgs_core::{
     Dataset, Error, Evaluation, Image, ImagePlane, Link, Measurement, Metric, ModelFacts, Plugin, Predict, Query,
     Result, Scope, StageTimes, Values, check_stopped,
@@ -141,7 +141,7 @@ impl<'a> EvaluationSet<'a> {
         let numbers = self.plane.width * self.plane.height;
         let size = (PIXELS / numbers.max(1)).clamp(1, if numbers == 1 { MANY } else { CHUNK });
         let (done, stop) = (AtomicUsize::new(0), session.stop);
-        staged(session.observer, &format!("predicting with {name}"), |progress| {
+        run_stage(session.observer, &format!("predicting with {name}"), |progress| {
             let count = |more: usize| progress(done.fetch_add(more, Ordering::Relaxed) + more, self.part.len());
             for (part, links) in self.part.chunks(size).zip(self.links.chunks(size)) {
                 check_stopped(stop)?;
@@ -179,7 +179,7 @@ impl<'a> EvaluationSet<'a> {
         let samples = Evaluation::of(self.data, self.plane);
         let whole = Evaluation { model: predictor.facts(), timed_prediction, ..samples };
         let all = Evaluation { predictions, truths, links: &self.links, ..whole };
-        staged(session.observer, &format!("scoring {name}"), |progress| {
+        run_stage(session.observer, &format!("scoring {name}"), |progress| {
             for (k, (measured, metric)) in by_metric.iter_mut().zip(metrics).enumerate() {
                 match metric.scope() {
                     Scope::All => *measured = metric.evaluate(&all)?,

@@ -3,7 +3,7 @@
 use crate::load::ActiveRun;
 use crate::residuals::{check_residuals, left_out_links};
 use crate::scores::{IntervalScores, LEVEL, LevelScores};
-use crate::session::staged;
+use crate::session::run_stage;
 use pwrfgs_core::{Error, Image, Predict, Result, check_stopped};
 use pwrfgs_model::{Ensemble, HeldOutScores, Interval, IntervalCalibration, IntervalFactors};
 use rayon::prelude::*;
@@ -153,7 +153,7 @@ impl ActiveRun<'_, '_> {
             }
             Ok(score(&prediction, deviation, &data.image(i)))
         };
-        staged(self.session.observer, stage, |progress| {
+        run_stage(self.session.observer, stage, |progress| {
             let mut scores = Vec::with_capacity(links.len());
             for chunk in links.chunks(CHUNK) {
                 check_stopped(stop)?;

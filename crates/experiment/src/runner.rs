@@ -5,7 +5,7 @@ use crate::facts::Facts;
 use crate::folder::{CURVE, MODEL_FILE, member_folder};
 use crate::input::resolve_pipeline;
 use crate::journal::Journal;
-use crate::load::{ActiveRun, load, load_with_findings};
+use crate::load::{ActiveRun, load_split_data, load_with_findings};
 use crate::partial_scores::PartialScores;
 use crate::record::{read_validation, series_column};
 use crate::residuals::check_residuals;
@@ -69,7 +69,7 @@ pub fn score_model(
     session: &mut Session<'_>,
 ) -> Result<RunOutcome> {
     let resolved = resolve_pipeline(pipeline, base)?;
-    check_alike(&model.prepare(), &load(&resolved, session.observer)?.data)?; // before files are written
+    check_alike(&model.prepare(), &load_split_data(&resolved, session.observer)?.data)?; // before files are written
     let folder = RunFolder::claim(out, &resolved)?;
     let (path, bytes) = (folder.file(MODEL_FILE), file::ensemble_to_bytes(model));
     let has_same = || files::if_found(&path, files::read(&path)).map(|held| held.is_some_and(|held| held == bytes));

@@ -13,7 +13,7 @@ use crate::journal::Journal;
 use crate::load::{ActiveRun, SplitData};
 use crate::record::{read_series, series_column};
 use crate::run_folder::RunFolder;
-use crate::session::{NoopObserver, Session, Start, Validation, staged};
+use crate::session::{NoopObserver, Session, Start, Validation, run_stage};
 use crate::statistics::Summary;
 use pwrfgs_core::files::{self, if_found, write_atomically};
 use pwrfgs_core::{Dataset, Error, Progress, Result, Task, Values, device, evenly, free_memory};
@@ -57,7 +57,7 @@ impl<'a> ActiveRun<'a, '_> {
             }
             let stop = self.session.stop;
             let begin = |progress: Progress<'_>| Trainer::begin(&pipeline.plan()?, data, partition, progress, stop);
-            staged(self.session.observer, "initialising", begin)
+            run_stage(self.session.observer, "initialising", begin)
         })
     }
 

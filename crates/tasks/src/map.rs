@@ -11,7 +11,7 @@ use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::statistics::sorted;
 use pwrfgs_core::{Error, Geodetic, Number, Pose, Query, Receiver, Result};
 use pwrfgs_data::npy_header;
-use pwrfgs_experiment::{Observer, text::field};
+use pwrfgs_experiment::{Observer, text::csv_field};
 use pwrfgs_model::Ensemble;
 use pwrfgs_report::draw::plan::{Heatmap, Palette, TrainingMap};
 use schemars::JsonSchema;
@@ -265,7 +265,7 @@ impl RadioMap {
         let finite = || layer.values.iter().copied().filter(|v| v.is_finite());
         let ends = [finite().reduce(f32::min), finite().reduce(f32::max)];
         let [low, high] = ends.map(|end| end.map_or_else(String::new, |v| v.to_string()));
-        let quantity = format!("{name}.npy,{name}.png,{},{},{}", layer.words, layer.unit, field(receiver));
+        let quantity = format!("{name}.npy,{name}.png,{},{},{}", layer.words, layer.unit, csv_field(receiver));
         let grid = format!("{across},{},{columns},{up},{},{rows},{step},{}", first[0], first[1], plane.describe());
         format!("{quantity},{grid},{low},{high}")
     }

@@ -10,8 +10,8 @@ use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::statistics::{self, evenly, mean};
 use pwrfgs_core::{Dataset, Error, Location, Receiver, Result, evenly as thinned};
 use pwrfgs_experiment::statistics::{Blocks, Difference};
-use pwrfgs_experiment::text::{Lines, aligned, fixed, grouped, number};
-use pwrfgs_experiment::{Session, staged};
+use pwrfgs_experiment::text::{Lines, align_columns, fixed, grouped, number};
+use pwrfgs_experiment::{Session, run_stage};
 use pwrfgs_model::Ensemble;
 use pwrfgs_planning::{Survey, SurveyPlan, default_correlation, kriging_scores, learn_correlation, select_farthest};
 use pwrfgs_report::draw::survey::SurveyMap;
@@ -145,7 +145,7 @@ pub fn plan(places: &Places, settings: &PlanSettings, session: &mut Session<'_>)
     check_count(settings.count, places.candidates.len())?;
     let region = select_region(settings, places)?;
     let stop = session.stop;
-    let subset = staged(session.observer, "thinning candidates", |progress| {
+    let subset = run_stage(session.observer, "thinning candidates", |progress| {
         select_farthest(&places.candidates, MOST, |done| {
             progress(done, MOST);
             !stop.load(Ordering::Relaxed)
@@ -159,7 +159,7 @@ pub fn plan(places: &Places, settings: &PlanSettings, session: &mut Session<'_>)
     let learn = |order: &[usize]| {
         places.data.as_ref().filter(|_| settings.simulate).and_then(|data| learn_correlation(data, &of_all(order)))
     };
-    let selected = staged(session.observer, "selecting positions", |progress| {
+    let selected = run_stage(session.observer, "selecting positions", |progress| {
         survey.select(start, settings.count, learn, |done| {
             progress(done, settings.count);
             !stop.load(Ordering::Relaxed)
@@ -315,7 +315,7 @@ fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Corr
         lines.push(line);
     }
     let Correlation { scales: [length, ..], noise, .. } = correlation;
-    let mut text = aligned(&lines, 1);
+    let mut text = align_columns(&lines, 1);
     _ = write!(
         text,
         "\n{} candidates, {} known measurements; exponential correlation, length scale {} m, noise {} of the variance\n",

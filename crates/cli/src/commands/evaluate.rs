@@ -5,7 +5,7 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
-use pwrfgs::experiment::text::{listed, number};
+use pwrfgs::experiment::text::{join_names, number};
 use pwrfgs::experiment::{ActiveRun, Facts, Machine, Session, load_with_findings, model_file, read_pipeline};
 use pwrfgs::model::Ensemble;
 use pwrfgs::pipeline::Pipeline;
@@ -137,7 +137,7 @@ fn warn_of_moved_receivers(data: &Dataset, ensemble: &Ensemble) {
     let moved = pairs.filter(|pair| pair.0.name != pair.1.name || is_moved(pair));
     let names: Vec<String> = moved.map(|(_, other)| strip_control(&other.name)).collect();
     if !names.is_empty() {
-        let names = listed(names.iter(), 8);
+        let names = join_names(names.iter(), 8);
         output::print_warning(&format!("name or pose of receivers differs from that of the model: {names}"));
     }
 }

@@ -6,8 +6,8 @@ use crate::reference::commented::{CommentStyle, Value};
 use crate::reference::example_pipeline;
 use clap::Args;
 use pwrfgs::data::Colormap;
-use pwrfgs::experiment::staged;
-use pwrfgs::experiment::text::wrapped;
+use pwrfgs::experiment::run_stage;
+use pwrfgs::experiment::text::wrap_words;
 use pwrfgs::prelude::Pipeline;
 use pwrfgs::tasks::init::{DataSurvey, Effort, pipeline_name};
 use pwrfgs_core::docs::Docs;
@@ -69,7 +69,7 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
         Some(map) => {
             let source = format!("Colmap(root: {:?}, colormap: {map:?})", root.to_string_lossy());
             let source = Plugin::<dyn DataSource>::parse(&source).map_err(Error::Config)?;
-            let data = staged(progress, "observations", |progress| source.load(Path::new(""), progress))?;
+            let data = run_stage(progress, "observations", |progress| source.load(Path::new(""), progress))?;
             DataSurvey::of_data(source, data, Some(&root), &arguments.accept, progress)
         }
     })?;
@@ -107,7 +107,7 @@ fn format_pipeline(notes: &[String], pipeline: &Pipeline) -> Result<String> {
     let body = style.write(&value, Some(Docs::of::<Pipeline>()), "");
     let mut text = String::new();
     for line in notes {
-        text += &wrapped(line, ["// "; 2], 100);
+        text += &wrap_words(line, ["// "; 2], 100);
     }
     text += "//\n// Brackets show the type of a setting. Settings that are not listed have their defaults: `pwrfgs plugins` lists \
              them,\n// and `pwrfgs plugins NAME` describes them.\n";

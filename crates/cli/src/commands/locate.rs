@@ -5,7 +5,7 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::text::grouped;
-use pwrfgs::experiment::{load, model_file, read_pipeline};
+use pwrfgs::experiment::{load_split_data, model_file, read_pipeline};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs::tasks::locate::{LocateSettings, ReadFeatures, UnlocatedObservations, locate as locate_model};
 use pwrfgs::tasks::{check_positions, read_models};
@@ -69,7 +69,7 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     let mut pipeline = read_pipeline_of_model(arguments)?;
     pipeline.accept.extend(arguments.accept.iter().cloned());
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
-    let split = RunProgress::observe(verbosity, |progress| load(&pipeline, progress))?;
+    let split = RunProgress::observe(verbosity, |progress| load_split_data(&pipeline, progress))?;
     let (data, accepted) = (&split.data, &pipeline.accept);
     let read = arguments.observations.as_ref();
     let read =

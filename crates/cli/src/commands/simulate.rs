@@ -5,7 +5,7 @@ use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::{Args, ValueEnum};
 use pwrfgs::data::{read_poses, read_transmitters};
-use pwrfgs::experiment::staged;
+use pwrfgs::experiment::run_stage;
 use pwrfgs::raytrace::output::{DatasetWriter, OutputLayout, POINTS};
 use pwrfgs::raytrace::{ObservationKind, SceneFile, SimulationRecipe, mitsuba};
 use pwrfgs::tasks::plane::{parse_pose, parse_position};
@@ -197,7 +197,7 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()>
         verbosity.print_note(&format!("{n} meshes; carrier {hz:e} Hz, receiver at {at:?}, {region}"));
     }
     RunProgress::observe(verbosity, |progress| {
-        staged(progress, "simulating", |progress| {
+        run_stage(progress, "simulating", |progress| {
             DatasetWriter { layout, has_paths: !arguments.no_paths, progress, stop: &stop }
                 .write(&recipe, &arguments.out)
         })

@@ -4,7 +4,8 @@ use super::columns::{ColumnSearch, PlaceColumns};
 use super::options::{ColumnChoice, TableImport};
 use crate::dialect::{TableFile, TableText};
 use crate::text::TextRow;
-use pwrfgs_core::{Geodetic, Result, place_fault};
+use pwrfgs_core::neighbours::distance;
+use pwrfgs_core::{Geodetic, Result, position_fault};
 use std::collections::{BTreeMap, HashMap};
 
 /// Positions closer than this are one, metres.
@@ -36,7 +37,7 @@ impl Frame {
         let z = columns.height.map_or(Ok(height), coordinate)?;
         let [x, y] = if columns.is_geodetic { self.metres(row, [b, a])? } else { [a, b] };
         let position = [x + 0.0, y + 0.0, z + 0.0]; // no negative zero
-        place_fault(position).map_or(Ok(position), |fault| Err(row.fault(1, format!("the transmitter {fault}"))))
+        position_fault(position).map_or(Ok(position), |fault| Err(row.fault(1, format!("the transmitter {fault}"))))
     }
 
     /// Converts latitude and longitude to metres. The first position, rounded to a hundredth of a degree, is the zero.
@@ -95,11 +96,6 @@ pub(super) fn read_rows(import: &TableImport, file: &TableFile, frame: &mut Fram
     };
     let height = import.height.unwrap_or(0.0);
     table.rows().map(|row| frame.read(&table, &row?, columns, height)).collect()
-}
-
-/// Returns the distance between two positions, metres.
-pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
 }
 
 /// Positions so far, each once within [`SAME_M`].

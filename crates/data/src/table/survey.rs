@@ -2,13 +2,14 @@
 
 use super::columns::ColumnSearch;
 use super::options::TableImport;
-use super::places::{Frame, Places, SAME_M, distance, read_named, read_rows};
+use super::places::{Frame, Places, SAME_M, read_named, read_rows};
 use super::powers::PowerColumns;
 use super::rows::{RowPlace, RowReader};
 use crate::checks::power_fault;
 use crate::dialect::{TableFile, TableText};
 use crate::text::{TextField, TextRow};
 use pwrfgs_core::messages::{quoted, strip_control};
+use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Progress, Real, Result};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 

@@ -4,7 +4,7 @@
 use super::plan::{JOINED, PlannedRun, SweepPlan};
 use crate::facts::Facts;
 use crate::folder::{CURVE, PIPELINE, training_folder};
-use crate::load::{SplitData, load};
+use crate::load::{SplitData, load_split_data};
 use crate::record::read_series;
 use crate::residuals::check_residuals;
 use crate::run_folder::RunFolder;
@@ -130,7 +130,7 @@ fn initialize_each<R>(
         let named = |e: Error| if e.is_input() { plan.start_error(run, e) } else { e };
         if loaded.as_ref().is_none_or(|(k, _)| *k != key) {
             drop(loaded.take()); // before the next is loaded
-            loaded = Some((key, load(pipeline, observer).map_err(named)?));
+            loaded = Some((key, load_split_data(pipeline, observer).map_err(named)?));
         }
         if let Some((_, split)) = &loaded {
             // Baselines are scored only with the joined model.

@@ -6,8 +6,8 @@ use super::tables::{self, Table};
 use crate::templates::render_sentences;
 use minijinja::{Value, context};
 use pwrfgs_core::{Error, Result, did_you_mean};
-use pwrfgs_experiment::text::{duration, grouped};
-use pwrfgs_experiment::{Observer, Record, Setting, Study, distinct, staged};
+use pwrfgs_experiment::text::{format_duration, grouped};
+use pwrfgs_experiment::{Observer, Record, Setting, Study, distinct, run_stage};
 use serde::Serialize;
 
 /// Report of a study.
@@ -53,7 +53,7 @@ impl StudyPage {
         }
         let mut sections = Vec::new();
         for (i, comparison) in comparisons.iter().enumerate() {
-            let drawn = staged(observer, "drawing the figures", |p| figures::draw_figures(comparison.setting, p));
+            let drawn = run_stage(observer, "drawing the figures", |p| figures::draw_figures(comparison.setting, p));
             sections.push(Section::new(i, comparison, reference, drawn));
         }
         let unfinished = study.unfinished.iter().map(|path| format!("{}: not finished", path.display()));
@@ -160,7 +160,7 @@ fn run_lines(setting: &Setting) -> Vec<Value> {
         context! {
             variant => variant.to_owned(),
             seed => facts.seed,
-            training => format!("{} steps, {}", grouped(facts.steps as i64), duration(facts.training_seconds)),
+            training => format!("{} steps, {}", grouped(facts.steps as i64), format_duration(facts.training_seconds)),
             machine => describe_machine(record),
             program => describe_program(record),
             finished => facts.finished.clone().unwrap_or_default(),

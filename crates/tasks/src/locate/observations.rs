@@ -78,7 +78,7 @@ impl UnlocatedObservations<'_> {
         };
         let bytes = array_body(self.path, &header, &bytes, header.bytes(number).and_then(|half| half.checked_mul(2)))?;
         let mut parts: Vec<Real> = Vec::with_capacity(bytes.len() / number.bytes());
-        number.each(bytes, |v| parts.push(v as Real));
+        number.for_each_value(bytes, |v| parts.push(v as Real));
         let gains = parts.as_chunks::<2>().0;
         Ok(gains.chunks_exact((height / 2 * width).max(1)).flat_map(|channel| rows_of(channel, width)).collect())
     }
@@ -164,7 +164,7 @@ fn read_real_array(path: &Path, inner: &[usize], has_pixels: bool) -> Result<Vec
     check_shape(path, &header, inner)?;
     let bytes = array_body(path, &header, &bytes, header.bytes(number))?;
     let mut values = Vec::with_capacity(bytes.len() / number.bytes());
-    number.each(bytes, |v| values.push((v / number.full_scale()) as Real));
+    number.for_each_value(bytes, |v| values.push((v / number.full_scale()) as Real));
     Ok(values)
 }
 

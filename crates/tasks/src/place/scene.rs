@@ -3,7 +3,7 @@
 use super::{PlaceSettings, PlacedReceivers, Placement, RANDOM, check_count};
 use pwrfgs_core::{Error, Result, statistics::mean};
 use pwrfgs_experiment::text::{fixed, grouped, number};
-use pwrfgs_experiment::{Session, staged};
+use pwrfgs_experiment::{Session, run_stage};
 use pwrfgs_planning::{AscentResult, SceneCoverage, greedy_subset, random_subsets, strongest_powers, subset_coverage};
 use pwrfgs_raytrace::SceneFile;
 use pwrfgs_report::draw::survey::CoverageMap;
@@ -32,7 +32,7 @@ pub fn place_in_scene(scene: &SceneFile, settings: &PlaceSettings, session: &mut
         }
     }
     let stop = session.stop;
-    let ascent = staged(session.observer, "ascent", |_| floor.ascend(count, settings.seed, stop))?;
+    let ascent = run_stage(session.observer, "ascent", |_| floor.ascend(count, settings.seed, stop))?;
     let mut choices = vec![PlacedReceivers {
         short: "ascent",
         name: "ascent".into(),
@@ -46,7 +46,7 @@ pub fn place_in_scene(scene: &SceneFile, settings: &PlaceSettings, session: &mut
         number(settings.height)
     )];
     if !settings.no_grid {
-        let grid = staged(session.observer, "grid of receivers", |progress| floor.grid_powers(stop, progress))?;
+        let grid = run_stage(session.observer, "grid of receivers", |progress| floor.grid_powers(stop, progress))?;
         let [best, random] = grid_choices(settings, &floor, &grid);
         notes.push(format!(
             "the ascent minus the grid: {} dB, with {} links instead of {}",

@@ -4,7 +4,7 @@ use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use pwrfgs_core::files::{self, GrowingFile, PartialFolder};
 use pwrfgs_core::{Error, Geodetic, Image, Number, Pose, Real, Result, gains_of};
 use pwrfgs_data::{npy_header, npy_header_as};
-use pwrfgs_experiment::text::field;
+use pwrfgs_experiment::text::csv_field;
 use pwrfgs_model::{Interval, Prepared};
 use rayon::prelude::*;
 use std::io::{BufRead as _, BufReader};
@@ -38,7 +38,7 @@ impl PredictionRow<'_> {
     /// Formats the first columns of the row: number, pose and receiver.
     fn first_columns(&self) -> String {
         let (Pose { position: [x, y, z], orientation }, number) = (self.pose, self.number);
-        let name = self.name.map_or_else(String::new, |name| format!(",{}", field(name)));
+        let name = self.name.map_or_else(String::new, |name| format!(",{}", csv_field(name)));
         let turn = if self.has_orientation { orientation.map(|v| format!(",{v}")).concat() } else { String::new() };
         format!("{number},{x},{y},{z}{turn}{name}")
     }
@@ -128,8 +128,8 @@ impl<'a> PredictionWriter<'a> {
             return values.map(|value| format!("{},", value.pixels[0])).collect::<Vec<_>>().concat();
         }
         let strongest = image.argmax();
-        let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
-        let angles = self.model.plane().azimuth_elevation_deg(column, line);
+        let (column, row) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
+        let angles = self.model.plane().azimuth_elevation_deg(column, row);
         let angles = angles.map_or_else(|| ",".into(), |(azimuth, elevation)| format!("{azimuth},{elevation}"));
         let bound =
             interval.and_then(|interval| interval.ssim).map_or_else(String::new, |bound| format!("{bound:.4},"));

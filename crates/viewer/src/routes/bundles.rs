@@ -325,8 +325,8 @@ fn location_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     }));
     if let Some(region) = &located.region {
         bundle.note["region"] = json!({
-            "first": region.first(), "step": region.step, "area_m2": region.area(), "outlines": region.outlines(),
-            "parts": region.parts(),
+            "first": region.first_centre(), "step": region.step, "area_m2": region.area(), "outlines": region.outlines(),
+            "parts": region.part_count(),
             "holds": located.holds(truth),
         });
         let shape = [region.values.len() / region.columns, region.columns];
