@@ -92,8 +92,8 @@ pub(crate) fn compare<'py>(
             _ => DataSurvey::read(&path.canonicalize().unwrap_or_else(|_| path.clone()), &accept, observer)?,
         };
         let named_by = if is_held { Path::new(&survey.data.title) } else { &path };
-        let named = ComparedRuns { name: pipeline_name(named_by), changes, out };
-        let comparison = named.plan(&survey, &read_settings(text)?, observer)?;
+        let compared = ComparedRuns { settings: read_settings(text)?, name: pipeline_name(named_by), changes, out };
+        let comparison = compared.plan(&survey, observer)?;
         // As in the files of other programs.
         let test_ids: Vec<u32> = comparison.partition.test.iter().map(|&i| survey.data.label(i)).collect();
         Ok((perform(comparison, dry_run, keep_checkpoint, stop)?, test_ids))

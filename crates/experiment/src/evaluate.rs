@@ -59,14 +59,19 @@ impl ActiveRun<'_, '_> {
         check_alike(ready, data)?;
         let table = ScoreTable { task: data.task(), ..ScoreTable::default() };
         let test = EvaluationSet::new(data, &partition.test, model.plane());
-        let mut evaluation = OpenEvaluation { run: self, test, left_out: None, predictors: Vec::new(), table };
-        evaluation.score_model(MODEL, model, ready, partial)?;
+        let mut evaluation = OpenEvaluation {
+            scorer: TestScorer { run: self, test, left_out: None },
+            partial,
+            predictors: Vec::new(),
+            table,
+        };
+        evaluation.score_model(MODEL, model, ready)?;
         let is_ensemble = model.members().len() > 1;
-        let confidence = is_ensemble.then(|| evaluation.score_members(model, ready, partial)).transpose()?;
+        let confidence = is_ensemble.then(|| evaluation.score_members(model, ready)).transpose()?;
         evaluation.table.notes.extend(model.residuals().map(|residuals| residuals_note(residuals, data.task())));
         evaluation.table.share = model.residuals().and_then(Residuals::share);
-        let columns = evaluation.measure_intervals(model, ready, partial)?;
-        evaluation.score_baselines(partial)?;
+        let columns = evaluation.measure_intervals(model, ready)?;
+        evaluation.score_baselines()?;
         Ok(EvaluationResult { scores: Scores { intervals: columns, ..evaluation.conclude()? }, confidence })
     }
 
@@ -104,14 +109,20 @@ impl ActiveRun<'_, '_> {
 
 /// Evaluation in progress: the measurements of the predictors so far.
 struct OpenEvaluation<'r, 'a, 's> {
-    run: &'r mut ActiveRun<'a, 's>,
-    test: EvaluationSet<'r>,
-    /// Lists of links that calibrate the intervals of baselines; `None` if the model has no intervals.
-    left_out: Option<Vec<Vec<usize>>>,
+    scorer: TestScorer<'r, 'a, 's>,
+    partial: &'r mut PartialScores,
     /// Names and measurements, the model first.
     predictors: Vec<(String, Vec<Measurement>)>,
     /// Oracle baselines, ensemble members, intervals and notes of these predictors.
     table: ScoreTable,
+}
+
+/// Run with its test set.
+struct TestScorer<'r, 'a, 's> {
+    run: &'r mut ActiveRun<'a, 's>,
+    test: EvaluationSet<'r>,
+    /// Lists of links that calibrate the intervals of baselines; `None` if the model has no intervals.
+    left_out: Option<Vec<Vec<usize>>>,
 }
 
 /// Scores of one baseline.
@@ -127,95 +138,61 @@ struct ScoredBaseline {
 
 impl OpenEvaluation<'_, '_, '_> {
     /// Scores `model`, the model or a member, as predictor `name`.
-    fn score_model(
-        &mut self,
-        name: &str,
-        model: &Ensemble,
-        ready: &Prepared<'_>,
-        partial: &mut PartialScores,
-    ) -> Result<()> {
+    fn score_model(&mut self, name: &str, model: &Ensemble, ready: &Prepared<'_>) -> Result<()> {
         let title = if name == MODEL { "the model" } else { name };
         let facts = ModelFacts {
-            means: &model.means_from(self.run.split.data.scene.origin),
+            means: &model.means_from(self.scorer.run.split.data.scene.origin),
             gaussian_bytes: model.gaussian_bytes(),
             file_bytes: file::size(model),
         };
-        let (predictor, metrics) = (Predictor::Model(ready, Some(facts)), &self.run.pipeline.metrics);
-        let score = || self.test.score(ScoredPredictor { name: title, predictor, metrics }, self.run.session);
-        let measured = partial.complete(name, score)?;
+        let (predictor, metrics) = (Predictor::Model(ready, Some(facts)), &self.scorer.run.pipeline.metrics);
+        let score =
+            || self.scorer.test.score(ScoredPredictor { name: title, predictor, metrics }, self.scorer.run.session);
+        let measured = self.partial.complete(name, score)?;
         self.predictors.push((name.to_owned(), measured));
         Ok(())
     }
 
     /// Scores the members of an ensemble, unless there are many; returns their spread and error.
-    fn score_members(
-        &mut self,
-        model: &Ensemble,
-        ready: &Prepared<'_>,
-        partial: &mut PartialScores,
-    ) -> Result<Confidence> {
+    fn score_members(&mut self, model: &Ensemble, ready: &Prepared<'_>) -> Result<Confidence> {
         let shown = if model.members().len() > MOST_SHOWN { &[] } else { model.members() };
         for (name, member) in model.names().iter().zip(shown) {
             let (name, member) = (format!("member {name}"), Ensemble::of(member.clone()));
-            self.score_model(&name, &member, &member.prepare(), partial)?;
+            self.score_model(&name, &member, &member.prepare())?;
             self.table.members.push(name);
         }
-        let SplitData { data, partition } = self.run.split;
-        let measure = || Confidence::measure(ready, data, &partition.test, self.run.session);
-        partial.complete("confidence", measure)
+        let SplitData { data, partition } = self.scorer.run.split;
+        let measure = || Confidence::measure(ready, data, &partition.test, self.scorer.run.session);
+        self.partial.complete("confidence", measure)
     }
 
     /// Measures the intervals of a calibrated model; returns the columns of `samples.csv`, a row per test link.
-    fn measure_intervals(
-        &mut self,
-        model: &Ensemble,
-        ready: &Prepared<'_>,
-        partial: &mut PartialScores,
-    ) -> Result<Vec<Vec<f64>>> {
+    fn measure_intervals(&mut self, model: &Ensemble, ready: &Prepared<'_>) -> Result<Vec<Vec<f64>>> {
         let Some(calibration) = model.calibration() else { return Ok(Vec::new()) };
-        self.left_out = Some(left_out_links(self.run.pipeline, self.run.split, model.members().len())?);
-        let measure = || self.run.measure_intervals((MODEL, ready), calibration);
-        let (scores, rows) = partial.complete("intervals", measure)?;
+        self.scorer.left_out =
+            Some(left_out_links(self.scorer.run.pipeline, self.scorer.run.split, model.members().len())?);
+        let measure = || self.scorer.run.measure_intervals((MODEL, ready), calibration);
+        let (scores, rows) = self.partial.complete("intervals", measure)?;
         self.table.intervals.push(scores);
         Ok(rows)
     }
 
     /// Scores the baselines of the pipeline.
-    fn score_baselines(&mut self, partial: &mut PartialScores) -> Result<()> {
-        let (pipeline, SplitData { data, partition }) = (self.run.pipeline, self.run.split);
+    fn score_baselines(&mut self) -> Result<()> {
+        let (pipeline, SplitData { data, partition }) = (self.scorer.run.pipeline, self.scorer.run.split);
         pipeline.check_external(data, &partition.test)?;
         for (index, baseline) in pipeline.baselines.iter().enumerate() {
-            self.run.session.check_stopped()?;
-            let mut score = || self.score_baseline(baseline);
+            self.scorer.run.session.check_stopped()?;
+            let mut score = || self.scorer.score_baseline(baseline);
             // The file of predictions may have been mended since.
             let scored = if baseline.is_external() {
                 score()?
             } else {
-                partial.complete(&format!("baseline {index}"), score)?
+                self.partial.complete(&format!("baseline {index}"), score)?
             };
             self.add_baseline(scored);
         }
         Ok(())
-    }
-
-    /// Fits `baseline` to training and validation samples and scores it; if the model has intervals, also its intervals.
-    fn score_baseline(&mut self, baseline: &Plugin<dyn Baseline>) -> Result<ScoredBaseline> {
-        let SplitData { data, partition } = self.run.split;
-        let run = &mut *self.run;
-        let fitted = baseline.fit(data, partition.known().stopped_by(run.session.stop))?;
-        let name = baseline.name_for(data.task());
-        // Reading a file has no latency of a method.
-        let is_measured = |metric: &&Plugin<dyn Metric>| !baseline.is_external() || metric.scope() != Scope::Model;
-        let metrics: Vec<_> = run.pipeline.metrics.iter().filter(is_measured).cloned().collect();
-        let predictor = Predictor::Baseline(&*fitted);
-        let measured = self.test.score(ScoredPredictor { name: &name, predictor, metrics: &metrics }, run.session)?;
-        let mut intervals = None;
-        if let Some(left_out) = self.left_out.as_ref().filter(|_| !fitted.is_oracle())
-            && let Some(calibration) = run.calibrate_baseline(&*fitted, left_out)?
-        {
-            intervals = Some(run.measure_intervals((&name, &*fitted), &calibration)?.0);
-        }
-        Ok(ScoredBaseline { name, measured, is_oracle: fitted.is_oracle(), intervals, note: fitted.note() })
     }
 
     /// Adds the scores of a baseline.
@@ -230,7 +207,7 @@ impl OpenEvaluation<'_, '_, '_> {
     /// Summarises all scores, with noise ceiling, paired differences and notes.
     fn conclude(self) -> Result<Scores> {
         let (ActiveRun { pipeline, split, session, .. }, predictors, mut table) =
-            (self.run, self.predictors, self.table);
+            (self.scorer.run, self.predictors, self.table);
         let SplitData { data, partition } = split;
         let ceiling = estimate_noise_ceiling(data, partition, &pipeline.metrics, session.stop)?;
         let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
@@ -250,6 +227,28 @@ impl OpenEvaluation<'_, '_, '_> {
         let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).position()));
         scores.table.paired = scores.paired_differences(&partition.test.iter().map(position).collect());
         Ok(scores)
+    }
+}
+
+impl TestScorer<'_, '_, '_> {
+    /// Fits `baseline` to training and validation samples and scores it; if the model has intervals, also its intervals.
+    fn score_baseline(&mut self, baseline: &Plugin<dyn Baseline>) -> Result<ScoredBaseline> {
+        let SplitData { data, partition } = self.run.split;
+        let run = &mut *self.run;
+        let fitted = baseline.fit(data, partition.known().stopped_by(run.session.stop))?;
+        let name = baseline.name_for(data.task());
+        // Reading a file has no latency of a method.
+        let is_measured = |metric: &&Plugin<dyn Metric>| !baseline.is_external() || metric.scope() != Scope::Model;
+        let metrics: Vec<_> = run.pipeline.metrics.iter().filter(is_measured).cloned().collect();
+        let predictor = Predictor::Baseline(&*fitted);
+        let measured = self.test.score(ScoredPredictor { name: &name, predictor, metrics: &metrics }, run.session)?;
+        let mut intervals = None;
+        if let Some(left_out) = self.left_out.as_ref().filter(|_| !fitted.is_oracle())
+            && let Some(calibration) = run.calibrate_baseline(&*fitted, left_out)?
+        {
+            intervals = Some(run.measure_intervals((&name, &*fitted), &calibration)?.0);
+        }
+        Ok(ScoredBaseline { name, measured, is_oracle: fitted.is_oracle(), intervals, note: fitted.note() })
     }
 }
 

@@ -47,10 +47,9 @@ pub enum RunOutcome {
 /// Invalid input, before files are written; a folder that cannot be written; values that are not finite. Files written
 /// so far stay intact.
 pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'_>) -> Result<RunOutcome> {
-    let begun = Instant::now();
     let pipeline = resolve_pipeline(pipeline, base)?;
     loop {
-        if let Some(end) = start_or_resume(&pipeline, out, session, begun)? {
+        if let Some(end) = start_or_resume(&pipeline, out, session)? {
             return Ok(end);
         }
     }
@@ -83,12 +82,8 @@ pub fn score_model(
 }
 
 /// Runs or resumes the pipeline; `None` if another process has claimed it meanwhile, and the state must be read again.
-fn start_or_resume(
-    pipeline: &Pipeline,
-    out: &Path,
-    session: &mut Session<'_>,
-    begun: Instant,
-) -> Result<Option<RunOutcome>> {
+fn start_or_resume(pipeline: &Pipeline, out: &Path, session: &mut Session<'_>) -> Result<Option<RunOutcome>> {
+    let begun = Instant::now();
     let already = |scores: ScoreTable| Some(RunOutcome::Finished { scores: scores.into(), already: true });
     let (state, reported) = (RunFolder::inspect(out, pipeline)?, session.page.is_some());
     if let Some(scores) = state.read_verified(out, reported)? {

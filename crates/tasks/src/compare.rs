@@ -42,9 +42,11 @@ fn default_seeds() -> usize {
     3
 }
 
-/// Names and changes of the runs of a comparison.
+/// Settings, names and changes of the runs of a comparison.
 #[derive(Clone, Debug)]
 pub struct ComparedRuns {
+    /// Compared methods, predictions and seeds.
+    pub settings: CompareSettings,
     /// Name of the data in the names of the runs.
     pub name: String,
     /// Changes of all pipelines, in the form of `--set`.
@@ -92,12 +94,8 @@ impl ComparedRuns {
     ///
     /// # Errors
     /// An unknown method, invalid changes or predictions, or data that no method can predict.
-    pub fn plan(
-        &self,
-        survey: &DataSurvey,
-        settings: &CompareSettings,
-        observer: &mut dyn Observer,
-    ) -> Result<Comparison> {
+    pub fn plan(&self, survey: &DataSurvey, observer: &mut dyn Observer) -> Result<Comparison> {
+        let settings = &self.settings;
         if !COUNTS.contains(&settings.seeds) {
             return Err(Error::Config(format!(
                 "--seeds {}: expected a number from 1 to {}",
@@ -105,7 +103,7 @@ impl ComparedRuns {
                 COUNTS.end()
             )));
         }
-        let mut plan = self.plan_methods(survey, settings, observer)?;
+        let mut plan = self.plan_methods(survey, observer)?;
         let partition = plan.runs[0].pipeline.partition(&survey.data)?;
         let external = settings.read_predictions(&plan, &survey.data, &partition.test)?;
         // Baselines and predictions are equal for all methods: the runs of the first method score them.
@@ -123,12 +121,8 @@ impl ComparedRuns {
 
     /// Plans the runs of the methods that support the data, all with the same split. A method that was not named and
     /// cannot predict the data is left out, with a note.
-    fn plan_methods(
-        &self,
-        survey: &DataSurvey,
-        settings: &CompareSettings,
-        observer: &mut dyn Observer,
-    ) -> Result<SweepPlan> {
+    fn plan_methods(&self, survey: &DataSurvey, observer: &mut dyn Observer) -> Result<SweepPlan> {
+        let settings = &self.settings;
         let experiment = read_experiment(settings.seeds, &self.name, &survey.data)?;
         let labels: Vec<&str> = experiment.axes[0].variants.iter().map(|variant| variant.label.as_str()).collect();
         if let Some(name) = settings.methods.iter().find(|name| !labels.contains(&name.as_str())) {

@@ -174,27 +174,27 @@ impl RowPredictor<'_> {
         Ok(())
     }
 
-    /// Returns row `k`, receiver by receiver, and its query.
-    fn row(&self, k: usize) -> (PredictionRow<'_>, Query<'static>) {
+    /// Returns row `k`, receiver by receiver.
+    fn row(&self, k: usize) -> PredictionRow<'_> {
         let (model, task) = (self.model, self.model.task());
         let (p, receiver) = (k / self.receivers.len(), self.receivers[k % self.receivers.len()]);
         let is_named = !task.has_pixels || model.receivers().len() > 1;
-        let row = PredictionRow {
+        PredictionRow {
             number: k + 1,
             pose: self.poses[p],
+            receiver,
             has_orientation: model.moving().is_receiver(),
             name: is_named.then(|| model.receivers()[receiver].name.as_str()),
             training_distance: self.distances.map(|distances| distances.metres[p]),
             geodetic: model.setup().geodetic,
-        };
-        (row, Query::at(row.pose, receiver))
+        }
     }
 
     /// Predicts rows in calls of [`CALL`]; an error if a prediction is not finite or the GPU failed.
     fn predict_rows(&self, rows: Range<usize>) -> Result<Vec<PredictedRow<'_>>> {
         let rows: Vec<_> = rows.map(|k| self.row(k)).collect();
-        let predict = |rows: &[(PredictionRow<'_>, Query<'_>)]| {
-            let queries: Vec<Query<'_>> = rows.iter().map(|(_, query)| *query).collect();
+        let predict = |rows: &[PredictionRow<'_>]| {
+            let queries: Vec<Query<'_>> = rows.iter().map(PredictionRow::query).collect();
             if self.model.models().count() > 1 {
                 let with_spread = |(image, spread)| (image, Some(spread));
                 return self.model.predict_many_with_deviation(&queries).into_iter().map(with_spread).collect();
@@ -203,7 +203,7 @@ impl RowPredictor<'_> {
         };
         let predicted: Vec<_> = rows.par_chunks(CALL).flat_map_iter(predict).collect();
         device::check()?; // before zeros of a failed GPU are written
-        let complete = |((image, spread), (row, query))| self.complete_row(row, query, image, spread);
+        let complete = |((image, spread), row)| self.complete_row(row, image, spread);
         predicted.into_par_iter().zip(rows).map(complete).collect()
     }
 
@@ -211,7 +211,6 @@ impl RowPredictor<'_> {
     fn complete_row<'r>(
         &self,
         row: PredictionRow<'r>,
-        query: Query<'_>,
         image: Image,
         spread: Option<Image>,
     ) -> Result<PredictedRow<'r>> {
@@ -220,7 +219,7 @@ impl RowPredictor<'_> {
             return Err(not_finite_error(task, &row));
         }
         let interval = self.factors.as_ref().map(|factors| {
-            let deviation = self.model.deviation(query).unwrap_or(1.0);
+            let deviation = self.model.deviation(row.query()).unwrap_or(1.0);
             factors.interval(task, &task.shown(image.clone()), deviation)
         });
         Ok((row, PredictionImage { image, spread, interval }))
@@ -230,7 +229,7 @@ impl RowPredictor<'_> {
     fn measure_latency(&self) -> (usize, f64) {
         let (begun, count) = (Instant::now(), self.count());
         let timed = count.min(TIMED);
-        let time = |k: usize| self.model.predict_timed(self.row(k * count / timed).1).1.total;
+        let time = |k: usize| self.model.predict_timed(self.row(k * count / timed).query()).1.total;
         let times: Vec<f64> = (0..timed).take_while(|k| *k == 0 || begun.elapsed() < PATIENCE).map(time).collect();
         (times.len(), 1e3 * median(times))
     }

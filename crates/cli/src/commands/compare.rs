@@ -49,12 +49,13 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     let folder = arguments.folder.canonicalize().unwrap_or_else(|_| arguments.folder.clone());
     let survey =
         RunProgress::observe(verbosity, |progress| DataSurvey::read(&folder, &arguments.changes.accept, progress))?;
-    let named = ComparedRuns {
+    let compared = ComparedRuns {
+        settings: arguments.settings.clone(),
         name: pipeline_name(&folder),
         changes: arguments.changes.assignments(),
         out: arguments.out.clone(),
     };
-    let comparison = RunProgress::observe(verbosity, |progress| named.plan(&survey, &arguments.settings, progress))?;
+    let comparison = RunProgress::observe(verbosity, |progress| compared.plan(&survey, progress))?;
     let plan = &comparison.plan;
     if let Some(path) = &arguments.split_csv {
         check_new_file(path)?;

@@ -2,7 +2,7 @@
 
 use super::columns::ColumnSearch;
 use super::options::TableImport;
-use super::places::{Frame, Places, SAME_M, read_named, read_rows};
+use super::places::{Frame, Places, SAME_M};
 use super::powers::PowerColumns;
 use super::rows::{RowPlace, RowReader};
 use crate::checks::power_fault;
@@ -70,9 +70,9 @@ impl<'a> Survey<'a> {
     /// Creates a survey; reads the files of places, rows and receivers.
     pub(super) fn new(import: &'a TableImport) -> Result<Self> {
         let mut frame = Frame::default();
-        let named = import.places.as_ref().map(|file| read_named(import, file, &mut frame)).transpose()?;
-        let rows = import.tx.as_ref().map(|file| read_rows(import, file, &mut frame)).transpose()?;
-        let placed = import.receivers.as_ref().map(|file| read_named(import, file, &mut frame)).transpose()?;
+        let named = import.places.as_ref().map(|file| frame.read_named(import, file)).transpose()?;
+        let rows = import.tx.as_ref().map(|file| frame.read_rows(import, file)).transpose()?;
+        let placed = import.receivers.as_ref().map(|file| frame.read_named(import, file)).transpose()?;
         let mut survey = Self {
             import,
             frame,

@@ -2,7 +2,7 @@
 
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use pwrfgs_core::files::{self, GrowingFile, PartialFolder};
-use pwrfgs_core::{Error, Geodetic, Image, Number, Pose, Real, Result, gains_of};
+use pwrfgs_core::{Error, Geodetic, Image, Number, Pose, Query, Real, Result, gains_of};
 use pwrfgs_data::{npy_header, npy_header_as};
 use pwrfgs_experiment::text::csv_field;
 use pwrfgs_model::{Interval, Prepared};
@@ -24,6 +24,8 @@ pub(super) struct PredictionRow<'a> {
     pub(super) number: usize,
     /// Pose of the moving end.
     pub(super) pose: Pose,
+    /// Index of the receiver.
+    pub(super) receiver: usize,
     /// Whether the row has the orientation, of a moving receiver.
     pub(super) has_orientation: bool,
     /// Name of the receiver; none for spectra at a single receiver.
@@ -35,6 +37,11 @@ pub(super) struct PredictionRow<'a> {
 }
 
 impl PredictionRow<'_> {
+    /// Returns the query of the row.
+    pub(super) fn query(&self) -> Query<'static> {
+        Query::at(self.pose, self.receiver)
+    }
+
     /// Formats the first columns of the row: number, pose and receiver.
     fn first_columns(&self) -> String {
         let (Pose { position: [x, y, z], orientation }, number) = (self.pose, self.number);
