@@ -113,14 +113,14 @@ pub(crate) fn positions(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f
 
 /// Reads poses `[.., 7]` as x, y, z in metres and quaternions x, y, z, w; also returns whether there is a single one.
 pub(crate) fn poses(what: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<Pose>, bool)> {
-    let one = axis_count(value)? == 1;
-    let shape: &[Option<usize>] = if one { &[Some(7)] } else { &[None, Some(7)] };
+    let is_single = axis_count(value)? == 1;
+    let shape: &[Option<usize>] = if is_single { &[Some(7)] } else { &[None, Some(7)] };
     let values = numbers::<f64>(what, value, shape)?;
     let pose = |&[x, y, z, qx, qy, qz, qw]: &[f64; 7]| Pose { position: [x, y, z], orientation: [qx, qy, qz, qw] };
     let poses: Vec<Pose> = values.as_chunks().0.iter().map(pose).collect();
     match poses.iter().enumerate().find_map(|(i, pose)| Some((i, pose.fault()?))) {
         Some((i, (_, fault))) => reject(value.py(), &format!("{what}[{i}]: {fault}")),
-        None => Ok((poses, one)),
+        None => Ok((poses, is_single)),
     }
 }
 

@@ -112,13 +112,10 @@ impl ActiveRun<'_, '_> {
         let blocks = self.pipeline.split.blocks(&self.split.data, test);
         let weights = link_weights(&blocks);
         let scores = |(k, (level, _)): (usize, &(f64, IntervalFactors))| {
-            let mean = |value: &dyn Fn(&MeasuredInterval) -> f64| {
-                test.iter().zip(&intervals).map(|(link, levels)| weights[link] * value(&levels[k])).sum::<f64>()
-            };
-            let part = |c: usize| mean(&|interval| interval.ssim.map_or(0.0, |ssim| ssim[c]));
-            let ssim = intervals.iter().any(|levels| levels[k].ssim.is_some()).then(|| [part(0), part(1)]);
-            let (coverage, width) = (mean(&|interval| interval.coverage), mean(&|interval| interval.width));
-            LevelScores { level: *level, coverage, width, ssim }
+            MeasuredInterval::mean_scores(
+                *level,
+                test.iter().zip(&intervals).map(|(i, levels)| (weights[i], &levels[k])),
+            )
         };
         let levels = factors.iter().enumerate().map(scores).collect();
         let shown = factors.iter().position(|(level, _)| *level == LEVEL);
@@ -185,6 +182,17 @@ struct MeasuredInterval {
 }
 
 impl MeasuredInterval {
+    /// Averages intervals of one `level` by their weights.
+    fn mean_scores<'m>(level: f64, weighted: impl Iterator<Item = (f64, &'m Self)> + Clone) -> LevelScores {
+        let mean = |value: &dyn Fn(&Self) -> f64| {
+            weighted.clone().map(|(weight, interval)| weight * value(interval)).sum::<f64>()
+        };
+        let part = |c: usize| mean(&|interval| interval.ssim.map_or(0.0, |ssim| ssim[c]));
+        let ssim = weighted.clone().any(|(_, interval)| interval.ssim.is_some()).then(|| [part(0), part(1)]);
+        let (coverage, width) = (mean(&|interval| interval.coverage), mean(&|interval| interval.width));
+        LevelScores { level, coverage, width, ssim }
+    }
+
     /// Compares an interval with its measurement; `score` is the SSIM of the prediction.
     fn of(interval: &Interval, truth: &Image, score: Option<f64>) -> Self {
         let Interval { lower, upper, ssim } = interval;

@@ -59,20 +59,8 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
         return Err(exists());
     }
     check_path(&out)?;
-    // Paths in a pipeline are relative to its file.
     let folder = &arguments.folder;
-    let is_beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
-    let absolute = (!is_beside).then(|| std::path::absolute(folder).ok()).flatten();
-    let root = absolute.unwrap_or_else(|| folder.clone());
-    let survey = RunProgress::observe(verbosity, |progress| match arguments.colormap {
-        None => DataSurvey::read(&root, &arguments.accept, progress),
-        Some(map) => {
-            let source = format!("Colmap(root: {:?}, colormap: {map:?})", root.to_string_lossy());
-            let source = Plugin::<dyn DataSource>::parse(&source).map_err(Error::Config)?;
-            let data = run_stage(progress, "observations", |progress| source.load(Path::new(""), progress))?;
-            DataSurvey::of_data(source, data, Some(&root), &arguments.accept, progress)
-        }
-    })?;
+    let survey = read_survey(arguments, &out, verbosity)?;
     let (pipeline, sizing) = survey.suggest_pipeline(&pipeline_name(folder), arguments.effort, &out)?;
     let text = format_pipeline(&[survey.notes(), sizing.clone()].concat(), &pipeline)?;
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
@@ -88,6 +76,24 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
         sizing[0],
         out.display()
     ))
+}
+
+/// Reads the data for the pipeline file `out`.
+fn read_survey(arguments: &Init, out: &Path, verbosity: Verbosity) -> Result<DataSurvey> {
+    // Paths in a pipeline are relative to its file.
+    let folder = &arguments.folder;
+    let is_beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
+    let absolute = (!is_beside).then(|| std::path::absolute(folder).ok()).flatten();
+    let root = absolute.unwrap_or_else(|| folder.clone());
+    RunProgress::observe(verbosity, |progress| match arguments.colormap {
+        None => DataSurvey::read(&root, &arguments.accept, progress),
+        Some(map) => {
+            let source = format!("Colmap(root: {:?}, colormap: {map:?})", root.to_string_lossy());
+            let source = Plugin::<dyn DataSource>::parse(&source).map_err(Error::Config)?;
+            let data = run_stage(progress, "observations", |progress| source.load(Path::new(""), progress))?;
+            DataSurvey::of_data(source, data, Some(&root), &arguments.accept, progress)
+        }
+    })
 }
 
 /// Formats the pipeline file, with notes on the data and its size, and comments on the settings; an error if the text does not parse

@@ -31,7 +31,7 @@ pub(super) enum RowKind {
 }
 
 impl RowKind {
-    /// Returns the value in the CSV file.
+    /// Returns the name of the statistic in CSV files.
     pub(super) fn name(self) -> &'static str {
         ["variant", "external", "baseline", "oracle", "ceiling"][self as usize]
     }
@@ -64,7 +64,7 @@ pub(super) enum SummaryStatistic {
 }
 
 impl SummaryStatistic {
-    /// Returns the value in the CSV file.
+    /// Returns the name of the statistic in CSV files.
     pub(super) fn name(self) -> &'static str {
         ["mean", "median", "tail10", "value"][self as usize]
     }
