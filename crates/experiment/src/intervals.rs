@@ -112,10 +112,8 @@ impl ActiveRun<'_, '_> {
         let blocks = self.pipeline.split.blocks(&self.split.data, test);
         let weights = link_weights(&blocks);
         let scores = |(k, (level, _)): (usize, &(f64, IntervalFactors))| {
-            MeasuredInterval::mean_scores(
-                *level,
-                test.iter().zip(&intervals).map(|(i, levels)| (weights[i], &levels[k])),
-            )
+            let weighted = test.iter().zip(&intervals).map(|(link, levels)| (weights[link], &levels[k]));
+            MeasuredInterval::mean_scores(*level, &weighted.collect::<Vec<_>>())
         };
         let levels = factors.iter().enumerate().map(scores).collect();
         let shown = factors.iter().position(|(level, _)| *level == LEVEL);
@@ -183,12 +181,10 @@ struct MeasuredInterval {
 
 impl MeasuredInterval {
     /// Averages intervals of one `level` by their weights.
-    fn mean_scores<'m>(level: f64, weighted: impl Iterator<Item = (f64, &'m Self)> + Clone) -> LevelScores {
-        let mean = |value: &dyn Fn(&Self) -> f64| {
-            weighted.clone().map(|(weight, interval)| weight * value(interval)).sum::<f64>()
-        };
+    fn mean_scores(level: f64, weighted: &[(f64, &Self)]) -> LevelScores {
+        let mean = |value: &dyn Fn(&Self) -> f64| weighted.iter().map(|(w, interval)| w * value(interval)).sum::<f64>();
         let part = |c: usize| mean(&|interval| interval.ssim.map_or(0.0, |ssim| ssim[c]));
-        let ssim = weighted.clone().any(|(_, interval)| interval.ssim.is_some()).then(|| [part(0), part(1)]);
+        let ssim = weighted.iter().any(|(_, interval)| interval.ssim.is_some()).then(|| [part(0), part(1)]);
         let (coverage, width) = (mean(&|interval| interval.coverage), mean(&|interval| interval.width));
         LevelScores { level, coverage, width, ssim }
     }
