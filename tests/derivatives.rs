@@ -180,10 +180,11 @@ fn ensembles_and_residual_processes_differentiate() {
         check(&format!("mean, {rest}"), &base.prepare(), AT.map(f64::from).into());
         let (data, links) = (data(task, &base), (0..LINKS).collect::<Vec<_>>());
         let left_out: Vec<Option<usize>> = links.iter().map(|i| (i % 4 != 0).then_some(0)).collect();
-        let known = || KnownLinks { data: &data, links: &links, left_out: &left_out, parts: 2, blocks: &links };
+        let stop = &AtomicBool::new(false);
+        let known = KnownLinks { data: &data, links: &links, left_out: &left_out, parts: 2, blocks: &links, stop };
         let strides = if task.has_pixels { &[4, 1][..] } else { &[1] };
         for settings in strides.iter().map(|&stride| Kriged { stride, ..Kriged::default() }) {
-            let found = Residuals::fit(&settings, &base, known(), &AtomicBool::new(false), &|_, _| {}).unwrap();
+            let found = Residuals::fit(&settings, &base, known, &|_, _| {}).unwrap();
             let corrected = base.clone().with_residuals(Some(found));
             check(&format!("{settings:?}, {rest}"), &corrected.prepare(), AT.map(f64::from).into());
         }

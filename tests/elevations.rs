@@ -1,7 +1,7 @@
 //! Spectra of other elevations than 0 to 90 degrees, such as a full sphere.
 
 use crate::common::pipeline;
-use pwrfgs::experiment::{Session, SplitData};
+use pwrfgs::experiment::{ActiveRun, Session, SplitData};
 use pwrfgs::model::file;
 use pwrfgs::prelude::*;
 
@@ -79,7 +79,7 @@ fn rejects_elevations_that_model_cannot_draw() {
     let (ensemble, mut silent) = (Ensemble::of(model.clone()), NoopObserver);
     let session = &mut Session::new(&mut silent);
     let split = SplitData { data, partition };
-    let evaluated = pwrfgs::experiment::evaluate(&ensemble, &pipeline, &split, session).err();
+    let evaluated = ActiveRun::new(&pipeline, &split, session).evaluate(&ensemble).err();
     // As `locate` and `update` check it.
     let compared = pwrfgs::experiment::check_alike(&ensemble.prepare(), &split.data).err();
     for message in [evaluated, compared].map(|error| error.unwrap().to_string()) {

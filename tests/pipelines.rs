@@ -1,9 +1,9 @@
 //! Every shipped pipeline parses, is written as the same text, and trains some steps on a small teacher.
 use pwrfgs::core::ShippedFile;
-use pwrfgs::experiment::sweep::{JOINED, SweepPlan, execute};
+use pwrfgs::experiment::sweep::{JOINED, SweepPlan};
 use pwrfgs::experiment::{RunOutcome, Session, SplitData};
 use pwrfgs::prelude::*;
-use pwrfgs::raytrace::output::OutputLayout;
+use pwrfgs::raytrace::output::{DatasetWriter, OutputLayout};
 use pwrfgs::raytrace::{ObservationKind, SimulationRecipe};
 use pwrfgs::train::Rays;
 use std::path::{Path, PathBuf};
@@ -65,7 +65,8 @@ fn every_pipeline_round_trips_through_ron() {
 fn simulated(scene: &str, observe: ObservationKind, layout: OutputLayout, folder: &Path) -> String {
     let recipe = SimulationRecipe::read(Path::new(scene), 20, 0, 100).unwrap().observing(observe).unwrap();
     let out = folder.join("simulated");
-    pwrfgs::raytrace::output::write_dataset(&recipe, layout, false, &out, &|_, _| {}, &AtomicBool::new(false)).unwrap();
+    let stop = &AtomicBool::new(false);
+    DatasetWriter { layout, has_paths: false, progress: &|_, _| {}, stop }.write(&recipe, &out).unwrap();
     format!("data.root={:?}", out.display().to_string())
 }
 
@@ -166,7 +167,8 @@ fn joined_sweeps_score_mean_of_their_models() {
             run.pipeline.set(short).unwrap();
         }
         let runs: Vec<usize> = (0..plan.runs.len()).collect();
-        let end = execute(&plan, &runs, 2, &NoopObserver, &mut Session::new(&mut NoopObserver))
+        let end = plan
+            .execute(&runs, 2, &NoopObserver, &mut Session::new(&mut NoopObserver))
             .unwrap_or_else(|e| panic!("{e}"));
         assert!(matches!(end.joined, Some(RunOutcome::Finished { already: false, .. })), "{end:?}");
         let model = pwrfgs::model::file::read_ensemble(&folder.path().join(JOINED).join("model.safetensors")).unwrap();
@@ -216,7 +218,7 @@ fn every_experiment_resolves_and_its_variants_train() {
             }
             shrink(&mut pipeline);
             let SplitData { data, partition } =
-                pwrfgs::experiment::load(&pipeline, Path::new(""), &mut NoopObserver).unwrap();
+                pwrfgs::experiment::load_split_data(&pipeline, &mut NoopObserver).unwrap();
             let mut trainer = match pipeline.trainer(&data, &partition) {
                 Ok(trainer) => trainer,
                 Err(_) if run.folder.contains("point-cloud") => continue, // only this needs a scene
@@ -342,7 +344,7 @@ fn wrfgs_densifies_at_steps_of_released_code() {
     let mut pipeline = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/wrfgs.ron"));
     pipeline.set("data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)").unwrap();
     pipeline.set("initializer.count=20").unwrap();
-    let SplitData { data, partition } = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut NoopObserver).unwrap();
+    let SplitData { data, partition } = pwrfgs::experiment::load_split_data(&pipeline, &mut NoopObserver).unwrap();
     let trainer = pipeline.trainer(&data, &partition).unwrap();
     let densify = &pipeline.training.densify;
     let is_due = |step: &u64| step.is_multiple_of(densify.every) && *step > densify.from;

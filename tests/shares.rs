@@ -61,9 +61,10 @@ fn check(data: &Dataset, base: &Ensemble) {
     let links: Vec<usize> = (0..data.len() - 20).collect();
     let blocks: Vec<usize> = links.iter().map(|&k| data.links[k].location).collect();
     let left_out: Vec<Option<usize>> = blocks.iter().map(|k| (k % 5 == 0).then_some(0)).collect();
-    let known = KnownLinks { data, links: &links, left_out: &left_out, parts: 1, blocks: &blocks };
+    let stop = &AtomicBool::new(false);
+    let known = KnownLinks { data, links: &links, left_out: &left_out, parts: 1, blocks: &blocks, stop };
     let settings = Kriged { stride: 1, ..Kriged::default() };
-    let residuals = Residuals::fit(&settings, base, known, &AtomicBool::new(false), &|_, _| {}).unwrap();
+    let residuals = Residuals::fit(&settings, base, known, &|_, _| {}).unwrap();
     assert_eq!(residuals.share(), Some(0.0));
     let whole = file::from_bytes(&file::ensemble_to_bytes(&base.clone().with_residuals(Some(residuals)))).unwrap();
     let (ready, kriging) = (whole.prepare(), Kriging::default().fit(data, FittingSet::train(&links)).unwrap());

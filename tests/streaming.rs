@@ -2,7 +2,7 @@
 
 use crate::common::plugin;
 use pwrfgs::core::Scope;
-use pwrfgs::experiment::{EvaluationSet, Session};
+use pwrfgs::experiment::{EvaluationSet, Predictor, ScoredPredictor, Session};
 use pwrfgs::metrics::{L1, Ssim};
 use pwrfgs::prelude::*;
 use std::path::Path;
@@ -50,12 +50,8 @@ fn scores(data: &Dataset, part: &[usize], metrics: &[&str]) -> Result<Vec<Measur
     let metrics: Vec<Plugin<dyn Metric>> = metrics.iter().map(|text| plugin(text)).collect();
     let known: Vec<usize> = (0..50).collect();
     let fitted = plugin::<dyn Baseline>("NearestNeighbours()").fit(data, FittingSet::train(&known))?;
-    EvaluationSet::new(data, part, &plane).score_baseline(
-        "3-NN",
-        &*fitted,
-        &metrics,
-        &mut Session::new(&mut NoopObserver),
-    )
+    let scored = ScoredPredictor { name: "3-NN", predictor: Predictor::Baseline(&*fitted), metrics: &metrics };
+    EvaluationSet::new(data, part, &plane).score(scored, &mut Session::new(&mut NoopObserver))
 }
 
 #[test]

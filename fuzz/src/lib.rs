@@ -246,7 +246,8 @@ fn models(folder: &Path) -> Result<()> {
     for (i, settings) in MODELS.iter().enumerate() {
         let mut pipeline = read_pipeline(&folder.join("p.ron"), &[])?;
         settings.iter().try_for_each(|setting| pipeline.set(setting))?;
-        let SplitData { data, partition } = pwrfgs::experiment::load(&pipeline, folder, &mut NoopObserver)?;
+        let SplitData { data, partition } =
+            pwrfgs::experiment::load_split_data(&pwrfgs::experiment::rebased(&pipeline, folder)?, &mut NoopObserver)?;
         file::write(&path(&format!("{i}.safetensors")), &pipeline.trainer(&data, &partition)?.model())?;
     }
     let trained = file::read_ensemble(&folder.join("sweep/a/model.safetensors"))?;

@@ -167,7 +167,8 @@ fn is_small(pipeline: &Pipeline) -> bool {
 
 /// Loads, initialises, trains one step and predicts.
 fn first_step(pipeline: &Pipeline, bench: &Path) -> Result<()> {
-    let experiment::SplitData { data, partition } = experiment::load(pipeline, bench, &mut NoopObserver)?;
+    let experiment::SplitData { data, partition } =
+        experiment::load_split_data(&experiment::rebased(pipeline, bench)?, &mut NoopObserver)?;
     let mut trainer = pipeline.trainer(&data, &partition)?;
     trainer.step()?;
     trainer.model().prepare().predict_many(&[[0.5, 0.5, 0.5].into()]);
@@ -249,7 +250,8 @@ fn imported_channels(bench: &Path) -> Result<()> {
 /// Checks predictions for the test set of a pipeline on the bench.
 fn predicted(bench: &Path, name: &str) -> Result<()> {
     let pipeline = read_pipeline(&bench.join(name), &[])?;
-    let experiment::SplitData { data, partition } = experiment::load(&pipeline, bench, &mut NoopObserver)?;
+    let experiment::SplitData { data, partition } =
+        experiment::load_split_data(&experiment::rebased(&pipeline, bench)?, &mut NoopObserver)?;
     Predictions { root: bench.join("predicted"), ..Predictions::default() }.check_test(&data, &partition.test)
 }
 
@@ -285,7 +287,8 @@ fn model(bench: &Path) -> Result<()> {
 
 fn checkpoint(bench: &Path) -> Result<()> {
     let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;
-    let experiment::SplitData { data, partition } = experiment::load(&pipeline, bench, &mut NoopObserver)?;
+    let experiment::SplitData { data, partition } =
+        experiment::load_split_data(&experiment::rebased(&pipeline, bench)?, &mut NoopObserver)?;
     let path = bench.join("half/checkpoint.safetensors");
     let bytes = fs::read(&path).map_err(|e| Error::read(&path, e))?;
     let mut trainer = Trainer::restore(&pipeline.plan()?, &data, &partition, &bytes)?;

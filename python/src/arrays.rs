@@ -113,14 +113,14 @@ pub(crate) fn positions(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f
 
 /// Reads poses `[.., 7]` as x, y, z in metres and quaternions x, y, z, w; also returns whether there is a single one.
 pub(crate) fn poses(what: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<Pose>, bool)> {
-    let one = axis_count(value)? == 1;
-    let shape: &[Option<usize>] = if one { &[Some(7)] } else { &[None, Some(7)] };
+    let is_single = axis_count(value)? == 1;
+    let shape: &[Option<usize>] = if is_single { &[Some(7)] } else { &[None, Some(7)] };
     let values = numbers::<f64>(what, value, shape)?;
     let pose = |&[x, y, z, qx, qy, qz, qw]: &[f64; 7]| Pose { position: [x, y, z], orientation: [qx, qy, qz, qw] };
     let poses: Vec<Pose> = values.as_chunks().0.iter().map(pose).collect();
     match poses.iter().enumerate().find_map(|(i, pose)| Some((i, pose.fault()?))) {
         Some((i, (_, fault))) => reject(value.py(), &format!("{what}[{i}]: {fault}")),
-        None => Ok((poses, one)),
+        None => Ok((poses, is_single)),
     }
 }
 
@@ -159,19 +159,49 @@ pub(crate) fn complex_pairs(what: &str, value: &Bound<'_, PyAny>, shape: &[Optio
     Ok(numbers::<Gain>(what, value, shape)?.iter().map(|gain| [gain.re, gain.im]).collect())
 }
 
-/// Reads observations of `task` `[lead.., axes of one]` as rows, the inverse of [`observations`].
-pub(crate) fn observation_rows(
-    what: &str,
-    value: &Bound<'_, PyAny>,
-    task: Task,
-    size: (usize, usize),
-    lead: &[usize],
-) -> PyResult<Vec<Real>> {
-    let shape: Vec<Option<usize>> = lead.iter().copied().chain(task.shape(size)).map(Some).collect();
-    if task.is_complex {
-        return complex_pairs(what, value, &shape).map(|gains| rows_of(&gains, size.0));
+/// Shape of an array of observations, `[lead.., axes of one]`.
+#[derive(Clone, Copy)]
+pub(crate) struct ObservationShape<'a> {
+    pub(crate) task: Task,
+    /// Columns and rows of one observation.
+    pub(crate) size: (usize, usize),
+    /// Axes before those of an observation.
+    pub(crate) lead: &'a [usize],
+}
+
+impl<'a> ObservationShape<'a> {
+    /// Returns the shape of observations such as those of `data`.
+    pub(crate) fn of_data(data: &Dataset, lead: &'a [usize]) -> Self {
+        Self { task: data.task(), size: (data.width, data.height), lead }
     }
-    numbers(what, value, &shape)
+
+    /// Lists the lengths of all axes.
+    fn lengths(self) -> Vec<usize> {
+        [self.lead, &self.task.shape(self.size)].concat()
+    }
+
+    /// Reads an array of observations as rows, the inverse of [`Self::array`].
+    pub(crate) fn read(self, what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<Real>> {
+        let shape: Vec<Option<usize>> = self.lengths().into_iter().map(Some).collect();
+        if self.task.is_complex {
+            return complex_pairs(what, value, &shape).map(|gains| rows_of(&gains, self.size.0));
+        }
+        numbers(what, value, &shape)
+    }
+
+    /// Creates the array of observations, complex if needed, or a number without axes; `rows` holds the observations in
+    /// order.
+    pub(crate) fn array(self, py: Python<'_>, rows: Vec<Real>) -> PyResult<Bound<'_, PyAny>> {
+        let shape = self.lengths();
+        if shape.is_empty() {
+            return Ok(rows[0].into_pyobject(py)?.into_any());
+        }
+        if self.task.is_complex {
+            let gains = gains_of(&rows, self.size.0.max(1)).into_iter().map(|[re, im]| Gain::new(re, im)).collect();
+            return array(py, gains, &shape).map(Bound::into_any);
+        }
+        array(py, rows, &shape).map(Bound::into_any)
+    }
 }
 
 /// Checks the elevations of the upper edge of the top row and the lower edge of the bottom row of a spectrum, degrees.
@@ -210,26 +240,6 @@ pub(crate) fn check_memory<T>(shape: &[usize]) -> PyResult<()> {
     Err(PyMemoryError::new_err(format!("not enough memory for numbers of shape {shape:?}; request fewer at a time")))
 }
 
-/// Returns the observations of `task` as an array `[lead.., axes of one]`, complex if needed, or as a number without
-/// axes: `rows` holds them in order, each of `size` (columns, rows).
-pub(crate) fn observations<'py>(
-    py: Python<'py>,
-    task: Task,
-    size: (usize, usize),
-    lead: &[usize],
-    rows: Vec<Real>,
-) -> PyResult<Bound<'py, PyAny>> {
-    let shape = [lead, &task.shape(size)].concat();
-    if shape.is_empty() {
-        return Ok(rows[0].into_pyobject(py)?.into_any());
-    }
-    if task.is_complex {
-        let gains = gains_of(&rows, size.0.max(1)).into_iter().map(|[re, im]| Gain::new(re, im)).collect();
-        return array(py, gains, &shape).map(Bound::into_any);
-    }
-    array(py, rows, &shape).map(Bound::into_any)
-}
-
 /// Reads link indices below `count`, from indices, whose order is kept, or a mask.
 pub(crate) fn link_indices(what: &str, links: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
     if let Ok(mask) = numbers::<bool>(what, links, &[Some(count)]) {
@@ -256,7 +266,7 @@ pub(crate) fn observation_array<'py>(py: Python<'py>, data: &Dataset, links: &[u
         }
         data.observations.spectra().map_or(Ok(()), Spectra::check).map(|()| rows)
     })?;
-    observations(py, data.task(), (data.width, data.height), &[links.len()], rows)
+    ObservationShape::of_data(data, &[links.len()]).array(py, rows)
 }
 
 /// Returns the angles of rows `[H]` and columns `[W]` of a plane, degrees; `None` for a plane without angles.

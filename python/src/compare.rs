@@ -5,10 +5,10 @@ use crate::border::{log_message, run_stoppable};
 use crate::data::Dataset;
 use crate::sweep::exception_of;
 use crate::tasks::{TaskObserver, read_settings};
-use pwrfgs::experiment::sweep::{SweepObserver, SweepPlan, check, estimate_run_seconds, execute};
+use pwrfgs::experiment::sweep::{SweepObserver, SweepPlan, check, estimate_run_seconds};
 use pwrfgs::experiment::{NoopObserver, Observer, RunOutcome, Session};
 use pwrfgs::report::{Study, write};
-use pwrfgs::tasks::compare::{ComparedRuns, Comparison, check_earlier_runs, plan_comparison, without_position};
+use pwrfgs::tasks::compare::{ComparedRuns, Comparison, check_earlier_runs, without_position};
 use pwrfgs::tasks::init::{DataSurvey, pipeline_name};
 use pwrfgs_core::{DataSource, Error, Partition, Plugin, Result, check_stopped};
 use pyo3::prelude::*;
@@ -34,32 +34,23 @@ impl SweepObserver for LoggedRuns<'_> {
 struct ComparedData {
     folder: PathBuf,
     partition: Partition,
-    /// IDs of the test links, as in the files of other programs.
-    test_ids: Vec<u32>,
     runs: Vec<(PathBuf, Result<RunOutcome>)>,
     text: String,
 }
 
 /// Performs the runs of a comparison and writes their report; with `dry_run`, only estimates their times.
-fn perform(
-    comparison: Comparison,
-    data: &pwrfgs_core::Dataset,
-    dry_run: bool,
-    keep_checkpoint: bool,
-    stop: &AtomicBool,
-) -> Result<ComparedData> {
+fn perform(comparison: Comparison, dry_run: bool, keep_checkpoint: bool, stop: &AtomicBool) -> Result<ComparedData> {
     let Comparison { plan, partition, reference } = comparison;
-    let test_ids = partition.test.iter().map(|&i| data.label(i)).collect();
     let (observer, indices) = (&mut TaskObserver(stop), (0..plan.runs.len()).collect::<Vec<usize>>());
     if dry_run {
         let seconds = estimate_run_seconds(&plan, &indices, observer).map_err(without_position)?;
         let text = plan.estimate_table(&indices, &seconds, 1);
-        return Ok(ComparedData { folder: plan.folder, partition, test_ids, runs: Vec::new(), text });
+        return Ok(ComparedData { folder: plan.folder, partition, runs: Vec::new(), text });
     }
     check_earlier_runs(&plan)?;
     check(&plan, &indices, observer).map_err(without_position)?;
     let mut session = Session { observer, stop, page: pwrfgs::PAGE, keep_checkpoint };
-    let ends = execute(&plan, &indices, 1, &LoggedRuns(&plan), &mut session)?.runs;
+    let ends = plan.execute(&indices, 1, &LoggedRuns(&plan), &mut session)?.runs;
     check_stopped(stop)?;
     let text = if plan.has_ended() {
         let _held = plan.claim()?;
@@ -69,7 +60,7 @@ fn perform(
         String::new()
     };
     let runs = ends.into_iter().map(|(run, end)| (plan.run_folder(run), end));
-    Ok(ComparedData { runs: runs.collect(), folder: plan.folder, partition, test_ids, text })
+    Ok(ComparedData { runs: runs.collect(), folder: plan.folder, partition, text })
 }
 
 /// Compares methods, see `pwrfgs.compare`. `data` are a data set, which `source` reads, or a data folder.
@@ -91,7 +82,7 @@ pub(crate) fn compare<'py>(
     let held = data.cast::<Dataset>().ok().map(|data| Arc::clone(&data.get().data));
     let is_held = held.is_some();
     let path: PathBuf = if is_held { PathBuf::new() } else { data.extract()? };
-    let compared = run_stoppable(py, |stop| {
+    let (compared, test_ids) = run_stoppable(py, |stop| {
         let observer = &mut TaskObserver(stop);
         let survey = match (held, source) {
             (Some(data), Some(source)) => {
@@ -101,9 +92,11 @@ pub(crate) fn compare<'py>(
             _ => DataSurvey::read(&path.canonicalize().unwrap_or_else(|_| path.clone()), &accept, observer)?,
         };
         let named_by = if is_held { Path::new(&survey.data.title) } else { &path };
-        let named = ComparedRuns { name: pipeline_name(named_by), changes, out };
-        let comparison = plan_comparison(&survey, &read_settings(text)?, &named, observer)?;
-        perform(comparison, &survey.data, dry_run, keep_checkpoint, stop)
+        let compared = ComparedRuns { settings: read_settings(text)?, name: pipeline_name(named_by), changes, out };
+        let comparison = compared.plan(&survey, observer)?;
+        // As in the files of other programs.
+        let test_ids: Vec<u32> = comparison.partition.test.iter().map(|&i| survey.data.label(i)).collect();
+        Ok((perform(comparison, dry_run, keep_checkpoint, stop)?, test_ids))
     })?;
     let (dict, indices) = (PyDict::new(py), |set: &[usize]| set.iter().map(|&i| i as i64).collect::<Vec<_>>());
     let Partition { train, validation, test } = &compared.partition;
@@ -111,7 +104,7 @@ pub(crate) fn compare<'py>(
     let runs = compared.runs.into_iter().map(|(folder, end)| (folder, exception_of(py, end)));
     dict.set_item("runs", runs.collect::<Vec<_>>())?;
     dict.set_item("text", compared.text)?;
-    dict.set_item("test_ids", vector(py, compared.test_ids)?)?;
+    dict.set_item("test_ids", vector(py, test_ids)?)?;
     for (name, set) in [("train", train), ("validation", validation), ("test", test)] {
         dict.set_item(name, vector(py, indices(set))?)?;
     }

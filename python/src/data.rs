@@ -279,7 +279,7 @@ impl Dataset {
         format!(
             "<Dataset {:?}: {}, {}, {}, {}>",
             self.data.title,
-            pwrfgs::experiment::observed(&self.data),
+            pwrfgs::experiment::describe_observations(&self.data),
             several(self.data.locations.len(), if moves { "receiver pose" } else { "transmitter" }),
             several(self.data.scene.receivers.len(), "receiver"),
             if self.data.is_simulated() { "simulated" } else { "measured" }

@@ -91,21 +91,21 @@ impl Model {
     ) -> PyResult<Links> {
         let (stages, receivers) = (self.stages(), &self.stages().setup.receivers);
         let (inputs, moving) = (stages.method.traits().inputs, stages.setup.moving);
-        let (poses, features, one) = match (tx, rx_pose, features) {
+        let (poses, features, is_single) = match (tx, rx_pose, features) {
             (Some(tx), None, None) if inputs == 3 && moving == End::Transmitter => {
-                let one = axis_count(tx)? == 1;
-                let positions = if one { vec![position("tx", tx)?] } else { positions("tx", tx)? };
-                (positions.into_iter().map(Pose::from).collect(), Vec::new(), one)
+                let is_single = axis_count(tx)? == 1;
+                let positions = if is_single { vec![position("tx", tx)?] } else { positions("tx", tx)? };
+                (positions.into_iter().map(Pose::from).collect(), Vec::new(), is_single)
             }
             (None, Some(rx_pose), None) if inputs == 3 && moving == End::Receiver => {
-                let (poses, one) = arrays::poses("rx_pose", rx_pose)?;
-                (poses, Vec::new(), one)
+                let (poses, is_single) = arrays::poses("rx_pose", rx_pose)?;
+                (poses, Vec::new(), is_single)
             }
             (None, None, Some(features)) if inputs != 3 => {
-                let one = axis_count(features)? == 1;
-                let shape: &[Option<usize>] = if one { &[Some(inputs)] } else { &[None, Some(inputs)] };
+                let is_single = axis_count(features)? == 1;
+                let shape: &[Option<usize>] = if is_single { &[Some(inputs)] } else { &[None, Some(inputs)] };
                 let all = numbers::<Real>("features", features, shape)?;
-                (vec![Pose::IDENTITY; all.len() / inputs], all, one)
+                (vec![Pose::IDENTITY; all.len() / inputs], all, is_single)
             }
             _ if inputs != 3 => {
                 return reject(py, &format!("this model uses link features; pass features=[B, {inputs}]"));
@@ -117,7 +117,7 @@ impl Model {
                 return reject(py, "tx is missing; pass positions [B, 3] of the transmitter, which moves, in metres");
             }
         };
-        let mut lead = if one { vec![] } else { vec![poses.len()] };
+        let mut lead = if is_single { vec![] } else { vec![poses.len()] };
         let receivers = match receiver {
             Some(receiver) => vec![made::find_receiver(receiver, receivers)?],
             None if receivers.len() == 1 => vec![0],
@@ -246,7 +246,7 @@ impl Model {
         match (vjp, batch_size) {
             (Some(_), Some(_)) => reject(py, "give one of vjp and batch_size"),
             (Some(_), None) if interval.is_some() => reject(py, "give one of vjp and interval"),
-            (Some(cotangents), None) => model.predict_vjp(py, &links, cotangents),
+            (Some(cotangents), None) => model.predict_vjp(&links, cotangents),
             (None, Some(size)) => Self::start_batches(slf, links, size, interval),
             (None, None) => model.predict_links(py, &links, interval),
         }
@@ -379,11 +379,11 @@ impl Model {
     }
 
     fn __repr__(&self) -> String {
-        let several = if self.ensemble.members().len() > 1 {
+        let members = if self.ensemble.members().len() > 1 {
             format!("{} members, ", self.ensemble.members().len())
         } else {
             String::new()
         };
-        format!("<Model: {}{} Gaussians, predicts a {}>", several, self.n(), self.kind())
+        format!("<Model: {}{} Gaussians, predicts a {}>", members, self.n(), self.kind())
     }
 }

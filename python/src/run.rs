@@ -8,7 +8,7 @@ use pwrfgs::data::{read_poses, read_transmitters};
 use pwrfgs::experiment::sweep::thread_pool;
 use pwrfgs::experiment::{Observer, RunOutcome, ScoreTable, Session, Start, Validation, score_model};
 use pwrfgs::prelude::StepReport;
-use pwrfgs::raytrace::output::{self as folder, OutputLayout, mitsuba};
+use pwrfgs::raytrace::output::{DatasetWriter, OutputLayout, mitsuba};
 use pwrfgs::raytrace::{ObservationKind, SceneFile, SimulationRecipe};
 use pwrfgs::report::{Study, write};
 use pwrfgs_core::{Error, Result};
@@ -243,7 +243,7 @@ pub(crate) fn simulate(
     let recipe = recipe.map_err(|error| to_exception(py, error))?;
     let work = |events: SyncSender<(usize, usize)>, stop: &_| {
         let send = |done, total| _ = events.try_send((done, total));
-        folder::write_dataset(&recipe, layout, paths, &out, &send, stop)
+        DatasetWriter { layout, has_paths: paths, progress: &send, stop }.write(&recipe, &out)
     };
     run_with_events(py, work, |(done, total)| send_event.call1((done, total)).map(|_| ()))
 }

@@ -1,6 +1,6 @@
 //! Metrics, baselines and repeatability for any arrays.
 
-use crate::arrays::{CHUNK, array_shape, observation_rows, observations, positions, vector};
+use crate::arrays::{CHUNK, ObservationShape, array_shape, positions, vector};
 use crate::border::{input_error, parse_plugin, plugin_text, reject, run_stoppable, without_gil};
 use crate::data::Dataset;
 use pwrfgs::experiment::append_measurements;
@@ -26,7 +26,7 @@ fn read_images(what: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec
     if width * height == 0 {
         return reject(py, &format!("{what} is empty"));
     }
-    let rows = observation_rows(what, value, task, (width, height), &shape[..lead])?;
+    let rows = ObservationShape { task, size: (width, height), lead: &shape[..lead] }.read(what, value)?;
     Ok(rows.chunks_exact(width * height).map(|rows| Image { width, height, pixels: rows.to_vec() }).collect())
 }
 
@@ -49,9 +49,10 @@ pub(crate) fn measure<'py>(
     let (predictions, truths) = (read_images("prediction", predictions, task)?, read_images("truth", truths, task)?);
     let size = |images: &[Image]| images.first().map(|image| (image.height, image.width));
     if (predictions.len(), size(&predictions)) != (truths.len(), size(&truths)) {
-        let message =
+        let describe =
             |images: &[Image]| size(images).map_or("0".into(), |(h, w)| format!("{} of {h} by {w}", images.len()));
-        let what = format!("prediction and truth differ in shape: {} and {}", message(&predictions), message(&truths));
+        let what =
+            format!("prediction and truth differ in shape: {} and {}", describe(&predictions), describe(&truths));
         return reject(py, &what);
     }
     let Some((height, width)) = size(&truths) else { return reject(py, "prediction and truth are empty") };
@@ -62,18 +63,18 @@ pub(crate) fn measure<'py>(
     }
     let scene = empty_scene(vec![]);
     let evaluate = |images: [&[Image]; 2]| metric.evaluate(&Evaluation { task, ..evaluation(images, &plane, &scene) });
-    let found = run_stoppable(py, |stop| {
+    let measurements = run_stoppable(py, |stop| {
         if metric.scope() != Scope::Sample {
             return evaluate([&predictions, &truths]);
         }
-        let mut found: Vec<Measurement> = Vec::new();
+        let mut measurements: Vec<Measurement> = Vec::new();
         for (predictions, truths) in predictions.chunks(CHUNK).zip(truths.chunks(CHUNK)) {
             check_stopped(stop)?;
-            append_measurements(&mut found, evaluate([predictions, truths])?, truths.len())?;
+            append_measurements(&mut measurements, evaluate([predictions, truths])?, truths.len())?;
         }
-        Ok(found)
+        Ok(measurements)
     })?;
-    measurement_list(py, found)
+    measurement_list(py, measurements)
 }
 
 /// Returns the evaluation of images without links and model, on a plane.
@@ -177,7 +178,7 @@ pub(crate) fn predict_baseline<'py>(
     })?;
     let count = found.len();
     let rows = found.into_iter().flat_map(|image| image.pixels).collect();
-    observations(py, data.task(), (data.width, data.height), &[count], rows)
+    ObservationShape::of_data(data, &[count]).array(py, rows)
 }
 
 /// Estimates the repeatability; see `pwrfgs.repeatability`.

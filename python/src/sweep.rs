@@ -2,7 +2,7 @@
 
 use crate::border::{run_stoppable, to_exception};
 use crate::run::Stopping;
-use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepEnd, SweepPlan, check, execute};
+use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepEnd, SweepPlan, check};
 use pwrfgs::experiment::{RunOutcome, Session};
 use pwrfgs::prelude::NoopObserver;
 use pwrfgs::report::{Study, write};
@@ -40,7 +40,7 @@ pub(crate) fn sweep<'py>(
             plan.store_failure(run, &reason)?;
         }
         let mut session = Session { observer: &mut NoopObserver, stop, page: pwrfgs::PAGE, keep_checkpoint };
-        let end = execute(&plan, &runs, jobs, &NoopObserver, &mut session)?;
+        let end = plan.execute(&runs, jobs, &NoopObserver, &mut session)?;
         if plan.states().iter().all(|state| matches!(state, RunStage::Finished(_))) {
             let _held = plan.claim()?;
             let study = Study::read(std::slice::from_ref(&plan.folder))?;

@@ -8,8 +8,8 @@ use crate::data::Dataset;
 use crate::model::Model;
 use crate::settings::{Pipeline, field_list};
 use pwrfgs::experiment::{
-    Observer, Session, SplitData, calibrate_model, collect_findings, folder::PIPELINE, load, model_file, read_pipeline,
-    rebased,
+    ActiveRun, Observer, Session, SplitData, collect_findings, folder::PIPELINE, load_split_data, model_file,
+    read_pipeline, rebased,
 };
 use pwrfgs::localise::Region;
 use pwrfgs::model::compress::Bits;
@@ -17,7 +17,7 @@ use pwrfgs::planning::floor_grid;
 use pwrfgs::raytrace::SceneFile;
 use pwrfgs::tasks::compare::CompareSettings;
 use pwrfgs::tasks::init::{DataSurvey, Effort};
-use pwrfgs::tasks::locate::{Localisation, LocateSettings, LocatedRow, ReadFeatures, checked_features};
+use pwrfgs::tasks::locate::{Localisation, LocateSettings, LocatedRow, ReadFeatures, UnlocatedObservations};
 use pwrfgs::tasks::place::{PlaceSettings, Placement, place_in_data, place_in_scene};
 use pwrfgs::tasks::plan::{Places, PlanSettings};
 use pwrfgs::tasks::update::UpdatedModel;
@@ -33,6 +33,13 @@ use std::sync::atomic::AtomicBool;
 
 /// Observer that ends work after Ctrl-C and logs messages and warnings.
 pub(crate) struct TaskObserver<'a>(pub(crate) &'a AtomicBool);
+
+impl TaskObserver<'_> {
+    /// Creates the session of this observer, which Ctrl-C stops.
+    fn session(&mut self) -> Session<'_> {
+        Session { stop: self.0, ..Session::new(self) }
+    }
+}
 
 impl Observer for TaskObserver<'_> {
     fn on_stage(&mut self, _: &str, done: usize, total: usize) {
@@ -103,7 +110,7 @@ fn load_split(
     })?;
     let mut pipeline = read_pipeline(&path, set)?;
     pipeline.accept.extend(accept);
-    Ok((load(&pipeline, Path::new(""), observer)?, pipeline.accept))
+    Ok((load_split_data(&pipeline, observer)?, pipeline.accept))
 }
 
 /// Reads observations of unknown transmitters: powers `[B, R]`, spectra `[B, H, W]`, or channels `[B, A, F]` as rows of real and
@@ -162,7 +169,8 @@ pub(crate) fn locate<'py>(
         let (split, accepted) = load_split(model, &set, accept, observer)?;
         let (data, accepted) = (&split.data, &accepted);
         let read = values.as_ref().map(|values| {
-            move |features: &_| checked_features(Path::new("observations"), values, features, data, accepted)
+            let path = Path::new("observations");
+            move |features: &_| UnlocatedObservations { path, features, data, accepted }.array_features(values)
         });
         let read = read.as_ref().map(|read| read as ReadFeatures<'_>);
         tasks::locate::locate(&model.ensemble, &split, read, &read_settings(text)?, 0, observer)
@@ -201,8 +209,8 @@ pub(crate) fn calibrate(
     let calibrated = run_stoppable(py, |stop| {
         let partition = Partition { train, validation, ..Partition::default() };
         let split = SplitData { data: (*data.data).clone(), partition };
-        let mut session = Session { observer: &mut TaskObserver(stop), stop, page: None, keep_checkpoint: false };
-        calibrate_model(&rebased(&settings, &base)?, &split, (*model.ensemble).clone(), &mut session)
+        let (mut observer, pipeline) = (TaskObserver(stop), rebased(&settings, &base)?);
+        ActiveRun::new(&pipeline, &split, &mut observer.session()).calibrate_model((*model.ensemble).clone())
     })?;
     Ok(Model::new(calibrated))
 }
@@ -246,7 +254,7 @@ pub(crate) fn suggest_pipeline(
         let root = root.filter(is_found);
         let (data, observer) = ((*data.data).clone(), &mut TaskObserver(stop));
         let survey = DataSurvey::of_data(source.clone(), data, root.as_deref(), &accept, observer)?;
-        tasks::init::suggest_pipeline(&survey, name, effort, Path::new("pipeline"))?.0.to_ron()
+        survey.suggest_pipeline(name, effort, Path::new("pipeline"))?.0.to_ron()
     })
 }
 
@@ -283,7 +291,7 @@ pub(crate) fn plan<'py>(
             Some(candidates) => known.with_candidates(candidates, Path::new("candidates"))?,
             None => known,
         };
-        let plan = tasks::plan::plan(&places, &read_settings(text)?, &mut TaskObserver(stop), stop)?;
+        let plan = tasks::plan::plan(&places, &read_settings(text)?, &mut TaskObserver(stop).session())?;
         Ok((places, plan))
     })?;
     let dict = PyDict::new(py);
@@ -308,7 +316,7 @@ pub(crate) fn place<'py>(py: Python<'py>, source: &Bound<'py, PyAny>, text: &str
         let path = path.unwrap_or_default();
         match recognise(&path) {
             Some(source) => place_in_data(&source.load(Path::new(""), &stop_progress(stop))?, &settings, observer),
-            None => place_in_scene(&SceneFile::read(&path)?, &settings, observer, stop),
+            None => place_in_scene(&SceneFile::read(&path)?, &settings, &mut observer.session()),
         }
     })?;
     let (dict, rows) = (PyDict::new(py), PyList::empty(py));

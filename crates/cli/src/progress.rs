@@ -3,7 +3,7 @@
 use crate::interrupt::InterruptibleRun;
 use crate::output::{self, Verbosity, print_note, progress_bars};
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
-use pwrfgs::experiment::text::{duration, gigabytes, grouped};
+use pwrfgs::experiment::text::{format_duration, format_gigabytes, grouped};
 use pwrfgs::experiment::{Observer, Start, Validation};
 use pwrfgs::train::StepReport;
 use std::collections::VecDeque;
@@ -98,7 +98,7 @@ impl RunProgress {
         let name = name.to_owned();
         let words = move |state: &ProgressState, text: &mut dyn std::fmt::Write| {
             if state.elapsed() > PATIENCE {
-                _ = write!(text, "{name}  {}", duration(state.elapsed().as_secs_f64()));
+                _ = write!(text, "{name}  {}", format_duration(state.elapsed().as_secs_f64()));
             }
         };
         let style =
@@ -142,7 +142,7 @@ impl RunProgress {
             _ = write!(words, "  validation {} {:.3}", v.task.headline.name, v.values[0]);
         }
         if let Some(speed) = self.steps_per_second() {
-            let left = duration((self.steps - report.step) as f64 / speed);
+            let left = format_duration((self.steps - report.step) as f64 / speed);
             let _ = if speed >= 1.0 {
                 write!(words, "  {speed:.1} it/s  {left} left")
             } else {
@@ -174,7 +174,7 @@ impl Observer for RunProgress {
             if self.bar.as_ref().is_none_or(|bar| bar.length().is_none()) {
                 self.draw_bar(total as u64);
             }
-            let left = duration((now - self.stage).as_secs_f64() / done as f64 * (total - done) as f64);
+            let left = format_duration((now - self.stage).as_secs_f64() / done as f64 * (total - done) as f64);
             if let Some(bar) = &self.bar {
                 bar.set_message(format!("{name}  {left} left"));
                 bar.set_position(done as u64);
@@ -206,7 +206,7 @@ impl Observer for RunProgress {
             None => print_note(&format!("{on} {steps} steps in {}", start.folder.display())),
             Some(_) => self.print_line(&format!("{on} {steps} steps")),
         }
-        let memory = gigabytes(start.step_bytes);
+        let memory = format_gigabytes(start.step_bytes);
         self.print_line(&match start.gaussians {
             0 => format!("about {memory} per step"),
             n => format!("N = {}, about {memory} per step", grouped(n as i64)),

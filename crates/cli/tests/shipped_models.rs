@@ -3,7 +3,7 @@
 use crate::common::{python, succeed, write};
 use crate::model_format::{NO_PYTHON, predict, predicted_again, unlisted};
 use pwrfgs::data::{npy_header, npy_header_as};
-use pwrfgs::experiment::{NoopObserver, SplitData, load, read_pipeline};
+use pwrfgs::experiment::{NoopObserver, SplitData, load_split_data, read_pipeline};
 use pwrfgs::model::{Ensemble, Model, compress, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::plugin::to_ron;
@@ -52,8 +52,7 @@ fn changes(pipeline: &Pipeline, uplinks: &Path) -> Vec<String> {
 }
 
 fn trained(pipeline: &Pipeline) -> Model {
-    let SplitData { data, partition } =
-        load(pipeline, Path::new(""), &mut NoopObserver).unwrap_or_else(|e| panic!("{e}"));
+    let SplitData { data, partition } = load_split_data(pipeline, &mut NoopObserver).unwrap_or_else(|e| panic!("{e}"));
     let mut trainer = pipeline.trainer(&data, &partition).unwrap_or_else(|e| panic!("{e}"));
     while !trainer.finished() {
         trainer.step().unwrap();

@@ -6,7 +6,7 @@ mod receivers;
 use crate::messages::strip_control;
 use crate::{
     Camera, Elevation, End, Ends, Error, Features, Image, ImagePlane, Link, Location, Observations, Origin, Pose,
-    Query, Real, Receiver, Result, Sample, Scene, Spectra, Task, Vec3, carrier_fault, place_fault,
+    Query, Real, Receiver, Result, Sample, Scene, Spectra, Task, Vec3, carrier_fault, position_fault,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -148,10 +148,10 @@ impl Dataset {
         if let Some(fault) = observations.fault() {
             return Err(refuse(fault));
         }
-        if let Some((point, fault)) = points.iter().find_map(|point| Some((point, place_fault(*point)?))) {
+        if let Some((point, fault)) = points.iter().find_map(|point| Some((point, position_fault(*point)?))) {
             return Err(refuse(format!("a point at {point:?} {fault}")));
         }
-        if let Some(fault) = ends.transmitter.and_then(place_fault) {
+        if let Some(fault) = ends.transmitter.and_then(position_fault) {
             return Err(refuse(format!("the transmitter {fault}")));
         }
         let (width, height) = observations.size();
@@ -323,7 +323,7 @@ pub fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
         if let Some((_, fault)) = pose.fault() {
             return Err(format!("{subject}: {fault}"));
         }
-        if let Some(fault) = antennas.iter().find_map(|antenna| place_fault(*antenna)) {
+        if let Some(fault) = antennas.iter().find_map(|antenna| position_fault(*antenna)) {
             return Err(format!("{subject}: an antenna {fault}"));
         }
         if let Some(fault) = camera.and_then(|camera| camera.fault()) {

@@ -8,8 +8,8 @@ mod pooled;
 mod process;
 mod spectra;
 
-use crate::Cholesky;
 use crate::neighbours::{Nearest, distance};
+use crate::{Cholesky, Result};
 pub use likelihood::{HeldOutCases, SearchSpace, most_likely};
 pub use pooled::{PooledFit, PowerLink, fit_pooled};
 pub use process::{ProcessFit, ResidualTrend, fit_observations, fit_powers, link_place};
@@ -19,6 +19,9 @@ use std::f64::consts::LN_10;
 
 /// Position of a sample: x, y and z in metres, and its time in samples, 0 for processes over space alone.
 pub type Place = [f64; 4];
+
+/// Check that a long fit calls several times per second: an error, such as [`Error::Stopped`](crate::Error::Stopped), ends the fit.
+pub type StopCheck<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
 /// Returns the place of a transmitter at `tx` (metres), without time.
 pub fn in_space([x, y, z]: [f64; 3]) -> Place {

@@ -80,7 +80,7 @@ pub use rasterizer::{Projector, Rasterizer, Render, RenderVjp, SplatStats, Surve
 pub use real::{Lanes, Mat3, Real, Vec3, consts, logit, sigmoid, widest};
 pub use scene::{
     End, Ends, Features, Link, Location, MAX_COORDINATE_M, Origin, Pose, Query, Receiver, Sample, Scene, carrier_fault,
-    coordinate_fault, place_fault,
+    coordinate_fault, position_fault,
 };
 pub use setup::{LinkInputs, MeasurementSetup, ReceiverState};
 pub use shipped::ShippedFile;

@@ -334,7 +334,7 @@ impl Pose {
     pub fn fault(&self) -> Option<(&'static str, String)> {
         /// Tolerance of the length of a quaternion: files have about eight digits.
         const TOLERANCE: f64 = 1e-3;
-        if let Some(fault) = place_fault(self.position) {
+        if let Some(fault) = position_fault(self.position) {
             return Some(("position", format!("the position {fault}")));
         }
         let length = self.orientation.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -397,13 +397,13 @@ impl Origin {
 
     /// Returns the error in an origin from a file; `None` if it is valid.
     pub fn fault(&self) -> Option<String> {
-        place_fault(self.0).map(|fault| format!("the origin {fault}"))
+        position_fault(self.0).map(|fault| format!("the origin {fault}"))
     }
 }
 
 /// Returns the error in a position in the user's frame, with the next step; `None` if all coordinates are finite and at
 /// most [`MAX_COORDINATE_M`] in size.
-pub fn place_fault(position: [f64; 3]) -> Option<String> {
+pub fn position_fault(position: [f64; 3]) -> Option<String> {
     position.into_iter().find_map(coordinate_fault)
 }
 
@@ -445,9 +445,9 @@ mod tests {
 
     #[test]
     fn rejects_coordinates_out_of_range() {
-        assert_eq!(place_fault([1e8, -1e8, 0.0]), None);
-        let message = place_fault([0.0, 1e308, 0.0]).unwrap();
+        assert_eq!(position_fault([1e8, -1e8, 0.0]), None);
+        let message = position_fault([0.0, 1e308, 0.0]).unwrap();
         assert_eq!(message, "is 1e308 m, beyond 1e8 m; write three numbers in metres");
-        assert_eq!(place_fault([f64::NAN, 0.0, 0.0]).unwrap(), "is not finite; write three numbers in metres");
+        assert_eq!(position_fault([f64::NAN, 0.0, 0.0]).unwrap(), "is not finite; write three numbers in metres");
     }
 }

@@ -49,7 +49,7 @@ impl Number {
     }
 
     /// Calls `visit` with every value, in units of [`Self::full_scale`].
-    pub fn each(self, bytes: &[u8], mut visit: impl FnMut(f64)) {
+    pub fn for_each_value(self, bytes: &[u8], mut visit: impl FnMut(f64)) {
         match self {
             Self::U8 => bytes.iter().for_each(|v| visit(f64::from(*v))),
             Self::U16 => bytes.as_chunks().0.iter().for_each(|v| visit(f64::from(u16::from_le_bytes(*v)))),

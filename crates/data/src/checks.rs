@@ -114,7 +114,7 @@ pub(crate) fn spectrum_fault(spectra: &Spectra, i: usize) -> Option<String> {
         return None;
     }
     let (mut pixel, mut invalid) = (0, None);
-    spectra.number().each(&spectra.raw(i), |value| {
+    spectra.number().for_each_value(&spectra.raw(i), |value| {
         if !is_linear(value) && invalid.is_none() {
             invalid = Some((pixel, value));
         }

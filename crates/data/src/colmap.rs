@@ -12,7 +12,8 @@ use crate::{nerf2::index, pictures};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{
-    Camera, DataSource, Dataset, Ends, Error, JsonSchema, Pose, Progress, Receiver, Result, Sample, Task, place_fault,
+    Camera, DataSource, Dataset, Ends, Error, JsonSchema, Pose, Progress, Receiver, Result, Sample, Task,
+    position_fault,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -130,7 +131,7 @@ impl DataSource for Colmap {
 
     fn check(&self) -> Result<(), String> {
         check_root(&self.root)?;
-        let fault = self.transmitter.and_then(place_fault);
+        let fault = self.transmitter.and_then(position_fault);
         fault.map_or(Ok(()), |fault| Err(format!("`transmitter` {fault}")))
     }
 }

@@ -7,7 +7,7 @@ use crate::text::{
     split_unit,
 };
 use flate2::read::MultiGzDecoder;
-use pwrfgs_core::files::{MAX_TEXT, ReadLimit};
+use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::quoted;
 use pwrfgs_core::{Error, Progress, Result};
 use std::borrow::Cow;
@@ -73,15 +73,10 @@ impl<'a> TableText<'a> {
         Ok(table)
     }
 
-    /// Reads a file within `limit` whose header has names that `is_name` accepts; `advice` is the next step for a missing
-    /// or empty file.
-    pub(crate) fn with_names(
-        path: &'a Path,
-        limit: ReadLimit,
-        advice: &str,
-        is_name: &dyn Fn(&str) -> bool,
-    ) -> Result<Self> {
-        let mut table = Self::of(path, read_bytes(path, limit, advice)?.into())?;
+    /// Reads a file of at most [`MAX_TEXT`] whose header has names that `is_name` accepts; `advice` is the next step for a
+    /// missing or empty file.
+    pub(crate) fn with_names(path: &'a Path, advice: &str, is_name: &dyn Fn(&str) -> bool) -> Result<Self> {
+        let mut table = Self::of(path, read_bytes(path, MAX_TEXT, advice)?.into())?;
         let text = std::mem::take(&mut table.text);
         let Some(first) = numbered_lines(&text).find(|(_, line)| !is_comment(line)) else {
             return Err(Error::input(path, format!("is empty; {advice}")));
@@ -92,7 +87,7 @@ impl<'a> TableText<'a> {
         let ranked = lines.flat_map(|line| MARKS.map(|mark| (known(line.2, mark), mark, line)));
         let best = ranked.reduce(|best, other| if other.0 > best.0 { other } else { best });
         let best = best.filter(|(count, ..)| *count > 0);
-        table.mark = best.map_or_else(|| separator(&text).0, |(_, mark, _)| mark);
+        table.mark = best.map_or_else(|| detect_separator(&text).0, |(_, mark, _)| mark);
         let has_number = split(first.1, table.mark).any(|cell| cell.parse::<f64>().is_ok());
         let header = best.map(|(.., line)| line).or((!has_number).then_some((first.0, first.1, first.1)));
         table.skipped = header.map_or(first.0 - 1, |(line, ..)| line);
@@ -131,7 +126,7 @@ impl<'a> TableText<'a> {
     /// Sets separator, decimal mark, header and names from the first lines. Returns an error for an empty table.
     fn recognise(&mut self) -> Result<()> {
         let text = std::mem::take(&mut self.text);
-        let (mark, width) = separator(&text);
+        let (mark, width) = detect_separator(&text);
         self.mark = mark;
         let lines = || numbered_lines(&text).filter(|(_, line)| !is_comment(line)).take(EXAMINED);
         let Some((first_line, first)) = lines().find(|(_, line)| split(line, mark).count() == width) else {
@@ -278,7 +273,7 @@ pub(crate) fn read_columns<T, const N: usize>(
     let list = names.join(", ");
     let missing = format!("write a table with the columns {list}; {advice}");
     let is_name = |cell: &str| names.iter().any(|name| is_named(cell, name));
-    let table = TableText::with_names(path, MAX_TEXT, &missing, &is_name)?;
+    let table = TableText::with_names(path, &missing, &is_name)?;
     let columns = names.iter().map(|name| table.column(name, &list)).collect::<Result<Vec<usize>>>()?;
     let rows = table.rows().map(|row| {
         let row = row?;
@@ -332,7 +327,7 @@ fn unquoted(part: &str) -> &str {
 }
 
 /// Returns the separator that gives most of the first lines the same number of fields, at least two, and that number.
-fn separator(text: &str) -> (Option<char>, usize) {
+fn detect_separator(text: &str) -> (Option<char>, usize) {
     let lines: Vec<&str> =
         numbered_lines(text).map(|(_, line)| line).filter(|line| !is_comment(line)).take(EXAMINED).collect();
     let measured = MARKS.map(|mark| {

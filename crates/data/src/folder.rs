@@ -4,7 +4,7 @@ use crate::geometry::read_points;
 use crate::text::{TextRow, read_text};
 use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::{quoted, strip_control};
-use pwrfgs_core::{Dataset, Error, Geodetic, Pose, Receiver, Result, Simulation, carrier_fault, files, place_fault};
+use pwrfgs_core::{Dataset, Error, Geodetic, Pose, Receiver, Result, Simulation, carrier_fault, files, position_fault};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -152,7 +152,7 @@ pub(crate) fn restore_saved(root: &Path, mut data: Dataset) -> Result<Dataset> {
             data.title = data.marked_title();
         }
         let is_valid = |[low, high]: &[[f64; 3]; 2]| {
-            [low, high].iter().all(|corner| place_fault(**corner).is_none()) && (0..3).all(|k| low[k] <= high[k])
+            [low, high].iter().all(|corner| position_fault(**corner).is_none()) && (0..3).all(|k| low[k] <= high[k])
         };
         if let Some(bounds) = bounds.filter(is_valid) {
             data.scene.bounds = bounds.map(|corner| data.scene.origin.local(corner)).into();

@@ -152,7 +152,7 @@ pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
 /// header, a row that is too short or too long, an invalid coordinate, or fewer points than that number.
 fn read_table_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     let is_name = |cell: &str| ["x", "y", "z"].iter().any(|name| is_named(cell, name));
-    let table = TableText::with_names(path, MAX_TEXT, ADVICE, &is_name)?;
+    let table = TableText::with_names(path, ADVICE, &is_name)?;
     let column = |name| table.column(name, "x, y and z");
     let columns = if table.header.is_some() { [column("x")?, column("y")?, column("z")?] } else { [0, 1, 2] };
     let mut rows = table.rows().peekable();

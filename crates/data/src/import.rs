@@ -139,7 +139,7 @@ impl<'a> Sink<'a> {
         let (range, width, i) = (&mut self.range, self.shape[2], self.done);
         let mut pixel = 0;
         self.bytes.clear();
-        number.each(bytes, |v| {
+        number.for_each_value(bytes, |v| {
             let value = v * factor;
             range.extend_to([i, pixel / width, pixel % width], value);
             pixel += 1;

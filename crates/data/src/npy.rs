@@ -2,7 +2,7 @@
 //! read.
 
 use pwrfgs_core::npy::Header;
-use pwrfgs_core::{Error, Number, Real, Result, Spectra, check_memory, files, gain_fault, place_fault};
+use pwrfgs_core::{Error, Number, Real, Result, Spectra, check_memory, files, gain_fault, position_fault};
 use std::fs::File;
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
@@ -58,12 +58,12 @@ pub(crate) fn parse_positions(header: &Header, path: &Path, file: &mut dyn Read,
     let mut bytes = vec![0; size as usize];
     file.read_exact(&mut bytes).and_then(|()| check_end(file)).map_err(|e| Error::read(path, e))?;
     let (mut positions, mut done) = (vec![[0.0; 3]; count], 0);
-    number.each(&bytes, |v| {
+    number.for_each_value(&bytes, |v| {
         let (i, k) = if header.fortran { (done % count, done / count) } else { (done / 3, done % 3) };
         positions[i][k] = v;
         done += 1;
     });
-    match positions.iter().enumerate().find_map(|(i, position)| Some((i, place_fault(*position)?))) {
+    match positions.iter().enumerate().find_map(|(i, position)| Some((i, position_fault(*position)?))) {
         Some((i, fault)) => refuse(format!("tx[{i}] {fault}")),
         None => Ok(positions),
     }
@@ -178,7 +178,7 @@ pub(crate) struct NumberReader<'a> {
 }
 
 impl<'a> NumberReader<'a> {
-    /// Checks an array of `size` bytes after the header. Returns an error for another type or length.
+    /// Creates the reader of an array of `size` bytes after the header. Returns an error for another type or length.
     pub(crate) fn begin(header: &'a Header, path: &'a Path, size: u64) -> Result<Self> {
         let refuse = |problem: String| Err(Error::input(path, problem));
         let (parts, part) = match header.descr.get(1..).unwrap_or_default() {

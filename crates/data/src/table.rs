@@ -50,5 +50,5 @@ pub fn read_frame_positions(path: &Path, geodetic: Option<Geodetic>, height: f64
         return read_transmitters(path);
     }
     let import = TableImport { height: Some(height), ..TableImport::default() };
-    places::read_rows(&import, &path.as_os_str().to_owned().into(), &mut places::Frame { geodetic })
+    places::Frame { geodetic }.read_rows(&import, &path.as_os_str().to_owned().into())
 }

@@ -7,7 +7,7 @@ use pwrfgs_core::consts::{DEG, TAU};
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{
     DataSource, Dataset, Error, GaussianCloud, ImagePlane, JsonSchema, Origin, Plugin, Pose, Primitives, Progress,
-    Projector, Rasterizer, Real, Result, Sample, Simulation, Spectra, Vec3, logit, place_fault, sigmoid,
+    Projector, Rasterizer, Real, Result, Sample, Simulation, Spectra, Vec3, logit, position_fault, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -168,7 +168,7 @@ impl DataSource for Teacher {
             ));
         }
         let (low, high) = self.tx_box;
-        if [low, high].into_iter().any(|corner| place_fault(corner).is_some())
+        if [low, high].into_iter().any(|corner| position_fault(corner).is_some())
             || low.iter().zip(&high).any(|(l, h)| l > h)
         {
             return Err(format!(

@@ -1,7 +1,7 @@
 //! `Agreement`: distances of new measurements from the predictions of a model.
 
 use crate::findings::cloud::{extent, longest_side};
-use crate::session::{Observer, staged};
+use crate::session::{Observer, run_stage};
 use crate::text::{format_length, grouped, number};
 use pwrfgs_core::statistics::{quantile, sorted};
 use pwrfgs_core::{Dataset, Image, Predict as _, Result, Task};
@@ -50,7 +50,7 @@ impl Agreement {
             (score, calibration.as_ref().is_some_and(is_out))
         };
         let links: Vec<usize> = (0..data.len()).collect();
-        let compared = staged(observer, "comparing with the model", |progress| {
+        let compared = run_stage(observer, "comparing with the model", |progress| {
             let mut compared = Vec::with_capacity(links.len());
             for chunk in links.chunks(CHUNK) {
                 compared.par_extend(chunk.par_iter().map(score_link));

@@ -3,14 +3,14 @@
 //! Baselines choose their hyperparameters on the validation set and are then fitted on training and validation samples
 //! together, which makes them stronger.
 
-use crate::evaluation_set::EvaluationSet;
-use crate::intervals::Calibrator;
-use crate::load::SplitData;
+use crate::evaluation_set::{EvaluationSet, Predictor, ScoredPredictor};
+use crate::load::{ActiveRun, SplitData};
 use crate::partial_scores::PartialScores;
 use crate::record::Confidence;
 use crate::repeatability::estimate_noise_ceiling;
+use crate::residuals::left_out_links;
 use crate::scores::{IntervalScores, MODEL, ScoreTable, Scores};
-use crate::session::{Session, staged};
+use crate::session::{Session, run_stage};
 use crate::text::number;
 use pwrfgs_core::kriging::{Correlation, ProcessFit};
 use pwrfgs_core::{
@@ -18,7 +18,7 @@ use pwrfgs_core::{
     Task, check_compatible, check_stopped, evenly,
 };
 use pwrfgs_model::{Ensemble, Prepared, ResidualProcess, Residuals, file};
-use pwrfgs_pipeline::{Pipeline, defaults};
+use pwrfgs_pipeline::defaults;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -38,98 +38,102 @@ pub struct EvaluationResult {
     pub confidence: Option<Confidence>,
 }
 
-/// Scores `model`, or an ensemble with its members, and the baselines of the pipeline on the test set of `data`. For an
-/// ensemble, also measures whether the spread of its members predicts the error.
-///
-/// # Errors
-/// The image size of the model differs from the data, or a metric or baseline returns an error;
-/// [`Error::Stopped`](pwrfgs_core::Error::Stopped) once the session is stopped.
-pub fn evaluate(
-    model: &Ensemble,
-    pipeline: &Pipeline,
-    split: &SplitData,
-    session: &mut Session<'_>,
-) -> Result<EvaluationResult> {
-    evaluate_parts(model, pipeline, split, session, &mut PartialScores::default())
-}
+impl ActiveRun<'_, '_> {
+    /// Scores `model`, or an ensemble with its members, and the baselines of the pipeline on the test set. For an ensemble,
+    /// also measures whether the spread of its members predicts the error.
+    ///
+    /// # Errors
+    /// The image size of the model differs from the data, or a metric or baseline returns an error;
+    /// [`Error::Stopped`](pwrfgs_core::Error::Stopped) once the session is stopped.
+    pub fn evaluate(&mut self, model: &Ensemble) -> Result<EvaluationResult> {
+        self.evaluate_parts(model, &mut PartialScores::default())
+    }
 
-/// Scores as [`evaluate`] does. The results of an earlier start with the same request are taken from `folder`, and each
-/// further result is written there, to [`PARTIAL_SCORES`](crate::folder::PARTIAL_SCORES).
-///
-/// # Errors
-/// As [`evaluate`]; a file that cannot be read or written.
-pub fn evaluate_into(
-    folder: &Path,
-    model: &Ensemble,
-    pipeline: &Pipeline,
-    split: &SplitData,
-    session: &mut Session<'_>,
-) -> Result<EvaluationResult> {
-    evaluate_parts(model, pipeline, split, session, &mut PartialScores::open(folder, model, pipeline, split)?)
-}
+    /// Scores as [`Self::evaluate`] does. The results of an earlier start with the same request are taken from `folder`, and
+    /// each further result is written there, to [`PARTIAL_SCORES`](crate::folder::PARTIAL_SCORES).
+    ///
+    /// # Errors
+    /// As [`Self::evaluate`]; a file that cannot be read or written.
+    pub fn evaluate_into(&mut self, folder: &Path, model: &Ensemble) -> Result<EvaluationResult> {
+        let mut partial = PartialScores::open(folder, model, self.pipeline, self.split)?;
+        self.evaluate_parts(model, &mut partial)
+    }
 
-/// Scores as [`evaluate`] does; takes the results that an earlier start has written to `partial`, and adds the others.
-///
-/// # Errors
-/// As [`evaluate`]; a file that cannot be written.
-pub(crate) fn evaluate_parts(
-    model: &Ensemble,
-    pipeline: &Pipeline,
-    split: &SplitData,
-    session: &mut Session<'_>,
-    partial: &mut PartialScores,
-) -> Result<EvaluationResult> {
-    let SplitData { data, partition } = split;
-    let ready = &model.prepare();
-    check_alike(ready, data)?;
-    let table = ScoreTable { task: data.task(), ..ScoreTable::default() };
-    let test = EvaluationSet::new(data, &partition.test, model.plane());
-    let mut evaluation = OpenEvaluation { pipeline, split, test, calibrator: None, predictors: Vec::new(), table };
-    evaluation.score_model(MODEL, model, ready, session, partial)?;
-    let mut confidence = None;
-    if model.members().len() > 1 {
-        let shown = if model.members().len() > MOST_SHOWN { &[] } else { model.members() };
-        for (name, member) in model.names().iter().zip(shown) {
-            let (name, member) = (format!("member {name}"), Ensemble::of(member.clone()));
-            evaluation.score_model(&name, &member, &member.prepare(), session, partial)?;
-            evaluation.table.members.push(name);
+    /// Scores as [`Self::evaluate`] does; takes the results that an earlier start has written to `partial`, and adds the
+    /// others.
+    ///
+    /// # Errors
+    /// As [`Self::evaluate`]; a file that cannot be written.
+    pub(crate) fn evaluate_parts(&mut self, model: &Ensemble, partial: &mut PartialScores) -> Result<EvaluationResult> {
+        let SplitData { data, partition } = self.split;
+        let ready = &model.prepare();
+        check_alike(ready, data)?;
+        let table = ScoreTable { task: data.task(), ..ScoreTable::default() };
+        let test = EvaluationSet::new(data, &partition.test, model.plane());
+        let mut evaluation = OpenEvaluation {
+            scorer: TestScorer { run: self, test, left_out: None },
+            partial,
+            predictors: Vec::new(),
+            table,
+        };
+        evaluation.score_model(MODEL, model, ready)?;
+        let is_ensemble = model.members().len() > 1;
+        let confidence = is_ensemble.then(|| evaluation.score_members(model, ready)).transpose()?;
+        evaluation.table.notes.extend(model.residuals().map(|residuals| residuals_note(residuals, data.task())));
+        evaluation.table.share = model.residuals().and_then(Residuals::share);
+        let columns = evaluation.measure_intervals(model, ready)?;
+        evaluation.score_baselines()?;
+        Ok(EvaluationResult { scores: Scores { intervals: columns, ..evaluation.conclude()? }, confidence })
+    }
+
+    /// Returns the mean of the first validation metric for each baseline, fitted on the training set alone, on the samples
+    /// of `validation.csv`; finite values only. Empty if the pipeline validates nothing.
+    ///
+    /// # Errors
+    /// A baseline or a metric returns an error; [`Error::Stopped`](pwrfgs_core::Error::Stopped) once the session is stopped.
+    pub(crate) fn validation_baselines(
+        &mut self,
+        plane: &ImagePlane,
+        partial: &mut PartialScores,
+    ) -> Result<Vec<(String, f64)>> {
+        let (pipeline, SplitData { data, partition }) = (self.pipeline, self.split);
+        let part = evenly(&partition.validation, pipeline.training.validation_samples);
+        if part.is_empty() || pipeline.training.validate_every == 0 {
+            return Ok(Vec::new());
         }
-        let measure = || Confidence::measure(ready, data, &partition.test, session);
-        confidence = Some(partial.complete("confidence", measure)?);
+        let (samples, metrics) = (EvaluationSet::new(data, &part, plane), defaults::validation(data.task()));
+        let mut all = Vec::new();
+        for (index, baseline) in pipeline.baselines.iter().enumerate().filter(|(_, baseline)| !baseline.is_external()) {
+            self.session.check_stopped()?;
+            all.extend(partial.complete(&format!("validation of baseline {index}"), || {
+                let fitted = baseline.fit(data, FittingSet::train(&partition.train).stopped_by(self.session.stop))?;
+                let name = baseline.name_for(data.task());
+                let predictor = Predictor::Baseline(&*fitted);
+                let measured =
+                    samples.score(ScoredPredictor { name: &name, predictor, metrics: &metrics }, self.session)?;
+                Ok(measured.first().map(|m| m.values.mean()).filter(|mean| mean.is_finite()).map(|mean| (name, mean)))
+            })?);
+        }
+        Ok(all)
     }
-    evaluation.table.notes.extend(model.residuals().map(|residuals| residuals_note(residuals, data.task())));
-    evaluation.table.share = model.residuals().and_then(Residuals::share);
-    let mut columns = Vec::new();
-    if let Some(calibration) = model.calibration() {
-        let calibrator = evaluation.calibrator.insert(Calibrator::new(pipeline, split, model.members().len())?);
-        let measure = || calibrator.measure_intervals((MODEL, ready), calibration, session);
-        let (scores, rows) = partial.complete("intervals", measure)?;
-        evaluation.table.intervals.push(scores);
-        columns = rows;
-    }
-    pipeline.check_external(data, &partition.test)?;
-    for (index, baseline) in pipeline.baselines.iter().enumerate() {
-        session.check_stopped()?;
-        let mut score = || evaluation.score_baseline(baseline, session);
-        // The file of predictions may have been mended since.
-        let scored =
-            if baseline.is_external() { score()? } else { partial.complete(&format!("baseline {index}"), score)? };
-        evaluation.add_baseline(scored);
-    }
-    Ok(EvaluationResult { scores: Scores { intervals: columns, ..evaluation.conclude(session)? }, confidence })
 }
 
 /// Evaluation in progress: the measurements of the predictors so far.
-struct OpenEvaluation<'a> {
-    pipeline: &'a Pipeline,
-    split: &'a SplitData,
-    test: EvaluationSet<'a>,
-    /// Calibrates the intervals of baselines; `None` if the model has no intervals.
-    calibrator: Option<Calibrator<'a>>,
+struct OpenEvaluation<'r, 'a, 's> {
+    scorer: TestScorer<'r, 'a, 's>,
+    partial: &'r mut PartialScores,
     /// Names and measurements, the model first.
     predictors: Vec<(String, Vec<Measurement>)>,
     /// Oracle baselines, ensemble members, intervals and notes of these predictors.
     table: ScoreTable,
+}
+
+/// Run with its test set.
+struct TestScorer<'r, 'a, 's> {
+    run: &'r mut ActiveRun<'a, 's>,
+    test: EvaluationSet<'r>,
+    /// Lists of links that calibrate the intervals of baselines; `None` if the model has no intervals.
+    left_out: Option<Vec<Vec<usize>>>,
 }
 
 /// Scores of one baseline.
@@ -143,44 +147,63 @@ struct ScoredBaseline {
     note: Option<String>,
 }
 
-impl OpenEvaluation<'_> {
+impl OpenEvaluation<'_, '_, '_> {
     /// Scores `model`, the model or a member, as predictor `name`.
-    fn score_model(
-        &mut self,
-        name: &str,
-        model: &Ensemble,
-        ready: &Prepared<'_>,
-        session: &mut Session<'_>,
-        partial: &mut PartialScores,
-    ) -> Result<()> {
+    fn score_model(&mut self, name: &str, model: &Ensemble, ready: &Prepared<'_>) -> Result<()> {
         let title = if name == MODEL { "the model" } else { name };
         let facts = ModelFacts {
-            means: &model.means_from(self.split.data.scene.origin),
+            means: &model.means_from(self.scorer.run.split.data.scene.origin),
             gaussian_bytes: model.gaussian_bytes(),
             file_bytes: file::size(model),
         };
-        let score = || self.test.score_model(title, ready, Some(facts), &self.pipeline.metrics, session);
-        let measured = partial.complete(name, score)?;
+        let (predictor, metrics) = (Predictor::Model(ready, Some(facts)), &self.scorer.run.pipeline.metrics);
+        let score =
+            || self.scorer.test.score(ScoredPredictor { name: title, predictor, metrics }, self.scorer.run.session);
+        let measured = self.partial.complete(name, score)?;
         self.predictors.push((name.to_owned(), measured));
         Ok(())
     }
 
-    /// Fits `baseline` to training and validation samples and scores it; with a calibrator, also its intervals.
-    fn score_baseline(&self, baseline: &Plugin<dyn Baseline>, session: &mut Session<'_>) -> Result<ScoredBaseline> {
-        let SplitData { data, partition } = self.split;
-        let fitted = baseline.fit(data, partition.known().stopped_by(session.stop))?;
-        let name = baseline.name_for(data.task());
-        // Reading a file has no latency of a method.
-        let is_measured = |metric: &&Plugin<dyn Metric>| !baseline.is_external() || metric.scope() != Scope::Model;
-        let metrics: Vec<_> = self.pipeline.metrics.iter().filter(is_measured).cloned().collect();
-        let measured = self.test.score_baseline(&name, &*fitted, &metrics, session)?;
-        let mut intervals = None;
-        if let Some(calibrator) = self.calibrator.as_ref().filter(|_| !fitted.is_oracle())
-            && let Some(calibration) = calibrator.calibrate_baseline(&*fitted, session)?
-        {
-            intervals = Some(calibrator.measure_intervals((&name, &*fitted), &calibration, session)?.0);
+    /// Scores the members of an ensemble, unless there are many; returns their spread and error.
+    fn score_members(&mut self, model: &Ensemble, ready: &Prepared<'_>) -> Result<Confidence> {
+        let shown = if model.members().len() > MOST_SHOWN { &[] } else { model.members() };
+        for (name, member) in model.names().iter().zip(shown) {
+            let (name, member) = (format!("member {name}"), Ensemble::of(member.clone()));
+            self.score_model(&name, &member, &member.prepare())?;
+            self.table.members.push(name);
         }
-        Ok(ScoredBaseline { name, measured, is_oracle: fitted.is_oracle(), intervals, note: fitted.note() })
+        let SplitData { data, partition } = self.scorer.run.split;
+        let measure = || Confidence::measure(ready, data, &partition.test, self.scorer.run.session);
+        self.partial.complete("confidence", measure)
+    }
+
+    /// Measures the intervals of a calibrated model; returns the columns of `samples.csv`, a row per test link.
+    fn measure_intervals(&mut self, model: &Ensemble, ready: &Prepared<'_>) -> Result<Vec<Vec<f64>>> {
+        let Some(calibration) = model.calibration() else { return Ok(Vec::new()) };
+        self.scorer.left_out =
+            Some(left_out_links(self.scorer.run.pipeline, self.scorer.run.split, model.members().len())?);
+        let measure = || self.scorer.run.measure_intervals((MODEL, ready), calibration);
+        let (scores, rows) = self.partial.complete("intervals", measure)?;
+        self.table.intervals.push(scores);
+        Ok(rows)
+    }
+
+    /// Scores the baselines of the pipeline.
+    fn score_baselines(&mut self) -> Result<()> {
+        let (pipeline, SplitData { data, partition }) = (self.scorer.run.pipeline, self.scorer.run.split);
+        pipeline.check_external(data, &partition.test)?;
+        for (index, baseline) in pipeline.baselines.iter().enumerate() {
+            self.scorer.run.session.check_stopped()?;
+            let mut score = || self.scorer.score_baseline(baseline);
+            // The file of predictions may have been mended since.
+            let scored = if baseline.is_external() {
+                score()?
+            } else {
+                self.partial.complete(&format!("baseline {index}"), score)?
+            };
+            self.add_baseline(scored);
+        }
+        Ok(())
     }
 
     /// Adds the scores of a baseline.
@@ -193,13 +216,15 @@ impl OpenEvaluation<'_> {
     }
 
     /// Summarises all scores, with noise ceiling, paired differences and notes.
-    fn conclude(self, session: &Session<'_>) -> Result<Scores> {
-        let (SplitData { data, partition }, predictors, mut table) = (self.split, self.predictors, self.table);
-        let ceiling = estimate_noise_ceiling(data, partition, &self.pipeline.metrics, session.stop)?;
+    fn conclude(self) -> Result<Scores> {
+        let (ActiveRun { pipeline, split, session, .. }, predictors, mut table) =
+            (self.scorer.run, self.predictors, self.table);
+        let SplitData { data, partition } = split;
+        let ceiling = estimate_noise_ceiling(data, partition, &pipeline.metrics, session.stop)?;
         let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
         let known = partition.known().all().len();
         // Each of several models leaves out another part.
-        let trained = if self.pipeline.members > 1 { known } else { partition.train.len() };
+        let trained = if pipeline.members > 1 { known } else { partition.train.len() };
         table.samples = [trained, known, ids.len()];
         table.notes.extend(ceiling.notes);
         table.notes.extend(table.intervals.iter().map(|scores| scores.note(data.task(), &table.intervals[0])));
@@ -216,6 +241,28 @@ impl OpenEvaluation<'_> {
     }
 }
 
+impl TestScorer<'_, '_, '_> {
+    /// Fits `baseline` to training and validation samples and scores it; if the model has intervals, also its intervals.
+    fn score_baseline(&mut self, baseline: &Plugin<dyn Baseline>) -> Result<ScoredBaseline> {
+        let SplitData { data, partition } = self.run.split;
+        let run = &mut *self.run;
+        let fitted = baseline.fit(data, partition.known().stopped_by(run.session.stop))?;
+        let name = baseline.name_for(data.task());
+        // Reading a file has no latency of a method.
+        let is_measured = |metric: &&Plugin<dyn Metric>| !baseline.is_external() || metric.scope() != Scope::Model;
+        let metrics: Vec<_> = run.pipeline.metrics.iter().filter(is_measured).cloned().collect();
+        let predictor = Predictor::Baseline(&*fitted);
+        let measured = self.test.score(ScoredPredictor { name: &name, predictor, metrics: &metrics }, run.session)?;
+        let mut intervals = None;
+        if let Some(left_out) = self.left_out.as_ref().filter(|_| !fitted.is_oracle())
+            && let Some(calibration) = run.calibrate_baseline(&*fitted, left_out)?
+        {
+            intervals = Some(run.measure_intervals((&name, &*fitted), &calibration)?.0);
+        }
+        Ok(ScoredBaseline { name, measured, is_oracle: fitted.is_oracle(), intervals, note: fitted.note() })
+    }
+}
+
 /// Describes the share of a model and its residual processes.
 fn residuals_note(residuals: &Residuals, task: Task) -> String {
     let describe = |process: &ResidualProcess| {
@@ -227,36 +274,6 @@ fn residuals_note(residuals: &Residuals, task: Task) -> String {
     notes.dedup();
     let share = residuals.describe_share(task).unwrap_or_default();
     format!("{share}; residuals are Kriged ({})", notes.join("; "))
-}
-
-/// Returns the mean of the first validation metric for each baseline, fitted on the training set alone, on the samples
-/// of `validation.csv`; finite values only. Empty if the pipeline validates nothing.
-///
-/// # Errors
-/// A baseline or a metric returns an error; [`Error::Stopped`](pwrfgs_core::Error::Stopped) once the session is stopped.
-pub(crate) fn validation_baselines(
-    plane: &ImagePlane,
-    pipeline: &Pipeline,
-    SplitData { data, partition }: &SplitData,
-    session: &mut Session<'_>,
-    partial: &mut PartialScores,
-) -> Result<Vec<(String, f64)>> {
-    let part = evenly(&partition.validation, pipeline.training.validation_samples);
-    if part.is_empty() || pipeline.training.validate_every == 0 {
-        return Ok(Vec::new());
-    }
-    let (bench, metrics) = (EvaluationSet::new(data, &part, plane), defaults::validation(data.task()));
-    let mut all = Vec::new();
-    for (index, baseline) in pipeline.baselines.iter().enumerate().filter(|(_, baseline)| !baseline.is_external()) {
-        session.check_stopped()?;
-        all.extend(partial.complete(&format!("validation of baseline {index}"), || {
-            let fitted = baseline.fit(data, FittingSet::train(&partition.train).stopped_by(session.stop))?;
-            let name = baseline.name_for(data.task());
-            let measured = bench.score_baseline(&name, &*fitted, &metrics, session)?;
-            Ok(measured.first().map(|m| m.values.mean()).filter(|mean| mean.is_finite()).map(|mean| (name, mean)))
-        })?);
-    }
-    Ok(all)
 }
 
 /// Checks that a model predicts observations such as those of the data: task, size, directions, receivers and frequencies.
@@ -275,7 +292,7 @@ impl Confidence {
     /// A spectrum that cannot be read; [`pwrfgs_core::Error::Stopped`] once the session is stopped.
     pub fn measure(model: &Prepared<'_>, data: &Dataset, part: &[usize], session: &mut Session<'_>) -> Result<Self> {
         let stop = session.stop;
-        staged(session.observer, "measuring the spread of members", |progress| {
+        run_stage(session.observer, "measuring the spread of members", |progress| {
             let mut all = Self { ids: part.iter().map(|&i| data.label(i)).collect(), ..Self::default() };
             let done = AtomicUsize::new(0);
             let measure_link = |&i: &usize| {

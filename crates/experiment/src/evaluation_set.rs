@@ -3,15 +3,15 @@
 //! Only the predictions and spectra of one chunk are in memory (unless a metric needs all), so memory does not grow
 //! with the number of samples.
 
-use crate::session::{Session, staged};
+use crate::session::{Session, run_stage};
 use pwrfgs_core::{
-    Dataset, Error, Evaluation, Image, ImagePlane, Link, Measurement, Metric, ModelFacts, Plugin, Predict, Progress,
-    Query, Result, Scope, StageTimes, Values, check_stopped,
+    Dataset, Error, Evaluation, Image, ImagePlane, Link, Measurement, Metric, ModelFacts, Plugin, Predict, Query,
+    Result, Scope, StageTimes, Values, check_stopped,
 };
 use pwrfgs_model::Prepared;
 use rayon::prelude::*;
 use std::cell::Cell;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 /// Largest number of links per prediction call, and of single numbers.
@@ -20,23 +20,78 @@ const MANY: usize = 4096;
 /// Largest number of pixels per prediction call for larger images; 8 bytes each with the measured ones.
 const PIXELS: usize = 1 << 21;
 
-/// Function that predicts links and reports how many more are done.
-type Predictor<'a> = dyn Fn(&[Query<'_>], &(dyn Fn(usize) + Sync)) -> Vec<Image> + 'a;
-
-/// Function that takes the predictions, observations and links of one chunk.
-type Visit<'a> = dyn FnMut(Vec<Image>, Vec<Image>, &[Link]) -> Result<()> + 'a;
-
-/// Model or baseline, and the metrics to score it by.
+/// Model or baseline that predicts the samples.
 #[derive(Clone, Copy)]
-struct ScoredPredictor<'a> {
+pub enum Predictor<'a> {
+    /// Model, with facts for model metrics. Without facts, model metrics and timing are omitted.
+    Model(&'a Prepared<'a>, Option<ModelFacts<'a>>),
+    /// Fitted baseline.
+    Baseline(&'a dyn Predict),
+}
+
+impl<'a> Predictor<'a> {
+    /// Predicts the links; `done` gets the number of links completed since its last call.
+    fn predict(self, queries: &[Query<'_>], done: &(dyn Fn(usize) + Sync)) -> Vec<Image> {
+        match self {
+            Self::Model(model, _) => {
+                let images = model.predict_many(queries);
+                done(queries.len());
+                images
+            }
+            Self::Baseline(fitted) => {
+                let predict_one = |query: &Query<'_>| {
+                    let image = fitted.predict(*query);
+                    done(1);
+                    image
+                };
+                queries.par_iter().map(predict_one).collect()
+            }
+        }
+    }
+
+    /// Predicts one link and returns the time per stage.
+    fn time(self, query: Query<'_>) -> StageTimes {
+        match self {
+            Self::Model(model, _) => model.predict_timed(query).1,
+            Self::Baseline(fitted) => {
+                let begun = Instant::now();
+                std::hint::black_box(fitted.predict(query));
+                StageTimes { total: begun.elapsed().as_secs_f64(), ..StageTimes::default() }
+            }
+        }
+    }
+
+    /// Returns the facts for model metrics; `None` for a baseline.
+    const fn facts(self) -> Option<ModelFacts<'a>> {
+        match self {
+            Self::Model(_, facts) => facts,
+            Self::Baseline(_) => None,
+        }
+    }
+
+    /// Returns whether metrics may time predictions.
+    const fn is_timed(self) -> bool {
+        !matches!(self, Self::Model(_, None))
+    }
+}
+
+/// Predictor, and the metrics to score it by.
+#[derive(Clone, Copy)]
+pub struct ScoredPredictor<'a> {
     /// Name in messages.
-    name: &'a str,
-    metrics: &'a [Plugin<dyn Metric>],
-    predict: &'a Predictor<'a>,
-    /// Facts for model metrics; `None` for a baseline.
-    facts: Option<ModelFacts<'a>>,
-    /// Function that predicts one link and returns the time per stage; `None` without timing.
-    time: Option<&'a dyn Fn(Query<'_>) -> StageTimes>,
+    pub name: &'a str,
+    /// The model or baseline.
+    pub predictor: Predictor<'a>,
+    /// The metrics.
+    pub metrics: &'a [Plugin<dyn Metric>],
+}
+
+/// Measurements of a predictor so far.
+struct OpenMeasurements {
+    /// Measurements by each metric.
+    by_metric: Vec<Vec<Measurement>>,
+    /// Predictions and observations if a metric needs all of them, otherwise empty.
+    images: [Vec<Image>; 2],
 }
 
 /// Returns an error for predictions that are not finite, which would give invalid scores.
@@ -63,121 +118,69 @@ impl<'a> EvaluationSet<'a> {
         Self { data, plane, part: part.to_vec(), links: part.iter().map(|&i| data.links[i]).collect() }
     }
 
-    /// Measures `model`, called `name` in messages, by every metric. Without `facts`, model metrics and timing are
-    /// omitted.
-    ///
-    /// # Errors
-    /// A metric returns an error or a spectrum cannot be read; [`Error::Stopped`] once `stop` is set.
-    pub fn score_model(
-        &self,
-        name: &str,
-        model: &Prepared<'_>,
-        facts: Option<ModelFacts<'_>>,
-        metrics: &[Plugin<dyn Metric>],
-        session: &mut Session<'_>,
-    ) -> Result<Vec<Measurement>> {
-        let time = |query: Query<'_>| model.predict_timed(query).1;
-        let predictor = ScoredPredictor {
-            name,
-            metrics,
-            predict: &|queries, done| {
-                let images = model.predict_many(queries);
-                done(queries.len());
-                images
-            },
-            facts,
-            time: facts.is_some().then_some(&time),
-        };
-        self.measure(predictor, session)
-    }
-
-    /// Measures the baseline called `name` by every metric.
-    ///
-    /// # Errors
-    /// Same as [`Self::score_model`].
-    pub fn score_baseline(
-        &self,
-        name: &str,
-        fitted: &dyn Predict,
-        metrics: &[Plugin<dyn Metric>],
-        session: &mut Session<'_>,
-    ) -> Result<Vec<Measurement>> {
-        let time = |query: Query<'_>| {
-            let begun = Instant::now();
-            std::hint::black_box(fitted.predict(query));
-            StageTimes { total: begun.elapsed().as_secs_f64(), ..StageTimes::default() }
-        };
-        let predict = |queries: &[Query<'_>], done: &(dyn Fn(usize) + Sync)| {
-            let predict_one = |query: &Query<'_>| {
-                let image = fitted.predict(*query);
-                done(1);
-                image
-            };
-            queries.par_iter().map(predict_one).collect()
-        };
-        let predictor = ScoredPredictor { name, metrics, predict: &predict, facts: None, time: Some(&time) };
-        self.measure(predictor, session)
-    }
-
     /// Measures a predictor by all its metrics, in their order.
-    fn measure(&self, predictor: ScoredPredictor<'_>, session: &mut Session<'_>) -> Result<Vec<Measurement>> {
-        let metrics = predictor.metrics;
-        let mut measurements: Vec<Vec<Measurement>> = vec![Vec::new(); metrics.len()];
-        let images = self.measure_chunks(predictor, &mut measurements, session)?;
+    ///
+    /// # Errors
+    /// A metric returns an error or a spectrum cannot be read; [`Error::Stopped`] once the session is stopped.
+    pub fn score(&self, scored: ScoredPredictor<'_>, session: &mut Session<'_>) -> Result<Vec<Measurement>> {
+        let mut measurements = self.measure_chunks(scored, session)?;
         session.check_stopped()?;
         pwrfgs_core::device::check()?;
-        if self.part.is_empty() || metrics.iter().any(|m| m.scope() != Scope::Sample) {
-            self.measure_whole(predictor, &images, &mut measurements, session)?;
+        if self.part.is_empty() || scored.metrics.iter().any(|m| m.scope() != Scope::Sample) {
+            self.measure_whole(scored, &mut measurements, session)?;
         }
-        Ok(measurements.into_iter().flatten().collect())
+        Ok(measurements.by_metric.into_iter().flatten().collect())
     }
 
-    /// Predicts all samples and adds the measurements by the metrics of single samples, one list per metric. Returns
-    /// predictions and observations if a metric needs all of them, otherwise nothing.
-    fn measure_chunks(
-        &self,
-        ScoredPredictor { name, metrics, predict, facts, .. }: ScoredPredictor<'_>,
-        measurements: &mut [Vec<Measurement>],
-        session: &mut Session<'_>,
-    ) -> Result<[Vec<Image>; 2]> {
-        let evaluation = Evaluation { model: facts, ..Evaluation::of(self.data, self.plane) };
+    /// Predicts all samples chunk by chunk and measures them by the metrics of single samples.
+    fn measure_chunks(&self, scored: ScoredPredictor<'_>, session: &mut Session<'_>) -> Result<OpenMeasurements> {
+        let ScoredPredictor { name, predictor, metrics } = scored;
         let needs_all = metrics.iter().any(|m| m.scope() == Scope::All);
-        let ([mut predictions, mut truths], stop) = (<[Vec<Image>; 2]>::default(), session.stop);
-        staged(session.observer, &format!("predicting with {name}"), |progress| {
-            self.predict_chunks(predict, stop, progress, &mut |predicted, measured, links| {
-                refuse_infinite(name, &predicted)?;
-                let chunk = Evaluation { predictions: &predicted, truths: &measured, links, ..evaluation };
+        let evaluation = Evaluation { model: predictor.facts(), ..Evaluation::of(self.data, self.plane) };
+        let (mut by_metric, mut images) = (vec![Vec::new(); metrics.len()], <[Vec<Image>; 2]>::default());
+        let numbers = self.plane.width * self.plane.height;
+        let size = (PIXELS / numbers.max(1)).clamp(1, if numbers == 1 { MANY } else { CHUNK });
+        let (done, stop) = (AtomicUsize::new(0), session.stop);
+        run_stage(session.observer, &format!("predicting with {name}"), |progress| {
+            let count = |more: usize| progress(done.fetch_add(more, Ordering::Relaxed) + more, self.part.len());
+            for (part, links) in self.part.chunks(size).zip(self.links.chunks(size)) {
+                check_stopped(stop)?;
+                let queries: Vec<Query<'_>> = part.iter().map(|&i| self.data.query(i)).collect();
+                let predictions = predictor.predict(&queries, &count);
+                let truths: Vec<Image> = part.par_iter().map(|&i| self.data.image(i)).collect();
+                self.data.observations.check()?;
+                refuse_infinite(name, &predictions)?;
+                let chunk = Evaluation { predictions: &predictions, truths: &truths, links, ..evaluation };
                 let per_sample = |(_, metric): &(_, &Plugin<dyn Metric>)| metric.scope() == Scope::Sample;
-                for (so_far, metric) in measurements.iter_mut().zip(metrics).filter(per_sample) {
-                    append_measurements(so_far, metric.evaluate(&chunk)?, predicted.len())?;
+                for (measured, metric) in by_metric.iter_mut().zip(metrics).filter(per_sample) {
+                    append_measurements(measured, metric.evaluate(&chunk)?, part.len())?;
                 }
                 if needs_all {
-                    predictions.extend(predicted);
-                    truths.extend(measured);
+                    images[0].extend(predictions);
+                    images[1].extend(truths);
                 }
-                Ok(())
-            })
-        })?;
-        Ok([predictions, truths])
+            }
+            Ok(OpenMeasurements { by_metric, images })
+        })
     }
 
     /// Adds the measurements by the metrics of the whole model and of all samples; of an empty set, by all metrics.
     fn measure_whole(
         &self,
-        ScoredPredictor { name, metrics, facts, time, .. }: ScoredPredictor<'_>,
-        [predictions, truths]: &[Vec<Image>; 2],
-        measurements: &mut [Vec<Measurement>],
+        ScoredPredictor { name, predictor, metrics }: ScoredPredictor<'_>,
+        measurements: &mut OpenMeasurements,
         session: &mut Session<'_>,
     ) -> Result<()> {
         // Latency is that of links predicted one by one.
         let count = &Cell::new(0);
-        let timer = time.map(|time| move || self.time_next(time, count));
+        let timer = predictor.is_timed().then_some(move || self.time_next(predictor, count));
         let timed_prediction = timer.as_ref().map(|timer| timer as &dyn Fn() -> StageTimes);
+        let OpenMeasurements { by_metric, images: [predictions, truths] } = measurements;
         let samples = Evaluation::of(self.data, self.plane);
-        let whole = Evaluation { model: facts, timed_prediction, ..samples };
+        let whole = Evaluation { model: predictor.facts(), timed_prediction, ..samples };
         let all = Evaluation { predictions, truths, links: &self.links, ..whole };
-        staged(session.observer, &format!("scoring {name}"), |progress| {
-            for (k, (measured, metric)) in measurements.iter_mut().zip(metrics).enumerate() {
+        run_stage(session.observer, &format!("scoring {name}"), |progress| {
+            for (k, (measured, metric)) in by_metric.iter_mut().zip(metrics).enumerate() {
                 match metric.scope() {
                     Scope::All => *measured = metric.evaluate(&all)?,
                     Scope::Model => *measured = metric.evaluate(&whole)?,
@@ -191,33 +194,9 @@ impl<'a> EvaluationSet<'a> {
     }
 
     /// Times the prediction of the next sample in turn; `count` counts the calls.
-    fn time_next(&self, time: &dyn Fn(Query<'_>) -> StageTimes, count: &Cell<usize>) -> StageTimes {
+    fn time_next(&self, predictor: Predictor<'_>, count: &Cell<usize>) -> StageTimes {
         let next = count.replace(count.get() + 1) % self.part.len();
-        time(self.data.query(self.part[next]))
-    }
-
-    /// Predicts the samples chunk by chunk and passes predictions and observations to `visit`; `progress` counts
-    /// samples.
-    fn predict_chunks(
-        &self,
-        predict: &Predictor<'_>,
-        stop: &AtomicBool,
-        progress: Progress<'_>,
-        visit: &mut Visit<'_>,
-    ) -> Result<()> {
-        let numbers = self.plane.width * self.plane.height;
-        let size = (PIXELS / numbers.max(1)).clamp(1, if numbers == 1 { MANY } else { CHUNK });
-        let done = AtomicUsize::new(0);
-        let report_progress = |more: usize| progress(done.fetch_add(more, Ordering::Relaxed) + more, self.part.len());
-        for (part, links) in self.part.chunks(size).zip(self.links.chunks(size)) {
-            check_stopped(stop)?;
-            let queries: Vec<Query<'_>> = part.iter().map(|&i| self.data.query(i)).collect();
-            let predictions = predict(&queries, &report_progress);
-            let truths = part.par_iter().map(|&i| self.data.image(i)).collect();
-            self.data.observations.check()?;
-            visit(predictions, truths, links)?;
-        }
-        Ok(())
+        predictor.time(self.data.query(self.part[next]))
     }
 }
 

@@ -12,11 +12,11 @@ use crate::facts::load_average;
 use crate::findings::channels::PhaseCheck;
 use crate::findings::{cloud, pose, spectra};
 use crate::input::resolve_pipeline;
-use crate::load::{SplitData, load, observed};
+use crate::load::{SplitData, describe_observations, load_split_data};
 use crate::repeatability::is_in_time_order;
 use crate::residuals::check_residuals;
 use crate::samples::nearest_training_distances;
-use crate::session::{Observer, staged};
+use crate::session::{Observer, run_stage};
 use crate::text::{format_length, grouped, number};
 use crate::training::{device_warning, new_trainer};
 use pwrfgs_core::neighbours::distance;
@@ -72,7 +72,7 @@ pub struct Preview {
 pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<Preview> {
     let load_before = load_average();
     let mut pipeline = resolve_pipeline(pipeline, base)?;
-    let split = load(&pipeline, base, observer)?;
+    let split = load_split_data(&pipeline, observer)?;
     let SplitData { data, partition } = &split;
     pipeline.check_data(data)?;
     check_residuals(&pipeline, &split, false)?;
@@ -84,12 +84,12 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         loaded_bytes = peak_memory(); // before a step is tried, which is counted by itself
         Ok(trainer)
     };
-    let trainer = staged(observer, "initialising", |_| new_trainer(&member, make))?;
+    let trainer = run_stage(observer, "initialising", |_| new_trainer(&member, make))?;
     let batch = pipeline.training.batch.min(data.locations_of(&member_partition.train).len());
     pipeline.set_all(&[format!("training.batch={batch}")])?; // as the trainer limits it
     let mut preview = Preview {
         title: data.title.clone(),
-        observed: observed(data),
+        observed: describe_observations(data),
         samples: partition.sizes(),
         weights: trainer.weight_count(),
         summary: DataSummary::of(data, SUMMARIZED, observer)?,
@@ -97,7 +97,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         warnings: trainer.warnings(),
         outlook: trainer.outlook(),
         step_bytes: trainer.step_bytes(),
-        time: staged(observer, "timing a few steps", |_| trainer.time())?,
+        time: run_stage(observer, "timing a few steps", |_| trainer.time())?,
         load: load_before,
         loaded_bytes,
         free_bytes: free_memory(),
@@ -135,7 +135,7 @@ impl DataSummary {
             summary.facts.extend(PhaseCheck::of(data).map(|phases| ("phases", phases.describe())));
             return Ok(summary);
         }
-        let spectra = staged(observer, "reading the spectra", |progress| spectra::summarize(data, most, progress))?;
+        let spectra = run_stage(observer, "reading the spectra", |progress| spectra::summarize(data, most, progress))?;
         summary.facts.extend(spectra::describe(data, &spectra));
         if data.unmatched != Unmatched::default() {
             let Unmatched { positions, pictures } = data.unmatched;

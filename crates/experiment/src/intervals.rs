@@ -1,15 +1,13 @@
 //! Prediction intervals of a run: calibration on links that a predictor was not fitted to, coverage on the test set.
 
-use crate::load::{ActiveRun, SplitData};
+use crate::load::ActiveRun;
 use crate::residuals::{check_residuals, left_out_links};
 use crate::scores::{IntervalScores, LEVEL, LevelScores};
-use crate::session::{Session, staged};
+use crate::session::run_stage;
 use pwrfgs_core::{Error, Image, Predict, Result, check_stopped};
 use pwrfgs_model::{Ensemble, HeldOutScores, Interval, IntervalCalibration, IntervalFactors};
-use pwrfgs_pipeline::Pipeline;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::time::Instant;
 
 /// Number of links predicted together.
 const CHUNK: usize = 64;
@@ -19,24 +17,18 @@ const LEVELS: [f64; 10] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, LEVEL, 0.95];
 /// Scores of links that a predictor was not fitted to, by link.
 type LinkScores = BTreeMap<usize, HeldOutScores>;
 
-/// Fits the residual process that `pipeline` selects to a model trained on the training set of `split`, and calibrates its
-/// intervals on the validation set.
-///
-/// # Errors
-/// Data that residuals do not support, a prediction that is not finite, or [`Error::Stopped`].
-pub fn calibrate_model(
-    pipeline: &Pipeline,
-    split: &SplitData,
-    model: Ensemble,
-    session: &mut Session<'_>,
-) -> Result<Ensemble> {
-    check_residuals(pipeline, split, false)?;
-    let mut run = ActiveRun { pipeline, split, session, begun: Instant::now() };
-    let fitted = run.fit_residuals(model, 1)?;
-    run.calibrate(fitted)
-}
-
 impl ActiveRun<'_, '_> {
+    /// Fits the residual process that the pipeline selects to a model trained on the training set, and calibrates its
+    /// intervals on the validation set.
+    ///
+    /// # Errors
+    /// Data that residuals do not support, a prediction that is not finite, or [`Error::Stopped`].
+    pub fn calibrate_model(&mut self, model: Ensemble) -> Result<Ensemble> {
+        check_residuals(self.pipeline, self.split, false)?;
+        let fitted = self.fit_residuals(model, 1)?;
+        self.calibrate(fitted)
+    }
+
     /// Returns the ensemble with a calibration, unless it has one, there are no links that its members did not train
     /// on, or intervals do not support the observations.
     ///
@@ -48,69 +40,42 @@ impl ActiveRun<'_, '_> {
             return Ok(ensemble);
         }
         let count = ensemble.members().len();
-        let calibrator = Calibrator::new(self.pipeline, split, count)?;
+        let lists = left_out_links(self.pipeline, split, count)?;
         let mut scores = LinkScores::new();
-        for (index, left_out) in calibrator.left_out.iter().enumerate().filter(|(_, links)| !links.is_empty()) {
-            let members: Vec<usize> = (index..count).step_by(calibrator.left_out.len()).collect();
-            let trained = calibrator.known_links_without(left_out);
+        for (index, left_out) in lists.iter().enumerate().filter(|(_, links)| !links.is_empty()) {
+            let members: Vec<usize> = (index..count).step_by(lists.len()).collect();
+            let known = split.partition.known().all().into_iter();
+            let trained: Vec<usize> = known.filter(|link| left_out.binary_search(link).is_err()).collect();
             let held_out = ensemble.held_out(&members, &split.data, &trained)?;
-            scores.extend(calibrator.score_held_out(&held_out.prepare(), left_out, self.session)?);
+            scores.extend(self.score_held_out(&held_out.prepare(), left_out)?);
         }
-        let calibration = calibrator.calibrate_by(scores);
+        let calibration = self.calibrate_by(scores);
         Ok(ensemble.with_calibration(calibration))
     }
-}
 
-/// Links for the calibration of predictors, and for the measurement of their intervals.
-pub(crate) struct Calibrator<'a> {
-    pipeline: &'a Pipeline,
-    split: &'a SplitData,
-    /// Lists of links, each predicted without the links of its list.
-    left_out: Vec<Vec<usize>>,
-}
-
-impl<'a> Calibrator<'a> {
-    /// Creates a calibrator for a model of `members` members, trained by a run or a joined sweep of `pipeline`, from the
-    /// links that they left out.
+    /// Calibrates a fitted baseline by the lists of links that models left out; `None` if it does not predict from samples,
+    /// or no links are left out.
     ///
     /// # Errors
-    /// As [`Pipeline::partition`].
-    pub(crate) fn new(pipeline: &'a Pipeline, split: &'a SplitData, members: usize) -> Result<Self> {
-        Ok(Self { pipeline, split, left_out: left_out_links(pipeline, split, members)? })
-    }
-
-    /// Calibrates a fitted baseline; `None` if it does not predict from samples, or no links are left out.
-    ///
-    /// # Errors
-    /// As [`ActiveRun::calibrate`].
+    /// As [`Self::calibrate`].
     pub(crate) fn calibrate_baseline(
-        &self,
+        &mut self,
         fitted: &dyn Predict,
-        session: &mut Session<'_>,
+        left_out: &[Vec<usize>],
     ) -> Result<Option<IntervalCalibration>> {
         let mut scores = LinkScores::new();
-        for links in self.left_out.iter().filter(|links| !links.is_empty()) {
+        for links in left_out.iter().filter(|links| !links.is_empty()) {
             let Some(held_out) = fitted.without(links) else { return Ok(None) };
-            scores.extend(self.score_held_out(&*held_out, links, session)?);
+            scores.extend(self.score_held_out(&*held_out, links)?);
         }
         Ok(self.calibrate_by(scores))
     }
 
-    /// Lists the training and validation links without `links`, which are ascending.
-    fn known_links_without(&self, links: &[usize]) -> Vec<usize> {
-        self.split.partition.known().all().into_iter().filter(|link| links.binary_search(link).is_err()).collect()
-    }
-
     /// Scores `links`, which `predictor` was not fitted to, for a calibration.
-    fn score_held_out(
-        &self,
-        predictor: &dyn Predict,
-        links: &[usize],
-        session: &mut Session<'_>,
-    ) -> Result<LinkScores> {
+    fn score_held_out(&mut self, predictor: &dyn Predict, links: &[usize]) -> Result<LinkScores> {
         let task = self.split.data.task();
         let score = |shown: &Image, deviation: f64, truth: &Image| HeldOutScores::of(task, shown, deviation, truth);
-        let scores = self.score_links("calibrating intervals", predictor, links, session, score)?;
+        let scores = self.score_links("calibrating intervals", predictor, links, score)?;
         Ok(links.iter().copied().zip(scores).collect())
     }
 
@@ -127,12 +92,11 @@ impl<'a> Calibrator<'a> {
     /// a row per test link; empty with too few blocks.
     ///
     /// # Errors
-    /// As [`ActiveRun::calibrate`].
+    /// As [`Self::calibrate`].
     pub(crate) fn measure_intervals(
-        &self,
+        &mut self,
         (name, predictor): (&str, &dyn Predict),
         calibration: &IntervalCalibration,
-        session: &mut Session<'_>,
     ) -> Result<(IntervalScores, Vec<Vec<f64>>)> {
         let (task, test) = (self.split.data.task(), &self.split.partition.test);
         let factors: Vec<(f64, IntervalFactors)> =
@@ -144,17 +108,12 @@ impl<'a> Calibrator<'a> {
             };
             factors.iter().map(of_level).collect::<Vec<_>>()
         };
-        let intervals = self.score_links("measuring intervals", predictor, test, session, measure)?;
+        let intervals = self.score_links("measuring intervals", predictor, test, measure)?;
         let blocks = self.pipeline.split.blocks(&self.split.data, test);
         let weights = link_weights(&blocks);
         let scores = |(k, (level, _)): (usize, &(f64, IntervalFactors))| {
-            let mean = |value: &dyn Fn(&MeasuredInterval) -> f64| {
-                test.iter().zip(&intervals).map(|(link, levels)| weights[link] * value(&levels[k])).sum::<f64>()
-            };
-            let part = |c: usize| mean(&|interval| interval.ssim.map_or(0.0, |ssim| ssim[c]));
-            let ssim = intervals.iter().any(|levels| levels[k].ssim.is_some()).then(|| [part(0), part(1)]);
-            let (coverage, width) = (mean(&|interval| interval.coverage), mean(&|interval| interval.width));
-            LevelScores { level: *level, coverage, width, ssim }
+            let weighted = test.iter().zip(&intervals).map(|(link, levels)| (weights[link], &levels[k]));
+            MeasuredInterval::mean_scores(*level, &weighted.collect::<Vec<_>>())
         };
         let levels = factors.iter().enumerate().map(scores).collect();
         let shown = factors.iter().position(|(level, _)| *level == LEVEL);
@@ -171,16 +130,15 @@ impl<'a> Calibrator<'a> {
     /// returns the scores in the order of `links`.
     ///
     /// # Errors
-    /// As [`ActiveRun::calibrate`].
+    /// As [`Self::calibrate`].
     fn score_links<T: Send>(
-        &self,
+        &mut self,
         stage: &str,
         predictor: &dyn Predict,
         links: &[usize],
-        session: &mut Session<'_>,
         score: impl Fn(&Image, f64, &Image) -> T + Sync,
     ) -> Result<Vec<T>> {
-        let (data, stop) = (&self.split.data, session.stop);
+        let (data, stop) = (&self.split.data, self.session.stop);
         let score_link = |&i: &usize| {
             let prediction = data.task().shown(predictor.predict(data.query(i)));
             let deviation = predictor.deviation(data.query(i)).unwrap_or(1.0);
@@ -190,7 +148,7 @@ impl<'a> Calibrator<'a> {
             }
             Ok(score(&prediction, deviation, &data.image(i)))
         };
-        staged(session.observer, stage, |progress| {
+        run_stage(self.session.observer, stage, |progress| {
             let mut scores = Vec::with_capacity(links.len());
             for chunk in links.chunks(CHUNK) {
                 check_stopped(stop)?;
@@ -222,6 +180,15 @@ struct MeasuredInterval {
 }
 
 impl MeasuredInterval {
+    /// Averages intervals of one `level` by their weights.
+    fn mean_scores(level: f64, weighted: &[(f64, &Self)]) -> LevelScores {
+        let mean = |value: &dyn Fn(&Self) -> f64| weighted.iter().map(|(w, interval)| w * value(interval)).sum::<f64>();
+        let part = |c: usize| mean(&|interval| interval.ssim.map_or(0.0, |ssim| ssim[c]));
+        let ssim = weighted.iter().any(|(_, interval)| interval.ssim.is_some()).then(|| [part(0), part(1)]);
+        let (coverage, width) = (mean(&|interval| interval.coverage), mean(&|interval| interval.width));
+        LevelScores { level, coverage, width, ssim }
+    }
+
     /// Compares an interval with its measurement; `score` is the SSIM of the prediction.
     fn of(interval: &Interval, truth: &Image, score: Option<f64>) -> Self {
         let Interval { lower, upper, ssim } = interval;

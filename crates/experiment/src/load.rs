@@ -1,7 +1,7 @@
 //! Loads and splits the data of a pipeline, describes their size, and checks them for [findings](crate::collect_findings).
 
 use crate::findings::{Finding, collect_findings, reject_findings};
-use crate::session::{Observer, Session, staged};
+use crate::session::{Observer, Session, run_stage};
 use crate::text::grouped;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_pipeline::Pipeline;
@@ -18,7 +18,8 @@ pub struct SplitData {
 }
 
 /// Run in progress: its pipeline, data and session.
-pub(crate) struct ActiveRun<'a, 's> {
+#[derive(Debug)]
+pub struct ActiveRun<'a, 's> {
     /// Pipeline with absolute paths, scaled.
     pub(crate) pipeline: &'a Pipeline,
     pub(crate) split: &'a SplitData,
@@ -27,27 +28,33 @@ pub(crate) struct ActiveRun<'a, 's> {
     pub(crate) begun: Instant,
 }
 
-/// Loads the data of a pipeline, splits and checks them.
+impl<'a, 's> ActiveRun<'a, 's> {
+    /// Starts a run of `pipeline`, which has absolute paths and is scaled, on its data.
+    pub fn new(pipeline: &'a Pipeline, split: &'a SplitData, session: &'a mut Session<'s>) -> Self {
+        Self { pipeline, split, session, begun: Instant::now() }
+    }
+}
+
+/// Loads the data of a pipeline with absolute paths, splits and checks them.
 ///
 /// # Errors
 /// Invalid data, a split without training or test samples, or findings that make results meaningless and that the pipeline
 /// does not accept.
-pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<SplitData> {
-    load_with_findings(pipeline, base, Some(&pipeline.accept), observer).map(|(split, _)| split)
+pub fn load_split_data(pipeline: &Pipeline, observer: &mut dyn Observer) -> Result<SplitData> {
+    load_with_findings(pipeline, Some(&pipeline.accept), observer).map(|(split, _)| split)
 }
 
-/// Loads, splits and checks the data as [`load`] does, also with the findings on them. `accepted` are the names of accepted
-/// findings; `None` accepts all, for data of a run that has begun.
+/// Loads, splits and checks the data as [`load_split_data`] does, also with the findings on them. `accepted` are the names of
+/// accepted findings; `None` accepts all, for data of a run that has begun.
 ///
 /// # Errors
-/// As [`load`].
+/// As [`load_split_data`].
 pub fn load_with_findings(
     pipeline: &Pipeline,
-    base: &Path,
     accepted: Option<&[String]>,
     observer: &mut dyn Observer,
 ) -> Result<(SplitData, Vec<Finding>)> {
-    let mut data = staged(observer, "spectra", |progress| pipeline.data.load(base, progress))?;
+    let mut data = run_stage(observer, "spectra", |progress| pipeline.data.load(Path::new(""), progress))?;
     let partition = pipeline.partition(&data)?;
     for (part, name) in [(&partition.train, "training"), (&partition.test, "test")] {
         if part.is_empty() {
@@ -81,7 +88,7 @@ pub fn check_findings(
 
 /// Describes number and size of the observations: `33,600 received powers at 21 receivers`, `1,000 channels of 16
 /// antennas x 16 subcarriers`, `980 spectra of 360 x 90 pixels`.
-pub fn observed(data: &Dataset) -> String {
+pub fn describe_observations(data: &Dataset) -> String {
     let (task, receivers) = (data.task(), data.scene.receivers.len());
     let size = task.size_text((data.width, data.height)).map_or_else(String::new, |size| format!(" of {size}"));
     let ends = if receivers > 1 { format!(" at {receivers} receivers") } else { String::new() };

@@ -13,7 +13,6 @@ use crate::session::{LoadedRun, Observer, PageBuilder};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Dataset, Error, Result};
 use pwrfgs_model::Ensemble;
-use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
 
 impl Record {
@@ -22,35 +21,34 @@ impl Record {
     /// # Errors
     /// Invalid data, or data that have changed since the run.
     pub fn load_data(&self, observer: &mut dyn Observer) -> Result<Dataset> {
-        let (SplitData { data, .. }, _) = load_with_findings(&self.pipeline, Path::new(""), None, observer)?;
+        let (SplitData { data, .. }, _) = load_with_findings(&self.pipeline, None, observer)?;
         self.partition(&data).map(|_| data)
     }
 }
 
-/// Writes the results of an evaluation into `folder`: `samples.csv`, `scores.csv`, for an ensemble `confidence.csv`,
-/// and `report.html` created by `page`.
-///
-/// # Errors
-/// A damaged training file; [`Error::Write`].
-pub fn write_results(
-    folder: &Path,
-    pipeline: &Pipeline,
-    facts: &Facts,
-    SplitData { data, partition }: &SplitData,
-    model: &Ensemble,
-    EvaluationResult { scores, confidence }: &EvaluationResult,
-    page: Option<PageBuilder>,
-) -> Result<()> {
-    let write = |name: &str, text: String| write_atomically(&folder.join(name), text.as_bytes());
-    write(SAMPLES, samples_csv(data, partition, &scores.intervals))?;
-    write(SCORES, scores.to_csv())?;
-    confidence.as_ref().map_or(Ok(()), |confidence| write(CONFIDENCE, confidence.to_csv()))?;
-    let Some(page) = page else { return Ok(()) };
-    let record = Record::of(folder, pipeline, facts.clone())?;
-    write(REPORT, page(&LoadedRun { record: &record, data, partition, model })?)
-}
-
 impl ActiveRun<'_, '_> {
+    /// Writes the results of an evaluation into `folder`: `samples.csv`, `scores.csv`, for an ensemble `confidence.csv`, and
+    /// `report.html` if the session has a `page`.
+    ///
+    /// # Errors
+    /// A damaged training file; [`Error::Write`].
+    pub fn write_results(
+        &self,
+        folder: &Path,
+        facts: &Facts,
+        model: &Ensemble,
+        EvaluationResult { scores, confidence }: &EvaluationResult,
+    ) -> Result<()> {
+        let SplitData { data, partition } = self.split;
+        let write = |name: &str, text: String| write_atomically(&folder.join(name), text.as_bytes());
+        write(SAMPLES, samples_csv(data, partition, &scores.intervals))?;
+        write(SCORES, scores.to_csv())?;
+        confidence.as_ref().map_or(Ok(()), |confidence| write(CONFIDENCE, confidence.to_csv()))?;
+        let Some(page) = self.session.page else { return Ok(()) };
+        let record = Record::of(folder, self.pipeline, facts.clone())?;
+        write(REPORT, page(&LoadedRun { record: &record, data, partition, model })?)
+    }
+
     /// Concludes the run in `folder`: writes the scores, the report if the session has a `page`, the checksums and
     /// `run.json`, and removes the checkpoint unless the session keeps it. Returns the summary of the scores, which the
     /// observer also gets.
@@ -70,7 +68,7 @@ impl ActiveRun<'_, '_> {
         facts.finished = Some(utc_now());
         facts.report = self.session.page.is_some();
         facts.update_peak_memory(); // here, so that report and run.json agree
-        write_results(path, self.pipeline, &facts, self.split, model, &result, self.session.page)?;
+        self.write_results(path, &facts, model, &result)?;
         facts.seal(path)?;
         if !self.session.keep_checkpoint {
             self.remove_resume_files(folder);

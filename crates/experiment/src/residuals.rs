@@ -1,7 +1,7 @@
 //! Fits the residual processes of a trained model, or of an ensemble.
 
 use crate::load::{ActiveRun, SplitData};
-use crate::session::staged;
+use crate::session::run_stage;
 use pwrfgs_core::{Error, Result, SiteSize, block_of};
 use pwrfgs_model::{Ensemble, KnownLinks, Residuals};
 use pwrfgs_pipeline::Pipeline;
@@ -75,10 +75,10 @@ impl ActiveRun<'_, '_> {
         }
         let blocks = label_blocks(self.pipeline, self.split, &links);
         let (data, parts) = (&self.split.data, lists.len());
-        let links = KnownLinks { data, links: &links, left_out: &left_out, parts, blocks: &blocks };
         let stop = self.session.stop;
-        let fitted = staged(self.session.observer, "fitting residuals", |progress| {
-            Residuals::fit(settings, &ensemble, links, stop, progress)
+        let links = KnownLinks { data, links: &links, left_out: &left_out, parts, blocks: &blocks, stop };
+        let fitted = run_stage(self.session.observer, "fitting residuals", |progress| {
+            Residuals::fit(settings, &ensemble, links, progress)
         })?;
         Ok(ensemble.with_residuals(Some(fitted)))
     }

@@ -1,11 +1,11 @@
 //! `run`: trains, evaluates and reports a pipeline; resumes earlier starts.
 
-use crate::evaluate::{check_alike, evaluate_parts, validation_baselines};
+use crate::evaluate::check_alike;
 use crate::facts::Facts;
 use crate::folder::{CURVE, MODEL_FILE, member_folder};
 use crate::input::resolve_pipeline;
 use crate::journal::Journal;
-use crate::load::{ActiveRun, load, load_with_findings};
+use crate::load::{ActiveRun, load_split_data, load_with_findings};
 use crate::partial_scores::PartialScores;
 use crate::record::{read_validation, series_column};
 use crate::residuals::check_residuals;
@@ -47,9 +47,9 @@ pub enum RunOutcome {
 /// Invalid input, before files are written; a folder that cannot be written; values that are not finite. Files written
 /// so far stay intact.
 pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'_>) -> Result<RunOutcome> {
-    let begun = Instant::now();
+    let pipeline = resolve_pipeline(pipeline, base)?;
     loop {
-        if let Some(end) = start_or_resume(pipeline, base, out, session, begun)? {
+        if let Some(end) = start_or_resume(&pipeline, out, session)? {
             return Ok(end);
         }
     }
@@ -68,7 +68,7 @@ pub fn score_model(
     session: &mut Session<'_>,
 ) -> Result<RunOutcome> {
     let resolved = resolve_pipeline(pipeline, base)?;
-    check_alike(&model.prepare(), &load(&resolved, base, session.observer)?.data)?; // before files are written
+    check_alike(&model.prepare(), &load_split_data(&resolved, session.observer)?.data)?; // before files are written
     let folder = RunFolder::claim(out, &resolved)?;
     let (path, bytes) = (folder.file(MODEL_FILE), file::ensemble_to_bytes(model));
     let has_same = || files::if_found(&path, files::read(&path)).map(|held| held.is_some_and(|held| held == bytes));
@@ -82,14 +82,8 @@ pub fn score_model(
 }
 
 /// Runs or resumes the pipeline; `None` if another process has claimed it meanwhile, and the state must be read again.
-fn start_or_resume(
-    pipeline: &Pipeline,
-    base: &Path,
-    out: &Path,
-    session: &mut Session<'_>,
-    begun: Instant,
-) -> Result<Option<RunOutcome>> {
-    let pipeline = &resolve_pipeline(pipeline, base)?;
+fn start_or_resume(pipeline: &Pipeline, out: &Path, session: &mut Session<'_>) -> Result<Option<RunOutcome>> {
+    let begun = Instant::now();
     let already = |scores: ScoreTable| Some(RunOutcome::Finished { scores: scores.into(), already: true });
     let (state, reported) = (RunFolder::inspect(out, pipeline)?, session.page.is_some());
     if let Some(scores) = state.read_verified(out, reported)? {
@@ -106,7 +100,7 @@ fn start_or_resume(
     }
     // A run that has begun has accepted its data.
     let accepted = held.is_none().then_some(&pipeline.accept[..]);
-    let (split, findings) = load_with_findings(pipeline, base, accepted, session.observer)?;
+    let (split, findings) = load_with_findings(pipeline, accepted, session.observer)?;
     pipeline.check_data(&split.data)?;
     check_residuals(pipeline, &split, false)?;
     let mut run = ActiveRun { pipeline, split: &split, session, begun };
@@ -194,10 +188,9 @@ impl<'a> ActiveRun<'a, '_> {
         let (task, test) = (split.data.task(), split.partition.test.len());
         self.session.observer.on_message(&format!("scoring {test} test {}", task.counted[1]));
         let mut partial = PartialScores::open(folder.path(), &model, pipeline, split)?;
-        let mut result = evaluate_parts(&model, pipeline, split, self.session, &mut partial)?;
+        let mut result = self.evaluate_parts(&model, &mut partial)?;
         if !is_ensemble {
-            facts.validation_baselines =
-                validation_baselines(model.plane(), pipeline, split, self.session, &mut partial)?;
+            facts.validation_baselines = self.validation_baselines(model.plane(), &mut partial)?;
         }
         if is_ensemble {
             // Each model has its own validation, and the steps are sums.

@@ -1,6 +1,6 @@
 //! Samples of a data set: `samples.csv` (position and set of each sample, distance to the nearest training transmitter).
 
-use crate::text::{field, read_csv_rows};
+use crate::text::{csv_field, read_csv_rows};
 use pwrfgs_core::neighbours::{Nearest, nearest_others};
 use pwrfgs_core::{Dataset, Partition, Real, Result};
 use pwrfgs_pipeline::Pipeline;
@@ -43,7 +43,7 @@ pub fn samples_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]
         let position = if data.placed { sample.position().map(|v| v.to_string()) } else { Default::default() };
         if many {
             let receiver = &data.scene.receivers[sample.receiver].name;
-            _ = write!(out, "{},{},{},", data.label(i), sample.id, field(receiver));
+            _ = write!(out, "{},{},{},", data.label(i), sample.id, csv_field(receiver));
         } else {
             _ = write!(out, "{},", sample.id);
         }

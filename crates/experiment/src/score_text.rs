@@ -1,7 +1,7 @@
 //! Score table as text for a terminal.
 
 use crate::scores::{CEILING, MODEL, ScoreCell, ScoreTable};
-use crate::text::{aligned, grouped, number};
+use crate::text::{align_columns, grouped, number};
 
 impl ScoreTable {
     /// Describes the numbers of test samples and of training samples of the model and the baselines; empty if unknown.
@@ -77,8 +77,8 @@ impl ScoreTable {
         let notes = legend.iter().chain(&pairs).chain(&self.notes);
         let heading = Some(self.heading() + "\n").filter(|text| text.len() > 1).unwrap_or_default();
         let differences =
-            self.paired.as_ref().map_or_else(String::new, |pairs| aligned(&pairs.lines(&self.oracles), 1) + "\n");
-        let text = heading + &aligned(&lines, 2) + "\n" + &differences;
+            self.paired.as_ref().map_or_else(String::new, |pairs| align_columns(&pairs.lines(&self.oracles), 1) + "\n");
+        let text = heading + &align_columns(&lines, 2) + "\n" + &differences;
         notes.fold(text, |text, note| text + "note: " + note + "\n")
     }
 }

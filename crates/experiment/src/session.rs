@@ -78,7 +78,7 @@ impl Observer for NoopObserver {}
 
 /// Performs `work` and reports its progress to the observer as the stage `name`. Counts of parallel calls may arrive out of
 /// order: lower ones are dropped.
-pub fn staged<R>(observer: &mut dyn Observer, name: &str, work: impl FnOnce(Progress<'_>) -> R) -> R {
+pub fn run_stage<R>(observer: &mut dyn Observer, name: &str, work: impl FnOnce(Progress<'_>) -> R) -> R {
     observer.on_stage(name, 0, 0);
     let state = Mutex::new((observer, None));
     work(&|done, total| {
@@ -158,7 +158,7 @@ mod tests {
             }
         }
         let mut observer = RecordingObserver::default();
-        let out = staged(&mut observer, "spectra", |progress| {
+        let out = run_stage(&mut observer, "spectra", |progress| {
             [0, 1, 3, 2, 0, 3, 4].iter().for_each(|done| progress(*done, 4));
             "done"
         });

@@ -1,7 +1,7 @@
 //! Sweeps: many runs from one experiment file, in one folder, on one machine or many.
 //!
 //! `experiment.rs` reads the file, `plan.rs` creates all runs, `check.rs` determines their state and tests
-//! unfinished runs before the first starts. [`execute`] performs them, several at once, each with its own threads; with
+//! unfinished runs before the first starts. [`SweepPlan::execute`] performs them, several at once, each with its own threads; with
 //! `join: true` it combines all models into one that predicts their mean. All state is in the run folders, so the same
 //! command resumes after any interruption.
 
@@ -58,51 +58,6 @@ impl SweepObserver for NoopObserver {
     }
 
     fn on_run_end(&self, _: usize, _: &Result<RunOutcome>) {}
-}
-
-/// Performs `runs` of the plan in order, `jobs` at a time, sharing the threads of the calling pool. A failed run does
-/// not stop the others; stopping the session stops all of them at the next step or during scoring. `board` observes the
-/// runs, and the observer of the session the joining of models.
-///
-/// # Errors
-/// Errors of [`SweepPlan::claim`]; threads cannot be started, or models cannot be joined.
-pub fn execute(
-    plan: &SweepPlan,
-    runs: &[usize],
-    jobs: usize,
-    board: &dyn SweepObserver,
-    session: &mut Session<'_>,
-) -> Result<SweepEnd> {
-    drop(plan.claim()?);
-    let jobs = jobs.clamp(1, runs.len().max(1));
-    let pools = (0..jobs).map(|_| run_pool(jobs)).collect::<Result<Vec<_>>>()?;
-    let (stop, page, keep_checkpoint) = (session.stop, session.page, session.keep_checkpoint);
-    let next = AtomicUsize::new(0);
-    let ends = Mutex::new(Vec::new());
-    std::thread::scope(|scope| {
-        for pool in &pools {
-            scope.spawn(|| {
-                while let Some(&run) = runs.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    if stop.load(Ordering::Relaxed) {
-                        break;
-                    }
-                    let folder = plan.run_folder(run);
-                    let end = if RunFolder::is_busy(&folder) {
-                        Err(Error::Busy(folder))
-                    } else {
-                        let mut observer = board.on_run_start(run);
-                        let mut session = Session { observer: &mut *observer, stop, page, keep_checkpoint };
-                        pool.install(|| perform_run(plan, run, &mut session))
-                    };
-                    board.on_run_end(run, &end);
-                    ends.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((run, end));
-                }
-            });
-        }
-    });
-    let mut ends = ends.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-    ends.sort_by_key(|(run, _)| *run);
-    Ok(SweepEnd { runs: ends, joined: join_models(plan, session)? })
 }
 
 /// Creates the thread pool of one of `jobs` runs that share the threads of the calling pool.
@@ -169,6 +124,51 @@ fn join_models(plan: &SweepPlan, session: &mut Session<'_>) -> Result<Option<Run
 }
 
 impl SweepPlan {
+    /// Performs `runs` of the plan in order, `jobs` at a time, sharing the threads of the calling pool. A failed run does
+    /// not stop the others; stopping the session stops all of them at the next step or during scoring. `board` observes the
+    /// runs, and the observer of the session the joining of models.
+    ///
+    /// # Errors
+    /// Errors of [`Self::claim`]; threads cannot be started, or models cannot be joined.
+    pub fn execute(
+        &self,
+        runs: &[usize],
+        jobs: usize,
+        board: &dyn SweepObserver,
+        session: &mut Session<'_>,
+    ) -> Result<SweepEnd> {
+        drop(self.claim()?);
+        let jobs = jobs.clamp(1, runs.len().max(1));
+        let pools = (0..jobs).map(|_| run_pool(jobs)).collect::<Result<Vec<_>>>()?;
+        let (stop, page, keep_checkpoint) = (session.stop, session.page, session.keep_checkpoint);
+        let next = AtomicUsize::new(0);
+        let ends = Mutex::new(Vec::new());
+        std::thread::scope(|scope| {
+            for pool in &pools {
+                scope.spawn(|| {
+                    while let Some(&run) = runs.get(next.fetch_add(1, Ordering::Relaxed)) {
+                        if stop.load(Ordering::Relaxed) {
+                            break;
+                        }
+                        let folder = self.run_folder(run);
+                        let end = if RunFolder::is_busy(&folder) {
+                            Err(Error::Busy(folder))
+                        } else {
+                            let mut observer = board.on_run_start(run);
+                            let mut session = Session { observer: &mut *observer, stop, page, keep_checkpoint };
+                            pool.install(|| perform_run(self, run, &mut session))
+                        };
+                        board.on_run_end(run, &end);
+                        ends.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((run, end));
+                    }
+                });
+            }
+        });
+        let mut ends = ends.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+        ends.sort_by_key(|(run, _)| *run);
+        Ok(SweepEnd { runs: ends, joined: join_models(self, session)? })
+    }
+
     /// Joins the models in a claimed folder and scores the result, unless the folder has the same model with scores.
     fn join_into(&self, pipeline: &Pipeline, folder: &mut RunFolder, session: &mut Session<'_>) -> Result<RunOutcome> {
         let begun = Instant::now();
@@ -187,7 +187,7 @@ impl SweepPlan {
         {
             return Ok(RunOutcome::Finished { scores: scores.into(), already: true });
         }
-        let (split, findings) = load_with_findings(pipeline, Path::new(""), None, session.observer)?;
+        let (split, findings) = load_with_findings(pipeline, None, session.observer)?;
         pipeline.check_data(&split.data)?;
         let members = self.runs.iter().map(|run| run.folder.clone()).collect();
         let mut facts = folder.begin(pipeline, &split, Facts { findings, members, ..Facts::default() })?;

@@ -8,20 +8,20 @@ use serde::de::DeserializeOwned;
 use std::path::Path;
 
 /// Joins the first `most` names by commas, followed by the number of the others.
-pub fn listed<T: AsRef<str>>(names: impl ExactSizeIterator<Item = T>, most: usize) -> String {
+pub fn join_names<T: AsRef<str>>(names: impl ExactSizeIterator<Item = T>, most: usize) -> String {
     let more = names.len().saturating_sub(most);
     let shown = names.take(most).map(|name| name.as_ref().to_owned()).collect::<Vec<_>>().join(", ");
     if more > 0 { format!("{shown} and {more} more") } else { shown }
 }
 
 /// Quotes a CSV field, also against interpretation as a formula by spreadsheets.
-pub fn field(name: &str) -> String {
+pub fn csv_field(name: &str) -> String {
     let name = cell(name);
     if name.contains([',', '"', '\n', '\r']) { format!("\"{}\"", name.replace('"', "\"\"")) } else { name.into() }
 }
 
 /// Formats a duration: `42 s`, `3 min 20 s`, `2 h 05 min`.
-pub fn duration(seconds: f64) -> String {
+pub fn format_duration(seconds: f64) -> String {
     let s = seconds.max(0.0).round() as u64;
     match s {
         0..60 => format!("{s} s"),
@@ -31,7 +31,7 @@ pub fn duration(seconds: f64) -> String {
 }
 
 /// Formats a number of bytes in gigabytes: `0.41 GB`.
-pub fn gigabytes(bytes: u64) -> String {
+pub fn format_gigabytes(bytes: u64) -> String {
     format!("{:.2} GB", bytes as f64 / 1e9)
 }
 
@@ -58,7 +58,7 @@ fn truncate_cell(cell: &str) -> String {
 
 /// Aligns columns, two blanks apart: the first `left` to the left, the others to the right. A left cell without cells
 /// to its right may have up to 1,000 characters. Empty lines are omitted.
-pub fn aligned(lines: &[Vec<String>], left: usize) -> String {
+pub fn align_columns(lines: &[Vec<String>], left: usize) -> String {
     let lines: Vec<Vec<String>> =
         lines.iter().map(|line| line.iter().map(|cell| truncate_cell(cell)).collect()).collect();
     let columns = lines.iter().map(Vec::len).max().unwrap_or(0);
@@ -77,7 +77,7 @@ pub fn aligned(lines: &[Vec<String>], left: usize) -> String {
 }
 
 /// Wraps words into lines of at most `width` characters; `starts` are the prefixes of the first and of further lines.
-pub fn wrapped(words: &str, starts: [&str; 2], width: usize) -> String {
+pub fn wrap_words(words: &str, starts: [&str; 2], width: usize) -> String {
     let (mut out, mut used) = (String::new(), String::new());
     for word in words.split_whitespace() {
         if used.is_empty() {
@@ -149,13 +149,13 @@ mod tests {
 
     #[test]
     fn durations_are_readable() {
-        assert_eq!([42.2, 200.0, 7530.0].map(duration), ["42 s", "3 min 20 s", "2 h 05 min"]);
+        assert_eq!([42.2, 200.0, 7530.0].map(format_duration), ["42 s", "3 min 20 s", "2 h 05 min"]);
     }
 
     #[test]
     fn wraps_words_into_lines() {
-        assert_eq!(wrapped("aa bb cc", ["// "; 2], 8), "// aa bb\n// cc\n");
-        let text = wrapped(&"twelve chars ".repeat(20), ["pose  ", "      "], 100);
+        assert_eq!(wrap_words("aa bb cc", ["// "; 2], 8), "// aa bb\n// cc\n");
+        let text = wrap_words(&"twelve chars ".repeat(20), ["pose  ", "      "], 100);
         assert!(text.starts_with("pose  twelve") && text.lines().count() > 2);
         assert!(text.lines().all(|line| line.chars().count() <= 100));
         assert!(text.lines().skip(1).all(|line| line.starts_with("      t") || line.starts_with("      c")));
@@ -164,8 +164,8 @@ mod tests {
     #[test]
     fn aligns_columns_by_characters_not_bytes() {
         let lines = [["λ", "1"], ["ab", "23"], ["", ""]].map(|line| line.map(str::to_owned).to_vec());
-        assert_eq!(aligned(&lines, 1), "λ    1\nab  23\n");
+        assert_eq!(align_columns(&lines, 1), "λ    1\nab  23\n");
         let long = vec![vec!["x".repeat(100_000), "1".into()]];
-        assert_eq!(aligned(&long, 1).len(), 1_000 + 2 + 2 + 1 + 1, "cut, two points, two blanks, 1, end of line");
+        assert_eq!(align_columns(&long, 1).len(), 1_000 + 2 + 2 + 1 + 1, "cut, two points, two blanks, 1, end of line");
     }
 }

@@ -4,7 +4,7 @@
 //! and a resumed run truncates the series to its checkpoint, so its files equal those of an uninterrupted run.
 //! Snapshots depend only on the step and are written before its checkpoint; a resumed run rewrites them.
 
-use crate::evaluation_set::EvaluationSet;
+use crate::evaluation_set::{EvaluationSet, Predictor, ScoredPredictor};
 use crate::facts::Facts;
 use crate::folder::{
     BEST_MODEL, CHECKPOINT, MODEL_FILE, START_SNAPSHOT, UNPRUNED_SNAPSHOT, VALIDATION, pruned_snapshot,
@@ -13,7 +13,7 @@ use crate::journal::Journal;
 use crate::load::{ActiveRun, SplitData};
 use crate::record::{read_series, series_column};
 use crate::run_folder::RunFolder;
-use crate::session::{NoopObserver, Session, Start, Validation, staged};
+use crate::session::{NoopObserver, Session, Start, Validation, run_stage};
 use crate::statistics::Summary;
 use pwrfgs_core::files::{self, if_found, write_atomically};
 use pwrfgs_core::{Dataset, Error, Progress, Result, Task, Values, device, evenly, free_memory};
@@ -68,7 +68,7 @@ impl<'a> ActiveRun<'a, '_> {
             }
             let stop = self.session.stop;
             let begin = |progress: Progress<'_>| Trainer::begin(&pipeline.plan()?, data, partition, progress, stop);
-            staged(self.session.observer, "initialising", begin)
+            run_stage(self.session.observer, "initialising", begin)
         })
     }
 
@@ -292,7 +292,8 @@ fn best_value(rows: &[Vec<Option<f64>>], from: u64, task: Task) -> Option<f64> {
 fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let samples = EvaluationSet::new(data, part, &model.stages.plane);
     let (task, model, metrics) = (data.task(), &model.prepare(), defaults::validation(data.task()));
-    let measured = samples.score_model("the model", model, None, &metrics, &mut Session::new(&mut NoopObserver))?;
+    let scored = ScoredPredictor { name: "the model", predictor: Predictor::Model(model, None), metrics: &metrics };
+    let measured = samples.score(scored, &mut Session::new(&mut NoopObserver))?;
     let Summary { mean, median, tail10 } = match measured.first().map(|m| &m.values) {
         Some(Values::PerSample(values)) => Summary::of(values, task.headline.higher),
         whole => {

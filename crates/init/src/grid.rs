@@ -57,7 +57,7 @@ impl Initializer for Grid {
         // distance.
         let spacing = (consts::TAU * (1.0 - lowest.sin() as Real) / self.count as Real).sqrt();
         let scales = vec![self.overlap * spacing * self.distance_m; means.len()];
-        Ok(start::cloud(means, &scales, self.opacity, rng))
+        Ok(start::isotropic_cloud(means, &scales, self.opacity, rng))
     }
 
     fn count(&self) -> Option<usize> {

@@ -53,7 +53,7 @@ impl Initializer for PointCloud {
             _ => scene.points.clone(),
         };
         let scales = start::scales_from_neighbours(&means, self.nearest);
-        Ok(start::cloud(means, &scales, self.opacity, rng))
+        Ok(start::isotropic_cloud(means, &scales, self.opacity, rng))
     }
 
     fn check(&self) -> Result<(), String> {

@@ -57,7 +57,7 @@ impl Initializer for Random {
         };
         let means: Vec<[Real; 3]> = (0..self.count).map(|_| placed(draw(rng))).collect();
         let scales = start::scales_from_neighbours(&means, self.nearest);
-        Ok(start::cloud(means, &scales, self.opacity, rng))
+        Ok(start::isotropic_cloud(means, &scales, self.opacity, rng))
     }
 
     fn count(&self) -> Option<usize> {
@@ -120,7 +120,7 @@ impl Initializer for AroundReceivers {
         };
         let means: Vec<[Real; 3]> = (0..self.count).map(mean).collect();
         let scales = vec![self.scale_m; self.count];
-        Ok(start::cloud(means, &scales, self.opacity, rng))
+        Ok(start::isotropic_cloud(means, &scales, self.opacity, rng))
     }
 
     fn check(&self) -> Result<(), String> {

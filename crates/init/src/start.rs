@@ -23,7 +23,7 @@ pub(crate) fn scales_from_neighbours(means: &[[Real; 3]], nearest: usize) -> Vec
 
 /// Creates isotropic Gaussians `[N]` without rotation and of equal opacity. Both channels of each signal are uniform
 /// between −1/2 and 1/2.
-pub(crate) fn cloud(means: Vec<[Real; 3]>, scales: &[Real], opacity: Real, rng: &mut Rng) -> GaussianCloud {
+pub(crate) fn isotropic_cloud(means: Vec<[Real; 3]>, scales: &[Real], opacity: Real, rng: &mut Rng) -> GaussianCloud {
     let n = means.len();
     let mut channel = || rng::uniform(rng) - 0.5;
     GaussianCloud {
@@ -83,7 +83,7 @@ mod tests {
     #[test]
     fn columns_have_documented_initial_values() {
         let mut random = rng::stream(0, "init", 0);
-        let cloud = cloud(vec![[0.0; 3]; 500], &[0.5; 500], 0.1, &mut random);
+        let cloud = isotropic_cloud(vec![[0.0; 3]; 500], &[0.5; 500], 0.1, &mut random);
         assert!((cloud.opacity_logits[7] - -2.197_224_6).abs() < 1e-5);
         assert!((cloud.log_scales[7][2] - (0.5 as Real).ln()).abs() < 1e-6);
         assert!(cloud.quats.iter().all(|q| *q == [1.0, 0.0, 0.0, 0.0]));

@@ -45,20 +45,24 @@ pub(crate) struct ValidationSample {
     pub(crate) position: [f64; 3],
 }
 
-impl Choice {
-    /// Returns the settings with the highest mean log density at the true positions of `samples`; default settings without
-    /// samples. `nearest` are the fingerprints at `positions` of least misfit per sample; `spacing` is half the distance of
-    /// neighbouring positions, metres.
-    pub(crate) fn most_likely(
-        share: f32,
-        positions: &[[f64; 3]],
-        samples: &[ValidationSample],
-        nearest: &[NearestList],
-        spacing: f64,
-    ) -> Self {
+/// Validation samples with the fingerprints that resemble them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ComparedSamples<'a> {
+    /// Positions of all fingerprints, metres.
+    pub(crate) positions: &'a [[f64; 3]],
+    pub(crate) samples: &'a [ValidationSample],
+    /// Fingerprints of least misfit per sample.
+    pub(crate) nearest: &'a [NearestList],
+}
+
+impl ComparedSamples<'_> {
+    /// Returns the settings with the highest mean log density at the true positions of the samples, for this `share` of the
+    /// model; default settings without samples. `spacing` is half the distance of neighbouring positions, metres.
+    pub(crate) fn most_likely_choice(&self, share: f32, spacing: f64) -> Choice {
+        let Self { positions, samples, nearest } = *self;
         let typical = median(nearest.iter().map(|near| least_misfit(near)).filter(|m| m.is_finite()));
         let scale = if typical > 0.0 { typical } else { 1.0 };
-        let settings = |(sharpness, width): (f64, f64)| Self {
+        let settings = |(sharpness, width): (f64, f64)| Choice {
             share,
             sharpness,
             scale,
@@ -67,7 +71,7 @@ impl Choice {
             mode_sharpness: 1.0,
             descends: false,
         };
-        let all: Vec<Self> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| settings((s, b)))).collect();
+        let all: Vec<Choice> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| settings((s, b)))).collect();
         let densities = |(near, ValidationSample { position: [x, y, _], .. }): (&NearestList, &ValidationSample)| {
             let per_sharpness = all.chunks(BANDWIDTHS.len()).flat_map(|choices| {
                 let mut density = choices[0].density(near, positions);
@@ -86,6 +90,21 @@ impl Choice {
         best.map_or_else(|| settings(DEFAULTS), |(_, choice)| choice)
     }
 
+    /// Returns the level of the regions that hold nine of ten true positions of the samples, with the rank of split conformal
+    /// prediction; `None` with fewer than nine samples.
+    pub(crate) fn region_level(&self, choice: Choice) -> Option<f32> {
+        let Self { positions, samples, nearest } = *self;
+        // The smallest of n values holds n/(n + 1) of new ones.
+        let last = ((samples.len() + 1) / MISSED).checked_sub(1)?;
+        let level = |(near, ValidationSample { position: [x, y, _], .. }): (&NearestList, &ValidationSample)| {
+            f64::from(choice.density(near, positions).grid().level_at([*x, *y]))
+        };
+        let levels = sorted(nearest.par_iter().zip(samples).map(level).collect::<Vec<f64>>());
+        Some(levels[last] as f32)
+    }
+}
+
+impl Choice {
     /// Returns the density over the floor, given the fingerprints of least misfit of an observation. Their weights are
     /// exp(-s·misfit/scale); equal ones if no misfit is finite.
     pub(crate) fn density(&self, near: &[(u32, f32)], positions: &[[f64; 3]]) -> Density {
@@ -99,21 +118,4 @@ impl Choice {
 /// Returns the least misfit; infinite without any.
 pub(crate) fn least_misfit(near: &[(u32, f32)]) -> f64 {
     near.first().map_or(f64::INFINITY, |(_, misfit)| f64::from(*misfit))
-}
-
-/// Returns the level of the regions that hold nine of ten true positions of `samples`, with the rank of split conformal
-/// prediction; `None` with fewer than nine samples.
-pub(crate) fn region_level(
-    positions: &[[f64; 3]],
-    samples: &[ValidationSample],
-    nearest: &[NearestList],
-    choice: Choice,
-) -> Option<f32> {
-    // The smallest of n values holds n/(n + 1) of new ones.
-    let last = ((samples.len() + 1) / MISSED).checked_sub(1)?;
-    let level = |(near, ValidationSample { position: [x, y, _], .. }): (&NearestList, &ValidationSample)| {
-        f64::from(choice.density(near, positions).grid().level_at([*x, *y]))
-    };
-    let levels = sorted(nearest.par_iter().zip(samples).map(level).collect::<Vec<f64>>());
-    Some(levels[last] as f32)
 }

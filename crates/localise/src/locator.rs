@@ -1,6 +1,6 @@
 //! `Locator`: positions from observations.
 
-use crate::choice::{Choice, NearestList, ValidationSample, least_misfit, region_level};
+use crate::choice::{Choice, ComparedSamples, NearestList, ValidationSample, least_misfit};
 use crate::descent::descend;
 use crate::fingerprints::FingerprintBuilder;
 use crate::region::{Density, KERNELS};
@@ -119,7 +119,8 @@ impl<'a> Locator<'a> {
             features,
             model,
             without,
-            choice: Choice::most_likely(0.0, &measured.positions, &[], &[], spacing),
+            choice: ComparedSamples { positions: &measured.positions, samples: &[], nearest: &[] }
+                .most_likely_choice(0.0, spacing),
             fingerprints: measured.clone(),
             floor,
             spacing,
@@ -152,9 +153,9 @@ impl<'a> Locator<'a> {
                 self.fingerprints.nearest(&sample.observation, KERNELS, None)
             };
             let nearest: Vec<NearestList> = samples.par_iter().map(nearest).collect();
-            let positions = &self.fingerprints.positions;
-            self.choice = Choice::most_likely(*share, positions, samples, &nearest, self.spacing);
-            self.level = region_level(positions, samples, &nearest, self.choice);
+            let compared = ComparedSamples { positions: &self.fingerprints.positions, samples, nearest: &nearest };
+            self.choice = compared.most_likely_choice(*share, self.spacing);
+            self.level = compared.region_level(self.choice);
             let error = self.choose_mode(samples);
             if best.as_ref().is_none_or(|(least, ..)| error < *least) {
                 best = Some((error, self.choice, self.level, self.fingerprints.clone()));

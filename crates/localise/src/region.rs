@@ -196,12 +196,12 @@ pub struct Region {
 
 impl Region {
     /// Returns the centre of the first cell, metres.
-    pub fn first(&self) -> [f64; 2] {
+    pub fn first_centre(&self) -> [f64; 2] {
         self.low.map(|k| (k as f64 + 0.5) * self.step)
     }
 
     /// Returns the number of parts: cells with a common side are in one part.
-    pub fn parts(&self) -> usize {
+    pub fn part_count(&self) -> usize {
         self.count as usize
     }
 
@@ -253,7 +253,7 @@ impl Region {
 
     /// Returns the part with the largest probability; 0 without parts.
     fn most_probable_part(&self) -> u16 {
-        let mut sums = vec![0.0; self.parts() + 1];
+        let mut sums = vec![0.0; self.part_count() + 1];
         self.parts.iter().zip(&self.values).for_each(|(part, value)| sums[*part as usize] += f64::from(*value));
         (1..=self.count).max_by(|a, b| sums[*a as usize].total_cmp(&sums[*b as usize])).unwrap_or(0)
     }
@@ -281,7 +281,7 @@ impl Region {
     fn highest_centre(&self, part: u16) -> [f64; 2] {
         let cells = (0..self.values.len()).filter(|k| self.parts[*k] == part);
         let highest = cells.max_by(|a, b| self.values[*a].total_cmp(&self.values[*b])).unwrap_or(0);
-        let ([x, y], (row, column)) = (self.first(), (highest / self.columns, highest % self.columns));
+        let ([x, y], (row, column)) = (self.first_centre(), (highest / self.columns, highest % self.columns));
         [x + column as f64 * self.step, y + row as f64 * self.step]
     }
 
@@ -374,7 +374,7 @@ mod tests {
             let region = region(rows);
             let mut signed_areas: Vec<f64> = region.outlines().iter().map(area).collect();
             signed_areas.sort_by(f64::total_cmp);
-            assert_eq!((region.parts(), &signed_areas[..]), (parts, areas), "{rows:?}");
+            assert_eq!((region.part_count(), &signed_areas[..]), (parts, areas), "{rows:?}");
             assert_eq!(region.area(), areas.iter().sum::<f64>());
         }
         assert!(region(&["###", "#.#", "###"]).outlines().iter().all(|outline| outline.len() == 4));
@@ -388,7 +388,7 @@ mod tests {
         let sum = grid.map(|point| density.value_at(point)).sum::<f64>() * step * step;
         assert!((sum - 1.0).abs() < 0.01, "{sum}");
         let region = density.grid().region(0.5);
-        assert_eq!((region.outlines().len(), region.parts()), (2, 2), "two distant positions have two parts");
+        assert_eq!((region.outlines().len(), region.part_count()), (2, 2), "two distant positions have two parts");
     }
 
     #[test]
@@ -398,7 +398,7 @@ mod tests {
         let density = Density::new([0.34, 0.22, 0.22, 0.22].into_iter().zip(positions).collect(), 0.4);
         let region = density.grid().region(0.1);
         let (_, [x, y, z]) = region.most_probable_mode(&density, 0.4, 1.0);
-        assert_eq!(region.parts(), 2);
+        assert_eq!(region.part_count(), 2);
         assert!((x - 6.9).abs() < 0.1 && y.abs() < 1e-6 && z > 1.9, "{x} {y} {z}");
         assert!(region.holds([x, y]) && region.part_at([x, y]) != region.part_at([0.0, 0.0]));
     }

@@ -175,7 +175,7 @@ fn estimate_between_two_areas_is_in_one_of_them() {
         let located = locator.locate(&observation);
         let [x, y, _] = located.position;
         assert_eq!(located.holds(located.position), Some(true), "{x} {y}");
-        let has_several = located.region.unwrap().parts() >= 2;
+        let has_several = located.region.unwrap().part_count() >= 2;
         assert!(!has_several || (x.max(y) > 13.5 && x.min(y) < 2.5), "{x} {y}");
         several += usize::from(has_several);
     }

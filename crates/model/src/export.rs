@@ -50,32 +50,32 @@ impl Npz {
             let shape = if width == 1 { vec![n] } else { vec![n, width] };
             if name == "means" && !origin.is_zero() {
                 let places: Vec<[f64; 3]> = model.cloud.means.iter().map(|mean| origin.world(*mean)).collect();
-                self.put(name, &shape, doubles(places.as_flattened()))?;
-                self.put("origin", &[3], doubles(&origin.0))?;
+                self.put(name, &shape, encode_doubles(places.as_flattened()))?;
+                self.put("origin", &[3], encode_doubles(&origin.0))?;
             } else {
-                self.put(name, &shape, reals(values))?;
+                self.put(name, &shape, encode_reals(values))?;
             }
         }
         let mut rest = model.weights.as_slice();
         for spec in model.stages.layout().weights {
             let (weights, tail) = rest.split_at(spec.len());
-            self.put(&format!("network.{}", spec.name), &spec.shape, reals(weights))?;
+            self.put(&format!("network.{}", spec.name), &spec.shape, encode_reals(weights))?;
             rest = tail;
         }
         for (spec, values) in model.stages.layout().constants {
-            self.put(&format!("constants.{}", spec.name), &spec.shape, reals(&values))?;
+            self.put(&format!("constants.{}", spec.name), &spec.shape, encode_reals(&values))?;
         }
         let (pose, plane) = (&model.stages.receiver(), &model.stages.plane);
-        self.put("pose.position", &[3], doubles(&pose.position))?;
-        self.put("pose.orientation", &[4], doubles(&pose.orientation))?;
+        self.put("pose.position", &[3], encode_doubles(&pose.position))?;
+        self.put("pose.orientation", &[4], encode_doubles(&pose.orientation))?;
         if !model.stages.task.has_pixels || model.stages.receivers.len() > 1 {
             self.add_links(model)?;
         }
         self.put("plane.size", &[2], counts(&[plane.width, plane.height]))?;
         self.put("plane.wraps", &[], ("|b1", vec![u8::from(plane.wraps)]))?;
         let Some((azimuth, elevation)) = plane.angles else { return Ok(()) };
-        self.put("plane.azimuth_deg", &[2], doubles(&[azimuth.first, azimuth.step]))?;
-        self.put("plane.elevation_deg", &[2], doubles(&[elevation.first, elevation.step]))
+        self.put("plane.azimuth_deg", &[2], encode_doubles(&[azimuth.first, azimuth.step]))?;
+        self.put("plane.elevation_deg", &[2], encode_doubles(&[elevation.first, elevation.step]))
     }
 
     /// Adds the links: observations and receivers. Names are stored as letters, since arrays cannot hold text of
@@ -92,17 +92,17 @@ impl Npz {
             poses.iter().flat_map(|pose| pose.position).collect(),
             poses.iter().flat_map(|pose| pose.orientation).collect(),
         ];
-        self.put("receivers.positions", &[poses.len(), 3], doubles(&positions))?;
-        self.put("receivers.orientations", &[poses.len(), 4], doubles(&orientations))?;
+        self.put("receivers.positions", &[poses.len(), 3], encode_doubles(&positions))?;
+        self.put("receivers.orientations", &[poses.len(), 4], encode_doubles(&orientations))?;
         let antennas: Vec<usize> = setup.receivers.iter().map(|receiver| receiver.antennas.len()).collect();
         let places: Vec<[f64; 3]> =
             setup.receivers.iter().flat_map(|receiver| receiver.antennas.iter().copied()).collect();
         self.put("receivers.antenna_counts", &[antennas.len()], counts(&antennas))?;
-        self.put("receivers.antennas", &[places.len(), 3], doubles(places.as_flattened()))?;
+        self.put("receivers.antennas", &[places.len(), 3], encode_doubles(places.as_flattened()))?;
         if setup.frequencies_hz.is_empty() {
             return Ok(());
         }
-        self.put("frequencies_hz", &[setup.frequencies_hz.len()], doubles(&setup.frequencies_hz))
+        self.put("frequencies_hz", &[setup.frequencies_hz.len()], encode_doubles(&setup.frequencies_hz))
     }
 
     /// Adds the Gaussians for a transmitter at `tx` (metres, world frame).
@@ -110,11 +110,15 @@ impl Npz {
         let Activated { primitives: p, signals, .. } = model.gaussians(Some(tx));
         let n = p.len();
         let is_local = model.stages.origin.is_zero();
-        self.put("tx.position", &[3], if is_local { reals(&tx.map(|v| v as Real)) } else { doubles(&tx) })?;
-        self.put("tx.scales", &[n, 3], reals(p.scales.as_flattened()))?;
-        self.put("tx.quats", &[n, 4], reals(p.quats.as_flattened()))?;
-        self.put("tx.opacities", &[n], reals(&p.opacities))?;
-        self.put("tx.signals", &[n, signals.len() / n.max(1)], reals(&signals))
+        self.put(
+            "tx.position",
+            &[3],
+            if is_local { encode_reals(&tx.map(|v| v as Real)) } else { encode_doubles(&tx) },
+        )?;
+        self.put("tx.scales", &[n, 3], encode_reals(p.scales.as_flattened()))?;
+        self.put("tx.quats", &[n, 4], encode_reals(p.quats.as_flattened()))?;
+        self.put("tx.opacities", &[n], encode_reals(&p.opacities))?;
+        self.put("tx.signals", &[n, signals.len() / n.max(1)], encode_reals(&signals))
     }
 
     /// Adds an array, given the NumPy name of its type and its bytes.
@@ -130,13 +134,13 @@ impl Npz {
 }
 
 /// Returns the NumPy name of the type of [`Real`], and the bytes of `values`.
-fn reals(values: &[Real]) -> (&'static str, Vec<u8>) {
+fn encode_reals(values: &[Real]) -> (&'static str, Vec<u8>) {
     let descr = if size_of::<Real>() == 8 { "<f8" } else { "<f4" };
     (descr, values.iter().flat_map(|v| v.to_le_bytes()).collect())
 }
 
 /// Returns the NumPy name of double precision, and the bytes of `values`.
-fn doubles(values: &[f64]) -> (&'static str, Vec<u8>) {
+fn encode_doubles(values: &[f64]) -> (&'static str, Vec<u8>) {
     ("<f8", values.iter().flat_map(|v| v.to_le_bytes()).collect())
 }
 

@@ -4,7 +4,7 @@ use crate::TrainingPositions;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
     Activated, Dataset, Deformation, GaussianCloud, ImagePlane, Layout, MeasurementSetup, Method, Misfit, Origin,
-    Parameters, Parts, Real, Result, check_compatible, check_receivers, place_fault,
+    Parameters, Parts, Real, Result, check_compatible, check_receivers, position_fault,
 };
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
@@ -136,7 +136,7 @@ impl Stages {
         if self.moving.is_receiver() && self.receivers.iter().any(|receiver| receiver.pose.position != [0.0; 3]) {
             return Err("links: receivers that move have a position".into());
         }
-        if let Some(fault) = self.transmitter.and_then(place_fault) {
+        if let Some(fault) = self.transmitter.and_then(position_fault) {
             return Err(format!("links: the transmitter {fault}"));
         }
         if !(1..=MAX_RECEIVERS).contains(&self.receivers.len()) {

@@ -150,7 +150,7 @@ impl<'a> Prepared<'a> {
         queries.iter().map(|_| by_member.iter_mut().filter_map(Iterator::next).collect()).collect()
     }
 
-    /// Runs [`Self::predict_many`] into `numbers`, as contiguous observations.
+    /// Predicts as [`Self::predict_many`] and writes the observations into `numbers`, one after the other.
     ///
     /// # Panics
     /// If the length of `numbers` is not that of the observations.

@@ -28,6 +28,17 @@ pub struct KnownLinks<'a> {
     pub parts: usize,
     /// Block of each link, in the same order: links of a block are not independent.
     pub blocks: &'a [usize],
+    /// Flag that ends the fit.
+    pub stop: &'a AtomicBool,
+}
+
+impl KnownLinks<'_> {
+    /// Lists the links of each receiver, as indices of the known links.
+    fn by_receiver(&self) -> Vec<Vec<usize>> {
+        let mut by_receiver = vec![Vec::new(); self.data.scene.receivers.len()];
+        self.links.iter().enumerate().for_each(|(k, link)| by_receiver[self.data.links[*link].receiver].push(k));
+        by_receiver
+    }
 }
 
 impl Residuals {
@@ -35,14 +46,8 @@ impl Residuals {
     ///
     /// # Errors
     /// [`Error::Config`] if data have no positions, or all members trained on all links; a spectrum that cannot be read;
-    /// [`Error::Stopped`] once `stop` is set.
-    pub fn fit(
-        settings: &Kriged,
-        ensemble: &Ensemble,
-        known: KnownLinks<'_>,
-        stop: &AtomicBool,
-        progress: Progress<'_>,
-    ) -> Result<Self> {
+    /// [`Error::Stopped`] once `known.stop` is set.
+    pub fn fit(settings: &Kriged, ensemble: &Ensemble, known: KnownLinks<'_>, progress: Progress<'_>) -> Result<Self> {
         let data = known.data;
         settings.check_data(data, known.left_out.iter().any(Option::is_some))?;
         let mut grid = CoarseGrid::new(ensemble.plane(), data.task().stride(settings.stride));
@@ -53,12 +58,10 @@ impl Residuals {
             }
         };
         refine(&mut grid, true);
-        let mut samples = Samples::new(ensemble, known, &grid, stop, progress)?;
+        let mut samples = Samples::new(ensemble, known, &grid, progress)?;
         data.observations.check()?;
-        let mut by_receiver = vec![Vec::new(); data.scene.receivers.len()];
-        (0..known.links.len()).for_each(|k| by_receiver[samples.receiver_of(k)].push(k));
-        let kriging = samples.fit_kriging(None, stop)?;
-        let (choice, gain) = samples.choose_share(&by_receiver, &kriging, settings.neighbours, stop)?;
+        let kriging = samples.fit_kriging(None)?;
+        let (choice, gain) = samples.choose_share(&kriging, settings.neighbours)?;
         if choice.share == 0.0 {
             // Whole spectra are stored, not what a model leaves of them.
             refine(&mut grid, false);
@@ -68,7 +71,7 @@ impl Residuals {
             let fit = fit.as_ref().filter(|fit| !links.is_empty() && fit.variance.is_finite())?;
             Some(samples.build_process(links, choice.apply(fit)))
         };
-        let processes = by_receiver.iter().zip(&kriging).map(process).collect();
+        let processes = known.by_receiver().iter().zip(&kriging).map(process).collect();
         Ok(Self { grid, neighbours: settings.neighbours, processes, gain })
     }
 
@@ -193,14 +196,8 @@ impl<'a> Samples<'a> {
     /// Predicts all known links with each member. `progress` counts predictions.
     ///
     /// # Errors
-    /// [`Error::Config`] for a prediction that is not finite; [`Error::Stopped`] once `stop` is set.
-    fn new(
-        ensemble: &'a Ensemble,
-        known: KnownLinks<'a>,
-        grid: &CoarseGrid,
-        stop: &AtomicBool,
-        progress: Progress<'_>,
-    ) -> Result<Self> {
+    /// [`Error::Config`] for a prediction that is not finite; [`Error::Stopped`].
+    fn new(ensemble: &Ensemble, known: KnownLinks<'a>, grid: &CoarseGrid, progress: Progress<'_>) -> Result<Self> {
         let KnownLinks { data, links, .. } = known;
         let observed: Vec<Real> =
             links.iter().flat_map(|&i| grid.sampled(&data.image(i).pixels).collect::<Vec<_>>()).collect();
@@ -209,7 +206,7 @@ impl<'a> Samples<'a> {
             let ready = model.prepare();
             let mut predictions = Vec::with_capacity(links.len() * grid.len());
             for (chunk, links) in links.chunks(CHUNK).enumerate() {
-                check_stopped(stop)?;
+                check_stopped(known.stop)?;
                 let queries: Vec<Query<'_>> = links.iter().map(|&i| data.query(i)).collect();
                 let shown = ready.predict_many(&queries).into_iter().map(|image| data.task().shown(image));
                 shown.for_each(|image| predictions.extend(grid.sampled(&image.pixels)));
@@ -247,14 +244,9 @@ impl<'a> Samples<'a> {
         pairs.map(|(y, f)| (*y as f64 - trend.expected(*f, at)) as Real).collect()
     }
 
-    /// Returns the receiver of known link `k`.
-    fn receiver_of(&self, k: usize) -> usize {
-        self.known.data.links[self.known.links[k]].receiver
-    }
-
     /// Fits Kriging to the known links of each receiver `without` a part; `None` without links.
-    fn fit_kriging(&self, without: Option<usize>, stop: &AtomicBool) -> Result<Vec<Option<ProcessFit>>> {
-        let KnownLinks { data, links, left_out, .. } = self.known;
+    fn fit_kriging(&self, without: Option<usize>) -> Result<Vec<Option<ProcessFit>>> {
+        let KnownLinks { data, links, left_out, stop, .. } = self.known;
         let is_known = |(_, part): &(&usize, &Option<usize>)| part.is_none() || **part != without;
         let links: Vec<usize> = links.iter().zip(left_out).filter(is_known).map(|(link, _)| *link).collect();
         let check = || check_stopped(stop);

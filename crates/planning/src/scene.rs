@@ -40,8 +40,8 @@ fn free_positions(scene: &SceneFile, world: &World, step: f64, height: f64) -> R
     }
     let at = |row: usize, column: usize| {
         let turned = if row.is_multiple_of(2) { column } else { columns as usize - 1 - column };
-        let part = |low: f64, high: f64, k: usize, count: f64| low + (high - low) * (k as f64 + 0.5) / count;
-        DVec3::new(part(low.x, high.x, turned, columns), part(low.y, high.y, row, rows), height)
+        let centre = |low: f64, high: f64, k: usize, count: f64| low + (high - low) * (k as f64 + 0.5) / count;
+        DVec3::new(centre(low.x, high.x, turned, columns), centre(low.y, high.y, row, rows), height)
     };
     let grid = (0..rows as usize).flat_map(|row| (0..columns as usize).map(move |column| (row, column)));
     let free: Vec<[f64; 3]> = grid

@@ -31,6 +31,13 @@ pub struct Orders {
     pub room: usize,
 }
 
+/// Faces of a path and its reflection points, in order of travel.
+#[derive(Default)]
+struct UnfoldedPath {
+    faces: Vec<u32>,
+    points: Vec<DVec3>,
+}
+
 /// Image of the receiver, and the faces that made it.
 #[derive(Clone, Debug)]
 struct Node {
@@ -135,12 +142,12 @@ impl ImageTree {
     /// from `tx`. The caller tests for obstacles. The first sequence is empty (line of sight).
     pub fn visit_candidates(&self, world: &World, tx: DVec3, mut visit: impl FnMut(&[u32], &[DVec3])) {
         visit(&[], &[]);
-        let (mut faces, mut points) = (Vec::new(), Vec::new());
+        let mut path = UnfoldedPath::default();
         for (id, node) in (0..).zip(&self.nodes) {
             if self.beam(id).1.iter().all(|(normal, offset)| normal.dot(tx) > *offset)
-                && self.unfold_path(world, node, tx, &mut faces, &mut points)
+                && self.unfold_path(world, node, tx, &mut path)
             {
-                visit(&faces, &points);
+                visit(&path.faces, &path.points);
             }
         }
     }
@@ -151,18 +158,11 @@ impl ImageTree {
     }
 
     /// Unfolds the path from `tx` towards the image of `node` from mirror to mirror, and collects its faces and reflection
-    /// points in `faces` and `points` (cleared first). Returns whether all points lie on their faces: beams use convex
+    /// points in `path` (cleared first). Returns whether all points lie on their faces: beams use convex
     /// hulls, so holes and bays of faces are tested here.
-    fn unfold_path(
-        &self,
-        world: &World,
-        node: &Node,
-        tx: DVec3,
-        faces: &mut Vec<u32>,
-        points: &mut Vec<DVec3>,
-    ) -> bool {
-        faces.clear();
-        points.clear();
+    fn unfold_path(&self, world: &World, node: &Node, tx: DVec3, path: &mut UnfoldedPath) -> bool {
+        path.faces.clear();
+        path.points.clear();
         let (mut from, mut node) = (tx, node);
         loop {
             let face = &world.faces[node.face as usize];
@@ -171,8 +171,8 @@ impl ImageTree {
             if !world.is_on_face(node.face, point) {
                 return false;
             }
-            faces.push(node.face);
-            points.push(point);
+            path.faces.push(node.face);
+            path.points.push(point);
             if node.parent == u32::MAX {
                 return true;
             }

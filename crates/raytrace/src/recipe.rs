@@ -10,7 +10,7 @@ use std::path::Path;
 /// Version of the simulator output; increased whenever the same recipe gives other bytes.
 const EDITION: u32 = 3;
 /// Largest number of links of a data set: 32 GB of spectra as an array. Fewer are allowed as images
-/// ([`crate::output::write_dataset`]).
+/// ([`crate::output::DatasetWriter::write`]).
 const MOST_SAMPLES: usize = 1_000_000;
 /// Largest number of points of a cloud.
 const MOST_POINTS: usize = 50_000_000;

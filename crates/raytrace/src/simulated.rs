@@ -215,7 +215,7 @@ pub fn cache_root() -> Option<PathBuf> {
 
 /// Returns the result of `read` on the data set of `recipe`, which is simulated or found in the cache `root`.
 ///
-/// An entry is a folder made by [`output::write_dataset`], with one array or table of all links; the receivers of a
+/// An entry is a folder made by [`output::DatasetWriter::write`], with one array or table of all links; the receivers of a
 /// transmitter are consecutive. It is used only if its manifest equals that of the recipe and `read` succeeds;
 /// otherwise it is simulated again. Entries are created by renaming, so they are always complete; remains of killed
 /// programs are removed, and concurrent programs share one entry. If the cache is not writable, a temporary folder is

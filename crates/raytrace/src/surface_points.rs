@@ -94,13 +94,13 @@ pub fn write_ply(points: &SurfacePoints, comment: &str, file: &mut impl Write) -
     let count = points.points.len();
     write!(file, "ply\nformat binary_little_endian 1.0\n{lines}element vertex {count}\n{properties}end_header\n")?;
     for (point, normal) in points.points.iter().zip(&points.normals) {
-        let near = |vector: &DVec3| vector.to_array().map(|value| (value as f32).to_le_bytes());
+        let single = |vector: &DVec3| vector.to_array().map(|value| (value as f32).to_le_bytes());
         if is_far {
             file.write_all(point.to_array().map(f64::to_le_bytes).as_flattened())?;
         } else {
-            file.write_all(near(point).as_flattened())?;
+            file.write_all(single(point).as_flattened())?;
         }
-        file.write_all(near(normal).as_flattened())?;
+        file.write_all(single(normal).as_flattened())?;
     }
     Ok(())
 }

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use pwrfgs_core::{Baseline, DataSource, Dataset, End, FittingSet, Plugin, Pose, Simulation};
-use pwrfgs_raytrace::output::{MANIFEST, OutputLayout, POINTS, write_dataset};
+use pwrfgs_raytrace::output::{DatasetWriter, MANIFEST, OutputLayout, POINTS};
 use pwrfgs_raytrace::scene::Orientation;
 use pwrfgs_raytrace::spectrum::Spectrum;
 use pwrfgs_raytrace::{
@@ -47,7 +47,8 @@ fn recipe(folder: &Path) -> SimulationRecipe {
 
 /// Writes the data set of a recipe.
 fn write(recipe: &SimulationRecipe, layout: OutputLayout, paths: bool, out: &Path) -> pwrfgs_core::Result<()> {
-    write_dataset(recipe, layout, paths, out, &|_, _| {}, &AtomicBool::new(false))
+    let stop = &AtomicBool::new(false);
+    DatasetWriter { layout, has_paths: paths, progress: &|_, _| {}, stop }.write(recipe, out)
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Folders of powers and channels: reproducible bytes, content, and clear errors.
 
 use crate::common::{CSI, small_room};
-use pwrfgs_raytrace::output::{OutputLayout, write_dataset};
+use pwrfgs_raytrace::output::{DatasetWriter, OutputLayout};
 use pwrfgs_raytrace::{
     ObservationKind, ReceiverObservation, SILENT_DBM, SceneFile, SimulatedObservation, SimulationRecipe,
     SimulationRequest, Simulator, simulate_links,
@@ -40,9 +40,14 @@ fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     all
 }
 
+/// Writes a data set.
+fn try_write(recipe: &SimulationRecipe, layout: OutputLayout, has_paths: bool, out: &Path) -> pwrfgs_core::Result<()> {
+    DatasetWriter { layout, has_paths, progress: &|_, _| {}, stop: &AtomicBool::new(false) }.write(recipe, out)
+}
+
 /// Writes a data set with paths, and returns its files.
 fn written(recipe: &SimulationRecipe, layout: OutputLayout, out: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    write_dataset(recipe, layout, true, out, &|_, _| {}, &AtomicBool::new(false)).unwrap();
+    try_write(recipe, layout, true, out).unwrap();
     contents(out)
 }
 
@@ -220,7 +225,7 @@ fn rejects_observation_that_does_not_fit_layout() {
         fs::write(&path, text).unwrap();
         let recipe = SimulationRecipe::read(&path, 10, 7, 50).and_then(|recipe| recipe.observing(observe));
         let out = folder.path().join("out");
-        let made = recipe.and_then(|r| write_dataset(&r, layout, false, &out, &|_, _| {}, &AtomicBool::new(false)));
+        let made = recipe.and_then(|r| try_write(&r, layout, false, &out));
         let error = made.unwrap_err();
         assert!(error.is_input() && !out.exists());
         error.to_string()
@@ -258,8 +263,7 @@ fn rejects_table_without_received_power_and_removes_files() {
     let text = small_room("").replace("transmitter: (", "transmitter: (power_dbm: -190, ");
     let recipe = recipe(folder.path(), &text, ObservationKind::Power { noise_db: 0.0 });
     let out = folder.path().join("silent");
-    let shown =
-        write_dataset(&recipe, OutputLayout::Rssi, true, &out, &|_, _| {}, &AtomicBool::new(false)).unwrap_err();
+    let shown = try_write(&recipe, OutputLayout::Rssi, true, &out).unwrap_err();
     assert!(shown.is_input() && shown.to_string().contains("receives no transmitter above -100 dBm"), "{shown}");
     assert!(!out.exists());
 }

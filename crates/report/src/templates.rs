@@ -7,7 +7,7 @@ use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Value;
 use minijinja::{AutoEscape, Environment};
 use pwrfgs_core::{Error, Result};
-use pwrfgs_experiment::text::{duration, grouped};
+use pwrfgs_experiment::text::{format_duration, grouped};
 use std::sync::LazyLock;
 
 const TEMPLATES: [(&str, &str); 16] = [
@@ -51,7 +51,7 @@ static ENVIRONMENT: LazyLock<Environment<'static>> = LazyLock::new(|| {
     });
     // An image embedded in a page.
     environment.add_filter("base64", |text: &str| STANDARD.encode(text));
-    environment.add_filter("duration", duration);
+    environment.add_filter("duration", format_duration);
     environment.add_filter("grouped", |number: f64| grouped(number.round() as i64));
     for (name, text) in TEMPLATES {
         environment.add_template(name, text).expect("templates are right, as tests check");

@@ -1,6 +1,6 @@
 //! All methods, baselines and predictions of other programs on one data set.
 
-use crate::init::{DataSurvey, Effort, suggest_pipeline};
+use crate::init::{DataSurvey, Effort};
 use clap::Args;
 use pwrfgs_core::plugin::{Checked, name_of as plugin_name, registered};
 use pwrfgs_core::threads::{COUNTS, parse_count};
@@ -14,7 +14,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// Settings of [`plan_comparison`].
+/// Settings of [`ComparedRuns::plan`].
 #[derive(Clone, Debug, Args, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CompareSettings {
@@ -42,9 +42,11 @@ fn default_seeds() -> usize {
     3
 }
 
-/// Names and changes of the runs of a comparison.
+/// Settings, names and changes of the runs of a comparison.
 #[derive(Clone, Debug)]
 pub struct ComparedRuns {
+    /// Compared methods, predictions and seeds.
+    pub settings: CompareSettings,
     /// Name of the data in the names of the runs.
     pub name: String,
     /// Changes of all pipelines, in the form of `--set`.
@@ -62,84 +64,6 @@ pub struct Comparison {
     pub partition: Partition,
     /// Name of the first other program, the reference of the report; `None` without any.
     pub reference: Option<String>,
-}
-
-/// Plans a run per method and seed, all with the same split; the runs of the first method score all baselines and the predictions
-/// of other programs. A method that was not named and cannot predict the data is left out, with a message.
-///
-/// # Errors
-/// An unknown method, invalid changes or predictions, or data that no method can predict.
-pub fn plan_comparison(
-    survey: &DataSurvey,
-    settings: &CompareSettings,
-    named: &ComparedRuns,
-    observer: &mut dyn Observer,
-) -> Result<Comparison> {
-    if !COUNTS.contains(&settings.seeds) {
-        return Err(Error::Config(format!("--seeds {}: expected a number from 1 to {}", settings.seeds, COUNTS.end())));
-    }
-    let mut plan = plan_methods(settings, named, survey, observer)?;
-    let partition = plan.runs[0].pipeline.partition(&survey.data)?;
-    let external = settings.read_predictions(&plan, &survey.data, &partition.test)?;
-    // Baselines and predictions are equal for all methods: the runs of the first method score them.
-    let first = plan.runs[0].combination;
-    for PlannedRun { combination, pipeline, .. } in &mut plan.runs {
-        if *combination == first {
-            pipeline.baselines.extend(external.iter().cloned());
-        } else {
-            pipeline.baselines.clear();
-        }
-    }
-    let reference = external.first().map(|baseline| baseline.name());
-    Ok(Comparison { plan, partition, reference })
-}
-
-/// Plans the runs of the methods that support the data, all with the same split. A method that was not named and
-/// cannot predict the data is left out, with a note.
-fn plan_methods(
-    settings: &CompareSettings,
-    named: &ComparedRuns,
-    survey: &DataSurvey,
-    observer: &mut dyn Observer,
-) -> Result<SweepPlan> {
-    let experiment = read_experiment(settings.seeds, &named.name, &survey.data)?;
-    let labels: Vec<&str> = experiment.axes[0].variants.iter().map(|variant| variant.label.as_str()).collect();
-    if let Some(name) = settings.methods.iter().find(|name| !labels.contains(&name.as_str())) {
-        let near = did_you_mean(name, labels.iter().copied());
-        let why = format!("--methods {name}: no such method for these data{near} (methods: {})", labels.join(", "));
-        return Err(Error::Config(why));
-    }
-    let (mut base, _) = suggest_pipeline(survey, &named.name, Effort::Normal, Path::new("compare.ron"))?;
-    // Methods are compared by what one model of each learns.
-    (base.members, base.residuals) = (1, None);
-    (base.split_seed, base.baselines) = (Some(0), applicable_baselines(&survey.data));
-    let mut whole: Option<SweepPlan> = None;
-    for method in labels {
-        let is_named = settings.methods.iter().any(|name| name == method);
-        if !is_named && !settings.methods.is_empty() {
-            continue;
-        }
-        let planned =
-            restrict_to_method(&experiment, method).and_then(|experiment| named.plan_runs(&experiment, &base, survey));
-        match planned {
-            Ok(mut plan) => match &mut whole {
-                Some(whole) => {
-                    let combination = whole.runs.last().map_or(0, |run| run.combination + 1);
-                    plan.runs.iter_mut().for_each(|run| run.combination = combination);
-                    whole.runs.extend(plan.runs);
-                }
-                None => whole = Some(plan),
-            },
-            Err(error) if !is_named && error.is_input() => {
-                observer
-                    .on_message(&format!("note: {method} is left out, since it cannot predict these data: {error}"));
-            }
-            Err(error) => return Err(error),
-        }
-    }
-    whole.ok_or_else(|| {
-        Error::Config(format!("{}: no method can predict these data; see docs/data.md", survey.data.title))
-    })
 }
 
 /// Reads the shipped experiment with the methods for the task of `data`, and sets its name, with that of the data, and seeds.
@@ -165,6 +89,81 @@ fn restrict_to_method(experiment: &Experiment, method: &str) -> Result<Experimen
 }
 
 impl ComparedRuns {
+    /// Plans a run per method and seed, all with the same split; the runs of the first method score all baselines and the predictions
+    /// of other programs. A method that was not named and cannot predict the data is left out, with a message.
+    ///
+    /// # Errors
+    /// An unknown method, invalid changes or predictions, or data that no method can predict.
+    pub fn plan(&self, survey: &DataSurvey, observer: &mut dyn Observer) -> Result<Comparison> {
+        let settings = &self.settings;
+        if !COUNTS.contains(&settings.seeds) {
+            return Err(Error::Config(format!(
+                "--seeds {}: expected a number from 1 to {}",
+                settings.seeds,
+                COUNTS.end()
+            )));
+        }
+        let mut plan = self.plan_methods(survey, observer)?;
+        let partition = plan.runs[0].pipeline.partition(&survey.data)?;
+        let external = settings.read_predictions(&plan, &survey.data, &partition.test)?;
+        // Baselines and predictions are equal for all methods: the runs of the first method score them.
+        let first = plan.runs[0].combination;
+        for PlannedRun { combination, pipeline, .. } in &mut plan.runs {
+            if *combination == first {
+                pipeline.baselines.extend(external.iter().cloned());
+            } else {
+                pipeline.baselines.clear();
+            }
+        }
+        let reference = external.first().map(|baseline| baseline.name());
+        Ok(Comparison { plan, partition, reference })
+    }
+
+    /// Plans the runs of the methods that support the data, all with the same split. A method that was not named and
+    /// cannot predict the data is left out, with a note.
+    fn plan_methods(&self, survey: &DataSurvey, observer: &mut dyn Observer) -> Result<SweepPlan> {
+        let settings = &self.settings;
+        let experiment = read_experiment(settings.seeds, &self.name, &survey.data)?;
+        let labels: Vec<&str> = experiment.axes[0].variants.iter().map(|variant| variant.label.as_str()).collect();
+        if let Some(name) = settings.methods.iter().find(|name| !labels.contains(&name.as_str())) {
+            let near = did_you_mean(name, labels.iter().copied());
+            let why = format!("--methods {name}: no such method for these data{near} (methods: {})", labels.join(", "));
+            return Err(Error::Config(why));
+        }
+        let (mut base, _) = survey.suggest_pipeline(&self.name, Effort::Normal, Path::new("compare.ron"))?;
+        // Methods are compared by what one model of each learns.
+        (base.members, base.residuals) = (1, None);
+        (base.split_seed, base.baselines) = (Some(0), applicable_baselines(&survey.data));
+        let mut whole: Option<SweepPlan> = None;
+        for method in labels {
+            let is_named = settings.methods.iter().any(|name| name == method);
+            if !is_named && !settings.methods.is_empty() {
+                continue;
+            }
+            let planned = restrict_to_method(&experiment, method)
+                .and_then(|experiment| self.plan_runs(&experiment, &base, survey));
+            match planned {
+                Ok(mut plan) => match &mut whole {
+                    Some(whole) => {
+                        let combination = whole.runs.last().map_or(0, |run| run.combination + 1);
+                        plan.runs.iter_mut().for_each(|run| run.combination = combination);
+                        whole.runs.extend(plan.runs);
+                    }
+                    None => whole = Some(plan),
+                },
+                Err(error) if !is_named && error.is_input() => {
+                    observer.on_message(&format!(
+                        "note: {method} is left out, since it cannot predict these data: {error}"
+                    ));
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        whole.ok_or_else(|| {
+            Error::Config(format!("{}: no method can predict these data; see docs/data.md", survey.data.title))
+        })
+    }
+
     /// Plans the runs of an experiment with a single method, and checks them with the data.
     fn plan_runs(&self, experiment: &Experiment, base: &Pipeline, survey: &DataSurvey) -> Result<SweepPlan> {
         // No text: positions in it would be those of all methods.

@@ -51,36 +51,33 @@ const TURNING_ARRAY: [&str; 4] = [
 /// Number of trained pixels per image of a camera above which there is a stride.
 const PIXELS: usize = 40_000;
 
-/// Suggests a pipeline called `name` for the data of a survey, whose paths it takes over; errors name the file `out`. Also
-/// returns notes on the settings that depend on the number of places, the first on models and steps.
-///
-/// # Errors
-/// A path that is not UTF-8.
-pub fn suggest_pipeline(
-    survey: &DataSurvey,
-    name: &str,
-    effort: Effort,
-    out: &Path,
-) -> Result<(Pipeline, Vec<String>)> {
-    let mut set = vec![
-        format!("name={name}"),
-        format!("data={}", try_to_ron(&survey.source).map_err(Error::Config)?),
-        format!("split={}", survey.split),
-    ];
-    let (start, batch, baselines) = select_template(survey, &mut set)?;
-    set.push(format!("training.batch={}", survey.batch_size(batch)));
-    let mut sizing = Sizing::of(survey, effort);
-    set.extend(sizing.set);
-    set.push(format!("baselines=[{baselines}]"));
-    set.extend((!survey.accepted.is_empty()).then(|| format!("accept={:?}", survey.accepted)));
-    let shipped = ShippedFile::all(ShippedFile::PIPELINES).into_iter().find(|file| file.name == start);
-    let mut pipeline = Pipeline::parse(shipped.expect("the facade registers its pipelines").source, out)?;
-    pipeline.set_all(&set)?;
-    sizing.notes.extend(survey.batch_note(pipeline.training.batch));
-    Ok((pipeline, sizing.notes))
+impl DataSurvey {
+    /// Suggests a pipeline called `name` for the data, whose paths it takes over; errors name the file `out`. Also
+    /// returns notes on the settings that depend on the number of places, the first on models and steps.
+    ///
+    /// # Errors
+    /// A path that is not UTF-8.
+    pub fn suggest_pipeline(&self, name: &str, effort: Effort, out: &Path) -> Result<(Pipeline, Vec<String>)> {
+        let mut set = vec![
+            format!("name={name}"),
+            format!("data={}", try_to_ron(&self.source).map_err(Error::Config)?),
+            format!("split={}", self.split),
+        ];
+        let (start, batch, baselines) = select_template(self, &mut set)?;
+        set.push(format!("training.batch={}", self.batch_size(batch)));
+        let mut sizing = Sizing::of(self, effort);
+        set.extend(sizing.set);
+        set.push(format!("baselines=[{baselines}]"));
+        set.extend((!self.accepted.is_empty()).then(|| format!("accept={:?}", self.accepted)));
+        let shipped = ShippedFile::all(ShippedFile::PIPELINES).into_iter().find(|file| file.name == start);
+        let mut pipeline = Pipeline::parse(shipped.expect("the facade registers its pipelines").source, out)?;
+        pipeline.set_all(&set)?;
+        sizing.notes.extend(self.batch_note(pipeline.training.batch));
+        Ok((pipeline, sizing.notes))
+    }
 }
 
-/// Creates a pipeline called `name` for `data`, which `source` reads (RON): the split of [`suggest_pipeline`], and the defaults
+/// Creates a pipeline called `name` for `data`, which `source` reads (RON): the split of [`DataSurvey::suggest_pipeline`], and the defaults
 /// for the kind of data.
 ///
 /// # Errors

@@ -6,12 +6,12 @@ mod scores;
 use crate::models::check_positions;
 use crate::plane::PlaneBounds;
 use clap::Args;
-pub use observations::{checked_features, read_observations};
+pub use observations::UnlocatedObservations;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Dataset, Error, FittingSet, Geodetic, Predict, Progress, Receiver, Result};
-use pwrfgs_experiment::text::{aligned, fixed, grouped};
-use pwrfgs_experiment::{Observer, SplitData, check_alike, staged};
+use pwrfgs_core::{Dataset, Error, Geodetic, Receiver, Result};
+use pwrfgs_experiment::text::{align_columns, fixed, grouped};
+use pwrfgs_experiment::{Observer, SplitData, check_alike, run_stage};
 use pwrfgs_localise::{FingerprintFeatures, Located, Locator, Region, SHARES};
 use pwrfgs_model::Ensemble;
 use pwrfgs_report::draw::location::LocationMap;
@@ -97,7 +97,8 @@ pub fn locate(
     check_alike(&ensemble.prepare(), data)?;
     let unbiased = ensemble.without_validation(data, fitting)?;
     let model = unbiased.as_ref().unwrap_or(ensemble).prepare();
-    let locator = staged(observer, "fingerprints", |progress| fit_locator(data, fitting, &model, progress))?;
+    let locator =
+        run_stage(observer, "fingerprints", |progress| Locator::fit(data, fitting, &model, &SHARES, progress))?;
     match locator.missing_regions().filter(|_| locator.validation == 0) {
         Some(why) => observer.on_warning(why),
         None => observer.on_message(&describe_locator(&locator, data.locations_of(fitting.validation).len())),
@@ -120,8 +121,11 @@ pub fn locate(
     } else {
         let test = data.locations_of(&split.partition.test);
         let observations = locator.observations(data, &test);
-        let locate = |k: usize| locate_transmitter(&locator, data, test[k], &observations[k], false);
-        locate_rows(test.len(), pictures, observer, locate)
+        locate_rows(test.len(), pictures, observer, |k| LocatedRow {
+            name: format!("{:05}", data.locations[test[k]].id),
+            located: locator.locate(&observations[k]),
+            truth: Some(data.locations[test[k]].position()),
+        })
     };
     let table = if let Some(expected) = expected {
         format_positions(&rows, data.scene.geodetic) + &expected
@@ -142,7 +146,7 @@ pub fn locate(
 /// Describes the number of regions with several parts, and the calibration of the regions; empty without such facts.
 fn describe_regions(rows: &[LocatedRow], locator: &Locator<'_>) -> String {
     let regions: Vec<&Region> = rows.iter().filter_map(|row| row.located.region.as_ref()).collect();
-    let parts = regions.iter().map(|region| region.parts());
+    let parts = regions.iter().map(|region| region.part_count());
     let several = parts.clone().filter(|count| *count > 1).count();
     let mut text = String::new();
     if several > 0 {
@@ -194,34 +198,6 @@ fn locate_rows(
     rows
 }
 
-/// Locates the transmitter `t` of the data from its observation; one of the known positions (`is_known`) is compared without
-/// itself.
-pub fn locate_transmitter(
-    locator: &Locator<'_>,
-    data: &Dataset,
-    t: usize,
-    observation: &[f32],
-    is_known: bool,
-) -> LocatedRow {
-    let transmitter = data.locations[t];
-    let truth = transmitter.position();
-    let located = locator.locate_without(observation, is_known.then_some(truth));
-    LocatedRow { name: format!("{:05}", transmitter.id), located, truth: Some(truth) }
-}
-
-/// Fits a locator to the positions of `links` with the fingerprints of a model; `progress` counts links and samples.
-///
-/// # Errors
-/// Data without positions or with a moving receiver, or an observation that cannot be read.
-pub fn fit_locator<'a>(
-    data: &Dataset,
-    links: FittingSet<'_>,
-    model: &'a dyn Predict,
-    progress: Progress<'_>,
-) -> Result<Locator<'a>> {
-    Locator::fit(data, links, model, &SHARES, progress)
-}
-
 /// Formats the table of the estimated positions.
 fn format_positions(rows: &[LocatedRow], geodetic: Option<Geodetic>) -> String {
     let degrees = if geodetic.is_some() { &["latitude", "longitude"][..] } else { &[] };
@@ -231,7 +207,7 @@ fn format_positions(rows: &[LocatedRow], geodetic: Option<Geodetic>) -> String {
         let [area, parts] = located
             .region
             .as_ref()
-            .map_or_else(Default::default, |region| [fixed(region.area(), 3), region.parts().to_string()]);
+            .map_or_else(Default::default, |region| [fixed(region.area(), 3), region.part_count().to_string()]);
         let mut line = vec![name.clone()];
         line.extend(located.position.map(|v| fixed(v, 3)));
         line.extend([fixed(located.misfit, 2), area, parts]);
@@ -239,7 +215,7 @@ fn format_positions(rows: &[LocatedRow], geodetic: Option<Geodetic>) -> String {
         line.extend(geodetic.iter().flat_map(|geodetic| geodetic.degrees([x, y]).map(|v| fixed(v, 6))));
         lines.push(line);
     }
-    aligned(&lines, 1)
+    align_columns(&lines, 1)
 }
 
 /// Returns the horizontal coordinates of a position.
@@ -272,7 +248,7 @@ impl Localisation {
             let LocatedRow { name, located, truth } = row;
             let ([x, y, z], region) = (located.position, located.region.as_ref());
             let outlines = region.map(Region::outlines).unwrap_or_default();
-            let parts = region.map_or(0, Region::parts);
+            let parts = region.map_or(0, Region::part_count);
             let area = region.map_or_else(String::new, |region| format!("{:.6}", region.area()));
             _ = writeln!(
                 list,
@@ -285,7 +261,7 @@ impl Localisation {
             if let Some(region) = region.filter(|region| !region.values.is_empty()) {
                 let image = LocationMap {
                     title: format!("{}: observation {name}", self.title),
-                    grid: (region.first(), region.step),
+                    grid: (region.first_centre(), region.step),
                     columns: region.columns,
                     density: &region.values,
                     parts,

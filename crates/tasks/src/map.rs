@@ -6,12 +6,12 @@ use crate::models::{check_positions, select_receivers};
 use crate::plane::{MapPlane, PlaneBounds, PlaneGrid};
 use clap::Args;
 use layers::select_quantities;
-pub use layers::{MapLayer, MapQuantity, compute_layers};
+pub use layers::{MapLayer, MapQuantity, MapRequest};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::statistics::sorted;
 use pwrfgs_core::{Error, Geodetic, Number, Pose, Query, Receiver, Result};
 use pwrfgs_data::npy_header;
-use pwrfgs_experiment::{Observer, text::field};
+use pwrfgs_experiment::{Observer, text::csv_field};
 use pwrfgs_model::Ensemble;
 use pwrfgs_report::draw::plan::{Heatmap, Palette, TrainingMap};
 use schemars::JsonSchema;
@@ -110,8 +110,8 @@ pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Obser
     };
     let grid = PlaneGrid::new(plane, bounds, step, mapped.len())?;
     let (predict, total) = (|queries: &[Query<'_>]| model.predict_many(queries), grid.position_count());
-    let mut layers =
-        compute_layers(setup, &predict, &grid, &mapped, &quantities, |done| observer.on_stage("mapping", done, total));
+    let request = MapRequest { setup, grid: &grid, receivers: &mapped, quantities: &quantities };
+    let mut layers = request.layers(&predict, |done| observer.on_stage("mapping", done, total));
     let (layer, training) = training_layer(ensemble, &grid).unzip();
     layers.extend(layer);
     let receivers = model.receivers().to_vec();
@@ -265,7 +265,7 @@ impl RadioMap {
         let finite = || layer.values.iter().copied().filter(|v| v.is_finite());
         let ends = [finite().reduce(f32::min), finite().reduce(f32::max)];
         let [low, high] = ends.map(|end| end.map_or_else(String::new, |v| v.to_string()));
-        let quantity = format!("{name}.npy,{name}.png,{},{},{}", layer.words, layer.unit, field(receiver));
+        let quantity = format!("{name}.npy,{name}.png,{},{},{}", layer.words, layer.unit, csv_field(receiver));
         let grid = format!("{across},{},{columns},{up},{},{rows},{step},{}", first[0], first[1], plane.describe());
         format!("{quantity},{grid},{low},{high}")
     }

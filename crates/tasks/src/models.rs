@@ -2,7 +2,7 @@
 
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Error, Receiver, Result, did_you_mean};
-use pwrfgs_experiment::{model_file, text::listed};
+use pwrfgs_experiment::{model_file, text::join_names};
 use pwrfgs_model::{Ensemble, file};
 use std::path::PathBuf;
 
@@ -65,7 +65,7 @@ pub fn select_receivers(receivers: &[Receiver], names: &[String]) -> Result<Vec<
 /// Creates the error for the name of an unknown receiver, with the nearest name.
 fn unknown_receiver_error(receivers: &[Receiver], name: &str) -> Error {
     let near = did_you_mean(name, receivers.iter().map(|receiver| receiver.name.as_str()));
-    let list = listed(receivers.iter().map(|r| strip_control(&r.name)), LISTED);
+    let list = join_names(receivers.iter().map(|r| strip_control(&r.name)), LISTED);
     Error::Config(format!(
         "--receiver {}: no such receiver in the model{near} (receivers: {list})",
         strip_control(name)

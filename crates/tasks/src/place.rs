@@ -8,7 +8,7 @@ use clap::Args;
 pub use measured::place_in_data;
 use pwrfgs_core::Result;
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_experiment::text::{Lines, aligned};
+use pwrfgs_experiment::text::{Lines, align_columns};
 use pwrfgs_report::draw::survey::CoverageMap;
 #[cfg(feature = "raytrace")]
 pub use scene::place_in_scene;
@@ -97,7 +97,7 @@ impl Placement {
         let mut lines = vec![[&["choice".to_owned()], &self.header[..]].concat()];
         let line = |choice: &PlacedReceivers| [std::slice::from_ref(&choice.name), &choice.cells[..]].concat();
         lines.extend(self.choices.iter().map(line));
-        self.notes.iter().fold(aligned(&lines, 1) + "\n", |text, note| text + note + "\n")
+        self.notes.iter().fold(align_columns(&lines, 1) + "\n", |text, note| text + note + "\n")
     }
 
     /// Writes `place.csv` and `place.png` into `folder`.

@@ -8,10 +8,10 @@ use clap::Args;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::statistics::{self, evenly, mean};
-use pwrfgs_core::{Dataset, Error, Location, Receiver, Result, check_stopped, evenly as thinned};
+use pwrfgs_core::{Dataset, Error, Location, Receiver, Result, evenly as thinned};
 use pwrfgs_experiment::statistics::{Blocks, Difference};
-use pwrfgs_experiment::text::{Lines, aligned, fixed, grouped, number};
-use pwrfgs_experiment::{Observer, staged};
+use pwrfgs_experiment::text::{Lines, align_columns, fixed, grouped, number};
+use pwrfgs_experiment::{Session, run_stage};
 use pwrfgs_model::Ensemble;
 use pwrfgs_planning::{Survey, SurveyPlan, default_correlation, kriging_scores, learn_correlation, select_farthest};
 use pwrfgs_report::draw::survey::SurveyMap;
@@ -19,7 +19,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::fmt::Write as _;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 /// Largest number of transmitters that a choice is scored on.
 const TESTED: usize = 500;
@@ -137,20 +137,21 @@ pub struct Plan {
     pub text: String,
 }
 
-/// Selects positions to measure next, of the candidates of `places`. `observer` receives the progress; `stop` ends the search.
+/// Selects positions to measure next, of the candidates of `places`.
 ///
 /// # Errors
 /// Invalid settings, no candidates, no candidate in the region, or [`Error::Stopped`].
-pub fn plan(places: &Places, settings: &PlanSettings, observer: &mut dyn Observer, stop: &AtomicBool) -> Result<Plan> {
+pub fn plan(places: &Places, settings: &PlanSettings, session: &mut Session<'_>) -> Result<Plan> {
     check_count(settings.count, places.candidates.len())?;
     let region = select_region(settings, places)?;
-    let subset = staged(observer, "thinning candidates", |progress| {
+    let stop = session.stop;
+    let subset = run_stage(session.observer, "thinning candidates", |progress| {
         select_farthest(&places.candidates, MOST, |done| {
             progress(done, MOST);
             !stop.load(Ordering::Relaxed)
         })
     });
-    check_stopped(stop)?;
+    session.check_stopped()?;
     let candidates: Vec<[f64; 3]> = subset.iter().map(|&j| places.candidates[j]).collect();
     let survey = Survey::new(&candidates, &region, &places.measured);
     let start = first_correlation(settings, places, &region)?;
@@ -158,16 +159,16 @@ pub fn plan(places: &Places, settings: &PlanSettings, observer: &mut dyn Observe
     let learn = |order: &[usize]| {
         places.data.as_ref().filter(|_| settings.simulate).and_then(|data| learn_correlation(data, &of_all(order)))
     };
-    let selected = staged(observer, "selecting positions", |progress| {
+    let selected = run_stage(session.observer, "selecting positions", |progress| {
         survey.select(start, settings.count, learn, |done| {
             progress(done, settings.count);
             !stop.load(Ordering::Relaxed)
         })
     });
-    check_stopped(stop)?;
+    session.check_stopped()?;
     let mut choices = list_choices(&survey, &selected, settings.seed);
     choices.iter_mut().for_each(|choice| choice.order = of_all(&choice.order));
-    let gain = score_choices(&mut choices, places, observer, stop)?;
+    let gain = score_choices(&mut choices, places, session)?;
     let text = format_table(&choices, gain, &selected.correlation, places);
     let Choice { order, variances, .. } = choices.swap_remove(0);
     Ok(Plan { order, variances, text })
@@ -244,12 +245,7 @@ fn list_choices(survey: &Survey, plan: &SurveyPlan, seed: u64) -> Vec<Choice> {
 
 /// Scores Kriging from each choice on transmitters in none of them. Returns the gain of the plan over the regular
 /// choice; `None` without measured candidates or without such transmitters.
-fn score_choices(
-    choices: &mut [Choice],
-    places: &Places,
-    observer: &mut dyn Observer,
-    stop: &AtomicBool,
-) -> Result<Option<Difference>> {
+fn score_choices(choices: &mut [Choice], places: &Places, session: &mut Session<'_>) -> Result<Option<Difference>> {
     let Some(data) = places.data.as_ref().filter(|_| places.measured.is_empty()) else { return Ok(None) };
     let test = test_links(data, choices);
     if test.is_empty() {
@@ -257,8 +253,8 @@ fn score_choices(
     }
     let total = choices.len();
     for (k, choice) in choices.iter_mut().enumerate() {
-        check_stopped(stop)?;
-        observer.on_stage("scoring", k, total);
+        session.check_stopped()?;
+        session.observer.on_stage("scoring", k, total);
         choice.scores = kriging_scores(data, &choice.order, &test)?;
     }
     Ok(mean_gain(data, &test, &choices[0], &choices[1]))
@@ -319,7 +315,7 @@ fn format_table(choices: &[Choice], gain: Option<Difference>, correlation: &Corr
         lines.push(line);
     }
     let Correlation { scales: [length, ..], noise, .. } = correlation;
-    let mut text = aligned(&lines, 1);
+    let mut text = align_columns(&lines, 1);
     _ = write!(
         text,
         "\n{} candidates, {} known measurements; exponential correlation, length scale {} m, noise {} of the variance\n",

@@ -1,6 +1,6 @@
 //! Positions and bounds as text, the axis-parallel plane of a map, and the grid of positions on it.
 
-use pwrfgs_core::{Error, Geodetic, MAX_COORDINATE_M, Pose, Result, coordinate_fault, place_fault};
+use pwrfgs_core::{Error, Geodetic, MAX_COORDINATE_M, Pose, Result, coordinate_fault, position_fault};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 /// Maximum number of positions of a map.
@@ -21,7 +21,7 @@ pub fn parse_numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
 pub fn parse_position(option: &str, text: &str) -> Result<[f64; 3]> {
     let wrong =
         || Error::Config(format!("{option} {text}: expected x,y,z in metres, each at most 1e8, such as 3.5,2.2,1.2"));
-    parse_numbers(text).filter(|position| place_fault(*position).is_none()).ok_or_else(wrong)
+    parse_numbers(text).filter(|position| position_fault(*position).is_none()).ok_or_else(wrong)
 }
 
 /// Parses `x,y,z,qx,qy,qz,qw`, metres and a unit quaternion from receiver axes to world axes, the value of `option`.

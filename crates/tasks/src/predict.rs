@@ -6,13 +6,12 @@ use crate::models::{check_positions, select_receivers};
 use clap::Args;
 use pwrfgs_core::files::{PartialFolder, digest};
 use pwrfgs_core::statistics::median;
-use pwrfgs_core::{Error, Image, Pose, Predict as _, Query, Result, Task, check_stopped, device};
-use pwrfgs_experiment::{Observer, text::grouped};
+use pwrfgs_core::{Error, Image, Pose, Predict as _, Query, Result, Task, device};
+use pwrfgs_experiment::{Session, text::grouped};
 use pwrfgs_model::{Ensemble, IntervalFactors, Prepared, TrainingDistances, file};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 use writers::{PredictedRow, PredictionImage, PredictionRow, PredictionWriter};
 
@@ -54,19 +53,18 @@ pub struct PredictionCount {
 }
 
 /// Predicts at the `poses` of the end that moves, and writes the predictions into the folder `out`. What is complete stays in
-/// `out` with the suffix `.partial`, from which the same call continues. `observer` receives the progress.
+/// `out` with the suffix `.partial`, from which the same call continues.
 ///
 /// # Errors
 /// Invalid settings, a model whose input is not a position, a prediction that is not finite, or a file that cannot be written;
 /// `out` is not empty, or its partial folder has predictions of other models, positions or settings; [`Error::Stopped`] once
-/// `stop` is set.
+/// the session is stopped.
 pub fn write_predictions(
     ensemble: &Ensemble,
     poses: &[Pose],
     settings: &PredictSettings,
     out: &Path,
-    observer: &mut dyn Observer,
-    stop: &AtomicBool,
+    session: &mut Session<'_>,
 ) -> Result<PredictionCount> {
     check_positions(ensemble)?;
     let task = ensemble.members()[0].stages.task;
@@ -82,7 +80,7 @@ pub fn write_predictions(
     let model = ensemble.prepare();
     let (count, latency) = {
         let predictor = RowPredictor { model: &model, poses, receivers, distances: distances.as_ref(), factors };
-        match predictor.write(&folder, settings, observer, stop) {
+        match predictor.write(&folder, settings, session) {
             Err(error) if error.is_input() => {
                 folder.discard(); // other positions, and so another request, are the only remedy
                 return Err(error);
@@ -155,51 +153,49 @@ impl RowPredictor<'_> {
     }
 
     /// Predicts and writes the rows that `folder` does not have yet.
-    fn write(
-        &self,
-        folder: &PartialFolder,
-        settings: &PredictSettings,
-        observer: &mut dyn Observer,
-        stop: &AtomicBool,
-    ) -> Result<()> {
+    fn write(&self, folder: &PartialFolder, settings: &PredictSettings, session: &mut Session<'_>) -> Result<()> {
         let (model, count) = (self.model, self.count());
         let stacked = settings.stacked.then_some(count);
         let (mut writer, first) =
             PredictionWriter::resume(folder, model, !settings.no_png, self.factors.is_some(), stacked)?;
         if first > 0 {
-            observer.on_message(&format!("resuming after row {} of {}", grouped(first as i64), grouped(count as i64)));
+            session.observer.on_message(&format!(
+                "resuming after row {} of {}",
+                grouped(first as i64),
+                grouped(count as i64)
+            ));
         }
         let step = (VALUES / model.setup().value_count().max(1)).clamp(CALL, ROWS);
         for row in (first..count).step_by(step) {
-            check_stopped(stop)?;
-            observer.on_stage("predicting", row - first, count - first);
+            session.check_stopped()?;
+            session.observer.on_stage("predicting", row - first, count - first);
             writer.write(&self.predict_rows(row..(row + step).min(count))?)?;
         }
-        observer.on_stage("predicting", count - first, count - first);
+        session.observer.on_stage("predicting", count - first, count - first);
         Ok(())
     }
 
-    /// Returns row `k`, receiver by receiver, and its query.
-    fn row(&self, k: usize) -> (PredictionRow<'_>, Query<'static>) {
+    /// Returns row `k`, receiver by receiver.
+    fn row(&self, k: usize) -> PredictionRow<'_> {
         let (model, task) = (self.model, self.model.task());
         let (p, receiver) = (k / self.receivers.len(), self.receivers[k % self.receivers.len()]);
         let is_named = !task.has_pixels || model.receivers().len() > 1;
-        let row = PredictionRow {
+        PredictionRow {
             number: k + 1,
             pose: self.poses[p],
+            receiver,
             has_orientation: model.moving().is_receiver(),
             name: is_named.then(|| model.receivers()[receiver].name.as_str()),
             training_distance: self.distances.map(|distances| distances.metres[p]),
             geodetic: model.setup().geodetic,
-        };
-        (row, Query::at(row.pose, receiver))
+        }
     }
 
     /// Predicts rows in calls of [`CALL`]; an error if a prediction is not finite or the GPU failed.
     fn predict_rows(&self, rows: Range<usize>) -> Result<Vec<PredictedRow<'_>>> {
         let rows: Vec<_> = rows.map(|k| self.row(k)).collect();
-        let predict = |rows: &[(PredictionRow<'_>, Query<'_>)]| {
-            let queries: Vec<Query<'_>> = rows.iter().map(|(_, query)| *query).collect();
+        let predict = |rows: &[PredictionRow<'_>]| {
+            let queries: Vec<Query<'_>> = rows.iter().map(PredictionRow::query).collect();
             if self.model.models().count() > 1 {
                 let with_spread = |(image, spread)| (image, Some(spread));
                 return self.model.predict_many_with_deviation(&queries).into_iter().map(with_spread).collect();
@@ -208,7 +204,7 @@ impl RowPredictor<'_> {
         };
         let predicted: Vec<_> = rows.par_chunks(CALL).flat_map_iter(predict).collect();
         device::check()?; // before zeros of a failed GPU are written
-        let complete = |((image, spread), (row, query))| self.complete_row(row, query, image, spread);
+        let complete = |((image, spread), row)| self.complete_row(row, image, spread);
         predicted.into_par_iter().zip(rows).map(complete).collect()
     }
 
@@ -216,7 +212,6 @@ impl RowPredictor<'_> {
     fn complete_row<'r>(
         &self,
         row: PredictionRow<'r>,
-        query: Query<'_>,
         image: Image,
         spread: Option<Image>,
     ) -> Result<PredictedRow<'r>> {
@@ -225,7 +220,7 @@ impl RowPredictor<'_> {
             return Err(not_finite_error(task, &row));
         }
         let interval = self.factors.as_ref().map(|factors| {
-            let deviation = self.model.deviation(query).unwrap_or(1.0);
+            let deviation = self.model.deviation(row.query()).unwrap_or(1.0);
             factors.interval(task, &task.shown(image.clone()), deviation)
         });
         Ok((row, PredictionImage { image, spread, interval }))
@@ -235,7 +230,7 @@ impl RowPredictor<'_> {
     fn measure_latency(&self) -> (usize, f64) {
         let (begun, count) = (Instant::now(), self.count());
         let timed = count.min(TIMED);
-        let time = |k: usize| self.model.predict_timed(self.row(k * count / timed).1).1.total;
+        let time = |k: usize| self.model.predict_timed(self.row(k * count / timed).query()).1.total;
         let times: Vec<f64> = (0..timed).take_while(|k| *k == 0 || begun.elapsed() < PATIENCE).map(time).collect();
         (times.len(), 1e3 * median(times))
     }

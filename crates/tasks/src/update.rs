@@ -2,7 +2,7 @@
 
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Dataset, Error, MeasurementSetup, Receiver, Result};
-use pwrfgs_experiment::{Agreement, Finding, Observer, check_alike, collect_findings, reject_findings, staged};
+use pwrfgs_experiment::{Agreement, Finding, Observer, check_alike, collect_findings, reject_findings, run_stage};
 use pwrfgs_model::{Ensemble, Residuals};
 use std::time::Instant;
 
@@ -45,7 +45,7 @@ pub fn update(
     reject_findings(&findings, accepted)?;
     findings.iter().for_each(|finding| observer.on_warning(&finding.to_string()));
     let begun = Instant::now();
-    let (updated, added) = staged(observer, "adding links", |_| residuals.updated(model, data))?;
+    let (updated, added) = run_stage(observer, "adding links", |_| residuals.updated(model, data))?;
     let ensemble = model.clone().with_residuals(Some(updated)).with_calibration(model.calibration().cloned());
     if added == 0 {
         return Err(Error::Config("no link at a receiver with a residual process".into()));

@@ -8,10 +8,9 @@ use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::{
     Facts, Observer, Scores, SplitData, check_alike, load_with_findings, model_file, read_pipeline,
 };
-use pwrfgs_localise::Locator;
+use pwrfgs_localise::{Locator, SHARES};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
-use pwrfgs_tasks::locate::fit_locator;
 use pwrfgs_train::Trainer;
 use self_cell::self_cell;
 use std::path::{Path, PathBuf};
@@ -190,7 +189,7 @@ impl ViewPane {
                 Predictor::Model(ready) => ready.borrow_dependent(),
                 Predictor::Baseline(baseline) => baseline.borrow_dependent().as_ref(),
             };
-            pool.install(|| fit_locator(&loaded.data, loaded.partition.known(), model, &|_, _| {}))
+            pool.install(|| Locator::fit(&loaded.data, loaded.partition.known(), model, &SHARES, &|_, _| {}))
         })?;
         let (_, fitted) = cached.insert((predictor, Arc::new(fitted)));
         Ok(Arc::clone(fitted))
@@ -235,7 +234,7 @@ impl LoadedData {
     /// Loads the data and the split of the pipeline `file`, with the scores in `folder`.
     fn load(file: &Path, folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let pipeline = read_pipeline(file, &[])?;
-        let (SplitData { data, partition }, _) = load_with_findings(&pipeline, Path::new(""), None, observer)?;
+        let (SplitData { data, partition }, _) = load_with_findings(&pipeline, None, observer)?;
         let scores = read_link_scores(folder, &data);
         Ok(Self { pipeline, data: Arc::new(data), partition, scores })
     }

@@ -1,7 +1,7 @@
 //! Single links, subsets and pickling of a data set.
 
 use super::{Dataset, inputs};
-use crate::arrays::{self, array, link_indices, numbers, observation_array, observations, positions, vector};
+use crate::arrays::{self, ObservationShape, array, link_indices, numbers, observation_array, positions, vector};
 use crate::border::{
     input_error, parse_plugin, plugin_text, reject, run_stoppable, stop_progress, to_exception, without_gil,
 };
@@ -50,7 +50,7 @@ impl Dataset {
         let Sample { id, pose, receiver } = data.sample(index);
         let pixels = data.image(index).pixels;
         data.observations.check().map_err(|error| to_exception(py, error))?;
-        let observation = observations(py, data.task(), (data.width, data.height), &[], pixels)?;
+        let observation = ObservationShape::of_data(data, &[]).array(py, pixels)?;
         let (class, pose) = match data.scene.moving {
             End::Transmitter => ("Sample", pose.position.to_vec()),
             End::Receiver => ("ReceiverSample", [&pose.position[..], &pose.orientation].concat()),

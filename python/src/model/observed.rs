@@ -1,7 +1,7 @@
 //! Predicted observations as arrays, and their derivative by the positions of the transmitters.
 
 use super::{Links, Model};
-use crate::arrays::{array, check_memory, observation_rows, observations};
+use crate::arrays::{ObservationShape, array, check_memory};
 use crate::border::{LOOK, log_message, reject, to_exception, to_plugin_error, without_gil};
 use pwrfgs::tasks::predict::{extrapolation_warning, interval_factors};
 use pwrfgs_core::{Error, MeasurementSetup, Predict as _, Query, Real, Result};
@@ -52,25 +52,30 @@ impl Model {
         links: &Links,
         work: impl FnMut(&[Query<'_>], &mut [Real]) + Send,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let MeasurementSetup { plane, task, .. } = &self.stages().setup;
-        let (size, lead) = ((plane.width, plane.height), &links.lead);
-        check_memory::<Real>(&[&lead[..], &[size.0 * size.1]].concat())?;
+        let (lead, count) = (&links.lead, self.stages().setup.value_count());
+        check_memory::<Real>(&[&lead[..], &[count]].concat())?;
         let all = without_gil(py, || {
-            let mut all = vec![0.0; lead.iter().product::<usize>() * size.0 * size.1];
+            let mut all = vec![0.0; lead.iter().product::<usize>() * count];
             self.fill(links, &mut all, work).map(|()| all)
         })?;
-        observations(py, *task, size, lead, all)
+        self.shape(links).array(py, all)
+    }
+
+    /// Returns the shape of the observations of `links`.
+    fn shape<'l>(&self, links: &'l Links) -> ObservationShape<'l> {
+        let MeasurementSetup { plane, task, .. } = &self.stages().setup;
+        ObservationShape { task: *task, size: (plane.width, plane.height), lead: &links.lead }
     }
 
     /// Returns the named tuple (prediction, lower, upper) of these links, with intervals of this level.
     fn predict_interval<'py>(&self, py: Python<'py>, links: &Links, level: f64) -> PyResult<Bound<'py, PyAny>> {
         let factors = interval_factors(&self.ensemble, level).map_err(|error| to_exception(py, error))?;
         let (ready, setup) = (self.prepared(), &self.stages().setup);
-        let size = (setup.plane.width, setup.plane.height);
+        let count = setup.value_count();
         let mut ends = [Vec::new(), Vec::new()];
         let work = |queries: &[Query<'_>], numbers: &mut [Real]| {
             let images = ready.predict_many(queries);
-            for ((query, image), numbers) in queries.iter().zip(images).zip(numbers.chunks_exact_mut(size.0 * size.1)) {
+            for ((query, image), numbers) in queries.iter().zip(images).zip(numbers.chunks_exact_mut(count)) {
                 numbers.copy_from_slice(&image.pixels);
                 let deviation = ready.deviation(*query).unwrap_or(1.0);
                 let interval = factors.interval(setup.task, &setup.task.shown(image), deviation);
@@ -80,14 +85,14 @@ impl Model {
         };
         let prediction = self.predicted_array(py, links, work)?;
         let [lower, upper] = ends;
-        let end = |numbers| observations(py, setup.task, size, &links.lead, numbers);
+        let end = |numbers| self.shape(links).array(py, numbers);
         let fields = (prediction, end(lower)?, end(upper)?);
         py.import("pwrfgs._results")?.getattr("Interval")?.call1(fields)
     }
 
     /// Fills `all` in chunks by `work`; returns an error for values that are not finite, or after Ctrl-C.
     fn fill(&self, links: &Links, all: &mut [Real], mut work: impl FnMut(&[Query<'_>], &mut [Real])) -> Result<()> {
-        let count = self.stages().plane.width * self.stages().plane.height;
+        let count = self.stages().setup.value_count();
         let mut looked = Instant::now();
         for (chunk, numbers) in all.chunks_mut(CHUNK * count).enumerate() {
             let queries: Vec<Query<'_>> = (0..numbers.len() / count).map(|k| links.query(chunk * CHUNK + k)).collect();
@@ -114,11 +119,10 @@ impl Model {
     /// observations.
     pub(super) fn predict_vjp<'py>(
         &self,
-        py: Python<'py>,
         links: &Links,
         cotangents: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let ready = self.prepared();
+        let (py, ready) = (cotangents.py(), self.prepared());
         if !ready.has_derivative() || !links.features.is_empty() {
             let why = "its network reads link features or is a Python class";
             return reject(py, &format!("vjp: this model has no derivative by the position, since {why}"));
@@ -128,9 +132,8 @@ impl Model {
             let what = "vjp: this model has no derivative by the orientation of its receiver; use calibration Physical";
             return reject(py, what);
         }
-        let MeasurementSetup { plane, task, .. } = &self.stages().setup;
-        let (size, count) = ((plane.width, plane.height), plane.width * plane.height);
-        let d = observation_rows("vjp", cotangents, *task, size, &links.lead)?;
+        let count = self.stages().setup.value_count();
+        let d = self.shape(links).read("vjp", cotangents)?;
         let mut slopes: Vec<[f64; 7]> = Vec::new();
         let work = |queries: &[Query<'_>], numbers: &mut [Real]| {
             let all = d[slopes.len() * count..].par_chunks_exact(count).zip(numbers.par_chunks_exact_mut(count));

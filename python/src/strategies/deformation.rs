@@ -1,7 +1,7 @@
 //! Python classes as networks, and Python functions as losses.
 
 use super::{Strategy, check_keys};
-use crate::arrays::{array, array_shape, check_finite, finite_numbers, observation_rows, observations};
+use crate::arrays::{ObservationShape, array, array_shape, check_finite, finite_numbers};
 use crate::border::{call_strategy, reject, throw};
 use pwrfgs::train::Objective;
 use pwrfgs_core::{
@@ -149,14 +149,15 @@ impl Objective for PythonLoss {
     fn evaluate(&self, predictions: &[Real], truths: &[Real], (width, height): (usize, usize)) -> (Real, Vec<Real>) {
         let links = predictions.len() / (width * height).max(1);
         let call = |py: Python<'_>| {
-            let given = |numbers: &[Real]| observations(py, self.task, (width, height), &[links], numbers.to_vec());
+            let shape = ObservationShape { task: self.task, size: (width, height), lead: &[links] };
+            let given = |numbers: &[Real]| shape.array(py, numbers.to_vec());
             let found = self.function.bind(py).call1((given(predictions)?, given(truths)?))?;
             let form = "loss: expected (number, derivative in the predictions)";
             let Ok((value, slope)) = found.extract::<(Bound<'_, PyAny>, Bound<'_, PyAny>)>() else {
                 return reject(py, form);
             };
             let what = "loss: the derivative";
-            let d = observation_rows(what, &slope, self.task, (width, height), &[links])?;
+            let d = shape.read(what, &slope)?;
             Ok((finite_numbers("loss: the value", &value, &[])?[0], check_finite(what, &slope, d)?))
         };
         call_strategy(|| Python::attach(call)).unwrap_or_else(|error: PyErr| throw(error))

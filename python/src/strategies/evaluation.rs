@@ -2,7 +2,7 @@
 
 use super::Strategy;
 use super::objects::{links_object, numpy_generator};
-use crate::arrays::{array, axis_count, link_indices, numbers, observation_array, observation_rows, observations};
+use crate::arrays::{ObservationShape, array, axis_count, link_indices, numbers, observation_array};
 use crate::border::{reject, throw};
 use pwrfgs_core::{
     Baseline, Dataset, Error, Evaluation, FittingSet, Goal, Image, Measurement, Metric, Partition, Predict, Query,
@@ -83,7 +83,8 @@ impl Predict for Predictor {
         let call = |py: Python<'_>| {
             let tx = array(py, query.position().to_vec(), &[3])?;
             let found = self.instance.bind(py).call_method1("predict", (tx, query.receiver))?;
-            let pixels = observation_rows("the result of predict", &found, self.task, self.size, &[])?;
+            let pixels = ObservationShape { task: self.task, size: self.size, lead: &[] }
+                .read("the result of predict", &found)?;
             Ok(Image { width, height, pixels })
         };
         Python::attach(call).unwrap_or_else(|error: PyErr| throw(error))
@@ -123,5 +124,5 @@ impl Metric for Strategy {
 fn stack_images<'py>(py: Python<'py>, images: &[Image], task: Task) -> PyResult<Bound<'py, PyAny>> {
     let rows = images.iter().flat_map(|image| image.pixels.iter().copied()).collect();
     let size = images.first().map_or((0, 0), |image| (image.width, image.height));
-    observations(py, task, size, &[images.len()], rows)
+    ObservationShape { task, size, lead: &[images.len()] }.array(py, rows)
 }

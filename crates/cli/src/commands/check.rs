@@ -7,7 +7,7 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::inspect::Inspection;
 use pwrfgs::experiment::sweep::LISTING;
-use pwrfgs::experiment::{Observer as _, Session, check_findings, preview, read_pipeline, staged};
+use pwrfgs::experiment::{Observer as _, Session, check_findings, preview, read_pipeline, run_stage};
 use pwrfgs::prelude::Pipeline;
 use pwrfgs::tasks::init::{default_pipeline, is_table_or_array, pipeline_name, unknown_folder_error};
 use pwrfgs_core::plugin::try_to_ron;
@@ -76,7 +76,8 @@ pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
 /// Opens the pipeline that `path` names, or one with the split of `pwrfgs init` and defaults for the data in that
 /// folder; also returns its data.
 fn open_data(path: &Path, set: &[String], observer: &mut RunProgress) -> Result<(Pipeline, Dataset)> {
-    let mut load = |source: &Plugin<dyn DataSource>| staged(observer, "spectra", |bar| source.load(Path::new(""), bar));
+    let mut load =
+        |source: &Plugin<dyn DataSource>| run_stage(observer, "spectra", |bar| source.load(Path::new(""), bar));
     let Some(source) = recognise(path) else {
         let pipeline = read_pipeline(&pipeline_file(path)?, set)?;
         let data = load(&pipeline.data)?;

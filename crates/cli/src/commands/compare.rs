@@ -6,7 +6,7 @@ use crate::output::{self, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::samples;
-use pwrfgs::tasks::compare::{CompareSettings, ComparedRuns, check_earlier_runs, plan_comparison, without_position};
+use pwrfgs::tasks::compare::{CompareSettings, ComparedRuns, check_earlier_runs, without_position};
 use pwrfgs::tasks::init::{DataSurvey, pipeline_name};
 use pwrfgs_core::Result;
 use pwrfgs_core::files::{check_new_file, create};
@@ -49,13 +49,13 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     let folder = arguments.folder.canonicalize().unwrap_or_else(|_| arguments.folder.clone());
     let survey =
         RunProgress::observe(verbosity, |progress| DataSurvey::read(&folder, &arguments.changes.accept, progress))?;
-    let named = ComparedRuns {
+    let compared = ComparedRuns {
+        settings: arguments.settings.clone(),
         name: pipeline_name(&folder),
         changes: arguments.changes.assignments(),
         out: arguments.out.clone(),
     };
-    let comparison =
-        RunProgress::observe(verbosity, |progress| plan_comparison(&survey, &arguments.settings, &named, progress))?;
+    let comparison = RunProgress::observe(verbosity, |progress| compared.plan(&survey, progress))?;
     let plan = &comparison.plan;
     if let Some(path) = &arguments.split_csv {
         check_new_file(path)?;

@@ -3,8 +3,8 @@
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::{Args, Subcommand};
-use pwrfgs::experiment::text::{aligned, grouped};
-use pwrfgs::experiment::{check_findings, observed, staged};
+use pwrfgs::experiment::text::{align_columns, grouped};
+use pwrfgs::experiment::{check_findings, describe_observations, run_stage};
 use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs_core::files::{digest, if_found, read};
 use pwrfgs_core::plugin::name_of;
@@ -144,7 +144,7 @@ fn list_public_data() -> String {
             ("  pipelines", set.pipelines),
         ];
         let rows = rows.map(|(name, value)| vec![name.to_owned(), value.to_owned()]);
-        format!("{}: {}\n{}", set.name, set.content, aligned(&rows, 2))
+        format!("{}: {}\n{}", set.name, set.content, align_columns(&rows, 2))
     };
     PUBLIC.each_ref().map(entry).join("\n")
         + "\nFormats and splits: docs/data.md. Check a downloaded folder: pwrfgs data check FOLDER\n"
@@ -161,13 +161,13 @@ fn describe_folder(folder: &Path, verbosity: Verbosity) -> Result<String> {
         return digests.ok_or_else(|| unknown_folder_error(folder));
     };
     let data = RunProgress::observe(verbosity, |progress| {
-        let data = staged(progress, "observations", |bar| source.load(Path::new(""), bar))?;
+        let data = run_stage(progress, "observations", |bar| source.load(Path::new(""), bar))?;
         check_findings(&data, None, None, progress)?;
         Ok(data)
     })?;
     let none = || "digests: no file of a known public data set; `pwrfgs data` lists them\n".to_owned();
     let origin = if data.is_simulated() { "simulated" } else { "measured" };
-    let layout = format!("layout: {}, {}, {origin}\n", name_of(&source), observed(&data));
+    let layout = format!("layout: {}, {}, {origin}\n", name_of(&source), describe_observations(&data));
     Ok(layout + &describe_official_split(&data) + &digests.unwrap_or_else(none))
 }
 
@@ -204,7 +204,7 @@ fn compare_digests(folder: &Path) -> Result<Option<String>> {
         }
         let head =
             format!("digests: {equal} of {} files equal the {} files behind docs/results.md\n", rows.len(), set.name);
-        return Ok(Some(head + &aligned(&rows, 2)));
+        return Ok(Some(head + &align_columns(&rows, 2)));
     }
     Ok(None)
 }

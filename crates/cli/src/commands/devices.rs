@@ -60,5 +60,5 @@ pub(crate) fn print_devices() -> Result<()> {
         let advice = "install a driver, on a cluster set VK_DRIVER_FILES";
         return crate::output::print_result(&format!("no GPU found (Vulkan, Metal, DX12); {advice}\n"));
     }
-    crate::output::print_result(&pwrfgs::experiment::text::aligned(&rows, 0))
+    crate::output::print_result(&pwrfgs::experiment::text::align_columns(&rows, 0))
 }

@@ -6,10 +6,8 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::{PARTIAL_SCORES, PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
-use pwrfgs::experiment::text::{listed, number};
-use pwrfgs::experiment::{
-    self, Facts, Machine, Session, evaluate_into, load_with_findings, model_file, read_pipeline, write_results,
-};
+use pwrfgs::experiment::text::{join_names, number};
+use pwrfgs::experiment::{ActiveRun, Facts, Machine, Session, load_with_findings, model_file, read_pipeline};
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs::tasks::read_models;
@@ -85,17 +83,18 @@ fn score(
     verbosity: Verbosity,
 ) -> Result<String> {
     let mut progress = RunProgress::new(verbosity);
-    let (split, findings) = load_with_findings(pipeline, Path::new(""), Some(&pipeline.accept), &mut progress)?;
+    let (split, findings) = load_with_findings(pipeline, Some(&pipeline.accept), &mut progress)?;
     if verbosity != Verbosity::Quiet {
         let (data, test) = (&split.data, split.partition.test.len());
         output::print_note(&format!("{}: scoring {test} test {}", data.title, data.task().counted[1]));
     }
     choose_for_predictions(ensemble, split.data.locations_of(&split.partition.test).len(), verbosity);
     warn_of_moved_receivers(&split.data, ensemble);
-    let mut session = Session::new(&mut progress);
+    let session = &mut Session::new(&mut progress);
+    let mut run = ActiveRun::new(pipeline, &split, session);
     let scored = match folder {
-        Some(folder) => evaluate_into(folder.path(), ensemble, pipeline, &split, &mut session),
-        None => experiment::evaluate(ensemble, pipeline, &split, &mut session),
+        Some(folder) => run.evaluate_into(folder.path(), ensemble),
+        None => run.evaluate(ensemble),
     };
     progress.remove_bar();
     let mut result = scored?;
@@ -117,7 +116,8 @@ fn score(
             scores: Some(result.scores.table.clone()),
             ..Facts::default()
         };
-        write_results(folder.path(), pipeline, &facts, &split, ensemble, &result, pwrfgs::PAGE)?;
+        let session = &mut Session { page: pwrfgs::PAGE, ..Session::new(&mut progress) };
+        ActiveRun::new(pipeline, &split, session).write_results(folder.path(), &facts, ensemble, &result)?;
         files::remove(&folder.path().join(PARTIAL_SCORES));
     }
     Ok(text)
@@ -180,7 +180,7 @@ fn warn_of_moved_receivers(data: &Dataset, ensemble: &Ensemble) {
     let moved = pairs.filter(|pair| pair.0.name != pair.1.name || is_moved(pair));
     let names: Vec<String> = moved.map(|(_, other)| strip_control(&other.name)).collect();
     if !names.is_empty() {
-        let names = listed(names.iter(), 8);
+        let names = join_names(names.iter(), 8);
         output::print_warning(&format!("name or pose of receivers differs from that of the model: {names}"));
     }
 }

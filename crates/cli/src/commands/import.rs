@@ -5,7 +5,7 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::import::{ChannelImport, Import as Work};
 use pwrfgs::data::{Colormap, ImportedTable, TableImport, save};
-use pwrfgs::experiment::{check_findings, observed, staged};
+use pwrfgs::experiment::{check_findings, describe_observations, run_stage};
 use pwrfgs::tasks::init::unknown_folder_error;
 use pwrfgs::tasks::plane::{parse_numbers, parse_position};
 use pwrfgs_core::{Elevation, Error, Number, Pose, Progress, Result, recognise};
@@ -121,9 +121,9 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         simulated: arguments.simulated,
     };
     let imported = RunProgress::observe(verbosity, |progress| {
-        let imported = staged(progress, "spectra", |progress| work.write(&out, progress))?;
+        let imported = run_stage(progress, "spectra", |progress| work.write(&out, progress))?;
         let source = recognise(&out).ok_or_else(|| unknown_folder_error(&out))?;
-        let data = staged(progress, "new folder", |progress| source.load(Path::new(""), progress))?;
+        let data = run_stage(progress, "new folder", |progress| source.load(Path::new(""), progress))?;
         let checked = check_findings(&data, None, Some(&arguments.accept), progress);
         checked.inspect_err(|_| drop(std::fs::remove_dir_all(&out)))?; // was new or empty
         Ok::<_, Error>(imported)
@@ -154,7 +154,7 @@ fn import_data(
     verbosity: Verbosity,
 ) -> Result<()> {
     let imported = RunProgress::observe(verbosity, |progress| {
-        let mut imported = staged(progress, "rows", read)?;
+        let mut imported = run_stage(progress, "rows", read)?;
         imported.notes.iter().for_each(|note| verbosity.print_note(note));
         check_findings(&imported.data, None, Some(accepted), progress)?;
         imported.data.accepted = accepted.to_vec();
@@ -166,7 +166,7 @@ fn import_data(
         return output::print_result(&format!("before:\n  {before}\nafter:\n  {after}\n"));
     };
     let out = out.display();
-    verbosity.print_note(&format!("{} in {out}; next: `pwrfgs init {out}`", observed(&imported.data)));
+    verbosity.print_note(&format!("{} in {out}; next: `pwrfgs init {out}`", describe_observations(&imported.data)));
     Ok(())
 }
 

@@ -6,10 +6,10 @@ use crate::reference::commented::{CommentStyle, Value};
 use crate::reference::example_pipeline;
 use clap::Args;
 use pwrfgs::data::Colormap;
-use pwrfgs::experiment::staged;
-use pwrfgs::experiment::text::wrapped;
+use pwrfgs::experiment::run_stage;
+use pwrfgs::experiment::text::wrap_words;
 use pwrfgs::prelude::Pipeline;
-use pwrfgs::tasks::init::{DataSurvey, Effort, pipeline_name, suggest_pipeline};
+use pwrfgs::tasks::init::{DataSurvey, Effort, pipeline_name};
 use pwrfgs_core::docs::Docs;
 use pwrfgs_core::files::{check_path, write_new};
 use pwrfgs_core::{DataSource, Error, Plugin, Result};
@@ -59,21 +59,9 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
         return Err(exists());
     }
     check_path(&out)?;
-    // Paths in a pipeline are relative to its file.
     let folder = &arguments.folder;
-    let is_beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
-    let absolute = (!is_beside).then(|| std::path::absolute(folder).ok()).flatten();
-    let root = absolute.unwrap_or_else(|| folder.clone());
-    let survey = RunProgress::observe(verbosity, |progress| match arguments.colormap {
-        None => DataSurvey::read(&root, &arguments.accept, progress),
-        Some(map) => {
-            let source = format!("Colmap(root: {:?}, colormap: {map:?})", root.to_string_lossy());
-            let source = Plugin::<dyn DataSource>::parse(&source).map_err(Error::Config)?;
-            let data = staged(progress, "observations", |progress| source.load(Path::new(""), progress))?;
-            DataSurvey::of_data(source, data, Some(&root), &arguments.accept, progress)
-        }
-    })?;
-    let (pipeline, sizing) = suggest_pipeline(&survey, &pipeline_name(folder), arguments.effort, &out)?;
+    let survey = read_survey(arguments, &out, verbosity)?;
+    let (pipeline, sizing) = survey.suggest_pipeline(&pipeline_name(folder), arguments.effort, &out)?;
     let text = format_pipeline(&[survey.notes(), sizing.clone()].concat(), &pipeline)?;
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
         std::fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
@@ -88,6 +76,24 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
         sizing[0],
         out.display()
     ))
+}
+
+/// Reads the data for the pipeline file `out`.
+fn read_survey(arguments: &Init, out: &Path, verbosity: Verbosity) -> Result<DataSurvey> {
+    // Paths in a pipeline are relative to its file.
+    let folder = &arguments.folder;
+    let is_beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
+    let absolute = (!is_beside).then(|| std::path::absolute(folder).ok()).flatten();
+    let root = absolute.unwrap_or_else(|| folder.clone());
+    RunProgress::observe(verbosity, |progress| match arguments.colormap {
+        None => DataSurvey::read(&root, &arguments.accept, progress),
+        Some(map) => {
+            let source = format!("Colmap(root: {:?}, colormap: {map:?})", root.to_string_lossy());
+            let source = Plugin::<dyn DataSource>::parse(&source).map_err(Error::Config)?;
+            let data = run_stage(progress, "observations", |progress| source.load(Path::new(""), progress))?;
+            DataSurvey::of_data(source, data, Some(&root), &arguments.accept, progress)
+        }
+    })
 }
 
 /// Formats the pipeline file, with notes on the data and its size, and comments on the settings; an error if the text does not parse
@@ -107,7 +113,7 @@ fn format_pipeline(notes: &[String], pipeline: &Pipeline) -> Result<String> {
     let body = style.write(&value, Some(Docs::of::<Pipeline>()), "");
     let mut text = String::new();
     for line in notes {
-        text += &wrapped(line, ["// "; 2], 100);
+        text += &wrap_words(line, ["// "; 2], 100);
     }
     text += "//\n// Brackets show the type of a setting. Settings that are not listed have their defaults: `pwrfgs plugins` lists \
              them,\n// and `pwrfgs plugins NAME` describes them.\n";

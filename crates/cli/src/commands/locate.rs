@@ -5,13 +5,13 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::text::grouped;
-use pwrfgs::experiment::{load, model_file, read_pipeline};
+use pwrfgs::experiment::{load_split_data, model_file, read_pipeline};
 use pwrfgs::pipeline::Pipeline;
-use pwrfgs::tasks::locate::{LocateSettings, ReadFeatures, locate as locate_model, read_observations};
+use pwrfgs::tasks::locate::{LocateSettings, ReadFeatures, UnlocatedObservations, locate as locate_model};
 use pwrfgs::tasks::{check_positions, read_models};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Result};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -69,10 +69,11 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     let mut pipeline = read_pipeline_of_model(arguments)?;
     pipeline.accept.extend(arguments.accept.iter().cloned());
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
-    let split = RunProgress::observe(verbosity, |progress| load(&pipeline, Path::new(""), progress))?;
+    let split = RunProgress::observe(verbosity, |progress| load_split_data(&pipeline, progress))?;
     let (data, accepted) = (&split.data, &pipeline.accept);
     let read = arguments.observations.as_ref();
-    let read = read.map(|path| move |features: &_| read_observations(path, features, data, accepted));
+    let read =
+        read.map(|path| move |features: &_| UnlocatedObservations { path, features, data, accepted }.read_features());
     let observations = read.as_ref().map(|read| read as ReadFeatures<'_>);
     let pictures = if folder.is_some() { arguments.pictures } else { 0 };
     let located = RunProgress::observe(verbosity, |progress| {

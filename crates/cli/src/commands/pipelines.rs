@@ -2,7 +2,7 @@
 
 use crate::output;
 use clap::Args;
-use pwrfgs::experiment::text::aligned;
+use pwrfgs::experiment::text::align_columns;
 use pwrfgs_core::files::{check_file_path, write_new};
 use pwrfgs_core::{Error, Result, ShippedFile, did_you_mean};
 use std::path::PathBuf;
@@ -46,7 +46,7 @@ pub(crate) fn list_or_copy_pipelines(arguments: &Pipelines) -> Result<()> {
         return output::print_result(&format!("{out}: {purpose}\nnext: pwrfgs {command} {out}\n"));
     }
     let list = |files: &[&ShippedFile]| {
-        aligned(&files.iter().map(|file| vec![file.name.to_owned(), file.purpose()]).collect::<Vec<_>>(), 2)
+        align_columns(&files.iter().map(|file| vec![file.name.to_owned(), file.purpose()]).collect::<Vec<_>>(), 2)
     };
     let scenes: Vec<&str> = scenes.iter().map(|file| file.name).collect();
     output::print_result(&format!(

@@ -5,7 +5,7 @@ use crate::interrupt::stop_flag;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::experiment::staged;
+use pwrfgs::experiment::{Session, run_stage};
 use pwrfgs::tasks::place::{PlaceSettings, Placement, place_in_data};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Result, recognise};
@@ -39,7 +39,7 @@ pub(crate) fn place(arguments: &Place, verbosity: Verbosity) -> Result<()> {
     let (stop, folder) = (stop_flag(), NewFolder::begin(&arguments.out)?);
     let placement = RunProgress::observe(verbosity, |progress| match recognise(&arguments.source) {
         Some(source) => {
-            let data = staged(progress, "data", |progress| source.load(Path::new(""), progress))?;
+            let data = run_stage(progress, "data", |progress| source.load(Path::new(""), progress))?;
             place_in_data(&data, &arguments.settings, progress).map_err(in_file(&arguments.source))
         }
         None => choose_in_scene(arguments, &stop, progress),
@@ -59,7 +59,8 @@ fn choose_in_scene(arguments: &Place, stop: &AtomicBool, progress: &mut RunProgr
         return Err(Error::input(source, "no data found; name a data folder (layouts: docs/data.md), or a scene"));
     }
     let scene = pwrfgs::raytrace::SceneFile::read(&arguments.source)?;
-    pwrfgs::tasks::place::place_in_scene(&scene, &arguments.settings, progress, stop)
+    let session = &mut Session { stop, ..Session::new(progress) };
+    pwrfgs::tasks::place::place_in_scene(&scene, &arguments.settings, session)
 }
 
 /// Rejects scenes, which need the feature `raytrace`.

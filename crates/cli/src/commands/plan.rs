@@ -6,7 +6,7 @@ use crate::interrupt::stop_flag;
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::experiment::text::grouped;
+use pwrfgs::experiment::{Session, text::grouped};
 use pwrfgs::tasks::plan::{PlanSettings, plan as select_positions};
 use pwrfgs_core::Result;
 use pwrfgs_core::files::NewFolder;
@@ -44,8 +44,9 @@ pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     let stop = stop_flag();
     let places = RunProgress::observe(verbosity, |progress| read_places(&arguments.places, progress))?;
     let folder = NewFolder::begin(&arguments.out)?;
-    let plan =
-        RunProgress::observe(verbosity, |progress| select_positions(&places, &arguments.settings, progress, &stop))?;
+    let plan = RunProgress::observe(verbosity, |progress| {
+        select_positions(&places, &arguments.settings, &mut Session { stop: &stop, ..Session::new(progress) })
+    })?;
     plan.write(&places, &folder)?;
     folder.publish()?;
     output::print_result(&plan.text)?;

@@ -5,7 +5,7 @@ use crate::reference::commented::{CommentStyle, describe_type};
 use crate::reference::{DocChapter, DocItem, list_chapters, markdown, prose};
 use clap::Args;
 use pwrfgs::experiment::sweep::Experiment;
-use pwrfgs::experiment::text::wrapped;
+use pwrfgs::experiment::text::wrap_words;
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::{DocBody, Docs};
 use pwrfgs_core::schemars::{self, JsonSchema, schema_for};
@@ -71,14 +71,14 @@ fn list_names(chapters: &[DocChapter]) -> String {
             topics.map(|topic| topic.name.as_str()).collect::<Vec<_>>().join(", ")
         };
         let parts: Vec<String> = [names(false), names(true)].into_iter().filter(|names| !names.is_empty()).collect();
-        out += &wrapped(&parts.join("; "), [&format!("{head:column$}"), &" ".repeat(column)], NARROW);
+        out += &wrap_words(&parts.join("; "), [&format!("{head:column$}"), &" ".repeat(column)], NARROW);
     }
     out + "\npwrfgs plugins KIND lists a kind; pwrfgs plugins NAME shows fields, defaults and descriptions;\n\
            pwrfgs plugins --markdown prints the complete reference\n"
 }
 
-/// Lists the kinds and describes the plugins, settings and types that are called `name`, of any case; an error without
-/// any.
+/// Lists the kinds and describes the plugins, settings and types that are called `name`, of any case. Returns an error
+/// if there are none.
 fn describe_entries(name: &str, chapters: &[DocChapter]) -> Result<String> {
     let requested = name.to_lowercase();
     let mut out = String::new();
@@ -100,20 +100,20 @@ fn describe_entries(name: &str, chapters: &[DocChapter]) -> Result<String> {
 fn write_summary(out: &mut String, topic: &DocItem) {
     let summary = topic.docs.map_or_else(String::new, |docs| prose::first_sentence(docs.text));
     let colon = if summary.is_empty() { "" } else { ": " };
-    out.push_str(&wrapped(&format!("{}{colon}{summary}", markdown::topic_title(topic)), ["  ", "      "], WIDTH));
+    out.push_str(&wrap_words(&format!("{}{colon}{summary}", markdown::topic_title(topic)), ["  ", "      "], WIDTH));
 }
 
 /// Adds a topic with its whole comment and all of its fields or variants to `out`.
 fn write_topic(out: &mut String, topic: &DocItem) {
     _ = writeln!(out, "  {}", markdown::topic_title(topic));
-    for paragraph in topic.docs.map_or_else(Vec::new, |docs| prose::paragraphs(docs.text)) {
-        out.push_str(&wrapped(&paragraph, ["      "; 2], WIDTH));
+    for paragraph in topic.docs.map_or_else(Vec::new, |docs| prose::split_paragraphs(docs.text)) {
+        out.push_str(&wrap_words(&paragraph, ["      "; 2], WIDTH));
     }
     match (topic.docs, &topic.value) {
         (Some(Docs { body: DocBody::Variants(variants), .. }), _) => {
             for variant in *variants {
                 let words = format!("{}: {}", markdown::variant_notation(variant), markdown::variant_text(variant));
-                out.push_str(&wrapped(&words, ["      "; 2], WIDTH));
+                out.push_str(&wrap_words(&words, ["      "; 2], WIDTH));
             }
         }
         (docs, Ok(value)) => {
@@ -124,7 +124,7 @@ fn write_topic(out: &mut String, topic: &DocItem) {
             for field in docs.fields() {
                 let words =
                     format!("{}: {} [{}]", field.name, prose::single_line(field.text), describe_type(&field.kind));
-                out.push_str(&wrapped(&words, ["      "; 2], WIDTH));
+                out.push_str(&wrap_words(&words, ["      "; 2], WIDTH));
             }
         }
         (None, Err(why)) => _ = writeln!(out, "      (no defaults: {why})"),

@@ -6,7 +6,7 @@ use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::data::{read_frame_positions, read_poses};
-use pwrfgs::experiment::text::grouped;
+use pwrfgs::experiment::{Session, text::grouped};
 use pwrfgs::tasks::plane::{parse_pose, parse_position};
 use pwrfgs::tasks::predict::{PredictSettings, PredictionCount, extrapolation_warning, write_predictions};
 use pwrfgs::tasks::read_models;
@@ -80,7 +80,8 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<u8> {
     choose_for_predictions(&ensemble, poses.len(), verbosity);
     let stop = stop_flag();
     let written = RunProgress::observe(verbosity, |progress| {
-        write_predictions(&ensemble, &poses, &arguments.settings, &arguments.out, progress, &stop)
+        let session = &mut Session { stop: &stop, ..Session::new(progress) };
+        write_predictions(&ensemble, &poses, &arguments.settings, &arguments.out, session)
     });
     if let Err(Error::Stopped) = written {
         let partial = PartialFolder::path_for(&arguments.out);

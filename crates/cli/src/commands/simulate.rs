@@ -5,8 +5,8 @@ use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::{Args, ValueEnum};
 use pwrfgs::data::{read_poses, read_transmitters};
-use pwrfgs::experiment::staged;
-use pwrfgs::raytrace::output::{self as folder, OutputLayout};
+use pwrfgs::experiment::run_stage;
+use pwrfgs::raytrace::output::{DatasetWriter, OutputLayout, POINTS};
 use pwrfgs::raytrace::{ObservationKind, SceneFile, SimulationRecipe, mitsuba};
 use pwrfgs::tasks::plane::{parse_pose, parse_position};
 use pwrfgs_core::{Error, Result};
@@ -197,8 +197,9 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()>
         verbosity.print_note(&format!("{n} meshes; carrier {hz:e} Hz, receiver at {at:?}, {region}"));
     }
     RunProgress::observe(verbosity, |progress| {
-        staged(progress, "simulating", |progress| {
-            folder::write_dataset(&recipe, layout, !arguments.no_paths, &arguments.out, progress, &stop)
+        run_stage(progress, "simulating", |progress| {
+            DatasetWriter { layout, has_paths: !arguments.no_paths, progress, stop: &stop }
+                .write(&recipe, &arguments.out)
         })
     })?;
     verbosity.print_note(&describe_data(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
@@ -221,7 +222,7 @@ fn describe_data(arguments: &Simulate, recipe: &SimulationRecipe, layout: Output
     };
     let plain = |plugin: &str| format!("{plugin}(root: \"{}\")", root.display());
     let with_points = |plugin: &str| {
-        let points = root.join(folder::POINTS);
+        let points = root.join(POINTS);
         format!("{plugin}(root: \"{}\", points: \"{}\")", root.display(), points.display())
     };
     let (things, plugin) = match layout {

@@ -8,9 +8,7 @@ use crate::output::{self, FAILED, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
-use pwrfgs::experiment::sweep::{
-    JOINED, RunStage, SweepEnd, SweepPlan, check, estimate_run_seconds, execute, run_pool, slurm,
-};
+use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepEnd, SweepPlan, check, estimate_run_seconds, run_pool, slurm};
 use pwrfgs::experiment::{RunOutcome, Session};
 use pwrfgs_core::device::{self, DeviceChoice};
 use pwrfgs_core::threads::parse_count;
@@ -174,7 +172,7 @@ impl SelectedRuns<'_> {
         let board = SweepTable::new(plan, indices.len(), verbosity);
         let end = RunProgress::observe(verbosity, |observer| {
             let mut session = Session { observer, stop: &stop, page: pwrfgs::PAGE, keep_checkpoint };
-            execute(plan, indices, jobs, &board, &mut session)
+            plan.execute(indices, jobs, &board, &mut session)
         });
         board.remove_bar();
         #[cfg(feature = "report")]

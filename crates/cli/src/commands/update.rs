@@ -4,7 +4,7 @@ use super::options::in_file;
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::experiment::staged;
+use pwrfgs::experiment::run_stage;
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::model::file;
 use pwrfgs::tasks::init::unknown_folder_error;
@@ -45,7 +45,7 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     check_residuals(&model).map_err(in_file(&arguments.model))?;
     let source = recognise(&arguments.data).ok_or_else(|| unknown_folder_error(&arguments.data))?;
     let mut progress = RunProgress::new(verbosity);
-    let data = staged(&mut progress, "new data", |progress| source.load(Path::new(""), progress))?;
+    let data = run_stage(&mut progress, "new data", |progress| source.load(Path::new(""), progress))?;
     let updated = update_model(&model, &data, &arguments.accept, &mut progress);
     let UpdatedModel { ensemble, added, agreement, milliseconds } = updated.map_err(in_file(&arguments.data))?;
     progress.remove_bar();

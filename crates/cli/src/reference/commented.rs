@@ -1,7 +1,7 @@
 //! Values as RON, with a comment above each field: its description and type.
 
 use super::prose;
-use pwrfgs::experiment::text::wrapped;
+use pwrfgs::experiment::text::wrap_words;
 use pwrfgs::pipeline::ron_tree::{RonBody, RonTree};
 use pwrfgs_core::docs::{DocBody as Shape, DocField, DocKind, Docs};
 use pwrfgs_core::plugin::PluginFamily;
@@ -98,7 +98,7 @@ impl CommentStyle<'_> {
 /// Formats the comment of a field, with its type.
 fn field_comment(field: &DocField, indent: &str) -> String {
     let words = format!("{} [{}]", prose::single_line(field.text), describe_type(&field.kind));
-    wrapped(&words, [&format!("{indent}// "); 2], WIDTH)
+    wrap_words(&words, [&format!("{indent}// "); 2], WIDTH)
 }
 
 /// Returns the comments on a value of this kind; a plugin has those of its name. `None` without comments.

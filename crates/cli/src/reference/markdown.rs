@@ -38,7 +38,7 @@ fn write_topic(out: &mut String, chapter: &DocChapter, topic: &DocItem) {
         return;
     };
     let mut table = false;
-    for paragraph in prose::paragraphs(docs.text) {
+    for paragraph in prose::split_paragraphs(docs.text) {
         let row = paragraph.starts_with('|');
         _ = writeln!(
             out,

@@ -3,25 +3,25 @@
 use std::fmt::Write as _;
 
 /// Splits a doc comment into paragraphs without code examples, each in one line; tables keep their lines.
-pub(crate) fn paragraphs(text: &str) -> Vec<String> {
+pub(crate) fn split_paragraphs(text: &str) -> Vec<String> {
     let mut paragraphs: Vec<String> = Vec::new();
-    let (mut code, mut open) = (false, false);
+    let (mut is_code, mut is_open) = (false, false);
     for line in text.lines() {
         if line.starts_with("```") {
-            code = !code;
-            open = false;
-        } else if !code && line.is_empty() {
-            open = false;
-        } else if !code {
+            is_code = !is_code;
+            is_open = false;
+        } else if !is_code && line.is_empty() {
+            is_open = false;
+        } else if !is_code {
             let is_block = ["|", "* ", "- ", "#"].iter().any(|start| line.starts_with(start));
             match paragraphs.last_mut() {
-                Some(last) if open && !is_block => {
+                Some(last) if is_open && !is_block => {
                     last.push(' ');
                     last.push_str(line.trim());
                 }
                 _ => paragraphs.push(line.trim().trim_start_matches("# ").to_owned()),
             }
-            open = !line.starts_with('|');
+            is_open = !line.starts_with('|');
         }
     }
     paragraphs.iter().map(|paragraph| without_links(paragraph)).collect()
@@ -29,13 +29,13 @@ pub(crate) fn paragraphs(text: &str) -> Vec<String> {
 
 /// Returns the first sentence of a doc comment, without full stop.
 pub(crate) fn first_sentence(text: &str) -> String {
-    let first = paragraphs(text).into_iter().next().unwrap_or_default();
+    let first = split_paragraphs(text).into_iter().next().unwrap_or_default();
     break_sentences(&first).lines().next().unwrap_or_default().trim_end_matches('.').to_owned()
 }
 
 /// Joins the paragraphs of a doc comment into one line.
 pub(crate) fn single_line(text: &str) -> String {
-    paragraphs(text).join(" ")
+    split_paragraphs(text).join(" ")
 }
 
 /// Breaks text into one sentence per line. A sentence ends with a full stop before a capital or a code span, except
@@ -81,6 +81,6 @@ mod tests {
     #[test]
     fn doc_comments_become_prose() {
         let text = "One [`crate::TopK`] of\ntwo [`Random`](x::Random).\n\n```\nlet a;\n```\n\n| a |\n| b |";
-        assert_eq!(paragraphs(text), ["One `TopK` of two `Random`.", "| a |", "| b |"]);
+        assert_eq!(split_paragraphs(text), ["One `TopK` of two `Random`.", "| a |", "| b |"]);
     }
 }

@@ -1,6 +1,6 @@
 //! Maximum-likelihood fit of correlation, scales and noise.
 
-use super::{Correlation, CorrelationKind, Mean, Place, Solution, solve};
+use super::{Correlation, CorrelationKind, Mean, Place, Solution, StopCheck, solve};
 use crate::{Real, Result, neighbours, statistics::sorted};
 use rayon::prelude::*;
 
@@ -119,11 +119,7 @@ impl HeldOutCase {
 ///
 /// # Errors
 /// An error of `check`.
-pub fn most_likely(
-    cases: &HeldOutCases,
-    space: SearchSpace<'_>,
-    check: &(dyn Fn() -> Result<()> + Sync),
-) -> Result<(f64, Correlation)> {
+pub fn most_likely(cases: &HeldOutCases, space: SearchSpace<'_>, check: StopCheck<'_>) -> Result<(f64, Correlation)> {
     search(&|correlation| cases.log_likelihood(correlation), cases.typical_m, space, check)
 }
 
@@ -133,7 +129,7 @@ pub(super) fn search(
     log_likelihood: &(dyn Fn(&Correlation) -> f64 + Sync),
     typical_m: f64,
     space: SearchSpace<'_>,
-    check: &(dyn Fn() -> Result<()> + Sync),
+    check: StopCheck<'_>,
 ) -> Result<(f64, Correlation)> {
     let best_of_kind = |&kind: &CorrelationKind| {
         let time = if space.time { TIME_START } else { f64::INFINITY };
@@ -164,7 +160,7 @@ fn search_coordinates(
     typical_m: f64,
     start: Correlation,
     space: SearchSpace<'_>,
-    check: &dyn Fn() -> Result<()>,
+    check: StopCheck<'_>,
 ) -> Result<(f64, Correlation)> {
     let mut best = (log_likelihood(&start), start);
     let is_searched = |parameter: &usize| match parameter {

@@ -8,7 +8,7 @@
 
 mod marginal;
 
-use super::{Correlation, CorrelationKind, Mean, PathLoss, Place, Solution, solve};
+use super::{Correlation, CorrelationKind, Mean, PathLoss, Place, Solution, StopCheck, solve};
 use crate::blocks::{SiteSize, block_mean, block_of};
 use crate::neighbours::{Nearest, nearest_before};
 use crate::{Result, evenly, rng, statistics};
@@ -70,7 +70,7 @@ pub struct PooledFit {
 ///
 /// # Panics
 /// If a link has a receiver of `receivers` or more.
-pub fn fit_pooled(links: &[PowerLink], receivers: usize, check: &dyn Fn() -> Result<()>) -> Result<PooledFit> {
+pub fn fit_pooled(links: &[PowerLink], receivers: usize, check: StopCheck<'_>) -> Result<PooledFit> {
     let powers = Powers::new(links, receivers);
     let (short, at, of_short) = powers.most_probable(CorrelationKind::Exponential, powers.start(), check)?;
     let (long, _, of_long) = powers.most_probable(CorrelationKind::LongTail, at, check)?;
@@ -123,7 +123,7 @@ impl<'a> Powers<'a> {
         &self,
         kind: CorrelationKind,
         mut at: [f64; 2],
-        check: &dyn Fn() -> Result<()>,
+        check: StopCheck<'_>,
     ) -> Result<(PooledFit, [f64; 2], f64)> {
         let correlation = |[length, noise]: [f64; 2]| {
             let length = length.exp();

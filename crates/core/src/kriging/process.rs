@@ -1,6 +1,8 @@
 //! Fits of Kriging to the known links of a data set: those of the baseline, and of residuals without a share of a model.
 
-use super::{Correlation, LocalKriging, Mean, PathLoss, Place, PowerLink, fit_pooled, fit_spectra, log_distance};
+use super::{
+    Correlation, LocalKriging, Mean, PathLoss, Place, PowerLink, StopCheck, fit_pooled, fit_spectra, log_distance,
+};
 use crate::{Dataset, Real, Result, Sampling};
 
 /// Approximate number of values per observation in the fit: every n-th row and column.
@@ -60,12 +62,7 @@ pub fn link_place(data: &Dataset, i: usize) -> Place {
 ///
 /// # Errors
 /// An error of `check`.
-pub fn fit_observations(
-    data: &Dataset,
-    links: &[usize],
-    time: bool,
-    check: &(dyn Fn() -> Result<()> + Sync),
-) -> Result<ProcessFit> {
+pub fn fit_observations(data: &Dataset, links: &[usize], time: bool, check: StopCheck<'_>) -> Result<ProcessFit> {
     let stride = ((data.width * data.height) as f64 / VALUES as f64).sqrt().ceil().max(1.0) as usize;
     let values = |k: usize| {
         let mut values = vec![0.0; data.width.div_ceil(stride) * data.height.div_ceil(stride)];
@@ -80,7 +77,7 @@ pub fn fit_observations(
 ///
 /// # Errors
 /// An error of `check`.
-pub fn fit_powers(data: &Dataset, links: &[usize], check: &(dyn Fn() -> Result<()> + Sync)) -> Result<Vec<ProcessFit>> {
+pub fn fit_powers(data: &Dataset, links: &[usize], check: StopCheck<'_>) -> Result<Vec<ProcessFit>> {
     let (ends, has_distances) = (data.scene.fixed_ends(), data.scene.has_distances());
     let end = |receiver: usize| ends.get(receiver).unwrap_or(&ends[0]).position;
     let power = |&i: &usize| {

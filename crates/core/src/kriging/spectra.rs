@@ -1,7 +1,7 @@
 //! Likelihood of observations of many values, such as spectra, whose values share one correlation.
 
 use super::likelihood::{SearchSpace, search};
-use super::{Correlation, CorrelationKind, Place, factor_covariance};
+use super::{Correlation, CorrelationKind, Place, StopCheck, factor_covariance};
 use crate::neighbours::distance;
 use crate::statistics::{bounds, sorted};
 use crate::{Cholesky, Real, Result, evenly};
@@ -41,7 +41,7 @@ pub fn fit_spectra(
     place: impl Fn(usize) -> Place,
     values: impl Fn(usize) -> Vec<Real> + Sync,
     time: bool,
-    check: &(dyn Fn() -> Result<()> + Sync),
+    check: StopCheck<'_>,
 ) -> Result<(Correlation, f64)> {
     let places: Vec<Place> = (0..links).map(place).collect();
     let blocks = evenly(&compact_blocks(&places, BLOCK), BLOCKS);

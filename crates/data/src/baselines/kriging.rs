@@ -110,25 +110,25 @@ pub fn vecchia_cases(data: &Dataset, order: &[usize], count: usize) -> Vec<(usiz
 #[derive(Clone, Copy, Debug)]
 pub struct Trend<'a> {
     data: &'a Dataset,
-    law: Option<PathLoss>,
+    path_loss: Option<PathLoss>,
 }
 
 impl<'a> Trend<'a> {
     /// Fits the trend to these links by least squares.
     pub fn fit(data: &'a Dataset, links: &[usize]) -> Self {
         let has_distances = data.task().has_path_loss && data.scene.has_distances();
-        Self { data, law: has_distances.then(|| PathLoss::fit(&path_loss_points(data, links))) }
+        Self { data, path_loss: has_distances.then(|| PathLoss::fit(&path_loss_points(data, links))) }
     }
 
     /// Returns the power of the path-loss model for a link, dBm; 0 without a model.
     fn power(&self, query: Query<'_>) -> f64 {
-        self.law.map_or(0.0, |law| law.power(log_distance(self.data, query)))
+        self.path_loss.map_or(0.0, |path_loss| path_loss.power(log_distance(self.data, query)))
     }
 
     /// Writes the residual of link `i` at every `stride`-th column of every `stride`-th row to `out`.
     fn write_residual(&self, i: usize, stride: usize, out: &mut [Real]) {
         self.data.observations.sampled(i, Sampling::every(stride), out);
-        if self.law.is_some() {
+        if self.path_loss.is_some() {
             out[0] -= self.power(self.data.query(i)) as Real;
         }
     }
@@ -139,7 +139,7 @@ impl<'a> Trend<'a> {
     /// `time`: with a scale of time.
     fn fit_correlation(&self, all: &[usize], fitting: FittingSet<'_>, time: bool) -> Result<(Correlation, f64)> {
         let check = || fitting.check_stopped();
-        if self.law.is_none() {
+        if self.path_loss.is_none() {
             let ProcessFit { correlation, variance, .. } = fit_observations(self.data, all, time, &check)?;
             return Ok((correlation, variance));
         }
@@ -177,7 +177,7 @@ struct Process<'a> {
 impl Predict for Process<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
         let Dataset { width, height, .. } = *self.trend.data;
-        if self.trend.law.is_none() {
+        if self.trend.path_loss.is_none() {
             let mut values = vec![0.0; width * height];
             let add = |k: usize, weight: f64, sum: &mut [f64]| {
                 self.trend.write_residual(self.samples[k], 1, &mut values);
@@ -201,7 +201,7 @@ impl Predict for Process<'_> {
         let image = self.predict(query);
         let (d, data) = (cotangent(&image), self.trend.data);
         let along = |k: usize| {
-            if self.trend.law.is_some() {
+            if self.trend.path_loss.is_some() {
                 let mut one = [0.0];
                 self.trend.write_residual(self.samples[k], 1, &mut one);
                 return f64::from(d[0]) * f64::from(one[0]);
@@ -210,8 +210,8 @@ impl Predict for Process<'_> {
             sample.pixels.iter().zip(&d).map(|(v, d)| f64::from(*v) * f64::from(*d)).sum()
         };
         let mut d_tx = self.kriging.solve_vjp(self.query_place(query), self.settings.neighbours, along);
-        if let Some(law) = self.trend.law {
-            let slope = law.power_gradient(query.position(), fixed_end_position(data, query));
+        if let Some(path_loss) = self.trend.path_loss {
+            let slope = path_loss.power_gradient(query.position(), fixed_end_position(data, query));
             (0..3).for_each(|k| d_tx[k] += f64::from(d[0]) * slope[k]);
         }
         Some((image, d_tx))
@@ -232,7 +232,7 @@ impl<'a> Process<'a> {
     fn new(trend: Trend<'a>, fitted: (Correlation, f64), samples: Vec<usize>, settings: Kriging) -> Self {
         let (data, (correlation, variance)) = (trend.data, fitted);
         let in_space = settings.time.then(|| Nearest::new(&samples, 3, |i| data.sample(i).position()));
-        let mean = if trend.law.is_some() { Mean::Zero } else { Mean::Unknown };
+        let mean = if trend.path_loss.is_some() { Mean::Zero } else { Mean::Unknown };
         let kriging = LocalKriging::new(correlation, mean, samples.iter().map(|&i| link_place(data, i)));
         Self { trend, samples, kriging, in_space, variance, settings }
     }
@@ -275,13 +275,13 @@ impl Process<'_> {
         let Correlation { kind, scales, noise } = &self.kriging.correlation;
         let [x, y, z, time] = scales.map(format_digits);
         let time = if self.in_space.is_some() { format!(", a time scale of {time} samples") } else { String::new() };
-        let law = self.trend.law.map_or_else(String::new, |law| {
-            let (level, slope) = (format_digits(law.level), format_digits(law.slope));
+        let path_loss = self.trend.path_loss.map_or_else(String::new, |path_loss| {
+            let (level, slope) = (format_digits(path_loss.level), format_digits(path_loss.slope));
             format!(", path loss of {level} dBm at 1 m and {slope} dB per decade")
         });
         format!(
             "Kriging found a correlation that is {} with length scales of {x}, {y} and {z} m{time}, and noise of {} of the \
-             variance{law}",
+             variance{path_loss}",
             kind.words(),
             format_digits(*noise)
         )
@@ -292,23 +292,24 @@ impl Process<'_> {
         let Correlation { kind, scales, noise } = &self.kriging.correlation;
         let [x, y, z, _] = scales.map(format_digits);
         let scales = if x == y && y == z { x } else { format!("{x} x {y} x {z}") };
-        let law = self.trend.law.map(|law| [format_digits(law.level), format_digits(law.slope)]);
+        let path_loss =
+            self.trend.path_loss.map(|path_loss| [format_digits(path_loss.level), format_digits(path_loss.slope)]);
         let numbers =
-            [kind.words().to_owned(), scales, format_digits(*noise)].into_iter().chain(law.into_iter().flatten());
+            [kind.words().to_owned(), scales, format_digits(*noise)].into_iter().chain(path_loss.into_iter().flatten());
         numbers.collect::<Vec<_>>().join(", ")
     }
 }
 
 /// Returns the description of the fits for several receivers. It lists every number, so that scores can be reproduced.
 fn describe_fits(each: &[(&str, &Process<'_>)]) -> String {
-    let law = if each.iter().any(|(_, process)| process.trend.law.is_some()) {
+    let path_loss = if each.iter().any(|(_, process)| process.trend.path_loss.is_some()) {
         ", path loss in dBm at 1 m and dB per decade"
     } else {
         ""
     };
     let list: Vec<String> = each.iter().map(|(name, process)| format!("{name}: {}", process.summarise_fit())).collect();
     format!(
-        "Kriging found, of {} receivers, correlations (length scales in m, noise in parts of the variance{law}): {}",
+        "Kriging found, of {} receivers, correlations (length scales in m, noise in parts of the variance{path_loss}): {}",
         each.len(),
         list.join("; ")
     )

@@ -53,12 +53,12 @@ impl Baseline for LogDistance {
         let groups: Vec<&[(f64, f64)]> = points.iter().map(Vec::as_slice).collect();
         let (shared, levels) = PathLoss::fit_groups(&groups);
         let one = PathLoss::fit(&groups.concat());
-        let law = |(points, level): (&&[(f64, f64)], f64)| match points.len() {
+        let fit = |(points, level): (&&[(f64, f64)], f64)| match points.len() {
             FEW.. if self.per_receiver => PathLoss::fit(points),
             _ if self.per_receiver || self.offset => PathLoss { level, ..shared },
             _ => one,
         };
-        let by_receiver = groups.iter().zip(levels).map(law).collect();
+        let by_receiver = groups.iter().zip(levels).map(fit).collect();
         let enough = if self.per_receiver { FEW } else { usize::from(self.offset) };
         let names = data.scene.receivers.iter().map(|receiver| strip_control(&receiver.name));
         let borrowed = names.zip(&groups).filter(|(_, points)| points.len() < enough).map(|(name, _)| name).collect();

@@ -66,7 +66,7 @@ impl ChannelImport {
         }
         let first = self.channels.first().ok_or_else(|| Error::Config("--channels names no file".into()))?;
         let tx = read_positions(self.tx.as_deref().unwrap_or(first), self.tx.is_none())?;
-        let grid = Grid::read(self, tx.len())?;
+        let grid = Grid::read(self, tx)?;
         let received = grid.received();
         if received[0].is_empty() {
             return Err(Error::input(first, "is zero throughout; give channels that were received"));
@@ -84,18 +84,12 @@ impl ChannelImport {
                 ));
             }
         }
-        let data =
-            if self.powers { self.powers(&grid, kind, &received, &tx)? } else { self.gains(grid, &received, &tx)? };
+        let data = if self.powers { self.powers(&grid, kind, &received)? } else { self.gains(grid, &received)? };
         Ok((Dataset { simulation: self.simulated.then(Simulation::default), ..data }, notes))
     }
 
     /// Creates the channels of the positions, antennas and subcarriers that were `received`.
-    fn gains(
-        &self,
-        mut grid: Grid,
-        [rows, antennas, subcarriers]: &[Vec<usize>; 3],
-        tx: &[[f64; 3]],
-    ) -> Result<Dataset> {
+    fn gains(&self, mut grid: Grid, [rows, antennas, subcarriers]: &[Vec<usize>; 3]) -> Result<Dataset> {
         let (path, [_, count, width]) = (&self.channels[0], grid.size);
         let missing =
             || Error::Config("--carrier-hz is missing; give the centre frequency in Hz, such as 2.437e9".into());
@@ -123,13 +117,13 @@ impl ChannelImport {
         };
         let antennas = antennas.iter().map(|a| places[*a]).collect();
         let receiver = Receiver { antennas, ..Receiver::new("receiver", self.receiver) };
-        let samples: Vec<Sample> = rows.iter().map(|m| Sample::new(*m as u32, tx[*m])).collect();
+        let samples: Vec<Sample> = rows.iter().map(|m| Sample::new(*m as u32, grid.tx[*m])).collect();
         Dataset::of_links(&self.name, vec![receiver], vec![], &samples, channels.into())
     }
 
     /// Creates the received powers, dB relative to the strongest, with a receiver per subcarrier, or per antenna of one
     /// subcarrier.
-    fn powers(&self, grid: &Grid, kind: Kind, received: &[Vec<usize>; 3], tx: &[[f64; 3]]) -> Result<Dataset> {
+    fn powers(&self, grid: &Grid, kind: Kind, received: &[Vec<usize>; 3]) -> Result<Dataset> {
         let [rows, antennas, subcarriers] = received;
         let (listed, noun) = if grid.size[2] > 1 { (subcarriers, "subcarrier") } else { (antennas, "antenna") };
         let (mut samples, mut powers) = (Vec::new(), Vec::new());
@@ -139,7 +133,7 @@ impl ChannelImport {
                 let (a, f) = if grid.size[2] > 1 { (&antennas[..], k) } else { (k, &subcarriers[..]) };
                 let power = grid.cells(m, a, f).map(|gain| kind.power(gain)).sum::<f64>() / a.len() as f64;
                 if power > 0.0 {
-                    samples.push(Sample { receiver, ..Sample::new(m as u32, tx[m]) });
+                    samples.push(Sample { receiver, ..Sample::new(m as u32, grid.tx[m]) });
                     powers.push(10.0 * power.log10());
                 }
             }
@@ -160,12 +154,14 @@ struct Grid {
     size: [usize; 3],
     /// Real and imaginary parts.
     gains: Vec<[Real; 2]>,
+    /// Transmitter positions `[M,3]`, metres.
+    tx: Vec<[f64; 3]>,
 }
 
 impl Grid {
     /// Reads the files of `import` and concatenates them along the positions. Returns an error unless they differ in no other
-    /// axis, and have channels of as many positions as there are `transmitters`.
-    fn read(import: &ChannelImport, transmitters: usize) -> Result<Self> {
+    /// axis, and have channels of as many positions as there are transmitters `tx`.
+    fn read(import: &ChannelImport, tx: Vec<[f64; 3]>) -> Result<Self> {
         let (files, imag) = (&import.channels, &import.imag);
         if !imag.is_empty() && imag.len() != files.len() {
             let problem = format!("--imag names {} files, and --channels {}", imag.len(), files.len());
@@ -174,9 +170,9 @@ impl Grid {
         let (mut size, mut gains) = ([0; 3], Vec::new());
         for (k, path) in files.iter().enumerate() {
             let part = if imag.is_empty() { Part::Whole } else { Part::Real };
-            let here @ [m, a, f] = part.read(path, &import.axes, &mut gains, [0; 3])?;
+            let here @ [m, a, f] = part.read(path, &import.axes, &mut gains)?;
             if let Some(imag) = imag.get(k) {
-                Part::Imaginary.read(imag, &import.axes, &mut gains, here)?;
+                Part::Imaginary(here).read(imag, &import.axes, &mut gains)?;
             }
             if k > 0 && [a, f] != size[1..] {
                 let problem =
@@ -185,21 +181,16 @@ impl Grid {
             }
             size = [size[0] + m, a, f];
         }
-        if size[0] != transmitters {
-            let problem = format!("holds channels of {} positions, and --tx has {transmitters}", size[0]);
+        if size[0] != tx.len() {
+            let problem = format!("holds channels of {} positions, and --tx has {}", size[0], tx.len());
             let advice = format!("give as many of each, or correct --axes, which is {}", import.axes);
             return Err(Error::input(&files[0], format!("{problem}; {advice}")));
         }
-        Ok(Self { size, gains })
+        Ok(Self { size, gains, tx })
     }
 
     /// Returns the gains of these antennas and subcarriers at position `m`.
-    fn cells<'a>(
-        &'a self,
-        m: usize,
-        antennas: &'a [usize],
-        subcarriers: &'a [usize],
-    ) -> impl Iterator<Item = [f64; 2]> + 'a {
+    fn cells(&self, m: usize, antennas: &[usize], subcarriers: &[usize]) -> impl Iterator<Item = [f64; 2]> {
         let [_, count, width] = self.size;
         antennas.iter().flat_map(move |a| {
             subcarriers.iter().map(move |f| self.gains[(m * count + a) * width + f].map(|v| v as f64))

@@ -22,10 +22,12 @@ const SPECTRA: &str = "spectra are an array .npy, an archive .npz, or a folder o
 pub(super) fn read_positions(path: &Path, with_spectra: bool) -> Result<Vec<[f64; 3]>> {
     let (file, name) = split_array_name(path);
     let txs = match extension(&file) {
-        "npz" => read_archive(&file, if with_spectra { None } else { name }, "tx", |path, array, bytes| {
-            let header = Header::read(path, array)?;
-            npy::parse_positions(&header, path, array, bytes.saturating_sub(header.offset))
-        }),
+        "npz" => {
+            read_archive(&file, if with_spectra { None } else { name }, "tx", |OpenArray { path, file, length }| {
+                let header = Header::read(path, file)?;
+                npy::parse_positions(&header, path, file, length.saturating_sub(header.offset))
+            })
+        }
         _ if with_spectra => {
             let advice = "name the transmitters with --tx: an array .npy [M, 3], or a table .csv with columns x, y, z";
             return Err(Error::Config(advice.into()));
@@ -49,35 +51,44 @@ pub(super) fn read_spectra(path: &Path, count: usize, map: Option<Colormap>, sin
     if map.is_some() {
         return Err(Error::input(path, "has numbers, not colours; remove --colormap"));
     }
-    read_array_file(path, "spectra", SPECTRA, |path, array, bytes| read_array(path, array, bytes, count, sink))
+    read_array_file(path, "spectra", SPECTRA, |array| read_array(array, count, sink))
 }
 
-/// Returns the result of `read` on an array `.npy`, or on one of an archive `.npz`, as [`read_archive`] does: on its path,
-/// bytes and length, header included. Returns an error with the `expected` formats for another file.
+/// Open array: a file, or an entry of an archive.
+pub(super) struct OpenArray<'a> {
+    /// Path in messages: `FILE.npz:NAME` in an archive.
+    pub(super) path: &'a Path,
+    /// Bytes from the header on.
+    pub(super) file: &'a mut dyn Read,
+    /// Number of bytes, header included.
+    pub(super) length: u64,
+}
+
+/// Returns the result of `read` on an array `.npy`, or on one of an archive `.npz`, as [`read_archive`] does. Returns an error
+/// with the `expected` formats for another file.
 pub(super) fn read_array_file<T>(
     path: &Path,
     usual: &str,
     expected: &str,
-    read: impl FnOnce(&Path, &mut dyn Read, u64) -> Result<T>,
+    read: impl FnOnce(OpenArray<'_>) -> Result<T>,
 ) -> Result<T> {
     let (file, name) = split_array_name(path);
     match extension(&file) {
         "npz" => read_archive(&file, name, usual, read),
         "npy" => {
             let refuse = |e| Error::read(&file, e);
-            let array = files::open(&file).map_err(refuse)?;
-            let bytes = array.metadata().map_err(refuse)?.len();
-            read(&file, &mut BufReader::with_capacity(1 << 20, array), bytes)
+            let opened = files::open(&file).map_err(refuse)?;
+            let length = opened.metadata().map_err(refuse)?.len();
+            read(OpenArray { path: &file, file: &mut BufReader::with_capacity(1 << 20, opened), length })
         }
         _ if !file.exists() => Err(Error::input(&file, format!("no such file or folder; {expected}"))),
         _ => Err(Error::input(&file, expected)),
     }
 }
 
-/// Passes the spectra of an array of `bytes` bytes, header included, to `sink`. Returns an error unless their number is
-/// `count` and they fill the bytes.
-fn read_array(path: &Path, array: &mut dyn Read, bytes: u64, count: usize, sink: &mut Sink<'_>) -> Result<()> {
-    let header = Header::read(path, array)?;
+/// Passes the spectra of an array to `sink`. Returns an error unless their number is `count` and they fill the file.
+fn read_array(OpenArray { path, file, length }: OpenArray<'_>, count: usize, sink: &mut Sink<'_>) -> Result<()> {
+    let header = Header::read(path, file)?;
     let (number, shape) = npy::spectra_shape(&header, path)?;
     let [m, h, w] = shape;
     let refuse = |problem: String| Err(Error::input(path, format!("has shape [{m}, {h}, {w}]{problem}")));
@@ -86,9 +97,9 @@ fn read_array(path: &Path, array: &mut dyn Read, bytes: u64, count: usize, sink:
         let advice = if w == count { "; save numpy.moveaxis(s, 2, 0)" } else { ": give as many of each" };
         return refuse(problem + advice);
     }
-    if header.bytes(number).and_then(|n| n.checked_add(header.offset)) != Some(bytes) || h * w == 0 {
+    if header.bytes(number).and_then(|n| n.checked_add(header.offset)) != Some(length) || h * w == 0 {
         return refuse(format!(
-            ", which does not fit its {bytes} bytes; the file is truncated or damaged: copy it again"
+            ", which does not fit its {length} bytes; the file is truncated or damaged: copy it again"
         ));
     }
     let (size, limit) = (h * w * number.bytes(), pictures::MAX_BYTES);
@@ -98,10 +109,10 @@ fn read_array(path: &Path, array: &mut dyn Read, bytes: u64, count: usize, sink:
     sink.begin(path, shape, number)?;
     let mut spectrum = vec![0; size];
     for _ in 0..m {
-        array.read_exact(&mut spectrum).map_err(|e| Error::read(path, e))?;
+        file.read_exact(&mut spectrum).map_err(|e| Error::read(path, e))?;
         sink.add_spectrum(&spectrum)?;
     }
-    npy::check_end(array).map_err(|e| Error::read(path, e))
+    npy::check_end(file).map_err(|e| Error::read(path, e))
 }
 
 /// Passes the images `NNNNN.png` of a folder to `sink`: number k, counted from 1, is the spectrum of row k. Returns an error
@@ -140,13 +151,12 @@ fn read_images(path: &Path, count: usize, map: Option<Colormap>, sink: &mut Sink
     Ok(())
 }
 
-/// Returns the result of `read` on an array of an archive, its path, bytes and length: the array `name`, else `usual`,
-/// else the only one. Returns an error for a damaged archive, repeated names, or no such array.
+/// Returns the result of `read` on an array of an archive: the array `name`, else `usual`, else the only one. Returns an error for a damaged archive, repeated names, or no such array.
 fn read_archive<T>(
     path: &Path,
     name: Option<String>,
     usual: &str,
-    read: impl FnOnce(&Path, &mut dyn Read, u64) -> Result<T>,
+    read: impl FnOnce(OpenArray<'_>) -> Result<T>,
 ) -> Result<T> {
     let broken =
         |e: zip::result::ZipError| Error::input(path, format!("is not a NumPy archive ({e}); use numpy.savez"));
@@ -171,8 +181,8 @@ fn read_archive<T>(
     }
     let array_path = PathBuf::from(format!("{}:{name}", path.display()));
     let mut entry = archive.by_name(&format!("{name}.npy")).map_err(broken)?;
-    let bytes = entry.size();
-    read(&array_path, &mut entry, bytes).map_err(|e| match e {
+    let length = entry.size();
+    read(OpenArray { path: &array_path, file: &mut entry, length }).map_err(|e| match e {
         Error::Read { source, .. } => {
             Error::input(&array_path, format!("is damaged ({source}); copy the archive again"))
         }

@@ -2,7 +2,7 @@
 
 use crate::checks::name_fault;
 use crate::text::{read_yaml, yaml_fault};
-use pwrfgs_core::place_fault;
+use pwrfgs_core::position_fault;
 use pwrfgs_core::{Elevation, Error, Pose, Receiver, Result, messages::strip_control};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -133,7 +133,7 @@ pub(super) fn read_gateways(path: &Path, advice: &str) -> Result<Vec<(String, Po
             GatewayPosition::Position(position) => Pose { position, ..Pose::IDENTITY },
             GatewayPosition::Pose(pose) => pose,
         };
-        let fault = place_fault(pose.position);
+        let fault = position_fault(pose.position);
         let fault = fault.or_else(|| pose.fault().map(|(_, fault)| format!("has an invalid orientation: {fault}")));
         let fault = fault.map(|fault| format!("`{}` {fault}", strip_control(name)));
         name_fault(name).or(fault).map_or_else(|| Ok((name.clone(), pose)), |fault| Err(yaml_fault(path, value, fault)))
@@ -156,7 +156,7 @@ pub(super) fn read_antennas(path: &Path, advice: &str) -> Result<Vec<[f64; 3]>> 
     }
     let read = |(k, position): (usize, &Spanned<[f64; 3]>)| {
         let fault = |fault| Err(yaml_fault(path, position, format!("antenna {} {fault}", k + 1)));
-        place_fault(position.value).map_or(Ok(position.value), fault)
+        position_fault(position.value).map_or(Ok(position.value), fault)
     };
     base_station.iter().enumerate().map(read).collect()
 }

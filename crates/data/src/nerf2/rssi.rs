@@ -12,7 +12,6 @@ use crate::folder::{
     recognised_root, restore_saved,
 };
 use crate::text::{DBM_ADVICE, TextRow};
-use pwrfgs_core::files::MAX_TEXT;
 use pwrfgs_core::messages::{quoted, strip_control, text_of};
 use pwrfgs_core::{
     DataSource, Dataset, Error, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample, did_you_mean,
@@ -161,7 +160,8 @@ fn warn_of_low_powers(root: &Path, is_declared: bool, received: &[PowerRow]) {
 fn read_links(path: &Path, gateways: &[String], missing: &[f64], rows: usize) -> Result<Vec<PowerRow>> {
     let unknown = ["has no position in gateway_position.yml", "add it there, or remove the column"];
     let unnamed = "a gateway that has a position; add one, or remove its line in gateway_position.yml";
-    let table = read_power_rows(path, LAYOUT, gateways, missing, unknown, Some(unnamed))?;
+    let table = PowerTable { receivers: gateways, missing, advice: LAYOUT, unknown, unnamed: Some(unnamed) };
+    let table = table.read(path)?;
     let mut received = Vec::new();
     for (row, (line, powers)) in table.iter().enumerate() {
         let links =
@@ -182,45 +182,54 @@ fn read_links(path: &Path, gateways: &[String], missing: &[f64], rows: usize) ->
 /// Received powers in a row of a table, dBm, after its line number.
 type TableRow = (usize, Vec<Option<f64>>);
 
-/// Reads a table with a column per receiver in `names`. Returns an error for a column of another name, which is `unknown`: its
-/// problem and the next step; for a receiver without a column, if `unnamed` describes one; and for an invalid row.
-fn read_power_rows(
-    path: &Path,
-    advice: &str,
-    names: &[String],
-    missing: &[f64],
-    unknown: [&str; 2],
-    unnamed: Option<&str>,
-) -> Result<Vec<TableRow>> {
-    let valid: BTreeSet<&str> = names.iter().map(String::as_str).collect();
-    let table =
-        TableText::with_names(path, MAX_TEXT, advice, &|cell| valid.contains(cell) || valid.contains(text_of(cell)))?;
-    let mut columns = BTreeMap::new();
-    for (k, cell) in table.names.iter().enumerate() {
-        let name = if valid.contains(text_of(cell)) { text_of(cell) } else { cell };
-        if columns.insert(name, k).is_some() {
-            let problem = format!("a second column {}; name each receiver once", quoted(cell));
-            return Err(table.fault(Some(k), problem));
+/// Table of received powers with a column per receiver.
+#[derive(Clone, Copy)]
+struct PowerTable<'a> {
+    /// Names of the receivers.
+    receivers: &'a [String],
+    /// Values that mean that no signal was received.
+    missing: &'a [f64],
+    /// Next step for a file that is no such table.
+    advice: &'a str,
+    /// Problem with a column of another name, and the next step.
+    unknown: [&'a str; 2],
+    /// Description of a receiver without a column, which is an error; `None` if a column may be absent.
+    unnamed: Option<&'a str>,
+}
+
+impl PowerTable<'_> {
+    /// Reads the powers of all receivers, row by row. Returns an error for an invalid column or row.
+    fn read(self, path: &Path) -> Result<Vec<TableRow>> {
+        let Self { receivers, missing, advice, unknown, unnamed } = self;
+        let valid: BTreeSet<&str> = receivers.iter().map(String::as_str).collect();
+        let table = TableText::with_names(path, advice, &|cell| valid.contains(cell) || valid.contains(text_of(cell)))?;
+        let mut columns = BTreeMap::new();
+        for (k, cell) in table.names.iter().enumerate() {
+            let name = if valid.contains(text_of(cell)) { text_of(cell) } else { cell };
+            if columns.insert(name, k).is_some() {
+                let problem = format!("a second column {}; name each receiver once", quoted(cell));
+                return Err(table.fault(Some(k), problem));
+            }
+            if !valid.contains(name) {
+                let hint = did_you_mean(cell, receivers.iter().map(String::as_str));
+                return Err(table.fault(Some(k), format!("{} {}{hint}; {}", quoted(cell), unknown[0], unknown[1])));
+            }
         }
-        if !valid.contains(name) {
-            let hint = did_you_mean(cell, names.iter().map(String::as_str));
-            return Err(table.fault(Some(k), format!("{} {}{hint}; {}", quoted(cell), unknown[0], unknown[1])));
-        }
+        let column = |name: &String| match (columns.get(name.as_str()), unnamed) {
+            (None, Some(unnamed)) => Err(table.fault(None, format!("no column `{}`, {unnamed}", strip_control(name)))),
+            (column, _) => Ok(column.copied()),
+        };
+        let columns = receivers.iter().map(column).collect::<Result<Vec<_>>>()?;
+        let power = |row: &TextRow<'_>, (column, name): (&Option<usize>, &String)| match column {
+            Some(column) => row.power(row.cell((*column, name), DBM_ADVICE)?, missing),
+            None => Ok(None),
+        };
+        let read = |row: Result<TextRow<'_>>| {
+            let row = row?;
+            Ok((row.line, columns.iter().zip(receivers).map(|cell| power(&row, cell)).collect::<Result<_>>()?))
+        };
+        table.rows().map(read).collect()
     }
-    let column = |name: &String| match (columns.get(name.as_str()), unnamed) {
-        (None, Some(unnamed)) => Err(table.fault(None, format!("no column `{}`, {unnamed}", strip_control(name)))),
-        (column, _) => Ok(column.copied()),
-    };
-    let columns = names.iter().map(column).collect::<Result<Vec<_>>>()?;
-    let power = |row: &TextRow<'_>, (column, name): (&Option<usize>, &String)| match column {
-        Some(column) => row.power(row.cell((*column, name), DBM_ADVICE)?, missing),
-        None => Ok(None),
-    };
-    let read = |row: Result<TextRow<'_>>| {
-        let row = row?;
-        Ok((row.line, columns.iter().zip(names).map(|cell| power(&row, cell)).collect::<Result<_>>()?))
-    };
-    table.rows().map(read).collect()
 }
 
 /// Reads received powers `[rows, receivers]` from a table with one column per receiver, dBm; NaN for empty cells and for
@@ -233,7 +242,7 @@ pub fn read_powers(path: &Path, receivers: &[String]) -> Result<Vec<Vec<Real>>> 
     const ADVICE: &str =
         "write one column per receiver and one row per transmitter, in dBm; leave unknown powers empty";
     let unknown = ["is no receiver of the model", "name one, or remove the column"];
-    let rows = read_power_rows(path, ADVICE, receivers, &[], unknown, None)?;
+    let rows = PowerTable { receivers, missing: &[], advice: ADVICE, unknown, unnamed: None }.read(path)?;
     if rows.is_empty() {
         return Err(Error::input(path, format!("has a header but no row; {ADVICE}")));
     }

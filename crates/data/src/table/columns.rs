@@ -1,6 +1,6 @@
 //! `ColumnSearch`: which column of a table is which, by name or by the user's choice.
 
-use super::names::{FLOOR, LAT, LON, PLACE, RECEIVER, TX_ID, X, Y, Z, is_one_of, normalized};
+use super::names::{FLOOR, LAT, LON, PLACE, RECEIVER, TX_ID, X, Y, Z, is_one_of, normalized_name};
 use super::options::ColumnChoice;
 use crate::dialect::TableText;
 use crate::text::{TextRow, is_metre, split_unit};
@@ -50,7 +50,7 @@ impl<'a> ColumnSearch<'a> {
     /// Creates a search. Returns an error if one of the first rows is longer than the header.
     pub(super) fn new(table: &'a TableText<'a>, choice: &'a ColumnChoice) -> Result<Self> {
         let rows = table.rows().take(EXAMINED).collect::<Result<Vec<_>>>()?;
-        let names = table.names.iter().map(|name| normalized(name)).collect();
+        let names = table.names.iter().map(|name| normalized_name(name)).collect();
         Ok(Self { table, choice, names, rows })
     }
 

@@ -33,7 +33,7 @@ pub(super) const OTHER: &str = "id index row no number time timestamp date datet
     frequency snr accuracy accuracymeters speed heading battery";
 
 /// Returns a column name in lower case, without units in brackets, blanks and marks.
-pub(super) fn normalized(name: &str) -> String {
+pub(super) fn normalized_name(name: &str) -> String {
     split_unit(name).0.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }
 

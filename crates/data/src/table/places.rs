@@ -4,7 +4,8 @@ use super::columns::{ColumnSearch, PlaceColumns};
 use super::options::{ColumnChoice, TableImport};
 use crate::dialect::{TableFile, TableText};
 use crate::text::TextRow;
-use pwrfgs_core::{Geodetic, Result, place_fault};
+use pwrfgs_core::neighbours::distance;
+use pwrfgs_core::{Geodetic, Result, position_fault};
 use std::collections::{BTreeMap, HashMap};
 use std::num::NonZero;
 
@@ -37,7 +38,51 @@ impl Frame {
         let z = columns.height.map_or(Ok(height), coordinate)?;
         let [x, y] = if columns.is_geodetic { self.metres(row, [b, a])? } else { [a, b] };
         let position = [x + 0.0, y + 0.0, z + 0.0]; // no negative zero
-        place_fault(position).map_or(Ok(position), |fault| Err(row.fault(1, format!("the transmitter {fault}"))))
+        position_fault(position).map_or(Ok(position), |fault| Err(row.fault(1, format!("the transmitter {fault}"))))
+    }
+
+    /// Reads a table of names and positions: places, or receivers.
+    ///
+    /// # Errors
+    /// A table without a name or a position, or with two positions for one name.
+    pub(super) fn read_named(&mut self, import: &TableImport, file: &TableFile) -> Result<BTreeMap<String, [f64; 3]>> {
+        let table = TableText::read(file)?;
+        let choice = ColumnChoice::default();
+        let search = ColumnSearch::new(&table, &choice)?;
+        let columns = search.place(import.is_lat_lon)?;
+        let columns =
+            columns.ok_or_else(|| search.fault("no position; write a table with the columns name, x, y and z"))?;
+        let name = search.names_of(columns)?;
+        let mut places = BTreeMap::new();
+        for row in table.rows() {
+            let row = row?;
+            let field = row.cell((name, &table.names[name]), "give every row a name")?;
+            let position = self.read(&table, &row, columns, import.height.unwrap_or(0.0))?;
+            if places
+                .insert(field.text.to_owned(), position)
+                .is_some_and(|earlier| distance(earlier, position) > SAME_M)
+            {
+                return Err(row.fault(field.column, "a second position for this name; give one"));
+            }
+        }
+        Ok(places)
+    }
+
+    /// Reads the positions of rows, one per row of the readings.
+    pub(super) fn read_rows(&mut self, import: &TableImport, file: &TableFile) -> Result<Vec<[f64; 3]>> {
+        let table = TableText::read(file)?;
+        let choice = ColumnChoice { wide: Vec::new(), ..import.columns.clone() };
+        let search = ColumnSearch::new(&table, &choice)?;
+        let columns = match search.place(import.is_lat_lon)? {
+            Some(columns) => columns,
+            None if table.header.is_none() && table.names.len() >= 2 => {
+                let height = (table.names.len() > 2).then_some(2);
+                PlaceColumns { plane: [0, 1], height, is_geodetic: import.is_lat_lon }
+            }
+            None => return Err(search.fault("no position; write the columns x, y and z")),
+        };
+        let height = import.height.unwrap_or(0.0);
+        table.rows().map(|row| self.read(&table, &row?, columns, height)).collect()
     }
 
     /// Converts latitude and longitude to metres. The first position, rounded to a hundredth of a degree, is the zero.
@@ -51,56 +96,6 @@ impl Frame {
         self.geodetic = Some(zero);
         Ok(zero.metres([latitude, longitude]))
     }
-}
-
-/// Reads a table of names and positions: places, or receivers.
-///
-/// # Errors
-/// A table without a name or a position, or with two positions for one name.
-pub(super) fn read_named(
-    import: &TableImport,
-    file: &TableFile,
-    frame: &mut Frame,
-) -> Result<BTreeMap<String, [f64; 3]>> {
-    let table = TableText::read(file)?;
-    let choice = ColumnChoice::default();
-    let search = ColumnSearch::new(&table, &choice)?;
-    let columns = search.place(import.is_lat_lon)?;
-    let columns =
-        columns.ok_or_else(|| search.fault("no position; write a table with the columns name, x, y and z"))?;
-    let name = search.names_of(columns)?;
-    let mut places = BTreeMap::new();
-    for row in table.rows() {
-        let row = row?;
-        let field = row.cell((name, &table.names[name]), "give every row a name")?;
-        let position = frame.read(&table, &row, columns, import.height.unwrap_or(0.0))?;
-        if places.insert(field.text.to_owned(), position).is_some_and(|earlier| distance(earlier, position) > SAME_M) {
-            return Err(row.fault(field.column, "a second position for this name; give one"));
-        }
-    }
-    Ok(places)
-}
-
-/// Reads the positions of rows, one per row of the readings.
-pub(super) fn read_rows(import: &TableImport, file: &TableFile, frame: &mut Frame) -> Result<Vec<[f64; 3]>> {
-    let table = TableText::read(file)?;
-    let choice = ColumnChoice { wide: Vec::new(), ..import.columns.clone() };
-    let search = ColumnSearch::new(&table, &choice)?;
-    let columns = match search.place(import.is_lat_lon)? {
-        Some(columns) => columns,
-        None if table.header.is_none() && table.names.len() >= 2 => {
-            let height = (table.names.len() > 2).then_some(2);
-            PlaceColumns { plane: [0, 1], height, is_geodetic: import.is_lat_lon }
-        }
-        None => return Err(search.fault("no position; write the columns x, y and z")),
-    };
-    let height = import.height.unwrap_or(0.0);
-    table.rows().map(|row| frame.read(&table, &row?, columns, height)).collect()
-}
-
-/// Returns the distance between two positions, metres.
-pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
 }
 
 /// Positions so far, each once within [`SAME_M`].

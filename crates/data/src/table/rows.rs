@@ -33,9 +33,9 @@ impl<'a> RowReader<'a> {
     pub(super) fn new(
         import: &TableImport,
         named: &BTreeMap<String, [f64; 3]>,
-        table: &'a TableText<'a>,
-        search: &ColumnSearch<'_>,
+        search: &ColumnSearch<'a>,
     ) -> Result<Self> {
+        let table = search.table;
         let place = if import.tx.is_some() {
             RowPlace::Next
         } else if import.places.is_some() {

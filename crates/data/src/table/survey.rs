@@ -2,13 +2,14 @@
 
 use super::columns::ColumnSearch;
 use super::options::TableImport;
-use super::places::{Frame, Places, SAME_M, distance, read_named, read_rows};
+use super::places::{Frame, Places, SAME_M};
 use super::powers::PowerColumns;
 use super::rows::{RowPlace, RowReader};
 use crate::checks::power_fault;
 use crate::dialect::{TableFile, TableText};
 use crate::text::{TextField, TextRow};
 use pwrfgs_core::messages::{quoted, strip_control};
+use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Progress, Real, Result};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -69,9 +70,9 @@ impl<'a> Survey<'a> {
     /// Creates a survey; reads the files of places, rows and receivers.
     pub(super) fn new(import: &'a TableImport) -> Result<Self> {
         let mut frame = Frame::default();
-        let named = import.places.as_ref().map(|file| read_named(import, file, &mut frame)).transpose()?;
-        let rows = import.tx.as_ref().map(|file| read_rows(import, file, &mut frame)).transpose()?;
-        let placed = import.receivers.as_ref().map(|file| read_named(import, file, &mut frame)).transpose()?;
+        let named = import.places.as_ref().map(|file| frame.read_named(import, file)).transpose()?;
+        let rows = import.tx.as_ref().map(|file| frame.read_rows(import, file)).transpose()?;
+        let placed = import.receivers.as_ref().map(|file| frame.read_named(import, file)).transpose()?;
         let mut survey = Self {
             import,
             frame,
@@ -107,22 +108,17 @@ impl<'a> Survey<'a> {
             self.before = table.head(PREVIEW);
         }
         let search = ColumnSearch::new(&table, &self.import.columns)?;
-        let reader = RowReader::new(self.import, &self.named, &table, &search)?;
+        let reader = RowReader::new(self.import, &self.named, &search)?;
         self.notes.push(reader.describe(&search));
         match &reader.powers {
             PowerColumns::Long { .. } => self.add_long(&reader, is_test, progress),
-            PowerColumns::Wide(columns) => self.add_wide(&reader, columns, is_test, progress),
+            PowerColumns::Wide(_) => self.add_wide(&reader, is_test, progress),
         }
     }
 
     /// Adds a table with a row per transmitter.
-    fn add_wide(
-        &mut self,
-        reader: &RowReader<'_>,
-        columns: &[usize],
-        is_test: bool,
-        progress: Progress<'_>,
-    ) -> Result<()> {
+    fn add_wide(&mut self, reader: &RowReader<'_>, is_test: bool, progress: Progress<'_>) -> Result<()> {
+        let PowerColumns::Wide(columns) = &reader.powers else { return Ok(()) };
         let names: Vec<u32> = columns.iter().map(|k| self.receiver(&reader.table.names[*k])).collect();
         for row in reader.table.counted_rows(progress) {
             let row = row?;

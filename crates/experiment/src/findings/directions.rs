@@ -17,17 +17,17 @@ pub(super) fn check_directions(data: &Dataset, spectra: &[SpectrumSummary], pose
     if pose.verdict == PoseVerdict::Right || !has_room(data) {
         return None;
     }
-    let seen: Vec<(usize, DVec3)> = spectra.iter().filter_map(|s| Some((s.sample, s.strongest?))).collect();
+    let directions: Vec<(usize, DVec3)> = spectra.iter().filter_map(|s| Some((s.sample, s.strongest?))).collect();
     let angle_by = |meaning: fn([f64; 3]) -> [f64; 3]| {
         let degrees = |&(sample, strongest): &(usize, DVec3)| {
             let mut ends = data.link_ends(sample);
             let moved = &mut ends[usize::from(data.scene.moving.is_receiver())].position;
             *moved = meaning(*moved);
             let [transmitter, receiver] = ends.map(|end| DVec3::from_array(end.position));
-            let by = DQuat::from_array(ends[1].orientation).normalize();
-            angle(by.inverse() * (transmitter - receiver).normalize_or_zero(), strongest).to_degrees()
+            let orientation = DQuat::from_array(ends[1].orientation).normalize();
+            angle(orientation.inverse() * (transmitter - receiver).normalize_or_zero(), strongest).to_degrees()
         };
-        median(seen.iter().filter(|(sample, _)| data.sample(*sample).receiver == 0).map(degrees))
+        median(directions.iter().filter(|(sample, _)| data.sample(*sample).receiver == 0).map(degrees))
     };
     let units = MEANINGS.iter().filter(|meaning| meaning.0 == "position-unit");
     let best = units.map(|meaning| (angle_by(meaning.3), meaning)).min_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -37,13 +37,13 @@ pub(super) fn check_directions(data: &Dataset, spectra: &[SpectrumSummary], pose
             "the strongest direction is {:.1}° from the line of sight, and {degrees:.1}° if positions are {words} (for example \
              transmitter {} at {:?})",
             pose.recorded,
-            data.sample(seen[0].0).id,
-            round(data.sample(seen[0].0).position())
+            data.sample(directions[0].0).id,
+            round(data.sample(directions[0].0).position())
         );
         return Some(Finding::new(name, pose.pairs, problem, *mend));
     }
     let is_open = matches!(pose.verdict, PoseVerdict::NotDirect | PoseVerdict::Unclear) && pose.spread >= WIDE_DEG;
-    let rows: Vec<usize> = seen.iter().map(|(sample, _)| data.links[*sample].location).collect();
+    let rows: Vec<usize> = directions.iter().map(|(sample, _)| data.links[*sample].location).collect();
     let has_rows = is_open && data.scene.receivers.len() == 1 && !data.scene.moving.is_receiver();
-    has_rows.then(|| check_rows(data, &rows, &|a, b| angle(seen[a].1, seen[b].1))).flatten()
+    has_rows.then(|| check_rows(data, &rows, &|a, b| angle(directions[a].1, directions[b].1))).flatten()
 }

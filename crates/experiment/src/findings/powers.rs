@@ -17,11 +17,11 @@ pub(super) fn check_powers(data: &Dataset, powers: &[Real]) -> Vec<Finding> {
     let readings: Vec<Real> = powers.iter().filter(|value| !is_code(value)).copied().collect();
     let shared = shared_values(powers).into_iter().filter(|entry| !is_code(&entry.value)).collect();
     let unit = check_unit(data, &readings);
-    codes_finding(data, codes).into_iter().chain(unit).chain(shared_finding(data, shared)).collect()
+    lone_value_finding(data, codes).into_iter().chain(unit).chain(shared_finding(data, shared)).collect()
 }
 
 /// Returns the finding on lone values; `None` without any.
-fn codes_finding(data: &Dataset, mut codes: Vec<LoneValue>) -> Option<Finding> {
+fn lone_value_finding(data: &Dataset, mut codes: Vec<LoneValue>) -> Option<Finding> {
     codes.sort_by_key(|code| std::cmp::Reverse(code.count));
     let first = codes.first()?;
     let describe =
@@ -48,7 +48,7 @@ pub fn check_observed(data: &Dataset, observed: &[Real]) -> Option<Finding> {
     let [low, high, first] = [low, high, *first as f64].map(show);
     let known = format!("the known ones, {low} to {high} dBm");
     let problem = format!("{count} powers are more than {FAR_DB} dB from {known} (for example {first})");
-    let units: Vec<String> = PowerUnit::guess(observed).iter().map(|unit| mend_unit(*unit)).collect();
+    let units: Vec<String> = PowerUnit::guess(observed).iter().map(|unit| describe_conversion(*unit)).collect();
     Some(match &units[..] {
         [] => {
             Finding::new("lone-value", count, problem, "if they mean that nothing was received, leave them empty (NaN)")
@@ -58,7 +58,7 @@ pub fn check_observed(data: &Dataset, observed: &[Real]) -> Option<Finding> {
 }
 
 /// Returns the conversion to dBm from a unit.
-fn mend_unit(unit: PowerUnit) -> String {
+fn describe_conversion(unit: PowerUnit) -> String {
     let [_, name, formula] = unit.words();
     format!("if these are {name}, {formula}")
 }
@@ -97,7 +97,7 @@ fn check_unit(data: &Dataset, readings: &[Real]) -> Option<Finding> {
         let is_linear = matches!(unit, PowerUnit::Milliwatts | PowerUnit::Watts) && middle > 0.0;
         let dbm = unit.dbm(middle).filter(|_| is_linear);
         let result = dbm.map_or_else(String::new, |dbm| format!(", median {dbm:.1} dBm"));
-        format!("{} (`--unit {option}` of `pwrfgs import --table`){result}", mend_unit(*unit))
+        format!("{} (`--unit {option}` of `pwrfgs import --table`){result}", describe_conversion(*unit))
     };
     let mends: Vec<String> = units.map(convert).collect();
     let [low, high, median] = [low, high, middle].map(show);

@@ -1,7 +1,7 @@
 //! Size and cost of a run as a table.
 
 use super::Preview;
-use crate::text::{aligned, duration, format_length, gigabytes, grouped};
+use crate::text::{align_columns, format_duration, format_gigabytes, format_length, grouped};
 use pwrfgs_core::plugin::name_of as plugin_name;
 use pwrfgs_train::{Rays, TimeEstimate, Training};
 
@@ -23,7 +23,7 @@ impl Preview {
     pub fn table(&self) -> String {
         let (training, n) = (&self.pipeline.training, |count: usize| grouped(count as i64));
         let [train, validation, test] = self.samples.map(n);
-        let free = self.free_bytes.map_or_else(String::new, |free| format!(", {} available", gigabytes(free)));
+        let free = self.free_bytes.map_or_else(String::new, |free| format!(", {} available", format_gigabytes(free)));
         let gaussians = match self.time.start.gaussians {
             0 => "none".to_owned(),
             count => format!("{} initially", n(count)),
@@ -40,7 +40,7 @@ impl Preview {
             ("pruners", join_or_none(&self.pipeline.pruners.iter().map(plugin_name).collect::<Vec<_>>())),
             ("steps", describe_steps(training)),
             ("phases", describe_phases(training)),
-            ("memory", format!("about {}{free}", gigabytes(self.loaded_bytes + self.step_bytes))),
+            ("memory", format!("about {}{free}", format_gigabytes(self.loaded_bytes + self.step_bytes))),
             ("time", describe_time(&self.time_of_all(), has_unlimited_densification(training))),
             ("machine", describe_machine(self)),
         ];
@@ -52,7 +52,7 @@ impl Preview {
         rows.extend(self.device.map(|name| ("device", format!("network on {name}"))));
         rows.splice(1..1, self.summary.facts.iter().cloned().chain(pose));
         rows.extend(self.outlook.iter().map(|sentence| ("pruning", sentence.clone())));
-        aligned(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)
+        align_columns(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)
     }
 }
 
@@ -97,7 +97,7 @@ fn has_unlimited_densification(training: &Training) -> bool {
 /// adds that densification lengthens it.
 fn describe_time(time: &TimeEstimate, may_grow: bool) -> String {
     let range = |seconds: [f64; 2]| {
-        let [shortest, longest] = seconds.map(duration);
+        let [shortest, longest] = seconds.map(format_duration);
         if shortest == longest { shortest } else { format!("{shortest} to {longest}") }
     };
     let TimeEstimate { seconds: [shortest, expected, longest], search_seconds: search, start, end, .. } = time;
@@ -108,7 +108,7 @@ fn describe_time(time: &TimeEstimate, may_grow: bool) -> String {
     } else {
         String::new()
     };
-    let (spread, about) = (range(seconds), duration(*expected));
+    let (spread, about) = (range(seconds), format_duration(*expected));
     let range = if spread.contains(" to ") { format!("about {about} ({spread})") } else { spread };
     let n = |count: usize| grouped(count as i64);
     let [first, last] = [start, end].map(|steps| format_step_time(steps.step_seconds) + " per step");

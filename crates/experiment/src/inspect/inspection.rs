@@ -2,13 +2,13 @@
 
 use super::floor::describe_floor;
 use super::{DataSummary, PoseCheck, test_distance};
-use crate::evaluation_set::EvaluationSet;
-use crate::load::observed;
+use crate::evaluation_set::{EvaluationSet, Predictor, ScoredPredictor};
+use crate::load::describe_observations;
 use crate::repeatability::estimate_noise_ceiling;
 use crate::scores::CEILING;
-use crate::session::{NoopObserver, Session, staged};
+use crate::session::{NoopObserver, Session, run_stage};
 use crate::statistics::Summary;
-use crate::text::{aligned, format_length, number, wrapped};
+use crate::text::{align_columns, format_length, number, wrap_words};
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{Baseline, Dataset, Metric, Plugin, Result, Scope, Split, Values, evenly, registered, rng};
 use pwrfgs_pipeline::Pipeline;
@@ -69,7 +69,7 @@ impl Inspection {
         let summary = DataSummary::of(data, INSPECTED, session.observer)?;
         let ids = [data.locations.first(), data.locations.last()].map(|t| t.map_or(0, |t| t.id));
         let floor = describe_floor(data)?;
-        let samples = ("samples", format!("{}, ids {} to {}", observed(data), ids[0], ids[1]));
+        let samples = ("samples", format!("{}, ids {} to {}", describe_observations(data), ids[0], ids[1]));
         let of_predictions = |m: &&Plugin<dyn Metric>| m.scope() != Scope::Model;
         let metrics: Vec<_> = pipeline.metrics.iter().filter(of_predictions).take(1).cloned().collect();
         let mut inspection = Self {
@@ -84,7 +84,7 @@ impl Inspection {
         };
         let splits = list_splits(pipeline);
         let (stop, each) = (session.stop, inspection.baselines.len() + 1);
-        staged(session.observer, "scoring baselines by split", |progress| {
+        run_stage(session.observer, "scoring baselines by split", |progress| {
             for (k, (split, name)) in splits.iter().enumerate() {
                 let scored = |baselines| progress(k * each + baselines, splits.len() * each);
                 inspection.add_split(pipeline, data, (split, name.clone()), &metrics, stop, &scored)?;
@@ -119,7 +119,8 @@ impl Inspection {
         let mut means = Vec::new();
         for (baseline, name) in fitted_baselines(pipeline).zip(&self.baselines) {
             let fitted = baseline.fit(data, partition.known().stopped_by(stop))?;
-            let measurements = test.score_baseline(name, &*fitted, metrics, &mut session)?;
+            let measurements =
+                test.score(ScoredPredictor { name, predictor: Predictor::Baseline(&*fitted), metrics }, &mut session)?;
             measurements.first().into_iter().for_each(|measurement| self.metric.clone_from(&measurement.key));
             means.push(match measurements.first().map(|measurement| &measurement.values) {
                 Some(Values::PerSample(values)) => Summary::of(values, true).mean,
@@ -159,7 +160,7 @@ impl Inspection {
         format!(
             "{text}\n{}{refused}note: mean {} of baselines on up to {TESTED} test {}; nearest training: median distance from a \
              test transmitter; *: the split of the pipeline, or of `pwrfgs init` for a folder of data\n",
-            aligned(&lines, 1),
+            align_columns(&lines, 1),
             self.metric,
             self.plural
         )
@@ -173,7 +174,7 @@ fn fitted_baselines(pipeline: &Pipeline) -> impl Iterator<Item = &Plugin<dyn Bas
 
 /// Wraps `words` into lines; `name` starts the first, and the others are indented.
 fn format_entry(name: &str, words: &str) -> String {
-    wrapped(words, [&format!("{name:<INDENT$}"), &" ".repeat(INDENT)], WIDTH)
+    wrap_words(words, [&format!("{name:<INDENT$}"), &" ".repeat(INDENT)], WIDTH)
 }
 
 /// Lists the split of `pipeline`, marked `*`, and all other registered splits that need no settings, with their names.

@@ -4,7 +4,7 @@
 use super::plan::{JOINED, PlannedRun, SweepPlan};
 use crate::facts::Facts;
 use crate::folder::{CURVE, PIPELINE, training_folder};
-use crate::load::{SplitData, load};
+use crate::load::{SplitData, load_split_data};
 use crate::record::read_series;
 use crate::residuals::check_residuals;
 use crate::run_folder::RunFolder;
@@ -16,7 +16,7 @@ use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_train::Trainer;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Validates the plan against its folder, and unfinished runs of `runs` (indices in the plan) against their data and
 /// initialiser. The observer gets warnings once per combination. Returns the unfinished runs.
@@ -130,7 +130,7 @@ fn initialize_each<R>(
         let named = |e: Error| if e.is_input() { plan.start_error(run, e) } else { e };
         if loaded.as_ref().is_none_or(|(k, _)| *k != key) {
             drop(loaded.take()); // before the next is loaded
-            loaded = Some((key, load(pipeline, Path::new(""), observer).map_err(named)?));
+            loaded = Some((key, load_split_data(pipeline, observer).map_err(named)?));
         }
         if let Some((_, split)) = &loaded {
             // Baselines are scored only with the joined model.

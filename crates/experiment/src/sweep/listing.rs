@@ -1,7 +1,7 @@
 //! `sweep.json`: the runs of a sweep folder.
 
 use crate::folder::DATA;
-use crate::text::listed;
+use crate::text::join_names;
 use pwrfgs_core::files::{self, refuse_foreign, write_atomically, write_new};
 use pwrfgs_core::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -79,7 +79,7 @@ impl Listing {
 
     /// Joins the names of the first eight runs and the number of the others, for messages.
     pub fn run_names(&self) -> String {
-        listed(self.runs.iter().map(|run| run.folder.as_str()), NAMED)
+        join_names(self.runs.iter().map(|run| run.folder.as_str()), NAMED)
     }
 
     /// Checks that `folder` can hold this sweep; read-only. Returns the existing listing; `None` without one.

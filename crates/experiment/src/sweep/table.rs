@@ -3,7 +3,7 @@
 use super::{JOINED, RunStage, SweepPlan};
 use crate::facts::Facts;
 use crate::runner::RunOutcome;
-use crate::text::{aligned, duration, grouped, number};
+use crate::text::{align_columns, format_duration, grouped, number};
 use pwrfgs_core::{Error, Result, Task};
 use std::collections::BTreeSet;
 
@@ -20,7 +20,7 @@ impl SweepPlan {
             Ok(RunOutcome::Finished { scores, .. }) => {
                 let score = |key| scores.model_score(key).map(|value| format!("  {key} {}", number(value)));
                 let time = match self.state(run) {
-                    RunStage::Finished(end) => format!("  {}", duration(end.1.wall_seconds)),
+                    RunStage::Finished(end) => format!("  {}", format_duration(end.1.wall_seconds)),
                     _ => String::new(),
                 };
                 let words = [scores.task.headline.key, "eta_0db", "gaussians"]
@@ -63,7 +63,7 @@ impl SweepPlan {
                     let score = |key| scores.model_score(key).map_or_else(|| "n/a".into(), number);
                     (line[2], line[3]) = (progress(facts.steps), grouped(facts.gaussians as i64));
                     (line[4], line[5], line[6]) =
-                        (score(scores.task.headline.key), score("eta_0db"), duration(facts.wall_seconds));
+                        (score(scores.task.headline.key), score("eta_0db"), format_duration(facts.wall_seconds));
                 }
             }
             lines.push(line);
@@ -73,14 +73,14 @@ impl SweepPlan {
             Ok(Some(_)) => "ensemble finished, in joined\n",
             _ => "the ensemble is made after the last run\n",
         });
-        head + joined + &aligned(&lines, 2)
+        head + joined + &align_columns(&lines, 2)
     }
 
     /// Formats the table of `runs` (indices in the plan) with their estimated seconds, which are 0 for finished ones.
     pub fn estimate_table(&self, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
         let mut lines = vec![["run", "state", "time"].map(str::to_owned).to_vec()];
         for (&run, seconds) in runs.iter().zip(seconds) {
-            let time = if *seconds > 0.0 { format!("about {}", duration(*seconds)) } else { String::new() };
+            let time = if *seconds > 0.0 { format!("about {}", format_duration(*seconds)) } else { String::new() };
             lines.push(vec![self.runs[run].folder.clone(), self.state(run).name().into(), time]);
         }
         let combinations = runs.iter().map(|&run| self.runs[run].combination).collect::<BTreeSet<_>>().len();
@@ -90,7 +90,7 @@ impl SweepPlan {
             runs.len(),
             self.folder.display()
         );
-        text += &aligned(&lines, 2);
+        text += &align_columns(&lines, 2);
         text += &self.describe_total(runs, seconds, jobs);
         text
     }
@@ -102,7 +102,7 @@ impl SweepPlan {
         let mut text = format!(
             "about {} in total on this machine with --jobs {jobs}, estimated from a few steps of each combination, before and after \
              pruning; densification lengthens later steps, and initialising, baselines and scoring are not included\n",
-            duration(total)
+            format_duration(total)
         );
         if total > LONG_SECONDS {
             let mut slowest: Vec<(usize, f64)> = runs.iter().copied().zip(seconds.iter().copied()).collect();
@@ -111,9 +111,10 @@ impl SweepPlan {
             slowest.retain(|(run, seconds)| seconds.is_finite() && seen.insert(self.runs[*run].combination));
             slowest.truncate(SLOWEST);
             text += "slowest runs; --only RUN runs one of the sweep\n";
-            let line =
-                |(run, s): &(usize, f64)| vec![self.runs[*run].folder.clone(), format!("about {}", duration(*s))];
-            text += &aligned(&slowest.iter().map(line).collect::<Vec<_>>(), 2);
+            let line = |(run, s): &(usize, f64)| {
+                vec![self.runs[*run].folder.clone(), format!("about {}", format_duration(*s))]
+            };
+            text += &align_columns(&slowest.iter().map(line).collect::<Vec<_>>(), 2);
         }
         text
     }

@@ -6,7 +6,6 @@ use pwrfgs_core::kriging::{Correlation, LocalKriging, ProcessFit, ResidualTrend}
 use pwrfgs_core::{Result, check_stopped, evenly, statistics::mean};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::atomic::AtomicBool;
 
 /// Number of links that choose the share: of all receivers, and at least of each.
 const CASES: usize = 600;
@@ -17,6 +16,7 @@ const SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 const NOISES: [f64; 5] = [1.0, 4.0, 16.0, 64.0, 256.0];
 /// Smallest gain in parts of the error: what is below is rounding.
 const LEAST_GAIN: f64 = 1e-6;
+
 /// Share of the model, and factors on noise and variance of Kriging.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Choice {
@@ -28,6 +28,11 @@ pub(super) struct Choice {
 impl Choice {
     /// Kriging without the model.
     const KRIGING: Self = Self { share: 0.0, noise: 1.0, variance: 1.0 };
+
+    /// Lists the choices that are compared: every noise for each share, those of Kriging first.
+    fn candidates() -> Vec<Self> {
+        SHARES.map(|share| NOISES.map(|noise| Self { share, noise, variance: 1.0 })).concat()
+    }
 
     /// Returns the fit of residuals, given that of Kriging.
     pub(super) fn apply(self, fit: &ProcessFit) -> ProcessFit {
@@ -52,28 +57,23 @@ impl Samples<'_> {
     /// few.
     pub(super) fn choose_share(
         &self,
-        by_receiver: &[Vec<usize>],
         kriging: &[Option<ProcessFit>],
         neighbours: usize,
-        stop: &AtomicBool,
     ) -> Result<(Choice, Option<ShareGain>)> {
-        let with_noise = |share: f64| NOISES.map(|noise| Choice { share, noise, variance: 1.0 });
-        let candidates = SHARES.map(with_noise).concat();
+        let candidates = Choice::candidates();
         let parts: BTreeSet<usize> = self.known.left_out.iter().copied().flatten().collect();
         let mut errors: BTreeMap<usize, Vec<Vec<CaseError>>> = BTreeMap::new();
         for part in parts {
             // The path-loss models that decide about a left-out link are not fitted to it.
-            let refitted = if self.known.data.task().has_path_loss {
-                self.fit_kriging(Some(part), stop)?
-            } else {
-                kriging.to_vec()
-            };
-            for (links, fit) in by_receiver.iter().zip(refitted) {
-                let Some(fit) = fit.filter(|fit| fit.variance > 0.0) else { continue };
-                let cases = self.held_out_errors(links, part, &fit, &candidates, neighbours);
+            let refitted =
+                if self.known.data.task().has_path_loss { self.fit_kriging(Some(part))? } else { kriging.to_vec() };
+            for (links, fit) in self.known.by_receiver().iter().zip(&refitted) {
+                let Some(fit) = fit.as_ref().filter(|fit| fit.variance > 0.0) else { continue };
+                let (held_out, trained) = links.iter().partition(|&&k| self.known.left_out[k] == Some(part));
+                let cases = HeldOutPart { samples: self, part, held_out, trained, fit, neighbours }.errors();
                 cases.into_iter().for_each(|(k, error)| errors.entry(self.known.blocks[k]).or_default().push(error));
             }
-            check_stopped(stop)?;
+            check_stopped(self.known.stop)?;
         }
         let gain_over = |reference: usize, c: usize| {
             let of_case = |case: &Vec<CaseError>| case[reference].absolute - case[c].absolute;
@@ -95,73 +95,67 @@ impl Samples<'_> {
             best => (Choice::KRIGING, best.map(|(_, gain)| gain)),
         })
     }
+}
 
-    /// Returns links of a receiver in a left-out `part`, evenly chosen, each with the errors of all candidates that know the
-    /// other links.
-    fn held_out_errors(
-        &self,
-        links_of_receiver: &[usize],
-        part: usize,
-        fit: &ProcessFit,
-        candidates: &[Choice],
-        neighbours: usize,
-    ) -> Vec<(usize, Vec<CaseError>)> {
-        let (held_out, trained): (Vec<usize>, Vec<usize>) =
-            links_of_receiver.iter().partition(|&&k| self.known.left_out[k] == Some(part));
+/// Links of a receiver in a part that members left out, and the links that predict them.
+struct HeldOutPart<'a> {
+    samples: &'a Samples<'a>,
+    part: usize,
+    held_out: Vec<usize>,
+    trained: Vec<usize>,
+    /// Fit of Kriging without the part.
+    fit: &'a ProcessFit,
+    /// Number of links per prediction.
+    neighbours: usize,
+}
+
+impl HeldOutPart<'_> {
+    /// Returns some held-out links, evenly chosen, each with the errors of all candidates that know the other links.
+    fn errors(&self) -> Vec<(usize, Vec<CaseError>)> {
+        let Self { samples, held_out, trained, .. } = self;
         if trained.is_empty() {
             return Vec::new();
         }
         let processes = NOISES.map(|noise| {
-            let places = trained.iter().map(|&k| place(self.places[k]));
-            Choice { noise, ..Choice::KRIGING }.apply(fit).process(places)
+            let places = trained.iter().map(|&k| place(samples.places[k]));
+            Choice { noise, ..Choice::KRIGING }.apply(self.fit).process(places)
         });
-        let share = held_out.len() as f64 / self.left_out_count(links_of_receiver) as f64;
-        let count = (CASES / self.known.data.scene.receivers.len()).max(LEAST_CASES) as f64 * share;
+        let left_out = |k: &&usize| samples.known.left_out[**k].is_some();
+        let left_out_count = held_out.len() + trained.iter().filter(left_out).count();
+        let share = held_out.len() as f64 / left_out_count as f64;
+        let count = (CASES / samples.known.data.scene.receivers.len()).max(LEAST_CASES) as f64 * share;
         let case = |k: usize| {
-            let combinations =
-                processes.each_ref().map(|process| self.combine(k, &trained, process, fit, part, neighbours));
+            let combinations = processes.each_ref().map(|process| self.combine(k, process));
             let error = |choice: &Choice| {
                 let index = NOISES.iter().position(|noise| *noise == choice.noise).unwrap_or(0);
                 let (pairs, variance) = &combinations[index];
                 let errors = || pairs.iter().map(|[y, f]| y - choice.share * f);
-                let scale = variance * fit.variance;
+                let scale = variance * self.fit.variance;
                 CaseError {
                     absolute: mean(errors().map(f64::abs)),
                     relative_square: mean(errors().map(|e| e * e / scale)),
                 }
             };
-            (k, candidates.iter().map(error).collect())
+            (k, Choice::candidates().iter().map(error).collect())
         };
-        evenly(&held_out, count.ceil() as usize).into_par_iter().map(case).collect()
-    }
-
-    /// Returns the number of links of a receiver that a member left out.
-    fn left_out_count(&self, links_of_receiver: &[usize]) -> usize {
-        links_of_receiver.iter().filter(|&&k| self.known.left_out[k].is_some()).count()
+        evenly(held_out, count.ceil() as usize).into_par_iter().map(case).collect()
     }
 
     /// Returns the errors at known link `k` of Kriging the observations and of Kriging the predictions, both less their path
     /// loss, from the links `trained`, and the variance relative to that of the process. With a share b, the error is the first
     /// minus b times the second.
-    fn combine(
-        &self,
-        k: usize,
-        trained: &[usize],
-        process: &LocalKriging,
-        fit: &ProcessFit,
-        part: usize,
-        neighbours: usize,
-    ) -> (Vec<[f64; 2]>, f64) {
-        let predicted = &self.predicted[part];
-        let (near, solution) = process.solve(place(self.places[k]), neighbours);
-        let mut errors = vec![[0.0; 2]; self.link_values];
+    fn combine(&self, k: usize, process: &LocalKriging) -> (Vec<[f64; 2]>, f64) {
+        let Self { samples, trained, fit, .. } = self;
+        let predicted = &samples.predicted[self.part];
+        let (near, solution) = process.solve(place(samples.places[k]), self.neighbours);
+        let mut errors = vec![[0.0; 2]; samples.link_values];
         let terms = near.into_iter().map(|j| trained[j]).zip(solution.weights.iter().map(|weight| -weight));
         for (link, weight) in std::iter::once((k, 1.0)).chain(terms) {
-            let law = fit.trend.expected(0.0, place(self.places[link]));
-            let values = link * self.link_values..(link + 1) * self.link_values;
-            for ((error, y), f) in errors.iter_mut().zip(&self.observed[values.clone()]).zip(&predicted[values]) {
-                error[0] += weight * (*y as f64 - law);
-                error[1] += weight * (*f as f64 - law);
+            let path_loss = fit.trend.expected(0.0, place(samples.places[link]));
+            let values = link * samples.link_values..(link + 1) * samples.link_values;
+            for ((error, y), f) in errors.iter_mut().zip(&samples.observed[values.clone()]).zip(&predicted[values]) {
+                error[0] += weight * (*y as f64 - path_loss);
+                error[1] += weight * (*f as f64 - path_loss);
             }
         }
         (errors, solution.variance)

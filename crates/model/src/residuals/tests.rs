@@ -60,8 +60,9 @@ fn data(base: &Ensemble, left: impl Fn(usize, [f64; 3]) -> Real) -> Dataset {
 fn fit(settings: &Kriged, base: &Ensemble, data: &Dataset) -> pwrfgs_core::Result<Residuals> {
     let links: Vec<usize> = (0..200).collect();
     let left_out: Vec<Option<usize>> = links.iter().map(|i| i.is_multiple_of(4).then_some(0)).collect();
-    let known = KnownLinks { data, links: &links, left_out: &left_out, parts: base.members().len(), blocks: &links };
-    Residuals::fit(settings, base, known, &AtomicBool::new(false), &|_, _| {})
+    let (parts, stop) = (base.members().len(), &AtomicBool::new(false));
+    let known = KnownLinks { data, links: &links, left_out: &left_out, parts, blocks: &links, stop };
+    Residuals::fit(settings, base, known, &|_, _| {})
 }
 
 fn smooth(_: usize, [x, y, _]: [f64; 3]) -> Real {
@@ -294,8 +295,9 @@ fn fit_needs_left_out_links_and_positions_and_can_stop() {
     let mut data = data(&base, smooth);
     let links = [0, 1, 2];
     let try_fit = |data: &Dataset, left_out: &[Option<usize>], stop| {
-        let known = KnownLinks { data, links: &links, left_out, parts: 1, blocks: &links };
-        Residuals::fit(&Kriged::default(), &base, known, &AtomicBool::new(stop), &|_, _| {}).unwrap_err()
+        let stop = &AtomicBool::new(stop);
+        let known = KnownLinks { data, links: &links, left_out, parts: 1, blocks: &links, stop };
+        Residuals::fit(&Kriged::default(), &base, known, &|_, _| {}).unwrap_err()
     };
     assert!(try_fit(&data, &[None; 3], false).to_string().contains("`validation` share"));
     assert!(matches!(try_fit(&data, &[Some(0), None, None], true), Error::Stopped));

@@ -130,8 +130,8 @@ impl Style {
         }
     }
 
-    /// Returns the style of method `k`, whose line joins variants: that of a variant, with other dashes than its
-    /// neighbours.
+    /// Returns the style of the line that joins the variants of method `k`: colour and mark of variant `k`, with another dash
+    /// pattern than neighbouring methods.
     pub(crate) fn method(k: usize) -> Self {
         Self { stroke: STROKES[(k + k / STROKES.len()) % STROKES.len()], ..Self::variant(k) }
     }

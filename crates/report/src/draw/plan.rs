@@ -101,12 +101,12 @@ impl FloorPlan {
     /// Returns the ticks of an axis, as metres and labels, and its title. Large coordinates count from a round number.
     fn ticks_and_title(&self, axis: usize) -> (Vec<(f64, String)>, String) {
         let (low, high, name) = (self.low[axis], self.high[axis], self.names[axis]);
-        let far = low.abs().max(high.abs()) > 9_999.0;
-        let from = if far { ((low + high) / 2e3).round() * 1e3 } else { 0.0 };
+        let is_far = low.abs().max(high.abs()) > 9_999.0;
+        let start = if is_far { ((low + high) / 2e3).round() * 1e3 } else { 0.0 };
         let tick_count = (((high - low) * self.scale / 34.0) as usize).max(2);
         let ticks =
-            few_ticks(low - from, high - from, tick_count).into_iter().map(|v| (v + from, tick_label(v))).collect();
-        (ticks, if far { format!("{name} − {from} [m]") } else { format!("{name} [m]") })
+            few_ticks(low - start, high - start, tick_count).into_iter().map(|v| (v + start, tick_label(v))).collect();
+        (ticks, if is_far { format!("{name} − {start} [m]") } else { format!("{name} [m]") })
     }
 
     /// Creates a floor plan around `points`, as large as a map.

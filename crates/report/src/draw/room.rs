@@ -47,11 +47,10 @@ pub(crate) struct RoomFigure {
 }
 
 impl RoomFigure {
-    /// Creates a frame around the scene and the Gaussians of all `clouds`, except far outliers. `text` is the text
-    /// height.
-    pub(crate) fn new(data: &Dataset, partition: &Partition, clouds: &[&Snapshot], text: f64) -> Self {
+    /// Creates a frame around the scene and the Gaussians of all `clouds`, except far outliers.
+    pub(crate) fn new(data: &Dataset, partition: &Partition, clouds: &[&Snapshot], text_height: f64) -> Self {
         let (low, high) = frame_corners(data, clouds);
-        let mut view = RoomView::new(low, high, text);
+        let mut view = RoomView::new(low, high, text_height);
         view.origin = data.scene.origin.0;
         let most = clouds.iter().map(|s| s.means.len()).max().unwrap_or(0);
         let radius = (90.0 / (most.max(1) as f64).sqrt()).clamp(2.4, 6.0);
@@ -71,9 +70,9 @@ impl RoomFigure {
         let poses: Vec<Pose> = ends.into_iter().map(|pose| data.scene.origin.world_pose(pose)).collect();
         let mut receiver = None;
         if let ([pose], End::Transmitter) = (&poses[..], data.scene.moving) {
-            let only = ReceiverArrow::new(pose, &view, 0.14 * longest_edge(low, high));
-            only.draw(&mut behind, view.project(pose.position));
-            receiver = Some(only);
+            let arrow = ReceiverArrow::new(pose, &view, 0.14 * longest_edge(low, high));
+            arrow.draw(&mut behind, view.project(pose.position));
+            receiver = Some(arrow);
         } else {
             poses.iter().for_each(|pose| draw_receiver(&mut behind, view.project(pose.position)));
         }

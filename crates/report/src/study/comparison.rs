@@ -31,7 +31,7 @@ pub(super) enum RowKind {
 }
 
 impl RowKind {
-    /// Returns the value in the CSV file.
+    /// Returns the name of the statistic in CSV files.
     pub(super) fn name(self) -> &'static str {
         ["variant", "external", "baseline", "oracle", "ceiling"][self as usize]
     }
@@ -64,7 +64,7 @@ pub(super) enum SummaryStatistic {
 }
 
 impl SummaryStatistic {
-    /// Returns the value in the CSV file.
+    /// Returns the name of the statistic in CSV files.
     pub(super) fn name(self) -> &'static str {
         ["mean", "median", "tail10", "value"][self as usize]
     }
@@ -95,11 +95,6 @@ pub(super) fn statistics(metric: &MetricRow) -> &'static [SummaryStatistic] {
     } else {
         &[SummaryStatistic::Whole]
     }
-}
-
-/// Returns whether the best value of a metric is marked: not for times of several machines or sizes of training sets.
-pub(super) fn is_ranked(metric: &MetricRow, same_machine: bool) -> bool {
-    ![TRAINED_ON, SHARE].contains(&metric.key.as_str()) && (same_machine || !is_time(metric))
 }
 
 /// Returns whether a metric is a time, which depends on the machine.
@@ -146,12 +141,7 @@ impl ComparisonRow<'_> {
 
     /// Returns the difference of this row from `reference`, paired by seed and test sample; pairs without finite
     /// difference are omitted. `None` without pairs.
-    pub(super) fn difference_from(
-        &self,
-        reference: &ComparisonRow<'_>,
-        metric: &MetricRow,
-        blocks: &Blocks,
-    ) -> Option<Difference> {
+    pub(super) fn difference_from(&self, reference: &Self, metric: &MetricRow, blocks: &Blocks) -> Option<Difference> {
         let seed_differences = |run: &&Record| {
             let scores = self.scores_by_id(run.facts.seed, metric)?;
             let others = reference.scores_by_id(run.facts.seed, metric)?;
@@ -190,6 +180,17 @@ impl<'a> Comparison<'a> {
         let positions =
             setting.runs().flat_map(|run| run.test.positions.iter().map(|(id, position)| (*id, *position))).collect();
         Self { setting, rows, metrics: all_metrics(setting), blocks: Blocks::new(&positions) }
+    }
+
+    /// Returns whether all runs were made on the same machine, so that their times can be compared.
+    pub(super) fn has_one_machine(&self) -> bool {
+        let mut machines = self.setting.runs().map(|run| &run.facts.machine);
+        machines.next().is_none_or(|first| machines.all(|machine| machine == first))
+    }
+
+    /// Returns whether the best value of a metric is marked: not for times of several machines or sizes of training sets.
+    pub(super) fn ranks(&self, metric: &MetricRow) -> bool {
+        ![TRAINED_ON, SHARE].contains(&metric.key.as_str()) && (!is_time(metric) || self.has_one_machine())
     }
 
     /// Returns the row with a label; `None` without one.

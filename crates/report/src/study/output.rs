@@ -11,7 +11,7 @@ use minijinja::value::Serde;
 use minijinja::{Value, context};
 use pwrfgs_core::files::{self, refuse_foreign, write_atomically};
 use pwrfgs_core::{Error, Result};
-use pwrfgs_experiment::text::aligned;
+use pwrfgs_experiment::text::align_columns;
 use pwrfgs_experiment::{Observer, Study};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -115,7 +115,7 @@ fn is_report_file(name: &str) -> bool {
         || below("figures/", &[".svg", ".pdf", ".png"])
 }
 
-/// Writes the list of `files` and this version into `out`.
+/// Writes the list of `files`, with the version of this program, into `out`.
 fn write_list(out: &Path, files: BTreeSet<String>) -> Result<()> {
     let list = FileList { version: env!("CARGO_PKG_VERSION").into(), files };
     let text = serde_json::to_string_pretty(&list).expect("plain data") + "\n";
@@ -171,7 +171,7 @@ fn text_tables(page: &StudyPage) -> String {
     for section in &page.sections {
         _ = writeln!(out, "{}", section.title);
         for table in section.tables.iter().filter(|t| ["ranks", "scores", "differences"].contains(&t.name)) {
-            _ = write!(out, "\n{}\n{}", table.title, aligned(&text_lines(table), 1));
+            _ = write!(out, "\n{}\n{}", table.title, align_columns(&text_lines(table), 1));
             let how = if table.is_marked() { "* best, + second best" } else { "[95 % interval], * excludes 0" };
             _ = writeln!(out, "{how}");
         }
@@ -201,7 +201,7 @@ fn cell_text(shown: &FormattedValue) -> String {
     if shown.value.is_empty() { "n/a ".into() } else { format!("{}{more}{mark}", shown.value) }
 }
 
-/// Formats the lines of a table for [`aligned`]: labels and cells below two header lines.
+/// Formats the lines of a table for [`align_columns`]: labels and cells below two header lines.
 fn text_lines(table: &Table) -> Vec<Vec<String>> {
     let head =
         |text: fn(&TableColumn) -> String| [String::new()].into_iter().chain(table.columns.iter().map(text)).collect();

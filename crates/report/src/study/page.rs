@@ -6,8 +6,8 @@ use super::tables::{self, Table};
 use crate::templates::render_sentences;
 use minijinja::{Value, context};
 use pwrfgs_core::{Error, Result, did_you_mean};
-use pwrfgs_experiment::text::{duration, grouped};
-use pwrfgs_experiment::{Observer, Record, Setting, Study, distinct, staged};
+use pwrfgs_experiment::text::{format_duration, grouped};
+use pwrfgs_experiment::{Observer, Record, Setting, Study, distinct, run_stage};
 use serde::Serialize;
 
 /// Report of a study.
@@ -53,7 +53,7 @@ impl StudyPage {
         }
         let mut sections = Vec::new();
         for (i, comparison) in comparisons.iter().enumerate() {
-            let drawn = staged(observer, "drawing the figures", |p| figures::draw_figures(comparison.setting, p));
+            let drawn = run_stage(observer, "drawing the figures", |p| figures::draw_figures(comparison.setting, p));
             sections.push(Section::new(i, comparison, reference, drawn));
         }
         let unfinished = study.unfinished.iter().map(|path| format!("{}: not finished", path.display()));
@@ -85,8 +85,7 @@ impl Section {
         let named = reference.and_then(|label| comparison.row(label));
         let compared: &ComparisonRow<'_> = named.unwrap_or(&comparison.rows[0]);
         let runs: Vec<&Record> = setting.runs().collect();
-        let same_machine = runs.iter().all(|r| r.facts.machine == runs[0].facts.machine);
-        let mut message = lead_sentences(comparison, reference, compared, same_machine);
+        let mut message = lead_sentences(comparison, reference, compared);
         let mut warnings = message.split_off(1);
         warnings.extend(distinct(runs.iter().flat_map(|run| run.facts.findings.iter().map(ToString::to_string))));
         warnings.extend(comparison.missing_score_warnings());
@@ -94,10 +93,10 @@ impl Section {
         warnings.extend(drawn.left_out);
         let tables = [
             tables::rank_table(setting),
-            tables::score_table(comparison, same_machine),
+            tables::score_table(comparison),
             tables::difference_table(comparison, compared),
-            tables::further_table(comparison, same_machine),
-            tables::latency_table(comparison, same_machine),
+            tables::further_table(comparison),
+            tables::latency_table(comparison),
         ];
         Self {
             name: (index + 1).to_string(),
@@ -114,12 +113,7 @@ impl Section {
 }
 
 /// Returns sentences about the data, runs and machines of a setting; all but the first are warnings.
-fn lead_sentences(
-    comparison: &Comparison<'_>,
-    reference: Option<&str>,
-    compared: &ComparisonRow<'_>,
-    same_machine: bool,
-) -> Vec<String> {
+fn lead_sentences(comparison: &Comparison<'_>, reference: Option<&str>, compared: &ComparisonRow<'_>) -> Vec<String> {
     let setting = comparison.setting;
     let runs: Vec<&Record> = setting.runs().collect();
     let samples = [0, 1, 2].map(|k| {
@@ -135,7 +129,7 @@ fn lead_sentences(
             samples => Vec::from(samples),
             simulated => setting.simulated,
             observations => setting.task().counted[1],
-            machines_differ => !same_machine,
+            machines_differ => !comparison.has_one_machine(),
             machines => distinct(setting.runs().map(describe_machine)),
             programs => distinct(setting.runs().map(describe_program)),
             precisions => distinct(setting.runs().map(|r| r.facts.real_bytes)),
@@ -166,7 +160,7 @@ fn run_lines(setting: &Setting) -> Vec<Value> {
         context! {
             variant => variant.to_owned(),
             seed => facts.seed,
-            training => format!("{} steps, {}", grouped(facts.steps as i64), duration(facts.training_seconds)),
+            training => format!("{} steps, {}", grouped(facts.steps as i64), format_duration(facts.training_seconds)),
             machine => describe_machine(record),
             program => describe_program(record),
             finished => facts.finished.clone().unwrap_or_default(),

@@ -6,7 +6,7 @@ use pwrfgs_core::{
 };
 use pwrfgs_data::read_points;
 use pwrfgs_experiment::inspect::test_distance;
-use pwrfgs_experiment::{Observer, check_findings, observed, staged};
+use pwrfgs_experiment::{Observer, check_findings, describe_observations, run_stage};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -84,7 +84,7 @@ impl DataSurvey {
     /// No data of a known layout, invalid data, or errors of [`Self::of_data`].
     pub fn read(folder: &Path, accepted: &[String], observer: &mut dyn Observer) -> Result<Self> {
         let source = recognise(folder).ok_or_else(|| unknown_folder_error(folder))?;
-        let data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
+        let data = run_stage(observer, "observations", |progress| source.load(Path::new(""), progress))?;
         Self::of_data(source, data, Some(folder), accepted, observer)
     }
 
@@ -139,20 +139,20 @@ impl DataSurvey {
     /// Returns the batch size: the number of training transmitters, at most `most`, with about 2,500 links at most.
     pub fn batch_size(&self, most: usize) -> usize {
         let transmitters = self.data.locations_of(&self.partition.train).len();
-        transmitters.min(LINKS / self.links_each()).clamp(1, most)
+        transmitters.min(LINKS / self.links_per_transmitter()).clamp(1, most)
     }
 
     /// Returns the number of training links per transmitter, at least 1.
-    fn links_each(&self) -> usize {
+    fn links_per_transmitter(&self) -> usize {
         self.partition.train.len().div_ceil(self.data.locations_of(&self.partition.train).len().max(1)).max(1)
     }
 
     /// Describes the size of a `batch` that the number of links limits.
     pub(super) fn batch_note(&self, batch: usize) -> Option<String> {
-        let each = self.links_each();
-        (batch == (LINKS / each).max(1)).then(|| {
+        let links = self.links_per_transmitter();
+        (batch == (LINKS / links).max(1)).then(|| {
             format!(
-                "`batch` is the number of transmitters per step: {batch} of {each} links each are about 2,500 links."
+                "`batch` is the number of transmitters per step: {batch} of {links} links each are about 2,500 links."
             )
         })
     }
@@ -160,7 +160,7 @@ impl DataSurvey {
     /// Describes the observations and the sizes of the sets in one line.
     pub fn describe(&self) -> String {
         let [train, validation, test] = self.partition.sizes();
-        let observations = observed(&self.data);
+        let observations = describe_observations(&self.data);
         format!("{observations}: {train} training, {validation} validation, {test} test")
     }
 

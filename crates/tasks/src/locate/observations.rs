@@ -1,63 +1,44 @@
 //! Observations of unknown transmitters: NumPy arrays, tables of powers, images.
 
 use pwrfgs_core::npy::Header;
-use pwrfgs_core::{Dataset, Error, Image, Number, Real, Receiver, Result, files, gain_fault, rows_of};
+use pwrfgs_core::{Dataset, Error, Image, Number, Real, Result, files, gain_fault, rows_of};
 use pwrfgs_data::{is_linear, power_fault, read_image, read_powers, real_channels_fault};
 use pwrfgs_experiment::{check_observed, reject_findings};
 use pwrfgs_localise::FingerprintFeatures;
 use std::path::Path;
 
-/// File with the observations of unknown transmitters.
-struct ObservationFile<'a> {
-    path: &'a Path,
+/// Observations of unknown transmitters, in a file or an array.
+#[derive(Clone, Copy, Debug)]
+pub struct UnlocatedObservations<'a> {
+    /// The file, or the name of the array in messages.
+    pub path: &'a Path,
     /// Features of the observations of the model.
-    features: &'a FingerprintFeatures,
+    pub features: &'a FingerprintFeatures,
     /// Known data of the model.
-    data: &'a Dataset,
-    receivers: &'a [Receiver],
+    pub data: &'a Dataset,
     /// Names of accepted findings.
-    accepted: &'a [String],
+    pub accepted: &'a [String],
 }
 
-/// Computes the features of observations of `features.task()` in an array, after the checks of a file called `path`: powers
-/// `[B, receivers]` in dBm, NaN if unknown; spectra `[B, height, width]`, or channels as rows of real and imaginary parts, at
-/// one receiver. `data` are the known data of the model.
-///
-/// # Errors
-/// An invalid value, the error has its row; powers far from those of `data`, unless the finding is `accepted`.
-pub fn checked_features(
-    path: &Path,
-    values: &[Real],
-    features: &FingerprintFeatures,
-    data: &Dataset,
-    accepted: &[String],
-) -> Result<Vec<Vec<f32>>> {
-    let file = ObservationFile { path, features, data, receivers: &data.scene.receivers, accepted };
-    if features.task().is_scalar { file.power_features(values) } else { file.image_features(values) }
-}
+impl UnlocatedObservations<'_> {
+    /// Computes the features of the observations in an array, after the checks of a file: powers `[B, receivers]` in dBm, NaN
+    /// if unknown; spectra `[B, height, width]`, or channels as rows of real and imaginary parts, at one receiver.
+    ///
+    /// # Errors
+    /// An invalid value, the error has its row; powers far from those of the known data, unless the finding is accepted.
+    pub fn array_features(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
+        if self.features.task().is_scalar { self.power_features(values) } else { self.image_features(values) }
+    }
 
-/// Reads the features `[receivers, count]` of each transmitter in a file; NaN for unknown values. `data` are the known data of
-/// the model.
-///
-/// # Errors
-/// A file of another kind or shape than the observations of the model, or as [`checked_features`].
-pub fn read_observations(
-    path: &Path,
-    features: &FingerprintFeatures,
-    data: &Dataset,
-    accepted: &[String],
-) -> Result<Vec<Vec<f32>>> {
-    ObservationFile { path, features, data, receivers: &data.scene.receivers, accepted }.read_features()
-}
-
-impl ObservationFile<'_> {
-    /// Reads the features `[receivers, count]` of each transmitter; NaN for unknown values. A file of another kind than
-    /// the observations of the model is an error.
-    fn read_features(&self) -> Result<Vec<Vec<f32>>> {
+    /// Reads the features `[receivers, count]` of each transmitter in the file; NaN for unknown values.
+    ///
+    /// # Errors
+    /// A file of another kind or shape than the observations of the model, or as [`Self::array_features`].
+    pub fn read_features(&self) -> Result<Vec<Vec<f32>>> {
         let (path, task) = (self.path, self.features.task());
         match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
             Some("npy") if task.is_scalar => {
-                self.power_features(&read_real_array(path, &[self.receivers.len()], false)?)
+                self.power_features(&read_real_array(path, &[self.data.scene.receivers.len()], false)?)
             }
             Some("npy") if task.is_complex => self.image_features(&self.read_channels()?),
             Some("npy") => {
@@ -65,7 +46,8 @@ impl ObservationFile<'_> {
                 self.image_features(&read_real_array(path, &[height, width], true)?)
             }
             Some("csv") if task.is_scalar => {
-                let names: Vec<String> = self.receivers.iter().map(|receiver| receiver.name.clone()).collect();
+                let names: Vec<String> =
+                    self.data.scene.receivers.iter().map(|receiver| receiver.name.clone()).collect();
                 self.power_features(&read_powers(path, &names)?.concat())
             }
             Some("png") if task.has_pixels => self.image_features(&self.read_image_pixels()?),
@@ -96,7 +78,7 @@ impl ObservationFile<'_> {
         };
         let bytes = array_body(self.path, &header, &bytes, header.bytes(number).and_then(|half| half.checked_mul(2)))?;
         let mut parts: Vec<Real> = Vec::with_capacity(bytes.len() / number.bytes());
-        number.each(bytes, |v| parts.push(v as Real));
+        number.for_each_value(bytes, |v| parts.push(v as Real));
         let gains = parts.as_chunks::<2>().0;
         Ok(gains.chunks_exact((height / 2 * width).max(1)).flat_map(|channel| rows_of(channel, width)).collect())
     }
@@ -117,11 +99,11 @@ impl ObservationFile<'_> {
     /// Computes the features per spectrum or channel at the only receiver, from the numbers of all. Numbers that are
     /// not finite or out of range are errors, as are several receivers.
     fn image_features(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
-        if self.receivers.len() != 1 {
+        if self.data.scene.receivers.len() != 1 {
             return Err(self.error(format!(
                     "an array has the {} of one receiver, the model has {}; localise samples of its data set instead (leave out the file)",
                     self.features.task().plural,
-                    self.receivers.len()
+                    self.data.scene.receivers.len()
                 ),
             ));
         }
@@ -147,7 +129,7 @@ impl ObservationFile<'_> {
     /// Returns the powers `[B, receivers]`, dBm, as features; NaN for unknown ones. A row without any known power, or
     /// with an invalid one, is an error.
     fn power_features(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
-        let rows = values.chunks_exact(self.receivers.len().max(1));
+        let rows = values.chunks_exact(self.data.scene.receivers.len().max(1));
         let rows: Vec<Vec<f32>> = rows.map(|row| row.iter().map(|v| *v as f32).collect()).collect();
         for (row, number) in rows.iter().zip(1..) {
             if row.iter().all(|v| v.is_nan()) {
@@ -182,7 +164,7 @@ fn read_real_array(path: &Path, inner: &[usize], has_pixels: bool) -> Result<Vec
     check_shape(path, &header, inner)?;
     let bytes = array_body(path, &header, &bytes, header.bytes(number))?;
     let mut values = Vec::with_capacity(bytes.len() / number.bytes());
-    number.each(bytes, |v| values.push((v / number.full_scale()) as Real));
+    number.for_each_value(bytes, |v| values.push((v / number.full_scale()) as Real));
     Ok(values)
 }
 

@@ -4,8 +4,8 @@ use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::statistics::{evenly, mean, quantile, sorted};
 use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Plugin, Result};
 use pwrfgs_experiment::statistics::{Blocks, Difference};
-use pwrfgs_experiment::text::{aligned, fixed, grouped};
-use pwrfgs_experiment::{Observer, PairedRow, SplitData, staged};
+use pwrfgs_experiment::text::{align_columns, fixed, grouped};
+use pwrfgs_experiment::{Observer, PairedRow, SplitData, run_stage};
 use pwrfgs_localise::{Choice, Located, Locator, NearestFingerprints, Region, SHARES, mean_and_median};
 use rayon::prelude::*;
 use std::fmt::Write as _;
@@ -39,7 +39,7 @@ pub(super) fn format_errors(
     let lines: Vec<_> =
         std::iter::once(header.map(String::from).to_vec()).chain(entries.iter().map(Entry::cells)).collect();
     let heading = format!("{}: {} test positions\n", data.title, grouped(located.len() as i64));
-    Ok(heading + &aligned(&lines, 1) + &samples.verdict(&entries))
+    Ok(heading + &align_columns(&lines, 1) + &samples.verdict(&entries))
 }
 
 /// Describes the errors of up to [`EXPECTED`] validation samples, with a verdict; empty without any.
@@ -128,7 +128,7 @@ impl Samples<'_> {
             return Ok(None);
         }
         let predictor = kriging.fit(self.data, fitting)?;
-        let locator = staged(observer, "fingerprints of Kriging", |progress| {
+        let locator = run_stage(observer, "fingerprints of Kriging", |progress| {
             Locator::fit(self.data, fitting, predictor.as_ref(), &SHARES, progress)
         })?;
         let located = self.observations.par_iter().map(|observation| locator.locate(observation));

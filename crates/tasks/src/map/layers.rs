@@ -81,32 +81,68 @@ impl Summary {
     }
 }
 
-/// Computes all arrays of a map from the predictions of `predict_many`: those of each receiver, then the strongest power;
-/// `progress` receives the number of finished positions.
-pub fn compute_layers(
-    setup: &MeasurementSetup,
-    predict_many: &(dyn Fn(&[Query<'_>]) -> Vec<Image> + Sync),
-    grid: &PlaneGrid,
-    receivers: &[usize],
-    quantities: &[MapQuantity],
-    mut progress: impl FnMut(usize),
-) -> Vec<MapLayer> {
-    let mut layers: Vec<MapLayer> = receivers.iter().flat_map(|&r| empty_layers(setup, r, quantities)).collect();
-    let per_receiver = layers.len() / receivers.len().max(1);
-    let positions: Vec<usize> = (0..grid.position_count()).collect();
-    for chunk in positions.chunks((STEP / receivers.len().max(1)).max(1)) {
-        progress(chunk[0]);
-        let queries: Vec<Query<'static>> =
-            chunk.iter().flat_map(|&k| receivers.iter().map(move |&r| setup.query(grid.position(k), r))).collect();
-        let summaries: Vec<Summary> =
-            queries.par_chunks(CALL).flat_map_iter(predict_many).map(|image| Summary::of(setup.task, &image)).collect();
-        for (k, summary) in summaries.into_iter().enumerate() {
-            let slot = k % receivers.len();
-            append_values(setup, grid, receivers[slot], summary, &mut layers[slot * per_receiver..][..per_receiver]);
+/// Positions, receivers and quantities of a map.
+#[derive(Clone, Copy, Debug)]
+pub struct MapRequest<'a> {
+    /// Setup of the model.
+    pub setup: &'a MeasurementSetup,
+    /// Positions of the transmitter.
+    pub grid: &'a PlaneGrid,
+    /// Indices of the receivers.
+    pub receivers: &'a [usize],
+    /// Quantities per receiver.
+    pub quantities: &'a [MapQuantity],
+}
+
+impl MapRequest<'_> {
+    /// Computes all arrays of the map from the predictions of `predict_many`: those of each receiver, then the strongest power;
+    /// `progress` receives the number of finished positions.
+    pub fn layers(
+        &self,
+        predict_many: &(dyn Fn(&[Query<'_>]) -> Vec<Image> + Sync),
+        mut progress: impl FnMut(usize),
+    ) -> Vec<MapLayer> {
+        let Self { setup, grid, receivers, quantities } = *self;
+        let mut layers: Vec<MapLayer> = receivers.iter().flat_map(|&r| empty_layers(setup, r, quantities)).collect();
+        let per_receiver = layers.len() / receivers.len().max(1);
+        let positions: Vec<usize> = (0..grid.position_count()).collect();
+        for chunk in positions.chunks((STEP / receivers.len().max(1)).max(1)) {
+            progress(chunk[0]);
+            let queries: Vec<Query<'static>> =
+                chunk.iter().flat_map(|&k| receivers.iter().map(move |&r| setup.query(grid.position(k), r))).collect();
+            let images = queries.par_chunks(CALL).flat_map_iter(predict_many);
+            let summaries: Vec<Summary> = images.map(|image| Summary::of(setup.task, &image)).collect();
+            for (k, summary) in summaries.into_iter().enumerate() {
+                let slot = k % receivers.len();
+                self.append_values(receivers[slot], summary, &mut layers[slot * per_receiver..][..per_receiver]);
+            }
+        }
+        layers.extend(strongest_layer(setup.task, &layers, receivers.len()));
+        layers
+    }
+
+    /// Appends the values at the next position to the arrays of a receiver.
+    fn append_values(&self, receiver: usize, summary: Summary, layers: &mut [MapLayer]) {
+        let Self { setup, grid, .. } = *self;
+        let plane = &setup.plane;
+        let (column, row) = ((summary.strongest % plane.width) as Real, (summary.strongest / plane.width) as Real);
+        for layer in layers {
+            let angles = || plane.azimuth_elevation_deg(column, row);
+            let value = match layer.name {
+                "mean" => summary.mean,
+                "azimuth" => angles().map_or(f64::NAN, |(azimuth, _)| f64::from(azimuth as f32)),
+                "elevation" => angles().map_or(f64::NAN, |(_, elevation)| f64::from(elevation as f32)),
+                _ => summary.level,
+            };
+            layer.values.push(value as f32);
+            if layer.name == "azimuth" {
+                let turn = setup.receivers[receiver].pose.world_from_receiver();
+                let from = plane.direction(column, row).map(|direction| turn * Vec3::from_array(direction));
+                let projected = grid.plane.project(from.unwrap_or(Vec3::ZERO).to_array().map(|v| v as f64));
+                layer.arrows.push(projected.map(|v| v as f32));
+            }
         }
     }
-    layers.extend(strongest_layer(setup.task, &layers, receivers.len()));
-    layers
 }
 
 /// Creates the arrays of a receiver without values, one per quantity; a direction has two.
@@ -130,34 +166,6 @@ fn empty_layers(setup: &MeasurementSetup, receiver: usize, quantities: &[MapQuan
         ],
     };
     quantities.iter().flat_map(names).map(layer).collect()
-}
-
-/// Appends the values at the next position to the arrays of a receiver.
-fn append_values(
-    setup: &MeasurementSetup,
-    grid: &PlaneGrid,
-    receiver: usize,
-    summary: Summary,
-    layers: &mut [MapLayer],
-) {
-    let plane = &setup.plane;
-    let (column, row) = ((summary.strongest % plane.width) as Real, (summary.strongest / plane.width) as Real);
-    for layer in layers {
-        let angles = || plane.azimuth_elevation_deg(column, row);
-        let value = match layer.name {
-            "mean" => summary.mean,
-            "azimuth" => angles().map_or(f64::NAN, |(azimuth, _)| f64::from(azimuth as f32)),
-            "elevation" => angles().map_or(f64::NAN, |(_, elevation)| f64::from(elevation as f32)),
-            _ => summary.level,
-        };
-        layer.values.push(value as f32);
-        if layer.name == "azimuth" {
-            let turn = setup.receivers[receiver].pose.world_from_receiver();
-            let from = plane.direction(column, row).map(|direction| turn * Vec3::from_array(direction));
-            let projected = grid.plane.project(from.unwrap_or(Vec3::ZERO).to_array().map(|v| v as f64));
-            layer.arrows.push(projected.map(|v| v as f32));
-        }
-    }
 }
 
 /// Computes the largest power of all receivers at each position, dBm; `None` for a single receiver or other tasks.

@@ -3,7 +3,7 @@
 use super::{PlaceSettings, PlacedReceivers, Placement, RANDOM, check_count};
 use pwrfgs_core::{Dataset, Error, Result, rng, statistics::mean};
 use pwrfgs_experiment::text::{fixed, grouped};
-use pwrfgs_experiment::{Observer, staged};
+use pwrfgs_experiment::{Observer, run_stage};
 use pwrfgs_planning::{ReceiverSubset, best_subset, greedy_subset, random_subsets, strongest_powers, subset_coverage};
 use pwrfgs_report::draw::survey::CoverageMap;
 
@@ -39,7 +39,7 @@ pub fn place_in_data(data: &Dataset, settings: &PlaceSettings, observer: &mut dy
         matrix.describe_missing(),
     ];
     let powers = MeasuredPowers { data, fitting: matrix.select(&train), held_out: matrix.select(&test) };
-    let [best, greedy] = staged(observer, "choosing receivers", |_| {
+    let [best, greedy] = run_stage(observer, "choosing receivers", |_| {
         [best_subset(&powers.fitting, count), Some(greedy_subset(&powers.fitting, count))]
     });
     if best.is_none() {

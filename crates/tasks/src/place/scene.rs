@@ -3,11 +3,10 @@
 use super::{PlaceSettings, PlacedReceivers, Placement, RANDOM, check_count};
 use pwrfgs_core::{Error, Result, statistics::mean};
 use pwrfgs_experiment::text::{fixed, grouped, number};
-use pwrfgs_experiment::{Observer, staged};
+use pwrfgs_experiment::{Session, run_stage};
 use pwrfgs_planning::{AscentResult, SceneCoverage, greedy_subset, random_subsets, strongest_powers, subset_coverage};
 use pwrfgs_raytrace::SceneFile;
 use pwrfgs_report::draw::survey::CoverageMap;
-use std::sync::atomic::AtomicBool;
 
 /// Largest number of receivers.
 const MOST: usize = 3;
@@ -16,12 +15,7 @@ const MOST: usize = 3;
 ///
 /// # Errors
 /// Invalid settings, a scene without free positions, or [`Error::Stopped`].
-pub fn place_in_scene(
-    scene: &SceneFile,
-    settings: &PlaceSettings,
-    observer: &mut dyn Observer,
-    stop: &AtomicBool,
-) -> Result<Placement> {
+pub fn place_in_scene(scene: &SceneFile, settings: &PlaceSettings, session: &mut Session<'_>) -> Result<Placement> {
     check_count(settings.count)?;
     let count = settings.count;
     if count > MOST {
@@ -37,7 +31,8 @@ pub fn place_in_scene(
             )));
         }
     }
-    let ascent = staged(observer, "ascent", |_| floor.ascend(count, settings.seed, stop))?;
+    let stop = session.stop;
+    let ascent = run_stage(session.observer, "ascent", |_| floor.ascend(count, settings.seed, stop))?;
     let mut choices = vec![PlacedReceivers {
         short: "ascent",
         name: "ascent".into(),
@@ -51,7 +46,7 @@ pub fn place_in_scene(
         number(settings.height)
     )];
     if !settings.no_grid {
-        let grid = staged(observer, "grid of receivers", |progress| floor.grid_powers(stop, progress))?;
+        let grid = run_stage(session.observer, "grid of receivers", |progress| floor.grid_powers(stop, progress))?;
         let [best, random] = grid_choices(settings, &floor, &grid);
         notes.push(format!(
             "the ascent minus the grid: {} dB, with {} links instead of {}",

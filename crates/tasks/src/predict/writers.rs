@@ -2,9 +2,9 @@
 
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use pwrfgs_core::files::{self, GrowingFile, PartialFolder};
-use pwrfgs_core::{Error, Geodetic, Image, Number, Pose, Real, Result, gains_of};
+use pwrfgs_core::{Error, Geodetic, Image, Number, Pose, Query, Real, Result, gains_of};
 use pwrfgs_data::{npy_header, npy_header_as};
-use pwrfgs_experiment::text::field;
+use pwrfgs_experiment::text::csv_field;
 use pwrfgs_model::{Interval, Prepared};
 use rayon::prelude::*;
 use std::io::{BufRead as _, BufReader};
@@ -24,6 +24,8 @@ pub(super) struct PredictionRow<'a> {
     pub(super) number: usize,
     /// Pose of the moving end.
     pub(super) pose: Pose,
+    /// Index of the receiver.
+    pub(super) receiver: usize,
     /// Whether the row has the orientation, of a moving receiver.
     pub(super) has_orientation: bool,
     /// Name of the receiver; none for spectra at a single receiver.
@@ -35,10 +37,15 @@ pub(super) struct PredictionRow<'a> {
 }
 
 impl PredictionRow<'_> {
+    /// Returns the query of the row.
+    pub(super) fn query(&self) -> Query<'static> {
+        Query::at(self.pose, self.receiver)
+    }
+
     /// Formats the first columns of the row: number, pose and receiver.
     fn first_columns(&self) -> String {
         let (Pose { position: [x, y, z], orientation }, number) = (self.pose, self.number);
-        let name = self.name.map_or_else(String::new, |name| format!(",{}", field(name)));
+        let name = self.name.map_or_else(String::new, |name| format!(",{}", csv_field(name)));
         let turn = if self.has_orientation { orientation.map(|v| format!(",{v}")).concat() } else { String::new() };
         format!("{number},{x},{y},{z}{turn}{name}")
     }
@@ -128,8 +135,8 @@ impl<'a> PredictionWriter<'a> {
             return values.map(|value| format!("{},", value.pixels[0])).collect::<Vec<_>>().concat();
         }
         let strongest = image.argmax();
-        let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
-        let angles = self.model.plane().azimuth_elevation_deg(column, line);
+        let (column, row) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
+        let angles = self.model.plane().azimuth_elevation_deg(column, row);
         let angles = angles.map_or_else(|| ",".into(), |(azimuth, elevation)| format!("{azimuth},{elevation}"));
         let bound =
             interval.and_then(|interval| interval.ssim).map_or_else(String::new, |bound| format!("{bound:.4},"));

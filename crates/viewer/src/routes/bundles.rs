@@ -13,8 +13,7 @@ use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, snapshots, training_folder};
 use pwrfgs_experiment::{record::read_series, text::grouped};
 use pwrfgs_model::{Model, Snapshot};
 use pwrfgs_report::live::{self, TensorBundle};
-use pwrfgs_tasks::locate::{LocatedRow, locate_transmitter};
-use pwrfgs_tasks::map::{MapQuantity, compute_layers, training_layer};
+use pwrfgs_tasks::map::{MapQuantity, MapRequest, training_layer};
 use pwrfgs_tasks::plane::{MapPlane, PlaneBounds, PlaneGrid};
 use serde_json::{Value, json};
 use std::sync::Arc;
@@ -292,7 +291,9 @@ fn map_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     let grid = PlaneGrid::new(MapPlane { axis: 2, coordinate: z }, bounds, step, 1)
         .map_err(|e| bad_request(&e.to_string()))?;
     let predict = |queries: &[Query<'_>]| predictor.predict_many(queries);
-    let layers = compute_layers(&side.setup, &predict, &grid, &[parameters.receiver], &[MapQuantity::Power], |_| {});
+    let (receivers, quantities) = (&[parameters.receiver], &[MapQuantity::Power]);
+    let request = MapRequest { setup: &side.setup, grid: &grid, receivers, quantities };
+    let layers = request.layers(&predict, |_| {});
     let first = data.scene.origin.local(grid.position(0));
     let mut bundle = TensorBundle::new(json!({ "first": first, "step": step }));
     bundle.put("map", &[grid.rows, grid.columns], layers[0].values.iter().map(|v| *v as Real));
@@ -316,7 +317,7 @@ fn location_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     let truth = data.locations[transmitter].position();
     let is_known = data.locations_of(&loaded.partition.train).contains(&transmitter);
     let observation = locator.observations(data, &[transmitter]).concat();
-    let LocatedRow { located, .. } = locate_transmitter(locator, data, transmitter, &observation, is_known);
+    let located = locator.locate_without(&observation, is_known.then_some(truth));
     let mut bundle = TensorBundle::new(json!({
         "estimate": located.position, "truth": truth, "error_m": neighbours::distance(located.position, truth),
         "misfit": located.misfit, "part": loaded.partition.set_of(i) as u8, "left_out": is_known,
@@ -324,8 +325,8 @@ fn location_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     }));
     if let Some(region) = &located.region {
         bundle.note["region"] = json!({
-            "first": region.first(), "step": region.step, "area_m2": region.area(), "outlines": region.outlines(),
-            "parts": region.parts(),
+            "first": region.first_centre(), "step": region.step, "area_m2": region.area(), "outlines": region.outlines(),
+            "parts": region.part_count(),
             "holds": located.holds(truth),
         });
         let shape = [region.values.len() / region.columns, region.columns];

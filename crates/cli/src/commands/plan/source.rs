@@ -6,7 +6,7 @@ use clap::Args;
 use pwrfgs::data::read_transmitters;
 use pwrfgs::experiment::folder::{MODEL_FILE, PIPELINE};
 use pwrfgs::experiment::sweep::LISTING;
-use pwrfgs::experiment::{model_file, staged};
+use pwrfgs::experiment::{model_file, run_stage};
 use pwrfgs::model::file;
 use pwrfgs::tasks::plan::Places;
 use pwrfgs_core::{Error, Result, recognise};
@@ -52,7 +52,7 @@ fn stem(path: &Path) -> String {
 /// Reads the positions of a data folder, run folder or model.
 fn read_known(path: &Path, progress: &mut RunProgress) -> Result<Places> {
     if let Some(source) = recognise(path) {
-        let data = staged(progress, "data", |progress| source.load(Path::new(""), progress))?;
+        let data = run_stage(progress, "data", |progress| source.load(Path::new(""), progress))?;
         return Places::of_data(data).map_err(in_file(path));
     }
     // Sweeps and unfinished runs have errors of their own.

@@ -4,7 +4,7 @@ use crate::output::{Verbosity, print_note, progress_bars};
 use crate::progress::RunProgress;
 use indicatif::{ProgressBar, ProgressStyle};
 use pwrfgs::experiment::sweep::{SweepObserver, SweepPlan};
-use pwrfgs::experiment::text::duration;
+use pwrfgs::experiment::text::format_duration;
 use pwrfgs::experiment::{Observer, RunOutcome};
 use pwrfgs_core::{Error, Result};
 use std::time::Instant;
@@ -46,7 +46,7 @@ impl SweepObserver for SweepTable<'_> {
         self.bar.inc(1);
         let (done, total) = (self.bar.position(), self.bar.length().unwrap_or(0));
         let left = self.begun.elapsed().as_secs_f64() / done.max(1) as f64 * total.saturating_sub(done) as f64;
-        self.bar.set_message(format!("about {} left", duration(left)));
+        self.bar.set_message(format!("about {} left", format_duration(left)));
         let failed = end.as_ref().is_err_and(|error| !matches!(error, Error::Busy(_)));
         if self.verbosity != Verbosity::Quiet || failed {
             print_note(&self.plan.describe_end(run, end));

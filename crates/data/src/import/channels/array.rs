@@ -1,10 +1,9 @@
 //! Arrays of channels with named axes.
 
-use crate::import::source::{extension, read_array_file};
+use crate::import::source::{OpenArray, extension, read_array_file};
 use crate::npy::{NumberReader, check_gains};
 use pwrfgs_core::npy::Header;
 use pwrfgs_core::{Error, Real, Result};
-use std::io::Read;
 use std::path::Path;
 
 const AXES: &str = "--axes names every axis once, in order: m (positions), a (antennas), f (subcarriers), and of real arrays ri or \
@@ -18,21 +17,15 @@ pub(super) enum Part {
     Whole,
     /// Real parts.
     Real,
-    /// Imaginary parts of the real parts that were read last.
-    Imaginary,
+    /// Imaginary parts of the real parts `[M,A,F]` that were read last.
+    Imaginary([usize; 3]),
 }
 
 impl Part {
     /// Reads the gains of a file to the end of `gains`, row-major, each number to its place, and returns M, A and F; `names` are
-    /// those of the axes of the file, such as `m,a,f`. Imaginary parts go to the last `gains` `[M,A,F]`, whose size is `real`.
+    /// those of the axes of the file, such as `m,a,f`. Imaginary parts go to the last `gains`.
     /// Returns an error for names that do not fit the axes, or imaginary parts that do not fit the real ones.
-    pub(super) fn read(
-        self,
-        path: &Path,
-        names: &str,
-        gains: &mut Vec<[Real; 2]>,
-        real: [usize; 3],
-    ) -> Result<[usize; 3]> {
+    pub(super) fn read(self, path: &Path, names: &str, gains: &mut Vec<[Real; 2]>) -> Result<[usize; 3]> {
         if extension(path) == "mat" {
             let (mat, npy) = (path.display(), path.with_extension("npy"));
             let line = "import numpy, scipy.io; numpy.save";
@@ -42,24 +35,18 @@ impl Part {
         let usual = match self {
             Self::Whole => "channels",
             Self::Real => "real",
-            Self::Imaginary => "imag",
+            Self::Imaginary(_) => "imag",
         };
-        read_array_file(path, usual, "channels are an array .npy or an archive .npz", |path, file, bytes| {
-            self.read_array(path, file, bytes, names, (gains, real))
+        read_array_file(path, usual, "channels are an array .npy or an archive .npz", |array| {
+            self.read_array(array, names, gains)
         })
     }
 
-    /// Reads an array of `bytes` bytes, header included, as [`Self::read`] does.
-    fn read_array(
-        self,
-        path: &Path,
-        file: &mut dyn Read,
-        bytes: u64,
-        names: &str,
-        (gains, real): (&mut Vec<[Real; 2]>, [usize; 3]),
-    ) -> Result<[usize; 3]> {
+    /// Reads an array as [`Self::read`] does.
+    fn read_array(self, array: OpenArray<'_>, names: &str, gains: &mut Vec<[Real; 2]>) -> Result<[usize; 3]> {
+        let OpenArray { path, file, length } = array;
         let header = Header::read(path, file)?;
-        let numbers = NumberReader::begin(&header, path, bytes.saturating_sub(header.offset))?;
+        let numbers = NumberReader::begin(&header, path, length.saturating_sub(header.offset))?;
         if numbers.count == 0 {
             return Err(Error::input(path, format!("has shape {} and is empty", header.shape_text())));
         }
@@ -71,7 +58,7 @@ impl Part {
         let length = |name: &str| axes.iter().find(|axis| axis.0 == name).map_or(1, |axis| axis.1);
         let size @ [m, a, f] = ["m", "a", "f"].map(length);
         let mut at = 2 * gains.len();
-        if self == Self::Imaginary {
+        if let Self::Imaginary(real) = self {
             if size != real {
                 let problem = format!("has shape {}, unlike the real parts", header.shape_text());
                 return Err(Error::input(path, format!("{problem}; give real arrays of one shape")));

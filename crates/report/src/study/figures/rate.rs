@@ -6,7 +6,7 @@ use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::Style;
 use minijinja::context;
 use pwrfgs_core::{Dataset, Error, Measurement, Metric, Plugin, Result, evenly};
-use pwrfgs_experiment::{EvaluationSet, NoopObserver, Session, Setting};
+use pwrfgs_experiment::{EvaluationSet, NoopObserver, Predictor, ScoredPredictor, Session, Setting};
 
 /// Ends of the axis and steps between, dB.
 const LOW_DB: f64 = -20.0;
@@ -36,13 +36,9 @@ pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>
             let (model, mut observer) = (run.model(data)?, NoopObserver);
             let samples = EvaluationSet::new(data, &part, model.plane());
             let mut session = Session::new(&mut observer);
-            curves.push(loss_curve(&samples.score_model(
-                "the model",
-                &model.prepare(),
-                None,
-                &metrics,
-                &mut session,
-            )?));
+            let predictor = Predictor::Model(&model.prepare(), None);
+            let scored = ScoredPredictor { name: "the model", predictor, metrics: &metrics };
+            curves.push(loss_curve(&samples.score(scored, &mut session)?));
         }
         let mut line = ChartLine::new(mean_curve(&curves), Style::variant(k)).named(&variant.label);
         // Every fourth point, with a different start per line.
@@ -66,11 +62,12 @@ fn rate_chart(lines: Vec<ChartLine>) -> Chart {
 fn baseline_lines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<ChartLine>> {
     let run = &setting.variants[0].runs[0];
     let (partition, model) = (run.partition(data)?, run.model(data)?);
-    let bench = EvaluationSet::new(data, &evenly(&partition.test, SAMPLES), model.plane());
+    let samples = EvaluationSet::new(data, &evenly(&partition.test, SAMPLES), model.plane());
     let line = |(k, baseline): (usize, &Plugin<dyn pwrfgs_core::Baseline>)| {
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name();
-        let measured = bench.score_baseline(&name, &*fitted, metrics, &mut Session::new(&mut NoopObserver))?;
+        let scored = ScoredPredictor { name: &name, predictor: Predictor::Baseline(&*fitted), metrics };
+        let measured = samples.score(scored, &mut Session::new(&mut NoopObserver))?;
         Ok(ChartLine::new(loss_curve(&measured), row_style(setting, k, &name)).named_at_end(&name))
     };
     // The files of an external baseline may have been moved since the run.

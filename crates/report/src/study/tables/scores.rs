@@ -2,7 +2,7 @@
 
 use super::{FormattedValue, RankMark, Table, TableColumn, TableLine, table_title};
 use crate::study::comparison::{
-    Comparison, ComparisonRow, RowKind, SHARE, SummaryStatistic, TRAINED_ON, TRAINING, is_ranked, is_time, statistics,
+    Comparison, ComparisonRow, RowKind, SHARE, SummaryStatistic, TRAINED_ON, TRAINING, is_time, statistics,
 };
 use crate::templates::render_sentences;
 use minijinja::context;
@@ -13,7 +13,7 @@ use pwrfgs_experiment::statistics::{CONFIDENCE, Difference, REPLICATES, Spread};
 use pwrfgs_experiment::text::{fixed, grouped};
 
 /// Requested column.
-pub(super) type ScoreColumn<'a> = (&'a MetricRow, SummaryStatistic);
+type ScoreColumn<'a> = (&'a MetricRow, SummaryStatistic);
 
 /// Returns the printed name of a metric and its unit.
 fn name_and_unit(metric: &MetricRow) -> (String, String) {
@@ -106,12 +106,7 @@ fn table_column(
 
 /// Marks best and second best among competing rows. Values that round to the same printed number are
 /// ties. Several best leave no second best; a single number has no mark.
-pub(super) fn mark_best(
-    cells: &mut [FormattedValue],
-    spreads: &[Option<Spread>],
-    competes: &[bool],
-    higher_is_better: bool,
-) {
+fn mark_best(cells: &mut [FormattedValue], spreads: &[Option<Spread>], competes: &[bool], higher_is_better: bool) {
     let means: Vec<(usize, f64)> =
         (0..cells.len()).filter(|i| competes[*i]).filter_map(|i| Some((i, spreads[i]?.mean))).collect();
     if means.len() < 2 {
@@ -129,14 +124,10 @@ pub(super) fn mark_best(
 }
 
 /// Returns those of the columns `specs` that have a number, and the rows with a number in any of them.
-pub(super) fn filled_columns(
-    comparison: &Comparison<'_>,
-    specs: &[ScoreColumn<'_>],
-    is_ranked: impl Fn(&MetricRow) -> bool,
-) -> (Vec<TableColumn>, Vec<TableLine>) {
+fn filled_columns(comparison: &Comparison<'_>, specs: &[ScoreColumn<'_>]) -> (Vec<TableColumn>, Vec<TableLine>) {
     let rows = &comparison.rows;
     let columns: Vec<(TableColumn, Vec<FormattedValue>)> =
-        specs.iter().filter_map(|w| table_column(rows, *w, is_ranked(w.0))).collect();
+        specs.iter().filter_map(|w| table_column(rows, *w, comparison.ranks(w.0))).collect();
     let line = |(i, row): (usize, &ComparisonRow<'_>)| {
         let cells: Vec<FormattedValue> = columns.iter().map(|(_, cells)| cells[i].clone()).collect();
         cells.iter().any(|c| !c.value.is_empty()).then(|| TableLine::new(row, cells))
@@ -164,30 +155,30 @@ const STAGES: [&str; 6] = [
 
 /// Returns the main table: the first metric of the task, such as SSIM, then η, metrics of users, N, size, latency and training
 /// time.
-pub(in super::super) fn score_table(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
+pub(in super::super) fn score_table(comparison: &Comparison<'_>) -> Option<Table> {
     let metric = |key: &str| comparison.metric(key).into_iter();
     let first = metric(comparison.setting.headline().key).flat_map(all_statistics);
     let secondary = comparison.metrics.iter().filter(|m| is_secondary_metric(m)).map(first_statistic);
     let whole = WHOLE.iter().chain(&["latency_total_ms", TRAINING]);
     let specs: Vec<ScoreColumn<'_>> =
         first.chain(secondary).chain(whole.flat_map(|key| metric(key)).map(first_statistic)).collect();
-    build_table("scores", "Scores", comparison, &specs, same_machine)
+    build_table("scores", "Scores", comparison, &specs)
 }
 
 /// Returns the table of metrics that the main table omits; `None` without them.
-pub(in super::super) fn further_table(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
+pub(in super::super) fn further_table(comparison: &Comparison<'_>) -> Option<Table> {
     let first = comparison.setting.headline().key;
     let shown = |m: &&MetricRow| m.key == first || is_secondary_metric(m) || is_time(m) || WHOLE.contains(&&*m.key);
     let further = comparison.metrics.iter().filter(|m| !shown(m));
     let specs: Vec<ScoreColumn<'_>> = further.map(first_statistic).collect();
-    build_table("further", "Further metrics", comparison, &specs, same_machine)
+    build_table("further", "Further metrics", comparison, &specs)
 }
 
 /// Returns the table of latency by stage, milliseconds; `None` without times.
-pub(in super::super) fn latency_table(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
+pub(in super::super) fn latency_table(comparison: &Comparison<'_>) -> Option<Table> {
     let specs: Vec<ScoreColumn<'_>> =
         STAGES.iter().filter_map(|key| comparison.metric(key)).map(first_statistic).collect();
-    let mut table = build_table("latency", "Latency of one prediction by stage", comparison, &specs, same_machine)?;
+    let mut table = build_table("latency", "Latency of one prediction by stage", comparison, &specs)?;
     for column in &mut table.columns {
         if column.title == "latency" {
             "total".clone_into(&mut column.title);
@@ -212,9 +203,8 @@ fn build_table(
     words: &str,
     comparison: &Comparison<'_>,
     specs: &[ScoreColumn<'_>],
-    same_machine: bool,
 ) -> Option<Table> {
-    let (columns, lines) = filled_columns(comparison, specs, |metric| is_ranked(metric, same_machine));
+    let (columns, lines) = filled_columns(comparison, specs);
     if columns.is_empty() {
         return None;
     }
@@ -233,7 +223,7 @@ fn build_table(
         twins => !comparison.twin_groups().is_empty(),
         ceiling => table.has_row_of(RowKind::Ceiling),
         perfect => comparison.setting.task().ceiling.share < 1.0,
-        machines_differ => !same_machine && specs.iter().any(|w| is_time(w.0)),
+        machines_differ => !comparison.has_one_machine() && specs.iter().any(|w| is_time(w.0)),
     };
     table.legend = render_sentences("legend.txt", words);
     Some(table)
