@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# On a machine with a GPU: the tests of networks on it, then a table of times in Markdown, CPU beside GPU. About a minute after
-# compilation. Without a GPU, on the software adapter of Debian's mesa-vulkan-drivers, whose times say nothing.
+# On a machine with a GPU: the tests of networks and of drawing on it, then a table of times in Markdown, CPU beside GPU. About
+# a minute after compilation. Without a GPU, on the software adapter of Debian's mesa-vulkan-drivers, whose times say nothing.
 # Arguments: the number of steps, by default 200; the largest number of Gaussians, by default 65,469 (a software adapter takes
 # minutes for it); the Cargo profile, by default release.
 set -eu
@@ -13,5 +13,6 @@ export XDG_RUNTIME_DIR=${XDG_RUNTIME_DIR:-/tmp} # Mesa complains without it
 
 cargo test --profile "$profile" -p pwrfgs-gpu --lib
 cargo test --profile "$profile" -p pwrfgs-networks --features gpu --lib gpu
+cargo test --profile "$profile" -p pwrfgs-methods --features gpu --lib gpu
 cargo test --profile "$profile" -p pwrfgs-cli --features gpu --test cli gpu::
 cargo run --profile "$profile" -p pwrfgs-networks --features gpu --example device_times -- "$steps" "$most"

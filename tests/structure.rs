@@ -20,7 +20,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("data", &["core"]),
     ("localise", &["core"]),
     ("model", &["core"]),
-    ("methods", &["core", "networks", "raster"]),
+    ("methods", &["core", "gpu", "networks", "raster"]),
     ("raytrace", &["core", "data"]),
     ("planning", &["core", "data", "raytrace"]),
     ("train", &["core", "model"]),
