@@ -222,8 +222,14 @@ impl Training<'_, '_, '_> {
         let Some(name) = device::name() else { return };
         let n = self.trainer.cloud().len();
         if !device::is_used() {
-            self.warn(&format!("no part of this pipeline runs on {name}; only the networks `Mlp` and `Wrfgs` do"));
-        } else if n < FEW_GAUSSIANS {
+            let parts = "the networks `Mlp` and `Wrfgs`, and drawing with `Mercator` and `AlphaBlending`";
+            self.warn(&format!("no part of this pipeline runs on {name}; only {parts} do"));
+            return;
+        }
+        if let Some(part) = device::cpu_part() {
+            self.warn(&format!("{part} runs on the CPU; the network runs on {name}"));
+        }
+        if n < FEW_GAUSSIANS {
             self.warn(&format!("N = {n}: a step on a GPU is probably not faster than on the CPU"));
         }
     }
