@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# On a machine with a GPU: the tests of networks on it, then a table in Markdown of the times of whole training steps, CPU beside
-# GPU. About a minute after compilation. Without a GPU, on the software adapter of Debian's mesa-vulkan-drivers, whose times say nothing.
+# On a machine with a GPU: the tests of networks and of drawing on it, then a table in Markdown of the times of whole training steps,
+# CPU beside GPU. About a minute after compilation. Without a GPU, on the software adapter of Debian's mesa-vulkan-drivers, whose
+# times say nothing.
 # Arguments: the number of steps, by default 200; the largest number of Gaussians, by default 65,469 (a software adapter takes
 # minutes for it); the Cargo profile, by default release.
 set -eu

@@ -41,7 +41,8 @@ struct Arguments {
     /// Number of threads, without effect on results [default: all processors]
     #[arg(long, global = true, value_name = "N", value_parser = parse_count)]
     threads: Option<usize>,
-    /// Where the networks `Mlp`, `Wrfgs` and that of `Nerf2` run: cpu, gpu, auto, or a number from `pwrfgs devices` [default: cpu]
+    /// Where drawing and the networks `Mlp`, `Wrfgs` and that of `Nerf2` run: cpu, gpu, auto, or a number from `pwrfgs devices`
+    /// [default: cpu]
     #[arg(long, global = true, value_name = "DEVICE")]
     device: Option<DeviceChoice>,
     /// Print only errors, warnings and results

@@ -1,4 +1,4 @@
-//! Device of the process: the CPU, or the GPU that `--device` selects for the networks.
+//! Device of the process: the CPU, or the GPU that `--device` selects for networks and drawing.
 //!
 //! Like the number of threads, the device is state of the process and part of no pipeline and no model. Unlike threads, it
 //! changes the rounding of results, so `run.json` and checkpoints name it.
@@ -68,6 +68,7 @@ pub fn from_environment() -> Result<DeviceChoice> {
 static CHOICE: OnceLock<DeviceChoice> = OnceLock::new();
 static NAME: OnceLock<Option<String>> = OnceLock::new();
 static LEFT: AtomicBool = AtomicBool::new(false);
+static CPU_PART: OnceLock<String> = OnceLock::new();
 static USED: AtomicBool = AtomicBool::new(false);
 static FAILURE: FirstError = FirstError(Mutex::new(None));
 
@@ -111,14 +112,24 @@ pub fn set_name(name: &str) -> bool {
     NAME.get_or_init(|| Some(name.to_owned())).as_deref() == Some(name)
 }
 
-/// Returns whether a network has run on the GPU.
+/// Returns whether a network or a drawing has run on the GPU.
 pub fn is_used() -> bool {
     USED.load(Ordering::Relaxed)
 }
 
-/// Records that a network runs on the GPU.
+/// Records that a network or a drawing runs on the GPU.
 pub fn mark_used() {
     USED.store(true, Ordering::Relaxed);
+}
+
+/// Returns the part of a method that has no kernels for the GPU, such as `rasterizer WrfgsCompat`, if there was one.
+pub fn cpu_part() -> Option<&'static str> {
+    CPU_PART.get().map(String::as_str)
+}
+
+/// Records that a part of a method has no kernels for the GPU; only the first call has an effect.
+pub fn set_cpu_part(part: &str) {
+    CPU_PART.get_or_init(|| part.to_owned());
 }
 
 /// Records an error of the GPU, for [`check`]; only the first is kept.

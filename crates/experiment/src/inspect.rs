@@ -18,7 +18,7 @@ use crate::residuals::check_residuals;
 use crate::samples::nearest_training_distances;
 use crate::session::{Observer, run_stage};
 use crate::text::{format_length, grouped, number};
-use crate::training::{device_warning, new_trainer};
+use crate::training::{device_warnings, new_trainer};
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::statistics::{median, quantile, sorted};
 use pwrfgs_core::{Dataset, Partition, Result, Unmatched, device, free_memory, peak_memory};
@@ -105,7 +105,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         pipeline,
     };
     device::check()?;
-    preview.warnings.extend(device_warning(preview.time.start.gaussians));
+    preview.warnings.extend(device_warnings(preview.time.start.gaussians));
     Ok(preview)
 }
 

@@ -28,15 +28,17 @@ use std::time::Instant;
 /// than they do. An estimate, not measured on a GPU.
 const FEW_GAUSSIANS: usize = 1000;
 
-/// Describes a GPU without effect, or with little, after a step with N Gaussians; `None` on the CPU and otherwise.
-pub(crate) fn device_warning(n: usize) -> Option<String> {
-    let name = device::name()?;
+/// Describes a GPU without effect, or with little, after a step with N Gaussians; nothing on the CPU.
+pub(crate) fn device_warnings(n: usize) -> Vec<String> {
+    let Some(name) = device::name() else { return Vec::new() };
     if !device::is_used() {
-        let parts = "only the networks `Mlp`, `Wrfgs` and that of `Nerf2` do";
-        return Some(format!("no part of this pipeline runs on {name}; {parts}"));
+        let parts = "drawing with `Mercator` and `AlphaBlending`, and the networks `Mlp`, `Wrfgs` and that of `Nerf2`";
+        return vec![format!("no part of this pipeline runs on {name}; only {parts} do")];
     }
+    let on_cpu = device::cpu_part().map(|part| format!("{part} runs on the CPU; the network runs on {name}"));
     let is_small = (1..FEW_GAUSSIANS).contains(&n); // a network without Gaussians has many rows
-    is_small.then(|| format!("N = {n}: a step on a GPU is probably not faster than on the CPU"))
+    let little = is_small.then(|| format!("N = {n}: a step on a GPU is probably not faster than on the CPU"));
+    on_cpu.into_iter().chain(little).collect()
 }
 
 impl<'a> ActiveRun<'a, '_> {
@@ -230,8 +232,7 @@ impl Training<'_, '_, '_> {
 
     /// Warns of a GPU without effect, or with little, after the first step.
     fn warn_of_device(&mut self) {
-        let warning = device_warning(self.trainer.cloud().len());
-        warning.into_iter().for_each(|warning| self.warn(&warning));
+        device_warnings(self.trainer.cloud().len()).iter().for_each(|warning| self.warn(warning));
     }
 
     /// Writes the checkpoint, after the rows that it counts, and then `run.json`.

@@ -1,5 +1,6 @@
 //! GPUs of the machine, and the one of the process.
 
+use crate::shaders::{DRAWING, DRAWING_SOURCE};
 use crate::workspace::Workspace;
 use crate::{MOST_ROWS, SLICE};
 use pwrfgs_core::device::{self, DeviceChoice};
@@ -22,13 +23,16 @@ pub struct Gpu {
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
     pub(crate) layout: wgpu::BindGroupLayout,
-    /// Pipelines in the order of [`KERNELS`].
+    /// Pipelines in the order of [`KERNELS`], then of [`DRAWING`].
     pub(crate) kernels: Vec<wgpu::ComputePipeline>,
     /// Largest buffer, bytes.
     pub(crate) most_bytes: u64,
     /// Most bytes that a step may use.
     pub(crate) memory: u64,
+    /// Buffers of networks.
     pub(crate) workspace: Mutex<Workspace>,
+    /// Buffers of drawings.
+    pub(crate) drawings: Mutex<Workspace>,
     /// First error since the last check, which the driver reports at any time.
     pub(crate) failure: Arc<Mutex<Option<String>>>,
     name: String,
@@ -214,32 +218,33 @@ impl Gpu {
         entries.extend((1..=5).map(|binding| entry(binding, storage(binding < 5), false)));
         let layout =
             device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries });
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some("kernels"),
-            source: wgpu::ShaderSource::Wgsl(include_str!("kernels.wgsl").into()),
+        let [networks, drawing] = [include_str!("kernels.wgsl"), DRAWING_SOURCE].map(|source| {
+            let source = wgpu::ShaderSource::Wgsl(source.into());
+            device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source })
         });
         let of_all = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: None,
             bind_group_layouts: &[Some(&layout)],
             immediate_size: 0,
         });
-        let kernel = |name: &&str| {
+        let kernel = |(name, module): (&str, &wgpu::ShaderModule)| {
             device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(name),
                 layout: Some(&of_all),
-                module: &module,
+                module,
                 entry_point: Some(name),
                 compilation_options: wgpu::PipelineCompilationOptions::default(),
                 cache: None,
             })
         };
-        let kernels = KERNELS.iter().map(kernel).collect();
+        let of_networks = KERNELS.iter().map(|name| (*name, &networks));
+        let kernels = of_networks.chain(DRAWING.iter().map(|name| (*name, &drawing))).map(kernel).collect();
         let most_bytes = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
-        let workspace = Mutex::default();
+        let (workspace, drawings) = (Mutex::default(), Mutex::default());
         let name = line(adapter).name;
         let megabytes = std::env::var(MEMORY).ok().and_then(|text| text.parse::<u64>().ok());
         let memory = megabytes.map_or(u64::MAX, |megabytes| megabytes << 20);
-        Ok(Self { device, queue, layout, kernels, most_bytes, memory, workspace, failure, name })
+        Ok(Self { device, queue, layout, kernels, most_bytes, memory, workspace, drawings, failure, name })
     }
 
     /// Returns the name, with interface and driver.

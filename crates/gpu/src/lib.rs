@@ -1,14 +1,16 @@
-//! Passes of networks on a GPU through wgpu (Vulkan, Metal, DX12), in single precision.
+//! Passes of networks and of drawing on a GPU through wgpu (Vulkan, Metal, DX12), in single precision.
 //!
-//! [`select`] chooses the GPU of the process, [`current`] returns it. A [`GpuStep`] holds the GPU for one network pass:
-//! upload, products and other passes over [`Block`]s of its buffers, read. The kernels are in `kernels.wgsl`. They use
-//! no atomics and no subgroups, and add in an order that depends only on the shapes: on one GPU with one driver, equal
-//! inputs give equal bits.
+//! [`select`] chooses the GPU of the process, [`current`] returns it. A [`GpuStep`] holds the GPU for one pass of a network
+//! or of a [drawing](draw): upload, products and other passes over [`Block`]s of its buffers, read. The kernels are in
+//! `kernels.wgsl` and the folder `draw`. They use no atomics and no subgroups, and add in an order that depends only on the
+//! inputs: on one GPU with one driver, equal inputs give equal bits.
 
 mod adapters;
 mod block;
+pub mod draw;
 mod kept;
 mod passes;
+mod shaders;
 mod step;
 #[cfg(test)]
 mod tests;

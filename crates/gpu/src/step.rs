@@ -2,9 +2,10 @@
 
 use crate::adapters::{Gpu, KERNELS, keep_first, wait_for};
 use crate::block::Block;
+use crate::shaders::DRAWING;
 use crate::workspace::Workspace;
 use pwrfgs_core::{Error, Real, Result, device};
-use std::sync::{MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use wgpu::{Buffer, BufferUsages};
 
 /// Arguments of a kernel, in numbers: `Op` of `kernels.wgsl`.
@@ -51,16 +52,24 @@ impl Gpu {
     /// # Errors
     /// [`Error::Config`] if the memory of the GPU does not suffice, before any work is done.
     pub fn step(&self, sizes: &[usize]) -> Result<GpuStep<'_>> {
+        self.step_in(&self.workspace, sizes, "use a smaller `width` or `depth`, or the CPU")
+    }
+
+    /// Begins a step with the buffers of `workspace`; `advice` is for memory that does not suffice.
+    pub(crate) fn step_in<'g>(
+        &'g self,
+        workspace: &'g Mutex<Workspace>,
+        sizes: &[usize],
+        advice: &str,
+    ) -> Result<GpuStep<'g>> {
         device::mark_used();
-        let mut workspace = self.workspace.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut workspace = workspace.lock().unwrap_or_else(PoisonError::into_inner);
         workspace.steps += 1;
         let needed = |size: &usize| (size_of::<f32>() * (*size).max(1)) as u64;
         let total: u64 = sizes.iter().map(needed).sum();
         let refuse = |limit: String| {
             let total = describe_bytes(total);
-            Error::Config(format!(
-                "--device: a step needs {total} of GPU memory{limit}; use a smaller `width` or `depth`, or the CPU"
-            ))
+            Error::Config(format!("--device: a step needs {total} of GPU memory{limit}; {advice}"))
         };
         if let Some(largest) = sizes.iter().map(needed).max().filter(|bytes| *bytes > self.most_bytes) {
             let (largest, most) = (describe_bytes(largest), describe_bytes(self.most_bytes));
@@ -172,7 +181,7 @@ impl GpuStep<'_> {
         if groups.contains(&0) {
             return;
         }
-        let kernel = KERNELS.iter().position(|kernel| *kernel == name).expect("a kernel of that name");
+        let kernel = KERNELS.iter().chain(&DRAWING).position(|kernel| *kernel == name).expect("a kernel of that name");
         let argument = (self.arguments.len() * size_of::<u32>()) as u32;
         self.arguments.extend(arguments.map(|number| number as u32));
         self.arguments.resize(self.arguments.len().next_multiple_of(ALIGNMENT / size_of::<u32>()), 0);

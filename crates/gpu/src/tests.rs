@@ -1,6 +1,8 @@
 //! Each kernel against sums in double precision; choice of the GPU; memory that does not suffice.
 
 use crate::adapters::{GpuLine, KERNELS, adapters, pick};
+use crate::draw::Drawing;
+use crate::shaders::{DRAWING, DRAWING_SOURCE};
 use crate::{Block, Epilogue, Gpu, SLICE, for_tests, scratch_len};
 use pwrfgs_core::device::DeviceChoice;
 use pwrfgs_core::{Real, rng};
@@ -192,13 +194,14 @@ fn nan_passes_the_relu() {
 
 #[test]
 fn shaders_are_valid_and_use_no_atomics() {
-    let source = include_str!("kernels.wgsl");
-    let module = naga::front::wgsl::parse_str(source).unwrap_or_else(|e| panic!("{}", e.emit_to_string(source)));
-    let (flags, capabilities) = (naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
-    naga::valid::Validator::new(flags, capabilities).validate(&module).unwrap();
-    let names: Vec<&str> = module.entry_points.iter().map(|entry| entry.name.as_str()).collect();
-    assert_eq!(names, KERNELS);
-    assert!(!source.contains("atomic<") && !source.contains("subgroup"));
+    for (source, kernels) in [(include_str!("kernels.wgsl"), &KERNELS[..]), (DRAWING_SOURCE, &DRAWING)] {
+        let module = naga::front::wgsl::parse_str(source).unwrap_or_else(|e| panic!("{}", e.emit_to_string(source)));
+        let (flags, capabilities) = (naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
+        naga::valid::Validator::new(flags, capabilities).validate(&module).unwrap();
+        let names: Vec<&str> = module.entry_points.iter().map(|entry| entry.name.as_str()).collect();
+        assert_eq!(names, kernels);
+        assert!(!source.contains("atomic<") && !source.contains("subgroup"));
+    }
 }
 
 #[test]
@@ -224,6 +227,16 @@ fn memory_beyond_the_gpu_is_an_error_before_the_step() {
     let words = ["--device: a step needs 4 MB of GPU memory, and ", " has 3 MB; use a smaller `width`"];
     assert!(words.iter().all(|word| error.contains(word)), "{error}");
     assert!(small.step(&[1 << 18; 3]).unwrap().finish().unwrap().is_empty(), "usable afterwards");
+}
+
+#[test]
+fn drawings_beyond_the_gpu_are_errors_before_the_step() {
+    let Some(gpu) = for_tests() else { return };
+    let error = gpu.drawing_step(&[gpu.most_bytes as usize / 4 + 1]).unwrap_err().to_string();
+    assert!(error.contains("; use a smaller `training.batch`, fewer Gaussians, or the CPU"), "{error}");
+    assert_eq!(Drawing::entries(&[1e7, 5.0]).unwrap(), 10_000_005);
+    let error = Drawing::entries(&[1e7, 1e7]).unwrap_err().to_string();
+    assert!(error.contains("--device: tile lists with 20000000 entries, at most 16777216; use fewer"), "{error}");
 }
 
 #[test]

@@ -6,6 +6,11 @@
 //!                 signals ─► rasterize                              (BlendedSignals) ─► read out ─► P̂
 //! ```
 
+#[cfg(feature = "gpu")]
+mod gpu;
+#[cfg(feature = "gpu")]
+#[cfg(test)]
+mod gpu_tests;
 mod method;
 mod received;
 mod survey;

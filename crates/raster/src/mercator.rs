@@ -1,6 +1,7 @@
 //! `Mercator`: the projector of the paper; azimuth and elevation are linear in the pixel.
 
 use crate::ewa::{self, CameraModel};
+use crate::tiles::nearest_first;
 use pwrfgs_core::{
     Elevation, ImagePlane, JsonSchema, Misfit, Pose, Primitives, Projector, Real, Splats, Vec3, consts::DEG,
 };
@@ -88,6 +89,26 @@ impl Projector for Mercator {
             return Err("`near_m` must not be negative and `margin_deg` must lie between 0 and 90".into());
         }
         Ok(())
+    }
+}
+
+impl Mercator {
+    /// Returns the constants of the projection to a whole image, for kernels on other devices: the rotation
+    /// `receiver_from_world` row by row (9), the offset (3, metres), columns and rows per radian, columns, rows between
+    /// elevation 0 and row 0, filter (px²), nearest distance (metres), and the sine of the lowest elevation.
+    pub fn constants(&self, pose: &Pose, plane: &ImagePlane) -> [Real; 19] {
+        let model = Hemisphere::new(self, plane);
+        let (view, [across, up]) = (model.view(pose), model.per_radian);
+        let mut all = [0.0; 19];
+        all[..9].copy_from_slice(&view.rotation.transpose().to_cols_array());
+        all[9..12].copy_from_slice(&view.offset.to_array());
+        all[12..].copy_from_slice(&[across, up, model.width, model.above, model.blur, model.near, model.lowest]);
+        all
+    }
+
+    /// Returns the indices of means `[N,3]` in the order of blending: nearest to the receiver first.
+    pub fn depth_order(means: &[[Real; 3]], pose: &Pose) -> Vec<u32> {
+        nearest_first(means.iter().map(|mean| ewa::distance(*mean, pose.position)).zip(0..))
     }
 }
 

@@ -119,12 +119,16 @@ impl Strip {
     }
 }
 
-/// Returns the indices of the splats in the image, nearest first by single-precision depth; ties in index order.
+/// Returns the indices of the splats in the image, nearest first.
 fn depth_order(splats: &Splats) -> Vec<u32> {
-    // The bits of positive floats are ordered like the floats.
-    let key = |i: usize| (splats.depths[i] as f32).to_bits();
     let visible = (0..splats.len()).filter(|&i| splats.radii[i] > 0.0);
-    let mut keys: Vec<_> = visible.map(|i| (key(i), i as u32)).collect();
+    nearest_first(visible.map(|i| (splats.depths[i], i)))
+}
+
+/// Returns the indices of depths, nearest first by single-precision depth; ties in index order.
+pub(crate) fn nearest_first(depths: impl Iterator<Item = (Real, usize)>) -> Vec<u32> {
+    // The bits of positive floats are ordered like the floats.
+    let mut keys: Vec<_> = depths.map(|(depth, i)| ((depth as f32).to_bits(), i as u32)).collect();
     if keys.len() < 4096 {
         keys.sort_unstable();
     } else {

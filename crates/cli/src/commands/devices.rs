@@ -35,7 +35,7 @@ fn reason_for_cpu(model: &Model, count: usize) -> Option<String> {
     let Cost { runs_on_gpu, network_rows, .. } = model.stages.method.cost(setup, 1, setup.value_count());
     let rows = n + network_rows;
     if !runs_on_gpu {
-        return Some("no part of this model runs on a GPU".to_owned());
+        return Some("the network of this model does not run on a GPU".to_owned());
     }
     let shown = |number: usize| grouped(number as i64);
     if rows < FEW_ROWS {

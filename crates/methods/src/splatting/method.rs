@@ -22,7 +22,11 @@ const LAW: [&str; 2] = [OFFSETS, "receiver.exponents"];
 struct ForwardCache {
     /// Terms of the network, and what it keeps for its derivative.
     terms: (Deltas, Cache),
+    /// Drawings on the CPU.
     drawings: Vec<(ReceiverGroup, ReceiverView, BlendedSignals)>,
+    /// Drawings on the GPU.
+    #[cfg(feature = "gpu")]
+    on_gpu: Option<super::gpu::GpuDrawing>,
 }
 
 /// Values that do not depend on the transmitter.
@@ -105,6 +109,14 @@ impl Splatting {
         let network_cache = ready.map_or(&None, |ready| &ready.deformation);
         let (deltas, kept) = self.network_terms(call, network_cache, is_training);
         let mut times = StageTimes { network: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = self.gpu(setup) {
+            let start = Instant::now();
+            let (numbers, on_gpu) = self.gpu_draw(gpu, call, &deltas);
+            times.blending = start.elapsed().as_secs_f64();
+            let cache = ForwardCache { terms: (deltas, kept), drawings: Vec::new(), on_gpu };
+            return (ForwardOutput { numbers, cache: is_training.then(|| Arc::new(cache) as _) }, times);
+        }
         let (sky, numbers) = (self.sky(setup), setup.value_count());
         let one = |group: ReceiverGroup| {
             let start = Instant::now();
@@ -136,8 +148,13 @@ impl Splatting {
             }
             drawings.extend(drawing.map(|(view, drawing)| (group, view, drawing)));
         }
-        let cache = is_training.then(|| Arc::new(ForwardCache { terms: (deltas, kept), drawings }) as _);
-        (ForwardOutput { numbers: all, cache }, times)
+        let cache = ForwardCache {
+            terms: (deltas, kept),
+            drawings,
+            #[cfg(feature = "gpu")]
+            on_gpu: None,
+        };
+        (ForwardOutput { numbers: all, cache: is_training.then(|| Arc::new(cache) as _) }, times)
     }
 
     /// Returns the terms of the network and, if `is_training`, what it keeps for the backward pass.
@@ -232,11 +249,17 @@ impl Method for Splatting {
 
     fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
         let Call { setup, parameters: p, links, .. } = *call;
-        let ForwardCache { terms: (deltas, kept), drawings } = cached(&observed.cache);
+        let cache: &ForwardCache = cached(&observed.cache);
+        let ForwardCache { terms: (deltas, kept), drawings, .. } = cache;
         let (network, laws) = self.split_weights(setup, p.weights);
+        let (mut grads, rows) = (ActivationVjp::zeros(p.cloud, deltas), (0..p.cloud.len()).collect::<Vec<_>>());
+        #[cfg(feature = "gpu")]
+        if let (Some(gpu), Some(on_gpu)) = (self.gpu(setup), &cache.on_gpu) {
+            self.gpu_draw_vjp(gpu, call, on_gpu, (deltas, d), &mut grads, sums)
+                .unwrap_or_else(pwrfgs_core::device::fail);
+        }
         let d_laws = &mut sums.weights[network.len()..];
         let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
-        let (mut grads, rows) = (ActivationVjp::zeros(p.cloud, deltas), (0..p.cloud.len()).collect::<Vec<_>>());
         for (group, view, drawing) in drawings {
             let d = group.gather_rows(d, setup.value_count());
             let d_law = d_offsets

@@ -1,0 +1,198 @@
+//! Drawing of Gaussians on a GPU: activation, projection, tile lists, blending and readout, with the backward pass. The
+//! kernels are in the folder `draw`.
+//!
+//! ```text
+//! CLOUD, VIEW, TERMS ─► project ─► SPLATS ─► blend ─► PIXELS ─► read_out ─► IMAGE
+//! D_IMAGE ─► read_out_vjp ─► D_PIXELS ─► blend_vjp over the LISTS ─► PARTS ─► sum_tiles ─► D_SPLATS ─► project_vjp ─► D_ROWS
+//! ```
+
+use crate::adapters::Gpu;
+use crate::step::GpuStep;
+use pwrfgs_core::{Error, Real, Result};
+
+/// Slot of the Gaussians in depth order, `[N, 13]`: mean, log scales, rotation, opacity logit, gate, existence.
+pub const CLOUD: usize = 0;
+/// Slot of the view: 19 constants of the projection, stride and offsets of the sampled pixels, rows of the whole image.
+pub const VIEW: usize = 1;
+/// Slot of the terms of the network for scales and rotation, `[N, 7]`.
+pub const TERMS: usize = 2;
+/// Slot of the signals, `[N, links · channels]`.
+pub const SIGNALS: usize = 3;
+/// Slot of the splats, `[N, 12]`: mean, conic, opacity, existence, half the sides of the box, radius.
+pub const SPLATS: usize = 4;
+/// Slot of the blended signals `[links, 2, H·W]`; the lengths of the tile lists follow.
+pub const PIXELS: usize = 5;
+/// Slots of the values `[links, H·W]`, and of their cotangents.
+pub const IMAGE: usize = 6;
+/// See [`IMAGE`].
+pub const D_IMAGE: usize = 7;
+/// Slot of the cotangents of the blended signals, and their products with the pixels, `[links, 3, H·W]`.
+pub const D_PIXELS: usize = 8;
+/// Slot of the offsets of the tile lists `[tiles + 1]`; the lists follow.
+pub const LISTS: usize = 9;
+/// Slot of the derivatives of the entries of the lists.
+const PARTS: usize = 10;
+/// Slot of the derivatives by the splats, `[N, 8 + links · channels]`: mean, conic, opacity, weight, existence, signals.
+pub const D_SPLATS: usize = 11;
+/// Slot of the derivatives by the Gaussians, `[N, 20]`: mean, log scales, rotation, logit, gate, scale terms, rotation terms,
+/// and the radius.
+pub const D_ROWS: usize = 12;
+
+/// Values per Gaussian in slots [`CLOUD`], [`TERMS`], [`SPLATS`] and [`D_ROWS`].
+pub const WIDTHS: [usize; 4] = [13, 7, 12, 20];
+/// Values per Gaussian in slot [`D_SPLATS`] before those of the signals.
+pub const GEOMETRY: usize = 8;
+/// Values per entry of a list in slot [`PARTS`].
+const PART: usize = 10;
+/// Number of constants in slot [`VIEW`].
+pub const VIEW_LEN: usize = 23;
+/// Most entries of all tile lists: kernels store them as single-precision numbers.
+const MOST_ENTRIES: f64 = 16_777_216.0;
+/// Pixels along the side of a tile.
+const SIDE: usize = 16;
+
+/// Conversion of blended signals to values; the numbers are those of `readout.wgsl`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GpuReadout {
+    /// First channel.
+    Real = 0,
+    /// Magnitude.
+    Magnitude = 1,
+    /// Power.
+    Power = 2,
+    /// Magnitude from 0 at its smallest to 1 at its largest value.
+    MinMax = 3,
+}
+
+/// Shape of a drawing: Gaussians with one geometry, and their signals for some transmitters.
+#[derive(Clone, Copy, Debug)]
+pub struct Drawing {
+    /// Number of Gaussians N.
+    pub gaussians: usize,
+    /// Number of transmitters.
+    pub links: usize,
+    /// Columns and rows of the image.
+    pub size: (usize, usize),
+    /// Number of channels per transmitter.
+    pub channels: usize,
+    /// Conversion to values.
+    pub readout: GpuReadout,
+    /// Whether slot [`TERMS`] has terms.
+    pub has_terms: bool,
+}
+
+impl Drawing {
+    /// Returns the number of pixels of an image.
+    pub fn pixels(&self) -> usize {
+        self.size.0 * self.size.1
+    }
+
+    /// Returns the number of tiles.
+    pub fn tiles(&self) -> usize {
+        self.size.0.div_ceil(SIDE) * self.size.1.div_ceil(SIDE)
+    }
+
+    /// Returns the number of values per Gaussian in slot [`D_SPLATS`].
+    pub fn derivatives(&self) -> usize {
+        GEOMETRY + self.links * self.channels
+    }
+
+    /// Returns the sizes of all slots, with `entries` entries of the tile lists for a backward pass.
+    pub fn sizes(&self, entries: Option<usize>) -> Vec<usize> {
+        let &Self { gaussians: n, links, channels, .. } = self;
+        let [cloud, terms, splats, rows] = WIDTHS.map(|width| n * width);
+        let (images, signals) = (links * self.pixels(), n * links * channels);
+        let mut sizes = vec![cloud, VIEW_LEN, terms, signals, splats, 2 * images + self.tiles(), images];
+        sizes.resize(D_ROWS + 1, 1);
+        if let Some(entries) = entries {
+            // Lists differ from step to step, and buffers that grow lose their content.
+            let entries = entries.next_power_of_two();
+            let derived =
+                [images, 3 * images, self.tiles() + 1 + entries, PART * entries, n * self.derivatives(), rows];
+            sizes[D_IMAGE..].copy_from_slice(&derived);
+        }
+        sizes
+    }
+
+    /// Returns the number of entries of tile lists with these `lengths`.
+    ///
+    /// # Errors
+    /// [`Error::Config`] if kernels cannot count them.
+    pub fn entries(lengths: &[Real]) -> Result<usize> {
+        let entries: f64 = lengths.iter().map(|&length| f64::from(length)).sum();
+        if entries <= MOST_ENTRIES {
+            return Ok(entries as usize);
+        }
+        let advice = "use fewer or smaller Gaussians, or the CPU";
+        Err(Error::Config(format!("--device: tile lists with {entries} entries, at most {MOST_ENTRIES}; {advice}")))
+    }
+
+    fn arguments(&self, link: usize, mode: usize) -> [usize; 16] {
+        let &Self { gaussians, links, size: (width, height), channels, .. } = self;
+        let columns = width.div_ceil(SIDE);
+        [gaussians, links, link, width, height, columns, self.tiles(), channels, mode, 0, 0, 0, 0, 0, 0, 0]
+    }
+
+    /// Records activation and projection, from slots [`CLOUD`], [`VIEW`] and [`TERMS`] to [`SPLATS`].
+    pub fn project(&self, step: &mut GpuStep<'_>) {
+        let arguments = self.arguments(0, usize::from(self.has_terms));
+        step.pass("project", [CLOUD, TERMS, VIEW, CLOUD, SPLATS], arguments, self.per_gaussian());
+    }
+
+    /// Records the blending of [`SPLATS`] with [`SIGNALS`], to [`PIXELS`].
+    pub fn blend(&self, step: &mut GpuStep<'_>) {
+        let groups = [self.tiles(), self.links, 1];
+        step.pass("blend", [SPLATS, SIGNALS, SPLATS, SPLATS, PIXELS], self.arguments(0, 0), groups);
+    }
+
+    /// Records the readout, from [`PIXELS`] to [`IMAGE`].
+    pub fn read_out(&self, step: &mut GpuStep<'_>) {
+        let arguments = self.arguments(0, self.readout as usize);
+        step.pass("read_out", [PIXELS, PIXELS, PIXELS, PIXELS, IMAGE], arguments, [self.links, 1, 1]);
+    }
+
+    /// Records the backward pass of [`Self::read_out`], from [`D_IMAGE`] to [`D_PIXELS`].
+    pub fn read_out_vjp(&self, step: &mut GpuStep<'_>) {
+        let arguments = self.arguments(0, self.readout as usize);
+        step.pass("read_out_vjp", [PIXELS, D_IMAGE, PIXELS, PIXELS, D_PIXELS], arguments, [self.links, 1, 1]);
+    }
+
+    /// Records the backward pass of [`Self::blend`], from [`D_PIXELS`] to [`D_SPLATS`]. `lengths` are those of the tile lists,
+    /// as [`Self::blend`] left them.
+    pub fn blend_vjp(&self, step: &mut GpuStep<'_>, lengths: &[Real]) {
+        let mut offsets = vec![0.0];
+        lengths.iter().fold(0.0, |sum, length| {
+            offsets.push(sum + length);
+            sum + length
+        });
+        step.upload(LISTS, 0, &offsets);
+        step.clear(D_SPLATS, self.gaussians * self.derivatives());
+        let tiles = [if self.gaussians > 0 { self.tiles() } else { 0 }, 1, 1];
+        step.pass("list", [SPLATS, SPLATS, SPLATS, SPLATS, LISTS], self.arguments(0, 0), tiles);
+        for link in 0..self.links {
+            let arguments = self.arguments(link, 0);
+            step.pass("blend_vjp", [SPLATS, SIGNALS, LISTS, D_PIXELS, PARTS], arguments, tiles);
+            step.pass("sum_tiles", [SPLATS, LISTS, PARTS, SPLATS, D_SPLATS], arguments, self.per_gaussian());
+        }
+    }
+
+    /// Records the backward pass of [`Self::project`], from [`D_SPLATS`] to [`D_ROWS`].
+    pub fn project_vjp(&self, step: &mut GpuStep<'_>) {
+        let arguments = self.arguments(0, usize::from(self.has_terms));
+        step.pass("project_vjp", [CLOUD, TERMS, VIEW, D_SPLATS, D_ROWS], arguments, self.per_gaussian());
+    }
+
+    fn per_gaussian(&self) -> [usize; 3] {
+        [self.gaussians.div_ceil(64), 1, 1]
+    }
+}
+
+impl Gpu {
+    /// Begins a step that draws, with buffers of at least `sizes` numbers by slot. The buffers are not those of networks.
+    ///
+    /// # Errors
+    /// As [`Self::step`].
+    pub fn drawing_step(&self, sizes: &[usize]) -> Result<GpuStep<'_>> {
+        self.step_in(&self.drawings, sizes, "use a smaller `training.batch`, fewer Gaussians, or the CPU")
+    }
+}

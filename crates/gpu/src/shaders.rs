@@ -1,0 +1,13 @@
+//! Kernels of drawing, in the order of their pipelines, and their source.
+
+/// Entry points of [`DRAWING_SOURCE`].
+pub(crate) const DRAWING: [&str; 8] =
+    ["project", "project_vjp", "blend", "list", "blend_vjp", "sum_tiles", "read_out", "read_out_vjp"];
+
+/// Files of the folder `draw`.
+pub(crate) const DRAWING_SOURCE: &str = concat!(
+    include_str!("draw/common.wgsl"),
+    include_str!("draw/project.wgsl"),
+    include_str!("draw/blend.wgsl"),
+    include_str!("draw/readout.wgsl")
+);
