@@ -198,18 +198,16 @@ impl<'a> PursuitSearch<'a> {
     /// Adds sources to the best set, then removes the least important ones; repeats both for `rounds` while the score
     /// improves. `best` is the best score (dB) with its sources.
     fn improve_best(mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(f64)) {
-        let settings = &self.options.settings;
-        let mut done = 0;
-        for round in 0..=settings.rounds {
+        let (&MatchingPursuit { most, rounds, .. }, mut done) = (&self.options.settings, 0);
+        for round in 0..=rounds {
             let (before, first) = (best.0, best.1.len() as f64);
-            let most = if round == 0 { settings.most } else { settings.most / 2 };
-            self.add_sources(best, &mut |sources| {
-                report_progress(done as f64 + (sources - first).clamp(0.0, most as f64));
-            });
+            let most = if round == 0 { most } else { most / 2 };
+            let added = |sources: f64| done as f64 + (sources - first).clamp(0.0, most as f64);
+            self.add_sources(best, &mut |sources| report_progress(added(sources)));
             done += most;
             if !self.held_out.is_empty() {
                 self.remove_sources(best, &mut |removed| report_progress((done + removed) as f64));
-                done += settings.most / 2;
+                done += self.options.settings.most / 2;
             }
             if best.0 <= before || self.is_stopped() {
                 break;
@@ -259,8 +257,7 @@ impl<'a> PursuitSearch<'a> {
     fn remove_sources(&self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
         let mut sources = best.1.clone();
         let (all, ridge) = (sources.len(), 1e-9 * self.rows.energy());
-        let least = all / 2;
-        while sources.len() > least.max(1) && !self.is_stopped() {
+        while sources.len() > (all / 2).max(1) && !self.is_stopped() {
             let costs = costs_without_each(&self.rows, &sources, ridge);
             let weakest = (0..costs.len()).fold(0, |w, g| if costs[g] < costs[w] { g } else { w });
             sources = sources.without(weakest);
@@ -308,9 +305,8 @@ impl<'a> PursuitSearch<'a> {
             let number = peaks.len();
             best = self.best_refined(&residual, peaks, number, sources);
         }
-        let better = |best: Option<(Peak, f64)>, other: Option<(Peak, f64)>| match (best, other) {
-            (Some(b), Some(other)) if b.1 >= other.1 => Some(b),
-            (b, other) => other.or(b),
+        let better = |best: Option<(Peak, f64)>, other: Option<(Peak, f64)>| {
+            best.into_iter().chain(other).reduce(|a, b| if b.1 > a.1 { b } else { a })
         };
         let cells = self.grid.cell_count(self.grid.step);
         best = better(best, self.best_refined(&residual, self.pool.clone(), cells, sources));
