@@ -61,4 +61,4 @@ def test_channels_with_a_bar_that_has_a_total(monkeypatch):
     exec(snippet("csi="), names)
     assert names["h"].shape == (2, 2, 3)
     search = [bar for bar in bars if bar.desc == "initialising"]
-    assert search[-1].total == 1_100 and search[-1].n >= 1  # ten sources and the last refinement, in hundredths
+    assert search[-1].total == 1_600 and search[-1].n >= 1  # ten additions, five removals, the last refinement, in hundredths
