@@ -81,7 +81,7 @@ impl Sizing {
 
     /// Chooses the settings for few places: several models, each without a part of the places, and short training against
     /// learning noise. Steps, jitter, width and decay were chosen by held-out blocks of five training sets
-    /// (docs/lab/small-data.md).
+    /// (docs/lab/init.md).
     fn small(survey: &DataSurvey, effort: Effort) -> Self {
         let (data, places) = (&survey.data, survey.known_places());
         let is_power = data.task().is_scalar;
