@@ -15,7 +15,7 @@ from typing import Any
 TOPICS = {
     "Data": ["Dataset", "Receiver", "Pose", "Partition", "inspect", "Inspection", "Finding", "simulate"]
     + ["spectrum", "convert", "datasets"],
-    "Runs": ["run", "Run", "check", "Check", "evaluate", "report", "sweep", "SweepError", "compare", "Comparison", "View"],
+    "Runs": ["run", "Run", "check", "Check", "evaluate", "report", "sweep", "SweepError", "compare", "Comparison", "View", "devices", "use_device"],
     "Pipelines": ["Pipeline", "Value", "settings", "init"],
     "Models": ["Model", "Gaussians", "Interval"],
     "Tasks": ["RadioMap", "Located", "plan", "Plan", "place", "Placement"],
