@@ -1,7 +1,7 @@
 //! Growth of processor time and memory with the data, on invented data.
 //!
 //! `cargo bench -p pwrfgs-cli --bench growth` runs each command at three sizes and prints a row of it: processor time, peak
-//! memory, and the slopes between the outer sizes (1: linear). `-- import locate` runs these rows alone. Ten minutes on two
+//! memory, and the slopes between the outer sizes (1: linear). `-- import locate` runs these rows alone. Three minutes on two
 //! cores; `docs/guide.md` has the table.
 
 #![allow(clippy::print_stdout)] // what it prints is what it is for
@@ -9,6 +9,7 @@
 use std::error::Error;
 use std::fmt::Write as _;
 use std::fs::File;
+use std::io::{BufWriter, Write as _};
 use std::path::Path;
 use std::process::{Command, Stdio};
 use wait4::Wait4;
@@ -183,14 +184,19 @@ fn predict(folder: &Path, positions: usize) -> Result<String> {
 /// Writes channels `[positions, 16, 64]`, 8 kB each, with their positions, and imports them.
 fn channels(folder: &Path, positions: usize) -> Result<String> {
     let name = format!("c{positions}");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    // The peak memory of a child begins with that of this process, so the array is not held.
+    let mut file = BufWriter::new(File::create(folder.join(format!("{name}.npy")))?);
     let header = format!("{{'descr': '<c8', 'fortran_order': False, 'shape': ({positions}, 16, 64)}}");
     let header = format!("{header:<117}\n");
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.as_bytes());
-    let phase = |k: usize| (k as f32 * 0.37).sin_cos();
-    bytes.extend((0..positions * 1_024).flat_map(|k| [phase(k).0, phase(k).1]).flat_map(f32::to_le_bytes));
-    std::fs::write(folder.join(format!("{name}.npy")), bytes)?;
+    file.write_all(b"\x93NUMPY\x01\x00")?;
+    file.write_all(&(header.len() as u16).to_le_bytes())?;
+    file.write_all(header.as_bytes())?;
+    for k in 0..positions * 1_024 {
+        let (sin, cos) = (k as f32 * 0.37).sin_cos();
+        file.write_all(&sin.to_le_bytes())?;
+        file.write_all(&cos.to_le_bytes())?;
+    }
+    file.flush()?;
     let row = |i: usize| format!("{:.3},{:.3},1.2\n", position(i, positions)[0], position(i, positions)[1]);
     std::fs::write(folder.join("tx.csv"), format!("x,y,z\n{}", (0..positions).map(row).collect::<String>()))?;
     let antennas = (0..16).map(|k| format!("0,{},{}\n", 0.06 * f64::from(k % 4), 0.06 * f64::from(k / 4)));
