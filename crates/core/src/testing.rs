@@ -1,10 +1,12 @@
 //! Test tools of all crates: comparison of hand-written derivatives with central differences, paths of shared data, and
 //! reports of skipped tests.
 
+use crate::files::digest;
 use crate::{Real, npy::Header, rng};
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// Returns the path of `name`, such as `data/s23`, in the folder of shared data: measured spectra, reference data and
 /// paths. `None`, reported by [`skipped`], if it is absent. The variable `PWRFGS_SHARED` sets that folder, by default
@@ -45,6 +47,21 @@ pub fn skipped(reason: &str) {
         let list = OpenOptions::new().append(true).create(true).open(list);
         list.and_then(|mut list| list.write_all(line.as_bytes())).expect("PWRFGS_SKIPPED names a file");
     }
+}
+
+/// Asserts that the calling test, whose name is `test`, computes the same bits of `numbers` in another process.
+#[expect(clippy::print_stdout, reason = "the other process prints its digest")]
+pub fn check_bits_in_another_process(test: &str, numbers: impl IntoIterator<Item = Real>) {
+    let bytes: Vec<u8> = numbers.into_iter().flat_map(Real::to_le_bytes).collect();
+    let digest = digest(&bytes);
+    println!("digest {digest}");
+    if std::env::var_os("PWRFGS_DIGEST").is_some() {
+        return;
+    }
+    let program = std::env::current_exe().expect("the test has a path");
+    let output = Command::new(program).args([test, "--exact", "--nocapture"]).env("PWRFGS_DIGEST", "1").output();
+    let printed = String::from_utf8(output.expect("the test runs again").stdout).expect("text");
+    assert!(printed.contains(&format!("digest {digest}")), "{printed}");
 }
 
 /// Asserts that `vjp` is the derivative of `f` at `x`. For a random cotangent d, ∂⟨d, f(x)⟩/∂xₖ by central differences

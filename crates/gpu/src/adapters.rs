@@ -1,6 +1,6 @@
 //! GPUs of the machine, and the one of the process.
 
-use crate::shaders::{DRAWING, DRAWING_SOURCE};
+use crate::shaders::{DRAWING, DRAWING_SOURCE, NETWORKS_SOURCE};
 use crate::workspace::Workspace;
 use crate::{MOST_ROWS, SLICE};
 use pwrfgs_core::device::{self, DeviceChoice};
@@ -218,7 +218,7 @@ impl Gpu {
         entries.extend((1..=5).map(|binding| entry(binding, storage(binding < 5), false)));
         let layout =
             device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries });
-        let [networks, drawing] = [include_str!("kernels.wgsl"), DRAWING_SOURCE].map(|source| {
+        let [networks, drawing] = [NETWORKS_SOURCE, DRAWING_SOURCE].map(|source| {
             let source = wgpu::ShaderSource::Wgsl(source.into());
             device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source })
         });

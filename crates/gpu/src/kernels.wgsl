@@ -19,13 +19,6 @@ const PLUS: u32 = 4u;   // + E
 const MASK: u32 = 8u;   // zero where E is not positive
 const ADD: u32 = 16u;   // added to C
 
-@group(0) @binding(0) var<uniform> s: Op;
-@group(0) @binding(1) var<storage, read> A: array<f32>;
-@group(0) @binding(2) var<storage, read> B: array<f32>;
-@group(0) @binding(3) var<storage, read> H: array<f32>;
-@group(0) @binding(4) var<storage, read> E: array<f32>;
-@group(0) @binding(5) var<storage, read_write> C: array<f32>;
-
 fn relu(v: f32) -> f32 {
   return select(v, 0.0, v < 0.0); // NaN stays NaN, as on the CPU
 }

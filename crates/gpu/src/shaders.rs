@@ -1,4 +1,7 @@
-//! Kernels of drawing, in the order of their pipelines, and their source.
+//! Sources of the kernels, and those of drawing in the order of their pipelines.
+
+/// Passes of networks.
+pub(crate) const NETWORKS_SOURCE: &str = concat!(include_str!("bindings.wgsl"), include_str!("kernels.wgsl"));
 
 /// Entry points of [`DRAWING_SOURCE`].
 pub(crate) const DRAWING: [&str; 8] =
@@ -6,6 +9,7 @@ pub(crate) const DRAWING: [&str; 8] =
 
 /// Files of the folder `draw`.
 pub(crate) const DRAWING_SOURCE: &str = concat!(
+    include_str!("bindings.wgsl"),
     include_str!("draw/common.wgsl"),
     include_str!("draw/project.wgsl"),
     include_str!("draw/blend.wgsl"),

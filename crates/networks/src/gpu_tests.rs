@@ -3,9 +3,9 @@
 use crate::linear::{LayoutBuilder, lay_out};
 use crate::tests::{POSE, points};
 use crate::{Mlp, Outputs, Wrfgs};
+use pwrfgs_core::testing::check_bits_in_another_process;
 use pwrfgs_core::{Conditions, DeformationInputs, DeformationVjp, Deltas, Real, rng};
 use pwrfgs_gpu::{Gpu, for_tests};
-use std::process::Command;
 use std::sync::Arc;
 
 /// Outputs, and derivatives by weights, centres and transmitters for seeded cotangents.
@@ -239,28 +239,14 @@ fn networks_of_the_papers_match() {
     }
 }
 
-/// The name of the test that prints bits for another process.
-const PRINTED: &str = "gpu_tests::bits_repeat_in_another_process";
-
 #[test]
 fn bits_repeat_in_another_process() {
     let Some(gpu) = for_tests() else { return };
-    let digest: String = networks()
-        .iter()
-        .map(|(_, twin)| {
-            let ((outputs, d), _) = run(&**twin, Some(gpu), (157, 3), 0.0);
-            let bytes: Vec<u8> = outputs.iter().chain(&d).flat_map(|x| x.to_le_bytes()).collect();
-            pwrfgs_core::files::digest(&bytes)
-        })
-        .collect();
-    println!("digest {digest}");
-    if std::env::var_os("PWRFGS_DIGEST").is_some() {
-        return;
-    }
-    let program = std::env::current_exe().unwrap();
-    let output = Command::new(program).args([PRINTED, "--exact", "--nocapture"]).env("PWRFGS_DIGEST", "1").output();
-    let printed = String::from_utf8(output.unwrap().stdout).unwrap();
-    assert!(printed.contains(&format!("digest {digest}")), "{printed}");
+    let results = networks().into_iter().flat_map(|(_, twin)| {
+        let ((outputs, d), _) = run(&*twin, Some(gpu), (157, 3), 0.0);
+        [outputs, d].concat()
+    });
+    check_bits_in_another_process("gpu_tests::bits_repeat_in_another_process", results);
 }
 
 #[test]

@@ -11,13 +11,6 @@ struct Op {
   mode: u32,                  // readout; whether there are terms of a network
 }
 
-@group(0) @binding(0) var<uniform> s: Op;
-@group(0) @binding(1) var<storage, read> A: array<f32>;
-@group(0) @binding(2) var<storage, read> B: array<f32>;
-@group(0) @binding(3) var<storage, read> H: array<f32>;
-@group(0) @binding(4) var<storage, read> E: array<f32>;
-@group(0) @binding(5) var<storage, read_write> C: array<f32>;
-
 const SIDE: u32 = 16u;
 const PIXELS: u32 = 256u;
 const ALPHA_MAX: f32 = 0.99;

@@ -6,10 +6,10 @@ use crate::nerf2::network::Nerf2Network;
 use crate::nerf2::path::PropagationLaw;
 use crate::nerf2::walk::{RayWalk, Sums};
 use crate::nerf2::{Nerf2, RayBundle};
+use pwrfgs_core::testing::check_bits_in_another_process;
 use pwrfgs_core::{Conditions, Real, rng};
 use pwrfgs_gpu::{Gpu, for_tests};
 use pwrfgs_networks::linear::lay_out;
-use std::process::Command;
 
 /// Rays, transmitters, bands, and whether every ray has a transmitter of its own.
 #[derive(Clone, Copy, Debug)]
@@ -183,29 +183,15 @@ fn network_of_the_paper_matches() {
     assert!(off <= 1e-3 * norm(expected_d.iter().map(|&d| d.into())), "{off:e}");
 }
 
-/// The name of the test that prints bits for another process.
-const PRINTED: &str = "nerf2::gpu_tests::bits_repeat_in_another_process";
-
 #[test]
 fn bits_repeat_in_another_process() {
     let Some(gpu) = for_tests() else { return };
     let case = Case { rays: 65, batch: 3, bands: 3, is_own: false };
-    let digest: String = methods()
-        .iter()
-        .map(|(_, method)| {
-            let (sums, d) = run(method, Some(gpu), case, 0.0);
-            let bytes: Vec<u8> = sums.iter().chain(&d).flat_map(|x| x.to_le_bytes()).collect();
-            pwrfgs_core::files::digest(&bytes)
-        })
-        .collect();
-    println!("digest {digest}");
-    if std::env::var_os("PWRFGS_DIGEST").is_some() {
-        return;
-    }
-    let program = std::env::current_exe().unwrap();
-    let output = Command::new(program).args([PRINTED, "--exact", "--nocapture"]).env("PWRFGS_DIGEST", "1").output();
-    let printed = String::from_utf8(output.unwrap().stdout).unwrap();
-    assert!(printed.contains(&format!("digest {digest}")), "{printed}");
+    let results = methods().into_iter().flat_map(|(_, method)| {
+        let (sums, d) = run(&method, Some(gpu), case, 0.0);
+        [sums, d].concat()
+    });
+    check_bits_in_another_process("nerf2::gpu_tests::bits_repeat_in_another_process", results);
 }
 
 #[test]

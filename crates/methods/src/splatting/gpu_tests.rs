@@ -5,6 +5,7 @@ use super::{Geometry, ReceiverView, Splatting};
 use crate::groups::network_vjp;
 use crate::{Activation, ActivationVjp, Readout};
 use pwrfgs_core::plugin::Plugin;
+use pwrfgs_core::testing::check_bits_in_another_process;
 use pwrfgs_core::{
     Call, Deformation, DeformationInputs, Deltas, Elevation, GaussianCloud, ImagePlane, MeasurementSetup, Method,
     MethodVjp, Origin, Parameters, PixelSubset, Pose, Primitives, Projector, Rasterizer, Real, Receiver, Splats,
@@ -16,7 +17,6 @@ use pwrfgs_gpu::draw::{
 };
 use pwrfgs_gpu::{Gpu, GpuStep, for_tests};
 use pwrfgs_raster::{AlphaBlending, Mercator};
-use std::process::Command;
 
 const COUNTS: [usize; 7] = [0, 1, 63, 64, 65, 157, 1000];
 const SIZE: (usize, usize) = (90, 40); // no whole number of tiles
@@ -421,23 +421,11 @@ fn slopes_match_differences() {
     }
 }
 
-/// The name of the test that prints bits for another process.
-const PRINTED: &str = "splatting::gpu_tests::bits_repeat_in_another_process";
-
 #[test]
 fn bits_repeat_in_another_process() {
     let Some(gpu) = for_tests() else { return };
-    let [numbers, d] = Case::new(NETWORK, Readout::MinMax, 157, 3).run(Some(gpu), 0.0).0;
-    let bytes: Vec<u8> = numbers.iter().chain(&d).flat_map(|x| x.to_le_bytes()).collect();
-    let digest = pwrfgs_core::files::digest(&bytes);
-    println!("digest {digest}");
-    if std::env::var_os("PWRFGS_DIGEST").is_some() {
-        return;
-    }
-    let program = std::env::current_exe().unwrap();
-    let output = Command::new(program).args([PRINTED, "--exact", "--nocapture"]).env("PWRFGS_DIGEST", "1").output();
-    let printed = String::from_utf8(output.unwrap().stdout).unwrap();
-    assert!(printed.contains(&format!("digest {digest}")), "{printed}");
+    let results = Case::new(NETWORK, Readout::MinMax, 157, 3).run(Some(gpu), 0.0).0.concat();
+    check_bits_in_another_process("splatting::gpu_tests::bits_repeat_in_another_process", results);
 }
 
 #[test]
