@@ -17,6 +17,7 @@ mod plan;
 mod pruning;
 mod settings;
 mod start;
+mod stepper;
 mod trainer;
 mod warnings;
 

@@ -1,15 +1,16 @@
 //! `Trainer`: the loop of algorithm 1, step by step.
 
-use crate::adam::{Adam, Rates};
+use crate::adam::Adam;
 use crate::batches::{Batches, plane_of_step};
 use crate::densify;
 use crate::edit::{self, GaussianIds, PerGaussianState};
-use crate::graph::{drawn_mask, gate_product, loss_and_gradients};
+use crate::graph::{drawn_mask, gate_product};
 use crate::loss::Objective;
 use crate::plan::TrainingPlan;
+use crate::stepper::Stepper;
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Origin, Phase, PruneTarget, Real, Result,
-    StepContext, WeightGroup, device, prune_contexts, rng,
+    CloudStats, ColumnSpec, Dataset, Error, GaussianCloud, ImagePlane, Origin, Phase, Plugin, PruneTarget, Pruner,
+    Real, Result, StepContext, WeightGroup, device, prune_contexts, rng,
 };
 use pwrfgs_model::{Model, Stages, TrainingPositions};
 use std::sync::{Arc, OnceLock};
@@ -194,7 +195,7 @@ impl Trainer<'_> {
         rayon::scope(|_| self.run_step())
     }
 
-    /// Runs one step on the calling thread and those of its pool.
+    /// Runs one step on the calling thread and those of its pool: batch, [`Stepper`], edit.
     fn run_step(&mut self) -> Result<StepReport> {
         let step = self.done + 1;
         self.before_reset = None;
@@ -203,34 +204,40 @@ impl Trainer<'_> {
         let batch = self.batches.of_step(step, &self.plan, self.data, &self.stages)?;
         let pruners = if context.phase == Phase::Finetune { Vec::new() } else { self.plan.pruners.clone() };
         let dropout = self.draw_dropout(step);
-        let weights = match &dropout {
-            Some(factors) => Arc::new(multiply(factors, &self.weights)),
-            None => Arc::clone(&self.weights),
-        };
-        let mut gradients =
-            loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &*self.objective, &pruners, &context)?;
-        device::check()?;
-        drop(weights); // the optimiser then updates them in place
-        if let Some(factors) = &dropout {
-            gradients.d_weights = multiply(factors, &gradients.d_weights);
-        }
-        self.stats.merge(&gradients.stats);
-        let rates = Rates { training: &self.plan.training, step };
-        let weights = Arc::make_mut(&mut self.weights);
-        (self.adam.step_cloud(rates, &self.specs, &mut self.cloud, &gradients.d_cloud))
-            .and_then(|()| self.adam.step_weights(rates, &self.groups, weights, &gradients.d_weights))
-            .map_err(|column| Error::NonFinite { what: column, step })?;
-        for (pruner, context) in pruners.iter().zip(prune_contexts(&pruners, &context)) {
-            pruner.update(&mut self.cloud, &self.stats, &context);
-        }
-        let pruned = self.change_count(&context)?.map(|(cloud, gaussian_ids)| {
-            let gates = self.gates_of(&cloud, &context);
-            PruneStepState { cloud, gaussian_ids, gates, round: (context.round, context.rounds) }
-        });
+        let (loss, penalty) = self.stepper().step(&batch, &pruners, dropout.as_deref(), &context)?;
+        let pruned = self.edit(&pruners, &context)?;
         device::check()?;
         self.done = step;
-        let (loss, penalty, gaussians) = (gradients.loss as f64, gradients.penalty as f64, self.cloud.len());
+        let (loss, penalty, gaussians) = (loss as f64, penalty as f64, self.cloud.len());
         Ok(StepReport { step, phase: context.phase, loss, penalty, gaussians, pruned })
+    }
+
+    /// Borrows what [`Stepper`] needs.
+    fn stepper(&mut self) -> Stepper<'_> {
+        let Self { plan, stages, objective, specs, groups, cloud, weights, adam, stats, .. } = self;
+        Stepper {
+            training: &plan.training,
+            stages,
+            objective: &**objective,
+            specs,
+            groups,
+            cloud,
+            weights,
+            adam,
+            stats,
+        }
+    }
+
+    /// Changes state and number of the Gaussians as pruners and algorithm 1 prescribe. Returns the state before a removal by
+    /// pruners; `None` without one.
+    fn edit(&mut self, pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Result<Option<PruneStepState>> {
+        for (pruner, context) in pruners.iter().zip(prune_contexts(pruners, context)) {
+            pruner.update(&mut self.cloud, &self.stats, &context);
+        }
+        Ok(self.change_count(context)?.map(|(cloud, gaussian_ids)| {
+            let gates = self.gates_of(&cloud, context);
+            PruneStepState { cloud, gaussian_ids, gates, round: (context.round, context.rounds) }
+        }))
     }
 
     /// Sets the image plane of `step`: every `stride`-th row and column.
@@ -347,9 +354,4 @@ impl Trainer<'_> {
     fn has_pruner_columns(&self, cloud: &GaussianCloud) -> bool {
         cloud.extra.len() > self.stages.method.traits().columns.len()
     }
-}
-
-/// Multiplies weights, or their derivatives, by the dropout factors.
-fn multiply(factors: &[Real], weights: &[Real]) -> Vec<Real> {
-    weights.iter().zip(factors).map(|(w, factor)| w * factor).collect()
 }
