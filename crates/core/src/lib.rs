@@ -69,7 +69,7 @@ pub use layout::{Layout, WeightGroup, WeightSpec};
 pub use memory::{check_memory, free_memory, memory_limit, peak_memory};
 pub use method::{
     Activated, Appearance, Call, Cost, ForwardOutput, Method, MethodTraits, MethodVjp, Parameters, PixelSubset,
-    WantedInputs,
+    SpectrumLoss, WantedInputs,
 };
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
 pub use misfit::{Demand, Misfit, Requirement, SetupDifference};

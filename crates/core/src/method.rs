@@ -4,6 +4,7 @@
 use crate::{
     Cache, CloudStats, Dataset, Deformation, GaussianCloud, ImagePlane, Layout, LinkInputs, MeasurementSetup, Misfit,
     Needs, PassStatistics, Plugin, Primitives, Projector, Rasterizer, Real, Requirement, StageTimes, Task, plugin_kind,
+    ssim::Window,
 };
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -57,6 +58,19 @@ impl PixelSubset {
             Self::Each(_) => 1,
         }
     }
+}
+
+/// Loss of spectra against measurements, as data, for a method that computes loss and derivative together.
+#[derive(Clone, Copy, Debug)]
+pub struct SpectrumLoss<'a> {
+    /// Measured spectra `[L, H·W]`.
+    pub truths: &'a [Real],
+    /// Weight w of 1-SSIM; the mean error of the pixels has weight 1-w.
+    pub ssim_weight: Real,
+    /// Window of SSIM.
+    pub window: Window,
+    /// Whether errors are squared; otherwise absolute.
+    pub is_squared: bool,
 }
 
 /// Observations, with the state for the backward pass.
@@ -123,6 +137,12 @@ pub trait Method: crate::plugin::PluginObject {
     /// Returns properties that do not depend on the frame.
     fn traits(&self) -> MethodTraits<'_> {
         MethodTraits::default()
+    }
+
+    /// Returns the `loss` of the predictions, averaged over links, and its derivative, if predictions need not leave the
+    /// device in between; otherwise `None`, and the caller computes the loss between [`Method::forward`] and [`Method::vjp`].
+    fn loss_vjp(&self, call: &Call<'_>, loss: &SpectrumLoss<'_>) -> Option<(Real, MethodVjp)> {
+        None
     }
 
     /// Returns the memory of a step over `links` with `pixels` values each.

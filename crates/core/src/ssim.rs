@@ -109,6 +109,11 @@ impl Window {
         let sum: f64 = raw.iter().sum();
         Self(raw.map(|w| (w / sum) as Real))
     }
+
+    /// Returns the taps.
+    pub fn taps(&self) -> &[Real; TAPS] {
+        &self.0
+    }
 }
 
 impl Default for Window {

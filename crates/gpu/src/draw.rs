@@ -1,14 +1,16 @@
-//! Drawing of Gaussians on a GPU: activation, projection, tile lists, blending and readout, with the backward pass. The
+//! Drawing of Gaussians on a GPU: activation, projection, tile lists, blending, readout and loss, with the backward pass. The
 //! kernels are in the folder `draw`.
 //!
 //! ```text
 //! CLOUD, VIEW, TERMS ─► project ─► SPLATS ─► blend ─► PIXELS ─► read_out ─► IMAGE
+//! IMAGE, TRUTHS ─► blur_moments ─► MOMENTS ─► similarity ─► SLOPES ─► blur_slopes ─► loss_vjp ─► D_IMAGE; sum_loss ─► LOSSES
 //! D_IMAGE ─► read_out_vjp ─► D_PIXELS ─► blend_vjp over the LISTS ─► PARTS ─► sum_tiles ─► D_SPLATS ─► project_vjp ─► D_ROWS
 //! ```
 
 use crate::adapters::Gpu;
 use crate::step::GpuStep;
 use pwrfgs_core::{Error, Real, Result};
+use std::sync::PoisonError;
 
 /// Slot of the Gaussians in depth order, `[N, 13]`: mean, log scales, rotation, opacity logit, gate, existence.
 pub const CLOUD: usize = 0;
@@ -26,8 +28,10 @@ pub const PIXELS: usize = 5;
 pub const IMAGE: usize = 6;
 /// See [`IMAGE`].
 pub const D_IMAGE: usize = 7;
-/// Slot of the cotangents of the blended signals, and their products with the pixels, `[links, 3, H·W]`.
+/// Slot of the cotangents of the blended signals, and their products with the pixels, `[links, 3, H·W]`; before them of
+/// means along rows for SSIM, `[links, 4, H·W]`.
 pub const D_PIXELS: usize = 8;
+const MOMENTS: usize = D_PIXELS;
 /// Slot of the offsets of the tile lists `[tiles + 1]`; the lists follow.
 pub const LISTS: usize = 9;
 /// Slot of the derivatives of the entries of the lists.
@@ -37,6 +41,14 @@ pub const D_SPLATS: usize = 11;
 /// Slot of the derivatives by the Gaussians, `[N, 20]`: mean, log scales, rotation, logit, gate, scale terms, rotation terms,
 /// and the radius.
 pub const D_ROWS: usize = 12;
+/// Slot of the measured images `[links, H·W]`.
+pub const TRUTHS: usize = 13;
+/// Slot of the derivatives of the similarity of SSIM, and of the similarity, `[links, 4, H·W]`.
+const SLOPES: usize = 14;
+/// Slot of the taps of the window of SSIM, and the shares of the error and of SSIM of a pixel in the loss.
+pub const LOSS: usize = 15;
+/// Slot of the sums of errors and of 1 - similarity over pixels, `[links, 2]`.
+pub const LOSSES: usize = 16;
 
 /// Values per Gaussian in slots [`CLOUD`], [`TERMS`], [`SPLATS`] and [`D_ROWS`].
 pub const WIDTHS: [usize; 4] = [13, 7, 12, 20];
@@ -46,6 +58,10 @@ pub const GEOMETRY: usize = 8;
 const PART: usize = 10;
 /// Number of constants in slot [`VIEW`].
 pub const VIEW_LEN: usize = 23;
+/// Number of constants in slot [`LOSS`].
+pub const LOSS_LEN: usize = 13;
+/// Entries of tile lists for which buffers are made first.
+const FIRST_ENTRIES: usize = 4096;
 /// Most entries of all tile lists: kernels store them as single-precision numbers.
 const MOST_ENTRIES: f64 = 16_777_216.0;
 /// Pixels along the side of a tile.
@@ -103,13 +119,12 @@ impl Drawing {
         let [cloud, terms, splats, rows] = WIDTHS.map(|width| n * width);
         let (images, signals) = (links * self.pixels(), n * links * channels);
         let mut sizes = vec![cloud, VIEW_LEN, terms, signals, splats, 2 * images + self.tiles(), images];
-        sizes.resize(D_ROWS + 1, 1);
+        sizes.resize(LOSSES + 1, 1);
         if let Some(entries) = entries {
-            // Lists differ from step to step, and buffers that grow lose their content.
-            let entries = entries.next_power_of_two();
-            let derived =
-                [images, 3 * images, self.tiles() + 1 + entries, PART * entries, n * self.derivatives(), rows];
-            sizes[D_IMAGE..].copy_from_slice(&derived);
+            let entries = entries.next_power_of_two(); // lists differ from step to step
+            let (lists, splats) = (self.tiles() + 1 + entries, n * self.derivatives());
+            sizes[D_IMAGE..TRUTHS].copy_from_slice(&[images, 4 * images, lists, PART * entries, splats, rows]);
+            sizes[TRUTHS..].copy_from_slice(&[images, 4 * images, LOSS_LEN, 2 * links]);
         }
         sizes
     }
@@ -157,17 +172,25 @@ impl Drawing {
         step.pass("read_out_vjp", [PIXELS, D_IMAGE, PIXELS, PIXELS, D_PIXELS], arguments, [self.links, 1, 1]);
     }
 
-    /// Records the backward pass of [`Self::blend`], from [`D_PIXELS`] to [`D_SPLATS`]. `lengths` are those of the tile lists,
-    /// as [`Self::blend`] left them.
-    pub fn blend_vjp(&self, step: &mut GpuStep<'_>, lengths: &[Real]) {
-        let mut offsets = vec![0.0];
-        lengths.iter().fold(0.0, |sum, length| {
-            offsets.push(sum + length);
-            sum + length
-        });
-        step.upload(LISTS, 0, &offsets);
+    /// Records the loss of [`IMAGE`] against [`TRUTHS`] with the constants in [`LOSS`], to [`LOSSES`], and its derivative, to
+    /// [`D_IMAGE`].
+    pub fn loss(&self, step: &mut GpuStep<'_>, is_squared: bool, has_ssim: bool) {
+        let arguments = self.arguments(0, usize::from(is_squared) + 2 * usize::from(has_ssim));
+        let per_pixel = [self.pixels().div_ceil(256), self.links, 1];
+        if has_ssim {
+            step.pass("blur_moments", [IMAGE, TRUTHS, LOSS, IMAGE, MOMENTS], arguments, per_pixel);
+            step.pass("similarity", [IMAGE, IMAGE, LOSS, MOMENTS, SLOPES], arguments, per_pixel);
+            step.pass("blur_slopes", [SLOPES, IMAGE, LOSS, IMAGE, MOMENTS], arguments, per_pixel);
+        }
+        step.pass("loss_vjp", [IMAGE, TRUTHS, LOSS, MOMENTS, D_IMAGE], arguments, per_pixel);
+        step.pass("sum_loss", [IMAGE, TRUTHS, LOSS, SLOPES, LOSSES], arguments, [self.links, 1, 1]);
+    }
+
+    /// Records the backward pass of [`Self::blend`], from [`D_PIXELS`] to [`D_SPLATS`].
+    pub fn blend_vjp(&self, step: &mut GpuStep<'_>) {
         step.clear(D_SPLATS, self.gaussians * self.derivatives());
         let tiles = [if self.gaussians > 0 { self.tiles() } else { 0 }, 1, 1];
+        step.pass("offsets", [PIXELS, PIXELS, PIXELS, PIXELS, LISTS], self.arguments(0, 0), [1, 1, 1]);
         step.pass("list", [SPLATS, SPLATS, SPLATS, SPLATS, LISTS], self.arguments(0, 0), tiles);
         for link in 0..self.links {
             let arguments = self.arguments(link, 0);
@@ -188,6 +211,13 @@ impl Drawing {
 }
 
 impl Gpu {
+    /// Returns the number of entries of tile lists that the buffers of drawings hold.
+    pub fn list_entries(&self) -> usize {
+        let workspace = self.drawings.lock().unwrap_or_else(PoisonError::into_inner);
+        let bytes = workspace.buffers.get(PARTS).map_or(0, |buffer| buffer.size() as usize);
+        (bytes / (size_of::<f32>() * PART)).max(FIRST_ENTRIES)
+    }
+
     /// Begins a step that draws, with buffers of at least `sizes` numbers by slot. The buffers are not those of networks.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! Passes of networks and of drawing on a GPU through wgpu (Vulkan, Metal, DX12), in single precision.
+//! Passes of networks, of drawing and of the loss on a GPU through wgpu (Vulkan, Metal, DX12), in single precision.
 //!
 //! [`select`] chooses the GPU of the process, [`current`] returns it. A [`GpuStep`] holds the GPU for one pass of a network
 //! or of a [drawing](draw): upload, products and other passes over [`Block`]s of its buffers, read. The kernels are in

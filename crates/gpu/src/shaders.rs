@@ -4,8 +4,22 @@
 pub(crate) const NETWORKS_SOURCE: &str = concat!(include_str!("bindings.wgsl"), include_str!("kernels.wgsl"));
 
 /// Entry points of [`DRAWING_SOURCE`].
-pub(crate) const DRAWING: [&str; 8] =
-    ["project", "project_vjp", "blend", "list", "blend_vjp", "sum_tiles", "read_out", "read_out_vjp"];
+pub(crate) const DRAWING: [&str; 14] = [
+    "project",
+    "project_vjp",
+    "blend",
+    "offsets",
+    "list",
+    "blend_vjp",
+    "sum_tiles",
+    "read_out",
+    "read_out_vjp",
+    "blur_moments",
+    "similarity",
+    "blur_slopes",
+    "loss_vjp",
+    "sum_loss",
+];
 
 /// Files of the folder `draw`.
 pub(crate) const DRAWING_SOURCE: &str = concat!(
@@ -13,5 +27,6 @@ pub(crate) const DRAWING_SOURCE: &str = concat!(
     include_str!("draw/common.wgsl"),
     include_str!("draw/project.wgsl"),
     include_str!("draw/blend.wgsl"),
-    include_str!("draw/readout.wgsl")
+    include_str!("draw/readout.wgsl"),
+    include_str!("draw/loss.wgsl")
 );

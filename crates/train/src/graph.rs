@@ -2,9 +2,9 @@
 //!
 //! ```text
 //! cloud ── pruners.gate ──► M [N] (opacity and scale), existence [N] (weight in blending)
-//!   └──── observe: the method makes observations of cloud, gates and Θ ─► loss (+ penalty)
+//!   └──── observed_loss: the method makes observations of cloud, gates and Θ ─► loss (+ penalty)
 //! ```
-//! Gaussians that cannot be visible (closed gate, too faint, or out of view) are excluded from `observe`; their
+//! Gaussians that cannot be visible (closed gate, too faint, or out of view) are excluded from `observed_loss`; their
 //! derivatives are zero. If a deformation couples Gaussians, all pass through it and the rasterizer skips the invisible
 //! ones.
 
@@ -97,8 +97,7 @@ fn run_graph(
         stats: Rc::clone(&stats),
     };
 
-    let observed = graph.observe(&traced, gates);
-    let loss = graph.loss(observed, objective);
+    let loss = graph.observed_loss(&traced, gates, objective);
 
     let value = loss.array();
     let penalty_value = penalty.as_ref().map_or(0.0, AsArray::array);
@@ -242,6 +241,18 @@ impl DrawableGaussians {
         }
         scattered
     }
+
+    /// Returns the derivatives of the whole cloud: of the columns `names` and of the gates; writes statistics.
+    fn scatter_all(&self, names: &[&str], sums: &MethodVjp, stats: &mut CloudStats) -> Vec<Vec<Real>> {
+        for ((_, column), (_, drawn)) in stats.columns_mut().into_iter().zip(sums.stats.columns()) {
+            *column = self.scatter(1, drawn);
+        }
+        let column = |name: &&str| sums.cloud.columns().find(|column| column.0 == *name);
+        let columns = names.iter().filter_map(column).map(|(_, width, values)| self.scatter(width, values));
+        let gate = self.gate.is_some().then(|| self.scatter(1, &sums.gate));
+        let existence = self.existence.is_some().then(|| self.scatter(1, &sums.existence));
+        columns.chain(gate).chain(existence).collect()
+    }
 }
 
 struct Graph {
@@ -256,8 +267,37 @@ struct Graph {
 }
 
 impl Graph {
-    /// Runs the method as an op: columns of the cloud and gate (and Θ, outside the tape) → observations `[L, numbers]`.
-    fn observe(&self, traced: &TracedCloud, mut gates: Gates) -> Trace {
+    /// Runs method and loss as ops on the columns of the cloud and the gates (and Θ, outside the tape) → a scalar: as one op
+    /// if the method computes both, otherwise over the observations `[L, numbers]`.
+    fn observed_loss(&self, traced: &TracedCloud, gates: Gates, objective: &dyn Objective) -> TraceScalar {
+        let (names, inputs) = self.inputs(traced, gates);
+        let call = self.batch.call(&self.stages.setup, self.drawable.parameters(&self.weights));
+        let is_whole = self.batch.pixels == PixelSubset::All;
+        let loss = objective.as_spectrum_loss(&self.batch.truths).filter(|_| is_whole);
+        if let Some((value, mut sums)) = loss.and_then(|loss| self.stages.method.loss_vjp(&call, &loss)) {
+            *self.d_weights.borrow_mut() = std::mem::take(&mut sums.weights);
+            let d_inputs = self.drawable.scatter_all(&names, &sums, &mut self.stats.borrow_mut());
+            // The loss is a term of the root of the tape: its cotangent is 1.
+            let loss = op(inputs, vec![vec![value]], move |_| d_inputs);
+            return loss.into_iter().next().expect("one output").sum();
+        }
+        let (stages, batch, drawable) = (Arc::clone(&self.stages), Arc::clone(&self.batch), Rc::clone(&self.drawable));
+        let (weights, d_weights, stats) =
+            (Arc::clone(&self.weights), Rc::clone(&self.d_weights), Rc::clone(&self.stats));
+        let mut observed = stages.method.forward(&call, &None);
+        let numbers = std::mem::take(&mut observed.numbers);
+        let vjp = move |d: Vec<Vec<Real>>| {
+            let call = batch.call(&stages.setup, drawable.parameters(&weights));
+            let mut sums = MethodVjp::zeros(&call, WantedInputs::default());
+            stages.method.vjp(&call, observed, &d[0], &mut sums);
+            *d_weights.borrow_mut() = std::mem::take(&mut sums.weights);
+            drawable.scatter_all(&names, &sums, &mut stats.borrow_mut())
+        };
+        self.loss(op(inputs, vec![numbers], vjp).remove(0), objective)
+    }
+
+    /// Returns the names of the columns that the method reads, and these columns with the gates.
+    fn inputs(&self, traced: &TracedCloud, mut gates: Gates) -> (Vec<&'static str>, Vec<Trace>) {
         // Standard columns and those of the method; columns of pruners act through the gate.
         let MethodTraits { columns, supports_existence_gate, .. } = self.stages.method.traits();
         let method_columns = columns.into_iter().map(|(name, _)| name);
@@ -266,28 +306,8 @@ impl Graph {
         if !supports_existence_gate && let Some(existence) = gates.existence.take() {
             multiply(&mut gates.whole, existence);
         }
-        let inputs: Vec<Trace> = columns.chain(gates.whole).chain(gates.existence).collect();
-        let (stages, batch, drawable) = (Arc::clone(&self.stages), Arc::clone(&self.batch), Rc::clone(&self.drawable));
-        let (weights, d_weights, stats) =
-            (Arc::clone(&self.weights), Rc::clone(&self.d_weights), Rc::clone(&self.stats));
-        let mut observed = stages.method.forward(&batch.call(&stages.setup, drawable.parameters(&weights)), &None);
-        let numbers = std::mem::take(&mut observed.numbers);
-        let vjp = move |d: Vec<Vec<Real>>| {
-            let call = batch.call(&stages.setup, drawable.parameters(&weights));
-            let mut sums = MethodVjp::zeros(&call, WantedInputs::default());
-            stages.method.vjp(&call, observed, &d[0], &mut sums);
-            *d_weights.borrow_mut() = sums.weights;
-            let mut stats = stats.borrow_mut();
-            for ((_, column), (_, drawn)) in stats.columns_mut().into_iter().zip(sums.stats.columns()) {
-                *column = drawable.scatter(1, drawn);
-            }
-            let column = |name: &&str| sums.cloud.columns().find(|column| column.0 == *name);
-            let columns = names.iter().filter_map(column).map(|(_, width, values)| drawable.scatter(width, values));
-            let gate = drawable.gate.is_some().then(|| drawable.scatter(1, &sums.gate));
-            let existence = drawable.existence.is_some().then(|| drawable.scatter(1, &sums.existence));
-            columns.chain(gate).chain(existence).collect()
-        };
-        op(inputs, vec![numbers], vjp).remove(0)
+        let inputs = columns.chain(gates.whole).chain(gates.existence).collect();
+        (names, inputs)
     }
 
     /// Runs the loss as an op: observations `[L, numbers]` → a scalar.

@@ -2,7 +2,7 @@
 
 use crate::settings::{PixelLoss, Training};
 use pwrfgs_core::ssim::{self, Window};
-use pwrfgs_core::{Dataset, Real};
+use pwrfgs_core::{Dataset, Real, SpectrumLoss};
 use rayon::prelude::*;
 
 /// Loss of predictions against measurements.
@@ -10,6 +10,12 @@ pub trait Objective: std::fmt::Debug + Send + Sync {
     /// Returns the loss of predictions `[L, numbers]` against measurements `[L, numbers]`, averaged over links, and its
     /// derivative with respect to the predictions. `size` is columns and rows of one observation.
     fn evaluate(&self, predictions: &[Real], truths: &[Real], size: (usize, usize)) -> (Real, Vec<Real>);
+
+    /// Returns this loss as data, for methods that [compute it themselves](pwrfgs_core::Method::loss_vjp); `None` if it has
+    /// another form.
+    fn as_spectrum_loss<'a>(&self, _truths: &'a [Real]) -> Option<SpectrumLoss<'a>> {
+        None
+    }
 }
 
 /// Creates the loss for `settings` and `data` with the training links `train`.
@@ -128,5 +134,10 @@ impl Objective for RenderingLoss {
             })
             .collect();
         (parts.iter().sum(), d)
+    }
+
+    fn as_spectrum_loss<'a>(&self, truths: &'a [Real]) -> Option<SpectrumLoss<'a>> {
+        let &Self { ssim_weight, window, errors } = self;
+        Some(SpectrumLoss { truths, ssim_weight, window, is_squared: errors == PixelLoss::Squared })
     }
 }

@@ -79,7 +79,23 @@ fn blend(@builtin(local_invocation_index) l: u32, @builtin(workgroup_id) w: vec3
   if (l == 0u && link == 0u) { C[2u * s.links * size + tile] = f32(listed); }
 }
 
-// C are the offsets [tiles + 1] of the lists, and then the lists.
+// C are the offsets [tiles + 1] of the lists, whose lengths follow the pixels A; one workgroup.
+@compute @workgroup_size(256)
+fn offsets(@builtin(local_invocation_index) l: u32) {
+  let lengths = 2u * s.links * s.width * s.height;
+  var sum = 0u;
+  if (l == 0u) { C[0] = 0.0; }
+  for (var first = 0u; first < s.tiles; first += 256u) {
+    let tile = first + l;
+    var length = 0u;
+    if (tile < s.tiles) { length = u32(A[lengths + tile]); }
+    scan_sums(l, length);
+    if (tile < s.tiles) { C[tile + 1u] = f32(sum + scan[l]); }
+    sum += workgroupUniformLoad(&scan[255]);
+  }
+}
+
+// C are these offsets, and then the lists.
 @compute @workgroup_size(256)
 fn list(@builtin(local_invocation_index) l: u32, @builtin(workgroup_id) w: vec3u) {
   let corner = corner_of(w.x); let start = s.tiles + 1u;

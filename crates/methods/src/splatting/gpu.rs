@@ -2,26 +2,32 @@
 //! and step, because the network moves no centre; it also adds the terms of the network to the signals.
 
 use super::{ReceiverView, Splatting};
-use crate::groups::ReceiverGroup;
+use crate::groups::{ReceiverGroup, network_vjp};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
-    Call, Deltas, MeasurementSetup, MethodVjp, Parameters, Real, RenderVjp, Result, Sampling, Splats, device,
+    Call, DeformationInputs, Deltas, MeasurementSetup, MethodVjp, Parameters, Real, RenderVjp, Result, Sampling,
+    SpectrumLoss, Splats, WantedInputs, device,
 };
 use pwrfgs_gpu::draw::{
-    CLOUD, D_IMAGE, D_ROWS, D_SPLATS, Drawing, GpuReadout, IMAGE, PIXELS, SIGNALS, TERMS, VIEW, VIEW_LEN, WIDTHS,
+    CLOUD, D_IMAGE, D_ROWS, D_SPLATS, Drawing, GpuReadout, IMAGE, LOSS, LOSSES, PIXELS, SIGNALS, TERMS, TRUTHS, VIEW,
+    VIEW_LEN, WIDTHS,
 };
 use pwrfgs_gpu::{Gpu, GpuStep};
 use pwrfgs_raster::{AlphaBlending, Mercator, Support};
 use std::any::Any;
 use std::sync::Arc;
 
-/// State of drawings on the GPU for the backward pass.
-#[derive(Debug)]
-pub(super) struct GpuDrawing {
-    /// Number of the step, whose last group may still be on the GPU.
-    step: u64,
-    groups: Vec<DrawnGroup>,
+/// Origin of the cotangents of the observations.
+#[derive(Clone, Copy)]
+pub(super) enum Cotangents<'a> {
+    /// Given, `[L, H·W]`.
+    Given(&'a [Real]),
+    /// Those of a loss, which the GPU computes too.
+    OfLoss(&'a SpectrumLoss<'a>),
 }
+
+/// Results of a group in a backward pass: lengths of tile lists, losses, derivatives by splats and by Gaussians.
+const RESULTS: usize = 4;
 
 /// Links with one geometry.
 #[derive(Debug)]
@@ -31,8 +37,6 @@ struct DrawnGroup {
     shape: Drawing,
     /// Indices of the Gaussians, nearest first.
     order: Arc<Vec<u32>>,
-    /// Lengths of the tile lists.
-    lengths: Vec<Real>,
 }
 
 impl Splatting {
@@ -75,54 +79,29 @@ impl Splatting {
         }
     }
 
-    /// Draws all links; returns the observations, and the state for the backward pass. If the GPU fails, records the error
-    /// and returns zeros.
-    pub(super) fn gpu_draw(&self, gpu: &Gpu, call: &Call<'_>, deltas: &Deltas) -> (Vec<Real>, Option<GpuDrawing>) {
-        match self.gpu_observations(gpu, call, deltas) {
-            Ok((numbers, drawing)) => (numbers, Some(drawing)),
-            Err(error) => {
-                device::fail(error);
-                (vec![0.0; call.links.pairs.len() * call.setup.value_count()], None)
-            }
-        }
-    }
-
-    /// Draws as [`Self::gpu_draw`].
+    /// Returns the observations of all links.
     ///
     /// # Errors
     /// The GPU failed.
-    pub(super) fn gpu_observations(
-        &self,
-        gpu: &Gpu,
-        call: &Call<'_>,
-        deltas: &Deltas,
-    ) -> Result<(Vec<Real>, GpuDrawing)> {
-        let mut groups = self.gpu_groups(call, deltas);
+    pub(super) fn gpu_draw(&self, gpu: &Gpu, call: &Call<'_>, deltas: &Deltas) -> Result<Vec<Real>> {
+        let groups = self.gpu_groups(call, deltas);
         let mut step = gpu.drawing_step(&sizes_of(&groups, None))?;
-        let number = step.number();
         let mut last = None;
         for drawn in &groups {
-            self.upload_group(&mut step, call, deltas, drawn, last.replace(drawn.group.row));
-            let DrawnGroup { shape, .. } = drawn;
-            shape.project(&mut step);
-            shape.blend(&mut step);
-            shape.read_out(&mut step);
-            let images = shape.links * shape.pixels();
-            step.read(IMAGE, 0, images);
-            step.read(PIXELS, 2 * images, shape.tiles());
+            self.record_drawing(&mut step, call, deltas, drawn, last.replace(drawn.group.row));
+            step.read(IMAGE, 0, drawn.shape.links * drawn.shape.pixels());
             step.send();
         }
         let numbers = call.setup.value_count();
         let mut all = vec![0.0; call.links.pairs.len() * numbers];
-        for (drawn, results) in groups.iter_mut().zip(step.finish()?.chunks_exact_mut(2)) {
-            drawn.group.scatter_rows(&results[0], numbers, &mut all);
-            drawn.lengths = std::mem::take(&mut results[1]);
+        for (drawn, images) in groups.iter().zip(step.finish()?) {
+            drawn.group.scatter_rows(&images, numbers, &mut all);
         }
-        Ok((all, GpuDrawing { step: number, groups }))
+        Ok(all)
     }
 
-    /// Runs the backward pass of [`Self::gpu_draw`], given the cotangents `d` of the observations; adds to `grads` and to
-    /// existence factors and statistics of `sums`. Begins with the last group, which may still be on the GPU.
+    /// Draws all links and runs the backward pass, group by group; adds to `grads` and to existence factors and statistics of
+    /// `sums`. Returns the loss, 0 with given cotangents.
     ///
     /// # Errors
     /// The GPU failed; the sums are then unchanged.
@@ -130,49 +109,104 @@ impl Splatting {
         &self,
         gpu: &Gpu,
         call: &Call<'_>,
-        GpuDrawing { step: number, groups }: &GpuDrawing,
-        (deltas, d): (&Deltas, &[Real]),
+        (deltas, d): (&Deltas, Cotangents<'_>),
         grads: &mut ActivationVjp,
         sums: &mut MethodVjp,
-    ) -> Result<()> {
-        let mut entries = 0;
-        for drawn in groups {
-            entries = entries.max(Drawing::entries(&drawn.lengths)?);
-        }
-        let mut step = gpu.drawing_step(&sizes_of(groups, Some(entries)))?;
-        let mut is_kept = step.follows(*number);
-        let mut last = None;
-        for drawn in groups.iter().rev() {
-            let DrawnGroup { shape, .. } = drawn;
-            let uploaded = last.replace(drawn.group.row);
-            if !std::mem::take(&mut is_kept) {
-                self.upload_group(&mut step, call, deltas, drawn, uploaded);
-                shape.project(&mut step);
-                shape.blend(&mut step);
+    ) -> Result<Real> {
+        let groups = self.gpu_groups(call, deltas);
+        let mut entries = gpu.list_entries();
+        let results = loop {
+            let mut step = gpu.drawing_step(&sizes_of(&groups, Some(entries)))?;
+            self.record_vjp(&mut step, call, (deltas, d), &groups);
+            let results = step.finish()?;
+            let mut needed = 0;
+            for lengths in results.chunks_exact(RESULTS).map(|of_group| &of_group[0]) {
+                needed = needed.max(Drawing::entries(lengths)?);
             }
-            step.upload(D_IMAGE, 0, &drawn.group.gather_rows(d, call.setup.value_count()));
-            shape.read_out_vjp(&mut step);
-            shape.blend_vjp(&mut step, &drawn.lengths);
-            shape.project_vjp(&mut step);
+            if needed <= entries {
+                break results;
+            }
+            entries = needed; // the lists did not fit, so results are not valid
+        };
+        let mut loss = 0.0;
+        for (drawn, results) in groups.iter().zip(results.chunks_exact(RESULTS)) {
+            let [_, losses, d_splats, d_rows] = [0, 1, 2, 3].map(|k| &results[k][..]);
+            loss += losses.chunks_exact(2).map(|link| weigh_loss(call, d, link)).sum::<Real>();
+            self.add_group(call, deltas, drawn, [d_splats, d_rows], grads, sums);
+            let rows: Vec<usize> = (0..drawn.shape.gaussians).collect();
+            let d_render = render_vjp(drawn, d_splats);
+            sums.stats.add_render(&rows, &radii_of(drawn, d_rows), &d_render, &drawn.view.plane, groups.len());
+        }
+        Ok(loss)
+    }
+
+    /// Returns the loss of the predictions and its derivative. If the GPU fails, records the error and returns zeros.
+    pub(super) fn gpu_loss_vjp(&self, gpu: &Gpu, call: &Call<'_>, loss: &SpectrumLoss<'_>) -> (Real, MethodVjp) {
+        let Call { setup, parameters: p, links, .. } = *call;
+        let mut sums = MethodVjp::zeros(call, WantedInputs::default());
+        let (deltas, kept) = self.network_terms(call, &None, true);
+        let mut grads = ActivationVjp::zeros(p.cloud, &deltas);
+        let d = (&deltas, Cotangents::OfLoss(loss));
+        let value = self.gpu_draw_vjp(gpu, call, d, &mut grads, &mut sums).unwrap_or_else(|error| {
+            device::fail(error);
+            0.0
+        });
+        let (weights, pose) = (self.split_weights(setup, p.weights).0, setup.pose());
+        let inputs =
+            DeformationInputs { weights, means: &p.cloud.means, txs: links.conditions(), pose: &pose, kept: &kept };
+        network_vjp(&*self.deformation, &inputs, &grads, &mut sums);
+        (value, sums)
+    }
+
+    /// Records the drawing of a group and its readout.
+    fn record_drawing(
+        &self,
+        step: &mut GpuStep<'_>,
+        call: &Call<'_>,
+        deltas: &Deltas,
+        drawn: &DrawnGroup,
+        last: Option<usize>,
+    ) {
+        self.upload_group(step, call, deltas, drawn, last);
+        drawn.shape.project(step);
+        drawn.shape.blend(step);
+        drawn.shape.read_out(step);
+    }
+
+    /// Records drawing and backward pass of all groups, with [`RESULTS`] results for each.
+    fn record_vjp(
+        &self,
+        step: &mut GpuStep<'_>,
+        call: &Call<'_>,
+        (deltas, d): (&Deltas, Cotangents<'_>),
+        groups: &[DrawnGroup],
+    ) {
+        if let Cotangents::OfLoss(loss) = d {
+            step.upload(LOSS, 0, &[&loss.window.taps()[..], &loss_shares(call, loss)].concat());
+        }
+        let (mut last, numbers) = (None, call.setup.value_count());
+        for drawn in groups {
+            let DrawnGroup { shape, group, .. } = drawn;
+            self.record_drawing(step, call, deltas, drawn, last.replace(group.row));
+            match d {
+                Cotangents::Given(d) => step.upload(D_IMAGE, 0, &group.gather_rows(d, numbers)),
+                Cotangents::OfLoss(loss) => {
+                    step.upload(TRUTHS, 0, &group.gather_rows(loss.truths, numbers));
+                    shape.loss(step, loss.is_squared, loss.ssim_weight > 0.0);
+                }
+            }
+            shape.read_out_vjp(step);
+            shape.blend_vjp(step);
+            shape.project_vjp(step);
+            step.read(PIXELS, 2 * shape.links * shape.pixels(), shape.tiles());
+            step.read(LOSSES, 0, 2 * shape.links);
             step.read(D_SPLATS, 0, shape.gaussians * shape.derivatives());
             step.read(D_ROWS, 0, shape.gaussians * WIDTHS[3]);
             step.send();
         }
-        let results = step.finish()?;
-        for (drawn, results) in groups.iter().rev().zip(results.chunks_exact(2)) {
-            self.add_group(call, deltas, drawn, [&results[0], &results[1]], grads, sums);
-            sums.stats.add_render(
-                &(0..drawn.shape.gaussians).collect::<Vec<_>>(),
-                &radii_of(drawn, &results[1]),
-                &render_vjp(drawn, &results[0]),
-                &drawn.view.plane,
-                groups.len(),
-            );
-        }
-        Ok(())
     }
 
-    /// Returns the links of `call` by geometry, without tile lists. Sorts before a step begins: sorting uses threads that
+    /// Returns the links of `call` by geometry. Sorts before a step begins: sorting uses threads that
     /// could take up work that waits for the GPU.
     fn gpu_groups(&self, call: &Call<'_>, deltas: &Deltas) -> Vec<DrawnGroup> {
         let Call { setup, parameters: p, links, .. } = *call;
@@ -186,7 +220,7 @@ impl Splatting {
             let (links, channels) = (group.links.len(), self.readout.channel_count());
             let shape = Drawing { gaussians, links, size, channels, readout, has_terms };
             let view = ReceiverView { pose: group.state.pose, plane: plane.clone() };
-            all.push(DrawnGroup { group, view, shape, order, lengths: Vec::new() });
+            all.push(DrawnGroup { group, view, shape, order });
         }
         all
     }
@@ -264,6 +298,18 @@ impl Splatting {
             self.activation().signals_vjp(p.cloud, terms, batch, &d_signals, grads);
         });
     }
+}
+
+/// Returns the shares of the error and of 1-SSIM of a pixel in the loss.
+fn loss_shares(call: &Call<'_>, loss: &SpectrumLoss<'_>) -> [Real; 2] {
+    let numbers = (call.links.pairs.len() * call.setup.value_count()) as Real;
+    [(1.0 - loss.ssim_weight) / numbers, loss.ssim_weight / numbers]
+}
+
+/// Returns the share of a link in the loss, given its two sums; 0 without a loss.
+fn weigh_loss(call: &Call<'_>, d: Cotangents<'_>, sums: &[Real]) -> Real {
+    let Cotangents::OfLoss(loss) = d else { return 0.0 };
+    loss_shares(call, loss).iter().zip(sums).map(|(share, sum)| share * sum).sum()
 }
 
 /// Adds numbers to sums.

@@ -1,19 +1,20 @@
 //! Drawing on the GPU against that on the CPU, which has tests of its own: kernel by kernel, as a whole, slopes, bits.
 
-use super::gpu::view_constants;
+use super::gpu::{Cotangents, view_constants};
 use super::{Geometry, ReceiverView, Splatting};
 use crate::groups::network_vjp;
 use crate::{Activation, ActivationVjp, Readout};
 use pwrfgs_core::plugin::Plugin;
+use pwrfgs_core::ssim::Window;
 use pwrfgs_core::testing::check_bits_in_another_process;
 use pwrfgs_core::{
     Call, Deformation, DeformationInputs, Deltas, Elevation, GaussianCloud, ImagePlane, MeasurementSetup, Method,
-    MethodVjp, Origin, Parameters, PixelSubset, Pose, Primitives, Projector, Rasterizer, Real, Receiver, Splats,
-    WantedInputs, rng,
+    MethodVjp, Origin, Parameters, PixelSubset, Pose, Primitives, Projector, Rasterizer, Real, Receiver, SpectrumLoss,
+    Splats, WantedInputs, rng, ssim,
 };
 use pwrfgs_gpu::draw::{
-    CLOUD, D_IMAGE, D_PIXELS, D_ROWS, D_SPLATS, Drawing, GpuReadout, IMAGE, PIXELS, SIGNALS, SPLATS, TERMS, VIEW,
-    WIDTHS,
+    CLOUD, D_IMAGE, D_PIXELS, D_ROWS, D_SPLATS, Drawing, GpuReadout, IMAGE, LOSS, LOSSES, PIXELS, SIGNALS, SPLATS,
+    TERMS, TRUTHS, VIEW, WIDTHS,
 };
 use pwrfgs_gpu::{Gpu, GpuStep, for_tests};
 use pwrfgs_raster::{AlphaBlending, Mercator};
@@ -195,7 +196,11 @@ fn blending_matches_forward_and_backward() {
         let sizes = shape.sizes(Some(Drawing::entries(lengths).unwrap()));
         let uploads: [(usize, &[Real]); 3] = [(SPLATS, &rows), (SIGNALS, &of_order), (D_PIXELS, &d_pixels)];
         let width = shape.derivatives();
-        let found = run(gpu, &sizes, &uploads, |step| shape.blend_vjp(step, lengths), (D_SPLATS, width * n));
+        let pass = |step: &mut GpuStep<'_>| {
+            shape.blend(step);
+            shape.blend_vjp(step);
+        };
+        let found = run(gpu, &sizes, &uploads, pass, (D_SPLATS, width * n));
         let Splats { means2d, conics, opacities, existence, .. } = vjp.splats;
         for (name, range, expected) in [
             ("means", 0..2, means2d.as_flattened()),
@@ -296,6 +301,53 @@ fn readouts_match() {
     }
 }
 
+/// Loss of predictions and its derivative on the CPU.
+fn loss_on_cpu(predictions: &[Real], loss: &SpectrumLoss<'_>, size: (usize, usize)) -> (Real, Vec<Real>) {
+    let (&SpectrumLoss { truths, ssim_weight, window, is_squared }, len) = (loss, predictions.len() as Real);
+    let (pixels, mut value, mut d) = (size.0 * size.1, 0.0_f64, Vec::new());
+    for (p, t) in predictions.chunks(pixels).zip(truths.chunks(pixels)) {
+        let (similarity, d_similarity) = ssim::training_form(p, t, size, &window);
+        let share = pixels as Real / len;
+        value += f64::from(ssim_weight * share * (1.0 - similarity));
+        for ((p, t), d_similarity) in p.iter().zip(t).zip(d_similarity) {
+            let error = p - t;
+            let sign = if error == 0.0 { 0.0 } else { error.signum() };
+            let (error, d_error) = if is_squared { (error * error, 2.0 * error) } else { (error.abs(), sign) };
+            value += f64::from((1.0 - ssim_weight) / len * error);
+            d.push((1.0 - ssim_weight) / len * d_error - ssim_weight * share * d_similarity);
+        }
+    }
+    (value as Real, d)
+}
+
+#[test]
+fn losses_match() {
+    let Some(gpu) = for_tests() else { return };
+    // Windows reach beyond the borders of small images.
+    for (size, links) in [(SIZE, 1), (SIZE, 3), ((9, 5), 3), ((4, 30), 2)] {
+        let shape = Drawing { size, ..shape(0, links) };
+        let len = links * shape.pixels();
+        let positive = |name| random(name, len).iter().map(|v| v.abs()).collect::<Vec<_>>();
+        let (image, mut truths) = (positive("image"), positive("truths"));
+        truths[3] = image[3]; // an error of 0
+        for (ssim_weight, window, is_squared) in
+            [(0.2, Window::default(), false), (0.7, Window::new(0.5), true), (0.0, Window::default(), true)]
+        {
+            let loss = SpectrumLoss { truths: &truths, ssim_weight, window, is_squared };
+            let (expected, expected_d) = loss_on_cpu(&image, &loss, size);
+            let shares = [(1.0 - ssim_weight) / len as Real, ssim_weight / len as Real];
+            let constants = [&window.taps()[..], &shares].concat();
+            let uploads: [(usize, &[Real]); 3] = [(IMAGE, &image), (TRUTHS, &truths), (LOSS, &constants)];
+            let pass = |step: &mut GpuStep<'_>| shape.loss(step, is_squared, ssim_weight > 0.0);
+            let read = |slot, len| run(gpu, &shape.sizes(Some(0)), &uploads, pass, (slot, len));
+            compare("d loss", &read(D_IMAGE, len), &expected_d, 1e-6);
+            let sums = read(LOSSES, 2 * links);
+            let found: Real = sums.chunks_exact(2).map(|link| shares[0] * link[0] + shares[1] * link[1]).sum();
+            compare_each("loss", &[found], &[expected], 1e-6);
+        }
+    }
+}
+
 /// A model with its inputs.
 struct Case {
     method: Splatting,
@@ -304,6 +356,8 @@ struct Case {
     transmitters: usize,
     /// Column that moves.
     moved: &'static str,
+    /// Weight of 1-SSIM in the loss; `None` for random cotangents.
+    ssim_weight: Option<Real>,
 }
 
 /// Observations, and derivatives with statistics, as one list each.
@@ -313,13 +367,13 @@ impl Case {
     fn new(deformation: &str, readout: Readout, gaussians: usize, transmitters: usize) -> Self {
         let deformation = Plugin::<dyn Deformation>::parse(deformation).unwrap();
         let method = Splatting { deformation, readout, ..Splatting::default() };
-        Self { method, setup: setup(), gaussians, transmitters, moved: "signals" }
+        Self { method, setup: setup(), gaussians, transmitters, moved: "signals", ssim_weight: None }
     }
 
     /// Runs a pass on the GPU, or the CPU, with a column moved by `shift` along a seeded direction; returns the slope along it
     /// too, and the norms of the derivative and of the direction multiplied, but for chance.
     fn run(&self, gpu: Option<&Gpu>, shift: Real) -> (Pass, [f64; 2]) {
-        let Self { method, setup, gaussians, transmitters, moved } = self;
+        let Self { method, setup, gaussians, transmitters, moved, ssim_weight } = self;
         let (mut cloud, gate, existence) = cloud_of(*gaussians);
         let mut weights = method.layout(setup).init(&mut rng::stream(2, "weights", 0));
         let width = if *moved == "quats" { 4 } else { 2 };
@@ -336,23 +390,38 @@ impl Case {
         let parameters = Parameters { cloud: &cloud, gate, existence, weights: &weights };
         let call = Call { setup, parameters, links, pixels: &PixelSubset::All };
         let mut sums = MethodVjp::zeros(&call, WantedInputs::default());
-        let numbers = if let Some(gpu) = gpu {
+        let truths: Vec<Real> =
+            random("truths", links.pairs.len() * setup.value_count()).iter().map(|t| t.abs()).collect();
+        let loss = ssim_weight.map(|ssim_weight| SpectrumLoss {
+            truths: &truths,
+            ssim_weight,
+            window: Window::default(),
+            is_squared: false,
+        });
+        let numbers = if let (Some(gpu), Some(loss)) = (gpu, &loss) {
+            let (value, d) = method.gpu_loss_vjp(gpu, &call, loss);
+            sums = d;
+            vec![value]
+        } else if let Some(gpu) = gpu {
             let (deltas, kept) = method.network_terms(&call, &None, true);
-            let (numbers, drawing) = method.gpu_observations(gpu, &call, &deltas).unwrap();
+            let numbers = method.gpu_draw(gpu, &call, &deltas).unwrap();
             let mut grads = ActivationVjp::zeros(&cloud, &deltas);
-            let (mut again, mut sums_again) = (grads.clone(), sums.clone());
             let d = random("d observations", numbers.len());
-            method.gpu_draw_vjp(gpu, &call, &drawing, (&deltas, &d), &mut grads, &mut sums).unwrap();
-            // What is still on the GPU equals what is computed again.
-            method.gpu_draw_vjp(gpu, &call, &drawing, (&deltas, &d), &mut again, &mut sums_again).unwrap();
-            assert!(again.cloud == grads.cloud && again.deltas == grads.deltas);
+            let d = (&deltas, Cotangents::Given(&d));
+            assert_eq!(method.gpu_draw_vjp(gpu, &call, d, &mut grads, &mut sums).unwrap(), 0.0);
             let (txs, pose) = (links.conditions(), setup.pose());
             let inputs = DeformationInputs { weights: &weights, means: &cloud.means, txs, pose: &pose, kept: &kept };
             network_vjp(&*method.deformation, &inputs, &grads, &mut sums);
             numbers
         } else {
             let observed = method.forward(&call, &None);
-            let (numbers, d) = (observed.numbers.clone(), random("d observations", observed.numbers.len()));
+            let (numbers, d) = match &loss {
+                Some(loss) => {
+                    let (loss, d) = loss_on_cpu(&observed.numbers, loss, (setup.plane.width, setup.plane.height));
+                    (vec![loss], d)
+                }
+                None => (observed.numbers.clone(), random("d observations", observed.numbers.len())),
+            };
             method.vjp(&call, observed, &d, &mut sums);
             numbers
         };
@@ -386,8 +455,13 @@ fn whole_drawings_match() {
     let mut strided = Case::new(SHARED, Readout::Magnitude, 157, 2);
     strided.setup.plane = strided.setup.plane.strided(2, [1, 0]);
     cases.extend([several, strided]);
+    // With the loss: many entries of lists, which need larger buffers than those of the cases before.
+    for (network, gaussians, transmitters) in [(NETWORK, 0, 1), (NETWORK, 65, 3), (SHARED, 157, 3), (NETWORK, 1000, 1)]
+    {
+        cases.push(Case { ssim_weight: Some(0.2), ..Case::new(network, Readout::MinMax, gaussians, transmitters) });
+    }
     for case in cases {
-        let name = format!("{} x {}", case.gaussians, case.transmitters);
+        let name = format!("{} x {}, {:?}", case.gaussians, case.transmitters, case.ssim_weight);
         let ([expected, expected_d], _) = case.run(None, 0.0);
         let ([found, found_d], _) = case.run(Some(gpu), 0.0);
         // Centres differ by 1e-6 of the image, and the value of a pixel by as much as the slope of a Gaussian makes of it; a
@@ -405,17 +479,19 @@ fn whole_drawings_match() {
 fn slopes_match_differences() {
     let Some(gpu) = for_tests() else { return };
     // Signals have no kink. A Gaussian that turns crosses the limit 1/255 in some pixels, which is no part of the derivative.
-    for (column, step, limit) in [("signals", 0.01, 2e-3), ("quats", 0.03, 0.05)] {
+    // Absolute errors have a kink.
+    let cases = [("signals", 0.01, 2e-3, None), ("quats", 0.03, 0.05, None), ("signals", 0.02, 0.02, Some(0.5))];
+    for (moved, step, limit, ssim_weight) in cases {
         for (network, readout) in [(NETWORK, Readout::Magnitude), (SHARED, Readout::Power)] {
-            let case = Case { moved: column, ..Case::new(network, readout, 65, 2) };
+            let case = Case { moved, ssim_weight, ..Case::new(network, readout, 65, 2) };
             let value = |shift: Real| -> f64 {
                 let numbers = &case.run(Some(gpu), shift).0[0];
-                let d = random("d observations", numbers.len());
+                let d = if ssim_weight.is_some() { vec![1.0] } else { random("d observations", numbers.len()) };
                 numbers.iter().zip(d).map(|(a, b)| f64::from(*a) * f64::from(b)).sum()
             };
             let difference = (value(step) - value(-step)) / f64::from(2.0 * step);
             let (_, [slope, size]) = case.run(Some(gpu), 0.0);
-            println!("{column}: {slope} of {size}, by differences {difference}");
+            println!("{moved}, {ssim_weight:?}: {slope} of {size}, by differences {difference}");
             assert!((slope - difference).abs() <= limit * size, "{slope} of {size}, by differences {difference}");
         }
     }

@@ -24,9 +24,6 @@ struct ForwardCache {
     terms: (Deltas, Cache),
     /// Drawings on the CPU.
     drawings: Vec<(ReceiverGroup, ReceiverView, BlendedSignals)>,
-    /// Drawings on the GPU.
-    #[cfg(feature = "gpu")]
-    on_gpu: Option<super::gpu::GpuDrawing>,
 }
 
 /// Values that do not depend on the transmitter.
@@ -112,9 +109,12 @@ impl Splatting {
         #[cfg(feature = "gpu")]
         if let Some(gpu) = self.gpu(setup) {
             let start = Instant::now();
-            let (numbers, on_gpu) = self.gpu_draw(gpu, call, &deltas);
+            let numbers = self.gpu_draw(gpu, call, &deltas).unwrap_or_else(|error| {
+                pwrfgs_core::device::fail(error);
+                vec![0.0; links.pairs.len() * setup.value_count()]
+            });
             times.blending = start.elapsed().as_secs_f64();
-            let cache = ForwardCache { terms: (deltas, kept), drawings: Vec::new(), on_gpu };
+            let cache = ForwardCache { terms: (deltas, kept), drawings: Vec::new() };
             return (ForwardOutput { numbers, cache: is_training.then(|| Arc::new(cache) as _) }, times);
         }
         let (sky, numbers) = (self.sky(setup), setup.value_count());
@@ -148,12 +148,7 @@ impl Splatting {
             }
             drawings.extend(drawing.map(|(view, drawing)| (group, view, drawing)));
         }
-        let cache = ForwardCache {
-            terms: (deltas, kept),
-            drawings,
-            #[cfg(feature = "gpu")]
-            on_gpu: None,
-        };
+        let cache = ForwardCache { terms: (deltas, kept), drawings };
         (ForwardOutput { numbers: all, cache: is_training.then(|| Arc::new(cache) as _) }, times)
     }
 
@@ -247,16 +242,20 @@ impl Method for Splatting {
         self.predict_links(call, prepared, true).0
     }
 
+    #[cfg(feature = "gpu")]
+    fn loss_vjp(&self, call: &Call<'_>, loss: &pwrfgs_core::SpectrumLoss<'_>) -> Option<(Real, MethodVjp)> {
+        self.gpu(call.setup).map(|gpu| self.gpu_loss_vjp(gpu, call, loss))
+    }
+
     fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
         let Call { setup, parameters: p, links, .. } = *call;
-        let cache: &ForwardCache = cached(&observed.cache);
-        let ForwardCache { terms: (deltas, kept), drawings, .. } = cache;
+        let ForwardCache { terms: (deltas, kept), drawings } = cached(&observed.cache);
         let (network, laws) = self.split_weights(setup, p.weights);
         let (mut grads, rows) = (ActivationVjp::zeros(p.cloud, deltas), (0..p.cloud.len()).collect::<Vec<_>>());
         #[cfg(feature = "gpu")]
-        if let (Some(gpu), Some(on_gpu)) = (self.gpu(setup), &cache.on_gpu) {
-            self.gpu_draw_vjp(gpu, call, on_gpu, (deltas, d), &mut grads, sums)
-                .unwrap_or_else(pwrfgs_core::device::fail);
+        if let Some(gpu) = self.gpu(setup) {
+            let d = (deltas, super::gpu::Cotangents::Given(d));
+            self.gpu_draw_vjp(gpu, call, d, &mut grads, sums).map_or_else(pwrfgs_core::device::fail, drop);
         }
         let d_laws = &mut sums.weights[network.len()..];
         let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
