@@ -35,7 +35,7 @@ fn cells<'a>(page: &'a str, first: &str) -> Vec<&'a str> {
 /// Numbers of a text, with their decimals.
 fn numbers(text: &str) -> Vec<(f64, usize)> {
     let number = Regex::new(r"\d+(?:,\d{3})*(?:\.(\d+))?").unwrap();
-    let read = |found: regex::Captures| {
+    let read = |found: regex::Captures<'_>| {
         (found[0].replace(',', "").parse().unwrap(), found.get(1).map_or(0, |digits| digits.len()))
     };
     number.captures_iter(text).map(read).collect()
