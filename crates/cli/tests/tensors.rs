@@ -11,7 +11,7 @@ use regex::Regex;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Name, shape and meaning of a tensor. `<..>` stands for any name. A capital letter has one value per file; a word in
+/// Name, shape and meaning of a tensor; a row without meaning is not printed. `<..>` stands for any name. A capital letter has one value per file; a word in
 /// small letters has any.
 type Row = (&'static str, &'static str, &'static str);
 
@@ -44,17 +44,17 @@ const MODEL: &[Row] = &[
 
 const NPZ: &[Row] = &[
     ("means", "N, 3", "centres, metres, world frame; float64 with an `origin`"),
-    ("log_scales", "N, 3", "as in the model file"),
-    ("quats", "N, 4", "as in the model file"),
-    ("opacity_logits", "N", "as in the model file"),
-    ("signals", "N, 2", "as in the model file"),
-    ("harmonics", "N, H", "as in the model file"),
-    ("network.<layer>.weight", "out, in", "as in the model file"),
-    ("network.<layer>.bias", "out", "as in the model file"),
-    ("network.near.positions", "n, 3", "as in the model file"),
-    ("network.receiver.offsets", "R", "as in the model file"),
-    ("network.receiver.exponents", "R", "as in the model file"),
-    ("constants.<field>", "count, 3", "as in the model file"),
+    ("log_scales", "N, 3", ""),
+    ("quats", "N, 4", ""),
+    ("opacity_logits", "N", ""),
+    ("signals", "N, 2", ""),
+    ("harmonics", "N, H", ""),
+    ("network.<layer>.weight", "out, in", ""),
+    ("network.<layer>.bias", "out", ""),
+    ("network.near.positions", "n, 3", ""),
+    ("network.receiver.offsets", "R", ""),
+    ("network.receiver.exponents", "R", ""),
+    ("constants.<field>", "count, 3", ""),
     ("origin", "3", "metres; absent if zero"),
     ("pose.position", "3", "first receiver, metres"),
     ("pose.orientation", "4", "quaternion x, y, z, w"),
@@ -229,6 +229,9 @@ impl Table {
         let mut rows: Vec<(String, String)> = Vec::new();
         for ((name, shape, meaning), types) in self.rows.iter().zip(&self.types) {
             assert!(!types.is_empty(), "no file has `{name}`");
+            if meaning.is_empty() {
+                continue;
+            }
             let mut types: Vec<&str> = types.iter().map(String::as_str).collect();
             types.sort_by_key(|kind| !kind.contains("32"));
             let end = format!("[{shape}] | {} | {meaning} |", types.join(", "));
@@ -277,8 +280,13 @@ fn tables() -> String {
         let tx = (has_gaussians && ensemble.members()[0].stages.task.has_pixels).then_some([0.3, 0.5, 1.0]);
         npz.add(&format!("export of model {k}"), arrays(export::npz(&ensemble, tx).unwrap()));
     }
-    for path in [small_run().join("run/model.safetensors"), folder().join("residuals.safetensors")] {
-        model.add(&path.display().to_string(), listed(&std::fs::read(path).unwrap()));
+    let committed = ["residuals", "powers"].map(|name| folder().join(format!("{name}.safetensors")));
+    for path in committed.into_iter().chain([small_run().join("run/model.safetensors")]) {
+        let ensemble = file::read_ensemble(&path).unwrap();
+        let half = file::to_bytes_half(&ensemble).unwrap();
+        [std::fs::read(&path).unwrap(), half]
+            .iter()
+            .for_each(|bytes| model.add(&path.display().to_string(), listed(bytes)));
     }
     let read = |name: &str| listed(&std::fs::read(small_run().join("run").join(name)).unwrap());
     checkpoint.add("checkpoint", read("checkpoint.safetensors"));
