@@ -236,11 +236,12 @@ impl Table {
             types.sort_by_key(|kind| !kind.contains("32"));
             let end = format!("[{shape}] | {} | {meaning} |", types.join(", "));
             match rows.last_mut().filter(|(_, last)| *last == end) {
-                Some((names, _)) => *names += &format!(", `{name}`"),
+                Some((names, _)) => *names = format!("{names}, `{name}`"),
                 None => rows.push((format!("`{name}`"), end)),
             }
         }
-        let rows: String = rows.into_iter().map(|(name, end)| format!("| {name} | {end}\n")).collect();
+        let rows: Vec<String> = rows.into_iter().map(|(name, end)| format!("| {name} | {end}\n")).collect();
+        let rows = rows.concat();
         format!("| {what} | shape | type | meaning |\n|---|---|---|---|\n{rows}")
     }
 }
@@ -303,9 +304,10 @@ fn tables() -> String {
 
 /// Table of the layers of each network. Layers in sequence that share shape and input are one row.
 fn networks() -> String {
-    let mut table = "| network | layer | weight | input |\n|---|---|---|---|\n".to_owned();
+    let mut table = vec!["| network | layer | weight | input |\n|---|---|---|---|\n".to_owned()];
+    let plugin = Regex::new(r"(\w+)\((near: .*)?\)").unwrap();
     for (method, texts) in NETWORKS {
-        let name = Regex::new(r"(\w+)\((near: .*)?\)").unwrap().captures(method).unwrap()[1].to_owned();
+        let name = plugin.captures(method).unwrap()[1].to_owned();
         let mut rows: Vec<(Vec<String>, Vec<usize>, &str)> = Vec::new();
         for spec in one_receiver(method, Task::Power).stages.layout().weights {
             let Some(layer) = spec.name.strip_suffix(".weight") else { continue };
@@ -322,10 +324,10 @@ fn networks() -> String {
         for (layers, shape, text) in rows {
             let ends = [layers.first(), layers.last().filter(|_| layers.len() > 1)].into_iter().flatten();
             let layers = ends.cloned().collect::<Vec<_>>().join(" to ");
-            table += &format!("| `{name}` | {layers} | {shape:?} | {text} |\n");
+            table.push(format!("| `{name}` | {layers} | {shape:?} | {text} |\n"));
         }
     }
-    table
+    table.concat()
 }
 
 #[test]
