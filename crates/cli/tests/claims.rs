@@ -51,7 +51,7 @@ fn section(link: &str) -> String {
         match (level(line), open) {
             (1.., None) if anchor(line.trim_start_matches('#')) == wanted => open = Some(level(line)),
             (1.., Some(above @ 1..)) if level(line) <= above => break,
-            (_, Some(_)) => found += &format!("{line}\n"),
+            (_, Some(_)) => found.extend([line, "\n"]),
             _ => {}
         }
     }
