@@ -23,6 +23,7 @@ import python_pages
 
 ROOT = Path(__file__).resolve().parent.parent
 LINK = re.compile(r"(\[(?:[^\[\]]|!\[[^\]]*\]\([^)]*\))*\])\(([^)\s]+)\)")
+IMAGE = re.compile(r'(?:src|srcset)="(docs/images/[^"]+)"')
 
 
 def anchor(heading: str) -> str:
@@ -71,12 +72,15 @@ def collect(source: Path, program: str, repository: str) -> None:
     written = {page: page_text(page, source) for page in of_summary if page not in reference and page not in api}
     pages = {place(page): text for page, text in written.items()} | reference | api
 
+    def copy_image(path: str) -> None:
+        (source / path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(ROOT / path, source / path)
+
     def linked(page: str, text: str, link: str) -> str:
         path = os.path.normpath(os.path.join(os.path.dirname(page), link.partition("#")[0]))
         known = "://" in link or link.startswith("#") or place(path) in pages or path.endswith(".html") or (source / path).is_file()
         if path.startswith("docs/images/"):
-            (source / path).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(ROOT / path, source / path)
+            copy_image(path)
         elif known:
             link = link if "://" in link else link.replace("README.md", "index.md").replace(".ipynb", ".md")
         elif "example.invalid" in repository:  # the owner has not filled in the address
@@ -87,6 +91,8 @@ def collect(source: Path, program: str, repository: str) -> None:
 
     for page, text in pages.items():
         (source / page).parent.mkdir(parents=True, exist_ok=True)
+        for path in IMAGE.findall(text):
+            copy_image(path)
         (source / page).write_text(LINK.sub(lambda link: linked(page, link[1], link[2]), text))
     summary = LINK.sub(lambda link: f"{link[1]}({place('site/' + link[2])})", summary)
     for contents, *chapters in (list(reference.items()), list(api.items())):

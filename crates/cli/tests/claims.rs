@@ -1,7 +1,7 @@
 //! Claims of README, pages and headers against the tables that they summarise.
 
 use crate::common::{call, stdout};
-use crate::prose::{files, pages, root};
+use crate::prose::{anchor, files, pages, root};
 use regex::Regex;
 use std::path::{Path, PathBuf};
 
@@ -26,22 +26,63 @@ fn means(runs: &str, gaussians: &str, method: &str) -> Option<[f64; 2]> {
     (rows.len() == 3).then(|| [0, 1].map(|k| rows.iter().map(|row| row[k]).sum::<f64>() / 3.0))
 }
 
-#[test]
-fn readme_heads_with_means_of_learned_masks() {
-    let (readme, runs) = (text("README.md"), text("docs/lab/curve.md"));
-    for gaussians in ["500", "157", "80", "24", "8"] {
-        let row = readme.lines().find(|line| line.starts_with(&format!("| {gaussians} |")));
-        let cells: Vec<&str> = row.unwrap_or_else(|| panic!("no row of N = {gaussians}")).split(" | ").collect();
-        let [masks, eta] = means(&runs, gaussians, "`LearnableMask`").unwrap();
-        let [light, wrfgs] = ["`LightGaussian`", "WRF-GS"].map(|method| means(&runs, gaussians, method));
-        // The page rounds the seeds, too.
-        let columns = [(1, Some(masks), 2e-4), (2, Some(eta), 6e-4), (4, light.map(|m| m[0]), 2e-4)];
-        for (column, mean, rounding) in columns.into_iter().chain([(5, wrfgs.map(|m| m[0]), 2e-4)]) {
-            let cell = cells[column].trim_end_matches(" |");
-            let is_mean = mean.map_or(cell == "–", |mean| (cell.parse::<f64>().unwrap() - mean).abs() < rounding);
-            assert!(is_mean, "N = {gaussians}, column {column}: {cell}, expected {mean:?}");
+/// Cells of the row of a table that begins with `first`.
+fn cells<'a>(page: &'a str, first: &str) -> Vec<&'a str> {
+    let row = page.lines().find(|line| line.starts_with(&format!("| {first} |")));
+    row.unwrap_or_else(|| panic!("no row {first}")).trim_matches('|').split('|').map(str::trim).collect()
+}
+
+/// Numbers of a text, with their decimals.
+fn numbers(text: &str) -> Vec<(f64, usize)> {
+    let number = Regex::new(r"\d+(?:,\d{3})*(?:\.(\d+))?").unwrap();
+    let read = |found: regex::Captures<'_>| {
+        (found[0].replace(',', "").parse().unwrap(), found.get(1).map_or(0, |digits| digits.len()))
+    };
+    number.captures_iter(text).map(read).collect()
+}
+
+/// Text below the heading that `link` names, such as `docs/data.md#s23`; without an anchor, the whole page.
+fn section(link: &str) -> String {
+    let (page, wanted) = link.split_once('#').unwrap_or((link, ""));
+    let level = |line: &str| line.chars().take_while(|letter| *letter == '#').count();
+    let (page, mut open) = (text(page), wanted.is_empty().then_some(0));
+    let mut found = String::new();
+    for line in page.lines() {
+        match (level(line), open) {
+            (1.., None) if anchor(line.trim_start_matches('#')) == wanted => open = Some(level(line)),
+            (1.., Some(above @ 1..)) if level(line) <= above => break,
+            (_, Some(_)) => found.extend([line, "\n"]),
+            _ => {}
         }
     }
+    assert!(!found.is_empty(), "{link} has no text");
+    found
+}
+
+#[test]
+fn curve_and_readme_state_means_of_the_runs() {
+    let (readme, results, runs) = (text("README.md"), text("docs/results.md"), text("docs/lab/curve.md"));
+    let figure = results.split("### Figure 2b").nth(1).unwrap().split("\n### ").next().unwrap();
+    let head = cells(figure, "N");
+    // The page rounds the seeds, too.
+    let is_mean = |cell: &str, mean: f64, rounding: f64| (numbers(cell)[0].0 - mean).abs() < rounding;
+    for gaussians in ["500", "157", "80", "24", "8"] {
+        let row = cells(figure, gaussians);
+        for method in ["`LearnableMask`", "`LightGaussian`", "WRF-GS"] {
+            let cell = row[head.iter().position(|name| *name == method).unwrap()];
+            let mean = means(&runs, gaussians, method).map(|[ssim, _]| ssim);
+            let is_right = mean.map_or(cell.is_empty(), |mean| is_mean(cell, mean, 2e-4));
+            assert!(is_right, "N = {gaussians}, {method}: {cell}, expected {mean:?}");
+        }
+    }
+    let masks = |gaussians| means(&runs, gaussians, "`LearnableMask`").unwrap();
+    let claim = cells(&results, "SSIM and η at N = 8")[2];
+    let [ssim, eta] = masks("8");
+    let (stated, rate) = claim.split_once(", ").unwrap();
+    assert!(is_mean(stated, ssim, 2e-4) && is_mean(rate, eta, 6e-4), "{claim}, expected {ssim} and {eta}");
+    let sentence = Regex::new(r"Learned masks reach ([\d.]+) SSIM with 157 Gaussians and ([\d.]+) with 8 ").unwrap();
+    let stated = sentence.captures(&readme).expect("README states no SSIM of learned masks");
+    assert!(is_mean(&stated[1], masks("157")[0], 2e-4) && is_mean(&stated[2], ssim, 2e-4), "{}", &stated[0]);
 }
 
 #[test]
@@ -55,8 +96,29 @@ fn readme_compares_times_as_the_table_does() {
     let rows = ["| `s23-laptop.ron` | 157", "| Kriging on s23", "| 5-NN on s23"];
     let [(model, own), (kriging, others), (neighbours, _)] = rows.map(times);
     assert!(own[0] > others[1], "the model is not slower than Kriging any more");
-    let sentence = format!("A prediction takes {model}, slower than Kriging ({kriging}) and 5-NN ({neighbours})");
-    assert!(text("README.md").contains(&sentence), "README lacks: {sentence}");
+    let stated = format!("| **{kriging}** (Kriging), **{neighbours}** (5-NN) | {model};");
+    assert!(text("README.md").contains(&stated), "README lacks: {stated}");
+}
+
+#[test]
+fn numbers_beside_interpolation_stand_in_the_sections_that_readme_links() {
+    let (readme, link) = (text("README.md"), Regex::new(r"\]\((docs/[^)]+)\)").unwrap());
+    let table = readme.split("## Why not interpolation?").nth(1).unwrap().split("\n## ").next().unwrap();
+    let rows: Vec<&str> = table.lines().filter(|line| line.starts_with("| ") && line.contains("](docs/")).collect();
+    assert_eq!(rows.len(), 6, "{rows:#?}");
+    for row in rows {
+        let sections = link.captures_iter(row).map(|found| section(&found[1]));
+        let known: Vec<f64> = sections.flat_map(|text| numbers(&text)).map(|(number, _)| number).collect();
+        let row = link.replace_all(row, "]");
+        let unit = |number: f64| if row.contains(&format!("{number} MB")) { 1e6 } else { 1.0 };
+        let stated: Vec<_> = numbers(&row).into_iter().filter(|(_, decimals)| *decimals > 0).collect();
+        assert!(!stated.is_empty(), "no numbers in {row}");
+        for (number, decimals) in stated {
+            let rounding = 0.5 / 10f64.powi(decimals as i32) + 1e-9;
+            let stands = known.iter().any(|other| (other / unit(number) - number).abs() <= rounding);
+            assert!(stands, "README states {number}, which its links do not: {row}");
+        }
+    }
 }
 
 #[test]
@@ -73,7 +135,7 @@ fn comments_and_pages_state_what_the_paper_and_the_scene_have() {
 fn readme_links_its_terms_where_they_first_occur() {
     let readme = text("README.md");
     let prose: Vec<&str> = readme.lines().filter(|line| !line.starts_with("![")).collect();
-    for term in ["η", "noise ceiling", "Kriged residuals", "Kriging"] {
+    for term in ["noise ceiling", "Kriged residuals", "Kriging"] {
         let line = prose.iter().find(|line| line.contains(term)).unwrap();
         assert!(line.contains(&format!("[{term}](docs/")), "{term} is not linked where it first occurs: {line}");
     }

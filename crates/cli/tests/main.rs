@@ -40,5 +40,7 @@ mod slurm;
 mod sweep;
 mod tables;
 mod tasks;
+mod tensors;
+mod versions;
 mod view;
 mod warnings;

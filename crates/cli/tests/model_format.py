@@ -1,4 +1,6 @@
-"""Predicts from a model file as docs/model-format.md says, and compares with `pwrfgs predict`.
+"""Predicts from a model file with NumPy alone, and compares with `pwrfgs predict`.
+
+This file specifies what a model predicts: copy it to use a model without pwrfgs. docs/model-format.md lists the tensors.
 
     python3 model_format.py MODEL.safetensors FOLDER [MODEL FOLDER ..]
 
@@ -45,10 +47,12 @@ def read_safetensors(path):
     if "members" not in note:
         return [(tensors, local(note))]
     members = []
+    residuals = {"residuals": note.get("residuals")}
     for place, member in enumerate(note["members"]):
         prefix = f"members.{place}."
         own = {name[len(prefix) :]: values for name, values in tensors.items() if name.startswith(prefix)}
-        members.append((own, local(member["model"])))
+        own |= {name: values for name, values in tensors.items() if name.startswith("residuals.")}
+        members.append((own, local(member["model"]) | residuals))
     return members
 
 
@@ -536,6 +540,56 @@ def nerf2(tensors, settings, note, told, receiver):
     return total[None] if kind == "Channel" else 100 * np.abs(total[0]) - 100
 
 
+# Residuals.
+
+
+def interpolation(size, stride, wraps):
+    """Weights [size, stored] of every `stride`-th pixel: cubic convolution with a = -1/2 (Keys, 1981)."""
+    count, at = -(-size // stride), np.arange(size)
+    left, f = at // stride, at % stride / stride
+    weights = [f**2 - (f**3 + f) / 2, 1 + 1.5 * f**3 - 2.5 * f**2, 2 * f**2 - (3 * f**3 - f) / 2, (f**3 - f**2) / 2]
+    matrix = np.zeros((size, count))
+    for k, weight in enumerate(weights):
+        place = (left + k - 1) % count if wraps else np.clip(left + k - 1, 0, count - 1)
+        np.add.at(matrix, (at, place), weight)
+    return matrix
+
+
+def kriged(tensors, note, p, receiver, f):
+    """The prediction f of all members, times its share, plus the expected residual at the transmitter p."""
+    residuals, plane = note["residuals"], note["plane"]
+    process, stride = residuals["receivers"][receiver], residuals["stride"]
+    if process is None:
+        return f
+    first = sum(own["links"] for own in residuals["receivers"][:receiver] if own)
+    rows = slice(first, first + process["links"])
+    places, at = tensors["residuals.places"][rows] / process["scales_m"], p / process["scales_m"]
+    values = tensors["residuals.values"][rows] * tensors.get("residuals.units", np.ones(rows.stop))[rows, None]
+    distances = np.linalg.norm(places - at, axis=1)
+    near = np.argsort(distances, kind="stable")[: residuals["neighbours"]]
+    correlation = {
+        "Exponential": lambda d: np.exp(-d),
+        "Matern32": lambda d: (1 + np.sqrt(3) * d) * np.exp(-np.sqrt(3) * d),
+        "SquaredExponential": lambda d: np.exp(-(d**2) / 2),
+        "LongTail": lambda d: 1 / (1 + d),
+    }[process["correlation"]]
+    between = np.linalg.norm(places[near, None] - places[near], axis=2)
+    covariance = correlation(between) + process["noise"] * np.eye(len(near))
+    weights = np.linalg.solve(covariance, correlation(distances[near]))
+    law = 0
+    if process.get("path_loss"):
+        level, slope = process["path_loss"]
+        r = np.linalg.norm(p - note["links"]["receivers"][receiver]["pose"]["position"])
+        law = level - slope * np.log10(max(r, 0.01))
+    else:  # the mean of the residuals is unknown: weights sum to 1
+        ones = np.linalg.solve(covariance, np.ones(len(near)))
+        weights += ones * (1 - weights.sum()) / ones.sum()
+    sizes = [(plane["height"], False), (plane["width"], plane["wraps"] and plane["width"] % stride == 0)]
+    up, along = (interpolation(size, stride, wraps) for size, wraps in sizes)
+    coarse = (weights @ values[near]).reshape(up.shape[1], along.shape[1])
+    return process["share"] * f + (1 - process["share"]) * law + (up @ coarse @ along.T).reshape(np.shape(f))
+
+
 # Every kind of model.
 
 
@@ -579,8 +633,10 @@ def compare(model, folder):
         tx, own = [float(row[axis]) for axis in "xyz"], None if features is None else features[k]
         receiver = names.index(row["receiver"]) if "receiver" in row else 0
         each = [predict(*member, tx, own, receiver) for member in members]
-        is_mean_of_spectra = len(each) > 1 and note["links"]["kind"] == "Spectrum"
-        expected = np.mean(np.clip(each, 0, 1) if is_mean_of_spectra else each, axis=0)
+        is_clamped = "residuals" in note and note["links"]["kind"] == "Spectrum"
+        expected = np.mean(np.clip(each, 0, 1) if is_clamped else each, axis=0)
+        if note.get("residuals"):
+            expected = kriged(members[0][0], note, np.array(tx) - note["origin"], receiver, expected)
         found = np.array(float(row["dbm"])) if "dbm" in row else np.load(folder / f"{int(row['row']):05}.npy")
         fine, said = is_same(note, found, expected)
         good &= fine

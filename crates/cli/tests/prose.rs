@@ -169,7 +169,7 @@ fn doc_comments_use_plain_language() {
 }
 
 /// The anchor that a heading gets on a page: lower case, hyphens for spaces, no punctuation.
-fn anchor(heading: &str) -> String {
+pub(crate) fn anchor(heading: &str) -> String {
     let letters =
         heading.trim().to_lowercase().chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c)).collect::<String>();
     letters.replace(' ', "-")

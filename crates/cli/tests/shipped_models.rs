@@ -1,7 +1,8 @@
-//! Predictions with `docs/model-format.md` and NumPy for the model of every shipped pipeline, trained for a few steps.
+//! Predictions with `model_format.py` for the model of every shipped pipeline, trained for a few steps.
 
 use crate::common::{python, succeed, write};
-use crate::model_format::{NO_PYTHON, predict, predicted_again, unlisted};
+use crate::model_format::{NO_PYTHON, predict, predicted_again};
+use crate::tensors::check_listed;
 use pwrfgs::data::{npy_header, npy_header_as};
 use pwrfgs::experiment::{NoopObserver, SplitData, load_split_data, read_pipeline};
 use pwrfgs::model::{Ensemble, Model, compress, file};
@@ -116,7 +117,7 @@ fn numpy_predicts_from_model_of_every_shipped_pipeline() {
                 ensemble
             }
         };
-        assert_eq!(unlisted(&std::fs::read(here.join(&saved)).unwrap()), [""; 0], "{name}");
+        check_listed(&name, &std::fs::read(here.join(&saved)).unwrap());
         if ensemble.members()[0].stages.method.traits().inputs == 3 {
             predict(here, &saved, &name);
             expected += 2 * ensemble.prepare().receivers().len();

@@ -24,7 +24,7 @@ const IN_MEMORY: u64 = 512 << 20;
 /// *Simulated* spectra, powers or channels: ray tracing in a scene file.
 ///
 /// Paths are computed with image sources, diffraction at edges and diffuse scattering patches. Their sum at the
-/// receiver antennas gives the spectrum in the format of the measured files (`docs/math.md`), or another observation
+/// receiver antennas gives the spectrum in the format of the measured files (`docs/concepts.md`), or another observation
 /// set by `observe`. With several receivers, each adds one link per transmitter; links without a signal are left out.
 /// The point cloud of the scene is exact, so `PointCloud` initialisation and `Chamfer` are meaningful. Every fifth
 /// sample belongs to the test list of [`Official`](pwrfgs_data::Official).

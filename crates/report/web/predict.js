@@ -1,5 +1,5 @@
 /*
- * Predicts from a model file in the page, step by step as in docs/model-format.md, in double precision.
+ * Predicts from a model file in the page, step by step as in crates/cli/tests/model_format.py, in double precision.
  * Arrays are flat, row by row; N Gaussians, W columns, H rows.
  */
 

@@ -42,7 +42,7 @@ const PER_TERM: usize = 75;
 /// Numbers stored per pixel and transmitter: spectra, signals, SSIM buffers and derivatives.
 const PER_PIXEL: usize = 20;
 
-/// Shares of the Gaussians that learned masks keep: least, expected, most (3,000 Gaussians on s23, `docs/reproduce.md`).
+/// Shares of the Gaussians that learned masks keep: least, expected, most (3,000 Gaussians on s23, `docs/results.md`).
 const KEPT_BY_MASKS: [f64; 3] = [0.01, 0.05, 0.3];
 /// The same for other pruners, whose thresholds may remove none.
 const KEPT: [f64; 3] = [0.1, 0.3, 1.0];

@@ -81,7 +81,7 @@ impl Trainer<'_> {
                 "`max_gaussians` ({most}) stops the splits that would shrink them; raise `extent_m` or `max_gaussians`"
             )
         } else {
-            // s23, 2,000 random Gaussians as dense as 200,000 at a spread of 20 m (docs/reproduce.md).
+            // s23, 2,000 random Gaussians as dense as 200,000 at a spread of 20 m (docs/lab/paper.md).
             let events = (step - 1).saturating_sub(settings.from) / settings.every.max(1);
             let shrunk = (3 * large / 4).min(SPLITS_PER_EVENT * events as usize);
             format!("about {shrunk} usually shrink in time; start with smaller Gaussians, or raise `extent_m`")

@@ -18,7 +18,7 @@ const STRETCHES: usize = 40;
 /// before it.
 ///
 /// Consecutive ids at the ends of the block are still neighbours. `gap` removes the samples on both sides of the block
-/// from all sets. `docs/data.md` shows the effect of a gap on measured spectra; `samples.csv` lists every distance.
+/// from all sets. `docs/lab/ceiling.md` shows the effect of a gap on measured spectra; `samples.csv` lists every distance.
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
