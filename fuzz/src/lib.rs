@@ -15,7 +15,7 @@ use folder::{copy, files};
 use mutate::mutate;
 use pwrfgs::data::npy_header;
 use pwrfgs::experiment::sweep::{ListedRun, Listing};
-use pwrfgs::experiment::{SplitData, read_pipeline};
+use pwrfgs::experiment::{Session, SplitData, read_pipeline};
 use pwrfgs::model::{compress, file};
 use pwrfgs::prelude::*;
 use pwrfgs_core::{Number, rng};
@@ -81,6 +81,7 @@ impl Bench {
         archives(folder)?;
         runs(folder)?;
         models(folder)?;
+        unfinished_predictions(folder)?;
         let seeds = TARGETS.iter().map(|target| seeds(folder, target)).collect::<Result<_>>()?;
         Ok(Self { folder: folder.into(), seeds })
     }
@@ -227,6 +228,8 @@ fn runs(folder: &Path) -> Result<()> {
     Listing { name: "sweep".into(), runs: vec![run] }.write(&folder.join("sweep"))?;
     let stop = AtomicBool::new(false);
     pwrfgs::run(&pipeline, folder, &folder.join("half"), &mut Stopper(&stop), &stop)?;
+    let stop = AtomicBool::new(false);
+    pwrfgs::run(&pipeline, folder, &folder.join("scored"), &mut StageStopper(&stop, "predicting with mean"), &stop)?;
     Ok(())
 }
 
@@ -236,6 +239,26 @@ struct Stopper<'a>(&'a AtomicBool);
 impl Observer for Stopper<'_> {
     fn on_step(&mut self, report: &StepReport) {
         self.0.store(report.step >= 3, Ordering::Relaxed);
+    }
+}
+
+/// Stops the work when a stage begins whose name starts with these words.
+struct StageStopper<'a>(&'a AtomicBool, &'static str);
+
+impl Observer for StageStopper<'_> {
+    fn on_stage(&mut self, name: &str, _: usize, _: usize) {
+        self.0.fetch_or(name.starts_with(self.1), Ordering::Relaxed);
+    }
+}
+
+/// Creates predictions that were stopped after the first rows.
+fn unfinished_predictions(folder: &Path) -> Result<()> {
+    let stop = AtomicBool::new(false);
+    let mut observer = StageStopper(&stop, "predicting");
+    let session = Session { stop: &stop, ..Session::new(&mut observer) };
+    match targets::predict(folder, "unfinished", session) {
+        Err(Error::Stopped) => Ok(()),
+        other => other,
     }
 }
 

@@ -12,6 +12,7 @@ use pwrfgs::model::export::{npz, ply};
 use pwrfgs::model::file;
 use pwrfgs::prelude::*;
 use pwrfgs::report::Study;
+use pwrfgs::tasks::{PredictSettings, write_predictions};
 use std::fs;
 use std::path::Path;
 
@@ -120,6 +121,9 @@ pub const TARGETS: &[Target] = &[
     of(4, "half/events.out.tfevents.pwrfgs", &[], Plain, resumed),
     of(4, "half/unpruned.safetensors", &["half/start.safetensors"], Tensors, resumed),
     of(4, "half/pipeline.ron", &[], Plain, resumed),
+    of(4, "scored/scoring.partial", &[], Plain, scored),
+    of(2, "unfinished.partial/predictions.csv", &[], Plain, completed),
+    of(2, "unfinished.partial/.pwrfgs-request", &[], Plain, completed),
     of(4, "sweep/sweep.json", &[], Plain, read_back),
     of(8, "sweep/a/run.json", &[], Plain, read_back),
     of(8, "sweep/a/scores.csv", &[], Plain, read_back),
@@ -301,11 +305,38 @@ fn checkpoint(bench: &Path) -> Result<()> {
 
 /// Resumes a copy of the interrupted run up to its scores; the report has separate cases.
 fn resumed(bench: &Path) -> Result<()> {
+    resume(bench, "half")
+}
+
+/// Resumes a copy of the run whose scoring was interrupted.
+fn scored(bench: &Path) -> Result<()> {
+    resume(bench, "scored")
+}
+
+/// Resumes a copy of the run in a folder of the bench.
+fn resume(bench: &Path, run: &str) -> Result<()> {
     let again = bench.join("again");
     let _ = fs::remove_dir_all(&again);
-    copy(&bench.join("half"), &again)?;
+    copy(&bench.join(run), &again)?;
     let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;
     experiment::run(&pipeline, bench, &again, &mut Session::new(&mut NoopObserver)).map(drop)
+}
+
+/// Completes a copy of the interrupted predictions.
+fn completed(bench: &Path) -> Result<()> {
+    for path in ["completed", "completed.partial"] {
+        let _ = fs::remove_dir_all(bench.join(path));
+    }
+    copy(&bench.join("unfinished.partial"), &bench.join("completed.partial"))?;
+    predict(bench, "completed", Session::new(&mut NoopObserver))
+}
+
+/// Predicts more spectra than one block of rows has, into a folder of the bench.
+pub(crate) fn predict(bench: &Path, out: &str, mut session: Session<'_>) -> Result<()> {
+    let poses: Vec<Pose> = (0..2_100).map(|k| [0.5, 0.5, f64::from(k) / 2_100.0].into()).collect();
+    let settings = PredictSettings { stacked: true, no_png: true, ..PredictSettings::default() };
+    write_predictions(&file::read_ensemble(&bench.join(MODEL))?, &poses, &settings, &bench.join(out), &mut session)
+        .map(drop)
 }
 
 fn read_back(bench: &Path) -> Result<()> {

@@ -341,6 +341,35 @@ fn channels_of_a_chip_become_powers_or_channels() {
     assert!(!here.join("bad").exists());
 }
 
+/// A table is accepted or refused by the readings that it holds, not by its bytes, before they are read.
+#[test]
+#[cfg(target_os = "linux")]
+fn import_refuses_readings_that_do_not_fit_into_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let import = |name: &str, cell: &dyn Fn(usize) -> &'static str| {
+        let mut text = "x,y,z".to_owned();
+        (0..2_000).for_each(|r| _ = write!(text, ",ap{r}"));
+        for i in 0..2_000 {
+            _ = write!(text, "\n{},{},1.2", i % 50, i / 50);
+            (0..2_000).for_each(|r| text += cell(i * 2_000 + r));
+        }
+        write(&here.join(name), text);
+        // 400 MB of address space; 4 million readings need 360 MB.
+        let script =
+            format!("ulimit -v 400000; exec {} import --table {name} --out d -q", env!("CARGO_BIN_EXE_pwrfgs"));
+        std::process::Command::new("sh").args(["-c", &script]).env("RAYON_NUM_THREADS", "1").current_dir(here).output()
+    };
+    let full = import("full.csv", &|_| ",-6").unwrap();
+    let message = String::from_utf8_lossy(&full.stderr).into_owned();
+    assert_eq!(full.status.code(), Some(2), "{message}");
+    assert!(message.contains("full.csv: needs 0.4 GB of memory, more than the 0."), "{message}");
+    assert!(message.contains(" GB that are available; give the table in parts"), "{message}");
+    assert!(!here.join("d").exists());
+    let sparse = import("sparse.csv", &|k| if k % 50 == 0 { ",-6" } else { "," }).unwrap();
+    assert!(sparse.status.success(), "{}", String::from_utf8_lossy(&sparse.stderr));
+}
+
 /// Peak memory of imports of powers: at most 90 bytes held a reading, with many and with few receivers.
 #[test]
 #[cfg(target_os = "linux")]

@@ -5,6 +5,7 @@ use crate::{
     Dataset, Demand, Image, Misfit, Parts, Query, Real, Requirement, Result, Task, check_compatible, check_stopped,
     plugin_kind, rng::Rng,
 };
+use rayon::prelude::*;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -166,6 +167,11 @@ pub trait Predict: Send + Sync {
     /// Returns the observation with the size of the data ([`Observations`](crate::Observations) describes powers and
     /// channels as arrays); spectra are not clamped. A predictor fitted to one receiver uses only `query.tx`.
     fn predict(&self, query: Query<'_>) -> Image;
+
+    /// Returns the observations of many links, in their order: those of [`Self::predict`] to the bit.
+    fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
+        queries.par_iter().map(|query| self.predict(*query)).collect()
+    }
 
     /// Returns the standard deviation of a value of a measurement about the prediction, up to a constant factor; `None` if
     /// the predictor has no estimate.

@@ -180,12 +180,32 @@ impl Dataset {
     /// [`Error::Config`] if there are no links, they are not in ascending order, or one is not in the data;
     /// [`Error::Read`] if a spectrum cannot be read.
     pub fn subset(&self, links: &[usize]) -> Result<Self> {
+        self.check_subset(links)?;
+        self.select(links, self.observations.subset(links)?)
+    }
+
+    /// Returns the data set of these links as [`Self::subset`] does. Channels are moved, not copied.
+    ///
+    /// # Errors
+    /// As [`Self::subset`].
+    pub fn into_subset(mut self, links: &[usize]) -> Result<Self> {
+        self.check_subset(links)?;
+        let observations = std::mem::replace(&mut self.observations, Observations::Powers(Vec::new()));
+        self.select(links, observations.into_subset(links)?)
+    }
+
+    /// Returns an error unless `links` can be those of a subset.
+    fn check_subset(&self, links: &[usize]) -> Result<()> {
         if links.is_empty() || !links.is_sorted_by(|a, b| a < b) || links[links.len() - 1] >= self.len() {
             let problem = "links of a subset: give at least one, in ascending order without repetition";
             return Err(Error::Config(problem.into()));
         }
+        Ok(())
+    }
+
+    /// Returns the data set of these links, which have the `observations`.
+    fn select(&self, links: &[usize], observations: Observations) -> Result<Self> {
         let samples: Vec<Sample> = links.iter().map(|&i| self.sample(i)).collect();
-        let observations = self.observations.subset(links)?;
         let subset = Self::of_links(self.title.clone(), self.scene.ends(), Vec::new(), &samples, observations)?;
         let rows = |features: &Features| Features {
             width: features.width,

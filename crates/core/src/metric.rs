@@ -37,6 +37,14 @@ pub trait Metric: crate::plugin::PluginObject {
         Scope::All
     }
 
+    /// Returns two energies of each sample for [`Scope::Energies`], such as those of error and signal.
+    ///
+    /// # Errors
+    /// Predictions and observations differ in number or size.
+    fn energies(&self, evaluation: &Evaluation<'_>) -> Result<Vec<[f64; 2]>> {
+        Ok(Vec::new())
+    }
+
     /// Rejects invalid settings when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
@@ -49,6 +57,8 @@ plugin_kind!(Metric);
 pub enum Scope {
     /// One sample: it receives some at a time and returns one of [`Values::PerSample`] for each.
     Sample,
+    /// Two energies of each sample, [`Metric::energies`]: it receives [`Evaluation::energies`] of all samples.
+    Energies,
     /// No sample: it scores the model or its speed.
     Model,
     /// All samples: correct for every metric, but all predictions are held in memory, eight bytes per pixel with their
@@ -63,6 +73,8 @@ pub struct Evaluation<'a> {
     pub predictions: &'a [Image],
     /// Observations, in the same order.
     pub truths: &'a [Image],
+    /// Energies of all samples for [`Scope::Energies`]; if empty, they follow from predictions and observations.
+    pub energies: &'a [[f64; 2]],
     /// Measurement type.
     pub task: Task,
     /// Links of the samples, in the same order; empty if unknown.
@@ -84,6 +96,7 @@ impl<'a> Evaluation<'a> {
         Self {
             predictions: &[],
             truths: &[],
+            energies: &[],
             task: data.task(),
             links: &[],
             plane,

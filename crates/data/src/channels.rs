@@ -9,10 +9,10 @@ use crate::folder::{
     recognised_root, restore_saved,
 };
 use crate::nerf2::{LocationTable, index};
-use crate::npy::{ComplexArray, read_complex_array};
+use crate::npy::{ComplexFile, check_gains};
 use crate::text::{read_yaml, yaml_fault};
 use pwrfgs_core::{
-    Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Observations, Pose, Progress, Receiver,
+    Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Observations, Pose, Progress, Real, Receiver,
     Result, Sample, Simulation, Unmatched, carrier_fault,
 };
 use serde::{Deserialize, Serialize};
@@ -143,9 +143,9 @@ impl DataSource for Channels {
         let root = existing_root(base, &self.root, "Channels", LAYOUT)?;
         let (path, table) = (root.join(&self.file), root.join(&self.positions));
         let locations = LocationTable::read(&root, &table)?;
-        let array = read_complex_array(&path, SHAPE)?;
-        array.check_size(&path)?;
-        let [count, antennas, width] = array.shape;
+        let more: Vec<PathBuf> = self.more_carriers.iter().map(|carrier| root.join(&carrier.file)).collect();
+        let files = self.open_carriers(&path, &more)?;
+        let [count, antennas, width] = files[0].shape;
         if count != locations.poses.len() {
             let (table, rows) = (&locations.name, locations.poses.len());
             let problem = format!("holds channels of {count} transmitters, but {table} {rows}");
@@ -156,15 +156,15 @@ impl DataSource for Channels {
         let carrier_hz = frequencies_hz.iter().sum::<f64>() / width.max(1) as f64;
         let receiver = metadata.create_receiver(&path, antennas)?;
         let rows = index::read_sets(&root, &|word| index::parse_row(word, &locations.name, count))?;
-        let carriers = 1 + self.more_carriers.len();
+        let carriers = files.len();
         // Arrays of further carriers follow the first, with the same positions and sets.
         let repeat =
             |rows: Vec<usize>| (0..carriers).flat_map(|c| rows.iter().map(move |row| c * count + row)).collect();
         let official = rows.map(|(train, test)| (repeat(train), repeat(test)));
         let poses = locations.poses.repeat(carriers);
-        let array = self.with_more_carriers(&root, array)?;
+        let gains = read_gains(files)?;
         let samples: Vec<Sample> = (0..).zip(poses).map(|(id, pose)| Sample::new(id, pose)).collect();
-        let channels = ObservedChannels { antennas, frequencies_hz, gains: array.values };
+        let channels = ObservedChannels { antennas, frequencies_hz, gains };
         let name = folder_name(&root);
         let simulation = read_simulation(&root, &name).or_else(|| self.simulated.then(Simulation::default));
         let title = dataset_title(&name, simulation.as_ref(), "channels");
@@ -206,21 +206,19 @@ impl DataSource for Channels {
 }
 
 impl Channels {
-    /// Returns the array of the first carrier followed by those of the further ones. Returns an error for another shape.
-    fn with_more_carriers(&self, root: &Path, mut array: ComplexArray) -> Result<ComplexArray> {
-        for carrier in &self.more_carriers {
-            let path = root.join(&carrier.file);
-            let more = read_complex_array(&path, SHAPE)?;
-            if more.shape != array.shape {
-                let first = self.file.display();
-                let problem = format!("has the shape {:?}, but {first} has {:?}", more.shape, array.shape);
+    /// Opens the array at `path` and those of further carriers. Returns an error for another shape.
+    fn open_carriers<'a>(&self, path: &'a Path, more: &'a [PathBuf]) -> Result<Vec<ComplexFile<'a>>> {
+        let mut files = vec![ComplexFile::open(path, SHAPE)?];
+        for path in more {
+            let (file, shape) = (ComplexFile::open(path, SHAPE)?, files[0].shape);
+            if file.shape != shape {
+                let problem = format!("has the shape {:?}, but {} has {shape:?}", file.shape, self.file.display());
                 let advice = "give arrays of the same positions, or remove this one";
-                return Err(Error::input(&path, format!("{problem}; {advice}")));
+                return Err(Error::input(path, format!("{problem}; {advice}")));
             }
-            more.check_size(&path)?;
-            array.values.extend(more.values);
+            files.push(file);
         }
-        Ok(array)
+        Ok(files)
     }
 
     /// Returns all carriers, Hz, the first of which is `carrier_hz`. Returns an error unless they differ, and their
@@ -244,6 +242,15 @@ impl Channels {
     }
 }
 
+/// Reads all arrays as one. Returns an error if they do not fit into memory, or for an invalid number.
+fn read_gains(files: Vec<ComplexFile<'_>>) -> Result<Vec<[Real; 2]>> {
+    let count = files.iter().map(ComplexFile::count).sum();
+    check_gains(files[0].path, count)?;
+    let mut gains = Vec::with_capacity(count); // growing the list would copy it
+    files.into_iter().try_for_each(|file| file.read_channels(&mut gains))?;
+    Ok(gains)
+}
+
 /// Leaves out the links whose channel is zero, which was not received, and counts them. Returns an error if all are; it names
 /// the array at `path`.
 fn without_zeros(data: Dataset, path: &Path) -> Result<Dataset> {
@@ -255,7 +262,7 @@ fn without_zeros(data: Dataset, path: &Path) -> Result<Dataset> {
         _ if links.is_empty() => Err(Error::input(path, "is zero throughout; give channels that were received")),
         zeros => {
             let unmatched = Unmatched { positions: zeros, ..Unmatched::default() };
-            Ok(Dataset { unmatched, ..data.subset(&links)? })
+            Ok(Dataset { unmatched, ..data.into_subset(&links)? })
         }
     }
 }

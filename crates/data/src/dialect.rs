@@ -7,22 +7,28 @@ use crate::text::{
     split_unit,
 };
 use flate2::read::MultiGzDecoder;
-use pwrfgs_core::files::MAX_TEXT;
+use pwrfgs_core::files::ReadLimit;
 use pwrfgs_core::messages::quoted;
-use pwrfgs_core::{Error, Progress, Result};
+use pwrfgs_core::{Error, Progress, Result, check_memory};
 use std::borrow::Cow;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
-use std::io::Read as _;
+use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
 /// Number of lines from which separator and header are recognised.
 const EXAMINED: usize = 60;
 /// Separators in order of preference; `None`: blanks.
 const MARKS: [Option<char>; 5] = [Some('\t'), Some(';'), Some(','), Some('|'), None];
+/// Limit of the file of a table, whose text may be converted. [`TableText::check_rows`] limits what is read from it.
+const MAX_TABLE: ReadLimit = ReadLimit::Held(2);
+/// Next step for a table that does not fit into memory.
+pub(crate) const SPLIT_ADVICE: &str = "give the table in parts";
 /// Largest size of a compressed table after expansion, bytes: a thousandth of it may be in the file.
 const MAX_EXPANDED: u64 = 1 << 28;
+/// Memory of a growing list in units of its length: half of its elements are copied into twice the space.
+pub(crate) const GROWING: usize = 3;
 /// Largest number of fields of a line: a field needs far more memory than its comma. No table has as many receivers.
 const MOST_FIELDS: usize = 1_000_000;
 
@@ -62,21 +68,21 @@ impl<'a> TableText<'a> {
     /// Reads a table, compressed with gzip or not; its header is recognised by the numbers below it.
     ///
     /// # Errors
-    /// A file that cannot be read, does not fit into memory ([`MAX_TEXT`]), expands beyond [`MAX_EXPANDED`], or is no table.
+    /// A file that cannot be read, does not fit into memory, expands beyond [`MAX_EXPANDED`], or is no table.
     pub(crate) fn read(file: &'a TableFile) -> Result<Self> {
         let bytes = match &file.bytes {
             Some(bytes) => Cow::Borrowed(&bytes[..]),
-            None => read_bytes(&file.path, MAX_TEXT, "check the path of the table")?.into(),
+            None => read_bytes(&file.path, MAX_TABLE, "check the path of the table")?.into(),
         };
         let mut table = Self::of(&file.path, bytes)?;
         table.recognise()?;
         Ok(table)
     }
 
-    /// Reads a file of at most [`MAX_TEXT`] whose header has names that `is_name` accepts; `advice` is the next step for a
+    /// Reads a file whose header has names that `is_name` accepts; `advice` is the next step for a
     /// missing or empty file.
     pub(crate) fn with_names(path: &'a Path, advice: &str, is_name: &dyn Fn(&str) -> bool) -> Result<Self> {
-        let mut table = Self::of(path, read_bytes(path, MAX_TEXT, advice)?.into())?;
+        let mut table = Self::of(path, read_bytes(path, MAX_TABLE, advice)?.into())?;
         let text = std::mem::take(&mut table.text);
         let Some(first) = numbered_lines(&text).find(|(_, line)| !is_comment(line)) else {
             return Err(Error::input(path, format!("is empty; {advice}")));
@@ -202,7 +208,7 @@ impl<'a> TableText<'a> {
     /// Returns the rows as [`Self::rows`]; `progress` counts lines.
     pub(crate) fn counted_rows(&self, progress: Progress<'_>) -> impl Iterator<Item = Result<TextRow<'_>>> {
         const STEP: usize = 256;
-        let total = numbered_lines(&self.text).count();
+        let total = self.row_count();
         self.rows().inspect(move |row| {
             if let Ok(TextRow { line, .. }) = row
                 && line % STEP == 0
@@ -210,6 +216,17 @@ impl<'a> TableText<'a> {
                 progress(*line, total);
             }
         })
+    }
+
+    /// Returns the number of rows, at most.
+    pub(crate) fn row_count(&self) -> usize {
+        numbered_lines(&self.text).count()
+    }
+
+    /// Rejects a table whose rows do not fit into memory, with this many bytes each.
+    pub(crate) fn check_rows(&self, row_bytes: usize) -> Result<()> {
+        let bytes = self.row_count() as u64 * row_bytes as u64;
+        check_memory(bytes, SPLIT_ADVICE).map_err(|fault| Error::input(self.path, fault))
     }
 
     /// Returns the error `problem` at the name of column `k`, or at the header.
@@ -275,6 +292,7 @@ pub(crate) fn read_columns<T, const N: usize>(
     let is_name = |cell: &str| names.iter().any(|name| is_named(cell, name));
     let table = TableText::with_names(path, &missing, &is_name)?;
     let columns = names.iter().map(|name| table.column(name, &list)).collect::<Result<Vec<usize>>>()?;
+    table.check_rows(GROWING * size_of::<T>())?;
     let rows = table.rows().map(|row| {
         let row = row?;
         let mut fields = [TextField { text: "", column: 1 }; N];
@@ -294,13 +312,17 @@ pub(crate) fn is_named(cell: &str, name: &str) -> bool {
 
 /// Returns the content of a gzip file. Returns an error for a damaged file, or one that expands beyond [`MAX_EXPANDED`].
 fn expand(path: &Path, bytes: &[u8]) -> Result<Vec<u8>> {
-    let mut expanded = Vec::new();
-    let read = MultiGzDecoder::new(bytes).take(MAX_EXPANDED + 1).read_to_end(&mut expanded);
-    read.map_err(|e| Error::input(path, format!("cannot be expanded: {e}; compress the table again")))?;
-    if expanded.len() as u64 > MAX_EXPANDED {
-        let problem = format!("expands beyond the limit of {MAX_EXPANDED} bytes");
-        return Err(Error::input(path, format!("{problem}; import the table in parts")));
+    let refuse = |problem: String| Error::input(path, problem);
+    let damaged = |e: io::Error| refuse(format!("cannot be expanded: {e}; compress the table again"));
+    let content = || MultiGzDecoder::new(bytes).take(MAX_EXPANDED + 1);
+    // Counted first, so that nothing is held of a file that expands too far.
+    let size = io::copy(&mut content(), &mut io::sink()).map_err(damaged)?;
+    if size > MAX_EXPANDED {
+        return Err(refuse(format!("expands beyond the limit of {MAX_EXPANDED} bytes; {SPLIT_ADVICE}")));
     }
+    check_memory(2 * size, SPLIT_ADVICE).map_err(refuse)?;
+    let mut expanded = Vec::with_capacity(size as usize);
+    content().read_to_end(&mut expanded).map_err(damaged)?;
     Ok(expanded)
 }
 

@@ -6,7 +6,7 @@
 //! `mesh-loader` 0.1.13 rejects an OBJ file in which only some objects have textures. Neither reports line and column
 //! of every error.
 
-use crate::dialect::{TableText, is_named};
+use crate::dialect::{GROWING, TableText, is_named};
 use crate::ply;
 use crate::polygons::{Polygons, Triangles};
 use crate::text::{POINT_ADVICE, TextField, TextRow, VERTEX_ADVICE, XyzColumns, numbered_lines, read_bytes, warn_once};
@@ -155,6 +155,7 @@ fn read_table_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     let table = TableText::with_names(path, ADVICE, &is_name)?;
     let column = |name| table.column(name, "x, y and z");
     let columns = if table.header.is_some() { [column("x")?, column("y")?, column("z")?] } else { [0, 1, 2] };
+    table.check_rows(GROWING * size_of::<[f64; 3]>())?;
     let mut rows = table.rows().peekable();
     let lone = |row: &TextRow<'_>| if row.fields.len() == 1 { row.fields[0].text.parse::<usize>().ok() } else { None };
     let count = rows.peek().and_then(|row| row.as_ref().ok()).and_then(|row| Some((row.line, lone(row)?)));

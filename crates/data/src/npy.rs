@@ -115,32 +115,76 @@ pub(crate) struct ComplexArray {
 /// # Errors
 /// Another type, shape or order of the numbers, a truncated file, or a number that is not finite.
 pub(crate) fn read_complex_array(path: &Path, expected: &str) -> Result<ComplexArray> {
-    let (header, mut file, length) = open_array(path)?;
-    let refuse = |problem: String| Error::input(path, problem);
-    let name = path.file_stem().unwrap_or_default().to_string_lossy();
-    if !matches!(header.descr.as_str(), "<c8" | "<c16") {
-        if header.descr.contains(['f', 'i', 'u']) {
-            return Err(refuse(real_channels_fault(&header.shape)));
-        }
-        let advice = "channels are complex64 or complex128, little endian: save a.astype('<c8')";
-        return Err(refuse(format!("holds numbers of type `{}`; {advice}", header.descr)));
-    }
-    let Ok(shape) = <[usize; 3]>::try_from(header.shape.as_slice()) else {
-        return Err(refuse(format!("has shape {}; {expected}; use a.reshape", header.shape_text())));
-    };
-    if header.fortran {
-        return Err(refuse(format!("is in Fortran order; save numpy.ascontiguousarray({name})")));
-    }
-    if shape.contains(&0) {
-        return Err(refuse(format!("has shape {} and is empty; {expected}", header.shape_text())));
-    }
-    let numbers = NumberReader::begin(&header, path, length)?;
-    check_gains(path, numbers.count / 2)?;
-    let mut values = Vec::with_capacity(numbers.count / 2); // growing the list would copy it
-    numbers.read(&mut file, |piece| {
-        values.extend(piece.as_chunks().0.iter().map(|gain: &[f64; 2]| gain.map(|v| v as Real)));
-    })?;
+    let file = ComplexFile::open(path, expected)?;
+    let (shape, count) = (file.shape, file.count());
+    check_gains(path, count)?;
+    let mut values = Vec::with_capacity(count); // growing the list would copy it
+    file.read(&mut values)?;
     Ok(ComplexArray { shape, values })
+}
+
+/// Open file of a complex array whose header is valid.
+pub(crate) struct ComplexFile<'a> {
+    pub(crate) path: &'a Path,
+    header: Header,
+    file: File,
+    length: u64,
+    pub(crate) shape: [usize; 3],
+}
+
+impl<'a> ComplexFile<'a> {
+    /// Opens the array of a file as [`read_complex_array`] does.
+    pub(crate) fn open(path: &'a Path, expected: &str) -> Result<Self> {
+        let (header, file, length) = open_array(path)?;
+        let refuse = |problem: String| Error::input(path, problem);
+        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        if !matches!(header.descr.as_str(), "<c8" | "<c16") {
+            if header.descr.contains(['f', 'i', 'u']) {
+                return Err(refuse(real_channels_fault(&header.shape)));
+            }
+            let advice = "channels are complex64 or complex128, little endian: save a.astype('<c8')";
+            return Err(refuse(format!("holds numbers of type `{}`; {advice}", header.descr)));
+        }
+        let Ok(shape) = <[usize; 3]>::try_from(header.shape.as_slice()) else {
+            return Err(refuse(format!("has shape {}; {expected}; use a.reshape", header.shape_text())));
+        };
+        if header.fortran {
+            return Err(refuse(format!("is in Fortran order; save numpy.ascontiguousarray({name})")));
+        }
+        if shape.contains(&0) {
+            return Err(refuse(format!("has shape {} and is empty; {expected}", header.shape_text())));
+        }
+        NumberReader::begin(&header, path, length)?;
+        Ok(Self { path, header, file, length, shape })
+    }
+
+    /// Returns the number of gains.
+    pub(crate) fn count(&self) -> usize {
+        self.shape.iter().product()
+    }
+
+    /// Appends the numbers to `values`. Returns an error for a number that is not finite.
+    pub(crate) fn read(mut self, values: &mut Vec<[Real; 2]>) -> Result<()> {
+        NumberReader::begin(&self.header, self.path, self.length)?.read(&mut self.file, |piece| {
+            values.extend(piece.as_chunks().0.iter().map(|gain: &[f64; 2]| gain.map(|v| v as Real)));
+        })
+    }
+
+    /// Appends the numbers to `values` as [`Self::read`]. Returns an error also for a number that is too large to compute with.
+    pub(crate) fn read_channels(self, values: &mut Vec<[Real; 2]>) -> Result<()> {
+        let (path, shape, first) = (self.path, self.shape, values.len());
+        self.read(values)?;
+        check_size(path, shape, &values[first..])
+    }
+}
+
+/// Returns an error for numbers of an array that are too large to compute with.
+pub(crate) fn check_size(path: &Path, shape: [usize; 3], values: &[[Real; 2]]) -> Result<()> {
+    let mut faults = values.iter().map(|gain| gain_fault(gain.map(|v| v as f64))).enumerate();
+    match faults.find_map(|(i, fault)| Some((i, fault?))) {
+        Some((i, fault)) => Err(Error::input(path, format!("{} {fault}", element_name(path, &shape, &[2, 1, 0], i)))),
+        None => Ok(()),
+    }
 }
 
 /// Rejects more gains than fit into memory.
@@ -250,17 +294,6 @@ fn element_name(path: &Path, shape: &[usize], fastest_first: &[usize], mut i: us
 }
 
 impl ComplexArray {
-    /// Returns an error for numbers that are too large to compute with.
-    pub(crate) fn check_size(&self, path: &Path) -> Result<()> {
-        let mut faults = self.values.iter().map(|gain| gain_fault(gain.map(|v| v as f64))).enumerate();
-        match faults.find_map(|(i, fault)| Some((i, fault?))) {
-            Some((i, fault)) => {
-                Err(Error::input(path, format!("{} {fault}", element_name(path, &self.shape, &[2, 1, 0], i))))
-            }
-            None => Ok(()),
-        }
-    }
-
     /// Divides all numbers by the largest modulus of the rows `train`, or of all rows. Returns an error if it is zero.
     pub(crate) fn normalise(&mut self, path: &Path, train: Option<&[usize]>) -> Result<()> {
         let modulus = |gain: &[Real; 2]| (gain[0] as f64).hypot(gain[1] as f64);

@@ -4,7 +4,7 @@ use crate::findings::cloud::{extent, longest_side};
 use crate::session::{Observer, run_stage};
 use crate::text::{format_length, grouped, number};
 use pwrfgs_core::statistics::{quantile, sorted};
-use pwrfgs_core::{Dataset, Image, Predict as _, Result, Task};
+use pwrfgs_core::{Dataset, Image, Predict as _, Query, Result, Task};
 use pwrfgs_model::{Ensemble, Interval, IntervalFactors};
 use rayon::prelude::*;
 
@@ -40,8 +40,8 @@ impl Agreement {
             calibration.factors(level).map(|factors| (level, factors))
         });
         let calibration = calibration.transpose()?;
-        let score_link = |i: &usize| {
-            let (prediction, truth) = (task.shown(ready.predict(data.query(*i))), data.image(*i));
+        let score_link = |(i, prediction): (&usize, Image)| {
+            let (prediction, truth) = (task.shown(prediction), data.image(*i));
             let score = task.score(&prediction, &truth);
             let deviation = ready.deviation(data.query(*i)).unwrap_or(1.0);
             let is_out = |(_, factors): &(f64, IntervalFactors)| {
@@ -53,7 +53,8 @@ impl Agreement {
         let compared = run_stage(observer, "comparing with the model", |progress| {
             let mut compared = Vec::with_capacity(links.len());
             for chunk in links.chunks(CHUNK) {
-                compared.par_extend(chunk.par_iter().map(score_link));
+                let queries: Vec<Query<'_>> = chunk.iter().map(|i| data.query(*i)).collect();
+                compared.par_extend(chunk.par_iter().zip(ready.predict_many(&queries)).map(score_link));
                 progress(compared.len(), links.len());
             }
             compared

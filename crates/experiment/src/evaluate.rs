@@ -7,22 +7,21 @@ use crate::evaluation_set::{EvaluationSet, Predictor, ScoredPredictor};
 use crate::load::{ActiveRun, SplitData};
 use crate::partial_scores::PartialScores;
 use crate::record::Confidence;
-use crate::repeatability::estimate_noise_ceiling;
+use crate::repeatability::CeilingEstimator;
 use crate::residuals::left_out_links;
 use crate::scores::{IntervalScores, MODEL, ScoreTable, Scores};
 use crate::session::{Session, run_stage};
 use crate::text::number;
 use pwrfgs_core::kriging::{Correlation, ProcessFit};
 use pwrfgs_core::{
-    Baseline, Dataset, FittingSet, ImagePlane, Measurement, Metric, Misfit, ModelFacts, Parts, Plugin, Result, Scope,
-    Task, check_compatible, check_stopped, evenly,
+    Baseline, Dataset, FittingSet, Image, ImagePlane, Measurement, Metric, Misfit, ModelFacts, Parts, Plugin, Query,
+    Result, Scope, Task, check_compatible, check_stopped, evenly,
 };
 use pwrfgs_model::{Ensemble, Prepared, ResidualProcess, Residuals, file};
 use pwrfgs_pipeline::defaults;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Number of test spectra predicted together.
 const CHUNK: usize = 64;
@@ -220,7 +219,7 @@ impl OpenEvaluation<'_, '_, '_> {
         let (ActiveRun { pipeline, split, session, .. }, predictors, mut table) =
             (self.scorer.run, self.predictors, self.table);
         let SplitData { data, partition } = split;
-        let ceiling = estimate_noise_ceiling(data, partition, &pipeline.metrics, session.stop)?;
+        let ceiling = CeilingEstimator::new(data, &pipeline.metrics, session.stop).estimate(partition)?;
         let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
         let known = partition.known().all().len();
         // Each of several models leaves out another part.
@@ -294,20 +293,19 @@ impl Confidence {
         let stop = session.stop;
         run_stage(session.observer, "measuring the spread of members", |progress| {
             let mut all = Self { ids: part.iter().map(|&i| data.label(i)).collect(), ..Self::default() };
-            let done = AtomicUsize::new(0);
-            let measure_link = |&i: &usize| {
-                let (mean, deviation, _) = model.predict_with_deviation(data.query(i));
+            let measure_link = |(&i, (mean, deviation)): (&usize, (Image, Image))| {
                 let (shown, truth) = (data.task().shown(mean), data.image(i));
                 let errors = shown.pixels.iter().zip(&truth.pixels).map(|(a, b)| *a as f64 - *b as f64);
-                let pair = (root_mean_square(deviation.pixels.iter().map(|p| *p as f64)), root_mean_square(errors));
-                progress(done.fetch_add(1, Ordering::Relaxed) + 1, part.len());
-                pair
+                (root_mean_square(deviation.pixels.iter().map(|p| *p as f64)), root_mean_square(errors))
             };
             for chunk in part.chunks(CHUNK) {
                 check_stopped(stop)?;
-                let pairs: Vec<(f64, f64)> = chunk.par_iter().map(measure_link).collect();
+                let queries: Vec<Query<'_>> = chunk.iter().map(|i| data.query(*i)).collect();
+                let predicted = chunk.par_iter().zip(model.predict_many_with_deviation(&queries));
+                let pairs: Vec<(f64, f64)> = predicted.map(measure_link).collect();
                 all.spreads.extend(pairs.iter().map(|pair| pair.0));
                 all.errors.extend(pairs.iter().map(|pair| pair.1));
+                progress(all.errors.len(), part.len());
             }
             data.observations.check()?;
             Ok(all)

@@ -90,6 +90,8 @@ pub struct ScoredPredictor<'a> {
 struct OpenMeasurements {
     /// Measurements by each metric.
     by_metric: Vec<Vec<Measurement>>,
+    /// Energies of the samples for each metric of [`Scope::Energies`].
+    energies: Vec<Vec<[f64; 2]>>,
     /// Predictions and observations if a metric needs all of them, otherwise empty.
     images: [Vec<Image>; 2],
 }
@@ -137,7 +139,11 @@ impl<'a> EvaluationSet<'a> {
         let ScoredPredictor { name, predictor, metrics } = scored;
         let needs_all = metrics.iter().any(|m| m.scope() == Scope::All);
         let evaluation = Evaluation { model: predictor.facts(), ..Evaluation::of(self.data, self.plane) };
-        let (mut by_metric, mut images) = (vec![Vec::new(); metrics.len()], <[Vec<Image>; 2]>::default());
+        let mut open = OpenMeasurements {
+            by_metric: vec![Vec::new(); metrics.len()],
+            energies: vec![Vec::new(); metrics.len()],
+            images: Default::default(),
+        };
         let numbers = self.plane.width * self.plane.height;
         let size = (PIXELS / numbers.max(1)).clamp(1, if numbers == 1 { MANY } else { CHUNK });
         let (done, stop) = (AtomicUsize::new(0), session.stop);
@@ -151,16 +157,21 @@ impl<'a> EvaluationSet<'a> {
                 self.data.observations.check()?;
                 refuse_infinite(name, &predictions)?;
                 let chunk = Evaluation { predictions: &predictions, truths: &truths, links, ..evaluation };
-                let per_sample = |(_, metric): &(_, &Plugin<dyn Metric>)| metric.scope() == Scope::Sample;
-                for (measured, metric) in by_metric.iter_mut().zip(metrics).filter(per_sample) {
-                    append_measurements(measured, metric.evaluate(&chunk)?, part.len())?;
+                for (k, metric) in metrics.iter().enumerate() {
+                    match metric.scope() {
+                        Scope::Sample => {
+                            append_measurements(&mut open.by_metric[k], metric.evaluate(&chunk)?, part.len())?;
+                        }
+                        Scope::Energies => open.energies[k].extend(metric.energies(&chunk)?),
+                        Scope::Model | Scope::All => {}
+                    }
                 }
                 if needs_all {
-                    images[0].extend(predictions);
-                    images[1].extend(truths);
+                    open.images[0].extend(predictions);
+                    open.images[1].extend(truths);
                 }
             }
-            Ok(OpenMeasurements { by_metric, images })
+            Ok(open)
         })
     }
 
@@ -175,14 +186,17 @@ impl<'a> EvaluationSet<'a> {
         let count = &Cell::new(0);
         let timer = predictor.is_timed().then_some(move || self.time_next(predictor, count));
         let timed_prediction = timer.as_ref().map(|timer| timer as &dyn Fn() -> StageTimes);
-        let OpenMeasurements { by_metric, images: [predictions, truths] } = measurements;
+        let OpenMeasurements { by_metric, energies, images: [predictions, truths] } = measurements;
         let samples = Evaluation::of(self.data, self.plane);
         let whole = Evaluation { model: predictor.facts(), timed_prediction, ..samples };
-        let all = Evaluation { predictions, truths, links: &self.links, ..whole };
+        let all = Evaluation { links: &self.links, ..whole };
         run_stage(session.observer, &format!("scoring {name}"), |progress| {
             for (k, (measured, metric)) in by_metric.iter_mut().zip(metrics).enumerate() {
                 match metric.scope() {
-                    Scope::All => *measured = metric.evaluate(&all)?,
+                    Scope::Energies => {
+                        *measured = metric.evaluate(&Evaluation { energies: &energies[k], ..all })?;
+                    }
+                    Scope::All => *measured = metric.evaluate(&Evaluation { predictions, truths, ..all })?,
                     Scope::Model => *measured = metric.evaluate(&whole)?,
                     Scope::Sample if self.part.is_empty() => *measured = metric.evaluate(&samples)?,
                     Scope::Sample => {}

@@ -4,7 +4,7 @@ use crate::load::ActiveRun;
 use crate::residuals::{check_residuals, left_out_links};
 use crate::scores::{IntervalScores, LEVEL, LevelScores};
 use crate::session::run_stage;
-use pwrfgs_core::{Error, Image, Predict, Result, check_stopped};
+use pwrfgs_core::{Error, Image, Predict, Query, Result, check_stopped};
 use pwrfgs_model::{Ensemble, HeldOutScores, Interval, IntervalCalibration, IntervalFactors};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -139,8 +139,8 @@ impl ActiveRun<'_, '_> {
         score: impl Fn(&Image, f64, &Image) -> T + Sync,
     ) -> Result<Vec<T>> {
         let (data, stop) = (&self.split.data, self.session.stop);
-        let score_link = |&i: &usize| {
-            let prediction = data.task().shown(predictor.predict(data.query(i)));
+        let score_link = |(&i, prediction): (&usize, Image)| {
+            let prediction = data.task().shown(prediction);
             let deviation = predictor.deviation(data.query(i)).unwrap_or(1.0);
             if !(deviation.is_finite() && prediction.pixels.iter().all(|p| p.is_finite())) {
                 let problem = "intervals: a prediction is not finite; train the model again with lower learning rates";
@@ -152,7 +152,9 @@ impl ActiveRun<'_, '_> {
             let mut scores = Vec::with_capacity(links.len());
             for chunk in links.chunks(CHUNK) {
                 check_stopped(stop)?;
-                scores.extend(chunk.par_iter().map(score_link).collect::<Result<Vec<T>>>()?);
+                let queries: Vec<Query<'_>> = chunk.iter().map(|i| data.query(*i)).collect();
+                let predicted = chunk.par_iter().zip(predictor.predict_many(&queries));
+                scores.extend(predicted.map(score_link).collect::<Result<Vec<T>>>()?);
                 progress(scores.len(), links.len());
             }
             data.observations.check()?;

@@ -49,7 +49,7 @@ pub use model_file::model_file;
 pub use page::{rebuild_page, with_run};
 pub use paired::{Paired, PairedRow};
 pub use record::Record;
-pub use repeatability::{NoiseCeiling, Repeatability, estimate_noise_ceiling, measure_repeatability};
+pub use repeatability::{CeilingEstimator, NoiseCeiling, Repeatability, measure_repeatability};
 pub use run_folder::RunFolder;
 pub use runner::{RunOutcome, run, score_model};
 pub use samples::TestSamples;

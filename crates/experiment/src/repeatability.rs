@@ -8,7 +8,7 @@
 //! The result is the agreement of two measurements. The mean of all measurements at a position is slightly closer to
 //! each than they are to each other, so a perfect predictor of the mean would score slightly higher.
 //!
-//! [`estimate_noise_ceiling`] estimates the noise ceiling of a test set, a row in the table of baselines. If most test
+//! [`CeilingEstimator`] estimates the noise ceiling of a test set, a row in the table of baselines. If most test
 //! samples were measured shortly before or after a training sample, it uses pairs near in time, which share short-term
 //! conditions; otherwise it uses pairs far apart in time.
 
@@ -264,39 +264,56 @@ pub struct NoiseCeiling {
     pub notes: Vec<String>,
 }
 
-/// Estimates the noise ceiling of the test set of `partition` by every per-sample metric; if the data have too few
-/// pairs, it has no metrics, and a note gives the reason.
-///
-/// # Errors
-/// Same as [`crate::measure_repeatability`].
-pub fn estimate_noise_ceiling(
-    data: &Dataset,
-    partition: &Partition,
-    metrics: &[Plugin<dyn Metric>],
-    stop: &AtomicBool,
-) -> Result<NoiseCeiling> {
-    let (mut lag, mut why) = choose_lag(data, &id_gaps(data, partition));
-    let comparison = PairComparison::new(data, metrics, stop);
-    let mut similarity = comparison.measure(lag, false)?;
-    if similarity.closest < LEAST {
-        let all = comparison.measure(PairLag::Any, false)?;
-        if all.closest >= LEAST {
-            why = format!("since only {} close pairs are {}", similarity.closest, lag.describe());
-            (lag, similarity) = (PairLag::Any, all);
-        }
+/// Estimates the noise ceilings of the test sets of a data set. Splits share the pairs of samples and their scores.
+pub struct CeilingEstimator<'a> {
+    comparison: PairComparison<'a>,
+    /// Pairs measured so far.
+    measured: Vec<(PairLag, PairSimilarity)>,
+}
+
+impl<'a> CeilingEstimator<'a> {
+    /// Creates an estimator by those of `metrics` that score one sample at a time.
+    pub fn new(data: &'a Dataset, metrics: &'a [Plugin<dyn Metric>], stop: &'a AtomicBool) -> Self {
+        Self { comparison: PairComparison::new(data, metrics, stop), measured: Vec::new() }
     }
-    let estimate = |m: &MetricSimilarity| Some((m.key.clone(), m.at_zero.as_ref().ok().copied()?));
-    let ceilings: Vec<MetricCeiling> = similarity.metrics.iter().filter_map(estimate).collect();
-    let missing = similarity.metrics.iter().filter_map(|m| Some((&m.key, m.at_zero.as_ref().err()?)));
-    let notes = match (ceilings.is_empty(), similarity.metrics.first().map(|m| &m.at_zero)) {
-        (false, _) => {
-            let by = |(key, why): (&String, &String)| format!("no {CEILING} by {key}: {why}");
-            pair_notes(data.task(), &similarity, lag, &why, &ceilings).into_iter().chain(missing.map(by)).collect()
+
+    /// Estimates the noise ceiling of the test set of `partition` by every metric; if the data have too few pairs, it has no
+    /// metrics, and a note gives the reason.
+    ///
+    /// # Errors
+    /// Same as [`crate::measure_repeatability`].
+    pub fn estimate(&mut self, partition: &Partition) -> Result<NoiseCeiling> {
+        let data = self.comparison.data;
+        let (mut lag, mut why) = choose_lag(data, &id_gaps(data, partition));
+        let closest = self.similarity(lag)?.closest;
+        if closest < LEAST && self.similarity(PairLag::Any)?.closest >= LEAST {
+            why = format!("since only {closest} close pairs are {}", lag.describe());
+            lag = PairLag::Any;
         }
-        (true, Some(Err(reason))) => vec![format!("no {CEILING}: {reason}")],
-        (true, _) => Vec::new(),
-    };
-    Ok(NoiseCeiling { metrics: ceilings, notes })
+        let similarity = self.similarity(lag)?;
+        let estimate = |m: &MetricSimilarity| Some((m.key.clone(), m.at_zero.as_ref().ok().copied()?));
+        let ceilings: Vec<MetricCeiling> = similarity.metrics.iter().filter_map(estimate).collect();
+        let missing = similarity.metrics.iter().filter_map(|m| Some((&m.key, m.at_zero.as_ref().err()?)));
+        let notes = match (ceilings.is_empty(), similarity.metrics.first().map(|m| &m.at_zero)) {
+            (false, _) => {
+                let by = |(key, why): (&String, &String)| format!("no {CEILING} by {key}: {why}");
+                pair_notes(data.task(), similarity, lag, &why, &ceilings).into_iter().chain(missing.map(by)).collect()
+            }
+            (true, Some(Err(reason))) => vec![format!("no {CEILING}: {reason}")],
+            (true, _) => Vec::new(),
+        };
+        Ok(NoiseCeiling { metrics: ceilings, notes })
+    }
+
+    /// Returns the agreement of the closest pairs of one `lag`, which is measured once.
+    fn similarity(&mut self, lag: PairLag) -> Result<&PairSimilarity> {
+        let known = self.measured.iter().position(|(other, _)| *other == lag);
+        let index = known.unwrap_or(self.measured.len());
+        if known.is_none() {
+            self.measured.push((lag, self.comparison.measure(lag, false)?));
+        }
+        Ok(&self.measured[index].1)
+    }
 }
 
 /// Returns the difference of ids between each test sample and the nearest training or validation sample; `u32::MAX`
@@ -377,6 +394,20 @@ mod tests {
         assert_eq!(why, "since 70 % of the test samples have no known one within 30 ids");
         let anywhere = data(|id| f64::from(id * 149 % 400));
         assert_eq!(chosen(&anywhere, &partition(|i| i % 5 == 0)).0, PairLag::Far, "ids carry no time information");
+    }
+
+    #[test]
+    fn splits_share_measured_pairs() {
+        let walk = data(|id| f64::from(id % 200) * 0.01);
+        let metrics = [Plugin::<dyn Metric>::parse("L1()").unwrap()];
+        let stop = AtomicBool::new(false);
+        let mut shared = CeilingEstimator::new(&walk, &metrics, &stop);
+        let splits = [partition(|i| i % 5 == 0), partition(|i| i < 200), partition(|i| i % 7 == 0)];
+        for (split, measured) in splits.iter().zip([1, 2, 2]) {
+            let alone = CeilingEstimator::new(&walk, &metrics, &stop).estimate(split).unwrap();
+            assert_eq!(format!("{:?}", shared.estimate(split).unwrap()), format!("{alone:?}"));
+            assert_eq!(shared.measured.len(), measured);
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use crate::{FingerprintFeatures, MOST_SAMPLES};
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::statistics::{evenly, mean};
-use pwrfgs_core::{Dataset, FittingSet, Predict};
+use pwrfgs_core::{Dataset, FittingSet, Predict, Query};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -24,6 +24,10 @@ pub struct Fingerprints {
     width: usize,
 }
 
+/// Largest number of links that a model predicts in one call, and of their values for large observations.
+const LINKS: usize = 512;
+const VALUES: usize = 1 << 21;
+
 /// Builder of the fingerprints of transmitters of a data set.
 pub(crate) struct FingerprintBuilder<'a> {
     pub(crate) data: &'a Dataset,
@@ -40,17 +44,28 @@ impl FingerprintBuilder<'_> {
 
     /// Returns the measured fingerprints of `places` of [`Self::places`].
     pub(crate) fn measured_at(&self, places: &[Vec<usize>]) -> Fingerprints {
-        self.build(places, |link| self.features.extract(&self.data.image(link)))
+        self.build(places, |links| {
+            links.par_iter().map(|link| self.features.extract(&self.data.image(*link))).collect()
+        })
     }
 
-    /// Returns the predicted fingerprints of `places`, for the same links as [`Self::measured_at`]; `done` is called after every
-    /// link.
-    pub(crate) fn predicted(&self, places: &[Vec<usize>], model: &dyn Predict, done: impl Fn() + Sync) -> Fingerprints {
-        self.build(places, |link| {
-            let features = self.features.extract(&model.predict(self.data.query(link)));
-            done();
-            features
+    /// Returns the predicted fingerprints of `places`, for the same links as [`Self::measured_at`]; `done` gets the number of
+    /// links of each call of the model.
+    pub(crate) fn predicted(&self, places: &[Vec<usize>], model: &dyn Predict, done: impl Fn(usize)) -> Fingerprints {
+        self.build(places, |links| {
+            let predict = |links: &[usize]| {
+                let queries: Vec<Query<'_>> = links.iter().map(|link| self.data.query(*link)).collect();
+                let images = model.predict_many(&queries);
+                done(links.len());
+                images.par_iter().map(|image| self.features.extract(image)).collect::<Vec<_>>()
+            };
+            links.chunks(self.call_links()).flat_map(predict).collect()
         })
+    }
+
+    /// Returns the largest number of links of one call of a model.
+    fn call_links(&self) -> usize {
+        (VALUES / (self.data.width * self.data.height).max(1)).clamp(1, LINKS)
     }
 
     /// Groups `transmitters` by position, so that repeated readings of powers make one fingerprint. Other observations stay
@@ -67,19 +82,19 @@ impl FingerprintBuilder<'_> {
         places
     }
 
-    /// Creates the fingerprints of `places`, the mean of all readings of each link; `link_features` returns the features of a
-    /// reading. The variance of the difference between a mean of n readings and a new one, v (1 + 1/n), relative to that of a link
+    /// Creates the fingerprints of `places`, the mean of all readings of each link; `link_features` returns the features of
+    /// some readings. The variance of the difference between a mean of n readings and a new one, v (1 + 1/n), relative to that of a link
     /// with one reading, divides the weight of a feature; v is the variance of the link, drawn to that of all links.
-    fn build(&self, places: &[Vec<usize>], link_features: impl Fn(usize) -> Vec<f32> + Sync) -> Fingerprints {
+    fn build(&self, places: &[Vec<usize>], link_features: impl Fn(&[usize]) -> Vec<Vec<f32>>) -> Fingerprints {
         let (data, count) = (self.data, self.features.count());
         let missing = if self.floor.is_finite() { self.floor } else { f32::NAN };
         let width = count * data.scene.receivers.len();
         // Number of readings, their mean and the sum of squared deviations, by feature.
-        let row = |place: &Vec<usize>| {
+        let row = |links: &[usize], features: &[Vec<f32>]| {
             let mut row = vec![(0.0, missing, 0.0); width];
-            for link in data.links_of(place) {
-                let features = &mut row[data.links[link].receiver * count..][..count];
-                for ((n, mean, squares), value) in features.iter_mut().zip(link_features(link)) {
+            for (link, values) in links.iter().zip(features) {
+                let features = &mut row[data.links[*link].receiver * count..][..count];
+                for ((n, mean, squares), value) in features.iter_mut().zip(values.iter().copied()) {
                     *n += 1.0;
                     let deviation = if *n == 1.0 { 0.0 } else { value - *mean };
                     *mean = if *n == 1.0 { value } else { *mean + deviation / *n };
@@ -88,7 +103,17 @@ impl FingerprintBuilder<'_> {
             }
             row
         };
-        let rows: Vec<(f32, f32, f32)> = places.par_iter().flat_map_iter(row).collect();
+        let mut rows: Vec<(f32, f32, f32)> = Vec::with_capacity(places.len() * width);
+        for places in places.chunks(LINKS) {
+            let links: Vec<Vec<usize>> = places.iter().map(|place| data.links_of(place)).collect();
+            let features = link_features(&links.concat());
+            let mut features = features.as_slice();
+            for links in &links {
+                let (own, rest) = features.split_at(links.len());
+                rows.extend(row(links, own));
+                features = rest;
+            }
+        }
         let repeated = || rows.iter().filter(|(n, ..)| *n > 1.0);
         let variance = repeated().map(|row| row.2).sum::<f32>() / repeated().map(|row| row.0 - 1.0).sum::<f32>();
         let weight = |&(n, _, squares): &(f32, f32, f32)| {
@@ -250,7 +275,7 @@ impl NearestFingerprints {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::{Pose, Real, Receiver, Sample};
+    use pwrfgs_core::{Image, Pose, Real, Receiver, Sample};
 
     #[test]
     fn misfit_is_the_mean_over_known_features() {
@@ -283,6 +308,35 @@ mod tests {
                 assert_eq!(all.nearest(&[observed], count, left_out), expected, "{observed} {count}");
             }
         }
+    }
+
+    /// Predicts the ID, and records the sizes of calls.
+    struct Recorded(std::sync::Mutex<Vec<usize>>);
+
+    impl Predict for Recorded {
+        fn predict(&self, query: Query<'_>) -> Image {
+            Image { width: 1, height: 1, pixels: vec![(query.id.unwrap_or(0) as Real).sin()] }
+        }
+
+        fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
+            self.0.lock().unwrap().push(queries.len());
+            queries.iter().map(|query| self.predict(*query)).collect()
+        }
+    }
+
+    #[test]
+    fn model_predicts_fingerprints_in_batches() {
+        let samples: Vec<Sample> = (0..1_100).map(|id| Sample::new(id, [f64::from(id), 0.0, 1.0])).collect();
+        let powers = vec![-50.0; samples.len()];
+        let receiver = vec![Receiver::new("a", Pose::IDENTITY)];
+        let data = Dataset::of_links("hall", receiver, vec![], &samples, powers.into()).unwrap();
+        let features = FingerprintFeatures::new(&data, &[0]);
+        let builder = FingerprintBuilder { data: &data, features: &features, floor: -80.0 };
+        let (model, done) = (Recorded(std::sync::Mutex::default()), std::cell::RefCell::new(Vec::new()));
+        let places = builder.places(&(0..1_100).collect::<Vec<_>>());
+        let predicted = builder.predicted(&places, &model, |links| done.borrow_mut().push(links));
+        assert_eq!((done.into_inner(), model.0.into_inner().unwrap()), (vec![512, 512, 76], vec![512, 512, 76]));
+        assert!((0..1_100).all(|k| predicted.row(k) == [(k as Real).sin() as f32]));
     }
 
     /// Three readings at the first position, of which one receiver has two, and one at the second.

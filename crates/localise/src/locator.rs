@@ -105,7 +105,7 @@ impl<'a> Locator<'a> {
         let total = links.train.len() + EFFORT * shares.len() * validation.len();
         let count = AtomicUsize::new(0);
         let work = |more: usize| progress(count.fetch_add(more, Ordering::Relaxed) + more, total);
-        let predicted = shares.iter().any(is_used).then(|| builder.predicted(&places, used, || work(1)));
+        let predicted = shares.iter().any(is_used).then(|| builder.predicted(&places, used, work));
         let samples = builder.measured(&validation);
         let sample =
             |k: usize| ValidationSample { observation: samples.row(k).to_vec(), position: samples.positions[k] };

@@ -97,9 +97,9 @@ impl Metric for ChannelSnr {
         if let Some(values) = unsupported_task(self, evaluation) {
             return Ok(vec![measured("snr_db", values.clone()), measured("snr_all_db", values)]);
         }
-        check_paired(evaluation)?;
-        let both = evaluation.predictions.iter().zip(evaluation.truths);
-        let each: Vec<Energies> = both.map(|(p, t)| Energies::of(p, t)).collect();
+        let own = if evaluation.energies.is_empty() { self.energies(evaluation)? } else { Vec::new() };
+        let each = evaluation.energies.iter().chain(&own);
+        let each: Vec<Energies> = each.map(|&[error, signal]| Energies { error, signal }).collect();
         let transmitter = |i: usize| evaluation.links.get(i).map_or(i, |link| link.location);
         let mut snapshots = Vec::with_capacity(each.len());
         let rows: Vec<usize> = (0..each.len()).collect();
@@ -115,6 +115,16 @@ impl Metric for ChannelSnr {
 
     fn tasks(&self) -> &'static [Task] {
         &[Task::Channel]
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Energies
+    }
+
+    fn energies(&self, evaluation: &Evaluation<'_>) -> Result<Vec<[f64; 2]>> {
+        check_paired(evaluation)?;
+        let both = evaluation.predictions.iter().zip(evaluation.truths);
+        Ok(both.map(|(p, t)| Energies::of(p, t)).map(|Energies { error, signal }| [error, signal]).collect())
     }
 }
 

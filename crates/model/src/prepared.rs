@@ -200,6 +200,10 @@ impl Predict for Prepared<'_> {
         self.predict_timed(query).0
     }
 
+    fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
+        Prepared::predict_many(self, queries)
+    }
+
     fn predict_vjp(&self, query: Query<'_>, cotangent: &dyn Fn(&Image) -> Vec<Real>) -> Option<(Image, [f64; 3])> {
         Prepared::predict_vjp(self, query, cotangent).map(|(image, d_tx, _)| (image, d_tx))
     }

@@ -88,9 +88,7 @@ impl Predictor {
     /// Predicts the observations of many links, such as powers over a plane, in their order.
     pub(crate) fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
         match self {
-            Self::Baseline(baseline) => {
-                queries.iter().map(|query| baseline.borrow_dependent().predict(*query)).collect()
-            }
+            Self::Baseline(baseline) => baseline.borrow_dependent().predict_many(queries),
             Self::Model(ready) => ready.borrow_dependent().predict_many(queries),
         }
     }

@@ -34,7 +34,7 @@ impl Dataset {
         };
         let receivers: Vec<Receiver> = distinct.iter().map(|hz| self.scene.receivers[0].at_carrier(*hz)).collect();
         let official = self.official.as_ref().map(|(train, test)| (moved(train), moved(test)));
-        let observations = if order.is_sorted() { self.observations } else { self.observations.subset(&order)? };
+        let observations = self.observations.into_subset(&order)?;
         let ends = Ends { receivers: receivers.clone(), ..self.scene.ends() };
         let columns = Self::of_links(self.title, ends, Vec::new(), &samples, observations)?;
         Ok(Self {

@@ -153,3 +153,36 @@ impl Columns for Channels {
         Some(format!("channels[{l}, {a}, {f}] {fault}"))
     }
 }
+
+/// Moves row `order[i]` of `width` values to row i, and removes all other rows. Each row occurs at most once.
+pub(super) fn select_rows<T>(values: &mut Vec<T>, width: usize, order: &[usize]) {
+    let rows = values.len() / width;
+    let (mut row_at, mut place_of): (Vec<usize>, Vec<usize>) = ((0..rows).collect(), (0..rows).collect());
+    for (place, &row) in order.iter().enumerate() {
+        let from = place_of[row]; // at `place` or behind it, because earlier places have other rows
+        if from != place {
+            let (before, behind) = values.split_at_mut(from * width);
+            before[place * width..][..width].swap_with_slice(&mut behind[..width]);
+            row_at.swap(place, from);
+            place_of[row_at[from]] = from;
+        }
+    }
+    values.truncate(order.len() * width);
+    values.shrink_to_fit();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_selected_in_place() {
+        let all: Vec<usize> = (0..12).collect();
+        for order in [&[][..], &[1, 3, 4, 5], &[5, 0, 1, 2, 3, 4], &[0, 3, 1, 4, 2, 5], &[4, 0], &[2, 5, 0]] {
+            let mut values = all.clone();
+            select_rows(&mut values, 2, order);
+            let expected: Vec<usize> = order.iter().flat_map(|row| [2 * row, 2 * row + 1]).collect();
+            assert_eq!((values.capacity(), values), (expected.len(), expected), "{order:?}");
+        }
+    }
+}

@@ -342,6 +342,21 @@ impl Observations {
         })
     }
 
+    /// Returns the observations of `links`, each of which occurs once, as [`Self::subset`] does. Channels are moved in place.
+    ///
+    /// # Errors
+    /// As [`Self::subset`].
+    pub(crate) fn into_subset(self, links: &[usize]) -> Result<Self> {
+        match self {
+            all if links.len() == all.len() && links.is_sorted() => Ok(all),
+            Self::Channels(mut channels) => {
+                channel::select_rows(&mut channels.gains, channels.antennas * channels.frequencies_hz.len(), links);
+                Ok(channels.into())
+            }
+            all => all.subset(links),
+        }
+    }
+
     /// Returns the spectra; `None` for other types.
     pub fn spectra(&self) -> Option<&Spectra> {
         if let Self::Pictures(spectra) = self { Some(spectra) } else { None }

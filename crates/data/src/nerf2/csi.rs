@@ -6,7 +6,7 @@ mod tests;
 use super::{index, read_transmitters, receivers};
 use crate::checks::{check_frequencies, uniform_subcarriers};
 use crate::folder::{check_root, existing_root, folder_name, read_title, recognised_root};
-use crate::npy::{ComplexArray, read_complex_array};
+use crate::npy::{ComplexArray, check_size, read_complex_array};
 use pwrfgs_core::{
     Channels, DataSource, Dataset, Error, Features, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample,
 };
@@ -82,7 +82,7 @@ impl DataSource for Nerf2Csi {
         let positions = read_positions(&root, snapshots)?;
         let rows = index::read_sets(&root, &|word| index::parse_row(word, "csidata.npy", snapshots))?;
         array.normalise(&path, rows.as_ref().map(|(train, _)| train.as_slice()))?;
-        array.check_size(&path)?; // after that: the test part is divided by the largest modulus of the training part
+        check_size(&path, array.shape, &array.values)?; // after that: the test part is divided by the largest modulus of the training part
         let (features, gains) = split_links(&mut array);
         let position = |i: usize| positions.as_ref().map_or([0.0; 3], |positions| positions[i]);
         let receivers = if self.together { vec![base_station(&antennas)] } else { antenna_receivers(&antennas) };

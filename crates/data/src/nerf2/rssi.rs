@@ -6,7 +6,7 @@ mod tests;
 use super::receivers::read_gateways;
 use super::{LocationTable, POSES, index};
 use crate::checks::NOT_RECEIVED;
-use crate::dialect::TableText;
+use crate::dialect::{GROWING, TableText};
 use crate::folder::{
     check_root, existing_root, find_point_cloud, folder_name, read_missing, read_point_cloud, read_title,
     recognised_root, restore_saved,
@@ -203,6 +203,7 @@ impl PowerTable<'_> {
         let Self { receivers, missing, advice, unknown, unnamed } = self;
         let valid: BTreeSet<&str> = receivers.iter().map(String::as_str).collect();
         let table = TableText::with_names(path, advice, &|cell| valid.contains(cell) || valid.contains(text_of(cell)))?;
+        table.check_rows(GROWING * size_of::<TableRow>() + receivers.len() * size_of::<(Option<f64>, Real)>())?;
         let mut columns = BTreeMap::new();
         for (k, cell) in table.names.iter().enumerate() {
             let name = if valid.contains(text_of(cell)) { text_of(cell) } else { cell };

@@ -2,7 +2,7 @@
 
 use super::columns::{ColumnSearch, PlaceColumns};
 use super::options::{ColumnChoice, TableImport};
-use crate::dialect::{TableFile, TableText};
+use crate::dialect::{GROWING, TableFile, TableText};
 use crate::text::TextRow;
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Geodetic, Result, position_fault};
@@ -11,6 +11,9 @@ use std::num::NonZero;
 
 /// Positions closer than this are one, metres.
 pub(super) const SAME_M: f64 = 1e-3;
+
+/// Memory of a named position, bytes: name, position and their share of the tree.
+const NAMED_PLACE: usize = 150;
 
 /// Frame of the positions, set by the first position in degrees.
 #[derive(Clone, Copy, Debug, Default)]
@@ -53,6 +56,7 @@ impl Frame {
         let columns =
             columns.ok_or_else(|| search.fault("no position; write a table with the columns name, x, y and z"))?;
         let name = search.names_of(columns)?;
+        table.check_rows(NAMED_PLACE)?;
         let mut places = BTreeMap::new();
         for row in table.rows() {
             let row = row?;
@@ -82,6 +86,7 @@ impl Frame {
             None => return Err(search.fault("no position; write the columns x, y and z")),
         };
         let height = import.height.unwrap_or(0.0);
+        table.check_rows(GROWING * size_of::<[f64; 3]>())?;
         table.rows().map(|row| self.read(&table, &row?, columns, height)).collect()
     }
 

@@ -6,12 +6,16 @@ use super::places::{Frame, Places, SAME_M};
 use super::powers::PowerColumns;
 use super::rows::{RowPlace, RowReader};
 use crate::checks::power_fault;
-use crate::dialect::{TableFile, TableText};
-use crate::text::{TextField, TextRow};
+use crate::dialect::{SPLIT_ADVICE, TableFile, TableText};
+use crate::text::{TextField, TextRow, is_empty_cell};
 use pwrfgs_core::messages::{quoted, strip_control};
 use pwrfgs_core::neighbours::distance;
-use pwrfgs_core::{Progress, Real, Result};
+use pwrfgs_core::{Error, Progress, Real, Result, check_memory};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+/// Memory of a reading, and of a row or its position, bytes: measured until the data set is written.
+const READING: u64 = 90;
+const ROW: u64 = 170;
 
 /// Number of rows in a preview.
 pub(super) const PREVIEW: usize = 10;
@@ -109,11 +113,31 @@ impl<'a> Survey<'a> {
         }
         let search = ColumnSearch::new(&table, &self.import.columns)?;
         let reader = RowReader::new(self.import, &self.named, &search)?;
+        self.check_memory(&reader)?;
         self.notes.push(reader.describe(&search));
         match &reader.powers {
             PowerColumns::Long { .. } => self.add_long(&reader, is_test, progress),
             PowerColumns::Wide(_) => self.add_wide(&reader, is_test, progress),
         }
+    }
+
+    /// Rejects a table whose readings do not fit into memory with those so far.
+    fn check_memory(&self, reader: &RowReader<'_>) -> Result<()> {
+        let rows = reader.table.row_count();
+        let check = |readings: usize| {
+            let [rows, readings] = [self.spots.len() + rows, self.readings.len() + readings].map(|count| count as u64);
+            check_memory(ROW * rows + READING * readings, SPLIT_ADVICE)
+        };
+        let PowerColumns::Wide(columns) = &reader.powers else {
+            return check(rows).map_err(|fault| Error::input(reader.table.path, fault));
+        };
+        // Cells are read only if all of them would not fit.
+        check(rows.saturating_mul(columns.len())).or_else(|_| {
+            let is_filled = |row: &TextRow<'_>, k: &usize| row.fields.get(*k).is_some_and(|f| !is_empty_cell(f.text));
+            let filled = |row: &TextRow<'_>| columns.iter().filter(|k| is_filled(row, k)).count();
+            let readings = reader.table.rows().flatten().map(|row| filled(&row)).sum();
+            check(readings).map_err(|fault| Error::input(reader.table.path, fault))
+        })
     }
 
     /// Adds a table with a row per transmitter.

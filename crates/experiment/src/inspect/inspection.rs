@@ -4,7 +4,7 @@ use super::floor::describe_floor;
 use super::{DataSummary, PoseCheck, test_distance};
 use crate::evaluation_set::{EvaluationSet, Predictor, ScoredPredictor};
 use crate::load::describe_observations;
-use crate::repeatability::estimate_noise_ceiling;
+use crate::repeatability::CeilingEstimator;
 use crate::scores::CEILING;
 use crate::session::{NoopObserver, Session, run_stage};
 use crate::statistics::Summary;
@@ -60,6 +60,15 @@ pub struct SplitScores {
     pub ceiling: f64,
 }
 
+/// What the scores of all splits share.
+struct SplitScorer<'a> {
+    pipeline: &'a Pipeline,
+    data: &'a Dataset,
+    metrics: &'a [Plugin<dyn Metric>],
+    stop: &'a AtomicBool,
+    ceilings: CeilingEstimator<'a>,
+}
+
 impl Inspection {
     /// Inspects `data` with split, baselines, metrics and seed of `pipeline`.
     ///
@@ -84,27 +93,27 @@ impl Inspection {
         };
         let splits = list_splits(pipeline);
         let (stop, each) = (session.stop, inspection.baselines.len() + 1);
+        let ceilings = CeilingEstimator::new(data, &metrics, stop);
+        let mut scorer = SplitScorer { pipeline, data, metrics: &metrics, stop, ceilings };
         run_stage(session.observer, "scoring baselines by split", |progress| {
             for (k, (split, name)) in splits.iter().enumerate() {
                 let scored = |baselines| progress(k * each + baselines, splits.len() * each);
-                inspection.add_split(pipeline, data, (split, name.clone()), &metrics, stop, &scored)?;
+                inspection.add_split(&mut scorer, (split, name.clone()), &scored)?;
                 scored(each);
             }
             Ok(inspection)
         })
     }
 
-    /// Adds the sizes of a split and its scores by `metrics`, or the reason why the data do not support it; reports the
+    /// Adds the sizes of a split and its scores, or the reason why the data do not support it; reports the
     /// number of baselines `scored`.
     fn add_split(
         &mut self,
-        pipeline: &Pipeline,
-        data: &Dataset,
+        scorer: &mut SplitScorer<'_>,
         (split, name): (&Plugin<dyn Split>, String),
-        metrics: &[Plugin<dyn Metric>],
-        stop: &AtomicBool,
         scored: &dyn Fn(usize),
     ) -> Result<()> {
+        let &mut SplitScorer { pipeline, data, metrics, stop, .. } = scorer;
         let mut session = Session { observer: &mut NoopObserver, stop, page: None, keep_checkpoint: false };
         let seed = pipeline.split_seed.unwrap_or(pipeline.seed);
         let partition = match split.split(data, &mut rng::stream(seed, "split", 0)) {
@@ -128,7 +137,7 @@ impl Inspection {
             });
             scored(means.len());
         }
-        let ceiling = estimate_noise_ceiling(data, &partition, metrics, stop)?;
+        let ceiling = scorer.ceilings.estimate(&partition)?;
         self.splits.push(SplitScores {
             name,
             train: partition.train.len(),
