@@ -69,7 +69,9 @@ def build_sdist(sdist_directory, config_settings=None):
             assert settings.count(old) == 1, f"pyproject.toml has no {old}"
             settings = settings.replace(old, new)
         add("pyproject.toml", settings)
-        add("PKG-INFO", f"Metadata-Version: 2.1\nName: pwrfgs\nVersion: {version}\n")
+        with tempfile.TemporaryDirectory() as information:
+            name = maturin.prepare_metadata_for_build_wheel(information)
+            add("PKG-INFO", pathlib.Path(information, name, "METADATA").read_text(encoding="utf-8"))
     return f"{folder}.tar.gz"
 
 

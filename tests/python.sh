@@ -79,6 +79,7 @@ test_wheel() {
     rm -rf "$target/python-package/wheel" "$folder" && mkdir "$folder"
     "$env/bin/python" -m build --sdist --outdir "$folder" python >"$folder/log" 2>&1 || { tail "$folder/log"; return 1; }
     tar -xzf "$folder"/pwrfgs-*.tar.gz -C "$folder" --strip-components 1
+    grep -q "^Description-Content-Type: text/markdown" "$folder/PKG-INFO" # shown by the package index
     CARGO_TARGET_DIR=$(cd "$target" && pwd) MATURIN_PEP517_ARGS="--profile dev --features as-tested" \
         "$env/bin/pip" install -q --disable-pip-version-check --no-deps --target "$target/python-package/wheel" "$folder"
     test_package wheel python/tests/test_types.py python/tests/test_wheel.py

@@ -117,7 +117,7 @@ fn tools_of_release_are_pinned_with_hashes() {
             assert!(command.contains("--require-hashes") || command.contains("--no-index"), "{command}");
         }
     }
-    for name in ["build", "site"] {
+    for name in ["build", "check", "site"] {
         let lock = of_github(&format!("release/{name}.txt"));
         let pinned: BTreeSet<&str> = lock
             .split("\n\n")

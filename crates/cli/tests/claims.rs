@@ -3,6 +3,7 @@
 use crate::common::{call, stdout};
 use crate::prose::{anchor, files, pages, root};
 use regex::Regex;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 fn text(name: impl AsRef<Path>) -> String {
@@ -184,6 +185,45 @@ fn every_cargo_install_is_locked() {
     assert!(commands.len() >= 4, "{commands:#?}");
     let free: Vec<_> = commands.iter().filter(|command| !command.contains("--locked")).collect();
     assert!(free.is_empty(), "other crates than those of Cargo.lock: {free:#?}");
+}
+
+/// Parts of placeholders that CONTRIBUTING.md does not list.
+const OTHERS: [&str; 10] =
+    [" TODO", " FIXME", " TBD", " XXX", "orem ipsum", "://example.", "@example.", "our name>", "hangeme", "zenodo.X"];
+
+#[test]
+fn placeholders_are_those_that_contributing_lists() {
+    // This text and the list itself name them, too.
+    let outside = ["CONTRIBUTING.md", "crates/cli/tests/claims.rs"];
+    let mut found = Vec::new();
+    for ending in [".md", ".toml", ".cff", ".yml", ".rs", ".py", ".js", ".ron", ".sh", ".ipynb", "LICENSE-MIT"] {
+        files(&root(), ending, &mut found);
+    }
+    files(&root().join(".github"), "", &mut found);
+    let texts: Vec<(String, String)> = found
+        .iter()
+        .map(|path| (path.strip_prefix(root()).unwrap().to_str().unwrap().to_owned(), path))
+        .filter(|(name, _)| !outside.contains(&&**name))
+        .map(|(name, path)| (name, std::fs::read_to_string(path).unwrap()))
+        .collect();
+    assert!(texts.len() > 300, "only {} files", texts.len());
+
+    let contributing = text("CONTRIBUTING.md");
+    let row = Regex::new(r"(?m)^\| (?:name|address) \| `([^`]+)` \| (.+) \|$").unwrap();
+    for row in row.captures_iter(&contributing) {
+        let listed: BTreeSet<&str> = row[2].split(", ").map(|file| file.trim_matches('`')).collect();
+        let holding = texts.iter().filter(|(_, text)| text.contains(&row[1])).map(|(name, _)| &**name).collect();
+        assert_eq!(listed, holding, "files with `{}`; correct the list in CONTRIBUTING.md", &row[1]);
+    }
+    let listed: Vec<String> = row.captures_iter(&contributing).map(|row| row[1].to_owned()).collect();
+    let line = |(name, text): &(String, String)| {
+        let is_other = |line: &&str| OTHERS.iter().any(|word| line.contains(word));
+        let lines = text.lines().filter(is_other).filter(|line| !listed.iter().any(|known| line.contains(known)));
+        lines.map(|line| format!("{name}: {line}")).collect::<Vec<_>>()
+    };
+    let has_other = |(_, text): &&(String, String)| OTHERS.iter().any(|word| text.contains(word));
+    let wrong: Vec<String> = texts.iter().filter(has_other).flat_map(line).collect();
+    assert!(wrong.is_empty(), "placeholders that CONTRIBUTING.md does not list: {wrong:#?}");
 }
 
 #[test]

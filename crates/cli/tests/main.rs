@@ -8,6 +8,7 @@ mod commands;
 mod common;
 mod corrupt_files;
 mod ensemble;
+mod experiments;
 mod export;
 mod failure;
 mod faults;

@@ -69,10 +69,18 @@ def local(note):
 
 def read_ron(text):
     """`Name(field: 1, other: Waves(count: 2), third: None)` as a dictionary; the name is under ""."""
-    tokens = re.findall(r"[A-Za-z_]\w*|[-+]?[\d.]+(?:e[-+]?\d+)?|[():,]", text)
+    tokens = re.findall(r"[A-Za-z_]\w*|[-+]?[\d.]+(?:e[-+]?\d+)?|[():,\[\]]", text)
 
     def value():
         token = tokens.pop(0)
+        if token in ("(", "["):
+            items = []
+            while tokens[0] not in (")", "]"):
+                items.append(value())
+                if tokens[0] == ",":
+                    tokens.pop(0)
+            tokens.pop(0)
+            return items
         if not re.match("[A-Za-z_]", token):
             return float(token)
         if token in ("None", "true", "false"):
@@ -368,7 +376,8 @@ def array(settings, plane, splats, opacities, signals):
     # The antennas [K, 3], wavelengths.
     place = lambda count: (np.arange(count) - (count - 1) / 2) * settings["spacing_wavelengths"]
     ys, xs = np.meshgrid(place(int(settings["rows"])), place(int(settings["columns"])), indexing="ij")
-    p = np.stack([xs.ravel(), ys.ravel(), 0 * xs.ravel()], axis=1)
+    grid = np.stack([xs.ravel(), ys.ravel(), 0 * xs.ravel()], axis=1)
+    p = np.array(settings.get("positions_wavelengths", grid))
     # What each Gaussian leaves on them, [N, K].
     phase = 2 * np.pi * u @ p.T
     if settings["wavefront"][""] == "Spherical":

@@ -28,7 +28,7 @@ const CASES: [(&str, &str, &str, Calibration, Readout); 11] = [
     (
         "Factored(depth: 2, width: 16, tx_encoding: Waves(count: 9, reach: 24.0, seed: 7))",
         "Mercator()",
-        "ArrayResponse()",
+        "ArrayResponse(positions_wavelengths: [(0, 0, 0), (0.4, 0.1, 0.2), (-0.3, 0.5, -0.1), (0.3, -0.5, 0.1)])",
         Physical,
         Readout::MinMax,
     ),

@@ -7,6 +7,7 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+mod array_geometry;
 mod blocks;
 mod cholesky;
 mod cloud;
@@ -51,6 +52,7 @@ mod task;
 pub mod testing;
 pub mod threads;
 
+pub use array_geometry::ArrayGeometry;
 pub use blocks::{SiteSize, block_mean, block_of};
 pub use cholesky::Cholesky;
 pub use cloud::{COLUMN_NAMES, CloudEdit, ExtraColumn, GaussianCloud, RowOrigin};

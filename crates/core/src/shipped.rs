@@ -75,7 +75,8 @@ impl ShippedFile {
     pub fn purpose(&self) -> String {
         let lines = self.source.lines().map_while(|line| line.strip_prefix("//")).map(str::trim);
         let header = lines.collect::<Vec<_>>().join(" ");
-        header.split_once(". ").map_or(header.as_str(), |(first, _)| first).trim_end_matches('.').to_owned()
+        let end = [". ", "? "].iter().filter_map(|mark| header.find(mark)).min().map_or(header.len(), |end| end + 1);
+        header[..end].trim_end_matches('.').to_owned()
     }
 }
 
@@ -83,6 +84,11 @@ impl ShippedFile {
 mod tests {
     use super::*;
 
+    inventory::submit! { ShippedFile {
+        folder: "experiments",
+        name: "asks",
+        source: "// How large is N\n// at 1.5 m? Two rows.\nExperiment()",
+    } }
     inventory::submit! { ShippedFile { folder: "scenes", name: "room", source: "(name: \"a room\")" } }
     inventory::submit! { ShippedFile {
         folder: "pipelines",
@@ -98,6 +104,7 @@ mod tests {
         assert!(first.text().starts_with("// Trains on room,"));
         assert_eq!(first.purpose(), "Trains on scenes/room.ron, 1.5 m wide");
         assert_eq!(ShippedFile::all(ShippedFile::SCENES).len(), 1);
+        assert_eq!(ShippedFile::all(ShippedFile::EXPERIMENTS)[0].purpose(), "How large is N at 1.5 m?");
     }
 
     #[test]

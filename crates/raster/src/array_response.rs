@@ -5,7 +5,8 @@ mod wave;
 
 use beams::Beams;
 use pwrfgs_core::{
-    Cache, ImagePlane, JsonSchema, Misfit, Rasterizer, Real, Render, RenderVjp, SignalSplats, Splats, cached,
+    ArrayGeometry, Cache, ImagePlane, JsonSchema, Misfit, Rasterizer, Real, Render, RenderVjp, SignalSplats, Splats,
+    Vec3, cached,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -13,7 +14,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 use wave::Antennas;
 pub use wave::Wavefront;
 
-/// Field of all Gaussians on a planar antenna array, and the spatial spectrum that the array computes from it.
+/// Field of all Gaussians on an antenna array, and the spatial spectrum that the array computes from it.
 ///
 /// Each splat is a wave from its direction u. Its complex signal s has two channels, and its opacity o is the
 /// amplitude. The waves add up at the antennas, h = Σ o·s·a(u) with aₖ(u) = exp(+j2π pₖ·u) and pₖ in wavelengths, eq.
@@ -30,6 +31,8 @@ pub use wave::Wavefront;
 /// *Spherical*: the phase follows from the distance between the Gaussian and each antenna; amplitude and width are
 /// those of a plane wave. The spectra then depend on distances, which receive gradients.
 ///
+/// *Geometry*: a grid of `rows` × `columns` antennas, or any `positions_wavelengths`, such as a circle.
+///
 /// *Requires* a projector whose pixels are directions (`Mercator`), signals with two channels (`readout: MinMax`,
 /// `Magnitude` or `Power`) and `calibration: Physical`. *Differentiable* in means, conics, depths, opacities and
 /// signals. *Discontinuous* if a Gaussian leaves the field of view of the projector. A flat array cannot distinguish u
@@ -43,6 +46,7 @@ pub use wave::Wavefront;
 /// # use pwrfgs_raster as _;
 /// Plugin::<dyn Rasterizer>::parse("ArrayResponse(rows: 4, columns: 4, spacing_wavelengths: 0.491)").unwrap();
 /// Plugin::<dyn Rasterizer>::parse("ArrayResponse(widened: false, wavefront: Spherical(wavelength_m: 0.326))").unwrap();
+/// Plugin::<dyn Rasterizer>::parse("ArrayResponse(positions_wavelengths: [(0, 0, 0), (0.5, 0, 0), (0, 0.5, 0)])").unwrap();
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -53,6 +57,9 @@ pub struct ArrayResponse {
     pub columns: usize,
     /// Antenna spacing, wavelengths; 0.491 as measured (0.16 m at 920 MHz).
     pub spacing_wavelengths: Real,
+    /// Antenna positions `[K]` in place of the grid: x, y, z from the receiver position, receiver axes; wavelengths.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub positions_wavelengths: Vec<[Real; 3]>,
     /// Whether Gaussians have the width of their covariance (`true`) or are points (`false`).
     pub widened: bool,
     /// Wavefront at the antennas: plane or spherical.
@@ -68,20 +75,24 @@ static TABLES: RwLock<Vec<CachedTable>> = RwLock::new(Vec::new());
 /// Number of cached tables of whole images, or as many pixels of smaller ones.
 const KEPT: usize = 4;
 
-/// Grid and its table.
+/// Array and its table.
 type CachedTable = (Grid, Arc<Beams>);
 
-/// Rows, columns and spacing of an array, and the image plane.
-type Grid = (usize, usize, Real, ImagePlane);
+/// Antenna positions and the image plane.
+type Grid = (Vec<Vec3>, ImagePlane);
 
 impl Default for ArrayResponse {
     fn default() -> Self {
-        Self { rows: 4, columns: 4, spacing_wavelengths: 0.491, widened: true, wavefront: Wavefront::Plane }
+        Self {
+            rows: 4,
+            columns: 4,
+            spacing_wavelengths: 0.491,
+            positions_wavelengths: Vec::new(),
+            widened: true,
+            wavefront: Wavefront::Plane,
+        }
     }
 }
-
-/// Maximum number of rows, and of columns.
-const LARGEST: usize = 32;
 
 #[typetag::serde]
 impl Rasterizer for ArrayResponse {
@@ -90,15 +101,15 @@ impl Rasterizer for ArrayResponse {
     }
 
     fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
-        let waves = self.antennas(plane).waves(splats);
-        Some(Arc::new(Steered { waves, beams: self.beams(plane) }))
+        let antennas = self.antennas(plane);
+        Some(Arc::new(Steered { waves: antennas.waves(splats), beams: beams(&antennas, plane) }))
     }
 
     fn forward_prepared(&self, splats: SignalSplats<'_>, prepared: &Cache) -> Render {
         let SignalSplats { geometry, signals, channels, plane } = splats;
         assert_eq!(signals.len(), geometry.len() * channels, "one signal per splat and channel");
         let Steered { waves, beams } = cached(prepared);
-        let field = array_field(geometry, signals, waves, self.rows * self.columns, channels);
+        let field = array_field(geometry, signals, waves, self.geometry().element_count(), channels);
         let mut pixels = vec![0.0; channels * plane.width * plane.height];
         beams.draw(&field, &mut pixels);
         Render { pixels, transmittance: Vec::new(), cache: prepared.clone() }
@@ -150,15 +161,7 @@ impl Rasterizer for ArrayResponse {
     }
 
     fn check(&self) -> Result<(), String> {
-        for (field, count) in [("rows", self.rows), ("columns", self.columns)] {
-            if !(1..=LARGEST).contains(&count) {
-                return Err(format!("`{field}` is {count}; give 1 to {LARGEST} antennas"));
-            }
-        }
-        let spacing = self.spacing_wavelengths;
-        if !(1e-3..=100.0).contains(&spacing) {
-            return Err(format!("`spacing_wavelengths` is {spacing}; give 0.001 to 100, usually 0.5 or a little less"));
-        }
+        self.geometry().check(Self::default().geometry())?;
         match self.wavefront {
             Wavefront::Spherical { wavelength_m } if !(1e-6..=1e6).contains(&wavelength_m) => {
                 Err(format!("`wavelength_m` is {wavelength_m}; give metres, such as 0.326 for 920 MHz"))
@@ -171,33 +174,39 @@ impl Rasterizer for ArrayResponse {
 impl ArrayResponse {
     /// Creates the antennas for a plane whose pixels are directions.
     fn antennas(&self, plane: &ImagePlane) -> Antennas {
-        let Self { rows, columns, spacing_wavelengths, widened, wavefront } = *self;
-        Antennas::new([rows, columns], spacing_wavelengths, widened, wavefront, plane)
+        Antennas::new(&self.geometry(), self.widened, self.wavefront, plane)
     }
 
-    /// Returns the beams of the array at every pixel, from the cache or computed and added to it.
-    fn beams(&self, plane: &ImagePlane) -> Arc<Beams> {
-        let grid = (self.rows, self.columns, self.spacing_wavelengths, plane.clone());
-        let tables = TABLES.read().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, beams)) = tables.iter().find(|(stored, _)| *stored == grid) {
-            return Arc::clone(beams);
-        }
-        drop(tables);
-        let beams = Arc::new(Beams::new(&self.antennas(plane), plane));
-        let mut tables = TABLES.write().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, stored)) = tables.iter().find(|(stored, _)| *stored == grid) {
-            return Arc::clone(stored); // another thread was faster; all threads share its table
-        }
-        tables.insert(0, (grid, Arc::clone(&beams)));
-        let size = |(rows, columns, _, plane): &Grid| rows * columns * plane.width * plane.height;
-        let mut room = KEPT * self.rows * self.columns * plane.width * plane.height * plane.sampling.stride.pow(2);
-        tables.retain(|(grid, _)| {
-            let fits = size(grid) <= room;
-            room -= if fits { size(grid) } else { room };
-            fits
-        });
-        beams
+    /// Returns the geometry of the antennas.
+    fn geometry(&self) -> ArrayGeometry<'_, Real> {
+        let Self { rows, columns, spacing_wavelengths: spacing, positions_wavelengths: positions, .. } = self;
+        ArrayGeometry { rows: *rows, columns: *columns, spacing: *spacing, positions }
     }
+}
+
+/// Returns the beams of the array at every pixel, from the cache or computed and added to it.
+fn beams(antennas: &Antennas, plane: &ImagePlane) -> Arc<Beams> {
+    let find = |tables: &[CachedTable]| {
+        let mut found = tables.iter().filter(|((positions, on), _)| *positions == antennas.positions && on == plane);
+        found.next().map(|(_, beams)| Arc::clone(beams))
+    };
+    if let Some(beams) = find(&TABLES.read().unwrap_or_else(PoisonError::into_inner)) {
+        return beams;
+    }
+    let beams = Arc::new(Beams::new(antennas, plane));
+    let mut tables = TABLES.write().unwrap_or_else(PoisonError::into_inner);
+    if let Some(stored) = find(&tables) {
+        return stored; // another thread was faster; all threads share its table
+    }
+    tables.insert(0, ((antennas.positions.clone(), plane.clone()), Arc::clone(&beams)));
+    let size = |(positions, plane): &Grid| positions.len() * plane.width * plane.height;
+    let mut room = KEPT * size(&tables[0].0) * plane.sampling.stride.pow(2);
+    tables.retain(|(grid, _)| {
+        let fits = size(grid) <= room;
+        room -= if fits { size(grid) } else { room };
+        fits
+    });
+    beams
 }
 
 /// Values that depend on geometry only: the waves of all splats `[N, K]`, and the beams.

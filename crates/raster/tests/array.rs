@@ -43,11 +43,28 @@ fn points(directions: &[(Real, Real)], distance: Real) -> Primitives {
 }
 
 /// Returns the antenna positions from the definition, wavelengths.
-fn antennas(array: &ArrayResponse) -> Vec<[f64; 2]> {
+fn antennas(array: &ArrayResponse) -> Vec<[f64; 3]> {
+    if !array.positions_wavelengths.is_empty() {
+        return array.positions_wavelengths.iter().map(|p| p.map(f64::from)).collect();
+    }
     let at = |i: usize, n: usize| (i as f64 - (n as f64 - 1.0) / 2.0) * f64::from(array.spacing_wavelengths);
     (0..array.rows * array.columns)
-        .map(|k| [at(k % array.columns, array.columns), at(k / array.columns, array.rows)])
+        .map(|k| [at(k % array.columns, array.columns), at(k / array.columns, array.rows), 0.0])
         .collect()
+}
+
+/// Creates arrays of given positions: a circle about its centre, an L, a line off the receiver, and a solid one.
+fn given_arrays() -> [ArrayResponse; 4] {
+    let circle = (0..8).map(|k| (k as Real) * TAU as Real / 8.0).map(|a| [0.6 * a.cos(), 0.6 * a.sin(), 0.0]);
+    let circle: Vec<[Real; 3]> = circle.chain([[0.0; 3]]).collect();
+    let ell = [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 1.0, 0.0]];
+    let line = [[2.0, 0.3, 0.0], [2.5, 0.3, 0.0]];
+    let solid = [[0.4, 0.1, 0.3], [-0.4, -0.1, -0.3], [0.2, -0.5, 0.6], [0.0, 0.0, -0.7]];
+    [circle, ell.to_vec(), line.to_vec(), solid.to_vec()].map(|positions_wavelengths| ArrayResponse {
+        positions_wavelengths,
+        widened: false,
+        ..Default::default()
+    })
 }
 
 /// Computes aᴴh/K at every pixel of `plane` for point sources, as interleaved complex numbers.
@@ -58,11 +75,12 @@ fn by_definition(array: &ArrayResponse, p: &Primitives, signals: &[Real], plane:
     for pixel in 0..plane.width * plane.height {
         let v = plane.direction((pixel % plane.width) as Real, (pixel / plane.width) as Real).unwrap();
         let (mut sum_re, mut sum_im) = (0.0, 0.0);
-        for [x, y] in &antennas {
+        for p_k in &antennas {
             for i in 0..p.len() {
                 let [column, row] = splats.means2d[i];
                 let u = plane.direction(column, row).unwrap();
-                let phase = TAU * (x * (f64::from(u[0]) - f64::from(v[0])) + y * (f64::from(u[1]) - f64::from(v[1])));
+                let along: f64 = (0..3).map(|i| p_k[i] * (f64::from(u[i]) - f64::from(v[i]))).sum();
+                let phase = TAU * along;
                 let o = f64::from(p.opacities[i]);
                 let (s, t) = (f64::from(signals[2 * i]), f64::from(signals[2 * i + 1]));
                 sum_re += o * (s * phase.cos() - t * phase.sin());
@@ -80,14 +98,18 @@ fn array_image_matches_definition() {
     let p = points(&[(20.0, 15.0), (200.0, 50.0), (301.0, 80.0), (359.5, 3.0)], 3.0);
     let s = signals(4, 2, 1);
     // Even, odd, asymmetric, a single row, and images that do not fill the last block or have no opposite pixels.
-    for (rows, columns, width, height) in [(4, 4, 360, 90), (3, 3, 72, 18), (2, 5, 50, 11), (1, 8, 40, 9), (1, 1, 9, 4)]
-    {
-        let array = ArrayResponse { rows, columns, widened: false, ..ArrayResponse::default() };
+    let grids = [(4, 4, 360, 90), (3, 3, 72, 18), (2, 5, 50, 11), (1, 8, 40, 9), (1, 1, 9, 4)];
+    let grids = grids.map(|(rows, columns, width, height)| {
+        (ArrayResponse { rows, columns, widened: false, ..ArrayResponse::default() }, width, height)
+    });
+    // Given positions with and without opposite antennas, in a plane and not.
+    let given = given_arrays().into_iter().flat_map(|array| [(array.clone(), 72, 18), (array, 25, 7)]);
+    for (array, width, height) in grids.into_iter().chain(given) {
         let plane = Mercator::default().plane(width, height);
         let found = draw_on(&array, &p, &Pose::IDENTITY, &s, &plane);
         let expected = by_definition(&array, &p, &s, &plane);
         let bound = if DOUBLE { 1e-7 } else { 1e-5 };
-        assert!(relative(&expected, &found) < bound, "{rows}x{columns}: {}", relative(&expected, &found));
+        assert!(relative(&expected, &found) < bound, "{array:?}: {}", relative(&expected, &found));
     }
 }
 
@@ -168,6 +190,7 @@ fn spherical_wave_has_exact_phase_at_every_antenna() {
         spacing_wavelengths: spacing,
         widened: false,
         wavefront: Wavefront::Spherical { wavelength_m: wavelength },
+        ..ArrayResponse::default()
     };
     let p = points(&[(40.0, 25.0)], 0.9);
     let found = magnitude(&draw(&array, &p, &Pose::IDENTITY, &[1.0, 0.0]));
@@ -272,8 +295,17 @@ fn derivatives_agree_with_differences() {
     };
     let spherical = Wavefront::Spherical { wavelength_m: 0.7 };
     let settings = [(4, 4, true, Wavefront::Plane), (3, 5, false, Wavefront::Plane), (2, 3, true, spherical)];
-    for (seed, (rows, columns, widened, wavefront)) in settings.into_iter().enumerate() {
-        let array = ArrayResponse { rows, columns, widened, wavefront, ..ArrayResponse::default() };
+    let grids = settings.map(|(rows, columns, widened, wavefront)| ArrayResponse {
+        rows,
+        columns,
+        widened,
+        wavefront,
+        ..ArrayResponse::default()
+    });
+    let [circle, ell, line, solid] = given_arrays();
+    let wide = |array: ArrayResponse, wavefront| ArrayResponse { widened: true, wavefront, ..array };
+    let given = [wide(circle, spherical), wide(ell, Wavefront::Plane), line, wide(solid, spherical)];
+    for (seed, array) in grids.into_iter().chain(given).enumerate() {
         let scene = primitives(N, seed as u64);
         check_vjp(
             "array response",
@@ -318,6 +350,10 @@ fn rejects_unsupported_settings() {
     let refused = |text: &str| Plugin::<dyn Rasterizer>::parse(text).unwrap_err();
     assert!(refused("ArrayResponse(rows: 0)").contains("`rows` is 0"));
     assert!(refused("ArrayResponse(spacing_wavelengths: -1)").contains("spacing"));
+    let twice = refused("ArrayResponse(positions_wavelengths: [(0.5, 0, 0), (0.5, 0, 0)])");
+    assert!(twice.contains("antennas 1 and 2 are both at (0.5, 0, 0)"), "{twice}");
+    let both = refused("ArrayResponse(rows: 2, positions_wavelengths: [(0.5, 0, 0)])");
+    assert!(both.contains("give either the positions or the grid"), "{both}");
     assert!(refused("ArrayResponse(wavefront: Spherical(wavelength_m: 0))").contains("wavelength_m"));
     let compat = WrfgsCompat::default().plane(360, 90);
     assert!(ArrayResponse::default().check_plane(&compat).unwrap_err().to_string().contains("Mercator"));

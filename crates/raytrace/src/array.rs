@@ -6,17 +6,15 @@ mod tests;
 use crate::Complex;
 use crate::path::PropagationPath;
 use glam::DVec3;
+use pwrfgs_core::ArrayGeometry;
 use pwrfgs_core::plugin::Check;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// Largest number of rows or columns.
-const LARGEST: usize = 32;
-
-/// Uniform planar array. Its elements lie in the x-y plane of the receiver frame, z is boresight.
+/// Antenna array of a receiver, whose boresight is z: a grid in its x-y plane, or `positions_wavelengths`.
 ///
-/// Element `row * columns + column` has x from its column and y from its row, both centred: x varies fastest, as in the
-/// measured files.
+/// Element `row * columns + column` of a grid has x from its column and y from its row, both centred: x varies fastest, as
+/// in the measured files.
 ///
 /// At a spacing of exactly half a wavelength, two opposite waves along the x or y axis of the array (on its horizon)
 /// cannot be distinguished. A slightly smaller spacing, such as 0.49, resolves this.
@@ -29,6 +27,10 @@ pub struct Array {
     pub columns: usize,
     /// Distance between neighbours in wavelengths; default 0.5.
     pub spacing_wavelengths: f64,
+    /// Element positions `[K]` in place of the grid, for example of a circle: x, y, z from the position of the receiver, in
+    /// its axes; wavelengths. Grids do not write it out, so that data of old scenes keep their key.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub positions_wavelengths: Vec<[f64; 3]>,
     /// Pattern of each element; default isotropic.
     pub element: Element,
     /// Polarisation axis in the receiver frame, of any length; default y, see [`Element::response`].
@@ -57,6 +59,7 @@ impl Default for Array {
             rows: 4,
             columns: 4,
             spacing_wavelengths: 0.5,
+            positions_wavelengths: Vec::new(),
             element: Element::Isotropic,
             polarization: [0.0, 1.0, 0.0],
             wavefront: ArrayWavefront::Spherical,
@@ -66,15 +69,7 @@ impl Default for Array {
 
 impl Check for Array {
     fn check(&self) -> Result<(), String> {
-        for (field, count) in [("rows", self.rows), ("columns", self.columns)] {
-            if !(1..=LARGEST).contains(&count) {
-                return Err(format!("array: `{field}` is {count}; give 1 to {LARGEST} antennas"));
-            }
-        }
-        let spacing = self.spacing_wavelengths;
-        if !(1e-3..=100.0).contains(&spacing) {
-            return Err(format!("array: `spacing_wavelengths` is {spacing}; give 0.001 to 100, usually 0.5"));
-        }
+        self.geometry().check(Self::default().geometry()).map_err(|why| format!("array: {why}"))?;
         if DVec3::from(self.polarization).try_normalize().is_none() {
             let axis = self.polarization;
             return Err(format!("array: `polarization` is {axis:?}; give an axis such as (0, 1, 0)"));
@@ -86,19 +81,19 @@ impl Check for Array {
 impl Array {
     /// Returns the number of elements K.
     pub fn element_count(&self) -> usize {
-        self.rows * self.columns
+        self.geometry().element_count()
     }
 
-    /// Returns the positions of the elements `[K]` relative to the centre of the array at a `wavelength` in metres:
-    /// receiver frame, metres.
+    /// Returns the positions of the elements `[K]` relative to the receiver at a `wavelength` in metres: receiver frame,
+    /// metres.
     pub fn offsets(&self, wavelength: f64) -> Vec<DVec3> {
-        let spacing = self.spacing_wavelengths * wavelength;
-        let coordinate = |index: usize, count: usize| (index as f64 - (count as f64 - 1.0) / 2.0) * spacing;
-        (0..self.element_count())
-            .map(|k| {
-                DVec3::new(coordinate(k % self.columns, self.columns), coordinate(k / self.columns, self.rows), 0.0)
-            })
-            .collect()
+        self.geometry().positions(wavelength).into_iter().map(DVec3::from).collect()
+    }
+
+    /// Returns the geometry of the elements.
+    fn geometry(&self) -> ArrayGeometry<'_, f64> {
+        let Self { rows, columns, spacing_wavelengths: spacing, positions_wavelengths: positions, .. } = self;
+        ArrayGeometry { rows: *rows, columns: *columns, spacing: *spacing, positions }
     }
 }
 

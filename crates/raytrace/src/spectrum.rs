@@ -49,12 +49,11 @@ pub struct Spectrum {
 ///
 /// Column c is azimuth 360 c/width degrees, row r elevation 90 r/height degrees above the plane of the array, in the
 /// receiver frame: the grid of the projector `Mercator`. The steering vector of a direction u is aₖ = exp(+j2π/λ pₖ·u).
-/// For a uniform array aᴴh is a polynomial in two phase factors, so a pixel costs K complex multiply-adds, without a
-/// table of steering vectors.
+/// For a grid of antennas aᴴh is a polynomial in two phase factors, so a pixel costs K complex multiply-adds, without a
+/// table of steering vectors. Given positions cost K sines and cosines per pixel.
 #[derive(Clone, Debug)]
 pub struct Beamformer {
     steering: Steering,
-    columns: usize,
     pixels: usize,
 }
 
@@ -75,13 +74,12 @@ impl Beamformer {
                 DVec3::new(cos * azimuth.cos(), cos * azimuth.sin(), sin)
             })
         });
-        let steering = Steering::new(directions, array.spacing_wavelengths);
-        Self { steering, columns: array.columns, pixels: width * height }
+        Self { steering: Steering::new(directions, array), pixels: width * height }
     }
 
     /// Returns |aᴴh|/K at every pixel, row-major, from the channel h of the K elements.
     pub fn amplitude(&self, channel: &[Complex]) -> Vec<f64> {
-        let mut amplitude = self.steering.magnitude(channel, self.columns);
+        let mut amplitude = self.steering.magnitude(channel);
         amplitude.truncate(self.pixels);
         let scale = 1.0 / channel.len().max(1) as f64;
         amplitude.iter_mut().for_each(|a| *a *= scale);
@@ -120,12 +118,13 @@ fn stretch_to_bytes(values: &[f64], black: f64, white: f64) -> Vec<u8> {
     values.iter().map(|v| ((v - black) / contrast * 255.0) as u8).collect()
 }
 
-/// Steering to many directions: aᴴh of a uniform planar array by Horner's rule in two variables, with phase factors
-/// between neighbours in x and in y per direction.
+/// Steering to many directions: aᴴh.
 #[derive(Clone, Debug)]
-struct Steering {
-    x: ComplexLanes,
-    y: ComplexLanes,
+enum Steering {
+    /// Grid of antennas: phase factors between neighbours in x and in y per direction, and the number of columns.
+    Grid { x: ComplexLanes, y: ComplexLanes, columns: usize },
+    /// Any antennas: their positions `[K]`, wavelengths, and the directions.
+    Positions { positions: Vec<DVec3>, directions: Vec<DVec3> },
 }
 
 /// Complex numbers as separate real and imaginary arrays.
@@ -143,8 +142,12 @@ impl ComplexLanes {
 }
 
 impl Steering {
-    /// Creates the phase factors; `directions` are unit vectors in the receiver frame, `spacing` is in wavelengths.
-    fn new(directions: impl Iterator<Item = DVec3>, spacing: f64) -> Self {
+    /// Creates the steering of `array`; `directions` are unit vectors in the receiver frame.
+    fn new(directions: impl Iterator<Item = DVec3>, array: &Array) -> Self {
+        if !array.positions_wavelengths.is_empty() {
+            return Self::Positions { positions: array.offsets(1.0), directions: directions.collect() };
+        }
+        let spacing = array.spacing_wavelengths;
         let (mut x, mut y) = (ComplexLanes::default(), ComplexLanes::default());
         for direction in directions {
             x.push(Complex::cis(-TAU * spacing * direction.x));
@@ -154,22 +157,31 @@ impl Steering {
         for column in [&mut x.re, &mut x.im, &mut y.re, &mut y.im] {
             column.resize(padded, 0.0);
         }
-        Self { x, y }
+        Self::Grid { x, y, columns: array.columns }
     }
 
-    /// Returns |aᴴh| for every direction, padded to a multiple of `LANES`. `channel` is that of an array with `columns`
-    /// elements per row.
-    fn magnitude(&self, channel: &[Complex], columns: usize) -> Vec<f64> {
-        let mut magnitude = vec![0.0; self.x.re.len()];
-        Arch::new().dispatch(Horner { steering: self, channel, columns, magnitude: &mut magnitude });
-        magnitude
+    /// Returns |aᴴh| for every direction of the `channel` `[K]`; of a grid, padded to a multiple of `LANES`.
+    fn magnitude(&self, channel: &[Complex]) -> Vec<f64> {
+        match self {
+            Self::Grid { x, y, columns } => {
+                let mut magnitude = vec![0.0; x.re.len()];
+                Arch::new().dispatch(Horner { x, y, channel, columns: *columns, magnitude: &mut magnitude });
+                magnitude
+            }
+            Self::Positions { positions, directions } => {
+                let steered =
+                    |u: &DVec3| positions.iter().zip(channel).map(|(p, h)| Complex::cis(-TAU * p.dot(*u)) * h).sum();
+                directions.iter().map(|u| Complex::norm(steered(u))).collect()
+            }
+        }
     }
 }
 
-/// Horner evaluation; the phase of the array corner relative to its centre is omitted, since it does not change the
-/// magnitude.
+/// Horner evaluation of a grid, in two variables; the phase of its corner relative to its centre is omitted, since it does
+/// not change the magnitude.
 struct Horner<'a> {
-    steering: &'a Steering,
+    x: &'a ComplexLanes,
+    y: &'a ComplexLanes,
     channel: &'a [Complex],
     columns: usize,
     magnitude: &'a mut [f64],
@@ -180,7 +192,7 @@ impl WithSimd for Horner<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Steering { x, y } = self.steering;
+        let Self { x, y, .. } = self;
         let x = S::as_simd_f64s(&x.re).0.iter().zip(S::as_simd_f64s(&x.im).0);
         let y = S::as_simd_f64s(&y.re).0.iter().zip(S::as_simd_f64s(&y.im).0);
         let zero = simd.splat_f64s(0.0);

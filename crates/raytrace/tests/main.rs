@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // helpers of tests may fail, as tests do
 
+mod arrays;
 mod common;
 mod contacts;
 mod data_source;

@@ -5,9 +5,18 @@
 
 /** Parses `Name(field: 1, other: Waves(count: 2), third: None)` to an object; the key "" holds the name. */
 function parseRon(text) {
-  const tokens = text.match(/[A-Za-z_]\w*|[-+]?[\d.]+(?:[eE][-+]?\d+)?|[():,]/g);
+  const tokens = text.match(/[A-Za-z_]\w*|[-+]?[\d.]+(?:[eE][-+]?\d+)?|[():,[\]]/g);
   const value = () => {
     const token = tokens.shift();
+    if (token === "(" || token === "[") {
+      const items = [];
+      while (tokens[0] !== ")" && tokens[0] !== "]") {
+        items.push(value());
+        if (tokens[0] === ",") tokens.shift();
+      }
+      tokens.shift();
+      return items;
+    }
     if (!/^[A-Za-z_]/.test(token)) return Number(token);
     if (["None", "true", "false"].includes(token)) return { None: null, true: true, false: false }[token];
     const fields = { "": token };
@@ -310,10 +319,11 @@ function eachPixel({ pixel, cov, radius }, opacity, { width, height, wraps }, ti
 }
 
 /** Antenna positions of an array, wavelengths, [K, 3]. */
-function antennasOf({ rows, columns, spacing_wavelengths: spacing }) {
+function antennasOf({ rows, columns, spacing_wavelengths: spacing, positions_wavelengths: given }) {
+  if (given) return given;
   const all = [];
   for (let i = 0; i < rows; i++) {
-    for (let j = 0; j < columns; j++) all.push([spacing * (j - (columns - 1) / 2), spacing * (i - (rows - 1) / 2)]);
+    for (let j = 0; j < columns; j++) all.push([spacing * (j - (columns - 1) / 2), spacing * (i - (rows - 1) / 2), 0]);
   }
   return all;
 }
@@ -329,12 +339,12 @@ function waveOf(splat, antennas, rasterizer, { angles }) {
   const [da, de] = [angles[0].step * radians, angles[1].step * radians];
   const [a, b, c] = splat.cov;
   const wave = new Float64Array(2 * antennas.length);
-  antennas.forEach(([px, py], k) => {
-    const along = px * u[0] + py * u[1];
-    const way = Math.sqrt(Math.max(1e-6, r * r - 2 * r * along + px * px + py * py));
+  antennas.forEach(([px, py, pz], k) => {
+    const along = px * u[0] + py * u[1] + pz * u[2];
+    const way = Math.sqrt(Math.max(1e-6, r * r - 2 * r * along + px * px + py * py + pz * pz));
     const phase = spherical ? -2 * Math.PI * (way - r) : 2 * Math.PI * along;
     const w = Math.cos(el) * da * (-Math.sin(az) * px + Math.cos(az) * py);
-    const q = -Math.sin(el) * de * (Math.cos(az) * px + Math.sin(az) * py);
+    const q = de * (Math.cos(el) * pz - Math.sin(el) * (Math.cos(az) * px + Math.sin(az) * py));
     const size = rasterizer.widened ? Math.exp(-2 * Math.PI ** 2 * (a * w * w + 2 * b * w * q + c * q * q)) : 1;
     wave[k] = size * Math.cos(phase);
     wave[antennas.length + k] = size * Math.sin(phase);
@@ -349,9 +359,9 @@ function steeringOf(antennas, { width, height, angles }) {
   for (let at = 0; at < width * height; at++) {
     const az = ((angles[0].first + angles[0].step * (at % width)) * Math.PI) / 180;
     const el = ((angles[1].first + angles[1].step * Math.floor(at / width)) * Math.PI) / 180;
-    const [ux, uy] = [Math.cos(el) * Math.cos(az), Math.cos(el) * Math.sin(az)];
-    antennas.forEach(([px, py], k) => {
-      const phase = -2 * Math.PI * (px * ux + py * uy);
+    const [ux, uy, uz] = [Math.cos(el) * Math.cos(az), Math.cos(el) * Math.sin(az), Math.sin(el)];
+    antennas.forEach(([px, py, pz], k) => {
+      const phase = -2 * Math.PI * (px * ux + py * uy + pz * uz);
       table[0][at * count + k] = Math.cos(phase) / count;
       table[1][at * count + k] = Math.sin(phase) / count;
     });

@@ -1,10 +1,11 @@
 //! Steering of the array to every pixel: aᴴh/K for a whole image.
 //!
-//! The array is centred: every antenna k at p has an opposite antenna K-1-k at -p. So aᴴh = Σ cos φₖ·(hₖ + h₋ₖ) + sin
-//! φₖ·(-j)(hₖ - h₋ₖ) over half of the antennas, φₖ = 2π pₖ·u. These are K real functions of the direction, equal for
-//! real and imaginary part. At the opposite azimuth the flat array has the direction -u: the sum of the cosines is
-//! equal and that of the sines changes its sign. On an image of the full circle, two pixels together therefore cost K
-//! multiply-adds per channel, and the table covers half of the image.
+//! In a grid, every antenna k at p has an opposite antenna -k at -p. So aᴴh = Σ cos φₖ·(hₖ + h₋ₖ) + sin φₖ·(-j)(hₖ - h₋ₖ)
+//! over half of the antennas, φₖ = 2π pₖ·u. These are K real functions of the direction, equal for real and imaginary
+//! part. An antenna without an opposite one (h₋ₖ = 0) has both functions for itself. At the opposite azimuth a flat array
+//! has the projected direction -u: the sum of the cosines is equal and that of the sines changes its sign. On an image of
+//! the full circle, two pixels of a grid together therefore cost K multiply-adds per channel, and the table covers half of
+//! the image.
 
 use super::wave::Antennas;
 use pwrfgs_core::{ImagePlane, Lanes, Real, Vec3, widest};
@@ -20,63 +21,71 @@ const GROUP: usize = 8;
 /// Values of some pixels of a row, with zeros beyond its end.
 type Block = [Real; LANES];
 
-/// Table of K real functions, cosines first, at the pixels of one half of the image, or of all of it.
+/// Table of F real functions, cosines first, at the pixels of one half of the image, or of all of it.
 #[derive(Debug)]
 pub(super) struct Beams {
+    /// Number of antennas K.
     elements: usize,
+    /// Antenna of each cosine, and the opposite one. The first of them have sines too.
+    pairs: Vec<(usize, Option<usize>)>,
+    /// Number of functions F.
+    functions: usize,
     width: usize,
     /// Number of columns in the table.
     columns: usize,
     pixels: usize,
-    /// Values, `[rows of the image, blocks per row, K]`.
+    /// Values, `[rows of the image, blocks per row, F]`.
     table: Vec<Block>,
 }
 
 impl Beams {
     /// Computes the table of an array at the pixels of `plane`.
     pub(super) fn new(antennas: &Antennas, plane: &ImagePlane) -> Self {
-        let (elements, width) = (antennas.len(), plane.width);
-        let columns = if antennas.is_full_circle(width) { width / 2 } else { width };
+        let width = plane.width;
+        let columns = if antennas.has_opposite_pixels(width) { width / 2 } else { width };
         let blocks = columns.div_ceil(LANES);
-        let half = elements.div_ceil(2);
-        let mut table = vec![[0.0; LANES]; plane.height * blocks * elements];
-        table.par_chunks_exact_mut(elements).enumerate().for_each(|(block, table)| {
+        let (pairs, sines) = opposite_antennas(&antennas.positions);
+        let functions = pairs.len() + sines;
+        let mut table = vec![[0.0; LANES]; plane.height * blocks * functions];
+        table.par_chunks_exact_mut(functions).enumerate().for_each(|(block, table)| {
             let (y, first) = (block / blocks, block % blocks * LANES);
             for lane in 0..LANES.min(columns - first) {
                 let u = plane.direction((first + lane) as Real, y as Real).expect("the plane was checked");
-                for (k, p) in antennas.positions[..half].iter().enumerate() {
+                for (i, (k, _)) in pairs.iter().enumerate() {
+                    let p = antennas.positions[*k];
                     let (sin, cos) = (std::f64::consts::TAU * f64::from(p.dot(Vec3::from_array(u)))).sin_cos();
-                    table[k][lane] = cos as Real;
-                    if half + k < elements {
-                        table[half + k][lane] = sin as Real;
+                    table[i][lane] = cos as Real;
+                    if i < sines {
+                        table[pairs.len() + i][lane] = sin as Real;
                     }
                 }
             }
         });
-        Self { elements, width, columns, pixels: width * plane.height, table }
+        let (elements, pixels) = (antennas.len(), width * plane.height);
+        Self { elements, pairs, functions, width, columns, pixels, table }
     }
 
     /// Computes the images `out` `[2B, H·W]`, real and imaginary part in turn, of the fields `[B, K]`.
     pub(super) fn draw(&self, field: &[[Real; 2]], out: &mut [Real]) {
         let coefficients: Vec<Real> =
             field.chunks_exact(self.elements).flat_map(|h| self.function_coefficients(h)).collect();
-        let groups = out.par_chunks_mut(GROUP * self.pixels).zip(coefficients.par_chunks(GROUP * self.elements));
+        let groups = out.par_chunks_mut(GROUP * self.pixels).zip(coefficients.par_chunks(GROUP * self.functions));
         groups.for_each(|(out, coefficients)| widest(Draw { beams: self, coefficients, out }));
     }
 
     /// Returns the cotangents of the fields `[B, K]`, given those of the images.
     pub(super) fn draw_vjp(&self, d_out: &[Real]) -> Vec<[Real; 2]> {
-        let mut d_coefficients = vec![0.0; d_out.len() / self.pixels * self.elements];
-        let groups = d_out.par_chunks(GROUP * self.pixels).zip(d_coefficients.par_chunks_mut(GROUP * self.elements));
+        let mut d_coefficients = vec![0.0; d_out.len() / self.pixels * self.functions];
+        let groups = d_out.par_chunks(GROUP * self.pixels).zip(d_coefficients.par_chunks_mut(GROUP * self.functions));
         groups.for_each(|(d_out, d_coefficients)| widest(Back { beams: self, d_out, d_coefficients }));
-        d_coefficients.chunks_exact(2 * self.elements).flat_map(|d| self.function_coefficients_vjp(d)).collect()
+        d_coefficients.chunks_exact(2 * self.functions).flat_map(|d| self.function_coefficients_vjp(d)).collect()
     }
 
     /// Iterates over blocks of the table, each with its pixels and, if the table covers half, those at the opposite
     /// azimuth.
     fn blocks(&self) -> impl Iterator<Item = (&[Block], Range<usize>, Option<Range<usize>>)> {
         let blocks = self.columns.div_ceil(LANES);
-        self.table.chunks_exact(self.elements).enumerate().map(move |(block, table)| {
+        self.table.chunks_exact(self.functions).enumerate().map(move |(block, table)| {
             let first = block % blocks * LANES;
             let start = block / blocks * self.width + first;
             let first_half = start..start + LANES.min(self.columns - first);
@@ -85,19 +94,17 @@ impl Beams {
         })
     }
 
-    /// Returns the coefficients of the K functions for the real part of the image of a field `h` `[K]`, then for the
-    /// imaginary part, `[2, K]`.
+    /// Returns the coefficients of the F functions for the real part of the image of a field `h` `[K]`, then for the
+    /// imaginary part, `[2, F]`.
     fn function_coefficients(&self, h: &[[Real; 2]]) -> Vec<Real> {
-        let (k, half) = (self.elements, self.elements.div_ceil(2));
-        let scale = 1.0 / k as Real;
-        let mut out = vec![0.0; 2 * k];
-        for i in 0..half {
-            let ([re, im], [re2, im2]) = (h[i], h[k - 1 - i]);
-            if half + i < k {
-                (out[i], out[k + i]) = (scale * (re + re2), scale * (im + im2));
-                (out[half + i], out[k + half + i]) = (scale * (im - im2), scale * (re2 - re));
-            } else {
-                (out[i], out[k + i]) = (scale * re, scale * im);
+        let (f, cosines) = (self.functions, self.pairs.len());
+        let scale = 1.0 / self.elements as Real;
+        let mut out = vec![0.0; 2 * f];
+        for (i, (k, opposite)) in self.pairs.iter().enumerate() {
+            let ([re, im], [re2, im2]) = (h[*k], opposite.map_or([0.0; 2], |k| h[k]));
+            (out[i], out[f + i]) = (scale * (re + re2), scale * (im + im2));
+            if cosines + i < f {
+                (out[cosines + i], out[f + cosines + i]) = (scale * (im - im2), scale * (re2 - re));
             }
         }
         out
@@ -105,20 +112,39 @@ impl Beams {
 
     /// Returns the cotangent of h, given that of [`Self::function_coefficients`].
     fn function_coefficients_vjp(&self, d: &[Real]) -> Vec<[Real; 2]> {
-        let (k, half) = (self.elements, self.elements.div_ceil(2));
-        let scale = 1.0 / k as Real;
-        let mut out = vec![[0.0; 2]; k];
-        for i in 0..half {
-            let (even_re, even_im) = (scale * d[i], scale * d[k + i]);
-            out[i] = [even_re, even_im];
-            if half + i < k {
-                let (odd_re, odd_im) = (scale * d[half + i], scale * d[k + half + i]);
-                out[i] = [even_re - odd_im, even_im + odd_re];
-                out[k - 1 - i] = [even_re + odd_im, even_im - odd_re];
+        let (f, cosines) = (self.functions, self.pairs.len());
+        let scale = 1.0 / self.elements as Real;
+        let mut out = vec![[0.0; 2]; self.elements];
+        for (i, (k, opposite)) in self.pairs.iter().enumerate() {
+            let (even_re, even_im) = (scale * d[i], scale * d[f + i]);
+            let (mut odd_re, mut odd_im) = (0.0, 0.0);
+            if cosines + i < f {
+                (odd_re, odd_im) = (scale * d[cosines + i], scale * d[f + cosines + i]);
+            }
+            out[*k] = [even_re - odd_im, even_im + odd_re];
+            if let Some(opposite) = opposite {
+                out[*opposite] = [even_re + odd_im, even_im - odd_re];
             }
         }
         out
     }
+}
+
+/// Returns each antenna with the opposite one, if there is one, and the number of antennas that differ from their opposite:
+/// an antenna at the receiver position has no sine and comes last.
+fn opposite_antennas(positions: &[Vec3]) -> (Vec<(usize, Option<usize>)>, usize) {
+    let mut pairs = Vec::new();
+    let mut is_paired = vec![false; positions.len()];
+    for (k, p) in positions.iter().enumerate().filter(|(_, p)| **p != Vec3::ZERO) {
+        if !is_paired[k] {
+            let opposite = (k + 1..positions.len()).find(|other| positions[*other] == -*p);
+            opposite.into_iter().for_each(|other| is_paired[other] = true);
+            pairs.push((k, opposite));
+        }
+    }
+    let sines = pairs.len();
+    pairs.extend((0..positions.len()).filter(|k| positions[*k] == Vec3::ZERO).map(|k| (k, None)));
+    (pairs, sines)
 }
 
 /// Forward pass for some pairs of channels of the image.
@@ -135,11 +161,11 @@ impl pulp::WithSimd for Draw<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        let Beams { elements, pixels, .. } = *self.beams;
-        let cosines = elements.div_ceil(2);
+        let Beams { functions, pixels, .. } = *self.beams;
+        let cosines = self.beams.pairs.len();
         for (table, first_half, opposite) in self.beams.blocks() {
-            for (pair, coefficients) in self.coefficients.chunks_exact(2 * elements).enumerate() {
-                let (re, im) = coefficients.split_at(elements);
+            for (pair, coefficients) in self.coefficients.chunks_exact(2 * functions).enumerate() {
+                let (re, im) = coefficients.split_at(functions);
                 let (mut even, mut odd) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
                 Real::two_sums(simd, &mut even, [&re[..cosines], &im[..cosines]], &table[..cosines]);
                 Real::two_sums(simd, &mut odd, [&re[cosines..], &im[cosines..]], &table[cosines..]);
@@ -175,8 +201,8 @@ impl pulp::WithSimd for Back<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        let Beams { elements, pixels, .. } = *self.beams;
-        let cosines = elements.div_ceil(2);
+        let Beams { functions, pixels, .. } = *self.beams;
+        let cosines = self.beams.pairs.len();
         let mut sums = vec![[0.0; LANES / 4]; self.d_coefficients.len()];
         for (table, first_half, opposite) in self.beams.blocks() {
             for (channel, d_out) in self.d_out.chunks_exact(pixels).enumerate() {
@@ -191,7 +217,7 @@ impl pulp::WithSimd for Back<'_> {
                         odd[i] -= d[i];
                     }
                 }
-                for (k, sum) in sums[channel * elements..][..elements].iter_mut().enumerate() {
+                for (k, sum) in sums[channel * functions..][..functions].iter_mut().enumerate() {
                     let d = if k < cosines { &even } else { &odd };
                     let (d, beam) = (d.as_chunks::<{ LANES / 4 }>().0, table[k].as_chunks::<{ LANES / 4 }>().0);
                     for quarter in 0..4 {

@@ -2,7 +2,7 @@
 
 use crate::ewa::symmetric_inverse_vjp;
 use pwrfgs_core::{
-    ImagePlane, JsonSchema, Real, Splats, Vec3,
+    ArrayGeometry, ImagePlane, JsonSchema, Real, Splats, Vec3,
     consts::{DEG, TAU},
 };
 use rayon::prelude::*;
@@ -26,9 +26,9 @@ pub enum Wavefront {
     },
 }
 
-/// Planar array in the x-y plane of the receiver, centred, and the grid whose pixels are directions.
+/// Antennas of a receiver, and the grid whose pixels are directions.
 pub(super) struct Antennas {
-    /// Antenna positions `[K]`, wavelengths, x fastest. Element K-1-k is opposite to element k.
+    /// Antenna positions `[K]`, wavelengths, receiver frame.
     pub(super) positions: Vec<Vec3>,
     widened: bool,
     /// Carrier wavelength for spherical wavefronts, metres.
@@ -50,18 +50,14 @@ struct Aim {
 }
 
 impl Antennas {
-    /// Creates the antennas of an array of `[rows, columns]`, their `spacing` in wavelengths, for a plane whose pixels are
-    /// directions.
+    /// Creates the antennas of an array for a plane whose pixels are directions.
     pub(super) fn new(
-        [rows, columns]: [usize; 2],
-        spacing: Real,
+        geometry: &ArrayGeometry<'_, Real>,
         widened: bool,
         wavefront: Wavefront,
         plane: &ImagePlane,
     ) -> Self {
-        let coordinate = |index: usize, count: usize| (index as Real - (count as Real - 1.0) / 2.0) * spacing;
-        let positions = (0..rows * columns)
-            .map(|k| Vec3::new(coordinate(k % columns, columns), coordinate(k / columns, rows), 0.0));
+        let positions = geometry.positions(1.0).into_iter().map(|p| Vec3::from_array(p.map(|v| v as Real)));
         let (az, el) = plane.angles.expect("the plane was checked: its pixels are directions");
         Self {
             positions: positions.collect(),
@@ -80,11 +76,12 @@ impl Antennas {
         self.positions.len()
     }
 
-    /// Returns whether an image of `width` pixels covers the full circle and has an even width, so that the opposite
-    /// azimuth is half a width away.
-    pub(super) fn is_full_circle(&self, width: usize) -> bool {
+    /// Returns whether half of an image of `width` pixels determines the beams: the antennas are in the x-y plane, and the
+    /// image covers the full circle and has an even width, so that the opposite azimuth is half a width away.
+    pub(super) fn has_opposite_pixels(&self, width: usize) -> bool {
         let turn = self.step[0] * width as Real / TAU;
-        width.is_multiple_of(2) && (turn.abs() - 1.0).abs() < 1e-6
+        let is_flat = self.positions.iter().all(|p| p.z == 0.0);
+        is_flat && width.is_multiple_of(2) && (turn.abs() - 1.0).abs() < 1e-6
     }
 
     /// Returns the waves of all splats, `[N, K]` complex numbers; zeros for splats out of view.

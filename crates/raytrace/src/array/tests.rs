@@ -21,30 +21,14 @@ fn line_of_sight(from: DVec3, to: DVec3) -> PropagationPath {
 }
 
 #[test]
-fn array_offsets_have_x_fastest_and_zero_mean() {
-    let array = Array { rows: 2, columns: 3, spacing_wavelengths: 0.25, ..Array::default() };
-    let offsets = array.offsets(4.0);
-    assert_eq!(offsets.len(), array.element_count());
-    assert_eq!(offsets[0], DVec3::new(-1.0, -0.5, 0.0));
-    assert_eq!(offsets[1], DVec3::new(0.0, -0.5, 0.0));
-    assert_eq!(offsets[3], DVec3::new(-1.0, 0.5, 0.0));
-    assert_eq!(offsets.iter().sum::<DVec3>(), DVec3::ZERO);
-}
-
-#[test]
 fn reports_each_invalid_array() {
     let good = Array::default();
     assert_eq!(good.check(), Ok(()));
     let cases = [
         (Array { rows: 0, ..good.clone() }, "array: `rows` is 0; give 1 to 32 antennas"),
-        (Array { columns: 33, ..good.clone() }, "array: `columns` is 33; give 1 to 32 antennas"),
         (
-            Array { spacing_wavelengths: 0.0, ..good.clone() },
-            "array: `spacing_wavelengths` is 0; give 0.001 to 100, usually 0.5",
-        ),
-        (
-            Array { spacing_wavelengths: f64::NAN, ..good.clone() },
-            "array: `spacing_wavelengths` is NaN; give 0.001 to 100, usually 0.5",
+            Array { positions_wavelengths: vec![[0.0; 3]; 2], ..good.clone() },
+            "array: `positions_wavelengths`: antennas 1 and 2 are both at (0, 0, 0); give each antenna its own position",
         ),
         (
             Array { polarization: [0.0; 3], ..good.clone() },

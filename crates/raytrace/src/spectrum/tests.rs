@@ -159,6 +159,38 @@ fn beamformer_matches_definition_for_any_array_shape() {
 }
 
 #[test]
+fn given_positions_equal_grid_and_plane_wave_formula() {
+    let grid = Array { rows: 3, columns: 4, spacing_wavelengths: 0.4, ..Array::default() };
+    let given = |positions_wavelengths| Array { positions_wavelengths, ..Array::default() };
+    let same = given(grid.offsets(1.0).iter().map(DVec3::to_array).collect());
+    let h: Vec<Complex> = PHASES[..12].iter().map(|phase| Complex::cis(*phase)).collect();
+    let (one, other) = (Beamformer::new(&grid, 36, 9).amplitude(&h), Beamformer::new(&same, 36, 9).amplitude(&h));
+    assert!(one.iter().zip(&other).all(|(a, b)| (a - b).abs() < 1e-13));
+
+    // A plane wave from w on a ring of K antennas of radius r gives J₀ as K grows: |Σ exp(j2π pₖ·(w - u))|/K → |J₀(2πr|w - u|)|.
+    let ring = |k: usize| TAU * k as f64 / 24.0;
+    let circle = given((0..24).map(|k| [0.6 * ring(k).cos(), 0.6 * ring(k).sin(), 0.0]).collect());
+    let beamformer = Beamformer::new(&circle, 360, 90);
+    let w = direction(100.0, 40.0);
+    let wave: Vec<Complex> = circle.offsets(1.0).iter().map(|p| Complex::cis(TAU * p.dot(w))).collect();
+    let amplitude = beamformer.amplitude(&wave);
+    for (azimuth, elevation) in [(100.0, 40.0), (90.0, 40.0), (130.0, 60.0), (80.0, 20.0)] {
+        let u = direction(azimuth, elevation);
+        let x = TAU * 0.6 * (w - u).truncate().length();
+        let bessel = (0..1000).map(|i| (x * ((f64::from(i) + 0.5) * TAU / 2000.0).sin()).cos()).sum::<f64>() / 1000.0;
+        let found = amplitude[elevation as usize * 360 + azimuth as usize];
+        assert!((found - bessel.abs()).abs() < 1e-6, "({azimuth}, {elevation}): {found} is not {bessel}");
+    }
+    // Antennas above each other distinguish elevations on the boresight side, also at the zenith.
+    let mast = given(vec![[0.0; 3], [0.0, 0.0, 0.25]]);
+    let up = Beamformer::new(&mast, 4, 9).amplitude(&[Complex::ONE, Complex::cis(TAU * 0.25)]);
+    for (pixel, amplitude) in up.iter().enumerate() {
+        let phase = TAU * 0.25 * (1.0 - direction(0.0, (pixel / 4) as f64 * 10.0).z);
+        assert!((amplitude - (0.5 * phase).cos()).abs() < 1e-12, "pixel {pixel}");
+    }
+}
+
+#[test]
 fn spectrum_ignores_channel_scale_and_phase() {
     let beamformer = Beamformer::new(&measured_array(), 360, 90);
     let channel = sample_channel();
