@@ -4,6 +4,7 @@
 //! mean over the test set does not describe positions farther away. A mean of powers or channels hides large errors.
 
 use super::Figure;
+use super::shown::grey_baselines;
 use super::tradeoff::row_style;
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::{Stroke, Style};
@@ -36,7 +37,7 @@ pub(super) fn distance_figure(setting: &Setting) -> Option<Figure> {
             lines.push(ChartLine::new(round, Style { stroke: Stroke::Area, ..style }));
         }
     }
-    for (k, name) in setting.baselines().into_iter().enumerate() {
+    for (k, name) in grey_baselines(setting) {
         // Equal in all variants, except for splits that depend on the seed.
         let bins = error_bins(&setting.variants[0].runs, name, task);
         let points = bins.iter().map(|b| (b.distance, b.quartiles[1])).collect();
@@ -109,7 +110,7 @@ pub(super) fn distribution_figure(setting: &Setting) -> Option<Figure> {
         line.marks = line.points.iter().skip(10 + 5 * (k % 4)).step_by(20).copied().collect();
         lines.push(line);
     }
-    for (k, name) in setting.baselines().into_iter().enumerate() {
+    for (k, name) in grey_baselines(setting) {
         lines.push(ChartLine::new(points(&setting.variants[0].runs, name), row_style(setting, k, name)).named(name));
     }
     let x = ChartAxis { name: headline.name.into(), ..ChartAxis::default() };

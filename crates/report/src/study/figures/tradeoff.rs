@@ -1,6 +1,7 @@
 //! First metric and rate ratio against N, bytes and milliseconds: figure 2b of the paper, and methods at equal N.
 
 use super::Figure;
+use super::shown::CURVES;
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::Style;
 use minijinja::context;
@@ -117,8 +118,8 @@ fn published_line(key: &str, (name, published): &Published) -> ChartLine {
     line
 }
 
-/// Number of methods drawn in colour: the best, and the last.
-const SHOWN: usize = 7;
+/// Number of methods drawn in colour besides the last: the best.
+const SHOWN: usize = CURVES - 1;
 
 /// Cost on the horizontal axis.
 struct CostAxis {
