@@ -35,6 +35,7 @@ EXAMPLES
   pwrfgs sweep paper-office --dry-run
   pwrfgs sweep paper-office --jobs 2
   pwrfgs sweep experiments/splits.ron --set 'data=Nerf2Spectrum(root: \"data/s23\")' --out runs/s23")]
+#[allow(clippy::struct_excessive_bools)] // options of the command line
 pub(crate) struct Sweep {
     /// Experiment file, or name in `pwrfgs pipelines`
     #[arg(value_name = "EXPERIMENT")]

@@ -15,10 +15,8 @@ pub(super) fn score_tables(scores: &ScoreTable) -> Vec<Vec<Value>> {
     let shared: Vec<&MetricRow> = scores.metrics.iter().filter(is_shared).collect();
     let is_main = |row: &MetricRow| scores.main_metrics().iter().any(|main| main.key == row.key);
     let columns = |row: &MetricRow| if row.is_per_sample() { 3 } else { 1 };
-    let shown = |row: &MetricRow| match is_main(row) {
-        true if row.key == scores.task.headline.key => columns(row),
-        main => usize::from(main),
-    };
+    let is_first = |row: &MetricRow| row.key == scores.task.headline.key;
+    let shown = |row: &MetricRow| if is_first(row) { columns(row) } else { usize::from(is_main(row)) };
     let group = |row: &&MetricRow| column_group(scores, row, shown(row));
     let main: Vec<Value> = shared.iter().filter(|row| is_main(row)).map(group).collect();
     let (mut tables, mut room) = (vec![main], 0);

@@ -74,10 +74,7 @@ impl StudyPage {
             let drawn = run_stage(observer, "drawing the figures", |p| {
                 figures::draw_figures(comparison.setting, &options.variants, p)
             });
-            sections.push(Section {
-                chosen: tables::chosen_table(comparison, &options.columns),
-                ..Section::new(i, comparison, reference, drawn)
-            });
+            sections.push(Section::new(i, comparison, options, drawn));
         }
         let unfinished = study.unfinished.iter().map(|path| format!("{}: not finished", path.display()));
         let repeated =
@@ -115,8 +112,8 @@ fn check_columns(comparisons: &[Comparison<'_>], columns: &[String]) -> Result<(
 
 impl Section {
     /// Creates the section of a setting, number `index`, with its tables and the figures `drawn`.
-    fn new(index: usize, comparison: &Comparison<'_>, reference: Option<&str>, drawn: FigureSet) -> Self {
-        let setting = comparison.setting;
+    fn new(index: usize, comparison: &Comparison<'_>, options: &ReportOptions, drawn: FigureSet) -> Self {
+        let (setting, reference) = (comparison.setting, options.reference.as_deref());
         let named = reference.and_then(|label| comparison.row(label));
         let compared: &ComparisonRow<'_> = named.unwrap_or(&comparison.rows[0]);
         let runs: Vec<&Record> = setting.runs().collect();
@@ -140,6 +137,7 @@ impl Section {
             reference: compared.label.to_owned(),
             warnings,
             tables: tables.into_iter().flatten().collect(),
+            chosen: tables::chosen_table(comparison, &options.columns),
             figures: drawn.figures,
             runs: run_lines(setting),
             notes: comparison.notes(),
