@@ -23,6 +23,7 @@ class StageSide {
     this.root = article;
     this.find("name").textContent = stage.abouts.length > 1 ? about.name : "";
     this.numbers = this.find("numbers");
+    this.find("pictures").classList.toggle("stage-charts", !stage.note.has_pixels);
     const canvas = this.find("room");
     canvas.setAttribute("aria-label", `3D view of the room, ${about.name}: arrow keys move the transmitter`);
     stage.find("sides").append(article);

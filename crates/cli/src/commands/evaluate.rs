@@ -71,7 +71,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<u8>
         }
         (Some(folder), Err(error)) if error.is_input() => {
             folder.discard(); // another command is the remedy
-            Err(error)
+            return Err(error);
         }
         (Some(folder), text) => {
             let mut text = text?;

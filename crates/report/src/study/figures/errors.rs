@@ -17,8 +17,8 @@ use std::collections::BTreeMap;
 /// Minimum number of test samples per bin, and maximum number of bins.
 const PER_BIN: usize = 10;
 const MOST_BINS: usize = 8;
-/// Maximum number of variants with bands of quartiles; more bands would overlap.
-const MOST_BANDS: usize = 4;
+/// Maximum number of variants with bands of quartiles; more bands overlap, and look alike in grey.
+const MOST_BANDS: usize = 2;
 
 /// Draws the error against the distance to the nearest training transmitter, which reveals leakage of a split; `None`
 /// without distances.

@@ -37,19 +37,27 @@ impl ShownVariants {
 }
 
 /// Removes the parts between commas that the labels of all `variants` have, and returns these; none if a label has no other
-/// part.
+/// part. Also removes the axis that all labels begin with, such as `method` of `method masks`, but not before a number.
 fn remove_common_parts(variants: &mut [StudyVariant]) -> String {
     let labels: Vec<Vec<String>> =
         variants.iter().map(|variant| variant.label.split(", ").map(str::to_owned).collect()).collect();
     let is_common = |part: &&String| labels.iter().all(|parts| parts.contains(part));
     let own = |parts: &[String]| parts.iter().filter(|part| !is_common(part)).cloned().collect::<Vec<_>>().join(", ");
-    let names: Vec<String> = labels.iter().map(|parts| own(parts)).collect();
-    if labels.len() < 2 || names.iter().any(String::is_empty) {
+    let mut names: Vec<String> = labels.iter().map(|parts| own(parts)).collect();
+    let mut common = labels[0].iter().filter(is_common).cloned().collect::<Vec<_>>().join(", ");
+    if labels.len() < 2 {
         return String::new();
     }
-    let common: Vec<&String> = labels[0].iter().filter(is_common).collect();
-    let common = common.into_iter().cloned().collect::<Vec<_>>().join(", ");
-    variants.iter_mut().zip(names).for_each(|(variant, name)| variant.label = name);
+    if names.iter().any(String::is_empty) {
+        (names, common) = (labels.iter().map(|parts| parts.join(", ")).collect(), String::new());
+    }
+    let rest = |name: &String| {
+        let (axis, rest) = name.split_once(' ')?;
+        let is_word = rest.starts_with(char::is_alphabetic);
+        (is_word && names.iter().all(|other| other.split(' ').next() == Some(axis))).then(|| rest.to_owned())
+    };
+    let shorter: Option<Vec<String>> = names.iter().map(rest).collect();
+    variants.iter_mut().zip(shorter.unwrap_or(names)).for_each(|(variant, name)| variant.label = name);
     common
 }
 
@@ -154,7 +162,9 @@ mod tests {
             (variants.into_iter().map(|variant| variant.label).collect::<Vec<_>>(), common)
         };
         let (labels, common) = relabel(&["method A, N 24, seed x", "method B, N 24, seed x"]);
-        assert_eq!((labels, common.as_str()), (vec!["method A".into(), "method B".into()], "N 24, seed x"));
+        assert_eq!((labels, common.as_str()), (vec!["A".into(), "B".into()], "N 24, seed x"));
+        assert_eq!(relabel(&["λ 0.1, row a", "λ 0.2, row a"]).0, ["λ 0.1", "λ 0.2"], "a number keeps its name");
+        assert_eq!(relabel(&["method A, N 8", "method A, N 24", "method B, N 8"]).0, ["A, N 8", "A, N 24", "B, N 8"]);
         assert_eq!(relabel(&["a, N 24"]), (vec!["a, N 24".to_owned()], String::new()), "one has nothing in common");
         assert_eq!(relabel(&["a", "a, b"]).1, "", "none without a name");
     }
