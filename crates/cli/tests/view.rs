@@ -353,10 +353,8 @@ fn saved_pages_of_powers_and_channels_show_predictions() {
     let page = std::fs::read_to_string(here.join("run/report.html")).unwrap();
     assert!(page.contains("<h2>Run</h2>") && !page.contains("<h2>Model</h2>"), "no empty table of the whole model");
     succeed(here, &["run", "waves.ron", "--out", "waves-run", "--scale", "0.05", "-q"]);
-    let pages = [
-        ("run", "Received power,Predicted − measured"),
-        ("waves-run", "Magnitude,Modulus of predicted − measured"),
-    ];
+    let pages =
+        [("run", "Received power,Predicted − measured"), ("waves-run", "Magnitude,Modulus of predicted − measured")];
     for (run, titles) in pages {
         let file = here.join(format!("{run}.html"));
         succeed(here, &["view", run, "--save", file.to_str().unwrap()]);
@@ -385,7 +383,8 @@ fn saved_pages_of_powers_and_channels_show_predictions() {
 /// On a telephone, the room and the first figure are in the first screen, before the controls, and nothing is wider.
 fn fits_a_telephone(page: &Browser) {
     page.resize([400, 860]);
-    let end = |name: &str| page.eval(&format!("document.querySelector('[data-{name}]').getBoundingClientRect().bottom"));
+    let end =
+        |name: &str| page.eval(&format!("document.querySelector('[data-{name}]').getBoundingClientRect().bottom"));
     let [room, figure, controls] = ["room", "pictures] figure:first-of-type canvas[data-map", "controls"].map(end);
     let [room, figure, controls] = [room, figure, controls].map(|v| v.as_f64().unwrap());
     assert!(room < figure && figure <= 860.0 && figure < controls, "{room}, {figure}, {controls}");
@@ -399,7 +398,8 @@ fn page_of_a_run_opens_with_its_median_and_no_table_leaves_its_column() {
     write(&here.join("small.ron"), SMALL);
     let baselines = "baselines=[MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: 3), \
                      NearestNeighbours(k: 5), NearestNeighbours(k: 9), Kriging()]";
-    let metrics = "metrics=[Ssim(), L1(), Psnr(), RateRatio(snr_db: 0.0), RateRatio(snr_db: 10.0), DirectionError(), Latency()]";
+    let metrics =
+        "metrics=[Ssim(), L1(), Psnr(), RateRatio(snr_db: 0.0), RateRatio(snr_db: 10.0), DirectionError(), Latency()]";
     succeed(here, &["run", "small.ron", "--out", "run", "-q", "--set", baselines, "--set", metrics]);
     succeed(here, &["report", "run", "--out", "all", "-q"]);
     let address = |file: &str| format!("file://{}", here.join(file).display());

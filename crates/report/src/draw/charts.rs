@@ -164,7 +164,8 @@ impl Chart {
         let mut select = |line: &ChartLine| {
             // Marks at some points only distinguish lines: one on another mark is left out. Marks at all points are data.
             let are_data = line.marks.len() >= line.points.len();
-            let is_free = |at: &Point, marked: &[Point]| marked.iter().all(|[x, y]| (x - at[0]).hypot(y - at[1]) > APART);
+            let is_free =
+                |at: &Point, marked: &[Point]| marked.iter().all(|[x, y]| (x - at[0]).hypot(y - at[1]) > APART);
             let mut marks = on_canvas(&line.marks);
             marks.retain(|at| are_data || is_free(at, &marked));
             marked.extend(&marks);

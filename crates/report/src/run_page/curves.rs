@@ -24,11 +24,18 @@ fn baseline_style(k: usize) -> Style {
     Style::line(Colour::hex(BASELINE_COLOURS[k % BASELINE_COLOURS.len()]), 2.0, stroke)
 }
 
-/// Selects the `most` best entries by the score that `of` returns, in their order.
-fn best_of<T>(entries: Vec<T>, higher: bool, most: usize, of: impl Fn(&T) -> f64) -> Vec<T> {
-    let sign = if higher { -1.0 } else { 1.0 };
+/// Selects the `most` best entries by the name and score that `of` returns, in their order; oracle baselines last.
+fn best_of<T>(run: &LoadedRun<'_>, entries: Vec<T>, most: usize, of: impl Fn(&T) -> (&String, f64)) -> Vec<T> {
+    let sign = if run.data.task().headline.higher { -1.0 } else { 1.0 };
+    let rank = |entry: &T| {
+        let (name, score) = of(entry);
+        (run.record.scores.table.oracles.contains(name), sign * score)
+    };
     let mut order: Vec<(usize, T)> = entries.into_iter().enumerate().collect();
-    order.sort_by(|a, b| (sign * of(&a.1)).total_cmp(&(sign * of(&b.1))).then(a.0.cmp(&b.0)));
+    order.sort_by(|(_, a), (_, b)| {
+        let ((a_oracle, a_cost), (b_oracle, b_cost)) = (rank(a), rank(b));
+        a_oracle.cmp(&b_oracle).then(a_cost.total_cmp(&b_cost))
+    });
     order.truncate(most);
     order.sort_by_key(|(place, _)| *place);
     order.into_iter().map(|(_, entry)| entry).collect()
@@ -135,7 +142,7 @@ fn validation_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     ];
     let task = run.data.task();
     let baselines = run.record.facts.validation_baselines.iter().collect();
-    let shown = best_of(baselines, task.headline.higher, BASELINES - 1, |(_, mean)| *mean);
+    let shown = best_of(run, baselines, BASELINES - 1, |(name, mean): &&(String, f64)| (name, *mean));
     for (k, (name, mean)) in shown.into_iter().enumerate() {
         lines.push(ChartLine::horizontal(*mean, baseline_style(k)).named(name));
     }
@@ -191,8 +198,9 @@ fn distribution_figure(run: &LoadedRun<'_>) -> Option<Figure> {
         sorted.push((name, statistics::sorted(values.iter().copied())));
     }
     let (model, baselines): (Vec<_>, Vec<_>) = sorted.into_iter().partition(|(name, _)| *name == MODEL);
-    let mean = |(_, values): &(&String, Vec<f64>)| values.iter().sum::<f64>() / values.len() as f64;
-    let sorted = [model, best_of(baselines, headline.higher, BASELINES, mean)].concat();
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let shown = best_of(run, baselines, BASELINES, |(name, values): &(&String, Vec<f64>)| (*name, mean(values)));
+    let sorted = [model, shown].concat();
     let ends = axis_ends(&headline, &sorted);
     let mut lines = Vec::new();
     for (k, (name, sorted)) in sorted.iter().enumerate() {

@@ -21,6 +21,7 @@ use pwrfgs_core::{Dataset, Error, Progress, Result, files::write_atomically};
 use pwrfgs_experiment::{NoopObserver, Setting};
 use serde::Serialize;
 use shown::ShownVariants;
+use std::fmt::Write as _;
 use std::path::Path;
 
 /// Widths of one print column, and of two with the gap between them.
@@ -118,11 +119,11 @@ pub fn draw_figures(setting: &Setting, chosen: &[String], progress: Progress<'_>
     let says_rest = |shown: &Setting, mut figure: Figure| {
         let hidden = setting.variants.len() - shown.variants.len();
         if std::ptr::eq(shown, curves) && !common.is_empty() {
-            figure.caption += &format!(" All variants: {common}.");
+            _ = write!(figure.caption, " All variants: {common}.");
         }
         if hidden > 0 {
-            figure.caption +=
-                &format!(" Variants that are not shown: {hidden}; `pwrfgs report --variants` selects them.");
+            let advice = "`pwrfgs report --variants` selects them.";
+            _ = write!(figure.caption, " Variants that are not shown: {hidden}; {advice}");
         }
         figure
     };

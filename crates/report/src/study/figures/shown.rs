@@ -95,14 +95,15 @@ fn best_methods(setting: &Setting) -> Vec<&StudyVariant> {
 }
 
 /// Lists the baselines with a curve, in the order of the plan: predictions of other programs, and the best others by the first
-/// metric.
+/// metric, oracle baselines last.
 pub(super) fn grey_baselines(setting: &Setting) -> Vec<(usize, &str)> {
     let headline = setting.headline();
     let sign = if headline.higher { -1.0 } else { 1.0 };
     let cost = |name: &str| setting.baseline_score(name, headline.key).map_or(f64::INFINITY, |score| sign * score);
     let all = setting.baselines().into_iter().enumerate();
     let (mut shown, mut others): (Vec<_>, Vec<_>) = all.partition(|(_, name)| setting.is_external(name));
-    others.sort_by(|a, b| cost(a.1).total_cmp(&cost(b.1)).then(a.0.cmp(&b.0)));
+    let is_oracle = |name: &str| setting.runs().any(|run| run.scores.table.oracles.iter().any(|oracle| oracle == name));
+    others.sort_by(|a, b| is_oracle(a.1).cmp(&is_oracle(b.1)).then(cost(a.1).total_cmp(&cost(b.1))));
     shown.extend(others.into_iter().take(GREY_CURVES));
     shown.sort_unstable();
     shown
