@@ -82,7 +82,7 @@ fn report_compares_runs() {
 
 /// `--columns` selects the columns of the table of scores, and `--variants` the curves of the figures.
 fn latex_has_the_chosen_columns(here: &Path) {
-    let report = |options: &[&str]| [&["report", "-q", RUNS[0], RUNS[2], "--out", "chosen"], options].concat();
+    let report = |options: &[&'static str]| [&["report", "-q", RUNS[0], RUNS[2], "--out", "chosen"], options].concat();
     succeed(here, &report(&["--columns", "gaussians,ssim.median", "--variants", "half_grid-0"]));
     let text = |name: &str| std::fs::read_to_string(here.join("chosen").join(name)).unwrap();
     let table = text("tables/1-scores.tex");
