@@ -3,7 +3,7 @@
 use crate::common::pipeline;
 use pwrfgs::experiment::sweep::{ListedRun, Listing};
 use pwrfgs::prelude::*;
-use pwrfgs::report::{Study, figures};
+use pwrfgs::report::{ReportOptions, Study, figures};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -38,7 +38,7 @@ fn figures_are_self_contained() {
     sweep(folder.path());
     let study = Study::read(&[folder.path().into()]).unwrap();
     assert_eq!((study.settings.len(), study.settings[0].variants.len()), (1, 2));
-    let figures = figures::draw_figures(&study.settings[0], &|_, _| {}).figures;
+    let figures = figures::draw_figures(&study.settings[0], &[], &|_, _| {}).figures;
     let names: Vec<&str> = figures.iter().map(|f| f.name.as_str()).collect();
     assert_eq!(names, ["gaussians", "ssim-n", "eta-n", "latency", "distance", "room", "spectra", "eta-snr"]);
     for figure in &figures {
@@ -91,7 +91,7 @@ fn published_numbers_belong_to_s23(mut study: Study) {
         let setting = &mut study.settings[0];
         setting.simulated = simulated;
         setting.variants.iter_mut().flat_map(|v| &mut v.runs).for_each(|run| run.facts.data = name.into());
-        let drawn = figures::draw_figures(setting, &|_, _| {});
+        let drawn = figures::draw_figures(setting, &[], &|_, _| {});
         assert!(drawn.left_out.unwrap().ends_with("the data have changed since this run; run it again."));
         drawn.figures.iter().find(|f| f.name == "ssim-n").unwrap().caption.contains("stars")
     };
@@ -104,7 +104,7 @@ fn published_numbers_belong_to_s23(mut study: Study) {
 /// Whatever a label holds, pages and documents show it and nothing obeys it.
 fn labels_stay_text(folder: &Path) {
     let (study, out) = (Study::read(&[folder.into()]).unwrap(), folder.join("report"));
-    let message = pwrfgs::report::write(&study, None, &out, &mut NoopObserver).unwrap();
+    let message = pwrfgs::report::write(&study, &ReportOptions::default(), &out, &mut NoopObserver).unwrap();
     assert!(!message.contains('\u{1b}') && message.contains("<script>"), "a terminal gets the words alone: {message}");
     let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
     let html = read("report.html");

@@ -90,7 +90,7 @@ fn own_baseline_paths_resolve_and_note_is_under_every_table() {
         RunOutcome::Finished { scores, already } => {
             let latency = scores.metrics.iter().find(|m| m.key == "latency_total_ms").unwrap();
             assert!(latency.cells.iter().all(|cell| cell.numbers().len() == 1), "everybody is timed: {latency:?}");
-            (scores.to_text(), already)
+            (scores.to_text(None), already)
         }
         stopped => panic!("{stopped:?}"),
     };
@@ -125,7 +125,8 @@ fn own_metric_is_in_every_table() {
     run(&pipeline, Path::new(""), &out, &mut NoopObserver, &AtomicBool::new(false)).unwrap();
     let study = pwrfgs::experiment::Study::read(&[out]).unwrap();
     let report = folder.path().join("report");
-    let printed = pwrfgs::report::write(&study, None, &report, &mut NoopObserver).unwrap();
+    let printed =
+        pwrfgs::report::write(&study, &pwrfgs::report::ReportOptions::default(), &report, &mut NoopObserver).unwrap();
     assert_eq!(printed.matches(" latency worst ↓").count(), 2, "scores and differences: {printed}");
     for name in ["report.html", "tables/1-scores.tex", "tables/1-differences.tex"] {
         let text = std::fs::read_to_string(report.join(name)).unwrap();

@@ -11,7 +11,7 @@ use pwrfgs::experiment::{self, Session, read_pipeline};
 use pwrfgs::model::export::{npz, ply};
 use pwrfgs::model::file;
 use pwrfgs::prelude::*;
-use pwrfgs::report::Study;
+use pwrfgs::report::{ReportOptions, Study};
 use pwrfgs::tasks::{PredictSettings, write_predictions};
 use std::fs;
 use std::path::Path;
@@ -346,5 +346,5 @@ fn read_back(bench: &Path) -> Result<()> {
 /// Compares the finished run, with every figure.
 fn compared(bench: &Path) -> Result<()> {
     let study = Study::read(&[bench.join("sweep")])?;
-    pwrfgs::report::write(&study, None, &bench.join("compared"), &mut NoopObserver).map(drop)
+    pwrfgs::report::write(&study, &ReportOptions::default(), &bench.join("compared"), &mut NoopObserver).map(drop)
 }

@@ -395,12 +395,19 @@ def simulate(
     return _pwrfgs.Dataset.load(folder if alone or not inner else inner[0])
 
 
-def report(runs: Any, out: Optional[PathLike] = None, reference: Optional[str] = None) -> str:
+def report(
+    runs: Any,
+    out: Optional[PathLike] = None,
+    reference: Optional[str] = None,
+    columns: Sequence[str] = (),
+    variants: Sequence[str] = (),
+) -> str:
     """Compare finished runs or sweeps: write tables, figures and report.html to ``out`` (default: ``report`` in the first
-    folder); returns the tables as text."""
+    folder); returns the tables as text. ``columns`` are those of the score table in LaTeX, such as ``["ssim",
+    "ssim.median"]``, and ``variants`` the variants or methods in the figures, at most 6."""
     given = [runs] if isinstance(runs, (str, os.PathLike, Run)) else list(runs)
     folders = [one.folder if isinstance(one, Run) else os.fspath(one) for one in given]
     if not folders:
         raise InputError("runs is empty; pass at least one run")
     where = os.path.join(folders[0], "report") if out is None else os.fspath(out)
-    return str(_pwrfgs.report(folders, where, reference))
+    return str(_pwrfgs.report(folders, where, reference, list(columns), list(variants)))

@@ -7,7 +7,7 @@ use crate::sweep::exception_of;
 use crate::tasks::{TaskObserver, read_settings};
 use pwrfgs::experiment::sweep::{SweepObserver, SweepPlan, check, estimate_run_seconds};
 use pwrfgs::experiment::{NoopObserver, Observer, RunOutcome, Session};
-use pwrfgs::report::{Study, write};
+use pwrfgs::report::{ReportOptions, Study, write};
 use pwrfgs::tasks::compare::{ComparedRuns, Comparison, check_earlier_runs, without_position};
 use pwrfgs::tasks::init::{DataSurvey, pipeline_name};
 use pwrfgs_core::{DataSource, Error, Partition, Plugin, Result, check_stopped};
@@ -55,7 +55,8 @@ fn perform(comparison: Comparison, dry_run: bool, keep_checkpoint: bool, stop: &
     let text = if plan.has_ended() {
         let _held = plan.claim()?;
         let study = Study::read(std::slice::from_ref(&plan.folder))?;
-        write(&study, reference.as_deref(), &plan.folder.join("report"), &mut TaskObserver(stop))?
+        let options = ReportOptions { reference, ..ReportOptions::default() };
+        write(&study, &options, &plan.folder.join("report"), &mut TaskObserver(stop))?
     } else {
         String::new()
     };

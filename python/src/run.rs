@@ -10,7 +10,7 @@ use pwrfgs::experiment::{Observer, RunOutcome, ScoreTable, Session, Start, Valid
 use pwrfgs::prelude::StepReport;
 use pwrfgs::raytrace::output::{DatasetWriter, OutputLayout, mitsuba};
 use pwrfgs::raytrace::{ObservationKind, SceneFile, SimulationRecipe};
-use pwrfgs::report::{Study, write};
+use pwrfgs::report::{ReportOptions, Study, write};
 use pwrfgs_core::{Error, Result};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -195,7 +195,9 @@ pub(crate) fn facts(py: Python<'_>, folder: PathBuf) -> PyResult<(String, Option
     let (text, table) = read().map_err(|error| to_exception(py, error))?;
     match table {
         None => Ok((text, None, None)),
-        Some(table) => Ok((text, Some(score_dict(py, &table)?.unbind()), Some(table.to_text()))),
+        Some(table) => {
+            Ok((text, Some(score_dict(py, &table)?.unbind()), Some(table.to_text(Some("`scores` also has")))))
+        }
     }
 }
 
@@ -283,10 +285,17 @@ pub(crate) fn program(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
 
 /// Compares runs, see `pwrfgs.report`: returns the tables as text.
 #[pyfunction]
-pub(crate) fn report(py: Python<'_>, runs: Vec<PathBuf>, out: PathBuf, reference: Option<String>) -> PyResult<String> {
+pub(crate) fn report(
+    py: Python<'_>,
+    runs: Vec<PathBuf>,
+    out: PathBuf,
+    reference: Option<String>,
+    columns: Vec<String>,
+    variants: Vec<String>,
+) -> PyResult<String> {
     run_stoppable(py, |stop| {
         let study = Study::read(&runs)?;
-        write(&study, reference.as_deref(), &out, &mut Stopping(stop))
+        write(&study, &ReportOptions { reference, columns, variants }, &out, &mut Stopping(stop))
     })
 }
 

@@ -5,7 +5,7 @@ use crate::run::Stopping;
 use pwrfgs::experiment::sweep::{JOINED, RunStage, SweepEnd, SweepPlan, check};
 use pwrfgs::experiment::{RunOutcome, Session};
 use pwrfgs::prelude::NoopObserver;
-use pwrfgs::report::{Study, write};
+use pwrfgs::report::{ReportOptions, Study, write};
 use pwrfgs_core::{Error, Result};
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -44,7 +44,7 @@ pub(crate) fn sweep<'py>(
         if plan.states().iter().all(|state| matches!(state, RunStage::Finished(_))) {
             let _held = plan.claim()?;
             let study = Study::read(std::slice::from_ref(&plan.folder))?;
-            write(&study, None, &plan.folder.join("report"), &mut Stopping(stop))?;
+            write(&study, &ReportOptions::default(), &plan.folder.join("report"), &mut Stopping(stop))?;
         }
         Ok(end)
     };

@@ -126,7 +126,7 @@ impl Command {
             Self::Locate(locate) => locate::locate(locate, verbosity),
             #[cfg(feature = "viewer")]
             Self::View(view) => view::view(view, verbosity),
-            Self::Evaluate(evaluate) => evaluate::evaluate(evaluate, verbosity),
+            Self::Evaluate(evaluate) => return evaluate::evaluate(evaluate, verbosity),
             #[cfg(feature = "report")]
             Self::Report(report) => report::report(report, verbosity),
             Self::Update(update) => update::update(update, verbosity),

@@ -27,6 +27,25 @@ fn names_its_commit(here: &Path, facts: &serde_json::Value) {
     }
 }
 
+/// The `table` of a run has the main metrics of its task; `--all` adds the others, which a note names.
+fn main_metrics_are_printed_and_all_on_request(here: &Path, table: &str) {
+    let metrics = |table: &str| -> Vec<String> {
+        let rows = table.lines().filter(|line| line.contains(" ↑  ") || line.contains(" ↓  "));
+        rows.filter(|line| !line.starts_with("model minus"))
+            .map(|line| line.split(' ').next().unwrap().into())
+            .collect()
+    };
+    assert_eq!(metrics(table), ["ssim", "eta_0db", "gaussians", "latency_total_ms"], "{table}");
+    assert_eq!(table.matches("10th percentile").count(), 1, "{table}");
+    assert!(table.contains("note: --all also prints l1, psnr, direction_error, chamfer, "), "{table}");
+    for command in [&["run", "runs/small"][..], &["evaluate", "runs/small"]] {
+        let all = stdout(&succeed(here, &[command, &["--all", "-q"]].concat()));
+        assert_eq!(metrics(&all)[..4], ["ssim", "l1", "psnr", "eta_0db"], "{all}");
+        assert!(metrics(&all).len() > 10 && all.matches("10th percentile").count() > 1, "{all}");
+        assert!(all.starts_with("The model is ") && !all.contains("--all"), "{all}");
+    }
+}
+
 #[test]
 fn run_folder_predicts_and_evaluates() {
     let folder = tempfile::tempdir().unwrap();
@@ -38,22 +57,23 @@ fn run_folder_predicts_and_evaluates() {
         table.contains("ssim") && table.contains("mean spectrum") && table.contains("report: runs/small"),
         "{table}"
     );
-    let last = table.lines().last().unwrap();
+    let (first, last) = (table.lines().next().unwrap(), table.lines().last().unwrap());
     let row = |line: &&str| line.starts_with("model minus");
     let differences: Vec<&str> =
         table.lines().skip_while(|line| !row(line)).skip(1).take_while(|l| !l.is_empty()).collect();
-    assert!(last.ends_with("; next: `pwrfgs report runs/small`, `pwrfgs view runs/small`"), "{last}");
+    assert_eq!(last, "next: `pwrfgs report runs/small`, `pwrfgs view runs/small`");
     let (verdict, baseline) = ["level with ", "ahead of ", "behind "]
         .iter()
-        .find_map(|words| Some((*words, last.strip_prefix(words)?.split(": ").next()?)))
+        .find_map(|words| Some((*words, first.strip_prefix("The model is ")?.strip_prefix(words)?.split(": ").next()?)))
         .unwrap();
-    let numbers = last.split(": ").nth(1).unwrap().split(" (").next().unwrap();
+    let numbers = first.split(": ").nth(1).unwrap().split(" (").next().unwrap();
     let line = differences.iter().find(|line| line.starts_with(baseline)).unwrap();
     let same = ["level", "better", "worse"].into_iter().zip(["level with ", "ahead of ", "behind "]);
     assert!(
         line.contains(numbers) && same.into_iter().any(|(word, of)| of == verdict && line.contains(word)),
         "{line}"
     );
+    main_metrics_are_printed_and_all_on_request(here, &table);
     let page = read(&here.join("runs/small/report.html"));
     assert!(page.contains(&format!("<b>The model is {verdict}{baseline}: {numbers}")), "the page gives the verdict");
     assert!(page.contains("<code>pwrfgs report RUN</code>") && page.contains("<code>pwrfgs view RUN</code>"));

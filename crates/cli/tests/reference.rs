@@ -77,6 +77,13 @@ fn init_writes_runnable_pipeline_and_never_overwrites() {
     ] {
         assert!(text.contains(words), "{words} is not in {text}");
     }
+    // The settings that matter most are above a line, in this order; all others are below.
+    let (top, rest) = text.split_once("// Other settings. ").unwrap();
+    let names =
+        ["    data: ", "\n    split: ", "\n    pruners: ", "\n    members: ", "\n    training: ", "\n        steps: "];
+    let at: Vec<usize> = names.iter().map(|name| top.find(name).unwrap_or_else(|| panic!("{name}: {top}"))).collect();
+    assert!(at.is_sorted() && !top.contains("\n    seed: ") && !top.contains("\n        batch: "), "{top}");
+    assert!(rest.contains("\n        batch: ") && rest.contains("\n    seed: "), "{rest}");
     let few = ["training.steps=6", "training.densify_until=2", "training.prune_until=5", "deformation.width=8"];
     let few: Vec<&str> = few.iter().flat_map(|set| ["--set", set]).collect();
     // A batch is limited to the training set.

@@ -74,9 +74,27 @@ fn report_compares_runs() {
         assert!(text(&format!("tables/1-{table}.tex")).contains("\\bottomrule"));
     }
     assert!(text("tables/1-scores.tex").contains("half\\_grid & "));
+    latex_has_the_chosen_columns(here);
 
     replaced(here, &arguments, &out, &first);
     wrong_input_is_refused(here);
+}
+
+/// `--columns` selects the columns of the table of scores, and `--variants` the curves of the figures.
+fn latex_has_the_chosen_columns(here: &Path) {
+    let report = |options: &[&'static str]| [&["report", "-q", RUNS[0], RUNS[2], "--out", "chosen"], options].concat();
+    succeed(here, &report(&["--columns", "gaussians,ssim.median", "--variants", "half_grid-0"]));
+    let text = |name: &str| std::fs::read_to_string(here.join("chosen").join(name)).unwrap();
+    let table = text("tables/1-scores.tex");
+    assert!(table.contains("\\begin{tabular}{lrr}") && table.contains(" & median"), "{table}");
+    assert!(table.find("{N ").unwrap() < table.find("{SSIM ").unwrap(), "in this order: {table}");
+    assert!(text("report.html").contains("10th percentile"), "the page has all columns");
+    let hidden = "Variants that are not shown: 1; `pwrfgs report --variants` selects them.";
+    assert!(text("report.html").contains(hidden), "captions say what is left out");
+    assert!(text("figures/1-distance.svg").len() > 500);
+    refuse(here, &report(&["--columns", "ssin"]), 2, &["--columns: no column `ssin`; did you mean `ssim`?", ".median"]);
+    refuse(here, &report(&["--columns", "gaussians.median"]), 2, &["no column `gaussians.median`"]);
+    refuse(here, &report(&["--variants", "half_grid"]), 2, &["no variant or method `half_grid`", "`half_grid-0`"]);
 }
 
 /// Means, deviations and differences again, from the runs' own files.

@@ -257,13 +257,17 @@ fn killed_evaluation_goes_on_where_it_was() {
     let lines = || std::fs::read_to_string(&partial).map_or(0, |text| text.matches('\n').count());
     for count in [1, 3] {
         let mut child =
-            pwrfgs(here).args(evaluate("killed")).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+            pwrfgs(here).args(evaluate("killed")).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         while lines() < count {
             assert!(child.try_wait().unwrap().is_none(), "the evaluation ended before line {count}");
             std::thread::sleep(std::time::Duration::from_millis(1));
         }
-        child.kill().unwrap();
-        child.wait().unwrap();
+        signal(&child, if count == 1 { "-KILL" } else { "-INT" });
+        let output = child.wait_with_output().unwrap();
+        if count == 3 {
+            assert_eq!(output.status.code(), Some(130), "{}", stderr(&output));
+            assert!(stderr(&output).contains("repeat the command to resume"), "{}", stderr(&output));
+        }
     }
     let other = ["evaluate", "r", "--out", "killed", "--set", "metrics=[L1()]"];
     refuse(here, &other, 2, &["killed.partial holds unfinished output of other settings; repeat the command"]);

@@ -350,8 +350,12 @@ fn saved_pages_of_powers_and_channels_show_predictions() {
     let here = folder.path();
     hall(here);
     free_space(here);
+    let page = std::fs::read_to_string(here.join("run/report.html")).unwrap();
+    assert!(page.contains("<h2>Run</h2>") && !page.contains("<h2>Model</h2>"), "no empty table of the whole model");
     succeed(here, &["run", "waves.ron", "--out", "waves-run", "--scale", "0.05", "-q"]);
-    for (run, titles) in [("run", "Received power"), ("waves-run", "Magnitude")] {
+    let pages =
+        [("run", "Received power,Predicted − measured"), ("waves-run", "Magnitude,Modulus of predicted − measured")];
+    for (run, titles) in pages {
         let file = here.join(format!("{run}.html"));
         succeed(here, &["view", run, "--save", file.to_str().unwrap()]);
         let address = format!("file://{}", file.display());
@@ -362,7 +366,10 @@ fn saved_pages_of_powers_and_channels_show_predictions() {
         assert_eq!(shown, json!(titles), "{run}");
         let numbers = page.eval("document.querySelector('[data-numbers]').textContent");
         let numbers = numbers.as_str().unwrap();
-        assert!(numbers.contains("(test), 0.00 m away") && !numbers.contains("latency"), "{run}: {numbers}");
+        assert!(numbers.contains("(test), 0.00 m away · median of the test set"), "{run}: {numbers}");
+        assert!(!numbers.contains("latency"), "{run}: {numbers}");
+        fits_a_telephone(&page);
+        page.resize([1300, 900]);
         let inked = page.eval(
             "(() => { const own = document.querySelector('[data-pictures] canvas');
             const { data } = own.getContext('2d').getImageData(0, 0, own.width, own.height);
@@ -370,6 +377,48 @@ fn saved_pages_of_powers_and_channels_show_predictions() {
         );
         assert_eq!(inked, json!(true), "{run}");
         assert_eq!(page.console(), Vec::<String>::new());
+    }
+}
+
+/// On a telephone, the room and the first figure are in the first screen, before the controls, and nothing is wider.
+fn fits_a_telephone(page: &Browser) {
+    page.resize([400, 860]);
+    let end =
+        |name: &str| page.eval(&format!("document.querySelector('[data-{name}]').getBoundingClientRect().bottom"));
+    let [room, figure, controls] = ["room", "pictures] figure:first-of-type canvas[data-map", "controls"].map(end);
+    let [room, figure, controls] = [room, figure, controls].map(|v| v.as_f64().unwrap());
+    assert!(room < figure && figure <= 860.0 && figure < controls, "{room}, {figure}, {controls}");
+    assert_eq!(page.eval("document.documentElement.scrollWidth <= 400"), json!(true));
+}
+
+#[test]
+fn page_of_a_run_opens_with_its_median_and_no_table_leaves_its_column() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("small.ron"), SMALL);
+    let baselines = "baselines=[MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: 3), \
+                     NearestNeighbours(k: 5), NearestNeighbours(k: 9), Kriging()]";
+    let metrics =
+        "metrics=[Ssim(), L1(), Psnr(), RateRatio(snr_db: 0.0), RateRatio(snr_db: 10.0), DirectionError(), Latency()]";
+    succeed(here, &["run", "small.ron", "--out", "run", "-q", "--set", baselines, "--set", metrics]);
+    succeed(here, &["report", "run", "--out", "all", "-q"]);
+    let address = |file: &str| format!("file://{}", here.join(file).display());
+    let Some(page) = Browser::open(&address("run/report.html"), [1200, 900]) else { return skipped(NO_BROWSER) };
+    page.wait("document.querySelector('[data-ready]')");
+    let order = "['[data-room]', '[data-pictures] figure', 'table.scores'].map((own) => \
+                 document.querySelector(own).getBoundingClientRect().top)";
+    assert!(numbers(&page.eval(order)).is_sorted(), "room, prediction and error come before the scores");
+    let notes = page.eval("[...document.querySelectorAll('details')].some((own) => own.open)");
+    assert_eq!(notes, json!(false), "notes are folded");
+    for file in ["run/report.html", "all/report.html"] {
+        page.go(&address(file));
+        let wide = page.eval(
+            "(() => { document.querySelectorAll('details').forEach((own) => (own.open = true));
+            const tables = [...document.querySelectorAll('table')];
+            const isWide = (own) => own.getBoundingClientRect().width > own.parentElement.clientWidth + 1;
+            return tables.length > 3 ? tables.filter(isWide).map((own) => own.textContent.slice(0, 200)) : null; })()",
+        );
+        assert_eq!(wide, json!([]), "{file}");
     }
 }
 

@@ -83,6 +83,7 @@ impl Import {
             "program": concat!("pwrfgs ", env!("CARGO_PKG_VERSION")),
             "simulated": self.simulated,
             "name": self.name,
+            "title": self.name,
             "scale": self.scale,
             "colormap": self.colormap,
         });

@@ -1,6 +1,7 @@
-//! Score table as text for a terminal.
+//! Score table as text for a terminal: the verdict, then the main metrics of the task or all.
 
-use crate::scores::{CEILING, MODEL, ScoreCell, ScoreTable};
+use crate::paired::{Paired, is_custom};
+use crate::scores::{CEILING, MODEL, MetricRow, ScoreCell, ScoreTable};
 use crate::text::{align_columns, grouped, number};
 
 impl ScoreTable {
@@ -36,9 +37,49 @@ impl ScoreTable {
         Some(format!("{} (model minus baseline, mean {} {arrow})", row.sentence(), headline.name))
     }
 
-    /// Formats aligned text for a terminal: heading, one line per metric and statistic, one column per predictor. The
-    /// best value of a line is marked `*`, an oracle baseline `†`. Paired differences and notes follow.
-    pub fn to_text(&self) -> String {
+    /// Returns the metrics of a short table, in the order of the pipeline: those of the task and of users; if these are
+    /// fewer than four, the first others too.
+    pub fn main_metrics(&self) -> Vec<&MetricRow> {
+        let main = self.task.main_metrics;
+        let is_main = |row: &&MetricRow| main.contains(&row.key.as_str()) || is_custom(&row.key);
+        let free = main.len().saturating_sub(self.metrics.iter().filter(is_main).count());
+        let others: Vec<&MetricRow> = self.metrics.iter().filter(|row| !is_main(row)).take(free).collect();
+        self.metrics.iter().filter(|row| is_main(row) || others.contains(row)).collect()
+    }
+
+    /// Formats aligned text for a terminal: verdict, heading, one line per metric, one column per predictor. The best
+    /// value of a line is marked `*`, an oracle baseline `†`. Paired differences and notes follow.
+    ///
+    /// The words `elsewhere`, such as `--all also prints`, select the short table: the main metrics of the task, of which
+    /// only the first one has its median and percentile. A note of these words and the other metrics follows.
+    pub fn to_text(&self, elsewhere: Option<&str>) -> String {
+        let all = elsewhere.is_none();
+        let shown = if all { self.metrics.iter().collect() } else { self.main_metrics() };
+        let hidden = self.metrics.iter().map(|row| &row.key).filter(|key| !shown.iter().any(|row| row.key == **key));
+        let hidden: Vec<&str> = hidden.map(String::as_str).collect();
+        let things = self.task.counted[1];
+        let oracle = format!(
+            "† oracle baseline: uses the scene of simulated {things}, or the time of measured ones; not ranked"
+        );
+        let legend = (!self.oracles.is_empty()).then_some(oracle);
+        let rows = |paired: &Paired| {
+            let rows = paired.rows.iter().filter(|pair| shown.iter().any(|row| row.key == pair.metric));
+            Paired { rows: rows.cloned().collect(), ..paired.clone() }
+        };
+        let pairs = self.paired.as_ref().map(rows).filter(|paired| !paired.rows.is_empty());
+        let note = pairs.as_ref().map(|paired| paired.note(self.task));
+        let more = elsewhere.filter(|_| !hidden.is_empty()).map(|words| format!("{words} {}", hidden.join(", ")));
+        let verdict = self.verdict().map(|verdict| format!("The model is {verdict}"));
+        let heading = verdict.into_iter().chain(Some(self.heading()).filter(|text| !text.is_empty()));
+        let text =
+            heading.fold(String::new(), |text, line| text + &line + "\n") + &self.format_metrics(&shown, all) + "\n";
+        let text = pairs.iter().fold(text, |text, pairs| text + &align_columns(&pairs.lines(&self.oracles), 1) + "\n");
+        let notes = legend.iter().chain(&note).chain(&self.notes).chain(&more);
+        notes.fold(text, |text, note| text + "note: " + note + "\n")
+    }
+
+    /// Formats the table of the metrics `shown`, with `all` statistics or, except for the first metric of the task, one.
+    fn format_metrics(&self, shown: &[&MetricRow], all: bool) -> String {
         let share = self.share.map_or_else(String::new, |share| format!(" (b = {share})"));
         let mark = |name: &String| match () {
             () if self.oracles.contains(name) => " †",
@@ -48,7 +89,7 @@ impl ScoreTable {
         let name = |name: &String| format!("{name}{}", mark(name));
         let head = ["metric".to_owned(), String::new()].into_iter().chain(self.predictors.iter().map(name));
         let mut lines: Vec<Vec<String>> = vec![head.collect()];
-        for row in &self.metrics {
+        for row in shown {
             let arrow = if row.higher_is_better { "↑" } else { "↓" };
             let unit = if row.unit.is_empty() { String::new() } else { format!(" [{}]", row.unit) };
             let statistics: &[&str] = match (row.is_per_sample(), row.higher_is_better) {
@@ -56,7 +97,8 @@ impl ScoreTable {
                 (true, true) => &["mean", "median", "10th percentile"],
                 (true, false) => &["mean", "median", "90th percentile"],
             };
-            for (k, statistic) in statistics.iter().enumerate() {
+            let count = if all || row.key == self.task.headline.key { statistics.len() } else { 1 };
+            for (k, statistic) in statistics[..count].iter().enumerate() {
                 let name = if k == 0 { format!("{}{unit} {arrow}", row.key) } else { String::new() };
                 let ranks = self.ranks(row, k);
                 let alone = ranks.iter().flatten().count() < 2;
@@ -68,18 +110,7 @@ impl ScoreTable {
                 lines.push([name, (*statistic).to_owned()].into_iter().chain(cells).collect());
             }
         }
-        let things = self.task.counted[1];
-        let oracle = format!(
-            "† oracle baseline: uses the scene of simulated {things}, or the time of measured ones; not ranked"
-        );
-        let legend = (!self.oracles.is_empty()).then_some(oracle);
-        let pairs = self.paired.as_ref().map(|paired| paired.note(self.task));
-        let notes = legend.iter().chain(&pairs).chain(&self.notes);
-        let heading = Some(self.heading() + "\n").filter(|text| text.len() > 1).unwrap_or_default();
-        let differences =
-            self.paired.as_ref().map_or_else(String::new, |pairs| align_columns(&pairs.lines(&self.oracles), 1) + "\n");
-        let text = heading + &align_columns(&lines, 2) + "\n" + &differences;
-        notes.fold(text, |text, note| text + "note: " + note + "\n")
+        align_columns(&lines, 2)
     }
 }
 

@@ -440,7 +440,7 @@ mod tests {
     fn oracle_baseline_is_unranked() {
         let table = ScoreTable { oracles: vec![MODEL.into()], ..scores().table };
         assert_eq!(table.ranks(&table.metrics[0], 0), vec![None, Some(0)]);
-        let text = table.to_text();
+        let text = table.to_text(None);
         assert!(text.contains("model †") && !text.contains('*') && text.contains("note: † oracle baseline"), "{text}");
     }
 
@@ -454,7 +454,7 @@ mod tests {
         assert_eq!(table.metrics[0].cells[2].numbers(), [0.9, 0.95, 0.8]);
         assert_eq!(table.metrics[1].cells[2], ScoreCell::NotApplicable("no estimate".into()));
         assert_eq!(table.ranks(&table.metrics[0], 0), vec![Some(0), Some(1), None]);
-        assert!(table.to_text().lines().nth(1).unwrap().ends_with(CEILING), "{}", table.to_text());
+        assert!(table.to_text(None).lines().nth(1).unwrap().ends_with(CEILING), "{}", table.to_text(None));
         assert!(!scores.to_csv().contains("ceiling"), "no number a test sample");
     }
 
@@ -468,9 +468,9 @@ mod tests {
     #[test]
     fn table_marks_best_and_round_trips_through_json() {
         let table = scores().table;
-        let text = table.to_text();
+        let text = table.to_text(None);
         assert!(text.contains("0.6000*") && text.contains("2,613") && text.contains("n/a"), "{text}");
-        let links = ScoreTable { task: Task::Power, ..table.clone() }.to_text();
+        let links = ScoreTable { task: Task::Power, ..table.clone() }.to_text(None);
         assert!(links.contains("2 test links") && !links.contains("spectra;"), "{links}");
         let notes: Vec<&str> = text.lines().filter(|line| line.starts_with("note: ")).collect();
         assert_eq!(notes, ["note: k, far has seen the test spectra"], "{text}");

@@ -23,4 +23,4 @@ mod templates;
 
 pub use pwrfgs_experiment::{Setting, Study, StudyVariant};
 pub use run_page::{page, room_page};
-pub use study::{figures, write};
+pub use study::{ReportOptions, figures, write};

@@ -7,3 +7,4 @@ mod page;
 mod tables;
 
 pub use output::write;
+pub use page::ReportOptions;

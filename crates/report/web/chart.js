@@ -1,6 +1,6 @@
 import { penOf } from "./spectrum.js";
 
-/** Draws lines on axes: `lines` are `{ points: [[x, y], ..], colour, dash, dots, name }`. */
+/** Draws lines on axes: `lines` are `{ points: [[x, y], ..], colour, dash, dots, stems, name }`, stems from 0. */
 export function drawChart(canvas, { x, y, lines }, ink) {
   const [width, height] = [420, 220];
   const pen = penOf(canvas, width, height);
@@ -8,7 +8,8 @@ export function drawChart(canvas, { x, y, lines }, ink) {
   if (!all.length) return;
   const [left, top, right, bottom] = [52, 22, width - 10, height - 36];
   const [ax, bx] = chartEnds(all.map((point) => point[0]));
-  const [ay, by] = chartEnds(all.map((point) => point[1]));
+  const zero = lines.some((line) => line.stems) ? [0] : [];
+  const [ay, by] = chartEnds([...all.map((point) => point[1]), ...zero]);
   const place = ([u, v]) => [left + ((u - ax) / (bx - ax)) * (right - left), bottom - ((v - ay) / (by - ay)) * (bottom - top)];
   pen.strokeStyle = pen.fillStyle = ink;
   pen.strokeRect(left + 0.5, top + 0.5, right - left, bottom - top);
@@ -29,7 +30,7 @@ export function drawChart(canvas, { x, y, lines }, ink) {
   }
 }
 
-function drawChartLine(pen, { points, colour, dash = [], dots = false }, place) {
+function drawChartLine(pen, { points, colour, dash = [], dots = false, stems = false }, place) {
   pen.strokeStyle = pen.fillStyle = colour;
   pen.lineWidth = 1.6;
   pen.setLineDash(dash);
@@ -41,6 +42,7 @@ function drawChartLine(pen, { points, colour, dash = [], dots = false }, place) 
       down = false;
       continue;
     }
+    if (stems) strokeLine(pen, [u, v], place([point[0], 0]));
     if (dots) strokeChartDot(pen, u, v, dash.length > 0);
     else if (down) pen.lineTo(u, v);
     else pen.moveTo(u, v);
@@ -49,6 +51,13 @@ function drawChartLine(pen, { points, colour, dash = [], dots = false }, place) 
   if (!dots) pen.stroke();
   pen.setLineDash([]);
   pen.lineWidth = 1;
+}
+
+function strokeLine(pen, from, to) {
+  pen.beginPath();
+  pen.moveTo(...from);
+  pen.lineTo(...to);
+  pen.stroke();
 }
 
 /** Draws a ring, or a cross on dashed lines: print needs no colour. */
@@ -88,20 +97,28 @@ export function chartNumber(value) {
   return text.replace("-", "−");
 }
 
-/** Curves of a channel [2 A, F]: dB of the strongest antenna over subcarriers, and power delay profile. */
-export function channelCurves(picture, height, width, hz) {
-  const antennas = height / 2;
-  const power = (a, f) => picture[2 * a * width + f] ** 2 + picture[(2 * a + 1) * width + f] ** 2;
+/** Power of antenna `a` at subcarrier `f` of a channel [2 A, F]. */
+function gainPower(picture, width, a, f) {
+  return picture[2 * a * width + f] ** 2 + picture[(2 * a + 1) * width + f] ** 2;
+}
+
+/** Antenna of a channel [2 A, F] with the highest power. */
+export function strongestAntenna(picture, height, width) {
   let [best, most] = [0, -1];
-  for (let a = 0; a < antennas; a++) {
+  for (let a = 0; a < height / 2; a++) {
     let sum = 0;
-    for (let f = 0; f < width; f++) sum += power(a, f);
+    for (let f = 0; f < width; f++) sum += gainPower(picture, width, a, f);
     if (sum > most) [best, most] = [a, sum];
   }
-  const over = width > 1 ? width : antennas;
-  const level = (k) => 10 * Math.log10((width > 1 ? power(best, k) : power(k, 0)) || 1e-30);
+  return best;
+}
+
+/** Curves of a channel [2 A, F]: dB of an antenna over subcarriers, or over antennas for one subcarrier, and power delay profile. */
+export function channelCurves(picture, height, width, hz, antenna) {
+  const over = width > 1 ? width : height / 2;
+  const level = (k) => 10 * Math.log10((width > 1 ? gainPower(picture, width, antenna, k) : gainPower(picture, width, k, 0)) || 1e-30);
   const magnitude = Array.from({ length: over }, (_, k) => [width > 1 && hz.length === width ? hz[k] / 1e6 : k + 1, level(k)]);
-  return { magnitude, over: width > 1 ? "MHz" : "antenna", delays: delayProfile(picture, best, width, hz) };
+  return { magnitude, over: width > 1 ? "MHz" : "antenna", delays: delayProfile(picture, antenna, width, hz) };
 }
 
 /** Power delay profile in nanoseconds for evenly spaced subcarriers; null for few subcarriers. */

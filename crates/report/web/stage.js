@@ -1,6 +1,6 @@
 import { ROOM_TRANSMITTER, Room } from "./room.js";
 import { SpectrumView, paletteOf, strongestPixel } from "./spectrum.js";
-import { drawChart, channelCurves, chartNumber } from "./chart.js";
+import { drawChart, channelCurves, chartNumber, strongestAntenna } from "./chart.js";
 import { closerView, drawLocation, locationSentence } from "./location.js";
 import { ServerSource } from "./source.js";
 
@@ -23,6 +23,7 @@ class StageSide {
     this.root = article;
     this.find("name").textContent = stage.abouts.length > 1 ? about.name : "";
     this.numbers = this.find("numbers");
+    this.find("pictures").classList.toggle("stage-charts", !stage.note.has_pixels);
     const canvas = this.find("room");
     canvas.setAttribute("aria-label", `3D view of the room, ${about.name}: arrow keys move the transmitter`);
     stage.find("sides").append(article);
@@ -108,7 +109,7 @@ class StageSide {
   }
 
   showSpectra(found, truth) {
-    const { palettes, ink, note } = this.stage;
+    const { palettes, ink, note, word } = this.stage;
     const picture = (this.picture = found.get("picture"));
     const mine = { pixel: strongestPixel(picture), cross: true };
     const predicted = this.figure("predicted", "Predicted", palettes.power, 0, 1);
@@ -118,12 +119,13 @@ class StageSide {
       const measured = truth.get("picture");
       const theirs = { pixel: strongestPixel(measured), cross: false };
       predicted.view.draw(picture, [theirs, mine], ink);
-      const word = note.simulated ? "Simulated" : "Measured";
-      const title = `${word} nearest, ${found.note.nearest.metres.toFixed(2)} m away`;
+      const { metres } = found.note.nearest;
+      const kind = note.simulated ? "Simulated" : "Measured";
+      const title = metres ? `${kind} nearest, ${metres.toFixed(2)} m away` : kind;
       this.figure("measured", title, palettes.power, 0, 1).view.draw(measured, [theirs], ink);
       this.difference ??= new Float32Array(picture.length);
       for (let i = 0; i < picture.length; i++) this.difference[i] = Math.min(1, Math.max(0, picture[i])) - measured[i];
-      this.figure("difference", `Predicted − ${word.toLowerCase()}, −0.5 to 0.5`, palettes.error, -0.5, 0.5).view.draw(this.difference, [], ink);
+      this.figure("difference", `Predicted − ${word}, −0.5 to 0.5`, palettes.error, -0.5, 0.5).view.draw(this.difference, [], ink);
     }
     if (found.has("deviation")) {
       const title = "Spread of the members, 0 to 0.5";
@@ -137,17 +139,29 @@ class StageSide {
     if (truth) lines.push({ points: points(truth.get("powers")), colour: MEASURED_LINE, dots: true, name: `○ nearest ${this.stage.note.simulated ? "simulation" : "measurement"}` });
     const { map } = this.figure("powers", "Received power", null);
     drawChart(map, { x: "receiver", y: "dBm", lines }, this.stage.ink);
+    if (!truth) return;
+    const measured = truth.get("powers");
+    const errors = points(found.get("powers")).map(([k, dbm]) => [k, dbm - measured[k - 1]]);
+    const error = this.figure("difference", `Predicted − ${this.stage.word}`, null);
+    drawChart(error.map, { x: "receiver", y: "dB", lines: [{ points: errors, colour: this.stage.ink, dots: true, stems: true }] }, this.stage.ink);
   }
 
   showChannels(found, truth) {
     const { plane, frequencies_hz: hz } = this.stage.note;
-    const curves = (pack) => channelCurves(pack.get("picture"), plane.height, plane.width, hz);
+    const antenna = strongestAntenna((truth ?? found).get("picture"), plane.height, plane.width);
+    const curves = (pack) => channelCurves(pack.get("picture"), plane.height, plane.width, hz, antenna);
     const both = [[curves(found), PREDICTED_LINE, [6, 4], "- - predicted"]];
     if (truth) both.push([curves(truth), MEASURED_LINE, [], `— nearest ${this.stage.note.simulated ? "simulation" : "measurement"}`]);
     const lines = (key) => both.map(([curve, colour, dash, name]) => ({ points: curve[key], colour, dash, name }));
     const dots = (all) => (both[0][0].magnitude.length === 1 ? all.map((line) => ({ ...line, dots: true })) : all);
     const magnitude = this.figure("magnitude", "Magnitude", null);
     drawChart(magnitude.map, { x: both[0][0].over, y: "dB", lines: dots(lines("magnitude")) }, this.stage.ink);
+    if (truth) {
+      const measured = truth.get("picture");
+      const error = curves({ get: () => found.get("picture").map((v, k) => v - measured[k]) });
+      const { map } = this.figure("difference", `Modulus of predicted − ${this.stage.word}`, null);
+      drawChart(map, { x: error.over, y: "dB", lines: dots([{ points: error.magnitude, colour: this.stage.ink }]) }, this.stage.ink);
+    }
     if (!both[0][0].delays.length) return;
     const delays = this.figure("delays", "Power delay profile", null);
     drawChart(delays.map, { x: "ns", y: "dB", lines: lines("delays") }, this.stage.ink);
@@ -283,8 +297,23 @@ export class Stage {
     const [low, high] = this.note.bounds;
     this.tx = low.map((v, k) => (v + high[k]) / 2);
     this.link = null;
-    const first = this.firstLink();
+    this.median = this.note.median ?? this.medianLink();
+    this.receiver = this.receivers[this.median] ?? 0;
+    const first = this.median ?? this.firstLink();
     if (first !== undefined) this.goTo(first, false);
+  }
+
+  /** Word for the observations of the data. */
+  get word() {
+    return this.note.simulated ? "simulated" : "measured";
+  }
+
+  /** Test sample with the median score; undefined without scores. */
+  medianLink() {
+    const { higher } = this.note.score ?? {};
+    const links = Array.from(this.scores.keys()).filter((i) => this.parts[i] === TEST && Number.isFinite(this.scores[i]));
+    links.sort((a, b) => (higher ? this.scores[b] - this.scores[a] : this.scores[a] - this.scores[b]) || a - b);
+    return links[Math.floor((links.length - 1) / 2)];
   }
 
   /** First test sample of the selected receiver, else any sample. */
@@ -342,6 +371,7 @@ export class Stage {
     this.offerSnapshots();
     const names = this.note.receivers.map((receiver, k) => new Option(receiver.name, k));
     this.find("receiver").append(...names);
+    this.find("receiver").value = this.receiver;
     this.find("of-receivers").hidden = names.length < 2;
     const [low, high] = this.note.bounds;
     const height = this.find("height");
@@ -683,6 +713,7 @@ export class Stage {
       const value = Number.isFinite(score) ? chartNumber(Number(score.toFixed(3))) : "n/a";
       const scored = learned ? "not scored: the baseline was fitted to" : `${this.note.score.name} ${value} against`;
       parts.push(`${scored} sample ${this.ids[link]} (${PART_NAMES[part]}), ${metres.toFixed(2)} m away`);
+      if (link === this.median) parts.push("median of the test set");
     }
     if (note.strongest) {
       const other = truth?.note.strongest ? ` (${this.note.simulated ? "simulated" : "measured"} ${degrees(truth.note.strongest)})` : "";

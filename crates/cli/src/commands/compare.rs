@@ -65,8 +65,8 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
         return Ok(SUCCESS);
     }
     let runs: Vec<usize> = (0..plan.runs.len()).collect();
-    let selected =
-        SelectedRuns { plan, indices: &runs, jobs: 1, keep_checkpoint: arguments.keep_checkpoint, verbosity };
+    let keep_checkpoint = arguments.keep_checkpoint;
+    let selected = SelectedRuns { plan, indices: &runs, jobs: 1, keep_checkpoint, all: false, verbosity };
     if arguments.dry_run {
         return selected.print_estimates().map_err(without_position);
     }

@@ -1,7 +1,9 @@
 //! `pwrfgs evaluate`: scores of a trained model on a data set.
 
 use super::devices::choose_for_predictions;
-use crate::output::{self, Verbosity};
+use super::run::format_scores;
+use crate::interrupt::stop_flag;
+use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::{PARTIAL_SCORES, PIPELINE, REPORT};
@@ -43,10 +45,13 @@ pub(crate) struct Evaluate {
     /// Output folder for scores and report [default: write no files]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+    /// Print all metrics with median and percentile
+    #[arg(long)]
+    pub(crate) all: bool,
 }
 
-/// Runs `pwrfgs evaluate`: prints the score table and writes the files of `--out`.
-pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()> {
+/// Runs `pwrfgs evaluate`: prints the score table and writes the files of `--out`; returns the exit code.
+pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<u8> {
     let models: Vec<PathBuf> = arguments.models.iter().map(|model| model_file(model)).collect::<Result<_>>()?;
     let ensemble = read_numbered_models(&models)?;
     let first = &models[0];
@@ -57,31 +62,40 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()>
     }
     let pipeline = read_pipeline(path, &arguments.set)?;
     let folder = arguments.out.as_ref().map(|out| begin(out, &ensemble, &pipeline, verbosity)).transpose()?;
-    let text = score(&models, &ensemble, &pipeline, folder.as_ref(), verbosity);
+    let text = score(&models, &ensemble, &pipeline, folder.as_ref(), arguments.all, verbosity);
     match (folder, text) {
+        (Some(folder), Err(Error::Stopped)) => {
+            let partial = folder.path().display();
+            output::print_note(&format!("stopped; the scores so far are in {partial}; repeat the command to resume"));
+            return Ok(INTERRUPTED);
+        }
         (Some(folder), Err(error)) if error.is_input() => {
             folder.discard(); // another command is the remedy
-            Err(error)
+            return Err(error);
         }
         (Some(folder), text) => {
             let mut text = text?;
             folder.publish()?;
             let report = arguments.out.iter().map(|out| out.join(REPORT)).find(|report| report.is_file());
             report.iter().for_each(|report| _ = writeln!(text, "\nreport: {}", report.display()));
-            output::print_result(&text)
+            output::print_result(&text)?;
         }
-        (None, text) => output::print_result(&text?),
+        (None, text) => output::print_result(&text?)?,
     }
+    Ok(SUCCESS)
 }
 
-/// Scores the ensemble that was read from the files `models`, writes its results to `folder`, and returns the score table.
+/// Scores the ensemble that was read from the files `models`, writes its results to `folder`, and returns the score table
+/// with `all` metrics or the main ones.
 fn score(
     models: &[PathBuf],
     ensemble: &Ensemble,
     pipeline: &Pipeline,
     folder: Option<&PartialFolder>,
+    all: bool,
     verbosity: Verbosity,
 ) -> Result<String> {
+    let stop = folder.map(|_| stop_flag()).unwrap_or_default(); // without a folder, nothing can resume
     let mut progress = RunProgress::new(verbosity);
     let (split, findings) = load_with_findings(pipeline, Some(&pipeline.accept), &mut progress)?;
     if verbosity != Verbosity::Quiet {
@@ -90,7 +104,7 @@ fn score(
     }
     choose_for_predictions(ensemble, split.data.locations_of(&split.partition.test).len(), verbosity);
     warn_of_moved_receivers(&split.data, ensemble);
-    let session = &mut Session::new(&mut progress);
+    let session = &mut Session { stop: &stop, ..Session::new(&mut progress) };
     let mut run = ActiveRun::new(pipeline, &split, session);
     let scored = match folder {
         Some(folder) => run.evaluate_into(folder.path(), ensemble),
@@ -101,7 +115,7 @@ fn score(
     let table = &mut result.scores.table;
     table.samples[0] = count_training_samples(models);
     table.trained_elsewhere = !models.iter().all(|model| has_same_data(model, pipeline));
-    let mut text = table.to_text();
+    let mut text = format_scores(table, all);
     if let Some(confidence) = &result.confidence {
         let members = ensemble.members().len();
         let rank = number(confidence.rank_correlation());

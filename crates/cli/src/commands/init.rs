@@ -44,8 +44,20 @@ pub(crate) struct Init {
 }
 
 /// Fields of a pipeline in the file; others are shown if they differ from their default.
-const SHOWN: [&str; 9] =
-    ["name", "seed", "data", "split", "initializer", "deformation", "readout", "pruners", "training"];
+const SHOWN: [&str; 10] =
+    ["name", "seed", "members", "data", "split", "initializer", "deformation", "readout", "pruners", "training"];
+
+/// The settings that matter most, which come first.
+const FIRST: [[&str; 2]; 6] = [
+    ["Pipeline", "data"],
+    ["Pipeline", "split"],
+    ["Pipeline", "pruners"],
+    ["Pipeline", "members"],
+    ["Pipeline", "training"],
+    ["Training", "steps"],
+];
+/// Line below them.
+const REST: &str = "Other settings. Their values fit most data.";
 
 /// Fields among them that only splatting reads.
 const OF_SPLATS: [&str; 2] = ["deformation", "readout"];
@@ -109,13 +121,13 @@ fn format_pipeline(notes: &[String], pipeline: &Pipeline) -> Result<String> {
         "Loss" | "Optimizer" | "Densify" => differs(&["training", &owner.to_lowercase(), field]),
         _ => true,
     };
-    let style = CommentStyle { opens: &|field| field != "receiver", shows: &shows };
+    let style = CommentStyle { opens: &|field| field != "receiver", shows: &shows, first: (&FIRST, REST) };
     let body = style.write(&value, Some(Docs::of::<Pipeline>()), "");
     let mut text = String::new();
     for line in notes {
         text += &wrap_words(line, ["// "; 2], 100);
     }
-    text += "//\n// Brackets show the type of a setting. Settings that are not listed have their defaults: `pwrfgs plugins` lists \
+    text += "//\n// The five settings above the line matter most: `data`, `split`, `pruners` (how many Gaussians remain), `members` (number\n// of models) and `training.steps`.\n// Brackets show the type of a setting. Settings that are not listed have their defaults: `pwrfgs plugins` lists \
              them,\n// and `pwrfgs plugins NAME` describes them.\n";
     text += &body;
     text.push('\n');

@@ -5,14 +5,14 @@ use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::rebuild_page;
-use pwrfgs::report::{Study, write};
+use pwrfgs::report::{ReportOptions, Study, write};
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
 
 /// Folder of the report, inside the folder of a sweep.
 const FOLDER: &str = "report";
 
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 #[command(after_help = "\
 Compares runs on the same data and split. Runs that differ only in the seed form one row, with mean
 and standard deviation. Paired differences have 95 % bootstrap intervals over seeds and blocks of
@@ -24,7 +24,7 @@ them out. For a single run without --out, it also rebuilds report.html in the ru
 EXAMPLES
   pwrfgs report runs/paper-office
   pwrfgs report runs/paper-office --reference 5-NN
-  pwrfgs report runs/quarter runs/quarter-1 --out compared")]
+  pwrfgs report runs/quarter runs/quarter-1 --out compared --columns ssim,gaussians,training_s")]
 pub(crate) struct Report {
     /// Run folders or sweep folders
     #[arg(value_name = "RUNS", required = true)]
@@ -39,6 +39,22 @@ pub(crate) struct Report {
         help = "Reference of paired differences: a variant (name in the table) or a\nbaseline such as 5-NN [default: first variant]"
     )]
     pub(crate) reference: Option<String>,
+    /// Columns of the score table in LaTeX, such as ssim,ssim.median,gaussians.
+    #[arg(
+        long,
+        value_name = "KEYS",
+        value_delimiter = ',',
+        help = "Columns of the score table in LaTeX, such as ssim,ssim.median,gaussians:\nkeys of report.csv [default: those of report.html]"
+    )]
+    pub(crate) columns: Vec<String>,
+    /// Variants or methods in the figures, separated by `;`.
+    #[arg(
+        long,
+        value_name = "NAMES",
+        value_delimiter = ';',
+        help = "Variants or methods with a curve in the figures, separated by `;`,\nat most 6 [default: the best methods]"
+    )]
+    pub(crate) variants: Vec<String>,
 }
 
 /// Runs `pwrfgs report`: writes the comparison; for a single run without `--out`, also the page of the run.
@@ -50,12 +66,14 @@ pub(crate) fn report(arguments: &Report, verbosity: Verbosity) -> Result<()> {
     {
         rebuild_run_page(run, verbosity)?;
     }
-    write_comparison(&study, arguments.reference.as_deref(), &out, verbosity)
+    let Report { reference, columns, variants, .. } = arguments.clone();
+    write_comparison(&study, &ReportOptions { reference, columns, variants }, &out, verbosity)
 }
 
 /// Writes the report of the sweep in `folder`, and prints its tables.
 pub(super) fn report_sweep(folder: &Path, reference: Option<&str>, verbosity: Verbosity) -> Result<()> {
-    write_comparison(&Study::read(&[folder.into()])?, reference, &folder.join(FOLDER), verbosity)
+    let options = ReportOptions { reference: reference.map(str::to_owned), ..ReportOptions::default() };
+    write_comparison(&Study::read(&[folder.into()])?, &options, &folder.join(FOLDER), verbosity)
 }
 
 /// Rebuilds the page of a run. If its input is invalid, such as missing data, it warns and keeps the old page.
@@ -70,7 +88,7 @@ fn rebuild_run_page(run: &Path, verbosity: Verbosity) -> Result<()> {
 }
 
 /// Writes the report of a study and prints its tables.
-fn write_comparison(study: &Study, reference: Option<&str>, out: &Path, verbosity: Verbosity) -> Result<()> {
-    let written = RunProgress::observe(verbosity, |progress| write(study, reference, out, progress))?;
+fn write_comparison(study: &Study, options: &ReportOptions, out: &Path, verbosity: Verbosity) -> Result<()> {
+    let written = RunProgress::observe(verbosity, |progress| write(study, options, out, progress))?;
     output::print_result(&format!("{written}\nreport: {}\n", out.join("report.html").display()))
 }

@@ -6,6 +6,7 @@ use crate::output::{self, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
+use pwrfgs::experiment::scores::ScoreTable;
 use pwrfgs::experiment::{RunOutcome, Session, read_pipeline};
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
@@ -36,6 +37,9 @@ pub(crate) struct Run {
     /// Keep the training state of the finished run, checkpoint.safetensors
     #[arg(long)]
     pub(crate) keep_checkpoint: bool,
+    /// Print all metrics with median and percentile
+    #[arg(long)]
+    pub(crate) all: bool,
 }
 
 /// Runs `pwrfgs run`: trains and scores a pipeline; returns the exit code.
@@ -52,7 +56,7 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<u8> {
     match outcome? {
         RunOutcome::Unscored => {
             output::print_note(&format!(
-                "stopped before scoring was complete; the trained model is in {}; repeat the command to score it",
+                "stopped before scoring was complete; the model and the scores so far are in {}; repeat the command to resume",
                 out.display()
             ));
             Ok(INTERRUPTED)
@@ -74,20 +78,22 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<u8> {
                 verbosity.print_note(&format!("{}: this run is already finished; nothing to do", out.display()));
             }
             let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", out.join(REPORT).display()));
-            let last = format_last_line(scores.verdict(), &out);
-            output::print_result(&(scores.to_text() + &report.unwrap_or_default() + &last))?;
+            let table = format_scores(&scores, arguments.all);
+            output::print_result(&(table + &report.unwrap_or_default() + &format_last_line(&out)))?;
             Ok(SUCCESS)
         }
     }
 }
 
-/// Formats the line with the verdict on the model and the commands that show more of its run; empty if there is
-/// neither.
-fn format_last_line(verdict: Option<String>, run: &Path) -> String {
+/// Formats a score table: all metrics, or the main ones of the task.
+pub(super) fn format_scores(table: &ScoreTable, all: bool) -> String {
+    table.to_text((!all).then_some("--all also prints"))
+}
+
+/// Formats the line with the commands that show more of a run; empty if there is none.
+fn format_last_line(run: &Path) -> String {
     let commands = [(pwrfgs::PAGE.is_some(), "report"), (cfg!(feature = "viewer"), "view")];
     let commands = commands.iter().filter(|(is_built, _)| *is_built);
     let next: Vec<String> = commands.map(|(_, name)| format!("`pwrfgs {name} {}`", run.display())).collect();
-    let next = (!next.is_empty()).then(|| format!("next: {}", next.join(", ")));
-    let parts: Vec<String> = verdict.into_iter().chain(next).collect();
-    if parts.is_empty() { String::new() } else { parts.join("; ") + "\n" }
+    if next.is_empty() { String::new() } else { format!("next: {}\n", next.join(", ")) }
 }

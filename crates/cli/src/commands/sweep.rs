@@ -3,6 +3,7 @@
 mod table;
 
 use super::options::ChangeOptions;
+use super::run::format_scores;
 use crate::interrupt::stop_flag;
 use crate::output::{self, FAILED, INTERRUPTED, SUCCESS, Verbosity};
 use crate::progress::RunProgress;
@@ -34,6 +35,7 @@ EXAMPLES
   pwrfgs sweep paper-office --dry-run
   pwrfgs sweep paper-office --jobs 2
   pwrfgs sweep experiments/splits.ron --set 'data=Nerf2Spectrum(root: \"data/s23\")' --out runs/s23")]
+#[allow(clippy::struct_excessive_bools)] // options of the command line
 pub(crate) struct Sweep {
     /// Experiment file, or name in `pwrfgs pipelines`
     #[arg(value_name = "EXPERIMENT")]
@@ -61,6 +63,9 @@ pub(crate) struct Sweep {
     /// Keep the training state of finished runs, checkpoint.safetensors
     #[arg(long)]
     pub(crate) keep_checkpoint: bool,
+    /// Print all metrics of the ensemble, if the file says `join: true`
+    #[arg(long)]
+    pub(crate) all: bool,
     /// Submit the runs to a scheduler and return; NAME is slurm
     #[arg(long, value_name = "NAME", hide_possible_values = true, conflicts_with_all = ["dry_run", "status"])]
     pub(crate) launcher: Option<Launcher>,
@@ -103,8 +108,8 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
         let problem = format!("more than the {available} available threads; set at most {available}");
         return Err(Error::Config(format!("--jobs {jobs}: {problem}")));
     }
-    let selected =
-        SelectedRuns { plan: &plan, indices: &runs, jobs, keep_checkpoint: arguments.keep_checkpoint, verbosity };
+    let (keep_checkpoint, all) = (arguments.keep_checkpoint, arguments.all);
+    let selected = SelectedRuns { plan: &plan, indices: &runs, jobs, keep_checkpoint, all, verbosity };
     if arguments.dry_run {
         return selected.print_estimates();
     }
@@ -129,6 +134,8 @@ pub(super) struct SelectedRuns<'a> {
     pub(super) jobs: usize,
     /// Whether finished runs keep their checkpoints.
     pub(super) keep_checkpoint: bool,
+    /// Whether the scores of the ensemble of all models have all metrics.
+    pub(super) all: bool,
     pub(super) verbosity: Verbosity,
 }
 
@@ -167,7 +174,7 @@ impl SelectedRuns<'_> {
     /// Executes the runs in this process and prints their table; returns the exit code. The process that ends the last
     /// run of the sweep writes the report, in which `reference` is that of the paired differences.
     pub(super) fn execute(self, reference: Option<&str>) -> Result<u8> {
-        let Self { plan, indices, jobs, keep_checkpoint, verbosity } = self;
+        let Self { plan, indices, jobs, keep_checkpoint, all, verbosity } = self;
         let stop = stop_flag();
         let board = SweepTable::new(plan, indices.len(), verbosity);
         let end = RunProgress::observe(verbosity, |observer| {
@@ -190,7 +197,7 @@ impl SelectedRuns<'_> {
             let folder = plan.folder.join(JOINED);
             let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", folder.join(REPORT).display()));
             let head = format!("\nensemble of {} models in {}\n", plan.runs.len(), folder.display());
-            output::print_result(&(head + &scores.to_text() + &report.unwrap_or_default()))?;
+            output::print_result(&(head + &format_scores(&scores, all) + &report.unwrap_or_default()))?;
         }
         let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
         if failed > 0 {

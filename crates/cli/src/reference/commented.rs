@@ -46,11 +46,14 @@ pub(crate) struct CommentStyle<'a> {
     pub(crate) opens: &'a dyn Fn(&str) -> bool,
     /// Whether a field is shown, by the names of value and field.
     pub(crate) shows: &'a dyn Fn(&str, &str) -> bool,
+    /// Fields that are written before the others of their value, by the names of value and field; a line with words
+    /// follows the last of them.
+    pub(crate) first: (&'a [[&'a str; 2]], &'a str),
 }
 
 impl CommentStyle<'_> {
     /// All fields, nested values in one line.
-    pub(crate) const FLAT: Self = CommentStyle { opens: &|_| false, shows: &|_, _| true };
+    pub(crate) const FLAT: Self = CommentStyle { opens: &|_| false, shows: &|_, _| true, first: (&[], "") };
 
     /// Formats the value as RON, with the comments of `docs`. Each line starts with `indent`, except the first.
     pub(crate) fn write(&self, value: &Value, docs: Option<&'static Docs>, indent: &str) -> String {
@@ -68,7 +71,11 @@ impl CommentStyle<'_> {
         let owner = tree.name.as_deref().unwrap_or_default();
         _ = writeln!(out, "{owner}(");
         let inside = format!("{indent}    ");
-        for (name, value) in fields.iter().filter(|(name, _)| (self.shows)(owner, name)) {
+        let (first, rest) = self.first;
+        let rank = |name: &str| first.iter().position(|at| *at == [owner, name]).unwrap_or(first.len());
+        let mut shown: Vec<_> = fields.iter().filter(|(name, _)| (self.shows)(owner, name)).collect();
+        shown.sort_by_key(|(name, _)| rank(name));
+        for (name, value) in shown {
             let field = docs.and_then(|d| d.field(tree.name.as_deref(), name));
             if let Some(field) = field {
                 out.push_str(&field_comment(field, &inside));
@@ -90,6 +97,9 @@ impl CommentStyle<'_> {
                 _ => out.push_str(&short_text(kind, value, text)),
             }
             out.push_str(",\n");
+            if rank(name) + 1 == first.len() {
+                _ = writeln!(out, "\n{inside}// {}\n{inside}// {rest}\n", "-".repeat(WIDTH - inside.len() - 3));
+            }
         }
         _ = write!(out, "{indent})");
     }

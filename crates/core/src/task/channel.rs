@@ -16,6 +16,7 @@ pub(super) static CHANNEL: Description = Description {
         best: None,
         columns: ["snr_db_mean", "snr_db_median", "snr_all_db"],
     },
+    main_metrics: ["snr_db", "snr_all_db", "gaussians", "latency_total_ms"],
     ceiling: Ceiling { note: "repeatability of two measured channels at one position", share: 1.0 },
     method: "method: VirtualTransmitters() or SplattedChannel()",
     level_name: ["mean power of the channel", "dB"],

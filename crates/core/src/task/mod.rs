@@ -73,6 +73,8 @@ pub struct Description {
     pub counted: [&'static str; 2],
     /// First metric, on curves, in examples and during training.
     pub headline: Headline,
+    /// Keys of the metrics in the short table of scores, the first metric first.
+    pub main_metrics: [&'static str; 4],
     /// Estimate of the noise ceiling from two readings at one position.
     pub ceiling: Ceiling,
     /// Pipeline field that selects a suitable method, as advice.

@@ -17,6 +17,7 @@ pub(super) static SPECTRUM: Description = Description {
         best: Some(1.0),
         columns: ["ssim_mean", "ssim_median", "eta_0db"],
     },
+    main_metrics: ["ssim", "eta_0db", "gaussians", "latency_total_ms"],
     ceiling: Ceiling { note: "repeatability of two measured spectra at one position", share: 1.0 },
     method: "readout: Magnitude",
     level_name: ["strongest level of the spectrum", ""],

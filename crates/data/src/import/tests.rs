@@ -84,7 +84,7 @@ fn imported_numbers_keep_their_precision() {
         assert_eq!((imported.shape, imported.number), ([4, 2, 3], to));
         assert_eq!((0..4).flat_map(|i| data.observations.raw(i).into_owned()).collect::<Vec<u8>>(), kept);
         assert_eq!((data.sample(3).id, data.sample(3).position()), (4, [9.0, 10.0, 11.0]));
-        assert_eq!((data.title.as_str(), data.scene.pose().position), ("mine (measured, arrays)", [5.0, 0.26, 0.0]));
+        assert_eq!((data.title.as_str(), data.scene.pose().position), ("mine", [5.0, 0.26, 0.0]));
     }
     let (_, data) = folder.import(&Import { simulated: true, ..folder.work("s.npy") });
     assert!(data.is_simulated());

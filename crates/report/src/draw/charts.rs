@@ -160,8 +160,20 @@ impl Chart {
                 }
             }
         }
-        for line in self.lines.iter().rev() {
-            on_canvas(&line.marks).into_iter().for_each(|at| line.style.draw_mark(canvas, at));
+        let mut marked: Vec<Point> = Vec::new();
+        let mut select = |line: &ChartLine| {
+            // Marks at some points only distinguish lines: one on another mark is left out. Marks at all points are data.
+            let are_data = line.marks.len() >= line.points.len();
+            let is_free =
+                |at: &Point, marked: &[Point]| marked.iter().all(|[x, y]| (x - at[0]).hypot(y - at[1]) > APART);
+            let mut marks = on_canvas(&line.marks);
+            marks.retain(|at| are_data || is_free(at, &marked));
+            marked.extend(&marks);
+            marks
+        };
+        let marks: Vec<Vec<Point>> = self.lines.iter().map(&mut select).collect();
+        for (line, marks) in self.lines.iter().zip(&marks).rev() {
+            marks.iter().for_each(|at| line.style.draw_mark(canvas, *at));
         }
     }
 
@@ -199,6 +211,9 @@ impl Chart {
         }
     }
 }
+
+/// Least distance of the centres of two marks.
+const APART: f64 = 8.0;
 
 /// Returns positions at least `step` apart and within `ends` if possible, each close to `targets` (ascending): one pass
 /// up and one pass down.
@@ -356,6 +371,22 @@ mod tests {
             assert!(svg.contains(text), "`{text}` is not in {svg}");
         }
         assert!(!svg.contains("NaN"));
+    }
+
+    #[test]
+    fn marks_that_only_distinguish_lines_do_not_overlap() {
+        let drawn = |marks: Vec<(f64, f64)>| {
+            let mut chart = chart();
+            let style = Style { marker: Some(Marker::Square), ..Style::line(BLACK, 2.0, Stroke::FULL) };
+            let mut other = ChartLine::new(vec![(1.0, 0.5), (5.0, 0.6), (10.0, 0.75)], style);
+            other.marks = marks;
+            chart.lines.push(other);
+            chart.draw().unwrap().svg("chart", "").len()
+        };
+        let (none, hidden, free) = (drawn(vec![]), drawn(vec![(1.0, 0.5)]), drawn(vec![(5.0, 0.6)]));
+        assert!(hidden == none && free > none, "a mark at an end is on that of the first line");
+        let data = drawn(vec![(1.0, 0.5), (5.0, 0.6), (10.0, 0.75)]);
+        assert!(data - none > 2 * (free - none), "marks at all points are data");
     }
 
     #[test]

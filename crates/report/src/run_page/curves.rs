@@ -15,6 +15,32 @@ const MODEL_COLOUR: Colour = Colour::hex(0x18_4ea3);
 const BASELINE_COLOURS: [u32; 8] =
     [0x78_7c84, 0xe6_9f00, 0x00_9e73, 0xcc_79a7, 0xd5_5e00, 0x10_1318, 0x96_8200, 0x56_b4e9];
 
+/// Maximum number of baselines in a chart, so that it has at most six curves.
+const BASELINES: usize = 5;
+
+/// Returns the style of the `k`th baseline of a chart: neighbours differ in colour and dashes.
+fn baseline_style(k: usize) -> Style {
+    let stroke = [Stroke::DASHED, Stroke::DASH_DOTTED, Stroke::DOTTED][k % 3];
+    Style::line(Colour::hex(BASELINE_COLOURS[k % BASELINE_COLOURS.len()]), 2.0, stroke)
+}
+
+/// Selects the `most` best entries by the name and score that `of` returns, in their order; oracle baselines last.
+fn best_of<T>(run: &LoadedRun<'_>, entries: Vec<T>, most: usize, of: impl Fn(&T) -> (&String, f64)) -> Vec<T> {
+    let sign = if run.data.task().headline.higher { -1.0 } else { 1.0 };
+    let rank = |entry: &T| {
+        let (name, score) = of(entry);
+        (run.record.scores.table.oracles.contains(name), sign * score)
+    };
+    let mut order: Vec<(usize, T)> = entries.into_iter().enumerate().collect();
+    order.sort_by(|(_, a), (_, b)| {
+        let ((a_oracle, a_cost), (b_oracle, b_cost)) = (rank(a), rank(b));
+        a_oracle.cmp(&b_oracle).then(a_cost.total_cmp(&b_cost))
+    });
+    order.truncate(most);
+    order.sort_by_key(|(place, _)| *place);
+    order.into_iter().map(|(_, entry)| entry).collect()
+}
+
 /// Colour of the second curve of the model.
 const LIGHT: Colour = Colour::hex(0x6e_a0dc);
 
@@ -114,11 +140,12 @@ fn validation_figure(run: &LoadedRun<'_>) -> Option<Figure> {
         solid_line(series_column(rows, 1), MODEL_COLOUR, 3.0).named("model, mean"),
         solid_line(series_column(rows, 2), LIGHT, 2.0).named("model, median"),
     ];
-    for ((name, mean), colour) in run.record.facts.validation_baselines.iter().zip(BASELINE_COLOURS.into_iter().cycle())
-    {
-        lines.push(ChartLine::horizontal(*mean, Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
-    }
     let task = run.data.task();
+    let baselines = run.record.facts.validation_baselines.iter().collect();
+    let shown = best_of(run, baselines, BASELINES - 1, |(name, mean): &&(String, f64)| (name, *mean));
+    for (k, (name, mean)) in shown.into_iter().enumerate() {
+        lines.push(ChartLine::horizontal(*mean, baseline_style(k)).named(name));
+    }
     let title = format!("Validation {}: {}{}", task.counted[1], task.headline.name, of_models(run));
     draw_figure(title, &chart_over_steps(run, false, lines))
 }
@@ -170,18 +197,21 @@ fn distribution_figure(run: &LoadedRun<'_>) -> Option<Figure> {
         let Some(values) = scores.sample_values(name, headline.key) else { continue };
         sorted.push((name, statistics::sorted(values.iter().copied())));
     }
+    let (model, baselines): (Vec<_>, Vec<_>) = sorted.into_iter().partition(|(name, _)| *name == MODEL);
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let shown = best_of(run, baselines, BASELINES, |(name, values): &(&String, Vec<f64>)| (*name, mean(values)));
+    let sorted = [model, shown].concat();
     let ends = axis_ends(&headline, &sorted);
-    let mut baselines = BASELINE_COLOURS.into_iter().map(Colour::hex).cycle();
     let mut lines = Vec::new();
-    for (name, sorted) in &sorted {
+    for (k, (name, sorted)) in sorted.iter().enumerate() {
         let stride = sorted.len().div_ceil(MOST_POINTS).max(1);
         let share = |i: usize| (i + 1) as f64 / sorted.len() as f64;
         let mut points: Vec<_> = (0..sorted.len()).step_by(stride).map(|i| (sorted[i], share(i))).collect();
         points.extend(sorted.last().map(|v| (*v, 1.0)));
         points.retain(|(value, _)| (ends.0..=ends.1).contains(value));
         let is_model = *name == MODEL;
-        let colour = if is_model { MODEL_COLOUR } else { baselines.next().unwrap_or(MODEL_COLOUR) };
-        lines.push(solid_line(points, colour, if is_model { 3.0 } else { 2.0 }).named(name));
+        let style = if is_model { Style::line(MODEL_COLOUR, 3.0, Stroke::FULL) } else { baseline_style(k) };
+        lines.push(ChartLine::new(points, style).named(name));
     }
     let x = ChartAxis { name: headline.name.into(), ends: Some(ends), log: false };
     let y = ChartAxis { ends: Some((0.0, 1.0)), ..ChartAxis::default() };

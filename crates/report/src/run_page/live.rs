@@ -92,7 +92,7 @@ fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
 }
 
 /// Chooses the test links whose observations are in the page: evenly from best to worst, as many as fit, `alone` or with
-/// predictions. Ascending.
+/// predictions, and the median. Ascending.
 fn choose_links(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
     let task = run.data.task();
     let numbers = if task.is_scalar { run.data.scene.receivers.len() } else { run.data.width * run.data.height };
@@ -102,8 +102,18 @@ fn choose_links(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
     test.sort_by(|a, b| a.1.total_cmp(&b.1));
     let all: Vec<usize> = test.into_iter().map(|(i, _)| i).collect();
     let mut chosen = evenly(&all, most);
+    chosen.extend(median_link(run));
     chosen.sort_unstable();
+    chosen.dedup();
     chosen
+}
+
+/// Returns the test link with the median score, with which the page opens; `None` if no link has a score.
+fn median_link(run: &LoadedRun<'_>) -> Option<usize> {
+    let mut scored: Vec<(usize, f64)> = scored_links(run).filter(|(_, score)| !score.is_nan()).collect();
+    let sign = if run.data.task().headline.higher { -1.0 } else { 1.0 };
+    scored.sort_by(|a, b| (sign * a.1).total_cmp(&(sign * b.1)).then(a.0.cmp(&b.0)));
+    Some(scored.get(scored.len().checked_sub(1)? / 2)?.0)
 }
 
 /// Returns the links on the page, ascending: the `chosen` ones, and others evenly.
@@ -130,6 +140,7 @@ fn room_tensors(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
     let measured = PartitionedData { data: run.data, partition: run.partition, scores: &scores, links };
     let mut tensors = room(&run.model.members()[0].stages.setup, Some(measured), &[], POINTS);
     let ellipsoids = run.model.is_drawn_as(Appearance::Ellipsoids);
+    tensors.note["median"] = json!(median_link(run).and_then(|link| links.binary_search(&link).ok()));
     tensors.note["sides"] = json!([{
         "name": run.record.pipeline.name,
         "gaussians": fits_page(run.model).then(|| run.model.gaussians()),

@@ -4,37 +4,61 @@ use minijinja::{Value, context};
 use pwrfgs_experiment::scores::{MetricRow, ScoreCell, ScoreTable};
 use pwrfgs_experiment::{LoadedRun, statistics::Summary, text::number};
 
-/// Returns the groups of columns, one per metric: per-sample metrics first, then single values such as latency.
-pub(super) fn column_groups(scores: &ScoreTable) -> Vec<Value> {
-    let mut metrics: Vec<&MetricRow> = scores.metrics.iter().collect();
-    metrics.sort_by_key(|m| !m.is_per_sample());
-    metrics.into_iter().map(|metric| column_group(scores, metric)).collect()
+/// Maximum number of columns of numbers in a table: more leave the page at 1,200 pixels.
+const COLUMNS: usize = 9;
+
+/// Returns the score tables, each as groups of columns, one group per metric that several predictors have: first the main
+/// metrics of the task, of which only the first one has its median and percentile, then all metrics that this leaves out.
+pub(super) fn score_tables(scores: &ScoreTable) -> Vec<Vec<Value>> {
+    let is_shared =
+        |row: &&MetricRow| row.is_per_sample() || row.cells.iter().filter(|c| !c.numbers().is_empty()).count() > 1;
+    let shared: Vec<&MetricRow> = scores.metrics.iter().filter(is_shared).collect();
+    let is_main = |row: &MetricRow| scores.main_metrics().iter().any(|main| main.key == row.key);
+    let columns = |row: &MetricRow| if row.is_per_sample() { 3 } else { 1 };
+    let is_first = |row: &MetricRow| row.key == scores.task.headline.key;
+    let shown = |row: &MetricRow| if is_first(row) { columns(row) } else { usize::from(is_main(row)) };
+    let group = |row: &&MetricRow| column_group(scores, row, shown(row));
+    let main: Vec<Value> = shared.iter().filter(|row| is_main(row)).map(group).collect();
+    let (mut tables, mut room) = (vec![main], 0);
+    for row in shared.into_iter().filter(|row| shown(row) < columns(row)) {
+        if columns(row) > room {
+            tables.push(Vec::new());
+            room = COLUMNS;
+        }
+        room -= columns(row);
+        tables.last_mut().expect("not empty").push(column_group(scores, row, columns(row)));
+    }
+    tables.retain(|groups| !groups.is_empty());
+    tables
 }
 
-/// Returns the columns of one metric for the template: titles, numbers and marks.
-fn column_group(scores: &ScoreTable, metric: &MetricRow) -> Value {
+/// Returns key and value of the model by each metric of whole models, or why there is none.
+pub(super) fn whole_values(scores: &ScoreTable) -> Vec<(String, String)> {
+    let value = |row: &MetricRow| {
+        let text = match row.cells.first()? {
+            ScoreCell::NotApplicable(why) => format!("n/a: {why}"),
+            cell => format!("{} {}", cell.numbers().first().map_or_else(String::new, |v| number(*v)), row.unit),
+        };
+        Some((row.key.clone(), text))
+    };
+    scores.metrics.iter().filter(|row| !row.is_per_sample()).filter_map(value).collect()
+}
+
+/// Returns the first `count` columns of one metric for the template: titles, numbers and marks.
+fn column_group(scores: &ScoreTable, metric: &MetricRow, count: usize) -> Value {
     let (key, unit, samples) = (metric.key.clone(), metric.unit.clone(), metric.is_per_sample());
     let columns: &'static [&'static str] = match (samples, metric.higher_is_better) {
         (false, _) => &[""],
         (true, true) => &["mean", "median", "10th percentile"],
         (true, false) => &["mean", "median", "90th percentile"],
     };
-    // Value of the whole model, or why there is none.
-    let whole = metric.cells.first().filter(|_| !samples).map(|cell| match cell {
-        ScoreCell::NotApplicable(why) => format!("n/a: {why}"),
-        cell => format!("{} {unit}", cell.numbers().first().map_or_else(String::new, |v| number(*v))),
-    });
     context! {
         // Key, or words above a single narrow column.
         title => if samples { key.clone() } else { key.trim_end_matches(&format!("_{unit}")).replace('_', " ") },
         arrow => if metric.higher_is_better { "↑" } else { "↓" },
-        // Whether several predictors have a number.
-        shared => samples || metric.cells.iter().filter(|cell| !cell.numbers().is_empty()).count() > 1,
-        columns => columns.to_vec(),
-        key,
+        columns => columns[..count].to_vec(),
         unit,
-        rows => marked_rows(scores, metric, columns.len()),
-        whole,
+        rows => marked_rows(scores, metric, count),
     }
 }
 
@@ -134,7 +158,7 @@ mod tests {
             let paired = Some(Paired { rows: rows.to_vec(), ..Paired::default() });
             let oracles = oracles.iter().map(|name| (*name).to_owned()).collect();
             let table = ScoreTable { predictors, metrics: vec![row.clone()], oracles, paired, ..ScoreTable::default() };
-            let rows = column_groups(&table)[0].get_attr("rows").unwrap();
+            let rows = score_tables(&table)[0][0].get_attr("rows").unwrap();
             let mark = |p: usize| {
                 rows.get_item_by_index(p).and_then(|r| r.get_item_by_index(0)).and_then(|c| c.get_item_by_index(1))
             };

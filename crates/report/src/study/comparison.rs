@@ -203,6 +203,21 @@ impl<'a> Comparison<'a> {
         self.metrics.iter().find(|m| m.key == key)
     }
 
+    /// Returns metric and statistic of a column by its name: a key, or a key with `.median` or `.tail10`; `None` if there is
+    /// no such number.
+    pub(super) fn column(&self, name: &str) -> Option<(&MetricRow, SummaryStatistic)> {
+        let named =
+            |statistic: &SummaryStatistic| Some((name.strip_suffix(statistic.name())?.strip_suffix('.')?, *statistic));
+        let (key, wanted) = match [SummaryStatistic::Median, SummaryStatistic::Tail10].iter().find_map(named) {
+            Some((key, statistic)) => (key, Some(statistic)),
+            None => (name, None),
+        };
+        let metric = self.metric(key)?;
+        let has = statistics(metric);
+        let statistic = wanted.unwrap_or(has[0]);
+        has.contains(&statistic).then_some((metric, statistic))
+    }
+
     /// Returns warnings about scores that are not finite, which means omit.
     pub(super) fn missing_score_warnings(&self) -> Vec<String> {
         let mut all = Vec::new();

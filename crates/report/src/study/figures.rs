@@ -8,6 +8,7 @@ mod gaussians;
 mod latency;
 mod panels;
 mod rate;
+pub(super) mod shown;
 #[cfg(test)]
 mod tests;
 mod tradeoff;
@@ -19,6 +20,8 @@ use minijinja::{Value, context};
 use pwrfgs_core::{Dataset, Error, Progress, Result, files::write_atomically};
 use pwrfgs_experiment::{NoopObserver, Setting};
 use serde::Serialize;
+use shown::ShownVariants;
+use std::fmt::Write as _;
 use std::path::Path;
 
 /// Widths of one print column, and of two with the gap between them.
@@ -91,34 +94,48 @@ pub struct FigureSet {
     pub left_out: Option<String>,
 }
 
-/// Function that draws a figure from data and models.
+/// Function that draws a figure from scores, and one that draws it from data and models.
+type FromScores = fn(&Setting) -> Option<Figure>;
 type FromData = fn(&Setting, &Dataset) -> Result<Option<Figure>>;
 
-/// Draws all figures for which there are numbers, and notes why those that need data and models are missing. `progress`
-/// counts figures.
-pub fn draw_figures(setting: &Setting, progress: Progress<'_>) -> FigureSet {
-    let from_scores = [
-        gaussians::figure,
-        tradeoff::first_metric_figure,
-        tradeoff::rate_ratio_figure,
-        tradeoff::pareto_figure::<0>,
-        tradeoff::pareto_figure::<1>,
-        tradeoff::pareto_figure::<2>,
-        latency::figure,
-        errors::distribution_figure,
-        errors::distance_figure,
+/// Draws all figures for which there are numbers, and notes why those that need data and models are missing. A figure has
+/// at most six curves; `chosen` names their variants or methods. `progress` counts figures.
+pub fn draw_figures(setting: &Setting, chosen: &[String], progress: Progress<'_>) -> FigureSet {
+    let ShownVariants { all, methods, curves, common } = &ShownVariants::of(setting, chosen);
+    let from_scores: [(&Setting, FromScores); 9] = [
+        (curves, gaussians::figure),
+        (methods, tradeoff::first_metric_figure),
+        (methods, tradeoff::rate_ratio_figure),
+        (all, tradeoff::pareto_figure::<0>),
+        (all, tradeoff::pareto_figure::<1>),
+        (all, tradeoff::pareto_figure::<2>),
+        (all, latency::figure),
+        (curves, errors::distribution_figure),
+        (curves, errors::distance_figure),
     ];
-    let from_data: &[FromData] = &[panels::room_figure, panels::spectra_figure, rate::figure];
+    let from_data: [(&Setting, FromData); 3] =
+        [(curves, panels::room_figure), (curves, panels::spectra_figure), (curves, rate::figure)];
     let count = from_scores.len() + from_data.len();
+    let says_rest = |shown: &Setting, mut figure: Figure| {
+        let hidden = setting.variants.len() - shown.variants.len();
+        if std::ptr::eq(shown, curves) && !common.is_empty() {
+            _ = write!(figure.caption, " All variants: {common}.");
+        }
+        if hidden > 0 {
+            let advice = "`pwrfgs report --variants` selects them.";
+            _ = write!(figure.caption, " Variants that are not shown: {hidden}; {advice}");
+        }
+        figure
+    };
     let mut figures = Vec::new();
-    for (done, make) in from_scores.iter().enumerate() {
-        figures.extend(make(setting));
+    for (done, (shown, make)) in from_scores.iter().enumerate() {
+        figures.extend(make(shown).map(|figure| says_rest(shown, figure)));
         progress(done + 1, count);
     }
     let drawn = setting.variants[0].runs[0].load_data(&mut NoopObserver).and_then(|data| {
         let mut drawn = Vec::new();
-        for (done, make) in from_data.iter().enumerate() {
-            drawn.extend(make(setting, &data)?);
+        for (done, (shown, make)) in from_data.iter().enumerate() {
+            drawn.extend(make(shown, &data)?.map(|figure| says_rest(shown, figure)));
             progress(from_scores.len() + done + 1, count);
         }
         Ok(drawn)

@@ -3,7 +3,7 @@
 //! `report.json` lists the files of the report. Only these are replaced or removed, each atomically; a
 //! non-empty folder without such a list is rejected.
 
-use super::page::StudyPage;
+use super::page::{ReportOptions, StudyPage};
 use super::tables::{FormattedValue, RankMark, Table, TableColumn, TableLine};
 use crate::canvas::single_line;
 use crate::templates::render;
@@ -32,16 +32,16 @@ struct FileList {
 
 /// Writes the report of a study into `out`: `report.csv`, `report.tex` with `tables/`, `report.html` and
 /// `figures/`. Returns the tables as text for a terminal. Paired differences are from the variant or baseline
-/// `reference`, or from the first variant of each setting.
+/// `reference`, or from the first variant of each setting; `options` also choose columns and curves.
 ///
 /// Equal runs give equal bytes.
 ///
 /// # Errors
-/// If the reference does not exist, the folder is not a report, or a file cannot be written.
-pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut dyn Observer) -> Result<String> {
+/// If a name in the options does not exist, the folder is not a report, or a file cannot be written.
+pub fn write(study: &Study, options: &ReportOptions, out: &Path, observer: &mut dyn Observer) -> Result<String> {
     let check = || refuse_links(out).and_then(|()| read_list(out));
     check()?; // before the figures are drawn
-    let page = StudyPage::new(study, reference, observer)?;
+    let page = StudyPage::new(study, options, observer)?;
     let files = report_files(&page)?;
     let before = check()?; // another program may have written there meanwhile
     let names: BTreeSet<String> = files.iter().map(|(name, _)| name.clone()).collect();
@@ -129,7 +129,9 @@ fn render_documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
         let (mut printed, mut tables) = (Vec::new(), Vec::new());
         for table in &section.tables {
             let t = table_context(table, &mut printed);
-            let context = context! { t => t.clone(), setting => section.title.clone(), name => section.name.clone() };
+            let chosen = section.chosen.as_ref().filter(|chosen| chosen.name == table.name);
+            let latex = chosen.map_or_else(|| t.clone(), |chosen| table_context(chosen, &mut Vec::new()));
+            let context = context! { t => latex, setting => section.title.clone(), name => section.name.clone() };
             all.push((format!("tables/{}-{}.tex", section.name, table.name), render("table.tex", context)?));
             tables.push(t);
         }
@@ -239,7 +241,7 @@ mod tests {
         write_list(folder.path(), BTreeSet::from(["figures/1-old.svg".to_owned()])).unwrap();
         write_list(elsewhere.path(), BTreeSet::new()).unwrap();
         let study = Study { title: "none".into(), ..Study::default() };
-        let write = |out: &Path| write(&study, None, out, &mut pwrfgs_experiment::NoopObserver);
+        let write = |out: &Path| write(&study, &ReportOptions::default(), out, &mut pwrfgs_experiment::NoopObserver);
         let link_to = |name: &str| {
             let link = folder.path().join(name);
             std::os::unix::fs::symlink(elsewhere.path(), &link).unwrap();

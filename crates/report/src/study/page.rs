@@ -1,6 +1,7 @@
 //! `StudyPage`: content of the report, independent of the format.
 
 use super::comparison::{Comparison, ComparisonRow, RowKind, report_csv};
+use super::figures::shown::check_variants;
 use super::figures::{self, Figure, FigureSet};
 use super::tables::{self, Table};
 use crate::templates::render_sentences;
@@ -9,6 +10,18 @@ use pwrfgs_core::{Error, Result, did_you_mean};
 use pwrfgs_experiment::text::{format_duration, grouped};
 use pwrfgs_experiment::{Observer, Record, Setting, Study, distinct, run_stage};
 use serde::Serialize;
+
+/// Choices for a report.
+#[derive(Clone, Debug, Default)]
+pub struct ReportOptions {
+    /// Label of the variant or baseline from which paired differences are taken; `None`: the first variant of each setting.
+    pub reference: Option<String>,
+    /// Columns of the LaTeX table of scores, keys of `report.csv`, with `.median` or `.tail10` for a statistic other than
+    /// the mean; empty: those of the page.
+    pub columns: Vec<String>,
+    /// Variants and methods in the figures, at most 6; empty: the best.
+    pub variants: Vec<String>,
+}
 
 /// Report of a study.
 #[derive(Clone, Debug, Default)]
@@ -36,6 +49,9 @@ pub(super) struct Section {
     pub(super) warnings: Vec<String>,
     #[serde(skip)]
     pub(super) tables: Vec<Table>,
+    /// Table of scores in LaTeX, if its columns are chosen.
+    #[serde(skip)]
+    pub(super) chosen: Option<Table>,
     pub(super) figures: Vec<Figure>,
     /// Runs of the setting.
     pub(super) runs: Vec<Value>,
@@ -44,17 +60,21 @@ pub(super) struct Section {
 }
 
 impl StudyPage {
-    /// Creates the page of all settings of a study, with the reference of this label or the first variant of each
-    /// setting.
-    pub(super) fn new(study: &Study, reference: Option<&str>, observer: &mut dyn Observer) -> Result<Self> {
+    /// Creates the page of all settings of a study.
+    pub(super) fn new(study: &Study, options: &ReportOptions, observer: &mut dyn Observer) -> Result<Self> {
         let comparisons: Vec<Comparison<'_>> = study.settings.iter().map(Comparison::new).collect();
+        let reference = options.reference.as_deref();
         if let Some(label) = reference {
             check_reference(&comparisons, label)?;
         }
+        check_variants(&study.settings, &options.variants)?;
+        check_columns(&comparisons, &options.columns)?;
         let mut sections = Vec::new();
         for (i, comparison) in comparisons.iter().enumerate() {
-            let drawn = run_stage(observer, "drawing the figures", |p| figures::draw_figures(comparison.setting, p));
-            sections.push(Section::new(i, comparison, reference, drawn));
+            let drawn = run_stage(observer, "drawing the figures", |p| {
+                figures::draw_figures(comparison.setting, &options.variants, p)
+            });
+            sections.push(Section::new(i, comparison, options, drawn));
         }
         let unfinished = study.unfinished.iter().map(|path| format!("{}: not finished", path.display()));
         let repeated =
@@ -78,10 +98,22 @@ fn check_reference(comparisons: &[Comparison<'_>], label: &str) -> Result<()> {
     Err(Error::Config(format!("--reference: no variant or baseline `{label}`{hint} (found `{labels}`)")))
 }
 
+/// Rejects names of columns that no setting has.
+fn check_columns(comparisons: &[Comparison<'_>], columns: &[String]) -> Result<()> {
+    let Some(name) = columns.iter().find(|name| comparisons.iter().all(|c| c.column(name).is_none())) else {
+        return Ok(());
+    };
+    let known = distinct(comparisons.iter().flat_map(|c| c.metrics.iter().map(|metric| metric.key.as_str())));
+    let hint = did_you_mean(name, known.iter().copied());
+    let known = known.join("`, `");
+    let advice = "add `.median` or `.tail10` to a metric of test samples for another statistic than the mean";
+    Err(Error::Config(format!("--columns: no column `{name}`{hint} (found `{known}`); {advice}")))
+}
+
 impl Section {
     /// Creates the section of a setting, number `index`, with its tables and the figures `drawn`.
-    fn new(index: usize, comparison: &Comparison<'_>, reference: Option<&str>, drawn: FigureSet) -> Self {
-        let setting = comparison.setting;
+    fn new(index: usize, comparison: &Comparison<'_>, options: &ReportOptions, drawn: FigureSet) -> Self {
+        let (setting, reference) = (comparison.setting, options.reference.as_deref());
         let named = reference.and_then(|label| comparison.row(label));
         let compared: &ComparisonRow<'_> = named.unwrap_or(&comparison.rows[0]);
         let runs: Vec<&Record> = setting.runs().collect();
@@ -105,6 +137,7 @@ impl Section {
             reference: compared.label.to_owned(),
             warnings,
             tables: tables.into_iter().flatten().collect(),
+            chosen: tables::chosen_table(comparison, &options.columns),
             figures: drawn.figures,
             runs: run_lines(setting),
             notes: comparison.notes(),

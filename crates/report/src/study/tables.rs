@@ -2,7 +2,7 @@
 
 mod scores;
 
-pub(super) use scores::{difference_table, further_table, latency_table, score_table};
+pub(super) use scores::{chosen_table, difference_table, further_table, latency_table, score_table};
 
 use super::comparison::{ComparisonRow, RowKind};
 use crate::templates::render_sentences;

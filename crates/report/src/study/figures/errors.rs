@@ -4,6 +4,7 @@
 //! mean over the test set does not describe positions farther away. A mean of powers or channels hides large errors.
 
 use super::Figure;
+use super::shown::grey_baselines;
 use super::tradeoff::row_style;
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::{Stroke, Style};
@@ -16,8 +17,8 @@ use std::collections::BTreeMap;
 /// Minimum number of test samples per bin, and maximum number of bins.
 const PER_BIN: usize = 10;
 const MOST_BINS: usize = 8;
-/// Maximum number of variants with bands of quartiles; more bands would overlap.
-const MOST_BANDS: usize = 4;
+/// Maximum number of variants with bands of quartiles; more bands overlap, and look alike in grey.
+const MOST_BANDS: usize = 2;
 
 /// Draws the error against the distance to the nearest training transmitter, which reveals leakage of a split; `None`
 /// without distances.
@@ -36,7 +37,7 @@ pub(super) fn distance_figure(setting: &Setting) -> Option<Figure> {
             lines.push(ChartLine::new(round, Style { stroke: Stroke::Area, ..style }));
         }
     }
-    for (k, name) in setting.baselines().into_iter().enumerate() {
+    for (k, name) in grey_baselines(setting) {
         // Equal in all variants, except for splits that depend on the seed.
         let bins = error_bins(&setting.variants[0].runs, name, task);
         let points = bins.iter().map(|b| (b.distance, b.quartiles[1])).collect();
@@ -109,7 +110,7 @@ pub(super) fn distribution_figure(setting: &Setting) -> Option<Figure> {
         line.marks = line.points.iter().skip(10 + 5 * (k % 4)).step_by(20).copied().collect();
         lines.push(line);
     }
-    for (k, name) in setting.baselines().into_iter().enumerate() {
+    for (k, name) in grey_baselines(setting) {
         lines.push(ChartLine::new(points(&setting.variants[0].runs, name), row_style(setting, k, name)).named(name));
     }
     let x = ChartAxis { name: headline.name.into(), ..ChartAxis::default() };

@@ -1,6 +1,7 @@
 //! Rate ratio against signal-to-noise ratio: cost of steering by the prediction for weak and strong transmitters.
 
 use super::Figure;
+use super::shown::grey_baselines;
 use super::tradeoff::row_style;
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::Style;
@@ -73,7 +74,12 @@ fn baseline_lines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metri
     // The files of an external baseline may have been moved since the run.
     let is_readable =
         |baseline: &&Plugin<dyn pwrfgs_core::Baseline>| baseline.check_test(data, &partition.test).is_ok();
-    run.pipeline.baselines.iter().filter(is_readable).enumerate().map(line).collect()
+    let shown = grey_baselines(setting);
+    let place = |baseline: &Plugin<dyn pwrfgs_core::Baseline>| {
+        shown.iter().find(|(_, name)| *name == baseline.name()).map(|(k, _)| *k)
+    };
+    let readable = run.pipeline.baselines.iter().filter(is_readable);
+    readable.filter_map(|baseline| Some((place(baseline)?, baseline))).map(line).collect()
 }
 
 /// Returns the signal-to-noise ratios at which η is computed, dB.

@@ -73,7 +73,7 @@ fn text_stays_on_its_canvas_and_each_strategy_is_one_curve() {
             let at_ends = named(|name| if let LineName::AtEnd(name) = name { Some(name) } else { None });
             assert_eq!(at_ends, ["8", "12", "8", "12"], "variants by their numbers");
         }
-        let drawn = draw_figures(&study.settings[0], &|_, _| {});
+        let drawn = draw_figures(&study.settings[0], &[], &|_, _| {});
         assert_eq!(drawn.left_out, None);
         let (written, texts) = outside::take();
         assert!(written == drawn.figures.len() && texts.is_empty(), "{count} variants: {texts:#?}");

@@ -1,6 +1,7 @@
 //! First metric and rate ratio against N, bytes and milliseconds: figure 2b of the paper, and methods at equal N.
 
 use super::Figure;
+use super::shown::{CURVES, grey_baselines};
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::Style;
 use minijinja::context;
@@ -92,15 +93,15 @@ pub(super) fn row_style(setting: &Setting, k: usize, name: &str) -> Style {
     if setting.is_external(name) { Style::external(setting.variants.len() + k) } else { Style::baseline(k) }
 }
 
-/// Returns a horizontal line at the score of each baseline that has one, and of the noise ceiling, with its name at the
-/// right.
+/// Returns a horizontal line at the score of the best baselines, and of the noise ceiling, with its name at the right.
 fn baseline_lines(setting: &Setting, key: &str) -> Vec<ChartLine> {
     let line = |(k, name): (usize, &str)| {
         let score = axis_value(key, setting.baseline_score(name, key)?);
         let title = if name == CEILING { "ceiling" } else { name };
         Some(ChartLine::horizontal(score, row_style(setting, k, name)).named_at_end(title))
     };
-    setting.baselines().into_iter().chain([CEILING]).enumerate().filter_map(line).collect()
+    let ceiling = (setting.baselines().len(), CEILING);
+    grey_baselines(setting).into_iter().chain([ceiling]).filter_map(line).collect()
 }
 
 /// Returns whether these are the measured spectra of the published numbers, by the name of the data:
@@ -117,8 +118,8 @@ fn published_line(key: &str, (name, published): &Published) -> ChartLine {
     line
 }
 
-/// Number of methods drawn in colour: the best, and the last.
-const SHOWN: usize = 7;
+/// Number of methods drawn in colour besides the last: the best.
+const SHOWN: usize = CURVES - 1;
 
 /// Cost on the horizontal axis.
 struct CostAxis {

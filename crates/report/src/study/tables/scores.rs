@@ -165,6 +165,12 @@ pub(in super::super) fn score_table(comparison: &Comparison<'_>) -> Option<Table
     build_table("scores", "Scores", comparison, &specs)
 }
 
+/// Returns the main table with these columns, see [`Comparison::column`]; `None` if none is chosen or has a number.
+pub(in super::super) fn chosen_table(comparison: &Comparison<'_>, columns: &[String]) -> Option<Table> {
+    let specs: Vec<ScoreColumn<'_>> = columns.iter().filter_map(|name| comparison.column(name)).collect();
+    build_table("scores", "Scores", comparison, &specs)
+}
+
 /// Returns the table of metrics that the main table omits; `None` without them.
 pub(in super::super) fn further_table(comparison: &Comparison<'_>) -> Option<Table> {
     let first = comparison.setting.headline().key;

@@ -1,0 +1,184 @@
+//! `ShownVariants`: variants in the figures, with at most six curves each.
+
+use super::panels::one_variant_per_method;
+use pwrfgs_core::{Error, Result, did_you_mean, evenly};
+use pwrfgs_experiment::{Setting, StudyVariant, VariantFamily, distinct};
+
+/// Maximum number of curves of variants or methods in a figure, and of grey curves of baselines over an axis.
+pub(super) const CURVES: usize = 6;
+const GREY_CURVES: usize = 3;
+
+/// Variants in figures, each list as a setting.
+pub(super) struct ShownVariants {
+    /// All variants, or the chosen ones.
+    pub(super) all: Setting,
+    /// Those of at most [`CURVES`] methods, the best by the first metric.
+    pub(super) methods: Setting,
+    /// At most [`CURVES`] variants of these: one per method, or of a single method evenly. Their labels lack the parts
+    /// that all have.
+    pub(super) curves: Setting,
+    /// These parts, such as `N 24`; empty if there are none.
+    pub(super) common: String,
+}
+
+impl ShownVariants {
+    /// Selects variants of the `chosen` labels and methods; of all without them.
+    pub(super) fn of(setting: &Setting, chosen: &[String]) -> Self {
+        let all = if chosen.is_empty() { setting.clone() } else { keep(setting, &chosen_variants(setting, chosen)) };
+        let methods = keep(&all, &best_methods(&all));
+        let variants: Vec<&StudyVariant> = methods.variants.iter().collect();
+        let mut curves = match one_variant_per_method(&methods) {
+            _ if variants.len() <= CURVES => keep(&methods, &variants),
+            one_each => keep(&methods, &evenly(&one_each, CURVES)),
+        };
+        let common = remove_common_parts(&mut curves.variants);
+        Self { all, methods, curves, common }
+    }
+}
+
+/// Removes the parts between commas that the labels of all `variants` have, and returns these; none if a label has no other
+/// part. Also removes the axis that all labels begin with, such as `method` of `method masks`, but not before a number.
+fn remove_common_parts(variants: &mut [StudyVariant]) -> String {
+    let labels: Vec<Vec<String>> =
+        variants.iter().map(|variant| variant.label.split(", ").map(str::to_owned).collect()).collect();
+    let is_common = |part: &&String| labels.iter().all(|parts| parts.contains(part));
+    let own = |parts: &[String]| parts.iter().filter(|part| !is_common(part)).cloned().collect::<Vec<_>>().join(", ");
+    let mut names: Vec<String> = labels.iter().map(|parts| own(parts)).collect();
+    let mut common = labels[0].iter().filter(is_common).cloned().collect::<Vec<_>>().join(", ");
+    if labels.len() < 2 {
+        return String::new();
+    }
+    if names.iter().any(String::is_empty) {
+        (names, common) = (labels.iter().map(|parts| parts.join(", ")).collect(), String::new());
+    }
+    let rest = |name: &String| {
+        let (axis, rest) = name.split_once(' ')?;
+        let is_word = rest.starts_with(char::is_alphabetic);
+        (is_word && names.iter().all(|other| other.split(' ').next() == Some(axis))).then(|| rest.to_owned())
+    };
+    let shorter: Option<Vec<String>> = names.iter().map(rest).collect();
+    variants.iter_mut().zip(shorter.unwrap_or(names)).for_each(|(variant, name)| variant.label = name);
+    common
+}
+
+/// Returns the setting with these variants only, in its order.
+fn keep(setting: &Setting, variants: &[&StudyVariant]) -> Setting {
+    let is_kept = |variant: &&StudyVariant| variants.iter().any(|kept| kept.label == variant.label);
+    let variants = setting.variants.iter().filter(is_kept).cloned().collect();
+    Setting { title: setting.title.clone(), simulated: setting.simulated, variants }
+}
+
+/// Returns the variants with the label or of the method of a `chosen` name; all if no name fits this setting.
+fn chosen_variants<'a>(setting: &'a Setting, chosen: &[String]) -> Vec<&'a StudyVariant> {
+    let families = VariantFamily::group(setting);
+    let is_chosen = |family: &VariantFamily<'_>, variant: &StudyVariant| {
+        chosen.iter().any(|name| *name == variant.label || *name == family.name || *name == family.title)
+    };
+    let variants = |family: &VariantFamily<'a>| {
+        family.variants.iter().copied().filter(|variant| is_chosen(family, variant)).collect::<Vec<_>>()
+    };
+    let found: Vec<&StudyVariant> = families.iter().flat_map(variants).collect();
+    if found.is_empty() { setting.variants.iter().collect() } else { found }
+}
+
+/// Returns the variants of the best methods by the first metric, [`CURVES`] of them.
+fn best_methods(setting: &Setting) -> Vec<&StudyVariant> {
+    let headline = setting.headline();
+    let sign = if headline.higher { -1.0 } else { 1.0 };
+    let best = |family: &VariantFamily<'_>| {
+        let scores = family.variants.iter().filter_map(|variant| variant.score(headline.key));
+        scores.map(|score| sign * score.mean).fold(f64::INFINITY, f64::min)
+    };
+    let mut families = VariantFamily::group(setting);
+    families.sort_by(|a, b| best(a).total_cmp(&best(b)));
+    families.into_iter().take(CURVES).flat_map(|family| family.variants).collect()
+}
+
+/// Lists the baselines with a curve, in the order of the plan: predictions of other programs, and the best others by the first
+/// metric, oracle baselines last.
+pub(super) fn grey_baselines(setting: &Setting) -> Vec<(usize, &str)> {
+    let headline = setting.headline();
+    let sign = if headline.higher { -1.0 } else { 1.0 };
+    let cost = |name: &str| setting.baseline_score(name, headline.key).map_or(f64::INFINITY, |score| sign * score);
+    let all = setting.baselines().into_iter().enumerate();
+    let (mut shown, mut others): (Vec<_>, Vec<_>) = all.partition(|(_, name)| setting.is_external(name));
+    let is_oracle = |name: &str| setting.runs().any(|run| run.scores.table.oracles.iter().any(|oracle| oracle == name));
+    others.sort_by(|a, b| is_oracle(a.1).cmp(&is_oracle(b.1)).then(cost(a.1).total_cmp(&cost(b.1))));
+    shown.extend(others.into_iter().take(GREY_CURVES));
+    shown.sort_unstable();
+    shown
+}
+
+/// Checks the names that `--variants` gives: each is a variant or a method of a setting, and they are few enough.
+///
+/// # Errors
+/// An unknown name, with the nearest one; more names than curves.
+pub(in super::super) fn check_variants(settings: &[Setting], chosen: &[String]) -> Result<()> {
+    if chosen.len() > CURVES {
+        return Err(Error::Config(format!("--variants: {} names; a figure has at most {CURVES} curves", chosen.len())));
+    }
+    let families: Vec<VariantFamily<'_>> = settings.iter().flat_map(VariantFamily::group).collect();
+    let labels = families.iter().flat_map(|family| family.variants.iter().map(|variant| variant.label.as_str()));
+    let known = distinct(labels.chain(families.iter().map(|family| family.title.as_str())));
+    match chosen.iter().find(|name| !known.contains(&name.as_str())) {
+        None => Ok(()),
+        Some(name) => {
+            let hint = did_you_mean(name, known.iter().copied());
+            Err(Error::Config(format!(
+                "--variants: no variant or method `{name}`{hint} (found `{}`)",
+                known.join("`, `")
+            )))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns a setting of variants with these labels, without runs.
+    fn setting(labels: &[&str]) -> Setting {
+        let variant = |label: &&str| StudyVariant { label: (*label).into(), runs: Vec::new() };
+        Setting { title: "t".into(), simulated: false, variants: labels.iter().map(variant).collect() }
+    }
+
+    #[test]
+    fn names_of_variants_and_methods_are_checked() {
+        let setting = [setting(&["masks λ 1", "masks λ 2", "WRF-GS"])];
+        let check = |names: &[&str]| {
+            let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
+            check_variants(&setting, &names).map_err(|e| e.to_string())
+        };
+        assert_eq!(check(&["masks", "WRF-GS"]), Ok(()));
+        assert_eq!(check(&["masks λ 2"]), Ok(()));
+        assert!(check(&["mask"]).unwrap_err().contains("no variant or method `mask`; did you mean `masks`?"));
+        assert!(check(&["masks"; 7]).unwrap_err().contains("7 names; a figure has at most 6 curves"));
+    }
+
+    #[test]
+    fn labels_of_curves_lack_common_parts() {
+        let relabel = |labels: &[&str]| {
+            let mut variants = setting(labels).variants;
+            let common = remove_common_parts(&mut variants);
+            (variants.into_iter().map(|variant| variant.label).collect::<Vec<_>>(), common)
+        };
+        let (labels, common) = relabel(&["method A, N 24, seed x", "method B, N 24, seed x"]);
+        assert_eq!((labels, common.as_str()), (vec!["A".into(), "B".into()], "N 24, seed x"));
+        assert_eq!(relabel(&["λ 0.1, row a", "λ 0.2, row a"]).0, ["λ 0.1", "λ 0.2"], "a number keeps its name");
+        assert_eq!(relabel(&["method A, N 8", "method A, N 24", "method B, N 8"]).0, ["A, N 8", "A, N 24", "B, N 8"]);
+        assert_eq!(relabel(&["a, N 24"]), (vec!["a, N 24".to_owned()], String::new()), "one has nothing in common");
+        assert_eq!(relabel(&["a", "a, b"]).1, "", "none without a name");
+    }
+
+    #[test]
+    fn chosen_names_select_variants_and_whole_methods() {
+        let setting = setting(&["masks λ 1", "masks λ 2", "WRF-GS", "blending 8"]);
+        let labels = |names: &[&str]| -> Vec<String> {
+            let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
+            chosen_variants(&setting, &names).into_iter().map(|variant| variant.label.clone()).collect()
+        };
+        assert_eq!(labels(&["masks"]), ["masks λ 1", "masks λ 2"]);
+        assert_eq!(labels(&["masks λ 2", "WRF-GS"]), ["masks λ 2", "WRF-GS"]);
+        assert_eq!(labels(&["of another setting"]).len(), 4);
+    }
+}
