@@ -54,7 +54,8 @@ impl<T: Copy + Display + PartialEq + Into<f64>> ArrayGeometry<'_, T> {
             return Err(format!("`spacing_wavelengths` is {}; {advice}", self.spacing));
         }
         let has_default_grid = (self.rows, self.columns) == (default.rows, default.columns);
-        if !self.positions.is_empty() && !(has_default_grid && self.spacing == default.spacing) {
+        let is_default = has_default_grid && self.spacing == default.spacing;
+        if !(self.positions.is_empty() || is_default) {
             let grid = "`rows`, `columns` and `spacing_wavelengths`";
             return Err(format!("`positions_wavelengths` replaces {grid}; give either the positions or the grid"));
         }
