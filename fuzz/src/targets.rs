@@ -12,7 +12,7 @@ use pwrfgs::model::export::{npz, ply};
 use pwrfgs::model::file;
 use pwrfgs::prelude::*;
 use pwrfgs::report::{ReportOptions, Study};
-use pwrfgs::tasks::{PredictSettings, write_predictions};
+use pwrfgs::tasks::predict::{PredictSettings, write_predictions};
 use std::fs;
 use std::path::Path;
 
