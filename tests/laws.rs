@@ -166,10 +166,14 @@ fn metrics_return_values_per_sample_or_one_total() {
         for (name, metric) in all::<dyn Metric>() {
             let measurements = metric.evaluate(&evaluation).unwrap();
             assert!(!measurements.is_empty(), "{name}");
+            let energies = metric.energies(&evaluation).unwrap();
             // What it says it need not see changes nothing.
             let alone = match metric.scope() {
                 Scope::Model => Some(Evaluation { predictions: &[], truths: &[], ..evaluation }),
                 Scope::Sample => Some(Evaluation { predictions: &pictures[3..], truths: &pictures[3..], ..evaluation }),
+                Scope::Energies => {
+                    Some(Evaluation { predictions: &[], truths: &[], energies: &energies, ..evaluation })
+                }
                 Scope::All => None,
             };
             let alone = alone.map_or_else(Vec::new, |alone| metric.evaluate(&alone).unwrap());
