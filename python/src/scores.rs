@@ -80,7 +80,17 @@ pub(crate) fn measure<'py>(
 /// Returns the evaluation of images without links and model, on a plane.
 fn evaluation<'a>([predictions, truths]: [&'a [Image]; 2], plane: &'a ImagePlane, scene: &'a Scene) -> Evaluation<'a> {
     let task = Task::default();
-    Evaluation { predictions, truths, task, links: &[], plane, scene, model: None, timed_prediction: None }
+    Evaluation {
+        predictions,
+        truths,
+        task,
+        energies: &[],
+        links: &[],
+        plane,
+        scene,
+        model: None,
+        timed_prediction: None,
+    }
 }
 
 /// Returns a scene with surface points and one receiver at the origin.
