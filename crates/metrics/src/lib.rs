@@ -125,6 +125,7 @@ mod fixture {
         Evaluation {
             predictions: &[],
             truths: &[],
+            energies: &[],
             task: Task::Spectrum,
             links: &[],
             plane,
