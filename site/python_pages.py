@@ -17,7 +17,7 @@ TOPICS = {
     + ["spectrum", "convert", "datasets"],
     "Runs": ["run", "Run", "check", "Check", "evaluate", "report", "sweep", "SweepError", "compare", "Comparison", "View", "devices", "use_device"],
     "Pipelines": ["Pipeline", "Value", "settings", "init"],
-    "Models": ["Model", "Gaussians", "Interval"],
+    "Models": ["load", "Model", "Gaussians", "Interval"],
     "Tasks": ["RadioMap", "Located", "plan", "Plan", "place", "Placement"],
     "Strategies": ["Pruner", "Initializer", "Split", "Baseline", "Metric", "Deformation"]
     + ["Cloud", "Column", "Stats", "StepContext", "Room", "Links", "Sample", "ReceiverSample"],

@@ -21,6 +21,7 @@ mod laws;
 mod learning;
 mod links;
 mod maps;
+mod models;
 mod names;
 mod nerf2;
 mod own_baseline;

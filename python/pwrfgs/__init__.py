@@ -3,7 +3,7 @@
 A prediction in three lines:
 
     import pwrfgs
-    model = pwrfgs.Model.load("runs/quickstart")
+    model = pwrfgs.load("s23")                         # or a run folder, or a model file
     spectrum = model.predict([3.5, 2.2, 1.2])          # [H, W]
 
 Every plugin of the toolkit is a class here, such as ``pwrfgs.LearnableMask(lambda_=0.02)``; enums of settings are in
@@ -38,13 +38,15 @@ from ._values import Value
 from .metrics import repeatability
 from . import _plugins
 
+load = Model.load
+
 __all__: List[str] = [
     "Baseline", "Check", "Cloud", "Column", "Comparison", "Dataset", "Deformation", "Error", "Finding", "Gaussians",
     "Initializer", "InputError", "Inspection", "Interval", "Links", "Located", "Metric", "Model", "Partition",
     "Pipeline", "Placement", "Plan", "Pose", "Pruner", "RadioMap", "Receiver", "ReceiverSample", "Room", "Run",
     "Sample", "Splats", "Split", "Stats", "StepContext", "SweepError", "Trainer", "Value", "View", "__version__",
-    "baselines", "check", "compare", "convert", "datasets", "devices", "evaluate", "init", "inspect", "metrics", "place",
-    "plan", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability", "report", "run", "settings",
+    "baselines", "check", "compare", "convert", "datasets", "devices", "evaluate", "init", "inspect", "load", "metrics",
+    "place", "plan", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability", "report", "run", "settings",
     "simulate", "spectrum", "sweep", "use_device",
 ]
 __all__ += _plugins.__all__

@@ -94,8 +94,9 @@ def locate(
     """Locate transmitters from their observations: powers [B, R] in dBm (NaN: not known), spectra [B, H, W] or channels [B, A, F].
     Without observations, locate the test samples of the data of the model and compare the errors with those of baselines.
 
-    The model must come from a run folder: its data are the known positions. ``set`` changes settings of its pipeline, as in
-    ``run``: ``{"data.root": "data/ble"}``. ``accept`` are names of findings on data or observations that are accepted."""
+    The known positions are those of the data of a model from a run folder. ``set`` changes settings of its pipeline, as in
+    ``run``: ``{"data.root": "data/ble"}``. Other models, such as ``pwrfgs.load("s23")``, compare with their predictions at their
+    training positions, without regions. ``accept`` are names of findings on data or observations that are accepted."""
     return Located(**_pwrfgs.locate(self, observations, arguments(set), list(accept), settings_text("locate", settings)))
 
 

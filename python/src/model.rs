@@ -10,7 +10,7 @@ use pwrfgs::model::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs::tasks::read_models;
 use pwrfgs_core::files::{check_file_path, write_atomically};
-use pwrfgs_core::{Activated, End, Error, Pose, Query, Real};
+use pwrfgs_core::{Activated, End, Error, Pose, Query, Real, ShippedModel};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyList, PyTuple};
 use self_cell::self_cell;
@@ -26,14 +26,14 @@ self_cell!(
     }
 );
 
-/// Trained model: predicts the observation for a transmitter at any position. Load one with `Model.load(path)`.
+/// Trained model: predicts the observation for a transmitter at any position. Load one with `pwrfgs.load(path)`.
 ///
 /// Several models of one scene predict as an ensemble: the mean of their predictions. Prediction is thread-safe.
 #[pyclass(frozen, module = "pwrfgs")]
 pub(crate) struct Model {
     pub(crate) ensemble: Arc<Ensemble>,
     ready: OnceLock<PreparedEnsemble>,
-    /// Model file or run folder from which it was loaded.
+    /// Model file, run folder or name from which it was loaded.
     pub(crate) path: Option<PathBuf>,
     /// Content of the model file, of a compressed model: its numbers have fewer bits than those in memory.
     compressed: Option<Vec<u8>>,
@@ -132,7 +132,7 @@ impl Model {
 
 #[pymethods]
 impl Model {
-    /// Load a model file or a run folder; several form an ensemble.
+    /// Load a model file, a run folder or a model of the package, such as "s23"; several form an ensemble.
     #[staticmethod]
     #[pyo3(signature = (*paths))]
     fn load(py: Python<'_>, paths: Vec<PathBuf>) -> PyResult<Self> {
@@ -140,7 +140,11 @@ impl Model {
             return reject(py, "path is missing; pass a model file or a run folder");
         }
         let ensemble = without_gil(py, || read_models(&paths))?;
-        let path = <[PathBuf; 1]>::try_from(paths).ok().map(|[path]| std::path::absolute(&path).unwrap_or(path));
+        let absolute = |path: PathBuf| match ShippedModel::find(&path) {
+            Some(_) => path,
+            None => std::path::absolute(&path).unwrap_or(path),
+        };
+        let path = <[PathBuf; 1]>::try_from(paths).ok().map(|[path]| absolute(path));
         Ok(Self { path, ..Self::new(ensemble) })
     }
 

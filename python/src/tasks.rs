@@ -7,17 +7,16 @@ use crate::border::{
 use crate::data::Dataset;
 use crate::model::Model;
 use crate::settings::{Pipeline, field_list};
-use pwrfgs::experiment::{
-    ActiveRun, Observer, Session, SplitData, collect_findings, folder::PIPELINE, load_split_data, model_file,
-    read_pipeline, rebased,
-};
+use pwrfgs::experiment::{ActiveRun, Observer, Session, SplitData, collect_findings, load_split_data, rebased};
 use pwrfgs::localise::Region;
 use pwrfgs::model::compress::Bits;
 use pwrfgs::planning::floor_grid;
 use pwrfgs::raytrace::SceneFile;
 use pwrfgs::tasks::compare::CompareSettings;
 use pwrfgs::tasks::init::{DataSurvey, Effort};
-use pwrfgs::tasks::locate::{Localisation, LocateSettings, LocatedRow, ReadFeatures, UnlocatedObservations};
+use pwrfgs::tasks::locate::{
+    Localisation, LocateSettings, LocatedRow, ReadFeatures, UnlocatedObservations, read_known_pipeline,
+};
 use pwrfgs::tasks::place::{PlaceSettings, Placement, place_in_data, place_in_scene};
 use pwrfgs::tasks::plan::{Places, PlanSettings};
 use pwrfgs::tasks::update::UpdatedModel;
@@ -94,25 +93,6 @@ pub(crate) fn radio_map<'py>(py: Python<'py>, model: &Model, text: &str) -> PyRe
     Ok(dict)
 }
 
-/// Loads data and split of the pipeline next to the file of a model, changed by `set` and with findings to `accept`, also with the
-/// names of all accepted findings; an error for a model without one.
-fn load_split(
-    model: &Model,
-    set: &[String],
-    accept: Vec<String>,
-    observer: &mut TaskObserver<'_>,
-) -> Result<(SplitData, Vec<String>)> {
-    let file = model.path.as_ref().and_then(|path| model_file(path).ok());
-    let beside = file.map(|file| file.with_file_name(PIPELINE)).filter(|path| path.is_file());
-    let path = beside.ok_or_else(|| {
-        let problem = "the model has no pipeline.ron next to its file; localisation needs its data: load the model of a run folder";
-        pwrfgs_core::Error::Config(problem.into())
-    })?;
-    let mut pipeline = read_pipeline(&path, set)?;
-    pipeline.accept.extend(accept);
-    Ok((load_split_data(&pipeline, observer)?, pipeline.accept))
-}
-
 /// Reads observations of unknown transmitters: powers `[B, R]`, spectra `[B, H, W]`, or channels `[B, A, F]` as rows of real and
 /// imaginary parts.
 fn read_observations(model: &Model, value: &Bound<'_, PyAny>) -> PyResult<Vec<Real>> {
@@ -166,14 +146,18 @@ pub(crate) fn locate<'py>(
     let values = observations.map(|value| read_observations(model, value)).transpose()?;
     let Localisation { rows, text, .. } = run_stoppable(py, |stop| {
         let observer = &mut TaskObserver(stop);
-        let (split, accepted) = load_split(model, &set, accept, observer)?;
-        let (data, accepted) = (&split.data, &accepted);
+        let mut pipeline = read_known_pipeline(model.path.as_deref(), &set, values.is_some())?;
+        pipeline.iter_mut().for_each(|pipeline| pipeline.accept.extend(accept.iter().cloned()));
+        let split = pipeline.as_ref().map(|pipeline| load_split_data(pipeline, observer)).transpose()?;
+        let accepted = pipeline.as_ref().map_or(&accept, |pipeline| &pipeline.accept);
         let read = values.as_ref().map(|values| {
             let path = Path::new("observations");
-            move |features: &_| UnlocatedObservations { path, features, data, accepted }.array_features(values)
+            move |features: &_, data: &_| {
+                UnlocatedObservations { path, features, data, accepted }.array_features(values)
+            }
         });
         let read = read.as_ref().map(|read| read as ReadFeatures<'_>);
-        tasks::locate::locate(&model.ensemble, &split, read, &read_settings(text)?, 0, observer)
+        tasks::locate::locate(&model.ensemble, split.as_ref(), read, &read_settings(text)?, 0, observer)
     })?;
     let dict = location_dict(py, &rows)?;
     dict.set_item("text", text)?;

@@ -198,11 +198,16 @@ def test_locate_observations(calibrated, dataset, monkeypatch, tmp_path):
         model.locate(spectra, prior="1,0")
 
 
-def test_locate_needs_the_run_folder(model, pipeline, dataset, tmp_path):
+def test_locate_without_the_run_folder_compares_with_predictions(model, pipeline, dataset, tmp_path):
     model.save(tmp_path / "alone.safetensors")
-    for alone in (pwrfgs.Trainer(pipeline, dataset).model(), pwrfgs.Model.load(tmp_path / "alone.safetensors")):
-        with pytest.raises(pwrfgs.InputError, match="load the model of a run folder"):
+    for alone in (pwrfgs.Trainer(pipeline, dataset).model(), pwrfgs.load(tmp_path / "alone.safetensors")):
+        with pytest.raises(pwrfgs.InputError, match="use the model of a run folder"):
             alone.locate()
+        known = alone.training_positions[3]
+        result = alone.locate(alone.predict(known)[None].clip(0, 1))
+        assert np.abs(result.positions[0] - known).max() < 0.5 and np.isnan(result.region_m2).all()
+        with pytest.raises(pwrfgs.InputError, match="use the model of a run folder"):
+            alone.locate(dataset.spectra[:1], set={"data.root": "elsewhere"})
 
 
 def test_compressed_models_predict_alike(model, run, caplog, command, tmp_path):

@@ -42,7 +42,7 @@ use pwrfgs_core::Result;
 pub(crate) enum Command {
     /// Train, prune and evaluate a pipeline
     Run(run::Run),
-    /// List the pipelines in the program, or write one to a file
+    /// List the pipelines and models in the program, or copy a pipeline
     Pipelines(pipelines::Pipelines),
     /// Validate a pipeline and estimate its memory and time
     Check(check::Check),

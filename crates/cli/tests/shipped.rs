@@ -1,5 +1,6 @@
-//! Pipelines and scenes in the program are used by name, without the repository.
+//! Pipelines, scenes and models in the program are used by name, without the repository.
 use crate::common::{refuse, stderr, stdout, succeed, write};
+use pwrfgs_core::ShippedModel;
 use pwrfgs_core::testing::shared;
 
 /// Settings that make `quickstart` a run of a second.
@@ -87,6 +88,86 @@ fn experiments_and_simulate_accept_names() {
     refuse(here, &["sweep", "split"], 2, &["split: no such file", "did you mean `splits`?"]);
     succeed(here, &["simulate", "office", "--samples", "5", "--points", "10", "--no-paths", "--out", "data"]);
     assert!(here.join("data/spectrum/00005.png").is_file());
+}
+
+#[test]
+fn models_are_listed_with_their_purpose() {
+    let folder = tempfile::tempdir().unwrap();
+    let print = |arguments: &[&str]| stdout(&succeed(folder.path(), arguments));
+    let list = print(&["pipelines"]);
+    let (_, list) = list.split_once("models for `pwrfgs view`").unwrap();
+    for ShippedModel { name, purpose, .. } in ShippedModel::all() {
+        let line = list.lines().find(|line| line.starts_with(&format!("{name} "))).unwrap();
+        assert!(line.ends_with(purpose) && ["(measured)", "(simulated)"].iter().any(|word| purpose.contains(word)));
+        for command in ["view", "predict"] {
+            assert!(print(&[command, "--help"]).contains(name), "{command}: {name}");
+        }
+    }
+}
+
+#[test]
+fn models_of_program_need_no_data() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let predict = |model, out| succeed(here, &["predict", model, "--tx", "0.1,-0.2,1.2", "--out", out]);
+    assert!(stderr(&predict("s23", "spectrum")).contains("1 spectrum in spectrum"));
+    for command in [
+        &["predict", "ble", "--tx", "20,30,0", "--out", "powers"][..],
+        &["predict", "office-channel", "--tx", "3,2,1.2", "--out", "channel"],
+        &["map", "ble", "--plane", "z=0", "--step", "4", "--receiver", "g01", "--out", "map"],
+        &["export", "s23", "--ply", "s23.ply"],
+        &["compress", "office-channel", "--out", "half.safetensors", "--bits", "16"],
+        &["plan", "s23", "--floor", "lab-s23", "--count", "2"],
+    ] {
+        succeed(here, command);
+    }
+    refuse(here, &["evaluate", "s23"], 2, &[&here.join("data/s23").display().to_string()]);
+    refuse(here, &["view", "s23", "--save", "room.html"], 2, &["expected a run folder for --save"]);
+    refuse(here, &["predict", "s32", "--tx", "0,0,1", "--out", "no"], 2, &["ships no model", "did you mean `s23`?"]);
+
+    // What the user has is used first.
+    write(&here.join("ble"), ShippedModel::find("s23".as_ref()).unwrap().bytes);
+    assert!(stderr(&predict("ble", "again")).contains("1 spectrum in again"));
+    std::fs::create_dir(here.join("s23")).unwrap();
+    refuse(here, &["predict", "s23", "--tx", "0,0,1", "--out", "no"], 2, &["s23: not a run folder"]);
+}
+
+#[test]
+fn models_of_program_locate_by_their_predictions() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let position = [0.1, -0.2, 1.2];
+    succeed(here, &["predict", "s23", "--tx", "0.1,-0.2,1.2", "--out", "p"]);
+    let located = succeed(here, &["locate", "s23", "p/00001.png"]);
+    let row = stdout(&located).lines().last().unwrap().split_whitespace().map(str::to_owned).collect::<Vec<_>>();
+    for (found, expected) in row[1..4].iter().zip(position) {
+        assert!((found.parse::<f64>().unwrap() - expected).abs() < 0.15, "{row:?}");
+    }
+    assert_eq!(row.len(), 5, "no region: {row:?}");
+    let message = stderr(&located);
+    assert!(message.contains(" fingerprints, predicted at the training positions in the model file"), "{message}");
+    assert!(message.contains("there are no regions"), "{message}");
+    refuse(here, &["locate", "s23"], 2, &[&here.join("data/s23").display().to_string()]);
+    succeed(here, &["predict", "office-channel", "--tx", "3,2,1.2", "--stacked", "--out", "c"]);
+    assert!(stdout(&succeed(here, &["locate", "office-channel", "c/channels.npy"])).contains("00001"));
+}
+
+#[test]
+fn scores_of_models_are_those_of_their_cards() {
+    let Some(shared) = shared("data") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let card = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/README.md")).unwrap();
+    for (name, metric) in [("s23", "Ssim()"), ("ble", "PowerError()")] {
+        let root = format!("data.root={}", shared.join(name).display());
+        let metrics = format!("metrics=[{metric}]");
+        let arguments =
+            ["evaluate", name, "--set", &root, "--set", &metrics, "--set", "baselines=[]", "--threads", "1"];
+        let table = stdout(&succeed(folder.path(), &arguments));
+        let mut words = table.split_whitespace().skip_while(|word| *word != "mean");
+        let score = words.nth(1).unwrap_or_else(|| panic!("{table}")).trim_end_matches('*');
+        let row = card.lines().find(|line| line.starts_with(&format!("| `{name}` |"))).unwrap();
+        assert_eq!(row.split('|').nth(3).unwrap().trim().trim_matches('*'), score, "{name}: {table}");
+    }
 }
 
 #[test]

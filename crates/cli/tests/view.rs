@@ -655,6 +655,19 @@ fn idle_connections_do_not_block_page() {
 }
 
 #[test]
+fn models_of_program_are_shown_without_data() {
+    let folder = tempfile::tempdir().unwrap();
+    // Its folder has a pipeline that is not that of the model.
+    write(&folder.path().join("pipeline.ron"), "Pipeline(");
+    for arguments in [&["s23"][..], &["s23", "s23"], &["office-channel"], &["ble"]] {
+        let served = Served::start(folder.path(), arguments);
+        let word = served.parts().1;
+        let answer = served.body(&format!("/{word}/room"), "");
+        assert!(answer.contains(arguments[0]), "{arguments:?}: {answer}");
+    }
+}
+
+#[test]
 fn reports_models_that_cannot_be_viewed() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();

@@ -85,7 +85,7 @@ pub use scene::{
     coordinate_fault, position_fault,
 };
 pub use setup::{LinkInputs, MeasurementSetup, ReceiverState};
-pub use shipped::ShippedFile;
+pub use shipped::{ShippedFile, ShippedModel};
 pub use spectra::{Number, Spectra};
 pub use splats::{Primitives, SignalSplats, Splats};
 pub use statistics::evenly;

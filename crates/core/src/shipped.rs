@@ -1,4 +1,5 @@
-//! `ShippedFile`: pipelines, experiments and scenes inside the program, which are used by name.
+//! `ShippedFile` and `ShippedModel`: pipelines, experiments, scenes and trained models inside the program, which are used by
+//! name.
 //!
 //! The facade `pwrfgs` registers the files of the repository; a program without it has none.
 
@@ -77,6 +78,35 @@ impl ShippedFile {
         let header = lines.collect::<Vec<_>>().join(" ");
         let end = [". ", "? "].iter().filter_map(|mark| header.find(mark)).min().map_or(header.len(), |end| end + 1);
         header[..end].trim_end_matches('.').to_owned()
+    }
+}
+
+/// Trained model of the repository, stored in the program.
+#[derive(Debug)]
+pub struct ShippedModel {
+    /// File name without extension.
+    pub name: &'static str,
+    /// Content and data, one line.
+    pub purpose: &'static str,
+    /// Shipped pipeline with the data, split, baselines and metrics of the model.
+    pub pipeline: &'static str,
+    /// Bytes of the model file in the repository.
+    pub bytes: &'static [u8],
+}
+
+inventory::collect!(ShippedModel);
+
+impl ShippedModel {
+    /// Lists all models, in the order of their names.
+    pub fn all() -> Vec<&'static Self> {
+        let mut models: Vec<_> = inventory::iter::<Self>().collect();
+        models.sort_by_key(|model| model.name);
+        models
+    }
+
+    /// Returns the shipped model named `path`; `None` if there is none, or a file or folder of this name exists.
+    pub fn find(path: &Path) -> Option<&'static Self> {
+        inventory::iter::<Self>().find(|model| path.as_os_str() == model.name).filter(|_| !path.exists())
     }
 }
 

@@ -45,7 +45,7 @@ pub use findings::{Finding, check_observed, collect_findings, reject_findings};
 pub use input::{pipeline_text, read_pipeline, rebased};
 pub use inspect::{Preview, preview};
 pub use load::{ActiveRun, SplitData, check_findings, describe_observations, load_split_data, load_with_findings};
-pub use model_file::model_file;
+pub use model_file::{model_file, pipeline_of_model, read_model};
 pub use page::{rebuild_page, with_run};
 pub use paired::{Paired, PairedRow};
 pub use record::Record;

@@ -227,10 +227,7 @@ pub fn read(path: &Path) -> Result<Model> {
 /// As [`read`].
 pub fn read_ensemble(path: &Path) -> Result<Ensemble> {
     let bytes = files::read(path).map_err(|e| Error::read(path, e))?;
-    match from_bytes(&bytes) {
-        Ok(ensemble) => Ok(ensemble.with_read_bytes(bytes.len())),
-        Err(why) => Err(Error::input(path, format!("{why}; give the model.safetensors of a finished run"))),
-    }
+    from_bytes(&bytes).map_err(|why| Error::input(path, format!("{why}; give the model.safetensors of a finished run")))
 }
 
 /// Reads the bytes of a model file.
@@ -242,7 +239,7 @@ pub fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
     let mut file = Tensors::from_bytes(bytes)?;
     let ensemble = take_predictor(&mut file)?;
     let calibration = IntervalCalibration::take(&mut file, ensemble.members()[0].stages.task)?;
-    Ok(ensemble.with_calibration(calibration))
+    Ok(ensemble.with_calibration(calibration).with_read_bytes(bytes.len()))
 }
 
 /// Takes the models of a file and their residuals, without calibration.

@@ -1,11 +1,14 @@
 //! Positions of transmitters from their observations.
 
+mod known;
 mod observations;
 mod scores;
 
 use crate::models::check_positions;
 use crate::plane::PlaneBounds;
 use clap::Args;
+use known::predicted_samples;
+pub use known::read_known_pipeline;
 pub use observations::UnlocatedObservations;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::neighbours::distance;
@@ -72,34 +75,41 @@ pub struct Localisation {
     map: LocationMap<'static>,
 }
 
-/// Function that reads the observations of unknown transmitters as features.
-pub type ReadFeatures<'a> = &'a dyn Fn(&FingerprintFeatures) -> Result<Vec<Vec<f32>>>;
+/// Function that reads the observations of unknown transmitters as features, given the known data.
+pub type ReadFeatures<'a> = &'a dyn Fn(&FingerprintFeatures, &Dataset) -> Result<Vec<Vec<f32>>>;
 
-/// Locates transmitters by comparison with the training positions of `split`. With `observations`, estimates the positions of
-/// unknown transmitters and the errors of validation samples. Without, locates the test samples and compares their errors with
-/// those of baselines. The regions of the first `pictures` rows keep their densities. `observer` receives the progress and a
-/// description of the fit.
+/// Locates transmitters by comparison with the training positions of `split`, or, without it, with predictions at the training
+/// positions in the model file. With `observations`, estimates the positions of unknown transmitters and the errors of validation
+/// samples. Without, locates the test samples and compares their errors with those of baselines. The regions of the first
+/// `pictures` rows keep their densities. `observer` receives the progress and a description of the fit.
 ///
 /// # Errors
 /// Data of another scene than the model, without positions or with a moving receiver; invalid observations or settings.
 pub fn locate(
     ensemble: &Ensemble,
-    split: &SplitData,
+    split: Option<&SplitData>,
     observations: Option<ReadFeatures<'_>>,
     settings: &LocateSettings,
     pictures: usize,
     observer: &mut dyn Observer,
 ) -> Result<Localisation> {
     let prior = settings.prior.as_deref().map(|text| PlaneBounds::parse("--prior", text, ["x", "y"])).transpose()?;
-    let prior = prior.map(|bounds| bounds.in_metres(split.data.scene.geodetic));
+    let prior = prior.map(|bounds| bounds.in_metres(ensemble.members()[0].stages.geodetic));
     check_positions(ensemble)?;
+    let predict = || run_stage(observer, "predictions", |progress| predicted_samples(ensemble, progress));
+    let predicted = split.is_none().then(predict).transpose()?;
+    let split = split.or(predicted.as_ref()).expect("measured or predicted samples");
     let (data, fitting) = (&split.data, split.partition.known());
-    check_alike(&ensemble.prepare(), data)?;
+    if predicted.is_none() {
+        check_alike(&ensemble.prepare(), data)?;
+    }
+    let shares = if predicted.is_some() { &[0.0][..] } else { &SHARES[..] };
     let unbiased = ensemble.without_validation(data, fitting)?;
     let model = unbiased.as_ref().unwrap_or(ensemble).prepare();
     let locator =
-        run_stage(observer, "fingerprints", |progress| Locator::fit(data, fitting, &model, &SHARES, progress))?;
+        run_stage(observer, "fingerprints", |progress| Locator::fit(data, fitting, &model, shares, progress))?;
     match locator.missing_regions().filter(|_| locator.validation == 0) {
+        _ if predicted.is_some() => observer.on_message(&describe_predictions(&locator)),
         Some(why) => observer.on_warning(why),
         None => observer.on_message(&describe_locator(&locator, data.locations_of(fitting.validation).len())),
     }
@@ -112,7 +122,7 @@ pub fn locate(
         None => locator,
     };
     let rows = if let Some(read) = observations {
-        let observations = read(locator.features())?;
+        let observations = read(locator.features(), data)?;
         locate_rows(observations.len(), pictures, observer, |k| LocatedRow {
             name: format!("{:05}", k + 1),
             located: locator.locate(&observations[k]),
@@ -159,6 +169,14 @@ fn describe_regions(rows: &[LocatedRow], locator: &Locator<'_>) -> String {
                  day, with another device or in another area they hold fewer\n";
     }
     text
+}
+
+/// Describes the fingerprints of a locator without measured samples in one line.
+fn describe_predictions(locator: &Locator<'_>) -> String {
+    format!(
+        "{} fingerprints, predicted at the training positions in the model file; without measured samples there are no regions",
+        grouped(locator.positions().len() as i64)
+    )
 }
 
 /// Describes the chosen settings of a locator in one line; `validation` is the number of all validation positions.

@@ -2,26 +2,25 @@
 
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Error, Receiver, Result, did_you_mean};
-use pwrfgs_experiment::{model_file, text::join_names};
-use pwrfgs_model::{Ensemble, file};
+use pwrfgs_experiment::{read_model, text::join_names};
+use pwrfgs_model::Ensemble;
 use std::path::PathBuf;
 
 /// Maximum number of names in an error.
 const LISTED: usize = 12;
 
-/// Reads the models in files or run folders as one ensemble; a file may contain several. Members of several files have the
-/// paths of their files as names.
+/// Reads the models in files or run folders, or the shipped models of these names, as one ensemble; a file may contain several.
+/// Members of several files have the paths of their files as names.
 ///
 /// # Errors
 /// A file without a model, models of different scenes, or one of several models with a residual process.
 pub fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
-    let read = |path: &PathBuf| file::read_ensemble(&model_file(path)?);
     if let [path] = paths {
-        return read(path);
+        return read_model(path);
     }
     let mut members = Vec::new();
     for path in paths {
-        let ensemble = read(path)?;
+        let ensemble = read_model(path)?;
         if ensemble.residuals().is_some() {
             let problem = "has a residual process, which predicts for this model alone; give it as the only model";
             return Err(Error::input(path, problem));

@@ -2,11 +2,13 @@
 
 use crate::predictor::{FittedBaseline, Predictor};
 use pwrfgs_core::messages::strip_control;
-use pwrfgs_core::{Baseline, Dataset, Error, MeasurementSetup, Partition, Plugin, Predict, Result, files};
+use pwrfgs_core::{
+    Baseline, Dataset, Error, MeasurementSetup, Partition, Plugin, Predict, Result, ShippedModel, files,
+};
 use pwrfgs_experiment::folder::{CHECKPOINT, MODEL_FILE, PIPELINE, SCORES};
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::{
-    Facts, Observer, Scores, SplitData, check_alike, load_with_findings, model_file, read_pipeline,
+    Facts, Observer, Scores, SplitData, check_alike, load_with_findings, read_model, read_pipeline,
 };
 use pwrfgs_localise::{Locator, SHARES};
 use pwrfgs_model::{Ensemble, file};
@@ -51,16 +53,18 @@ pub struct ViewPane {
 }
 
 impl ViewPane {
-    /// Opens a model file or a run folder; the run may be in progress.
+    /// Opens a model file, a shipped model or a run folder; the run may be in progress.
     ///
     /// # Errors
     /// If files are missing or damaged, or if the data do not fit the model.
     pub fn open(path: &Path, observer: &mut dyn Observer) -> Result<Self> {
+        if let Some(model) = ShippedModel::find(path) {
+            return Ok(Self { name: model.name.into(), ..Self::of_models(read_model(path)?) });
+        }
         let folder = if path.is_dir() { path } else { path.parent().unwrap_or(Path::new("")) }.to_owned();
         let pipeline = folder.join(PIPELINE);
         let is_unfinished = path.is_dir() && pipeline.is_file() && !path.join(MODEL_FILE).is_file();
-        let read = || file::read_ensemble(&model_file(path)?);
-        let ensemble = (!is_unfinished).then(read).transpose()?;
+        let ensemble = (!is_unfinished).then(|| read_model(path)).transpose()?;
         let loaded =
             pipeline.is_file().then(|| LoadedData::load(&pipeline, &folder, observer)).transpose()?.map(Arc::new);
         if let (Some(ensemble), Some(loaded)) = (&ensemble, &loaded) {
@@ -101,13 +105,15 @@ impl ViewPane {
         }
     }
 
-    /// Opens what `text` names beside this pane: a model file, a run folder, or a baseline for the data of this pane.
+    /// Opens what `text` names beside this pane: a model file, a shipped model, a run folder, or a baseline for the data of this
+    /// pane.
     ///
     /// # Errors
     /// As [`Self::open`] and [`Self::fit_baseline`]; a text that is neither a path nor a baseline.
     pub fn open_beside(&self, text: &str, observer: &mut dyn Observer) -> Result<Self> {
-        if Path::new(text).exists() {
-            return Self::open(Path::new(text), observer);
+        let path = Path::new(text);
+        if path.exists() || ShippedModel::find(path).is_some() {
+            return Self::open(path, observer);
         }
         let whole = if text.contains('(') { text.to_owned() } else { format!("{text}()") };
         let baseline = Plugin::<dyn Baseline>::parse(&whole).map_err(|why| {

@@ -23,7 +23,7 @@ EXAMPLES
   pwrfgs compress runs/quickstart --out small.safetensors
   pwrfgs evaluate small.safetensors --pipeline runs/quickstart/pipeline.ron")]
 pub(crate) struct Compress {
-    /// Run folder or model file
+    /// Run folder, model file or model of the program, such as s23
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
     /// Model file to write; must not exist

@@ -9,7 +9,7 @@ use clap::Args;
 use pwrfgs::experiment::folder::{PARTIAL_SCORES, PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::{join_names, number};
-use pwrfgs::experiment::{ActiveRun, Facts, Machine, Session, load_with_findings, model_file, read_pipeline};
+use pwrfgs::experiment::{ActiveRun, Facts, Machine, Session, load_with_findings, pipeline_of_model, read_pipeline};
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs::tasks::read_models;
@@ -21,7 +21,8 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Data, split, metrics and baselines come from pipeline.ron next to the model; --set changes them.
+Data, split, metrics and baselines come from pipeline.ron next to the model, or from the pipeline of a
+model of the program; --set changes them.
 Prints the score table; --out also writes scores.csv, samples.csv and report.html.
 With --out, a command that was stopped resumes after its last predictor when it is repeated.
 Several models are scored as an ensemble: the mean of their predictions, spectra clamped to [0, 1].
@@ -31,12 +32,13 @@ EXAMPLES
   pwrfgs evaluate runs/quickstart
   pwrfgs evaluate runs/quickstart --set 'metrics=[Ssim(), L1()]' --out scored
   pwrfgs evaluate runs/s23-laptop --set data.root=data/s23
+  pwrfgs evaluate s23 --set data.root=data/s23
   pwrfgs evaluate runs/blocks/seed-0 runs/blocks/seed-1")]
 pub(crate) struct Evaluate {
-    /// Run folder or model file; several form an ensemble
+    /// Run folder, model file or model of the program, such as s23; several form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
-    /// Pipeline file [default: pipeline.ron next to the first model]
+    /// Pipeline file [default: pipeline of the first model]
     #[arg(long, value_name = "FILE")]
     pub(crate) pipeline: Option<PathBuf>,
     /// Change a setting, such as data.root=data/other; repeatable
@@ -52,17 +54,13 @@ pub(crate) struct Evaluate {
 
 /// Runs `pwrfgs evaluate`: prints the score table and writes the files of `--out`; returns the exit code.
 pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<u8> {
-    let models: Vec<PathBuf> = arguments.models.iter().map(|model| model_file(model)).collect::<Result<_>>()?;
-    let ensemble = read_numbered_models(&models)?;
-    let first = &models[0];
-    let beside = first.with_file_name(PIPELINE);
-    let path = arguments.pipeline.as_ref().unwrap_or(&beside);
-    if arguments.pipeline.is_none() && !path.is_file() {
-        return Err(Error::input(first, format!("no {PIPELINE} next to this model; set --pipeline FILE")));
-    }
-    let pipeline = read_pipeline(path, &arguments.set)?;
+    let models = &arguments.models;
+    let ensemble = read_numbered_models(models)?;
+    let path = arguments.pipeline.clone().map_or_else(|| pipeline_of_model(&models[0]), |path| Ok(Some(path)))?;
+    let missing = || Error::input(&models[0], format!("no {PIPELINE} next to this model; set --pipeline FILE"));
+    let pipeline = read_pipeline(&path.ok_or_else(missing)?, &arguments.set)?;
     let folder = arguments.out.as_ref().map(|out| begin(out, &ensemble, &pipeline, verbosity)).transpose()?;
-    let text = score(&models, &ensemble, &pipeline, folder.as_ref(), arguments.all, verbosity);
+    let text = score(models, &ensemble, &pipeline, folder.as_ref(), arguments.all, verbosity);
     match (folder, text) {
         (Some(folder), Err(Error::Stopped)) => {
             let partial = folder.path().display();
@@ -85,8 +83,8 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<u8>
     Ok(SUCCESS)
 }
 
-/// Scores the ensemble that was read from the files `models`, writes its results to `folder`, and returns the score table
-/// with `all` metrics or the main ones.
+/// Scores the ensemble that was read from `models`, writes its results to `folder`, and returns the score table with `all`
+/// metrics or the main ones.
 fn score(
     models: &[PathBuf],
     ensemble: &Ensemble,
@@ -161,17 +159,18 @@ fn read_numbered_models(paths: &[PathBuf]) -> Result<Ensemble> {
 /// Returns the number of training samples of the models, from their run folders; 0 if unknown or different.
 fn count_training_samples(models: &[PathBuf]) -> usize {
     let samples_of = |model: &PathBuf| {
-        let facts = Facts::read(model.parent().unwrap_or(Path::new(""))).ok().flatten();
+        let pipeline = pipeline_of_model(model).ok().flatten().filter(|path| path.is_file());
+        let facts = pipeline.and_then(|path| Facts::read(path.parent()?).ok().flatten());
         facts.map_or(0, |facts| facts.samples[0])
     };
     let first = samples_of(&models[0]);
     if models.iter().all(|model| samples_of(model) == first) { first } else { 0 }
 }
 
-/// Returns whether the pipeline next to `model` is readable and has the data and split of `pipeline`.
+/// Returns whether the pipeline of `model` is readable and has the data and split of `pipeline`.
 fn has_same_data(model: &Path, pipeline: &Pipeline) -> bool {
-    let trained = read_pipeline(&model.with_file_name(PIPELINE), &[]);
-    trained.is_ok_and(|trained| data_key(&trained) == data_key(pipeline))
+    let trained = pipeline_of_model(model).ok().flatten().and_then(|path| read_pipeline(&path, &[]).ok());
+    trained.is_some_and(|trained| data_key(&trained) == data_key(pipeline))
 }
 
 /// Warns of receivers whose name or pose differs from those of the model; of a single one, only of the pose.

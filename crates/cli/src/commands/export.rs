@@ -30,7 +30,7 @@ EXAMPLES
   pwrfgs export runs/quickstart --tx 3.5,2.2,1.2 --ply at.ply --npz at.npz")]
 #[command(group(clap::ArgGroup::new("what").required(true).multiple(true).args(["ply", "npz", "half"])))]
 pub(crate) struct Export {
-    /// Run folder or model file
+    /// Run folder, model file or model of the program, such as s23
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
     /// Write the Gaussians as PLY for splat viewers

@@ -3,14 +3,14 @@
 use crate::output::{self, Verbosity};
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::experiment::folder::PIPELINE;
+use pwrfgs::experiment::load_split_data;
 use pwrfgs::experiment::text::grouped;
-use pwrfgs::experiment::{load_split_data, model_file, read_pipeline};
-use pwrfgs::pipeline::Pipeline;
-use pwrfgs::tasks::locate::{LocateSettings, ReadFeatures, UnlocatedObservations, locate as locate_model};
+use pwrfgs::tasks::locate::{
+    LocateSettings, ReadFeatures, UnlocatedObservations, locate as locate_model, read_known_pipeline,
+};
 use pwrfgs::tasks::{check_positions, read_models};
+use pwrfgs_core::Result;
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
@@ -20,6 +20,9 @@ blended with what the model predicts there. The estimate is the mode of the most
 the 90 % region. Validation samples choose the blend, the weights, whether to descend along the
 model, and the size of the regions; train with validation samples, such as
 split=Voxel(size_m: 0.3, validation: 0.1), to get regions.
+
+A model file without pipeline.ron, and a model of the program such as s23 (`pwrfgs pipelines`), compare
+OBSERVATIONS with predictions at the training positions in the file, without regions.
 
 Without OBSERVATIONS, locates the test samples of the model's data and prints the errors beside
 those of nearest fingerprints, of fingerprints predicted by Kriging, and of the centre of the room.
@@ -38,9 +41,10 @@ FILES of --out
 
 EXAMPLES
   pwrfgs locate runs/ble --out located
-  pwrfgs locate runs/ble powers.csv --prior 10,30,10,40")]
+  pwrfgs locate runs/ble powers.csv --prior 10,30,10,40
+  pwrfgs locate s23 spectrum.png")]
 pub(crate) struct Locate {
-    /// Run folder, or model file next to its pipeline.ron
+    /// Run folder, model file or model of the program, such as s23
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
     /// Observations of unknown transmitters [default: test samples of the data]
@@ -66,18 +70,20 @@ pub(crate) struct Locate {
 pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;
     check_positions(&ensemble)?;
-    let mut pipeline = read_pipeline_of_model(arguments)?;
-    pipeline.accept.extend(arguments.accept.iter().cloned());
+    let observations = arguments.observations.as_ref();
+    let mut pipeline = read_known_pipeline(Some(&arguments.model), &arguments.set, observations.is_some())?;
+    pipeline.iter_mut().for_each(|pipeline| pipeline.accept.extend(arguments.accept.iter().cloned()));
     let folder = arguments.out.as_ref().map(|out| NewFolder::begin(out)).transpose()?;
-    let split = RunProgress::observe(verbosity, |progress| load_split_data(&pipeline, progress))?;
-    let (data, accepted) = (&split.data, &pipeline.accept);
-    let read = arguments.observations.as_ref();
-    let read =
-        read.map(|path| move |features: &_| UnlocatedObservations { path, features, data, accepted }.read_features());
-    let observations = read.as_ref().map(|read| read as ReadFeatures<'_>);
+    let load = |pipeline: &_| RunProgress::observe(verbosity, |progress| load_split_data(pipeline, progress));
+    let split = pipeline.as_ref().map(load).transpose()?;
+    let accepted = pipeline.as_ref().map_or(&arguments.accept, |pipeline| &pipeline.accept);
+    let read = observations.map(|path| {
+        move |features: &_, data: &_| UnlocatedObservations { path, features, data, accepted }.read_features()
+    });
+    let read = read.as_ref().map(|read| read as ReadFeatures<'_>);
     let pictures = if folder.is_some() { arguments.pictures } else { 0 };
     let located = RunProgress::observe(verbosity, |progress| {
-        locate_model(&ensemble, &split, observations, &arguments.settings, pictures, progress)
+        locate_model(&ensemble, split.as_ref(), read, &arguments.settings, pictures, progress)
     })?;
     if let (Some(folder), Some(out)) = (folder, &arguments.out) {
         located.write(&folder)?;
@@ -85,14 +91,4 @@ pub(crate) fn locate(arguments: &Locate, verbosity: Verbosity) -> Result<()> {
         verbosity.print_note(&format!("{} positions in {}", grouped(located.rows.len() as i64), out.display()));
     }
     output::print_result(&located.text)
-}
-
-/// Reads the pipeline next to the model, with the changes of `--set`; an error without such a file.
-fn read_pipeline_of_model(arguments: &Locate) -> Result<Pipeline> {
-    let path = model_file(&arguments.model)?.with_file_name(PIPELINE);
-    if !path.is_file() {
-        let problem = format!("no {PIPELINE} next to this model; localisation needs its data");
-        return Err(Error::input(&arguments.model, problem));
-    }
-    read_pipeline(&path, &arguments.set)
 }

@@ -31,7 +31,7 @@ EXAMPLES
   pwrfgs map runs/ble --plane z=0 --step 0.25 --receiver g01 --out g01
   pwrfgs map runs/quickstart --plane z=1.2 --of direction --out directions")]
 pub(crate) struct Map {
-    /// Run folder or model file; several form an ensemble
+    /// Run folder, model file or model of the program, such as s23; several form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
     #[command(flatten)]

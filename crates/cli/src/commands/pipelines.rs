@@ -1,21 +1,23 @@
-//! `pwrfgs pipelines`: lists the shipped pipelines and experiments, or writes one to a file.
+//! `pwrfgs pipelines`: lists the shipped pipelines, experiments and models, or writes a pipeline to a file.
 
 use crate::output;
 use clap::Args;
 use pwrfgs::experiment::text::align_columns;
 use pwrfgs_core::files::{check_file_path, write_new};
-use pwrfgs_core::{Error, Result, ShippedFile, did_you_mean};
+use pwrfgs_core::{Error, Result, ShippedFile, ShippedModel, did_you_mean};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Every command that reads a pipeline accepts a name of this list instead of a file, and `pwrfgs sweep`
-the name of an experiment. Paths of a named file, such as data/s23, begin in the current directory.
-A file of the same name is used first.
+Every command that reads a pipeline accepts a name of this list instead of a file, `pwrfgs sweep` the
+name of an experiment, and every command that reads a model the name of a model. Paths of a named
+file, such as data/s23, begin in the current directory. A file of the same name is used first; for
+models, also a folder.
 
 EXAMPLES
   pwrfgs pipelines
   pwrfgs run quickstart
+  pwrfgs view s23
   pwrfgs sweep paper-office --dry-run
   pwrfgs pipelines --copy s23-laptop")]
 pub(crate) struct Pipelines {
@@ -45,14 +47,16 @@ pub(crate) fn list_or_copy_pipelines(arguments: &Pipelines) -> Result<()> {
         let (out, purpose) = (out.display(), file.purpose());
         return output::print_result(&format!("{out}: {purpose}\nnext: pwrfgs {command} {out}\n"));
     }
-    let list = |files: &[&ShippedFile]| {
-        align_columns(&files.iter().map(|file| vec![file.name.to_owned(), file.purpose()]).collect::<Vec<_>>(), 2)
-    };
+    let row = |file: &&ShippedFile| vec![file.name.to_owned(), file.purpose()];
+    let list = |files: &[&ShippedFile]| align_columns(&files.iter().map(row).collect::<Vec<_>>(), 2);
+    let models = ShippedModel::all().into_iter().map(|model| vec![model.name.to_owned(), model.purpose.to_owned()]);
     let scenes: Vec<&str> = scenes.iter().map(|file| file.name).collect();
     output::print_result(&format!(
-        "{}\nexperiments for `pwrfgs sweep`:\n{}\nscenes for `pwrfgs simulate`: {}\n",
+        "{}\nexperiments for `pwrfgs sweep`:\n{}\nmodels for `pwrfgs view`, `predict`, `map`, `locate`, ..:\n{}\n\
+         scenes for `pwrfgs simulate`: {}\n",
         list(&pipelines),
         list(&experiments),
+        align_columns(&models.collect::<Vec<_>>(), 2),
         scenes.join(", ")
     ))
 }

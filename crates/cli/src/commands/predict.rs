@@ -17,7 +17,8 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Needs only the model. predictions.csv has a row per position and receiver, with the distance to
+Needs only the model. Models of the program: s23, ble, office-channel (`pwrfgs pipelines` describes
+them). predictions.csv has a row per position and receiver, with the distance to
 the nearest training position in metres and:
   spectra   azimuth and elevation of the strongest direction in degrees, and its value
   powers    power in dBm
@@ -35,6 +36,7 @@ A warning counts extrapolations: positions farther from all training positions t
 spacing (95th percentile of nearest-neighbour distances).
 
 EXAMPLES
+  pwrfgs predict s23 --tx 0.1,-0.2,1.2 --out predicted
   pwrfgs predict runs/quickstart --tx 3.5,2.2,1.2 --out predicted
   pwrfgs predict runs/quickstart --tx 3.5,2.2,1.2 --interval 0.9 --out band
   printf 'x,y,z\\n3,2,1.1\\n4,3,1.2\\n' > walk.csv
@@ -43,7 +45,7 @@ EXAMPLES
   pwrfgs predict runs/lobby --rx-pose 3.5,2.2,1.2,0,0,0,1 --out turned    (the receiver moves)")]
 #[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv", "rx_pose", "rx_pose_csv"])))]
 pub(crate) struct Predict {
-    /// Run folder or model file; several form an ensemble
+    /// Run folder, model file or model of the program, such as s23; several form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
     /// One transmitter position in metres, world frame

@@ -8,7 +8,7 @@ use pwrfgs::experiment::{model_file, with_run};
 use pwrfgs::report::room_page;
 use pwrfgs::viewer::{PageHost, ViewPane, view as show};
 use pwrfgs_core::files::{check_new_file, create};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, ShippedModel};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -26,16 +26,18 @@ ON THE PAGE
   locate       shows where `pwrfgs locate` puts the selected sample, with its 90 % region
 Two models, or a model and a baseline on the same data, share the transmitter. Write the baseline as
 in a pipeline, such as 'NearestNeighbours(k: 5)', or give its name.
+Models of the program need no data: s23, ble, office-channel (`pwrfgs pipelines` describes them).
 With --save, it writes a page that needs no server. Single models of spectra predict in it, in 8
 bits from 1 MB on, up to 1.5 MB; other models show up to 50 stored predictions.
 
 EXAMPLES
+  pwrfgs view s23
   pwrfgs view runs/quickstart
   pwrfgs view runs/quickstart --save room.html
   pwrfgs view runs/quickstart 'NearestNeighbours(k: 5)'
   pwrfgs view runs/s23-best/joined runs/s23-laptop")]
 pub(crate) struct View {
-    /// Run folder or model file; the second may be a baseline, such as Kriging
+    /// Run folder, model file or model of the program, such as s23; the second may be a baseline, such as Kriging
     #[arg(value_name = "MODEL_OR_RUN", required = true, num_args = 1..=2)]
     pub(crate) sides: Vec<String>,
     /// Open the page in a browser; its address is visible in the process list
@@ -67,7 +69,7 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
 /// Writes the room of a finished run as a page; `sides` must be this run alone.
 fn save_page(sides: &[String], file: &Path, verbosity: Verbosity) -> Result<()> {
     let [run] = sides else { return Err(Error::Config("--save writes one run; name one run folder".into())) };
-    if Path::new(run).is_file() {
+    if Path::new(run).is_file() || ShippedModel::find(Path::new(run)).is_some() {
         return Err(Error::input(Path::new(run), "model file, expected a run folder for --save"));
     }
     model_file(Path::new(run))?; // a clear error for the folder of a sweep

@@ -6,15 +6,14 @@ use clap::Args;
 use pwrfgs::data::read_transmitters;
 use pwrfgs::experiment::folder::{MODEL_FILE, PIPELINE};
 use pwrfgs::experiment::sweep::LISTING;
-use pwrfgs::experiment::{model_file, run_stage};
-use pwrfgs::model::file;
+use pwrfgs::experiment::{read_model, run_stage};
 use pwrfgs::tasks::plan::Places;
 use pwrfgs_core::{Error, Result, recognise};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 pub(crate) struct PlaceOptions {
-    /// Data folder, run folder or model file
+    /// Data folder, run folder, model file or model of the program
     #[arg(value_name = "SOURCE", required_unless_present_any = ["candidates", "floor"])]
     pub(crate) source: Option<PathBuf>,
     /// CSV file of candidates: columns x, y, z in metres; others are ignored
@@ -60,9 +59,8 @@ fn read_known(path: &Path, progress: &mut RunProgress) -> Result<Places> {
         let advice = "name a data folder (layouts: docs/data.md), a run folder or a model file";
         return Err(Error::input(path, format!("neither data nor a run found; {advice}")));
     }
-    let model = model_file(path)?;
-    let places = Places::of_model(&file::read_ensemble(&model)?, &stem(path));
-    places.ok_or_else(|| Error::input(&model, "has no training positions; name the data folder of its training"))
+    let places = Places::of_model(&read_model(path)?, &stem(path));
+    places.ok_or_else(|| Error::input(path, "has no training positions; name the data folder of its training"))
 }
 
 /// Creates positions on a grid over the floor of the scene in `path`, outside its objects, in rows of alternating
