@@ -26,7 +26,7 @@ pub fn select(choice: DeviceChoice) -> Result<()> {
 /// # Errors
 /// [`Error::Config`] in a program without GPU support.
 #[cfg(feature = "gpu")]
-pub fn list() -> Result<Vec<(String, bool)>> {
+pub fn list_gpus() -> Result<Vec<(String, bool)>> {
     Ok(pwrfgs_gpu::list().into_iter().map(|line| (line.name, line.is_software)).collect())
 }
 
@@ -35,7 +35,7 @@ pub fn list() -> Result<Vec<(String, bool)>> {
 /// # Errors
 /// Always [`Error::Config`].
 #[cfg(not(feature = "gpu"))]
-pub fn list() -> Result<Vec<(String, bool)>> {
+pub fn list_gpus() -> Result<Vec<(String, bool)>> {
     Err(no_gpu_support("devices"))
 }
 

@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 #[pyfunction]
 pub(crate) fn devices(py: Python<'_>) -> PyResult<Vec<String>> {
     let mark = |(name, is_software): (String, bool)| if is_software { name + ", a software GPU" } else { name };
-    without_gil(py, || Ok(pwrfgs::device::list()?.into_iter().map(mark).collect()))
+    without_gil(py, || Ok(pwrfgs::device::list_gpus()?.into_iter().map(mark).collect()))
 }
 
 /// Select where the networks of this process run: ``"cpu"``, ``"gpu"``, ``"auto"``, or a number of ``devices()``. Returns the

@@ -56,4 +56,4 @@ pub use samples::TestSamples;
 pub use scores::{CEILING, IntervalScores, LevelScores, ScoreTable, Scores};
 pub use session::{LoadedRun, NoopObserver, Observer, PageBuilder, Session, Start, Validation, run_stage};
 pub use statistics::Summary;
-pub use study::{ParetoComparison, Setting, Study, StudyVariant, VariantFamily, distinct, ron_line};
+pub use study::{ParetoComparison, Setting, Study, StudyVariant, VariantFamily, distinct};

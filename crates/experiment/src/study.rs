@@ -8,7 +8,7 @@ mod families;
 mod setting;
 
 pub use families::{ParetoComparison, VariantFamily};
-pub use setting::{Setting, StudyVariant, distinct, ron_line};
+pub use setting::{Setting, StudyVariant, distinct};
 
 use crate::Record;
 use crate::folder::PIPELINE;

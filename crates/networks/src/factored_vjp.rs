@@ -136,7 +136,7 @@ impl FactoredLayers {
         let mut d_h = self.wave_mixture_vjp(weights, &layers[self.stack.len()], d, d_weights);
         if let (Some(near), Some(correlations)) = (&self.near, layers.get(self.stack.len() + 1)) {
             for c in 0..2 {
-                near.vjp(c, correlations, &d.waves[c], d_weights);
+                near.weight_vjp(c, correlations, &d.waves[c], d_weights);
                 if let Some(d_txs) = &mut d_txs {
                     near.position_vjp(weights, c, txs, correlations, &d.waves[c], d_txs);
                 }

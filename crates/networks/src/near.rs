@@ -105,7 +105,7 @@ impl NearLayer {
 
     /// Adds the derivatives of the weights of channel `c` to `d_weights`, given those `d_waves` `[waves, B]` of the
     /// coefficients.
-    pub(super) fn vjp(&self, c: usize, correlations: &[Real], d_waves: &[Real], d_weights: &mut [Real]) {
+    pub(super) fn weight_vjp(&self, c: usize, correlations: &[Real], d_waves: &[Real], d_weights: &mut [Real]) {
         let batch = correlations.len() / self.count;
         let d_table = &mut d_weights[self.channel_offset(c)..][..self.count * self.waves];
         let d_waves = Matrix::new(d_waves, self.waves, batch);

@@ -42,6 +42,7 @@ impl Branch {
     /// Returns the columns of `sig.0` for the feature, γ(p) and γ(X - p).
     pub(super) fn first_layer_parts(&self) -> [LayerPart; 3] {
         let (first, gamma) = (&self.signal[0], encoding::encoded_width(self.frequencies));
+        // The feature has as many values as this layer has outputs: the width of the network.
         let width = first.outputs;
         [first.part(0..width), first.part(width..width + gamma), first.part(width + gamma..width + 2 * gamma)]
     }

@@ -15,9 +15,10 @@ use crate::live::PAGE_STYLE;
 use crate::templates::render;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
+use pwrfgs_core::plugin::ron_line;
 use pwrfgs_core::{Appearance, Error, Result};
 use pwrfgs_experiment::folder::{REPORT, START_SNAPSHOT, UNPRUNED_SNAPSHOT};
-use pwrfgs_experiment::{CEILING, LoadedRun, ron_line, text::grouped};
+use pwrfgs_experiment::{CEILING, LoadedRun, text::grouped};
 use pwrfgs_model::{Model, Snapshot};
 
 /// Creates the page of a run from its folder.

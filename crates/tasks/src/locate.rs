@@ -81,7 +81,7 @@ pub type ReadFeatures<'a> = &'a dyn Fn(&FingerprintFeatures, &Dataset) -> Result
 /// Locates transmitters by comparison with the training positions of `split`, or, without it, with predictions at the training
 /// positions in the model file. With `observations`, estimates the positions of unknown transmitters and the errors of validation
 /// samples. Without, locates the test samples and compares their errors with those of baselines. The regions of the first
-/// `pictures` rows keep their densities. `observer` receives the progress and a description of the fit.
+/// `images` rows keep their densities. `observer` receives the progress and a description of the fit.
 ///
 /// # Errors
 /// Data of another scene than the model, without positions or with a moving receiver; invalid observations or settings.
@@ -90,7 +90,7 @@ pub fn locate(
     split: Option<&SplitData>,
     observations: Option<ReadFeatures<'_>>,
     settings: &LocateSettings,
-    pictures: usize,
+    images: usize,
     observer: &mut dyn Observer,
 ) -> Result<Localisation> {
     let prior = settings.prior.as_deref().map(|text| PlaneBounds::parse("--prior", text, ["x", "y"])).transpose()?;
@@ -113,43 +113,62 @@ pub fn locate(
         Some(why) => observer.on_warning(why),
         None => observer.on_message(&describe_locator(&locator, data.locations_of(fitting.validation).len())),
     }
-    let expected = observations.is_some().then(|| scores::describe_validation(&locator, data, fitting));
-    let locator = match prior {
-        Some(bounds) => {
-            let inside = locator.within(move |position| bounds.has_point(position));
-            inside.map_err(|e| Error::Config(format!("--prior: {e}")))?
-        }
-        None => locator,
-    };
-    let rows = if let Some(read) = observations {
-        let observations = read(locator.features(), data)?;
-        locate_rows(observations.len(), pictures, observer, |k| LocatedRow {
-            name: format!("{:05}", k + 1),
-            located: locator.locate(&observations[k]),
-            truth: None,
-        })
+    // Of all validation samples, before `--prior` leaves some out.
+    let observations = observations.map(|read| (read, scores::describe_validation(&locator, data, fitting)));
+    let locator = restrict_to_prior(locator, prior)?;
+    let (rows, table) = if let Some((read, expected)) = observations {
+        let rows = locate_observations(&locator, &read(locator.features(), data)?, images, observer);
+        let table = format_positions(&rows, data.scene.geodetic) + &expected;
+        (rows, table)
     } else {
-        let test = data.locations_of(&split.partition.test);
-        let observations = locator.observations(data, &test);
-        locate_rows(test.len(), pictures, observer, |k| LocatedRow {
-            name: format!("{:05}", data.locations[test[k]].id),
-            located: locator.locate(&observations[k]),
-            truth: Some(data.locations[test[k]].position()),
-        })
-    };
-    let table = if let Some(expected) = expected {
-        format_positions(&rows, data.scene.geodetic) + &expected
-    } else {
+        let rows = locate_test_samples(&locator, split, images, observer);
         let located: Vec<&Located> = rows.iter().map(|row| &row.located).collect();
-        scores::format_errors(&located, &locator, split, !settings.no_kriging, observer)?
+        let table = scores::format_errors(&located, &locator, split, !settings.no_kriging, observer)?;
+        (rows, table)
     };
     let text = table + &describe_regions(&rows, &locator);
-    Ok(Localisation {
-        rows,
-        text,
-        title: data.title.clone(),
-        geodetic: data.scene.geodetic,
-        map: empty_map(&locator, data),
+    let (title, geodetic) = (data.title.clone(), data.scene.geodetic);
+    Ok(Localisation { rows, text, title, geodetic, map: empty_map(&locator, data) })
+}
+
+/// Restricts a locator to the area of `--prior`, if given.
+///
+/// # Errors
+/// No training position is inside.
+fn restrict_to_prior<'a>(locator: Locator<'a>, prior: Option<PlaneBounds>) -> Result<Locator<'a>> {
+    let Some(bounds) = prior else { return Ok(locator) };
+    let inside = locator.within(move |position| bounds.has_point(position));
+    inside.map_err(|e| Error::Config(format!("--prior: {e}")))
+}
+
+/// Locates unknown transmitters by their observations, one row of features each.
+fn locate_observations(
+    locator: &Locator<'_>,
+    observations: &[Vec<f32>],
+    images: usize,
+    observer: &mut dyn Observer,
+) -> Vec<LocatedRow> {
+    locate_rows(observations.len(), images, observer, |k| LocatedRow {
+        name: format!("{:05}", k + 1),
+        located: locator.locate(&observations[k]),
+        truth: None,
+    })
+}
+
+/// Locates the test transmitters of `split`, whose positions are known.
+fn locate_test_samples(
+    locator: &Locator<'_>,
+    split: &SplitData,
+    images: usize,
+    observer: &mut dyn Observer,
+) -> Vec<LocatedRow> {
+    let data = &split.data;
+    let test = data.locations_of(&split.partition.test);
+    let observations = locator.observations(data, &test);
+    locate_rows(test.len(), images, observer, |k| LocatedRow {
+        name: format!("{:05}", data.locations[test[k]].id),
+        located: locator.locate(&observations[k]),
+        truth: Some(data.locations[test[k]].position()),
     })
 }
 
@@ -194,17 +213,16 @@ fn describe_locator(locator: &Locator<'_>, validation: usize) -> String {
     )
 }
 
-/// Locates `count` transmitters by `locate`, in their order; the regions of the first `pictures` keep their densities.
+/// Locates `count` transmitters by `locate`, in their order; the regions of the first `images` keep their densities.
 fn locate_rows(
     count: usize,
-    pictures: usize,
+    images: usize,
     observer: &mut dyn Observer,
     locate: impl Fn(usize) -> LocatedRow + Sync,
 ) -> Vec<LocatedRow> {
     let without_density = |k: usize| {
         let mut row = locate(k);
-        row.located.region =
-            row.located.region.map(|region| if k < pictures { region } else { region.without_values() });
+        row.located.region = row.located.region.map(|region| if k < images { region } else { region.without_values() });
         row
     };
     let mut rows = Vec::with_capacity(count);

@@ -91,18 +91,19 @@ fn open_data(path: &Path, set: &[String], observer: &mut RunProgress) -> Result<
     Ok((pipeline, data))
 }
 
-/// Returns the pipeline file that `path` names: itself, or that of a run folder. Other tables, arrays and folders are
+/// Returns the pipeline file that `path` names: itself, or that of a run folder. Tables, arrays and other folders are
 /// errors.
 fn pipeline_file(path: &Path) -> Result<PathBuf> {
     if is_table_or_array(path) {
         return Err(unknown_folder_error(path));
     }
     match resolve_pipeline(path) {
+        // The error for a sweep folder lists its runs, so it stays.
         Err(_neither) if !path.join(LISTING).is_file() => {
             let problem = "neither data (spectra, received powers or channels) nor a run found; name a data folder, a pipeline \
                         file or a run folder (layouts: docs/data.md)";
             Err(Error::input(path, problem))
         }
-        path => Ok(path?.0),
+        resolved => Ok(resolved?.0),
     }
 }

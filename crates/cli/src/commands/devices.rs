@@ -55,7 +55,7 @@ pub(crate) fn print_devices() -> Result<()> {
         let note = if is_software { "a software GPU, slower than the CPU" } else { "" };
         vec![number.to_string(), name, note.to_owned()]
     };
-    let rows: Vec<Vec<String>> = pwrfgs::device::list()?.into_iter().enumerate().map(number).collect();
+    let rows: Vec<Vec<String>> = pwrfgs::device::list_gpus()?.into_iter().enumerate().map(number).collect();
     if rows.is_empty() {
         let advice = "install a driver, on a cluster set VK_DRIVER_FILES";
         return crate::output::print_result(&format!("no GPU found (Vulkan, Metal, DX12); {advice}\n"));

@@ -9,7 +9,7 @@ use crate::scores::CEILING;
 use crate::session::{NoopObserver, Session, run_stage};
 use crate::statistics::Summary;
 use crate::text::{align_columns, format_length, number, wrap_words};
-use pwrfgs_core::plugin::to_ron;
+use pwrfgs_core::plugin::ron_line;
 use pwrfgs_core::{Baseline, Dataset, Metric, Plugin, Result, Scope, Split, Values, evenly, registered, rng};
 use pwrfgs_pipeline::Pipeline;
 use std::sync::atomic::AtomicBool;
@@ -188,12 +188,11 @@ fn format_entry(name: &str, words: &str) -> String {
 
 /// Lists the split of `pipeline`, marked `*`, and all other registered splits that need no settings, with their names.
 fn list_splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
-    let ron = to_ron(&pipeline.split);
-    let name = ron.split_whitespace().collect::<Vec<_>>().join(" ").replace("( ", "(").replace(", )", ")");
+    let name = ron_line(&pipeline.split);
     // A fold has the test set of another split.
     let others = registered::<dyn Split>().into_iter().filter(|name| *name != "Fold").filter_map(|name| {
         let split = Plugin::<dyn Split>::parse(&format!("{name}()")).ok()?;
-        (split.ready().is_ok() && to_ron(&split) != ron).then(|| (split, format!("{name}()")))
+        (split.ready().is_ok() && ron_line(&split) != name).then(|| (split, format!("{name}()")))
     });
-    [(pipeline.split.clone(), name + " *")].into_iter().chain(others).collect()
+    [(pipeline.split.clone(), format!("{name} *"))].into_iter().chain(others).collect()
 }

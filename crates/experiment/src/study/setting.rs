@@ -4,7 +4,7 @@ use crate::folder::MODEL_FILE;
 use crate::scores::MODEL;
 use crate::statistics::Spread;
 use crate::{FileDigest, Record};
-use pwrfgs_core::{Error, Headline, Result, Task, plugin::ron_options};
+use pwrfgs_core::{Error, Headline, Result, Task, plugin::ron_line};
 use pwrfgs_pipeline::Pipeline;
 use serde::Serialize;
 use serde_json::Value;
@@ -261,12 +261,6 @@ pub fn distinct<T: PartialEq>(items: impl IntoIterator<Item = T>) -> Vec<T> {
         }
     }
     kept
-}
-
-/// Formats a value as RON on one line; empty if RON cannot hold it.
-pub fn ron_line(value: &impl serde::Serialize) -> String {
-    let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(0);
-    ron_options().to_string_pretty(value, config).unwrap_or_default()
 }
 
 #[cfg(test)]

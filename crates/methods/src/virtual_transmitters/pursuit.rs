@@ -195,19 +195,20 @@ impl<'a> PursuitSearch<'a> {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Adds sources to the best set, then removes the least important ones; repeats both for `rounds` while the score
-    /// improves. `best` is the best score (dB) with its sources.
+    /// Adds sources to the best set, then, if items are held out, removes the least important ones; repeats both up to
+    /// `rounds` times while the score improves. `best` is the best score (dB) with its sources.
     fn improve_best(mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(f64)) {
         let (&MatchingPursuit { most, rounds, .. }, mut done) = (&self.options.settings, 0);
         for round in 0..=rounds {
             let (before, first) = (best.0, best.1.len() as f64);
-            let most = if round == 0 { most } else { most / 2 };
-            let added = |sources: f64| done as f64 + (sources - first).clamp(0.0, most as f64);
+            // For the progress: later rounds replace at most the removed half.
+            let additions = if round == 0 { most } else { most / 2 };
+            let added = |sources: f64| done as f64 + (sources - first).clamp(0.0, additions as f64);
             self.add_sources(best, &mut |sources| report_progress(added(sources)));
-            done += most;
+            done += additions;
             if !self.held_out.is_empty() {
                 self.remove_sources(best, &mut |removed| report_progress((done + removed) as f64));
-                done += self.options.settings.most / 2;
+                done += most / 2;
             }
             if best.0 <= before || self.is_stopped() {
                 break;
