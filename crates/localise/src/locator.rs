@@ -135,6 +135,15 @@ impl<'a> Locator<'a> {
         Ok(locator)
     }
 
+    /// Returns the fingerprints that resemble those of up to [`COMPARED`] positions, without these positions: the scale of
+    /// misfits without validation samples.
+    fn nearest_others(&self) -> Vec<NearestList> {
+        let fingerprints = &self.fingerprints;
+        let chosen = evenly(&(0..fingerprints.len()).collect::<Vec<_>>(), COMPARED);
+        let nearest = |k: &usize| fingerprints.nearest(fingerprints.row(*k), KERNELS, Some(fingerprints.positions[*k]));
+        chosen.par_iter().map(nearest).collect()
+    }
+
     /// Chooses the share of the model, with the level and the settings of the mode, by the mean error of validation
     /// samples. Returns this error, metres. `done` is called after every sample of a share.
     fn choose_share(
@@ -152,7 +161,10 @@ impl<'a> Locator<'a> {
                 done();
                 self.fingerprints.nearest(&sample.observation, KERNELS, None)
             };
-            let nearest: Vec<NearestList> = samples.par_iter().map(nearest).collect();
+            let mut nearest: Vec<NearestList> = samples.par_iter().map(nearest).collect();
+            if samples.is_empty() {
+                nearest = self.nearest_others();
+            }
             let compared = ComparedSamples { positions: &self.fingerprints.positions, samples, nearest: &nearest };
             self.choice = compared.most_likely_choice(*share, self.spacing);
             self.level = compared.region_level(self.choice);
