@@ -97,7 +97,7 @@ fn readme_compares_times_as_the_table_does() {
     let rows = ["| `s23-laptop.ron` | 157", "| Kriging on s23", "| 5-NN on s23"];
     let [(model, own), (kriging, others), (neighbours, _)] = rows.map(times);
     assert!(own[0] > others[1], "the model is not slower than Kriging any more");
-    let stated = format!("| **{kriging}** (Kriging), **{neighbours}** (5-NN) | {model};");
+    let stated = format!("| **{kriging}** (Kriging), **{neighbours}** (5-NN) | {model} |");
     assert!(text("README.md").contains(&stated), "README lacks: {stated}");
 }
 

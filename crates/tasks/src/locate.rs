@@ -135,7 +135,7 @@ pub fn locate(
 ///
 /// # Errors
 /// No training position is inside.
-fn restrict_to_prior<'a>(locator: Locator<'a>, prior: Option<PlaneBounds>) -> Result<Locator<'a>> {
+fn restrict_to_prior(locator: Locator<'_>, prior: Option<PlaneBounds>) -> Result<Locator<'_>> {
     let Some(bounds) = prior else { return Ok(locator) };
     let inside = locator.within(move |position| bounds.has_point(position));
     inside.map_err(|e| Error::Config(format!("--prior: {e}")))

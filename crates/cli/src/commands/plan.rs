@@ -17,7 +17,7 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Selects one candidate after another. Each lowers the variance of a Gaussian process, summed over the
 region, most. Prints random, regular and largest-variance choices of the same size beside the plan.
-Writes plan.csv (order, candidate, position, mean variance so far) and plan.png.
+Writes plan.csv (order, candidate, position, mean variance after it) and plan.png.
 CANDIDATES
   SOURCE alone           the positions of a data folder, none of them measured yet
   --candidates, --floor  new positions; those of SOURCE (data, run folder or model) are measured

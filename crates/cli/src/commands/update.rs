@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "\
 The model needs a residual process (residuals: Kriged() in its pipeline). All links of the new data
 become known links. Nothing is trained: the Gaussians, the network and the correlation stay.
-The data need the observations, receivers and frequencies of the model, and most links must lie
+The new data need the kind of observation, receivers and frequencies of the model. Most links must lie
 inside its 99 % intervals. A model without calibration of intervals prints the distances only.
 
 EXAMPLES
