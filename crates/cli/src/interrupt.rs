@@ -26,8 +26,8 @@ static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 /// Whether the process is ending; later errors are then ignored.
 static ENDING: AtomicBool = AtomicBool::new(false);
 
-/// Returns the flag that the first Ctrl-C (or request to terminate) sets; the second one ends the process. Without this
-/// call, the first one ends the process.
+/// Returns the flag that the first Ctrl-C (or request to terminate) sets. The process ends [`GRACE`] later unless a training
+/// runs, or at the second Ctrl-C. Without this call, the first one ends the process.
 pub(crate) fn stop_flag() -> Arc<AtomicBool> {
     Arc::clone(STOP.get_or_init(Arc::default))
 }

@@ -179,17 +179,6 @@ impl CorrelationKind {
         }
     }
 
-    /// Returns ρ′(d)/d of the correlation ρ of [`Self::at`]; 0 at d = 0 where it has no derivative.
-    fn slope_over_distance(self, d: f64) -> f64 {
-        match self {
-            Self::Exponential | Self::LongTail if d == 0.0 => 0.0,
-            Self::Exponential => -(-d).exp() / d,
-            Self::Matern32 => -3.0 * (-3f64.sqrt() * d).exp(),
-            Self::SquaredExponential => -(-0.5 * d * d).exp(),
-            Self::LongTail => -1.0 / ((1.0 + d) * (1.0 + d) * d),
-        }
-    }
-
     /// Returns the correlation at distance `d`, in length scales.
     pub fn at(self, d: f64) -> f64 {
         match self {
@@ -200,6 +189,17 @@ impl CorrelationKind {
             }
             Self::SquaredExponential => (-0.5 * d * d).exp(),
             Self::LongTail => 1.0 / (1.0 + d),
+        }
+    }
+
+    /// Returns ρ′(d)/d of the correlation ρ of [`Self::at`]; 0 at d = 0 where it has no derivative.
+    fn slope_over_distance(self, d: f64) -> f64 {
+        match self {
+            Self::Exponential | Self::LongTail if d == 0.0 => 0.0,
+            Self::Exponential => -(-d).exp() / d,
+            Self::Matern32 => -3.0 * (-3f64.sqrt() * d).exp(),
+            Self::SquaredExponential => -(-0.5 * d * d).exp(),
+            Self::LongTail => -1.0 / ((1.0 + d) * (1.0 + d) * d),
         }
     }
 }

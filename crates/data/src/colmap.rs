@@ -182,7 +182,7 @@ fn read_cameras(path: &Path) -> Result<BTreeMap<u32, SizedCamera>> {
     let text = read_text(path, MAX_TEXT, LAYOUT)?;
     let mut cameras = BTreeMap::new();
     for content in numbered_lines(&text).filter(|(_, content)| is_data_line(content)) {
-        let row = TextRow::at_blanks(path, content);
+        let row = TextRow::split_at_blanks(path, content);
         let fault = |column, problem: String| Err(row.fault(column, problem));
         let [id, model, width, height, parameters @ ..] = &row.fields[..] else {
             return fault(1, format!("has {} fields; {CAMERA_LINE}", row.fields.len()));
@@ -223,7 +223,7 @@ fn read_views(path: &Path) -> Result<Vec<View>> {
         if !is_data_line(content) {
             continue;
         }
-        let view = parse_view(&TextRow::at_blanks(path, (line, content)))?;
+        let view = parse_view(&TextRow::split_at_blanks(path, (line, content)))?;
         if let Some((line, points)) = rows.next()
             && !points.split_whitespace().count().is_multiple_of(3)
         {
@@ -324,5 +324,5 @@ fn read_points3d(path: &Path) -> Result<Vec<[f64; 3]>> {
     }
     let text = read_text(path, MAX_TEXT, LAYOUT)?;
     let rows = numbered_lines(&text).filter(|(_, content)| is_data_line(content));
-    rows.map(|content| XyzColumns([1, 2, 3]).read(&TextRow::at_blanks(path, content), POINT_LINE)).collect()
+    rows.map(|content| XyzColumns([1, 2, 3]).read(&TextRow::split_at_blanks(path, content), POINT_LINE)).collect()
 }

@@ -283,7 +283,7 @@ pub fn read_carriers(path: &Path) -> Result<Vec<f64>> {
     let advice = "write the carrier of one sample per line, in GHz, such as 2.4";
     let text = read_text(path, MAX_TEXT, advice)?;
     let carrier = |line| {
-        let row = TextRow::at_blanks(path, line);
+        let row = TextRow::split_at_blanks(path, line);
         let [field] = row.fields[..] else {
             return Err(row.fault(1, format!("{} numbers, expected 1; {advice}", row.fields.len())));
         };

@@ -54,7 +54,8 @@ fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     let text = String::from_utf8_lossy(bytes);
     let text = join_continued_lines(&text);
     let mut materials = BTreeSet::new();
-    let rows = || numbered_lines(&text).map(|(line, content)| TextRow::at_blanks(path, (line, statement(content))));
+    let rows =
+        || numbered_lines(&text).map(|(line, content)| TextRow::split_at_blanks(path, (line, statement(content))));
     // A face may use a vertex defined after it.
     let count = rows().filter(|row| row.fields.first().is_some_and(|field| field.text == "v")).count();
     let (mut vertices, mut polygons) = (Vec::with_capacity(count), Polygons::default());

@@ -87,7 +87,7 @@ impl BodyParser<'_> {
         for (e, element) in self.filled_elements() {
             for i in 0..element.count {
                 let row = rows.next().ok_or_else(|| self.truncation_error(element, i))?;
-                let row = TextRow::at_blanks(path, row);
+                let row = TextRow::split_at_blanks(path, row);
                 let starts = property_starts(&row, element)?;
                 if e == header.vertex {
                     let columns = XyzColumns(header.xyz.map(|property| starts[property]));

@@ -90,7 +90,7 @@ impl<F> TextRow<'_, F> {
 
 impl<'a> TextRow<'a> {
     /// Splits the content of a line at blanks.
-    pub(crate) fn at_blanks(path: &'a Path, line: (usize, &'a str)) -> Self {
+    pub(crate) fn split_at_blanks(path: &'a Path, line: (usize, &'a str)) -> Self {
         Self::split(path, line, char::is_whitespace)
     }
 

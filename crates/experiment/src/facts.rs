@@ -261,17 +261,6 @@ fn format_time(seconds: u64) -> String {
     format!("{year:04}-{month:02}-{:02}T{hours:02}:{minutes:02}:{seconds:02}Z", days + 1)
 }
 
-/// Returns the load average of the machine over the last minute, and its number of cores; `None` if the system does
-/// not report it.
-pub(crate) fn load_average() -> Option<(f64, usize)> {
-    let text = files::read_string("/proc/loadavg").ok()?;
-    let load = text.split_whitespace().next()?.parse().ok()?;
-    // The load is that of all cores, also of those that this process may not use.
-    let info = files::read_string("/proc/cpuinfo").ok()?;
-    let cores = info.lines().filter(|line| line.starts_with("processor")).count();
-    (cores > 0).then_some((load, cores))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -8,7 +8,6 @@ mod inspection;
 pub use crate::findings::pose::{Correction, PoseCheck, PoseVerdict};
 pub use inspection::{Inspection, SplitScores};
 
-use crate::facts::load_average;
 use crate::findings::channels::PhaseCheck;
 use crate::findings::{cloud, pose, spectra};
 use crate::input::resolve_pipeline;
@@ -19,6 +18,7 @@ use crate::samples::nearest_training_distances;
 use crate::session::{Observer, run_stage};
 use crate::text::{format_length, grouped, number};
 use crate::training::{device_warnings, new_trainer};
+use cost::load_average;
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::statistics::{median, quantile, sorted};
 use pwrfgs_core::{Dataset, Partition, Result, Unmatched, device, free_memory, peak_memory};

@@ -259,20 +259,21 @@ impl Region {
     }
 
     /// Returns the most probable part and its mode, with the mean height of the positions there, metres. The mode is that of
-    /// the kernels in the part, at a width of `bandwidth` and with weights to the power of `sharpness`; if it is outside of
-    /// the part, that of its kernels at the width of the density.
+    /// the kernels in the part, at a width of `bandwidth` and with weights to the power of `sharpness`. If it is outside of
+    /// the part, it is the mode of the same kernels with their own weights and the width of the density; if that is outside
+    /// too, the centre of the cell of the highest density in the part.
     pub(crate) fn most_probable_mode(&self, density: &Density, bandwidth: f64, sharpness: f64) -> (u16, [f64; 3]) {
         let part = self.most_probable_part();
         let is_in_part = |point: [f64; 2]| self.part_at(point) == part;
         let inner_kernels = || density.kernels.iter().filter(|(_, [x, y, _])| is_in_part([*x, *y]));
-        let largest = inner_kernels().next().map_or(1.0, |(w, _)| *w);
+        let largest = inner_kernels().next().map_or(1.0, |(w, _)| *w); // kernels descend by weight
         let sharper = inner_kernels().map(|(w, p)| ((w / largest).powf(sharpness), *p)).collect();
         let is_mode_inside = |mode: &[f64; 2]| is_in_part(*mode);
-        let plain = || {
+        let unsharpened_mode = || {
             let kernels = inner_kernels().copied().collect();
             Density { kernels, bandwidth: density.bandwidth }.mode().filter(is_mode_inside)
         };
-        let mode = Density { kernels: sharper, bandwidth }.mode().filter(is_mode_inside).or_else(plain);
+        let mode = Density { kernels: sharper, bandwidth }.mode().filter(is_mode_inside).or_else(unsharpened_mode);
         let [x, y] = mode.unwrap_or_else(|| self.highest_centre(part));
         (part, [x, y, density.weighted_mean([x, y], false)[2]])
     }

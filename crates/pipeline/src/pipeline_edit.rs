@@ -79,7 +79,7 @@ impl PipelineEdit {
     /// # Errors
     /// The pipeline is invalid: its first problem, with the changes that caused it.
     pub fn finish(&self) -> Result<Pipeline, EditFault> {
-        Pipeline::read(&self.text).map_err(|fault| self.blame(fault))
+        Pipeline::parse_with_fault(&self.text).map_err(|fault| self.blame(fault))
     }
 
     /// Returns the fault of a `field`, with the changes that caused it.

@@ -60,15 +60,15 @@ impl Pipeline {
     /// # Errors
     /// [`Error::Input`] with line and column if the text is not a valid pipeline.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
-        Self::read(text).map_err(|TextFault { message, at, .. }| Error::Input {
+        Self::parse_with_fault(text).map_err(|TextFault { message, at, .. }| Error::Input {
             path: path.into(),
             at: at.map(|at| line_and_column(text, at)),
             message,
         })
     }
 
-    /// Same as [`Self::parse`], with byte positions.
-    pub(crate) fn read(text: &str) -> Result<Self, TextFault> {
+    /// Same as [`Self::parse`]; the error has a byte position and a type hint.
+    pub(crate) fn parse_with_fault(text: &str) -> Result<Self, TextFault> {
         let mut pipeline: Self = ron_options().from_str(text).map_err(|e| TextFault::of_parser(&e, text))?;
         let tree = RonTree::parse(text).map_err(|message| TextFault { message, at: None, hint: TypeHint::Never })?;
         pipeline.set_dependent_defaults(&|field| tree.field(field).is_none()).map_err(|message| TextFault {

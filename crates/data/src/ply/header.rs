@@ -136,7 +136,7 @@ impl PlyHeader {
             let text = String::from_utf8_lossy(&bytes[start..start + length]);
             start += length + 1;
             line += 1;
-            let row = TextRow::at_blanks(path, (line, &text));
+            let row = TextRow::split_at_blanks(path, (line, &text));
             if line > MOST_LINES {
                 return Err(row.fault(1, format!("the header has more than {MOST_LINES} lines; shorten it")));
             }

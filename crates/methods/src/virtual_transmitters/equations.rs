@@ -71,7 +71,7 @@ impl NormalEquations {
 }
 
 /// Computes the Cholesky decomposition of `a` `[P,P]` in place, row by row: the lower half becomes L. `None` if a pivot
-/// is not positive.
+/// is not positive. Same as [`pwrfgs_core::Cholesky`] with wide vectors, because every refinement step solves.
 fn factor_cholesky(a: &mut [f64], p: usize) -> Option<()> {
     for i in 0..p {
         let (above, row) = a.split_at_mut(i * p);

@@ -99,8 +99,10 @@ pub(crate) fn expected_pursuit_seconds(
     let sweep = SHARE as f64 * begun.elapsed().as_secs_f64();
     let [candidate, settled] = search.time_candidate(&peaks);
     let MatchingPursuit { most, patience, rounds, .. } = options.settings;
-    // Beyond the first sweep, a candidate may come from the remaining peaks.
+    // Shortest: one sweep and one success, then `patience` candidates from the remaining peaks.
     let least = sweep + candidate * (1 + patience).min(most) as f64;
+    // Longest: a sweep per addition. A later round usually ends after `patience` additions without a gain, so this is an
+    // estimate, not the limit of `most_changes`; every round removes half of the sources.
     let added = most + rounds * patience;
     let removed = if held_out.is_empty() { 0 } else { (1 + rounds) * most / 2 };
     // The last refinement has up to twice the sources, which is four times the work per row.

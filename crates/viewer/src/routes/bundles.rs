@@ -184,15 +184,8 @@ fn prediction_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult 
     if let Some(training) = models.and_then(|models| models.training_distances(&[query.position()])) {
         bundle.note["training"] = json!({ "metres": training.metres[0], "limit": training.limit });
     }
-    if let Some(loaded) = side.loaded.as_deref()
-        && let Some((i, metres)) = compared_link(loaded, parameters, query)
-    {
-        let set = loaded.partition.set_of(i);
-        // A baseline stores its training samples: its error on them would be zero.
-        let is_fitted = predictor.is_fitted() && matches!(set, LinkSet::Training | LinkSet::Validation);
-        let value = (!is_fitted).then(|| side.setup.task.score(&prediction.image, &loaded.data.image(i)));
-        bundle.note["nearest"] =
-            json!({ "link": i, "metres": metres, "score": value, "part": set as u8, "learned": is_fitted });
+    if let Some(note) = describe_comparison(side, parameters, &predictor, query, &prediction.image) {
+        bundle.note["nearest"] = note;
     }
     if side.setup.task.is_scalar {
         let queries: Vec<Query<'_>> = (0..side.setup.receivers.len()).map(|r| Query { receiver: r, ..query }).collect();
@@ -206,6 +199,23 @@ fn prediction_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult 
     }
     bundle.put("picture", &[height, width], prediction.image.pixels);
     Ok(bundle)
+}
+
+/// Describes the measurement that the prediction `image` is compared with: link, distance, score and set; `None` without one.
+fn describe_comparison(
+    side: &ViewPane,
+    parameters: &QueryParams,
+    predictor: &Predictor,
+    query: Query<'_>,
+    image: &Image,
+) -> Option<Value> {
+    let loaded = side.loaded.as_deref()?;
+    let (i, metres) = compared_link(loaded, parameters, query)?;
+    let set = loaded.partition.set_of(i);
+    // A baseline stores its training samples: its error on them would be zero.
+    let is_fitted = predictor.is_fitted() && matches!(set, LinkSet::Training | LinkSet::Validation);
+    let value = (!is_fitted).then(|| side.setup.task.score(image, &loaded.data.image(i)));
+    Some(json!({ "link": i, "metres": metres, "score": value, "part": set as u8, "learned": is_fitted }))
 }
 
 /// Returns the query for the requested position, or for the requested link if the model takes other inputs or the
