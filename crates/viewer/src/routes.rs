@@ -1,6 +1,7 @@
 //! Answers to the page: its files, arrays, and a stream of events.
 
 mod bundles;
+mod comparison;
 
 use crate::state::{ServerState, WatcherGuard};
 use http_body_util::combinators::BoxBody;

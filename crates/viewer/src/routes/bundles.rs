@@ -1,13 +1,13 @@
 //! Arrays for the page: room, Gaussians, predictions and measurements.
 
+use super::comparison::describe_comparison;
 use super::{QueryParams, RequestError};
 use crate::predictor::Predictor;
 use crate::side::{LoadedData, ViewPane};
 use crate::state::ServerState;
 use hyper::StatusCode;
 use pwrfgs_core::{
-    Appearance, Call, Image, LinkSet, MethodTraits, Needs, Origin, Parameters, PixelSubset, Query, Real, Statistic,
-    neighbours,
+    Appearance, Call, Image, MethodTraits, Needs, Origin, Parameters, PixelSubset, Query, Real, Statistic, neighbours,
 };
 use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, snapshots, training_folder};
 use pwrfgs_experiment::{record::read_series, text::grouped};
@@ -22,8 +22,6 @@ use std::sync::Arc;
 const POINTS: usize = 8_000;
 /// Maximum number of rows of the curve on the page.
 const ROWS: usize = 600;
-/// Tolerance for positions that the page has rounded, metres.
-const SAME_PLACE: f64 = 1e-3;
 /// Number of positions along the longer side of a radio map.
 const ACROSS: usize = 60;
 
@@ -201,23 +199,6 @@ fn prediction_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult 
     Ok(bundle)
 }
 
-/// Describes the measurement that the prediction `image` is compared with: link, distance, score and set; `None` without one.
-fn describe_comparison(
-    side: &ViewPane,
-    parameters: &QueryParams,
-    predictor: &Predictor,
-    query: Query<'_>,
-    image: &Image,
-) -> Option<Value> {
-    let loaded = side.loaded.as_deref()?;
-    let (i, metres) = compared_link(loaded, parameters, query)?;
-    let set = loaded.partition.set_of(i);
-    // A baseline stores its training samples: its error on them would be zero.
-    let is_fitted = predictor.is_fitted() && matches!(set, LinkSet::Training | LinkSet::Validation);
-    let value = (!is_fitted).then(|| side.setup.task.score(image, &loaded.data.image(i)));
-    Some(json!({ "link": i, "metres": metres, "score": value, "part": set as u8, "learned": is_fitted }))
-}
-
 /// Returns the query for the requested position, or for the requested link if the model takes other inputs or the
 /// receiver turns; `None` without such an input.
 fn requested_query<'a>(side: &'a ViewPane, parameters: &QueryParams, predictor: &Predictor) -> Option<Query<'a>> {
@@ -229,32 +210,11 @@ fn requested_query<'a>(side: &'a ViewPane, parameters: &QueryParams, predictor: 
     }
 }
 
-/// Returns the link whose measurement the prediction is compared with, and its distance from the query in metres: the
-/// requested one, even if another link has the same position, else the nearest; `None` for data without positions.
-fn compared_link(loaded: &LoadedData, parameters: &QueryParams, query: Query<'_>) -> Option<(usize, f64)> {
-    let is_requested = |i: &usize| {
-        let sample = loaded.data.sample(*i);
-        let is_near = |tx: [f64; 3]| neighbours::distance(sample.position(), tx) < SAME_PLACE;
-        parameters.tx.is_none_or(|tx| sample.receiver == parameters.receiver && is_near(tx))
-    };
-    let requested = parameters.link.filter(|i| *i < loaded.data.len()).filter(is_requested);
-    let nearest = || nearest_link(loaded, query.position(), parameters.receiver).filter(|_| loaded.data.placed);
-    requested.map(|i| (i, 0.0)).or_else(nearest)
-}
-
 /// Returns azimuth and elevation of the strongest pixel, degrees; null if pixels have no angles.
 fn strongest_direction(side: &ViewPane, image: &Image) -> Value {
     let i = image.argmax();
     let angles = side.setup.plane.azimuth_elevation_deg((i % image.width) as Real, (i / image.width) as Real);
     angles.map_or(Value::Null, |(azimuth, elevation)| json!([azimuth, elevation]))
-}
-
-/// Returns the link at `receiver` whose transmitter is nearest to `tx`, with the distance in metres; `None` without
-/// links.
-fn nearest_link(loaded: &LoadedData, tx: [f64; 3], receiver: usize) -> Option<(usize, f64)> {
-    let samples = loaded.data.samples().enumerate().filter(|(_, sample)| sample.receiver == receiver);
-    let all = samples.map(|(i, sample)| (i, neighbours::distance(sample.position(), tx)));
-    all.min_by(|a, b| a.1.total_cmp(&b.1))
 }
 
 /// Returns the data of a side and the index of the requested link; an error without either.
