@@ -194,11 +194,11 @@ impl Dataset {
         self.select(links, observations.into_subset(links)?)
     }
 
-    /// Returns an error unless `links` can be those of a subset.
+    /// Returns an error unless `links` are at least one, in ascending order without repetition, and in the data.
     fn check_subset(&self, links: &[usize]) -> Result<()> {
         if links.is_empty() || !links.is_sorted_by(|a, b| a < b) || links[links.len() - 1] >= self.len() {
-            let problem = "links of a subset: give at least one, in ascending order without repetition";
-            return Err(Error::Config(problem.into()));
+            let order = "at least one, in ascending order without repetition";
+            return Err(Error::Config(format!("links of a subset: give {order}, each below {}", self.len())));
         }
         Ok(())
     }
@@ -306,8 +306,8 @@ impl Dataset {
         self.simulation.is_some()
     }
 
-    /// Returns the camera of the images, in the frame of the receiver; elevations do not apply to them. `None` for spectra
-    /// over angles.
+    /// Returns the camera of the images, in the frame of the receiver: that of the first, since all receivers have the same.
+    /// Elevations do not apply to images. `None` for spectra over angles.
     pub fn camera(&self) -> Option<Camera> {
         self.scene.receivers[0].camera
     }

@@ -79,8 +79,9 @@ impl<'a> TableText<'a> {
         Ok(table)
     }
 
-    /// Reads a file whose header has names that `is_name` accepts; `advice` is the next step for a
-    /// missing or empty file.
+    /// Reads a file whose header has names that `is_name` accepts; `advice` is the next step for a missing or empty file. The
+    /// header is the line among the first [`EXAMINED`] with the most such names; without any, the first line if it holds no
+    /// number.
     pub(crate) fn with_names(path: &'a Path, advice: &str, is_name: &dyn Fn(&str) -> bool) -> Result<Self> {
         let mut table = Self::of(path, read_bytes(path, MAX_TABLE, advice)?.into())?;
         let text = std::mem::take(&mut table.text);

@@ -59,12 +59,12 @@ impl FingerprintBuilder<'_> {
                 done(links.len());
                 images.par_iter().map(|image| self.features.extract(image)).collect::<Vec<_>>()
             };
-            links.chunks(self.call_links()).flat_map(predict).collect()
+            links.chunks(self.links_per_call()).flat_map(predict).collect()
         })
     }
 
     /// Returns the largest number of links of one call of a model.
-    fn call_links(&self) -> usize {
+    fn links_per_call(&self) -> usize {
         (VALUES / (self.data.width * self.data.height).max(1)).clamp(1, LINKS)
     }
 

@@ -1,6 +1,6 @@
 //! Pruner that decreases all opacities until pruning settles.
 
-use crate::rounds::{check_below_one, check_weight};
+use crate::settings::{check_below_one, check_weight};
 use dfdx::prelude::{Rank0, SumTo};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, StepContext, sigmoid,

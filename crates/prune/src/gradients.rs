@@ -1,6 +1,7 @@
 //! Pruners whose scores include the gradient of the position.
 
-use crate::rounds::{check_share, quantile, ranking_traits};
+use crate::rounds::{quantile, ranking_traits};
+use crate::settings::check_share;
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, sigmoid,
 };

@@ -4,7 +4,8 @@
 //! This file is the worked example of a pruner that learns: a column, a gate and a penalty, written forward-only on the
 //! tape of the step. dfdx differentiates; the file contains no derivative by hand.
 
-use crate::rounds::{check_rate, check_weight, learned_column, shortened_rate};
+use crate::rounds::{learned_column, shortened_rate};
+use crate::settings::{check_rate, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, StepContext,

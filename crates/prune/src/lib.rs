@@ -20,6 +20,7 @@ mod natural_selection;
 mod pup_3dgs;
 mod references;
 mod rounds;
+mod settings;
 mod shares;
 mod thresholds;
 

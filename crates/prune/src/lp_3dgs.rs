@@ -1,6 +1,7 @@
 //! Learned mask on top of an importance score.
 
-use crate::rounds::{check_rate, check_weight, logistic_noise, quantile, shortened_rate};
+use crate::rounds::{logistic_noise, quantile, shortened_rate};
+use crate::settings::{check_rate, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudEdit, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, Needs, Phase, Pruner, PrunerTraits,

@@ -1,7 +1,7 @@
 //! Pruner that relocates faint Gaussians to opaque ones.
 
 use crate::covariance::Covariance;
-use crate::rounds::check_weight;
+use crate::settings::check_weight;
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudEdit, CloudStats, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, RowOrigin,

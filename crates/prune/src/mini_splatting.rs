@@ -1,6 +1,7 @@
 //! Pruners by blending weight: weighted random sample, cumulated weight or quantile.
 
-use crate::rounds::{check_share, quantile, requested_statistic, rounded_share};
+use crate::rounds::{quantile, requested_statistic, rounded_share};
+use crate::settings::check_share;
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, best, rng,
 };

@@ -1,6 +1,6 @@
 //! Pruner that lets all opacities decay against the gradient of the loss.
 
-use crate::rounds::{check_below_one, check_weight};
+use crate::settings::{check_below_one, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Phase, Pruner, PrunerTraits, Real, StepContext, sigmoid,

@@ -1,7 +1,8 @@
 //! Pruners by threshold or budget: low opacity, low blending weight, low rank in every pixel, or a fixed number of best-scored
 //! Gaussians.
 
-use crate::rounds::{check_share, requested_statistic};
+use crate::rounds::requested_statistic;
+use crate::settings::check_share;
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext, best,
     sigmoid,

@@ -96,7 +96,7 @@ impl Tile<'_> {
         SplatRow { dx, across, a, b, c, y, opacity: self.splats.opacities[i], existence }
     }
 
-    /// Blends signals `[channels][PIXELS]` into `out` (zeroed here), and returns the remaining transmittance.
+    /// Blends the signals of the splats into `out` `[channels][PIXELS]` (zeroed here), and returns the remaining transmittance.
     #[inline(always)]
     fn forward<S: pulp::Simd>(&self, simd: S, out: &mut [Real]) -> Transmittance {
         out.fill(0.0);

@@ -91,24 +91,9 @@ pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Obser
     let mapped = select_receivers(model.receivers(), &settings.receiver)?;
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
-    let mut default_step = |bounds: PlaneBounds| {
-        let step = bounds.default_step(mapped.len());
-        let text = format!("grid spacing {step} m, chosen for the size of the map; set --step to change this");
-        (step > PlaneBounds::STEP).then(|| observer.on_message(&text));
-        step
-    };
-    let (bounds, step) = if let Some(bounds) = bounds {
-        let bounds = bounds.in_metres(setup.geodetic.filter(|_| names == ["x", "y"]));
-        (bounds, settings.step.unwrap_or_else(|| default_step(bounds)))
-    } else {
-        let positions: Vec<[f64; 2]> = mapped.iter().map(|&r| plane.project(poses[r].position)).collect();
-        let (bounds, source) = default_bounds(ensemble, plane, positions)?;
-        let step = settings.step.unwrap_or_else(|| default_step(bounds));
-        let bounds = bounds.rounded_outwards(step);
-        observer.on_message(&describe_bounds(plane, bounds, source));
-        (bounds, step)
-    };
-    let grid = PlaneGrid::new(plane, bounds, step, mapped.len())?;
+    let bounds = bounds.map(|bounds| bounds.in_metres(setup.geodetic.filter(|_| names == ["x", "y"])));
+    let receivers = mapped.iter().map(|&r| plane.project(poses[r].position)).collect();
+    let grid = choose_grid(ensemble, plane, (bounds, settings.step), receivers, observer)?;
     let (predict, total) = (|queries: &[Query<'_>]| model.predict_many(queries), grid.position_count());
     let request = MapRequest { setup, grid: &grid, receivers: &mapped, quantities: &quantities };
     let mut layers = request.layers(&predict, |done| observer.on_stage("mapping", done, total));
@@ -116,6 +101,35 @@ pub fn map(ensemble: &Ensemble, settings: &MapSettings, observer: &mut dyn Obser
     layers.extend(layer);
     let receivers = model.receivers().to_vec();
     Ok(RadioMap { grid, layers, training, receivers, poses, mapped, geodetic: setup.geodetic })
+}
+
+/// Returns the grid with these bounds and step, each by default chosen for the model and its `receivers` (metres in the plane).
+/// `observer` receives a description of defaults.
+///
+/// # Errors
+/// Too many positions, or a model that suggests no bounds.
+fn choose_grid(
+    ensemble: &Ensemble,
+    plane: MapPlane,
+    (bounds, step): (Option<PlaneBounds>, Option<f64>),
+    receivers: Vec<[f64; 2]>,
+    observer: &mut dyn Observer,
+) -> Result<PlaneGrid> {
+    let count = receivers.len();
+    let (bounds, source) = match bounds {
+        Some(bounds) => (bounds, None),
+        None => default_bounds(ensemble, plane, receivers).map(|(bounds, source)| (bounds, Some(source)))?,
+    };
+    let step = step.unwrap_or_else(|| {
+        let step = bounds.default_step(count);
+        let text = format!("grid spacing {step} m, chosen for the size of the map; set --step to change this");
+        (step > PlaneBounds::STEP).then(|| observer.on_message(&text));
+        step
+    });
+    let Some(source) = source else { return PlaneGrid::new(plane, bounds, step, count) };
+    let bounds = bounds.rounded_outwards(step);
+    observer.on_message(&describe_bounds(plane, bounds, source));
+    PlaneGrid::new(plane, bounds, step, count)
 }
 
 /// Returns bounds around all training positions and `receivers` (metres in the plane), and their description. A model

@@ -88,8 +88,8 @@ fn check_unit(data: &Dataset, readings: &[Real]) -> Option<Finding> {
     // Only dBm without their sign rise with the distance.
     let slope = LevelLinks::of(data).map_or(0.0, |links| links.recorded().1);
     let fits = |unit: &&PowerUnit| slope == 0.0 || (**unit == PowerUnit::PositiveDbm) == (slope > 0.0);
-    let is_signed = units.contains(&PowerUnit::PositiveDbm);
-    let units = units.iter().filter(|unit| !is_signed || fits(unit));
+    let may_lack_sign = units.contains(&PowerUnit::PositiveDbm);
+    let units = units.iter().filter(|unit| !may_lack_sign || fits(unit));
     let values = || readings.iter().map(|value| *value as f64);
     let ((low, high), middle) = (bounds(values()), median(values()));
     let convert = |unit: &PowerUnit| {

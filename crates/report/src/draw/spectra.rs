@@ -249,8 +249,8 @@ impl Ruler {
         self.share(self.axis.first + self.axis.step * pixel)
     }
 
-    /// Returns multiples of `step` within about half a pixel of the axis; of a finer or coarser step for fewer than two
-    /// or many more than four.
+    /// Returns the multiples of `step` on the axis, and up to 2 % of its length beyond, since its ends lie half a pixel off round
+    /// values. The step becomes finer on an axis shorter than 1.5 steps, and coarser on one longer than 10.
     fn multiples(&self, mut step: f64) -> Vec<f64> {
         let span = self.high - self.low;
         while span / step < 1.5 {

@@ -38,7 +38,7 @@ fn frequencies<'a>(run: &LoadedRun<'a>) -> &'a [f64] {
     run.data.observations.frequencies_hz()
 }
 
-/// Returns the line with marks if they are few enough to distinguish, or if it is a single point.
+/// Returns the line, with marks if they are few enough to distinguish, or if nothing joins the points.
 fn marked_line(points: Vec<(f64, f64)>, colour: Colour, stroke: Stroke, marker: Marker, name: &str) -> ChartLine {
     let has_marks = points.len() <= 70 || stroke == Stroke::None;
     let style = Style { marker: has_marks.then_some(marker), ..Style::line(colour, 1.6, stroke) };

@@ -29,6 +29,7 @@ pub(super) fn format_errors(
     let kriged = if has_kriging { samples.locate_by_kriging(fitting, observer)? } else { None };
     if let Some((choice, kriged)) = kriged {
         let entry = samples.located_entry("fingerprints of Kriging", choice, &kriged.iter().collect::<Vec<_>>());
+        // Equal names: neither uses predictions, so this would repeat the row of the measured fingerprints.
         entries.extend((entry.name != entries[0].name).then_some(entry));
     }
     let nearest = NearestFingerprints::fit(data, fitting, locator.features(), locator.floor());

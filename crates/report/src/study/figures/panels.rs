@@ -65,7 +65,8 @@ pub(super) fn room_figure(setting: &Setting, data: &Dataset) -> Result<Option<Fi
     Ok(Some(Figure::new("room", setting, words, &canvas)))
 }
 
-/// Draws panels in a row, each with its name above and numbers below; returns the end of the row.
+/// Draws panels of this `width` side by side from `top`, each with its name above and numbers below; returns the bottom of the
+/// row.
 fn draw_rooms(canvas: &mut Canvas, row: &[Panel], width: f64, top: f64) -> f64 {
     let mut bottom = top;
     let names: Vec<Vec<String>> = row.iter().map(|panel| wrap_text(&panel.title, width - 10.0)).collect();
