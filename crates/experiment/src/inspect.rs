@@ -18,7 +18,7 @@ use crate::samples::nearest_training_distances;
 use crate::session::{Observer, run_stage};
 use crate::text::{format_length, grouped, number};
 use crate::training::{device_warnings, new_trainer};
-use cost::load_average;
+use pwrfgs_core::files;
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::statistics::{median, quantile, sorted};
 use pwrfgs_core::{Dataset, Partition, Result, Unmatched, device, free_memory, peak_memory};
@@ -107,6 +107,17 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     device::check()?;
     preview.warnings.extend(device_warnings(preview.time.start.gaussians));
     Ok(preview)
+}
+
+/// Returns the load average of the machine over the last minute, and its number of cores; `None` if the system does
+/// not report it.
+fn load_average() -> Option<(f64, usize)> {
+    let text = files::read_string("/proc/loadavg").ok()?;
+    let load = text.split_whitespace().next()?.parse().ok()?;
+    // The load is that of all cores, also of those that this process may not use.
+    let info = files::read_string("/proc/cpuinfo").ok()?;
+    let cores = info.lines().filter(|line| line.starts_with("processor")).count();
+    (cores > 0).then_some((load, cores))
 }
 
 /// Positions, values and pose of a data set.

@@ -2,7 +2,6 @@
 
 use super::Preview;
 use crate::text::{align_columns, format_duration, format_gigabytes, format_length, grouped};
-use pwrfgs_core::files;
 use pwrfgs_core::plugin::name_of as plugin_name;
 use pwrfgs_train::{Rays, TimeEstimate, Training};
 
@@ -122,17 +121,6 @@ fn describe_time(time: &TimeEstimate, may_grow: bool) -> String {
         "{total}{range} of training ({steps}){}",
         if may_grow { "; more if densification adds Gaussians" } else { "" }
     )
-}
-
-/// Returns the load average of the machine over the last minute, and its number of cores; `None` if the system does
-/// not report it.
-pub(super) fn load_average() -> Option<(f64, usize)> {
-    let text = files::read_string("/proc/loadavg").ok()?;
-    let load = text.split_whitespace().next()?.parse().ok()?;
-    // The load is that of all cores, also of those that this process may not use.
-    let info = files::read_string("/proc/cpuinfo").ok()?;
-    let cores = info.lines().filter(|line| line.starts_with("processor")).count();
-    (cores > 0).then_some((load, cores))
 }
 
 /// Describes the load of the machine, and the spread of the timed steps if it is large.

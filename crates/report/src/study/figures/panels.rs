@@ -1,5 +1,6 @@
 //! Panels side by side: Gaussians in the room (figure 3 of the paper) and spectra (figure 4).
 
+use super::shown::one_variant_per_method;
 use super::{COLUMN, Figure, PAGE};
 use crate::canvas::{Anchor, Canvas, LINE, TEXT, text_width, wrap_text};
 use crate::draw::charts::Legend;
@@ -7,27 +8,12 @@ use crate::draw::room::{Panel, RoomFigure};
 use crate::draw::spectra::{ColourScale, axis_names, draw_azimuth, draw_elevation, spectrum_image};
 use minijinja::context;
 use pwrfgs_core::{Dataset, Image, ImagePlane, Query, Result};
-use pwrfgs_experiment::{Setting, StudyVariant, VariantFamily, scores::MODEL};
+use pwrfgs_experiment::{Setting, StudyVariant, scores::MODEL};
 use pwrfgs_model::Snapshot;
-use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 /// Maximum number of shown methods.
 const MOST_ROOMS: usize = 6;
-
-/// Returns one variant per method: that with the number of Gaussians that most methods reach, or the nearest. All
-/// variants of a single method.
-pub(super) fn one_variant_per_method(setting: &Setting) -> Vec<&StudyVariant> {
-    let families = VariantFamily::group(setting);
-    if families.len() == 1 {
-        return setting.variants.iter().collect();
-    }
-    let count = |variant: &StudyVariant| variant.runs[0].facts.gaussians;
-    let reach = |n: usize| families.iter().filter(|family| family.variants.iter().any(|v| count(v) == n)).count();
-    let common = setting.variants.iter().map(count).max_by_key(|&n| (reach(n), Reverse(n))).unwrap_or(0);
-    let far = |variant: &&StudyVariant| count(variant).abs_diff(common);
-    families.into_iter().filter_map(|family| family.variants.into_iter().min_by_key(far)).collect()
-}
 
 /// Draws the Gaussians over the point cloud of the scene with their Chamfer distances: figure 3 of the paper. `None`
 /// without Gaussians.

@@ -1,8 +1,8 @@
 //! `ShownVariants`: variants in the figures, with at most six curves each.
 
-use super::panels::one_variant_per_method;
 use pwrfgs_core::{Error, Result, did_you_mean, evenly};
 use pwrfgs_experiment::{Setting, StudyVariant, VariantFamily, distinct};
+use std::cmp::Reverse;
 
 /// Maximum number of curves of variants or methods in a figure, and of grey curves of baselines over an axis.
 pub(super) const CURVES: usize = 6;
@@ -59,6 +59,20 @@ fn remove_common_parts(variants: &mut [StudyVariant]) -> String {
     let shorter: Option<Vec<String>> = names.iter().map(rest).collect();
     variants.iter_mut().zip(shorter.unwrap_or(names)).for_each(|(variant, name)| variant.label = name);
     common
+}
+
+/// Returns one variant per method: that with the number of Gaussians that most methods reach, or the nearest. All
+/// variants of a single method.
+pub(super) fn one_variant_per_method(setting: &Setting) -> Vec<&StudyVariant> {
+    let families = VariantFamily::group(setting);
+    if families.len() == 1 {
+        return setting.variants.iter().collect();
+    }
+    let count = |variant: &StudyVariant| variant.runs[0].facts.gaussians;
+    let reach = |n: usize| families.iter().filter(|family| family.variants.iter().any(|v| count(v) == n)).count();
+    let common = setting.variants.iter().map(count).max_by_key(|&n| (reach(n), Reverse(n))).unwrap_or(0);
+    let far = |variant: &&StudyVariant| count(variant).abs_diff(common);
+    families.into_iter().filter_map(|family| family.variants.into_iter().min_by_key(far)).collect()
 }
 
 /// Returns the setting with these variants only, in its order.

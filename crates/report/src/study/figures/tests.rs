@@ -1,4 +1,5 @@
-use super::panels::{one_variant_per_method, spectra_columns};
+use super::panels::spectra_columns;
+use super::shown::one_variant_per_method;
 use super::tradeoff::strategy_lines;
 use super::{Figure, draw_figures, gaussians};
 use crate::canvas::outside;
