@@ -229,7 +229,7 @@ fn runs_with_different_validation_sets_share_table() {
         let floors = format!("baselines=[MeanSpectrum(), Kriging(neighbours: {neighbours})]");
         let message =
             stdout(&succeed(here, &["run", "small.ron", "-q", "--out", run, "--set", split, "--set", &floors]));
-        let heading = message.lines().next().unwrap();
+        let heading = message.lines().nth(1).unwrap(); // below the verdict
         let expected = match run {
             "runs/all" => "8 test spectra; model and baselines are trained on the same 32",
             "runs/held" => {
@@ -313,5 +313,5 @@ fn run_reports_differences_from_baselines() {
     let message = stdout(&succeed(here, &["evaluate", "-q", "run/model.safetensors", "--set", other]));
     let heading =
         "4 test spectra; the model is trained on 26; the baselines are trained on 16 (training and validation)";
-    assert_eq!(message.lines().next(), Some(heading), "{message}");
+    assert!(message.lines().take(2).any(|line| line == heading), "{message}");
 }
