@@ -67,7 +67,7 @@ fn evaluate_reports_same_training_set_only_for_data_of_run() {
     assert!(stdout(&succeed(here, &[&["run", "p.ron", "--out", "r", "-q"][..], &set].concat())).contains(same));
     let head = |more: &[&str]| {
         let all = [&["evaluate", "r/model.safetensors", "-q"][..], more].concat();
-        stdout(&succeed(here, &all)).lines().next().unwrap().to_owned()
+        stdout(&succeed(here, &all)).lines().find(|line| line.contains("test spectra")).unwrap().to_owned()
     };
     assert_eq!(head(&[]), same);
     assert_eq!(head(&["--set", "metrics=[L1()]"]), same);
