@@ -77,8 +77,8 @@ def build_sdist(sdist_directory, config_settings=None):
 
 #: Files and folders of the workspace in a source distribution.
 _SOURCES = (
-    ".cargo", "Cargo.lock", "Cargo.toml", "LICENSE-APACHE", "LICENSE-MIT", "benches", "crates", "experiments", "fuzz", "pipelines",
-    "python", "scenes", "src", "tests",
+    ".cargo", "Cargo.lock", "Cargo.toml", "LICENSE-APACHE", "LICENSE-MIT", "benches", "crates", "experiments", "fuzz", "models",
+    "pipelines", "python", "scenes", "src", "tests",
 )  # fmt: skip
 
 
