@@ -180,7 +180,11 @@ impl Residuals {
             return Some(format!("share {share}: the part of the network in the prediction"));
         };
         if share == 0.0 {
-            return Some("share 0: the network adds nothing here; this is Kriging".into());
+            let pixels = match self.stride() {
+                1 => String::new(),
+                stride => format!(" of one pixel in {stride} by {stride}, interpolated"),
+            };
+            return Some(format!("share 0: the network adds nothing here; this is Kriging{pixels}"));
         }
         let (digits, unit) = if task.has_path_loss { (2, " dB") } else { (4, "") };
         let [low, high] = [-1.96, 1.96].map(|z| mean + z * standard_error);
