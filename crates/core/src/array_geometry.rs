@@ -28,9 +28,9 @@ impl<T: Copy + Display + PartialEq + Into<f64>> ArrayGeometry<'_, T> {
         if self.positions.is_empty() { self.rows * self.columns } else { self.positions.len() }
     }
 
-    /// Returns the positions `[K]` relative to the receiver at a `wavelength` in metres: receiver frame, metres. The grid is
-    /// centred, and x varies fastest.
-    pub fn positions(&self, wavelength: f64) -> Vec<[f64; 3]> {
+    /// Returns the positions `[K]` relative to the receiver, receiver frame, in the unit of `wavelength`: metres, or wavelengths
+    /// if it is 1. The grid is centred, and x varies fastest.
+    pub fn element_positions(&self, wavelength: f64) -> Vec<[f64; 3]> {
         if !self.positions.is_empty() {
             return self.positions.iter().map(|p| p.map(|v| v.into() * wavelength)).collect();
         }
@@ -92,7 +92,7 @@ mod tests {
     #[test]
     fn grid_has_x_fastest_and_zero_mean() {
         let grid = ArrayGeometry { rows: 2, columns: 3, spacing: 0.25, ..GRID };
-        let positions = grid.positions(4.0);
+        let positions = grid.element_positions(4.0);
         assert_eq!(positions.len(), grid.element_count());
         assert_eq!(positions[..2], [[-1.0, -0.5, 0.0], [0.0, -0.5, 0.0]]);
         assert_eq!(positions[3], [-1.0, 0.5, 0.0]);
@@ -104,7 +104,7 @@ mod tests {
         let given = [[0.0, 0.0, 0.0], [0.5, 0.0, -1.0], [0.0, 2.0, 0.25]];
         let array = ArrayGeometry { positions: &given, ..GRID };
         assert_eq!((array.element_count(), array.check(GRID)), (3, Ok(())));
-        assert_eq!(array.positions(0.4), given.map(|p| p.map(|v| v * 0.4)));
+        assert_eq!(array.element_positions(0.4), given.map(|p| p.map(|v| v * 0.4)));
     }
 
     #[test]

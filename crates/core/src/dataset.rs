@@ -259,6 +259,11 @@ impl Dataset {
         Query { pose, features, receiver, id: Some(id) }
     }
 
+    /// Returns the queries for predictions of `links`, in their order.
+    pub fn queries(&self, links: &[usize]) -> Vec<Query<'_>> {
+        links.iter().map(|&i| self.query(i)).collect()
+    }
+
     /// Returns the poses of transmitter and receiver of link `i` in the user's frame; an end of unknown position has an arbitrary
     /// one.
     pub fn link_ends(&self, i: usize) -> [Pose; 2] {

@@ -37,7 +37,8 @@ pub trait Metric: crate::plugin::PluginObject {
         Scope::All
     }
 
-    /// Returns two energies of each sample for [`Scope::Energies`], such as those of error and signal.
+    /// Returns two energies of each sample for [`Scope::Energies`], `[L, 2]`, such as those of error and signal: squared units
+    /// of the observation.
     ///
     /// # Errors
     /// Predictions and observations differ in number or size.

@@ -9,7 +9,7 @@ use crate::folder::{
     recognised_root, restore_saved,
 };
 use crate::nerf2::{LocationTable, index};
-use crate::npy::{ComplexFile, check_gains};
+use crate::npy::{ComplexFile, check_size, read_all};
 use crate::text::{read_yaml, yaml_fault};
 use pwrfgs_core::{
     Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Observations, Pose, Progress, Real, Receiver,
@@ -162,7 +162,10 @@ impl DataSource for Channels {
             |rows: Vec<usize>| (0..carriers).flat_map(|c| rows.iter().map(move |row| c * count + row)).collect();
         let official = rows.map(|(train, test)| (repeat(train), repeat(test)));
         let poses = locations.poses.repeat(carriers);
-        let gains = read_gains(files)?;
+        let (shape, size) = (files[0].shape, files[0].count());
+        let gains = read_all(files)?;
+        let paths = std::iter::once(&path).chain(&more);
+        paths.zip(gains.chunks(size)).try_for_each(|(path, gains)| check_size(path, shape, gains))?;
         let samples: Vec<Sample> = (0..).zip(poses).map(|(id, pose)| Sample::new(id, pose)).collect();
         let channels = ObservedChannels { antennas, frequencies_hz, gains };
         let name = folder_name(&root);
@@ -240,15 +243,6 @@ impl Channels {
         }
         Ok(carriers)
     }
-}
-
-/// Reads all arrays as one. Returns an error if they do not fit into memory, or for an invalid number.
-fn read_gains(files: Vec<ComplexFile<'_>>) -> Result<Vec<[Real; 2]>> {
-    let count = files.iter().map(ComplexFile::count).sum();
-    check_gains(files[0].path, count)?;
-    let mut gains = Vec::with_capacity(count); // growing the list would copy it
-    files.into_iter().try_for_each(|file| file.read_channels(&mut gains))?;
-    Ok(gains)
 }
 
 /// Leaves out the links whose channel is zero, which was not received, and counts them. Returns an error if all are; it names

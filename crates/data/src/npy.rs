@@ -116,11 +116,17 @@ pub(crate) struct ComplexArray {
 /// Another type, shape or order of the numbers, a truncated file, or a number that is not finite.
 pub(crate) fn read_complex_array(path: &Path, expected: &str) -> Result<ComplexArray> {
     let file = ComplexFile::open(path, expected)?;
-    let (shape, count) = (file.shape, file.count());
-    check_gains(path, count)?;
+    Ok(ComplexArray { shape: file.shape, values: read_all(vec![file])? })
+}
+
+/// Reads all arrays, at least one, as one list. Returns an error if they do not fit into memory, or for a number that is not
+/// finite.
+pub(crate) fn read_all(files: Vec<ComplexFile<'_>>) -> Result<Vec<[Real; 2]>> {
+    let count = files.iter().map(ComplexFile::count).sum();
+    check_gains(files[0].path, count)?;
     let mut values = Vec::with_capacity(count); // growing the list would copy it
-    file.read(&mut values)?;
-    Ok(ComplexArray { shape, values })
+    files.into_iter().try_for_each(|file| file.read(&mut values))?;
+    Ok(values)
 }
 
 /// Open file of a complex array whose header is valid.
@@ -164,17 +170,10 @@ impl<'a> ComplexFile<'a> {
     }
 
     /// Appends the numbers to `values`. Returns an error for a number that is not finite.
-    pub(crate) fn read(mut self, values: &mut Vec<[Real; 2]>) -> Result<()> {
+    fn read(mut self, values: &mut Vec<[Real; 2]>) -> Result<()> {
         NumberReader::begin(&self.header, self.path, self.length)?.read(&mut self.file, |piece| {
             values.extend(piece.as_chunks().0.iter().map(|gain: &[f64; 2]| gain.map(|v| v as Real)));
         })
-    }
-
-    /// Appends the numbers to `values` as [`Self::read`]. Returns an error also for a number that is too large to compute with.
-    pub(crate) fn read_channels(self, values: &mut Vec<[Real; 2]>) -> Result<()> {
-        let (path, shape, first) = (self.path, self.shape, values.len());
-        self.read(values)?;
-        check_size(path, shape, &values[first..])
     }
 }
 

@@ -4,7 +4,7 @@ use crate::findings::cloud::{extent, longest_side};
 use crate::session::{Observer, run_stage};
 use crate::text::{format_length, grouped, number};
 use pwrfgs_core::statistics::{quantile, sorted};
-use pwrfgs_core::{Dataset, Image, Predict as _, Query, Result, Task};
+use pwrfgs_core::{Dataset, Image, Predict as _, Result, Task};
 use pwrfgs_model::{Ensemble, Interval, IntervalFactors};
 use rayon::prelude::*;
 
@@ -53,7 +53,7 @@ impl Agreement {
         let compared = run_stage(observer, "comparing with the model", |progress| {
             let mut compared = Vec::with_capacity(links.len());
             for chunk in links.chunks(CHUNK) {
-                let queries: Vec<Query<'_>> = chunk.iter().map(|i| data.query(*i)).collect();
+                let queries = data.queries(chunk);
                 compared.par_extend(chunk.par_iter().zip(ready.predict_many(&queries)).map(score_link));
                 progress(compared.len(), links.len());
             }

@@ -14,8 +14,8 @@ use crate::session::{Session, run_stage};
 use crate::text::number;
 use pwrfgs_core::kriging::{Correlation, ProcessFit};
 use pwrfgs_core::{
-    Baseline, Dataset, FittingSet, Image, ImagePlane, Measurement, Metric, Misfit, ModelFacts, Parts, Plugin, Query,
-    Result, Scope, Task, check_compatible, check_stopped, evenly,
+    Baseline, Dataset, FittingSet, Image, ImagePlane, Measurement, Metric, Misfit, ModelFacts, Parts, Plugin, Result,
+    Scope, Task, check_compatible, check_stopped, evenly,
 };
 use pwrfgs_model::{Ensemble, Prepared, ResidualProcess, Residuals, file};
 use pwrfgs_pipeline::defaults;
@@ -300,7 +300,7 @@ impl Confidence {
             };
             for chunk in part.chunks(CHUNK) {
                 check_stopped(stop)?;
-                let queries: Vec<Query<'_>> = chunk.iter().map(|i| data.query(*i)).collect();
+                let queries = data.queries(chunk);
                 let predicted = chunk.par_iter().zip(model.predict_many_with_deviation(&queries));
                 let pairs: Vec<(f64, f64)> = predicted.map(measure_link).collect();
                 all.spreads.extend(pairs.iter().map(|pair| pair.0));

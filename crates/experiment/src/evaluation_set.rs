@@ -4,6 +4,7 @@
 //! with the number of samples.
 
 use crate::session::{Session, run_stage};
+use pwrfgs_core::plugin::title_of;
 use pwrfgs_core::{
     Dataset, Error, Evaluation, Image, ImagePlane, Link, Measurement, Metric, ModelFacts, Plugin, Predict, Query,
     Result, Scope, StageTimes, Values, check_stopped,
@@ -151,7 +152,7 @@ impl<'a> EvaluationSet<'a> {
             let count = |more: usize| progress(done.fetch_add(more, Ordering::Relaxed) + more, self.part.len());
             for (part, links) in self.part.chunks(size).zip(self.links.chunks(size)) {
                 check_stopped(stop)?;
-                let queries: Vec<Query<'_>> = part.iter().map(|&i| self.data.query(i)).collect();
+                let queries = self.data.queries(part);
                 let predictions = predictor.predict(&queries, &count);
                 let truths: Vec<Image> = part.par_iter().map(|&i| self.data.image(i)).collect();
                 self.data.observations.check()?;
@@ -162,7 +163,11 @@ impl<'a> EvaluationSet<'a> {
                         Scope::Sample => {
                             append_measurements(&mut open.by_metric[k], metric.evaluate(&chunk)?, part.len())?;
                         }
-                        Scope::Energies => open.energies[k].extend(metric.energies(&chunk)?),
+                        Scope::Energies => {
+                            let energies = metric.energies(&chunk)?;
+                            check_energies(&title_of(metric), energies.len(), part.len())?;
+                            open.energies[k].extend(energies);
+                        }
                         Scope::Model | Scope::All => {}
                     }
                 }
@@ -214,6 +219,15 @@ impl<'a> EvaluationSet<'a> {
     }
 }
 
+/// Rejects another number of energies than `count`, that of the samples, of the metric `name`.
+fn check_energies(name: &str, given: usize, count: usize) -> Result<()> {
+    if given == count {
+        return Ok(());
+    }
+    let problem = format!("returns {given} pairs of energies for {count} samples");
+    Err(Error::Config(format!("the metric `{name}` {problem}; it should return one pair for each")))
+}
+
 /// Appends to `measured` the measurements `more` of one metric on the next `count` samples.
 ///
 /// # Errors
@@ -248,4 +262,15 @@ pub fn append_measurements(measured: &mut Vec<Measurement>, more: Vec<Measuremen
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn metric_without_one_pair_of_energies_per_sample_is_refused() {
+        assert!(super::check_energies("Snr", 3, 3).is_ok());
+        let error = super::check_energies("Snr", 0, 3).unwrap_err().to_string();
+        let expected = "the metric `Snr` returns 0 pairs of energies for 3 samples; it should return one pair for each";
+        assert!(error.contains(expected), "{error}");
+    }
 }

@@ -4,7 +4,7 @@ use crate::load::ActiveRun;
 use crate::residuals::{check_residuals, left_out_links};
 use crate::scores::{IntervalScores, LEVEL, LevelScores};
 use crate::session::run_stage;
-use pwrfgs_core::{Error, Image, Predict, Query, Result, check_stopped};
+use pwrfgs_core::{Error, Image, Predict, Result, check_stopped};
 use pwrfgs_model::{Ensemble, HeldOutScores, Interval, IntervalCalibration, IntervalFactors};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -152,7 +152,7 @@ impl ActiveRun<'_, '_> {
             let mut scores = Vec::with_capacity(links.len());
             for chunk in links.chunks(CHUNK) {
                 check_stopped(stop)?;
-                let queries: Vec<Query<'_>> = chunk.iter().map(|i| data.query(*i)).collect();
+                let queries = data.queries(chunk);
                 let predicted = chunk.par_iter().zip(predictor.predict_many(&queries));
                 scores.extend(predicted.map(score_link).collect::<Result<Vec<T>>>()?);
                 progress(scores.len(), links.len());

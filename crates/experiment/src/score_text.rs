@@ -42,9 +42,13 @@ impl ScoreTable {
     pub fn main_metrics(&self) -> Vec<&MetricRow> {
         let main = self.task.main_metrics;
         let is_main = |row: &&MetricRow| main.contains(&row.key.as_str()) || is_custom(&row.key);
-        let free = main.len().saturating_sub(self.metrics.iter().filter(is_main).count());
-        let others: Vec<&MetricRow> = self.metrics.iter().filter(|row| !is_main(row)).take(free).collect();
-        self.metrics.iter().filter(|row| is_main(row) || others.contains(row)).collect()
+        let mut free = main.len().saturating_sub(self.metrics.iter().filter(is_main).count());
+        let is_shown = |row: &&MetricRow| {
+            let fills = !is_main(row) && free > 0;
+            free -= usize::from(fills);
+            fills || is_main(row)
+        };
+        self.metrics.iter().filter(is_shown).collect()
     }
 
     /// Formats aligned text for a terminal: verdict, heading, one line per metric, one column per predictor. The best

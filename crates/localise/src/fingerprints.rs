@@ -3,7 +3,7 @@
 use crate::{FingerprintFeatures, MOST_SAMPLES};
 use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::statistics::{evenly, mean};
-use pwrfgs_core::{Dataset, FittingSet, Predict, Query};
+use pwrfgs_core::{Dataset, FittingSet, Predict};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -24,9 +24,12 @@ pub struct Fingerprints {
     width: usize,
 }
 
-/// Largest number of links that a model predicts in one call, and of their values for large observations.
+/// Largest number of links that a model predicts in one call.
 const LINKS: usize = 512;
+/// Largest number of values of the predictions of one call.
 const VALUES: usize = 1 << 21;
+/// Number of positions whose features are held at a time.
+const PLACES: usize = 512;
 
 /// Builder of the fingerprints of transmitters of a data set.
 pub(crate) struct FingerprintBuilder<'a> {
@@ -54,8 +57,7 @@ impl FingerprintBuilder<'_> {
     pub(crate) fn predicted(&self, places: &[Vec<usize>], model: &dyn Predict, done: impl Fn(usize)) -> Fingerprints {
         self.build(places, |links| {
             let predict = |links: &[usize]| {
-                let queries: Vec<Query<'_>> = links.iter().map(|link| self.data.query(*link)).collect();
-                let images = model.predict_many(&queries);
+                let images = model.predict_many(&self.data.queries(links));
                 done(links.len());
                 images.par_iter().map(|image| self.features.extract(image)).collect::<Vec<_>>()
             };
@@ -104,7 +106,7 @@ impl FingerprintBuilder<'_> {
             row
         };
         let mut rows: Vec<(f32, f32, f32)> = Vec::with_capacity(places.len() * width);
-        for places in places.chunks(LINKS) {
+        for places in places.chunks(PLACES) {
             let links: Vec<Vec<usize>> = places.iter().map(|place| data.links_of(place)).collect();
             let features = link_features(&links.concat());
             let mut features = features.as_slice();
@@ -275,7 +277,7 @@ impl NearestFingerprints {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::{Image, Pose, Real, Receiver, Sample};
+    use pwrfgs_core::{Image, Pose, Query, Real, Receiver, Sample};
 
     #[test]
     fn misfit_is_the_mean_over_known_features() {

@@ -137,7 +137,7 @@ impl<'a> Locator<'a> {
 
     /// Returns the fingerprints that resemble those of up to [`COMPARED`] positions, without these positions: the scale of
     /// misfits without validation samples.
-    fn nearest_others(&self) -> Vec<NearestList> {
+    fn nearest_without_themselves(&self) -> Vec<NearestList> {
         let fingerprints = &self.fingerprints;
         let chosen = evenly(&(0..fingerprints.len()).collect::<Vec<_>>(), COMPARED);
         let nearest = |k: &usize| fingerprints.nearest(fingerprints.row(*k), KERNELS, Some(fingerprints.positions[*k]));
@@ -154,6 +154,8 @@ impl<'a> Locator<'a> {
         samples: &[ValidationSample],
         done: &(dyn Fn() + Sync),
     ) -> Result<f64> {
+        // Without samples nothing is chosen: the first share is taken.
+        let shares = if samples.is_empty() { &shares[..shares.len().min(1)] } else { shares };
         let mut best: Option<(f64, Choice, Option<f32>, Fingerprints)> = None;
         for share in shares {
             self.fingerprints = predicted.map_or_else(|| measured.clone(), |other| measured.blended(other, *share));
@@ -163,7 +165,7 @@ impl<'a> Locator<'a> {
             };
             let mut nearest: Vec<NearestList> = samples.par_iter().map(nearest).collect();
             if samples.is_empty() {
-                nearest = self.nearest_others();
+                nearest = self.nearest_without_themselves();
             }
             let compared = ComparedSamples { positions: &self.fingerprints.positions, samples, nearest: &nearest };
             self.choice = compared.most_likely_choice(*share, self.spacing);

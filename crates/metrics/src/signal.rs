@@ -3,6 +3,7 @@
 use crate::{check_paired, measurement, score_samples, single_measurement, unsupported_task};
 use pwrfgs_core::{Evaluation, Goal, Image, JsonSchema, Measurement, Metric, Result, Scope, Task, Values};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// Absolute error |predicted − measured| of a received power, dB.
 ///
@@ -97,9 +98,11 @@ impl Metric for ChannelSnr {
         if let Some(values) = unsupported_task(self, evaluation) {
             return Ok(vec![measured("snr_db", values.clone()), measured("snr_all_db", values)]);
         }
-        let own = if evaluation.energies.is_empty() { self.energies(evaluation)? } else { Vec::new() };
-        let each = evaluation.energies.iter().chain(&own);
-        let each: Vec<Energies> = each.map(|&[error, signal]| Energies { error, signal }).collect();
+        let energies = match evaluation.energies {
+            [] => Cow::Owned(self.energies(evaluation)?),
+            known => Cow::Borrowed(known),
+        };
+        let each: Vec<Energies> = energies.iter().map(|&[error, signal]| Energies { error, signal }).collect();
         let transmitter = |i: usize| evaluation.links.get(i).map_or(i, |link| link.location);
         let mut snapshots = Vec::with_capacity(each.len());
         let rows: Vec<usize> = (0..each.len()).collect();

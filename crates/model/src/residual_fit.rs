@@ -6,7 +6,7 @@ use crate::ensemble::Ensemble;
 use crate::residuals::{CoarseGrid, Kriged, ResidualProcess, ResidualValues, Residuals, place};
 use crate::tensors::quantise;
 use pwrfgs_core::kriging::{ProcessFit, ResidualTrend, fit_observations, fit_powers};
-use pwrfgs_core::{Dataset, Error, FittingSet, Progress, Query, Real, Result, check_stopped, evenly};
+use pwrfgs_core::{Dataset, Error, FittingSet, Progress, Real, Result, check_stopped, evenly};
 use std::sync::atomic::AtomicBool;
 
 /// Share of the variance of spectra that a coarse grid may lose, and the number of spectra that measure it.
@@ -110,7 +110,7 @@ impl Residuals {
         let mut values: Vec<Vec<Real>> = vec![Vec::new(); places.len()];
         let has_process = |i: &usize| self.process(data.links[*i].receiver).is_some();
         let links: Vec<usize> = links.iter().copied().filter(has_process).collect();
-        let queries: Vec<Query<'_>> = links.iter().map(|&i| data.query(i)).collect();
+        let queries = data.queries(&links);
         let predicted = queries.chunks(CHUNK).flat_map(|chunk| ready.predict_many(chunk));
         for ((&i, query), predicted) in links.iter().zip(&queries).zip(predicted) {
             let Some(process) = self.process(query.receiver) else { continue };
@@ -207,7 +207,7 @@ impl<'a> Samples<'a> {
             let mut predictions = Vec::with_capacity(links.len() * grid.len());
             for (chunk, links) in links.chunks(CHUNK).enumerate() {
                 check_stopped(known.stop)?;
-                let queries: Vec<Query<'_>> = links.iter().map(|&i| data.query(i)).collect();
+                let queries = data.queries(links);
                 let shown = ready.predict_many(&queries).into_iter().map(|image| data.task().shown(image));
                 shown.for_each(|image| predictions.extend(grid.sampled(&image.pixels)));
                 progress(member * known.links.len() + chunk * CHUNK + links.len(), total);

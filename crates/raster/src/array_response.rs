@@ -76,10 +76,10 @@ static TABLES: RwLock<Vec<CachedTable>> = RwLock::new(Vec::new());
 const KEPT: usize = 4;
 
 /// Array and its table.
-type CachedTable = (Grid, Arc<Beams>);
+type CachedTable = (TableKey, Arc<Beams>);
 
-/// Antenna positions and the image plane.
-type Grid = (Vec<Vec3>, ImagePlane);
+/// Antenna positions `[K]`, wavelengths, and the image plane.
+type TableKey = (Vec<Vec3>, ImagePlane);
 
 impl Default for ArrayResponse {
     fn default() -> Self {
@@ -199,11 +199,10 @@ fn beams(antennas: &Antennas, plane: &ImagePlane) -> Arc<Beams> {
         return stored; // another thread was faster; all threads share its table
     }
     tables.insert(0, ((antennas.positions.clone(), plane.clone()), Arc::clone(&beams)));
-    let size = |(positions, plane): &Grid| positions.len() * plane.width * plane.height;
-    let mut room = KEPT * size(&tables[0].0) * plane.sampling.stride.pow(2);
-    tables.retain(|(grid, _)| {
-        let fits = size(grid) <= room;
-        room -= if fits { size(grid) } else { room };
+    let mut room = KEPT * beams.block_count() * plane.sampling.stride.pow(2);
+    tables.retain(|(_, beams)| {
+        let fits = beams.block_count() <= room;
+        room -= if fits { beams.block_count() } else { room };
         fits
     });
     beams

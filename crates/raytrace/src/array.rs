@@ -87,7 +87,7 @@ impl Array {
     /// Returns the positions of the elements `[K]` relative to the receiver at a `wavelength` in metres: receiver frame,
     /// metres.
     pub fn offsets(&self, wavelength: f64) -> Vec<DVec3> {
-        self.geometry().positions(wavelength).into_iter().map(DVec3::from).collect()
+        self.geometry().element_positions(wavelength).into_iter().map(DVec3::from).collect()
     }
 
     /// Returns the geometry of the elements.

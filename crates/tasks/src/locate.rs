@@ -94,12 +94,12 @@ pub fn locate(
     observer: &mut dyn Observer,
 ) -> Result<Localisation> {
     let prior = settings.prior.as_deref().map(|text| PlaneBounds::parse("--prior", text, ["x", "y"])).transpose()?;
-    let prior = prior.map(|bounds| bounds.in_metres(ensemble.members()[0].stages.geodetic));
     check_positions(ensemble)?;
     let predict = || run_stage(observer, "predictions", |progress| predicted_samples(ensemble, progress));
     let predicted = split.is_none().then(predict).transpose()?;
     let split = split.or(predicted.as_ref()).expect("measured or predicted samples");
     let (data, fitting) = (&split.data, split.partition.known());
+    let prior = prior.map(|bounds| bounds.in_metres(data.scene.geodetic));
     if predicted.is_none() {
         check_alike(&ensemble.prepare(), data)?;
     }
@@ -108,10 +108,12 @@ pub fn locate(
     let model = unbiased.as_ref().unwrap_or(ensemble).prepare();
     let locator =
         run_stage(observer, "fingerprints", |progress| Locator::fit(data, fitting, &model, shares, progress))?;
-    match locator.missing_regions().filter(|_| locator.validation == 0) {
-        _ if predicted.is_some() => observer.on_message(&describe_predictions(&locator)),
-        Some(why) => observer.on_warning(why),
-        None => observer.on_message(&describe_locator(&locator, data.locations_of(fitting.validation).len())),
+    if predicted.is_some() {
+        observer.on_message(&describe_predictions(&locator));
+    } else if let Some(why) = locator.missing_regions().filter(|_| locator.validation == 0) {
+        observer.on_warning(why);
+    } else {
+        observer.on_message(&describe_locator(&locator, data.locations_of(fitting.validation).len()));
     }
     // Of all validation samples, before `--prior` leaves some out.
     let observations = observations.map(|read| (read, scores::describe_validation(&locator, data, fitting)));

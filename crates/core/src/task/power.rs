@@ -16,8 +16,8 @@ pub(super) static POWER: Description = Description {
         best: Some(0.0),
         columns: ["power_error_db_mean", "power_error_db_median", "power_error_db_p90"],
     },
-    // Both readings are noisy, and independent errors of equal size add up to √2 times that size.
     main_metrics: ["power_error_db", "gaussians", "model_bytes", "latency_total_ms"],
+    // Both readings are noisy, and independent errors of equal size add up to √2 times that size.
     ceiling: Ceiling {
         note: "error of a perfect predictor of the mean reading: difference of two readings at one position over √2",
         share: std::f64::consts::FRAC_1_SQRT_2,

@@ -82,7 +82,8 @@ impl DataSource for Nerf2Csi {
         let positions = read_positions(&root, snapshots)?;
         let rows = index::read_sets(&root, &|word| index::parse_row(word, "csidata.npy", snapshots))?;
         array.normalise(&path, rows.as_ref().map(|(train, _)| train.as_slice()))?;
-        check_size(&path, array.shape, &array.values)?; // after that: the test part is divided by the largest modulus of the training part
+        // The test part may exceed 1 after normalisation: it is divided by the largest modulus of the training part.
+        check_size(&path, array.shape, &array.values)?;
         let (features, gains) = split_links(&mut array);
         let position = |i: usize| positions.as_ref().map_or([0.0; 3], |positions| positions[i]);
         let receivers = if self.together { vec![base_station(&antennas)] } else { antenna_receivers(&antennas) };

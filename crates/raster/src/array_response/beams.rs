@@ -65,6 +65,11 @@ impl Beams {
         Self { elements, pairs, functions, width, columns, pixels, table }
     }
 
+    /// Returns the number of blocks in the table, which measures its memory.
+    pub(super) fn block_count(&self) -> usize {
+        self.table.len()
+    }
+
     /// Computes the images `out` `[2B, H·W]`, real and imaginary part in turn, of the fields `[B, K]`.
     pub(super) fn draw(&self, field: &[[Real; 2]], out: &mut [Real]) {
         let coefficients: Vec<Real> =

@@ -57,7 +57,7 @@ impl Antennas {
         wavefront: Wavefront,
         plane: &ImagePlane,
     ) -> Self {
-        let positions = geometry.positions(1.0).into_iter().map(|p| Vec3::from_array(p.map(|v| v as Real)));
+        let positions = geometry.element_positions(1.0).into_iter().map(|p| Vec3::from_array(p.map(|v| v as Real)));
         let (az, el) = plane.angles.expect("the plane was checked: its pixels are directions");
         Self {
             positions: positions.collect(),

@@ -2,7 +2,7 @@
 
 use crate::draw::spectra::{self, ColourScale, Mark};
 use minijinja::{Value, context};
-use pwrfgs_core::{Image, Query, Result};
+use pwrfgs_core::{Image, Result};
 use pwrfgs_experiment::{LoadedRun, scores::MODEL};
 
 /// Test link with its prediction.
@@ -78,7 +78,7 @@ const CHUNK: usize = 512;
 pub(super) fn for_each_link(run: &LoadedRun<'_>, links: &[usize], mut visit: impl FnMut(usize, &Image, &Image)) {
     let (model, data) = (run.model.prepare(), run.data);
     for chunk in links.chunks(CHUNK) {
-        let queries: Vec<Query<'_>> = chunk.iter().map(|&i| data.query(i)).collect();
+        let queries = data.queries(chunk);
         for (&i, predicted) in chunk.iter().zip(model.predict_many(&queries)) {
             visit(i, &data.image(i), &predicted);
         }

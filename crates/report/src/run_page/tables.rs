@@ -13,13 +13,14 @@ pub(super) fn score_tables(scores: &ScoreTable) -> Vec<Vec<Value>> {
     let is_shared =
         |row: &&MetricRow| row.is_per_sample() || row.cells.iter().filter(|c| !c.numbers().is_empty()).count() > 1;
     let shared: Vec<&MetricRow> = scores.metrics.iter().filter(is_shared).collect();
-    let is_main = |row: &MetricRow| scores.main_metrics().iter().any(|main| main.key == row.key);
+    let main = scores.main_metrics();
+    let is_main = |row: &MetricRow| main.iter().any(|other| other.key == row.key);
     let columns = |row: &MetricRow| if row.is_per_sample() { 3 } else { 1 };
     let is_first = |row: &MetricRow| row.key == scores.task.headline.key;
     let shown = |row: &MetricRow| if is_first(row) { columns(row) } else { usize::from(is_main(row)) };
     let group = |row: &&MetricRow| column_group(scores, row, shown(row));
-    let main: Vec<Value> = shared.iter().filter(|row| is_main(row)).map(group).collect();
-    let (mut tables, mut room) = (vec![main], 0);
+    let first: Vec<Value> = shared.iter().filter(|row| is_main(row)).map(group).collect();
+    let (mut tables, mut room) = (vec![first], 0);
     for row in shared.into_iter().filter(|row| shown(row) < columns(row)) {
         if columns(row) > room {
             tables.push(Vec::new());
