@@ -26,19 +26,16 @@ fn baseline_style(k: usize) -> Style {
 
 /// Selects the `most` best entries by the name and score that `of` returns, in their order; oracle baselines last.
 fn best_of<T>(run: &LoadedRun<'_>, entries: Vec<T>, most: usize, of: impl Fn(&T) -> (&String, f64)) -> Vec<T> {
-    let sign = if run.data.task().headline.higher { -1.0 } else { 1.0 };
-    let rank = |entry: &T| {
-        let (name, score) = of(entry);
-        (run.record.scores.table.oracles.contains(name), sign * score)
+    let headline = run.data.task().headline;
+    let rank = |(k, entry): (usize, T)| {
+        let (name, score) = of(&entry);
+        (run.record.scores.table.oracles.contains(name), headline.cost(score), k, entry)
     };
-    let mut order: Vec<(usize, T)> = entries.into_iter().enumerate().collect();
-    order.sort_by(|(_, a), (_, b)| {
-        let ((a_oracle, a_cost), (b_oracle, b_cost)) = (rank(a), rank(b));
-        a_oracle.cmp(&b_oracle).then(a_cost.total_cmp(&b_cost))
-    });
-    order.truncate(most);
-    order.sort_by_key(|(place, _)| *place);
-    order.into_iter().map(|(_, entry)| entry).collect()
+    let mut ranked: Vec<_> = entries.into_iter().enumerate().map(rank).collect();
+    ranked.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    ranked.truncate(most);
+    ranked.sort_by_key(|(_, _, k, _)| *k);
+    ranked.into_iter().map(|(.., entry)| entry).collect()
 }
 
 /// Colour of the second curve of the model.
