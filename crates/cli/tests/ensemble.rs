@@ -170,6 +170,17 @@ fn joined_sweep_is_scored_and_saved_as_one_model() {
     let link = "../net=wide,seed=0/report.html";
     assert!(page.contains(link) && own.join(link).is_file() && page.contains("Error against ensemble spread"));
 
+    // Members are no baselines: their curves are solid, and that of the baseline is dashed.
+    let figure = page.split("<svg").find(|svg| svg.contains("aria-label=\"Share of test")).unwrap();
+    assert!([">model<", ">members<", ">5-NN<"].iter().all(|name| figure.contains(name)), "{figure}");
+    let strokes = |colour: &str| {
+        let groups =
+            figure.split("<g ").filter(|group| group.contains(&format!("stroke=\"{colour}\""))).collect::<Vec<_>>();
+        assert!(!groups.is_empty(), "{colour}: {figure}");
+        groups.iter().all(|group| group.contains("stroke-dasharray"))
+    };
+    assert_eq!(["#6ea0dc", "#787c84"].map(strokes), [false, true], "{figure}");
+
     // What is lost is made again, to the same bytes.
     let (model, before) = (std::fs::read(own.join("model.safetensors")).unwrap(), scores(&own));
     std::fs::remove_file(own.join("model.safetensors")).unwrap();

@@ -120,6 +120,17 @@ pub struct Headline {
     pub columns: [&'static str; 3],
 }
 
+impl Headline {
+    /// Returns the cost of a score, by which predictors and samples are ranked: smaller is better, infinite for NaN.
+    pub fn cost(&self, score: f64) -> f64 {
+        match score {
+            _ if score.is_nan() => f64::INFINITY,
+            _ if self.higher => -score,
+            _ => score,
+        }
+    }
+}
+
 /// Words of prediction intervals.
 #[derive(Debug)]
 pub struct Intervals {
@@ -418,6 +429,16 @@ mod tests {
             assert_eq!(task.size_text(size).is_none(), task.is_scalar);
         }
         assert_eq!(Task::named("picture"), None);
+    }
+
+    #[test]
+    fn nan_ranks_last_by_cost() {
+        for (task, expected) in [(Task::Spectrum, [0.9, 0.2]), (Task::Power, [0.2, 0.9])] {
+            let mut scores = [f64::NAN, 0.2, -f64::NAN, 0.9];
+            scores.sort_by(|a, b| task.headline.cost(*a).total_cmp(&task.headline.cost(*b)));
+            assert_eq!(scores[..2], expected, "{}", task.name);
+            assert!(scores[2..].iter().all(|score| score.is_nan()));
+        }
     }
 
     #[test]

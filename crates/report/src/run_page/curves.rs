@@ -18,30 +18,38 @@ const BASELINE_COLOURS: [u32; 8] =
 /// Maximum number of baselines in a chart, so that it has at most six curves.
 const BASELINES: usize = 5;
 
-/// Returns the style of the `k`th baseline of a chart: neighbours differ in colour and dashes.
-fn baseline_style(k: usize) -> Style {
-    let stroke = [Stroke::DASHED, Stroke::DASH_DOTTED, Stroke::DOTTED][k % 3];
-    Style::line(Colour::hex(BASELINE_COLOURS[k % BASELINE_COLOURS.len()]), 2.0, stroke)
+/// Returns the index of a baseline in the table of scores; `None` for the model and its members.
+fn place(run: &LoadedRun<'_>, name: &str) -> Option<usize> {
+    run.record.scores.table.baselines().position(|baseline| baseline == name)
+}
+
+/// Returns the style of a predictor, the same in all charts of a page.
+fn predictor_style(run: &LoadedRun<'_>, name: &str) -> Style {
+    match place(run, name) {
+        Some(k) => {
+            let stroke = [Stroke::DASHED, Stroke::DASH_DOTTED, Stroke::DOTTED][k % 3];
+            Style::line(Colour::hex(BASELINE_COLOURS[k % BASELINE_COLOURS.len()]), 2.0, stroke)
+        }
+        None if name == MODEL => Style::line(MODEL_COLOUR, 3.0, Stroke::FULL),
+        None => Style::line(LIGHT, 1.5, Stroke::FULL),
+    }
 }
 
 /// Selects the `most` best entries by the name and score that `of` returns, in their order; oracle baselines last.
 fn best_of<T>(run: &LoadedRun<'_>, entries: Vec<T>, most: usize, of: impl Fn(&T) -> (&String, f64)) -> Vec<T> {
-    let sign = if run.data.task().headline.higher { -1.0 } else { 1.0 };
-    let rank = |entry: &T| {
-        let (name, score) = of(entry);
-        (run.record.scores.table.oracles.contains(name), sign * score)
+    let headline = run.data.task().headline;
+    let rank = |(k, entry): (usize, T)| {
+        let (name, score) = of(&entry);
+        (run.record.scores.table.oracles.contains(name), headline.cost(score), k, entry)
     };
-    let mut order: Vec<(usize, T)> = entries.into_iter().enumerate().collect();
-    order.sort_by(|(_, a), (_, b)| {
-        let ((a_oracle, a_cost), (b_oracle, b_cost)) = (rank(a), rank(b));
-        a_oracle.cmp(&b_oracle).then(a_cost.total_cmp(&b_cost))
-    });
-    order.truncate(most);
-    order.sort_by_key(|(place, _)| *place);
-    order.into_iter().map(|(_, entry)| entry).collect()
+    let mut ranked: Vec<_> = entries.into_iter().enumerate().map(rank).collect();
+    ranked.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    ranked.truncate(most);
+    ranked.sort_by_key(|(_, _, k, _)| *k);
+    ranked.into_iter().map(|(.., entry)| entry).collect()
 }
 
-/// Colour of the second curve of the model.
+/// Colour of the second curve of the model, and of its members.
 const LIGHT: Colour = Colour::hex(0x6e_a0dc);
 
 /// Heading and chart.
@@ -63,13 +71,10 @@ pub(super) fn figures(run: &LoadedRun<'_>) -> Vec<Figure> {
 /// Draws the measured against the nominal coverage of prediction intervals; `None` without intervals.
 fn reliability_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     let scores = &run.record.scores.table.intervals;
-    let mut baselines = BASELINE_COLOURS.into_iter().map(Colour::hex);
     let curve = |intervals: &IntervalScores| {
         let points = intervals.levels.iter().map(|level| (level.level, level.coverage)).collect();
-        let is_model = intervals.predictor == MODEL;
-        let colour = if is_model { MODEL_COLOUR } else { baselines.next().unwrap_or(MODEL_COLOUR) };
-        let stroke = if is_model { Stroke::FULL } else { Stroke::DASHED };
-        ChartLine::new(points, Style::line(colour, 3.0, stroke)).named(&intervals.predictor)
+        let style = Style { width: 3.0, ..predictor_style(run, &intervals.predictor) };
+        ChartLine::new(points, style).named(&intervals.predictor)
     };
     // The first line is on top: dashes of a baseline stay visible on the line of the model.
     let mut lines: Vec<ChartLine> =
@@ -143,8 +148,8 @@ fn validation_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     let task = run.data.task();
     let baselines = run.record.facts.validation_baselines.iter().collect();
     let shown = best_of(run, baselines, BASELINES - 1, |(name, mean): &&(String, f64)| (name, *mean));
-    for (k, (name, mean)) in shown.into_iter().enumerate() {
-        lines.push(ChartLine::horizontal(*mean, baseline_style(k)).named(name));
+    for (name, mean) in shown {
+        lines.push(ChartLine::horizontal(*mean, predictor_style(run, name)).named(name));
     }
     let title = format!("Validation {}: {}{}", task.counted[1], task.headline.name, of_models(run));
     draw_figure(title, &chart_over_steps(run, false, lines))
@@ -186,8 +191,8 @@ const MOST_POINTS: usize = 400;
 /// Share of each predictor within the axis, for errors and ratios without natural limits.
 const INSIDE: f64 = 0.98;
 
-/// Draws the share of the test set below each value of the first metric, for all predictors. `None` without per-sample
-/// values.
+/// Draws the share of the test set below each value of the first metric, for the model, its members and the best
+/// baselines. `None` without per-sample values.
 fn distribution_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     let scores = &run.record.scores;
     let task = run.data.task();
@@ -197,21 +202,24 @@ fn distribution_figure(run: &LoadedRun<'_>) -> Option<Figure> {
         let Some(values) = scores.sample_values(name, headline.key) else { continue };
         sorted.push((name, statistics::sorted(values.iter().copied())));
     }
-    let (model, baselines): (Vec<_>, Vec<_>) = sorted.into_iter().partition(|(name, _)| *name == MODEL);
-    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let (baselines, models): (Vec<_>, Vec<_>) = sorted.into_iter().partition(|(name, _)| place(run, name).is_some());
+    let mean = |values: &[f64]| statistics::mean(values.iter().copied());
     let shown = best_of(run, baselines, BASELINES, |(name, values): &(&String, Vec<f64>)| (*name, mean(values)));
-    let sorted = [model, shown].concat();
+    let sorted = [models, shown].concat();
     let ends = axis_ends(&headline, &sorted);
-    let mut lines = Vec::new();
-    for (k, (name, sorted)) in sorted.iter().enumerate() {
+    let (mut lines, mut members) = (Vec::new(), Some("members"));
+    for (name, sorted) in &sorted {
         let stride = sorted.len().div_ceil(MOST_POINTS).max(1);
         let share = |i: usize| (i + 1) as f64 / sorted.len() as f64;
         let mut points: Vec<_> = (0..sorted.len()).step_by(stride).map(|i| (sorted[i], share(i))).collect();
         points.extend(sorted.last().map(|v| (*v, 1.0)));
         points.retain(|(value, _)| (ends.0..=ends.1).contains(value));
-        let is_model = *name == MODEL;
-        let style = if is_model { Style::line(MODEL_COLOUR, 3.0, Stroke::FULL) } else { baseline_style(k) };
-        lines.push(ChartLine::new(points, style).named(name));
+        let line = ChartLine::new(points, predictor_style(run, name));
+        let title = if scores.table.members.contains(name) { members.take() } else { Some(name.as_str()) };
+        lines.push(match title {
+            Some(title) => line.named(title),
+            None => line,
+        });
     }
     let x = ChartAxis { name: headline.name.into(), ends: Some(ends), log: false };
     let y = ChartAxis { ends: Some((0.0, 1.0)), ..ChartAxis::default() };

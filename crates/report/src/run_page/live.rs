@@ -111,8 +111,8 @@ fn choose_links(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
 /// Returns the test link with the median score, with which the page opens; `None` if no link has a score.
 fn median_link(run: &LoadedRun<'_>) -> Option<usize> {
     let mut scored: Vec<(usize, f64)> = scored_links(run).filter(|(_, score)| !score.is_nan()).collect();
-    let sign = if run.data.task().headline.higher { -1.0 } else { 1.0 };
-    scored.sort_by(|a, b| (sign * a.1).total_cmp(&(sign * b.1)).then(a.0.cmp(&b.0)));
+    let headline = run.data.task().headline;
+    scored.sort_by(|a, b| headline.cost(a.1).total_cmp(&headline.cost(b.1)).then(a.0.cmp(&b.0)));
     Some(scored.get(scored.len().checked_sub(1)? / 2)?.0)
 }
 

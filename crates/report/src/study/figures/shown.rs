@@ -98,10 +98,9 @@ fn chosen_variants<'a>(setting: &'a Setting, chosen: &[String]) -> Vec<&'a Study
 /// Returns the variants of the best methods by the first metric, [`CURVES`] of them.
 fn best_methods(setting: &Setting) -> Vec<&StudyVariant> {
     let headline = setting.headline();
-    let sign = if headline.higher { -1.0 } else { 1.0 };
     let best = |family: &VariantFamily<'_>| {
         let scores = family.variants.iter().filter_map(|variant| variant.score(headline.key));
-        scores.map(|score| sign * score.mean).fold(f64::INFINITY, f64::min)
+        scores.map(|score| headline.cost(score.mean)).fold(f64::INFINITY, f64::min)
     };
     let mut families = VariantFamily::group(setting);
     families.sort_by(|a, b| best(a).total_cmp(&best(b)));
@@ -112,13 +111,16 @@ fn best_methods(setting: &Setting) -> Vec<&StudyVariant> {
 /// metric, oracle baselines last.
 pub(super) fn grey_baselines(setting: &Setting) -> Vec<(usize, &str)> {
     let headline = setting.headline();
-    let sign = if headline.higher { -1.0 } else { 1.0 };
-    let cost = |name: &str| setting.baseline_score(name, headline.key).map_or(f64::INFINITY, |score| sign * score);
     let all = setting.baselines().into_iter().enumerate();
-    let (mut shown, mut others): (Vec<_>, Vec<_>) = all.partition(|(_, name)| setting.is_external(name));
+    let (mut shown, others): (Vec<_>, Vec<_>) = all.partition(|(_, name)| setting.is_external(name));
     let is_oracle = |name: &str| setting.runs().any(|run| run.scores.table.oracles.iter().any(|oracle| oracle == name));
-    others.sort_by(|a, b| is_oracle(a.1).cmp(&is_oracle(b.1)).then(cost(a.1).total_cmp(&cost(b.1))));
-    shown.extend(others.into_iter().take(GREY_CURVES));
+    let rank = |(k, name)| {
+        let cost = headline.cost(setting.baseline_score(name, headline.key).unwrap_or(f64::NAN));
+        (is_oracle(name), cost, (k, name))
+    };
+    let mut ranked: Vec<_> = others.into_iter().map(rank).collect();
+    ranked.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    shown.extend(ranked.into_iter().take(GREY_CURVES).map(|(.., baseline)| baseline));
     shown.sort_unstable();
     shown
 }

@@ -88,9 +88,10 @@ fn axis_value(key: &str, score: f64) -> f64 {
     if is_rate_ratio(key) { 1.0 - score } else { score }
 }
 
-/// Returns the style of the `k`th baseline, called `name`: that of an external method or of a baseline.
+/// Returns the style of the `k`th baseline, called `name`: that of an external method, after those of [`CURVES`] variants,
+/// or of a baseline. It is the same in all figures.
 pub(super) fn row_style(setting: &Setting, k: usize, name: &str) -> Style {
-    if setting.is_external(name) { Style::external(setting.variants.len() + k) } else { Style::baseline(k) }
+    if setting.is_external(name) { Style::external(CURVES + k) } else { Style::baseline(k) }
 }
 
 /// Returns a horizontal line at the score of the best baselines, and of the noise ceiling, with its name at the right.
