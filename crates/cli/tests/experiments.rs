@@ -1,5 +1,5 @@
 //! `experiments/README.md`, made from the headers of the experiments. To write it anew:
-//! `PWRFGS_GOLDEN=write cargo test -p pwrfgs-cli --test cli experiments::`.
+//! `PWRFGS_PAGES=write cargo test -p pwrfgs-cli --test cli experiments::`.
 
 use crate::common::{stdout, succeed};
 use crate::prose::root;
@@ -62,7 +62,7 @@ fn page_of_experiments_equals_their_headers() {
     experiments().iter().for_each(|path| writeln!(page, "{}", row(path)).unwrap());
     page += AFTER;
     let file = root().join("experiments/README.md");
-    if std::env::var_os("PWRFGS_GOLDEN").is_some_and(|what| what == "write") {
+    if std::env::var_os("PWRFGS_PAGES").is_some_and(|what| what == "write") {
         std::fs::write(&file, &page).unwrap();
     }
     let written = std::fs::read_to_string(&file).unwrap_or_default();

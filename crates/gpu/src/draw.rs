@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! CLOUD, VIEW, TERMS ─► project ─► SPLATS ─► blend ─► PIXELS ─► read_out ─► IMAGE
-//! IMAGE, TRUTHS ─► blur_moments ─► MOMENTS ─► similarity ─► SLOPES ─► blur_slopes ─► loss_vjp ─► D_IMAGE; sum_loss ─► LOSSES
+//! IMAGE, TRUTHS ─► blur_moments ─► MOMENTS ─► similarity ─► D_SIMILARITY ─► blur_d_similarity ─► loss_vjp ─► D_IMAGE; sum_loss ─► LOSSES
 //! D_IMAGE ─► read_out_vjp ─► D_PIXELS ─► blend_vjp over the LISTS ─► PARTS ─► sum_tiles ─► D_SPLATS ─► project_vjp ─► D_ROWS
 //! ```
 
@@ -44,7 +44,7 @@ pub const D_ROWS: usize = 12;
 /// Slot of the measured images `[links, H·W]`.
 pub const TRUTHS: usize = 13;
 /// Slot of the derivatives of the similarity of SSIM, and of the similarity, `[links, 4, H·W]`.
-const SLOPES: usize = 14;
+const D_SIMILARITY: usize = 14;
 /// Slot of the taps of the window of SSIM, and the shares of the error and of SSIM of a pixel in the loss.
 pub const LOSS: usize = 15;
 /// Slot of the sums of errors and of 1 - similarity over pixels, `[links, 2]`.
@@ -179,11 +179,11 @@ impl Drawing {
         let per_pixel = [self.pixels().div_ceil(256), self.links, 1];
         if has_ssim {
             step.pass("blur_moments", [IMAGE, TRUTHS, LOSS, IMAGE, MOMENTS], arguments, per_pixel);
-            step.pass("similarity", [IMAGE, IMAGE, LOSS, MOMENTS, SLOPES], arguments, per_pixel);
-            step.pass("blur_slopes", [SLOPES, IMAGE, LOSS, IMAGE, MOMENTS], arguments, per_pixel);
+            step.pass("similarity", [IMAGE, IMAGE, LOSS, MOMENTS, D_SIMILARITY], arguments, per_pixel);
+            step.pass("blur_d_similarity", [D_SIMILARITY, IMAGE, LOSS, IMAGE, MOMENTS], arguments, per_pixel);
         }
         step.pass("loss_vjp", [IMAGE, TRUTHS, LOSS, MOMENTS, D_IMAGE], arguments, per_pixel);
-        step.pass("sum_loss", [IMAGE, TRUTHS, LOSS, SLOPES, LOSSES], arguments, [self.links, 1, 1]);
+        step.pass("sum_loss", [IMAGE, TRUTHS, LOSS, D_SIMILARITY, LOSSES], arguments, [self.links, 1, 1]);
     }
 
     /// Records the backward pass of [`Self::blend`], from [`D_PIXELS`] to [`D_SPLATS`].

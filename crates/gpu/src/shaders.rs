@@ -16,7 +16,7 @@ pub(crate) const DRAWING: [&str; 14] = [
     "read_out_vjp",
     "blur_moments",
     "similarity",
-    "blur_slopes",
+    "blur_d_similarity",
     "loss_vjp",
     "sum_loss",
 ];

@@ -31,7 +31,7 @@ pub(crate) struct Compare {
     #[command(flatten)]
     pub(crate) changes: ChangeOptions,
     /// Output folder [default: runs/compare-NAME, from the data folder]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     /// List all runs with estimated times; run nothing
     #[arg(long)]

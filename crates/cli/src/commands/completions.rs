@@ -25,7 +25,7 @@ EXAMPLES
   pwrfgs man --out ~/.local/share/man/man1    # then: man pwrfgs-run")]
 pub(crate) struct Man {
     /// Folder for pwrfgs.1 and a page per command [default: print pwrfgs.1]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
 }
 

@@ -27,7 +27,7 @@ pub(crate) struct Compress {
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
     /// Model file to write; must not exist
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// Bits per network weight
     #[arg(long, default_value = "8", value_parser = PossibleValuesParser::new(["8", "16"]).map(|bits| if bits == "8" { Bits::Eight } else { Bits::Sixteen }))]

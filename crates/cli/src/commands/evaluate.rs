@@ -45,7 +45,7 @@ pub(crate) struct Evaluate {
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
     /// Output folder for scores and report [default: write no files]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     /// Print all metrics with median and percentile
     #[arg(long)]

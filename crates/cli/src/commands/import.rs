@@ -53,7 +53,7 @@ pub(crate) struct Import {
     #[arg(long, value_name = "FIRST,LAST", allow_hyphen_values = true, conflicts_with = "files")]
     pub(crate) elevation: Option<String>,
     /// Output folder; must be new or empty
-    #[arg(long, value_name = "DIR", required_unless_present = "dry_run")]
+    #[arg(short, long, value_name = "DIR", required_unless_present = "dry_run")]
     pub(crate) out: Option<PathBuf>,
     /// Name of the data set [default: name of the folder]
     #[arg(long)]

@@ -30,7 +30,7 @@ pub(crate) struct Init {
     #[arg(value_name = "FOLDER", default_value = ".")]
     pub(crate) folder: PathBuf,
     /// Pipeline file [default: ./NAME.ron, from the name of the folder]
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
     /// Time of training: fast (one model), normal (two minutes for small sets), best (more models)
     #[arg(long, value_name = "EFFORT", default_value = "normal", value_parser = Effort::parse)]

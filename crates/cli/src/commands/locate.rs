@@ -62,7 +62,7 @@ pub(crate) struct Locate {
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub(crate) pictures: usize,
     /// Output folder; must be new or empty [default: write no files]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
 }
 

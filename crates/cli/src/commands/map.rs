@@ -37,7 +37,7 @@ pub(crate) struct Map {
     #[command(flatten)]
     pub(crate) settings: MapSettings,
     /// Output folder; must be new or empty
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
 }
 

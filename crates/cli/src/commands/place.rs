@@ -30,7 +30,7 @@ pub(crate) struct Place {
     #[command(flatten)]
     pub(crate) settings: PlaceSettings,
     /// Output folder; must be new or empty
-    #[arg(long, value_name = "DIR", default_value = "place")]
+    #[arg(short, long, value_name = "DIR", default_value = "place")]
     pub(crate) out: PathBuf,
 }
 

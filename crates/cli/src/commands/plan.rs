@@ -35,7 +35,7 @@ pub(crate) struct Plan {
     #[command(flatten)]
     pub(crate) settings: PlanSettings,
     /// Output folder; must be new or empty
-    #[arg(long, value_name = "DIR", default_value = "plan")]
+    #[arg(short, long, value_name = "DIR", default_value = "plan")]
     pub(crate) out: PathBuf,
 }
 

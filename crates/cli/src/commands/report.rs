@@ -30,7 +30,7 @@ pub(crate) struct Report {
     #[arg(value_name = "RUNS", required = true)]
     pub(crate) runs: Vec<PathBuf>,
     /// Output folder [default: report in the first folder]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     /// Reference of paired differences.
     #[arg(

@@ -32,7 +32,7 @@ pub(crate) struct Run {
     #[command(flatten)]
     pub(crate) changes: ChangeOptions,
     /// Run folder [default: runs/NAME, from the name of the pipeline]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     /// Keep the training state of the finished run, checkpoint.safetensors
     #[arg(long)]

@@ -43,7 +43,7 @@ pub(crate) struct Simulate {
     #[arg(value_name = "SCENE")]
     pub(crate) scene: PathBuf,
     /// Output folder; must be new or empty
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     /// Layout: spectra, rssi, channels, csi or deepmimo
     #[arg(long, value_enum, hide_possible_values = true, default_value_t = SimulateFormat::Spectra)]
@@ -163,7 +163,7 @@ pub(crate) struct ExportScene {
     #[arg(value_name = "SCENE")]
     pub(crate) scene: PathBuf,
     /// Output folder; must be new or empty
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
 }
 

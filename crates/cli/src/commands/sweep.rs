@@ -43,7 +43,7 @@ pub(crate) struct Sweep {
     #[command(flatten)]
     pub(crate) changes: ChangeOptions,
     /// Sweep folder [default: runs/NAME, from the name of the experiment]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     /// List all runs with estimated times; run nothing
     #[arg(long)]

@@ -31,7 +31,7 @@ pub(crate) struct Update {
     #[arg(long, value_name = "DIR")]
     pub(crate) data: PathBuf,
     /// Model file to write; must not exist
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// Accept a finding, such as far-from-model after a change of the room; repeatable
     #[arg(long, value_name = "FINDING")]

@@ -61,7 +61,7 @@ fn similarity(@builtin(global_invocation_id) g: vec3u) {
 
 // C are the first three planes of A [links, 4, H·W], blurred along rows.
 @compute @workgroup_size(256)
-fn blur_slopes(@builtin(global_invocation_id) g: vec3u) {
+fn blur_d_similarity(@builtin(global_invocation_id) g: vec3u) {
   let size = s.width * s.height;
   if (g.x >= size) { return; }
   let x = g.x % s.width;
@@ -76,7 +76,7 @@ fn blur_slopes(@builtin(global_invocation_id) g: vec3u) {
   }
 }
 
-// C is the derivative of the loss by A, given what `blur_slopes` left in E.
+// C is the derivative of the loss by A, given what `blur_d_similarity` left in E.
 @compute @workgroup_size(256)
 fn loss_vjp(@builtin(global_invocation_id) g: vec3u) {
   let size = s.width * s.height;

@@ -356,8 +356,8 @@ struct Case {
     transmitters: usize,
     /// Column that moves.
     moved: &'static str,
-    /// Weight of 1-SSIM in the loss; `None` for random cotangents.
-    ssim_weight: Option<Real>,
+    /// Weight of 1-SSIM in the loss, and whether its errors are squared; `None` for random cotangents.
+    loss: Option<(Real, bool)>,
 }
 
 /// Observations, and derivatives with statistics, as one list each.
@@ -367,13 +367,13 @@ impl Case {
     fn new(deformation: &str, readout: Readout, gaussians: usize, transmitters: usize) -> Self {
         let deformation = Plugin::<dyn Deformation>::parse(deformation).unwrap();
         let method = Splatting { deformation, readout, ..Splatting::default() };
-        Self { method, setup: setup(), gaussians, transmitters, moved: "signals", ssim_weight: None }
+        Self { method, setup: setup(), gaussians, transmitters, moved: "signals", loss: None }
     }
 
     /// Runs a pass on the GPU, or the CPU, with a column moved by `shift` along a seeded direction; returns the slope along it
     /// too, and the norms of the derivative and of the direction multiplied, but for chance.
     fn run(&self, gpu: Option<&Gpu>, shift: Real) -> (Pass, [f64; 2]) {
-        let Self { method, setup, gaussians, transmitters, moved, ssim_weight } = self;
+        let Self { method, setup, gaussians, transmitters, moved, loss } = self;
         let (mut cloud, gate, existence) = cloud_of(*gaussians);
         let mut weights = method.layout(setup).init(&mut rng::stream(2, "weights", 0));
         let width = if *moved == "quats" { 4 } else { 2 };
@@ -392,11 +392,11 @@ impl Case {
         let mut sums = MethodVjp::zeros(&call, WantedInputs::default());
         let truths: Vec<Real> =
             random("truths", links.pairs.len() * setup.value_count()).iter().map(|t| t.abs()).collect();
-        let loss = ssim_weight.map(|ssim_weight| SpectrumLoss {
+        let loss = loss.map(|(ssim_weight, is_squared)| SpectrumLoss {
             truths: &truths,
             ssim_weight,
             window: Window::default(),
-            is_squared: false,
+            is_squared,
         });
         let numbers = if let (Some(gpu), Some(loss)) = (gpu, &loss) {
             let (value, d) = method.gpu_loss_vjp(gpu, &call, loss);
@@ -458,10 +458,10 @@ fn whole_drawings_match() {
     // With the loss: many entries of lists, which need larger buffers than those of the cases before.
     for (network, gaussians, transmitters) in [(NETWORK, 0, 1), (NETWORK, 65, 3), (SHARED, 157, 3), (NETWORK, 1000, 1)]
     {
-        cases.push(Case { ssim_weight: Some(0.2), ..Case::new(network, Readout::MinMax, gaussians, transmitters) });
+        cases.push(Case { loss: Some((0.2, false)), ..Case::new(network, Readout::MinMax, gaussians, transmitters) });
     }
     for case in cases {
-        let name = format!("{} x {}, {:?}", case.gaussians, case.transmitters, case.ssim_weight);
+        let name = format!("{} x {}, {:?}", case.gaussians, case.transmitters, case.loss);
         let ([expected, expected_d], _) = case.run(None, 0.0);
         let ([found, found_d], _) = case.run(Some(gpu), 0.0);
         // Centres differ by 1e-6 of the image, and the value of a pixel by as much as the slope of a Gaussian makes of it; a
@@ -479,19 +479,19 @@ fn whole_drawings_match() {
 fn slopes_match_differences() {
     let Some(gpu) = for_tests() else { return };
     // Signals have no kink. A Gaussian that turns crosses the limit 1/255 in some pixels, which is no part of the derivative.
-    // Absolute errors have a kink.
-    let cases = [("signals", 0.01, 2e-3, None), ("quats", 0.03, 0.05, None), ("signals", 0.02, 0.02, Some(0.5))];
-    for (moved, step, limit, ssim_weight) in cases {
+    let loss = Some((0.5, true));
+    let cases = [("signals", 0.01, 2e-3, None), ("quats", 0.03, 0.05, None), ("signals", 0.01, 2e-3, loss)];
+    for (moved, step, limit, loss) in cases {
         for (network, readout) in [(NETWORK, Readout::Magnitude), (SHARED, Readout::Power)] {
-            let case = Case { moved, ssim_weight, ..Case::new(network, readout, 65, 2) };
+            let case = Case { moved, loss, ..Case::new(network, readout, 65, 2) };
             let value = |shift: Real| -> f64 {
                 let numbers = &case.run(Some(gpu), shift).0[0];
-                let d = if ssim_weight.is_some() { vec![1.0] } else { random("d observations", numbers.len()) };
+                let d = if loss.is_some() { vec![1.0] } else { random("d observations", numbers.len()) };
                 numbers.iter().zip(d).map(|(a, b)| f64::from(*a) * f64::from(b)).sum()
             };
             let difference = (value(step) - value(-step)) / f64::from(2.0 * step);
             let (_, [slope, size]) = case.run(Some(gpu), 0.0);
-            println!("{moved}, {ssim_weight:?}: {slope} of {size}, by differences {difference}");
+            println!("{moved}, {loss:?}: {slope} of {size}, by differences {difference}");
             assert!((slope - difference).abs() <= limit * size, "{slope} of {size}, by differences {difference}");
         }
     }
@@ -500,7 +500,8 @@ fn slopes_match_differences() {
 #[test]
 fn bits_repeat_in_another_process() {
     let Some(gpu) = for_tests() else { return };
-    let results = Case::new(NETWORK, Readout::MinMax, 157, 3).run(Some(gpu), 0.0).0.concat();
+    let run = |loss| Case { loss, ..Case::new(NETWORK, Readout::MinMax, 157, 3) }.run(Some(gpu), 0.0).0.concat();
+    let results = [None, Some((0.2, false))].map(run).concat();
     check_bits_in_another_process("splatting::gpu_tests::bits_repeat_in_another_process", results);
 }
 

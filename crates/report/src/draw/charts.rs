@@ -165,7 +165,7 @@ impl Chart {
             // Marks at some points only distinguish lines: one on another mark is left out. Marks at all points are data.
             let are_data = line.marks.len() >= line.points.len();
             let is_free =
-                |at: &Point, marked: &[Point]| marked.iter().all(|[x, y]| (x - at[0]).hypot(y - at[1]) > APART);
+                |at: &Point, marked: &[Point]| marked.iter().all(|[x, y]| (x - at[0]).hypot(y - at[1]) > MARK_DISTANCE);
             let mut marks = on_canvas(&line.marks);
             marks.retain(|at| are_data || is_free(at, &marked));
             marked.extend(&marks);
@@ -213,7 +213,7 @@ impl Chart {
 }
 
 /// Least distance of the centres of two marks.
-const APART: f64 = 8.0;
+const MARK_DISTANCE: f64 = 8.0;
 
 /// Returns positions at least `step` apart and within `ends` if possible, each close to `targets` (ascending): one pass
 /// up and one pass down.

@@ -85,18 +85,21 @@ impl Sizing {
     fn small(survey: &DataSurvey, effort: Effort) -> Self {
         let (data, places) = (&survey.data, survey.known_places());
         let is_power = data.task().is_scalar;
-        // Of the parts of four models, two of eight leave out each, so the share of a mean is chosen.
-        let models = if is_power { effort.pick(1, 8, 16) } else { effort.pick(1, 4, 8) };
+        let (steps, most) = if is_power { ((4 * places).clamp(400, 1_200), 32) } else { (600, 16) };
+        let batch = survey.batch_size(most);
+        // Of the parts of four models, two of eight leave out each, so the share of a mean is chosen. A step at many receivers
+        // takes about as long as two steps at few.
+        let has_short_steps = is_power && survey.batch_note(batch).is_none();
+        let models = if has_short_steps { effort.pick(1, 8, 16) } else { effort.pick(1, 4, 8) };
         let models =
             Some(survey.known_parts().max(1)).filter(|parts| *parts < 4).map_or(models, |parts| models.min(parts));
-        let (steps, batch) = if is_power { ((4 * places).clamp(400, 1_200), 32) } else { (600, 16) };
         let mut set = vec![
             "pruners=[]".into(),
             "training.densify_until=0".into(),
             "training.prune_until=0".into(),
             "training.target_count=0".into(),
             format!("training.steps={steps}"),
-            format!("training.batch={}", survey.batch_size(batch)),
+            format!("training.batch={batch}"),
         ];
         if is_power {
             set.push(format!("deformation.width={}", effort.pick(48, 48, 64)));

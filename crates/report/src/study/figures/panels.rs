@@ -1,6 +1,6 @@
 //! Panels side by side: Gaussians in the room (figure 3 of the paper) and spectra (figure 4).
 
-use super::shown::one_variant_per_method;
+use super::shown::{CURVES, one_variant_per_method};
 use super::{COLUMN, Figure, PAGE};
 use crate::canvas::{Anchor, Canvas, LINE, TEXT, text_width, wrap_text};
 use crate::draw::charts::Legend;
@@ -12,14 +12,11 @@ use pwrfgs_experiment::{Setting, StudyVariant, scores::MODEL};
 use pwrfgs_model::Snapshot;
 use std::collections::BTreeMap;
 
-/// Maximum number of shown methods.
-const MOST_ROOMS: usize = 6;
-
 /// Draws the Gaussians over the point cloud of the scene with their Chamfer distances: figure 3 of the paper. `None`
 /// without Gaussians.
 pub(super) fn room_figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     let methods = || one_variant_per_method(setting).into_iter().filter(|v| v.runs[0].facts.gaussians > 0);
-    let shown: Vec<&StudyVariant> = methods().take(MOST_ROOMS).collect();
+    let shown: Vec<&StudyVariant> = methods().take(CURVES).collect();
     if shown.is_empty() {
         return Ok(None);
     }
