@@ -111,3 +111,33 @@ fn efforts_of_small_powers_are_one_eight_and_sixteen_models() {
     succeed(here, &["update", "r", "--data", "walk", "--out", "updated.safetensors"]);
     refuse(here, &["init", "walk", "--effort", "most", "--out", "no.ron"], 2, &["fast, normal or best"]);
 }
+
+/// With so many receivers that a step has 2,500 links at few transmitters, there are half as many models.
+#[test]
+fn steps_with_many_links_have_fewer_models() {
+    let here = tempfile::tempdir().unwrap();
+    let here = here.path();
+    let names: Vec<String> = (0..100).map(|k| format!("ap{k}")).collect();
+    let powers = |i: usize| (0..100).map(|k| format!("-{}", 40 + (i + 3 * k) % 31)).collect::<Vec<_>>().join(",");
+    let table: String = (0..60).map(|i| format!("{},{},1,{}\n", i % 10, i / 10, powers(i))).collect();
+    write(&here.join("walk.csv"), format!("x,y,z,{}\n{table}", names.join(",")));
+    succeed(here, &["import", "--table", "walk.csv", "--columns", "ap*", "--out", "walk"]);
+    succeed(here, &["init", "walk", "-o", "many.ron"]);
+    let text = std::fs::read_to_string(here.join("many.ron")).unwrap();
+    assert!(text.contains("batch: 27,") && text.contains("members: 4,"), "{text}");
+}
+
+/// Only the largest effort stores residuals at every pixel.
+#[test]
+fn residuals_of_spectra_are_exact_with_the_largest_effort() {
+    let here = tempfile::tempdir().unwrap();
+    let here = here.path();
+    folder(&here.join("few"), moving);
+    for (effort, stride) in [("normal", "stride: 4"), ("best", "stride: 1")] {
+        let out = format!("{effort}.ron");
+        succeed(here, &["init", "few", "--effort", effort, "-o", &out]);
+        let text = std::fs::read_to_string(here.join(&out)).unwrap();
+        let residuals = text.split("residuals: Kriged(").nth(1).unwrap();
+        assert!(residuals[..80].contains(stride), "{effort}: {residuals}");
+    }
+}

@@ -4,6 +4,8 @@ use super::survey::{DataSurvey, longest_side};
 
 /// Number of known places below which a set is small: training is short, and several models share the noise.
 pub(super) const SMALL: usize = 1_000;
+/// Largest number of pixels of known spectra that the largest effort stores, a byte each; else residuals have a stride.
+const STORED_PIXELS: usize = 200_000_000;
 
 /// Training of a proposed pipeline: its time, and number of models.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -63,7 +65,12 @@ impl Sizing {
         };
         let held_out = sizing.models > 1 || survey.has_validation();
         sizing.set.push(format!("members={}", sizing.models));
-        sizing.set.extend((has_residuals && held_out).then(|| "residuals=Kriged()".into()));
+        if has_residuals && held_out {
+            let has_few_pixels = survey.known_links() * data.width * data.height <= STORED_PIXELS;
+            // Without a stride, a share of 0 is the baseline Kriging to the bit.
+            let is_exact = data.task().has_pixels && effort == Effort::Best && has_few_pixels;
+            sizing.set.push(format!("residuals=Kriged({})", if is_exact { "stride: 1" } else { "" }));
+        }
         sizing
     }
 

@@ -124,6 +124,11 @@ impl DataSurvey {
         known.iter().map(|&i| self.data.links[i].location).collect::<BTreeSet<_>>().len()
     }
 
+    /// Returns the number of links of the training and validation sets.
+    pub(super) fn known_links(&self) -> usize {
+        self.partition.known().all().len()
+    }
+
     /// Returns the number of parts that the split holds out together, of the training and validation sets: the largest number
     /// of folds.
     pub(super) fn known_parts(&self) -> usize {
