@@ -213,6 +213,7 @@ impl Observer for RunProgress {
         });
         self.steps = start.steps;
         self.pace.clear();
+        (self.loss, self.validation) = (f64::NAN, None); // of the member before
         self.draw_bar(start.steps);
         if let Some(bar) = &self.bar {
             bar.set_position(start.done);

@@ -303,7 +303,7 @@ fn maps_powers(here: &Path) {
     assert_eq!(beyond as usize, distances.iter().filter(|metres| **metres > limit).count(), "{list}");
     let message =
         succeed(here, &["map", MODEL, "--plane", "y=2", "--receiver", "south", "--step", "1", "--out", "side"]);
-    let words = "(all training positions and receivers); set --bounds to change this";
+    let words = "(all training positions and mapped receivers); set --bounds to change this";
     assert!(stderr(&message).contains(words), "{}", stderr(&message));
     assert_eq!(names(&here.join("side")).len(), 5);
     for (arguments, words) in [

@@ -40,6 +40,18 @@ fn members_equal_a_joined_sweep_of_folds() {
     }
     let [own, swept] = ["r", "s/joined"].map(|run| bytes(&here.join(run).join("samples.csv")));
     assert!(own == swept, "the ensembles predict the same");
+    // Together, the members train on all known samples, so no known position is far from a training position.
+    let samples = String::from_utf8(own).unwrap();
+    let rows: Vec<Vec<&str>> = samples.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    let position = |row: &Vec<&str>| [1, 2, 3].map(|k| row[k].parse::<f64>().unwrap());
+    let known: Vec<_> = rows.iter().filter(|row| ["train", "validation"].contains(&row[4])).map(position).collect();
+    let ensemble = file::read_ensemble(&here.join("r").join(MODEL)).unwrap();
+    assert!(ensemble.training_distances(&known).unwrap().metres.iter().all(|metres| *metres < 0.2));
+    for test in rows.iter().filter(|row| row[4] == "test") {
+        let distance = |at: &[f64; 3]| (0..3).map(|k| (at[k] - position(test)[k]).powi(2)).sum::<f64>().sqrt();
+        let nearest = known.iter().map(distance).fold(f64::INFINITY, f64::min);
+        assert!((test[5].parse::<f64>().unwrap() - nearest).abs() < 1e-3, "{test:?}: {nearest}");
+    }
     let page = std::fs::read_to_string(here.join("r/report.html")).unwrap();
     for text in ["Training loss, mean of 3 models", "members/3"] {
         assert!(page.contains(text), "{text}");

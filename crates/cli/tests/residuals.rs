@@ -246,6 +246,10 @@ fn update_adds_measurements_and_refuses_other_data() {
         ensemble.residuals().unwrap().processes()[0].as_ref().unwrap().len()
     };
     assert_eq!((known(model), known("new.safetensors")), (4, 10));
+    let said = stderr(&succeed(here, &["update", "r", "-o", "final.safetensors"]));
+    assert!(said.contains("2 new spectra in final.safetensors"), "the test set: {said}");
+    assert_eq!(known("final.safetensors"), 6);
+    refuse(here, &["update", "new.safetensors", "-o", "no"], 2, &["new.safetensors", "use the model of a run folder"]);
     succeed(here, &["predict", "new.safetensors", "--tx", "0.3,1.0,0.5", "--interval", "0.5", "--out", "predicted"]);
 
     refuse(here, &update(model, "data", "new.safetensors"), 2, &["new.safetensors exists"]);

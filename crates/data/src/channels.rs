@@ -12,7 +12,7 @@ use crate::nerf2::{LocationTable, index};
 use crate::npy::{ComplexFile, check_size, read_all};
 use crate::text::{read_yaml, yaml_fault};
 use pwrfgs_core::{
-    Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Observations, Pose, Progress, Real, Receiver,
+    Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Observations, Pose, Progress, Receiver,
     Result, Sample, Simulation, Unmatched, carrier_fault,
 };
 use serde::{Deserialize, Serialize};

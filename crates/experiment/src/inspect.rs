@@ -224,6 +224,6 @@ fn describe_levels(data: &Dataset) -> (&'static str, String) {
 
 /// Returns the median distance from a test transmitter to the nearest other training transmitter, metres.
 pub fn test_distance(data: &Dataset, partition: &Partition) -> f64 {
-    let nearest = nearest_training_distances(data, partition);
+    let nearest = nearest_training_distances(data, &partition.train);
     median(partition.test.iter().map(|&i| nearest[i] as f64))
 }

@@ -13,12 +13,17 @@ use std::collections::BTreeMap;
 /// Folds of one run, or as [`check_data`](pwrfgs_model::Kriged::check_data).
 pub(crate) fn check_residuals(pipeline: &Pipeline, split: &SplitData, joined: bool) -> Result<()> {
     let Some(residuals) = &pipeline.residuals else { return Ok(()) };
-    let is_folded = residuals.folds || pipeline.members > 1;
+    let is_folded = is_folded(pipeline);
     if is_folded && !joined && pipeline.members == 1 {
         let advice = "write `Kriged()`, or give the pipeline `members: 4`";
         return Err(Error::Config(format!("residuals: `folds` needs several models; {advice}")));
     }
     residuals.check_data(&split.data, is_folded || !split.partition.validation.is_empty())
+}
+
+/// Returns whether each model of `pipeline` leaves out a part of the known links, so that together they train on all of them.
+pub(crate) fn is_folded(pipeline: &Pipeline) -> bool {
+    pipeline.members > 1 || pipeline.residuals.as_ref().is_some_and(|residuals| residuals.folds)
 }
 
 /// Lists the parts of the known links that models left out: model k did not train on list k modulo their number. For

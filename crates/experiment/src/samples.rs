@@ -19,10 +19,10 @@ pub fn data_key(pipeline: &Pipeline) -> String {
 }
 
 /// Formats the content of `samples.csv`: id, x, y, z in metres (empty if unknown), split, and the distance to the
-/// nearest other training transmitter in metres (empty if there is none). With several receivers a row is a link: its
+/// nearest other transmitter with a link of `trained` in metres (empty if there is none). With several receivers a row is a link: its
 /// number, as in `scores.csv`, is the first column, and the receiver name follows the id. `intervals` are those of the
 /// test samples, which add columns; empty without intervals.
-pub fn samples_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]) -> String {
+pub fn samples_csv(data: &Dataset, partition: &Partition, trained: &[usize], intervals: &[Vec<f64>]) -> String {
     let mut split = vec!["unused"; data.len()];
     for (part, name) in [(&partition.train, "train"), (&partition.validation, "validation"), (&partition.test, "test")]
     {
@@ -30,7 +30,7 @@ pub fn samples_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]
             split[i] = name;
         }
     }
-    let nearest = nearest_training_distances(data, partition);
+    let nearest = nearest_training_distances(data, trained);
     let many = data.scene.receivers.len() > 1;
     let task = data.task();
     let columns = task.intervals.iter().flat_map(|words| words.columns).filter(|_| !intervals.is_empty());
@@ -56,21 +56,21 @@ pub fn samples_csv(data: &Dataset, partition: &Partition, intervals: &[Vec<f64>]
     out
 }
 
-/// Returns the distance from the transmitter of each link to the nearest other transmitter with a training link,
-/// metres; infinity if there is none. Zero if the link is not a training link but another link of its transmitter is.
-pub fn nearest_training_distances(data: &Dataset, partition: &Partition) -> Vec<Real> {
-    let mut trained: Vec<usize> = partition.train.iter().map(|&i| data.links[i].location).collect();
-    trained.sort_unstable();
-    trained.dedup();
-    let train: Vec<[f64; 3]> = trained.iter().map(|&t| data.locations[t].position()).collect();
+/// Returns the distance from the transmitter of each link to the nearest other transmitter with a link of `trained`,
+/// metres; infinity if there is none. Zero if the link is not one of them but another link of its transmitter is.
+pub fn nearest_training_distances(data: &Dataset, trained: &[usize]) -> Vec<Real> {
+    let mut locations: Vec<usize> = trained.iter().map(|&i| data.links[i].location).collect();
+    locations.sort_unstable();
+    locations.dedup();
+    let train: Vec<[f64; 3]> = locations.iter().map(|&t| data.locations[t].position()).collect();
     let lookup = Nearest::of(&train);
     let nearest: Vec<f64> = data.locations.par_iter().map(|at| lookup.distance(&at.position())).collect();
     let mut others = nearest.clone();
-    for (&t, other) in trained.iter().zip(nearest_others(&train)) {
+    for (&t, other) in locations.iter().zip(nearest_others(&train)) {
         others[t] = other.map_or(f64::INFINITY, |other| other.0);
     }
     let mut is_training = vec![false; data.len()];
-    partition.train.iter().for_each(|&i| is_training[i] = true);
+    trained.iter().for_each(|&i| is_training[i] = true);
     let distance = |(link, is_training): (&pwrfgs_core::Link, bool)| {
         if is_training { others[link.location] } else { nearest[link.location] }
     };
@@ -129,7 +129,7 @@ mod tests {
         let data =
             Dataset::new("line", Pose::IDENTITY, vec![], samples, Spectra::grey((1, 1), vec![0; 4]).unwrap()).unwrap();
         let partition = Partition { train: vec![0, 1], validation: vec![], test: vec![2] };
-        let text = samples_csv(&data, &partition, &[]);
+        let text = samples_csv(&data, &partition, &partition.train, &[]);
         let expected = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n2,2,0,0,train,2\n5,2.5,0,0,test,0.5\n\
                         6,9,0,0,unused,7\n";
         assert_eq!(text, expected);

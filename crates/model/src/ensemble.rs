@@ -147,14 +147,14 @@ impl Ensemble {
         self.members.iter().flat_map(|model| model.means_from(origin)).collect()
     }
 
-    /// Returns how far the transmitter positions `txs` `[K,3]` (metres, world frame) are from the training positions. `None`
-    /// if a member has no training positions.
+    /// Returns how far the transmitter positions `txs` `[K,3]` (metres, world frame) are from the nearest training position
+    /// of any member. `None` if a member has no training positions.
     pub fn training_distances(&self, txs: &[[f64; 3]]) -> Option<TrainingDistances> {
-        let mut metres = vec![0.0_f64; txs.len()];
+        let mut metres = vec![f64::INFINITY; txs.len()];
         for Model { stages, training_positions, .. } in &self.members {
             let local: Vec<[Real; 3]> = txs.iter().map(|tx| stages.origin.local(*tx)).collect();
             let distances = training_positions.as_ref()?.distances(&local);
-            metres.iter_mut().zip(distances).for_each(|(largest, distances)| *largest = largest.max(distances as f64));
+            metres.iter_mut().zip(distances).for_each(|(least, distance)| *least = least.min(distance as f64));
         }
         Some(TrainingDistances { metres, limit: self.training_limit()? })
     }

@@ -83,7 +83,7 @@ impl TrainingPositions {
 /// Distances of transmitter positions to the nearest training positions of an ensemble.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrainingDistances {
-    /// Distance per position `[K]`, metres: the largest over the members.
+    /// Distance per position `[K]`, metres: the least over the members, which leave out parts of the training set.
     pub metres: Vec<f64>,
     /// Distance beyond which a prediction is an extrapolation, metres: the smallest over the members.
     pub limit: f64,

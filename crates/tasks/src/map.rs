@@ -142,7 +142,7 @@ fn default_bounds(model: &Ensemble, plane: MapPlane, receivers: Vec<[f64; 2]>) -
     if !training.is_empty() {
         let points: Vec<[f64; 2]> =
             training.into_iter().map(|position| plane.project(position)).chain(receivers).collect();
-        return Ok((PlaneBounds::around(Vec::new(), &points), "all training positions and receivers"));
+        return Ok((PlaneBounds::around(Vec::new(), &points), "all training positions and mapped receivers"));
     }
     let origin = model.members()[0].stages.origin;
     let means = model.means_from(origin).into_iter().map(|mean| plane.project(origin.world(mean)));

@@ -59,7 +59,10 @@ pub(crate) fn compare(arguments: &Compare, verbosity: Verbosity) -> Result<u8> {
     let plan = &comparison.plan;
     if let Some(path) = &arguments.split_csv {
         check_new_file(path)?;
-        create(path, samples::samples_csv(&survey.data, &comparison.partition, &[]).as_bytes())?;
+        create(
+            path,
+            samples::samples_csv(&survey.data, &comparison.partition, &comparison.partition.train, &[]).as_bytes(),
+        )?;
         let [train, validation, test] = comparison.partition.sizes();
         output::print_result(&format!("{}: {train} train, {validation} validation, {test} test\n", path.display()))?;
         return Ok(SUCCESS);

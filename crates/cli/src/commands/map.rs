@@ -25,7 +25,7 @@ FILES
 Images show training positions near the plane as circles. They hatch extrapolations: positions
 farther from all training positions than 3 times their spacing (95th percentile of
 nearest-neighbour distances).
-Without --bounds, the map covers all training positions and receivers.
+Without --bounds, the map covers all training positions and mapped receivers.
 
 EXAMPLES
   pwrfgs map runs/ble --plane z=0 --step 0.25 --receiver g01 --out g01

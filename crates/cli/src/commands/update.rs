@@ -4,32 +4,35 @@ use super::options::in_file;
 use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::Args;
-use pwrfgs::experiment::run_stage;
 use pwrfgs::experiment::text::grouped;
+use pwrfgs::experiment::{load_split_data, run_stage};
 use pwrfgs::model::file;
 use pwrfgs::tasks::init::unknown_folder_error;
+use pwrfgs::tasks::locate::read_known_pipeline;
 use pwrfgs::tasks::read_models;
 use pwrfgs::tasks::update::{UpdatedModel, check_residuals, update as update_model};
 use pwrfgs_core::files::{check_new_file, create};
-use pwrfgs_core::{Result, recognise};
+use pwrfgs_core::{Dataset, Result, recognise};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The model needs a residual process (residuals: Kriged() in its pipeline). All links of the new data
-become known links. Nothing is trained: the Gaussians, the network and the correlation stay.
+become known links. Without --data, those of the test set do: after the scores are known, the model then
+predicts from all measurements. Nothing is trained: the Gaussians, the network and the correlation stay.
 The new data need the kind of observation, receivers and frequencies of the model. Most links must lie
 inside its 99 % intervals. A model without calibration of intervals prints the distances only.
 
 EXAMPLES
+  pwrfgs update runs/lab --out final.safetensors
   pwrfgs update runs/lab --data data/today --out today.safetensors")]
 pub(crate) struct Update {
     /// Run folder or model file, with a residual process
     #[arg(value_name = "MODEL")]
     pub(crate) model: PathBuf,
-    /// Folder of new data (layouts in docs/data.md)
+    /// Folder of new data (layouts in docs/data.md) [default: test set of the run folder]
     #[arg(long, value_name = "DIR")]
-    pub(crate) data: PathBuf,
+    pub(crate) data: Option<PathBuf>,
     /// Model file to write; must not exist
     #[arg(short, long, value_name = "FILE")]
     pub(crate) out: PathBuf,
@@ -43,11 +46,11 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let model = read_models(std::slice::from_ref(&arguments.model))?;
     check_residuals(&model).map_err(in_file(&arguments.model))?;
-    let source = recognise(&arguments.data).ok_or_else(|| unknown_folder_error(&arguments.data))?;
     let mut progress = RunProgress::new(verbosity);
-    let data = run_stage(&mut progress, "new data", |progress| source.load(Path::new(""), progress))?;
+    let data = new_data(arguments, &mut progress)?;
     let updated = update_model(&model, &data, &arguments.accept, &mut progress);
-    let UpdatedModel { ensemble, added, agreement, milliseconds } = updated.map_err(in_file(&arguments.data))?;
+    let source = arguments.data.as_ref().unwrap_or(&arguments.model);
+    let UpdatedModel { ensemble, added, agreement, milliseconds } = updated.map_err(in_file(source))?;
     progress.remove_bar();
     verbosity.print_note(&format!("new data against the model: {agreement}"));
     create(&arguments.out, &file::ensemble_to_bytes(&ensemble))?;
@@ -55,4 +58,16 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     let out = arguments.out.display();
     verbosity.print_note(&format!("{} new {things} in {out}, {milliseconds:.2} ms each", grouped(added as i64)));
     Ok(())
+}
+
+/// Loads the data of `--data`, or the test set of the run.
+fn new_data(arguments: &Update, progress: &mut RunProgress) -> Result<Dataset> {
+    let Some(folder) = &arguments.data else {
+        let pipeline = read_known_pipeline(Some(&arguments.model), &[], false)?;
+        let split = pipeline.map(|pipeline| load_split_data(&pipeline, progress)).transpose()?;
+        let split = split.expect("an error without a pipeline");
+        return split.data.into_subset(&split.partition.test);
+    };
+    let source = recognise(folder).ok_or_else(|| unknown_folder_error(folder))?;
+    run_stage(progress, "new data", |progress| source.load(Path::new(""), progress))
 }

@@ -27,6 +27,7 @@ impl Survey<'_> {
         self.separate_repetitions();
         self.readings.sort_unstable_by_key(|reading| (reading.location, reading.receiver));
         let receivers = self.heard_receivers();
+        self.check_names(&receivers)?;
         self.add_notes(&receivers);
         let (locations, links) = self.number_links(&receivers);
         let powers: Vec<Real> = self.readings.iter().map(|reading| reading.dbm).collect();
@@ -88,6 +89,19 @@ impl Survey<'_> {
             is_heard.then_some(named)
         };
         self.receivers.iter().zip(is_heard).map(place).collect()
+    }
+
+    /// Rejects a file of receivers without the name of any receiver that heard something.
+    fn check_names(&self, receivers: &[Option<Receiver>]) -> Result<()> {
+        let Some(file) = &self.import.receivers else { return Ok(()) };
+        let (placed, others) = receivers.split_at(self.placed);
+        if placed.iter().any(Option::is_some) {
+            return Ok(());
+        }
+        let here = list(self.receivers[..self.placed].iter().map(|receiver| &*receiver.name));
+        let there = list(others.iter().flatten().map(|receiver| &*receiver.name));
+        let problem = format!("has the names {here}, but the powers are those of {there}; give both the same names");
+        Err(Error::input(&file.path, problem))
     }
 
     /// Numbers the receivers that heard a location. Returns the columns of the data set.

@@ -1,6 +1,7 @@
 //! Names under which people write the columns of tables.
 
 use crate::text::split_unit;
+use std::collections::HashSet;
 
 /// Coordinates across, metres.
 pub(super) const X: &str =
@@ -40,4 +41,16 @@ pub(super) fn normalized_name(name: &str) -> String {
 /// Returns whether a normalized name is one of a list of names.
 pub(super) fn is_one_of(name: &str, names: &str) -> bool {
     names.split(' ').any(|other| other == name)
+}
+
+/// Returns column names without the text that all have before and after a name of `placed`, such as `RSSI_` in `RSSI_AP1`;
+/// `None` if that does not make each a name of `placed`.
+pub(super) fn strip_shared<'c>(columns: &[&'c str], placed: &[&str]) -> Option<Vec<&'c str>> {
+    let names: HashSet<&str> = placed.iter().copied().collect();
+    let first = columns.first()?;
+    placed.iter().find_map(|name| {
+        let (before, after) = first.split_once(name)?;
+        let inner = |column: &&'c str| column.strip_prefix(before)?.strip_suffix(after);
+        columns.iter().map(|column| inner(column).filter(|name| names.contains(name))).collect()
+    })
 }

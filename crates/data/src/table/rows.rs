@@ -66,16 +66,20 @@ impl<'a> RowReader<'a> {
     }
 
     /// Describes the columns in one sentence, with those that are not used.
-    pub(super) fn describe(&self, search: &ColumnSearch<'_>) -> String {
+    pub(super) fn describe(&self, import: &TableImport, search: &ColumnSearch<'_>) -> String {
         let mut used: Vec<usize> = self.floor.into_iter().chain(self.transmitter.iter().copied()).collect();
         let place = match self.place {
             RowPlace::Columns(columns) => {
                 used.extend(columns.all());
                 let unit = if columns.is_geodetic { "degrees" } else { "metres" };
+                let given = format!("height {} m (change: --height METRES)", import.height.unwrap_or(0.0));
                 let height = match (columns.height, self.floor) {
                     (Some(k), _) => format!("height in {}", search.list([k])),
-                    (None, Some(k)) => format!("height by the floor in {}", search.list([k])),
-                    (None, None) => "no column of the height".into(),
+                    (None, Some(k)) if import.floor_height.is_some() => {
+                        format!("height by the floor in {}", search.list([k]))
+                    }
+                    (None, Some(k)) => format!("{given}, floor in {}", search.list([k])),
+                    (None, None) => given,
                 };
                 format!("positions in {} ({unit}), {height}", search.list(columns.plane))
             }

@@ -1,6 +1,7 @@
 //! `Survey`: collects readings from tables.
 
 use super::columns::ColumnSearch;
+use super::names::strip_shared;
 use super::options::TableImport;
 use super::places::{Frame, Places, SAME_M};
 use super::powers::PowerColumns;
@@ -54,7 +55,10 @@ pub(super) struct Survey<'a> {
     pub(super) spots: Vec<Spot>,
     /// Transmitters of rows of one reading each: place, cells of its ID and time, test set.
     pub(super) groups: HashMap<(u32, Box<str>, bool), u32>,
+    /// Receivers, those of --receivers first.
     pub(super) receivers: Vec<NamedReceiver>,
+    /// Number of receivers of --receivers.
+    pub(super) placed: usize,
     pub(super) receiver_indices: HashMap<String, u32>,
     pub(super) readings: Vec<Reading>,
     /// Height on each floor, metres.
@@ -86,6 +90,7 @@ impl<'a> Survey<'a> {
             spots: Vec::new(),
             groups: HashMap::new(),
             receivers: Vec::new(),
+            placed: 0,
             receiver_indices: HashMap::new(),
             readings: Vec::new(),
             floors: BTreeMap::new(),
@@ -101,6 +106,7 @@ impl<'a> Survey<'a> {
             let receiver = survey.receiver(&name);
             survey.receivers[receiver as usize].position = Some(position);
         }
+        survey.placed = survey.receivers.len();
         Ok(survey)
     }
 
@@ -114,7 +120,7 @@ impl<'a> Survey<'a> {
         let search = ColumnSearch::new(&table, &self.import.columns)?;
         let reader = RowReader::new(self.import, &self.named, &search)?;
         self.check_memory(&reader)?;
-        self.notes.push(reader.describe(&search));
+        self.notes.push(reader.describe(self.import, &search));
         match &reader.powers {
             PowerColumns::Long { .. } => self.add_long(&reader, is_test, progress),
             PowerColumns::Wide(_) => self.add_wide(&reader, is_test, progress),
@@ -143,13 +149,14 @@ impl<'a> Survey<'a> {
     /// Adds a table with a row per transmitter.
     fn add_wide(&mut self, reader: &RowReader<'_>, is_test: bool, progress: Progress<'_>) -> Result<()> {
         let PowerColumns::Wide(columns) = &reader.powers else { return Ok(()) };
-        let names: Vec<u32> = columns.iter().map(|k| self.receiver(&reader.table.names[*k])).collect();
+        let names: Vec<&str> = columns.iter().map(|k| &*reader.table.names[*k]).collect();
+        let receivers = self.column_receivers(&names);
         for row in reader.table.counted_rows(progress) {
             let row = row?;
             let place = self.place(reader, &row)?;
             let location = self.spots.len() as u32;
             self.spots.push(Spot { place, is_test });
-            for (&column, &receiver) in columns.iter().zip(&names) {
+            for (&column, &receiver) in columns.iter().zip(&receivers) {
                 // A row may end early: its last cells are empty.
                 let Some(field) = row.fields.get(column) else { break };
                 if let Some(dbm) = self.dbm(&row, *field)? {
@@ -158,6 +165,19 @@ impl<'a> Survey<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Returns the indices of the receivers in columns. Columns may have the names of --receivers within a text that all
+    /// share, as `RSSI_AP1` and `RSSI_AP2`.
+    fn column_receivers(&mut self, columns: &[&str]) -> Vec<u32> {
+        let placed: Vec<&str> = self.receivers[..self.placed].iter().map(|receiver| &*receiver.name).collect();
+        let names = strip_shared(columns, &placed).unwrap_or_else(|| columns.to_vec());
+        if let ([column, ..], [name, ..]) = (columns, &names[..])
+            && column != name
+        {
+            self.notes.push(format!("column {} is receiver {}, and so on", quoted(column), quoted(name)));
+        }
+        names.into_iter().map(|name| self.receiver(name)).collect()
     }
 
     /// Adds a table with a row per reading.

@@ -94,6 +94,32 @@ fn columns_without_header_are_chosen_by_number() {
 }
 
 #[test]
+fn columns_may_have_the_names_of_receivers_within_a_shared_text() {
+    let read_with = |table: &str, receivers: &str| {
+        read(table, TableImport { receivers: Some(file("receivers.csv", receivers)), ..TableImport::default() })
+    };
+    let table = "x,y,RSSI_AP1,RSSI_AP11\n0,0,-40,-50\n1,0,-41,-51\n";
+    let imported = read_with(table, "name,x,y,z\nAP11,5,0,2\nAP1,3,0,2\nAP2,9,9,2\n").unwrap();
+    let positions: Vec<_> = imported
+        .data
+        .scene
+        .receivers
+        .iter()
+        .map(|receiver| (&*receiver.name, receiver.pose.position, receiver.is_estimated))
+        .collect();
+    assert_eq!(positions, [("AP11", [5.0, 0.0, 2.0], false), ("AP1", [3.0, 0.0, 2.0], false)]);
+    assert_eq!(powers(&imported), [-50.0, -40.0, -51.0, -41.0]);
+    let notes = imported.notes.join("\n");
+    assert!(notes.contains("column `RSSI_AP1` is receiver `AP1`, and so on"), "{notes}");
+    assert!(notes.contains("height 0 m (change: --height METRES)"), "{notes}");
+    let problem = read_with(table, "name,x,y,z\nkitchen,5,0,2\n").err().unwrap().to_string();
+    assert!(
+        problem.contains("has the names `kitchen`, but the powers are those of `RSSI_AP1`, `RSSI_AP11`"),
+        "{problem}"
+    );
+}
+
+#[test]
 fn wide_columns_are_recognised_or_chosen() {
     let wide =
         "FloorID,X,Y,UserID,MAC1,MAC2,MAC10,RTT1,RTT2\n1,0,0,7,-40,-50,100,1500,2100\n1,0,3,7,100,-55,100,1700,900\n";

@@ -4,8 +4,8 @@ use super::survey::{DataSurvey, longest_side};
 
 /// Number of known places below which a set is small: training is short, and several models share the noise.
 pub(super) const SMALL: usize = 1_000;
-/// Largest number of pixels of known spectra that the largest effort stores, a byte each; else residuals have a stride.
-const STORED_PIXELS: usize = 200_000_000;
+/// Largest number of pixels of known spectra that the largest effort stores, in 100 MB; else residuals have a stride.
+const STORED_PIXELS: usize = 25_000_000;
 
 /// Training of a proposed pipeline: its time, and number of models.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
