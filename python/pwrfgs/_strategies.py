@@ -39,7 +39,8 @@ class Strategy:
 
 
 class Pruner(Strategy):
-    """Base class of pruners. ``keep`` or ``gate`` is required.
+    """Base class of pruners. ``keep``, ``gate`` or ``score`` is required. With ``score`` alone, each prune step keeps the
+    best, an equal share of the Gaussians, so that ``training.target_count`` remain at the end: as for the built-in pruners.
 
     An object is recorded by its class and the arguments of ``__init__``, which must be attributes of the same name (as in
     a dataclass). It is recreated from these when a run is resumed. State must be kept in columns; other state is lost.
@@ -63,8 +64,8 @@ class Pruner(Strategy):
         return ()
 
     def score(self, cloud: Cloud, stats: Stats, context: StepContext) -> Array:
-        """Importance of each Gaussian, [N]; the highest is kept if all pruners together would remove everything. Default:
-        opacity."""
+        """Importance of each Gaussian, [N]. With ``keep`` or ``gate``, only the highest matters, which is kept if all pruners
+        together would remove everything. Default: opacity."""
         raise NotImplementedError
 
     def gate(self, cloud: Cloud, context: StepContext) -> Optional[Tuple[Any, ...]]:
@@ -179,7 +180,7 @@ RECORD = ("module", "class", "settings", "source")
 # A class of a kind implements at least one of these methods.
 REQUIRED = {
     "Deformation": ["forward"],
-    "Pruner": ["keep", "gate"],
+    "Pruner": ["keep", "gate", "score"],
     "Initializer": ["initialize"],
     "Split": ["split"],
     "Baseline": ["predict", "fit"],

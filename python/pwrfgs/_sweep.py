@@ -52,6 +52,10 @@ def sweep(
 
     Each axis is the path of a setting with its values: every combination runs with each of the ``seeds``. A dict gives the
     values labels for folders, tables and figures; the label of a plugin in a list is its name with the settings that differ.
+    A value that is a dict changes several settings, and the axis then has any name::
+
+        axes={"pruner": {"mine": {"pruners": [Mine()], "training.target_count": 0}, "top": {"pruners": [pwrfgs.TopK()]}}}
+
     ``out`` is the sweep folder, default ``runs/NAME``; ``name`` is by default the name of the base and of the axes.
 
     Repeat the call to resume after Ctrl-C. Raises ``SweepError`` if runs failed, after all others have finished.
@@ -188,10 +192,16 @@ def _axis(name: str, path: str, values: Values) -> str:
         listed = [(str(label), value) for label, value in values.items()]
     else:
         listed = list(zip(_labels(list(values)), values))
-    # A path of Python may have the name of a keyword, such as `lambda_`.
-    path = ".".join(map(ron_name, path.split(".")))
-    variants = [f"(label: {quoted(label)}, set: {{{quoted(path)}: {to_ron(value)}}})" for label, value in listed]
+    variants = [f"(label: {quoted(label)}, set: {_changes(path, value)})" for label, value in listed]
     return f"Axis(name: {quoted(name)}, variants: [{', '.join(variants)}])"
+
+
+def _changes(path: str, value: Any) -> str:
+    """RON map of the settings of a variant: those of a dict, or that of the axis."""
+    settings = value if isinstance(value, Mapping) else {path: value}
+    # A path of Python may have the name of a keyword, such as `lambda_`.
+    paths = {name: quoted(".".join(map(ron_name, name.split(".")))) for name in settings}
+    return f"{{{', '.join(f'{paths[name]}: {to_ron(setting)}' for name, setting in settings.items())}}}"
 
 
 def _labels(values: List[Any]) -> List[str]:

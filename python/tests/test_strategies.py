@@ -471,6 +471,23 @@ def test_pruners_stand_beside_those_of_the_pipeline(pipeline, tmp_path, caplog):
     assert "would remove all Gaussians" in caplog.text
 
 
+class Brightest(pwrfgs.Pruner):
+    def score(self, cloud, stats, context):
+        return cloud.opacities
+
+
+def test_score_alone_reaches_the_target_as_built_in_pruners_do(pipeline, tmp_path):
+    with pytest.raises(pwrfgs.InputError, match="`Brightest` needs training.target_count"):
+        pwrfgs.run(pipeline, set={"pruners": [Brightest()]}, out=tmp_path / "r", progress=False)
+    axes = {"pruner": {
+        "mine": {"pruners": [Brightest()], "training.target_count": 20},
+        "top": {"pruners": [pwrfgs.TopK()], "training.target_count": 10},
+    }}  # fmt: skip
+    mine, top = pwrfgs.sweep(pipeline, axes=axes, out=tmp_path / "s", name="s")
+    assert [len(run.model.gaussians().means) for run in (mine, top)] == [20, 10]
+    assert "mine" in pwrfgs.report([mine, top], tmp_path / "report", reference="mine")
+
+
 def test_messages_name_the_class_of_a_pruner(pipeline, tmp_path, caplog):
     caplog.set_level("INFO", "pwrfgs")
     pwrfgs.run(pipeline, pruners=[Thin(0.7)], set={"pruners": []}, out=tmp_path / "run", progress=False)

@@ -123,7 +123,9 @@ pub enum Misfit {
     #[error("pruners: `{0}` needs errors of pixels, but these data have no pixels; remove it")]
     NeedsPixels(String),
     /// Target without a pruner that supports one.
-    #[error("pruners: training.target_count is {0}, but no pruner supports a target; add SignalContribution()")]
+    #[error(
+        "pruners: training.target_count is {0}, but no pruner supports a target; add SignalContribution(), or in Python give a pruner `score` and no `keep`"
+    )]
     TargetUnsupported(usize),
     /// Pruner that requires a target.
     #[error("pruners: `{0}` needs training.target_count, which is not set; set it, for example to 157")]

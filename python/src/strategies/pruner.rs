@@ -6,7 +6,7 @@ use crate::arrays::{column_shape, finite_numbers, numbers};
 use crate::border::{input_error, reject};
 use dfdx::tensor_ops::SumTo as _;
 use pwrfgs_core::tape::{Trace, TraceScalar, TracedCloud, op};
-use pwrfgs_core::{CloudStats, Gate, GaussianCloud, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext};
+use pwrfgs_core::{Budget, CloudStats, Gate, GaussianCloud, Needs, Pruner, PrunerTraits, Real, Statistic, StepContext};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
@@ -140,7 +140,14 @@ impl Pruner for Strategy {
     }
 
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { columns: self.object.columns.clone(), ..PrunerTraits::default() }
+        let has_score_alone =
+            self.object.implements("score") && !["keep", "gate"].iter().any(|method| self.object.implements(method));
+        PrunerTraits {
+            columns: self.object.columns.clone(),
+            budget: has_score_alone.then_some(Budget::Gradual),
+            requires_target: has_score_alone,
+            ..PrunerTraits::default()
+        }
     }
 
     fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {

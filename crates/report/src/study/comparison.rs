@@ -193,9 +193,12 @@ impl<'a> Comparison<'a> {
         ![TRAINED_ON, SHARE].contains(&metric.key.as_str()) && (!is_time(metric) || self.has_one_machine())
     }
 
-    /// Returns the row with a label; `None` without one.
+    /// Returns the row with a label, or else the first with this label of its axis, such as `Mine` for `pruners Mine`; `None`
+    /// without one.
     pub(super) fn row(&self, label: &str) -> Option<&ComparisonRow<'a>> {
-        self.rows.iter().find(|row| row.label == label)
+        let without_axis = |row: &&ComparisonRow<'_>| row.label.split_once(' ').is_some_and(|(_, end)| end == label);
+        let exact = self.rows.iter().find(|row| row.label == label);
+        exact.or_else(|| self.rows.iter().find(without_axis))
     }
 
     /// Returns the metric with a key; `None` without one.
