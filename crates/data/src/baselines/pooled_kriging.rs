@@ -5,6 +5,9 @@ use pwrfgs_core::kriging::{Correlation, LocalKriging, PathLoss, Place, ProcessFi
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Dataset, FittingSet, Image, Predict, Query, Real, Result};
 
+/// Largest number of receivers whose path loss the note lists, so that a line stays readable.
+const LISTED: usize = 24;
+
 /// Pooled Kriging of the powers of all receivers.
 pub(super) struct PooledKriging<'a> {
     data: &'a Dataset,
