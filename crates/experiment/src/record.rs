@@ -3,6 +3,7 @@
 use crate::facts::Facts;
 use crate::folder::{CONFIDENCE, CURVE, MODEL_FILE, PIPELINE, REPORT, SAMPLES, SCORES, VALIDATION};
 use crate::input::read_pipeline;
+use crate::journal::{GAUSSIANS, LOSS};
 use crate::samples::TestSamples;
 use crate::scores::Scores;
 use crate::text::{Lines, damaged, read_csv_rows};
@@ -82,9 +83,14 @@ impl Record {
         Ok(nameless.to_ron()? + joined.map_or("", |mark| &mark.sha256))
     }
 
-    /// Returns the pairs of step and value of a column of `curve.csv`, such as 2, the loss, or 4, the number of Gaussians.
-    pub fn curve_column(&self, column: usize) -> Vec<(f64, f64)> {
-        series_column(&self.curve, column)
+    /// Returns the pairs of step and loss in `curve.csv`.
+    pub fn loss_curve(&self) -> Vec<(f64, f64)> {
+        series_column(&self.curve, LOSS)
+    }
+
+    /// Returns the pairs of step and number of Gaussians in `curve.csv`.
+    pub fn gaussians_curve(&self) -> Vec<(f64, f64)> {
+        series_column(&self.curve, GAUSSIANS)
     }
 
     /// Splits `data` as in this run.
@@ -156,6 +162,11 @@ fn model_folders(folder: &Path, facts: &Facts) -> Vec<PathBuf> {
         members => members.iter().map(|member| folder.join(member)).collect(),
     }
 }
+
+/// Column of the mean of the first metric in `validation.csv`, counted from 0.
+pub const VALIDATION_MEAN: usize = 1;
+/// Column of the median of the first metric in `validation.csv`, counted from 0.
+pub const VALIDATION_MEDIAN: usize = 2;
 
 /// Reads the rows of `validation.csv` of a run, of several models their mean; empty without validations.
 pub(crate) fn read_validation(folder: &Path, facts: &Facts) -> Vec<Vec<Option<f64>>> {

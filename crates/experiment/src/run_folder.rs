@@ -28,8 +28,8 @@ pub enum RunState {
 }
 
 impl RunState {
-    /// Reads scores and facts of the finished run in `path`; `None` if it must still be run or scored, or lacks the report
-    /// if `reported`.
+    /// Reads scores and facts of the finished run in `path`; `None` if it must still be run or scored, or if `reported` and
+    /// it has no report.
     ///
     /// # Errors
     /// Same as [`Facts::read`].
@@ -90,8 +90,8 @@ impl RunFolder {
     }
 
     /// Opens `run.json` for another start on the data, with the findings and, for a joined model, the members of `new`.
-    /// Replaces `pipeline.ron` if its baselines or metrics changed, or residuals were added. From now on the run counts as unfinished, since
-    /// earlier checksums and baselines may become invalid.
+    /// Replaces `pipeline.ron` if its baselines or metrics changed, or residuals were added. From now on the run counts as
+    /// unfinished, since earlier checksums and baselines may become invalid.
     ///
     /// The new `pipeline.ron` is locked before it is renamed, so that no other process can lock the folder in between.
     ///

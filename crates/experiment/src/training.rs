@@ -11,7 +11,7 @@ use crate::folder::{
 };
 use crate::journal::Journal;
 use crate::load::{ActiveRun, SplitData};
-use crate::record::{read_series, series_column};
+use crate::record::{VALIDATION_MEAN, read_series, series_column};
 use crate::run_folder::RunFolder;
 use crate::session::{NoopObserver, Session, Start, Validation, run_stage};
 use crate::statistics::Summary;
@@ -284,8 +284,8 @@ pub(crate) fn is_better(task: Task, value: f64, other: f64) -> bool {
 
 /// Returns the best mean of the validations in `rows` after step `from`; `None` without one.
 fn best_value(rows: &[Vec<Option<f64>>], from: u64, task: Task) -> Option<f64> {
-    let values = series_column(rows, 1).into_iter().filter(|(step, _)| *step > from as f64).map(|(_, value)| value);
-    values.reduce(|best, value| if is_better(task, value, best) { value } else { best })
+    let late = series_column(rows, VALIDATION_MEAN).into_iter().filter(|(step, _)| *step > from as f64);
+    late.map(|(_, value)| value).reduce(|best, value| if is_better(task, value, best) { value } else { best })
 }
 
 /// Scores the samples `part`: mean and median of the first metric, then the mean of the second metric, or the tail

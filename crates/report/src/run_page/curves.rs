@@ -6,7 +6,8 @@ use crate::draw::marks::{Stroke, Style};
 use minijinja::{Value, context};
 use pwrfgs_core::statistics::{self, quantile};
 use pwrfgs_core::{Appearance, Headline};
-use pwrfgs_experiment::{IntervalScores, LoadedRun, record::series_column, scores::MODEL};
+use pwrfgs_experiment::record::{VALIDATION_MEAN, VALIDATION_MEDIAN, series_column};
+use pwrfgs_experiment::{IntervalScores, LoadedRun, scores::MODEL};
 
 /// Maximum number of ranges over which the loss is averaged.
 const MOST_RANGES: usize = 150;
@@ -59,8 +60,8 @@ type Figure = (String, String);
 pub(super) fn figures(run: &LoadedRun<'_>) -> Vec<Figure> {
     let mut figures = Vec::new();
     if !run.record.curve.is_empty() {
-        figures.extend(loss_figure(run, &run.record.curve_column(2)));
-        figures.extend(gaussians_figure(run, &run.record.curve_column(4)));
+        figures.extend(loss_figure(run, &run.record.loss_curve()));
+        figures.extend(gaussians_figure(run, &run.record.gaussians_curve()));
         figures.extend(validation_figure(run));
     }
     figures.extend(distribution_figure(run));
@@ -142,8 +143,8 @@ fn validation_figure(run: &LoadedRun<'_>) -> Option<Figure> {
         return None;
     }
     let mut lines = vec![
-        solid_line(series_column(rows, 1), MODEL_COLOUR, 3.0).named("model, mean"),
-        solid_line(series_column(rows, 2), LIGHT, 2.0).named("model, median"),
+        solid_line(series_column(rows, VALIDATION_MEAN), MODEL_COLOUR, 3.0).named("model, mean"),
+        solid_line(series_column(rows, VALIDATION_MEDIAN), LIGHT, 2.0).named("model, median"),
     ];
     let task = run.data.task();
     let baselines = run.record.facts.validation_baselines.iter().collect();

@@ -132,7 +132,7 @@ pub(super) fn rank_table(setting: &Setting) -> Option<Table> {
                 ..FormattedValue::default()
             })
         };
-        let mut cells: Vec<FormattedValue> = family.places.iter().map(cell).collect();
+        let mut cells: Vec<FormattedValue> = family.results.iter().map(cell).collect();
         let mean = family.mean_rank();
         let value = if mean.is_finite() { format!("{mean:.1}") } else { String::new() };
         cells.push(FormattedValue { value, ..FormattedValue::default() });

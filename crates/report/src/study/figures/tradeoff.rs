@@ -181,7 +181,7 @@ fn is_worse_than_baselines(setting: &Setting) -> impl Fn(&VariantFamily<'_>) -> 
     let worst = baselines.reduce(if higher { f64::min } else { f64::max });
     let is_worse = move |score: f64| worst.is_some_and(|worst| if higher { score < worst } else { score > worst });
     move |family: &VariantFamily<'_>| {
-        let scores: Vec<f64> = family.places.iter().flatten().map(|(score, _)| score.mean).collect();
+        let scores: Vec<f64> = family.results.iter().flatten().map(|(score, _)| score.mean).collect();
         !scores.is_empty() && scores.into_iter().all(&is_worse)
     }
 }
