@@ -221,10 +221,10 @@ impl OpenEvaluation<'_, '_, '_> {
         let SplitData { data, partition } = split;
         let ceiling = CeilingEstimator::new(data, &pipeline.metrics, session.stop).estimate(partition)?;
         let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
-        let known = partition.known().all().len();
+        let baseline_samples = partition.known().all().len();
         // Each of several models leaves out another part.
-        let trained = if pipeline.members > 1 { known } else { partition.train.len() };
-        table.samples = [trained, known, ids.len()];
+        let model_samples = if pipeline.members > 1 { baseline_samples } else { partition.train.len() };
+        table.samples = [model_samples, baseline_samples, ids.len()];
         table.notes.extend(ceiling.notes);
         table.notes.extend(table.intervals.iter().map(|scores| scores.note(data.task(), &table.intervals[0])));
         let measured = predictors.iter().flat_map(|(name, all)| all.iter().map(move |one| (name, one)));

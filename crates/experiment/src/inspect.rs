@@ -28,7 +28,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 /// Largest number of spectra that a preview reads for its summary.
-const SUMMARIZED: usize = 1_000;
+const SUMMARISED: usize = 1_000;
 
 /// Size and cost of a run.
 #[derive(Clone, Debug)]
@@ -92,7 +92,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         observed: describe_observations(data),
         samples: partition.sizes(),
         weights: trainer.weight_count(),
-        summary: DataSummary::of(data, SUMMARIZED, observer)?,
+        summary: DataSummary::of(data, SUMMARISED, observer)?,
         test_distance: test_distance(data, partition),
         warnings: trainer.warnings(),
         outlook: trainer.outlook(),
@@ -146,7 +146,7 @@ impl DataSummary {
             summary.facts.extend(PhaseCheck::of(data).map(|phases| ("phases", phases.describe())));
             return Ok(summary);
         }
-        let spectra = run_stage(observer, "reading the spectra", |progress| spectra::summarize(data, most, progress))?;
+        let spectra = run_stage(observer, "reading the spectra", |progress| spectra::summarise(data, most, progress))?;
         summary.facts.extend(spectra::describe(data, &spectra));
         if data.unmatched != Unmatched::default() {
             let Unmatched { positions, pictures } = data.unmatched;
@@ -222,7 +222,8 @@ fn describe_levels(data: &Dataset) -> (&'static str, String) {
     ("level", format!("{name} {middle} {unit} (median; {tenth} to {last}, 10 % to 90 %; {low} to {high} in all)"))
 }
 
-/// Returns the median distance from a test transmitter to the nearest other training transmitter, metres.
+/// Returns the median distance from a test transmitter to the nearest other training transmitter, metres; NaN without test
+/// samples.
 pub fn test_distance(data: &Dataset, partition: &Partition) -> f64 {
     let nearest = nearest_training_distances(data, partition);
     median(partition.test.iter().map(|&i| nearest[i] as f64))

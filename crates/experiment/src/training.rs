@@ -28,7 +28,7 @@ use std::time::Instant;
 /// than they do. An estimate, not measured on a GPU.
 const FEW_GAUSSIANS: usize = 1000;
 
-/// Describes a GPU without effect, or with little, after a step with N Gaussians; nothing on the CPU.
+/// Describes a GPU without effect, or with little, after a step with N Gaussians; empty without a GPU.
 pub(crate) fn device_warnings(n: usize) -> Vec<String> {
     let Some(name) = device::name() else { return Vec::new() };
     if !device::is_used() {
@@ -173,7 +173,7 @@ impl Training<'_, '_, '_> {
             trainer.warnings().iter().for_each(|warning| self.warn(warning));
             self.write_snapshot(START_SNAPSHOT, 0)?;
         }
-        // The event file of an earlier start has the same events, so it needs no separate checkpoint.
+        // The snapshot of an earlier start holds the largest number so far, so the checkpoint need not store it.
         let unpruned = Snapshot::read(&self.folder.file(UNPRUNED_SNAPSHOT))?;
         self.most_gaussians = unpruned.map_or(0, |snapshot| snapshot.means.len());
         Ok(())

@@ -39,7 +39,7 @@ pub(super) fn check_channels(data: &Dataset) -> Vec<Finding> {
     [carrier, check_zeros(data, channels), check_values(channels), antennas, phases].into_iter().flatten().collect()
 }
 
-/// Finds channels that are zero, or were and are left out.
+/// Finds zero channels, in the data or left out when they were read.
 fn check_zeros(data: &Dataset, channels: &Channels) -> Option<Finding> {
     let left_out = data.unmatched.positions;
     let problem = format!("{left_out} of {} channels are zero, not received, and are left out", data.len() + left_out);
@@ -124,7 +124,7 @@ impl PhaseCheck {
         Some(Self { count: links.len(), fits, step: [step, step * carrier_hz / SPEED_OF_LIGHT] })
     }
 
-    /// Returns whether one sign of time fits clearly: 0 that of this program, 1 the other.
+    /// Returns the sign of time that fits clearly: 0 for that of this program, 1 for the other; `None` if undecided.
     fn sign(&self) -> Option<usize> {
         let is_coherent = |fit: Coherence| fit.all > ABOVE_RANDOM[0] / self.count as f64;
         (0..2).find(|k| is_coherent(self.fits[*k]) && self.fits[*k].all > BETTER * self.fits[1 - k].all)

@@ -59,22 +59,21 @@ fn check_apart(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
         .then(|| Finding::new("position-unit", positions.len(), problem, mend))
 }
 
-/// Finds a coordinate that rises with the row as an index or a time does, while another is no walk along it.
+/// Finds a coordinate that rises evenly with the row, as an index or a time does, while another coordinate changes
+/// independently of it.
 fn check_index(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
     let steps = |k: usize| positions.windows(2).map(|pair| pair[1][k] - pair[0][k]).collect::<Vec<f64>>();
     let steps = [steps(0), steps(1), steps(2)];
     let middle = |k: usize| mean(steps[k].iter().copied());
     let is_whole = |k: usize| positions.iter().all(|position| position[k].fract() == 0.0);
     let is_index = |k: &usize| {
-        let (step, others) = (middle(*k), (0..3).filter(|other| other != k));
-        let turns = |k: usize| steps[k].windows(2).filter(|pair| pair[0] * pair[1] < 0.0).count();
-        let is_to_and_fro = |k: usize| TURNS * turns(k) > positions.len() && deviation(&steps[k]) > UNEVEN * step;
+        let step = middle(*k);
         let is_counted = steps[*k].iter().all(|value| *value == 1.0) && is_whole(*k);
         let is_even = step > 0.0 && steps[*k].iter().all(|value| (value - step).abs() <= UNEVEN * step);
-        let mut others = others.filter(|other| {
-            is_even && (is_to_and_fro(*other) || is_counted && !is_whole(*other) && deviation(&steps[*other]) > MOVED_M)
-        });
-        others.next().is_some()
+        let is_independent = |other: usize| {
+            is_to_and_fro(&steps[other], step) || is_counted && !is_whole(other) && deviation(&steps[other]) > MOVED_M
+        };
+        is_even && (0..3).any(|other| other != *k && is_independent(other))
     };
     let axis = (0..3).find(is_index).filter(|_| positions.len() >= ROWS)?;
     let (name, step, at, id) = (["x", "y", "z"][axis], middle(axis), positions[0][axis], data.locations[0].id);
@@ -82,6 +81,13 @@ fn check_index(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
         "{name} rises by {step:.3} from row to row, as an index or a time does (for example {at} at transmitter {id})"
     );
     Some(Finding::new("index-coordinate", positions.len(), problem, "give x, y and z in metres"))
+}
+
+/// Returns whether the `steps` of a coordinate change their sign often and vary, relative to `step`, that of a coordinate that
+/// rises evenly.
+fn is_to_and_fro(steps: &[f64], step: f64) -> bool {
+    let turns = steps.windows(2).filter(|pair| pair[0] * pair[1] < 0.0).count();
+    TURNS * turns > steps.len() + 1 && deviation(steps) > UNEVEN * step
 }
 
 /// Finds positions that are probably in degrees or in another unit of length.
@@ -122,7 +128,7 @@ pub(super) fn round(position: [f64; 3]) -> [f64; 3] {
     position.map(|v| (v * 1e7).round() / 1e7)
 }
 
-/// Returns the median distance to the nearest other position.
+/// Returns the median distance to the nearest other position, metres.
 fn median_spacing(positions: &[[f64; 3]]) -> f64 {
     median(nearest_others(positions).into_iter().flatten().map(|other| other.0))
 }

@@ -129,7 +129,8 @@ impl LevelLinks {
     }
 }
 
-/// Finds levels that do not fall with the recorded distance, but with that by another meaning, row order or receiver order.
+/// Finds levels that do not fall with the recorded distance, but with the distance by another meaning of the positions, or by
+/// another order of rows or receivers.
 pub(super) fn check_levels(data: &Dataset) -> Option<Finding> {
     let links = LevelLinks::of(data).filter(|_| data.locations.len() >= *LOCATIONS.start())?;
     let (location, fixed) = (|at: usize| links.locations[at], |end: usize| links.fixed[end]);
@@ -162,7 +163,7 @@ pub(super) fn check_levels(data: &Dataset) -> Option<Finding> {
     is_wrong.then(|| Finding::new(name, links.links.len(), problem, mend))
 }
 
-/// Finds powers that are at neighbouring transmitters no more alike than at random ones, although distances differ.
+/// Finds powers that are no more alike at neighbouring transmitters than at random ones, although distances differ.
 pub(super) fn check_power_rows(data: &Dataset) -> Option<Finding> {
     let powers = data.observations.powers().filter(|_| data.placed)?;
     let rows: Vec<usize> = (0..data.locations.len()).collect();
@@ -194,8 +195,8 @@ fn level_spread(data: &Dataset, powers: &[Real]) -> f64 {
     mean(groups.filter(|links| links.len() > 1).map(spread))
 }
 
-/// Compares the `difference` between observations of neighbours with that of random pairs; `rows` are the locations of the
-/// observations. A difference that is not finite is left out.
+/// Finds observations whose mean `difference` between neighbours is not clearly smaller than between random pairs; `rows` are
+/// the locations of the observations. Differences that are not finite are left out. `None` for fewer than 50 rows.
 pub(super) fn check_rows(data: &Dataset, rows: &[usize], difference: &dyn Fn(usize, usize) -> f64) -> Option<Finding> {
     if rows.len() < *LOCATIONS.start() {
         return None;

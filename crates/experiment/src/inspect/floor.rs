@@ -7,8 +7,9 @@ use pwrfgs_core::statistics::{mean, median};
 use pwrfgs_core::{Dataset, Result, evenly};
 use rayon::prelude::*;
 
-/// Largest number of compared pairs, and of pairs of single numbers.
+/// Largest number of compared pairs.
 const PAIRS: usize = 300;
+/// Largest number of compared pairs if an observation is a single number.
 const NUMBERS: usize = 6_000;
 /// Smallest number of pairs for a statement.
 const LEAST: usize = 20;
@@ -28,8 +29,8 @@ pub(super) fn describe_floor(data: &Dataset) -> Result<Option<(&'static str, Str
     }
     let position = |i: usize| data.sample(i).position();
     let by_receiver = data.group_by_receiver(0..data.len());
-    let heard = by_receiver.iter().filter(|links| links.len() > 1).count().max(1);
-    let most = (if task.is_scalar { NUMBERS } else { PAIRS }).div_ceil(heard);
+    let receivers = by_receiver.iter().filter(|links| links.len() > 1).count().max(1);
+    let most = (if task.is_scalar { NUMBERS } else { PAIRS }).div_ceil(receivers);
     let pairs_of = |links: &Vec<usize>| {
         let nearest = Nearest::new(links, 3, position);
         let pair = |&i: &usize| {
