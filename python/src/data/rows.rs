@@ -1,4 +1,4 @@
-//! Single links, subsets and pickling of a data set.
+//! Single links, subsets, splits and pickling of a data set.
 
 use super::{Dataset, inputs};
 use crate::arrays::{self, ObservationShape, array, link_indices, numbers, observation_array, positions, vector};
@@ -133,6 +133,11 @@ impl Dataset {
             let data = run_stoppable(py, |stop| reader.load(std::path::Path::new(""), &stop_progress(stop)))?;
             return Ok(Self::new(data, Some(text)));
         }
+        Self::restore_columns(py, state)
+    }
+
+    /// Restores a data set from its columns.
+    fn restore_columns(py: Python<'_>, state: &Bound<'_, PyDict>) -> PyResult<Self> {
         let get = |name: &str| state.as_any().get_item(name);
         let (ids, receiver): (Vec<u32>, Vec<usize>) = (get("ids")?.extract()?, get("receiver")?.extract()?);
         let rx_pose = get("rx_pose")?;
@@ -184,7 +189,7 @@ impl Dataset {
     }
 }
 
-/// Converts a partition to the named tuple `Split`.
+/// Converts a partition to the named tuple `Partition`.
 pub(super) fn partition_object<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyAny>> {
     let list = |part: &[usize]| vector(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>());
     let all = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
@@ -228,8 +233,7 @@ pub(super) fn split<'py>(
     let text = match how {
         Some(how) => plugin_text("Split", how, settings)?,
         None if settings.is_some_and(|settings| !settings.is_empty()) => {
-            let what = "split: settings need a split name";
-            return reject(py, &format!("{what}, such as split(\"random\", test=0.2)"));
+            return reject(py, "split: settings need a split name, such as split(\"random\", test=0.2)");
         }
         None => "Official()".into(),
     };
