@@ -41,7 +41,7 @@ struct Arguments {
     /// Number of threads, without effect on results [default: all processors]
     #[arg(long, global = true, value_name = "N", value_parser = parse_count)]
     threads: Option<usize>,
-    /// Device of rendering and of the networks of `Mlp`, `Wrfgs` and `Nerf2`: cpu, gpu, auto, or a number from `pwrfgs devices`
+    /// Device for rendering and for the networks of `Mlp`, `Wrfgs` and `Nerf2`: cpu, gpu, auto, or a number from `pwrfgs devices`
     /// [default: cpu]
     #[arg(long, global = true, value_name = "DEVICE")]
     device: Option<DeviceChoice>,

@@ -36,7 +36,7 @@ pub struct LocateSettings {
     /// Only positions in this box, metres or degrees
     #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true, requires = "observations")]
     pub prior: Option<String>,
-    /// Leave out the errors with fingerprints of Kriging, which take longest for many positions
+    /// Omit the baseline with fingerprints predicted by Kriging, the slowest for many positions
     #[arg(long)]
     pub no_kriging: bool,
 }

@@ -16,8 +16,8 @@ use std::path::PathBuf;
 8   network weights in 8 bits with a scale per row, everything else in 16 bits
 16  everything in 16 bits
 All commands, Python and pages read the file. The command prints both sizes and the mean difference
-of predictions at up to 200 training positions. Known residuals of a model stay as they are.
-The calibration for predict --interval is left out, since it is that of the exact predictions.
+of predictions at up to 200 training positions. Residual processes are stored unchanged.
+The calibration for predict --interval is left out: it only holds for the uncompressed model.
 
 EXAMPLES
   pwrfgs compress runs/quickstart --out small.safetensors

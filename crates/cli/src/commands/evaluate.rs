@@ -21,10 +21,10 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Data, split, metrics and baselines come from pipeline.ron next to the model, or from the pipeline of a
-model of the program; --set changes them.
+Data, split, metrics and baselines come from pipeline.ron next to the model, or from the pipeline of
+a model of the program; --set changes them.
 Prints the score table; --out also writes scores.csv, samples.csv and report.html.
-With --out, a command that was stopped resumes after its last predictor when it is repeated.
+With --out, repeat a stopped command to resume it after the last scored predictor.
 Several models are scored as an ensemble: the mean of their predictions, spectra clamped to [0, 1].
 They need a common test set: use runs whose split does not depend on the seed.
 

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Spectra are [M, H, W]: M spectra, H rows of elevation, W columns of azimuth; linear values (not dB)
-from 0 to 1, the strongest direction. Types: uint8 (255 is 1), uint16 (65535 is 1), float32, and
+from 0 to 1 (the strongest direction). Types: uint8 (255 is 1), uint16 (65535 is 1), float32, and
 float64, stored as float32. The import needs little memory for any number of spectra.
 Writes spectra.npy, tx.npy, gateway_info.yml and manifest.json. For a fixed split, add
 train_index.txt and test_index.txt (one id per line, from 1).
@@ -77,7 +77,7 @@ pub(crate) struct Import {
     /// Accept a finding that would stop the import; repeatable
     #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
-    /// Print what was understood of a table, and write nothing
+    /// Print how a table was read; write nothing
     #[arg(long, requires = "files")]
     pub(crate) dry_run: bool,
     #[command(flatten)]

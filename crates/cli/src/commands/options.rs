@@ -19,7 +19,7 @@ pub(crate) struct ChangeOptions {
     #[arg(
         long,
         value_name = "FACTOR",
-        help = "Multiply all step counts, such as 0.25; below 1, also divide the\nlearning rates of masks by it (up to 0.1), so that they still close"
+        help = "Multiply all step counts by this factor, such as 0.25; below 1, also\ndivide the learning rates of masks by it (up to 0.1), so that masks still close"
     )]
     scale: Option<f64>,
     /// Accept a finding on the data, such as lone-value.

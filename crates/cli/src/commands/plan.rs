@@ -15,15 +15,16 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Selects one candidate after another. Each lowers the variance of a Gaussian process, summed over the
-region, most. Prints random, regular and largest-variance choices of the same size beside the plan.
-Writes plan.csv (order, candidate, position, mean variance after it) and plan.png.
+Selects one candidate after another: the one that most reduces the variance of a Gaussian process,
+summed over the region. Prints random, regular and largest-variance choices of the same size for
+comparison. Writes plan.csv (order, candidate, position, mean variance after it) and plan.png.
 CANDIDATES
   SOURCE alone           the positions of a data folder, none of them measured yet
   --candidates, --floor  new positions; those of SOURCE (data, run folder or model) are measured
 LENGTH SCALE
-  A fifth of the diagonal of the region, without measurements. Measured data with new candidates, and
-  --simulate at 8 positions and at every doubling, estimate it by maximum likelihood.
+  Without measurements, it is a fifth of the diagonal of the region. With measured data and new
+  candidates, it is estimated by maximum likelihood; with --simulate, at 8 positions and at every
+  doubling.
 
 EXAMPLES
   pwrfgs plan data/s23 --simulate --count 100 --out next

@@ -24,11 +24,11 @@ the nearest training position in metres and:
   powers    power in dBm
   channels  mean power of the gains in dB
 Spectra are float32 [elevation, azimuth] in 00001.npy, .. and 8-bit 00001.png, ..; channels are
-complex64 [antennas, subcarriers] in 00001.npy, .. --stacked: spectra.npy or channels.npy.
+complex64 [antennas, subcarriers] in 00001.npy, .. (with --stacked: spectra.npy or channels.npy).
 An ensemble predicts the mean of its members (spectra clamped to [0, 1]) and writes their standard
 deviation: 00001-spread.npy and .png (white: 0.5), spread.npy, or column spread_db for powers.
---interval adds a band per pixel (00001-lower.npy and -upper.npy with .png, or lower.npy and upper.npy)
-and column ssim_bound, or columns lower_dbm and upper_dbm. Not for channels.
+--interval adds for spectra a band per pixel (00001-lower.npy and -upper.npy with .png, or lower.npy
+and upper.npy) and column ssim_bound, for powers columns lower_dbm and upper_dbm. Not for channels.
 Until all are written, the predictions are in DIR.partial. If the command is stopped or killed,
 repeat it to resume; a command with other models, positions or options is refused. Remove
 DIR.partial to start again.
@@ -42,7 +42,7 @@ EXAMPLES
   printf 'x,y,z\\n3,2,1.1\\n4,3,1.2\\n' > walk.csv
   pwrfgs predict runs/quickstart --tx-csv walk.csv --stacked --no-png --out walk
   pwrfgs predict runs/ble --tx-csv walk.csv --receiver g01 --out walk-g01
-  pwrfgs predict runs/lobby --rx-pose 3.5,2.2,1.2,0,0,0,1 --out turned    (the receiver moves)")]
+  pwrfgs predict runs/lobby --rx-pose 3.5,2.2,1.2,0,0,0,1 --out turned    # moving receiver")]
 #[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv", "rx_pose", "rx_pose_csv"])))]
 pub(crate) struct Predict {
     /// Run folder, model file or model of the program, such as s23; several form an ensemble

@@ -24,7 +24,7 @@ use table::SweepTable;
 An experiment file names a base pipeline, seeds, and axes whose variants change settings. All runs
 are validated, and their total time is estimated, before the first one starts. Repeat the command to
 resume: it skips finished runs and retries failed ones. The sweep ends with tables and figures in
-DIR/report and, if the file says `join: true`, an ensemble of all models in DIR/joined.
+DIR/report and, if the file sets `join: true`, an ensemble of all models in DIR/joined.
 docs/guide.md explains the file; `pwrfgs pipelines` also lists the shipped experiments.
 
 ON A CLUSTER
@@ -48,7 +48,7 @@ pub(crate) struct Sweep {
     /// List all runs with estimated times; run nothing
     #[arg(long)]
     pub(crate) dry_run: bool,
-    /// Print the progress of each run, on any machine; run nothing
+    /// Print the progress of each run, also of runs on other machines; run nothing
     #[arg(long, conflicts_with = "dry_run")]
     pub(crate) status: bool,
     /// Number of parallel runs, which share the threads
@@ -63,7 +63,7 @@ pub(crate) struct Sweep {
     /// Keep the training state of finished runs, checkpoint.safetensors
     #[arg(long)]
     pub(crate) keep_checkpoint: bool,
-    /// Print all metrics of the ensemble, if the file says `join: true`
+    /// Print all metrics of the ensemble, if the file sets `join: true`
     #[arg(long)]
     pub(crate) all: bool,
     /// Submit the runs to a scheduler and return; NAME is slurm

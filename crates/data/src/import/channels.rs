@@ -31,8 +31,13 @@ pub struct ChannelImport {
     /// Receiver pose.
     #[arg(skip = Pose::IDENTITY)]
     pub receiver: Pose,
-    /// Antenna positions in the receiver's frame, metres: as --tx
-    #[arg(long, value_name = "FILE", requires = "channels")]
+    /// Antenna positions, metres, receiver frame.
+    #[arg(
+        long,
+        value_name = "FILE",
+        requires = "channels",
+        help = "Antenna positions, metres, receiver frame: .npy or .npz [A, 3],\nor .csv with columns x, y, z [default: one antenna at 0,0,0]"
+    )]
     pub antennas: Option<PathBuf>,
     /// Centre frequency of the subcarriers, Hz
     #[arg(long, value_name = "HZ", requires = "channels", allow_hyphen_values = true)]
