@@ -16,6 +16,8 @@ pub use svg::escape_xml;
 
 /// Text height: 7.5 pt if a column of 380 is 3.5 in wide.
 pub const TEXT: f64 = 11.3;
+/// Height of the middle of small letters above the base line, as a share of the text height.
+pub(crate) const LETTER_MIDDLE: f64 = 0.27;
 /// Line height of text.
 pub const LINE: f64 = 14.0;
 
@@ -100,7 +102,7 @@ pub enum Step {
     Move(Point),
     /// Straight line.
     Line(Point),
-    /// Quadratic curve by its control point, as in letters.
+    /// Quadratic curve, as in letters: control point and end.
     Quad(Point, Point),
     /// Line back to the start of the subpath.
     Close,
@@ -291,6 +293,7 @@ impl Canvas {
 
     /// Adds lines of text, centred vertically at `at`.
     pub fn lines(&mut self, [x, y]: Point, anchor: Anchor, lines: &[String]) {
+        // Half the height of capitals is 0.35 of the text height.
         let first = y + 0.35 * self.letters.size - LINE * (lines.len() as f64 - 1.0) / 2.0;
         for (k, line) in lines.iter().enumerate() {
             self.text([x, first + LINE * k as f64], anchor, line);

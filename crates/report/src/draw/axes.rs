@@ -5,7 +5,7 @@
 //! neither it nor the fonts of plotters are compiled in, because the canvas does both. The numbers on axes are
 //! computed here: a logarithmic axis over less than a decade (N from 60 to 12) still needs numbers.
 
-use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, TEXT, text_width};
+use crate::canvas::{Anchor, Canvas, Colour, INK, LETTER_MIDDLE, Paint, Point, TEXT, text_width};
 use plotters::prelude::*;
 use plotters_backend::text_anchor::{HPos, VPos};
 use plotters_backend::{
@@ -33,7 +33,7 @@ pub(super) struct AxisScale {
 }
 
 impl AxisScale {
-    /// Creates the scale of an axis for these values; `None` if there are no data.
+    /// Creates the scale of an axis for these values; `None` without finite values, or if the given ends do not ascend.
     pub(super) fn new(axis: &ChartAxis, values: impl Iterator<Item = f64>) -> Option<Self> {
         let mut scale = Self { ends: (0.0, 0.0), log: axis.log };
         scale.ends = if let Some((low, high)) = axis.ends {
@@ -80,8 +80,8 @@ impl PlotArea {
         point.iter().all(|v| v.is_finite()).then_some(point)
     }
 
-    /// Draws grid, ticks and names. For plotters, both axes count its own pixels, so that the ticks computed here are
-    /// key points with known labels.
+    /// Draws grid, ticks and names; `height` is that of the chart without its legend. For plotters, both axes count its
+    /// pixels, so that the ticks computed here are key points with the labels computed here.
     pub(super) fn draw(&self, canvas: &mut Canvas, height: f64, [x, y]: [&ChartAxis; 2]) {
         let pixels = |length: f64| (length * GRID).round() as i32;
         let (across, up) = (self.right - self.left, self.bottom - self.top);
@@ -188,12 +188,12 @@ impl DrawingBackend for PlottersBackend<'_> {
 
     fn draw_text<T: BackendTextStyle>(&mut self, words: &str, style: &T, at: BackendCoord) -> DrawResult {
         let [x, y] = to_point(at);
-        // From the given position down to the base line; the centre is that of small letters.
+        // From the given position down to the base line.
         let down = TEXT
             * match style.anchor().v_pos {
                 VPos::Top => 0.76,
-                VPos::Center => 0.27,
-                VPos::Bottom => -0.27,
+                VPos::Center => LETTER_MIDDLE,
+                VPos::Bottom => -LETTER_MIDDLE,
             };
         let anchor = match style.anchor().h_pos {
             HPos::Left => Anchor::Start,

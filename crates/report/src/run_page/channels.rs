@@ -16,6 +16,8 @@ use std::f64::consts::TAU;
 const DOTS: usize = 150;
 const MEASURED: Colour = BLACK;
 const PREDICTED: Colour = Colour::hex(0xd5_5e00);
+/// Maximum number of marks on a line.
+const MARKS: usize = 70;
 /// Dimensions of three charts in a row.
 const ROW_STYLE: ChartStyle = ChartStyle { size: [380.0, 250.0], margins: [56.0, 10.0, 16.0, 38.0] };
 
@@ -38,9 +40,9 @@ fn frequencies<'a>(run: &LoadedRun<'a>) -> &'a [f64] {
     run.data.observations.frequencies_hz()
 }
 
-/// Returns the line, with marks if they are few enough to distinguish, or if nothing joins the points.
+/// Creates a line with a name, with marks if they are few enough to distinguish, or if nothing joins the points.
 fn marked_line(points: Vec<(f64, f64)>, colour: Colour, stroke: Stroke, marker: Marker, name: &str) -> ChartLine {
-    let has_marks = points.len() <= 70 || stroke == Stroke::None;
+    let has_marks = points.len() <= MARKS || stroke == Stroke::None;
     let style = Style { marker: has_marks.then_some(marker), ..Style::line(colour, 1.6, stroke) };
     let marks = if has_marks { points.clone() } else { Vec::new() };
     ChartLine { marks, ..ChartLine::new(points, style) }.named(name)
@@ -204,7 +206,7 @@ fn unwrapped_phases(gains: &[[f64; 2]], from: Option<f64>) -> Vec<f64> {
 const FEWEST: usize = 4;
 /// Points along the delay axis per subcarrier.
 const FINE: usize = 4;
-/// Share of all delays that is drawn before 0.
+/// Part of all delays that is drawn before 0, as a divisor.
 const BEFORE: usize = 6;
 /// Maximum number of points along the delay axis.
 const MOST_DELAYS: usize = 2_048;

@@ -20,13 +20,13 @@ const BASELINE_COLOURS: [u32; 8] =
 const BASELINES: usize = 5;
 
 /// Returns the index of a baseline in the table of scores; `None` for the model and its members.
-fn place(run: &LoadedRun<'_>, name: &str) -> Option<usize> {
+fn baseline_index(run: &LoadedRun<'_>, name: &str) -> Option<usize> {
     run.record.scores.table.baselines().position(|baseline| baseline == name)
 }
 
 /// Returns the style of a predictor, the same in all charts of a page.
 fn predictor_style(run: &LoadedRun<'_>, name: &str) -> Style {
-    match place(run, name) {
+    match baseline_index(run, name) {
         Some(k) => {
             let stroke = [Stroke::DASHED, Stroke::DASH_DOTTED, Stroke::DOTTED][k % 3];
             Style::line(Colour::hex(BASELINE_COLOURS[k % BASELINE_COLOURS.len()]), 2.0, stroke)
@@ -36,11 +36,17 @@ fn predictor_style(run: &LoadedRun<'_>, name: &str) -> Style {
     }
 }
 
-/// Selects the `most` best entries by the name and score that `of` returns, in their order; oracle baselines last.
-fn best_of<T>(run: &LoadedRun<'_>, entries: Vec<T>, most: usize, of: impl Fn(&T) -> (&String, f64)) -> Vec<T> {
+/// Selects the `most` best entries, in their order; an oracle baseline only if too few others exist. `name_and_score` returns
+/// the predictor of an entry and its score by the first metric.
+fn select_best<T>(
+    run: &LoadedRun<'_>,
+    entries: Vec<T>,
+    most: usize,
+    name_and_score: impl Fn(&T) -> (&String, f64),
+) -> Vec<T> {
     let headline = run.data.task().headline;
     let rank = |(k, entry): (usize, T)| {
-        let (name, score) = of(&entry);
+        let (name, score) = name_and_score(&entry);
         (run.record.scores.table.oracles.contains(name), headline.cost(score), k, entry)
     };
     let mut ranked: Vec<_> = entries.into_iter().enumerate().map(rank).collect();
@@ -148,7 +154,7 @@ fn validation_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     ];
     let task = run.data.task();
     let baselines = run.record.facts.validation_baselines.iter().collect();
-    let shown = best_of(run, baselines, BASELINES - 1, |(name, mean): &&(String, f64)| (name, *mean));
+    let shown = select_best(run, baselines, BASELINES - 1, |(name, mean): &&(String, f64)| (name, *mean));
     for (name, mean) in shown {
         lines.push(ChartLine::horizontal(*mean, predictor_style(run, name)).named(name));
     }
@@ -203,9 +209,10 @@ fn distribution_figure(run: &LoadedRun<'_>) -> Option<Figure> {
         let Some(values) = scores.sample_values(name, headline.key) else { continue };
         sorted.push((name, statistics::sorted(values.iter().copied())));
     }
-    let (baselines, models): (Vec<_>, Vec<_>) = sorted.into_iter().partition(|(name, _)| place(run, name).is_some());
+    let (baselines, models): (Vec<_>, Vec<_>) =
+        sorted.into_iter().partition(|(name, _)| baseline_index(run, name).is_some());
     let mean = |values: &[f64]| statistics::mean(values.iter().copied());
-    let shown = best_of(run, baselines, BASELINES, |(name, values): &(&String, Vec<f64>)| (*name, mean(values)));
+    let shown = select_best(run, baselines, BASELINES, |(name, values): &(&String, Vec<f64>)| (*name, mean(values)));
     let sorted = [models, shown].concat();
     let ends = axis_ends(&headline, &sorted);
     let (mut lines, mut members) = (Vec::new(), Some("members"));

@@ -28,8 +28,8 @@ const PREDICTED_IN_PAGE: [&str; 3] = ["Fixed", "Mlp", "Factored"];
 /// Last statement of the script.
 const START: &str = "startReport();\n";
 
-/// Returns the values of the interactive part for the template: always the script, which also sorts tables; the stage only if positions are
-/// known.
+/// Returns the values of the interactive part for the template: always the script, which also sorts tables; the stage only
+/// with transmitter positions and a test set.
 pub(super) fn section(run: &LoadedRun<'_>) -> Value {
     let script = bundle(START);
     let digest = script_hash(&script);
@@ -91,8 +91,8 @@ fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     compress::to_bytes(run.model, compress::Bits::Eight).ok().filter(|bytes| bytes.len() <= COMPRESSED_BYTES)
 }
 
-/// Chooses the test links whose observations are in the page: evenly from best to worst, as many as fit, `alone` or with
-/// predictions, and the median. Ascending.
+/// Chooses the test links whose observations are in the page, ascending: as many as fit, evenly from best to worst, and the
+/// median link. Observations are `alone`, or with a prediction of the same size.
 fn choose_links(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
     let task = run.data.task();
     let numbers = if task.is_scalar { run.data.scene.receivers.len() } else { run.data.width * run.data.height };

@@ -116,7 +116,7 @@ pub fn draw_figures(setting: &Setting, chosen: &[String], progress: Progress<'_>
     let from_data: [(&Setting, FromData); 3] =
         [(curves, panels::room_figure), (curves, panels::spectra_figure), (curves, rate::figure)];
     let count = from_scores.len() + from_data.len();
-    let says_rest = |shown: &Setting, mut figure: Figure| {
+    let with_remarks = |shown: &Setting, mut figure: Figure| {
         let hidden = setting.variants.len() - shown.variants.len();
         if std::ptr::eq(shown, curves) && !common.is_empty() {
             _ = write!(figure.caption, " All variants: {common}.");
@@ -129,13 +129,13 @@ pub fn draw_figures(setting: &Setting, chosen: &[String], progress: Progress<'_>
     };
     let mut figures = Vec::new();
     for (done, (shown, make)) in from_scores.iter().enumerate() {
-        figures.extend(make(shown).map(|figure| says_rest(shown, figure)));
+        figures.extend(make(shown).map(|figure| with_remarks(shown, figure)));
         progress(done + 1, count);
     }
     let drawn = setting.variants[0].runs[0].load_data(&mut NoopObserver).and_then(|data| {
         let mut drawn = Vec::new();
         for (done, (shown, make)) in from_data.iter().enumerate() {
-            drawn.extend(make(shown, &data)?.map(|figure| says_rest(shown, figure)));
+            drawn.extend(make(shown, &data)?.map(|figure| with_remarks(shown, figure)));
             progress(from_scores.len() + done + 1, count);
         }
         Ok(drawn)

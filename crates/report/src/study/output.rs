@@ -174,8 +174,8 @@ fn text_tables(page: &StudyPage) -> String {
         _ = writeln!(out, "{}", section.title);
         for table in section.tables.iter().filter(|t| ["ranks", "scores", "differences"].contains(&t.name)) {
             _ = write!(out, "\n{}\n{}", table.title, align_columns(&text_lines(table), 1));
-            let how = if table.is_marked() { "* best, + second best" } else { "[95 % interval], * excludes 0" };
-            _ = writeln!(out, "{how}");
+            let legend = if table.is_marked() { "* best, + second best" } else { "[95 % interval], * excludes 0" };
+            _ = writeln!(out, "{legend}");
         }
         out.push('\n');
         let warnings = section.warnings.iter().map(|w| format!("warning: {w}\n"));
