@@ -10,7 +10,7 @@ use pwrfgs::experiment::{Session, text::grouped};
 use pwrfgs::tasks::plan::{PlanSettings, plan as select_positions};
 use pwrfgs_core::Result;
 use pwrfgs_core::files::NewFolder;
-use source::{PlaceOptions, read_places};
+use source::{PositionOptions, read_positions};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
@@ -32,7 +32,7 @@ EXAMPLES
   pwrfgs plan --floor scenes/office.ron --step 0.25 --height 1.2 --count 20 --out next")]
 pub(crate) struct Plan {
     #[command(flatten)]
-    pub(crate) places: PlaceOptions,
+    pub(crate) positions: PositionOptions,
     #[command(flatten)]
     pub(crate) settings: PlanSettings,
     /// Output folder; must be new or empty
@@ -43,7 +43,7 @@ pub(crate) struct Plan {
 /// Runs `pwrfgs plan`: prints the plan and other choices, and writes its list and map.
 pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     let stop = stop_flag();
-    let places = RunProgress::observe(verbosity, |progress| read_places(&arguments.places, progress))?;
+    let places = RunProgress::observe(verbosity, |progress| read_positions(&arguments.positions, progress))?;
     let folder = NewFolder::begin(&arguments.out)?;
     let plan = RunProgress::observe(verbosity, |progress| {
         select_positions(&places, &arguments.settings, &mut Session { stop: &stop, ..Session::new(progress) })

@@ -70,10 +70,10 @@ pub(crate) struct Predict {
 /// Runs `pwrfgs predict`: writes the predictions and warns of extrapolations; returns the exit code.
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<u8> {
     let ensemble = read_models(&arguments.models)?;
-    let setup = &ensemble.members()[0].stages;
+    let stages = &ensemble.members()[0].stages;
     let height = median(ensemble.training_positions().into_iter().map(|position| position[2]));
-    let poses = read_moving_poses(arguments, &setup.setup, if height.is_nan() { 0.0 } else { height })?;
-    if let (Some(zero), true) = (setup.geodetic, arguments.tx.is_some()) {
+    let poses = read_moving_poses(arguments, &stages.setup, if height.is_nan() { 0.0 } else { height })?;
+    if let (Some(zero), true) = (stages.geodetic, arguments.tx.is_some()) {
         let Geodetic { latitude, longitude } = zero;
         verbosity.print_note(&format!(
             "note: --tx is in metres east and north of latitude {latitude}, longitude {longitude}; --tx-csv takes degrees too"
@@ -96,18 +96,18 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<u8> {
         Some(distances) => extrapolation_warning(distances).iter().for_each(|warning| output::print_warning(warning)),
         None => verbosity.print_note("note: the model has no training positions, so extrapolations are not marked"),
     }
-    if let Some(sentence) = ensemble.residuals().and_then(|residuals| residuals.describe_share(setup.task)) {
+    if let Some(sentence) = ensemble.residuals().and_then(|residuals| residuals.describe_share(stages.task)) {
         verbosity.print_note(&sentence);
     }
-    let kind = if count == 1 { setup.task.singular } else { setup.task.plural };
+    let kind = if count == 1 { stages.task.singular } else { stages.task.plural };
     verbosity.print_note(&format!("{} {kind} in {}", grouped(count as i64), arguments.out.display()));
     let timed = if timed == 1 { "a single prediction".into() } else { format!("median of {timed} single predictions") };
     verbosity.print_note(&format!("latency: {milliseconds:.3} ms, {timed}"));
     Ok(SUCCESS)
 }
 
-/// Reads the positions or poses of the end that moves, at which to predict; `height` is that of degrees without one. Returns an
-/// error if the arguments give the other end.
+/// Reads the positions or poses of the moving end, at which to predict. Rows of latitude and longitude without a height get
+/// `height`, metres. Returns an error if the arguments give the other end.
 fn read_moving_poses(arguments: &Predict, setup: &MeasurementSetup, height: f64) -> Result<Vec<Pose>> {
     let moving = setup.moving;
     let Predict { tx, tx_csv, rx_pose, rx_pose_csv, .. } = arguments;

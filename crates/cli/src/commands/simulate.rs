@@ -120,7 +120,7 @@ impl Simulate {
 
     /// Returns the kind of observation and the layout of its files; an option that the layout does not support is an
     /// error.
-    fn observation_and_layout(&self) -> Result<(ObservationKind, OutputLayout)> {
+    fn resolve_layout(&self) -> Result<(ObservationKind, OutputLayout)> {
         let refuse = |problem: &str| Err(Error::Config(problem.into()));
         let is_channel = matches!(self.layout, SimulateFormat::Channels | SimulateFormat::Csi);
         if self.npy && self.layout != SimulateFormat::Spectra {
@@ -181,7 +181,7 @@ pub(crate) fn export_scene(arguments: &ExportScene, verbosity: Verbosity) -> Res
 pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()> {
     let begun = Instant::now();
     let stop = stop_flag();
-    let (observe, layout) = arguments.observation_and_layout()?;
+    let (observe, layout) = arguments.resolve_layout()?;
     let receiver = arguments.receiver.as_deref().map(|text| parse_position("--receiver", text)).transpose()?;
     let samples = arguments.samples.unwrap_or(1000);
     let recipe = SimulationRecipe::read(&arguments.scene, samples, arguments.seed, arguments.points)?;

@@ -172,7 +172,7 @@ impl SelectedRuns<'_> {
     }
 
     /// Executes the runs in this process and prints their table; returns the exit code. The process that ends the last
-    /// run of the sweep writes the report, in which `reference` is that of the paired differences.
+    /// run of the sweep writes the report, whose paired differences are against `reference`.
     pub(super) fn execute(self, reference: Option<&str>) -> Result<u8> {
         let Self { plan, indices, jobs, keep_checkpoint, all, verbosity } = self;
         let stop = stop_flag();
