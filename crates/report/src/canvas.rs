@@ -141,6 +141,14 @@ impl VectorPath {
         self.add_line(&[[x + r, y - r], [x - r, y + r]]);
     }
 
+    /// Adds an arrow centred at `[x, y]`; `[u, v]` is the vector from its centre to its tip.
+    pub fn add_arrow(&mut self, [x, y]: Point, [u, v]: Point) {
+        let tip = [x + u, y + v];
+        let barb = |side: f64| [tip[0] - 0.55 * u + side * 0.35 * v, tip[1] - 0.55 * v - side * 0.35 * u];
+        self.add_line(&[[x - u, y - v], tip]);
+        self.add_line(&[barb(1.0), tip, barb(-1.0)]);
+    }
+
     /// Returns whether all points are finite and the shape is visible: a line of length 0 is visible only
     /// with round ends.
     fn is_visible(&self, paint: &Paint) -> bool {

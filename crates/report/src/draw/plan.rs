@@ -176,14 +176,6 @@ impl FloorPlan {
     }
 }
 
-/// Adds an arrow centred at `[x, y]`; `[u, v]` is the vector from its centre to its tip.
-fn add_arrow(lines: &mut VectorPath, [x, y]: Point, [u, v]: Point) {
-    let tip = [x + u, y + v];
-    let barb = |side: f64| [tip[0] - 0.55 * u + side * 0.35 * v, tip[1] - 0.55 * v - side * 0.35 * u];
-    lines.add_line(&[[x - u, y - v], tip]);
-    lines.add_line(&[barb(1.0), tip, barb(-1.0)]);
-}
-
 /// Draws the mark of a receiver.
 pub(crate) fn draw_receiver(canvas: &mut Canvas, [x, y]: Point) {
     let r = RECEIVER;
@@ -373,9 +365,9 @@ impl Heatmap<'_> {
                     continue;
                 }
                 let far = [column, row].map(|k| self.step * k as f64);
-                let [px, py] = plan.project([self.first[0] + far[0], self.first[1] + far[1]]);
-                let [u, v] = [u / length, -v / length].map(|part| part * 0.36 * ARROWS * length.clamp(0.25, 1.0));
-                add_arrow(&mut lines, [px, py], [u, v]);
+                let centre = plan.project([self.first[0] + far[0], self.first[1] + far[1]]);
+                let half = [u / length, -v / length].map(|part| part * 0.36 * ARROWS * length.clamp(0.25, 1.0));
+                lines.add_arrow(centre, half);
             }
         }
         canvas.path(lines.clone(), Paint::stroke(WHITE.with_opacity(0.75), 2.6));
