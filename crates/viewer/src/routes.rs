@@ -138,6 +138,7 @@ fn parse_metres(name: &str, value: &str) -> Result<f64, String> {
 /// Interval of events; an empty event detects a closed page.
 const EVENT_INTERVAL: Duration = Duration::from_secs(1);
 
+/// Next event, `None` at the end of the stream, with the receiver.
 type PendingEvent = Pin<Box<dyn Future<Output = (Option<Bytes>, Receiver<String>)> + Send + Sync>>;
 
 /// Stream of events.
