@@ -309,12 +309,11 @@ impl<'a> CeilingEstimator<'a> {
 
     /// Returns the agreement of the closest pairs of one `lag`; measures it in the first call.
     fn similarity(&mut self, lag: PairLag) -> Result<&PairSimilarity> {
-        let index = match self.measured.iter().position(|(other, _)| *other == lag) {
-            Some(index) => index,
-            None => {
-                self.measured.push((lag, self.comparison.measure(lag, false)?));
-                self.measured.len() - 1
-            }
+        let index = if let Some(index) = self.measured.iter().position(|(other, _)| *other == lag) {
+            index
+        } else {
+            self.measured.push((lag, self.comparison.measure(lag, false)?));
+            self.measured.len() - 1
         };
         Ok(&self.measured[index].1)
     }
