@@ -173,6 +173,9 @@ impl<'a> Sink<'a> {
 /// Largest values below this are implausible: quality metrics assume 1 in the strongest direction.
 const FAINT: f64 = 0.01;
 
+/// Smaller values are decibels, not linear values with an offset.
+const DECIBELS: f64 = -3.0;
+
 /// Smallest and largest value so far, with their indices.
 #[derive(Debug, Default)]
 pub(super) struct Range {
@@ -220,7 +223,7 @@ impl Range {
         let suited = format!("--scale {}", scale.unwrap_or(1.0) / high);
         if low < -ROUNDING {
             let problem = format!("values are from {low} ({}) to {high}", element_name(low_index));
-            return refuse(if low < -3.0 {
+            return refuse(if low < DECIBELS {
                 format!(
                     "{problem}, as decibels are; spectra are linear, 0 to 1: save 10 ** ((s - s.max()) / 20), the \
                      amplitude, or / 10, the power"
