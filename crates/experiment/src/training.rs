@@ -257,7 +257,7 @@ impl Training<'_, '_, '_> {
             let n = model.cloud.len();
             self.warn(&format!("nothing was pruned: {n} Gaussians remain, and no pruner has removed any"));
         }
-        let warnings = self.trainer.idle_masks().into_iter().chain(self.trainer.lone_gaussian());
+        let warnings = self.trainer.idle_masks_warning().into_iter().chain(self.trainer.lone_gaussian_warning());
         warnings.for_each(|warning| self.warn(&warning));
         file::write(&self.folder.file(MODEL_FILE), &model)?;
         Ok(model)
