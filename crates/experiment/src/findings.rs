@@ -61,7 +61,8 @@ pub fn collect_findings(data: &Dataset, partition: Option<&Partition>) -> Result
     Ok(findings)
 }
 
-/// Finds a test set larger than the training and validation sets together: swapped index files, or too large a test share.
+/// Finds a test set larger than the training and validation sets together: swapped index files, or too large a test
+/// share. `None` if it is not larger.
 fn check_split(data: &Dataset, partition: &Partition) -> Option<Finding> {
     let (training, test) = (partition.train.len() + partition.validation.len(), partition.test.len());
     let mend = if data.official.as_ref().is_some_and(|(_, official)| *official == partition.test) {

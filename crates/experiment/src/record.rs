@@ -120,7 +120,7 @@ impl Record {
     }
 }
 
-/// Reads a complete series: rows of ascending steps up to step `last`.
+/// Reads a complete series: rows of ascending steps up to step `last`; `None` for the name of a phase.
 ///
 /// # Errors
 /// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the damaged position.
@@ -173,7 +173,8 @@ pub(crate) fn read_validation(folder: &Path, facts: &Facts) -> Vec<Vec<Option<f6
     mean_series(model_folders(folder, facts).iter().map(|model| read_series(&model.join(VALIDATION))).collect())
 }
 
-/// Returns the mean of series with the same steps, number by number: of one series the series itself.
+/// Returns the mean of series with the same steps, number by number; `None` if it is missing in one. One series is returned as
+/// it is.
 fn mean_series(mut series: Vec<Vec<Vec<Option<f64>>>>) -> Vec<Vec<Option<f64>>> {
     if series.len() == 1 {
         return series.swap_remove(0);

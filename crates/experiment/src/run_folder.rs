@@ -38,7 +38,7 @@ impl RunState {
         Ok(end.filter(|(_, facts)| facts.report || !reported))
     }
 
-    /// Reads the scores as [`Self::read_finished`] does, with all files verified.
+    /// Reads the scores as [`Self::read_finished`] does, with all files verified; `None` in the same cases.
     ///
     /// # Errors
     /// A damaged or missing file.

@@ -49,7 +49,8 @@ pub(super) fn check_positions(data: &Dataset) -> Vec<Finding> {
     check_index(data, &positions).into_iter().chain(unit).collect()
 }
 
-/// Finds fixed ends that are far from all positions, such as those with latitude and longitude exchanged.
+/// Finds fixed ends that are far from all positions, such as those with latitude and longitude exchanged; `None` if one is near
+/// or positions are unknown.
 fn check_apart(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
     let fixed = data.scene.fixed_ends().into_iter().map(|pose| data.scene.origin.world_pose(pose).position);
     let apart = fixed.flat_map(|end| positions.iter().map(move |at| distance(end, *at))).fold(f64::INFINITY, f64::min);
@@ -60,7 +61,7 @@ fn check_apart(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
 }
 
 /// Finds a coordinate that rises evenly with the row, as an index or a time does, while another coordinate changes
-/// independently of it.
+/// independently of it; `None` without such a coordinate, or for fewer than [`ROWS`] positions.
 fn check_index(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
     let steps = |k: usize| positions.windows(2).map(|pair| pair[1][k] - pair[0][k]).collect::<Vec<f64>>();
     let steps = [steps(0), steps(1), steps(2)];
@@ -90,7 +91,7 @@ fn is_to_and_fro(steps: &[f64], step: f64) -> bool {
     TURNS * turns > steps.len() + 1 && deviation(steps) > UNEVEN * step
 }
 
-/// Finds positions that are probably in degrees or in another unit of length.
+/// Finds positions that are probably in degrees or in another unit of length; `None` if metres are plausible.
 fn check_unit(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
     let [low, high] = extent(positions.iter().copied())?.map(round);
     let (site, id) = (longest_side([low, high]), data.locations[0].id);

@@ -130,7 +130,7 @@ impl LevelLinks {
 }
 
 /// Finds levels that do not fall with the recorded distance, but with the distance by another meaning of the positions, or by
-/// another order of rows or receivers.
+/// another order of rows or receivers; `None` if no alternative explains them much better.
 pub(super) fn check_levels(data: &Dataset) -> Option<Finding> {
     let links = LevelLinks::of(data).filter(|_| data.locations.len() >= *LOCATIONS.start())?;
     let (location, fixed) = (|at: usize| links.locations[at], |end: usize| links.fixed[end]);
@@ -163,7 +163,8 @@ pub(super) fn check_levels(data: &Dataset) -> Option<Finding> {
     is_wrong.then(|| Finding::new(name, links.links.len(), problem, mend))
 }
 
-/// Finds powers that are no more alike at neighbouring transmitters than at random ones, although distances differ.
+/// Finds powers that are no more alike at neighbouring transmitters than at random ones, although distances differ;
+/// `None` if they are, or if too few differ to decide.
 pub(super) fn check_power_rows(data: &Dataset) -> Option<Finding> {
     let powers = data.observations.powers().filter(|_| data.placed)?;
     let rows: Vec<usize> = (0..data.locations.len()).collect();

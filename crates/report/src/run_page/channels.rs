@@ -151,7 +151,7 @@ pub(super) fn power([re, im]: &[f64; 2]) -> f64 {
 }
 
 /// Returns magnitude (dB) and phase (degrees) of both, over the subcarriers of the strongest antenna or over the antennas,
-/// with name of the horizontal axis and, if there are several, the antenna.
+/// with the name of the horizontal axis and the index of the antenna; `None` over the antennas, or for a single one.
 pub(super) fn magnitude_and_phase(
     measured: &Gains,
     predicted: &Gains,

@@ -155,7 +155,7 @@ const STAGES: [&str; 6] = [
 ];
 
 /// Returns the main table: the first metric of the task, such as SSIM, then η, metrics of users, N, size, latency and training
-/// time.
+/// time. `None` without numbers.
 pub(in super::super) fn score_table(comparison: &Comparison<'_>) -> Option<Table> {
     let metric = |key: &str| comparison.metric(key).into_iter();
     let first = metric(comparison.setting.headline().key).flat_map(all_statistics);
@@ -244,17 +244,7 @@ pub(in super::super) fn difference_table(comparison: &Comparison<'_>, reference:
     if metrics.is_empty() {
         metrics = comparison.metrics.iter().filter(|m| m.is_per_sample()).collect();
     }
-    let others = comparison.rows.iter().filter(|row| row.label != reference.label);
-    let lines: Vec<(TableLine, usize)> = others
-        .filter_map(|row| {
-            let differences: Vec<Option<Difference>> =
-                metrics.iter().map(|m| row.difference_from(reference, m, &comparison.blocks)).collect();
-            let seeds = differences.iter().flatten().map(|d| d.seeds).max()?;
-            let cells =
-                differences.iter().map(|d| d.as_ref().map_or_else(FormattedValue::default, difference_cell)).collect();
-            Some((TableLine::new(row, cells), seeds))
-        })
-        .collect();
+    let lines = difference_lines(comparison, reference, &metrics);
     let seeds = (lines.iter().map(|l| l.1).min()?, lines.iter().map(|l| l.1).max()?);
     let column = |m: &&MetricRow| {
         let (title, unit) = name_and_unit(m);
@@ -283,6 +273,24 @@ pub(in super::super) fn difference_table(comparison: &Comparison<'_>, reference:
     };
     table.legend = render_sentences("legend.txt", words);
     Some(table)
+}
+
+/// Returns the lines of differences from `reference` by these metrics, each with its largest number of seeds; rows without any
+/// difference are omitted.
+fn difference_lines(
+    comparison: &Comparison<'_>,
+    reference: &ComparisonRow<'_>,
+    metrics: &[&MetricRow],
+) -> Vec<(TableLine, usize)> {
+    let line = |row: &ComparisonRow<'_>| {
+        let differences: Vec<Option<Difference>> =
+            metrics.iter().map(|m| row.difference_from(reference, m, &comparison.blocks)).collect();
+        let seeds = differences.iter().flatten().map(|d| d.seeds).max()?;
+        let cells =
+            differences.iter().map(|d| d.as_ref().map_or_else(FormattedValue::default, difference_cell)).collect();
+        Some((TableLine::new(row, cells), seeds))
+    };
+    comparison.rows.iter().filter(|row| row.label != reference.label).filter_map(line).collect()
 }
 
 /// Formats a paired difference with its interval, marked if that excludes 0.
