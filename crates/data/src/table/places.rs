@@ -72,7 +72,8 @@ impl Frame {
         Ok(places)
     }
 
-    /// Reads the positions of rows, metres, one per row of the readings. Returns an error for a table or a row without a position.
+    /// Reads the positions of rows, metres, one per row of the readings. Returns an error for a table or a row without a
+    /// position.
     pub(super) fn read_rows(&mut self, import: &TableImport, file: &TableFile) -> Result<Vec<[f64; 3]>> {
         let table = TableText::read(file)?;
         let choice = ColumnChoice { wide: Vec::new(), ..import.columns.clone() };
