@@ -92,7 +92,8 @@ impl Dataset {
     /// points of the room. `elevation_deg` are the elevations of the upper edge of the top row and the lower edge of the bottom
     /// row of spectra, (0, 90) by default. Set `simulated=True` for data that were not measured; the title then says so.
     #[staticmethod]
-    #[pyo3(signature = (tx=None, spectra=None, rssi=None, csi=None, *, rx_pose=None, transmitter=None, receivers=None, carriers_hz=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
+    #[pyo3(signature = (tx=None, spectra=None, rssi=None, csi=None, *, rx_pose=None, transmitter=None, receivers=None,
+        carriers_hz=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
     #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
     fn from_arrays(
         py: Python<'_>,
@@ -179,7 +180,10 @@ impl Dataset {
     #[staticmethod]
     #[pyo3(signature = (table, **options))]
     #[pyo3(
-        text_signature = "(table, *, x=None, y=None, z=None, lat=None, lon=None, floor=None, receiver=None, power=None, time=None, tx_id=None, columns=None, tx=None, places=None, receivers=None, test=None, missing=None, unit='dBm', lat_lon=False, height=None, floor_height=None, title='table', simulated=False, accept=())"
+        text_signature = "(table, *, x=None, y=None, z=None, lat=None, lon=None, floor=None, receiver=None, power=None, \
+                          time=None, tx_id=None, columns=None, tx=None, places=None, receivers=None, test=None, \
+                          missing=None, unit='dBm', lat_lon=False, height=None, floor_height=None, title='table', \
+                          simulated=False, accept=())"
     )]
     fn from_table(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let data = table::read(table, options)?;

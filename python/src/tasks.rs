@@ -218,7 +218,8 @@ pub(crate) fn findings(py: Python<'_>, data: &Dataset) -> PyResult<Vec<(String, 
     Ok(all.into_iter().map(|finding| (finding.name, finding.problem, replace_flags(&finding.mend))).collect())
 }
 
-/// Returns the text of the pipeline that `pwrfgs init` suggests for data; `root` is the folder of their `source`, if there is one.
+/// Returns the text of the pipeline that `pwrfgs init` suggests for data; `root` is the folder of their `source`, if there is
+/// one.
 #[pyfunction]
 #[pyo3(signature = (data, source, root, name, effort, accept))]
 pub(crate) fn suggest_pipeline(

@@ -157,8 +157,8 @@ impl Update {
         if finite { Ok(()) } else { Err(()) }
     }
 
-    /// Updates some values by the rule of Kingma and Ba, with L2 decay added to the gradient and decoupled decay subtracted from the
-    /// value. Returns whether all values are finite.
+    /// Updates some values by the rule of Kingma and Ba, with L2 decay added to the gradient and decoupled decay subtracted
+    /// from the value. Returns whether all values are finite.
     ///
     /// Moments of weights without a gradient decay to subnormal numbers, which no longer change the weight but slow the
     /// processor down many times; they become 0. So do weights below [`NEGLIGIBLE`] under L2 decay, whose products with

@@ -115,8 +115,8 @@ impl Model {
         Ok(())
     }
 
-    /// Returns (observations, derivative by positions `[3]` or `[B, 3]` or by poses `[7]` or `[B, 7]`), given the cotangents of the
-    /// observations.
+    /// Returns (observations, derivative by positions `[3]` or `[B, 3]` or by poses `[7]` or `[B, 7]`), given the cotangents of
+    /// the observations. Raises an exception for a model without derivative.
     pub(super) fn predict_vjp<'py>(
         &self,
         links: &Links,

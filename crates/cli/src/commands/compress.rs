@@ -30,11 +30,16 @@ pub(crate) struct Compress {
     #[arg(short, long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// Bits per network weight
-    #[arg(long, default_value = "8", value_parser = PossibleValuesParser::new(["8", "16"]).map(|bits| if bits == "8" { Bits::Eight } else { Bits::Sixteen }))]
+    #[arg(long, default_value = "8", value_parser = PossibleValuesParser::new(["8", "16"]).map(|bits| parse_bits(&bits)))]
     pub(crate) bits: Bits,
 }
 
-/// Runs `pwrfgs compress`: writes the smaller model file and prints what changed.
+/// Converts one of the texts 8 and 16.
+fn parse_bits(text: &str) -> Bits {
+    if text == "8" { Bits::Eight } else { Bits::Sixteen }
+}
+
+/// Runs `pwrfgs compress`: writes the smaller model file, and prints the sizes and the change of predictions.
 pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;

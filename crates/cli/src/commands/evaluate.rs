@@ -9,7 +9,9 @@ use clap::Args;
 use pwrfgs::experiment::folder::{PARTIAL_SCORES, PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::{join_names, number};
-use pwrfgs::experiment::{ActiveRun, Facts, Machine, Session, load_with_findings, pipeline_of_model, read_pipeline};
+use pwrfgs::experiment::{
+    ActiveRun, EvaluationResult, Facts, Machine, Session, load_with_findings, pipeline_of_model, read_pipeline,
+};
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs::tasks::read_models;
@@ -113,12 +115,7 @@ fn score(
     let table = &mut result.scores.table;
     table.samples[0] = count_training_samples(models);
     table.trained_elsewhere = !models.iter().all(|model| has_same_data(model, pipeline));
-    let mut text = format_scores(table, all);
-    if let Some(confidence) = &result.confidence {
-        let members = ensemble.members().len();
-        let rank = number(confidence.rank_correlation());
-        _ = writeln!(text, "\nmodel: mean of {members} models; rank correlation of spread and error {rank}");
-    }
+    let text = format_result(&result, ensemble, all);
     if let Some(folder) = folder {
         let facts = Facts {
             version: env!("CARGO_PKG_VERSION").into(),
@@ -133,6 +130,17 @@ fn score(
         files::remove(&folder.path().join(PARTIAL_SCORES));
     }
     Ok(text)
+}
+
+/// Formats the score table, for several models with the correlation of their spread with the error.
+fn format_result(result: &EvaluationResult, ensemble: &Ensemble, all: bool) -> String {
+    let mut text = format_scores(&result.scores.table, all);
+    if let Some(confidence) = &result.confidence {
+        let members = ensemble.members().len();
+        let rank = number(confidence.rank_correlation());
+        _ = writeln!(text, "\nmodel: mean of {members} models; rank correlation of spread and error {rank}");
+    }
+    text
 }
 
 /// Begins the folder that will be `out`, or continues that of a stopped start.

@@ -108,8 +108,8 @@ fn read_survey(arguments: &Init, out: &Path, verbosity: Verbosity) -> Result<Dat
     })
 }
 
-/// Formats the pipeline file, with notes on the data and its size, and comments on the settings. Returns an error if the text does
-/// not parse to the same pipeline.
+/// Formats the pipeline file, with notes on the data and its size, and comments on the settings. Returns an error if the text
+/// does not parse to the same pipeline.
 fn format_pipeline(notes: &[String], pipeline: &Pipeline) -> Result<String> {
     let default = example_pipeline().map_err(Error::Config)?;
     let value = Value::new(pipeline.to_ron()?).map_err(Error::Config)?;

@@ -193,12 +193,7 @@ impl SelectedRuns<'_> {
         #[cfg(feature = "report")]
         reported?;
         output::print_result(&plan.progress_table(indices, &queued_runs(plan)))?;
-        if let Some(RunOutcome::Finished { scores, .. }) = joined {
-            let folder = plan.folder.join(JOINED);
-            let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", folder.join(REPORT).display()));
-            let head = format!("\nensemble of {} models in {}\n", plan.runs.len(), folder.display());
-            output::print_result(&(head + &format_scores(&scores, all) + &report.unwrap_or_default()))?;
-        }
+        print_ensemble(plan, joined, all)?;
         let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
         if failed > 0 {
             let (total, failures) = (indices.len(), plan.folder.join("failures"));
@@ -214,6 +209,15 @@ impl SelectedRuns<'_> {
         }
         Ok(SUCCESS)
     }
+}
+
+/// Prints the scores of the ensemble of all models, if the sweep has one.
+fn print_ensemble(plan: &SweepPlan, joined: Option<RunOutcome>, all: bool) -> Result<()> {
+    let Some(RunOutcome::Finished { scores, .. }) = joined else { return Ok(()) };
+    let folder = plan.folder.join(JOINED);
+    let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", folder.join(REPORT).display()));
+    let head = format!("\nensemble of {} models in {}\n", plan.runs.len(), folder.display());
+    output::print_result(&(head + &format_scores(&scores, all) + &report.unwrap_or_default()))
 }
 
 /// Lists the folders of the runs in the Slurm queue; empty, with a note, if it cannot be read.
