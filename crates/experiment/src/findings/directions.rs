@@ -3,7 +3,7 @@
 use super::finding::Finding;
 use super::pose::{FOLLOWS, PoseCheck, PoseVerdict, has_room};
 use super::positions::round;
-use super::relation::{MEANINGS, check_rows};
+use super::relation::{MEANINGS, Meaning, check_rows};
 use super::rotation::angle;
 use super::spectra::SpectrumSummary;
 use glam::{DQuat, DVec3};
@@ -34,10 +34,10 @@ pub(super) fn check_directions(data: &Dataset, spectra: &[SpectrumSummary], pose
         let at_first = directions.iter().filter(|(sample, _)| data.sample(*sample).receiver == 0);
         median(at_first.map(|(sample, strongest)| sight_angle(data, *sample, *strongest, meaning)))
     };
-    let units = MEANINGS.iter().filter(|meaning| meaning.0 == "position-unit");
-    let best = units.map(|meaning| (angle_by(meaning.3), meaning)).min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let units = MEANINGS.iter().filter(|meaning| meaning.finding == "position-unit");
+    let best = units.map(|meaning| (angle_by(meaning.position), meaning)).min_by(|a, b| a.0.total_cmp(&b.0))?;
     if best.0 < (0.5 * pose.recorded).min(pose.turned).min(FOLLOWS * pose.constant) {
-        let (degrees, (name, words, mend, _)) = best;
+        let (degrees, Meaning { finding, words, mend, .. }) = best;
         let problem = format!(
             "the strongest direction is {:.1}° from the line of sight, and {degrees:.1}° if positions are {words} (for example \
              transmitter {} at {:?})",
@@ -45,7 +45,7 @@ pub(super) fn check_directions(data: &Dataset, spectra: &[SpectrumSummary], pose
             data.sample(directions[0].0).id,
             round(data.sample(directions[0].0).position())
         );
-        return Some(Finding::new(name, pose.pairs, problem, *mend));
+        return Some(Finding::new(finding, pose.pairs, problem, *mend));
     }
     let is_open = matches!(pose.verdict, PoseVerdict::NotDirect | PoseVerdict::Unclear) && pose.spread >= WIDE_DEG;
     let rows: Vec<usize> = directions.iter().map(|(sample, _)| data.links[*sample].location).collect();

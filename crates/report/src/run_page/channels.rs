@@ -161,14 +161,10 @@ pub(super) fn magnitude_and_phase(
     let k = if over_antennas { 0 } else { measured.strongest_antenna() };
     let pick = |gains: &Gains| if over_antennas { gains.values.clone() } else { gains.antenna_gains(k).to_vec() };
     let (a, b) = (pick(measured), pick(predicted));
-    let middle = frequencies.iter().sum::<f64>() / frequencies.len().max(1) as f64;
-    let span = frequencies.iter().map(|f| (f - middle).abs()).fold(0.0, f64::max);
-    let (unit, name) = if span < 1e6 { (1e3, "kHz") } else { (1e6, "MHz") };
     let (across, words): (Vec<f64>, String) = if over_antennas {
         ((1..=a.len()).map(|n| n as f64).collect(), "antenna".into())
     } else {
-        let from = format!("{name} from {:.3} MHz", middle / 1e6);
-        (frequencies.iter().map(|f| (f - middle) / unit).collect(), from)
+        frequency_axis(frequencies)
     };
     let peak = a.iter().map(power).fold(0.0, f64::max);
     let level = |gains: &[[f64; 2]]| gains.iter().map(|gain| decibels(power(gain), peak)).collect::<Vec<_>>();
@@ -179,6 +175,16 @@ pub(super) fn magnitude_and_phase(
         words,
         (!over_antennas && measured.antennas > 1).then_some(k),
     )
+}
+
+/// Returns the distances of frequencies in Hz from their mean, in kHz for a narrow band and otherwise in MHz, and the name of
+/// their axis.
+fn frequency_axis(frequencies: &[f64]) -> (Vec<f64>, String) {
+    let middle = frequencies.iter().sum::<f64>() / frequencies.len().max(1) as f64;
+    let span = frequencies.iter().map(|f| (f - middle).abs()).fold(0.0, f64::max);
+    let (unit, name) = if span < 1e6 { (1e3, "kHz") } else { (1e6, "MHz") };
+    let words = format!("{name} from {:.3} MHz", middle / 1e6);
+    (frequencies.iter().map(|f| (f - middle) / unit).collect(), words)
 }
 
 /// Returns the ratio in decibels, 10 log₁₀, at least [`FLOOR_DB`].

@@ -107,7 +107,7 @@ fn solid_line(points: Vec<(f64, f64)>, colour: Colour, width: f64) -> ChartLine 
 }
 
 /// Returns the addition to the title of a training curve: `, mean of 4 models`; empty for one model.
-fn of_models(run: &LoadedRun<'_>) -> String {
+fn models_suffix(run: &LoadedRun<'_>) -> String {
     let models = run.record.pipeline.members;
     if models > 1 { format!(", mean of {models} models") } else { String::new() }
 }
@@ -131,7 +131,7 @@ fn loss_figure(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     if points.len() > ranges.len() {
         lines.push(ChartLine::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)));
     }
-    draw_figure(format!("Training loss{}", of_models(run)), &chart_over_steps(run, true, lines))
+    draw_figure(format!("Training loss{}", models_suffix(run)), &chart_over_steps(run, true, lines))
 }
 
 /// Draws N over the steps on a logarithmic axis. `None` without points.
@@ -139,7 +139,7 @@ fn gaussians_figure(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure
     let lines = vec![solid_line(decimate_steps(points), MODEL_COLOUR, 2.0)];
     let splats = run.model.is_drawn_as(Appearance::Ellipsoids);
     let title = if splats { "Number of Gaussians" } else { "Number of virtual transmitters" };
-    draw_figure(format!("{title}{}", of_models(run)), &chart_over_steps(run, true, lines))
+    draw_figure(format!("{title}{}", models_suffix(run)), &chart_over_steps(run, true, lines))
 }
 
 /// Draws the validation score over the steps, with the baselines on the same samples; `None` without validations.
@@ -158,7 +158,7 @@ fn validation_figure(run: &LoadedRun<'_>) -> Option<Figure> {
     for (name, mean) in shown {
         lines.push(ChartLine::horizontal(*mean, predictor_style(run, name)).named(name));
     }
-    let title = format!("Validation {}: {}{}", task.counted[1], task.headline.name, of_models(run));
+    let title = format!("Validation {}: {}{}", task.counted[1], task.headline.name, models_suffix(run));
     draw_figure(title, &chart_over_steps(run, false, lines))
 }
 

@@ -37,7 +37,7 @@ pub(super) fn section(run: &LoadedRun<'_>) -> Value {
         return context! { script, digest };
     }
     let model = model_bytes(run);
-    let gaussians = fits_page(run.model).then(|| {
+    let gaussians = has_few_gaussians(run.model).then(|| {
         let origin = origin(&run.model.members()[0].stages.setup, Some(run.data));
         gaussians(run.model, origin, None).to_bytes()
     });
@@ -68,7 +68,7 @@ fn encode_base64(bytes: &[u8]) -> String {
 }
 
 /// Returns whether the Gaussians are few enough for a page.
-fn fits_page(model: &Ensemble) -> bool {
+fn has_few_gaussians(model: &Ensemble) -> bool {
     (1..=GAUSSIANS).contains(&model.gaussians())
 }
 
@@ -143,7 +143,7 @@ fn room_tensors(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
     tensors.note["median"] = json!(median_link(run).and_then(|link| links.binary_search(&link).ok()));
     tensors.note["sides"] = json!([{
         "name": run.record.pipeline.name,
-        "gaussians": fits_page(run.model).then(|| run.model.gaussians()),
+        "gaussians": has_few_gaussians(run.model).then(|| run.model.gaussians()),
         "members": run.model.members().len(),
         "ellipsoids": ellipsoids,
         "training_limit_m": run.model.training_limit(),
