@@ -1,7 +1,7 @@
 //! `Journal`: files written during training: `curve.csv`, `validation.csv` and optional TensorBoard events.
 
 use crate::events::Events;
-use crate::folder::{CURVE, EVENTS, VALIDATION};
+use crate::folder::{CURVE, CURVE_HEADER, EVENTS, VALIDATION};
 use crate::run_folder::RunFolder;
 use crate::scores::ScoreTable;
 use crate::session::Validation;
@@ -15,12 +15,6 @@ use std::path::{Path, PathBuf};
 
 /// Number of steps up to which `curve.csv` has a row for each; longer trainings have every tenth.
 const DENSE_STEPS: u64 = 2_000;
-/// Header of `curve.csv`; the rows of [`Journal::record_step`] have its order.
-const CURVE_HEADER: &str = "step,phase,loss,penalty,gaussians,seconds";
-/// Column of the loss in `curve.csv`, counted from 0.
-pub(crate) const LOSS: usize = 2;
-/// Column of the number of Gaussians in `curve.csv`, counted from 0.
-pub(crate) const GAUSSIANS: usize = 4;
 /// Prefix of the tags of `validation.csv` in TensorBoard.
 const VALIDATION_PREFIX: &str = "validation/";
 
