@@ -5,14 +5,14 @@ mod rows;
 mod stored;
 mod table;
 
-use crate::arrays::{array, numbers, observation_array, plane_angles, positions, read_elevation, vector};
+use crate::arrays::{array, numbers, observation_array, plane_angles, positions, vector};
 use crate::border::{parse_plugin, plugin_text, reject, run_stoppable, stop_progress, to_exception, without_gil};
 use numpy::PyArrayDyn;
-use pwrfgs::data::{check_dataset, save, shape_fault};
+use pwrfgs::data::{check_dataset, save};
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{
-    DataSource, Dataset as Data, Elevation, End, Ends, Error, Observations, Plugin, Pose, Real, Receiver, Sample,
-    Simulation, recognise,
+    DataSource, Dataset as Data, End, Ends, Error, Observations, Plugin, Pose, Real, Receiver, Sample, Simulation,
+    recognise,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::prelude::*;
@@ -137,13 +137,7 @@ impl Dataset {
                 return reject(py, &format!("{name}: only valid for {kind}; remove it"));
             }
         }
-        let elevation = elevation_deg.map_or(Ok(Elevation::UPPER), |angles| read_elevation(py, angles))?;
-        if let Some(spectra) = observations.spectra() {
-            let (size, say) = ((spectra.width(), spectra.height()), "elevation_deg=(-90, 90) for a full sphere");
-            if let Some(fault) = shape_fault(elevation, elevation_deg.is_some(), size, say) {
-                return reject(py, &format!("a spectrum {fault}"));
-            }
-        }
+        let elevation = inputs::elevation_of(py, elevation_deg, &observations)?;
         let carriers = carriers_hz.map(|all| numbers::<f64>("carriers_hz", all, &[None])).transpose()?;
         let simulation = simulated.then(Simulation::default);
         let ends = match rx_pose {

@@ -1,11 +1,13 @@
 //! Validation of user arrays for a data set: receivers, spectra, powers, channels.
 
-use crate::arrays::{self, Gain, array_shape, axis_count, input_array, numbers, positions};
+use crate::arrays::{self, Gain, array_shape, axis_count, input_array, numbers, positions, read_elevation};
 use crate::border::{input_error, reject, replace_flags, without_gil};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods as _};
-use pwrfgs::data::{UnlinkedNode, power_fault, real_channels_fault, unlinked_node};
+use pwrfgs::data::{UnlinkedNode, power_fault, real_channels_fault, shape_fault, unlinked_node};
 use pwrfgs::experiment::{collect_findings, reject_findings};
-use pwrfgs_core::{Channels, Dataset, Error, Number, Observations, Origin, Pose, Real, Receiver, Sample, Spectra};
+use pwrfgs_core::{
+    Channels, Dataset, Elevation, Error, Number, Observations, Origin, Pose, Real, Receiver, Sample, Spectra,
+};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
@@ -106,6 +108,23 @@ pub(super) fn read_spectra(given_spectra: &Bound<'_, PyAny>, count: usize) -> Py
     let size = size(floats.shape());
     let pixels = floats.as_slice().map_err(|e| input_error(py, &e.to_string()))?;
     Spectra::float(size, pixels).map_err(exception)
+}
+
+/// Returns the elevations of spectra, by default those of the upper half-sphere. Raises an exception for invalid elevations, and
+/// if they contradict the size of the spectra.
+pub(super) fn elevation_of(
+    py: Python<'_>,
+    elevation_deg: Option<[f64; 2]>,
+    observations: &Observations,
+) -> PyResult<Elevation> {
+    let elevation = elevation_deg.map_or(Ok(Elevation::UPPER), |angles| read_elevation(py, angles))?;
+    if let Some(spectra) = observations.spectra() {
+        let (size, say) = ((spectra.width(), spectra.height()), "elevation_deg=(-90, 90) for a full sphere");
+        if let Some(fault) = shape_fault(elevation, elevation_deg.is_some(), size, say) {
+            return reject(py, &format!("a spectrum {fault}"));
+        }
+    }
+    Ok(elevation)
 }
 
 /// Reads received powers, dBm, as links with their observations; NaN is a missing link.

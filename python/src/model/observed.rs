@@ -129,8 +129,9 @@ impl Model {
         }
         let is_pose = self.stages().setup.moving.is_receiver();
         if is_pose && !ready.has_orientation_derivative() {
-            let what = "vjp: this model has no derivative by the orientation of its receiver; use calibration Physical";
-            return reject(py, what);
+            let problem =
+                "vjp: this model has no derivative by the orientation of its receiver; use calibration Physical";
+            return reject(py, problem);
         }
         let count = self.stages().setup.value_count();
         let cotangents = self.shape(links).read("vjp", cotangents)?;

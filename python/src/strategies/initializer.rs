@@ -36,6 +36,19 @@ impl Initializer for Strategy {
     }
 }
 
+/// Reads the scales of `n` Gaussians, metres: one number, `[n]` or `[n, 3]`, above 0.
+fn read_scales(value: &Bound<'_, PyAny>, n: usize) -> PyResult<Vec<[Real; 3]>> {
+    let scales: Vec<[Real; 3]> = match axis_count(value)? {
+        0 => vec![[value.extract()?; 3]; n],
+        1 => finite_numbers("scales", value, &[n])?.into_iter().map(|s| [s; 3]).collect(),
+        _ => finite_numbers("scales", value, &[n, 3])?.as_chunks().0.to_vec(),
+    };
+    if !scales.as_flattened().iter().all(|s| s.is_finite() && *s > 0.0) {
+        return reject(value.py(), "scales: give metres above 0");
+    }
+    Ok(scales)
+}
+
 /// Creates a cloud from the result of `initialize`: means (world frame), scales and optional columns.
 fn cloud_from_result(columns: &Bound<'_, PyDict>, scene: &Scene) -> PyResult<GaussianCloud> {
     let py = columns.py();
@@ -47,15 +60,7 @@ fn cloud_from_result(columns: &Bound<'_, PyDict>, scene: &Scene) -> PyResult<Gau
     check_keys("initialize: unknown entry", columns, ["means", "scales", "opacities", "quats", "signals"])?;
     let means = crate::arrays::positions("means", &need("means")?)?;
     let n = means.len();
-    let scales = need("scales")?;
-    let scales: Vec<[Real; 3]> = match axis_count(&scales)? {
-        0 => vec![[scales.extract()?; 3]; n],
-        1 => finite_numbers("scales", &scales, &[n])?.into_iter().map(|s| [s; 3]).collect(),
-        _ => finite_numbers("scales", &scales, &[n, 3])?.as_chunks().0.to_vec(),
-    };
-    if !scales.as_flattened().iter().all(|s| s.is_finite() && *s > 0.0) {
-        return reject(py, "scales: give metres above 0");
-    }
+    let scales = read_scales(&need("scales")?, n)?;
     let opacities = match columns.get_item("opacities")? {
         None => vec![DEFAULT_OPACITY; n],
         Some(value) if axis_count(&value)? == 0 => vec![value.extract()?; n],

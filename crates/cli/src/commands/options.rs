@@ -19,8 +19,8 @@ pub(crate) struct ChangeOptions {
     #[arg(
         long,
         value_name = "FACTOR",
-        help = "Multiply all step counts by this factor, such as 0.25; below 1, also\n\
-                divide the learning rates of masks by it (up to 0.1), so that masks still close"
+        help = "Multiply all step counts by this factor, such as 0.25; below 1, it\n\
+                also divides the learning rates of masks (up to 0.1), so that\nmasks still close"
     )]
     scale: Option<f64>,
     /// Accept a finding on the data, such as lone-value.
