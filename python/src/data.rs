@@ -164,7 +164,7 @@ impl Dataset {
     ///   the name of the only receiver.
     /// * `columns`: the columns of the receivers, a list of names in which `*` stands for any text.
     /// * `tx`, `places`, `receivers`, `test`: tables of positions row by row, of named places, of receivers, and of the test set.
-    /// * `missing`: values that mean "not heard". Empty cells and NaN always do.
+    /// * `missing`: values that mean "not received". Empty cells and NaN always do.
     /// * `unit`: "dBm", "positive-dBm", "percent", "dB:FLOOR", "mW" or "W".
     /// * `lat_lon`: positions are degrees. `height` (metres, where there is none) and `floor_height`.
     /// * `title`, `simulated`.

@@ -47,7 +47,7 @@ pub struct PlanSettings {
     #[arg(long, requires = "source", conflicts_with_all = ["candidates", "floor", "length_scale"])]
     #[serde(default)]
     pub simulate: bool,
-    /// Length scale in metres, not learned
+    /// Fixed length scale in metres, instead of an estimate
     #[arg(long, value_name = "M")]
     #[serde(default)]
     pub length_scale: Option<f64>,

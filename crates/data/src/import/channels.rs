@@ -18,7 +18,7 @@ pub struct ChannelImport {
     /// Channels (CSI): .npy, .npz or .npz:NAME; several are concatenated
     #[arg(long, value_name = "FILE", num_args = 1.., requires = "receiver", conflicts_with_all = ["elevation", "scale"])]
     pub channels: Vec<PathBuf>,
-    /// Imaginary parts, if they are in files of their own
+    /// Imaginary parts, if they are in separate files
     #[arg(long, value_name = "FILE", num_args = 1.., requires = "channels")]
     pub imag: Vec<PathBuf>,
     /// Axes: positions m, antennas a, subcarriers f, parts ri or ir
