@@ -1,9 +1,7 @@
 //! `Record`: a finished run read from its folder: scores, training series, and the confidence of an ensemble.
 
 use crate::facts::Facts;
-use crate::folder::{
-    CONFIDENCE, CURVE, GAUSSIANS, LOSS, MODEL_FILE, PIPELINE, REPORT, SAMPLES, SCORES, VALIDATION,
-};
+use crate::folder::{CONFIDENCE, CURVE, GAUSSIANS, LOSS, MODEL_FILE, PIPELINE, REPORT, SAMPLES, SCORES, VALIDATION};
 use crate::input::read_pipeline;
 use crate::samples::TestSamples;
 use crate::scores::Scores;

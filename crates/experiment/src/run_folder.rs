@@ -182,14 +182,14 @@ fn compare_pipelines(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) 
         return Ok(RunState::Begun);
     }
     // Parsed and written again, so that new fields with defaults, or comments, do not count as differences.
-    let (theirs, ours, alike) = match input::parse_pipeline(theirs, file, &[]) {
-        Ok(theirs) => {
-            let ours = scored_as(ours, &theirs);
-            (theirs.essential().to_ron()?, ours.essential().to_ron()?, ours.to_ron()? == text)
+    let (their_text, our_text, is_scored_alike) = match input::parse_pipeline(theirs, file, &[]) {
+        Ok(earlier) => {
+            let rescored = scored_as(ours, &earlier);
+            (earlier.essential().to_ron()?, rescored.essential().to_ron()?, rescored.to_ron()? == text)
         }
         Err(_) => (theirs.to_owned(), ours.essential().to_ron()?, true),
     };
-    let differ = theirs.lines().zip(ours.lines()).enumerate().find(|(_, (a, b))| a != b);
+    let differ = their_text.lines().zip(our_text.lines()).enumerate().find(|(_, (a, b))| a != b);
     match differ {
         Some((line, (their_line, our_line))) => Err(Error::Config(format!(
             "{} holds a run of another pipeline: its {PIPELINE}:{} has `{}`, this one has `{}`; \
@@ -199,8 +199,8 @@ fn compare_pipelines(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) 
             strip_control(their_line).trim_end_matches(','),
             strip_control(our_line).trim_end_matches(',')
         ))),
-        None if theirs.lines().count() == ours.lines().count() => {
-            Ok(if alike { RunState::Begun } else { RunState::ScoredOtherwise })
+        None if their_text.lines().count() == our_text.lines().count() => {
+            Ok(if is_scored_alike { RunState::Begun } else { RunState::ScoredOtherwise })
         }
         None => Err(Error::Config(format!(
             "{} holds a run of another pipeline; choose another --out or remove the folder",

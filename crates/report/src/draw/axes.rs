@@ -55,6 +55,12 @@ impl AxisScale {
     fn fraction(&self, coordinate: f64) -> f64 {
         (coordinate - self.ends.0) / (self.ends.1 - self.ends.0)
     }
+
+    /// Returns the ticks that `fits` allows on an axis of this length: their pixels of plotters, and their labels.
+    fn keyed_ticks(&self, length: f64, fits: &dyn Fn(&[Tick]) -> bool) -> (Vec<i32>, Vec<String>) {
+        let key = |tick: Tick| (pixels(length * self.fraction(tick.0)), tick.1);
+        ticks(self.ends, self.log, fits).into_iter().map(key).unzip()
+    }
 }
 
 /// Mapping of data to positions on the drawing.
@@ -83,18 +89,13 @@ impl PlotArea {
     /// Draws grid, ticks and names; `height` is that of the chart without its legend. For plotters, both axes count its
     /// pixels, so that the ticks computed here are key points with the labels computed here.
     pub(super) fn draw(&self, canvas: &mut Canvas, height: f64, [x, y]: [&ChartAxis; 2]) {
-        let pixels = |length: f64| (length * GRID).round() as i32;
         let (across, up) = (self.right - self.left, self.bottom - self.top);
         let fit = |all: &[Tick]| {
             let reach = |tick: &Tick| (across * self.x.fraction(tick.0), text_width(&tick.1) / 2.0);
             all.windows(2).map(|w| (reach(&w[0]), reach(&w[1]))).all(|((a, p), (b, q))| a + p + 8.0 < b - q)
         };
-        let keys = |ticks: Vec<Tick>, scale: &AxisScale, length: f64| -> (Vec<i32>, Vec<String>) {
-            let key = |tick: Tick| (pixels(length * scale.fraction(tick.0)), tick.1);
-            ticks.into_iter().map(key).unzip()
-        };
-        let (x_keys, x_labels) = keys(ticks(self.x.ends, x.log, &fit), &self.x, across);
-        let (y_keys, y_labels) = keys(ticks(self.y.ends, y.log, &|_| true), &self.y, up);
+        let (x_keys, x_labels) = self.x.keyed_ticks(across, &fit);
+        let (y_keys, y_labels) = self.y.keyed_ticks(up, &|_| true);
         let label = |keys: &[i32], labels: &[String], key: i32| {
             keys.iter().position(|k| *k == key).map_or_else(String::new, |k| labels[k].clone())
         };
@@ -133,6 +134,11 @@ fn to_rgb(colour: Colour) -> RGBColor {
 
 /// Pixels of plotters per unit of the canvas.
 pub(super) const GRID: f64 = 100.0;
+
+/// Converts a length on the canvas to pixels of plotters.
+fn pixels(length: f64) -> i32 {
+    (length * GRID).round() as i32
+}
 
 /// Backend of plotters.
 pub(super) struct PlottersBackend<'a>(pub(super) &'a mut Canvas);
