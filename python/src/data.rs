@@ -137,7 +137,7 @@ impl Dataset {
                 return reject(py, &format!("{name}: only valid for {kind}; remove it"));
             }
         }
-        let elevation = inputs::elevation_of(py, elevation_deg, &observations)?;
+        let elevation = inputs::spectrum_elevation(py, elevation_deg, &observations)?;
         let carriers = carriers_hz.map(|all| numbers::<f64>("carriers_hz", all, &[None])).transpose()?;
         let simulation = simulated.then(Simulation::default);
         let ends = match rx_pose {

@@ -33,7 +33,8 @@ impl TrainerState {
         pipeline: &Settings,
         data: Arc<Data>,
         partition: &Partition,
-        (loss, checkpoint): (Option<PythonLoss>, Option<PathBuf>),
+        loss: Option<PythonLoss>,
+        checkpoint: Option<PathBuf>,
         stop: &AtomicBool,
     ) -> Result<Self> {
         let read = |path: PathBuf| files::read(&path).map_err(|e| Error::read(&path, e));
@@ -101,7 +102,7 @@ impl Trainer {
                 None => inner.partition(&data)?,
             };
             let loss = loss.map(|function| PythonLoss { function, task: data.task() });
-            TrainerState::begin(&inner, data, &partition, (loss, checkpoint), stop)
+            TrainerState::begin(&inner, data, &partition, loss, checkpoint, stop)
         };
         Ok(Self { held: Mutex::new(run_stoppable(py, begin)?), failed: AtomicBool::new(false) })
     }

@@ -112,7 +112,7 @@ pub(super) fn read_spectra(given_spectra: &Bound<'_, PyAny>, count: usize) -> Py
 
 /// Returns the elevations of spectra, by default those of the upper half-sphere. Raises an exception for invalid elevations, and
 /// if they contradict the size of the spectra.
-pub(super) fn elevation_of(
+pub(super) fn spectrum_elevation(
     py: Python<'_>,
     elevation_deg: Option<[f64; 2]>,
     observations: &Observations,
