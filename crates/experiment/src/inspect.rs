@@ -161,8 +161,8 @@ impl DataSummary {
     }
 }
 
-/// Describes extent and repeated positions of the moving end, and the steps between consecutive ids if there are any; after
-/// their names.
+/// Returns names and descriptions: extent and repeated positions of the moving end, and the steps between consecutive ids if
+/// there are any.
 fn describe_positions(data: &Dataset) -> Vec<(&'static str, String)> {
     let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
     let mut ordered = positions.clone();
@@ -188,7 +188,7 @@ fn describe_positions(data: &Dataset) -> Vec<(&'static str, String)> {
     vec![(moving, text), ("steps", steps)]
 }
 
-/// Describes the ends that do not move, after their name.
+/// Returns name and description of the ends that do not move.
 fn describe_fixed_ends(data: &Dataset) -> (&'static str, String) {
     let list = |numbers: [f64; 3]| numbers.map(|v| format!("{}", v + 0.0)).join(", ");
     let pose = data.scene.origin.world_pose(data.scene.pose());
@@ -213,7 +213,7 @@ fn describe_points(data: &Dataset) -> String {
     extent.map_or_else(|| "none".into(), |extent| format!("{count} points, {}", cloud::describe(extent)))
 }
 
-/// Describes median and range of the levels of all links, after their name.
+/// Returns name and description of the levels of all links: their median and range.
 fn describe_levels(data: &Dataset) -> (&'static str, String) {
     let [name, unit] = data.task().level_name_at(&data.scene.receivers);
     let level = |link: usize| data.task().level(&data.image(link));

@@ -66,7 +66,8 @@ pub struct Comparison {
     pub reference: Option<String>,
 }
 
-/// Reads the shipped experiment with the methods for the task of `data`, and sets its name, with that of the data, and seeds.
+/// Reads the shipped experiment with the methods for the task of `data`, with `data_name` in its name and this number of
+/// `seeds`.
 fn read_experiment(seeds: usize, data_name: &str, data: &Dataset) -> Result<Experiment> {
     let name = match &data.features {
         Some(_) => "methods-uplink",

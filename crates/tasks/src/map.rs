@@ -191,8 +191,8 @@ pub fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer
     Some((layer, TrainingMap { is_beyond, limit, positions }))
 }
 
-/// Returns the lowest and highest of `positions` on the floor that a horizontal `plane` shows: those without a gap of
-/// [`FLOOR_GAP_M`] from the one nearest to the plane. All, for other planes.
+/// Returns the lowest and highest position on the floor that a horizontal `plane` shows, metres: of the `positions` without a gap
+/// of [`FLOOR_GAP_M`] from the one nearest to the plane. Unlimited for other planes, or without positions.
 fn shown_floor(plane: MapPlane, positions: &[[f64; 3]]) -> [f64; 2] {
     let heights = sorted(positions.iter().map(|position| position[2]));
     let floors = heights.chunk_by(|a, b| b - a < FLOOR_GAP_M).map(|floor| [floor[0], floor[floor.len() - 1]]);

@@ -163,8 +163,8 @@ impl PlaneBounds {
         if out.iter().flatten().all(|v| v.is_finite()) { Self(out) } else { self }
     }
 
-    /// Creates bounds around the central 90 % of `cloud` and all `receivers`, metres; along a coordinate in which these
-    /// are equal, or that has none, they are two metres wide.
+    /// Creates bounds around the central 90 % of `cloud` and all `receivers`, metres; two metres wide along a coordinate in
+    /// which all are equal, or if there are none.
     pub fn around(mut cloud: Vec<[f64; 2]>, receivers: &[[f64; 2]]) -> Self {
         cloud.retain(|point| point.iter().all(|v| v.is_finite()));
         let ends_along = |k: usize| {

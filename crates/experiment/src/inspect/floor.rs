@@ -16,9 +16,9 @@ const LEAST: usize = 20;
 /// Number of neighbours among which one at another position is sought.
 const SEARCHED: usize = 16;
 
-/// Describes how much observations of one receiver at neighbouring positions differ, after its name; for received powers
-/// with the mean absolute error that follows for a perfect map, since both observations of a pair deviate from it. `None`
-/// without positions or with few pairs.
+/// Returns name and description of the difference of observations of one receiver at neighbouring positions. For received powers
+/// it has the mean absolute error of a perfect map, from which both observations of a pair deviate. `None` without positions
+/// or with few pairs.
 ///
 /// # Errors
 /// If an observation cannot be read.

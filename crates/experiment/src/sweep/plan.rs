@@ -321,7 +321,7 @@ fn join_labels(labels: &[(String, String)]) -> String {
 }
 
 impl PlannedRun {
-    /// Names its model in a joined model: labels and seed, such as `waves-0`.
+    /// Formats the name of its model in a joined model: labels and seed, such as `waves-0`.
     pub(super) fn member_name(&self) -> String {
         let labels = self.labels.iter().map(|(_, label)| slug(label).replace('+', "-"));
         let words: Vec<String> = labels.chain([self.pipeline.seed.to_string()]).collect();

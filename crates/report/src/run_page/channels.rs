@@ -247,7 +247,7 @@ pub(super) fn delay_profiles(measured: &Gains, predicted: &Gains, frequencies: &
 }
 
 /// Returns |Σ h w exp(j 2π k `index`/`count`)|² with a raised-cosine window w, which keeps one path from masking all
-/// others.
+/// others. The exponent is negative unless the frequencies run `forward`.
 fn tap_power(gains: &[[f64; 2]], index: usize, count: usize, forward: bool) -> f64 {
     let subcarriers = gains.len() as f64;
     let sum = gains.iter().enumerate().fold([0.0; 2], |[x, y], (k, [re, im])| {
