@@ -51,7 +51,8 @@ class Run:
     def scores(self) -> Dict[str, Dict[str, Any]]:
         """Scores of the model and every baseline, such as ``scores["model"]["ssim"]["mean"]``: mean, median and tail10 for
         per-sample metrics, one number for others, None if a metric does not apply. Empty before the run has finished."""
-        return dict(_pwrfgs.facts(self.folder)[1] or {})
+        scored = _pwrfgs.facts(self.folder)[1]
+        return scored[0] if scored else {}
 
     def table(self) -> Any:
         """Scores as a pandas data frame (rows: predictor; columns: metric and statistic)."""
@@ -121,8 +122,8 @@ class Run:
         return f"<Run {self.folder}: {metric} {mean:.4g}, {self.facts['gaussians']} Gaussians>"
 
     def __str__(self) -> str:
-        text = _pwrfgs.facts(self.folder)[2]
-        return f"{self!r}\n{text}" if text else repr(self)
+        scored = _pwrfgs.facts(self.folder)[1]
+        return f"{self!r}\n{scored[1]}" if scored else repr(self)
 
     def _repr_html_(self) -> str:
         return _html.run(str(self), lambda: self.model, self.finished)

@@ -27,49 +27,50 @@ pub(crate) type Gain = Complex<Real>;
 /// number is also a vector of one.
 ///
 /// # Errors
-/// Not an array of numbers, or another shape; `what` is its name.
+/// Not an array of numbers, or another shape; `name` begins the message.
 pub(crate) fn input_array<'py, T: Element>(
-    what: &str,
+    name: &str,
     value: &Bound<'py, PyAny>,
     shape: &[Option<usize>],
 ) -> PyResult<InputArray<'py, T>> {
     let py = value.py();
     let array = match value.cast::<PyArrayDyn<T>>() {
         Ok(array) if array.is_c_contiguous() => array.clone(),
-        _ => convert_array(what, value)?,
+        _ => convert_array(name, value)?,
     };
-    let have = array.shape();
-    let is_one = have.is_empty() && matches!(shape, [None | Some(1)]);
-    let fits = have.len() == shape.len() && have.iter().zip(shape).all(|(n, want)| want.is_none_or(|want| want == *n));
+    let given = array.shape();
+    let is_one = given.is_empty() && matches!(shape, [None | Some(1)]);
+    let fits = given.len() == shape.len() && given.iter().zip(shape).all(|(n, length)| length.is_none_or(|m| m == *n));
     if !fits && !is_one {
-        let want: Vec<String> = shape.iter().map(|n| n.map_or_else(|| "any".into(), |n| n.to_string())).collect();
-        let message = format!("{what} has shape {have:?}, expected [{}]", want.join(", "));
+        let expected: Vec<String> = shape.iter().map(|n| n.map_or_else(|| "any".into(), |n| n.to_string())).collect();
+        let message = format!("{name} has shape {given:?}, expected [{}]", expected.join(", "));
         return reject(py, &message);
     }
-    array.try_readonly().map_err(|e| input_error(py, &format!("{what}: {e}")))
+    array.try_readonly().map_err(|e| input_error(py, &format!("{name}: {e}")))
 }
 
 /// Converts a value to an array of `T` in C order through NumPy.
 ///
 /// # Errors
-/// Not an array, or of numbers that `T` cannot hold; `what` is its name.
-fn convert_array<'py, T: Element>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+/// Not an array, or of numbers that `T` cannot hold; `name` begins the message.
+fn convert_array<'py, T: Element>(name: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
     let py = value.py();
     let numpy = py.import("numpy")?;
     let array = numpy.call_method1("asarray", (value,));
-    let array = array.map_err(|e| input_error(py, &format!("{what} is not an array: {e}")))?;
+    let array = array.map_err(|e| input_error(py, &format!("{name} is not an array: {e}")))?;
     let kind = array.getattr("dtype")?.getattr("kind")?.extract::<String>()?;
     let target = dtype::<T>(py);
-    let takes = match target.kind() {
+    // Kinds of NumPy: float, integer, unsigned, boolean, complex.
+    let accepted = match target.kind() {
         b'c' => "fiubc",
         b'b' => "b",
         b'i' => "iu",
         _ => "fiub",
     };
     let empty = array.getattr("size")?.extract::<usize>()? == 0; // an empty list has no kind of its own
-    if !takes.contains(kind.as_str()) && !empty {
-        let found = array.getattr("dtype")?;
-        return reject(py, &format!("{what} holds {found}, expected {target}"));
+    if !accepted.contains(kind.as_str()) && !empty {
+        let given = array.getattr("dtype")?;
+        return reject(py, &format!("{name} holds {given}, expected {target}"));
     }
     let options = PyDict::new(py);
     options.set_item("dtype", target)?;
@@ -94,32 +95,32 @@ pub(crate) fn axis_count(value: &Bound<'_, PyAny>) -> PyResult<usize> {
 }
 
 /// Reads one position, metres, finite.
-pub(crate) fn position(what: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> {
-    let position = numbers::<f64>(what, value, &[Some(3)])?;
+pub(crate) fn position(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> {
+    let position = numbers::<f64>(name, value, &[Some(3)])?;
     if !position.iter().all(|v| v.is_finite()) {
-        return reject(value.py(), &format!("{what} is {position:?}; give finite numbers"));
+        return reject(value.py(), &format!("{name} is {position:?}; give finite numbers"));
     }
     Ok([position[0], position[1], position[2]])
 }
 
 /// Reads positions `[.., 3]`, metres, finite.
-pub(crate) fn positions(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 3]>> {
-    let positions: Vec<[f64; 3]> = numbers(what, value, &[None, Some(3)])?.as_chunks().0.to_vec();
+pub(crate) fn positions(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 3]>> {
+    let positions: Vec<[f64; 3]> = numbers(name, value, &[None, Some(3)])?.as_chunks().0.to_vec();
     match positions.iter().position(|position| !position.iter().all(|v| v.is_finite())) {
-        Some(i) => reject(value.py(), &format!("{what}[{i}] is {:?}; give finite numbers", positions[i])),
+        Some(i) => reject(value.py(), &format!("{name}[{i}] is {:?}; give finite numbers", positions[i])),
         None => Ok(positions),
     }
 }
 
 /// Reads poses `[.., 7]` as x, y, z in metres and quaternions x, y, z, w; also returns whether there is a single one.
-pub(crate) fn poses(what: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<Pose>, bool)> {
+pub(crate) fn poses(name: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<Pose>, bool)> {
     let is_single = axis_count(value)? == 1;
     let shape: &[Option<usize>] = if is_single { &[Some(7)] } else { &[None, Some(7)] };
-    let values = numbers::<f64>(what, value, shape)?;
+    let values = numbers::<f64>(name, value, shape)?;
     let pose = |&[x, y, z, qx, qy, qz, qw]: &[f64; 7]| Pose { position: [x, y, z], orientation: [qx, qy, qz, qw] };
     let poses: Vec<Pose> = values.as_chunks().0.iter().map(pose).collect();
     match poses.iter().enumerate().find_map(|(i, pose)| Some((i, pose.fault()?))) {
-        Some((i, (_, fault))) => reject(value.py(), &format!("{what}[{i}]: {fault}")),
+        Some((i, (_, fault))) => reject(value.py(), &format!("{name}[{i}]: {fault}")),
         None => Ok((poses, is_single)),
     }
 }
@@ -127,24 +128,24 @@ pub(crate) fn poses(what: &str, value: &Bound<'_, PyAny>) -> PyResult<(Vec<Pose>
 /// Reads an array of numbers of this shape, in C order, which may be infinite or NaN. Raises an exception for another
 /// type or shape.
 pub(crate) fn numbers<T: Element + Copy>(
-    what: &str,
+    name: &str,
     value: &Bound<'_, PyAny>,
     shape: &[Option<usize>],
 ) -> PyResult<Vec<T>> {
-    let array = input_array::<T>(what, value, shape)?;
+    let array = input_array::<T>(name, value, shape)?;
     array.as_slice().map(<[T]>::to_vec).map_err(|e| input_error(value.py(), &e.to_string()))
 }
 
 /// Reads finite numbers of exactly this shape, such as the result of a function of a user.
-pub(crate) fn finite_numbers(what: &str, value: &Bound<'_, PyAny>, shape: &[usize]) -> PyResult<Vec<Real>> {
+pub(crate) fn finite_numbers(name: &str, value: &Bound<'_, PyAny>, shape: &[usize]) -> PyResult<Vec<Real>> {
     let shape: Vec<Option<usize>> = shape.iter().copied().map(Some).collect();
-    check_finite(what, value, numbers(what, value, &shape)?)
+    check_finite(name, value, numbers(name, value, &shape)?)
 }
 
 /// Returns `numbers`, which were read from `value`, if all are finite.
-pub(crate) fn check_finite(what: &str, value: &Bound<'_, PyAny>, numbers: Vec<Real>) -> PyResult<Vec<Real>> {
+pub(crate) fn check_finite(name: &str, value: &Bound<'_, PyAny>, numbers: Vec<Real>) -> PyResult<Vec<Real>> {
     match numbers.iter().find(|v| !v.is_finite()) {
-        Some(bad) => reject(value.py(), &format!("{what} holds {bad}; give finite numbers")),
+        Some(bad) => reject(value.py(), &format!("{name} holds {bad}; give finite numbers")),
         None => Ok(numbers),
     }
 }
@@ -155,8 +156,8 @@ pub(crate) fn column_shape(n: usize, width: usize) -> Vec<usize> {
 }
 
 /// Reads complex numbers of this shape as pairs of real and imaginary part.
-pub(crate) fn complex_pairs(what: &str, value: &Bound<'_, PyAny>, shape: &[Option<usize>]) -> PyResult<Vec<[Real; 2]>> {
-    Ok(numbers::<Gain>(what, value, shape)?.iter().map(|gain| [gain.re, gain.im]).collect())
+pub(crate) fn complex_pairs(name: &str, value: &Bound<'_, PyAny>, shape: &[Option<usize>]) -> PyResult<Vec<[Real; 2]>> {
+    Ok(numbers::<Gain>(name, value, shape)?.iter().map(|gain| [gain.re, gain.im]).collect())
 }
 
 /// Shape of an array of observations, `[lead.., axes of one]`.
@@ -181,12 +182,12 @@ impl<'a> ObservationShape<'a> {
     }
 
     /// Reads an array of observations as rows, the inverse of [`Self::array`].
-    pub(crate) fn read(self, what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<Real>> {
+    pub(crate) fn read(self, name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<Real>> {
         let shape: Vec<Option<usize>> = self.lengths().into_iter().map(Some).collect();
         if self.task.is_complex {
-            return complex_pairs(what, value, &shape).map(|gains| rows_of(&gains, self.size.0));
+            return complex_pairs(name, value, &shape).map(|gains| rows_of(&gains, self.size.0));
         }
-        numbers(what, value, &shape)
+        numbers(name, value, &shape)
     }
 
     /// Creates the array of observations, complex if needed, or a number without axes; `rows` holds the observations in
@@ -240,29 +241,29 @@ pub(crate) fn check_memory<T>(shape: &[usize]) -> PyResult<()> {
     Err(PyMemoryError::new_err(format!("not enough memory for numbers of shape {shape:?}; request fewer at a time")))
 }
 
-/// Reads link indices below `count`, from indices, whose order is kept, or a mask.
-pub(crate) fn link_indices(what: &str, links: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
-    if let Ok(mask) = numbers::<bool>(what, links, &[Some(count)]) {
+/// Reads link indices in their order, or those of a mask `[count]`. Raises an exception for an index of `count` or more.
+pub(crate) fn link_indices(name: &str, links: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
+    if let Ok(mask) = numbers::<bool>(name, links, &[Some(count)]) {
         return Ok((0..count).filter(|&i| mask[i]).collect());
     }
     let index = |i: i64| {
         let valid = usize::try_from(i).ok().filter(|i| *i < count);
-        let message = || format!("{what}: invalid link index {i} (expected 0 to below {count})");
+        let message = || format!("{name}: invalid link index {i} (expected 0 to below {count})");
         valid.ok_or_else(|| input_error(links.py(), &message()))
     };
-    numbers::<i64>(what, links, &[None])?.into_iter().map(index).collect()
+    numbers::<i64>(name, links, &[None])?.into_iter().map(index).collect()
 }
 
 /// Converts the observations of links to a NumPy array; Ctrl-C interrupts it.
 pub(crate) fn observation_array<'py>(py: Python<'py>, data: &Dataset, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
-    let each = data.width * data.height;
-    check_memory::<Real>(&[links.len(), each])?;
+    let values_per_link = data.width * data.height;
+    check_memory::<Real>(&[links.len(), values_per_link])?;
     let rows = run_stoppable(py, |stop| {
-        let mut rows = vec![0.0; links.len() * each];
+        let mut rows = vec![0.0; links.len() * values_per_link];
         let copy = |(row, &i): (&mut [Real], &usize)| row.copy_from_slice(&data.image(i).pixels);
-        for (rows, links) in rows.chunks_mut(CHUNK * each).zip(links.chunks(CHUNK)) {
+        for (rows, links) in rows.chunks_mut(CHUNK * values_per_link).zip(links.chunks(CHUNK)) {
             check_stopped(stop)?;
-            rows.par_chunks_exact_mut(each).zip(links).for_each(copy);
+            rows.par_chunks_exact_mut(values_per_link).zip(links).for_each(copy);
         }
         data.observations.spectra().map_or(Ok(()), Spectra::check).map(|()| rows)
     })?;

@@ -21,27 +21,27 @@ use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
 
 /// Interval between checks for Ctrl-C.
-pub(crate) const LOOK: Duration = Duration::from_millis(50);
+pub(crate) const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 /// Largest number of queued events for a slow listener.
-const WAITING: usize = 64;
+const QUEUE_LENGTH: usize = 64;
 
 thread_local! {
     /// Number of nested strategy calls on this thread.
-    static ASKED: Cell<usize> = const { Cell::new(0) };
+    static STRATEGY_CALLS: Cell<usize> = const { Cell::new(0) };
 }
 
 /// Id of the process that loaded the library. Threads do not survive a fork.
-static HOME: OnceLock<u32> = OnceLock::new();
+static LOADED_BY: OnceLock<u32> = OnceLock::new();
 
 /// Records the process for [`check_not_forked`]; returns an error if the environment requests too many threads.
 pub(crate) fn record_process(py: Python<'_>) -> PyResult<()> {
-    HOME.get_or_init(process::id);
+    LOADED_BY.get_or_init(process::id);
     pwrfgs_core::threads::check_environment().map_err(|error| to_exception(py, error))
 }
 
 /// Returns an error in a process that was forked after loading the library: its threads are missing, so it would hang.
 pub(crate) fn check_not_forked() -> PyResult<()> {
-    if *HOME.get_or_init(process::id) == process::id() {
+    if *LOADED_BY.get_or_init(process::id) == process::id() {
         return Ok(());
     }
     Err(PyRuntimeError::new_err(
@@ -52,7 +52,7 @@ pub(crate) fn check_not_forked() -> PyResult<()> {
 
 /// Returns whether a strategy is called on this thread: its code must not wait for the run that called it.
 pub(crate) fn is_in_strategy_call() -> bool {
-    ASKED.get() > 0
+    STRATEGY_CALLS.get() > 0
 }
 
 /// Performs `work` as part of a strategy call.
@@ -60,11 +60,11 @@ pub(crate) fn call_strategy<T>(work: impl FnOnce() -> T) -> T {
     struct StrategyCall;
     impl Drop for StrategyCall {
         fn drop(&mut self) {
-            ASKED.set(ASKED.get() - 1);
+            STRATEGY_CALLS.set(STRATEGY_CALLS.get() - 1);
         }
     }
-    ASKED.set(ASKED.get() + 1);
-    let _asking = StrategyCall;
+    STRATEGY_CALLS.set(STRATEGY_CALLS.get() + 1);
+    let _call = StrategyCall;
     work()
 }
 
@@ -105,7 +105,7 @@ pub(crate) fn run_with_events<T: Send, E: Send>(
 ) -> PyResult<T> {
     check_not_forked()?;
     let stop = AtomicBool::new(false);
-    let (sender, events) = sync_channel(WAITING);
+    let (sender, events) = sync_channel(QUEUE_LENGTH);
     std::thread::scope(|scope| {
         let worker = scope.spawn(|| catch_unwind(AssertUnwindSafe(|| work(sender, &stop))));
         let mut raised: Option<PyErr> = None;
@@ -145,7 +145,7 @@ pub(crate) fn stop_progress(stop: &AtomicBool) -> impl Fn(usize, usize) + Sync {
 /// Returns the next event; `Some(None)` after a pause without one, `None` when the worker has finished.
 #[allow(clippy::option_option)]
 fn next_event<E: Send>(py: Python<'_>, events: &Receiver<E>) -> Option<Option<E>> {
-    // A receiver cannot be shared and is not shared: this thread waits.
+    // Wraps the receiver, since `detach` requires `Send`.
     let events = AssertSend(events);
     match py.detach(move || events.wait()) {
         Ok(event) => Some(Some(event)),
@@ -162,9 +162,9 @@ struct AssertSend<'a, E>(&'a Receiver<E>);
 unsafe impl<E> Send for AssertSend<'_, E> {}
 
 impl<E> AssertSend<'_, E> {
-    /// Waits for the next event, at most [`LOOK`].
+    /// Waits for the next event, at most [`CHECK_INTERVAL`].
     fn wait(&self) -> Result<E, RecvTimeoutError> {
-        self.0.recv_timeout(LOOK)
+        self.0.recv_timeout(CHECK_INTERVAL)
     }
 }
 
@@ -173,7 +173,7 @@ fn python_result<T>(py: Python<'_>, done: Result<Result<T>, Box<dyn Any + Send>>
     match done {
         Ok(done) => done.map_err(|error| to_exception(py, error)),
         Err(panic) => Err(match panic.downcast::<Error>() {
-            Ok(error) => to_exception(py, *error),
+            Ok(error) => to_exception(py, *error), // unwound by [`throw`], not a bug
             Err(panic) => {
                 let text = panic.downcast_ref::<String>().map(String::as_str);
                 let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no reason given");
@@ -183,7 +183,7 @@ fn python_result<T>(py: Python<'_>, done: Result<Result<T>, Box<dyn Any + Send>>
     }
 }
 
-/// Creates an exception of the class `name` of `pwrfgs`.
+/// Creates an exception of the class `name` of `pwrfgs`; if that fails, returns the exception of the failure.
 fn new_exception(py: Python<'_>, name: &str, message: &str) -> PyErr {
     let made = py.import("pwrfgs._errors").and_then(|m| m.getattr(name)).and_then(|class| class.call1((message,)));
     made.map_or_else(|error| error, PyErr::from_value)
@@ -217,7 +217,8 @@ pub(crate) fn to_exception(py: Python<'_>, error: Error) -> PyErr {
     }
 }
 
-/// Parts of messages for the command line that have a text of their own in Python.
+/// Parts of messages for the command line with their texts in Python. They are replaced in this order: a longer part precedes
+/// one that it contains.
 const PYTHON_TEXTS: [(&str, &str); 11] = [
     ("`residuals: Kriged()`", "`residuals=pwrfgs.settings.Kriged()`"),
     (

@@ -95,7 +95,7 @@ pub(crate) fn compare<'py>(
         let named_by = if is_held { Path::new(&survey.data.title) } else { &path };
         let compared = ComparedRuns { settings: read_settings(text)?, name: pipeline_name(named_by), changes, out };
         let comparison = compared.plan(&survey, observer)?;
-        // As in the files of other programs.
+        // Labels, by which the prediction files of other programs name links.
         let test_ids: Vec<u32> = comparison.partition.test.iter().map(|&i| survey.data.label(i)).collect();
         Ok((perform(comparison, dry_run, keep_checkpoint, stop)?, test_ids))
     })?;

@@ -5,14 +5,14 @@ mod rows;
 mod stored;
 mod table;
 
-use crate::arrays::{array, numbers, observation_array, plane_angles, positions, read_elevation, vector};
+use crate::arrays::{array, numbers, observation_array, plane_angles, positions, vector};
 use crate::border::{parse_plugin, plugin_text, reject, run_stoppable, stop_progress, to_exception, without_gil};
 use numpy::PyArrayDyn;
-use pwrfgs::data::{check_dataset, save, shape_fault};
+use pwrfgs::data::{check_dataset, save};
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{
-    DataSource, Dataset as Data, Elevation, End, Ends, Error, Observations, Plugin, Pose, Real, Receiver, Sample,
-    Simulation, recognise,
+    DataSource, Dataset as Data, End, Ends, Error, Observations, Plugin, Pose, Real, Receiver, Sample, Simulation,
+    recognise,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::prelude::*;
@@ -56,13 +56,13 @@ impl Dataset {
         let (text, reader): (String, Plugin<dyn DataSource>) = if let Ok(path) = path {
             let folder = py.import("os.path")?.call_method1("abspath", (&path,))?.extract::<PathBuf>()?;
             if !folder.is_dir() {
-                let what = "no such folder; pass a data source such as pwrfgs.Arrays(root=..) as a value";
-                return Err(to_exception(py, Error::input(&path, what)));
+                let problem = "no such folder; pass a data source such as pwrfgs.Arrays(root=..) as a value";
+                return Err(to_exception(py, Error::input(&path, problem)));
             }
             let Some(reader) = recognise(&folder) else {
-                let what = "holds no data of a layout that is known; docs/data.md says which there are, and \
-                            Dataset.from_arrays takes arrays";
-                return Err(to_exception(py, Error::input(&path, what)));
+                let problem = "holds no data of a layout that is known; docs/data.md says which there are, and \
+                               Dataset.from_arrays takes arrays";
+                return Err(to_exception(py, Error::input(&path, problem)));
             };
             (to_ron(&reader), reader)
         } else {
@@ -84,15 +84,16 @@ impl Dataset {
     /// * `csi` [M, A, F]: channels at one receiver with A antennas, whose positions are in `Receiver(antennas=..)`, and
     ///   F subcarriers of `frequencies_hz` [F].
     ///
-    /// `tx` [M, 3] are the transmitter positions in metres. `receivers` is a list of `Receiver`, or of positions [R,
-    /// 3]; `rssi` needs it, and the default for other observations is one receiver at the origin. If the receiver moves
-    /// instead, `rx_pose` [M, 7] are its poses (metres, and a quaternion: x, y, z, qx, qy, qz, qw), `transmitter` [3] is the
-    /// position of the fixed transmitter, if it is known, and the positions of `receivers` are ignored. `carriers_hz` [M] are the carriers of spectra or channels at one receiver: each carrier then
-    /// is a receiver, with a name such as `2400MHz`. `points` [P, 3] are
-    /// surface points of the room. `elevation_deg` are the elevations of the upper edge of the top row and the lower
-    /// edge of the bottom row of spectra, (0, 90) by default. Set `simulated=True` for data that were not measured; the title then says so.
+    /// `tx` [M, 3] are the transmitter positions in metres. `receivers` is a list of `Receiver`, or of positions [R, 3]; `rssi`
+    /// needs it, and the default for other observations is one receiver at the origin. If the receiver moves instead, `rx_pose`
+    /// [M, 7] are its poses (metres, and a quaternion: x, y, z, qx, qy, qz, qw), `transmitter` [3] is the position of the fixed
+    /// transmitter, if it is known, and the positions of `receivers` are ignored. `carriers_hz` [M] are the carriers of spectra
+    /// or channels at one receiver: each carrier then is a receiver, with a name such as `2400MHz`. `points` [P, 3] are surface
+    /// points of the room. `elevation_deg` are the elevations of the upper edge of the top row and the lower edge of the bottom
+    /// row of spectra, (0, 90) by default. Set `simulated=True` for data that were not measured; the title then says so.
     #[staticmethod]
-    #[pyo3(signature = (tx=None, spectra=None, rssi=None, csi=None, *, rx_pose=None, transmitter=None, receivers=None, carriers_hz=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
+    #[pyo3(signature = (tx=None, spectra=None, rssi=None, csi=None, *, rx_pose=None, transmitter=None, receivers=None,
+        carriers_hz=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
     #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
     fn from_arrays(
         py: Python<'_>,
@@ -112,20 +113,20 @@ impl Dataset {
     ) -> PyResult<Self> {
         let poses = inputs::moving_poses(py, tx, rx_pose, transmitter.is_some())?;
         let points = points.map_or(Ok(Vec::new()), |points| positions("points", points))?;
-        let placed = receivers.is_some() || rx_pose.is_some();
+        let has_receivers = receivers.is_some() || rx_pose.is_some();
         let receivers = inputs::read_receivers(py, receivers)?;
-        let first = u32::from(spectra.is_some());
-        let sample = |(i, pose): (usize, &Pose)| Sample::new(i as u32 + first, *pose);
-        let alone: Vec<Sample> = poses.iter().enumerate().map(sample).collect();
+        let first_id = u32::from(spectra.is_some()); // ids of spectra count from 1, as in files of spectra
+        let sample = |(i, pose): (usize, &Pose)| Sample::new(i as u32 + first_id, *pose);
+        let links: Vec<Sample> = poses.iter().enumerate().map(sample).collect();
         let (samples, observations) = match (spectra, rssi, csi) {
             (Some(_), None, None) | (None, None, Some(_)) if receivers.len() != 1 => {
-                let what = format!("spectra and csi need one receiver, but there are {}", receivers.len());
-                return reject(py, &format!("{what}; create one data set per receiver"));
+                let problem = format!("spectra and csi need one receiver, but there are {}", receivers.len());
+                return reject(py, &format!("{problem}; create one data set per receiver"));
             }
-            (Some(spectra), None, None) => (alone, Observations::from(inputs::read_spectra(spectra, poses.len())?)),
-            (None, Some(rssi), None) if !placed => return Err(inputs::missing_receivers_error(rssi)?),
+            (Some(spectra), None, None) => (links, Observations::from(inputs::read_spectra(spectra, poses.len())?)),
+            (None, Some(rssi), None) if !has_receivers => return Err(inputs::missing_receivers_error(rssi)?),
             (None, Some(rssi), None) => inputs::read_powers(rssi, &poses, receivers.len())?,
-            (None, None, Some(csi)) => (alone, inputs::read_channels(csi, poses.len(), frequencies_hz)?),
+            (None, None, Some(csi)) => (links, inputs::read_channels(csi, poses.len(), frequencies_hz)?),
             _ => return reject(py, "give one of spectra, rssi and csi"),
         };
         for (name, is_given, is_used, kind) in [
@@ -136,13 +137,7 @@ impl Dataset {
                 return reject(py, &format!("{name}: only valid for {kind}; remove it"));
             }
         }
-        let elevation = elevation_deg.map_or(Ok(Elevation::UPPER), |angles| read_elevation(py, angles))?;
-        if let Some(spectra) = observations.spectra() {
-            let (size, say) = ((spectra.width(), spectra.height()), "elevation_deg=(-90, 90) for a full sphere");
-            if let Some(fault) = shape_fault(elevation, elevation_deg.is_some(), size, say) {
-                return reject(py, &format!("a spectrum {fault}"));
-            }
-        }
+        let elevation = inputs::spectrum_elevation(py, elevation_deg, &observations)?;
         let carriers = carriers_hz.map(|all| numbers::<f64>("carriers_hz", all, &[None])).transpose()?;
         let simulation = simulated.then(Simulation::default);
         let ends = match rx_pose {
@@ -169,7 +164,7 @@ impl Dataset {
     ///   the name of the only receiver.
     /// * `columns`: the columns of the receivers, a list of names in which `*` stands for any text.
     /// * `tx`, `places`, `receivers`, `test`: tables of positions row by row, of named places, of receivers, and of the test set.
-    /// * `missing`: values that mean "not heard". Empty cells and NaN always do.
+    /// * `missing`: values that mean "not received". Empty cells and NaN always do.
     /// * `unit`: "dBm", "positive-dBm", "percent", "dB:FLOOR", "mW" or "W".
     /// * `lat_lon`: positions are degrees. `height` (metres, where there is none) and `floor_height`.
     /// * `title`, `simulated`.
@@ -179,7 +174,10 @@ impl Dataset {
     #[staticmethod]
     #[pyo3(signature = (table, **options))]
     #[pyo3(
-        text_signature = "(table, *, x=None, y=None, z=None, lat=None, lon=None, floor=None, receiver=None, power=None, time=None, tx_id=None, columns=None, tx=None, places=None, receivers=None, test=None, missing=None, unit='dBm', lat_lon=False, height=None, floor_height=None, title='table', simulated=False, accept=())"
+        text_signature = "(table, *, x=None, y=None, z=None, lat=None, lon=None, floor=None, receiver=None, power=None, \
+                          time=None, tx_id=None, columns=None, tx=None, places=None, receivers=None, test=None, \
+                          missing=None, unit='dBm', lat_lon=False, height=None, floor_height=None, title='table', \
+                          simulated=False, accept=())"
     )]
     fn from_table(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let data = table::read(table, options)?;
@@ -250,8 +248,8 @@ impl Dataset {
     /// Iterate over the links.
     fn __iter__<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
         let builtins = slf.py().import("builtins")?;
-        let places = builtins.call_method1("range", (slf.len()?,))?;
-        builtins.call_method1("map", (slf.getattr("__getitem__")?, places))
+        let indices = builtins.call_method1("range", (slf.len()?,))?;
+        builtins.call_method1("map", (slf.getattr("__getitem__")?, indices))
     }
 
     /// Data set of these links: indices, or a mask [L]. The order is that of this data set. IDs, receivers and bounds of
@@ -304,7 +302,7 @@ impl Dataset {
         self.data.is_simulated()
     }
 
-    /// Transmitter position of each link, [L, 3] float64, metres. An error if the receiver moves, which `rx_pose` has.
+    /// Transmitter position of each link, [L, 3] float64, metres. Raises an error if the receiver moves: see `rx_pose`.
     #[getter]
     fn tx<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         if self.data.scene.moving.is_receiver() {

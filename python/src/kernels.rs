@@ -7,6 +7,9 @@ use pwrfgs::methods::{normalise_quat, normalise_quat_vjp};
 use pwrfgs_core::{ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real, Render, Splats};
 use pyo3::prelude::*;
 
+/// Largest number of pixels of an image: 1 GiB per channel in single precision.
+const MOST_PIXELS: usize = 1 << 28;
+
 /// Forward pass of the rasterizer, kept for the backward pass.
 #[pyclass(frozen, module = "pwrfgs._pwrfgs")]
 pub(crate) struct Drawing {
@@ -36,7 +39,7 @@ impl View {
         elevation: [f64; 2],
     ) -> PyResult<Self> {
         let py = pose.py();
-        if height == 0 || width == 0 || height.saturating_mul(width) > 1 << 28 {
+        if height == 0 || width == 0 || height.saturating_mul(width) > MOST_PIXELS {
             return reject(py, &format!("an image of {height} by {width} pixels cannot be rendered"));
         }
         let projector = parse_plugin::<dyn Projector>(py, &plugin_text("Projector", projector, None)?)?;
@@ -71,9 +74,9 @@ fn read_primitives(
     let quats = numbers::<Real>("quats", quats, &[n, Some(4)])?;
     let scales = numbers::<Real>("scales", scales, &[n, Some(3)])?;
     let opacities = numbers::<Real>("opacities", opacities, &[n])?;
-    for (what, column) in [("means", &means), ("quats", &quats), ("scales", &scales), ("opacities", &opacities)] {
+    for (name, column) in [("means", &means), ("quats", &quats), ("scales", &scales), ("opacities", &opacities)] {
         if let Some(i) = column.iter().position(|v| !v.is_finite()) {
-            return reject(py, &format!("{what} holds {}; give finite numbers", column[i]));
+            return reject(py, &format!("{name} holds {}; give finite numbers", column[i]));
         }
     }
     if let Some(i) = scales.iter().position(|v| *v <= 0.0) {
@@ -203,12 +206,12 @@ impl Drawing {
         let d_pixels = numbers::<Real>("d_image", d_image, &shape)?;
         let (d, d_signals, (d_position, d_orientation)) = without_gil(py, || {
             let splats = self.splats.with_signals(&self.signals, self.channels, plane);
-            let found = rasterizer.backward(splats, &self.render, &d_pixels);
+            let vjp = rasterizer.backward(splats, &self.render, &d_pixels);
             let primitives = with_unit_quats(&self.inputs);
-            let mut d = projector.project_vjp(&primitives, pose, plane, &self.splats, &found.splats);
+            let mut d = projector.project_vjp(&primitives, pose, plane, &self.splats, &vjp.splats);
             let d_pose = primitives.pose_vjp(pose, &d);
             d.quats.iter_mut().zip(&self.inputs.quats).for_each(|(d, q)| *d = normalise_quat_vjp(*q, *d));
-            Ok((d, found.signals, d_pose))
+            Ok((d, vjp.signals, d_pose))
         })?;
         let n = self.inputs.len();
         Ok(vec![

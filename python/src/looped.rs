@@ -7,6 +7,7 @@ use crate::model::Model;
 use crate::settings::Pipeline;
 use crate::strategies::{PythonLoss, cloud_object, read_cloud, stats_object};
 use pwrfgs::model::Ensemble;
+use pwrfgs::prelude::Pipeline as Settings;
 use pwrfgs::train::Trainer as Inner;
 use pwrfgs_core::files::{self, check_file_path, write_atomically};
 use pwrfgs_core::{Dataset as Data, Error, Origin, Partition, Result};
@@ -25,6 +26,31 @@ self_cell!(
         dependent: Inner,
     }
 );
+
+impl TrainerState {
+    /// Starts the training, or continues that of a checkpoint file; `loss` replaces the loss of the pipeline.
+    fn begin(
+        pipeline: &Settings,
+        data: Arc<Data>,
+        partition: &Partition,
+        loss: Option<PythonLoss>,
+        checkpoint: Option<PathBuf>,
+        stop: &AtomicBool,
+    ) -> Result<Self> {
+        let read = |path: PathBuf| files::read(&path).map_err(|e| Error::read(&path, e));
+        let bytes = checkpoint.map(read).transpose()?;
+        Self::try_new(data, |data| {
+            let mut trainer = match bytes {
+                Some(bytes) => Inner::restore(&pipeline.plan()?, data, partition, &bytes)?,
+                None => Inner::begin(&pipeline.plan()?, data, partition, &|_, _| {}, stop)?,
+            };
+            if let Some(loss) = loss {
+                trainer.set_objective(Box::new(loss));
+            }
+            Ok(trainer)
+        })
+    }
+}
 
 /// Training in progress, step by step; see the Python class of that name.
 #[pyclass(frozen, module = "pwrfgs._pwrfgs")]
@@ -75,19 +101,8 @@ impl Trainer {
                 Some(train) => Partition { train, ..Partition::default() },
                 None => inner.partition(&data)?,
             };
-            let task = data.task();
-            let restored = |path: &PathBuf| files::read(path).map_err(|e| Error::read(path, e));
-            let bytes = checkpoint.as_ref().map(restored).transpose()?;
-            TrainerState::try_new(data, |data| {
-                let mut trainer = match bytes {
-                    Some(bytes) => Inner::restore(&inner.plan()?, data, &partition, &bytes)?,
-                    None => Inner::begin(&inner.plan()?, data, &partition, &|_, _| {}, stop)?,
-                };
-                if let Some(function) = loss {
-                    trainer.set_objective(Box::new(PythonLoss { function, task }));
-                }
-                Ok(trainer)
-            })
+            let loss = loss.map(|function| PythonLoss { function, task: data.task() });
+            TrainerState::begin(&inner, data, &partition, loss, checkpoint, stop)
         };
         Ok(Self { held: Mutex::new(run_stoppable(py, begin)?), failed: AtomicBool::new(false) })
     }

@@ -82,7 +82,8 @@ impl Model {
         &self.ensemble.members()[0].stages
     }
 
-    /// Reads the links of a call from its arguments: those of one receiver, or of all.
+    /// Reads the links of a call from its arguments: those of one receiver, or of all. Raises an exception unless exactly the
+    /// argument that the model needs is given.
     fn read_links(
         &self,
         py: Python<'_>,
@@ -91,23 +92,24 @@ impl Model {
     ) -> PyResult<Links> {
         let (stages, receivers) = (self.stages(), &self.stages().setup.receivers);
         let (inputs, moving) = (stages.method.traits().inputs, stages.setup.moving);
+        let reads_positions = inputs == 3; // x, y, z; otherwise the width of link features
         let (poses, features, is_single) = match (tx, rx_pose, features) {
-            (Some(tx), None, None) if inputs == 3 && moving == End::Transmitter => {
+            (Some(tx), None, None) if reads_positions && moving == End::Transmitter => {
                 let is_single = axis_count(tx)? == 1;
                 let positions = if is_single { vec![position("tx", tx)?] } else { positions("tx", tx)? };
                 (positions.into_iter().map(Pose::from).collect(), Vec::new(), is_single)
             }
-            (None, Some(rx_pose), None) if inputs == 3 && moving == End::Receiver => {
+            (None, Some(rx_pose), None) if reads_positions && moving == End::Receiver => {
                 let (poses, is_single) = arrays::poses("rx_pose", rx_pose)?;
                 (poses, Vec::new(), is_single)
             }
-            (None, None, Some(features)) if inputs != 3 => {
+            (None, None, Some(features)) if !reads_positions => {
                 let is_single = axis_count(features)? == 1;
                 let shape: &[Option<usize>] = if is_single { &[Some(inputs)] } else { &[None, Some(inputs)] };
                 let all = numbers::<Real>("features", features, shape)?;
                 (vec![Pose::IDENTITY; all.len() / inputs], all, is_single)
             }
-            _ if inputs != 3 => {
+            _ if !reads_positions => {
                 return reject(py, &format!("this model uses link features; pass features=[B, {inputs}]"));
             }
             _ if moving == End::Receiver => {
@@ -206,22 +208,21 @@ impl Model {
     #[getter]
     fn training_positions<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
         let model = &self.ensemble.members()[0];
-        let Some(known) = &model.training_positions else { return Ok(None) };
-        let all: Vec<f64> = known.positions().iter().flat_map(|tx| model.stages.origin.world(*tx)).collect();
-        array(py, all, &[known.positions().len(), 3]).map(Some)
+        let Some(training) = &model.training_positions else { return Ok(None) };
+        let all: Vec<f64> = training.positions().iter().flat_map(|tx| model.stages.origin.world(*tx)).collect();
+        array(py, all, &[training.positions().len(), 3]).map(Some)
     }
 
-    /// Predict the observations for transmitters at `tx`, [3] or [B, 3], metres (for a moving receiver its positions, or its
-    /// poses x, y, z, qx, qy, qz, qw, [7] or [B, 7]): spectra [B, H, W] (float32, not
-    /// clamped; for an ensemble the mean of spectra clamped to 0..1), powers [B, R] in dBm, or channels [B, R, A, F]
-    /// (complex64). The axis B is present if `tx` has it. The axis R is present if the model has several receivers and
-    /// `receiver`, a name or an index, is not given. Models of link features need `features` [B, width] in place of
-    /// `tx`.
+    /// Predict the observations for transmitters at `tx`, [3] or [B, 3], metres: spectra [B, H, W] (float32, not clamped; for an
+    /// ensemble the mean of spectra clamped to 0..1), powers [B, R] in dBm, or channels [B, R, A, F] (complex64). The axis B is
+    /// present if `tx` has it. The axis R is present if the model has several receivers and `receiver`, a name or an index, is
+    /// not given. Models of a moving receiver need its poses `rx_pose` (x, y, z, qx, qy, qz, qw), [7] or [B, 7], in place of
+    /// `tx`; models of link features need `features` [B, width].
     ///
     /// With `vjp`, the gradient of a real loss in the observations (their shape; ∂/∂Re + i ∂/∂Im for channels), it gives
-    /// (observations, gradient in `tx`, in its shape). For a moving receiver this is the gradient in its positions or its poses;
-    /// the length of an orientation has no effect. A model of link features, or with a network in Python, has none;
-    /// the calibration `AsReleased` has none in orientations.
+    /// (observations, gradient in `tx` or `rx_pose`, in its shape); the length of an orientation has no effect.
+    /// A model of link features, or with a network in Python, has no gradient; the calibration `AsReleased` has none in
+    /// orientations.
     ///
     /// With `interval`, such as 0.9, it gives a named tuple (prediction, lower, upper): the ends of the intervals that hold with
     /// this probability. The model needs a calibration, from a run with validation samples. Not for channels.

@@ -19,16 +19,16 @@ use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::SyncSender;
 
-/// Event of a run: its name, and what adds its fields to a dict.
+/// Event of a run: its name, and a function that adds its fields to a dict.
 type Event = (&'static str, Box<dyn FnOnce(&Bound<'_, PyDict>) -> PyResult<()> + Send>);
 
 /// Observer that sends events to a channel.
 struct EventSender(SyncSender<Event>);
 
 impl EventSender {
-    /// Sends the event `what`; `fields` adds its fields to a dict.
-    fn send(&self, what: &'static str, fields: impl FnOnce(&Bound<'_, PyDict>) -> PyResult<()> + Send + 'static) {
-        _ = self.0.send((what, Box::new(fields))); // a closed channel means that the listener was interrupted
+    /// Sends the event `name`; `fields` adds its fields to a dict.
+    fn send(&self, name: &'static str, fields: impl FnOnce(&Bound<'_, PyDict>) -> PyResult<()> + Send + 'static) {
+        _ = self.0.send((name, Box::new(fields))); // a closed channel means that the listener was interrupted
     }
 }
 
@@ -79,10 +79,10 @@ impl Observer for EventSender {
     }
 }
 
-/// Converts an event to a dict with the key `what`.
-fn event_dict<'py>(py: Python<'py>, (what, fields): Event) -> PyResult<Bound<'py, PyDict>> {
+/// Converts an event to a dict with its name under the key `what`.
+fn event_dict<'py>(py: Python<'py>, (name, fields): Event) -> PyResult<Bound<'py, PyDict>> {
     let dict = PyDict::new(py);
-    dict.set_item("what", what)?;
+    dict.set_item("what", name)?;
     fields(&dict).map(|()| dict)
 }
 
@@ -95,9 +95,8 @@ pub(crate) fn set_step_fields(dict: &Bound<'_, PyDict>, report: &StepReport) -> 
     dict.set_item("gaussians", report.gaussians)
 }
 
-/// Runs a pipeline in `out`; `send_event` is called with every event. Returns whether the run was not finished before.
-/// The finished run keeps its checkpoint if
-/// `keep_checkpoint`. With `threads`, the run has a thread pool of its own.
+/// Runs a pipeline in `out`; `send_event` is called with every event. Returns `false` if an earlier call had finished the run.
+/// With `keep_checkpoint`, the finished run keeps its checkpoint. With `threads`, the run has a separate thread pool.
 #[pyfunction]
 #[pyo3(signature = (pipeline, out, send_event, keep_checkpoint, threads=None))]
 pub(crate) fn run(
@@ -181,10 +180,9 @@ pub(crate) fn export_scene(py: Python<'_>, scene: PathBuf, out: PathBuf) -> PyRe
     without_gil(py, || mitsuba::export_scene(&SceneFile::read(&scene)?, &out))
 }
 
-/// Content of `run.json` of a folder: (facts as JSON text, scores, scores as text); scores are `None` before the
-/// evaluation.
+/// Content of `run.json` of a folder: (facts as JSON text, (scores, scores as text)); scores are `None` before the evaluation.
 #[pyfunction]
-pub(crate) fn facts(py: Python<'_>, folder: PathBuf) -> PyResult<(String, Option<Py<PyDict>>, Option<String>)> {
+pub(crate) fn facts(py: Python<'_>, folder: PathBuf) -> PyResult<(String, Option<(Py<PyDict>, String)>)> {
     let read = || -> Result<_> {
         let path = folder.join(pwrfgs::experiment::folder::FACTS);
         let text = pwrfgs_core::files::read_text(&path)?;
@@ -193,12 +191,39 @@ pub(crate) fn facts(py: Python<'_>, folder: PathBuf) -> PyResult<(String, Option
         Ok((text, facts.scores))
     };
     let (text, table) = read().map_err(|error| to_exception(py, error))?;
-    match table {
-        None => Ok((text, None, None)),
-        Some(table) => {
-            Ok((text, Some(score_dict(py, &table)?.unbind()), Some(table.to_text(Some("`scores` also has")))))
-        }
+    let scores =
+        table.map(|table| PyResult::Ok((score_dict(py, &table)?.unbind(), table.to_text(Some("`scores` also has")))));
+    Ok((text, scores.transpose()?))
+}
+
+/// Reads the name of a layout with its noise, dB. Raises an exception for noise that the layout does not have.
+fn read_layout(
+    py: Python<'_>,
+    layout: &str,
+    noise_db: Option<f64>,
+    snr_db: Option<f64>,
+) -> PyResult<(ObservationKind, OutputLayout)> {
+    if snr_db.is_some() && !matches!(layout, "channels" | "csi") {
+        let problem =
+            "snr_db is only for channels; set layout=\"channels\", or set the `noise` of the scene for spectra";
+        return reject(py, problem);
     }
+    if noise_db.is_some() && layout != "rssi" {
+        return reject(py, "noise_db is only for powers; set layout=\"rssi\"");
+    }
+    Ok(match layout {
+        "spectra" => (ObservationKind::Spectrum, OutputLayout::Pictures),
+        "arrays" => (ObservationKind::Spectrum, OutputLayout::Array),
+        "rssi" => (ObservationKind::Power { noise_db: noise_db.unwrap_or(0.0) }, OutputLayout::Rssi),
+        "channels" => (ObservationKind::Channel { snr_db }, OutputLayout::Channels),
+        "csi" => (ObservationKind::Channel { snr_db }, OutputLayout::Csi),
+        "DeepMIMO" => (ObservationKind::Channel { snr_db: None }, OutputLayout::DeepMimo), // `convert.to_deepmimo`
+        other => {
+            let all = ["spectra", "arrays", "rssi", "channels", "csi"];
+            let hint = pwrfgs_core::did_you_mean(other, all);
+            return reject(py, &format!("layout: unknown value `{other}`{hint} (use {})", all.join(", ")));
+        }
+    })
 }
 
 /// Simulates a scene; see `pwrfgs.simulate`.
@@ -219,26 +244,7 @@ pub(crate) fn simulate(
     rx_pose: Option<&Bound<'_, PyAny>>,
     send_event: &Bound<'_, PyAny>,
 ) -> PyResult<()> {
-    if snr_db.is_some() && !matches!(layout, "channels" | "csi") {
-        let what = "snr_db is only for channels; set layout=\"channels\", or set the `noise` of the scene for spectra";
-        return reject(py, what);
-    }
-    if noise_db.is_some() && layout != "rssi" {
-        return reject(py, "noise_db is only for powers; set layout=\"rssi\"");
-    }
-    let (observe, layout) = match layout {
-        "spectra" => (ObservationKind::Spectrum, OutputLayout::Pictures),
-        "arrays" => (ObservationKind::Spectrum, OutputLayout::Array),
-        "rssi" => (ObservationKind::Power { noise_db: noise_db.unwrap_or(0.0) }, OutputLayout::Rssi),
-        "channels" => (ObservationKind::Channel { snr_db }, OutputLayout::Channels),
-        "csi" => (ObservationKind::Channel { snr_db }, OutputLayout::Csi),
-        "DeepMIMO" => (ObservationKind::Channel { snr_db: None }, OutputLayout::DeepMimo), // `convert.to_deepmimo`
-        other => {
-            let all = ["spectra", "arrays", "rssi", "channels", "csi"];
-            let hint = pwrfgs_core::did_you_mean(other, all);
-            return reject(py, &format!("layout: unknown value `{other}`{hint} (use {})", all.join(", ")));
-        }
-    };
+    let (observe, layout) = read_layout(py, layout, noise_db, snr_db)?;
     let recipe = SimulationRecipe::read(&scene, samples, seed, points).map_err(|error| to_exception(py, error))?;
     let scene = stated_positions(recipe.scene.clone(), tx, rx_pose)?;
     let recipe = recipe.with_scene(scene).and_then(|recipe| recipe.observing(observe));
@@ -257,24 +263,22 @@ fn stated_positions(
     rx_pose: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<SceneFile> {
     let Some(stated) = rx_pose.or(tx) else { return Ok(scene) };
-    let py = stated.py();
+    let exception = |error| to_exception(stated.py(), error);
     let file = stated.extract::<PathBuf>().ok();
-    let scene = match (file, rx_pose) {
-        (Some(file), None) => read_transmitters(&file).and_then(|positions| scene.with_transmitters(positions)),
-        (None, None) if arrays::axis_count(stated)? == 1 => {
-            scene.with_transmitters(vec![arrays::position("tx", stated)?])
-        }
-        (None, None) => scene.with_transmitters(arrays::positions("tx", stated)?),
-        (file, Some(_)) => {
-            let fixed = tx.map(|tx| arrays::position("tx", tx)).transpose()?;
-            let poses = file.map_or_else(
-                || Ok(arrays::poses("rx_pose", stated)?.0),
-                |file| read_poses(&file).map_err(|error| to_exception(py, error)),
-            )?;
-            scene.with_receiver_poses(poses, fixed)
-        }
+    if rx_pose.is_some() {
+        let fixed = tx.map(|tx| arrays::position("tx", tx)).transpose()?;
+        let poses = match file {
+            Some(file) => read_poses(&file).map_err(exception)?,
+            None => arrays::poses("rx_pose", stated)?.0,
+        };
+        return scene.with_receiver_poses(poses, fixed).map_err(exception);
+    }
+    let positions = match file {
+        Some(file) => read_transmitters(&file).map_err(exception)?,
+        None if arrays::axis_count(stated)? == 1 => vec![arrays::position("tx", stated)?],
+        None => arrays::positions("tx", stated)?,
     };
-    scene.map_err(|error| to_exception(py, error))
+    scene.with_transmitters(positions).map_err(exception)
 }
 
 /// Runs the program `pwrfgs`; the first argument is its path. Returns the exit code.

@@ -15,18 +15,17 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
-/// Reads observations `[.., axes of one]` of `task`, one image each.
-fn read_images(what: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec<Image>> {
+/// Reads observations `[.., axes of one]` of `task`, one image each; `name` begins messages.
+fn read_images(name: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec<Image>> {
     let (py, shape, axes) = (value.py(), array_shape(value)?, task.shape((1, 2)).len());
     let Some(lead) = shape.len().checked_sub(axes) else {
-        let what = format!("{what} has {} axes, but a {} has {axes}", shape.len(), task.singular);
-        return reject(py, &what);
+        return reject(py, &format!("{name} has {} axes, but a {} has {axes}", shape.len(), task.singular));
     };
     let (width, height) = task.size(&shape[lead..]);
     if width * height == 0 {
-        return reject(py, &format!("{what} is empty"));
+        return reject(py, &format!("{name} is empty"));
     }
-    let rows = ObservationShape { task, size: (width, height), lead: &shape[..lead] }.read(what, value)?;
+    let rows = ObservationShape { task, size: (width, height), lead: &shape[..lead] }.read(name, value)?;
     Ok(rows.chunks_exact(width * height).map(|rows| Image { width, height, pixels: rows.to_vec() }).collect())
 }
 
@@ -51,9 +50,8 @@ pub(crate) fn measure<'py>(
     if (predictions.len(), size(&predictions)) != (truths.len(), size(&truths)) {
         let describe =
             |images: &[Image]| size(images).map_or("0".into(), |(h, w)| format!("{} of {h} by {w}", images.len()));
-        let what =
-            format!("prediction and truth differ in shape: {} and {}", describe(&predictions), describe(&truths));
-        return reject(py, &what);
+        let (predictions, truths) = (describe(&predictions), describe(&truths));
+        return reject(py, &format!("prediction and truth differ in shape: {predictions} and {truths}"));
     }
     let Some((height, width)) = size(&truths) else { return reject(py, "prediction and truth are empty") };
     let plane = task.plane((width, height), Elevation { first: elevation_deg[0], last: elevation_deg[1] });
@@ -61,7 +59,7 @@ pub(crate) fn measure<'py>(
     if let Some(bad) = pixels.find(|v| task.has_pixels && !AMPLITUDES.contains(*v)) {
         return reject(py, &format!("truth holds {bad}, expected 0 to 1 (divide bytes by 255)"));
     }
-    let scene = empty_scene(vec![]);
+    let scene = scene_of(vec![]);
     let evaluate = |images: [&[Image]; 2]| metric.evaluate(&Evaluation { task, ..evaluation(images, &plane, &scene) });
     let measurements = run_stoppable(py, |stop| {
         if metric.scope() != Scope::Sample {
@@ -94,7 +92,7 @@ fn evaluation<'a>([predictions, truths]: [&'a [Image]; 2], plane: &'a ImagePlane
 }
 
 /// Returns a scene with surface points and one receiver at the origin.
-fn empty_scene(points: Vec<[Real; 3]>) -> Scene {
+fn scene_of(points: Vec<[Real; 3]>) -> Scene {
     Scene {
         geodetic: None,
         floors: BTreeMap::new(),
@@ -111,9 +109,9 @@ fn empty_scene(points: Vec<[Real; 3]>) -> Scene {
 ///
 /// # Errors
 /// A measurement is not applicable.
-fn measurement_list(py: Python<'_>, found: Vec<Measurement>) -> PyResult<Bound<'_, PyList>> {
+fn measurement_list(py: Python<'_>, measurements: Vec<Measurement>) -> PyResult<Bound<'_, PyList>> {
     let all = PyList::empty(py);
-    for one in found {
+    for one in measurements {
         match one.values {
             Values::PerSample(values) => all.append((one.key, one.unit, vector(py, values)?))?,
             Values::Whole(value) => all.append((one.key, one.unit, value))?,
@@ -126,26 +124,25 @@ fn measurement_list(py: Python<'_>, found: Vec<Measurement>) -> PyResult<Bound<'
 /// Chamfer distance of two point sets [.., 3], m².
 #[pyfunction]
 pub(crate) fn chamfer(py: Python<'_>, first: &Bound<'_, PyAny>, second: &Bound<'_, PyAny>) -> PyResult<f64> {
-    let local = |places: Vec<[f64; 3]>| places.into_iter().map(|p| p.map(|v| v as Real)).collect::<Vec<_>>();
-    let (means, points) = (local(positions("first", first)?), local(positions("second", second)?));
+    let real = |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|v| v as Real)).collect::<Vec<_>>();
+    let (means, points) = (real(positions("first", first)?), real(positions("second", second)?));
     if means.is_empty() || points.is_empty() {
         return reject(py, "one of the two point sets is empty");
     }
     let metric = parse_plugin::<dyn Metric>(py, "Chamfer()")?;
-    let scene = empty_scene(points);
+    let scene = scene_of(points);
     let plane = ImagePlane::plain(1, 1);
-    let found = without_gil(py, || {
+    let measurements = without_gil(py, || {
         let model = Some(ModelFacts { means: &means, gaussian_bytes: 0, file_bytes: 0 });
         metric.evaluate(&Evaluation { model, ..evaluation([&[], &[]], &plane, &scene) })
     })?;
-    match found.first().map(|one| &one.values) {
+    match measurements.first().map(|one| &one.values) {
         Some(Values::Whole(value)) => Ok(*value),
         _ => reject(py, "the distance is undefined for these points"),
     }
 }
 
-/// Predicts with a baseline fitted to the links `train`, for the links `at` of the same data, or for positions `tx` at
-/// the receiver `receiver`.
+/// Predicts with a baseline fitted to the links `train`, for transmitters at `tx` [B, 3], metres, and the receiver of this index.
 #[pyfunction]
 #[pyo3(signature = (baseline, dataset, train, tx, receiver))]
 pub(crate) fn predict_baseline<'py>(
@@ -177,17 +174,17 @@ pub(crate) fn predict_baseline<'py>(
         return reject(py, &format!("invalid receiver index {receiver} (expected 0 to below {count})"));
     }
     let txs = positions("tx", tx)?;
-    let found: Vec<Image> = run_stoppable(py, |stop| {
+    let images: Vec<Image> = run_stoppable(py, |stop| {
         let predictor = baseline.fit(data, FittingSet::train(&train).stopped_by(stop))?;
-        let mut found = Vec::new();
+        let mut images = Vec::new();
         for txs in txs.chunks(CHUNK) {
             check_stopped(stop)?;
-            found.par_extend(txs.par_iter().map(|tx| predictor.predict(Query::at(*tx, receiver))));
+            images.par_extend(txs.par_iter().map(|tx| predictor.predict(Query::at(*tx, receiver))));
         }
-        Ok(found)
+        Ok(images)
     })?;
-    let count = found.len();
-    let rows = found.into_iter().flat_map(|image| image.pixels).collect();
+    let count = images.len();
+    let rows = images.into_iter().flat_map(|image| image.pixels).collect();
     ObservationShape::of_data(data, &[count]).array(py, rows)
 }
 
@@ -199,9 +196,9 @@ pub(crate) fn repeatability<'py>(
     metrics: Vec<String>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let metrics = metrics.iter().map(|text| parse_plugin::<dyn Metric>(py, text)).collect::<PyResult<Vec<_>>>()?;
-    let found = run_stoppable(py, |stop| work::measure_repeatability(&dataset.data, &metrics, stop))?;
+    let repeatability = run_stoppable(py, |stop| work::measure_repeatability(&dataset.data, &metrics, stop))?;
     let all = PyDict::new(py);
-    for (name, similarity) in [("near", &found.near), ("far", &found.far)] {
+    for (name, similarity) in [("near", &repeatability.near), ("far", &repeatability.far)] {
         let summary = PyDict::new(py);
         summary.set_item("pairs", similarity.closest)?;
         summary.set_item("reach_m", similarity.reach_m)?;

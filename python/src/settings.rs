@@ -103,8 +103,8 @@ pub(crate) fn pipeline_text(py: Python<'_>, path: PathBuf) -> PyResult<String> {
     without_gil(py, || read_pipeline_text(&path))
 }
 
-/// Parses RON text to nested tuples: ("plain", text), ("text", str), ("fields", name, [(field, value)]), ("items",
-/// name, [value]). Raises an exception for text that is not a single value.
+/// Parses RON text to nested tuples: ("plain", text), ("text", str), ("fields", name, [(field, value)]), ("list", name, [value])
+/// for brackets, ("items", name, [value]) for parentheses. Raises an exception for text that is not a single value.
 #[pyfunction]
 pub(crate) fn parse_ron<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py, PyAny>> {
     let tree = RonTree::parse(text).map_err(|why| input_error(py, &why))?;
@@ -179,15 +179,15 @@ pub(crate) fn field_list<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::DocF
 /// Structs and enums of a pipeline by name: docs, and fields or variants.
 #[pyfunction]
 pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
-    let mut found: BTreeMap<&'static str, &'static Docs> = BTreeMap::new();
-    collect_docs(&DocKind::Of(Docs::of::<Inner>()), &mut found);
+    let mut docs_by_name: BTreeMap<&'static str, &'static Docs> = BTreeMap::new();
+    collect_docs(&DocKind::Of(Docs::of::<Inner>()), &mut docs_by_name);
     for family in inventory::iter::<PluginFamily>() {
         for docs in (family.members)().iter().filter_map(|member| member.docs) {
-            docs.fields().iter().for_each(|field| collect_docs(&field.kind, &mut found));
+            docs.fields().iter().for_each(|field| collect_docs(&field.kind, &mut docs_by_name));
         }
     }
     let all = PyList::empty(py);
-    for (name, docs) in found {
+    for (name, docs) in docs_by_name {
         let entry = PyDict::new(py);
         entry.set_item("name", name)?;
         entry.set_item("doc", docs.text)?;
@@ -206,21 +206,24 @@ pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     Ok(all)
 }
 
-/// Adds the structs and enums in a type, at any depth, to `found`, by name.
-fn collect_docs(kind: &DocKind, found: &mut BTreeMap<&'static str, &'static Docs>) {
+/// Adds the structs and enums in a type, at any depth, to `docs_by_name`, by name.
+fn collect_docs(kind: &DocKind, docs_by_name: &mut BTreeMap<&'static str, &'static Docs>) {
     match kind {
         DocKind::Of(docs) => {
-            if found.insert(docs.name, docs).is_none() {
+            if docs_by_name.insert(docs.name, docs).is_none() {
                 match docs.body {
-                    DocBody::Fields(fields) => fields.iter().for_each(|field| collect_docs(&field.kind, found)),
+                    DocBody::Fields(fields) => fields.iter().for_each(|field| collect_docs(&field.kind, docs_by_name)),
                     DocBody::Variants(variants) => {
-                        variants.iter().flat_map(|v| v.fields).for_each(|field| collect_docs(&field.kind, found));
+                        variants
+                            .iter()
+                            .flat_map(|v| v.fields)
+                            .for_each(|field| collect_docs(&field.kind, docs_by_name));
                     }
                 }
             }
         }
-        DocKind::Optional(inner) | DocKind::List(inner) | DocKind::Map(inner) => collect_docs(inner, found),
-        DocKind::Tuple(parts) => parts.iter().for_each(|part| collect_docs(part, found)),
+        DocKind::Optional(inner) | DocKind::List(inner) | DocKind::Map(inner) => collect_docs(inner, docs_by_name),
+        DocKind::Tuple(parts) => parts.iter().for_each(|part| collect_docs(part, docs_by_name)),
         DocKind::Plain(_) | DocKind::Plugin(_) => {}
     }
 }

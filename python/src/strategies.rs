@@ -33,7 +33,7 @@ use pyo3::types::PyDict;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Largest number of values per Gaussian in a column.
+/// Largest number of values per Gaussian in a column; [`column_fault`] also names it in a message.
 const WIDEST: usize = 4096;
 
 /// Registers the interpreter as host of strategies in Python.
@@ -138,15 +138,16 @@ fn requested_columns(columns: &Bound<'_, PyAny>) -> PyResult<Vec<ColumnSpec>> {
         columns.try_iter().and_then(|all| all.map(|column| one(column?)).collect::<PyResult<Vec<ColumnSpec>>>());
     let form = "give a list of pwrfgs.Column(name, width=1, init=0.0, learning_rate=None, adam=True)";
     let specs = specs.map_err(|error| input_error(columns.py(), &format!("columns: {error}; {form}")))?;
-    match specs.iter().enumerate().find_map(|(i, spec)| column_fault(spec, &specs[..i]).map(|what| (spec.name, what))) {
-        Some((name, what)) => reject(columns.py(), &format!("columns: `{name}` {what}")),
+    match specs.iter().enumerate().find_map(|(i, spec)| column_fault(spec, &specs[..i]).map(|fault| (spec.name, fault)))
+    {
+        Some((name, fault)) => reject(columns.py(), &format!("columns: `{name}` {fault}")),
         None => Ok(specs),
     }
 }
 
-/// Returns an error for a key that is not among `names`; `what` begins its message.
+/// Returns an error for a key that is not among `names`; `problem` begins its message.
 pub(crate) fn check_keys<'a>(
-    what: &str,
+    problem: &str,
     dict: &Bound<'_, PyDict>,
     names: impl IntoIterator<Item = &'a str> + Clone,
 ) -> PyResult<()> {
@@ -154,7 +155,7 @@ pub(crate) fn check_keys<'a>(
         let key: String = key.str()?.extract()?;
         if names.clone().into_iter().all(|name| name != key) {
             let hint = did_you_mean(&key, names);
-            return reject(dict.py(), &format!("{what} `{key}`{hint}"));
+            return reject(dict.py(), &format!("{problem} `{key}`{hint}"));
         }
     }
     Ok(())
@@ -188,8 +189,8 @@ fn column_fault(spec: &ColumnSpec, others: &[ColumnSpec]) -> Option<&'static str
 fn static_name(name: String) -> &'static str {
     static NAMES: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
     let mut names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(known) = names.get(name.as_str()) {
-        return known;
+    if let Some(allocated) = names.get(name.as_str()) {
+        return allocated;
     }
     let name: &'static str = Box::leak(name.into_boxed_str());
     names.insert(name);
@@ -221,7 +222,7 @@ impl Strategy {
     }
 }
 
-// Pipelines contain `Named`; these two are never written or read.
+// Plugins must be serialisable, but pipelines contain `Named`: this is never called.
 impl pwrfgs::prelude::Serialize for Strategy {
     fn serialize<S: serde::Serializer>(&self, s: S) -> std::result::Result<S::Ok, S::Error> {
         self.named.serialize(s)

@@ -14,11 +14,11 @@ use std::sync::atomic::AtomicBool;
 /// Folder of a run, and its exception if it failed.
 type End<'py> = (PathBuf, Option<Bound<'py, PyAny>>);
 
-/// Run for an executor: place, folder, and pipeline as RON with absolute paths.
+/// Run for an executor: index, folder, and pipeline as RON with absolute paths.
 type Task = (usize, PathBuf, String);
 
 /// Performs a sweep, see `pwrfgs.sweep`: returns the folder of every run, and of the joined model, with the exception of a
-/// failure. With `failures`, an executor has performed the runs of [`sweep_runs`]: places and reasons of those that failed.
+/// failure. With `failures`, an executor has performed the runs of [`sweep_runs`]: indices and reasons of those that failed.
 #[pyfunction]
 #[pyo3(signature = (experiment, arguments, out, jobs, keep_checkpoint, failures=None))]
 pub(crate) fn sweep<'py>(

@@ -199,7 +199,7 @@ pub(crate) fn calibrate(
     Ok(Model::new(calibrated))
 }
 
-/// Stores a model with 8 or 16 bits per weight; returns the model of the smaller file, and a description.
+/// Stores a model with 8 or 16 bits per weight; returns the model of the smaller file, and notes on size and accuracy.
 #[pyfunction]
 pub(crate) fn compress(py: Python<'_>, model: &Model, bits: u8) -> PyResult<(Model, Vec<String>)> {
     let bits = match bits {
@@ -218,7 +218,8 @@ pub(crate) fn findings(py: Python<'_>, data: &Dataset) -> PyResult<Vec<(String, 
     Ok(all.into_iter().map(|finding| (finding.name, finding.problem, replace_flags(&finding.mend))).collect())
 }
 
-/// Returns the text of the pipeline that `pwrfgs init` suggests for data; `root` is the folder of their `source`, if there is one.
+/// Returns the text of the pipeline that `pwrfgs init` suggests for data; `root` is the folder of their `source`, if there is
+/// one.
 #[pyfunction]
 #[pyo3(signature = (data, source, root, name, effort, accept))]
 pub(crate) fn suggest_pipeline(
@@ -234,8 +235,8 @@ pub(crate) fn suggest_pipeline(
         let effort = Effort::parse(effort).map_err(|why| pwrfgs_core::Error::Config(format!("effort: {why}")))?;
         let source = Plugin::<dyn DataSource>::parse(source).map_err(pwrfgs_core::Error::Config)?;
         // Settings of the source may select another point cloud than the command finds.
-        let is_found = |root: &PathBuf| recognise(root).is_some_and(|found| to_ron(&found) == to_ron(&source));
-        let root = root.filter(is_found);
+        let has_source = |root: &PathBuf| recognise(root).is_some_and(|default| to_ron(&default) == to_ron(&source));
+        let root = root.filter(has_source);
         let (data, observer) = ((*data.data).clone(), &mut TaskObserver(stop));
         let survey = DataSurvey::of_data(source.clone(), data, root.as_deref(), &accept, observer)?;
         survey.suggest_pipeline(name, effort, Path::new("pipeline"))?.0.to_ron()
@@ -243,7 +244,7 @@ pub(crate) fn suggest_pipeline(
 }
 
 /// Returns the positions of data, or the training positions of a model.
-fn known_positions(py: Python<'_>, source: &Bound<'_, PyAny>) -> PyResult<Places> {
+fn measured_positions(py: Python<'_>, source: &Bound<'_, PyAny>) -> PyResult<Places> {
     if let Ok(data) = source.cast::<Dataset>() {
         let data = (*data.get().data).clone();
         return without_gil(py, || Places::of_data(data));
@@ -264,7 +265,7 @@ pub(crate) fn plan<'py>(
     floor: Option<(PathBuf, f64, f64)>,
     text: &str,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let known = source.map_or_else(|| Ok(Places::default()), |source| known_positions(py, source))?;
+    let measured = source.map_or_else(|| Ok(Places::default()), |source| measured_positions(py, source))?;
     let candidates = candidates.map(|value| positions("candidates", value)).transpose()?;
     let (places, plan) = run_stoppable(py, |stop| {
         let candidates = match (candidates, floor) {
@@ -272,8 +273,8 @@ pub(crate) fn plan<'py>(
             (candidates, _) => candidates,
         };
         let places = match candidates {
-            Some(candidates) => known.with_candidates(candidates, Path::new("candidates"))?,
-            None => known,
+            Some(candidates) => measured.with_candidates(candidates, Path::new("candidates"))?,
+            None => measured,
         };
         let plan = tasks::plan::plan(&places, &read_settings(text)?, &mut TaskObserver(stop).session())?;
         Ok((places, plan))

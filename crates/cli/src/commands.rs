@@ -78,7 +78,7 @@ pub(crate) enum Command {
     Compress(compress::Compress),
     /// Convert a trained model for splat viewers or Python
     Export(export::Export),
-    /// Import your own spectra or received powers from NumPy, PNG or CSV
+    /// Import spectra, received powers or channels from NumPy, PNG or CSV
     Import(Box<import::Import>),
     #[cfg(feature = "raytrace")]
     /// Simulate a data set in a room by ray tracing

@@ -41,7 +41,7 @@ struct Arguments {
     /// Number of threads, without effect on results [default: all processors]
     #[arg(long, global = true, value_name = "N", value_parser = parse_count)]
     threads: Option<usize>,
-    /// Device of rendering and of the networks of `Mlp`, `Wrfgs` and `Nerf2`: cpu, gpu, auto, or a number from `pwrfgs devices`
+    /// Device for rendering and for the networks of `Mlp`, `Wrfgs` and `Nerf2`: cpu, gpu, auto, or a number from `pwrfgs devices`
     /// [default: cpu]
     #[arg(long, global = true, value_name = "DEVICE")]
     device: Option<DeviceChoice>,
@@ -128,7 +128,7 @@ fn set_threads(count: Option<usize>) -> Result<()> {
 fn keep_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
-        const BYTES: libc::c_int = 1 << 30;
+        const BYTES: libc::c_int = 1 << 30; // above every block of a step
         for option in [libc::M_MMAP_THRESHOLD, libc::M_TRIM_THRESHOLD] {
             #[allow(unsafe_code)]
             // SAFETY: two settings of the allocator, made before a thread of this program runs; a refused one changes nothing.

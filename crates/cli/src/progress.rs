@@ -170,7 +170,7 @@ impl Observer for RunProgress {
                 self.draw_waiting(name);
             }
         } else if now - self.stage > PATIENCE {
-            let terminal = std::io::stderr().is_terminal();
+            let is_terminal = std::io::stderr().is_terminal();
             if self.bar.as_ref().is_none_or(|bar| bar.length().is_none()) {
                 self.draw_bar(total as u64);
             }
@@ -178,7 +178,7 @@ impl Observer for RunProgress {
             if let Some(bar) = &self.bar {
                 bar.set_message(format!("{name}  {left} left"));
                 bar.set_position(done as u64);
-            } else if !terminal && self.verbosity != Verbosity::Quiet && now - self.shown >= self.line_interval() {
+            } else if !is_terminal && self.verbosity != Verbosity::Quiet && now - self.shown >= self.line_interval() {
                 self.shown = now;
                 let (done, total) = (grouped(done as i64), grouped(total as i64));
                 self.print_line(&format!("{name}: {done} of {total}  {left} left"));
@@ -221,13 +221,13 @@ impl Observer for RunProgress {
     }
 
     fn on_step(&mut self, report: &StepReport) {
+        // A mean over about 20 steps.
         self.loss = if self.loss.is_nan() { report.loss } else { 0.95 * self.loss + 0.05 * report.loss };
         let now = Instant::now();
-        let every = if self.bar.is_some() { REDRAW } else { self.line_interval() };
-        let first = self.pace.is_empty();
-        // For several runs, the bar or an occasional line is enough.
-        let edge = (first || report.step == self.steps) && self.name.is_none();
-        if !edge && now - self.shown < every {
+        let interval = if self.bar.is_some() { REDRAW } else { self.line_interval() };
+        // Always shows the first and the last step, unless there are several runs.
+        let is_edge = (self.pace.is_empty() || report.step == self.steps) && self.name.is_none();
+        if !is_edge && now - self.shown < interval {
             return;
         }
         self.shown = now;

@@ -90,8 +90,8 @@ impl DataSource for Arrays {
             let problem = format!("holds {} spectra, but {table} {} positions", spectra.len(), ids.len());
             return Err(Error::input(&path, format!("{problem}; give as many of each")));
         }
-        let pictures = ids.iter().copied().collect();
-        let valid_ids = index::SpectrumIds { table, rows: ids.len(), pictures: &pictures, samples: &ids };
+        let images = ids.iter().copied().collect();
+        let valid_ids = index::SpectrumIds { table, rows: ids.len(), images: &images, samples: &ids };
         let official = index::read_sets(&root, &|word| valid_ids.parse_id(word))?;
         let points = read_point_cloud(base, self.points.as_deref())?;
         let spectra = validate_spectra(spectra, &path, progress)?;

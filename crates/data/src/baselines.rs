@@ -138,8 +138,8 @@ impl<P: ReceiverPredictor> ByReceiver<P> {
             fitting.check_stopped()?;
             let links = FittingSet { train: &by_receiver[0][r], validation: &by_receiver[1][r], ..fitting };
             // If there is nothing to fit, `fit` returns the error.
-            let is_deaf = links.train.is_empty() && links.validation.is_empty() && receivers.len() > 1;
-            Ok((strip_control(&receivers[r].name), if is_deaf { None } else { Some(fit(links)?) }))
+            let is_unlinked = links.train.is_empty() && links.validation.is_empty() && receivers.len() > 1;
+            Ok((strip_control(&receivers[r].name), if is_unlinked { None } else { Some(fit(links)?) }))
         };
         let each = (0..receivers.len()).map(fit_receiver).collect::<Result<Vec<_>>>()?;
         let pooled = if each.iter().any(|(_, fitted)| fitted.is_none()) { Some(fit(fitting)?) } else { None };
@@ -183,10 +183,11 @@ impl<P: ReceiverPredictor> Predict for ByReceiver<P> {
     fn note(&self) -> Option<String> {
         let predictors: Vec<(&str, &P)> =
             self.each.iter().filter_map(|(name, fitted)| Some((name.as_str(), fitted.as_ref()?))).collect();
-        let deaf: Vec<&str> =
+        let unlinked: Vec<&str> =
             self.each.iter().filter(|(_, fitted)| fitted.is_none()).map(|(name, _)| name.as_str()).collect();
-        let pooled = (!deaf.is_empty())
-            .then(|| format!("{} has no training link and is predicted from those of all receivers", deaf.join(", ")));
+        let pooled = (!unlinked.is_empty()).then(|| {
+            format!("{} has no training link and is predicted from those of all receivers", unlinked.join(", "))
+        });
         let notes: Vec<String> = P::combined_note(&predictors).into_iter().chain(pooled).collect();
         (!notes.is_empty()).then(|| notes.join("; "))
     }

@@ -25,9 +25,9 @@ const SHAPE: &str = "channels are [M, A, F]: M transmitters, A antennas of the r
 /// Channels (CSI) at one receiver as a NumPy array, with a table of transmitter positions.
 ///
 /// ```text
-/// root/file         [M, A, F], complex64 or complex128: M places of the transmitter, A antennas of the receiver, F
+/// root/file         [M, A, F], complex64 or complex128: M positions of the transmitter, A antennas of the receiver, F
 ///                   subcarriers
-/// root/positions    header naming x, y, z among others; row k is place k of the array; metres
+/// root/positions    header naming x, y, z among others; row k is position k of the array; metres
 /// root/rx_pose.csv  instead of positions, if the receiver moves: columns x, y, z, qx, qy, qz, qw of its pose; antennas in
 ///                   receiver.yml are then in its frame, and `transmitter: [x, y, z]` there may state the fixed transmitter
 /// ```
@@ -175,14 +175,13 @@ impl DataSource for Channels {
         let ends = locations.link_ends(vec![receiver], metadata.transmitter);
         let data = Dataset::of_links(title, ends, points, &samples, channels.into())?;
         progress(data.len(), data.len());
-        let data = Dataset { simulation, official, ..data };
-        if carriers == 1 {
-            return without_zeros(restore_saved(&root, data)?, &path);
+        let mut data = Dataset { simulation, official, ..data };
+        if carriers > 1 {
+            let lowest_hz = data.observations.frequencies_hz().iter().copied().fold(carrier_hz, f64::min);
+            let all = self.all_carriers(&path, carrier_hz, lowest_hz)?;
+            data = data.with_carriers(&all.iter().flat_map(|hz| vec![*hz; count]).collect::<Vec<f64>>())?;
         }
-        let lowest_hz = data.observations.frequencies_hz().iter().copied().fold(carrier_hz, f64::min);
-        let carriers = self.all_carriers(&path, carrier_hz, lowest_hz)?;
-        let carriers: Vec<f64> = carriers.iter().flat_map(|hz| vec![*hz; count]).collect();
-        without_zeros(restore_saved(&root, data.with_carriers(&carriers)?)?, &path)
+        without_zeros(restore_saved(&root, data)?, &path)
     }
 
     fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
@@ -269,6 +268,8 @@ struct ChannelMetadata {
     frequencies_hz: Option<Vec<f64>>,
     name: String,
     receiver: ReceiverPlace,
+    /// Whether `receiver` is that of `receiver.yml`.
+    is_receiver_from_file: bool,
     /// Position of the fixed transmitter if the receiver moves, metres.
     transmitter: Option<[f64; 3]>,
 }
@@ -298,8 +299,15 @@ impl ChannelMetadata {
         {
             // A missing spacing matters only with several subcarriers.
             let (carrier_hz, spacing_hz) = (*carrier_hz, spacing_hz.unwrap_or(f64::NAN));
-            let (name, receiver) = ("receiver".into(), receiver.clone());
-            return Ok(Self { carrier_hz, spacing_hz, frequencies_hz: None, name, receiver, transmitter: None });
+            return Ok(Self {
+                carrier_hz,
+                spacing_hz,
+                frequencies_hz: None,
+                name: "receiver".into(),
+                receiver: receiver.clone(),
+                is_receiver_from_file: false,
+                transmitter: None,
+            });
         }
         let advice = "Channels reads it for what its `carrier_hz`, `spacing_hz` and `receiver` leave out; say all three, or \
                       give the file";
@@ -331,6 +339,7 @@ impl ChannelMetadata {
             spacing_hz: source.spacing_hz.unwrap_or(file.spacing_hz),
             name: if source.receiver.is_some() { "receiver".into() } else { file.name.value },
             receiver: source.receiver.clone().unwrap_or(receiver),
+            is_receiver_from_file: source.receiver.is_none(),
             transmitter: file.transmitter,
         })
     }
@@ -349,15 +358,21 @@ impl ChannelMetadata {
         }
     }
 
-    /// Creates the receiver. Returns an error unless it has as many `antennas` as the array at `path`.
+    /// Creates the receiver. Returns an error unless it lists as many antennas as the array at `path` has (`antennas`); a
+    /// single antenna need not be listed.
     fn create_receiver(&self, path: &Path, antennas: usize) -> Result<Receiver> {
         let receiver = Receiver::new(&self.name, self.receiver.pose());
         match self.receiver.antennas.len() {
             0 if antennas == 1 => Ok(receiver),
             n if n == antennas => Ok(Receiver { antennas: self.receiver.antennas.clone(), ..receiver }),
             n => {
-                let problem = format!("has {antennas} antennas, and `receiver.antennas` names {n}");
-                Err(Error::input(path, format!("{problem}; give the place of each in the receiver's frame, metres")))
+                let (list, advice) = if self.is_receiver_from_file {
+                    let frame = "in the world frame, or in that of a moving receiver";
+                    ("`antennas` in receiver.yml", format!("give the position of each there, metres, {frame}"))
+                } else {
+                    ("`receiver.antennas`", "give the position of each in the receiver's frame, metres".to_owned())
+                };
+                Err(Error::input(path, format!("has {antennas} antennas, but {list} lists {n}; {advice}")))
             }
         }
     }

@@ -97,6 +97,7 @@ impl Colormap {
         let step = (image.width() as usize * image.height() as usize / SAMPLED).max(1);
         let pixels: Vec<[u8; 3]> = image.pixels().step_by(step).map(|pixel| pixel.0).collect();
         let is_saturated = |[r, g, b]: &&[u8; 3]| r.max(g).max(b).abs_diff(*r.min(g).min(b)) > GREY;
+        // A grey image may have a few coloured pixels.
         if 4 * pixels.iter().filter(is_saturated).count() < pixels.len() {
             return None;
         }

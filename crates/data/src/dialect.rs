@@ -57,7 +57,7 @@ pub(crate) struct TableText<'a> {
     /// Names of the columns; without a header, their numbers from 1.
     pub(crate) names: Vec<String>,
     /// Column of each name in its line.
-    places: Vec<usize>,
+    name_columns: Vec<usize>,
     /// Line of the header, from 1; `None` without one.
     pub(crate) header: Option<usize>,
     /// Number of lines before the first row.
@@ -74,7 +74,7 @@ impl<'a> TableText<'a> {
             Some(bytes) => Cow::Borrowed(&bytes[..]),
             None => read_bytes(&file.path, MAX_TABLE, "check the path of the table")?.into(),
         };
-        let mut table = Self::of(&file.path, bytes)?;
+        let mut table = Self::decode(&file.path, bytes)?;
         table.recognise()?;
         Ok(table)
     }
@@ -83,15 +83,15 @@ impl<'a> TableText<'a> {
     /// header is the line among the first [`EXAMINED`] with the most such names; without any, the first line if it holds no
     /// number.
     pub(crate) fn with_names(path: &'a Path, advice: &str, is_name: &dyn Fn(&str) -> bool) -> Result<Self> {
-        let mut table = Self::of(path, read_bytes(path, MAX_TABLE, advice)?.into())?;
+        let mut table = Self::decode(path, read_bytes(path, MAX_TABLE, advice)?.into())?;
         let text = std::mem::take(&mut table.text);
         let Some(first) = numbered_lines(&text).find(|(_, line)| !is_comment(line)) else {
             return Err(Error::input(path, format!("is empty; {advice}")));
         };
         // A header in a comment begins with its mark, but a name may begin with it, too.
         let lines = numbered_lines(&text).take(EXAMINED).flat_map(|(n, line)| [(n, line, line), (n, line, bare(line))]);
-        let known = |line: &str, mark| split(line, mark).filter(|cell| is_name(cell)).count();
-        let ranked = lines.flat_map(|line| MARKS.map(|mark| (known(line.2, mark), mark, line)));
+        let name_count = |line: &str, mark| split(line, mark).filter(|cell| is_name(cell)).count();
+        let ranked = lines.flat_map(|line| MARKS.map(|mark| (name_count(line.2, mark), mark, line)));
         let best = ranked.reduce(|best, other| if other.0 > best.0 { other } else { best });
         let best = best.filter(|(count, ..)| *count > 0);
         table.mark = best.map_or_else(|| detect_separator(&text).0, |(_, mark, _)| mark);
@@ -104,8 +104,9 @@ impl<'a> TableText<'a> {
         Ok(table)
     }
 
-    /// Decodes the content of a file.
-    fn of(path: &'a Path, bytes: Cow<'a, [u8]>) -> Result<Self> {
+    /// Decodes the content of a file; its dialect is not known yet. Returns an error for an archive, or for content that is not
+    /// text.
+    fn decode(path: &'a Path, bytes: Cow<'a, [u8]>) -> Result<Self> {
         let refuse = |problem: &str| Err(Error::input(path, problem));
         if bytes.starts_with(b"PK") {
             return refuse("is an archive, as .xlsx is; save the sheet as CSV and import that");
@@ -126,8 +127,8 @@ impl<'a> TableText<'a> {
                 String::from_utf8(bytes).unwrap_or_else(|e| latin(e.as_bytes())).into()
             }
         };
-        let (names, places) = (Vec::new(), Vec::new());
-        Ok(Self { path, text, mark: None, has_decimal_commas: false, names, places, header: None, skipped: 0 })
+        let (names, name_columns) = (Vec::new(), Vec::new());
+        Ok(Self { path, text, mark: None, has_decimal_commas: false, names, name_columns, header: None, skipped: 0 })
     }
 
     /// Sets separator, decimal mark, header and names from the first lines. Returns an error for an empty table.
@@ -150,11 +151,7 @@ impl<'a> TableText<'a> {
         // A header names a column that holds numbers.
         let names_numbers = |line: &(usize, &str, &str)| {
             let names: Vec<&str> = split(line.2, mark).collect();
-            let is_named = |k: usize| {
-                let mut values =
-                    rows.iter().filter_map(|row| row.get(k)).filter(|cell| !is_empty_cell(cell)).peekable();
-                !is_number(names[k]) && values.peek().is_some() && values.all(|cell| is_number(cell))
-            };
+            let is_named = |k: usize| !is_number(names[k]) && holds_numbers(&rows, k, &is_number);
             names.len() == width && (0..width).any(is_named)
         };
         let above = numbered_lines(&text).take_while(|(line, _)| *line < first_line);
@@ -171,7 +168,7 @@ impl<'a> TableText<'a> {
         let fields = |(_, line, names)| locate_fields(line, split(names, self.mark));
         let fields: Vec<TextField<'_>> = header.map_or_else(Vec::new, fields);
         self.header = header.map(|(line, ..)| line);
-        self.places = fields.iter().map(|field| field.column).collect();
+        self.name_columns = fields.iter().map(|field| field.column).collect();
         self.names = match header {
             Some(_) => fields.iter().map(|field| field.text.to_owned()).collect(),
             None => (1..=width).map(|k| k.to_string()).collect(),
@@ -232,8 +229,8 @@ impl<'a> TableText<'a> {
 
     /// Returns the error `problem` at the name of column `k`, or at the header.
     pub(crate) fn fault(&self, k: Option<usize>, problem: impl std::fmt::Display) -> Error {
-        let place = k.and_then(|k| self.places.get(k)).copied().unwrap_or(1);
-        Error::at(self.path, self.header.unwrap_or(1), place, problem)
+        let column = k.and_then(|k| self.name_columns.get(k)).copied().unwrap_or(1);
+        Error::at(self.path, self.header.unwrap_or(1), column, problem)
     }
 
     /// Returns the index of the column `name`, in either case; `names` lists every column that the file needs. A name may begin
@@ -347,6 +344,13 @@ fn split(line: &str, mark: Option<char>) -> impl Iterator<Item = &str> {
 fn unquoted(part: &str) -> &str {
     let text = part.trim();
     text.strip_prefix('"').and_then(|text| text.strip_suffix('"')).unwrap_or(text).trim()
+}
+
+/// Returns whether all cells of column `k` are numbers or empty, with at least one number.
+fn holds_numbers(rows: &[Vec<&str>], k: usize, is_number: &dyn Fn(&str) -> bool) -> bool {
+    let cells = rows.iter().filter_map(|row| row.get(k).copied());
+    let mut values = cells.filter(|cell| !is_empty_cell(cell)).peekable();
+    values.peek().is_some() && values.all(is_number)
 }
 
 /// Returns the separator that gives most of the first lines the same number of fields, at least two, and that number.

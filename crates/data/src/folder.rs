@@ -119,8 +119,9 @@ pub(crate) fn read_simulation(root: &Path, name: &str) -> Option<Simulation> {
 /// File of the IDs of the transmitter positions, or of the poses of a moving receiver, one per line.
 pub(crate) const IDS: &str = "ids.txt";
 
-/// Restores the properties that [`save`](crate::save()) writes beside the layout in `root`: IDs from [`IDS`], title and bounds of
-/// the scene from `manifest.json`. Folders without them stay as they are.
+/// Restores the properties that [`save`](crate::save()) writes in addition to the layout in `root`: IDs from [`IDS`]; title,
+/// bounds and zero of the scene, floors, estimated receivers, unit and accepted findings from `manifest.json`. Data of folders
+/// without these files stay as they are.
 ///
 /// # Errors
 /// A line of [`IDS`] is not an ID above that of the line before, or there is another number of lines than of locations; the
@@ -231,8 +232,8 @@ pub fn base_station_yaml(antennas: &[[f64; 3]]) -> String {
 }
 
 /// Returns the content of `receiver.yml`: the `name` as a YAML scalar (quoted if it needs quotes), the pose in the world frame
-/// (metres), the carrier and the distance between subcarriers (Hz), the subcarriers `[F]` (Hz), and antenna positions `[A,3]` in the
-/// world frame (metres).
+/// (metres), the carrier and the distance between subcarriers (Hz), the subcarriers `[F]` (Hz), and antenna positions `[A,3]`
+/// (metres) in the world frame, or in the frame of a moving receiver.
 pub fn receiver_yaml(
     name: &str,
     Pose { position, orientation }: &Pose,
@@ -242,7 +243,8 @@ pub fn receiver_yaml(
 ) -> String {
     format!(
         "name: {name}\nposition: {position:?}\norientation: {orientation:?} # quaternion x, y, z, w\ncarrier_hz: {carrier_hz:?}\n\
-         spacing_hz: {spacing_hz:?}\nfrequencies_hz: {frequencies_hz:?}\nantennas: {antennas:?} # metres; in the world, or in the frame of a moving receiver\n"
+         spacing_hz: {spacing_hz:?}\nfrequencies_hz: {frequencies_hz:?}\n\
+         antennas: {antennas:?} # metres; in the world, or in the frame of a moving receiver\n"
     )
 }
 

@@ -28,8 +28,8 @@ const MESH_ADVICE: &str = "check the path of the mesh";
 ///
 /// # Errors
 /// Reports the file, with line and column for text: truncated, not a number, not finite, an index out of range, a face
-/// of fewer than three corners, a polygon with a hole or that crosses itself, more than [`MOST_TRIANGLES`](crate::MOST_TRIANGLES), unknown
-/// extension. A file without faces is valid.
+/// of fewer than three corners, a polygon with a hole or that crosses itself, more than
+/// [`MOST_TRIANGLES`](crate::MOST_TRIANGLES), unknown extension. A file without faces is valid.
 pub fn read_mesh(path: &Path) -> Result<Triangles> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let parse = match extension.as_str() {
@@ -125,7 +125,7 @@ fn parse_corner_index(row: &TextRow<'_>, field: TextField<'_>, so_far: usize) ->
     Ok(if index > 0 { index - 1 } else { index.saturating_add_unsigned(so_far as u64) })
 }
 
-const ADVICE: &str = "check the path of the point cloud";
+const CLOUD_ADVICE: &str = "check the path of the point cloud";
 
 /// Reads the points `[P,3]` of a file, which holds at least one.
 ///
@@ -139,7 +139,7 @@ const ADVICE: &str = "check the path of the point cloud";
 pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let points = match extension.as_str() {
-        "ply" => ply::parse_points(path, without_mark(&read_bytes(path, MAX_NUMBERS, ADVICE)?))?,
+        "ply" => ply::parse_points(path, without_mark(&read_bytes(path, MAX_NUMBERS, CLOUD_ADVICE)?))?,
         "xyz" | "txt" | "csv" => read_table_points(path)?,
         _ => return Err(Error::input(path, "unsupported point cloud format; use .ply, .xyz or .csv")),
     };
@@ -153,7 +153,7 @@ pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
 /// header, a row that is too short or too long, an invalid coordinate, or fewer points than that number.
 fn read_table_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     let is_name = |cell: &str| ["x", "y", "z"].iter().any(|name| is_named(cell, name));
-    let table = TableText::with_names(path, ADVICE, &is_name)?;
+    let table = TableText::with_names(path, CLOUD_ADVICE, &is_name)?;
     let column = |name| table.column(name, "x, y and z");
     let columns = if table.header.is_some() { [column("x")?, column("y")?, column("z")?] } else { [0, 1, 2] };
     table.check_rows(GROWING * size_of::<[f64; 3]>())?;

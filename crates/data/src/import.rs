@@ -173,33 +173,40 @@ impl<'a> Sink<'a> {
 /// Largest values below this are implausible: quality metrics assume 1 in the strongest direction.
 const FAINT: f64 = 0.01;
 
-/// Smallest and largest value so far, with their indices.
+/// Smaller values are decibels, not linear values with an offset.
+const DECIBELS: f64 = -3.0;
+
+/// Index of a value (spectrum, row, column), and the value.
+type Element = ([usize; 3], f64);
+
+/// Range of the values so far.
 #[derive(Debug, Default)]
 pub(super) struct Range {
-    low: Option<([usize; 3], f64)>,
-    high: Option<([usize; 3], f64)>,
+    /// Smallest and largest value; `None` without values.
+    extremes: Option<[Element; 2]>,
     /// First value that is not finite.
-    not_finite: Option<([usize; 3], f64)>,
+    not_finite: Option<Element>,
 }
 
 impl Range {
     /// Extends the range to `value` at `index`: spectrum, row, column.
     pub(super) fn extend_to(&mut self, index: [usize; 3], value: f64) {
+        let element = (index, value);
         if !value.is_finite() {
-            self.not_finite.get_or_insert((index, value));
+            self.not_finite.get_or_insert(element);
         }
-        if self.low.is_none_or(|(_, low)| value < low) {
-            self.low = Some((index, value));
+        let [low, high] = self.extremes.get_or_insert([element; 2]);
+        if value < low.1 {
+            *low = element;
         }
-        if self.high.is_none_or(|(_, high)| value > high) {
-            self.high = Some((index, value));
+        if value > high.1 {
+            *high = element;
         }
     }
 
     /// Returns the smallest and largest value; NaN without values.
     pub(super) fn ends(&self) -> (f64, f64) {
-        let value = |end: Option<([usize; 3], f64)>| end.map_or(f64::NAN, |(_, v)| v);
-        (value(self.low), value(self.high))
+        self.extremes.map_or((f64::NAN, f64::NAN), |[(_, low), (_, high)]| (low, high))
     }
 
     /// Returns whether all values are between 0 and 1.
@@ -216,11 +223,11 @@ impl Range {
             let advice = "a spectrum has a finite value in every direction; leave out what was not measured";
             return refuse(format!("{} is {value}; {advice}", element_name(index)));
         }
-        let (Some((low_index, low)), Some((high_index, high))) = (self.low, self.high) else { return Ok(()) };
+        let Some([(low_index, low), (high_index, high)]) = self.extremes else { return Ok(()) };
         let suited = format!("--scale {}", scale.unwrap_or(1.0) / high);
         if low < -ROUNDING {
             let problem = format!("values are from {low} ({}) to {high}", element_name(low_index));
-            return refuse(if low < -3.0 {
+            return refuse(if low < DECIBELS {
                 format!(
                     "{problem}, as decibels are; spectra are linear, 0 to 1: save 10 ** ((s - s.max()) / 20), the \
                      amplitude, or / 10, the power"

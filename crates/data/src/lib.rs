@@ -9,8 +9,8 @@
 //! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ or PLY.
 //! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] split transmitters, [`RandomLinks`] links,
 //!   [`LeaveReceiverOut`] receivers.
-//! * [`MeanSpectrum`], [`NearestNeighbours`], [`NearestCarrier`], [`Kriging`], [`LogDistance`] and [`Zero`] are the baselines of each
-//!   table.
+//! * [`MeanSpectrum`], [`NearestNeighbours`], [`NearestCarrier`], [`Kriging`], [`LogDistance`] and [`Zero`] are the baselines
+//!   of each table.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 

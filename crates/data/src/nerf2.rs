@@ -1,4 +1,5 @@
-//! `Nerf2Spectrum`: measured spectra in the folder layout of NeRF2.
+//! `Nerf2Spectrum`: measured spectra in the folder layout of NeRF2, and its tables of transmitter positions and receiver
+//! poses.
 
 mod csi;
 pub(crate) mod index;
@@ -93,22 +94,12 @@ impl DataSource for Nerf2Spectrum {
         let gateway = Gateway::read(&root.join("gateway_info.yml"), self.gateway.as_deref(), LAYOUT)?;
         let positions = read_transmitters(&root.join("tx_pos.csv"))?;
         let files = pictures::list_images(&root.join("spectrum"), LAYOUT)?;
-        let picture_ids = files.keys().copied().collect();
+        let image_ids = files.keys().copied().collect();
         let ids: Vec<u32> = files.keys().copied().filter(|&id| id as usize <= positions.len()).collect();
         let valid_ids =
-            index::SpectrumIds { table: "tx_pos.csv", rows: positions.len(), pictures: &picture_ids, samples: &ids };
+            index::SpectrumIds { table: "tx_pos.csv", rows: positions.len(), images: &image_ids, samples: &ids };
         let official = index::read_sets(&root, &|word| valid_ids.parse_id(word))?;
-        if ids.is_empty() {
-            let problem = format!("no image matches a row of tx_pos.csv; {LAYOUT}");
-            return Err(Error::input(&root.join("spectrum"), problem));
-        }
-        if ids.len() < files.len() {
-            tracing::warn!(
-                "{} pictures of {} have no row in tx_pos.csv and are left out",
-                files.len() - ids.len(),
-                root.display()
-            );
-        }
+        check_matches(&root, ids.len(), files.len())?;
         let points = read_point_cloud(base, self.points.as_deref())?;
         let paths: Vec<&Path> = ids.iter().map(|id| files[id].as_path()).collect();
         let spectra = pictures::load_spectra(
@@ -142,6 +133,20 @@ impl DataSource for Nerf2Spectrum {
     }
 }
 
+/// Warns of images in the folder `root` that have no row in `tx_pos.csv`: all but `matched` of `images`. Returns an error if
+/// no image has one.
+fn check_matches(root: &Path, matched: usize, images: usize) -> Result<()> {
+    if matched == 0 {
+        let problem = format!("no image matches a row of tx_pos.csv; {LAYOUT}");
+        return Err(Error::input(&root.join("spectrum"), problem));
+    }
+    if matched < images {
+        let count = images - matched;
+        tracing::warn!("{count} images of {} have no row in tx_pos.csv and are left out", root.display());
+    }
+    Ok(())
+}
+
 /// Returns an error if the `size` of spectra, width and height in pixels, does not suit their elevations; `path` is named.
 /// `stated`: the elevations come from a setting or a file.
 pub(crate) fn check_image_size(path: &Path, elevation: Elevation, stated: bool, size: (usize, usize)) -> Result<()> {
@@ -158,6 +163,7 @@ pub fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
     let advice = "give every row x, y and z in metres";
     read_columns(path, ["x", "y", "z"], advice, |row| row.position(row.fields, advice))
 }
+
 /// Poses of moving receivers, instead of the table of transmitter positions.
 pub const POSES: &str = "rx_pose.csv";
 

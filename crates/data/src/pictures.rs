@@ -60,13 +60,13 @@ fn parse_file_id(path: &Path, extension: &str) -> Option<u32> {
 }
 
 /// Function that decodes one image.
-pub(crate) type Decode<'a> = dyn Fn(&Path) -> Result<Picture> + Sync + 'a;
+pub(crate) type Decode<'a> = dyn Fn(&Path) -> Result<GreyImage> + Sync + 'a;
 
 /// Decodes all images in parallel into spectra of 8 bits; the first sets the size. Returns the error of the first bad file
 /// in the given order.
 pub(crate) fn load_spectra(files: &[&Path], decode: &Decode<'_>, progress: Progress<'_>) -> Result<Spectra> {
     let [first, others @ ..] = files else { return Spectra::grey((0, 0), Vec::new()) };
-    let Picture { width, height, bytes, .. } = decode(first)?;
+    let GreyImage { width, height, bytes, .. } = decode(first)?;
     let name = first.file_name().unwrap_or_default().to_string_lossy();
     let mut pixels = Vec::new();
     let total = bytes.len().saturating_mul(files.len());
@@ -78,10 +78,10 @@ pub(crate) fn load_spectra(files: &[&Path], decode: &Decode<'_>, progress: Progr
     pixels.resize(total, 0);
     let done = AtomicUsize::new(1);
     let decode_like_first = |(out, path): (&mut [u8], &&Path)| {
-        let picture = decode(path)?;
+        let image = decode(path)?;
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, files.len());
-        picture.check_size(path, (width, height), &name)?;
-        out.copy_from_slice(&picture.bytes);
+        image.check_size(path, (width, height), &name)?;
+        out.copy_from_slice(&image.bytes);
         Ok(())
     };
     // Collect all results first, so that the reported error does not depend on the threads.
@@ -101,7 +101,7 @@ pub(crate) enum Depth {
 }
 
 /// Grey image, row-major.
-pub(crate) struct Picture {
+pub(crate) struct GreyImage {
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) number: Number,
@@ -109,7 +109,7 @@ pub(crate) struct Picture {
     pub(crate) bytes: Vec<u8>,
 }
 
-impl Picture {
+impl GreyImage {
     /// Returns an error if the size differs from that of the image `name`, width and height; `path` is this image.
     pub(crate) fn check_size(&self, path: &Path, (width, height): (usize, usize), name: &str) -> Result<()> {
         let Self { width: w, height: h, .. } = self;
@@ -123,11 +123,12 @@ impl Picture {
 
 /// Decodes a grey PNG image of at most this `depth`, or one of colours of `map`. Returns an error for another format, or a
 /// damaged or too large file.
-pub(crate) fn decode_grey_png(path: &Path, depth: Depth, map: Option<Colormap>) -> Result<Picture> {
+pub(crate) fn decode_grey_png(path: &Path, depth: Depth, map: Option<Colormap>) -> Result<GreyImage> {
     if map.is_some() {
         return decode_luminance(path, "add the image", map);
     }
     let file = read_bytes(path, MAX_BYTES, "add the image")?;
+    // A file that is cut short within the signature counts as damaged.
     if !file.starts_with(&SIGNATURE[..SIGNATURE.len().min(file.len()).max(1)]) {
         return Err(Error::input(path, "is not a PNG image; save the spectrum as 8-bit grey PNG"));
     }
@@ -139,7 +140,7 @@ pub(crate) fn decode_grey_png(path: &Path, depth: Depth, map: Option<Colormap>) 
         (original, _) => {
             decode_luminance(path, "add the image", None)?; // names a colour map
             let (kind, needed) =
-                (describe_color(original), if depth == Depth::Sixteen { "8-bit or 16-bit" } else { "8-bit" });
+                (describe_colour(original), if depth == Depth::Sixteen { "8-bit or 16-bit" } else { "8-bit" });
             let problem = format!("is {kind}; a spectrum is {needed} grey with one channel: convert it");
             return Err(Error::input(path, problem));
         }
@@ -151,7 +152,7 @@ pub(crate) fn decode_grey_png(path: &Path, depth: Depth, map: Option<Colormap>) 
         // The decoder returns native byte order.
         bytes.as_chunks_mut().0.iter_mut().for_each(|v| *v = u16::from_ne_bytes(*v).to_le_bytes());
     }
-    Ok(Picture { width, height, number, bytes })
+    Ok(GreyImage { width, height, number, bytes })
 }
 
 /// Reads a PNG or JPEG image. Colours become luminance, 16 bits become 8, and transparency is ignored.
@@ -160,13 +161,13 @@ pub(crate) fn decode_grey_png(path: &Path, depth: Depth, map: Option<Colormap>) 
 /// The file is missing, has another format or more than 2^24 pixels, is cut short or damaged, or has the colours of a
 /// [`Colormap`].
 pub fn read_image(path: &Path) -> Result<Image> {
-    let Picture { width, height, bytes, .. } = decode_luminance(path, "check the path", None)?;
+    let GreyImage { width, height, bytes, .. } = decode_luminance(path, "check the path", None)?;
     Ok(Image::from_bytes(width, height, &bytes))
 }
 
 /// Decodes a PNG or JPEG image like [`read_image`], or the values of colours of `map`; `advice` is the next step if it does
 /// not exist. Returns the errors of [`read_image`], and an error for other colours than those of `map`.
-pub(crate) fn decode_luminance(path: &Path, advice: &str, map: Option<Colormap>) -> Result<Picture> {
+pub(crate) fn decode_luminance(path: &Path, advice: &str, map: Option<Colormap>) -> Result<GreyImage> {
     let file = read_bytes(path, MAX_BYTES, advice)?;
     let is_cut = file.starts_with(JPEG) && !has_end_marker(&file);
     let guessed = ImageReader::new(Cursor::new(file)).with_guessed_format();
@@ -200,19 +201,19 @@ pub(crate) fn decode_luminance(path: &Path, advice: &str, map: Option<Colormap>)
         }
         (None, false) => image.into_luma8().into_raw(),
     };
-    Ok(Picture { width, height, number: Number::U8, bytes })
+    Ok(GreyImage { width, height, number: Number::U8, bytes })
 }
 
 /// Returns whether a JPEG file has its end marker; the decoder fills missing pixels with grey.
 fn has_end_marker(file: &[u8]) -> bool {
-    // Not in coded pixels: a byte 0xff is followed by zero or a restart marker there.
+    // Ignores coded pixels: there, zero or a restart marker follows a byte 0xff.
     let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0 | 0xd0..=0xd7 | 0xff);
     let mut segments = &file[JPEG.len()..];
     while let Some(start) = segments.windows(2).position(is_marker) {
         if segments[start + 1] == 0xd9 {
             return true;
         }
-        // Every other marker begins a segment with its length, for example metadata with an image of their own.
+        // Skips the segment of any other marker: metadata may hold a thumbnail with its own end marker.
         let length = segments.get(start + 2..start + 4);
         let length = length.map_or(0, |bytes| usize::from(bytes[0]) << 8 | usize::from(bytes[1]));
         segments = segments.get(start + 2 + length..).unwrap_or_default();
@@ -250,9 +251,9 @@ fn decoder_limits() -> Limits {
 }
 
 /// Returns a colour type in words.
-fn describe_color(color: ExtendedColorType) -> String {
-    let bits = color.bits_per_pixel() / u16::from(color.channel_count());
-    match color.channel_count() {
+fn describe_colour(colour: ExtendedColorType) -> String {
+    let bits = colour.bits_per_pixel() / u16::from(colour.channel_count());
+    match colour.channel_count() {
         1 => format!("{bits}-bit grey"),
         2 => format!("{bits}-bit grey with transparency"),
         _ => format!("a {bits}-bit colour image"),

@@ -300,6 +300,7 @@ impl FolderWriter<'_> {
                 manifest[key] = serde_json::json!(names);
             }
         }
+        // The bounds that the reader computes depend on points, locations and ends alone: one link is enough.
         let points = scene.points.iter().map(|point| scene.origin.world(*point)).collect();
         let (locations, links) = (data.locations.clone(), data.links[..1].to_vec());
         let read = Dataset::of_columns("", scene.ends(), points, locations, links, vec![0.0].into())?.scene;

@@ -236,8 +236,8 @@ const MOST_FOLDS: usize = 100;
 /// divided into `count` folds; fold `index` becomes the validation set, and the others the training set.
 ///
 /// A fold holds what the other split holds out together: transmitters at random, whole cells of `Voxel`, a part of the
-/// trajectory for `TimeBlock`. Experiments with `join: true` and `residuals: Kriged(folds: true)` use this split, so that every known sample is
-/// in the validation set of one model.
+/// trajectory for `TimeBlock`. Experiments with `join: true` and `residuals: Kriged(folds: true)` use this split, so that
+/// every known sample is in the validation set of one model.
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};

@@ -214,6 +214,7 @@ struct Wave {
     phase: Real,
 }
 
+/// Mean and swing of a signal, in parts of its amplitude: between 0.1 and 1.
 const MEAN: Real = 0.55;
 const SWING: Real = 0.45;
 

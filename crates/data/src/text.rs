@@ -76,8 +76,8 @@ impl<F> TextRow<'_, F> {
         Ok([x?, y?, z?])
     }
 
-    /// Parses a power, dBm: from -300 to 300. `None` for an empty cell and for the values `missing`, which mean that no signal was
-    /// received.
+    /// Parses a power, dBm: from -300 to 300. `None` for an empty cell and for the values `missing`, which mean that no signal
+    /// was received.
     pub(crate) fn power(&self, field: TextField<'_>, missing: &[f64]) -> Result<Option<f64>> {
         let dbm = self.optional(field, DBM_ADVICE)?.filter(|dbm| !missing.contains(dbm));
         if dbm.is_some_and(|dbm| power_fault(dbm).is_some()) {

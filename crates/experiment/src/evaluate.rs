@@ -221,10 +221,10 @@ impl OpenEvaluation<'_, '_, '_> {
         let SplitData { data, partition } = split;
         let ceiling = CeilingEstimator::new(data, &pipeline.metrics, session.stop).estimate(partition)?;
         let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
-        let known = partition.known().all().len();
+        let baseline_samples = partition.known().all().len();
         // Each of several models leaves out another part.
-        let trained = if pipeline.members > 1 { known } else { partition.train.len() };
-        table.samples = [trained, known, ids.len()];
+        let model_samples = if pipeline.members > 1 { baseline_samples } else { partition.train.len() };
+        table.samples = [model_samples, baseline_samples, ids.len()];
         table.notes.extend(ceiling.notes);
         table.notes.extend(table.intervals.iter().map(|scores| scores.note(data.task(), &table.intervals[0])));
         let measured = predictors.iter().flat_map(|(name, all)| all.iter().map(move |one| (name, one)));
@@ -293,11 +293,8 @@ impl Confidence {
         let stop = session.stop;
         run_stage(session.observer, "measuring the spread of members", |progress| {
             let mut all = Self { ids: part.iter().map(|&i| data.label(i)).collect(), ..Self::default() };
-            let measure_link = |(&i, (mean, deviation)): (&usize, (Image, Image))| {
-                let (shown, truth) = (data.task().shown(mean), data.image(i));
-                let errors = shown.pixels.iter().zip(&truth.pixels).map(|(a, b)| *a as f64 - *b as f64);
-                (root_mean_square(deviation.pixels.iter().map(|p| *p as f64)), root_mean_square(errors))
-            };
+            let measure_link =
+                |(&i, (mean, deviation)): (&usize, (Image, Image))| spread_and_error(data, i, mean, &deviation);
             for chunk in part.chunks(CHUNK) {
                 check_stopped(stop)?;
                 let queries = data.queries(chunk);
@@ -311,6 +308,13 @@ impl Confidence {
             Ok(all)
         })
     }
+}
+
+/// Returns the root mean squares over the pixels of link `i`: of `deviation`, and of the `mean` prediction minus the measurement.
+fn spread_and_error(data: &Dataset, i: usize, mean: Image, deviation: &Image) -> (f64, f64) {
+    let (shown, truth) = (data.task().shown(mean), data.image(i));
+    let errors = shown.pixels.iter().zip(&truth.pixels).map(|(a, b)| *a as f64 - *b as f64);
+    (root_mean_square(deviation.pixels.iter().map(|p| *p as f64)), root_mean_square(errors))
 }
 
 /// Returns the root mean square of `values`; NaN without values.

@@ -15,8 +15,9 @@ use std::cell::Cell;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
-/// Largest number of links per prediction call, and of single numbers.
+/// Largest number of links per prediction call.
 const CHUNK: usize = 64;
+/// Largest number of links per prediction call if an observation is a single number.
 const MANY: usize = 4096;
 /// Largest number of pixels per prediction call for larger images; 8 bytes each with the measured ones.
 const PIXELS: usize = 1 << 21;
@@ -135,7 +136,8 @@ impl<'a> EvaluationSet<'a> {
         Ok(measurements.by_metric.into_iter().flatten().collect())
     }
 
-    /// Predicts all samples chunk by chunk and measures them by the metrics of single samples.
+    /// Predicts all samples chunk by chunk and measures them by the metrics of single samples. Also collects the energies and
+    /// images that other metrics need.
     fn measure_chunks(&self, scored: ScoredPredictor<'_>, session: &mut Session<'_>) -> Result<OpenMeasurements> {
         let ScoredPredictor { name, predictor, metrics } = scored;
         let needs_all = metrics.iter().any(|m| m.scope() == Scope::All);
@@ -219,7 +221,7 @@ impl<'a> EvaluationSet<'a> {
     }
 }
 
-/// Rejects another number of energies than `count`, that of the samples, of the metric `name`.
+/// Returns an error unless the number of pairs of energies `given` by the metric `name` is `count`, the number of samples.
 fn check_energies(name: &str, given: usize, count: usize) -> Result<()> {
     if given == count {
         return Ok(());

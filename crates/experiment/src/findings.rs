@@ -49,7 +49,7 @@ pub fn collect_findings(data: &Dataset, partition: Option<&Partition>) -> Result
     findings.extend(check_estimated(data));
     findings.extend(channels::check_channels(data));
     if data.observations.spectra().is_some() && data.camera().is_none() {
-        let summaries = spectra::summarize(data, SAMPLED, &|_, _| {})?;
+        let summaries = spectra::summarise(data, SAMPLED, &|_, _| {})?;
         findings.extend(check_constant_spectra(&summaries));
         // Positions that are wrong do not fit the spectra.
         let is_right = findings.iter().all(|finding| !finding.is_error());
@@ -61,7 +61,8 @@ pub fn collect_findings(data: &Dataset, partition: Option<&Partition>) -> Result
     Ok(findings)
 }
 
-/// Finds a test set larger than the training and validation sets together: swapped index files, or too large a test share.
+/// Finds a test set larger than the training and validation sets together: swapped index files, or too large a test
+/// share. `None` if it is not larger.
 fn check_split(data: &Dataset, partition: &Partition) -> Option<Finding> {
     let (training, test) = (partition.train.len() + partition.validation.len(), partition.test.len());
     let mend = if data.official.as_ref().is_some_and(|(_, official)| *official == partition.test) {
@@ -73,15 +74,15 @@ fn check_split(data: &Dataset, partition: &Partition) -> Option<Finding> {
     (test > training).then(|| Finding::new("split", test, problem, mend))
 }
 
-/// Finds test locations exactly at training locations, such as repeated readings of a place; `None` for at most the share
+/// Finds test samples exactly at the positions of training samples, such as repeated readings; `None` for at most the share
 /// [`REPEATED`].
 fn check_repeated(data: &Dataset, partition: &Partition) -> Option<Finding> {
     let at = |i: &usize| (data.sample(*i).pose.coordinates().map(f64::to_bits), data.sample(*i).receiver);
-    let known: BTreeSet<_> = partition.train.iter().map(at).collect();
-    let (count, total) = (partition.test.iter().filter(|i| known.contains(&at(i))).count(), partition.test.len());
+    let trained: BTreeSet<_> = partition.train.iter().map(at).collect();
+    let (count, total) = (partition.test.iter().filter(|i| trained.contains(&at(i))).count(), partition.test.len());
     let problem = format!("{count} of {total} test samples are exactly where training samples are");
     let mend = "use `split: Voxel()`, which keeps a position in one set";
-    let is_placed = data.placed && known.len() > data.scene.receivers.len(); // not all at one position
+    let is_placed = data.placed && trained.len() > data.scene.receivers.len(); // not all at one position
     (is_placed && count as f64 > REPEATED * total as f64)
         .then(|| Finding::new("repeated-positions", count, problem, mend))
 }

@@ -36,17 +36,24 @@ pub const PRUNED_SNAPSHOTS: [&str; 12] = [
 ];
 /// Training curve: step, phase, loss, penalty, Gaussians, seconds.
 pub const CURVE: &str = "curve.csv";
-/// Validation scores: step, SSIM and η on the validation set.
+/// Header of the training curve, whose rows `Journal::record_step` writes in this order.
+pub(crate) const CURVE_HEADER: &str = "step,phase,loss,penalty,gaussians,seconds";
+/// Column of the loss in the training curve, counted from 0.
+pub(crate) const LOSS: usize = 2;
+/// Column of the number of Gaussians in the training curve, counted from 0.
+pub(crate) const GAUSSIANS: usize = 4;
+/// Validation scores: step, and the columns of the [headline metric](pwrfgs_core::Headline) on the validation set.
 pub const VALIDATION: &str = "validation.csv";
 /// TensorBoard file of loss, N, validation and scores, if the pipeline sets `tensorboard`.
 pub const EVENTS: &str = "events.out.tfevents.pwrfgs";
+
 /// Returns the folder of model `index`, counted from 0, of a run with several models, relative to the run folder.
 pub fn member_folder(index: usize) -> String {
     format!("members/{}", index + 1)
 }
 
-/// Returns the folder of the curve of the run in `run`: that of the last model that was begun, else `run`; also returns the number
-/// of models before it.
+/// Returns the folder of the training curve of the run in folder `run`, after the number of models trained before: that of the
+/// last model that was begun, or `run` for a run of one model.
 pub fn training_folder(run: &Path) -> (usize, PathBuf) {
     let begun = |index: &usize| run.join(member_folder(*index)).is_dir();
     let index = (0..MOST_MEMBERS).take_while(begun).last();

@@ -1,5 +1,6 @@
 //! Reads pipelines from files and `--set` arguments, with absolute paths.
 
+use crate::folder::DATA;
 use pwrfgs_core::{Result, ShippedFile, files::MAX_TEXT};
 use pwrfgs_pipeline::{Change, EditFault, Pipeline, PipelineEdit};
 use std::path::{Path, PathBuf};
@@ -84,16 +85,16 @@ pub fn rebased(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
     pipeline.rebased(&|path| absolute_path(base, path))
 }
 
-/// Returns the absolute form of `path`, relative to `base`; the name of a shipped scene stays as it is. Data that a run in
-/// Python wrote into its folder are found in `base` if that folder was moved since.
+/// Returns the absolute form of `path`, relative to `base`; the name of a shipped scene is unchanged. If a run in Python
+/// wrote data into its folder, and the folder was moved since, returns the new path of the data in `base`.
 pub(crate) fn absolute_path(base: &Path, path: &Path) -> PathBuf {
     if ShippedFile::find(ShippedFile::SCENES, base, path).is_some() {
         return path.into();
     }
     let mut joined = base.join(path);
     if !joined.exists()
-        && let (Some(name), true) = (path.file_name(), path.parent().is_some_and(|parent| parent.ends_with("data")))
-        && let moved = base.join("data").join(name)
+        && let (Some(name), true) = (path.file_name(), path.parent().is_some_and(|parent| parent.ends_with(DATA)))
+        && let moved = base.join(DATA).join(name)
         && moved.exists()
     {
         joined = moved;

@@ -28,7 +28,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 /// Largest number of spectra that a preview reads for its summary.
-const SUMMARIZED: usize = 1_000;
+const SUMMARISED: usize = 1_000;
 
 /// Size and cost of a run.
 #[derive(Clone, Debug)]
@@ -92,7 +92,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         observed: describe_observations(data),
         samples: partition.sizes(),
         weights: trainer.weight_count(),
-        summary: DataSummary::of(data, SUMMARIZED, observer)?,
+        summary: DataSummary::of(data, SUMMARISED, observer)?,
         test_distance: test_distance(data, partition),
         warnings: trainer.warnings(),
         outlook: trainer.outlook(),
@@ -146,7 +146,7 @@ impl DataSummary {
             summary.facts.extend(PhaseCheck::of(data).map(|phases| ("phases", phases.describe())));
             return Ok(summary);
         }
-        let spectra = run_stage(observer, "reading the spectra", |progress| spectra::summarize(data, most, progress))?;
+        let spectra = run_stage(observer, "reading the spectra", |progress| spectra::summarise(data, most, progress))?;
         summary.facts.extend(spectra::describe(data, &spectra));
         if data.unmatched != Unmatched::default() {
             let Unmatched { positions, pictures } = data.unmatched;
@@ -161,8 +161,8 @@ impl DataSummary {
     }
 }
 
-/// Describes extent and repeated positions of the moving end, and the steps between consecutive ids if there are any; after
-/// their names.
+/// Returns names and descriptions: extent and repeated positions of the moving end, and the steps between consecutive ids if
+/// there are any.
 fn describe_positions(data: &Dataset) -> Vec<(&'static str, String)> {
     let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
     let mut ordered = positions.clone();
@@ -188,7 +188,7 @@ fn describe_positions(data: &Dataset) -> Vec<(&'static str, String)> {
     vec![(moving, text), ("steps", steps)]
 }
 
-/// Describes the ends that do not move, after their name.
+/// Returns name and description of the ends that do not move.
 fn describe_fixed_ends(data: &Dataset) -> (&'static str, String) {
     let list = |numbers: [f64; 3]| numbers.map(|v| format!("{}", v + 0.0)).join(", ");
     let pose = data.scene.origin.world_pose(data.scene.pose());
@@ -213,7 +213,7 @@ fn describe_points(data: &Dataset) -> String {
     extent.map_or_else(|| "none".into(), |extent| format!("{count} points, {}", cloud::describe(extent)))
 }
 
-/// Describes median and range of the levels of all links, after their name.
+/// Returns name and description of the levels of all links: their median and range.
 fn describe_levels(data: &Dataset) -> (&'static str, String) {
     let [name, unit] = data.task().level_name_at(&data.scene.receivers);
     let level = |link: usize| data.task().level(&data.image(link));
@@ -222,7 +222,8 @@ fn describe_levels(data: &Dataset) -> (&'static str, String) {
     ("level", format!("{name} {middle} {unit} (median; {tenth} to {last}, 10 % to 90 %; {low} to {high} in all)"))
 }
 
-/// Returns the median distance from a test transmitter to the nearest other training transmitter, metres.
+/// Returns the median distance from a test transmitter to the nearest other training transmitter, metres; NaN without test
+/// samples.
 pub fn test_distance(data: &Dataset, partition: &Partition) -> f64 {
     let nearest = nearest_training_distances(data, &partition.train);
     median(partition.test.iter().map(|&i| nearest[i] as f64))

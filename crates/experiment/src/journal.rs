@@ -1,7 +1,7 @@
 //! `Journal`: files written during training: `curve.csv`, `validation.csv` and optional TensorBoard events.
 
 use crate::events::Events;
-use crate::folder::{CURVE, EVENTS, VALIDATION};
+use crate::folder::{CURVE, CURVE_HEADER, EVENTS, VALIDATION};
 use crate::run_folder::RunFolder;
 use crate::scores::ScoreTable;
 use crate::session::Validation;
@@ -15,8 +15,6 @@ use std::path::{Path, PathBuf};
 
 /// Number of steps up to which `curve.csv` has a row for each; longer trainings have every tenth.
 const DENSE_STEPS: u64 = 2_000;
-/// Header of `curve.csv`.
-const CURVE_HEADER: &str = "step,phase,loss,penalty,gaussians,seconds";
 /// Prefix of the tags of `validation.csv` in TensorBoard.
 const VALIDATION_PREFIX: &str = "validation/";
 
@@ -73,11 +71,11 @@ impl Journal {
     /// Adds the `seconds` of a step to the total, and writes its row if `curve.csv` has one for it.
     pub(crate) fn record_step(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
         self.seconds += seconds;
-        let (StepReport { step, phase, loss, penalty, gaussians, .. }, seconds) = (report, self.seconds);
+        let StepReport { step, phase, loss, penalty, gaussians, .. } = report;
         if !has_curve_row(*step, self.steps) {
             return Ok(());
         }
-        let row = format!("{step},{},{loss},{penalty},{gaussians},{seconds:.3}", phase.name());
+        let row = format!("{step},{},{loss},{penalty},{gaussians},{:.3}", phase.name(), self.seconds);
         self.curve.push(&row)?;
         self.events
             .as_mut()
@@ -85,8 +83,8 @@ impl Journal {
     }
 
     /// Writes the row of a validation.
-    pub(crate) fn record_validation(&mut self, validations: &Validation) -> Result<()> {
-        let Validation { step, values: [mean, median, third], .. } = validations;
+    pub(crate) fn record_validation(&mut self, validation: &Validation) -> Result<()> {
+        let Validation { step, values: [mean, median, third], .. } = validation;
         let row = format!("{step},{mean},{median},{third}");
         self.validation_series.push(&row)?;
         self.events.as_mut().map_or(Ok(()), |events| {
@@ -129,8 +127,8 @@ fn named_values(prefix: &str, header: &str, row: &str) -> Vec<(String, f64)> {
     named.filter_map(|(name, value)| Some((format!("{prefix}{name}"), value.parse().ok()?))).collect()
 }
 
-/// Returns whether `step` has a row in `curve.csv`: depends on the step alone, so that a resumed run writes the same
-/// rows.
+/// Returns whether `step` of a training of `steps` has a row in `curve.csv`. Depends only on these numbers, so that a
+/// resumed run writes the same rows.
 fn has_curve_row(step: u64, steps: u64) -> bool {
     steps <= DENSE_STEPS || step == 1 || step == steps || step.is_multiple_of(10)
 }

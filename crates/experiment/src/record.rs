@@ -1,7 +1,7 @@
 //! `Record`: a finished run read from its folder: scores, training series, and the confidence of an ensemble.
 
 use crate::facts::Facts;
-use crate::folder::{CONFIDENCE, CURVE, MODEL_FILE, PIPELINE, REPORT, SAMPLES, SCORES, VALIDATION};
+use crate::folder::{CONFIDENCE, CURVE, GAUSSIANS, LOSS, MODEL_FILE, PIPELINE, REPORT, SAMPLES, SCORES, VALIDATION};
 use crate::input::read_pipeline;
 use crate::samples::TestSamples;
 use crate::scores::Scores;
@@ -82,9 +82,14 @@ impl Record {
         Ok(nameless.to_ron()? + joined.map_or("", |mark| &mark.sha256))
     }
 
-    /// Returns the pairs of step and value of a column of `curve.csv`, such as 2, the loss, or 4, the number of Gaussians.
-    pub fn curve_column(&self, column: usize) -> Vec<(f64, f64)> {
-        series_column(&self.curve, column)
+    /// Returns the pairs of step and loss in `curve.csv`.
+    pub fn loss_curve(&self) -> Vec<(f64, f64)> {
+        series_column(&self.curve, LOSS)
+    }
+
+    /// Returns the pairs of step and number of Gaussians in `curve.csv`.
+    pub fn gaussians_curve(&self) -> Vec<(f64, f64)> {
+        series_column(&self.curve, GAUSSIANS)
     }
 
     /// Splits `data` as in this run.
@@ -114,7 +119,7 @@ impl Record {
     }
 }
 
-/// Reads a complete series: rows of ascending steps up to step `last`.
+/// Reads a complete series: rows of ascending steps up to step `last`; `None` for the name of a phase.
 ///
 /// # Errors
 /// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the damaged position.
@@ -157,12 +162,18 @@ fn model_folders(folder: &Path, facts: &Facts) -> Vec<PathBuf> {
     }
 }
 
+/// Column of the mean of the first metric in `validation.csv`, counted from 0.
+pub const VALIDATION_MEAN: usize = 1;
+/// Column of the median of the first metric in `validation.csv`, counted from 0.
+pub const VALIDATION_MEDIAN: usize = 2;
+
 /// Reads the rows of `validation.csv` of a run, of several models their mean; empty without validations.
 pub(crate) fn read_validation(folder: &Path, facts: &Facts) -> Vec<Vec<Option<f64>>> {
     mean_series(model_folders(folder, facts).iter().map(|model| read_series(&model.join(VALIDATION))).collect())
 }
 
-/// Returns the mean of series with the same steps, number by number: of one series the series itself.
+/// Returns the mean of series with the same steps, number by number; `None` if it is missing in one. One series is returned as
+/// it is.
 fn mean_series(mut series: Vec<Vec<Vec<Option<f64>>>>) -> Vec<Vec<Option<f64>>> {
     if series.len() == 1 {
         return series.swap_remove(0);

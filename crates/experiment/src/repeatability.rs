@@ -35,7 +35,7 @@ use std::sync::atomic::AtomicBool;
 const CLOSEST: usize = 400;
 /// Smallest number of pairs for an estimate.
 const LEAST: usize = 20;
-/// Largest distance of these pairs, metres: spectra change within a fraction of a wavelength, which is 33 cm at 0.9 GHz
+/// Largest distance of the closest pairs, metres: spectra change within a fraction of a wavelength, which is 33 cm at 0.9 GHz
 /// and 5 cm at 6 GHz, so more distant pairs do not help the extrapolation.
 pub const REACH_M: f64 = 0.02;
 /// Number of measured pairs per range of larger distances.
@@ -125,12 +125,12 @@ impl<'a> PairComparison<'a> {
         Self { data, plane: data.plane(), metrics, stop }
     }
 
-    /// Measures the agreement of pairs of one `lag`: of the closest, and with `bins`, of some of every range of
+    /// Measures the agreement of the closest pairs of one `lag`; with `bins`, also of some pairs of every range of
     /// distances.
     fn measure(&self, lag: PairLag, bins: bool) -> Result<PairSimilarity> {
         let selected = SelectedPairs::select(self.data, lag, bins);
         let scored = self.score_pairs(&selected.pairs)?;
-        let metrics = scored.into_iter().map(|metric| selected.summarize(metric, lag, self.data.task())).collect();
+        let metrics = scored.into_iter().map(|metric| selected.summarise(metric, lag, self.data.task())).collect();
         let reach_m = selected.closest().last().map_or(0.0, |pair| pair.distance);
         Ok(PairSimilarity { closest: selected.closest, reach_m, metrics })
     }
@@ -139,13 +139,14 @@ impl<'a> PairComparison<'a> {
     /// per pair.
     fn score_pairs(&self, pairs: &[SamplePair]) -> Result<Vec<PairMetric>> {
         let itself = [self.data.image(0)];
-        let started = |m: Measurement| match m.values {
+        let open_metric = |m: Measurement| match m.values {
             Values::PerSample(best) if best.len() == 1 => {
                 Some(PairMetric { key: m.key, unit: m.unit, goal: m.goal, best: best[0], values: Vec::new() })
             }
             _ => None,
         };
-        let mut metrics: Vec<PairMetric> = self.evaluate(&itself, &itself)?.into_iter().filter_map(started).collect();
+        let mut metrics: Vec<PairMetric> =
+            self.evaluate(&itself, &itself)?.into_iter().filter_map(open_metric).collect();
         let size = (PIXELS / (self.data.width * self.data.height).max(1)).clamp(1, CHUNK);
         for chunk in pairs.chunks(size) {
             check_stopped(self.stop)?;
@@ -206,7 +207,7 @@ impl SelectedPairs {
     }
 
     /// Summarises one metric of the pairs: by distance, of unrelated pairs, and extrapolated to distance zero.
-    fn summarize(&self, metric: PairMetric, lag: PairLag, task: Task) -> MetricSimilarity {
+    fn summarise(&self, metric: PairMetric, lag: PairLag, task: Task) -> MetricSimilarity {
         let (PairMetric { key, unit, goal, best, values }, closest) = (metric, self.closest);
         let summary = |values: &[f64]| Summary::of(values, goal == Goal::Higher);
         let bin = |([from_m, to_m], range): &([f64; 2], Range<usize>)| {
@@ -231,8 +232,9 @@ fn ceiling_scores(task: Task, values: &[f64]) -> Vec<f64> {
     values.iter().map(|v| task.ceiling.share * v).collect()
 }
 
-/// Selects the pairs for the extrapolation, out of `pairs` of ascending distances. If the closest pairs have nearly
-/// equal distances, such as steps of a walk, they show no slope: a subset of all close pairs is used instead.
+/// Selects the pairs for the extrapolation, out of `pairs` of ascending distances. If the distances of the closest pairs
+/// differ by less than a factor of two, such as steps of a walk, they show no slope: a subset of all close pairs is used
+/// instead.
 fn select_closest(pairs: &[SamplePair]) -> Vec<SamplePair> {
     let within = &pairs[..pairs.partition_point(|pair| pair.distance <= REACH_M)];
     let first = &within[..within.len().min(CLOSEST)];
@@ -305,13 +307,14 @@ impl<'a> CeilingEstimator<'a> {
         Ok(NoiseCeiling { metrics: ceilings, notes })
     }
 
-    /// Returns the agreement of the closest pairs of one `lag`, which is measured once.
+    /// Returns the agreement of the closest pairs of one `lag`; measures it in the first call.
     fn similarity(&mut self, lag: PairLag) -> Result<&PairSimilarity> {
-        let known = self.measured.iter().position(|(other, _)| *other == lag);
-        let index = known.unwrap_or(self.measured.len());
-        if known.is_none() {
+        let index = if let Some(index) = self.measured.iter().position(|(other, _)| *other == lag) {
+            index
+        } else {
             self.measured.push((lag, self.comparison.measure(lag, false)?));
-        }
+            self.measured.len() - 1
+        };
         Ok(&self.measured[index].1)
     }
 }

@@ -7,10 +7,11 @@ use pwrfgs_model::{Ensemble, KnownLinks, Residuals};
 use pwrfgs_pipeline::Pipeline;
 use std::collections::BTreeMap;
 
-/// Returns an error if the residuals of a model of `pipeline` cannot be predicted: of one run, or `joined` of several runs.
+/// Checks that residuals can be fitted to the model of a run of `pipeline`, or to the `joined` model of several runs; passes
+/// without residuals.
 ///
 /// # Errors
-/// Folds of one run, or as [`check_data`](pwrfgs_model::Kriged::check_data).
+/// `folds` with a run of one model, or as [`check_data`](pwrfgs_model::Kriged::check_data).
 pub(crate) fn check_residuals(pipeline: &Pipeline, split: &SplitData, joined: bool) -> Result<()> {
     let Some(residuals) = &pipeline.residuals else { return Ok(()) };
     let is_folded = is_folded(pipeline);
@@ -26,8 +27,8 @@ pub(crate) fn is_folded(pipeline: &Pipeline) -> bool {
     pipeline.members > 1 || pipeline.residuals.as_ref().is_some_and(|residuals| residuals.folds)
 }
 
-/// Lists the parts of the known links that models left out: model k did not train on list k modulo their number. For
-/// `models` of a joined sweep with folds it is one list per model; without folds it is one list, the validation set.
+/// Lists the known links that models left out: model k did not train on list k modulo the number of lists. A joined sweep of
+/// `models` with folds has one list per model; without folds there is one list, the validation set.
 ///
 /// # Errors
 /// As [`Pipeline::partition`].
@@ -40,7 +41,8 @@ pub(crate) fn left_out_links(pipeline: &Pipeline, split: &SplitData, models: usi
     (0..parts).map(|index| Ok(pipeline.folded(index, parts).partition(&split.data)?.validation)).collect()
 }
 
-/// Returns the block of each of `links`, ascending: that of the split, or a cube of places if its blocks are single locations.
+/// Returns the number of the block of each of `links`, which are ascending: the block of the split, or a cube of space if all
+/// blocks of the split are single locations.
 fn label_blocks(pipeline: &Pipeline, SplitData { data, .. }: &SplitData, links: &[usize]) -> Vec<usize> {
     let of_split = pipeline.split.blocks(data, links);
     let location = |link: usize| data.links[link].location;

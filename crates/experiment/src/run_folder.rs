@@ -28,8 +28,8 @@ pub enum RunState {
 }
 
 impl RunState {
-    /// Reads scores and facts of the finished run in `path`; `None` if it must still be run or scored, or lacks the report
-    /// if `reported`.
+    /// Reads scores and facts of the finished run in `path`; `None` if it must still be run or scored, or if `reported` and
+    /// it has no report.
     ///
     /// # Errors
     /// Same as [`Facts::read`].
@@ -38,7 +38,7 @@ impl RunState {
         Ok(end.filter(|(_, facts)| facts.report || !reported))
     }
 
-    /// Reads the scores as [`Self::read_finished`] does, with all files verified.
+    /// Reads the scores as [`Self::read_finished`] does, with all files verified; `None` in the same cases.
     ///
     /// # Errors
     /// A damaged or missing file.
@@ -90,8 +90,8 @@ impl RunFolder {
     }
 
     /// Opens `run.json` for another start on the data, with the findings and, for a joined model, the members of `new`.
-    /// Replaces `pipeline.ron` if its baselines or metrics changed, or residuals were added. From now on the run counts as unfinished, since
-    /// earlier checksums and baselines may become invalid.
+    /// Replaces `pipeline.ron` if its baselines or metrics changed, or residuals were added. From now on the run counts as
+    /// unfinished, since earlier checksums and baselines may become invalid.
     ///
     /// The new `pipeline.ron` is locked before it is renamed, so that no other process can lock the folder in between.
     ///
@@ -182,14 +182,14 @@ fn compare_pipelines(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) 
         return Ok(RunState::Begun);
     }
     // Parsed and written again, so that new fields with defaults, or comments, do not count as differences.
-    let (theirs, ours, alike) = match input::parse_pipeline(theirs, file, &[]) {
-        Ok(theirs) => {
-            let ours = scored_as(ours, &theirs);
-            (theirs.essential().to_ron()?, ours.essential().to_ron()?, ours.to_ron()? == text)
+    let (their_text, our_text, is_scored_alike) = match input::parse_pipeline(theirs, file, &[]) {
+        Ok(earlier) => {
+            let rescored = scored_as(ours, &earlier);
+            (earlier.essential().to_ron()?, rescored.essential().to_ron()?, rescored.to_ron()? == text)
         }
         Err(_) => (theirs.to_owned(), ours.essential().to_ron()?, true),
     };
-    let differ = theirs.lines().zip(ours.lines()).enumerate().find(|(_, (a, b))| a != b);
+    let differ = their_text.lines().zip(our_text.lines()).enumerate().find(|(_, (a, b))| a != b);
     match differ {
         Some((line, (their_line, our_line))) => Err(Error::Config(format!(
             "{} holds a run of another pipeline: its {PIPELINE}:{} has `{}`, this one has `{}`; \
@@ -199,8 +199,8 @@ fn compare_pipelines(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) 
             strip_control(their_line).trim_end_matches(','),
             strip_control(our_line).trim_end_matches(',')
         ))),
-        None if theirs.lines().count() == ours.lines().count() => {
-            Ok(if alike { RunState::Begun } else { RunState::ScoredOtherwise })
+        None if their_text.lines().count() == our_text.lines().count() => {
+            Ok(if is_scored_alike { RunState::Begun } else { RunState::ScoredOtherwise })
         }
         None => Err(Error::Config(format!(
             "{} holds a run of another pipeline; choose another --out or remove the folder",

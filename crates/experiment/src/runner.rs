@@ -7,7 +7,7 @@ use crate::input::resolve_pipeline;
 use crate::journal::Journal;
 use crate::load::{ActiveRun, load_split_data, load_with_findings};
 use crate::partial_scores::PartialScores;
-use crate::record::{read_validation, series_column};
+use crate::record::{VALIDATION_MEAN, read_validation, series_column};
 use crate::residuals::check_residuals;
 use crate::run_folder::{RunFolder, RunState};
 use crate::scores::ScoreTable;
@@ -142,9 +142,10 @@ fn check_resumable(folder: &RunFolder, pipeline: &Pipeline, out: &Path) -> Resul
     Ok(())
 }
 
-/// States the step with the best validation in `rows`, if it was clearly better than the last: by more than a hundredth.
+/// States the step with the best validation in `rows`, the rows of `validation.csv`; `None` unless it was better than the last
+/// by more than a hundredth.
 fn best_step_note(rows: &[Vec<Option<f64>>], training: &Training, task: Task) -> Option<String> {
-    let values = series_column(rows, 1);
+    let values = series_column(rows, VALIDATION_MEAN);
     let (_, end) = *values.last()?;
     let best = values.iter().copied().reduce(|best, next| if is_better(task, next.1, best.1) { next } else { best });
     let (step, value) = best.filter(|(_, value)| (value - end).abs() > 0.01 * end.abs())?;
@@ -154,8 +155,8 @@ fn best_step_note(rows: &[Vec<Option<f64>>], training: &Training, task: Task) ->
 }
 
 impl<'a> ActiveRun<'a, '_> {
-    /// Completes training, unless the model exists, and scores the model. Without a trainer, it trains all members. The outcome is `Interrupted`
-    /// or `Unscored` if the session is stopped.
+    /// Completes training, unless the model exists, and scores the model. Without a trainer, it trains all members. The
+    /// outcome is `Interrupted` or `Unscored` if the session is stopped.
     fn complete(mut self, trainer: Option<Trainer<'a>>, folder: &RunFolder, mut facts: Facts) -> Result<RunOutcome> {
         let model = match trainer {
             Some(trainer) => self.train(trainer, folder, &mut facts)?.map(Ensemble::of),

@@ -12,6 +12,8 @@ use std::path::Path;
 
 /// Header for data with one receiver.
 const HEADER: &str = "id,x,y,z,split,nearest_train_m";
+/// Header for data with several receivers: a row is a link.
+const LINK_HEADER: &str = "link,id,receiver,x,y,z,split,nearest_train_m";
 
 /// Returns a key of the data and split of a pipeline: equal for pipelines with the same samples in each set.
 pub fn data_key(pipeline: &Pipeline) -> String {
@@ -20,8 +22,8 @@ pub fn data_key(pipeline: &Pipeline) -> String {
 
 /// Formats the content of `samples.csv`: id, x, y, z in metres (empty if unknown), split, and the distance to the
 /// nearest other transmitter with a link of `trained` in metres (empty if there is none). With several receivers a row is a link: its
-/// number, as in `scores.csv`, is the first column, and the receiver name follows the id. `intervals` are those of the
-/// test samples, which add columns; empty without intervals.
+/// number, as in `scores.csv`, is the first column, and the receiver name follows the id. `intervals` hold the further
+/// columns of each test sample, in the order of `partition.test`; empty without intervals.
 pub fn samples_csv(data: &Dataset, partition: &Partition, trained: &[usize], intervals: &[Vec<f64>]) -> String {
     let mut split = vec!["unused"; data.len()];
     for (part, name) in [(&partition.train, "train"), (&partition.validation, "validation"), (&partition.test, "test")]
@@ -35,9 +37,9 @@ pub fn samples_csv(data: &Dataset, partition: &Partition, trained: &[usize], int
     let task = data.task();
     let columns = task.intervals.iter().flat_map(|words| words.columns).filter(|_| !intervals.is_empty());
     let columns: Vec<&str> = columns.copied().collect();
-    let first = if many { "link,id,receiver,x,y,z,split,nearest_train_m" } else { HEADER };
+    let first = if many { LINK_HEADER } else { HEADER };
     let mut out = std::iter::once(first).chain(columns.iter().copied()).collect::<Vec<_>>().join(",") + "\n";
-    let of_test: BTreeMap<usize, &Vec<f64>> = partition.test.iter().copied().zip(intervals).collect();
+    let intervals_by_link: BTreeMap<usize, &Vec<f64>> = partition.test.iter().copied().zip(intervals).collect();
     for (i, ((sample, split), nearest)) in data.samples().zip(split).zip(nearest).enumerate() {
         let distance = if nearest.is_finite() && data.placed { nearest.to_string() } else { String::new() };
         let position = if data.placed { sample.position().map(|v| v.to_string()) } else { Default::default() };
@@ -48,8 +50,9 @@ pub fn samples_csv(data: &Dataset, partition: &Partition, trained: &[usize], int
             _ = write!(out, "{},", sample.id);
         }
         _ = write!(out, "{},{split},{distance}", position.join(","));
+        let interval = intervals_by_link.get(&i);
         for k in 0..columns.len() {
-            _ = write!(out, ",{}", of_test.get(&i).map_or_else(String::new, |interval| interval[k].to_string()));
+            _ = write!(out, ",{}", interval.map_or_else(String::new, |interval| interval[k].to_string()));
         }
         out.push('\n');
     }

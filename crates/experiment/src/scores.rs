@@ -14,7 +14,7 @@ use std::str::FromStr;
 
 /// Name of the noise ceiling in every table; it is not ranked.
 pub const CEILING: &str = "ceiling (repeatability)";
-/// Level of the intervals in notes and in `samples.csv`.
+/// Level of the intervals in `samples.csv` and in notes, which print it as 90 %.
 pub(crate) const LEVEL: f64 = 0.9;
 /// Name of the trained model in every table.
 pub const MODEL: &str = "model";
@@ -131,7 +131,7 @@ impl IntervalScores {
         })
     }
 
-    /// Describes the intervals of level 0.9, and compares their width with those of the `model`.
+    /// Describes the intervals of [`LEVEL`], and compares their width with that of the intervals of the `model`.
     pub(crate) fn note(&self, task: Task, model: &Self) -> String {
         let Self { predictor, blocks: [calibration, test], levels } = self;
         let Some(LevelScores { coverage, width, ssim, .. }) = levels.iter().find(|scores| scores.level == LEVEL) else {
@@ -164,8 +164,8 @@ impl ScoreCell {
         }
     }
 
-    /// Returns mean, median and 10th percentile (90th for errors) of per-sample values, or the value of a whole model; empty if the metric
-    /// is not applicable.
+    /// Returns mean, median and 10th percentile (90th for errors) of per-sample values, or the value of a whole model;
+    /// empty if the metric is not applicable.
     pub fn numbers(&self) -> Vec<f64> {
         match self {
             Self::Samples(Summary { mean, median, tail10 }) => vec![*mean, *median, *tail10],
@@ -321,10 +321,11 @@ impl Scores {
     /// Reads `scores.csv` in `path` with its summary `table`.
     ///
     /// # Errors
-    /// [`pwrfgs_core::Error::Input`] with the line if the file is damaged, or `table` belongs to other scores.
+    /// [`pwrfgs_core::Error::Read`]; [`pwrfgs_core::Error::Input`] with the line if the file is damaged, or `table` belongs to
+    /// other scores.
     pub fn read(path: &Path, table: ScoreTable) -> Result<Self> {
         let mut scores = Self { table, ..Self::default() };
-        let (rows, mut line) = (read_csv_rows::<ScoreRow>(path)?, 2);
+        let (rows, mut line) = (read_csv_rows::<ScoreRow>(path)?, 2); // line 1 is the header
         for group in rows.chunk_by(|a, b| (&a.predictor, &a.metric) == (&b.predictor, &b.metric)) {
             // A metric that is listed twice has its samples twice.
             let again = group[1..].iter().position(|row| row.sample == group[0].sample);

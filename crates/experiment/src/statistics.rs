@@ -139,7 +139,7 @@ impl Difference {
     }
 }
 
-/// Draws one of `indices` fewer than there are, with replacement; a single one is returned.
+/// Draws n−1 of n `indices`, with replacement; returns a single index as it is.
 fn draw_indices(random: &mut Rng, indices: &[usize]) -> Vec<usize> {
     let count = indices.len().saturating_sub(1).max(1);
     repeat_with(|| indices[rng::below(random, indices.len())]).take(count).collect()
@@ -158,7 +158,7 @@ fn crossed_mean(cells: &[&[BlockSum]], seeds: &[usize], blocks: &[usize]) -> Opt
     (count > 0).then(|| sum / f64::from(count))
 }
 
-/// Smallest number of cubes with test transmitters.
+/// Smallest number of cubes with test transmitters, for a bootstrap.
 const WANTED: usize = 30;
 /// Limit of the edge, as a divisor of the room size.
 const FINEST: u32 = 256;
@@ -182,10 +182,10 @@ impl Blocks {
     /// Creates the blocks of test samples from their positions by id, metres. If any position is unknown, each sample
     /// is a block.
     pub fn new(positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Self {
-        let all_known: Option<_> = positions.iter().map(|(id, position)| Some((*id, (*position)?))).collect();
+        let complete: Option<_> = positions.iter().map(|(id, position)| Some((*id, (*position)?))).collect();
         let single =
             || Self { edge_m: None, count: positions.len(), by_id: positions.keys().copied().zip(0..).collect() };
-        all_known.map_or_else(single, |positions| Self::with_cubes(&positions))
+        complete.map_or_else(single, |positions| Self::with_cubes(&positions))
     }
 
     /// Creates cubes with the largest edge that leaves [`WANTED`] cubes; all `positions` are known.

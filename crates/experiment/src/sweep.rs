@@ -1,9 +1,9 @@
 //! Sweeps: many runs from one experiment file, in one folder, on one machine or many.
 //!
 //! `experiment.rs` reads the file, `plan.rs` creates all runs, `check.rs` determines their state and tests
-//! unfinished runs before the first starts. [`SweepPlan::execute`] performs them, several at once, each with its own threads; with
-//! `join: true` it combines all models into one that predicts their mean. All state is in the run folders, so the same
-//! command resumes after any interruption.
+//! unfinished runs before the first starts. [`SweepPlan::execute`] performs them, several at once, each with its own
+//! threads; with `join: true` it combines all models into one that predicts their mean. All state is in the run folders,
+//! so the same command resumes after any interruption.
 
 mod check;
 mod experiment;
@@ -27,6 +27,7 @@ use pwrfgs_core::{Error, Result};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::Mutex;
@@ -83,17 +84,7 @@ fn perform_run(plan: &SweepPlan, index: usize, session: &mut Session<'_>) -> Res
     plan.remove_failure(index);
     // A panic is a bug in one run, for example of a plugin; the other runs are unaffected.
     let work = || run(pipeline, Path::new(""), &folder, session);
-    let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
-        // A plugin unwinds with an error from methods that cannot return one.
-        Err(panic.downcast::<Error>().map_or_else(
-            |panic| {
-                let text = panic.downcast_ref::<String>().map(String::as_str);
-                let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
-                Error::Config(format!("the program panicked: {text}"))
-            },
-            |error| *error,
-        ))
-    });
+    let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| Err(panic_error(panic)));
     // Another process may have claimed it meanwhile.
     if let Err(error) = &outcome
         && !matches!(error, Error::Busy(_))
@@ -102,6 +93,18 @@ fn perform_run(plan: &SweepPlan, index: usize, session: &mut Session<'_>) -> Res
         _ = plan.store_failure(index, &error.to_string());
     }
     outcome
+}
+
+/// Converts the payload of a panic to an error: that of a plugin, which unwinds with an error from methods that cannot return
+/// one, or the message of the panic.
+fn panic_error(panic: Box<dyn Any + Send>) -> Error {
+    let panic = match panic.downcast::<Error>() {
+        Ok(error) => return *error,
+        Err(panic) => panic,
+    };
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
+    Error::Config(format!("the program panicked: {text}"))
 }
 
 /// Joins the models of a plan with `join: true` in the folder [`JOINED`] and scores the result. Returns `None` if the

@@ -11,7 +11,7 @@ use crate::folder::{
 };
 use crate::journal::Journal;
 use crate::load::{ActiveRun, SplitData};
-use crate::record::{read_series, series_column};
+use crate::record::{VALIDATION_MEAN, read_series, series_column};
 use crate::run_folder::RunFolder;
 use crate::session::{NoopObserver, Session, Start, Validation, run_stage};
 use crate::statistics::Summary;
@@ -28,7 +28,7 @@ use std::time::Instant;
 /// than they do. An estimate, not measured on a GPU.
 const FEW_GAUSSIANS: usize = 1000;
 
-/// Describes a GPU without effect, or with little, after a step with N Gaussians; nothing on the CPU.
+/// Describes a GPU without effect, or with little, after a step with N Gaussians; empty without a GPU.
 pub(crate) fn device_warnings(n: usize) -> Vec<String> {
     let Some(name) = device::name() else { return Vec::new() };
     if !device::is_used() {
@@ -173,7 +173,7 @@ impl Training<'_, '_, '_> {
             trainer.warnings().iter().for_each(|warning| self.warn(warning));
             self.write_snapshot(START_SNAPSHOT, 0)?;
         }
-        // The event file of an earlier start has the same events, so it needs no separate checkpoint.
+        // The snapshot of an earlier start holds the largest number so far, so the checkpoint need not store it.
         let unpruned = Snapshot::read(&self.folder.file(UNPRUNED_SNAPSHOT))?;
         self.most_gaussians = unpruned.map_or(0, |snapshot| snapshot.means.len());
         Ok(())
@@ -257,7 +257,7 @@ impl Training<'_, '_, '_> {
             let n = model.cloud.len();
             self.warn(&format!("nothing was pruned: {n} Gaussians remain, and no pruner has removed any"));
         }
-        let warnings = self.trainer.idle_masks().into_iter().chain(self.trainer.lone_gaussian());
+        let warnings = self.trainer.idle_masks_warning().into_iter().chain(self.trainer.lone_gaussian_warning());
         warnings.for_each(|warning| self.warn(&warning));
         file::write(&self.folder.file(MODEL_FILE), &model)?;
         Ok(model)
@@ -284,8 +284,8 @@ pub(crate) fn is_better(task: Task, value: f64, other: f64) -> bool {
 
 /// Returns the best mean of the validations in `rows` after step `from`; `None` without one.
 fn best_value(rows: &[Vec<Option<f64>>], from: u64, task: Task) -> Option<f64> {
-    let values = series_column(rows, 1).into_iter().filter(|(step, _)| *step > from as f64).map(|(_, value)| value);
-    values.reduce(|best, value| if is_better(task, value, best) { value } else { best })
+    let late = series_column(rows, VALIDATION_MEAN).into_iter().filter(|(step, _)| *step > from as f64);
+    late.map(|(_, value)| value).reduce(|best, value| if is_better(task, value, best) { value } else { best })
 }
 
 /// Scores the samples `part`: mean and median of the first metric, then the mean of the second metric, or the tail

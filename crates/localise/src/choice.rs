@@ -73,15 +73,9 @@ impl ComparedSamples<'_> {
             descends: false,
         };
         let all: Vec<Choice> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| settings((s, b)))).collect();
-        let densities = |(near, ValidationSample { position: [x, y, _], .. }): (&NearestList, &ValidationSample)| {
-            let per_sharpness = all.chunks(BANDWIDTHS.len()).flat_map(|choices| {
-                let mut density = choices[0].density(near, positions);
-                choices.iter().map(move |choice| {
-                    density.bandwidth = choice.bandwidth;
-                    density.value_at([*x, *y]).ln()
-                })
-            });
-            per_sharpness.collect()
+        let densities = |(near, sample): (&NearestList, &ValidationSample)| {
+            let per_sharpness = all.chunks(BANDWIDTHS.len());
+            per_sharpness.flat_map(|choices| log_densities(choices, near, positions, sample.position)).collect()
         };
         let densities: Vec<Vec<f64>> = nearest.par_iter().zip(samples).map(densities).collect();
         let score = |k: usize| mean(densities.iter().map(|values| values[k]));
@@ -114,6 +108,17 @@ impl Choice {
         let weight = |m: f32| if least.is_finite() { (-gain * (f64::from(m) - least)).exp() } else { 1.0 };
         Density::new(near.iter().map(|(k, m)| (weight(*m), positions[*k as usize])).collect(), self.bandwidth)
     }
+}
+
+/// Returns the log density at a position for each of `choices`, which differ in the kernel width only; `near` and `positions`
+/// as in [`Choice::density`].
+fn log_densities(choices: &[Choice], near: &[(u32, f32)], positions: &[[f64; 3]], [x, y, _]: [f64; 3]) -> Vec<f64> {
+    let mut density = choices[0].density(near, positions);
+    let log_density = |choice: &Choice| {
+        density.bandwidth = choice.bandwidth;
+        density.value_at([x, y]).ln()
+    };
+    choices.iter().map(log_density).collect()
 }
 
 /// Returns the least misfit; infinite without any.

@@ -1,6 +1,8 @@
 //! Descent to the least value of a function of a position, by quasi-Newton steps (BFGS).
 
+/// Largest number of steps.
 const STEPS: usize = 20;
+/// Number of lengths of a step that are tried, each half of the one before.
 const HALVINGS: usize = 8;
 /// Relative decrease below which the descent ends.
 const END: f64 = 1e-4;
@@ -9,7 +11,7 @@ const ENOUGH: f64 = 1e-4;
 
 /// Returns the position of the least value that the descent from `start` finds, and this value. `scales` are the lengths
 /// along the axes over which the function is expected to change, metres; no step is longer. `function` returns value and
-/// gradient. `None` if it has no gradient.
+/// gradient. `None` if `function` returns `None`, for lack of a gradient.
 pub(crate) fn descend(
     start: [f64; 3],
     scales: [f64; 3],

@@ -10,6 +10,34 @@ use std::collections::BTreeMap;
 /// Number of degrees of freedom of the mean variance of all links in the variance of a link.
 const PRIOR: f32 = 3.0;
 
+/// Readings of a feature at a position.
+#[derive(Clone, Copy)]
+struct Readings {
+    /// Number of readings n.
+    count: f32,
+    mean: f32,
+    /// Sum of squared deviations from the mean.
+    squares: f32,
+}
+
+impl Readings {
+    /// Adds a reading (Welford, 1962).
+    fn add(&mut self, value: f32) {
+        self.count += 1.0;
+        let deviation = if self.count == 1.0 { 0.0 } else { value - self.mean };
+        self.mean = if self.count == 1.0 { value } else { self.mean + deviation / self.count };
+        self.squares += deviation * (value - self.mean);
+    }
+
+    /// Returns the weight of a squared difference from the mean, 1 for a single reading: inverse to v (1 + 1/n), the variance of
+    /// the difference between the mean and a new reading. v is the variance of these readings, drawn to the `variance` of
+    /// all links.
+    fn weight(&self, variance: f32) -> f32 {
+        let drawn = (PRIOR * variance + self.squares) / (PRIOR + self.count - 1.0);
+        if self.count > 1.0 { 2.0 * variance / (drawn * (1.0 + 1.0 / self.count)) } else { 1.0 }
+    }
+}
+
 /// Features at K positions, structure of arrays. NaN stands for an unknown value.
 #[derive(Clone, Debug, Default)]
 pub struct Fingerprints {
@@ -17,8 +45,8 @@ pub struct Fingerprints {
     pub positions: Vec<[f64; 3]>,
     /// Features `[K, D]`: those of all receivers, one after another.
     values: Vec<f32>,
-    /// Weights of squared differences from the features, `[K, D]`, or `[D]` of all positions: smaller where repeated readings of a
-    /// link spread.
+    /// Weights of squared differences from the features, `[K, D]`, or `[D]` for all positions; smaller if repeated readings of
+    /// a link spread.
     weights: Vec<f32>,
     /// Number of features D.
     width: usize,
@@ -29,7 +57,7 @@ const LINKS: usize = 512;
 /// Largest number of values of the predictions of one call.
 const VALUES: usize = 1 << 21;
 /// Number of positions whose features are held at a time.
-const PLACES: usize = 512;
+const CHUNK: usize = 512;
 
 /// Builder of the fingerprints of transmitters of a data set.
 pub(crate) struct FingerprintBuilder<'a> {
@@ -45,17 +73,17 @@ impl FingerprintBuilder<'_> {
         self.measured_at(&transmitters.iter().map(|t| vec![*t]).collect::<Vec<_>>())
     }
 
-    /// Returns the measured fingerprints of `places` of [`Self::places`].
-    pub(crate) fn measured_at(&self, places: &[Vec<usize>]) -> Fingerprints {
-        self.build(places, |links| {
+    /// Returns the measured fingerprints of `groups` of [`Self::group_by_position`].
+    pub(crate) fn measured_at(&self, groups: &[Vec<usize>]) -> Fingerprints {
+        self.build(groups, |links| {
             links.par_iter().map(|link| self.features.extract(&self.data.image(*link))).collect()
         })
     }
 
-    /// Returns the predicted fingerprints of `places`, for the same links as [`Self::measured_at`]; `done` gets the number of
+    /// Returns the predicted fingerprints of `groups`, for the same links as [`Self::measured_at`]; `done` gets the number of
     /// links of each call of the model.
-    pub(crate) fn predicted(&self, places: &[Vec<usize>], model: &dyn Predict, done: impl Fn(usize)) -> Fingerprints {
-        self.build(places, |links| {
+    pub(crate) fn predicted(&self, groups: &[Vec<usize>], model: &dyn Predict, done: impl Fn(usize)) -> Fingerprints {
+        self.build(groups, |links| {
             let predict = |links: &[usize]| {
                 let images = model.predict_many(&self.data.queries(links));
                 done(links.len());
@@ -72,59 +100,53 @@ impl FingerprintBuilder<'_> {
 
     /// Groups `transmitters` by position, so that repeated readings of powers make one fingerprint. Other observations stay
     /// alone.
-    pub(crate) fn places(&self, transmitters: &[usize]) -> Vec<Vec<usize>> {
-        let (mut places, mut known): (Vec<Vec<usize>>, _) = (Vec::new(), BTreeMap::new());
+    pub(crate) fn group_by_position(&self, transmitters: &[usize]) -> Vec<Vec<usize>> {
+        let (mut groups, mut indices): (Vec<Vec<usize>>, _) = (Vec::new(), BTreeMap::new());
         for &t in transmitters {
-            let place = *known.entry(self.data.locations[t].position().map(f64::to_bits)).or_insert(places.len());
-            match places.get_mut(place).filter(|_| self.data.task().is_scalar) {
+            let index = *indices.entry(self.data.locations[t].position().map(f64::to_bits)).or_insert(groups.len());
+            match groups.get_mut(index).filter(|_| self.data.task().is_scalar) {
                 Some(repeated) => repeated.push(t),
-                None => places.push(vec![t]),
+                None => groups.push(vec![t]),
             }
         }
-        places
+        groups
     }
 
-    /// Creates the fingerprints of `places`, the mean of all readings of each link; `link_features` returns the features of
-    /// some readings. The variance of the difference between a mean of n readings and a new one, v (1 + 1/n), relative to that of a link
-    /// with one reading, divides the weight of a feature; v is the variance of the link, drawn to that of all links.
-    fn build(&self, places: &[Vec<usize>], link_features: impl Fn(&[usize]) -> Vec<Vec<f32>>) -> Fingerprints {
+    /// Creates one fingerprint per group of transmitters: the mean of all readings of each link, weighted by
+    /// [`Readings::weight`]. `link_features` returns the features of links.
+    fn build(&self, groups: &[Vec<usize>], link_features: impl Fn(&[usize]) -> Vec<Vec<f32>>) -> Fingerprints {
         let (data, count) = (self.data, self.features.count());
         let missing = if self.floor.is_finite() { self.floor } else { f32::NAN };
         let width = count * data.scene.receivers.len();
-        // Number of readings, their mean and the sum of squared deviations, by feature.
         let row = |links: &[usize], features: &[Vec<f32>]| {
-            let mut row = vec![(0.0, missing, 0.0); width];
+            let mut row = vec![Readings { count: 0.0, mean: missing, squares: 0.0 }; width];
             for (link, values) in links.iter().zip(features) {
-                let features = &mut row[data.links[*link].receiver * count..][..count];
-                for ((n, mean, squares), value) in features.iter_mut().zip(values.iter().copied()) {
-                    *n += 1.0;
-                    let deviation = if *n == 1.0 { 0.0 } else { value - *mean };
-                    *mean = if *n == 1.0 { value } else { *mean + deviation / *n };
-                    *squares += deviation * (value - *mean);
-                }
+                let readings = &mut row[data.links[*link].receiver * count..][..count];
+                readings.iter_mut().zip(values).for_each(|(readings, value)| readings.add(*value));
             }
             row
         };
-        let mut rows: Vec<(f32, f32, f32)> = Vec::with_capacity(places.len() * width);
-        for places in places.chunks(PLACES) {
-            let links: Vec<Vec<usize>> = places.iter().map(|place| data.links_of(place)).collect();
+        let mut rows: Vec<Readings> = Vec::with_capacity(groups.len() * width);
+        for chunk in groups.chunks(CHUNK) {
+            let links: Vec<Vec<usize>> = chunk.iter().map(|group| data.links_of(group)).collect();
             let features = link_features(&links.concat());
-            let mut features = features.as_slice();
+            let mut rest = features.as_slice();
             for links in &links {
-                let (own, rest) = features.split_at(links.len());
-                rows.extend(row(links, own));
-                features = rest;
+                let (features, after) = rest.split_at(links.len());
+                rows.extend(row(links, features));
+                rest = after;
             }
         }
-        let repeated = || rows.iter().filter(|(n, ..)| *n > 1.0);
-        let variance = repeated().map(|row| row.2).sum::<f32>() / repeated().map(|row| row.0 - 1.0).sum::<f32>();
-        let weight = |&(n, _, squares): &(f32, f32, f32)| {
-            let own = (PRIOR * variance + squares) / (PRIOR + n - 1.0);
-            if n > 1.0 { 2.0 * variance / (own * (1.0 + 1.0 / n)) } else { 1.0 }
+        let repeated = || rows.iter().filter(|readings| readings.count > 1.0);
+        let degrees = repeated().map(|readings| readings.count - 1.0).sum::<f32>();
+        let variance = repeated().map(|readings| readings.squares).sum::<f32>() / degrees;
+        let weights = if variance > 0.0 {
+            rows.iter().map(|readings| readings.weight(variance)).collect()
+        } else {
+            vec![1.0; width]
         };
-        let weights = if variance > 0.0 { rows.iter().map(weight).collect() } else { vec![1.0; width] };
-        let positions = places.iter().map(|place| data.locations[place[0]].position()).collect();
-        Fingerprints { positions, values: rows.into_iter().map(|row| row.1).collect(), weights, width }
+        let positions = groups.iter().map(|group| data.locations[group[0]].position()).collect();
+        Fingerprints { positions, values: rows.iter().map(|readings| readings.mean).collect(), weights, width }
     }
 }
 
@@ -242,7 +264,7 @@ impl NearestFingerprints {
     /// the power of a receiver that did not receive a transmitter, dBm.
     pub fn fit(data: &Dataset, links: FittingSet<'_>, features: &FingerprintFeatures, floor: f32) -> Self {
         let builder = FingerprintBuilder { data, features, floor };
-        let fingerprints = builder.measured_at(&builder.places(&data.locations_of(links.train)));
+        let fingerprints = builder.measured_at(&builder.group_by_position(&data.locations_of(links.train)));
         let truths = builder.measured(&evenly(&data.locations_of(links.validation), MOST_SAMPLES));
         let mut best = Self { fingerprints, k: 1 };
         if !truths.is_empty() {
@@ -335,8 +357,8 @@ mod tests {
         let features = FingerprintFeatures::new(&data, &[0]);
         let builder = FingerprintBuilder { data: &data, features: &features, floor: -80.0 };
         let (model, done) = (Recorded(std::sync::Mutex::default()), std::cell::RefCell::new(Vec::new()));
-        let places = builder.places(&(0..1_100).collect::<Vec<_>>());
-        let predicted = builder.predicted(&places, &model, |links| done.borrow_mut().push(links));
+        let groups = builder.group_by_position(&(0..1_100).collect::<Vec<_>>());
+        let predicted = builder.predicted(&groups, &model, |links| done.borrow_mut().push(links));
         assert_eq!((done.into_inner(), model.0.into_inner().unwrap()), (vec![512, 512, 76], vec![512, 512, 76]));
         assert!((0..1_100).all(|k| predicted.row(k) == [(k as Real).sin() as f32]));
     }
@@ -353,9 +375,9 @@ mod tests {
         let data = Dataset::of_links("hall", receivers, vec![], &samples, powers.into()).unwrap();
         let features = FingerprintFeatures::new(&data, &[0, 1]);
         let builder = FingerprintBuilder { data: &data, features: &features, floor: -80.0 };
-        let places = builder.places(&[0, 1, 2, 3]);
-        assert_eq!(places, [vec![0, 1, 2], vec![3]]);
-        let joined = builder.measured_at(&places);
+        let groups = builder.group_by_position(&[0, 1, 2, 3]);
+        assert_eq!(groups, [vec![0, 1, 2], vec![3]]);
+        let joined = builder.measured_at(&groups);
         assert_eq!((joined.row(0), joined.row(1)), (&[-51.0, -65.0][..], &[-80.0, -80.0][..]));
         // Squared deviations 6 of three readings and 50 of two: 56/3 of all links, and of each link, drawn to it.
         let variance = 56.0 / 3.0;

@@ -6,10 +6,12 @@
 //! observation [D] ── misfits [K] ── weights exp(-s·misfit/scale) ── density over the floor ── level ─► region, in parts
 //!                                           mode of the most probable part ── descent along the model ─► position
 //! ```
-//! All choices use at most 1,000 samples of the validation set: the share of the model in the fingerprints, the sharpness s and the kernel width by
-//! the density at the true positions, the kernel width of the mode and whether to descend by the mean error, and the level
-//! of the region. The level holds nine of ten validation samples (the rank of split conformal prediction). That
-//! is no guarantee for new samples, because the same samples choose the other settings.
+//! All choices use at most 1,000 samples of the validation set:
+//!
+//! * The density at the true positions chooses the sharpness s and the kernel width.
+//! * The mean error chooses the share of the model in the fingerprints, the kernels of the mode and whether to descend.
+//! * The level of the region holds nine of ten validation samples (the rank of split conformal prediction). That is no
+//!   guarantee for new samples, because the same samples choose the other settings.
 
 mod choice;
 mod descent;
@@ -29,7 +31,7 @@ use pwrfgs_core::statistics::{mean, median};
 /// Maximum number of validation samples that choose settings and calibrate regions; of more, evenly spaced ones.
 pub const MOST_SAMPLES: usize = 1_000;
 
-/// Returns the mean distance and the median distance of pairs of positions, metres; NaN without pairs.
+/// Returns the mean and the median of position errors, metres; NaN without errors.
 pub fn mean_and_median(errors: Vec<f64>) -> [f64; 2] {
     [mean(errors.iter().copied()), median(errors)]
 }

@@ -91,7 +91,6 @@ impl<'a> Locator<'a> {
         progress: Progress<'_>,
     ) -> Result<Self> {
         check_locatable(data)?;
-        let train = data.locations_of(links.train);
         let validation = evenly(&data.locations_of(links.validation), MOST_SAMPLES);
         let without = if validation.is_empty() { None } else { model.without(links.validation) };
         let used = without.as_deref().unwrap_or(model);
@@ -99,22 +98,15 @@ impl<'a> Locator<'a> {
         let weakest = |powers: &[Real]| links.train.iter().map(|i| powers[*i] as f32).fold(f32::INFINITY, f32::min);
         let floor = data.observations.powers().map_or(f32::NEG_INFINITY, weakest);
         let builder = FingerprintBuilder { data, features: &features, floor };
-        let places = builder.places(&train);
-        let measured = builder.measured_at(&places);
+        let groups = builder.group_by_position(&data.locations_of(links.train));
+        let measured = builder.measured_at(&groups);
         let is_used = |share: &f32| *share > 0.0;
         let total = links.train.len() + EFFORT * shares.len() * validation.len();
         let count = AtomicUsize::new(0);
         let work = |more: usize| progress(count.fetch_add(more, Ordering::Relaxed) + more, total);
-        let predicted = shares.iter().any(is_used).then(|| builder.predicted(&places, used, work));
-        let samples = builder.measured(&validation);
-        let sample =
-            |k: usize| ValidationSample { observation: samples.row(k).to_vec(), position: samples.positions[k] };
-        let samples: Vec<ValidationSample> = (0..samples.len()).map(sample).collect();
+        let predicted = shares.iter().any(is_used).then(|| builder.predicted(&groups, used, work));
+        let samples = validation_samples(&builder.measured(&validation));
         let spacing = half_spacing(&measured.positions);
-        let to_training = |sample: &ValidationSample| {
-            measured.positions.iter().map(|position| distance(*position, sample.position)).fold(f64::INFINITY, f64::min)
-        };
-        let validation_distance = median(samples.iter().map(to_training));
         let mut locator = Self {
             features,
             model,
@@ -126,7 +118,7 @@ impl<'a> Locator<'a> {
             spacing,
             area: None,
             validation: samples.len(),
-            validation_distance,
+            validation_distance: median_distance(&samples, &measured.positions),
             level: None,
         };
         let error = locator.choose_share(shares, &measured, predicted.as_ref(), &samples, &|| work(EFFORT))?;
@@ -371,6 +363,20 @@ fn check_locatable(data: &Dataset) -> Result<()> {
         return Ok(());
     };
     Err(Error::Config(format!("{}: {problem}", data.title)))
+}
+
+/// Returns the validation samples with these `fingerprints`.
+fn validation_samples(fingerprints: &Fingerprints) -> Vec<ValidationSample> {
+    let rows = fingerprints.positions.iter().enumerate();
+    rows.map(|(k, &position)| ValidationSample { observation: fingerprints.row(k).to_vec(), position }).collect()
+}
+
+/// Returns the median distance of a sample to the nearest of `positions`, metres; NaN without samples.
+fn median_distance(samples: &[ValidationSample], positions: &[[f64; 3]]) -> f64 {
+    let nearest = |sample: &ValidationSample| {
+        positions.iter().map(|position| distance(*position, sample.position)).fold(f64::INFINITY, f64::min)
+    };
+    median(samples.iter().map(nearest))
 }
 
 /// Returns half the median distance of a position to its nearest neighbour, metres; at least 0.1 mm.

@@ -34,7 +34,8 @@ impl Density {
         Self { kernels, bandwidth }
     }
 
-    /// Returns the weights with 1/(1 + r²) at a point for each kernel, with r the horizontal distance in kernel widths.
+    /// Returns the weight of each kernel, its closeness 1/(1 + r²) to a point, and its position; r is the horizontal distance in
+    /// kernel widths.
     fn closeness(&self, [x, y]: [f64; 2]) -> impl Iterator<Item = (f64, f64, &[f64; 3])> {
         let scale = 1.0 / (self.bandwidth * self.bandwidth);
         self.kernels.iter().map(move |(w, p)| {
@@ -136,8 +137,8 @@ impl Grid<'_> {
         point.map(|v| (v / self.step).floor() as i64)
     }
 
-    /// Returns the density at the centres of the cells from `low` to `high`, row by row, relative to [`Self::highest`]. A row at a
-    /// time in 32 bits, for vector instructions; a value does not depend on the other cells.
+    /// Returns the density at the centres of the cells from `low` to `high`, row by row, relative to [`Self::highest`]. It sums
+    /// one row at a time in 32 bits, for vector instructions; a value does not depend on the other cells.
     fn values(&self, low: [i64; 2], high: [i64; 2]) -> Vec<f32> {
         let (columns, rows) = ((high[0] - low[0] + 1) as usize, (high[1] - low[1] + 1) as usize);
         let (mut across, mut values) = (vec![0.0_f32; columns], vec![0.0_f32; columns * rows]);
@@ -286,7 +287,7 @@ impl Region {
         [x + column as f64 * self.step, y + row as f64 * self.step]
     }
 
-    /// Returns the region without the density, which only a picture needs.
+    /// Returns the region without the density, which only an image needs.
     #[must_use]
     pub fn without_values(mut self) -> Self {
         self.values = Vec::new();

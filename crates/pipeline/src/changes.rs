@@ -116,7 +116,7 @@ pub(crate) fn line_and_column(text: &str, at: usize) -> (usize, usize) {
     (line, before.chars().rev().take_while(|c| *c != '\n').count() + 1)
 }
 
-/// Returns the first 200 characters of a text without control characters: an argument can be a whole file.
+/// Returns the first [`LONGEST`] characters of a text, control characters replaced: an argument can be a whole file.
 pub(crate) fn shortened(text: &str) -> String {
     let printable = |c: char| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c };
     let short: String = text.chars().take(LONGEST).map(printable).collect();

@@ -15,7 +15,7 @@ macro_rules! plugins {
     };
 }
 
-/// Returns the number of models of a run.
+/// Returns the default number of models of a run.
 pub fn members() -> usize {
     1
 }
@@ -25,7 +25,7 @@ pub fn split() -> Plugin<dyn Split> {
     Plugin::from(Box::new(Official::default()) as Box<dyn Split>)
 }
 
-/// Returns the initializer of a method without Gaussians.
+/// Returns the initialiser of a method without Gaussians, the default.
 pub fn initializer() -> Plugin<dyn Initializer> {
     Plugin::from(Box::new(NoGaussians::default()) as Box<dyn Initializer>)
 }

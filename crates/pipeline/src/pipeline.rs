@@ -9,7 +9,7 @@ use pwrfgs_core::{
 use pwrfgs_data::Fold;
 use pwrfgs_methods::{Calibration, Readout, SplattedChannel, Splatting};
 use pwrfgs_model::{Kriged, Stages};
-use pwrfgs_train::{Training, TrainingPlan};
+use pwrfgs_train::{Trainer, Training, TrainingPlan};
 use serde::{Deserialize, Serialize};
 
 /// Largest number of parts of the known samples that models of a run leave out.
@@ -61,8 +61,9 @@ pub struct Pipeline {
     #[serde(default)]
     pub training: Checked<Training>,
     /// Number of models, 1 to 100. Several are trained one after another, with seeds from `seed` on; each leaves out a
-    /// part of the training and validation sets, in blocks of the split: its own, or one of four. Their mean predicts, and residuals and intervals
-    /// are fitted to the left-out parts, so the split needs no `validation` share. The time is that of all models.
+    /// part of the training and validation sets, in blocks of the split: its own, or one of four. Their mean predicts, and
+    /// residuals and intervals are fitted to the left-out parts, so the split needs no `validation` share. The time is that of
+    /// all models.
     #[serde(default = "defaults::members")]
     pub members: usize,
     /// Gaussian process that predicts the residuals of the trained model, such as `Kriged()`; without it, the model
@@ -135,6 +136,50 @@ impl Pipeline {
         }
     }
 
+    /// Returns the training plan, with `training.scale` applied.
+    ///
+    /// # Errors
+    /// Same as [`Self::resolved`].
+    pub fn plan(&self) -> Result<TrainingPlan> {
+        self.resolved().map(|resolved| resolved.unscaled_plan())
+    }
+
+    /// Creates a trainer before its first step.
+    ///
+    /// # Errors
+    /// Errors of [`Self::plan`] and [`Trainer::new`].
+    pub fn trainer<'a>(&self, data: &'a Dataset, partition: &Partition) -> Result<Trainer<'a>> {
+        Trainer::new(&self.plan()?, data, partition)
+    }
+
+    /// Returns the pipeline with `training.scale` applied: multiplies all numbers of steps by it; if it is below 1, shortens
+    /// the pruners by [`Pruner::shortened`], which raises mask learning rates up to a limit.
+    ///
+    /// # Errors
+    /// [`Error::Config`] if training ends before the last prune step, since the scores would be those of an unpruned model; if
+    /// the scaled settings are invalid; or if the shortened pruners do not fit the other settings.
+    pub fn resolved(&self) -> Result<Self> {
+        let training = self.training.resolved();
+        let (steps, until) = (training.steps, training.prune_until);
+        if !self.pruners.is_empty() && until > steps {
+            return Err(Error::Config(format!(
+                "training: it ends after step {steps}, but the pruners are at work until step {until} (`prune_until`), so \
+                 the model would be scored unpruned; for a shorter training in the same proportions leave `steps` alone \
+                 and give `scale`, such as --scale 0.25"
+            )));
+        }
+        let training = Checked::new(training).map_err(|why| Error::Config(format!("training: {why}")))?;
+        let (scale, mut resolved) = (self.training.scale, Self { training, ..self.clone() });
+        if scale < 1.0 {
+            let shortened =
+                |pruner: &Plugin<dyn Pruner>| pruner.shortened(scale).map_or_else(|| pruner.clone(), Plugin::from);
+            resolved.pruners = self.pruners.iter().map(shortened).collect();
+            // Rounding may leave no step for a phase.
+            resolved.check().map_err(|(_, message)| Error::Config(message))?;
+        }
+        Ok(resolved)
+    }
+
     /// Splits `data` with the split of the pipeline.
     ///
     /// # Errors
@@ -151,14 +196,14 @@ impl Pipeline {
         Self { split: split.into(), ..self.clone() }
     }
 
-    /// Returns the number of parts of the known samples that `members` leave out: of more than four, several leave out the
-    /// same one, so that a mean is tested as it predicts.
+    /// Returns the number of parts of the known samples that `members` leave out. Of more than four members, several leave out
+    /// the same part: the left-out samples then test a mean of models, as it also predicts.
     pub fn parts(&self) -> usize {
         self.members.min(MOST_PARTS)
     }
 
-    /// Returns the pipeline that trains model `index`: of a run with several `members` without its part, residuals and
-    /// baselines.
+    /// Returns the pipeline that trains model `index`. If the run has several `members`, this pipeline leaves out the part of the
+    /// model, and has neither residuals nor baselines.
     #[must_use]
     pub fn member(&self, index: usize) -> Self {
         if self.members == 1 {

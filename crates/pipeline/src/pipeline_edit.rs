@@ -7,9 +7,8 @@ use crate::read::{TextFault, TypeHint};
 use crate::ron_tree::RonTree;
 use crate::setting::{Setting, TextEdit, path_values, quoted};
 use pwrfgs_core::docs::{DocKind, Docs};
-use pwrfgs_core::plugin::{Checked, Plugin, ron_options, try_to_ron};
-use pwrfgs_core::{Dataset, Error, Partition, Pruner, Result};
-use pwrfgs_train::{Trainer, TrainingPlan};
+use pwrfgs_core::plugin::{ron_options, try_to_ron};
+use pwrfgs_core::{Error, Result};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -46,7 +45,7 @@ impl PipelineEdit {
         let edits = text_edits(&tree, change).map_err(|message| EditFault { message, blamed: vec![change.clone()] })?;
         self.apply(edits);
         self.changes.push(change.clone());
-        // Written with its defaults, so that the next change finds their fields.
+        // Writes the defaults, so that the next change finds their fields.
         let read = ron_options().from_str(&self.text).ok();
         if let Some(Ok(text)) = read.map(|pipeline: Pipeline| pipeline.to_ron()) {
             self.text = text;
@@ -110,7 +109,7 @@ impl PipelineEdit {
             && (hint == TypeHint::Always
                 || hint == TypeHint::AtLeaf && tree.fields().is_empty() && tree.items().is_empty())
         {
-            // A parser says where it stopped, which does not help who set a value.
+            // Replaces messages on the position where the parser stopped: the user set one value.
             let stopped = ["Expected comma", "Expected opening", "Expected identifier", "Integer is out of bounds"];
             if stopped.iter().any(|start| message.starts_with(start)) {
                 message = "invalid value".into();
@@ -210,48 +209,5 @@ impl Pipeline {
     /// Same as [`Self::set_all`].
     pub fn set(&mut self, argument: &str) -> Result<()> {
         self.set_all(&[argument])
-    }
-
-    /// Returns the training plan, with `training.scale` applied.
-    ///
-    /// # Errors
-    /// Same as [`Self::resolved`].
-    pub fn plan(&self) -> Result<TrainingPlan> {
-        self.resolved().map(|resolved| resolved.unscaled_plan())
-    }
-
-    /// Creates a trainer before its first step.
-    ///
-    /// # Errors
-    /// Errors of [`Self::plan`] and [`Trainer::new`].
-    pub fn trainer<'a>(&self, data: &'a Dataset, partition: &Partition) -> Result<Trainer<'a>> {
-        Trainer::new(&self.plan()?, data, partition)
-    }
-
-    /// Applies `training.scale`: multiplies all numbers of steps by it; if it is below 1, divides the mask learning
-    /// rates by it.
-    ///
-    /// # Errors
-    /// [`Error::Config`] if training ends before the last prune step: the scores would be those of an unpruned model.
-    pub fn resolved(&self) -> Result<Self> {
-        let training = self.training.resolved();
-        let (steps, until) = (training.steps, training.prune_until);
-        if !self.pruners.is_empty() && until > steps {
-            return Err(Error::Config(format!(
-                "training: it ends after step {steps}, but the pruners are at work until step {until} (`prune_until`), so \
-                 the model would be scored unpruned; for a shorter training in the same proportions leave `steps` alone \
-                 and give `scale`, such as --scale 0.25"
-            )));
-        }
-        let training = Checked::new(training).map_err(|why| Error::Config(format!("training: {why}")))?;
-        let (scale, mut resolved) = (self.training.scale, Self { training, ..self.clone() });
-        if scale < 1.0 {
-            let shortened =
-                |pruner: &Plugin<dyn Pruner>| pruner.shortened(scale).map_or_else(|| pruner.clone(), Plugin::from);
-            resolved.pruners = self.pruners.iter().map(shortened).collect();
-            // Rounding may leave no step for a phase.
-            resolved.check().map_err(|(_, message)| Error::Config(message))?;
-        }
-        Ok(resolved)
     }
 }

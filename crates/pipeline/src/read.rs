@@ -23,7 +23,7 @@ pub(crate) struct TextFault {
 /// Whether a message should list the allowed values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum TypeHint {
-    /// The message contains it.
+    /// The message lists them itself.
     Never,
     /// If the value has no parts.
     AtLeaf,
@@ -133,9 +133,10 @@ impl Pipeline {
         let count_of =
             |name: &str| self.baselines.iter().filter(|baseline| baseline.name_for(data.task()) == name).count();
         for baseline in self.baselines.iter().filter(|baseline| baseline.is_external()) {
-            let twice =
-                || Error::Config(format!("two baselines are called `{}`; rename the predictions", baseline.name()));
-            (count_of(&baseline.name()) == 1).then_some(()).ok_or_else(twice)?;
+            if count_of(&baseline.name()) != 1 {
+                let problem = format!("two baselines are called `{}`; rename the predictions", baseline.name());
+                return Err(Error::Config(problem));
+            }
             baseline.check_test(data, test)?;
         }
         Ok(())

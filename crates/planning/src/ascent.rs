@@ -36,9 +36,9 @@ pub struct AscentResult {
     pub links: usize,
 }
 
-/// Searches `count` receivers between the corners `area` (metres). `trace` returns powers in dBm of a receiver at x and y from the
-/// given ones of `transmitters` transmitters; `None` if the position is not free. `seed` sets the order of transmitters and the
-/// screened positions. One receiver takes about 50 positions.
+/// Searches `count` receivers between the corners `area` (metres). `trace` returns powers in dBm of a receiver at x and y
+/// from the given ones of `transmitters` transmitters; `None` if the position is not free. `seed` sets the order of
+/// transmitters and the screened positions. One receiver takes about 50 positions.
 ///
 /// # Errors
 /// Errors of `trace`. The result is `None` if there are not enough free positions.
@@ -62,6 +62,7 @@ pub fn ascend(
     }
     search.subsets.sort_by(Subset::by_value);
     let size = (0..2).map(|k| area[1][k] - area[0][k]).product::<f64>().sqrt();
+    // Half the mean distance between screened positions, metres.
     let first_step = 0.5 * size / (screened as f64).sqrt();
     for start in search.subsets.iter().take(STARTS).cloned().collect::<Vec<_>>() {
         search.climb(start, first_step)?;
@@ -111,6 +112,7 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
     /// area.
     fn screen(&mut self, count: usize, shift: [f64; 2]) -> Result<()> {
         let [low, high] = self.area;
+        // Ends also if less than a twentieth of the area is free.
         for k in 1..=20 * count {
             let part = [0, 1].map(|axis| (van_der_corput(k, [2, 3][axis]) + shift[axis]).fract());
             self.candidate_at([0, 1].map(|axis| low[axis] + part[axis] * (high[axis] - low[axis])))?;

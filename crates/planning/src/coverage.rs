@@ -11,7 +11,7 @@ const SMOOTHING_DB: f64 = 1.0;
 /// Halvings in the search for the soft percentile.
 const HALVINGS: usize = 60;
 
-/// Returns the 10th percentile of the strongest power, with linear interpolation between transmitters. `powers` holds
+/// Returns the 10th percentile of the strongest power, dBm, with linear interpolation between transmitters. `powers` holds
 /// one slice of powers in dBm `[T]` per receiver. NaN without transmitters or receivers.
 pub fn coverage(powers: &[&[f64]]) -> f64 {
     let mut strongest = strongest_powers(powers);
@@ -29,8 +29,8 @@ pub fn strongest_powers(powers: &[&[f64]]) -> Vec<f64> {
     reduce_receivers(powers, maximum)
 }
 
-/// Returns the smooth [`coverage`]: the q at which the mean of 1 / (1 + exp((v − q) / 1 dB)) is 0.1, over soft maxima v
-/// of the powers.
+/// Returns the smooth [`coverage`], dBm: the q at which the mean of 1 / (1 + exp((v − q) / 1 dB)) is 0.1, over soft maxima v
+/// of the powers. NaN without transmitters or receivers.
 pub fn soft_coverage(powers: &[&[f64]]) -> f64 {
     let soft = reduce_receivers(powers, |values| {
         let largest = maximum(values);
@@ -40,6 +40,7 @@ pub fn soft_coverage(powers: &[&[f64]]) -> f64 {
         return f64::NAN;
     }
     let ends = bounds(soft.iter().copied());
+    // At these ends, the mean is nearly 0 and nearly 1.
     let (mut low, mut high) = (ends.0 - 10.0 * SMOOTHING_DB, ends.1 + 10.0 * SMOOTHING_DB);
     let share = |q: f64| soft.iter().map(|v| 1.0 / (1.0 + ((v - q) / SMOOTHING_DB).exp())).sum::<f64>();
     for _ in 0..HALVINGS {
@@ -78,8 +79,8 @@ pub struct ReceiverSubset {
     pub evaluations: usize,
 }
 
-/// Returns the best `count` receivers of all subsets, the first of equal ones; `None` if there are more than 100,000
-/// subsets. `powers` holds powers in dBm `[T]` per receiver.
+/// Returns the `count` receivers of largest coverage, the first of equal subsets; `None` if there are more than 100,000
+/// subsets, or fewer receivers. `powers` holds powers in dBm `[T]` per receiver.
 pub fn best_subset(powers: &[Vec<f64>], count: usize) -> Option<ReceiverSubset> {
     let subsets = combinations(powers.len(), count)?;
     let all: Vec<f64> = subsets.par_iter().map(|subset| subset_coverage(powers, subset)).collect();
@@ -88,8 +89,9 @@ pub fn best_subset(powers: &[Vec<f64>], count: usize) -> Option<ReceiverSubset> 
     Some(ReceiverSubset { receivers: subsets[best].clone(), coverage, evaluations: subsets.len() })
 }
 
-/// Selects `count` receivers one after another, each raising the coverage most; of equal ones the first that raises the mean of
-/// the strongest powers most. (A few receivers may leave more than a tenth of the transmitters without a link.)
+/// Selects `count` receivers, or all if there are fewer, one after another, each raising the coverage most; `powers` holds
+/// powers in dBm `[T]` per receiver. Of equal receivers it selects the first that raises the mean of the strongest powers most:
+/// the coverage stays equal while a tenth of the transmitters has no link.
 pub fn greedy_subset(powers: &[Vec<f64>], count: usize) -> ReceiverSubset {
     let mut subset = ReceiverSubset { receivers: Vec::new(), coverage: f64::NAN, evaluations: 0 };
     let mut strongest: Vec<f64> = vec![f64::NEG_INFINITY; powers.first().map_or(0, Vec::len)];
@@ -112,7 +114,7 @@ pub fn greedy_subset(powers: &[Vec<f64>], count: usize) -> ReceiverSubset {
     subset
 }
 
-/// Returns `draws` random subsets of `count` of `total` receivers.
+/// Returns `draws` random subsets of `count` of `total` receivers, as indices in random order.
 pub fn random_subsets(total: usize, count: usize, draws: usize, seed: u64) -> Vec<Vec<usize>> {
     let draw = |k: usize| {
         let mut all: Vec<usize> = (0..total).collect();
@@ -123,7 +125,8 @@ pub fn random_subsets(total: usize, count: usize, draws: usize, seed: u64) -> Ve
     (0..draws).map(draw).collect()
 }
 
-/// Returns all subsets of `count` of `total` in lexical order; `None` if they are more than 100,000.
+/// Returns all subsets of `count` of `total` in lexicographic order; `None` if they are more than 100,000, or if `total` is
+/// smaller than `count`.
 pub fn combinations(total: usize, count: usize) -> Option<Vec<Vec<usize>>> {
     // As many subsets are left out as are chosen; up to half of `total`, the number rises with every factor.
     (0..count.min(total.checked_sub(count)?)).try_fold(1, |size: usize, k| {

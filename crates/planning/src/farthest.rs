@@ -28,6 +28,7 @@ pub fn select_farthest(points: &[[f64; 3]], count: usize, mut progress: impl FnM
             best
         };
         let chunks = gaps.par_chunks_mut(CHUNK).zip(points.par_chunks(CHUNK)).enumerate().map(farthest);
+        // The larger gap, and of equal gaps the smaller index.
         let first = |a: (f64, usize), b: (f64, usize)| if (b.0, a.1) > (a.0, b.1) { b } else { a };
         last = chunks.reduce(|| (f64::NEG_INFINITY, usize::MAX), first).1;
     }

@@ -12,18 +12,20 @@ const NEIGHBOURS: usize = 16;
 /// Approximate number of values per observation in the likelihood.
 const VALUES: usize = 500;
 
-/// Estimates the exponential correlation of the measurements at these transmitters by maximum likelihood; `None` if fewer
-/// than two can be compared, or if the data have no positions.
+/// Estimates the exponential correlation of the measurements at these transmitters by maximum likelihood. `None` if fewer
+/// than two links have an earlier one at their receiver, if all transmitters have one position, or if the data have no
+/// positions.
 ///
-/// The likelihood is the product of the densities of at most 320 links, each given the 16 nearest of those before it in random
-/// order. All receivers and values share the correlation. Received powers are residuals of a path-loss model per receiver.
+/// The likelihood is the Vecchia approximation: the product of the densities of at most 320 links, each given the 16 nearest of
+/// those before it at its receiver, in random order. All receivers and values share the correlation. Received powers are
+/// residuals of a path-loss model per receiver.
 pub fn learn_correlation(data: &Dataset, transmitters: &[usize]) -> Option<Correlation> {
-    let mut sorted = transmitters.to_vec();
-    sorted.sort_unstable();
-    let mut links = evenly(&data.links_of(&sorted), CASES);
     if !data.placed || data.features.is_some() {
         return None;
     }
+    let mut sorted = transmitters.to_vec();
+    sorted.sort_unstable();
+    let mut links = evenly(&data.links_of(&sorted), CASES);
     rng::shuffle(&mut rng::stream(0, "plan", 0), &mut links);
     let by_receiver = data.group_by_receiver(links);
     let trends: Vec<Trend<'_>> = by_receiver.iter().map(|links| Trend::fit(data, links)).collect();
@@ -55,7 +57,7 @@ fn most_likely(cases: &HeldOutCases, reach: f64) -> Correlation {
     };
     let grid = (0..=12).flat_map(|length| (0..=12).map(move |noise| [length, noise]));
     let best_point = grid.map(|at| (at, likelihood(at))).reduce(|best, next| if next.1 > best.1 { next } else { best });
-    correlation(best_point.map_or([4, 5], |(at, _)| at))
+    correlation(best_point.expect("the grid has points").0)
 }
 
 /// Returns the main metric of Kriging, fitted on these transmitters, for each link of `test`.

@@ -3,7 +3,8 @@
 //! * [`Survey`] selects the positions that lower the posterior variance of a Gaussian process most, from `Posterior`.
 //! * [`select_farthest`] thins positions.
 //! * [`ascend`] searches positions of receivers with the largest coverage, [`best_subset`] the best of given receivers.
-//! * [`learn_correlation`] estimates the correlation of that process from measurements, and [`kriging_scores`] scores a selection.
+//! * [`learn_correlation`] estimates the correlation of that process from measurements, and [`kriging_scores`] scores a
+//!   selection.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 

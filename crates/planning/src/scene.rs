@@ -72,6 +72,7 @@ pub struct SceneCoverage {
     pub transmitters: Vec<[f64; 3]>,
     /// Receiver positions on the grid `[R]`, metres.
     pub candidates: Vec<[f64; 3]>,
+    /// Height of the receivers, metres.
     mount: f64,
 }
 
@@ -109,10 +110,10 @@ impl SceneCoverage {
     /// transmitter at the receiver.
     fn powers(&self, receiver: &PreparedReceiver, transmitters: impl ParallelIterator<Item = usize>) -> Vec<f64> {
         let sent = self.simulator.scene().transmitter.power_dbm;
-        let (center, kind) = (DVec3::from(receiver.pose().position), ObservationKind::Power { noise_db: 0.0 });
+        let (centre, kind) = (DVec3::from(receiver.pose().position), ObservationKind::Power { noise_db: 0.0 });
         let power = |t: usize| {
             let tx = DVec3::from(self.transmitters[t]);
-            if tx.distance(center) < TOUCHING {
+            if tx.distance(centre) < TOUCHING {
                 return sent;
             }
             match receiver.observe(tx, &kind, None).observed {

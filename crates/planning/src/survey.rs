@@ -22,8 +22,8 @@ const DEFAULT_NOISE: f64 = 0.1;
 /// Number of measurements before the correlation is learned first; then at every doubling.
 const FIRST_LEARNED: usize = 8;
 
-/// Returns the exponential correlation of a region without measurements: a length scale of a fifth of its diagonal, and
-/// a noise variance of a tenth.
+/// Returns the exponential correlation of a region without measurements: a length scale of a fifth of its diagonal, or 1 m if
+/// the region is one point, and a noise variance of a tenth.
 pub fn default_correlation(region: &[[f64; 3]]) -> Correlation {
     let diagonal = box_diagonal(region);
     let length = if diagonal > 0.0 { DEFAULT_LENGTH * diagonal } else { 1.0 };
@@ -43,14 +43,17 @@ pub(crate) fn box_diagonal(points: &[[f64; 3]]) -> f64 {
     (0..3).map(|k| extent(k).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Positions of a survey: candidates, the region to predict, and known measurements.
+/// Positions of a survey: candidates, the region to predict, and measured positions.
 #[derive(Clone, Debug)]
 pub struct Survey {
-    /// Points, metres: candidates `[M]`, then region and known points that are not candidates.
+    /// Points, metres: candidates `[M]`, then points of the region that are not candidates, then measured points.
     points: Vec<[f64; 3]>,
+    /// Number of candidates M.
     candidates: usize,
+    /// Points of the region `[R]`.
     region: Vec<usize>,
-    known: Vec<usize>,
+    /// Points with measurements.
+    measured: Vec<usize>,
 }
 
 /// Selected candidates with the correlation that they were selected by.
@@ -80,7 +83,7 @@ impl Survey {
         let region = region.iter().map(index).collect();
         let first = points.len();
         points.extend(measured);
-        Self { candidates: candidates.len(), region, known: (first..points.len()).collect(), points }
+        Self { candidates: candidates.len(), region, measured: (first..points.len()).collect(), points }
     }
 
     /// Selects `count` candidates, or all if there are fewer, one after another, each lowering the integrated variance most;
@@ -124,7 +127,7 @@ impl Survey {
         (0..self.candidates).into_par_iter().flat_map_iter(row).collect()
     }
 
-    /// Returns the state after the known measurements and those of `plan`.
+    /// Returns the state after the measurements of the survey and those of `plan`.
     fn start_search(&self, plan: &SurveyPlan) -> Search<'_> {
         let prior = self.prior_covariances(plan.correlation);
         let mut search = Search {
@@ -134,15 +137,21 @@ impl Survey {
             is_taken: vec![false; self.candidates],
             region: &self.region,
         };
-        self.known.iter().chain(&plan.order).for_each(|&s| search.add_measurement(s));
+        self.measured.iter().chain(&plan.order).for_each(|&s| search.add_measurement(s));
         search
+    }
+
+    /// Returns the posterior after the measurements of the survey.
+    fn posterior(&self, correlation: Correlation) -> Posterior {
+        let mut posterior = Posterior::new(correlation, &self.points);
+        self.measured.iter().for_each(|&s| _ = posterior.add_measurement(s));
+        posterior
     }
 
     /// Selects `count` candidates, or all if there are fewer, one after another, each with the largest variance: the common
     /// rule.
     pub fn select_by_variance(&self, correlation: Correlation, count: usize) -> Vec<usize> {
-        let mut posterior = Posterior::new(correlation, &self.points);
-        self.known.iter().for_each(|&s| _ = posterior.add_measurement(s));
+        let mut posterior = self.posterior(correlation);
         let mut is_taken = vec![false; self.candidates];
         let mut order = Vec::new();
         while order.len() < count.min(self.candidates) {
@@ -171,8 +180,7 @@ impl Survey {
     /// Returns the mean variance over the region, in units of the process variance, before (first) and after each
     /// measurement of `order`.
     pub fn mean_variances(&self, correlation: Correlation, order: &[usize]) -> Vec<f64> {
-        let mut posterior = Posterior::new(correlation, &self.points);
-        self.known.iter().for_each(|&s| _ = posterior.add_measurement(s));
+        let mut posterior = self.posterior(correlation);
         let mean = |posterior: &Posterior| {
             let sum: f64 = self.region.iter().map(|&r| posterior.variances()[r]).sum();
             sum / self.region.len().max(1) as f64

@@ -99,20 +99,20 @@ impl Array {
 
 /// Returns the channel h `[elements, wavelengths]`: the sum over paths, eq. (1), at each element.
 ///
-/// The paths lead to `center`, the receiver position; `elements` are the element positions in the world. All are in
+/// The paths lead to `centre`, the receiver position; `elements` are the element positions in the world. All are in
 /// metres. Each wavelength has its own wavenumber, so delays are exact; gains are common to all and include both antenna
 /// patterns. [`ArrayWavefront::Traced`] needs separate paths per element, which the simulator provides; here it is
 /// treated as `Spherical`.
 pub fn array_channel(
     paths: &[PropagationPath],
     elements: &[DVec3],
-    center: DVec3,
+    centre: DVec3,
     wavelengths: &[f64],
     wavefront: ArrayWavefront,
 ) -> Vec<Complex> {
     let wavenumbers: Vec<f64> = wavelengths.iter().map(|wavelength| TAU / wavelength).collect();
     let length = |path: &PropagationPath, element: DVec3| match wavefront {
-        ArrayWavefront::Plane => path.length - (element - center).dot(path.arrival),
+        ArrayWavefront::Plane => path.length - (element - centre).dot(path.arrival),
         ArrayWavefront::Spherical | ArrayWavefront::Traced => path.length_to(element),
     };
     let mut channel = vec![Complex::ZERO; elements.len() * wavelengths.len()];

@@ -7,6 +7,9 @@ const PADDING: f64 = 1e-6;
 /// Depth from which groups are halved, which bounds the depth of the tree.
 const DEEP: u32 = 64;
 
+/// Width of the border that counts as inside a triangle, in parts of its sides: rounding.
+const BORDER: f64 = 1e-12;
+
 /// A triangle with its face.
 #[derive(Clone, Copy, Debug)]
 pub struct Triangle {
@@ -41,7 +44,6 @@ impl Triangle {
 
     /// Returns whether a point in the plane of the triangle lies inside, border included.
     pub(crate) fn contains(&self, point: DVec3) -> bool {
-        const BORDER: f64 = 1e-12;
         let n = self.sides[0].cross(self.sides[1]);
         let p = point - self.corner;
         let scale = 1.0 / n.length_squared();
@@ -53,7 +55,6 @@ impl Triangle {
     /// Returns the position of the intersection on the segment from `from` to `from + span`, from 0 to 1, borders of the
     /// triangle included (Möller and Trumbore, 1997); `None` without intersection and for coplanar segments.
     pub(crate) fn crossing(&self, from: DVec3, span: DVec3) -> Option<f64> {
-        const BORDER: f64 = 1e-12;
         let [a, b] = self.sides;
         let p = span.cross(b);
         let volume = a.dot(p);
@@ -68,6 +69,7 @@ impl Triangle {
             return None;
         }
         let position = b.dot(q) / volume;
+        // A smaller volume is a rounding error of a coplanar segment.
         let least = 1e-28 * span.length_squared() * a.length_squared() * b.length_squared();
         ((0.0..=1.0).contains(&position) && volume * volume >= least).then_some(position)
     }

@@ -47,7 +47,8 @@ pub(crate) fn named_mesh(name: &Path) -> Option<Mesh> {
     Some(Mesh { vertices: (0..corners).map(corner).collect(), triangles })
 }
 
-/// Reads a mesh with extension `.obj` or `.ply`, or one called `cube` or `rectangle`; vertices are welded and the mesh is validated.
+/// Reads a mesh with extension `.obj` or `.ply`, or one called `cube` or `rectangle`; vertices are welded and the mesh is
+/// validated.
 ///
 /// # Errors
 /// Errors of [`pwrfgs_data::read_mesh`] and of [`Mesh::check`].

@@ -132,6 +132,7 @@ impl NoiseDraw<'_> {
 pub(crate) fn add_noise(noise: &Noise, channel: &mut [Complex], subcarriers: usize, draw: NoiseDraw<'_>) {
     if noise.phase_error_deg > 0.0 {
         let deviation = noise.phase_error_deg.to_radians();
+        // Phase errors are equal in all samples.
         let mut random = NoiseDraw { sample: 0, ..draw }.random_stream(noise.seed, "receiver phase errors");
         for antenna in channel.chunks_mut(subcarriers.max(1)) {
             let turn = Complex::cis(deviation * rng::normal(&mut random) as f64);

@@ -50,9 +50,9 @@ impl DatasetWriter<'_> {
     /// out/manifest.json         the recipe
     ///
     /// out/gateway_info.yml      spectra: pose of the receiver; the data set name contains «simulated»
-    /// out/spectrum/00001.png    8-bit grey, 360x90; or
     /// out/freq.txt              with `carriers_hz` of the scene: the carrier of each spectrum, Hz; the carriers of a transmitter
     ///                           are consecutive rows of all tables
+    /// out/spectrum/00001.png    8-bit grey, 360x90; or
     /// out/spectra.npy           all spectra, 8-bit grey [M, 90, 360]
     /// out/power.csv             id, path gain in dB (mean over the antennas), lowest and highest value of the spectrum
     ///

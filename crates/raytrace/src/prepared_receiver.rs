@@ -81,24 +81,20 @@ impl PreparedReceiver {
         self.tracers.iter().map(Tracer::memory_bytes).sum()
     }
 
-    /// Returns the paths from `tx` to the centre of the array.
+    /// Returns the paths from `tx`, metres, world frame, to the centre of the array.
     pub fn trace(&self, tx: DVec3) -> Vec<PropagationPath> {
         self.tracers[0].trace(tx)
     }
 
-    /// Returns the channel h `[antennas, frequencies]` without receiver errors, from the paths of `tx`; frequencies in
-    /// Hz. Each frequency has its own wavenumber; path gains are those at the carrier.
+    /// Returns the channel h `[antennas, frequencies]` of a transmitter at `tx`, metres, world frame, without receiver
+    /// errors; frequencies in Hz. Each frequency has its own wavenumber; path gains are those at the carrier.
+    ///
+    /// `paths` are those of [`Self::trace`]. [`ArrayWavefront::Traced`] ignores them and traces `tx` to each antenna.
     pub fn channel(&self, tx: DVec3, paths: &[PropagationPath], frequencies: &[f64]) -> Vec<Complex> {
         let wavelengths: Vec<f64> = frequencies.iter().map(|f| SPEED_OF_LIGHT / f).collect();
         if self.tracers.len() == 1 {
-            let center = DVec3::from(self.receiver.position);
-            return array_channel(
-                paths,
-                &self.antenna_positions(),
-                center,
-                &wavelengths,
-                self.receiver.array.wavefront,
-            );
+            let (antennas, centre) = (self.antenna_positions(), DVec3::from(self.receiver.position));
+            return array_channel(paths, &antennas, centre, &wavelengths, self.receiver.array.wavefront);
         }
         let element_channel = |tracer: &Tracer| {
             let paths = tracer.trace(tx);
@@ -143,16 +139,16 @@ impl PreparedReceiver {
 /// Returns the points that paths lead to, metres: the array centre, and the elements if each is traced. Returns an error if
 /// one of them is not in free space.
 fn traced_points(scene: &SceneFile, receiver: &SceneReceiver, world: &World) -> Result<Vec<DVec3>> {
-    let center = DVec3::from(receiver.position);
-    world.check_free(center).map_err(|obstacle| {
+    let centre = DVec3::from(receiver.position);
+    world.check_free(centre).map_err(|obstacle| {
         let subject = receiver.describe("the receiver");
         Error::Config(format!("scene `{}`: {subject} at {:?} is {obstacle}; move it", scene.name, receiver.position))
     })?;
-    let mut points = vec![center];
+    let mut points = vec![centre];
     if receiver.array.wavefront == ArrayWavefront::Traced {
         points.extend(receiver.antenna_positions(scene.wavelength()));
     }
-    for point in &points {
+    for point in &points[1..] {
         world.check_free(*point).map_err(|obstacle| {
             Error::Config(format!(
                 "scene `{}`: an antenna of the array, at {point}, is {obstacle}; move it",

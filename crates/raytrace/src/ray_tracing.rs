@@ -33,8 +33,9 @@ const SAME_FREQUENCY: f64 = 1e-7;
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RayTracing {
-    /// Scene file, relative to the pipeline file, or the name of a shipped scene; `None` for the scene of the data, which must be `Simulated` or a
-    /// folder of `pwrfgs simulate`. Scenes with meshes must be named for such folders, which do not store meshes.
+    /// Scene file, relative to the pipeline file, or the name of a shipped scene; `None` for the scene of the data, which
+    /// must be `Simulated` or a folder of `pwrfgs simulate`. Scenes with meshes must be named for such folders, which do
+    /// not store meshes.
     #[schemars(extend("format" = "path"))]
     pub scene: Option<PathBuf>,
     /// Whether to draw the receiver errors of the scene again.
@@ -188,33 +189,36 @@ fn required_observation(data: &Dataset, scene: &SceneFile) -> Result<Observation
         }
         return Ok(ObservationKind::Spectrum);
     };
-    let (hz, have) = (scene.frequencies(), channels.antennas);
-    if let Some(other) = scene.receivers().find(|receiver| receiver.array.element_count() != have) {
-        let has = other.array.element_count();
-        return refuse(format!("channels of this data set have {have} antennas, and `{}` has {has}", other.name));
+    let (hz, antennas) = (scene.frequencies(), channels.antennas);
+    if let Some(other) = scene.receivers().find(|receiver| receiver.array.element_count() != antennas) {
+        let count = other.array.element_count();
+        return refuse(format!("channels of this data set have {antennas} antennas, and `{}` has {count}", other.name));
     }
-    let near = |(a, b): (&f64, &f64)| (a / b - 1.0).abs() < SAME_FREQUENCY;
-    if hz.len() != channels.frequencies_hz.len() || !hz.iter().zip(&channels.frequencies_hz).all(near) {
+    let is_same = |(a, b): (&f64, &f64)| is_same_frequency(*a, *b);
+    if hz.len() != channels.frequencies_hz.len() || !hz.iter().zip(&channels.frequencies_hz).all(is_same) {
         return refuse("channels of this data set have other subcarriers than the scene".into());
     }
     Ok(ObservationKind::Channel { snr_db: None })
+}
+
+/// Returns whether two frequencies, Hz, are equal up to the rounding in a file.
+fn is_same_frequency(a: f64, b: f64) -> bool {
+    (a / b - 1.0).abs() < SAME_FREQUENCY
 }
 
 /// Returns the index in the scene of each receiver of the data: by carrier, by name, or the only one. Returns an error if
 /// one is missing or has another carrier.
 fn receiver_indices(data: &Dataset, scene: &SceneFile) -> Result<Vec<usize>> {
     let data_receivers = &data.scene.receivers;
-    let is_same = |a: f64, b: f64| (a / b - 1.0).abs() < SAME_FREQUENCY;
     if !scene.carriers_hz.is_empty() {
-        let find = |hz: f64| scene.carriers_hz.iter().position(|carrier| is_same(*carrier, hz));
+        let find = |hz: f64| scene.carriers_hz.iter().position(|carrier| is_same_frequency(*carrier, hz));
         let absent =
             || Error::Config("RayTracing: a carrier of the data is not in `carriers_hz` of the scene; add it".into());
         return data_receivers.iter().map(|receiver| receiver.carrier_hz.and_then(find).ok_or_else(absent)).collect();
     }
-    if let Some(hz) =
-        data_receivers.iter().filter_map(|receiver| receiver.carrier_hz).find(|hz| !is_same(*hz, scene.carrier_hz))
-    {
-        let carrier = scene.carrier_hz;
+    let carrier = scene.carrier_hz;
+    let mut carriers = data_receivers.iter().filter_map(|receiver| receiver.carrier_hz);
+    if let Some(hz) = carriers.find(|hz| !is_same_frequency(*hz, carrier)) {
         return Err(Error::Config(format!(
             "RayTracing: the carrier of the data is {hz} Hz, and that of the scene {carrier} Hz; correct one of them"
         )));
@@ -243,7 +247,7 @@ struct TracedBaseline {
 impl Predict for TracedBaseline {
     fn predict(&self, query: Query<'_>) -> Image {
         let tx = query.position();
-        // A separate draw for every position, different from those of the data, which count from 0.
+        // A separate draw for every position: its FNV-1a hash. The highest bit separates it from the draws of the data.
         let draw = tx
             .iter()
             .fold(!self.seed, |hash, v| (hash ^ u64::from((*v as f32).to_bits())).wrapping_mul(0x0100_0000_01b3));

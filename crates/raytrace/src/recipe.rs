@@ -67,7 +67,7 @@ impl SimulationRecipe {
     /// Returns the recipe with as many samples as the scene states. Returns an error for too many links.
     fn checked(mut self) -> Result<Self> {
         self.samples = self.scene.transmitter.positions.listed_count().unwrap_or(self.samples);
-        let (samples, receivers) = (self.samples, self.scene.receivers().count() * self.scene.carriers_hz.len().max(1));
+        let (samples, receivers) = (self.samples, self.scene.receivers().count() * self.scene.carrier_count());
         if samples * receivers > MOST_SAMPLES {
             let problem = format!("more than {MOST_SAMPLES} links; give fewer samples");
             let subject = format!("{samples} samples at {receivers} receivers");
@@ -113,7 +113,8 @@ impl SimulationRecipe {
             "scene": self.scene.portable().to_ron(), // the hashes identify the meshes
         });
         if self.observe != ObservationKind::Spectrum {
-            manifest["observe"] = serde_json::json!(self.observe); // without the field, data sets of spectra keep their folder name
+            // Without the field, data sets of spectra keep their folder name.
+            manifest["observe"] = serde_json::json!(self.observe);
         }
         serde_json::to_string_pretty(&manifest).expect("a manifest is plain data") + "\n"
     }

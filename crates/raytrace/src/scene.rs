@@ -188,6 +188,11 @@ impl SceneFile {
         SPEED_OF_LIGHT / self.carrier_hz
     }
 
+    /// Returns the number of carriers, at least 1.
+    pub(crate) fn carrier_count(&self) -> usize {
+        self.carriers_hz.len().max(1)
+    }
+
     /// Returns all receivers: `receiver` first, then `more_receivers`.
     pub fn receivers(&self) -> impl Iterator<Item = &SceneReceiver> + Clone {
         std::iter::once(&self.receiver).chain(&self.more_receivers)

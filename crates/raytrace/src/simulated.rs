@@ -81,7 +81,7 @@ impl Simulated {
         } else {
             link_dataset(recipe, folder, points)?
         };
-        let links = recipe.samples * recipe.scene.carriers_hz.len().max(1);
+        let links = recipe.samples * recipe.scene.carrier_count();
         if (is_single && data.len() != links) || data.scene.points.len() != self.points {
             return Err(Error::input(folder, "holds an unexpected number of spectra or points"));
         }

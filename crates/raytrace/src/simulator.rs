@@ -74,7 +74,7 @@ impl Simulator {
         PreparedReceiver::new(&self.scene, &SceneReceiver { position, ..self.scene.receiver.clone() }, &self.world)
     }
 
-    /// Returns the paths from `tx` to the centre of the first receiver's array.
+    /// Returns the paths from `tx`, metres, world frame, to the centre of the first receiver's array.
     pub fn trace(&self, tx: DVec3) -> Vec<PropagationPath> {
         self.receivers[0].trace(tx)
     }
@@ -142,28 +142,27 @@ pub fn simulate_links(
 ) -> Result<()> {
     let &SimulationRequest { kind, samples, seed } = request;
     let (positions, scene) = (simulator.draw_positions(samples, seed)?, &simulator.scene);
-    for (c, chunk) in positions.chunks(CHUNK).enumerate() {
-        let draw = |i: usize| seed.wrapping_mul(1 << 32).wrapping_add((c * CHUNK + i) as u64);
+    for (first, chunk) in (0_usize..).step_by(CHUNK).zip(positions.chunks(CHUNK)) {
         let receive = |(i, tx): (usize, &DVec3)| {
             check_stopped(stop)?;
-            match scene.moved_receiver(c * CHUNK + i, *tx, seed) {
-                None => {
-                    Ok(simulator.receivers.iter().map(|receiver| receiver.observe(*tx, &kind, Some(draw(i)))).collect())
-                }
+            // Data sets of different seeds have different draws.
+            let draw = Some(seed.wrapping_mul(1 << 32).wrapping_add((first + i) as u64));
+            match scene.moved_receiver(first + i, *tx, seed) {
+                None => Ok(simulator.receivers.iter().map(|receiver| receiver.observe(*tx, &kind, draw)).collect()),
                 Some(receiver) => {
                     let receiver = PreparedReceiver::new(scene, &receiver, &simulator.world)?;
-                    Ok(vec![receiver.observe(scene.receiver.position.into(), &kind, Some(draw(i)))])
+                    Ok(vec![receiver.observe(scene.receiver.position.into(), &kind, draw)])
                 }
             }
         };
         let all: Vec<Vec<ReceiverObservation>> = chunk.par_iter().enumerate().map(receive).collect::<Result<_>>()?;
         for ((i, tx), received) in chunk.iter().enumerate().zip(all) {
             if !received.iter().all(|received| received.observed.is_finite()) {
-                let (scene, number) = (&simulator.scene.name, c * CHUNK + i + 1);
+                let (scene, number) = (&simulator.scene.name, first + i + 1);
                 let problem = "gives a field that is not finite; correct materials and positions";
                 return Err(Error::Config(format!("scene `{scene}`: transmitter {number} at {tx} {problem}")));
             }
-            each(c * CHUNK + i, *tx, received)?;
+            each(first + i, *tx, received)?;
         }
     }
     Ok(())
@@ -179,7 +178,7 @@ fn check_memory(scene: &SceneFile, receivers: &[PreparedReceiver]) -> Result<()>
         "scene `{}`: images for {} of its {} receivers take more than {} GB already; give fewer receivers or a lower `order`",
         scene.name,
         receivers.len(),
-        scene.receivers().count() * scene.carriers_hz.len().max(1),
+        scene.receivers().count() * scene.carrier_count(),
         MOST_BYTES >> 30
     )))
 }
@@ -197,6 +196,7 @@ fn check_patches(scene: &SceneFile, world: &World) -> Result<()> {
     if area / (side * side) <= MOST && cells <= MOST_CELLS && rough().count() as f64 <= MOST {
         return Ok(());
     }
+    // The advised side gives at most 10,000 patches.
     Err(Error::Config(format!(
         "scene `{}`: {area:.0} m² of rough surface on {} faces in patches of {side} m are too many; give a larger \
          `patch_m`, such as {:.2}, or smooth meshes",

@@ -135,6 +135,7 @@ struct ComplexLanes {
 }
 
 impl ComplexLanes {
+    /// Appends a number.
     fn push(&mut self, value: Complex) {
         self.re.push(value.re);
         self.im.push(value.im);

@@ -2,6 +2,7 @@
 
 use crate::Complex;
 use crate::array::Element;
+use crate::fresnel::Polarized;
 use crate::images::{ImageTree, Orders};
 use crate::patches::{Patch, scattering_patches};
 use crate::path::{Interaction, PropagationPath};
@@ -34,8 +35,8 @@ impl Antenna {
     /// Returns the field, world frame, radiated towards or received from the unit vector `direction`.
     fn field_towards(&self, direction: DVec3) -> DVec3 {
         let local = self.world_from_local.transpose() * direction;
-        let (amplitude, polarization) = self.element.response(self.axis, local);
-        self.world_from_local * polarization * amplitude
+        let (amplitude, field) = self.element.response(self.axis, local);
+        self.world_from_local * field * amplitude
     }
 }
 
@@ -205,8 +206,7 @@ impl TraceWalk<'_> {
 
     /// Returns the diffraction coefficients at a point of an edge, √m; `None` if transmitter or receiver is inside the
     /// wedge or on the line of the edge.
-    fn edge_coefficients(&self, edge: &Edge, point: DVec3) -> Option<fresnel::Polarized> {
-        let Tracer { world, wavelength, .. } = self.tracer;
+    fn edge_coefficients(&self, edge: &Edge, point: DVec3) -> Option<Polarized> {
         let direction = (edge.ends[1] - edge.ends[0]).normalize();
         let angle = |to: DVec3| {
             let angle = to.dot(edge.normal).atan2(to.dot(edge.along));
@@ -221,30 +221,32 @@ impl TraceWalk<'_> {
         }
         // The smaller of the two angles on either face: exact at reflection boundaries and reciprocal (El-Sallabi and
         // Vainikainen, 2005).
-        let inwards = edge.inward_directions();
-        let face_coefficients = |k: usize, grazing: f64| {
-            let face = edge.faces[k];
-            // Face that covers the one next to the edge, if any.
-            let front = world.front_face(face, point + BESIDE * inwards[k], self.tx);
-            let cosine = (grazing.sin() * sine).abs();
-            let through = |face: u32| {
-                let surface = world.surface_of(face);
-                let slab = |d| fresnel::transmission(surface.eta, d, cosine, *wavelength);
-                surface.thickness.map_or(fresnel::Polarized::NOTHING, slab)
-            };
-            let surface = world.surface_of(front);
-            let reflected = fresnel::reflection(surface.eta, surface.thickness, cosine, *wavelength);
-            let alone = through(face);
-            (reflected, if front == face { alone } else { alone.times(through(front)) })
-        };
-        let (r0, t0) = face_coefficients(0, phi_in.min(phi_out));
-        let (rn, tn) = face_coefficients(1, whole - phi_in.max(phi_out));
+        let cosine = |grazing: f64| (grazing.sin() * sine).abs();
+        let (r0, t0) = self.face_coefficients(edge, 0, point, cosine(phi_in.min(phi_out)));
+        let (rn, tn) = self.face_coefficients(edge, 1, point, cosine(whole - phi_in.max(phi_out)));
         // The rim of a sheet has one sheet behind it, an edge of two faces has both.
         let is_rim = edge.faces[0] == edge.faces[1];
         let through = if is_rim { t0 } else { t0.times(tn) };
         let wedge = diffraction::Wedge { n: edge.outer_angle, r0, rn, through };
-        let (k, distances) = (TAU / wavelength, [to_tx.length(), to_rx.length()]);
+        let (k, distances) = (TAU / self.tracer.wavelength, [to_tx.length(), to_rx.length()]);
         Some(wedge.diffraction_coefficients(k, distances, [phi_in, phi_out], sine))
+    }
+
+    /// Returns the reflection and transmission coefficients of face `k`, 0 or 1, of an edge next to `point`, with those of a
+    /// face that covers it there. `cosine` is that of the angle of incidence.
+    fn face_coefficients(&self, edge: &Edge, k: usize, point: DVec3, cosine: f64) -> (Polarized, Polarized) {
+        let Tracer { world, wavelength, .. } = self.tracer;
+        let face = edge.faces[k];
+        let front = world.front_face(face, point + BESIDE * edge.inward_directions()[k], self.tx);
+        let through = |face: u32| {
+            let surface = world.surface_of(face);
+            let slab = |d| fresnel::transmission(surface.eta, d, cosine, *wavelength);
+            surface.thickness.map_or(Polarized::NOTHING, slab)
+        };
+        let surface = world.surface_of(front);
+        let reflected = fresnel::reflection(surface.eta, surface.thickness, cosine, *wavelength);
+        let alone = through(face);
+        (reflected, if front == face { alone } else { alone.times(through(front)) })
     }
 
     /// Returns the path that scatters at `patch`; `None` if it is blocked, or transmitter and receiver are on different

@@ -16,6 +16,8 @@ pub use svg::escape_xml;
 
 /// Text height: 7.5 pt if a column of 380 is 3.5 in wide.
 pub const TEXT: f64 = 11.3;
+/// Height of the middle of small letters above the base line, as a share of the text height.
+pub(crate) const LETTER_MIDDLE: f64 = 0.27;
 /// Line height of text.
 pub const LINE: f64 = 14.0;
 
@@ -100,7 +102,7 @@ pub enum Step {
     Move(Point),
     /// Straight line.
     Line(Point),
-    /// Quadratic curve by its control point, as in letters.
+    /// Quadratic curve, as in letters: control point and end.
     Quad(Point, Point),
     /// Line back to the start of the subpath.
     Close,
@@ -137,6 +139,14 @@ impl VectorPath {
     pub fn add_cross(&mut self, [x, y]: Point, r: f64) {
         self.add_line(&[[x - r, y - r], [x + r, y + r]]);
         self.add_line(&[[x + r, y - r], [x - r, y + r]]);
+    }
+
+    /// Adds an arrow centred at `[x, y]`; `[u, v]` is the vector from its centre to its tip.
+    pub fn add_arrow(&mut self, [x, y]: Point, [u, v]: Point) {
+        let tip = [x + u, y + v];
+        let barb = |side: f64| [tip[0] - 0.55 * u + side * 0.35 * v, tip[1] - 0.55 * v - side * 0.35 * u];
+        self.add_line(&[[x - u, y - v], tip]);
+        self.add_line(&[barb(1.0), tip, barb(-1.0)]);
     }
 
     /// Returns whether all points are finite and the shape is visible: a line of length 0 is visible only
@@ -291,6 +301,7 @@ impl Canvas {
 
     /// Adds lines of text, centred vertically at `at`.
     pub fn lines(&mut self, [x, y]: Point, anchor: Anchor, lines: &[String]) {
+        // Half the height of capitals is 0.35 of the text height.
         let first = y + 0.35 * self.letters.size - LINE * (lines.len() as f64 - 1.0) / 2.0;
         for (k, line) in lines.iter().enumerate() {
             self.text([x, first + LINE * k as f64], anchor, line);

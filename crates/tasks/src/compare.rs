@@ -66,7 +66,8 @@ pub struct Comparison {
     pub reference: Option<String>,
 }
 
-/// Reads the shipped experiment with the methods for the task of `data`, and sets its name, with that of the data, and seeds.
+/// Reads the shipped experiment with the methods for the task of `data`, with `data_name` in its name and this number of
+/// `seeds`.
 fn read_experiment(seeds: usize, data_name: &str, data: &Dataset) -> Result<Experiment> {
     let name = match &data.features {
         Some(_) => "methods-uplink",
@@ -89,8 +90,8 @@ fn restrict_to_method(experiment: &Experiment, method: &str) -> Result<Experimen
 }
 
 impl ComparedRuns {
-    /// Plans a run per method and seed, all with the same split; the runs of the first method score all baselines and the predictions
-    /// of other programs. A method that was not named and cannot predict the data is left out, with a message.
+    /// Plans a run per method and seed, all with the same split; the runs of the first method score all baselines and the
+    /// predictions of other programs. A method that was not named and cannot predict the data is left out, with a message.
     ///
     /// # Errors
     /// An unknown method, invalid changes or predictions, or data that no method can predict.
@@ -231,8 +232,8 @@ pub fn check_earlier_runs(plan: &SweepPlan) -> Result<()> {
     other.map_or(Ok(()), |run| Err(Error::input(&plan.folder, why(run))))
 }
 
-/// Lists settings of NeRF2 for the size of the site and of small spectra. Rays reach across the site; if that is more
-/// than 20 m, it is the unit of length too.
+/// Lists settings of NeRF2 for the size of the site and of small spectra. Rays reach across the site, at least 5 m; if that
+/// is more than 20 m, it is the unit of length too.
 fn ray_settings(data: &Dataset, training: &Training) -> Vec<String> {
     let (low, high) = data.scene.bounds;
     let far = (0..3).map(|k| (high[k] - low[k]).powi(2)).sum::<Real>().sqrt().max(5.0).ceil();

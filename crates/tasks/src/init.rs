@@ -48,12 +48,12 @@ const TURNING_ARRAY: [&str; 4] = [
     "training.optimizer.signals=Constant(0.002)",
     "training.optimizer.network=Cosine(first: 0.001, last: 0.00001)",
 ];
-/// Number of trained pixels per image of a camera above which there is a stride.
+/// Largest number of trained pixels per image of a camera; larger images get a stride.
 const PIXELS: usize = 40_000;
 
 impl DataSurvey {
-    /// Suggests a pipeline called `name` for the data, whose paths it takes over; errors name the file `out`. Also
-    /// returns notes on the settings that depend on the number of places, the first on models and steps.
+    /// Suggests a pipeline called `name` for the data, with the paths of the data; errors name the file `out`. Also
+    /// returns notes on the settings that depend on the number of positions, the first on models and steps.
     ///
     /// # Errors
     /// A path that is not UTF-8.
@@ -77,13 +77,13 @@ impl DataSurvey {
     }
 }
 
-/// Creates a pipeline called `name` for `data`, which `source` reads (RON): the split of [`DataSurvey::suggest_pipeline`], and the defaults
-/// for the kind of data.
+/// Creates a pipeline called `name` for `data`, which the data source `source` (RON) reads, with the split of
+/// [`suggest_split`] and the defaults for the kind of data.
 ///
 /// # Errors
 /// An invalid source or name.
 pub fn default_pipeline(source: &str, data: &Dataset, name: &str) -> Result<Pipeline> {
-    // Data without any valid split are described too.
+    // Data without any valid split get the default split.
     let split = suggest_split(data).map_or_else(|_| String::new(), |(split, _)| format!("split: {split}, "));
     // Missing fields then get the defaults for this kind of data.
     let text = format!("Pipeline(name: {name:?}, data: {source}, {split}initializer: Random())");

@@ -1,5 +1,5 @@
-//! What one does with data or a finished model, one function per task. Each takes loaded data or models and its settings, and
-//! returns tables and arrays with names and units. Command line, Python package and viewer call these functions.
+//! Tasks on data or a finished model, one function per task. Each takes loaded data or models and its settings, and returns
+//! tables and arrays with names and units. Command line, Python package and viewer call these functions.
 //!
 //! Settings are structs with defaults. Their doc comments are the help of the command line and of the Python functions.
 

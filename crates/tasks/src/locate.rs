@@ -36,7 +36,7 @@ pub struct LocateSettings {
     /// Only positions in this box, metres or degrees
     #[arg(long, value_name = "X0,X1,Y0,Y1", allow_hyphen_values = true, requires = "observations")]
     pub prior: Option<String>,
-    /// Leave out the errors with fingerprints of Kriging, which take longest for many positions
+    /// Omit the baseline with fingerprints predicted by Kriging, the slowest for many positions
     #[arg(long)]
     pub no_kriging: bool,
 }
@@ -108,13 +108,7 @@ pub fn locate(
     let model = unbiased.as_ref().unwrap_or(ensemble).prepare();
     let locator =
         run_stage(observer, "fingerprints", |progress| Locator::fit(data, fitting, &model, shares, progress))?;
-    if predicted.is_some() {
-        observer.on_message(&describe_predictions(&locator));
-    } else if let Some(why) = locator.missing_regions().filter(|_| locator.validation == 0) {
-        observer.on_warning(why);
-    } else {
-        observer.on_message(&describe_locator(&locator, data.locations_of(fitting.validation).len()));
-    }
+    report_fit(&locator, predicted.is_some(), data.locations_of(fitting.validation).len(), observer);
     // Of all validation samples, before `--prior` leaves some out.
     let observations = observations.map(|read| (read, scores::describe_validation(&locator, data, fitting)));
     let locator = restrict_to_prior(locator, prior)?;
@@ -131,6 +125,18 @@ pub fn locate(
     let text = table + &describe_regions(&rows, &locator);
     let (title, geodetic) = (data.title.clone(), data.scene.geodetic);
     Ok(Localisation { rows, text, title, geodetic, map: empty_map(&locator, data) })
+}
+
+/// Reports the fit of a locator to the observer, or warns that it has no regions. `is_predicted`: its fingerprints are
+/// predictions; `validation` is the number of all validation positions.
+fn report_fit(locator: &Locator<'_>, is_predicted: bool, validation: usize, observer: &mut dyn Observer) {
+    if is_predicted {
+        observer.on_message(&describe_predictions(locator));
+    } else if let Some(why) = locator.missing_regions().filter(|_| locator.validation == 0) {
+        observer.on_warning(why);
+    } else {
+        observer.on_message(&describe_locator(locator, validation));
+    }
 }
 
 /// Restricts a locator to the area of `--prior`, if given.

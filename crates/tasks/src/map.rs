@@ -23,6 +23,7 @@ use std::fmt::Write as _;
 const WIDTH_MM: f64 = 120.0;
 /// Difference of height between positions of one floor and of another, metres.
 const FLOOR_GAP_M: f64 = 2.0;
+/// Columns of `map.csv`, before those of degrees.
 const HEADER: &str = "array,image,quantity,unit,receiver,columns_axis,first_column_m,columns,rows_axis,first_row_m,rows,\
                       step_m,plane,smallest,largest,training_limit_m,extrapolated";
 
@@ -190,8 +191,8 @@ pub fn training_layer(ensemble: &Ensemble, grid: &PlaneGrid) -> Option<(MapLayer
     Some((layer, TrainingMap { is_beyond, limit, positions }))
 }
 
-/// Returns the lowest and highest of `positions` on the floor that a horizontal `plane` shows: those without a gap of
-/// [`FLOOR_GAP_M`] from the one nearest to the plane. All, for other planes.
+/// Returns the lowest and highest position on the floor that a horizontal `plane` shows, metres: of the `positions` without a gap
+/// of [`FLOOR_GAP_M`] from the one nearest to the plane. Unlimited for other planes, or without positions.
 fn shown_floor(plane: MapPlane, positions: &[[f64; 3]]) -> [f64; 2] {
     let heights = sorted(positions.iter().map(|position| position[2]));
     let floors = heights.chunk_by(|a, b| b - a < FLOOR_GAP_M).map(|floor| [floor[0], floor[floor.len() - 1]]);
@@ -228,7 +229,7 @@ impl RadioMap {
         folder.put("map.csv", list)
     }
 
-    /// Returns a unique name per layer, which is also that of its files: quantity and, of several receivers, receiver.
+    /// Returns a unique name for each layer and its files: the quantity and, if the model has several receivers, the receiver.
     pub fn names(&self) -> Vec<String> {
         let mut taken = BTreeSet::new();
         let receiver = |layer: &MapLayer| layer.receiver.filter(|_| self.receivers.len() > 1);
@@ -250,12 +251,13 @@ impl RadioMap {
         npy
     }
 
-    /// Draws a layer as PNG, with its receiver, which is called `receiver`, or with all mapped receivers.
+    /// Draws a layer as PNG with its receiver, of name `receiver`, or with all mapped receivers. Receivers with an estimated
+    /// position are omitted.
     fn draw_png(&self, layer: &MapLayer, receiver: Option<&str>) -> Vec<u8> {
         let grid = &self.grid;
         let suffix = receiver.map_or_else(String::new, |name| format!(" at {name}"));
         let shown = layer.receiver.map_or_else(|| self.mapped.clone(), |r| vec![r]);
-        let known = shown.iter().filter(|r| !self.receivers[**r].is_estimated);
+        let measured = shown.iter().filter(|r| !self.receivers[**r].is_estimated);
         let heat = Heatmap {
             title: format!("{}{suffix}, {}", layer.words, grid.plane.describe()),
             unit: layer.unit.into(),
@@ -265,14 +267,14 @@ impl RadioMap {
             columns: grid.columns,
             values: &layer.values,
             colours: if layer.name == "azimuth" { Palette::Cyclic } else { Palette::Sequential },
-            receivers: known.map(|&r| grid.plane.project(self.poses[r].position)).collect(),
+            receivers: measured.map(|&r| grid.plane.project(self.poses[r].position)).collect(),
             arrows: &layer.arrows,
             training: self.training.as_ref(),
         };
         heat.draw().png(WIDTH_MM)
     }
 
-    /// Formats the line of a layer in `map.csv`, without its last two columns.
+    /// Formats the line of a layer in `map.csv` up to `largest`, in the order of [`HEADER`].
     fn csv_line(&self, layer: &MapLayer, name: &str, receiver: &str) -> String {
         let PlaneGrid { plane, first, step, columns, rows } = &self.grid;
         let [across, up] = plane.axis_names();

@@ -6,6 +6,8 @@ use pwrfgs_experiment::{read_model, text::join_names};
 use pwrfgs_model::Ensemble;
 use std::path::PathBuf;
 
+/// Largest length of the name of a member, bytes.
+const LONGEST_NAME: usize = 200;
 /// Maximum number of names in an error.
 const LISTED: usize = 12;
 
@@ -39,7 +41,7 @@ pub fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
 fn member_name(path: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' };
     let name: String = path.trim_matches('/').chars().map(plain).collect();
-    let start = name.len().saturating_sub(200); // the end tells members apart
+    let start = name.len().saturating_sub(LONGEST_NAME); // paths differ at the end
     name[start..].to_owned()
 }
 
@@ -71,10 +73,10 @@ fn unknown_receiver_error(receivers: &[Receiver], name: &str) -> Error {
     ))
 }
 
-/// Rejects a model or ensemble whose input is not a transmitter position.
+/// Checks that a transmitter position is the input of all members of a model.
 ///
 /// # Errors
-/// As above.
+/// The method of a member has another number of inputs than 3.
 pub fn check_positions(model: &Ensemble) -> Result<()> {
     let mut inputs = model.members().iter().map(|member| member.stages.method.traits().inputs);
     inputs.find(|inputs| *inputs != 3).map_or(Ok(()), |inputs| {

@@ -8,7 +8,7 @@ use clap::Args;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::kriging::Correlation;
 use pwrfgs_core::statistics::{self, evenly, mean};
-use pwrfgs_core::{Dataset, Error, Location, Receiver, Result, evenly as thinned};
+use pwrfgs_core::{Dataset, Error, Location, Receiver, Result};
 use pwrfgs_experiment::statistics::{Blocks, Difference};
 use pwrfgs_experiment::text::{Lines, align_columns, fixed, grouped, number};
 use pwrfgs_experiment::{Session, run_stage};
@@ -47,7 +47,7 @@ pub struct PlanSettings {
     #[arg(long, requires = "source", conflicts_with_all = ["candidates", "floor", "length_scale"])]
     #[serde(default)]
     pub simulate: bool,
-    /// Length scale in metres, not learned
+    /// Fixed length scale in metres, instead of an estimate
     #[arg(long, value_name = "M")]
     #[serde(default)]
     pub length_scale: Option<f64>,
@@ -108,7 +108,7 @@ impl Places {
     pub fn with_candidates(mut self, candidates: Vec<[f64; 3]>, path: &Path) -> Result<Self> {
         self.measured.append(&mut self.candidates);
         check_distance(&candidates, &self.measured, path)?;
-        let measured = thinned(&self.measured, MOST_KNOWN);
+        let measured = evenly(&self.measured, MOST_KNOWN);
         Ok(Self { candidates, measured, ..self })
     }
 
@@ -117,7 +117,7 @@ impl Places {
     fn thinned_candidates(&self, is_inside: impl Fn([f64; 3]) -> bool) -> Vec<[f64; 3]> {
         let positions: Vec<[f64; 3]> =
             self.candidates.iter().copied().filter(|position| is_inside(*position)).collect();
-        thinned(&positions, MOST_PAIRS / self.candidates.len().clamp(1, MOST))
+        evenly(&positions, MOST_PAIRS / self.candidates.len().clamp(1, MOST))
     }
 
     /// Returns `simulated ` if the observations are, else an empty text.
@@ -155,9 +155,13 @@ pub fn plan(places: &Places, settings: &PlanSettings, session: &mut Session<'_>)
     let candidates: Vec<[f64; 3]> = subset.iter().map(|&j| places.candidates[j]).collect();
     let survey = Survey::new(&candidates, &region, &places.measured);
     let start = first_correlation(settings, places, &region)?;
-    let of_all = |order: &[usize]| order.iter().map(|&j| subset[j]).collect::<Vec<usize>>();
+    let candidate_indices = |order: &[usize]| order.iter().map(|&j| subset[j]).collect::<Vec<usize>>();
     let learn = |order: &[usize]| {
-        places.data.as_ref().filter(|_| settings.simulate).and_then(|data| learn_correlation(data, &of_all(order)))
+        places
+            .data
+            .as_ref()
+            .filter(|_| settings.simulate)
+            .and_then(|data| learn_correlation(data, &candidate_indices(order)))
     };
     let selected = run_stage(session.observer, "selecting positions", |progress| {
         survey.select(start, settings.count, learn, |done| {
@@ -167,7 +171,7 @@ pub fn plan(places: &Places, settings: &PlanSettings, session: &mut Session<'_>)
     });
     session.check_stopped()?;
     let mut choices = list_choices(&survey, &selected, settings.seed);
-    choices.iter_mut().for_each(|choice| choice.order = of_all(&choice.order));
+    choices.iter_mut().for_each(|choice| choice.order = candidate_indices(&choice.order));
     let gain = score_choices(&mut choices, places, session)?;
     let text = format_table(&choices, gain, &selected.correlation, places);
     let Choice { order, variances, .. } = choices.swap_remove(0);
@@ -194,7 +198,7 @@ fn select_region(settings: &PlanSettings, places: &Places) -> Result<Vec<[f64; 3
 }
 
 /// Returns the correlation of the first step: of `--length-scale`, else learned from known measurements, else the
-/// default of the region.
+/// default of the region. An invalid length is an error.
 fn first_correlation(settings: &PlanSettings, places: &Places, region: &[[f64; 3]]) -> Result<Correlation> {
     let default = default_correlation(region);
     if let Some(length) = settings.length_scale {
@@ -257,11 +261,12 @@ fn score_choices(choices: &mut [Choice], places: &Places, session: &mut Session<
         session.observer.on_stage("scoring", k, total);
         choice.scores = kriging_scores(data, &choice.order, &test)?;
     }
-    Ok(mean_gain(data, &test, &choices[0], &choices[1]))
+    Ok(mean_gain(data, &test, &choices[0], &choices[1])) // in the order of `list_choices`
 }
 
 /// Computes the mean gain of the scores of the plan over the regular choice, with an interval over blocks of positions,
-/// since neighbours and the links of one transmitter are not independent. `test` are the scored links.
+/// since neighbours and the links of one transmitter are not independent. `test` are the scored links. `None` without finite
+/// scores.
 fn mean_gain(data: &Dataset, test: &[usize], plan: &Choice, regular: &Choice) -> Option<Difference> {
     let sign = if data.task().headline.higher { 1.0 } else { -1.0 };
     let samples = || test.iter().map(|i| data.sample(*i));

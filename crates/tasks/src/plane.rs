@@ -2,9 +2,12 @@
 
 use pwrfgs_core::{Error, Geodetic, MAX_COORDINATE_M, Pose, Result, coordinate_fault, position_fault};
 
+/// Names of the coordinates.
 const AXES: [&str; 3] = ["x", "y", "z"];
 /// Maximum number of positions of a map.
 const MOST: f64 = 4e6;
+/// Maximum number of values of a map: positions times layers.
+const MOST_VALUES: f64 = 16.0 * MOST;
 /// Largest number of positions of a map of default grid spacing, if the smallest spacing is too small.
 const USUAL: f64 = 2.5e5;
 
@@ -131,16 +134,16 @@ impl PlaneBounds {
     /// large the first of 1, 2, 5, 10 .. m with at most 250,000 positions.
     pub fn default_step(self, layers: usize) -> f64 {
         let count = |step: f64| self.0.iter().map(|[low, high]| (high - low) / step + 2.0).product::<f64>();
-        let most = USUAL.min(16.0 * MOST / layers.max(1) as f64);
-        let is_small = count(Self::STEP) <= MOST.min(16.0 * MOST / layers.max(1) as f64);
+        let most = USUAL.min(MOST_VALUES / layers.max(1) as f64);
+        let is_small = count(Self::STEP) <= MOST.min(MOST_VALUES / layers.max(1) as f64);
         let steps = (0..10).flat_map(|power| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(power)));
         let mut steps =
             std::iter::once(Self::STEP).filter(|_| is_small).chain(steps.filter(|step| count(*step) <= most));
         steps.next().unwrap_or(MAX_COORDINATE_M)
     }
 
-    /// Returns the bounds in metres of a frame with latitude and longitude. Bounds that are both within a degree of its zero are in
-    /// degrees: latitudes, then longitudes, or the reverse. Others are in metres.
+    /// Returns the bounds in metres. In a frame with latitude and longitude, bounds within a degree of its zero are in degrees:
+    /// latitudes, then longitudes, or the reverse. Other bounds are in metres already.
     #[must_use]
     pub fn in_metres(self, geodetic: Option<Geodetic>) -> Self {
         let Some(zero) = geodetic else { return self };
@@ -153,15 +156,15 @@ impl PlaneBounds {
         Self([0, 1].map(|k| [low[k], high[k]]))
     }
 
-    /// Returns the bounds extended to multiples of `step`; unchanged if these are not finite.
+    /// Returns the bounds extended to multiples of `step`, or unchanged if the multiples are not finite.
     pub fn rounded_outwards(self, step: f64) -> Self {
         let rounded = |[low, high]: [f64; 2]| [(low / step).floor() * step, (high / step).ceil() * step];
         let out = self.0.map(rounded);
         if out.iter().flatten().all(|v| v.is_finite()) { Self(out) } else { self }
     }
 
-    /// Creates bounds around the central 90 % of `cloud` and all `receivers`, metres; along a coordinate in which these
-    /// are equal, or that has none, they are two metres wide.
+    /// Creates bounds around the central 90 % of `cloud` and all `receivers`, metres; two metres wide along a coordinate in
+    /// which all are equal, or if there are none.
     pub fn around(mut cloud: Vec<[f64; 2]>, receivers: &[[f64; 2]]) -> Self {
         cloud.retain(|point| point.iter().all(|v| v.is_finite()));
         let ends_along = |k: usize| {
@@ -209,10 +212,10 @@ impl PlaneGrid {
         }
         let count = |[low, high]: [f64; 2]| ((high - low) / step + 1e-6).floor() + 1.0;
         let (columns, rows) = (count(across), count(up));
-        if columns * rows > MOST || columns * rows * layers as f64 > 16.0 * MOST {
+        if columns * rows > MOST || columns * rows * layers as f64 > MOST_VALUES {
             return Err(Error::Config(format!(
-                "map of {columns} x {rows} positions and {layers} receivers is too large; increase --step, reduce --bounds or set \
-                 --receiver"
+                "map of {columns} x {rows} positions and {layers} receivers is too large; increase --step, reduce --bounds or \
+                 set --receiver"
             )));
         }
         Ok(Self { plane, first: [across[0], up[0]], step, columns: columns as usize, rows: rows as usize })

@@ -175,7 +175,7 @@ impl RowPredictor<'_> {
         Ok(())
     }
 
-    /// Returns row `k`, receiver by receiver.
+    /// Returns row `k`. The rows of a pose are consecutive, one per receiver.
     fn row(&self, k: usize) -> PredictionRow<'_> {
         let (model, task) = (self.model, self.model.task());
         let (p, receiver) = (k / self.receivers.len(), self.receivers[k % self.receivers.len()]);

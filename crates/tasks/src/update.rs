@@ -20,7 +20,8 @@ pub struct UpdatedModel {
 }
 
 /// Adds all links of `data` to the residual process of `model`, without training. `accepted` are the names of accepted
-/// findings, such as `far-from-model`: most links lie outside the 99 % intervals of the model. `observer` receives the progress and findings on the data.
+/// findings, such as `far-from-model`: most links lie outside the 99 % intervals of the model. `observer` receives the
+/// progress and the findings on the data.
 ///
 /// # Errors
 /// A model without residual process; data of another scene, with findings that make results meaningless, or without a link at a

@@ -94,10 +94,10 @@ impl Adam {
         weights: &mut [Real],
         d_weights: &[Real],
     ) -> Result<(), String> {
-        let o = &rates.training.optimizer;
-        let warm = (rates.step as f64 / o.network_warmup.max(1) as f64).min(1.0) as Real;
-        let update = rates.update(warm * rates.rate(o.network), o.network_eps);
-        let decayed = Update { l2: o.network_l2, decay: o.network_decay, ..update };
+        let optimizer = &rates.training.optimizer;
+        let warm = (rates.step as f64 / optimizer.network_warmup.max(1) as f64).min(1.0) as Real;
+        let update = rates.update(warm * rates.rate(optimizer.network), optimizer.network_eps);
+        let decayed = Update { l2: optimizer.network_l2, decay: optimizer.network_decay, ..update };
         let [first, second] = &mut self.weights;
         for WeightGroup { range, decays } in groups {
             let range = || range.clone();
@@ -111,38 +111,37 @@ impl Adam {
 }
 
 /// Returns the rate of column `name`; `None` for state that is not learned, and for a rate of 0.
-fn column_rate(o: &Optimizer, spec: Option<&ColumnSpec>, name: &str, rate: impl Fn(Schedule) -> Real) -> Option<Real> {
+fn column_rate(
+    optimizer: &Optimizer,
+    spec: Option<&ColumnSpec>,
+    name: &str,
+    rate: impl Fn(Schedule) -> Real,
+) -> Option<Real> {
     let rate = match name {
-        "means" => rate(o.means),
-        "log_scales" => rate(o.log_scales),
-        "quats" => rate(o.quats),
-        "opacity_logits" => rate(o.opacity_logits),
-        "signals" => rate(o.signals),
+        "means" => rate(optimizer.means),
+        "log_scales" => rate(optimizer.log_scales),
+        "quats" => rate(optimizer.quats),
+        "opacity_logits" => rate(optimizer.opacity_logits),
+        "signals" => rate(optimizer.signals),
         // Columns that no pruner requested belong to the method: further signals.
         _ => match spec {
             Some(spec) => spec.learning_rate?,
-            None => rate(o.signals),
+            None => rate(optimizer.signals),
         },
     };
     (rate != 0.0).then_some(rate)
 }
 
-/// Runs a step of gradient descent: x −= rate · d. Fails if a value is no longer finite.
+/// Runs a step of gradient descent: x −= rate · d. Returns an error if a value is no longer finite.
 fn descend(x: &mut [Real], d: &[Real], rate: Real) -> Result<(), ()> {
     x.iter_mut().zip(d).for_each(|(x, d)| *x -= rate * d);
     if x.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(()) }
 }
 
 impl Update {
-    /// Runs a step of Adam (Kingma and Ba), with L2 decay added to the gradient and decoupled decay subtracted from the
-    /// value. Fails if a value is no longer finite.
-    ///
-    /// Moments of weights without a gradient decay to subnormal numbers, which no longer change the weight but slow the
-    /// processor down many times; they become 0. So do weights below [`NEGLIGIBLE`] under L2 decay, whose products with
-    /// small activations are subnormal.
+    /// Runs a step of Adam on values x with gradients d and moments m and v. Returns an error if a value is no longer finite.
     fn apply(self, x: &mut [Real], d: &[Real], m: &mut [Real], v: &mut [Real]) -> Result<(), ()> {
-        const CHUNK: usize = 16_384;
-        let [beta1, beta2] = BETAS;
+        const CHUNK: usize = 16_384; // values per task
         let parts = (x.par_chunks_mut(CHUNK))
             .zip(d.par_chunks(CHUNK))
             .zip(m.par_chunks_mut(CHUNK))
@@ -151,26 +150,36 @@ impl Update {
             .map(|(((x, d), m), v)| {
                 pulp::Arch::new().dispatch(
                     #[inline(always)]
-                    || {
-                        let mut finite = true;
-                        for (((x, d), m), v) in x.iter_mut().zip(d).zip(m).zip(v) {
-                            let g = d + self.l2 * *x;
-                            let first = beta1 * *m + (1.0 - beta1) * g;
-                            let second = beta2 * *v + (1.0 - beta2) * g * g;
-                            let is_idle = first.abs() < Real::MIN_POSITIVE;
-                            *m = if is_idle { 0.0 } else { first };
-                            *v = if is_idle && second < Real::MIN_POSITIVE { 0.0 } else { second };
-                            let step = (*m / self.unbias[0]) / ((*v / self.unbias[1]).sqrt() + self.eps);
-                            let next = *x - self.rate * (step + self.decay * *x);
-                            *x = if self.l2 > 0.0 && next.abs() < NEGLIGIBLE { 0.0 } else { next };
-                            finite &= x.is_finite();
-                        }
-                        finite
-                    },
+                    || self.apply_to_chunk(x, d, m, v),
                 )
             })
             .reduce(|| true, |a, b| a && b);
         if finite { Ok(()) } else { Err(()) }
+    }
+
+    /// Updates some values by the rule of Kingma and Ba, with L2 decay added to the gradient and decoupled decay subtracted
+    /// from the value. Returns whether all values are finite.
+    ///
+    /// Moments of weights without a gradient decay to subnormal numbers, which no longer change the weight but slow the
+    /// processor down many times; they become 0. So do weights below [`NEGLIGIBLE`] under L2 decay, whose products with
+    /// small activations are subnormal.
+    #[inline(always)]
+    fn apply_to_chunk(self, x: &mut [Real], d: &[Real], m: &mut [Real], v: &mut [Real]) -> bool {
+        let [beta1, beta2] = BETAS;
+        let mut finite = true;
+        for (((x, d), m), v) in x.iter_mut().zip(d).zip(m).zip(v) {
+            let g = d + self.l2 * *x;
+            let first = beta1 * *m + (1.0 - beta1) * g;
+            let second = beta2 * *v + (1.0 - beta2) * g * g;
+            let is_idle = first.abs() < Real::MIN_POSITIVE;
+            *m = if is_idle { 0.0 } else { first };
+            *v = if is_idle && second < Real::MIN_POSITIVE { 0.0 } else { second };
+            let step = (*m / self.unbias[0]) / ((*v / self.unbias[1]).sqrt() + self.eps);
+            let next = *x - self.rate * (step + self.decay * *x);
+            *x = if self.l2 > 0.0 && next.abs() < NEGLIGIBLE { 0.0 } else { next };
+            finite &= x.is_finite();
+        }
+        finite
     }
 }
 

@@ -46,7 +46,13 @@ impl Batches {
     ///
     /// # Errors
     /// A spectrum cannot be read.
-    pub(crate) fn of_step(&mut self, step: u64, plan: &TrainingPlan, data: &Dataset, stages: &Stages) -> Result<Batch> {
+    pub(crate) fn draw_batch(
+        &mut self,
+        step: u64,
+        plan: &TrainingPlan,
+        data: &Dataset,
+        stages: &Stages,
+    ) -> Result<Batch> {
         let settings = &plan.training;
         let (seed, n) = (plan.seed, self.transmitters.len() as u64);
         let mut jitter = rng::stream(seed, "jitter", step);
@@ -86,7 +92,7 @@ impl Batches {
     ///
     /// # Errors
     /// A spectrum cannot be read.
-    pub(crate) fn of_pass(
+    pub(crate) fn pass_batches(
         &self,
         transmitters: Vec<usize>,
         data: &Dataset,
@@ -132,8 +138,8 @@ fn build_batch(
 /// Returns the network inputs of some links. Links of one location share one shifted position. Unless `each` is true, a
 /// link out of ascending order begins another draw of its location: a batch may contain a transmitter twice.
 fn network_inputs(links: &[usize], data: &Dataset, stages: &Stages, each: bool, shift: Shift<'_>) -> LinkInputs {
-    let (mut inputs, mut before) = (LinkInputs::of(stages.method.traits().inputs, &stages.setup), None);
-    let (carriers, mut last, mut pose) = (stages.carriers(), None, Pose::IDENTITY);
+    let (mut inputs, mut last_link) = (LinkInputs::of(stages.method.traits().inputs, &stages.setup), None);
+    let (carriers, mut last_carrier, mut pose) = (stages.carriers(), None, Pose::IDENTITY);
     for &i in links {
         let (query, location) = (data.query(i), data.links[i].location);
         let carrier = carriers.get(query.receiver);
@@ -141,15 +147,15 @@ fn network_inputs(links: &[usize], data: &Dataset, stages: &Stages, each: bool, 
             pose = stages.origin.local_pose(query.pose);
             inputs.values.extend_from_slice(features); // one per link
             inputs.carriers.extend(carrier);
-        } else if before.is_none_or(|(l, j)| l != location || j >= i && !each) || carrier != last {
+        } else if last_link.is_none_or(|(l, j)| l != location || j >= i && !each) || carrier != last_carrier {
             pose = stages.origin.local_pose(query.pose);
-            let (position, exact) = (pose.origin().to_array().map(&mut *shift), pose.origin().to_array());
-            (0..3).for_each(|k| pose.position[k] += (position[k] - exact[k]) as f64);
-            inputs.values.extend(position);
+            let (shifted, exact) = (pose.origin().to_array().map(&mut *shift), pose.origin().to_array());
+            (0..3).for_each(|k| pose.position[k] += (shifted[k] - exact[k]) as f64);
+            inputs.values.extend(shifted);
             inputs.carriers.extend(carrier);
         }
-        last = carrier;
-        before = Some((location, i));
+        last_carrier = carrier;
+        last_link = Some((location, i));
         inputs.add_link(&stages.setup, query.receiver, pose);
     }
     inputs
@@ -187,14 +193,20 @@ pub(crate) fn plane_of_step(whole: &ImagePlane, plan: &TrainingPlan, task: Task,
     strided_plane(whole, plan, task, plan.training.moving_stride.then_some(("stride", step)))
 }
 
-/// Returns the image plane for a `pass`, the number of a prune step and of a part of its pass, with a random offset for
-/// this part: predictions also use the pixels that the stride of training skips.
-pub(crate) fn plane_of_pass(whole: &ImagePlane, plan: &TrainingPlan, task: Task, pass: (u64, u64)) -> ImagePlane {
-    strided_plane(whole, plan, task, Some(("stride of a pass", pass.0 << 24 | pass.1)))
+/// Returns the image plane for part `part` of the pass at prune step `step`, with a random offset for this part: predictions
+/// also use the pixels that the stride of training skips.
+pub(crate) fn plane_of_pass(
+    whole: &ImagePlane,
+    plan: &TrainingPlan,
+    task: Task,
+    (step, part): (u64, u64),
+) -> ImagePlane {
+    // A pass has fewer than 2^24 parts.
+    strided_plane(whole, plan, task, Some(("stride of a pass", step << 24 | part)))
 }
 
-/// Returns every `stride`-th row and column, from an offset drawn by the random stream of this name and number; all
-/// values if the data are not spectra.
+/// Returns every `stride`-th row and column, from an offset drawn by the random stream of this name and number (without a
+/// stream: from the first ones); all values if the data are not spectra.
 fn strided_plane(whole: &ImagePlane, plan: &TrainingPlan, task: Task, stream: Option<(&str, u64)>) -> ImagePlane {
     let stride = task.stride(plan.training.stride);
     if stride == 1 {

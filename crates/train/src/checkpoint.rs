@@ -23,6 +23,7 @@ struct Sealed {
     note: Note,
 }
 
+/// Metadata without the digest.
 #[derive(Serialize, Deserialize)]
 struct Note {
     format: String,

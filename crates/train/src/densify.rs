@@ -34,17 +34,17 @@ pub(crate) fn densify(
     let (mut rows, mut children) = (Vec::with_capacity(n), Vec::new());
     let mut copies = Vec::new();
     for (i, chosen) in chosen.iter().enumerate() {
-        let small = largest_scale(state.cloud, i) <= settings.clone_below * extent;
-        if !chosen || small {
+        let is_small = largest_scale(state.cloud, i) <= settings.clone_below * extent;
+        if !chosen || is_small {
             rows.push(RowOrigin::Kept(i));
         }
         if *chosen {
-            copies.extend(std::iter::repeat_n((i, small), if small { 1 } else { 2 }));
+            copies.extend(std::iter::repeat_n((i, is_small), if is_small { 1 } else { 2 }));
         }
     }
     let mut random = rng::stream(seed, "densify", step);
-    for (i, small) in copies {
-        if !small {
+    for (i, is_small) in copies {
+        if !is_small {
             children.push((rows.len(), draw_child_mean(state.cloud, i, &mut random)));
         }
         rows.push(RowOrigin::Copied(i));

@@ -46,7 +46,8 @@ pub(crate) fn retain(keep: &[bool], state: &mut PerGaussianState<'_>) {
     }
 }
 
-/// Replaces the cloud by that of a pruner. Statistics of changed Gaussians are reset.
+/// Replaces the cloud by that of a pruner. Statistics of copied Gaussians are reset. Panics if the edit does not fit the cloud,
+/// a fault of the pruner.
 pub(crate) fn replace(edit: CloudEdit, state: &mut PerGaussianState<'_>) {
     let CloudEdit { cloud, rows } = edit;
     let n = state.cloud.len();

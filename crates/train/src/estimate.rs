@@ -44,10 +44,11 @@ const PER_PIXEL: usize = 20;
 
 /// Shares of the Gaussians that learned masks keep: least, expected, most (3,000 Gaussians on s23, `docs/results.md`).
 const KEPT_BY_MASKS: [f64; 3] = [0.01, 0.05, 0.3];
-/// The same for other pruners, whose thresholds may remove none.
+/// Shares that other pruners keep: least, expected, most; their thresholds may remove none.
 const KEPT: [f64; 3] = [0.1, 0.3, 1.0];
-/// Number of timed steps with one N, if they take less than `PATIENCE`.
+/// Number of timed steps with one N, if they take less than [`PATIENCE`].
 const TIMED: usize = 40;
+/// Time after which two or more timed steps are enough; after four times as long, one is.
 const PATIENCE: Duration = Duration::from_millis(1_500);
 
 /// Returns the bytes that the network of `deformation` needs in training; it does not create the network.
@@ -130,6 +131,7 @@ impl Trainer<'_> {
         self.plan.training = Checked::new(endless).map_err(Error::Config)?;
         let start = self.time_steps()?;
         let end = if last < n {
+            // Keeps `last` rows, evenly spaced.
             let open: Vec<bool> = (0..n).map(|i| (i + 1) * last / n > i * last / n).collect();
             self.keep(&open)?;
             self.time_steps()?

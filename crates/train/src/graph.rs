@@ -195,6 +195,7 @@ pub(crate) fn gate_product(cloud: &GaussianCloud, plan: &TrainingPlan, context: 
 /// Returns which Gaussians `[N]` are drawn, including the existence gates of this step. `None` without a gate.
 pub(crate) fn drawn_mask(cloud: &GaussianCloud, plan: &TrainingPlan, context: &StepContext) -> Option<Vec<bool>> {
     let Gates { whole, existence } = Gates::of(&TracedCloud::new(cloud), &plan.pruners, context);
+    // An existence gate is 0 or 1 but for the rounding of its straight-through mask.
     let open_mask = |gate: &Trace, least: Real| values(gate).into_iter().map(|m| m > least).collect::<Vec<_>>();
     let masks = [whole.map(|gate| open_mask(&gate, 0.0)), existence.map(|gate| open_mask(&gate, 0.5))];
     masks.into_iter().flatten().reduce(|a, b| a.into_iter().zip(b).map(|(a, b)| a && b).collect())
@@ -255,6 +256,7 @@ impl DrawableGaussians {
     }
 }
 
+/// Method, batch and parameters of a step, and the sums that its backward pass fills.
 struct Graph {
     stages: Arc<Stages>,
     batch: Arc<Batch>,
@@ -298,7 +300,7 @@ impl Graph {
 
     /// Returns the names of the columns that the method reads, and these columns with the gates.
     fn inputs(&self, traced: &TracedCloud, mut gates: Gates) -> (Vec<&'static str>, Vec<Trace>) {
-        // Standard columns and those of the method; columns of pruners act through the gate.
+        // Takes standard columns and those of the method: columns of pruners act through the gate.
         let MethodTraits { columns, supports_existence_gate, .. } = self.stages.method.traits();
         let method_columns = columns.into_iter().map(|(name, _)| name);
         let names: Vec<&str> = pwrfgs_core::COLUMN_NAMES.into_iter().chain(method_columns).collect();

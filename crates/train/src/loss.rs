@@ -22,7 +22,7 @@ pub trait Objective: std::fmt::Debug + Send + Sync {
 pub(crate) fn create_objective(settings: &Training, data: &Dataset, train: &[usize]) -> Box<dyn Objective> {
     let task = data.task();
     if task.has_pixels {
-        // The window of SSIM has the size of the standard window on all pixels.
+        // Keeps the size of the SSIM window on the whole image: the standard σ is 1.5 px.
         let stride = settings.stride;
         let window = if stride == 1 { Window::default() } else { Window::new(1.5 / stride as f64) };
         Box::new(RenderingLoss { ssim_weight: settings.loss.ssim_weight, window, errors: settings.loss.pixel })
@@ -78,7 +78,7 @@ pub struct ChannelLoss {
 }
 
 impl ChannelLoss {
-    /// Creates the loss relative to the links `train` of `data`.
+    /// Creates the loss relative to the links `train` of `data`; an absolute loss if all their channels are 0.
     pub fn of(data: &Dataset, train: &[usize]) -> Self {
         let energy = |i: &usize| data.image(*i).pixels.iter().map(|v| f64::from(*v as f32).powi(2)).sum::<f64>();
         let mean = train.iter().map(energy).sum::<f64>() / train.len().max(1) as f64;

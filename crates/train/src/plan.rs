@@ -22,10 +22,11 @@ pub struct TrainingPlan {
 }
 
 impl TrainingPlan {
-    /// Returns the parts of [`check_compatible`](pwrfgs_core::check_compatible), without data; the number of `initial` Gaussians, if
-    /// known.
+    /// Returns the parts of [`check_compatible`](pwrfgs_core::check_compatible), without data; `initial` is the number of initial
+    /// Gaussians, if known.
     pub fn parts(&self, initial: Option<usize>) -> Parts<'_> {
         let Training { rays, stride, prune_until, densify_until, target_count: target, .. } = *self.training;
+        // Pixels per spectrum; 0 for pairs of spectrum and pixel.
         let pixels = (rays != Rays::All).then_some(if let Rays::Same(count) = rays { count } else { 0 });
         let (densified, prunes) = (self.max_densified(), prune_until > densify_until);
         let training = TrainingNumbers { stride, pixels, initial, densified, target, prunes };

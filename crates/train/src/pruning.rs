@@ -14,12 +14,22 @@ use pwrfgs_core::{
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 
-/// Returns the number of prune steps up to `step` in the pruning phase, which has prune steps at the multiples of
-/// `every` after `first`, and at `last`.
-fn rounds_until(step: u64, (first, last, every): (u64, u64, u64)) -> u64 {
-    let whole = |step: u64| step / every.max(1);
-    let regular = whole(step.min(last)).saturating_sub(whole(first));
-    regular + u64::from(step >= last && last > first && !last.is_multiple_of(every.max(1)))
+/// Pruning phase, with prune steps at the multiples of `every` after `first`, and at `last`.
+#[derive(Clone, Copy)]
+struct PrunePhase {
+    first: u64,
+    last: u64,
+    every: u64,
+}
+
+impl PrunePhase {
+    /// Returns the number of prune steps up to `step`.
+    fn rounds_until(self, step: u64) -> u64 {
+        let Self { first, last, every } = self;
+        let whole = |step: u64| step / every.max(1);
+        let regular = whole(step.min(last)).saturating_sub(whole(first));
+        regular + u64::from(step >= last && last > first && !last.is_multiple_of(every.max(1)))
+    }
 }
 
 /// Combined votes of all pruners in a prune step.
@@ -41,17 +51,16 @@ impl Trainer<'_> {
     /// Returns the context of `step` for the pruners.
     pub(crate) fn context(&self, step: u64) -> StepContext {
         let t = &self.plan.training;
-        let phases = (t.densify_until, t.prune_until, t.prune_every);
-        let (phase, rounds) = (self.phase(step), rounds_until(t.prune_until, phases));
-        let due = phase == Phase::Prune && (step.is_multiple_of(t.prune_every) || step == t.prune_until);
-        let passed = rounds_until(step, phases);
-        let round = if due { passed } else { 0 };
+        let pruning = PrunePhase { first: t.densify_until, last: t.prune_until, every: t.prune_every };
+        let (phase, rounds) = (self.phase(step), pruning.rounds_until(t.prune_until));
+        let is_due = phase == Phase::Prune && (step.is_multiple_of(t.prune_every) || step == t.prune_until);
+        let passed = pruning.rounds_until(step);
+        let round = if is_due { passed } else { 0 };
         let target = self.goal.map(|goal| goal.target);
         StepContext { round, passed, rounds, target, ..StepContext::new(step, phase, self.plan.seed) }
     }
 
-    /// Runs a prune step: edits and votes of all pruners. Returns the Gaussians before the step; `None` if none were
-    /// removed.
+    /// Runs a prune step: edits and votes of all pruners. Returns the Gaussians before the step; `None` if N did not fall.
     pub(crate) fn prune(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
         let pruners = self.plan.pruners.clone();
         let Some(first) = pruners.first() else { return Ok(None) };
@@ -71,7 +80,7 @@ impl Trainer<'_> {
         Ok((self.cloud.len() < n).then_some(before))
     }
 
-    /// Asks every pruner which Gaussians to keep, given its statistics, and applies an exact target.
+    /// Collects from every pruner which Gaussians to keep, given its statistics, and applies an exact target.
     fn collect_votes(&self, stats: &[CloudStats], context: &StepContext) -> Votes {
         let (pruners, cloud, goal) = (&self.plan.pruners, &self.cloud, self.goal);
         let mut rules = RemovalsByRule::new();
@@ -166,7 +175,7 @@ impl Trainer<'_> {
             stages
         };
         let transmitters = needs.draw_transmitters(self.batches.transmitter_count(), context.seed, context.step);
-        for batch in self.batches.of_pass(transmitters, self.data, stages_of) {
+        for batch in self.batches.pass_batches(transmitters, self.data, stages_of) {
             let (stages, batch) = batch?;
             if draws {
                 let Stages { method, setup } = &stages;
@@ -183,40 +192,46 @@ impl Trainer<'_> {
         Ok(sums)
     }
 
-    /// Returns the place of every Gaussian `[N]` in the order of elimination, from 0; `parameters` are those of the
-    /// drawn `rows`. Undrawn Gaussians come first. Each next one is that whose removal gives the smallest loss of
-    /// `batches`; ties take the last.
-    fn elimination_order(&self, p: &Parameters<'_>, rows: &[usize], batches: &[(Stages, Batch)]) -> Vec<Real> {
+    /// Returns the rank of every Gaussian `[N]` in the order of elimination, from 0; `parameters` are those of the drawn
+    /// `rows`. Undrawn Gaussians come first. The next Gaussian is always the one whose removal gives the smallest loss of
+    /// `batches`; of equal ones, the last.
+    fn elimination_order(&self, parameters: &Parameters<'_>, rows: &[usize], batches: &[(Stages, Batch)]) -> Vec<Real> {
         let n = self.cloud.len();
-        let mut places = vec![Real::NAN; n];
+        let mut ranks = vec![Real::NAN; n];
         let mut drawn = vec![false; n];
         rows.iter().for_each(|&i| drawn[i] = true);
         let mut next = 0;
         let mut take = |i: usize| {
-            places[i] = next as Real;
+            ranks[i] = next as Real;
             next += 1;
         };
         (0..n).rev().filter(|&i| !drawn[i]).for_each(&mut take);
-        let mut left: Vec<usize> = (0..rows.len()).collect();
-        while left.len() > 1 {
-            let without = |k: usize| {
-                let others: Vec<usize> = left.iter().copied().filter(|&i| i != left[k]).collect();
-                mean_loss(&*self.objective, p, &others, batches)
+        let mut remaining: Vec<usize> = (0..rows.len()).collect();
+        while remaining.len() > 1 {
+            let loss_without = |k: usize| {
+                let others: Vec<usize> = remaining.iter().copied().filter(|&i| i != remaining[k]).collect();
+                mean_loss(&*self.objective, parameters, &others, batches)
             };
-            let losses: Vec<Real> = (0..left.len()).into_par_iter().map(without).collect();
-            let best = (0..left.len()).rev().min_by(|&a, &b| losses[a].total_cmp(&losses[b])).expect("two or more");
-            take(rows[left.remove(best)]);
+            let count = remaining.len();
+            let losses: Vec<Real> = (0..count).into_par_iter().map(loss_without).collect();
+            let best = (0..count).rev().min_by(|&a, &b| losses[a].total_cmp(&losses[b])).expect("two or more");
+            take(rows[remaining.remove(best)]);
         }
-        left.into_iter().for_each(|k| take(rows[k]));
-        places
+        remaining.into_iter().for_each(|k| take(rows[k]));
+        ranks
     }
 }
 
-/// Returns the mean loss over the links of `batches`, with the Gaussians `rows` of the parameters only.
-fn mean_loss(objective: &dyn Objective, p: &Parameters<'_>, rows: &[usize], batches: &[(Stages, Batch)]) -> Real {
-    let cloud = p.cloud.select(rows);
-    let gate: Option<Vec<Real>> = p.gate.map(|gate| rows.iter().map(|&i| gate[i]).collect());
-    let parameters = Parameters { cloud: &cloud, gate: gate.as_deref(), ..*p };
+/// Returns the mean loss over the links of `batches`, with only the Gaussians `rows` of the parameters.
+fn mean_loss(
+    objective: &dyn Objective,
+    parameters: &Parameters<'_>,
+    rows: &[usize],
+    batches: &[(Stages, Batch)],
+) -> Real {
+    let cloud = parameters.cloud.select(rows);
+    let gate: Option<Vec<Real>> = parameters.gate.map(|gate| rows.iter().map(|&i| gate[i]).collect());
+    let parameters = Parameters { cloud: &cloud, gate: gate.as_deref(), ..*parameters };
     let loss = |(Stages { method, setup }, batch): &(Stages, Batch)| {
         let size = (setup.plane.width, setup.plane.height);
         let numbers = method.forward(&batch.call(setup, parameters), &None).numbers;
@@ -232,9 +247,10 @@ mod tests {
 
     #[test]
     fn prune_steps_are_counted() {
-        let rounds = |step| rounds_until(step, (100, 1000, 300));
+        let phase = |first, last, every| PrunePhase { first, last, every };
+        let rounds = |step| phase(100, 1000, 300).rounds_until(step);
         assert_eq!([100, 299, 300, 600, 900, 999, 1000, 2000].map(rounds), [0, 0, 1, 2, 3, 3, 4, 4]);
-        assert_eq!(rounds_until(900, (300, 900, 300)), 2, "the last step of densification is none");
-        assert_eq!(rounds_until(50, (50, 50, 10)), 0, "no phase, no round");
+        assert_eq!(phase(300, 900, 300).rounds_until(900), 2, "the last step of densification is none");
+        assert_eq!(phase(50, 50, 10).rounds_until(50), 0, "no phase, no round");
     }
 }

@@ -272,9 +272,12 @@ settings! {
     }
 }
 
-/// Validation samples of a shorter training, unless the pipeline has fewer, and its most validations.
+/// Least number of validation samples of a shorter training, unless the pipeline has fewer.
 const LEAST_VALIDATED: usize = 50;
+/// Largest number of validations of a shorter training.
 const MOST_VALIDATIONS: u64 = 10;
+/// Largest number of pairs of spectrum and pixel per step.
+const MOST_PAIRS: usize = 4_194_304;
 
 impl Training {
     /// Returns the settings with `scale` applied to all numbers of steps, and `scale` set to 1.
@@ -325,8 +328,12 @@ impl Check for Training {
             "`prune_until` is below `densify_until`; raise it, because pruning follows densification",
         )?;
         require(self.stride >= 1, "`stride` is 0; give 1 for every pixel")?;
-        let is_invalid = matches!(self.rays, Rays::Same(0) | Rays::Each(0 | 4_194_305..));
-        require(!is_invalid, "`rays` is 0, or more than 4194304 pairs; give at least 1, or All")?;
+        let is_valid = match self.rays {
+            Rays::All => true,
+            Rays::Same(pixels) => pixels >= 1,
+            Rays::Each(pairs) => (1..=MOST_PAIRS).contains(&pairs),
+        };
+        require(is_valid, &format!("`rays` is 0, or more than {MOST_PAIRS} pairs; give at least 1, or All"))?;
         require(
             self.rays == Rays::All || self.loss.ssim_weight == 0.0,
             "SSIM needs whole spectra, but `rays` selects single pixels; set loss.ssim_weight to 0, or rays to All",

@@ -19,7 +19,7 @@ impl<'a> Trainer<'a> {
     /// Initialises cloud and network.
     ///
     /// # Errors
-    /// The initialiser lacks an input, or the training set is empty.
+    /// Plan and data do not fit together, the training set is empty, or the initialiser lacks an input.
     pub fn new(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
         Self::begin(plan, data, partition, &|_, _| {}, &AtomicBool::new(false))
     }
@@ -71,7 +71,7 @@ impl<'a> Trainer<'a> {
         Ok(self)
     }
 
-    /// Creates the trainer without parameters, for a plan that is checked against the data.
+    /// Checks the plan against the data, and creates the trainer without parameters.
     ///
     /// # Errors
     /// Plan and data do not fit together, or the training set is empty.

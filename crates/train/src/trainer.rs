@@ -22,7 +22,7 @@ pub struct StepReport {
     pub step: u64,
     /// Phase of algorithm 1.
     pub phase: Phase,
-    /// Rendering loss before the update.
+    /// Loss before the update.
     pub loss: f64,
     /// Sum of the penalties of the pruners before the update.
     pub penalty: f64,
@@ -201,7 +201,7 @@ impl Trainer<'_> {
         self.before_reset = None;
         let context = self.context(step);
         self.set_plane(step);
-        let batch = self.batches.of_step(step, &self.plan, self.data, &self.stages)?;
+        let batch = self.batches.draw_batch(step, &self.plan, self.data, &self.stages)?;
         let pruners = if context.phase == Phase::Finetune { Vec::new() } else { self.plan.pruners.clone() };
         let dropout = self.draw_dropout(step);
         let (loss, penalty) = self.stepper().step(&batch, &pruners, dropout.as_deref(), &context)?;

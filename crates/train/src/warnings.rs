@@ -76,7 +76,7 @@ impl Trainer<'_> {
             return None;
         }
         let most = settings.max_gaussians;
-        let fate = if most > 0 && ((most - most.min(n - large)) as Real) < descendants {
+        let advice = if most > 0 && ((most - most.min(n - large)) as Real) < descendants {
             format!(
                 "`max_gaussians` ({most}) stops the splits that would shrink them; raise `extent_m` or `max_gaussians`"
             )
@@ -88,7 +88,7 @@ impl Trainer<'_> {
         };
         Some(format!(
             "training.densify: {large} of {n} Gaussians start larger than `large_above` ({limit:.2} m, {} of the extent) \
-             and are removed at step {step} unless splits shrink them; {fate}, or set `large_above` to 0",
+             and are removed at step {step} unless splits shrink them; {advice}, or set `large_above` to 0",
             settings.large_above
         ))
     }
@@ -109,7 +109,7 @@ impl Trainer<'_> {
 
     /// Returns a sentence if the learned masks have closed less than a tenth of the Gaussians; `None` without masks,
     /// before the first prune step, and if a target decides their number.
-    pub fn idle_masks(&self) -> Option<String> {
+    pub fn idle_masks_warning(&self) -> Option<String> {
         let is_free = |k: &usize| self.goal.is_none_or(|goal| goal.pruner != *k);
         let is_mask = |k: &usize| self.plan.pruners[*k].traits().mask_rate().is_some();
         let pruner = &self.plan.pruners[(0..self.plan.pruners.len()).find(|k| is_mask(k) && is_free(k))?];
@@ -122,7 +122,7 @@ impl Trainer<'_> {
     }
 
     /// Returns a sentence if learned masks without a target have closed all Gaussians but one; otherwise `None`.
-    pub fn lone_gaussian(&self) -> Option<String> {
+    pub fn lone_gaussian_warning(&self) -> Option<String> {
         let (_, before) =
             self.masks.filter(|_| self.cloud.len() == 1 && self.goal.is_none() && !self.is_one_requested())?;
         let rate = self.plan.pruners.iter().find_map(|pruner| pruner.traits().mask_rate()).unwrap_or_default();

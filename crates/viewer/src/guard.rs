@@ -54,9 +54,9 @@ impl Guard {
             return Err(StatusCode::FORBIDDEN);
         }
         let fetch = |name| headers.contains_key(name).then(|| single_value(headers, &HeaderName::from_static(name)));
-        let is_own = fetch("sec-fetch-site").is_none_or(|site| matches!(site, Some("same-origin" | "none")));
+        let is_same_origin = fetch("sec-fetch-site").is_none_or(|site| matches!(site, Some("same-origin" | "none")));
         let is_frame = self.is_framed && fetch("sec-fetch-dest") == Some(Some("iframe"));
-        if !is_own && !is_frame {
+        if !is_same_origin && !is_frame {
             return Err(StatusCode::FORBIDDEN);
         }
         if method != Method::GET {

@@ -1,7 +1,7 @@
 //! `Predictor`: models or a fitted baseline of one half of the page.
 
 use pwrfgs_core::{Dataset, Image, Predict, Query};
-use pwrfgs_model::{Ensemble, Prepared};
+use pwrfgs_model::{Ensemble, Model, Prepared};
 use self_cell::self_cell;
 use std::sync::Arc;
 use std::time::Instant;
@@ -57,10 +57,10 @@ impl Predictor {
         }
     }
 
-    /// Returns whether the input is a transmitter position, as that of a baseline, not other features.
+    /// Returns whether the input is a position, as that of a baseline, not link features.
     pub(crate) fn has_position_input(&self) -> bool {
-        self.ensemble()
-            .is_none_or(|ensemble| ensemble.members().iter().all(|model| model.stages.method.traits().inputs == 3))
+        let has_position = |model: &Model| model.stages.method.traits().inputs == 3; // x, y, z
+        self.ensemble().is_none_or(|ensemble| ensemble.members().iter().all(has_position))
     }
 
     /// Returns whether this is a baseline that is fitted to training and validation samples, which it may store; an

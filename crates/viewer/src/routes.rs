@@ -74,7 +74,8 @@ fn page_html(state: &ServerState) -> String {
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
          content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" content=\"light dark\">\n\
-         <title>{} · pwrfgs view</title>\n<link rel=\"icon\" href=\"data:,\">\n<link rel=\"stylesheet\" href=\"page.css\">\n<link rel=\"stylesheet\" \
+         <title>{} · pwrfgs view</title>\n<link rel=\"icon\" href=\"data:,\">\n\
+         <link rel=\"stylesheet\" href=\"page.css\">\n<link rel=\"stylesheet\" \
          href=\"stage.css\">\n<script type=\"module\" src=\"stage.js\"></script>\n</head>\n<body>\n<main \
          data-source=\"server\">\n{STAGE}\n</main>\n</body>\n</html>\n",
         names.join(" | ")
@@ -138,6 +139,7 @@ fn parse_metres(name: &str, value: &str) -> Result<f64, String> {
 /// Interval of events; an empty event detects a closed page.
 const EVENT_INTERVAL: Duration = Duration::from_secs(1);
 
+/// Next event, `None` at the end of the stream, with the receiver.
 type PendingEvent = Pin<Box<dyn Future<Output = (Option<Bytes>, Receiver<String>)> + Send + Sync>>;
 
 /// Stream of events.

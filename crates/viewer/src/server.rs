@@ -31,6 +31,8 @@ const MAX_PENDING: usize = 64;
 const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
 /// Largest head of a request, bytes.
 const MAX_HEAD_BYTES: usize = 16 << 10;
+/// Maximum number of headers of a request.
+const MAX_HEADERS: usize = 64;
 /// Interval between checks of the stop flag.
 const TICK: Duration = Duration::from_millis(100);
 /// Time without an open page after which the server stops; a reload takes less.
@@ -119,7 +121,7 @@ async fn accept_connections(listener: TcpListener, guard: Arc<Guard>, state: Arc
     let mut pending: VecDeque<(Rc<ConnectionAccess>, AbortHandle)> = VecDeque::new();
     loop {
         let Ok((stream, _)) = listener.accept().await else {
-            // Such as no free file descriptors: other connections release theirs.
+            // Waits until other connections release what is missing, such as file descriptors.
             tokio::time::sleep(TICK).await;
             continue;
         };
@@ -142,7 +144,11 @@ async fn serve_connection(stream: TcpStream, access: &ConnectionAccess, state: &
     _ = stream.set_nodelay(true);
     let service = service_fn(async |request| Ok::<_, Infallible>(respond(request, access, state).await));
     let mut server = http1::Builder::new();
-    server.timer(TokioTimer::new()).header_read_timeout(HEAD_TIMEOUT).max_buf_size(MAX_HEAD_BYTES).max_headers(64);
+    server
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEAD_TIMEOUT)
+        .max_buf_size(MAX_HEAD_BYTES)
+        .max_headers(MAX_HEADERS);
     _ = server.serve_connection(TokioIo::new(stream), service).await;
 }
 

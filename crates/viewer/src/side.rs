@@ -126,6 +126,9 @@ impl ViewPane {
     }
 
     /// Adds the surfaces of the room of simulated data; panes of other data stay as they are.
+    ///
+    /// # Errors
+    /// The scene of the data is invalid.
     #[cfg(feature = "raytrace")]
     pub(crate) fn add_surfaces(&mut self) -> Result<()> {
         let simulation = self.loaded.as_ref().and_then(|loaded| loaded.data.simulation.as_ref());
@@ -136,7 +139,7 @@ impl ViewPane {
         Ok(())
     }
 
-    /// Leaves the pane as it is: surfaces need the feature `raytrace`.
+    /// Leaves the pane unchanged: surfaces need the feature `raytrace`.
     #[cfg(not(feature = "raytrace"))]
     #[allow(clippy::unnecessary_wraps, clippy::unused_self)] // same signature as above
     pub(crate) fn add_surfaces(&mut self) -> Result<()> {
@@ -187,7 +190,7 @@ impl ViewPane {
             predictor.ensemble().map(|ensemble| ensemble.without_validation(&loaded.data, loaded.partition.known()));
         let unbiased = unbiased.transpose()?.flatten().map(|ensemble| Arc::new(Predictor::new(ensemble)));
         let unbiased = unbiased.unwrap_or_else(|| Arc::clone(&predictor));
-        // Own threads: predictions of other requests would wait for those that they share.
+        // Uses separate threads: predictions of other requests would wait for shared ones.
         let threads = rayon::ThreadPoolBuilder::new().num_threads(rayon::current_num_threads()).build();
         let pool = threads.map_err(|e| Error::Config(format!("no threads: {e}")))?;
         let fitted = FittedLocator::try_new(unbiased, |predictor| {

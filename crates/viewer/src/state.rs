@@ -11,8 +11,12 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, SystemTime};
 use tokio::sync::broadcast;
 
+/// Columns of `curve.csv` on the page: step, loss and number of Gaussians.
+pub(crate) const CURVE_COLUMNS: [usize; 3] = [0, 2, 4];
 /// Interval between checks of a run in progress.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
+/// Number of events that a slow page may miss at once.
+const QUEUED_EVENTS: usize = 64;
 
 /// State of the server.
 pub(crate) struct ServerState {
@@ -25,7 +29,7 @@ pub(crate) struct ServerState {
 impl ServerState {
     /// Creates the state, and starts a thread per run in progress that sends events about its changes.
     pub(crate) fn new(sides: Vec<ViewPane>) -> Arc<Self> {
-        let (news, _) = broadcast::channel(64);
+        let (news, _) = broadcast::channel(QUEUED_EVENTS);
         let state = Arc::new(Self { sides, watched: AtomicBool::new(false), watchers: AtomicUsize::new(0), news });
         for side in 0..state.sides.len() {
             let running = state.sides[side].folder.clone().filter(|folder| !folder.join(MODEL_FILE).is_file());
@@ -58,9 +62,9 @@ impl ServerState {
     /// of the curve, and of model or checkpoint. Returns whether the run is finished.
     fn send_change(&self, side: usize, folder: &Path, times: &mut [Option<SystemTime>; 2]) -> bool {
         let training = training_folder(folder).1;
-        let changed = |path: PathBuf| std::fs::metadata(path).and_then(|file| file.modified()).ok();
-        let model = changed(folder.join(MODEL_FILE)).or_else(|| changed(training.join(CHECKPOINT)));
-        let now = [changed(training.join(CURVE)), model];
+        let modified = |path: PathBuf| std::fs::metadata(path).and_then(|file| file.modified()).ok();
+        let model = modified(folder.join(MODEL_FILE)).or_else(|| modified(training.join(CHECKPOINT)));
+        let now = [modified(training.join(CURVE)), model];
         if *times == now {
             return false;
         }
@@ -69,10 +73,10 @@ impl ServerState {
         let ended = reload && self.sides[side].reload().unwrap_or(false);
         let loaded = self.sides[side].loaded.as_ref();
         let rows = read_series(&training.join(CURVE));
-        let field = |k: usize| rows.last().and_then(|row| row.get(k).copied().flatten());
+        let [step, loss, gaussians] = CURVE_COLUMNS.map(|k| rows.last().and_then(|row| row.get(k).copied().flatten()));
         let finished = ended && folder.join(FACTS).is_file() && matches!(Facts::read(folder), Ok(Some(_)));
         let event = json!({
-            "side": side, "step": field(0), "loss": field(2), "gaussians": field(4), "changed": reload, "finished": finished,
+            "side": side, "step": step, "loss": loss, "gaussians": gaussians, "changed": reload, "finished": finished,
             "steps": loaded.map(|loaded| loaded.pipeline.training.steps),
         });
         _ = self.news.send(event.to_string());

@@ -1,11 +1,13 @@
 //! Validation of user arrays for a data set: receivers, spectra, powers, channels.
 
-use crate::arrays::{self, Gain, array_shape, axis_count, input_array, numbers, positions};
+use crate::arrays::{self, Gain, array_shape, axis_count, input_array, numbers, positions, read_elevation};
 use crate::border::{input_error, reject, replace_flags, without_gil};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods as _};
-use pwrfgs::data::{UnlinkedNode, power_fault, real_channels_fault, unlinked_node};
+use pwrfgs::data::{UnlinkedNode, power_fault, real_channels_fault, shape_fault, unlinked_node};
 use pwrfgs::experiment::{collect_findings, reject_findings};
-use pwrfgs_core::{Channels, Dataset, Error, Number, Observations, Origin, Pose, Real, Receiver, Sample, Spectra};
+use pwrfgs_core::{
+    Channels, Dataset, Elevation, Error, Number, Observations, Origin, Pose, Real, Receiver, Sample, Spectra,
+};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
@@ -14,12 +16,12 @@ use pyo3::types::PyTuple;
 pub(super) fn missing_receivers_error(rssi: &Bound<'_, PyAny>) -> PyResult<PyErr> {
     let shape = array_shape(rssi)?;
     let count = shape.get(1).copied().unwrap_or(1);
-    let what = format!("rssi has shape {shape:?}, but receivers is missing; pass receivers=[..] with {count} ");
-    Ok(input_error(rssi.py(), &format!("{what}position{} [x, y, z] in metres", if count == 1 { "" } else { "s" })))
+    let problem = format!("rssi has shape {shape:?}, but receivers is missing; pass receivers=[..] with {count} ");
+    Ok(input_error(rssi.py(), &format!("{problem}position{} [x, y, z] in metres", if count == 1 { "" } else { "s" })))
 }
 
-/// Reads the poses of the moving end: positions `tx` of a transmitter, or poses of a receiver, whose fixed transmitter may be
-/// given.
+/// Reads the poses of the moving end: positions `tx` of a transmitter, or poses of a receiver. Raises an exception unless one of
+/// them is given, and for `tx` with a fixed transmitter.
 pub(super) fn moving_poses(
     py: Python<'_>,
     tx: Option<&Bound<'_, PyAny>>,
@@ -78,15 +80,16 @@ pub(super) fn receiver_object<'py>(
     class.call1((&receiver.name, position, orientation, receiver.antennas.clone(), receiver.carrier_hz))
 }
 
-/// Warns about valid but implausible data. With names of `accepted` findings, others that make results meaningless are errors.
+/// Warns about valid but implausible data. If `accepted` is given, findings that make results meaningless are errors unless it
+/// names them.
 pub(super) fn warn_findings(py: Python<'_>, data: &Dataset, accepted: Option<&[String]>) -> PyResult<()> {
     let warnings = py.import("warnings")?;
     let warn = |text| warnings.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 2)).map(drop);
-    let found = without_gil(py, || {
-        let found = collect_findings(data, None)?;
-        accepted.map_or(Ok(()), |accepted| reject_findings(&found, accepted)).map(|()| found)
+    let findings = without_gil(py, || {
+        let findings = collect_findings(data, None)?;
+        accepted.map_or(Ok(()), |accepted| reject_findings(&findings, accepted)).map(|()| findings)
     })?;
-    found.iter().map(|finding| replace_flags(&finding.to_string())).try_for_each(warn)
+    findings.iter().map(|finding| replace_flags(&finding.to_string())).try_for_each(warn)
 }
 
 /// Reads `count` spectra of one size; bytes stay bytes.
@@ -94,17 +97,34 @@ pub(super) fn read_spectra(given_spectra: &Bound<'_, PyAny>, count: usize) -> Py
     let py = given_spectra.py();
     let shape = [Some(count), None, None];
     let size = |shape: &[usize]| (shape[2], shape[1]);
-    let message = |error: Error| crate::border::to_exception(py, error);
+    let exception = |error: Error| crate::border::to_exception(py, error);
     if given_spectra.cast::<PyArrayDyn<u8>>().is_ok() {
         let bytes = input_array::<u8>("spectra", given_spectra, &shape)?;
         let size = size(bytes.shape());
         let bytes = bytes.as_slice().map_err(|e| input_error(py, &e.to_string()))?.to_vec();
-        return Spectra::in_memory(size, Number::U8, bytes).map_err(message);
+        return Spectra::in_memory(size, Number::U8, bytes).map_err(exception);
     }
     let floats = input_array::<f32>("spectra", given_spectra, &shape)?;
     let size = size(floats.shape());
     let pixels = floats.as_slice().map_err(|e| input_error(py, &e.to_string()))?;
-    Spectra::float(size, pixels).map_err(message)
+    Spectra::float(size, pixels).map_err(exception)
+}
+
+/// Returns the elevations of spectra, by default those of the upper half-sphere. Raises an exception for invalid elevations, and
+/// if they contradict the size of the spectra.
+pub(super) fn spectrum_elevation(
+    py: Python<'_>,
+    elevation_deg: Option<[f64; 2]>,
+    observations: &Observations,
+) -> PyResult<Elevation> {
+    let elevation = elevation_deg.map_or(Ok(Elevation::UPPER), |angles| read_elevation(py, angles))?;
+    if let Some(spectra) = observations.spectra() {
+        let (size, say) = ((spectra.width(), spectra.height()), "elevation_deg=(-90, 90) for a full sphere");
+        if let Some(fault) = shape_fault(elevation, elevation_deg.is_some(), size, say) {
+            return reject(py, &format!("a spectrum {fault}"));
+        }
+    }
+    Ok(elevation)
 }
 
 /// Reads received powers, dBm, as links with their observations; NaN is a missing link.
@@ -125,6 +145,7 @@ pub(super) fn read_powers(
     let (mut samples, mut powers) = (Vec::new(), Vec::new());
     for (k, dbm) in all.iter().enumerate().filter(|(_, dbm)| !dbm.is_nan()) {
         let (i, receiver) = (k / receivers, k % receivers);
+        // Checks the rounded power: a finite f64 may be infinite as `Real`.
         if let Some(fault) = power_fault(*dbm as Real as f64) {
             return reject(rssi.py(), &format!("rssi[{i}, {receiver}] {fault}"));
         }
@@ -132,7 +153,7 @@ pub(super) fn read_powers(
         powers.push(*dbm as Real);
     }
     let links = samples.iter().map(|sample| (sample.id as usize, sample.receiver));
-    let silent = match unlinked_node(poses.len(), receivers, links) {
+    let problem = match unlinked_node(poses.len(), receivers, links) {
         None => return Ok((samples, powers.into())),
         Some(UnlinkedNode::Transmitter(i)) => {
             format!("rssi[{i}] is NaN throughout: leave the transmitter out, in tx too")
@@ -141,7 +162,7 @@ pub(super) fn read_powers(
             format!("rssi[:, {r}] is NaN throughout: leave the receiver out, in receivers too")
         }
     };
-    reject(rssi.py(), &silent)
+    reject(rssi.py(), &problem)
 }
 
 /// Reads the channels of `count` links, with their subcarrier frequencies.

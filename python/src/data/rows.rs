@@ -1,4 +1,4 @@
-//! Single links, subsets and pickling of a data set.
+//! Single links, subsets, splits and pickling of a data set.
 
 use super::{Dataset, inputs};
 use crate::arrays::{self, ObservationShape, array, link_indices, numbers, observation_array, positions, vector};
@@ -7,7 +7,7 @@ use crate::border::{
 };
 use pwrfgs_core::{
     Camera, Dataset as Data, Elevation, End, Ends, Features, Geodetic, Number, Observations, Partition, Pose, Real,
-    Sample, Simulation, Spectra, Split, rng,
+    Sample, Scene, Simulation, Spectra, Split, rng,
 };
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
@@ -32,9 +32,9 @@ impl Dataset {
         is_requested.then(|| Ok(self.all.get_or_try_init(py, convert)?.bind(py).clone())).transpose()
     }
 
-    /// Reads valid link indices given by a user.
-    pub(crate) fn indices(&self, what: &str, links: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
-        link_indices(what, links, self.data.len())
+    /// Reads valid link indices given by a user; `name` begins messages.
+    pub(crate) fn indices(&self, name: &str, links: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
+        link_indices(name, links, self.data.len())
     }
 
     /// Returns the link `i` as the Python class `Sample`, or `ReceiverSample` of a moving receiver. Uses no thread
@@ -133,6 +133,11 @@ impl Dataset {
             let data = run_stoppable(py, |stop| reader.load(std::path::Path::new(""), &stop_progress(stop)))?;
             return Ok(Self::new(data, Some(text)));
         }
+        Self::restore_columns(py, state)
+    }
+
+    /// Restores a data set from its columns.
+    fn restore_columns(py: Python<'_>, state: &Bound<'_, PyDict>) -> PyResult<Self> {
         let get = |name: &str| state.as_any().get_item(name);
         let (ids, receiver): (Vec<u32>, Vec<usize>) = (get("ids")?.extract()?, get("receiver")?.extract()?);
         let rx_pose = get("rx_pose")?;
@@ -161,17 +166,8 @@ impl Dataset {
             .map_err(|error| if is_damaged(&error) { input_error(py, "damaged data set") } else { error })?;
         let title: String = get("title")?.extract()?;
         let made = without_gil(py, || Data::of_links(title, ends, points, &samples, observations))?;
-        let mut scene = made.scene.clone();
-        scene.bounds = get("bounds")?.extract()?;
-        let marks: Vec<(bool, bool)> = get("marks")?.extract()?;
-        for (receiver, marks) in scene.receivers.iter_mut().zip(marks) {
-            (receiver.is_estimated, receiver.is_relative) = marks;
-        }
-        scene.floors = get("floors")?.extract()?;
-        let geodetic: Option<(f64, f64)> = get("geodetic")?.extract()?;
-        scene.geodetic = geodetic.map(|(latitude, longitude)| Geodetic { latitude, longitude });
         let data = Data {
-            scene,
+            scene: restore_scene(made.scene.clone(), state)?,
             elevation: Elevation { first, last },
             features,
             placed: get("placed")?.extract()?,
@@ -184,11 +180,25 @@ impl Dataset {
     }
 }
 
-/// Converts a partition to the named tuple `Split`.
+/// Converts a partition to the named tuple `Partition`.
 pub(super) fn partition_object<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyAny>> {
     let list = |part: &[usize]| vector(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>());
     let all = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
     py.import("pwrfgs._types")?.getattr("Partition")?.call1(all)
+}
+
+/// Returns the scene with the pickled bounds, floors, geodetic zero, and marks of receivers.
+fn restore_scene(mut scene: Scene, state: &Bound<'_, PyDict>) -> PyResult<Scene> {
+    let get = |name: &str| state.as_any().get_item(name);
+    scene.bounds = get("bounds")?.extract()?;
+    let marks: Vec<(bool, bool)> = get("marks")?.extract()?;
+    for (receiver, marks) in scene.receivers.iter_mut().zip(marks) {
+        (receiver.is_estimated, receiver.is_relative) = marks;
+    }
+    scene.floors = get("floors")?.extract()?;
+    let geodetic: Option<(f64, f64)> = get("geodetic")?.extract()?;
+    scene.geodetic = geodetic.map(|(latitude, longitude)| Geodetic { latitude, longitude });
+    Ok(scene)
 }
 
 /// Returns the link features of a pickled data set with `count` links; `None` without features.
@@ -228,8 +238,7 @@ pub(super) fn split<'py>(
     let text = match how {
         Some(how) => plugin_text("Split", how, settings)?,
         None if settings.is_some_and(|settings| !settings.is_empty()) => {
-            let what = "split: settings need a split name";
-            return reject(py, &format!("{what}, such as split(\"random\", test=0.2)"));
+            return reject(py, "split: settings need a split name, such as split(\"random\", test=0.2)");
         }
         None => "Official()".into(),
     };

@@ -1,4 +1,4 @@
-//! Data in memory in the folder of a run: their digest, and the folder.
+//! Digest of data in memory, and their storage in the folder of a run.
 
 use super::Dataset;
 use pwrfgs::data::{LINKS, save, write_links};

@@ -15,7 +15,9 @@ pub(super) fn read(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>
         if !value.is_none() {
             let key: String = key.extract()?;
             match &*key {
-                "accept" => accepted = each(&value)?.iter().map(PyAnyMethods::extract).collect::<PyResult<_>>()?,
+                "accept" => {
+                    accepted = list_items(&value)?.iter().map(PyAnyMethods::extract).collect::<PyResult<_>>()?
+                }
                 key => set_option(&mut import, key, &value)?,
             }
         }
@@ -42,12 +44,12 @@ fn set_option(import: &mut TableImport, key: &str, value: &Bound<'_, PyAny>) -> 
         "receiver" => *receiver = name()?,
         "power" => *power = name()?,
         "time" => *time = name()?,
-        "columns" => *wide = each(value)?.iter().map(name_text).collect::<PyResult<_>>()?,
+        "columns" => *wide = list_items(value)?.iter().map(name_text).collect::<PyResult<_>>()?,
         "tx" => import.tx = file()?,
         "places" => import.places = file()?,
         "receivers" => import.receivers = file()?,
         "test" => import.test = read_files(value)?,
-        "missing" => import.missing = each(value)?.iter().map(PyAnyMethods::extract).collect::<PyResult<_>>()?,
+        "missing" => import.missing = list_items(value)?.iter().map(PyAnyMethods::extract).collect::<PyResult<_>>()?,
         "unit" => {
             let unit: String = value.extract()?;
             import.unit = unit.parse().map_err(|fault: String| input_error(value.py(), &format!("unit={fault}")))?;
@@ -73,14 +75,14 @@ fn name_text(value: &Bound<'_, PyAny>) -> PyResult<String> {
 }
 
 /// Returns the items of a list or tuple, or the only item.
-fn each<'py>(value: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+fn list_items<'py>(value: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
     let is_list = value.is_instance_of::<pyo3::types::PyList>() || value.is_instance_of::<pyo3::types::PyTuple>();
     if is_list { value.try_iter()?.collect() } else { Ok(vec![value.clone()]) }
 }
 
 /// Reads one table, or a list of tables.
 fn read_files(value: &Bound<'_, PyAny>) -> PyResult<Vec<TableFile>> {
-    each(value)?.iter().map(read_file).collect()
+    list_items(value)?.iter().map(read_file).collect()
 }
 
 /// Reads a path, or a data frame as CSV.

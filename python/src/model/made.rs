@@ -1,4 +1,4 @@
-//! Models from files and from arrays.
+//! Models from arrays, and receivers by name.
 
 use super::Model;
 use crate::arrays::{numbers, positions, read_elevation};
@@ -51,7 +51,7 @@ fn initial_weights(stages: &Stages, given: Option<&Bound<'_, PyDict>>) -> PyResu
     Ok(weights)
 }
 
-/// Model of `Model.from_arrays`, from converted arguments: `cloud` are columns as in `Trainer.set_cloud`,
+/// Creates the model of `Model.from_arrays` from converted arguments: `cloud` are columns as in `Trainer.set_cloud`,
 /// `method` is RON text, `weights` are arrays by name.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
@@ -69,8 +69,8 @@ pub(crate) fn model_of(
     let (height, width) = size;
     let (name, position, orientation) = receiver;
     let trained = tx.map_or(Ok(Vec::new()), |tx| positions("tx", tx))?;
-    let known = trained.iter().copied().chain(positions("means", &cloud.as_any().get_item("means")?)?);
-    let origin = Origin::for_receiver(position, known);
+    let all_positions = trained.iter().copied().chain(positions("means", &cloud.as_any().get_item("means")?)?);
+    let origin = Origin::for_receiver(position, all_positions);
     let cloud = read_cloud(cloud, origin)?;
     let elevation = read_elevation(py, elevation_deg)?;
     if !(1..=MOST_PIXELS).contains(&height.saturating_mul(width)) {

@@ -1,8 +1,8 @@
-//! Predicted observations as arrays, and their derivative by the positions of the transmitters.
+//! Predicted observations as arrays, in batches, and with their derivative by the moving end.
 
 use super::{Links, Model};
 use crate::arrays::{ObservationShape, array, check_memory};
-use crate::border::{LOOK, log_message, reject, to_exception, to_plugin_error, without_gil};
+use crate::border::{CHECK_INTERVAL, log_message, reject, to_exception, to_plugin_error, without_gil};
 use pwrfgs::tasks::predict::{extrapolation_warning, interval_factors};
 use pwrfgs_core::{Error, MeasurementSetup, Predict as _, Query, Real, Result};
 use pyo3::prelude::*;
@@ -93,18 +93,18 @@ impl Model {
     /// Fills `all` in chunks by `work`; returns an error for values that are not finite, or after Ctrl-C.
     fn fill(&self, links: &Links, all: &mut [Real], mut work: impl FnMut(&[Query<'_>], &mut [Real])) -> Result<()> {
         let count = self.stages().setup.value_count();
-        let mut looked = Instant::now();
+        let mut last_check = Instant::now();
         for (chunk, numbers) in all.chunks_mut(CHUNK * count).enumerate() {
             let queries: Vec<Query<'_>> = (0..numbers.len() / count).map(|k| links.query(chunk * CHUNK + k)).collect();
             work(&queries, numbers);
-            if looked.elapsed() > LOOK {
+            if last_check.elapsed() > CHECK_INTERVAL {
                 #[allow(clippy::redundant_closure_for_method_calls)] // the method itself is of one lifetime
                 Python::attach(|py| py.check_signals()).map_err(to_plugin_error)?;
-                looked = Instant::now();
+                last_check = Instant::now();
             }
             // Without an early exit the loop is vectorised.
-            let finite = |numbers: &[Real]| numbers.iter().fold(true, |all, v| all & v.is_finite());
-            if let Some(k) = numbers.par_chunks_exact(count).position_first(|link| !finite(link)) {
+            let is_finite = |numbers: &[Real]| numbers.iter().fold(true, |all, v| all & v.is_finite());
+            if let Some(k) = numbers.par_chunks_exact(count).position_first(|link| !is_finite(link)) {
                 return Err(Error::Config(format!(
                     "what is predicted at {:?} is not finite: numbers of the model overflow there; \
                      leave the position out if it is far from all that the model has seen",
@@ -115,8 +115,8 @@ impl Model {
         Ok(())
     }
 
-    /// Returns (observations, derivative by positions `[3]` or `[B, 3]` or by poses `[7]` or `[B, 7]`), given the cotangents of the
-    /// observations.
+    /// Returns (observations, derivative by positions `[3]` or `[B, 3]` or by poses `[7]` or `[B, 7]`), given the cotangents of
+    /// the observations. Raises an exception for a model without derivative.
     pub(super) fn predict_vjp<'py>(
         &self,
         links: &Links,
@@ -129,29 +129,31 @@ impl Model {
         }
         let is_pose = self.stages().setup.moving.is_receiver();
         if is_pose && !ready.has_orientation_derivative() {
-            let what = "vjp: this model has no derivative by the orientation of its receiver; use calibration Physical";
-            return reject(py, what);
+            let problem =
+                "vjp: this model has no derivative by the orientation of its receiver; use calibration Physical";
+            return reject(py, problem);
         }
         let count = self.stages().setup.value_count();
-        let d = self.shape(links).read("vjp", cotangents)?;
+        let cotangents = self.shape(links).read("vjp", cotangents)?;
         let mut slopes: Vec<[f64; 7]> = Vec::new();
         let work = |queries: &[Query<'_>], numbers: &mut [Real]| {
-            let all = d[slopes.len() * count..].par_chunks_exact(count).zip(numbers.par_chunks_exact_mut(count));
-            let one = |(query, (d, numbers)): (&Query<'_>, (&[Real], &mut [Real]))| {
-                let found = ready.predict_vjp(*query, |_| d.to_vec());
-                let (image, [x, y, z], orientation) = found.expect("a model with a derivative");
+            let rest = &cotangents[slopes.len() * count..];
+            let rows = rest.par_chunks_exact(count).zip(numbers.par_chunks_exact_mut(count));
+            let one = |(query, (cotangent, numbers)): (&Query<'_>, (&[Real], &mut [Real]))| {
+                let predicted = ready.predict_vjp(*query, |_| cotangent.to_vec());
+                let (image, [x, y, z], orientation) = predicted.expect("a model with a derivative");
                 numbers.copy_from_slice(&image.pixels);
                 let [qx, qy, qz, qw] = orientation.unwrap_or_default();
                 [x, y, z, qx, qy, qz, qw]
             };
-            slopes.par_extend(queries.par_iter().zip(all).map(one));
+            slopes.par_extend(queries.par_iter().zip(rows).map(one));
         };
         let observed = self.predicted_array(py, links, work)?;
         let (receivers, width) = (links.receivers.len(), if is_pose { 7 } else { 3 });
-        let of_tx = |slopes: &[[f64; 7]]| (0..width).map(|k| slopes.iter().map(|d| d[k]).sum()).collect::<Vec<f64>>();
-        let all: Vec<f64> = slopes.chunks_exact(receivers).flat_map(of_tx).collect();
-        let batch = links.lead.len() > usize::from(receivers > 1);
-        let shape = if batch { vec![links.poses.len(), width] } else { vec![width] };
+        let sum = |slopes: &[[f64; 7]]| (0..width).map(|k| slopes.iter().map(|d| d[k]).sum()).collect::<Vec<f64>>();
+        let all: Vec<f64> = slopes.chunks_exact(receivers).flat_map(sum).collect(); // over the receivers of a position
+        let has_batch = links.lead.len() > usize::from(receivers > 1);
+        let shape = if has_batch { vec![links.poses.len(), width] } else { vec![width] };
         Ok((observed, array(py, all, &shape)?).into_pyobject(py)?.into_any())
     }
 }

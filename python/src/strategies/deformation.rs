@@ -11,7 +11,7 @@ use pwrfgs_core::{
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// Names and widths of the terms of a network.
+/// Names and widths of the terms of a network, in the order of [`Deltas::columns`].
 const TERMS: [(&str, usize); 3] = [("scales", 3), ("quats", 4), ("signals", 2)];
 
 impl Strategy {
@@ -38,7 +38,7 @@ impl Strategy {
 /// Returns the tensors of a network and their initial values, from the method `weights` of its object.
 pub(super) fn initial_weights(instance: &Bound<'_, PyAny>) -> PyResult<Vec<(WeightSpec, Vec<Real>)>> {
     let py = instance.py();
-    let Ok(found) = instance.call_method0("weights")?.cast_into::<PyDict>() else {
+    let Ok(weights) = instance.call_method0("weights")?.cast_into::<PyDict>() else {
         return reject(py, "weights returned no dict; give a dict of arrays by name");
     };
     let one = |(name, values): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
@@ -47,7 +47,7 @@ pub(super) fn initial_weights(instance: &Bound<'_, PyAny>) -> PyResult<Vec<(Weig
         let values = finite_numbers(&format!("weights: `{name}`"), &values, &shape)?;
         Ok((WeightSpec::zeros(name, shape), values))
     };
-    found.iter().map(one).collect()
+    weights.iter().map(one).collect()
 }
 
 impl Deformation for Strategy {
@@ -77,14 +77,14 @@ impl Deformation for Strategy {
     fn forward(&self, inputs: &DeformationInputs<'_>, _: &Cache) -> Deltas {
         self.with(|py, instance| {
             let [weights, means, txs] = self.call_arguments(py, inputs)?;
-            let found = instance.call_method1("forward", (weights, means, txs))?;
-            let Ok(found) = found.cast_into::<PyDict>() else {
+            let terms = instance.call_method1("forward", (weights, means, txs))?;
+            let Ok(terms) = terms.cast_into::<PyDict>() else {
                 return reject(py, "forward returned no dict; give a dict with `signals` [B, N, 2]");
             };
-            check_keys("forward: unknown term", &found, TERMS.map(|(term, _)| term))?;
+            check_keys("forward: unknown term", &terms, TERMS.map(|(term, _)| term))?;
             let mut deltas = Deltas::default();
             for (name, width) in TERMS {
-                let Some(values) = found.get_item(name)? else { continue };
+                let Some(values) = terms.get_item(name)? else { continue };
                 let shape = [inputs.txs.len(), inputs.means.len(), width];
                 let values = finite_numbers(&format!("forward: `{name}`"), &values, &shape)?;
                 match name {
@@ -93,8 +93,8 @@ impl Deformation for Strategy {
                     _ => deltas.signals = values.as_chunks().0.to_vec(),
                 }
             }
-            let geometry = !deltas.scales.is_empty() || !deltas.quats.is_empty();
-            if geometry && !self.has_flag("varies_geometry") {
+            let has_geometry = !deltas.scales.is_empty() || !deltas.quats.is_empty();
+            if has_geometry && !self.has_flag("varies_geometry") {
                 return reject(py, "forward returned scales or quats; set varies_geometry = True in the class");
             }
             Ok(deltas)
@@ -111,9 +111,9 @@ impl Deformation for Strategy {
                     cotangents.set_item(name, array(py, column.to_vec(), &shape)?)?;
                 }
             }
-            let found = instance.call_method1("vjp", (weights, means, txs, cotangents))?;
+            let derivatives = instance.call_method1("vjp", (weights, means, txs, cotangents))?;
             let form = "vjp: expected ({name: derivative}, derivative in the centres [N, 3] or None)";
-            let Ok((d_weights, d_means)) = found.extract::<(Bound<'_, PyDict>, Bound<'_, PyAny>)>() else {
+            let Ok((d_weights, d_means)) = derivatives.extract::<(Bound<'_, PyDict>, Bound<'_, PyAny>)>() else {
                 return reject(py, form);
             };
             let names = || self.object.weights.iter().map(|(spec, _)| spec.name.as_str());
@@ -121,11 +121,11 @@ impl Deformation for Strategy {
             let mut rest = sums.weights;
             for (spec, _) in &self.object.weights {
                 let (sum, tail) = rest.split_at_mut(spec.len());
-                let what = format!("vjp: `{}`", spec.name);
+                let name = format!("vjp: `{}`", spec.name);
                 let Some(derivative) = d_weights.get_item(&spec.name)? else {
-                    return reject(py, &format!("{what} is missing; give the derivative in every tensor"));
+                    return reject(py, &format!("{name} is missing; give the derivative in every tensor"));
                 };
-                let derivative = finite_numbers(&what, &derivative, &spec.shape)?;
+                let derivative = finite_numbers(&name, &derivative, &spec.shape)?;
                 sum.iter_mut().zip(derivative).for_each(|(sum, d)| *sum += d);
                 rest = tail;
             }
@@ -151,14 +151,14 @@ impl Objective for PythonLoss {
         let call = |py: Python<'_>| {
             let shape = ObservationShape { task: self.task, size: (width, height), lead: &[links] };
             let given = |numbers: &[Real]| shape.array(py, numbers.to_vec());
-            let found = self.function.bind(py).call1((given(predictions)?, given(truths)?))?;
+            let result = self.function.bind(py).call1((given(predictions)?, given(truths)?))?;
             let form = "loss: expected (number, derivative in the predictions)";
-            let Ok((value, slope)) = found.extract::<(Bound<'_, PyAny>, Bound<'_, PyAny>)>() else {
+            let Ok((value, slope)) = result.extract::<(Bound<'_, PyAny>, Bound<'_, PyAny>)>() else {
                 return reject(py, form);
             };
-            let what = "loss: the derivative";
-            let d = shape.read(what, &slope)?;
-            Ok((finite_numbers("loss: the value", &value, &[])?[0], check_finite(what, &slope, d)?))
+            let name = "loss: the derivative";
+            let d = shape.read(name, &slope)?;
+            Ok((finite_numbers("loss: the value", &value, &[])?[0], check_finite(name, &slope, d)?))
         };
         call_strategy(|| Python::attach(call)).unwrap_or_else(|error: PyErr| throw(error))
     }

@@ -9,6 +9,7 @@ use pwrfgs_core::{
     Result, Split, Task, Values, rng,
 };
 use pyo3::prelude::*;
+
 impl Split for Strategy {
     named_python!();
 
@@ -16,8 +17,8 @@ impl Split for Strategy {
         let count = data.len();
         let lists = self.try_with(|py, instance| {
             let links = links_object(py, data, &(0..count).collect::<Vec<_>>())?;
-            let found = instance.call_method1("split", (links, numpy_generator(py, random)?))?;
-            let lists = found.try_iter()?.map(|part| read_part(&part?, count)).collect::<PyResult<Vec<_>>>()?;
+            let parts = instance.call_method1("split", (links, numpy_generator(py, random)?))?;
+            let lists = parts.try_iter()?.map(|part| read_part(&part?, count)).collect::<PyResult<Vec<_>>>()?;
             match lists.len() {
                 2 | 3 => Ok(lists),
                 n => {
@@ -59,9 +60,9 @@ impl Baseline for Strategy {
         })
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, fitting: FittingSet<'_>) -> Result<Box<dyn Predict + 'a>> {
         let instance = self.try_with(|py, instance| {
-            let links = known.all();
+            let links = fitting.all();
             let observations = observation_array(py, data, &links)?;
             let predictor = instance.call_method1("fit", (links_object(py, data, &links)?, observations))?;
             Ok(if predictor.is_none() { instance.clone().unbind() } else { predictor.unbind() })
@@ -82,9 +83,9 @@ impl Predict for Predictor {
         let (width, height) = self.size;
         let call = |py: Python<'_>| {
             let tx = array(py, query.position().to_vec(), &[3])?;
-            let found = self.instance.bind(py).call_method1("predict", (tx, query.receiver))?;
+            let observation = self.instance.bind(py).call_method1("predict", (tx, query.receiver))?;
             let pixels = ObservationShape { task: self.task, size: self.size, lead: &[] }
-                .read("the result of predict", &found)?;
+                .read("the result of predict", &observation)?;
             Ok(Image { width, height, pixels })
         };
         Python::attach(call).unwrap_or_else(|error: PyErr| throw(error))
@@ -97,22 +98,23 @@ impl Metric for Strategy {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         self.try_with(|py, instance| {
             let stack = |images: &[Image]| stack_images(py, images, evaluation.task);
-            let found =
+            let score =
                 instance.call_method1("evaluate", (stack(evaluation.predictions)?, stack(evaluation.truths)?))?;
-            let text = |name: &str, none: &str| match instance.getattr(name) {
+            let text = |name: &str, default: &str| match instance.getattr(name) {
                 Ok(value) => value.extract::<String>(),
-                Err(_) => Ok(none.to_owned()),
+                Err(_) => Ok(default.to_owned()),
             };
-            let higher = instance.getattr("higher_is_better").map_or(Ok(true), |value| value.extract::<bool>())?;
-            let values = if axis_count(&found)? == 0 {
-                Values::Whole(found.extract()?)
+            let is_higher_better =
+                instance.getattr("higher_is_better").map_or(Ok(true), |value| value.extract::<bool>())?;
+            let values = if axis_count(&score)? == 0 {
+                Values::Whole(score.extract()?)
             } else {
-                Values::PerSample(numbers::<f64>("the result of evaluate", &found, &[Some(evaluation.truths.len())])?)
+                Values::PerSample(numbers::<f64>("the result of evaluate", &score, &[Some(evaluation.truths.len())])?)
             };
             Ok(vec![Measurement {
                 key: text("name", &self.named.class)?,
                 unit: text("unit", "")?,
-                goal: if higher { Goal::Higher } else { Goal::Lower },
+                goal: if is_higher_better { Goal::Higher } else { Goal::Lower },
                 values,
                 note: None,
             }])

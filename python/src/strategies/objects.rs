@@ -61,7 +61,7 @@ pub(crate) fn read_cloud(columns: &Bound<'_, PyDict>, origin: Origin) -> PyResul
 /// Converts the statistics of the Gaussians to the Python class `Stats`.
 pub(crate) fn stats_object<'py>(py: Python<'py>, stats: &CloudStats) -> PyResult<Bound<'py, PyAny>> {
     let column = |values: &[Real]| vector(py, values.to_vec());
-    let found = PyDict::new(py);
+    let columns = PyDict::new(py);
     let requested = &stats.requested;
     for (name, values) in [
         ("weight", &requested.weight),
@@ -75,18 +75,18 @@ pub(crate) fn stats_object<'py>(py: Python<'py>, stats: &CloudStats) -> PyResult
         ("elimination", &requested.elimination),
     ] {
         if !values.is_empty() {
-            found.set_item(name, column(values)?)?;
+            columns.set_item(name, column(values)?)?;
         }
     }
     if !requested.top.is_empty() {
-        found.set_item("top", vector(py, requested.top.clone())?)?;
+        columns.set_item("top", vector(py, requested.top.clone())?)?;
     }
     if !requested.fisher.is_empty() {
         let all: Vec<Real> = requested.fisher.as_flattened().to_vec();
-        found.set_item("fisher", array(py, all, &[requested.fisher.len(), 21])?)?;
+        columns.set_item("fisher", array(py, all, &[requested.fisher.len(), requested.fisher[0].len()])?)?;
     }
     let fields =
-        (column(&stats.visible)?, column(&stats.gradient)?, column(&stats.radius)?, column(&stats.weight)?, found);
+        (column(&stats.visible)?, column(&stats.gradient)?, column(&stats.radius)?, column(&stats.weight)?, columns);
     py.import("pwrfgs._types")?.getattr("Stats")?.call1(fields)
 }
 

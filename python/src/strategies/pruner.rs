@@ -10,7 +10,7 @@ use pwrfgs_core::{Budget, CloudStats, Gate, GaussianCloud, Needs, Pruner, Pruner
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-/// Statistics that a pruner may request, by name.
+/// Statistics that a pruner may request, by name, with fixed settings.
 const STATISTICS: [(&str, Statistic); 9] = [
     ("weight", Statistic::Weight),
     ("largest_weight", Statistic::LargestWeight),
@@ -23,12 +23,12 @@ const STATISTICS: [(&str, Statistic); 9] = [
     ("elimination", Statistic::Elimination { most: 4_096 }),
 ];
 
-/// Result of `gate` and `penalty`: numbers, and their derivatives by column.
+/// Result of `gate` or `penalty`: numbers, and their derivatives by column.
 struct Curve<'py> {
     value: Bound<'py, PyAny>,
     columns: Vec<Trace>,
     slopes: Vec<Vec<Real>>,
-    /// Optional third entry.
+    /// Optional third entry: the kind of a gate.
     word: Option<String>,
 }
 
@@ -46,12 +46,12 @@ impl Strategy {
             return None;
         }
         self.with(|py, instance| {
-            let found = instance.call_method1(method, (traced_object(py, cloud)?, context_object(py, context)?))?;
-            if found.is_none() {
+            let result = instance.call_method1(method, (traced_object(py, cloud)?, context_object(py, context)?))?;
+            if result.is_none() {
                 return Ok(None);
             }
             let wants = |what: &str| input_error(py, &format!("{method} returned {what}, expected {form}, or None"));
-            let Ok(parts) = found.cast::<PyTuple>() else { return Err(wants(&class_name(&found))) };
+            let Ok(parts) = result.cast::<PyTuple>() else { return Err(wants(&class_name(&result))) };
             if !(2..=3).contains(&parts.len()) {
                 return Err(wants(&format!("{} things", parts.len())));
             }
@@ -129,9 +129,8 @@ impl Pruner for Strategy {
                 let Some((_, statistic)) = STATISTICS.iter().find(|(key, _)| *key == name) else {
                     let names = STATISTICS.map(|(key, _)| key);
                     let hint = pwrfgs_core::did_you_mean(&name, names);
-                    let what =
-                        format!("needs: unknown statistic `{name}`{hint} (expected one of {})", names.join(", "));
-                    return reject(py, &what);
+                    let names = names.join(", ");
+                    return reject(py, &format!("needs: unknown statistic `{name}`{hint} (expected one of {names})"));
                 };
                 needs.statistics.push(*statistic);
             }
@@ -152,8 +151,8 @@ impl Pruner for Strategy {
 
     fn gate(&self, cloud: &TracedCloud, context: &StepContext) -> Option<Gate> {
         let n = cloud.len();
-        self.call_differentiable("gate", "(factor [N], {column: derivative})", (cloud, context), |found| {
-            let Curve { value, columns, slopes, word } = found;
+        self.call_differentiable("gate", "(factor [N], {column: derivative})", (cloud, context), |curve| {
+            let Curve { value, columns, slopes, word } = curve;
             let factor = finite_numbers("gate: the factor", &value, &[n])?;
             if let Some(bad) = factor.iter().find(|v| **v < 0.0) {
                 return reject(value.py(), &format!("gate: a factor is {bad}; give numbers from 0 to 1"));
@@ -177,8 +176,8 @@ impl Pruner for Strategy {
     }
 
     fn penalty(&self, cloud: &TracedCloud, context: &StepContext) -> Option<TraceScalar> {
-        self.call_differentiable("penalty", "(number, {column: derivative})", (cloud, context), |found| {
-            let Curve { value, columns, slopes, .. } = found;
+        self.call_differentiable("penalty", "(number, {column: derivative})", (cloud, context), |curve| {
+            let Curve { value, columns, slopes, .. } = curve;
             let number = finite_numbers("penalty: the value", &value, &[])?;
             let vjp = move |cotangents: Vec<Vec<Real>>| {
                 slopes.iter().map(|slopes| slopes.iter().map(|slope| slope * cotangents[0][0]).collect()).collect()
@@ -197,8 +196,8 @@ impl Pruner for Strategy {
             let (columns, n) = (object.getattr("columns")?, cloud.len());
             for (name, width, values) in cloud.columns_mut() {
                 let column = columns.get_item(name)?;
-                let what = format!("update: `{name}`");
-                values.copy_from_slice(&finite_numbers(&what, &column, &column_shape(n, width))?);
+                let column = finite_numbers(&format!("update: `{name}`"), &column, &column_shape(n, width))?;
+                values.copy_from_slice(&column);
             }
             Ok(())
         });

@@ -18,9 +18,10 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "\
 Loads the data, makes the split and the initial Gaussians and times a few steps; writes no files.
 Reports the errors that `pwrfgs run` would report, and warns of settings without effect.
-Describes the data briefly; `pwrfgs inspect` gives the details. The time is that of an initial search
-and of training, with the initial Gaussians and after pruning. Densification increases memory and time.
-With --device the timed steps use that GPU.
+Describes the data briefly; `pwrfgs inspect` gives the details. The time covers training and, with
+MatchingPursuit, its search for sources. Steps are timed with the initial N and with the N expected
+after pruning. Densification increases memory and time. If --device selects a GPU, the steps are
+timed on that GPU.
 
 EXAMPLES
   pwrfgs check pipelines/s23-laptop.ron

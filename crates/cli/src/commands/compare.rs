@@ -14,9 +14,10 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-All rows have one split. Repeat the command to resume, or with new predictions: trained models are
-kept. Another program trains on the ids that --split-csv lists as train and validation, and predicts
-the test ids: NNNNN.npy per id as `pwrfgs predict` writes them, or predictions.csv with id and dbm.
+All methods share one split. Repeat the command to resume it or to add predictions; trained models
+are kept. Another program trains on the ids that --split-csv lists as train and validation, and
+predicts the test ids: NNNNN.npy per id as `pwrfgs predict` writes them, or predictions.csv with id
+and dbm.
 
 EXAMPLES
   pwrfgs compare data/s23 --dry-run

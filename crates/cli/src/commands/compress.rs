@@ -16,8 +16,8 @@ use std::path::PathBuf;
 8   network weights in 8 bits with a scale per row, everything else in 16 bits
 16  everything in 16 bits
 All commands, Python and pages read the file. The command prints both sizes and the mean difference
-of predictions at up to 200 training positions. Known residuals of a model stay as they are.
-The calibration for predict --interval is left out, since it is that of the exact predictions.
+of predictions at up to 200 training positions. Residual processes are stored unchanged.
+The calibration for predict --interval is left out: it only holds for the uncompressed model.
 
 EXAMPLES
   pwrfgs compress runs/quickstart --out small.safetensors
@@ -30,11 +30,16 @@ pub(crate) struct Compress {
     #[arg(short, long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// Bits per network weight
-    #[arg(long, default_value = "8", value_parser = PossibleValuesParser::new(["8", "16"]).map(|bits| if bits == "8" { Bits::Eight } else { Bits::Sixteen }))]
+    #[arg(long, default_value = "8", value_parser = PossibleValuesParser::new(["8", "16"]).map(|bits| parse_bits(&bits)))]
     pub(crate) bits: Bits,
 }
 
-/// Runs `pwrfgs compress`: writes the smaller model file and prints what changed.
+/// Converts one of the texts 8 and 16.
+fn parse_bits(text: &str) -> Bits {
+    if text == "8" { Bits::Eight } else { Bits::Sixteen }
+}
+
+/// Runs `pwrfgs compress`: writes the smaller model file, and prints the sizes and the change of predictions.
 pub(crate) fn compress(arguments: &Compress, verbosity: Verbosity) -> Result<()> {
     check_new_file(&arguments.out)?;
     let ensemble = read_models(std::slice::from_ref(&arguments.model))?;

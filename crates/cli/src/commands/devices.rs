@@ -6,9 +6,10 @@ use pwrfgs::model::{Ensemble, Model};
 use pwrfgs_core::device::{self, DeviceChoice};
 use pwrfgs_core::{Cost, Result};
 
-/// Rows of a network per transmitter, and in all, below which a GPU does not shorten predictions: starting passes and GPU takes
-/// longer than two cores need. Estimates, not measured on a GPU.
+/// Rows of a network per transmitter below which a GPU does not shorten predictions: two cores need less time than it takes to
+/// start the passes. An estimate, not measured on a GPU.
 const FEW_ROWS: usize = 1_000;
+/// Rows over all transmitters below which starting the GPU takes longer than two cores need. An estimate, not measured on a GPU.
 const FEW_TERMS: usize = 250_000;
 
 /// Selects the device of `--device`, or of the environment without it.
@@ -19,7 +20,7 @@ pub(crate) fn set_device(choice: Option<DeviceChoice>) -> Result<()> {
     choice.map_or_else(device::from_environment, Ok).and_then(pwrfgs::device::select)
 }
 
-/// Leaves `count` predictions per receiver to the CPU where a GPU does not shorten them, and says why in a line.
+/// Selects the CPU for `count` predictions per receiver if no model becomes faster on the GPU, and prints the reason.
 pub(crate) fn choose_for_predictions(ensemble: &Ensemble, count: usize, verbosity: Verbosity) {
     let Some(name) = device::name() else { return };
     let reasons: Option<Vec<String>> = ensemble.members().iter().map(|model| reason_for_cpu(model, count)).collect();

@@ -9,7 +9,9 @@ use clap::Args;
 use pwrfgs::experiment::folder::{PARTIAL_SCORES, PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::{join_names, number};
-use pwrfgs::experiment::{ActiveRun, Facts, Machine, Session, load_with_findings, pipeline_of_model, read_pipeline};
+use pwrfgs::experiment::{
+    ActiveRun, EvaluationResult, Facts, Machine, Session, load_with_findings, pipeline_of_model, read_pipeline,
+};
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs::tasks::read_models;
@@ -21,10 +23,10 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Data, split, metrics and baselines come from pipeline.ron next to the model, or from the pipeline of a
-model of the program; --set changes them.
+Data, split, metrics and baselines come from pipeline.ron next to the model, or from the pipeline of
+a model of the program; --set changes them.
 Prints the score table; --out also writes scores.csv, samples.csv and report.html.
-With --out, a command that was stopped resumes after its last predictor when it is repeated.
+With --out, repeat a stopped command to resume it after the last scored predictor.
 Several models are scored as an ensemble: the mean of their predictions, spectra clamped to [0, 1].
 They need a common test set: use runs whose split does not depend on the seed.
 
@@ -113,12 +115,7 @@ fn score(
     let table = &mut result.scores.table;
     table.samples[0] = count_training_samples(models);
     table.trained_elsewhere = !models.iter().all(|model| has_same_data(model, pipeline));
-    let mut text = format_scores(table, all);
-    if let Some(confidence) = &result.confidence {
-        let members = ensemble.members().len();
-        let rank = number(confidence.rank_correlation());
-        _ = writeln!(text, "\nmodel: mean of {members} models; rank correlation of spread and error {rank}");
-    }
+    let text = format_result(&result, ensemble, all);
     if let Some(folder) = folder {
         let facts = Facts {
             version: env!("CARGO_PKG_VERSION").into(),
@@ -133,6 +130,17 @@ fn score(
         files::remove(&folder.path().join(PARTIAL_SCORES));
     }
     Ok(text)
+}
+
+/// Formats the score table, for several models with the correlation of their spread with the error.
+fn format_result(result: &EvaluationResult, ensemble: &Ensemble, all: bool) -> String {
+    let mut text = format_scores(&result.scores.table, all);
+    if let Some(confidence) = &result.confidence {
+        let members = ensemble.members().len();
+        let rank = number(confidence.rank_correlation());
+        _ = writeln!(text, "\nmodel: mean of {members} models; rank correlation of spread and error {rank}");
+    }
+    text
 }
 
 /// Begins the folder that will be `out`, or continues that of a stopped start.

@@ -22,8 +22,8 @@ PLY   binary layout of 3D Gaussian splatting: x y z (metres, world frame), nx ny
 NPZ   all tensors, receiver pose and image plane (docs/model-format.md)
 --tx  Without it, the PLY file has the base parameters before the network's changes (mid-grey if the
       network sets the signal); with it, both files have the values for that transmitter.
-An ensemble: PLY holds all members with a property `member` (0, 1, ..; viewers blend them all, so
-select one); NPZ names its arrays members.0.means, .. Existing files are never overwritten.
+The PLY file of an ensemble has all members, with a property `member` (0, 1, ..); viewers blend all,
+so select one. NPZ names its arrays members.0.means, .. Existing files are never overwritten.
 
 EXAMPLES
   pwrfgs export runs/quickstart --ply office.ply

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Spectra are [M, H, W]: M spectra, H rows of elevation, W columns of azimuth; linear values (not dB)
-from 0 to 1, the strongest direction. Types: uint8 (255 is 1), uint16 (65535 is 1), float32, and
+from 0 to 1 (the strongest direction). Types: uint8 (255 is 1), uint16 (65535 is 1), float32, and
 float64, stored as float32. The import needs little memory for any number of spectra.
 Writes spectra.npy, tx.npy, gateway_info.yml and manifest.json. For a fixed split, add
 train_index.txt and test_index.txt (one id per line, from 1).
@@ -77,7 +77,7 @@ pub(crate) struct Import {
     /// Accept a finding that would stop the import; repeatable
     #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
-    /// Print what was understood of a table, and write nothing
+    /// Print how a table was read; write nothing
     #[arg(long, requires = "files")]
     pub(crate) dry_run: bool,
     #[command(flatten)]
@@ -110,6 +110,11 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         };
         return import_data(read, Some(&out), &arguments.accept, verbosity);
     }
+    import_spectra(arguments, &out, name, receiver, verbosity)
+}
+
+/// Writes spectra into the folder `out`, and prints their shape and the settings of a pipeline.
+fn import_spectra(arguments: &Import, out: &Path, name: String, receiver: Pose, verbosity: Verbosity) -> Result<()> {
     let work = Work {
         spectra: arguments.spectra.clone().unwrap_or_default(),
         tx: arguments.tx.clone(),
@@ -121,11 +126,11 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
         simulated: arguments.simulated,
     };
     let imported = RunProgress::observe(verbosity, |progress| {
-        let imported = run_stage(progress, "spectra", |progress| work.write(&out, progress))?;
-        let source = recognise(&out).ok_or_else(|| unknown_folder_error(&out))?;
+        let imported = run_stage(progress, "spectra", |progress| work.write(out, progress))?;
+        let source = recognise(out).ok_or_else(|| unknown_folder_error(out))?;
         let data = run_stage(progress, "new folder", |progress| source.load(Path::new(""), progress))?;
         let checked = check_findings(&data, None, Some(&arguments.accept), progress);
-        checked.inspect_err(|_| drop(std::fs::remove_dir_all(&out)))?; // was new or empty
+        checked.inspect_err(|_| drop(std::fs::remove_dir_all(out)))?; // was new or empty
         Ok::<_, Error>(imported)
     })?;
     if verbosity != Verbosity::Quiet {
@@ -145,8 +150,8 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-/// Writes the data that `read` returns into the folder `out`, unless findings on them are errors that are not `accepted`; without
-/// a folder, prints what was understood.
+/// Writes the data that `read` returns into the folder `out`; without a folder, prints how they were read. Returns an error for
+/// findings that are not `accepted` and make results meaningless.
 fn import_data(
     read: impl FnOnce(Progress<'_>) -> Result<ImportedTable>,
     out: Option<&Path>,

@@ -47,7 +47,7 @@ pub(crate) struct Init {
 const SHOWN: [&str; 10] =
     ["name", "seed", "members", "data", "split", "initializer", "deformation", "readout", "pruners", "training"];
 
-/// The settings that matter most, which come first.
+/// Settings that matter most, which come first; [`format_pipeline`] also names them in the head of the file.
 const FIRST: [[&str; 2]; 6] = [
     ["Pipeline", "data"],
     ["Pipeline", "split"],
@@ -56,11 +56,11 @@ const FIRST: [[&str; 2]; 6] = [
     ["Pipeline", "training"],
     ["Training", "steps"],
 ];
-/// Line below them.
+/// Line after these settings.
 const REST: &str = "Other settings. Their values fit most data.";
 
-/// Fields among them that only splatting reads.
-const OF_SPLATS: [&str; 2] = ["deformation", "readout"];
+/// Fields of [`SHOWN`] that only splatting reads.
+const SPLATTING_FIELDS: [&str; 2] = ["deformation", "readout"];
 
 /// Runs `pwrfgs init`: writes the pipeline file, which must not exist yet.
 pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
@@ -108,15 +108,17 @@ fn read_survey(arguments: &Init, out: &Path, verbosity: Verbosity) -> Result<Dat
     })
 }
 
-/// Formats the pipeline file, with notes on the data and its size, and comments on the settings; an error if the text does not parse
-/// to the same pipeline.
+/// Formats the pipeline file, with notes on the data and its size, and comments on the settings. Returns an error if the text
+/// does not parse to the same pipeline.
 fn format_pipeline(notes: &[String], pipeline: &Pipeline) -> Result<String> {
     let default = example_pipeline().map_err(Error::Config)?;
     let value = Value::new(pipeline.to_ron()?).map_err(Error::Config)?;
     let differs = |path: &[&str]| value.text_at(path) != default.text_at(path);
-    let draws = !differs(&["method"]);
+    let is_splatting = !differs(&["method"]);
     let shows = |owner: &str, field: &str| match owner {
-        "Pipeline" => differs(&[field]) || SHOWN.contains(&field) && (draws || !OF_SPLATS.contains(&field)),
+        "Pipeline" => {
+            differs(&[field]) || SHOWN.contains(&field) && (is_splatting || !SPLATTING_FIELDS.contains(&field))
+        }
         "Training" => !["loss", "optimizer", "densify"].contains(&field) || differs(&["training", field]),
         "Loss" | "Optimizer" | "Densify" => differs(&["training", &owner.to_lowercase(), field]),
         _ => true,
@@ -127,12 +129,13 @@ fn format_pipeline(notes: &[String], pipeline: &Pipeline) -> Result<String> {
     for line in notes {
         text += &wrap_words(line, ["// "; 2], 100);
     }
-    text += "//\n// The five settings above the line matter most: `data`, `split`, `pruners` (how many Gaussians remain), `members` (number\n// of models) and `training.steps`.\n// Brackets show the type of a setting. Settings that are not listed have their defaults: `pwrfgs plugins` lists \
-             them,\n// and `pwrfgs plugins NAME` describes them.\n";
+    text += "//\n// The five settings above the line matter most: `data`, `split`, `pruners` (how many Gaussians remain), \
+             `members` (number\n// of models) and `training.steps`.\n// Brackets show the type of a setting. Settings that are \
+             not listed have their defaults: `pwrfgs plugins` lists them,\n// and `pwrfgs plugins NAME` describes them.\n";
     text += &body;
     text.push('\n');
-    let again = Pipeline::parse(&text, Path::new("the new pipeline"))?;
-    if again.to_ron()? != pipeline.to_ron()? {
+    let parsed = Pipeline::parse(&text, Path::new("the new pipeline"))?;
+    if parsed.to_ron()? != pipeline.to_ron()? {
         return Err(Error::Config(
             "the new pipeline does not parse to the intended settings; please report this bug".into(),
         ));

@@ -15,27 +15,27 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Compares an observation with the fingerprints of the training positions: what was measured there,
-blended with what the model predicts there. The estimate is the mode of the most probable part of
-the 90 % region. Validation samples choose the blend, the weights, whether to descend along the
-model, and the size of the regions; train with validation samples, such as
-split=Voxel(size_m: 0.3, validation: 0.1), to get regions.
+Compares an observation with one fingerprint per training position: the measured observation,
+blended with the prediction of the model. The estimate is the mode of the most probable part of the
+90 % region. Up to 1,000 validation samples choose the blend, the weights, the size of the regions,
+and whether gradient descent on the model refines the estimate. To get regions, train with
+validation samples, such as split=Voxel(size_m: 0.3, validation: 0.1).
 
-A model file without pipeline.ron, and a model of the program such as s23 (`pwrfgs pipelines`), compare
-OBSERVATIONS with predictions at the training positions in the file, without regions.
+With a model file without pipeline.ron, or a model of the program such as s23, it compares
+OBSERVATIONS with predictions at the training positions in the file, and gives no regions.
 
-Without OBSERVATIONS, locates the test samples of the model's data and prints the errors beside
-those of nearest fingerprints, of fingerprints predicted by Kriging, and of the centre of the room.
-Above 10,000 positions, --no-kriging saves most of the time. At most 1,000 validation samples choose.
-With OBSERVATIONS, prints the estimates and the errors of validation samples.
+Without OBSERVATIONS, it locates the test samples of the model's data. It prints the errors of the
+model and of three baselines: nearest fingerprints, fingerprints predicted by Kriging, and the
+centre of the room. Above 10,000 positions, --no-kriging saves most of the time.
+With OBSERVATIONS, it prints the estimates and the errors of validation samples.
 
 OBSERVATIONS
   spectra   .png, or .npy [B, height, width]
-  powers    .csv with a column per receiver (dBm; empty: not known), or .npy [B, receivers] (NaN)
+  powers    .csv with a column per receiver (dBm; empty: unknown), or .npy [B, receivers] (NaN)
   channels  .npy [B, antennas, subcarriers], complex
 FILES of --out
-  locations.csv  estimate, true position and error if known, misfit (1: that of a typical sample;
-                 far above 1: like no known position), area and number of parts of the region
+  locations.csv  estimate, true position and error if known, misfit (1: typical; far above 1: unlike
+                 all training positions), area and number of parts of the region
   regions.json   outlines of every region in metres; a region may have several parts
   errors.png     estimates and true positions; 00001.png ..: density and region of single samples
 
@@ -58,7 +58,7 @@ pub(crate) struct Locate {
     /// Accept a finding on data or observations, such as lone-value; repeatable
     #[arg(long, value_name = "FINDING")]
     pub(crate) accept: Vec<String>,
-    /// Number of samples whose density is drawn
+    /// Number of samples whose probability density is drawn
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub(crate) pictures: usize,
     /// Output folder; must be new or empty [default: write no files]

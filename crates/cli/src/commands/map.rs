@@ -15,7 +15,8 @@ use std::path::PathBuf;
 QUANTITIES
   powers    power in dBm at each receiver, and at the strongest receiver
   spectra   direction: azimuth and elevation of the strongest direction (degrees, receiver frame;
-            arrows show it in the room); level: its value; mean: the mean pixel
+            arrows on the azimuth map: the same direction in world axes); level: value in this
+            direction; mean: the mean pixel
   channels  mean power over antennas and subcarriers in dB
 FILES
   power.npy  float32 [rows, columns], lowest row first (power-NAME.npy for several receivers)

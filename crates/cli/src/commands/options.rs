@@ -19,7 +19,8 @@ pub(crate) struct ChangeOptions {
     #[arg(
         long,
         value_name = "FACTOR",
-        help = "Multiply all step counts, such as 0.25; below 1, also divide the\nlearning rates of masks by it (up to 0.1), so that they still close"
+        help = "Multiply all step counts by this factor, such as 0.25; below 1, it\n\
+                also divides the learning rates of masks (up to 0.1), so that\nmasks still close"
     )]
     scale: Option<f64>,
     /// Accept a finding on the data, such as lone-value.
@@ -49,7 +50,8 @@ pub(super) fn resolve_pipeline(path: &Path) -> Result<(PathBuf, Option<PathBuf>)
         return Ok((file, Some(path.into())));
     }
     if let Some(listing) = Listing::read(path)? {
-        let problem = "folder of a sweep, expected a pipeline or run folder; repeat `pwrfgs sweep` with the experiment, or name one of its runs";
+        let problem = "folder of a sweep, expected a pipeline or run folder; repeat `pwrfgs sweep` with the experiment, or \
+                       name one of its runs";
         return Err(Error::input(path, format!("{problem}: {}", listing.run_names())));
     }
     let why = format!("not a run folder: no {PIPELINE}; name a pipeline file or a run folder");

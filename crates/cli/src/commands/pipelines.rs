@@ -9,10 +9,9 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Every command that reads a pipeline accepts a name of this list instead of a file, `pwrfgs sweep` the
-name of an experiment, and every command that reads a model the name of a model. Paths of a named
-file, such as data/s23, begin in the current directory. A file of the same name is used first; for
-models, also a folder.
+Commands that read a pipeline or a model also accept its name in this list; `pwrfgs sweep` accepts
+the name of an experiment. Relative paths in a listed file, such as data/s23, start in the current
+directory. A file of the same name in the current directory has priority; for models, also a folder.
 
 EXAMPLES
   pwrfgs pipelines

@@ -15,8 +15,9 @@ use std::sync::atomic::AtomicBool;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Coverage is the 10th percentile, over transmitters, of the power of the strongest receiver.
-A scene is simulated: 1 to 3 receivers at any free position, beside the best position on a grid.
-A data folder with received powers: the best of its receivers, scored on held-out transmitters.
+In a simulated scene, it selects 1 to 3 receivers at any free position, and compares them with the
+best grid positions. In a data folder with received powers, it selects the best of the measured
+receivers and scores them on held-out transmitters.
 Writes place.csv (choice, receiver, position, coverage) and place.png.
 
 EXAMPLES

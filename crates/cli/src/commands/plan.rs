@@ -10,20 +10,21 @@ use pwrfgs::experiment::{Session, text::grouped};
 use pwrfgs::tasks::plan::{PlanSettings, plan as select_positions};
 use pwrfgs_core::Result;
 use pwrfgs_core::files::NewFolder;
-use source::{PlaceOptions, read_places};
+use source::{PositionOptions, read_positions};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Selects one candidate after another. Each lowers the variance of a Gaussian process, summed over the
-region, most. Prints random, regular and largest-variance choices of the same size beside the plan.
-Writes plan.csv (order, candidate, position, mean variance after it) and plan.png.
+Selects one candidate after another: the one that most reduces the variance of a Gaussian process,
+summed over the region. Prints random, regular and largest-variance choices of the same size for
+comparison. Writes plan.csv (order, candidate, position, mean variance after it) and plan.png.
 CANDIDATES
   SOURCE alone           the positions of a data folder, none of them measured yet
   --candidates, --floor  new positions; those of SOURCE (data, run folder or model) are measured
 LENGTH SCALE
-  A fifth of the diagonal of the region, without measurements. Measured data with new candidates, and
-  --simulate at 8 positions and at every doubling, estimate it by maximum likelihood.
+  Without measurements, it is a fifth of the diagonal of the region. With measured data and new
+  candidates, it is estimated by maximum likelihood; with --simulate, at 8 positions and at every
+  doubling.
 
 EXAMPLES
   pwrfgs plan data/s23 --simulate --count 100 --out next
@@ -31,7 +32,7 @@ EXAMPLES
   pwrfgs plan --floor scenes/office.ron --step 0.25 --height 1.2 --count 20 --out next")]
 pub(crate) struct Plan {
     #[command(flatten)]
-    pub(crate) places: PlaceOptions,
+    pub(crate) positions: PositionOptions,
     #[command(flatten)]
     pub(crate) settings: PlanSettings,
     /// Output folder; must be new or empty
@@ -42,7 +43,7 @@ pub(crate) struct Plan {
 /// Runs `pwrfgs plan`: prints the plan and other choices, and writes its list and map.
 pub(crate) fn plan(arguments: &Plan, verbosity: Verbosity) -> Result<()> {
     let stop = stop_flag();
-    let places = RunProgress::observe(verbosity, |progress| read_places(&arguments.places, progress))?;
+    let places = RunProgress::observe(verbosity, |progress| read_positions(&arguments.positions, progress))?;
     let folder = NewFolder::begin(&arguments.out)?;
     let plan = RunProgress::observe(verbosity, |progress| {
         select_positions(&places, &arguments.settings, &mut Session { stop: &stop, ..Session::new(progress) })

@@ -24,11 +24,11 @@ the nearest training position in metres and:
   powers    power in dBm
   channels  mean power of the gains in dB
 Spectra are float32 [elevation, azimuth] in 00001.npy, .. and 8-bit 00001.png, ..; channels are
-complex64 [antennas, subcarriers] in 00001.npy, .. --stacked: spectra.npy or channels.npy.
+complex64 [antennas, subcarriers] in 00001.npy, .. (with --stacked: spectra.npy or channels.npy).
 An ensemble predicts the mean of its members (spectra clamped to [0, 1]) and writes their standard
 deviation: 00001-spread.npy and .png (white: 0.5), spread.npy, or column spread_db for powers.
---interval adds a band per pixel (00001-lower.npy and -upper.npy with .png, or lower.npy and upper.npy)
-and column ssim_bound, or columns lower_dbm and upper_dbm. Not for channels.
+--interval adds for spectra a band per pixel (00001-lower.npy and -upper.npy with .png, or lower.npy
+and upper.npy) and column ssim_bound, for powers columns lower_dbm and upper_dbm. Not for channels.
 Until all are written, the predictions are in DIR.partial. If the command is stopped or killed,
 repeat it to resume; a command with other models, positions or options is refused. Remove
 DIR.partial to start again.
@@ -42,7 +42,7 @@ EXAMPLES
   printf 'x,y,z\\n3,2,1.1\\n4,3,1.2\\n' > walk.csv
   pwrfgs predict runs/quickstart --tx-csv walk.csv --stacked --no-png --out walk
   pwrfgs predict runs/ble --tx-csv walk.csv --receiver g01 --out walk-g01
-  pwrfgs predict runs/lobby --rx-pose 3.5,2.2,1.2,0,0,0,1 --out turned    (the receiver moves)")]
+  pwrfgs predict runs/lobby --rx-pose 3.5,2.2,1.2,0,0,0,1 --out turned    # moving receiver")]
 #[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv", "rx_pose", "rx_pose_csv"])))]
 pub(crate) struct Predict {
     /// Run folder, model file or model of the program, such as s23; several form an ensemble
@@ -70,10 +70,10 @@ pub(crate) struct Predict {
 /// Runs `pwrfgs predict`: writes the predictions and warns of extrapolations; returns the exit code.
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<u8> {
     let ensemble = read_models(&arguments.models)?;
-    let setup = &ensemble.members()[0].stages;
+    let stages = &ensemble.members()[0].stages;
     let height = median(ensemble.training_positions().into_iter().map(|position| position[2]));
-    let poses = read_moving_poses(arguments, &setup.setup, if height.is_nan() { 0.0 } else { height })?;
-    if let (Some(zero), true) = (setup.geodetic, arguments.tx.is_some()) {
+    let poses = read_moving_poses(arguments, &stages.setup, if height.is_nan() { 0.0 } else { height })?;
+    if let (Some(zero), true) = (stages.geodetic, arguments.tx.is_some()) {
         let Geodetic { latitude, longitude } = zero;
         verbosity.print_note(&format!(
             "note: --tx is in metres east and north of latitude {latitude}, longitude {longitude}; --tx-csv takes degrees too"
@@ -96,18 +96,18 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<u8> {
         Some(distances) => extrapolation_warning(distances).iter().for_each(|warning| output::print_warning(warning)),
         None => verbosity.print_note("note: the model has no training positions, so extrapolations are not marked"),
     }
-    if let Some(sentence) = ensemble.residuals().and_then(|residuals| residuals.describe_share(setup.task)) {
+    if let Some(sentence) = ensemble.residuals().and_then(|residuals| residuals.describe_share(stages.task)) {
         verbosity.print_note(&sentence);
     }
-    let kind = if count == 1 { setup.task.singular } else { setup.task.plural };
+    let kind = if count == 1 { stages.task.singular } else { stages.task.plural };
     verbosity.print_note(&format!("{} {kind} in {}", grouped(count as i64), arguments.out.display()));
     let timed = if timed == 1 { "a single prediction".into() } else { format!("median of {timed} single predictions") };
     verbosity.print_note(&format!("latency: {milliseconds:.3} ms, {timed}"));
     Ok(SUCCESS)
 }
 
-/// Reads the positions or poses of the end that moves, at which to predict; `height` is that of degrees without one. Returns an
-/// error if the arguments give the other end.
+/// Reads the positions or poses of the moving end, at which to predict. Rows of latitude and longitude without a height get
+/// `height`, metres. Returns an error if the arguments give the other end.
 fn read_moving_poses(arguments: &Predict, setup: &MeasurementSetup, height: f64) -> Result<Vec<Pose>> {
     let moving = setup.moving;
     let Predict { tx, tx_csv, rx_pose, rx_pose_csv, .. } = arguments;

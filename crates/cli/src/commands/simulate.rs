@@ -24,15 +24,16 @@ LAYOUTS
             half downlink; base-station.yml; NeRF2's program needs 8 antennas and 52 subcarriers
   deepmimo  DeepMIMO v4: params.json and matrices of the 25 strongest paths of each user; receivers
             become base stations, transmitters become users
-All but deepmimo have tx_pos.csv (rx_pose.csv if the receiver moves), paths.csv, points.ply (surface points with normals), manifest.json (parameters)
-and index files (every fifth transmitter is for test). Several receivers get a folder each, except
-for rssi and deepmimo. In a pipeline, `data: Simulated(scene: ..)` makes the same data without this command.
+All but deepmimo have tx_pos.csv (rx_pose.csv if the receiver moves), paths.csv, points.ply (surface
+points with normals), manifest.json (parameters) and index files (every fifth transmitter is for
+test). Several receivers get a folder each, except for rssi and deepmimo.
+In a pipeline, `data: Simulated(scene: ..)` simulates the same data without this command.
 A Mitsuba XML file of Sionna RT is a scene too: carrier 3.5 GHz and antennas 1.5 m above its lowest
 point, unless set here or in a scene file with `mitsuba: ..` (docs/simulator.md).
 
 EXAMPLES
   pwrfgs simulate office --out data/office
-  pwrfgs simulate office --tx-csv walk.csv --layout rssi --no-paths --out data/walk   (where you measured)
+  pwrfgs simulate office --tx-csv walk.csv --layout rssi --no-paths --out data/walk
   pwrfgs simulate scenes/office.ron --samples 100000 --no-paths --npy --out data/many
   pwrfgs simulate scenes/office-links.ron --layout rssi --noise-db 3 --no-paths --out data/rssi
   pwrfgs simulate scene.xml --carrier-hz 28e9 --receiver 0,0,10 --no-paths --out data/canyon
@@ -119,7 +120,7 @@ impl Simulate {
 
     /// Returns the kind of observation and the layout of its files; an option that the layout does not support is an
     /// error.
-    fn observation_and_layout(&self) -> Result<(ObservationKind, OutputLayout)> {
+    fn resolve_layout(&self) -> Result<(ObservationKind, OutputLayout)> {
         let refuse = |problem: &str| Err(Error::Config(problem.into()));
         let is_channel = matches!(self.layout, SimulateFormat::Channels | SimulateFormat::Csi);
         if self.npy && self.layout != SimulateFormat::Spectra {
@@ -180,7 +181,7 @@ pub(crate) fn export_scene(arguments: &ExportScene, verbosity: Verbosity) -> Res
 pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<()> {
     let begun = Instant::now();
     let stop = stop_flag();
-    let (observe, layout) = arguments.observation_and_layout()?;
+    let (observe, layout) = arguments.resolve_layout()?;
     let receiver = arguments.receiver.as_deref().map(|text| parse_position("--receiver", text)).transpose()?;
     let samples = arguments.samples.unwrap_or(1000);
     let recipe = SimulationRecipe::read(&arguments.scene, samples, arguments.seed, arguments.points)?;

@@ -24,7 +24,7 @@ use table::SweepTable;
 An experiment file names a base pipeline, seeds, and axes whose variants change settings. All runs
 are validated, and their total time is estimated, before the first one starts. Repeat the command to
 resume: it skips finished runs and retries failed ones. The sweep ends with tables and figures in
-DIR/report and, if the file says `join: true`, an ensemble of all models in DIR/joined.
+DIR/report and, if the file sets `join: true`, an ensemble of all models in DIR/joined.
 docs/guide.md explains the file; `pwrfgs pipelines` also lists the shipped experiments.
 
 ON A CLUSTER
@@ -48,7 +48,7 @@ pub(crate) struct Sweep {
     /// List all runs with estimated times; run nothing
     #[arg(long)]
     pub(crate) dry_run: bool,
-    /// Print the progress of each run, on any machine; run nothing
+    /// Print the progress of each run, also of runs on other machines; run nothing
     #[arg(long, conflicts_with = "dry_run")]
     pub(crate) status: bool,
     /// Number of parallel runs, which share the threads
@@ -63,7 +63,7 @@ pub(crate) struct Sweep {
     /// Keep the training state of finished runs, checkpoint.safetensors
     #[arg(long)]
     pub(crate) keep_checkpoint: bool,
-    /// Print all metrics of the ensemble, if the file says `join: true`
+    /// Print all metrics of the ensemble, if the file sets `join: true`
     #[arg(long)]
     pub(crate) all: bool,
     /// Submit the runs to a scheduler and return; NAME is slurm
@@ -172,7 +172,7 @@ impl SelectedRuns<'_> {
     }
 
     /// Executes the runs in this process and prints their table; returns the exit code. The process that ends the last
-    /// run of the sweep writes the report, in which `reference` is that of the paired differences.
+    /// run of the sweep writes the report, whose paired differences are against `reference`.
     pub(super) fn execute(self, reference: Option<&str>) -> Result<u8> {
         let Self { plan, indices, jobs, keep_checkpoint, all, verbosity } = self;
         let stop = stop_flag();
@@ -193,12 +193,7 @@ impl SelectedRuns<'_> {
         #[cfg(feature = "report")]
         reported?;
         output::print_result(&plan.progress_table(indices, &queued_runs(plan)))?;
-        if let Some(RunOutcome::Finished { scores, .. }) = joined {
-            let folder = plan.folder.join(JOINED);
-            let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", folder.join(REPORT).display()));
-            let head = format!("\nensemble of {} models in {}\n", plan.runs.len(), folder.display());
-            output::print_result(&(head + &format_scores(&scores, all) + &report.unwrap_or_default()))?;
-        }
+        print_ensemble(plan, joined, all)?;
         let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
         if failed > 0 {
             let (total, failures) = (indices.len(), plan.folder.join("failures"));
@@ -214,6 +209,15 @@ impl SelectedRuns<'_> {
         }
         Ok(SUCCESS)
     }
+}
+
+/// Prints the scores of the ensemble of all models, if the sweep has one.
+fn print_ensemble(plan: &SweepPlan, joined: Option<RunOutcome>, all: bool) -> Result<()> {
+    let Some(RunOutcome::Finished { scores, .. }) = joined else { return Ok(()) };
+    let folder = plan.folder.join(JOINED);
+    let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", folder.join(REPORT).display()));
+    let head = format!("\nensemble of {} models in {}\n", plan.runs.len(), folder.display());
+    output::print_result(&(head + &format_scores(&scores, all) + &report.unwrap_or_default()))
 }
 
 /// Lists the folders of the runs in the Slurm queue; empty, with a note, if it cannot be read.

@@ -17,11 +17,12 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The model needs a residual process (residuals: Kriged() in its pipeline). All links of the new data
-become known links. Without --data, those of the test set do: after the scores are known, the model then
-predicts from all measurements. Nothing is trained: the Gaussians, the network and the correlation stay.
-The new data need the kind of observation, receivers and frequencies of the model. Most links must lie
-inside its 99 % intervals. A model without calibration of intervals prints the distances only.
+The model needs a residual process (residuals: Kriged() in its pipeline). This process adds all
+links of the new data to its measurements. Nothing is trained: the Gaussians, the network and the
+correlation stay unchanged. Without --data, it adds the test set of the run: once its scores are known,
+the model then predicts from all measurements. The new data need the kind of observation, receivers and frequencies of
+the model. Most links must lie inside its 99 % intervals. A model without calibration of intervals
+prints the distances only.
 
 EXAMPLES
   pwrfgs update runs/lab --out final.safetensors

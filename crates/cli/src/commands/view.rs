@@ -24,11 +24,12 @@ ON THE PAGE
   slider       selects a snapshot of the training, from the start over each prune step to the end;
                new snapshots of a run in progress appear
   locate       shows where `pwrfgs locate` puts the selected sample, with its 90 % region
-Two models, or a model and a baseline on the same data, share the transmitter. Write the baseline as
-in a pipeline, such as 'NearestNeighbours(k: 5)', or give its name.
+Two models, or a model and a baseline, predict for one common transmitter. Write the baseline as in
+a pipeline, such as 'NearestNeighbours(k: 5)', or give its name.
 Models of the program need no data: s23, ble, office-channel (`pwrfgs pipelines` describes them).
-With --save, it writes a page that needs no server. Single models of spectra predict in it, in 8
-bits from 1 MB on, up to 1.5 MB; other models show up to 50 stored predictions.
+With --save, it writes a page that needs no server. A single model of spectra predicts in this page:
+up to 1 MB exactly, above with 8-bit weights of up to 1.5 MB. For other models, the page shows up to
+50 stored predictions.
 
 EXAMPLES
   pwrfgs view s23

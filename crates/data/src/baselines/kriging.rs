@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 
 /// Largest number of powers predicted in the fit.
 const POWERS: usize = 320;
+/// Number of earlier powers from which each is predicted.
 const FROM_POWERS: usize = 16;
 
 /// Ordinary kriging, a standard for radio coverage maps: best linear unbiased prediction of a Gaussian process over the
@@ -133,10 +134,10 @@ impl<'a> Trend<'a> {
         }
     }
 
-    /// Returns the most likely correlation, and its process variance per value. Spectra: as [`fit_observations`]. Powers: of at
-    /// most [`POWERS`] samples, each given the nearest of those before it in random order. Their densities multiply to the joint
-    /// density (Vecchia, Journal of the Royal Statistical Society B 50, 1988), and the first samples constrain long distances.
-    /// `time`: with a scale of time.
+    /// Returns the most likely correlation, with a scale of time if `time`, and its process variance per value. For spectra as
+    /// [`fit_observations`]. For powers the likelihood is that of at most [`POWERS`] samples, each given the nearest of those
+    /// before it in random order: the densities multiply to the joint density (Vecchia, Journal of the Royal Statistical Society
+    /// B 50, 1988), and the first samples constrain long distances.
     fn fit_correlation(&self, all: &[usize], fitting: FittingSet<'_>, time: bool) -> Result<(Correlation, f64)> {
         let check = || fitting.check_stopped();
         if self.path_loss.is_none() {
@@ -163,8 +164,10 @@ impl<'a> Trend<'a> {
     }
 }
 
+/// Process of one receiver, conditioned on its samples.
 struct Process<'a> {
     trend: Trend<'a>,
+    /// Samples that predictions use.
     samples: Vec<usize>,
     kriging: LocalKriging,
     /// Samples by position alone, for a process over time.

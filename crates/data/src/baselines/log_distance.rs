@@ -70,6 +70,7 @@ impl Baseline for LogDistance {
     }
 }
 
+/// Path-loss model of each receiver.
 struct PathLosses<'a> {
     data: &'a Dataset,
     by_receiver: Vec<PathLoss>,

@@ -122,8 +122,8 @@ impl Baseline for NearestNeighbours {
 /// in a tie; 3 if there is nothing to compare. Without positions it predicts the validation links from the training links.
 /// The flag of `fitting` ends the search.
 fn best_neighbour_count(data: &Dataset, fitting: FittingSet<'_>) -> Result<usize> {
-    let known = fitting_samples(fitting)?;
-    let (train, held_out) = if data.placed { (known.clone(), known) } else { selection_sets(fitting) };
+    let samples = fitting_samples(fitting)?;
+    let (train, held_out) = if data.placed { (samples.clone(), samples) } else { selection_sets(fitting) };
     let most = if data.task().is_scalar { CHOSEN_ON_NUMBERS } else { CHOSEN_ON };
     let edge = SiteSize::new(train.iter().map(|&i| data.sample(i).position())).block_edge();
     let block = |i: usize| data.placed.then(|| block_of(data.sample(i).position(), edge));
@@ -133,8 +133,8 @@ fn best_neighbour_count(data: &Dataset, fitting: FittingSet<'_>) -> Result<usize
     let blocks: Vec<Vec<_>> = by_receiver.iter().map(|links| links.iter().map(|&i| block(i)).collect()).collect();
     let score = |&i: &usize| {
         fitting.check_stopped()?;
-        let (receiver, own) = (data.links[i].receiver, block(i));
-        let is_other = |k: usize| by_receiver[receiver][k] != i && (blocks[receiver][k] != own || !data.placed);
+        let (receiver, block) = (data.links[i].receiver, block(i));
+        let is_other = |k: usize| by_receiver[receiver][k] != i && (blocks[receiver][k] != block || !data.placed);
         Ok(lookups[receiver].scores(i, is_other))
     };
     let scores = evenly(&held_out, most).par_iter().map(score).collect::<Result<Vec<Vec<f64>>>>()?;
@@ -151,7 +151,7 @@ struct Lookup<'a> {
     data: &'a Dataset,
     nearest: Nearest,
     k: usize,
-    /// Whether k was selected on validation.
+    /// Whether k was selected by its score.
     chosen: bool,
 }
 

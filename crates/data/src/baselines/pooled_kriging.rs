@@ -17,7 +17,7 @@ pub(super) struct PooledKriging<'a> {
     neighbours: usize,
 }
 
-/// Known links of one receiver.
+/// Links of one receiver that predictions use.
 struct Process {
     links: Vec<usize>,
     /// Differences of their powers from the path-loss model, dB.
@@ -26,23 +26,23 @@ struct Process {
 }
 
 impl<'a> PooledKriging<'a> {
-    /// Fits path loss and process to the known powers.
+    /// Fits path loss and process to the training and validation powers.
     pub(super) fn fit(data: &'a Dataset, fitting: FittingSet<'_>, neighbours: usize) -> Result<Self> {
-        let known = fitting_samples(fitting)?;
-        let fits = fit_powers(data, &known, &|| fitting.check_stopped())?;
+        let samples = fitting_samples(fitting)?;
+        let fits = fit_powers(data, &samples, &|| fitting.check_stopped())?;
         data.observations.check()?;
-        Ok(Self::new(data, fits, data.group_by_receiver(known), neighbours))
+        Ok(Self::new(data, fits, data.group_by_receiver(samples), neighbours))
     }
 
-    /// Creates the predictor of fits from the known links of each receiver.
-    fn new(data: &'a Dataset, fits: Vec<ProcessFit>, known: Vec<Vec<usize>>, neighbours: usize) -> Self {
+    /// Creates the predictor from the fit and the links of each receiver.
+    fn new(data: &'a Dataset, fits: Vec<ProcessFit>, links: Vec<Vec<usize>>, neighbours: usize) -> Self {
         let process = |(links, fit): (Vec<usize>, &ProcessFit)| {
             let residual =
                 |&i: &usize| (data.image(i).pixels[0] as f64 - fit.trend.expected(0.0, link_place(data, i))) as Real;
             let kriging = fit.process(links.iter().map(|&i| link_place(data, i)));
             Process { residuals: links.iter().map(residual).collect(), links, kriging }
         };
-        let processes = known.into_iter().zip(&fits).map(process).collect();
+        let processes = links.into_iter().zip(&fits).map(process).collect();
         Self { data, fits, processes, neighbours }
     }
 
@@ -51,13 +51,13 @@ impl<'a> PooledKriging<'a> {
         self.fits.get(query.receiver).or(self.fits.first()).expect("data have a receiver")
     }
 
-    /// Returns the place of a query, metres from the origin.
+    /// Returns the position of a query, metres from the origin, at time 0.
     fn place(&self, query: Query<'_>) -> Place {
         let [x, y, z] = self.data.scene.origin.local(query.position()).map(|v| v as f64);
         [x, y, z, 0.0]
     }
 
-    /// Returns the known links of the receiver of a query; `None` without any.
+    /// Returns the process of the receiver of a query; `None` if it has no links.
     fn process(&self, query: Query<'_>) -> Option<&Process> {
         self.processes.get(query.receiver).filter(|process| !process.links.is_empty())
     }
@@ -96,24 +96,24 @@ impl Predict for PooledKriging<'_> {
         let others = |process: &Process| {
             process.links.iter().copied().filter(|link| links.binary_search(link).is_err()).collect::<Vec<usize>>()
         };
-        let known: Vec<Vec<usize>> = self.processes.iter().map(others).collect();
-        let is_known = known.iter().any(|links| !links.is_empty());
-        is_known.then(|| Box::new(Self::new(self.data, self.fits.clone(), known, self.neighbours)) as Box<dyn Predict>)
+        let rest: Vec<Vec<usize>> = self.processes.iter().map(others).collect();
+        let is_fitted = rest.iter().any(|links| !links.is_empty());
+        is_fitted.then(|| Box::new(Self::new(self.data, self.fits.clone(), rest, self.neighbours)) as Box<dyn Predict>)
     }
 
     fn note(&self) -> Option<String> {
         let ProcessFit { correlation: Correlation { kind, scales, noise }, variance, .. } = self.fits.first()?;
-        let laws: Vec<PathLoss> = self.fits.iter().filter_map(|fit| Some(fit.trend.path_loss?.0)).collect();
+        let path_losses: Vec<PathLoss> = self.fits.iter().filter_map(|fit| Some(fit.trend.path_loss?.0)).collect();
         let names: Vec<String> = self.data.scene.receivers.iter().map(|r| strip_control(&r.name)).collect();
         let has_distances = self.data.scene.has_distances();
-        let law = |(law, name): (&PathLoss, &String)| {
-            let slope = if has_distances { format!(", {}", format_digits(law.slope)) } else { String::new() };
+        let describe = |(path_loss, name): (&PathLoss, &String)| {
+            let slope = if has_distances { format!(", {}", format_digits(path_loss.slope)) } else { String::new() };
             let name = if names.len() > 1 { format!("{name}: ") } else { String::new() };
-            format!("{name}{}{slope}", format_digits(law.level))
+            format!("{name}{}{slope}", format_digits(path_loss.level))
         };
-        let list: Vec<String> = laws.iter().zip(&names).map(law).collect();
+        let list: Vec<String> = path_losses.iter().zip(&names).map(describe).collect();
         let trend = if has_distances { "path loss in dBm at 1 m and dB per decade" } else { "mean in dBm" };
-        let found = format!(
+        let text = format!(
             "Kriging found one correlation for all receivers, {} with a length scale of {} m, a variance of {} dB² and noise of \
              {} of the variance, {trend} ({})",
             kind.words(),
@@ -122,11 +122,11 @@ impl Predict for PooledKriging<'_> {
             format_digits(*noise),
             list.join("; "),
         );
-        let deaf: Vec<&str> =
+        let unlinked: Vec<&str> =
             names.iter().zip(&self.processes).filter(|(_, p)| p.links.is_empty()).map(|(n, _)| n.as_str()).collect();
-        let deaf = (!deaf.is_empty())
-            .then(|| format!("; {} has no training link and shares the mean path loss", deaf.join(", ")));
-        Some(found + &deaf.unwrap_or_default())
+        let unlinked = (!unlinked.is_empty())
+            .then(|| format!("; {} has no training link and shares the mean path loss", unlinked.join(", ")));
+        Some(text + &unlinked.unwrap_or_default())
     }
 }
 

@@ -92,8 +92,8 @@ impl LinearMap {
         })?;
         let ridge = weight * (0..d).map(|k| gram[k * d + k]).sum::<f64>() / d as f64 + f64::MIN_POSITIVE;
         (0..d).for_each(|k| gram[k * d + k] += ridge);
-        let no = || Error::Config("Ridge(): features are too large for a linear map; scale them".into());
-        let factor = Cholesky::new(gram, d).ok_or_else(no)?;
+        let too_large = || Error::Config("Ridge(): features are too large for a linear map; scale them".into());
+        let factor = Cholesky::new(gram, d).ok_or_else(too_large)?;
         let mut slopes = vec![0.0; m * d];
         slopes.par_chunks_exact_mut(d).enumerate().try_for_each(|(n, slope)| {
             fitting.check_stopped()?;

@@ -39,7 +39,7 @@ fn reads_channels_with_antennas_and_frequencies() {
     let mut source = source(folder.path().into());
     let message = source.load(".".as_ref(), &|_, _| {}).unwrap_err();
     assert!(
-        message.is_input() && message.to_string().contains("has 2 antennas, and `receiver.antennas` names 0"),
+        message.is_input() && message.to_string().contains("has 2 antennas, but `receiver.antennas` lists 0"),
         "{message}"
     );
     source.receiver.as_mut().unwrap().antennas = vec![[0.0; 3], [0.1, 0.0, 0.0]];
@@ -121,7 +121,11 @@ fn reads_missing_settings_from_companion_file() {
         ("2.0e9", "fast", ":4:13:"),
         ("spacing_hz: 1.0e6", "spacing_hz: 1e6\nfrequencies_hz: [1e9, 2e9]", "lists 2 `frequencies_hz`"),
         ("[1.1, 2, 3]", "[1.1, .inf, 3]", "not finite"),
-        (", [1.1, 2, 3]", "", "`receiver.antennas` names 1"),
+        (
+            ", [1.1, 2, 3]",
+            "",
+            "has 2 antennas, but `antennas` in receiver.yml lists 1; give the position of each there",
+        ),
     ] {
         fs::write(folder.path().join("receiver.yml"), good.replace(from, to)).unwrap();
         let message = load(&bare).unwrap_err();

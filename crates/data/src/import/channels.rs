@@ -18,7 +18,7 @@ pub struct ChannelImport {
     /// Channels (CSI): .npy, .npz or .npz:NAME; several are concatenated
     #[arg(long, value_name = "FILE", num_args = 1.., requires = "receiver", conflicts_with_all = ["elevation", "scale"])]
     pub channels: Vec<PathBuf>,
-    /// Imaginary parts, if they are in files of their own
+    /// Imaginary parts, if they are in separate files
     #[arg(long, value_name = "FILE", num_args = 1.., requires = "channels")]
     pub imag: Vec<PathBuf>,
     /// Axes: positions m, antennas a, subcarriers f, parts ri or ir
@@ -31,8 +31,13 @@ pub struct ChannelImport {
     /// Receiver pose.
     #[arg(skip = Pose::IDENTITY)]
     pub receiver: Pose,
-    /// Antenna positions in the receiver's frame, metres: as --tx
-    #[arg(long, value_name = "FILE", requires = "channels")]
+    /// Antenna positions, metres, receiver frame.
+    #[arg(
+        long,
+        value_name = "FILE",
+        requires = "channels",
+        help = "Antenna positions, metres, receiver frame: .npy or .npz [A, 3],\nor .csv with columns x, y, z [default: one antenna at 0,0,0]"
+    )]
     pub antennas: Option<PathBuf>,
     /// Centre frequency of the subcarriers, Hz
     #[arg(long, value_name = "HZ", requires = "channels", allow_hyphen_values = true)]
@@ -84,21 +89,26 @@ impl ChannelImport {
                 ));
             }
         }
-        let data = if self.powers { self.powers(&grid, kind, &received)? } else { self.gains(grid, &received)? };
+        let data = if self.powers {
+            self.create_powers(&grid, kind, &received)?
+        } else {
+            self.create_channels(grid, &received)?
+        };
         Ok((Dataset { simulation: self.simulated.then(Simulation::default), ..data }, notes))
     }
 
-    /// Creates the channels of the positions, antennas and subcarriers that were `received`.
-    fn gains(&self, mut grid: Grid, [rows, antennas, subcarriers]: &[Vec<usize>; 3]) -> Result<Dataset> {
+    /// Creates the channels of the positions, antennas and subcarriers that were received, as indices. Returns an error for a
+    /// missing or invalid frequency, or another number of antenna positions.
+    fn create_channels(&self, mut grid: Grid, [rows, antennas, subcarriers]: &[Vec<usize>; 3]) -> Result<Dataset> {
         let (path, [_, count, width]) = (&self.channels[0], grid.size);
         let missing =
             || Error::Config("--carrier-hz is missing; give the centre frequency in Hz, such as 2.437e9".into());
         let carrier_hz = self.carrier_hz.ok_or_else(missing)?;
         check_frequencies(carrier_hz, self.spacing_hz.unwrap_or(1.0)).map_err(Error::Config)?;
         let hz = uniform_subcarriers(path, carrier_hz, self.spacing_hz.unwrap_or(f64::NAN), width)?;
-        let places = self.antennas.as_ref().map_or(Ok(vec![[0.0; 3]]), |path| read_positions(path, false))?;
-        if places.len() != count {
-            let problem = format!("has {count} antennas, and --antennas {}", places.len());
+        let positions = self.antennas.as_ref().map_or(Ok(vec![[0.0; 3]]), |path| read_positions(path, false))?;
+        if positions.len() != count {
+            let problem = format!("has {count} antennas, and --antennas {}", positions.len());
             let advice = "give the position of each in the receiver's frame, or correct --axes";
             return Err(Error::input(path, format!("{problem}; {advice}")));
         }
@@ -115,7 +125,7 @@ impl ChannelImport {
             frequencies_hz: subcarriers.iter().map(|f| hz[*f]).collect(),
             gains: grid.gains,
         };
-        let antennas = antennas.iter().map(|a| places[*a]).collect();
+        let antennas = antennas.iter().map(|a| positions[*a]).collect();
         let receiver = Receiver { antennas, ..Receiver::new("receiver", self.receiver) };
         let samples: Vec<Sample> = rows.iter().map(|m| Sample::new(*m as u32, grid.tx[*m])).collect();
         Dataset::of_links(&self.name, vec![receiver], vec![], &samples, channels.into())
@@ -123,7 +133,7 @@ impl ChannelImport {
 
     /// Creates the received powers, dB relative to the strongest, with a receiver per subcarrier, or per antenna of one
     /// subcarrier.
-    fn powers(&self, grid: &Grid, kind: Kind, received: &[Vec<usize>; 3]) -> Result<Dataset> {
+    fn create_powers(&self, grid: &Grid, kind: Kind, received: &[Vec<usize>; 3]) -> Result<Dataset> {
         let [rows, antennas, subcarriers] = received;
         let (listed, noun) = if grid.size[2] > 1 { (subcarriers, "subcarrier") } else { (antennas, "antenna") };
         let (mut samples, mut powers) = (Vec::new(), Vec::new());

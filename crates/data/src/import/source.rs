@@ -130,28 +130,29 @@ fn read_images(path: &Path, count: usize, map: Option<Colormap>, sink: &mut Sink
     }
     let mut first: Option<((usize, usize), Number, String)> = None;
     for (_, file) in files {
-        let picture = pictures::decode_grey_png(&file, Depth::Sixteen, map)?;
-        let size = (picture.width, picture.height);
+        let image = pictures::decode_grey_png(&file, Depth::Sixteen, map)?;
+        let size = (image.width, image.height);
         match &first {
             None => {
-                sink.begin(&file, [count, size.1, size.0], picture.number)?;
+                sink.begin(&file, [count, size.1, size.0], image.number)?;
                 let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                first = Some((size, picture.number, name));
+                first = Some((size, image.number, name));
             }
             Some((size, number, name)) => {
-                picture.check_size(&file, *size, name)?;
-                if picture.number != *number {
+                image.check_size(&file, *size, name)?;
+                if image.number != *number {
                     let problem = format!("has another depth than {name}; save all with 8 bits, or all with 16");
                     return Err(Error::input(&file, problem));
                 }
             }
         }
-        sink.add_spectrum(&picture.bytes)?;
+        sink.add_spectrum(&image.bytes)?;
     }
     Ok(())
 }
 
-/// Returns the result of `read` on an array of an archive: the array `name`, else `usual`, else the only one. Returns an error for a damaged archive, repeated names, or no such array.
+/// Returns the result of `read` on an array of an archive: the array `name`, else `usual`, else the only one. Returns an error
+/// for a damaged archive, repeated names, or no such array.
 fn read_archive<T>(
     path: &Path,
     name: Option<String>,

@@ -24,7 +24,7 @@ pub(crate) struct SpectrumIds<'a> {
     /// Number of its rows; valid ids are 1 to this.
     pub(crate) rows: usize,
     /// Ids that have an image.
-    pub(crate) pictures: &'a BTreeSet<u32>,
+    pub(crate) images: &'a BTreeSet<u32>,
     /// Ids that have a row and an image, sorted: the samples.
     pub(crate) samples: &'a [u32],
 }
@@ -45,10 +45,10 @@ impl SpectrumIds<'_> {
             let rows = self.rows;
             return Err(format!("id {id} has no row in {table}, which has {rows}; add the row or remove the id"));
         }
-        if !self.pictures.contains(&id) {
+        if !self.images.contains(&id) {
             return Err(format!("id {id} has no image spectrum/{id:05}.png; add the image or remove the id"));
         }
-        let sample = self.samples.binary_search(&id).expect("an id with a row and a picture is a sample");
+        let sample = self.samples.binary_search(&id).expect("an id with a row and an image is a sample");
         Ok(IndexEntry { id, sample })
     }
 }

@@ -18,6 +18,7 @@ const ANTENNAS: &str = "expected `base_station: [[x, y, z], ..]` (metres), one p
 /// Content of `gateway_info.yml`: name of the data set, position and orientation of the receiver.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Gateway {
+    /// Name of the data set, if given.
     pub(crate) name: Option<String>,
     pub(crate) pose: Pose,
     /// Name of the receiver, if given.

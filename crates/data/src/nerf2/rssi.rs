@@ -37,10 +37,9 @@ const LAYOUT: &str = "a NeRF2 folder of powers holds gateway_position.yml, gatew
 ///
 /// A link is a transmitter and a gateway that received it. An empty cell and NaN mark a missing link, and so does -100, unless
 /// `manifest.json` declares other values: `"missing": []` where -100 dBm is a reading. Gateways that received nothing are left
-/// out with a warning. The id of a transmitter is
-/// its row, counted from 0 as in the index files (ids of spectra count from 1), or line k of `ids.txt`, if there is one. The split of the index files assigns
-/// all links of a transmitter to one set. Gateways are receivers of the same name, in the order of
-/// `gateway_position.yml`.
+/// out with a warning. The id of a transmitter is its row, counted from 0 as in the index files (ids of spectra count from 1),
+/// or line k of `ids.txt`, if there is one. The split of the index files assigns all links of a transmitter to one set.
+/// Gateways are receivers of the same name, in the order of `gateway_position.yml`.
 ///
 /// Limits of the data released by NeRF2: it is unknown whether rows are in order of time, so `TimeBlock` may not hold
 /// out a block of time. The gateways `g08` and `g09` have the same coordinates, so hold out both or neither. The
@@ -94,7 +93,7 @@ impl DataSource for Nerf2Rssi {
             let problem = format!("the receivers move ({POSES}), but the position of their transmitter differs");
             return Err(Error::input(&root.join("gateway_position.yml"), format!("{problem}; give one position")));
         }
-        let receivers = heard_gateways(&root, gateways, &mut received);
+        let receivers = create_receivers(&root, gateways, &mut received);
         let samples: Vec<Sample> = received
             .iter()
             .map(|link| Sample { receiver: link.gateway, ..Sample::new(link.row as u32, locations.poses[link.row]) })
@@ -128,18 +127,20 @@ struct PowerRow {
     dbm: f64,
 }
 
-/// Returns the gateways that received something as receivers, and renumbers the links; warns of the others.
-fn heard_gateways(root: &Path, gateways: Vec<(String, Pose)>, received: &mut [PowerRow]) -> Vec<Receiver> {
-    let mut is_heard = vec![false; gateways.len()];
-    received.iter().for_each(|link| is_heard[link.gateway] = true);
-    let deaf: Vec<String> =
-        gateways.iter().zip(&is_heard).filter(|(_, heard)| !**heard).map(|((name, _), _)| quoted(name)).collect();
-    if !deaf.is_empty() {
-        tracing::warn!("{}: these gateways received nothing and are left out: {}", root.display(), deaf.join(", "));
+/// Creates receivers from the gateways that received a transmitter, and renumbers the links; warns of the other gateways.
+fn create_receivers(root: &Path, gateways: Vec<(String, Pose)>, received: &mut [PowerRow]) -> Vec<Receiver> {
+    let mut is_linked = vec![false; gateways.len()];
+    received.iter().for_each(|link| is_linked[link.gateway] = true);
+    let unlinked: Vec<String> =
+        gateways.iter().zip(&is_linked).filter(|(_, linked)| !**linked).map(|((name, _), _)| quoted(name)).collect();
+    if !unlinked.is_empty() {
+        let names = unlinked.join(", ");
+        tracing::warn!("{}: these gateways received nothing and are left out: {names}", root.display());
     }
-    received.iter_mut().for_each(|link| link.gateway = is_heard[..link.gateway].iter().filter(|heard| **heard).count());
-    let heard = gateways.into_iter().zip(is_heard).filter(|(_, heard)| *heard);
-    heard.map(|((name, pose), _)| Receiver::new(name, pose)).collect()
+    let linked_before = |gateway: usize| is_linked[..gateway].iter().filter(|linked| **linked).count();
+    received.iter_mut().for_each(|link| link.gateway = linked_before(link.gateway));
+    let linked = gateways.into_iter().zip(is_linked).filter(|(_, linked)| *linked);
+    linked.map(|((name, pose), _)| Receiver::new(name, pose)).collect()
 }
 
 /// Warns if the value that marks a missing link may be a reading, because lower ones exist.
@@ -169,7 +170,7 @@ fn read_links(path: &Path, gateways: &[String], missing: &[f64], rows: usize) ->
         received.extend(links);
         if row < rows && powers.iter().all(Option::is_none) {
             let advice = "remove the row here and in tx_pos.csv, and number the index files anew";
-            return Err(Error::at(path, *line, 1, format!("no gateway heard this transmitter; {advice}")));
+            return Err(Error::at(path, *line, 1, format!("no gateway received this transmitter; {advice}")));
         }
     }
     if table.len() != rows {

@@ -3,7 +3,8 @@
 use super::{DEFAULT_VALIDATION, check_test_share, check_validation_share, partition_of_locations, share_count};
 use pwrfgs_core::rng::{self, Rng};
 use pwrfgs_core::{
-    Dataset, Demand, Error, JsonSchema, Misfit, Partition, Parts, Requirement, Result, Split, check_compatible,
+    Dataset, Demand, Error, JsonSchema, Location, Misfit, Partition, Parts, Requirement, Result, Split,
+    check_compatible,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -80,6 +81,7 @@ impl Split for TimeBlock {
             ));
         }
         check_test_share("length", self.length)?;
+        // The sum of decimals such as 0.7 and 0.3 may be rounded up.
         if self.start + self.length > 1.0 + 1e-9 {
             let end = self.start + self.length;
             return Err(format!(
@@ -126,6 +128,13 @@ impl Voxel {
     pub(super) fn cell(&self, position: [f64; 3]) -> [i128; 3] {
         position.map(|v| floor_of_ratio(v, self.size_m))
     }
+
+    /// Groups indices by the cells of their positions, in the order of the cells.
+    fn group_by_cell(&self, positions: impl Iterator<Item = (usize, [f64; 3])>) -> Vec<Vec<usize>> {
+        let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
+        positions.for_each(|(i, position)| cells.entry(self.cell(position)).or_default().push(i));
+        cells.into_values().collect()
+    }
 }
 
 /// Returns ⌊v/size⌋, exact for the shortest decimals of both; `size` is above 0. Results out of range saturate.
@@ -153,21 +162,14 @@ impl Split for Voxel {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         let demands = &[Demand::of("split", "Voxel", &[Requirement::Positions])];
         check_compatible(&Parts { data: Some(data), demands, ..Parts::default() }).map_err(Misfit::error)?;
-        let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
-        for (i, location) in data.locations.iter().enumerate() {
-            cells.entry(self.cell(location.position())).or_default().push(i);
-        }
-        let mut cells: Vec<Vec<usize>> = cells.into_values().collect();
+        let mut cells = self.group_by_cell(data.locations.iter().map(Location::position).enumerate());
+        let count = data.locations.len();
         if cells.len() < 2 {
-            let what = format!(
-                "all {} samples lie in one cell of {} m; lower `size_m` of Voxel",
-                data.locations.len(),
-                self.size_m
-            );
-            return Err(Error::Config(what));
+            let size = self.size_m;
+            let problem = format!("all {count} samples lie in one cell of {size} m; lower `size_m` of Voxel");
+            return Err(Error::Config(problem));
         }
         rng::shuffle(rng, &mut cells);
-        let count = data.locations.len();
         let test = draw_cells(&mut cells, share_count(self.test, count));
         let validation = draw_cells(&mut cells, share_count(self.validation, count - test.len()));
         partition_of_locations(data, Partition { train: cells.concat(), validation, test })
@@ -175,11 +177,7 @@ impl Split for Voxel {
 
     /// Returns the links of each cell that has some.
     fn units(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
-        let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
-        for &i in links {
-            cells.entry(self.cell(data.sample(i).position())).or_default().push(i);
-        }
-        cells.into_values().collect()
+        self.group_by_cell(links.iter().map(|&i| (i, data.sample(i).position())))
     }
 
     fn check(&self) -> Result<(), String> {

@@ -1,6 +1,6 @@
 //! `ColumnSearch`: which column of a table is which, by name or by the user's choice.
 
-use super::names::{FLOOR, LAT, LON, PLACE, RECEIVER, TX_ID, X, Y, Z, is_one_of, normalized_name};
+use super::names::{FLOOR, LAT, LON, PLACE, RECEIVER, TX_ID, X, Y, Z, is_one_of, normalised_name};
 use super::options::ColumnChoice;
 use crate::dialect::TableText;
 use crate::text::{TextRow, is_metre, split_unit};
@@ -50,7 +50,7 @@ impl<'a> ColumnSearch<'a> {
     /// Creates a search. Returns an error if one of the first rows is longer than the header.
     pub(super) fn new(table: &'a TableText<'a>, choice: &'a ColumnChoice) -> Result<Self> {
         let rows = table.rows().take(EXAMINED).collect::<Result<Vec<_>>>()?;
-        let names = table.names.iter().map(|name| normalized_name(name)).collect();
+        let names = table.names.iter().map(|name| normalised_name(name)).collect();
         Ok(Self { table, choice, names, rows })
     }
 
@@ -161,7 +161,7 @@ impl<'a> ColumnSearch<'a> {
 
     /// Returns the column of names in a table of places or receivers: by its name, else the first that is no coordinate. Returns
     /// an error if there is none.
-    pub(super) fn names_of(&self, place: PlaceColumns) -> Result<usize> {
+    pub(super) fn name_column(&self, place: PlaceColumns) -> Result<usize> {
         let is_name = |k: &usize| is_one_of(&self.names[*k], RECEIVER) || is_one_of(&self.names[*k], PLACE);
         let is_other = |k: &usize| place.all().all(|column| column != *k);
         let columns = 0..self.names.len();

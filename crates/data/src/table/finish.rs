@@ -26,7 +26,7 @@ impl Survey<'_> {
         (self.groups, self.places.first) = Default::default(); // no row follows
         self.separate_repetitions();
         self.readings.sort_unstable_by_key(|reading| (reading.location, reading.receiver));
-        let receivers = self.heard_receivers();
+        let receivers = self.linked_receivers();
         self.check_names(&receivers)?;
         self.add_notes(&receivers);
         let (locations, links) = self.number_links(&receivers);
@@ -75,23 +75,24 @@ impl Survey<'_> {
             }
             reading.location = *location;
         }
-        self.deaf_rows = self.spots.len() - spots.len();
+        self.unreceived_rows = self.spots.len() - spots.len();
         self.spots = spots;
     }
 
-    /// Returns the receivers, `None` for those that heard nothing. Those of unknown position stand at the first place.
-    fn heard_receivers(&self) -> Vec<Option<Receiver>> {
-        let mut is_heard = vec![false; self.receivers.len()];
-        self.readings.iter().for_each(|reading| is_heard[reading.receiver as usize] = true);
-        let place = |(receiver, is_heard): (&NamedReceiver, bool)| {
+    /// Returns the receivers, `None` for those without a reading. Those of unknown position are at the first position of a
+    /// transmitter.
+    fn linked_receivers(&self) -> Vec<Option<Receiver>> {
+        let mut is_linked = vec![false; self.receivers.len()];
+        self.readings.iter().for_each(|reading| is_linked[reading.receiver as usize] = true);
+        let place = |(receiver, is_linked): (&NamedReceiver, bool)| {
             let pose = Pose::from(receiver.position.unwrap_or(self.places.positions[0]));
             let named = Receiver { is_estimated: receiver.position.is_none(), ..Receiver::new(&*receiver.name, pose) };
-            is_heard.then_some(named)
+            is_linked.then_some(named)
         };
-        self.receivers.iter().zip(is_heard).map(place).collect()
+        self.receivers.iter().zip(is_linked).map(place).collect()
     }
 
-    /// Rejects a file of receivers without the name of any receiver that heard something.
+    /// Rejects a file of receivers that names none of those with a reading.
     fn check_names(&self, receivers: &[Option<Receiver>]) -> Result<()> {
         let Some(file) = &self.import.receivers else { return Ok(()) };
         let (placed, others) = receivers.split_at(self.placed);
@@ -104,7 +105,7 @@ impl Survey<'_> {
         Err(Error::input(&file.path, problem))
     }
 
-    /// Numbers the receivers that heard a location. Returns the columns of the data set.
+    /// Returns the locations and links of the data set; `receivers` that are `None` have no number.
     fn number_links(&self, receivers: &[Option<Receiver>]) -> (Vec<Location>, Vec<Link>) {
         let mut new_receivers = vec![0; receivers.len()];
         for (next, receiver) in (0..receivers.len()).filter(|r| receivers[*r].is_some()).enumerate() {
@@ -123,12 +124,13 @@ impl Survey<'_> {
     fn add_notes(&mut self, receivers: &[Option<Receiver>]) {
         let coded = self.import.missing.iter().zip(&self.coded);
         self.notes.extend(coded.map(|(code, count)| format!("{count} cells are {code}, not heard")));
-        let deaf = self.receivers.iter().zip(receivers).filter(|(_, heard)| heard.is_none()).map(|(r, _)| &*r.name);
-        let (deaf, respelled) = (deaf.collect::<Vec<&str>>(), self.respelled.iter().map(String::as_str));
+        let unlinked =
+            self.receivers.iter().zip(receivers).filter(|(_, linked)| linked.is_none()).map(|(r, _)| &*r.name);
+        let (unlinked, respelled) = (unlinked.collect::<Vec<&str>>(), self.respelled.iter().map(String::as_str));
         let counted = [
             (self.silent, "cells are empty, not heard".to_owned()),
-            (deaf.len(), format!("receivers heard nothing and are left out: {}", list(deaf.iter().copied()))),
-            (self.deaf_rows, "rows were heard by no receiver and are left out".into()),
+            (unlinked.len(), format!("receivers heard nothing and are left out: {}", list(unlinked.iter().copied()))),
+            (self.unreceived_rows, "rows were heard by no receiver and are left out".into()),
             (self.repeated, "readings repeat a link: each has a location at the same position".into()),
             (self.places.joined, "positions are within 1 mm of another and are joined with it".into()),
             (

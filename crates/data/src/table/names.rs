@@ -21,8 +21,8 @@ pub(super) const FLOOR: &str = "floor floorid storey floornumber";
 /// Transmitters.
 pub(super) const TX_ID: &str = "tx txid transmitter transmitterid";
 /// Receivers.
-pub(super) const RECEIVER: &str = "receiver receiverid rx rxid gateway gatewayid gw gwid ap apid bssid mac macaddress anchor anchorid \
-    beacon beaconid router station basestation cell cellid pci";
+pub(super) const RECEIVER: &str = "receiver receiverid rx rxid gateway gatewayid gw gwid ap apid bssid mac macaddress \
+    anchor anchorid beacon beaconid router station basestation cell cellid pci";
 /// Places.
 pub(super) const PLACE: &str = "name place location point";
 /// Received powers.
@@ -34,11 +34,11 @@ pub(super) const OTHER: &str = "id index row no number time timestamp date datet
     frequency snr accuracy accuracymeters speed heading battery";
 
 /// Returns a column name in lower case, without units in brackets, blanks and marks.
-pub(super) fn normalized_name(name: &str) -> String {
+pub(super) fn normalised_name(name: &str) -> String {
     split_unit(name).0.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }
 
-/// Returns whether a normalized name is one of a list of names.
+/// Returns whether a normalised name is one of a list of names.
 pub(super) fn is_one_of(name: &str, names: &str) -> bool {
     names.split(' ').any(|other| other == name)
 }

@@ -37,7 +37,7 @@ pub struct ColumnChoice {
     /// Column of the power
     #[arg(long, value_name = "COLUMN", requires = "files")]
     pub power: Option<String>,
-    /// Column of the time: readings of one place and time belong together
+    /// Column of the time; readings at one position and time form one transmitter
     #[arg(long, value_name = "COLUMN", requires = "files")]
     pub time: Option<String>,
 }
@@ -58,7 +58,7 @@ pub struct TableImport {
     /// Positions of the receivers: columns name, x, y, z
     #[arg(long, value_name = "FILE", requires = "files")]
     pub receivers: Option<TableFile>,
-    /// Positions of places that rows name: columns name, x, y, z
+    /// Positions of the places that rows name: columns name, x, y, z
     #[arg(long, value_name = "FILE", requires = "files")]
     pub places: Option<TableFile>,
     /// Chosen columns.
@@ -70,10 +70,10 @@ pub struct TableImport {
     /// Height of a floor in metres
     #[arg(long, value_name = "METRES", requires = "files", allow_hyphen_values = true)]
     pub floor_height: Option<f64>,
-    /// Height where the table has none, in metres [default: 0]
+    /// Height in metres if the table has none [default: 0]
     #[arg(long, value_name = "METRES", requires = "files", allow_hyphen_values = true)]
     pub height: Option<f64>,
-    /// Value that means "not heard", such as 100; may repeat
+    /// Value that means "not received", such as 100; repeatable
     #[arg(long, value_name = "VALUE", requires = "files", allow_hyphen_values = true)]
     pub missing: Vec<f64>,
     /// dBm, positive-dBm, percent, dB:FLOOR, mW or W

@@ -55,7 +55,7 @@ impl Frame {
         let columns = search.place(import.is_lat_lon)?;
         let columns =
             columns.ok_or_else(|| search.fault("no position; write a table with the columns name, x, y and z"))?;
-        let name = search.names_of(columns)?;
+        let name = search.name_column(columns)?;
         table.check_rows(NAMED_PLACE)?;
         let mut places = BTreeMap::new();
         for row in table.rows() {
@@ -72,7 +72,8 @@ impl Frame {
         Ok(places)
     }
 
-    /// Reads the positions of rows, one per row of the readings.
+    /// Reads the positions of rows, metres, one per row of the readings. Returns an error for a table or a row without a
+    /// position.
     pub(super) fn read_rows(&mut self, import: &TableImport, file: &TableFile) -> Result<Vec<[f64; 3]>> {
         let table = TableText::read(file)?;
         let choice = ColumnChoice { wide: Vec::new(), ..import.columns.clone() };
@@ -90,7 +91,8 @@ impl Frame {
         table.rows().map(|row| self.read(&table, &row?, columns, height)).collect()
     }
 
-    /// Converts latitude and longitude to metres. The first position, rounded to a hundredth of a degree, is the zero.
+    /// Converts latitude and longitude to metres. The first position, rounded to a hundredth of a degree, is the zero. Returns
+    /// an error for degrees out of range.
     fn metres(&mut self, row: &TextRow<'_>, [latitude, longitude]: [f64; 2]) -> Result<[f64; 2]> {
         let rounded = |degrees: f64| (degrees * 100.0).round() / 100.0;
         let zero = self.geodetic.unwrap_or(Geodetic { latitude: rounded(latitude), longitude: rounded(longitude) });

@@ -45,8 +45,9 @@ impl ColumnSearch<'_> {
             Some(name) if is_name(name) => None,
             choice => self.find("--receiver", choice.as_ref(), RECEIVER)?,
         };
-        let names = |k: &usize| !used.contains(k) && !is_one_of(&self.names[*k], OTHER) && self.holds_names(*k);
-        if let (None, None, Some(column)) = (&self.choice.receiver, receiver, (0..self.names.len()).find(names)) {
+        let may_be_names = |k: &usize| !used.contains(k) && !is_one_of(&self.names[*k], OTHER) && self.holds_names(*k);
+        if let (None, None, Some(column)) = (&self.choice.receiver, receiver, (0..self.names.len()).find(may_be_names))
+        {
             let column = self.list([column]);
             let advice = "name it with --receiver, or give --receiver NAME if there is one receiver";
             return Err(self.fault(format!("{column} may be the column of the receivers; {advice}")));

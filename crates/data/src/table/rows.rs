@@ -23,6 +23,7 @@ pub(super) struct RowReader<'a> {
     pub(super) place: RowPlace,
     pub(super) floor: Option<usize>,
     pub(super) powers: PowerColumns,
+    /// Columns that identify a transmitter.
     pub(super) transmitter: Vec<usize>,
     /// Name of the receiver of a table without such a column.
     pub(super) receiver_name: String,

@@ -65,17 +65,17 @@ pub(super) struct Survey<'a> {
     pub(super) floors: BTreeMap<String, f64>,
     /// Spellings of receiver names that were joined with another one.
     pub(super) respelled: BTreeSet<String>,
-    /// Number of cells with each code for "not heard".
+    /// Number of cells with each code for "not received".
     pub(super) coded: Vec<usize>,
     pub(super) silent: usize,
     pub(super) repeated: usize,
-    pub(super) deaf_rows: usize,
+    pub(super) unreceived_rows: usize,
     pub(super) notes: Vec<String>,
     pub(super) before: Vec<String>,
 }
 
 impl<'a> Survey<'a> {
-    /// Creates a survey; reads the files of places, rows and receivers.
+    /// Creates a survey; reads the files of places, rows and receivers. Returns the errors of their readers.
     pub(super) fn new(import: &'a TableImport) -> Result<Self> {
         let mut frame = Frame::default();
         let named = import.places.as_ref().map(|file| frame.read_named(import, file)).transpose()?;
@@ -98,19 +98,20 @@ impl<'a> Survey<'a> {
             coded: vec![0; import.missing.len()],
             silent: 0,
             repeated: 0,
-            deaf_rows: 0,
+            unreceived_rows: 0,
             notes: Vec::new(),
             before: Vec::new(),
         };
         for (name, position) in placed.unwrap_or_default() {
-            let receiver = survey.receiver(&name);
+            let receiver = survey.receiver_index(&name);
             survey.receivers[receiver as usize].position = Some(position);
         }
         survey.placed = survey.receivers.len();
         Ok(survey)
     }
 
-    /// Adds the readings of a table, of the test set or not; `progress` counts lines.
+    /// Adds the readings of a table, of the test set or not; `progress` counts lines. Returns an error for a table without the
+    /// needed columns, with an invalid row, or with more readings than fit into memory.
     pub(super) fn add(&mut self, file: &TableFile, is_test: bool, progress: Progress<'_>) -> Result<()> {
         let table = TableText::read(file)?;
         self.notes.push(table.describe());
@@ -146,7 +147,7 @@ impl<'a> Survey<'a> {
         })
     }
 
-    /// Adds a table with a row per transmitter.
+    /// Adds a table with a row per transmitter. Returns an error for an invalid row.
     fn add_wide(&mut self, reader: &RowReader<'_>, is_test: bool, progress: Progress<'_>) -> Result<()> {
         let PowerColumns::Wide(columns) = &reader.powers else { return Ok(()) };
         let names: Vec<&str> = columns.iter().map(|k| &*reader.table.names[*k]).collect();
@@ -177,10 +178,10 @@ impl<'a> Survey<'a> {
         {
             self.notes.push(format!("column {} is receiver {}, and so on", quoted(column), quoted(name)));
         }
-        names.into_iter().map(|name| self.receiver(name)).collect()
+        names.into_iter().map(|name| self.receiver_index(name)).collect()
     }
 
-    /// Adds a table with a row per reading.
+    /// Adds a table with a row per reading. Returns an error for an invalid row.
     fn add_long(&mut self, reader: &RowReader<'_>, is_test: bool, progress: Progress<'_>) -> Result<()> {
         let PowerColumns::Long { power, receiver, place: receiver_place } = reader.powers else { return Ok(()) };
         for row in reader.table.counted_rows(progress) {
@@ -188,11 +189,11 @@ impl<'a> Survey<'a> {
             let place = self.place(reader, &row)?;
             let cell = |k: usize| row.cell((k, &reader.table.names[k]), "give every row all columns");
             let name = receiver.map_or(Ok(&*reader.receiver_name), |k| cell(k).map(|field| field.text))?;
-            let receiver = self.receiver(name);
+            let receiver = self.receiver_index(name);
             if let Some(columns) = receiver_place {
                 let position = self.frame.read(reader.table, &row, columns, self.import.height.unwrap_or(0.0))?;
-                let known = self.receivers[receiver as usize].position.get_or_insert(position);
-                if distance(*known, position) > SAME_M {
+                let first = self.receivers[receiver as usize].position.get_or_insert(position);
+                if distance(*first, position) > SAME_M {
                     let problem = format!("receiver {} has another position in an earlier row", quoted(name));
                     return Err(row.fault(1, format!("{problem}; give one position per receiver")));
                 }
@@ -210,7 +211,7 @@ impl<'a> Survey<'a> {
         Ok(())
     }
 
-    /// Returns the place of a row.
+    /// Returns the index of the position of a row. Returns an error if it is missing or invalid.
     fn place(&mut self, reader: &RowReader<'_>, row: &TextRow<'_>) -> Result<u32> {
         let TableImport { height, floor_height, .. } = self.import;
         let mut height = height.unwrap_or(0.0);
@@ -237,7 +238,7 @@ impl<'a> Survey<'a> {
     }
 
     /// Returns the index of a receiver; spellings that differ by case are one.
-    fn receiver(&mut self, name: &str) -> u32 {
+    fn receiver_index(&mut self, name: &str) -> u32 {
         let next = self.receivers.len() as u32;
         let index = *self.receiver_indices.entry(name.to_lowercase()).or_insert(next);
         if index == next {
@@ -248,7 +249,7 @@ impl<'a> Survey<'a> {
         index
     }
 
-    /// Returns the power in a cell, dBm; `None` if nothing was heard.
+    /// Returns the power in a cell, dBm; `None` if nothing was received. Returns an error for other text or an implausible power.
     fn dbm(&mut self, row: &TextRow<'_>, field: TextField<'_>) -> Result<Option<Real>> {
         let Some(value) = row.optional(field, "give the power as a number, or leave the cell empty")? else {
             self.silent += 1;

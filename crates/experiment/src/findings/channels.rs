@@ -39,7 +39,7 @@ pub(super) fn check_channels(data: &Dataset) -> Vec<Finding> {
     [carrier, check_zeros(data, channels), check_values(channels), antennas, phases].into_iter().flatten().collect()
 }
 
-/// Finds channels that are zero, or were and are left out.
+/// Finds zero channels, in the data or left out when they were read; `None` without any.
 fn check_zeros(data: &Dataset, channels: &Channels) -> Option<Finding> {
     let left_out = data.unmatched.positions;
     let problem = format!("{left_out} of {} channels are zero, not received, and are left out", data.len() + left_out);
@@ -51,7 +51,7 @@ fn check_zeros(data: &Dataset, channels: &Channels) -> Option<Finding> {
     (zeros > 0).then(|| Finding::new("zero-channels", zeros, problem, "leave them out"))
 }
 
-/// Finds channels without imaginary parts.
+/// Finds channels without imaginary parts; `None` if any imaginary part is not 0.
 fn check_values(channels: &Channels) -> Option<Finding> {
     let any = |is: fn(&[Real; 2]) -> bool| channels.gains.iter().any(is);
     let (kind, mend) = match (any(|[re, _]| *re < 0.0), any(|[re, _]| *re > 0.0)) {
@@ -64,7 +64,7 @@ fn check_values(channels: &Channels) -> Option<Finding> {
     Some(Finding::new("channel-phase", channels.gains.len(), problem, mend))
 }
 
-/// Finds antennas that are far from all others.
+/// Finds antennas that are far from all others, for a wavelength in metres; `None` without any.
 fn check_antennas(data: &Dataset, wavelength: f64) -> Option<Finding> {
     let antennas = &data.scene.receivers[0].antennas;
     let nearest =
@@ -124,7 +124,7 @@ impl PhaseCheck {
         Some(Self { count: links.len(), fits, step: [step, step * carrier_hz / SPEED_OF_LIGHT] })
     }
 
-    /// Returns whether one sign of time fits clearly: 0 that of this program, 1 the other.
+    /// Returns the sign of time that fits clearly: 0 for that of this program, 1 for the other; `None` if undecided.
     fn sign(&self) -> Option<usize> {
         let is_coherent = |fit: Coherence| fit.all > ABOVE_RANDOM[0] / self.count as f64;
         (0..2).find(|k| is_coherent(self.fits[*k]) && self.fits[*k].all > BETTER * self.fits[1 - k].all)

@@ -76,7 +76,8 @@ type Meaning = fn(DQuat) -> DQuat;
 /// Numbers w, x, y, z that were read as x, y, z, w.
 const W_FIRST: Meaning = |q| DQuat::from_xyzw(q.y, q.z, q.w, q.x);
 
-/// Checks the recorded pose; `None` for camera images, or if fewer than twenty spectra have a strongest direction.
+/// Checks the recorded pose; `None` for camera images, without positions of both ends, or if fewer than twenty spectra have a
+/// strongest direction.
 pub(crate) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<PoseCheck> {
     if data.camera().is_some() || !data.placed || !data.scene.has_distances() {
         return None;
@@ -196,6 +197,8 @@ pub enum PoseVerdict {
 
 /// Largest rotation, or gain of one, within the precision of the strongest pixel, degrees.
 const SMALL_DEG: f64 = 2.0;
+/// Largest ratio of the recorded angle to that after the best rotation for which the recorded orientation is as good.
+const AS_GOOD: f64 = 1.15;
 /// Largest ratio of remaining angle to the angle of a constant direction for which the strongest direction follows the
 /// line of sight.
 pub(super) const FOLLOWS: f64 = 0.6;
@@ -217,7 +220,7 @@ impl PoseVerdict {
         if check.best_flip().is_some() {
             return Self::Flipped;
         }
-        let agrees = check.turn <= SMALL_DEG || check.recorded <= 1.15 * check.turned + SMALL_DEG;
+        let agrees = check.turn <= SMALL_DEG || check.recorded <= AS_GOOD * check.turned + SMALL_DEG;
         // No single rotation mends the orientations of a moving receiver that were read in another way.
         let is_misread = |(_, angle)| angle <= FOLLOWS * check.constant && check.recorded - angle > SMALL_DEG;
         if check.better_reading().is_some_and(is_misread) {
@@ -327,8 +330,8 @@ impl PoseCheck {
         Some(Finding::new(name, *pairs, problem, mend))
     }
 
-    /// Returns the interpretation of the recorded numbers that fits much better than the documented one, with its angle in
-    /// degrees; `None` if none does.
+    /// Returns the interpretation of the recorded numbers that fits best, with its angle in degrees; `None` unless that
+    /// is below half the recorded angle and below 1.5 times the angle after the best rotation.
     fn better_reading(&self) -> Option<(&'static str, f64)> {
         let limit = (0.5 * self.recorded).min(1.5 * self.turned);
         self.readings.iter().filter(|(_, angle)| *angle < limit).min_by(|a, b| a.1.total_cmp(&b.1)).copied()

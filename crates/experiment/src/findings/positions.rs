@@ -49,7 +49,8 @@ pub(super) fn check_positions(data: &Dataset) -> Vec<Finding> {
     check_index(data, &positions).into_iter().chain(unit).collect()
 }
 
-/// Finds fixed ends that are far from all positions, such as those with latitude and longitude exchanged.
+/// Finds fixed ends that are far from all positions, such as those with latitude and longitude exchanged; `None` if one is near
+/// or positions are unknown.
 fn check_apart(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
     let fixed = data.scene.fixed_ends().into_iter().map(|pose| data.scene.origin.world_pose(pose).position);
     let apart = fixed.flat_map(|end| positions.iter().map(move |at| distance(end, *at))).fold(f64::INFINITY, f64::min);
@@ -59,22 +60,21 @@ fn check_apart(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
         .then(|| Finding::new("position-unit", positions.len(), problem, mend))
 }
 
-/// Finds a coordinate that rises with the row as an index or a time does, while another is no walk along it.
+/// Finds a coordinate that rises evenly with the row, as an index or a time does, while another coordinate changes
+/// independently of it; `None` without such a coordinate, or for fewer than [`ROWS`] positions.
 fn check_index(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
     let steps = |k: usize| positions.windows(2).map(|pair| pair[1][k] - pair[0][k]).collect::<Vec<f64>>();
     let steps = [steps(0), steps(1), steps(2)];
     let middle = |k: usize| mean(steps[k].iter().copied());
     let is_whole = |k: usize| positions.iter().all(|position| position[k].fract() == 0.0);
     let is_index = |k: &usize| {
-        let (step, others) = (middle(*k), (0..3).filter(|other| other != k));
-        let turns = |k: usize| steps[k].windows(2).filter(|pair| pair[0] * pair[1] < 0.0).count();
-        let is_to_and_fro = |k: usize| TURNS * turns(k) > positions.len() && deviation(&steps[k]) > UNEVEN * step;
+        let step = middle(*k);
         let is_counted = steps[*k].iter().all(|value| *value == 1.0) && is_whole(*k);
         let is_even = step > 0.0 && steps[*k].iter().all(|value| (value - step).abs() <= UNEVEN * step);
-        let mut others = others.filter(|other| {
-            is_even && (is_to_and_fro(*other) || is_counted && !is_whole(*other) && deviation(&steps[*other]) > MOVED_M)
-        });
-        others.next().is_some()
+        let is_independent = |other: usize| {
+            is_to_and_fro(&steps[other], step) || is_counted && !is_whole(other) && deviation(&steps[other]) > MOVED_M
+        };
+        is_even && (0..3).any(|other| other != *k && is_independent(other))
     };
     let axis = (0..3).find(is_index).filter(|_| positions.len() >= ROWS)?;
     let (name, step, at, id) = (["x", "y", "z"][axis], middle(axis), positions[0][axis], data.locations[0].id);
@@ -84,7 +84,14 @@ fn check_index(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
     Some(Finding::new("index-coordinate", positions.len(), problem, "give x, y and z in metres"))
 }
 
-/// Finds positions that are probably in degrees or in another unit of length.
+/// Returns whether the `steps` of a coordinate change their sign often and vary, relative to `step`, that of a coordinate that
+/// rises evenly.
+fn is_to_and_fro(steps: &[f64], step: f64) -> bool {
+    let turns = steps.windows(2).filter(|pair| pair[0] * pair[1] < 0.0).count();
+    TURNS * turns > steps.len() + 1 && deviation(steps) > UNEVEN * step
+}
+
+/// Finds positions that are probably in degrees or in another unit of length; `None` if metres are plausible.
 fn check_unit(data: &Dataset, positions: &[[f64; 3]]) -> Option<Finding> {
     let [low, high] = extent(positions.iter().copied())?.map(round);
     let (site, id) = (longest_side([low, high]), data.locations[0].id);
@@ -122,7 +129,7 @@ pub(super) fn round(position: [f64; 3]) -> [f64; 3] {
     position.map(|v| (v * 1e7).round() / 1e7)
 }
 
-/// Returns the median distance to the nearest other position.
+/// Returns the median distance to the nearest other position, metres.
 fn median_spacing(positions: &[[f64; 3]]) -> f64 {
     median(nearest_others(positions).into_iter().flatten().map(|other| other.0))
 }

@@ -38,14 +38,14 @@ fn lone_value_finding(data: &Dataset, mut codes: Vec<LoneValue>) -> Option<Findi
     Some(Finding::new("lone-value", count, problem, mend))
 }
 
-/// Finds powers among `observed`, such as those of unknown transmitters, that are far from all powers of `data`: in another unit,
-/// or codes. NaN is ignored.
+/// Finds powers among `observed`, such as those of transmitters to locate, that are far from all powers of `data`: in another
+/// unit, or codes. NaN is ignored. `None` without such powers, or if `data` have other observations.
 pub fn check_observed(data: &Dataset, observed: &[Real]) -> Option<Finding> {
     let (low, high) = bounds(data.observations.powers()?.iter().map(|dbm| *dbm as f64));
     let outside = |value: &&Real| (**value as f64) < low - FAR_DB || **value as f64 > high + FAR_DB;
     let first = observed.iter().find(outside)?;
     let count = observed.iter().filter(outside).count();
-    let [low, high, first] = [low, high, *first as f64].map(show);
+    let [low, high, first] = [low, high, *first as f64].map(format_power);
     let known = format!("the known ones, {low} to {high} dBm");
     let problem = format!("{count} powers are more than {FAR_DB} dB from {known} (for example {first})");
     let units: Vec<String> = PowerUnit::guess(observed).iter().map(|unit| describe_conversion(*unit)).collect();
@@ -64,7 +64,7 @@ fn describe_conversion(unit: PowerUnit) -> String {
 }
 
 /// Formats a power with five digits, faint ones with an exponent.
-fn show(value: f64) -> String {
+fn format_power(value: f64) -> String {
     if value.abs() < 1e-3 && value != 0.0 { format!("{value:.4e}") } else { format!("{}", (value * 1e3).round() / 1e3) }
 }
 
@@ -81,7 +81,7 @@ fn shared_finding(data: &Dataset, shared: Vec<LoneValue>) -> Option<Finding> {
     Some(Finding::new("shared-power", count, problem, mend))
 }
 
-/// Finds powers that are probably not in dBm, and the conversions to dBm.
+/// Finds powers that are probably not in dBm, and the conversions to dBm; `None` if dBm are plausible.
 fn check_unit(data: &Dataset, readings: &[Real]) -> Option<Finding> {
     let units = PowerUnit::guess(readings);
     let first = data.observations.powers()?.iter().position(|value| readings.first() == Some(value))?;
@@ -100,7 +100,7 @@ fn check_unit(data: &Dataset, readings: &[Real]) -> Option<Finding> {
         format!("{} (`--unit {option}` of `pwrfgs import --table`){result}", describe_conversion(*unit))
     };
     let mends: Vec<String> = units.map(convert).collect();
-    let [low, high, median] = [low, high, middle].map(show);
+    let [low, high, median] = [low, high, middle].map(format_power);
     let example = name_link(data, first);
     let problem = format!("powers of {low} to {high}, median {median}, are not in dBm (for example {example})");
     (!mends.is_empty()).then(|| Finding::new("power-unit", readings.len(), problem, mends.join("; ")))

@@ -25,18 +25,40 @@ const ALIKE: f64 = 3.0;
 
 /// Position `[x, y, z]` in metres.
 type Position = [f64; 3];
-/// Another meaning of transmitter positions: name of the finding, words, correction, and the position.
-type Meaning = (&'static str, &'static str, &'static str, fn(Position) -> Position);
+/// Another meaning of transmitter positions.
+pub(super) struct Meaning {
+    /// Name of the finding.
+    pub(super) finding: &'static str,
+    /// Name of the meaning, such as `in feet`.
+    pub(super) words: &'static str,
+    /// Correction of the positions.
+    pub(super) mend: &'static str,
+    /// Returns the corrected position.
+    pub(super) position: fn(Position) -> Position,
+}
+
+impl Meaning {
+    /// Creates a meaning, in the order of the fields.
+    const fn new(
+        finding: &'static str,
+        words: &'static str,
+        mend: &'static str,
+        position: fn(Position) -> Position,
+    ) -> Self {
+        Self { finding, words, mend, position }
+    }
+}
+
 /// Meanings of positions; units first.
 pub(super) const MEANINGS: [Meaning; 8] = [
-    ("position-unit", "in millimetres", "divide them by 1000", |p| p.map(|v| v / 1000.0)),
-    ("position-unit", "in centimetres", "divide them by 100", |p| p.map(|v| v / 100.0)),
-    ("position-unit", "in feet", "multiply them by 0.3048", |p| p.map(|v| 0.3048 * v)),
-    ("position-unit", "in inches", "multiply them by 0.0254", |p| p.map(|v| 0.0254 * v)),
-    ("position-unit", "in kilometres", "multiply them by 1000", |p| p.map(|v| 1000.0 * v)),
-    ("axes", "y, x, z", "exchange x and y", |[x, y, z]| [y, x, z]),
-    ("axes", "x, z, y", "exchange y and z", |[x, y, z]| [x, z, y]),
-    ("axes", "z, y, x", "exchange x and z", |[x, y, z]| [z, y, x]),
+    Meaning::new("position-unit", "in millimetres", "divide them by 1000", |p| p.map(|v| v / 1000.0)),
+    Meaning::new("position-unit", "in centimetres", "divide them by 100", |p| p.map(|v| v / 100.0)),
+    Meaning::new("position-unit", "in feet", "multiply them by 0.3048", |p| p.map(|v| 0.3048 * v)),
+    Meaning::new("position-unit", "in inches", "multiply them by 0.0254", |p| p.map(|v| 0.0254 * v)),
+    Meaning::new("position-unit", "in kilometres", "multiply them by 1000", |p| p.map(|v| 1000.0 * v)),
+    Meaning::new("axes", "y, x, z", "exchange x and y", |[x, y, z]| [y, x, z]),
+    Meaning::new("axes", "x, z, y", "exchange y and z", |[x, y, z]| [x, z, y]),
+    Meaning::new("axes", "z, y, x", "exchange x and z", |[x, y, z]| [z, y, x]),
 ];
 
 /// Levels of links with received powers, and both ends.
@@ -129,14 +151,15 @@ impl LevelLinks {
     }
 }
 
-/// Finds levels that do not fall with the recorded distance, but with that by another meaning, row order or receiver order.
+/// Finds levels that do not fall with the recorded distance, but with the distance by another meaning of the positions, or by
+/// another order of rows or receivers; `None` if no alternative explains them much better.
 pub(super) fn check_levels(data: &Dataset) -> Option<Finding> {
     let links = LevelLinks::of(data).filter(|_| data.locations.len() >= *LOCATIONS.start())?;
     let (location, fixed) = (|at: usize| links.locations[at], |end: usize| links.fixed[end]);
     let recorded = links.falling(&location, &fixed);
-    let by_meaning = MEANINGS.map(|(name, words, mend, meaning)| {
-        let share = links.falling(&|at| meaning(location(at)), &fixed);
-        (share, name, format!("positions of the transmitters {words}"), mend.to_owned())
+    let by_meaning = MEANINGS.map(|Meaning { finding, words, mend, position }| {
+        let share = links.falling(&|at| position(location(at)), &fixed);
+        (share, finding, format!("positions of the transmitters {words}"), mend.to_owned())
     });
     let last = links.locations.len() - 1;
     let reversed = links.falling(&|at| location(last - at), &fixed);
@@ -162,7 +185,8 @@ pub(super) fn check_levels(data: &Dataset) -> Option<Finding> {
     is_wrong.then(|| Finding::new(name, links.links.len(), problem, mend))
 }
 
-/// Finds powers that are at neighbouring transmitters no more alike than at random ones, although distances differ.
+/// Finds powers that are no more alike at neighbouring transmitters than at random ones, although distances differ;
+/// `None` if they are, or if too few differ to decide.
 pub(super) fn check_power_rows(data: &Dataset) -> Option<Finding> {
     let powers = data.observations.powers().filter(|_| data.placed)?;
     let rows: Vec<usize> = (0..data.locations.len()).collect();
@@ -194,8 +218,8 @@ fn level_spread(data: &Dataset, powers: &[Real]) -> f64 {
     mean(groups.filter(|links| links.len() > 1).map(spread))
 }
 
-/// Compares the `difference` between observations of neighbours with that of random pairs; `rows` are the locations of the
-/// observations. A difference that is not finite is left out.
+/// Finds observations whose mean `difference` between neighbours is not clearly smaller than between random pairs; `rows` are
+/// the locations of the observations. Differences that are not finite are left out. `None` for fewer than 50 rows.
 pub(super) fn check_rows(data: &Dataset, rows: &[usize], difference: &dyn Fn(usize, usize) -> f64) -> Option<Finding> {
     if rows.len() < *LOCATIONS.start() {
         return None;

@@ -31,7 +31,7 @@ pub(crate) struct SpectrumSummary {
 ///
 /// # Errors
 /// If a spectrum cannot be read.
-pub(crate) fn summarize(data: &Dataset, most: usize, progress: Progress<'_>) -> Result<Vec<SpectrumSummary>> {
+pub(crate) fn summarise(data: &Dataset, most: usize, progress: Progress<'_>) -> Result<Vec<SpectrumSummary>> {
     let chosen = evenly(&(0..data.len()).collect::<Vec<_>>(), most);
     let directions = pixel_directions(&data.plane());
     let done = AtomicUsize::new(0);
@@ -86,13 +86,13 @@ pub(crate) fn describe(data: &Dataset, summaries: &[SpectrumSummary]) -> Vec<(&'
     vec![
         pixels,
         ("grey values", format!("{low:.3} to {high:.3}, stored as {:?}", data.observations.number())),
-        ("normalisation", describe_normalization(summaries, constant.len()).into()),
+        ("normalisation", describe_normalisation(summaries, constant.len()).into()),
         ("unusual", [count_with_ids("constant", &constant), count_with_ids("equal to another", &equal)].join(", ")),
     ]
 }
 
 /// Describes the normalisation that all spectra have; the `constant` spectra fit any.
-fn describe_normalization(summaries: &[SpectrumSummary], constant: usize) -> &'static str {
+fn describe_normalisation(summaries: &[SpectrumSummary], constant: usize) -> &'static str {
     let is_zero = |s: &&SpectrumSummary| s.range.0.abs() < ROUNDING;
     let is_one = |s: &&SpectrumSummary| (s.range.1 - 1.0).abs() < ROUNDING;
     if summaries.iter().filter(is_one).filter(is_zero).count() + constant >= summaries.len() {
@@ -132,7 +132,7 @@ mod tests {
         for (row, column) in [(3, 35), (3, 0), (3, 1), (8, 18)] {
             pixels[row * width + column] = 200; // the last is another peak, equally strong
         }
-        let summaries = summarize(&data((width, height), pixels), 2, &|_, _| {}).unwrap();
+        let summaries = summarise(&data((width, height), pixels), 2, &|_, _| {}).unwrap();
         let direction = summaries[0].strongest.unwrap();
         let expected = DVec3::new(30f64.to_radians().cos(), 0.0, 0.5);
         assert!(direction.angle_between(expected).to_degrees() < 0.5, "{direction}");
@@ -142,7 +142,7 @@ mod tests {
 
     fn facts_of(pixels: Vec<u8>) -> Vec<String> {
         let data = data((8, 4), pixels);
-        describe(&data, &summarize(&data, 100, &|_, _| {}).unwrap()).into_iter().map(|(_, text)| text).collect()
+        describe(&data, &summarise(&data, 100, &|_, _| {}).unwrap()).into_iter().map(|(_, text)| text).collect()
     }
 
     #[test]

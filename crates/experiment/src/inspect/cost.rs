@@ -109,7 +109,7 @@ fn describe_time(time: &TimeEstimate, may_grow: bool) -> String {
         String::new()
     };
     let (spread, about) = (range(seconds), format_duration(*expected));
-    let range = if spread.contains(" to ") { format!("about {about} ({spread})") } else { spread };
+    let training = if spread.contains(" to ") { format!("about {about} ({spread})") } else { spread };
     let n = |count: usize| grouped(count as i64);
     let [first, last] = [start, end].map(|steps| format_step_time(steps.step_seconds) + " per step");
     let steps = if end.gaussians == start.gaussians {
@@ -118,7 +118,7 @@ fn describe_time(time: &TimeEstimate, may_grow: bool) -> String {
         format!("{first} with N = {}, {last} with N = {}", n(start.gaussians), n(end.gaussians))
     };
     format!(
-        "{total}{range} of training ({steps}){}",
+        "{total}{training} of training ({steps}){}",
         if may_grow { "; more if densification adds Gaussians" } else { "" }
     )
 }

@@ -7,39 +7,26 @@ use pwrfgs_core::statistics::{mean, median};
 use pwrfgs_core::{Dataset, Result, evenly};
 use rayon::prelude::*;
 
-/// Largest number of compared pairs, and of pairs of single numbers.
+/// Largest number of compared pairs.
 const PAIRS: usize = 300;
+/// Largest number of compared pairs if an observation is a single number.
 const NUMBERS: usize = 6_000;
 /// Smallest number of pairs for a statement.
 const LEAST: usize = 20;
 /// Number of neighbours among which one at another position is sought.
 const SEARCHED: usize = 16;
 
-/// Describes how much observations of one receiver at neighbouring positions differ, after its name; for received powers
-/// with the mean absolute error that follows for a perfect map, since both observations of a pair deviate from it. `None`
-/// without positions or with few pairs.
+/// Returns name and description of the difference of observations of one receiver at neighbouring positions. For received powers
+/// it has the mean absolute error of a perfect map, from which both observations of a pair deviate. `None` without positions
+/// or with few pairs.
 ///
 /// # Errors
 /// If an observation cannot be read.
 pub(super) fn describe_floor(data: &Dataset) -> Result<Option<(&'static str, String)>> {
-    let task = data.task();
     if !data.placed {
         return Ok(None);
     }
-    let position = |i: usize| data.sample(i).position();
-    let by_receiver = data.group_by_receiver(0..data.len());
-    let heard = by_receiver.iter().filter(|links| links.len() > 1).count().max(1);
-    let most = (if task.is_scalar { NUMBERS } else { PAIRS }).div_ceil(heard);
-    let pairs_of = |links: &Vec<usize>| {
-        let nearest = Nearest::new(links, 3, position);
-        let pair = |&i: &usize| {
-            let (distance, j) =
-                nearest.find(&position(i), SEARCHED).1.into_iter().find(|(distance, _)| *distance > 0.0)?;
-            Some((distance, task.score(&task.shown(data.image(j)), &data.image(i))))
-        };
-        evenly(links, most).par_iter().filter_map(pair).collect::<Vec<_>>()
-    };
-    let pairs: Vec<(f64, f64)> = by_receiver.iter().flat_map(pairs_of).collect();
+    let (task, pairs) = (data.task(), score_neighbours(data));
     data.observations.check()?;
     if pairs.len() < LEAST {
         return Ok(None);
@@ -57,6 +44,26 @@ pub(super) fn describe_floor(data: &Dataset) -> Result<Option<(&'static str, Str
         format!("neighbours {distance} apart predict each other with a mean {name} of {score}")
     };
     Ok(Some(("floor", text)))
+}
+
+/// Compares observations of one receiver at neighbouring positions. Returns the distance in metres and the score of each pair,
+/// one observation as a prediction of the other.
+fn score_neighbours(data: &Dataset) -> Vec<(f64, f64)> {
+    let task = data.task();
+    let position = |i: usize| data.sample(i).position();
+    let by_receiver = data.group_by_receiver(0..data.len());
+    let receivers = by_receiver.iter().filter(|links| links.len() > 1).count().max(1);
+    let most = (if task.is_scalar { NUMBERS } else { PAIRS }).div_ceil(receivers);
+    let pairs_of = |links: &Vec<usize>| {
+        let nearest = Nearest::new(links, 3, position);
+        let pair = |&i: &usize| {
+            let (distance, j) =
+                nearest.find(&position(i), SEARCHED).1.into_iter().find(|(distance, _)| *distance > 0.0)?;
+            Some((distance, task.score(&task.shown(data.image(j)), &data.image(i))))
+        };
+        evenly(links, most).par_iter().filter_map(pair).collect::<Vec<_>>()
+    };
+    by_receiver.iter().flat_map(pairs_of).collect()
 }
 
 #[cfg(test)]

@@ -51,6 +51,7 @@ impl MetricScale {
             return Err("some pairs have values that are not finite".into());
         }
         let reach = pairs.iter().fold(0.0, |reach: f64, pair| reach.max(pair.distance));
+        // The factor 1.01 gives the farthest pair a weight too.
         let weights: Vec<f64> = pairs.iter().map(|pair| tricube(pair.distance / (1.01 * reach))).collect();
         let line = FittedLine::weighted_fit(pairs, values, &weights)
             .ok_or_else(|| format!("all pairs are {:.1} mm apart, none is closer", reach * 1e3))?;
@@ -83,11 +84,15 @@ fn tricube(part: f64) -> f64 {
 
 /// Straight line by weighted least squares.
 struct FittedLine {
+    /// Value at distance zero.
     at_zero: f64,
+    /// Change of the value per metre.
     slope: f64,
-    /// Weighted mean of the values and of the distances, and the variance of the distances.
+    /// Weighted mean of the values.
     mean: f64,
+    /// Weighted mean of the distances, metres.
     distance: f64,
+    /// Weighted variance of the distances, square metres.
     spread: f64,
 }
 
@@ -101,7 +106,7 @@ impl FittedLine {
         let (mean, distance) = (mean_of(&|k| values[k]), mean_of(&|k| pairs[k].distance));
         let spread = mean_of(&|k| (pairs[k].distance - distance).powi(2));
         if distance == 0.0 {
-            return Some(Self { at_zero: mean, slope: 0.0, mean, distance, spread: 1.0 });
+            return Some(Self { at_zero: mean, slope: 0.0, mean, distance, spread: 1.0 }); // any spread: offsets are 0
         }
         // Distances within a thousandth of each other do not determine a slope.
         if spread < 1e-6 * distance * distance {

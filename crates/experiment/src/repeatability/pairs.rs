@@ -101,15 +101,15 @@ fn near_pairs(data: &Dataset, links: &[usize]) -> impl Iterator<Item = SamplePai
     links.iter().enumerate().flat_map(later_pairs)
 }
 
-/// Adds pairs more than `least` ids apart among the `links` of one receiver: all pairs of some samples up to a horizon, and random
-/// pairs beyond. The `receivers` receivers share the limits on samples and random pairs.
+/// Adds pairs more than `least` ids apart among the `links` of one receiver: all pairs of some samples up to a horizon, and
+/// random pairs beyond. The limits on samples and random pairs are divided by the number of `receivers`.
 fn add_far_pairs(all: &mut Vec<SamplePair>, data: &Dataset, links: &[usize], receivers: usize, least: u32) {
     let position = |i: usize| data.sample(i).position();
     let sampled = evenly(links, ASKED.div_ceil(receivers));
     let nearest = Nearest::new(links, 3, position);
     let count = 2 * FAR_IDS as usize + 1 + NEIGHBOURS;
     let neighbours: Vec<Vec<(f64, usize)>> = sampled.par_iter().map(|&i| nearest.find(&position(i), count).1).collect();
-    // Beyond the horizon the lists of some samples end, and the others are not a fair sample.
+    // Within the horizon, nine of ten lists are complete; beyond it, those that are not would bias the pairs.
     let ends = sorted(neighbours.iter().filter_map(|list| list.last()).map(|(distance, _)| *distance));
     let complete = neighbours.iter().any(|list| list.len() == links.len());
     let horizon = if complete { f64::INFINITY } else { ends.get(ends.len() / 10).copied().unwrap_or(0.0) };
@@ -133,8 +133,8 @@ fn draw_pairs(data: &Dataset, links: &[usize], count: usize) -> impl Iterator<It
     (0..count).map(move |_| draw_pair()).filter(|pair| pair.earlier != pair.later)
 }
 
-/// Returns whether samples with consecutive ids are closer in space than others: samples of a walk or scan are in order
-/// of time.
+/// Returns whether samples with consecutive ids are less than half as far apart as unrelated ones, by the median: samples of
+/// a walk or scan are in order of time.
 pub fn is_in_time_order(data: &Dataset) -> bool {
     let median = |pairs: Vec<SamplePair>| median(pairs.iter().map(|pair| pair.distance));
     let links = data.group_by_receiver(0..data.len()).into_iter().max_by_key(Vec::len).unwrap_or_default();

@@ -4,8 +4,10 @@
 use super::setting::{Setting, StudyVariant};
 use crate::statistics::Spread;
 
-/// Smallest numbers of strategies and of Gaussian counts for a race.
-const LEAST: [usize; 2] = [4, 2];
+/// Smallest number of strategies for a comparison.
+const LEAST_FAMILIES: usize = 4;
+/// Smallest number of common numbers of Gaussians for a comparison.
+const LEAST_NUMBERS: usize = 2;
 
 /// Strategies compared at the same numbers of Gaussians.
 #[derive(Clone, Debug)]
@@ -27,12 +29,12 @@ pub struct VariantFamily<'a> {
     pub variants: Vec<&'a StudyVariant>,
     /// What distinguishes each variant in its strategy, such as `λ 0.02`.
     pub values: Vec<String>,
-    /// Score and rank, from 1, at each number of the race; `None` if the strategy does not reach it.
-    pub places: Vec<Option<(Spread, usize)>>,
+    /// Score and rank, from 1, at each of [`ParetoComparison::numbers`]; `None` if the strategy does not reach it.
+    pub results: Vec<Option<(Spread, usize)>>,
 }
 
 impl<'a> VariantFamily<'a> {
-    /// Groups the variants of a setting into strategies, in the order of the plan, without places.
+    /// Groups the variants of a setting into strategies, in the order of the plan, without results.
     pub fn group(setting: &'a Setting) -> Vec<Self> {
         let mut families: Vec<Self> = Vec::new();
         for variant in &setting.variants {
@@ -48,7 +50,7 @@ impl<'a> VariantFamily<'a> {
                     title: String::new(),
                     variants: vec![variant],
                     values: vec![value],
-                    places: Vec::new(),
+                    results: Vec::new(),
                 }),
             }
         }
@@ -62,14 +64,15 @@ impl<'a> VariantFamily<'a> {
         families
     }
 
-    /// Computes the mean rank over the numbers that it reaches; infinite without any.
+    /// Computes the mean rank over the numbers of Gaussians that the strategy reaches; infinite without any.
     pub fn mean_rank(&self) -> f64 {
-        let ranks: Vec<f64> = self.places.iter().flatten().map(|(_, rank)| *rank as f64).collect();
+        let ranks: Vec<f64> = self.results.iter().flatten().map(|(_, rank)| *rank as f64).collect();
         if ranks.is_empty() { f64::INFINITY } else { ranks.iter().sum::<f64>() / ranks.len() as f64 }
     }
 }
 
-/// Returns the label without its numbers and what they number: `masks` for `masks, target 24` and for `masks λ = 0.02`.
+/// Returns the label without numbers and their symbols, and without axes that are a word and a number: `masks` for
+/// `masks, target 24` and for `masks λ = 0.02`. If nothing remains, `by` and the first word, unless that is a number.
 fn family_name(label: &str) -> String {
     let is_number = |word: &str| word.rsplit(['=', ':']).next().is_some_and(|value| value.parse::<f64>().is_ok());
     let is_symbol = |word: &str| word.chars().count() == 1;
@@ -79,6 +82,7 @@ fn family_name(label: &str) -> String {
         for &word in &part {
             match word {
                 number if is_number(number) => {
+                    // Removes the symbols before the number, such as `λ =`.
                     let kept = words.iter().rposition(|word| !is_symbol(word)).map_or(0, |last| last + 1);
                     words.truncate(kept);
                 }
@@ -111,7 +115,8 @@ fn common_gaussians(variant: &StudyVariant) -> Option<usize> {
 }
 
 impl<'a> ParetoComparison<'a> {
-    /// Creates the race of a setting; `None` if there are too few strategies.
+    /// Compares the strategies of a setting; `None` if there are too few strategies, or too few numbers of Gaussians that
+    /// most of them reach.
     pub fn of(setting: &'a Setting) -> Option<Self> {
         let headline = setting.headline();
         let mut families = VariantFamily::group(setting);
@@ -121,7 +126,7 @@ impl<'a> ParetoComparison<'a> {
         let reaches =
             |family: &VariantFamily<'_>, n: usize| family.variants.iter().any(|v| common_gaussians(v) == Some(n));
         numbers.retain(|&n| families.iter().filter(|family| reaches(family, n)).count() * 2 > families.len());
-        if families.len() < LEAST[0] || numbers.len() < LEAST[1] {
+        if families.len() < LEAST_FAMILIES || numbers.len() < LEAST_NUMBERS {
             return None;
         }
         let score = |variant: &StudyVariant| variant.score(headline.key);
@@ -132,7 +137,7 @@ impl<'a> ParetoComparison<'a> {
             let better = |a: f64, b: f64| if headline.higher { a > b } else { a < b };
             for (family, score) in families.iter_mut().zip(&scores) {
                 let rank = |score: Spread| 1 + scores.iter().flatten().filter(|s| better(s.mean, score.mean)).count();
-                family.places.push(score.map(|score| (score, rank(score))));
+                family.results.push(score.map(|score| (score, rank(score))));
             }
         }
         families.sort_by(|a, b| a.mean_rank().total_cmp(&b.mean_rank()));
@@ -140,8 +145,8 @@ impl<'a> ParetoComparison<'a> {
     }
 }
 
-/// Removes the words that the names of all `families` begin or end with. Returns what all names begin with, with a blank
-/// at the end.
+/// Removes the words that the names of all `families` begin or end with. Returns the common first words, each with a blank
+/// after it.
 fn shorten_names(families: &mut [VariantFamily<'_>]) -> String {
     let split_name = |family: &VariantFamily<'_>| family.name.split(' ').map(str::to_owned).collect::<Vec<_>>();
     let names: Vec<Vec<String>> = families.iter().map(split_name).collect();

@@ -53,8 +53,8 @@ impl Setting {
         Some(Spread::of(&values)?.mean)
     }
 
-    /// Finds the first variant before number `k` whose models are identical, seed by seed: the difference in settings
-    /// has no effect. `None` without such a variant.
+    /// Finds the first variant before index `k` whose models are identical, seed by seed: the difference in settings
+    /// has no effect. `None` without such a variant, or if `run.json` lacks the checksum of a model.
     pub fn earlier_twin(&self, k: usize) -> Option<&StudyVariant> {
         let models = self.variants[k].model_files()?;
         self.variants[..k].iter().find(|other| other.model_files().as_ref() == Some(&models))
@@ -70,10 +70,10 @@ impl Setting {
         self.task().headline
     }
 
-    /// Returns the smallest and largest number of seeds of a variant.
-    pub fn seed_counts(&self) -> (Option<usize>, Option<usize>) {
-        let counts = self.variants.iter().map(|v| v.runs.len());
-        (counts.clone().min(), counts.max())
+    /// Returns the smallest and largest number of seeds of a variant; 0 without variants.
+    pub fn seed_counts(&self) -> (usize, usize) {
+        let counts = || self.variants.iter().map(|v| v.runs.len());
+        (counts().min().unwrap_or(0), counts().max().unwrap_or(0))
     }
 }
 
@@ -88,7 +88,7 @@ impl StudyVariant {
         self.spread(|run| run.scores.value(MODEL, key))
     }
 
-    /// Lists seeds and model files of all runs; `None` if a run folder of an earlier version lacks them.
+    /// Lists seeds and checksums of the models of all runs; `None` if `run.json` of a run lacks the checksum.
     fn model_files(&self) -> Option<Vec<(u64, &FileDigest)>> {
         self.runs.iter().map(|run| Some((run.pipeline.seed, run.facts.files.get(MODEL_FILE)?))).collect()
     }
@@ -152,8 +152,11 @@ fn common_prefix(names: &[String]) -> String {
     start.strip_suffix("seed").unwrap_or(start).trim_end_matches(is_separator).to_owned()
 }
 
-/// Returns a key of data and split: equal for runs whose scores are comparable. The validation share of a split does
-/// not affect the test set.
+/// Returns a key of data and split: equal for runs whose scores are comparable. It excludes the validation share of the
+/// split, which does not affect the test set.
+///
+/// # Errors
+/// Data or a split without JSON form.
 pub(super) fn setting_key(record: &Record) -> Result<Value> {
     let failed = |e| Error::input(&record.folder, format!("data and split cannot be compared: {e}"));
     let Pipeline { data, split, .. } = &record.pipeline;
@@ -164,7 +167,7 @@ pub(super) fn setting_key(record: &Record) -> Result<Value> {
     Ok([data, split].into_iter().map(|(name, fields)| Value::from_iter([(name, fields)])).collect())
 }
 
-/// Returns name and fields of a plugin; JSON contains only the fields.
+/// Returns name and fields of a plugin; the JSON of a plugin has no name.
 fn named_fields(plugin: &impl Serialize) -> serde_json::Result<(String, Value)> {
     let name = ron_line(plugin).split('(').next().unwrap_or_default().to_owned();
     // Through text, so that single-precision numbers keep the digits of the file.

@@ -25,7 +25,7 @@ use std::path::PathBuf;
 /// A run is invalid; the message names the first. No files are written in that case.
 pub fn check(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
     let runs = unfinished_runs(plan, runs)?;
-    initialize_unfinished(plan, &runs, &|_| false, observer)?;
+    initialise_unfinished(plan, &runs, &|_| false, observer)?;
     Ok(runs)
 }
 
@@ -37,17 +37,10 @@ pub fn check(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> R
 /// Same as [`check`], whose checks it makes.
 pub fn estimate_run_seconds(plan: &SweepPlan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<f64>> {
     let states = plan.states();
-    let finished_seconds = |combination: usize| {
-        let seconds = |(run, state): (&PlannedRun, &RunStage)| match state {
-            RunStage::Finished(end) if run.combination == combination => Some(end.1.wall_seconds),
-            _ => None,
-        };
-        let seconds: Vec<f64> = plan.runs.iter().zip(&states).filter_map(seconds).collect();
-        (!seconds.is_empty()).then(|| seconds.iter().sum::<f64>() / seconds.len() as f64)
-    };
+    let finished_seconds = |combination: usize| mean_finished_seconds(plan, &states, combination);
     let open = unfinished_runs(plan, runs)?;
     let measured =
-        initialize_unfinished(plan, &open, &|combination| finished_seconds(combination).is_none(), observer)?;
+        initialise_unfinished(plan, &open, &|combination| finished_seconds(combination).is_none(), observer)?;
     let seconds = |&run: &usize| {
         let PlannedRun { combination, pipeline, .. } = &plan.runs[run];
         let steps = (pipeline.training.steps * pipeline.members as u64) as f64;
@@ -60,6 +53,17 @@ pub fn estimate_run_seconds(plan: &SweepPlan, runs: &[usize], observer: &mut dyn
         if left == 0.0 { 0.0 } else { left * whole }
     };
     Ok(runs.iter().map(seconds).collect())
+}
+
+/// Returns the mean wall time of the finished runs of a combination, seconds; `None` without any. `states` are those of all
+/// runs of the plan.
+fn mean_finished_seconds(plan: &SweepPlan, states: &[RunStage], combination: usize) -> Option<f64> {
+    let wall_seconds = |(run, state): (&PlannedRun, &RunStage)| match state {
+        RunStage::Finished(end) if run.combination == combination => Some(end.1.wall_seconds),
+        _ => None,
+    };
+    let seconds: Vec<f64> = plan.runs.iter().zip(states).filter_map(wall_seconds).collect();
+    (!seconds.is_empty()).then(|| seconds.iter().sum::<f64>() / seconds.len() as f64)
 }
 
 /// Returns the unfinished runs of `runs`, after the checks that need no data.
@@ -79,16 +83,16 @@ fn unfinished_runs(plan: &SweepPlan, runs: &[usize]) -> Result<Vec<usize>> {
     Ok(runs.iter().copied().filter(|&r| !matches!(plan.state(r), RunStage::Finished(_))).collect())
 }
 
-/// Initialises the first of the `open` runs of each combination. Returns the estimated seconds by combination, if it
-/// `is_timed`.
-fn initialize_unfinished(
+/// Initialises the first of the `open` runs of each combination. Returns the estimated seconds of a run for each combination
+/// that `is_timed` selects, unless the timed steps fail.
+fn initialise_unfinished(
     plan: &SweepPlan,
     open: &[usize],
     is_timed: &dyn Fn(usize) -> bool,
     observer: &mut dyn Observer,
 ) -> Result<BTreeMap<usize, f64>> {
-    let middle = |[shortest, longest]: [f64; 2]| (shortest * longest).sqrt();
-    let tried = initialize_each(plan, &representatives(plan, open), observer, |run, trainer| {
+    let geometric_mean = |[shortest, longest]: [f64; 2]| (shortest * longest).sqrt();
+    let tried = initialise_each(plan, &representatives(plan, open), observer, |run, trainer| {
         let (combination, warnings) = (plan.runs[run].combination, trainer.warnings());
         let time = is_timed(combination).then(|| trainer.time());
         Ok((run, warnings, time))
@@ -100,7 +104,7 @@ fn initialize_unfinished(
         warnings.into_iter().chain(failed).for_each(|warning| observer.on_warning(&format!("{folder}: {warning}")));
         if let Some(Ok(time)) = time {
             let models = plan.runs[run].pipeline.members as f64;
-            seconds.insert(*combination, models * (time.seconds[1] + middle(time.search_seconds)));
+            seconds.insert(*combination, models * (time.seconds[1] + geometric_mean(time.search_seconds)));
         }
     }
     Ok(seconds)
@@ -116,7 +120,7 @@ fn representatives(plan: &SweepPlan, runs: &[usize]) -> Vec<usize> {
 
 /// Initialises each of `runs`, loading data once for consecutive runs with the same data. Returns the results of `visit`,
 /// which gets the index of the run and its trainer.
-fn initialize_each<R>(
+fn initialise_each<R>(
     plan: &SweepPlan,
     runs: &[usize],
     observer: &mut dyn Observer,

@@ -130,7 +130,7 @@ impl Listing {
                 lock => lock.map_err(|e| Error::read(&path, e))?,
             };
             match self.inspect(folder)? {
-                // Replaced, and then locked again.
+                // The lock belongs to the replaced file: the next round locks the new one.
                 Some(existing) if existing != *self && existing.first_missing_in(self).is_none() => {
                     self.write(folder)?;
                 }
@@ -143,7 +143,7 @@ impl Listing {
         }
     }
 
-    /// Returns the first of its runs that is missing in `other`; `None` if `other` has them all.
+    /// Returns the first of its runs that is missing in `other`; `None` if `other` has all.
     fn first_missing_in(&self, other: &Self) -> Option<&ListedRun> {
         let others: BTreeSet<&ListedRun> = other.runs.iter().collect();
         self.runs.iter().find(|run| !others.contains(run))

@@ -218,12 +218,12 @@ impl ExperimentSource<'_> {
     fn cross_axis(&self, axis: usize, combinations: &[Combination]) -> Result<Vec<Combination>> {
         let Axis { name, variants } = &*self.experiment.axes[axis];
         let item = |tree: &RonTree, field: &str, k: usize| Some(tree.field(field)?.items().get(k)?.clone());
-        let axis = item(self.tree, "axes", axis);
+        let axis_tree = item(self.tree, "axes", axis);
         let mut crossed = Vec::new();
         for combination in combinations {
             for (k, variant) in variants.iter().enumerate() {
                 let title = variant_title(name, &variant.label);
-                let tree = axis.as_ref().and_then(|axis| item(axis, "variants", k));
+                let tree = axis_tree.as_ref().and_then(|axis| item(axis, "variants", k));
                 let set = variant.set.located(&title, tree.as_ref().and_then(|tree| tree.field("set")), self.text);
                 let mut draft = match &variant.base {
                     Some(file) => read_base(self.folder, file)
@@ -321,7 +321,7 @@ fn join_labels(labels: &[(String, String)]) -> String {
 }
 
 impl PlannedRun {
-    /// Names its model in a joined model: labels and seed, such as `waves-0`.
+    /// Formats the name of its model in a joined model: labels and seed, such as `waves-0`.
     pub(super) fn member_name(&self) -> String {
         let labels = self.labels.iter().map(|(_, label)| slug(label).replace('+', "-"));
         let words: Vec<String> = labels.chain([self.pipeline.seed.to_string()]).collect();
@@ -340,7 +340,7 @@ fn align_runs(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
     }
     let pipelines = || runs.iter().map(|run| &run.pipeline);
     let split_seed = pipelines().find_map(|pipeline| pipeline.split_seed).unwrap_or(runs[0].pipeline.seed);
-    if pipelines().any(|pipeline| pipeline.split_seed.is_some_and(|pipeline| pipeline != split_seed)) {
+    if pipelines().any(|pipeline| pipeline.split_seed.is_some_and(|seed| seed != split_seed)) {
         return Err("the runs differ in `split_seed`; give all the same value, or none".into());
     }
     check_joinable(runs)?;
@@ -388,6 +388,7 @@ fn check_joinable(runs: &[PlannedRun]) -> Result<(), String> {
         if first.pipeline.residuals != pipeline.residuals {
             return differ("residuals");
         }
+        // Projectors with equal planes of one size have equal planes of every size.
         if first.pipeline.projector.plane(360, 90) != pipeline.projector.plane(360, 90) {
             return differ("projector");
         }

@@ -12,9 +12,13 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+/// Folder with one numbered folder per submission, relative to the sweep folder.
 const FOLDER: &str = "slurm";
+/// Script of the job array, in the folder of a submission.
 const SCRIPT: &str = "sweep.sh";
+/// Run names, one per line: line k is task k.
 const RUNS: &str = "runs.txt";
+/// Job id.
 const JOB: &str = "job.txt";
 
 /// Writes and submits a job array for `runs`; `command` is the program with all arguments of a task except the run

@@ -18,7 +18,7 @@ use zip::{ZipWriter, result::ZipError, write::SimpleFileOptions};
 /// Largest number of paths per user in DeepMIMO.
 const MOST_PATHS: usize = 25;
 
-/// Number of a path.
+/// Function from a path to a number of a matrix.
 type PathValue<'a> = &'a dyn Fn(&PropagationPath) -> f64;
 
 /// Writes the matrices of every receiver, `power_t000_tx000_r001.npz` and so on, and `params.json` into `folder`. A user keeps
@@ -35,6 +35,7 @@ pub(super) fn write_scenario(
 ) -> Result<()> {
     let (users, stations) = (simulator.draw_positions(recipe.samples, recipe.seed)?, simulator.receivers());
     let (done, wavelength) = (AtomicUsize::new(0), simulator.scene().wavelength());
+    // Whether each user has a path, and the largest number of each interaction on a path.
     let (mut active, mut most) = (vec![false; users.len()], [0; 4]);
     for (i, station) in stations.iter().enumerate() {
         let trace = |user: &DVec3| {

@@ -32,9 +32,9 @@ pub(crate) const POWERS: &str = "gateway_rssi.csv";
 /// File of the transmitter positions.
 pub(crate) const POSITIONS: &str = "tx_pos.csv";
 /// Folder of the images.
-const PICTURES: &str = "spectrum";
+const IMAGES: &str = "spectrum";
 /// Largest number of images: their names have five digits.
-const MOST_PICTURES: usize = 99_999;
+const MOST_IMAGES: usize = 99_999;
 /// Every n-th sample belongs to the test list.
 const TEST_EVERY: usize = 5;
 
@@ -67,10 +67,10 @@ impl OutputLayout {
             let problem = "does not match the observation type; choose another layout";
             return Err(Error::Config(format!("{self:?} {problem}")));
         }
-        let pictures = recipe.samples * recipe.scene.carriers_hz.len().max(1);
-        if self == Self::Pictures && pictures > MOST_PICTURES {
+        let images = recipe.samples * recipe.scene.carrier_count();
+        if self == Self::Pictures && images > MOST_IMAGES {
             return Err(Error::Config(format!(
-                "{pictures} spectra exceed the limit of {MOST_PICTURES} images; write one array with --npy"
+                "{images} spectra exceed the limit of {MOST_IMAGES} images; write one array with --npy"
             )));
         }
         let holds_poses = matches!(self, Self::Array | Self::Rssi | Self::Channels);
@@ -143,7 +143,7 @@ impl DatasetFiles {
         let shape = [links, first.receiver().array.element_count(), scene.frequencies().len()];
         let array = match layout {
             OutputLayout::Pictures => {
-                let path = folder.join(PICTURES);
+                let path = folder.join(IMAGES);
                 fs::create_dir(&path).map_err(|e| Error::write(&path, e))?;
                 None
             }
@@ -191,6 +191,7 @@ impl DatasetFiles {
         let (rows, first) = (self.carriers_hz.len().max(1), self.layout.first_id());
         self.positions.text += &row.repeat(rows);
         for (receiver, observation) in received.iter().enumerate() {
+            // Each of several carriers has its own receiver and its own row.
             let id = i * rows + first + if rows == 1 { 0 } else { receiver };
             if let Some((table, file)) = self.paths.get_mut(receiver) {
                 file.append(table.transmitter_rows(id, &observation.paths).as_bytes())?;
@@ -209,7 +210,7 @@ impl DatasetFiles {
         match (observed, &mut self.array) {
             (SimulatedObservation::Spectrum(spectrum), Some(array)) => array.append(&spectrum.pixels),
             (SimulatedObservation::Spectrum(spectrum), None) => {
-                write_grey_png(&self.folder.join(format!("{PICTURES}/{id:05}.png")), &spectrum.pixels)
+                write_grey_png(&self.folder.join(format!("{IMAGES}/{id:05}.png")), &spectrum.pixels)
             }
             (SimulatedObservation::Channel(channel), Some(array)) => {
                 let bytes = |h: &Complex| [(h.re as f32).to_le_bytes(), (h.im as f32).to_le_bytes()];
@@ -317,7 +318,7 @@ pub(super) fn check_power_table(folder: &Path) -> Result<()> {
     match rows().filter(|row| row.split(',').all(|cell| cell == silent)).count() {
         0 => Ok(()),
         silent_rows => Err(Error::Config(format!(
-            "{silent_rows} of {} transmitters are heard by no receiver above {SILENT_DBM} dBm, which the layout cannot say; raise \
+            "{silent_rows} of {} transmitters reach no receiver above {SILENT_DBM} dBm, which the layout cannot say; raise \
              `power_dbm` of the transmitter, or keep it nearer to receivers",
             rows().count()
         ))),

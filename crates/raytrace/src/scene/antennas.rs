@@ -101,6 +101,7 @@ fn is_default_name(name: &str) -> bool {
     name == GATEWAY
 }
 
+/// Returns whether a transmit power is the default, which is not written out.
 fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
@@ -123,8 +124,8 @@ impl SceneReceiver {
 
     /// Returns the antenna positions `[A]`, world frame, metres. Their spacing refers to the carrier `wavelength`, metres.
     pub(crate) fn antenna_positions(&self, wavelength: f64) -> Vec<DVec3> {
-        let (center, turn) = (DVec3::from(self.position), self.world_from_receiver());
-        self.array.offsets(wavelength).into_iter().map(|offset| center + turn * offset).collect()
+        let (centre, turn) = (DVec3::from(self.position), self.world_from_receiver());
+        self.array.offsets(wavelength).into_iter().map(|offset| centre + turn * offset).collect()
     }
 
     /// Returns the receiver in words for messages: `noun` and its name, or `noun` alone for an unnamed receiver.
@@ -166,6 +167,7 @@ impl SceneReceiver {
         match &self.orientation {
             Orientation::Quaternion(x, y, z, w) => {
                 let norm = (x * x + y * y + z * z + w * w).sqrt();
+                // Numbers in files are rounded.
                 if (norm - 1.0).abs() < 0.01 {
                     return Ok(());
                 }

@@ -21,8 +21,8 @@ const MOST_BYTES: u64 = 8 << 20;
 const MOST_SHAPES: usize = 5_000;
 /// Largest number of variables.
 const MOST_VARIABLES: usize = 100;
-/// Shapes, and elements that describe a picture.
-const KNOWN: [&str; 9] =
+/// Shapes, which are read last, and elements of optical images, which are ignored.
+const SUPPORTED: [&str; 9] =
     ["shape", "integrator", "sensor", "emitter", "film", "sampler", "rfilter", "texture", "medium"];
 
 /// Contents of a Mitsuba file.
@@ -36,12 +36,12 @@ pub(crate) struct MitsubaScene {
 
 impl MitsubaScene {
     /// Reads the shapes of an XML file and the materials that they use; paths of meshes become relative to the current
-    /// directory. Names in `own` are materials of the scene file, which have precedence.
+    /// directory. `scene_materials` are names of materials of the scene file, which have precedence.
     ///
     /// # Errors
     /// The file cannot be read, is not valid XML, has an element or material that is not supported, or names a missing
     /// mesh; the message has line and column.
-    pub(crate) fn read<'s>(path: &Path, own: impl Iterator<Item = &'s String>) -> Result<Self> {
+    pub(crate) fn read<'s>(path: &Path, scene_materials: impl Iterator<Item = &'s String>) -> Result<Self> {
         let text = files::read_text_at_most(path, MOST_BYTES)?;
         check_tags(path, &text)?;
         let document = Document::parse(&text).map_err(|e| {
@@ -53,9 +53,9 @@ impl MitsubaScene {
                 format!("invalid XML: {}; export the scene again", strip_control(&e.to_string())),
             )
         })?;
-        let own = own.map(String::as_str).collect();
+        let scene_materials = scene_materials.map(String::as_str).collect();
         let (variables, materials, finishes) = Default::default();
-        Reader { path, document: &document, own, variables, materials, finishes }.read_scene()
+        Reader { path, document: &document, scene_materials, variables, materials, finishes }.read_scene()
     }
 
     /// Returns default positions of the antennas from the size of the meshes, metres: receiver, and smallest and largest
@@ -85,6 +85,7 @@ impl MitsubaScene {
         let height = if high.z - low.z > 0.01 { (0.5 * (high.z - low.z)).min(1.5) } else { 1.5 };
         let round = |point: DVec3| point.to_array().map(|v| (v * 1e4).round() / 1e4);
         let middle = (0.5 * (low + high)).with_z(low.z + height);
+        // Transmitters keep a tenth of the size from the outermost walls.
         let reach = 0.4 * (high - low).with_z(0.0);
         Ok([middle, middle - reach, middle + reach].map(round))
     }
@@ -95,7 +96,7 @@ struct Reader<'a> {
     path: &'a Path,
     document: &'a Document<'a>,
     /// Names of the materials of the scene file.
-    own: BTreeSet<&'a str>,
+    scene_materials: BTreeSet<&'a str>,
     /// Values of `<default>`, inserted for `$name`.
     variables: BTreeMap<&'a str, &'a str>,
     /// Elements of materials, by id and alias.
@@ -146,7 +147,7 @@ impl<'a> Reader<'a> {
                 name => {
                     let problem = "put its shapes and materials into this file";
                     let problem = format!("unsupported element {}; {problem}", quoted(name));
-                    self.require(KNOWN.contains(&name), node, problem)?;
+                    self.require(SUPPORTED.contains(&name), node, problem)?;
                 }
             }
         }

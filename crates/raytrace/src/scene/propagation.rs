@@ -5,6 +5,8 @@ use pwrfgs_core::carrier_fault;
 use pwrfgs_core::plugin::Check;
 use serde::{Deserialize, Serialize};
 
+/// Largest number of reflections of a path.
+const MOST_REFLECTIONS: usize = 10;
 /// Largest number of subcarriers.
 const MOST_SUBCARRIERS: usize = 4096;
 /// Largest number of carriers; each has its own images and beams.
@@ -50,8 +52,8 @@ impl Default for Propagation {
 impl Check for Propagation {
     fn check(&self) -> Result<(), String> {
         for (field, order) in [("order", self.order), ("room_order", self.room_order)] {
-            if order > 10 {
-                return Err(format!("propagation: `{field}` is {order}; give at most 10"));
+            if order > MOST_REFLECTIONS {
+                return Err(format!("propagation: `{field}` is {order}; give at most {MOST_REFLECTIONS}"));
             }
         }
         if !(0.0..=1.0).contains(&self.roughness) {

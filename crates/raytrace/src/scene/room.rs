@@ -9,6 +9,9 @@ use std::path::PathBuf;
 /// Largest absolute coordinate, metres.
 pub(crate) const FAR: f64 = 1e6;
 
+/// Smallest side, metres.
+const SHORTEST: f64 = 1e-3;
+
 /// Room shape and finishes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -63,7 +66,7 @@ impl Outline {
                     let count = corners.len();
                     return Err(format!("room: the floor plan has {count} corners; give at most {MOST_CORNERS}"));
                 }
-                if !(ceiling - floor > 1e-3 && ceiling.abs() <= FAR && floor.abs() <= FAR) {
+                if !(ceiling - floor > SHORTEST && ceiling.abs() <= FAR && floor.abs() <= FAR) {
                     return Err(format!("room: the ceiling at {ceiling} m must lie above the floor at {floor} m"));
                 }
                 match first_crossing(corners) {
@@ -85,7 +88,7 @@ fn first_crossing(corners: &[[f64; 2]]) -> Option<(usize, usize)> {
     let side = |a: DVec2, b: DVec2, c: DVec2| (b - a).perp_dot(c - a);
     for i in 0..n {
         let (a, b) = (corner(i), corner(i + 1));
-        if a.distance(b) < 1e-3 {
+        if a.distance(b) < SHORTEST {
             return Some((i, (i + 1) % n));
         }
         let c = corner(i + 2);
@@ -115,7 +118,7 @@ fn first_crossing(corners: &[[f64; 2]]) -> Option<(usize, usize)> {
 
 /// Returns an error unless the box between two corners, metres, has an inside.
 pub(super) fn check_box(low: [f64; 3], high: [f64; 3]) -> Result<(), String> {
-    let is_valid = (0..3).all(|k| low[k].abs() <= FAR && high[k].abs() <= FAR && high[k] - low[k] > 1e-3);
+    let is_valid = (0..3).all(|k| low[k].abs() <= FAR && high[k].abs() <= FAR && high[k] - low[k] > SHORTEST);
     if is_valid {
         return Ok(());
     }
@@ -303,7 +306,7 @@ fn check_vertical_rectangle(kind: &str, from: &[f64; 2], to: &[f64; 2], heights:
     if !from.iter().chain(to).chain(heights).all(|v| v.abs() <= FAR) {
         return Err(format!("`from`, `to` and `heights` must be finite numbers in metres within {:.0} km", FAR / 1e3));
     }
-    if DVec2::from(*from).distance(DVec2::from(*to)) > 1e-3 && heights[1] - heights[0] > 1e-3 {
+    if DVec2::from(*from).distance(DVec2::from(*to)) > SHORTEST && heights[1] - heights[0] > SHORTEST {
         return Ok(());
     }
     let article = if kind == "opening" { "an" } else { "a" };

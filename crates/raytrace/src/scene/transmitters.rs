@@ -41,8 +41,7 @@ const MEMORY: f64 = 0.45;
 ///
 /// * `Uniform(low, high)`: independent positions, uniform in the free space of the box. A longer draw begins with the
 ///   shorter one.
-/// * `Grid(low, high, step_m)`: centres of cubes of edge `step_m`, as many as fit, centred in the box; x varies
-///   fastest,
+/// * `Grid(low, high, step_m)`: centres of cubes of edge `step_m`, as many as fit, centred in the box; x varies fastest,
 ///   then y. Fewer samples than points select a random subset in that order; more are an error. A point inside an
 ///   object is also an error.
 /// * `Walk(low, high, step_m)`: a carried transmitter, as in the measured `s23` set. Steps have a median length of

@@ -38,10 +38,10 @@ impl Polarized {
 /// the front face.
 pub fn reflection(eta: Complex, thickness: Option<f64>, cos_incidence: f64, wavelength: f64) -> Polarized {
     let face = FaceOptics::new(eta, cos_incidence);
-    let Some(depth) = thickness else { return face.per_polarization(Interface::reflection) };
+    let Some(depth) = thickness else { return face.per_polarisation(Interface::reflection) };
     let path = face.phase(depth, wavelength);
     let echo = -exp_m1(Complex::new(2.0 * path.im, -2.0 * path.re));
-    face.per_polarization(|interface| {
+    face.per_polarisation(|interface| {
         let r = interface.reflection();
         interface.divide_by_echoes(r * echo, echo, Complex::ZERO)
     })
@@ -58,7 +58,7 @@ pub fn transmission(eta: Complex, thickness: f64, cos_incidence: f64, wavelength
     let echo = -exp_m1(Complex::new(2.0 * path.im, -2.0 * path.re));
     let free = TAU * thickness / wavelength * cos_incidence.abs();
     let through = Complex::new(path.im, free - path.re).exp();
-    face.per_polarization(|interface| {
+    face.per_polarisation(|interface| {
         interface.divide_by_echoes(interface.double_transmission() * through, echo, Complex::ONE)
     })
 }
@@ -85,7 +85,7 @@ impl FaceOptics {
     }
 
     /// Returns the pair of `coefficient` for the interfaces of both polarisations.
-    fn per_polarization(&self, coefficient: impl Fn(Interface) -> Complex) -> Polarized {
+    fn per_polarisation(&self, coefficient: impl Fn(Interface) -> Complex) -> Polarized {
         let (cos, root) = (self.cos, self.root);
         Polarized {
             te: coefficient(Interface(Complex::from(cos), root)),

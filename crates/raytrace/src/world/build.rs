@@ -73,7 +73,7 @@ impl WorldBuilder {
         for (number, group) in coplanar_groups(&triangles, &owners).iter().enumerate() {
             let start = self.triangles.len();
             let members: Vec<Triangle> = group.iter().map(|&t| triangles[t]).collect();
-            let face = describe_face(&members, layer, number, part);
+            let face = create_face(&members, layer, number, part);
             if layer == SurfaceLayer::SolidBody && self.is_hidden(&face) {
                 continue;
             }
@@ -125,9 +125,9 @@ impl WorldBuilder {
     }
 }
 
-/// Returns the face `number` of a part, which consists of coplanar triangles; its plane is that of the largest. The range
-/// of its triangles is not set yet.
-fn describe_face(triangles: &[Triangle], layer: SurfaceLayer, number: usize, part: &WorldPart<'_>) -> Face {
+/// Creates face `number` of `part` from its coplanar triangles; its plane is that of the largest. The range of its triangles
+/// is not set yet.
+fn create_face(triangles: &[Triangle], layer: SurfaceLayer, number: usize, part: &WorldPart<'_>) -> Face {
     let largest = triangles.iter().max_by(|a, b| a.area().total_cmp(&b.area())).expect("a face has a triangle");
     let (normal, offset) = (largest.normal(), largest.normal().dot(largest.corner));
     let (name, surface) = (part.describe)(normal, number);
@@ -222,6 +222,7 @@ fn convex_hull(mut points: Vec<DVec3>, normal: DVec3) -> Vec<DVec3> {
         let (a, b) = (flat(*a), flat(*b));
         a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1))
     });
+    // Below 1e-12 m² the corner is straight, up to rounding.
     let turns_left = |a: DVec3, b: DVec3, c: DVec3| (b - a).cross(c - b).dot(normal) > 1e-12;
     let half = |points: &mut dyn Iterator<Item = DVec3>| {
         let mut chain: Vec<DVec3> = Vec::new();

@@ -10,6 +10,10 @@ use std::collections::BTreeMap;
 pub(crate) const TOUCHING: f64 = 1e-4;
 /// Distance beyond an edge at which a continuing surface is probed, metres.
 pub(super) const BEYOND: f64 = 1e-3;
+/// Positions on an edge at which its surroundings are probed, from 0 to 1.
+pub(super) const PROBES: [f64; 5] = [0.1, 0.3, 0.5, 0.7, 0.9];
+/// Number of covered probes of an edge that is covered for most of its length.
+pub(super) const MOST_PROBES: usize = 3;
 /// Largest number of overlapping face pairs, to limit memory.
 const MOST_PAIRS: usize = 5_000_000;
 
@@ -40,22 +44,27 @@ impl<'a> Contacts<'a> {
     /// # Errors
     /// Too many tests for all edges so far.
     pub(super) fn is_covered(&self, edge: &Edge, part: usize) -> Result<bool, String> {
-        let lies_on = |face: u32, host: u32| {
-            let [face, host] = [face, host].map(|f| &self.faces[f as usize]);
-            face.layer > host.layer && is_coplanar(face, host)
-        };
-        let is_near = |t: f64| {
-            let point = edge.ends[0].lerp(edge.ends[1], t);
-            let is_apart =
-                |face: u32| !edge.faces.contains(&face) && !edge.faces.iter().any(|host| lies_on(face, *host));
-            let continues = |(host, inwards): (u32, DVec3)| {
-                self.is_near_other_part(point - BEYOND * inwards, part, &|face| lies_on(face, host))
-            };
-            self.is_near_other_part(point, part, &is_apart)
-                || edge.faces.into_iter().zip(edge.inward_directions()).any(continues)
-        };
-        let is_covered = [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter(|t| is_near(*t)).count() >= 3;
+        let points = PROBES.map(|t| edge.ends[0].lerp(edge.ends[1], t));
+        let is_covered = points.into_iter().filter(|p| self.is_covered_at(*p, edge, part)).count() >= MOST_PROBES;
         if self.trials.get() > MOST_TRIALS { Err(TOO_MANY_TRIALS.into()) } else { Ok(is_covered) }
+    }
+
+    /// Returns whether another part than `part` touches `point` of the edge, or covers a face of the edge and continues
+    /// beyond `point`.
+    fn is_covered_at(&self, point: DVec3, edge: &Edge, part: usize) -> bool {
+        let is_apart =
+            |face: u32| !edge.faces.contains(&face) && !edge.faces.iter().any(|host| self.is_covering(face, *host));
+        let continues = |(host, inwards): (u32, DVec3)| {
+            self.is_near_other_part(point - BEYOND * inwards, part, &|face| self.is_covering(face, host))
+        };
+        self.is_near_other_part(point, part, &is_apart)
+            || edge.faces.into_iter().zip(edge.inward_directions()).any(continues)
+    }
+
+    /// Returns whether `face` is in the plane of `host` and in a later layer, in front of it.
+    fn is_covering(&self, face: u32, host: u32) -> bool {
+        let [face, host] = [face, host].map(|f| &self.faces[f as usize]);
+        face.layer > host.layer && is_coplanar(face, host)
     }
 
     /// Returns whether a face of a part other than `part` touches the point. Boxes of only that part are skipped: near

@@ -8,6 +8,8 @@ use glam::DVec3;
 
 /// Number of points along each side of an opening that must lie on a face.
 const SAMPLES: usize = 16;
+/// Shorter rims are left out, metres.
+const SHORTEST_RIM: f64 = 1e-3;
 
 impl WorldBuilder {
     /// Cuts a convex polygon, `hole`, out of every face in its plane. Its rims diffract; edges inside it are removed.
@@ -119,6 +121,7 @@ impl WorldBuilder {
                 .collect();
             intervals.sort_by(|a, b| a.0.total_cmp(&b.0));
             intervals.dedup_by(|next, last| {
+                // Triangles with a common side meet up to rounding.
                 let joined = next.0 <= last.1 + 1e-9;
                 if joined {
                     last.1 = last.1.max(next.1);
@@ -126,7 +129,7 @@ impl WorldBuilder {
                 joined
             });
             let at = |t: f64| ends[0].lerp(ends[1], t);
-            let is_long = |(start, end): &(f64, f64)| (end - start) * ends[0].distance(ends[1]) > 1e-3;
+            let is_long = |(start, end): &(f64, f64)| (end - start) * ends[0].distance(ends[1]) > SHORTEST_RIM;
             let is_bare = |(start, end): &(f64, f64)| {
                 let point = beyond[0].lerp(beyond[1], 0.5 * (start + end));
                 !others.iter().any(|f| is_near_face(&self.faces[*f], point, self.face_triangles(*f)))

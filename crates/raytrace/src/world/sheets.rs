@@ -1,7 +1,7 @@
 //! Coincident faces of one sheet, such as the two sides of a wall: only the first face is kept.
 
 use super::build::WorldBuilder;
-use super::contact::{BEYOND, bounding_box, is_near_face};
+use super::contact::{BEYOND, MOST_PROBES, PROBES, bounding_box, is_near_face};
 use super::{Edge, Triangle};
 use crate::hierarchy::Hierarchy;
 use crate::polygon::{side_planes, triangles_outside};
@@ -83,21 +83,26 @@ impl WorldBuilder {
         let cover = [0, 1].map(|k| {
             let mut others = coincident(edge.faces[k], bounds);
             others.retain(|other| other.face < edge.faces[k]);
-            let covering_face = |t: f64| {
-                let beside = edge.ends[0].lerp(edge.ends[1], t) + BEYOND * inwards[k];
-                let is_there = |other: &&Triangle| {
-                    is_near_face(&self.faces[other.face as usize], beside, std::slice::from_ref(*other))
-                };
-                others.iter().find(is_there).map(|other| other.face)
-            };
-            let covering: Vec<u32> = [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter_map(covering_face).collect();
-            covering.get(2).copied() // most of its length
+            self.covering_face(edge, inwards[k], &others)
         });
         match cover {
             [None, None] => vec![edge.clone()],
             [Some(_), Some(_)] => Vec::new(),
             [a, b] => vec![Edge { faces: [a.unwrap_or(first), b.unwrap_or(second)], ..edge.clone() }],
         }
+    }
+
+    /// Returns the face of one of `triangles` that covers the side `inwards` of an edge; `None` unless they cover most of its
+    /// length.
+    fn covering_face(&self, edge: &Edge, inwards: DVec3, triangles: &[Triangle]) -> Option<u32> {
+        let face_at = |t: f64| {
+            let point = edge.ends[0].lerp(edge.ends[1], t) + BEYOND * inwards;
+            let is_near = |triangle: &&Triangle| {
+                is_near_face(&self.faces[triangle.face as usize], point, std::slice::from_ref(*triangle))
+            };
+            triangles.iter().find(is_near).map(|triangle| triangle.face)
+        };
+        PROBES.into_iter().filter_map(face_at).nth(MOST_PROBES - 1)
     }
 
     /// Returns the pieces of the rim of a face that are neither inside earlier faces of its sheet nor continued by others;

@@ -28,7 +28,7 @@ impl Canvas {
         let mut file = File::new();
         file.add_dictionary("<</Type/Catalog/Pages 2 0 R>>");
         file.add_dictionary("<</Type/Pages/Kids[3 0 R]/Count 1>>");
-        // Object 3 is the page, object 4 its content; masks and images follow.
+        // Object 3 is the page, object 4 its content; images follow, each after its mask, as `File::add_image` adds them.
         let mut images = String::new();
         let mut next = 5;
         for (k, pixels) in page.images.iter().enumerate() {
@@ -96,9 +96,9 @@ impl<'a> Page<'a> {
     }
 
     /// Returns the index of a pair of opacities, added at its first use.
-    fn opacity_index(&mut self, expected: [f64; 2]) -> usize {
-        self.opacities.iter().position(|pair| *pair == expected).unwrap_or_else(|| {
-            self.opacities.push(expected);
+    fn opacity_index(&mut self, opacities: [f64; 2]) -> usize {
+        self.opacities.iter().position(|pair| *pair == opacities).unwrap_or_else(|| {
+            self.opacities.push(opacities);
             self.opacities.len() - 1
         })
     }

@@ -5,7 +5,7 @@
 //! neither it nor the fonts of plotters are compiled in, because the canvas does both. The numbers on axes are
 //! computed here: a logarithmic axis over less than a decade (N from 60 to 12) still needs numbers.
 
-use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, TEXT, text_width};
+use crate::canvas::{Anchor, Canvas, Colour, INK, LETTER_MIDDLE, Paint, Point, TEXT, text_width};
 use plotters::prelude::*;
 use plotters_backend::text_anchor::{HPos, VPos};
 use plotters_backend::{
@@ -33,7 +33,7 @@ pub(super) struct AxisScale {
 }
 
 impl AxisScale {
-    /// Creates the scale of an axis for these values; `None` if there are no data.
+    /// Creates the scale of an axis for these values; `None` without finite values, or if the given ends do not ascend.
     pub(super) fn new(axis: &ChartAxis, values: impl Iterator<Item = f64>) -> Option<Self> {
         let mut scale = Self { ends: (0.0, 0.0), log: axis.log };
         scale.ends = if let Some((low, high)) = axis.ends {
@@ -54,6 +54,12 @@ impl AxisScale {
     /// Returns the position of a coordinate along the axis, from 0 to 1.
     fn fraction(&self, coordinate: f64) -> f64 {
         (coordinate - self.ends.0) / (self.ends.1 - self.ends.0)
+    }
+
+    /// Returns the ticks that `fits` allows on an axis of this length: their pixels of plotters, and their labels.
+    fn keyed_ticks(&self, length: f64, fits: &dyn Fn(&[Tick]) -> bool) -> (Vec<i32>, Vec<String>) {
+        let key = |tick: Tick| (pixels(length * self.fraction(tick.0)), tick.1);
+        ticks(self.ends, self.log, fits).into_iter().map(key).unzip()
     }
 }
 
@@ -80,21 +86,16 @@ impl PlotArea {
         point.iter().all(|v| v.is_finite()).then_some(point)
     }
 
-    /// Draws grid, ticks and names. For plotters, both axes count its own pixels, so that the ticks computed here are
-    /// key points with known labels.
+    /// Draws grid, ticks and names; `height` is that of the chart without its legend. For plotters, both axes count its
+    /// pixels, so that the ticks computed here are key points with the labels computed here.
     pub(super) fn draw(&self, canvas: &mut Canvas, height: f64, [x, y]: [&ChartAxis; 2]) {
-        let pixels = |length: f64| (length * GRID).round() as i32;
         let (across, up) = (self.right - self.left, self.bottom - self.top);
         let fit = |all: &[Tick]| {
             let reach = |tick: &Tick| (across * self.x.fraction(tick.0), text_width(&tick.1) / 2.0);
             all.windows(2).map(|w| (reach(&w[0]), reach(&w[1]))).all(|((a, p), (b, q))| a + p + 8.0 < b - q)
         };
-        let keys = |ticks: Vec<Tick>, scale: &AxisScale, length: f64| -> (Vec<i32>, Vec<String>) {
-            let key = |tick: Tick| (pixels(length * scale.fraction(tick.0)), tick.1);
-            ticks.into_iter().map(key).unzip()
-        };
-        let (x_keys, x_labels) = keys(ticks(self.x.ends, x.log, &fit), &self.x, across);
-        let (y_keys, y_labels) = keys(ticks(self.y.ends, y.log, &|_| true), &self.y, up);
+        let (x_keys, x_labels) = self.x.keyed_ticks(across, &fit);
+        let (y_keys, y_labels) = self.y.keyed_ticks(up, &|_| true);
         let label = |keys: &[i32], labels: &[String], key: i32| {
             keys.iter().position(|k| *k == key).map_or_else(String::new, |k| labels[k].clone())
         };
@@ -133,6 +134,11 @@ fn to_rgb(colour: Colour) -> RGBColor {
 
 /// Pixels of plotters per unit of the canvas.
 pub(super) const GRID: f64 = 100.0;
+
+/// Converts a length on the canvas to pixels of plotters.
+fn pixels(length: f64) -> i32 {
+    (length * GRID).round() as i32
+}
 
 /// Backend of plotters.
 pub(super) struct PlottersBackend<'a>(pub(super) &'a mut Canvas);
@@ -188,12 +194,12 @@ impl DrawingBackend for PlottersBackend<'_> {
 
     fn draw_text<T: BackendTextStyle>(&mut self, words: &str, style: &T, at: BackendCoord) -> DrawResult {
         let [x, y] = to_point(at);
-        // From the given position down to the base line; the centre is that of small letters.
+        // From the given position down to the base line.
         let down = TEXT
             * match style.anchor().v_pos {
                 VPos::Top => 0.76,
-                VPos::Center => 0.27,
-                VPos::Bottom => -0.27,
+                VPos::Center => LETTER_MIDDLE,
+                VPos::Bottom => -LETTER_MIDDLE,
             };
         let anchor = match style.anchor().h_pos {
             HPos::Left => Anchor::Start,

@@ -6,7 +6,9 @@
 pub(crate) use super::axes::ChartAxis;
 use super::axes::{AxisScale, PlotArea};
 use super::marks::Style;
-use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, TEXT, TextStyle, text_width, truncate_text};
+use crate::canvas::{
+    Anchor, Canvas, Colour, INK, LETTER_MIDDLE, Paint, Point, TEXT, TextStyle, text_width, truncate_text,
+};
 use pwrfgs_train::Training;
 
 /// Dimensions of a chart.
@@ -162,7 +164,7 @@ impl Chart {
         }
         let mut marked: Vec<Point> = Vec::new();
         let mut select = |line: &ChartLine| {
-            // Marks at some points only distinguish lines: one on another mark is left out. Marks at all points are data.
+            // Marks at all points are data. Marks at a few points distinguish lines: those on another mark are left out.
             let are_data = line.marks.len() >= line.points.len();
             let is_free =
                 |at: &Point, marked: &[Point]| marked.iter().all(|[x, y]| (x - at[0]).hypot(y - at[1]) > MARK_DISTANCE);
@@ -207,7 +209,7 @@ impl Chart {
         for ((name, end), y) in names.into_iter().zip(separated_positions(&targets, 12.0, (frame.top, frame.bottom))) {
             canvas.line(&[[frame.right + 1.0, end], [frame.right + 6.0, y]], Paint::stroke(INK, 0.5));
             let left = frame.right + 8.0;
-            canvas.text([left, y + 0.27 * TEXT], Anchor::Start, truncate_text(name, canvas.width - left));
+            canvas.text([left, y + LETTER_MIDDLE * TEXT], Anchor::Start, truncate_text(name, canvas.width - left));
         }
     }
 }
@@ -215,8 +217,8 @@ impl Chart {
 /// Least distance of the centres of two marks.
 const MARK_DISTANCE: f64 = 8.0;
 
-/// Returns positions at least `step` apart and within `ends` if possible, each close to `targets` (ascending): one pass
-/// up and one pass down.
+/// Returns positions close to the ascending `targets` but at least `step` apart, and within `ends` if they have room. One pass
+/// moves them away from the first end, and one back from the last.
 fn separated_positions(targets: &[f64], step: f64, ends: (f64, f64)) -> Vec<f64> {
     let mut positions = targets.to_vec();
     for k in 1..positions.len() {
@@ -286,7 +288,7 @@ impl Legend {
             canvas.add_drawing([x, middle - SYMBOL / 2.0], 1.0, drawing);
             let left = x + drawing.width + INDENT;
             let room = (canvas.width - left) * TEXT / SIZE;
-            canvas.text([left, middle + 0.27 * SIZE], Anchor::Start, truncate_text(meaning, room));
+            canvas.text([left, middle + LETTER_MIDDLE * SIZE], Anchor::Start, truncate_text(meaning, room));
         }
     }
 }

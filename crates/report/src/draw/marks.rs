@@ -7,7 +7,9 @@ use crate::canvas::{Canvas, Colour, Paint, Point, VectorPath, WHITE};
 const COLOURS: [u32; 8] = [0x00_5aa0, 0xd5_5e00, 0x00_9e73, 0x78_286e, 0xe6_9f00, 0x10_1318, 0x56_b4e9, 0xcc_79a7];
 /// Greys of baselines.
 const GREYS: [u32; 2] = [0x3c_3f46, 0x8c_9098];
+/// Strokes of variants, the first for the first eight.
 const STROKES: [Stroke; 4] = [Stroke::FULL, Stroke::DASHED, Stroke::DASH_DOTTED, Stroke::DOTTED];
+/// Strokes of baselines.
 const DASHES: [Stroke; 3] = [Stroke::DASHED, Stroke::DOTTED, Stroke::DASH_DOTTED];
 /// Colour of published values.
 const GREY: Colour = Colour::hex(0x6e_727a);
@@ -78,11 +80,12 @@ impl Marker {
             };
             (0..n).map(corner).collect()
         };
-        let arms = [(0.34, 0.34), (1.0, 0.34), (1.0, -0.34), (0.34, -0.34)];
+        // The fourth corner of an arm is the first of the next.
+        let arm = [(0.34, 0.34), (1.0, 0.34), (1.0, -0.34)];
         let plus: Vec<(f64, f64)> = (0..4)
             .flat_map(|turn| {
                 let turned = move |(x, y): (f64, f64)| (0..turn).fold((x, y), |(x, y), _| (y, -x));
-                arms[..3].iter().map(move |&p| turned(p))
+                arm.iter().map(move |&p| turned(p))
             })
             .collect();
         match self {

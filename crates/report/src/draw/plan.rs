@@ -12,6 +12,12 @@ use pwrfgs_core::statistics::bounds;
 const FLATTEST: f64 = 0.12;
 /// Margins for names and numbers: left, top, right, bottom.
 const MARGINS: [f64; 4] = [44.0, 8.0, 10.0, 36.0];
+/// Largest coordinate that fits on an axis, metres; numbers on axes with larger ones are relative to a whole kilometre.
+const MOST_M: f64 = 9_999.0;
+/// Drawing units per tick of an axis.
+const TICK: f64 = 34.0;
+/// Minimum width of a map with title and note.
+const LEAST_WIDTH: f64 = 300.0;
 /// Size of the mark of a receiver.
 const RECEIVER: f64 = 5.4;
 
@@ -98,12 +104,12 @@ impl FloorPlan {
         canvas.upright_text([12.0, at[1] + size[1] / 2.0], y_title);
     }
 
-    /// Returns the ticks of an axis, as metres and labels, and its title. Large coordinates count from a round number.
+    /// Returns the ticks of an axis, as metres and labels, and its title.
     fn ticks_and_title(&self, axis: usize) -> (Vec<(f64, String)>, String) {
         let (low, high, name) = (self.low[axis], self.high[axis], self.names[axis]);
-        let is_far = low.abs().max(high.abs()) > 9_999.0;
+        let is_far = low.abs().max(high.abs()) > MOST_M;
         let start = if is_far { ((low + high) / 2e3).round() * 1e3 } else { 0.0 };
-        let tick_count = (((high - low) * self.scale / 34.0) as usize).max(2);
+        let tick_count = (((high - low) * self.scale / TICK) as usize).max(2);
         let ticks =
             few_ticks(low - start, high - start, tick_count).into_iter().map(|v| (v + start, tick_label(v))).collect();
         (ticks, if is_far { format!("{name} − {start} [m]") } else { format!("{name} [m]") })
@@ -122,7 +128,7 @@ impl FloorPlan {
     /// Adds axes, a title above the map and a note below it, wrapped to its width.
     pub(crate) fn with_title(&self, mut map: Canvas, title: &str, note: &str) -> Canvas {
         self.draw_axes(&mut map);
-        let width = self.size[0].max(300.0);
+        let width = self.size[0].max(LEAST_WIDTH);
         let note = wrap_text(note, width * TEXT / SMALL);
         let mut canvas = Canvas::new(width, HEAD + self.size[1] + LINE * (note.len() as f64 + 0.5));
         canvas.text([width / 2.0, 15.0], Anchor::Middle, title);
@@ -134,7 +140,7 @@ impl FloorPlan {
         canvas
     }
 
-    /// Writes the numbers from 1 beside `points`, with a white rim.
+    /// Writes the numbers from 1 beside `points`, to the right and up by these drawing units, with a white rim.
     pub(crate) fn draw_numbers(&self, canvas: &mut Canvas, points: &[Point], size: f64, [right, up]: Point) {
         let letters = canvas.letters;
         canvas.letters.size = size;
@@ -266,7 +272,7 @@ impl Heatmap<'_> {
         self.draw_arrows(&mut map, &plan);
         self.receivers.iter().for_each(|at| plan.draw_receiver(&mut map, *at));
         plan.draw_axes(&mut map);
-        let width = plan.size[0].max(300.0);
+        let width = plan.size[0].max(LEAST_WIDTH);
         let note = self.training_note(width);
         let mut canvas = Canvas::new(width, HEAD + plan.size[1] + FOOT + LINE * note.len() as f64);
         canvas.text([width / 2.0, 15.0], Anchor::Middle, &self.title);
@@ -359,12 +365,9 @@ impl Heatmap<'_> {
                     continue;
                 }
                 let far = [column, row].map(|k| self.step * k as f64);
-                let [px, py] = plan.project([self.first[0] + far[0], self.first[1] + far[1]]);
-                let [u, v] = [u / length, -v / length].map(|part| part * 0.36 * ARROWS * length.clamp(0.25, 1.0));
-                let tip = [px + u, py + v];
-                let barb = |side: f64| [tip[0] - 0.55 * u + side * 0.35 * v, tip[1] - 0.55 * v - side * 0.35 * u];
-                lines.add_line(&[[px - u, py - v], tip]);
-                lines.add_line(&[barb(1.0), tip, barb(-1.0)]);
+                let centre = plan.project([self.first[0] + far[0], self.first[1] + far[1]]);
+                let half = [u / length, -v / length].map(|part| part * 0.36 * ARROWS * length.clamp(0.25, 1.0));
+                lines.add_arrow(centre, half);
             }
         }
         canvas.path(lines.clone(), Paint::stroke(WHITE.with_opacity(0.75), 2.6));

@@ -53,6 +53,7 @@ impl RoomFigure {
         let mut view = RoomView::new(low, high, text_height);
         view.origin = data.scene.origin.0;
         let most = clouds.iter().map(|s| s.means.len()).max().unwrap_or(0);
+        // Many Gaussians are drawn smaller.
         let radius = (90.0 / (most.max(1) as f64).sqrt()).clamp(2.4, 6.0);
         let mut behind = view.empty_room();
         draw_points(&mut behind, &view, data);
@@ -252,12 +253,12 @@ fn scattered_order(n: usize) -> Vec<usize> {
     order
 }
 
-/// Limit beyond which the boresight is along the line of sight, within 20 degrees, and an arrow is too short.
+/// Cosine of 20 degrees, the angle between boresight and viewing direction below which an arrow would be too short.
 const HEAD_ON: f64 = 0.94;
 /// Radius of the ring.
 const RADIUS: f64 = 5.0;
 
-/// Arrow along the boresight. Along the line of sight it is drawn as in physics: a ring with a dot for an arrow towards
+/// Arrow along the boresight. Along the viewing direction it is drawn as in physics: a ring with a dot for an arrow towards
 /// the viewer, with a cross for an arrow away from the viewer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ReceiverArrow {

@@ -152,6 +152,7 @@ pub(crate) fn draw_sky(image: &Image, plane: &ImagePlane, scale: ColourScale, ma
     for elevation in [30.0, 60.0] {
         let radius = SKY * (1.0 - elevation / 90.0);
         canvas.circle(middle, radius, Paint::stroke(ring, 0.7));
+        // At 22.5 degrees below the horizontal, between two lines.
         let beside = [cx + radius * 0.924 + 2.0, cy + radius * 0.383 + 3.0];
         canvas.text(beside, Anchor::Start, format!("{elevation}°"));
     }
@@ -209,7 +210,7 @@ fn interpolate(image: &Image, wraps: bool, px: f64, py: f64) -> f64 {
     (at(x, y) * (1.0 - fx) + at(x + 1, y) * fx) * (1.0 - fy) + (at(x, y + 1) * (1.0 - fx) + at(x + 1, y + 1) * fx) * fy
 }
 
-/// Range of values along an axis of `n` pixels, from edge to edge.
+/// Range of values along an axis of pixels, from edge to edge.
 pub(super) struct Ruler {
     axis: AngleAxis,
     low: f64,

@@ -63,8 +63,10 @@ impl SurveyMap {
     }
 }
 
-/// Radius of a transmitter position: part of its share of the map, smallest and largest.
-const DOT: (f64, f64, f64) = (0.3, 1.2, 9.0);
+/// Radius of a transmitter position, as a part of the side of its share of the map.
+const DOT: f64 = 0.3;
+/// Smallest and largest radius of a transmitter position.
+const DOT_ENDS: [f64; 2] = [1.2, 9.0];
 
 /// Coverage of selected receivers, seen from above, metres.
 #[derive(Clone, Debug, Default)]
@@ -90,11 +92,10 @@ impl CoverageMap {
         let finite = self.powers.iter().copied().filter(|v| v.is_finite());
         let (low, high) = bounds(finite);
         let [width, height] = plan.map_area().1;
-        let (share, least, most) = DOT;
-        let radius = share * (width * height / self.transmitters.len().max(1) as f64).sqrt();
+        let radius = DOT * (width * height / self.transmitters.len().max(1) as f64).sqrt();
         for (position, power) in self.transmitters.iter().zip(&self.powers).filter(|(_, power)| power.is_finite()) {
             let colour = Colour::sequential((power - low) / (high - low).max(1e-9));
-            map.circle(plan.project(*position), radius.clamp(least, most), Paint::fill(colour));
+            map.circle(plan.project(*position), radius.clamp(DOT_ENDS[0], DOT_ENDS[1]), Paint::fill(colour));
         }
         for receiver in &self.others {
             map.circle(plan.project(*receiver), 3.0, Paint::fill(WHITE).outlined(INK, 1.0));

@@ -16,6 +16,8 @@ use std::f64::consts::TAU;
 const DOTS: usize = 150;
 const MEASURED: Colour = BLACK;
 const PREDICTED: Colour = Colour::hex(0xd5_5e00);
+/// Maximum number of marks on a line.
+const MARKS: usize = 70;
 /// Dimensions of three charts in a row.
 const ROW_STYLE: ChartStyle = ChartStyle { size: [380.0, 250.0], margins: [56.0, 10.0, 16.0, 38.0] };
 
@@ -38,9 +40,9 @@ fn frequencies<'a>(run: &LoadedRun<'a>) -> &'a [f64] {
     run.data.observations.frequencies_hz()
 }
 
-/// Returns the line, with marks if they are few enough to distinguish, or if nothing joins the points.
+/// Creates a line with a name, with marks if they are few enough to distinguish, or if nothing joins the points.
 fn marked_line(points: Vec<(f64, f64)>, colour: Colour, stroke: Stroke, marker: Marker, name: &str) -> ChartLine {
-    let has_marks = points.len() <= 70 || stroke == Stroke::None;
+    let has_marks = points.len() <= MARKS || stroke == Stroke::None;
     let style = Style { marker: has_marks.then_some(marker), ..Style::line(colour, 1.6, stroke) };
     let marks = if has_marks { points.clone() } else { Vec::new() };
     ChartLine { marks, ..ChartLine::new(points, style) }.named(name)
@@ -149,7 +151,7 @@ pub(super) fn power([re, im]: &[f64; 2]) -> f64 {
 }
 
 /// Returns magnitude (dB) and phase (degrees) of both, over the subcarriers of the strongest antenna or over the antennas,
-/// with name of the horizontal axis and, if there are several, the antenna.
+/// with the name of the horizontal axis and the index of the antenna; `None` over the antennas, or for a single one.
 pub(super) fn magnitude_and_phase(
     measured: &Gains,
     predicted: &Gains,
@@ -159,14 +161,10 @@ pub(super) fn magnitude_and_phase(
     let k = if over_antennas { 0 } else { measured.strongest_antenna() };
     let pick = |gains: &Gains| if over_antennas { gains.values.clone() } else { gains.antenna_gains(k).to_vec() };
     let (a, b) = (pick(measured), pick(predicted));
-    let middle = frequencies.iter().sum::<f64>() / frequencies.len().max(1) as f64;
-    let span = frequencies.iter().map(|f| (f - middle).abs()).fold(0.0, f64::max);
-    let (unit, name) = if span < 1e6 { (1e3, "kHz") } else { (1e6, "MHz") };
     let (across, words): (Vec<f64>, String) = if over_antennas {
         ((1..=a.len()).map(|n| n as f64).collect(), "antenna".into())
     } else {
-        let from = format!("{name} from {:.3} MHz", middle / 1e6);
-        (frequencies.iter().map(|f| (f - middle) / unit).collect(), from)
+        frequency_axis(frequencies)
     };
     let peak = a.iter().map(power).fold(0.0, f64::max);
     let level = |gains: &[[f64; 2]]| gains.iter().map(|gain| decibels(power(gain), peak)).collect::<Vec<_>>();
@@ -177,6 +175,16 @@ pub(super) fn magnitude_and_phase(
         words,
         (!over_antennas && measured.antennas > 1).then_some(k),
     )
+}
+
+/// Returns the distances of frequencies in Hz from their mean, in kHz for a narrow band and otherwise in MHz, and the name of
+/// their axis.
+fn frequency_axis(frequencies: &[f64]) -> (Vec<f64>, String) {
+    let middle = frequencies.iter().sum::<f64>() / frequencies.len().max(1) as f64;
+    let span = frequencies.iter().map(|f| (f - middle).abs()).fold(0.0, f64::max);
+    let (unit, name) = if span < 1e6 { (1e3, "kHz") } else { (1e6, "MHz") };
+    let words = format!("{name} from {:.3} MHz", middle / 1e6);
+    (frequencies.iter().map(|f| (f - middle) / unit).collect(), words)
 }
 
 /// Returns the ratio in decibels, 10 log₁₀, at least [`FLOOR_DB`].
@@ -204,7 +212,7 @@ fn unwrapped_phases(gains: &[[f64; 2]], from: Option<f64>) -> Vec<f64> {
 const FEWEST: usize = 4;
 /// Points along the delay axis per subcarrier.
 const FINE: usize = 4;
-/// Share of all delays that is drawn before 0.
+/// Part of all delays that is drawn before 0, as a divisor.
 const BEFORE: usize = 6;
 /// Maximum number of points along the delay axis.
 const MOST_DELAYS: usize = 2_048;
@@ -239,7 +247,7 @@ pub(super) fn delay_profiles(measured: &Gains, predicted: &Gains, frequencies: &
 }
 
 /// Returns |Σ h w exp(j 2π k `index`/`count`)|² with a raised-cosine window w, which keeps one path from masking all
-/// others.
+/// others. The exponent is negative unless the frequencies run `forward`.
 fn tap_power(gains: &[[f64; 2]], index: usize, count: usize, forward: bool) -> f64 {
     let subcarriers = gains.len() as f64;
     let sum = gains.iter().enumerate().fold([0.0; 2], |[x, y], (k, [re, im])| {

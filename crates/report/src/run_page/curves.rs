@@ -6,7 +6,8 @@ use crate::draw::marks::{Stroke, Style};
 use minijinja::{Value, context};
 use pwrfgs_core::statistics::{self, quantile};
 use pwrfgs_core::{Appearance, Headline};
-use pwrfgs_experiment::{IntervalScores, LoadedRun, record::series_column, scores::MODEL};
+use pwrfgs_experiment::record::{VALIDATION_MEAN, VALIDATION_MEDIAN, series_column};
+use pwrfgs_experiment::{IntervalScores, LoadedRun, scores::MODEL};
 
 /// Maximum number of ranges over which the loss is averaged.
 const MOST_RANGES: usize = 150;
@@ -19,13 +20,13 @@ const BASELINE_COLOURS: [u32; 8] =
 const BASELINES: usize = 5;
 
 /// Returns the index of a baseline in the table of scores; `None` for the model and its members.
-fn place(run: &LoadedRun<'_>, name: &str) -> Option<usize> {
+fn baseline_index(run: &LoadedRun<'_>, name: &str) -> Option<usize> {
     run.record.scores.table.baselines().position(|baseline| baseline == name)
 }
 
 /// Returns the style of a predictor, the same in all charts of a page.
 fn predictor_style(run: &LoadedRun<'_>, name: &str) -> Style {
-    match place(run, name) {
+    match baseline_index(run, name) {
         Some(k) => {
             let stroke = [Stroke::DASHED, Stroke::DASH_DOTTED, Stroke::DOTTED][k % 3];
             Style::line(Colour::hex(BASELINE_COLOURS[k % BASELINE_COLOURS.len()]), 2.0, stroke)
@@ -35,11 +36,17 @@ fn predictor_style(run: &LoadedRun<'_>, name: &str) -> Style {
     }
 }
 
-/// Selects the `most` best entries by the name and score that `of` returns, in their order; oracle baselines last.
-fn best_of<T>(run: &LoadedRun<'_>, entries: Vec<T>, most: usize, of: impl Fn(&T) -> (&String, f64)) -> Vec<T> {
+/// Selects the `most` best entries, in their order; an oracle baseline only if too few others exist. `name_and_score` returns
+/// the predictor of an entry and its score by the first metric.
+fn select_best<T>(
+    run: &LoadedRun<'_>,
+    entries: Vec<T>,
+    most: usize,
+    name_and_score: impl Fn(&T) -> (&String, f64),
+) -> Vec<T> {
     let headline = run.data.task().headline;
     let rank = |(k, entry): (usize, T)| {
-        let (name, score) = of(&entry);
+        let (name, score) = name_and_score(&entry);
         (run.record.scores.table.oracles.contains(name), headline.cost(score), k, entry)
     };
     let mut ranked: Vec<_> = entries.into_iter().enumerate().map(rank).collect();
@@ -59,8 +66,8 @@ type Figure = (String, String);
 pub(super) fn figures(run: &LoadedRun<'_>) -> Vec<Figure> {
     let mut figures = Vec::new();
     if !run.record.curve.is_empty() {
-        figures.extend(loss_figure(run, &run.record.curve_column(2)));
-        figures.extend(gaussians_figure(run, &run.record.curve_column(4)));
+        figures.extend(loss_figure(run, &run.record.loss_curve()));
+        figures.extend(gaussians_figure(run, &run.record.gaussians_curve()));
         figures.extend(validation_figure(run));
     }
     figures.extend(distribution_figure(run));
@@ -100,7 +107,7 @@ fn solid_line(points: Vec<(f64, f64)>, colour: Colour, width: f64) -> ChartLine 
 }
 
 /// Returns the addition to the title of a training curve: `, mean of 4 models`; empty for one model.
-fn of_models(run: &LoadedRun<'_>) -> String {
+fn models_suffix(run: &LoadedRun<'_>) -> String {
     let models = run.record.pipeline.members;
     if models > 1 { format!(", mean of {models} models") } else { String::new() }
 }
@@ -124,7 +131,7 @@ fn loss_figure(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     if points.len() > ranges.len() {
         lines.push(ChartLine::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)));
     }
-    draw_figure(format!("Training loss{}", of_models(run)), &chart_over_steps(run, true, lines))
+    draw_figure(format!("Training loss{}", models_suffix(run)), &chart_over_steps(run, true, lines))
 }
 
 /// Draws N over the steps on a logarithmic axis. `None` without points.
@@ -132,7 +139,7 @@ fn gaussians_figure(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure
     let lines = vec![solid_line(decimate_steps(points), MODEL_COLOUR, 2.0)];
     let splats = run.model.is_drawn_as(Appearance::Ellipsoids);
     let title = if splats { "Number of Gaussians" } else { "Number of virtual transmitters" };
-    draw_figure(format!("{title}{}", of_models(run)), &chart_over_steps(run, true, lines))
+    draw_figure(format!("{title}{}", models_suffix(run)), &chart_over_steps(run, true, lines))
 }
 
 /// Draws the validation score over the steps, with the baselines on the same samples; `None` without validations.
@@ -142,16 +149,16 @@ fn validation_figure(run: &LoadedRun<'_>) -> Option<Figure> {
         return None;
     }
     let mut lines = vec![
-        solid_line(series_column(rows, 1), MODEL_COLOUR, 3.0).named("model, mean"),
-        solid_line(series_column(rows, 2), LIGHT, 2.0).named("model, median"),
+        solid_line(series_column(rows, VALIDATION_MEAN), MODEL_COLOUR, 3.0).named("model, mean"),
+        solid_line(series_column(rows, VALIDATION_MEDIAN), LIGHT, 2.0).named("model, median"),
     ];
     let task = run.data.task();
     let baselines = run.record.facts.validation_baselines.iter().collect();
-    let shown = best_of(run, baselines, BASELINES - 1, |(name, mean): &&(String, f64)| (name, *mean));
+    let shown = select_best(run, baselines, BASELINES - 1, |(name, mean): &&(String, f64)| (name, *mean));
     for (name, mean) in shown {
         lines.push(ChartLine::horizontal(*mean, predictor_style(run, name)).named(name));
     }
-    let title = format!("Validation {}: {}{}", task.counted[1], task.headline.name, of_models(run));
+    let title = format!("Validation {}: {}{}", task.counted[1], task.headline.name, models_suffix(run));
     draw_figure(title, &chart_over_steps(run, false, lines))
 }
 
@@ -202,9 +209,10 @@ fn distribution_figure(run: &LoadedRun<'_>) -> Option<Figure> {
         let Some(values) = scores.sample_values(name, headline.key) else { continue };
         sorted.push((name, statistics::sorted(values.iter().copied())));
     }
-    let (baselines, models): (Vec<_>, Vec<_>) = sorted.into_iter().partition(|(name, _)| place(run, name).is_some());
+    let (baselines, models): (Vec<_>, Vec<_>) =
+        sorted.into_iter().partition(|(name, _)| baseline_index(run, name).is_some());
     let mean = |values: &[f64]| statistics::mean(values.iter().copied());
-    let shown = best_of(run, baselines, BASELINES, |(name, values): &(&String, Vec<f64>)| (*name, mean(values)));
+    let shown = select_best(run, baselines, BASELINES, |(name, values): &(&String, Vec<f64>)| (*name, mean(values)));
     let sorted = [models, shown].concat();
     let ends = axis_ends(&headline, &sorted);
     let (mut lines, mut members) = (Vec::new(), Some("members"));

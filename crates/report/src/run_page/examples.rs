@@ -2,7 +2,7 @@
 
 use crate::draw::spectra::{self, ColourScale, Mark};
 use minijinja::{Value, context};
-use pwrfgs_core::{Image, Result};
+use pwrfgs_core::{Image, ImagePlane, Result};
 use pwrfgs_experiment::{LoadedRun, scores::MODEL};
 
 /// Test link with its prediction.
@@ -95,12 +95,8 @@ pub(super) fn spectra_panels(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Va
     let example = |(example, error): (&Example, &Image)| {
         let Example { score, truth, prediction, .. } = example;
         let marks = [Mark::Measured(truth.argmax()), Mark::Predicted(prediction.argmax())];
-        let plane = run.model.plane();
-        let panel = |name: &str, image: &Image, scale, marks: &[Mark]| {
-            let map = spectra::draw_map(image, plane, scale, marks).svg("map", name);
-            let sky = spectra::draw_sky(image, plane, scale, marks).map(|canvas| canvas.svg("sky", name));
-            context! { name, map, sky }
-        };
+        let panel =
+            |name, image: &Image, scale, marks: &[Mark]| draw_panel(run.model.plane(), name, image, scale, marks);
         context! {
             ssim => format!("{score:.3}"),
             peaks => describe_peaks(run, truth, prediction),
@@ -113,6 +109,13 @@ pub(super) fn spectra_panels(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Va
         }
     };
     (chosen.iter().zip(&errors).map(example).collect(), limit)
+}
+
+/// Draws a spectrum as a map and, if the plane has angles, as a sky plot; returns them for the template.
+fn draw_panel(plane: &ImagePlane, name: &str, image: &Image, scale: ColourScale, marks: &[Mark]) -> Value {
+    let map = spectra::draw_map(image, plane, scale, marks).svg("map", name);
+    let sky = spectra::draw_sky(image, plane, scale, marks).map(|canvas| canvas.svg("sky", name));
+    context! { name, map, sky }
 }
 
 /// Returns the difference `a` minus `b`, pixel by pixel.

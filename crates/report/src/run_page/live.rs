@@ -28,8 +28,8 @@ const PREDICTED_IN_PAGE: [&str; 3] = ["Fixed", "Mlp", "Factored"];
 /// Last statement of the script.
 const START: &str = "startReport();\n";
 
-/// Returns the values of the interactive part for the template: always the script, which also sorts tables; the stage only if positions are
-/// known.
+/// Returns the values of the interactive part for the template: always the script, which also sorts tables; the stage only
+/// with transmitter positions and a test set.
 pub(super) fn section(run: &LoadedRun<'_>) -> Value {
     let script = bundle(START);
     let digest = script_hash(&script);
@@ -37,7 +37,7 @@ pub(super) fn section(run: &LoadedRun<'_>) -> Value {
         return context! { script, digest };
     }
     let model = model_bytes(run);
-    let gaussians = fits_page(run.model).then(|| {
+    let gaussians = has_few_gaussians(run.model).then(|| {
         let origin = origin(&run.model.members()[0].stages.setup, Some(run.data));
         gaussians(run.model, origin, None).to_bytes()
     });
@@ -68,7 +68,7 @@ fn encode_base64(bytes: &[u8]) -> String {
 }
 
 /// Returns whether the Gaussians are few enough for a page.
-fn fits_page(model: &Ensemble) -> bool {
+fn has_few_gaussians(model: &Ensemble) -> bool {
     (1..=GAUSSIANS).contains(&model.gaussians())
 }
 
@@ -91,8 +91,8 @@ fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     compress::to_bytes(run.model, compress::Bits::Eight).ok().filter(|bytes| bytes.len() <= COMPRESSED_BYTES)
 }
 
-/// Chooses the test links whose observations are in the page: evenly from best to worst, as many as fit, `alone` or with
-/// predictions, and the median. Ascending.
+/// Chooses the test links whose observations are in the page, ascending: as many as fit, evenly from best to worst, and the
+/// median link. Observations are `alone`, or with a prediction of the same size.
 fn choose_links(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
     let task = run.data.task();
     let numbers = if task.is_scalar { run.data.scene.receivers.len() } else { run.data.width * run.data.height };
@@ -143,7 +143,7 @@ fn room_tensors(run: &LoadedRun<'_>, links: &[usize]) -> TensorBundle {
     tensors.note["median"] = json!(median_link(run).and_then(|link| links.binary_search(&link).ok()));
     tensors.note["sides"] = json!([{
         "name": run.record.pipeline.name,
-        "gaussians": fits_page(run.model).then(|| run.model.gaussians()),
+        "gaussians": has_few_gaussians(run.model).then(|| run.model.gaussians()),
         "members": run.model.members().len(),
         "ellipsoids": ellipsoids,
         "training_limit_m": run.model.training_limit(),

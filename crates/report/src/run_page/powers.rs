@@ -62,6 +62,7 @@ fn signed_db(db: f64) -> String {
 /// Draws the histogram of errors in per cent of the test links, with its title; the outermost bars contain the last hundredth
 /// at each end. `None` without errors, or if they are too large.
 fn draw_histogram(errors: &[f64]) -> Option<(&'static str, String)> {
+    errors.first()?;
     let reach = quantile(errors, 0.01).abs().max(quantile(errors, 0.99).abs());
     let reach = if reach > 0.0 { reach } else { 1.0 };
     let step = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0].into_iter().find(|s| 2.0 * reach / s <= BARS as f64)?;
@@ -70,7 +71,7 @@ fn draw_histogram(errors: &[f64]) -> Option<(&'static str, String)> {
     for error in errors {
         counts[((error / step).floor() as i64).clamp(-half, half - 1).abs_diff(-half) as usize] += 1;
     }
-    let share = |count: usize| 100.0 * count as f64 / errors.len().max(1) as f64;
+    let share = |count: usize| 100.0 * count as f64 / errors.len() as f64;
     let edge = |k: usize| (k as i64 - half) as f64 * step;
     let mut outline = vec![(edge(0), 0.0)];
     for (k, &count) in counts.iter().enumerate() {
@@ -91,12 +92,12 @@ fn draw_histogram(errors: &[f64]) -> Option<(&'static str, String)> {
     let name = format!("test links per {step} dB, %");
     let y = ChartAxis { name, ends: Some((0.0, 1.05 * most.max(1e-9))), log: false };
     let title = "Errors of the model";
-    (!errors.is_empty()).then_some(())?;
     Some((title, Chart { x, y, lines, ..Chart::default() }.draw()?.svg("chart", title)))
 }
 
 /// Draws the predicted against the measured power with the line of equality, with its title; `None` without links.
 fn draw_scatter(pairs: &[PowerPair], unit: &str) -> Option<(&'static str, String)> {
+    pairs.first()?;
     let dots: Vec<(f64, f64)> = evenly(pairs, DOTS).iter().map(|pair| (pair.measured, pair.predicted)).collect();
     let all = || dots.iter().flat_map(|(a, b)| [*a, *b]);
     let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
@@ -110,7 +111,7 @@ fn draw_scatter(pairs: &[PowerPair], unit: &str) -> Option<(&'static str, String
     let axis = |name: &str| ChartAxis { name: format!("{name}, {unit}"), ends: Some(ends), log: false };
     let chart = Chart { x: axis("measured"), y: axis("predicted"), lines, ..Chart::default() };
     let title = "Predicted against measured";
-    if pairs.is_empty() { None } else { Some((title, chart.draw()?.svg("chart", title))) }
+    Some((title, chart.draw()?.svg("chart", title)))
 }
 
 /// Returns the best, median and worst link as table rows.

@@ -112,19 +112,7 @@ pub(super) fn receiver_table(run: &LoadedRun<'_>) -> Option<Value> {
         .collect();
     let receiving: Vec<usize> = (0..receivers.len()).filter(|&r| !per_receiver[r].is_empty()).collect();
     let row = |&r: &usize| {
-        let summary = |(_, values): &(&String, &[f64])| {
-            let scores: Vec<f64> = per_receiver[r].iter().filter_map(|&k| values.get(k).copied()).collect();
-            Summary::of(&scores, headline.higher)
-        };
-        let summaries: Vec<Summary> = predictors.iter().map(summary).collect();
-        let rivals = || summaries.iter();
-        let cells = |summary: &Summary| {
-            [
-                marked_number(summary.mean, rivals().map(|other| other.mean), headline.higher),
-                marked_number(summary.median, rivals().map(|other| other.median), headline.higher),
-            ]
-        };
-        let cells: Vec<(String, &str)> = summaries.iter().flat_map(cells).collect();
+        let cells = receiver_cells(&predictors, &per_receiver[r], headline.higher);
         context! { name => receivers[r].name.clone(), links => per_receiver[r].len(), cells }
     };
     (!predictors.is_empty() && !receiving.is_empty()).then(|| {
@@ -136,6 +124,23 @@ pub(super) fn receiver_table(run: &LoadedRun<'_>) -> Option<Value> {
             silent => receivers.len() - receiving.len(),
         }
     })
+}
+
+/// Formats mean and median of each of `predictors` (name and values per test sample) over `samples`, positions in these values,
+/// each with its mark.
+fn receiver_cells(predictors: &[(&String, &[f64])], samples: &[usize], higher: bool) -> Vec<(String, &'static str)> {
+    let summary = |(_, values): &(&String, &[f64])| {
+        let scores: Vec<f64> = samples.iter().filter_map(|&k| values.get(k).copied()).collect();
+        Summary::of(&scores, higher)
+    };
+    let summaries: Vec<Summary> = predictors.iter().map(summary).collect();
+    let cells = |summary: &Summary| {
+        [
+            marked_number(summary.mean, summaries.iter().map(|other| other.mean), higher),
+            marked_number(summary.median, summaries.iter().map(|other| other.median), higher),
+        ]
+    };
+    summaries.iter().flat_map(cells).collect()
 }
 
 /// Formats `value` with the mark `best` if none of `all` is better, otherwise no mark.

@@ -31,9 +31,15 @@ pub(super) enum RowKind {
 }
 
 impl RowKind {
-    /// Returns the name of the statistic in CSV files.
+    /// Returns the name of the type in CSV files.
     pub(super) fn name(self) -> &'static str {
-        ["variant", "external", "baseline", "oracle", "ceiling"][self as usize]
+        match self {
+            Self::Variant => "variant",
+            Self::External => "external",
+            Self::Baseline => "baseline",
+            Self::Oracle => "oracle",
+            Self::Ceiling => "ceiling",
+        }
     }
 }
 
@@ -66,10 +72,15 @@ pub(super) enum SummaryStatistic {
 impl SummaryStatistic {
     /// Returns the name of the statistic in CSV files.
     pub(super) fn name(self) -> &'static str {
-        ["mean", "median", "tail10", "value"][self as usize]
+        match self {
+            Self::Mean => "mean",
+            Self::Median => "median",
+            Self::Tail10 => "tail10",
+            Self::Whole => "value",
+        }
     }
 
-    /// Returns the index of the statistic among the numbers of a score cell.
+    /// Returns the index of the statistic in [`numbers`](pwrfgs_experiment::scores::ScoreCell::numbers).
     fn index(self) -> usize {
         match self {
             Self::Mean | Self::Whole => 0,
@@ -156,7 +167,7 @@ impl ComparisonRow<'_> {
 pub(super) struct Comparison<'a> {
     pub(super) setting: &'a Setting,
     pub(super) rows: Vec<ComparisonRow<'a>>,
-    /// Metrics in the order of the runs, then training set and training time.
+    /// Metrics in the order of the runs, then training set, training time and, with residuals, share.
     pub(super) metrics: Vec<MetricRow>,
     pub(super) blocks: Blocks,
 }
@@ -188,8 +199,9 @@ impl<'a> Comparison<'a> {
         machines.next().is_none_or(|first| machines.all(|machine| machine == first))
     }
 
-    /// Returns whether the best value of a metric is marked: not for times of several machines or sizes of training sets.
-    pub(super) fn ranks(&self, metric: &MetricRow) -> bool {
+    /// Returns whether the best value of a metric is marked: not for shares, sizes of training sets, and times of several
+    /// machines.
+    pub(super) fn is_ranked(&self, metric: &MetricRow) -> bool {
         ![TRAINED_ON, SHARE].contains(&metric.key.as_str()) && (!is_time(metric) || self.has_one_machine())
     }
 
@@ -324,9 +336,10 @@ fn all_metrics(setting: &Setting) -> Vec<MetricRow> {
     metrics
 }
 
+/// Columns of `report.csv`.
 const HEADER: &str = "setting simulated variant kind metric unit statistic value std n reference low high";
 
-/// Formats `report.csv`: one line per number: all metrics of all rows of all settings, with references.
+/// Formats `report.csv`, one line per number, from comparisons and the labels of their references.
 ///
 /// Columns: setting, simulated, variant, kind (`variant`, `external`, `baseline`, `oracle` for an oracle baseline,
 /// `ceiling`), metric, unit, statistic (`mean`, `median`, `tail10` over test samples, the last at the worse end; `value`

@@ -73,6 +73,18 @@ impl Figure {
         Chart { style, ..chart }.draw().map(|canvas| Self::new(name, setting, words, &canvas))
     }
 
+    /// Adds remarks to the caption: the parts `common` to all labels, and the number of `hidden` variants.
+    fn with_remarks(mut self, common: &str, hidden: usize) -> Self {
+        if !common.is_empty() {
+            _ = write!(self.caption, " All variants: {common}.");
+        }
+        if hidden > 0 {
+            let advice = "`pwrfgs report --variants` selects them.";
+            _ = write!(self.caption, " Variants that are not shown: {hidden}; {advice}");
+        }
+        self
+    }
+
     /// Creates a figure of `canvas` in all formats, with title and caption of the template, which gets `words`.
     fn new(name: &str, setting: &Setting, words: Value, canvas: &Canvas) -> Self {
         let (least, most) = setting.seed_counts();
@@ -116,26 +128,19 @@ pub fn draw_figures(setting: &Setting, chosen: &[String], progress: Progress<'_>
     let from_data: [(&Setting, FromData); 3] =
         [(curves, panels::room_figure), (curves, panels::spectra_figure), (curves, rate::figure)];
     let count = from_scores.len() + from_data.len();
-    let says_rest = |shown: &Setting, mut figure: Figure| {
-        let hidden = setting.variants.len() - shown.variants.len();
-        if std::ptr::eq(shown, curves) && !common.is_empty() {
-            _ = write!(figure.caption, " All variants: {common}.");
-        }
-        if hidden > 0 {
-            let advice = "`pwrfgs report --variants` selects them.";
-            _ = write!(figure.caption, " Variants that are not shown: {hidden}; {advice}");
-        }
-        figure
+    let with_remarks = |shown: &Setting, figure: Figure| {
+        let common = if std::ptr::eq(shown, curves) { common.as_str() } else { "" };
+        figure.with_remarks(common, setting.variants.len() - shown.variants.len())
     };
     let mut figures = Vec::new();
     for (done, (shown, make)) in from_scores.iter().enumerate() {
-        figures.extend(make(shown).map(|figure| says_rest(shown, figure)));
+        figures.extend(make(shown).map(|figure| with_remarks(shown, figure)));
         progress(done + 1, count);
     }
     let drawn = setting.variants[0].runs[0].load_data(&mut NoopObserver).and_then(|data| {
         let mut drawn = Vec::new();
         for (done, (shown, make)) in from_data.iter().enumerate() {
-            drawn.extend(make(shown, &data)?.map(|figure| says_rest(shown, figure)));
+            drawn.extend(make(shown, &data)?.map(|figure| with_remarks(shown, figure)));
             progress(from_scores.len() + done + 1, count);
         }
         Ok(drawn)

@@ -149,8 +149,8 @@ fn render_documents(page: &StudyPage) -> Result<Vec<(String, String)>> {
     Ok(all)
 }
 
-/// Returns the table for a template: groups neighbouring columns of one title and lines of one kind; separates the
-/// sentences of the legend that are not in `printed`, those of the tables above, and adds them to `printed`.
+/// Returns the table for a template, with groups of neighbouring columns of one title and of lines of one kind. `printed` are the
+/// sentences in the legends of the tables above; the sentences of this legend that are new are `fresh`, and are added.
 fn table_context<'a>(table: &'a Table, printed: &mut Vec<&'a str>) -> Value {
     let fresh: Vec<&str> = table.legend.iter().map(String::as_str).filter(|s| !printed.contains(s)).collect();
     printed.extend(&fresh);
@@ -174,8 +174,8 @@ fn text_tables(page: &StudyPage) -> String {
         _ = writeln!(out, "{}", section.title);
         for table in section.tables.iter().filter(|t| ["ranks", "scores", "differences"].contains(&t.name)) {
             _ = write!(out, "\n{}\n{}", table.title, align_columns(&text_lines(table), 1));
-            let how = if table.is_marked() { "* best, + second best" } else { "[95 % interval], * excludes 0" };
-            _ = writeln!(out, "{how}");
+            let legend = if table.is_marked() { "* best, + second best" } else { "[95 % interval], * excludes 0" };
+            _ = writeln!(out, "{legend}");
         }
         out.push('\n');
         let warnings = section.warnings.iter().map(|w| format!("warning: {w}\n"));

@@ -103,11 +103,11 @@ fn check_columns(comparisons: &[Comparison<'_>], columns: &[String]) -> Result<(
     let Some(name) = columns.iter().find(|name| comparisons.iter().all(|c| c.column(name).is_none())) else {
         return Ok(());
     };
-    let known = distinct(comparisons.iter().flat_map(|c| c.metrics.iter().map(|metric| metric.key.as_str())));
-    let hint = did_you_mean(name, known.iter().copied());
-    let known = known.join("`, `");
+    let names = distinct(comparisons.iter().flat_map(|c| c.metrics.iter().map(|metric| metric.key.as_str())));
+    let hint = did_you_mean(name, names.iter().copied());
+    let names = names.join("`, `");
     let advice = "add `.median` or `.tail10` to a metric of test samples for another statistic than the mean";
-    Err(Error::Config(format!("--columns: no column `{name}`{hint} (found `{known}`); {advice}")))
+    Err(Error::Config(format!("--columns: no column `{name}`{hint} (found `{names}`); {advice}")))
 }
 
 impl Section {

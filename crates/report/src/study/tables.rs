@@ -106,6 +106,21 @@ impl Table {
     }
 }
 
+/// Formats score and rank of a method at one number of Gaussians; empty if the method does not reach it.
+fn rank_cell(result: Option<(Spread, usize)>) -> FormattedValue {
+    let Some((score, rank)) = result else { return FormattedValue::default() };
+    FormattedValue {
+        value: format!("{} ({rank})", number(score.mean)),
+        deviation: score.deviation.map_or_else(String::new, number),
+        mark: match rank {
+            1 => RankMark::Best,
+            2 => RankMark::Second,
+            _ => RankMark::None,
+        },
+        ..FormattedValue::default()
+    }
+}
+
 /// Returns the table of score and rank of each method at each number of Gaussians, best mean rank first; `None` without
 /// equal numbers.
 pub(super) fn rank_table(setting: &Setting) -> Option<Table> {
@@ -120,19 +135,7 @@ pub(super) fn rank_table(setting: &Setting) -> Option<Table> {
     let mut columns: Vec<TableColumn> = pareto.numbers.iter().map(column).collect();
     columns.push(TableColumn { title: "mean rank".into(), detail: String::new(), arrow: "↓" });
     let lines = pareto.families.iter().map(|family| {
-        let cell = |pair: &Option<_>| {
-            pair.map_or_else(FormattedValue::default, |(score, rank): (Spread, usize)| FormattedValue {
-                value: format!("{} ({rank})", number(score.mean)),
-                deviation: score.deviation.map_or_else(String::new, number),
-                mark: match rank {
-                    1 => RankMark::Best,
-                    2 => RankMark::Second,
-                    _ => RankMark::None,
-                },
-                ..FormattedValue::default()
-            })
-        };
-        let mut cells: Vec<FormattedValue> = family.places.iter().map(cell).collect();
+        let mut cells: Vec<FormattedValue> = family.results.iter().copied().map(rank_cell).collect();
         let mean = family.mean_rank();
         let value = if mean.is_finite() { format!("{mean:.1}") } else { String::new() };
         cells.push(FormattedValue { value, ..FormattedValue::default() });

@@ -1,8 +1,8 @@
-//! `Effort`: how long a proposed pipeline trains, and the settings that fit the number of places.
+//! `Effort`: how long a proposed pipeline trains, and the settings that fit the number of positions.
 
 use super::survey::{DataSurvey, longest_side};
 
-/// Number of known places below which a set is small: training is short, and several models share the noise.
+/// Number of known positions below which a set is small: training is short, and several models share the noise.
 pub(super) const SMALL: usize = 1_000;
 /// Largest number of pixels of known spectra that the largest effort stores, in 100 MB; else residuals have a stride.
 const STORED_PIXELS: usize = 25_000_000;
@@ -15,7 +15,7 @@ pub enum Effort {
     /// The default: up to two minutes on two cores for small sets.
     #[default]
     Normal,
-    /// Twice as many models for few places, with wider networks; four for many places.
+    /// Twice as many models for few positions, with wider networks; four for many positions.
     Best,
 }
 
@@ -33,7 +33,7 @@ impl Effort {
         }
     }
 
-    /// Returns one of three values.
+    /// Returns the value of this effort.
     fn pick<T>(self, fast: T, normal: T, best: T) -> T {
         match self {
             Self::Fast => fast,
@@ -43,7 +43,7 @@ impl Effort {
     }
 }
 
-/// Settings for the number of known places and the effort, with their reasons.
+/// Settings for the number of known positions and the effort, with their reasons.
 pub(super) struct Sizing {
     /// Number of models.
     models: usize,
@@ -58,7 +58,7 @@ impl Sizing {
     pub(super) fn of(survey: &DataSurvey, effort: Effort) -> Self {
         let data = &survey.data;
         let has_residuals = data.features.is_none() && !data.scene.moving.is_receiver() && !data.task().is_complex;
-        let mut sizing = if survey.known_places() < SMALL && has_residuals {
+        let mut sizing = if survey.known_positions() < SMALL && has_residuals {
             Self::small(survey, effort)
         } else {
             Self::large(survey, effort)
@@ -74,28 +74,28 @@ impl Sizing {
         sizing
     }
 
-    /// Chooses the settings for many places: those of the template, with more or less time.
+    /// Chooses the settings for many positions: those of the template, with more or less time.
     fn large(survey: &DataSurvey, effort: Effort) -> Self {
         let mut set: Vec<String> = (effort == Effort::Fast).then(|| "training.scale=0.25".into()).into_iter().collect();
         if survey.data.task().is_scalar {
-            // As many as the 4,000 of the template, which has 3,840 places.
-            set.push(format!("training.steps={}", survey.known_places().clamp(1_200, 4_000)));
+            // As many as the 4,000 of the template, which has 3,840 positions.
+            set.push(format!("training.steps={}", survey.known_positions().clamp(1_200, 4_000)));
         }
         let models = effort.pick("one model, a quarter of the steps", "one model", "four models, four times as long");
         let notes = vec![format!("{models}; `pwrfgs check` measures the time.")];
         Self { models: effort.pick(1, 1, 4).min(survey.known_parts().max(1)), set, notes }
     }
 
-    /// Chooses the settings for few places: several models, each without a part of the places, and short training against
-    /// learning noise. Steps, jitter, width and decay were chosen by held-out blocks of five training sets
+    /// Chooses the settings for few positions: several models, each without a part of the positions, and short training against
+    /// overfitting. Steps, jitter, width and decay were chosen by held-out blocks of five training sets
     /// (docs/lab/init.md).
     fn small(survey: &DataSurvey, effort: Effort) -> Self {
-        let (data, places) = (&survey.data, survey.known_places());
+        let (data, positions) = (&survey.data, survey.known_positions());
         let is_power = data.task().is_scalar;
-        let (steps, most) = if is_power { ((4 * places).clamp(400, 1_200), 32) } else { (600, 16) };
+        let (steps, most) = if is_power { ((4 * positions).clamp(400, 1_200), 32) } else { (600, 16) };
         let batch = survey.batch_size(most);
-        // Of the parts of four models, two of eight leave out each, so the share of a mean is chosen. A step at many receivers
-        // takes about as long as two steps at few.
+        // Two of eight models leave out each of the four parts, so that the share of a mean is chosen. A step at many receivers
+        // takes about as long as two steps at few receivers.
         let has_short_steps = is_power && survey.batch_note(batch).is_none();
         let models = if has_short_steps { effort.pick(1, 8, 16) } else { effort.pick(1, 4, 8) };
         let models =
@@ -119,7 +119,7 @@ impl Sizing {
         } else {
             "one model in".into()
         };
-        let mut notes = vec![format!("{places} known places are few: {each} {steps} steps.")];
+        let mut notes = vec![format!("{positions} known places are few: {each} {steps} steps.")];
         let against_noise = "Shifted positions, a small network and weight decay keep models from learning noise.";
         notes.extend(is_power.then(|| against_noise.into()));
         notes.push(

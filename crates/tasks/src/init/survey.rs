@@ -10,21 +10,23 @@ use pwrfgs_experiment::{Observer, check_findings, describe_observations, run_sta
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Candidate cell edges of a split that holds out space, in powers of ten of a metre; the first with enough cells is used.
+/// Candidate cell edges of a split that holds out space, times the powers of ten, metres; the largest with enough cells is used.
 const EDGES: [f64; 4] = [5.0, 3.0, 2.0, 1.0];
+/// Exponents of the powers of ten.
 const POWERS: std::ops::RangeInclusive<i32> = -2..=5;
-/// Number of cells that suffices for such a split; and for edges of at most three spacings of the positions, below which
-/// cells are no regions.
+/// Number of cells that suffices for such a split.
 const CELLS: usize = 50;
+/// Number of cells that suffices if their edges are at most [`SiteSize::block_edge`], since smaller cells are no regions.
 const LEAST_CELLS: usize = 12;
 /// Number of links per step above which a batch has fewer transmitters; `ble` has 128 transmitters at 21 receivers.
 const LINKS: usize = 2_720;
 /// Distance of test to training transmitters below which the file has a note, metres.
 const NEAR: f64 = 0.05;
 
-const UNKNOWN: &str = "no known layout of data: expected spectrum/ and gateway_info.yml, or spectra.npy (spectra); gateway_rssi.csv \
-                       and gateway_position.yml (received powers); channel.npy and receiver.yml, or csidata.npy and \
-                       base-station.yml (channels); sparse/0/images.txt and images/ (images of a camera); see docs/data.md";
+/// Problem of a folder without data of a known layout.
+const UNKNOWN: &str = "no known layout of data: expected spectrum/ and gateway_info.yml, or spectra.npy (spectra); \
+                       gateway_rssi.csv and gateway_position.yml (received powers); channel.npy and receiver.yml, or csidata.npy \
+                       and base-station.yml (channels); sparse/0/images.txt and images/ (images of a camera); see docs/data.md";
 
 /// Creates the error for a folder without data of a known layout, or for a file or path in its place.
 pub fn unknown_folder_error(folder: &Path) -> Error {
@@ -78,7 +80,8 @@ pub struct DataSurvey {
 }
 
 impl DataSurvey {
-    /// Loads the data in `folder` and suggests a split; warns of findings on the data. `accepted` are the names of accepted findings.
+    /// Loads the data in `folder` and suggests a split; warns of findings on the data. `accepted` are the names of accepted
+    /// findings.
     ///
     /// # Errors
     /// No data of a known layout, invalid data, or errors of [`Self::of_data`].
@@ -118,8 +121,8 @@ impl DataSurvey {
         if width >= 120 && width.is_multiple_of(3) && height.is_multiple_of(3) { 3 } else { 1 }
     }
 
-    /// Returns the number of places of the training and validation sets.
-    pub(super) fn known_places(&self) -> usize {
+    /// Returns the number of positions in the training and validation sets.
+    pub(super) fn known_positions(&self) -> usize {
         let known = self.partition.known().all();
         known.iter().map(|&i| self.data.links[i].location).collect::<BTreeSet<_>>().len()
     }
@@ -152,7 +155,7 @@ impl DataSurvey {
         self.partition.train.len().div_ceil(self.data.locations_of(&self.partition.train).len().max(1)).max(1)
     }
 
-    /// Describes the size of a `batch` that the number of links limits.
+    /// Describes the size of a `batch` that the number of links limits; `None` if it does not.
     pub(super) fn batch_note(&self, batch: usize) -> Option<String> {
         let links = self.links_per_transmitter();
         (batch == (LINKS / links).max(1)).then(|| {
@@ -248,6 +251,7 @@ pub(super) fn longest_side(data: &Dataset) -> f64 {
 fn suggest_cell_edge(data: &Dataset) -> Option<f64> {
     let positions = || data.locations.iter().map(Location::position);
     let site = SiteSize::new(positions());
+    // Parsed, so that each edge is the number nearest to its decimal form.
     let edges = POWERS.rev().flat_map(|power| EDGES.map(|edge| format!("{edge}e{power}").parse().unwrap_or(edge)));
     edges.into_iter().take_while(|edge| *edge >= 2.0 * site.spacing).find(|&edge: &f64| {
         let cells = positions().map(|position| block_of(position, edge)).collect::<BTreeSet<_>>().len();

@@ -26,7 +26,10 @@ pub fn read_known_pipeline(path: Option<&Path>, set: &[String], has_observations
         None => {
             let problem =
                 format!("no {PIPELINE} next to this model; use the model of a run folder, or give only observations");
-            Err(path.map_or_else(|| Error::Config(problem.clone()), |path| Error::input(path, problem.clone())))
+            Err(match path {
+                Some(path) => Error::input(path, problem),
+                None => Error::Config(problem),
+            })
         }
     }
 }

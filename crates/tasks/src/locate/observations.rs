@@ -96,16 +96,14 @@ impl UnlocatedObservations<'_> {
         Ok(pixels)
     }
 
-    /// Computes the features per spectrum or channel at the only receiver, from the numbers of all. Numbers that are
-    /// not finite or out of range are errors, as are several receivers.
+    /// Computes the features of each spectrum or channel at the only receiver, from the concatenated `values`. Returns an error
+    /// for several receivers, and for values that are not finite or out of range.
     fn image_features(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
         if self.data.scene.receivers.len() != 1 {
-            return Err(self.error(format!(
-                    "an array has the {} of one receiver, the model has {}; localise samples of its data set instead (leave out the file)",
-                    self.features.task().plural,
-                    self.data.scene.receivers.len()
-                ),
-            ));
+            let (plural, receivers) = (self.features.task().plural, self.data.scene.receivers.len());
+            let advice = "localise samples of its data set instead (leave out the file)";
+            let problem = format!("an array has the {plural} of one receiver, the model has {receivers}; {advice}");
+            return Err(self.error(problem));
         }
         let (width, height) = self.features.size();
         let numbers = width * height;
@@ -116,10 +114,11 @@ impl UnlocatedObservations<'_> {
             let row = at / numbers + 1;
             return Err(self.error(format!("observation {row} has a value that is not finite; leave it out")));
         }
-        let (has_pixels, range) = (self.features.task().has_pixels, ["up to 1e9", "linear, from 0 to 1"]);
+        let has_pixels = self.features.task().has_pixels;
+        let range = if has_pixels { "linear, from 0 to 1" } else { "up to 1e9" };
         let is_far = |v: &Real| if has_pixels { !is_linear(*v as f64) } else { gain_fault([*v as f64, 0.0]).is_some() };
         if let Some(at) = values.iter().position(is_far) {
-            let (row, range) = (at / numbers + 1, range[usize::from(has_pixels)]);
+            let row = at / numbers + 1;
             return Err(self.error(format!("observation {row} has the value {:e}; give numbers {range}", values[at])));
         }
         let features = |pixels: &[Real]| self.features.extract(&Image { width, height, pixels: pixels.to_vec() });

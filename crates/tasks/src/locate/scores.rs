@@ -12,10 +12,11 @@ use std::fmt::Write as _;
 
 /// Largest number of validation samples that are located for the expected error.
 const EXPECTED: usize = 200;
+/// Name of the baseline that locates all samples at the mean of the training positions.
 const CENTRE: &str = "centre of the positions";
 
-/// Formats the table of the errors of the located test samples of `split` and of the baselines, with a verdict; `has_kriging`:
-/// also those with fingerprints of Kriging.
+/// Formats the table of the errors of the located test samples of `split` and of the baselines, with a verdict. `has_kriging`
+/// adds the errors with fingerprints of Kriging.
 pub(super) fn format_errors(
     located: &[&Located],
     locator: &Locator<'_>,
@@ -136,8 +137,8 @@ impl Samples<'_> {
         Ok(Some((locator.choice, located.collect())))
     }
 
-    /// Compares the first entry with the centre if it is not better than that, else with the best of the others; empty
-    /// without an interval of the difference.
+    /// Compares the first entry with the centre if it is not better, else with the best of the other entries; empty if they have
+    /// no difference.
     fn verdict(&self, entries: &[Entry]) -> String {
         let transmitters = self.transmitters.iter().map(|t| self.data.locations[*t]);
         let blocks = Blocks::new(&transmitters.clone().map(|tx| (tx.id, Some(tx.position()))).collect());

@@ -7,8 +7,9 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// Numbers of queries per call and per step of the progress bar.
+/// Number of queries per call.
 const CALL: usize = 64;
+/// Number of queries per step of the progress bar.
 const STEP: usize = 2_048;
 
 /// Quantity of a map.

@@ -33,13 +33,7 @@ pub fn place_in_scene(scene: &SceneFile, settings: &PlaceSettings, session: &mut
     }
     let stop = session.stop;
     let ascent = run_stage(session.observer, "ascent", |_| floor.ascend(count, settings.seed, stop))?;
-    let mut choices = vec![PlacedReceivers {
-        short: "ascent",
-        name: "ascent".into(),
-        receivers: ascent.receivers.iter().map(|[x, y]| (String::new(), [*x, *y, floor.mount()])).collect(),
-        coverage: ascent.coverage,
-        cells: format_cells(ascent.coverage, ascent.positions, ascent.links),
-    }];
+    let mut choices = vec![ascent_choice(&ascent, &floor)];
     let mut notes = vec![format!(
         "coverage: 10th percentile of the strongest simulated power over {} transmitters at {} m",
         grouped(transmitters as i64),
@@ -59,6 +53,17 @@ pub fn place_in_scene(scene: &SceneFile, settings: &PlaceSettings, session: &mut
     let map = coverage_map(&scene.name, &floor, ascent);
     let header = ["coverage (dBm)", "positions traced", "links traced"].map(str::to_owned).to_vec();
     Ok(Placement { header, choices, notes, map })
+}
+
+/// Creates the choice of the ascent over `floor`.
+fn ascent_choice(ascent: &AscentResult, floor: &SceneCoverage) -> PlacedReceivers {
+    PlacedReceivers {
+        short: "ascent",
+        name: "ascent".into(),
+        receivers: ascent.receivers.iter().map(|[x, y]| (String::new(), [*x, *y, floor.mount()])).collect(),
+        coverage: ascent.coverage,
+        cells: format_cells(ascent.coverage, ascent.positions, ascent.links),
+    }
 }
 
 /// Chooses the best subset of the receiver positions on the grid, and averages random subsets. `grid` holds the powers

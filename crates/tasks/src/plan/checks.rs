@@ -7,8 +7,10 @@ use std::path::Path;
 
 /// Largest number of candidates among which positions are selected.
 pub(super) const MOST: usize = 20_000;
-/// Largest distance of the candidates from the known measurements, in diagonals of these.
+/// Largest distance of the candidates from the known measurements, in extents of these.
 const FAR: f64 = 10.0;
+/// Largest number of candidates whose distance is computed, evenly chosen.
+const SAMPLED: usize = 100;
 
 /// Rejects a number of positions that is 0 or larger than `total`, that of the candidates, or [`MOST`].
 pub(super) fn check_count(count: usize, total: usize) -> Result<()> {
@@ -37,7 +39,7 @@ pub(super) fn check_distance(candidates: &[[f64; 3]], measured: &[[f64; 3]], pat
     let extent = measured.iter().map(|position| distance(*position, *first)).fold(0.0, f64::max).max(1.0);
     let gap =
         |position: &[f64; 3]| measured.iter().map(|near| distance(*near, *position)).fold(f64::INFINITY, f64::min);
-    let nearest = evenly(candidates, 100).iter().map(gap).fold(f64::INFINITY, f64::min);
+    let nearest = evenly(candidates, SAMPLED).iter().map(gap).fold(f64::INFINITY, f64::min);
     if nearest <= FAR * extent {
         return Ok(());
     }

@@ -81,8 +81,8 @@ pub(super) struct PredictionWriter<'a> {
 }
 
 impl<'a> PredictionWriter<'a> {
-    /// Creates the writer of predictions of `model` into `folder`, after the complete rows that it has; also returns their
-    /// number. `stacked` is the number of all spectra or channels if they are in common arrays, not in files of their own.
+    /// Creates the writer of predictions of `model` into `folder`, which continues after the complete rows there; also returns
+    /// their number. `stacked` is the number of all predictions if these share arrays; `None` if each has a file.
     pub(super) fn resume(
         folder: &'a PartialFolder,
         model: &'a Prepared<'a>,
@@ -149,6 +149,8 @@ impl<'a> PredictionWriter<'a> {
         let spreads: Vec<&Image> = rows.iter().filter_map(|(_, drawn)| drawn.spread.as_ref()).collect();
         let intervals = || rows.iter().filter_map(|(_, drawn)| drawn.interval.as_ref());
         let (lower, upper) = intervals().map(|interval| (&interval.lower, &interval.upper)).unzip();
+        // In the order of `stacks_of`. Standard deviations of values in [0, 1] are at most 0.5, so twice them fill the grey
+        // scale.
         let kinds = [("", 1.0, images), (SPREAD, 2.0, spreads), ("-lower", 1.0, lower), ("-upper", 1.0, upper)];
         for (k, (suffix, gain, images)) in kinds.iter().filter(|(.., images)| !images.is_empty()).enumerate() {
             let write_image = |(image, (row, _)): (&&Image, &PredictedRow<'_>)| {
@@ -244,7 +246,7 @@ impl Stack {
     }
 }
 
-/// Returns the arrays of `count` spectra or channels, with their deviations and bounds.
+/// Returns the arrays of `count` spectra or channels: predictions, deviations, lower and upper bounds, as far as they exist.
 fn stacks_of(model: &Prepared<'_>, has_interval: bool, count: usize) -> Vec<Stack> {
     let (is_complex, plane) = (model.task().is_complex, model.plane());
     let size = [count, if is_complex { plane.height / 2 } else { plane.height }, plane.width];
@@ -264,8 +266,8 @@ fn stacks_of(model: &Prepared<'_>, has_interval: bool, count: usize) -> Vec<Stac
     std::iter::once(first).chain(further).collect()
 }
 
-/// Counts the complete lines at the start of a partial table, at most `limit`, and their bytes; a quoted cell may have line
-/// breaks. None if there is no such file.
+/// Counts the complete lines at the start of a partial table, at most `limit`, and their bytes; 0 without the file. A quoted
+/// cell may have line breaks.
 fn complete_lines(path: &Path, limit: usize) -> Result<(usize, u64)> {
     let Some(file) = files::if_found(path, files::open(path))? else { return Ok((0, 0)) };
     let (mut reader, mut line) = (BufReader::new(file), Vec::new());

@@ -4,7 +4,7 @@ use super::comparison::describe_comparison;
 use super::{QueryParams, RequestError};
 use crate::predictor::Predictor;
 use crate::side::{LoadedData, ViewPane};
-use crate::state::ServerState;
+use crate::state::{CURVE_COLUMNS, ServerState};
 use hyper::StatusCode;
 use pwrfgs_core::{
     Appearance, Call, Image, MethodTraits, Needs, Origin, Parameters, PixelSubset, Query, Real, Statistic, neighbours,
@@ -22,6 +22,8 @@ use std::sync::Arc;
 const POINTS: usize = 8_000;
 /// Maximum number of rows of the curve on the page.
 const ROWS: usize = 600;
+/// Least side of a radio map, metres: positions may lie on a line.
+const LEAST_SIDE_M: f64 = 0.1;
 /// Number of positions along the longer side of a radio map.
 const ACROSS: usize = 60;
 
@@ -251,13 +253,13 @@ fn map_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     }
     let data = &loaded_data(side)?.data;
     let corners = [data.scene.bounds.0, data.scene.bounds.1].map(|corner| data.scene.origin.world(corner));
-    let [width, height] = [0, 1].map(|k| (corners[1][k] - corners[0][k]).max(0.1));
+    let [width, height] = [0, 1].map(|k| (corners[1][k] - corners[0][k]).max(LEAST_SIDE_M));
     let step = width.max(height) / ACROSS as f64;
-    let cells = |k: usize, side: f64| {
-        let count = (side / step).round().max(1.0);
+    let centres = |k: usize, length: f64| {
+        let count = (length / step).round().max(1.0);
         [corners[0][k] + 0.5 * step, corners[0][k] + (count - 0.5) * step]
     };
-    let bounds = PlaneBounds([cells(0, width), cells(1, height)]);
+    let bounds = PlaneBounds([centres(0, width), centres(1, height)]);
     let grid = PlaneGrid::new(MapPlane { axis: 2, coordinate: z }, bounds, step, 1)
         .map_err(|e| bad_request(&e.to_string()))?;
     let predict = |queries: &[Query<'_>]| predictor.predict_many(queries);
@@ -285,12 +287,12 @@ fn location_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     let (locator, data) = (fitted.borrow_dependent(), &loaded.data);
     let transmitter = data.links[i].location;
     let truth = data.locations[transmitter].position();
-    let is_known = data.locations_of(&loaded.partition.train).contains(&transmitter);
+    let is_training = data.locations_of(&loaded.partition.train).contains(&transmitter);
     let observation = locator.observations(data, &[transmitter]).concat();
-    let located = locator.locate_without(&observation, is_known.then_some(truth));
+    let located = locator.locate_without(&observation, is_training.then_some(truth));
     let mut bundle = TensorBundle::new(json!({
         "estimate": located.position, "truth": truth, "error_m": neighbours::distance(located.position, truth),
-        "misfit": located.misfit, "part": loaded.partition.set_of(i) as u8, "left_out": is_known,
+        "misfit": located.misfit, "part": loaded.partition.set_of(i) as u8, "left_out": is_training,
         "no_region": locator.missing_regions(),
     }));
     if let Some(region) = &located.region {
@@ -313,7 +315,7 @@ fn curve_bundle(side: &ViewPane) -> TensorBundle {
         rows.iter().enumerate().filter(|(k, _)| (k + 1).is_multiple_of(stride) || k + 1 == rows.len()).collect();
     let field = |row: &[Option<f64>], k: usize| row.get(k).copied().flatten().unwrap_or(f64::NAN) as Real;
     let mut bundle = TensorBundle::new(json!({ "rows": shown.len() }));
-    bundle.put("curve", &[shown.len(), 3], shown.iter().flat_map(|(_, row)| [0, 2, 4].map(|k| field(row, k))));
+    bundle.put("curve", &[shown.len(), 3], shown.iter().flat_map(|(_, row)| CURVE_COLUMNS.map(|k| field(row, k))));
     bundle
 }
 

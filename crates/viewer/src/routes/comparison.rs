@@ -7,7 +7,7 @@ use pwrfgs_core::{Image, LinkSet, Query, neighbours};
 use serde_json::{Value, json};
 
 /// Tolerance for positions that the page has rounded, metres.
-const SAME_PLACE: f64 = 1e-3;
+const SAME_POSITION: f64 = 1e-3;
 
 /// Describes the measurement that the prediction `image` is compared with: link, distance, score and set; `None` without one.
 pub(super) fn describe_comparison(
@@ -31,7 +31,7 @@ pub(super) fn describe_comparison(
 fn compared_link(loaded: &LoadedData, parameters: &QueryParams, query: Query<'_>) -> Option<(usize, f64)> {
     let is_requested = |i: &usize| {
         let sample = loaded.data.sample(*i);
-        let is_near = |tx: [f64; 3]| neighbours::distance(sample.position(), tx) < SAME_PLACE;
+        let is_near = |tx: [f64; 3]| neighbours::distance(sample.position(), tx) < SAME_POSITION;
         parameters.tx.is_none_or(|tx| sample.receiver == parameters.receiver && is_near(tx))
     };
     let requested = parameters.link.filter(|i| *i < loaded.data.len()).filter(is_requested);

@@ -12,7 +12,7 @@ use pwrfgs_core::{Error, Result, recognise};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
-pub(crate) struct PlaceOptions {
+pub(crate) struct PositionOptions {
     /// Data folder, run folder, model file or model of the program
     #[arg(value_name = "SOURCE", required_unless_present_any = ["candidates", "floor"])]
     pub(crate) source: Option<PathBuf>,
@@ -31,8 +31,8 @@ pub(crate) struct PlaceOptions {
 }
 
 /// Reads the positions that the arguments name.
-pub(super) fn read_places(arguments: &PlaceOptions, progress: &mut RunProgress) -> Result<Places> {
-    let places = arguments.source.as_ref().map_or_else(|| Ok(Places::default()), |path| read_known(path, progress))?;
+pub(super) fn read_positions(arguments: &PositionOptions, progress: &mut RunProgress) -> Result<Places> {
+    let places = arguments.source.as_ref().map_or_else(|| Ok(Places::default()), |path| read_source(path, progress))?;
     let (candidates, path) = match (&arguments.candidates, &arguments.floor) {
         (Some(path), _) => (read_transmitters(path)?, path),
         (_, Some(path)) => (floor_positions(path, arguments.step, arguments.height)?, path),
@@ -49,7 +49,7 @@ fn stem(path: &Path) -> String {
 }
 
 /// Reads the positions of a data folder, run folder or model.
-fn read_known(path: &Path, progress: &mut RunProgress) -> Result<Places> {
+fn read_source(path: &Path, progress: &mut RunProgress) -> Result<Places> {
     if let Some(source) = recognise(path) {
         let data = run_stage(progress, "data", |progress| source.load(Path::new(""), progress))?;
         return Places::of_data(data).map_err(in_file(path));

@@ -6,9 +6,9 @@ use pwrfgs_core::npy::Header;
 use pwrfgs_core::{Error, Real, Result};
 use std::path::Path;
 
-const AXES: &str = "--axes names every axis once, in order: m (positions), a (antennas), f (subcarriers), and of real arrays ri or \
-                    ir (length 2: real and imaginary part, or imaginary part first), such as --axes m,a,f,ri; save pairs in one row with \
-                    a.reshape(len(a), -1, 2)";
+const AXES: &str = "--axes names every axis once, in order: m (positions), a (antennas), f (subcarriers), and of real \
+                    arrays ri or ir (length 2: real and imaginary part, or imaginary part first), such as \
+                    --axes m,a,f,ri; save pairs in one row with a.reshape(len(a), -1, 2)";
 
 /// Numbers of a file of channels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,10 +21,40 @@ pub(super) enum Part {
     Imaginary([usize; 3]),
 }
 
+/// Axis of an array.
+struct Axis {
+    /// Index of the next number.
+    index: usize,
+    length: usize,
+    /// Distance of neighbours in the list of gains, in numbers.
+    step: usize,
+}
+
+/// Position of the next number of a file in the list of gains.
+struct Cursor {
+    at: usize,
+    /// Axes of the file, the one that varies fastest first.
+    axes: Vec<Axis>,
+}
+
+impl Cursor {
+    /// Moves to the position of the number after the next.
+    fn advance(&mut self) {
+        for Axis { index, length, step } in &mut self.axes {
+            (*index, self.at) = (*index + 1, self.at.wrapping_add(*step));
+            if *index < *length {
+                break;
+            }
+            self.at = self.at.wrapping_sub(step.wrapping_mul(*length));
+            *index = 0;
+        }
+    }
+}
+
 impl Part {
-    /// Reads the gains of a file to the end of `gains`, row-major, each number to its place, and returns M, A and F; `names` are
-    /// those of the axes of the file, such as `m,a,f`. Imaginary parts go to the last `gains`.
-    /// Returns an error for names that do not fit the axes, or imaginary parts that do not fit the real ones.
+    /// Appends the gains of a file to `gains`, row-major, and returns M, A and F; imaginary parts go to the last `gains`. `names`
+    /// are those of the axes of the file, such as `m,a,f`. Returns an error for names that do not fit the axes, or imaginary
+    /// parts that do not fit the real ones.
     pub(super) fn read(self, path: &Path, names: &str, gains: &mut Vec<[Real; 2]>) -> Result<[usize; 3]> {
         if extension(path) == "mat" {
             let (mat, npy) = (path.display(), path.with_extension("npy"));
@@ -79,19 +109,12 @@ impl Part {
             "ri" => 1,
             _ => usize::MAX,
         };
-        let mut axes: Vec<(usize, usize, usize)> = axes.iter().map(|(name, n)| (0, *n, step(name))).collect();
-        let gains = gains.as_flattened_mut();
+        let axes = axes.iter().map(|&(name, length)| Axis { index: 0, length, step: step(name) }).collect();
+        let (mut cursor, gains) = (Cursor { at, axes }, gains.as_flattened_mut());
         numbers.read(file, |piece| {
             for value in piece {
-                gains[at] = *value as Real;
-                for (index, length, step) in &mut axes {
-                    (*index, at) = (*index + 1, at.wrapping_add(*step));
-                    if *index < *length {
-                        break;
-                    }
-                    at = at.wrapping_sub(step.wrapping_mul(*length));
-                    *index = 0;
-                }
+                gains[cursor.at] = *value as Real;
+                cursor.advance();
             }
         })?;
         Ok(size)

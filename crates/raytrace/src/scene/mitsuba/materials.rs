@@ -55,8 +55,8 @@ impl<'a> Reader<'a> {
     /// Returns the finish of a `bsdf` element, which is read at its first use. Returns the errors of
     /// [`Self::read_material`].
     fn finish_of(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
-        let known = self.attribute(node, "id")?.and_then(|id| self.finishes.get(&id).cloned());
-        known.map_or_else(|| self.read_material(node, scene), Ok)
+        let finish = self.attribute(node, "id")?.and_then(|id| self.finishes.get(&id).cloned());
+        finish.map_or_else(|| self.read_material(node, scene), Ok)
     }
 
     /// Reads a `bsdf` element: adds its finish to `finishes`, and a material with constants of its own to `scene`. Returns
@@ -68,11 +68,11 @@ impl<'a> Reader<'a> {
         let plain = id.strip_prefix("mat-").unwrap_or(&id);
         let itu = plain.strip_prefix("itu_").or_else(|| plain.strip_prefix("itu-"));
         let itu = itu.filter(|name| kind != "radio-material" || itu_names.contains(name));
-        let own = [&*id, plain].into_iter().find(|name| self.own.contains(name));
+        let scene_material = [&*id, plain].into_iter().find(|name| self.scene_materials.contains(name));
         if ["radio-material", "itu-radio-material"].contains(&&*kind) {
             self.check_properties(node)?;
         }
-        let material = if let Some(name) = own {
+        let material = if let Some(name) = scene_material {
             name.to_owned()
         } else if kind == "itu-radio-material" || itu.is_some() {
             if kind == "radio-material" {
@@ -80,15 +80,7 @@ impl<'a> Reader<'a> {
                     "has the constants of ITU-R P.2040, as in Sionna RT, not those in the file; rename it to keep them";
                 warn_once(self.path, format_args!("material {shown} {reason}"));
             }
-            let type_node = property_element(node, "type");
-            let stated = type_node.map(|child| self.required_attribute(child, "value")).transpose()?;
-            let name = stated.or(itu.map(str::to_owned)).unwrap_or_default();
-            if !itu_names.contains(&&*name) {
-                let (hint, all) = (did_you_mean(&name, itu_names.iter().copied()), itu_names.join(", "));
-                let problem = format!("unknown ITU material {}{hint}; its `type` is one of {all}", quoted(&name));
-                return Err(self.fault(type_node.unwrap_or(node), problem));
-            }
-            name
+            self.itu_name(node, itu)?
         } else {
             let problem = "is not a radio material; rename it to `itu_concrete` or another ITU material, set its type to \
                         `itu-radio-material`, or give its constants in `materials` of a scene file";
@@ -109,6 +101,21 @@ impl<'a> Reader<'a> {
         let finish = Finish { material, thickness_m, roughness };
         self.finishes.insert(id, finish.clone());
         Ok(finish)
+    }
+
+    /// Returns the name of the ITU-R P.2040 material of a `bsdf` element: its property `type`, else the name in its id. Returns
+    /// an error for an unknown name, or without one.
+    fn itu_name(&self, node: Element<'_>, name_in_id: Option<&str>) -> Result<String> {
+        let type_node = property_element(node, "type");
+        let stated = type_node.map(|child| self.required_attribute(child, "value")).transpose()?;
+        let name = stated.or(name_in_id.map(str::to_owned)).unwrap_or_default();
+        let names = material::itu_material_names();
+        if names.contains(&&*name) {
+            return Ok(name);
+        }
+        let (hint, all) = (did_you_mean(&name, names.iter().copied()), names.join(", "));
+        let problem = format!("unknown ITU material {}{hint}; its `type` is one of {all}", quoted(&name));
+        Err(self.fault(type_node.unwrap_or(node), problem))
     }
 
     /// Reads the finish of a shape: inside it, which is also added to `scene`, or referenced. Returns an error if it is

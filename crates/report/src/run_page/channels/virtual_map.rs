@@ -105,7 +105,7 @@ fn disc_radius(db: f64) -> f64 {
     RADIUS * (1.0 + db.max(-RANGE_DB) / RANGE_DB).max(0.03).sqrt()
 }
 
-/// Draws the legend of the marks; `has_points` tells the bounds of the scene from those of the data.
+/// Draws the legend of the marks. The dashed frame is the bounds of the scene if the scene `has_points`, otherwise of the data.
 fn draw_legend(has_points: bool) -> Canvas {
     let mut canvas = Canvas::new(620.0, 24.0);
     let (mut x, y) = (12.0, 12.0);

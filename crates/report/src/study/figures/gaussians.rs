@@ -78,7 +78,7 @@ fn axis_ends(setting: &Setting) -> (f64, f64) {
         let before = curve.iter().rposition(|point| !is_last(point))?;
         curve.get(before + 1).map(|point| point.0)
     };
-    let last = setting.runs().filter_map(|run| changed(run.curve_column(4))).fold(0.0, f64::max);
+    let last = setting.runs().filter_map(|run| changed(run.gaussians_curve())).fold(0.0, f64::max);
     (if least as f64 == most || last == 0.0 { most } else { most.min(AFTER * last) }, most)
 }
 
@@ -96,7 +96,7 @@ fn shared_phases(setting: &Setting) -> Vec<Band> {
 /// Returns the minimum, mean and maximum N at each step up to `end` that all runs of the variant recorded.
 fn seed_range(variant: &StudyVariant, end: f64) -> [Vec<(f64, f64)>; 3] {
     let mut at: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
-    for (step, n) in variant.runs.iter().flat_map(|r| r.curve_column(4)) {
+    for (step, n) in variant.runs.iter().flat_map(|r| r.gaussians_curve()) {
         at.entry(step as u64).or_default().push(n);
     }
     at.retain(|step, all| *step as f64 <= end && all.len() == variant.runs.len());

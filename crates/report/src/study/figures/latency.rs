@@ -43,6 +43,18 @@ impl<'a> Bar<'a> {
     fn stage_sum(&self) -> f64 {
         self.stages.iter().sum()
     }
+
+    /// Formats the text at the end of the bar: total and deviation, milliseconds.
+    fn end_text(&self) -> String {
+        match self.total.deviation {
+            // Two digits of the deviation, and as many decimals of the mean.
+            Some(deviation) if deviation > 0.0 => {
+                let decimals = (1.0 - deviation.log10().floor()).clamp(0.0, 6.0) as usize;
+                format!("{:.decimals$} ± {deviation:.decimals$}", self.total.mean)
+            }
+            _ => number(self.total.mean),
+        }
+    }
 }
 
 /// Draws the latency by stage as stacked bars; `None` without timed variants.
@@ -106,19 +118,5 @@ fn draw_bars(bars: &[Bar<'_>], longest: f64) -> Canvas {
 fn draw_box(canvas: &mut Canvas, at: Point, size: Point, shade: u32) {
     if size[0] >= 0.005 {
         canvas.rect(at, size, Paint::fill(Colour::hex(shade)).outlined(INK, 0.6));
-    }
-}
-
-impl Bar<'_> {
-    /// Formats the text at the end of the bar: total and deviation, milliseconds.
-    fn end_text(&self) -> String {
-        match self.total.deviation {
-            // Two digits of the deviation, and as many decimals of the mean.
-            Some(deviation) if deviation > 0.0 => {
-                let decimals = (1.0 - deviation.log10().floor()).clamp(0.0, 6.0) as usize;
-                format!("{:.decimals$} ± {deviation:.decimals$}", self.total.mean)
-            }
-            _ => number(self.total.mean),
-        }
     }
 }

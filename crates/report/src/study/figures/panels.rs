@@ -72,8 +72,10 @@ fn draw_rooms(canvas: &mut Canvas, row: &[Panel], width: f64, top: f64) -> f64 {
     bottom
 }
 
-/// Maximum numbers of shown baselines and of shown methods.
-const MOST_COLUMNS: [usize; 2] = [2, 5];
+/// Maximum number of columns of baselines.
+const MOST_BASELINES: usize = 2;
+/// Maximum number of columns of methods.
+const MOST_METHODS: usize = 5;
 /// Margins for the names of rows and the elevation axis.
 const LEFT: f64 = 94.0;
 /// Gap between panels.
@@ -84,7 +86,7 @@ const BAR: f64 = 160.0;
 const WIDEST: f64 = 220.0;
 
 /// Test spectrum with its predictions.
-struct ComparisonRow {
+struct SpectrumRow {
     name: &'static str,
     id: u32,
     truth: Image,
@@ -107,7 +109,7 @@ pub(super) fn spectra_figure(setting: &Setting, data: &Dataset) -> Result<Option
         return Ok(None);
     }
     let methods = one_variant_per_method(setting);
-    let shown = &methods[..methods.len().min(MOST_COLUMNS[1])];
+    let shown = &methods[..methods.len().min(MOST_METHODS)];
     let columns = spectra_columns(setting, shown, data)?;
     let row = |(name, id): (&'static str, u32)| {
         let index = (0..data.len()).find(|&i| data.label(i) == id)?;
@@ -115,11 +117,11 @@ pub(super) fn spectra_figure(setting: &Setting, data: &Dataset) -> Result<Option
             Some(((column.predict)(data.query(index)).clamped(), *column.scores.get(&id)?))
         };
         let predicted = columns.iter().map(predict).collect::<Option<_>>()?;
-        Some(ComparisonRow { name, id, truth: data.image(index), predicted })
+        Some(SpectrumRow { name, id, truth: data.image(index), predicted })
     };
     let trained = &columns[columns.len() - shown.len()..];
     let scores: Vec<&BTreeMap<u32, f64>> = trained.iter().map(|column| &column.scores).collect();
-    let rows: Vec<ComparisonRow> = choose_samples(&scores).into_iter().filter_map(row).collect();
+    let rows: Vec<SpectrumRow> = choose_samples(&scores).into_iter().filter_map(row).collect();
     if rows.is_empty() {
         return Ok(None);
     }
@@ -157,7 +159,7 @@ fn baseline_columns<'a>(setting: &Setting, data: &'a Dataset) -> Result<Vec<Pred
     let mut ranked: Vec<(&str, f64)> = all.filter_map(|name| Some((name, score(name)?))).collect();
     ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut columns = Vec::new();
-    for (name, _) in ranked.into_iter().take(MOST_COLUMNS[0]) {
+    for (name, _) in ranked.into_iter().take(MOST_BASELINES) {
         let scored_run = setting.runs().find_map(|run| Some((run.scores.values_by_id(name, "ssim")?, run)));
         let Some((scores, run)) = scored_run else { continue };
         let Some(baseline) = run.pipeline.baselines.iter().find(|baseline| baseline.name_for(task) == name) else {
@@ -183,7 +185,7 @@ fn choose_samples(scores: &[&BTreeMap<u32, f64>]) -> Vec<(&'static str, u32)> {
 }
 
 /// Draws the spectra: a row per sample, and a column for the measurement and each predictor.
-fn draw_spectra(predictors: &[&str], rows: &[ComparisonRow], plane: &ImagePlane) -> Canvas {
+fn draw_spectra(predictors: &[&str], rows: &[SpectrumRow], plane: &ImagePlane) -> Canvas {
     let columns = 1 + predictors.len();
     let mut canvas = Canvas::new(if columns == 2 { COLUMN } else { PAGE }, 0.0);
     let space = (canvas.width - LEFT - 14.0 + GAP) / columns as f64 - GAP;

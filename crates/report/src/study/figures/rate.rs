@@ -6,7 +6,7 @@ use super::tradeoff::row_style;
 use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::Style;
 use minijinja::context;
-use pwrfgs_core::{Dataset, Error, Measurement, Metric, Plugin, Result, evenly};
+use pwrfgs_core::{Baseline, Dataset, Error, Measurement, Metric, Plugin, Result, evenly};
 use pwrfgs_experiment::{EvaluationSet, NoopObserver, Predictor, ScoredPredictor, Session, Setting};
 
 /// Ends of the axis and steps between, dB.
@@ -64,7 +64,7 @@ fn baseline_lines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metri
     let run = &setting.variants[0].runs[0];
     let (partition, model) = (run.partition(data)?, run.model(data)?);
     let samples = EvaluationSet::new(data, &evenly(&partition.test, SAMPLES), model.plane());
-    let line = |(k, baseline): (usize, &Plugin<dyn pwrfgs_core::Baseline>)| {
+    let line = |(k, baseline): (usize, &Plugin<dyn Baseline>)| {
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name();
         let scored = ScoredPredictor { name: &name, predictor: Predictor::Baseline(&*fitted), metrics };
@@ -72,14 +72,12 @@ fn baseline_lines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metri
         Ok(ChartLine::new(loss_curve(&measured), row_style(setting, k, &name)).named_at_end(&name))
     };
     // The files of an external baseline may have been moved since the run.
-    let is_readable =
-        |baseline: &&Plugin<dyn pwrfgs_core::Baseline>| baseline.check_test(data, &partition.test).is_ok();
+    let is_readable = |baseline: &&Plugin<dyn Baseline>| baseline.check_test(data, &partition.test).is_ok();
     let shown = grey_baselines(setting);
-    let place = |baseline: &Plugin<dyn pwrfgs_core::Baseline>| {
-        shown.iter().find(|(_, name)| *name == baseline.name()).map(|(k, _)| *k)
-    };
+    let line_index =
+        |baseline: &Plugin<dyn Baseline>| shown.iter().find(|(_, name)| *name == baseline.name()).map(|(k, _)| *k);
     let readable = run.pipeline.baselines.iter().filter(is_readable);
-    readable.filter_map(|baseline| Some((place(baseline)?, baseline))).map(line).collect()
+    readable.filter_map(|baseline| Some((line_index(baseline)?, baseline))).map(line).collect()
 }
 
 /// Returns the signal-to-noise ratios at which η is computed, dB.

@@ -12,12 +12,12 @@ const GREY_CURVES: usize = 3;
 pub(super) struct ShownVariants {
     /// All variants, or the chosen ones.
     pub(super) all: Setting,
-    /// Those of at most [`CURVES`] methods, the best by the first metric.
+    /// Variants of at most [`CURVES`] methods, the best by the first metric.
     pub(super) methods: Setting,
-    /// At most [`CURVES`] variants of these: one per method, or of a single method evenly. Their labels lack the parts
-    /// that all have.
+    /// At most [`CURVES`] variants of `methods`: one per method, or of a single method evenly. Their labels lack the parts
+    /// in `common`.
     pub(super) curves: Setting,
-    /// These parts, such as `N 24`; empty if there are none.
+    /// Parts that the labels of all curves have, such as `N 24`; empty if there are none.
     pub(super) common: String,
 }
 
@@ -42,8 +42,9 @@ fn remove_common_parts(variants: &mut [StudyVariant]) -> String {
     let labels: Vec<Vec<String>> =
         variants.iter().map(|variant| variant.label.split(", ").map(str::to_owned).collect()).collect();
     let is_common = |part: &&String| labels.iter().all(|parts| parts.contains(part));
-    let own = |parts: &[String]| parts.iter().filter(|part| !is_common(part)).cloned().collect::<Vec<_>>().join(", ");
-    let mut names: Vec<String> = labels.iter().map(|parts| own(parts)).collect();
+    let other_parts =
+        |parts: &[String]| parts.iter().filter(|part| !is_common(part)).cloned().collect::<Vec<_>>().join(", ");
+    let mut names: Vec<String> = labels.iter().map(|parts| other_parts(parts)).collect();
     let mut common = labels[0].iter().filter(is_common).cloned().collect::<Vec<_>>().join(", ");
     if labels.len() < 2 {
         return String::new();
@@ -91,8 +92,8 @@ fn chosen_variants<'a>(setting: &'a Setting, chosen: &[String]) -> Vec<&'a Study
     let variants = |family: &VariantFamily<'a>| {
         family.variants.iter().copied().filter(|variant| is_chosen(family, variant)).collect::<Vec<_>>()
     };
-    let found: Vec<&StudyVariant> = families.iter().flat_map(variants).collect();
-    if found.is_empty() { setting.variants.iter().collect() } else { found }
+    let kept: Vec<&StudyVariant> = families.iter().flat_map(variants).collect();
+    if kept.is_empty() { setting.variants.iter().collect() } else { kept }
 }
 
 /// Returns the variants of the best methods by the first metric, [`CURVES`] of them.
@@ -135,14 +136,14 @@ pub(in super::super) fn check_variants(settings: &[Setting], chosen: &[String]) 
     }
     let families: Vec<VariantFamily<'_>> = settings.iter().flat_map(VariantFamily::group).collect();
     let labels = families.iter().flat_map(|family| family.variants.iter().map(|variant| variant.label.as_str()));
-    let known = distinct(labels.chain(families.iter().map(|family| family.title.as_str())));
-    match chosen.iter().find(|name| !known.contains(&name.as_str())) {
+    let names = distinct(labels.chain(families.iter().map(|family| family.title.as_str())));
+    match chosen.iter().find(|name| !names.contains(&name.as_str())) {
         None => Ok(()),
         Some(name) => {
-            let hint = did_you_mean(name, known.iter().copied());
+            let hint = did_you_mean(name, names.iter().copied());
             Err(Error::Config(format!(
                 "--variants: no variant or method `{name}`{hint} (found `{}`)",
-                known.join("`, `")
+                names.join("`, `")
             )))
         }
     }

@@ -132,6 +132,7 @@ struct CostAxis {
 /// Index of the number of Gaussians in [`COSTS`].
 const N: usize = 0;
 
+/// Costs; the index is the parameter of [`pareto_figure`].
 const COSTS: [CostAxis; 3] = [
     CostAxis { name: "pareto-n", axis: "number of Gaussians N", value: |run| Some(run.facts.gaussians as f64) },
     CostAxis { name: "pareto-bytes", axis: "model size [bytes]", value: |run| run.scores.value(MODEL, "model_bytes") },
@@ -173,15 +174,15 @@ pub(super) fn pareto_figure<const K: usize>(setting: &Setting) -> Option<Figure>
     )
 }
 
-/// Returns a function whether all scores of a strategy are worse than the mean score of the worst baseline; never without
-/// baselines.
+/// Returns a function that returns whether all scores of a strategy are worse than the mean score of the worst baseline; false
+/// without baselines.
 fn is_worse_than_baselines(setting: &Setting) -> impl Fn(&VariantFamily<'_>) -> bool {
     let Headline { key, higher, .. } = setting.headline();
     let baselines = setting.baselines().into_iter().filter_map(|name| setting.baseline_score(name, key));
     let worst = baselines.reduce(if higher { f64::min } else { f64::max });
     let is_worse = move |score: f64| worst.is_some_and(|worst| if higher { score < worst } else { score > worst });
     move |family: &VariantFamily<'_>| {
-        let scores: Vec<f64> = family.places.iter().flatten().map(|(score, _)| score.mean).collect();
+        let scores: Vec<f64> = family.results.iter().flatten().map(|(score, _)| score.mean).collect();
         !scores.is_empty() && scores.into_iter().all(&is_worse)
     }
 }

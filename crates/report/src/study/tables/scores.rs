@@ -47,7 +47,7 @@ fn printed_unit(unit: &str, largest: f64) -> (&str, f64) {
     }
 }
 
-/// Returns the decimals of a column: three digits of its median, at most three decimals; none for numbers of Gaussians.
+/// Returns the number of decimals of a column: three digits of its `median`, at most three decimals; 0 for counts.
 fn column_decimals(metric: &MetricRow, median: f64) -> usize {
     if ["gaussians", TRAINED_ON].contains(&metric.key.as_str()) || median >= 100.0 {
         0
@@ -86,9 +86,9 @@ fn table_column(
     };
     let mut cells: Vec<FormattedValue> = spreads.iter().map(shown).collect();
     if ranked {
-        let rivals =
+        let competes =
             |row: &ComparisonRow<'_>| ![RowKind::Oracle, RowKind::Ceiling].contains(&row.kind) && row.twin.is_none();
-        mark_best(&mut cells, &spreads, &rows.iter().map(rivals).collect::<Vec<_>>(), metric.higher_is_better);
+        mark_best(&mut cells, &spreads, &rows.iter().map(competes).collect::<Vec<_>>(), metric.higher_is_better);
     }
     let detail = match (statistic, unit) {
         (SummaryStatistic::Whole, "") => String::new(),
@@ -104,8 +104,8 @@ fn table_column(
     Some((TableColumn { title: words, detail, arrow }, cells))
 }
 
-/// Marks best and second best among competing rows. Values that round to the same printed number are
-/// ties. Several best leave no second best; a single number has no mark.
+/// Marks the best and second best of the rows that are in competition, by their means. Means with the same printed number are
+/// ties; after a tie for the best, no second best is marked. Numbers without a competitor, or all equal, have no mark.
 fn mark_best(cells: &mut [FormattedValue], spreads: &[Option<Spread>], competes: &[bool], higher_is_better: bool) {
     let means: Vec<(usize, f64)> =
         (0..cells.len()).filter(|i| competes[*i]).filter_map(|i| Some((i, spreads[i]?.mean))).collect();
@@ -127,7 +127,7 @@ fn mark_best(cells: &mut [FormattedValue], spreads: &[Option<Spread>], competes:
 fn filled_columns(comparison: &Comparison<'_>, specs: &[ScoreColumn<'_>]) -> (Vec<TableColumn>, Vec<TableLine>) {
     let rows = &comparison.rows;
     let columns: Vec<(TableColumn, Vec<FormattedValue>)> =
-        specs.iter().filter_map(|w| table_column(rows, *w, comparison.ranks(w.0))).collect();
+        specs.iter().filter_map(|w| table_column(rows, *w, comparison.is_ranked(w.0))).collect();
     let line = |(i, row): (usize, &ComparisonRow<'_>)| {
         let cells: Vec<FormattedValue> = columns.iter().map(|(_, cells)| cells[i].clone()).collect();
         cells.iter().any(|c| !c.value.is_empty()).then(|| TableLine::new(row, cells))
@@ -144,6 +144,7 @@ fn is_secondary_metric(metric: &MetricRow) -> bool {
     is_rate_ratio(&metric.key) || metric.key == "snr_all_db" || is_custom(&metric.key)
 }
 
+/// Columns of the table of latency.
 const STAGES: [&str; 6] = [
     "latency_prepare_ms",
     "latency_network_ms",
@@ -154,7 +155,7 @@ const STAGES: [&str; 6] = [
 ];
 
 /// Returns the main table: the first metric of the task, such as SSIM, then η, metrics of users, N, size, latency and training
-/// time.
+/// time. `None` without numbers.
 pub(in super::super) fn score_table(comparison: &Comparison<'_>) -> Option<Table> {
     let metric = |key: &str| comparison.metric(key).into_iter();
     let first = metric(comparison.setting.headline().key).flat_map(all_statistics);
@@ -243,17 +244,7 @@ pub(in super::super) fn difference_table(comparison: &Comparison<'_>, reference:
     if metrics.is_empty() {
         metrics = comparison.metrics.iter().filter(|m| m.is_per_sample()).collect();
     }
-    let others = comparison.rows.iter().filter(|row| row.label != reference.label);
-    let lines: Vec<(TableLine, usize)> = others
-        .filter_map(|row| {
-            let differences: Vec<Option<Difference>> =
-                metrics.iter().map(|m| row.difference_from(reference, m, &comparison.blocks)).collect();
-            let seeds = differences.iter().flatten().map(|d| d.seeds).max()?;
-            let cells =
-                differences.iter().map(|d| d.as_ref().map_or_else(FormattedValue::default, difference_cell)).collect();
-            Some((TableLine::new(row, cells), seeds))
-        })
-        .collect();
+    let lines = difference_lines(comparison, reference, &metrics);
     let seeds = (lines.iter().map(|l| l.1).min()?, lines.iter().map(|l| l.1).max()?);
     let column = |m: &&MetricRow| {
         let (title, unit) = name_and_unit(m);
@@ -282,6 +273,24 @@ pub(in super::super) fn difference_table(comparison: &Comparison<'_>, reference:
     };
     table.legend = render_sentences("legend.txt", words);
     Some(table)
+}
+
+/// Returns the lines of differences from `reference` by these metrics, each with its largest number of seeds; rows without any
+/// difference are omitted.
+fn difference_lines(
+    comparison: &Comparison<'_>,
+    reference: &ComparisonRow<'_>,
+    metrics: &[&MetricRow],
+) -> Vec<(TableLine, usize)> {
+    let line = |row: &ComparisonRow<'_>| {
+        let differences: Vec<Option<Difference>> =
+            metrics.iter().map(|m| row.difference_from(reference, m, &comparison.blocks)).collect();
+        let seeds = differences.iter().flatten().map(|d| d.seeds).max()?;
+        let cells =
+            differences.iter().map(|d| d.as_ref().map_or_else(FormattedValue::default, difference_cell)).collect();
+        Some((TableLine::new(row, cells), seeds))
+    };
+    comparison.rows.iter().filter(|row| row.label != reference.label).filter_map(line).collect()
 }
 
 /// Formats a paired difference with its interval, marked if that excludes 0.
