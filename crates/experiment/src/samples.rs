@@ -21,9 +21,9 @@ pub fn data_key(pipeline: &Pipeline) -> String {
 }
 
 /// Formats the content of `samples.csv`: id, x, y, z in metres (empty if unknown), split, and the distance to the
-/// nearest other transmitter with a link of `trained` in metres (empty if there is none). With several receivers a row is a link: its
-/// number, as in `scores.csv`, is the first column, and the receiver name follows the id. `intervals` hold the further
-/// columns of each test sample, in the order of `partition.test`; empty without intervals.
+/// nearest other transmitter with a link of `trained` in metres (empty if there is none). With several receivers a row is a
+/// link: its number, as in `scores.csv`, is the first column, and the receiver name follows the id. `intervals` hold the
+/// further columns of each test sample, in the order of `partition.test`; empty without intervals.
 pub fn samples_csv(data: &Dataset, partition: &Partition, trained: &[usize], intervals: &[Vec<f64>]) -> String {
     let mut split = vec!["unused"; data.len()];
     for (part, name) in [(&partition.train, "train"), (&partition.validation, "validation"), (&partition.test, "test")]

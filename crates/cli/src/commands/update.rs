@@ -19,10 +19,10 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "\
 The model needs a residual process (residuals: Kriged() in its pipeline). This process adds all
 links of the new data to its measurements. Nothing is trained: the Gaussians, the network and the
-correlation stay unchanged. Without --data, it adds the test set of the run: once its scores are known,
-the model then predicts from all measurements. The new data need the kind of observation, receivers and frequencies of
-the model. Most links must lie inside its 99 % intervals. A model without calibration of intervals
-prints the distances only.
+correlation stay unchanged. Without --data, it adds the test set of the run: once its scores are
+known, the model then predicts from all measurements. The new data need the kind of observation,
+receivers and frequencies of the model. Most links must lie inside its 99 % intervals. A model
+without calibration of intervals prints the distances only.
 
 EXAMPLES
   pwrfgs update runs/lab --out final.safetensors
