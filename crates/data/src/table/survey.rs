@@ -13,8 +13,9 @@ use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Error, Progress, Real, Result, check_memory};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-/// Memory of a reading, and of a row or its position, bytes: measured until the data set is written.
+/// Memory of a reading, bytes: measured until the data set is written.
 const READING: u64 = 90;
+/// Memory of a row or its position, bytes: measured until the data set is written.
 const ROW: u64 = 170;
 
 /// Number of rows in a preview.
