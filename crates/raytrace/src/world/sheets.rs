@@ -27,14 +27,13 @@ impl WorldBuilder {
             return;
         }
         let hierarchy = Hierarchy::new(&self.triangles);
-        let coincident = |face: u32, bounds: [DVec3; 2]| {
+        let coincident = |face: u32, bounds: [DVec3; 2]| -> Vec<Triangle> {
             let sheet = &sheets[face as usize];
-            let touching = (!sheet.is_empty()).then(|| hierarchy.in_box(bounds).map(|i| self.triangles[i]));
-            touching
-                .into_iter()
-                .flatten()
-                .filter(|triangle| sheet.binary_search(&triangle.face).is_ok())
-                .collect::<Vec<_>>()
+            if sheet.is_empty() {
+                return Vec::new();
+            }
+            let touching = hierarchy.in_box(bounds).map(|i| self.triangles[i]);
+            touching.filter(|triangle| sheet.binary_search(&triangle.face).is_ok()).collect()
         };
         let (mut edges, mut owners) = (Vec::new(), Vec::new());
         for (edge, owner) in self.edges.iter().zip(&self.owners) {
