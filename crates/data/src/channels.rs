@@ -157,9 +157,7 @@ impl DataSource for Channels {
         let receiver = metadata.create_receiver(&path, antennas)?;
         let rows = index::read_sets(&root, &|word| index::parse_row(word, &locations.name, count))?;
         let carriers = files.len();
-        // Arrays of further carriers follow the first, with the same positions and sets.
-        let repeat =
-            |rows: Vec<usize>| (0..carriers).flat_map(|c| rows.iter().map(move |row| c * count + row)).collect();
+        let repeat = |rows: Vec<usize>| repeat_rows(&rows, carriers, count);
         let official = rows.map(|(train, test)| (repeat(train), repeat(test)));
         let poses = locations.poses.repeat(carriers);
         let (shape, size) = (files[0].shape, files[0].count());
@@ -242,6 +240,11 @@ impl Channels {
         }
         Ok(carriers)
     }
+}
+
+/// Returns the rows of all carriers: arrays of `count` rows follow that of the first carrier, with the same positions and sets.
+fn repeat_rows(rows: &[usize], carriers: usize, count: usize) -> Vec<usize> {
+    (0..carriers).flat_map(|carrier| rows.iter().map(move |row| carrier * count + row)).collect()
 }
 
 /// Leaves out the links whose channel is zero, which was not received, and counts them. Returns an error if all are; it names

@@ -134,12 +134,13 @@ impl<'a> Survey<'a> {
             return check(rows).map_err(|fault| Error::input(reader.table.path, fault));
         };
         // Cells are read only if all of them would not fit.
-        check(rows.saturating_mul(columns.len())).or_else(|_| {
-            let is_filled = |row: &TextRow<'_>, k: &usize| row.fields.get(*k).is_some_and(|f| !is_empty_cell(f.text));
-            let filled = |row: &TextRow<'_>| columns.iter().filter(|k| is_filled(row, k)).count();
-            let readings = reader.table.rows().flatten().map(|row| filled(&row)).sum();
-            check(readings).map_err(|fault| Error::input(reader.table.path, fault))
-        })
+        if check(rows.saturating_mul(columns.len())).is_ok() {
+            return Ok(());
+        }
+        let is_filled = |row: &TextRow<'_>, k: &usize| row.fields.get(*k).is_some_and(|f| !is_empty_cell(f.text));
+        let filled = |row: &TextRow<'_>| columns.iter().filter(|k| is_filled(row, k)).count();
+        let readings = reader.table.rows().flatten().map(|row| filled(&row)).sum();
+        check(readings).map_err(|fault| Error::input(reader.table.path, fault))
     }
 
     /// Adds a table with a row per transmitter. Returns an error for an invalid row.
