@@ -157,9 +157,7 @@ impl DataSource for Channels {
         let receiver = metadata.create_receiver(&path, antennas)?;
         let rows = index::read_sets(&root, &|word| index::parse_row(word, &locations.name, count))?;
         let carriers = files.len();
-        // Arrays of further carriers follow the first, with the same positions and sets.
-        let repeat =
-            |rows: Vec<usize>| (0..carriers).flat_map(|c| rows.iter().map(move |row| c * count + row)).collect();
+        let repeat = |rows: Vec<usize>| repeat_rows(&rows, carriers, count);
         let official = rows.map(|(train, test)| (repeat(train), repeat(test)));
         let poses = locations.poses.repeat(carriers);
         let (shape, size) = (files[0].shape, files[0].count());
@@ -244,6 +242,11 @@ impl Channels {
     }
 }
 
+/// Returns the rows of all carriers: arrays of `count` rows follow that of the first carrier, with the same positions and sets.
+fn repeat_rows(rows: &[usize], carriers: usize, count: usize) -> Vec<usize> {
+    (0..carriers).flat_map(|carrier| rows.iter().map(move |row| carrier * count + row)).collect()
+}
+
 /// Leaves out the links whose channel is zero, which was not received, and counts them. Returns an error if all are; it names
 /// the array at `path`.
 fn without_zeros(data: Dataset, path: &Path) -> Result<Dataset> {
@@ -289,6 +292,34 @@ struct ReceiverFile {
     transmitter: Option<[f64; 3]>,
 }
 
+impl ReceiverFile {
+    /// Reads the file. Returns an error for a missing or invalid value.
+    fn read(path: &Path) -> Result<Self> {
+        let advice = "Channels reads it for what its `carrier_hz`, `spacing_hz` and `receiver` leave out; say all three, or \
+                      give the file";
+        let expected = "expected name, position, orientation, antennas, carrier_hz and spacing_hz";
+        let file: Self = read_yaml(path, advice, expected)?;
+        if let Some(fault) = name_fault(&file.name.value) {
+            return Err(yaml_fault(path, &file.name, fault));
+        }
+        match file.pose().fault() {
+            Some(("position", fault)) => return Err(yaml_fault(path, &file.position, fault)),
+            Some((_, fault)) => return Err(yaml_fault(path, &file.orientation, fault)),
+            None => {}
+        }
+        let is_finite = |antenna: &[f64; 3]| antenna.iter().all(|x| x.is_finite());
+        if !(file.antennas.iter().all(is_finite) && file.carrier_hz.is_finite() && file.spacing_hz.is_finite()) {
+            return Err(Error::input(path, format!("holds a number that is not finite; {expected}")));
+        }
+        carrier_fault(file.carrier_hz).map_or(Ok(file), |fault| Err(Error::input(path, fault)))
+    }
+
+    /// Returns the pose of the receiver, world frame.
+    fn pose(&self) -> Pose {
+        Pose { position: self.position.value, orientation: self.orientation.value }
+    }
+}
+
 impl ChannelMetadata {
     /// Completes the settings of `source` from `receiver.yml` in the folder `root`; reads the file only if one is missing.
     /// Returns an error for an invalid file.
@@ -309,28 +340,9 @@ impl ChannelMetadata {
                 transmitter: None,
             });
         }
-        let advice = "Channels reads it for what its `carrier_hz`, `spacing_hz` and `receiver` leave out; say all three, or \
-                      give the file";
-        let expected = "expected name, position, orientation, antennas, carrier_hz and spacing_hz";
-        let file: ReceiverFile = read_yaml(&path, advice, expected)?;
-        if let Some(fault) = name_fault(&file.name.value) {
-            return Err(yaml_fault(&path, &file.name, fault));
-        }
-        let (position, orientation) = (file.position.value, file.orientation.value);
-        let pose = Pose { position, orientation };
-        match pose.fault() {
-            Some(("position", fault)) => return Err(yaml_fault(&path, &file.position, fault)),
-            Some((_, fault)) => return Err(yaml_fault(&path, &file.orientation, fault)),
-            None => {}
-        }
-        let is_finite = |antenna: &[f64; 3]| antenna.iter().all(|x| x.is_finite());
-        if !(file.antennas.iter().all(is_finite) && file.carrier_hz.is_finite() && file.spacing_hz.is_finite()) {
-            return Err(Error::input(&path, format!("holds a number that is not finite; {expected}")));
-        }
-        if let Some(fault) = carrier_fault(file.carrier_hz) {
-            return Err(Error::input(&path, fault));
-        }
-        let antennas = file.antennas.iter().map(|antenna| pose.to_receiver(*antenna)).collect();
+        let file = ReceiverFile::read(&path)?;
+        let Pose { position, orientation } = file.pose();
+        let antennas = file.antennas.iter().map(|antenna| file.pose().to_receiver(*antenna)).collect();
         let receiver = ReceiverPlace { position, orientation, antennas };
         let is_spaced = source.carrier_hz.is_none() && source.spacing_hz.is_none();
         Ok(Self {

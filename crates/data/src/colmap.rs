@@ -317,7 +317,7 @@ fn parse_entry(names: &ImageNames, example: &str, word: &str) -> Result<index::I
     }
 }
 
-/// Reads the point cloud of the reconstruction, metres; empty without the file.
+/// Reads the point cloud of the reconstruction, metres; empty without the file. Returns an error for an invalid line.
 fn read_points3d(path: &Path) -> Result<Vec<[f64; 3]>> {
     if !path.exists() {
         return Ok(Vec::new());

@@ -109,7 +109,8 @@ impl Colormap {
             values.sort_unstable();
             values.dedup();
             let is_on_map = values.len() >= FEWEST && 10 * near >= 9 * pixels.len();
-            is_on_map.then(|| (distances.iter().map(|squared| i64::from(*squared)).sum::<i64>(), map))
+            let total = distances.iter().map(|squared| i64::from(*squared)).sum::<i64>();
+            is_on_map.then_some((total, map))
         };
         Self::value_variants().iter().copied().filter_map(distance).min_by_key(|(total, _)| *total).map(|(_, map)| map)
     }

@@ -81,7 +81,7 @@ impl<'a> TableText<'a> {
 
     /// Reads a file whose header has names that `is_name` accepts; `advice` is the next step for a missing or empty file. The
     /// header is the line among the first [`EXAMINED`] with the most such names; without any, the first line if it holds no
-    /// number.
+    /// number. Returns an error for a file that cannot be read, is empty or is no table.
     pub(crate) fn with_names(path: &'a Path, advice: &str, is_name: &dyn Fn(&str) -> bool) -> Result<Self> {
         let mut table = Self::decode(path, read_bytes(path, MAX_TABLE, advice)?.into())?;
         let text = std::mem::take(&mut table.text);
@@ -353,7 +353,8 @@ fn holds_numbers(rows: &[Vec<&str>], k: usize, is_number: &dyn Fn(&str) -> bool)
     values.peek().is_some() && values.all(is_number)
 }
 
-/// Returns the separator that gives most of the first lines the same number of fields, at least two, and that number.
+/// Returns the separator that gives most of the first lines the same number of fields, at least two, and that number; `None`:
+/// blanks. A comma and one field if no separator does.
 fn detect_separator(text: &str) -> (Option<char>, usize) {
     let lines: Vec<&str> =
         numbered_lines(text).map(|(_, line)| line).filter(|line| !is_comment(line)).take(EXAMINED).collect();

@@ -133,7 +133,8 @@ impl<'a> Sink<'a> {
         Ok(())
     }
 
-    /// Converts and writes the pixels of the next spectrum, and extends the range of values.
+    /// Converts and writes the pixels of the next spectrum, and extends the range of values. Returns an error if the write
+    /// failed.
     fn add_spectrum(&mut self, bytes: &[u8]) -> Result<()> {
         let (number, stored) = self.numbers;
         let factor = self.scale.unwrap_or(1.0) / number.full_scale();

@@ -139,7 +139,7 @@ pub(crate) struct ComplexFile<'a> {
 }
 
 impl<'a> ComplexFile<'a> {
-    /// Opens the array of a file as [`read_complex_array`] does.
+    /// Opens the array of a file. Returns the errors of [`read_complex_array`], except for those of the numbers.
     pub(crate) fn open(path: &'a Path, expected: &str) -> Result<Self> {
         let (header, file, length) = open_array(path)?;
         let refuse = |problem: String| Error::input(path, problem);

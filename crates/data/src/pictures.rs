@@ -238,7 +238,7 @@ fn damage_error(path: &Path, e: &ImageError) -> Error {
     Error::input(path, format!("is cut short or damaged ({first}); copy it again"))
 }
 
-/// Creates a PNG decoder that skips metadata and limits memory to [`MAX_BESIDE`].
+/// Creates a PNG decoder that skips metadata and limits memory to [`MAX_BESIDE`]. Returns an error for a damaged header.
 pub(super) fn png_decoder(file: Vec<u8>) -> ImageResult<PngDecoder<Cursor<Vec<u8>>>> {
     PngDecoder::with_limits(Cursor::new(file), decoder_limits())
 }

@@ -105,14 +105,14 @@ impl FolderWriter<'_> {
         files::write(&path, bytes)
     }
 
-    /// Writes the table `name` of positions, metres.
+    /// Writes the table `name` of positions, metres. Returns the errors of [`Self::write_file`].
     fn write_positions(&self, name: &str, rows: impl Iterator<Item = [f64; 3]>) -> Result<()> {
         let mut text = "x,y,z\n".to_owned();
         rows.for_each(|[x, y, z]| writeln!(text, "{x:?},{y:?},{z:?}").expect("text grows"));
         self.write_file(name, text)
     }
 
-    /// Writes the positions of the transmitters, or the poses of a moving receiver.
+    /// Writes the positions of the transmitters, or the poses of a moving receiver. Returns the errors of [`Self::write_file`].
     fn write_locations(&self) -> Result<()> {
         let locations = self.data.locations.iter();
         match self.data.scene.moving {
@@ -127,7 +127,8 @@ impl FolderWriter<'_> {
         (0..scene.receivers.len()).map(move |r| scene.origin.world_pose(*ends.get(r).unwrap_or(&ends[0])))
     }
 
-    /// Writes the point cloud and returns its file name; `None` if there are no points.
+    /// Writes the point cloud and returns its file name; `None` if there are no points. Returns the errors of
+    /// [`Self::write_file`].
     fn write_points(&self) -> Result<Option<PathBuf>> {
         let scene = &self.data.scene;
         if scene.points.is_empty() {
@@ -262,6 +263,7 @@ impl FolderWriter<'_> {
     }
 
     /// Writes the IDs of the locations, unless they are those that the reader assigns: rows of spectra from 1, others from 0.
+    /// Returns the errors of [`Self::write_file`].
     fn write_ids(&self) -> Result<()> {
         let Dataset { locations, links, .. } = self.data;
         let first_row = |l: usize| 1 + links.partition_point(|link| link.location < l);
@@ -273,7 +275,7 @@ impl FolderWriter<'_> {
     }
 
     /// Writes the program version, the title, whether the data are simulated, and the bounds of the scene if they are not those
-    /// of the data, such as in a subset.
+    /// of the data, such as in a subset. Returns the errors of [`Self::write_file`].
     fn write_manifest(&self) -> Result<()> {
         let (data, scene) = (self.data, &self.data.scene);
         let mut manifest = serde_json::json!({
@@ -311,7 +313,7 @@ impl FolderWriter<'_> {
         self.write_file("manifest.json", format!("{manifest:#}\n"))
     }
 
-    /// Writes the official split of the data as index files, if there is one.
+    /// Writes the official split of the data as index files, if there is one. Returns the errors of [`Self::write_file`].
     fn write_index_files(&self) -> Result<()> {
         let Some((train, test)) = &self.data.official else { return Ok(()) };
         let row = |link: &usize| {

@@ -39,7 +39,7 @@ impl<F> TextRow<'_, F> {
         Error::at(self.path, self.line, column, problem)
     }
 
-    /// Parses a finite number in a field of this line; `advice` is the next step otherwise.
+    /// Parses a finite number in a field of this line. Returns an error with the next step `advice` for other text.
     pub(crate) fn number(&self, field: TextField<'_>, advice: &str) -> Result<f64> {
         let parse = |text: &str| parse_number(text, self.has_decimal_commas);
         let value = parse(field.text).filter(|value| (*value as Real).is_finite());
@@ -55,12 +55,12 @@ impl<F> TextRow<'_, F> {
         })
     }
 
-    /// Parses a number as [`Self::number`] does; `None` for an empty cell.
+    /// Parses a number; `None` for an empty cell. Returns the errors of [`Self::number`].
     pub(crate) fn optional(&self, field: TextField<'_>, advice: &str) -> Result<Option<f64>> {
         if is_empty_cell(field.text) { Ok(None) } else { self.number(field, advice).map(Some) }
     }
 
-    /// Parses a coordinate, metres: finite and at most 1e8 m; `advice` is the next step otherwise.
+    /// Parses a coordinate, metres. Returns an error with the next step `advice` unless it is a number of at most 1e8 m.
     pub(crate) fn coordinate(&self, field: TextField<'_>, advice: &str) -> Result<f64> {
         let value = self.number(field, advice)?;
         if value.abs() <= MAX_COORDINATE_M {
@@ -70,14 +70,14 @@ impl<F> TextRow<'_, F> {
         Err(self.fault(field.column, problem))
     }
 
-    /// Parses a position in three fields as [`Self::coordinate`] does, metres; `advice` is the next step otherwise.
+    /// Parses a position in three fields, metres. Returns the errors of [`Self::coordinate`].
     pub(crate) fn position(&self, fields: [TextField<'_>; 3], advice: &str) -> Result<[f64; 3]> {
         let [x, y, z] = fields.map(|field| self.coordinate(field, advice));
         Ok([x?, y?, z?])
     }
 
-    /// Parses a power, dBm: from -300 to 300. `None` for an empty cell and for the values `missing`, which mean that no signal
-    /// was received.
+    /// Parses a power, dBm. `None` for an empty cell and for the values `missing`, which mean that no signal was received.
+    /// Returns an error unless it is a number from -300 to 300.
     pub(crate) fn power(&self, field: TextField<'_>, missing: &[f64]) -> Result<Option<f64>> {
         let dbm = self.optional(field, DBM_ADVICE)?.filter(|dbm| !missing.contains(dbm));
         if dbm.is_some_and(|dbm| power_fault(dbm).is_some()) {

@@ -55,7 +55,7 @@ impl Record {
         let path = |name: &str| folder.join(name);
         let trained = (facts.members.is_empty() || pipeline.members > 1) && facts.steps > 0;
         let models = model_folders(folder, &facts);
-        let last = facts.steps / models.len() as u64;
+        let last = facts.steps / models.len() as u64; // `steps` is the sum over the models
         let curves = models.iter().map(|model| read_whole_series(&model.join(CURVE), last));
         let confidence = path(CONFIDENCE);
         Ok(Self {

@@ -198,8 +198,8 @@ impl Training<'_, '_, '_> {
         let (every, data) = (self.run.pipeline.training.validate_every, &self.run.split.data);
         let validates = every > 0 && report.step.is_multiple_of(every) && !self.validation.is_empty();
         let validated = validates.then(|| self.trainer.validated_model());
-        let validate = |model: &Model| validate(report.step, model, data, &self.validation);
-        let validation = validated.as_ref().map(validate).transpose()?;
+        let score = |model: &Model| validate(report.step, model, data, &self.validation);
+        let validation = validated.as_ref().map(score).transpose()?;
         self.journal.record_step(&report, seconds)?;
         if let (Some(validation), Some(model)) = (&validation, &validated) {
             self.keep_best(validation, model)?;

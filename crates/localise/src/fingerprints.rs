@@ -83,14 +83,12 @@ impl FingerprintBuilder<'_> {
     /// Returns the predicted fingerprints of `groups`, for the same links as [`Self::measured_at`]; `done` gets the number of
     /// links of each call of the model.
     pub(crate) fn predicted(&self, groups: &[Vec<usize>], model: &dyn Predict, done: impl Fn(usize)) -> Fingerprints {
-        self.build(groups, |links| {
-            let predict = |links: &[usize]| {
-                let images = model.predict_many(&self.data.queries(links));
-                done(links.len());
-                images.par_iter().map(|image| self.features.extract(image)).collect::<Vec<_>>()
-            };
-            links.chunks(self.links_per_call()).flat_map(predict).collect()
-        })
+        let predict = |links: &[usize]| {
+            let images = model.predict_many(&self.data.queries(links));
+            done(links.len());
+            images.par_iter().map(|image| self.features.extract(image)).collect::<Vec<Vec<f32>>>()
+        };
+        self.build(groups, |links| links.chunks(self.links_per_call()).flat_map(&predict).collect())
     }
 
     /// Returns the largest number of links of one call of a model.

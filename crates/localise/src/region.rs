@@ -4,16 +4,19 @@ use pwrfgs_core::statistics::bounds;
 use std::collections::BTreeSet;
 use std::f64::consts::PI;
 
-/// Largest number of kernels of a density, those of the largest weights; and of kernels at which its maximum is sought.
+/// Largest number of kernels of a density: those of the largest weights.
 pub(crate) const KERNELS: usize = 500;
+/// Largest number of kernels at which the maximum of a density is sought.
 const PEAKS: usize = 100;
 /// Number of cells along the longer side of the grid.
 const CELLS: f64 = 64.0;
-/// Share of the weights whose positions are in the grid, and number of kernel widths around them.
+/// Share of the weights whose positions are in the grid.
 const FRAMED: f64 = 0.999;
+/// Margin of the grid around these positions, kernel widths.
 const FRAME: f64 = 6.0;
-/// Number of steps towards a mode, and the length of the last one in kernel widths.
+/// Largest number of steps towards a mode.
 const STEPS: usize = 200;
+/// Length of the last step towards a mode, kernel widths.
 const END: f64 = 1e-3;
 
 /// Density of the transmitter over the floor: a sum of kernels 1/(1 + r²)² around positions. Their tails are heavy, so that

@@ -109,7 +109,7 @@ struct Search<F> {
 
 impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
     /// Traces the first free positions of the Halton sequence, at most `count`; `shift` moves the sequence, as parts of the
-    /// area.
+    /// area. Returns the errors of `trace`, as all steps of the search do.
     fn screen(&mut self, count: usize, shift: [f64; 2]) -> Result<()> {
         let [low, high] = self.area;
         // Ends also if less than a twentieth of the area is free.

@@ -6,8 +6,9 @@ use pwrfgs_core::{Baseline as _, Dataset, FittingSet, Result, evenly, rng};
 use pwrfgs_data::{Kriging, Trend, vecchia_cases};
 use rayon::prelude::*;
 
-/// Largest number of links in the likelihood, and of earlier links that each is given.
+/// Largest number of links in the likelihood.
 const CASES: usize = 320;
+/// Largest number of earlier links that each is given.
 const NEIGHBOURS: usize = 16;
 /// Approximate number of values per observation in the likelihood.
 const VALUES: usize = 500;

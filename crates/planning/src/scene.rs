@@ -20,7 +20,7 @@ pub fn floor_grid(scene: &SceneFile, step: f64, height: f64) -> Result<Vec<[f64;
     free_positions(scene, &World::from_scene(scene)?, step, height)
 }
 
-/// Returns the positions of [`floor_grid`], in the `world` of the scene.
+/// Returns the positions of [`floor_grid`], in the `world` of the scene, and its errors.
 fn free_positions(scene: &SceneFile, world: &World, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
     let refuse = |problem: String| Error::Config(format!("scene `{}`: {problem}", scene.name));
     if !(step.is_finite() && step > 0.0) {

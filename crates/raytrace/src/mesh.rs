@@ -18,8 +18,9 @@ const FLAT: f64 = 1e-9;
 const MOST_SHARED: usize = 64;
 /// Ratio of distance to size below which triangles coincide, and of areas below which nothing remains.
 const EQUAL: f64 = 1e-6;
-/// Largest number of pieces of a triangle between others, and of tests, to limit time.
+/// Largest number of pieces of a triangle between others, to limit time.
 const MOST_PIECES: usize = 1_000;
+/// Largest number of tested boxes of a mesh, to limit time.
 const MOST_TRIALS: usize = 200_000_000;
 
 /// Triangle mesh.

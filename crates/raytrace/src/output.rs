@@ -111,6 +111,7 @@ impl DatasetWriter<'_> {
     }
 
     /// Simulates `recipe` into the existing, empty `folder`: observations, tables, points and manifest, and the path tables.
+    /// Returns an error for a failed simulation or write, or if `stop` is set.
     fn simulate_into(&self, recipe: &SimulationRecipe, simulator: &Simulator, folder: &Path) -> Result<()> {
         let Self { layout, has_paths, progress, stop } = *self;
         let &SimulationRecipe { samples, seed, observe, .. } = recipe;
@@ -150,7 +151,7 @@ pub(crate) fn write_links(recipe: &SimulationRecipe, out: &Path, progress: Progr
     new_folder.publish()
 }
 
-/// Writes the random points on all surfaces of the scene into `folder`.
+/// Writes the random points on all surfaces of the scene into `folder`. Returns an error if the write failed.
 fn write_point_cloud(recipe: &SimulationRecipe, simulator: &Simulator, folder: &Path) -> Result<()> {
     let cloud = simulator.surface_points(recipe.points, recipe.seed);
     let comment = format!("simulated by pwrfgs: surfaces of {}", recipe.scene.name);

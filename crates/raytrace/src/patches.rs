@@ -57,6 +57,12 @@ pub(crate) fn cell_count(face: &Face, side: f64) -> f64 {
     Lattice::new(&face.hull, face.normal, side).map_or(0.0, |l| l.columns * l.rows)
 }
 
+/// Returns the smallest and largest coordinate of points along the unit vector `axis`, metres.
+fn extent_along(points: &[DVec3], axis: DVec3) -> (f64, f64) {
+    let along = || points.iter().map(|p| p.dot(axis));
+    (along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max))
+}
+
 /// Grid of cells in the bounding rectangle of a convex polygon, along its longest side.
 struct Lattice {
     /// Axes in the plane, and the height of the plane.
@@ -76,10 +82,7 @@ impl Lattice {
         let longest = (0..hull.len()).map(|i| hull[(i + 1) % hull.len()] - hull[i]);
         let u = longest.max_by(|a, b| a.length().total_cmp(&b.length())).and_then(DVec3::try_normalize)?;
         let v = normal.cross(u);
-        let extent = [u, v].map(|axis: DVec3| {
-            let along = || hull.iter().map(|p| p.dot(axis));
-            (along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max))
-        });
+        let extent = [u, v].map(|axis| extent_along(hull, axis));
         let [columns, rows] = extent.map(|(low, high)| ((high - low) / side).round().max(1.0));
         Some(Self { u, v, level: normal * normal.dot(hull[0]), extent, columns, rows })
     }

@@ -96,12 +96,7 @@ impl PreparedReceiver {
             let (antennas, centre) = (self.antenna_positions(), DVec3::from(self.receiver.position));
             return array_channel(paths, &antennas, centre, &wavelengths, self.receiver.array.wavefront);
         }
-        let element_channel = |tracer: &Tracer| {
-            let paths = tracer.trace(tx);
-            let sum = |wavelength: &f64| paths.iter().map(|path| path.baseband_gain(*wavelength)).sum();
-            wavelengths.iter().map(sum).collect::<Vec<Complex>>()
-        };
-        self.tracers[1..].iter().flat_map(element_channel).collect()
+        self.tracers[1..].iter().flat_map(|tracer| sum_gains(&tracer.trace(tx), &wavelengths)).collect()
     }
 
     /// Returns the observation of `tx`, a position in metres, world frame. `sample` selects the random errors; `None`: no
@@ -134,6 +129,12 @@ impl PreparedReceiver {
         };
         ReceiverObservation { observed, paths }
     }
+}
+
+/// Returns the sum of the gains of `paths` at each wavelength, metres.
+fn sum_gains(paths: &[PropagationPath], wavelengths: &[f64]) -> Vec<Complex> {
+    let sum = |wavelength: &f64| paths.iter().map(|path| path.baseband_gain(*wavelength)).sum::<Complex>();
+    wavelengths.iter().map(sum).collect()
 }
 
 /// Returns the points that paths lead to, metres: the array centre, and the elements if each is traced. Returns an error if

@@ -233,6 +233,7 @@ fn receiver_indices(data: &Dataset, scene: &SceneFile) -> Result<Vec<usize>> {
     data_receivers.iter().map(|receiver| index_of(&receiver.name)).collect()
 }
 
+/// Prepared scene of a baseline.
 struct TracedBaseline {
     simulator: Simulator,
     /// Index in the simulator of each receiver of the data.

@@ -29,8 +29,9 @@ use std::path::{Path, PathBuf};
 
 /// Longest name, characters.
 const LONGEST_NAME: usize = 200;
-/// Smallest and largest real part of the relative permittivity; outside, coefficients round or overflow.
+/// Smallest real part of the relative permittivity: below it, coefficients round.
 const LEAST_PERMITTIVITY: f64 = 1e-6;
+/// Largest modulus of the relative permittivity: above it, coefficients overflow.
 const MOST_PERMITTIVITY: f64 = 1e70;
 /// Largest number of the scene's own materials listed in a message.
 const LISTED: usize = 20;

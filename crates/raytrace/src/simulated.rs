@@ -262,6 +262,7 @@ fn is_made_by(folder: &Path, recipe: &SimulationRecipe) -> bool {
 }
 
 /// Simulates the data set of `recipe` into a temporary folder, returns the result of `read` on it, and deletes the folder.
+/// Returns the errors of the simulation and of `read`.
 fn simulate_temporarily<T>(
     recipe: &SimulationRecipe,
     progress: Progress<'_>,

@@ -12,8 +12,9 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 /// Candidate values of k for `Auto`.
 const CHOICES: [usize; 13] = [1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120, 160];
-/// Largest number of observations, and of single numbers, used to choose k.
+/// Largest number of observations used to choose k.
 const CHOSEN_ON: usize = 120;
+/// Largest number of received powers used to choose k.
 const CHOSEN_ON_NUMBERS: usize = 2_400;
 
 /// Mean of the spectra of the k nearest training transmitters, weighted by inverse distance.
@@ -120,7 +121,7 @@ impl Baseline for NearestNeighbours {
 
 /// Returns the k of all receivers that best predicts known links from those of their receiver in other blocks, the smallest
 /// in a tie; 3 if there is nothing to compare. Without positions it predicts the validation links from the training links.
-/// The flag of `fitting` ends the search.
+/// Returns an error if an observation cannot be read, or if the flag of `fitting` ends the search.
 fn best_neighbour_count(data: &Dataset, fitting: FittingSet<'_>) -> Result<usize> {
     let samples = fitting_samples(fitting)?;
     let (train, held_out) = if data.placed { (samples.clone(), samples) } else { selection_sets(fitting) };

@@ -26,7 +26,8 @@ struct Process {
 }
 
 impl<'a> PooledKriging<'a> {
-    /// Fits path loss and process to the training and validation powers.
+    /// Fits path loss and process to the training and validation powers. Returns an error if there are none, or if one cannot be
+    /// read.
     pub(super) fn fit(data: &'a Dataset, fitting: FittingSet<'_>, neighbours: usize) -> Result<Self> {
         let samples = fitting_samples(fitting)?;
         let fits = fit_powers(data, &samples, &|| fitting.check_stopped())?;

@@ -89,7 +89,8 @@ impl Predictions {
         Ok(files::digest(all.as_bytes()))
     }
 
-    /// Returns the predictions by label of the sample: lists files, or reads the table of powers.
+    /// Returns the predictions by label of the sample: lists files, or reads the table of powers. Returns an error for a missing
+    /// folder or table, or a repeated label.
     fn predictions_by_label(&self, data: &Dataset) -> Result<BTreeMap<u32, Prediction>> {
         if data.task().is_scalar {
             let key = if data.scene.receivers.len() > 1 { "link" } else { "id" };

@@ -76,7 +76,9 @@ impl LinearMap {
         let (d, m) = (xs[0].len(), ys[0].len());
         let mean = |width: usize, row: &dyn Fn(usize) -> Vec<f64>| {
             let mut sum = vec![0.0; width];
-            (0..links.len()).for_each(|k| sum.iter_mut().zip(row(k)).for_each(|(sum, v)| *sum += v));
+            for k in 0..links.len() {
+                sum.iter_mut().zip(row(k)).for_each(|(sum, v)| *sum += v);
+            }
             sum.into_iter().map(|v| v / links.len() as f64).collect::<Vec<f64>>()
         };
         let wide = |row: &[Real]| row.iter().map(|v| *v as f64).collect::<Vec<f64>>();

@@ -191,7 +191,7 @@ fn read_archive<T>(
     })
 }
 
-/// Splits `FILE.npz:NAME` into file and array name; other paths have no name.
+/// Splits `FILE.npz:NAME` into file and array name; the name is `None` for other paths.
 fn split_array_name(path: &Path) -> (PathBuf, Option<String>) {
     let text = path.to_string_lossy();
     match text.rsplit_once(".npz:") {

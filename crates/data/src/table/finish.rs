@@ -84,12 +84,12 @@ impl Survey<'_> {
     fn linked_receivers(&self) -> Vec<Option<Receiver>> {
         let mut is_linked = vec![false; self.receivers.len()];
         self.readings.iter().for_each(|reading| is_linked[reading.receiver as usize] = true);
-        let place = |(receiver, is_linked): (&NamedReceiver, bool)| {
+        let placed = |(receiver, is_linked): (&NamedReceiver, bool)| {
             let pose = Pose::from(receiver.position.unwrap_or(self.places.positions[0]));
             let named = Receiver { is_estimated: receiver.position.is_none(), ..Receiver::new(&*receiver.name, pose) };
             is_linked.then_some(named)
         };
-        self.receivers.iter().zip(is_linked).map(place).collect()
+        self.receivers.iter().zip(is_linked).map(placed).collect()
     }
 
     /// Rejects a file of receivers that names none of those with a reading.

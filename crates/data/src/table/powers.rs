@@ -64,10 +64,7 @@ impl ColumnSearch<'_> {
 
     /// Returns the columns of the receiver's position beside a reading, such as `rx_x`; `None` without them.
     fn receiver_place(&self, is_lat_lon: bool) -> Option<PlaceColumns> {
-        let prefixed = |ends: &str| {
-            let is_end = |name: &String, start: &str| name.strip_prefix(start).is_some_and(|end| is_one_of(end, ends));
-            self.names.iter().position(|name| RECEIVER.split(' ').any(|start| is_end(name, start)))
-        };
+        let prefixed = |ends: &str| self.names.iter().position(|name| is_receiver_column(name, ends));
         let height = prefixed("z height altitude alt");
         let pair = |a: &str, b: &str| Some([prefixed(a)?, prefixed(b)?]);
         let metres = pair("x", "y").map(|plane| PlaceColumns::new(plane, height, is_lat_lon));
@@ -121,6 +118,12 @@ impl ColumnSearch<'_> {
         let cells = self.rows.iter().filter_map(|row| row.fields.get(k)).filter(|field| !is_empty_cell(field.text));
         cells.count() == self.values(k).count() && self.values(k).all(|v| v.abs() <= LARGEST)
     }
+}
+
+/// Returns whether a name is that of a receiver followed by one of `ends`, such as `rx` and `x`.
+fn is_receiver_column(name: &str, ends: &str) -> bool {
+    let is_prefix = |receiver: &str| name.strip_prefix(receiver).is_some_and(|end| is_one_of(end, ends));
+    RECEIVER.split(' ').any(is_prefix)
 }
 
 /// Returns a name with its numbers replaced; MAC addresses have one stem.

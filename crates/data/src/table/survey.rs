@@ -14,8 +14,9 @@ use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Error, Progress, Real, Result, check_memory};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-/// Memory of a reading, and of a row or its position, bytes: measured until the data set is written.
+/// Memory of a reading, bytes: measured until the data set is written.
 const READING: u64 = 90;
+/// Memory of a row or its position, bytes: measured until the data set is written.
 const ROW: u64 = 170;
 
 /// Number of rows in a preview.
@@ -139,12 +140,13 @@ impl<'a> Survey<'a> {
             return check(rows).map_err(|fault| Error::input(reader.table.path, fault));
         };
         // Cells are read only if all of them would not fit.
-        check(rows.saturating_mul(columns.len())).or_else(|_| {
-            let is_filled = |row: &TextRow<'_>, k: &usize| row.fields.get(*k).is_some_and(|f| !is_empty_cell(f.text));
-            let filled = |row: &TextRow<'_>| columns.iter().filter(|k| is_filled(row, k)).count();
-            let readings = reader.table.rows().flatten().map(|row| filled(&row)).sum();
-            check(readings).map_err(|fault| Error::input(reader.table.path, fault))
-        })
+        if check(rows.saturating_mul(columns.len())).is_ok() {
+            return Ok(());
+        }
+        let is_filled = |row: &TextRow<'_>, k: &usize| row.fields.get(*k).is_some_and(|f| !is_empty_cell(f.text));
+        let filled = |row: &TextRow<'_>| columns.iter().filter(|k| is_filled(row, k)).count();
+        let readings = reader.table.rows().flatten().map(|row| filled(&row)).sum();
+        check(readings).map_err(|fault| Error::input(reader.table.path, fault))
     }
 
     /// Adds a table with a row per transmitter. Returns an error for an invalid row.

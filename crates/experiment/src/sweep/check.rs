@@ -50,7 +50,7 @@ pub fn estimate_run_seconds(plan: &SweepPlan, runs: &[usize], observer: &mut dyn
             RunStage::Waiting | RunStage::Failed(_) => 1.0,
         };
         let whole = finished_seconds(*combination).or_else(|| measured.get(combination).copied()).unwrap_or(f64::NAN);
-        if left == 0.0 { 0.0 } else { left * whole }
+        if left == 0.0 { 0.0 } else { left * whole } // 0 also if `whole` is NaN
     };
     Ok(runs.iter().map(seconds).collect())
 }

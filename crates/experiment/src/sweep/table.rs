@@ -46,27 +46,7 @@ impl SweepPlan {
         let mut lines = vec![head.map(str::to_owned).to_vec()];
         let finished = ends.count();
         for (&run, state) in runs.iter().zip(&states) {
-            let (name, steps) = (&self.runs[run].folder, self.runs[run].pipeline.training.steps);
-            let progress = |step: u64| format!("{}/{}", grouped(step as i64), grouped(steps as i64));
-            let mut line = vec![String::new(); lines[0].len()];
-            line[0].clone_from(name);
-            line[1] = state.name().into();
-            let waits = queued.contains(name);
-            match state {
-                RunStage::Waiting if waits => line[1] = "queued".into(),
-                RunStage::Waiting => {}
-                RunStage::Stopped { step } if waits => (line[1], line[2]) = ("queued again".into(), progress(*step)),
-                RunStage::Running { step } | RunStage::Stopped { step } => line[2] = progress(*step),
-                RunStage::Failed(why) => line[1] = format!("failed: {why}"),
-                RunStage::Finished(end) => {
-                    let (scores, facts) = &**end;
-                    let score = |key| scores.model_score(key).map_or_else(|| "n/a".into(), number);
-                    (line[2], line[3]) = (progress(facts.steps), grouped(facts.gaussians as i64));
-                    (line[4], line[5], line[6]) =
-                        (score(scores.task.headline.key), score("eta_0db"), format_duration(facts.wall_seconds));
-                }
-            }
-            lines.push(line);
+            lines.push(self.progress_line(run, state, queued.contains(&self.runs[run].folder)).into());
         }
         let head = format!("{}: {finished} of {} runs finished, in {}\n", self.name, runs.len(), self.folder.display());
         let joined = self.joined.as_ref().map_or("", |_| match Facts::read_finished(&self.folder.join(JOINED)) {
@@ -74,6 +54,32 @@ impl SweepPlan {
             _ => "the ensemble is made after the last run\n",
         });
         head + joined + &align_columns(&lines, 2)
+    }
+
+    /// Formats the line of a run in the table of progress, in the order of its header. `is_queued`: the run is in the queue of a
+    /// scheduler.
+    fn progress_line(&self, run: usize, state: &RunStage, is_queued: bool) -> [String; 7] {
+        let (folder, steps) = (&self.runs[run].folder, self.runs[run].pipeline.training.steps);
+        let progress = |step: u64| format!("{}/{}", grouped(step as i64), grouped(steps as i64));
+        let line = |state: &str, step: String, [n, score, eta, time]: [String; 4]| {
+            [folder.clone(), state.to_owned(), step, n, score, eta, time]
+        };
+        match state {
+            RunStage::Waiting if is_queued => line("queued", String::new(), Default::default()),
+            RunStage::Waiting => line(state.name(), String::new(), Default::default()),
+            RunStage::Stopped { step } if is_queued => line("queued again", progress(*step), Default::default()),
+            RunStage::Running { step } | RunStage::Stopped { step } => {
+                line(state.name(), progress(*step), Default::default())
+            }
+            RunStage::Failed(why) => line(&format!("failed: {why}"), String::new(), Default::default()),
+            RunStage::Finished(end) => {
+                let (scores, facts) = &**end;
+                let score = |key| scores.model_score(key).map_or_else(|| "n/a".into(), number);
+                let [first, eta] = [scores.task.headline.key, "eta_0db"].map(score);
+                let (n, time) = (grouped(facts.gaussians as i64), format_duration(facts.wall_seconds));
+                line(state.name(), progress(facts.steps), [n, first, eta, time])
+            }
+        }
     }
 
     /// Formats the table of `runs` (indices in the plan) with their estimated seconds, which are 0 for finished ones.

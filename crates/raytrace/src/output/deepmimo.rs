@@ -77,7 +77,7 @@ fn strongest_paths(station: &PreparedReceiver, user: DVec3) -> Vec<PropagationPa
 }
 
 /// Writes the matrices of the paths of all users, `[users, most paths]`, each into its `file` by name. `wavelength` in
-/// metres.
+/// metres. Returns an error if a write failed.
 fn write_path_matrices(paths: &[Vec<PropagationPath>], wavelength: f64, file: &dyn Fn(&str) -> PathBuf) -> Result<()> {
     let most = paths.iter().map(Vec::len).max().unwrap_or(0).max(1);
     let each = |value: PathValue<'_>| {
@@ -146,7 +146,7 @@ fn scenario_parameters(carrier_hz: f64, most: [usize; 4], sets: [(&str, [usize; 
     })
 }
 
-/// Writes an archive of NumPy with one array of this name, shape and values.
+/// Writes an archive of NumPy with one array of this name, shape and values. Returns an error if the write failed.
 fn write_npz(path: &Path, name: &str, shape: &[usize], values: &[f64]) -> Result<()> {
     let write = || {
         let mut archive = ZipWriter::new(File::create(path)?);

@@ -116,7 +116,7 @@ struct TextFile {
 }
 
 /// Open files in an empty folder. With several receivers or carriers, their observations of a transmitter are consecutive.
-/// Every carrier is a row.
+/// Every carrier is a row. All functions return the errors of failed writes.
 pub(super) struct DatasetFiles {
     folder: PathBuf,
     layout: OutputLayout,

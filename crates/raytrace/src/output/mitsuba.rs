@@ -116,11 +116,12 @@ fn ply_text(triangles: impl Iterator<Item = [DVec3; 3]>) -> String {
         let [a, b, c] = corners.map(|corner| {
             let steps = corner.to_array().map(|v| (v * STEPS).round() as i64);
             let next = indices.len();
-            *indices.entry(steps).or_insert_with(|| {
+            let index = *indices.entry(steps).or_insert(next);
+            if index == next {
                 let [x, y, z] = steps.map(|v| v as f64 / STEPS);
                 writeln!(vertices, "{x} {y} {z}").expect("text grows");
-                next
-            })
+            }
+            index
         });
         writeln!(faces, "3 {a} {b} {c}").expect("text grows");
         count += 1;

@@ -129,7 +129,8 @@ impl<'a> Reader<'a> {
         if holds { Ok(()) } else { Err(self.fault(node, problem)) }
     }
 
-    /// Reads the whole scene: variables and materials first, then shapes.
+    /// Reads the whole scene: variables and materials first, then shapes. Returns an error for an unsupported or invalid
+    /// element.
     fn read_scene(&mut self) -> Result<MitsubaScene> {
         let root = self.document.root_element();
         let problem = "this is not a Mitsuba scene; give a file whose first element is `scene`";

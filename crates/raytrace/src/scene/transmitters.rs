@@ -284,7 +284,7 @@ struct Sampler<'a> {
 }
 
 impl Sampler<'_> {
-    /// Draws sample `number`, counted from 0: uniform in free space.
+    /// Draws sample `number`, counted from 0: uniform in free space. Returns an error after too many positions that are not free.
     fn draw_free_position(&mut self, number: usize) -> Result<DVec3> {
         let Region { low, high } = self.region;
         let mut last = String::new();
@@ -333,7 +333,7 @@ impl Sampler<'_> {
     /// directions of two steps correlate by 0.59, 0.33, 0.25 and 0.09 at lags of 1, 3, 8 and 20 steps; and half of the
     /// steps point up or down by 25° or more. Step lengths are drawn from that distribution. The direction is a slowly
     /// wandering heading plus a wobble of yaw and pitch with a memory of a few steps; its four parameters were fitted to
-    /// the correlations.
+    /// the correlations. Returns an error if the walk finds no free position.
     fn draw_walk(&mut self, step: f64, count: usize) -> Result<Vec<DVec3>> {
         let mut positions = Vec::with_capacity(count);
         if count > 0 {

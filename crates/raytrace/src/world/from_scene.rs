@@ -129,32 +129,29 @@ fn add_object(builder: &mut WorldBuilder, scene: &SceneFile, object: &Object) ->
     let Some(finish) = object.finish() else { return Ok(()) };
     let solid = finish.thickness_m.is_none();
     let finish = builder.add_surface(surface_properties(scene, name, finish));
-    let described =
-        |label: &dyn Fn(DVec3, usize) -> String, normal, number| (format!("{name}{}", label(normal, number)), finish);
-    match object {
-        Object::Box { low, high, yaw_deg, .. } => {
-            let mesh = cuboid_mesh(DVec3::from(*low), DVec3::from(*high), *yaw_deg);
-            let label = |normal: DVec3, number: usize| match normal.z {
-                z if z > 0.5 => "/top".into(),
-                z if z < -0.5 => "/bottom".into(),
-                _ => format!("/side {}", number + 1),
-            };
-            let describe = |normal, number| described(&label, normal, number);
-            builder.add_part(&WorldPart { name, mesh: &mesh, closed: true, describe: &describe });
-        }
+    let (mesh, closed) = match object {
+        Object::Box { low, high, yaw_deg, .. } => (cuboid_mesh(DVec3::from(*low), DVec3::from(*high), *yaw_deg), true),
         Object::Panel { from, to, heights, .. } => {
-            let mesh = Mesh { vertices: upright(from, to, heights).into(), triangles: vec![[0, 1, 2], [0, 2, 3]] };
-            let describe = |normal, number| described(&|_, _| String::new(), normal, number);
-            builder.add_part(&WorldPart { name, mesh: &mesh, closed: false, describe: &describe });
+            (Mesh { vertices: upright(from, to, heights).into(), triangles: vec![[0, 1, 2], [0, 2, 3]] }, false)
         }
-        Object::Opening { .. } => {}
         Object::Mesh { hollow, .. } => {
             let mesh = object.placed_mesh(solid)?;
             let closed = !hollow && mesh.is_closed();
-            let describe = |normal, number| described(&|_, number| format!("/face {}", number + 1), normal, number);
-            builder.add_part(&WorldPart { name, mesh: &mesh, closed, describe: &describe });
+            (mesh, closed)
         }
-    }
+        Object::Opening { .. } => return Ok(()),
+    };
+    let describe = |normal: DVec3, number: usize| {
+        let label = match object {
+            Object::Box { .. } if normal.z > 0.5 => "/top".into(),
+            Object::Box { .. } if normal.z < -0.5 => "/bottom".into(),
+            Object::Box { .. } => format!("/side {}", number + 1),
+            Object::Mesh { .. } => format!("/face {}", number + 1),
+            Object::Panel { .. } | Object::Opening { .. } => String::new(),
+        };
+        (format!("{name}{label}"), finish)
+    };
+    builder.add_part(&WorldPart { name, mesh: &mesh, closed, describe: &describe });
     Ok(())
 }
 

@@ -6,6 +6,7 @@ use super::{Edge, Triangle};
 use crate::hierarchy::Hierarchy;
 use crate::polygon::{side_planes, triangles_outside};
 use glam::DVec3;
+use std::ops::Range;
 
 /// Margin of the boxes in which coincident faces are searched, metres.
 const MARGIN: f64 = 2.0 * BEYOND;
@@ -26,32 +27,20 @@ impl WorldBuilder {
             return;
         }
         let hierarchy = Hierarchy::new(&self.triangles);
-        let coincident = |face: u32, bounds: [DVec3; 2]| {
+        let coincident = |face: u32, bounds: [DVec3; 2]| -> Vec<Triangle> {
             let sheet = &sheets[face as usize];
-            let touching = (!sheet.is_empty()).then(|| hierarchy.in_box(bounds).map(|i| self.triangles[i]));
-            touching
-                .into_iter()
-                .flatten()
-                .filter(|triangle| sheet.binary_search(&triangle.face).is_ok())
-                .collect::<Vec<_>>()
+            if sheet.is_empty() {
+                return Vec::new();
+            }
+            let touching = hierarchy.in_box(bounds).map(|i| self.triangles[i]);
+            touching.filter(|triangle| sheet.binary_search(&triangle.face).is_ok()).collect()
         };
         let (mut edges, mut owners) = (Vec::new(), Vec::new());
         for (edge, owner) in self.edges.iter().zip(&self.owners) {
             edges.extend(self.outer_edges(edge, &coincident));
             owners.resize(edges.len(), *owner);
         }
-        let mut triangles = Vec::with_capacity(self.triangles.len());
-        let mut ranges = Vec::with_capacity(self.faces.len());
-        for (index, face) in (0..).zip(&self.faces) {
-            let start = triangles.len();
-            for triangle in &self.triangles[face.triangles.clone()] {
-                let earlier = coincident(index, bounding_box(&triangle.corners(), MARGIN))
-                    .into_iter()
-                    .filter(|other| other.face < index);
-                triangles.extend(uncovered_pieces(triangle, earlier));
-            }
-            ranges.push(start..triangles.len());
-        }
+        let (triangles, ranges) = self.uncovered_triangles(&coincident);
         (self.edges, self.owners, self.triangles) = (edges, owners, triangles);
         for (face, range) in self.faces.iter_mut().zip(ranges) {
             if range.is_empty() {
@@ -59,6 +48,22 @@ impl WorldBuilder {
             }
             face.triangles = range;
         }
+    }
+
+    /// Returns the parts of all triangles that no earlier face of their sheet covers, and the range of each face in them.
+    fn uncovered_triangles(&self, coincident: Coincident<'_>) -> (Vec<Triangle>, Vec<Range<usize>>) {
+        let mut triangles = Vec::with_capacity(self.triangles.len());
+        let mut ranges = Vec::with_capacity(self.faces.len());
+        for (index, face) in (0..).zip(&self.faces) {
+            let start = triangles.len();
+            for triangle in &self.triangles[face.triangles.clone()] {
+                let mut earlier = coincident(index, bounding_box(&triangle.corners(), MARGIN));
+                earlier.retain(|other| other.face < index);
+                triangles.extend(uncovered_pieces(triangle, &earlier));
+            }
+            ranges.push(start..triangles.len());
+        }
+        (triangles, ranges)
     }
 
     /// Returns whether coplanar faces describe one sheet where they coincide: faces of one mesh, and faces of different
@@ -130,7 +135,7 @@ impl WorldBuilder {
 }
 
 /// Returns the pieces of a triangle outside other triangles in its plane.
-fn uncovered_pieces(triangle: &Triangle, others: impl Iterator<Item = Triangle>) -> Vec<Triangle> {
+fn uncovered_pieces(triangle: &Triangle, others: &[Triangle]) -> Vec<Triangle> {
     let mut pieces = vec![*triangle];
     for other in others {
         let sides = side_planes(&other.corners(), other.normal());

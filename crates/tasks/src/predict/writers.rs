@@ -211,7 +211,8 @@ fn has_spread(model: &Prepared<'_>) -> bool {
     model.models().count() > 1
 }
 
-/// Formats the first line of `predictions.csv`: the names of its columns.
+/// Formats the first line of `predictions.csv`: the names of its columns, in the order in which [`PredictionRow::first_columns`],
+/// [`PredictionWriter::format_prediction`] and [`PredictionRow::last_columns`] format them.
 fn list_header(model: &Prepared<'_>, has_interval: bool) -> String {
     let task = model.task();
     let pose = if model.moving().is_receiver() { "x,y,z,qx,qy,qz,qw" } else { "x,y,z" };

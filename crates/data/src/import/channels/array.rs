@@ -38,6 +38,19 @@ struct Cursor {
 }
 
 impl Cursor {
+    /// Creates a cursor at `at` from the names and lengths of the axes, for gains `[M,A,F]` of this size.
+    fn new(at: usize, axes: &[(&str, usize)], [_, a, f]: [usize; 3]) -> Self {
+        let step = |name: &str| match name {
+            "m" => 2 * a * f,
+            "a" => 2 * f,
+            "f" => 2,
+            "ri" => 1,
+            _ => usize::MAX, // -1: the first part of `ir` is the second of a gain
+        };
+        let axes = axes.iter().map(|&(name, length)| Axis { index: 0, length, step: step(name) }).collect();
+        Self { at, axes }
+    }
+
     /// Moves to the position of the number after the next.
     fn advance(&mut self) {
         for Axis { index, length, step } in &mut self.axes {
@@ -101,16 +114,7 @@ impl Part {
             gains.resize(count, [0.0; 2]);
         }
         at += usize::from(axes.iter().any(|axis| axis.0 == "ir"));
-        // Distances of the gains along the axes, in numbers; the first part of `ir` is the second of a gain.
-        let step = |name: &str| match name {
-            "m" => 2 * a * f,
-            "a" => 2 * f,
-            "f" => 2,
-            "ri" => 1,
-            _ => usize::MAX,
-        };
-        let axes = axes.iter().map(|&(name, length)| Axis { index: 0, length, step: step(name) }).collect();
-        let (mut cursor, gains) = (Cursor { at, axes }, gains.as_flattened_mut());
+        let (mut cursor, gains) = (Cursor::new(at, &axes, size), gains.as_flattened_mut());
         numbers.read(file, |piece| {
             for value in piece {
                 gains[cursor.at] = *value as Real;

@@ -10,8 +10,9 @@ use pwrfgs_experiment::{LoadedRun, text::grouped};
 /// Maximum numbers of drawn transmitters and surface points, strongest first.
 const SHOWN: usize = 600;
 const POINTS: usize = 2_500;
-/// Width of a view.
+/// Width of a view, and its maximum height without axes.
 const WIDTH: f64 = 560.0;
+const MOST_HEIGHT: f64 = 420.0;
 /// Radius of the strongest transmitter.
 const RADIUS: f64 = 9.0;
 /// Level below the strongest at which all discs have the smallest size, dB.
@@ -72,11 +73,11 @@ fn draw_view(run: &LoadedRun<'_>, sources: &[MappedSource], axes: [usize; 2]) ->
     let flat = |p: [f64; 3]| axes.map(|k| p[k]);
     let walls = [scene.bounds.0, scene.bounds.1].map(|corner| flat(scene.origin.world(corner)));
     let positions: Vec<[f64; 2]> = sources.iter().map(|source| flat(source.position)).collect();
-    let plan = FloorPlan::new(view_frame(walls, &positions), names, WIDTH, 420.0);
+    let plan = FloorPlan::new(view_frame(walls, &positions), names, WIDTH, MOST_HEIGHT);
     let mut canvas = plan.empty_map();
     plan.draw_points(&mut canvas, evenly(&scene.points, POINTS).into_iter().map(|p| flat(scene.origin.world(p))));
     let [a, b] = [plan.project([walls[0][0], walls[1][1]]), plan.project([walls[1][0], walls[0][1]])];
-    canvas.rect(a, [b[0] - a[0], b[1] - a[1]], Paint { dash: &[6.0, 4.0], ..Paint::stroke(WALLS, 1.1) });
+    canvas.rect(a, [b[0] - a[0], b[1] - a[1]], wall_paint());
     let mut outside = 0;
     let paint = Paint::fill(BLUE.with_opacity(0.6)).outlined(WHITE, 0.6);
     for source in sources {
@@ -92,6 +93,11 @@ fn draw_view(run: &LoadedRun<'_>, sources: &[MappedSource], axes: [usize; 2]) ->
     }
     plan.draw_axes(&mut canvas);
     (FloorPlan::centred_in(&canvas, WIDTH), outside)
+}
+
+/// Returns the paint of the bounds of the room.
+fn wall_paint() -> Paint {
+    Paint { dash: &[6.0, 4.0], ..Paint::stroke(WALLS, 1.1) }
 }
 
 /// Returns the bounds of the room and its surroundings with mirror images, except the few farthest.
@@ -119,7 +125,7 @@ fn draw_legend(has_points: bool) -> Canvas {
     }
     draw_receiver(&mut canvas, [x, y]);
     add_label(&mut canvas, &mut x, "receiver");
-    canvas.line(&[[x - 9.0, y], [x + 9.0, y]], Paint { dash: &[6.0, 4.0], ..Paint::stroke(WALLS, 1.1) });
+    canvas.line(&[[x - 9.0, y], [x + 9.0, y]], wall_paint());
     add_label(&mut canvas, &mut x, if has_points { "bounds of the scene" } else { "bounds of the data" });
     canvas.width = x;
     canvas

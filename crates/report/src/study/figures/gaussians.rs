@@ -5,7 +5,7 @@ use super::tradeoff::method_style;
 use crate::draw::charts::{Band, Chart, ChartAxis, ChartLine, decimate_steps, phase_bands};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::context;
-use pwrfgs_experiment::{Setting, StudyVariant, VariantFamily};
+use pwrfgs_experiment::{Record, Setting, StudyVariant, VariantFamily};
 use std::collections::BTreeMap;
 
 /// Number of marks per line.
@@ -96,7 +96,7 @@ fn shared_phases(setting: &Setting) -> Vec<Band> {
 /// Returns the minimum, mean and maximum N at each step up to `end` that all runs of the variant recorded.
 fn seed_range(variant: &StudyVariant, end: f64) -> [Vec<(f64, f64)>; 3] {
     let mut at: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
-    for (step, n) in variant.runs.iter().flat_map(|r| r.gaussians_curve()) {
+    for (step, n) in variant.runs.iter().flat_map(Record::gaussians_curve) {
         at.entry(step as u64).or_default().push(n);
     }
     at.retain(|step, all| *step as f64 <= end && all.len() == variant.runs.len());

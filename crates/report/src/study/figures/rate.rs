@@ -7,7 +7,7 @@ use crate::draw::charts::{Chart, ChartAxis, ChartLine};
 use crate::draw::marks::Style;
 use minijinja::context;
 use pwrfgs_core::{Baseline, Dataset, Error, Measurement, Metric, Plugin, Result, evenly};
-use pwrfgs_experiment::{EvaluationSet, NoopObserver, Predictor, ScoredPredictor, Session, Setting};
+use pwrfgs_experiment::{EvaluationSet, NoopObserver, Predictor, Record, ScoredPredictor, Session, Setting};
 
 /// Ends of the axis and steps between, dB.
 const LOW_DB: f64 = -20.0;
@@ -32,14 +32,8 @@ pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>
         let mut curves = Vec::new();
         for run in &variant.runs {
             let test = run.partition(data)?.test;
-            let part = evenly(&test, SAMPLES);
-            fewer |= part.len() < test.len();
-            let (model, mut observer) = (run.model(data)?, NoopObserver);
-            let samples = EvaluationSet::new(data, &part, model.plane());
-            let mut session = Session::new(&mut observer);
-            let predictor = Predictor::Model(&model.prepare(), None);
-            let scored = ScoredPredictor { name: "the model", predictor, metrics: &metrics };
-            curves.push(loss_curve(&samples.score(scored, &mut session)?));
+            fewer |= test.len() > SAMPLES;
+            curves.push(model_curve(run, data, &evenly(&test, SAMPLES), &metrics)?);
         }
         let mut line = ChartLine::new(mean_curve(&curves), Style::variant(k)).named(&variant.label);
         // Every fourth point, with a different start per line.
@@ -49,6 +43,20 @@ pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>
     lines.extend(baseline_lines(setting, data, &metrics)?);
     let words = context! { part => fewer.then_some(SAMPLES) };
     Ok(Figure::from_chart("eta-snr", setting, words, rate_chart(lines)))
+}
+
+/// Returns the rate losses of the model of a run on the samples `part`.
+fn model_curve(
+    run: &Record,
+    data: &Dataset,
+    part: &[usize],
+    metrics: &[Plugin<dyn Metric>],
+) -> Result<Vec<(f64, f64)>> {
+    let model = run.model(data)?;
+    let samples = EvaluationSet::new(data, part, model.plane());
+    let predictor = Predictor::Model(&model.prepare(), None);
+    let scored = ScoredPredictor { name: "the model", predictor, metrics };
+    Ok(loss_curve(&samples.score(scored, &mut Session::new(&mut NoopObserver))?))
 }
 
 /// Creates the chart of rate losses over the signal-to-noise ratio.
