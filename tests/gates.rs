@@ -143,7 +143,7 @@ fn pruning_to_zero_stops_unless_target_is_one() {
         let failed = (0..30).find_map(|_| trainer.step().err());
         if is_result {
             assert!(failed.is_none() && trainer.model().cloud.len() == 1, "{pruners}: {failed:?}");
-            assert_eq!(trainer.idle_masks(), None, "{pruners}");
+            assert_eq!(trainer.idle_masks_warning(), None, "{pruners}");
         } else {
             assert!(matches!(failed, Some(Error::Collapsed { step: 12, .. })), "{pruners}: {failed:?}");
         }
@@ -174,7 +174,7 @@ fn resumed_training_counts_closed_masks() {
         while !resumed.finished() {
             resumed.step().unwrap();
         }
-        let found = resumed.idle_masks();
+        let found = resumed.idle_masks_warning();
         assert!(found.as_deref().is_some_and(|text| text.contains("λ")) == said.is_some(), "{found:?}");
         assert!(said.is_none_or(|said| found.is_some_and(|text| text.starts_with(said))), "rate {rate}");
     }

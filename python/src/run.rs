@@ -180,9 +180,12 @@ pub(crate) fn export_scene(py: Python<'_>, scene: PathBuf, out: PathBuf) -> PyRe
     without_gil(py, || mitsuba::export_scene(&SceneFile::read(&scene)?, &out))
 }
 
+/// Scores as a dict, and the same as text.
+type Scores = (Py<PyDict>, String);
+
 /// Content of `run.json` of a folder: (facts as JSON text, (scores, scores as text)); scores are `None` before the evaluation.
 #[pyfunction]
-pub(crate) fn facts(py: Python<'_>, folder: PathBuf) -> PyResult<(String, Option<(Py<PyDict>, String)>)> {
+pub(crate) fn facts(py: Python<'_>, folder: PathBuf) -> PyResult<(String, Option<Scores>)> {
     let read = || -> Result<_> {
         let path = folder.join(pwrfgs::experiment::folder::FACTS);
         let text = pwrfgs_core::files::read_text(&path)?;

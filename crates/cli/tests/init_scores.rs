@@ -119,8 +119,8 @@ fn steps_with_many_links_have_fewer_models() {
     let here = here.path();
     let names: Vec<String> = (0..100).map(|k| format!("ap{k}")).collect();
     let powers = |i: usize| (0..100).map(|k| format!("-{}", 40 + (i + 3 * k) % 31)).collect::<Vec<_>>().join(",");
-    let table: String = (0..60).map(|i| format!("{},{},1,{}\n", i % 10, i / 10, powers(i))).collect();
-    write(&here.join("walk.csv"), format!("x,y,z,{}\n{table}", names.join(",")));
+    let rows: Vec<String> = (0..60).map(|i| format!("{},{},1,{}", i % 10, i / 10, powers(i))).collect();
+    write(&here.join("walk.csv"), format!("x,y,z,{}\n{}\n", names.join(","), rows.join("\n")));
     succeed(here, &["import", "--table", "walk.csv", "--columns", "ap*", "--out", "walk"]);
     succeed(here, &["init", "walk", "-o", "many.ron"]);
     let text = std::fs::read_to_string(here.join("many.ron")).unwrap();

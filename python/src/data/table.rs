@@ -16,7 +16,7 @@ pub(super) fn read(table: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>
             let key: String = key.extract()?;
             match &*key {
                 "accept" => {
-                    accepted = list_items(&value)?.iter().map(PyAnyMethods::extract).collect::<PyResult<_>>()?
+                    accepted = list_items(&value)?.iter().map(PyAnyMethods::extract).collect::<PyResult<_>>()?;
                 }
                 key => set_option(&mut import, key, &value)?,
             }

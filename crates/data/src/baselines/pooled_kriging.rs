@@ -112,7 +112,8 @@ impl Predict for PooledKriging<'_> {
             let name = if names.len() > 1 { format!("{name}: ") } else { String::new() };
             format!("{name}{}{slope}", format_digits(path_loss.level))
         };
-        let list: Vec<String> = path_losses.iter().zip(&names).map(describe).collect();
+        let mut list: Vec<String> = path_losses.iter().zip(&names).take(LISTED).map(describe).collect();
+        list.extend((path_losses.len() > LISTED).then(|| format!("and {} more", path_losses.len() - LISTED)));
         let trend = if has_distances { "path loss in dBm at 1 m and dB per decade" } else { "mean in dBm" };
         let text = format!(
             "Kriging found one correlation for all receivers, {} with a length scale of {} m, a variance of {} dB² and noise of \

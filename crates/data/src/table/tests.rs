@@ -112,7 +112,7 @@ fn columns_may_have_the_names_of_receivers_within_a_shared_text() {
     let notes = imported.notes.join("\n");
     assert!(notes.contains("column `RSSI_AP1` is receiver `AP1`, and so on"), "{notes}");
     assert!(notes.contains("height 0 m (change: --height METRES)"), "{notes}");
-    let problem = read_with(table, "name,x,y,z\nkitchen,5,0,2\n").err().unwrap().to_string();
+    let problem = read_with(table, "name,x,y,z\nkitchen,5,0,2\n").err().unwrap();
     assert!(
         problem.contains("has the names `kitchen`, but the powers are those of `RSSI_AP1`, `RSSI_AP11`"),
         "{problem}"
