@@ -136,8 +136,8 @@ impl FingerprintBuilder<'_> {
             }
         }
         let repeated = || rows.iter().filter(|readings| readings.count > 1.0);
-        let degrees = repeated().map(|readings| readings.count - 1.0).sum::<f32>();
-        let variance = repeated().map(|readings| readings.squares).sum::<f32>() / degrees;
+        let freedom = repeated().map(|readings| readings.count - 1.0).sum::<f32>();
+        let variance = repeated().map(|readings| readings.squares).sum::<f32>() / freedom;
         let weights = if variance > 0.0 {
             rows.iter().map(|readings| readings.weight(variance)).collect()
         } else {
