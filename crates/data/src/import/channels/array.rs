@@ -106,7 +106,7 @@ impl Part {
                 let problem = format!("has shape {}, unlike the real parts", header.shape_text());
                 return Err(Error::input(path, format!("{problem}; give real arrays of one shape")));
             }
-            at = at + 1 - 2 * m * a * f;
+            at = at + 1 - 2 * m * a * f; // imaginary part of the first gain read last
         } else {
             let count = gains.len() + m * a * f;
             check_gains(path, count)?;
