@@ -116,7 +116,9 @@ struct TextFile {
 }
 
 /// Open files in an empty folder. With several receivers or carriers, their observations of a transmitter are consecutive.
-/// Every carrier is a row. All functions return the errors of failed writes.
+/// Every carrier is a row.
+///
+/// All functions return the errors of failed writes.
 pub(super) struct DatasetFiles {
     folder: PathBuf,
     layout: OutputLayout,
@@ -325,7 +327,7 @@ pub(super) fn check_power_table(folder: &Path) -> Result<()> {
     }
 }
 
-/// Writes the pixels of a spectrum as a grey PNG image.
+/// Writes the pixels of a spectrum as a grey PNG image. Returns an error if the write failed.
 fn write_grey_png(path: &Path, pixels: &[u8]) -> Result<()> {
     let mut bytes = Vec::new();
     PngEncoder::new(&mut bytes)
