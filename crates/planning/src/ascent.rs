@@ -107,9 +107,10 @@ struct Search<F> {
     links: usize,
 }
 
+/// Steps of the search. They return the errors of `trace`.
 impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
     /// Traces the first free positions of the Halton sequence, at most `count`; `shift` moves the sequence, as parts of the
-    /// area. Returns the errors of `trace`, as all steps of the search do.
+    /// area.
     fn screen(&mut self, count: usize, shift: [f64; 2]) -> Result<()> {
         let [low, high] = self.area;
         // Ends also if less than a twentieth of the area is free.
