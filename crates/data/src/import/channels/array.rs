@@ -85,7 +85,7 @@ impl Part {
         })
     }
 
-    /// Reads an array as [`Self::read`] does.
+    /// Appends the gains of an open array. Arguments, result and errors as of [`Self::read`].
     fn read_array(self, array: OpenArray<'_>, names: &str, gains: &mut Vec<[Real; 2]>) -> Result<[usize; 3]> {
         let OpenArray { path, file, length } = array;
         let header = Header::read(path, file)?;
