@@ -203,8 +203,9 @@ impl<'a> TableText<'a> {
         })
     }
 
-    /// Returns the rows as [`Self::rows`]; `progress` counts lines.
+    /// Returns the rows or errors of [`Self::rows`]; `progress` counts lines.
     pub(crate) fn counted_rows(&self, progress: Progress<'_>) -> impl Iterator<Item = Result<TextRow<'_>>> {
+        /// Number of lines between two reports of progress.
         const STEP: usize = 256;
         let total = self.row_count();
         self.rows().inspect(move |row| {

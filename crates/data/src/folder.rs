@@ -188,7 +188,8 @@ pub(crate) fn read_ascending(path: &Path, noun: &str) -> Result<Vec<u32>> {
     Ok(numbers)
 }
 
-/// Returns the title of the data set `name` in a layout, as [`dataset_title`], and its simulation, as [`read_simulation`].
+/// Returns the title of the data set `name` in a layout, as [`dataset_title`], and its simulation, as [`read_simulation`];
+/// `None` for measured data.
 pub(crate) fn read_title(root: &Path, name: &str, layout: &str) -> (String, Option<Simulation>) {
     let simulation = read_simulation(root, name);
     (dataset_title(name, simulation.as_ref(), layout), simulation)

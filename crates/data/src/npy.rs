@@ -246,12 +246,13 @@ impl<'a> NumberReader<'a> {
     /// Reads the numbers from `file`, in its order. `take` gets pieces of them, so that they are not in memory twice. Returns an
     /// error for a number that is not finite.
     pub(crate) fn read(self, file: &mut dyn Read, mut take: impl FnMut(&[f64])) -> Result<()> {
+        /// Number of parts that are read at a time.
         const PIECE: usize = 1 << 16;
         let Self { header, path, part, bytes, parts, count } = self;
         let is_big_endian = header.descr.starts_with('>');
-        let number = |number: &[u8]| {
+        let number = |raw: &[u8]| {
             let mut word = [0; 8];
-            word[..bytes].copy_from_slice(number);
+            word[..bytes].copy_from_slice(raw);
             if is_big_endian {
                 word[..bytes].reverse();
             }

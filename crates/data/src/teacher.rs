@@ -14,6 +14,10 @@ use std::path::Path;
 
 /// Transmitters rendered together; they share one geometry.
 const BATCH: usize = 8;
+/// Every n-th sample belongs to the test list.
+const TEST_EVERY: usize = 5;
+/// Largest number of Gaussians, of spectra, and of their rows or columns.
+const MOST: usize = 1_000_000;
 /// Largest number of pixels of all spectra together.
 const MAX_PIXELS: usize = 1 << 32;
 
@@ -145,7 +149,8 @@ impl DataSource for Teacher {
         let to_byte = |value: &Real| (value / largest * 255.0).round() as u8;
         let samples = txs.iter().zip(1..).map(|(&tx, id)| Sample::new(id, tx)).collect();
         let spectra = Spectra::grey((self.width, self.height), spectra.iter().map(to_byte).collect())?;
-        let (test, train): (Vec<usize>, Vec<usize>) = (0..self.samples).partition(|i| i % 5 == 4);
+        let (test, train): (Vec<usize>, Vec<usize>) =
+            (0..self.samples).partition(|&i: &usize| (i + 1).is_multiple_of(TEST_EVERY));
         let official = (!test.is_empty()).then_some((train, test));
         let Self { samples: count, gaussians, seed, .. } = self;
         let title = format!("{count} simulated spectra of {gaussians} Gaussians (Teacher, seed {seed})");
@@ -158,8 +163,8 @@ impl DataSource for Teacher {
         for (name, value) in
             [("gaussians", self.gaussians), ("samples", self.samples), ("width", self.width), ("height", self.height)]
         {
-            if value == 0 || value > 1_000_000 {
-                return Err(format!("`{name}` is {value}; use 1 to 1000000"));
+            if value == 0 || value > MOST {
+                return Err(format!("`{name}` is {value}; use 1 to {MOST}"));
             }
         }
         if self.samples * self.width > MAX_PIXELS / self.height {

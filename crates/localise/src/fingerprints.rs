@@ -136,8 +136,8 @@ impl FingerprintBuilder<'_> {
             }
         }
         let repeated = || rows.iter().filter(|readings| readings.count > 1.0);
-        let degrees = repeated().map(|readings| readings.count - 1.0).sum::<f32>();
-        let variance = repeated().map(|readings| readings.squares).sum::<f32>() / degrees;
+        let freedom = repeated().map(|readings| readings.count - 1.0).sum::<f32>();
+        let variance = repeated().map(|readings| readings.squares).sum::<f32>() / freedom;
         let weights = if variance > 0.0 {
             rows.iter().map(|readings| readings.weight(variance)).collect()
         } else {
@@ -226,6 +226,7 @@ const LANES: usize = 16;
 /// Returns the weighted mean squared difference of features over those that both contain; infinite if there are none. Sums of
 /// [`LANES`] run side by side, for vector instructions.
 fn mean_squared_difference(a: &[f32], b: &[f32], weights: &[f32]) -> f32 {
+    // Equals the sums below, in a fraction of their time.
     if let (&[a], &[b], &[weight]) = (a, b, weights) {
         let d = a - b;
         return if d.is_nan() || weight == 0.0 { f32::INFINITY } else { weight * (d * d) / weight };
@@ -236,11 +237,11 @@ fn mean_squared_difference(a: &[f32], b: &[f32], weights: &[f32]) -> f32 {
         sums[k] += if d.is_nan() { 0.0 } else { weight * (d * d) };
         totals[k] += if d.is_nan() { 0.0 } else { weight };
     };
-    let (left, right, third) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>(), weights.as_chunks::<LANES>());
-    for ((a, b), weights) in left.0.iter().zip(right.0).zip(third.0) {
+    let (a, b, weights) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>(), weights.as_chunks::<LANES>());
+    for ((a, b), weights) in a.0.iter().zip(b.0).zip(weights.0) {
         (0..LANES).for_each(|k| add(k, a[k], b[k], weights[k]));
     }
-    let rest = left.1.iter().zip(right.1).zip(third.1);
+    let rest = a.1.iter().zip(b.1).zip(weights.1);
     rest.enumerate().for_each(|(k, ((a, b), weight))| add(k, *a, *b, *weight));
     let total = totals.iter().sum::<f32>();
     if total == 0.0 { f32::INFINITY } else { sums.iter().sum::<f32>() / total }

@@ -107,9 +107,10 @@ struct Search<F> {
     links: usize,
 }
 
+/// Steps of the search. They return the errors of `trace`.
 impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
     /// Traces the first free positions of the Halton sequence, at most `count`; `shift` moves the sequence, as parts of the
-    /// area. Returns the errors of `trace`, as all steps of the search do.
+    /// area.
     fn screen(&mut self, count: usize, shift: [f64; 2]) -> Result<()> {
         let [low, high] = self.area;
         // Ends also if less than a twentieth of the area is free.
@@ -125,6 +126,7 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
 
     /// Returns the index of the position `at`, traced at the first call; `None` if it is not free or outside.
     fn candidate_at(&mut self, at: [f64; 2]) -> Result<Option<usize>> {
+        // Steps there and back differ by rounding.
         let is_here = |candidate: &TracedPosition| (0..2).all(|k| (candidate.at[k] - at[k]).abs() < 1e-6);
         let index = self.candidates.iter().position(is_here);
         if index.is_some() || (0..2).any(|k| !(self.area[0][k]..=self.area[1][k]).contains(&at[k])) {

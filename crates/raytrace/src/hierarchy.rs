@@ -167,6 +167,7 @@ impl Hierarchy {
         let mut owners = vec![None; self.nodes.len()];
         for (i, node) in self.nodes.iter().enumerate().rev() {
             owners[i] = if node.triangle == u32::MAX {
+                // The subtrees of an inner node follow it, one after the other.
                 let second = self.nodes[i + 1].exit as usize;
                 owners[i + 1].filter(|owner| owners[second] == Some(*owner))
             } else {

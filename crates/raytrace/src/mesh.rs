@@ -253,8 +253,9 @@ impl Mesh {
         self.vertices.iter().fold(ends, |(low, high), vertex| (low.min(*vertex), high.max(*vertex)))
     }
 
-    /// Warns if y seems to point up, as in files of many modelling programs: the mesh is low and wide along y, stands on
-    /// y = 0, goes below z = 0, and more of its area faces y than z.
+    /// Warns if y seems to point up, as in files of many modelling programs: the mesh is smaller along y than along x and z but
+    /// no sheet, stands on y = 0 up to 2 % of its height, goes below z = 0 by a quarter of its depth, and more of its area faces
+    /// y than z.
     fn warn_of_y_up(&self, file: &Path) {
         let (low, high) = self.bounds();
         let size = high - low;

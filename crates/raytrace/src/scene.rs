@@ -123,7 +123,8 @@ impl SceneFile {
         scene.with_meshes(meshes, (path, &text))
     }
 
-    /// Reads a Mitsuba file as a scene with a default carrier, and isotropic antennas at positions that suit its size.
+    /// Reads a Mitsuba file as a scene with a default carrier, and isotropic antennas at positions that suit its size. Returns an
+    /// error for an invalid file, a mesh that cannot be read, or a single wall.
     fn read_mitsuba(path: &Path) -> Result<Self> {
         let meshes = MitsubaScene::read(path, std::iter::empty())?;
         let mut scene: Self = read_ron(MITSUBA_DEFAULTS, path)?;

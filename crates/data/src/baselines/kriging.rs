@@ -134,6 +134,13 @@ impl<'a> Trend<'a> {
         }
     }
 
+    /// Returns the residual of the received power of link `i`, dB.
+    fn residual_power(&self, i: usize) -> f64 {
+        let mut one = [0.0];
+        self.write_residual(i, 1, &mut one);
+        f64::from(one[0])
+    }
+
     /// Returns the most likely correlation, with a scale of time if `time`, and its process variance per value. For spectra as
     /// [`fit_observations`]. For powers the likelihood is that of at most [`POWERS`] samples, each given the nearest of those
     /// before it in random order: the densities multiply to the joint density (Vecchia, Journal of the Royal Statistical Society
@@ -191,11 +198,7 @@ impl Predict for Process<'_> {
         }
         let (near, Solution { weights, .. }) = self.solve_weights(query);
         let weighted = near.into_iter().map(|k| self.samples[k]).zip(weights);
-        let residual = |(i, weight): (usize, f64)| {
-            let mut one = [0.0];
-            self.trend.write_residual(i, 1, &mut one);
-            weight * one[0] as f64
-        };
+        let residual = |(i, weight): (usize, f64)| weight * self.trend.residual_power(i);
         let dbm = self.trend.power(query) + weighted.map(residual).sum::<f64>();
         Image { width: 1, height: 1, pixels: vec![dbm as Real] }
     }
@@ -205,9 +208,7 @@ impl Predict for Process<'_> {
         let (d, data) = (cotangent(&image), self.trend.data);
         let along = |k: usize| {
             if self.trend.path_loss.is_some() {
-                let mut one = [0.0];
-                self.trend.write_residual(self.samples[k], 1, &mut one);
-                return f64::from(d[0]) * f64::from(one[0]);
+                return f64::from(d[0]) * self.trend.residual_power(self.samples[k]);
             }
             let sample = data.image(self.samples[k]);
             sample.pixels.iter().zip(&d).map(|(v, d)| f64::from(*v) * f64::from(*d)).sum()

@@ -10,6 +10,8 @@ use rayon::prelude::*;
 use ron::value::RawValue;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
+/// Default of k; also that of `Auto` if there is nothing to compare.
+const DEFAULT: usize = 3;
 /// Candidate values of k for `Auto`.
 const CHOICES: [usize; 13] = [1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120, 160];
 /// Largest number of observations used to choose k.
@@ -84,7 +86,7 @@ impl<'de> Deserialize<'de> for Neighbours {
 
 impl Default for NearestNeighbours {
     fn default() -> Self {
-        Self { k: Neighbours::Number(3) }
+        Self { k: Neighbours::Number(DEFAULT) }
     }
 }
 
@@ -141,7 +143,7 @@ fn best_neighbour_count(data: &Dataset, fitting: FittingSet<'_>) -> Result<usize
     let scores = evenly(&held_out, most).par_iter().map(score).collect::<Result<Vec<Vec<f64>>>>()?;
     data.observations.check()?;
     if scores.iter().all(Vec::is_empty) {
-        return Ok(3);
+        return Ok(DEFAULT);
     }
     let total = |c: usize| scores.iter().filter_map(|scores| scores.get(c)).sum::<f64>();
     Ok(CHOICES[(1..CHOICES.len()).fold(0, |best, c| if total(c) > total(best) { c } else { best })])

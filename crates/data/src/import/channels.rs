@@ -132,7 +132,7 @@ impl ChannelImport {
     }
 
     /// Creates the received powers, dB relative to the strongest, with a receiver per subcarrier, or per antenna of one
-    /// subcarrier.
+    /// subcarrier. Returns the errors of [`Dataset::of_links`].
     fn create_powers(&self, grid: &Grid, kind: Kind, received: &[Vec<usize>; 3]) -> Result<Dataset> {
         let [rows, antennas, subcarriers] = received;
         let (listed, noun) = if grid.size[2] > 1 { (subcarriers, "subcarrier") } else { (antennas, "antenna") };

@@ -18,7 +18,7 @@ use zip::ZipArchive;
 const SPECTRA: &str = "spectra are an array .npy, an archive .npz, or a folder of images 00001.png ..";
 
 /// Reads transmitter positions `[M,3]`, metres, from an array, archive or table. If `with_spectra`, they are an array in the
-/// archive of the spectra. Returns an error if there are none.
+/// archive of the spectra. Returns an error for an invalid file, or if there are none.
 pub(super) fn read_positions(path: &Path, with_spectra: bool) -> Result<Vec<[f64; 3]>> {
     let (file, name) = split_array_name(path);
     let txs = match extension(&file) {

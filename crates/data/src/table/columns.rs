@@ -98,7 +98,7 @@ impl<'a> ColumnSearch<'a> {
     /// Returns the columns of the position; `None` without two coordinates. Degrees are recognised by the names latitude and
     /// longitude and their range, or declared by `is_lat_lon`. Returns an error for two positions, for half of one, and for
     /// metres that look like degrees.
-    pub(super) fn place(&self, is_lat_lon: bool) -> Result<Option<PlaceColumns>> {
+    pub(super) fn position_columns(&self, is_lat_lon: bool) -> Result<Option<PlaceColumns>> {
         let ColumnChoice { x, y, z, lat, lon, .. } = self.choice;
         let height = self.find("--z", z.as_ref(), Z)?;
         let degrees = [self.find("--lat", lat.as_ref(), LAT)?, self.find("--lon", lon.as_ref(), LON)?];

@@ -52,7 +52,7 @@ impl Frame {
         let table = TableText::read(file)?;
         let choice = ColumnChoice::default();
         let search = ColumnSearch::new(&table, &choice)?;
-        let columns = search.place(import.is_lat_lon)?;
+        let columns = search.position_columns(import.is_lat_lon)?;
         let columns =
             columns.ok_or_else(|| search.fault("no position; write a table with the columns name, x, y and z"))?;
         let name = search.name_column(columns)?;
@@ -78,7 +78,7 @@ impl Frame {
         let table = TableText::read(file)?;
         let choice = ColumnChoice { wide: Vec::new(), ..import.columns.clone() };
         let search = ColumnSearch::new(&table, &choice)?;
-        let columns = match search.place(import.is_lat_lon)? {
+        let columns = match search.position_columns(import.is_lat_lon)? {
             Some(columns) => columns,
             None if table.header.is_none() && table.names.len() >= 2 => {
                 let height = (table.names.len() > 2).then_some(2);

@@ -20,7 +20,7 @@ pub(super) enum PowerColumns {
 
 impl ColumnSearch<'_> {
     /// Returns the columns of the received powers, none of which are in `used`. Returns an error if none or several suit.
-    pub(super) fn powers(&self, used: &[usize], is_lat_lon: bool) -> Result<PowerColumns> {
+    pub(super) fn power_columns(&self, used: &[usize], is_lat_lon: bool) -> Result<PowerColumns> {
         if !self.choice.wide.is_empty() {
             return self.chosen_wide().map(PowerColumns::Wide);
         }
@@ -32,8 +32,8 @@ impl ColumnSearch<'_> {
                 columns => return Ok(PowerColumns::Wide(columns.to_vec())),
             },
         };
-        let stem = |k: usize| self.names[k].trim_end_matches(|c: char| c.is_ascii_digit());
-        let is_similar = |k: &usize| *k != power && self.choice.power.is_none() && is_one_of(stem(*k), POWER);
+        let unnumbered = |k: usize| self.names[k].trim_end_matches(|c: char| c.is_ascii_digit());
+        let is_similar = |k: &usize| *k != power && self.choice.power.is_none() && is_one_of(unnumbered(*k), POWER);
         let similar: Vec<usize> = (0..self.names.len()).filter(is_similar).collect();
         if !similar.is_empty() {
             let problem = format!("{} could each be the power", self.list([&[power], &similar[..]].concat()));
@@ -52,7 +52,7 @@ impl ColumnSearch<'_> {
             let advice = "name it with --receiver, or give --receiver NAME if there is one receiver";
             return Err(self.fault(format!("{column} may be the column of the receivers; {advice}")));
         }
-        Ok(PowerColumns::Long { power, receiver, place: self.receiver_place(is_lat_lon) })
+        Ok(PowerColumns::Long { power, receiver, place: self.receiver_position_columns(is_lat_lon) })
     }
 
     /// Returns whether a column holds several names, each in several rows.
@@ -63,7 +63,7 @@ impl ColumnSearch<'_> {
     }
 
     /// Returns the columns of the receiver's position beside a reading, such as `rx_x`; `None` without them.
-    fn receiver_place(&self, is_lat_lon: bool) -> Option<PlaceColumns> {
+    fn receiver_position_columns(&self, is_lat_lon: bool) -> Option<PlaceColumns> {
         let prefixed = |ends: &str| self.names.iter().position(|name| is_receiver_column(name, ends));
         let height = prefixed("z height altitude alt");
         let pair = |a: &str, b: &str| Some([prefixed(a)?, prefixed(b)?]);

@@ -45,7 +45,7 @@ impl<'a> RowReader<'a> {
             let advice = "name its columns with --x and --y or --lat and --lon, give the positions row by row with --tx \
                           FILE, or of places with --places FILE. Positions in another table that share only the time \
                           must be joined first";
-            let columns = search.place(import.is_lat_lon)?;
+            let columns = search.position_columns(import.is_lat_lon)?;
             RowPlace::Columns(columns.ok_or_else(|| search.fault(format!("no position was recognised; {advice}")))?)
         };
         let has_height = matches!(place, RowPlace::Columns(columns) if columns.height.is_some());
@@ -55,7 +55,7 @@ impl<'a> RowReader<'a> {
             RowPlace::Name(column) => vec![column],
             RowPlace::Next => Vec::new(),
         };
-        let powers = search.powers(&used, import.is_lat_lon)?;
+        let powers = search.power_columns(&used, import.is_lat_lon)?;
         let receiver_name = match (&import.columns.receiver, &powers) {
             (Some(name), _) => name.clone(),
             (None, PowerColumns::Long { power, .. }) if import.files.len() == 1 && table.header.is_some() => {

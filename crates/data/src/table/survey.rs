@@ -156,7 +156,7 @@ impl<'a> Survey<'a> {
         let receivers = self.column_receivers(&names);
         for row in reader.table.counted_rows(progress) {
             let row = row?;
-            let place = self.place(reader, &row)?;
+            let place = self.position_index(reader, &row)?;
             let location = self.spots.len() as u32;
             self.spots.push(Spot { place, is_test });
             for (&column, &receiver) in columns.iter().zip(&receivers) {
@@ -188,7 +188,7 @@ impl<'a> Survey<'a> {
         let PowerColumns::Long { power, receiver, place: receiver_place } = reader.powers else { return Ok(()) };
         for row in reader.table.counted_rows(progress) {
             let row = row?;
-            let place = self.place(reader, &row)?;
+            let place = self.position_index(reader, &row)?;
             let cell = |k: usize| row.cell((k, &reader.table.names[k]), "give every row all columns");
             let name = receiver.map_or(Ok(&*reader.receiver_name), |k| cell(k).map(|field| field.text))?;
             let receiver = self.receiver_index(name);
@@ -214,7 +214,7 @@ impl<'a> Survey<'a> {
     }
 
     /// Returns the index of the position of a row. Returns an error if it is missing or invalid.
-    fn place(&mut self, reader: &RowReader<'_>, row: &TextRow<'_>) -> Result<u32> {
+    fn position_index(&mut self, reader: &RowReader<'_>, row: &TextRow<'_>) -> Result<u32> {
         let TableImport { height, floor_height, .. } = self.import;
         let mut height = height.unwrap_or(0.0);
         if let Some(column) = reader.floor {

@@ -116,7 +116,9 @@ struct TextFile {
 }
 
 /// Open files in an empty folder. With several receivers or carriers, their observations of a transmitter are consecutive.
-/// Every carrier is a row. All functions return the errors of failed writes.
+/// Every carrier is a row.
+///
+/// All functions return the errors of failed writes.
 pub(super) struct DatasetFiles {
     folder: PathBuf,
     layout: OutputLayout,
@@ -125,7 +127,7 @@ pub(super) struct DatasetFiles {
     /// Table of powers, or of absolute powers of spectra.
     table: Option<TextFile>,
     /// Metadata of the observations: poses, frequencies, antennas.
-    facts: Option<TextFile>,
+    metadata: Option<TextFile>,
     /// Table of positions, or of the poses of a moving receiver.
     positions: TextFile,
     /// Carriers, each with a row per transmitter, Hz; empty for one carrier.
@@ -165,13 +167,13 @@ impl DatasetFiles {
             OutputLayout::Channels | OutputLayout::Csi | OutputLayout::DeepMimo => None,
         };
         let is_shared = matches!(layout, OutputLayout::Array | OutputLayout::Channels) && !is_alone;
-        let facts = metadata(simulator, layout).filter(|_| !is_shared);
+        let metadata = metadata(simulator, layout).filter(|_| !is_shared);
         let positions = match scene.moving_receiver {
             Some(_) => TextFile { name: POSES, text: poses_csv(std::iter::empty()) },
             None => TextFile { name: POSITIONS, text: "x,y,z\n".into() },
         };
         let carriers_hz = scene.carriers_hz.clone();
-        Ok(Self { folder: folder.into(), layout, array, table, facts, positions, carriers_hz, paths: Vec::new() })
+        Ok(Self { folder: folder.into(), layout, array, table, metadata, positions, carriers_hz, paths: Vec::new() })
     }
 
     /// Creates the path tables with their headers, one per receiver.
@@ -224,7 +226,7 @@ impl DatasetFiles {
     /// carriers and lists of training and test samples.
     pub(super) fn finish(self, samples: usize) -> Result<()> {
         self.array.into_iter().chain(self.paths.into_iter().map(|(_, file)| file)).try_for_each(GrowingFile::finish)?;
-        for TextFile { name, text } in self.facts.into_iter().chain(self.table).chain([self.positions]) {
+        for TextFile { name, text } in self.metadata.into_iter().chain(self.table).chain([self.positions]) {
             files::write(&self.folder.join(name), text)?;
         }
         let rows = self.carriers_hz.len().max(1);
@@ -325,7 +327,7 @@ pub(super) fn check_power_table(folder: &Path) -> Result<()> {
     }
 }
 
-/// Writes the pixels of a spectrum as a grey PNG image.
+/// Writes the pixels of a spectrum as a grey PNG image. Returns an error if the write failed.
 fn write_grey_png(path: &Path, pixels: &[u8]) -> Result<()> {
     let mut bytes = Vec::new();
     PngEncoder::new(&mut bytes)

@@ -162,7 +162,7 @@ impl<'a> Reader<'a> {
         Ok(scene)
     }
 
-    /// Reads a `default` element and adds its variable to `variables`.
+    /// Reads a `default` element and adds its variable to `variables`. Returns an error for an invalid one, or too many.
     fn read_variable(&mut self, node: Element<'a>) -> Result<()> {
         let pair = node.attribute("name").zip(node.attribute("value"));
         let pair = pair.filter(|(name, value)| !name.is_empty() && !value.contains('$') && value.len() <= LONGEST);
@@ -288,6 +288,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Reads a vector from the attribute `value`, with one or three numbers, or from `x`, `y` and `z`, each with a default.
+    /// Returns an error for other numbers.
     fn read_vector(&self, node: Element<'_>, default: f64) -> Result<DVec3> {
         match self.attribute_numbers(node, "value")?.as_deref() {
             Some(&[all]) => Ok(DVec3::splat(all)),

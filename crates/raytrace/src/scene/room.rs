@@ -80,8 +80,8 @@ impl Outline {
     }
 }
 
-/// Returns the indices of the first two non-adjacent walls of a plan that meet, or adjacent walls that overlap, or of a
-/// wall of zero length and the next; `None` for a valid plan. Wall k goes from corner k to the next.
+/// Returns the indices of the first two walls of a plan that cross, touch or overlap, or of a wall of zero length and the next;
+/// `None` for a valid plan. Adjacent walls may touch in their common corner. Wall k goes from corner k to the next.
 fn first_crossing(corners: &[[f64; 2]]) -> Option<(usize, usize)> {
     let n = corners.len();
     let corner = |i: usize| DVec2::from(corners[i % n]);

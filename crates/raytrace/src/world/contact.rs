@@ -100,6 +100,7 @@ pub(super) fn find_twins(faces: &mut [Face]) -> Result<(), String> {
     // Coplanar faces have the same rounded key, except near cell borders, whose neighbours are also tested.
     let key = |face: &Face, nudge: f64| {
         let n = face.normal;
+        // Opposite normals have one key; with these weights, no common normal gives a sum near 0.
         let sign = if n.x + 1.1 * n.y + 1.3 * n.z < 0.0 { -1.0 } else { 1.0 };
         let grid = |v: f64| (sign * v * 1e3 + nudge).floor() as i64;
         [grid(n.x), grid(n.y), grid(n.z), grid(face.offset)]

@@ -93,6 +93,7 @@ impl WorldBuilder {
         let [a, b] = edge.ends;
         let tolerance = TOUCHING / a.distance(b);
         let inside = interval_inside(probe, sides, -TOUCHING);
+        // The interval exceeds the polygon by the tolerance at both ends; shorter pieces are rounding errors.
         let Some((start, end)) = inside.filter(|(start, end)| end - start > 3.0 * tolerance) else { return vec![edge] };
         let piece = |from: f64, to: f64| Edge { ends: [a.lerp(b, from), a.lerp(b, to)], ..edge.clone() };
         let mut pieces = Vec::new();

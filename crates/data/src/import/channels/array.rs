@@ -85,7 +85,7 @@ impl Part {
         })
     }
 
-    /// Reads an array as [`Self::read`] does.
+    /// Appends the gains of an open array. Arguments, result and errors as of [`Self::read`].
     fn read_array(self, array: OpenArray<'_>, names: &str, gains: &mut Vec<[Real; 2]>) -> Result<[usize; 3]> {
         let OpenArray { path, file, length } = array;
         let header = Header::read(path, file)?;
@@ -106,7 +106,7 @@ impl Part {
                 let problem = format!("has shape {}, unlike the real parts", header.shape_text());
                 return Err(Error::input(path, format!("{problem}; give real arrays of one shape")));
             }
-            at = at + 1 - 2 * m * a * f;
+            at = at + 1 - 2 * m * a * f; // imaginary part of the first gain read last
         } else {
             let count = gains.len() + m * a * f;
             check_gains(path, count)?;
