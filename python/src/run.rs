@@ -20,10 +20,10 @@ use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::SyncSender;
 
 /// Event of a run: its name, and a function that adds its fields to a dict.
-type Event = (&'static str, Box<dyn FnOnce(&Bound<'_, PyDict>) -> PyResult<()> + Send>);
+pub(crate) type Event = (&'static str, Box<dyn FnOnce(&Bound<'_, PyDict>) -> PyResult<()> + Send>);
 
 /// Observer that sends events to a channel.
-struct EventSender(SyncSender<Event>);
+pub(crate) struct EventSender(pub(crate) SyncSender<Event>);
 
 impl EventSender {
     /// Sends the event `name`; `fields` adds its fields to a dict.
@@ -80,7 +80,7 @@ impl Observer for EventSender {
 }
 
 /// Converts an event to a dict with its name under the key `what`.
-fn event_dict<'py>(py: Python<'py>, (name, fields): Event) -> PyResult<Bound<'py, PyDict>> {
+pub(crate) fn event_dict<'py>(py: Python<'py>, (name, fields): Event) -> PyResult<Bound<'py, PyDict>> {
     let dict = PyDict::new(py);
     dict.set_item("what", name)?;
     fields(&dict).map(|()| dict)

@@ -20,7 +20,7 @@ pub(crate) struct ChangeOptions {
         long,
         value_name = "FACTOR",
         help = "Multiply all step counts by this factor, such as 0.25; below 1, it\n\
-                also divides the learning rates of masks (up to 0.1), so that\nmasks still close"
+                also divides the learning rates of masks (up to 0.1), so that\nmasks still close; a warning says if training is too short for that"
     )]
     scale: Option<f64>,
     /// Accept a finding on the data, such as lone-value.

@@ -194,6 +194,10 @@ impl SelectedRuns<'_> {
         reported?;
         output::print_result(&plan.progress_table(indices, &queued_runs(plan)))?;
         print_ensemble(plan, joined, all)?;
+        if indices.len() < plan.runs.len() && !plan.has_ended() {
+            let folder = plan.folder.display();
+            verbosity.print_note(&format!("the report follows the last run of the sweep; now: pwrfgs report {folder}"));
+        }
         let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
         if failed > 0 {
             let (total, failures) = (indices.len(), plan.folder.join("failures"));

@@ -113,9 +113,9 @@ type FromData = fn(&Setting, &Dataset) -> Result<Option<Figure>>;
 /// Draws all figures for which there are numbers, and notes why those that need data and models are missing. A figure has
 /// at most six curves; `chosen` names their variants or methods. `progress` counts figures.
 pub fn draw_figures(setting: &Setting, chosen: &[String], progress: Progress<'_>) -> FigureSet {
-    let ShownVariants { all, methods, curves, common } = &ShownVariants::of(setting, chosen);
+    let ShownVariants { all, methods, curves, spread, common } = &ShownVariants::of(setting, chosen);
     let from_scores: [(&Setting, FromScores); 9] = [
-        (curves, gaussians::figure),
+        (spread.as_ref().unwrap_or(curves), gaussians::figure),
         (methods, tradeoff::first_metric_figure),
         (methods, tradeoff::rate_ratio_figure),
         (all, tradeoff::pareto_figure::<0>),

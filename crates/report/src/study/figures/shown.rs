@@ -17,6 +17,9 @@ pub(super) struct ShownVariants {
     /// At most [`CURVES`] variants of `methods`: one per method, or of a single method evenly. Their labels lack the parts
     /// in `common`.
     pub(super) curves: Setting,
+    /// At most [`CURVES`] variants of several `methods`, as many of each, from the first to the last; `None` if `curves` has
+    /// all variants or those of one method.
+    pub(super) spread: Option<Setting>,
     /// Parts that the labels of all curves have, such as `N 24`; empty if there are none.
     pub(super) common: String,
 }
@@ -32,8 +35,20 @@ impl ShownVariants {
             one_each => keep(&methods, &evenly(&one_each, CURVES)),
         };
         let common = remove_common_parts(&mut curves.variants);
-        Self { all, methods, curves, common }
+        let families = VariantFamily::group(&methods);
+        let extremes: Vec<&StudyVariant> =
+            families.iter().flat_map(|family| extremes(&family.variants, CURVES / families.len())).collect();
+        let spread = (families.len() > 1 && variants.len() > CURVES).then(|| keep(&methods, &extremes));
+        Self { all, methods, curves, spread, common }
     }
+}
+
+/// Returns at most `count` of the `items`, evenly spaced from the first to the last.
+fn extremes<T: Copy>(items: &[T], count: usize) -> Vec<T> {
+    if items.len() <= count || count < 2 {
+        return evenly(items, count);
+    }
+    (0..count).map(|k| items[k * (items.len() - 1) / (count - 1)]).collect()
 }
 
 /// Removes the parts between commas that the labels of all `variants` have, and returns these; none if a label has no other
@@ -170,6 +185,16 @@ mod tests {
         assert_eq!(check(&["masks λ 2"]), Ok(()));
         assert!(check(&["mask"]).unwrap_err().contains("no variant or method `mask`; did you mean `masks`?"));
         assert!(check(&["masks"; 7]).unwrap_err().contains("7 names; a figure has at most 6 curves"));
+    }
+
+    #[test]
+    fn extremes_begin_with_the_first_and_end_with_the_last() {
+        let numbers = [1, 2, 3, 4];
+        assert_eq!(
+            [1, 2, 3, 4, 9].map(|count| extremes(&numbers, count)),
+            [vec![1], vec![1, 4], vec![1, 2, 4], numbers.into(), numbers.into()]
+        );
+        assert_eq!(extremes(&numbers[..0], 2), []);
     }
 
     #[test]
