@@ -27,7 +27,7 @@ const SLOW_TRIALS: usize = 50_000_000;
 pub struct Orders {
     /// Largest number of reflections on any faces.
     pub all: usize,
-    /// Largest number of reflections of a path that meets only faces of the room.
+    /// Largest number of reflections of a path that is reflected at faces of the room only.
     pub room: usize,
 }
 

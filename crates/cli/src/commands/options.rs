@@ -19,8 +19,9 @@ pub(crate) struct ChangeOptions {
     #[arg(
         long,
         value_name = "FACTOR",
-        help = "Multiply all step counts by this factor, such as 0.25; below 1, it\n\
-                also divides the learning rates of masks (up to 0.1), so that\nmasks still close; a warning says if training is too short for that"
+        help = "Multiply all step counts by this factor, such as 0.25. A factor below 1\n\
+                also raises the learning rates of masks to rate / FACTOR, at most 0.1, so\n\
+                that masks still close; a warning says if training is too short for that"
     )]
     scale: Option<f64>,
     /// Accept a finding on the data, such as lone-value.

@@ -17,14 +17,15 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Selects one candidate after another: the one that most reduces the variance of a Gaussian process,
 summed over the region. Prints random, regular and largest-variance choices of the same size for
-comparison. Writes plan.csv (order, candidate, position, mean variance after it) and plan.png.
+comparison. Writes plan.csv (order, candidate, position, mean variance once this position is measured)
+and plan.png.
 CANDIDATES
   SOURCE alone           the positions of a data folder, none of them measured yet
   --candidates, --floor  new positions; those of SOURCE (data, run folder or model) are measured
 LENGTH SCALE
   Without measurements, it is a fifth of the diagonal of the region. With measured data and new
-  candidates, it is estimated by maximum likelihood; with --simulate, at 8 positions and at every
-  doubling.
+  candidates, it is estimated by maximum likelihood. With --simulate, it is estimated again after 8, 16,
+  32, .. selected positions.
 
 EXAMPLES
   pwrfgs plan data/s23 --simulate --count 100 --out next

@@ -28,8 +28,8 @@ Two models, or a model and a baseline, predict for one common transmitter. Write
 a pipeline, such as 'NearestNeighbours(k: 5)', or give its name.
 Models of the program need no data: s23, ble, office-channel (`pwrfgs pipelines` describes them).
 With --save, it writes a page that needs no server. A single model of spectra predicts in this page:
-up to 1 MB exactly, above with 8-bit weights of up to 1.5 MB. For other models, the page shows up to
-50 stored predictions.
+exactly if it has up to 1 MB, otherwise with 8-bit weights if the compressed file has up to 1.5 MB. For
+other models, the page shows up to 50 stored predictions.
 
 EXAMPLES
   pwrfgs view s23

@@ -107,8 +107,8 @@ fn columns_may_have_the_names_of_receivers_within_a_shared_text() {
         .iter()
         .map(|receiver| (&*receiver.name, receiver.pose.position, receiver.is_estimated))
         .collect();
-    assert_eq!(positions, [("AP11", [5.0, 0.0, 2.0], false), ("AP1", [3.0, 0.0, 2.0], false)]);
-    assert_eq!(powers(&imported), [-50.0, -40.0, -51.0, -41.0]);
+    assert_eq!(positions, [("AP1", [3.0, 0.0, 2.0], false), ("AP11", [5.0, 0.0, 2.0], false)]);
+    assert_eq!(powers(&imported), [-40.0, -50.0, -41.0, -51.0]);
     let notes = imported.notes.join("\n");
     assert!(notes.contains("column `RSSI_AP1` is receiver `AP1`, and so on"), "{notes}");
     assert!(notes.contains("height 0 m (change: --height METRES)"), "{notes}");

@@ -109,7 +109,7 @@ fn tie_goes_to_kriging() {
     assert_eq!(fitted.processes()[0].as_ref().unwrap().fit, kriging);
     let sentence = fitted.describe_share(Task::Spectrum).unwrap();
     assert_eq!(sentence, "share 0: the network adds nothing here; this is Kriging");
-    let coarse = fit(&Kriged { stride: 2, ..Kriged::default() }, &base, &data).unwrap();
+    let coarse = Residuals { grid: CoarseGrid::new(base.plane(), 2), ..fitted };
     let expected = sentence + " of one pixel in 2 by 2, interpolated";
     assert_eq!(coarse.describe_share(Task::Spectrum).unwrap(), expected);
 }

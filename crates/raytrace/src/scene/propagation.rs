@@ -18,7 +18,7 @@ const MOST_CARRIERS: usize = 200;
 pub struct Propagation {
     /// Largest number of specular reflections; default 2.
     pub order: usize,
-    /// Largest number of specular reflections of a path that meets only the room and no object; default 3.
+    /// Largest number of specular reflections of a path with all reflections at the room and none at an object; default 3.
     pub room_order: usize,
     /// Whether waves pass through sheets; default yes.
     pub transmission: bool,
