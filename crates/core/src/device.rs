@@ -122,7 +122,8 @@ pub fn mark_used() {
     USED.store(true, Ordering::Relaxed);
 }
 
-/// Returns the part of a method that has no kernels for the GPU, such as `rasterizer WrfgsCompat`, if there was one.
+/// Returns the part of a method that has no kernels for the GPU, such as `rasterizer WrfgsCompat`; `None` if
+/// there was none.
 pub fn cpu_part() -> Option<&'static str> {
     CPU_PART.get().map(String::as_str)
 }

@@ -64,6 +64,9 @@ impl TracedCloud {
     }
 
     /// Returns column `name` on the tape: its derivatives reach the cloud.
+    ///
+    /// # Panics
+    /// As [`Self::leaf`].
     pub fn column(&self, name: &str) -> Trace {
         self.leaf(name).leaky_trace()
     }
