@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! means, p_tx ─► deform ─► ΔS, ΔR, Δs
-//! cloud, Δ, M ─► activate ─► project ─► prepare the rasterizer      (Geometry, once a receiver)
+//! cloud, Δ, M ─► activate ─► project ─► prepare the rasterizer      (Geometry, once per receiver)
 //!                 signals ─► rasterize                              (BlendedSignals) ─► read out ─► P̂
 //! ```
 
@@ -101,6 +101,9 @@ struct BlendedSignals {
 
 impl Splatting {
     /// Returns the image plane of a receiver: the spectrum, or a coarse sky that is integrated to a power.
+    ///
+    /// # Panics
+    /// If the projector does not draw the whole sky, which [`Method::plane`] reports as an error.
     pub fn sky(&self, setup: &MeasurementSetup) -> ImagePlane {
         self.plane(setup).expect("a compatible projector draws the whole sky").into_owned()
     }
@@ -120,7 +123,8 @@ impl Splatting {
         setup.receivers.iter().map(|receiver| ReceiverView { pose: receiver.pose, plane: plane.clone() }).collect()
     }
 
-    /// Returns the gated geometry of transmitter `b` of the batch in `deltas`, in a view.
+    /// Returns the gated geometry of transmitter `b` of the batch in `deltas`, in a view. The existence factors remain
+    /// separate if the rasterizer supports them; otherwise the opacities contain them.
     pub fn geometry(&self, view: &ReceiverView, p: &Parameters<'_>, deltas: &Deltas, b: usize) -> Geometry {
         let start = Instant::now();
         let primitives = self.activation().geometry(p.cloud, deltas, b, p.gate);

@@ -143,8 +143,8 @@ pub fn product(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>)
     multiply_rows(c, store, a, b, PRODUCT_THREADS.get());
 }
 
-/// Computes a product with its rows divided among `threads` threads. `gemm` adds up each element in an order that the
-/// number of rows does not change, unless there are few: the parts have more.
+/// Computes a product with its rows divided among `threads` threads. Each part has so many rows that `gemm` adds up an element
+/// in the same order as for the whole product.
 fn multiply_rows(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>, threads: usize) {
     let ((m, n), k) = (c.shape, a.shape.1);
     let least = if k <= 512 { 32 } else { 80 };

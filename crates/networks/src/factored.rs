@@ -187,7 +187,7 @@ const FAINTEST: f64 = 1e-3;
 const MOST: usize = 4_000;
 
 /// Returns the whitening of `vectors`: W `[D,D]` and b `[D]` such that W·(gain·x) + b has zero mean and nearly unit
-/// covariance. W = L⁻¹ of the Cholesky factor L of the covariance. `None` if there are no vectors or all are equal.
+/// covariance. W = L⁻¹ of the Cholesky factor L of the covariance. `None` if there are no vectors, if all are equal, or if one is NaN.
 pub(super) fn whitening(vectors: Conditions<'_>, gain: f64) -> Option<(Vec<Real>, Vec<Real>)> {
     let d = vectors.width();
     let stride = vectors.len().div_ceil(MOST).max(1);

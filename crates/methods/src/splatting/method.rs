@@ -26,6 +26,16 @@ struct ForwardCache {
     drawings: Vec<(ReceiverGroup, ReceiverView, BlendedSignals)>,
 }
 
+/// Group of links after drawing and readout.
+struct GroupOutput {
+    group: ReceiverGroup,
+    observations: Vec<Real>,
+    /// Seconds of projection, sort and blending.
+    seconds: [f64; 3],
+    /// State for the backward pass, in training.
+    drawing: Option<(ReceiverView, BlendedSignals)>,
+}
+
 /// Values that do not depend on the transmitter.
 struct Ready {
     deformation: Cache,
@@ -100,7 +110,7 @@ impl Splatting {
     /// Predicts the links of `call`. In training, keeps the state for the backward pass, and clamps blended signals as
     /// released.
     fn predict_links(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (ForwardOutput, StageTimes) {
-        let Call { setup, parameters: p, links, .. } = *call;
+        let Call { setup, links, .. } = *call;
         let start = Instant::now();
         let ready: Option<&Ready> = prepared.is_some().then(|| cached(prepared));
         let network_cache = ready.map_or(&None, |ready| &ready.deformation);
@@ -118,26 +128,14 @@ impl Splatting {
             return (ForwardOutput { numbers, cache: is_training.then(|| Arc::new(cache) as _) }, times);
         }
         let (sky, numbers) = (self.sky(setup), setup.value_count());
-        let one = |group: ReceiverGroup| {
-            let start = Instant::now();
-            let view = ReceiverView { pose: group.state.pose, plane: sky.clone() };
-            let shared_geometry = ready.and_then(|ready| ready.shared_geometry.get(group.state.receiver));
-            let (terms, batch) = group.gather_terms(&deltas, p.cloud.len());
-            let drawing = self.draw(&view, &p, &terms, batch, shared_geometry);
-            let blended = &drawing.render.pixels;
-            let blended = if is_training { self.clamp_as_released(blended) } else { Cow::Borrowed(blended.as_slice()) };
-            let observations = self.read_out(call, &view, &group, &blended);
-            let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
-            let seconds = [projection, sort, start.elapsed().as_secs_f64() - projection - sort];
-            (observations, seconds, is_training.then_some((view, drawing)), group)
-        };
+        let one = |group| self.draw_group(call, &sky, &deltas, ready, is_training, group);
         let groups = ReceiverGroup::from_links(links, !self.deformation.traits().varies_geometry);
         let is_alone = groups.len() == 1; // its links are in order
-        let drawn: Vec<_> =
+        let drawn: Vec<GroupOutput> =
             if is_alone { groups.into_iter().map(one).collect() } else { groups.into_par_iter().map(one).collect() };
         let mut all = vec![0.0; if is_alone { 0 } else { links.pairs.len() * numbers }];
         let mut drawings = Vec::new();
-        for (observations, [projection, sort, blending], drawing, group) in drawn {
+        for GroupOutput { group, observations, seconds: [projection, sort, blending], drawing } in drawn {
             times.projection += projection;
             times.sort += sort;
             times.blending += blending;
@@ -150,6 +148,29 @@ impl Splatting {
         }
         let cache = ForwardCache { terms: (deltas, kept), drawings };
         (ForwardOutput { numbers: all, cache: is_training.then(|| Arc::new(cache) as _) }, times)
+    }
+
+    /// Draws a group of links and reads it out; keeps the drawing if `is_training`.
+    fn draw_group(
+        &self,
+        call: &Call<'_>,
+        sky: &ImagePlane,
+        deltas: &Deltas,
+        ready: Option<&Ready>,
+        is_training: bool,
+        group: ReceiverGroup,
+    ) -> GroupOutput {
+        let (start, p) = (Instant::now(), &call.parameters);
+        let view = ReceiverView { pose: group.state.pose, plane: sky.clone() };
+        let shared_geometry = ready.and_then(|ready| ready.shared_geometry.get(group.state.receiver));
+        let (terms, batch) = group.gather_terms(deltas, p.cloud.len());
+        let drawing = self.draw(&view, p, &terms, batch, shared_geometry);
+        let blended = &drawing.render.pixels;
+        let blended = if is_training { self.clamp_as_released(blended) } else { Cow::Borrowed(blended.as_slice()) };
+        let observations = self.read_out(call, &view, &group, &blended);
+        let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
+        let seconds = [projection, sort, start.elapsed().as_secs_f64() - projection - sort];
+        GroupOutput { group, observations, seconds, drawing: is_training.then_some((view, drawing)) }
     }
 
     /// Returns the terms of the network and, if `is_training`, what it keeps for the backward pass.
@@ -277,12 +298,9 @@ impl Method for Splatting {
                 self.draw_vjp(view, drawing, &p, terms, &d_blended, grads)
             });
             sums.existence.iter_mut().zip(&d.splats.existence).for_each(|(sum, d)| *sum += d);
-            if let (Some(positions), true) = (&mut sums.positions, setup.moving.is_receiver()) {
-                let (d_position, d_orientation) = drawing.geometry.primitives.pose_vjp(&view.pose, &d_primitives);
-                (0..3).for_each(|k| positions[group.first_location()][k] += d_position[k] as Real);
-                if let Some(orientations) = &mut sums.orientations {
-                    (0..4).for_each(|k| orientations[group.row][k] += d_orientation[k]);
-                }
+            if setup.moving.is_receiver() {
+                let pose_vjp = || drawing.geometry.primitives.pose_vjp(&view.pose, &d_primitives);
+                group.add_pose_vjp(pose_vjp, sums.positions.as_deref_mut(), sums.orientations.as_deref_mut());
             }
             sums.stats.add_render(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
         }

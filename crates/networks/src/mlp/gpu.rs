@@ -2,12 +2,12 @@
 
 use super::{MlpLayers, append};
 use crate::dense;
-use crate::trunk::gpu::{D, D_FOLDED, D_WEIGHTS, GAMMA, GpuTrunk, OWN, WEIGHTS, chunk_rows, encode_chunk};
+use crate::trunk::gpu::{D, D_FOLDED, D_WEIGHTS, GAMMA, GpuTrunk, NETWORK, WEIGHTS, chunk_rows, encode_chunk};
 use pwrfgs_core::{DeformationInputs, DeformationVjp, Deltas, Error, Real, Result};
 use pwrfgs_gpu::{Block, Epilogue, Gpu};
 
 /// Slot of the outputs of the heads `[outputs, R]`, and of their cotangents.
-const OUT: usize = OWN;
+const OUT: usize = NETWORK;
 
 /// Number of the step whose activations are still on the GPU.
 pub(crate) struct KeptStep(u64);
@@ -66,8 +66,8 @@ impl MlpLayers {
         let outputs = step.finish()?;
         let mut all = Deltas::default();
         for b in 0..sides.len() {
-            let of_chunks = outputs.iter().skip(b).step_by(sides.len());
-            of_chunks.for_each(|out| append(&mut all, &self.gather_terms(out, out.len() / self.heads.outputs)));
+            let tx_chunks = outputs.iter().skip(b).step_by(sides.len());
+            tx_chunks.for_each(|out| append(&mut all, &self.gather_terms(out, out.len() / self.heads.outputs)));
         }
         Ok((all, KeptStep(number)))
     }
@@ -127,16 +127,13 @@ impl MlpLayers {
         step.read(D_FOLDED, 0, 2 * width * batch);
         let [d_weights, d_folded]: [Vec<Real>; 2] = step.finish()?.try_into().expect("two results");
         dense::add_assign(sums.weights, &d_weights);
-        let (first, joined) = d_folded.split_at(width * batch);
-        let mut d_folded = self.trunk.zero_joints(width * batch);
-        dense::add_assign(&mut d_folded.first, first);
-        dense::add_assign(&mut d_folded.joined, joined);
+        let d_folded = self.trunk.folded_joints(&d_folded);
         self.branch.vjp(weights, &self.trunk, &sides, &d_folded, sums.weights, sums.positions);
         Ok(())
     }
 
     /// Records the error of a failed pass; returns zeros in place of its terms.
-    pub(crate) fn failed(&self, error: Error, inputs: &DeformationInputs<'_>) -> Deltas {
+    pub(crate) fn zeros_after(&self, error: Error, inputs: &DeformationInputs<'_>) -> Deltas {
         pwrfgs_core::device::fail(error);
         let terms = inputs.means.len() * inputs.txs.len();
         self.gather_terms(&vec![0.0; self.heads.outputs * terms], terms)
