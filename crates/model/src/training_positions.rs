@@ -72,11 +72,11 @@ impl TrainingPositions {
         self.limit
     }
 
-    /// Returns the distance of each of `places` (metres from the origin of the model) to the nearest position, metres.
-    pub fn distances(&self, places: &[[Real; 3]]) -> Vec<Real> {
+    /// Returns the distance of each of `queries` (metres from the origin of the model) to the nearest position, metres.
+    pub fn distances(&self, queries: &[[Real; 3]]) -> Vec<Real> {
         let precise = |at: &[Real; 3]| at.map(f64::from);
         let nearest = Nearest::of(&self.positions.iter().map(precise).collect::<Vec<_>>());
-        places.par_iter().map(|at| nearest.distance(&precise(at)) as Real).collect()
+        queries.par_iter().map(|at| nearest.distance(&precise(at)) as Real).collect()
     }
 }
 
