@@ -114,7 +114,7 @@ pub trait Baseline: crate::plugin::PluginObject {
         &Task::ALL
     }
 
-    /// Returns what it requires of the data beside the task.
+    /// Returns its requirements of the data beside the task.
     fn requires(&self) -> &'static [Requirement] {
         &[]
     }
@@ -198,7 +198,7 @@ pub trait Predict: Send + Sync {
         None
     }
 
-    /// Returns whether it uses what a model does not know: the simulated scene (exact or with errors), as ray tracing
+    /// Returns whether it uses information that a model lacks: the simulated scene (exact or with errors), as ray tracing
     /// does, or the time of a measurement. It is then an oracle baseline and not ranked.
     fn is_oracle(&self) -> bool {
         false

@@ -10,7 +10,7 @@ pub trait Metric: crate::plugin::PluginObject {
     /// Returns one or more measurements.
     ///
     /// # Errors
-    /// A spectrum cannot be read, or a class of Python raises an exception.
+    /// Predictions and observations differ in number or size, or a class of Python raises an exception.
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>>;
 
     /// Checks whether the metric supports the observations of `data`, as

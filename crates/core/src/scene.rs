@@ -57,8 +57,8 @@ impl Scene {
         (0..count).map(|receiver| self.fixed_end(receiver)).collect()
     }
 
-    /// Returns the pose of the fixed end of links at a receiver, as [`Self::fixed_ends`]; that of the first receiver if there is none
-    /// of this index.
+    /// Returns the pose of the fixed end of links at a receiver, as [`Self::fixed_ends`]; that of the first receiver if there
+    /// is none of this index.
     pub fn fixed_end(&self, receiver: usize) -> Pose {
         if self.moving == End::Transmitter {
             return self.receivers.get(receiver).unwrap_or(&self.receivers[0]).pose;

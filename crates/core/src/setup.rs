@@ -71,7 +71,7 @@ impl MeasurementSetup {
     }
 
     /// Returns the pose of the first receiver in the user's frame.
-    pub fn receiver(&self) -> Pose {
+    pub fn world_pose(&self) -> Pose {
         self.origin.world_pose(self.pose())
     }
 

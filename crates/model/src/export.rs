@@ -65,7 +65,7 @@ impl Npz {
         for (spec, values) in model.stages.layout().constants {
             self.put(&format!("constants.{}", spec.name), &spec.shape, encode_reals(&values))?;
         }
-        let (pose, plane) = (&model.stages.receiver(), &model.stages.plane);
+        let (pose, plane) = (&model.stages.world_pose(), &model.stages.plane);
         self.put("pose.position", &[3], encode_doubles(&pose.position))?;
         self.put("pose.orientation", &[4], encode_doubles(&pose.orientation))?;
         if !model.stages.task.has_pixels || model.stages.receivers.len() > 1 {

@@ -377,9 +377,9 @@ pub fn take_cloud(
     n: usize,
     extra: &[(impl AsRef<str>, usize)],
 ) -> Result<GaussianCloud, String> {
-    file.expect(&format!("{prefix}{}", COLUMN_NAMES[0]), &[n, 3])?;
+    file.check_shape(&format!("{prefix}{}", COLUMN_NAMES[0]), &[n, 3])?;
     let extra_column = |name: &str, width: usize| -> Result<ExtraColumn, String> {
-        file.expect(&format!("{prefix}{name}"), &[n, width])?;
+        file.check_shape(&format!("{prefix}{name}"), &[n, width])?;
         Ok(ExtraColumn { name: name.into(), width, values: vec![0.0; n * width] })
     };
     let extra = extra.iter().map(|(name, width)| extra_column(name.as_ref(), *width)).collect::<Result<_, _>>()?;

@@ -204,7 +204,8 @@ impl<'a> Samples<'a> {
     /// # Errors
     /// [`Error::Config`] for a prediction that is not finite; [`Error::Stopped`].
     fn new(ensemble: &Ensemble, known: KnownLinks<'a>, grid: &CoarseGrid, progress: Progress<'_>) -> Result<Self> {
-        let (KnownLinks { data, links, .. }, observed) = (known, known.sampled(grid));
+        let KnownLinks { data, links, .. } = known;
+        let observed = known.sampled(grid);
         let (mut predicted, total) = (Vec::new(), links.len() * ensemble.members().len());
         for (member, model) in ensemble.members().iter().enumerate() {
             let ready = model.prepare();

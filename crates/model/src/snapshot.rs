@@ -57,7 +57,7 @@ impl Snapshot {
         Self { gaussian_ids: gaussian_ids.to_vec(), gates: gates.unwrap_or_default(), ..self }
     }
 
-    /// Creates a snapshot of all members of an ensemble together.
+    /// Creates a snapshot of all members of an ensemble together: centres and opacities alone.
     pub fn of_ensemble(step: u64, ensemble: &Ensemble) -> Self {
         let origin = ensemble.members()[0].stages.origin;
         let logits = ensemble.members().iter().flat_map(|model| model.cloud.opacity_logits.iter().copied());

@@ -138,9 +138,9 @@ impl Tensors {
         Ok(values)
     }
 
-    /// Takes out a tensor of this shape and any type. Returns the errors of [`Self::expect`].
+    /// Takes out a tensor of this shape and any type. Returns the errors of [`Self::check_shape`].
     fn take_values(&mut self, name: &str, shape: &[usize]) -> Result<Values, String> {
-        self.expect(name, shape)?;
+        self.check_shape(name, shape)?;
         Ok(self.tensors.remove(name).expect("it is there").1)
     }
 
@@ -148,7 +148,7 @@ impl Tensors {
     ///
     /// # Errors
     /// The tensor is missing or has another shape; the message names it.
-    pub fn expect(&self, name: &str, shape: &[usize]) -> Result<(), String> {
+    pub fn check_shape(&self, name: &str, shape: &[usize]) -> Result<(), String> {
         match self.shape(name) {
             None => Err(format!("tensor `{name}` is missing")),
             Some(actual) if actual == shape => Ok(()),

@@ -119,6 +119,9 @@ impl HeldOutCase {
 ///
 /// # Errors
 /// An error of `check`.
+///
+/// # Panics
+/// If `space` has no correlation function.
 pub fn most_likely(cases: &HeldOutCases, space: SearchSpace<'_>, check: StopCheck<'_>) -> Result<(f64, Correlation)> {
     search(&|correlation| cases.log_likelihood(correlation), cases.typical_m, space, check)
 }
