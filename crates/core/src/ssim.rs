@@ -323,6 +323,7 @@ fn add_similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANE
 fn similarity_map([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
     let (mut map, mut d) = ([0.0; LANES], [[0.0; LANES]; 3]);
     let [d_mu, d_variance, d_covariance] = &mut d;
+    // A, B, C and D (`s`) of the module documentation.
     for i in 0..LANES {
         let (m1, m2) = (mu1[i], mu2[i]);
         let a = m1 * m1 + m2 * m2 + C1 as Real;

@@ -105,6 +105,9 @@ pub type Vectors = Vec<Vec<Real>>;
 
 /// Adds a kernel to the tape: `outputs` are its values for `inputs`; `vjp` converts the cotangents of the outputs to
 /// those of the inputs (one vector per input, equal lengths).
+///
+/// # Panics
+/// In the backward pass, if a cotangent from `vjp` differs in length from its input.
 pub fn op(inputs: Vec<Trace>, outputs: Vectors, vjp: impl FnOnce(Vectors) -> Vectors + 'static) -> Vec<Trace> {
     let device = Cpu::default();
     let mut tape = OwnedTape::default();
