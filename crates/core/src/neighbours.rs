@@ -102,7 +102,8 @@ impl Nearest {
         let (width, mut given) = (width.max(1), Vec::with_capacity(samples.len() * width));
         samples.iter().for_each(|&i| given.extend_from_slice(position(i).as_ref()));
         let mut order: Vec<usize> = (0..given.len() / width).collect();
-        // A complete tree with `levels` levels below its root: no leaf has more than [`LEAF`] positions.
+        // A complete tree with `levels` levels below its root: leaves have at most [`LEAF`] positions, unless these have more
+        // than [`WIDEST`] coordinates.
         let levels = (order.len() / LEAF).checked_ilog2().filter(|_| width <= WIDEST).map_or(0, |level| level + 1);
         let mut boxes = vec![0.0; ((2 << levels) - 1) * 2 * width];
         divide(0, &mut order, &given, width, &mut boxes);

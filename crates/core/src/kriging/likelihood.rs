@@ -67,8 +67,8 @@ impl HeldOutCases {
         process_variance(&self.prediction_errors(correlation))
     }
 
-    /// Returns the log-likelihood at the best process variance, up to a constant and sign: half of n times the logarithm
-    /// of that variance plus all logarithms of conditional variances. Higher is more likely.
+    /// Returns the log-likelihood at the best process variance, up to a constant: −½ (n log(variance) + Σ log(conditional
+    /// variance)) of n cases. Higher is more likely.
     pub fn log_likelihood(&self, correlation: &Correlation) -> f64 {
         let errors = self.prediction_errors(correlation);
         let logs: f64 = errors.iter().map(|(_, variance)| variance.ln()).sum();

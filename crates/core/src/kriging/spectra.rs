@@ -98,7 +98,7 @@ impl JointLikelihood {
         each.into_iter().fold((0.0, 0.0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
     }
 
-    /// Returns the number of observations less that of the means.
+    /// Returns the degrees of freedom: the number of observations less one per block.
     fn degrees(&self) -> f64 {
         self.blocks.iter().map(|block| block.places.len() as f64 - 1.0).sum()
     }
