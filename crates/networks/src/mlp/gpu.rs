@@ -4,7 +4,7 @@ use super::{MlpLayers, append};
 use crate::dense;
 use crate::trunk::gpu::{D, D_FOLDED, D_WEIGHTS, GAMMA, GpuTrunk, NETWORK, WEIGHTS, chunk_rows, encode_chunk};
 use pwrfgs_core::{DeformationInputs, DeformationVjp, Deltas, Error, Real, Result};
-use pwrfgs_gpu::{Block, Epilogue, Gpu};
+use pwrfgs_gpu::{Epilogue, Gpu, GpuStep};
 
 /// Slot of the outputs of the heads `[outputs, R]`, and of their cotangents.
 const OUT: usize = NETWORK;
@@ -112,12 +112,7 @@ impl MlpLayers {
                 let start = b * inputs.means.len() + first;
                 let mut out = vec![0.0; self.heads.outputs * means.len()];
                 self.scatter_cotangents(d, start..start + means.len(), &mut out);
-                step.upload(OUT, 0, &out);
-                let d_out = Block::new(OUT, 0, means.len());
-                on.weight_vjp(&mut step, &self.heads.whole(), on.last(), d_out);
-                step.add_row_sums((self.heads.outputs, means.len()), (OUT, 0), (D_WEIGHTS, self.heads.bias));
-                let mask = Epilogue { mask: Some(on.last()), ..Epilogue::default() };
-                on.input_vjp(&mut step, &self.heads.whole(), d_out, D, mask);
+                self.gpu_heads_vjp(&mut step, on, &out);
                 on.backward(&mut step, [b * width, (batch + b) * width]);
             }
             on.share_gamma_vjp(&mut step, None);
@@ -130,6 +125,15 @@ impl MlpLayers {
         let d_folded = self.trunk.folded_joints(&d_folded);
         self.branch.vjp(weights, &self.trunk, &sides, &d_folded, sums.weights, sums.positions);
         Ok(())
+    }
+
+    /// Runs the backward pass of the heads for a chunk, given the cotangents of their outputs.
+    fn gpu_heads_vjp(&self, step: &mut GpuStep<'_>, on: GpuTrunk<'_>, d_out: &[Real]) {
+        step.upload(OUT, 0, d_out);
+        on.weight_vjp(step, &self.heads.whole(), on.last(), on.chunk(OUT));
+        step.add_row_sums((self.heads.outputs, on.rows), (OUT, 0), (D_WEIGHTS, self.heads.bias));
+        let mask = Epilogue { mask: Some(on.last()), ..Epilogue::default() };
+        on.input_vjp(step, &self.heads.whole(), on.chunk(OUT), D, mask);
     }
 
     /// Records the error of a failed pass; returns zeros in place of its terms.

@@ -220,25 +220,37 @@ impl WrfgsLayers {
         step.read(D_FOLDED, 0, 2 * width);
         step.read(D_SIDES, 0, width * txs.len());
         step.read(D_TXS, 0, if wanted.txs { 3 * txs.len() } else { 0 });
-        let mut results = step.finish()?;
+        Ok(self.add_results(inputs, &sides, step.finish()?, self.most_rows(gpu), sums))
+    }
+
+    /// Adds the `results` of [`Self::gpu_vjp`] to `sums`: two per chunk of `most_rows` centres, then those of all chunks.
+    /// Returns Σ d·S·A.
+    fn add_results(
+        &self,
+        inputs: &DeformationInputs<'_>,
+        sides: &[TxSide],
+        mut results: Vec<Vec<Real>>,
+        most_rows: usize,
+        sums: &mut DeformationVjp<'_>,
+    ) -> f64 {
         let [d_weights, d_folded, d_sides, d_txs]: [Vec<Real>; 4] =
             results.split_off(results.len() - 4).try_into().expect("four results");
         dense::add_assign(sums.weights, &d_weights);
         self.trunk.add_joint_biases(sums.weights, &self.trunk.folded_joints(&d_folded));
         let positions = sums.positions.as_deref_mut();
-        self.branch.tx_sides_vjp(inputs.weights, &sides, &d_sides, sums.weights, positions);
+        self.branch.tx_sides_vjp(inputs.weights, sides, &d_sides, sums.weights, positions);
         if let Some(positions) = &mut sums.positions {
             positions.as_flattened_mut().iter_mut().zip(&d_txs).for_each(|(sum, d)| *sum -= d);
         }
         if let Some(d_means) = &mut sums.means {
-            let chunks = d_means.chunks_mut(self.most_rows(gpu)).zip(results.chunks_exact(2));
+            let chunks = d_means.chunks_mut(most_rows).zip(results.chunks_exact(2));
             for (d_means, results) in chunks {
                 let rows = d_means.len();
                 (d_means.iter_mut().enumerate())
                     .for_each(|(r, d)| (0..3).for_each(|k| d[k] += results[1][k * rows + r]));
             }
         }
-        Ok(results.iter().step_by(2).flatten().map(|&d| f64::from(d)).sum())
+        results.iter().step_by(2).flatten().map(|&d| f64::from(d)).sum()
     }
 
     /// Runs the backward pass of [`Self::gpu_branch`] for transmitter `b`, given the cotangents in slot [`D_OUT`].
