@@ -73,11 +73,13 @@ impl Splatting {
         if self.calibration == Calibration::AsReleased {
             return Err("calibration AsReleased".into());
         }
-        match setup {
-            _ if setup.moving.is_receiver() => Err("drawing for moving receivers".into()),
-            _ if !setup.plane.wraps => Err("drawing of images that do not wrap".into()),
-            _ => Ok((mercator, readout)),
+        if setup.moving.is_receiver() {
+            return Err("drawing for moving receivers".into());
         }
+        if !setup.plane.wraps {
+            return Err("drawing of images that do not wrap".into());
+        }
+        Ok((mercator, readout))
     }
 
     /// Returns the observations of all links.
@@ -159,7 +161,7 @@ impl Splatting {
         (value, sums)
     }
 
-    /// Records the drawing of a group and its readout.
+    /// Records the drawing of a group and its readout; `last` is the receiver row whose Gaussians were written last.
     fn record_drawing(
         &self,
         step: &mut GpuStep<'_>,
