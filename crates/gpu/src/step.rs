@@ -60,7 +60,10 @@ impl Gpu {
         self.step_in(&self.workspace, sizes, "use a smaller `width` or `depth`, or the CPU")
     }
 
-    /// Begins a step with the buffers of `workspace`; `advice` is for memory that does not suffice.
+    /// Begins a step with the buffers of `workspace`.
+    ///
+    /// # Errors
+    /// As [`Self::step`], with this `advice`.
     pub(crate) fn step_in<'g>(
         &'g self,
         workspace: &'g Mutex<Workspace>,
@@ -200,7 +203,7 @@ impl GpuStep<'_> {
         }
     }
 
-    /// Sends the recorded commands to the GPU, which runs them while the CPU goes on.
+    /// Sends the recorded commands to the GPU, which runs them while the CPU goes on. [`Self::finish`] reports a failure.
     pub fn send(&mut self) {
         let (commands, arguments) = (std::mem::take(&mut self.commands), std::mem::take(&mut self.arguments));
         if commands.is_empty() {
@@ -210,14 +213,15 @@ impl GpuStep<'_> {
             commands.iter().filter_map(|c| if let Command::Read { bytes, .. } = c { Some(*bytes) } else { None });
         let reads: Vec<u64> = reads.collect();
         let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
-        self.bytes += reads.iter().sum::<u64>();
+        let read_bytes: u64 = reads.iter().sum();
+        self.bytes += read_bytes;
         if self.bytes > self.gpu.memory {
             return keep_first(
                 &self.gpu.failure,
                 format!("out of memory, of which it has {}", describe_bytes(self.gpu.memory)),
             );
         }
-        let results = self.gpu.buffer(reads.iter().sum::<u64>().max(4), usage);
+        let results = self.gpu.buffer(read_bytes.max(bytes_of(1)), usage); // a buffer has at least one number
         let uniform = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
         let uniforms = self.gpu.buffer((size_of::<u32>() * arguments.len()).max(ALIGNMENT) as u64, uniform);
         let (results, uniforms) = match (results, uniforms) {

@@ -255,10 +255,13 @@ pub fn add_bias_vjp(d: &[Real], d_bias: &mut [Real]) {
     }
 }
 
-/// Returns |lrelu(z)|, a leaky ReLU with slope 0.01.
+/// Slope of the leaky ReLU below 0: PyTorch's default, which the released networks use.
+const LEAK: Real = 0.01;
+
+/// Returns |lrelu(z)|, the magnitude of a leaky ReLU.
 #[inline]
 pub fn amplitude(z: Real) -> Real {
-    if z < 0.0 { -0.01 * z } else { z }
+    if z < 0.0 { -LEAK * z } else { z }
 }
 
 /// Returns the derivative of [`amplitude`]; 0 at 0.
@@ -267,7 +270,7 @@ pub fn amplitude_slope(z: Real) -> Real {
     if z > 0.0 {
         1.0
     } else if z < 0.0 {
-        -0.01
+        -LEAK
     } else {
         0.0
     }

@@ -83,8 +83,8 @@ impl Splatting {
         }
     }
 
-    /// Returns the cotangents of the blended signals, given those `d` of the observations; adds to those of the
-    /// path-loss parameters.
+    /// Returns the cotangents of the blended signals of [`Self::read_out`], given those `d` of the observations. For powers it
+    /// adds to `d_law`, the cotangents of offset and path-loss exponent.
     pub(super) fn read_out_vjp(
         &self,
         view: &ReceiverView,

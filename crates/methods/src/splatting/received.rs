@@ -116,7 +116,7 @@ impl Splatting {
                 let length = (fixed - Vec3::from_array(setup.origin.local(query.position()))).length();
                 f64::from(length.max(NEAREST_M) as f32).log10()
             });
-            (query.receiver, [x, f64::from((powers[i] - sky) as f32) / 10.0])
+            (query.receiver, [x, f64::from((powers[i] - sky) as f32) / BEL as f64])
         };
         let rows: Vec<(usize, [f64; 2])> = part.iter().zip(sky).map(row).collect();
         let (fitted, exponent) = fit_path_loss(&rows, receivers.len());

@@ -170,6 +170,7 @@ fn explained_energy(rows: &[[f32; 6]], [x, y, z]: &[[f32; LANES]; 3]) -> [f32; L
         let [px, py, pz, per_metre, h_re, h_im] = rows[i];
         for l in 0..LANES {
             let (dx, dy, dz) = (x[l] - px, y[l] - py, z[l] - pz);
+            // Adds (1 mm)², so that no distance is 0.
             let d = dx.mul_add(dx, dy.mul_add(dy, dz.mul_add(dz, 1e-6))).sqrt();
             let inverse = 1.0 / d;
             let (cos, sin) = f32::cis(d * per_metre);
