@@ -203,6 +203,7 @@ impl Method for SplattedChannel {
             group.gather_terms_vjp(deltas, &mut grads, |terms, batch, grads| {
                 activation.signals_vjp(p.cloud, terms, batch, &d_signals, grads);
             });
+            // Root mean square of each signal over the links, for pruners by blending weight.
             for (i, signals) in signals.chunks_exact((2 * links).max(1)).enumerate() {
                 let mean = signals.iter().map(|s| s * s).sum::<Real>() / links.max(1) as Real;
                 sums.stats.visible[i] += 1.0;

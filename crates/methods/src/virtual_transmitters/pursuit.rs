@@ -20,6 +20,9 @@ const FADED: f64 = 1.0 / 3.0;
 /// Number of candidates that are refined before the best is selected.
 const CLIMB: usize = 32;
 
+/// Refinement steps of a candidate.
+const CLIMB_STEPS: usize = 8;
+
 /// Refinement steps after every addition.
 const STEPS: usize = 10;
 
@@ -134,6 +137,8 @@ struct Peak {
     quat: [f64; 4],
     /// Energy that it explains with its best gain.
     explains: f64,
+    /// Logarithm of its odds against noise, if it is the best of all candidates.
+    log_odds: f64,
 }
 
 /// One pass of the search.
@@ -312,32 +317,32 @@ impl<'a> PursuitSearch<'a> {
             let number = peaks.len();
             best = self.best_refined(&residual, peaks, number, sources);
         }
-        let better = |best: Option<(Peak, f64)>, other: Option<(Peak, f64)>| {
-            best.into_iter().chain(other).reduce(|a, b| if b.1 > a.1 { b } else { a })
+        let better = |best: Option<Peak>, other: Option<Peak>| {
+            best.into_iter().chain(other).reduce(|a, b| if b.log_odds > a.log_odds { b } else { a })
         };
         let cells = self.grid.cell_count(self.grid.step);
         best = better(best, self.best_refined(&residual, self.pool.clone(), cells, sources));
         let enough = FADED * self.strongest;
-        if best.is_none_or(|b| b.1 < BEYOND_DOUBT || b.0.explains < enough) {
+        if best.is_none_or(|b| b.log_odds < BEYOND_DOUBT || b.explains < enough) {
             let report = &mut |done: usize, total: usize| {
                 report_progress(sources.len() as f64 + SWEEP * done as f64 / total as f64);
             };
             self.pool = sweep_cells((&self.levels, &self.grid), sources, (self.options.peaks, 1), self.stop, report);
             best = better(best, self.best_refined(&residual, self.pool.clone(), cells, sources));
-            self.strongest = best.map_or(0.0, |b| b.0.explains);
+            self.strongest = best.map_or(0.0, |b| b.explains);
         }
-        best.map(|(peak, _)| peak)
+        best
     }
 
-    /// Returns the best of `cells` after individual refinement, and the logarithm of its odds against noise if it is the best
-    /// of `number` candidates. `None` if every cell is close to a source or moves far away.
+    /// Returns the best of `cells` after individual refinement, with its odds as the best of `number` candidates. `None` if
+    /// every cell is close to a source or moves far away.
     fn best_refined(
         &self,
         residual: &MeasurementRows,
         mut cells: Vec<Cell>,
         number: usize,
         sources: &VirtualSources,
-    ) -> Option<(Peak, f64)> {
+    ) -> Option<Peak> {
         let (energy, finest) = (residual.energy(), &self.levels[0]);
         cells.sort_by_key(|cell| cell.q);
         score_cells((&finest.rows.residual(sources), &finest.ends), &self.grid, &mut cells);
@@ -346,17 +351,19 @@ impl<'a> PursuitSearch<'a> {
         let climb = |cell: &Cell| {
             let mut one = VirtualSources::default();
             one.push(cell.centre, self.grid.quats[cell.q], [0.0; 2]);
-            let left = refine_positions(residual, &mut one, self.refine_options(8, 1e-12 * residual.len() as f64))?;
+            let left =
+                refine_positions(residual, &mut one, self.refine_options(CLIMB_STEPS, 1e-12 * residual.len() as f64))?;
             let (position, most) = (one.positions[0], 2.0 * self.wavelength * self.grid.peak_width(cell.centre));
             let moved_far = (0..3).any(|k| (position[k] - cell.centre[k]).abs() > most);
             let apart = self.wavelength / 8.0;
             let taken = sources.positions.iter().any(|v| distance(v, &position) < apart);
-            (!moved_far && !taken).then_some(Peak { position, quat: one.quats[0], explains: energy - left })
+            let explains = energy - left;
+            let share = (explains / energy).clamp(0.0, 1.0 - 1e-12);
+            let log_odds = -(residual.len() as f64) * (1.0 - share).ln() - (number.max(1) as f64).ln();
+            (!moved_far && !taken).then_some(Peak { position, quat: one.quats[0], explains, log_odds })
         };
         let peaks: Vec<Option<Peak>> = cells.par_iter().map(climb).collect();
-        let best = peaks.into_iter().flatten().reduce(|a, b| if b.explains > a.explains { b } else { a })?;
-        let share = (best.explains / energy).clamp(0.0, 1.0 - 1e-12);
-        Some((best, -(residual.len() as f64) * (1.0 - share).ln() - (number.max(1) as f64).ln()))
+        peaks.into_iter().flatten().reduce(|a, b| if b.explains > a.explains { b } else { a })
     }
 
     /// Returns a ridge that keeps equations solvable and does not affect gains.
