@@ -254,8 +254,7 @@ impl MlpLayers {
         };
         let (pieces, kept): (Vec<Vec<Deltas>>, Vec<Vec<Activations>>) =
             items.par_iter().zip(fit).map_init(Scratch::default, one).unzip();
-        let mut all = Deltas::default();
-        let mut start = 0; // first item of the current group of transmitters
+        let (mut all, mut start) = (Deltas::default(), 0); // first item of a group of transmitters
         while start < items.len() {
             let txs = &items[start].txs;
             let chunks = items[start..].iter().take_while(|item| item.txs == *txs).count();
@@ -271,10 +270,8 @@ impl MlpLayers {
     fn head_outputs(&self, weights: &[Real], side: &TxSide, scratch: &mut Scratch) -> Deltas {
         let Scratch { shared, slots, out, .. } = scratch;
         self.trunk.forward(weights, shared, &side.folded, slots);
-        let h = &slots[self.trunk.last_slot(slots.len())];
-        let rows = h.len() / self.trunk.width;
-        self.heads.apply(weights, h, out);
-        self.gather_terms(out, rows)
+        self.heads.apply(weights, &slots[self.trunk.last_slot(slots.len())], out);
+        self.gather_terms(out, out.len() / self.heads.outputs)
     }
 
     /// Returns the terms in the outputs of the heads `[outputs, R]`.

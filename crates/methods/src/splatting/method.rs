@@ -2,7 +2,7 @@
 
 use super::received::{self, PathLossLaws};
 use super::survey::SurveyRequest;
-use super::{BlendedSignals, Geometry, ReceiverView, Splatting};
+use super::{BlendedSignals, Geometry, GroupOutput, ReceiverView, Splatting};
 use crate::groups::{self, OFFSETS, ReceiverGroup};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
@@ -24,16 +24,6 @@ struct ForwardCache {
     terms: (Deltas, Cache),
     /// Drawings on the CPU.
     drawings: Vec<(ReceiverGroup, ReceiverView, BlendedSignals)>,
-}
-
-/// Group of links after drawing and readout.
-struct GroupOutput {
-    group: ReceiverGroup,
-    observations: Vec<Real>,
-    /// Seconds of projection, sort and blending.
-    seconds: [f64; 3],
-    /// State for the backward pass, in training.
-    drawing: Option<(ReceiverView, BlendedSignals)>,
 }
 
 /// Values that do not depend on the transmitter.
@@ -128,7 +118,10 @@ impl Splatting {
             return (ForwardOutput { numbers, cache: is_training.then(|| Arc::new(cache) as _) }, times);
         }
         let (sky, numbers) = (self.sky(setup), setup.value_count());
-        let one = |group| self.draw_group(call, &sky, &deltas, ready, is_training, group);
+        let one = |group: ReceiverGroup| {
+            let shared_geometry = ready.and_then(|ready| ready.shared_geometry.get(group.state.receiver));
+            self.draw_group(call, &sky, &deltas, shared_geometry, is_training, group)
+        };
         let groups = ReceiverGroup::from_links(links, !self.deformation.traits().varies_geometry);
         let is_alone = groups.len() == 1; // its links are in order
         let drawn: Vec<GroupOutput> =
@@ -148,29 +141,6 @@ impl Splatting {
         }
         let cache = ForwardCache { terms: (deltas, kept), drawings };
         (ForwardOutput { numbers: all, cache: is_training.then(|| Arc::new(cache) as _) }, times)
-    }
-
-    /// Draws a group of links and reads it out; keeps the drawing if `is_training`.
-    fn draw_group(
-        &self,
-        call: &Call<'_>,
-        sky: &ImagePlane,
-        deltas: &Deltas,
-        ready: Option<&Ready>,
-        is_training: bool,
-        group: ReceiverGroup,
-    ) -> GroupOutput {
-        let (start, p) = (Instant::now(), &call.parameters);
-        let view = ReceiverView { pose: group.state.pose, plane: sky.clone() };
-        let shared_geometry = ready.and_then(|ready| ready.shared_geometry.get(group.state.receiver));
-        let (terms, batch) = group.gather_terms(deltas, p.cloud.len());
-        let drawing = self.draw(&view, p, &terms, batch, shared_geometry);
-        let blended = &drawing.render.pixels;
-        let blended = if is_training { self.clamp_as_released(blended) } else { Cow::Borrowed(blended.as_slice()) };
-        let observations = self.read_out(call, &view, &group, &blended);
-        let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
-        let seconds = [projection, sort, start.elapsed().as_secs_f64() - projection - sort];
-        GroupOutput { group, observations, seconds, drawing: is_training.then_some((view, drawing)) }
     }
 
     /// Returns the terms of the network and, if `is_training`, what it keeps for the backward pass.

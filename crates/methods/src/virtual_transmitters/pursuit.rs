@@ -82,8 +82,7 @@ pub fn pursue_sources(
     let all: Vec<usize> = (0..links.positions.len()).collect();
     let mut best = (f64::NEG_INFINITY, VirtualSources::new(options.order));
     let (held_out, fitted) = options.split_held_out(links);
-    let parts = (&fitted[..], &held_out[..]);
-    PursuitSearch::new((links, channel), options, stop, parts).improve_best(&mut best, report_progress);
+    PursuitSearch::new((links, channel), options, stop, (&fitted, &held_out)).improve_best(&mut best, report_progress);
     let [grid, _, last] = options.rows;
     let options = &PursuitOptions { rows: [grid, last, last], ..options.clone() };
     PursuitSearch::new((links, channel), options, stop, (&all, &[])).refine_sources(&mut best.1, STEPS);
@@ -248,8 +247,7 @@ impl<'a> PursuitSearch<'a> {
     /// whenever the score improves.
     fn add_sources(&mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(f64)) {
         let MatchingPursuit { most, patience, .. } = self.options.settings;
-        let mut sources = best.1.clone();
-        let mut failures = 0;
+        let (mut sources, mut failures) = (best.1.clone(), 0);
         while sources.len() < most && failures < patience && !self.is_stopped() {
             let Some(peak) = self.next_candidate(&sources, report_progress) else { break };
             sources.push(peak.position, peak.quat, [0.0; 2]);
@@ -289,10 +287,8 @@ impl<'a> PursuitSearch<'a> {
             let noise = cost / self.rows.len() as f64;
             let signal = self.rows.mean_signal_power(sources) / sources.harmonic_count() as f64;
             let noise_to_signal = self.options.settings.ridge * noise / signal.max(f64::MIN_POSITIVE);
-            let ridge = noise_to_signal + 1e-12 * self.rows.len() as f64;
-            let Some(refined) = refine_positions(&self.rows, sources, self.refine_options(steps, ridge)) else {
-                return;
-            };
+            let options = self.refine_options(steps, noise_to_signal + 1e-12 * self.rows.len() as f64);
+            let Some(refined) = refine_positions(&self.rows, sources, options) else { return };
             cost = refined;
         }
     }
@@ -322,8 +318,7 @@ impl<'a> PursuitSearch<'a> {
         };
         let cells = self.grid.cell_count(self.grid.step);
         best = better(best, self.best_refined(&residual, self.pool.clone(), cells, sources));
-        let enough = FADED * self.strongest;
-        if best.is_none_or(|b| b.log_odds < BEYOND_DOUBT || b.explains < enough) {
+        if best.is_none_or(|b| b.log_odds < BEYOND_DOUBT || b.explains < FADED * self.strongest) {
             let report = &mut |done: usize, total: usize| {
                 report_progress(sources.len() as f64 + SWEEP * done as f64 / total as f64);
             };
@@ -355,8 +350,7 @@ impl<'a> PursuitSearch<'a> {
                 refine_positions(residual, &mut one, self.refine_options(CLIMB_STEPS, 1e-12 * residual.len() as f64))?;
             let (position, most) = (one.positions[0], 2.0 * self.wavelength * self.grid.peak_width(cell.centre));
             let moved_far = (0..3).any(|k| (position[k] - cell.centre[k]).abs() > most);
-            let apart = self.wavelength / 8.0;
-            let taken = sources.positions.iter().any(|v| distance(v, &position) < apart);
+            let taken = sources.positions.iter().any(|v| distance(v, &position) < self.wavelength / 8.0);
             let explains = energy - left;
             let share = (explains / energy).clamp(0.0, 1.0 - 1e-12);
             let log_odds = -(residual.len() as f64) * (1.0 - share).ln() - (number.max(1) as f64).ln();
@@ -390,7 +384,6 @@ impl<'a> PursuitSearch<'a> {
         }
         let positions: Vec<[Real; 3]> = self.held_out.iter().map(|i| self.links.positions[*i]).collect();
         let links = ChannelInputs { positions: &positions, ..*self.links };
-        let truth = self.held_out.iter().flat_map(|i| self.channel[*i]);
-        snr_db(&field(&sources.to_cloud(), None, &links), truth)
+        snr_db(&field(&sources.to_cloud(), None, &links), self.held_out.iter().flat_map(|i| self.channel[*i]))
     }
 }
