@@ -62,7 +62,7 @@ pub(crate) fn wait_for<T>(future: impl Future<Output = T>) -> T {
     }
 }
 
-/// Returns the adapters of the machine, in the order of their numbers: GPUs with memory of their own first.
+/// Returns the adapters of the machine, in the order of their numbers: discrete GPUs first.
 pub(crate) fn adapters() -> Vec<Adapter> {
     let instance = wgpu::Instance::new(InstanceDescriptor {
         backends: Backends::PRIMARY,

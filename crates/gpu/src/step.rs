@@ -139,7 +139,7 @@ impl GpuStep<'_> {
         self.workspace.steps
     }
 
-    /// Returns whether the buffers still hold what step `number` left in them.
+    /// Returns whether the buffers still have the content of step `number`.
     pub fn follows(&self, number: u64) -> bool {
         self.workspace.steps == number + 1 && self.workspace.changed <= number
     }
@@ -203,7 +203,7 @@ impl GpuStep<'_> {
         }
     }
 
-    /// Sends the recorded commands to the GPU, which runs them while the CPU goes on. [`Self::finish`] reports a failure.
+    /// Sends the recorded commands to the GPU, which runs them while the CPU continues. [`Self::finish`] reports a failure.
     pub fn send(&mut self) {
         let (commands, arguments) = (std::mem::take(&mut self.commands), std::mem::take(&mut self.arguments));
         if commands.is_empty() {

@@ -168,7 +168,7 @@ pub(crate) fn network_rows(deformation: &dyn Deformation, cloud: &GaussianCloud,
     (0..cloud.len()).filter(|&i| all || gate.is_none_or(|gate| gate[i] != 0.0)).collect()
 }
 
-/// Returns the terms of the network and, if `is_training`, what it keeps for the backward pass. `prepared` is its cache
+/// Returns the terms of the network and, if `is_training`, its state for the backward pass. `prepared` is its cache
 /// for predictions, if there is one.
 pub(crate) fn network_terms(
     deformation: &dyn Deformation,

@@ -57,7 +57,7 @@ struct Ready {
 
 /// Results of the forward pass for the backward pass.
 struct ForwardCache {
-    /// Terms of the network, and what it keeps for its derivative.
+    /// Terms of the network, and its state for the backward pass.
     terms: (Deltas, Cache),
     /// Per group: its links, its waves, and signals `[N, links, 2]`.
     received: Vec<(ReceiverGroup, Arc<Waves>, Vec<Real>)>,

@@ -173,10 +173,10 @@ impl Method for VirtualTransmitters {
 /// gains of its `order`. If only the scene is needed (`pwrfgs check`), it places `most` of them arbitrarily.
 ///
 /// The search of the grid goes from coarse to fine, so that its time grows with the logarithm of the site in
-/// wavelengths. A coarse cell counts what it explains in windows of neighbouring positions and subcarriers, each with a
-/// gain of its own. The band of a window resolves ranges, and its antennas resolve directions. Each level divides the
-/// best 4,096 cells into eight and doubles the width of the windows; the last level is coherent over all positions, on a
-/// subset of the links. No position explains more coherently than in windows, so a cell is skipped only if 4,096 others
+/// wavelengths. The score of a coarse cell is the energy that it explains in windows of neighbouring positions and
+/// subcarriers, each with a separate gain. The band of a window resolves ranges, and its antennas resolve directions.
+/// Each level divides the best 4,096 cells into eight and doubles the width of the windows; the last level is coherent
+/// over all positions, on a subset of the links. No position explains more coherently than in windows, so a cell is skipped only if 4,096 others
 /// explain more in windows of the same width. A grid of at most 131,072 cells is searched completely.
 ///
 /// ```

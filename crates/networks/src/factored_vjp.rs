@@ -13,7 +13,7 @@ use std::ops::Range;
 type Task<'a> = (usize, (&'a [[Real; LANES]], Option<&'a mut [[Real; 3]]>));
 
 impl FactoredLayers {
-    /// Runs the backward pass of [`Self::forward`] and [`Self::wave_mixtures`], given what they computed and the cotangents
+    /// Runs the backward pass of [`Self::forward`] and [`Self::wave_mixtures`], given basis and mixtures and the cotangents
     /// `d` of the signals; adds to `sums`.
     pub(super) fn vjp(
         &self,

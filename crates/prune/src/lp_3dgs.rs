@@ -25,9 +25,9 @@ const TEMPERATURE: Real = 0.5;
 ///
 /// The keep probability is σ(m + ln(S/S̃)). The importance S of a Gaussian is its largest blending weight in any pixel
 /// of any transmitter, as in RadSplat; S̃ is the median. The ratio S/S̃ multiplies the odds of a learned logit m.
-/// During training, the light that a Gaussian absorbs is multiplied by the relaxed sample σ((m + ln(S/S̃) +
-/// g)/0.5) with logistic noise g. The loss gains lambda times the mean keep probability. Prune steps keep the
-/// Gaussians with a probability of at least one half. S is measured at each prune step; before the first, S/S̃ is 1.
+/// During training, γ of a Gaussian is multiplied by the relaxed sample σ((m + ln(S/S̃) + g)/0.5) with logistic noise g.
+/// The loss gains lambda times the mean keep probability. Prune steps keep the Gaussians with a probability of at least
+/// one half. S is measured at each prune step; before the first, S/S̃ is 1.
 /// Source: LP-3DGS, Zhang et al., NeurIPS 2024, section 3.2, whose Gumbel-sigmoid mask finds the share to prune by
 /// itself.
 ///

@@ -20,7 +20,7 @@ const LAW: [&str; 2] = [OFFSETS, "receiver.exponents"];
 
 /// State of the forward pass for [`Method::vjp`].
 struct ForwardCache {
-    /// Terms of the network, and what it keeps for its derivative.
+    /// Terms of the network, and its state for the backward pass.
     terms: (Deltas, Cache),
     /// Drawings on the CPU.
     drawings: Vec<(ReceiverGroup, ReceiverView, BlendedSignals)>,
@@ -143,7 +143,7 @@ impl Splatting {
         (ForwardOutput { numbers: all, cache: is_training.then(|| Arc::new(cache) as _) }, times)
     }
 
-    /// Returns the terms of the network and, if `is_training`, what it keeps for the backward pass.
+    /// Returns the terms of the network and, if `is_training`, its state for the backward pass.
     pub(super) fn network_terms(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (Deltas, Cache) {
         let Call { setup, parameters: p, links, .. } = *call;
         let (network, pose) = (self.split_weights(setup, p.weights).0, setup.pose());

@@ -7,7 +7,7 @@
 //! the spacing of the grid. Blocks of [`LANES`] cells are evaluated in single precision. Maxima are wider at larger distances
 //! from the links, so that each shell of the grid is twice as coarse as the inner one.
 //!
-//! The bound of what a sweep skips: a cell is dropped only if [`KEPT`] others explain more in windows of the same level,
+//! Bound of the skipped cells: a cell is dropped only if [`KEPT`] others explain more in windows of the same level,
 //! and no position explains more coherently than in windows of the same rows. The loss between the centre of a cell and
 //! its corners is not bounded. A grid of at most [`START`](super::grid::START) cells is scored completely.
 //!

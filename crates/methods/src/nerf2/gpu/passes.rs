@@ -25,7 +25,7 @@ const HIDDEN: [usize; 2] = [NETWORK + 8, NETWORK + 9];
 pub(super) const RAW: usize = NETWORK + 10;
 const FIRST: usize = NETWORK + 11;
 
-/// Most workgroups along an axis.
+/// Maximum number of workgroups along an axis.
 const WORKGROUPS: usize = 65_535;
 
 /// Network on a GPU.
@@ -127,6 +127,7 @@ impl<'a> GpuNerf2<'a> {
         on.input_vjp(step, &signal[1].whole(), on.chunk(SPARE), D, mask(HIDDEN[0]));
         step.add(width * rows, D, D_FROM_FEATURE);
         step.clear(D_SIDE, width * rays);
+        // A sum over the samples of a ray takes one workgroup, so that each pass has whole features up to the limit.
         let together = WORKGROUPS / rays * rays;
         for first in (0..width * rays).step_by(together) {
             let features = together.min(width * rays - first);
