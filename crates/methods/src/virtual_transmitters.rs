@@ -176,8 +176,9 @@ impl Method for VirtualTransmitters {
 /// wavelengths. The score of a coarse cell is the energy that it explains in windows of neighbouring positions and
 /// subcarriers, each with a separate gain. The band of a window resolves ranges, and its antennas resolve directions.
 /// Each level divides the best 4,096 cells into eight and doubles the width of the windows; the last level is coherent
-/// over all positions, on a subset of the links. No position explains more coherently than in windows, so a cell is skipped only if 4,096 others
-/// explain more in windows of the same width. A grid of at most 131,072 cells is searched completely.
+/// over all positions, on a subset of the links. No position explains more coherently than in windows, so a cell is
+/// skipped only if 4,096 others explain more in windows of the same width. A grid of at most 131,072 cells is
+/// searched completely.
 ///
 /// ```
 /// # use pwrfgs_core::{Initializer, Plugin};

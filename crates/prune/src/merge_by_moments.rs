@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 ///
 /// The mass of a Gaussian is its opacity times the product of its scales. Pairs are merged in the order of Ward's
 /// criterion, m₁m₂/(m₁+m₂) · ‖μ₁ − μ₂‖², each Gaussian with its nearest neighbour and once per pass, until the number
-/// of the prune step is reached. The merged Gaussian has the mean and covariance of the mixture, the mean signal, and an opacity that
-/// preserves the mass, at most 0.99. Merging loses detail, but unlike removal it leaves no empty regions. The network
-/// computes the signals of a merged Gaussian from its new centre.
+/// of the prune step is reached. The merged Gaussian has the mean and covariance of the mixture, the mean signal, and
+/// an opacity that preserves the mass, at most 0.99. Merging loses detail, but unlike removal it leaves no empty
+/// regions. The network computes the signals of a merged Gaussian from its new centre.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
