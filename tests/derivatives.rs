@@ -152,7 +152,7 @@ fn data(task: Task, base: &Ensemble) -> Dataset {
     let random = &mut rng::stream(5, "positions", 0);
     let positions: Vec<[Real; 3]> = (0..LINKS).map(|_| [(); 3].map(|()| rng::uniform(random))).collect();
     let samples: Vec<Sample> = (0..).zip(&positions).map(|(id, at)| Sample::new(id, world(at))).collect();
-    let receivers = vec![Receiver::new("one", base.members()[0].stages.setup.receiver())];
+    let receivers = vec![Receiver::new("one", base.members()[0].stages.setup.world_pose())];
     let ready = base.prepare();
     let value = |at: &[Real; 3]| (3.0 * at[0]).sin() * (2.0 * at[1]).cos();
     let observations = if task.has_pixels {

@@ -57,7 +57,7 @@ fn training_and_predictions_are_shift_invariant() {
         let path = folder.path().join("m.safetensors");
         file::write(&path, &there).unwrap();
         let read = file::read(&path).unwrap();
-        assert_eq!(read.stages.receiver(), Pose { position: moved([0.25, -0.375, 0.125]), ..near.scene.pose() });
+        assert_eq!(read.stages.world_pose(), Pose { position: moved([0.25, -0.375, 0.125]), ..near.scene.pose() });
         for sample in near.samples() {
             assert_eq!(read.predict(moved(sample.position())).pixels, here.predict(sample.position()).pixels);
         }

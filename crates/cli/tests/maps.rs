@@ -29,7 +29,7 @@ fn predictions_return_positions_unchanged() {
     assert!((nearest - 0.1).abs() < 1e-6, "centimetres survive: {nearest}");
     let model = file::read(&here.join("r/model.safetensors")).unwrap();
     assert_eq!(model.stages.origin.0, [500_000.0, 5_399_999.0, 100.0]);
-    assert_eq!(model.stages.receiver().position, [500_000.25, 5_399_998.54, 100.0]);
+    assert_eq!(model.stages.world_pose().position, [500_000.25, 5_399_998.54, 100.0]);
     let report = text("r/report.html");
     for words in ["x − 500000 [m]", "y − 5399999 [m]", "z − 100 [m]", "5399998.5"] {
         assert!(report.contains(words), "{words} on the axes or in the bounds");

@@ -41,8 +41,11 @@ impl<T: Copy + Display + PartialEq + Into<f64>> ArrayGeometry<'_, T> {
             .collect()
     }
 
-    /// Returns an error for an invalid grid or position, or for positions beside another grid than the `default`: the
-    /// problem and the next step, with the names of the settings.
+    /// Checks the grid and the positions.
+    ///
+    /// # Errors
+    /// The grid or a position is invalid, or both positions and a grid other than `default` are given. The message states
+    /// the problem and the next step, with the names of the settings.
     pub fn check(&self, default: ArrayGeometry<'_, T>) -> Result<(), String> {
         for (field, count) in [("rows", self.rows), ("columns", self.columns)] {
             if !(1..=LARGEST).contains(&count) {

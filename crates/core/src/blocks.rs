@@ -1,38 +1,39 @@
-//! Blocks of space that are held out together: cubes that follow the spacing of places and the size of the site.
+//! Blocks of space that are held out together: cubes that follow the spacing of positions and the size of the site.
 
 use crate::neighbours::nearest_others;
 use crate::statistics;
 use std::collections::BTreeMap;
 
 /// Edge of blocks in units of the spacing, and in parts of the longest side of the site: the larger one applies. Smaller
-/// blocks leave a known neighbour next to almost every place, so they test repetition.
+/// blocks leave a training position next to almost every held-out one, so they test repetition.
 const SPACINGS: f64 = 3.0;
 const SITE_PARTS: f64 = 20.0;
 
-/// Spacing and size of a set of places.
+/// Spacing and size of a set of positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SiteSize {
-    /// Median distance from a place to the nearest other one, metres; 1 for fewer than two different places.
+    /// Median distance from a position to the nearest other one, metres; 1 for fewer than two different positions.
     pub spacing: f64,
-    /// Longest side of the box of all places, metres.
+    /// Longest side of the box of all positions, metres.
     pub longest: f64,
 }
 
 impl SiteSize {
-    /// Measures `places`, metres, which may repeat.
-    pub fn new(places: impl IntoIterator<Item = [f64; 3]>) -> Self {
-        let mut places: Vec<[f64; 3]> =
-            places.into_iter().filter(|place| place.iter().all(|v| v.is_finite())).collect();
-        places.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2])));
-        places.dedup();
-        if places.is_empty() {
+    /// Measures `positions`, metres, which may repeat.
+    pub fn new(positions: impl IntoIterator<Item = [f64; 3]>) -> Self {
+        let mut positions: Vec<[f64; 3]> =
+            positions.into_iter().filter(|position| position.iter().all(|v| v.is_finite())).collect();
+        positions
+            .sort_unstable_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2])));
+        positions.dedup();
+        if positions.is_empty() {
             return Self { spacing: 1.0, longest: 0.0 };
         }
         let side = |k: usize| {
-            let (low, high) = statistics::bounds(places.iter().map(|place| place[k]));
+            let (low, high) = statistics::bounds(positions.iter().map(|position| position[k]));
             high - low
         };
-        let spacing = statistics::median(nearest_others(&places).into_iter().flatten().map(|other| other.0));
+        let spacing = statistics::median(nearest_others(&positions).into_iter().flatten().map(|other| other.0));
         Self { spacing: if spacing.is_finite() { spacing } else { 1.0 }, longest: (0..3).map(side).fold(0.0, f64::max) }
     }
 
@@ -42,12 +43,13 @@ impl SiteSize {
     }
 }
 
-/// Returns the block of a place: a cube of `edge` metres.
-pub fn block_of(place: [f64; 3], edge: f64) -> [i64; 3] {
-    place.map(|v| (v / edge).floor() as i64)
+/// Returns the block of a position: a cube of `edge` metres.
+pub fn block_of(position: [f64; 3], edge: f64) -> [i64; 3] {
+    position.map(|v| (v / edge).floor() as i64)
 }
 
-/// Returns the mean of values and its standard error, if the values of one block depend on each other; NaN without values.
+/// Returns the mean of values, each after its block, and the standard error of the mean if the values of one block depend on
+/// each other; NaN without values.
 pub fn block_mean(values: impl IntoIterator<Item = ([i64; 3], f64)>) -> (f64, f64) {
     let mut blocks: BTreeMap<[i64; 3], (f64, f64)> = BTreeMap::new();
     for (block, value) in values {

@@ -32,7 +32,7 @@ impl Cholesky {
         Some(Self { lower: a, n })
     }
 
-    /// Solves A x = b in place.
+    /// Replaces `b` `[n]` by the solution x of A x = b.
     pub fn solve(&self, b: &mut [f64]) {
         let (l, n) = (&self.lower, self.n);
         for i in 0..n {

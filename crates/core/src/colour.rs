@@ -7,6 +7,10 @@ pub type Rgb = [u8; 3];
 /// Hue (degrees) and chroma of the sequential scale at 0, 1/4, 1/2, 3/4, 1: violet, blue, teal, green, yellow.
 const SEQUENTIAL: [(f64, f64); 5] = [(305.0, 0.10), (268.0, 0.115), (205.0, 0.085), (152.0, 0.14), (106.0, 0.175)];
 
+/// Hues of the other scales, degrees.
+const BLUE: f64 = 256.0;
+const VERMILION: f64 = 40.0;
+
 /// Returns a colour from dark violet at 0 to yellow at 1.
 pub fn sequential(value: f64) -> Rgb {
     let t = value.clamp(0.0, 1.0);
@@ -21,7 +25,8 @@ pub fn sequential(value: f64) -> Rgb {
 /// Returns a colour from blue at −1 over white to vermilion at 1.
 pub fn diverging(value: f64) -> Rgb {
     let size = value.abs().min(1.0);
-    let hue = if value < 0.0 { 256.0 } else { 40.0 };
+    let hue = if value < 0.0 { BLUE } else { VERMILION };
+    // With an exponent below 1, the hue of small values is visible.
     srgb_from_oklch(0.98 - 0.50 * size, 0.17 * size.powf(0.85), hue)
 }
 
@@ -29,7 +34,7 @@ pub fn diverging(value: f64) -> Rgb {
 /// distinguishes the halves of equal lightness, also for colour-blind readers.
 pub fn cyclic(value: f64) -> Rgb {
     let (sin, cos) = (std::f64::consts::TAU * value).sin_cos();
-    srgb_from_oklch(0.60 + 0.33 * cos, 0.13 * sin.abs(), if sin < 0.0 { 40.0 } else { 256.0 })
+    srgb_from_oklch(0.60 + 0.33 * cos, 0.13 * sin.abs(), if sin < 0.0 { VERMILION } else { BLUE })
 }
 
 /// Converts `OKLab` in polar form to sRGB (Björn Ottosson, 2020); colours outside the gamut are clipped.

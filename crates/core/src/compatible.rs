@@ -236,6 +236,7 @@ fn check_stages(parts: &Parts<'_>, method: &dyn Method, traits: &MethodTraits<'_
     let plane = match (parts.setup, traits.projector) {
         (Some(setup), _) if setup.task.has_pixels && stride > 1 => Cow::Owned(setup.plane.strided(stride, [0, 0])),
         (Some(setup), _) => method.plane(setup)?,
+        // A usual size: a pipeline alone has no data.
         (None, Some(projector)) => Cow::Owned(projector.plane(360, 90)),
         (None, None) => return Ok(()),
     };
@@ -265,33 +266,47 @@ fn input_misfit(data: &Dataset, traits: &MethodTraits<'_>) -> Option<Misfit> {
 /// Returns the first difference between the setup of a trained model and that of data; `None` if there is none.
 fn setup_difference(model: &MeasurementSetup, data: &MeasurementSetup) -> Option<SetupDifference> {
     let task = data.task;
-    let near = |a: &f64, b: &f64| (a - b).abs() <= 1e-6 * a.abs();
-    let [(drawn, a, trained), (measured, b, receivers)] = [model, data].map(|setup| {
-        let text = task.size_text((setup.plane.width, setup.plane.height)).unwrap_or_default();
-        ((setup.plane.width, setup.plane.height), text, setup.receivers.len())
-    });
-    let elevations = model.plane.elevation().zip(data.plane.elevation()).filter(|(a, b)| a != b);
-    let whole = [
-        (model.task != task).then_some(SetupDifference::Task(model.task, task)),
-        (model.moving != data.moving).then_some(SetupDifference::Moves),
-        (drawn != measured).then_some(SetupDifference::Size(task, a, b)),
-        (model.plane.camera != data.plane.camera).then_some(SetupDifference::Camera),
-        elevations.map(|(a, b)| SetupDifference::Elevations(a.first, a.last, b.first, b.last)),
-        (trained != receivers).then_some(SetupDifference::Receivers(trained, receivers)),
-    ];
     let receiver_difference = |(trained, measured): (&Receiver, &Receiver)| {
-        let carriers = trained.carrier_hz.zip(measured.carrier_hz).filter(|(a, b)| !near(a, b));
+        let carriers = trained.carrier_hz.zip(measured.carrier_hz).filter(|(a, b)| !is_same_frequency(*a, *b));
         // The name of a single receiver is a placeholder and is not compared.
         let is_renamed = trained.name != measured.name && !task.has_pixels && data.receivers.len() > 1;
         let names = || SetupDifference::Name(strip_control(&trained.name), strip_control(&measured.name));
         carriers.map(|(a, b)| SetupDifference::Carrier(a, b)).or_else(|| is_renamed.then(names))
     };
     let mut receivers = model.receivers.iter().zip(&data.receivers);
-    let (trained, measured) = (&model.frequencies_hz, &data.frequencies_hz);
+    observation_difference(model, data)
+        .or_else(|| receivers.find_map(receiver_difference))
+        .or_else(|| frequency_difference(&model.frequencies_hz, &data.frequencies_hz))
+}
+
+/// Returns the first difference in task, moving end, image plane or number of receivers; `None` if there is none.
+fn observation_difference(model: &MeasurementSetup, data: &MeasurementSetup) -> Option<SetupDifference> {
+    let task = data.task;
+    let [trained, measured] = [model, data].map(|setup| (setup.plane.width, setup.plane.height));
+    let text = |size: (usize, usize)| task.size_text(size).unwrap_or_default();
+    let elevations = model.plane.elevation().zip(data.plane.elevation()).filter(|(a, b)| a != b);
+    let counts = [model, data].map(|setup| setup.receivers.len());
+    let differences = [
+        (model.task != task).then_some(SetupDifference::Task(model.task, task)),
+        (model.moving != data.moving).then_some(SetupDifference::Moves),
+        (trained != measured).then(|| SetupDifference::Size(task, text(trained), text(measured))),
+        (model.plane.camera != data.plane.camera).then_some(SetupDifference::Camera),
+        elevations.map(|(a, b)| SetupDifference::Elevations(a, b)),
+        (counts[0] != counts[1]).then_some(SetupDifference::Receivers(counts[0], counts[1])),
+    ];
+    differences.into_iter().flatten().next()
+}
+
+/// Returns the difference of subcarrier frequencies, Hz; `None` if they agree.
+fn frequency_difference(model: &[f64], data: &[f64]) -> Option<SetupDifference> {
     let first = |hz: &[f64]| hz.first().copied().unwrap_or_default();
-    let alike = trained.len() == measured.len() && trained.iter().zip(measured).all(|(a, b)| near(a, b));
-    let frequency = || (!alike).then(|| SetupDifference::Frequency(first(trained), first(measured)));
-    whole.into_iter().flatten().next().or_else(|| receivers.find_map(receiver_difference)).or_else(frequency)
+    let alike = model.len() == data.len() && model.iter().zip(data).all(|(a, b)| is_same_frequency(*a, *b));
+    (!alike).then(|| SetupDifference::Frequency(first(model), first(data)))
+}
+
+/// Returns whether two frequencies, Hz, agree up to the digits of a file.
+fn is_same_frequency(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-6 * a.abs()
 }
 
 /// Returns why a training cannot start from the trained model of `parts`; `None` if it can, or there is no such model.

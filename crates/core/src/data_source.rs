@@ -114,7 +114,7 @@ pub trait Baseline: crate::plugin::PluginObject {
         &Task::ALL
     }
 
-    /// Returns what it requires of the data beside the task.
+    /// Returns its requirements of the data beside the task.
     fn requires(&self) -> &'static [Requirement] {
         &[]
     }
@@ -134,8 +134,8 @@ pub trait Baseline: crate::plugin::PluginObject {
             .map_err(Misfit::error)
     }
 
-    /// Fits the baseline to the links of `fitting` and returns its predictor. Choices use the validation set; if it is empty, samples held out of the training
-    /// set.
+    /// Fits the baseline to the links of `fitting` and returns its predictor. Choices use the validation set; if it is empty,
+    /// samples held out of the training set.
     ///
     /// # Errors
     /// The data do not suit the baseline, or an observation cannot be read.
@@ -165,7 +165,7 @@ plugin_kind!(Baseline);
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait Predict: Send + Sync {
     /// Returns the observation with the size of the data ([`Observations`](crate::Observations) describes powers and
-    /// channels as arrays); spectra are not clamped. A predictor fitted to one receiver uses only `query.tx`.
+    /// channels as arrays); spectra are not clamped. A predictor fitted to one receiver ignores `query.receiver`.
     fn predict(&self, query: Query<'_>) -> Image;
 
     /// Returns the observations of many links, in their order: those of [`Self::predict`] to the bit.
@@ -198,7 +198,7 @@ pub trait Predict: Send + Sync {
         None
     }
 
-    /// Returns whether it uses what a model does not know: the simulated scene (exact or with errors), as ray tracing
+    /// Returns whether it uses information that a model lacks: the simulated scene (exact or with errors), as ray tracing
     /// does, or the time of a measurement. It is then an oracle baseline and not ranked.
     fn is_oracle(&self) -> bool {
         false

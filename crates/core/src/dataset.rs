@@ -50,7 +50,7 @@ pub struct Unmatched {
     /// Positions without a spectrum.
     pub positions: usize,
     /// Spectra without a position.
-    pub pictures: usize,
+    pub spectra: usize,
 }
 
 /// Description of simulated data.
@@ -133,7 +133,7 @@ impl Dataset {
     /// one per observation.
     ///
     /// # Errors
-    /// As [`Self::of_links`], for receivers, observations and points.
+    /// As [`Self::of_links`], for receivers, transmitter, observations and points.
     pub fn of_columns(
         title: impl Into<String>,
         ends: Ends,

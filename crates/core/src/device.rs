@@ -66,9 +66,12 @@ pub fn from_environment() -> Result<DeviceChoice> {
 }
 
 static CHOICE: OnceLock<DeviceChoice> = OnceLock::new();
+/// Name of the GPU; `None` for the CPU.
 static NAME: OnceLock<Option<String>> = OnceLock::new();
+/// Whether the process leaves its GPU unused.
 static LEFT: AtomicBool = AtomicBool::new(false);
 static CPU_PART: OnceLock<String> = OnceLock::new();
+/// Whether a network or a drawing has run on the GPU.
 static USED: AtomicBool = AtomicBool::new(false);
 static FAILURE: FirstError = FirstError(Mutex::new(None));
 
@@ -122,7 +125,8 @@ pub fn mark_used() {
     USED.store(true, Ordering::Relaxed);
 }
 
-/// Returns the part of a method that has no kernels for the GPU, such as `rasterizer WrfgsCompat`, if there was one.
+/// Returns the part of a method that has no kernels for the GPU, such as `rasterizer WrfgsCompat`; `None` if
+/// there was none.
 pub fn cpu_part() -> Option<&'static str> {
     CPU_PART.get().map(String::as_str)
 }

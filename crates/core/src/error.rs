@@ -38,10 +38,12 @@ pub enum Error {
     #[error("{}", sanitize_message(.0))]
     Config(String),
     /// A number is not finite.
-    #[error("{what} is not finite at step {step}; lower the learning rates in `training.optimizer`, then start again")]
+    #[error(
+        "{tensor} is not finite at step {step}; lower the learning rates in `training.optimizer`, then start again"
+    )]
     NonFinite {
         /// Name of the tensor.
-        what: String,
+        tensor: String,
         /// Training step, from 1.
         step: u64,
     },
@@ -127,6 +129,7 @@ pub fn did_you_mean<'a>(wrong: &str, names: impl IntoIterator<Item = &'a str>) -
     let wrong = wrong.to_lowercase();
     let distance = |name: &str| strsim::damerau_levenshtein(&wrong, &name.to_lowercase());
     let nearest = names.into_iter().map(|name| (distance(name), name)).min();
+    // Two typing errors, and one more per three letters.
     nearest
         .filter(|(distance, name)| *distance <= 2 + name.len() / 3)
         .map_or_else(String::new, |(_, name)| format!("; did you mean `{}`?", strip_control(name)))

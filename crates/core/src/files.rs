@@ -125,6 +125,7 @@ pub fn read_at_most(path: &Path, limit: impl Into<ReadLimit>) -> io::Result<Vec<
     check(size)?;
     let mut bytes = Vec::new();
     bytes.try_reserve_exact(size as usize)?;
+    // Files of the system, of size 0, may hold 256 MiB.
     let most = if let ReadLimit::Bytes(limit) = limit { limit } else { size.max(1 << 28) };
     file.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
     check(bytes.len() as u64).map(|()| bytes)
@@ -191,7 +192,7 @@ pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
     fs::write(path, bytes).map_err(|e| Error::write(path, e))
 }
 
-/// File of such a folder that is written in parts; may exceed memory.
+/// File that is written in parts, in a folder that no other process reads yet; it may exceed memory.
 #[derive(Debug)]
 pub struct GrowingFile {
     path: PathBuf,
@@ -207,7 +208,8 @@ impl GrowingFile {
         Self::resume(path, start, 0)
     }
 
-    /// Opens the file after its first `length` bytes and drops later ones; creates it with the bytes `start` if `length` is 0.
+    /// Opens the file to append after its first `length` bytes, and drops later ones. If `length` is 0, creates the file with
+    /// the bytes `start`.
     ///
     /// # Errors
     /// [`Error::Write`] if the file cannot be written.

@@ -50,7 +50,7 @@ impl Geodetic {
         format!(",{latitude:.7},{longitude:.7}")
     }
 
-    /// Returns whether both angles are finite and on the Earth, away from its poles.
+    /// Returns whether both angles are on the Earth, with a latitude below 89 degrees: meridians converge at the poles.
     pub fn is_valid(self) -> bool {
         self.latitude.abs() < 89.0 && self.longitude.abs() <= 180.0
     }

@@ -22,6 +22,9 @@ impl Image {
     }
 
     /// Converts 8-bit grey values: value/255.
+    ///
+    /// # Panics
+    /// If `bytes` do not fill the image.
     pub fn from_bytes(width: usize, height: usize, bytes: &[u8]) -> Self {
         assert_eq!(bytes.len(), width * height, "an image has width times height pixels");
         Self { width, height, pixels: bytes.iter().map(|&b| Real::from(b) / 255.0).collect() }

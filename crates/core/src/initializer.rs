@@ -81,7 +81,7 @@ pub trait Initializer: crate::plugin::PluginObject {
         &Task::ALL
     }
 
-    /// Returns what it requires of data and method beside the task.
+    /// Returns its requirements of data and method beside the task.
     fn requires(&self) -> &'static [Requirement] {
         &[]
     }

@@ -20,7 +20,8 @@ use std::f64::consts::LN_10;
 /// Position of a sample: x, y and z in metres, and its time in samples, 0 for processes over space alone.
 pub type Place = [f64; 4];
 
-/// Check that a long fit calls several times per second: an error, such as [`Error::Stopped`](crate::Error::Stopped), ends the fit.
+/// Check that a long fit calls several times per second. An error, such as [`Error::Stopped`](crate::Error::Stopped), ends the
+/// fit.
 pub type StopCheck<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
 /// Returns the place of a transmitter at `tx` (metres), without time.
@@ -47,16 +48,16 @@ pub struct Solution {
     pub variance: f64,
 }
 
-/// Predicts a measurement at `at` from at least one sample at `places`, in units of the length scales.
+/// Predicts a measurement at `at` from at least one sample at `places`, both in units of the scales of `correlation`.
 pub fn solve(correlation: &Correlation, mean: Mean, places: &[Place], at: Place) -> Solution {
-    let (n, factor) = (places.len(), factor_covariance(correlation, places));
+    let factor = factor_covariance(correlation, places);
     let cross: Vec<f64> = places.iter().map(|position| correlation.kind.at(distance(*position, at))).collect();
     let mut weights = cross.clone();
     factor.solve(&mut weights);
     let explained: f64 = cross.iter().zip(&weights).map(|(c, w)| c * w).sum();
     let mut variance = 1.0 + correlation.noise - explained;
     if mean == Mean::Unknown {
-        let mut ones = vec![1.0; n];
+        let mut ones = vec![1.0; places.len()];
         factor.solve(&mut ones);
         let (deficit, total) = (1.0 - weights.iter().sum::<f64>(), ones.iter().sum::<f64>());
         weights.iter_mut().zip(&ones).for_each(|(w, one)| *w += one * deficit / total);
@@ -98,7 +99,7 @@ impl LocalKriging {
         Self { correlation, mean, places, nearest }
     }
 
-    /// Returns the samples, at most `count`, that predict a measurement at `at` (metres), and their weights.
+    /// Predicts a measurement at `at` (metres) from the nearest samples, at most `count`: their indices, and the prediction.
     pub fn solve(&self, at: Place, count: usize) -> (Vec<usize>, Solution) {
         let at = self.correlation.scaled(at);
         let (samples, places) = self.find_nearest(at, count);
@@ -106,8 +107,8 @@ impl LocalKriging {
         (samples, solution)
     }
 
-    /// Returns the weighted sum `[values]` of the samples that predict a measurement at `at`; `add` adds a weight times the values
-    /// of a sample.
+    /// Returns the weighted sum `[values]` of the samples of [`Self::solve`]: `add(sample, weight, sum)` adds the values of one
+    /// sample, times its weight, to the sum.
     pub fn weighted_sum(
         &self,
         at: Place,
@@ -121,7 +122,7 @@ impl LocalKriging {
         sum
     }
 
-    /// Finds the samples nearest to `at`, and their places, all in units of the length scales.
+    /// Finds the samples nearest to `at`, and their places, both in units of the scales.
     fn find_nearest(&self, at: Place, count: usize) -> (Vec<usize>, Vec<Place>) {
         let samples: Vec<usize> = self.nearest.find(&at, count).1.into_iter().map(|(_, i)| i).collect();
         let places = samples.iter().map(|&i| self.places[i]).collect();
@@ -255,6 +256,7 @@ impl PathLoss {
                 fall -= (x - x_mean) * (y - y_mean);
             }
         }
+        // Below, distances are equal up to rounding.
         let slope = if spread > 1e-9 { fall / spread } else { 0.0 };
         let level = |(x, y): (f64, f64)| y + slope * x;
         let common = level(mean(&groups.concat()));
@@ -263,7 +265,7 @@ impl PathLoss {
         (Self { level: levels.first().copied().unwrap_or(common), slope }, levels)
     }
 
-    /// Computes the derivative of the power at `from` of a receiver at `to` by `from`, dB/m; 0 below the minimum distance.
+    /// Computes the derivative of the power of a link from `from` to `to` by `from`, dB/m; 0 within 0.01 m.
     pub fn power_gradient(&self, from: [f64; 3], to: [f64; 3]) -> [f64; 3] {
         let distance = distance(from, to);
         let radial = if distance > NEAREST_M { -self.slope / (LN_10 * distance * distance) } else { 0.0 };
@@ -276,7 +278,7 @@ impl PathLoss {
     }
 }
 
-/// Returns log10 of the distance between two positions, metres.
+/// Returns log10 of the distance between two positions, metres. Distances below 0.01 m count as 0.01 m.
 pub fn log_distance(from: [f64; 3], to: [f64; 3]) -> f64 {
     distance(from, to).max(NEAREST_M).log10()
 }

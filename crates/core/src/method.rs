@@ -23,7 +23,7 @@ pub struct Parameters<'a> {
     pub weights: &'a [Real],
 }
 
-/// What a method evaluates: links and their values, from parameters, in a measurement setup.
+/// Inputs of a method: links and their values to predict from parameters, in a measurement setup.
 #[derive(Clone, Copy, Debug)]
 pub struct Call<'a> {
     /// Receivers and measurement type.
@@ -150,7 +150,8 @@ pub trait Method: crate::plugin::PluginObject {
         Cost { pixels, ..Cost::default() }
     }
 
-    /// Returns names, shapes and initial values of the weights, for a setup that is [`check_compatible`](crate::check_compatible).
+    /// Returns names, shapes and initial values of the weights, for a setup that [`check_compatible`](crate::check_compatible)
+    /// accepts.
     fn layout(&self, setup: &MeasurementSetup) -> Layout;
 
     /// Returns the image plane on which the rasterizer draws: that of the setup, or a sky that is integrated.

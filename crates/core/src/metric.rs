@@ -10,7 +10,7 @@ pub trait Metric: crate::plugin::PluginObject {
     /// Returns one or more measurements.
     ///
     /// # Errors
-    /// A spectrum cannot be read, or a class of Python raises an exception.
+    /// Predictions and observations differ in number or size, or a class of Python raises an exception.
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>>;
 
     /// Checks whether the metric supports the observations of `data`, as
@@ -163,7 +163,7 @@ pub struct Measurement {
     pub goal: Goal,
     /// Values.
     pub values: Values,
-    /// What readers must know of the values, such as a busy machine: a note below tables.
+    /// Note below tables on the validity of the values, such as a busy machine; `None` without one.
     pub note: Option<String>,
 }
 
@@ -179,7 +179,7 @@ pub enum Values {
 }
 
 impl Values {
-    /// Returns the mean over the test samples, or the single value; NaN if the metric does not apply.
+    /// Returns the mean over the test samples, or the single value; NaN without samples, and if the metric does not apply.
     pub fn mean(&self) -> f64 {
         match self {
             Self::PerSample(values) => values.iter().sum::<f64>() / values.len() as f64,

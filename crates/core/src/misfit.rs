@@ -1,7 +1,7 @@
 //! `Misfit`: the messages on plugins, settings and data that do not fit together. [`check_compatible`](crate::check_compatible)
 //! finds the first.
 
-use crate::{Error, Task};
+use crate::{Elevation, Error, Task};
 
 /// Property of data, or of the method, that a plugin requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -47,7 +47,7 @@ pub enum Requirement {
     Method(&'static str),
 }
 
-/// What a plugin demands of the other parts.
+/// Demands of a plugin on the other parts.
 #[derive(Clone, Copy, Debug)]
 pub struct Demand {
     /// Field of the pipeline.
@@ -76,8 +76,11 @@ pub enum SetupDifference {
     #[error("the cameras of the model and of the data differ")]
     Camera,
     /// Elevations of the rows of a spectrum, degrees.
-    #[error("the model draws elevations of {0} to {1} degrees and the spectra of the data are of {2} to {3}")]
-    Elevations(f64, f64, f64, f64),
+    #[error(
+        "the model draws elevations of {} to {} degrees and the spectra of the data are of {} to {}",
+        .0.first, .0.last, .1.first, .1.last
+    )]
+    Elevations(Elevation, Elevation),
     /// Number of receivers.
     #[error("the model has {0} receivers, but the data have {1}")]
     Receivers(usize, usize),

@@ -1,11 +1,11 @@
 //! Neighbours in space.
 //!
-//! Of Gaussians and point clouds, in the precision of the rasterizer: the nearest other point (d² of the paper's initial
+//! For Gaussians and point clouds, in the precision of the rasterizer: the nearest other point (d² of the paper's initial
 //! covariance d²·I), the mean over the k nearest (the released initial scale), the nearest point of another set (Chamfer
 //! distance), and the k nearest points. Points `[N,3]` in metres, results in m². A kd-tree (kiddo) processes all points in
 //! parallel. Ties among the k nearest depend on the points only; distances do not depend on ties.
 //!
-//! Of measured positions, in double precision: [`Nearest`].
+//! For measured positions, in double precision: [`Nearest`].
 
 use crate::{Real, statistics};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -102,6 +102,8 @@ impl Nearest {
         let (width, mut given) = (width.max(1), Vec::with_capacity(samples.len() * width));
         samples.iter().for_each(|&i| given.extend_from_slice(position(i).as_ref()));
         let mut order: Vec<usize> = (0..given.len() / width).collect();
+        // A complete tree with `levels` levels below its root: leaves have at most [`LEAF`] positions, unless these have more
+        // than [`WIDEST`] coordinates.
         let levels = (order.len() / LEAF).checked_ilog2().filter(|_| width <= WIDEST).map_or(0, |level| level + 1);
         let mut boxes = vec![0.0; ((2 << levels) - 1) * 2 * width];
         divide(0, &mut order, &given, width, &mut boxes);
@@ -149,7 +151,7 @@ impl Nearest {
 }
 
 /// Returns the nearest other position of each, `[N]`: its distance, 0 for a duplicate, and its index. `None` for a single
-/// position, and where no distance is a number.
+/// position, and if all distances are NaN.
 pub fn nearest_others(positions: &[[f64; 3]]) -> Vec<Option<(f64, usize)>> {
     let nearest = Nearest::of(positions);
     let other = |(i, at): (usize, &[f64; 3])| nearest.find(at, 2).1.into_iter().find(|(_, j)| *j != i);
@@ -162,7 +164,7 @@ fn divide(index: usize, order: &mut [usize], given: &[f64], width: usize, boxes:
     let sides: Vec<(f64, f64)> = (0..width).map(side).collect();
     let (low, high) = boxes[index * 2 * width..][..2 * width].split_at_mut(width);
     (0..width).for_each(|axis| (low[axis], high[axis]) = sides[axis]);
-    if (2 * index + 3) * 2 * width > boxes.len() {
+    if !has_halves(index, width, boxes) {
         return;
     }
     let length = |axis: usize| sides[axis].1 - sides[axis].0;
@@ -173,6 +175,11 @@ fn divide(index: usize, order: &mut [usize], given: &[f64], width: usize, boxes:
     let (lower, upper) = order.split_at_mut(middle);
     divide(2 * index + 1, lower, given, width, boxes);
     divide(2 * index + 2, upper, given, width, boxes);
+}
+
+/// Returns whether a box has halves: the second one is within `boxes`.
+fn has_halves(index: usize, width: usize, boxes: &[f64]) -> bool {
+    (2 * index + 3) * 2 * width <= boxes.len()
 }
 
 /// Search for the neighbours of one position.
@@ -198,7 +205,7 @@ impl<'a, W: Fn(usize) -> bool> Search<'a, W> {
         Self { among, at, k: k.max(1), is_wanted, exact, near, limit, limit_squared: limit, compared: 0 }
     }
 
-    /// Adds a neighbour. Sums of squares that round to the same distance are within the bound of its square.
+    /// Adds a neighbour.
     fn insert(&mut self, distance: f64, sample: usize) {
         self.near.push((distance.to_bits(), sample));
         if self.near.len() > self.k {
@@ -206,16 +213,17 @@ impl<'a, W: Fn(usize) -> bool> Search<'a, W> {
         }
         if let Some(worst) = self.near.peek().filter(|_| self.near.len() == self.k) {
             self.limit = f64::from_bits(worst.0);
+            // Includes all sums of squares whose square root rounds to the limit.
             self.limit_squared = self.limit.powi(2) * (1.0 + 4.0 * f64::EPSILON) + f64::MIN_POSITIVE;
         }
     }
 
     /// Searches the positions `start..end` of a box, the nearer half first.
     fn visit(&mut self, index: usize, start: usize, end: usize) {
-        if (2 * index + 3) * 2 * self.among.width > self.among.boxes.len() {
+        if !has_halves(index, self.among.width, &self.among.boxes) {
             return self.scan(start, end);
         }
-        let middle = start + (end - start) / 2;
+        let middle = start + (end - start) / 2; // as `divide` chooses it
         let half = |index, start, end| (self.among.bound(index, self.at), index, start, end);
         let mut halves = [half(2 * index + 1, start, middle), half(2 * index + 2, middle, end)];
         halves.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -226,7 +234,7 @@ impl<'a, W: Fn(usize) -> bool> Search<'a, W> {
         }
     }
 
-    /// Compares the positions `start..end`. A distance that is not a number is that of no neighbour.
+    /// Compares the positions `start..end`. A position at a distance of NaN is no neighbour.
     fn scan(&mut self, start: usize, end: usize) {
         let Nearest { samples, width, coordinates, .. } = self.among;
         self.compared += end - start;

@@ -38,6 +38,7 @@ impl Header {
         if !start.starts_with(MAGIC) {
             return Err(damaged("is not a NumPy array"));
         }
+        // Version 1 of the format has two bytes of length, later ones four.
         let mut length = vec![0; if start[6] == 1 { 2 } else { 4 }];
         file.read_exact(&mut length).map_err(short)?;
         let bytes = length.iter().rev().fold(0, |n, byte| n << 8 | usize::from(*byte));
@@ -110,7 +111,8 @@ pub fn npy_header_as(descr: &str, shape: &[usize]) -> Vec<u8> {
     let sizes: Vec<String> = shape.iter().map(ToString::to_string).collect();
     let comma = if sizes.len() == 1 { "," } else { "" }; // a Python tuple with one element
     let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({}{comma}), }}", sizes.join(", "));
-    // Numbers begin at a multiple of 64 bytes, as the format requires; the header ends with a newline.
+    // Numbers begin at a multiple of 64 bytes, as the format requires, after 10 bytes of magic, version and length. The header
+    // ends with a newline.
     let length = (10 + text.len() + 1).next_multiple_of(64) - 10;
     let mut bytes = MAGIC.to_vec();
     bytes.extend([1, 0]);

@@ -31,7 +31,7 @@ pub fn number(value: f64) -> String {
     }
 }
 
-/// Formats a number with the given decimals, or with two digits if it would have fewer (up to six decimals).
+/// Formats a number, not NaN, with the given decimals, or with two digits if it would have fewer (up to six decimals).
 pub fn fixed(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return if value > 0.0 { "∞".into() } else { "−∞".into() };

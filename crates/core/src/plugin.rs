@@ -27,7 +27,7 @@ impl<T: ?Sized> Clone for Plugin<T> {
     }
 }
 
-/// Bounds of every plugin trait. All types with the usual derives have it.
+/// Bounds of every plugin trait. All types with the usual derives implement it.
 pub trait PluginObject: erased_serde::Serialize + Documented + std::any::Any + fmt::Debug + Send + Sync {}
 
 impl<T: erased_serde::Serialize + Documented + std::any::Any + fmt::Debug + Send + Sync> PluginObject for T {}
@@ -95,7 +95,7 @@ where
     }
 }
 
-/// Returns the RON options of this project: `Some(..)` may be omitted.
+/// Returns the RON options of this project: `Some(..)` and the wrappers of newtypes may be omitted.
 pub fn ron_options() -> ron::Options {
     use ron::extensions::Extensions;
     ron::Options::default()
@@ -114,7 +114,7 @@ pub fn to_ron(value: &impl Serialize) -> String {
 /// # Errors
 /// The value is not plain data.
 pub fn try_to_ron(value: &impl Serialize) -> Result<String, String> {
-    let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(6);
+    let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(6); // deeper values are on one line
     ron_options().to_string_pretty(value, config).map_err(|e| e.to_string())
 }
 
@@ -130,7 +130,7 @@ pub fn name_of(plugin: &impl Serialize) -> String {
     text.split(['(', '{']).next().unwrap_or_default().trim().to_owned()
 }
 
-/// Returns the name of a plugin for messages: of a plugin in Python, such as `Python(.., class: "Thin", ..)`, that of its class.
+/// Returns the name of a plugin for messages: for a plugin in Python, such as `Python(.., class: "Thin", ..)`, its class.
 pub fn title_of(plugin: &impl Serialize) -> String {
     let (name, text) = (name_of(plugin), to_ron(plugin));
     let class = || text.split_once("class:")?.1.split('"').nth(1);
@@ -299,7 +299,7 @@ pub type Cache = Option<Arc<dyn Any + Send + Sync>>;
 /// # Panics
 /// If another plugin created it.
 pub fn cached<T: 'static>(cache: &Cache) -> &T {
-    cache.as_ref().and_then(|content| content.downcast_ref()).expect("what is handed back came from this plugin")
+    cache.as_ref().and_then(|content| content.downcast_ref()).expect("a plugin receives its own cache")
 }
 
 /// Kind of plugins with its linked members, independent of the trait.

@@ -17,7 +17,7 @@ const SHARED: f64 = 0.05;
 /// Absolute value below which all powers are probably linear.
 const FAINT: f64 = 0.1;
 
-/// Value of received powers that is probably a code, such as "not received".
+/// Distinct value of received powers, such as a code for "not received".
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoneValue {
     /// The value.
@@ -121,13 +121,14 @@ pub enum PowerUnit {
 }
 
 impl PowerUnit {
-    /// Returns the units that `powers` probably have; none if they are plausible in dBm. [`lone_values`] should be left out.
+    /// Returns the units that `powers` probably have; none if they are plausible in dBm. Leave out [`lone_values`] first.
     pub fn guess(powers: &[Real]) -> &'static [Self] {
         let values = || powers.iter().map(|value| *value as f64).filter(|value| value.is_finite());
         let (low, high) = crate::statistics::bounds(values());
         if low > high || low == 0.0 && high == 0.0 {
             &[]
         } else if low.abs().max(high.abs()) <= FAINT || low > 0.0 && high > 1e3 * low {
+            // Linear powers are tiny, or positive over more than three decades.
             &[Self::Milliwatts, Self::Watts]
         } else if low < 0.0 && median(values()) <= *RANGE_DBM.end() {
             &[]

@@ -54,7 +54,7 @@ pub trait Pruner: crate::plugin::PluginObject {
         cloud.opacity_logits.clone()
     }
 
-    /// Returns requested columns and the way in which a target number is reached.
+    /// Returns the requested columns, and how the pruner reaches a target number.
     fn traits(&self) -> PrunerTraits {
         PrunerTraits::default()
     }
@@ -84,7 +84,7 @@ pub trait Pruner: crate::plugin::PluginObject {
 }
 plugin_kind!(Pruner);
 
-/// Requested columns of a [`Pruner`], and the way in which it reaches a target number.
+/// Requested columns of a [`Pruner`], and how it reaches a target number.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PrunerTraits {
     /// Columns to add to the cloud. They survive clone, split, prune and checkpoints.
@@ -133,7 +133,7 @@ pub struct PruneTarget {
 }
 
 impl PruneTarget {
-    /// Returns the goal of a training with a `target`, 0 for none; `None` also without a pruner that supports one.
+    /// Returns the goal of a training with a `target`; `None` if `target` is 0, or no pruner supports one.
     pub fn of(pruners: &[Plugin<dyn Pruner>], target: usize) -> Option<Self> {
         let mut budgets = pruners.iter().enumerate().filter_map(|(k, pruner)| Some((k, pruner.traits().budget?)));
         let (pruner, budget) = budgets.next().filter(|_| target > 0)?;
@@ -158,7 +158,7 @@ pub fn prune_contexts(pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> 
     (0..pruners.len()).map(context_of).collect()
 }
 
-/// Returns `true` for the `count` best by `scores`, `preferred` ones first; ties by index. NaN ranks last.
+/// Returns `true` for the `count` best by `scores`, `[N]`. All `preferred` ones rank before the others, ties by index, NaN last.
 pub fn best(count: usize, scores: &[Real], preferred: impl Fn(usize) -> bool) -> Vec<bool> {
     let number = |i: usize| if scores[i].is_nan() { Real::NEG_INFINITY } else { scores[i] };
     let mut order: Vec<usize> = (0..scores.len()).collect();

@@ -1,5 +1,5 @@
 //! Random streams as functions of (seed, name, step). An additional draw in one place does not affect other streams,
-//! and a resumed run needs no saved state. Also the deterministic selection `evenly`.
+//! and a resumed run needs no saved state.
 
 use crate::Real;
 use rand::{Rng as _, SeedableRng};
@@ -9,7 +9,8 @@ pub type Rng = rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Returns the stream `name` at `step` of the run with `seed`.
 pub fn stream(seed: u64, name: &str, step: u64) -> Rng {
-    // FNV-1a over the name, then SplitMix64 (inside `seed_from_u64`) spreads the bits.
+    // FNV-1a over the name, then SplitMix64 (inside `seed_from_u64`) spreads the bits. Odd factors keep different seeds,
+    // and different steps, different.
     let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
     let mixed = hash
         ^ seed.wrapping_mul(0x9e37_79b9_7f4a_7c15)

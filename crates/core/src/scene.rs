@@ -31,7 +31,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Returns the pose of the first of [`Self::fixed_ends`]: of the receiver, usually the only one for spectra.
+    /// Returns the pose of the first of [`Self::fixed_ends`]; spectra usually have only this one.
     pub fn pose(&self) -> Pose {
         self.fixed_end(0)
     }
@@ -41,7 +41,7 @@ impl Scene {
         Ends { moving: self.moving, transmitter: self.transmitter, receivers: self.receivers.clone() }
     }
 
-    /// Returns whether the length of a link is known: its fixed end has a position that was measured.
+    /// Returns whether the lengths of all links are known: the positions of their fixed ends were measured.
     pub fn has_distances(&self) -> bool {
         match self.moving {
             End::Transmitter => self.receivers.iter().all(|receiver| !receiver.is_estimated),
@@ -50,21 +50,22 @@ impl Scene {
     }
 
     /// Returns the poses of the ends that do not move, one or more, relative to the origin: of all receivers, or of the
-    /// transmitter if the receivers move. It stands at the centre of the bounds if it is unknown, and has the usual orientation
-    /// of the first receiver.
+    /// transmitter if the receivers move. A transmitter of unknown position is at the centre of the bounds. Its orientation is
+    /// the usual one of the first receiver.
     pub fn fixed_ends(&self) -> Vec<Pose> {
         let count = if self.moving == End::Transmitter { self.receivers.len() } else { 1 };
         (0..count).map(|receiver| self.fixed_end(receiver)).collect()
     }
 
-    /// Returns the pose of the fixed end of links at a receiver, as [`Self::fixed_ends`]; of the first one if it is unknown.
+    /// Returns the pose of the fixed end of links at a receiver, as [`Self::fixed_ends`]; that of the first receiver if there
+    /// is none of this index.
     pub fn fixed_end(&self, receiver: usize) -> Pose {
         if self.moving == End::Transmitter {
             return self.receivers.get(receiver).unwrap_or(&self.receivers[0]).pose;
         }
         let (low, high) = self.bounds;
-        let center = || [0, 1, 2].map(|k| f64::midpoint(low[k] as f64, high[k] as f64));
-        Pose { position: self.transmitter.unwrap_or_else(center), ..self.receivers[0].pose }
+        let centre = || [0, 1, 2].map(|k| f64::midpoint(low[k] as f64, high[k] as f64));
+        Pose { position: self.transmitter.unwrap_or_else(centre), ..self.receivers[0].pose }
     }
 }
 

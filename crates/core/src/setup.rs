@@ -71,7 +71,7 @@ impl MeasurementSetup {
     }
 
     /// Returns the pose of the first receiver in the user's frame.
-    pub fn receiver(&self) -> Pose {
+    pub fn world_pose(&self) -> Pose {
         self.origin.world_pose(self.pose())
     }
 
@@ -92,7 +92,8 @@ impl MeasurementSetup {
         logs.iter().map(|v| (2.0 * (v - low) / (high - low) - 1.0) as Real).collect()
     }
 
-    /// Returns the subcarrier frequencies of a receiver, Hz: `frequencies_hz`, moved to its carrier if it has one.
+    /// Returns the subcarrier frequencies of a receiver, Hz: `frequencies_hz`, moved so that their mean is its carrier if it has
+    /// one.
     pub fn frequencies_of(&self, receiver: usize) -> Vec<f64> {
         let (common, carrier) = (&self.frequencies_hz, self.receivers[receiver].carrier_hz);
         let middle = common.iter().sum::<f64>() / common.len().max(1) as f64;

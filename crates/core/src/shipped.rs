@@ -60,8 +60,8 @@ impl ShippedFile {
         Err(Error::input(path, problem))
     }
 
-    /// Returns the content for a file in any folder: it names other shipped files without a path, and its other paths begin in the
-    /// folder of the file instead of the repository.
+    /// Returns the content for a file in any folder. It names other shipped files without a path. Its other paths are relative
+    /// to the folder of the file, and not to the repository.
     pub fn text(&self) -> String {
         let mut text = self.source.to_owned();
         for Self { folder, name, .. } in inventory::iter::<Self>() {

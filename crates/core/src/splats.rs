@@ -41,7 +41,7 @@ pub struct Splats {
 }
 
 impl Primitives {
-    /// Returns the number of splats N.
+    /// Returns the number of Gaussians N.
     pub fn len(&self) -> usize {
         self.means.len()
     }
@@ -57,9 +57,10 @@ impl Primitives {
     }
 
     /// Returns the derivatives by position `[3]` (1/metre, world frame) and orientation `[4]` (x, y, z, w) of the receiver at
-    /// `pose`, given those `d` of the Gaussians, of which it reads `means` and `quats` (w, x, y, z). Holds for images that depend only on Gaussians in the frame of the receiver, and for rotations of unit length.
+    /// `pose`, given the derivatives `d` by `means` and `quats` of the Gaussians. They hold for images that depend only on
+    /// Gaussians in the frame of the receiver, and for rotations of unit length.
     ///
-    /// To move the receiver is to move all Gaussians the other way. A turn of the receiver by a small vector δ in world axes
+    /// A movement of the receiver moves all Gaussians the other way. A turn of the receiver by a small vector δ in world axes
     /// turns means about the receiver, and rotations, by −δ. The orientation q changes by ½ δ q, which gives the derivative
     /// across q; the length of q has no effect.
     pub fn pose_vjp(&self, pose: &Pose, d: &Self) -> ([f64; 3], [f64; 4]) {

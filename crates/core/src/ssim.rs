@@ -30,14 +30,17 @@ use std::cell::RefCell;
 ///
 /// scikit-image rejects images with a side below 7 px; here the window shrinks to the largest odd square that fits. Two
 /// images without pixels have SSIM 1.
+///
+/// # Panics
+/// If the images differ in size, or their pixels do not fill it.
 pub fn evaluation(a: &Image, b: &Image) -> f64 {
-    assert_eq!((a.width, a.height), (b.width, b.height), "SSIM compares pictures of one size");
-    assert_eq!((a.pixels.len(), b.pixels.len()), (a.width * a.height, a.width * a.height), "pixels fill the picture");
+    assert_eq!((a.width, a.height), (b.width, b.height), "SSIM compares images of one size");
+    assert_eq!((a.pixels.len(), b.pixels.len()), (a.width * a.height, a.width * a.height), "pixels fill the image");
     let (width, height) = (a.width, a.height);
     let Some(window) = [7, 5, 3, 1].into_iter().find(|w| *w <= width.min(height)) else { return 1.0 };
     // Sums over `window` rows, column by column, of x, y, x², y², xy.
     let mut columns = [(); 5].map(|()| vec![0.0f64; width]);
-    let (mut total, columns_out) = (0.0, width - window + 1);
+    let mut total = 0.0;
     for y in 0..height {
         let rows = |y: usize| (&a.pixels[y * width..][..width], &b.pixels[y * width..][..width]);
         add_products(&mut columns, rows(y), 1.0);
@@ -48,7 +51,7 @@ pub fn evaluation(a: &Image, b: &Image) -> f64 {
             total += sum_window_ssim(&columns, window);
         }
     }
-    total / (columns_out * (height - window + 1)) as f64
+    total / ((width - window + 1) * (height - window + 1)) as f64
 }
 
 /// Adds `sign` times x, y, x², y², xy of one row to the column sums.
@@ -143,11 +146,14 @@ const LANES: usize = 16;
 type Block = [Real; LANES];
 
 /// Returns the training SSIM, the mean over all pixels, and its derivative by every pixel of `prediction`, with zeros
-/// beyond the border. All arrays are row-major `[height, width]`, `size` is
-/// (width, height). The SSIM of images without pixels is 1.
+/// beyond the border. All arrays are row-major `[height, width]`, `size` is (width, height). The SSIM of images without pixels
+/// is 1.
+///
+/// # Panics
+/// If the pixels do not fill `size`.
 pub fn training_form(prediction: &[Real], truth: &[Real], size: (usize, usize), window: &Window) -> (Real, Vec<Real>) {
     let (width, height) = size;
-    assert_eq!((prediction.len(), truth.len()), (width * height, width * height), "pixels fill the picture");
+    assert_eq!((prediction.len(), truth.len()), (width * height, width * height), "pixels fill the image");
     if prediction.is_empty() {
         return (1.0, Vec::new());
     }
@@ -317,6 +323,7 @@ fn add_similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANE
 fn similarity_map([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
     let (mut map, mut d) = ([0.0; LANES], [[0.0; LANES]; 3]);
     let [d_mu, d_variance, d_covariance] = &mut d;
+    // A, B, C and D (`s`) of the module documentation.
     for i in 0..LANES {
         let (m1, m2) = (mu1[i], mu2[i]);
         let a = m1 * m1 + m2 * m2 + C1 as Real;

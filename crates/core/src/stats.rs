@@ -54,7 +54,7 @@ impl StepContext {
     }
 
     /// Returns the number of `n` Gaussians to keep at this prune step: each step removes an equal share, and the last
-    /// one leaves `target`. All of them if this is not a prune step.
+    /// one leaves `target`. Returns `n` if this is not a prune step, or if `n` is at most `target`.
     pub fn quota(&self, n: usize, target: usize) -> usize {
         if self.round == 0 || n <= target {
             return n;
@@ -94,8 +94,8 @@ impl CloudStats {
         Self { visible: zeros(), gradient: zeros(), radius: zeros(), weight: zeros(), ..Self::default() }
     }
 
-    /// Adds one of `renders` with a common mean loss: the splats of the Gaussians `rows`, and the derivative `d` of that
-    /// loss. Each render counts with the gradient of its own loss.
+    /// Adds one render: the splats of the Gaussians `rows`, and the derivative `d` of a loss that is the mean over `renders`
+    /// renders. Gradients are multiplied by that number, so they are those of the loss of this render alone.
     pub fn add_render(&mut self, rows: &[usize], splats: &Splats, d: &RenderVjp, plane: &ImagePlane, renders: usize) {
         let (half, renders) = ([0.5 * plane.width as Real, 0.5 * plane.height as Real], renders as Real);
         for (k, &i) in rows.iter().enumerate() {
@@ -310,7 +310,7 @@ impl PassStatistics {
         }
     }
 
-    /// Converts sums over links to means for those statistics that are means.
+    /// Converts the sum over links in `signal_mean` to a mean.
     pub fn finish_means(&mut self) {
         let links = self.links.max(1) as Real;
         self.signal_mean.iter_mut().for_each(|v| *v /= links);

@@ -64,6 +64,9 @@ impl TracedCloud {
     }
 
     /// Returns column `name` on the tape: its derivatives reach the cloud.
+    ///
+    /// # Panics
+    /// As [`Self::leaf`].
     pub fn column(&self, name: &str) -> Trace {
         self.leaf(name).leaky_trace()
     }
@@ -102,6 +105,9 @@ pub type Vectors = Vec<Vec<Real>>;
 
 /// Adds a kernel to the tape: `outputs` are its values for `inputs`; `vjp` converts the cotangents of the outputs to
 /// those of the inputs (one vector per input, equal lengths).
+///
+/// # Panics
+/// In the backward pass, if a cotangent from `vjp` differs in length from its input.
 pub fn op(inputs: Vec<Trace>, outputs: Vectors, vjp: impl FnOnce(Vectors) -> Vectors + 'static) -> Vec<Trace> {
     let device = Cpu::default();
     let mut tape = OwnedTape::default();

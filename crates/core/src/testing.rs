@@ -78,7 +78,7 @@ pub fn check_vjp(
     let mut random = rng::stream(0, name, 0);
     let d: Vec<Real> = (0..f(x).len()).map(|_| rng::normal(&mut random)).collect();
     let analytic = vjp(x, &d);
-    assert_eq!(analytic.len(), x.len(), "{name}: one derivative an input");
+    assert_eq!(analytic.len(), x.len(), "{name}: one derivative per input");
     let along = |x: &[Real]| -> Real { f(x).iter().zip(&d).map(|(f, d)| f * d).sum() };
     let largest = analytic.iter().fold(0.0, |m: Real, g| m.max(g.abs()));
     for k in 0..x.len() {

@@ -5,6 +5,7 @@ use std::ops::RangeInclusive;
 
 /// Accepted numbers of threads.
 pub const COUNTS: RangeInclusive<usize> = 1..=1024;
+
 /// Parses a number of threads, jobs or seeds.
 ///
 /// # Errors

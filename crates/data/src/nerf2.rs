@@ -110,7 +110,7 @@ impl DataSource for Nerf2Spectrum {
         let stated = self.elevation.or(gateway.elevation);
         let elevation = stated.unwrap_or(Elevation::UPPER);
         check_image_size(paths[0], elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
-        let unmatched = Unmatched { positions: positions.len() - ids.len(), pictures: files.len() - ids.len() };
+        let unmatched = Unmatched { positions: positions.len() - ids.len(), spectra: files.len() - ids.len() };
         let samples: Vec<Sample> = ids.iter().map(|&id| Sample::new(id, positions[id as usize - 1])).collect();
         let name = gateway.name.as_deref().map_or_else(|| folder_name(&root), strip_control);
         let (title, simulation) = read_title(&root, &name, "NeRF2 layout");

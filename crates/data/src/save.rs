@@ -38,7 +38,7 @@ pub fn save(data: &Dataset, out: &Path) -> Result<Box<dyn DataSource>> {
     let writer = FolderWriter { path: folder.path(), data };
     let points = writer.write_points()?.map(|name| out.join(name));
     let source: Box<dyn DataSource> = match &data.observations {
-        Observations::Pictures(spectra) => {
+        Observations::Spectra(spectra) => {
             writer.write_spectra(spectra)?;
             Box::new(Arrays { root: out.into(), points, ..Arrays::default() })
         }

@@ -149,8 +149,8 @@ impl DataSummary {
         let spectra = run_stage(observer, "reading the spectra", |progress| spectra::summarise(data, most, progress))?;
         summary.facts.extend(spectra::describe(data, &spectra));
         if data.unmatched != Unmatched::default() {
-            let Unmatched { positions, pictures } = data.unmatched;
-            let text = format!("{positions} positions without a spectrum, {pictures} spectra without a position");
+            let Unmatched { positions, spectra } = data.unmatched;
+            let text = format!("{positions} positions without a spectrum, {spectra} spectra without a position");
             summary.facts.push(("left out", text));
         }
         if spectra.len() < data.len() {

@@ -191,7 +191,7 @@ impl Training<'_, '_, '_> {
             if cloud.len() > self.most_gaussians {
                 self.most_gaussians = cloud.len();
                 let unpruned = Snapshot::of(report.step, cloud, self.run.split.data.scene.origin);
-                unpruned.known(gaussian_ids, gates.clone()).write(&self.folder.file(UNPRUNED_SNAPSHOT))?;
+                unpruned.with_ids_and_gates(gaussian_ids, gates.clone()).write(&self.folder.file(UNPRUNED_SNAPSHOT))?;
             }
             pruned_snapshot(*round).map_or(Ok(()), |name| self.write_snapshot(name, report.step))?;
         }
@@ -227,7 +227,7 @@ impl Training<'_, '_, '_> {
     /// Writes the current Gaussians, with their ids and gates, as the snapshot `name` after `step`.
     fn write_snapshot(&self, name: &str, step: u64) -> Result<()> {
         let snapshot = Snapshot::of(step, self.trainer.cloud(), self.run.split.data.scene.origin);
-        snapshot.known(self.trainer.gaussian_ids(), self.trainer.gates()).write(&self.folder.file(name))
+        snapshot.with_ids_and_gates(self.trainer.gaussian_ids(), self.trainer.gates()).write(&self.folder.file(name))
     }
 
     /// Warns of a GPU without effect, or with little, after the first step.

@@ -11,10 +11,10 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::task::{Context, Poll, Waker};
 use wgpu::{Adapter, Backends, DeviceType, InstanceDescriptor};
 
-/// Variable that admits software adapters, for tests.
+/// Environment variable that admits software adapters, for tests.
 const SOFTWARE: &str = "PWRFGS_DEVICE_SOFTWARE";
 
-/// Variable that limits the memory of the GPU, MB: for tests, and for cards that others use too.
+/// Environment variable that limits the memory of the GPU, MB: for tests, and for shared GPUs.
 const MEMORY: &str = "PWRFGS_DEVICE_MEMORY";
 
 /// GPU of the process: device, queue, kernels, and buffers that steps reuse.
@@ -25,9 +25,9 @@ pub struct Gpu {
     pub(crate) layout: wgpu::BindGroupLayout,
     /// Pipelines in the order of [`KERNELS`], then of [`DRAWING`].
     pub(crate) kernels: Vec<wgpu::ComputePipeline>,
-    /// Largest buffer, bytes.
+    /// Maximum size of a buffer, bytes.
     pub(crate) most_bytes: u64,
-    /// Most bytes that a step may use.
+    /// Maximum number of bytes that a step may use.
     pub(crate) memory: u64,
     /// Buffers of networks.
     pub(crate) workspace: Mutex<Workspace>,
@@ -62,7 +62,7 @@ pub(crate) fn wait_for<T>(future: impl Future<Output = T>) -> T {
     }
 }
 
-/// Returns the adapters of the machine, in the order of their numbers: GPUs with memory of their own first.
+/// Returns the adapters of the machine, in the order of their numbers: discrete GPUs first.
 pub(crate) fn adapters() -> Vec<Adapter> {
     let instance = wgpu::Instance::new(InstanceDescriptor {
         backends: Backends::PRIMARY,
@@ -83,8 +83,8 @@ pub(crate) fn adapters() -> Vec<Adapter> {
     all
 }
 
-/// Returns an adapter as a line of the list.
-fn line(adapter: &Adapter) -> GpuLine {
+/// Describes an adapter as a line of the list.
+fn describe_adapter(adapter: &Adapter) -> GpuLine {
     let info = adapter.get_info();
     let backend = format!("{:?}", info.backend);
     let driver = if info.driver_info.is_empty() { &info.driver } else { &info.driver_info };
@@ -95,18 +95,18 @@ fn line(adapter: &Adapter) -> GpuLine {
 
 /// Returns the GPUs of the machine; their numbers are their indices.
 pub fn list() -> Vec<GpuLine> {
-    adapters().iter().map(line).collect()
+    adapters().iter().map(describe_adapter).collect()
 }
 
 static CURRENT: OnceLock<Gpu> = OnceLock::new();
 
-/// Returns the GPU of the process; `None` if networks run on the CPU. The first call settles the device.
+/// Returns the GPU of the process; `None` if it computes on the CPU. After the first call the device cannot change.
 pub fn current() -> Option<&'static Gpu> {
     device::name().and_then(|_| CURRENT.get())
 }
 
-/// Returns a GPU for tests, a software adapter if there is no other; reports `skipped` tests without one. It is not the
-/// GPU of the process.
+/// Returns a GPU for tests, a software adapter if there is no other. Without one it returns `None` and reports the test as
+/// skipped. It is not the GPU of the process.
 pub fn for_tests() -> Option<&'static Gpu> {
     static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
     let gpu = GPU.get_or_init(|| adapters().first().and_then(|adapter| Gpu::open(adapter).ok()));
@@ -133,7 +133,7 @@ pub fn select(choice: DeviceChoice) -> Result<()> {
     }
     let adapters = adapters();
     let admits_software = std::env::var_os(SOFTWARE).is_some_and(|value| value == "1");
-    let lines: Vec<GpuLine> = adapters.iter().map(line).collect();
+    let lines: Vec<GpuLine> = adapters.iter().map(describe_adapter).collect();
     let index = match pick(choice, &lines, admits_software) {
         Ok(Some(index)) => index,
         Ok(None) => return Ok(()),
@@ -151,7 +151,7 @@ pub fn select(choice: DeviceChoice) -> Result<()> {
     Ok(())
 }
 
-/// Returns the index of the chosen GPU in the list; `None` for the CPU.
+/// Returns the index of the chosen GPU in the list; `None` for the CPU. The error says why there is no such GPU.
 pub(crate) fn pick(choice: DeviceChoice, lines: &[GpuLine], admits_software: bool) -> Result<Option<usize>, String> {
     let software = |name: &str| {
         let short = name.split(" (").next().unwrap_or(name);
@@ -191,57 +191,71 @@ pub(crate) fn keep_first(failure: &Mutex<Option<String>>, why: String) {
     failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
 }
 
+/// Installs handlers that keep the first failure of the device; without them wgpu ends the process.
+fn watch_failures(device: &wgpu::Device) -> Arc<Mutex<Option<String>>> {
+    let failure = Arc::new(Mutex::new(None));
+    let (other, lost) = (Arc::clone(&failure), Arc::clone(&failure));
+    device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| keep_first(&other, e.to_string())));
+    device.set_device_lost_callback(move |reason, message| {
+        if reason != wgpu::DeviceLostReason::Destroyed {
+            let message = message.trim();
+            keep_first(&lost, format!("the GPU was lost ({message}); repeat the command to resume a run"));
+        }
+    });
+    failure
+}
+
+/// Creates the layout of the bindings of all kernels: arguments, four inputs, and the output, as in `bindings.wgsl`.
+fn create_bind_group_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let storage = |read_only| wgpu::BufferBindingType::Storage { read_only };
+    let entry = |binding, ty, has_dynamic_offset| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: wgpu::ShaderStages::COMPUTE,
+        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None },
+        count: None,
+    };
+    let mut entries = vec![entry(0, wgpu::BufferBindingType::Uniform, true)];
+    entries.extend((1..=5).map(|binding| entry(binding, storage(binding < 5), false)));
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries })
+}
+
+/// Compiles [`KERNELS`], then [`DRAWING`].
+fn compile_kernels(device: &wgpu::Device, layout: &wgpu::BindGroupLayout) -> Vec<wgpu::ComputePipeline> {
+    let [networks, drawing] = [NETWORKS_SOURCE, DRAWING_SOURCE].map(|source| {
+        let source = wgpu::ShaderSource::Wgsl(source.into());
+        device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source })
+    });
+    let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: None,
+        bind_group_layouts: &[Some(layout)],
+        immediate_size: 0,
+    });
+    let kernel = |(name, module): (&str, &wgpu::ShaderModule)| {
+        device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(name),
+            layout: Some(&pipeline_layout),
+            module,
+            entry_point: Some(name),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: None,
+        })
+    };
+    let named_networks = KERNELS.iter().map(|name| (*name, &networks));
+    named_networks.chain(DRAWING.iter().map(|name| (*name, &drawing))).map(kernel).collect()
+}
+
 impl Gpu {
-    /// Opens an adapter and compiles the kernels.
+    /// Opens an adapter and compiles the kernels; the error is that of the driver.
     pub(crate) fn open(adapter: &Adapter) -> Result<Self, String> {
         let limits = adapter.limits();
         let request = wgpu::DeviceDescriptor { required_limits: limits.clone(), ..Default::default() };
         let (device, queue) = wait_for(adapter.request_device(&request)).map_err(|e| e.to_string())?;
-        // Without handlers wgpu ends the process.
-        let failure = Arc::new(Mutex::new(None));
-        let (other, lost) = (Arc::clone(&failure), Arc::clone(&failure));
-        device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| keep_first(&other, e.to_string())));
-        device.set_device_lost_callback(move |reason, message| {
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                let message = message.trim();
-                keep_first(&lost, format!("the GPU was lost ({message}); repeat the command to resume a run"));
-            }
-        });
-        let storage = |read_only| wgpu::BufferBindingType::Storage { read_only };
-        let entry = |binding, ty, has_dynamic_offset| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility: wgpu::ShaderStages::COMPUTE,
-            ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None },
-            count: None,
-        };
-        let mut entries = vec![entry(0, wgpu::BufferBindingType::Uniform, true)];
-        entries.extend((1..=5).map(|binding| entry(binding, storage(binding < 5), false)));
-        let layout =
-            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries });
-        let [networks, drawing] = [NETWORKS_SOURCE, DRAWING_SOURCE].map(|source| {
-            let source = wgpu::ShaderSource::Wgsl(source.into());
-            device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source })
-        });
-        let of_all = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: None,
-            bind_group_layouts: &[Some(&layout)],
-            immediate_size: 0,
-        });
-        let kernel = |(name, module): (&str, &wgpu::ShaderModule)| {
-            device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(name),
-                layout: Some(&of_all),
-                module,
-                entry_point: Some(name),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                cache: None,
-            })
-        };
-        let of_networks = KERNELS.iter().map(|name| (*name, &networks));
-        let kernels = of_networks.chain(DRAWING.iter().map(|name| (*name, &drawing))).map(kernel).collect();
+        let failure = watch_failures(&device);
+        let layout = create_bind_group_layout(&device);
+        let kernels = compile_kernels(&device, &layout);
         let most_bytes = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
         let (workspace, drawings) = (Mutex::default(), Mutex::default());
-        let name = line(adapter).name;
+        let name = describe_adapter(adapter).name;
         let megabytes = std::env::var(MEMORY).ok().and_then(|text| text.parse::<u64>().ok());
         let memory = megabytes.map_or(u64::MAX, |megabytes| megabytes << 20);
         Ok(Self { device, queue, layout, kernels, most_bytes, memory, workspace, drawings, failure, name })
@@ -252,8 +266,8 @@ impl Gpu {
         &self.name
     }
 
-    /// Returns the number of rows per chunk, if a row has up to `width` numbers: at most 65,536, such that buffers of the
-    /// chunk are not too large for the GPU.
+    /// Returns the number of rows per chunk, if a row has up to `width` numbers: at most 65,536, and so few that a buffer of
+    /// the chunk fits the GPU.
     pub fn chunk_rows(&self, width: usize) -> usize {
         let fit = self.most_bytes as usize / (size_of::<f32>() * width.max(1)) / SLICE * SLICE;
         fit.clamp(SLICE, MOST_ROWS)

@@ -1,4 +1,4 @@
-//! Matrices in the buffers of the GPU, and what follows a product.
+//! Matrices in the buffers of the GPU, and operations after a product.
 
 /// Matrix in the buffer of a slot: element (i, j) has index `start + i · strides.0 + j · strides.1`.
 #[derive(Clone, Copy, Debug)]
@@ -23,7 +23,7 @@ impl Block {
     }
 }
 
-/// What follows a product, in this order.
+/// Operations after a product, in this order.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Epilogue {
     /// Slot of a matrix to add, with the shape of the product.
@@ -34,6 +34,6 @@ pub struct Epilogue {
     pub relu: bool,
     /// Slot of a matrix with the shape of the product, which becomes zero where this is not positive.
     pub mask: Option<usize>,
-    /// Whether the result is added to what is there.
+    /// Whether the result is added to the previous values.
     pub add: bool,
 }

@@ -1,9 +1,10 @@
-//! Drawing of Gaussians on a GPU: activation, projection, tile lists, blending, readout and loss, with the backward pass. The
-//! kernels are in the folder `draw`.
+//! Drawing of Gaussians on a GPU: activation, projection, tile lists, blending, readout and loss, with the backward pass.
+//! The kernels are in the folder `draw`.
 //!
 //! ```text
 //! CLOUD, VIEW, TERMS ─► project ─► SPLATS ─► blend ─► PIXELS ─► read_out ─► IMAGE
-//! IMAGE, TRUTHS ─► blur_moments ─► MOMENTS ─► similarity ─► D_SIMILARITY ─► blur_d_similarity ─► loss_vjp ─► D_IMAGE; sum_loss ─► LOSSES
+//! IMAGE, TRUTHS ─► blur_moments ─► MOMENTS ─► similarity ─► D_SIMILARITY ─► blur_d_similarity ─► loss_vjp ─► D_IMAGE
+//! IMAGE, TRUTHS, D_SIMILARITY ─► sum_loss ─► LOSSES
 //! D_IMAGE ─► read_out_vjp ─► D_PIXELS ─► blend_vjp over the LISTS ─► PARTS ─► sum_tiles ─► D_SPLATS ─► project_vjp ─► D_ROWS
 //! ```
 
@@ -20,13 +21,13 @@ pub const VIEW: usize = 1;
 pub const TERMS: usize = 2;
 /// Slot of the signals, `[N, links · channels]`.
 pub const SIGNALS: usize = 3;
-/// Slot of the splats, `[N, 12]`: mean, conic, opacity, existence, half the sides of the box, radius.
+/// Slot of the splats, `[N, 12]`: mean, conic, opacity, existence, half the sides of the box, radius; two columns are unused.
 pub const SPLATS: usize = 4;
 /// Slot of the blended signals `[links, 2, H·W]`; the lengths of the tile lists follow.
 pub const PIXELS: usize = 5;
-/// Slots of the values `[links, H·W]`, and of their cotangents.
+/// Slot of the values `[links, H·W]`.
 pub const IMAGE: usize = 6;
-/// See [`IMAGE`].
+/// Slot of the cotangents of the values `[links, H·W]`.
 pub const D_IMAGE: usize = 7;
 /// Slot of the cotangents of the blended signals, and their products with the pixels, `[links, 3, H·W]`; before them of
 /// means along rows for SSIM, `[links, 4, H·W]`.
@@ -60,12 +61,15 @@ const PART: usize = 10;
 pub const VIEW_LEN: usize = 23;
 /// Number of constants in slot [`LOSS`].
 pub const LOSS_LEN: usize = 13;
-/// Entries of tile lists for which buffers are made first.
+/// Number of entries of tile lists in the first buffers.
 const FIRST_ENTRIES: usize = 4096;
-/// Most entries of all tile lists: kernels store them as single-precision numbers.
+/// Maximum number of entries of all tile lists, 2²⁴: kernels store counts as single-precision numbers.
 const MOST_ENTRIES: f64 = 16_777_216.0;
 /// Pixels along the side of a tile.
 const SIDE: usize = 16;
+/// Invocations per workgroup of the kernels per pixel, and per Gaussian.
+const PIXEL_LANES: usize = 256;
+const GAUSSIAN_LANES: usize = 64;
 
 /// Conversion of blended signals to values; the numbers are those of `readout.wgsl`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -142,6 +146,7 @@ impl Drawing {
         Err(Error::Config(format!("--device: tile lists with {entries} entries, at most {MOST_ENTRIES}; {advice}")))
     }
 
+    /// Returns the arguments of a kernel in the order of `Op` of `common.wgsl`; `link` is the transmitter of a backward pass.
     fn arguments(&self, link: usize, mode: usize) -> [usize; 16] {
         let &Self { gaussians, links, size: (width, height), channels, .. } = self;
         let columns = width.div_ceil(SIDE);
@@ -173,10 +178,11 @@ impl Drawing {
     }
 
     /// Records the loss of [`IMAGE`] against [`TRUTHS`] with the constants in [`LOSS`], to [`LOSSES`], and its derivative, to
-    /// [`D_IMAGE`].
+    /// [`D_IMAGE`]: absolute or squared errors, with or without the term of SSIM.
     pub fn loss(&self, step: &mut GpuStep<'_>, is_squared: bool, has_ssim: bool) {
+        // The bits of `mode` in `loss.wgsl`.
         let arguments = self.arguments(0, usize::from(is_squared) + 2 * usize::from(has_ssim));
-        let per_pixel = [self.pixels().div_ceil(256), self.links, 1];
+        let per_pixel = [self.pixels().div_ceil(PIXEL_LANES), self.links, 1];
         if has_ssim {
             step.pass("blur_moments", [IMAGE, TRUTHS, LOSS, IMAGE, MOMENTS], arguments, per_pixel);
             step.pass("similarity", [IMAGE, IMAGE, LOSS, MOMENTS, D_SIMILARITY], arguments, per_pixel);
@@ -205,8 +211,9 @@ impl Drawing {
         step.pass("project_vjp", [CLOUD, TERMS, VIEW, D_SPLATS, D_ROWS], arguments, self.per_gaussian());
     }
 
+    /// Returns the workgroups of a kernel per Gaussian.
     fn per_gaussian(&self) -> [usize; 3] {
-        [self.gaussians.div_ceil(64), 1, 1]
+        [self.gaussians.div_ceil(GAUSSIAN_LANES), 1, 1]
     }
 }
 

@@ -1,7 +1,7 @@
 //! `KeptBuffer`: numbers on the GPU that outlive steps, such as those that all predictions of a model share.
 
 use crate::adapters::Gpu;
-use crate::step::{Command, GpuStep};
+use crate::step::{Command, GpuStep, bytes_of};
 use wgpu::{Buffer, BufferUsages};
 
 /// Numbers on the GPU that outlive steps.
@@ -11,7 +11,7 @@ pub struct KeptBuffer(Buffer);
 impl Gpu {
     /// Returns a buffer for `len` numbers; `None` if the memory of the GPU does not suffice.
     pub fn keep(&self, len: usize) -> Option<KeptBuffer> {
-        let bytes = (size_of::<f32>() * len.max(1)) as u64;
+        let bytes = bytes_of(len.max(1));
         let fits = bytes <= self.most_bytes.min(self.memory);
         let usage = BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
         fits.then(|| self.buffer(bytes, usage).ok()).flatten().map(KeptBuffer)
@@ -31,6 +31,6 @@ impl GpuStep<'_> {
 
     /// Records a copy of the first `len` numbers.
     fn copy(&mut self, from: Buffer, to: Buffer, len: usize) {
-        self.record(Command::Copy { from, to, bytes: (size_of::<f32>() * len) as u64 });
+        self.record(Command::Copy { from, to, bytes: bytes_of(len) });
     }
 }

@@ -21,13 +21,13 @@ pub use block::{Block, Epilogue};
 pub use kept::KeptBuffer;
 pub use step::GpuStep;
 
-/// Slot with the planes of sums.
+/// Slot of partial sums, `[planes, numbers]`, which a second pass adds up in order.
 pub const SCRATCH: usize = 0;
 
-/// Number of rows that are summed together.
+/// Number of rows per partial sum.
 pub const SLICE: usize = 1024;
 
-/// Most rows of a chunk.
+/// Maximum number of rows per chunk.
 const MOST_ROWS: usize = 65_536;
 
 /// Returns the number of values that slot [`SCRATCH`] needs for the derivative of a matrix with `numbers` numbers, over

@@ -8,13 +8,13 @@ use pwrfgs_core::{Error, Real, Result, device};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use wgpu::{Buffer, BufferUsages};
 
-/// Arguments of a kernel, in numbers: `Op` of `kernels.wgsl`.
-const ARGUMENTS: usize = 16;
+/// Number of arguments of a kernel: `Op` of `kernels.wgsl` and of `draw/common.wgsl`.
+pub(crate) const ARGUMENTS: usize = 16;
 
 /// Distance of arguments in their buffer, bytes: the largest alignment of any GPU.
 const ALIGNMENT: usize = 256;
 
-/// Commands after which recorded passes are sent to the GPU.
+/// Number of commands after which recorded passes are sent to the GPU.
 const SENT_TOGETHER: usize = 512;
 
 /// Recorded command.
@@ -26,7 +26,7 @@ pub(crate) enum Command {
     Copy { from: Buffer, to: Buffer, bytes: u64 },
 }
 
-/// Network pass on a GPU, which it holds until it is dropped.
+/// Passes on a GPU, which the step holds until it is dropped.
 #[derive(Debug)]
 pub struct GpuStep<'g> {
     gpu: &'g Gpu,
@@ -39,6 +39,11 @@ pub struct GpuStep<'g> {
     sent: Vec<(Buffer, Vec<u64>)>,
     /// Bytes of all buffers of the step.
     bytes: u64,
+}
+
+/// Returns the bytes of single-precision numbers.
+pub(crate) fn bytes_of(numbers: usize) -> u64 {
+    (size_of::<f32>() * numbers) as u64
 }
 
 /// Returns a number of bytes as text.
@@ -55,7 +60,10 @@ impl Gpu {
         self.step_in(&self.workspace, sizes, "use a smaller `width` or `depth`, or the CPU")
     }
 
-    /// Begins a step with the buffers of `workspace`; `advice` is for memory that does not suffice.
+    /// Begins a step with the buffers of `workspace`.
+    ///
+    /// # Errors
+    /// As [`Self::step`], with this `advice`.
     pub(crate) fn step_in<'g>(
         &'g self,
         workspace: &'g Mutex<Workspace>,
@@ -65,24 +73,14 @@ impl Gpu {
         device::mark_used();
         let mut workspace = workspace.lock().unwrap_or_else(PoisonError::into_inner);
         workspace.steps += 1;
-        let needed = |size: &usize| (size_of::<f32>() * (*size).max(1)) as u64;
-        let total: u64 = sizes.iter().map(needed).sum();
+        let needed: Vec<u64> = sizes.iter().map(|size| bytes_of((*size).max(1))).collect();
+        let total: u64 = needed.iter().sum();
         let refuse = |limit: String| {
             let total = describe_bytes(total);
             Error::Config(format!("--device: a step needs {total} of GPU memory{limit}; {advice}"))
         };
-        if let Some(largest) = sizes.iter().map(needed).max().filter(|bytes| *bytes > self.most_bytes) {
-            let (largest, most) = (describe_bytes(largest), describe_bytes(self.most_bytes));
-            return Err(refuse(format!(
-                ", {largest} of them in one buffer, and the limit of {} is {most}",
-                self.name()
-            )));
-        }
-        if total > self.memory {
-            return Err(refuse(format!(", and {} has {}", self.name(), describe_bytes(self.memory))));
-        }
-        for (slot, size) in sizes.iter().enumerate() {
-            let bytes = needed(size);
+        self.check_limits(&needed).map_err(refuse)?;
+        for (slot, &bytes) in needed.iter().enumerate() {
             if workspace.buffers.get(slot).is_some_and(|buffer| buffer.size() >= bytes) {
                 continue;
             }
@@ -108,7 +106,19 @@ impl Gpu {
         })
     }
 
-    /// Creates a buffer of `bytes` bytes.
+    /// Checks the bytes of the buffers of a step; the error describes the limit that they exceed.
+    fn check_limits(&self, needed: &[u64]) -> Result<(), String> {
+        if let Some(largest) = needed.iter().copied().max().filter(|bytes| *bytes > self.most_bytes) {
+            let (largest, most) = (describe_bytes(largest), describe_bytes(self.most_bytes));
+            return Err(format!(", {largest} of them in one buffer, and the limit of {} is {most}", self.name()));
+        }
+        if needed.iter().sum::<u64>() > self.memory {
+            return Err(format!(", and {} has {}", self.name(), describe_bytes(self.memory)));
+        }
+        Ok(())
+    }
+
+    /// Creates a buffer of `bytes` bytes; the error is that of the driver.
     pub(crate) fn buffer(&self, bytes: u64, usage: BufferUsages) -> Result<Buffer, String> {
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let limits = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
@@ -129,7 +139,7 @@ impl GpuStep<'_> {
         self.workspace.steps
     }
 
-    /// Returns whether the buffers still hold what step `number` left in them.
+    /// Returns whether the buffers still have the content of step `number`.
     pub fn follows(&self, number: u64) -> bool {
         self.workspace.steps == number + 1 && self.workspace.changed <= number
     }
@@ -144,19 +154,18 @@ impl GpuStep<'_> {
             single = values.iter().map(|value| *value as f32).collect();
             bytemuck::cast_slice(&single)
         };
-        self.gpu.queue.write_buffer(&self.workspace.buffers[slot], (size_of::<f32>() * start) as u64, bytes);
+        self.gpu.queue.write_buffer(&self.workspace.buffers[slot], bytes_of(start), bytes);
     }
 
     /// Sets the first `len` numbers of a slot to zero.
     pub fn clear(&mut self, slot: usize, len: usize) {
-        self.commands.push(Command::Clear { slot, bytes: (size_of::<f32>() * len) as u64 });
+        self.commands.push(Command::Clear { slot, bytes: bytes_of(len) });
     }
 
     /// Requests `len` numbers of a slot from `start`, as they are after the passes recorded so far: the next result of
     /// [`Self::finish`].
     pub fn read(&mut self, slot: usize, start: usize, len: usize) {
-        let bytes = |numbers: usize| (size_of::<f32>() * numbers) as u64;
-        self.commands.push(Command::Read { slot, offset: bytes(start), bytes: bytes(len) });
+        self.commands.push(Command::Read { slot, offset: bytes_of(start), bytes: bytes_of(len) });
     }
 
     /// Returns the buffer of a slot.
@@ -169,14 +178,17 @@ impl GpuStep<'_> {
         self.commands.push(command);
     }
 
-    /// Checks that a matrix with this shape lies inside its slot: the GPU ignores what is outside.
+    /// Checks that a matrix with this shape lies inside its slot: the GPU ignores numbers outside without an error.
+    ///
+    /// # Panics
+    /// If the matrix does not.
     pub(crate) fn check(&self, block: Block, (rows, columns): (usize, usize)) {
         let last = |count: usize, stride: usize| count.saturating_sub(1) * stride;
         let end = block.start + last(rows, block.strides.0) + last(columns, block.strides.1);
         assert!(rows * columns == 0 || end < self.sizes[block.slot], "a matrix lies inside its slot");
     }
 
-    /// Records a kernel. `slots` are those of A, B, H, E and C.
+    /// Records a kernel for `groups` workgroups; none if an axis has 0. `slots` are those of A, B, H, E and C.
     pub(crate) fn pass(&mut self, name: &str, slots: [usize; 5], arguments: [usize; ARGUMENTS], groups: [usize; 3]) {
         if groups.contains(&0) {
             return;
@@ -191,7 +203,7 @@ impl GpuStep<'_> {
         }
     }
 
-    /// Sends the recorded commands to the GPU, which runs them while the CPU goes on.
+    /// Sends the recorded commands to the GPU, which runs them while the CPU continues. [`Self::finish`] reports a failure.
     pub fn send(&mut self) {
         let (commands, arguments) = (std::mem::take(&mut self.commands), std::mem::take(&mut self.arguments));
         if commands.is_empty() {
@@ -201,14 +213,15 @@ impl GpuStep<'_> {
             commands.iter().filter_map(|c| if let Command::Read { bytes, .. } = c { Some(*bytes) } else { None });
         let reads: Vec<u64> = reads.collect();
         let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
-        self.bytes += reads.iter().sum::<u64>();
+        let read_bytes: u64 = reads.iter().sum();
+        self.bytes += read_bytes;
         if self.bytes > self.gpu.memory {
             return keep_first(
                 &self.gpu.failure,
                 format!("out of memory, of which it has {}", describe_bytes(self.gpu.memory)),
             );
         }
-        let results = self.gpu.buffer(reads.iter().sum::<u64>().max(4), usage);
+        let results = self.gpu.buffer(read_bytes.max(bytes_of(1)), usage); // a buffer has at least one number
         let uniform = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
         let uniforms = self.gpu.buffer((size_of::<u32>() * arguments.len()).max(ALIGNMENT) as u64, uniform);
         let (results, uniforms) = match (results, uniforms) {
@@ -216,26 +229,31 @@ impl GpuStep<'_> {
             (Err(why), _) | (_, Err(why)) => return keep_first(&self.gpu.failure, why),
         };
         self.gpu.queue.write_buffer(&uniforms, 0, bytemuck::cast_slice(&arguments));
+        self.gpu.queue.submit([self.encode_commands(&commands, &uniforms, &results)]);
+        if !reads.is_empty() {
+            self.sent.push((results, reads));
+        }
+    }
+
+    /// Encodes `commands`, with the arguments of passes in `uniforms`; reads fill `results`, one after the other.
+    fn encode_commands(&self, commands: &[Command], uniforms: &Buffer, results: &Buffer) -> wgpu::CommandBuffer {
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let mut place = 0;
-        let mut rest = commands.as_slice();
+        let mut filled = 0;
+        let mut rest = commands;
         while let Some(command) = rest.first() {
             let passes = rest.iter().take_while(|c| matches!(c, Command::Pass { .. })).count();
             match command {
-                Command::Pass { .. } => self.encode_passes(&mut encoder, &uniforms, &rest[..passes]),
+                Command::Pass { .. } => self.encode_passes(&mut encoder, uniforms, &rest[..passes]),
                 Command::Clear { slot, bytes } => encoder.clear_buffer(&self.workspace.buffers[*slot], 0, Some(*bytes)),
                 Command::Read { slot, offset, bytes } => {
-                    encoder.copy_buffer_to_buffer(&self.workspace.buffers[*slot], *offset, &results, place, *bytes);
-                    place += bytes;
+                    encoder.copy_buffer_to_buffer(&self.workspace.buffers[*slot], *offset, results, filled, *bytes);
+                    filled += bytes;
                 }
                 Command::Copy { from, to, bytes } => encoder.copy_buffer_to_buffer(from, 0, to, 0, *bytes),
             }
             rest = &rest[passes.max(1)..];
         }
-        self.gpu.queue.submit([encoder.finish()]);
-        if !reads.is_empty() {
-            self.sent.push((results, reads));
-        }
+        encoder.finish()
     }
 
     /// Encodes neighbouring passes.

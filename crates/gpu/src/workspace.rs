@@ -13,7 +13,7 @@ pub(crate) struct Workspace {
 }
 
 impl Workspace {
-    /// Releases all buffers.
+    /// Releases all buffers, so that no later step can use their content.
     pub(crate) fn release(&mut self) {
         self.buffers.clear();
         self.changed = self.steps + 1;

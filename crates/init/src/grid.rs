@@ -11,8 +11,9 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 /// directions are nearly uniform. Every Gaussian covers about the same part of the spectrum, and none is hidden. It is
 /// the best start for few Gaussians without a point cloud; it is not part of the paper. If pixels are angles of the
 /// true pose, the grid covers the hemisphere in front of the receiver, or the sphere if the spectrum includes
-/// directions behind it. With images of a camera it covers the sphere about the transmitter. With the released projection it covers the whole sphere about the actual centre of that
-/// projection, −R·r with R and r the orientation and position of the receiver.
+/// directions behind it. With images of a camera it covers the sphere about the transmitter. With the released projection
+/// it covers the whole sphere about the actual centre of that projection, −R·r with R and r the orientation and position
+/// of the receiver.
 ///
 /// ```
 /// # use pwrfgs_init as _;

@@ -49,10 +49,10 @@ impl Initializer for Random {
         let ahead = |z: Real| if plane.has_directions_behind() { z } else { z.abs() };
         let in_front = |[x, y, z]: [Real; 3]| (origin + world_from_receiver * Vec3::new(x, y, ahead(z))).to_array();
         let (low, high) = scene.bounds;
-        let amid = |p: [Real; 3]| [0, 1, 2].map(|k| p[k] + 0.5 * (low[k] + high[k]));
+        let about_middle = |p: [Real; 3]| [0, 1, 2].map(|k| p[k] + 0.5 * (low[k] + high[k]));
         let placed = |p: [Real; 3]| match (plane.angles, plane.camera) {
             (Some(_), _) => in_front(p),
-            (None, Some(_)) => amid(p),
+            (None, Some(_)) => about_middle(p),
             (None, None) => p,
         };
         let means: Vec<[Real; 3]> = (0..self.count).map(|_| placed(draw(rng))).collect();
@@ -113,8 +113,8 @@ impl Initializer for AroundReceivers {
         let fixed_ends = scene.fixed_ends();
         let mean = |i: usize| {
             if i < near {
-                let center = fixed_ends[i % fixed_ends.len()].origin().to_array();
-                return center.map(|x| x + self.spread_m * rng::normal(rng));
+                let centre = fixed_ends[i % fixed_ends.len()].origin().to_array();
+                return centre.map(|x| x + self.spread_m * rng::normal(rng));
             }
             std::array::from_fn(|k| low[k] + (high[k] - low[k]) * rng::uniform(rng))
         };

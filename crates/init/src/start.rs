@@ -13,6 +13,8 @@ const LONELY: Real = 1.0;
 const LARGEST: Real = 1e6;
 /// Maximum number of Gaussians; larger numbers are rejected as typing errors, because they would exhaust the memory.
 const MOST: usize = 10_000_000;
+/// Maximum number of neighbours of the scale rule.
+const MOST_NEIGHBOURS: usize = 1_000;
 
 /// Returns the scale of each Gaussian, `[N]`, metres: root mean squared distance to its `nearest` neighbours, at least
 /// sqrt(1e-7) m; 1 m without neighbours.
@@ -45,12 +47,12 @@ pub(crate) fn check_opacity(opacity: Real) -> Result<(), String> {
     Err(format!("`opacity` is {opacity}; give a number above 0 and below 1, such as 0.1"))
 }
 
-/// Rejects values that are not positive or overflow single precision.
-pub(crate) fn check_positive(field: &str, value: Real, why: &str) -> Result<(), String> {
+/// Rejects values that are not positive, or whose products overflow single precision. `meaning` ends the message.
+pub(crate) fn check_positive(field: &str, value: Real, meaning: &str) -> Result<(), String> {
     if value > 0.0 && value <= LARGEST {
         return Ok(());
     }
-    Err(format!("`{field}` is {value:?}; give a number above 0 and at most {LARGEST:e}: {why}"))
+    Err(format!("`{field}` is {value:?}; give a number above 0 and at most {LARGEST:e}: {meaning}"))
 }
 
 /// Rejects 0 and excessive numbers of Gaussians.
@@ -61,12 +63,14 @@ pub(crate) fn check_count(field: &str, count: usize) -> Result<(), String> {
     Err(format!("`{field}` is {count}; give a number between 1 and {MOST}"))
 }
 
-/// Rejects a scale rule without neighbours.
+/// Rejects a scale rule without neighbours, or with too many.
 pub(crate) fn check_nearest(nearest: usize) -> Result<(), String> {
-    if (1..=1000).contains(&nearest) {
+    if (1..=MOST_NEIGHBOURS).contains(&nearest) {
         return Ok(());
     }
-    Err(format!("`nearest` is {nearest}; give 1 for the paper's rule, 3 for the released one, 1000 at most"))
+    Err(format!(
+        "`nearest` is {nearest}; give 1 for the paper's rule, 3 for the released one, {MOST_NEIGHBOURS} at most"
+    ))
 }
 
 #[cfg(test)]

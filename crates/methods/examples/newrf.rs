@@ -4,19 +4,23 @@
 
 #![allow(clippy::print_stdout, clippy::print_stderr, clippy::unwrap_used, clippy::disallowed_methods)] // a table for developers
 
-use pwrfgs_core::{Real, testing::shared};
+use pwrfgs_core::{Real, SPEED_OF_LIGHT, testing::shared};
 use pwrfgs_methods::MatchingPursuit;
-use pwrfgs_methods::virtual_transmitters::{ChannelInputs, PursuitOptions, field, pursue_sources, snr_db};
+use pwrfgs_methods::virtual_transmitters::{
+    ChannelInputs, PursuitOptions, VirtualSources, field, pursue_sources, snr_db,
+};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
+/// Measurements of one band: carrier frequency (Hz), and per position (metres) the channel.
 struct Band {
     frequency: f64,
     positions: Vec<[Real; 3]>,
     channel: Vec<[Real; 2]>,
 }
 
-fn read(name: &str) -> Band {
+/// Reads a band by the name of its files, the frequency in MHz.
+fn read_band(name: &str) -> Band {
     let folder = shared("data/newrf").expect("the data are at hand");
     let frequency = match name {
         "2400" => 2.412e9,
@@ -36,7 +40,7 @@ fn main() {
     let verbose = std::env::var_os("VERBOSE").is_some();
     let set = |name: &str, default: f64| std::env::var(name).map_or(default, |v| v.parse().unwrap());
     for name in std::env::args().skip(1) {
-        let band = read(&name);
+        let band = read_band(&name);
         let n = band.positions.len();
         let train = n - n / 5;
         let frequencies = [band.frequency];
@@ -70,30 +74,28 @@ fn main() {
                 eprintln!("{:6.1} s {sources} sources", start.elapsed().as_secs_f64());
             }
         };
-        let found =
+        let sources =
             pursue_sources(&links(before), &each, &options, &AtomicBool::new(false), &mut report_progress).unwrap();
         let seconds = start.elapsed().as_secs_f64();
-        let cloud = found.to_cloud();
+        let cloud = sources.to_cloud();
         let fitted = snr_db(&field(&cloud, None, &links(before)), h);
         let test = snr_db(&field(&cloud, None, &links(after)), h_after);
         println!(
             "{name} seed {}: {} sources, {seconds:.1} s, training {fitted:.2} dB, test {test:.2} dB",
             options.seed,
-            found.len()
+            sources.len()
         );
         if verbose {
-            let unit = 0.299_792_458e9 / band.frequency / (4.0 * std::f64::consts::PI);
-            for (v, s) in found.positions.iter().zip(found.gains.chunks(found.harmonic_count())).map(|(v, s)| (v, s[0]))
-            {
-                println!(
-                    "  {:7.3} {:7.3} {:7.3}  |s| {:.3} arg {:.2}",
-                    v[0],
-                    v[1],
-                    v[2],
-                    s[0].hypot(s[1]) / unit,
-                    s[1].atan2(s[0])
-                );
-            }
+            print_sources(&sources, band.frequency);
         }
+    }
+}
+
+/// Prints position, gain and phase of each source; a gain of 1 is that of free space at `frequency`.
+fn print_sources(sources: &VirtualSources, frequency: f64) {
+    let unit = SPEED_OF_LIGHT / frequency / (4.0 * std::f64::consts::PI);
+    for (g, [x, y, z]) in sources.positions.iter().enumerate() {
+        let [re, im] = sources.source_gains(g)[0];
+        println!("  {x:7.3} {y:7.3} {z:7.3}  |s| {:.3} arg {:.2}", re.hypot(im) / unit, im.atan2(re));
     }
 }

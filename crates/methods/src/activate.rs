@@ -22,6 +22,8 @@ pub enum Calibration {
 
 /// Smallest scale of [`Calibration::Physical`], metres: far below a pixel at any distance in a room.
 const SCALE_FLOOR: Real = 1e-4;
+/// Norm up to which a quaternion has no direction.
+const NORM_FLOOR: Real = 1e-12;
 /// Constant spherical harmonic Y₀₀.
 const SH_C0: Real = 0.282_094_791_773_878_14;
 
@@ -55,7 +57,8 @@ impl ActivationVjp {
 }
 
 impl Activation {
-    /// Returns the geometry of row `b` of the batch in `deltas`, gated by `gate` `[N]` (`None`: all open).
+    /// Returns the geometry for transmitter `b` of the batch in `deltas`, with scales and opacities times `gate` `[N]`
+    /// (`None`: all open).
     pub fn geometry(&self, cloud: &GaussianCloud, deltas: &Deltas, b: usize, gate: Option<&[Real]>) -> Primitives {
         let n = cloud.len();
         let mut out = Primitives::zeros(n);
@@ -78,7 +81,7 @@ impl Activation {
         out
     }
 
-    /// Adds the derivatives of [`Self::geometry`] to `sums` (row `b` of its deltas), given the cotangents `d`.
+    /// Adds the derivatives of [`Self::geometry`] to `sums` (transmitter `b` of its deltas), given the cotangents `d`.
     pub fn geometry_vjp(
         &self,
         cloud: &GaussianCloud,
@@ -154,7 +157,7 @@ impl Activation {
         for i in 0..n {
             for b in batch.clone() {
                 for c in 0..self.channels {
-                    let mut d_signal = *d.next().expect("one cotangent a signal");
+                    let mut d_signal = *d.next().expect("one cotangent per signal");
                     if self.calibration == Calibration::AsReleased {
                         let colour = SH_C0 * self.signal(cloud, deltas, b * n + i, i, c) + 0.5;
                         d_signal *= if colour > 0.0 { SH_C0 } else { 0.0 };
@@ -163,8 +166,8 @@ impl Activation {
                         d_cloud.signals[i][c] += d_signal;
                     }
                     if let Some(row) = d_deltas.signals.get_mut(b * n + i) {
-                        let is_turned = self.requires_magnitudes() && deltas.signals[b * n + i][c] < 0.0;
-                        row[c] += if is_turned { -d_signal } else { d_signal };
+                        let is_negated = self.requires_magnitudes() && deltas.signals[b * n + i][c] < 0.0;
+                        row[c] += if is_negated { -d_signal } else { d_signal };
                     }
                 }
             }
@@ -200,13 +203,13 @@ fn divide_quat(q: [Real; 4], norm: Real) -> [Real; 4] {
 /// Returns q/|q| of a quaternion w, x, y, z; the identity for a quaternion close to zero.
 pub fn normalise_quat(q: [Real; 4]) -> [Real; 4] {
     let norm = dot_quats(q, q).sqrt();
-    if norm > 1e-12 { divide_quat(q, norm) } else { [1.0, 0.0, 0.0, 0.0] }
+    if norm > NORM_FLOOR { divide_quat(q, norm) } else { [1.0, 0.0, 0.0, 0.0] }
 }
 
 /// Returns the cotangent of q, given that `d` of [`normalise_quat`]; zero for a quaternion close to zero.
 pub fn normalise_quat_vjp(q: [Real; 4], d: [Real; 4]) -> [Real; 4] {
     let norm = dot_quats(q, q).sqrt();
-    if norm <= 1e-12 {
+    if norm <= NORM_FLOOR {
         return [0.0; 4];
     }
     let unit = divide_quat(q, norm);

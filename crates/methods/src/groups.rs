@@ -1,5 +1,5 @@
-//! `ReceiverGroup`: links that are drawn together because they share a receiver and a geometry. Also shared code of methods
-//! with a [`Deformation`] and an [`Activation`].
+//! `ReceiverGroup`: links that are drawn together because they share a receiver and a geometry. Also shared code of
+//! methods with a [`Deformation`] and an [`Activation`].
 
 use crate::{Activation, ActivationVjp};
 use pwrfgs_core::{
@@ -45,17 +45,28 @@ impl ReceiverGroup {
         self.links.iter().zip(&self.rows).map(one)
     }
 
-    /// Returns the row of the location of the first link.
-    pub(crate) fn first_location(&self) -> usize {
-        self.rows[0]
-    }
-
     /// Returns the index of the first link.
     pub(crate) fn first_link(&self) -> usize {
         self.links[0]
     }
 
-    /// Returns the distance from receiver to transmitter per link, metres; empty if a position is unknown.
+    /// Adds the cotangents of the pose of a moving receiver, which `pose_vjp` returns, to `positions` and `orientations`,
+    /// if requested.
+    pub(crate) fn add_pose_vjp(
+        &self,
+        pose_vjp: impl FnOnce() -> ([f64; 3], [f64; 4]),
+        positions: Option<&mut [[Real; 3]]>,
+        orientations: Option<&mut [[f64; 4]]>,
+    ) {
+        let Some(positions) = positions else { return };
+        let (d_position, d_orientation) = pose_vjp();
+        (0..3).for_each(|k| positions[self.rows[0]][k] += d_position[k] as Real);
+        if let Some(orientations) = orientations {
+            (0..4).for_each(|k| orientations[self.row][k] += d_orientation[k]);
+        }
+    }
+
+    /// Returns the distance between both ends per link, metres; empty without positions.
     pub(crate) fn distances(&self, call: &Call<'_>) -> Vec<Real> {
         let Some(fixed) = call.setup.fixed_end(self.state.receiver) else { return Vec::new() };
         let moving = call.links.conditions().positions();
@@ -157,7 +168,7 @@ pub(crate) fn network_rows(deformation: &dyn Deformation, cloud: &GaussianCloud,
     (0..cloud.len()).filter(|&i| all || gate.is_none_or(|gate| gate[i] != 0.0)).collect()
 }
 
-/// Returns the terms of the network and, if `is_training`, what it keeps for the backward pass. `prepared` is its cache
+/// Returns the terms of the network and, if `is_training`, its state for the backward pass. `prepared` is its cache
 /// for predictions, if there is one.
 pub(crate) fn network_terms(
     deformation: &dyn Deformation,
@@ -193,7 +204,8 @@ pub(crate) fn network_vjp(
 }
 
 /// Returns the Gaussians as drawn for a transmitter at `tx`, or without transmitter; `p.weights` begin with those of
-/// the network. Pose and carrier are those of the first receiver. `strengths` computes pixel values `[N]` from signals `[N, channels]`.
+/// the network. Pose and carrier are those of the first receiver. `strengths` computes pixel values `[N]` from signals
+/// `[N, channels]`.
 pub(crate) fn activated_gaussians(
     deformation: &dyn Deformation,
     activation: Activation,
@@ -211,8 +223,9 @@ pub(crate) fn activated_gaussians(
     };
     let deltas = tx.map_or_else(Deltas::default, deform);
     let signals = activation.signals(p.cloud, &deltas, 0..1);
-    let is_known = tx.is_some() || !activation.replaces_signals;
-    let strengths = is_known.then(|| strengths(&signals));
+    // A network that replaces the signals gives none without a transmitter.
+    let has_signals = tx.is_some() || !activation.replaces_signals;
+    let strengths = has_signals.then(|| strengths(&signals));
     Activated { primitives: activation.geometry(p.cloud, &deltas, 0, None), signals, strengths }
 }
 

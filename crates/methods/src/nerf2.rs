@@ -1,15 +1,15 @@
 //! NeRF2 (Zhao et al., MobiCom 2023) as a method: no Gaussians, ray marching through a network.
 //!
 //! ```text
-//! receiver ── rays, samples ─► trunk ─► attenuation ─► what is left of the light at each sample ─┐
-//!                                └────► feature ──┐                                              ├─► Σ over samples ─► observation
-//! transmitter, view ──────────────────────────────┴─► signal net ─► what each sample emits ──────┘
+//! receiver ── rays, samples ─► trunk ─► attenuation ─► path factor of each sample ──┐
+//!                                └────► feature ──┐                                 ├─► Σ over samples ─► observation
+//! transmitter, view ──────────────────────────────┴─► signal net ─► emission ───────┘
 //! ```
 //!
 //! [`Nerf2`] is the method and [`RayBundle`] are the rays of a receiver. `network` holds the layers, `path` the emission of
 //! samples and the attenuation along the ray, `walk` the forward and backward pass of a chunk of rays, `group` the
-//! links that share rays, `totals` the sums over rays, `gpu` the network on a GPU. The trunk does not depend on the transmitter: it is computed once for all transmitters of a
-//! call, and cached for predictions.
+//! links that share rays, `totals` the sums over rays, `gpu` the network on a GPU. The trunk does not depend on the
+//! transmitter: it is computed once for all transmitters of a call, and cached for predictions.
 
 #[cfg(feature = "gpu")]
 mod gpu;

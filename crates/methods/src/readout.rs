@@ -78,7 +78,7 @@ impl Readout {
         if self == Self::Real { 1 } else { 2 }
     }
 
-    /// Returns the pixel values `[B, H·W]` of blended signals `[B·channels, H·W]`.
+    /// Returns the pixel values `[B, H·W]` of blended signals `[B·channels, H·W]`; `pixels` is H·W.
     pub fn forward(self, signals: &[Real], pixels: usize) -> Vec<Real> {
         if self == Self::Real {
             return signals.to_vec();
@@ -99,8 +99,8 @@ impl Readout {
         image
     }
 
-    /// Returns the derivative of each pixel value with respect to its channels, `[channels, H·W]`; [`Self::MinMax`]
-    /// with constant smallest and largest value.
+    /// Returns the derivative of each pixel value with respect to its channels, `[channels, H·W]`, for one transmitter;
+    /// that of [`Self::MinMax`] treats the smallest and the largest value as constants.
     pub(crate) fn pixel_slopes(self, signals: &[Real], pixels: usize) -> Vec<Real> {
         let gain = if self == Self::MinMax {
             let mut image = vec![0.0; pixels];
@@ -114,7 +114,7 @@ impl Readout {
         readout.vjp(signals, pixels, &vec![gain; pixels])
     }
 
-    /// Returns the cotangents of the signals, given those of the image.
+    /// Returns the cotangents of the signals `[B·channels, H·W]`, given those `[B, H·W]` of the pixel values.
     pub fn vjp(self, signals: &[Real], pixels: usize, d_image: &[Real]) -> Vec<Real> {
         if self == Self::Real {
             return d_image.to_vec();

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! means, p_tx ─► deform ─► Δs ─► signals of every link ─┐
-//! means, gate ─► Waves (once a receiver) ───────────────┴─► Σ ─► level of the receiver ─► h
+//! means, gate ─► Waves (once per receiver) ─────────────┴─► Σ ─► level of the receiver ─► h
 //! ```
 
 mod linear_start;
@@ -12,7 +12,7 @@ use crate::groups::{self, OFFSETS, ReceiverGroup};
 use crate::readout::magnitudes;
 use crate::{Activation, ActivationVjp, Calibration};
 use pwrfgs_core::{
-    Activated, Appearance, Cache, Call, Cost, Dataset, Deformation, DeformationInputs, Deltas, End, ForwardOutput,
+    Activated, Appearance, Cache, Call, Cost, Dataset, Deformation, DeformationInputs, Deltas, ForwardOutput,
     GaussianCloud, JsonSchema, Layout, LinkInputs, MeasurementSetup, Method, MethodTraits, MethodVjp, Parameters,
     Plugin, Real, ReceiverState, StageTimes, Task, WeightSpec, cached, consts, evenly,
 };
@@ -57,7 +57,7 @@ struct Ready {
 
 /// Results of the forward pass for the backward pass.
 struct ForwardCache {
-    /// Terms of the network, and what it keeps for its derivative.
+    /// Terms of the network, and its state for the backward pass.
     terms: (Deltas, Cache),
     /// Per group: its links, its waves, and signals `[N, links, 2]`.
     received: Vec<(ReceiverGroup, Arc<Waves>, Vec<Real>)>,
@@ -69,7 +69,7 @@ const LEVEL_LINKS: usize = 256;
 /// Numbers per Gaussian and complex channel value: waves and their derivatives.
 const PER_WAVE: usize = 4;
 
-/// Returns the factor 10^offset on all channels of a receiver; 1 for a receiver without offset.
+/// Returns the factor 10^offset on all channels of a receiver; 1 without an offset.
 fn receiver_level(offsets: &[Real], receiver: usize) -> Real {
     offsets.get(receiver).map_or(1.0, |offset| (offset * consts::LN_10).exp())
 }
@@ -125,7 +125,8 @@ impl SplattedChannel {
         let measured: f64 = part.iter().map(|&i| energy(&data.image(i).pixels)).sum();
         let ratio = measured / energy(&numbers);
         if ratio.is_finite() && ratio > 0.0 {
-            offsets_mut(setup, weights).iter_mut().for_each(|level| *level += (0.5 * ratio.log10()) as Real);
+            // Half, because energies are squares.
+            offsets_mut(setup, weights).iter_mut().for_each(|offset| *offset += (0.5 * ratio.log10()) as Real);
         }
     }
 }
@@ -137,7 +138,7 @@ fn split_weights<'a>(setup: &MeasurementSetup, weights: &'a [Real]) -> (&'a [Rea
 
 /// Returns the offsets of the receivers among the weights.
 fn offsets_mut<'a>(setup: &MeasurementSetup, weights: &'a mut [Real]) -> &'a mut [Real] {
-    let network = weights.len() - setup.receivers.len();
+    let network = split_weights(setup, weights).0.len();
     &mut weights[network..]
 }
 
@@ -195,16 +196,14 @@ impl Method for SplattedChannel {
             sums.weights[network.len() + group.state.receiver] += consts::LN_10 * along;
             let (d_signals, d_waves) = waves.superpose_vjp(signals, links, &d);
             Waves::vjp(call, group.state, &d_waves, &mut grads);
-            if let (Some(positions), End::Receiver) = (&mut sums.positions, setup.moving) {
-                let (d_position, d_orientation) = Waves::pose_vjp(call, group.state, &d_waves);
-                (0..3).for_each(|k| positions[group.first_location()][k] += d_position[k] as Real);
-                if let Some(orientations) = &mut sums.orientations {
-                    (0..4).for_each(|k| orientations[group.row][k] += d_orientation[k]);
-                }
+            if setup.moving.is_receiver() {
+                let pose_vjp = || Waves::pose_vjp(call, group.state, &d_waves);
+                group.add_pose_vjp(pose_vjp, sums.positions.as_deref_mut(), sums.orientations.as_deref_mut());
             }
             group.gather_terms_vjp(deltas, &mut grads, |terms, batch, grads| {
                 activation.signals_vjp(p.cloud, terms, batch, &d_signals, grads);
             });
+            // Root mean square of each signal over the links, for pruners by blending weight.
             for (i, signals) in signals.chunks_exact((2 * links).max(1)).enumerate() {
                 let mean = signals.iter().map(|s| s * s).sum::<Real>() / links.max(1) as Real;
                 sums.stats.visible[i] += 1.0;

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! means, p_tx ─► deform ─► ΔS, ΔR, Δs
-//! cloud, Δ, M ─► activate ─► project ─► prepare the rasterizer      (Geometry, once a receiver)
+//! cloud, Δ, M ─► activate ─► project ─► prepare the rasterizer      (Geometry, once per receiver)
 //!                 signals ─► rasterize                              (BlendedSignals) ─► read out ─► P̂
 //! ```
 
@@ -15,15 +15,17 @@ mod method;
 mod received;
 mod survey;
 
+use crate::groups::ReceiverGroup;
 use crate::{Activation, ActivationVjp, Calibration, Readout};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Cache, Deformation, Deltas, ImagePlane, JsonSchema, MeasurementSetup, Method, Parameters, Pose, Primitives,
+    Cache, Call, Deformation, Deltas, ImagePlane, JsonSchema, MeasurementSetup, Method, Parameters, Pose, Primitives,
     Projector, Rasterizer, Real, Render, RenderVjp, Splats,
 };
 use pwrfgs_networks::Mlp;
 use pwrfgs_raster::{AlphaBlending, Mercator};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
@@ -99,8 +101,21 @@ struct BlendedSignals {
     pub render: Render,
 }
 
+/// Group of links after drawing and readout.
+struct GroupOutput {
+    group: ReceiverGroup,
+    observations: Vec<Real>,
+    /// Seconds of projection, sort and blending.
+    seconds: [f64; 3],
+    /// State for the backward pass, in training.
+    drawing: Option<(ReceiverView, BlendedSignals)>,
+}
+
 impl Splatting {
     /// Returns the image plane of a receiver: the spectrum, or a coarse sky that is integrated to a power.
+    ///
+    /// # Panics
+    /// If the projector does not draw the whole sky, which [`Method::plane`] reports as an error.
     pub fn sky(&self, setup: &MeasurementSetup) -> ImagePlane {
         self.plane(setup).expect("a compatible projector draws the whole sky").into_owned()
     }
@@ -120,7 +135,8 @@ impl Splatting {
         setup.receivers.iter().map(|receiver| ReceiverView { pose: receiver.pose, plane: plane.clone() }).collect()
     }
 
-    /// Returns the gated geometry of transmitter `b` of the batch in `deltas`, in a view.
+    /// Returns the gated geometry of transmitter `b` of the batch in `deltas`, in a view. The existence factors remain
+    /// separate if the rasterizer supports them; otherwise the opacities contain them.
     pub fn geometry(&self, view: &ReceiverView, p: &Parameters<'_>, deltas: &Deltas, b: usize) -> Geometry {
         let start = Instant::now();
         let primitives = self.activation().geometry(p.cloud, deltas, b, p.gate);
@@ -157,6 +173,28 @@ impl Splatting {
         let (channels, Geometry { splats, cache, .. }) = (self.readout.channel_count() * batch.len(), &*geometry);
         let render = self.rasterizer.forward_prepared(splats.with_signals(&signals, channels, &view.plane), cache);
         BlendedSignals { batch, geometry, signals, render }
+    }
+
+    /// Draws a group of links and reads it out; keeps the drawing if `is_training`.
+    fn draw_group(
+        &self,
+        call: &Call<'_>,
+        sky: &ImagePlane,
+        deltas: &Deltas,
+        shared_geometry: Option<&Arc<Geometry>>,
+        is_training: bool,
+        group: ReceiverGroup,
+    ) -> GroupOutput {
+        let (start, p) = (Instant::now(), &call.parameters);
+        let view = ReceiverView { pose: group.state.pose, plane: sky.clone() };
+        let (terms, batch) = group.gather_terms(deltas, p.cloud.len());
+        let drawing = self.draw(&view, p, &terms, batch, shared_geometry);
+        let blended = &drawing.render.pixels;
+        let blended = if is_training { self.clamp_as_released(blended) } else { Cow::Borrowed(blended.as_slice()) };
+        let observations = self.read_out(call, &view, &group, &blended);
+        let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
+        let seconds = [projection, sort, start.elapsed().as_secs_f64() - projection - sort];
+        GroupOutput { group, observations, seconds, drawing: is_training.then_some((view, drawing)) }
     }
 
     /// Computes the derivative of [`Self::draw`]: adds to `sums`, given the cotangents of the blended signals, and

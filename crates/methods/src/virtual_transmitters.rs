@@ -61,7 +61,8 @@ pub struct VirtualTransmitters {
     pub order: usize,
 }
 
-/// Returns the order of the spherical harmonics whose gains are among the extra `columns`; 0 without such a column.
+/// Returns the order of the spherical harmonics whose gains are among the extra `columns` (name, width); 0 without such a
+/// column.
 pub(crate) fn harmonics_order(columns: &[(&str, usize)]) -> usize {
     let width = columns.iter().find(|(name, _)| *name == HARMONICS).map_or(0, |(_, width)| *width);
     (0..HIGHEST).find(|order| 2 * (harmonic_count(*order) - 1) >= width).unwrap_or(HIGHEST)
@@ -167,16 +168,17 @@ impl Method for VirtualTransmitters {
 ///
 /// Each step adds the virtual transmitter that explains most of the residual, recomputes all gains by least squares,
 /// and refines all positions. Held-out training links select the number. Candidates are the receiver itself, positions
-/// of a grid about the transmitters, coarser with distance, and mirror images of virtual transmitters already found. It
+/// of a grid about the transmitters, coarser with distance, and mirror images of the virtual transmitters so far. It
 /// uses training data only, and the final fit includes the held-out links. For `method: VirtualTransmitters()`, with
 /// gains of its `order`. If only the scene is needed (`pwrfgs check`), it places `most` of them arbitrarily.
 ///
 /// The search of the grid goes from coarse to fine, so that its time grows with the logarithm of the site in
-/// wavelengths. A coarse cell counts what it explains in windows of neighbouring positions and subcarriers, each with a
-/// gain of its own. The band of a window resolves ranges, and its antennas resolve directions. Each level divides the
-/// best 4,096 cells into eight and doubles the width of the windows; the last level is coherent over all positions, on a
-/// subset of the links. No position explains more coherently than in windows, so a cell is skipped only if 4,096 others
-/// explain more in windows of the same width. A grid of at most 131,072 cells is searched completely.
+/// wavelengths. The score of a coarse cell is the energy that it explains in windows of neighbouring positions and
+/// subcarriers, each with a separate gain. The band of a window resolves ranges, and its antennas resolve directions.
+/// Each level divides the best 4,096 cells into eight and doubles the width of the windows; the last level is coherent
+/// over all positions, on a subset of the links. No position explains more coherently than in windows, so a cell is
+/// skipped only if 4,096 others explain more in windows of the same width. A grid of at most 131,072 cells is
+/// searched completely.
 ///
 /// ```
 /// # use pwrfgs_core::{Initializer, Plugin};
@@ -204,7 +206,7 @@ pub struct MatchingPursuit {
     pub rounds: usize,
     /// Weight of the ridge penalty on gains, relative to the noise-to-signal ratio estimated by the fit.
     pub ridge: f64,
-    /// Whether mirror images of virtual transmitters already found are candidates.
+    /// Whether mirror images of the virtual transmitters so far are candidates.
     pub images: bool,
     /// Number of searches, each with other held-out links. The initial model is their average, with the Gaussians of
     /// all searches. Averaging suppresses spurious sources.
@@ -303,7 +305,7 @@ impl Initializer for MatchingPursuit {
         let total = 100 * (self.searches * self.most_changes() + 1);
         (input.progress)(0, total);
         for search in 0..self.searches {
-            let seed = (0..4).fold(0, |seed, _| seed << 16 | rng::below(rng, 1 << 16) as u64);
+            let seed = (0..4).fold(0, |seed, _| seed << 16 | rng::below(rng, 1 << 16) as u64); // 64 bits
             let options = self.pursuit_options(input, seed);
             let report_progress = &mut |changes: f64| {
                 let done = 100.0 * ((search * self.most_changes()) as f64 + changes);

@@ -70,7 +70,7 @@ impl Metric for Latency {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         let patience = if evaluation.model.is_some() { f64::INFINITY } else { PATIENCE };
         let times = evaluation.timed_prediction.map(|predict| self.time_predictions(predict, patience));
-        let note = times.as_ref().and_then(|times| unsteadiness(times));
+        let note = times.as_ref().and_then(|times| describe_unsteadiness(times));
         let values = |(key, seconds): Stage| match &times {
             None => Values::NotApplicable("no prediction to time".to_owned()),
             Some(_) if evaluation.model.is_none() && key != TOTAL => {
@@ -112,11 +112,11 @@ impl Latency {
         let total = |times: &[StageTimes]| median(times.iter().map(|t| t.total));
         let mut best = series();
         for _ in 1..SERIES {
-            if unsteadiness(&best).is_none() || begun.elapsed().as_secs_f64() >= PATIENCE {
+            if describe_unsteadiness(&best).is_none() || begun.elapsed().as_secs_f64() >= PATIENCE {
                 break;
             }
             let next = series();
-            if unsteadiness(&next).is_none() || total(&next) < total(&best) {
+            if describe_unsteadiness(&next).is_none() || total(&next) < total(&best) {
                 best = next;
             }
         }
@@ -124,8 +124,8 @@ impl Latency {
     }
 }
 
-/// Returns how far the times of predictions differ; `None` for steady times.
-fn unsteadiness(times: &[StageTimes]) -> Option<String> {
+/// Describes how far the times of predictions differ, with the next step; `None` for steady times.
+fn describe_unsteadiness(times: &[StageTimes]) -> Option<String> {
     let median_of = |seconds: fn(&StageTimes) -> f64| median(times.iter().map(seconds));
     let totals = sorted(times.iter().map(|t| t.total));
     let [low, high] = [totals.len() / 4, totals.len() - 1 - totals.len() / 4].map(|k| totals[k]);

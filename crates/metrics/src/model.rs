@@ -80,8 +80,7 @@ impl Metric for GaussianCount {
 ///
 /// Keys `gaussian_bytes` and `model_bytes`. The 100-fold storage reduction of the paper counts only the Gaussians. The
 /// size of the deformation network does not depend on N and dominates for small N. `pwrfgs compress` writes smaller
-/// files. `n/a` for baselines, which store the
-/// measured spectra instead.
+/// files. `n/a` for baselines, which store the measured spectra instead.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;

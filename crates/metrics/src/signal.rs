@@ -23,7 +23,7 @@ pub struct PowerError {}
 #[typetag::serde]
 impl Metric for PowerError {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = score_samples(self, evaluation, |p, t| f64::from((p.pixels[0] - t.pixels[0]).abs() as f32))?;
+        let values = score_samples(self, evaluation, |p, t| Task::Power.score(p, t))?;
         Ok(single_measurement("power_error_db", "dB", Goal::Lower, values))
     }
 
@@ -100,7 +100,7 @@ impl Metric for ChannelSnr {
         }
         let energies = match evaluation.energies {
             [] => Cow::Owned(self.energies(evaluation)?),
-            known => Cow::Borrowed(known),
+            given => Cow::Borrowed(given),
         };
         let each: Vec<Energies> = energies.iter().map(|&[error, signal]| Energies { error, signal }).collect();
         let transmitter = |i: usize| evaluation.links.get(i).map_or(i, |link| link.location);

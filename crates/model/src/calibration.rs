@@ -145,6 +145,7 @@ impl IntervalCalibration {
         let share = level * (self.blocks + 1) as f64 / self.blocks as f64;
         if share > 1.0 + ROUNDING {
             let (have, need) = (self.blocks, (level / (1.0 - level) - ROUNDING).ceil());
+            // Rounded down to three decimals.
             let largest = (1000.0 * have as f64 / (have + 1) as f64).floor() / 1000.0;
             return Err(Error::Config(format!(
                 "an interval of level {level} needs {need} calibration blocks, but the model has {have}; lower the level \

@@ -49,8 +49,8 @@ impl Npz {
         for (name, width, values) in model.cloud.columns() {
             let shape = if width == 1 { vec![n] } else { vec![n, width] };
             if name == "means" && !origin.is_zero() {
-                let places: Vec<[f64; 3]> = model.cloud.means.iter().map(|mean| origin.world(*mean)).collect();
-                self.put(name, &shape, encode_doubles(places.as_flattened()))?;
+                let centres: Vec<[f64; 3]> = model.cloud.means.iter().map(|mean| origin.world(*mean)).collect();
+                self.put(name, &shape, encode_doubles(centres.as_flattened()))?;
                 self.put("origin", &[3], encode_doubles(&origin.0))?;
             } else {
                 self.put(name, &shape, encode_reals(values))?;
@@ -65,13 +65,13 @@ impl Npz {
         for (spec, values) in model.stages.layout().constants {
             self.put(&format!("constants.{}", spec.name), &spec.shape, encode_reals(&values))?;
         }
-        let (pose, plane) = (&model.stages.receiver(), &model.stages.plane);
+        let (pose, plane) = (&model.stages.world_pose(), &model.stages.plane);
         self.put("pose.position", &[3], encode_doubles(&pose.position))?;
         self.put("pose.orientation", &[4], encode_doubles(&pose.orientation))?;
         if !model.stages.task.has_pixels || model.stages.receivers.len() > 1 {
             self.add_links(model)?;
         }
-        self.put("plane.size", &[2], counts(&[plane.width, plane.height]))?;
+        self.put("plane.size", &[2], encode_counts(&[plane.width, plane.height]))?;
         self.put("plane.wraps", &[], ("|b1", vec![u8::from(plane.wraps)]))?;
         let Some((azimuth, elevation)) = plane.angles else { return Ok(()) };
         self.put("plane.azimuth_deg", &[2], encode_doubles(&[azimuth.first, azimuth.step]))?;
@@ -94,11 +94,11 @@ impl Npz {
         ];
         self.put("receivers.positions", &[poses.len(), 3], encode_doubles(&positions))?;
         self.put("receivers.orientations", &[poses.len(), 4], encode_doubles(&orientations))?;
-        let antennas: Vec<usize> = setup.receivers.iter().map(|receiver| receiver.antennas.len()).collect();
-        let places: Vec<[f64; 3]> =
+        let counts: Vec<usize> = setup.receivers.iter().map(|receiver| receiver.antennas.len()).collect();
+        let antennas: Vec<[f64; 3]> =
             setup.receivers.iter().flat_map(|receiver| receiver.antennas.iter().copied()).collect();
-        self.put("receivers.antenna_counts", &[antennas.len()], counts(&antennas))?;
-        self.put("receivers.antennas", &[places.len(), 3], encode_doubles(places.as_flattened()))?;
+        self.put("receivers.antenna_counts", &[counts.len()], encode_counts(&counts))?;
+        self.put("receivers.antennas", &[antennas.len(), 3], encode_doubles(antennas.as_flattened()))?;
         if setup.frequencies_hz.is_empty() {
             return Ok(());
         }
@@ -145,7 +145,7 @@ fn encode_doubles(values: &[f64]) -> (&'static str, Vec<u8>) {
 }
 
 /// Returns the NumPy name of 64-bit integers without sign, and the bytes of `values`.
-fn counts(values: &[usize]) -> (&'static str, Vec<u8>) {
+fn encode_counts(values: &[usize]) -> (&'static str, Vec<u8>) {
     ("<u8", values.iter().flat_map(|v| (*v as u64).to_le_bytes()).collect())
 }
 

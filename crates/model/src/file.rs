@@ -72,12 +72,14 @@ struct LinksNote {
 
 const FORMAT: &str = "pwrfgs-model";
 const ENSEMBLE_FORMAT: &str = "pwrfgs-ensemble";
+/// Version of a file with several models.
 const ENSEMBLE_VERSION: u32 = 2;
 /// Version of a file with residual processes: programs that ignore them must not predict from it.
 const RESIDUALS_VERSION: u32 = 3;
 /// Maximum number of members in a file, and maximum length of their names.
 pub const MOST_MEMBERS: usize = 100;
 const LONGEST_NAME: usize = 255;
+/// Version of a model of one carrier and fixed receivers.
 const VERSION: u32 = 5;
 /// Version of a model of several carriers: programs that ignore them must not predict from it.
 const CARRIERS_VERSION: u32 = 7;
@@ -142,9 +144,9 @@ fn ensemble_tensors(ensemble: &Ensemble) -> Tensors {
 /// Returns the tensors of a file of all models with their residuals.
 pub(crate) fn predictor_tensors(ensemble: &Ensemble) -> Tensors {
     let named = || ensemble.names().iter().zip(ensemble.members());
-    let member = |(name, model): (&String, &Model)| MemberNote { name: name.clone(), model: describe_model(model) };
+    let member = |(name, model): (&String, &Model)| MemberNote { name: name.clone(), model: create_note(model) };
     let mut file = match (ensemble.members(), ensemble.residuals()) {
-        ([model], None) => Tensors::new(&describe_model(model)),
+        ([model], None) => Tensors::new(&create_note(model)),
         (_, residuals) => {
             let version = if residuals.is_some() { RESIDUALS_VERSION } else { ENSEMBLE_VERSION };
             let (members, residuals) = (named().map(member).collect(), residuals.map(ResidualsNote::of));
@@ -168,9 +170,9 @@ fn member_prefix(member: usize) -> String {
     format!("members.{member}.")
 }
 
-/// Returns the metadata of a model, with the lowest version that can read it. Poses are in the user's frame; a moving
-/// receiver has its pose in the query, so the stored one is not converted.
-fn describe_model(model: &Model) -> Note {
+/// Creates the metadata of a model, with the lowest version of the format that supports it. Poses are in the user's frame; a
+/// moving receiver has its pose in the query, so the stored one is not converted.
+fn create_note(model: &Model) -> Note {
     let s = &model.stages;
     let world = |pose: Pose| if s.moving.is_receiver() { pose } else { s.origin.world_pose(pose) };
     let receiver = |r: &Receiver| Receiver { pose: world(r.pose), ..r.clone() };
@@ -375,9 +377,9 @@ pub fn take_cloud(
     n: usize,
     extra: &[(impl AsRef<str>, usize)],
 ) -> Result<GaussianCloud, String> {
-    file.expect(&format!("{prefix}{}", COLUMN_NAMES[0]), &[n, 3])?;
+    file.check_shape(&format!("{prefix}{}", COLUMN_NAMES[0]), &[n, 3])?;
     let extra_column = |name: &str, width: usize| -> Result<ExtraColumn, String> {
-        file.expect(&format!("{prefix}{name}"), &[n, width])?;
+        file.check_shape(&format!("{prefix}{name}"), &[n, width])?;
         Ok(ExtraColumn { name: name.into(), width, values: vec![0.0; n * width] })
     };
     let extra = extra.iter().map(|(name, width)| extra_column(name.as_ref(), *width)).collect::<Result<_, _>>()?;
@@ -388,7 +390,10 @@ pub fn take_cloud(
     Ok(cloud)
 }
 
-/// Adds the tensors of the network, one per layer, with `prefix` before their names.
+/// Adds the tensors of the network with `prefix` before their names.
+///
+/// # Panics
+/// If `weights` do not have the length of the layout of `stages`.
 pub fn put_weights(file: &mut Tensors, prefix: &str, weights: &[Real], stages: &Stages) {
     let mut rest = weights;
     for spec in stages.layout().weights {

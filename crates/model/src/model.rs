@@ -87,7 +87,7 @@ impl Stages {
     /// Creates stages from a method for `data`, with the whole image as its plane.
     ///
     /// # Errors
-    /// Splats cannot be drawn on an image of this size.
+    /// The projector does not support the elevations, or the camera, of `data`.
     pub fn of(method: Plugin<dyn Method>, data: &Dataset) -> Result<Self> {
         let mut plane = data.plane();
         if let (true, Some(projector)) = (data.task().has_pixels, method.traits().projector) {

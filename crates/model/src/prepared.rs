@@ -173,8 +173,7 @@ impl<'a> Prepared<'a> {
 }
 
 impl Model {
-    /// Predicts the spectrum for a transmitter at `tx` (metres, world frame), not clamped. Use [`Self::prepare`] for
-    /// several predictions.
+    /// Predicts the observation of a link, not clamped. Use [`Self::prepare`] for several predictions.
     pub fn predict<'q>(&self, query: impl Into<Query<'q>>) -> Image {
         self.prepare().predict_timed(query).0
     }
@@ -208,7 +207,7 @@ impl Predict for Prepared<'_> {
         Prepared::predict_vjp(self, query, cotangent).map(|(image, d_tx, _)| (image, d_tx))
     }
 
-    /// Returns that of the residual process; `None` without residual processes.
+    /// Returns the deviation of the residual process; `None` without residual processes.
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
         self.residuals.map(|residuals| residuals.deviation(query, self.setup().origin))
     }
@@ -234,7 +233,7 @@ impl<'a> Member<'a> {
         (images.remove(0), StageTimes { total: start.elapsed().as_secs_f64(), prepare: self.seconds, ..times })
     }
 
-    /// Runs a prediction in the thread pool if there are at least [`POOL`] Gaussians.
+    /// Runs a prediction in the thread pool if there are at least [`POOL`] Gaussians, otherwise on this thread.
     fn run_in_pool<T: Send>(&self, run: impl FnOnce() -> T + Send) -> T {
         if self.cloud.len() < POOL { run() } else { rayon::scope(|_| run()) }
     }

@@ -39,10 +39,16 @@ impl KnownLinks<'_> {
         self.links.iter().enumerate().for_each(|(k, link)| by_receiver[self.data.links[*link].receiver].push(k));
         by_receiver
     }
+
+    /// Returns the observations `[links, pixels of the grid]` on a coarse grid.
+    fn sampled(&self, grid: &CoarseGrid) -> Vec<Real> {
+        let sampled = |&i: &usize| grid.sampled(&self.data.image(i).pixels).collect::<Vec<_>>();
+        self.links.iter().flat_map(sampled).collect()
+    }
 }
 
 impl Residuals {
-    /// Fits residual processes to the links that are `known`. `progress` counts predictions.
+    /// Fits residual processes to the `known` links. `progress` counts predictions.
     ///
     /// # Errors
     /// [`Error::Config`] if data have no positions, or all members trained on all links; a spectrum that cannot be read;
@@ -63,7 +69,7 @@ impl Residuals {
         let kriging = samples.fit_kriging(None)?;
         let (choice, gain) = samples.choose_share(&kriging, settings.neighbours)?;
         if choice.share == 0.0 {
-            // Whole spectra are stored, not what a model leaves of them.
+            // The process stores whole observations, and not differences from predictions.
             refine(&mut grid, false);
             samples.observe(&grid);
         }
@@ -152,8 +158,8 @@ impl Ensemble {
         Ok(base.with_residuals(residuals))
     }
 
-    /// Returns the models with residual processes that know only the training links of `data`, since validation links that they
-    /// know cannot choose settings. `None` if they know none.
+    /// Returns the models with residual processes of the training links of `data` alone, since validation links in them cannot
+    /// choose settings. `None` without residual processes or validation links: the ensemble itself then suits.
     ///
     /// # Errors
     /// As [`Residuals::updated`].
@@ -199,8 +205,7 @@ impl<'a> Samples<'a> {
     /// [`Error::Config`] for a prediction that is not finite; [`Error::Stopped`].
     fn new(ensemble: &Ensemble, known: KnownLinks<'a>, grid: &CoarseGrid, progress: Progress<'_>) -> Result<Self> {
         let KnownLinks { data, links, .. } = known;
-        let observed: Vec<Real> =
-            links.iter().flat_map(|&i| grid.sampled(&data.image(i).pixels).collect::<Vec<_>>()).collect();
+        let observed = known.sampled(grid);
         let (mut predicted, total) = (Vec::new(), links.len() * ensemble.members().len());
         for (member, model) in ensemble.members().iter().enumerate() {
             let ready = model.prepare();
@@ -231,8 +236,7 @@ impl<'a> Samples<'a> {
 
     /// Takes the observations on another grid, without predictions.
     fn observe(&mut self, grid: &CoarseGrid) {
-        let KnownLinks { data, links, .. } = self.known;
-        self.observed = links.iter().flat_map(|&i| grid.sampled(&data.image(i).pixels).collect::<Vec<_>>()).collect();
+        self.observed = self.known.sampled(grid);
         (self.link_values, self.is_exact) = (grid.len(), grid.stride == 1);
         self.mean = vec![0.0; self.observed.len()];
     }

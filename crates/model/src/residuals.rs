@@ -1,4 +1,4 @@
-//! `Residuals`: a Gaussian process over the transmitter position that predicts what a model leaves.
+//! `Residuals`: a Gaussian process over the transmitter position that predicts the residuals of a model.
 //!
 //! The prediction is y(x) = b f(x) + Σ wᵢ (yᵢ − b f(xᵢ)): the prediction f of the model times a share b, plus kriging of
 //! the residuals of the nearest known observations (regression kriging: Hengl, Heuvelink and Rossiter, Computers and
@@ -33,11 +33,11 @@ pub struct Residuals {
     pub(crate) neighbours: usize,
     /// Processes in the order of the receivers; `None` for a receiver that the model predicts alone.
     pub(crate) processes: Vec<Option<ResidualProcess>>,
-    /// What the best share above 0 gained; `None` in files that do not say it.
+    /// Gain of the best share above 0; `None` in files without it.
     pub(crate) gain: Option<ShareGain>,
 }
 
-/// How much smaller the mean absolute error of held-out blocks is with the best share of the model than without.
+/// Reduction of the mean absolute error of held-out blocks by the best share of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ShareGain {
     /// Mean over the blocks, in the unit of the observations; negative if the model raises the error.
@@ -173,7 +173,8 @@ impl Residuals {
         self.processes.iter().flatten().map(|process| process.fit.trend.share).next()
     }
 
-    /// Returns a sentence about the share for observations of `task`: `share 0.5: the network lowers the error by 0.15 dB [..]`.
+    /// Describes the share for observations of `task`: `share 0.5: the network lowers the error by 0.15 dB [..]`. `None` without a
+    /// process.
     pub fn describe_share(&self, task: Task) -> Option<String> {
         let share = self.share()?;
         let Some(ShareGain { mean, standard_error, blocks }) = self.gain else {
@@ -187,6 +188,7 @@ impl Residuals {
             return Some(format!("share 0: the network adds nothing here; this is Kriging{pixels}"));
         }
         let (digits, unit) = if task.has_path_loss { (2, " dB") } else { (4, "") };
+        // A 95 % interval of the normal distribution.
         let [low, high] = [-1.96, 1.96].map(|z| mean + z * standard_error);
         Some(format!(
             "share {share}: the network lowers the error by {mean:.digits$}{unit} [{low:.digits$}, {high:.digits$}] \
@@ -214,15 +216,15 @@ impl Residuals {
         self.grid.add_interpolated(&sum.into_iter().map(|v| v as Real).collect::<Vec<_>>(), &mut image.pixels);
     }
 
-    /// Backward pass of [`Self::correct`]: returns the cotangent of the position, given those of the corrected values,
-    /// which become those of the prediction of the model.
+    /// Backward pass of [`Self::correct`]: returns the cotangent of the position, given the cotangents `d` of the corrected
+    /// values, and replaces `d` by the cotangents of the prediction of the model.
     pub(crate) fn correct_vjp(&self, d: &mut [Real], query: Query<'_>, origin: Origin) -> [f64; 3] {
         let Some(process) = self.process(query.receiver) else { return [0.0; 3] };
         let (at, trend) = (place(origin.local(query.position())), &process.fit.trend);
         let d_sum = self.grid.add_interpolated_vjp(d);
         let mut d_at = process.kriging.solve_vjp(at, self.neighbours, |i| process.values.dot(i, &d_sum));
-        let law = trend.path_loss_vjp(d.iter().map(|d| *d as f64).sum(), at);
-        (0..3).for_each(|k| d_at[k] += law[k]);
+        let d_path_loss = trend.path_loss_vjp(d.iter().map(|d| *d as f64).sum(), at);
+        (0..3).for_each(|k| d_at[k] += d_path_loss[k]);
         d.iter_mut().for_each(|d| *d *= trend.share as Real);
         d_at
     }

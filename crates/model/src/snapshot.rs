@@ -51,13 +51,13 @@ impl Snapshot {
         Self { step, origin, means, opacities, scales, quats, gaussian_ids: Vec::new(), gates: Vec::new() }
     }
 
-    /// Adds the IDs and gates of the Gaussians.
+    /// Returns the snapshot with the IDs of the Gaussians, and their gates if there are any.
     #[must_use]
-    pub fn known(self, gaussian_ids: &[u32], gates: Option<Vec<Real>>) -> Self {
+    pub fn with_ids_and_gates(self, gaussian_ids: &[u32], gates: Option<Vec<Real>>) -> Self {
         Self { gaussian_ids: gaussian_ids.to_vec(), gates: gates.unwrap_or_default(), ..self }
     }
 
-    /// Creates a snapshot of all members of an ensemble together.
+    /// Creates a snapshot of all members of an ensemble together: centres and opacities alone.
     pub fn of_ensemble(step: u64, ensemble: &Ensemble) -> Self {
         let origin = ensemble.members()[0].stages.origin;
         let logits = ensemble.members().iter().flat_map(|model| model.cloud.opacity_logits.iter().copied());
@@ -66,7 +66,7 @@ impl Snapshot {
     }
 
     /// Returns centre `i` in the user's frame, metres.
-    pub fn place(&self, i: usize) -> [f64; 3] {
+    pub fn centre(&self, i: usize) -> [f64; 3] {
         self.origin.world(self.means[i])
     }
 
@@ -160,9 +160,9 @@ mod tests {
         let mut cloud = GaussianCloud::zeros(3);
         cloud.means[1] = [1.0, -2.0, 0.5];
         cloud.opacity_logits = vec![0.0, 3.0, -3.0];
-        let snapshot =
-            Snapshot::of(250, &cloud, Origin([5e5, 54e5, 1e2])).known(&[4, 0, u32::MAX], Some(vec![1.0, 0.0, 0.5]));
-        assert_eq!(snapshot.place(1), [500_001.0, 5_399_998.0, 100.5]);
+        let snapshot = Snapshot::of(250, &cloud, Origin([5e5, 54e5, 1e2]))
+            .with_ids_and_gates(&[4, 0, u32::MAX], Some(vec![1.0, 0.0, 0.5]));
+        assert_eq!(snapshot.centre(1), [500_001.0, 5_399_998.0, 100.5]);
         assert!((snapshot.opacities[1] + snapshot.opacities[2] - 1.0).abs() < 1e-6);
         snapshot.write(&path).unwrap();
         assert_eq!(Snapshot::read(&path).unwrap(), Some(snapshot));

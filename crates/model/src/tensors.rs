@@ -138,9 +138,9 @@ impl Tensors {
         Ok(values)
     }
 
-    /// Takes out a tensor of this shape and any type. Returns the errors of [`Self::expect`].
+    /// Takes out a tensor of this shape and any type. Returns the errors of [`Self::check_shape`].
     fn take_values(&mut self, name: &str, shape: &[usize]) -> Result<Values, String> {
-        self.expect(name, shape)?;
+        self.check_shape(name, shape)?;
         Ok(self.tensors.remove(name).expect("it is there").1)
     }
 
@@ -148,7 +148,7 @@ impl Tensors {
     ///
     /// # Errors
     /// The tensor is missing or has another shape; the message names it.
-    pub fn expect(&self, name: &str, shape: &[usize]) -> Result<(), String> {
+    pub fn check_shape(&self, name: &str, shape: &[usize]) -> Result<(), String> {
         match self.shape(name) {
             None => Err(format!("tensor `{name}` is missing")),
             Some(actual) if actual == shape => Ok(()),
@@ -176,28 +176,28 @@ impl Tensors {
         self.encode(|_| false)
     }
 
-    /// Returns the bytes of the file, with 16-bit floating-point numbers (F16) for tensors whose name is `short`.
+    /// Returns the bytes of the file, with 16-bit floating-point numbers (F16) for tensors whose name `is_half`.
     ///
     /// # Errors
     /// A number is beyond ±65504, the largest of F16; the message names its tensor.
-    pub fn to_bytes_half(&self, short: impl Fn(&str) -> bool) -> Result<Vec<u8>, String> {
+    pub fn to_bytes_half(&self, is_half: impl Fn(&str) -> bool) -> Result<Vec<u8>, String> {
         let too_large = |v: &Real| !half::f16::from_f64(f64::from(*v)).is_finite();
         let fault = |(name, (_, values)): &(&String, &(_, Values))| match values {
-            Values::Reals(values) => short(name) && values.iter().any(too_large),
+            Values::Reals(values) => is_half(name) && values.iter().any(too_large),
             _ => false,
         };
         match self.tensors.iter().find(fault) {
             Some((name, _)) => Err(format!("tensor `{name}` has a value too large for 16 bits")),
-            None => Ok(self.encode(short)),
+            None => Ok(self.encode(is_half)),
         }
     }
 
-    /// Returns the bytes of the file, with F16 for tensors whose name is `half`.
-    fn encode(&self, half: impl Fn(&str) -> bool) -> Vec<u8> {
+    /// Returns the bytes of the file, with F16 for tensors whose name `is_half`.
+    fn encode(&self, is_half: impl Fn(&str) -> bool) -> Vec<u8> {
         let encoded = |(name, (shape, values)): (&String, &(Vec<usize>, Values))| {
             let narrow = |v: &Real| half::f16::from_f64(f64::from(*v)).to_le_bytes();
             let (dtype, bytes) = match values {
-                Values::Reals(values) if half(name) => (Dtype::F16, values.iter().flat_map(narrow).collect()),
+                Values::Reals(values) if is_half(name) => (Dtype::F16, values.iter().flat_map(narrow).collect()),
                 values => values.encoded(),
             };
             (name.clone(), shape.clone(), dtype, bytes)

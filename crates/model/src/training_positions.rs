@@ -27,12 +27,13 @@ impl TrainingPositions {
     /// farthest from those selected. At most 1,024 positions remain, at least 1 % of their diagonal apart.
     pub fn thinned(all: &[[Real; 3]]) -> Option<Self> {
         let mut selected = vec![*all.first()?];
+        // Squares of the distances to the selected positions.
         let mut distances = vec![Real::INFINITY; all.len()];
         let sides = (0..3).map(|k| {
             let (low, high) = all.iter().fold((all[0][k], all[0][k]), |(l, h), p| (l.min(p[k]), h.max(p[k])));
             (high - low).powi(2)
         });
-        let closest = CLOSEST.powi(2) * sides.sum::<Real>();
+        let closest_square = CLOSEST.powi(2) * sides.sum::<Real>();
         while selected.len() < MOST {
             let last = selected[selected.len() - 1];
             let mut farthest = (0, Real::NEG_INFINITY);
@@ -42,7 +43,7 @@ impl TrainingPositions {
                     farthest = (i, *distance);
                 }
             }
-            if farthest.1 <= closest {
+            if farthest.1 <= closest_square {
                 break;
             }
             selected.push(all[farthest.0]);
@@ -72,11 +73,11 @@ impl TrainingPositions {
         self.limit
     }
 
-    /// Returns the distance of each of `places` (metres from the origin of the model) to the nearest position, metres.
-    pub fn distances(&self, places: &[[Real; 3]]) -> Vec<Real> {
+    /// Returns the distance of each of `queries` (metres from the origin of the model) to the nearest position, metres.
+    pub fn distances(&self, queries: &[[Real; 3]]) -> Vec<Real> {
         let precise = |at: &[Real; 3]| at.map(f64::from);
         let nearest = Nearest::of(&self.positions.iter().map(precise).collect::<Vec<_>>());
-        places.par_iter().map(|at| nearest.distance(&precise(at)) as Real).collect()
+        queries.par_iter().map(|at| nearest.distance(&precise(at)) as Real).collect()
     }
 }
 

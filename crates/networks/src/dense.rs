@@ -143,8 +143,8 @@ pub fn product(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>)
     multiply_rows(c, store, a, b, PRODUCT_THREADS.get());
 }
 
-/// Computes a product with its rows divided among `threads` threads. `gemm` adds up each element in an order that the
-/// number of rows does not change, unless there are few: the parts have more.
+/// Computes a product with its rows divided among `threads` threads. Each part has so many rows that `gemm` adds up an element
+/// in the same order as for the whole product.
 fn multiply_rows(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>, threads: usize) {
     let ((m, n), k) = (c.shape, a.shape.1);
     let least = if k <= 512 { 32 } else { 80 };
@@ -255,10 +255,13 @@ pub fn add_bias_vjp(d: &[Real], d_bias: &mut [Real]) {
     }
 }
 
-/// Returns |lrelu(z)|, a leaky ReLU with slope 0.01.
+/// Slope of the leaky ReLU below 0: PyTorch's default, which the released networks use.
+const LEAK: Real = 0.01;
+
+/// Returns |lrelu(z)|, the magnitude of a leaky ReLU.
 #[inline]
 pub fn amplitude(z: Real) -> Real {
-    if z < 0.0 { -0.01 * z } else { z }
+    if z < 0.0 { -LEAK * z } else { z }
 }
 
 /// Returns the derivative of [`amplitude`]; 0 at 0.
@@ -267,7 +270,7 @@ pub fn amplitude_slope(z: Real) -> Real {
     if z > 0.0 {
         1.0
     } else if z < 0.0 {
-        -0.01
+        -LEAK
     } else {
         0.0
     }

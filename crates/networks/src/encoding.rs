@@ -33,7 +33,7 @@ pub fn encoded_width(frequencies: usize) -> usize {
 /// Encodes R points with octaves into `out` `[3 + 6L, R]`.
 pub fn encode(points: impl ExactSizeIterator<Item = [Real; 3]>, frequencies: usize, out: &mut [Real]) {
     let rows = points.len();
-    assert_eq!(out.len(), rows * encoded_width(frequencies), "one column a point");
+    assert_eq!(out.len(), rows * encoded_width(frequencies), "one column per point");
     let (plain, mut waves) = out.split_at_mut(3 * rows);
     for (r, x) in points.enumerate() {
         (0..3).for_each(|k| plain[k * rows + r] = x[k]);
@@ -70,7 +70,7 @@ fn store_and_double(s_out: &mut [Real], c_out: &mut [Real], sines: &mut [f64], c
 /// Adds the derivative through γ to `d_points`; `encoded` is the result of [`encode`], `d` its cotangent.
 pub fn encode_vjp(encoded: &[Real], d: &[Real], frequencies: usize, d_points: &mut [[Real; 3]]) {
     let rows = d_points.len();
-    assert!(encoded.len() == rows * encoded_width(frequencies) && d.len() == encoded.len(), "one column a point");
+    assert!(encoded.len() == rows * encoded_width(frequencies) && d.len() == encoded.len(), "one column per point");
     for (r, d_point) in d_points.iter_mut().enumerate() {
         for (k, d_x) in d_point.iter_mut().enumerate() {
             let mut sum = d[k * rows + r];
@@ -104,7 +104,8 @@ pub enum Encoding {
         seed: u64,
     },
     /// Sine and cosine of 2π/λ along each axis, or along random directions, for `count` wavelengths in geometric sequence,
-    /// and the coordinates times 2π over the longest wavelength. For fields that vary slowly over tens of metres, such as received powers.
+    /// and the coordinates times 2π over the longest wavelength. For fields that vary slowly over tens of metres, such as
+    /// received powers.
     Wavelengths {
         /// Number of wavelengths.
         count: usize,
@@ -227,11 +228,12 @@ impl Encoding {
             }
             Self::Wavelengths { count, longest_m, shortest_m, seed } => {
                 let ratio = |i: usize| i as f64 / count.saturating_sub(1).max(1) as f64;
-                let number = |i: usize| std::f64::consts::TAU / (longest_m * (shortest_m / longest_m).powf(ratio(i)));
-                let axis = |i: usize| std::array::from_fn(|k| if k == i % 3 { number(i / 3) } else { 0.0 });
+                let wavenumber =
+                    |i: usize| std::f64::consts::TAU / (longest_m * (shortest_m / longest_m).powf(ratio(i)));
+                let axis = |i: usize| std::array::from_fn(|k| if k == i % 3 { wavenumber(i / 3) } else { 0.0 });
                 let vectors = match seed.map(random_directions) {
                     None => (0..3 * count).map(axis).collect(),
-                    Some(mut direction) => (0..3 * count).map(|i| direction().map(|v| v * number(i / 3))).collect(),
+                    Some(mut direction) => (0..3 * count).map(|i| direction().map(|v| v * wavenumber(i / 3))).collect(),
                 };
                 Encoder::Waves(vectors, std::f64::consts::TAU / longest_m)
             }

@@ -29,7 +29,8 @@ use std::sync::Arc;
 /// ```
 /// use pwrfgs_core::{Deformation, Plugin};
 /// # use pwrfgs_networks as _;
-/// let small = Plugin::<dyn Deformation>::parse("Factored(depth: 3, width: 128, tx_encoding: Waves(count: 64, reach: 24.0))").unwrap();
+/// let small = "Factored(depth: 3, width: 128, tx_encoding: Waves(count: 64, reach: 24.0))";
+/// let small = Plugin::<dyn Deformation>::parse(small).unwrap();
 /// assert!(!small.traits().varies_geometry);
 /// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -187,7 +188,8 @@ const FAINTEST: f64 = 1e-3;
 const MOST: usize = 4_000;
 
 /// Returns the whitening of `vectors`: W `[D,D]` and b `[D]` such that W·(gain·x) + b has zero mean and nearly unit
-/// covariance. W = L⁻¹ of the Cholesky factor L of the covariance. `None` if there are no vectors or all are equal.
+/// covariance. W = L⁻¹ of the Cholesky factor L of the covariance. `None` if there are no vectors, if all are equal, or if
+/// one is NaN.
 pub(super) fn whitening(vectors: Conditions<'_>, gain: f64) -> Option<(Vec<Real>, Vec<Real>)> {
     let d = vectors.width();
     let stride = vectors.len().div_ceil(MOST).max(1);

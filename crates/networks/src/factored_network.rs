@@ -2,9 +2,9 @@
 //!
 //! ```text
 //! (features of the data → tx.white →)
-//! γ(p) → tx.0 … tx.{depth-1}, each with ReLU → T → branchᵀ → v ─┐ (once a transmitter)
+//! γ(p) → tx.0 … tx.{depth-1}, each with ReLU → T → branchᵀ → v ─┐ (once per transmitter)
 //! (p → correlations with training positions → nearᵀ → + v) ─────┤
-//! φ(μ) ─────────────────────────────────────────────────────────┴→ s = v·φ + v₀ (once a Gaussian)
+//! φ(μ) ─────────────────────────────────────────────────────────┴→ s = v·φ + v₀ (once per Gaussian)
 //! ```
 //! Factors G = branch·φ are linear in the waves, so G·T = φ·(branchᵀ·T). The product branchᵀ·T is computed once per
 //! transmitter. A Gaussian then costs two products with one number per wave, however wide the stack is.
@@ -35,7 +35,7 @@ pub(super) struct FactoredLayers {
     pub(super) carrier: Option<Real>,
     /// Layer that maps features of the data to a pseudo-position, if requested.
     pub(super) pseudo: Option<Pseudo>,
-    /// Layer that decorrelates features of the data; `None` for positions.
+    /// Layer that decorrelates features of the data; `None` without [`Encoder::Features`].
     pub(super) white: Option<Linear>,
     pub(super) stack: Vec<Linear>,
     pub(super) branch: Linear,

@@ -13,7 +13,7 @@ use std::ops::Range;
 type Task<'a> = (usize, (&'a [[Real; LANES]], Option<&'a mut [[Real; 3]]>));
 
 impl FactoredLayers {
-    /// Runs the backward pass of [`Self::forward`] and [`Self::wave_mixtures`], given what they computed and the cotangents
+    /// Runs the backward pass of [`Self::forward`] and [`Self::wave_mixtures`], given basis and mixtures and the cotangents
     /// `d` of the signals; adds to `sums`.
     pub(super) fn vjp(
         &self,
@@ -148,19 +148,9 @@ impl FactoredLayers {
             layer.whole().weight_vjp(d_weights, &layers[l], &d_h);
             if l == 0 && self.direct > 0 {
                 layer.whole().input_vjp(weights, &d_h, &mut d_inputs, StoreMode::Add);
-            }
-            if l == 0 && self.direct == 0 && (self.pseudo.is_some() || d_txs.is_some()) {
-                let mut d_gamma = vec![0.0; layer.inputs * batch];
-                layer.whole().input_vjp(weights, &d_h, &mut d_gamma, StoreMode::Set);
-                let encoded = layers[0].len() - if self.carrier.is_some() { batch } else { 0 };
-                let encoding = (&layers[0][..encoded], &d_gamma[..encoded]);
-                match (&self.pseudo, &mut d_txs) {
-                    (Some(pseudo), _) => pseudo.vjp(weights, txs, encoding, d_weights),
-                    (None, Some(d_txs)) => self.tx_encoding.encode_vjp(encoding, d_txs),
-                    (None, None) => {}
-                }
-            }
-            if l > 0 {
+            } else if l == 0 {
+                self.tx_encoding_vjp(weights, txs, &layers[0], &d_h, d_weights, d_txs.as_deref_mut());
+            } else {
                 let mut d_x = vec![0.0; layer.inputs * batch];
                 layer.whole().input_vjp(weights, &d_h, &mut d_x, StoreMode::Set);
                 d_h = d_x;
@@ -168,6 +158,31 @@ impl FactoredLayers {
         }
         if let Some(white) = &self.white {
             self.white_vjp(white, txs, &d_inputs, d_weights);
+        }
+    }
+
+    /// Runs the backward pass of the inputs `gamma` of the stack, given the cotangents `d_h` of its first layer. Adds to
+    /// `d_weights` for pseudo-positions; otherwise to `d_txs`, if given.
+    fn tx_encoding_vjp(
+        &self,
+        weights: &[Real],
+        txs: Conditions<'_>,
+        gamma: &[Real],
+        d_h: &[Real],
+        d_weights: &mut [Real],
+        d_txs: Option<&mut [[Real; 3]]>,
+    ) {
+        if self.pseudo.is_none() && d_txs.is_none() {
+            return;
+        }
+        let mut d_gamma = vec![0.0; gamma.len()];
+        self.stack[0].whole().input_vjp(weights, d_h, &mut d_gamma, StoreMode::Set);
+        let encoded = gamma.len() - if self.carrier.is_some() { txs.len() } else { 0 };
+        let encoding = (&gamma[..encoded], &d_gamma[..encoded]);
+        match (&self.pseudo, d_txs) {
+            (Some(pseudo), _) => pseudo.vjp(weights, txs, encoding, d_weights),
+            (None, Some(d_txs)) => self.tx_encoding.encode_vjp(encoding, d_txs),
+            (None, None) => {}
         }
     }
 

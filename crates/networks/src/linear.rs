@@ -236,7 +236,7 @@ pub fn lay_out<N>(build: impl FnOnce(&mut LayoutBuilder) -> N) -> (N, LayoutBuil
 /// If the number of weights is not that of the layout.
 pub fn lay_out_for<N>(weights: &[Real], build: impl FnOnce(&mut LayoutBuilder) -> N) -> N {
     let (network, plan) = lay_out(build);
-    assert_eq!(weights.len(), plan.weight_count(), "as many weights as the layout says");
+    assert_eq!(weights.len(), plan.weight_count(), "as many weights as in the layout");
     network
 }
 

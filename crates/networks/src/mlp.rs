@@ -1,7 +1,7 @@
 //! `Mlp`: the deformation network of P-WRFGS, `(Δs, ΔR, ΔS) = D_Θ(γ(μ), γ(p_tx))` of eq. (5).
 //!
 //! ```text
-//! γ(p_tx) → tx.0, ReLU → tx.1 → e ──┐ (once a transmitter, folded into biases)
+//! γ(p_tx) → tx.0, ReLU → tx.1 → e ──┐ (once per transmitter, folded into biases)
 //! γ(μ) ─────────────────────────────┴→ trunk.0 … trunk.{depth-1} → heads: rotation 4, scaling 3, signal 2
 //! ```
 
@@ -129,7 +129,7 @@ impl Deformation for Mlp {
         if let Some(gpu) = pwrfgs_gpu::current() {
             return network
                 .gpu_forward(gpu, inputs, false)
-                .map_or_else(|e| network.failed(e, inputs), |(terms, _)| terms);
+                .map_or_else(|e| network.zeros_after(e, inputs), |(terms, _)| terms);
         }
         network.forward(inputs, false).0
     }
@@ -140,7 +140,7 @@ impl Deformation for Mlp {
         if let Some(gpu) = pwrfgs_gpu::current() {
             return match network.gpu_forward(gpu, inputs, true) {
                 Ok((deltas, kept)) => (deltas, Some(Arc::new(kept))),
-                Err(error) => (network.failed(error, inputs), None),
+                Err(error) => (network.zeros_after(error, inputs), None),
             };
         }
         let (deltas, kept) = network.forward(inputs, true);
@@ -184,6 +184,11 @@ pub enum Outputs {
     Signals,
 }
 
+/// First rows of the heads of [`Outputs::All`], in the order of [`Mlp::plan_layers`].
+const ROTATION: usize = 0;
+const SCALING: usize = 4;
+const SIGNAL: usize = 7;
+
 /// Layers and the offsets of their weights.
 #[derive(Debug)]
 pub(super) struct MlpLayers {
@@ -224,8 +229,8 @@ impl MlpLayers {
         self.trunk.share_gamma(weights, &scratch.gamma, &mut scratch.shared);
     }
 
-    /// Returns the terms of all Gaussians and transmitters; with `is_kept`, also the activations of the items that fit
-    /// within [`KEPT_BYTES`].
+    /// Returns the terms of all Gaussians and transmitters, in the order of the transmitters; with `is_kept`, also the
+    /// activations of the items that fit within [`KEPT_BYTES`].
     pub(super) fn forward(&self, inputs: &DeformationInputs<'_>, is_kept: bool) -> (Deltas, Kept) {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
         let sides = self.branch.tx_sides(weights, &self.trunk, txs);
@@ -249,8 +254,7 @@ impl MlpLayers {
         };
         let (pieces, kept): (Vec<Vec<Deltas>>, Vec<Vec<Activations>>) =
             items.par_iter().zip(fit).map_init(Scratch::default, one).unzip();
-        let mut all = Deltas::default();
-        let mut start = 0;
+        let (mut all, mut start) = (Deltas::default(), 0); // first item of a group of transmitters
         while start < items.len() {
             let txs = &items[start].txs;
             let chunks = items[start..].iter().take_while(|item| item.txs == *txs).count();
@@ -266,19 +270,17 @@ impl MlpLayers {
     fn head_outputs(&self, weights: &[Real], side: &TxSide, scratch: &mut Scratch) -> Deltas {
         let Scratch { shared, slots, out, .. } = scratch;
         self.trunk.forward(weights, shared, &side.folded, slots);
-        let h = &slots[self.trunk.last_slot(slots.len())];
-        let rows = h.len() / self.trunk.width;
-        self.heads.apply(weights, h, out);
-        self.gather_terms(out, rows)
+        self.heads.apply(weights, &slots[self.trunk.last_slot(slots.len())], out);
+        self.gather_terms(out, out.len() / self.heads.outputs)
     }
 
     /// Returns the terms in the outputs of the heads `[outputs, R]`.
     fn gather_terms(&self, out: &[Real], rows: usize) -> Deltas {
         match self.outputs {
             Outputs::All => Deltas {
-                quats: gather_rows(out, 0, rows),
-                scales: gather_rows(out, 4, rows),
-                signals: gather_rows(out, 7, rows),
+                quats: gather_rows(out, ROTATION, rows),
+                scales: gather_rows(out, SCALING, rows),
+                signals: gather_rows(out, SIGNAL, rows),
             },
             Outputs::Signals => Deltas { signals: gather_rows(out, 0, rows), ..Deltas::default() },
         }
@@ -352,9 +354,9 @@ impl MlpLayers {
         let rows = terms.len();
         match self.outputs {
             Outputs::All => {
-                scatter_rows(d.quats.get(terms.clone()), out, 0, rows);
-                scatter_rows(d.scales.get(terms.clone()), out, 4, rows);
-                scatter_rows(d.signals.get(terms), out, 7, rows);
+                scatter_rows(d.quats.get(terms.clone()), out, ROTATION, rows);
+                scatter_rows(d.scales.get(terms.clone()), out, SCALING, rows);
+                scatter_rows(d.signals.get(terms), out, SIGNAL, rows);
             }
             Outputs::Signals => scatter_rows(d.signals.get(terms), out, 0, rows),
         }

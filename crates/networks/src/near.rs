@@ -22,8 +22,8 @@ pub struct Near {
 const MOST: usize = 65_536;
 /// Correlations end at this multiple of the length, where they are 1e-7.
 const END: Real = 16.0;
-/// Factor on the correlations: a step of Adam on their weights then moves a signal by more than one on the other layers,
-/// since few correlations act at a position.
+/// Factor on the correlations. Few of them act at a position; with the factor, a step of Adam on their weights moves a signal
+/// by more than a step on the other layers.
 const GAIN: Real = 6.0;
 /// Coordinate of a position that is not used, metres; finite in 16 bits too.
 const UNUSED: Real = 1e4;
@@ -66,6 +66,11 @@ impl NearLayer {
         positions.iter_mut().zip(evenly(training, self.count)).for_each(|(position, z)| *position = z);
     }
 
+    /// Returns the positions of the layer in the flat vector.
+    fn layer_positions<'a>(&self, weights: &'a [Real]) -> &'a [[Real; 3]] {
+        weights[self.positions..][..3 * self.count].as_chunks::<3>().0
+    }
+
     /// Returns the correlation of a transmitter with a position of the layer, times [`GAIN`].
     fn correlation(&self, tx: &[Real; 3], z: &[Real; 3]) -> Real {
         let square: Real = (0..3).map(|k| (tx[k] - z[k]) * (tx[k] - z[k])).sum();
@@ -80,8 +85,7 @@ impl NearLayer {
     pub(super) fn correlations(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Real> {
         let rows = txs.len();
         let mut correlations = vec![0.0; self.count * rows];
-        let positions = weights[self.positions..][..3 * self.count].as_chunks::<3>().0;
-        for (row, z) in correlations.chunks_exact_mut(rows.max(1)).zip(positions) {
+        for (row, z) in correlations.chunks_exact_mut(rows.max(1)).zip(self.layer_positions(weights)) {
             for (value, p) in row.iter_mut().zip(txs.positions()) {
                 *value = self.correlation(p, z);
             }
@@ -92,10 +96,8 @@ impl NearLayer {
     /// Adds the coefficients of the waves of both channels that follow from the correlations of the transmitter at `tx` to
     /// `out`.
     pub(super) fn add_wave_coefficients(&self, weights: &[Real], tx: &[Real; 3], out: &mut [Vec<Real>; 2]) {
-        let positions = weights[self.positions..][..3 * self.count].as_chunks::<3>().0;
-        let correlations =
-            positions.iter().map(|z| self.correlation(tx, z)).enumerate().filter(|(_, value)| *value != 0.0);
-        let correlations: Vec<(usize, Real)> = correlations.collect();
+        let correlations = self.layer_positions(weights).iter().map(|z| self.correlation(tx, z)).enumerate();
+        let correlations: Vec<(usize, Real)> = correlations.filter(|(_, value)| *value != 0.0).collect();
         for (c, out) in out.iter_mut().enumerate() {
             let table = &weights[self.channel_offset(c)..][..self.count * self.waves];
             let rows = correlations.iter().map(|&(k, value)| (value, &table[k * self.waves..][..self.waves]));
@@ -129,8 +131,8 @@ impl NearLayer {
         let mut d = vec![0.0; self.count * batch];
         let d_waves = Matrix::new(d_waves, self.waves, batch);
         product(MatrixMut::new(&mut d, self.count, batch), StoreMode::Set, table, d_waves);
-        let positions = weights[self.positions..][..3 * self.count].as_chunks::<3>().0;
-        for ((d, values), z) in d.chunks_exact(batch).zip(correlations.chunks_exact(batch)).zip(positions) {
+        let rows = d.chunks_exact(batch).zip(correlations.chunks_exact(batch)).zip(self.layer_positions(weights));
+        for ((d, values), z) in rows {
             for (((d, value), p), d_tx) in d.iter().zip(values).zip(txs.positions()).zip(d_txs.iter_mut()) {
                 let offset: [Real; 3] = std::array::from_fn(|k| p[k] - z[k]);
                 let distance = offset.iter().map(|v| v * v).sum::<Real>().sqrt();

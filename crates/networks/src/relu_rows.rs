@@ -37,7 +37,7 @@ impl ReluRows<'_> {
         }
     }
 
-    /// Computes M outputs, from `row` on, of all transmitters.
+    /// Computes M outputs, from `row` on, of all transmitters, three at a time: the sums of a block then stay in registers.
     #[inline(always)]
     fn rows<S: pulp::Simd, const M: usize>(&mut self, simd: S, row: usize) {
         let (txs, mut tx) = (self.y.len() / self.bias.len(), 0);

@@ -17,9 +17,11 @@ use std::ops::Range;
 #[derive(Debug)]
 pub struct Trunk {
     layers: Vec<Linear>,
-    /// Layer with the inputs [γ, e, h].
+    /// Index of the layer with the inputs [γ, e, h].
     joined: Option<usize>,
+    /// Number of components of γ.
     gamma: usize,
+    /// Number of components of e.
     side: usize,
     /// Units per layer.
     pub width: usize,

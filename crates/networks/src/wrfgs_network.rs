@@ -1,8 +1,8 @@
 //! Forward and backward pass of [`super::Wrfgs`], chunk by chunk; the output is S·A, without the gain.
 //!
 //! ```text
-//! γ(X) → trunk.0 … trunk.7 ┬→ attn (2 → A = |lrelu|)      (once a Gaussian)
-//!                          └→ feat → signal branch → S    (once a Gaussian and transmitter, see `wrfgs_branch`)
+//! γ(X) → trunk.0 … trunk.7 ┬→ attn (2 → A = |lrelu|)      (once per Gaussian)
+//!                          └→ feat → signal branch → S    (once per Gaussian and transmitter, see `wrfgs_branch`)
 //! ```
 
 #[cfg(feature = "gpu")]

@@ -18,8 +18,8 @@ impl Covariance {
         Self(std::array::from_fn(|a| std::array::from_fn(|b| element(a, b))))
     }
 
-    /// Returns the scales along the principal axes and the rotation to them (quaternion w, x, y, z), by Jacobi's
-    /// eigenvalue method.
+    /// Returns the scales along the principal axes, metres, and the rotation to these axes (quaternion w, x, y, z), by
+    /// Jacobi's eigenvalue method.
     pub(crate) fn principal_axes(&self) -> ([f64; 3], [f64; 4]) {
         let mut a = self.0;
         let mut v = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];

@@ -77,8 +77,9 @@ impl Pruner for GaussianSpa {
         let opacities: Vec<Real> = cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect();
         let Some(dual) = cloud.extra(DUAL).map(|column| column.values.clone()) else { return };
         let shifted: Vec<Real> = opacities.iter().zip(&dual).map(|(o, u)| o + u).collect();
-        let open = best(kept_count(cloud.len(), context), &shifted, |_| true);
-        let sparse: Vec<Real> = shifted.iter().zip(open).map(|(w, open)| if open { w.max(0.0) } else { 0.0 }).collect();
+        let largest = best(kept_count(cloud.len(), context), &shifted, |_| true);
+        let sparse = |(w, is_large): (&Real, bool)| if is_large { w.max(0.0) } else { 0.0 };
+        let sparse: Vec<Real> = shifted.iter().zip(largest).map(sparse).collect();
         for column in &mut cloud.extra {
             match column.name.as_str() {
                 DUAL => {

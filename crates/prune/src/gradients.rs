@@ -107,7 +107,8 @@ impl Pruner for Taming3dgs {
     }
 
     fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
-        Needs::of(&[Statistic::Weight, Statistic::Error { high: 1.0 }], self.transmitters)
+        let error = Statistic::Error { high: 1.0 }; // high errors are not used
+        Needs::of(&[Statistic::Weight, error], self.transmitters)
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &StepContext) -> Vec<Real> {

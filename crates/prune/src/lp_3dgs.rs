@@ -16,6 +16,8 @@ const COLUMN: &str = "lp_logits";
 const IMPORTANCE: &str = "lp_importance";
 /// Initial mask logit m; σ(3) is 0.95, so that training starts with nearly all Gaussians.
 const INITIAL_LOGIT: Real = 3.0;
+/// Lower limit of the importance, so that its logarithm is finite.
+const FAINTEST: Real = 1e-6;
 /// Temperature of the Gumbel-sigmoid; lower values give samples closer to 0 or 1.
 const TEMPERATURE: Real = 0.5;
 
@@ -23,9 +25,9 @@ const TEMPERATURE: Real = 0.5;
 ///
 /// The keep probability is σ(m + ln(S/S̃)). The importance S of a Gaussian is its largest blending weight in any pixel
 /// of any transmitter, as in RadSplat; S̃ is the median. The ratio S/S̃ multiplies the odds of a learned logit m.
-/// During training, the light that a Gaussian absorbs is multiplied by the relaxed sample σ((m + ln(S/S̃) +
-/// g)/0.5) with logistic noise g. The loss gains lambda times the mean keep probability. Prune steps keep the
-/// Gaussians with a probability of at least one half. S is measured at each prune step and is 1 before the first.
+/// During training, γ of a Gaussian is multiplied by the relaxed sample σ((m + ln(S/S̃) + g)/0.5) with logistic noise g.
+/// The loss gains lambda times the mean keep probability. Prune steps keep the Gaussians with a probability of at least
+/// one half. S is measured at each prune step; before the first, S/S̃ is 1.
 /// Source: LP-3DGS, Zhang et al., NeurIPS 2024, section 3.2, whose Gumbel-sigmoid mask finds the share to prune by
 /// itself.
 ///
@@ -66,7 +68,7 @@ impl Pruner for Lp3dgs {
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, context: &StepContext) -> Vec<bool> {
-        self.score(cloud, stats, context).iter().map(|odds| *odds >= 0.0).collect()
+        self.score(cloud, stats, context).iter().map(|logit| *logit >= 0.0).collect()
     }
 
     fn needs(&self, _: &GaussianCloud, _: &StepContext) -> Needs {
@@ -93,10 +95,10 @@ impl Pruner for Lp3dgs {
         if importance.len() != cloud.len() || cloud.is_empty() {
             return None;
         }
-        let median = quantile(importance, 0.5).max(1e-6);
+        let median = quantile(importance, 0.5).max(FAINTEST);
         let mut cloud = cloud.clone();
         let column = cloud.extra.iter_mut().find(|column| column.name == IMPORTANCE)?;
-        column.values = importance.iter().map(|s| (s.max(1e-6) / median).ln()).collect();
+        column.values = importance.iter().map(|s| (s.max(FAINTEST) / median).ln()).collect();
         let rows = (0..cloud.len()).map(RowOrigin::Kept).collect();
         Some(CloudEdit { cloud, rows })
     }

@@ -20,8 +20,8 @@ const DRAWS: usize = 10;
 /// Learns an existence probability per Gaussian; masked Gaussians still receive gradients (MaskGaussian).
 ///
 /// In each step M = 1[m + g > 0] with logistic noise g, so that M = 1 with probability σ(m). Its derivative is that of
-/// the relaxed sample σ(m + g). M multiplies only the light that a Gaussian absorbs, [`Gate::Existence`]. A Gaussian
-/// with M = 0 is not drawn, but still receives the gradient of its absence, so that it can come back. The loss gains
+/// the relaxed sample σ(m + g). M multiplies only γ of a Gaussian, [`Gate::Existence`]. A Gaussian with M = 0 is not
+/// drawn, but still receives the gradient of its absence, so that it can come back. The loss gains
 /// lambda · (mean M)²; this penalty weakens as the number of Gaussians decreases. Prune steps remove the Gaussians
 /// whose masks are closed in all of ten samples. Compared with [`crate::LearnableMask`], whose closed masks cannot
 /// reopen, a step costs more, because no Gaussian is skipped. Source: MaskGaussian, Liu et al., CVPR 2025, section 3.2,

@@ -104,7 +104,7 @@ impl Pruner for Mcmc {
         let mut rows: Vec<RowOrigin> = (0..n).map(RowOrigin::Kept).collect();
         for (i, row) in rows.iter_mut().enumerate() {
             if alive.len() < n && opacities[i] <= f64::from(FAINT) {
-                *row = RowOrigin::Copied(sources.next().expect("a draw for each that is dead"));
+                *row = RowOrigin::Copied(sources.next().expect("one draw per faint Gaussian"));
             }
         }
         rows.extend(sources.map(RowOrigin::Copied));

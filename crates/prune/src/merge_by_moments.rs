@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 ///
 /// The mass of a Gaussian is its opacity times the product of its scales. Pairs are merged in the order of Ward's
 /// criterion, m₁m₂/(m₁+m₂) · ‖μ₁ − μ₂‖², each Gaussian with its nearest neighbour and once per pass, until the number
-/// is reached. The merged Gaussian has the mean and covariance of the mixture, the mean signal, and an opacity that
-/// preserves the mass, at most 0.99. Merging loses detail, but unlike removal it leaves no empty regions. The network
-/// computes the signals of a merged Gaussian from its new centre.
+/// of the prune step is reached. The merged Gaussian has the mean and covariance of the mixture, the mean signal, and
+/// an opacity that preserves the mass, at most 0.99. Merging loses detail, but unlike removal it leaves no empty
+/// regions. The network computes the signals of a merged Gaussian from its new centre.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -66,13 +66,13 @@ fn merge_pass(edit: &mut CloudEdit, count: usize) {
     let mut pairs: Vec<(f64, usize, usize)> = (0..n).filter_map(pair).collect();
     pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
     let (mut taken, mut removed) = (vec![false; n], vec![false; n]);
-    let mut left = n;
+    let mut remaining = n;
     for (_, i, j) in pairs {
-        if left > count && !taken[i] && !taken[j] {
+        if remaining > count && !taken[i] && !taken[j] {
             merge_rows(cloud, [i, j], [masses[i], masses[j]]);
             rows[i] = RowOrigin::Copied(rows[i].source());
             (taken[i], taken[j], removed[j]) = (true, true, true);
-            left -= 1;
+            remaining -= 1;
         }
     }
     let kept: Vec<usize> = (0..n).filter(|&i| !removed[i]).collect();

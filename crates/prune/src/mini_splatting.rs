@@ -78,7 +78,7 @@ impl Pruner for MiniSplatting {
                 let limit = quantile(&scores, share);
                 scores.iter().map(|score| *score > limit).collect()
             }
-            SelectionRule::Sampled(share) => without_lowest_share(&scores, 1.0 - share),
+            SelectionRule::Sampled(share) => keep_without_lowest(&scores, 1.0 - share),
             SelectionRule::Cumulated(share) => {
                 let total: f64 = scores.iter().map(|s| f64::from(*s)).sum();
                 let mut order: Vec<usize> = (0..scores.len()).collect();
@@ -114,8 +114,8 @@ impl Pruner for MiniSplatting {
     }
 }
 
-/// Returns whether each Gaussian is kept: all except the lowest `share` by `scores`.
-fn without_lowest_share(scores: &[Real], share: Real) -> Vec<bool> {
+/// Returns whether each Gaussian is kept: all except the `share` with the lowest scores.
+fn keep_without_lowest(scores: &[Real], share: Real) -> Vec<bool> {
     let removed = rounded_share(scores.len(), share).floor() as usize;
     best(scores.len() - removed.min(scores.len()), scores, |_| true)
 }

@@ -1,4 +1,4 @@
-//! Shared parts of score-based strategies: traits, ranking, statistics.
+//! Shared parts of strategies: traits, shares and quantiles, requested statistics, rates and noise of masks.
 
 use pwrfgs_core::{Budget, GaussianCloud, PrunerTraits, Real};
 
@@ -24,13 +24,14 @@ pub(crate) fn learned_column(cloud: &GaussianCloud, column: &str) -> Vec<Real> {
 }
 
 /// Returns the learning rate at which masks fall equally far in a training of `scale` times the steps. It is limited,
-/// because noise closes faster masks. Without Adam, a mask moves by its gradient, whose magnitude is unknown here.
+/// because noise closes faster masks: to 0.1 with Adam; without it to ten times `rate`, because a mask then moves by its
+/// gradient, whose magnitude is unknown here.
 pub(crate) fn shortened_rate(rate: Real, adam: bool, scale: f64) -> Real {
     let most = if adam { rate.max(0.1) } else { 10.0 * rate };
     ((f64::from(rate) / scale) as Real).min(most)
 }
 
-/// Returns the quantile `q` of `values`, one of them without interpolation; −∞ if `values` is empty.
+/// Returns the quantile `q` of `values` without interpolation, one of the values; −∞ if `values` is empty.
 pub(crate) fn quantile(values: &[Real], q: Real) -> Real {
     let mut sorted = values.to_vec();
     sorted.sort_by(Real::total_cmp);
@@ -38,7 +39,7 @@ pub(crate) fn quantile(values: &[Real], q: Real) -> Real {
     sorted.get(rank.max(1) - 1).copied().unwrap_or(Real::NEG_INFINITY)
 }
 
-/// Draws `n` samples of the logistic distribution, each the difference of two Gumbel samples.
+/// Draws `n` samples of the logistic distribution, which is that of the difference of two Gumbel samples.
 pub(crate) fn logistic_noise(n: usize, random: &mut pwrfgs_core::rng::Rng) -> Vec<Real> {
     const EDGE: Real = 1e-6;
     let draw = |_| pwrfgs_core::rng::uniform(random).clamp(EDGE, 1.0 - EDGE);

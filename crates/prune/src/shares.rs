@@ -26,7 +26,7 @@ pub struct LightGaussian {
     pub transmitters: usize,
 }
 
-/// Exponent of the volume, that of the published code.
+/// Exponent of the volume, as in the published code.
 const VOLUME_POWER: Real = 0.1;
 
 #[typetag::serde]

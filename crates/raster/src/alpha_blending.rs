@@ -70,7 +70,7 @@ impl Rasterizer for AlphaBlending {
 
     fn backward(&self, splats: SignalSplats<'_>, render: &Render, d_pixels: &[Real]) -> RenderVjp {
         let SignalSplats { geometry, channels, plane, .. } = splats;
-        assert_eq!(d_pixels.len(), render.pixels.len(), "one cotangent a pixel and channel");
+        assert_eq!(d_pixels.len(), render.pixels.len(), "one cotangent per pixel and channel");
         let lists: &TileLists = cached(&render.cache);
         let stride = GEOMETRY + channels;
         let mut parts = vec![0.0; lists.splats.len() * stride];
@@ -113,7 +113,7 @@ impl Rasterizer for AlphaBlending {
         let channels = render.pixels.len() / (plane.width * plane.height);
         let survey_tile = |t: usize| {
             let tile = tile_at(lists, t, splats.with_signals(&[], channels, plane));
-            widest(SurveyTile { tile: &tile, picture: &render.pixels, survey })
+            widest(SurveyTile { tile: &tile, drawn: &render.pixels, survey })
         };
         let tiles: Vec<Vec<SplatStats>> = (0..lists.tile_count()).into_par_iter().map(survey_tile).collect();
         // Sums in tile order do not depend on the assignment of tiles to threads.

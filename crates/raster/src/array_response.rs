@@ -187,8 +187,8 @@ impl ArrayResponse {
 /// Returns the beams of the array at every pixel, from the cache or computed and added to it.
 fn beams(antennas: &Antennas, plane: &ImagePlane) -> Arc<Beams> {
     let find = |tables: &[CachedTable]| {
-        let mut found = tables.iter().filter(|((positions, on), _)| *positions == antennas.positions && on == plane);
-        found.next().map(|(_, beams)| Arc::clone(beams))
+        let is_equal = |table: &&CachedTable| table.0.0 == antennas.positions && table.0.1 == *plane;
+        tables.iter().find(is_equal).map(|(_, beams)| Arc::clone(beams))
     };
     if let Some(beams) = find(&TABLES.read().unwrap_or_else(PoisonError::into_inner)) {
         return beams;
@@ -199,6 +199,7 @@ fn beams(antennas: &Antennas, plane: &ImagePlane) -> Arc<Beams> {
         return stored; // another thread was faster; all threads share its table
     }
     tables.insert(0, ((antennas.positions.clone(), plane.clone()), Arc::clone(&beams)));
+    // The oldest tables go first.
     let mut room = KEPT * beams.block_count() * plane.sampling.stride.pow(2);
     tables.retain(|(_, beams)| {
         let fits = beams.block_count() <= room;
@@ -208,7 +209,7 @@ fn beams(antennas: &Antennas, plane: &ImagePlane) -> Arc<Beams> {
     beams
 }
 
-/// Values that depend on geometry only: the waves of all splats `[N, K]`, and the beams.
+/// Values that depend on the geometry only: the waves of all splats `[N, K]`, and the beams.
 struct Steered {
     waves: Vec<[Real; 2]>,
     beams: Arc<Beams>,

@@ -31,7 +31,7 @@ unsafe impl Send for Patch<'_> {}
 pub(crate) fn patches<'a>(images: &'a mut [Real], plane: &ImagePlane) -> Vec<Patch<'a>> {
     let (width, height) = (plane.width, plane.height);
     let size = width * height;
-    assert!(images.len().is_multiple_of(size), "whole pictures");
+    assert!(images.len().is_multiple_of(size), "whole images");
     let (start, channels) = (images.as_mut_ptr(), images.len() / size.max(1));
     let corners = (0..height).step_by(TILE).flat_map(|y| (0..width).step_by(TILE).map(move |x| (x, y)));
     let patch = |(x, y)| Patch {
@@ -71,9 +71,9 @@ impl Patch<'_> {
 pub(crate) fn gather_tile(images: &[Real], plane: &ImagePlane, (x, y): (usize, usize), tile: &mut [Real]) {
     let (columns, rows) = (TILE.min(plane.width - x), TILE.min(plane.height - y));
     tile.fill(0.0);
-    for (picture, tile) in images.chunks_exact(plane.width * plane.height).zip(tile.chunks_exact_mut(PIXELS)) {
+    for (image, tile) in images.chunks_exact(plane.width * plane.height).zip(tile.chunks_exact_mut(PIXELS)) {
         for row in 0..rows {
-            copy_row(&mut tile[row * TILE..], &picture[(y + row) * plane.width + x..], columns);
+            copy_row(&mut tile[row * TILE..], &image[(y + row) * plane.width + x..], columns);
         }
     }
 }

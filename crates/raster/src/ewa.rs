@@ -73,7 +73,7 @@ pub trait CameraModel: Sync {
     }
 }
 
-/// Rejects a low-pass filter that is not positive.
+/// Rejects a `blur` that is not positive and finite.
 pub(crate) fn check_blur(blur: Real) -> Result<(), String> {
     let is_valid = blur > 0.0 && blur.is_finite();
     if is_valid { Ok(()) } else { Err("`blur` must be above 0 px²; give 0.3, for example".into()) }
@@ -87,11 +87,17 @@ pub(crate) fn distance(mean: [Real; 3], from: [f64; 3]) -> Real {
 
 /// Intermediate values of one Gaussian for the forward and backward pass.
 struct Projected {
+    /// Centre in receiver coordinates, metres.
     v: Vec3,
+    /// Rows of J A, the Jacobian by world coordinates.
     t: [Vec3; 2],
+    /// Rows of J A R S, whose products are the covariance.
     u: [Vec3; 2],
+    /// R.
     rotation: Mat3,
+    /// R S.
     scaled: Mat3,
+    /// Σ′ as (a, b, c), px², and its determinant.
     cov: [Real; 3],
     det: Real,
 }
@@ -154,7 +160,7 @@ pub fn project(model: &impl CameraModel, p: &Primitives, pose: &Pose, plane: &Im
     out
 }
 
-/// Returns whether each Gaussian is drawn, given the means.
+/// Returns whether the centre of each Gaussian is in view, given the means `[N,3]`; the image may still miss it.
 pub fn visible_centres(model: &impl CameraModel, means: &[[Real; 3]], pose: &Pose) -> Vec<bool> {
     let view = model.view(pose);
     means.iter().map(|x| model.is_visible(view.rotation * Vec3::from_array(*x) + view.offset)).collect()

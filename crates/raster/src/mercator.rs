@@ -131,7 +131,7 @@ impl Hemisphere {
         let Elevation { first, last } = plane.elevation().unwrap_or(Elevation::UPPER);
         let per_radian = [plane.width as Real / 360.0 * DEG, plane.height as Real / (last - first) as Real * DEG];
         let below = plugin.margin_deg - first.min(last) as Real;
-        let lowest = if below < 90.0 { -(below / DEG).sin() } else { -2.0 };
+        let lowest = if below < 90.0 { -(below / DEG).sin() } else { -2.0 }; // below every sine
         let above = first as Real / DEG * per_radian[1];
         let blur = plane.sampling.filter.unwrap_or(plugin.blur);
         Self { per_radian, width: plane.width as Real, above, blur, near: plugin.near_m, lowest }

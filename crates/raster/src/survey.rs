@@ -12,12 +12,12 @@ type First = Vec<(Real, usize)>;
 pub(crate) struct SurveyTile<'a, 'b> {
     pub(crate) tile: &'b Tile<'a>,
     /// Drawn image, `[channels, H, W]`.
-    pub(crate) picture: &'b [Real],
+    pub(crate) drawn: &'b [Real],
     pub(crate) survey: &'b SurveyInputs<'b>,
 }
 
-/// Inputs of the derivative with respect to splat strength in a tile: `[channels][PIXELS]`, and the sum behind the
-/// current splat.
+/// Inputs of the derivative with respect to γ in a tile: the slopes of the readout `[channels][PIXELS]`, and the sum behind
+/// the current splat `[PIXELS]`.
 struct Slopes {
     pixels: Vec<Real>,
     q_behind: Vec<Real>,
@@ -27,11 +27,11 @@ struct Slopes {
 impl Slopes {
     /// Gathers the derivatives of a tile; `None` if the survey needs none.
     fn new(survey_tile: &SurveyTile<'_, '_>) -> Option<Self> {
-        let (_, image) = survey_tile.survey.slopes?;
+        let (_, slopes) = survey_tile.survey.slopes?;
         let Tile { channels, plane, corner, .. } = *survey_tile.tile;
         let (mut pixels, mut drawn) = (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS]);
-        gather_tile(image, plane, corner, &mut pixels);
-        gather_tile(survey_tile.picture, plane, corner, &mut drawn);
+        gather_tile(slopes, plane, corner, &mut pixels);
+        gather_tile(survey_tile.drawn, plane, corner, &mut drawn);
         let mut q_behind = vec![0.0; PIXELS];
         for (k, (slope, value)) in pixels.iter().zip(&drawn).enumerate() {
             q_behind[k % PIXELS] += slope * value;
@@ -39,7 +39,8 @@ impl Slopes {
         Some(Self { pixels, q_behind, channels })
     }
 
-    /// Returns ∂P̂/∂γ of a splat in pixel `p` of the tile, and removes the splat from the sum.
+    /// Returns ∂P̂/∂γ of a splat in pixel `p` of the tile, given the transmittance before the splat, γ, and its weight; removes
+    /// the splat from the sum.
     #[inline(always)]
     fn pixel_derivative(&mut self, p: usize, signal: &[Real], (before, alpha, weight): (Real, Real, Real)) -> Real {
         let q: Real = (0..self.channels).map(|c| signal[c] * self.pixels[c * PIXELS + p]).sum();
@@ -77,11 +78,7 @@ impl pulp::WithSimd for SurveyTile<'_, '_> {
                         continue;
                     }
                     let pixel = y * tile.plane.width + tile.corner.0 + lane;
-                    stats.weight += w;
-                    stats.largest = stats.largest.max(w);
-                    stats.pixels += 1.0;
-                    stats.error += w * survey.errors.get(pixel).copied().unwrap_or(0.0);
-                    stats.high += Real::from(u8::from(survey.high.get(pixel).copied().unwrap_or(false)));
+                    add_pixel(stats, survey, pixel, w);
                     if let Some((count, truth, strengths)) = survey.top {
                         let value = (-(strengths[i] - truth[pixel]).abs()).exp() * w;
                         insert_top(&mut first[p], count, (value, k));
@@ -102,6 +99,16 @@ impl pulp::WithSimd for SurveyTile<'_, '_> {
         first.iter().flatten().for_each(|&(_, k)| all[k].top = true);
         all
     }
+}
+
+/// Adds a pixel with the blending weight `w` to the weights and errors of a splat.
+#[inline(always)]
+fn add_pixel(stats: &mut SplatStats, survey: &SurveyInputs<'_>, pixel: usize, w: Real) {
+    stats.weight += w;
+    stats.largest = stats.largest.max(w);
+    stats.pixels += 1.0;
+    stats.error += w * survey.errors.get(pixel).copied().unwrap_or(0.0);
+    stats.high += Real::from(u8::from(survey.high.get(pixel).copied().unwrap_or(false)));
 }
 
 /// Inserts an entry into the first splats of a pixel, of which the `count` with the largest values are kept; ties keep

@@ -48,6 +48,8 @@ impl Projector for WrfgsCompat {
 
 /// Constant that the released kernel adds to denominators.
 const EPS: Real = 1e-7;
+/// Square of the distance up to which the released code draws no Gaussian, 0.2 m; m².
+const NEAREST2: Real = 0.04;
 /// Lower limit of squares that vanish on the polar axis, where angles have no derivative.
 const LEAST: Real = 1e-14;
 
@@ -77,7 +79,7 @@ impl CameraModel for FullSphere {
 
     #[inline]
     fn is_visible(&self, v: Vec3) -> bool {
-        v.length_squared() > 0.04
+        v.length_squared() > NEAREST2
     }
 
     #[inline]

@@ -102,7 +102,7 @@ fn run_graph(
     let value = loss.array();
     let penalty_value = penalty.as_ref().map_or(0.0, AsArray::array);
     if !(value + penalty_value).is_finite() {
-        return Err(Error::NonFinite { what: "the loss".into(), step: context.step });
+        return Err(Error::NonFinite { tensor: "the loss".into(), step: context.step });
     }
     let total = match penalty {
         Some(penalty) => loss + penalty,

@@ -51,7 +51,7 @@ impl Stepper<'_> {
         let weights = Arc::make_mut(self.weights);
         (self.adam.step_cloud(rates, self.specs, self.cloud, &gradients.d_cloud))
             .and_then(|()| self.adam.step_weights(rates, self.groups, weights, &gradients.d_weights))
-            .map_err(|column| Error::NonFinite { what: column, step: context.step })?;
+            .map_err(|column| Error::NonFinite { tensor: column, step: context.step })?;
         Ok((gradients.loss, gradients.penalty))
     }
 }

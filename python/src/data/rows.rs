@@ -108,7 +108,7 @@ impl Dataset {
         state.set_item("camera", data.camera().map(|camera| (camera.focal, camera.centre)))?;
         let number = data.observations.number();
         match &data.observations {
-            Observations::Pictures(spectra) => {
+            Observations::Spectra(spectra) => {
                 let bytes = without_gil(py, || {
                     let bytes: Vec<u8> = (0..data.len()).flat_map(|i| spectra.raw(i).into_owned()).collect();
                     spectra.check().map(|()| bytes)

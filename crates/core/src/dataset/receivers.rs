@@ -8,7 +8,7 @@ const NEAR_DB: f64 = 6.0;
 impl Dataset {
     /// Places the receivers of unknown position ([`is_estimated`](crate::Receiver::is_estimated)) by received powers of these
     /// links: at the mean of the locations of their strongest readings, within 6 dB of the strongest, weighted by power. A
-    /// receiver without such a link keeps its position.
+    /// receiver without such a link keeps its position. Other observations than received powers locate no receiver.
     pub fn estimate_receivers(&mut self, links: &[usize]) {
         let Some(powers) = self.observations.powers() else { return };
         let origin = self.scene.origin;

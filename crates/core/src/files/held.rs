@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Locks the file at `path` until the returned file is dropped. Returns `None` if another process holds the lock for
-/// more than a moment.
+/// more than 0.2 s.
 ///
 /// # Errors
 /// There is no such file, it is not a regular file, or it cannot be opened.

@@ -16,10 +16,10 @@ const LOCK: &str = ".pwrfgs-lock";
 const UNLOCKED: &str = ".pwrfgs-lock.new";
 /// Maximum length of the target name inside the temporary name; the rest is omitted.
 const LONGEST: usize = 60;
-/// Maximum number of attempts to remove a folder while another thread writes to it.
+/// Maximum number of attempts to create a folder that another process removes, or to remove one that another thread fills.
 const ATTEMPTS: usize = 100;
-/// Suffix of the name of a folder that is being removed.
-const GRAVE: &str = "removed";
+/// Name of a folder that is being removed, in a temporary folder.
+const REMOVED: &str = "removed";
 
 /// Folders in progress in this process.
 static UNDER_WAY: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
@@ -72,13 +72,13 @@ impl NewFolder {
         Ok(Self { path, out: out.into(), _lock: lock })
     }
 
-    /// Removes a published folder; it is renamed first, so that no process reads a partial folder.
+    /// Removes a published folder. It is moved into a temporary folder first, so that no process reads a partial folder.
     ///
     /// # Errors
     /// [`Error::Write`] if the folder cannot be renamed.
     pub fn remove(folder: &Path) -> Result<()> {
-        let grave = Self::begin_next_to(folder)?;
-        fs::rename(folder, grave.path.join(GRAVE)).map_err(|e| Error::write(folder, e))
+        let temporary = Self::begin_next_to(folder)?;
+        fs::rename(folder, temporary.path.join(REMOVED)).map_err(|e| Error::write(folder, e))
     }
 
     /// Removes all folders that killed programs left in `parent`.

@@ -43,8 +43,8 @@ impl PartialFolder {
         // Without a record, another process has just published the folder.
         let locked = if_found(&record, try_lock(&record))?.flatten();
         let lock = locked.ok_or_else(|| Error::Busy(path.clone()))?;
-        let known = if_found(&record, read_string(&record))?.unwrap_or_default();
-        let differs = |(line, _): &(&String, _)| !known.contains(line.as_str());
+        let recorded = if_found(&record, read_string(&record))?.unwrap_or_default();
+        let differs = |(line, _): &(&String, _)| !recorded.contains(line.as_str());
         let other: Vec<&str> = lines.iter().zip(request).filter(differs).map(|(_, (part, _))| *part).collect();
         if !other.is_empty() {
             return Err(Error::Config(format!(

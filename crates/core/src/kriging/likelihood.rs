@@ -34,8 +34,8 @@ struct HeldOutCase {
 }
 
 impl HeldOutCases {
-    /// Creates cases: a sample to predict with its neighbours, nearest first. `values` returns the values of one of them,
-    /// given the number of the case and the sample.
+    /// Creates cases: a sample to predict with its neighbours, nearest first. `place` returns the place of a sample, metres.
+    /// `values` returns the values of a sample, given the index of the case and the sample.
     pub fn new(
         cases: &[(usize, Vec<usize>)],
         mean: Mean,
@@ -67,8 +67,8 @@ impl HeldOutCases {
         process_variance(&self.prediction_errors(correlation))
     }
 
-    /// Returns the log-likelihood at the best process variance, up to a constant and sign: half of n times the logarithm
-    /// of that variance plus all logarithms of conditional variances. Higher is more likely.
+    /// Returns the log-likelihood at the best process variance, up to a constant: −½ (n log(variance) + Σ log(conditional
+    /// variance)) of n cases. Higher is more likely.
     pub fn log_likelihood(&self, correlation: &Correlation) -> f64 {
         let errors = self.prediction_errors(correlation);
         let logs: f64 = errors.iter().map(|(_, variance)| variance.ln()).sum();
@@ -119,6 +119,9 @@ impl HeldOutCase {
 ///
 /// # Errors
 /// An error of `check`.
+///
+/// # Panics
+/// If `space` has no correlation function.
 pub fn most_likely(cases: &HeldOutCases, space: SearchSpace<'_>, check: StopCheck<'_>) -> Result<(f64, Correlation)> {
     search(&|correlation| cases.log_likelihood(correlation), cases.typical_m, space, check)
 }
@@ -163,16 +166,16 @@ fn search_coordinates(
     check: StopCheck<'_>,
 ) -> Result<(f64, Correlation)> {
     let mut best = (log_likelihood(&start), start);
-    let is_searched = |parameter: &usize| match parameter {
-        1..=3 => !space.isotropic,
-        6 => space.time,
+    let is_searched = |parameter: &Parameter| match parameter {
+        Parameter::Length(_) => !space.isotropic,
+        Parameter::Time => space.time,
         _ => true,
     };
     for step in STEPS {
         // Each round but the last improves the likelihood; the limit covers noise in the last digits.
         for _ in 0..20 {
             let before = best.0;
-            for parameter in (0..7).filter(is_searched) {
+            for parameter in Parameter::ALL.into_iter().filter(is_searched) {
                 for factor in [step.exp2(), (-step).exp2()] {
                     while let Some(next) = scaled_parameter(&best.1, parameter, factor, typical_m) {
                         check()?;
@@ -192,20 +195,45 @@ fn search_coordinates(
     Ok(best)
 }
 
-/// Multiplies one parameter of `from` by `factor`: all length scales, one of three, the noise, length scales and noise
-/// in opposite directions (longer scales go with a larger process variance, so relative noise falls), or the time
-/// scale. `None` outside the range.
-fn scaled_parameter(from: &Correlation, parameter: usize, factor: f64, typical_m: f64) -> Option<Correlation> {
+/// Parameter of a correlation that the search changes.
+#[derive(Clone, Copy)]
+enum Parameter {
+    /// All length scales.
+    Lengths,
+    /// One length scale: x, y or z.
+    Length(usize),
+    Noise,
+    /// All length scales, and the noise in the opposite direction: longer scales go with a larger process variance, so relative
+    /// noise falls.
+    LengthsAndNoise,
+    Time,
+}
+
+impl Parameter {
+    /// All parameters, in the order of the search.
+    const ALL: [Self; 7] = [
+        Self::Lengths,
+        Self::Length(0),
+        Self::Length(1),
+        Self::Length(2),
+        Self::Noise,
+        Self::LengthsAndNoise,
+        Self::Time,
+    ];
+}
+
+/// Multiplies one parameter of `from` by `factor`. `None` outside the range.
+fn scaled_parameter(from: &Correlation, parameter: Parameter, factor: f64, typical_m: f64) -> Option<Correlation> {
     let mut next = *from;
+    if let Parameter::Lengths | Parameter::LengthsAndNoise = parameter {
+        next.scales[..3].iter_mut().for_each(|scale| *scale *= factor);
+    }
     match parameter {
-        0 => next.scales[..3].iter_mut().for_each(|scale| *scale *= factor),
-        1..=3 => next.scales[parameter - 1] *= factor,
-        4 => next.noise *= factor,
-        5 => {
-            next.scales[..3].iter_mut().for_each(|scale| *scale *= factor);
-            next.noise /= factor;
-        }
-        _ => next.scales[3] *= factor,
+        Parameter::Lengths => {}
+        Parameter::Length(axis) => next.scales[axis] *= factor,
+        Parameter::Noise => next.noise *= factor,
+        Parameter::LengthsAndNoise => next.noise /= factor,
+        Parameter::Time => next.scales[3] *= factor,
     }
     let within = |[low, high]: [f64; 2], value: f64| (low..=high).contains(&value);
     let time = next.scales[3];

@@ -54,7 +54,7 @@ pub struct PowerLink {
 pub struct PooledFit {
     /// Posterior mean of the path-loss model of each receiver. Without links it is the shared model; without distances
     /// its slope is 0.
-    pub laws: Vec<PathLoss>,
+    pub path_losses: Vec<PathLoss>,
     /// Correlation and noise of the processes about these models.
     pub correlation: Correlation,
     /// Variance of the processes, dB².
@@ -72,13 +72,22 @@ pub struct PooledFit {
 /// If a link has a receiver of `receivers` or more.
 pub fn fit_pooled(links: &[PowerLink], receivers: usize, check: StopCheck<'_>) -> Result<PooledFit> {
     let powers = Powers::new(links, receivers);
-    let (short, at, of_short) = powers.most_probable(CorrelationKind::Exponential, powers.start(), check)?;
-    let (long, _, of_long) = powers.most_probable(CorrelationKind::LongTail, at, check)?;
-    let (smooth, ..) = powers.most_probable(CorrelationKind::Matern32, at, check)?;
-    let rough = if of_long > of_short { long } else { short };
+    let short = powers.most_probable(CorrelationKind::Exponential, powers.start(), check)?;
+    let long = powers.most_probable(CorrelationKind::LongTail, short.at, check)?;
+    let smooth = powers.most_probable(CorrelationKind::Matern32, short.at, check)?.fit;
+    let rough = if long.log_probability > short.log_probability { long.fit } else { short.fit };
     let errors = powers.block_errors(&rough).into_iter().zip(powers.block_errors(&smooth));
     let (gain, error) = block_mean(errors.map(|((block, rough), (_, smooth))| (block, rough - smooth)));
     Ok(if gain > error { smooth } else { rough })
+}
+
+/// Most probable fit with one kind of correlation.
+struct KindFit {
+    fit: PooledFit,
+    /// Logarithms of its length and noise.
+    at: [f64; 2],
+    /// Logarithm of its probability, up to a constant.
+    log_probability: f64,
 }
 
 /// Link in the likelihood, and the links that it is given.
@@ -89,7 +98,7 @@ struct Powers<'a> {
     links: &'a [PowerLink],
     /// Links of each receiver.
     by_receiver: Vec<Vec<usize>>,
-    /// Links of each receiver in the likelihood, each with links that it is given.
+    /// Cases of each receiver.
     cases: Vec<Vec<Case>>,
     /// Power about its mean, 1, and log-distance about its mean (0 if unknown) of each link.
     rows: Vec<[f64; 3]>,
@@ -107,7 +116,7 @@ impl<'a> Powers<'a> {
         let rows = links.iter().map(|l| [l.value - level, 1.0, l.log_distance.map_or(0.0, |own| own - log)]).collect();
         let mut by_receiver = vec![Vec::new(); receivers];
         links.iter().enumerate().for_each(|(i, link)| by_receiver[link.receiver].push(i));
-        let cases = by_receiver.par_iter().map(|own| select_cases(links, own)).collect();
+        let cases = by_receiver.par_iter().map(|of_receiver| select_cases(links, of_receiver)).collect();
         let site = SiteSize::new(links.iter().map(|link| in_metres(link.place)));
         Self { links, by_receiver, cases, rows, mean: [level, log], site }
     }
@@ -117,22 +126,17 @@ impl<'a> Powers<'a> {
         [(LENGTH * self.site.spacing).ln(), NOISE_START.ln()]
     }
 
-    /// Returns the most probable fit with one kind of correlation, its logarithms of length and noise, and that of its
-    /// probability: a pattern search from `at`, with the best variance at each point.
-    fn most_probable(
-        &self,
-        kind: CorrelationKind,
-        mut at: [f64; 2],
-        check: StopCheck<'_>,
-    ) -> Result<(PooledFit, [f64; 2], f64)> {
+    /// Returns the most probable fit with one kind of correlation: a pattern search from `start`, the logarithms of length and
+    /// noise, with the best variance at each point. Returns an error of `check`.
+    fn most_probable(&self, kind: CorrelationKind, start: [f64; 2], check: StopCheck<'_>) -> Result<KindFit> {
         let correlation = |[length, noise]: [f64; 2]| {
             let length = length.exp();
             Correlation { kind, scales: [length, length, length, f64::INFINITY], noise: noise.exp() }
         };
-        let heard: Vec<&Vec<Case>> = self.cases.iter().filter(|cases| !cases.is_empty()).collect();
-        let each = (SEARCHED / heard.len().max(1)).max(LEAST);
+        let observed: Vec<&Vec<Case>> = self.cases.iter().filter(|cases| !cases.is_empty()).collect();
+        let each = (SEARCHED / observed.len().max(1)).max(LEAST);
         let searched: Vec<Vec<Case>> =
-            evenly(&heard, SEARCHED / LEAST).into_iter().map(|cases| evenly(cases, each)).collect();
+            evenly(&observed, SEARCHED / LEAST).into_iter().map(|cases| evenly(cases, each)).collect();
         let scale = statistics::mean(self.rows.iter().map(|row| row[0] * row[0]));
         let evaluate = |at: [f64; 2]| -> Result<(f64, f64)> {
             check()?;
@@ -141,27 +145,12 @@ impl<'a> Powers<'a> {
         };
         let longest = (LENGTHS[1] * self.site.longest).max(LENGTH * self.site.spacing);
         let ranges = [[LENGTHS[0] * self.site.spacing, longest], NOISE].map(|range| range.map(f64::ln));
-        let mut best = evaluate(at)?;
-        for step in STEPS.map(|step| step * std::f64::consts::LN_2) {
-            let mut is_better = true;
-            while is_better {
-                is_better = false;
-                for [x, y] in [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0], [1.0, -1.0], [-1.0, 1.0]] {
-                    let next = [at[0] + step * x, at[1] + step * y];
-                    if next.iter().zip(ranges).any(|(v, [low, high])| *v < low || *v > high) {
-                        continue;
-                    }
-                    let value = evaluate(next)?;
-                    if value.0 > best.0 + 1e-6 * best.0.abs() {
-                        (best, at, is_better) = (value, next, true);
-                    }
-                }
-            }
-        }
-        let (correlation, variance) = (correlation(at), best.1);
+        let (at, (log_probability, variance)) = search_pattern(start, ranges, evaluate)?;
+        let correlation = correlation(at);
         let trends = trends(&self.moments(&self.cases, &correlation), variance);
-        let laws = trends.into_iter().zip(&self.by_receiver).map(|(trend, own)| self.law(trend, own)).collect();
-        Ok((PooledFit { laws, correlation, variance }, at, best.0))
+        let by_receiver = trends.into_iter().zip(&self.by_receiver);
+        let path_losses = by_receiver.map(|(trend, links)| self.path_loss(trend, links)).collect();
+        Ok(KindFit { fit: PooledFit { path_losses, correlation, variance }, at, log_probability })
     }
 
     /// Computes the moments of the whitened powers of each receiver.
@@ -189,45 +178,76 @@ impl<'a> Powers<'a> {
         cases.iter().map(sum).collect()
     }
 
-    /// Returns the path-loss model of a receiver with these links, from its level and rise about the means.
-    fn law(&self, [level, rise]: [f64; 2], own: &[usize]) -> PathLoss {
-        let has_distances = own.is_empty() || own.iter().any(|&i| self.links[i].log_distance.is_some());
+    /// Returns the path-loss model of a receiver with these `links`, from its level and rise about the means.
+    fn path_loss(&self, [level, rise]: [f64; 2], links: &[usize]) -> PathLoss {
+        let has_distances = links.is_empty() || links.iter().any(|&i| self.links[i].log_distance.is_some());
         let slope = if has_distances { 0.0 - rise } else { 0.0 };
         PathLoss { level: self.mean[0] + level + slope * self.mean[1], slope }
     }
 
     /// Returns the absolute errors of predictions from links of other blocks, each after its block.
     fn block_errors(&self, fit: &PooledFit) -> Vec<([i64; 3], f64)> {
+        let observed = self.by_receiver.iter().filter(|links| !links.is_empty()).count();
+        let each = (COMPARED / observed.max(1)).max(1);
+        self.by_receiver.iter().flat_map(|links| self.receiver_errors(fit, links, each)).collect()
+    }
+
+    /// Returns the errors of [`Self::block_errors`] at `count` of the `links` of one receiver.
+    fn receiver_errors(&self, fit: &PooledFit, links: &[usize], count: usize) -> Vec<([i64; 3], f64)> {
         let edge = self.site.block_edge();
         let block = |i: usize| block_of(in_metres(self.links[i].place), edge);
         let residual = |i: usize| {
             let link = &self.links[i];
-            link.value - fit.laws[link.receiver].power(link.log_distance.unwrap_or(0.0))
+            link.value - fit.path_losses[link.receiver].power(link.log_distance.unwrap_or(0.0))
         };
-        let each = COMPARED / self.by_receiver.iter().filter(|own| !own.is_empty()).count().max(1);
-        let errors_of = |own: &Vec<usize>| {
-            let scaled = |i: usize| fit.correlation.scaled(self.links[i].place);
-            let nearest = Nearest::new(own, 4, scaled);
-            let blocks: Vec<[i64; 3]> = own.iter().map(|&i| block(i)).collect();
-            let error = |&i: &usize| {
-                let at = block(i);
-                let near = nearest.find_where(&scaled(i), NEIGHBOURS, |k| blocks[k] != at).1;
-                let places: Vec<Place> = near.iter().map(|(_, k)| scaled(*k)).collect();
-                let weights =
-                    (!near.is_empty()).then(|| solve(&fit.correlation, Mean::Zero, &places, scaled(i)).weights)?;
-                let predicted: f64 = near.iter().zip(weights).map(|((_, k), weight)| weight * residual(*k)).sum();
-                Some((at, (residual(i) - predicted).abs()))
-            };
-            evenly(own, each.max(1)).par_iter().filter_map(error).collect::<Vec<_>>()
+        let scaled = |i: usize| fit.correlation.scaled(self.links[i].place);
+        let nearest = Nearest::new(links, 4, scaled);
+        let blocks: Vec<[i64; 3]> = links.iter().map(|&i| block(i)).collect();
+        let error = |&i: &usize| {
+            let at = block(i);
+            let near = nearest.find_where(&scaled(i), NEIGHBOURS, |k| blocks[k] != at).1;
+            let places: Vec<Place> = near.iter().map(|(_, k)| scaled(*k)).collect();
+            let weights =
+                (!near.is_empty()).then(|| solve(&fit.correlation, Mean::Zero, &places, scaled(i)).weights)?;
+            let predicted: f64 = near.iter().zip(weights).map(|((_, k), weight)| weight * residual(*k)).sum();
+            Some((at, (residual(i) - predicted).abs()))
         };
-        self.by_receiver.iter().flat_map(errors_of).collect()
+        evenly(links, count).par_iter().filter_map(error).collect()
     }
 }
 
-/// Returns the links of one receiver that enter the likelihood, at most [`CASES`], each with the nearest of those before it
-/// in random order.
-fn select_cases(links: &[PowerLink], own: &[usize]) -> Vec<Case> {
-    let mut order = own.to_vec();
+/// Maximises `evaluate`, which returns a value and its variance, from the point `at` within `ranges`: steps along each axis, and
+/// in opposite directions, since longer lengths go with less noise. Returns the best point and the result of `evaluate` there, or
+/// its error.
+fn search_pattern(
+    mut at: [f64; 2],
+    ranges: [[f64; 2]; 2],
+    evaluate: impl Fn([f64; 2]) -> Result<(f64, f64)>,
+) -> Result<([f64; 2], (f64, f64))> {
+    let mut best = evaluate(at)?;
+    for step in STEPS.map(|step| step * std::f64::consts::LN_2) {
+        let mut is_better = true;
+        while is_better {
+            is_better = false;
+            for [x, y] in [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0], [1.0, -1.0], [-1.0, 1.0]] {
+                let next = [at[0] + step * x, at[1] + step * y];
+                if next.iter().zip(ranges).any(|(v, [low, high])| *v < low || *v > high) {
+                    continue;
+                }
+                let value = evaluate(next)?;
+                if value.0 > best.0 + 1e-6 * best.0.abs() {
+                    (best, at, is_better) = (value, next, true);
+                }
+            }
+        }
+    }
+    Ok((at, best))
+}
+
+/// Returns the `of_receiver` links that enter the likelihood, at most [`CASES`], each with the nearest of those before it in
+/// random order.
+fn select_cases(links: &[PowerLink], of_receiver: &[usize]) -> Vec<Case> {
+    let mut order = of_receiver.to_vec();
     rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
     let first = (CASES / 2).min(order.len());
     let rest: Vec<usize> = (first..order.len()).collect();

@@ -8,7 +8,7 @@ use crate::{Dataset, Real, Result, Sampling};
 /// Approximate number of values per observation in the fit: every n-th row and column.
 const VALUES: usize = 2_000;
 
-/// What residuals are differences from. With a path-loss model, it is the prediction far from all known links.
+/// Expected value, from which residuals are differences. With a path-loss model, it is the prediction far from all known links.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ResidualTrend {
     /// Share b of the prediction of a model, 0 to 1; 0 without a model.
@@ -58,7 +58,7 @@ pub fn link_place(data: &Dataset, i: usize) -> Place {
     [x, y, z, f64::from(sample.id)]
 }
 
-/// Fits Kriging to observations of many values: the known `links` of one receiver. `time`: with a scale of time.
+/// Fits Kriging to observations of many values: the known `links` of one receiver. `time` adds a time scale.
 ///
 /// # Errors
 /// An error of `check`.
@@ -78,8 +78,8 @@ pub fn fit_observations(data: &Dataset, links: &[usize], time: bool, check: Stop
 /// # Errors
 /// An error of `check`.
 pub fn fit_powers(data: &Dataset, links: &[usize], check: StopCheck<'_>) -> Result<Vec<ProcessFit>> {
-    let (ends, has_distances) = (data.scene.fixed_ends(), data.scene.has_distances());
-    let end = |receiver: usize| ends.get(receiver).unwrap_or(&ends[0]).position;
+    let has_distances = data.scene.has_distances();
+    let end = |receiver: usize| data.scene.fixed_end(receiver).position;
     let power = |&i: &usize| {
         let (receiver, [x, y, z, _]) = (data.links[i].receiver, link_place(data, i));
         let log_distance = has_distances.then(|| log_distance([x, y, z], end(receiver)));
@@ -87,10 +87,10 @@ pub fn fit_powers(data: &Dataset, links: &[usize], check: StopCheck<'_>) -> Resu
     };
     let powers: Vec<PowerLink> = links.iter().map(power).collect();
     let fit = fit_pooled(&powers, data.scene.receivers.len(), check)?;
-    let process = |(receiver, law): (usize, &PathLoss)| ProcessFit {
-        trend: ResidualTrend { share: 0.0, path_loss: Some((*law, end(receiver))) },
+    let process = |(receiver, path_loss): (usize, &PathLoss)| ProcessFit {
+        trend: ResidualTrend { share: 0.0, path_loss: Some((*path_loss, end(receiver))) },
         variance: fit.variance,
         correlation: fit.correlation,
     };
-    Ok(fit.laws.iter().enumerate().map(process).collect())
+    Ok(fit.path_losses.iter().enumerate().map(process).collect())
 }

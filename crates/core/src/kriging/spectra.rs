@@ -32,7 +32,7 @@ struct Block {
 }
 
 /// Returns the most likely correlation of the observations of `links` links, and its process variance per value. `place` and
-/// `values` return the place and the values of a link; `time`: with a scale of time.
+/// `values` return the place and the values of a link; `time` adds a time scale.
 ///
 /// # Errors
 /// An error of `check`, which is called several times per second.
@@ -98,7 +98,7 @@ impl JointLikelihood {
         each.into_iter().fold((0.0, 0.0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
     }
 
-    /// Returns the number of observations less that of the means.
+    /// Returns the degrees of freedom: the number of observations less one per block.
     fn degrees(&self) -> f64 {
         self.blocks.iter().map(|block| block.places.len() as f64 - 1.0).sum()
     }
@@ -148,7 +148,7 @@ impl Block {
         (0..self.places.len()).map(nearest).collect()
     }
 
-    /// Returns what [`JointLikelihood::errors`] adds up.
+    /// Returns the terms of this block in the sums of [`JointLikelihood::errors`].
     fn errors(&self, correlation: &Correlation) -> (f64, f64) {
         let n = self.places.len();
         let places: Vec<Place> = self.places.iter().map(|place| correlation.scaled(*place)).collect();

@@ -63,7 +63,7 @@ impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Body<B> {
         fields: &'static [&'static str],
         w: W,
     ) -> Result<W::Value, B::Error> {
-        self.0.struct_variant(fields, Fields(w, name, fields))
+        self.0.struct_variant(fields, Fields { inner: w, plugin: name, fields })
     }
     fn deserialize_unit_struct<W: Visitor<'de>>(self, _: &'static str, w: W) -> Result<W::Value, B::Error> {
         self.0.unit_variant()?;
@@ -77,37 +77,44 @@ impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Body<B> {
 
 /// Rejects unknown fields with their position and the nearest name. Errors that pass through typetag's type-erased
 /// deserializer are plain text, from which names cannot be extracted.
-struct Fields<W>(W, &'static str, &'static [&'static str]);
+struct Fields<W> {
+    inner: W,
+    /// Name of the plugin.
+    plugin: &'static str,
+    /// Names of its fields.
+    fields: &'static [&'static str],
+}
 impl<'de, W: Visitor<'de>> Visitor<'de> for Fields<W> {
     type Value = W::Value;
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.expecting(f)
+        self.inner.expecting(f)
     }
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<W::Value, A::Error> {
-        self.0.visit_map(Fields(map, self.1, self.2))
+        self.inner.visit_map(Fields { inner: map, plugin: self.plugin, fields: self.fields })
     }
 }
 impl<'de, A: MapAccess<'de>> MapAccess<'de> for Fields<A> {
     type Error = A::Error;
     fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, k: K) -> Result<Option<K::Value>, A::Error> {
-        self.0.next_key_seed(Fields(k, self.1, self.2))
+        self.inner.next_key_seed(Fields { inner: k, plugin: self.plugin, fields: self.fields })
     }
     fn next_value_seed<S: DeserializeSeed<'de>>(&mut self, s: S) -> Result<S::Value, A::Error> {
-        self.0.next_value_seed(s)
+        self.inner.next_value_seed(s)
     }
 }
 impl<'de, K: DeserializeSeed<'de>> DeserializeSeed<'de> for Fields<K> {
     type Value = K::Value;
     fn deserialize<D: Deserializer<'de>>(self, d: D) -> Result<K::Value, D::Error> {
         let BareName(name) = BareName::deserialize(d)?;
-        if let Some(fault) = removed_field(self.1, &name) {
-            return Err(de::Error::custom(format!("{} {fault}", self.1)));
+        let Self { inner, plugin, fields } = self;
+        if let Some(fault) = removed_field(plugin, &name) {
+            return Err(de::Error::custom(format!("{plugin} {fault}")));
         }
-        if !self.2.contains(&name.as_str()) {
-            let hint = did_you_mean(&name, self.2.iter().copied());
-            let valid = self.2.join("`, `");
+        if !fields.contains(&name.as_str()) {
+            let hint = did_you_mean(&name, fields.iter().copied());
+            let valid = fields.join("`, `");
             return Err(de::Error::custom(format!("unknown field `{name}`{hint} (fields: `{valid}`)")));
         }
-        self.0.deserialize(de::value::StringDeserializer::new(name))
+        inner.deserialize(de::value::StringDeserializer::new(name))
     }
 }

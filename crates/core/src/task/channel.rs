@@ -158,14 +158,14 @@ impl Columns for Channels {
 /// Moves row `order[i]` of `width` values to row i, and removes all other rows. Each row occurs at most once.
 pub(super) fn select_rows<T>(values: &mut Vec<T>, width: usize, order: &[usize]) {
     let rows = values.len() / width;
-    let (mut row_at, mut place_of): (Vec<usize>, Vec<usize>) = ((0..rows).collect(), (0..rows).collect());
-    for (place, &row) in order.iter().enumerate() {
-        let from = place_of[row]; // at `place` or behind it, because earlier places have other rows
-        if from != place {
+    let (mut row_at, mut slot_of): (Vec<usize>, Vec<usize>) = ((0..rows).collect(), (0..rows).collect());
+    for (slot, &row) in order.iter().enumerate() {
+        let from = slot_of[row]; // at `slot` or behind it, because earlier slots have other rows
+        if from != slot {
             let (before, behind) = values.split_at_mut(from * width);
-            before[place * width..][..width].swap_with_slice(&mut behind[..width]);
-            row_at.swap(place, from);
-            place_of[row_at[from]] = from;
+            before[slot * width..][..width].swap_with_slice(&mut behind[..width]);
+            row_at.swap(slot, from);
+            slot_of[row_at[from]] = from;
         }
     }
     values.truncate(order.len() * width);

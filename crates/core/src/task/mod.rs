@@ -52,7 +52,7 @@ impl Deref for Task {
 }
 
 impl Task {
-    /// Returns name and unit of the level of observations at `receivers`: those of receivers that are not calibrated are relative.
+    /// Returns name and unit of the level of observations at `receivers`; powers are relative if a receiver is not calibrated.
     pub fn level_name_at(self, receivers: &[Receiver]) -> [&'static str; 2] {
         let is_relative = self.is_scalar && receivers.iter().any(|receiver| receiver.is_relative);
         if is_relative { ["relative received power", "dB"] } else { self.level_name }
@@ -180,7 +180,7 @@ impl Description {
     /// Returns columns and rows of one observation of a [`Self::shape`].
     ///
     /// # Panics
-    /// If the number of axes is another.
+    /// If `shape` has fewer axes than observations of this type.
     pub fn size(&self, shape: &[usize]) -> (usize, usize) {
         (self.size)(shape)
     }
@@ -202,7 +202,7 @@ impl Description {
         }
     }
 
-    /// Returns the distance of the rows and columns that are read of an observation: `stride` for pixels, otherwise 1.
+    /// Returns the stride of rows and columns at which an observation is sampled: `stride` for pixels, otherwise 1.
     pub fn stride(&self, stride: usize) -> usize {
         if self.has_pixels { stride } else { 1 }
     }
@@ -218,7 +218,7 @@ impl Description {
 #[derive(Clone, Debug)]
 pub enum Observations {
     /// Spatial spectra `[L, H, W]`.
-    Pictures(Spectra),
+    Spectra(Spectra),
     /// Received powers `[L]`, dBm.
     Powers(Vec<Real>),
     /// Channels `[L, A, F]`.
@@ -227,7 +227,7 @@ pub enum Observations {
 
 impl From<Spectra> for Observations {
     fn from(spectra: Spectra) -> Self {
-        Self::Pictures(spectra)
+        Self::Spectra(spectra)
     }
 }
 
@@ -249,7 +249,7 @@ impl Deref for Observations {
 
     fn deref(&self) -> &(dyn Columns + 'static) {
         match self {
-            Self::Pictures(spectra) => spectra,
+            Self::Spectra(spectra) => spectra,
             Self::Powers(powers) => powers,
             Self::Channels(channels) => channels,
         }
@@ -330,7 +330,7 @@ impl Observations {
     /// Returns the measurement type.
     pub fn task(&self) -> Task {
         match self {
-            Self::Pictures(_) => Task::Spectrum,
+            Self::Spectra(_) => Task::Spectrum,
             Self::Powers(_) => Task::Power,
             Self::Channels(_) => Task::Channel,
         }
@@ -342,7 +342,7 @@ impl Observations {
     /// [`Error::Read`](crate::Error::Read) if a spectrum cannot be read.
     pub(crate) fn subset(&self, links: &[usize]) -> Result<Self> {
         Ok(match self {
-            Self::Pictures(all) => {
+            Self::Spectra(all) => {
                 let bytes = links.iter().flat_map(|&i| all.raw(i).into_owned()).collect();
                 all.check()?;
                 Spectra::in_memory(self.size(), all.number(), bytes)?.into()
@@ -372,7 +372,7 @@ impl Observations {
 
     /// Returns the spectra; `None` for other types.
     pub fn spectra(&self) -> Option<&Spectra> {
-        if let Self::Pictures(spectra) = self { Some(spectra) } else { None }
+        if let Self::Spectra(spectra) = self { Some(spectra) } else { None }
     }
 
     /// Returns the received powers, dBm; `None` for other types.

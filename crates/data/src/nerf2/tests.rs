@@ -120,7 +120,7 @@ fn accepts_missing_lists_and_skips_images_without_row() {
     let data = folder.load();
     assert_eq!(data.official, None);
     assert_eq!(data.len(), 3);
-    assert_eq!(data.unmatched, Unmatched { positions: 1, pictures: 1 });
+    assert_eq!(data.unmatched, Unmatched { positions: 1, spectra: 1 });
 }
 
 #[test]

@@ -34,8 +34,8 @@ fn draw_at(p: Splat, here: vec2f) -> Drawn {
   return Drawn(d, gauss, select(0.0, alpha, power <= 0.0 && alpha >= ALPHA_MIN));
 }
 
-// Compacts those of 256 Gaussians from `first` that touch a tile, in order: the place of each is scan[l] − 1. The upper half
-// of the sums counts the pixels that are not final.
+// Compacts those of 256 Gaussians from `first` that touch a tile, in order: the position of each is scan[l] − 1. The upper
+// half of the sums counts the pixels that are not final.
 fn find_hits(l: u32, first: u32, corner: vec2f, is_live: bool) -> bool {
   let o = (first + l) * SPLAT;
   var hit = false;
@@ -54,10 +54,10 @@ fn blend(@builtin(local_invocation_index) l: u32, @builtin(workgroup_id) w: vec3
   var t = 1.0; var is_live = inside; var sum = vec2f(); var listed = 0u;
   for (var first = 0u; first < s.n; first += 256u) {
     let hit = find_hits(l, first, corner, is_live);
-    let place = scan[l] & 65535u;
+    let position = scan[l] & 65535u;
     let total = workgroupUniformLoad(&scan[255]);
     if (total < 65536u) { break; } // all pixels are final
-    if (hit) { hits[place - 1u] = splat_at(first + l, link); }
+    if (hit) { hits[position - 1u] = splat_at(first + l, link); }
     let many = total & 65535u;
     listed += many;
     workgroupBarrier();
@@ -102,8 +102,8 @@ fn list(@builtin(local_invocation_index) l: u32, @builtin(workgroup_id) w: vec3u
   var next = u32(C[w.x]); let end = u32(C[w.x + 1u]);
   for (var first = 0u; first < s.n; first += 256u) {
     let hit = find_hits(l, first, corner, false);
-    let place = next + scan[l] - 1u;
-    if (hit && place < end) { C[start + place] = f32(first + l); }
+    let entry = next + scan[l] - 1u;
+    if (hit && entry < end) { C[start + entry] = f32(first + l); }
     next += workgroupUniformLoad(&scan[255]);
     if (next >= end) { break; }
   }

@@ -1,4 +1,4 @@
-// Drawing of Gaussians: what all kernels of this folder use. Gaussians come in depth order, nearest first. Numbers that
+// Drawing of Gaussians: shared code of the kernels of this folder. Gaussians come in depth order, nearest first. Numbers that
 // count are stored as floats, exact up to 2^24. Every sum has one order, which depends only on the inputs.
 
 struct Op {

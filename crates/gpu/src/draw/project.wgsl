@@ -1,6 +1,8 @@
 // Activation and projection, a Gaussian per invocation: `activate.rs`, `ewa.rs` and `mercator.rs` on the CPU.
 // A is the cloud [N, 13]: mean, log scales, rotation, opacity logit, gate, existence. B has the terms of the network [N, 7]
-// for scales and rotation. H is the view.
+// for scales and rotation. H is the view: rotation (9, row by row), offset (3), columns and rows per radian (12, 13), columns
+// (14), rows above row 0 (15), filter (16), nearest distance (17), sine of the lowest elevation (18), stride and offsets of the
+// sampled pixels (19 to 21), rows of the whole image (22).
 
 const CLOUD: u32 = 13u;
 const TERMS: u32 = 7u;
@@ -12,7 +14,6 @@ const COS_FLOOR: f32 = 0.008726535498373935;
 const ON_AXIS: f32 = 1e-6;
 const REACH: f32 = 3.3290421;
 
-// Places in the view after the rotation, row by row, and the offset.
 fn per_radian() -> vec2f { return vec2f(H[12], H[13]); }
 fn view_rotation() -> mat3x3f { return mat3x3f(H[0], H[3], H[6], H[1], H[4], H[7], H[2], H[5], H[8]); }
 fn sampled() -> vec3f { return vec3f(H[19], H[20], H[21]); } // stride and offsets

@@ -1,6 +1,6 @@
-//! NeRF2's network on a GPU, with the slots and the trunk of the deformation networks: chunks of rays with up to 65,536
-//! samples, the trunk once, the signal network for every pass. Paths and sums along the rays, which take no products of
-//! matrices, stay on the CPU.
+//! NeRF2's network on a GPU, with the slots and the trunk of the deformation networks. A chunk of rays has up to 65,536
+//! samples; the trunk runs once, the signal network for every pass. Paths and sums along the rays need no matrix products
+//! and stay on the CPU.
 
 mod passes;
 
@@ -17,8 +17,9 @@ use pwrfgs_networks::trunk::gpu::{D_FOLDED, D_WEIGHTS, chunk_rows};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Numbers of results that one step reads; further chunks are computed in further steps.
+/// Maximum number of values that one step reads; further chunks are computed in further steps.
 const RESULTS: usize = 1 << 26;
+
 /// Chunk of rays of a group; `ready` is what [`GpuNerf2::prepare`] has kept of it.
 #[derive(Clone, Debug)]
 pub(crate) struct GpuItem<'a> {
@@ -52,14 +53,14 @@ impl GpuNerf2<'_> {
         (0..rays).step_by(size).map(move |first| first..(first + size).min(rays))
     }
 
-    /// Returns the items of all groups. `ready` are those of every receiver.
+    /// Returns the items of all groups; `ready` has the prepared chunks per receiver.
     pub(crate) fn items<'r>(&self, groups: &[RayGroup<'_>], ready: Option<&'r [Vec<GpuReady>]>) -> Vec<GpuItem<'r>> {
-        let of_group = |(group, of): (usize, &RayGroup<'_>)| {
-            let ready = ready.map(|ready| &ready[of.receiver]);
-            let chunks = self.chunks(of.walk.rays.directions.len()).enumerate();
-            chunks.map(move |(c, rays)| GpuItem { group, rays, ready: ready.map(|ready| &ready[c]) })
+        let group_items = |(index, group): (usize, &RayGroup<'_>)| {
+            let ready = ready.map(|ready| &ready[group.receiver]);
+            let chunks = self.chunks(group.walk.rays.directions.len()).enumerate();
+            chunks.map(move |(c, rays)| GpuItem { group: index, rays, ready: ready.map(|ready| &ready[c]) })
         };
-        groups.iter().enumerate().flat_map(of_group).collect()
+        groups.iter().enumerate().flat_map(group_items).collect()
     }
 
     /// Runs the forward pass of all `items`; returns their sums along the rays, and what `keep` makes of their activations.
@@ -127,8 +128,8 @@ impl GpuNerf2<'_> {
         Ok(items.par_iter().zip(results).map(one).collect())
     }
 
-    /// Computes the parts of all rays of a group that do not depend on the transmitter; `None` if the memory of the GPU does not
-    /// suffice to keep them.
+    /// Computes the parts of all rays of a group that do not depend on the transmitter, by chunk; `None` if the memory of the
+    /// GPU does not suffice to keep them.
     ///
     /// # Errors
     /// The GPU failed.
@@ -153,8 +154,8 @@ impl GpuNerf2<'_> {
         Ok(Some(chunks.par_iter().zip(results).zip(kept).map(one).collect()))
     }
 
-    /// Runs the backward pass of [`Self::forward`], given the cotangents `d` per chunk, pass, ray and band. Adds to `d_weights`;
-    /// returns the cotangents of the contributions of the transmitters, `[B, width]`.
+    /// Runs the backward pass of [`Self::forward`], given the cotangents `d` per chunk and [pass, ray, band]. Adds to
+    /// `d_weights`; returns the cotangents of the contributions of the transmitters, `[B, width]`.
     ///
     /// # Errors
     /// The GPU failed; `d_weights` are then unchanged.
@@ -197,13 +198,9 @@ impl GpuNerf2<'_> {
                 }
             }
         }
-        let (d_own, d_folded) = (results.next().unwrap_or_default(), results.next().unwrap_or_default());
-        pwrfgs_networks::dense::add_assign(d_weights, &d_own);
-        let mut biases = self.network.trunk.zero_joints(width);
-        biases.first.copy_from_slice(&d_folded[..width]);
-        let joined = biases.joined.len();
-        biases.joined.copy_from_slice(&d_folded[width..width + joined]);
-        self.network.trunk.add_joint_biases(d_weights, &biases);
+        let (d_network, d_folded) = (results.next().unwrap_or_default(), results.next().unwrap_or_default());
+        pwrfgs_networks::dense::add_assign(d_weights, &d_network);
+        self.network.trunk.add_joint_biases(d_weights, &self.network.trunk.folded_joints(&d_folded));
         Ok(d_emission)
     }
 

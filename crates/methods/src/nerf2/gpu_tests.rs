@@ -58,7 +58,7 @@ fn run(method: &Nerf2, gpu: Option<&Gpu>, case: Case, shift: Real) -> Pass {
     let samples = (0..method.samples).map(|i| 3.0 * i as Real / (method.samples - 1) as Real).collect();
     let rays = RayBundle { origin: [0.1, 0.2, 0.3], directions, samples };
     let links = if is_own {
-        GroupLinks::Own((0..rays.directions.len()).map(|ray| (ray, ray * 5 % batch)).collect())
+        GroupLinks::OnePerRay((0..rays.directions.len()).map(|ray| (ray, ray * 5 % batch)).collect())
     } else {
         GroupLinks::All((0..batch).map(|b| (b, b)).collect())
     };

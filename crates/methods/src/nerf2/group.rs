@@ -1,6 +1,6 @@
 //! `RayGroup`: links with equal rays, chunk by chunk through the network and back.
 
-use crate::nerf2::walk::{RayWalk, SharedActivations, Signal, Sums, TrunkActivations};
+use crate::nerf2::walk::{RayWalk, SharedActivations, SignalActivations, Sums, TrunkActivations};
 use pwrfgs_core::Real;
 use std::ops::Range;
 
@@ -18,7 +18,7 @@ pub(crate) enum GroupLinks {
     /// Every link uses all rays.
     All(Vec<(usize, usize)>),
     /// One link per ray.
-    Own(Vec<(usize, usize)>),
+    OnePerRay(Vec<(usize, usize)>),
 }
 
 /// Sums over the samples of the rays of a chunk, per pass `[rays, bands]`.
@@ -29,14 +29,14 @@ pub(crate) type Passes = Vec<Vec<[Real; 2]>>;
 pub(crate) struct RayActivations {
     shared: SharedActivations,
     trunk_activations: TrunkActivations,
-    signals: Vec<Signal>,
+    signals: Vec<SignalActivations>,
 }
 
 /// Work buffers, reused for all chunks.
 #[derive(Debug, Default)]
 pub(crate) struct GroupScratch {
     trunk_activations: TrunkActivations,
-    signal: Signal,
+    signal: SignalActivations,
 }
 
 impl GroupLinks {
@@ -44,7 +44,7 @@ impl GroupLinks {
     pub(crate) fn pass_count(&self) -> usize {
         match self {
             Self::All(links) => links.len(),
-            Self::Own(_) => 1,
+            Self::OnePerRay(_) => 1,
         }
     }
 
@@ -52,7 +52,7 @@ impl GroupLinks {
     pub(crate) fn pass_locations(&self, pass: usize, chunk: &Range<usize>) -> Vec<usize> {
         match self {
             Self::All(links) => vec![links[pass].1; chunk.len()],
-            Self::Own(links) => links[chunk.clone()].iter().map(|(_, tx)| *tx).collect(),
+            Self::OnePerRay(links) => links[chunk.clone()].iter().map(|(_, tx)| *tx).collect(),
         }
     }
 
@@ -60,7 +60,7 @@ impl GroupLinks {
     pub(crate) fn link_index(&self, pass: usize, ray: usize) -> usize {
         match self {
             Self::All(links) => links[pass].0,
-            Self::Own(links) => links[ray].0,
+            Self::OnePerRay(links) => links[ray].0,
         }
     }
 }
@@ -72,7 +72,7 @@ impl RayGroup<'_> {
         let shared =
             self.walk.shared_activations(rays.clone(), self.walk.network.trunk.depth(), &mut trunk_activations);
         let one = |pass: usize| {
-            let mut signal = Signal::default();
+            let mut signal = SignalActivations::default();
             self.walk.run_signal_network(&shared, &self.links.pass_locations(pass, rays), &mut signal);
             let sums = self.walk.ray_sums(&shared, &signal.raw);
             (signal, sums)

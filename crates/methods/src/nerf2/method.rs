@@ -23,6 +23,7 @@ use std::time::Instant;
 const KEPT: usize = 1_340_000_000;
 /// Maximum size of the cached trunk of a model, bytes; a larger trunk is computed once per call.
 const MOST_CACHED: usize = 2_500 << 20;
+
 /// Chunk of a group with its activations.
 struct Chunk {
     group: usize,
@@ -98,7 +99,7 @@ impl Nerf2 {
                 PixelSubset::Each(pixels) => {
                     let pixels = links.iter().map(|(k, _)| pixels[*k]).collect();
                     let walk = self.ray_walk(setup, network, (receiver, &PixelSubset::Each(pixels)), emission);
-                    RayGroup { receiver, walk, links: GroupLinks::Own(links) }
+                    RayGroup { receiver, walk, links: GroupLinks::OnePerRay(links) }
                 }
                 pixels => RayGroup {
                     receiver,
@@ -108,6 +109,21 @@ impl Nerf2 {
             })
         };
         (0..setup.receivers.len()).filter_map(group).collect()
+    }
+
+    /// Returns group and rays of all chunks, and whether the activations of a chunk are kept: those that fit within [`KEPT`].
+    fn kept_chunks(&self, network: &Nerf2Network, groups: &[RayGroup<'_>]) -> Vec<(usize, Range<usize>, bool)> {
+        let mut free = KEPT;
+        let mut chunks = Vec::new();
+        for (g, group) in groups.iter().enumerate() {
+            for rays in group.walk.chunks() {
+                let bytes = network.activation_bytes(self.samples, rays.len(), group.links.pass_count());
+                let keep = bytes <= free;
+                free -= if keep { bytes } else { 0 };
+                chunks.push((g, rays, keep));
+            }
+        }
+        chunks
     }
 }
 
@@ -165,16 +181,6 @@ impl Method for Nerf2 {
             let numbers = observations(setup, &totals);
             return ForwardOutput { numbers, cache: Some(Arc::new(Nerf2Cache { chunks: Vec::new(), on_gpu, totals })) };
         }
-        let mut room = KEPT;
-        let mut items = Vec::new();
-        for (g, group) in groups.iter().enumerate() {
-            for rays in group.walk.chunks() {
-                let bytes = network.activation_bytes(self.samples, rays.len(), group.links.pass_count());
-                let keep = bytes <= room;
-                room -= if keep { bytes } else { 0 };
-                items.push((g, rays, keep));
-            }
-        }
         let one = |scratch: &mut GroupScratch, (g, rays, keep): (usize, Range<usize>, bool)| {
             let (activations, sums) = if keep {
                 let (results, sums) = groups[g].forward_keeping(&rays);
@@ -184,6 +190,7 @@ impl Method for Nerf2 {
             };
             (Chunk { group: g, rays, activations }, sums)
         };
+        let items = self.kept_chunks(&network, &groups);
         let results: Vec<_> = items.into_par_iter().map_init(GroupScratch::default, one).collect();
         let (chunks, sums): (Vec<Chunk>, Vec<Passes>) = results.into_iter().unzip();
         let sums = chunks.iter().zip(sums).map(|(chunk, sums)| (chunk.group, chunk.rays.clone(), sums));
@@ -243,8 +250,8 @@ impl Method for Nerf2 {
     fn prepare(&self, setup: &MeasurementSetup, p: &Parameters<'_>) -> Cache {
         let network = lay_out_for(p.weights, |plan| self.plan_network(setup, plan));
         let rays = if setup.task.has_pixels { setup.value_count() } else { self.sky_directions().len() };
-        let of_sample = network.width() + network.outputs;
-        let bytes = setup.receivers.len() * rays * self.samples * of_sample * size_of::<Real>();
+        let per_sample = network.width() + network.outputs;
+        let bytes = setup.receivers.len() * rays * self.samples * per_sample * size_of::<Real>();
         if bytes > MOST_CACHED {
             return None;
         }

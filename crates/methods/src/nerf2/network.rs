@@ -112,18 +112,18 @@ impl Nerf2Network {
         d_emission: &[Real],
         (d_weights, d_positions): (&mut [Real], Option<&mut [[Real; 3]]>),
     ) {
-        let (read, batch) = (self.transmitter_inputs(conditions, unit), conditions.len());
+        let (inputs, batch) = (self.transmitter_inputs(conditions, unit), conditions.len());
         let d = Matrix::new(d_emission, batch, self.width());
         let d_w = self.signal[0].weight_mut(d_weights).columns(self.transmitter_columns());
-        product(d_w, StoreMode::Add, d.t(), Matrix::new(&read, batch, self.emission_inputs));
+        product(d_w, StoreMode::Add, d.t(), Matrix::new(&inputs, batch, self.emission_inputs));
         let Some(d_positions) = d_positions else { return };
-        let mut d_read = vec![0.0; read.len()];
+        let mut d_inputs = vec![0.0; inputs.len()];
         let w = self.signal[0].weight(weights).columns(self.transmitter_columns());
-        product(MatrixMut::new(&mut d_read, batch, self.emission_inputs), StoreMode::Set, d, w);
-        let rows = read.chunks_exact(self.emission_inputs).zip(d_read.chunks_exact(self.emission_inputs));
-        for ((read, d), d_tx) in rows.zip(d_positions) {
+        product(MatrixMut::new(&mut d_inputs, batch, self.emission_inputs), StoreMode::Set, d, w);
+        let rows = inputs.chunks_exact(self.emission_inputs).zip(d_inputs.chunks_exact(self.emission_inputs));
+        for ((inputs, d), d_tx) in rows.zip(d_positions) {
             let mut d_scaled = [[0.0; 3]];
-            encode_vjp(read, d, FREQUENCIES, &mut d_scaled);
+            encode_vjp(inputs, d, FREQUENCIES, &mut d_scaled);
             d_tx.iter_mut().zip(d_scaled[0]).for_each(|(sum, d)| *sum += d / unit);
         }
     }

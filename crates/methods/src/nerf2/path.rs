@@ -1,12 +1,14 @@
-//! Attenuation and phase ([`PropagationLaw`]) from each sample of a ray to the receiver, and the received sum of the emissions: Σ
-//! s·exp(jψ)·c.
+//! Attenuation and phase ([`PropagationLaw`]) from each sample of a ray to the receiver, and the received sum of the
+//! emissions: Σ s·exp(jψ)·c.
 
 use pwrfgs_core::{Real, consts};
 use pwrfgs_networks::dense::{amplitude, amplitude_slope};
 
 /// Constant that NeRF2 adds to 1 − α in the product.
-const SPARE: Real = 1e-10;
-/// Length of the last step.
+const EPSILON: Real = 1e-10;
+/// Amplitude of a spectrum at distance 1, as released.
+const AMPLITUDE: Real = 0.025;
+/// Length of the last step, as released.
 const ENDLESS: Real = 1e10;
 /// Smallest remaining amplitude; samples behind it are ignored.
 const DARK: Real = 1e-12;
@@ -14,7 +16,8 @@ const DARK: Real = 1e-12;
 /// Conversion of attenuation to the complex factor c of an emission.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum PropagationLaw {
-    /// Spectra: alpha compositing in front of the sample, phases by length, amplitudes as 0.025 over the distance.
+    /// Spectra: alpha compositing in front of the sample, phases by length, amplitudes as 0.025 over the distance of the
+    /// next sample.
     Spectrum,
     /// Powers and channels: attenuation up to and including the sample, phases of the medium and of the wave.
     Wave {
@@ -48,6 +51,7 @@ impl PropagationLaw {
     /// `[n]`; returns the number of samples in use, those in front of a remaining amplitude of [`DARK`].
     pub(crate) fn fill_factors(self, samples: &[Real], raw: [&[Real]; 2], factors: &mut [[Real; 2]]) -> usize {
         let [raw, raw_phase] = raw;
+        // As released: the phase of a spectrum begins at 1 radian.
         let (mut log, mut phase) = (0.0, if self == Self::Spectrum { 1.0 } else { 0.0 });
         let limit = DARK.ln();
         for (i, factor) in factors.iter_mut().enumerate() {
@@ -56,7 +60,7 @@ impl PropagationLaw {
             let strength = match self {
                 Self::Spectrum => {
                     let next = samples.get(i + 1).map_or(ENDLESS, |next| *next);
-                    0.025 / next
+                    AMPLITUDE / next
                 }
                 // The infinite last step transmits nothing, unless its attenuation is exactly zero.
                 Self::Wave { .. } if i + 1 == samples.len() => return i,
@@ -72,7 +76,7 @@ impl PropagationLaw {
             let size = strength * log.exp();
             *factor = [size * phase.cos(), size * phase.sin()];
             if self == Self::Spectrum {
-                log += ((-loss).exp() + SPARE).ln();
+                log += ((-loss).exp() + EPSILON).ln();
                 phase += turned * step;
             }
         }
@@ -101,7 +105,7 @@ impl PropagationLaw {
             match self {
                 Self::Spectrum => {
                     let left = (-rate * step).exp();
-                    d_raw[i] = -step * left / (left + SPARE) * size * amplitude_slope(raw[i]);
+                    d_raw[i] = -step * left / (left + EPSILON) * size * amplitude_slope(raw[i]);
                     d_raw_phase[i] = step * phase * phase_turn_slope(turned);
                     size += d_factor.0;
                     phase += d_factor.1;

@@ -4,7 +4,7 @@ use crate::nerf2::group::{GroupLinks, Passes, RayGroup};
 use pwrfgs_core::{Call, MeasurementSetup, Real};
 use std::ops::Range;
 
-/// Converts sums over rays `[L, pixels or bands]` to observations.
+/// Converts sums R over rays `[L, pixels or bands]` to observations: pixels |R|, powers 100 |R| − 100 dBm, or channels R.
 pub(crate) fn observations(setup: &MeasurementSetup, totals: &[[Real; 2]]) -> Vec<Real> {
     if setup.task.is_complex {
         return pwrfgs_core::rows_of(totals, band_count(setup));
@@ -15,13 +15,13 @@ pub(crate) fn observations(setup: &MeasurementSetup, totals: &[[Real; 2]]) -> Ve
 
 /// Returns the cotangents of the sums, given those of the observations.
 pub(crate) fn observations_vjp(setup: &MeasurementSetup, totals: &[[Real; 2]], d: &[Real]) -> Vec<[Real; 2]> {
+    if setup.task.is_complex {
+        return pwrfgs_core::gains_of(d, band_count(setup));
+    }
     let along = |([re, im], d): (&[Real; 2], &Real)| {
         let size = re.hypot(*im);
         if size > 0.0 { [d * re / size, d * im / size] } else { [0.0; 2] }
     };
-    if setup.task.is_complex {
-        return pwrfgs_core::gains_of(d, band_count(setup));
-    }
     let each = totals.iter().zip(d).map(along);
     if setup.task.is_scalar { each.map(|d| d.map(|d| 100.0 * d)).collect() } else { each.collect() }
 }
@@ -59,7 +59,7 @@ pub(crate) fn total_index(
     let link = links.link_index(pass, ray);
     match (setup.task.has_pixels, links) {
         (true, GroupLinks::All(_)) => link * width + ray,
-        (true, GroupLinks::Own(_)) => link,
+        (true, GroupLinks::OnePerRay(_)) => link,
         _ => link * width + band,
     }
 }

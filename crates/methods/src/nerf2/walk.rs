@@ -48,7 +48,7 @@ pub(crate) struct TrunkActivations {
 
 /// Activations of the signal network for one transmitter per ray.
 #[derive(Debug, Default)]
-pub(crate) struct Signal {
+pub(crate) struct SignalActivations {
     first: Vec<Real>,
     second: Vec<Real>,
     /// Raw amplitudes and phases `[2 bands, live]`.
@@ -185,9 +185,14 @@ impl RayWalk<'_> {
     }
 
     /// Computes the emission of the samples for the transmitters in the rows `locations`, one per ray.
-    pub(crate) fn run_signal_network(&self, shared: &SharedActivations, locations: &[usize], signal: &mut Signal) {
+    pub(crate) fn run_signal_network(
+        &self,
+        shared: &SharedActivations,
+        locations: &[usize],
+        signal: &mut SignalActivations,
+    ) {
         let (network, weights, width, live) = (self.network, self.weights, self.network.width(), shared.live_count());
-        let Signal { first, second, raw } = signal;
+        let SignalActivations { first, second, raw } = signal;
         first.clone_from(&shared.hidden);
         for (feature, row) in first.chunks_exact_mut(live.max(1)).enumerate() {
             for (segment, tx) in shared.segments.iter().zip(locations) {
@@ -219,8 +224,8 @@ impl RayWalk<'_> {
         &shared.factors[at..at + shared.segments[ray].len()]
     }
 
-    /// Returns the cotangents of the raw values `[2 bands, live]`, given cotangents `d` `[rays, bands]` of [`Self::ray_sums`]; adds
-    /// to those of the path factors.
+    /// Returns the cotangents of the raw values `[2 bands, live]`, given cotangents `d` `[rays, bands]` of
+    /// [`Self::ray_sums`]; adds to those of the path factors.
     pub(crate) fn ray_sums_vjp(
         &self,
         shared: &SharedActivations,
@@ -248,11 +253,11 @@ impl RayWalk<'_> {
         d_raw
     }
 
-    /// Runs the backward pass of one [`Self::run_signal_network`], given cotangents `d` `[rays, bands]` of the sums. Adds to `into`
-    /// and to the cotangents of the path factors and shared contributions.
+    /// Runs the backward pass of one [`Self::run_signal_network`], given cotangents `d` `[rays, bands]` of the sums. Adds to
+    /// `into`, and to the cotangents of the path factors and shared contributions.
     pub(crate) fn signal_network_vjp(
         &self,
-        (shared, signal, locations): (&SharedActivations, &Signal, &[usize]),
+        (shared, signal, locations): (&SharedActivations, &SignalActivations, &[usize]),
         d: &[[Real; 2]],
         (d_factors, d_hidden): (&mut [[Real; 2]], &mut [Real]),
         into: &mut Sums<'_>,

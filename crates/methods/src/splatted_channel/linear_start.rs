@@ -18,8 +18,9 @@ const RIDGE: f64 = 1e-4;
 const MOST: usize = 8_000;
 
 impl SplattedChannel {
-    /// Initialises the linear part of the deformation, the signals and the level; returns whether it did. Does nothing
-    /// if the deformation has no linear part, for several receivers or moving receivers, or without a unique solution.
+    /// Initialises the linear part of the deformation, the signals and the level, and returns `true`. Returns `false` and
+    /// changes nothing if the deformation has no linear part, for several receivers or a moving receiver, or without a
+    /// unique solution.
     pub(super) fn start_linear(
         &self,
         setup: &MeasurementSetup,
@@ -89,8 +90,8 @@ fn fit_ridge(linear: &LinearPart, channels: &[&[[Real; 2]]]) -> Option<Vec<Vec<[
     Some((0..d).map(|k| columns.iter().map(|column| column[k]).collect()).collect())
 }
 
-/// Solves V·B = R for B `[D, J]` in the least-squares sense; V `[AF, J]` (`responses`) is the received channel per basis
-/// function, R `[D, AF]` is `map`. `None` without a unique solution.
+/// Solves V·b = r for every row r of R in the least-squares sense; returns all b, B `[D, J]`. V `[AF, J]` (`responses`) is
+/// the received channel per basis function, R `[D, AF]` is `map`. `None` without a unique solution.
 fn solve_basis(responses: &[[f64; 2]], functions: usize, map: &[Vec<[f64; 2]>]) -> Option<Vec<[f64; 2]>> {
     let (j, numbers) = (functions, responses.len() / functions.max(1));
     // Complex unknowns as pairs of real ones: [[Re, -Im], [Im, Re]] of VᴴV.

@@ -12,13 +12,15 @@ use rayon::prelude::*;
 /// Smallest distance between a Gaussian and an antenna in the model, metres.
 const NEAREST_M: f64 = 0.05;
 
-/// Wave of each Gaussian with a signal of 1 at a receiver: real parts `[A·F, N]` and imaginary parts, rows in the order
-/// of an observation.
+/// Wave of each Gaussian with a signal of 1 at a receiver: real parts `[A·F, N]` and imaginary parts; each row is an
+/// antenna and a subcarrier.
 #[derive(Debug)]
 pub(super) struct Waves {
     re: Vec<Real>,
     im: Vec<Real>,
+    /// Number of Gaussians N.
     n: usize,
+    /// Number of subcarriers F.
     columns: usize,
 }
 
@@ -37,9 +39,9 @@ fn offset_and_distance(mean: &[Real; 3], antenna: &[f64; 3]) -> ([f64; 3], f64) 
     (offset, offset.iter().map(|v| v * v).sum::<f64>().sqrt().max(NEAREST_M))
 }
 
-/// Returns the derivative of Re(d* wave) by the offset from antenna to Gaussian, divided by that offset and the gate; `d` has
-/// real and imaginary part, k is the wavenumber, sine and cosine are those of its product with the distance. Zero up to
-/// [`NEAREST_M`].
+/// Returns the factor s such that s · gate · offset is the derivative of Re(d* wave) by the offset from antenna to Gaussian;
+/// zero up to [`NEAREST_M`]. `d` is the cotangent of the wave (real, imaginary) and `k` the wavenumber; sine and cosine are
+/// those of k · distance.
 fn wave_slope([d_re, d_im]: [f64; 2], k: f64, distance: f64, (sin, cos): (f64, f64)) -> f64 {
     if distance <= NEAREST_M {
         return 0.0;
@@ -166,7 +168,7 @@ impl Waves {
     pub(super) fn pose_vjp(call: &Call<'_>, state: ReceiverState, d_waves: &[[Real; 2]]) -> ([f64; 3], [f64; 4]) {
         let Call { setup, parameters: Parameters { cloud, gate, .. }, .. } = *call;
         let frequencies = setup.frequencies_of(state.receiver);
-        let (center, mut d_position, mut d_rotation) = (DVec3::from(state.pose.position), DVec3::ZERO, DVec3::ZERO);
+        let (centre, mut d_position, mut d_rotation) = (DVec3::from(state.pose.position), DVec3::ZERO, DVec3::ZERO);
         let antenna_waves = d_waves.chunks_exact(frequencies.len() * cloud.len());
         for (antenna, d_waves) in antenna_positions(setup, state).into_iter().zip(antenna_waves) {
             let mut d_antenna = DVec3::ZERO;
@@ -180,7 +182,7 @@ impl Waves {
                 }
             }
             d_position += d_antenna;
-            d_rotation += (DVec3::from(antenna) - center).cross(d_antenna);
+            d_rotation += (DVec3::from(antenna) - centre).cross(d_antenna);
         }
         (d_position.into(), state.pose.rotation_vjp(d_rotation.into()))
     }

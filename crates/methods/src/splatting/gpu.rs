@@ -1,5 +1,5 @@
-//! Drawing of [`Splatting`] on a GPU, in the same order of operations as on the CPU. The CPU sorts by depth, once per receiver
-//! and step, because the network moves no centre; it also adds the terms of the network to the signals.
+//! Drawing of [`Splatting`] on a GPU, in the same order of operations as on the CPU. The CPU sorts by depth, once per
+//! receiver and step, because the network moves no centre. It also adds the terms of the network to the signals.
 
 use super::{ReceiverView, Splatting};
 use crate::groups::{ReceiverGroup, network_vjp};
@@ -9,8 +9,8 @@ use pwrfgs_core::{
     SpectrumLoss, Splats, WantedInputs, device,
 };
 use pwrfgs_gpu::draw::{
-    CLOUD, D_IMAGE, D_ROWS, D_SPLATS, Drawing, GpuReadout, IMAGE, LOSS, LOSSES, PIXELS, SIGNALS, TERMS, TRUTHS, VIEW,
-    VIEW_LEN, WIDTHS,
+    CLOUD, D_IMAGE, D_ROWS, D_SPLATS, Drawing, GEOMETRY, GpuReadout, IMAGE, LOSS, LOSSES, PIXELS, SIGNALS, TERMS,
+    TRUTHS, VIEW, VIEW_LEN, WIDTHS,
 };
 use pwrfgs_gpu::{Gpu, GpuStep};
 use pwrfgs_raster::{AlphaBlending, Mercator, Support};
@@ -26,7 +26,8 @@ pub(super) enum Cotangents<'a> {
     OfLoss(&'a SpectrumLoss<'a>),
 }
 
-/// Results of a group in a backward pass: lengths of tile lists, losses, derivatives by splats and by Gaussians.
+/// Number of results of a group in a backward pass, in the order of `record_vjp`: lengths of tile lists, losses, derivatives
+/// by splats and by Gaussians.
 const RESULTS: usize = 4;
 
 /// Links with one geometry.
@@ -40,7 +41,7 @@ struct DrawnGroup {
 }
 
 impl Splatting {
-    /// Returns the GPU of the process if it draws for this setup; records the part that has no kernels.
+    /// Returns the GPU of the process; `None` without a GPU, or if a part has no kernels, which is then recorded.
     pub(super) fn gpu(&self, setup: &MeasurementSetup) -> Option<&'static Gpu> {
         let gpu = pwrfgs_gpu::current()?;
         match self.gpu_parts(setup) {
@@ -52,7 +53,7 @@ impl Splatting {
         }
     }
 
-    /// Returns projector and readout if the GPU has kernels for all parts; otherwise the part without.
+    /// Returns projector and readout if the GPU has kernels for all parts; the error names the part without.
     pub(super) fn gpu_parts(&self, setup: &MeasurementSetup) -> Result<(&Mercator, GpuReadout), String> {
         let (projector, rasterizer): (&dyn Any, &dyn Any) = (self.projector.get(), self.rasterizer.get());
         let mercator =
@@ -72,11 +73,13 @@ impl Splatting {
         if self.calibration == Calibration::AsReleased {
             return Err("calibration AsReleased".into());
         }
-        match setup {
-            _ if setup.moving.is_receiver() => Err("drawing for moving receivers".into()),
-            _ if !setup.plane.wraps => Err("drawing of images that do not wrap".into()),
-            _ => Ok((mercator, readout)),
+        if setup.moving.is_receiver() {
+            return Err("drawing for moving receivers".into());
         }
+        if !setup.plane.wraps {
+            return Err("drawing of images that do not wrap".into());
+        }
+        Ok((mercator, readout))
     }
 
     /// Returns the observations of all links.
@@ -100,8 +103,8 @@ impl Splatting {
         Ok(all)
     }
 
-    /// Draws all links and runs the backward pass, group by group; adds to `grads` and to existence factors and statistics of
-    /// `sums`. Returns the loss, 0 with given cotangents.
+    /// Draws all links and runs the backward pass, group by group. Adds to `grads`, and to existence factors and statistics
+    /// of `sums`. Returns the loss; 0 for given cotangents.
     ///
     /// # Errors
     /// The GPU failed; the sums are then unchanged.
@@ -135,7 +138,7 @@ impl Splatting {
             self.add_group(call, deltas, drawn, [d_splats, d_rows], grads, sums);
             let rows: Vec<usize> = (0..drawn.shape.gaussians).collect();
             let d_render = render_vjp(drawn, d_splats);
-            sums.stats.add_render(&rows, &radii_of(drawn, d_rows), &d_render, &drawn.view.plane, groups.len());
+            sums.stats.add_render(&rows, &radius_splats(drawn, d_rows), &d_render, &drawn.view.plane, groups.len());
         }
         Ok(loss)
     }
@@ -158,7 +161,7 @@ impl Splatting {
         (value, sums)
     }
 
-    /// Records the drawing of a group and its readout.
+    /// Records the drawing of a group and its readout; `last` is the receiver row whose Gaussians were written last.
     fn record_drawing(
         &self,
         step: &mut GpuStep<'_>,
@@ -206,11 +209,12 @@ impl Splatting {
         }
     }
 
-    /// Returns the links of `call` by geometry. Sorts before a step begins: sorting uses threads that
-    /// could take up work that waits for the GPU.
+    /// Groups the links of `call` by geometry, and sorts the Gaussians of each receiver by depth. Call it before a step
+    /// begins: sorting uses threads that could take up work that waits for the GPU.
     fn gpu_groups(&self, call: &Call<'_>, deltas: &Deltas) -> Vec<DrawnGroup> {
         let Call { setup, parameters: p, links, .. } = *call;
         let (plane, has_terms) = (self.sky(setup), !(deltas.scales.is_empty() && deltas.quats.is_empty()));
+        // [`Self::gpu`] has checked that there are kernels for all parts.
         let readout = self.gpu_parts(setup).map_or(GpuReadout::Magnitude, |(_, readout)| readout);
         let mut all: Vec<DrawnGroup> = Vec::new();
         for group in ReceiverGroup::from_links(links, !self.deformation.traits().varies_geometry) {
@@ -284,6 +288,7 @@ impl Splatting {
             {
                 let (i, term) = (i as usize, batch.start * n + i as usize);
                 let ActivationVjp { cloud, deltas, gate } = &mut *grads;
+                // The columns of slot `D_ROWS`.
                 add(&mut cloud.means[i], &row[..3]);
                 add(&mut cloud.log_scales[i], &row[3..6]);
                 add(&mut cloud.quats[i], &row[6..10]);
@@ -291,9 +296,9 @@ impl Splatting {
                 gate[i] += row[11];
                 deltas.scales.get_mut(term).into_iter().for_each(|sum| add(sum, &row[12..15]));
                 deltas.quats.get_mut(term).into_iter().for_each(|sum| add(sum, &row[15..19]));
-                let [.., d_existence] = splat[..8] else { continue };
-                sums.existence[i] += if p.existence.is_some() { d_existence } else { 0.0 };
-                d_signals[i * (width - 8)..][..width - 8].copy_from_slice(&splat[8..]);
+                let (d_geometry, d_signal) = splat.split_at(GEOMETRY);
+                sums.existence[i] += if p.existence.is_some() { d_geometry[GEOMETRY - 1] } else { 0.0 };
+                d_signals[i * d_signal.len()..][..d_signal.len()].copy_from_slice(d_signal);
             }
             self.activation().signals_vjp(p.cloud, terms, batch, &d_signals, grads);
         });
@@ -332,15 +337,16 @@ pub(super) fn view_constants(mercator: &Mercator, view: &ReceiverView) -> [Real;
     all
 }
 
-/// Returns splats with radii only, for statistics.
-fn radii_of(DrawnGroup { order, .. }: &DrawnGroup, d_rows: &[Real]) -> Splats {
+/// Returns splats with radii only, for statistics: the last column of slot [`D_ROWS`], in the order of the Gaussians.
+fn radius_splats(DrawnGroup { order, .. }: &DrawnGroup, d_rows: &[Real]) -> Splats {
     let mut radii = vec![0.0; order.len()];
     let rows = d_rows.as_chunks::<{ WIDTHS[3] }>().0;
     order.iter().zip(rows).for_each(|(&i, [.., radius])| radii[i as usize] = *radius);
     Splats { radii, ..Splats::default() }
 }
 
-/// Returns the cotangents that statistics use: those of the centres, and the weights.
+/// Returns the cotangents that statistics use: those of the centres, and the weights; columns 0, 1 and 6 of slot
+/// [`D_SPLATS`].
 fn render_vjp(DrawnGroup { order, shape, .. }: &DrawnGroup, d_splats: &[Real]) -> RenderVjp {
     let (mut means2d, mut weights) = (vec![[0.0; 2]; order.len()], vec![0.0; order.len()]);
     for (&i, row) in order.iter().zip(d_splats.chunks_exact(shape.derivatives())) {

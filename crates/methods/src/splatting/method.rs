@@ -2,7 +2,7 @@
 
 use super::received::{self, PathLossLaws};
 use super::survey::SurveyRequest;
-use super::{BlendedSignals, Geometry, ReceiverView, Splatting};
+use super::{BlendedSignals, Geometry, GroupOutput, ReceiverView, Splatting};
 use crate::groups::{self, OFFSETS, ReceiverGroup};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
@@ -20,7 +20,7 @@ const LAW: [&str; 2] = [OFFSETS, "receiver.exponents"];
 
 /// State of the forward pass for [`Method::vjp`].
 struct ForwardCache {
-    /// Terms of the network, and what it keeps for its derivative.
+    /// Terms of the network, and its state for the backward pass.
     terms: (Deltas, Cache),
     /// Drawings on the CPU.
     drawings: Vec<(ReceiverGroup, ReceiverView, BlendedSignals)>,
@@ -73,8 +73,8 @@ impl Splatting {
         }
     }
 
-    /// Returns the cotangents of the blended signals, given those `d` of the observations; adds to those of the
-    /// path-loss parameters.
+    /// Returns the cotangents of the blended signals of [`Self::read_out`], given those `d` of the observations. For powers it
+    /// adds to `d_law`, the cotangents of offset and path-loss exponent.
     pub(super) fn read_out_vjp(
         &self,
         view: &ReceiverView,
@@ -100,7 +100,7 @@ impl Splatting {
     /// Predicts the links of `call`. In training, keeps the state for the backward pass, and clamps blended signals as
     /// released.
     fn predict_links(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (ForwardOutput, StageTimes) {
-        let Call { setup, parameters: p, links, .. } = *call;
+        let Call { setup, links, .. } = *call;
         let start = Instant::now();
         let ready: Option<&Ready> = prepared.is_some().then(|| cached(prepared));
         let network_cache = ready.map_or(&None, |ready| &ready.deformation);
@@ -119,25 +119,16 @@ impl Splatting {
         }
         let (sky, numbers) = (self.sky(setup), setup.value_count());
         let one = |group: ReceiverGroup| {
-            let start = Instant::now();
-            let view = ReceiverView { pose: group.state.pose, plane: sky.clone() };
             let shared_geometry = ready.and_then(|ready| ready.shared_geometry.get(group.state.receiver));
-            let (terms, batch) = group.gather_terms(&deltas, p.cloud.len());
-            let drawing = self.draw(&view, &p, &terms, batch, shared_geometry);
-            let blended = &drawing.render.pixels;
-            let blended = if is_training { self.clamp_as_released(blended) } else { Cow::Borrowed(blended.as_slice()) };
-            let observations = self.read_out(call, &view, &group, &blended);
-            let [projection, sort] = if shared_geometry.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
-            let seconds = [projection, sort, start.elapsed().as_secs_f64() - projection - sort];
-            (observations, seconds, is_training.then_some((view, drawing)), group)
+            self.draw_group(call, &sky, &deltas, shared_geometry, is_training, group)
         };
         let groups = ReceiverGroup::from_links(links, !self.deformation.traits().varies_geometry);
         let is_alone = groups.len() == 1; // its links are in order
-        let drawn: Vec<_> =
+        let drawn: Vec<GroupOutput> =
             if is_alone { groups.into_iter().map(one).collect() } else { groups.into_par_iter().map(one).collect() };
         let mut all = vec![0.0; if is_alone { 0 } else { links.pairs.len() * numbers }];
         let mut drawings = Vec::new();
-        for (observations, [projection, sort, blending], drawing, group) in drawn {
+        for GroupOutput { group, observations, seconds: [projection, sort, blending], drawing } in drawn {
             times.projection += projection;
             times.sort += sort;
             times.blending += blending;
@@ -152,7 +143,7 @@ impl Splatting {
         (ForwardOutput { numbers: all, cache: is_training.then(|| Arc::new(cache) as _) }, times)
     }
 
-    /// Returns the terms of the network and, if `is_training`, what it keeps for the backward pass.
+    /// Returns the terms of the network and, if `is_training`, its state for the backward pass.
     pub(super) fn network_terms(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (Deltas, Cache) {
         let Call { setup, parameters: p, links, .. } = *call;
         let (network, pose) = (self.split_weights(setup, p.weights).0, setup.pose());
@@ -277,12 +268,9 @@ impl Method for Splatting {
                 self.draw_vjp(view, drawing, &p, terms, &d_blended, grads)
             });
             sums.existence.iter_mut().zip(&d.splats.existence).for_each(|(sum, d)| *sum += d);
-            if let (Some(positions), true) = (&mut sums.positions, setup.moving.is_receiver()) {
-                let (d_position, d_orientation) = drawing.geometry.primitives.pose_vjp(&view.pose, &d_primitives);
-                (0..3).for_each(|k| positions[group.first_location()][k] += d_position[k] as Real);
-                if let Some(orientations) = &mut sums.orientations {
-                    (0..4).for_each(|k| orientations[group.row][k] += d_orientation[k]);
-                }
+            if setup.moving.is_receiver() {
+                let pose_vjp = || drawing.geometry.primitives.pose_vjp(&view.pose, &d_primitives);
+                group.add_pose_vjp(pose_vjp, sums.positions.as_deref_mut(), sums.orientations.as_deref_mut());
             }
             sums.stats.add_render(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
         }

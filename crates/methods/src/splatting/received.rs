@@ -46,9 +46,10 @@ fn solid_angles(plane: &ImagePlane) -> Vec<Real> {
     (0..plane.height).map(|row| (azimuth.step.to_radians().abs() * ring(row)) as Real).collect()
 }
 
-/// Integrates the squares of both channels `[2, H·W]` of a link over solid angle, given the `angles` of the rows.
+/// Integrates the squares of both channels `[2, H·W]` of a link over solid angle, given the `angles` of the rows; adds
+/// [`FLOOR`].
 fn integrate_power(angles: &[Real], width: usize, sky: &[Real]) -> Real {
-    let rows = sky.chunks_exact(width).zip(angles.iter().cycle());
+    let rows = sky.chunks_exact(width).zip(angles.iter().cycle()); // two channels with equal rows
     rows.map(|(row, angle)| angle * row.iter().map(|c| c * c).sum::<Real>()).sum::<Real>() + FLOOR
 }
 
@@ -104,7 +105,6 @@ impl Splatting {
     ) {
         cloud.signals.iter_mut().for_each(|signal| *signal = [1.0, 0.0]);
         let Some(powers) = data.observations.powers() else { return };
-        let Some(last) = weights.len().checked_sub(2 * setup.receivers.len()) else { return };
         let part = evenly(train, FITTED);
         let sky = untrained_predictions(self, setup, data, &part, (cloud, weights));
         let receivers = &setup.receivers;
@@ -116,17 +116,19 @@ impl Splatting {
                 let length = (fixed - Vec3::from_array(setup.origin.local(query.position()))).length();
                 f64::from(length.max(NEAREST_M) as f32).log10()
             });
-            (query.receiver, [x, f64::from((powers[i] - sky) as f32) / 10.0])
+            (query.receiver, [x, f64::from((powers[i] - sky) as f32) / BEL as f64])
         };
         let rows: Vec<(usize, [f64; 2])> = part.iter().zip(sky).map(row).collect();
-        let (offsets, exponent) = fit_path_loss(&rows, receivers.len());
-        weights[last..last + receivers.len()].iter_mut().zip(offsets).for_each(|(w, offset)| *w += offset as Real);
-        weights[last + receivers.len()..].iter_mut().for_each(|w| *w = exponent as Real);
+        let (fitted, exponent) = fit_path_loss(&rows, receivers.len());
+        let network = self.split_weights(setup, weights).0.len();
+        let (offsets, exponents) = weights[network..].split_at_mut(receivers.len());
+        offsets.iter_mut().zip(fitted).for_each(|(offset, fitted)| *offset += fitted as Real);
+        exponents.fill(exponent as Real);
     }
 }
 
-/// Returns the least-squares fit of y = offset(receiver) − n x over `rows` (receiver, [x, y]): the slope of the
-/// residuals after subtraction of the means per receiver.
+/// Returns offsets and n of the least-squares fit of y = offset(receiver) − n x over `rows` (receiver, [x, y]): n is the
+/// slope of the residuals after subtraction of the means per receiver.
 fn fit_path_loss(rows: &[(usize, [f64; 2])], receivers: usize) -> (Vec<f64>, f64) {
     let mut sums = vec![[0.0; 3]; receivers];
     for (receiver, [x, y]) in rows {

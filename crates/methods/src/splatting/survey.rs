@@ -6,7 +6,7 @@ use crate::groups::ReceiverGroup;
 use pwrfgs_core::{Call, Deltas, Needs, Parameters, PassStatistics, Real, SplatStats, Splats, Statistic, SurveyInputs};
 use std::sync::Arc;
 
-/// Derivatives of (mean2d, conic) by (mean, log scale) of one Gaussian.
+/// Derivatives `[5, 6]` of mean (2) and conic (3) of a splat by mean (3) and log scale (3) of its Gaussian.
 type Jacobian = [[Real; 6]; 5];
 
 /// Arguments of [`pwrfgs_core::Method::survey`].
@@ -57,7 +57,7 @@ impl Splatting {
         sums
     }
 
-    /// Returns ∂observation/∂blended, summed over the values of an observation.
+    /// Returns ∂observation/∂blended of a link, summed over the values of the observation, in the shape of `blended`.
     fn observation_slopes(
         &self,
         request: &SurveyRequest<'_>,
@@ -123,7 +123,6 @@ impl Splatting {
         let truth = &truths[link.first_link() * setup.value_count()..][..setup.value_count()];
         let predicted = self.read_out(request.call, view, link, &self.clamp_as_released(&render.pixels));
         let slopes = self.observation_slopes(request, view, link, &render.pixels);
-        let asks = |matches: fn(&Statistic) -> bool| needs.statistics.iter().copied().find(matches);
         let strengths: Vec<Real> = signals.chunks_exact(channels).map(signal_strength).collect();
         let errors: Vec<Real> = predicted.iter().zip(truth).map(|(a, b)| (a - b).abs()).collect();
         let (mut survey, high) = (SurveyInputs::default(), high_errors(&errors, needs));
@@ -131,9 +130,8 @@ impl Splatting {
             if request.requires_any(|s| matches!(s, Statistic::Error { .. })) {
                 (survey.errors, survey.high) = (&errors, &high);
             }
-            if let Some(Statistic::Top { count }) = asks(|s| matches!(s, Statistic::Top { .. })) {
-                survey.top = Some((count, truth, &strengths));
-            }
+            let top = |s: &Statistic| if let Statistic::Top { count } = *s { Some(count) } else { None };
+            survey.top = needs.statistics.iter().find_map(top).map(|count| (count, truth, &strengths[..]));
             if request.requires_any(|s| matches!(s, Statistic::Sensitivity | Statistic::Fisher)) {
                 survey.slopes = Some((signals, &slopes));
                 survey.fisher = !jacobians.is_empty();
@@ -145,14 +143,8 @@ impl Splatting {
         }
         let mut statistics = PassStatistics::zeros(needs, splats.len());
         statistics.links = 1;
-        let mean_error = errors.iter().sum::<Real>() / errors.len().max(1) as Real;
         fill_weights(&mut statistics, &splat_stats, [&strengths, &strengths]);
-        fill_column(&mut statistics.error, &splat_stats, |_, splat| splat.error);
-        fill_column(&mut statistics.high_error, &splat_stats, |_, splat| mean_error * splat.high);
-        fill_column(&mut statistics.sensitivity, &splat_stats, |_, splat| splat.sensitivity);
-        statistics.top.iter_mut().zip(&splat_stats).for_each(|(v, splat)| *v = splat.top);
-        let fishers = statistics.fisher.iter_mut().zip(jacobians).zip(&splat_stats);
-        fishers.for_each(|((v, jacobian), splat)| *v = transform_fisher(&splat.fisher, jacobian));
+        fill_link_columns(&mut statistics, &splat_stats, &errors, jacobians);
         statistics
     }
 
@@ -223,6 +215,22 @@ fn fill_weights(statistics: &mut PassStatistics, splat_stats: &[SplatStats], [su
     fill_column(&mut statistics.weight_per_area, splat_stats, |_, splat| times * splat.weight / splat.pixels.max(1.0));
     fill_column(&mut statistics.signal_mean, splat_stats, |i, splat| sums[i] * splat.weight);
     fill_column(&mut statistics.signal_max, splat_stats, |i, splat| largest[i] * splat.weight);
+}
+
+/// Fills the requested statistics that differ per link, given the errors of its values.
+fn fill_link_columns(
+    statistics: &mut PassStatistics,
+    splat_stats: &[SplatStats],
+    errors: &[Real],
+    jacobians: &[Jacobian],
+) {
+    let mean_error = errors.iter().sum::<Real>() / errors.len().max(1) as Real;
+    fill_column(&mut statistics.error, splat_stats, |_, splat| splat.error);
+    fill_column(&mut statistics.high_error, splat_stats, |_, splat| mean_error * splat.high);
+    fill_column(&mut statistics.sensitivity, splat_stats, |_, splat| splat.sensitivity);
+    statistics.top.iter_mut().zip(splat_stats).for_each(|(v, splat)| *v = splat.top);
+    let fishers = statistics.fisher.iter_mut().zip(jacobians).zip(splat_stats);
+    fishers.for_each(|((v, jacobian), splat)| *v = transform_fisher(&splat.fisher, jacobian));
 }
 
 /// Fills a statistic with one value per Gaussian; a statistic that is not requested is empty and stays so.

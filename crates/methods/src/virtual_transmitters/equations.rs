@@ -166,8 +166,8 @@ pub(crate) struct MeasurementRows {
 }
 
 impl MeasurementRows {
-    /// Creates the rows of the channel `h`, `[A,F]` per position, at the listed positions (`items`) and `values` of A·F; above `most`
-    /// rows, an equal number per item, drawn at random.
+    /// Creates the rows of the channel `h`, `[A,F]` per position, at the listed positions (`items`) and `values` of A·F.
+    /// Above `most` rows it draws an equal number per item at random.
     pub(crate) fn new(
         links: &ChannelInputs<'_>,
         h: &[&[[Real; 2]]],

@@ -65,6 +65,9 @@ impl AntennaGroup {
 /// Computes h `[M,A,F]` of all Gaussians, each multiplied by its gate.
 ///
 /// The cost is about 40 operations per link and Gaussian. `gate` is `[N]`, or `None` for all 1.
+///
+/// # Panics
+/// If the number of gates is not N, or if the cloud has harmonics above the third order.
 pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_>) -> Vec<[Real; 2]> {
     let groups = antenna_groups(cloud, gate, links);
     let (antennas, subcarriers) = (links.antennas.len(), links.frequencies.len());
@@ -83,8 +86,11 @@ pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs
 
 /// Computes the derivative of [`field`]: Σ ⟨d, h⟩ by means, quaternions, signals, harmonics and gates, for a cotangent
 /// d `[M,A,F]`.
+///
+/// # Panics
+/// If `d` has another length than the field.
 pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_>, d: &[[Real; 2]]) -> FieldVjp {
-    assert_eq!(d.len(), links.value_count(), "one cotangent a link");
+    assert_eq!(d.len(), links.value_count(), "one cotangent per link");
     let groups = antenna_groups(cloud, None, links);
     let per_metre = wavelengths_per_metre(links);
     let block = links.positions.len().div_ceil(BLOCKS).max(64);
@@ -125,7 +131,7 @@ fn wavelengths_per_metre(links: &ChannelInputs<'_>) -> Vec<Real> {
 /// # Panics
 /// If the number of gates is not that of Gaussians, or if the cloud has more than [`MOST`] harmonics.
 fn antenna_groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &ChannelInputs<'_>) -> Vec<AntennaGroup> {
-    assert!(gate.is_none_or(|g| g.len() == cloud.len()), "one gate a Gaussian");
+    assert!(gate.is_none_or(|g| g.len() == cloud.len()), "one gate per Gaussian");
     let more = cloud.extra(HARMONICS);
     let terms = 1 + more.map_or(0, |c| c.width / 2);
     assert!(terms <= MOST, "at most {MOST} harmonics");

@@ -4,12 +4,12 @@
 use crate::virtual_transmitters::harmonics::{self, HARMONICS};
 use pwrfgs_core::{ExtraColumn, GaussianCloud, Real, SPEED_OF_LIGHT};
 
-/// Arguments of a channel h `[M,A,F]`, without the room.
+/// Positions, antennas and frequencies of a channel h `[M,A,F]`.
 #[derive(Clone, Copy, Debug)]
 pub struct ChannelInputs<'a> {
     /// Positions of the moving node `[M,3]`, metres.
     pub positions: &'a [[Real; 3]],
-    /// Antennas of the fixed node in its own frame `[A,3]`, metres; one at zero without an array.
+    /// Antenna positions of the fixed node in its frame `[A,3]`, metres; one at zero without an array.
     pub antennas: &'a [[Real; 3]],
     /// Subcarrier frequencies `[F]`, Hz.
     pub frequencies: &'a [f64],
@@ -110,7 +110,7 @@ impl VirtualSources {
         self.gains.resize(self.len() * self.harmonic_count(), [0.0; 2]);
     }
 
-    /// Adds the sources of `other`, of equal order.
+    /// Adds the sources of `other`, whose order must be equal.
     pub fn extend(&mut self, other: Self) {
         self.positions.extend(other.positions);
         self.quats.extend(other.quats);
@@ -151,7 +151,8 @@ impl VirtualSources {
     }
 }
 
-/// Returns the signal-to-noise ratio −10 log10(Σ|h' − h|²/Σ|h|²) of predicted channels over all links, dB.
+/// Returns the signal-to-noise ratio −10 log10(Σ|h' − h|²/Σ|h|²) of predicted channels over all links, dB; infinite if they
+/// are equal.
 pub fn snr_db<'a>(predicted: &[[Real; 2]], truth: impl IntoIterator<Item = &'a [Real; 2]>) -> f64 {
     let (mut error, mut energy) = (0.0, 0.0);
     for (p, t) in predicted.iter().zip(truth) {

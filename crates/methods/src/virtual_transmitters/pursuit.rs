@@ -20,6 +20,9 @@ const FADED: f64 = 1.0 / 3.0;
 /// Number of candidates that are refined before the best is selected.
 const CLIMB: usize = 32;
 
+/// Refinement steps of a candidate.
+const CLIMB_STEPS: usize = 8;
+
 /// Refinement steps after every addition.
 const STEPS: usize = 10;
 
@@ -59,8 +62,10 @@ impl Default for PursuitOptions {
 /// Searches for the virtual transmitters of `channel`: `[A,F]` per position.
 ///
 /// `report_progress` receives the number of additions and removals, of at most [`MatchingPursuit::most_changes`], with the
-/// part of the next addition during a sweep. Soon after `stop` is set, the search ends and returns the sources found so far. An error describes the invalid
-/// input.
+/// part of the next addition during a sweep. Soon after `stop` is set, the search ends and returns the best sources so far.
+///
+/// # Errors
+/// `links`, `channel` or `options` are invalid; the message names the value.
 pub fn pursue_sources(
     links: &ChannelInputs<'_>,
     channel: &[&[[Real; 2]]],
@@ -77,15 +82,15 @@ pub fn pursue_sources(
     let all: Vec<usize> = (0..links.positions.len()).collect();
     let mut best = (f64::NEG_INFINITY, VirtualSources::new(options.order));
     let (held_out, fitted) = options.split_held_out(links);
-    let parts = (&fitted[..], &held_out[..]);
-    PursuitSearch::new((links, channel), options, stop, parts).improve_best(&mut best, report_progress);
+    PursuitSearch::new((links, channel), options, stop, (&fitted, &held_out)).improve_best(&mut best, report_progress);
     let [grid, _, last] = options.rows;
     let options = &PursuitOptions { rows: [grid, last, last], ..options.clone() };
     PursuitSearch::new((links, channel), options, stop, (&all, &[])).refine_sources(&mut best.1, STEPS);
     Ok(best.1)
 }
 
-/// Returns the shortest and longest expected time of a search, seconds: it times a share of a sweep and one candidate.
+/// Returns the shortest and longest expected time of a search, seconds, from the times of a share of a sweep and of one
+/// candidate.
 pub(crate) fn expected_pursuit_seconds(
     links: &ChannelInputs<'_>,
     channel: &[&[[Real; 2]]],
@@ -94,10 +99,10 @@ pub(crate) fn expected_pursuit_seconds(
     let stop = AtomicBool::new(false);
     let (held_out, fitted) = options.split_held_out(links);
     let search = PursuitSearch::new((links, channel), options, &stop, (&fitted, &held_out));
-    let (none, begun) = (VirtualSources::new(options.order), Instant::now());
+    let (none, start) = (VirtualSources::new(options.order), Instant::now());
     let peaks = sweep_cells((&search.levels, &search.grid), &none, (options.peaks, SHARE), &stop, &mut |_, _| ());
-    let sweep = SHARE as f64 * begun.elapsed().as_secs_f64();
-    let [candidate, settled] = search.time_candidate(&peaks);
+    let sweep = SHARE as f64 * start.elapsed().as_secs_f64();
+    let [candidate, refinement] = search.time_candidate(&peaks);
     let MatchingPursuit { most, patience, rounds, .. } = options.settings;
     // Shortest: one sweep and one success, then `patience` candidates from the remaining peaks.
     let least = sweep + candidate * (1 + patience).min(most) as f64;
@@ -106,8 +111,8 @@ pub(crate) fn expected_pursuit_seconds(
     let added = most + rounds * patience;
     let removed = if held_out.is_empty() { 0 } else { (1 + rounds) * most / 2 };
     // The last refinement has up to twice the sources, which is four times the work per row.
-    let last = settled * 4.0 * options.rows[2] as f64 / options.rows[1] as f64;
-    [least, (sweep + candidate) * added as f64 + settled * removed as f64 + last]
+    let last = refinement * 4.0 * options.rows[2] as f64 / options.rows[1] as f64;
+    [least, (sweep + candidate) * added as f64 + refinement * removed as f64 + last]
 }
 
 impl PursuitOptions {
@@ -131,6 +136,8 @@ struct Peak {
     quat: [f64; 4],
     /// Energy that it explains with its best gain.
     explains: f64,
+    /// Logarithm of its odds against noise, if it is the best of all candidates.
+    log_odds: f64,
 }
 
 /// One pass of the search.
@@ -218,8 +225,8 @@ impl<'a> PursuitSearch<'a> {
         }
     }
 
-    /// Measures the expected time to refine `peaks` and add the best, and of the second part alone, seconds, with half
-    /// the maximum number of sources.
+    /// Measures the expected time to refine `peaks` and add the best, and that of the addition alone, seconds, with half the
+    /// maximum number of sources.
     fn time_candidate(&self, peaks: &[Cell]) -> [f64; 2] {
         let PursuitOptions { order, settings, .. } = self.options;
         let (none, mut sources) = (VirtualSources::new(*order), VirtualSources::new(*order));
@@ -231,7 +238,7 @@ impl<'a> PursuitSearch<'a> {
         _ = self.best_refined(&self.rows.residual(&none), peaks.to_vec(), 1, &none);
         let refined = 2.0 * begun.elapsed().as_secs_f64();
         let begun = Instant::now();
-        _ = refine_positions(&self.rows, &mut sources, self.refine_options(1, 1e-9 * self.rows.energy()));
+        _ = refine_positions(&self.rows, &mut sources, self.refine_options(1, self.smallest_ridge()));
         let added = (2 * STEPS) as f64 * begun.elapsed().as_secs_f64();
         [refined + added, added]
     }
@@ -240,8 +247,7 @@ impl<'a> PursuitSearch<'a> {
     /// whenever the score improves.
     fn add_sources(&mut self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(f64)) {
         let MatchingPursuit { most, patience, .. } = self.options.settings;
-        let mut sources = best.1.clone();
-        let mut failures = 0;
+        let (mut sources, mut failures) = (best.1.clone(), 0);
         while sources.len() < most && failures < patience && !self.is_stopped() {
             let Some(peak) = self.next_candidate(&sources, report_progress) else { break };
             sources.push(peak.position, peak.quat, [0.0; 2]);
@@ -259,9 +265,9 @@ impl<'a> PursuitSearch<'a> {
     /// `best` whenever the score improves.
     fn remove_sources(&self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
         let mut sources = best.1.clone();
-        let (all, ridge) = (sources.len(), 1e-9 * self.rows.energy());
+        let all = sources.len();
         while sources.len() > (all / 2).max(1) && !self.is_stopped() {
-            let costs = costs_without_each(&self.rows, &sources, ridge);
+            let costs = costs_without_each(&self.rows, &sources, self.smallest_ridge());
             let weakest = (0..costs.len()).fold(0, |w, g| if costs[g] < costs[w] { g } else { w });
             sources = sources.without(weakest);
             self.refine_sources(&mut sources, STEPS);
@@ -276,20 +282,19 @@ impl<'a> PursuitSearch<'a> {
     /// Refines all sources twice, each time with a ridge from the noise-to-signal ratio of the previous fit. Leaves
     /// `sources` as they are if the equations have no unique solution.
     fn refine_sources(&self, sources: &mut VirtualSources, steps: usize) {
-        let Some(mut cost) = solve_gains(&self.rows, sources, 1e-9 * self.rows.energy()) else { return };
+        let Some(mut cost) = solve_gains(&self.rows, sources, self.smallest_ridge()) else { return };
         for _ in 0..2 {
             let noise = cost / self.rows.len() as f64;
             let signal = self.rows.mean_signal_power(sources) / sources.harmonic_count() as f64;
             let noise_to_signal = self.options.settings.ridge * noise / signal.max(f64::MIN_POSITIVE);
-            let ridge = noise_to_signal + 1e-12 * self.rows.len() as f64;
-            let Some(refined) = refine_positions(&self.rows, sources, self.refine_options(steps, ridge)) else {
-                return;
-            };
+            let options = self.refine_options(steps, noise_to_signal + 1e-12 * self.rows.len() as f64);
+            let Some(refined) = refine_positions(&self.rows, sources, options) else { return };
             cost = refined;
         }
     }
 
-    /// Returns the candidate with the most evidence after individual refinement; `None` if every one is close to a source.
+    /// Returns the candidate with the most evidence after individual refinement; `None` without a candidate of
+    /// [`Self::best_refined`].
     ///
     /// Sweeps the cells again only if neither images nor the remaining peaks are beyond doubt, or if they explain much
     /// less than the previous best: a better candidate may then exist.
@@ -297,8 +302,8 @@ impl<'a> PursuitSearch<'a> {
         let residual = self.rows.residual(sources);
         let mut best = None;
         let apart = self.wavelength / 4.0;
-        let away = |node: &[f64; 3]| sources.positions.iter().all(|v| distance(v, node) > apart);
-        let mut positions: Vec<[f64; 3]> = self.options.node.filter(away).into_iter().collect();
+        let is_apart = |node: &[f64; 3]| sources.positions.iter().all(|v| distance(v, node) > apart);
+        let mut positions: Vec<[f64; 3]> = self.options.node.filter(is_apart).into_iter().collect();
         if self.options.settings.images {
             let sources = [&sources.positions[..], &positions[..]].concat();
             positions.extend(mirror_images(&sources, &self.positions, &self.grid, apart));
@@ -308,32 +313,31 @@ impl<'a> PursuitSearch<'a> {
             let number = peaks.len();
             best = self.best_refined(&residual, peaks, number, sources);
         }
-        let better = |best: Option<(Peak, f64)>, other: Option<(Peak, f64)>| {
-            best.into_iter().chain(other).reduce(|a, b| if b.1 > a.1 { b } else { a })
+        let better = |best: Option<Peak>, other: Option<Peak>| {
+            best.into_iter().chain(other).reduce(|a, b| if b.log_odds > a.log_odds { b } else { a })
         };
         let cells = self.grid.cell_count(self.grid.step);
         best = better(best, self.best_refined(&residual, self.pool.clone(), cells, sources));
-        let enough = FADED * self.strongest;
-        if best.is_none_or(|b| b.1 < BEYOND_DOUBT || b.0.explains < enough) {
+        if best.is_none_or(|b| b.log_odds < BEYOND_DOUBT || b.explains < FADED * self.strongest) {
             let report = &mut |done: usize, total: usize| {
                 report_progress(sources.len() as f64 + SWEEP * done as f64 / total as f64);
             };
             self.pool = sweep_cells((&self.levels, &self.grid), sources, (self.options.peaks, 1), self.stop, report);
             best = better(best, self.best_refined(&residual, self.pool.clone(), cells, sources));
-            self.strongest = best.map_or(0.0, |b| b.0.explains);
+            self.strongest = best.map_or(0.0, |b| b.explains);
         }
-        best.map(|(peak, _)| peak)
+        best
     }
 
-    /// Returns the best of `cells` after individual refinement, and the log of its odds against the best of `number`
-    /// accidents; `None` if every cell is close to a source.
+    /// Returns the best of `cells` after individual refinement, with its odds as the best of `number` candidates. `None` if
+    /// every cell is close to a source or moves far away.
     fn best_refined(
         &self,
         residual: &MeasurementRows,
         mut cells: Vec<Cell>,
         number: usize,
         sources: &VirtualSources,
-    ) -> Option<(Peak, f64)> {
+    ) -> Option<Peak> {
         let (energy, finest) = (residual.energy(), &self.levels[0]);
         cells.sort_by_key(|cell| cell.q);
         score_cells((&finest.rows.residual(sources), &finest.ends), &self.grid, &mut cells);
@@ -342,17 +346,23 @@ impl<'a> PursuitSearch<'a> {
         let climb = |cell: &Cell| {
             let mut one = VirtualSources::default();
             one.push(cell.centre, self.grid.quats[cell.q], [0.0; 2]);
-            let left = refine_positions(residual, &mut one, self.refine_options(8, 1e-12 * residual.len() as f64))?;
+            let left =
+                refine_positions(residual, &mut one, self.refine_options(CLIMB_STEPS, 1e-12 * residual.len() as f64))?;
             let (position, most) = (one.positions[0], 2.0 * self.wavelength * self.grid.peak_width(cell.centre));
-            let far = (0..3).any(|k| (position[k] - cell.centre[k]).abs() > most);
-            let apart = self.wavelength / 8.0;
-            let taken = sources.positions.iter().any(|v| distance(v, &position) < apart);
-            (!far && !taken).then_some(Peak { position, quat: one.quats[0], explains: energy - left })
+            let moved_far = (0..3).any(|k| (position[k] - cell.centre[k]).abs() > most);
+            let taken = sources.positions.iter().any(|v| distance(v, &position) < self.wavelength / 8.0);
+            let explains = energy - left;
+            let share = (explains / energy).clamp(0.0, 1.0 - 1e-12);
+            let log_odds = -(residual.len() as f64) * (1.0 - share).ln() - (number.max(1) as f64).ln();
+            (!moved_far && !taken).then_some(Peak { position, quat: one.quats[0], explains, log_odds })
         };
         let peaks: Vec<Option<Peak>> = cells.par_iter().map(climb).collect();
-        let best = peaks.into_iter().flatten().reduce(|a, b| if b.explains > a.explains { b } else { a })?;
-        let share = (best.explains / energy).clamp(0.0, 1.0 - 1e-12);
-        Some((best, -(residual.len() as f64) * (1.0 - share).ln() - (number.max(1) as f64).ln()))
+        peaks.into_iter().flatten().reduce(|a, b| if b.explains > a.explains { b } else { a })
+    }
+
+    /// Returns a ridge that keeps equations solvable and does not affect gains.
+    fn smallest_ridge(&self) -> f64 {
+        1e-9 * self.rows.energy()
     }
 
     /// Returns the options of a refinement with `steps` and a `ridge` on the gains.
@@ -374,7 +384,6 @@ impl<'a> PursuitSearch<'a> {
         }
         let positions: Vec<[Real; 3]> = self.held_out.iter().map(|i| self.links.positions[*i]).collect();
         let links = ChannelInputs { positions: &positions, ..*self.links };
-        let truth = self.held_out.iter().flat_map(|i| self.channel[*i]);
-        snr_db(&field(&sources.to_cloud(), None, &links), truth)
+        snr_db(&field(&sources.to_cloud(), None, &links), self.held_out.iter().flat_map(|i| self.channel[*i]))
     }
 }

@@ -53,27 +53,33 @@ impl Unknowns {
 /// Sets the gains of `sources` to the best at their positions, with a `ridge` on |s|². Returns Σ|h − Σ s·e|² + Σ
 /// ridge·|s|² of the solution; without a unique solution, returns `None` and leaves the gains.
 pub(crate) fn solve_gains(rows: &MeasurementRows, sources: &mut VirtualSources, ridge: f64) -> Option<f64> {
-    let silent = VirtualSources { gains: vec![[0.0; 2]; sources.gains.len()], ..sources.clone() };
-    let normal = normal_equations(rows, &silent, Unknowns::Gains);
+    let normal = gain_equations(rows, sources);
     let solution = normal.solve(|_| ridge)?;
-    // At the minimum, the residual is Σ|h|² − sᵀEᴴh.
-    let explained: f64 = solution.iter().zip(&normal.right).map(|(s, b)| s * b).sum();
     sources.gains = solution.as_chunks::<2>().0.to_vec();
-    Some((normal.square - explained).max(0.0))
+    Some(minimum_cost(&normal, &solution))
 }
 
 /// Returns the cost of [`solve_gains`] without each source in turn `[N]`; `f64::MAX` without a unique solution.
 pub(crate) fn costs_without_each(rows: &MeasurementRows, sources: &VirtualSources, ridge: f64) -> Vec<f64> {
-    let silent = VirtualSources { gains: vec![[0.0; 2]; sources.gains.len()], ..sources.clone() };
-    let normal = normal_equations(rows, &silent, Unknowns::Gains);
+    let normal = gain_equations(rows, sources);
     let each = Unknowns::Gains.per_source(sources.harmonic_count());
     let cost = |g: usize| {
         let rest = normal.without(g * each..(g + 1) * each);
-        let solution = rest.solve(|_| ridge)?;
-        let explained: f64 = solution.iter().zip(&rest.right).map(|(s, b)| s * b).sum();
-        Some((rest.square - explained).max(0.0))
+        Some(minimum_cost(&rest, &rest.solve(|_| ridge)?))
     };
     (0..sources.len()).into_par_iter().map(|g| cost(g).unwrap_or(f64::MAX)).collect()
+}
+
+/// Returns the normal equations of all gains at the positions of `sources`, without ridge.
+fn gain_equations(rows: &MeasurementRows, sources: &VirtualSources) -> NormalEquations {
+    let silent = VirtualSources { gains: vec![[0.0; 2]; sources.gains.len()], ..sources.clone() };
+    normal_equations(rows, &silent, Unknowns::Gains)
+}
+
+/// Returns the cost of the `solution` of equations of gains: at the minimum, Σ|h|² − sᵀEᴴh.
+fn minimum_cost(normal: &NormalEquations, solution: &[f64]) -> f64 {
+    let explained: f64 = solution.iter().zip(&normal.right).map(|(s, b)| s * b).sum();
+    (normal.square - explained).max(0.0)
 }
 
 /// Returns the normal equations of a step from `sources`, without ridge or damping.
@@ -121,7 +127,7 @@ fn fill_jacobian(
 ) -> [f64; 2] {
     let (n, terms) = (sources.len(), sources.harmonic_count());
     let (real, imaginary) = jacobian.split_at_mut(unknowns.per_source(terms) * n);
-    let k = std::f64::consts::TAU * rows.per_metre[i];
+    let wavenumber = std::f64::consts::TAU * rows.per_metre[i];
     let mut rest = rows.h[i];
     for g in 0..n {
         let r = rotate_vector(&rotations[g], rows.r[i]);
@@ -141,7 +147,7 @@ fn fill_jacobian(
             continue;
         }
         // ∂(s·e)/∂d = s·e·(−jk − 1/d).
-        let by_d = [k * received[1] - received[0] / wave.d, -k * received[0] - received[1] / wave.d];
+        let by_d = [wavenumber * received[1] - received[0] / wave.d, -wavenumber * received[0] - received[1] / wave.d];
         let along = wave.by.map(|x| x / wave.d);
         let turn = if terms > 1 { direction_gradient(gains, u, far, wave.e) } else { [[0.0; 3]; 2] };
         let about =
@@ -198,7 +204,7 @@ pub(crate) fn refine_positions(
 ) -> Option<f64> {
     let ridge = options.ridge;
     let mut cost = solve_gains(rows, sources, ridge)?;
-    let mut damping = 1e-2;
+    let mut damping = 1e-2; // falls after a step that lowers the cost, rises otherwise
     let mut normal = ridge_equations(rows, sources, options);
     for _ in 0..options.steps {
         if options.stop.load(Ordering::Relaxed) {

@@ -4,15 +4,15 @@
 //! sum of |eᴴr|²/|e|² over windows. The sum is at least as much (Cauchy-Schwarz), and varies 2^l times slower over space
 //! if windows are 2^l times narrower. The sweep scores all cells of a coarse grid in narrow windows, keeps the best
 //! [`KEPT`], divides each into eight and doubles the width of the windows, until all rows are one window and cells have
-//! the spacing of the grid. Blocks of [`LANES`] cells are evaluated in single precision. Maxima are wider at larger distances from the
-//! links, so that each shell of the grid is twice as coarse as the inner one.
+//! the spacing of the grid. Blocks of [`LANES`] cells are evaluated in single precision. Maxima are wider at larger distances
+//! from the links, so that each shell of the grid is twice as coarse as the inner one.
 //!
-//! The bound of what a sweep skips: a cell is dropped only if [`KEPT`] others explain more in windows of the same level,
+//! Bound of the skipped cells: a cell is dropped only if [`KEPT`] others explain more in windows of the same level,
 //! and no position explains more coherently than in windows of the same rows. The loss between the centre of a cell and
 //! its corners is not bounded. A grid of at most [`START`](super::grid::START) cells is scored completely.
 //!
-//! [`mirror_images`] are the expected positions of images of known sources: mirrored in the planes that pairs of sources
-//! share. If v' is the image of v behind a wall, the wall is the plane half-way between them, and every other source
+//! [`mirror_images`] are the expected positions of images of given sources: mirrored in the planes half-way between pairs
+//! of sources. If v' is the image of v behind a wall, the wall is the plane half-way between them, and every other source
 //! has an image behind it too. There are so few such positions that little evidence distinguishes weak images of a
 //! second reflection from noise.
 
@@ -170,6 +170,7 @@ fn explained_energy(rows: &[[f32; 6]], [x, y, z]: &[[f32; LANES]; 3]) -> [f32; L
         let [px, py, pz, per_metre, h_re, h_im] = rows[i];
         for l in 0..LANES {
             let (dx, dy, dz) = (x[l] - px, y[l] - py, z[l] - pz);
+            // Adds (1 mm)², so that no distance is 0.
             let d = dx.mul_add(dx, dy.mul_add(dy, dz.mul_add(dz, 1e-6))).sqrt();
             let inverse = 1.0 / d;
             let (cos, sin) = f32::cis(d * per_metre);

@@ -11,7 +11,7 @@ use pwrfgs_core::{Real, SPEED_OF_LIGHT, evenly};
 
 /// Minimum mean number of measured values per window.
 const LEAST: usize = 8;
-/// Number of rows per window at least, if it has as many.
+/// Minimum number of rows per window, if it has as many.
 const ROWS: usize = 32;
 /// Maximum number of windows per level.
 const WINDOWS: usize = 256;
@@ -40,14 +40,15 @@ impl SearchLevel {
         let values: Vec<usize> = (0..links.antennas.len() * subcarriers).collect();
         let rows = MeasurementRows::new(links, h, (items, &values), most, seed);
         let mut levels = vec![Self { step: grid.step, ends: vec![rows.len()], rows }];
-        let band = links.frequencies.iter().fold(0.0, |b: f64, f| b.max(*f))
-            - links.frequencies.iter().fold(f64::MAX, |b: f64, f| b.min(*f));
+        let (lowest, highest) = extent(links.frequencies.iter().copied());
+        let bandwidth = highest - lowest;
         let aperture = widest_side(links.antennas);
         let (mut step, mut width) = (grid.step, grid.side);
         while grid.cell_count(step) > START {
             (step, width) = (2.0 * step, width / 2.0);
             let windows = split_items(links.positions, items.to_vec(), width);
-            let bands = (4.0 * band * grid.widest_step(step) / SPEED_OF_LIGHT).ceil().clamp(1.0, subcarriers as f64);
+            let bands =
+                (4.0 * bandwidth * grid.widest_step(step) / SPEED_OF_LIGHT).ceil().clamp(1.0, subcarriers as f64);
             let bands = bands as usize;
             if width < aperture || items.len() * values.len() < LEAST * windows.len() * bands {
                 break;

@@ -12,9 +12,9 @@ const CASES: usize = 600;
 const LEAST_CASES: usize = 40;
 /// Compared shares of the prediction of the model, 0 first.
 const SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
-/// Compared factors on the noise of the observations for shares above 0, 1 first: what a good model leaves is mostly noise.
+/// Compared factors on the noise of the observations for shares above 0, 1 first: residuals of a good model are mostly noise.
 const NOISES: [f64; 5] = [1.0, 4.0, 16.0, 64.0, 256.0];
-/// Smallest gain in parts of the error: what is below is rounding.
+/// Smallest gain in parts of the error; smaller ones are rounding errors.
 const LEAST_GAIN: f64 = 1e-6;
 
 /// Share of the model, and factors on noise and variance of Kriging.
@@ -29,7 +29,8 @@ impl Choice {
     /// Kriging without the model.
     const KRIGING: Self = Self { share: 0.0, noise: 1.0, variance: 1.0 };
 
-    /// Lists the choices that are compared: every noise for each share, those of Kriging first.
+    /// Lists the choices that are compared: every noise for each share, those of Kriging first. [`noise_index`] has the same
+    /// order.
     fn candidates() -> Vec<Self> {
         SHARES.map(|share| NOISES.map(|noise| Self { share, noise, variance: 1.0 })).concat()
     }
@@ -40,6 +41,11 @@ impl Choice {
         let trend = ResidualTrend { share: self.share, ..fit.trend };
         ProcessFit { trend, variance: self.variance * fit.variance, correlation }
     }
+}
+
+/// Returns the index in [`NOISES`] of the noise of a candidate; also the index of the candidate of Kriging with that noise.
+fn noise_index(candidate: usize) -> usize {
+    candidate % NOISES.len()
 }
 
 /// Mean absolute error of a held-out link, and its mean squared error in units of the predicted variance.
@@ -54,13 +60,40 @@ impl Samples<'_> {
     /// error over blocks, and measures that gain.
     ///
     /// Kind and length scales of the correlation stay those of the observations: of residuals of left-out links, there are too
-    /// few.
+    /// few. Returns an error once the fit is stopped.
     pub(super) fn choose_share(
         &self,
         kriging: &[Option<ProcessFit>],
         neighbours: usize,
     ) -> Result<(Choice, Option<ShareGain>)> {
-        let candidates = Choice::candidates();
+        let (candidates, errors) = (Choice::candidates(), self.block_errors(kriging, neighbours)?);
+        let gain_over = |reference: usize, c: usize| {
+            let gain_of_case = |case: &Vec<CaseError>| case[reference].absolute - case[c].absolute;
+            ShareGain::of(&errors.values().map(|cases| mean(cases.iter().map(gain_of_case))).collect::<Vec<_>>())
+        };
+        // More noise could help without the model, so the same noise must be worse without it.
+        let gain = |c: usize| {
+            let (kriging, same_noise) = (gain_over(0, c), gain_over(noise_index(c), c));
+            if same_noise.mean < kriging.mean { same_noise } else { kriging }
+        };
+        let all = (NOISES.len()..candidates.len()).map(|c| (c, gain(c))).filter(|(_, gain)| gain.mean.is_finite());
+        let best = all.reduce(|best, next| if next.1.mean > best.1.mean { next } else { best });
+        let least = LEAST_GAIN * mean(errors.values().flatten().map(|case| case[0].absolute));
+        Ok(match best {
+            Some((c, gain)) if gain.blocks > 1 && gain.mean > gain.standard_error.max(least) => {
+                let variance = mean(errors.values().flatten().map(|case| case[c].relative_square));
+                (Choice { variance, ..candidates[c] }, Some(gain))
+            }
+            best => (Choice::KRIGING, best.map(|(_, gain)| gain)),
+        })
+    }
+
+    /// Returns the errors of all candidates at left-out links, by block. Returns an error once the fit is stopped.
+    fn block_errors(
+        &self,
+        kriging: &[Option<ProcessFit>],
+        neighbours: usize,
+    ) -> Result<BTreeMap<usize, Vec<Vec<CaseError>>>> {
         let parts: BTreeSet<usize> = self.known.left_out.iter().copied().flatten().collect();
         let mut errors: BTreeMap<usize, Vec<Vec<CaseError>>> = BTreeMap::new();
         for part in parts {
@@ -75,25 +108,7 @@ impl Samples<'_> {
             }
             check_stopped(self.known.stop)?;
         }
-        let gain_over = |reference: usize, c: usize| {
-            let of_case = |case: &Vec<CaseError>| case[reference].absolute - case[c].absolute;
-            ShareGain::of(&errors.values().map(|cases| mean(cases.iter().map(of_case))).collect::<Vec<_>>())
-        };
-        // More noise could help without the model, so the same noise must be worse without it.
-        let gain = |c: usize| {
-            let (kriging, same_noise) = (gain_over(0, c), gain_over(c % NOISES.len(), c));
-            if same_noise.mean < kriging.mean { same_noise } else { kriging }
-        };
-        let all = (NOISES.len()..candidates.len()).map(|c| (c, gain(c))).filter(|(_, gain)| gain.mean.is_finite());
-        let best = all.reduce(|best, next| if next.1.mean > best.1.mean { next } else { best });
-        let least = LEAST_GAIN * mean(errors.values().flatten().map(|case| case[0].absolute));
-        Ok(match best {
-            Some((c, gain)) if gain.blocks > 1 && gain.mean > gain.standard_error.max(least) => {
-                let variance = mean(errors.values().flatten().map(|case| case[c].relative_square));
-                (Choice { variance, ..candidates[c] }, Some(gain))
-            }
-            best => (Choice::KRIGING, best.map(|(_, gain)| gain)),
-        })
+        Ok(errors)
     }
 }
 
@@ -110,7 +125,7 @@ struct HeldOutPart<'a> {
 }
 
 impl HeldOutPart<'_> {
-    /// Returns some held-out links, evenly chosen, each with the errors of all candidates that know the other links.
+    /// Returns some held-out links, evenly chosen, each with the errors of all candidates fitted to the links `trained`.
     fn errors(&self) -> Vec<(usize, Vec<CaseError>)> {
         let Self { samples, held_out, trained, .. } = self;
         if trained.is_empty() {
@@ -124,21 +139,20 @@ impl HeldOutPart<'_> {
         let left_out_count = held_out.len() + trained.iter().filter(left_out).count();
         let share = held_out.len() as f64 / left_out_count as f64;
         let count = (CASES / samples.known.data.scene.receivers.len()).max(LEAST_CASES) as f64 * share;
-        let case = |k: usize| {
-            let combinations = processes.each_ref().map(|process| self.combine(k, process));
-            let error = |choice: &Choice| {
-                let index = NOISES.iter().position(|noise| *noise == choice.noise).unwrap_or(0);
-                let (pairs, variance) = &combinations[index];
-                let errors = || pairs.iter().map(|[y, f]| y - choice.share * f);
-                let scale = variance * self.fit.variance;
-                CaseError {
-                    absolute: mean(errors().map(f64::abs)),
-                    relative_square: mean(errors().map(|e| e * e / scale)),
-                }
-            };
-            (k, Choice::candidates().iter().map(error).collect())
-        };
+        let case = |k: usize| (k, self.case_errors(k, &processes));
         evenly(held_out, count.ceil() as usize).into_par_iter().map(case).collect()
+    }
+
+    /// Returns the errors of all candidates at known link `k`, given a process per noise of [`NOISES`].
+    fn case_errors(&self, k: usize, processes: &[LocalKriging; NOISES.len()]) -> Vec<CaseError> {
+        let combinations = processes.each_ref().map(|process| self.combine(k, process));
+        let error = |(c, choice): (usize, &Choice)| {
+            let (pairs, variance) = &combinations[noise_index(c)];
+            let errors = || pairs.iter().map(|[y, f]| y - choice.share * f);
+            let scale = variance * self.fit.variance;
+            CaseError { absolute: mean(errors().map(f64::abs)), relative_square: mean(errors().map(|e| e * e / scale)) }
+        };
+        Choice::candidates().iter().enumerate().map(error).collect()
     }
 
     /// Returns the errors at known link `k` of Kriging the observations and of Kriging the predictions, both less their path

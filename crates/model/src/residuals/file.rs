@@ -27,7 +27,7 @@ pub(crate) struct ResidualsNote {
     neighbours: usize,
     /// Processes in the order of the receivers.
     receivers: Vec<Option<ProcessNote>>,
-    /// What the best share of the model gained.
+    /// Gain of the best share of the model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     gain: Option<ShareGain>,
 }

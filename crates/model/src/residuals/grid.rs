@@ -39,8 +39,8 @@ impl CoarseGrid {
         rows.flat_map(|row| row.iter().step_by(self.stride).copied())
     }
 
-    /// Returns what the grid loses of `images`, or of their differences from their mean if `is_centred`, in parts of the variance
-    /// about the mean; 0 without variance.
+    /// Returns the squared error of restored `images`, or of their restored differences from the mean if `is_centred`, in parts
+    /// of their variance about the mean; 0 without variance.
     pub(crate) fn lost_share(&self, images: &[Vec<Real>], is_centred: bool) -> f64 {
         let mut mean = vec![0.0; self.rows.len() * self.columns.len()];
         let share = 1.0 / images.len().max(1) as Real;
@@ -99,8 +99,8 @@ impl CoarseGrid {
 }
 
 /// Returns the four stored pixels around pixel `at` and their weights of a cubic convolution (Keys, IEEE Transactions
-/// on Acoustics, Speech, and Signal Processing 29, 1981). Beyond the border, the last stored pixel repeats, or the
-/// first follows.
+/// on Acoustics, Speech, and Signal Processing 29, 1981). Beyond the border, the last stored pixel repeats, or
+/// the first follows if the image `wraps`.
 fn cubic_node(at: usize, stride: usize, count: usize, wraps: bool) -> Node {
     let (left, f) = (at / stride, (at % stride) as Real / stride as Real);
     let weights = [

@@ -2,12 +2,12 @@
 
 use super::{MlpLayers, append};
 use crate::dense;
-use crate::trunk::gpu::{D, D_FOLDED, D_WEIGHTS, GAMMA, GpuTrunk, OWN, WEIGHTS, chunk_rows, encode_chunk};
+use crate::trunk::gpu::{D, D_FOLDED, D_WEIGHTS, GAMMA, GpuTrunk, NETWORK, WEIGHTS, chunk_rows, encode_chunk};
 use pwrfgs_core::{DeformationInputs, DeformationVjp, Deltas, Error, Real, Result};
-use pwrfgs_gpu::{Block, Epilogue, Gpu};
+use pwrfgs_gpu::{Epilogue, Gpu, GpuStep};
 
 /// Slot of the outputs of the heads `[outputs, R]`, and of their cotangents.
-const OUT: usize = OWN;
+const OUT: usize = NETWORK;
 
 /// Number of the step whose activations are still on the GPU.
 pub(crate) struct KeptStep(u64);
@@ -66,8 +66,8 @@ impl MlpLayers {
         let outputs = step.finish()?;
         let mut all = Deltas::default();
         for b in 0..sides.len() {
-            let of_chunks = outputs.iter().skip(b).step_by(sides.len());
-            of_chunks.for_each(|out| append(&mut all, &self.gather_terms(out, out.len() / self.heads.outputs)));
+            let tx_chunks = outputs.iter().skip(b).step_by(sides.len());
+            tx_chunks.for_each(|out| append(&mut all, &self.gather_terms(out, out.len() / self.heads.outputs)));
         }
         Ok((all, KeptStep(number)))
     }
@@ -112,12 +112,7 @@ impl MlpLayers {
                 let start = b * inputs.means.len() + first;
                 let mut out = vec![0.0; self.heads.outputs * means.len()];
                 self.scatter_cotangents(d, start..start + means.len(), &mut out);
-                step.upload(OUT, 0, &out);
-                let d_out = Block::new(OUT, 0, means.len());
-                on.weight_vjp(&mut step, &self.heads.whole(), on.last(), d_out);
-                step.add_row_sums((self.heads.outputs, means.len()), (OUT, 0), (D_WEIGHTS, self.heads.bias));
-                let mask = Epilogue { mask: Some(on.last()), ..Epilogue::default() };
-                on.input_vjp(&mut step, &self.heads.whole(), d_out, D, mask);
+                self.gpu_heads_vjp(&mut step, on, &out);
                 on.backward(&mut step, [b * width, (batch + b) * width]);
             }
             on.share_gamma_vjp(&mut step, None);
@@ -127,16 +122,22 @@ impl MlpLayers {
         step.read(D_FOLDED, 0, 2 * width * batch);
         let [d_weights, d_folded]: [Vec<Real>; 2] = step.finish()?.try_into().expect("two results");
         dense::add_assign(sums.weights, &d_weights);
-        let (first, joined) = d_folded.split_at(width * batch);
-        let mut d_folded = self.trunk.zero_joints(width * batch);
-        dense::add_assign(&mut d_folded.first, first);
-        dense::add_assign(&mut d_folded.joined, joined);
+        let d_folded = self.trunk.folded_joints(&d_folded);
         self.branch.vjp(weights, &self.trunk, &sides, &d_folded, sums.weights, sums.positions);
         Ok(())
     }
 
+    /// Runs the backward pass of the heads for a chunk, given the cotangents of their outputs.
+    fn gpu_heads_vjp(&self, step: &mut GpuStep<'_>, on: GpuTrunk<'_>, d_out: &[Real]) {
+        step.upload(OUT, 0, d_out);
+        on.weight_vjp(step, &self.heads.whole(), on.last(), on.chunk(OUT));
+        step.add_row_sums((self.heads.outputs, on.rows), (OUT, 0), (D_WEIGHTS, self.heads.bias));
+        let mask = Epilogue { mask: Some(on.last()), ..Epilogue::default() };
+        on.input_vjp(step, &self.heads.whole(), on.chunk(OUT), D, mask);
+    }
+
     /// Records the error of a failed pass; returns zeros in place of its terms.
-    pub(crate) fn failed(&self, error: Error, inputs: &DeformationInputs<'_>) -> Deltas {
+    pub(crate) fn zeros_after(&self, error: Error, inputs: &DeformationInputs<'_>) -> Deltas {
         pwrfgs_core::device::fail(error);
         let terms = inputs.means.len() * inputs.txs.len();
         self.gather_terms(&vec![0.0; self.heads.outputs * terms], terms)

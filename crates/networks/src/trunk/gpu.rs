@@ -24,8 +24,8 @@ pub const D_FOLDED: usize = FOLDED + 1;
 pub const D: usize = D_FOLDED + 1;
 /// Slot of a work buffer of the same size.
 pub const SPARE: usize = D + 1;
-/// First slot of a network.
-pub const OWN: usize = SPARE + 1;
+/// First slot for the values of a network beyond its trunk.
+pub const NETWORK: usize = SPARE + 1;
 
 /// Trunk with a chunk of rows on the GPU. Layer l writes slot `first + l % slots`.
 #[derive(Clone, Copy, Debug)]
@@ -46,10 +46,10 @@ pub fn chunk_rows(gpu: &Gpu, width: usize, inputs: usize) -> usize {
     gpu.chunk_rows(widest.max((width * widest).div_ceil(SLICE)))
 }
 
-/// Encodes R points with octaves, `[3 + 6L, R]`. Uses threads of its own: a thread of the pool that waits for others could
-/// take up work that waits for the GPU.
+/// Encodes R points with octaves, `[3 + 6L, R]`. Spawns threads instead of using those of the pool: a thread of the pool that
+/// waits for others could take up work that waits for the GPU.
 pub fn encode_chunk(points: &[[Real; 3]], frequencies: usize) -> Vec<Real> {
-    const LEAST: usize = 2048;
+    const LEAST: usize = 2048; // points per thread
     let width = encoded_width(frequencies);
     let one = |points: &[[Real; 3]]| {
         let mut out = vec![0.0; width * points.len()];
@@ -74,8 +74,17 @@ pub fn encode_chunk(points: &[[Real; 3]], frequencies: usize) -> Vec<Real> {
     all
 }
 
+impl Trunk {
+    /// Returns the cotangents of the folded biases, given the numbers of slot [`D_FOLDED`]: `joined` after `first`.
+    pub fn folded_joints(&self, numbers: &[Real]) -> Joints {
+        let (first, joined) = numbers.split_at(numbers.len() / 2);
+        let joined = if self.joined.is_some() { joined.to_vec() } else { Vec::new() };
+        Joints { first: first.to_vec(), joined }
+    }
+}
+
 impl GpuTrunk<'_> {
-    /// Returns the sizes of the slots before [`OWN`], for `weights` weights, `batch` folded biases per layer, and heads with
+    /// Returns the sizes of the slots before [`NETWORK`], for `weights` weights, `batch` folded biases per layer, and heads with
     /// `outputs` outputs. Derivatives need more than predictions.
     pub fn sizes(&self, weights: usize, batch: usize, outputs: usize, is_derived: bool) -> Vec<usize> {
         let &Self { trunk, rows, .. } = self;
@@ -83,7 +92,7 @@ impl GpuTrunk<'_> {
         let chunk = width * rows;
         let joined = if trunk.joined.is_some() { chunk } else { 1 };
         let derived = |size: usize| if is_derived { size } else { 1 };
-        let mut sizes = vec![1; OWN];
+        let mut sizes = vec![1; NETWORK];
         sizes[SCRATCH] = derived(scratch_len(rows, width * width.max(gamma).max(outputs)));
         (sizes[WEIGHTS], sizes[D_WEIGHTS]) = (weights, derived(weights));
         sizes[GAMMA] = gamma * rows;
@@ -159,8 +168,8 @@ impl GpuTrunk<'_> {
         D_SHARED.iter().take(self.trunk.joints().count()).for_each(|&d| step.clear(d, self.trunk.width * self.rows));
     }
 
-    /// Runs the backward pass of [`Self::forward`], given the cotangent of the last layer in slot [`D`], which is zero where
-    /// its output is. `folded` are the places of the cotangents of the folded biases.
+    /// Runs the backward pass of [`Self::forward`], given the cotangent of the last layer in slot [`D`], which must be zero
+    /// wherever its output is zero. `folded` are the offsets of the cotangents of both folded biases in slot [`D_FOLDED`].
     pub fn backward(&self, step: &mut GpuStep<'_>, folded: [usize; 2]) {
         let &Self { trunk, rows, .. } = self;
         let (mut d, mut spare) = (D, SPARE);

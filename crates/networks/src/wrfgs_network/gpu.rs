@@ -4,36 +4,36 @@ use super::WrfgsLayers;
 use crate::dense::{self, amplitude};
 use crate::encoding::encoded_width;
 use crate::linear::LayerPart;
-use crate::trunk::gpu::{D, D_FOLDED, D_WEIGHTS, GAMMA, GpuTrunk, OWN, SPARE, WEIGHTS, chunk_rows, encode_chunk};
+use crate::trunk::gpu::{D, D_FOLDED, D_WEIGHTS, GAMMA, GpuTrunk, NETWORK, SPARE, WEIGHTS, chunk_rows, encode_chunk};
 use crate::wrfgs_branch::TxSide;
 use pwrfgs_core::{DeformationInputs, DeformationVjp, Real, Result};
 use pwrfgs_gpu::{Block, Epilogue, Gpu, GpuStep, KeptBuffer};
 
 /// Slots of the trunk outputs: attenuation before |lrelu| `[R]`, feature and W·feature `[width, R]`, with the cotangent.
-const ATTENUATION: usize = OWN;
-const FEATURE: usize = OWN + 1;
-const FROM_FEATURE: usize = OWN + 2;
-const D_FROM_FEATURE: usize = OWN + 3;
+const ATTENUATION: usize = NETWORK;
+const FEATURE: usize = NETWORK + 1;
+const FROM_FEATURE: usize = NETWORK + 2;
+const D_FROM_FEATURE: usize = NETWORK + 3;
 /// Slots of the branch: γ(X - p) `[gamma, R]`, folded bias `[width]`, hidden layers, signal before |lrelu| `[R]`.
-const OFFSET: usize = OWN + 4;
-const SIDE: usize = OWN + 5;
-const HIDDEN: [usize; 2] = [OWN + 6, OWN + 7];
-const SIGNAL: usize = OWN + 8;
+const OFFSET: usize = NETWORK + 4;
+const SIDE: usize = NETWORK + 5;
+const HIDDEN: [usize; 2] = [NETWORK + 6, NETWORK + 7];
+const SIGNAL: usize = NETWORK + 8;
 /// Slots of cotangents: the output `[R]`; `[3, R]` of signal, attenuation and logarithm of the gain; folded biases `[B, width]`.
-const D_OUT: usize = OWN + 9;
-const D_AMPLITUDES: usize = OWN + 10;
-const D_SIDES: usize = OWN + 11;
+const D_OUT: usize = NETWORK + 9;
+const D_AMPLITUDES: usize = NETWORK + 10;
+const D_SIDES: usize = NETWORK + 11;
 /// Slots of cotangents of an encoding `[gamma, R]`, of the offsets and the centres `[3, R]`, and of the transmitters `[B, 3]`.
-const D_GAMMA: usize = OWN + 12;
-const D_OFFSETS: usize = OWN + 13;
-const D_MEANS: usize = OWN + 14;
-const D_TXS: usize = OWN + 15;
-const FIRST: usize = OWN + 16;
+const D_GAMMA: usize = NETWORK + 12;
+const D_OFFSETS: usize = NETWORK + 13;
+const D_MEANS: usize = NETWORK + 14;
+const D_TXS: usize = NETWORK + 15;
+const FIRST: usize = NETWORK + 16;
 
 /// Trunk outputs that all predictions share, chunk by chunk: attenuations before |lrelu|, and W·feature on the GPU.
 pub(crate) struct GpuTrunkOutput(Vec<(Vec<Real>, KeptBuffer)>);
 
-/// Derivatives by positions that are wanted.
+/// Requested derivatives by positions.
 #[derive(Clone, Copy)]
 struct Wanted {
     means: bool,
@@ -179,7 +179,7 @@ impl WrfgsLayers {
         Ok(all)
     }
 
-    /// Runs the backward pass of [`Self::gpu_forward`], as [`Self::vjp`].
+    /// Runs the backward pass of [`Self::gpu_forward`], as [`Self::vjp`]; returns Σ d·S·A.
     ///
     /// # Errors
     /// The GPU failed; `sums` are then unchanged.
@@ -220,29 +220,37 @@ impl WrfgsLayers {
         step.read(D_FOLDED, 0, 2 * width);
         step.read(D_SIDES, 0, width * txs.len());
         step.read(D_TXS, 0, if wanted.txs { 3 * txs.len() } else { 0 });
-        let mut results = step.finish()?;
+        Ok(self.add_results(inputs, &sides, step.finish()?, self.most_rows(gpu), sums))
+    }
+
+    /// Adds the `results` of [`Self::gpu_vjp`] to `sums`: two per chunk of `most_rows` centres, then those of all chunks.
+    /// Returns Σ d·S·A.
+    fn add_results(
+        &self,
+        inputs: &DeformationInputs<'_>,
+        sides: &[TxSide],
+        mut results: Vec<Vec<Real>>,
+        most_rows: usize,
+        sums: &mut DeformationVjp<'_>,
+    ) -> f64 {
         let [d_weights, d_folded, d_sides, d_txs]: [Vec<Real>; 4] =
             results.split_off(results.len() - 4).try_into().expect("four results");
         dense::add_assign(sums.weights, &d_weights);
-        let (first, joined) = d_folded.split_at(width);
-        let mut d_biases = self.trunk.zero_joints(width);
-        dense::add_assign(&mut d_biases.first, first);
-        dense::add_assign(&mut d_biases.joined, joined);
-        self.trunk.add_joint_biases(sums.weights, &d_biases);
+        self.trunk.add_joint_biases(sums.weights, &self.trunk.folded_joints(&d_folded));
         let positions = sums.positions.as_deref_mut();
-        self.branch.tx_sides_vjp(inputs.weights, &sides, &d_sides, sums.weights, positions);
+        self.branch.tx_sides_vjp(inputs.weights, sides, &d_sides, sums.weights, positions);
         if let Some(positions) = &mut sums.positions {
             positions.as_flattened_mut().iter_mut().zip(&d_txs).for_each(|(sum, d)| *sum -= d);
         }
         if let Some(d_means) = &mut sums.means {
-            let chunks = d_means.chunks_mut(self.most_rows(gpu)).zip(results.chunks_exact(2));
+            let chunks = d_means.chunks_mut(most_rows).zip(results.chunks_exact(2));
             for (d_means, results) in chunks {
                 let rows = d_means.len();
                 (d_means.iter_mut().enumerate())
                     .for_each(|(r, d)| (0..3).for_each(|k| d[k] += results[1][k * rows + r]));
             }
         }
-        Ok(results.iter().step_by(2).flatten().map(|&d| f64::from(d)).sum())
+        results.iter().step_by(2).flatten().map(|&d| f64::from(d)).sum()
     }
 
     /// Runs the backward pass of [`Self::gpu_branch`] for transmitter `b`, given the cotangents in slot [`D_OUT`].

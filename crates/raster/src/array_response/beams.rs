@@ -30,9 +30,11 @@ pub(super) struct Beams {
     pairs: Vec<(usize, Option<usize>)>,
     /// Number of functions F.
     functions: usize,
+    /// Number of columns of the image.
     width: usize,
     /// Number of columns in the table.
     columns: usize,
+    /// Number of pixels of the image.
     pixels: usize,
     /// Values, `[rows of the image, blocks per row, F]`.
     table: Vec<Block>,
@@ -155,7 +157,7 @@ fn opposite_antennas(positions: &[Vec3]) -> (Vec<(usize, Option<usize>)>, usize)
 /// Forward pass for some pairs of channels of the image.
 struct Draw<'a> {
     beams: &'a Beams,
-    /// Coefficients `[channels, K]`.
+    /// Coefficients `[channels, F]`.
     coefficients: &'a [Real],
     /// Image `[channels, H·W]`.
     out: &'a mut [Real],
@@ -197,7 +199,7 @@ struct Back<'a> {
     beams: &'a Beams,
     /// Cotangents of the image `[channels, H·W]`.
     d_out: &'a [Real],
-    /// Cotangents of the coefficients `[channels, K]`.
+    /// Cotangents of the coefficients `[channels, F]`.
     d_coefficients: &'a mut [Real],
 }
 

@@ -101,8 +101,8 @@ impl Antennas {
         let distance = splats.depths[i];
         for (a, p) in out.iter_mut().zip(&self.positions) {
             let (sin, cos) = self.phase(*p, &aim, distance).0.sin_cos();
-            let fading = (-self.fading(*p, &aim).0).exp();
-            *a = [fading * cos, fading * sin];
+            let amplitude = (-self.fading(*p, &aim).0).exp();
+            *a = [amplitude * cos, amplitude * sin];
         }
     }
 
@@ -177,7 +177,7 @@ impl Antennas {
         (-TAU * extra, p * (TAU * r / distance), TAU * (extra + along) / (distance * wavelength))
     }
 
-    /// Returns the exponent by which width attenuates the wave at an antenna, and (p·∂u/∂column, p·∂u/∂row).
+    /// Returns x of the factor exp(−x) by which width attenuates the wave at an antenna, and (p·∂u/∂column, p·∂u/∂row).
     fn fading(&self, p: Vec3, aim: &Aim) -> (Real, [Real; 2]) {
         if !self.widened {
             return (0.0, [0.0; 2]);
@@ -188,7 +188,7 @@ impl Antennas {
     }
 }
 
-/// Returns the covariance whose inverse is the conic; `BOUNDLESS` if it is lost to rounding.
+/// Returns the covariance (a, b, c) whose inverse is the conic; variances of [`BOUNDLESS`] if it is lost to rounding.
 fn invert_conic([a, b, c]: [Real; 3]) -> [Real; 3] {
     let det = a * c - b * b;
     let cov = [c / det, -b / det, a / det];

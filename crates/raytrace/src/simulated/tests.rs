@@ -20,7 +20,7 @@ const SCENE: &str = r#"(
 /// Returns the observations as numbers, one row per link.
 fn rows(observations: &Observations, links: usize) -> Vec<Vec<f64>> {
     let flat: Vec<f64> = match observations {
-        Observations::Pictures(all) => (0..all.len()).flat_map(|i| all.raw(i).into_owned()).map(f64::from).collect(),
+        Observations::Spectra(all) => (0..all.len()).flat_map(|i| all.raw(i).into_owned()).map(f64::from).collect(),
         Observations::Powers(all) => all.iter().map(|v| *v as f64).collect(),
         Observations::Channels(all) => all.gains.as_flattened().iter().map(|v| *v as f64).collect(),
     };

@@ -86,7 +86,7 @@ impl RoomFigure {
         let n = snapshot.means.len();
         let mut shown: Vec<(RoomPoint, f64)> = scattered_order(n)
             .into_iter()
-            .map(|i| (snapshot.place(i), f64::from(snapshot.opacities[i])))
+            .map(|i| (snapshot.centre(i), f64::from(snapshot.opacities[i])))
             .filter(|(mean, _)| self.view.contains(*mean))
             .collect();
         let outside = n - shown.len();
@@ -215,7 +215,7 @@ fn frame_corners(data: &Dataset, clouds: &[&Snapshot]) -> (RoomPoint, RoomPoint)
     if data.scene.points.is_empty() {
         for k in 0..3 {
             for cloud in clouds {
-                let mut coordinates: Vec<f64> = (0..cloud.means.len()).map(|i| cloud.place(i)[k]).collect();
+                let mut coordinates: Vec<f64> = (0..cloud.means.len()).map(|i| cloud.centre(i)[k]).collect();
                 coordinates.retain(|v| v.is_finite());
                 coordinates.sort_by(f64::total_cmp);
                 let cut = (coordinates.len() / 20).max(usize::from(coordinates.len() > 2)); // at least one of more than two
@@ -225,7 +225,7 @@ fn frame_corners(data: &Dataset, clouds: &[&Snapshot]) -> (RoomPoint, RoomPoint)
         }
     }
     let (scene, reach) = ((low, high), longest_edge(low, high));
-    for mean in clouds.iter().flat_map(|cloud| (0..cloud.means.len()).map(|i| cloud.place(i))) {
+    for mean in clouds.iter().flat_map(|cloud| (0..cloud.means.len()).map(|i| cloud.centre(i))) {
         if (0..3).all(|k| (scene.0[k] - reach..=scene.1[k] + reach).contains(&mean[k])) {
             for k in 0..3 {
                 (low[k], high[k]) = (low[k].min(mean[k]), high[k].max(mean[k]));

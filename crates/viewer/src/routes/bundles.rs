@@ -146,7 +146,7 @@ fn contributions(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
 fn snapshot_bundle(snapshot: &Snapshot, origin: Origin) -> TensorBundle {
     let n = snapshot.means.len();
     let mut bundle = TensorBundle::new(json!({ "gaussians": n, "step": snapshot.step }));
-    bundle.put("means", &[n, 3], (0..n).flat_map(|i| origin.local(snapshot.place(i))));
+    bundle.put("means", &[n, 3], (0..n).flat_map(|i| origin.local(snapshot.centre(i))));
     bundle.put("opacities", &[n], snapshot.opacities.iter().copied());
     if snapshot.scales.len() == n {
         bundle.put("scales", &[n, 3], snapshot.scales.as_flattened().iter().copied());

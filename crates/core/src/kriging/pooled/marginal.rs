@@ -34,6 +34,7 @@ impl Moments {
 /// Returns the process variance that maximises the likelihood, and its logarithm there up to a constant. `scale` is the
 /// mean square of the powers, dB².
 pub(super) fn best_variance(moments: &[Moments], scale: f64) -> (f64, f64) {
+    /// Golden ratio less 1.
     const RATIO: f64 = 0.618_033_988_749_894_9;
     let value = |log: f64| log_likelihood(moments, log.exp());
     let middle = scale.max(1e-6).ln();
@@ -67,13 +68,13 @@ pub(super) fn log_likelihood(moments: &[Moments], variance: f64) -> f64 {
 pub(super) fn trends(moments: &[Moments], variance: f64) -> Vec<[f64; 2]> {
     let shared = marginalise(moments, variance).0;
     let common = multiply(invert(shared.precision).0, shared.sum);
-    let own = |m: &Moments| {
+    let trend = |m: &Moments| {
         let Information { precision, sum } = Information::new(m, variance);
         let explained = multiply(precision, common);
-        let own = multiply(posterior(precision).0, [sum[0] - explained[0], sum[1] - explained[1]]);
-        [common[0] + own[0], common[1] + own[1]]
+        let deviation = multiply(posterior(precision).0, [sum[0] - explained[0], sum[1] - explained[1]]);
+        [common[0] + deviation[0], common[1] + deviation[1]]
     };
-    moments.iter().map(own).collect()
+    moments.iter().map(trend).collect()
 }
 
 /// Information of powers on level and slope: precision and weighted sum.
@@ -83,7 +84,7 @@ struct Information {
 }
 
 impl Information {
-    /// Returns that of the powers of one receiver given its process variance.
+    /// Returns the information of the powers of one receiver, given its process variance.
     fn new(moments: &Moments, variance: f64) -> Self {
         let [[_, level, rise], [_, a, b], [_, _, c]] = moments.products;
         Self {
@@ -93,8 +94,8 @@ impl Information {
     }
 }
 
-/// Marginalises `t_j` and `g_j` (matrix inversion lemma): the information on T and G with their prior, and the sums of
-/// squares and of logarithms of determinants.
+/// Marginalises `t_j` and `g_j` (matrix inversion lemma). Returns the information on T and G with their prior, the sum of
+/// squares, and the sum of logarithms of determinants.
 fn marginalise(moments: &[Moments], variance: f64) -> (Information, f64, f64) {
     let mut shared = Information { precision: diagonal(SHARED), sum: [0.0; 2] };
     let (mut squares, mut logs) = (0.0, 0.0);
@@ -105,9 +106,9 @@ fn marginalise(moments: &[Moments], variance: f64) -> (Information, f64, f64) {
         squares += m.products[0][0] / variance - dot(sum, multiply(covariance, sum));
         logs += m.count * variance.ln() + m.logs + log_determinant;
         // With prior precision P and posterior covariance M: precision P - P M P, and sum P M sum.
-        let of_sum = multiply(covariance, sum);
+        let mean = multiply(covariance, sum);
         for i in 0..2 {
-            shared.sum[i] += prior[i][i] * of_sum[i];
+            shared.sum[i] += prior[i][i] * mean[i];
             for j in 0..2 {
                 shared.precision[i][j] += prior[i][j] - prior[i][i] * covariance[i][j] * prior[j][j];
             }

@@ -68,7 +68,7 @@ fn likelihood_trends_and_predictions_match_dense_covariances() {
         let found: Vec<PathLoss> = trends(&moments, 9.0)
             .into_iter()
             .zip(&powers.by_receiver)
-            .map(|(trend, own)| powers.law(trend, own))
+            .map(|(trend, own)| powers.path_loss(trend, own))
             .collect();
         for (law, (level, slope)) in found.iter().zip(laws) {
             close(law.level, level);
@@ -111,7 +111,7 @@ fn fit_accepts_few_equal_and_unplaced_powers() {
     let unplaced: Vec<PowerLink> = all.iter().map(|link| PowerLink { log_distance: None, ..*link }).collect();
     let equal = vec![PowerLink { value: -70.0, place: [1.0; 4], ..all[0] }; 30];
     for links in [&all[..0], &all[..1], &all[..2], &all[..4], &all, &unplaced, &equal] {
-        let PooledFit { laws, correlation, variance } = fit_pooled(links, 4, &|| Ok(())).unwrap();
+        let PooledFit { path_losses: laws, correlation, variance } = fit_pooled(links, 4, &|| Ok(())).unwrap();
         assert_eq!(laws.len(), 4);
         let numbers = laws.iter().flat_map(|law| [law.level, law.slope]);
         assert!(

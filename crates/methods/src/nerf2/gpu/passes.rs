@@ -5,27 +5,27 @@ use crate::nerf2::network::{FREQUENCIES, Nerf2Network};
 use pwrfgs_core::{Real, Result};
 use pwrfgs_gpu::{Block, Epilogue, Gpu, GpuStep, SCRATCH, scratch_len};
 use pwrfgs_networks::encoding::encoded_width;
-use pwrfgs_networks::trunk::gpu::{D, D_WEIGHTS, GAMMA, GpuTrunk, OWN, SPARE, WEIGHTS, encode_chunk};
+use pwrfgs_networks::trunk::gpu::{D, D_WEIGHTS, GAMMA, GpuTrunk, NETWORK, SPARE, WEIGHTS, encode_chunk};
 use std::ops::Range;
 
 /// Slots of the trunk outputs: feature and W·feature `[width, R]` with its cotangent; raw attenuations `[2 bands, R]`, or their
 /// cotangents.
-const FEATURE: usize = OWN;
-pub(super) const FROM_FEATURE: usize = OWN + 1;
-pub(super) const D_FROM_FEATURE: usize = OWN + 2;
-pub(super) const ATTENUATION: usize = OWN + 3;
+const FEATURE: usize = NETWORK;
+pub(super) const FROM_FEATURE: usize = NETWORK + 1;
+pub(super) const D_FROM_FEATURE: usize = NETWORK + 2;
+pub(super) const ATTENUATION: usize = NETWORK + 3;
 /// Slots per ray: γ of the direction `[gamma, rays]`; contributions of the transmitters, and of transmitter and direction with
 /// the bias, `[width, rays]`; cotangents of the latter.
-const VIEWS: usize = OWN + 4;
-const EMISSION: usize = OWN + 5;
-const SIDE: usize = OWN + 6;
-pub(super) const D_SIDE: usize = OWN + 7;
+const VIEWS: usize = NETWORK + 4;
+const EMISSION: usize = NETWORK + 5;
+const SIDE: usize = NETWORK + 6;
+pub(super) const D_SIDE: usize = NETWORK + 7;
 /// Slots of the signal network: hidden layers, and raw emissions `[2 bands, R]` or their cotangents.
-const HIDDEN: [usize; 2] = [OWN + 8, OWN + 9];
-pub(super) const RAW: usize = OWN + 10;
-const FIRST: usize = OWN + 11;
+const HIDDEN: [usize; 2] = [NETWORK + 8, NETWORK + 9];
+pub(super) const RAW: usize = NETWORK + 10;
+const FIRST: usize = NETWORK + 11;
 
-/// Most workgroups along an axis.
+/// Maximum number of workgroups along an axis.
 const WORKGROUPS: usize = 65_535;
 
 /// Network on a GPU.
@@ -127,6 +127,7 @@ impl<'a> GpuNerf2<'a> {
         on.input_vjp(step, &signal[1].whole(), on.chunk(SPARE), D, mask(HIDDEN[0]));
         step.add(width * rows, D, D_FROM_FEATURE);
         step.clear(D_SIDE, width * rays);
+        // A sum over the samples of a ray takes one workgroup, so that each pass has whole features up to the limit.
         let together = WORKGROUPS / rays * rays;
         for first in (0..width * rays).step_by(together) {
             let features = together.min(width * rays - first);
