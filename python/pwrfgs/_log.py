@@ -19,6 +19,8 @@ def event(about: Dict[str, Any]) -> None:
         log.info("step %(step)d: validation mean %(mean).4g, median %(median).4g", about)
     elif what == "start":
         log.info("training on %(data)s: step %(done)d of %(steps)d", about)
+    elif what == "stage" and about["name"] == "runs":
+        log.info("%(done)d of %(total)d runs have ended", about)
     elif what == "stage" and about["done"] == 0:
         log.info("%(name)s", about)
     elif what == "warning":

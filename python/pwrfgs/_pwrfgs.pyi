@@ -408,6 +408,7 @@ def sweep(
     arguments: Sequence[str],
     out: Optional[_Path],
     jobs: int,
+    send_event: Callable[[Dict[str, Any]], Any],
     keep_checkpoint: bool,
     failures: Optional[Sequence[Tuple[int, str]]] = None,
 ) -> List[Tuple[Path, Optional[BaseException]]]: ...

@@ -168,7 +168,7 @@ def _is_interactive() -> bool:
     return _view.in_notebook() or (sys.stderr is not None and sys.stderr.isatty())
 
 
-class _Progress:
+class Progress:
     """Progress bar in a terminal or a notebook; silent elsewhere."""
 
     def __init__(self, shown: bool) -> None:
@@ -281,9 +281,9 @@ def run(
             chosen.set({field: _named(field, one)})
     _strategies.check(chosen)
     folder = os.fspath(out) if out is not None else os.path.join("runs", chosen.name)
-    bar = _Progress(progress)
+    bar = Progress(progress)
     with storing(folder) as store, contextlib.closing(bar):
-        _pwrfgs.run(chosen._settled(store)._inner, folder, _listener(bar, callback), keep_checkpoint)
+        _pwrfgs.run(chosen._settled(store)._inner, folder, event_listener(bar, callback), keep_checkpoint)
     return Run(folder)
 
 
@@ -304,9 +304,9 @@ def evaluate(
     chosen = Pipeline(pipeline)
     _strategies.check(chosen)
     folder = os.fspath(out) if out is not None else os.path.join("runs", chosen.name)
-    bar = _Progress(progress)
+    bar = Progress(progress)
     with storing(folder) as store, contextlib.closing(bar):
-        _pwrfgs.score(model, chosen._settled(store)._inner, folder, _listener(bar, callback))
+        _pwrfgs.score(model, chosen._settled(store)._inner, folder, event_listener(bar, callback))
     return Run(folder)
 
 
@@ -336,7 +336,7 @@ def _refuse_twice(there: List[Any], more: List[Any]) -> None:
             )
 
 
-def _listener(bar: _Progress, callback: Optional[Callable[[Event], Any]]) -> Callable[[Event], None]:
+def event_listener(bar: Progress, callback: Optional[Callable[[Event], Any]]) -> Callable[[Event], None]:
     def hear(event: Event) -> None:
         log_event(event)
         bar.hear(event)
@@ -371,7 +371,7 @@ def simulate(
     Ctrl-C stops without leaving files. With several receivers, each has a folder inside ``out`` (except for "rssi"); the
     first is loaded.
     """
-    bar = _Progress(progress)
+    bar = Progress(progress)
     bar.begin("simulating", samples)
     try:
         _pwrfgs.simulate(

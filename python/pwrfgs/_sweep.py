@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
 import uuid
@@ -14,7 +15,7 @@ from . import _pwrfgs, _strategies
 from ._errors import Error, InputError
 from ._log import event as log_event
 from ._pipeline import Pipeline
-from ._run import PathLike, Run
+from ._run import PathLike, Progress, Run, event_listener
 from ._unsaved import Store, storing
 from ._values import Value, arguments, from_ron, quoted, ron_name, to_ron
 
@@ -114,7 +115,7 @@ def _performed(
 ) -> List[Run]:
     changes = arguments(set)
     if executor is None:
-        with contextlib.closing(Progress(progress)) as bar:
+        with contextlib.closing(Progress(True)) as bar:
             listener = event_listener(bar, None)
             return finished_runs(_pwrfgs.sweep(experiment, changes, out, jobs, listener, keep_checkpoint))
     failures = _submitted(executor, *_pwrfgs.sweep_runs(experiment, changes, out), keep_checkpoint)

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from . import _pwrfgs
 from ._errors import InputError
 from ._mat import read_matrix
-from ._run import _Progress
+from ._run import Progress
 from ._spectrum import SPEED_OF_LIGHT, spectrum
 from ._types import Array, Receiver
 
@@ -318,7 +318,7 @@ def to_deepmimo(
     Receivers become base stations, and transmitters become users. Each user keeps its 25 strongest paths. The scenario has no
     objects. ``tx`` states the positions of the users instead of ``samples``, as for `simulate`. ``deepmimo.load("NAME")`` reads ``deepmimo_scenarios/NAME``; NAME must be in lower case.
     """
-    bar = _Progress(progress)
+    bar = Progress(progress)
     bar.begin("simulating", samples)
     try:
         _pwrfgs.simulate(

@@ -63,7 +63,7 @@ impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Body<B> {
         fields: &'static [&'static str],
         w: W,
     ) -> Result<W::Value, B::Error> {
-        self.0.struct_variant(fields, Fields { inner: w, plugin: name, fields })
+        self.0.struct_variant(fields, FieldChecker { inner: w, plugin: name, fields })
     }
     fn deserialize_unit_struct<W: Visitor<'de>>(self, _: &'static str, w: W) -> Result<W::Value, B::Error> {
         self.0.unit_variant()?;
@@ -77,32 +77,32 @@ impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Body<B> {
 
 /// Rejects unknown fields with their position and the nearest name. Errors that pass through typetag's type-erased
 /// deserializer are plain text, from which names cannot be extracted.
-struct Fields<W> {
+struct FieldChecker<W> {
     inner: W,
     /// Name of the plugin.
     plugin: &'static str,
     /// Names of its fields.
     fields: &'static [&'static str],
 }
-impl<'de, W: Visitor<'de>> Visitor<'de> for Fields<W> {
+impl<'de, W: Visitor<'de>> Visitor<'de> for FieldChecker<W> {
     type Value = W::Value;
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.inner.expecting(f)
     }
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<W::Value, A::Error> {
-        self.inner.visit_map(Fields { inner: map, plugin: self.plugin, fields: self.fields })
+        self.inner.visit_map(FieldChecker { inner: map, plugin: self.plugin, fields: self.fields })
     }
 }
-impl<'de, A: MapAccess<'de>> MapAccess<'de> for Fields<A> {
+impl<'de, A: MapAccess<'de>> MapAccess<'de> for FieldChecker<A> {
     type Error = A::Error;
     fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, k: K) -> Result<Option<K::Value>, A::Error> {
-        self.inner.next_key_seed(Fields { inner: k, plugin: self.plugin, fields: self.fields })
+        self.inner.next_key_seed(FieldChecker { inner: k, plugin: self.plugin, fields: self.fields })
     }
     fn next_value_seed<S: DeserializeSeed<'de>>(&mut self, s: S) -> Result<S::Value, A::Error> {
         self.inner.next_value_seed(s)
     }
 }
-impl<'de, K: DeserializeSeed<'de>> DeserializeSeed<'de> for Fields<K> {
+impl<'de, K: DeserializeSeed<'de>> DeserializeSeed<'de> for FieldChecker<K> {
     type Value = K::Value;
     fn deserialize<D: Deserializer<'de>>(self, d: D) -> Result<K::Value, D::Error> {
         let BareName(name) = BareName::deserialize(d)?;
