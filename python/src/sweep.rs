@@ -69,7 +69,7 @@ pub(crate) fn sweep<'py>(
         }
         let mut session = Session { observer: &mut NoopObserver, stop, page: pwrfgs::PAGE, keep_checkpoint };
         let counter = RunCounter { events, ended: AtomicUsize::new(0), total: runs.len() };
-        counter.send(0);
+        (!runs.is_empty()).then(|| counter.send(0));
         let end = plan.execute(&runs, jobs, &counter, &mut session)?;
         if plan.states().iter().all(|state| matches!(state, RunStage::Finished(_))) {
             let _held = plan.claim()?;
