@@ -246,7 +246,8 @@ fn update_adds_measurements_and_refuses_other_data() {
         ensemble.residuals().unwrap().processes()[0].as_ref().unwrap().len()
     };
     assert_eq!((known(model), known("new.safetensors")), (4, 10));
-    let said = stderr(&succeed(here, &["update", "r", "-o", "final.safetensors"]));
+    let accept = ["--accept", "far-from-model"];
+    let said = stderr(&succeed(here, &[&["update", "r", "-o", "final.safetensors"][..], &accept].concat()));
     assert!(said.contains("2 new spectra in final.safetensors"), "the test set: {said}");
     assert_eq!(known("final.safetensors"), 6);
     refuse(here, &["update", "new.safetensors", "-o", "no"], 2, &["new.safetensors", "use the model of a run folder"]);

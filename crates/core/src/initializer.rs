@@ -37,8 +37,9 @@ impl std::fmt::Debug for InitializerInput<'_> {
 #[typetag::serde]
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait Initializer: crate::plugin::PluginObject {
-    /// Returns the initial cloud with at least one Gaussian. `plane.angles` states whether pixels are angles of the
-    /// true receiver pose, for initialisers that place Gaussians in view.
+    /// Returns the initial cloud with at least one Gaussian. `plane.angles` or `plane.camera` gives the
+    /// directions of pixels in the receiver frame, for initialisers that place Gaussians in view; without both, as for the
+    /// released projection, pixels do not follow the receiver pose.
     ///
     /// # Errors
     /// The scene lacks a required input; the message names the alternative.

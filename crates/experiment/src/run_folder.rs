@@ -175,7 +175,7 @@ fn lock_pipeline(folder: &Path, pipeline: &Pipeline) -> Result<(File, bool, RunS
 /// Compares the pipeline `theirs` of `file` in `folder` with `ours`: a run is identified by its training settings.
 ///
 /// # Errors
-/// The training settings differ; the message has the first difference.
+/// The training settings differ; the message has the first lines that differ, if both texts have them.
 fn compare_pipelines(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<RunState> {
     let text = ours.to_ron()?;
     if theirs == text {
@@ -187,26 +187,22 @@ fn compare_pipelines(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) 
             let rescored = scored_as(ours, &earlier);
             (earlier.essential().to_ron()?, rescored.essential().to_ron()?, rescored.to_ron()? == text)
         }
+        // A pipeline of another version is compared as text.
         Err(_) => (theirs.to_owned(), ours.essential().to_ron()?, true),
     };
-    let differ = their_text.lines().zip(our_text.lines()).enumerate().find(|(_, (a, b))| a != b);
-    match differ {
-        Some((line, (their_line, our_line))) => Err(Error::Config(format!(
-            "{} holds a run of another pipeline: its {PIPELINE}:{} has `{}`, this one has `{}`; \
-             choose another --out or remove the folder",
-            folder.display(),
-            line + 1,
-            strip_control(their_line).trim_end_matches(','),
-            strip_control(our_line).trim_end_matches(',')
-        ))),
-        None if their_text.lines().count() == our_text.lines().count() => {
-            Ok(if is_scored_alike { RunState::Begun } else { RunState::ScoredOtherwise })
-        }
-        None => Err(Error::Config(format!(
-            "{} holds a run of another pipeline; choose another --out or remove the folder",
-            folder.display()
-        ))),
+    if their_text == our_text {
+        return Ok(if is_scored_alike { RunState::Begun } else { RunState::ScoredOtherwise });
     }
+    let differ = their_text.lines().zip(our_text.lines()).find(|(a, b)| a != b);
+    let difference = differ.map_or_else(String::new, |(their_line, our_line)| {
+        let [theirs, ours] =
+            [their_line, our_line].map(|line| strip_control(line).trim().trim_end_matches(',').to_owned());
+        format!(": its {PIPELINE} has `{theirs}`, this one has `{ours}`")
+    });
+    let folder = folder.display();
+    let problem =
+        format!("{folder} holds a run of another pipeline{difference}; choose another --out or remove the folder");
+    Err(Error::Config(problem))
 }
 
 /// Returns `pipeline` with the baselines and metrics of `other`, which do not affect training, and without residuals if

@@ -191,19 +191,20 @@ fn stretch_vjp(magnitude: &[Real], d_image: &[Real], out: &mut Vec<Real>) {
     let gain = gain(low, high);
     out.clear();
     out.extend(d_image.iter().map(|d| d * gain));
-    // Σ d and Σ d·v, each summed in 16 fixed lanes.
-    let (mut all, mut weighted) = ([0.0; 16], [0.0; 16]);
+    // Sums d and d·v with v = (m − low)·gain in 16 lanes: additions are vectorised, in one order on every machine.
+    let (mut total, mut weighted) = ([0.0; 16], [0.0; 16]);
     for (d, m) in out.chunks(16).zip(magnitude.chunks(16)) {
-        let (d, m) = (&d[..d.len().min(16)], &m[..d.len().min(16)]);
+        let (d, m) = (&d[..d.len().min(16)], &m[..d.len().min(16)]); // without bounds checks in the lanes
         for lane in 0..d.len() {
-            all[lane] += d[lane];
+            total[lane] += d[lane];
             weighted[lane] += d[lane] * ((m[lane] - low) * gain);
         }
     }
-    let (all, weighted): (Real, Real) = (all.iter().sum(), weighted.iter().sum());
+    let (total, weighted): (Real, Real) = (total.iter().sum(), weighted.iter().sum());
+    // Adds the derivatives by the limits: ∂v/∂low = −gain·(1 − v), ∂v/∂high = −gain·v.
     let first = |value: Real| magnitude.iter().position(|m| *m == value);
     if let (Some(darkest), Some(brightest)) = (first(low), first(high)) {
-        out[darkest] -= all - weighted;
+        out[darkest] -= total - weighted;
         out[brightest] -= weighted;
     }
 }

@@ -110,8 +110,8 @@ impl Deformation for Wrfgs {
         let gain = self.gain(means, pose) as Real;
         #[cfg(feature = "gpu")]
         if let Some(gpu) = pwrfgs_gpu::current() {
-            let kept = prepared.as_ref().and_then(|kept| kept.downcast_ref());
-            let products = self.planned_layers(weights).gpu_forward(gpu, inputs, kept);
+            let trunk_output = prepared.as_ref().and_then(|cache| cache.downcast_ref());
+            let products = self.planned_layers(weights).gpu_forward(gpu, inputs, trunk_output);
             return Self::signals(
                 gain,
                 products.unwrap_or_else(|error| {
@@ -134,7 +134,7 @@ impl Deformation for Wrfgs {
         #[cfg(feature = "gpu")]
         if let Some(gpu) = pwrfgs_gpu::current() {
             return match self.planned_layers(weights).gpu_prepare(gpu, weights, means) {
-                Ok(kept) => kept.map(|kept| Arc::new(kept) as Arc<_>),
+                Ok(trunk_output) => trunk_output.map(|output| Arc::new(output) as Arc<_>),
                 Err(error) => {
                     pwrfgs_core::device::fail(error);
                     None

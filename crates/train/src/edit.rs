@@ -1,4 +1,4 @@
-//! The only place where N changes: a list of rows rewrites parameters, moments, statistics and IDs together.
+//! The only place where training changes N: a list of rows rewrites parameters, moments, statistics and IDs together.
 //!
 //! [`GaussianIds`] holds a persistent ID per Gaussian, independent of its row.
 

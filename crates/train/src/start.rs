@@ -1,4 +1,4 @@
-//! `Trainer` before its first step: checks of plan and data, Gaussians and weights.
+//! `Trainer`: creation from plan and data, initial Gaussians and weights, and Gaussians from outside between two steps.
 
 use crate::adam::Adam;
 use crate::batches::{Batches, plane_of_step};
@@ -124,23 +124,10 @@ impl<'a> Trainer<'a> {
     /// [`Error::Config`] without Gaussians, for a number that is not finite, for an unknown column or another width, and
     /// for fewer Gaussians than an exact target.
     pub fn set_cloud(&mut self, mut cloud: GaussianCloud) -> Result<()> {
+        self.check_cloud(&cloud).map_err(|why| Error::Config(format!("cloud: {why}")))?;
         let (n, is_same) = (cloud.len(), cloud.len() == self.cloud.len());
-        let refuse = |why: String| Err(Error::Config(format!("cloud: {why}")));
-        if n == 0 || !self.stages.method.traits().has_gaussians() {
-            return refuse(
-                "0 Gaussians, or a method without Gaussians; give at least one Gaussian to a method with them".into(),
-            );
-        }
-        if let Some((name, ..)) = cloud.columns().find(|(_, _, values)| !values.iter().all(|v| v.is_finite())) {
-            return refuse(format!("column `{name}` has a number that is not finite; give finite numbers"));
-        }
         if self.phase(self.done + 1) != Phase::Finetune {
             check_compatible(&self.plan.parts(Some(n))).map_err(Misfit::error)?;
-        }
-        for column in &cloud.extra {
-            if self.cloud.extra(&column.name).is_none_or(|present| present.width != column.width) {
-                return refuse(format!("unknown column `{}` of width {}; leave it out", column.name, column.width));
-            }
         }
         let initial = |name: &str| self.specs.iter().find(|spec| spec.name == name).map_or(0.0, |spec| spec.init);
         let completed = |present: &ExtraColumn| match cloud.extra(&present.name) {
@@ -157,6 +144,27 @@ impl<'a> Trainer<'a> {
         }
         self.cloud = cloud;
         Ok(())
+    }
+
+    /// Returns an error unless `cloud` has Gaussians, finite numbers, and no other column than the present cloud.
+    fn check_cloud(&self, cloud: &GaussianCloud) -> Result<(), String> {
+        if !self.stages.method.traits().has_gaussians() {
+            return Err("the method has no Gaussians; do not set them".into());
+        }
+        if cloud.is_empty() {
+            return Err("0 Gaussians; give at least one".into());
+        }
+        if let Some((name, ..)) = cloud.columns().find(|(_, _, values)| !values.iter().all(|v| v.is_finite())) {
+            return Err(format!("column `{name}` has a number that is not finite; give finite numbers"));
+        }
+        let fault = |ExtraColumn { name, width, .. }: &ExtraColumn| match self.cloud.extra(name) {
+            None => Some(format!("unknown column `{name}`; leave it out")),
+            Some(present) if present.width != *width => {
+                Some(format!("column `{name}` has width {width}, expected {}", present.width))
+            }
+            Some(_) => None,
+        };
+        cloud.extra.iter().find_map(fault).map_or(Ok(()), Err)
     }
 
     /// Sets the initial Gaussians, and `trained` weights or else those that the method draws and initialises.

@@ -9,6 +9,8 @@ use http_body_util::{BodyExt as _, Full};
 use hyper::body::{Body as _, Bytes, Frame};
 use hyper::header::{CONTENT_TYPE, HeaderValue};
 use hyper::{Response, StatusCode};
+use pwrfgs_core::coordinate_fault;
+use pwrfgs_core::messages::quoted;
 use pwrfgs_report::canvas::escape_xml;
 use pwrfgs_report::live::{FILES, PAGE_STYLE, STAGE, STYLE};
 use std::convert::Infallible;
@@ -129,11 +131,11 @@ impl QueryParams {
     }
 }
 
-/// Parses the query parameter `name`, metres. Returns an error, which names it, for text that is not a number, NaN, or
-/// an absolute value from 1e9.
+/// Parses the query parameter `name`, metres. Returns an error, which names it, for text or an invalid coordinate.
 fn parse_metres(name: &str, value: &str) -> Result<f64, String> {
-    let number = value.parse::<f64>().ok().filter(|v| v.abs() < 1e9);
-    number.ok_or_else(|| format!("query parameter `{name}`: expected metres"))
+    let number =
+        value.parse().map_err(|_| format!("query parameter `{name}`: expected metres, found {}", quoted(value)))?;
+    coordinate_fault(number).map_or(Ok(number), |fault| Err(format!("query parameter `{name}` {fault}")))
 }
 
 /// Interval of events; an empty event detects a closed page.

@@ -175,7 +175,7 @@ fn median_angle(pairs: &[DirectionPair], turn: DQuat) -> f64 {
     median_degrees(pairs.iter().map(|(a, b)| angle(turn * *a, *b)))
 }
 
-/// Returns the median of angles in radians, degrees.
+/// Returns the median, in degrees, of `angles` in radians.
 fn median_degrees(angles: impl Iterator<Item = f64>) -> f64 {
     statistics::median(angles.map(f64::to_degrees))
 }

@@ -23,16 +23,22 @@ pub(super) fn check_powers(data: &Dataset, powers: &[Real]) -> Vec<Finding> {
 /// Returns the finding on lone values; `None` without any.
 fn lone_value_finding(data: &Dataset, mut codes: Vec<LoneValue>) -> Option<Finding> {
     codes.sort_by_key(|code| std::cmp::Reverse(code.count));
-    let first = codes.first()?;
-    let describe =
-        |code: &LoneValue| format!("{} are {}, {:.1} dB from the next value", code.count, code.value, code.gap);
+    let most_frequent = codes.first()?;
+    let describe = |code: &LoneValue| {
+        let verb = if code.count == 1 { "is" } else { "are" };
+        format!("{} {verb} {}, {:.1} dB from the next value", code.count, code.value, code.gap)
+    };
     let list: Vec<String> = codes.iter().take(NAMED).map(describe).collect();
-    let more = if codes.len() > NAMED { format!(", and {} other values", codes.len() - NAMED) } else { String::new() };
-    let (total, example) = (data.len(), name_link(data, first.first));
-    let problem = format!("of {total} received powers, {}{more} (for example {example})", list.join(", "));
+    let more = match codes.len().saturating_sub(NAMED) {
+        0 => String::new(),
+        1 => "; and 1 other value".into(),
+        count => format!("; and {count} other values"),
+    };
+    let (total, example) = (data.len(), name_link(data, most_frequent.first));
+    let problem = format!("of {total} received powers, {}{more} (for example {example})", list.join("; "));
     let mend = format!(
         "if they mean that nothing was received, leave these cells empty, or use `--missing {}` of `pwrfgs import --table`",
-        first.value
+        most_frequent.value
     );
     let count = codes.iter().map(|code| code.count).sum();
     Some(Finding::new("lone-value", count, problem, mend))

@@ -239,6 +239,11 @@ impl Region {
         }
     }
 
+    /// Returns the smallest corner, metres.
+    fn low_corner(&self) -> DVec3 {
+        DVec3::from_array(self.low.map(|grain| grain as f64 / GRAINS))
+    }
+
     /// Returns the largest minus smallest corner, metres.
     fn size(&self) -> DVec3 {
         DVec3::from_array([0, 1, 2].map(|k| (self.high[k] - self.low[k]) as f64 / GRAINS))
@@ -254,12 +259,15 @@ impl Region {
     /// Returns the position mirrored at the walls until it is inside, and mirrors the direction with it.
     fn reflect(&self, position: DVec3, direction: &mut Direction) -> DVec3 {
         let mut inside = self.nearest(position);
-        let low = self.nearest(DVec3::NEG_INFINITY);
+        let (low, sides) = (self.low_corner(), self.size());
         for axis in 0..3 {
-            let size = self.size()[axis];
+            let size = sides[axis];
+            if size == 0.0 {
+                continue; // a box without thickness
+            }
             let offset = (position[axis] - low[axis]) / size;
-            if size > 0.0 && !(0.0..=1.0).contains(&offset) {
-                let part = offset.rem_euclid(2.0);
+            if !(0.0..=1.0).contains(&offset) {
+                let part = offset.rem_euclid(2.0); // mirrored positions repeat every two sides
                 inside[axis] = low[axis] + size * if part > 1.0 { 2.0 - part } else { part };
                 if part > 1.0 {
                     direction.mirror(axis);
@@ -317,7 +325,7 @@ impl Sampler<'_> {
             chosen.truncate(count);
             chosen.sort_unstable();
         }
-        let low = DVec3::from_array(region.low.map(|grain| grain as f64 / GRAINS));
+        let low = region.low_corner();
         let first = low + region.size() / 2.0 - step / 2.0 * DVec3::from_array(cells.map(|n| n as f64 - 1.0));
         let position_at = |(number, index): (usize, usize)| {
             let cell = [index % cells[0], index / cells[0] % cells[1], index / cells[0] / cells[1]];
