@@ -133,8 +133,9 @@ impl QueryParams {
 
 /// Parses the query parameter `name`, metres. Returns an error, which names it, for text or an invalid coordinate.
 fn parse_metres(name: &str, value: &str) -> Result<f64, String> {
-    let number =
-        value.parse().map_err(|_| format!("query parameter `{name}`: expected metres, found {}", quoted(value)))?;
+    let Ok(number) = value.parse() else {
+        return Err(format!("query parameter `{name}`: expected metres, found {}", quoted(value)));
+    };
     coordinate_fault(number).map_or(Ok(number), |fault| Err(format!("query parameter `{name}` {fault}")))
 }
 
