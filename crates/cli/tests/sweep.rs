@@ -166,6 +166,14 @@ fn shards_divide_runs() {
     succeed(here, &["sweep", "e.ron", "--shard", "1/3"]);
     assert_eq!(RUNS.map(there), [true; 4]);
     refuse(here, &["sweep", "e.ron", "--only", "lambda=0.02,start=fw,seed=4"], 2, &["did you mean", RUNS[2]]);
+    let parts = RUNS[2].rsplit_once(',').unwrap();
+    for name in [parts.0, parts.1] {
+        let listed = stdout(&succeed(here, &["sweep", "e.ron", "--status", "--only", name]));
+        for run in RUNS {
+            let has_part = run.starts_with(name) || run.ends_with(name);
+            assert_eq!(listed.contains(run), has_part, "{name}: {listed}");
+        }
+    }
     refuse(here, &["sweep", "e.ron", "--jobs", "9", "--threads", "2"], 2, &["set at most 2"]);
 }
 

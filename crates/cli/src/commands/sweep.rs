@@ -57,8 +57,8 @@ pub(crate) struct Sweep {
     /// Run only part I of N, such as 2/5, for any scheduler
     #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     pub(crate) shard: Option<Shard>,
-    /// Run only this run, by the name of its folder
-    #[arg(long, value_name = "RUN", conflicts_with = "shard")]
+    /// Run only the runs with these parts of the folder name, such as seed=0 or method=masks,seed=0
+    #[arg(long, value_name = "PARTS", conflicts_with = "shard")]
     pub(crate) only: Option<String>,
     /// Keep the training state of finished runs, checkpoint.safetensors
     #[arg(long)]
@@ -235,7 +235,7 @@ fn queued_runs(plan: &SweepPlan) -> BTreeSet<String> {
 /// Returns the indices in the plan of the runs that `--shard` or `--only` select; all without them.
 fn select_runs(plan: &SweepPlan, arguments: &Sweep) -> Result<Vec<usize>> {
     if let Some(name) = &arguments.only {
-        return Ok(vec![plan.find_run(name)?]);
+        return plan.find_runs(name);
     }
     let Shard { index, count } = arguments.shard.unwrap_or(Shard { index: 1, count: 1 });
     Ok((0..plan.runs.len()).filter(|run| run % count == index - 1).collect())

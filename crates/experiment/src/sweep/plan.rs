@@ -152,15 +152,21 @@ impl SweepPlan {
         self.listing().claim(&self.folder)
     }
 
-    /// Finds the index of the run whose folder is `name`.
+    /// Finds the indices of the runs whose folder has all parts of `name`, such as `seed=0` or `init=random,seed=1`.
     ///
     /// # Errors
-    /// Unknown name; the error suggests the nearest.
-    pub fn find_run(&self, name: &str) -> Result<usize> {
-        self.runs.iter().position(|r| r.folder == name).ok_or_else(|| {
+    /// No such run; the error suggests the nearest folder.
+    pub fn find_runs(&self, name: &str) -> Result<Vec<usize>> {
+        if let Some(run) = self.runs.iter().position(|run| run.folder == name) {
+            return Ok(vec![run]);
+        }
+        let has_parts = |folder: &str| name.split(',').all(|part| folder.split(',').any(|other| other == part));
+        let runs: Vec<usize> = (0..self.runs.len()).filter(|&run| has_parts(&self.runs[run].folder)).collect();
+        if runs.is_empty() {
             let hint = did_you_mean(name, self.runs.iter().map(|r| r.folder.as_str()));
-            Error::Config(format!("unknown run `{name}` of {}{hint}", self.name))
-        })
+            return Err(Error::Config(format!("unknown run `{name}` of {}{hint}", self.name)));
+        }
+        Ok(runs)
     }
 }
 
