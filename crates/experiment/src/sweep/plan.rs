@@ -157,9 +157,6 @@ impl SweepPlan {
     /// # Errors
     /// No such run; the error suggests the nearest folder.
     pub fn find_runs(&self, name: &str) -> Result<Vec<usize>> {
-        if let Some(run) = self.runs.iter().position(|run| run.folder == name) {
-            return Ok(vec![run]);
-        }
         let has_parts = |folder: &str| name.split(',').all(|part| folder.split(',').any(|other| other == part));
         let runs: Vec<usize> = (0..self.runs.len()).filter(|&run| has_parts(&self.runs[run].folder)).collect();
         if runs.is_empty() {

@@ -260,15 +260,13 @@ impl Region {
     fn reflect(&self, position: DVec3, direction: &mut Direction) -> DVec3 {
         let mut inside = self.nearest(position);
         let (low, sides) = (self.low_corner(), self.size());
-        for axis in 0..3 {
+        // A side of length 0 mirrors nothing.
+        for axis in (0..3).filter(|&axis| sides[axis] > 0.0) {
             let size = sides[axis];
-            if size == 0.0 {
-                continue; // a box without thickness
-            }
             let offset = (position[axis] - low[axis]) / size;
             if !(0.0..=1.0).contains(&offset) {
                 let part = offset.rem_euclid(2.0); // mirrored positions repeat every two sides
-                inside[axis] = low[axis] + size * if part > 1.0 { 2.0 - part } else { part };
+                inside[axis] = low[axis] + size * part.min(2.0 - part);
                 if part > 1.0 {
                     direction.mirror(axis);
                 }
