@@ -412,7 +412,7 @@ def sweep(
     keep_checkpoint: bool,
     failures: Optional[Sequence[Tuple[int, str]]] = None,
 ) -> List[Tuple[Path, Optional[BaseException]]]: ...
-def sweep_runs(
+def prepare_sweep(
     experiment: _Path, arguments: Sequence[str], out: Optional[_Path]
 ) -> Tuple[List[Tuple[int, Path, str]], int]: ...
 def compare(

@@ -118,7 +118,7 @@ def _performed(
         with contextlib.closing(Progress(True)) as bar:
             listener = event_listener(bar, None)
             return finished_runs(_pwrfgs.sweep(experiment, changes, out, jobs, listener, keep_checkpoint))
-    failures = _submitted(executor, *_pwrfgs.sweep_runs(experiment, changes, out), keep_checkpoint)
+    failures = _submitted(executor, *_pwrfgs.prepare_sweep(experiment, changes, out), keep_checkpoint)
     reasons = [(place, _reason(why)) for place, why in failures.items()]
     ends = _pwrfgs.sweep(experiment, changes, out, jobs, log_event, keep_checkpoint, reasons)
     return finished_runs([(run, failures.get(place, why)) for place, (run, why) in enumerate(ends)])

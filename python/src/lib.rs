@@ -56,7 +56,7 @@ mod _pwrfgs {
     #[pymodule_export]
     use super::settings::{Pipeline, complete, parse_ron, pipeline_text, registry, types};
     #[pymodule_export]
-    use super::sweep::{sweep, sweep_runs};
+    use super::sweep::{prepare_sweep, sweep};
     #[pymodule_export]
     use super::tasks::{
         calibrate, compress, findings, locate, place, plan, radio_map, suggest_pipeline, task_settings, update,

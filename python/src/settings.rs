@@ -1,7 +1,7 @@
 //! Plugins, pipelines and their text.
 
 use crate::border::{input_error, reject, run_stoppable, stop_progress, to_exception, without_gil, without_position};
-use pwrfgs::experiment::{pipeline_text as read_pipeline_text, rebased};
+use pwrfgs::experiment::{read_pipeline_text, rebased};
 use pwrfgs::pipeline::Change;
 use pwrfgs::pipeline::ron_tree::{RonBody as Parts, RonTree};
 use pwrfgs::prelude::Pipeline as Inner;

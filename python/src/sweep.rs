@@ -43,7 +43,7 @@ impl SweepObserver for RunCounter {
 }
 
 /// Performs a sweep, see `pwrfgs.sweep`; `send_event` is called with the number of ended runs. Returns the folder of every
-/// run, and of the joined model, with the exception of a failure. With `failures`, an executor has performed the runs of [`sweep_runs`]: indices and reasons of those that failed.
+/// run, and of the joined model, with the exception of a failure. With `failures`, an executor has performed the runs of [`prepare_sweep`]: indices and reasons of those that failed.
 #[pyfunction]
 #[pyo3(signature = (experiment, arguments, out, jobs, send_event, keep_checkpoint, failures=None))]
 #[allow(clippy::too_many_arguments)] // the keywords of `pwrfgs.sweep`
@@ -99,10 +99,10 @@ pub(crate) fn exception_of(py: Python<'_>, end: Result<RunOutcome>) -> Option<Bo
     Some(to_exception(py, error).into_value(py).into_bound(py).into_any())
 }
 
-/// Checks a sweep and creates its folder. Returns the unfinished runs, and the number of threads of each, `slurm.cpus` of the
-/// experiment.
+/// Checks a sweep, creates its folder and removes the stored failures of its unfinished runs. Returns these runs, and the number
+/// of threads of each, `slurm.cpus` of the experiment.
 #[pyfunction]
-pub(crate) fn sweep_runs(
+pub(crate) fn prepare_sweep(
     py: Python<'_>,
     experiment: PathBuf,
     arguments: Vec<String>,
@@ -111,12 +111,10 @@ pub(crate) fn sweep_runs(
     run_stoppable(py, |stop| {
         let plan = SweepPlan::read(&experiment, &arguments, out.as_deref())?;
         let all: Vec<usize> = (0..plan.runs.len()).collect();
-        let open = check(&plan, &all, &mut Stopping(stop))?;
-        drop(plan.claim()?);
-        let task = |run: usize| {
-            plan.remove_failure(run);
-            Ok((run, plan.run_folder(run), plan.runs[run].pipeline.to_ron()?))
-        };
-        Ok((open.into_iter().map(task).collect::<Result<_>>()?, plan.slurm.cpus))
+        let unfinished = check(&plan, &all, &mut Stopping(stop))?;
+        drop(plan.claim()?); // creates the folder; the executor works without the lock
+        unfinished.iter().for_each(|&run| plan.remove_failure(run));
+        let task = |run: usize| Ok((run, plan.run_folder(run), plan.runs[run].pipeline.to_ron()?));
+        Ok((unfinished.into_iter().map(task).collect::<Result<_>>()?, plan.slurm.cpus))
     })
 }

@@ -24,8 +24,8 @@ pub type Place = [f64; 4];
 /// fit.
 pub type StopCheck<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
-/// Returns the place of a transmitter at `tx` (metres), without time.
-pub fn in_space([x, y, z]: [f64; 3]) -> Place {
+/// Returns the place of a position, metres, at time 0: for processes over space alone.
+pub fn spatial_place([x, y, z]: [f64; 3]) -> Place {
     [x, y, z, 0.0]
 }
 
@@ -289,7 +289,8 @@ mod tests {
 
     #[test]
     fn derivatives_agree_with_central_differences() {
-        let places: Vec<Place> = (0..40).map(f64::from).map(|i| in_space([i.sin(), (2.0 * i).cos(), 0.0])).collect();
+        let places: Vec<Place> =
+            (0..40).map(f64::from).map(|i| spatial_place([i.sin(), (2.0 * i).cos(), 0.0])).collect();
         let (at, value) = ([0.21, -0.34, 0.4], |i: usize| (i as f64).cos());
         let check = |f: &dyn Fn([f64; 3]) -> f64, d: [f64; 3]| {
             for k in 0..3 {
@@ -304,10 +305,10 @@ mod tests {
             let correlation = Correlation { kind, scales: [0.5, 0.8, 1.2, f64::INFINITY], noise: 0.05 };
             let kriging = LocalKriging::new(correlation, mean, places.iter().copied());
             let sum = |at: [f64; 3]| {
-                let (near, solution) = kriging.solve(in_space(at), 12);
+                let (near, solution) = kriging.solve(spatial_place(at), 12);
                 near.iter().zip(&solution.weights).map(|(&i, w)| w * value(i)).sum()
             };
-            check(&sum, kriging.solve_vjp(in_space(at), 12, value));
+            check(&sum, kriging.solve_vjp(spatial_place(at), 12, value));
             let d = kriging.solve_vjp(places[3], 12, value);
             assert!(d.iter().all(|d| d.is_finite()), "{kind:?} at a sample: {d:?}");
         }

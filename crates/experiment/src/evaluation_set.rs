@@ -182,7 +182,8 @@ impl<'a> EvaluationSet<'a> {
         })
     }
 
-    /// Adds the measurements by the metrics of the whole model and of all samples; of an empty set, by all metrics.
+    /// Adds the measurements by the metrics of the whole model and of all samples. Those of an empty set are by all metrics,
+    /// without times.
     fn measure_whole(
         &self,
         ScoredPredictor { name, predictor, metrics }: ScoredPredictor<'_>,
@@ -191,7 +192,8 @@ impl<'a> EvaluationSet<'a> {
     ) -> Result<()> {
         // Latency is that of links predicted one by one.
         let count = &Cell::new(0);
-        let timer = predictor.is_timed().then_some(move || self.time_next(predictor, count));
+        let is_timed = predictor.is_timed() && !self.part.is_empty();
+        let timer = is_timed.then_some(move || self.time_next(predictor, count));
         let timed_prediction = timer.as_ref().map(|timer| timer as &dyn Fn() -> StageTimes);
         let OpenMeasurements { by_metric, energies, images: [predictions, truths] } = measurements;
         let samples = Evaluation::of(self.data, self.plane);

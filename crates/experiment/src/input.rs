@@ -12,14 +12,14 @@ use std::path::{Path, PathBuf};
 /// The file cannot be read; [`Error::Input`](pwrfgs_core::Error::Input) with line and column if it is invalid; an
 /// argument is invalid.
 pub fn read_pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
-    parse_pipeline(&pipeline_text(path)?, path, set)
+    parse_pipeline(&read_pipeline_text(path)?, path, set)
 }
 
 /// Reads the text of the pipeline in `path`, or of the shipped one of this name.
 ///
 /// # Errors
 /// The file cannot be read.
-pub fn pipeline_text(path: &Path) -> Result<String> {
+pub fn read_pipeline_text(path: &Path) -> Result<String> {
     ShippedFile::read(ShippedFile::PIPELINES, path, MAX_TEXT)
 }
 
@@ -40,7 +40,7 @@ pub(crate) fn read_base(folder: &Path, path: &Path) -> Result<PipelineEdit> {
         return parse_base(&file.text(), path);
     }
     let path = folder.join(path);
-    parse_base(&pipeline_text(&path)?, &path)
+    parse_base(&read_pipeline_text(&path)?, &path)
 }
 
 /// Parses a pipeline without applying its scale; its paths become absolute. Returns an error for text that is not a

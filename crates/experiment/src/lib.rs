@@ -42,7 +42,7 @@ pub use evaluate::{EvaluationResult, check_alike};
 pub use evaluation_set::{EvaluationSet, Predictor, ScoredPredictor, append_measurements};
 pub use facts::{Facts, FileDigest, Machine, VERSION};
 pub use findings::{Finding, check_observed, collect_findings, reject_findings};
-pub use input::{pipeline_text, read_pipeline, rebased};
+pub use input::{read_pipeline, read_pipeline_text, rebased};
 pub use inspect::{Preview, preview};
 pub use load::{ActiveRun, SplitData, check_findings, describe_observations, load_split_data, load_with_findings};
 pub use model_file::{model_file, pipeline_of_model, read_model};

@@ -20,7 +20,7 @@ pub(crate) use grid::CoarseGrid;
 pub use kriged::Kriged;
 
 use crate::tensors::quantise;
-use pwrfgs_core::kriging::{LocalKriging, Place, ProcessFit, in_space};
+use pwrfgs_core::kriging::{LocalKriging, Place, ProcessFit, spatial_place};
 use pwrfgs_core::{Image, Origin, Query, Real, Task, statistics};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -154,7 +154,7 @@ impl ResidualProcess {
 
 /// Returns the place for kriging of a position in metres from the origin.
 pub(crate) fn place(at: [Real; 3]) -> Place {
-    in_space(at.map(|v| v as f64))
+    spatial_place(at.map(|v| v as f64))
 }
 
 impl Residuals {

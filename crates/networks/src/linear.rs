@@ -33,12 +33,12 @@ impl Linear {
         MatrixMut::new(&mut flat[self.weight..][..self.outputs * self.inputs], self.outputs, self.inputs)
     }
 
-    /// Returns some rows of `W`.
+    /// Returns the given rows of W in the flat vector, `[rows, inputs]`.
     pub fn rows<'a>(&self, flat: &'a [Real], rows: Range<usize>) -> &'a [Real] {
         &flat[self.weight + rows.start * self.inputs..self.weight + rows.end * self.inputs]
     }
 
-    /// Returns some rows of `W`, mutable.
+    /// Returns the given rows of W in the flat vector, `[rows, inputs]`, mutable.
     pub fn rows_mut<'a>(&self, flat: &'a mut [Real], rows: Range<usize>) -> &'a mut [Real] {
         &mut flat[self.weight + rows.start * self.inputs..self.weight + rows.end * self.inputs]
     }

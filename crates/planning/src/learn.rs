@@ -1,7 +1,7 @@
 //! Correlation of measurements, and scores of Kriging from a selection of them.
 
 use crate::survey::box_diagonal;
-use pwrfgs_core::kriging::{Correlation, CorrelationKind, HeldOutCases, Mean, in_space};
+use pwrfgs_core::kriging::{Correlation, CorrelationKind, HeldOutCases, Mean, spatial_place};
 use pwrfgs_core::{Baseline as _, Dataset, FittingSet, Result, evenly, rng};
 use pwrfgs_data::{Kriging, Trend, vecchia_cases};
 use rayon::prelude::*;
@@ -34,7 +34,7 @@ pub fn learn_correlation(data: &Dataset, transmitters: &[usize]) -> Option<Corre
     if cases.len() < 2 {
         return None;
     }
-    let position = |i: usize| in_space(data.sample(i).position());
+    let position = |i: usize| spatial_place(data.sample(i).position());
     let values = |_: usize, i: usize| trends[data.links[i].receiver].residual_values(i, VALUES);
     let cases = HeldOutCases::new(&cases, Mean::Unknown, position, values);
     let reach = box_diagonal(&sorted.iter().map(|&t| data.locations[t].position()).collect::<Vec<_>>());

@@ -4,7 +4,7 @@
 //! With prior covariance k, noise σ² and measured points s₁, .., sₙ, row i of the factor is
 //! `V[i][p] = (k(p, sᵢ) − Σ_{l<i} V[l][p] V[l][sᵢ]) / √(v(sᵢ) + σ²)`, and the variance at p falls by `V[i][p]²`.
 
-use pwrfgs_core::kriging::{Correlation, in_space};
+use pwrfgs_core::kriging::{Correlation, spatial_place};
 use rayon::prelude::*;
 
 /// Points per task; results do not depend on it.
@@ -27,7 +27,7 @@ pub(crate) struct Posterior {
 impl Posterior {
     /// Creates the prior at `points` (metres).
     pub(crate) fn new(correlation: Correlation, points: &[[f64; 3]]) -> Self {
-        let column = |k: usize| points.iter().map(|point| correlation.scaled(in_space(*point))[k]).collect();
+        let column = |k: usize| points.iter().map(|point| correlation.scaled(spatial_place(*point))[k]).collect();
         let (factor, variances) = (Vec::new(), vec![1.0; points.len()]);
         Self { correlation, columns: [0, 1, 2].map(column), factor, variances }
     }
@@ -109,9 +109,10 @@ mod tests {
         let mut posterior = Posterior::new(correlation, &points);
         let measured: Vec<usize> = (0..40).map(|k| 13 * k).collect();
         measured.iter().for_each(|&s| _ = posterior.add_measurement(s));
-        let measured_points: Vec<_> = measured.iter().map(|&s| correlation.scaled(in_space(points[s]))).collect();
+        let measured_points: Vec<_> = measured.iter().map(|&s| correlation.scaled(spatial_place(points[s]))).collect();
         for p in [1, 13, 299, 599] {
-            let kriging = solve(&correlation, Mean::Zero, &measured_points, correlation.scaled(in_space(points[p])));
+            let kriging =
+                solve(&correlation, Mean::Zero, &measured_points, correlation.scaled(spatial_place(points[p])));
             let variance = posterior.variances()[p] + correlation.noise;
             assert!((variance - kriging.variance).abs() < 1e-9, "{variance} and {}", kriging.variance);
         }

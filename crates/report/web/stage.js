@@ -709,9 +709,9 @@ export class Stage {
       parts.push(`Extrapolation: ${metres.toFixed(2)} m from the nearest training position, limit ${limit.toFixed(2)} m`);
     }
     if (note.nearest) {
-      const { score, link, metres, part, learned } = note.nearest;
+      const { score, link, metres, part, fitted } = note.nearest;
       const value = Number.isFinite(score) ? chartNumber(Number(score.toFixed(3))) : "n/a";
-      const scored = learned ? "not scored: the baseline was fitted to" : `${this.note.score.name} ${value} against`;
+      const scored = fitted ? "not scored: the baseline was fitted to" : `${this.note.score.name} ${value} against`;
       parts.push(`${scored} sample ${this.ids[link]} (${PART_NAMES[part]}), ${metres.toFixed(2)} m away`);
       if (link === this.median) parts.push("median of the test set");
     }

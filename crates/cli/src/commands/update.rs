@@ -48,7 +48,7 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     let model = read_models(std::slice::from_ref(&arguments.model))?;
     check_residuals(&model).map_err(in_file(&arguments.model))?;
     let mut progress = RunProgress::new(verbosity);
-    let data = new_data(arguments, &mut progress)?;
+    let data = load_new_data(arguments, &mut progress)?;
     let updated = update_model(&model, &data, &arguments.accept, &mut progress);
     let source = arguments.data.as_ref().unwrap_or(&arguments.model);
     let UpdatedModel { ensemble, added, agreement, milliseconds } = updated.map_err(in_file(source))?;
@@ -62,11 +62,11 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
 }
 
 /// Loads the data of `--data`, or the test set of the run.
-fn new_data(arguments: &Update, progress: &mut RunProgress) -> Result<Dataset> {
+fn load_new_data(arguments: &Update, progress: &mut RunProgress) -> Result<Dataset> {
     let Some(folder) = &arguments.data else {
         let pipeline = read_known_pipeline(Some(&arguments.model), &[], false)?;
-        let split = pipeline.map(|pipeline| load_split_data(&pipeline, progress)).transpose()?;
-        let split = split.expect("an error without a pipeline");
+        let pipeline = pipeline.expect("a pipeline, since there are no observations to compare with");
+        let split = load_split_data(&pipeline, progress)?;
         return split.data.into_subset(&split.partition.test);
     };
     let source = recognise(folder).ok_or_else(|| unknown_folder_error(folder))?;

@@ -1,7 +1,9 @@
 //! Kriging of received powers: path loss and process of all receivers, fitted together.
 
 use super::fitting_samples;
-use pwrfgs_core::kriging::{Correlation, LocalKriging, PathLoss, Place, ProcessFit, fit_powers, link_place};
+use pwrfgs_core::kriging::{
+    Correlation, LocalKriging, PathLoss, Place, ProcessFit, fit_powers, link_place, spatial_place,
+};
 use pwrfgs_core::messages::strip_control;
 use pwrfgs_core::{Dataset, FittingSet, Image, Predict, Query, Real, Result};
 
@@ -54,8 +56,7 @@ impl<'a> PooledKriging<'a> {
 
     /// Returns the position of a query, metres from the origin, at time 0.
     fn place(&self, query: Query<'_>) -> Place {
-        let [x, y, z] = self.data.scene.origin.local(query.position()).map(|v| v as f64);
-        [x, y, z, 0.0]
+        spatial_place(self.data.scene.origin.local(query.position()).map(|v| v as f64))
     }
 
     /// Returns the process of the receiver of a query; `None` if it has no links.

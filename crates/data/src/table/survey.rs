@@ -162,7 +162,7 @@ impl<'a> Survey<'a> {
             for (&column, &receiver) in columns.iter().zip(&receivers) {
                 // A row may end early: its last cells are empty.
                 let Some(field) = row.fields.get(column) else { break };
-                if let Some(dbm) = self.dbm(&row, *field)? {
+                if let Some(dbm) = self.read_power(&row, *field)? {
                     self.readings.push(Reading { location, receiver, dbm });
                 }
             }
@@ -200,7 +200,7 @@ impl<'a> Survey<'a> {
                     return Err(row.fault(1, format!("{problem}; give one position per receiver")));
                 }
             }
-            let Some(dbm) = self.dbm(&row, cell(power)?)? else { continue };
+            let Some(dbm) = self.read_power(&row, cell(power)?)? else { continue };
             let cells =
                 reader.transmitter.iter().map(|k| cell(*k).map(|field| field.text)).collect::<Result<Vec<_>>>()?;
             let group = (place, cells.join("\u{1f}").into(), is_test);
@@ -251,8 +251,9 @@ impl<'a> Survey<'a> {
         index
     }
 
-    /// Returns the power in a cell, dBm; `None` if nothing was received. Returns an error for other text or an implausible power.
-    fn dbm(&mut self, row: &TextRow<'_>, field: TextField<'_>) -> Result<Option<Real>> {
+    /// Reads the power in a cell, dBm; counts a cell that was not received and returns `None` for it. Returns an error for other
+    /// text or an implausible power.
+    fn read_power(&mut self, row: &TextRow<'_>, field: TextField<'_>) -> Result<Option<Real>> {
         let Some(value) = row.optional(field, "give the power as a number, or leave the cell empty")? else {
             self.silent += 1;
             return Ok(None);

@@ -61,8 +61,10 @@ impl WrfgsLayers {
         [&self.attenuation, &self.branch.out].map(|layer| layer.with_outputs(1).whole())
     }
 
-    /// Begins a step for N centres and B transmitters with the weights and the biases of the trunk on the GPU.
-    fn begin<'g>(
+    /// Begins a step for N centres and B transmitters with the weights and the biases of the trunk on the GPU. `derived` adds the
+    /// slots of the backward pass, with those of the derivatives by positions that it requests; `None` for predictions. A slot
+    /// that is not used has size 1.
+    fn begin_step<'g>(
         &self,
         gpu: &'g Gpu,
         weights: &[Real],
@@ -72,6 +74,7 @@ impl WrfgsLayers {
         let width = self.trunk.width;
         let rows = n.min(self.most_rows(gpu));
         let on = self.on_gpu(rows, derived.is_some());
+        // The slots of three outputs of heads hold the derivatives by positions.
         let mut sizes = on.sizes(weights.len(), 1, 3, derived.is_some());
         sizes.resize(FIRST, 1);
         let (chunk, encoded) = (width * rows, self.encoded() * rows);
@@ -103,7 +106,7 @@ impl WrfgsLayers {
         weights: &[Real],
         means: &[[Real; 3]],
     ) -> Result<Option<GpuTrunkOutput>> {
-        let mut step = self.begin(gpu, weights, (means.len(), 0), None)?;
+        let mut step = self.begin_step(gpu, weights, (means.len(), 0), None)?;
         let mut kept = Vec::new();
         for means in means.chunks(self.most_rows(gpu)) {
             let (on, len) = (self.on_gpu(means.len(), false), self.trunk.width * means.len());
@@ -153,7 +156,7 @@ impl WrfgsLayers {
     ) -> Result<Vec<Real>> {
         let (means, txs) = (inputs.means, inputs.txs.positions());
         let sides = self.branch.tx_sides(inputs.weights, txs);
-        let mut step = self.begin(gpu, inputs.weights, (means.len(), txs.len()), None)?;
+        let mut step = self.begin_step(gpu, inputs.weights, (means.len(), txs.len()), None)?;
         for (chunk, means) in means.chunks(self.most_rows(gpu)).enumerate() {
             let on = self.on_gpu(means.len(), false);
             if let Some(GpuTrunkOutput(chunks)) = prepared {
@@ -193,7 +196,7 @@ impl WrfgsLayers {
         let (n, txs, width) = (inputs.means.len(), inputs.txs.positions(), self.trunk.width);
         let wanted = Wanted { means: sums.means.is_some(), txs: sums.positions.is_some() };
         let sides = self.branch.tx_sides(inputs.weights, txs);
-        let mut step = self.begin(gpu, inputs.weights, (n, txs.len()), Some(wanted))?;
+        let mut step = self.begin_step(gpu, inputs.weights, (n, txs.len()), Some(wanted))?;
         step.clear(D_WEIGHTS, inputs.weights.len());
         step.clear(D_FOLDED, 2 * width);
         step.clear(D_SIDES, width * txs.len());

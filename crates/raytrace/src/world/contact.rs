@@ -131,8 +131,9 @@ pub(super) fn bounding_box(points: &[DVec3], margin: f64) -> [DVec3; 2] {
     [low.unwrap_or_default() - margin, high.unwrap_or_default() + margin]
 }
 
-/// Adds the pairs of overlapping coplanar faces in `plane` (nearly coplanar faces and their bounding boxes) to `pairs`, the
-/// earlier face first, and the number of tests to `trials`: a sweep along the longest axis.
+/// Adds the pairs of overlapping coplanar faces to `pairs`, the earlier face first, and counts the tests in `trials`. `plane` has
+/// nearly coplanar faces with their bounding boxes. Sweeps along the longest axis, so that only faces that overlap on it are
+/// compared.
 ///
 /// # Errors
 /// Too many pairs or tests so far.

@@ -9,7 +9,8 @@ use serde_json::{Value, json};
 /// Tolerance for positions that the page has rounded, metres.
 const SAME_POSITION: f64 = 1e-3;
 
-/// Describes the measurement that the prediction `image` is compared with: link, distance, score and set; `None` without one.
+/// Describes the measurement that the prediction `image` is compared with: link, distance in metres, set, and score, which is
+/// null if a baseline was fitted to the link; `None` without a measurement.
 pub(super) fn describe_comparison(
     side: &ViewPane,
     parameters: &QueryParams,
@@ -23,7 +24,7 @@ pub(super) fn describe_comparison(
     // A baseline stores its training samples: its error on them would be zero.
     let is_fitted = predictor.is_fitted() && matches!(set, LinkSet::Training | LinkSet::Validation);
     let value = (!is_fitted).then(|| side.setup.task.score(image, &loaded.data.image(i)));
-    Some(json!({ "link": i, "metres": metres, "score": value, "part": set as u8, "learned": is_fitted }))
+    Some(json!({ "link": i, "metres": metres, "score": value, "part": set as u8, "fitted": is_fitted }))
 }
 
 /// Returns the link whose measurement the prediction is compared with, and its distance from the query in metres: the

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::splits::testing::line_of_samples;
-use pwrfgs_core::kriging::{fit_spectra, in_space, solve};
+use pwrfgs_core::kriging::{fit_spectra, solve, spatial_place};
 use pwrfgs_core::{Pose, Sample, Spectra, rng};
 
 const PLACES: [Place; 6] = [
@@ -70,9 +70,10 @@ fn drawn(correlation: &Correlation, count: usize) -> Dataset {
     // Each value is drawn given those before it: exact, but slow.
     let mut pixels: Vec<Vec<f64>> = Vec::new();
     for i in 0..count {
-        let places: Vec<Place> = samples[..i].iter().map(|s| correlation.scaled(in_space(s.position()))).collect();
-        let solution = (i > 0)
-            .then(|| solve(correlation, Mean::Unknown, &places, correlation.scaled(in_space(samples[i].position()))));
+        let places: Vec<Place> = samples[..i].iter().map(|s| correlation.scaled(spatial_place(s.position()))).collect();
+        let solution = (i > 0).then(|| {
+            solve(correlation, Mean::Unknown, &places, correlation.scaled(spatial_place(samples[i].position())))
+        });
         let (weights, variance) = solution.map_or((vec![], 1.0 + correlation.noise), |s| (s.weights, s.variance));
         let pixel = |k: usize| {
             let mean: f64 = weights.iter().enumerate().map(|(j, w): (usize, &f64)| w * pixels[j][k]).sum();
@@ -118,7 +119,7 @@ fn fit_to_all_spectra_recovers_true_parameters() {
     for kind in [CorrelationKind::Exponential, CorrelationKind::Matern32] {
         let truth = Correlation { kind, scales: [0.3, 0.3, 1.2, f64::INFINITY], noise: 0.1 };
         let data = drawn(&truth, 260);
-        let place = |i| in_space(data.sample(i).position());
+        let place = |i| spatial_place(data.sample(i).position());
         let (found, variance) = fit_spectra(260, place, |i| data.image(i).pixels, false, &|| Ok(())).unwrap();
         println!("{found:?} and {variance} for {truth:?}");
         assert_eq!(found.kind, kind);
