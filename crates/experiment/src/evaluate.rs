@@ -266,8 +266,9 @@ impl TestScorer<'_, '_, '_> {
 fn residuals_note(residuals: &Residuals, task: Task) -> String {
     let describe = |process: &ResidualProcess| {
         let ProcessFit { correlation: Correlation { kind, scales: [x, y, z, _], noise }, .. } = process.fit;
-        let [x, y, z, noise] = [x, y, z, noise].map(number);
-        format!("{} with {x}, {y}, {z} m, noise {noise}", kind.words())
+        let lengths = if x == y && y == z { vec![x] } else { vec![x, y, z] };
+        let lengths = lengths.into_iter().map(number).collect::<Vec<_>>().join(", ");
+        format!("{} with {lengths} m, noise {}", kind.words(), number(noise))
     };
     let mut notes: Vec<String> = residuals.processes().iter().flatten().map(describe).collect();
     notes.dedup();

@@ -10,6 +10,7 @@ use pwrfgs_core::{Error, Result, did_you_mean};
 use pwrfgs_experiment::text::{format_duration, grouped};
 use pwrfgs_experiment::{Observer, Record, Setting, Study, distinct, run_stage};
 use serde::Serialize;
+use std::path::PathBuf;
 
 /// Choices for a report.
 #[derive(Clone, Debug, Default)]
@@ -76,13 +77,24 @@ impl StudyPage {
             });
             sections.push(Section::new(i, comparison, options, drawn));
         }
-        let unfinished = study.unfinished.iter().map(|path| format!("{}: not finished", path.display()));
-        let repeated =
-            study.repeated.iter().map(|path| format!("{}: repeats a run that is named before", path.display()));
+        let unfinished = describe_left_out(&study.unfinished, "not finished");
+        let repeated = describe_left_out(&study.repeated, "repeats a run that is named before");
         let references = sections.iter().map(|section| section.reference.as_str());
         let csv = report_csv(comparisons.iter().zip(references));
-        Ok(Self { title: study.title.clone(), sections, csv, left_out: unfinished.chain(repeated).collect() })
+        Ok(Self {
+            title: study.title.clone(),
+            sections,
+            csv,
+            left_out: unfinished.into_iter().chain(repeated).collect(),
+        })
     }
+}
+
+/// Describes the folders that are left out for one `reason` in a line; `None` without any.
+fn describe_left_out(folders: &[PathBuf], reason: &str) -> Option<String> {
+    let (first, others) = folders.split_first()?;
+    let more = if others.is_empty() { String::new() } else { format!(" and {} more", others.len()) };
+    Some(format!("{}{more}: {reason}", first.display()))
 }
 
 /// Rejects the `label` of a reference that no setting has.
