@@ -23,7 +23,7 @@ and the correlation stay unchanged. Without --data, the command adds the test se
 this after the model is scored: the new model then predicts from all measurements.
 The new data need the kind of observation, the receivers and the frequencies of the model. Most new
 links must lie inside the 99 % prediction intervals of the model. For a model without calibrated
-intervals, the command only prints the distances.
+intervals, the command only prints how well the new data agree with the predictions.
 
 EXAMPLES
   pwrfgs update runs/lab --out final.safetensors
