@@ -49,7 +49,7 @@ pub(crate) struct Import {
     /// Unit quaternion x,y,z,w from receiver to world axes; 0,0,0,1: no rotation
     #[arg(long, value_name = "QUAT", allow_hyphen_values = true, conflicts_with = "files")]
     pub(crate) orientation: Option<String>,
-    /// Elevation at the outer edges of the first and the last row, degrees [default: 0,90]
+    /// Elevation of the first row, and of the row after the last one, degrees [default: 0,90]
     #[arg(long, value_name = "FIRST,LAST", allow_hyphen_values = true, conflicts_with = "files")]
     pub(crate) elevation: Option<String>,
     /// Output folder; must be new or empty

@@ -20,7 +20,7 @@ LAYOUTS
   rssi      NeRF2 BLE: gateway_position.yml, gateway_rssi.csv in dBm, one column per receiver;
             -100.0 means no reception
   channels  channel.npy, complex64 [transmitters, antennas, subcarriers], receiver.yml
-  csi       NeRF2 MIMO: csidata.npy, the same array, first half of the subcarriers uplink, second
+  csi       NeRF2 MIMO: csidata.npy, as channel.npy, first half of the subcarriers uplink, second
             half downlink; base-station.yml; NeRF2's program needs 8 antennas and 52 subcarriers
   deepmimo  DeepMIMO v4: params.json and matrices of the 25 strongest paths of each user; receivers
             become base stations, transmitters become users
