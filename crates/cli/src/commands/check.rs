@@ -16,12 +16,12 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Loads the data, makes the split and the initial Gaussians and times a few steps; writes no files.
-Reports the errors that `pwrfgs run` would report, and warns of settings without effect.
-Describes the data briefly; `pwrfgs inspect` gives the details. The time covers training and, with
-MatchingPursuit, its search for sources. Steps are timed with the initial N and with the N expected
-after pruning. Densification increases memory and time. If --device selects a GPU, the steps are
-timed on that GPU.
+The command loads the data, creates the split and the initial Gaussians, and times a few training
+steps. It writes no files. It reports the errors that `pwrfgs run` would report, and warns of
+settings without effect. The estimated time covers training and, with MatchingPursuit, its search
+for sources. Steps are timed with the initial number of Gaussians and with the number expected after
+pruning. Densification increases memory and time above the estimate. If --device selects a GPU, the
+steps are timed on that GPU.
 
 EXAMPLES
   pwrfgs check pipelines/s23-laptop.ron
@@ -46,9 +46,10 @@ pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Prints positions, values, unusual spectra and a check of the recorded receiver pose. For each split
-it prints the distance from test to training transmitters, the scores of the baselines and the noise
-ceiling. A pipeline sets data, split, baselines, metrics and seed; a data folder uses the defaults.
+The command prints positions, values, unusual spectra and a check of the recorded receiver pose. For
+each split, it prints the distance from test to training transmitters, the scores of the baselines
+and the noise ceiling. A pipeline sets data, split, baselines, metrics and seed; for a data folder,
+the defaults apply.
 
 EXAMPLES
   pwrfgs inspect pipelines/quickstart.ron

@@ -14,10 +14,10 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-All methods share one split. Repeat the command to resume it or to add predictions; trained models
-are kept. Another program trains on the ids that --split-csv lists as train and validation, and
-predicts the test ids: NNNNN.npy per id as `pwrfgs predict` writes them, or predictions.csv with id
-and dbm.
+All methods use the same split. Repeat the command to resume it or to add predictions; it does not
+train finished models again. To compare another program, train it on the ids that --split-csv lists
+as train and validation, and predict the test ids. Write the predictions as NNNNN.npy per id, as
+`pwrfgs predict` does, or as predictions.csv with the columns id and dbm.
 
 EXAMPLES
   pwrfgs compare data/s23 --dry-run

@@ -15,9 +15,10 @@ use std::path::PathBuf;
 #[command(after_help = "\
 8   network weights in 8 bits with a scale per row, everything else in 16 bits
 16  everything in 16 bits
-All commands, Python and pages read the file. The command prints both sizes and the mean difference
-of predictions at up to 200 training positions. Residual processes are stored unchanged.
-The calibration for predict --interval is left out: it only holds for the uncompressed model.
+All commands, the Python package and the pages of `view --save` read the file. The command prints
+both file sizes and the mean difference of predictions at up to 200 training positions. Residual
+processes are stored unchanged.
+The file lacks the calibration for predict --interval, which is valid only for the original model.
 
 EXAMPLES
   pwrfgs compress runs/quickstart --out small.safetensors

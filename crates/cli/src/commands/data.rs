@@ -14,8 +14,9 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Without a subcommand, it prints licence, size, address and folder of public data sets. The program
-downloads nothing: each entry has a command or the steps for the download. A check reports files
-that differ or are missing. Its exit code is 0 even then, because your copy may be newer.
+downloads nothing: each entry has a command or the steps for the download. `pwrfgs data check`
+reports files that differ from the known copy or are missing. Its exit code is 0 even then, because
+your copy may be newer.
 
 EXAMPLES
   pwrfgs data

@@ -23,12 +23,12 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Data, split, metrics and baselines come from pipeline.ron next to the model, or from the pipeline of
-a model of the program; --set changes them.
+Data, split, metrics and baselines are those of pipeline.ron next to the model, or of the pipeline
+of a model in the program. --set changes them.
 Prints the score table; --out also writes scores.csv, samples.csv and report.html.
 With --out, repeat a stopped command to resume it after the last scored predictor.
 Several models are scored as an ensemble: the mean of their predictions, spectra clamped to [0, 1].
-They need a common test set: use runs whose split does not depend on the seed.
+The models need a common test set: use runs whose split does not depend on the seed.
 
 EXAMPLES
   pwrfgs evaluate runs/quickstart
@@ -37,7 +37,7 @@ EXAMPLES
   pwrfgs evaluate s23 --set data.root=data/s23
   pwrfgs evaluate runs/blocks/seed-0 runs/blocks/seed-1")]
 pub(crate) struct Evaluate {
-    /// Run folder, model file or model of the program, such as s23; several form an ensemble
+    /// Run folder, model file or model of the program, such as s23; several models form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
     /// Pipeline file [default: pipeline of the first model]

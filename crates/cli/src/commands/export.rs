@@ -15,15 +15,16 @@ type Writer = fn(&Ensemble, Option<[f64; 3]>) -> Result<Vec<u8>>;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-PLY   binary layout of 3D Gaussian splatting: x y z (metres, world frame), nx ny nz (0), f_dc_0..2
+PLY   binary layout of 3D Gaussian splatting: x y z (metres from `origin`), nx ny nz (0), f_dc_0..2
       (colour), opacity (logit), scale_0..2 (ln of metres), rot_0..3 (w x y z). The colour shows the
-      pixel of an opaque Gaussian alone, from dark violet (0) to yellow (1, full scale):
+      pixel value of a Gaussian if it were opaque and alone, from dark violet (0) to yellow (1):
       f_dc = (rgb - 0.5) / 0.28209479177387814
 NPZ   all tensors, receiver pose and image plane (docs/model-format.md)
 --tx  Without it, the PLY file has the base parameters before the network's changes (mid-grey if the
       network sets the signal); with it, both files have the values for that transmitter.
-The PLY file of an ensemble has all members, with a property `member` (0, 1, ..); viewers blend all,
-so select one. NPZ names its arrays members.0.means, .. Existing files are never overwritten.
+The PLY file of an ensemble has the Gaussians of all members, with a property `member` (0, 1, ..).
+Viewers blend all Gaussians, so select one member. The NPZ file then has arrays members.0.means, ..
+Existing files are never overwritten.
 
 EXAMPLES
   pwrfgs export runs/quickstart --ply office.ply

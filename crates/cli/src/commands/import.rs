@@ -43,13 +43,13 @@ pub(crate) struct Import {
         help = "Transmitter positions in metres: .npy or .npz [M, 3], or .csv with\ncolumns x, y, z [default: array tx of the .npz of the spectra]"
     )]
     pub(crate) tx: Option<PathBuf>,
-    /// Receiver position in metres; with --table its column, or its name
+    /// Receiver position in metres; with --table, the column of receivers or the name of the only receiver
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) receiver: Option<String>,
-    /// Unit quaternion x,y,z,w, receiver to world; 0,0,0,1: no rotation
+    /// Unit quaternion x,y,z,w from receiver to world axes; 0,0,0,1: no rotation
     #[arg(long, value_name = "QUAT", allow_hyphen_values = true, conflicts_with = "files")]
     pub(crate) orientation: Option<String>,
-    /// Elevation of the top and bottom edge, degrees [default: 0,90]
+    /// Elevation of the first row, and of the row after the last one, degrees [default: 0,90]
     #[arg(long, value_name = "FIRST,LAST", allow_hyphen_values = true, conflicts_with = "files")]
     pub(crate) elevation: Option<String>,
     /// Output folder; must be new or empty

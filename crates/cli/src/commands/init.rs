@@ -17,10 +17,10 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Reads spectra, received powers, channels or camera images in the layouts of docs/data.md, with index
-files and a point cloud if present. The pipeline runs as written; comments explain the settings.
-Without index files, it uses a split that holds out cells of space, so that no test transmitter is
-close to a training transmitter. Existing files are never overwritten.
+The command reads spectra, received powers, channels or camera images in the layouts of
+docs/data.md, with index files and a point cloud if present. The pipeline can be run without
+changes; comments explain the settings. Without index files, its split holds out cells of space, so
+that no test transmitter is close to a training transmitter. Existing files are never overwritten.
 
 EXAMPLES
   pwrfgs init data/s23
@@ -32,7 +32,7 @@ pub(crate) struct Init {
     /// Pipeline file [default: ./NAME.ron, from the name of the folder]
     #[arg(short, long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
-    /// Time of training: fast (one model), normal (two minutes for small sets), best (more models)
+    /// Training effort: fast (one model), normal (two minutes for small data sets), best (more models)
     #[arg(long, value_name = "EFFORT", default_value = "normal", value_parser = Effort::parse)]
     pub(crate) effort: Effort,
     /// Colour map of camera images, inverted to values: jet, turbo or viridis

@@ -15,27 +15,27 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Compares an observation with one fingerprint per training position: the measured observation,
-blended with the prediction of the model. The estimate is the mode of the most probable part of the
-90 % region. Up to 1,000 validation samples choose the blend, the weights, the size of the regions,
-and whether gradient descent on the model refines the estimate. To get regions, train with
-validation samples, such as split=Voxel(size_m: 0.3, validation: 0.1).
+The command compares an observation with one fingerprint per training position: a weighted mean of
+the measured observation and the prediction of the model. The estimate is the most probable position
+in the most probable part of the 90 % region. Up to 1,000 validation samples determine the weights,
+the size of the regions, and whether gradient descent on the model refines the estimate. To get
+regions, train with validation samples, such as split=Voxel(size_m: 0.3, validation: 0.1).
 
-With a model file without pipeline.ron, or a model of the program such as s23, it compares
-OBSERVATIONS with predictions at the training positions in the file, and gives no regions.
+For a model file without pipeline.ron, or a model of the program such as s23, the fingerprints are
+the predictions at the training positions in the file, and there are no regions.
 
-Without OBSERVATIONS, it locates the test samples of the model's data. It prints the errors of the
-model and of three baselines: nearest fingerprints, fingerprints predicted by Kriging, and the
-centre of the room. Above 10,000 positions, --no-kriging saves most of the time.
-With OBSERVATIONS, it prints the estimates and the errors of validation samples.
+Without OBSERVATIONS, the command locates the test samples of the model's data. It prints the errors
+of the model and of three baselines: nearest fingerprints, fingerprints predicted by Kriging, and
+the centre of the room. Above 10,000 training positions, --no-kriging saves most of the time.
+With OBSERVATIONS, the command prints the estimates, and the errors of the validation samples.
 
 OBSERVATIONS
   spectra   .png, or .npy [B, height, width]
-  powers    .csv with a column per receiver (dBm; empty: unknown), or .npy [B, receivers] (NaN)
+  powers    .csv with a column per receiver (dBm), or .npy [B, receivers]; empty or NaN: unknown
   channels  .npy [B, antennas, subcarriers], complex
 FILES of --out
   locations.csv  estimate, true position and error if known, misfit (1: typical; far above 1: unlike
-                 all training positions), area and number of parts of the region
+                 all fingerprints), area and number of parts of the region
   regions.json   outlines of every region in metres; a region may have several parts
   errors.png     estimates and true positions; 00001.png ..: density and region of single samples
 

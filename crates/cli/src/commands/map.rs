@@ -15,24 +15,24 @@ use std::path::PathBuf;
 QUANTITIES
   powers    power in dBm at each receiver, and at the strongest receiver
   spectra   direction: azimuth and elevation of the strongest direction (degrees, receiver frame;
-            arrows on the azimuth map: the same direction in world axes); level: value in this
-            direction; mean: the mean pixel
+            arrows on the azimuth map show this direction in world axes); level: pixel value in
+            this direction; mean: mean of all pixels
   channels  mean power over antennas and subcarriers in dB
 FILES
   power.npy  float32 [rows, columns], lowest row first (power-NAME.npy for several receivers)
-  power.png  the same array as an image, with receivers as squares
+  power.png  this array as an image, with receivers as squares
   training_distance.npy, .png  distance to the nearest training position, metres
   map.csv    quantity, receiver and grid of each array, and the number of extrapolated positions
-Images show training positions near the plane as circles. They hatch extrapolations: positions
-farther from all training positions than 3 times their spacing (95th percentile of
-nearest-neighbour distances).
+Circles are training positions near the plane. Hatched areas are extrapolations: positions farther
+from all training positions than 3 times the spacing of these (95th percentile of nearest-neighbour
+distances).
 Without --bounds, the map covers all training positions and mapped receivers.
 
 EXAMPLES
   pwrfgs map runs/ble --plane z=0 --step 0.25 --receiver g01 --out g01
   pwrfgs map runs/quickstart --plane z=1.2 --of direction --out directions")]
 pub(crate) struct Map {
-    /// Run folder, model file or model of the program, such as s23; several form an ensemble
+    /// Run folder, model file or model of the program, such as s23; several models form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
     #[command(flatten)]

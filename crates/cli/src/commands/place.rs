@@ -14,10 +14,10 @@ use std::sync::atomic::AtomicBool;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Coverage is the 10th percentile, over transmitters, of the power of the strongest receiver.
-In a simulated scene, it selects 1 to 3 receivers at any free position, and compares them with the
-best grid positions. In a data folder with received powers, it selects the best of the measured
-receivers and scores them on held-out transmitters.
+Coverage is the 10th percentile, over transmitters, of the power at the strongest receiver.
+In a simulated scene, `place` selects 1 to 3 receivers at any free positions and compares them with
+the best grid positions. In a data folder with received powers, `place` selects among the measured
+receivers and scores the selection on held-out transmitters.
 Writes place.csv (choice, receiver, position, coverage) and place.png.
 
 EXAMPLES

@@ -15,17 +15,17 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Selects one candidate after another: the one that most reduces the variance of a Gaussian process,
-summed over the region. Prints random, regular and largest-variance choices of the same size for
-comparison. Writes plan.csv (order, candidate, position, mean variance once this position is measured)
-and plan.png.
+The command selects one candidate position after another: the candidate that most reduces the
+variance of a Gaussian process, summed over the region. For comparison, it prints random, regular
+and largest-variance choices of the same number of positions. It writes plan.csv (order, candidate,
+position, mean variance once this position is measured) and plan.png.
 CANDIDATES
-  SOURCE alone           the positions of a data folder, none of them measured yet
-  --candidates, --floor  new positions; those of SOURCE (data, run folder or model) are measured
+  SOURCE alone           the positions of a data folder, all of them treated as not measured
+  --candidates, --floor  new positions; positions of SOURCE (data, run or model) are measured
 LENGTH SCALE
-  Without measurements, it is a fifth of the diagonal of the region. With measured data and new
-  candidates, it is estimated by maximum likelihood. With --simulate, it is estimated again after 8, 16,
-  32, .. selected positions.
+  Without measurements, the length scale of the process is a fifth of the diagonal of the region.
+  With measured data and new candidates, it is estimated by maximum likelihood. With --simulate, it
+  is estimated again after 8, 16, 32, .. selected positions.
 
 EXAMPLES
   pwrfgs plan data/s23 --simulate --count 100 --out next

@@ -15,9 +15,9 @@ use std::fmt::Write as _;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Without NAME, it lists all names. A kind (Pruner, or its field pruners) lists its plugins. A plugin
-(LearnableMask), settings (training, optimizer, loss), a type (Schedule), Pipeline or Experiment
-show each field with its default, type and description.
+Without NAME, the command lists all names. For a kind (Pruner, or its field pruners), it lists the
+plugins. For a plugin (LearnableMask), settings (training, optimizer, loss), a type (Schedule),
+Pipeline or Experiment, it prints each field with default, type and description.
 
 EXAMPLES
   pwrfgs plugins

@@ -17,9 +17,9 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Needs only the model. Models of the program: s23, ble, office-channel (`pwrfgs pipelines` describes
-them). predictions.csv has a row per position and receiver, with the distance to
-the nearest training position in metres and:
+The command needs only a model. Models in the program: s23, ble, office-channel (`pwrfgs pipelines`
+describes them). predictions.csv has a row per position and receiver, with the distance to the
+nearest training position in metres and:
   spectra   azimuth and elevation of the strongest direction in degrees, and its value
   powers    power in dBm
   channels  mean power of the gains in dB
@@ -27,13 +27,13 @@ Spectra are float32 [elevation, azimuth] in 00001.npy, .. and 8-bit 00001.png, .
 complex64 [antennas, subcarriers] in 00001.npy, .. (with --stacked: spectra.npy or channels.npy).
 An ensemble predicts the mean of its members (spectra clamped to [0, 1]) and writes their standard
 deviation: 00001-spread.npy and .png (white: 0.5), spread.npy, or column spread_db for powers.
---interval adds for spectra a band per pixel (00001-lower.npy and -upper.npy with .png, or lower.npy
-and upper.npy) and column ssim_bound, for powers columns lower_dbm and upper_dbm. Not for channels.
-Until all are written, the predictions are in DIR.partial. If the command is stopped or killed,
-repeat it to resume; a command with other models, positions or options is refused. Remove
-DIR.partial to start again.
-A warning counts extrapolations: positions farther from all training positions than 3 times their
-spacing (95th percentile of nearest-neighbour distances).
+--interval writes an interval per pixel of spectra (00001-lower.npy and -upper.npy with .png, or
+lower.npy and upper.npy) and the column ssim_bound. For powers, it writes the columns lower_dbm and
+upper_dbm. It does not support channels.
+Until the command ends, the predictions are in DIR.partial. Repeat an interrupted command to resume
+it. To change models, positions or options, first delete DIR.partial.
+A warning gives the number of extrapolations: positions farther from all training positions than 3
+times the spacing of these (95th percentile of nearest-neighbour distances).
 
 EXAMPLES
   pwrfgs predict s23 --tx 0.1,-0.2,1.2 --out predicted
@@ -45,19 +45,19 @@ EXAMPLES
   pwrfgs predict runs/lobby --rx-pose 3.5,2.2,1.2,0,0,0,1 --out turned    # moving receiver")]
 #[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv", "rx_pose", "rx_pose_csv"])))]
 pub(crate) struct Predict {
-    /// Run folder, model file or model of the program, such as s23; several form an ensemble
+    /// Run folder, model file or model of the program, such as s23; several models form an ensemble
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
     /// One transmitter position in metres, world frame
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) tx: Option<String>,
-    /// CSV file of transmitter positions: columns x, y, z in metres, or latitude, longitude
+    /// CSV file of transmitter positions: columns x, y, z in metres, or latitude, longitude in degrees
     #[arg(long, value_name = "FILE")]
     pub(crate) tx_csv: Option<PathBuf>,
     /// One pose of a moving receiver: position, and orientation as a quaternion from receiver to world axes
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", allow_hyphen_values = true)]
     pub(crate) rx_pose: Option<String>,
-    /// CSV file of poses of a moving receiver: columns x, y, z, qx, qy, qz, qw; others are ignored
+    /// CSV file of poses of a moving receiver: columns x, y, z, qx, qy, qz, qw; other columns are ignored
     #[arg(long, value_name = "FILE")]
     pub(crate) rx_pose_csv: Option<PathBuf>,
     /// Output folder; must be new or empty

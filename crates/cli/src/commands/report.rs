@@ -14,12 +14,12 @@ const FOLDER: &str = "report";
 
 #[derive(Clone, Debug, Args)]
 #[command(after_help = "\
-Compares runs on the same data and split. Runs that differ only in the seed form one row, with mean
-and standard deviation. Paired differences have 95 % bootstrap intervals over seeds and blocks of
-space.
-Writes report.html, report.csv, report.tex with one file per table, and figures as SVG, PDF and PNG.
-Replaces an older report; never changes a folder with other files. Lists unfinished runs and leaves
-them out. For a single run without --out, it also rebuilds report.html in the run folder.
+The runs must have equal data and splits. Runs that differ only in the seed form one row, with mean
+and standard deviation. Paired differences between rows have 95 % bootstrap intervals over seeds and
+blocks of space. Unfinished runs are listed and left out.
+The command writes report.html, report.csv, report.tex with one file per table, and figures as SVG,
+PDF and PNG. It replaces an older report and never changes a folder with other files. For a single
+run without --out, it also rebuilds report.html in the run folder.
 
 EXAMPLES
   pwrfgs report runs/paper-office

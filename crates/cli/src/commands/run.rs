@@ -14,10 +14,10 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Repeat the command to resume an interrupted run; the result is identical to an uninterrupted run.
-A finished run removes its checkpoint, which only a resumed run reads; --keep-checkpoint keeps it.
-If only baselines or metrics changed, it scores the trained model again without training.
-A folder with other files is never changed. Paths in a pipeline are relative to its file, paths on
-the command line to the current directory. docs/guide.md describes the run folder.
+A finished run deletes its checkpoint (state to resume it); --keep-checkpoint keeps the checkpoint.
+If only baselines or metrics changed, the command scores the trained model without new training.
+A folder with other files is never changed. Paths in a pipeline are relative to its file; paths on
+the command line are relative to the current directory. docs/guide.md describes the run folder.
 
 EXAMPLES
   pwrfgs run quickstart
@@ -26,7 +26,7 @@ EXAMPLES
   pwrfgs run pipelines/s23-laptop.ron --set data.root=data/s23
   pwrfgs run pipelines/ablation.ron --set pruners.LearnableMask.lambda=0.05 --out runs/sparse")]
 pub(crate) struct Run {
-    /// Pipeline file, name in `pwrfgs pipelines`, or run folder: resumes the run, or repeats it in --out
+    /// Pipeline file, name in `pwrfgs pipelines`, or run folder (to resume the run, or to repeat it in --out)
     #[arg(value_name = "PIPELINE")]
     pub(crate) pipeline: PathBuf,
     #[command(flatten)]

@@ -20,16 +20,17 @@ LAYOUTS
   rssi      NeRF2 BLE: gateway_position.yml, gateway_rssi.csv in dBm, one column per receiver;
             -100.0 means no reception
   channels  channel.npy, complex64 [transmitters, antennas, subcarriers], receiver.yml
-  csi       NeRF2 MIMO: csidata.npy, the same array, first half of the subcarriers uplink, second
+  csi       NeRF2 MIMO: csidata.npy, as channel.npy, first half of the subcarriers uplink, second
             half downlink; base-station.yml; NeRF2's program needs 8 antennas and 52 subcarriers
   deepmimo  DeepMIMO v4: params.json and matrices of the 25 strongest paths of each user; receivers
             become base stations, transmitters become users
-All but deepmimo have tx_pos.csv (rx_pose.csv if the receiver moves), paths.csv, points.ply (surface
-points with normals), manifest.json (parameters) and index files (every fifth transmitter is for
-test). Several receivers get a folder each, except for rssi and deepmimo.
+All layouts except deepmimo have tx_pos.csv (rx_pose.csv if the receiver moves), paths.csv,
+points.ply (surface points with normals), manifest.json (parameters) and index files (every fifth
+transmitter is in the test set). With several receivers, layouts except rssi and deepmimo write one
+folder per receiver.
 In a pipeline, `data: Simulated(scene: ..)` simulates the same data without this command.
-A Mitsuba XML file of Sionna RT is a scene too: carrier 3.5 GHz and antennas 1.5 m above its lowest
-point, unless set here or in a scene file with `mitsuba: ..` (docs/simulator.md).
+A Mitsuba XML file of Sionna RT is a scene too. By default, its carrier is 3.5 GHz, and antennas are
+at most 1.5 m above its lowest point. To set more, write a scene file (docs/simulator.md).
 
 EXAMPLES
   pwrfgs simulate office --out data/office
@@ -58,22 +59,22 @@ pub(crate) struct Simulate {
     /// SNR of channels in dB, for channels and csi [default: from the scene]
     #[arg(long, value_name = "DB", allow_negative_numbers = true)]
     pub(crate) snr_db: Option<f64>,
-    /// Standard deviation of received powers in dB, for rssi [default: 0]
+    /// Standard deviation of the error of received powers in dB, for rssi [default: 0]
     #[arg(long, value_name = "DB")]
     pub(crate) noise_db: Option<f64>,
-    /// One transmitter position in metres, world frame; with --rx-pose or --rx-pose-csv that of the fixed transmitter
+    /// One transmitter position in metres, world frame; with --rx-pose or --rx-pose-csv, the position of the fixed transmitter
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "tx_csv")]
     pub(crate) tx: Option<String>,
-    /// CSV file of transmitter positions: columns x, y, z in metres; others are ignored. Rows keep their order
+    /// CSV file of transmitter positions: columns x, y, z in metres; other columns are ignored
     #[arg(long, value_name = "FILE")]
     pub(crate) tx_csv: Option<PathBuf>,
     /// One pose of a moving receiver: position, and orientation as a quaternion from receiver to world axes
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", allow_hyphen_values = true, conflicts_with_all = ["tx_csv", "rx_pose_csv"])]
     pub(crate) rx_pose: Option<String>,
-    /// CSV file of poses of a moving receiver: columns x, y, z, qx, qy, qz, qw; others are ignored
+    /// CSV file of poses of a moving receiver: columns x, y, z, qx, qy, qz, qw; other columns are ignored
     #[arg(long, value_name = "FILE", conflicts_with = "tx_csv")]
     pub(crate) rx_pose_csv: Option<PathBuf>,
-    /// Number of drawn transmitters [default: 1000]
+    /// Number of random transmitter positions [default: 1000]
     #[arg(long, value_name = "N", conflicts_with_all = ["tx", "tx_csv", "rx_pose", "rx_pose_csv"])]
     pub(crate) samples: Option<usize>,
     /// Random seed for transmitter positions and receiver noise
@@ -153,8 +154,9 @@ impl Simulate {
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Writes scene.xml and meshes/*.ply, one mesh per object. Sheets keep material and thickness; solids
-become sheets of 10 m. Antennas are not written: Sionna RT sets them in Python.
+The folder contains scene.xml and meshes/*.ply, one mesh per object. Sheets keep material and
+thickness; solids (without `thickness_m`) become sheets with a thickness of 10 m. Antennas are not
+written: set them in Python (Sionna RT).
 
 EXAMPLES
   pwrfgs export-scene scenes/conference.ron --out conference

@@ -17,12 +17,13 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The model needs a residual process (residuals: Kriged() in its pipeline). This process adds all
-links of the new data to its measurements. Nothing is trained: the Gaussians, the network and the
-correlation stay unchanged. Without --data, it adds the test set of the run: once its scores are
-known, the model then predicts from all measurements. The new data need the kind of observation,
-receivers and frequencies of the model. Most links must lie inside its 99 % intervals. A model
-without calibration of intervals prints the distances only.
+The model needs a residual process (residuals: Kriged() in its pipeline). The command adds all links
+of the new data to the measurements of this process. Nothing is trained: the Gaussians, the network
+and the correlation stay unchanged. Without --data, the command adds the test set of the run. Do
+this after the model is scored: the new model then predicts from all measurements.
+The new data need the kind of observation, the receivers and the frequencies of the model. Most new
+links must lie inside the 99 % prediction intervals of the model. For a model without calibrated
+intervals, the command only prints how well the new data agree with the predictions.
 
 EXAMPLES
   pwrfgs update runs/lab --out final.safetensors

@@ -14,8 +14,8 @@ use std::process::{Command, Stdio};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Prints the address of a page and serves it until Ctrl-C or until the page is closed; writes nothing.
-Only this machine can open the page: it uses a random local port and a random token in the address.
+The command prints the address of a page and serves the page until it is closed or you press Ctrl-C.
+Only this machine can open the page: the address has a random local port and a random token.
 
 ON THE PAGE
   transmitter  drag it (with Shift: change its height), or click a measured position; arrow keys
@@ -23,13 +23,13 @@ ON THE PAGE
   room         drag to rotate, scroll to zoom
   slider       selects a snapshot of the training, from the start over each prune step to the end;
                new snapshots of a run in progress appear
-  locate       shows where `pwrfgs locate` puts the selected sample, with its 90 % region
-Two models, or a model and a baseline, predict for one common transmitter. Write the baseline as in
-a pipeline, such as 'NearestNeighbours(k: 5)', or give its name.
+  locate       shows the estimate of `pwrfgs locate` for the selected sample, with its 90 % region
+Two models, or a model and a baseline, predict for the same transmitter position. Write the baseline
+as in a pipeline, such as 'NearestNeighbours(k: 5)', or give its name.
 Models of the program need no data: s23, ble, office-channel (`pwrfgs pipelines` describes them).
-With --save, it writes a page that needs no server. A single model of spectra predicts in this page:
-exactly if it has up to 1 MB, otherwise with 8-bit weights if the compressed file has up to 1.5 MB. For
-other models, the page shows up to 50 stored predictions.
+--save writes a page that needs no server. A single model of spectra predicts in this page:
+exactly if its file has up to 1 MB, otherwise with 8-bit weights if the compressed file has up to
+1.5 MB. For other models, the page shows up to 50 stored predictions.
 
 EXAMPLES
   pwrfgs view s23

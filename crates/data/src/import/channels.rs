@@ -15,7 +15,7 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Channels")]
 pub struct ChannelImport {
-    /// Channels (CSI): .npy, .npz or .npz:NAME; several are concatenated
+    /// Channels (CSI): .npy, .npz or .npz:NAME; several files are concatenated along the positions
     #[arg(long, value_name = "FILE", num_args = 1.., requires = "receiver", conflicts_with_all = ["elevation", "scale"])]
     pub channels: Vec<PathBuf>,
     /// Imaginary parts, if they are in separate files
@@ -45,7 +45,7 @@ pub struct ChannelImport {
     /// Subcarrier spacing, Hz
     #[arg(long, value_name = "HZ", requires = "channels", allow_hyphen_values = true)]
     pub spacing_hz: Option<f64>,
-    /// Write powers, relative dB: a receiver per subcarrier (or antenna)
+    /// Write relative powers in dB, with one receiver per subcarrier (or per antenna of one subcarrier)
     #[arg(long, requires = "channels")]
     pub powers: bool,
     /// Name of the data set.

@@ -7,7 +7,7 @@ use pwrfgs_core::{Dataset, PowerUnit};
 /// Columns that the user chose: names, or numbers from 1. `None`: recognised by name.
 #[derive(Clone, Debug, Default, Args)]
 pub struct ColumnChoice {
-    /// Receivers' columns; * is any text [default: recognised]
+    /// Columns of receivers, by name; * stands for any text [default: recognised]
     #[arg(long = "columns", value_name = "PATTERN", num_args = 1.., requires = "files")]
     pub wide: Vec<String>,
     /// Column of x, a name or a number from 1 [default: recognised]
@@ -25,7 +25,7 @@ pub struct ColumnChoice {
     /// Column of the longitude, degrees
     #[arg(long, value_name = "COLUMN", requires = "files")]
     pub lon: Option<String>,
-    /// Column of the floor, a number
+    /// Column of the floor number
     #[arg(long, value_name = "COLUMN", requires = "files")]
     pub floor: Option<String>,
     /// Column that identifies a transmitter
@@ -46,10 +46,10 @@ pub struct ColumnChoice {
 #[derive(Clone, Debug, Default, Args)]
 #[command(next_help_heading = "Tables of received powers")]
 pub struct TableImport {
-    /// Tables of powers: a row per reading, or a column per receiver
+    /// Tables of powers: one row per reading, or one column per receiver
     #[arg(long = "table", alias = "links", value_name = "FILE", num_args = 1..)]
     pub files: Vec<TableFile>,
-    /// Tables of the test set; the others are then the training set
+    /// Tables of the test set; those of --table are then the training set
     #[arg(long, value_name = "FILE", num_args = 1.., requires = "files")]
     pub test: Vec<TableFile>,
     /// Positions of the rows of `files` and `test`, row by row.
@@ -58,7 +58,7 @@ pub struct TableImport {
     /// Positions of the receivers: columns name, x, y, z
     #[arg(long, value_name = "FILE", requires = "files")]
     pub receivers: Option<TableFile>,
-    /// Positions of the places that rows name: columns name, x, y, z
+    /// Positions of the places named in the rows: columns name, x, y, z
     #[arg(long, value_name = "FILE", requires = "files")]
     pub places: Option<TableFile>,
     /// Chosen columns.
@@ -67,7 +67,7 @@ pub struct TableImport {
     /// Positions are latitude, longitude in degrees
     #[arg(long = "lat-lon", requires = "files")]
     pub is_lat_lon: bool,
-    /// Height of a floor in metres
+    /// Height of one storey in metres, multiplied by the floor number
     #[arg(long, value_name = "METRES", requires = "files", allow_hyphen_values = true)]
     pub floor_height: Option<f64>,
     /// Height in metres if the table has none [default: 0]
@@ -76,7 +76,7 @@ pub struct TableImport {
     /// Value that means "not received", such as 100; repeatable
     #[arg(long, value_name = "VALUE", requires = "files", allow_hyphen_values = true)]
     pub missing: Vec<f64>,
-    /// dBm, positive-dBm, percent, dB:FLOOR, mW or W
+    /// Unit of powers: dBm, positive-dBm (without sign), percent, dB:FLOOR (over a floor in dBm), mW or W
     #[arg(long, value_name = "UNIT", requires = "files", default_value = "dBm")]
     pub unit: PowerUnit,
     /// Title of the data set.
