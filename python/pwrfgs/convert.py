@@ -332,7 +332,8 @@ def to_sionna(scene: PathLike, out: PathLike) -> int:
     """Write a scene as Mitsuba XML with a PLY mesh per object into the new folder ``out``, for ``sionna.rt.load_scene``, as
     ``pwrfgs export-scene`` does; returns the number of meshes. ``scene`` is a file or the name of a scene in the package.
 
-    Sheets keep material and thickness; solids become sheets with a thickness of 10 m. Antennas are not written: set them in Sionna RT."""
+    Sheets keep material and thickness; solids become sheets with a thickness of 10 m. Antennas are not written: set them in
+    Sionna RT."""
     return _pwrfgs.export_scene(scene, out)
 
 
