@@ -10,7 +10,7 @@ mod spectra;
 
 use crate::neighbours::{Nearest, distance};
 use crate::{Cholesky, Result};
-pub use likelihood::{HeldOutCases, SearchSpace, most_likely};
+pub use likelihood::{HeldOutCases, SearchSpace, fit_correlation};
 pub use pooled::{PooledFit, PowerLink, fit_pooled};
 pub use process::{ProcessFit, ResidualTrend, fit_observations, fit_powers, link_place};
 use serde::{Deserialize, Serialize};

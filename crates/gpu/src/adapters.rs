@@ -120,16 +120,16 @@ pub fn for_tests() -> Option<&'static Gpu> {
 ///
 /// # Errors
 /// [`Error::Config`] if there is no such GPU, or it is a software adapter and `PWRFGS_DEVICE_SOFTWARE` is not 1, or the process
-/// computes on another device.
+/// computes on another device. [`Error::Device`] if the driver cannot open the GPU.
 pub fn select(choice: DeviceChoice) -> Result<()> {
-    let settled = || {
+    let refuse = || {
         let used = CURRENT.get().map_or("the CPU", Gpu::name);
         Err(Error::Config(format!(
             "--device {choice}: this process computes on {used}; select the device before the first computation"
         )))
     };
     if choice == DeviceChoice::Cpu {
-        return if CURRENT.get().is_some() { settled() } else { Ok(()) };
+        return if CURRENT.get().is_some() { refuse() } else { Ok(()) };
     }
     let adapters = adapters();
     let admits_software = std::env::var_os(SOFTWARE).is_some_and(|value| value == "1");
@@ -141,11 +141,11 @@ pub fn select(choice: DeviceChoice) -> Result<()> {
     };
     let name = &lines[index].name;
     if let Some(gpu) = CURRENT.get() {
-        return if gpu.name == *name { Ok(()) } else { settled() };
+        return if gpu.name == *name { Ok(()) } else { refuse() };
     }
     let gpu = Gpu::open(&adapters[index]).map_err(|why| Error::Device(format!("{name}: {why}")))?;
     if !device::set_name(name) {
-        return settled();
+        return refuse();
     }
     CURRENT.get_or_init(|| gpu);
     Ok(())

@@ -24,9 +24,10 @@ pub(crate) struct ReceiverGroup {
 impl ReceiverGroup {
     /// Groups all links by receiver, in the order of receivers; one group per link if links do not `share` a geometry.
     pub(crate) fn from_links(LinkInputs { receivers, pairs: links, .. }: &LinkInputs, share: bool) -> Vec<Self> {
+        let mut by_receiver: Vec<Vec<usize>> = vec![Vec::new(); receivers.len()];
+        links.iter().enumerate().for_each(|(i, link)| by_receiver[link.receiver].push(i));
         let mut groups: Vec<Self> = Vec::new();
-        for (row, state) in receivers.iter().enumerate() {
-            let receiver_links: Vec<usize> = (0..links.len()).filter(|&i| links[i].receiver == row).collect();
+        for (row, (state, receiver_links)) in receivers.iter().zip(by_receiver).enumerate() {
             let size = if share { receiver_links.len().max(1) } else { 1 };
             groups.extend(receiver_links.chunks(size).map(|part| Self {
                 state: *state,

@@ -6,6 +6,7 @@
 //!                 signals ─► rasterize                              (BlendedSignals) ─► read out ─► P̂
 //! ```
 
+mod backward;
 #[cfg(feature = "gpu")]
 mod gpu;
 #[cfg(feature = "gpu")]
@@ -16,7 +17,7 @@ mod received;
 mod survey;
 
 use crate::groups::ReceiverGroup;
-use crate::{Activation, ActivationVjp, Calibration, Readout};
+use crate::{Activation, Calibration, Readout};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
     Cache, Call, Deformation, Deltas, ImagePlane, JsonSchema, MeasurementSetup, Method, Parameters, Pose, Primitives,
@@ -197,20 +198,17 @@ impl Splatting {
         GroupOutput { group, observations, seconds, drawing: is_training.then_some((view, drawing)) }
     }
 
-    /// Computes the derivative of [`Self::draw`]: adds to `sums`, given the cotangents of the blended signals, and
-    /// returns those of the splats and of the primitives.
+    /// Computes the derivative of blending and projection in [`Self::draw`]: returns the cotangents of the splats and of the
+    /// primitives, given those of the blended signals.
     fn draw_vjp(
         &self,
         view: &ReceiverView,
         drawing: &BlendedSignals,
         p: &Parameters<'_>,
-        deltas: &Deltas,
         d_pixels: &[Real],
-        sums: &mut ActivationVjp,
     ) -> (RenderVjp, Primitives) {
         let BlendedSignals { batch, geometry, signals, render } = drawing;
-        let (activation, splats) = (self.activation(), &geometry.splats);
-        let channels = activation.channels * batch.len();
+        let (splats, channels) = (&geometry.splats, self.readout.channel_count() * batch.len());
         let mut d = self.rasterizer.backward(splats.with_signals(signals, channels, &view.plane), render, d_pixels);
         if let Some(existence) = p.existence.filter(|_| !geometry.opacities_without_existence.is_empty()) {
             d.splats.existence =
@@ -218,8 +216,6 @@ impl Splatting {
             d.splats.opacities.iter_mut().zip(existence).for_each(|(d, m)| *d *= m);
         }
         let d_primitives = self.project_vjp(view, geometry, &d.splats);
-        activation.geometry_vjp(p.cloud, deltas, batch.start, p.gate, &d_primitives, sums);
-        activation.signals_vjp(p.cloud, deltas, batch.clone(), &d.signals, sums);
         (d, d_primitives)
     }
 

@@ -83,9 +83,9 @@ impl NearLayer {
 
     /// Returns the correlations `[count, B]`, times [`GAIN`].
     pub(super) fn correlations(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Real> {
-        let rows = txs.len();
-        let mut correlations = vec![0.0; self.count * rows];
-        for (row, z) in correlations.chunks_exact_mut(rows.max(1)).zip(self.layer_positions(weights)) {
+        let batch = txs.len();
+        let mut correlations = vec![0.0; self.count * batch];
+        for (row, z) in correlations.chunks_exact_mut(batch.max(1)).zip(self.layer_positions(weights)) {
             for (value, p) in row.iter_mut().zip(txs.positions()) {
                 *value = self.correlation(p, z);
             }

@@ -60,7 +60,7 @@ pub fn ascend(
     for subset in combinations(screened, count).unwrap_or_default() {
         search.assess(subset);
     }
-    search.subsets.sort_by(Subset::by_value);
+    search.subsets.sort_by(Subset::compare_values);
     let size = (0..2).map(|k| area[1][k] - area[0][k]).product::<f64>().sqrt();
     // Half the mean distance between screened positions, metres.
     let first_step = 0.5 * size / (screened as f64).sqrt();
@@ -88,8 +88,8 @@ struct Subset {
 }
 
 impl Subset {
-    /// Orders subsets by falling value.
-    fn by_value(&self, other: &Self) -> std::cmp::Ordering {
+    /// Orders subsets by falling value, then by receivers, so that equal subsets are adjacent.
+    fn compare_values(&self, other: &Self) -> std::cmp::Ordering {
         other.value.total_cmp(&self.value).then_with(|| self.receivers.cmp(&other.receivers))
     }
 }
@@ -189,7 +189,7 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
 
     /// Keeps the best subsets, at most `kept`, traces them to `added` more transmitters, and orders them by their new values.
     fn select_best(&mut self, kept: usize, added: usize) -> Result<()> {
-        self.subsets.sort_by(Subset::by_value);
+        self.subsets.sort_by(Subset::compare_values);
         self.subsets.dedup_by(|a, b| a.receivers == b.receivers);
         self.subsets.truncate(kept);
         let to = self.traced.saturating_add(added).min(self.order.len());
@@ -204,7 +204,7 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
         for k in 0..self.subsets.len() {
             self.subsets[k].value = self.subset_coverage(&self.subsets[k].receivers, to == self.order.len());
         }
-        self.subsets.sort_by(Subset::by_value);
+        self.subsets.sort_by(Subset::compare_values);
         Ok(())
     }
 

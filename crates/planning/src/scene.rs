@@ -140,9 +140,8 @@ impl SceneCoverage {
         let mut powers = Vec::with_capacity(self.candidates.len());
         for chunk in self.candidates.chunks(CHUNK) {
             check_stopped(stop)?;
+            powers.par_extend(chunk.par_iter().map(|position| self.powers_at(*position)));
             progress(powers.len(), self.candidates.len());
-            let all: Vec<Vec<f64>> = chunk.par_iter().map(|position| self.powers_at(*position)).collect();
-            powers.extend(all);
         }
         Ok(powers)
     }

@@ -245,15 +245,23 @@ struct TracedBaseline {
     is_oracle: bool,
 }
 
+impl TracedBaseline {
+    /// Returns the noise draw of a position: a hash of its coordinates in single precision, in the manner of FNV-1a. The highest
+    /// bit separates it from the draws of the data.
+    fn noise_draw(&self, tx: [f64; 3]) -> u64 {
+        let add = |hash: u64, v: &f64| (hash ^ u64::from((*v as f32).to_bits())).wrapping_mul(0x0100_0000_01b3);
+        tx.iter().fold(!self.seed, add) | 1 << 63
+    }
+}
+
 impl Predict for TracedBaseline {
     fn predict(&self, query: Query<'_>) -> Image {
         let tx = query.position();
-        // A separate draw for every position: its FNV-1a hash. The highest bit separates it from the draws of the data.
-        let draw = tx
-            .iter()
-            .fold(!self.seed, |hash, v| (hash ^ u64::from((*v as f32).to_bits())).wrapping_mul(0x0100_0000_01b3));
-        let receiver = &self.simulator.receivers()[self.receivers.get(query.receiver).copied().unwrap_or(0)];
-        match receiver.observe(DVec3::from(tx), &self.kind, self.noise.then_some(draw | 1 << 63)).observed {
+        let draw = self.noise.then(|| self.noise_draw(tx));
+        // An unknown receiver is the first of the scene.
+        let index = self.receivers.get(query.receiver).copied().unwrap_or(0);
+        let receiver = &self.simulator.receivers()[index];
+        match receiver.observe(DVec3::from(tx), &self.kind, draw).observed {
             SimulatedObservation::Spectrum(spectrum) => Image::from_bytes(WIDTH, HEIGHT, &spectrum.pixels),
             SimulatedObservation::Power(dbm) => Image { width: 1, height: 1, pixels: vec![dbm as Real] },
             SimulatedObservation::Channel(channel) => {

@@ -72,9 +72,9 @@ impl Trainer<'_> {
         self.count_masks(closed, keep.len());
         self.report_removal(context.step, (keep.len(), closed), &rules)?;
         if let Some(PruneTarget { target, .. }) = self.goal.filter(PruneTarget::is_exact) {
-            let n = self.cloud.len();
-            if context.round > 0 && context.round == context.rounds && n != target {
-                tracing::warn!("pruning ended with {n} Gaussians, expected {target}");
+            let left = self.cloud.len();
+            if context.round > 0 && context.round == context.rounds && left != target {
+                tracing::warn!("pruning ended with {left} Gaussians, expected {target}");
             }
         }
         Ok((self.cloud.len() < n).then_some(before))

@@ -47,16 +47,16 @@ fn reason_for_cpu(model: &Model, count: usize) -> Option<String> {
     (count < least).then(|| format!("{} {positions}, and a GPU helps from about {}", shown(count), shown(least)))
 }
 
-/// Runs `pwrfgs devices`: prints number and name of each GPU.
+/// Runs `pwrfgs devices`: prints number and name of each GPU, and a note on a software GPU.
 ///
 /// # Errors
 /// [`Error::Config`](pwrfgs_core::Error) in a program without GPU support, or the output cannot be written.
 pub(crate) fn print_devices() -> Result<()> {
-    let number = |(number, (name, is_software)): (usize, (String, bool))| {
+    let cells = |(number, (name, is_software)): (usize, (String, bool))| {
         let note = if is_software { "a software GPU, slower than the CPU" } else { "" };
         vec![number.to_string(), name, note.to_owned()]
     };
-    let rows: Vec<Vec<String>> = pwrfgs::device::list_gpus()?.into_iter().enumerate().map(number).collect();
+    let rows: Vec<Vec<String>> = pwrfgs::device::list_gpus()?.into_iter().enumerate().map(cells).collect();
     if rows.is_empty() {
         let advice = "install a driver, on a cluster set VK_DRIVER_FILES";
         return crate::output::print_result(&format!("no GPU found (Vulkan, Metal, DX12); {advice}\n"));

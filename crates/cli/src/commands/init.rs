@@ -19,8 +19,9 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "\
 The command reads spectra, received powers, channels or camera images in the layouts of
 docs/data.md, with index files and a point cloud if present. The pipeline can be run without
-changes; comments explain the settings. Without index files, its split holds out cells of space, so
-that no test transmitter is close to a training transmitter. Existing files are never overwritten.
+changes; comments explain the settings. Without index files, its split holds out whole cells
+of space or, if the positions do not allow cells, a block of time or random samples. Existing files
+are never overwritten.
 
 EXAMPLES
   pwrfgs init data/s23

@@ -56,7 +56,7 @@ pub(crate) struct Simulate {
     /// Position of the (first) receiver in metres [default: from the scene; the middle for XML]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) receiver: Option<String>,
-    /// SNR of channels in dB, for channels and csi [default: from the scene]
+    /// SNR of channels in dB, with --layout channels or csi [default: from the scene]
     #[arg(long, value_name = "DB", allow_negative_numbers = true)]
     pub(crate) snr_db: Option<f64>,
     /// Standard deviation of the error of received powers in dB, for rssi [default: 0]
@@ -86,7 +86,7 @@ pub(crate) struct Simulate {
     /// Write spectra.npy instead of images; required from 100,000 spectra
     #[arg(long)]
     pub(crate) npy: bool,
-    /// Do not write paths.csv, which has about 100 rows per spectrum
+    /// Do not write paths.csv, which has one row per path: hundreds per transmitter with rough surfaces
     #[arg(long)]
     pub(crate) no_paths: bool,
 }

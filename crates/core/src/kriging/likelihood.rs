@@ -114,19 +114,18 @@ impl HeldOutCase {
     }
 }
 
-/// Finds the most likely correlation, and returns it after its log-likelihood: coordinate search with step factors from
-/// 4 down to 1.09. `check` is called several times per second and ends the search with its error.
+/// Finds the most likely correlation by coordinate search, with step factors from 4 down to 1.09. `check` is called several times per second and ends the search with its error.
 ///
 /// # Errors
 /// An error of `check`.
 ///
 /// # Panics
 /// If `space` has no correlation function.
-pub fn most_likely(cases: &HeldOutCases, space: SearchSpace<'_>, check: StopCheck<'_>) -> Result<(f64, Correlation)> {
-    search(&|correlation| cases.log_likelihood(correlation), cases.typical_m, space, check)
+pub fn fit_correlation(cases: &HeldOutCases, space: SearchSpace<'_>, check: StopCheck<'_>) -> Result<Correlation> {
+    search(&|correlation| cases.log_likelihood(correlation), cases.typical_m, space, check).map(|best| best.1)
 }
 
-/// Finds the correlation with the largest `log_likelihood` as [`most_likely`]; the search starts at eight times
+/// Finds the correlation with the largest `log_likelihood` as [`fit_correlation`]; the search starts at eight times
 /// `typical_m`, metres.
 pub(super) fn search(
     log_likelihood: &(dyn Fn(&Correlation) -> f64 + Sync),

@@ -5,7 +5,7 @@ use super::pooled_kriging::{PooledKriging, format_digits};
 use super::{ByReceiver, ReceiverPredictor, fitting_samples};
 use pwrfgs_core::kriging::{
     Correlation, CorrelationKind, HeldOutCases, LocalKriging, Mean, PathLoss, Place, ProcessFit, SearchSpace, Solution,
-    fit_observations, link_place, most_likely,
+    fit_correlation, fit_observations, link_place,
 };
 use pwrfgs_core::neighbours::{Nearest, nearest_before};
 use pwrfgs_core::{
@@ -157,7 +157,7 @@ impl<'a> Trend<'a> {
         let cases =
             HeldOutCases::new(&cases, Mean::Unknown, |i| link_place(self.data, i), |_, i| self.residual_values(i, 1));
         let space = SearchSpace { kinds: &[CorrelationKind::Matern32], isotropic: true, time };
-        let correlation = most_likely(&cases, space, &check)?.1;
+        let correlation = fit_correlation(&cases, space, &check)?;
         Ok((correlation, cases.variance(&correlation)))
     }
 
@@ -227,7 +227,7 @@ impl Predict for Process<'_> {
     }
 
     fn is_oracle(&self) -> bool {
-        self.in_space.is_some()
+        self.settings.time // a new position has no time
     }
 }
 

@@ -1,8 +1,9 @@
 //! Splatting as a [`Method`]: from links to observations, and the backward pass.
 
+use super::backward::{BackwardPass, Drawing};
 use super::received::{self, PathLossLaws};
 use super::survey::SurveyRequest;
-use super::{BlendedSignals, Geometry, GroupOutput, ReceiverView, Splatting};
+use super::{Geometry, GroupOutput, ReceiverView, Splatting};
 use crate::groups::{self, OFFSETS, ReceiverGroup};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
@@ -16,14 +17,14 @@ use std::sync::Arc;
 use std::time::Instant;
 
 /// Names of the learned parameters of receivers of powers.
-const LAW: [&str; 2] = [OFFSETS, "receiver.exponents"];
+pub(super) const LAW: [&str; 2] = [OFFSETS, "receiver.exponents"];
 
 /// State of the forward pass for [`Method::vjp`].
 struct ForwardCache {
     /// Terms of the network, and its state for the backward pass.
     terms: (Deltas, Cache),
     /// Drawings on the CPU.
-    drawings: Vec<(ReceiverGroup, ReceiverView, BlendedSignals)>,
+    drawings: Vec<Drawing>,
 }
 
 /// Values that do not depend on the transmitter.
@@ -46,7 +47,7 @@ impl Splatting {
     }
 
     /// Returns the number of learned parameters of the receivers.
-    fn law_parameter_count(&self, setup: &MeasurementSetup) -> usize {
+    pub(super) fn law_parameter_count(&self, setup: &MeasurementSetup) -> usize {
         if matches!(self.readout, Readout::ReceivedPower { .. }) { LAW.len() * setup.receivers.len() } else { 0 }
     }
 
@@ -241,39 +242,14 @@ impl Method for Splatting {
     fn vjp(&self, call: &Call<'_>, observed: ForwardOutput, d: &[Real], sums: &mut MethodVjp) {
         let Call { setup, parameters: p, links, .. } = *call;
         let ForwardCache { terms: (deltas, kept), drawings } = cached(&observed.cache);
-        let (network, laws) = self.split_weights(setup, p.weights);
-        let (mut grads, rows) = (ActivationVjp::zeros(p.cloud, deltas), (0..p.cloud.len()).collect::<Vec<_>>());
+        let mut grads = ActivationVjp::zeros(p.cloud, deltas);
         #[cfg(feature = "gpu")]
         if let Some(gpu) = self.gpu(setup) {
             let d = (deltas, super::gpu::Cotangents::Given(d));
             self.gpu_draw_vjp(gpu, call, d, &mut grads, sums).map_or_else(pwrfgs_core::device::fail, drop);
         }
-        let d_laws = &mut sums.weights[network.len()..];
-        let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
-        for (group, view, drawing) in drawings {
-            let d = group.gather_rows(d, setup.value_count());
-            let d_law = d_offsets
-                .get_mut(group.state.receiver)
-                .zip(d_exponents.get_mut(group.state.receiver))
-                .map(|(a, b)| [a, b]);
-            let distances = group.distances(call);
-            let d_blended = self.read_out_vjp(view, d_law, &distances, &drawing.render.pixels, &d);
-            if let (Some([_, exponent]), Some(d_positions)) =
-                (laws.receiver_law(group.state.receiver), &mut sums.positions)
-            {
-                let d_distances = distances.iter().zip(&*d).map(|(r, d)| d * received::distance_slope(exponent, *r));
-                group.distances_vjp(call, d_distances, d_positions);
-            }
-            let (d, d_primitives) = group.gather_terms_vjp(deltas, &mut grads, |terms, _, grads| {
-                self.draw_vjp(view, drawing, &p, terms, &d_blended, grads)
-            });
-            sums.existence.iter_mut().zip(&d.splats.existence).for_each(|(sum, d)| *sum += d);
-            if setup.moving.is_receiver() {
-                let pose_vjp = || drawing.geometry.primitives.pose_vjp(&view.pose, &d_primitives);
-                group.add_pose_vjp(pose_vjp, sums.positions.as_deref_mut(), sums.orientations.as_deref_mut());
-            }
-            sums.stats.add_render(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
-        }
+        BackwardPass { splatting: self, call, deltas, d }.add(drawings, &mut grads, sums);
+        let network = self.split_weights(setup, p.weights).0;
         let (means, txs) = (&p.cloud.means, links.conditions());
         let inputs = DeformationInputs { weights: network, means, txs, pose: &setup.pose(), kept };
         groups::network_vjp(&*self.deformation, &inputs, &grads, sums);

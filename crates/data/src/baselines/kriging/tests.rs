@@ -103,7 +103,7 @@ fn likelihood_recovers_true_parameters() {
         let (train, validation): (Vec<usize>, Vec<usize>) = (0..260).partition(|i| i % 4 != 0);
         let cases = cases_of(&data, &train, &validation, Mean::Unknown);
         let space = SearchSpace { kinds: &CorrelationKind::ALL, isotropic: false, time: false };
-        let found = most_likely(&cases, space, &|| Ok(())).unwrap().1;
+        let found = fit_correlation(&cases, space, &|| Ok(())).unwrap();
         println!("{found:?} for {truth:?}: {} {}", cases.log_likelihood(&found), cases.log_likelihood(&truth));
         assert_eq!(found.kind, kind);
         assert!(cases.log_likelihood(&found) > cases.log_likelihood(&truth) - 0.05);
