@@ -1,7 +1,6 @@
 //! Backward pass of the drawings of a step on the CPU: cotangents of several drawings in parallel, and sums in their order, so
 //! that the bits do not depend on the number of threads.
 
-use super::method::LAW;
 use super::{BlendedSignals, ReceiverView, Splatting, received};
 use crate::ActivationVjp;
 use crate::groups::ReceiverGroup;
@@ -67,8 +66,10 @@ impl BackwardPass<'_> {
         let (receiver, activation) = (group.state.receiver, splatting.activation());
         let (network, laws) = splatting.split_weights(setup, p.weights);
         let d_laws = &mut sums.weights[network.len()..];
-        for (k, d_law) in law.iter().flatten().enumerate() {
-            d_laws[k * d_laws.len() / LAW.len() + receiver] += d_law;
+        let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
+        if let Some([d_offset, d_exponent]) = law {
+            d_offsets[receiver] += d_offset;
+            d_exponents[receiver] += d_exponent;
         }
         if let (Some([_, exponent]), Some(d_positions)) = (laws.receiver_law(receiver), &mut sums.positions) {
             let (distances, d) = (group.distances(call), group.gather_rows(d, setup.value_count()));

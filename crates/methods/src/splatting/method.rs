@@ -17,7 +17,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 /// Names of the learned parameters of receivers of powers.
-pub(super) const LAW: [&str; 2] = [OFFSETS, "receiver.exponents"];
+const LAW: [&str; 2] = [OFFSETS, "receiver.exponents"];
 
 /// State of the forward pass for [`Method::vjp`].
 struct ForwardCache {
