@@ -305,7 +305,7 @@ def test_a_file_that_names_another_program_does_not_start_it(tmp_path):
     settings = json.dumps({"args": ["touch", str(tmp_path / "touched")]})
     named = f'Python(module: "subprocess", class: "Popen", settings: {json.dumps(settings)})'
     text = SMALL.replace("OpacityThreshold(epsilon: 0.02)", named)
-    with pytest.raises(pwrfgs.InputError, match="`Popen` does not implement `keep` or `gate`, so it is not a Pruner"):
+    with pytest.raises(pwrfgs.InputError, match="`Popen` does not implement `keep` or `gate` or `score`, so it is not a Pruner"):
         pwrfgs.run(pwrfgs.Pipeline(text), out=tmp_path / "r", progress=False)
     assert not (tmp_path / "touched").exists() and not (tmp_path / "r").exists()
 
@@ -483,9 +483,9 @@ def test_score_alone_reaches_the_target_as_built_in_pruners_do(pipeline, tmp_pat
         "mine": {"pruners": [Brightest()], "training.target_count": 20},
         "top": {"pruners": [pwrfgs.TopK()], "training.target_count": 10},
     }}  # fmt: skip
-    mine, top = pwrfgs.sweep(pipeline, axes=axes, out=tmp_path / "s", name="s")
-    assert [len(run.model.gaussians().means) for run in (mine, top)] == [20, 10]
-    assert "mine" in pwrfgs.report([mine, top], tmp_path / "report", reference="mine")
+    runs = pwrfgs.sweep(pipeline, axes=axes, out=tmp_path / "s", name="s", seeds=[0, 1])
+    assert [len(run.model.gaussians().means) for run in runs] == [20, 20, 10, 10]
+    assert "pruner mine" in pwrfgs.report(tmp_path / "s", reference="mine")
 
 
 def test_messages_name_the_class_of_a_pruner(pipeline, tmp_path, caplog):
