@@ -326,12 +326,18 @@ def check(pipeline: Any) -> None:
                 made(kind, *(value._named[name] for name in RECORD))
 
 
+def _any_of(names: Sequence[str]) -> str:
+    """Names in a sentence: `a`, `b` or `c`."""
+    *others, last = [f"`{name}`" for name in names]
+    return f"{', '.join(others)} or {last}" if others else last
+
+
 def made(kind: str, module: str, name: str, settings: str, source: str) -> Any:
     """Create the object recorded in a pipeline."""
     cls = found(module, name, source)
     # Before it is called: a file may name anything that can be imported.
     if methods(kind, cls).isdisjoint(REQUIRED[kind]):
-        raise InputError(f"`{name}` does not implement `{'` or `'.join(REQUIRED[kind])}`, so it is not a {kind}")
+        raise InputError(f"`{name}` does not implement {_any_of(REQUIRED[kind])}, so it is not a {kind}")
     return cls(**json.loads(settings or "{}"))
 
 

@@ -42,6 +42,7 @@ def sweep(
     name: Optional[str] = None,
     join: bool = False,
     executor: Optional[Executor] = None,
+    progress: bool = True,
     keep_checkpoint: bool = False,
 ) -> List[Run]:
     """Perform all unfinished runs of a sweep and write its report. Returns the runs in order, followed by the joined model if
@@ -60,7 +61,8 @@ def sweep(
     ``out`` is the sweep folder, default ``runs/NAME``; ``name`` is by default the name of the base and of the axes.
 
     Repeat the call to resume after Ctrl-C. Raises ``SweepError`` if runs failed, after all others have finished.
-    ``keep_checkpoint`` keeps the training states of finished runs.
+    ``keep_checkpoint`` keeps the training states of finished runs, and ``progress`` shows how many runs have ended, in a
+    terminal or a notebook.
 
     ``jobs`` runs share the threads of this process. With an ``executor`` of ``concurrent.futures``, also of Dask
     (``client.get_executor()``) or MPI (``mpi4py.futures.MPIPoolExecutor()``), each unfinished run is a task of it::
@@ -80,7 +82,7 @@ def sweep(
         if out is None and any(isinstance(value, _pwrfgs.Dataset) and value._source is None for value in (set or {}).values()):
             raise InputError("set: data in memory are written to the sweep folder; give it as `out`")
         with storing(os.fspath(out or "")) as store:
-            return _performed(experiment, _settled(set, store), out, jobs, executor, keep_checkpoint)
+            return _performed(experiment, _settled(set, store), out, jobs, executor, progress, keep_checkpoint)
     base = Pipeline(experiment)
     names = _axis_names(list(axes))
     chosen = name or "-".join([base.name, *names])
@@ -93,7 +95,7 @@ def sweep(
         path = os.path.join(folder, f"{os.path.basename(chosen) or 'sweep'}.ron")
         with open(path, "w", encoding="utf-8") as file:
             file.write(text)
-        return _performed(path, _settled(set, store), out, jobs, executor, keep_checkpoint)
+        return _performed(path, _settled(set, store), out, jobs, executor, progress, keep_checkpoint)
 
 
 def _settled(value: Any, store: Store) -> Any:
@@ -111,11 +113,12 @@ def _performed(
     out: Optional[PathLike],
     jobs: int,
     executor: Optional[Executor],
+    progress: bool,
     keep_checkpoint: bool,
 ) -> List[Run]:
     changes = arguments(set)
     if executor is None:
-        with contextlib.closing(Progress(True)) as bar:
+        with contextlib.closing(Progress(progress)) as bar:
             listener = event_listener(bar, None)
             return finished_runs(_pwrfgs.sweep(experiment, changes, out, jobs, listener, keep_checkpoint))
     failures = _submitted(executor, *_pwrfgs.prepare_sweep(experiment, changes, out), keep_checkpoint)

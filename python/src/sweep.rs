@@ -43,7 +43,8 @@ impl SweepObserver for RunCounter {
 }
 
 /// Performs a sweep, see `pwrfgs.sweep`; `send_event` is called with the number of ended runs. Returns the folder of every
-/// run, and of the joined model, with the exception of a failure. With `failures`, an executor has performed the runs of [`prepare_sweep`]: indices and reasons of those that failed.
+/// run, and of the joined model, with the exception of a failure. With `failures`, an executor has performed the runs of
+/// [`prepare_sweep`]: indices and reasons of those that failed.
 #[pyfunction]
 #[pyo3(signature = (experiment, arguments, out, jobs, send_event, keep_checkpoint, failures=None))]
 #[allow(clippy::too_many_arguments)] // the keywords of `pwrfgs.sweep`
@@ -69,7 +70,9 @@ pub(crate) fn sweep<'py>(
         }
         let mut session = Session { observer: &mut NoopObserver, stop, page: pwrfgs::PAGE, keep_checkpoint };
         let counter = RunCounter { events, ended: AtomicUsize::new(0), total: runs.len() };
-        (!runs.is_empty()).then(|| counter.send(0));
+        if !runs.is_empty() {
+            counter.send(0);
+        }
         let end = plan.execute(&runs, jobs, &counter, &mut session)?;
         if plan.states().iter().all(|state| matches!(state, RunStage::Finished(_))) {
             let _held = plan.claim()?;

@@ -305,7 +305,7 @@ def test_a_file_that_names_another_program_does_not_start_it(tmp_path):
     settings = json.dumps({"args": ["touch", str(tmp_path / "touched")]})
     named = f'Python(module: "subprocess", class: "Popen", settings: {json.dumps(settings)})'
     text = SMALL.replace("OpacityThreshold(epsilon: 0.02)", named)
-    with pytest.raises(pwrfgs.InputError, match="`Popen` does not implement `keep` or `gate` or `score`, so it is not a Pruner"):
+    with pytest.raises(pwrfgs.InputError, match="`Popen` does not implement `keep`, `gate` or `score`, so it is not a Pruner"):
         pwrfgs.run(pwrfgs.Pipeline(text), out=tmp_path / "r", progress=False)
     assert not (tmp_path / "touched").exists() and not (tmp_path / "r").exists()
 

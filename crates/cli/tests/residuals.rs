@@ -250,6 +250,12 @@ fn update_adds_measurements_and_refuses_other_data() {
     let said = stderr(&succeed(here, &[&["update", "r", "-o", "final.safetensors"][..], &accept].concat()));
     assert!(said.contains("2 new spectra in final.safetensors"), "the test set: {said}");
     assert_eq!(known("final.safetensors"), 6);
+    // Findings that the run accepted stay accepted.
+    let pipeline = std::fs::read_to_string(here.join("r/pipeline.ron")).unwrap();
+    assert!(pipeline.contains("accept: []"), "{pipeline}");
+    write(&here.join("r/pipeline.ron"), pipeline.replace("accept: []", "accept: [\"far-from-model\"]"));
+    succeed(here, &["update", "r", "-o", "accepted.safetensors"]);
+    write(&here.join("r/pipeline.ron"), pipeline);
     refuse(here, &["update", "new.safetensors", "-o", "no"], 2, &["new.safetensors", "use the model of a run folder"]);
     succeed(here, &["predict", "new.safetensors", "--tx", "0.3,1.0,0.5", "--interval", "0.5", "--out", "predicted"]);
 

@@ -26,12 +26,12 @@ fn write_twins(here: &Path) {
         let heard = dbm(x, y, 3.0 * ap as f64, 2.0);
         if (k + ap).is_multiple_of(3) { code } else { heard }
     };
-    // Power and round-trip time per access point; -200: not heard; readings repeat at a place.
+    // Power and round-trip time per access point; -200: not received; readings repeat at a place.
     let header = "X,Y,AP1-RTT(mm),AP1-RSS(dBm),AP2-RTT(mm),AP2-RSS(dBm),LOS APs\n";
     walk(&here.join("office.csv"), header, 36, |k, x, y| {
         format!("{x},{y},{},{},{},{},1 2", 1500 + k, at(k, x, y, 0, -200.0), 2200 + k, at(k, x, y, 1, -200.0))
     });
-    // Wide, three floors, 100: not heard, columns never heard, own test file.
+    // Wide, three floors, 100: not received, columns without a power, own test file.
     let header = "MAC1,MAC2,MAC3,MAC15,ECoord,NCoord,FloorID,BuildingID,SceneID,UserID,PhoneID,SampleTimes\n";
     let row = |k: usize, x: f64, y: f64| {
         let [a, b, c] = [0, 1, 2].map(|ap| at(k, x, y, ap, 100.0));
@@ -44,7 +44,7 @@ fn write_twins(here: &Path) {
     walk(&here.join("campus.csv"), "latitude,longitude,altitude,rssi\n", 63, |k, x, y| {
         format!("{},{},{},{}", 41.17 + y * 1e-3, -8.6 + x * 1e-3, 100 + k % 3, -96 - (k % 9) as i32)
     });
-    // Three gateways in degrees, 0: not heard, the header begins with #.
+    // Three gateways in degrees, 0: not received, the header begins with #.
     walk(&here.join("lorawan.csv"), "#lat,long,gw1,gw2,gw3\n", 45, |k, x, y| {
         let [a, b, c] = [0, 1, 2].map(|ap| at(k, x, y, ap, 0.0));
         format!("{},{},{a},{b},{c}", -23.5 + y * 1e-3, -46.6 + x * 1e-3)
@@ -104,7 +104,10 @@ fn twins_of_public_tables_need_one_command() {
         (
             "--table training.csv --test testing.csv --receivers aps.csv --missing 100 --floor-height 4",
             "108 received powers at 3 receivers",
-            &["1 receivers heard nothing and are left out: `MAC15`", "the positions of 1 of 3 receivers are unknown"],
+            &[
+                "1 receivers received nothing and are left out: `MAC15`",
+                "the positions of 1 of 3 receivers are unknown",
+            ],
         ),
         (
             "--table campus.csv",

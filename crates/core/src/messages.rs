@@ -15,6 +15,13 @@ const END: usize = 400;
 /// Longest number in a message, digits before its point; longer ones are written as powers of ten.
 const DIGITS: usize = 30;
 
+/// Joins the first `most` names by commas, followed by the number of the others.
+pub fn join_names<T: AsRef<str>>(names: impl ExactSizeIterator<Item = T>, most: usize) -> String {
+    let more = names.len().saturating_sub(most);
+    let shown = names.take(most).map(|name| name.as_ref().to_owned()).collect::<Vec<_>>().join(", ");
+    if more > 0 { format!("{shown} and {more} more") } else { shown }
+}
+
 /// Returns a name on one line without control characters, which could change the state of a terminal, and without marks
 /// of text direction.
 pub fn strip_control(name: &str) -> String {

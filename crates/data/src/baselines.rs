@@ -19,9 +19,12 @@ pub use neighbours::{NearestCarrier, NearestNeighbours, Neighbours};
 pub use predictions::Predictions;
 pub use ridge::Ridge;
 
-use pwrfgs_core::messages::strip_control;
+use pwrfgs_core::messages::{join_names, strip_control};
 use pwrfgs_core::{Baseline, Dataset, Error, FittingSet, Image, JsonSchema, Predict, Query, Real, Result, Task};
 use serde::{Deserialize, Serialize};
+
+/// Largest number of receivers that a note lists, so that a line stays readable.
+const LISTED: usize = 24;
 
 /// Mean of all training spectra, independent of the transmitter: the lower reference for every score. For received
 /// powers and channels it is the mean per receiver, called "mean of the receiver". A receiver without training links
@@ -186,7 +189,10 @@ impl<P: ReceiverPredictor> Predict for ByReceiver<P> {
         let unlinked: Vec<&str> =
             self.each.iter().filter(|(_, fitted)| fitted.is_none()).map(|(name, _)| name.as_str()).collect();
         let pooled = (!unlinked.is_empty()).then(|| {
-            format!("{} has no training link and is predicted from those of all receivers", unlinked.join(", "))
+            format!(
+                "{} has no training link and is predicted from those of all receivers",
+                join_names(unlinked.iter(), LISTED)
+            )
         });
         let notes: Vec<String> = P::combined_note(&predictors).into_iter().chain(pooled).collect();
         (!notes.is_empty()).then(|| notes.join("; "))

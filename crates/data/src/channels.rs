@@ -154,11 +154,11 @@ impl DataSource for Channels {
         let metadata = ChannelMetadata::read(self, &root)?;
         let frequencies_hz = metadata.subcarrier_frequencies(&path, width)?;
         let carrier_hz = frequencies_hz.iter().sum::<f64>() / width.max(1) as f64;
-        let receiver = metadata.create_receiver(&path, antennas)?;
+        let receiver = metadata.create_receiver(&path, antennas, self.receiver.is_none())?;
         let rows = index::read_sets(&root, &|word| index::parse_row(word, &locations.name, count))?;
         let carriers = files.len();
-        let repeat = |rows: Vec<usize>| repeat_rows(&rows, carriers, count);
-        let official = rows.map(|(train, test)| (repeat(train), repeat(test)));
+        let official =
+            rows.map(|(train, test)| (repeat_rows(&train, carriers, count), repeat_rows(&test, carriers, count)));
         let poses = locations.poses.repeat(carriers);
         let (shape, size) = (files[0].shape, files[0].count());
         let gains = read_all(files)?;
@@ -271,8 +271,6 @@ struct ChannelMetadata {
     frequencies_hz: Option<Vec<f64>>,
     name: String,
     receiver: ReceiverPlace,
-    /// Whether `receiver` is that of `receiver.yml`.
-    is_receiver_from_file: bool,
     /// Position of the fixed transmitter if the receiver moves, metres.
     transmitter: Option<[f64; 3]>,
 }
@@ -336,7 +334,6 @@ impl ChannelMetadata {
                 frequencies_hz: None,
                 name: "receiver".into(),
                 receiver: receiver.clone(),
-                is_receiver_from_file: false,
                 transmitter: None,
             });
         }
@@ -351,7 +348,6 @@ impl ChannelMetadata {
             spacing_hz: source.spacing_hz.unwrap_or(file.spacing_hz),
             name: if source.receiver.is_some() { "receiver".into() } else { file.name.value },
             receiver: source.receiver.clone().unwrap_or(receiver),
-            is_receiver_from_file: source.receiver.is_none(),
             transmitter: file.transmitter,
         })
     }
@@ -371,14 +367,14 @@ impl ChannelMetadata {
     }
 
     /// Creates the receiver. Returns an error unless it lists as many antennas as the array at `path` has (`antennas`); a
-    /// single antenna need not be listed.
-    fn create_receiver(&self, path: &Path, antennas: usize) -> Result<Receiver> {
+    /// single antenna need not be listed. `is_from_file`: the receiver is that of `receiver.yml`.
+    fn create_receiver(&self, path: &Path, antennas: usize, is_from_file: bool) -> Result<Receiver> {
         let receiver = Receiver::new(&self.name, self.receiver.pose());
         match self.receiver.antennas.len() {
             0 if antennas == 1 => Ok(receiver),
             n if n == antennas => Ok(Receiver { antennas: self.receiver.antennas.clone(), ..receiver }),
             n => {
-                let (list, advice) = if self.is_receiver_from_file {
+                let (list, advice) = if is_from_file {
                     let frame = "in the world frame, or in that of a moving receiver";
                     ("`antennas` in receiver.yml", format!("give the position of each there, metres, {frame}"))
                 } else {

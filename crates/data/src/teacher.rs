@@ -219,8 +219,9 @@ struct Wave {
     phase: Real,
 }
 
-/// Mean and swing of a signal, in parts of its amplitude: between 0.1 and 1.
+/// Mean of a signal, in parts of its amplitude.
 const MEAN: Real = 0.55;
+/// Largest deviation from the mean, in parts of the amplitude: signals are from 0.1 to 1.
 const SWING: Real = 0.45;
 
 impl Truth {

@@ -8,7 +8,7 @@ use crate::load::{ActiveRun, SplitData};
 use crate::partial_scores::PartialScores;
 use crate::record::Confidence;
 use crate::repeatability::CeilingEstimator;
-use crate::residuals::left_out_links;
+use crate::residuals::{left_out_links, trained_links};
 use crate::scores::{IntervalScores, MODEL, ScoreTable, Scores};
 use crate::session::{Session, run_stage};
 use crate::text::number;
@@ -222,8 +222,7 @@ impl OpenEvaluation<'_, '_, '_> {
         let ceiling = CeilingEstimator::new(data, &pipeline.metrics, session.stop).estimate(partition)?;
         let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
         let baseline_samples = partition.known().all().len();
-        // Each of several models leaves out another part.
-        let model_samples = if pipeline.members > 1 { baseline_samples } else { partition.train.len() };
+        let model_samples = trained_links(pipeline, partition).len();
         table.samples = [model_samples, baseline_samples, ids.len()];
         table.notes.extend(ceiling.notes);
         table.notes.extend(table.intervals.iter().map(|scores| scores.note(data.task(), &table.intervals[0])));

@@ -39,9 +39,9 @@ pub const CURVE: &str = "curve.csv";
 /// Header of the training curve, whose rows `Journal::record_step` writes in this order.
 pub(crate) const CURVE_HEADER: &str = "step,phase,loss,penalty,gaussians,seconds";
 /// Column of the loss in the training curve, counted from 0.
-pub(crate) const LOSS: usize = 2;
+pub const CURVE_LOSS: usize = 2;
 /// Column of the number of Gaussians in the training curve, counted from 0.
-pub(crate) const GAUSSIANS: usize = 4;
+pub const CURVE_GAUSSIANS: usize = 4;
 /// Validation scores: step, and the columns of the [headline metric](pwrfgs_core::Headline) on the validation set.
 pub const VALIDATION: &str = "validation.csv";
 /// TensorBoard file of loss, N, validation and scores, if the pipeline sets `tensorboard`.

@@ -6,7 +6,7 @@ use crate::folder::{CONFIDENCE, PARTIAL_SCORES, PIPELINE, REPORT, RESUME_ONLY, S
 use crate::input::read_pipeline;
 use crate::load::{ActiveRun, SplitData, load_with_findings};
 use crate::record::Record;
-use crate::residuals::is_folded;
+use crate::residuals::trained_links;
 use crate::run_folder::RunFolder;
 use crate::samples::samples_csv;
 use crate::scores::ScoreTable;
@@ -42,9 +42,8 @@ impl ActiveRun<'_, '_> {
     ) -> Result<()> {
         let SplitData { data, partition } = self.split;
         let write = |name: &str, text: String| write_atomically(&folder.join(name), text.as_bytes());
-        let known = is_folded(self.pipeline).then(|| partition.known().all());
-        let trained = known.as_ref().unwrap_or(&partition.train);
-        write(SAMPLES, samples_csv(data, partition, trained, &scores.intervals))?;
+        let trained = trained_links(self.pipeline, partition);
+        write(SAMPLES, samples_csv(data, partition, &trained, &scores.intervals))?;
         write(SCORES, scores.to_csv())?;
         confidence.as_ref().map_or(Ok(()), |confidence| write(CONFIDENCE, confidence.to_csv()))?;
         let Some(page) = self.session.page else { return Ok(()) };

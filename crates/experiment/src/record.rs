@@ -1,7 +1,9 @@
 //! `Record`: a finished run read from its folder: scores, training series, and the confidence of an ensemble.
 
 use crate::facts::Facts;
-use crate::folder::{CONFIDENCE, CURVE, GAUSSIANS, LOSS, MODEL_FILE, PIPELINE, REPORT, SAMPLES, SCORES, VALIDATION};
+use crate::folder::{
+    CONFIDENCE, CURVE, CURVE_GAUSSIANS, CURVE_LOSS, MODEL_FILE, PIPELINE, REPORT, SAMPLES, SCORES, VALIDATION,
+};
 use crate::input::read_pipeline;
 use crate::samples::TestSamples;
 use crate::scores::Scores;
@@ -84,12 +86,12 @@ impl Record {
 
     /// Returns the pairs of step and loss in `curve.csv`.
     pub fn loss_curve(&self) -> Vec<(f64, f64)> {
-        series_column(&self.curve, LOSS)
+        series_column(&self.curve, CURVE_LOSS)
     }
 
     /// Returns the pairs of step and number of Gaussians in `curve.csv`.
     pub fn gaussians_curve(&self) -> Vec<(f64, f64)> {
-        series_column(&self.curve, GAUSSIANS)
+        series_column(&self.curve, CURVE_GAUSSIANS)
     }
 
     /// Splits `data` as in this run.

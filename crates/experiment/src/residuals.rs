@@ -2,7 +2,7 @@
 
 use crate::load::{ActiveRun, SplitData};
 use crate::session::run_stage;
-use pwrfgs_core::{Error, Result, SiteSize, block_of};
+use pwrfgs_core::{Error, Partition, Result, SiteSize, block_of};
 use pwrfgs_model::{Ensemble, KnownLinks, Residuals};
 use pwrfgs_pipeline::Pipeline;
 use std::collections::BTreeMap;
@@ -22,8 +22,14 @@ pub(crate) fn check_residuals(pipeline: &Pipeline, split: &SplitData, joined: bo
     residuals.check_data(&split.data, is_folded || !split.partition.validation.is_empty())
 }
 
-/// Returns whether each model of `pipeline` leaves out a part of the known links, so that together they train on all of them.
-pub(crate) fn is_folded(pipeline: &Pipeline) -> bool {
+/// Returns the links that the models of `pipeline` train on, ascending: the training set or, if each model leaves out a part of
+/// the known links, all of these.
+pub(crate) fn trained_links(pipeline: &Pipeline, partition: &Partition) -> Vec<usize> {
+    if is_folded(pipeline) { partition.known().all() } else { partition.train.clone() }
+}
+
+/// Returns whether each model of `pipeline` leaves out a part of the known links.
+fn is_folded(pipeline: &Pipeline) -> bool {
     pipeline.members > 1 || pipeline.residuals.as_ref().is_some_and(|residuals| residuals.folds)
 }
 
@@ -33,8 +39,8 @@ pub(crate) fn is_folded(pipeline: &Pipeline) -> bool {
 /// # Errors
 /// As [`Pipeline::partition`].
 pub(crate) fn left_out_links(pipeline: &Pipeline, split: &SplitData, models: usize) -> Result<Vec<Vec<usize>>> {
-    let is_folded = pipeline.residuals.as_ref().is_some_and(|residuals| residuals.folds);
-    let parts = if pipeline.members == 1 && is_folded { models } else { pipeline.parts() };
+    let has_folds = pipeline.residuals.as_ref().is_some_and(|residuals| residuals.folds);
+    let parts = if pipeline.members == 1 && has_folds { models } else { pipeline.parts() };
     if parts == 1 {
         return Ok(vec![split.partition.validation.clone()]);
     }

@@ -2,17 +2,11 @@
 
 use pwrfgs_core::files::read_text;
 use pwrfgs_core::messages::cell;
+pub use pwrfgs_core::messages::join_names;
 pub use pwrfgs_core::numbers::{fixed, grouped, number};
 use pwrfgs_core::{Error, Result};
 use serde::de::DeserializeOwned;
 use std::path::Path;
-
-/// Joins the first `most` names by commas, followed by the number of the others.
-pub fn join_names<T: AsRef<str>>(names: impl ExactSizeIterator<Item = T>, most: usize) -> String {
-    let more = names.len().saturating_sub(most);
-    let shown = names.take(most).map(|name| name.as_ref().to_owned()).collect::<Vec<_>>().join(", ");
-    if more > 0 { format!("{shown} and {more} more") } else { shown }
-}
 
 /// Quotes a CSV field, also against interpretation as a formula by spreadsheets.
 pub fn csv_field(name: &str) -> String {

@@ -9,7 +9,7 @@
 //! ```
 
 use crate::adapters::Gpu;
-use crate::step::GpuStep;
+use crate::step::{ARGUMENTS, GpuStep};
 use pwrfgs_core::{Error, Real, Result};
 use std::sync::PoisonError;
 
@@ -147,7 +147,7 @@ impl Drawing {
     }
 
     /// Returns the arguments of a kernel in the order of `Op` of `common.wgsl`; `link` is the transmitter of a backward pass.
-    fn arguments(&self, link: usize, mode: usize) -> [usize; 16] {
+    fn arguments(&self, link: usize, mode: usize) -> [usize; ARGUMENTS] {
         let &Self { gaussians, links, size: (width, height), channels, .. } = self;
         let columns = width.div_ceil(SIDE);
         [gaussians, links, link, width, height, columns, self.tiles(), channels, mode, 0, 0, 0, 0, 0, 0, 0]

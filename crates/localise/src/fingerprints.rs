@@ -144,7 +144,7 @@ impl FingerprintBuilder<'_> {
             vec![1.0; width]
         };
         let positions = groups.iter().map(|group| data.locations[group[0]].position()).collect();
-        Fingerprints { positions, values: rows.iter().map(|readings| readings.mean).collect(), weights, width }
+        Fingerprints { positions, values: rows.into_iter().map(|readings| readings.mean).collect(), weights, width }
     }
 }
 

@@ -51,18 +51,13 @@ impl ReceiverGroup {
         self.links[0]
     }
 
-    /// Adds the cotangents of the pose of a moving receiver, which `pose_vjp` returns, to `positions` and `orientations`,
-    /// if requested.
-    pub(crate) fn add_pose_vjp(
-        &self,
-        pose_vjp: impl FnOnce() -> ([f64; 3], [f64; 4]),
-        positions: Option<&mut [[Real; 3]]>,
-        orientations: Option<&mut [[f64; 4]]>,
-    ) {
-        let Some(positions) = positions else { return };
+    /// Adds the cotangents of the pose of a moving receiver, by position (metres) and quaternion (x, y, z, w), which `pose_vjp`
+    /// returns, to those requested in `sums`.
+    pub(crate) fn add_pose_vjp(&self, sums: &mut MethodVjp, pose_vjp: impl FnOnce() -> ([f64; 3], [f64; 4])) {
+        let Some(positions) = &mut sums.positions else { return };
         let (d_position, d_orientation) = pose_vjp();
         (0..3).for_each(|k| positions[self.rows[0]][k] += d_position[k] as Real);
-        if let Some(orientations) = orientations {
+        if let Some(orientations) = &mut sums.orientations {
             (0..4).for_each(|k| orientations[self.row][k] += d_orientation[k]);
         }
     }
@@ -111,25 +106,24 @@ impl ReceiverGroup {
         (Cow::Owned(self.copy_terms(deltas, n)), 0..self.rows.len())
     }
 
-    /// Calls `vjp` with the terms of [`Self::gather_terms`] and returns its result; adds the cotangents of these terms to
-    /// the rows of origin in `grads`.
-    pub(crate) fn gather_terms_vjp<T>(
+    /// Calls `vjp` with the terms of [`Self::gather_terms`]; adds the cotangents of these terms to the rows of origin in
+    /// `grads`.
+    pub(crate) fn gather_terms_vjp(
         &self,
         deltas: &Deltas,
         grads: &mut ActivationVjp,
-        vjp: impl FnOnce(&Deltas, Range<usize>, &mut ActivationVjp) -> T,
-    ) -> T {
+        vjp: impl FnOnce(&Deltas, Range<usize>, &mut ActivationVjp),
+    ) {
         let n = grads.gate.len();
         let (terms, batch) = self.gather_terms(deltas, n);
         // Copied terms have their own derivative, which is then added to the rows of origin.
         let copied = matches!(terms, Cow::Owned(_));
         let all = copied.then(|| std::mem::replace(&mut grads.deltas, terms.zeros_like()));
-        let gradients = vjp(&terms, batch, grads);
+        vjp(&terms, batch, grads);
         if let Some(all) = all {
             let part = std::mem::replace(&mut grads.deltas, all);
             self.add_copied_terms(&part, &mut grads.deltas, n);
         }
-        gradients
     }
 
     /// Copies the terms of the transmitters of the group, `n` rows each.

@@ -198,7 +198,7 @@ impl Method for SplattedChannel {
             Waves::vjp(call, group.state, &d_waves, &mut grads);
             if setup.moving.is_receiver() {
                 let pose_vjp = || Waves::pose_vjp(call, group.state, &d_waves);
-                group.add_pose_vjp(pose_vjp, sums.positions.as_deref_mut(), sums.orientations.as_deref_mut());
+                group.add_pose_vjp(sums, pose_vjp);
             }
             group.gather_terms_vjp(deltas, &mut grads, |terms, batch, grads| {
                 activation.signals_vjp(p.cloud, terms, batch, &d_signals, grads);

@@ -183,7 +183,7 @@ impl Residuals {
         if share == 0.0 {
             let pixels = match self.stride() {
                 1 => String::new(),
-                stride => format!(" of one pixel in {stride} by {stride}, interpolated"),
+                stride => format!(" at one pixel per {stride} by {stride}, interpolated"),
             };
             return Some(format!("share 0: the network adds nothing here; this is Kriging{pixels}"));
         }

@@ -254,7 +254,8 @@ impl MlpLayers {
         };
         let (pieces, kept): (Vec<Vec<Deltas>>, Vec<Vec<Activations>>) =
             items.par_iter().zip(fit).map_init(Scratch::default, one).unzip();
-        let (mut all, mut start) = (Deltas::default(), 0); // first item of a group of transmitters
+        let mut all = Deltas::default();
+        let mut start = 0; // first item of a group of transmitters
         while start < items.len() {
             let txs = &items[start].txs;
             let chunks = items[start..].iter().take_while(|item| item.txs == *txs).count();

@@ -72,7 +72,8 @@ pub struct ArrayResponse {
 /// whole image.
 static TABLES: RwLock<Vec<CachedTable>> = RwLock::new(Vec::new());
 
-/// Number of cached tables of whole images, or as many pixels of smaller ones.
+/// Number of cached tables of whole images. With a stride, stride² times as many of the newest size: rows are padded to whole
+/// blocks.
 const KEPT: usize = 4;
 
 /// Array and its table.

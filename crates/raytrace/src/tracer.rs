@@ -222,8 +222,9 @@ impl TraceWalk<'_> {
         // The smaller of the two angles on either face: exact at reflection boundaries and reciprocal (El-Sallabi and
         // Vainikainen, 2005).
         let cosine = |grazing: f64| (grazing.sin() * sine).abs();
-        let (r0, t0) = self.face_coefficients(edge, 0, point, cosine(phi_in.min(phi_out)));
-        let (rn, tn) = self.face_coefficients(edge, 1, point, cosine(whole - phi_in.max(phi_out)));
+        let beside = edge.inward_directions().map(|inwards| point + BESIDE * inwards);
+        let (r0, t0) = self.face_coefficients(edge.faces[0], beside[0], cosine(phi_in.min(phi_out)));
+        let (rn, tn) = self.face_coefficients(edge.faces[1], beside[1], cosine(whole - phi_in.max(phi_out)));
         // The rim of a sheet has one sheet behind it, an edge of two faces has both.
         let is_rim = edge.faces[0] == edge.faces[1];
         let through = if is_rim { t0 } else { t0.times(tn) };
@@ -232,12 +233,11 @@ impl TraceWalk<'_> {
         Some(wedge.diffraction_coefficients(k, distances, [phi_in, phi_out], sine))
     }
 
-    /// Returns the reflection and transmission coefficients of face `k`, 0 or 1, of an edge next to `point`, with those of a
-    /// face that covers it there. `cosine` is that of the angle of incidence.
-    fn face_coefficients(&self, edge: &Edge, k: usize, point: DVec3, cosine: f64) -> (Polarized, Polarized) {
+    /// Returns the reflection and transmission coefficients of a face of an edge at the point `beside` the edge, metres, with
+    /// those of a face that covers it there. `cosine` is that of the angle of incidence.
+    fn face_coefficients(&self, face: u32, beside: DVec3, cosine: f64) -> (Polarized, Polarized) {
         let Tracer { world, wavelength, .. } = self.tracer;
-        let face = edge.faces[k];
-        let front = world.front_face(face, point + BESIDE * edge.inward_directions()[k], self.tx);
+        let front = world.front_face(face, beside, self.tx);
         let through = |face: u32| {
             let surface = world.surface_of(face);
             let slab = |d| fresnel::transmission(surface.eta, d, cosine, *wavelength);

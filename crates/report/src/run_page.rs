@@ -48,6 +48,7 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         seed => pipeline.seed,
         heading => scores.heading(),
         verdict => scores.verdict(),
+        share => model.residuals().and_then(|residuals| residuals.describe_share(data.task())),
         paired => scores.paired.as_ref().map(|pairs| (pairs.lines(&scores.oracles), pairs.note(scores.task))),
         predictors => scores.predictors.clone(),
         ceiling => CEILING,

@@ -2,7 +2,7 @@
 
 use crate::side::ViewPane;
 use pwrfgs_experiment::Facts;
-use pwrfgs_experiment::folder::{CHECKPOINT, CURVE, FACTS, MODEL_FILE, training_folder};
+use pwrfgs_experiment::folder::{CHECKPOINT, CURVE, CURVE_GAUSSIANS, CURVE_LOSS, FACTS, MODEL_FILE, training_folder};
 use pwrfgs_experiment::record::read_series;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use std::time::{Duration, SystemTime};
 use tokio::sync::broadcast;
 
 /// Columns of `curve.csv` on the page: step, loss and number of Gaussians.
-pub(crate) const CURVE_COLUMNS: [usize; 3] = [0, 2, 4];
+pub(crate) const CURVE_COLUMNS: [usize; 3] = [0, CURVE_LOSS, CURVE_GAUSSIANS];
 /// Interval between checks of a run in progress.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// Number of events that a slow page may miss at once.

@@ -16,7 +16,7 @@ const FOLDER: &str = "report";
 #[command(after_help = "\
 The runs must have equal data and splits. Runs that differ only in the seed form one row, with mean
 and standard deviation. Paired differences between rows have 95 % bootstrap intervals over seeds and
-blocks of space. Unfinished runs are listed and left out.
+blocks of space. Unfinished runs are left out; a line names the first and counts the others.
 The command writes report.html, report.csv, report.tex with one file per table, and figures as SVG,
 PDF and PNG. It replaces an older report and never changes a folder with other files. For a single
 run without --out, it also rebuilds report.html in the run folder.

@@ -183,7 +183,9 @@ impl SelectedRuns<'_> {
         });
         board.remove_bar();
         #[cfg(feature = "report")]
-        let reported = if !stop.load(Ordering::Relaxed) && plan.has_ended() {
+        let has_ended = stop.load(Ordering::Relaxed) || plan.has_ended();
+        #[cfg(feature = "report")]
+        let reported = if !stop.load(Ordering::Relaxed) && has_ended {
             // If the last runs of two processes end together, one writes after the other.
             plan.claim().and_then(|_held| super::report::report_sweep(&plan.folder, reference, verbosity))
         } else {
@@ -194,9 +196,12 @@ impl SelectedRuns<'_> {
         reported?;
         output::print_result(&plan.progress_table(indices, &queued_runs(plan)))?;
         print_ensemble(plan, joined, all)?;
-        if indices.len() < plan.runs.len() && !plan.has_ended() {
-            let folder = plan.folder.display();
-            verbosity.print_note(&format!("the report follows the last run of the sweep; now: pwrfgs report {folder}"));
+        #[cfg(feature = "report")]
+        if !has_ended && ends.iter().any(|(_, end)| matches!(end, Ok(RunOutcome::Finished { .. }))) {
+            let (folder, total) = (plan.folder.display(), plan.runs.len());
+            verbosity.print_note(&format!(
+                "the sweep has {total} runs, and its report follows the last; for those so far: pwrfgs report {folder}"
+            ));
         }
         let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
         if failed > 0 {

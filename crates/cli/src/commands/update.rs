@@ -5,14 +5,13 @@ use crate::output::Verbosity;
 use crate::progress::RunProgress;
 use clap::Args;
 use pwrfgs::experiment::text::grouped;
-use pwrfgs::experiment::{load_split_data, run_stage};
+use pwrfgs::experiment::{folder::PIPELINE, load_split_data, pipeline_of_model, read_pipeline, run_stage};
 use pwrfgs::model::file;
 use pwrfgs::tasks::init::unknown_folder_error;
-use pwrfgs::tasks::locate::read_known_pipeline;
 use pwrfgs::tasks::read_models;
 use pwrfgs::tasks::update::{UpdatedModel, check_residuals, update as update_model};
 use pwrfgs_core::files::{check_new_file, create};
-use pwrfgs_core::{Dataset, Result, recognise};
+use pwrfgs_core::{Dataset, Error, Result, recognise};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
@@ -49,8 +48,8 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     let model = read_models(std::slice::from_ref(&arguments.model))?;
     check_residuals(&model).map_err(in_file(&arguments.model))?;
     let mut progress = RunProgress::new(verbosity);
-    let data = load_new_data(arguments, &mut progress)?;
-    let updated = update_model(&model, &data, &arguments.accept, &mut progress);
+    let (data, accepted) = load_new_data(arguments, &mut progress)?;
+    let updated = update_model(&model, &data, &accepted, &mut progress);
     let source = arguments.data.as_ref().unwrap_or(&arguments.model);
     let UpdatedModel { ensemble, added, agreement, milliseconds } = updated.map_err(in_file(source))?;
     progress.remove_bar();
@@ -62,14 +61,17 @@ pub(crate) fn update(arguments: &Update, verbosity: Verbosity) -> Result<()> {
     Ok(())
 }
 
-/// Loads the data of `--data`, or the test set of the run.
-fn load_new_data(arguments: &Update, progress: &mut RunProgress) -> Result<Dataset> {
+/// Loads the data of `--data`, or the test set of the run. Also returns the names of accepted findings.
+fn load_new_data(arguments: &Update, progress: &mut RunProgress) -> Result<(Dataset, Vec<String>)> {
+    let accepted = arguments.accept.clone();
     let Some(folder) = &arguments.data else {
-        let pipeline = read_known_pipeline(Some(&arguments.model), &[], false)?;
-        let pipeline = pipeline.expect("a pipeline, since there are no observations to compare with");
+        let advice = "use the model of a run folder, or give --data DIR";
+        let missing = || Error::input(&arguments.model, format!("no {PIPELINE} next to this model; {advice}"));
+        let pipeline = read_pipeline(&pipeline_of_model(&arguments.model)?.ok_or_else(missing)?, &[])?;
         let split = load_split_data(&pipeline, progress)?;
-        return split.data.into_subset(&split.partition.test);
+        return Ok((split.data.into_subset(&split.partition.test)?, [pipeline.accept, accepted].concat()));
     };
     let source = recognise(folder).ok_or_else(|| unknown_folder_error(folder))?;
-    run_stage(progress, "new data", |progress| source.load(Path::new(""), progress))
+    let data = run_stage(progress, "new data", |progress| source.load(Path::new(""), progress))?;
+    Ok((data, accepted))
 }

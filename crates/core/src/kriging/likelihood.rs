@@ -114,7 +114,8 @@ impl HeldOutCase {
     }
 }
 
-/// Finds the most likely correlation by coordinate search, with step factors from 4 down to 1.09. `check` is called several times per second and ends the search with its error.
+/// Finds the most likely correlation by coordinate search, with step factors from 4 down to 1.09. `check` is called several
+/// times per second and ends the search with its error.
 ///
 /// # Errors
 /// An error of `check`.

@@ -116,7 +116,7 @@ impl<'a> Powers<'a> {
         let rows = links.iter().map(|l| [l.value - level, 1.0, l.log_distance.map_or(0.0, |own| own - log)]).collect();
         let mut by_receiver = vec![Vec::new(); receivers];
         links.iter().enumerate().for_each(|(i, link)| by_receiver[link.receiver].push(i));
-        let cases = by_receiver.par_iter().map(|of_receiver| select_cases(links, of_receiver)).collect();
+        let cases = by_receiver.par_iter().map(|receiver_links| select_cases(links, receiver_links)).collect();
         let site = SiteSize::new(links.iter().map(|link| in_metres(link.place)));
         Self { links, by_receiver, cases, rows, mean: [level, log], site }
     }
@@ -244,10 +244,10 @@ fn search_pattern(
     Ok((at, best))
 }
 
-/// Returns the `of_receiver` links that enter the likelihood, at most [`CASES`], each with the nearest of those before it in
+/// Returns those of the `receiver_links` that enter the likelihood, at most [`CASES`], each with the nearest of those before it in
 /// random order.
-fn select_cases(links: &[PowerLink], of_receiver: &[usize]) -> Vec<Case> {
-    let mut order = of_receiver.to_vec();
+fn select_cases(links: &[PowerLink], receiver_links: &[usize]) -> Vec<Case> {
+    let mut order = receiver_links.to_vec();
     rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
     let first = (CASES / 2).min(order.len());
     let rest: Vec<usize> = (first..order.len()).collect();

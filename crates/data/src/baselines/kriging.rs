@@ -227,7 +227,7 @@ impl Predict for Process<'_> {
     }
 
     fn is_oracle(&self) -> bool {
-        self.settings.time // a new position has no time
+        self.settings.time // it uses the time of the test sample, which a new position does not have
     }
 }
 
@@ -278,7 +278,7 @@ impl Process<'_> {
     fn describe_fit(&self) -> String {
         let Correlation { kind, scales, noise } = &self.kriging.correlation;
         let [x, y, z, time] = scales.map(format_digits);
-        let time = if self.in_space.is_some() { format!(", a time scale of {time} samples") } else { String::new() };
+        let time = if self.settings.time { format!(", a time scale of {time} samples") } else { String::new() };
         let path_loss = self.trend.path_loss.map_or_else(String::new, |path_loss| {
             let (level, slope) = (format_digits(path_loss.level), format_digits(path_loss.slope));
             format!(", path loss of {level} dBm at 1 m and {slope} dB per decade")

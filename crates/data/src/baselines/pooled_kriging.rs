@@ -1,14 +1,11 @@
 //! Kriging of received powers: path loss and process of all receivers, fitted together.
 
-use super::fitting_samples;
+use super::{LISTED, fitting_samples};
 use pwrfgs_core::kriging::{
     Correlation, LocalKriging, PathLoss, Place, ProcessFit, fit_powers, link_place, spatial_place,
 };
-use pwrfgs_core::messages::strip_control;
+use pwrfgs_core::messages::{join_names, strip_control};
 use pwrfgs_core::{Dataset, FittingSet, Image, Predict, Query, Real, Result};
-
-/// Largest number of receivers whose path loss the note lists, so that a line stays readable.
-const LISTED: usize = 24;
 
 /// Pooled Kriging of the powers of all receivers.
 pub(super) struct PooledKriging<'a> {
@@ -127,8 +124,9 @@ impl Predict for PooledKriging<'_> {
         );
         let unlinked: Vec<&str> =
             names.iter().zip(&self.processes).filter(|(_, p)| p.links.is_empty()).map(|(n, _)| n.as_str()).collect();
-        let unlinked = (!unlinked.is_empty())
-            .then(|| format!("; {} has no training link and shares the mean path loss", unlinked.join(", ")));
+        let names = join_names(unlinked.iter(), LISTED);
+        let unlinked =
+            (!unlinked.is_empty()).then(|| format!("; {names} has no training link and shares the mean path loss"));
         Some(text + &unlinked.unwrap_or_default())
     }
 }

@@ -84,24 +84,24 @@ impl Survey<'_> {
     fn linked_receivers(&self) -> Vec<Option<Receiver>> {
         let mut is_linked = vec![false; self.receivers.len()];
         self.readings.iter().for_each(|reading| is_linked[reading.receiver as usize] = true);
-        let placed = |(receiver, is_linked): (&NamedReceiver, bool)| {
+        let create = |(receiver, is_linked): (&NamedReceiver, bool)| {
             let pose = Pose::from(receiver.position.unwrap_or(self.places.positions[0]));
             let named = Receiver { is_estimated: receiver.position.is_none(), ..Receiver::new(&*receiver.name, pose) };
             is_linked.then_some(named)
         };
-        self.receivers.iter().zip(is_linked).map(placed).collect()
+        self.receivers.iter().zip(is_linked).map(create).collect()
     }
 
-    /// Rejects a file of receivers that names none of those with a reading.
+    /// Rejects a file of receivers if no receiver with a reading has a position.
     fn check_names(&self, receivers: &[Option<Receiver>]) -> Result<()> {
         let Some(file) = &self.import.receivers else { return Ok(()) };
-        let (placed, others) = receivers.split_at(self.placed);
-        if placed.iter().any(Option::is_some) {
+        if receivers.iter().flatten().any(|receiver| !receiver.is_estimated) {
             return Ok(());
         }
-        let here = list(self.receivers[..self.placed].iter().map(|receiver| &*receiver.name));
-        let there = list(others.iter().flatten().map(|receiver| &*receiver.name));
-        let problem = format!("has the names {here}, but the powers are those of {there}; give both the same names");
+        let placed = list(self.receivers[..self.placed_count].iter().map(|receiver| &*receiver.name));
+        let received = list(receivers.iter().flatten().map(|receiver| &*receiver.name));
+        let problem =
+            format!("has the names {placed}, but the powers are those of {received}; give both the same names");
         Err(Error::input(&file.path, problem))
     }
 
@@ -123,14 +123,17 @@ impl Survey<'_> {
     /// Notes what was joined, left out and assumed.
     fn add_notes(&mut self, receivers: &[Option<Receiver>]) {
         let coded = self.import.missing.iter().zip(&self.coded);
-        self.notes.extend(coded.map(|(code, count)| format!("{count} cells are {code}, not heard")));
+        self.notes.extend(coded.map(|(code, count)| format!("{count} cells are {code}, not received")));
         let unlinked =
             self.receivers.iter().zip(receivers).filter(|(_, linked)| linked.is_none()).map(|(r, _)| &*r.name);
         let (unlinked, respelled) = (unlinked.collect::<Vec<&str>>(), self.respelled.iter().map(String::as_str));
         let counted = [
-            (self.silent, "cells are empty, not heard".to_owned()),
-            (unlinked.len(), format!("receivers heard nothing and are left out: {}", list(unlinked.iter().copied()))),
-            (self.unreceived_rows, "rows were heard by no receiver and are left out".into()),
+            (self.silent, "cells are empty, not received".to_owned()),
+            (
+                unlinked.len(),
+                format!("receivers received nothing and are left out: {}", list(unlinked.iter().copied())),
+            ),
+            (self.unreceived_rows, "rows reached no receiver and are left out".into()),
             (self.repeated, "readings repeat a link: each has a location at the same position".into()),
             (self.places.joined, "positions are within 1 mm of another and are joined with it".into()),
             (

@@ -1,7 +1,7 @@
 //! Names under which people write the columns of tables.
 
 use crate::text::split_unit;
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 
 /// Coordinates across, metres.
 pub(super) const X: &str =
@@ -43,14 +43,49 @@ pub(super) fn is_one_of(name: &str, names: &str) -> bool {
     names.split(' ').any(|other| other == name)
 }
 
-/// Returns column names without the text that all have before and after a name of `placed`, such as `RSSI_` in `RSSI_AP1`;
-/// `None` if that does not make each a name of `placed`.
-pub(super) fn strip_shared<'c>(columns: &[&'c str], placed: &[&str]) -> Option<Vec<&'c str>> {
-    let names: HashSet<&str> = placed.iter().copied().collect();
-    let first = columns.first()?;
-    placed.iter().find_map(|name| {
-        let (before, after) = first.split_once(name)?;
-        let inner = |column: &&'c str| column.strip_prefix(before)?.strip_suffix(after);
-        columns.iter().map(|column| inner(column).filter(|name| names.contains(name))).collect()
-    })
+/// Text that columns have before and after the names of their receivers, such as `RSSI_` and nothing in `RSSI_AP1`.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Affixes {
+    before: String,
+    after: String,
+}
+
+impl Affixes {
+    /// Finds the text that all `columns` share around names of which most are in `placed`, whatever their case. The text and a
+    /// name do not divide a word or a number. `None` without such a text, or if a column is itself in `placed`.
+    pub(super) fn find(columns: &[&str], placed: &[&str]) -> Option<Self> {
+        let lower = |names: &[&str]| names.iter().map(|name| name.to_ascii_lowercase()).collect::<Vec<_>>();
+        let (columns, placed) = (lower(columns), lower(placed));
+        let names: HashSet<&str> = placed.iter().map(String::as_str).collect();
+        if columns.iter().any(|column| names.contains(column.as_str())) {
+            return None;
+        }
+        let around = |column: &str, name: &str| -> Vec<Self> {
+            let found = column.match_indices(name).map(|(at, _)| (&column[..at], &column[at + name.len()..]));
+            let is_whole = |(before, after): &(&str, &str)| !is_divided(before, name) && !is_divided(name, after);
+            found.filter(is_whole).map(|(before, after)| Self { before: before.into(), after: after.into() }).collect()
+        };
+        let pairs = columns.iter().flat_map(|column| placed.iter().map(move |name| (column, name)));
+        let candidates: BTreeSet<Self> = pairs.flat_map(|(column, name)| around(column, name)).collect();
+        let count = |affixes: &Self| -> Option<usize> {
+            let inner: Option<Vec<&str>> = columns.iter().map(|column| affixes.strip(column)).collect();
+            Some(inner?.into_iter().filter(|name| names.contains(name)).count())
+        };
+        let counted = candidates.into_iter().filter_map(|affixes| Some((count(&affixes)?, affixes)));
+        counted.max_by_key(|(count, _)| *count).map(|(_, affixes)| affixes)
+    }
+
+    /// Returns the name inside a column; `None` if the column lacks the text, or has nothing else.
+    pub(super) fn strip<'c>(&self, column: &'c str) -> Option<&'c str> {
+        let (start, end) = (self.before.len(), column.len().checked_sub(self.after.len())?);
+        let is_same = |part: Option<&str>, text: &str| part.is_some_and(|part| part.eq_ignore_ascii_case(text));
+        let has_text = is_same(column.get(..start), &self.before) && is_same(column.get(end..), &self.after);
+        column.get(start..end).filter(|name| has_text && !name.is_empty())
+    }
+}
+
+/// Returns whether two texts side by side divide a word or a number.
+fn is_divided(left: &str, right: &str) -> bool {
+    let (Some(last), Some(first)) = (left.chars().last(), right.chars().next()) else { return false };
+    (last.is_alphabetic() && first.is_alphabetic()) || (last.is_numeric() && first.is_numeric())
 }

@@ -73,7 +73,7 @@ impl<'a> RowReader<'a> {
             RowPlace::Columns(columns) => {
                 used.extend(columns.all());
                 let unit = if columns.is_geodetic { "degrees" } else { "metres" };
-                let given = format!("height {} m (change: --height METRES)", import.height.unwrap_or(0.0));
+                let given = format!("height {} m (set --height METRES)", import.height.unwrap_or(0.0));
                 let height = match (columns.height, self.floor) {
                     (Some(k), _) => format!("height in {}", search.list([k])),
                     (None, Some(k)) if import.floor_height.is_some() => {

@@ -1,7 +1,7 @@
 //! `Survey`: collects readings from tables.
 
 use super::columns::ColumnSearch;
-use super::names::strip_shared;
+use super::names::Affixes;
 use super::options::TableImport;
 use super::places::{Frame, Places, SAME_M};
 use super::powers::PowerColumns;
@@ -59,7 +59,9 @@ pub(super) struct Survey<'a> {
     /// Receivers, those of --receivers first.
     pub(super) receivers: Vec<NamedReceiver>,
     /// Number of receivers of --receivers.
-    pub(super) placed: usize,
+    pub(super) placed_count: usize,
+    /// Text around the names of receivers in columns.
+    affixes: Option<Affixes>,
     pub(super) receiver_indices: HashMap<String, u32>,
     pub(super) readings: Vec<Reading>,
     /// Height on each floor, metres.
@@ -91,7 +93,8 @@ impl<'a> Survey<'a> {
             spots: Vec::new(),
             groups: HashMap::new(),
             receivers: Vec::new(),
-            placed: 0,
+            placed_count: 0,
+            affixes: None,
             receiver_indices: HashMap::new(),
             readings: Vec::new(),
             floors: BTreeMap::new(),
@@ -107,7 +110,7 @@ impl<'a> Survey<'a> {
             let receiver = survey.receiver_index(&name);
             survey.receivers[receiver as usize].position = Some(position);
         }
-        survey.placed = survey.receivers.len();
+        survey.placed_count = survey.receivers.len();
         Ok(survey)
     }
 
@@ -171,16 +174,22 @@ impl<'a> Survey<'a> {
     }
 
     /// Returns the indices of the receivers in columns. Columns may have the names of --receivers within a text that all
-    /// share, as `RSSI_AP1` and `RSSI_AP2`.
+    /// share, as `RSSI_AP1` and `RSSI_AP2`; columns of later tables then have this text too.
     fn column_receivers(&mut self, columns: &[&str]) -> Vec<u32> {
-        let placed: Vec<&str> = self.receivers[..self.placed].iter().map(|receiver| &*receiver.name).collect();
-        let names = strip_shared(columns, &placed).unwrap_or_else(|| columns.to_vec());
-        if let ([column, ..], [name, ..]) = (columns, &names[..])
-            && column != name
-        {
-            self.notes.push(format!("column {} is receiver {}, and so on", quoted(column), quoted(name)));
+        if self.affixes.is_none() {
+            let placed: Vec<&str> =
+                self.receivers[..self.placed_count].iter().map(|receiver| &*receiver.name).collect();
+            self.affixes = Affixes::find(columns, &placed);
+            let example = self.affixes.as_ref().zip(columns.first());
+            let example = example.and_then(|(affixes, column)| Some((column, affixes.strip(column)?)));
+            let note = example
+                .map(|(column, name)| format!("column {} is receiver {}, and so on", quoted(column), quoted(name)));
+            self.notes.extend(note);
         }
-        names.into_iter().map(|name| self.receiver_index(name)).collect()
+        let affixes = self.affixes.clone();
+        let name =
+            |column: &&'_ str| affixes.as_ref().and_then(|affixes| affixes.strip(column)).unwrap_or(column).to_owned();
+        columns.iter().map(name).map(|name| self.receiver_index(&name)).collect()
     }
 
     /// Adds a table with a row per reading. Returns an error for an invalid row.

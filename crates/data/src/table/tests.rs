@@ -1,3 +1,4 @@
+use super::names::Affixes;
 use super::*;
 use crate::TableFile;
 use flate2::{Compression, write::GzEncoder};
@@ -111,7 +112,21 @@ fn columns_may_have_the_names_of_receivers_within_a_shared_text() {
     assert_eq!(powers(&imported), [-40.0, -50.0, -41.0, -51.0]);
     let notes = imported.notes.join("\n");
     assert!(notes.contains("column `RSSI_AP1` is receiver `AP1`, and so on"), "{notes}");
-    assert!(notes.contains("height 0 m (change: --height METRES)"), "{notes}");
+    assert!(notes.contains("height 0 m (set --height METRES)"), "{notes}");
+    // A name is whole, whatever its case; columns may be the names themselves; one may have no position.
+    let names = |columns: &[&str], placed: &[&str]| -> Option<Vec<String>> {
+        let affixes = Affixes::find(columns, placed)?;
+        columns.iter().map(|column| affixes.strip(column).map(str::to_owned)).collect()
+    };
+    let four = ["AP1", "AP11", "AP2", "AP21"];
+    assert_eq!(names(&["AP11", "AP21"], &four), None);
+    assert_eq!(names(&["11", "21"], &["1", "2"]), None, "a number is not divided");
+    assert_eq!(names(&["RSSI_AP11", "RSSI_AP21"], &four).unwrap(), ["AP11", "AP21"]);
+    assert_eq!(names(&["RSSI_AP11"], &four).unwrap(), ["AP11"]);
+    assert_eq!(names(&["rssi_ap1", "rssi_ap2"], &four).unwrap(), ["ap1", "ap2"]);
+    assert_eq!(names(&["RSSI_S", "RSSI_T"], &["S", "T"]).unwrap(), ["S", "T"]);
+    assert_eq!(names(&["AP1 [dBm]", "AP5 [dBm]"], &four).unwrap(), ["AP1", "AP5"]);
+    assert_eq!(names(&["signal", "noise"], &["al", "is"]), None, "a word is not divided");
     let problem = read_with(table, "name,x,y,z\nkitchen,5,0,2\n").err().unwrap();
     assert!(
         problem.contains("has the names `kitchen`, but the powers are those of `RSSI_AP1`, `RSSI_AP11`"),
@@ -133,8 +148,8 @@ fn wide_columns_are_recognised_or_chosen() {
     for note in [
         "powers of 3 receivers in columns: `MAC1`, `MAC2`, `MAC10`",
         "not used: `UserID`, `RTT1`, `RTT2`",
-        "3 cells are 100, not heard",
-        "1 receivers heard nothing and are left out: `MAC10`",
+        "3 cells are 100, not received",
+        "1 receivers received nothing and are left out: `MAC10`",
     ] {
         assert!(notes.contains(note), "{note}: {notes}");
     }

@@ -140,7 +140,7 @@ fn common_prefix(names: &[String]) -> String {
     while !names.iter().all(|name| name.starts_with(&start)) {
         start.pop();
     }
-    let is_separator = |c: char| " -_.=".contains(c);
+    let is_separator = |c: char| " -_.=,".contains(c);
     // The first digits of a number belong to the difference (`a10`, `a11`), unless nothing differs.
     let start = match start.chars().last() {
         Some(c) if c.is_ascii_digit() && names.iter().any(|name| *name != start) => {

@@ -59,7 +59,9 @@ impl SweepPlan {
     /// Formats the line of a run in the table of progress, in the order of its header. `is_queued`: the run is in the queue of a
     /// scheduler.
     fn progress_line(&self, run: usize, state: &RunStage, is_queued: bool) -> [String; 7] {
-        let (folder, steps) = (&self.runs[run].folder, self.runs[run].pipeline.training.steps);
+        let planned = &self.runs[run];
+        let folder = &planned.folder;
+        let steps = planned.pipeline.training.steps * planned.pipeline.members as u64;
         let progress = |step: u64| format!("{}/{}", grouped(step as i64), grouped(steps as i64));
         let line = |state: &str, step: String, [n, score, eta, time]: [String; 4]| {
             [folder.clone(), state.to_owned(), step, n, score, eta, time]

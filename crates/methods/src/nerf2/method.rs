@@ -111,8 +111,8 @@ impl Nerf2 {
         (0..setup.receivers.len()).filter_map(group).collect()
     }
 
-    /// Returns group and rays of all chunks, and whether the activations of a chunk are kept: those that fit within [`KEPT`].
-    fn kept_chunks(&self, network: &Nerf2Network, groups: &[RayGroup<'_>]) -> Vec<(usize, Range<usize>, bool)> {
+    /// Lists group, rays, and whether activations are kept, of all chunks: those that fit within [`KEPT`].
+    fn plan_chunks(&self, network: &Nerf2Network, groups: &[RayGroup<'_>]) -> Vec<(usize, Range<usize>, bool)> {
         let mut free = KEPT;
         let mut chunks = Vec::new();
         for (g, group) in groups.iter().enumerate() {
@@ -190,7 +190,7 @@ impl Method for Nerf2 {
             };
             (Chunk { group: g, rays, activations }, sums)
         };
-        let items = self.kept_chunks(&network, &groups);
+        let items = self.plan_chunks(&network, &groups);
         let results: Vec<_> = items.into_par_iter().map_init(GroupScratch::default, one).collect();
         let (chunks, sums): (Vec<Chunk>, Vec<Passes>) = results.into_iter().unzip();
         let sums = chunks.iter().zip(sums).map(|(chunk, sums)| (chunk.group, chunk.rays.clone(), sums));

@@ -29,12 +29,14 @@ struct DrawingVjp {
 }
 
 impl BackwardPass<'_> {
-    /// Adds the cotangents of cloud and terms to `grads`, and those of receivers and ends of links to `sums`, with statistics.
+    /// Adds the cotangents of cloud and terms to `grads`, and those of receivers, existence factors and ends of links to `sums`,
+    /// with statistics.
     pub(super) fn add(&self, drawings: &[Drawing], grads: &mut ActivationVjp, sums: &mut MethodVjp) {
         let rows: Vec<usize> = (0..self.call.parameters.cloud.len()).collect();
-        for some in drawings.chunks(2 * rayon::current_num_threads()) {
-            let cotangents: Vec<_> = some.par_iter().map(|drawing| self.drawing_vjp(drawing)).collect();
-            for (drawing, cotangents) in some.iter().zip(cotangents) {
+        // Chunks limit the memory of cotangents; their size does not affect the sums.
+        for chunk in drawings.chunks(2 * rayon::current_num_threads()) {
+            let cotangents: Vec<_> = chunk.par_iter().map(|drawing| self.drawing_vjp(drawing)).collect();
+            for (drawing, cotangents) in chunk.iter().zip(cotangents) {
                 self.add_drawing(drawing, &cotangents, grads, sums);
                 let (_, view, BlendedSignals { geometry, .. }) = drawing;
                 sums.stats.add_render(&rows, &geometry.splats, &cotangents.render, &view.plane, drawings.len());
@@ -47,8 +49,7 @@ impl BackwardPass<'_> {
         let Self { splatting, call, d, .. } = *self;
         let d = group.gather_rows(d, call.setup.value_count());
         let mut law = (splatting.law_parameter_count(call.setup) > 0).then_some([0.0; 2]);
-        let d_law = law.as_mut().map(|[offset, exponent]| [offset, exponent]);
-        let d_blended = splatting.read_out_vjp(view, d_law, &group.distances(call), &drawing.render.pixels, &d);
+        let d_blended = splatting.read_out_vjp(view, law.as_mut(), &group.distances(call), &drawing.render.pixels, &d);
         let (render, primitives) = splatting.draw_vjp(view, drawing, &call.parameters, &d_blended);
         DrawingVjp { law, render, primitives }
     }
@@ -76,14 +77,14 @@ impl BackwardPass<'_> {
             let d_distances = distances.iter().zip(&*d).map(|(r, d)| d * received::distance_slope(exponent, *r));
             group.distances_vjp(call, d_distances, d_positions);
         }
-        group.gather_terms_vjp(deltas, grads, |terms, _, grads| {
-            activation.geometry_vjp(p.cloud, terms, drawing.batch.start, p.gate, primitives, grads);
-            activation.signals_vjp(p.cloud, terms, drawing.batch.clone(), &render.signals, grads);
+        group.gather_terms_vjp(deltas, grads, |terms, batch, grads| {
+            activation.geometry_vjp(p.cloud, terms, batch.start, p.gate, primitives, grads);
+            activation.signals_vjp(p.cloud, terms, batch, &render.signals, grads);
         });
         sums.existence.iter_mut().zip(&render.splats.existence).for_each(|(sum, d)| *sum += d);
         if setup.moving.is_receiver() {
             let pose_vjp = || drawing.geometry.primitives.pose_vjp(&view.pose, primitives);
-            group.add_pose_vjp(pose_vjp, sums.positions.as_deref_mut(), sums.orientations.as_deref_mut());
+            group.add_pose_vjp(sums, pose_vjp);
         }
     }
 }

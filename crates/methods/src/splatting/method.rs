@@ -79,7 +79,7 @@ impl Splatting {
     pub(super) fn read_out_vjp(
         &self,
         view: &ReceiverView,
-        d_law: Option<[&mut Real; 2]>,
+        d_law: Option<&mut [Real; 2]>,
         distances: &[Real],
         blended: &[Real],
         d: &[Real],

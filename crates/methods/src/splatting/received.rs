@@ -69,7 +69,7 @@ pub(super) fn received_powers_vjp(
     distances: &[Real],
     blended: &[Real],
     d: &[Real],
-    [d_offset, d_exponent]: [&mut Real; 2],
+    [d_offset, d_exponent]: &mut [Real; 2],
 ) -> Vec<Real> {
     let angles = solid_angles(plane);
     let mut d_blended = vec![0.0; blended.len()];

@@ -69,9 +69,8 @@ impl Splatting {
         if setup.task.has_pixels && self.calibration == Calibration::Physical {
             return self.readout.pixel_slopes(blended, view.plane.width * view.plane.height);
         }
-        let [offset, exponent] = &mut [0.0; 2];
-        let d_law =
-            self.split_weights(setup, p.weights).1.receiver_law(link.state.receiver).map(|_| [offset, exponent]);
+        let mut law = [0.0; 2];
+        let d_law = self.split_weights(setup, p.weights).1.receiver_law(link.state.receiver).map(|_| &mut law);
         self.read_out_vjp(view, d_law, &link.distances(request.call), blended, &vec![1.0; setup.value_count()])
     }
 

@@ -7,6 +7,7 @@
 use crate::virtual_transmitters::equations::MeasurementRows;
 use crate::virtual_transmitters::grid::{START, SearchGrid};
 use crate::virtual_transmitters::links::ChannelInputs;
+use pwrfgs_core::statistics::bounds;
 use pwrfgs_core::{Real, SPEED_OF_LIGHT, evenly};
 
 /// Minimum mean number of measured values per window.
@@ -40,7 +41,7 @@ impl SearchLevel {
         let values: Vec<usize> = (0..links.antennas.len() * subcarriers).collect();
         let rows = MeasurementRows::new(links, h, (items, &values), most, seed);
         let mut levels = vec![Self { step: grid.step, ends: vec![rows.len()], rows }];
-        let (lowest, highest) = extent(links.frequencies.iter().copied());
+        let (lowest, highest) = bounds(links.frequencies.iter().copied());
         let bandwidth = highest - lowest;
         let aperture = widest_side(links.antennas);
         let (mut step, mut width) = (grid.step, grid.side);
@@ -72,17 +73,12 @@ impl SearchLevel {
 
 /// Returns the longest side of the bounding box of `points`, metres; 0 without points.
 fn widest_side(points: &[[Real; 3]]) -> f64 {
-    (0..3).map(|k| extent(points.iter().map(|p| f64::from(p[k])))).map(|(low, high)| high - low).fold(0.0, f64::max)
-}
-
-/// Returns the smallest and the largest of `values`.
-fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
-    values.fold((f64::MAX, f64::MIN), |(low, high), x| (low.min(x), high.max(x)))
+    (0..3).map(|k| bounds(points.iter().map(|p| f64::from(p[k])))).map(|(low, high)| high - low).fold(0.0, f64::max)
 }
 
 /// Splits `items` at the middle of the longest side of their positions, until no side is longer than `width`.
 fn split_items(positions: &[[Real; 3]], items: Vec<usize>, width: f64) -> Vec<Vec<usize>> {
-    let sides = [0, 1, 2].map(|k| extent(items.iter().map(|i| f64::from(positions[*i][k]))));
+    let sides = [0, 1, 2].map(|k| bounds(items.iter().map(|i| f64::from(positions[*i][k]))));
     let longest = (0..3).fold(0, |l, k| if sides[k].1 - sides[k].0 > sides[l].1 - sides[l].0 { k } else { l });
     let (low, high) = sides[longest];
     if high - low <= width {

@@ -110,7 +110,7 @@ fn tie_goes_to_kriging() {
     let sentence = fitted.describe_share(Task::Spectrum).unwrap();
     assert_eq!(sentence, "share 0: the network adds nothing here; this is Kriging");
     let coarse = Residuals { grid: CoarseGrid::new(base.plane(), 2), ..fitted };
-    let expected = sentence + " of one pixel in 2 by 2, interpolated";
+    let expected = sentence + " at one pixel per 2 by 2, interpolated";
     assert_eq!(coarse.describe_share(Task::Spectrum).unwrap(), expected);
 }
 

@@ -12,8 +12,8 @@ pub(crate) const TOUCHING: f64 = 1e-4;
 pub(super) const BEYOND: f64 = 1e-3;
 /// Positions on an edge at which its surroundings are probed, from 0 to 1.
 pub(super) const PROBES: [f64; 5] = [0.1, 0.3, 0.5, 0.7, 0.9];
-/// Number of covered probes of an edge that is covered for most of its length.
-pub(super) const MOST_PROBES: usize = 3;
+/// Least number of covered probes of an edge that counts as covered: most of its length.
+pub(super) const COVERED_PROBES: usize = 3;
 /// Largest number of overlapping face pairs, to limit memory.
 const MOST_PAIRS: usize = 5_000_000;
 
@@ -45,7 +45,7 @@ impl<'a> Contacts<'a> {
     /// Too many tests for all edges so far.
     pub(super) fn is_covered(&self, edge: &Edge, part: usize) -> Result<bool, String> {
         let points = PROBES.map(|t| edge.ends[0].lerp(edge.ends[1], t));
-        let is_covered = points.into_iter().filter(|p| self.is_covered_at(*p, edge, part)).count() >= MOST_PROBES;
+        let is_covered = points.into_iter().filter(|p| self.is_covered_at(*p, edge, part)).count() >= COVERED_PROBES;
         if self.trials.get() > MOST_TRIALS { Err(TOO_MANY_TRIALS.into()) } else { Ok(is_covered) }
     }
 

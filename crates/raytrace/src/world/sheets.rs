@@ -1,7 +1,7 @@
 //! Coincident faces of one sheet, such as the two sides of a wall: only the first face is kept.
 
 use super::build::WorldBuilder;
-use super::contact::{BEYOND, MOST_PROBES, PROBES, bounding_box, is_near_face};
+use super::contact::{BEYOND, COVERED_PROBES, PROBES, bounding_box, is_near_face};
 use super::{Edge, Triangle};
 use crate::hierarchy::Hierarchy;
 use crate::polygon::{side_planes, triangles_outside};
@@ -107,7 +107,7 @@ impl WorldBuilder {
             };
             triangles.iter().find(is_near).map(|triangle| triangle.face)
         };
-        PROBES.into_iter().filter_map(face_at).nth(MOST_PROBES - 1)
+        PROBES.into_iter().filter_map(face_at).nth(COVERED_PROBES - 1)
     }
 
     /// Returns the pieces of the rim of a face that are neither inside earlier faces of its sheet nor continued by others;

@@ -52,10 +52,7 @@ pub(super) fn choose_examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
         scores
     };
     let mut order: Vec<usize> = (0..scores.len()).collect();
-    let by_score = |a: usize, b: usize| {
-        if headline.higher { scores[b].total_cmp(&scores[a]) } else { scores[a].total_cmp(&scores[b]) }
-    };
-    order.sort_by(|&a, &b| by_score(a, b).then(a.cmp(&b)));
+    order.sort_by(|&a, &b| headline.cost(scores[a]).total_cmp(&headline.cost(scores[b])).then(a.cmp(&b)));
     let Some(last) = order.len().checked_sub(1) else { return Ok(Vec::new()) };
     let mut chosen = vec![("Best", order[0]), ("Median", order[last / 2]), ("Worst", order[last])];
     chosen.dedup_by_key(|c| c.1);

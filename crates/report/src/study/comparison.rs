@@ -208,7 +208,9 @@ impl<'a> Comparison<'a> {
     /// Returns the row with a label, or else the first with this label of its axis, such as `Mine` for `pruners Mine`; `None`
     /// without one.
     pub(super) fn row(&self, label: &str) -> Option<&ComparisonRow<'a>> {
-        let without_axis = |row: &&ComparisonRow<'_>| row.label.split_once(' ').is_some_and(|(_, end)| end == label);
+        let without_axis = |row: &&ComparisonRow<'_>| {
+            row.kind == RowKind::Variant && row.label.split_once([' ', '=']).is_some_and(|(_, end)| end == label)
+        };
         let exact = self.rows.iter().find(|row| row.label == label);
         exact.or_else(|| self.rows.iter().find(without_axis))
     }

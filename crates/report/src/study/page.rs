@@ -78,7 +78,7 @@ impl StudyPage {
             sections.push(Section::new(i, comparison, options, drawn));
         }
         let unfinished = describe_left_out(&study.unfinished, "not finished");
-        let repeated = describe_left_out(&study.repeated, "repeats a run that is named before");
+        let repeated = describe_left_out(&study.repeated, "repeated; named before");
         let references = sections.iter().map(|section| section.reference.as_str());
         let csv = report_csv(comparisons.iter().zip(references));
         Ok(Self {

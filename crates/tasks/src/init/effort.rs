@@ -96,7 +96,7 @@ impl Sizing {
         let batch = survey.batch_size(most);
         // Two of eight models leave out each of the four parts, so that the share of a mean is chosen. A step at many receivers
         // takes about as long as two steps at few receivers.
-        let has_short_steps = is_power && survey.batch_note(batch).is_none();
+        let has_short_steps = is_power && !survey.is_full(batch);
         let models = if has_short_steps { effort.pick(1, 8, 16) } else { effort.pick(1, 4, 8) };
         let models =
             Some(survey.known_parts().max(1)).filter(|parts| *parts < 4).map_or(models, |parts| models.min(parts));

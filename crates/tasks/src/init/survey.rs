@@ -155,10 +155,15 @@ impl DataSurvey {
         self.partition.train.len().div_ceil(self.data.locations_of(&self.partition.train).len().max(1)).max(1)
     }
 
+    /// Returns whether the number of links limits a `batch`.
+    pub(super) fn is_full(&self, batch: usize) -> bool {
+        batch == (LINKS / self.links_per_transmitter()).max(1)
+    }
+
     /// Describes the size of a `batch` that the number of links limits; `None` if it does not.
     pub(super) fn batch_note(&self, batch: usize) -> Option<String> {
         let links = self.links_per_transmitter();
-        (batch == (LINKS / links).max(1)).then(|| {
+        self.is_full(batch).then(|| {
             format!(
                 "`batch` is the number of transmitters per step: {batch} of {links} links each are about 2,500 links."
             )

@@ -39,7 +39,7 @@ fn receivers_share_process_and_path_loss() {
         (fitted.predict(Query::at(at, receiver)).pixels[0] as f64 - true_power(receiver, at)).abs()
     };
     assert!(error(0, 4.3) < 0.6 && error(1, 4.3) < 0.6, "{} and {}", error(0, 4.3), error(1, 4.3));
-    // The offset of an unheard receiver is unknown; its path loss is that of the others.
+    // The offset of a receiver without links is unknown; its path loss is that of the others.
     let at = |x: f64| f64::from(fitted.predict(Query::at([x, 2.4, 0.0], 2)).pixels[0] as f32);
     let fall = (at(4.0) - at(80.0)) / (log(80.0) - log(4.0));
     assert!((5.0..28.0).contains(&fall), "{fall} dB per decade");

@@ -2,7 +2,6 @@
 
 use pwrfgs_core::{Error, Result, did_you_mean, evenly};
 use pwrfgs_experiment::{Setting, StudyVariant, VariantFamily, distinct};
-use std::cmp::Reverse;
 
 /// Maximum number of curves of variants or methods in a figure, and of grey curves of baselines over an axis.
 pub(super) const CURVES: usize = 6;
@@ -17,8 +16,8 @@ pub(super) struct ShownVariants {
     /// At most [`CURVES`] variants of `methods`: one per method, or of a single method evenly. Their labels lack the parts
     /// in `common`.
     pub(super) curves: Setting,
-    /// At most [`CURVES`] variants of several `methods`, as many of each, from the first to the last; `None` if `curves` has
-    /// all variants or those of one method.
+    /// At most [`CURVES`] variants of two or three `methods`, as many of each, from the first to the last of the plan; `None` for
+    /// other numbers of methods, and if `curves` has all variants.
     pub(super) spread: Option<Setting>,
     /// Parts that the labels of all curves have, such as `N 24`; empty if there are none.
     pub(super) common: String,
@@ -36,15 +35,16 @@ impl ShownVariants {
         };
         let common = remove_common_parts(&mut curves.variants);
         let families = VariantFamily::group(&methods);
+        let each = CURVES / families.len();
         let extremes: Vec<&StudyVariant> =
-            families.iter().flat_map(|family| extremes(&family.variants, CURVES / families.len())).collect();
-        let spread = (families.len() > 1 && variants.len() > CURVES).then(|| keep(&methods, &extremes));
+            families.iter().flat_map(|family| evenly_with_ends(&family.variants, each)).collect();
+        let spread = (families.len() > 1 && each > 1 && variants.len() > CURVES).then(|| keep(&methods, &extremes));
         Self { all, methods, curves, spread, common }
     }
 }
 
 /// Returns at most `count` of the `items`, evenly spaced from the first to the last.
-fn extremes<T: Copy>(items: &[T], count: usize) -> Vec<T> {
+fn evenly_with_ends<T: Copy>(items: &[T], count: usize) -> Vec<T> {
     if items.len() <= count || count < 2 {
         return evenly(items, count);
     }
@@ -77,18 +77,27 @@ fn remove_common_parts(variants: &mut [StudyVariant]) -> String {
     common
 }
 
-/// Returns one variant per method: that with the number of Gaussians that most methods reach, or the nearest. All
-/// variants of a single method.
-pub(super) fn one_variant_per_method(setting: &Setting) -> Vec<&StudyVariant> {
+/// Returns one variant per method: the variants that are nearest to a common number of Gaussians, by ratio. All variants of a
+/// single method.
+pub(super) fn one_variant_per_method<'a>(setting: &'a Setting) -> Vec<&'a StudyVariant> {
     let families = VariantFamily::group(setting);
     if families.len() == 1 {
         return setting.variants.iter().collect();
     }
     let count = |variant: &StudyVariant| variant.runs[0].facts.gaussians;
-    let reach = |n: usize| families.iter().filter(|family| family.variants.iter().any(|v| count(v) == n)).count();
-    let common = setting.variants.iter().map(count).max_by_key(|&n| (reach(n), Reverse(n))).unwrap_or(0);
-    let far = |variant: &&StudyVariant| count(variant).abs_diff(common);
-    families.into_iter().filter_map(|family| family.variants.into_iter().min_by_key(far)).collect()
+    let ratio = |variant: &StudyVariant, n: usize| (count(variant).max(1) as f64 / n.max(1) as f64).ln().abs();
+    let nearest = |family: &VariantFamily<'a>, n: usize| {
+        family.variants.iter().copied().min_by(|a, b| ratio(a, n).total_cmp(&ratio(b, n)))
+    };
+    let variants_near = |n: usize| families.iter().filter_map(|family| nearest(family, n)).collect::<Vec<_>>();
+    // A method without Gaussians has no number.
+    let has_gaussians = |variant: &&StudyVariant| count(variant) > 0;
+    let spread =
+        |n: usize| variants_near(n).into_iter().filter(has_gaussians).map(|variant| ratio(variant, n)).sum::<f64>();
+    let mut counts: Vec<usize> = setting.variants.iter().map(count).filter(|&n| n > 0).collect();
+    counts.sort_unstable();
+    let common = counts.into_iter().min_by(|&a, &b| spread(a).total_cmp(&spread(b)));
+    variants_near(common.unwrap_or(1))
 }
 
 /// Returns the setting with these variants only, in its order.
@@ -191,10 +200,10 @@ mod tests {
     fn extremes_begin_with_the_first_and_end_with_the_last() {
         let numbers = [1, 2, 3, 4];
         assert_eq!(
-            [1, 2, 3, 4, 9].map(|count| extremes(&numbers, count)),
+            [1, 2, 3, 4, 9].map(|count| evenly_with_ends(&numbers, count)),
             [vec![1], vec![1, 4], vec![1, 2, 4], numbers.into(), numbers.into()]
         );
-        assert!(extremes(&numbers[..0], 2).is_empty());
+        assert!(evenly_with_ends(&numbers[..0], 2).is_empty());
     }
 
     #[test]
