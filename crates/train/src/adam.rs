@@ -75,7 +75,7 @@ impl Adam {
             let spec = specs.iter().find(|spec| spec.name == name);
             let Some(rate) = column_rate(optimizer, spec, name, |schedule| rates.rate(schedule)) else { continue };
             let stepped = match spec {
-                Some(spec) if !spec.adam => descend(x, d, rate * n as Real),
+                Some(spec) if !spec.adam => descend(x, d, rate * n as Real), // N as in `ColumnSpec::adam`
                 _ => rates.update(rate, optimizer.eps).apply(x, d, m, v),
             };
             stepped.map_err(|()| format!("`{name}`"))?;

@@ -20,7 +20,7 @@ pub(crate) struct Batches {
 }
 
 impl Batches {
-    /// Creates batches of the links `train` of `data`, sorted.
+    /// Creates batches of the links `train` of `data`, which are sorted.
     pub(crate) fn new(data: &Dataset, train: Vec<usize>) -> Self {
         let same = |a: &usize, b: &usize| data.links[*a].location == data.links[*b].location;
         let mut begin = 0;
@@ -41,8 +41,9 @@ impl Batches {
         self.transmitters.len()
     }
 
-    /// Creates the batch of `step`: transmitters with their random shifts, and the observations of their links; for
-    /// spectra only the pixels that `stages` draws. Draws a new order of transmitters if an epoch begins.
+    /// Creates the batch of `step`: transmitters with their random shifts, and the observations of their links; of
+    /// spectra only the pixels that `stages` draws. Draws a new order of transmitters if an epoch begins. With
+    /// [`Rays::Each`], draws random links with one pixel each in place of transmitters, without epochs.
     ///
     /// # Errors
     /// A spectrum cannot be read.
@@ -98,11 +99,11 @@ impl Batches {
         data: &Dataset,
         stages_of: impl Fn(u64) -> Stages,
     ) -> impl Iterator<Item = Result<(Stages, Batch)>> {
-        let mut rest = transmitters.into_iter().peekable();
+        let mut remaining = transmitters.into_iter().peekable();
         let mut parts = 0..;
         std::iter::from_fn(move || {
-            rest.peek()?;
-            let group: Vec<usize> = rest.by_ref().take(AT_ONCE).collect();
+            remaining.peek()?;
+            let group: Vec<usize> = remaining.by_ref().take(AT_ONCE).collect();
             let stages = stages_of(parts.next()?);
             let batch = build_batch(&self.links_of(&group), data, &stages, PixelSubset::All, &mut |x| x);
             Some(batch.map(|batch| (stages, batch)))
@@ -135,8 +136,9 @@ fn build_batch(
     Ok(Batch { inputs, pixels, truths })
 }
 
-/// Returns the network inputs of some links. Links of one location share one shifted position. Unless `each` is true, a
-/// link out of ascending order begins another draw of its location: a batch may contain a transmitter twice.
+/// Returns the network inputs of some links: features per link, or a shifted position that links of one location and
+/// carrier share. Unless `each` is true, a link out of ascending order begins another draw of its location, with another
+/// shift: a batch may contain a transmitter twice.
 fn network_inputs(links: &[usize], data: &Dataset, stages: &Stages, each: bool, shift: Shift<'_>) -> LinkInputs {
     let (mut inputs, mut last_link) = (LinkInputs::of(stages.method.traits().inputs, &stages.setup), None);
     let (carriers, mut last_carrier, mut pose) = (stages.carriers(), None, Pose::IDENTITY);

@@ -88,7 +88,7 @@ impl<'a> Trainer<'a> {
     /// Restores the trainer from `bytes`, for the same plan and data.
     ///
     /// # Errors
-    /// [`Error::Config`] if the bytes are damaged or belong to another training.
+    /// [`Error::Config`] if the bytes are damaged or belong to another training, or if plan and data do not fit together.
     pub fn restore(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition, bytes: &[u8]) -> Result<Self> {
         let mut trainer = Self::blank(plan, data, partition)?;
         trainer
@@ -140,8 +140,8 @@ fn to_json(note: &impl Serialize) -> String {
 /// Number of samples that are hashed together.
 const CHUNK: usize = 64;
 
-/// Returns a digest of all parts of `plan` that affect training, of `data`, and of the training links. It excludes data
-/// paths, metrics, and intervals of validation and checkpoints.
+/// Returns a digest of all parts of `plan` that affect training, of `data`, and of the training links. It excludes the
+/// name, the interval of checkpoints, and the validation unless it chooses the step.
 pub(crate) fn fingerprint(plan: &TrainingPlan, data: &Dataset, train: &[usize]) -> String {
     // The destructuring is complete on purpose: a new field of a plan must be hashed or listed here as irrelevant.
     let TrainingPlan { name: _, seed, method, initializer, pruners, training } = plan;
@@ -151,12 +151,13 @@ pub(crate) fn fingerprint(plan: &TrainingPlan, data: &Dataset, train: &[usize]) 
     digest(parts.join("\n").as_bytes())
 }
 
-/// Returns a digest of the values of `data`: points, poses, links and observations. It reads all observations.
+/// Returns a digest of the values of `data`: scene, poses, features, links and observations. It reads all observations.
 pub fn data_digest(data: &Dataset) -> String {
     digest(describe_data(data).as_bytes())
 }
 
-/// Returns receivers and size of the data as text, with digests of points, links, and every 64 samples.
+/// Returns task, scene, image size and frequencies of the data as text, with digests of points, links, and each [`CHUNK`]
+/// of samples.
 fn describe_data(data: &Dataset) -> String {
     let digest_samples = |samples: &[(usize, Sample)]| {
         let mut bytes = Vec::new();

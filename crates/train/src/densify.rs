@@ -22,7 +22,7 @@ pub(crate) fn is_reset_due(settings: &Densify, step: u64) -> bool {
 
 /// Clones small and splits large Gaussians with a strong 2-D gradient, then removes transparent and oversized ones. The
 /// last Gaussian is never removed. `extent` is the size of the scene, metres. Returns the number of Gaussians before
-/// the removal, and the number that each rule removes.
+/// the removal, and the number to which each rule applies.
 pub(crate) fn densify(
     settings: &Densify,
     extent: Real,
@@ -58,7 +58,8 @@ pub(crate) fn densify(
     (before, remove_by_rules(settings, extent, step, state))
 }
 
-/// Selects the Gaussians to densify: mean gradient norm at or above the threshold, within the budget, largest first.
+/// Returns whether each of the `n` Gaussians is densified: its mean gradient norm reaches the threshold, and if
+/// `max_gaussians` limits their number, those with the largest norms.
 fn select_strong(settings: &Densify, n: usize, stats: &CloudStats) -> Vec<bool> {
     let mean = |i: usize| if stats.visible[i] > 0.0 { stats.gradient[i] / stats.visible[i] } else { 0.0 };
     let mut strong: Vec<usize> = (0..n).filter(|&i| mean(i) >= settings.gradient_threshold).collect();
@@ -86,14 +87,14 @@ fn draw_child_mean(cloud: &GaussianCloud, i: usize, random: &mut rng::Rng) -> [R
 /// and the number of Gaussians to which each applies.
 fn remove_by_rules(settings: &Densify, extent: Real, step: u64, state: &mut PerGaussianState<'_>) -> RemovalsByRule {
     let cloud = &*state.cloud;
-    let too_large =
+    let size_limit =
         (settings.large_above > 0.0 && step > settings.large_after).then_some(settings.large_above * extent);
-    let is_large = |i: usize| too_large.is_some_and(|limit| largest_scale(cloud, i) > limit);
+    let is_large = |i: usize| size_limit.is_some_and(|limit| largest_scale(cloud, i) > limit);
     let is_faint = |i: usize| sigmoid(cloud.opacity_logits[i]) < settings.opacity_floor;
     let mut keep: Vec<bool> = (0..cloud.len()).map(|i| !is_faint(i) && !is_large(i)).collect();
     let count = |applies: &dyn Fn(usize) -> bool| (0..cloud.len()).filter(|i| applies(*i)).count();
     let rules = vec![
-        (format!("{SIZE_RULE}, {:.2} m", too_large.unwrap_or_default()), count(&is_large)),
+        (format!("{SIZE_RULE}, {:.2} m", size_limit.unwrap_or_default()), count(&is_large)),
         (format!("`opacity_floor`, {}", settings.opacity_floor), count(&is_faint)),
     ];
     keep_best_if_none(&mut keep, &cloud.opacity_logits, "densification");

@@ -132,8 +132,8 @@ impl Trainer<'_> {
         let start = self.time_steps()?;
         let end = if last < n {
             // Keeps `last` rows, evenly spaced.
-            let open: Vec<bool> = (0..n).map(|i| (i + 1) * last / n > i * last / n).collect();
-            self.keep(&open)?;
+            let keep: Vec<bool> = (0..n).map(|i| (i + 1) * last / n > i * last / n).collect();
+            self.keep(&keep)?;
             self.time_steps()?
         } else {
             start

@@ -35,7 +35,8 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// Splits a batch with one pixel per link into parts of at most `most` links; `None` if no split is needed.
+    /// Splits a batch with one pixel per link into parts of at most `most` links; `None` for other batches, and if no split
+    /// is needed.
     fn split(&self, most: usize) -> Option<impl Iterator<Item = Self>> {
         let PixelSubset::Each(pixels) = &self.pixels else { return None };
         let parts = self.inputs.pairs.chunks(most).zip(pixels.chunks(most)).zip(self.truths.chunks(most));

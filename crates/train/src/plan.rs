@@ -34,7 +34,7 @@ impl TrainingPlan {
         Parts { method, pruners: &self.pruners, training, ..Parts::default() }
     }
 
-    /// Returns the largest number of Gaussians after densification; 0 if there is none.
+    /// Returns the largest number of Gaussians after densification: 0 without densification, `usize::MAX` without a limit.
     fn max_densified(&self) -> usize {
         let Densify { every, from, max_gaussians, .. } = self.training.densify;
         let most = if max_gaussians == 0 { usize::MAX } else { max_gaussians };
@@ -62,7 +62,7 @@ pub fn check_available(pruners: &[Plugin<dyn Pruner>]) -> Result<()> {
     why.map_or(Ok(()), |why| Err(Error::Config(why)))
 }
 
-/// Returns the columns that the pruners request, each once; none without a pruning phase.
+/// Returns the columns that the pruners request, each once; none if `prune_until` is 0, so that no pruner takes part.
 pub(crate) fn requested_columns(plan: &TrainingPlan) -> Vec<ColumnSpec> {
     let mut specs: Vec<ColumnSpec> = Vec::new();
     if plan.training.prune_until > 0 {

@@ -154,8 +154,8 @@ impl Trainer<'_> {
         Ok(stats)
     }
 
-    /// Computes the statistics in `needs` in a pass over training transmitters. Gaussians with a closed gate are
-    /// skipped and have zeros.
+    /// Computes the statistics in `needs` in a pass over training transmitters. Gaussians that cannot be visible, for
+    /// example with a closed gate, are skipped: they have zeros, and come first in the order of elimination.
     fn survey(&self, needs: &Needs, context: &StepContext) -> Result<PassStatistics> {
         let gate = gate_product(&self.cloud, &self.plan, context);
         let mut sums = PassStatistics::zeros(needs, self.cloud.len());

@@ -280,17 +280,18 @@ const MOST_VALIDATIONS: u64 = 10;
 const MOST_PAIRS: usize = 4_194_304;
 
 impl Training {
-    /// Returns the settings with `scale` applied to all numbers of steps, and `scale` set to 1.
+    /// Returns the settings with `scale` applied to all numbers of steps, and `scale` set to 1. A scale below 1 also
+    /// reduces validation, as the field states.
     pub fn resolved(&self) -> Self {
         if self.scale == 1.0 {
             return self.clone(); // numbers of steps beyond 2^53 would be rounded
         }
         let mut resolved = Self { scale: 1.0, ..self.scaled(self.scale) };
         if self.scale < 1.0 {
-            let fewer = (self.validation_samples as f64 * self.scale).round() as usize;
-            resolved.validation_samples = fewer.max(self.validation_samples.min(LEAST_VALIDATED));
-            let often = if self.validate_every > 0 { resolved.steps.div_ceil(MOST_VALIDATIONS) } else { 0 };
-            resolved.validate_every = resolved.validate_every.max(often);
+            let samples = (self.validation_samples as f64 * self.scale).round() as usize;
+            resolved.validation_samples = samples.max(self.validation_samples.min(LEAST_VALIDATED));
+            let interval = if self.validate_every > 0 { resolved.steps.div_ceil(MOST_VALIDATIONS) } else { 0 };
+            resolved.validate_every = resolved.validate_every.max(interval);
         }
         resolved
     }

@@ -16,7 +16,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
 impl<'a> Trainer<'a> {
-    /// Initialises cloud and network.
+    /// Creates a trainer with initial Gaussians and weights, before step 1.
     ///
     /// # Errors
     /// Plan and data do not fit together, the training set is empty, or the initialiser lacks an input.
@@ -24,7 +24,8 @@ impl<'a> Trainer<'a> {
         Self::begin(plan, data, partition, &|_, _| {}, &AtomicBool::new(false))
     }
 
-    /// Initialises cloud and network with an initialiser that may search for a long time.
+    /// Creates a trainer as [`Self::new`]. The initialiser may search for a long time: it reports to `progress`, and `stop`
+    /// ends it.
     ///
     /// # Errors
     /// As [`Self::new`]; [`Error::Stopped`] once `stop` is set.
@@ -39,8 +40,8 @@ impl<'a> Trainer<'a> {
         Self::blank(plan, data, partition)?.initialised_by(search, progress, stop)
     }
 
-    /// Initialises with the scene only, without a search: the model has the size of the real one, for estimates of
-    /// cost.
+    /// Creates a trainer whose initial Gaussians depend on the scene only, without a search: the model has the size of the
+    /// real one, for estimates of cost.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -117,12 +118,12 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    /// Replaces the Gaussians. Columns of pruners may be absent: with the same number of Gaussians, they keep their
-    /// values, otherwise they start anew. The same holds for moments, statistics and IDs.
+    /// Replaces the Gaussians. Extra columns may be absent: with the same number of Gaussians, they keep their values,
+    /// otherwise they start anew. Moments, statistics and IDs also start anew if the number differs.
     ///
     /// # Errors
     /// [`Error::Config`] without Gaussians, for a number that is not finite, for an unknown column or another width, and
-    /// for fewer Gaussians than an exact target.
+    /// before fine-tuning for fewer Gaussians than an exact target.
     pub fn set_cloud(&mut self, mut cloud: GaussianCloud) -> Result<()> {
         self.check_cloud(&cloud).map_err(|why| Error::Config(format!("cloud: {why}")))?;
         let (n, is_same) = (cloud.len(), cloud.len() == self.cloud.len());
@@ -146,7 +147,7 @@ impl<'a> Trainer<'a> {
         Ok(())
     }
 
-    /// Returns an error unless `cloud` has Gaussians, finite numbers, and no other column than the present cloud.
+    /// Returns an error unless `cloud` has Gaussians, finite numbers, and no column or width that the present cloud lacks.
     fn check_cloud(&self, cloud: &GaussianCloud) -> Result<(), String> {
         if !self.stages.method.traits().has_gaussians() {
             return Err("the method has no Gaussians; do not set them".into());
@@ -170,7 +171,8 @@ impl<'a> Trainer<'a> {
     /// Sets the initial Gaussians, and `trained` weights or else those that the method draws and initialises.
     ///
     /// # Errors
-    /// [`Error::Config`] without Gaussians, or for another number of weights.
+    /// [`Error::Config`] without Gaussians, for a number of them that does not fit the plan, for a column of another width,
+    /// or for another number of weights.
     fn set_initial(&mut self, mut cloud: GaussianCloud, trained: Option<Vec<Real>>) -> Result<()> {
         if cloud.is_empty() && self.stages.method.traits().has_gaussians() {
             return Err(Error::Config("the initializer created no Gaussian; raise its count, or use Random()".into()));

@@ -39,7 +39,7 @@ pub struct PruneStepState {
     pub cloud: GaussianCloud,
     /// Persistent ID per Gaussian, `[N]`.
     pub gaussian_ids: Vec<u32>,
-    /// Gates of the pruners `[N]`, from 0 (closed) to 1; `None` without gates.
+    /// Gates `[N]` of [`Trainer::gates`] before the removal.
     pub gates: Option<Vec<Real>>,
     /// Number of this prune step, from 1, and number of all prune steps; 0 if densification prunes.
     pub round: (u64, u64),
@@ -100,7 +100,7 @@ impl Trainer<'_> {
         Err(Error::Config(format!("this run was trained on {trained}; resume there, or start again")))
     }
 
-    /// Returns the number of learned weights besides the Gaussians.
+    /// Returns the number of weights of the method, besides the Gaussians.
     pub fn weight_count(&self) -> usize {
         self.weights.len()
     }
@@ -125,13 +125,13 @@ impl Trainer<'_> {
         &self.gaussian_ids.rows
     }
 
-    /// Returns the current gates of the pruners `[N]`, from 0 (closed) to 1; `None` without gates.
+    /// Returns the current product `[N]` of the pruners' [whole gates](pwrfgs_core::Gate::Whole), from 0 (closed) to 1;
+    /// `None` without such a gate.
     pub fn gates(&self) -> Option<Vec<Real>> {
         self.gates_of(&self.cloud, &self.context(self.done.max(1)))
     }
 
-    /// Returns the gates of the pruners `[N]` for a cloud; `None` without gates, and after the columns of pruners are
-    /// dropped.
+    /// Returns [`Self::gates`] for a cloud; `None` also after the columns of pruners are dropped.
     fn gates_of(&self, cloud: &GaussianCloud, context: &StepContext) -> Option<Vec<Real>> {
         self.has_pruner_columns(cloud).then(|| gate_product(cloud, &self.plan, context)).flatten()
     }
@@ -297,7 +297,7 @@ impl Trainer<'_> {
     fn change_count(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
         let mut unpruned = None;
         match context.phase {
-            // Gaussians of methods that do not draw have no radius; size limits do not apply to them.
+            // Gaussians of methods that do not draw have no radius and no 2-D gradient, and are not densified.
             Phase::Densify if self.stats.radius.iter().any(|radius| *radius > 0.0) => self.densify(context.step)?,
             Phase::Prune if context.round > 0 => unpruned = self.prune(context)?,
             _ => {}
@@ -326,8 +326,8 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Begins fine-tuning with M = 1 everywhere: removes closed Gaussians, except those that an exact target needs, and
-    /// then the columns of pruners. Returns the Gaussians before the removal; `None` if all were open.
+    /// Begins fine-tuning with M = 1 everywhere: removes closed Gaussians, unless an exact target has set N, and then the
+    /// columns of pruners. Returns the Gaussians before the removal; `None` if none is removed.
     fn remove_masks(&mut self, context: &StepContext) -> Result<Option<StepStart>> {
         let mut unpruned = None;
         if let Some(gates) = self.gates_of(&self.cloud, context).filter(|_| !self.is_exact()) {

@@ -15,7 +15,8 @@ impl Trainer<'_> {
         self.idle_target_warning().into_iter().chain(masks).chain(others.into_iter().flatten()).collect()
     }
 
-    /// Returns what the pruners without a target state about the number of Gaussians that they keep of the initial ones.
+    /// Returns what each pruner states about the number of Gaussians that it keeps of the initial ones; nothing if a target
+    /// decides.
     pub fn outlook(&self) -> Vec<String> {
         let free = self.plan.pruners.iter().filter(|_| self.goal.is_none());
         free.filter_map(|pruner| pruner.outlook(self.cloud.len())).collect()
@@ -32,7 +33,7 @@ impl Trainer<'_> {
     }
 
     /// Returns a warning about more Gaussians than trained pixels: no loss determines the pixels between fixed rows and
-    /// columns. `None` if there is no need for it.
+    /// columns. `None` if there are enough pixels, or if rows and columns move.
     fn skipped_pixels_warning(&self) -> Option<String> {
         let (training, traits) = (&self.plan.training, self.stages.method.traits());
         let pixels = |plane: &ImagePlane| plane.width * plane.height;
