@@ -9,7 +9,7 @@ use rayon::prelude::*;
 const SHARPNESSES: [f64; 11] = [0.002, 0.008, 0.03, 0.125, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
 /// Kernel widths to choose from, in units of the distance between neighbouring training positions.
 const BANDWIDTHS: [f64; 6] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
-/// One of this number of true positions may be outside its region: regions should hold 90 %.
+/// Of this number of true positions, one may be outside its region: regions should hold 90 %.
 const MISSED: usize = 10;
 /// Settings without validation samples: sharpness, and kernel width as in [`BANDWIDTHS`].
 const DEFAULTS: (f64, f64) = (4.0, 1.0);
@@ -57,9 +57,9 @@ pub(crate) struct ComparedSamples<'a> {
 
 impl ComparedSamples<'_> {
     /// Returns the settings with the highest mean log density at the true positions of the samples, for this `share` of the
-    /// model; default settings without samples, with the scale of the misfits in `nearest`. `spacing` is half the distance of
-    /// neighbouring positions, metres.
-    pub(crate) fn most_likely_choice(&self, share: f32, spacing: f64) -> Choice {
+    /// model; default settings without samples, with the scale of the misfits in `nearest`. `half_spacing` is half the
+    /// distance of neighbouring positions, metres.
+    pub(crate) fn most_likely_choice(&self, share: f32, half_spacing: f64) -> Choice {
         let Self { positions, samples, nearest } = *self;
         let typical = median(nearest.iter().map(|near| least_misfit(near)).filter(|m| m.is_finite()));
         let scale = if typical > 0.0 { typical } else { 1.0 };
@@ -67,20 +67,20 @@ impl ComparedSamples<'_> {
             share,
             sharpness,
             scale,
-            bandwidth: 2.0 * width * spacing,
-            mode_bandwidth: 2.0 * width * spacing,
+            bandwidth: 2.0 * width * half_spacing,
+            mode_bandwidth: 2.0 * width * half_spacing,
             mode_sharpness: 1.0,
             descends: false,
         };
-        let all: Vec<Choice> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| settings((s, b)))).collect();
+        let choices: Vec<Choice> = SHARPNESSES.into_iter().flat_map(|s| BANDWIDTHS.map(|b| settings((s, b)))).collect();
         let densities = |(near, sample): (&NearestList, &ValidationSample)| {
-            let per_sharpness = all.chunks(BANDWIDTHS.len());
-            per_sharpness.flat_map(|choices| log_densities(choices, near, positions, sample.position)).collect()
+            let per_sharpness = choices.chunks(BANDWIDTHS.len());
+            per_sharpness.flat_map(|chunk| log_densities(chunk, near, positions, sample.position)).collect()
         };
         let densities: Vec<Vec<f64>> = nearest.par_iter().zip(samples).map(densities).collect();
         let score = |k: usize| mean(densities.iter().map(|values| values[k]));
         let scored =
-            all.iter().enumerate().map(|(k, choice)| (score(k), *choice)).filter(|(score, _)| score.is_finite());
+            choices.iter().enumerate().map(|(k, choice)| (score(k), *choice)).filter(|(score, _)| score.is_finite());
         let best = scored.max_by(|a, b| a.0.total_cmp(&b.0));
         best.map_or_else(|| settings(DEFAULTS), |(_, choice)| choice)
     }
@@ -114,11 +114,12 @@ impl Choice {
 /// as in [`Choice::density`].
 fn log_densities(choices: &[Choice], near: &[(u32, f32)], positions: &[[f64; 3]], [x, y, _]: [f64; 3]) -> Vec<f64> {
     let mut density = choices[0].density(near, positions);
-    let log_density = |choice: &Choice| {
+    let mut log_densities = Vec::with_capacity(choices.len());
+    for choice in choices {
         density.bandwidth = choice.bandwidth;
-        density.value_at([x, y]).ln()
-    };
-    choices.iter().map(log_density).collect()
+        log_densities.push(density.value_at([x, y]).ln());
+    }
+    log_densities
 }
 
 /// Returns the least misfit; infinite without any.

@@ -7,7 +7,7 @@ const MOST: usize = 3_600;
 /// Added to a value before its root, relative to 1 for spectra and to the mean power for channels. It limits the weight of
 /// faint values, whose noise the root would amplify.
 const FAINTEST: f64 = 1e-4;
-/// Number of links from which the mean power of channels is computed.
+/// Largest number of links from which the mean power of channels is computed.
 const LINKS: usize = 200;
 
 /// Features of an observation of one link.

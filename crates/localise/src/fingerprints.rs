@@ -7,7 +7,7 @@ use pwrfgs_core::{Dataset, FittingSet, Predict};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Number of degrees of freedom of the mean variance of all links in the variance of a link.
+/// Weight of the variance of all links in the variance of a link, in degrees of freedom.
 const PRIOR: f32 = 3.0;
 
 /// Readings of a feature at a position.
@@ -24,6 +24,7 @@ impl Readings {
     /// Adds a reading (Welford, 1962).
     fn add(&mut self, value: f32) {
         self.count += 1.0;
+        // Before the first reading, the mean is the value of a missing link, which may be NaN.
         let deviation = if self.count == 1.0 { 0.0 } else { value - self.mean };
         self.mean = if self.count == 1.0 { value } else { self.mean + deviation / self.count };
         self.squares += deviation * (value - self.mean);
@@ -128,11 +129,11 @@ impl FingerprintBuilder<'_> {
         for chunk in groups.chunks(CHUNK) {
             let links: Vec<Vec<usize>> = chunk.iter().map(|group| data.links_of(group)).collect();
             let features = link_features(&links.concat());
-            let mut rest = features.as_slice();
+            let mut remaining = features.as_slice();
             for links in &links {
-                let (features, after) = rest.split_at(links.len());
+                let (features, after) = remaining.split_at(links.len());
                 rows.extend(row(links, features));
-                rest = after;
+                remaining = after;
             }
         }
         let repeated = || rows.iter().filter(|readings| readings.count > 1.0);
@@ -241,8 +242,8 @@ fn mean_squared_difference(a: &[f32], b: &[f32], weights: &[f32]) -> f32 {
     for ((a, b), weights) in a.0.iter().zip(b.0).zip(weights.0) {
         (0..LANES).for_each(|k| add(k, a[k], b[k], weights[k]));
     }
-    let rest = a.1.iter().zip(b.1).zip(weights.1);
-    rest.enumerate().for_each(|(k, ((a, b), weight))| add(k, *a, *b, *weight));
+    let remainder = a.1.iter().zip(b.1).zip(weights.1);
+    remainder.enumerate().for_each(|(k, ((a, b), weight))| add(k, *a, *b, *weight));
     let total = totals.iter().sum::<f32>();
     if total == 0.0 { f32::INFINITY } else { sums.iter().sum::<f32>() / total }
 }
@@ -259,8 +260,8 @@ pub struct NearestFingerprints {
 }
 
 impl NearestFingerprints {
-    /// Fits to the training links, with the number of neighbours of the smallest mean error on validation links; `floor` is
-    /// the power of a receiver that did not receive a transmitter, dBm.
+    /// Fits to the training links, with the number of neighbours of the smallest mean error on validation links, 1 without
+    /// these; `floor` is the power of a receiver that did not receive a transmitter, dBm.
     pub fn fit(data: &Dataset, links: FittingSet<'_>, features: &FingerprintFeatures, floor: f32) -> Self {
         let builder = FingerprintBuilder { data, features, floor };
         let fingerprints = builder.measured_at(&builder.group_by_position(&data.locations_of(links.train)));

@@ -44,7 +44,7 @@ pub struct Locator<'a> {
     /// Power of a receiver that did not receive a transmitter.
     floor: f32,
     /// Half the distance between neighbouring training positions, metres.
-    spacing: f64,
+    half_spacing: f64,
     /// Area of [`Self::within`].
     area: Option<Box<dyn Fn([f64; 2]) -> bool + Send + Sync + 'a>>,
     /// Number of validation positions that chose the settings, at most [`MOST_SAMPLES`].
@@ -82,7 +82,7 @@ impl<'a> Locator<'a> {
     /// ([`Predict::without`]), such as Kriging, is used without the validation links. `progress` counts links and samples.
     ///
     /// # Errors
-    /// Data without positions, or with a moving receiver.
+    /// Data without positions or with a moving receiver, no `shares`, or an observation that cannot be read.
     pub fn fit(
         data: &Dataset,
         links: FittingSet<'_>,
@@ -106,16 +106,16 @@ impl<'a> Locator<'a> {
         let work = |more: usize| progress(count.fetch_add(more, Ordering::Relaxed) + more, total);
         let predicted = shares.iter().any(is_used).then(|| builder.predicted(&groups, used, work));
         let samples = validation_samples(&builder.measured(&validation));
-        let spacing = half_spacing(&measured.positions);
+        let half_spacing = half_spacing(&measured.positions);
         let mut locator = Self {
             features,
             model,
             without,
             choice: ComparedSamples { positions: &measured.positions, samples: &[], nearest: &[] }
-                .most_likely_choice(0.0, spacing),
+                .most_likely_choice(0.0, half_spacing),
             fingerprints: measured.clone(),
             floor,
-            spacing,
+            half_spacing,
             area: None,
             validation: samples.len(),
             validation_distance: median_distance(&samples, &measured.positions),
@@ -127,8 +127,8 @@ impl<'a> Locator<'a> {
         Ok(locator)
     }
 
-    /// Returns the fingerprints that resemble those of up to [`COMPARED`] positions, without these positions: the scale of
-    /// misfits without validation samples.
+    /// Returns, for up to [`COMPARED`] training positions, the fingerprints of least misfit at other positions. They set the
+    /// scale of misfits if there are no validation samples.
     fn nearest_without_themselves(&self) -> Vec<NearestList> {
         let fingerprints = &self.fingerprints;
         let chosen = evenly(&(0..fingerprints.len()).collect::<Vec<_>>(), COMPARED);
@@ -137,7 +137,7 @@ impl<'a> Locator<'a> {
     }
 
     /// Chooses the share of the model, with the level and the settings of the mode, by the mean error of validation
-    /// samples. Returns this error, metres. `done` is called after every sample of a share.
+    /// samples. Returns this error, metres; infinite without samples. `done` is called for every sample of a share.
     fn choose_share(
         &mut self,
         shares: &[f32],
@@ -160,7 +160,7 @@ impl<'a> Locator<'a> {
                 nearest = self.nearest_without_themselves();
             }
             let compared = ComparedSamples { positions: &self.fingerprints.positions, samples, nearest: &nearest };
-            self.choice = compared.most_likely_choice(*share, self.spacing);
+            self.choice = compared.most_likely_choice(*share, self.half_spacing);
             self.level = compared.region_level(self.choice);
             let error = self.choose_mode(samples);
             if best.as_ref().is_none_or(|(least, ..)| error < *least) {
@@ -169,7 +169,7 @@ impl<'a> Locator<'a> {
         }
         let error;
         (error, self.choice, self.level, self.fingerprints) =
-            best.ok_or_else(|| Error::Config("localisation needs training samples".into()))?;
+            best.ok_or_else(|| Error::Config("localisation needs a share of the model".into()))?;
         Ok(error)
     }
 
@@ -204,7 +204,7 @@ impl<'a> Locator<'a> {
     /// Returns whether validation samples are as close to training positions as these are to each other. Regions then hold
     /// 90 % of such samples; those of another day, device or area may resemble the training samples less.
     pub fn validates_between_training(&self) -> bool {
-        self.validation_distance <= 2.0 * BETWEEN * self.spacing
+        self.validation_distance <= 2.0 * BETWEEN * self.half_spacing
     }
 
     /// Returns why there are no regions, with advice; `None` if there are regions.
@@ -223,8 +223,8 @@ impl<'a> Locator<'a> {
 
     /// Returns the features of `transmitters` of `data` at all receivers, for [`Self::locate`].
     pub fn observations(&self, data: &Dataset, transmitters: &[usize]) -> Vec<Vec<f32>> {
-        let all = FingerprintBuilder { data, features: &self.features, floor: self.floor }.measured(transmitters);
-        (0..all.len()).map(|k| all.row(k).to_vec()).collect()
+        let measured = FingerprintBuilder { data, features: &self.features, floor: self.floor }.measured(transmitters);
+        (0..measured.len()).map(|k| measured.row(k).to_vec()).collect()
     }
 
     /// Locates a transmitter from its features at all receivers, `[receivers, count]`; NaN for unknown values. Powers below
@@ -264,10 +264,10 @@ impl<'a> Locator<'a> {
         refined.filter(|position| is_in_part(position) && is_possible(position)).unwrap_or(mode)
     }
 
-    /// Returns the position of least misfit of the model near `start`, by descent; the distance from `start`, in units of
-    /// `spread` and the spacing, adds to the misfit. `None` if the model has no derivative by the position.
+    /// Returns the position of least misfit of the model near `start`, by descent; half the squared distance from `start`, in
+    /// units of `spread` and the half spacing, adds to the misfit. `None` if the model has no derivative by the position.
     fn refined_position(&self, observation: &[f32], spread: [f64; 3], start: [f64; 3]) -> Option<[f64; 3]> {
-        let scales = spread.map(|deviation| deviation.hypot(self.spacing));
+        let scales = spread.map(|deviation| deviation.hypot(self.half_spacing));
         let gain = self.choice.sharpness / self.choice.scale;
         let function = |at: [f64; 3]| {
             let (misfit, gradient) = self.misfit_and_gradient(observation, at)?;
@@ -305,8 +305,8 @@ impl<'a> Locator<'a> {
         Some((sum, gradient))
     }
 
-    /// Chooses the kernel width and the sharpness of the mode by the mean error of validation samples, and returns this error,
-    /// metres.
+    /// Chooses the kernel width and the sharpness of the mode by the mean error of validation samples. Returns this error,
+    /// metres; infinite without samples.
     fn choose_mode(&mut self, samples: &[ValidationSample]) -> f64 {
         let compared = self.compared_samples(samples);
         let chosen = self.choice;

@@ -20,10 +20,11 @@ const SETTLED: Real = 0.01;
 
 /// Decreases all opacities and removes faint Gaussians, until a prune step removes almost none (ControlGS).
 ///
-/// The loss gains lambda · Σ o. Each prune step removes the Gaussians below `epsilon`. The penalty and the pruning stop
-/// after the first prune step that removes less than 1 % of all Gaussians. The number of Gaussians thus
-/// follows from lambda alone, not from the length of the pruning phase. A column stores this state, so that checkpoints
-/// keep it. Source: ControlGS, Zhang et al., 2025, with 3e-7 and 2,000 of some million Gaussians per round.
+/// The loss gains lambda · Σ o. Each prune step removes the Gaussians below `epsilon`. Once a prune step has removed
+/// at least 1 % of all Gaussians, the penalty and the pruning stop after the first step that removes less. The number
+/// of Gaussians thus follows from lambda alone, not from the length of the pruning phase. A column stores this state,
+/// so that checkpoints keep it. Source: ControlGS, Zhang et al., 2025, with 3e-7 and 2,000 of some million Gaussians
+/// per round.
 ///
 /// ```
 /// # use pwrfgs_prune as _;

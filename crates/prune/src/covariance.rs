@@ -41,6 +41,7 @@ fn apply_jacobi_rotation(a: &mut [[f64; 3]; 3], v: &mut [[f64; 3]; 3], p: usize,
     if a[p][q] == 0.0 {
         return;
     }
+    // Tangent, cosine and sine of the angle: the smaller of the two that make the element zero.
     let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
     let t = theta.signum() / (theta.abs() + theta.hypot(1.0));
     let c = 1.0 / t.hypot(1.0);

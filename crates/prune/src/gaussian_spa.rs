@@ -83,8 +83,8 @@ impl Pruner for GaussianSpa {
         for column in &mut cloud.extra {
             match column.name.as_str() {
                 DUAL => {
-                    let steps = opacities.iter().zip(&sparse);
-                    column.values.iter_mut().zip(steps).for_each(|(u, (o, z))| *u += o - z);
+                    let pairs = opacities.iter().zip(&sparse);
+                    column.values.iter_mut().zip(pairs).for_each(|(u, (o, z))| *u += o - z);
                 }
                 SPARSE => column.values.clone_from(&sparse),
                 _ => {}

@@ -77,9 +77,10 @@ fn ranks(values: &[Real]) -> Vec<Real> {
 /// Removes the Gaussians with the lowest weighted sum of several scores, each divided by its median (Taming 3DGS).
 ///
 /// The score is that of Taming 3DGS (Mallick et al., SIGGRAPH Asia 2024, section 4.2), which uses it to choose
-/// Gaussians to densify under an exact budget. Weights of the terms: gradient 25, opacity 100, radius 10, scale 25,
-/// loss 10 (blending weights times errors), count 0.1 (spectra in which the Gaussian is visible), blend 50 (blending
-/// weights). The terms for depth and distance are left out: they distinguish moving cameras, and a receiver is fixed.
+/// Gaussians to densify under an exact budget. Medians are those of positive values. Weights of the terms: gradient
+/// 25, opacity 100, radius 10, scale 25, loss 10 (blending weights times errors), count 0.1 (spectra in which the
+/// Gaussian is visible), blend 50 (blending weights). The terms for depth and distance are left out: they distinguish
+/// moving cameras, and a receiver is fixed.
 ///
 /// ```
 /// # use pwrfgs_prune as _;

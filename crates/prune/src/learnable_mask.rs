@@ -196,17 +196,20 @@ impl LearnableMask {
     fn steps_to_threshold(&self, [beta1, beta2]: [f64; 2]) -> u64 {
         let [rate, threshold, lambda] = [self.learning_rate, self.threshold, self.lambda].map(f64::from);
         let (mut m, mut first, mut second) = (f64::from(self.initial_logit), 0.0, 0.0);
-        let mut closes = |step: &u64| {
-            let mask = 1.0 / (1.0 + (-m).exp());
+        let sigmoid = |m: f64| 1.0 / (1.0 + (-m).exp());
+        for step in 1..MOST_STEPS {
+            let mask = sigmoid(m);
             let slope = mask * (1.0 - mask);
             first = beta1 * first + (1.0 - beta1) * slope;
             second = beta2 * second + (1.0 - beta2) * slope * slope;
-            let unbias = |beta: f64| 1.0 - beta.powf(*step as f64);
+            let unbias = |beta: f64| 1.0 - beta.powf(step as f64);
             let adam = first / unbias(beta1) / (second / unbias(beta2)).sqrt();
             m -= rate * if self.adam { adam } else { lambda * slope };
-            1.0 / (1.0 + (-m).exp()) < threshold
-        };
-        (1..MOST_STEPS).find(|step| closes(step)).unwrap_or(MOST_STEPS)
+            if sigmoid(m) < threshold {
+                return step;
+            }
+        }
+        MOST_STEPS
     }
 }
 

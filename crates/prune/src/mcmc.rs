@@ -40,6 +40,8 @@ pub struct Mcmc {
 
 /// Largest opacity of a Gaussian that moves, as published.
 const FAINT: Real = 0.005;
+/// Steepness of the noise over opacity, as published.
+const STEEPNESS: Real = 100.0;
 /// Share of N that a prune step may add, as published.
 const GROWTH: Real = 0.05;
 /// Weight of the mean opacity in the loss, and of the mean scale in metres, as published.
@@ -70,7 +72,7 @@ impl Pruner for Mcmc {
         }
         let mut random = rng::stream(context.seed, "pruner Mcmc noise", context.step);
         for i in 0..cloud.len() {
-            let size = self.noise * sigmoid(100.0 * (FAINT - sigmoid(cloud.opacity_logits[i])));
+            let size = self.noise * sigmoid(STEEPNESS * (FAINT - sigmoid(cloud.opacity_logits[i])));
             let draw = [(); 3].map(|()| rng::normal(&mut random));
             let covariance = Covariance::new(cloud, i).0;
             for k in 0..3 {
@@ -126,14 +128,11 @@ impl Pruner for Mcmc {
 
 /// Draws `count` Gaussians of `alive` with replacement, each with probability proportional to its opacity.
 fn draw_by_opacity(alive: &[usize], opacities: &[f64], count: usize, random: &mut rng::Rng) -> Vec<usize> {
-    let mut sum = 0.0;
-    let sums: Vec<f64> = alive
-        .iter()
-        .map(|&i| {
-            sum += opacities[i];
-            sum
-        })
-        .collect();
+    let (mut sum, mut sums) = (0.0, Vec::with_capacity(alive.len()));
+    for &i in alive {
+        sum += opacities[i];
+        sums.push(sum);
+    }
     let draw = |_| {
         let drawn = f64::from(rng::uniform(random)) * sum;
         alive[sums.partition_point(|s| *s <= drawn).min(alive.len() - 1)]

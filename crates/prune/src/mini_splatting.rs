@@ -83,12 +83,12 @@ impl Pruner for MiniSplatting {
                 let total: f64 = scores.iter().map(|s| f64::from(*s)).sum();
                 let mut order: Vec<usize> = (0..scores.len()).collect();
                 order.sort_by(|&i, &j| scores[j].total_cmp(&scores[i]));
-                let (mut kept, mut sum) = (vec![false; scores.len()], 0.0);
+                let (mut keep, mut sum) = (vec![false; scores.len()], 0.0);
                 for i in order {
-                    kept[i] = sum < f64::from(share) * total;
+                    keep[i] = sum < f64::from(share) * total;
                     sum += f64::from(scores[i]);
                 }
-                kept
+                keep
             }
         }
     }

@@ -13,7 +13,7 @@ pub(crate) fn rounded_share(n: usize, share: Real) -> f64 {
     if (part - part.round()).abs() <= 1e-6 * n as f64 { part.round() } else { part }
 }
 
-/// Returns a requested statistic; the opacity logits if the pass did not compute it, so that zeros never decide.
+/// Returns `column`, a requested statistic `[N]`; the opacity logits if the pass did not compute it.
 pub(crate) fn requested_statistic(column: &[Real], cloud: &GaussianCloud) -> Vec<Real> {
     if column.len() == cloud.len() { column.to_vec() } else { cloud.opacity_logits.clone() }
 }
@@ -24,8 +24,8 @@ pub(crate) fn learned_column(cloud: &GaussianCloud, column: &str) -> Vec<Real> {
 }
 
 /// Returns the learning rate at which masks fall equally far in a training of `scale` times the steps. It is limited,
-/// because noise closes faster masks: to 0.1 with Adam; without it to ten times `rate`, because a mask then moves by its
-/// gradient, whose magnitude is unknown here.
+/// because noise closes faster masks: with Adam to 0.1, or to `rate` if that is higher; without it to ten times `rate`,
+/// because a mask then moves by its gradient, whose magnitude is unknown here.
 pub(crate) fn shortened_rate(rate: Real, adam: bool, scale: f64) -> Real {
     let most = if adam { rate.max(0.1) } else { 10.0 * rate };
     ((f64::from(rate) / scale) as Real).min(most)
