@@ -118,10 +118,10 @@ impl ReceiverGroup {
         let (terms, batch) = self.gather_terms(deltas, n);
         // Copied terms have their own derivative, which is then added to the rows of origin.
         let copied = matches!(terms, Cow::Owned(_));
-        let all = copied.then(|| std::mem::replace(&mut grads.deltas, terms.zeros_like()));
+        let sums = copied.then(|| std::mem::replace(&mut grads.deltas, terms.zeros_like()));
         vjp(&terms, batch, grads);
-        if let Some(all) = all {
-            let part = std::mem::replace(&mut grads.deltas, all);
+        if let Some(sums) = sums {
+            let part = std::mem::replace(&mut grads.deltas, sums);
             self.add_copied_terms(&part, &mut grads.deltas, n);
         }
     }
@@ -159,12 +159,12 @@ pub(crate) const OFFSETS: &str = "receiver.offsets";
 
 /// Returns the rows of `cloud` that pass through the network: those with an open gate; all if the network couples them.
 pub(crate) fn network_rows(deformation: &dyn Deformation, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
-    let all = deformation.traits().couples_gaussians;
-    (0..cloud.len()).filter(|&i| all || gate.is_none_or(|gate| gate[i] != 0.0)).collect()
+    let couples_all = deformation.traits().couples_gaussians;
+    (0..cloud.len()).filter(|&i| couples_all || gate.is_none_or(|gate| gate[i] != 0.0)).collect()
 }
 
-/// Returns the terms of the network and, if `is_training`, its state for the backward pass. `prepared` is its cache
-/// for predictions, if there is one.
+/// Returns the terms of the network and, if `is_training` without a `prepared` cache for predictions, its state for the
+/// backward pass.
 pub(crate) fn network_terms(
     deformation: &dyn Deformation,
     inputs: &DeformationInputs<'_>,

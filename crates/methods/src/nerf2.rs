@@ -106,14 +106,15 @@ impl Default for Nerf2 {
     }
 }
 
-/// Maximum number of samples per ray, units per layer, layers, and directions; larger values are rejected as typing
-/// errors.
+/// Maximum of every count in the settings: layers, units, samples, azimuths, elevations and features. Larger values are
+/// rejected as typing errors.
 const MOST: usize = 4_096;
 /// Maximum number of network weights; the released network has 0.7 million.
 const LARGEST: usize = 1 << 28;
 
 impl Nerf2 {
-    /// Returns the unit vectors of the rays of powers and channels, ring by ring from the horizon up.
+    /// Returns the unit vectors of the rays of powers and channels, ring by ring from the lowest above the horizon to the
+    /// zenith.
     fn sky_directions(&self) -> Vec<[Real; 3]> {
         let direction = |i: usize| {
             let (ring, column) = ((i / self.azimuths + 1) as Real, (i % self.azimuths) as Real);

@@ -187,14 +187,15 @@ fn magnitude_vjp(d0: &mut [Real], d1: &mut [Real], (c0, c1): (&[Real], &[Real]),
 
 /// Sets `out` to the cotangents of the magnitude, given those of the image that is scaled to [0, 1].
 fn stretch_vjp(magnitude: &[Real], d_image: &[Real], out: &mut Vec<Real>) {
+    const LANES: usize = 16;
     let (low, high) = range(magnitude);
     let gain = gain(low, high);
     out.clear();
     out.extend(d_image.iter().map(|d| d * gain));
-    // Sums d and d·v with v = (m − low)·gain in 16 lanes: additions are vectorised, in one order on every machine.
-    let (mut total, mut weighted) = ([0.0; 16], [0.0; 16]);
-    for (d, m) in out.chunks(16).zip(magnitude.chunks(16)) {
-        let (d, m) = (&d[..d.len().min(16)], &m[..d.len().min(16)]); // without bounds checks in the lanes
+    // Sums d and d·v with v = (m − low)·gain in lanes: additions are vectorised, in one order on every machine.
+    let (mut total, mut weighted) = ([0.0; LANES], [0.0; LANES]);
+    for (d, m) in out.chunks(LANES).zip(magnitude.chunks(LANES)) {
+        let (d, m) = (&d[..d.len().min(LANES)], &m[..d.len().min(LANES)]); // without bounds checks in the lanes
         for lane in 0..d.len() {
             total[lane] += d[lane];
             weighted[lane] += d[lane] * ((m[lane] - low) * gain);

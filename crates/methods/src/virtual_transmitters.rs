@@ -149,7 +149,7 @@ impl Method for VirtualTransmitters {
                 }
             }
         }
-        sums.stats.visible.iter_mut().for_each(|input| *input += 1.0);
+        sums.stats.visible.iter_mut().for_each(|count| *count += 1.0);
         // Contribution of each Gaussian to the channel, averaged over directions, for pruners by blending weight.
         let more = p.cloud.extra(HARMONICS);
         for (i, [x, y]) in p.cloud.signals.iter().enumerate() {
@@ -300,7 +300,7 @@ impl Initializer for MatchingPursuit {
 
     fn search(&self, input: &InitializerInput<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
         let observed = self.training_channels(input)?;
-        let mut all = VirtualSources::new(harmonics_order(&input.method.traits().columns));
+        let mut average = VirtualSources::new(harmonics_order(&input.method.traits().columns));
         // Hundred units per addition or removal, and for the refinement after the last one.
         let total = 100 * (self.searches * self.most_changes() + 1);
         (input.progress)(0, total);
@@ -315,10 +315,10 @@ impl Initializer for MatchingPursuit {
             if input.stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);
             }
-            all.extend(sources.map_err(|why| Error::Config(format!("initializer: MatchingPursuit: {why}")))?);
+            average.extend(sources.map_err(|why| Error::Config(format!("initializer: MatchingPursuit: {why}")))?);
         }
-        all.gains.as_flattened_mut().iter_mut().for_each(|x| *x /= self.searches as f64);
-        Ok(all.to_cloud())
+        average.gains.as_flattened_mut().iter_mut().for_each(|x| *x /= self.searches as f64);
+        Ok(average.to_cloud())
     }
 
     fn search_seconds(&self, input: &InitializerInput<'_>) -> Result<[f64; 2]> {

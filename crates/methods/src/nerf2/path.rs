@@ -48,7 +48,8 @@ impl PropagationLaw {
     }
 
     /// Computes the complex factors `[n, 2]` from the samples of a ray to the receiver, given raw attenuations and phases
-    /// `[n]`; returns the number of samples in use, those in front of a remaining amplitude of [`DARK`].
+    /// `[n]`; returns the number of samples in use, those in front of a remaining amplitude of [`DARK`]. The last sample of a
+    /// wave is not in use.
     pub(crate) fn fill_factors(self, samples: &[Real], raw: [&[Real]; 2], factors: &mut [[Real; 2]]) -> usize {
         let [raw, raw_phase] = raw;
         // As released: the phase of a spectrum begins at 1 radian.

@@ -54,7 +54,7 @@ impl BackwardPass<'_> {
         DrawingVjp { law, render, primitives }
     }
 
-    /// Adds the cotangents of a drawing.
+    /// Adds the cotangents of a drawing to `grads` and `sums`, as [`Self::add`].
     fn add_drawing(
         &self,
         (group, view, drawing): &Drawing,

@@ -96,11 +96,11 @@ impl Splatting {
             step.send();
         }
         let numbers = call.setup.value_count();
-        let mut all = vec![0.0; call.links.pairs.len() * numbers];
+        let mut observations = vec![0.0; call.links.pairs.len() * numbers];
         for (drawn, images) in groups.iter().zip(step.finish()?) {
-            drawn.group.scatter_rows(&images, numbers, &mut all);
+            drawn.group.scatter_rows(&images, numbers, &mut observations);
         }
-        Ok(all)
+        Ok(observations)
     }
 
     /// Draws all links and runs the backward pass, group by group. Adds to `grads`, and to existence factors and statistics
@@ -216,17 +216,17 @@ impl Splatting {
         let (plane, has_terms) = (self.sky(setup), !(deltas.scales.is_empty() && deltas.quats.is_empty()));
         // [`Self::gpu`] has checked that there are kernels for all parts.
         let readout = self.gpu_parts(setup).map_or(GpuReadout::Magnitude, |(_, readout)| readout);
-        let mut all: Vec<DrawnGroup> = Vec::new();
+        let mut groups: Vec<DrawnGroup> = Vec::new();
         for group in ReceiverGroup::from_links(links, !self.deformation.traits().varies_geometry) {
-            let order = all.last().filter(|last| last.group.row == group.row).map(|last| Arc::clone(&last.order));
+            let order = groups.last().filter(|last| last.group.row == group.row).map(|last| Arc::clone(&last.order));
             let order = order.unwrap_or_else(|| Mercator::depth_order(&p.cloud.means, &group.state.pose).into());
             let (gaussians, size) = (p.cloud.len(), (plane.width, plane.height));
             let (links, channels) = (group.links.len(), self.readout.channel_count());
             let shape = Drawing { gaussians, links, size, channels, readout, has_terms };
             let view = ReceiverView { pose: group.state.pose, plane: plane.clone() };
-            all.push(DrawnGroup { group, view, shape, order });
+            groups.push(DrawnGroup { group, view, shape, order });
         }
-        all
+        groups
     }
 
     /// Writes the inputs of a group, in depth order; Gaussians and view only if those of another receiver were written
@@ -331,10 +331,12 @@ fn sizes_of(groups: &[DrawnGroup], entries: Option<usize>) -> Vec<usize> {
 /// Returns the values of slot [`VIEW`].
 pub(super) fn view_constants(mercator: &Mercator, view: &ReceiverView) -> [Real; VIEW_LEN] {
     let (whole, Sampling { stride, offset, .. }) = (view.plane.whole(), view.plane.sampling);
-    let mut all = [0.0; VIEW_LEN];
-    all[..19].copy_from_slice(&mercator.constants(&view.pose, &whole));
-    all[19..].copy_from_slice(&[stride, offset[0], offset[1], whole.height].map(|number| number as Real));
-    all
+    let constants = mercator.constants(&view.pose, &whole);
+    let mut values = [0.0; VIEW_LEN];
+    let (projection, sampling) = values.split_at_mut(constants.len());
+    projection.copy_from_slice(&constants);
+    sampling.copy_from_slice(&[stride, offset[0], offset[1], whole.height].map(|number| number as Real));
+    values
 }
 
 /// Returns splats with radii only, for statistics: the last column of slot [`D_ROWS`], in the order of the Gaussians.

@@ -35,7 +35,7 @@ struct Ready {
 }
 
 impl Splatting {
-    /// Splits the weights into those of the network and those of the receivers.
+    /// Splits the weights into those of the network and those of the receivers, which only powers have.
     pub(super) fn split_weights<'a>(
         &self,
         setup: &MeasurementSetup,
@@ -144,7 +144,7 @@ impl Splatting {
         (ForwardOutput { numbers: all, cache: is_training.then(|| Arc::new(cache) as _) }, times)
     }
 
-    /// Returns the terms of the network and, if `is_training`, its state for the backward pass.
+    /// Returns the terms of the network, as [`groups::network_terms`].
     pub(super) fn network_terms(&self, call: &Call<'_>, prepared: &Cache, is_training: bool) -> (Deltas, Cache) {
         let Call { setup, parameters: p, links, .. } = *call;
         let (network, pose) = (self.split_weights(setup, p.weights).0, setup.pose());

@@ -30,9 +30,9 @@ impl Splatting {
         let Call { setup, parameters: p, links, .. } = call;
         let (sky, n) = (self.sky(setup), p.cloud.len());
         let is_static = !self.deformation.traits().varies_geometry;
+        let skips_network = is_static && !request.requires_any(requires_signals);
         // Weights then depend on the geometry only, not on the outputs of the network.
-        let blind = is_static && !request.requires_any(requires_signals);
-        let deltas = if blind { Deltas::default() } else { self.network_terms(call, &None, false).0 };
+        let deltas = if skips_network { Deltas::default() } else { self.network_terms(call, &None, false).0 };
         let rows: Vec<usize> = (0..n).collect();
         let mut sums = PassStatistics::zeros(needs, n);
         for group in ReceiverGroup::from_links(links, is_static) {
@@ -40,7 +40,7 @@ impl Splatting {
             let (terms, batch) = group.gather_terms(&deltas, n);
             let geometry = Arc::new(self.geometry(view, p, &terms, batch.start));
             if !request.requires_any(is_per_link) {
-                let signals = (!blind).then(|| self.activation().signals(p.cloud, &terms, batch.clone()));
+                let signals = (!skips_network).then(|| self.activation().signals(p.cloud, &terms, batch.clone()));
                 sums.merge(&rows, &self.shared_statistics(view, batch.len(), signals, &geometry, needs));
                 continue;
             }

@@ -167,7 +167,7 @@ pub(crate) struct MeasurementRows {
 
 impl MeasurementRows {
     /// Creates the rows of the channel `h`, `[A,F]` per position, at the listed positions (`items`) and `values` of A·F.
-    /// Above `most` rows it draws an equal number per item at random.
+    /// Above `most` rows it draws an equal number per item at random, of at most `most` items, thinned evenly.
     pub(crate) fn new(
         links: &ChannelInputs<'_>,
         h: &[&[[Real; 2]]],
@@ -176,15 +176,15 @@ impl MeasurementRows {
         seed: u64,
     ) -> Self {
         let subcarriers = links.frequencies.len();
-        let taken = (most / items.len().max(1)).clamp(1, values.len());
+        let per_item = (most / items.len().max(1)).clamp(1, values.len());
         let items = evenly(items, most);
         let mut order = values.to_vec();
         let mut out = Self::default();
         for m in items {
-            if taken < values.len() {
+            if per_item < values.len() {
                 rng::shuffle(&mut rng::stream(seed, "rows", m as u64), &mut order);
             }
-            for &k in &order[..taken] {
+            for &k in &order[..per_item] {
                 out.p.push(links.positions[m].map(f64::from));
                 out.r.push(links.antennas[k / subcarriers].map(f64::from));
                 out.per_metre.push(links.frequencies[k % subcarriers] / SPEED_OF_LIGHT);
@@ -226,16 +226,16 @@ impl MeasurementRows {
     /// Returns the rows with the residual instead of h: h minus the field of `sources`.
     pub(crate) fn residual(&self, sources: &VirtualSources) -> Self {
         let rotations: Vec<_> = sources.quats.iter().map(|q| rotation_matrix(*q)).collect();
-        let rest = |i: usize| {
-            let mut rest = self.h[i];
+        let residual_of_row = |i: usize| {
+            let mut residual = self.h[i];
             for g in 0..sources.len() {
                 let e = self.wave(i, sources.positions[g], rotate_vector(&rotations[g], self.r[i])).e;
                 let [x, y] = directional_gain(sources.source_gains(g), sources.positions[g], self.p[i]);
-                rest = [rest[0] - (x * e[0] - y * e[1]), rest[1] - (x * e[1] + y * e[0])];
+                residual = [residual[0] - (x * e[0] - y * e[1]), residual[1] - (x * e[1] + y * e[0])];
             }
-            rest
+            residual
         };
-        let h = (0..self.len()).into_par_iter().with_min_len(1024).map(rest).collect();
+        let h = (0..self.len()).into_par_iter().with_min_len(1024).map(residual_of_row).collect();
         Self { h, ..self.clone() }
     }
 

@@ -79,13 +79,13 @@ pub fn pursue_sources(
     if options.rows.contains(&0) || options.peaks == 0 {
         return Err("`rows` or `peaks` has a 0; give 1 or more".into());
     }
-    let all: Vec<usize> = (0..links.positions.len()).collect();
+    let items: Vec<usize> = (0..links.positions.len()).collect();
     let mut best = (f64::NEG_INFINITY, VirtualSources::new(options.order));
     let (held_out, fitted) = options.split_held_out(links);
     PursuitSearch::new((links, channel), options, stop, (&fitted, &held_out)).improve_best(&mut best, report_progress);
     let [grid, _, last] = options.rows;
     let options = &PursuitOptions { rows: [grid, last, last], ..options.clone() };
-    PursuitSearch::new((links, channel), options, stop, (&all, &[])).refine_sources(&mut best.1, STEPS);
+    PursuitSearch::new((links, channel), options, stop, (&items, &[])).refine_sources(&mut best.1, STEPS);
     Ok(best.1)
 }
 
@@ -265,8 +265,8 @@ impl<'a> PursuitSearch<'a> {
     /// `best` whenever the score improves.
     fn remove_sources(&self, best: &mut (f64, VirtualSources), report_progress: &mut dyn FnMut(usize)) {
         let mut sources = best.1.clone();
-        let all = sources.len();
-        while sources.len() > (all / 2).max(1) && !self.is_stopped() {
+        let before = sources.len();
+        while sources.len() > (before / 2).max(1) && !self.is_stopped() {
             let costs = costs_without_each(&self.rows, &sources, self.smallest_ridge());
             let weakest = (0..costs.len()).fold(0, |w, g| if costs[g] < costs[w] { g } else { w });
             sources = sources.without(weakest);
@@ -275,12 +275,12 @@ impl<'a> PursuitSearch<'a> {
             if score > best.0 {
                 *best = (score, sources.clone());
             }
-            report_progress(all - sources.len());
+            report_progress(before - sources.len());
         }
     }
 
-    /// Refines all sources twice, each time with a ridge from the noise-to-signal ratio of the previous fit. Leaves
-    /// `sources` as they are if the equations have no unique solution.
+    /// Refines all sources twice, each time with a ridge from the noise-to-signal ratio of the previous fit. Ends early if
+    /// the equations have no unique solution.
     fn refine_sources(&self, sources: &mut VirtualSources, steps: usize) {
         let Some(mut cost) = solve_gains(&self.rows, sources, self.smallest_ridge()) else { return };
         for _ in 0..2 {

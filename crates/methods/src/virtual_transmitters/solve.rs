@@ -64,8 +64,8 @@ pub(crate) fn costs_without_each(rows: &MeasurementRows, sources: &VirtualSource
     let normal = gain_equations(rows, sources);
     let each = Unknowns::Gains.per_source(sources.harmonic_count());
     let cost = |g: usize| {
-        let rest = normal.without(g * each..(g + 1) * each);
-        Some(minimum_cost(&rest, &rest.solve(|_| ridge)?))
+        let others = normal.without(g * each..(g + 1) * each);
+        Some(minimum_cost(&others, &others.solve(|_| ridge)?))
     };
     (0..sources.len()).into_par_iter().map(|g| cost(g).unwrap_or(f64::MAX)).collect()
 }
@@ -93,15 +93,15 @@ fn normal_equations(rows: &MeasurementRows, sources: &VirtualSources, unknowns: 
         let mut jacobian = vec![0.0; 4 * p];
         for pair in b * block..((b + 1) * block).min(pairs) {
             jacobian.fill(0.0);
-            let mut rest = [0.0; 4];
+            let mut residuals = [0.0; 4];
             for (half, jacobian) in jacobian.chunks_exact_mut((2 * p).max(1)).enumerate() {
                 let i = 2 * pair + half;
                 if i < rows.len() {
                     let [re, im] = fill_jacobian(rows, i, sources, &rotations, unknowns, jacobian);
-                    (rest[2 * half], rest[2 * half + 1]) = (re, im);
+                    (residuals[2 * half], residuals[2 * half + 1]) = (re, im);
                 }
             }
-            normal.add_four_rows(&jacobian, rest);
+            normal.add_four_rows(&jacobian, residuals);
         }
         normal
     };
@@ -128,7 +128,7 @@ fn fill_jacobian(
     let (n, terms) = (sources.len(), sources.harmonic_count());
     let (real, imaginary) = jacobian.split_at_mut(unknowns.per_source(terms) * n);
     let wavenumber = std::f64::consts::TAU * rows.per_metre[i];
-    let mut rest = rows.h[i];
+    let mut residual = rows.h[i];
     for g in 0..n {
         let r = rotate_vector(&rotations[g], rows.r[i]);
         let wave = rows.wave(i, sources.positions[g], r);
@@ -142,7 +142,7 @@ fn fill_jacobian(
             (real[at], real[at + 1]) = (re, -im);
             (imaginary[at], imaginary[at + 1]) = (im, re);
         }
-        rest = [rest[0] - received[0], rest[1] - received[1]];
+        residual = [residual[0] - received[0], residual[1] - received[1]];
         if unknowns == Unknowns::Gains {
             continue;
         }
@@ -161,7 +161,7 @@ fn fill_jacobian(
             }
         }
     }
-    rest
+    residual
 }
 
 /// Returns the derivatives of real and imaginary part of Σ c·Y(u)·e by the position, through the direction u only.

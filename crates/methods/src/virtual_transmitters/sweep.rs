@@ -49,7 +49,7 @@ pub(crate) fn sweep_cells(
         let start = l + 1 == levels.len();
         let eighths = if start { Vec::new() } else { divide_best_cells(std::mem::take(&mut best), divided) };
         let whole = if start { grid.cell_count(level.step) / share } else { eighths.len() };
-        let total = done + whole + 8 * l * divided;
+        let total = done + whole + 8 * l * divided; // each finer level scores the eighths of the best cells
         let grid_cells = start.then(|| grid.cells(level.step).step_by(share)).into_iter().flatten();
         let mut cells = grid_cells.chain(eighths).peekable();
         let residual = level.rows.residual(sources);

@@ -73,7 +73,8 @@ pub(crate) fn quat_product(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
     ]
 }
 
-/// Returns the normal of the plane that fits the antennas best; exact for antennas in a plane or on a line.
+/// Returns the normal of the plane that fits the antennas best; exact for antennas in a plane or on a line. The z axis for
+/// antennas at one position.
 ///
 /// It is the eigenvector of the smallest eigenvalue of their covariance, by power iteration on trace·I − covariance.
 pub(crate) fn array_normal(antennas: &[[f64; 3]]) -> [f64; 3] {
@@ -99,8 +100,8 @@ pub(crate) fn array_normal(antennas: &[[f64; 3]]) -> [f64; 3] {
     v
 }
 
-/// Returns the quaternions that act on a planar array with this normal as the eight reflections diag(±1, ±1, ±1) do,
-/// identity first, without duplicates.
+/// Returns the quaternions that act on a planar array of `antennas` as the eight reflections diag(±1, ±1, ±1) do, identity
+/// first, without duplicates.
 ///
 /// With an odd number of negative signs, the reflection combined with that in the plane of the array is a rotation, and
 /// the latter does not change the array.
