@@ -72,15 +72,15 @@ pub(crate) fn adapters() -> Vec<Adapter> {
         },
         ..InstanceDescriptor::new_without_display_handle()
     });
-    let mut all = wait_for(instance.enumerate_adapters(Backends::PRIMARY));
-    all.sort_by_key(|adapter| match adapter.get_info().device_type {
+    let mut adapters = wait_for(instance.enumerate_adapters(Backends::PRIMARY));
+    adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
         DeviceType::DiscreteGpu => 0,
         DeviceType::VirtualGpu => 1,
         DeviceType::IntegratedGpu => 2,
         DeviceType::Other => 3,
         DeviceType::Cpu => 4,
     });
-    all
+    adapters
 }
 
 /// Describes an adapter as a line of the list.
@@ -266,10 +266,10 @@ impl Gpu {
         &self.name
     }
 
-    /// Returns the number of rows per chunk, if a row has up to `width` numbers: at most 65,536, and so few that a buffer of
-    /// the chunk fits the GPU.
+    /// Returns the number of rows per chunk, if a row has up to `width` numbers: so many that a buffer of the chunk fits the
+    /// GPU, but at least 1,024 and at most 65,536.
     pub fn chunk_rows(&self, width: usize) -> usize {
-        let fit = self.most_bytes as usize / (size_of::<f32>() * width.max(1)) / SLICE * SLICE;
-        fit.clamp(SLICE, MOST_ROWS)
+        let rows = self.most_bytes as usize / (size_of::<f32>() * width.max(1)) / SLICE * SLICE;
+        rows.clamp(SLICE, MOST_ROWS)
     }
 }

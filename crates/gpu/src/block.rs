@@ -32,7 +32,8 @@ pub struct Epilogue {
     pub bias: Option<(usize, usize)>,
     /// Whether negative numbers become zero.
     pub relu: bool,
-    /// Slot of a matrix with the shape of the product, which becomes zero where this is not positive.
+    /// Slot of a matrix with the shape of the product, which becomes zero where this is not positive. Not with `plus`: both
+    /// have the same binding.
     pub mask: Option<usize>,
     /// Whether the result is added to the previous values.
     pub add: bool,

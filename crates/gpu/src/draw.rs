@@ -117,7 +117,8 @@ impl Drawing {
         GEOMETRY + self.links * self.channels
     }
 
-    /// Returns the sizes of all slots, with `entries` entries of the tile lists for a backward pass.
+    /// Returns the sizes of all slots, for a backward pass with at least `entries` entries of the tile lists; `None` for a
+    /// drawing alone.
     pub fn sizes(&self, entries: Option<usize>) -> Vec<usize> {
         let &Self { gaussians: n, links, channels, .. } = self;
         let [cloud, terms, splats, rows] = WIDTHS.map(|width| n * width);

@@ -144,7 +144,7 @@ impl GpuStep<'_> {
         self.workspace.steps == number + 1 && self.workspace.changed <= number
     }
 
-    /// Writes values to a slot, after all passes recorded so far.
+    /// Writes values to a slot from number `start` on, after all passes recorded so far.
     pub fn upload(&mut self, slot: usize, start: usize, values: &[Real]) {
         self.send();
         let single: Vec<f32>;
@@ -239,11 +239,11 @@ impl GpuStep<'_> {
     fn encode_commands(&self, commands: &[Command], uniforms: &Buffer, results: &Buffer) -> wgpu::CommandBuffer {
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let mut filled = 0;
-        let mut rest = commands;
-        while let Some(command) = rest.first() {
-            let passes = rest.iter().take_while(|c| matches!(c, Command::Pass { .. })).count();
+        let mut remaining = commands;
+        while let Some(command) = remaining.first() {
+            let passes = remaining.iter().take_while(|c| matches!(c, Command::Pass { .. })).count();
             match command {
-                Command::Pass { .. } => self.encode_passes(&mut encoder, uniforms, &rest[..passes]),
+                Command::Pass { .. } => self.encode_passes(&mut encoder, uniforms, &remaining[..passes]),
                 Command::Clear { slot, bytes } => encoder.clear_buffer(&self.workspace.buffers[*slot], 0, Some(*bytes)),
                 Command::Read { slot, offset, bytes } => {
                     encoder.copy_buffer_to_buffer(&self.workspace.buffers[*slot], *offset, results, filled, *bytes);
@@ -251,7 +251,7 @@ impl GpuStep<'_> {
                 }
                 Command::Copy { from, to, bytes } => encoder.copy_buffer_to_buffer(from, 0, to, 0, *bytes),
             }
-            rest = &rest[passes.max(1)..];
+            remaining = &remaining[passes.max(1)..];
         }
         encoder.finish()
     }
@@ -295,17 +295,17 @@ impl GpuStep<'_> {
             return Err(failed(&why));
         }
         poll.map_err(|e| failed(&e))?;
-        let mut all = Vec::new();
+        let mut results = Vec::new();
         for (buffer, reads) in &self.sent {
             let view = buffer.get_mapped_range(..).map_err(|e| failed(&e))?;
-            let mut rest: &[u8] = &view;
+            let mut unread: &[u8] = &view;
             for bytes in reads {
-                let (part, after) = rest.split_at(*bytes as usize);
+                let (part, after) = unread.split_at(*bytes as usize);
                 let values: Vec<f32> = bytemuck::pod_collect_to_vec(part);
-                all.push(values.into_iter().map(|value| value as Real).collect());
-                rest = after;
+                results.push(values.into_iter().map(|value| value as Real).collect());
+                unread = after;
             }
         }
-        Ok(all)
+        Ok(results)
     }
 }

@@ -78,9 +78,9 @@ impl Metric for Latency {
             }
             Some(times) => Values::Whole(1e3 * median(times.iter().map(seconds))),
         };
-        let mut all = STAGES.map(|stage| measurement(stage.0, "ms", Goal::Lower, values(stage)));
-        all[STAGES.len() - 1].note = note;
-        Ok(all.into())
+        let mut measurements = STAGES.map(|stage| measurement(stage.0, "ms", Goal::Lower, values(stage)));
+        measurements[STAGES.len() - 1].note = note; // the total
+        Ok(measurements.into())
     }
 
     fn scope(&self) -> Scope {
@@ -129,12 +129,12 @@ fn describe_unsteadiness(times: &[StageTimes]) -> Option<String> {
     let median_of = |seconds: fn(&StageTimes) -> f64| median(times.iter().map(seconds));
     let totals = sorted(times.iter().map(|t| t.total));
     let [low, high] = [totals.len() / 4, totals.len() - 1 - totals.len() / 4].map(|k| totals[k]);
-    let rest = |t: &StageTimes| t.total - t.network - t.projection - t.sort - t.blending;
+    let unassigned = |t: &StageTimes| t.total - t.network - t.projection - t.sort - t.blending;
     let parts = median_of(|t| t.network)
         + median_of(|t| t.projection)
         + median_of(|t| t.sort)
         + median_of(|t| t.blending)
-        + median_of(rest);
+        + median_of(unassigned);
     let total = median_of(|t| t.total);
     let is_steady = |low: f64, high: f64| high <= STEADY * low || high - low <= EXACT;
     if is_steady(low, high) && is_steady(parts, total) {

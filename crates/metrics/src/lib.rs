@@ -46,9 +46,9 @@ fn check_paired(evaluation: &Evaluation<'_>) -> Result<()> {
     let size = |i: &Image| (i.width, i.height, i.pixels.len());
     let paired = predictions.iter().zip(truths).all(|(p, t)| size(p) == size(t));
     if predictions.len() != truths.len() || !paired {
-        let things = evaluation.task.plural;
+        let plural = evaluation.task.plural;
         let problem = "differ in number or size; evaluate on data of the size trained on";
-        return Err(Error::Config(format!("predicted and measured {things} {problem}")));
+        return Err(Error::Config(format!("predicted and measured {plural} {problem}")));
     }
     Ok(())
 }

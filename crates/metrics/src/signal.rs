@@ -107,8 +107,8 @@ impl Metric for ChannelSnr {
         let mut snapshots = Vec::with_capacity(each.len());
         let rows: Vec<usize> = (0..each.len()).collect();
         for rows in rows.chunk_by(|a, b| transmitter(*a) == transmitter(*b)) {
-            let all = rows.iter().fold(Energies::default(), |sum, i| sum.plus(each[*i]));
-            snapshots.extend(rows.iter().map(|_| all.snr()));
+            let snapshot = rows.iter().fold(Energies::default(), |sum, i| sum.plus(each[*i]));
+            snapshots.extend(rows.iter().map(|_| snapshot.snr()));
         }
         let whole = each.iter().fold(Energies::default(), |sum, energies| sum.plus(*energies));
         let over_all =

@@ -209,8 +209,8 @@ impl Encoding {
         }
     }
 
-    /// Returns the wave vectors `[count, 3]`, rad/m, for the model file, since other programs cannot reproduce them from
-    /// the seed; `None` for encodings without wave vectors.
+    /// Returns the wave vectors `[vectors, 3]`, rad/m, as tensor `field` of the model file, since other programs cannot
+    /// reproduce them from the seed; `None` for encodings without wave vectors.
     pub(super) fn constants(&self, field: &str) -> Option<(WeightSpec, Vec<Real>)> {
         let Encoder::Waves(vectors, _) = self.encoder() else { return None };
         let spec = WeightSpec::zeros(field, vec![vectors.len(), 3]);

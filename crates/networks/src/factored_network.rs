@@ -84,8 +84,8 @@ impl FactoredLayers {
         Some(LinearPart { inputs, values, functions, basis, cleared, first: [first(0), first(1)] })
     }
 
-    /// Returns a scale with which the magnitudes of the waves of a Gaussian sum to 1. A step of Adam on `branch` then
-    /// changes factors as much as a step on the stack changes weights.
+    /// Returns a scale with which the magnitudes of the waves of a Gaussian sum to 1 on average. A step of Adam on `branch`
+    /// then changes factors as much as a step on the stack changes weights.
     pub(super) fn wave_scale(&self) -> Real {
         (1.0 / (WAVE_MEAN * self.branch.inputs as f64)) as Real
     }

@@ -252,7 +252,7 @@ pub struct Item {
 /// Returns the number of Gaussians per chunk. It depends only on N and the width, so that results do not depend on the
 /// number of threads or the batch size. The maximum is 192: two activations of width 256 then fit 1 MiB of second-level
 /// cache. A stride of 256 or 512 floats, at which gemm loses half its speed to cache conflicts, never occurs. For small
-/// N there are fewer, in an even number of chunks, so that two threads share N = 157.
+/// N there are up to 24 chunks of about 64 rows, an even number, so that two threads share N = 157.
 pub fn rows_per_chunk(n: usize, width: usize) -> usize {
     let most = (192 * 256 / width.max(1) / 16 * 16).clamp(48, 192);
     let chunks = n.div_ceil(most).max((n / 64).min(24)).next_multiple_of(2);
@@ -260,7 +260,7 @@ pub fn rows_per_chunk(n: usize, width: usize) -> usize {
 }
 
 /// Returns all work items for N Gaussians and B transmitters: chunk by chunk; the batch is divided only if there are
-/// too few chunks to use all threads. Groups of transmitters are the outer loop, chunks the inner one.
+/// fewer than 16 chunks, to use more threads. Groups of transmitters are the outer loop, chunks the inner one.
 pub fn work_items(n: usize, batch: usize, width: usize) -> Vec<Item> {
     let rows = rows_per_chunk(n, width);
     let chunks = n.div_ceil(rows);

@@ -254,17 +254,17 @@ impl MlpLayers {
         };
         let (pieces, kept): (Vec<Vec<Deltas>>, Vec<Vec<Activations>>) =
             items.par_iter().zip(fit).map_init(Scratch::default, one).unzip();
-        let mut all = Deltas::default();
+        let mut terms = Deltas::default();
         let mut start = 0; // first item of a group of transmitters
         while start < items.len() {
             let txs = &items[start].txs;
             let chunks = items[start..].iter().take_while(|item| item.txs == *txs).count();
             for b in 0..txs.len() {
-                pieces[start..start + chunks].iter().for_each(|piece| append(&mut all, &piece[b]));
+                pieces[start..start + chunks].iter().for_each(|piece| append(&mut terms, &piece[b]));
             }
             start += chunks;
         }
-        (all, Kept(kept))
+        (terms, Kept(kept))
     }
 
     /// Returns the outputs of the heads for the chunk in `scratch` and one transmitter.
@@ -364,7 +364,7 @@ impl MlpLayers {
     }
 }
 
-/// Appends terms.
+/// Appends the rows of `terms` to each column of `all`.
 fn append(all: &mut Deltas, terms: &Deltas) {
     all.scales.extend_from_slice(&terms.scales);
     all.quats.extend_from_slice(&terms.quats);

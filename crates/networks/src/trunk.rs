@@ -97,7 +97,7 @@ impl Trunk {
         self.layers.first().into_iter().chain(self.joined.map(|l| &self.layers[l]))
     }
 
-    /// Returns the columns that multiply e, of the layers with input e.
+    /// Returns the columns that multiply e in the layers with inputs γ and e.
     fn side_columns(&self) -> Range<usize> {
         self.gamma..self.gamma + self.side
     }

@@ -148,14 +148,14 @@ impl WrfgsLayers {
                 products
             })
             .collect();
-        let mut all = Vec::with_capacity(means.len() * txs.len());
+        let mut products = Vec::with_capacity(means.len() * txs.len());
         for b in 0..txs.len() {
             for piece in &pieces {
                 let rows = piece.len() / txs.len();
-                all.extend_from_slice(&piece[b * rows..(b + 1) * rows]);
+                products.extend_from_slice(&piece[b * rows..(b + 1) * rows]);
             }
         }
-        all
+        products
     }
 
     /// Runs the backward pass of [`Self::forward`] at the cotangents `d` `[B, N]`: adds to `sums`; returns Σ d·S·A.

@@ -127,7 +127,7 @@ fn splat_radius([a, _, c]: [Real; 3], det: Real) -> Real {
     (3.0 * (mid + (mid * mid - det).max(0.1).sqrt()).sqrt()).ceil()
 }
 
-/// Projects all primitives to splats, row for row.
+/// Projects all primitives to splats, row for row; those that are not drawn have radius 0.
 pub fn project(model: &impl CameraModel, p: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats {
     let n = p.len();
     let view = model.view(pose);
@@ -166,7 +166,8 @@ pub fn visible_centres(model: &impl CameraModel, means: &[[Real; 3]], pose: &Pos
     means.iter().map(|x| model.is_visible(view.rotation * Vec3::from_array(*x) + view.offset)).collect()
 }
 
-/// Returns the cotangents of the primitives, given those of the splats; zeros for Gaussians out of view.
+/// Returns the cotangents of the primitives, given the result of [`project`] and its cotangents `d`; zeros for Gaussians
+/// with radius 0.
 pub fn project_vjp(model: &impl CameraModel, p: &Primitives, pose: &Pose, splats: &Splats, d: &Splats) -> Primitives {
     let view = model.view(pose);
     let mut out = Primitives::zeros(p.len());

@@ -99,11 +99,12 @@ impl Mercator {
     pub fn constants(&self, pose: &Pose, plane: &ImagePlane) -> [Real; 19] {
         let model = Hemisphere::new(self, plane);
         let (view, [across, up]) = (model.view(pose), model.per_radian);
-        let mut all = [0.0; 19];
-        all[..9].copy_from_slice(&view.rotation.transpose().to_cols_array());
-        all[9..12].copy_from_slice(&view.offset.to_array());
-        all[12..].copy_from_slice(&[across, up, model.width, model.above, model.blur, model.near, model.lowest]);
-        all
+        let mut constants = [0.0; 19];
+        constants[..9].copy_from_slice(&view.rotation.transpose().to_cols_array());
+        constants[9..12].copy_from_slice(&view.offset.to_array());
+        let scalars = [across, up, model.width, model.above, model.blur, model.near, model.lowest];
+        constants[12..].copy_from_slice(&scalars);
+        constants
     }
 
     /// Returns the indices of means `[N,3]` in the order of blending: nearest to the receiver first.

@@ -55,14 +55,14 @@ impl pulp::WithSimd for SurveyTile<'_, '_> {
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<SplatStats> {
         let Self { tile, survey, .. } = &self;
-        let mut all = vec![SplatStats::default(); tile.list.len()];
+        let mut tile_stats = vec![SplatStats::default(); tile.list.len()];
         let mut slopes = Slopes::new(&self);
         let mut first: Vec<First> = vec![Vec::new(); if survey.top.is_some() { PIXELS } else { 0 }];
         let mut transmittance = tile.initial_transmittance();
         for (k, (&i, &[top, end])) in tile.list.iter().zip(tile.rows).enumerate() {
             let i = i as usize;
             let splat = tile.splat_row(i);
-            let stats = &mut all[k];
+            let stats = &mut tile_stats[k];
             for row in top as usize..end as usize {
                 if !transmittance.is_live(row) {
                     continue;
@@ -96,8 +96,8 @@ impl pulp::WithSimd for SurveyTile<'_, '_> {
                 }
             }
         }
-        first.iter().flatten().for_each(|&(_, k)| all[k].top = true);
-        all
+        first.iter().flatten().for_each(|&(_, k)| tile_stats[k].top = true);
+        tile_stats
     }
 }
 

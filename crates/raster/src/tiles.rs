@@ -70,8 +70,8 @@ impl TileLists {
         for t in 1..offsets.len() {
             offsets[t] += offsets[t - 1];
         }
-        let (mut next, all) = (offsets.clone(), offsets[offsets.len() - 1]);
-        let (mut entries, mut rows) = (vec![0u32; all], vec![[0u8; 2]; all]);
+        let (mut next, count) = (offsets.clone(), offsets[offsets.len() - 1]);
+        let (mut entries, mut rows) = (vec![0u32; count], vec![[0u8; 2]; count]);
         for strip in strips.iter().flatten() {
             strip.visit_tiles(|row, within| {
                 let entry = &mut next[row * columns + strip.column as usize];

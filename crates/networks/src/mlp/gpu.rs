@@ -64,12 +64,12 @@ impl MlpLayers {
             }
         }
         let outputs = step.finish()?;
-        let mut all = Deltas::default();
+        let mut terms = Deltas::default();
         for b in 0..sides.len() {
             let tx_chunks = outputs.iter().skip(b).step_by(sides.len());
-            tx_chunks.for_each(|out| append(&mut all, &self.gather_terms(out, out.len() / self.heads.outputs)));
+            tx_chunks.for_each(|out| append(&mut terms, &self.gather_terms(out, out.len() / self.heads.outputs)));
         }
-        Ok((all, KeptStep(number)))
+        Ok((terms, KeptStep(number)))
     }
 
     /// Runs the backward pass of [`Self::gpu_forward`], as [`Self::vjp`]. Begins with the last transmitter, whose

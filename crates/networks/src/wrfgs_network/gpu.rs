@@ -172,14 +172,14 @@ impl WrfgsLayers {
             }
         }
         let results = step.finish()?;
-        let mut all = Vec::with_capacity(means.len() * txs.len());
+        let mut products = Vec::with_capacity(means.len() * txs.len());
         for b in 1..=txs.len() {
             for (c, chunk) in results.chunks_exact(1 + txs.len()).enumerate() {
                 let attenuation = prepared.map_or(&chunk[0], |GpuTrunkOutput(chunks)| &chunks[c].0);
-                all.extend(chunk[b].iter().zip(attenuation).map(|(&s, &a)| amplitude(s) * amplitude(a)));
+                products.extend(chunk[b].iter().zip(attenuation).map(|(&s, &a)| amplitude(s) * amplitude(a)));
             }
         }
-        Ok(all)
+        Ok(products)
     }
 
     /// Runs the backward pass of [`Self::gpu_forward`], as [`Self::vjp`]; returns Σ d·S·A.

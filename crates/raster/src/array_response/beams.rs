@@ -178,15 +178,15 @@ impl pulp::WithSimd for Draw<'_> {
                 Real::two_sums(simd, &mut odd, [&re[cosines..], &im[cosines..]], &table[cosines..]);
                 for c in 0..2 {
                     let out = &mut self.out[(2 * pair + c) * pixels..][..pixels];
-                    let both = |out: &mut [Real], sign: Real| {
+                    let write_half = |out: &mut [Real], sign: Real| {
                         let (even, odd) = (&even[c][..out.len()], &odd[c][..out.len()]);
                         for i in 0..out.len() {
                             out[i] = even[i] + sign * odd[i];
                         }
                     };
-                    both(&mut out[first_half.clone()], 1.0);
+                    write_half(&mut out[first_half.clone()], 1.0);
                     if let Some(opposite) = &opposite {
-                        both(&mut out[opposite.clone()], -1.0);
+                        write_half(&mut out[opposite.clone()], -1.0);
                     }
                 }
             }
