@@ -181,7 +181,7 @@ impl Hierarchy {
     /// function of the index and the box; skips subtrees of other boxes.
     #[inline(always)]
     fn matching_leaves(&self, is_hit: impl Fn(usize, &Node) -> bool) -> impl Iterator<Item = usize> {
-        let mut next = usize::from(self.nodes.len() > 1); // the first box holds all
+        let mut next = usize::from(self.nodes.len() > 1); // the first box holds all; a single box is tested
         std::iter::from_fn(move || {
             while let Some(node) = self.nodes.get(next) {
                 if is_hit(next, node) {
@@ -200,9 +200,9 @@ impl Hierarchy {
 
 /// Appends the subtree over `leaves` in depth-first order and sets its exits; reorders `leaves`.
 fn append_subtree(nodes: &mut Vec<Node>, leaves: &mut [Node], depth: u32) {
-    let Some(all) = leaves.iter().copied().reduce(Node::join) else { return };
+    let Some(root) = leaves.iter().copied().reduce(Node::join) else { return };
     let index = nodes.len();
-    nodes.push(all);
+    nodes.push(root);
     if leaves.len() > 1 {
         let middle = if depth < DEEP { cheapest_split(leaves) } else { leaves.len() / 2 };
         let (one, other) = leaves.split_at_mut(middle);
@@ -220,7 +220,7 @@ fn cheapest_split(leaves: &mut [Node]) -> usize {
         leaves.sort_unstable_by(|a, b| (a.low[axis] + a.high[axis]).total_cmp(&(b.low[axis] + b.high[axis])));
     };
     let mut cost_after = vec![0.0; count];
-    let mut best = (f64::INFINITY, 0, count / 2);
+    let (mut least_cost, mut best_axis, mut split) = (f64::INFINITY, 0, count / 2);
     for axis in 0..3 {
         sort(leaves, axis);
         let mut part = leaves[count - 1];
@@ -232,13 +232,13 @@ fn cheapest_split(leaves: &mut [Node]) -> usize {
         for i in 1..count {
             part = part.join(leaves[i - 1]);
             let cost = part.half_area() * i as f64 + cost_after[i];
-            if cost < best.0 {
-                best = (cost, axis, i);
+            if cost < least_cost {
+                (least_cost, best_axis, split) = (cost, axis, i);
             }
         }
     }
-    sort(leaves, best.1);
-    best.2
+    sort(leaves, best_axis);
+    split
 }
 
 #[cfg(test)]

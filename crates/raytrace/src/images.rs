@@ -61,7 +61,8 @@ pub struct ImageTree {
 }
 
 impl ImageTree {
-    /// Builds the tree of the point `origin`; `None` if it would exceed two million images or take minutes.
+    /// Builds the tree of the point `origin`; `None` if it would exceed the limits of memory (`MOST_IMAGES`,
+    /// `MOST_PLANES`) or time (`MOST_TRIALS`, `MOST_CORNERS`).
     pub fn build(world: &World, origin: DVec3, orders: Orders) -> Option<Self> {
         let mut tree = Self { origin, nodes: Vec::new(), planes: Vec::new() };
         // Faces of the room come first, in case their reflection limit is higher.
@@ -110,7 +111,7 @@ impl ImageTree {
     }
 
     /// Adds the image of the image `parent` in `face`, and returns its index; `None` if no part of the face is inside the
-    /// beam of `parent`.
+    /// beam of `parent`, or if the parent image lies in the plane of the face.
     fn add_image(&mut self, world: &World, parent: u32, face: u32) -> Option<u32> {
         let (image, beam) = self.beam(parent);
         let mirror = &world.faces[face as usize];

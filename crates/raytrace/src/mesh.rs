@@ -113,12 +113,12 @@ fn is_consistently_oriented(mesh: &Mesh) -> bool {
 /// Returns whether a part of a triangle remains outside the triangles that hide it. `hiding` returns a triangle that
 /// covers the centre of a piece. Also returns `true` if the parts become too many.
 fn has_visible_part(triangle: &Triangle, hiding: impl Fn(&Triangle) -> Option<Triangle>) -> bool {
-    let mut rest = vec![*triangle];
+    let mut remaining = vec![*triangle];
     for _ in 0..MOST_PIECES {
-        let Some(piece) = rest.pop() else { return false };
+        let Some(piece) = remaining.pop() else { return false };
         let Some(other) = hiding(&piece) else { return true };
         let pieces = triangles_outside(&piece, &side_planes(&other.corners(), other.normal()));
-        rest.extend(pieces.into_iter().filter(|piece| piece.area() > EQUAL * triangle.area()));
+        remaining.extend(pieces.into_iter().filter(|piece| piece.area() > EQUAL * triangle.area()));
     }
     true
 }
@@ -139,7 +139,8 @@ impl Mesh {
         let (hierarchy, trials) = (Hierarchy::new(&all), Cell::new(0));
         let mut is_kept = vec![true; all.len()];
         for i in 0..all.len() {
-            let count = |_| trials.replace(trials.get() + 1) < MOST_TRIALS;
+            // Counts each tested box, and ends the search at the limit.
+            let count_trial = |_| trials.replace(trials.get() + 1) < MOST_TRIALS;
             let hides = |k: usize, point: DVec3| {
                 let (other, normal) = (&all[k], all[k].normal());
                 let height = |p: DVec3| normal.dot(p - other.corner);
@@ -150,7 +151,7 @@ impl Mesh {
             let hiding = |piece: &Triangle| {
                 let middle = piece.corners().iter().sum::<DVec3>() / 3.0;
                 let reach = EQUAL * (piece.sides[0].length() + piece.sides[1].length());
-                hierarchy.near_point(middle, reach, count).find(|&k| k < i && is_kept[k] && hides(k, middle))
+                hierarchy.near_point(middle, reach, count_trial).find(|&k| k < i && is_kept[k] && hides(k, middle))
             };
             is_kept[i] = has_visible_part(&all[i], |piece| hiding(piece).map(|k| all[k]));
         }
@@ -285,8 +286,8 @@ impl Mesh {
 
 /// Returns the rotation about +z by `degrees` counterclockwise, exact for quarter turns.
 fn yaw_rotation(degrees: f64) -> DMat3 {
-    let (quarters, rest) = ((degrees / 90.0).round(), degrees - 90.0 * (degrees / 90.0).round());
-    let (sin, cos) = rest.to_radians().sin_cos();
+    let (quarters, remainder) = ((degrees / 90.0).round(), degrees - 90.0 * (degrees / 90.0).round());
+    let (sin, cos) = remainder.to_radians().sin_cos();
     let (sin, cos) = match quarters.rem_euclid(4.0) as u8 {
         0 => (sin, cos),
         1 => (cos, -sin),

@@ -76,8 +76,8 @@ impl DatasetWriter<'_> {
     /// killed attempts are removed.
     ///
     /// # Errors
-    /// `out` is not empty, a write failed, the layout does not fit, or `stop` is set ([`Error::Stopped`]; nothing is left
-    /// behind).
+    /// `out` is not empty, a write failed, the layout does not fit, the scene cannot be simulated, powers leave a
+    /// receiver or transmitter without a signal, or `stop` is set ([`Error::Stopped`]). Nothing is left behind.
     pub fn write(&self, recipe: &SimulationRecipe, out: &Path) -> Result<()> {
         let Self { layout, has_paths, progress, stop } = *self;
         layout.check(recipe, has_paths)?;
@@ -138,7 +138,7 @@ impl DatasetWriter<'_> {
 /// consecutive.
 ///
 /// # Errors
-/// Same as [`DatasetWriter::write`].
+/// `out` is not empty, the scene cannot be simulated, or a write failed.
 pub(crate) fn write_links(recipe: &SimulationRecipe, out: &Path, progress: Progress<'_>) -> Result<()> {
     let (simulator, new_folder) = (Simulator::new(&recipe.scene)?, NewFolder::begin(out)?);
     let layout = match recipe.observe {

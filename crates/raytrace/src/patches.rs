@@ -21,34 +21,34 @@ pub(crate) struct Patch {
 /// Returns the scattering patches of all rough faces: squares with a side of about `side` metres. Phases are drawn per
 /// face, so that adding a face changes no other.
 pub(crate) fn scattering_patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
-    let mut all = Vec::new();
+    let mut patches = Vec::new();
     for (index, face) in world.faces.iter().enumerate() {
         if world.surface_of(index as u32).roughness == 0.0 {
             continue;
         }
         let mut random = rng::stream(seed, "scattering", index as u64);
-        let start = all.len();
+        let start = patches.len();
         let lattice = Lattice::new(&face.hull, face.normal, side);
         for point in lattice.iter().flat_map(Lattice::cell_centres) {
             let phase = rng::uniform(&mut random) as f64 * TAU;
             if world.is_on_face(index as u32, point) {
-                all.push(Patch { face: index as u32, point, area: 0.0, phase });
+                patches.push(Patch { face: index as u32, point, area: 0.0, phase });
             }
         }
         // On slanted borders patch areas are rescaled to sum to the area of the face. If another face covers this one
         // from both sides, only that one scatters.
         let area: f64 = world.triangles[face.triangles.clone()].iter().map(Triangle::area).sum();
-        let share = area / (all.len() - start).max(1) as f64;
-        let mut fresh = all.split_off(start);
+        let share = area / (patches.len() - start).max(1) as f64;
+        let mut fresh = patches.split_off(start);
         fresh.retain(|patch| {
             [1.0, -1.0]
                 .into_iter()
-                .any(|side| world.front_face(patch.face, patch.point, patch.point + side * face.normal) == patch.face)
+                .any(|sign| world.front_face(patch.face, patch.point, patch.point + sign * face.normal) == patch.face)
         });
         fresh.iter_mut().for_each(|patch| patch.area = share);
-        all.append(&mut fresh);
+        patches.append(&mut fresh);
     }
-    all
+    patches
 }
 
 /// Returns the number of cells of about `side` metres in the bounding rectangle of a face, which [`scattering_patches`]
@@ -65,9 +65,10 @@ fn extent_along(points: &[DVec3], axis: DVec3) -> (f64, f64) {
 
 /// Grid of cells in the bounding rectangle of a convex polygon, along its longest side.
 struct Lattice {
-    /// Axes in the plane, and the height of the plane.
+    /// Axes in the plane, unit vectors.
     u: DVec3,
     v: DVec3,
+    /// Point of the plane nearest to the origin, metres.
     level: DVec3,
     /// Range along each axis, metres.
     extent: [(f64, f64); 2],
@@ -79,8 +80,8 @@ struct Lattice {
 impl Lattice {
     /// Creates the grid of cells of about `side` metres over a polygon; `None` if all its corners coincide.
     fn new(hull: &[DVec3], normal: DVec3, side: f64) -> Option<Self> {
-        let longest = (0..hull.len()).map(|i| hull[(i + 1) % hull.len()] - hull[i]);
-        let u = longest.max_by(|a, b| a.length().total_cmp(&b.length())).and_then(DVec3::try_normalize)?;
+        let sides = (0..hull.len()).map(|i| hull[(i + 1) % hull.len()] - hull[i]);
+        let u = sides.max_by(|a, b| a.length().total_cmp(&b.length())).and_then(DVec3::try_normalize)?;
         let v = normal.cross(u);
         let extent = [u, v].map(|axis| extent_along(hull, axis));
         let [columns, rows] = extent.map(|(low, high)| ((high - low) / side).round().max(1.0));

@@ -18,20 +18,20 @@ pub(crate) fn clip_polygon(polygon: &[DVec3], (normal, offset): Plane) -> Vec<DV
         if h.abs() < THIN { 0.0 } else { h }
     };
     if polygon.iter().all(|p| height(*p) <= 0.0) {
-        return Vec::new(); // a face in the plane of the last mirror, itself above all
+        return Vec::new(); // such as the last mirror itself, and other faces in its plane
     }
-    let mut kept = Vec::with_capacity(polygon.len() + 1);
+    let mut clipped = Vec::with_capacity(polygon.len() + 1);
     for (i, &a) in polygon.iter().enumerate() {
         let b = polygon[(i + 1) % polygon.len()];
         let (ha, hb) = (height(a), height(b));
         if ha >= 0.0 {
-            kept.push(a);
+            clipped.push(a);
         }
         if ha * hb < 0.0 {
-            kept.push(a + (b - a) * (ha / (ha - hb)));
+            clipped.push(a + (b - a) * (ha / (ha - hb)));
         }
     }
-    kept
+    clipped
 }
 
 /// Returns the area of a convex polygon, m².
@@ -69,12 +69,12 @@ pub(crate) fn interval_inside([a, b]: [DVec3; 2], sides: &[Plane], least: f64) -
 /// Returns the part of a triangle outside a convex polygon in its plane, as triangles. `sides` are the planes of the
 /// polygon, as of [`side_planes`].
 pub(crate) fn triangles_outside(triangle: &Triangle, sides: &[Plane]) -> Vec<Triangle> {
-    let mut rest = triangle.corners().to_vec();
+    let mut inside = triangle.corners().to_vec();
     let mut pieces = Vec::new();
     for &(normal, offset) in sides {
-        pieces.push(clip_polygon(&rest, (-normal, -offset)));
-        rest = clip_polygon(&rest, (normal, offset));
-        if polygon_area(&rest) <= LEAST_AREA {
+        pieces.push(clip_polygon(&inside, (-normal, -offset)));
+        inside = clip_polygon(&inside, (normal, offset));
+        if polygon_area(&inside) <= LEAST_AREA {
             return vec![*triangle]; // nothing of it lies inside
         }
     }

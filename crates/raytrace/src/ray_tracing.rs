@@ -206,8 +206,8 @@ fn is_same_frequency(a: f64, b: f64) -> bool {
     (a / b - 1.0).abs() < SAME_FREQUENCY
 }
 
-/// Returns the index in the scene of each receiver of the data: by carrier, by name, or the only one. Returns an error if
-/// one is missing or has another carrier.
+/// Returns the index in the scene of each receiver of the data: by carrier, else by name. A single receiver without its
+/// name in the scene is the first. Returns an error if one is missing or has another carrier.
 fn receiver_indices(data: &Dataset, scene: &SceneFile) -> Result<Vec<usize>> {
     let data_receivers = &data.scene.receivers;
     if !scene.carriers_hz.is_empty() {

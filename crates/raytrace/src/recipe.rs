@@ -64,7 +64,8 @@ impl SimulationRecipe {
         Self { scene, ..self }.checked()
     }
 
-    /// Returns the recipe with as many samples as the scene states. Returns an error for too many links.
+    /// Returns the recipe with as many samples as the scene lists positions, if it lists any. Returns an error for too
+    /// many links.
     fn checked(mut self) -> Result<Self> {
         self.samples = self.scene.transmitter.positions.listed_count().unwrap_or(self.samples);
         let (samples, receivers) = (self.samples, self.scene.receivers().count() * self.scene.carrier_count());
@@ -129,6 +130,7 @@ impl SimulationRecipe {
 
 /// Returns an error for a number of samples or points out of range.
 pub(crate) fn check_counts(samples: usize, points: usize) -> Result<(), String> {
+    // Five samples have one test sample.
     if !(5..=MOST_SAMPLES).contains(&samples) {
         return Err(format!("`samples` is {samples}; give 5 to {MOST_SAMPLES}"));
     }
@@ -153,7 +155,7 @@ fn check_channels(scene: &SceneFile, samples: usize) -> Result<()> {
         )));
     }
     let numbers = [scene.receivers().count(), count, scene.frequencies().len()].into_iter().product::<usize>();
-    let bytes = numbers.saturating_mul(samples).saturating_mul(8);
+    let bytes = numbers.saturating_mul(samples).saturating_mul(8); // single precision, complex
     // Training needs them in memory.
     check_memory(bytes as u64, "give fewer samples, antennas or subcarriers").map_err(|fault| {
         Error::Config(format!("scene `{}`: training with channels of {samples} transmitters {fault}", scene.name))

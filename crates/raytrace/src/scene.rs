@@ -154,7 +154,8 @@ impl SceneFile {
         read_ron::<Self>(text, path)?.validated(path, text)
     }
 
-    /// Returns the scene if it is valid, otherwise an error with line and column in the file `path` with content `text`.
+    /// Returns the scene if it is valid, otherwise an error for the file `path` with content `text`; line and column
+    /// are those of a word near the problem, if the text has it.
     fn validated(self, path: &Path, text: &str) -> Result<Self> {
         self.check_names().and_then(|()| self.check()).map_err(|fault| match word_position(text, &fault.near) {
             Some((line, column)) => Error::at(path, line, column, fault.message),
@@ -163,7 +164,7 @@ impl SceneFile {
         Ok(self)
     }
 
-    /// Returns the scene as RON text, with defaults written out.
+    /// Returns the scene as RON text. Defaults are written out, except for fields that are omitted if unused.
     pub fn to_ron(&self) -> String {
         let config = ron::ser::PrettyConfig::new().struct_names(true);
         pwrfgs_core::plugin::ron_options().to_string_pretty(self, config).expect("a scene is plain data")
@@ -212,7 +213,7 @@ impl SceneFile {
         room.chain(self.objects.iter().filter_map(|o| Some((o.name(), o.finish()?))))
     }
 
-    /// Returns the first problem of the scene, in words; `None` for a valid scene. Names are not checked.
+    /// Returns the first problem of the scene, in words; `None` for a valid scene. [`Self::check_names`] is left out.
     pub(crate) fn first_fault(&self) -> Option<String> {
         self.check().err().map(|fault| fault.message)
     }

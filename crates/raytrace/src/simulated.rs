@@ -99,11 +99,11 @@ fn link_dataset(recipe: &SimulationRecipe, folder: &Path, points: Option<PathBuf
     let pairs = (1..).zip(&poses).flat_map(|(id, pose)| (0..receivers.len()).map(move |receiver| (id, pose, receiver)));
     let mut samples: Vec<Sample> =
         pairs.map(|(id, pose, receiver)| Sample { receiver, ..Sample::new(id, *pose) }).collect();
-    if let Observations::Powers(all) = &mut observations {
+    if let Observations::Powers(powers) = &mut observations {
         let is_received = |dbm: &Real| f64::from(*dbm) > SILENT_DBM;
-        let mut received = all.iter().map(is_received);
+        let mut received = powers.iter().map(is_received);
         samples.retain(|_| received.next().unwrap_or(false));
-        all.retain(is_received);
+        powers.retain(is_received);
     }
     if samples.is_empty() {
         let problem = "no receiver receives any transmitter; raise `power_dbm` of its transmitter";
@@ -215,7 +215,7 @@ pub fn cache_root() -> Option<PathBuf> {
 
 /// Returns the result of `read` on the data set of `recipe`, which is simulated or found in the cache `root`.
 ///
-/// An entry is a folder made by [`output::DatasetWriter::write`], with one array or table of all links; the receivers of a
+/// An entry is a folder made by `output::write_links`, with one array or table of all links; the receivers of a
 /// transmitter are consecutive. It is used only if its manifest equals that of the recipe and `read` succeeds;
 /// otherwise it is simulated again. Entries are created by renaming, so they are always complete; remains of killed
 /// programs are removed, and concurrent programs share one entry. If the cache is not writable, a temporary folder is

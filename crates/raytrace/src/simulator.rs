@@ -29,8 +29,8 @@ impl Simulator {
     /// Prepares `scene`.
     ///
     /// # Errors
-    /// A mesh that cannot be read or is not closed as required, a receiver inside an object, or too many images or
-    /// patches.
+    /// A mesh that cannot be read or is not closed as required, a receiver inside an object, too many images or
+    /// patches, or too much memory.
     pub fn new(scene: &SceneFile) -> Result<Self> {
         let (scene, world) = (Arc::new(scene.clone()), Arc::new(World::from_scene(scene)?));
         check_patches(&scene, &world)?;
@@ -82,7 +82,7 @@ impl Simulator {
     /// Draws the positions of `count` transmitters, metres, world frame.
     ///
     /// # Errors
-    /// No free space, a grid point inside an object, or a transmitter at a receiver antenna.
+    /// Errors of [`Transmitters::draw`](crate::scene::Transmitters::draw), or a transmitter at a receiver antenna.
     pub fn draw_positions(&self, count: usize, seed: u64) -> Result<Vec<DVec3>> {
         let free = |point: DVec3| self.world.check_free(point);
         let drawn = self.scene.transmitter.positions.draw(count, seed, &free);
@@ -90,7 +90,7 @@ impl Simulator {
         drawn.map_err(|e| Error::Config(format!("scene `{}`: {e}", self.scene.name)))
     }
 
-    /// Returns an error for a transmitter position at a receiver antenna, where the gain is infinite.
+    /// Returns an error for a transmitter position at a receiver antenna or array centre, where the gain is infinite.
     fn check_distances(&self, positions: &[DVec3]) -> Result<()> {
         for receiver in &self.receivers {
             let mut antennas = receiver.antenna_positions();
@@ -129,8 +129,8 @@ pub struct SimulationRequest {
 }
 
 /// Simulates the observations of all receivers with all errors. Calls `each` in order with number (from 0), position and
-/// observations of each transmitter. Stops between two transmitters if `stop` is set. Memory holds a few transmitters
-/// at a time; results do not depend on the number of threads.
+/// observations of each transmitter, or of each position of a moving receiver. Stops between two transmitters if `stop`
+/// is set. Memory holds a few transmitters at a time; results do not depend on the number of threads.
 ///
 /// # Errors
 /// Errors of [`Simulator::draw_positions`] and of `each`, [`Error::Stopped`], or a channel that is not finite.
@@ -155,8 +155,8 @@ pub fn simulate_links(
                 }
             }
         };
-        let all: Vec<Vec<ReceiverObservation>> = chunk.par_iter().enumerate().map(receive).collect::<Result<_>>()?;
-        for ((i, tx), received) in chunk.iter().enumerate().zip(all) {
+        let batch: Vec<Vec<ReceiverObservation>> = chunk.par_iter().enumerate().map(receive).collect::<Result<_>>()?;
+        for ((i, tx), received) in chunk.iter().enumerate().zip(batch) {
             if !received.iter().all(|received| received.observed.is_finite()) {
                 let (scene, number) = (&simulator.scene.name, first + i + 1);
                 let problem = "gives a field that is not finite; correct materials and positions";

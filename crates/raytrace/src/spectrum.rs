@@ -5,6 +5,7 @@ mod tests;
 
 use crate::Complex;
 use crate::array::Array;
+use crate::observe::mean_power;
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use pwrfgs_core::AngleAxis;
@@ -88,9 +89,9 @@ impl Beamformer {
 
     /// Returns the spectrum of the channel h `[K]` as an image.
     pub fn spectrum(&self, channel: &[Complex], kind: SpectrumKind) -> Spectrum {
-        let elements = channel.len().max(1) as f64;
         let mut values = self.amplitude(channel);
         if kind == SpectrumKind::Power {
+            let elements = channel.len() as f64;
             values.iter_mut().for_each(|a| *a = *a * *a * elements);
         }
         let (low, high) = value_range(&values);
@@ -98,8 +99,7 @@ impl Beamformer {
             SpectrumKind::Amplitude => low,
             SpectrumKind::Power => 0.0,
         };
-        let power = channel.iter().map(Complex::norm_sqr).sum::<f64>() / elements;
-        Spectrum { pixels: stretch_to_bytes(&values, black, high), low, high, power }
+        Spectrum { pixels: stretch_to_bytes(&values, black, high), low, high, power: mean_power(channel) }
     }
 }
 
@@ -161,7 +161,7 @@ impl Steering {
         Self::Grid { x, y, columns: array.columns }
     }
 
-    /// Returns |aᴴh| for every direction of the `channel` `[K]`; of a grid, padded to a multiple of `LANES`.
+    /// Returns |aᴴh| for every direction, h being the `channel` `[K]`; for a grid, padded to a multiple of `LANES`.
     fn magnitude(&self, channel: &[Complex]) -> Vec<f64> {
         match self {
             Self::Grid { x, y, columns } => {

@@ -30,7 +30,8 @@ pub struct SurfacePoints {
 /// Without any area the result is empty.
 pub fn sample_surfaces(triangles: &[[DVec3; 3]], normals: &[DVec3], count: usize, seed: u64) -> SurfacePoints {
     let mut cumulated = 0.0;
-    let areas: Vec<f64> = triangles
+    // Twice the area up to and including each triangle.
+    let area_sums: Vec<f64> = triangles
         .iter()
         .map(|[a, b, c]| {
             cumulated += (b - a).cross(c - a).length();
@@ -45,9 +46,9 @@ pub fn sample_surfaces(triangles: &[[DVec3; 3]], normals: &[DVec3], count: usize
     cloud.normals.reserve_exact(count);
     let mut random = rng::stream(seed, "surface", 0);
     let comb = rng::uniform_f64(&mut random);
-    for ((triangle, normal), area) in triangles.iter().zip(normals).zip(areas) {
+    for ((triangle, normal), area_sum) in triangles.iter().zip(normals).zip(area_sums) {
         // Tooth k of the comb is at k + comb of `count` equal parts of the area; the last part ends at exactly 1.
-        let end = (area / cumulated * count as f64 - comb).ceil().max(0.0) as usize;
+        let end = (area_sum / cumulated * count as f64 - comb).ceil().max(0.0) as usize;
         let share = end.saturating_sub(cloud.points.len());
         // Offsets apply to digits of the lattice only; further digits would move points from cell centres to corners.
         let lattice = 1 << (2 * (share.max(1).ilog2() / 2));

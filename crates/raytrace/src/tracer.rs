@@ -175,9 +175,6 @@ impl TraceWalk<'_> {
             (from, start_face, source) = (point, end_face, plane.mirror(source));
         }
         ray = self.propagate(ray, [from, self.rx], [start_face, &[]])?;
-        if ray.power() <= NEGLIGIBLE * NEGLIGIBLE {
-            return None;
-        }
         let gain = tracer.unit_gain() / self.rx.distance(source);
         Some(self.finish_path(ray, gain, departure, (source, 0.0)))
     }

@@ -52,7 +52,7 @@ impl Ray {
         Self { direction, re: field, im: DVec3::ZERO }
     }
 
-    /// Returns the component of the field along a real unit vector.
+    /// Returns the scalar product of the field and a real vector: for a unit vector, the component along it.
     pub(crate) fn component(&self, axis: DVec3) -> Complex {
         Complex::new(self.re.dot(axis), self.im.dot(axis))
     }
@@ -102,7 +102,7 @@ impl Ray {
     }
 
     /// Returns the ray after diffuse scattering into `out` with the given complex gain. The polarisation is projected
-    /// onto the new transverse plane; the field is zero if nothing remains.
+    /// onto the new transverse plane, without loss of power; the field is zero if nothing remains.
     pub(crate) fn scattered(&self, out: DVec3, gain: Complex) -> Self {
         let transverse = |v: DVec3| v - v.dot(out) * out;
         let (re, im) = (transverse(self.re), transverse(self.im));

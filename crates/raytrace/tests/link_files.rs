@@ -196,6 +196,7 @@ fn reports_position_of_invalid_input() {
         ("name: \"b\"", "name: \"a/b\"", "s.ron:6:35: `a/b` is not a valid receiver name; use a letter"),
         ("name: \"b\"", "name: \"\"", "`` is not a valid receiver name"),
         ("name: \"b\"", "name: \"No\"", "`No` is not a valid receiver name"),
+        ("name: \"b\"", "name: \"null\"", "`null` is not a valid receiver name"),
         ("(3.7, 1, 2)", "(NaN, 1, 2)", "s.ron:6:35: receiver `b`: `position` is [NaN"),
         ("(3.7, 1, 2)", "(1.5, 1.5, 0.3)", "the receiver `b` at [1.5, 1.5, 0.3] is inside `desk`"),
         ("(3.7, 1, 2)", "(9, 1, 2)", "the receiver `b` at [9.0, 1.0, 2.0] is outside the room"),

@@ -66,7 +66,8 @@ pub(super) fn write_scenario(
     files::write(&folder.join("objects.json"), "[]")
 }
 
-/// Returns the strongest paths from `user` to `station`, in descending order of gain, as many as DeepMIMO supports.
+/// Returns the strongest paths from `user` to `station`, in descending order of gain, at most as many as DeepMIMO
+/// supports. Paths without power are left out.
 fn strongest_paths(station: &PreparedReceiver, user: DVec3) -> Vec<PropagationPath> {
     let mut paths = station.trace(user);
     paths.retain(|path| path.gain.norm_sqr() > 0.0); // from behind a patch antenna
@@ -120,8 +121,8 @@ fn interaction_digits(path: &PropagationPath) -> Vec<usize> {
     path.interactions.iter().rev().map(digit).collect()
 }
 
-/// Returns `params.json`: the largest number of each interaction on a path, and base stations and users with their
-/// numbers of points and of active points.
+/// Returns `params.json`. `most` has the largest number of each interaction on a path, in the order of
+/// [`interaction_digits`]; `sets` has base stations, then users, with their numbers of points and of active points.
 fn scenario_parameters(carrier_hz: f64, most: [usize; 4], sets: [(&str, [usize; 2]); 2]) -> Value {
     let mut ray_tracer = json!({
         "raytracer_name": "pwrfgs", "raytracer_version": env!("CARGO_PKG_VERSION"), "frequency": carrier_hz,

@@ -98,7 +98,7 @@ impl OutputLayout {
         Ok(())
     }
 
-    /// Returns the number of the first sample, as in NeRF2: image names from 1, rows from 0.
+    /// Returns the number of the first sample, as in NeRF2: 1 for spectra, 0 for powers and channels.
     fn first_id(self) -> usize {
         usize::from(matches!(self, Self::Pictures | Self::Array))
     }

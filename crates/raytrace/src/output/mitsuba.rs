@@ -20,8 +20,8 @@ const STEPS: f64 = 1e9;
 /// Largest conductivity, S/m, for the single precision of Sionna RT.
 const MOST_CONDUCTIVITY: f64 = 1e12;
 
-/// Writes the surfaces of `scene` into the new folder `out`: `scene.xml`, and a PLY file per object. Returns the number
-/// of meshes.
+/// Writes the surfaces of `scene` into the new folder `out`: `scene.xml`, and a PLY file per object, and for walls,
+/// floor and ceiling. Returns the number of PLY files.
 ///
 /// Materials of ITU-R P.2040 are written by name, others with their constants at the carrier. A solid becomes a sheet of
 /// 10 m. Where objects touch, the order of the file gives the same precedence as in the scene.
@@ -44,8 +44,8 @@ pub fn export_scene(scene: &SceneFile, out: &Path) -> Result<usize> {
         let faces = world.faces.iter().filter(|face| face.surface == surface);
         let triangles = faces.flat_map(|face| &world.triangles[face.triangles.clone()]);
         let base = plain_name(name);
-        let mut all = iter::once(base.clone()).chain((2..).map(|k| format!("{base}-{k}")));
-        let id = all.find(|id| ids.insert(id.to_lowercase())).expect("numbers do not end");
+        let mut candidates = iter::once(base.clone()).chain((2..).map(|k| format!("{base}-{k}")));
+        let id = candidates.find(|id| ids.insert(id.to_lowercase())).expect("numbers do not end");
         let file = format!("meshes/{id}.ply");
         write_atomically(&new_folder.path().join(&file), ply_text(triangles.map(Triangle::corners)).as_bytes())?;
         let (source, flat) =

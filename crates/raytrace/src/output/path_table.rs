@@ -15,8 +15,8 @@ pub(crate) struct PathTable {
 
 impl PathTable {
     /// Header of `paths.csv`. `interactions` has one letter each: R reflection, T transmission, D diffraction, S
-    /// diffuse scattering. Angles are in degrees; departure and arrival in the world frame, `spectrum_*` as pixel
-    /// coordinates of the spectrum. `gain_*` excludes the phase of the delay.
+    /// diffuse scattering; `LOS` without interactions. Angles are in degrees; departure and arrival in the world frame,
+    /// `spectrum_*` as pixel coordinates of the spectrum. `gain_*` excludes the phase of the delay.
     pub(crate) const HEADER: &str = "id,path,interactions,gain_re,gain_im,gain_db,delay_ns,length_m,\
         departure_azimuth_deg,departure_elevation_deg,arrival_azimuth_deg,arrival_elevation_deg,spectrum_azimuth_deg,\
         spectrum_elevation_deg,surfaces";

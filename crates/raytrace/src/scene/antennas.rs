@@ -15,7 +15,7 @@ const GATEWAY: &str = "gateway1";
 /// Longest receiver name, characters.
 const LONGEST: usize = 40;
 /// Words that YAML reads as a truth value or null, and that are therefore invalid names.
-const WORDS_OF_YAML: [&str; 8] = ["y", "n", "yes", "no", "on", "off", "true", "false"];
+const WORDS_OF_YAML: [&str; 9] = ["y", "n", "yes", "no", "on", "off", "true", "false", "null"];
 
 /// A receiver.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -5,7 +5,8 @@ use glam::{DQuat, DVec3};
 use pwrfgs_core::{Error, Pose, Receiver, Result, rng};
 
 impl SceneFile {
-    /// Returns the scene with another carrier and another position of the first receiver, if given.
+    /// Returns the scene with another carrier, which replaces `carriers_hz`, and another position of the first
+    /// receiver, metres, if given.
     ///
     /// # Errors
     /// A value out of range.
@@ -69,8 +70,8 @@ impl SceneFile {
         Some(SceneReceiver { orientation: Orientation::Quaternion(x, y, z, w), ..receiver })
     }
 
-    /// Returns the scene at each of its carriers, with a receiver of this name, which sets its noise; the scene itself
-    /// if it has one carrier.
+    /// Returns the scene at each of its carriers. The name of its receiver contains the carrier, so that noise differs
+    /// between carriers. Returns the scene itself if it has no `carriers_hz`.
     pub(crate) fn per_carrier(&self) -> Vec<Self> {
         let at = |hz: &f64| {
             let mut receiver = self.receiver.clone();

@@ -101,7 +101,7 @@ struct Reader<'a> {
     variables: BTreeMap<&'a str, &'a str>,
     /// Elements of materials, by id and alias.
     materials: BTreeMap<String, Element<'a>>,
-    /// Materials that shapes use so far, by id.
+    /// Finishes of the materials read so far, by id.
     finishes: BTreeMap<String, Finish>,
 }
 
@@ -255,7 +255,7 @@ impl<'a> Reader<'a> {
     /// Reads a `transform` element as one map: its steps applied in order. Returns an error for an unsupported step or
     /// an invalid number.
     fn read_transform(&self, node: Element<'_>) -> Result<DAffine3> {
-        let mut all = DAffine3::IDENTITY;
+        let mut combined = DAffine3::IDENTITY;
         for step in child_elements(node) {
             let fault = |problem: &str| self.fault(step, problem);
             let next = match step.tag_name().name() {
@@ -282,16 +282,16 @@ impl<'a> Reader<'a> {
                 },
                 _ => return Err(fault("unsupported transform; use translate, scale, rotate or matrix")),
             };
-            all = next * all;
+            combined = next * combined;
         }
-        Ok(all)
+        Ok(combined)
     }
 
     /// Reads a vector from the attribute `value`, with one or three numbers, or from `x`, `y` and `z`, each with a default.
     /// Returns an error for other numbers.
     fn read_vector(&self, node: Element<'_>, default: f64) -> Result<DVec3> {
         match self.attribute_numbers(node, "value")?.as_deref() {
-            Some(&[all]) => Ok(DVec3::splat(all)),
+            Some(&[value]) => Ok(DVec3::splat(value)),
             Some(&[x, y, z]) => Ok(DVec3::new(x, y, z)),
             Some(_) => Err(self.fault(node, "`value` needs one number or three")),
             None => {

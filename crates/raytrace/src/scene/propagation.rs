@@ -116,7 +116,8 @@ impl Subcarriers {
     }
 }
 
-/// Returns an error for carriers that are out of range or not in order, or for several receivers or a moving one.
+/// Returns an error for carriers that are out of range, not in order or too many, or unless the scene has a single,
+/// fixed receiver (`is_fixed`); none for an empty list.
 pub(super) fn check_carriers(carriers_hz: &[f64], is_fixed: bool) -> Result<(), String> {
     if let Some(fault) = carriers_hz.iter().find_map(|hz| carrier_fault(*hz)) {
         return Err(format!("`carriers_hz`: {fault}"));

@@ -93,7 +93,8 @@ pub enum Transmitters {
 }
 
 impl Transmitters {
-    /// Returns an error for a box without positions, or a step out of range: the problem and the next step.
+    /// Returns an error for a box without positions, a step out of range, a grid of too many points, or an invalid
+    /// list: the problem and the next step.
     pub fn check(&self) -> Result<(), String> {
         if let Self::Listed(poses) = self {
             return check_listed(poses);
@@ -123,10 +124,11 @@ impl Transmitters {
         }
     }
 
-    /// Draws `count` positions in `free` space, metres, world frame.
+    /// Draws `count` positions in `free` space, metres, world frame; a list gives at most as many as it has.
     ///
     /// # Errors
-    /// Errors of [`Self::check`]; no free space; a grid with too few points or a blocked one.
+    /// Errors of [`Self::check`]; no free space; a grid with too few points; a point of a grid or list that is not
+    /// free.
     pub fn draw(&self, count: usize, seed: u64, free: FreeSpace<'_>) -> Result<Vec<DVec3>> {
         self.check().map_err(position_error)?;
         if let Self::Listed(poses) = self {
@@ -377,7 +379,8 @@ impl Sampler<'_> {
     }
 }
 
-/// Draws a random step length, metres: at least half the median, longer than x with probability x₀/x, up to the limit.
+/// Draws a random step length, metres, between half of `median` and [`LONGEST`] times `median`. It exceeds x with a
+/// probability of about `median` / 2x.
 fn draw_step_length(median: f64, random: &mut Rng) -> f64 {
     let shortest_over_longest = 0.5 / LONGEST;
     let u = shortest_over_longest + (1.0 - shortest_over_longest) * rng::uniform_f64(random);

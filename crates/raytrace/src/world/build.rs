@@ -181,7 +181,8 @@ fn coplanar_groups(triangles: &[Triangle], owners: &BTreeMap<[u32; 2], Vec<usize
 }
 
 /// Returns the edge between the faces of the triangles `owners` at a side with these `ends`, or the rim of a sheet; `None`
-/// inside a face, in a concave corner of a closed part, beside a hidden face, or between more than two.
+/// inside a face, at an angle below [`FLATTEST_EDGE`], in a concave corner of a closed part, beside a hidden face, or
+/// between more than two triangles.
 fn face_edge(part: &WorldPart<'_>, (ends, owners): (&[u32; 2], &Vec<usize>), triangles: &[Triangle]) -> Option<Edge> {
     let mesh = part.mesh;
     let [p, q] = ends.map(|i| mesh.vertices[i as usize]);

@@ -67,8 +67,8 @@ impl<'a> Contacts<'a> {
         face.layer > host.layer && is_coplanar(face, host)
     }
 
-    /// Returns whether a face of a part other than `part` touches the point. Boxes of only that part are skipped: near
-    /// the tip of a fan there are as many as triangles.
+    /// Returns whether a face of another part than `part` touches the point and is eligible. Boxes of only that part
+    /// are skipped: near the tip of a fan there are as many as triangles.
     fn is_near_other_part(&self, point: DVec3, part: usize, is_eligible: &dyn Fn(u32) -> bool) -> bool {
         let is_other = |number: usize| {
             self.trials.set(self.trials.get() + 1);

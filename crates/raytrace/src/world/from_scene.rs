@@ -12,7 +12,8 @@ impl World {
     /// Builds the geometry of `scene`.
     ///
     /// # Errors
-    /// A mesh that cannot be read, or a solid mesh that is not closed; an opening outside any wall; too many triangles.
+    /// A mesh that cannot be read, or a solid mesh that is not closed; an opening outside any wall; too many triangles
+    /// or contacts.
     pub fn from_scene(scene: &SceneFile) -> Result<Self> {
         let mut builder = WorldBuilder::default();
         match &scene.room {
@@ -35,10 +36,11 @@ impl World {
 }
 
 impl SceneFile {
-    /// Returns the triangles of all surfaces except the ceiling, for a view from above; corner positions in metres.
+    /// Returns the triangles of all surfaces without `ceiling` in their names, for a view from above; corner positions
+    /// in metres.
     ///
     /// # Errors
-    /// A mesh that cannot be read, or surfaces that do not form a room.
+    /// Errors of [`World::from_scene`].
     pub fn surfaces_below_ceiling(&self) -> Result<Vec<[[f64; 3]; 3]>> {
         let world = World::from_scene(self)?;
         let shown =

@@ -1,7 +1,7 @@
 //! Openings: holes in faces, and their rims.
 
 use super::build::WorldBuilder;
-use super::contact::{TOUCHING, is_near_face};
+use super::contact::{BEYOND, TOUCHING, is_near_face};
 use super::{Edge, Face, SurfaceLayer, Triangle};
 use crate::polygon::{Plane, interval_inside, side_planes, triangles_outside};
 use glam::DVec3;
@@ -114,7 +114,7 @@ impl WorldBuilder {
         let mut rims = Vec::new();
         for (i, (normal, _)) in side_planes(hole, face.normal).into_iter().enumerate() {
             let ends = [hole[i], hole[(i + 1) % 4]];
-            let beyond = ends.map(|p| p - 10.0 * TOUCHING * normal);
+            let beyond = ends.map(|p| p - BEYOND * normal);
             let mut intervals: Vec<(f64, f64)> = self
                 .face_triangles(host)
                 .iter()

@@ -60,7 +60,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Reads a `bsdf` element: adds its finish to `finishes`, and a material with constants of its own to `scene`. Returns
-    /// an error unless it is a radio material, or one of the scene file.
+    /// an error unless it is a radio material or one of the scene file, and for an invalid property.
     fn read_material(&mut self, node: Element<'_>, scene: &mut MitsubaScene) -> Result<Finish> {
         let unnamed = || format!("material {}", self.finishes.len() + 1);
         let (id, kind) = (self.attribute(node, "id")?.unwrap_or_else(unnamed), self.required_attribute(node, "type")?);
@@ -113,8 +113,8 @@ impl<'a> Reader<'a> {
         if names.contains(&&*name) {
             return Ok(name);
         }
-        let (hint, all) = (did_you_mean(&name, names.iter().copied()), names.join(", "));
-        let problem = format!("unknown ITU material {}{hint}; its `type` is one of {all}", quoted(&name));
+        let (hint, listed) = (did_you_mean(&name, names.iter().copied()), names.join(", "));
+        let problem = format!("unknown ITU material {}{hint}; its `type` is one of {listed}", quoted(&name));
         Err(self.fault(type_node.unwrap_or(node), problem))
     }
 
