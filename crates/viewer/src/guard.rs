@@ -68,21 +68,21 @@ impl Guard {
         if uri.path_and_query().is_none_or(|all| all.as_str().len() > MAX_QUERY_BYTES) {
             return Err(StatusCode::URI_TOO_LONG);
         }
-        let (token, rest) = uri.path().trim_start_matches('/').split_once('/').ok_or(StatusCode::NOT_FOUND)?;
-        if is_same_token(token.as_bytes(), self.token.as_bytes()) { Ok(rest) } else { Err(StatusCode::NOT_FOUND) }
+        let (token, path) = uri.path().trim_start_matches('/').split_once('/').ok_or(StatusCode::NOT_FOUND)?;
+        if is_same_token(token.as_bytes(), self.token.as_bytes()) { Ok(path) } else { Err(StatusCode::NOT_FOUND) }
     }
 }
 
 /// Returns the value of a header; `None` unless it occurs exactly once, as visible ASCII.
 fn single_value<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
-    let mut all = headers.get_all(name).iter();
-    let first = all.next()?.to_str().ok()?;
-    all.next().is_none().then_some(first)
+    let mut values = headers.get_all(name).iter();
+    let first = values.next()?.to_str().ok()?;
+    values.next().is_none().then_some(first)
 }
 
-/// Compares two tokens in constant time, so that response times do not reveal the valid one.
+/// Returns whether two tokens are equal, in constant time, so that response times do not reveal the valid one.
 fn is_same_token(a: &[u8], b: &[u8]) -> bool {
-    a.len() == b.len() && a.iter().zip(b).fold(0, |all, (a, b)| all | (a ^ b)) == 0
+    a.len() == b.len() && a.iter().zip(b).fold(0, |difference, (a, b)| difference | (a ^ b)) == 0
 }
 
 #[cfg(test)]

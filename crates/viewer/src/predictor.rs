@@ -34,7 +34,7 @@ pub(crate) enum Predictor {
     Baseline(FittedBaseline),
 }
 
-/// Prediction.
+/// Predicted observation of a link.
 pub(crate) struct PredictedImage {
     pub(crate) image: Image,
     /// Standard deviation over the members of an ensemble.

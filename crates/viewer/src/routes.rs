@@ -118,9 +118,10 @@ impl QueryParams {
                 "snapshot" => parameters.snapshot = Some(index()?),
                 "z" => parameters.z = Some(parse_metres(name, value)?),
                 "tx" => {
-                    let all: Vec<f64> = value.split(',').map(|v| parse_metres(name, v)).collect::<Result<_, _>>()?;
-                    parameters.tx = Some(all.try_into().map_err(|all: Vec<f64>| {
-                        format!("query parameter `tx`: expected x,y,z, found {} numbers", all.len())
+                    let numbers: Vec<f64> =
+                        value.split(',').map(|v| parse_metres(name, v)).collect::<Result<_, _>>()?;
+                    parameters.tx = Some(numbers.try_into().map_err(|numbers: Vec<f64>| {
+                        format!("query parameter `tx`: expected x,y,z, found {} numbers", numbers.len())
                     })?);
                 }
                 "with" => value.clone_into(&mut parameters.with),

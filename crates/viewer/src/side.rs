@@ -179,8 +179,8 @@ impl ViewPane {
         self.predictor.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Returns the locator of `predictor`, the models without the residuals of validation samples. The first call fits
-    /// it, which takes up to minutes; meanwhile other calls wait.
+    /// Returns the locator of `predictor`, whose models are used without their residuals of validation samples. The
+    /// first call fits it, which takes up to minutes; meanwhile other calls wait. Returns an error if the fit fails.
     pub(crate) fn fit_locator(&self, loaded: &LoadedData, predictor: Arc<Predictor>) -> Result<Arc<FittedLocator>> {
         let mut cached = self.locator.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, locator)) = cached.as_ref().filter(|(owner, _)| Arc::ptr_eq(owner, &predictor)) {
@@ -222,7 +222,8 @@ impl ViewPane {
         Ok(is_finished)
     }
 
-    /// Rejects a pane that does not predict the same quantity, for the same receivers, as `other`.
+    /// Returns an error unless the pane predicts the same quantity, for the same receivers and in the same image size,
+    /// as `other`.
     pub(crate) fn check_comparable(&self, other: &Self) -> Result<()> {
         let (a, b) = (&self.setup, &other.setup);
         let poses = |setup: &MeasurementSetup| -> Vec<_> {

@@ -21,16 +21,18 @@ const QUEUED_EVENTS: usize = 64;
 /// State of the server.
 pub(crate) struct ServerState {
     pub(crate) sides: Vec<ViewPane>,
+    /// Whether a page was opened.
     watched: AtomicBool,
+    /// Number of open pages.
     watchers: AtomicUsize,
-    news: broadcast::Sender<String>,
+    events: broadcast::Sender<String>,
 }
 
 impl ServerState {
     /// Creates the state, and starts a thread per run in progress that sends events about its changes.
     pub(crate) fn new(sides: Vec<ViewPane>) -> Arc<Self> {
-        let (news, _) = broadcast::channel(QUEUED_EVENTS);
-        let state = Arc::new(Self { sides, watched: AtomicBool::new(false), watchers: AtomicUsize::new(0), news });
+        let (events, _) = broadcast::channel(QUEUED_EVENTS);
+        let state = Arc::new(Self { sides, watched: AtomicBool::new(false), watchers: AtomicUsize::new(0), events });
         for side in 0..state.sides.len() {
             let running = state.sides[side].folder.clone().filter(|folder| !folder.join(MODEL_FILE).is_file());
             if let Some(folder) = running {
@@ -50,7 +52,7 @@ impl ServerState {
     pub(crate) fn register_page(self: &Arc<Self>) -> (broadcast::Receiver<String>, WatcherGuard) {
         self.watched.store(true, Ordering::Relaxed);
         self.watchers.fetch_add(1, Ordering::Relaxed);
-        (self.news.subscribe(), WatcherGuard(Arc::clone(self)))
+        (self.events.subscribe(), WatcherGuard(Arc::clone(self)))
     }
 
     /// Returns whether a page was opened, and all pages are closed.
@@ -79,7 +81,7 @@ impl ServerState {
             "side": side, "step": step, "loss": loss, "gaussians": gaussians, "changed": reload, "finished": finished,
             "steps": loaded.map(|loaded| loaded.pipeline.training.steps),
         });
-        _ = self.news.send(event.to_string());
+        _ = self.events.send(event.to_string());
         finished
     }
 }

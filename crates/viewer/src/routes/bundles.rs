@@ -29,7 +29,7 @@ const ACROSS: usize = 60;
 
 type BundleResult = Result<TensorBundle, RequestError>;
 
-/// Creates the bundle of arrays called `path`; an error for other names.
+/// Creates the bundle of arrays called `path`; an error for another name, or parameters that it does not support.
 pub(super) fn create_bundle(path: &str, parameters: &QueryParams, state: &ServerState) -> BundleResult {
     let side = state.sides.get(parameters.side).ok_or_else(|| bad_request("query parameter `side`: no such side"))?;
     match path {
@@ -106,8 +106,8 @@ fn describe_side(side: &ViewPane) -> Value {
 fn gaussian_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     let origin = live::origin(&side.setup, side.loaded.as_ref().map(|loaded| &*loaded.data));
     if let Some(k) = parameters.snapshot {
-        let all = read_snapshots(side);
-        let (_, snapshot) = all.get(k).ok_or_else(|| bad_request("query parameter `snapshot`: no such snapshot"))?;
+        let stored = read_snapshots(side);
+        let (_, snapshot) = stored.get(k).ok_or_else(|| bad_request("query parameter `snapshot`: no such snapshot"))?;
         return Ok(snapshot_bundle(snapshot, origin));
     }
     let predictor = current_predictor(side)?;
@@ -116,8 +116,8 @@ fn gaussian_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     if let Some(tx) = parameters.tx.filter(|_| parameters.with == "contribution") {
         check_receiver(side, parameters)?;
         let models = ensemble.members().iter();
-        let all: Vec<Real> = models.flat_map(|model| contributions(model, tx, parameters.receiver)).collect();
-        bundle.put("contributions", &[all.len()], all);
+        let values: Vec<Real> = models.flat_map(|model| contributions(model, tx, parameters.receiver)).collect();
+        bundle.put("contributions", &[values.len()], values);
     }
     Ok(bundle)
 }
@@ -232,11 +232,11 @@ fn link_bundle(side: &ViewPane, parameters: &QueryParams) -> BundleResult {
     let image = loaded.data.image(i);
     let mut bundle = TensorBundle::new(json!({ "strongest": strongest_direction(side, &image) }));
     if side.setup.task.is_scalar {
-        let mut all = vec![Real::NAN; side.setup.receivers.len()];
+        let mut powers = vec![Real::NAN; side.setup.receivers.len()];
         for other in loaded.data.links_of(&[loaded.data.links[i].location]) {
-            all[loaded.data.links[other].receiver] = loaded.data.image(other).pixels[0];
+            powers[loaded.data.links[other].receiver] = loaded.data.image(other).pixels[0];
         }
-        bundle.put("powers", &[all.len()], all);
+        bundle.put("powers", &[powers.len()], powers);
     }
     bundle.put("picture", &[image.height, image.width], image.pixels);
     Ok(bundle)
@@ -326,7 +326,7 @@ fn read_snapshots(side: &ViewPane) -> Vec<(String, Snapshot)> {
         let snapshot = Snapshot::read(&folder.join(name)).ok().flatten()?;
         Some((format!("{title}, step {}", grouped(snapshot.step as i64)), snapshot))
     });
-    let mut all: Vec<_> = readable.collect();
-    all.sort_by_key(|(_, snapshot)| snapshot.step);
-    all
+    let mut stored: Vec<_> = readable.collect();
+    stored.sort_by_key(|(_, snapshot)| snapshot.step);
+    stored
 }

@@ -28,7 +28,8 @@ pub(super) fn describe_comparison(
 }
 
 /// Returns the link whose measurement the prediction is compared with, and its distance from the query in metres: the
-/// requested one, even if another link has the same position, else the nearest; `None` for data without positions.
+/// requested one (at distance 0), even if another link has the same position, else the nearest at the receiver; `None`
+/// without either, and for data without positions.
 fn compared_link(loaded: &LoadedData, parameters: &QueryParams, query: Query<'_>) -> Option<(usize, f64)> {
     let is_requested = |i: &usize| {
         let sample = loaded.data.sample(*i);
@@ -44,6 +45,6 @@ fn compared_link(loaded: &LoadedData, parameters: &QueryParams, query: Query<'_>
 /// links.
 fn nearest_link(loaded: &LoadedData, tx: [f64; 3], receiver: usize) -> Option<(usize, f64)> {
     let samples = loaded.data.samples().enumerate().filter(|(_, sample)| sample.receiver == receiver);
-    let all = samples.map(|(i, sample)| (i, neighbours::distance(sample.position(), tx)));
-    all.min_by(|a, b| a.1.total_cmp(&b.1))
+    let distances = samples.map(|(i, sample)| (i, neighbours::distance(sample.position(), tx)));
+    distances.min_by(|a, b| a.1.total_cmp(&b.1))
 }
