@@ -117,7 +117,8 @@ impl DataSource for Arrays {
     }
 
     fn check(&self) -> Result<(), String> {
-        check_root(&self.root)
+        check_root(&self.root)?;
+        self.elevation.and_then(Elevation::fault).map_or(Ok(()), Err)
     }
 }
 

@@ -9,7 +9,7 @@ use crate::folder::{
     recognised_root, restore_saved,
 };
 use crate::nerf2::{LocationTable, index};
-use crate::npy::{ComplexFile, check_size, read_all};
+use crate::npy::{ComplexFile, check_magnitudes, read_all};
 use crate::text::{read_yaml, yaml_fault};
 use pwrfgs_core::{
     Channels as ObservedChannels, DataSource, Dataset, Error, JsonSchema, Observations, Pose, Progress, Receiver,
@@ -163,7 +163,7 @@ impl DataSource for Channels {
         let (shape, size) = (files[0].shape, files[0].count());
         let gains = read_all(files)?;
         let paths = std::iter::once(&path).chain(&more);
-        paths.zip(gains.chunks(size)).try_for_each(|(path, gains)| check_size(path, shape, gains))?;
+        paths.zip(gains.chunks(size)).try_for_each(|(path, gains)| check_magnitudes(path, shape, gains))?;
         let samples: Vec<Sample> = (0..).zip(poses).map(|(id, pose)| Sample::new(id, pose)).collect();
         let channels = ObservedChannels { antennas, frequencies_hz, gains };
         let name = folder_name(&root);
@@ -176,8 +176,8 @@ impl DataSource for Channels {
         let mut data = Dataset { simulation, official, ..data };
         if carriers > 1 {
             let lowest_hz = data.observations.frequencies_hz().iter().copied().fold(carrier_hz, f64::min);
-            let all = self.all_carriers(&path, carrier_hz, lowest_hz)?;
-            data = data.with_carriers(&all.iter().flat_map(|hz| vec![*hz; count]).collect::<Vec<f64>>())?;
+            let carriers_hz = self.all_carriers(&path, carrier_hz, lowest_hz)?;
+            data = data.with_carriers(&carriers_hz.iter().flat_map(|hz| vec![*hz; count]).collect::<Vec<f64>>())?;
         }
         without_zeros(restore_saved(&root, data)?, &path)
     }
@@ -221,8 +221,9 @@ impl Channels {
         Ok(files)
     }
 
-    /// Returns all carriers, Hz, the first of which is `carrier_hz`. Returns an error unless they differ, and their
-    /// subcarriers, spaced as those of the first carrier from `lowest_hz`, are above 0; it names the array at `path`.
+    /// Returns `carrier_hz` and the carriers of `more_carriers`, Hz. Returns an error, which names the array at `path`, if
+    /// two are equal, or if the lowest subcarrier of one would not be above 0. That of `carrier_hz` is `lowest_hz`; the
+    /// subcarriers of the others have the same spacing.
     fn all_carriers(&self, path: &Path, carrier_hz: f64, lowest_hz: f64) -> Result<Vec<f64>> {
         let more = self.more_carriers.iter().map(|file| file.carrier_hz);
         let carriers: Vec<f64> = std::iter::once(carrier_hz).chain(more).collect();
@@ -242,7 +243,7 @@ impl Channels {
     }
 }
 
-/// Returns the rows of all carriers: arrays of `count` rows follow that of the first carrier, with the same positions and sets.
+/// Returns the indices of `rows` in the joined arrays of all carriers, which have `count` rows each, carrier by carrier.
 fn repeat_rows(rows: &[usize], carriers: usize, count: usize) -> Vec<usize> {
     (0..carriers).flat_map(|carrier| rows.iter().map(move |row| carrier * count + row)).collect()
 }

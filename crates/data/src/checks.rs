@@ -126,12 +126,13 @@ pub(crate) fn spectrum_fault(spectra: &Spectra, i: usize) -> Option<String> {
     Some(format!("spectra[{i}, {row}, {column}] is {value}; {advice}"))
 }
 
-/// Returns the problem with a receiver name, not usable as a column heading or control characters; `None` if it is valid.
+/// Returns the problem with a receiver name that cannot head a column: empty or too long, with quotes or control
+/// characters, or with blanks at its ends; `None` if it is valid.
 pub(crate) fn name_fault(name: &str) -> Option<String> {
     let fits =
         strip_control(name) == name && !name.is_empty() && !name.contains('"') && name.chars().count() <= LONGEST_NAME;
-    let valid = "1 to 100 characters without quotes, control characters or blanks at the ends";
-    (!fits).then(|| format!("receiver name {} is invalid; use {valid}", quoted(name)))
+    let valid = "characters without quotes, control characters or blanks at the ends";
+    (!fits).then(|| format!("receiver name {} is invalid; use 1 to {LONGEST_NAME} {valid}", quoted(name)))
 }
 
 /// Returns the problem with the first receiver whose antennas do not match the observations; `None` if all match.
@@ -146,9 +147,9 @@ fn antenna_fault(data: &Dataset) -> Option<String> {
         let is_displaced = is_scalar && receiver.antennas.iter().any(|position| *position != [0.0; 3]);
         receiver.antennas.len() != antennas || is_displaced
     })?;
-    let (name, placed) = (quoted(&receiver.name), receiver.antennas.len());
+    let (name, count) = (quoted(&receiver.name), receiver.antennas.len());
     let observations = data.task().plural;
-    Some(format!("the {observations} have {antennas} antennas, and receiver {name} has {placed}; {advice}"))
+    Some(format!("the {observations} have {antennas} antennas, and receiver {name} has {count}; {advice}"))
 }
 
 /// Returns the frequencies of the `count` subcarriers of the array at `path`, evenly spaced about the carrier, Hz. Returns

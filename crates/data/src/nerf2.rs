@@ -169,7 +169,7 @@ pub const POSES: &str = "rx_pose.csv";
 
 /// Locations of the moving end in a folder.
 pub(crate) struct LocationTable {
-    /// File name.
+    /// File for messages: the path of the positions, or [`POSES`].
     pub(crate) name: String,
     /// End that moves.
     pub(crate) moving: End,

@@ -85,7 +85,7 @@ pub(crate) fn open_spectra(path: &Path) -> Result<Spectra> {
     Spectra::open(path, header.offset, number, shape)
 }
 
-/// Opens an array and returns its header, the file behind the header, and the number of bytes left in it. Returns an
+/// Opens an array and returns its header, the file at the end of the header, and the number of bytes left in it. Returns an
 /// error for a missing file, or one that is no array.
 fn open_array(path: &Path) -> Result<(Header, File, u64)> {
     let refuse = |e| Error::read(path, e);
@@ -123,7 +123,7 @@ pub(crate) fn read_complex_array(path: &Path, expected: &str) -> Result<ComplexA
 /// finite.
 pub(crate) fn read_all(files: Vec<ComplexFile<'_>>) -> Result<Vec<[Real; 2]>> {
     let count = files.iter().map(ComplexFile::count).sum();
-    check_gains(files[0].path, count)?;
+    check_gain_memory(files[0].path, count)?;
     let mut values = Vec::with_capacity(count); // growing the list would copy it
     files.into_iter().try_for_each(|file| file.read(&mut values))?;
     Ok(values)
@@ -134,6 +134,7 @@ pub(crate) struct ComplexFile<'a> {
     pub(crate) path: &'a Path,
     header: Header,
     file: File,
+    /// Number of bytes after the header.
     length: u64,
     pub(crate) shape: [usize; 3],
 }
@@ -177,17 +178,20 @@ impl<'a> ComplexFile<'a> {
     }
 }
 
-/// Returns an error for numbers of an array that are too large to compute with.
-pub(crate) fn check_size(path: &Path, shape: [usize; 3], values: &[[Real; 2]]) -> Result<()> {
+/// Returns an error for numbers of an array `[M,A,F]` that are too large to compute with.
+pub(crate) fn check_magnitudes(path: &Path, shape: [usize; 3], values: &[[Real; 2]]) -> Result<()> {
     let mut faults = values.iter().map(|gain| gain_fault(gain.map(|v| v as f64))).enumerate();
+    let fastest_first = [2, 1, 0]; // row-major
     match faults.find_map(|(i, fault)| Some((i, fault?))) {
-        Some((i, fault)) => Err(Error::input(path, format!("{} {fault}", element_name(path, &shape, &[2, 1, 0], i)))),
+        Some((i, fault)) => {
+            Err(Error::input(path, format!("{} {fault}", element_name(path, &shape, &fastest_first, i))))
+        }
         None => Ok(()),
     }
 }
 
 /// Rejects more gains than fit into memory.
-pub(crate) fn check_gains(path: &Path, count: usize) -> Result<()> {
+pub(crate) fn check_gain_memory(path: &Path, count: usize) -> Result<()> {
     let bytes = size_of::<[Real; 2]>() as u64 * count as u64;
     check_memory(bytes, "give fewer positions, or split the file").map_err(|fault| Error::input(path, fault))
 }

@@ -166,7 +166,7 @@ pub fn read_image(path: &Path) -> Result<Image> {
 }
 
 /// Decodes a PNG or JPEG image like [`read_image`], or the values of colours of `map`; `advice` is the next step if it does
-/// not exist. Returns the errors of [`read_image`], and an error for other colours than those of `map`.
+/// not exist. Returns the errors of [`read_image`], and an error for a grey image or other colours if there is a `map`.
 pub(crate) fn decode_luminance(path: &Path, advice: &str, map: Option<Colormap>) -> Result<GreyImage> {
     let file = read_bytes(path, MAX_BYTES, advice)?;
     let is_cut = file.starts_with(JPEG) && !has_end_marker(&file);
@@ -256,6 +256,6 @@ fn describe_colour(colour: ExtendedColorType) -> String {
     match colour.channel_count() {
         1 => format!("{bits}-bit grey"),
         2 => format!("{bits}-bit grey with transparency"),
-        _ => format!("a {bits}-bit colour image"),
+        _ => format!("{bits}-bit colour"),
     }
 }

@@ -63,8 +63,8 @@ impl Polygons {
     /// Splits every face into triangles with the same orientation. Triangles without area and repeated corners are left
     /// out, with a warning that counts them. Returns an error for a face with a hole, or one that crosses itself.
     pub(crate) fn triangulate(self, path: &Path, vertices: Vec<[f64; 3]>) -> Result<Triangles> {
-        let (all, mut triangles, mut start) = (self.triangle_count(), Vec::new(), 0);
-        triangles.reserve(all);
+        let (total, mut start) = (self.triangle_count(), 0);
+        let mut triangles = Vec::with_capacity(total);
         for (face, end) in self.ends.into_iter().enumerate() {
             let mut corners = self.corners[start..end].to_vec();
             start = end;
@@ -79,16 +79,17 @@ impl Polygons {
             })?;
         }
         triangles.retain(|t| has_area(t.map(|corner| vertices[corner as usize])));
-        let left_out = all - triangles.len();
+        let left_out = total - triangles.len();
         if left_out > 0 {
-            warn_once(path, format_args!("{left_out} of {all} triangles have no area and are left out"));
+            warn_once(path, format_args!("{left_out} of {total} triangles have no area and are left out"));
         }
         Ok((vertices, triangles))
     }
 }
 
 /// Adds the triangles of a polygon, of which neighbouring corners differ; none for fewer than three corners, or corners on
-/// a line. Returns the problem with a polygon that has no inside of its own.
+/// a line. Returns the problem with a polygon that touches or crosses itself, or that no fan fills and that has more corners
+/// than [`MOST_CORNERS`].
 fn split_polygon(vertices: &[[f64; 3]], corners: &[u32], out: &mut Vec<[u32; 3]>) -> Result<(), &'static str> {
     let n = corners.len();
     let corner = |k: usize| corners[k % n];

@@ -44,6 +44,7 @@ impl<F> TextRow<'_, F> {
         let parse = |text: &str| parse_number(text, self.has_decimal_commas);
         let value = parse(field.text).filter(|value| (*value as Real).is_finite());
         value.ok_or_else(|| {
+            // A second number makes a list.
             let mut parts = field.text.split([';', ',', ' ']).filter(|part| !part.is_empty()).skip(1);
             let is_list = field.text.starts_with('[') || parts.next().is_some_and(|part| parse(part).is_some());
             let problem = match parse(field.text) {
@@ -94,13 +95,13 @@ impl<'a> TextRow<'a> {
         Self::split(path, line, char::is_whitespace)
     }
 
-    /// Splits the content of a line at one or more separators.
+    /// Splits the content of a line at the characters `at`; several in a row separate once.
     pub(crate) fn split(path: &'a Path, (line, content): (usize, &'a str), at: impl Fn(char) -> bool) -> Self {
         let fields = locate_fields(content, content.split(at).filter(|part| !part.is_empty()));
         Self { path, line, has_decimal_commas: false, fields }
     }
 
-    /// Returns the column behind the last field.
+    /// Returns the column after the last field; 1 without fields.
     pub(crate) fn end_column(&self) -> usize {
         self.fields.last().map_or(1, |field| field.column + field.text.chars().count())
     }
@@ -170,13 +171,15 @@ pub(crate) fn yaml_fault<T>(path: &Path, value: &Spanned<T>, problem: impl Displ
     Error::at(path, value.referenced.line() as usize, value.referenced.column() as usize, problem)
 }
 
-/// Returns the lines that are not empty, with their numbers, counted from 1; they end by LF, CR LF, or CR alone.
+/// Returns the lines that are not blank, with their numbers, counted from 1. They end by LF or CR LF; by CR alone if the
+/// text has no LF.
 pub(crate) fn numbered_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     let lines = (1..).zip(text.split(if text.contains('\n') { '\n' } else { '\r' }));
     lines.map(|(i, line)| (i, line.strip_suffix('\r').unwrap_or(line))).filter(|(_, line)| !line.trim().is_empty())
 }
 
-/// Splits the name of a column into the plain name and the unit in brackets, which is empty if there is none.
+/// Splits the name of a column into the plain name, without a comment mark, and the unit in brackets, which is empty if
+/// there is none.
 pub(crate) fn split_unit(text: &str) -> (&str, &str) {
     let text = text.trim_start_matches(['/', '#']).trim_start();
     let (name, unit) = text.split_once(['[', '(']).unwrap_or((text, ""));
@@ -201,7 +204,7 @@ pub(crate) fn parse_number(cell: &str, has_decimal_comma: bool) -> Option<f64> {
     if has_decimal_comma { cell.replacen(',', ".", 1).parse().ok() } else { cell.parse().ok() }
 }
 
-/// Returns whether a line is a comment.
+/// Returns whether a line is a comment: it begins with `#` or `//`.
 pub(crate) fn is_comment(line: &str) -> bool {
     let line = line.trim_start();
     line.starts_with('#') || line.starts_with("//")

@@ -26,7 +26,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 pub struct Grid {
     /// Number of Gaussians.
     pub count: usize,
-    /// Distance from the receiver, metres.
+    /// Distance from the centre of the grid, metres.
     pub distance_m: Real,
     /// Scale (one standard deviation) relative to the grid spacing: 1 leaves no gap, 0.5 gives little overlap.
     pub overlap: Real,
@@ -80,19 +80,19 @@ fn directions(count: usize, lowest: f64) -> Vec<[f64; 3]> {
     let patch = (TAU * (1.0 - lowest.sin()) / count as f64).sqrt();
     let rings = ((FRAC_PI_2 - lowest) / patch).round().max(1.0) as usize;
     let step = (FRAC_PI_2 - lowest) / rings as f64;
-    let mut all = Vec::with_capacity(count);
+    let mut directions = Vec::with_capacity(count);
     for ring in 0..rings {
         // Rounding the cumulative share instead of each ring makes the total exact.
         let until = (count as f64 * area_below(lowest + (ring + 1) as f64 * step)).round() as usize;
-        let (elevation, n) = (lowest + (ring as f64 + 0.5) * step, until.min(count) - all.len());
-        // Every second ring is rotated by half a step.
+        let (elevation, n) = (lowest + (ring as f64 + 0.5) * step, until.min(count) - directions.len());
+        // Rotates every second ring by half a step, so that no meridian collects directions.
         let turn = 0.25 + 0.5 * (ring % 2) as f64;
-        all.extend((0..n).map(|k| {
+        directions.extend((0..n).map(|k| {
             let azimuth = TAU * (k as f64 + turn) / n as f64;
             [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()]
         }));
     }
-    all
+    directions
 }
 
 #[cfg(test)]

@@ -67,13 +67,13 @@ impl Initializer for PointCloud {
 
 /// Draws `k` distinct indices of 0..n, ascending, by a partial Fisher-Yates shuffle.
 fn random_subset(rng: &mut Rng, n: usize, k: usize) -> Vec<usize> {
-    let mut all: Vec<usize> = (0..n).collect();
+    let mut indices: Vec<usize> = (0..n).collect();
     for i in 0..k {
-        all.swap(i, i + rng::below(rng, n - i));
+        indices.swap(i, i + rng::below(rng, n - i));
     }
-    all.truncate(k);
-    all.sort_unstable();
-    all
+    indices.truncate(k);
+    indices.sort_unstable();
+    indices
 }
 
 #[cfg(test)]

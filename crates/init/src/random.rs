@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 /// mirrored to its front (local z > 0), so that none is out of view, unless the spectrum includes directions behind it.
 /// With images of a camera (`Pinhole`), centres are normal about the middle of the bounding box of camera positions and points.
 /// With the released projection (`WrfgsCompat`), centres are normal about the origin of the world, as released: count
-/// 20,000 and 10 m for WRF-GS, 200,000 and 20 m for WRF-GS+. The scale is the root mean squared distance to the three
-/// nearest neighbours, as released. Use it without a point cloud; the paper finds it slightly inferior to
+/// 20,000 and 10 m for WRF-GS, 200,000 and 20 m for WRF-GS+. The scale is the root mean squared distance to the
+/// `nearest` neighbours. Use it without a point cloud; the paper finds it slightly inferior to
 /// [`crate::PointCloud`].
 ///
 /// ```
@@ -75,8 +75,8 @@ impl Initializer for Random {
 /// Random Gaussians near each receiver and over the bounding box of receivers, transmitters and points.
 ///
 /// Use it if several receivers share one cloud and no point cloud is available. The surroundings of a receiver affect
-/// its received signal most, so that every receiver has its share of Gaussians. For one receiver and spectra,
-/// [`crate::Random`] is the released initialisation.
+/// its received signal most, so every receiver gets an equal share of the near Gaussians. If the receivers move, these
+/// are near the transmitter. For one receiver and spectra, [`crate::Random`] is the released initialisation.
 ///
 /// ```
 /// # use pwrfgs_init as _;
@@ -121,6 +121,10 @@ impl Initializer for AroundReceivers {
         let means: Vec<[Real; 3]> = (0..self.count).map(mean).collect();
         let scales = vec![self.scale_m; self.count];
         Ok(start::isotropic_cloud(means, &scales, self.opacity, rng))
+    }
+
+    fn count(&self) -> Option<usize> {
+        Some(self.count)
     }
 
     fn check(&self) -> Result<(), String> {
@@ -184,6 +188,7 @@ mod tests {
         site.receivers.push(Receiver::new("second", Pose { position: [40.0, 0.0, 2.0], ..Pose::IDENTITY }));
         let settings = AroundReceivers { count: 400, ..AroundReceivers::default() };
         let cloud = settings.initialize(&site, &plane(false), &mut stream(0, "init", 0)).unwrap();
+        assert_eq!((cloud.len(), settings.count()), (400, Some(400)));
         for receiver in &site.receivers {
             let close = cloud.means.iter().filter(|m| (Vec3::from_array(**m) - receiver.pose.origin()).length() < 8.0);
             assert!(close.count() >= 95, "{}", receiver.name);

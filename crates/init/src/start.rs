@@ -5,7 +5,7 @@ use pwrfgs_core::{
     rng::{self, Rng},
 };
 
-/// Smallest squared scale, m², as released: duplicate points have no distance, and its logarithm must be finite.
+/// Smallest squared scale, m², as released: duplicate points have distance 0, and the logarithm must be finite.
 const LEAST_SQUARE: Real = 1e-7;
 /// Scale of a Gaussian without neighbours, m.
 const LONELY: Real = 1.0;
@@ -38,16 +38,15 @@ pub(crate) fn isotropic_cloud(means: Vec<[Real; 3]>, scales: &[Real], opacity: R
     }
 }
 
-/// Rejects an opacity that cannot be trained.
+/// Rejects an opacity that cannot be trained: not a number, or within 1e-6 of 0 or 1, where its gradient vanishes.
 pub(crate) fn check_opacity(opacity: Real) -> Result<(), String> {
-    // Excludes the ends of the interval, and values whose logit rounds to infinity.
     if (1e-6..=1.0 - 1e-6).contains(&opacity) {
         return Ok(());
     }
     Err(format!("`opacity` is {opacity}; give a number above 0 and below 1, such as 0.1"))
 }
 
-/// Rejects values that are not positive, or whose products overflow single precision. `meaning` ends the message.
+/// Rejects values that are not above 0, or whose products overflow single precision. `meaning` ends the message.
 pub(crate) fn check_positive(field: &str, value: Real, meaning: &str) -> Result<(), String> {
     if value > 0.0 && value <= LARGEST {
         return Ok(());

@@ -170,5 +170,7 @@ fn reports_invalid_input() {
         message,
         "DIR/s/test_index.txt:1:1: id 5 has no row in tx.npy, which has 4; add the row or remove the id"
     );
-    assert!(Plugin::<dyn DataSource>::parse(r#"Arrays(root: "")"#).is_err());
+    for settings in [r#"root: """#, "elevation: (-180, 180)"] {
+        assert!(Plugin::<dyn DataSource>::parse(&format!("Arrays({settings})")).is_err(), "{settings}");
+    }
 }

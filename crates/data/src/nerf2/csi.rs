@@ -6,7 +6,7 @@ mod tests;
 use super::{index, read_transmitters, receivers};
 use crate::checks::{check_frequencies, uniform_subcarriers};
 use crate::folder::{check_root, existing_root, folder_name, read_title, recognised_root};
-use crate::npy::{ComplexArray, check_size, read_complex_array};
+use crate::npy::{ComplexArray, check_magnitudes, read_complex_array};
 use pwrfgs_core::{
     Channels, DataSource, Dataset, Error, Features, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample,
 };
@@ -83,7 +83,7 @@ impl DataSource for Nerf2Csi {
         let rows = index::read_sets(&root, &|word| index::parse_row(word, "csidata.npy", snapshots))?;
         array.normalise(&path, rows.as_ref().map(|(train, _)| train.as_slice()))?;
         // The test part may exceed 1 after normalisation: it is divided by the largest modulus of the training part.
-        check_size(&path, array.shape, &array.values)?;
+        check_magnitudes(&path, array.shape, &array.values)?;
         let (features, gains) = split_links(&mut array);
         let position = |i: usize| positions.as_ref().map_or([0.0; 3], |positions| positions[i]);
         let receivers = if self.together { vec![base_station(&antennas)] } else { antenna_receivers(&antennas) };
@@ -112,13 +112,14 @@ impl DataSource for Nerf2Csi {
     }
 }
 
-/// Reads channels `[N,A,2F]` of a base station. Returns an error for another number of `antennas` or an odd one of
-/// subcarriers.
+/// Reads channels `[N,A,2F]` of a base station. Returns an error for another number of antennas than `antennas`, or an
+/// odd number of subcarriers.
 fn read_channels(path: &Path, antennas: usize) -> Result<ComplexArray> {
     let array = read_complex_array(path, SHAPE)?;
     let [_, count, subcarriers] = array.shape;
     if count != antennas {
-        let problem = format!("has {count} antennas a snapshot, but base-station.yml {antennas}; give as many of each");
+        let problem =
+            format!("has {count} antennas per snapshot, but base-station.yml {antennas}; give as many of each");
         return Err(Error::input(path, problem));
     }
     if subcarriers % 2 == 1 {

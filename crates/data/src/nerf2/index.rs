@@ -39,7 +39,7 @@ impl SpectrumIds<'_> {
                 return Err(format!("invalid id 0; ids count from 1, the first row of {table}; {advice}"));
             }
             Ok(id) => id,
-            Err(_) => return Err(format!("{} is not a sample id; write one a line, such as 00001", quoted(word))),
+            Err(_) => return Err(format!("{} is not a sample id; write one per line, such as 00001", quoted(word))),
         };
         if id as usize > self.rows {
             let rows = self.rows;
@@ -66,7 +66,7 @@ pub(crate) fn parse_row(word: &str, table: &str, rows: usize) -> Result<IndexEnt
             };
             Err(format!("invalid row {id} of {table}, which has {rows} rows counted from 0; {advice}"))
         }
-        Err(_) => Err(format!("{} is not a row of {table}; write one a line, counted from 0", quoted(word))),
+        Err(_) => Err(format!("{} is not a row of {table}; write one per line, counted from 0", quoted(word))),
     }
 }
 

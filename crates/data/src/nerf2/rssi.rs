@@ -143,12 +143,12 @@ fn create_receivers(root: &Path, gateways: Vec<(String, Pose)>, received: &mut [
     linked.map(|((name, pose), _)| Receiver::new(name, pose)).collect()
 }
 
-/// Warns if the value that marks a missing link may be a reading, because lower ones exist.
+/// Warns of powers below [`NOT_RECEIVED`], which may then be a reading too, unless the folder declares its missing values.
 fn warn_of_low_powers(root: &Path, is_declared: bool, received: &[PowerRow]) {
     let lower = received.iter().filter(|link| link.dbm < NOT_RECEIVED).count();
     if lower > 0 && !is_declared {
         tracing::warn!(
-            "{}: {lower} powers are below -100 dBm, and -100 was read as not received; if it is a reading, write \
+            "{}: {lower} powers are below {NOT_RECEIVED} dBm, and {NOT_RECEIVED} was read as not received; if it is a reading, write \
              {{\"missing\": []}} to manifest.json",
             root.display()
         );

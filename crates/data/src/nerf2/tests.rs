@@ -287,8 +287,8 @@ fn reports_line_and_column_in_index_files() {
         ),
         ("1\n\n 5\n", "train_index.txt:3:2: id 5 has no row in tx_pos.csv, which has 4; add the row or remove the id"),
         ("4\n", "train_index.txt:1:1: id 4 has no image spectrum/00004.png; add the image or remove the id"),
-        ("a.png\n", "train_index.txt:1:1: `a.png` is not a sample id; write one a line, such as 00001"),
-        ("-1\n", "train_index.txt:1:1: `-1` is not a sample id; write one a line, such as 00001"),
+        ("a.png\n", "train_index.txt:1:1: `a.png` is not a sample id; write one per line, such as 00001"),
+        ("-1\n", "train_index.txt:1:1: `-1` is not a sample id; write one per line, such as 00001"),
         (
             "1\n00001\n",
             "train_index.txt:2:1: id 1 was already named in train_index.txt, line 1; a sample belongs to one set: remove one of the two",
@@ -323,8 +323,8 @@ fn reports_invalid_images() {
     for (color, kind) in [
         (ColorType::L16, "16-bit grey"),
         (ColorType::La8, "8-bit grey with transparency"),
-        (ColorType::Rgb8, "a 8-bit colour image"),
-        (ColorType::Rgba16, "a 16-bit colour image"),
+        (ColorType::Rgb8, "8-bit colour"),
+        (ColorType::Rgba16, "16-bit colour"),
     ] {
         let message = save(&Folder::new(), &vec![0; pixels * usize::from(color.bytes_per_pixel())], color.into());
         assert_eq!(message, format!("DIR/s/spectrum/00002.png: is {kind}; {grey}"));

@@ -1,7 +1,7 @@
 //! Arrays of channels with named axes.
 
 use crate::import::source::{OpenArray, extension, read_array_file};
-use crate::npy::{NumberReader, check_gains};
+use crate::npy::{NumberReader, check_gain_memory};
 use pwrfgs_core::npy::Header;
 use pwrfgs_core::{Error, Real, Result};
 use std::path::Path;
@@ -51,7 +51,7 @@ impl Cursor {
         Self { at, axes }
     }
 
-    /// Moves to the position of the number after the next.
+    /// Moves to the position of the following number.
     fn advance(&mut self) {
         for Axis { index, length, step } in &mut self.axes {
             (*index, self.at) = (*index + 1, self.at.wrapping_add(*step));
@@ -109,7 +109,7 @@ impl Part {
             at = at + 1 - 2 * m * a * f; // imaginary part of the first gain read last
         } else {
             let count = gains.len() + m * a * f;
-            check_gains(path, count)?;
+            check_gain_memory(path, count)?;
             gains.reserve_exact(m * a * f);
             gains.resize(count, [0.0; 2]);
         }

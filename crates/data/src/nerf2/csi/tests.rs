@@ -86,7 +86,7 @@ fn reports_position_of_invalid_input() {
     let folder = Folder::new();
     let arrays = [
         (complex(&[3, 2, 3], vec![1.0; 36]), "has 3 subcarriers, expected an even number: uplink, then downlink"),
-        (complex(&[3, 1, 4], vec![1.0; 24]), "has 1 antennas a snapshot, but base-station.yml 2"),
+        (complex(&[3, 1, 4], vec![1.0; 24]), "has 1 antennas per snapshot, but base-station.yml 2"),
         (complex(&[6, 4], vec![1.0; 48]), "has shape [6, 4]; channels are [N, A, 2F]"),
         (complex(&[3, 2, 4], vec![1.0; 47]), "numbers of shape [3, 2, 4] do not fit its length"),
         (complex(&[0, 2, 4], vec![]), "has shape [0, 2, 4] and is empty"),
