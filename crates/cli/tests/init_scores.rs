@@ -98,7 +98,7 @@ fn efforts_of_small_powers_are_one_eight_and_sixteen_models() {
     for (effort, members, width) in [("fast", 1, 48), ("normal", 8, 48), ("best", 16, 64)] {
         let out = format!("{effort}.ron");
         let said = stdout(&succeed(here, &["init", "walk", "--effort", effort, "--out", &out]));
-        assert!(said.contains("known places are few"), "{said}");
+        assert!(said.contains("known positions are few"), "{said}");
         let text = std::fs::read_to_string(here.join(&out)).unwrap();
         for setting in ["steps: 400", "tx_jitter_m: 0.225", "residuals: Kriged(", &format!("width: {width}")] {
             assert!(text.contains(setting), "{effort}: {setting}: {text}");

@@ -10,8 +10,10 @@ use crate::coverage::{combinations, coverage, soft_coverage};
 use pwrfgs_core::{Result, rng};
 use std::collections::BTreeSet;
 
-/// Positions traced before the first move, and more per receiver.
-const SCREENED: (usize, usize) = (20, 4);
+/// Number of positions traced before the first move, for any number of receivers.
+const SCREENED: usize = 20;
+/// Further positions per receiver.
+const SCREENED_PER_RECEIVER: usize = 4;
 /// Transmitters before the selection.
 const SAMPLE: usize = 40;
 /// Number of starts.
@@ -55,7 +57,7 @@ pub fn ascend(
     let shift = [(); 2].map(|()| rng::uniform_f64(random));
     let traced = SAMPLE.min(transmitters);
     let mut search = Search { order, traced, area, trace, candidates: Vec::new(), subsets: Vec::new(), links: 0 };
-    search.screen(SCREENED.0 + SCREENED.1 * count, shift)?;
+    search.screen(SCREENED + SCREENED_PER_RECEIVER * count, shift)?;
     let screened = search.candidates.len();
     for subset in combinations(screened, count).unwrap_or_default() {
         search.assess(subset);
@@ -98,7 +100,7 @@ impl Subset {
 struct Search<F> {
     /// Random order of the transmitters.
     order: Vec<usize>,
-    /// Number of transmitters of this order that are traced.
+    /// Number of transmitters, from the start of this order, that are traced.
     traced: usize,
     area: [[f64; 2]; 2],
     trace: F,
@@ -138,7 +140,7 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
         Ok(Some(self.candidates.len() - 1))
     }
 
-    /// Computes the coverage of a subset: exact if all transmitters are traced in the selection, otherwise smoothed.
+    /// Computes the coverage of a subset over the traced transmitters: exact if `is_exact`, otherwise smoothed.
     fn subset_coverage(&self, receivers: &[usize], is_exact: bool) -> f64 {
         let powers: Vec<&[f64]> = receivers.iter().map(|&k| &self.candidates[k].powers[..]).collect();
         if is_exact { coverage(&powers) } else { soft_coverage(&powers) }
@@ -192,17 +194,17 @@ impl<F: FnMut([f64; 2], &[usize]) -> Result<Option<Vec<f64>>>> Search<F> {
         self.subsets.sort_by(Subset::compare_values);
         self.subsets.dedup_by(|a, b| a.receivers == b.receivers);
         self.subsets.truncate(kept);
-        let to = self.traced.saturating_add(added).min(self.order.len());
+        let end = self.traced.saturating_add(added).min(self.order.len());
         let used: BTreeSet<usize> = self.subsets.iter().flat_map(|subset| subset.receivers.iter().copied()).collect();
-        let added = &self.order[self.traced..to];
+        let added = &self.order[self.traced..end];
         for k in used.into_iter().filter(|_| !added.is_empty()) {
             let powers = (self.trace)(self.candidates[k].at, added)?.expect("a traced position is free");
             self.links += powers.len();
             self.candidates[k].powers.extend(powers);
         }
-        self.traced = to;
+        self.traced = end;
         for k in 0..self.subsets.len() {
-            self.subsets[k].value = self.subset_coverage(&self.subsets[k].receivers, to == self.order.len());
+            self.subsets[k].value = self.subset_coverage(&self.subsets[k].receivers, end == self.order.len());
         }
         self.subsets.sort_by(Subset::compare_values);
         Ok(())

@@ -42,10 +42,10 @@ pub fn soft_coverage(powers: &[&[f64]]) -> f64 {
     let ends = bounds(soft.iter().copied());
     // At these ends, the mean is nearly 0 and nearly 1.
     let (mut low, mut high) = (ends.0 - 10.0 * SMOOTHING_DB, ends.1 + 10.0 * SMOOTHING_DB);
-    let share = |q: f64| soft.iter().map(|v| 1.0 / (1.0 + ((v - q) / SMOOTHING_DB).exp())).sum::<f64>();
+    let count_below = |q: f64| soft.iter().map(|v| 1.0 / (1.0 + ((v - q) / SMOOTHING_DB).exp())).sum::<f64>();
     for _ in 0..HALVINGS {
         let middle = f64::midpoint(low, high);
-        if share(middle) < SHARE * soft.len() as f64 { low = middle } else { high = middle }
+        if count_below(middle) < SHARE * soft.len() as f64 { low = middle } else { high = middle }
     }
     f64::midpoint(low, high)
 }
@@ -83,15 +83,15 @@ pub struct ReceiverSubset {
 /// subsets, or fewer receivers. `powers` holds powers in dBm `[T]` per receiver.
 pub fn best_subset(powers: &[Vec<f64>], count: usize) -> Option<ReceiverSubset> {
     let subsets = combinations(powers.len(), count)?;
-    let all: Vec<f64> = subsets.par_iter().map(|subset| subset_coverage(powers, subset)).collect();
-    let pairs = all.into_iter().enumerate();
+    let coverages: Vec<f64> = subsets.par_iter().map(|subset| subset_coverage(powers, subset)).collect();
+    let pairs = coverages.into_iter().enumerate();
     let (best, coverage) = pairs.reduce(|best, next| if next.1 > best.1 { next } else { best })?;
     Some(ReceiverSubset { receivers: subsets[best].clone(), coverage, evaluations: subsets.len() })
 }
 
 /// Selects `count` receivers, or all if there are fewer, one after another, each raising the coverage most; `powers` holds
-/// powers in dBm `[T]` per receiver. Of equal receivers it selects the first that raises the mean of the strongest powers most:
-/// the coverage stays equal while a tenth of the transmitters has no link.
+/// powers in dBm `[T]` per receiver. Between equal coverages, which occur while a tenth of the transmitters has no link, the
+/// larger mean of the strongest powers decides, then the order of the receivers.
 pub fn greedy_subset(powers: &[Vec<f64>], count: usize) -> ReceiverSubset {
     let mut subset = ReceiverSubset { receivers: Vec::new(), coverage: f64::NAN, evaluations: 0 };
     let mut strongest: Vec<f64> = vec![f64::NEG_INFINITY; powers.first().map_or(0, Vec::len)];
@@ -101,9 +101,9 @@ pub fn greedy_subset(powers: &[Vec<f64>], count: usize) -> ReceiverSubset {
             let sum: f64 = strongest.iter().zip(&powers[r]).map(|(strongest, power)| strongest.max(*power)).sum();
             (coverage(&[&strongest, &powers[r]]), sum)
         };
-        let all: Vec<(f64, f64)> = free.par_iter().map(value).collect();
+        let values: Vec<(f64, f64)> = free.par_iter().map(value).collect();
         subset.evaluations += free.len();
-        let pairs = free.into_iter().zip(all);
+        let pairs = free.into_iter().zip(values);
         let Some((next, (value, _))) = pairs.reduce(|best, next| if next.1 > best.1 { next } else { best }) else {
             break;
         };
@@ -117,10 +117,10 @@ pub fn greedy_subset(powers: &[Vec<f64>], count: usize) -> ReceiverSubset {
 /// Returns `draws` random subsets of `count` of `total` receivers, as indices in random order.
 pub fn random_subsets(total: usize, count: usize, draws: usize, seed: u64) -> Vec<Vec<usize>> {
     let draw = |k: usize| {
-        let mut all: Vec<usize> = (0..total).collect();
-        rng::shuffle(&mut rng::stream(seed, "random receivers", k as u64), &mut all);
-        all.truncate(count);
-        all
+        let mut receivers: Vec<usize> = (0..total).collect();
+        rng::shuffle(&mut rng::stream(seed, "random receivers", k as u64), &mut receivers);
+        receivers.truncate(count);
+        receivers
     };
     (0..draws).map(draw).collect()
 }
@@ -128,16 +128,16 @@ pub fn random_subsets(total: usize, count: usize, draws: usize, seed: u64) -> Ve
 /// Returns all subsets of `count` of `total` in lexicographic order; `None` if they are more than 100,000, or if `total` is
 /// smaller than `count`.
 pub fn combinations(total: usize, count: usize) -> Option<Vec<Vec<usize>>> {
-    // As many subsets are left out as are chosen; up to half of `total`, the number rises with every factor.
+    // `count` and `total - count` give equally many subsets; up to half of `total`, every factor raises the product.
     (0..count.min(total.checked_sub(count)?)).try_fold(1, |size: usize, k| {
         let next = size * (total - k) / (k + 1);
         (next <= MOST).then_some(next)
     })?;
-    let mut all = Vec::new();
+    let mut subsets = Vec::new();
     let mut subset: Vec<usize> = (0..count).collect();
     loop {
-        all.push(subset.clone());
-        let Some(k) = (0..count).rev().find(|&k| subset[k] < total - count + k) else { return Some(all) };
+        subsets.push(subset.clone());
+        let Some(k) = (0..count).rev().find(|&k| subset[k] < total - count + k) else { return Some(subsets) };
         subset[k] += 1;
         (k + 1..count).for_each(|next| subset[next] = subset[next - 1] + 1);
     }

@@ -6,8 +6,8 @@ use rayon::prelude::*;
 const CHUNK: usize = 16_384;
 
 /// Selects at most `count` of `points`: the first, then each time the one farthest from all selected ones (ties: the first).
-/// Returns their indices in ascending order; all points if they are no more. `progress` receives the number of selected points
-/// and returns whether to continue.
+/// Returns their indices in ascending order; all if there are no more than `count`. `progress` receives the number of selected
+/// points and returns whether to continue.
 pub fn select_farthest(points: &[[f64; 3]], count: usize, mut progress: impl FnMut(usize) -> bool) -> Vec<usize> {
     if points.len() <= count {
         return (0..points.len()).collect();

@@ -20,7 +20,7 @@ pub fn floor_grid(scene: &SceneFile, step: f64, height: f64) -> Result<Vec<[f64;
     free_positions(scene, &World::from_scene(scene)?, step, height)
 }
 
-/// Returns the positions of [`floor_grid`], in the `world` of the scene, and its errors.
+/// Returns the positions of [`floor_grid`] if the `world` of the scene is built already, or its errors.
 fn free_positions(scene: &SceneFile, world: &World, step: f64, height: f64) -> Result<Vec<[f64; 3]>> {
     let refuse = |problem: String| Error::Config(format!("scene `{}`: {problem}", scene.name));
     if !(step.is_finite() && step > 0.0) {
@@ -81,7 +81,7 @@ impl SceneCoverage {
     /// height of the scene's receiver).
     ///
     /// # Errors
-    /// A scene that cannot be built, a step or a height out of range.
+    /// A scene that cannot be built, a step or a height out of range, or no free position.
     pub fn new(scene: &SceneFile, step: f64, height: f64, mount: Option<f64>) -> Result<Self> {
         let simulator = Simulator::new(scene)?;
         let mount = mount.unwrap_or(scene.receiver.position[2]);
@@ -127,8 +127,9 @@ impl SceneCoverage {
     /// Returns the powers in dBm `[T]` of a receiver at `position`; [`SILENT_DBM`] if one of its antennas is in an object.
     fn powers_at(&self, position: [f64; 3]) -> Vec<f64> {
         let receiver = self.simulator.receiver_at(position);
-        let all = (0..self.transmitters.len()).into_par_iter();
-        receiver.map_or_else(|_in_object| vec![SILENT_DBM; all.len()], |receiver| self.powers(&receiver, all.clone()))
+        let count = self.transmitters.len();
+        let powers = |receiver: PreparedReceiver| self.powers(&receiver, (0..count).into_par_iter());
+        receiver.map_or_else(|_in_object| vec![SILENT_DBM; count], powers)
     }
 
     /// Returns the powers in dBm `[T]` per receiver of the grid. `progress` gets the number of traced receivers and
@@ -149,13 +150,13 @@ impl SceneCoverage {
     /// Searches positions of `count` receivers with the largest coverage.
     ///
     /// # Errors
-    /// No free position, or [`Error::Stopped`] if `stop` is set.
+    /// Too few free positions, or [`Error::Stopped`] if `stop` is set.
     pub fn ascend(&self, count: usize, seed: u64, stop: &AtomicBool) -> Result<AscentResult> {
         let [x, y] = [0, 1].map(|k| statistics::bounds(self.candidates.iter().map(|position| position[k])));
-        let result = ascend(count, seed, [[x.0, y.0], [x.1, y.1]], self.transmitters.len(), |[x, y], which| {
+        let result = ascend(count, seed, [[x.0, y.0], [x.1, y.1]], self.transmitters.len(), |[x, y], transmitters| {
             check_stopped(stop)?;
             let receiver = self.simulator.receiver_at([x, y, self.mount]).ok();
-            Ok(receiver.map(|receiver| self.powers(&receiver, which.par_iter().copied())))
+            Ok(receiver.map(|receiver| self.powers(&receiver, transmitters.par_iter().copied())))
         })?;
         let none = || {
             let problem = "not enough free receiver positions; give another --mount height or fewer receivers";

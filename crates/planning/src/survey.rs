@@ -19,7 +19,7 @@ const NEGLIGIBLE: f64 = 1e-12;
 const DEFAULT_LENGTH: f64 = 0.2;
 /// Noise variance without measurements, in parts of the variance.
 const DEFAULT_NOISE: f64 = 0.1;
-/// Number of measurements before the correlation is learned first; then at every doubling.
+/// Number of selected candidates at which the correlation is learned first; then at every doubling.
 const FIRST_LEARNED: usize = 8;
 
 /// Returns the exponential correlation of a region without measurements: a length scale of a fifth of its diagonal, or 1 m if
@@ -71,10 +71,10 @@ impl Survey {
     pub fn new(candidates: &[[f64; 3]], region: &[[f64; 3]], measured: &[[f64; 3]]) -> Self {
         let mut points = candidates.to_vec();
         let mut sorted: Vec<usize> = (0..candidates.len()).collect();
-        let order = |a: &[f64; 3], b: &[f64; 3]| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal);
-        sorted.sort_by(|&a, &b| order(&candidates[a], &candidates[b]).then(a.cmp(&b)));
+        let compare = |a: &[f64; 3], b: &[f64; 3]| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal);
+        sorted.sort_by(|&a, &b| compare(&candidates[a], &candidates[b]).then(a.cmp(&b)));
         let index = |point: &[f64; 3]| {
-            if let Ok(at) = sorted.binary_search_by(|&i| order(&candidates[i], point)) {
+            if let Ok(at) = sorted.binary_search_by(|&i| compare(&candidates[i], point)) {
                 return sorted[at];
             }
             points.push(*point);
@@ -88,8 +88,8 @@ impl Survey {
 
     /// Selects `count` candidates, or all if there are fewer, one after another, each lowering the integrated variance most;
     /// of equal candidates the first. `learn` estimates the correlation from the candidates selected so far; `None` keeps the
-    /// last one. It is called at 8 candidates and at every doubling. `progress` gets the number of selected candidates and
-    /// returns whether to go on.
+    /// last one. It is called at 8 candidates and at every doubling, if more are to be selected. `progress` gets the number of
+    /// selected candidates and returns whether to go on.
     pub fn select(
         &self,
         correlation: Correlation,
@@ -171,10 +171,10 @@ impl Survey {
 
     /// Selects `count` random candidates, in random order.
     pub fn select_random(&self, count: usize, seed: u64) -> Vec<usize> {
-        let mut all: Vec<usize> = (0..self.candidates).collect();
-        rng::shuffle(&mut rng::stream(seed, "survey", 0), &mut all);
-        all.truncate(count);
-        all
+        let mut order: Vec<usize> = (0..self.candidates).collect();
+        rng::shuffle(&mut rng::stream(seed, "survey", 0), &mut order);
+        order.truncate(count);
+        order
     }
 
     /// Returns the mean variance over the region, in units of the process variance, before (first) and after each
@@ -185,12 +185,12 @@ impl Survey {
             let sum: f64 = self.region.iter().map(|&r| posterior.variances()[r]).sum();
             sum / self.region.len().max(1) as f64
         };
-        let mut all = vec![mean(&posterior)];
+        let mut means = vec![mean(&posterior)];
         for &s in order {
             posterior.add_measurement(s);
-            all.push(mean(&posterior));
+            means.push(mean(&posterior));
         }
-        all
+        means
     }
 }
 
@@ -248,9 +248,9 @@ impl Search<'_> {
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut sums = [0.0; 8];
     let (a, b) = (a.chunks_exact(8), b.chunks_exact(8));
-    let rest: f64 = a.remainder().iter().zip(b.remainder()).map(|(a, b)| a * b).sum();
+    let remainder: f64 = a.remainder().iter().zip(b.remainder()).map(|(a, b)| a * b).sum();
     a.zip(b).for_each(|(a, b)| (0..8).for_each(|k| sums[k] += a[k] * b[k]));
-    sums.iter().sum::<f64>() + rest
+    sums.iter().sum::<f64>() + remainder
 }
 
 #[cfg(test)]

@@ -32,7 +32,7 @@ pub struct CompareSettings {
     #[serde(default)]
     pub methods: Vec<String>,
     /// Number of seeds per method
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = parse_count)]
+    #[arg(long, value_name = "N", default_value_t = default_seeds(), value_parser = parse_count)]
     #[serde(default = "default_seeds")]
     pub seeds: usize,
 }

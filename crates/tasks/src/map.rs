@@ -121,12 +121,12 @@ fn choose_grid(
         Some(bounds) => (bounds, None),
         None => default_bounds(ensemble, plane, receivers).map(|(bounds, source)| (bounds, Some(source)))?,
     };
-    let step = step.unwrap_or_else(|| {
-        let step = bounds.default_step(count);
-        let text = format!("grid spacing {step} m, chosen for the size of the map; set --step to change this");
-        (step > PlaneBounds::STEP).then(|| observer.on_message(&text));
-        step
-    });
+    let default_step = bounds.default_step(count);
+    if step.is_none() && default_step > PlaneBounds::STEP {
+        let advice = "chosen for the size of the map; set --step to change this";
+        observer.on_message(&format!("grid spacing {default_step} m, {advice}"));
+    }
+    let step = step.unwrap_or(default_step);
     let Some(source) = source else { return PlaneGrid::new(plane, bounds, step, count) };
     let bounds = bounds.rounded_outwards(step);
     observer.on_message(&describe_bounds(plane, bounds, source));

@@ -12,10 +12,10 @@ const LONGEST_NAME: usize = 200;
 const LISTED: usize = 12;
 
 /// Reads the models in files or run folders, or the shipped models of these names, as one ensemble; a file may contain several.
-/// Members of several files have the paths of their files as names.
+/// Given several paths, the name of a member is the path of its file, and its name there if the file contains several.
 ///
 /// # Errors
-/// A file without a model, models of different scenes, or one of several models with a residual process.
+/// A file without a model, models of different scenes, two equal models, or one of several models with a residual process.
 pub fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
     if let [path] = paths {
         return read_model(path);

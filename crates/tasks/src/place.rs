@@ -28,11 +28,11 @@ pub struct PlaceSettings {
     #[arg(long, value_name = "N")]
     pub count: usize,
     /// Scenes: grid spacing of transmitters and of receivers in metres
-    #[arg(long, value_name = "M", default_value_t = 0.5)]
+    #[arg(long, value_name = "M", default_value_t = default_step())]
     #[serde(default = "default_step")]
     pub step: f64,
     /// Scenes: height of the transmitters in metres
-    #[arg(long, value_name = "M", default_value_t = 1.2, allow_negative_numbers = true)]
+    #[arg(long, value_name = "M", default_value_t = default_height(), allow_negative_numbers = true)]
     #[serde(default = "default_height")]
     pub height: f64,
     /// Scenes: height of the receivers in metres [default: that of the scene's receiver]

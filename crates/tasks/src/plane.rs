@@ -131,11 +131,12 @@ impl PlaneBounds {
     pub const STEP: f64 = 0.1;
 
     /// Returns the default grid spacing of a map with `layers` values per position: [`Self::STEP`], or for a map that is then too
-    /// large the first of 1, 2, 5, 10 .. m with at most 250,000 positions.
+    /// large the first of 1, 2, 5, 10 .. m with at most 250,000 positions and 64 million values.
     pub fn default_step(self, layers: usize) -> f64 {
         let count = |step: f64| self.0.iter().map(|[low, high]| (high - low) / step + 2.0).product::<f64>();
-        let most = USUAL.min(MOST_VALUES / layers.max(1) as f64);
-        let is_small = count(Self::STEP) <= MOST.min(MOST_VALUES / layers.max(1) as f64);
+        let limit = MOST_VALUES / layers.max(1) as f64;
+        let most = USUAL.min(limit);
+        let is_small = count(Self::STEP) <= MOST.min(limit);
         let steps = (0..10).flat_map(|power| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(power)));
         let mut steps =
             std::iter::once(Self::STEP).filter(|_| is_small).chain(steps.filter(|step| count(*step) <= most));

@@ -17,11 +17,13 @@ use writers::{PredictedRow, PredictionImage, PredictionRow, PredictionWriter};
 
 /// Number of predictions per call of the model.
 const CALL: usize = 64;
-/// Most values and most predictions that are in memory, and lost if the process is killed.
+/// Largest number of values that are in memory, and lost if the process is killed, unless [`CALL`] predictions have more.
 const VALUES: usize = 1 << 22;
+/// Largest number of predictions that are in memory.
 const ROWS: usize = 2_048;
-/// Largest number of single predictions, and their time, from which the latency is measured.
+/// Largest number of single predictions from which the latency is measured.
 const TIMED: usize = 64;
+/// Time after which the latency is measured from the predictions so far.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Settings of [`write_predictions`].

@@ -15,7 +15,7 @@ pub enum Effort {
     /// The default: up to two minutes on two cores for small sets.
     #[default]
     Normal,
-    /// Twice as many models for few positions, with wider networks; four for many positions.
+    /// Twice as many models for few positions, for received powers with wider networks; four for many positions.
     Best,
 }
 
@@ -33,7 +33,7 @@ impl Effort {
         }
     }
 
-    /// Returns the value of this effort.
+    /// Returns the argument for this effort.
     fn pick<T>(self, fast: T, normal: T, best: T) -> T {
         match self {
             Self::Fast => fast,
@@ -119,7 +119,7 @@ impl Sizing {
         } else {
             "one model in".into()
         };
-        let mut notes = vec![format!("{positions} known places are few: {each} {steps} steps.")];
+        let mut notes = vec![format!("{positions} known positions are few: {each} {steps} steps.")];
         let against_noise = "Shifted positions, a small network and weight decay keep models from learning noise.";
         notes.extend(is_power.then(|| against_noise.into()));
         notes.push(

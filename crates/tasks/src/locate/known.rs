@@ -13,10 +13,11 @@ use std::path::Path;
 const CHUNK: usize = 256;
 
 /// Reads the pipeline with the known data of the model that `path` names, with the changes of `set`. Returns `None` if
-/// observations are compared with predictions instead: without `set`, for a shipped model or a model without pipeline.
+/// observations are compared with predictions instead: given observations and no `set`, for a shipped model or a model
+/// without pipeline.
 ///
 /// # Errors
-/// The model has no pipeline, and there are no observations or `set` has changes.
+/// An invalid pipeline; or none, and there are no observations or `set` has changes.
 pub fn read_known_pipeline(path: Option<&Path>, set: &[String], has_observations: bool) -> Result<Option<Pipeline>> {
     let can_predict = has_observations && set.is_empty();
     let path = path.filter(|path| !can_predict || ShippedModel::find(path).is_none());

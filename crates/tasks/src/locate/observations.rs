@@ -25,7 +25,7 @@ impl UnlocatedObservations<'_> {
     /// if unknown; spectra `[B, height, width]`, or channels as rows of real and imaginary parts, at one receiver.
     ///
     /// # Errors
-    /// An invalid value, the error has its row; powers far from those of the known data, unless the finding is accepted.
+    /// An invalid value, with its row; powers far from those of the known data, unless the finding is accepted.
     pub fn array_features(&self, values: &[Real]) -> Result<Vec<Vec<f32>>> {
         if self.features.task().is_scalar { self.power_features(values) } else { self.image_features(values) }
     }

@@ -115,8 +115,8 @@ impl MeasuredPowers<'_> {
     }
 }
 
-/// Splits the transmitters into those of the choice and those of its score: the official split if it has both,
-/// otherwise a random fifth is held out. Also returns the name of the split.
+/// Splits the transmitters into those of the choice and those of its score: the official split if both of its sets have
+/// transmitters, otherwise a random fifth is held out. Also returns the name of the split.
 fn split_transmitters(data: &Dataset, seed: u64) -> ([Vec<usize>; 2], String) {
     if let Some((train, test)) = &data.official {
         let [train, test] = [train, test].map(|links| data.locations_of(links));

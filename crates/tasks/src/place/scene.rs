@@ -66,14 +66,14 @@ fn ascent_choice(ascent: &AscentResult, floor: &SceneCoverage) -> PlacedReceiver
     }
 }
 
-/// Chooses the best subset of the receiver positions on the grid, and averages random subsets. `grid` holds the powers
-/// of all candidates, dBm `[C][T]`.
+/// Chooses receiver positions on the grid by a greedy search, which is exhaustive for one receiver, and averages random
+/// subsets. `grid` holds the powers of all candidates, dBm `[C][T]`.
 fn grid_choices(settings: &PlaceSettings, floor: &SceneCoverage, grid: &[Vec<f64>]) -> [PlacedReceivers; 2] {
     let PlaceSettings { count, seed, .. } = *settings;
     let (transmitters, candidates) = (floor.transmitters.len(), floor.candidates.len());
     let best = greedy_subset(grid, count);
     let subsets = random_subsets(candidates, count, RANDOM, seed);
-    let random = mean(subsets.iter().map(|subset| subset_coverage(grid, subset)));
+    let mean_coverage = mean(subsets.iter().map(|subset| subset_coverage(grid, subset)));
     let best = PlacedReceivers {
         short: "grid",
         name: if count == 1 { "grid, exhaustive" } else { "grid, greedy" }.into(),
@@ -85,8 +85,8 @@ fn grid_choices(settings: &PlaceSettings, floor: &SceneCoverage, grid: &[Vec<f64
         short: "",
         name: format!("random, mean of {RANDOM} (seed {seed})"),
         receivers: Vec::new(),
-        coverage: random,
-        cells: format_cells(random, count, count * transmitters),
+        coverage: mean_coverage,
+        cells: format_cells(mean_coverage, count, count * transmitters),
     };
     [best, random]
 }

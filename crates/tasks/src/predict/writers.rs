@@ -93,7 +93,7 @@ impl<'a> PredictionWriter<'a> {
         let stacks: Vec<Stack> = stacked.map_or_else(Vec::new, |count| stacks_of(model, has_interval, count));
         let path = |name: &str| folder.path().join(name);
         let limits = stacks.iter().map(|stack| stack.complete_rows(&path(&stack.name)));
-        let limit = limits.min().map_or(usize::MAX, |rows| rows + 1);
+        let limit = limits.min().map_or(usize::MAX, |rows| rows + 1); // with the header
         let (lines, bytes) = complete_lines(&path(LIST), limit)?;
         let rows = lines.saturating_sub(1);
         let list = GrowingFile::resume(path(LIST), list_header(model, has_interval).as_bytes(), bytes)?;
@@ -179,6 +179,7 @@ impl<'a> PredictionWriter<'a> {
             self.folder.put(&format!("{name}.npy"), npy)?;
         }
         let Some(spread) = spread.as_ref().map(complex_deviations) else { return Ok(()) };
+        // The second array of `stacks_of`.
         match self.stacks.get_mut(1) {
             Some(stack) => stack.append(&float_bytes(&spread).collect::<Vec<u8>>()),
             None => self.write_array(&(name + SPREAD), &spread),
