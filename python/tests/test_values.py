@@ -76,6 +76,6 @@ def test_help_of_a_value_lists_its_fields(pipeline, value, lines):
 
 def test_help_of_an_enum_lists_its_variants():
     text = pydoc.render_doc(pwrfgs.settings.Schedule, renderer=pydoc.plaintext)
-    assert "Constant = " in text and "Cosine = " in text and "Rate at step `steps`." in text
+    assert "Constant = " in text and "Cosine = " in text and "Rate after `steps` steps." in text
     assert "steps : whole number, default 200000" in (pwrfgs.settings.Training.__doc__ or "")
     assert "pruners : list of Pruner\n" in (pwrfgs.Pipeline.__doc__ or "") and "training : Training\n" in (pwrfgs.Pipeline.__doc__ or "")

@@ -138,7 +138,7 @@ impl Drawing {
     ///
     /// # Errors
     /// [`Error::Config`] if kernels cannot count them.
-    pub fn entries(lengths: &[Real]) -> Result<usize> {
+    pub fn entry_count(lengths: &[Real]) -> Result<usize> {
         let entries: f64 = lengths.iter().map(|&length| f64::from(length)).sum();
         if entries <= MOST_ENTRIES {
             return Ok(entries as usize);

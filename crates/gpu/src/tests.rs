@@ -234,8 +234,8 @@ fn drawings_beyond_the_gpu_are_errors_before_the_step() {
     let Some(gpu) = for_tests() else { return };
     let error = gpu.drawing_step(&[gpu.most_bytes as usize / 4 + 1]).unwrap_err().to_string();
     assert!(error.contains("; use a smaller `training.batch`, fewer Gaussians, or the CPU"), "{error}");
-    assert_eq!(Drawing::entries(&[1e7, 5.0]).unwrap(), 10_000_005);
-    let error = Drawing::entries(&[1e7, 1e7]).unwrap_err().to_string();
+    assert_eq!(Drawing::entry_count(&[1e7, 5.0]).unwrap(), 10_000_005);
+    let error = Drawing::entry_count(&[1e7, 1e7]).unwrap_err().to_string();
     assert!(error.contains("--device: tile lists with 20000000 entries, at most 16777216; use fewer"), "{error}");
 }
 

@@ -187,10 +187,12 @@ impl Activation {
     }
 }
 
+/// Returns the sum of two quaternions, component by component.
 fn sum_quats(a: [Real; 4], b: [Real; 4]) -> [Real; 4] {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]]
 }
 
+/// Returns the scalar product of two quaternions.
 fn dot_quats(a: [Real; 4], b: [Real; 4]) -> Real {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 }

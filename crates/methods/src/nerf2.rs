@@ -182,6 +182,7 @@ impl RayBundle {
             let plane = &setup.plane;
             let ray = |p: usize| {
                 let (column, row) = (p % plane.width, p / plane.width);
+                // `requires` rejects planes without directions.
                 in_room(plane.direction(column as Real, row as Real).unwrap_or([0.0, 0.0, 1.0]))
             };
             match pixels {

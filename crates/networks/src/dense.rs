@@ -143,15 +143,18 @@ pub fn product(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>)
     multiply_rows(c, store, a, b, PRODUCT_THREADS.get());
 }
 
-/// Computes a product with its rows divided among `threads` threads. Each part has so many rows that `gemm` adds up an element
-/// in the same order as for the whole product.
+/// Number of rows of `a` that `gemm` processes at a time.
+const ROW_GROUP: usize = 6;
+
+/// Computes a product with its rows divided among `threads` threads. The number of rows does not affect the order in which
+/// `gemm` adds up an element, unless there are few: each part has more.
 fn multiply_rows(c: MatrixMut<'_>, store: StoreMode, a: Matrix<'_>, b: Matrix<'_>, threads: usize) {
     let ((m, n), k) = (c.shape, a.shape.1);
-    let least = if k <= 512 { 32 } else { 80 };
-    if threads < 2 || n < 16 || k < 16 || m < 2 * least + 12 || !c.has_rows() {
+    let least = if k <= 512 { 32 } else { 80 }; // rows of a part; more for long sums, which `gemm` divides
+    if threads < 2 || n < 16 || k < 16 || m < 2 * (least + ROW_GROUP) || !c.has_rows() {
         return multiply_columns(c, store, a, b);
     }
-    let above = m / 2 / 6 * 6; // six rows at a time
+    let above = m / 2 / ROW_GROUP * ROW_GROUP;
     let (half, (c1, c2), (a1, a2)) = (threads / 2, c.split_rows(above), a.split_rows(above));
     rayon::join(|| multiply_rows(c1, store, a1, b, threads - half), || multiply_rows(c2, store, a2, b, half));
 }

@@ -74,12 +74,12 @@ impl Rasterizer for AlphaBlending {
         let lists: &TileLists = cached(&render.cache);
         let stride = GEOMETRY + channels;
         let mut parts = vec![0.0; lists.splats.len() * stride];
-        let mut rest = parts.as_mut_slice();
+        let mut remaining = parts.as_mut_slice();
         let mut slices = Vec::with_capacity(lists.tile_count());
         for t in 0..lists.tile_count() {
-            let (slice, tail) = rest.split_at_mut(lists.tile_splats(t).0.len() * stride);
+            let (slice, tail) = remaining.split_at_mut(lists.tile_splats(t).0.len() * stride);
             slices.push(slice);
-            rest = tail;
+            remaining = tail;
         }
         slices.into_par_iter().enumerate().for_each_init(
             || (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS], vec![[0.0; TILE]; channels]),

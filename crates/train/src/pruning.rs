@@ -201,11 +201,11 @@ impl Trainer<'_> {
         let mut drawn = vec![false; n];
         rows.iter().for_each(|&i| drawn[i] = true);
         let mut next = 0;
-        let mut take = |i: usize| {
+        let mut rank_next = |i: usize| {
             ranks[i] = next as Real;
             next += 1;
         };
-        (0..n).rev().filter(|&i| !drawn[i]).for_each(&mut take);
+        (0..n).rev().filter(|&i| !drawn[i]).for_each(&mut rank_next);
         let mut remaining: Vec<usize> = (0..rows.len()).collect();
         while remaining.len() > 1 {
             let loss_without = |k: usize| {
@@ -215,9 +215,9 @@ impl Trainer<'_> {
             let count = remaining.len();
             let losses: Vec<Real> = (0..count).into_par_iter().map(loss_without).collect();
             let best = (0..count).rev().min_by(|&a, &b| losses[a].total_cmp(&losses[b])).expect("two or more");
-            take(rows[remaining.remove(best)]);
+            rank_next(rows[remaining.remove(best)]);
         }
-        remaining.into_iter().for_each(|k| take(rows[k]));
+        remaining.into_iter().for_each(|k| rank_next(rows[k]));
         ranks
     }
 }

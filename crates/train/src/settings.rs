@@ -90,7 +90,7 @@ pub enum Schedule {
     LogLinear {
         /// Rate at step 1.
         first: Real,
-        /// Rate from step `steps` on.
+        /// Rate after `steps` steps.
         last: Real,
         /// Number of steps of the decay; 0 for `training.steps`.
         #[serde(default)]
@@ -101,7 +101,7 @@ pub enum Schedule {
     Cosine {
         /// Rate at step 1.
         first: Real,
-        /// Rate at step `steps`.
+        /// Rate after `steps` steps.
         last: Real,
         /// Steps of half a period; 0 for `training.steps`.
         #[serde(default)]

@@ -73,20 +73,20 @@ impl GpuNerf2<'_> {
         items: &[GpuItem<'_>],
         keep: impl Fn(GpuActivations) -> K + Sync,
     ) -> Result<Vec<(K, Passes)>> {
-        let mut all = Vec::new();
-        let mut rest = items;
-        while !rest.is_empty() {
+        let mut results = Vec::new();
+        let mut remaining = items;
+        while !remaining.is_empty() {
             let mut numbers = 0;
             let fits = |item: &&GpuItem<'_>| {
                 numbers +=
                     self.network.outputs * item.rays.len() * self.samples * (1 + groups[item.group].links.pass_count());
                 numbers <= RESULTS
             };
-            let (now, later) = rest.split_at(rest.iter().take_while(fits).count().max(1));
-            all.extend(self.forward_together(groups, now, &keep)?);
-            rest = later;
+            let (now, later) = remaining.split_at(remaining.iter().take_while(fits).count().max(1));
+            results.extend(self.forward_together(groups, now, &keep)?);
+            remaining = later;
         }
-        Ok(all)
+        Ok(results)
     }
 
     /// Runs the forward pass of some items in one step.

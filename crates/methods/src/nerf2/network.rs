@@ -24,7 +24,7 @@ pub(crate) struct Nerf2Network {
     /// Length of a raw output: amplitudes, then phases.
     pub(crate) outputs: usize,
     /// Whether features, which are not encoded, replace the transmitter position.
-    plain: bool,
+    reads_features: bool,
     emission_inputs: usize,
 }
 
@@ -32,7 +32,7 @@ impl Nerf2Network {
     /// Plans the network of `method`, with `bands` amplitudes and phases per sample.
     pub(crate) fn new(method: &Nerf2, bands: usize, plan: &mut LayoutBuilder) -> Self {
         let (wide, encoded, outputs) = (method.width, encoded_width(FREQUENCIES), 2 * bands);
-        let (plain, emission_inputs) = match method.features {
+        let (reads_features, emission_inputs) = match method.features {
             0 => (false, encoded),
             features => (true, features),
         };
@@ -47,7 +47,7 @@ impl Nerf2Network {
             ],
             emission: plan.linear("emission", wide / 2, outputs),
             outputs,
-            plain,
+            reads_features,
             emission_inputs,
         }
     }
@@ -74,7 +74,7 @@ impl Nerf2Network {
 
     /// Returns the network inputs per transmitter, `[B, inputs]`: features, or encoded positions in units of `unit` metres.
     fn transmitter_inputs(&self, conditions: &Conditions<'_>, unit: Real) -> Vec<Real> {
-        if self.plain {
+        if self.reads_features {
             return conditions.values().to_vec();
         }
         let mut inputs = vec![0.0; conditions.len() * self.emission_inputs];

@@ -124,7 +124,7 @@ impl Splatting {
             let results = step.finish()?;
             let mut needed = 0;
             for lengths in results.chunks_exact(RESULTS).map(|of_group| &of_group[0]) {
-                needed = needed.max(Drawing::entries(lengths)?);
+                needed = needed.max(Drawing::entry_count(lengths)?);
             }
             if needed <= entries {
                 break results;

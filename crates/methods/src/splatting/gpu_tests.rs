@@ -193,7 +193,7 @@ fn blending_matches_forward_and_backward() {
             d_pixels.extend(d);
             d_pixels.extend((0..shape.pixels()).map(product));
         }
-        let sizes = shape.sizes(Some(Drawing::entries(lengths).unwrap()));
+        let sizes = shape.sizes(Some(Drawing::entry_count(lengths).unwrap()));
         let uploads: [(usize, &[Real]); 3] = [(SPLATS, &rows), (SIGNALS, &of_order), (D_PIXELS, &d_pixels)];
         let width = shape.derivatives();
         let pass = |step: &mut GpuStep<'_>| {
