@@ -30,7 +30,7 @@ pub fn list_gpus() -> Result<Vec<(String, bool)>> {
     Ok(pwrfgs_gpu::list().into_iter().map(|line| (line.name, line.is_software)).collect())
 }
 
-/// Returns the names of the GPUs of this machine: refuses without GPU support.
+/// Refuses to list the GPUs of this machine, since this program was compiled without GPU support.
 ///
 /// # Errors
 /// Always [`Error::Config`].
@@ -39,12 +39,12 @@ pub fn list_gpus() -> Result<Vec<(String, bool)>> {
     Err(no_gpu_support("devices"))
 }
 
-/// Returns the error of a program that was compiled without the feature `gpu`.
+/// Creates the error for `subject` in a program that was compiled without the feature `gpu`.
 #[cfg(not(feature = "gpu"))]
-fn no_gpu_support(what: &str) -> Error {
+fn no_gpu_support(subject: &str) -> Error {
     Error::Config(format!(
-        "{what}: this program was compiled without GPU support; compile it with `cargo build --release --features gpu`, or use \
-         the CPU"
+        "{subject}: this program was compiled without GPU support; compile it with `cargo build --release --features gpu`, or \
+         use the CPU"
     ))
 }
 

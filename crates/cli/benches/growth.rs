@@ -1,10 +1,10 @@
 //! Growth of processor time and memory with the data, on invented data.
 //!
-//! `cargo bench -p pwrfgs-cli --bench growth` runs each command at three sizes and prints a row of it: processor time, peak
-//! memory, and the slopes between the outer sizes (1: linear). `-- import locate` runs these rows alone. Three minutes on two
-//! cores; `docs/guide.md` has the table.
+//! `cargo bench -p pwrfgs-cli --bench growth` runs each command at three sizes and prints one row per command: processor time,
+//! peak memory, and the slopes between the outer sizes (1: linear). `-- import locate` runs these rows alone. All rows take
+//! three minutes on two cores; `docs/guide.md` has the table.
 
-#![allow(clippy::print_stdout)] // what it prints is what it is for
+#![allow(clippy::print_stdout)] // the table is its result
 
 use std::error::Error;
 use std::fmt::Write as _;
@@ -65,21 +65,21 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Returns the program, told to stand in `folder`, with arguments separated by blanks.
+/// Creates the command that runs the program in `folder` with `arguments`, which are separated by blanks.
 fn program(folder: &Path, arguments: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pwrfgs"));
     command.current_dir(folder).env("RUST_LOG", "error").args(arguments.split(' ')).arg("-q").stdout(Stdio::null());
     command
 }
 
-/// Runs the program, unmeasured, if `made` is not there.
+/// Runs the program unless `folder` already has its output `made`.
 fn run(folder: &Path, made: &str, arguments: &str) -> Result<()> {
     if folder.join(made).exists() { Ok(()) } else { measure(folder, arguments).map(drop) }
 }
 
 /// Returns the processor time in seconds and the peak memory in bytes of a run of the program.
 fn measure(folder: &Path, arguments: &str) -> Result<(f64, f64)> {
-    // Warnings would stand between the rows of the table.
+    // Warnings on the terminal would separate the rows of the table.
     let log = folder.join("stderr.txt");
     let used = program(folder, arguments).stderr(File::create(&log)?).spawn()?.wait4()?;
     if !used.status.success() {
@@ -91,11 +91,11 @@ fn measure(folder: &Path, arguments: &str) -> Result<(f64, f64)> {
 /// Returns the position of transmitter `i` of a walk with a spacing of about 0.5 m, metres.
 fn position(i: usize, positions: usize) -> [f64; 2] {
     let side = 0.5 * (positions as f64).sqrt();
-    // The golden ratio and its like fill a square evenly.
+    // Multiples of these numbers, modulo 1, fill a square evenly: inverse powers of the plastic number.
     [0.754_877_666_2, 0.569_840_291].map(|ratio| side * (i as f64 * ratio).fract())
 }
 
-/// Writes a table of invented powers, named for its size, and returns its name.
+/// Writes a table of invented powers unless it exists; returns its name, which states its size.
 fn table(folder: &Path, positions: usize, receivers: usize) -> Result<String> {
     let name = format!("t{positions}x{receivers}");
     if folder.join(format!("{name}.csv")).exists() {

@@ -30,15 +30,18 @@ pub(crate) struct RunProgress {
     /// Name of the run, if there are several.
     name: Option<String>,
     bar: Option<ProgressBar>,
+    /// Number of training steps.
     steps: u64,
     /// Times and numbers of recent steps.
     pace: VecDeque<(Instant, u64)>,
+    /// Time of the last update of the bar or plain line.
     shown: Instant,
     /// Running mean of the training loss.
     loss: f64,
     validation: Option<Validation>,
     /// Start of the current stage.
     stage: Instant,
+    /// Guard that lets a training finish its step after Ctrl-C; `None` in other stages.
     training: Option<InterruptibleRun>,
 }
 
@@ -196,15 +199,15 @@ impl Observer for RunProgress {
             let things = start.task.counted[1];
             print_note(&format!("{}: {train} training, {validation} validation, {test} test {things}", start.title));
         }
-        let on = if start.done > 0 {
+        let action = if start.done > 0 {
             format!("resuming after step {} of", grouped(start.done as i64))
         } else {
             "training".into()
         };
         let steps = grouped(start.steps as i64);
         match &self.name {
-            None => print_note(&format!("{on} {steps} steps in {}", start.folder.display())),
-            Some(_) => self.print_line(&format!("{on} {steps} steps")),
+            None => print_note(&format!("{action} {steps} steps in {}", start.folder.display())),
+            Some(_) => self.print_line(&format!("{action} {steps} steps")),
         }
         let memory = format_gigabytes(start.step_bytes);
         self.print_line(&match start.gaussians {

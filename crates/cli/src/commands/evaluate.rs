@@ -61,7 +61,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<u8>
     let path = arguments.pipeline.clone().map_or_else(|| pipeline_of_model(&models[0]), |path| Ok(Some(path)))?;
     let missing = || Error::input(&models[0], format!("no {PIPELINE} next to this model; set --pipeline FILE"));
     let pipeline = read_pipeline(&path.ok_or_else(missing)?, &arguments.set)?;
-    let folder = arguments.out.as_ref().map(|out| begin(out, &ensemble, &pipeline, verbosity)).transpose()?;
+    let folder = arguments.out.as_ref().map(|out| begin_folder(out, &ensemble, &pipeline, verbosity)).transpose()?;
     let text = score(models, &ensemble, &pipeline, folder.as_ref(), arguments.all, verbosity);
     match (folder, text) {
         (Some(folder), Err(Error::Stopped)) => {
@@ -143,8 +143,8 @@ fn format_result(result: &EvaluationResult, ensemble: &Ensemble, all: bool) -> S
     text
 }
 
-/// Begins the folder that will be `out`, or continues that of a stopped start.
-fn begin(out: &Path, model: &Ensemble, pipeline: &Pipeline, verbosity: Verbosity) -> Result<PartialFolder> {
+/// Creates the partial folder of `out`, or continues that of a stopped command, with a note.
+fn begin_folder(out: &Path, model: &Ensemble, pipeline: &Pipeline, verbosity: Verbosity) -> Result<PartialFolder> {
     let settings = digest(pipeline.to_ron()?.as_bytes());
     let request = [("models", digest(&file::ensemble_to_bytes(model))), ("settings", settings)];
     let is_resumed = PartialFolder::path_for(out).exists();

@@ -17,7 +17,7 @@ use pwrfgs_core::{Error, Result, ShippedFile};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
-use table::SweepTable;
+use table::{SweepTable, has_failed};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -203,20 +203,25 @@ impl SelectedRuns<'_> {
                 "the sweep has {total} runs, and its report follows the last; for those so far: pwrfgs report {folder}"
             ));
         }
-        let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
+        Ok(self.print_end(&ends, stop.load(Ordering::Relaxed)))
+    }
+
+    /// Prints a note if runs failed or were stopped; returns the exit code. `ends` are the runs with their results.
+    fn print_end(self, ends: &[(usize, Result<RunOutcome>)], is_stopped: bool) -> u8 {
+        let failed = ends.iter().filter(|(_, end)| has_failed(end)).count();
         if failed > 0 {
-            let (total, failures) = (indices.len(), plan.folder.join("failures"));
+            let (total, failures) = (self.indices.len(), self.plan.folder.join("failures"));
             output::print_note(&format!(
                 "{failed} of {total} runs failed; see the errors above and in {}; repeat the command to retry them",
                 failures.display()
             ));
-            return Ok(FAILED);
+            return FAILED;
         }
-        if stop.load(Ordering::Relaxed) {
+        if is_stopped {
             output::print_note("stopped; repeat the command to resume");
-            return Ok(INTERRUPTED);
+            return INTERRUPTED;
         }
-        Ok(SUCCESS)
+        SUCCESS
     }
 }
 

@@ -71,7 +71,7 @@ impl CommentStyle<'_> {
         let owner = tree.name.as_deref().unwrap_or_default();
         _ = writeln!(out, "{owner}(");
         let inside = format!("{indent}    ");
-        let (first, rest) = self.first;
+        let (first, words) = self.first;
         let rank = |name: &str| first.iter().position(|at| *at == [owner, name]).unwrap_or(first.len());
         let mut shown: Vec<_> = fields.iter().filter(|(name, _)| (self.shows)(owner, name)).collect();
         shown.sort_by_key(|(name, _)| rank(name));
@@ -98,7 +98,7 @@ impl CommentStyle<'_> {
             }
             out.push_str(",\n");
             if rank(name) + 1 == first.len() {
-                _ = writeln!(out, "\n{inside}// {}\n{inside}// {rest}\n", "-".repeat(WIDTH - inside.len() - 3));
+                _ = writeln!(out, "\n{inside}// {}\n{inside}// {words}\n", "-".repeat(WIDTH - inside.len() - 3));
             }
         }
         _ = write!(out, "{indent})");

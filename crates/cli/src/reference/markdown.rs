@@ -37,16 +37,16 @@ fn write_topic(out: &mut String, chapter: &DocChapter, topic: &DocItem) {
         }
         return;
     };
-    let mut table = false;
+    let mut is_in_table = false;
     for paragraph in prose::split_paragraphs(docs.text) {
-        let row = paragraph.starts_with('|');
+        let is_row = paragraph.starts_with('|');
         _ = writeln!(
             out,
             "{}{}",
-            if row && table { "" } else { "\n" },
-            if row { paragraph.clone() } else { prose::break_sentences(&paragraph) }
+            if is_row && is_in_table { "" } else { "\n" },
+            if is_row { paragraph.clone() } else { prose::break_sentences(&paragraph) }
         );
-        table = row;
+        is_in_table = is_row;
     }
     write_table(out, docs, topic.value.as_ref().ok());
 }

@@ -9,6 +9,11 @@ use pwrfgs::experiment::{Observer, RunOutcome};
 use pwrfgs_core::{Error, Result};
 use std::time::Instant;
 
+/// Returns whether a run failed; one that another process performs did not.
+pub(super) fn has_failed(end: &Result<RunOutcome>) -> bool {
+    end.as_ref().is_err_and(|error| !matches!(error, Error::Busy(_)))
+}
+
 /// Observer that shows the progress of a sweep.
 pub(super) struct SweepTable<'a> {
     plan: &'a SweepPlan,
@@ -47,8 +52,7 @@ impl SweepObserver for SweepTable<'_> {
         let (done, total) = (self.bar.position(), self.bar.length().unwrap_or(0));
         let left = self.begun.elapsed().as_secs_f64() / done.max(1) as f64 * total.saturating_sub(done) as f64;
         self.bar.set_message(format!("about {} left", format_duration(left)));
-        let failed = end.as_ref().is_err_and(|error| !matches!(error, Error::Busy(_)));
-        if self.verbosity != Verbosity::Quiet || failed {
+        if self.verbosity != Verbosity::Quiet || has_failed(end) {
             print_note(&self.plan.describe_end(run, end));
         }
     }
