@@ -77,7 +77,8 @@ impl CountCurve {
         let grown = self.grown.min(from);
         // Mean of kept^u for u from 0 to 1.
         let mean = if kept < 1.0 { (kept - 1.0) / kept.ln() } else { 1.0 };
-        let [growing, whole, falling, after] = [grown, from - grown, until - from, self.steps - until].map(|n| n as f64);
+        let [growing, whole, falling, after] =
+            [grown, from - grown, until - from, self.steps - until].map(|n| n as f64);
         let last = if until > from { kept * full } else { full };
         growing * first + (whole + falling * mean) * full + after * last
     }
