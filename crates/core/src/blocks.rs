@@ -19,7 +19,7 @@ pub struct SiteSize {
 }
 
 impl SiteSize {
-    /// Measures `positions`, metres, which may repeat.
+    /// Measures `positions`, metres, which may repeat. Positions that are not finite are ignored.
     pub fn new(positions: impl IntoIterator<Item = [f64; 3]>) -> Self {
         let mut positions: Vec<[f64; 3]> =
             positions.into_iter().filter(|position| position.iter().all(|v| v.is_finite())).collect();
@@ -48,8 +48,8 @@ pub fn block_of(position: [f64; 3], edge: f64) -> [i64; 3] {
     position.map(|v| (v / edge).floor() as i64)
 }
 
-/// Returns the mean of values, each after its block, and the standard error of the mean if the values of one block depend on
-/// each other; NaN without values.
+/// Returns the mean of values, each after its block, and its standard error. Values of one block may depend on each
+/// other, those of different blocks are independent. NaN without values; the error is 0 for a single block.
 pub fn block_mean(values: impl IntoIterator<Item = ([i64; 3], f64)>) -> (f64, f64) {
     let mut blocks: BTreeMap<[i64; 3], (f64, f64)> = BTreeMap::new();
     for (block, value) in values {

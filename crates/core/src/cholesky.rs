@@ -14,7 +14,8 @@ impl Cholesky {
         Self::factor_with(a, n, |pivot| (pivot > 0.0 && pivot.is_finite()).then_some(pivot))
     }
 
-    /// Factors the matrix `a` `[n,n]`, which is positive definite up to rounding: pivots are at least `least`.
+    /// Factors the matrix `a` `[n,n]`, which is positive definite up to rounding: smaller pivots than `least` become
+    /// `least`.
     pub fn floored(a: Vec<f64>, n: usize, least: f64) -> Self {
         Self::factor_with(a, n, |pivot| Some(pivot.max(least))).expect("every pivot is taken")
     }

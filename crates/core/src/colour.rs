@@ -19,6 +19,7 @@ pub fn sequential(value: f64) -> Rgb {
     let fraction = position - k as f64;
     let mix = |a: f64, b: f64| a + (b - a) * fraction;
     let ((h0, c0), (h1, c1)) = (SEQUENTIAL[k], SEQUENTIAL[k + 1]);
+    // Lightness from 0.23 (dark) to 0.93 (light).
     srgb_from_oklch(0.23 + 0.70 * t, mix(c0, c1), mix(h0, h1))
 }
 

@@ -130,8 +130,8 @@ fn check_pruners(parts: &Parts<'_>, traits: &MethodTraits<'_>) -> Result<(), Mis
     refuse(pruners.iter().enumerate().find(is_repeated).map(|(_, pruner)| Misfit::ListedTwice(title_of(pruner))))?;
     refuse(parts.training.and_then(|training| target_misfit(&training, pruners)))?;
     let target = parts.training.map(|training| training.target).filter(|target| *target > 0);
-    let moment = StepContext { round: 1, passed: 1, rounds: 1, target, ..StepContext::new(1, Phase::Prune, 0) };
-    for (pruner, context) in pruners.iter().zip(prune_contexts(pruners, &moment)) {
+    let prune_step = StepContext { round: 1, passed: 1, rounds: 1, target, ..StepContext::new(1, Phase::Prune, 0) };
+    for (pruner, context) in pruners.iter().zip(prune_contexts(pruners, &prune_step)) {
         let needs = pruner.needs(&GaussianCloud::zeros(0), &context).statistics;
         let rasterizer = if task.is_some_and(|task| task.is_complex) { "" } else { "rasterizer: AlphaBlending() or " };
         let needs_blending = !traits.blends && needs.iter().any(|statistic| statistic.requires_blending());
@@ -297,11 +297,10 @@ fn observation_difference(model: &MeasurementSetup, data: &MeasurementSetup) -> 
     differences.into_iter().flatten().next()
 }
 
-/// Returns the difference of subcarrier frequencies, Hz; `None` if they agree.
+/// Returns the first difference of subcarrier frequencies, Hz; `None` if they agree. Equal image planes have equally many.
 fn frequency_difference(model: &[f64], data: &[f64]) -> Option<SetupDifference> {
-    let first = |hz: &[f64]| hz.first().copied().unwrap_or_default();
-    let alike = model.len() == data.len() && model.iter().zip(data).all(|(a, b)| is_same_frequency(*a, *b));
-    (!alike).then(|| SetupDifference::Frequency(first(model), first(data)))
+    let other = model.iter().zip(data).find(|(a, b)| !is_same_frequency(**a, **b));
+    other.map(|(a, b)| SetupDifference::Frequency(*a, *b))
 }
 
 /// Returns whether two frequencies, Hz, agree up to the digits of a file.
@@ -317,4 +316,14 @@ fn start_misfit(parts: &Parts<'_>) -> Option<Misfit> {
     let is_other = parts.method.is_some_and(|other| text(other) != text(method)) || key(model) != key(setup);
     let moved = (model.origin != setup.origin).then_some(Misfit::OtherOrigin);
     moved.or_else(|| is_other.then_some(Misfit::OtherMethod))
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn reports_first_frequency_that_differs() {
+        let difference = super::frequency_difference(&[5e9, 5.1e9], &[5e9, 5.2e9]).unwrap();
+        let message = "a subcarrier of the model is at 5100000000 Hz, but at 5200000000 Hz in the data";
+        assert_eq!(difference.to_string(), message);
+    }
 }

@@ -45,6 +45,7 @@ pub trait DataSource: crate::plugin::PluginObject {
 plugin_kind!(DataSource);
 
 /// Returns the source for `folder`: the first linked source, by name, that recognises its layout; `None` if none does.
+/// Sources that require a setting are skipped.
 pub fn recognise(folder: &Path) -> Option<Plugin<dyn DataSource>> {
     let source = |name| Plugin::<dyn DataSource>::parse(&format!("{name}()")).ok()?.recognise(folder);
     registered::<dyn DataSource>().into_iter().find_map(source).map(Plugin::from)
@@ -217,7 +218,7 @@ pub struct Partition {
 }
 
 impl Partition {
-    /// Returns all links except the test set.
+    /// Returns training and validation set, without a flag that ends the fit.
     pub fn known(&self) -> FittingSet<'_> {
         FittingSet { train: &self.train, validation: &self.validation, stop: None }
     }

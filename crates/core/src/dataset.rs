@@ -107,7 +107,7 @@ impl Dataset {
     /// # Errors
     /// [`Error::Config`] for invalid input:
     ///
-    /// - IDs decrease, a link occurs twice, or one ID has two positions.
+    /// - IDs decrease, a link occurs twice, or one ID has two poses.
     /// - The numbers of observations and samples differ, or an observation is not finite.
     /// - Two receivers have one name, or a sample has an unknown receiver.
     /// - A position is not finite or beyond 1e8 m, or an orientation is not of length 1.
@@ -174,7 +174,7 @@ impl Dataset {
     }
 
     /// Returns the data set of these links, in ascending order without repetition. Scene and bounds are those of all
-    /// links.
+    /// links. The official split is left out if its training or test set would be empty.
     ///
     /// # Errors
     /// [`Error::Config`] if there are no links, they are not in ascending order, or one is not in the data;
@@ -372,8 +372,8 @@ pub fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
 /// Converts rows to columns: every location once, and the links.
 ///
 /// # Errors
-/// A row is out of order, has an unknown receiver or an invalid pose, or gives its ID a second position; the message
-/// names the ID of the first such row.
+/// A row is out of order, has an unknown receiver or an invalid pose, or gives its ID a second pose; the message names the
+/// ID of the first such row.
 fn to_columns(samples: &[Sample], ends: &Ends) -> Result<(Vec<Location>, Vec<Link>), String> {
     let (moving, receivers) = (ends.moving, ends.receivers.len());
     let end = if moving.is_receiver() { "receiver" } else { "transmitter" };
@@ -392,8 +392,7 @@ fn to_columns(samples: &[Sample], ends: &Ends) -> Result<(Vec<Location>, Vec<Lin
                     return Err(format!("id {id} follows {id}; sort the samples by unique ids{order}"));
                 }
                 if last.pose != pose {
-                    let (first, second) = (last.pose.position, pose.position);
-                    return Err(format!("the {end} of id {id} has two positions, {first:?} and {second:?}"));
+                    return Err(format!("the {end} of id {id} has {}", last.pose.describe_difference(&pose)));
                 }
             }
             Some(last) if last.id > id => {
@@ -468,6 +467,17 @@ mod tests {
             assert!(message.starts_with("data set `room`: ") && message.contains(why), "{message}");
         }
         assert!(new(far, vec![], 1, good()).contains("receiver: the position is 1e300 m, beyond 1e8 m"));
+    }
+
+    #[test]
+    fn rejects_second_orientation_of_an_id() {
+        let turned = Pose { orientation: [0.0, 0.0, 1.0, 0.0], ..Pose::IDENTITY };
+        let receivers = ["a", "b"].map(|name| Receiver::new(name, Pose::IDENTITY)).to_vec();
+        let samples = [Sample::new(1, Pose::IDENTITY), Sample { receiver: 1, ..Sample::new(1, turned) }];
+        let ends = Ends::of_moving_receivers(receivers, None);
+        let powers = vec![-40.0, -50.0].into();
+        let error = Dataset::of_links("hall", ends, vec![], &samples, powers).unwrap_err().to_string();
+        assert!(error.ends_with("two orientations, [0.0, 0.0, 0.0, 1.0] and [0.0, 0.0, 1.0, 0.0]"), "{error}");
     }
 
     #[test]

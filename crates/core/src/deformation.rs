@@ -116,7 +116,7 @@ pub struct LinearPart {
     /// Functions φ of every Gaussian, `[N, J]`.
     pub basis: Vec<Real>,
     /// Range of weights that produce the signals: set it to 0 before setting B, so that only the linear part is left.
-    pub cleared: std::ops::Range<usize>,
+    pub cleared: Range<usize>,
     /// Indices of B(c, 0, 0) in the weights, for both channels.
     pub first: [usize; 2],
 }
@@ -252,7 +252,7 @@ impl<'a> Conditions<'a> {
         self.values
     }
 
-    /// Returns a range of the transmitters.
+    /// Returns the inputs of a range of the transmitters.
     pub fn rows(&self, range: Range<usize>) -> Self {
         let values = &self.values[range.start * self.width..range.end * self.width];
         let carriers = self.carriers.get(range).unwrap_or_default();

@@ -75,7 +75,7 @@ static CPU_PART: OnceLock<String> = OnceLock::new();
 static USED: AtomicBool = AtomicBool::new(false);
 static FAILURE: FirstError = FirstError(Mutex::new(None));
 
-/// First error that was kept and not yet reported.
+/// First error that was kept since the last report; `None` if there is none.
 struct FirstError(Mutex<Option<Error>>);
 
 impl FirstError {

@@ -127,15 +127,15 @@ impl Docs {
     /// Returns the documentation of a type. Each type is read once and stays in memory.
     pub fn of<T: JsonSchema>() -> &'static Self {
         static READ: Mutex<BTreeMap<Cow<'static, str>, &'static Docs>> = Mutex::new(BTreeMap::new());
-        let read = || READ.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(docs) = read().get(&T::schema_id()) {
+        let types_read = || READ.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(docs) = types_read().get(&T::schema_id()) {
             return docs;
         }
         let schema = SchemaGenerator::default().into_root_schema_for::<T>().to_value();
         let none = Map::new();
         let types = schema.get("$defs").and_then(Value::as_object).unwrap_or(&none);
         let docs = Reader { types }.docs(&T::schema_name(), &schema);
-        read().insert(T::schema_id(), docs);
+        types_read().insert(T::schema_id(), docs);
         docs
     }
 
@@ -251,6 +251,7 @@ impl Reader<'_> {
             ("array", Some(Value::Array(items)), _) => {
                 DocKind::Tuple(items.iter().map(|item| self.kind(item)).collect())
             }
+            // An array of fixed length.
             ("array", _, Some(length)) => DocKind::Tuple(vec![content("items"); length.as_u64().unwrap_or(1) as usize]),
             ("array", ..) => DocKind::List(Box::new(content("items"))),
             ("object", ..) => DocKind::Map(Box::new(content("additionalProperties"))),

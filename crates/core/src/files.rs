@@ -56,7 +56,8 @@ impl ReadLimit {
 /// until another process writes to it.
 ///
 /// # Errors
-/// The file does not exist, is not a regular file, or cannot be opened.
+/// The file does not exist, is a named pipe, a socket or a device, or cannot be opened. A folder fails at the latest
+/// when it is read.
 #[expect(clippy::disallowed_methods, reason = "this function checks the type of the file first")]
 pub fn open(path: impl AsRef<Path>) -> io::Result<File> {
     let path = path.as_ref();
@@ -208,8 +209,8 @@ impl GrowingFile {
         Self::resume(path, start, 0)
     }
 
-    /// Opens the file to append after its first `length` bytes, and drops later ones. If `length` is 0, creates the file with
-    /// the bytes `start`.
+    /// Opens the file to append after its first `length` bytes, which it must have, and drops later ones. If `length` is 0,
+    /// creates the file with the bytes `start`.
     ///
     /// # Errors
     /// [`Error::Write`] if the file cannot be written.
@@ -270,15 +271,15 @@ pub fn if_found<T>(path: &Path, read: io::Result<T>) -> Result<Option<T>> {
 /// Reads a text file written by a person: UTF-8, with or without a byte order mark, within [`MAX_TEXT`].
 ///
 /// # Errors
-/// The file cannot be read, or is not such text.
+/// The file cannot be read, exceeds the limit, or is not UTF-8.
 pub fn read_text(path: &Path) -> Result<String> {
     read_text_at_most(path, MAX_TEXT)
 }
 
-/// Reads a text file with another `limit`.
+/// Reads a text file as [`read_text`] does, with another `limit`.
 ///
 /// # Errors
-/// The file cannot be read, exceeds the limit, or is not such text.
+/// The file cannot be read, exceeds the limit, or is not UTF-8.
 pub fn read_text_at_most(path: &Path, limit: impl Into<ReadLimit>) -> Result<String> {
     let text = String::from_utf8(read_at_most(path, limit).map_err(|e| Error::read(path, e))?).map_err(|e| {
         let line = e.as_bytes()[..e.utf8_error().valid_up_to()].split(|b| *b == b'\n').count();

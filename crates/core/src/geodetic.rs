@@ -3,8 +3,9 @@
 use crate::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Semi-major axis and squared eccentricity of the WGS 84 ellipsoid, metres.
+/// Semi-major axis of the WGS 84 ellipsoid, metres.
 const SEMI_MAJOR_M: f64 = 6_378_137.0;
+/// Squared eccentricity of the WGS 84 ellipsoid.
 const ECCENTRICITY_SQUARED: f64 = 6.694_379_990_141_32e-3;
 
 /// Point on the Earth at the zero of a local frame: x is east, y is north.
@@ -29,6 +30,7 @@ impl Geodetic {
         let w = 1.0 - ECCENTRICITY_SQUARED * sin * sin;
         let (prime_vertical, meridian) =
             (SEMI_MAJOR_M / w.sqrt(), SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQUARED) / w.powf(1.5));
+        // An arc of one degree has the length of its radius times π/180.
         [(prime_vertical * cos).to_radians(), meridian.to_radians()]
     }
 
@@ -44,7 +46,8 @@ impl Geodetic {
         [self.latitude + y / north, self.longitude + x / east]
     }
 
-    /// Returns the last cells of a row of a table at a position in the user's frame, metres: latitude and longitude, degrees.
+    /// Returns the last two cells of a table row, each after a comma: latitude and longitude, degrees, of a position in the
+    /// user's frame, metres.
     pub fn cells(self, [x, y, _]: [f64; 3]) -> String {
         let [latitude, longitude] = self.degrees([x, y]);
         format!(",{latitude:.7},{longitude:.7}")

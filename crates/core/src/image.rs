@@ -4,12 +4,13 @@ use crate::{JsonSchema, Real, consts};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
-/// Spatial spectrum as an image, row-major `[height, width]`; 1 is the strongest direction.
+/// Observation as an array of numbers, row-major `[height, width]`: a spatial spectrum, in which 1 is the strongest
+/// direction, or a power or channel as [`Columns`](crate::Columns) describes it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
-    /// Number of columns (azimuth).
+    /// Number of columns (azimuth of a spectrum).
     pub width: usize,
-    /// Number of rows (elevation).
+    /// Number of rows (elevation of a spectrum).
     pub height: usize,
     /// Pixel values, `[height · width]`.
     pub pixels: Vec<Real>,
@@ -40,7 +41,7 @@ impl Image {
         Self { pixels: self.pixels.iter().map(|p| p.clamp(0.0, 1.0)).collect(), ..*self }
     }
 
-    /// Returns the index of the strongest pixel; ties take the first in row-major order.
+    /// Returns the index of the strongest pixel; ties take the first in row-major order. 0 without pixels.
     pub fn argmax(&self) -> usize {
         let mut best = 0;
         for (i, p) in self.pixels.iter().enumerate() {
@@ -102,7 +103,7 @@ impl Elevation {
         }
         let problem = format!("`elevation` is ({}, {})", self.first, self.last);
         let advice = "give the elevations where the top row begins and the bottom row ends, in degrees from -90 to 90";
-        Some(format!("{problem}; {advice}, such as (0, 90) or (-90, 90)"))
+        Some(format!("{problem}; {advice}, at least 1 apart, such as (0, 90) or (-90, 90)"))
     }
 
     /// Returns the error if the sides of a pixel differ by more than `factor`, for an image with `width` columns over
@@ -250,7 +251,7 @@ impl ImagePlane {
         self.angles.map(|(_, axis)| Elevation { first: axis.first, last: end(axis) })
     }
 
-    /// Returns whether it includes directions behind the receiver, below the plane of its array.
+    /// Returns whether it includes directions behind the receiver, below the plane of its array. `false` without angles.
     pub fn has_directions_behind(&self) -> bool {
         self.elevation().is_some_and(|elevation| elevation.first.min(elevation.last) < -1e-9)
     }
@@ -277,7 +278,8 @@ pub mod stretch {
     /// Relative range of pixel values below which an image contains only rounding errors.
     const NO_CONTRAST: Real = 1e-6;
 
-    /// Returns the smallest and largest value; zeros if empty. NaN is ignored here and remains in the image.
+    /// Returns the smallest and largest value; zeros if empty. NaN is ignored, unless it is the first value, and
+    /// remains in the image.
     pub fn range(values: &[Real]) -> (Real, Real) {
         let first = values.first().copied().unwrap_or(0.0);
         let (mut low, mut high) = ([first; 16], [first; 16]);
@@ -302,7 +304,7 @@ pub mod stretch {
         (low.into_iter().fold(first, Real::min), high.into_iter().fold(first, Real::max))
     }
 
-    /// Returns 1/(max − min), or 0 without contrast.
+    /// Returns 1/(high − low) for values from `low` to `high`, at least 0; 0 without contrast.
     pub fn gain(low: Real, high: Real) -> Real {
         if high - low > NO_CONTRAST * high { 1.0 / (high - low) } else { 0.0 }
     }

@@ -1,7 +1,8 @@
 //! Kriging, the prediction of a Gaussian process over positions, by Cholesky factorisation (Rasmussen and Williams,
 //! Gaussian Processes for Machine Learning, 2006, sections 2.2 and 2.7 with an unknown mean; Cressie, Statistics for
-//! Spatial Data, 1993): correlation and prediction, and the path-loss model as trend of received powers; `likelihood.rs` fits
-//! the correlation.
+//! Spatial Data, 1993). This file holds correlation and prediction, and the path-loss model as trend of received powers.
+//! `process.rs` fits both to a data set, by `pooled.rs` for powers and `spectra.rs` for other observations. `likelihood.rs`
+//! fits a correlation to given samples.
 
 mod likelihood;
 mod pooled;
@@ -129,7 +130,8 @@ impl LocalKriging {
         (samples, places)
     }
 
-    /// Returns the derivative of Σ d(i)·weight(i) of [`Self::solve`] by the position, 1/metre: the samples stay the same.
+    /// Returns the derivative of Σ d(i)·weight(i) of [`Self::solve`] by the position, 1/metre, with the nearest samples
+    /// held fixed.
     pub fn solve_vjp(&self, at: Place, count: usize, d: impl Fn(usize) -> f64) -> [f64; 3] {
         let at = self.correlation.scaled(at);
         let (samples, places) = self.find_nearest(at, count);
@@ -236,7 +238,7 @@ pub struct PathLoss {
 }
 
 impl PathLoss {
-    /// Fits (log10 of the distance, dBm) by least squares; a constant if all distances are equal.
+    /// Fits (log10 of the distance, dBm) by least squares; a constant if all distances are equal, 0 dBm without points.
     pub fn fit(points: &[(f64, f64)]) -> Self {
         Self::fit_groups(&[points]).0
     }

@@ -57,6 +57,7 @@ impl Layout {
                     factors.resize(factors.len() + spec.len(), 1.0);
                     continue;
                 }
+                // A bias, with one axis, shares the draws of its weight, which precedes it.
                 if spec.shape.len() > 1 {
                     let factor = |_| if rng::uniform(rng) < rate { 0.0 } else { 1.0 / (1.0 - rate) };
                     units = (0..spec.shape[0]).map(factor).collect();

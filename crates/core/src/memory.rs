@@ -3,7 +3,7 @@
 /// Maximum memory of one reader or computation, bytes: 16 GiB.
 const MOST: u64 = 1 << 34;
 
-/// Amount below which the system is not asked, bytes.
+/// Amount that is accepted without asking the system, bytes: 64 MiB.
 const LITTLE: u64 = 1 << 26;
 
 /// Returns the memory that one reader or computation may hold, bytes: [`free_memory`], at most 16 GiB.
@@ -11,10 +11,11 @@ pub fn memory_limit() -> u64 {
     free_memory().map_or(MOST, |bytes| bytes.min(MOST))
 }
 
-/// Rejects work that holds more than [`memory_limit`].
+/// Rejects work that holds `bytes`, if they exceed [`memory_limit`] and 64 MiB.
 ///
 /// # Errors
-/// The message states both amounts and the next step, which is `advice`; its subject is the file or the work.
+/// The message begins with a verb: its subject, the file or the work, is left to the caller. It states both amounts and the
+/// next step, which is `advice`.
 pub fn check_memory(bytes: u64, advice: &str) -> Result<(), String> {
     if bytes <= LITTLE {
         return Ok(());
@@ -46,7 +47,7 @@ fn memory_entry(text: &str, name: &str) -> Option<u64> {
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
-/// Returns the remaining memory of the control group (version 2), bytes; `None` without a limit.
+/// Returns the remaining memory of the control group, bytes; `None` without a limit or a group of version 2.
 fn free_control_group_memory() -> Option<u64> {
     let groups = system_text("/proc/self/cgroup")?;
     let path = groups.lines().find_map(|line| line.strip_prefix("0::"))?.trim();

@@ -22,13 +22,13 @@ pub fn join_names<T: AsRef<str>>(names: impl ExactSizeIterator<Item = T>, most: 
     if more > 0 { format!("{shown} and {more} more") } else { shown }
 }
 
-/// Returns a name on one line without control characters, which could change the state of a terminal, and without marks
-/// of text direction.
+/// Returns a name on one line: control characters, which could change the state of a terminal, and controls of text
+/// direction become spaces.
 pub fn strip_control(name: &str) -> String {
     name.chars().map(|c| if is_harmless(c) { c } else { ' ' }).collect::<String>().trim().to_owned()
 }
 
-/// Returns whether a character is neither a control character nor a mark of text direction.
+/// Returns whether a character is neither a control character nor an embedding, override or isolate of text direction.
 fn is_harmless(c: char) -> bool {
     !c.is_control() && !matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
@@ -39,12 +39,13 @@ pub fn quoted(token: &str) -> String {
     format!("`{}{}`", strip_control(cut), if is_cut { " .." } else { "" })
 }
 
-/// Returns text for a terminal: newlines and tabs are kept, other control characters are replaced by symbols.
+/// Returns text for a terminal: newlines and tabs are kept; other control characters, and controls of text direction, become
+/// `\u{fffd}`.
 pub fn escape_control(text: &str) -> String {
     text.chars().map(|c| if is_harmless(c) || c == '\n' || c == '\t' { c } else { '\u{fffd}' }).collect()
 }
 
-/// Returns a message for users: without control characters, with long numbers as powers of ten, and without its middle if it
+/// Returns a message for users, as [`escape_control`], with long numbers as powers of ten, and without its middle if it
 /// repeats much of a file.
 pub fn sanitize_message(message: &str) -> String {
     shorten(&shorten_numbers(message))
@@ -55,7 +56,7 @@ pub fn sanitize_path(path: &Path) -> String {
     shorten(&path.display().to_string())
 }
 
-/// Removes control characters, and the middle of a message of more than [`MESSAGE`] characters.
+/// Escapes control characters, and removes the middle of a message of more than [`MESSAGE`] characters.
 fn shorten(message: &str) -> String {
     let (start, is_long) = truncate(message, MESSAGE - END);
     let count = if is_long { message.chars().count() } else { 0 };

@@ -134,7 +134,7 @@ pub struct WantedInputs {
 #[typetag::serde]
 #[expect(unused_variables, reason = "the defaults ignore parameters")]
 pub trait Method: crate::plugin::PluginObject {
-    /// Returns properties that do not depend on the frame.
+    /// Returns properties that do not depend on the measurement setup.
     fn traits(&self) -> MethodTraits<'_> {
         MethodTraits::default()
     }
@@ -181,7 +181,7 @@ pub trait Method: crate::plugin::PluginObject {
         PassStatistics::zeros(needs, call.parameters.cloud.len())
     }
 
-    /// Precomputes transmitter-independent values for many predictions.
+    /// Precomputes transmitter-independent values for many predictions. `None` without such values.
     fn prepare(&self, setup: &MeasurementSetup, parameters: &Parameters<'_>) -> Cache {
         None
     }
@@ -223,7 +223,7 @@ plugin_kind!(Method);
 #[derive(Clone, Debug)]
 #[allow(clippy::struct_excessive_bools)] // independent properties
 pub struct MethodTraits<'a> {
-    /// Measurement type, if it does not depend on the frame.
+    /// Measurement type; `None` if it depends on the measurement setup.
     pub task: Option<Task>,
     /// Number of inputs per transmitter: 3 for its position.
     pub inputs: usize,

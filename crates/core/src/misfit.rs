@@ -90,8 +90,8 @@ pub enum SetupDifference {
     /// Name of a receiver.
     #[error("receiver `{0}` of the model is called `{1}` in the data")]
     Name(String, String),
-    /// First subcarrier, Hz.
-    #[error("subcarriers of the model begin at {0} Hz, but those of the data at {1} Hz")]
+    /// First subcarrier that differs, Hz.
+    #[error("a subcarrier of the model is at {0} Hz, but at {1} Hz in the data")]
     Frequency(f64, f64),
 }
 

@@ -122,8 +122,8 @@ impl Nearest {
         self.find(at, 1).1.first().map_or(f64::INFINITY, |nearest| nearest.0)
     }
 
-    /// Returns all samples exactly at `at`, and the `k` nearest (or fewer if there are not enough), nearest first, with
-    /// distances. Ties go to the lower sample index.
+    /// Returns all samples exactly at `at`, and the `k` nearest, nearest first, with distances: fewer if there are not
+    /// enough, one if `k` is 0. Ties go to the lower sample index.
     pub fn find(&self, at: &[f64], k: usize) -> (Vec<usize>, Vec<(f64, usize)>) {
         self.find_where(at, k, |_| true)
     }
@@ -142,7 +142,7 @@ impl Nearest {
         (search.exact.into_iter().map(|(_, sample)| sample).collect(), near.collect())
     }
 
-    /// Returns the least squared distance from `at` to the positions in a box.
+    /// Returns the squared distance from `at` to a box: at most that to any position in it.
     fn bound(&self, index: usize, at: &[f64]) -> f64 {
         let (low, high) = self.boxes[index * 2 * self.width..][..2 * self.width].split_at(self.width);
         let outside = low.iter().zip(high).zip(at).map(|((low, high), at)| (low - at).max(at - high).max(0.0));

@@ -29,7 +29,7 @@ impl Header {
     /// Reads the header from the beginning of a file; `path` is for messages.
     ///
     /// # Errors
-    /// [`Error::Input`] for a file that is not a NumPy array, or is truncated.
+    /// [`Error::Input`] for a file that is not a NumPy array, is truncated, or has an invalid header.
     pub fn read(path: &Path, file: &mut dyn Read) -> Result<Self> {
         let damaged = |problem: &str| Error::input(path, format!("{problem}; write it with numpy.save"));
         let short = |_| damaged("is not a NumPy array, or is truncated");

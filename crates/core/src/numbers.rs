@@ -3,8 +3,8 @@
 /// Size from which numbers have an exponent: more digits are not measured, and 1e300 has 300.
 const LARGE: f64 = 1e15;
 
-/// Formats about four significant digits, without exponent in the usual range; integers below 1e15 in full, NaN as
-/// `n/a`.
+/// Formats about four significant digits, without exponent in the usual range; integers from 10 to 1e15 in full, NaN
+/// as `n/a`.
 pub fn number(value: f64) -> String {
     let size = value.abs();
     if !value.is_finite() {
@@ -31,7 +31,8 @@ pub fn number(value: f64) -> String {
     }
 }
 
-/// Formats a number, not NaN, with the given decimals, or with two digits if it would have fewer (up to six decimals).
+/// Formats a number, not NaN, with the given decimals, or with as many as two significant digits need, up to six. Integers
+/// without decimals, and numbers that need more than six, keep the given decimals. Sizes from 1e15 have an exponent.
 pub fn fixed(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return if value > 0.0 { "∞".into() } else { "−∞".into() };
@@ -39,9 +40,9 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     if value.abs() >= LARGE {
         return format!("{value:.2e}").replace('-', "−");
     }
-    let two_digits = (1.0 - value.abs().log10().floor()).clamp(0.0, 99.0) as usize;
-    let is_short = (value.fract() == 0.0 && decimals == 0) || two_digits > 6;
-    let text = format!("{:.*}", if is_short { decimals } else { decimals.max(two_digits) }, value.abs());
+    let needed = (1.0 - value.abs().log10().floor()).clamp(0.0, 99.0) as usize;
+    let is_as_given = (value.fract() == 0.0 && decimals == 0) || needed > 6;
+    let text = format!("{:.*}", if is_as_given { decimals } else { decimals.max(needed) }, value.abs());
     let text = if decimals == 0 && value.abs() >= 1e3 { grouped(value.abs().round() as i64) } else { text };
     // Values rounded to 0 have no sign.
     let negative = value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b));

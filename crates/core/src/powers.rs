@@ -10,8 +10,9 @@ const GAP_DB: f64 = 20.0;
 const SEVERAL: usize = 3;
 /// Powers outside this range are no readings, dBm: a watt, and less than the thermal noise in some hertz.
 const RANGE_DBM: std::ops::RangeInclusive<f64> = -150.0..=30.0;
-/// Smallest number of powers, and share of all powers above which the lowest value is a code.
-const LOWEST: (usize, f64) = (10, 0.2);
+/// Smallest number of powers with the lowest value, and share of all powers above which it is a code.
+const LOWEST_COUNT: usize = 10;
+const LOWEST_SHARE: f64 = 0.2;
 /// Share of the powers with one value above which it is notable.
 const SHARED: f64 = 0.05;
 /// Absolute value below which all powers are probably linear.
@@ -26,13 +27,17 @@ pub struct LoneValue {
     pub count: usize,
     /// Index of the first of them.
     pub first: usize,
-    /// Distance to the nearest other value, dB; infinite if there is none.
+    /// Distance to the nearest other value, dB; infinite if there is none. For a code beyond all readings, the next value is that
+    /// towards the readings.
     pub gap: f64,
 }
 
-/// Finds values of `powers` in dBm that are probably codes: several equal powers at either end, more than 20 dB from the next
-/// value; powers above 30 dBm or below -150 dBm; and the lowest value if at least ten powers, more than a fifth of
-/// all and twice as many as the next value have it. NaN is ignored.
+/// Finds values of `powers` in dBm that are probably codes. NaN and infinities are ignored.
+///
+/// - Three or more equal powers at either end, more than 20 dB from the next value.
+/// - Powers above 30 dBm or below -150 dBm, unless the median of the others is outside too.
+/// - The lowest of more than two values, if at least ten powers, more than a fifth of all and twice as many as the next
+///   value have it.
 ///
 /// ```
 /// let powers = [-61.0, 100.0, -70.5, 100.0, -64.0, 100.0];
@@ -40,36 +45,37 @@ pub struct LoneValue {
 /// assert_eq!((code.value, code.count, code.first, code.gap), (100.0, 3, 1, 161.0));
 /// ```
 pub fn lone_values(powers: &[Real]) -> Vec<LoneValue> {
-    let all = histogram(powers);
-    let mut rest = &all[..];
-    let mut codes = take_ends(&mut rest, |entry| entry.count >= SEVERAL && entry.gap > GAP_DB);
-    let readings = || rest.iter().flat_map(|entry| std::iter::repeat_n(entry.value as f64, entry.count));
+    let values = histogram(powers);
+    let mut inner = &values[..];
+    let mut codes = take_ends(&mut inner, |entry| entry.count >= SEVERAL && entry.gap > GAP_DB);
+    let readings = || inner.iter().flat_map(|entry| std::iter::repeat_n(entry.value as f64, entry.count));
     // The middle of powers in another unit may lie outside.
     if RANGE_DBM.contains(&median(readings())) {
-        codes.extend(take_ends(&mut rest, |entry| !RANGE_DBM.contains(&(entry.value as f64))));
+        codes.extend(take_ends(&mut inner, |entry| !RANGE_DBM.contains(&(entry.value as f64))));
     }
-    let lowest = rest.first().zip(rest.get(1)).filter(|_| rest.len() > 2);
+    let lowest = inner.first().zip(inner.get(1)).filter(|_| inner.len() > 2);
     let is_code = |entry: &LoneValue, next: &LoneValue| {
-        entry.count >= LOWEST.0.max(2 * next.count) && entry.count as f64 > LOWEST.1 * powers.len() as f64
+        entry.count >= LOWEST_COUNT.max(2 * next.count) && entry.count as f64 > LOWEST_SHARE * powers.len() as f64
     };
     codes.extend(lowest.filter(|(entry, next)| is_code(entry, next)).map(|(entry, _)| *entry));
     codes
 }
 
-/// Finds values that more than 5 % of the powers have, and four times as many as the fourth most frequent value;
-/// [`lone_values`] may be among them. NaN is ignored.
+/// Finds values that more than 5 % of the powers have, and more than four times as many as the fourth most frequent value; none
+/// if there are fewer than four values. [`lone_values`] may be among them. NaN and infinities are ignored.
 pub fn shared_values(powers: &[Real]) -> Vec<LoneValue> {
-    let mut all = histogram(powers);
-    all.sort_by_key(|entry| std::cmp::Reverse(entry.count));
-    let usual = all.get(3).map_or(usize::MAX, |entry| 4 * entry.count);
+    let mut values = histogram(powers);
+    values.sort_by_key(|entry| std::cmp::Reverse(entry.count));
+    let usual = values.get(3).map_or(usize::MAX, |entry| 4 * entry.count);
     let is_shared = |entry: &LoneValue| entry.count as f64 > SHARED * powers.len() as f64 && entry.count > usual;
-    all.into_iter().take(3).filter(is_shared).collect()
+    values.into_iter().take(3).filter(is_shared).collect()
 }
 
-/// Takes entries that `is_code` from either end of `rest`, which keeps at least two.
-fn take_ends(rest: &mut &[LoneValue], is_code: impl Fn(&LoneValue) -> bool) -> Vec<LoneValue> {
+/// Removes entries that `is_code` from either end of `entries`, which keeps at least two, and returns them, each with its
+/// distance to the next entry.
+fn take_ends(entries: &mut &[LoneValue], is_code: impl Fn(&LoneValue) -> bool) -> Vec<LoneValue> {
     let mut codes = Vec::new();
-    while let [first, second, .., before, last] | [first, second @ before, last] = *rest {
+    while let [first, second, .., before, last] | [first, second @ before, last] = *entries {
         let with_gap = |entry: &LoneValue, next: &LoneValue| LoneValue {
             gap: (next.value as f64 - entry.value as f64).abs(),
             ..*entry
@@ -77,10 +83,10 @@ fn take_ends(rest: &mut &[LoneValue], is_code: impl Fn(&LoneValue) -> bool) -> V
         let (low, high) = (with_gap(first, second), with_gap(last, before));
         if is_code(&low) {
             codes.push(low);
-            *rest = &rest[1..];
+            *entries = &entries[1..];
         } else if is_code(&high) {
             codes.push(high);
-            *rest = &rest[..rest.len() - 1];
+            *entries = &entries[..entries.len() - 1];
         } else {
             break;
         }
@@ -153,7 +159,7 @@ impl PowerUnit {
         }
     }
 
-    /// Converts a value to dBm; `None` for no signal.
+    /// Converts a value to dBm; `None` for no signal, NaN for a negative linear power.
     pub fn dbm(self, value: f64) -> Option<f64> {
         let dbm = match self {
             Self::Dbm => value,

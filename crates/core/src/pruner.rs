@@ -101,7 +101,7 @@ pub struct PrunerTraits {
 }
 
 impl PrunerTraits {
-    /// Returns the learning rate of the masks, the learned columns; `None` without such a column.
+    /// Returns the learning rate of the masks: that of the first learned column; `None` without such a column.
     pub fn mask_rate(&self) -> Option<Real> {
         self.columns.iter().find_map(|column| column.learning_rate)
     }
@@ -133,7 +133,7 @@ pub struct PruneTarget {
 }
 
 impl PruneTarget {
-    /// Returns the goal of a training with a `target`; `None` if `target` is 0, or no pruner supports one.
+    /// Returns `target` with the first pruner that supports one; `None` if `target` is 0, or no pruner does.
     pub fn of(pruners: &[Plugin<dyn Pruner>], target: usize) -> Option<Self> {
         let mut budgets = pruners.iter().enumerate().filter_map(|(k, pruner)| Some((k, pruner.traits().budget?)));
         let (pruner, budget) = budgets.next().filter(|_| target > 0)?;
@@ -151,7 +151,7 @@ impl PruneTarget {
     }
 }
 
-/// Returns `context` for each pruner: only the first that supports a target receives it.
+/// Returns `context` for each pruner; only the first that supports a target receives [`StepContext::target`].
 pub fn prune_contexts(pruners: &[Plugin<dyn Pruner>], context: &StepContext) -> Vec<StepContext> {
     let first = pruners.iter().position(|pruner| pruner.traits().budget.is_some());
     let context_of = |k: usize| StepContext { target: context.target.filter(|_| first == Some(k)), ..*context };
@@ -172,7 +172,7 @@ pub fn best(count: usize, scores: &[Real], preferred: impl Fn(usize) -> bool) ->
 /// Column `[N, width]` that a pruner requests.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ColumnSpec {
-    /// Name, unique within the pipeline; two pruners with the same column share it.
+    /// Name. Pruners that request one name share the column, as the first of them specifies it.
     pub name: &'static str,
     /// Number of values per Gaussian.
     pub width: usize,

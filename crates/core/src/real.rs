@@ -26,7 +26,7 @@ pub type Mat3 = glam::Mat3;
 #[cfg(feature = "f64")]
 pub type Mat3 = glam::DMat3;
 
-/// Constants π and 2π, and the conversion from radians to degrees, at the precision of [`Real`].
+/// Mathematical constants at the precision of [`Real`].
 pub mod consts {
     use super::Real;
     /// π.

@@ -24,7 +24,7 @@ pub fn uniform_f64(rng: &mut Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Draws from the uniform distribution on [0, 1); equal draws in both precisions.
+/// Draws from the uniform distribution as [`uniform_f64`]; single precision may round the draw up to 1.
 #[inline]
 pub fn uniform(rng: &mut Rng) -> Real {
     uniform_f64(rng) as Real

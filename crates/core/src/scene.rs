@@ -312,7 +312,7 @@ impl Pose {
         (self.rotation() * glam::DVec3::from_array(vector)).to_array()
     }
 
-    /// Returns the derivative by the orientation, given the derivative by a small rotation about the world axes, radians.
+    /// Returns the derivative by the orientation (x, y, z, w), given that by a small rotation about the world axes, radians.
     pub fn rotation_vjp(&self, d_rotation: [f64; 3]) -> [f64; 4] {
         let (d, q) = (glam::DVec3::from_array(d_rotation), glam::DQuat::from_array(self.orientation));
         let d_axis = q.w * d + d.cross(q.xyz());
@@ -329,6 +329,15 @@ impl Pose {
     pub fn origin(&self) -> Vec3 {
         let p = self.position.map(|v| v as Real);
         Vec3::from_array(p)
+    }
+
+    /// Describes two poses that differ: `two positions, [..] and [..]`, or the orientations at one position.
+    pub(crate) fn describe_difference(&self, other: &Self) -> String {
+        if self.position == other.position {
+            format!("two orientations, {:?} and {:?}", self.orientation, other.orientation)
+        } else {
+            format!("two positions, {:?} and {:?}", self.position, other.position)
+        }
     }
 
     /// Returns the name of an invalid field, with problem and next step; `None` if the pose is valid.

@@ -47,7 +47,8 @@ impl MeasurementSetup {
         self.plane.width * self.plane.height
     }
 
-    /// Returns the pose of the first receiver, relative to the origin; world axes at the origin if it moves.
+    /// Returns the pose of the first receiver, relative to the origin: if it moves, its usual orientation at the origin. Without
+    /// receivers, it is [`Pose::IDENTITY`].
     pub fn pose(&self) -> Pose {
         self.receivers.first().map_or(Pose::IDENTITY, |receiver| receiver.pose)
     }
@@ -101,7 +102,8 @@ impl MeasurementSetup {
         common.iter().map(moved).collect()
     }
 
-    /// Returns the inputs of these links, of width `width`. Consecutive equal transmitters are merged.
+    /// Returns the inputs of these links, with `width` numbers per location. Consecutive links share them if pose, features and
+    /// carrier are equal.
     ///
     /// # Panics
     /// If there is no receiver of the index of a query.
@@ -130,7 +132,7 @@ impl MeasurementSetup {
 pub struct LinkInputs {
     /// Number of network inputs per location.
     pub width: usize,
-    /// Network inputs `[T, width]`: the position of the moving end, metres from the origin, or features.
+    /// Network inputs `[T, width]` of T locations: the position of the moving end, metres from the origin, or features.
     pub values: Vec<Real>,
     /// Carriers `[T]` ([`MeasurementSetup::carriers`]); empty for one carrier.
     pub carriers: Vec<Real>,

@@ -42,7 +42,7 @@ impl ShippedFile {
         (!base.join(path).is_file()).then_some(shipped)
     }
 
-    /// Returns the text of the shipped file named `path`, or else of the file at `path`, within `limit`.
+    /// Returns the text of the file at `path`, within `limit`, or of the shipped file of this name if there is none.
     ///
     /// # Errors
     /// As [`read_text_at_most`]; the message for a missing file without extension suggests a shipped file.
@@ -72,7 +72,7 @@ impl ShippedFile {
         text.replace("\"../", "\"")
     }
 
-    /// Returns the first sentence of the comment at the start of the file.
+    /// Returns the first sentence of the comment at the start of the file, without its full stop.
     pub fn purpose(&self) -> String {
         let lines = self.source.lines().map_while(|line| line.strip_prefix("//")).map(str::trim);
         let header = lines.collect::<Vec<_>>().join(" ");

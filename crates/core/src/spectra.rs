@@ -19,7 +19,7 @@ pub enum Number {
     U16,
     /// Single precision, 0 to 1.
     F32,
-    /// Double precision, 0 to 1; converted to single precision.
+    /// Double precision, 0 to 1; pixels have single precision.
     F64,
 }
 
@@ -136,7 +136,7 @@ impl Spectra {
         Self::in_memory(size, Number::F32, pixels.iter().flat_map(|v| v.to_le_bytes()).collect())
     }
 
-    /// Creates spectra in memory in the format `number`.
+    /// Creates spectra in memory in the format `number`. Floating-point values are not checked.
     ///
     /// # Errors
     /// [`Error::Config`] without a spectrum, or with an incomplete one.
@@ -291,9 +291,9 @@ struct Stored {
 impl Stored {
     /// Opens a file whose numbers begin at byte `offset`.
     fn open(path: &Path, offset: u64) -> Result<Self> {
-        let refuse = |e| Error::read(path, e);
-        let file = crate::files::open(path).map_err(refuse)?;
-        let len = file.metadata().map_err(refuse)?.len();
+        let read_error = |e| Error::read(path, e);
+        let file = crate::files::open(path).map_err(read_error)?;
+        let len = file.metadata().map_err(read_error)?.len();
         Ok(Self { file, path: path.into(), offset, len, fault: OnceLock::new() })
     }
 

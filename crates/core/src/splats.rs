@@ -141,7 +141,8 @@ impl Splats {
         self
     }
 
-    /// Inverts [`Self::sampled`] `[N]` for the derivative of a projector; radii are rounded up to whole strides.
+    /// Inverts [`Self::sampled`] `[N]` for the derivative of a projector, without [`Self::existence`]. Radii stay rounded up to
+    /// whole strides, and centres that wrapped at the seam a full circle to the right.
     pub fn unsampled(&self, plane: &ImagePlane) -> Cow<'_, Self> {
         let Sampling { stride, offset, .. } = plane.sampling;
         if stride == 1 {

@@ -18,7 +18,7 @@ pub fn evenly<T: Clone>(items: &[T], count: usize) -> Vec<T> {
     (0..n).map(|i| items[i * items.len() / n].clone()).collect()
 }
 
-/// Returns the smallest and largest value; infinite for none. NaN is ignored.
+/// Returns the smallest and largest value; `(∞, −∞)` for none. NaN is ignored.
 pub fn bounds(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
     values.into_iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
 }

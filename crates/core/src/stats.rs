@@ -177,7 +177,7 @@ pub enum Statistic {
 }
 
 impl Statistic {
-    /// Returns whether it uses blending weights, which not every rasterizer has. The exact loss does not.
+    /// Returns whether it uses blending weights, which not every rasterizer has: all but the elimination, which computes losses.
     pub fn requires_blending(self) -> bool {
         !matches!(self, Self::Elimination { .. })
     }
@@ -215,7 +215,7 @@ impl Needs {
         self
     }
 
-    /// Returns whether the request is empty.
+    /// Returns whether nothing is requested, after [`Self::resolve_blending`].
     pub fn is_empty(&self) -> bool {
         self.statistics.is_empty()
     }

@@ -104,7 +104,7 @@ pub fn values<T>(vector: &Tensor<(usize,), Real, Cpu, T>) -> Vec<Real> {
 pub type Vectors = Vec<Vec<Real>>;
 
 /// Adds a kernel to the tape: `outputs` are its values for `inputs`; `vjp` converts the cotangents of the outputs to
-/// those of the inputs (one vector per input, equal lengths).
+/// those of the inputs: one vector per input, of its length.
 ///
 /// # Panics
 /// In the backward pass, if a cotangent from `vjp` differs in length from its input.

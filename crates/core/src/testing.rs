@@ -21,7 +21,10 @@ pub fn shared(name: &str) -> Option<PathBuf> {
     None
 }
 
-/// Reads a NumPy array, shape and values: floats, integers of 8 and 64 bits, booleans.
+/// Reads shape and values of a NumPy array: floats, bytes, integers of 64 bits, booleans.
+///
+/// # Panics
+/// For any other array.
 pub fn npy(bytes: &[u8]) -> (Vec<usize>, Vec<f64>) {
     let header = Header::read(Path::new("array"), &mut &*bytes).unwrap_or_else(|e| panic!("{e}"));
     let (width, number): (usize, fn([u8; 8]) -> f64) = match header.descr.as_str() {
@@ -65,8 +68,8 @@ pub fn check_bits_in_another_process(test: &str, numbers: impl IntoIterator<Item
 }
 
 /// Asserts that `vjp` is the derivative of `f` at `x`. For a random cotangent d, ∂⟨d, f(x)⟩/∂xₖ by central differences
-/// with step `h` must agree with `vjp(x, d)ₖ` to `tolerance`, relative to the larger of the two and of 1 % of the
-/// largest component. Use the f64 build: differences in single precision are inaccurate.
+/// with step `h` must agree with `vjp(x, d)ₖ` to `tolerance` times the largest of both values and 1 % of the largest
+/// component of `vjp`. Use the f64 build: differences in single precision are inaccurate.
 pub fn check_vjp(
     name: &str,
     x: &[Real],

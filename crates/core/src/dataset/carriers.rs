@@ -4,8 +4,8 @@ use crate::{Dataset, Ends, Error, Receiver, Result, Sample, Scene, carrier_fault
 use std::collections::BTreeMap;
 
 impl Dataset {
-    /// Sets the carrier of each link of one receiver, Hz. Every carrier then is a receiver at the same pose, with a name
-    /// such as `2400MHz`, in ascending order. Links at equal poses have one location, with the ID of the first,
+    /// Sets the carrier of each link of one receiver, Hz. If carriers differ, each becomes a receiver at the same pose, with a
+    /// name such as `2400MHz`, in ascending order. Links at equal poses then share one location, with the ID of the first,
     /// unless they also have equal carriers.
     ///
     /// # Errors

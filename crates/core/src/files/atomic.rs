@@ -89,7 +89,7 @@ pub fn write_new(path: &Path, bytes: &[u8]) -> Result<bool> {
     }
 }
 
-/// Writes `bytes` to a synced temporary file next to `path`, which `publish` renames; returns the open, locked file.
+/// Writes `bytes` to a synced temporary file next to `path`, which `publish` renames or links; returns the open, locked file.
 fn write_beside(path: &Path, bytes: &[u8], publish: impl FnOnce(&Path) -> io::Result<()>) -> io::Result<File> {
     remove_temporaries(parent(path), &[&short_name(path)]);
     let (temporary, mut file) = create_temporary(path)?;

@@ -6,8 +6,8 @@ use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Locks the file at `path` until the returned file is dropped. Returns `None` if another process holds the lock for
-/// more than 0.2 s.
+/// Locks the file at `path` until the returned file is dropped; without effect on file systems without locks. Returns
+/// `None` if another process holds the lock for more than 0.2 s.
 ///
 /// # Errors
 /// There is no such file, it is not a regular file, or it cannot be opened.
@@ -23,7 +23,7 @@ pub fn try_lock(path: &Path) -> io::Result<Option<File>> {
     })
 }
 
-/// Locks the file at `path` until the returned file is dropped, and waits for other processes.
+/// Locks the file at `path` as [`try_lock`] does, but waits for other processes without limit.
 ///
 /// # Errors
 /// There is no such file, it is not a regular file, or it cannot be opened.

@@ -131,13 +131,13 @@ impl Drop for NewFolder {
 /// GPU did: numbers in the folder may then be zeros.
 pub(super) fn rename_to_target(path: &Path, out: &Path, marker: &str) -> Result<()> {
     device::check()?;
-    let refuse = |e| Error::write(out, e);
+    let write_error = |e| Error::write(out, e);
     let _ = fs::remove_dir(out); // if it is missing or not empty, the rename reports the relevant error
-    fs::rename(path, out).map_err(|e| check_target(out).err().unwrap_or_else(|| refuse(e)))?;
-    fs::remove_file(out.join(marker)).map_err(refuse)
+    fs::rename(path, out).map_err(|e| check_target(out).err().unwrap_or_else(|| write_error(e)))?;
+    fs::remove_file(out.join(marker)).map_err(write_error)
 }
 
-/// Rejects a target that is not empty or has no folder name.
+/// Rejects a target that is not empty, is a link or has no folder name.
 pub(super) fn check_target(out: &Path) -> Result<()> {
     if out.file_name().is_none() || out.is_symlink() {
         return Err(Error::input(out, "is not a valid name for a new folder; choose another"));

@@ -25,8 +25,8 @@ impl PartialFolder {
     /// each part of the request, such as `("positions", digest)`.
     ///
     /// # Errors
-    /// `out` is not empty or has no folder name; an earlier start had another request; [`Error::Busy`] while another process
-    /// fills the folder; writing fails.
+    /// `out` is not empty or has no folder name; the partial folder holds other files, or had another request;
+    /// [`Error::Busy`] while another process fills it; writing fails.
     pub fn begin(out: &Path, request: &[(&str, String)]) -> Result<Self> {
         if let Some(_unused) = lock_unused(&out.join(REQUEST)) {
             let _ = fs::remove_file(out.join(REQUEST)); // the process was killed while it published the folder
@@ -56,7 +56,7 @@ impl PartialFolder {
         Ok(Self { path, out: out.into(), _lock: lock })
     }
 
-    /// Returns the path of the folder that will be `out`.
+    /// Returns the path of the partial folder that will be `out`.
     pub fn path_for(out: &Path) -> PathBuf {
         let mut name = out.file_name().unwrap_or_default().to_owned();
         name.push(".partial");

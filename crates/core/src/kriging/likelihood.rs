@@ -18,7 +18,7 @@ const STEPS: [f64; 5] = [2.0, 1.0, 0.5, 0.25, 0.125];
 #[derive(Debug)]
 pub struct HeldOutCases {
     cases: Vec<HeldOutCase>,
-    /// Median distance from a sample to its neighbours, metres.
+    /// Median over the cases of the distance to the median neighbour, metres; 1 if none is positive.
     typical_m: f64,
     mean: Mean,
 }
@@ -28,7 +28,7 @@ pub struct HeldOutCases {
 struct HeldOutCase {
     place: Place,
     neighbours: Vec<Place>,
-    /// Sums over values of products of two observations: the predicted one (first) and its neighbours, square. With an
+    /// Sums over values of products of any two observations, `[1 + n, 1 + n]`: the predicted one, then its n neighbours. With an
     /// unknown mean, they are those of differences from the predicted observation.
     products: Vec<f64>,
 }
@@ -126,8 +126,8 @@ pub fn fit_correlation(cases: &HeldOutCases, space: SearchSpace<'_>, check: Stop
     search(&|correlation| cases.log_likelihood(correlation), cases.typical_m, space, check).map(|best| best.1)
 }
 
-/// Finds the correlation with the largest `log_likelihood` as [`fit_correlation`]; the search starts at eight times
-/// `typical_m`, metres.
+/// Finds the correlation with the largest `log_likelihood` as [`fit_correlation`], and returns it after that likelihood. The
+/// search starts at eight times `typical_m`, metres.
 pub(super) fn search(
     log_likelihood: &(dyn Fn(&Correlation) -> f64 + Sync),
     typical_m: f64,

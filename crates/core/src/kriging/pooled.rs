@@ -113,7 +113,8 @@ impl<'a> Powers<'a> {
             |values: &mut dyn Iterator<Item = f64>| Some(statistics::mean(values)).filter(|mean| mean.is_finite());
         let level = mean(&mut links.iter().map(|l| l.value)).unwrap_or(0.0);
         let log = mean(&mut links.iter().filter_map(|l| l.log_distance)).unwrap_or(0.0);
-        let rows = links.iter().map(|l| [l.value - level, 1.0, l.log_distance.map_or(0.0, |own| own - log)]).collect();
+        let row = |l: &PowerLink| [l.value - level, 1.0, l.log_distance.map_or(0.0, |distance| distance - log)];
+        let rows = links.iter().map(row).collect();
         let mut by_receiver = vec![Vec::new(); receivers];
         links.iter().enumerate().for_each(|(i, link)| by_receiver[link.receiver].push(i));
         let cases = by_receiver.par_iter().map(|receiver_links| select_cases(links, receiver_links)).collect();
@@ -134,9 +135,9 @@ impl<'a> Powers<'a> {
             Correlation { kind, scales: [length, length, length, f64::INFINITY], noise: noise.exp() }
         };
         let observed: Vec<&Vec<Case>> = self.cases.iter().filter(|cases| !cases.is_empty()).collect();
-        let each = (SEARCHED / observed.len().max(1)).max(LEAST);
+        let count = (SEARCHED / observed.len().max(1)).max(LEAST);
         let searched: Vec<Vec<Case>> =
-            evenly(&observed, SEARCHED / LEAST).into_iter().map(|cases| evenly(cases, each)).collect();
+            evenly(&observed, SEARCHED / LEAST).into_iter().map(|cases| evenly(cases, count)).collect();
         let scale = statistics::mean(self.rows.iter().map(|row| row[0] * row[0]));
         let evaluate = |at: [f64; 2]| -> Result<(f64, f64)> {
             check()?;
@@ -188,8 +189,8 @@ impl<'a> Powers<'a> {
     /// Returns the absolute errors of predictions from links of other blocks, each after its block.
     fn block_errors(&self, fit: &PooledFit) -> Vec<([i64; 3], f64)> {
         let observed = self.by_receiver.iter().filter(|links| !links.is_empty()).count();
-        let each = (COMPARED / observed.max(1)).max(1);
-        self.by_receiver.iter().flat_map(|links| self.receiver_errors(fit, links, each)).collect()
+        let count = (COMPARED / observed.max(1)).max(1);
+        self.by_receiver.iter().flat_map(|links| self.receiver_errors(fit, links, count)).collect()
     }
 
     /// Returns the errors of [`Self::block_errors`] at `count` of the `links` of one receiver.
@@ -204,13 +205,13 @@ impl<'a> Powers<'a> {
         let nearest = Nearest::new(links, 4, scaled);
         let blocks: Vec<[i64; 3]> = links.iter().map(|&i| block(i)).collect();
         let error = |&i: &usize| {
-            let at = block(i);
-            let near = nearest.find_where(&scaled(i), NEIGHBOURS, |k| blocks[k] != at).1;
+            let held_out = block(i);
+            let near = nearest.find_where(&scaled(i), NEIGHBOURS, |k| blocks[k] != held_out).1;
             let places: Vec<Place> = near.iter().map(|(_, k)| scaled(*k)).collect();
             let weights =
                 (!near.is_empty()).then(|| solve(&fit.correlation, Mean::Zero, &places, scaled(i)).weights)?;
             let predicted: f64 = near.iter().zip(weights).map(|((_, k), weight)| weight * residual(*k)).sum();
-            Some((at, (residual(i) - predicted).abs()))
+            Some((held_out, (residual(i) - predicted).abs()))
         };
         evenly(links, count).par_iter().filter_map(error).collect()
     }
@@ -250,8 +251,8 @@ fn select_cases(links: &[PowerLink], receiver_links: &[usize]) -> Vec<Case> {
     let mut order = receiver_links.to_vec();
     rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
     let first = (CASES / 2).min(order.len());
-    let rest: Vec<usize> = (first..order.len()).collect();
-    let ranks: Vec<usize> = (0..first).chain(evenly(&rest, CASES - first)).collect();
+    let later: Vec<usize> = (first..order.len()).collect();
+    let ranks: Vec<usize> = (0..first).chain(evenly(&later, CASES - first)).collect();
     let given = nearest_before(&order, &ranks, GIVEN, 4, |i| links[i].place);
     ranks.iter().map(|rank| order[*rank]).zip(given).collect()
 }

@@ -20,13 +20,13 @@ pub struct ResidualTrend {
 impl ResidualTrend {
     /// Returns the expected value for `predicted` by a model and a moving end `at` a place (metres from the origin).
     pub fn expected(&self, predicted: Real, [x, y, z, _]: Place) -> f64 {
-        let law = |(law, end): (PathLoss, _)| law.power(log_distance([x, y, z], end));
-        self.share * predicted as f64 + (1.0 - self.share) * self.path_loss.map_or(0.0, law)
+        let power = |(path_loss, end): (PathLoss, _)| path_loss.power(log_distance([x, y, z], end));
+        self.share * predicted as f64 + (1.0 - self.share) * self.path_loss.map_or(0.0, power)
     }
 
     /// Returns the derivative of the path loss in [`Self::expected`] by the place, times `d`; 0 without a path-loss model.
     pub fn path_loss_vjp(&self, d: f64, [x, y, z, _]: Place) -> [f64; 3] {
-        let slope = self.path_loss.map_or([0.0; 3], |(law, end)| law.power_gradient([x, y, z], end));
+        let slope = self.path_loss.map_or([0.0; 3], |(path_loss, end)| path_loss.power_gradient([x, y, z], end));
         slope.map(|slope| (1.0 - self.share) * d * slope)
     }
 }

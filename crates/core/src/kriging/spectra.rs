@@ -7,8 +7,9 @@ use crate::statistics::{bounds, sorted};
 use crate::{Cholesky, Real, Result, evenly};
 use rayon::prelude::*;
 
-/// Largest number of observations in a block; time grows with its square. Blocks are compact, so that observations in them are
-/// as dense as those that predict: 250 observations of 3,918, evenly chosen, give 0.852 instead of 0.895 SSIM on s23.
+/// Largest number of observations in a block; the time per observation grows with its square. Blocks are compact, so that
+/// observations in them are as dense as those that predict: 250 observations of 3,918, evenly chosen, give 0.852 instead of
+/// 0.895 SSIM on s23.
 const BLOCK: usize = 128;
 /// Largest number of blocks.
 const BLOCKS: usize = 8;
@@ -20,6 +21,7 @@ const KINDS: [CorrelationKind; 2] = [CorrelationKind::Exponential, CorrelationKi
 #[derive(Debug)]
 pub struct JointLikelihood {
     blocks: Vec<Block>,
+    /// Number of values per observation.
     values: usize,
 }
 
@@ -54,6 +56,7 @@ pub fn fit_spectra(
 /// Divides places into compact blocks of at most `most`: halves along the longest side, again and again.
 fn compact_blocks(places: &[Place], most: usize) -> Vec<Vec<usize>> {
     let mut blocks = vec![(0..places.len()).collect::<Vec<_>>()];
+    // The first block is the largest: its halves round up.
     while blocks.first().is_some_and(|block| block.len() > most) {
         let halve = |mut block: Vec<usize>| {
             let side = |axis: usize| {
@@ -85,10 +88,10 @@ impl JointLikelihood {
         Self { blocks, values: counts.first().copied().unwrap_or(0) }
     }
 
-    /// Returns the median distance from a place to the nearest other one, metres; 1 if none is positive.
+    /// Returns the median distance from a place to the nearest other one of its block, metres; 1 if none is positive.
     fn spacing_m(&self) -> f64 {
-        let all = sorted(self.blocks.iter().flat_map(Block::spacings_m).filter(|d| *d > 0.0 && d.is_finite()));
-        all.get(all.len() / 2).copied().unwrap_or(1.0)
+        let spacings = sorted(self.blocks.iter().flat_map(Block::spacings_m).filter(|d| *d > 0.0 && d.is_finite()));
+        spacings.get(spacings.len() / 2).copied().unwrap_or(1.0)
     }
 
     /// Returns the sum of squared errors in units of their predicted variance, summed over values, and half the logarithms of
@@ -138,7 +141,7 @@ impl Block {
         Self { places, factor }
     }
 
-    /// Returns the distances from each place to the nearest other one, metres.
+    /// Returns the distance from each place to the nearest other one, metres; infinity for a single place.
     fn spacings_m(&self) -> Vec<f64> {
         let space = |[x, y, z, _]: Place| [x, y, z];
         let nearest = |i: usize| {

@@ -208,7 +208,7 @@ impl Description {
     }
 
     /// Returns the grid of an observation of `size` (columns, rows): columns of pixels cover the full circle, rows are
-    /// `elevation`.
+    /// `elevation`. Other observations have a grid without angles.
     pub fn plane(&self, (width, height): (usize, usize), elevation: Elevation) -> ImagePlane {
         if self.has_pixels { ImagePlane::around(width, height, elevation) } else { ImagePlane::plain(width, height) }
     }
@@ -342,15 +342,15 @@ impl Observations {
     /// [`Error::Read`](crate::Error::Read) if a spectrum cannot be read.
     pub(crate) fn subset(&self, links: &[usize]) -> Result<Self> {
         Ok(match self {
-            Self::Spectra(all) => {
-                let bytes = links.iter().flat_map(|&i| all.raw(i).into_owned()).collect();
-                all.check()?;
-                Spectra::in_memory(self.size(), all.number(), bytes)?.into()
+            Self::Spectra(spectra) => {
+                let bytes = links.iter().flat_map(|&i| spectra.raw(i).into_owned()).collect();
+                spectra.check()?;
+                Spectra::in_memory(self.size(), spectra.number(), bytes)?.into()
             }
-            Self::Powers(all) => Self::Powers(links.iter().map(|&i| all[i]).collect()),
-            Self::Channels(all) => {
-                let gains = links.iter().flat_map(|&i| all.of(i)).copied().collect();
-                Channels { antennas: all.antennas, frequencies_hz: all.frequencies_hz.clone(), gains }.into()
+            Self::Powers(powers) => Self::Powers(links.iter().map(|&i| powers[i]).collect()),
+            Self::Channels(channels) => {
+                let gains = links.iter().flat_map(|&i| channels.of(i)).copied().collect();
+                Channels { gains, frequencies_hz: channels.frequencies_hz.clone(), ..*channels }.into()
             }
         })
     }
@@ -361,12 +361,12 @@ impl Observations {
     /// As [`Self::subset`].
     pub(crate) fn into_subset(self, links: &[usize]) -> Result<Self> {
         match self {
-            all if links.len() == all.len() && links.is_sorted() => Ok(all),
+            whole if links.len() == whole.len() && links.is_sorted() => Ok(whole),
             Self::Channels(mut channels) => {
                 channel::select_rows(&mut channels.gains, channels.antennas * channels.frequencies_hz.len(), links);
                 Ok(channels.into())
             }
-            all => all.subset(links),
+            other => other.subset(links),
         }
     }
 

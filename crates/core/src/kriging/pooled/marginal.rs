@@ -3,7 +3,7 @@
 /// Prior standard deviations of T and G about the mean power and 0, and of `t_j` and `g_j` about 0: dB, and dB per decade.
 const SHARED: [f64; 2] = [60.0, 30.0];
 const OWN: [f64; 2] = [15.0, 8.0];
-/// Golden-section steps over the logarithm of the variance, and its range below and above the mean square of powers.
+/// Number of golden-section steps over ln(variance), and its range about ln(mean square of the powers).
 const STEPS: usize = 40;
 const RANGE: [f64; 2] = [-16.0, 4.0];
 
@@ -31,8 +31,8 @@ impl Moments {
     }
 }
 
-/// Returns the process variance that maximises the likelihood, and its logarithm there up to a constant. `scale` is the
-/// mean square of the powers, dB².
+/// Returns the process variance that maximises the likelihood, and the log-likelihood there up to a constant. `scale` is
+/// the mean square of the powers, dB².
 pub(super) fn best_variance(moments: &[Moments], scale: f64) -> (f64, f64) {
     /// Golden ratio less 1.
     const RATIO: f64 = 0.618_033_988_749_894_9;
