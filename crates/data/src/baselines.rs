@@ -67,8 +67,8 @@ fn fitting_samples(fitting: FittingSet<'_>) -> Result<Vec<usize>> {
     Ok(samples)
 }
 
-/// Returns the samples to choose hyperparameters with: (training samples, samples to predict). Without a validation set
-/// every tenth training sample is held out; with fewer than two samples none is.
+/// Returns the samples to choose hyperparameters with: (training samples, samples to predict). If one of the two sets is
+/// empty, every tenth sample of the other is held out; with fewer than two samples none is.
 fn selection_sets(fitting: FittingSet<'_>) -> (Vec<usize>, Vec<usize>) {
     const EVERY: usize = 10;
     if !fitting.validation.is_empty() && !fitting.train.is_empty() {

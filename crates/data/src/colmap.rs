@@ -159,8 +159,10 @@ struct SizedCamera {
 
 /// Image of `images.txt`.
 struct View {
+    /// Line of the pose, counted from 1.
     line: usize,
     name: String,
+    /// Id of the camera.
     camera: u32,
     pose: Pose,
 }

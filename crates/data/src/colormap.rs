@@ -92,12 +92,13 @@ impl Colormap {
         ))
     }
 
-    /// Returns the map on which nearly all colours of an image lie; `None` for a grey image and for other colours.
+    /// Returns the map on which at least 90 % of the pixels of an image lie, the nearest one if there are several; `None` for a
+    /// grey image and for other colours.
     pub(crate) fn recognise(image: &RgbImage) -> Option<Self> {
         let step = (image.width() as usize * image.height() as usize / SAMPLED).max(1);
         let pixels: Vec<[u8; 3]> = image.pixels().step_by(step).map(|pixel| pixel.0).collect();
         let is_saturated = |[r, g, b]: &&[u8; 3]| r.max(g).max(b).abs_diff(*r.min(g).min(b)) > GREY;
-        // A grey image may have a few coloured pixels.
+        // A grey image has coloured pixels in less than a quarter of its area.
         if 4 * pixels.iter().filter(is_saturated).count() < pixels.len() {
             return None;
         }

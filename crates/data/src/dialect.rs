@@ -25,12 +25,15 @@ const MARKS: [Option<char>; 5] = [Some('\t'), Some(';'), Some(','), Some('|'), N
 const MAX_TABLE: ReadLimit = ReadLimit::Held(2);
 /// Next step for a table that does not fit into memory.
 pub(crate) const SPLIT_ADVICE: &str = "give the table in parts";
-/// Largest size of a compressed table after expansion, bytes: a thousandth of it may be in the file.
+/// Largest size of a compressed table after expansion, bytes: its file may be a thousand times smaller.
 const MAX_EXPANDED: u64 = 1 << 28;
-/// Memory of a growing list in units of its length: half of its elements are copied into twice the space.
+/// Memory of a growing list in units of its length: while it grows, its old space and twice that exist together.
 pub(crate) const GROWING: usize = 3;
 /// Largest number of fields of a line: a field needs far more memory than its comma. No table has as many receivers.
 const MOST_FIELDS: usize = 1_000_000;
+
+/// Header of a table: line number, the line, and the line without a comment mark, which has the names.
+type HeaderLine<'t> = (usize, &'t str, &'t str);
 
 /// File of a table, or its content under the name of a file.
 #[derive(Clone, Debug)]
@@ -79,33 +82,34 @@ impl<'a> TableText<'a> {
         Ok(table)
     }
 
-    /// Reads a file whose header has names that `is_name` accepts; `advice` is the next step for a missing or empty file. The
-    /// header is the line among the first [`EXAMINED`] with the most such names; without any, the first line if it holds no
-    /// number. Returns an error for a file that cannot be read, is empty or is no table.
+    /// Reads a file whose header has names that `is_name` accepts; `advice` is the next step for a missing or empty
+    /// file. The header is the line among the first [`EXAMINED`] with the most such names; without any, the first line
+    /// that is no comment if it holds no number. Returns an error for a file that cannot be read, is empty or is no
+    /// table.
     pub(crate) fn with_names(path: &'a Path, advice: &str, is_name: &dyn Fn(&str) -> bool) -> Result<Self> {
         let mut table = Self::decode(path, read_bytes(path, MAX_TABLE, advice)?.into())?;
         let text = std::mem::take(&mut table.text);
-        let Some(first) = numbered_lines(&text).find(|(_, line)| !is_comment(line)) else {
+        let Some((first_line, first)) = numbered_lines(&text).find(|(_, line)| !is_comment(line)) else {
             return Err(Error::input(path, format!("is empty; {advice}")));
         };
         // A header in a comment begins with its mark, but a name may begin with it, too.
         let lines = numbered_lines(&text).take(EXAMINED).flat_map(|(n, line)| [(n, line, line), (n, line, bare(line))]);
         let name_count = |line: &str, mark| split(line, mark).filter(|cell| is_name(cell)).count();
-        let ranked = lines.flat_map(|line| MARKS.map(|mark| (name_count(line.2, mark), mark, line)));
+        let ranked = lines.flat_map(|line @ (.., names)| MARKS.map(|mark| (name_count(names, mark), mark, line)));
         let best = ranked.reduce(|best, other| if other.0 > best.0 { other } else { best });
         let best = best.filter(|(count, ..)| *count > 0);
         table.mark = best.map_or_else(|| detect_separator(&text).0, |(_, mark, _)| mark);
-        let has_number = split(first.1, table.mark).any(|cell| cell.parse::<f64>().is_ok());
-        let header = best.map(|(.., line)| line).or((!has_number).then_some((first.0, first.1, first.1)));
-        table.skipped = header.map_or(first.0 - 1, |(line, ..)| line);
-        table.set_names(header, split(first.1, table.mark).count());
+        let has_number = split(first, table.mark).any(|cell| cell.parse::<f64>().is_ok());
+        let header = best.map(|(.., line)| line).or((!has_number).then_some((first_line, first, first)));
+        table.skipped = header.map_or(first_line - 1, |(line, ..)| line);
+        table.set_names(header, split(first, table.mark).count());
         table.has_decimal_commas = table.has_decimal_commas_in(&text);
         table.text = text;
         Ok(table)
     }
 
-    /// Decodes the content of a file; its dialect is not known yet. Returns an error for an archive, or for content that is not
-    /// text.
+    /// Decodes the content of a file; its dialect is not known yet. Returns an error for an archive, a damaged gzip file, or
+    /// content that is not text.
     fn decode(path: &'a Path, bytes: Cow<'a, [u8]>) -> Result<Self> {
         let refuse = |problem: &str| Err(Error::input(path, problem));
         if bytes.starts_with(b"PK") {
@@ -115,15 +119,17 @@ impl<'a> TableText<'a> {
         if bytes.contains(&0) {
             return refuse("is not text; save the table as CSV in UTF-8");
         }
-        // Latin-1, as older spreadsheets write it, is a character a byte.
+        // Latin-1, as older spreadsheets write it, has one byte per character.
         let latin = |bytes: &[u8]| bytes.iter().map(|byte| char::from(*byte)).collect::<String>();
-        let mark = if bytes.starts_with("\u{feff}".as_bytes()) { 3 } else { 0 };
+        let byte_order_mark = "\u{feff}".as_bytes();
+        let start = if bytes.starts_with(byte_order_mark) { byte_order_mark.len() } else { 0 };
         let text = match bytes {
             Cow::Borrowed(bytes) => {
-                std::str::from_utf8(&bytes[mark..]).map_or_else(|_| latin(bytes).into(), Cow::Borrowed)
+                let bytes = &bytes[start..];
+                std::str::from_utf8(bytes).map_or_else(|_| latin(bytes).into(), Cow::Borrowed)
             }
             Cow::Owned(mut bytes) => {
-                bytes.drain(..mark);
+                bytes.drain(..start);
                 String::from_utf8(bytes).unwrap_or_else(|e| latin(e.as_bytes())).into()
             }
         };
@@ -149,8 +155,8 @@ impl<'a> TableText<'a> {
         self.has_decimal_commas = self.has_decimal_commas_in(&text);
         let is_number = |cell: &str| parse_number(cell, self.has_decimal_commas).is_some();
         // A header names a column that holds numbers.
-        let names_numbers = |line: &(usize, &str, &str)| {
-            let names: Vec<&str> = split(line.2, mark).collect();
+        let names_numbers = |&(.., names): &HeaderLine<'_>| {
+            let names: Vec<&str> = split(names, mark).collect();
             let is_named = |k: usize| !is_number(names[k]) && holds_numbers(&rows, k, &is_number);
             names.len() == width && (0..width).any(is_named)
         };
@@ -163,8 +169,8 @@ impl<'a> TableText<'a> {
         Ok(())
     }
 
-    /// Sets the names from a header: its number, its line, and that line without a comment mark; else numbers up to `width`.
-    fn set_names(&mut self, header: Option<(usize, &str, &str)>, width: usize) {
+    /// Sets the names, and the line of the header; without a header, the names are the numbers 1 to `width`.
+    fn set_names(&mut self, header: Option<HeaderLine<'_>>, width: usize) {
         let fields = |(_, line, names)| locate_fields(line, split(names, self.mark));
         let fields: Vec<TextField<'_>> = header.map_or_else(Vec::new, fields);
         self.header = header.map(|(line, ..)| line);
@@ -175,7 +181,7 @@ impl<'a> TableText<'a> {
         };
     }
 
-    /// Returns whether the first rows have decimal commas, and no decimal points.
+    /// Returns whether the first rows have decimal commas and no decimal points; false if commas separate fields.
     fn has_decimal_commas_in(&self, text: &str) -> bool {
         let lines = || numbered_lines(text).filter(|(n, line)| *n > self.skipped && !is_comment(line)).take(EXAMINED);
         let has = |mark: char| {
@@ -185,8 +191,8 @@ impl<'a> TableText<'a> {
         self.mark != Some(',') && !has('.') && has(',')
     }
 
-    /// Returns the rows below the header. Returns an error for a row with more fields than the header, for example due to decimal
-    /// commas.
+    /// Returns the rows below the header, without comments. A row with text beyond the columns of the header is an error, for
+    /// example due to decimal commas.
     pub(crate) fn rows(&self) -> impl Iterator<Item = Result<TextRow<'_>>> {
         let width = if self.header.is_some() { self.names.len() } else { MOST_FIELDS };
         let lines = numbered_lines(&self.text).filter(|(line, content)| *line > self.skipped && !is_comment(content));
@@ -217,7 +223,7 @@ impl<'a> TableText<'a> {
         })
     }
 
-    /// Returns the number of rows, at most.
+    /// Returns an upper limit of the number of rows: the lines that are not blank.
     pub(crate) fn row_count(&self) -> usize {
         numbered_lines(&self.text).count()
     }
@@ -267,7 +273,7 @@ impl<'a> TableText<'a> {
         format!("{}: separated by {separator}{decimals}, {header}", self.path.display())
     }
 
-    /// Returns the first lines of rows, unchanged.
+    /// Returns the header and the lines below it, unchanged, `count` + 1 in all.
     pub(crate) fn head(&self, count: usize) -> Vec<String> {
         let rows = numbered_lines(&self.text).filter(|(line, _)| Some(*line) == self.header || *line > self.skipped);
         rows.take(count + 1).map(|(_, line)| line.to_owned()).collect()
@@ -319,6 +325,7 @@ fn expand(path: &Path, bytes: &[u8]) -> Result<Vec<u8>> {
     if size > MAX_EXPANDED {
         return Err(refuse(format!("expands beyond the limit of {MAX_EXPANDED} bytes; {SPLIT_ADVICE}")));
     }
+    // Twice: its text may be converted, as that of [`MAX_TABLE`].
     check_memory(2 * size, SPLIT_ADVICE).map_err(refuse)?;
     let mut expanded = Vec::with_capacity(size as usize);
     content().read_to_end(&mut expanded).map_err(damaged)?;
@@ -354,8 +361,8 @@ fn holds_numbers(rows: &[Vec<&str>], k: usize, is_number: &dyn Fn(&str) -> bool)
     values.peek().is_some() && values.all(is_number)
 }
 
-/// Returns the separator that gives most of the first lines the same number of fields, at least two, and that number; `None`:
-/// blanks. A comma and one field if no separator does.
+/// Returns the separator that gives the most of the first lines one number of fields, at least two, and that number; `None`
+/// stands for blanks. Returns a comma and one field if no separator does.
 fn detect_separator(text: &str) -> (Option<char>, usize) {
     let lines: Vec<&str> =
         numbered_lines(text).map(|(_, line)| line).filter(|line| !is_comment(line)).take(EXAMINED).collect();

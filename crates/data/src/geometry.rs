@@ -31,13 +31,17 @@ const MESH_ADVICE: &str = "check the path of the mesh";
 /// of fewer than three corners, a polygon with a hole or that crosses itself, more than
 /// [`MOST_TRIANGLES`](crate::MOST_TRIANGLES), unknown extension. A file without faces is valid.
 pub fn read_mesh(path: &Path) -> Result<Triangles> {
-    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let parse = match extension.as_str() {
+    let parse = match lower_extension(path).as_str() {
         "obj" => parse_obj,
         "ply" => ply::parse_mesh,
         _ => return Err(Error::input(path, "unsupported mesh format; export it as .obj or .ply")),
     };
     parse(path, without_mark(&read_bytes(path, MAX_TEXT, MESH_ADVICE)?))
+}
+
+/// Returns the extension of a file in lower case; empty without one.
+fn lower_extension(path: &Path) -> String {
+    path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
 
 /// Returns the content of a file without a byte order mark.
@@ -137,8 +141,7 @@ const CLOUD_ADVICE: &str = "check the path of the point cloud";
 /// Reports the file, with line and column for text: truncated, empty, not a number, not finite, beyond 1e8 m, unknown
 /// extension.
 pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
-    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let points = match extension.as_str() {
+    let points = match lower_extension(path).as_str() {
         "ply" => ply::parse_points(path, without_mark(&read_bytes(path, MAX_NUMBERS, CLOUD_ADVICE)?))?,
         "xyz" | "txt" | "csv" => read_table_points(path)?,
         _ => return Err(Error::input(path, "unsupported point cloud format; use .ply, .xyz or .csv")),
@@ -150,7 +153,7 @@ pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
 }
 
 /// Reads a point per row, below an optional header and an optional line with their number. Returns an error for an invalid
-/// header, a row that is too short or too long, an invalid coordinate, or fewer points than that number.
+/// header, a row that is too short or too long, an invalid coordinate, or another number of points than announced.
 fn read_table_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     let is_name = |cell: &str| ["x", "y", "z"].iter().any(|name| is_named(cell, name));
     let table = TableText::with_names(path, CLOUD_ADVICE, &is_name)?;

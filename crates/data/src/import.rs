@@ -1,7 +1,7 @@
 //! `import`: converts positions and spectra of other programs to a folder that [`Arrays`](crate::Arrays) reads.
 //!
 //! Spectra are converted one at a time, so memory use does not depend on their number. 8-bit and 16-bit values are
-//! kept, floats are stored with 32 bits. Implausible input is an error with the next step.
+//! kept unless they are scaled; all others are stored as floats of 32 bits. Implausible input is an error with the next step.
 
 mod channels;
 mod source;
@@ -34,7 +34,7 @@ pub struct Import {
     pub elevation: Option<Elevation>,
     /// Name of the data set.
     pub name: String,
-    /// Factor applied to every value, so that all are between 0 and 1.
+    /// Factor applied to every value, so that all are between 0 and 1; `None`: 1.
     pub scale: Option<f64>,
     /// Colour map of the images of a folder; values are then those of its colours.
     pub colormap: Option<Colormap>,

@@ -274,8 +274,9 @@ impl FolderWriter<'_> {
         self.write_file(IDS, format_lines(locations.iter().map(|location| location.id as usize)))
     }
 
-    /// Writes the program version, the title, whether the data are simulated, and the bounds of the scene if they are not those
-    /// of the data, such as in a subset. Returns the errors of [`Self::write_file`].
+    /// Writes `manifest.json`: program version, title, whether the data are simulated, and the properties that no other file
+    /// holds. Bounds of the scene are written only if they are not those of the data, such as in a subset. Returns the errors
+    /// of [`Self::write_file`].
     fn write_manifest(&self) -> Result<()> {
         let (data, scene) = (self.data, &self.data.scene);
         let mut manifest = serde_json::json!({

@@ -7,7 +7,7 @@ use pwrfgs_core::{DataSource, Dataset, Error, JsonSchema, Plugin, Progress, Resu
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// File of [`write_links`].
+/// Name of the file that [`write_links`] writes.
 pub const LINKS: &str = "links.txt";
 
 /// Some links of another data source, with the IDs and bounds of the whole. A run in Python on a subset of data that no folder

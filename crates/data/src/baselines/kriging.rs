@@ -141,10 +141,11 @@ impl<'a> Trend<'a> {
         f64::from(one[0])
     }
 
-    /// Returns the most likely correlation, with a scale of time if `time`, and its process variance per value. For spectra as
-    /// [`fit_observations`]. For powers the likelihood is that of at most [`POWERS`] samples, each given the nearest of those
-    /// before it in random order: the densities multiply to the joint density (Vecchia, Journal of the Royal Statistical Society
-    /// B 50, 1988), and the first samples constrain long distances. Returns the errors of the search.
+    /// Returns the most likely correlation, with a scale of time if `time`, and its process variance per value.
+    /// Without a path-loss model as [`fit_observations`]. With one, the likelihood is that of at most [`POWERS`]
+    /// samples, each given the nearest of those before it in random order: the densities multiply to the joint density
+    /// (Vecchia, Journal of the Royal Statistical Society B 50, 1988), and the first samples constrain long distances.
+    /// Returns the errors of the search.
     fn fit_correlation(&self, all: &[usize], fitting: FittingSet<'_>, time: bool) -> Result<(Correlation, f64)> {
         let check = || fitting.check_stopped();
         if self.path_loss.is_none() {

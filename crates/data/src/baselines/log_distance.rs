@@ -52,11 +52,11 @@ impl Baseline for LogDistance {
         let points: Vec<_> = links_by_receiver.iter().map(|links| path_loss_points(data, links)).collect();
         let groups: Vec<&[(f64, f64)]> = points.iter().map(Vec::as_slice).collect();
         let (shared, levels) = PathLoss::fit_groups(&groups);
-        let one = PathLoss::fit(&groups.concat());
+        let pooled = PathLoss::fit(&groups.concat());
         let fit = |(points, level): (&&[(f64, f64)], f64)| match points.len() {
             FEW.. if self.per_receiver => PathLoss::fit(points),
             _ if self.per_receiver || self.offset => PathLoss { level, ..shared },
-            _ => one,
+            _ => pooled,
         };
         let by_receiver = groups.iter().zip(levels).map(fit).collect();
         let enough = if self.per_receiver { FEW } else { usize::from(self.offset) };
@@ -101,7 +101,9 @@ impl Predict for PathLosses<'_> {
     fn note(&self) -> Option<String> {
         let names = self.borrowed.join(", ");
         (!names.is_empty()).then(|| {
-            format!("{names} has too few training links for its own path-loss exponent and shares that of the others")
+            format!(
+                "{names} has too few training links for its own path-loss model and shares parameters of the others"
+            )
         })
     }
 }

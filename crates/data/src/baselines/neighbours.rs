@@ -161,8 +161,9 @@ struct Lookup<'a> {
 impl<'a> Lookup<'a> {
     /// Creates a lookup of the `k` nearest among `samples`.
     fn new(data: &'a Dataset, samples: &[usize], k: usize) -> Self {
-        let positions = if data.scene.moving.is_receiver() { 9 } else { 3 };
-        let width = data.features.as_ref().map_or(positions, |features| features.width);
+        // The numbers of `link_coordinates`.
+        let pose_width = if data.scene.moving.is_receiver() { 9 } else { 3 };
+        let width = data.features.as_ref().map_or(pose_width, |features| features.width);
         Self {
             data,
             nearest: Nearest::new(samples, width, |i| link_coordinates(data.scene.moving, data.query(i))),
@@ -193,8 +194,9 @@ impl<'a> Lookup<'a> {
             return Vec::new();
         }
         let (mut sum, mut total, mut taken) = (vec![0.0; truth.pixels.len()], 0.0, 0);
-        let score = |k: &usize| {
-            let until = if exact { neighbours.len() } else { *k.min(&neighbours.len()) };
+        let mut scores = Vec::with_capacity(CHOICES.len());
+        for k in CHOICES {
+            let until = if exact { neighbours.len() } else { k.min(neighbours.len()) };
             for (j, weight) in &neighbours[taken..until] {
                 self.data.observations.add(*j, *weight, &mut sum);
                 total += weight;
@@ -202,9 +204,9 @@ impl<'a> Lookup<'a> {
             taken = until;
             let scale = self.data.observations.full_scale() * total;
             let pixels = sum.iter().map(|s| (s / scale) as Real).collect();
-            self.data.task().likeness(&Image { pixels, ..truth }, &truth)
-        };
-        CHOICES.iter().map(score).collect()
+            scores.push(self.data.task().likeness(&Image { pixels, ..truth }, &truth));
+        }
+        scores
     }
 }
 
@@ -269,6 +271,7 @@ impl Baseline for NearestCarrier {
 /// Training links of each carrier that has some, by position.
 struct CarrierLookup<'a> {
     data: &'a Dataset,
+    /// Receivers, one per carrier, and their links.
     carriers: Vec<(usize, Nearest)>,
 }
 

@@ -95,9 +95,10 @@ impl Predict for PooledKriging<'_> {
         let others = |process: &Process| {
             process.links.iter().copied().filter(|link| links.binary_search(link).is_err()).collect::<Vec<usize>>()
         };
-        let rest: Vec<Vec<usize>> = self.processes.iter().map(others).collect();
-        let is_fitted = rest.iter().any(|links| !links.is_empty());
-        is_fitted.then(|| Box::new(Self::new(self.data, self.fits.clone(), rest, self.neighbours)) as Box<dyn Predict>)
+        let links_left: Vec<Vec<usize>> = self.processes.iter().map(others).collect();
+        let is_fitted = links_left.iter().any(|links| !links.is_empty());
+        is_fitted
+            .then(|| Box::new(Self::new(self.data, self.fits.clone(), links_left, self.neighbours)) as Box<dyn Predict>)
     }
 
     fn note(&self) -> Option<String> {
@@ -131,7 +132,7 @@ impl Predict for PooledKriging<'_> {
     }
 }
 
-/// Formats a number with four significant digits, enough to reproduce a score.
+/// Formats a number with four significant digits or more, enough to reproduce a score; with at most nine decimals.
 pub(super) fn format_digits(value: f64) -> String {
     let decimals = if value == 0.0 { 0.0 } else { (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) };
     format!("{value:.0$}", decimals as usize)

@@ -77,16 +77,16 @@ impl Predictions {
 
     /// Returns the digest of all predictions for `data` and of its positions. Returns the errors of [`Self::set_digest`].
     fn compute_digest(&self, data: &Dataset) -> Result<String> {
-        let mut all = String::new();
-        (0..data.len()).for_each(|i| _ = writeln!(all, "{:?}", data.sample(i).position()));
+        let mut text = String::new();
+        (0..data.len()).for_each(|i| _ = writeln!(text, "{:?}", data.sample(i).position()));
         for (id, prediction) in self.predictions_by_label(data)? {
             let content = match prediction {
                 Prediction::File(path) => files::digest(&files::read(&path).map_err(|e| Error::read(&path, e))?),
                 Prediction::Power(dbm) => dbm.to_string(),
             };
-            _ = writeln!(all, "{id} {content}");
+            _ = writeln!(text, "{id} {content}");
         }
-        Ok(files::digest(all.as_bytes()))
+        Ok(files::digest(text.as_bytes()))
     }
 
     /// Returns the predictions by label of the sample: lists files, or reads the table of powers. Returns an error for a missing

@@ -67,8 +67,8 @@ struct LinearMap {
 }
 
 impl LinearMap {
-    /// Fits the map to links by ridge regression, a system of D x D equations: see [`Ridge`]. Returns an error if the
-    /// features are too large.
+    /// Fits the map to links by ridge regression, a system of D x D equations: see [`Ridge`]. Returns an error if there
+    /// are no links, if the features are too large, or if the flag of `fitting` ends the fit.
     fn fit(data: &Dataset, fitting: FittingSet<'_>, weight: f64) -> Result<Self> {
         let links = fitting_samples(fitting)?;
         let xs: Vec<&[Real]> = links.iter().filter_map(|&i| data.query(i).features).collect();

@@ -57,7 +57,7 @@ pub struct ChannelImport {
 }
 
 impl ChannelImport {
-    /// Reads the channels as a data set, and notes on them, a line each. The ID of a transmitter is its row, counted from
+    /// Reads the channels as a data set, and notes on them, one line each. The ID of a transmitter is its row, counted from
     /// 0. Channels, antennas and subcarriers that are zero were not received: they are left out.
     ///
     /// With `powers`, the data are received powers in dB relative to the strongest. Every subcarrier is a
@@ -81,11 +81,11 @@ impl ChannelImport {
         let [m, a, f] = grid.size;
         let mut notes =
             vec![format!("{m} positions, {a} antennas, {f} subcarriers of {} (axes {})", kind.name(), self.axes)];
-        for (kept, (all, noun)) in received.iter().zip([(m, "channels"), (a, "antennas"), (f, "subcarriers")]) {
-            if let Some(first) = (0..all).find(|i| kept.get(*i) != Some(i)) {
-                let count = all - kept.len();
+        for (indices, (total, noun)) in received.iter().zip([(m, "channels"), (a, "antennas"), (f, "subcarriers")]) {
+            if let Some(first) = (0..total).find(|i| indices.get(*i) != Some(i)) {
+                let count = total - indices.len();
                 notes.push(format!(
-                    "{count} of {all} {noun} are zero, not received, and left out; the first is {first}"
+                    "{count} of {total} {noun} are zero, not received, and left out; the first is {first}"
                 ));
             }
         }
@@ -114,11 +114,12 @@ impl ChannelImport {
         }
         // The rows of the gains that were received stay in their order.
         let is_in = |list: &[usize], n| (0..n).map(|i| list.binary_search(&i).is_ok()).collect::<Vec<_>>();
-        let kept = [is_in(rows, grid.size[0]), is_in(antennas, count), is_in(subcarriers, width)];
+        let is_received = [is_in(rows, grid.size[0]), is_in(antennas, count), is_in(subcarriers, width)];
         let mut i = 0;
         grid.gains.retain(|_| {
             i += 1;
-            kept[0][(i - 1) / (count * width)] && kept[1][(i - 1) / width % count] && kept[2][(i - 1) % width]
+            let [row, antenna, subcarrier] = [(i - 1) / (count * width), (i - 1) / width % count, (i - 1) % width];
+            is_received[0][row] && is_received[1][antenna] && is_received[2][subcarrier]
         });
         let channels = Channels {
             antennas: antennas.len(),

@@ -143,13 +143,13 @@ fn create_receivers(root: &Path, gateways: Vec<(String, Pose)>, received: &mut [
     linked.map(|((name, pose), _)| Receiver::new(name, pose)).collect()
 }
 
-/// Warns of powers below [`NOT_RECEIVED`], which may then be a reading too, unless the folder declares its missing values.
+/// Warns if powers are below [`NOT_RECEIVED`] and the folder declares no missing values: that value may be a reading, too.
 fn warn_of_low_powers(root: &Path, is_declared: bool, received: &[PowerRow]) {
     let lower = received.iter().filter(|link| link.dbm < NOT_RECEIVED).count();
     if lower > 0 && !is_declared {
         tracing::warn!(
-            "{}: {lower} powers are below {NOT_RECEIVED} dBm, and {NOT_RECEIVED} was read as not received; if it is a reading, write \
-             {{\"missing\": []}} to manifest.json",
+            "{}: {lower} powers are below {NOT_RECEIVED} dBm, and {NOT_RECEIVED} was read as not received; if it is a \
+             reading, write {{\"missing\": []}} to manifest.json",
             root.display()
         );
     }

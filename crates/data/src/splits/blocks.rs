@@ -9,8 +9,8 @@ use pwrfgs_core::{
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Largest number of blocks of a trajectory: enough for levels up to 97 %.
-const STRETCHES: usize = 40;
+/// Largest number of blocks of a trajectory: enough for prediction intervals of levels up to 97 %.
+const MOST_BLOCKS: usize = 40;
 
 /// Split by time: the test set is a contiguous block of the sorted transmitter ids, with all links of each.
 ///
@@ -63,10 +63,10 @@ impl Split for TimeBlock {
         partition_of_locations(data, Partition { train, validation, test: test.collect() })
     }
 
-    /// Returns contiguous blocks of the trajectory, at most `STRETCHES`.
+    /// Returns contiguous blocks of the trajectory, at most `MOST_BLOCKS`.
     fn blocks(&self, data: &Dataset, links: &[usize]) -> Vec<Vec<usize>> {
         let units = self.units(data, links);
-        units.chunks(units.len().div_ceil(STRETCHES).max(1)).map(<[_]>::concat).collect()
+        units.chunks(units.len().div_ceil(MOST_BLOCKS).max(1)).map(<[_]>::concat).collect()
     }
 
     fn is_in_order(&self) -> bool {

@@ -86,7 +86,8 @@ impl LeaveReceiverOut {
     fn left_out_receivers(&self, data: &Dataset) -> Result<BTreeSet<usize>> {
         let names = || data.scene.receivers.iter().map(|receiver| receiver.name.as_str());
         let refuse = |problem: String| {
-            let valid = names().take(40).map(quoted).collect::<Vec<_>>().join(", ");
+            const LISTED: usize = 40; // the message stays readable
+            let valid = names().take(LISTED).map(quoted).collect::<Vec<_>>().join(", ");
             Err(Error::Config(format!("LeaveReceiverOut: {problem}; the receivers of {} are {valid}", data.title)))
         };
         if self.receivers.is_empty() {

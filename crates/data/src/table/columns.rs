@@ -25,9 +25,9 @@ pub(super) struct PlaceColumns {
 }
 
 impl PlaceColumns {
-    /// Returns columns called x and y. In degrees, the first is the latitude, as people say it.
-    pub(super) fn new([x, y]: [usize; 2], height: Option<usize>, is_geodetic: bool) -> Self {
-        Self { plane: if is_geodetic { [y, x] } else { [x, y] }, height, is_geodetic }
+    /// Creates the columns of a position from the first two coordinates: x and y in metres, latitude and longitude in degrees.
+    pub(super) fn new([a, b]: [usize; 2], height: Option<usize>, is_geodetic: bool) -> Self {
+        Self { plane: if is_geodetic { [b, a] } else { [a, b] }, height, is_geodetic }
     }
 
     /// Returns all columns.
@@ -149,8 +149,8 @@ impl<'a> ColumnSearch<'a> {
         self.rows.iter().filter_map(move |row| row.optional(*row.fields.get(k)?, "").ok().flatten())
     }
 
-    /// Returns the column that holds only names out of `names`. Returns an error if there is none.
-    pub(super) fn named_places(&self, names: &BTreeMap<String, [f64; 3]>) -> Result<usize> {
+    /// Returns the first column that holds only names out of `names`. Returns an error if there is none.
+    pub(super) fn place_column(&self, names: &BTreeMap<String, [f64; 3]>) -> Result<usize> {
         let is_known = |k: &usize| {
             let mut cells = self.rows.iter().filter_map(|row| row.fields.get(*k)).peekable();
             cells.peek().is_some() && cells.all(|field| names.contains_key(field.text))
@@ -170,20 +170,20 @@ impl<'a> ColumnSearch<'a> {
     }
 
     /// Returns the column of the floor; `None` without one. Returns an error for several.
-    pub(super) fn floor(&self) -> Result<Option<usize>> {
+    pub(super) fn floor_column(&self) -> Result<Option<usize>> {
         self.find("--floor", self.choice.floor.as_ref(), FLOOR)
     }
 
-    /// Returns the columns whose cells make a transmitter: the ID, and the time if the user chose it. Returns an error for a
-    /// column that does not exist.
-    pub(super) fn transmitter(&self) -> Result<Vec<usize>> {
+    /// Returns the columns whose cells identify a transmitter: the ID, and the time if the user chose it. Returns an error for a
+    /// column that does not exist, or several of the ID.
+    pub(super) fn transmitter_columns(&self) -> Result<Vec<usize>> {
         let id = self.find("--tx-id", self.choice.tx_id.as_ref(), TX_ID)?;
         let time = self.choice.time.as_ref().map(|name| self.chosen("--time", name)).transpose()?;
         Ok(id.into_iter().chain(time).collect())
     }
 }
 
-/// Lists the first names.
+/// Lists the first [`SHOWN`] names, and the number of the others.
 pub(super) fn list<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
     let mut names = names.into_iter();
     let mut shown: Vec<String> = names.by_ref().take(SHOWN).map(quoted).collect();

@@ -7,7 +7,8 @@ use pwrfgs_core::{Dataset, Error, Geodetic, Link, Location, Pose, Real, Receiver
 use std::collections::HashMap;
 
 impl Survey<'_> {
-    /// Makes the data set. Returns an error if no power was received, or the floors have no height.
+    /// Makes the data set. Returns an error if no power was received, if several floors have no height, if the file of --tx
+    /// has more rows than the readings, or if --receivers has a position of no receiver with a reading.
     pub(super) fn finish(mut self) -> Result<ImportedTable> {
         let path = &self.import.files.first().map(|file| file.path.clone()).unwrap_or_default();
         if self.rows.as_mut().is_some_and(|rows| rows.next().is_some()) {
@@ -46,7 +47,8 @@ impl Survey<'_> {
         Ok(ImportedTable { data, notes: self.notes, before: self.before, after })
     }
 
-    /// Gives readings that repeat a link locations of their own: locations are in the order of their first reading.
+    /// Gives repeated readings of a link locations of their own, leaves out locations without a reading, and counts both. Sorts
+    /// locations by their first reading.
     fn separate_repetitions(&mut self) {
         let link = |k: &u32| (self.readings[*k as usize].location, self.readings[*k as usize].receiver);
         let mut order: Vec<u32> = (0..self.readings.len() as u32).collect();
@@ -66,9 +68,9 @@ impl Survey<'_> {
                 self.spots.len() as u32 - 1
             });
         }
-        let (mut new, mut spots) = (vec![u32::MAX; self.spots.len()], Vec::with_capacity(self.spots.len()));
+        let (mut new_location, mut spots) = (vec![u32::MAX; self.spots.len()], Vec::with_capacity(self.spots.len()));
         for reading in &mut self.readings {
-            let location = &mut new[reading.location as usize];
+            let location = &mut new_location[reading.location as usize];
             if *location == u32::MAX {
                 *location = spots.len() as u32;
                 spots.push(self.spots[reading.location as usize]);
@@ -151,7 +153,7 @@ impl Survey<'_> {
     }
 }
 
-/// Describes the first transmitters and their powers, a line each.
+/// Describes the first transmitters and their powers, one line each.
 fn preview(data: &Dataset) -> Vec<String> {
     let line = |l: usize| {
         let [x, y, z] = data.locations[l].position();

@@ -51,8 +51,9 @@ pub(super) struct Affixes {
 }
 
 impl Affixes {
-    /// Finds the text that all `columns` share around names of which most are in `placed`, whatever their case. The text and a
-    /// name do not divide a word or a number. `None` without such a text, or if a column is itself in `placed`.
+    /// Finds the text that all `columns` share around their names, whatever the case; of several texts the one that leaves the
+    /// most names of `placed`. The text and a name do not divide a word or a number. `None` without such a text, or if a
+    /// column is itself in `placed`.
     pub(super) fn find(columns: &[&str], placed: &[&str]) -> Option<Self> {
         let lower = |names: &[&str]| names.iter().map(|name| name.to_ascii_lowercase()).collect::<Vec<_>>();
         let (columns, placed) = (lower(columns), lower(placed));
@@ -61,9 +62,9 @@ impl Affixes {
             return None;
         }
         let around = |column: &str, name: &str| -> Vec<Self> {
-            let found = column.match_indices(name).map(|(at, _)| (&column[..at], &column[at + name.len()..]));
+            let splits = column.match_indices(name).map(|(at, _)| (&column[..at], &column[at + name.len()..]));
             let is_whole = |(before, after): &(&str, &str)| !is_divided(before, name) && !is_divided(name, after);
-            found.filter(is_whole).map(|(before, after)| Self { before: before.into(), after: after.into() }).collect()
+            splits.filter(is_whole).map(|(before, after)| Self { before: before.into(), after: after.into() }).collect()
         };
         let pairs = columns.iter().flat_map(|column| placed.iter().map(move |name| (column, name)));
         let candidates: BTreeSet<Self> = pairs.flat_map(|(column, name)| around(column, name)).collect();

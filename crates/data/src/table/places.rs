@@ -23,7 +23,7 @@ pub(super) struct Frame {
 }
 
 impl Frame {
-    /// Reads the position in a row, metres; `height` where the table has none. Returns an error for an empty or invalid
+    /// Reads the position in a row, metres, with `height` if the table has none. Returns an error for an empty or invalid
     /// coordinate.
     pub(super) fn read(
         &mut self,
@@ -41,7 +41,7 @@ impl Frame {
         let z = columns.height.map_or(Ok(height), coordinate)?;
         let [x, y] = if columns.is_geodetic { self.metres(row, [b, a])? } else { [a, b] };
         let position = [x + 0.0, y + 0.0, z + 0.0]; // no negative zero
-        position_fault(position).map_or(Ok(position), |fault| Err(row.fault(1, format!("the transmitter {fault}"))))
+        position_fault(position).map_or(Ok(position), |fault| Err(row.fault(1, format!("a coordinate {fault}"))))
     }
 
     /// Reads a table of names and positions: places, or receivers.
@@ -120,6 +120,7 @@ impl Places {
     /// Returns the index of a position, or of one so far within [`SAME_M`].
     pub(super) fn index(&mut self, position: [f64; 3]) -> u32 {
         let cell = position.map(|v| (v / SAME_M).floor() as i64);
+        // The cube of the position and those around it.
         let offsets = (0..27).map(|k| [k / 9 - 1, k / 3 % 3 - 1, k % 3 - 1]);
         let is_same = |place: &u32| distance(self.positions[*place as usize], position) < SAME_M;
         let same = offsets.flat_map(|offset| self.cube([0, 1, 2].map(|k| cell[k] + offset[k]))).find(is_same);

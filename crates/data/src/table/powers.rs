@@ -19,7 +19,8 @@ pub(super) enum PowerColumns {
 }
 
 impl ColumnSearch<'_> {
-    /// Returns the columns of the received powers, none of which are in `used`. Returns an error if none or several suit.
+    /// Returns the columns of the received powers: those that the user chose, else those recognised outside of `used`. Returns
+    /// an error if none or several suit.
     pub(super) fn power_columns(&self, used: &[usize], is_lat_lon: bool) -> Result<PowerColumns> {
         if !self.choice.wide.is_empty() {
             return self.chosen_wide().map(PowerColumns::Wide);
@@ -73,16 +74,16 @@ impl ColumnSearch<'_> {
 
     /// Returns the columns that match the patterns of the user. Returns an error for a pattern without a column.
     fn chosen_wide(&self) -> Result<Vec<usize>> {
-        let all = 0..self.names.len();
+        let indices = 0..self.names.len();
         for pattern in &self.choice.wide {
-            if !all.clone().any(|k| matches(pattern, &self.table.names[k])) {
-                let columns = self.list(all);
+            if !indices.clone().any(|k| matches(pattern, &self.table.names[k])) {
+                let columns = self.list(indices);
                 let problem = format!("--columns {pattern}: no column has such a name; the columns are {columns}");
                 return Err(self.fault(problem));
             }
         }
         let is_chosen = |k: &usize| self.choice.wide.iter().any(|pattern| matches(pattern, &self.table.names[*k]));
-        Ok(all.filter(is_chosen).collect())
+        Ok(indices.filter(is_chosen).collect())
     }
 
     /// Recognises the columns of receivers: the largest group of names that differ in numbers alone, else all columns that hold
@@ -126,7 +127,7 @@ fn is_receiver_column(name: &str, ends: &str) -> bool {
     RECEIVER.split(' ').any(is_prefix)
 }
 
-/// Returns a name with its numbers replaced; MAC addresses have one stem.
+/// Returns a name without its numbers, with 0 for those inside; MAC addresses, of 17 characters, have one stem.
 fn stem(name: &str) -> String {
     let is_address = name.len() == 17 && name.chars().all(|c| c.is_ascii_hexdigit() || c == ':' || c == '-');
     let parts = name.split(|c: char| c.is_ascii_digit()).filter(|part| !part.is_empty());
@@ -138,6 +139,6 @@ fn matches(pattern: &str, name: &str) -> bool {
     let (pattern, name) = (pattern.to_lowercase(), name.to_lowercase());
     let parts: Vec<&str> = pattern.split('*').collect();
     let [first, middle @ .., last] = &parts[..] else { return name == pattern };
-    let Some(rest) = name.strip_prefix(first).and_then(|rest| rest.strip_suffix(last)) else { return false };
-    middle.iter().try_fold(rest, |rest, part| rest.find(part).map(|at| &rest[at + part.len()..])).is_some()
+    let Some(inner) = name.strip_prefix(first).and_then(|end| end.strip_suffix(last)) else { return false };
+    middle.iter().try_fold(inner, |inner, part| inner.find(part).map(|at| &inner[at + part.len()..])).is_some()
 }

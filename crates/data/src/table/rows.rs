@@ -40,7 +40,7 @@ impl<'a> RowReader<'a> {
         let place = if import.tx.is_some() {
             RowPlace::Next
         } else if import.places.is_some() {
-            RowPlace::Name(search.named_places(named)?)
+            RowPlace::Name(search.place_column(named)?)
         } else {
             let advice = "name its columns with --x and --y or --lat and --lon, give the positions row by row with --tx \
                           FILE, or of places with --places FILE. Positions in another table that share only the time \
@@ -49,7 +49,7 @@ impl<'a> RowReader<'a> {
             RowPlace::Columns(columns.ok_or_else(|| search.fault(format!("no position was recognised; {advice}")))?)
         };
         let has_height = matches!(place, RowPlace::Columns(columns) if columns.height.is_some());
-        let floor = if has_height { None } else { search.floor()? };
+        let floor = if has_height { None } else { search.floor_column()? };
         let used = match place {
             RowPlace::Columns(columns) => columns.all().chain(floor).collect(),
             RowPlace::Name(column) => vec![column],
@@ -63,7 +63,7 @@ impl<'a> RowReader<'a> {
             }
             _ => table.path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
         };
-        Ok(Self { table, place, floor, powers, transmitter: search.transmitter()?, receiver_name })
+        Ok(Self { table, place, floor, powers, transmitter: search.transmitter_columns()?, receiver_name })
     }
 
     /// Describes the columns in one sentence, with those that are not used.

@@ -222,7 +222,8 @@ impl<'a> Survey<'a> {
         Ok(())
     }
 
-    /// Returns the index of the position of a row. Returns an error if it is missing or invalid.
+    /// Returns the index of the position of a row, and adds its floor to `floors`. Returns an error if the position is missing
+    /// or invalid, or for a floor that is no number.
     fn position_index(&mut self, reader: &RowReader<'_>, row: &TextRow<'_>) -> Result<u32> {
         let TableImport { height, floor_height, .. } = self.import;
         let mut height = height.unwrap_or(0.0);
