@@ -59,8 +59,8 @@ impl Changes {
         self.0.iter().any(|change| change.field() == field)
     }
 
-    /// Returns the changes with the common `name` for messages, and with their positions in `map`, a value of `text`,
-    /// if it is given.
+    /// Returns the changes with the common `name` for messages. Their positions are those of their keys in `map`, a value of
+    /// `text`; none without `map`.
     #[must_use]
     pub fn located(&self, name: &str, map: Option<&RonTree>, text: &str) -> Self {
         let mut keys = map.map_or_else(Vec::new, |map| map.key_spans(text)).into_iter();
@@ -116,7 +116,8 @@ pub(crate) fn line_and_column(text: &str, at: usize) -> (usize, usize) {
     (line, before.chars().rev().take_while(|c| *c != '\n').count() + 1)
 }
 
-/// Returns the first [`LONGEST`] characters of a text, control characters replaced: an argument can be a whole file.
+/// Returns a text for messages: control characters are replaced, and of more than [`LONGEST`] characters, the first and
+/// `..` remain, since an argument can be a whole file.
 pub(crate) fn shortened(text: &str) -> String {
     let printable = |c: char| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c };
     let short: String = text.chars().take(LONGEST).map(printable).collect();

@@ -12,7 +12,7 @@ use pwrfgs_model::{Kriged, Stages};
 use pwrfgs_train::{Trainer, Training, TrainingPlan};
 use serde::{Deserialize, Serialize};
 
-/// Largest number of parts of the known samples that models of a run leave out.
+/// Largest number of parts into which the training and validation samples are divided for the models of a run.
 const MOST_PARTS: usize = 4;
 
 /// All settings of one run. `name`, `data` and, for methods with Gaussians, `initializer` are required; all other
@@ -97,7 +97,8 @@ impl Pipeline {
         try_to_ron(self).map(|text| text + "\n").map_err(refused)
     }
 
-    /// Returns the method from Gaussians to observations.
+    /// Returns `method`; if it is omitted, the default with the fields of splats: [`SplattedChannel`] for channels, otherwise
+    /// [`Splatting`].
     pub fn method(&self) -> Plugin<dyn Method> {
         if let Some(method) = &self.method {
             return method.clone();
@@ -188,22 +189,22 @@ impl Pipeline {
         self.split.split(data, &mut rng::stream(self.split_seed.unwrap_or(self.seed), "split", 0))
     }
 
-    /// Returns the pipeline of one of `count` models of an ensemble: it leaves out fold `index` of the known samples as its
-    /// validation set.
+    /// Returns the pipeline of one of `count` models of an ensemble: fold `index` (from 0) of the training and validation
+    /// samples is its validation set.
     #[must_use]
     pub fn folded(&self, index: usize, count: usize) -> Self {
         let split: Box<dyn Split> = Box::new(Fold { of: self.split.clone(), index, count });
         Self { split: split.into(), ..self.clone() }
     }
 
-    /// Returns the number of parts of the known samples that `members` leave out. Of more than four members, several leave out
-    /// the same part: the left-out samples then test a mean of models, as it also predicts.
+    /// Returns the number of parts of the training and validation samples, of which each of the `members` leaves out one. Of
+    /// more than four members, several leave out the same part: their mean, which also predicts, is then tested on it.
     pub fn parts(&self) -> usize {
         self.members.min(MOST_PARTS)
     }
 
-    /// Returns the pipeline that trains model `index`. If the run has several `members`, this pipeline leaves out the part of the
-    /// model, and has neither residuals nor baselines.
+    /// Returns the pipeline that trains model `index`, from 0. If the run has several `members`, this pipeline has its own name
+    /// and seed, leaves out the part of the model, and has neither residuals nor baselines.
     #[must_use]
     pub fn member(&self, index: usize) -> Self {
         if self.members == 1 {

@@ -35,11 +35,11 @@ impl PipelineEdit {
         Ok(Self { text: pipeline.to_ron()?, changes: Vec::new() })
     }
 
-    /// Applies a change. Settings and unnamed values in parentheses, such as `(steps: 500, batch: 2)`, change the
-    /// fields they contain; all other values replace the old value.
+    /// Applies a change. A value without a name, such as `(steps: 500, batch: 2)`, changes only the fields that it contains,
+    /// and so does a value of settings, such as those of `training`. All other values replace the old value.
     ///
     /// # Errors
-    /// Unknown path or invalid value. [`Self::finish`] checks whether the value fits.
+    /// An unknown path or field, or a value that is not RON. [`Self::finish`] checks whether the value fits.
     pub fn set(&mut self, change: &Change) -> Result<(), EditFault> {
         let tree = self.parse_tree();
         let edits = text_edits(&tree, change).map_err(|message| EditFault { message, blamed: vec![change.clone()] })?;
@@ -53,7 +53,7 @@ impl PipelineEdit {
         Ok(())
     }
 
-    /// Makes relative paths absolute.
+    /// Replaces each path by the result of `absolute`.
     ///
     /// # Errors
     /// A path that is not valid text.
@@ -86,8 +86,8 @@ impl PipelineEdit {
         self.blame(TextFault::of(field, message, &self.parse_tree()))
     }
 
-    /// Returns a fault of the text with the changes that caused it: those inside the smallest changed value at its
-    /// position.
+    /// Returns a fault of the text with the changes that caused it: those inside the smallest value around its position
+    /// that contains a change.
     fn blame(&self, fault: TextFault) -> EditFault {
         let TextFault { mut message, at, hint } = fault;
         let tree = self.parse_tree();
@@ -134,7 +134,7 @@ impl PipelineEdit {
 /// Returns the edits of the text of `tree` that set the value of `change`.
 ///
 /// # Errors
-/// The path is unknown, or the value is not RON.
+/// The path or a field of the value is unknown, or the value is not RON.
 fn text_edits(tree: &RonTree, change: &Change) -> Result<Vec<TextEdit>, String> {
     let setting = Setting::at(&change.path, tree)?;
     let value = setting.complete_value(change.value.trim());
@@ -187,7 +187,7 @@ impl Pipeline {
     /// Returns the pipeline with its paths mapped by `absolute`.
     ///
     /// # Errors
-    /// [`Error::Config`] if the pipeline, or a path, is not valid text.
+    /// [`Error::Config`] if the pipeline is invalid, or a path is not valid text.
     pub fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<Self> {
         let mut draft = PipelineEdit::of(self)?;
         draft.rebase(absolute).and_then(|()| draft.finish()).map_err(EditFault::in_arguments)

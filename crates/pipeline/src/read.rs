@@ -15,19 +15,19 @@ use std::path::Path;
 #[derive(Debug)]
 pub(crate) struct TextFault {
     pub(crate) message: String,
-    /// Position, as a byte index of the text.
+    /// Position, as a byte index of the text; `None` if it is unknown.
     pub(crate) at: Option<usize>,
     pub(crate) hint: TypeHint,
 }
 
-/// Whether a message should list the allowed values.
+/// Whether a message should add the type that the value at its position has to have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum TypeHint {
-    /// The message lists them itself.
+    /// No: the message is complete without it.
     Never,
-    /// If the value has no parts.
+    /// If the value has no parts; otherwise, one of its parts may be wrong.
     AtLeaf,
-    /// The value is of another type.
+    /// Yes: the value is of another type.
     Always,
 }
 
@@ -42,9 +42,9 @@ impl TextFault {
             _ => TypeHint::Always,
         };
         let end = error.span.end;
-        let line = text.split_inclusive('\n').take(end.line - 1).map(str::len).sum::<usize>();
-        let column = text[line..].char_indices().nth(end.col - 1).map_or(text.len() - line, |(i, _)| i);
-        Self { message: explain(error), at: Some(line + column), hint }
+        let line_start = text.split_inclusive('\n').take(end.line - 1).map(str::len).sum::<usize>();
+        let column = text[line_start..].char_indices().nth(end.col - 1).map_or(text.len() - line_start, |(i, _)| i);
+        Self { message: explain(error), at: Some(line_start + column), hint }
     }
 
     /// Creates the fault for a `field` that does not fit the others; at the data if the field was omitted.
@@ -104,8 +104,8 @@ impl Pipeline {
     /// Checks that all baselines and metrics support `data`.
     ///
     /// # Errors
-    /// A baseline or metric does not support `data`, or predictions of another program are missing or invalid; the
-    /// message names the field of the first error.
+    /// A baseline or metric does not support `data`, predictions of another program are missing or invalid, or the split,
+    /// which selects their test set, returns an error. A message names the field of the first error.
     pub fn check_data(&self, data: &Dataset) -> Result<(), Error> {
         let named = |field: &str, error: Error| match error {
             Error::Config(_) | Error::Input { .. } | Error::Read { .. } => Error::Config(format!("{field}: {error}")),
@@ -162,7 +162,8 @@ impl Pipeline {
         let is_plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
         if self.name.is_empty() || self.name.starts_with('.') || !self.name.chars().all(is_plain) {
             let name = shortened(&self.name);
-            let problem = format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`");
+            let problem =
+                format!("name: `{name}` cannot name a folder; use letters, digits, `-`, `_` and, not first, `.`");
             return Err(("name".into(), problem));
         }
         if !(1..=MOST_MEMBERS).contains(&self.members) {
@@ -253,6 +254,13 @@ mod tests {
         let shown = refused("name: \"a\",\n data: Teacher(),\n initializer: Random(),\n metrics: [PowerError()]");
         assert!(shown.starts_with("a.ron:5:11: metrics: "), "{shown}");
         assert!(refused("name: \"a/b\", data: Teacher(), initializer: Random()").starts_with("a.ron:2:7: name: "));
+    }
+
+    #[test]
+    fn unknown_entry_of_unnamed_entries_is_reported() {
+        let mut pipeline = parse("name: \"a\", data: Teacher(), initializer: Random(), accept: [\"axes\"]").unwrap();
+        let message = pipeline.set("accept.x=row-order").unwrap_err().to_string();
+        assert!(message.contains("`accept` has no entry `x` (its entries have no names"), "{message}");
     }
 
     #[test]

@@ -34,7 +34,7 @@ impl RonTree {
     /// Parses `text` as a single value.
     ///
     /// # Errors
-    /// The text is not a single value; the message gives the problem and its byte position.
+    /// The text is not a single value; the message gives the problem without its position.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut reader = Reader { text, at: 0 };
         reader.skip_attributes()?;
@@ -139,7 +139,7 @@ impl Reader<'_> {
     }
 
     /// Reads letters, digits, `_` and the characters `further`, such as signs and points of numbers; empty if there are
-    /// none.
+    /// none. Skips the mark `r#` of a raw name.
     fn read_word(&mut self, further: &str) -> &str {
         let is_raw = self.rest().strip_prefix("r#").is_some_and(|rest| rest.starts_with(char::is_alphabetic));
         self.at += if is_raw { 2 } else { 0 };

@@ -35,7 +35,7 @@ impl<'a> Setting<'a> {
     /// Finds the part `step` of this value: a field, an element of a list, or the value itself by its name.
     ///
     /// # Errors
-    /// There is no such part; the message names the valid ones.
+    /// There is no such part, or several have this name; the message names the valid ones.
     fn find_part(self, step: &str) -> Result<Self, String> {
         let Self { name, tree, kind } = self;
         let path = if name.is_empty() { step.to_owned() } else { format!("{name}.{step}") };
@@ -64,7 +64,8 @@ impl<'a> Setting<'a> {
         Err(unknown_field_fault(&name, tree, plugin, here, step))
     }
 
-    /// Returns a new `value` of this setting with omitted quotes around text or a path, and parentheses after a plugin.
+    /// Returns a new `value` of this setting. Adds the quotes around text or a path, and the parentheses after the name of a
+    /// plugin, if they are omitted.
     pub(crate) fn complete_value(&self, value: &str) -> String {
         let (is_optional, kind) = match &self.kind {
             Some(DocKind::Optional(inner)) => (true, Some(&**inner)),
@@ -88,8 +89,8 @@ impl<'a> Setting<'a> {
         self.tree.name.is_none() && self.tree.body == RonBody::Plain && self.tree.quoted
     }
 
-    /// Adds the edits that replace this value by `new`, a value of `text`, to `edits`. Settings and unnamed values
-    /// replace only the fields that they contain.
+    /// Adds the edits that replace this value by `new`, a value of `text`, to `edits`. Values of settings and values without
+    /// a name replace only the fields that they contain. Returns an error for an unknown field.
     pub(crate) fn replace(self, new: &RonTree, text: &str, edits: &mut Vec<TextEdit>) -> Result<(), String> {
         let has_fields = matches!(self.kind, Some(DocKind::Of(Docs { body: Parts::Fields(_), .. })));
         let merges = has_fields || new.name.is_none();
@@ -105,7 +106,8 @@ impl<'a> Setting<'a> {
     }
 }
 
-/// Returns the error for a field `step` that the value `tree`, `here` in messages, does not have.
+/// Returns the message that the value `tree` has no field `step`. `name` is the path of the value, `here` its name in the
+/// message, and `plugin` its kind of plugins; `None` for other values.
 fn unknown_field_fault(name: &str, tree: &RonTree, plugin: Option<&'static str>, here: String, step: &str) -> String {
     let plugin_hint = complete_plugin_hint(plugin, name, step);
     let names = || tree.fields().iter().map(|(field, _)| field.as_str());
@@ -171,7 +173,7 @@ fn inner_kind(kind: &DocKind) -> &DocKind {
     if let DocKind::Optional(inner) = kind { inner_kind(inner) } else { kind }
 }
 
-/// Returns the type of element `step` of a list or tuple; all other types unchanged.
+/// Returns the type of element `step` of a list or tuple; of other types, the type itself without `Option`.
 fn item_kind(kind: &DocKind, step: &str) -> DocKind {
     match inner_kind(kind) {
         DocKind::List(inner) => (**inner).clone(),
@@ -196,8 +198,11 @@ fn find_item<'a>(list: &str, path: &str, items: &'a [RonTree], step: &str) -> Re
         [] => {
             let names: Vec<&str> = items.iter().filter_map(|item| item.name.as_deref()).collect();
             let hint = did_you_mean(step, names.iter().copied());
-            let entries =
-                if names.is_empty() { "it is empty".into() } else { format!("there are `{}`", names.join("`, `")) };
+            let entries = match &names[..] {
+                [] if items.is_empty() => "it is empty".to_owned(),
+                [] => "its entries have no names; select one by number, from 0".to_owned(),
+                names => format!("there are `{}`", names.join("`, `")),
+            };
             Err(format!("{list} has no entry {}{hint} ({entries}); to add one, give the complete list", quoted(step)))
         }
         _ => {
