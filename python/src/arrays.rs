@@ -24,7 +24,7 @@ pub(crate) const CHUNK: usize = 64;
 pub(crate) type Gain = Complex<Real>;
 
 /// Converts `value` to an array of `T` in C order, without a copy if possible. `None` in `shape` accepts any length; a
-/// number is also a vector of one.
+/// single number counts as a vector of length 1.
 ///
 /// # Errors
 /// Not an array of numbers, or another shape; `name` begins the message.
@@ -67,8 +67,8 @@ fn convert_array<'py, T: Element>(name: &str, value: &Bound<'py, PyAny>) -> PyRe
         b'i' => "iu",
         _ => "fiub",
     };
-    let empty = array.getattr("size")?.extract::<usize>()? == 0; // an empty list has no kind of its own
-    if !accepted.contains(kind.as_str()) && !empty {
+    let is_empty = array.getattr("size")?.extract::<usize>()? == 0; // an empty list has no kind of its own
+    if !accepted.contains(kind.as_str()) && !is_empty {
         let given = array.getattr("dtype")?;
         return reject(py, &format!("{name} holds {given}, expected {target}"));
     }
@@ -241,15 +241,16 @@ pub(crate) fn check_memory<T>(shape: &[usize]) -> PyResult<()> {
     Err(PyMemoryError::new_err(format!("not enough memory for numbers of shape {shape:?}; request fewer at a time")))
 }
 
-/// Reads link indices in their order, or those of a mask `[count]`. Raises an exception for an index of `count` or more.
+/// Reads link indices in their order, or those of a mask `[count]`. Raises an exception for a negative index, or one of
+/// `count` or more.
 pub(crate) fn link_indices(name: &str, links: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
     if let Ok(mask) = numbers::<bool>(name, links, &[Some(count)]) {
         return Ok((0..count).filter(|&i| mask[i]).collect());
     }
     let index = |i: i64| {
-        let valid = usize::try_from(i).ok().filter(|i| *i < count);
+        let index = usize::try_from(i).ok().filter(|i| *i < count);
         let message = || format!("{name}: invalid link index {i} (expected 0 to below {count})");
-        valid.ok_or_else(|| input_error(links.py(), &message()))
+        index.ok_or_else(|| input_error(links.py(), &message()))
     };
     numbers::<i64>(name, links, &[None])?.into_iter().map(index).collect()
 }

@@ -189,7 +189,8 @@ fn new_exception(py: Python<'_>, name: &str, message: &str) -> PyErr {
     made.map_or_else(|error| error, PyErr::from_value)
 }
 
-/// Converts an error to an exception with the same text, and with `path`, `line` and `column` if it names a file.
+/// Converts an error to an exception with its text after [`replace_flags`], and with `path`, `line` and `column` if it names
+/// a file. An exception that the error wraps is returned itself.
 pub(crate) fn to_exception(py: Python<'_>, error: Error) -> PyErr {
     let is_input = error.is_input();
     let message = replace_flags(&error.to_string());
@@ -252,16 +253,16 @@ pub(crate) fn replace_flags(message: &str) -> String {
 /// Returns a text with the name of a Python argument in place of each flag, such as `--no-grid`.
 fn argument_names(text: &str) -> String {
     let is_in_flag = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
-    let (mut names, mut rest) = (String::new(), text);
-    while let Some((before, after)) = rest.split_once("--") {
+    let (mut names, mut remaining) = (String::new(), text);
+    while let Some((before, after)) = remaining.split_once("--") {
         let (flag, tail) = after.split_at(after.find(|c| !is_in_flag(c)).unwrap_or(after.len()));
         let is_flag =
             flag.starts_with(|c: char| c.is_ascii_lowercase()) && !before.ends_with(|c: char| c.is_alphanumeric());
         names += before;
         names += &if is_flag { flag.replace('-', "_") } else { ["--", flag].concat() };
-        rest = tail;
+        remaining = tail;
     }
-    names + rest
+    names + remaining
 }
 
 /// Creates an `InputError`, for input that is invalid only in Python.

@@ -64,7 +64,8 @@ fn perform(comparison: Comparison, dry_run: bool, keep_checkpoint: bool, stop: &
     Ok(ComparedData { runs: runs.collect(), folder: plan.folder, partition, text })
 }
 
-/// Compares methods, see `pwrfgs.compare`. `data` are a data set, which `source` reads, or a data folder.
+/// Compares methods, see `pwrfgs.compare`. `data` are a data set, which `source` reads, or a data folder; `text` are the
+/// settings as RON.
 #[pyfunction]
 #[pyo3(signature = (data, source, text, changes, accept, out, dry_run, keep_checkpoint))]
 #[allow(clippy::too_many_arguments)] // the keywords of `pwrfgs.compare`

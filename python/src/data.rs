@@ -60,8 +60,7 @@ impl Dataset {
                 return Err(to_exception(py, Error::input(&path, problem)));
             }
             let Some(reader) = recognise(&folder) else {
-                let problem = "holds no data of a layout that is known; docs/data.md says which there are, and \
-                               Dataset.from_arrays takes arrays";
+                let problem = "no data of a known layout; see docs/data.md, or use Dataset.from_arrays for arrays";
                 return Err(to_exception(py, Error::input(&path, problem)));
             };
             (to_ron(&reader), reader)

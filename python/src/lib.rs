@@ -1,7 +1,7 @@
 //! Compiled part of the Python package: `pwrfgs._pwrfgs`. The public interface is in `python/pwrfgs`; this crate has
 //! the classes and functions that it wraps, one file each.
 //!
-//! Three rules: work runs without the interpreter lock (`border::without_gil`), errors become exceptions with the same text,
+//! Three rules: work runs without the interpreter lock (`border::without_gil`), errors become exceptions with their text,
 //! and panics never cross into Python.
 
 #![allow(clippy::needless_pass_by_value)] // arguments come out of Python by value

@@ -43,7 +43,9 @@ pub(crate) struct Model {
 struct Links {
     /// Poses of the moving end; zero for links with features.
     poses: Vec<Pose>,
+    /// Link features, `[poses, width]`; empty for models of positions.
     features: Vec<Real>,
+    /// Indices of the receivers, all for each pose.
     receivers: Vec<usize>,
     /// Leading axes, before those of an observation.
     lead: Vec<usize>,
@@ -106,8 +108,8 @@ impl Model {
             (None, None, Some(features)) if !reads_positions => {
                 let is_single = axis_count(features)? == 1;
                 let shape: &[Option<usize>] = if is_single { &[Some(inputs)] } else { &[None, Some(inputs)] };
-                let all = numbers::<Real>("features", features, shape)?;
-                (vec![Pose::IDENTITY; all.len() / inputs], all, is_single)
+                let features = numbers::<Real>("features", features, shape)?;
+                (vec![Pose::IDENTITY; features.len() / inputs], features, is_single)
             }
             _ if !reads_positions => {
                 return reject(py, &format!("this model uses link features; pass features=[B, {inputs}]"));

@@ -152,7 +152,7 @@ pub(crate) fn score(
 
 /// Converts a score table to a dict: `{predictor: {metric: {statistic: number}}}`.
 pub(crate) fn score_dict<'py>(py: Python<'py>, table: &ScoreTable) -> PyResult<Bound<'py, PyDict>> {
-    let all = PyDict::new(py);
+    let scores = PyDict::new(py);
     for (p, name) in table.predictors.iter().enumerate() {
         let metrics = PyDict::new(py);
         for row in &table.metrics {
@@ -169,9 +169,9 @@ pub(crate) fn score_dict<'py>(py: Python<'py>, table: &ScoreTable) -> PyResult<B
                 }
             }
         }
-        all.set_item(name, metrics)?;
+        scores.set_item(name, metrics)?;
     }
-    Ok(all)
+    Ok(scores)
 }
 
 /// Writes a scene as Mitsuba XML with meshes into a new folder; returns the number of meshes.

@@ -110,15 +110,15 @@ fn scene_of(points: Vec<[Real; 3]>) -> Scene {
 /// # Errors
 /// A measurement is not applicable.
 fn measurement_list(py: Python<'_>, measurements: Vec<Measurement>) -> PyResult<Bound<'_, PyList>> {
-    let all = PyList::empty(py);
+    let list = PyList::empty(py);
     for one in measurements {
         match one.values {
-            Values::PerSample(values) => all.append((one.key, one.unit, vector(py, values)?))?,
-            Values::Whole(value) => all.append((one.key, one.unit, value))?,
+            Values::PerSample(values) => list.append((one.key, one.unit, vector(py, values)?))?,
+            Values::Whole(value) => list.append((one.key, one.unit, value))?,
             Values::NotApplicable(why) => return reject(py, &format!("{}: {why}", one.key)),
         }
     }
-    Ok(all)
+    Ok(list)
 }
 
 /// Chamfer distance of two point sets [.., 3], m².
@@ -197,7 +197,7 @@ pub(crate) fn repeatability<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let metrics = metrics.iter().map(|text| parse_plugin::<dyn Metric>(py, text)).collect::<PyResult<Vec<_>>>()?;
     let repeatability = run_stoppable(py, |stop| work::measure_repeatability(&dataset.data, &metrics, stop))?;
-    let all = PyDict::new(py);
+    let summaries = PyDict::new(py);
     for (name, similarity) in [("near", &repeatability.near), ("far", &repeatability.far)] {
         let summary = PyDict::new(py);
         summary.set_item("pairs", similarity.closest)?;
@@ -215,7 +215,7 @@ pub(crate) fn repeatability<'py>(
             }
             summary.set_item(&metric.key, entry)?;
         }
-        all.set_item(name, summary)?;
+        summaries.set_item(name, summary)?;
     }
-    Ok(all)
+    Ok(summaries)
 }

@@ -146,7 +146,7 @@ pub(crate) fn complete(py: Python<'_>, kind: &str, text: &str) -> PyResult<Strin
 /// All linked plugins, by kind.
 #[pyfunction]
 pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
-    let all = PyList::empty(py);
+    let list = PyList::empty(py);
     let mut families: Vec<&PluginFamily> = inventory::iter::<PluginFamily>().collect();
     families.sort_by_key(|family| family.kind);
     for family in families {
@@ -160,10 +160,10 @@ pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
                 "fields",
                 member.docs.map_or_else(|| Ok(PyList::empty(py)), |docs| field_list(py, docs.fields()))?,
             )?;
-            all.append(entry)?;
+            list.append(entry)?;
         }
     }
-    Ok(all)
+    Ok(list)
 }
 
 /// Converts the documentation of fields to tuples (name, type, text, default as JSON text: `None` for a required field).
@@ -186,7 +186,7 @@ pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
             docs.fields().iter().for_each(|field| collect_docs(&field.kind, &mut docs_by_name));
         }
     }
-    let all = PyList::empty(py);
+    let entries = PyList::empty(py);
     for (name, docs) in docs_by_name {
         let entry = PyDict::new(py);
         entry.set_item("name", name)?;
@@ -201,9 +201,9 @@ pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
                 entry.set_item("variants", list)?;
             }
         }
-        all.append(entry)?;
+        entries.append(entry)?;
     }
-    Ok(all)
+    Ok(entries)
 }
 
 /// Adds the structs and enums in a type, at any depth, to `docs_by_name`, by name.

@@ -1,4 +1,5 @@
-//! What one does with data or a finished model; `pwrfgs/_tasks.py` makes methods and functions of these.
+//! Tasks on data or a finished model; `pwrfgs/_tasks.py` makes methods and functions of these. `text` is the RON of the
+//! settings of a task.
 
 use crate::arrays::{array, array_shape, complex_pairs, numbers, positions, vector};
 use crate::border::{
@@ -57,13 +58,13 @@ impl Observer for TaskObserver<'_> {
 /// Lists the fields of the settings of each task by [`field_list`].
 #[pyfunction]
 pub(crate) fn task_settings<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-    let all = PyDict::new(py);
-    all.set_item("map", field_list(py, Docs::of::<MapSettings>().fields())?)?;
-    all.set_item("locate", field_list(py, Docs::of::<LocateSettings>().fields())?)?;
-    all.set_item("plan", field_list(py, Docs::of::<PlanSettings>().fields())?)?;
-    all.set_item("place", field_list(py, Docs::of::<PlaceSettings>().fields())?)?;
-    all.set_item("compare", field_list(py, Docs::of::<CompareSettings>().fields())?)?;
-    Ok(all)
+    let fields = PyDict::new(py);
+    fields.set_item("map", field_list(py, Docs::of::<MapSettings>().fields())?)?;
+    fields.set_item("locate", field_list(py, Docs::of::<LocateSettings>().fields())?)?;
+    fields.set_item("plan", field_list(py, Docs::of::<PlanSettings>().fields())?)?;
+    fields.set_item("place", field_list(py, Docs::of::<PlaceSettings>().fields())?)?;
+    fields.set_item("compare", field_list(py, Docs::of::<CompareSettings>().fields())?)?;
+    Ok(fields)
 }
 
 /// Reads settings from RON text.
@@ -214,8 +215,8 @@ pub(crate) fn compress(py: Python<'_>, model: &Model, bits: u8) -> PyResult<(Mod
 /// Finds implausible properties of data: (name, problem, mend).
 #[pyfunction]
 pub(crate) fn findings(py: Python<'_>, data: &Dataset) -> PyResult<Vec<(String, String, String)>> {
-    let all = without_gil(py, || collect_findings(&data.data, None))?;
-    Ok(all.into_iter().map(|finding| (finding.name, finding.problem, replace_flags(&finding.mend))).collect())
+    let findings = without_gil(py, || collect_findings(&data.data, None))?;
+    Ok(findings.into_iter().map(|finding| (finding.name, finding.problem, replace_flags(&finding.mend))).collect())
 }
 
 /// Returns the text of the pipeline that `pwrfgs init` suggests for data; `root` is the folder of their `source`, if there is

@@ -118,7 +118,7 @@ def test_splits(dataset):
 
 
 def test_a_folder_without_data_is_told(tmp_path):
-    with pytest.raises(pwrfgs.InputError, match="holds no data of a layout that is known"):
+    with pytest.raises(pwrfgs.InputError, match="no data of a known layout"):
         pwrfgs.Dataset.load(tmp_path)
 
 

@@ -183,8 +183,8 @@ impl Dataset {
 /// Converts a partition to the named tuple `Partition`.
 pub(super) fn partition_object<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyAny>> {
     let list = |part: &[usize]| vector(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>());
-    let all = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
-    py.import("pwrfgs._types")?.getattr("Partition")?.call1(all)
+    let sets = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
+    py.import("pwrfgs._types")?.getattr("Partition")?.call1(sets)
 }
 
 /// Returns the scene with the pickled bounds, floors, geodetic zero, and marks of receivers.

@@ -38,14 +38,14 @@ fn initial_weights(stages: &Stages, given: Option<&Bound<'_, PyDict>>) -> PyResu
         deformation.start(Conditions::new(3, &[]), &mut weights);
     }
     let Some(given) = given else { return Ok(weights) };
-    let mut rest = weights.as_mut_slice();
+    let mut remaining = weights.as_mut_slice();
     for spec in &layout.weights {
-        let (tensor, tail) = rest.split_at_mut(spec.len());
+        let (tensor, tail) = remaining.split_at_mut(spec.len());
         if let Some(values) = given.get_item(&spec.name)? {
             let shape: Vec<Option<usize>> = spec.shape.iter().copied().map(Some).collect();
             tensor.copy_from_slice(&numbers::<Real>(&format!("weights: `{}`", spec.name), &values, &shape)?);
         }
-        rest = tail;
+        remaining = tail;
     }
     check_keys("weights: the network has no tensor", given, layout.weights.iter().map(|spec| spec.name.as_str()))?;
     Ok(weights)

@@ -54,11 +54,11 @@ impl Model {
     ) -> PyResult<Bound<'py, PyAny>> {
         let (lead, count) = (&links.lead, self.stages().setup.value_count());
         check_memory::<Real>(&[&lead[..], &[count]].concat())?;
-        let all = without_gil(py, || {
-            let mut all = vec![0.0; lead.iter().product::<usize>() * count];
-            self.fill(links, &mut all, work).map(|()| all)
+        let numbers = without_gil(py, || {
+            let mut numbers = vec![0.0; lead.iter().product::<usize>() * count];
+            self.fill(links, &mut numbers, work).map(|()| numbers)
         })?;
-        self.shape(links).array(py, all)
+        self.shape(links).array(py, numbers)
     }
 
     /// Returns the shape of the observations of `links`.
@@ -106,8 +106,8 @@ impl Model {
             let is_finite = |numbers: &[Real]| numbers.iter().fold(true, |all, v| all & v.is_finite());
             if let Some(k) = numbers.par_chunks_exact(count).position_first(|link| !is_finite(link)) {
                 return Err(Error::Config(format!(
-                    "what is predicted at {:?} is not finite: numbers of the model overflow there; \
-                     leave the position out if it is far from all that the model has seen",
+                    "the prediction at {:?} is not finite: the model overflows there; \
+                     leave the position out if it is far from the training positions",
                     queries[k].position()
                 )));
             }
@@ -137,8 +137,9 @@ impl Model {
         let cotangents = self.shape(links).read("vjp", cotangents)?;
         let mut slopes: Vec<[f64; 7]> = Vec::new();
         let work = |queries: &[Query<'_>], numbers: &mut [Real]| {
-            let rest = &cotangents[slopes.len() * count..];
-            let rows = rest.par_chunks_exact(count).zip(numbers.par_chunks_exact_mut(count));
+            // Chunks come in order, so that the next cotangents follow those of the slopes so far.
+            let remaining = &cotangents[slopes.len() * count..];
+            let rows = remaining.par_chunks_exact(count).zip(numbers.par_chunks_exact_mut(count));
             let one = |(query, (cotangent, numbers)): (&Query<'_>, (&[Real], &mut [Real]))| {
                 let predicted = ready.predict_vjp(*query, |_| cotangent.to_vec());
                 let (image, [x, y, z], orientation) = predicted.expect("a model with a derivative");
@@ -151,10 +152,10 @@ impl Model {
         let observed = self.predicted_array(py, links, work)?;
         let (receivers, width) = (links.receivers.len(), if is_pose { 7 } else { 3 });
         let sum = |slopes: &[[f64; 7]]| (0..width).map(|k| slopes.iter().map(|d| d[k]).sum()).collect::<Vec<f64>>();
-        let all: Vec<f64> = slopes.chunks_exact(receivers).flat_map(sum).collect(); // over the receivers of a position
+        let sums: Vec<f64> = slopes.chunks_exact(receivers).flat_map(sum).collect(); // over the receivers of a position
         let has_batch = links.lead.len() > usize::from(receivers > 1);
         let shape = if has_batch { vec![links.poses.len(), width] } else { vec![width] };
-        Ok((observed, array(py, all, &shape)?).into_pyobject(py)?.into_any())
+        Ok((observed, array(py, sums, &shape)?).into_pyobject(py)?.into_any())
     }
 }
 

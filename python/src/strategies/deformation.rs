@@ -18,11 +18,11 @@ impl Strategy {
     /// Returns the first arguments of `forward` and `vjp`: weights by name, centres `[N, 3]`, inputs `[B, width]`.
     fn call_arguments<'py>(&self, py: Python<'py>, inputs: &DeformationInputs<'_>) -> PyResult<[Bound<'py, PyAny>; 3]> {
         let weights = PyDict::new(py);
-        let mut rest = inputs.weights;
+        let mut remaining = inputs.weights;
         for (spec, _) in &self.object.weights {
-            let (tensor, tail) = rest.split_at(spec.len());
+            let (tensor, tail) = remaining.split_at(spec.len());
             weights.set_item(&spec.name, array(py, tensor.to_vec(), &spec.shape)?)?;
-            rest = tail;
+            remaining = tail;
         }
         let means = array(py, inputs.means.as_flattened().to_vec(), &[inputs.means.len(), 3])?;
         let txs = array(py, inputs.txs.values().to_vec(), &[inputs.txs.len(), inputs.txs.width()])?;
@@ -66,11 +66,11 @@ impl Deformation for Strategy {
     }
 
     fn start(&self, _: Conditions<'_>, weights: &mut [Real]) {
-        let mut rest = weights;
+        let mut remaining = weights;
         for (_, values) in &self.object.weights {
-            let (tensor, tail) = rest.split_at_mut(values.len());
+            let (tensor, tail) = remaining.split_at_mut(values.len());
             tensor.copy_from_slice(values);
-            rest = tail;
+            remaining = tail;
         }
     }
 
@@ -118,16 +118,16 @@ impl Deformation for Strategy {
             };
             let names = || self.object.weights.iter().map(|(spec, _)| spec.name.as_str());
             check_keys("vjp: unknown tensor", &d_weights, names())?;
-            let mut rest = sums.weights;
+            let mut remaining = sums.weights;
             for (spec, _) in &self.object.weights {
-                let (sum, tail) = rest.split_at_mut(spec.len());
+                let (sum, tail) = remaining.split_at_mut(spec.len());
                 let name = format!("vjp: `{}`", spec.name);
                 let Some(derivative) = d_weights.get_item(&spec.name)? else {
                     return reject(py, &format!("{name} is missing; give the derivative in every tensor"));
                 };
                 let derivative = finite_numbers(&name, &derivative, &spec.shape)?;
                 sum.iter_mut().zip(derivative).for_each(|(sum, d)| *sum += d);
-                rest = tail;
+                remaining = tail;
             }
             if let Some(sums) = sums.means.filter(|_| !d_means.is_none()) {
                 let derivative = finite_numbers("vjp: the derivative in the centres", &d_means, &[sums.len(), 3])?;

@@ -50,14 +50,14 @@ impl Strategy {
             if result.is_none() {
                 return Ok(None);
             }
-            let wants = |what: &str| input_error(py, &format!("{method} returned {what}, expected {form}, or None"));
-            let Ok(parts) = result.cast::<PyTuple>() else { return Err(wants(&class_name(&result))) };
+            let refuse = |given: &str| input_error(py, &format!("{method} returned {given}, expected {form}, or None"));
+            let Ok(parts) = result.cast::<PyTuple>() else { return Err(refuse(&class_name(&result))) };
             if !(2..=3).contains(&parts.len()) {
-                return Err(wants(&format!("{} things", parts.len())));
+                return Err(refuse(&format!("{} entries", parts.len())));
             }
             let slopes = parts.get_item(1)?;
             let Ok(slopes) = slopes.cast::<PyDict>() else {
-                return Err(wants(&format!("{} as its derivatives", class_name(&slopes))));
+                return Err(refuse(&format!("{} as its derivatives", class_name(&slopes))));
             };
             let (columns, slopes) = self.read_slopes(slopes, cloud, method)?;
             let word = parts.get_item(2).and_then(|word| word.extract()).ok();
@@ -75,7 +75,7 @@ impl Strategy {
         let (mut columns, mut slopes) = (Vec::new(), Vec::new());
         for (name, values) in derivatives {
             let name: String = name.extract()?;
-            let refuse = |what: &str| reject(derivatives.py(), &format!("{method}: {what}"));
+            let refuse = |problem: &str| reject(derivatives.py(), &format!("{method}: {problem}"));
             if !cloud.names().any(|column| column == name) {
                 let hint = pwrfgs_core::did_you_mean(&name, cloud.names());
                 return refuse(&format!("unknown column `{name}`{hint}"));
