@@ -177,6 +177,7 @@ impl CameraModel for Hemisphere {
     fn jacobian(&self, v: Vec3) -> [Vec3; 2] {
         let (rho, r, off_axis) = axial_distances(v);
         if !off_axis {
+            // On the axis azimuth counts as 0: columns vary along y, and rows along x.
             let rows = [Vec3::Y / COS_FLOOR, -Vec3::X * v.z.signum()];
             return [rows[0] * (self.per_radian[0] / r), rows[1] * (self.per_radian[1] / r)];
         }

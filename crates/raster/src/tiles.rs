@@ -130,7 +130,7 @@ pub(crate) fn nearest_first(depths: impl Iterator<Item = (Real, usize)>) -> Vec<
     // The bits of positive floats are ordered like the floats.
     let mut keys: Vec<_> = depths.map(|(depth, i)| ((depth as f32).to_bits(), i as u32)).collect();
     if keys.len() < 4096 {
-        keys.sort_unstable();
+        keys.sort_unstable(); // one thread is faster
     } else {
         keys.par_sort_unstable();
     }

@@ -44,7 +44,7 @@ impl Rates<'_> {
     }
 
     /// Returns the constants of an update at this step, without decay.
-    fn update(self, rate: Real, eps: Real) -> Update {
+    fn update_constants(self, rate: Real, eps: Real) -> Update {
         let unbias = BETAS.map(|b| 1.0 - b.powi(self.step.min(i32::MAX as u64) as i32));
         Update { rate, eps, unbias, l2: 0.0, decay: 0.0 }
     }
@@ -76,7 +76,7 @@ impl Adam {
             let Some(rate) = column_rate(optimizer, spec, name, |schedule| rates.rate(schedule)) else { continue };
             let stepped = match spec {
                 Some(spec) if !spec.adam => descend(x, d, rate * n as Real), // N as in `ColumnSpec::adam`
-                _ => rates.update(rate, optimizer.eps).apply(x, d, m, v),
+                _ => rates.update_constants(rate, optimizer.eps).apply(x, d, m, v),
             };
             stepped.map_err(|()| format!("`{name}`"))?;
         }
@@ -96,7 +96,7 @@ impl Adam {
     ) -> Result<(), String> {
         let optimizer = &rates.training.optimizer;
         let warm = (rates.step as f64 / optimizer.network_warmup.max(1) as f64).min(1.0) as Real;
-        let update = rates.update(warm * rates.rate(optimizer.network), optimizer.network_eps);
+        let update = rates.update_constants(warm * rates.rate(optimizer.network), optimizer.network_eps);
         let decayed = Update { l2: optimizer.network_l2, decay: optimizer.network_decay, ..update };
         let [first, second] = &mut self.weights;
         for WeightGroup { range, decays } in groups {

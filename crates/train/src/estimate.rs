@@ -106,8 +106,8 @@ impl Trainer<'_> {
         let cost = self.stages.method.cost(setup, links, pixels);
         let numbers = n * (PER_GAUSSIAN + cost.per_gaussian + batch * PER_TERM) + links * cost.pixels * PER_PIXEL;
         let weights = (self.weight_count() * PER_WEIGHT * size_of::<Real>()) as u64;
-        let kept = (n * batch * cost.per_term * size_of::<Real>()).min(KEPT_BYTES);
-        (numbers * size_of::<Real>() + kept) as u64 + weights + cost.bytes
+        let kept_bytes = (n * batch * cost.per_term * size_of::<Real>()).min(KEPT_BYTES);
+        (numbers * size_of::<Real>() + kept_bytes) as u64 + weights + cost.bytes
     }
 
     /// Estimates the time of the training: it times steps with the current N and with the N at the end of pruning, and

@@ -152,7 +152,7 @@ impl Trainer<'_> {
         } else {
             "lower training.densify.opacity_floor, or raise training.densify.reset_opacity"
         };
-        Err(Error::Collapsed { step, left, removed: removed_by_text(rules), advice })
+        Err(Error::Collapsed { step, left, removed: format_removals(rules), advice })
     }
 
     /// Logs the rules that removed more than half of the Gaussians. `counts` are the number before the removal, and the
@@ -170,7 +170,7 @@ impl Trainer<'_> {
             } else {
                 "relax that rule, or start with one Gaussian"
             };
-            return Err(Error::Collapsed { step, left, removed: removed_by_text(rules), advice });
+            return Err(Error::Collapsed { step, left, removed: format_removals(rules), advice });
         }
         if 2 * left < before {
             let (name, removed) = (&self.plan.name, before - left);
@@ -211,7 +211,7 @@ fn format_counts(rules: &[(String, usize)]) -> String {
 }
 
 /// Returns the text `, removed by` with these counts; empty without rules.
-fn removed_by_text(rules: &[(String, usize)]) -> String {
+fn format_removals(rules: &[(String, usize)]) -> String {
     Some(format_counts(rules))
         .filter(|text| !text.is_empty())
         .map_or_else(String::new, |text| format!(", removed by {text}"))

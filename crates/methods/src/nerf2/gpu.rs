@@ -20,7 +20,7 @@ use std::ops::Range;
 /// Maximum number of values that one step reads; further chunks are computed in further steps.
 const RESULTS: usize = 1 << 26;
 
-/// Chunk of rays of a group; `ready` is what [`GpuNerf2::prepare`] has kept of it.
+/// Chunk of rays of a group; `ready` is the result of [`GpuNerf2::prepare`] for it.
 #[derive(Clone, Debug)]
 pub(crate) struct GpuItem<'a> {
     pub(crate) group: usize,
@@ -136,7 +136,7 @@ impl GpuNerf2<'_> {
     pub(crate) fn prepare(&self, group: &RayGroup<'_>) -> Result<Option<Vec<GpuReady>>> {
         let chunks: Vec<Range<usize>> = self.chunks(group.walk.rays.directions.len()).collect();
         let mut step = self.begin(chunks.iter().map(Range::len).max().unwrap_or(0), false)?;
-        let mut kept = Vec::new();
+        let mut buffers = Vec::new();
         for rays in &chunks {
             let chunk = self.chunk(rays.len(), false);
             let len = self.network.width() * chunk.on.rows;
@@ -144,14 +144,14 @@ impl GpuNerf2<'_> {
             self.run_trunk(&mut step, chunk, &group.walk.rays.points(rays.clone()));
             step.read(ATTENUATION, 0, self.network.outputs * chunk.on.rows);
             step.save(FROM_FEATURE, len, &buffer);
-            kept.push(buffer);
+            buffers.push(buffer);
         }
         let results = step.finish()?;
         let one = |((rays, attenuation), from_feature): ((&Range<usize>, Vec<Real>), KeptBuffer)| GpuReady {
             shared: group.walk.paths(&attenuation, rays.len()),
             from_feature,
         };
-        Ok(Some(chunks.par_iter().zip(results).zip(kept).map(one).collect()))
+        Ok(Some(chunks.par_iter().zip(results).zip(buffers).map(one).collect()))
     }
 
     /// Runs the backward pass of [`Self::forward`], given the cotangents `d` per chunk and [pass, ray, band]. Adds to

@@ -160,18 +160,18 @@ impl RayWalk<'_> {
     }
 
     /// Returns the path factors `[bands, rays, samples]` of a chunk from its raw attenuations, and the range of each ray's
-    /// samples among all samples in use.
+    /// samples among all samples in use: those that any band uses.
     fn path_factors(&self, attenuation: &[Real], rays: usize) -> (Vec<[Real; 2]>, Vec<Range<usize>>) {
         let samples = self.rays.sample_count();
         let mut factors = vec![[0.0; 2]; self.band_count() * rays * samples];
         let (mut segments, mut end) = (Vec::with_capacity(rays), 0);
         for ray in 0..rays {
-            let live = (0..self.band_count()).map(|band| {
+            let mut live = 0;
+            for band in 0..self.band_count() {
                 let raw = self.ray_attenuations(attenuation, band, ray, rays);
                 let factors = &mut factors[(band * rays + ray) * samples..][..samples];
-                self.law.fill_factors(&self.rays.samples, raw, factors)
-            });
-            let live = live.max().unwrap_or(0);
+                live = live.max(self.law.fill_factors(&self.rays.samples, raw, factors));
+            }
             segments.push(end..end + live);
             end += live;
         }
@@ -333,13 +333,13 @@ impl RayWalk<'_> {
         let (d_amplitudes, d_phases) = d_attenuation.split_at_mut(self.band_count() * rays * samples);
         for ray in 0..rays {
             for band in 0..self.band_count() {
-                let all = (band * rays + ray) * samples..(band * rays + ray + 1) * samples;
+                let of_ray = (band * rays + ray) * samples..(band * rays + ray + 1) * samples;
                 self.law.fill_factors_vjp(
                     &self.rays.samples,
                     self.ray_attenuations(attenuation, band, ray, rays),
-                    &shared.factors[all.clone()],
-                    &d_factors[all.start..all.start + shared.segments[ray].len()],
-                    [&mut d_amplitudes[all.clone()], &mut d_phases[all]],
+                    &shared.factors[of_ray.clone()],
+                    &d_factors[of_ray.start..of_ray.start + shared.segments[ray].len()],
+                    [&mut d_amplitudes[of_ray.clone()], &mut d_phases[of_ray]],
                 );
             }
         }

@@ -127,21 +127,21 @@ impl Splatting {
         let is_alone = groups.len() == 1; // its links are in order
         let drawn: Vec<GroupOutput> =
             if is_alone { groups.into_iter().map(one).collect() } else { groups.into_par_iter().map(one).collect() };
-        let mut all = vec![0.0; if is_alone { 0 } else { links.pairs.len() * numbers }];
+        let mut observed = vec![0.0; if is_alone { 0 } else { links.pairs.len() * numbers }];
         let mut drawings = Vec::new();
         for GroupOutput { group, observations, seconds: [projection, sort, blending], drawing } in drawn {
             times.projection += projection;
             times.sort += sort;
             times.blending += blending;
             if is_alone {
-                all = observations; // moved, not copied
+                observed = observations; // moved, not copied
             } else {
-                group.scatter_rows(&observations, numbers, &mut all);
+                group.scatter_rows(&observations, numbers, &mut observed);
             }
             drawings.extend(drawing.map(|(view, drawing)| (group, view, drawing)));
         }
         let cache = ForwardCache { terms: (deltas, kept), drawings };
-        (ForwardOutput { numbers: all, cache: is_training.then(|| Arc::new(cache) as _) }, times)
+        (ForwardOutput { numbers: observed, cache: is_training.then(|| Arc::new(cache) as _) }, times)
     }
 
     /// Returns the terms of the network, as [`groups::network_terms`].

@@ -64,7 +64,7 @@ impl AntennaGroup {
 
 /// Computes h `[M,A,F]` of all Gaussians, each multiplied by its gate.
 ///
-/// The cost is about 40 operations per link and Gaussian. `gate` is `[N]`, or `None` for all 1.
+/// The cost is about 40 operations per value of h and Gaussian. `gate` is `[N]`, or `None` for all 1.
 ///
 /// # Panics
 /// If the number of gates is not N, or if the cloud has harmonics above the third order.

@@ -64,14 +64,14 @@ pub fn encode_chunk(points: &[[Real; 3]], frequencies: usize) -> Vec<Real> {
         let threads: Vec<_> = points.chunks(size).map(|points| scope.spawn(move || one(points))).collect();
         threads.into_iter().map(|thread| thread.join().expect("encoding does not panic")).collect()
     });
-    let mut all = Vec::with_capacity(width * points.len());
+    let mut encoded = Vec::with_capacity(width * points.len());
     for feature in 0..width {
         for piece in &pieces {
             let rows = piece.len() / width;
-            all.extend_from_slice(&piece[feature * rows..(feature + 1) * rows]);
+            encoded.extend_from_slice(&piece[feature * rows..(feature + 1) * rows]);
         }
     }
-    all
+    encoded
 }
 
 impl Trunk {

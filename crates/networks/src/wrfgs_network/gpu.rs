@@ -107,16 +107,16 @@ impl WrfgsLayers {
         means: &[[Real; 3]],
     ) -> Result<Option<GpuTrunkOutput>> {
         let mut step = self.begin_step(gpu, weights, (means.len(), 0), None)?;
-        let mut kept = Vec::new();
+        let mut buffers = Vec::new();
         for means in means.chunks(self.most_rows(gpu)) {
             let (on, len) = (self.on_gpu(means.len(), false), self.trunk.width * means.len());
             let Some(buffer) = gpu.keep(len) else { return Ok(None) };
             self.gpu_trunk(&mut step, on, means);
             step.read(ATTENUATION, 0, means.len());
             step.save(FROM_FEATURE, len, &buffer);
-            kept.push(buffer);
+            buffers.push(buffer);
         }
-        Ok(Some(GpuTrunkOutput(step.finish()?.into_iter().zip(kept).collect())))
+        Ok(Some(GpuTrunkOutput(step.finish()?.into_iter().zip(buffers).collect())))
     }
 
     /// Runs the trunk for the centres of a chunk.
