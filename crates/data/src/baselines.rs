@@ -26,9 +26,9 @@ use serde::{Deserialize, Serialize};
 /// Largest number of receivers that a note lists, so that a line stays readable.
 const LISTED: usize = 24;
 
-/// Mean of all training spectra, independent of the transmitter: the lower reference for every score. For received
-/// powers and channels it is the mean per receiver, called "mean of the receiver". A receiver without training links
-/// gets the mean of all links.
+/// Mean of the training spectra of each receiver, independent of the transmitter: the lower reference for every score.
+/// For received powers and channels it is called "mean of the receiver". A receiver without training links gets the
+/// mean of all links.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
@@ -132,7 +132,7 @@ pub(super) struct ByReceiver<P> {
 
 impl<P: ReceiverPredictor> ByReceiver<P> {
     /// Fits one predictor per receiver with `fit`; a single receiver is fitted to all links unchanged. Returns an error of
-    /// `fit`.
+    /// `fit`, or if the flag of `fitting` ends the fit.
     fn fit(data: &Dataset, fitting: FittingSet<'_>, fit: impl Fn(FittingSet<'_>) -> Result<P>) -> Result<Self> {
         let receivers = &data.scene.receivers;
         let by_receiver =

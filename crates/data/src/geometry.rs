@@ -29,7 +29,8 @@ const MESH_ADVICE: &str = "check the path of the mesh";
 /// # Errors
 /// Reports the file, with line and column for text: truncated, not a number, not finite, an index out of range, a face
 /// of fewer than three corners, a polygon with a hole or that crosses itself, more than
-/// [`MOST_TRIANGLES`](crate::MOST_TRIANGLES), unknown extension. A file without faces is valid.
+/// [`MOST_TRIANGLES`](crate::MOST_TRIANGLES), unknown extension. An OBJ file without faces is valid, as is
+/// a PLY file with an empty element `face`.
 pub fn read_mesh(path: &Path) -> Result<Triangles> {
     let parse = match lower_extension(path).as_str() {
         "obj" => parse_obj,

@@ -23,7 +23,7 @@ pub(crate) fn parse_points(path: &Path, bytes: &[u8]) -> Result<Vec<[f64; 3]>> {
 }
 
 /// Parses the surface: vertices, and faces split into triangles. Returns an error for a damaged or truncated file, or one
-/// without faces.
+/// without an element of faces.
 pub(crate) fn parse_mesh(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     let header = PlyHeader::parse(path, bytes)?;
     let corners = Some(header.find_corner_list(path)?);
@@ -94,7 +94,7 @@ impl BodyParser<'_> {
                     contents.vertices.push(columns.read(&row, POINT_ADVICE)?);
                 }
                 if let Some((_, property)) = corners.filter(|(face, _)| e == *face) {
-                    let length = row.fields[starts[property]].text.parse().unwrap_or(0);
+                    let length = row.fields[starts[property]].text.parse().unwrap_or(0); // valid: see `property_starts`
                     let listed = row.fields[starts[property] + 1..].iter().take(length);
                     let corners = listed.map(|field| parse_index(&row, *field)).collect::<Result<Vec<i64>>>()?;
                     self.add_face(&corners, &mut contents.polygons).map_err(|fault| row.fault(1, fault))?;

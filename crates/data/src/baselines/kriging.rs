@@ -126,7 +126,8 @@ impl<'a> Trend<'a> {
         self.path_loss.map_or(0.0, |path_loss| path_loss.power(log_distance(self.data, query)))
     }
 
-    /// Writes the residual of link `i` at every `stride`-th column of every `stride`-th row to `out`.
+    /// Writes the residual of link `i` to `out`: at every `stride`-th column of every `stride`-th row of a spectrum, else its
+    /// first values.
     fn write_residual(&self, i: usize, stride: usize, out: &mut [Real]) {
         self.data.observations.sampled(i, Sampling::every(stride), out);
         if self.path_loss.is_some() {
@@ -162,7 +163,8 @@ impl<'a> Trend<'a> {
         Ok((correlation, cases.variance(&correlation)))
     }
 
-    /// Returns at most about `most` values of the residual of link `i`: every n-th column of every n-th row.
+    /// Returns at most about `most` values of the residual of link `i`: every n-th column of every n-th row of a spectrum, the
+    /// first values of a channel.
     pub fn residual_values(&self, i: usize, most: usize) -> Vec<Real> {
         let Dataset { width, height, .. } = *self.data;
         let stride = ((width * height) as f64 / most as f64).sqrt().ceil().max(1.0) as usize;
@@ -180,7 +182,7 @@ struct Process<'a> {
     kriging: LocalKriging,
     /// Samples by position alone, for a process over time.
     in_space: Option<Nearest>,
-    /// Process variance summed over values.
+    /// Process variance per value; NaN if no sample could be predicted from others.
     variance: f64,
     settings: Kriging,
 }
@@ -223,7 +225,6 @@ impl Predict for Process<'_> {
     }
 
     fn deviation(&self, query: Query<'_>) -> Option<f64> {
-        // Not a number if no sample of the receiver could be predicted from others.
         self.variance.is_finite().then(|| (self.variance * self.solve_weights(query).1.variance).sqrt())
     }
 

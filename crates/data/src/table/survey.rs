@@ -70,8 +70,11 @@ pub(super) struct Survey<'a> {
     pub(super) respelled: BTreeSet<String>,
     /// Number of cells with each code for "not received".
     pub(super) coded: Vec<usize>,
+    /// Number of cells that are empty or have no power.
     pub(super) silent: usize,
+    /// Number of readings that repeat a link.
     pub(super) repeated: usize,
+    /// Number of rows without a reading.
     pub(super) unreceived_rows: usize,
     pub(super) notes: Vec<String>,
     pub(super) before: Vec<String>,
