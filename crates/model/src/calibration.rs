@@ -9,9 +9,10 @@
 use crate::tensors::Tensors;
 use pwrfgs_core::{Error, Image, Real, Result, Task};
 
-/// Largest numbers of scores that are kept of a link, and of a calibration.
-const OF_LINK: usize = 256;
-const MOST: usize = 1_000;
+/// Largest number of scores that are kept per link.
+const LINK_SCORES: usize = 256;
+/// Largest number of scores that are kept per calibration.
+const MOST_SCORES: usize = 1_000;
 /// Rounding error of the sums of weights.
 const ROUNDING: f64 = 1e-6;
 /// Smallest deviation, dB or parts of the full scale: scores stay finite.
@@ -41,7 +42,8 @@ impl HeldOutScores {
     pub fn of(task: Task, prediction: &Image, deviation: f64, truth: &Image) -> Self {
         let deviation = deviation.max(LEAST);
         let score = |(p, t): (&Real, &Real)| ((*p as f64 - *t as f64).abs() / deviation, 1.0);
-        let values = weighted_distribution(prediction.pixels.iter().zip(&truth.pixels).map(score).collect(), OF_LINK);
+        let values =
+            weighted_distribution(prediction.pixels.iter().zip(&truth.pixels).map(score).collect(), LINK_SCORES);
         Self { values, ssim: task.ssim(prediction, truth).map(|score| (1.0 - score).max(0.0) / deviation) }
     }
 }
@@ -94,12 +96,11 @@ impl IntervalFactors {
 fn weighted_distribution(mut scores: Vec<(f64, f64)>, most: usize) -> Distribution {
     scores.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let total: f64 = scores.iter().map(|(_, weight)| weight).sum();
-    let mut reached = 0.0;
-    let share = |(score, weight): &(f64, f64)| {
-        reached += weight;
-        (*score, reached / total)
+    let share = |reached: &mut f64, (score, weight): &(f64, f64)| {
+        *reached += weight;
+        Some((*score, *reached / total))
     };
-    let shares: Vec<(f64, f64)> = scores.iter().map(share).collect();
+    let shares: Vec<(f64, f64)> = scores.iter().scan(0.0, share).collect();
     let quantile = |k: usize| {
         let share = k as f64 / most as f64;
         let index = shares.partition_point(|(_, reached)| *reached < share - ROUNDING);
@@ -113,7 +114,7 @@ fn weighted_distribution(mut scores: Vec<(f64, f64)>, most: usize) -> Distributi
 }
 
 impl IntervalCalibration {
-    /// Creates the calibration of the blocks; `None` without a link.
+    /// Creates the calibration of the blocks; empty ones do not count. `None` without a link.
     pub fn new(blocks: &[Vec<HeldOutScores>]) -> Option<Self> {
         let blocks: Vec<&Vec<HeldOutScores>> = blocks.iter().filter(|block| !block.is_empty()).collect();
         let weighted = || blocks.iter().flat_map(|block| block.iter().map(|link| (link, 1.0 / block.len() as f64)));
@@ -122,9 +123,9 @@ impl IntervalCalibration {
             let scores = link.values.iter().zip(before);
             scores.map(|([score, share], before)| (*score as f64, weight * (*share as f64 - before))).collect()
         };
-        let values = weighted_distribution(weighted().flat_map(link_scores).collect(), MOST);
+        let values = weighted_distribution(weighted().flat_map(link_scores).collect(), MOST_SCORES);
         let ssim: Option<Vec<(f64, f64)>> = weighted().map(|(link, weight)| Some((link.ssim?, weight))).collect();
-        let ssim = ssim.map(|scores| weighted_distribution(scores, MOST));
+        let ssim = ssim.map(|scores| weighted_distribution(scores, MOST_SCORES));
         (!values.is_empty()).then_some(Self { blocks: blocks.len(), values, ssim })
     }
 
@@ -136,7 +137,7 @@ impl IntervalCalibration {
     /// Returns the factors for intervals that hold with probability `level`.
     ///
     /// # Errors
-    /// [`Error::Config`] if the level is not between 0 and 1, or has too few blocks.
+    /// [`Error::Config`] if the level is not between 0 and 1, or needs more blocks.
     pub fn factors(&self, level: f64) -> Result<IntervalFactors> {
         if !(level > 0.0 && level < 1.0) {
             let problem = format!("interval level is {level}, expected a number above 0 and below 1, such as 0.9");

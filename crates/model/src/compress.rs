@@ -19,8 +19,8 @@ pub enum Bits {
 /// Returns the bytes of a model file with 8 or 16 bits per number; every reader of model files reads it.
 ///
 /// Weights `[out, in]` of networks are I8 with a scale per row, or F16. Biases, Gaussians and training positions are F16. Scales,
-/// residual processes and tensors that a network does not learn stay as they are. The calibration of intervals is left
-/// out.
+/// constants, residual processes and tensors that a network does not learn stay as they are. The calibration of intervals
+/// is left out.
 ///
 /// # Errors
 /// A number exceeds the range of 16 bits.

@@ -22,7 +22,7 @@ impl Ensemble {
         Self { names: vec!["1".into()], members: vec![model], residuals: None, calibration: None, read_bytes: None }
     }
 
-    /// Creates an ensemble of one or more models with one pixel grid, named by their numbers from 1.
+    /// Creates an ensemble of one or more models with one measurement setup, named by their numbers from 1.
     ///
     /// # Errors
     /// There is no model, or one has another image plane or receiver than the first; the message gives its number.
@@ -122,12 +122,12 @@ impl Ensemble {
         self.members.iter().map(|model| model.cloud.len()).sum()
     }
 
-    /// Returns the size of the Gaussians of all members in the file, bytes.
+    /// Returns the size of the Gaussians of all members in an uncompressed file, bytes.
     pub fn gaussian_bytes(&self) -> usize {
         self.members.iter().map(Model::gaussian_bytes).sum()
     }
 
-    /// Returns the size of the networks of all members in the file, bytes.
+    /// Returns the size of the networks of all members in an uncompressed file, bytes.
     pub fn network_bytes(&self) -> usize {
         self.members.iter().map(Model::network_bytes).sum()
     }

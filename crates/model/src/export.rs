@@ -9,10 +9,10 @@ use std::io::{self, Cursor, Write as _};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-/// Returns the NPZ file of `model`: the tensors of the model file, pose and plane. If `tx` (metres, world frame) is
-/// given, it also contains the Gaussians for a transmitter at that position. Arrays of several models are called
-/// `members.0.means` and so on. Positions are in the user's frame, in double precision if the model has an origin.
-/// Equal models give equal bytes.
+/// Returns the NPZ file of `model`: Gaussians, networks, receivers and plane, but not training positions, residuals and
+/// calibration. If `tx` (metres, world frame) is given, it also contains the Gaussians for a transmitter at that position.
+/// Arrays of several models are called `members.0.means` and so on. Positions are in the world frame. Centres and `tx` are
+/// in double precision only if the model has an origin. Equal models give equal bytes.
 ///
 /// # Errors
 /// An array of more than 4 GiB.
@@ -42,7 +42,7 @@ impl Npz {
         Ok(())
     }
 
-    /// Adds the contents of the model file.
+    /// Adds Gaussians, network, pose and plane of a model and, unless it is of spectra at one receiver, its links.
     fn add_model(&mut self, model: &Model) -> io::Result<()> {
         let n = model.cloud.len();
         let origin = model.stages.origin;
@@ -56,11 +56,11 @@ impl Npz {
                 self.put(name, &shape, encode_reals(values))?;
             }
         }
-        let mut rest = model.weights.as_slice();
+        let mut remaining = model.weights.as_slice();
         for spec in model.stages.layout().weights {
-            let (weights, tail) = rest.split_at(spec.len());
+            let (weights, tail) = remaining.split_at(spec.len());
             self.put(&format!("network.{}", spec.name), &spec.shape, encode_reals(weights))?;
-            rest = tail;
+            remaining = tail;
         }
         for (spec, values) in model.stages.layout().constants {
             self.put(&format!("constants.{}", spec.name), &spec.shape, encode_reals(&values))?;
@@ -78,7 +78,7 @@ impl Npz {
         self.put("plane.elevation_deg", &[2], encode_doubles(&[elevation.first, elevation.step]))
     }
 
-    /// Adds the links: observations and receivers. Names are stored as letters, since arrays cannot hold text of
+    /// Adds the links: observations and receivers. Names are stored as bytes of UTF-8, since arrays cannot hold text of
     /// variable length.
     fn add_links(&mut self, model: &Model) -> io::Result<()> {
         let setup = &model.stages.setup;
@@ -157,10 +157,9 @@ const PROPERTIES: [&str; 17] = [
 /// Constant spherical harmonic Y₀₀: a viewer shows 0.5 + Y₀₀ · `f_dc`.
 const SH_C0: f64 = 0.282_094_791_773_878_14;
 
-/// Returns the PLY file of `model` for a transmitter at `tx` (metres, world frame), or of its base parameters.
+/// Returns the PLY file of `model` for a transmitter at `tx` (metres, world frame), or of its base parameters without `tx`.
 ///
-/// The Gaussians of an ensemble follow member by member; `member` is the index of the member, from 0.
-///
+/// The Gaussians of an ensemble follow member by member; their property `member` is the index of the member, from 0.
 /// Centres are relative to the origin of the model, which a comment of the header gives if it is not zero.
 ///
 /// The colour shows the strength of the signal of a Gaussian: the pixel value that it would give alone if it were
@@ -178,7 +177,8 @@ pub fn ply(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// Appends the rows of one model, each with the index of the member if there are several.
+/// Appends the rows of one model, each with the index of the `member` if it is given. Returns an error for a value that is not
+/// finite.
 fn append_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: Option<f32>) -> Result<()> {
     let Activated { primitives, strengths, .. } = model.gaussians(tx);
     for i in 0..primitives.len() {
@@ -195,8 +195,8 @@ fn append_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: O
     Ok(())
 }
 
-/// Returns the header of a PLY file of `n` Gaussians. Viewers of splats use single precision, so that centres stay
-/// close to zero; a comment gives their origin.
+/// Returns the header of a PLY file of `n` Gaussians; `several` adds the property `member`. Viewers of splats use single
+/// precision, so centres are close to zero and a comment gives their origin.
 fn ply_header(n: usize, origin: Origin, several: bool) -> String {
     let [x, y, z] = origin.0;
     let comment = if origin.is_zero() { String::new() } else { format!("comment origin {x} {y} {z}\n") };

@@ -105,7 +105,7 @@ pub fn to_bytes(model: &Model) -> Vec<u8> {
     ensemble_to_bytes(&Ensemble::of(model.clone()))
 }
 
-/// Writes several models that predict together to one file, atomically; a single model as [`write()`] does.
+/// Writes several models that predict together, with their residuals and calibration, to one file, atomically.
 ///
 /// # Errors
 /// [`Error::Write`] if the file cannot be written.
@@ -226,7 +226,7 @@ pub fn read(path: &Path) -> Result<Model> {
 /// Reads a file with one model, or with several that predict together.
 ///
 /// # Errors
-/// As [`read`].
+/// As [`read`], but not for several models.
 pub fn read_ensemble(path: &Path) -> Result<Ensemble> {
     let bytes = files::read(path).map_err(|e| Error::read(path, e))?;
     from_bytes(&bytes).map_err(|why| Error::input(path, format!("{why}; give the model.safetensors of a finished run")))
@@ -312,8 +312,8 @@ fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, St
     Ok(Model { stages, cloud, weights, training_positions })
 }
 
-/// Takes the training positions; `None` in a file of an earlier version. Returns an error for a tensor of another shape
-/// or type.
+/// Takes the training positions; `None` if the file has none. Returns an error for a tensor of another shape or type, or
+/// with a number that is not finite.
 fn take_training_positions(file: &mut Tensors, name: &str) -> Result<Option<TrainingPositions>, String> {
     let Some(count) = file.shape(name).map(|shape| shape.first().copied().unwrap_or(0)) else { return Ok(None) };
     let positions = file.take(name, &[count.max(1), 3])?;
@@ -367,7 +367,7 @@ pub fn put_cloud(file: &mut Tensors, prefix: &str, cloud: &GaussianCloud) {
 }
 
 /// Takes a cloud of `n` Gaussians with the extra columns `extra` (name and width) from the tensors under `prefix`.
-/// Checks the lengths of the columns before allocating memory, because `n` may be any number.
+/// Checks centres and extra columns before allocating memory, because `n` may be any number.
 ///
 /// # Errors
 /// A tensor is missing, has another shape or type, or holds a number that is not finite; the message names it.

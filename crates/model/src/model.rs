@@ -39,12 +39,13 @@ impl Model {
         self.cloud.means.iter().map(moved).collect()
     }
 
-    /// Returns the size of the Gaussians in the model file, bytes: 13 numbers each, and those that the method adds.
+    /// Returns the size of the Gaussians in an uncompressed model file, bytes: 13 numbers each, and those that the method
+    /// adds.
     pub fn gaussian_bytes(&self) -> usize {
         self.cloud.columns().map(|(_, _, values)| size_of_val(values)).sum()
     }
 
-    /// Returns the size of the network in the model file, bytes.
+    /// Returns the size of the network in an uncompressed model file, bytes.
     pub fn network_bytes(&self) -> usize {
         size_of_val(self.weights.as_slice())
     }
@@ -55,7 +56,7 @@ impl Model {
 pub struct Stages {
     /// Method.
     pub method: Plugin<dyn Method>,
-    /// Receivers and type of the observations.
+    /// Receivers, image plane and type of the observations.
     pub setup: MeasurementSetup,
 }
 

@@ -41,7 +41,7 @@ struct Member<'a> {
 /// shared: large enough for cheap blending, small enough that the images of a group fit the cache.
 const GROUP: usize = 16;
 
-/// Number of Gaussians above which a prediction enters the thread pool once instead of stage by stage. With fewer, most
+/// Number of Gaussians from which a prediction enters the thread pool once instead of stage by stage. With fewer, most
 /// of the work runs on the calling thread, which would only wait for the pool.
 const POOL: usize = 128;
 
@@ -112,7 +112,7 @@ impl<'a> Prepared<'a> {
         self.predictions_of_many(queries).into_par_iter().zip(queries).map(correct).collect()
     }
 
-    /// Returns the prediction with the expected residual added; unchanged without residual processes.
+    /// Returns the prediction, as it is shown, corrected by the residual processes; unchanged without these.
     fn corrected(&self, mean: Image, query: Query<'_>) -> Image {
         let Some(residuals) = self.residuals else { return mean };
         let mut image = self.task().shown(mean);
@@ -140,7 +140,7 @@ impl<'a> Prepared<'a> {
     /// Predicts many links; it is fastest if links of one transmitter are adjacent.
     pub fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
         let correct =
-            |(all, query): (Vec<Image>, &Query<'_>)| self.corrected(mean_prediction(all, self.task()), *query);
+            |(images, query): (Vec<Image>, &Query<'_>)| self.corrected(mean_prediction(images, self.task()), *query);
         self.predictions_of_many(queries).into_par_iter().zip(queries).map(correct).collect()
     }
 

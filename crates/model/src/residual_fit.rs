@@ -22,7 +22,7 @@ pub struct KnownLinks<'a> {
     pub data: &'a Dataset,
     /// All known links, ascending.
     pub links: &'a [usize],
-    /// Part of the links that some members left out, in the same order; `None` for a training link of all members.
+    /// Part of each link, which some members left out, in the same order; `None` for a training link of all members.
     pub left_out: &'a [Option<usize>],
     /// Number of parts, at least 1: member m left out part m modulo this number.
     pub parts: usize,
@@ -51,7 +51,7 @@ impl Residuals {
     /// Fits residual processes to the `known` links. `progress` counts predictions.
     ///
     /// # Errors
-    /// [`Error::Config`] if data have no positions, or all members trained on all links; a spectrum that cannot be read;
+    /// [`Error::Config`] as [`Kriged::check_data`], or for a prediction that is not finite; a spectrum that cannot be read;
     /// [`Error::Stopped`] once `known.stop` is set.
     pub fn fit(settings: &Kriged, ensemble: &Ensemble, known: KnownLinks<'_>, progress: Progress<'_>) -> Result<Self> {
         let data = known.data;
@@ -98,8 +98,8 @@ impl Residuals {
     }
 
     /// Returns the processes of `ensemble` with the links of new `data` added, and the number of added links. Share,
-    /// correlation and variance stay. A prediction uses the nearest known links only, so nothing else changes: links at
-    /// receivers without a process are skipped.
+    /// correlation and variance stay, since a prediction uses the nearest known links only. Links at receivers without a
+    /// process are skipped.
     ///
     /// # Errors
     /// A spectrum that cannot be read, or [`Error::Config`] for a prediction that is not finite.
@@ -158,8 +158,9 @@ impl Ensemble {
         Ok(base.with_residuals(residuals))
     }
 
-    /// Returns the models with residual processes of the training links of `data` alone, since validation links in them cannot
-    /// choose settings. `None` without residual processes or validation links: the ensemble itself then suits.
+    /// Returns the models with residual processes of the training links of `data` alone. Known validation links would be
+    /// predicted too well to choose settings by them. `None` without residual processes or validation links: the ensemble
+    /// itself then suits.
     ///
     /// # Errors
     /// As [`Residuals::updated`].
@@ -171,7 +172,7 @@ impl Ensemble {
     }
 }
 
-/// Returns the mean of predictions of `count` numbers each.
+/// Returns the mean of one or more predictions of `count` numbers each.
 fn mean_of<'a>(predictions: impl Iterator<Item = &'a Vec<Real>>, count: usize) -> Vec<Real> {
     let (mut mean, mut members) = (vec![0.0; count], 0);
     for prediction in predictions {
@@ -234,7 +235,7 @@ impl<'a> Samples<'a> {
         Ok(Self { known, places, link_values, is_exact, observed, predicted, mean })
     }
 
-    /// Takes the observations on another grid, without predictions.
+    /// Samples the observations on another grid. The mean predictions become 0, since a share of 0 ignores them.
     fn observe(&mut self, grid: &CoarseGrid) {
         self.observed = self.known.sampled(grid);
         (self.link_values, self.is_exact) = (grid.len(), grid.stride == 1);
@@ -248,7 +249,8 @@ impl<'a> Samples<'a> {
         pairs.map(|(y, f)| (*y as f64 - trend.expected(*f, at)) as Real).collect()
     }
 
-    /// Fits Kriging to the known links of each receiver `without` a part; `None` without links.
+    /// Fits Kriging to the known links of each receiver `without` a part, or to all; `None` for a receiver without links, unless
+    /// observations are powers.
     fn fit_kriging(&self, without: Option<usize>) -> Result<Vec<Option<ProcessFit>>> {
         let KnownLinks { data, links, left_out, stop, .. } = self.known;
         let is_known = |(_, part): &(&usize, &Option<usize>)| part.is_none() || **part != without;

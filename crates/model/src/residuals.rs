@@ -49,7 +49,7 @@ pub struct ShareGain {
 }
 
 impl ShareGain {
-    /// Computes mean and standard error of the gains of blocks.
+    /// Computes mean and standard error of the gains of blocks; the error of a single block is 0.
     pub(crate) fn of(gains: &[f64]) -> Self {
         let (blocks, mean) = (gains.len(), statistics::mean(gains.iter().copied()));
         let squares = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>();
@@ -173,8 +173,8 @@ impl Residuals {
         self.processes.iter().flatten().map(|process| process.fit.trend.share).next()
     }
 
-    /// Describes the share for observations of `task`: `share 0.5: the network lowers the error by 0.15 dB [..]`. `None` without a
-    /// process.
+    /// Describes the share for observations of `task`: `share 0.5: the network lowers the error by 0.15 dB [..]`. `None`
+    /// without a process.
     pub fn describe_share(&self, task: Task) -> Option<String> {
         let share = self.share()?;
         let Some(ShareGain { mean, standard_error, blocks }) = self.gain else {
@@ -201,7 +201,8 @@ impl Residuals {
         self.processes.get(receiver)?.as_ref()
     }
 
-    /// Adds the expected residual of a link to the prediction `image` of the model, from the nearest known links.
+    /// Replaces the prediction `image` of the model by its trend plus the expected residual, from the nearest known links.
+    /// Unchanged at a receiver without a process.
     pub(crate) fn correct(&self, image: &mut Image, query: Query<'_>, origin: Origin) {
         let Some(process) = self.process(query.receiver) else { return };
         let (at, trend) = (place(origin.local(query.position())), &process.fit.trend);

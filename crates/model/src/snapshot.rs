@@ -105,8 +105,8 @@ impl Snapshot {
     /// Reads the bytes of a snapshot.
     ///
     /// # Errors
-    /// The bytes are damaged or of another format or version, a tensor is missing or has another shape or type, or an
-    /// opacity is not between 0 and 1.
+    /// The bytes are damaged or of another format or version, a tensor is missing or has another shape or type, a number is
+    /// not finite, or an opacity is not between 0 and 1.
     fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let mut file = Tensors::from_bytes(bytes)?;
         let note: Note = serde_json::from_str(&file.note).map_err(|e| format!("not a snapshot of pwrfgs ({e})"))?;

@@ -23,7 +23,7 @@ pub struct Tensors {
 #[derive(Clone, Debug, PartialEq)]
 enum Values {
     Reals(Vec<Real>),
-    /// Values of 8 bits, which are large: not converted to [`Real`].
+    /// 8-bit integers, not converted to [`Real`], since their tensors are large.
     Bytes(Vec<i8>),
     /// Identifiers, of which [`Real`] would round those above 2^24.
     Ids(Vec<u32>),
@@ -233,7 +233,7 @@ impl Tensors {
         Ok(read)
     }
 
-    /// Replaces 8-bit tensors that have scales by their values. Returns an error for scales of another shape.
+    /// Replaces 8-bit tensors that have scales by their values. Returns an error for scales of another shape or type.
     fn restore_rounded(&mut self) -> Result<(), String> {
         let is_scaled = |name: &String| self.tensors.contains_key(&format!("{name}{SCALES}"));
         let short =

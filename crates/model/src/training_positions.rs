@@ -23,8 +23,9 @@ pub struct TrainingPositions {
 }
 
 impl TrainingPositions {
-    /// Thins `all` positions (metres from the origin of the model); `None` without positions. Each step adds the position
-    /// farthest from those selected. At most 1,024 positions remain, at least 1 % of their diagonal apart.
+    /// Thins `all` positions (metres from the origin of the model); `None` without positions. Starts with the first, and each
+    /// step adds the position farthest from those selected. At most 1,024 positions remain, more than 1 % of the diagonal
+    /// of all apart.
     pub fn thinned(all: &[[Real; 3]]) -> Option<Self> {
         let mut selected = vec![*all.first()?];
         // Squares of the distances to the selected positions.
@@ -36,17 +37,17 @@ impl TrainingPositions {
         let closest_square = CLOSEST.powi(2) * sides.sum::<Real>();
         while selected.len() < MOST {
             let last = selected[selected.len() - 1];
-            let mut farthest = (0, Real::NEG_INFINITY);
+            let (mut farthest, mut largest) = (0, Real::NEG_INFINITY);
             for (i, (position, distance)) in all.iter().zip(&mut distances).enumerate() {
                 *distance = distance.min((0..3).map(|k| (position[k] - last[k]).powi(2)).sum());
-                if *distance > farthest.1 {
-                    farthest = (i, *distance);
+                if *distance > largest {
+                    (farthest, largest) = (i, *distance);
                 }
             }
-            if farthest.1 <= closest_square {
+            if largest <= closest_square {
                 break;
             }
-            selected.push(all[farthest.0]);
+            selected.push(all[farthest]);
         }
         Self::of(selected)
     }

@@ -57,7 +57,7 @@ struct CaseError {
 
 impl Samples<'_> {
     /// Chooses the share of the model with the smallest error at left-out links, if its gain over Kriging exceeds one standard
-    /// error over blocks, and measures that gain.
+    /// error over blocks; otherwise Kriging. Also returns the gain of the best share above 0; `None` without left-out links.
     ///
     /// Kind and length scales of the correlation stay those of the observations: of residuals of left-out links, there are too
     /// few. Returns an error once the fit is stopped.
@@ -71,13 +71,13 @@ impl Samples<'_> {
             let gain_of_case = |case: &Vec<CaseError>| case[reference].absolute - case[c].absolute;
             ShareGain::of(&errors.values().map(|cases| mean(cases.iter().map(gain_of_case))).collect::<Vec<_>>())
         };
-        // More noise could help without the model, so the same noise must be worse without it.
+        // More noise can help without the model too, so the gain is over the better of Kriging and of Kriging with that noise.
         let gain = |c: usize| {
             let (kriging, same_noise) = (gain_over(0, c), gain_over(noise_index(c), c));
             if same_noise.mean < kriging.mean { same_noise } else { kriging }
         };
-        let all = (NOISES.len()..candidates.len()).map(|c| (c, gain(c))).filter(|(_, gain)| gain.mean.is_finite());
-        let best = all.reduce(|best, next| if next.1.mean > best.1.mean { next } else { best });
+        let gains = (NOISES.len()..candidates.len()).map(|c| (c, gain(c))).filter(|(_, gain)| gain.mean.is_finite());
+        let best = gains.reduce(|best, next| if next.1.mean > best.1.mean { next } else { best });
         let least = LEAST_GAIN * mean(errors.values().flatten().map(|case| case[0].absolute));
         Ok(match best {
             Some((c, gain)) if gain.blocks > 1 && gain.mean > gain.standard_error.max(least) => {
@@ -88,7 +88,8 @@ impl Samples<'_> {
         })
     }
 
-    /// Returns the errors of all candidates at left-out links, by block. Returns an error once the fit is stopped.
+    /// Returns the errors at left-out links, by block: a list per link, with the error of each candidate. Returns an error once
+    /// the fit is stopped.
     fn block_errors(
         &self,
         kriging: &[Option<ProcessFit>],
@@ -137,8 +138,8 @@ impl HeldOutPart<'_> {
         });
         let left_out = |k: &&usize| samples.known.left_out[**k].is_some();
         let left_out_count = held_out.len() + trained.iter().filter(left_out).count();
-        let share = held_out.len() as f64 / left_out_count as f64;
-        let count = (CASES / samples.known.data.scene.receivers.len()).max(LEAST_CASES) as f64 * share;
+        let part_share = held_out.len() as f64 / left_out_count as f64;
+        let count = (CASES / samples.known.data.scene.receivers.len()).max(LEAST_CASES) as f64 * part_share;
         let case = |k: usize| (k, self.case_errors(k, &processes));
         evenly(held_out, count.ceil() as usize).into_par_iter().map(case).collect()
     }

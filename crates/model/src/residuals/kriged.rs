@@ -64,7 +64,8 @@ impl Kriged {
     /// link.
     ///
     /// # Errors
-    /// [`Error::Config`]: the data have no positions, or all members trained on all links.
+    /// [`Error::Config`]: the data have no positions, links with features or moving receivers, or all members trained on all
+    /// links.
     pub fn check_data(&self, data: &Dataset, is_left_out: bool) -> Result<()> {
         let requires = &[Requirement::Positions, Requirement::NoFeatures, Requirement::FixedReceiver];
         let demands = &[Demand::of("residuals", "Kriged", requires)];
