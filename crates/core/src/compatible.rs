@@ -223,6 +223,7 @@ fn check_stages(parts: &Parts<'_>, method: &dyn Method, traits: &MethodTraits<'_
         let ignored = carriers > 0 && deformation.is_some_and(|deformation| !deformation.reads_carrier);
         refuse(ignored.then_some(Misfit::CarriersIgnored(carriers)))?;
         let sky = method.plane(setup)?;
+        // Pixels with angles or a camera turn with the receiver.
         let (moves, turns) = (setup.moving.is_receiver(), sky.angles.is_some() || sky.camera.is_some());
         refuse((moves && rasterizer.is_some() && !turns).then_some(Misfit::FixedCentre))?;
         let reason = if moves { "the receiver moves".into() } else { format!("the data have {receivers} receivers") };

@@ -332,7 +332,7 @@ impl Dataset {
     }
 }
 
-/// Checks for at least one receiver, valid positions, unique names, antennas and carriers.
+/// Checks that there is a receiver, that names are unique, and that poses, antennas, carriers and cameras are valid.
 ///
 /// # Errors
 /// There is no receiver; one has an invalid pose, antenna, carrier or camera, or no antenna; or two have one name. The

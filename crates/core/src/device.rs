@@ -104,8 +104,8 @@ pub fn name() -> Option<&'static str> {
     NAME.get_or_init(|| None).as_deref().filter(|_| !LEFT.load(Ordering::Relaxed))
 }
 
-/// Leaves this process to the CPU although a GPU was selected: for programs that compute only what a GPU does not shorten, before
-/// they compute.
+/// Leaves the GPU unused although one was selected. Programs whose work a GPU does not shorten call this before they
+/// compute.
 pub fn leave_gpu() {
     LEFT.store(true, Ordering::Relaxed);
 }

@@ -132,7 +132,8 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Returns the error in an invalid camera, with the next step; `None` if it is valid.
+    /// Returns the error in an invalid camera, with the next step; `None` if it is valid. The text continues a sentence: `NAME
+    /// has ..`.
     pub fn fault(&self) -> Option<String> {
         let Self { focal, centre } = self;
         let fits = focal.iter().all(|f| (1e-3..=1e8).contains(f)) && centre.iter().all(|c| c.abs() <= 1e8);

@@ -81,7 +81,7 @@ fn factor_covariance(correlation: &Correlation, places: &[Place]) -> Cholesky {
     Cholesky::floored(covariance, n, 1e-12)
 }
 
-/// Samples of a process, each prediction from the nearest of them.
+/// Predictor of a process from the nearest of its samples.
 #[derive(Clone, Debug)]
 pub struct LocalKriging {
     /// Correlation of the process.

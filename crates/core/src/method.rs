@@ -187,7 +187,7 @@ pub trait Method: crate::plugin::PluginObject {
     }
 
     /// Returns [`ForwardOutput::numbers`] of [`Self::forward`], bit-identical, from the result of [`Self::prepare`] for the
-    /// same parameters; also returns the time of each stage.
+    /// same parameters; also returns the time of each stage, by default the total alone.
     fn predict(&self, call: &Call<'_>, prepared: &Cache) -> (Vec<Real>, StageTimes) {
         let start = std::time::Instant::now();
         let numbers = self.forward(call, prepared).numbers;

@@ -297,7 +297,7 @@ pub type Cache = Option<Arc<dyn Any + Send + Sync>>;
 /// Returns the content of a [`Cache`] that the caller created.
 ///
 /// # Panics
-/// If another plugin created it.
+/// If it is `None`, or another plugin created it.
 pub fn cached<T: 'static>(cache: &Cache) -> &T {
     cache.as_ref().and_then(|content| content.downcast_ref()).expect("a plugin receives its own cache")
 }

@@ -164,9 +164,9 @@ pub fn best(count: usize, scores: &[Real], preferred: impl Fn(usize) -> bool) ->
     let mut order: Vec<usize> = (0..scores.len()).collect();
     // The sort is stable, so that ties stay in order.
     order.sort_by(|&i, &j| preferred(j).cmp(&preferred(i)).then(number(j).total_cmp(&number(i))));
-    let mut kept = vec![false; scores.len()];
-    order.into_iter().take(count).for_each(|i| kept[i] = true);
-    kept
+    let mut is_best = vec![false; scores.len()];
+    order.into_iter().take(count).for_each(|i| is_best[i] = true);
+    is_best
 }
 
 /// Column `[N, width]` that a pruner requests.

@@ -372,8 +372,8 @@ impl Origin {
     /// Origin of the user's frame.
     pub const ZERO: Self = Self([0.0; 3]);
 
-    /// Chooses the origin for a receiver at `receiver` and all `others`, metres: zero unless a coordinate exceeds 1,000
-    /// m, otherwise the receiver position rounded to whole metres. Its subtraction from the receiver position is exact.
+    /// Chooses the origin for a receiver at `receiver` and all `others`, metres: zero if all coordinates are within 1,000 m,
+    /// otherwise the receiver position rounded to whole metres. Its subtraction from the receiver position is exact.
     pub fn for_receiver(receiver: [f64; 3], others: impl IntoIterator<Item = [f64; 3]>) -> Self {
         let mut positions = others.into_iter().chain([receiver]);
         let is_far = positions.any(|position| position.iter().any(|v| v.abs() > NEAR_M));
@@ -412,7 +412,7 @@ impl Origin {
 }
 
 /// Returns the error in a position in the user's frame, with the next step; `None` if all coordinates are finite and at
-/// most [`MAX_COORDINATE_M`] in size.
+/// most [`MAX_COORDINATE_M`] in size. The text begins with `is`: the caller names the position.
 pub fn position_fault(position: [f64; 3]) -> Option<String> {
     position.into_iter().find_map(coordinate_fault)
 }
@@ -422,7 +422,7 @@ pub fn carrier_fault(hz: f64) -> Option<String> {
     (!(1e6..=1e12).contains(&hz)).then(|| format!("the carrier is {hz:?} Hz; give a frequency between 1e6 and 1e12 Hz"))
 }
 
-/// Returns the error in one coordinate, metres, with the next step; `None` if it is valid.
+/// Returns the error in one coordinate, metres, as [`position_fault`]; `None` if it is valid.
 pub fn coordinate_fault(v: f64) -> Option<String> {
     let problem = match v.abs() {
         size if size <= MAX_COORDINATE_M => return None,

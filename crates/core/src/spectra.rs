@@ -48,7 +48,7 @@ impl Number {
         matches!(self, Self::F32 | Self::F64)
     }
 
-    /// Calls `visit` with every value, in units of [`Self::full_scale`].
+    /// Calls `visit` with every stored value, of which [`Self::full_scale`] represents 1.
     pub fn for_each_value(self, bytes: &[u8], mut visit: impl FnMut(f64)) {
         match self {
             Self::U8 => bytes.iter().for_each(|v| visit(f64::from(*v))),
@@ -58,7 +58,7 @@ impl Number {
         }
     }
 
-    /// Adds `weight` times every value, in units of [`Self::full_scale`], to `sum`.
+    /// Adds `weight` times every stored value, of which [`Self::full_scale`] represents 1, to `sum`.
     fn add_weighted(self, bytes: &[u8], weight: f64, sum: &mut [f64]) {
         match self {
             Self::U8 => add_terms(bytes, sum, |v| weight * f64::from(v)),
@@ -255,7 +255,7 @@ impl Spectra {
         }
     }
 
-    /// Adds `weight` times spectrum `i`, in units of [`Number::full_scale`], to `sum`.
+    /// Adds `weight` times the stored values of spectrum `i`, of which [`Number::full_scale`] represents 1, to `sum`.
     pub fn add(&self, i: usize, weight: f64, sum: &mut [f64]) {
         self.number.add_weighted(&self.raw(i), weight, sum);
     }

@@ -161,7 +161,7 @@ impl Splats {
     }
 
     /// Returns the cotangents `[N]` of the splats on the whole image, given those of the splats on `plane`: the
-    /// derivative of [`Self::sampled`]. Columns without a derivative are empty.
+    /// derivative of [`Self::sampled`]. With a stride above 1, columns without a derivative are empty.
     pub fn sampled_vjp(&self, plane: &ImagePlane) -> Cow<'_, Self> {
         let stride = plane.sampling.stride;
         if stride == 1 {

@@ -150,7 +150,7 @@ pub enum Gate {
     /// Factor on opacity and scale. A Gaussian with factor 0 is skipped in the step: it has no cost and no derivative.
     /// Result of `factor.into()`.
     Whole(Trace),
-    /// Factor on the absorbed light only: γ = M·min(0.99, o·G). A Gaussian with factor 0 still receives a derivative,
+    /// Factor on the opacity γ at each pixel only: γ = M·min(0.99, o·G). A Gaussian with factor 0 still receives a derivative,
     /// so that it can come back.
     Existence(Trace),
 }

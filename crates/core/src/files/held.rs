@@ -75,6 +75,7 @@ fn is_file_at(file: &File, path: &Path) -> io::Result<bool> {
         let (opened, named) = (file.metadata()?, fs::metadata(path)?);
         Ok((opened.dev(), opened.ino()) == (named.dev(), named.ino()))
     }
+    // Other systems cannot compare the files: both must exist.
     #[cfg(not(unix))]
     fs::metadata(path).map(|_| file.metadata().is_ok())
 }

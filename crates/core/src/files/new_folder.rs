@@ -92,7 +92,7 @@ impl NewFolder {
         let folders = lock_under_way();
         for path in folders.iter() {
             // Removal fails while another thread writes to the folder, so it is repeated.
-            _ = (0..ATTEMPTS).find(|_| fs::remove_dir_all(path).is_ok() || !path.exists());
+            _ = (0..ATTEMPTS).any(|_| fs::remove_dir_all(path).is_ok() || !path.exists());
         }
         mem::forget(folders); // still locked
     }

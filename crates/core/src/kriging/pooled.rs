@@ -182,8 +182,9 @@ impl<'a> Powers<'a> {
     /// Returns the path-loss model of a receiver with these `links`, from its level and rise about the means.
     fn path_loss(&self, [level, rise]: [f64; 2], links: &[usize]) -> PathLoss {
         let has_distances = links.is_empty() || links.iter().any(|&i| self.links[i].log_distance.is_some());
-        let slope = if has_distances { 0.0 - rise } else { 0.0 };
-        PathLoss { level: self.mean[0] + level + slope * self.mean[1], slope }
+        let slope = if has_distances { 0.0 - rise } else { 0.0 }; // never -0
+        let [mean_power, mean_log] = self.mean;
+        PathLoss { level: mean_power + level + slope * mean_log, slope }
     }
 
     /// Returns the absolute errors of predictions from links of other blocks, each after its block.

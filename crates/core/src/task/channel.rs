@@ -77,7 +77,8 @@ pub fn gains_of(rows: &[Real], subcarriers: usize) -> Vec<[Real; 2]> {
 /// Maximum real or imaginary part of a gain: sums of its squares stay finite in single precision.
 const MAX_GAIN: f64 = 1e9;
 
-/// Returns the error in a gain, given as real and imaginary part, with the next step; `None` if it is valid.
+/// Returns the error in a gain, given as real and imaginary part, with the next step; `None` if it is valid. The text begins
+/// with `is`: the caller names the gain.
 pub fn gain_fault([re, im]: [f64; 2]) -> Option<String> {
     let advice = if !(re.is_finite() && im.is_finite()) {
         "give finite numbers".to_owned()

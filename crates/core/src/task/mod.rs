@@ -195,7 +195,7 @@ impl Description {
         if self.has_pixels { prediction.clamped() } else { prediction }
     }
 
-    /// Replaces the derivative `d` by that before [`Self::shown`], given the values before it.
+    /// Converts the derivative `d` by the result of [`Self::shown`] to that by its argument `values`: 0 for clamped pixels.
     pub fn shown_vjp(&self, values: &[Real], d: &mut [Real]) {
         if self.has_pixels {
             d.iter_mut().zip(values).filter(|(_, v)| !(0.0..=1.0).contains(*v)).for_each(|(d, _)| *d = 0.0);
@@ -279,7 +279,7 @@ pub trait Columns: Debug + Send + Sync {
         out.iter_mut().zip(self.image(i).pixels).for_each(|(out, v)| *out = v);
     }
 
-    /// Adds `weight` times observation `i`, in units of [`Self::full_scale`], to `sum`.
+    /// Adds `weight` times the stored values of observation `i`, of which [`Self::full_scale`] represents 1, to `sum`.
     fn add(&self, i: usize, weight: f64, sum: &mut [f64]) {
         sum.iter_mut().zip(self.image(i).pixels).for_each(|(sum, v)| *sum += weight * v as f64);
     }

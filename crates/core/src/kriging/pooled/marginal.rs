@@ -2,7 +2,7 @@
 
 /// Prior standard deviations of T and G about the mean power and 0, and of `t_j` and `g_j` about 0: dB, and dB per decade.
 const SHARED: [f64; 2] = [60.0, 30.0];
-const OWN: [f64; 2] = [15.0, 8.0];
+const PER_RECEIVER: [f64; 2] = [15.0, 8.0];
 /// Number of golden-section steps over ln(variance), and its range about ln(mean square of the powers).
 const STEPS: usize = 40;
 const RANGE: [f64; 2] = [-16.0, 4.0];
@@ -99,7 +99,7 @@ impl Information {
 fn marginalise(moments: &[Moments], variance: f64) -> (Information, f64, f64) {
     let mut shared = Information { precision: diagonal(SHARED), sum: [0.0; 2] };
     let (mut squares, mut logs) = (0.0, 0.0);
-    let prior = diagonal(OWN);
+    let prior = diagonal(PER_RECEIVER);
     for m in moments {
         let Information { precision, sum } = Information::new(m, variance);
         let (covariance, log_determinant) = posterior(precision);
@@ -120,7 +120,7 @@ fn marginalise(moments: &[Moments], variance: f64) -> (Information, f64, f64) {
 /// Returns the posterior covariance of `t_j` and `g_j` for the precision of their powers, and the logarithm of the
 /// determinant of its inverse, relative to the prior.
 fn posterior(mut precision: Matrix) -> (Matrix, f64) {
-    let prior = diagonal(OWN);
+    let prior = diagonal(PER_RECEIVER);
     (0..2).for_each(|i| precision[i][i] += prior[i][i]);
     let (covariance, log_determinant) = invert(precision);
     (covariance, log_determinant - (prior[0][0] * prior[1][1]).ln())
