@@ -265,8 +265,8 @@ mod tests {
     #[test]
     fn many_scores_are_thinned_upwards_by_a_thousandth() {
         let scores: Vec<(f64, f64)> = (1..=100_000).map(|k| (f64::from(k), 1.0)).collect();
-        let thinned = weighted_distribution(scores, MOST);
-        assert_eq!(thinned.len(), MOST);
+        let thinned = weighted_distribution(scores, MOST_SCORES);
+        assert_eq!(thinned.len(), MOST_SCORES);
         let calibration = IntervalCalibration { blocks: 1_000_000, values: thinned, ssim: None };
         for level in [0.001, 0.3333, 0.9, 0.99] {
             let half = calibration.factors(level).unwrap().half_width;
