@@ -95,7 +95,7 @@ fn count_distant(model: &Ensemble, data: &Dataset) -> Option<[(usize, f64); 2]> 
 
 impl std::fmt::Display for Agreement {
     /// Writes `SSIM 0.931 (median; 0.902 to 0.957, 10 % to 90 %), 3 of 150 spectra outside the 99 % intervals of the
-    /// model`.
+    /// model`, and the numbers of distant transmitters if there are any.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let [low, middle, high] = [0.1, 0.5, 0.9].map(|q| number(quantile(&self.scores, q)));
         write!(f, "{} {middle} (median; {low} to {high}, 10 % to 90 %)", self.task.headline.name)?;

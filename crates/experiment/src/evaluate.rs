@@ -23,7 +23,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Number of test spectra predicted together.
+/// Number of test links predicted together.
 const CHUNK: usize = 64;
 /// Largest number of members with scores of their own.
 const MOST_SHOWN: usize = 4;
@@ -33,7 +33,7 @@ const MOST_SHOWN: usize = 4;
 pub struct EvaluationResult {
     /// The scores.
     pub scores: Scores,
-    /// Spread and error of the members of an ensemble.
+    /// Spread and error of the members of an ensemble; `None` for a single model.
     pub confidence: Option<Confidence>,
 }
 
@@ -42,7 +42,7 @@ impl ActiveRun<'_, '_> {
     /// also measures whether the spread of its members predicts the error.
     ///
     /// # Errors
-    /// The image size of the model differs from the data, or a metric or baseline returns an error;
+    /// The model predicts other observations than the data ([`check_alike`]), or a metric or baseline returns an error;
     /// [`Error::Stopped`](pwrfgs_core::Error::Stopped) once the session is stopped.
     pub fn evaluate(&mut self, model: &Ensemble) -> Result<EvaluationResult> {
         self.evaluate_parts(model, &mut PartialScores::default())
@@ -85,8 +85,8 @@ impl ActiveRun<'_, '_> {
         Ok(EvaluationResult { scores: Scores { intervals: columns, ..evaluation.conclude()? }, confidence })
     }
 
-    /// Returns the mean of the first validation metric for each baseline, fitted on the training set alone, on the samples
-    /// of `validation.csv`; finite values only. Empty if the pipeline validates nothing.
+    /// Returns name and mean of the first validation metric for each baseline except external ones, fitted on the training set
+    /// alone, on the samples of `validation.csv`; finite values only. Empty if the pipeline validates nothing.
     ///
     /// # Errors
     /// A baseline or a metric returns an error; [`Error::Stopped`](pwrfgs_core::Error::Stopped) once the session is stopped.
@@ -96,15 +96,15 @@ impl ActiveRun<'_, '_> {
         partial: &mut PartialScores,
     ) -> Result<Vec<(String, f64)>> {
         let (pipeline, SplitData { data, partition }) = (self.pipeline, self.split);
-        let part = evenly(&partition.validation, pipeline.training.validation_samples);
-        if part.is_empty() || pipeline.training.validate_every == 0 {
+        let validated = evenly(&partition.validation, pipeline.training.validation_samples);
+        if validated.is_empty() || pipeline.training.validate_every == 0 {
             return Ok(Vec::new());
         }
-        let (samples, metrics) = (EvaluationSet::new(data, &part, plane), defaults::validation(data.task()));
-        let mut all = Vec::new();
+        let (samples, metrics) = (EvaluationSet::new(data, &validated, plane), defaults::validation(data.task()));
+        let mut means = Vec::new();
         for (index, baseline) in pipeline.baselines.iter().enumerate().filter(|(_, baseline)| !baseline.is_external()) {
             self.session.check_stopped()?;
-            all.extend(partial.complete(&format!("validation of baseline {index}"), || {
+            means.extend(partial.complete(&format!("validation of baseline {index}"), || {
                 let fitted = baseline.fit(data, FittingSet::train(&partition.train).stopped_by(self.session.stop))?;
                 let name = baseline.name_for(data.task());
                 let predictor = Predictor::Baseline(&*fitted);
@@ -113,7 +113,7 @@ impl ActiveRun<'_, '_> {
                 Ok(measured.first().map(|m| m.values.mean()).filter(|mean| mean.is_finite()).map(|mean| (name, mean)))
             })?);
         }
-        Ok(all)
+        Ok(means)
     }
 }
 
@@ -163,7 +163,7 @@ impl OpenEvaluation<'_, '_, '_> {
         Ok(())
     }
 
-    /// Scores the members of an ensemble, unless there are many; returns their spread and error.
+    /// Scores each member of an ensemble of at most [`MOST_SHOWN`]; returns spread and error of the members.
     fn score_members(&mut self, model: &Ensemble, ready: &Prepared<'_>) -> Result<Confidence> {
         let shown = if model.members().len() > MOST_SHOWN { &[] } else { model.members() };
         for (name, member) in model.names().iter().zip(shown) {
@@ -176,7 +176,8 @@ impl OpenEvaluation<'_, '_, '_> {
         self.partial.complete("confidence", measure)
     }
 
-    /// Measures the intervals of a calibrated model; returns the columns of `samples.csv`, a row per test link.
+    /// Measures the intervals of a calibrated model, and lists the links that calibrate those of the baselines. Returns the
+    /// columns of `samples.csv`, a row per test link; empty without a calibration.
     fn measure_intervals(&mut self, model: &Ensemble, ready: &Prepared<'_>) -> Result<Vec<Vec<f64>>> {
         let Some(calibration) = model.calibration() else { return Ok(Vec::new()) };
         self.scorer.left_out =
@@ -292,7 +293,7 @@ impl Confidence {
     pub fn measure(model: &Prepared<'_>, data: &Dataset, part: &[usize], session: &mut Session<'_>) -> Result<Self> {
         let stop = session.stop;
         run_stage(session.observer, "measuring the spread of members", |progress| {
-            let mut all = Self { ids: part.iter().map(|&i| data.label(i)).collect(), ..Self::default() };
+            let mut confidence = Self { ids: part.iter().map(|&i| data.label(i)).collect(), ..Self::default() };
             let measure_link =
                 |(&i, (mean, deviation)): (&usize, (Image, Image))| spread_and_error(data, i, mean, &deviation);
             for chunk in part.chunks(CHUNK) {
@@ -300,12 +301,12 @@ impl Confidence {
                 let queries = data.queries(chunk);
                 let predicted = chunk.par_iter().zip(model.predict_many_with_deviation(&queries));
                 let pairs: Vec<(f64, f64)> = predicted.map(measure_link).collect();
-                all.spreads.extend(pairs.iter().map(|pair| pair.0));
-                all.errors.extend(pairs.iter().map(|pair| pair.1));
-                progress(all.errors.len(), part.len());
+                confidence.spreads.extend(pairs.iter().map(|(spread, _)| spread));
+                confidence.errors.extend(pairs.iter().map(|(_, error)| error));
+                progress(confidence.errors.len(), part.len());
             }
             data.observations.check()?;
-            Ok(all)
+            Ok(confidence)
         })
     }
 }

@@ -125,7 +125,8 @@ impl<'a> EvaluationSet<'a> {
     /// Measures a predictor by all its metrics, in their order.
     ///
     /// # Errors
-    /// A metric returns an error or a spectrum cannot be read; [`Error::Stopped`] once the session is stopped.
+    /// A metric returns an error, a prediction is not finite, or a spectrum cannot be read; [`Error::Stopped`] once the session
+    /// is stopped.
     pub fn score(&self, scored: ScoredPredictor<'_>, session: &mut Session<'_>) -> Result<Vec<Measurement>> {
         let mut measurements = self.measure_chunks(scored, session)?;
         session.check_stopped()?;
@@ -147,8 +148,8 @@ impl<'a> EvaluationSet<'a> {
             energies: vec![Vec::new(); metrics.len()],
             images: Default::default(),
         };
-        let numbers = self.plane.width * self.plane.height;
-        let size = (PIXELS / numbers.max(1)).clamp(1, if numbers == 1 { MANY } else { CHUNK });
+        let pixels = self.plane.width * self.plane.height;
+        let size = (PIXELS / pixels.max(1)).clamp(1, if pixels == 1 { MANY } else { CHUNK });
         let (done, stop) = (AtomicUsize::new(0), session.stop);
         run_stage(session.observer, &format!("predicting with {name}"), |progress| {
             let count = |more: usize| progress(done.fetch_add(more, Ordering::Relaxed) + more, self.part.len());
@@ -182,8 +183,8 @@ impl<'a> EvaluationSet<'a> {
         })
     }
 
-    /// Adds the measurements by the metrics of the whole model and of all samples. Those of an empty set are by all metrics,
-    /// without times.
+    /// Adds the measurements by the metrics of the whole model and of all samples; for an empty set, also by those of single
+    /// samples, and without times.
     fn measure_whole(
         &self,
         ScoredPredictor { name, predictor, metrics }: ScoredPredictor<'_>,
@@ -235,12 +236,12 @@ fn check_energies(name: &str, given: usize, count: usize) -> Result<()> {
 /// Appends to `measured` the measurements `more` of one metric on the next `count` samples.
 ///
 /// # Errors
-/// The metric does not give one number per sample.
+/// The metric does not give one number per sample, or other measurements than before.
 pub fn append_measurements(measured: &mut Vec<Measurement>, more: Vec<Measurement>, count: usize) -> Result<()> {
     let broken = |m: &Measurement| {
         Err(Error::Config(format!(
-            "the metric `{}` says that it looks at one sample at a time, but does not give one number each; its \
-             `scope` should be `Scope::All`",
+            "the metric `{}` has `Scope::Sample`, but does not give one number per sample; its `scope` should be \
+             `Scope::All`",
             m.key
         )))
     };

@@ -204,7 +204,7 @@ impl Facts {
     /// Verifies the file `name` in `folder`; a name without a checksum passes.
     ///
     /// # Errors
-    /// The file is damaged or missing.
+    /// The file is damaged or missing, or cannot be read.
     pub fn verify_file(&self, folder: &Path, name: &str) -> Result<()> {
         let Some(expected) = self.files.get(name) else { return Ok(()) };
         let path = folder.join(name);

@@ -52,8 +52,8 @@ pub fn member_folder(index: usize) -> String {
     format!("members/{}", index + 1)
 }
 
-/// Returns the folder of the training curve of the run in folder `run`, after the number of models trained before: that of the
-/// last model that was begun, or `run` for a run of one model.
+/// Returns the number of models of the run in `run` that were trained before the last one, and the folder of the last one,
+/// which holds its training curve. For a run of one model, or without a model yet, returns 0 and `run`.
 pub fn training_folder(run: &Path) -> (usize, PathBuf) {
     let begun = |index: &usize| run.join(member_folder(*index)).is_dir();
     let index = (0..MOST_MEMBERS).take_while(begun).last();

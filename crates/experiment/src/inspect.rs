@@ -190,7 +190,7 @@ fn describe_positions(data: &Dataset) -> Vec<(&'static str, String)> {
 
 /// Returns name and description of the ends that do not move.
 fn describe_fixed_ends(data: &Dataset) -> (&'static str, String) {
-    let list = |numbers: [f64; 3]| numbers.map(|v| format!("{}", v + 0.0)).join(", ");
+    let list = |numbers: [f64; 3]| numbers.map(|v| format!("{}", v + 0.0)).join(", "); // adding 0 turns -0 into 0
     let pose = data.scene.origin.world_pose(data.scene.pose());
     if data.scene.moving.is_receiver() {
         let position = data.scene.has_distances().then(|| format!("at ({}) m", list(pose.position)));

@@ -79,7 +79,7 @@ impl ActiveRun<'_, '_> {
         Ok(links.iter().copied().zip(scores).collect())
     }
 
-    /// Calibrates intervals by the scores of held-out links, in the blocks of the split; `None` with too few blocks.
+    /// Calibrates intervals by the scores of held-out links, in the blocks of the split; `None` without links.
     fn calibrate_by(&self, mut scores: LinkScores) -> Option<IntervalCalibration> {
         let links: Vec<usize> = scores.keys().copied().collect();
         let block = |links: Vec<usize>| links.iter().filter_map(|link| scores.remove(link)).collect();
@@ -88,8 +88,8 @@ impl ActiveRun<'_, '_> {
         IntervalCalibration::new(&blocks)
     }
 
-    /// Measures the intervals of a predictor with its name on the test set. Also returns the columns of `samples.csv`,
-    /// a row per test link; empty with too few blocks.
+    /// Measures the intervals of a predictor with its name on the test set. Also returns those of [`LEVEL`] as columns of
+    /// `samples.csv`, a row per test link; empty with too few blocks for this level.
     ///
     /// # Errors
     /// As [`Self::calibrate`].

@@ -64,7 +64,7 @@ fn check_values(channels: &Channels) -> Option<Finding> {
     Some(Finding::new("channel-phase", channels.gains.len(), problem, mend))
 }
 
-/// Finds antennas that are far from all others, for a wavelength in metres; `None` without any.
+/// Finds antennas of the first receiver that are far from all others, for a `wavelength` in metres; `None` without any.
 fn check_antennas(data: &Dataset, wavelength: f64) -> Option<Finding> {
     let antennas = &data.scene.receivers[0].antennas;
     let nearest =
@@ -183,7 +183,7 @@ struct Snapshot<'a> {
 }
 
 impl<'a> Snapshot<'a> {
-    /// Returns link `i` at the first receiver.
+    /// Creates the snapshot of link `i`, which is at the first receiver.
     fn of(data: &Dataset, channels: &'a Channels, i: usize) -> Self {
         let [transmitter, receiver] = data.link_ends(i);
         let far = |antenna: &[f64; 3]| {

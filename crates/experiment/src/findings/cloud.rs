@@ -33,6 +33,7 @@ pub(crate) fn extent(points: impl IntoIterator<Item = [f64; 3]>) -> Option<Exten
 
 /// Formats an extent: `x 0.10 to 4.90, y 0.00 to 5.00, z 0.00 to 2.98 m`.
 pub(crate) fn describe([low, high]: Extent) -> String {
+    // Adding 0 turns -0 into 0.
     let axis = |k: usize| format!("{} {:.2} to {:.2}", ["x", "y", "z"][k], low[k] + 0.0, high[k] + 0.0);
     format!("{} m", [0, 1, 2].map(axis).join(", "))
 }
@@ -43,7 +44,7 @@ pub(crate) fn longest_side([low, high]: Extent) -> f64 {
 }
 
 /// Finds a point cloud that does not contain the transmitters, and the unit or axes by which it would. `None` for a cloud
-/// that contains most of them, has few points, or covers a part of the room.
+/// with less than the share [`OUTSIDE`] of them outside, with few points, or of a part of the room.
 pub(super) fn check_cloud(data: &Dataset) -> Option<Finding> {
     let origin = data.scene.origin;
     let points: Vec<[f64; 3]> = data.scene.points.iter().map(|point| origin.world(*point)).collect();

@@ -1,7 +1,7 @@
 //! Checks whether the strongest directions of spectra depend on the recorded positions: another unit, or another order of rows.
 
 use super::finding::Finding;
-use super::pose::{FOLLOWS, PoseCheck, PoseVerdict, has_room};
+use super::pose::{FOLLOWS, MUCH_BETTER, PoseCheck, PoseVerdict, has_room};
 use super::positions::round;
 use super::relation::{MEANINGS, Meaning, check_rows};
 use super::rotation::angle;
@@ -36,7 +36,7 @@ pub(super) fn check_directions(data: &Dataset, spectra: &[SpectrumSummary], pose
     };
     let units = MEANINGS.iter().filter(|meaning| meaning.finding == "position-unit");
     let best = units.map(|meaning| (angle_by(meaning.position), meaning)).min_by(|a, b| a.0.total_cmp(&b.0))?;
-    if best.0 < (0.5 * pose.recorded).min(pose.turned).min(FOLLOWS * pose.constant) {
+    if best.0 < (MUCH_BETTER * pose.recorded).min(pose.turned).min(FOLLOWS * pose.constant) {
         let (degrees, Meaning { finding, words, mend, .. }) = best;
         let problem = format!(
             "the strongest direction is {:.1}° from the line of sight, and {degrees:.1}° if positions are {words} (for example \

@@ -76,8 +76,8 @@ type Meaning = fn(DQuat) -> DQuat;
 /// Numbers w, x, y, z that were read as x, y, z, w.
 const W_FIRST: Meaning = |q| DQuat::from_xyzw(q.y, q.z, q.w, q.x);
 
-/// Checks the recorded pose; `None` for camera images, without positions of both ends, or if fewer than twenty spectra have a
-/// strongest direction.
+/// Checks the recorded pose; `None` for camera images, without positions of both ends, or if fewer than [`FEWEST`] spectra of
+/// the first receiver have a strongest direction.
 pub(crate) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<PoseCheck> {
     if data.camera().is_some() || !data.placed || !data.scene.has_distances() {
         return None;
@@ -202,6 +202,8 @@ const AS_GOOD: f64 = 1.15;
 /// Largest ratio of remaining angle to the angle of a constant direction for which the strongest direction follows the
 /// line of sight.
 pub(super) const FOLLOWS: f64 = 0.6;
+/// Ratio of angles below which another meaning of the data fits much better.
+pub(super) const MUCH_BETTER: f64 = 0.5;
 /// Angle above which the strongest direction is not the line of sight, degrees.
 const WIDE_DEG: f64 = 20.0;
 /// Correction of the orientations of a moving receiver.
@@ -262,7 +264,8 @@ impl PoseCheck {
         let [x, y, z, w] = self.orientation;
         let mut sentences = vec![format!(
             "The strongest direction is {recorded:.1}° from the geometric line of sight (median of {pairs} spectra). The best \
-             rotation turns the receiver by {turn:.1}° and leaves {turned:.1}°; one constant direction for all transmitters leaves {constant:.1}°."
+             rotation turns the receiver by {turn:.1}° and leaves {turned:.1}°; one constant direction for all transmitters \
+             leaves {constant:.1}°."
         )];
         match self.verdict {
             PoseVerdict::Off if self.is_direct() => {
@@ -293,7 +296,8 @@ impl PoseCheck {
         sentences
     }
 
-    /// Returns the finding with its correction; `None` if the pose fits or the spectra cannot tell.
+    /// Returns the finding with its correction; `None` if the pose fits or the spectra cannot tell, or for spectra without a
+    /// direct path that are simulated without a room.
     pub(crate) fn finding(&self, data: &Dataset) -> Option<Finding> {
         let Self { pairs, recorded, turned, orientation: [x, y, z, w], .. } = self;
         let away =
@@ -333,18 +337,18 @@ impl PoseCheck {
     /// Returns the interpretation of the recorded numbers that fits best, with its angle in degrees; `None` unless that
     /// is below half the recorded angle and below 1.5 times the angle after the best rotation.
     fn better_reading(&self) -> Option<(&'static str, f64)> {
-        let limit = (0.5 * self.recorded).min(1.5 * self.turned);
+        let limit = (MUCH_BETTER * self.recorded).min(1.5 * self.turned);
         self.readings.iter().filter(|(_, angle)| *angle < limit).min_by(|a, b| a.1.total_cmp(&b.1)).copied()
     }
 
     /// Returns the best flip and its angle in degrees; `None` if it does not fit much better than any rotation.
     fn best_flip(&self) -> Option<&(Flip, f64)> {
-        let limit = (0.5 * self.turned.min(self.recorded)).min(FOLLOWS * self.constant);
+        let limit = (MUCH_BETTER * self.turned.min(self.recorded)).min(FOLLOWS * self.constant);
         self.flips.iter().filter(|(_, angle)| *angle < limit).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 }
 
-/// Returns whether transmitters are in a room, so that direct paths exist: simulated spectra of `Teacher` have none.
+/// Returns whether transmitters are in a room, so that direct paths exist; spectra that `Teacher` simulates have no room.
 pub(super) fn has_room(data: &Dataset) -> bool {
     data.simulation.as_ref().is_none_or(|simulation| simulation.scene.is_some())
 }

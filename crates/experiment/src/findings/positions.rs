@@ -32,7 +32,8 @@ const TURNS: usize = 5;
 /// Standard deviation of the steps of a coordinate that changes, metres.
 const MOVED_M: f64 = 1e-3;
 
-/// Finds positions that are probably not in metres, that are all equal, or in which a coordinate is an index or a time.
+/// Finds positions that are probably not in metres, far from the fixed ends, all equal, or with an index or a time as a
+/// coordinate.
 pub(super) fn check_positions(data: &Dataset) -> Vec<Finding> {
     let positions: Vec<[f64; 3]> = data.locations.iter().map(pwrfgs_core::Location::position).collect();
     let Some(first) = positions.first().filter(|_| positions.len() > 1) else { return Vec::new() };
@@ -134,7 +135,8 @@ fn median_spacing(positions: &[[f64; 3]]) -> f64 {
     median(nearest_others(positions).into_iter().flatten().map(|other| other.0))
 }
 
-/// Returns what contradicts a large site in metres: heights, or links stronger than free space allows; `None` for a campus.
+/// Returns what contradicts a large site in metres: heights, links stronger than free space allows, or its size if distances
+/// are unknown. `None` if nothing does, as for a campus.
 fn large_site_fault(data: &Dataset, powers: &[Real], site: f64) -> Option<String> {
     if !data.scene.has_distances() {
         return (site > WIDE_M).then(|| "and the positions of the receivers are unknown".into());

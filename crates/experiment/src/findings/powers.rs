@@ -69,7 +69,7 @@ fn describe_conversion(unit: PowerUnit) -> String {
     format!("if these are {name}, {formula}")
 }
 
-/// Formats a power with five digits, faint ones with an exponent.
+/// Formats a power with at most three decimals, or below 0.001 with an exponent.
 fn format_power(value: f64) -> String {
     if value.abs() < 1e-3 && value != 0.0 { format!("{value:.4e}") } else { format!("{}", (value * 1e3).round() / 1e3) }
 }

@@ -19,6 +19,8 @@ const HALF: [f64; 2] = [0.5, 0.75];
 const SPREAD_DB: f64 = 2.5;
 /// Standard deviation of the levels at a receiver of unknown position above which they vary over the site, dB.
 const LEVELS_DB: f64 = 6.0;
+/// Largest number of receivers that a message names.
+const NAMED: usize = 5;
 /// Number of random pairings, and their standard deviations by which neighbours must be more alike.
 const DRAWS: usize = 20;
 const ALIKE: f64 = 3.0;
@@ -91,7 +93,7 @@ impl LevelLinks {
     }
 
     /// Fits the levels of the links at the fixed ends that are `used` over the distance between `location` and `fixed`, as
-    /// [`Self::recorded`].
+    /// [`Self::recorded`]; zeros if distances or levels do not vary.
     fn fit(
         &self,
         used: &dyn Fn(usize) -> bool,
@@ -99,7 +101,7 @@ impl LevelLinks {
         fixed: &dyn Fn(usize) -> Position,
     ) -> (f64, f64) {
         let mut ends = vec![[0.0; 6]; self.fixed.len()];
-        for &(at, end, level) in self.links.iter().filter(|link| used(link.1)) {
+        for &(at, end, level) in self.links.iter().filter(|(_, end, _)| used(*end)) {
             let x = distance(location(at), fixed(end)).log10();
             let terms = if x.is_finite() { [1.0, x, level, x * x, x * level, level * level] } else { [0.0; 6] };
             terms.iter().zip(&mut ends[end]).for_each(|(term, sum)| *sum += term);
@@ -110,6 +112,7 @@ impl LevelLinks {
             (var_x, covariance, var_y) = (var_x + xx - x * x / n, covariance + xy - x * y / n, var_y + yy - y * y / n);
             size += xx;
         }
+        // A variance below a part of 1e-9 of the squares is a rounding error.
         if var_x <= 1e-9 * size || var_y <= 0.0 {
             return (0.0, 0.0);
         }
@@ -118,17 +121,17 @@ impl LevelLinks {
 
     /// Returns the share of the variance that a falling line explains.
     fn falling(&self, location: &dyn Fn(usize) -> Position, fixed: &dyn Fn(usize) -> Position) -> f64 {
-        let (share, slope) = self.fit(&|_| true, location, fixed);
-        if slope < 0.0 { share } else { 0.0 }
+        falling_share(self.fit(&|_| true, location, fixed))
     }
 
-    /// Returns the order of the fixed ends that fits the level at each best: the position for each end.
+    /// Returns the order of the fixed ends by which levels fall with the distance: the index of the position for each end. Pairs
+    /// of end and position are taken greedily, the best fit first.
     fn best_order(&self) -> Vec<usize> {
         let count = self.fixed.len();
         let mut fits = Vec::new();
         for (end, slot) in (0..count * count).map(|k| (k / count, k % count)) {
-            let (share, slope) = self.fit(&|used| used == end, &|at| self.locations[at], &|_| self.fixed[slot]);
-            fits.push((if slope < 0.0 { share } else { 0.0 }, end, slot));
+            let fit = self.fit(&|used| used == end, &|at| self.locations[at], &|_| self.fixed[slot]);
+            fits.push((falling_share(fit), end, slot));
         }
         fits.sort_by(|a, b| b.0.total_cmp(&a.0));
         let (mut order, mut is_taken) = (vec![usize::MAX; count], vec![false; count]);
@@ -143,12 +146,17 @@ impl LevelLinks {
     /// Returns the mean standard deviation of free-space loss over the links at a fixed end, dB.
     fn spread_db(&self) -> f64 {
         let spread = |end: usize| {
-            let links = self.links.iter().filter(|link| link.1 == end);
-            let loss = links.map(|link| 20.0 * distance(self.locations[link.0], self.fixed[end]).max(1e-9).log10());
+            let links = self.links.iter().filter(|(_, other, _)| *other == end);
+            let loss = links.map(|(at, ..)| 20.0 * distance(self.locations[*at], self.fixed[end]).max(1e-9).log10());
             deviation(&loss.collect::<Vec<f64>>())
         };
         mean((0..self.fixed.len()).map(spread).filter(|spread| spread.is_finite()))
     }
+}
+
+/// Returns the share that a fit explains if its slope falls, otherwise 0.
+fn falling_share((share, slope): (f64, f64)) -> f64 {
+    if slope < 0.0 { share } else { 0.0 }
 }
 
 /// Finds levels that do not fall with the recorded distance, but with the distance by another meaning of the positions, or by
@@ -168,12 +176,13 @@ pub(super) fn check_levels(data: &Dataset) -> Option<Finding> {
     let count = links.fixed.len();
     let orders = [(0..count).rev().collect(), if count <= RECEIVERS { links.best_order() } else { Vec::new() }];
     let by_order = orders.into_iter().filter(|order: &Vec<usize>| order.len() == count && count > 1).map(|order| {
-        let names: Vec<&str> = order.iter().map(|slot| data.scene.receivers[*slot].name.as_str()).take(5).collect();
+        let names: Vec<&str> = order.iter().map(|slot| data.scene.receivers[*slot].name.as_str()).take(NAMED).collect();
         let words = format!("the columns of the receivers in the order {}", names.join(", "));
         (links.falling(&location, &|end| fixed(order[end])), "receiver-order", words, "correct the header".to_owned())
     });
-    let all = by_meaning.into_iter().chain([rows]).chain(by_order);
-    let (share, name, words, mend) = all.reduce(|best, other| if other.0 > best.0 { other } else { best })?;
+    let alternatives = by_meaning.into_iter().chain([rows]).chain(by_order);
+    let best = alternatives.reduce(|best, other| if other.0 > best.0 { other } else { best });
+    let (share, name, words, mend) = best?;
     let problem = format!(
         "the level of the links does not follow the distance (it explains {:.0} % of the variance), but does with {words} \
          ({:.0} %; for example {})",
@@ -185,8 +194,8 @@ pub(super) fn check_levels(data: &Dataset) -> Option<Finding> {
     is_wrong.then(|| Finding::new(name, links.links.len(), problem, mend))
 }
 
-/// Finds powers that are no more alike at neighbouring transmitters than at random ones, although distances differ;
-/// `None` if they are, or if too few differ to decide.
+/// Finds powers that are no more alike at neighbouring transmitters than at random ones. `None` if they are more alike, if
+/// distances or levels differ too little to decide, or without positions or powers.
 pub(super) fn check_power_rows(data: &Dataset) -> Option<Finding> {
     let powers = data.observations.powers().filter(|_| data.placed)?;
     let rows: Vec<usize> = (0..data.locations.len()).collect();
@@ -219,7 +228,8 @@ fn level_spread(data: &Dataset, powers: &[Real]) -> f64 {
 }
 
 /// Finds observations whose mean `difference` between neighbours is not clearly smaller than between random pairs; `rows` are
-/// the locations of the observations. Differences that are not finite are left out. `None` for fewer than 50 rows.
+/// the locations of the observations. Differences that are not finite are left out. `None` for fewer rows than [`LOCATIONS`]
+/// begins with.
 pub(super) fn check_rows(data: &Dataset, rows: &[usize], difference: &dyn Fn(usize, usize) -> f64) -> Option<Finding> {
     if rows.len() < *LOCATIONS.start() {
         return None;

@@ -67,7 +67,7 @@ fn range_and_direction(image: &Image, directions: &[DVec3]) -> ((f64, f64), Opti
     ((low as f64, high as f64), (low < high).then(|| middle.try_normalize().unwrap_or(first)))
 }
 
-/// Describes storage, normalisation and unusual spectra as names and texts.
+/// Describes elevations or camera, storage, normalisation and unusual spectra as names and texts.
 pub(crate) fn describe(data: &Dataset, summaries: &[SpectrumSummary]) -> Vec<(&'static str, String)> {
     let widen = |(low, high): (f64, f64), s: &SpectrumSummary| (low.min(s.range.0), high.max(s.range.1));
     let (low, high) = summaries.iter().fold((f64::INFINITY, f64::NEG_INFINITY), widen);
@@ -91,7 +91,7 @@ pub(crate) fn describe(data: &Dataset, summaries: &[SpectrumSummary]) -> Vec<(&'
     ]
 }
 
-/// Describes the normalisation that all spectra have; the `constant` spectra fit any.
+/// Describes the normalisation that all spectra have; `constant` is the number of constant ones, which fit any.
 fn describe_normalisation(summaries: &[SpectrumSummary], constant: usize) -> &'static str {
     let is_zero = |s: &&SpectrumSummary| s.range.0.abs() < ROUNDING;
     let is_one = |s: &&SpectrumSummary| (s.range.1 - 1.0).abs() < ROUNDING;

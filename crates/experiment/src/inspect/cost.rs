@@ -102,14 +102,14 @@ fn describe_time(time: &TimeEstimate, may_grow: bool) -> String {
     };
     let TimeEstimate { seconds: [shortest, expected, longest], search_seconds: search, start, end, .. } = time;
     let seconds = [*shortest, *longest];
-    let total = if search[1] > 0.0 {
+    let search_text = if search[1] > 0.0 {
         let whole = range([0, 1].map(|k| search[k] + seconds[k]));
         format!("{whole}: {} of initial search, then ", range(*search))
     } else {
         String::new()
     };
-    let (spread, about) = (range(seconds), format_duration(*expected));
-    let training = if spread.contains(" to ") { format!("about {about} ({spread})") } else { spread };
+    let [low, high] = seconds.map(format_duration);
+    let training = if low == high { low } else { format!("about {} ({low} to {high})", format_duration(*expected)) };
     let n = |count: usize| grouped(count as i64);
     let [first, last] = [start, end].map(|steps| format_step_time(steps.step_seconds) + " per step");
     let steps = if end.gaussians == start.gaussians {
@@ -118,7 +118,7 @@ fn describe_time(time: &TimeEstimate, may_grow: bool) -> String {
         format!("{first} with N = {}, {last} with N = {}", n(start.gaussians), n(end.gaussians))
     };
     format!(
-        "{total}{training} of training ({steps}){}",
+        "{search_text}{training} of training ({steps}){}",
         if may_grow { "; more if densification adds Gaussians" } else { "" }
     )
 }

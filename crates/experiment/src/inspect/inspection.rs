@@ -92,14 +92,15 @@ impl Inspection {
             refused: Vec::new(),
         };
         let splits = list_splits(pipeline);
-        let (stop, each) = (session.stop, inspection.baselines.len() + 1);
+        // A unit of progress per baseline, and one for the noise ceiling.
+        let (stop, units) = (session.stop, inspection.baselines.len() + 1);
         let ceilings = CeilingEstimator::new(data, &metrics, stop);
         let mut scorer = SplitScorer { pipeline, data, metrics: &metrics, stop, ceilings };
         run_stage(session.observer, "scoring baselines by split", |progress| {
             for (k, (split, name)) in splits.iter().enumerate() {
-                let scored = |baselines| progress(k * each + baselines, splits.len() * each);
+                let scored = |baselines| progress(k * units + baselines, splits.len() * units);
                 inspection.add_split(&mut scorer, (split, name.clone()), &scored)?;
-                scored(each);
+                scored(units);
             }
             Ok(inspection)
         })
