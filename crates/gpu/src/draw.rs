@@ -55,6 +55,10 @@ pub const LOSSES: usize = 16;
 pub const WIDTHS: [usize; 4] = [13, 7, 12, 20];
 /// Values per Gaussian in slot [`D_SPLATS`] before those of the signals.
 pub const GEOMETRY: usize = 8;
+/// Column of the blending weights in slot [`D_SPLATS`].
+pub const WEIGHT: usize = 6;
+/// Column of the derivatives by the existence factors in slot [`D_SPLATS`].
+pub const EXISTENCE: usize = 7;
 /// Values per entry of a list in slot [`PARTS`].
 const PART: usize = 10;
 /// Number of constants in slot [`VIEW`].

@@ -250,9 +250,10 @@ pub struct Item {
 }
 
 /// Returns the number of Gaussians per chunk. It depends only on N and the width, so that results do not depend on the
-/// number of threads or the batch size. The maximum is 192: two activations of width 256 then fit 1 MiB of second-level
-/// cache. A stride of 256 or 512 floats, at which gemm loses half its speed to cache conflicts, never occurs. For small
-/// N there are up to 24 chunks of about 64 rows, an even number, so that two threads share N = 157.
+/// number of threads or the batch size. The maximum is 192, or fewer for more than 256 units, but at least 48: two
+/// activations of width 256 then fit 1 MiB of second-level cache. A stride of 256 or 512 floats, at which gemm loses
+/// half its speed to cache conflicts, never occurs. For small N there are up to 24 chunks of about 64 rows, an even
+/// number, so that two threads share N = 157.
 pub fn rows_per_chunk(n: usize, width: usize) -> usize {
     let most = (192 * 256 / width.max(1) / 16 * 16).clamp(48, 192);
     let chunks = n.div_ceil(most).max((n / 64).min(24)).next_multiple_of(2);

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 pub struct TimeEstimate {
     /// Steps with the initial Gaussians.
     pub start: TimedSteps,
-    /// Steps with the Gaussians that pruning is expected to keep.
+    /// Steps with the share of the initial Gaussians that pruning is expected to keep.
     pub end: TimedSteps,
     /// Shortest, expected and longest time of all steps, seconds.
     pub seconds: [f64; 3],
@@ -110,9 +110,10 @@ impl Trainer<'_> {
         (numbers * size_of::<Real>() + kept_bytes) as u64 + weights + cost.bytes
     }
 
-    /// Estimates the time of the training: it times steps with the current N and with the N at the end of pruning, and
-    /// weights them by the expected number of Gaussians. It also times one candidate of an initial search. Densification
-    /// beyond `max_gaussians`, the statistics of prune steps, validation and scoring are not included.
+    /// Estimates the time of the training: it times steps with the current N and with the share of it that pruning is
+    /// expected to keep, and weights them by the expected number of Gaussians. It also times one candidate of an
+    /// initial search. Densification beyond `max_gaussians`, the statistics of prune steps, validation and scoring are
+    /// not included.
     ///
     /// # Errors
     /// As [`Self::step`].

@@ -72,21 +72,20 @@ fn fit_ridge(linear: &LinearPart, channels: &[&[[Real; 2]]]) -> Option<Vec<Vec<[
     });
     let factor = ridge_factor(gram, d)?;
     let numbers = channels.first()?.len();
-    let columns: Vec<Vec<[f64; 2]>> = (0..numbers)
-        .into_par_iter()
-        .map(|n| {
-            let part = |c: usize| {
-                let mut right = vec![0.0; d];
-                for (row, channel) in rows.iter().zip(channels) {
-                    let y = channel[n][c] as f64;
-                    right.iter_mut().zip(*row).for_each(|(sum, v)| *sum += y * *v as f64);
-                }
-                factor.solve(&mut right);
-                right
-            };
-            part(0).into_iter().zip(part(1)).map(|(re, im)| [re, im]).collect()
-        })
-        .collect();
+    // Map to the real (c = 0) or imaginary part of value n.
+    let part = |n: usize, c: usize| {
+        let mut right = vec![0.0; d];
+        for (row, channel) in rows.iter().zip(channels) {
+            let y = channel[n][c] as f64;
+            right.iter_mut().zip(*row).for_each(|(sum, v)| *sum += y * *v as f64);
+        }
+        factor.solve(&mut right);
+        right
+    };
+    let column = |n: usize| -> Vec<[f64; 2]> {
+        part(n, 0).into_iter().zip(part(n, 1)).map(|(re, im)| [re, im]).collect()
+    };
+    let columns: Vec<Vec<[f64; 2]>> = (0..numbers).into_par_iter().map(column).collect();
     Some((0..d).map(|k| columns.iter().map(|column| column[k]).collect()).collect())
 }
 

@@ -9,8 +9,8 @@ use pwrfgs_core::{
     SpectrumLoss, Splats, WantedInputs, device,
 };
 use pwrfgs_gpu::draw::{
-    CLOUD, D_IMAGE, D_ROWS, D_SPLATS, Drawing, GEOMETRY, GpuReadout, IMAGE, LOSS, LOSSES, PIXELS, SIGNALS, TERMS,
-    TRUTHS, VIEW, VIEW_LEN, WIDTHS,
+    CLOUD, D_IMAGE, D_ROWS, D_SPLATS, Drawing, EXISTENCE, GEOMETRY, GpuReadout, IMAGE, LOSS, LOSSES, PIXELS, SIGNALS,
+    TERMS, TRUTHS, VIEW, VIEW_LEN, WEIGHT, WIDTHS,
 };
 use pwrfgs_gpu::{Gpu, GpuStep};
 use pwrfgs_raster::{AlphaBlending, Mercator, Support};
@@ -297,7 +297,7 @@ impl Splatting {
                 deltas.scales.get_mut(term).into_iter().for_each(|sum| add(sum, &row[12..15]));
                 deltas.quats.get_mut(term).into_iter().for_each(|sum| add(sum, &row[15..19]));
                 let (d_geometry, d_signal) = splat.split_at(GEOMETRY);
-                sums.existence[i] += if p.existence.is_some() { d_geometry[GEOMETRY - 1] } else { 0.0 };
+                sums.existence[i] += if p.existence.is_some() { d_geometry[EXISTENCE] } else { 0.0 };
                 d_signals[i * d_signal.len()..][..d_signal.len()].copy_from_slice(d_signal);
             }
             self.activation().signals_vjp(p.cloud, terms, batch, &d_signals, grads);
@@ -347,12 +347,12 @@ fn radius_splats(DrawnGroup { order, .. }: &DrawnGroup, d_rows: &[Real]) -> Spla
     Splats { radii, ..Splats::default() }
 }
 
-/// Returns the cotangents that statistics use: those of the centres, and the weights; columns 0, 1 and 6 of slot
-/// [`D_SPLATS`].
+/// Returns the cotangents that statistics use: those of the centres, the first two columns of slot [`D_SPLATS`], and the
+/// weights.
 fn render_vjp(DrawnGroup { order, shape, .. }: &DrawnGroup, d_splats: &[Real]) -> RenderVjp {
     let (mut means2d, mut weights) = (vec![[0.0; 2]; order.len()], vec![0.0; order.len()]);
     for (&i, row) in order.iter().zip(d_splats.chunks_exact(shape.derivatives())) {
-        (means2d[i as usize], weights[i as usize]) = ([row[0], row[1]], row[6]);
+        (means2d[i as usize], weights[i as usize]) = ([row[0], row[1]], row[WEIGHT]);
     }
     RenderVjp { splats: Splats { means2d, ..Splats::default() }, signals: Vec::new(), weights }
 }

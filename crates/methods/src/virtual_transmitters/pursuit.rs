@@ -190,7 +190,7 @@ impl<'a> PursuitSearch<'a> {
             stop,
             held_out,
             rows: MeasurementRows::new(links, channel, (fitted, &values), most_refined, options.seed),
-            levels: SearchLevel::all(links, channel, (fitted, most), &grid, options.seed),
+            levels: SearchLevel::create_levels(links, channel, (fitted, most), &grid, options.seed),
             grid,
             positions,
             wavelength,

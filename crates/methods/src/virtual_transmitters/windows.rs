@@ -30,7 +30,7 @@ pub(crate) struct SearchLevel {
 impl SearchLevel {
     /// Creates the levels of a search from fine to coarse, with about `most` rows of the channel `h`, `[A,F]` per
     /// position, at the positions `items` each. The last level has at most [`START`] cells, if its windows have enough values.
-    pub(crate) fn all(
+    pub(crate) fn create_levels(
         links: &ChannelInputs<'_>,
         h: &[&[[Real; 2]]],
         (items, most): (&[usize], usize),
@@ -121,7 +121,7 @@ mod tests {
             quats: turn::mirror_rotations(&antennas.iter().map(|r| r.map(f64::from)).collect::<Vec<_>>()),
         };
         let items: Vec<usize> = (0..300).collect();
-        let levels = SearchLevel::all(&links, &h.chunks(128).collect::<Vec<_>>(), (&items, 512), &grid, 0);
+        let levels = SearchLevel::create_levels(&links, &h.chunks(128).collect::<Vec<_>>(), (&items, 512), &grid, 0);
         let mut reports = Vec::new();
         let stop = AtomicBool::new(false);
         let cells = sweep_cells((&levels, &grid), &VirtualSources::default(), (1, 1), &stop, &mut |done, total| {
